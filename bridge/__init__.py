@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from bridge.config import parse_behaviours as parse_behaviours
     from bridge.evaluation.evaluate import evaluate_folder as evaluate_folder
     from bridge.evaluation.scene_metrics import evaluate_scene as evaluate_scene
+    from bridge.exports.export import export_scene as export_scene
     from bridge.generation.generate import generate as generate
     from bridge.generation.generate import prepare as prepare
     from bridge.generation.scene import TrafficScene as TrafficScene
@@ -39,6 +40,7 @@ _NAMES = {
     "bridge.generation.scene": "TrafficScene read_scene",
     "bridge.generation.generate": "generate prepare",
     "bridge.pictures.conflicts": "Conflict draw_conflicts",
+    "bridge.exports.export": "export_scene",
     "bridge.recordings.folders": "find_scenarios",
     "bridge.batch.validation": "validate_folder",
     "bridge.studies.run": "run_study",

@@ -18,10 +18,12 @@ import shapely
 from netconvert.cells import Cell, CellGrid
 from netconvert.geo import CityOrigin
 from netconvert.geometry import FloatArray
-from netconvert.lane_graph import SIDES, LaneSegment, TurnType
+from netconvert.lane_graph import SIDES, LaneGraph, LaneSegment, TurnType
 
 #: Speed limit of every lane, m/s (45 mph); the maps have none.
 SPEED_LIMIT_MPS = 20.0
+#: The same of nets for traffic of SUMO's own, which drives as fast as it may (50 km/h).
+WHOLE_LIMIT_MPS = 13.89
 #: Classes that may use a lane, by lane type; None is every class.
 ALLOWED_CLASSES: dict[str, str | None] = {"VEHICLE": None, "BUS": None, "BIKE": "bicycle"}
 #: Who may cross a marking that forbids it. SUMO needs at least one class; it draws such a line solid.
@@ -51,7 +53,7 @@ def net_bytes(grid: CellGrid, *, origin: CityOrigin | None = None) -> bytes:
     names = _junction_names(len(rows), [(from_edge, to_edge) for from_edge, _, to_edge, _, _ in links])
 
     editable = grid.saved_within_m is not None
-    text = ["<?xml version='1.0' encoding='UTF-8'?>", f'<net version="{NET_VERSION}">', _location(grid, origin)]
+    text = ["<?xml version='1.0' encoding='UTF-8'?>", f'<net version="{NET_VERSION}">', location(grid.graph, origin)]
     templates = {lane_id: _lane_attributes(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
     shapes = {lane_id: _cell_shapes(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
     closed = {
@@ -176,8 +178,9 @@ def junction_xml(name: str, place: Sequence[float], *, incoming: Sequence[str], 
     )
 
 
-def _location(grid: CellGrid, origin: CityOrigin | None) -> str:
-    points = np.concatenate([lane.centerline for lane in grid.graph.lanes.values()])
+def location(graph: LaneGraph, origin: CityOrigin | None) -> str:
+    """Where a net of the graph lies: element `location` of SUMO's files."""
+    points = np.concatenate([lane.centerline for lane in graph.lanes.values()])
     (left, bottom), (right, top) = points.min(axis=0), points.max(axis=0)
     boundary = f"{left:.2f},{bottom:.2f},{right:.2f},{top:.2f}"
     if origin is None:

@@ -26,7 +26,7 @@ from bridge.config import check_exportable, check_function, config_sha256, new_s
 from bridge.files import explained, one_line
 from bridge.generation.program import code_version, processor
 from bridge.interruption import remove_abandoned, tidied
-from bridge.recordings.folders import SEQUENCES, SPLITS, Address, sequence_path, source_id, split_of, sumo_folder
+from bridge.recordings.folders import SEQUENCES, SPLITS, Address, sequence_path, source_id, split_of
 from bridge.recordings.sources import source_files
 from hid2.params import Config
 from netconvert.errors import BatchError, ConfigError, DiskFullError, ExportError
@@ -66,7 +66,6 @@ class Place:
     folder: Address
     out: Path
     argoverse1: bool = False
-    sumo: Path | None = None
     gaps: bool = False
 
 
@@ -75,7 +74,7 @@ class Options(Settings):
     """How a batch, and each scene of it, runs. Errors: ConfigError.
 
     scheduler: address of a Dask scheduler; resume: skip what is complete and unchanged; argoverse1: write sequences of
-    Argoverse 1 as well; sumo: folder for files of SUMO; gaps: write every look at a gap beside each scene; functions:
+    Argoverse 1 as well; gaps: write every look at a gap beside each scene; functions:
     lane-change rules module:function that may be imported.
     """
 
@@ -85,7 +84,6 @@ class Options(Settings):
     resume: bool = False
     function: str = GENERATE
     argoverse1: bool = False
-    sumo: Path | None = None
     gaps: bool = False
     functions: Collection[str] = ()
 
@@ -150,7 +148,7 @@ def run_batch(
     progress = Progress(total=sum(len(job.runs) for job in jobs))
     rows: list[ManifestRow] = []
     jobs = _with_rules(jobs, options.functions)
-    remove = partial(_remove_half_written, out_dir, options.sumo)
+    remove = partial(_remove_half_written, out_dir)
     with _locked(out_dir), tidied(remove):
         remove()
         manifest = Manifest(out_dir)
@@ -280,12 +278,10 @@ def reproduce(path: Path, out_dir: Path | None, *, functions: Collection[str] = 
     return bundle, row
 
 
-def _remove_half_written(out_dir: Path, sumo: Path | None) -> None:
+def _remove_half_written(out_dir: Path) -> None:
     """Remove what scene processes that have ended were writing."""
     bundles, sequences = f"{QUARANTINE}/*", f"{SEQUENCES}/*"
     remove_abandoned(out_dir, *SPLITS, RUNS, QUARANTINE, bundles, sequences, f"{sequences}/*")
-    if sumo is not None:
-        remove_abandoned(sumo, "*", "*/*")
 
 
 def _check_places(jobs: Sequence[SceneJob], out_dir: Path) -> None:
@@ -311,7 +307,7 @@ def _tasks(
 ) -> Iterator[Task]:
     """Yield tasks for every job that has something to do; called as workers become free."""
     for job in jobs:
-        place = Place(job.folder.absolute(), out_dir, options.argoverse1, options.sumo, options.gaps)
+        place = Place(job.folder.absolute(), out_dir, options.argoverse1, options.gaps)
         source_sha256 = _digest(place.folder)
         wanted = []
         for run in job.runs:
@@ -353,7 +349,6 @@ def _is_complete(row: ManifestRow, base: ManifestRow, place: Place, source_sha25
         and row.output_sha256 == files_sha256(output_files(folder))
         and (not place.gaps or any(folder.glob("gaps_*.csv.gz")))
         and (not place.argoverse1 or sequence_path(place.out, split, folder.name).is_file())
-        and (place.sumo is None or sumo_folder(place.sumo, split, folder.name).is_dir())
     )
 
 

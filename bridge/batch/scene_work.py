@@ -12,7 +12,6 @@ from bridge.batch.manifest import ManifestRow, files_sha256, output_files
 from bridge.generation.generate import PreparedScene, generate, prepare
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.export import check_step
-from bridge.recordings.folders import sumo_folder
 from bridge.recordings.sidecar import DrivesRecord, Sidecar
 from bridge.recordings.sources import read_recording
 from hid2.agents import Policy
@@ -36,12 +35,7 @@ def write_all(scene: TrafficScene, place: Place) -> Path:
 
         assert scene.source is not None
         write_sequence(scene.source, scene.generated, place.out, new_id=scene.recording.scenario_id)
-    folder = scene.write(place.out, record=("gaps",) if place.gaps else ())
-    if place.sumo is not None:
-        from bridge.sumo.exchange import write_sumo  # with matplotlib, twice as slow as all else
-
-        write_sumo(folder, sumo_folder(place.sumo, scene.recording.split, scene.recording.scenario_id))
-    return folder
+    return scene.write(place.out, record=("gaps",) if place.gaps else ())
 
 
 def generate_runs(

@@ -13,7 +13,7 @@ from bridge.cli.options import flattened
 #: The commands of each module, which are registered as it is imported, in the order of the help: that of the work.
 MODULES = {
     "generation": ("generate",),
-    "scenes": ("validate", "scan", "net"),
+    "scenes": ("validate", "scan", "net", "export"),
     "measuring": ("evaluate", "calibrate", "study", "make", "paper"),
     "forecasting": ("compose", "forecast"),
     "pictures": ("view", "render", "plot", "gui"),

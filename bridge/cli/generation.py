@@ -69,7 +69,6 @@ def generate(  # noqa: PLR0913  # one for each option
         "--format",
         choices=("argoverse1",),
     ),
-    sumo: Path | None = options.output("Write files for SUMO as well: net, routes, FCD output.", None, "DIR"),
     record: list[str] = options.output(
         "Write more beside each scene; gaps: every look at a gap, gaps_<id>.csv.gz.", [], choices=("gaps",)
     ),
@@ -113,8 +112,6 @@ def generate(  # noqa: PLR0913  # one for each option
         raise ConfigError(f"missing {' and '.join(missing)} {_HELP}")
     check_scenes(scenes)
     check_out(out)
-    if sumo is not None:
-        check_out(sumo)
     with Activity(quiet=tell.quiet) as activity:
         from bridge.config import (
             check_reactive,
@@ -158,7 +155,7 @@ def generate(  # noqa: PLR0913  # one for each option
         activity.note(*check_request(folders, resolved, named, jobs=batch.jobs))
         how = Options(
             jobs=batch.jobs, scheduler=batch.scheduler, timeout_s=batch.scene_timeout, resume=resume,
-            memory_mb=scene_memory, argoverse1=bool(formats), sumo=sumo.resolve() if sumo is not None else None,
+            memory_mb=scene_memory, argoverse1=bool(formats),
             gaps=bool(record), functions={resolved.lane_change.rule},
         )  # fmt: skip
         notes = BatchNotes(activity, out, go_on="continue with --resume", verbose=tell.verbose > 0)

@@ -32,6 +32,8 @@ BEHAVIOURS = tuple(policy.value for policy in Policy)
 CAN = (*BEHAVIOURS, *(f"{event}:{target}" for event in EVENTS for target in ("av", "focal")))
 COMPONENTS = ("topology", "collision", "smoothing")
 ExperimentName = Literal["table1", "ablation", "density", "diversity", "prediction"]
+LanesName = Literal["cells", "whole"]
+FormatName = Literal["openscenario", "opendrive", "commonroad", "sumo", "fcd"]
 ReadingName = Literal["recorded", "generated", "both"]
 
 

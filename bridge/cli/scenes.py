@@ -1,4 +1,4 @@
-"""`hid2 validate`, `scan` and `net`: what scenes and maps hold."""
+"""`hid2 validate`, `scan`, `net` and `export`: what scenes and maps hold."""
 
 from pathlib import Path
 
@@ -7,6 +7,7 @@ from bridge.cli.app import command
 from bridge.cli.places import check_out, check_out_file, check_scenes, one_scene
 from bridge.cli.session import read_facts, with_cities_of
 from bridge.console import Activity, counted, print_json, print_table, say
+from netconvert.errors import ConfigError
 
 
 @command()
@@ -98,34 +99,67 @@ def scan(
 
 @command()
 def net(
-    scene: Path = options.SCENE,
+    scene: Path = options.argument("SCENE", "Scenario folder, or a map."),
     out: Path = options.OUT,
     *,
+    lanes: options.LanesName = options.option("cells: lanes cut into cells of 4 m; whole: a SUMO lane each.", "cells"),
+    signals: bool = options.option("With --lanes whole: the signals that are inferred from the traffic.", False),
     window: options.OneWindow,
     as_json: bool = options.AS_JSON,
     tell: options.Tell,
 ) -> None:
-    """Write the lane graph as a SUMO net of 4 m cells, with the scene in SUMO's formats, and a report.
+    """Write the lane graph as a SUMO net: of 4 m cells with files for sumo-gui and a report, or of whole lanes.
 
-    netconvert and netedit can save it as it is: lanes, lengths, connections, permissions. Every cell ends in a
-    junction, which netedit draws large.
+    Cells are what vehicles are inserted on; whole lanes are for demand, routing and simulations of SUMO's own, and need
+    the extra `gui`. netconvert and netedit can save both. The scene on the net: hid2 export --to sumo.
     """
+    if signals and lanes == "cells":
+        raise ConfigError("--signals: expected --lanes whole with it, a net of cells has no signals")
     found = scene if scene.is_file() and scene.suffix == ".json" else one_scene(scene, window)
     check_out(out)
     with Activity("converting the map", quiet=tell.quiet):
-        playable = None
-        if isinstance(found, Path) and not any(found.glob("scenario_*.parquet")):
-            from bridge.sumo.net import convert
+        from bridge.sumo.net import convert, convert_whole
 
-            report = convert(found, out)
+        if lanes == "whole":
+            written = convert_whole(found, out, signals=signals)
         else:
-            from bridge.sumo.exchange import write_sumo
-
-            report, playable = write_sumo(found, out)
+            report = convert(found, out)
     head = ("what", "value")
-    if as_json:
+    if lanes == "whole":
+        if not tell.quiet:
+            print(written)
+    elif as_json:
         print_json(head, report.rows())
     elif not tell.quiet:
         print_table(f"{scene.name}: fidelity of the net", head, report.rows())
-        if playable is not None:
-            print(f"to play it: sumo-gui -c {playable}")
+
+
+@command()
+def export(
+    scenes: list[Path] = options.argument("SCENE", "Scenes, recorded or generated: folders of them, splits, roots."),
+    out: Path = options.OUT,
+    *,
+    to: options.FormatName = options.output("Format to write.", ..., None, "--to"),
+    windows: options.Windows,
+    tell: options.Tell,
+) -> None:
+    """Write scenes in the formats of others: OpenSCENARIO, OpenDRIVE, CommonRoad, SUMO's.
+
+    Files have the scenes' ids as names and lie side by side; OpenSCENARIO brings the OpenDRIVE map that it
+    refers to, FCD output the net.
+    """
+    check_scenes(scenes)
+    check_out(out)
+    with Activity("writing scenes", quiet=tell.quiet) as activity:
+        from bridge.exports.export import export_scene
+        from bridge.recordings.sources import described, find_recordings
+
+        found = find_recordings(scenes, windows.choices())
+        activity.note(*described(found))
+        written = []
+        for count, address in enumerate(found, start=1):
+            written += export_scene(address, to, out)
+            activity.show(count, len(found))
+    if not tell.quiet:
+        for path in written:
+            print(path)

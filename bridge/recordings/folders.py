@@ -155,11 +155,6 @@ def sequence_path(out_dir: Path, split: str | None, new_id: str) -> Path:
     return folder / "data" / f"{int(new_id.replace('-', '')[:12], 16)}.csv"
 
 
-def sumo_folder(root: Path, split: str | None, scenario_id: str) -> Path:
-    """Where the files for SUMO of a scene lie below the folder that was asked for."""
-    return (root / split if split else root) / scenario_id
-
-
 def log_maps(log: Path) -> list[Path]:
     """Map files of a sensor log, in its folder map or in its own."""
     return sorted(log.glob(f"map/{MAP_PATTERN}")) or sorted(log.glob(MAP_PATTERN))

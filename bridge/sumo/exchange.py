@@ -14,7 +14,6 @@ import logging
 from collections import deque
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import NamedTuple
 from xml.sax.saxutils import escape
 
@@ -22,18 +21,14 @@ import numpy as np
 import shapely
 from lxml.builder import E
 
-from bridge.recordings.folders import Address
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import AgentRecord, Sidecar, sidecar_in
-from bridge.recordings.sources import read_recording
-from bridge.sumo.net import write_all
 from bridge.sumo.playback import departure, paints, playable_files, run_options, vehicle_type
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray
 from hid2.measures.arrays import stack
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from netconvert.cells import SAVED_WITHIN_M, Cell, CellGrid, build_cell_grid
-from netconvert.fidelity import FidelityReport, measure_fidelity
 from netconvert.geo import CITY_ORIGINS
 from netconvert.gui_files import gui_files, xml_bytes
 from netconvert.net_xml import net_bytes
@@ -50,34 +45,30 @@ class _Placed(NamedTuple):
     pos_m: FloatArray
 
 
-def write_sumo(address: Address, out_dir: Path) -> tuple[FidelityReport, Path]:
-    """Write a recording's or a generated scene's files into out_dir: how true the net is, and what sumo-gui plays.
-
-    All files or, after an error, none. Errors: ScenarioError, MapError, NetError.
-    """
-    scenario = read_recording(address)
+def sumo_files(scenario: Recording) -> dict[str, bytes]:
+    """Contents of all files by file name; vehicles of a generated scene get routes."""
+    name, sidecar = scenario.scenario_id, sidecar_in(scenario.folder, scenario.scenario_id)
     grid = build_cell_grid(scenario.graph, saved_within_m=SAVED_WITHIN_M)
-    files = sumo_files(scenario, sidecar_in(scenario.folder, scenario.scenario_id), grid)
-    report = measure_fidelity(grid, files[f"{scenario.scenario_id}.net.xml"])
-    playable = playable_files(scenario, grid)
-    write_all(out_dir, files | playable)
-    return report, out_dir / next(name for name in playable if name.endswith(".sumocfg"))
-
-
-def sumo_files(scenario: Recording, sidecar: Sidecar | None, grid: CellGrid) -> dict[str, bytes]:
-    """Contents by file name, but for <id>_scene.*. sidecar: of a generated scene; its vehicles get routes."""
-    name = scenario.scenario_id
     placed = _places(scenario, grid)
-    options = {} if sidecar is None else run_options(scenario, f"{name}.rou.xml")
+    options = run_options(scenario, None if sidecar is None else f"{name}.rou.xml")
     files = gui_files(grid, name, step_s=scenario.step_s, options=options)
     files[f"{name}.net.xml"] = net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city))
-    files[f"{name}.fcd.xml"] = fcd_bytes(scenario, grid, placed)
+    files[f"{name}.fcd.xml"] = _fcd(scenario, grid, placed)
     if sidecar is not None:
         files[f"{name}.rou.xml"] = _routes(scenario, sidecar, grid, placed)
-    return files
+    return files | playable_files(scenario, grid)
 
 
-def fcd_bytes(scenario: Recording, grid: CellGrid, placed: Mapping[str, _Placed]) -> bytes:
+def fcd_files(scenario: Recording) -> dict[str, bytes]:
+    """The FCD output and the net whose lanes it names, by file name."""
+    grid = build_cell_grid(scenario.graph, saved_within_m=SAVED_WITHIN_M)
+    return {
+        f"{scenario.scenario_id}.fcd.xml": _fcd(scenario, grid, _places(scenario, grid)),
+        f"{scenario.scenario_id}.net.xml": net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city)),
+    }
+
+
+def _fcd(scenario: Recording, grid: CellGrid, placed: Mapping[str, _Placed]) -> bytes:
     """FCD output: the timesteps in order, and the agents of each in the scene's order."""
     steps: list[list[str]] = [[] for _ in range(scenario.num_steps)]
     for track in scenario.tracks:

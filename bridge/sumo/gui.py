@@ -3,7 +3,6 @@
 import io
 import itertools
 import os
-import shutil
 import sys
 import tempfile
 from collections.abc import Callable
@@ -19,6 +18,7 @@ from bridge.pictures.figures import check_ending, check_step
 from bridge.recordings.folders import Address
 from bridge.recordings.scenario import Scenario
 from bridge.recordings.sources import read_recording
+from bridge.sumo.net import INSTALL_SUMO, sumo_program
 from bridge.sumo.playback import GUI_SHAPES, ID_KEY, moving_ground, paints, scene_view_files, shows_id
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import Track
@@ -34,7 +34,6 @@ _MATCH_M = 3.0
 _ROUNDS = 50
 _NEVER = 1e6
 _WINDOW = "1280,900"
-_HOW = "install it: sh setup.sh tests, or in your own environment pip install 'eclipse-sumo==1.28.*' 'traci==1.28.*'"
 
 
 def play_scene(
@@ -107,7 +106,7 @@ def _traci() -> ModuleType:
     try:
         return import_module("traci")
     except ModuleNotFoundError:
-        raise SimulationError(f"traci is not installed; {_HOW}") from None
+        raise SimulationError(f"traci is not installed; {INSTALL_SUMO}") from None
     finally:
         if setting is not None:
             os.environ["LIBSUMO_AS_TRACI"] = setting
@@ -116,13 +115,9 @@ def _traci() -> ModuleType:
 def _binary() -> str:
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise SimulationError("no display for sumo-gui: set DISPLAY, or run it under xvfb-run")
-    try:  # the wheel's program itself: the script that starts it prints a traceback when interrupted
-        inside = Path(import_module("sumo").SUMO_HOME) / "bin" / "sumo-gui"  # sets what SUMO needs of the environment
-    except ModuleNotFoundError:
-        inside = Path("sumo-gui")
-    binary = str(inside) if inside.is_file() else shutil.which("sumo-gui")
+    binary = sumo_program("sumo-gui")
     if binary is None:
-        raise SimulationError(f"sumo-gui is not installed; {_HOW}")
+        raise SimulationError(f"sumo-gui is not installed; {INSTALL_SUMO}")
     return binary
 
 

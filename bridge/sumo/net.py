@@ -1,41 +1,110 @@
 """A scene's map as files for SUMO: what `hid2 net` does."""
 
+import re
+import shutil
+import subprocess
+import tempfile
 from collections.abc import Mapping
+from importlib import import_module
 from pathlib import Path
 
 from bridge.files import unwritten
 from bridge.interruption import hidden_folder
-from bridge.recordings.folders import MAP_PATTERN, only_file
+from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, Address, Source, only_file
 from bridge.recordings.map_rules import read_source_map
+from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import STEP_S
+from bridge.recordings.sources import read_recording
+from hid2.conflicts.signals import SIGNALLED_TYPES, InferredSignals
+from hid2.occupancy.traffic import traffic_of
+from hid2.params import Signals
 from netconvert.cells import SAVED_WITHIN_M, build_cell_grid
-from netconvert.errors import MapError, NetError, NoSceneError
+from netconvert.errors import ConfigError, MapError, NetError, NoSceneError
 from netconvert.fidelity import FidelityReport, measure_fidelity
+from netconvert.geo import CITY_ORIGINS
 from netconvert.gui_files import gui_files
+from netconvert.lane_graph import LaneGraph
 from netconvert.net_xml import net_bytes
+from netconvert.whole_lanes import plain_files
+
+#: How the programs of SUMO come in.
+INSTALL_SUMO = (
+    "install it: sh setup.sh tests, or in your own environment pip install 'eclipse-sumo==1.28.*' 'traci==1.28.*'"
+)
+#: No turns back where the map has none, and no two vehicles on ways that cross within a junction.
+_WHOLE_OPTIONS = ["--no-turnarounds", "true", "--check-lane-foes.all", "true", "--xml-validation", "never"]
+_WHOLE_OPTIONS += ["--offset.disable-normalization", "true"]
 
 
-def convert(scene: Path, out_dir: Path, *, cell_m: float = 4.0) -> FidelityReport:
+def convert(scene: Address, out_dir: Path, *, cell_m: float = 4.0) -> FidelityReport:
     """Write <id>.net.xml, .sumocfg, .poly.xml, .view.xml and .cells.csv of a scene's map into out_dir.
 
-    scene: a folder with one log_map_archive_<id>.json, or that file; the recorded tracks are not needed. Files of an
-    earlier run are replaced, all of them or, after an error, none. Errors: MapError, NetError.
+    scene: a recording, which gives the net a place on the globe; or a folder with one log_map_archive_<id>.json, or
+    that file. Files of an earlier run are replaced, all of them or, after an error, none.
+    Errors: ScenarioError, MapError, NetError.
     """
-    path = _map_file(scene)
-    name = path.stem.removeprefix("log_map_archive_")
-    grid = build_cell_grid(read_source_map(path), cell_m=cell_m, saved_within_m=SAVED_WITHIN_M)
-    net = net_bytes(grid)
+    name, graph, recording = _map_of(scene)
+    grid = build_cell_grid(graph, cell_m=cell_m, saved_within_m=SAVED_WITHIN_M)
+    net = net_bytes(grid, origin=None if recording is None else CITY_ORIGINS.get(recording.city))
     report = measure_fidelity(grid, net)
     write_all(out_dir, {f"{name}.net.xml": net, **gui_files(grid, name, step_s=STEP_S)})
     return report
 
 
-def _map_file(scene: Path) -> Path:
-    if scene.is_file():
-        return scene
-    if not scene.is_dir():
+def convert_whole(scene: Address, out_dir: Path, *, signals: bool = False) -> Path:
+    """Write <id>.whole.net.xml into out_dir: one SUMO lane for each lane, by SUMO's netconvert; returns the file.
+
+    signals: with programs of the signals that are inferred from the recorded traffic, as long as the scene.
+    Errors: ScenarioError, MapError; NetError without netconvert, or where it makes no net; ConfigError for signals of a
+    map alone.
+    """
+    name, graph, recording = _map_of(scene)
+    red = None
+    if signals:
+        if recording is None:
+            raise ConfigError(f"{scene}: a map alone, expected a scene: signals are inferred from its traffic")
+        signalled = [track for track in recording.tracks if track.object_type in SIGNALLED_TYPES]
+        traffic = traffic_of(signalled, recording.num_steps, step_s=recording.step_s)
+        red = InferredSignals(build_cell_grid(graph), traffic, Signals(), recording.step_s).red
+    step_s = STEP_S if recording is None else recording.step_s
+    origin = None if recording is None else CITY_ORIGINS.get(recording.city)
+    program = sumo_program("netconvert")
+    if program is None:
+        raise NetError(f"SUMO's netconvert is not installed, expected for --lanes whole; {INSTALL_SUMO}")
+    with tempfile.TemporaryDirectory(prefix="hid2-net-") as folder:
+        net = Path(folder, "net.xml")
+        command = [program, *_WHOLE_OPTIONS, "--output-file", str(net)]
+        for option, content in plain_files(graph, origin=origin, red=red, step_s=step_s).items():
+            Path(folder, option).write_bytes(content)
+            command += [f"--{option}", str(Path(folder, option))]
+        result = subprocess.run(command, capture_output=True, text=True, check=False)
+        if result.returncode != 0 or not net.is_file():
+            said = next((line for line in result.stderr.splitlines() if "Error" in line), f"code {result.returncode}")
+            raise NetError(f"{name}: netconvert makes no net of the map: {said}")
+        # Its comment has date and paths: the same map gives the same bytes.
+        content = re.sub(rb"<!--.*?-->\s*", b"", net.read_bytes(), count=1, flags=re.DOTALL)
+    write_all(out_dir, {f"{name}.whole.net.xml": content})
+    return out_dir / f"{name}.whole.net.xml"
+
+
+def sumo_program(name: str) -> str | None:
+    """One of SUMO's programs, of the wheel or as it is installed otherwise; None where there is none."""
+    try:  # the wheel's program itself: the script that starts it prints a traceback when interrupted
+        inside = Path(import_module("sumo").SUMO_HOME) / "bin" / name  # sets what SUMO needs of the environment
+    except ModuleNotFoundError:
+        inside = Path(name)
+    return str(inside) if inside.is_file() else shutil.which(name)
+
+
+def _map_of(scene: Address) -> tuple[str, LaneGraph, Recording | None]:
+    """Id, lane graph and recording, which a map alone is not."""
+    if isinstance(scene, Source) or any(scene.glob(PARQUET_PATTERN)):
+        recording = read_recording(scene)
+        return recording.scenario_id, recording.graph, recording
+    if not scene.exists():
         raise NoSceneError(f"{scene}: no such folder, expected a scenario folder")
-    return only_file(scene, MAP_PATTERN, MapError)
+    path = scene if scene.is_file() else only_file(scene, MAP_PATTERN, MapError)
+    return path.stem.removeprefix("log_map_archive_"), read_source_map(path), None
 
 
 def write_all(folder: Path, files: Mapping[str, bytes]) -> None:
@@ -48,4 +117,4 @@ def write_all(folder: Path, files: Mapping[str, bytes]) -> None:
             for name in files:
                 (beside / name).replace(folder / name)
     except OSError as error:
-        raise NetError(f"{folder}: the net {unwritten(error)}") from error
+        raise NetError(f"{folder}: {unwritten(error)}") from error

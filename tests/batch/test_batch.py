@@ -401,12 +401,11 @@ class TestResume:
 
 
 def test_what_is_asked_for_beside_a_scene_is_written_with_all_else(synthetic: list[Path], tmp_path: Path) -> None:
-    """Gaps and files for SUMO; where the first are asked for later, the scene is made again."""
+    """Gaps; where they are asked for later, the scene is made again."""
     jobs, out = plan(synthetic[:1], load_config(flags={"request.agents": 1})), tmp_path / "out"
     run_batch(jobs, out)
-    (row,) = run_batch(jobs, out, Options(resume=True, gaps=True, sumo=tmp_path / "sumo"))
+    (row,) = run_batch(jobs, out, Options(resume=True, gaps=True))
     assert len(list((out / row.folder).glob("gaps_*.csv.gz"))) == 1
-    assert len(list((tmp_path / "sumo").rglob("*_scene.net.xml"))) == 1
 
 
 def test_second_batch_on_the_same_folder_is_refused(make_data_set: MakeDataSet, tmp_path: Path, monkeypatch) -> None:

@@ -46,10 +46,11 @@ def commands(base: Path, scene: Path) -> dict[str, list[object]]:
     recorded = next((DATA / "train").iterdir())
     found: dict[str, list[object]] = {
         "generate": ["generate", DATA, scene, "-o", "out", "--agents", "3"],
-        "generate -j 2": ["generate", DATA, scene, "-o", "out", "--agents", "3", "-j", "2", "--sumo", "out/sumo"],
+        "generate -j 2": ["generate", DATA, scene, "-o", "out", "--agents", "3", "-j", "2"],
         "validate": ["validate", made],
         "scan": ["scan", DATA, scene, "-o", "out/facts.csv"],
         "net": ["net", scene, "-o", "out"],
+        "export": ["export", scene, "--to", "openscenario", "-o", "out"],
         "evaluate": ["evaluate", made, "-o", "out", "--source", DATA],
         "calibrate": ["calibrate", recorded, "-o", "out/drivers.toml"],
         "study": ["study", study, "-o", "out"],

@@ -83,6 +83,29 @@ def test_net_writes_its_files_and_reports(hid2: Run, data_scenes: dict[str, Path
     }
 
 
+def test_net_of_whole_lanes_is_one_file(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    scene = data_scenes["curve"]
+    result = hid2("net", scene, "-o", tmp_path / "out", "--lanes", "whole")
+    assert result.returncode == 0, result.stderr
+    assert [str(path) for path in (tmp_path / "out").iterdir()] == [result.stdout.strip()]
+    wrong = hid2("net", scene, "-o", tmp_path / "none", "--signals")
+    assert wrong.returncode == 2
+    assert last_message(wrong).endswith("--signals: expected --lanes whole with it, a net of cells has no signals")
+    assert not (tmp_path / "none").exists()
+
+
+def test_export_writes_all_scenes_side_by_side(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = hid2("export", data_scenes["curve"].parents[1], "--to", "openscenario", "-o", out)
+    assert result.returncode == 0, result.stderr
+    names = {f"{folder.name}.{ending}" for folder in data_scenes.values() for ending in ("xosc", "xodr")}
+    assert {path.name for path in out.iterdir()} == names
+    assert set(result.stdout.split()) == {str(out / name) for name in names}
+    wrong = hid2("export", data_scenes["curve"], "--to", "vissim", "-o", out)
+    assert wrong.returncode == 2
+    assert "'openscenario', 'opendrive', 'commonroad', 'sumo', 'fcd'" in last_message(wrong)
+
+
 def test_net_of_a_folder_without_map_is_one_line(hid2: Run, tmp_path: Path) -> None:
     result = hid2("net", tmp_path, "-o", tmp_path / "out")
     assert result.returncode == 2

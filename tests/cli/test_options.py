@@ -22,6 +22,7 @@ from bridge.cli.commands import application
 from bridge.cli.forecasting import compose
 from bridge.config import config_to_dict, describe_config, load_config, parse_behaviours
 from bridge.evaluation.experiments import EXPERIMENTS
+from bridge.exports.export import WRITERS
 from bridge.forecasting.composition import Composition, Draw, Split
 from bridge.forecasting.experiment import Reading
 from hid2.params import Config, Event, Forecasting, Request
@@ -41,6 +42,7 @@ def test_choices_are_those_of_the_package() -> None:
     assert kinds == options.EVENTS
     assert (*options.BEHAVIOURS, *EVENTS) == options.CAN
     assert get_args(options.ExperimentName) == (*EXPERIMENTS, "prediction")
+    assert get_args(options.FormatName) == tuple(WRITERS)
     assert get_args(options.ReadingName) == get_args(Reading)
     hints = compose.__annotations__
     assert hints["split_by"] == Split.model_fields["by"].annotation

@@ -101,7 +101,7 @@ def test_out_beside_sequences_of_argoverse_1_is_refused_unless_hid2_wrote_them(
 
 
 WRITING = (
-    "generate {scene} -o {out}", "generate {scene} -o elsewhere --sumo {out}", "evaluate {scene} -o {out}",
+    "generate {scene} -o {out}", "export {scene} --to sumo -o {out}", "evaluate {scene} -o {out}",
     "calibrate {scene} -o {out}/drivers.toml", "scan {scene} -o {out}/scan.csv", "net {scene} -o {out}",
     "render {scene} -o {out}/a.png", "plot {scene} --agent AV -o {out}/a.png", "compose {scene} -o {out}",
     "gui {scene} --screenshot {out}/a.png", "forecast {scene} -o {out}", "paper table1 --scenes {scene} -o {out}",

@@ -82,8 +82,8 @@ def test_files_of_other_data_sets_are_named(hid2: Run, tmp_path: Path, name: str
 
 @pytest.mark.slow
 def test_a_folder_that_mixes_three_formats_is_done_whole(hid2: Run, mixed: Path, tmp_path: Path) -> None:
-    out, sumo = tmp_path / "out", tmp_path / "sumo"
-    arguments = ["generate", mixed, "-o", out, "--agents", 2, "--sumo", sumo]
+    out = tmp_path / "out"
+    arguments = ["generate", mixed, "-o", out, "--agents", 2]
     result = hid2(*arguments)
     assert result.returncode == 0, result.stderr
     assert "1 window of an Argoverse 2 sensor log found" in result.stderr
@@ -98,7 +98,6 @@ def test_a_folder_that_mixes_three_formats_is_done_whole(hid2: Run, mixed: Path,
     recording = json.loads(next(log.glob("hid2_*.json")).read_text())["recording"]
     assert (recording["format"], recording["provenance"], recording["observed_steps"]) == ("sensor_log", "human", 50)
     assert recording["sizes"]["AV"] == [4.877, 2.0]
-    assert len(list(sumo.glob("*/*/*.fcd.xml"))) == 3
     before = {path: path.stat().st_mtime_ns for path in out.rglob("*.parquet")}
     assert hid2(*arguments, "--resume").returncode == 0
     assert before == {path: path.stat().st_mtime_ns for path in out.rglob("*.parquet")}
@@ -111,8 +110,9 @@ def test_single_scene_commands_take_a_sequence_and_a_window(hid2: Run, mixed: Pa
     sequence, log = mixed / "av1/val/data/7.csv", mixed / "logs" / "test" / LOG_ID
     assert hid2("render", sequence, "-o", tmp_path / "s.png", "-q").returncode == 0
     assert hid2("net", log, "-o", tmp_path / "net", "--window", 5, "-q").returncode == 0
-    assert len(list((tmp_path / "net").glob("*_scene.sumocfg"))) == 1
-    assert len(list((tmp_path / "net").glob("*.fcd.xml"))) == 1
+    assert len(list((tmp_path / "net").glob("*.net.xml"))) == 1
+    assert hid2("export", sequence, log, "--to", "fcd", "-o", tmp_path / "fcd", "--window", 5, "-q").returncode == 0
+    assert len(list((tmp_path / "fcd").glob("*.fcd.xml"))) == 2
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,9 @@ import pytest
 from hand_drawn import draw_lane
 from saved_nets import check_same, on_lane_shares, read_net, save
 
+from bridge.exports.export import export_scene
 from bridge.recordings.map_rules import read_source_map
-from bridge.sumo.exchange import write_sumo
+from bridge.recordings.sources import read_recording
 from netconvert.cells import SAVED_WITHIN_M, build_cell_grid
 from netconvert.lane_graph import LaneGraph, LaneSegment
 from netconvert.net_xml import net_bytes
@@ -16,8 +17,8 @@ from netconvert.net_xml import net_bytes
 
 def _check_scene(scene: Path, folder: Path) -> None:
     """The scene's net and its map's, saved once; the map's net saved again is the same to the last bit of its lanes."""
-    _, config = write_sumo(scene, folder / "net")
-    name = config.name.removesuffix("_scene.sumocfg")
+    export_scene(scene, "sumo", folder / "net")
+    name = read_recording(scene).scenario_id
     net, saved = folder / "net" / f"{name}.net.xml", folder / "saved.net.xml"
     check_same(net, save(net, saved))
     assert read_net(save(saved, folder / "again.net.xml")).lanes == read_net(saved).lanes

@@ -77,11 +77,16 @@ def read_net(path: Path) -> Net:
     return Net(lanes, frozenset(links))
 
 
-def save(net: Path, saved: Path) -> Path:
-    """Let netconvert read a net and write it again."""
+def netconvert() -> str:
+    """SUMO's program."""
     program = shutil.which("netconvert", path=str(Path(sys.executable).parent)) or shutil.which("netconvert")
     assert program, "netconvert is not installed: use the extra gui or the dev group"
-    command = [program, "-s", str(net), "-o", str(saved), "--xml-validation", "never"]
+    return program
+
+
+def save(net: Path, saved: Path) -> Path:
+    """Let netconvert read a net and write it again."""
+    command = [netconvert(), "-s", str(net), "-o", str(saved), "--xml-validation", "never"]
     result = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "PROJ_DEBUG": "0"})
     assert result.returncode == 0, result.stderr
     return saved

@@ -15,10 +15,8 @@ from bridge.generation.scene import TrafficScene
 from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import read_scenario
 from bridge.sumo.exchange import sumo_files
-from bridge.sumo.playback import playable_files
 from hid2.agents import Track
 from hid2.params import Config, Limits
-from netconvert.cells import build_cell_grid
 from netconvert.errors import ExportError
 from netconvert.geometry import box_corners
 
@@ -148,9 +146,8 @@ def test_files_for_sumo_have_the_step(made):
     """FCD output, the simulation that sumo-gui runs, and the playback: all by the recording's own step."""
     step_s, scenario = made.source.step_s, made.source
     whole = replace(scenario, tracks=(*scenario.tracks, *made.generated))
-    grid = build_cell_grid(whole.graph)
     name = whole.scenario_id
-    files = sumo_files(whole, made.sidecar, grid) | playable_files(whole, grid)
+    files = sumo_files(whole)
     times = [float(one.get("time")) for one in etree.fromstring(files[f"{name}.fcd.xml"]).iter("timestep")]
     np.testing.assert_allclose(times, step_s * np.arange(scenario.num_steps), atol=0.0051)
     for configuration in (f"{name}.sumocfg", f"{name}_scene.sumocfg"):

@@ -9,12 +9,11 @@ import pytest
 from av2.geometry.utm import CITY_ORIGIN_LATLONG_DICT, UTM_ZONE_MAP, CityName, convert_gps_to_utm
 from lxml import etree
 
-from bridge.recordings.folders import sumo_folder
+from bridge.exports.export import export_scene
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import read_sidecar, sidecar_path
-from bridge.sumo.exchange import sumo_files, write_sumo
+from bridge.sumo.exchange import sumo_files
 from bridge.sumo.poses import box_poses
-from netconvert.cells import build_cell_grid
 from netconvert.geo import CITY_ORIGINS
 
 _NAMES = {"austin": "ATX", "dearborn": "DTW", "miami": "MIA", "palo-alto": "PAO", "pittsburgh": "PIT"}
@@ -25,7 +24,7 @@ _NAMES |= {"washington-dc": "WDC"}
 def written(made_scene: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The files of a generated scene."""
     out = tmp_path_factory.mktemp("sumo") / "deep" / "out"
-    write_sumo(made_scene, out)
+    export_scene(made_scene, "sumo", out)
     return out
 
 
@@ -93,8 +92,8 @@ def test_every_inserted_vehicle_has_a_route_that_the_net_has(written: Path, made
 
 def test_a_recorded_scene_has_no_routes_and_all_else(data_scene: Path) -> None:
     scenario = read_scenario(data_scene)
-    files = sumo_files(scenario, None, build_cell_grid(scenario.graph))
-    assert {name.removeprefix(scenario.scenario_id) for name in files} == {
+    names = {name.removeprefix(scenario.scenario_id) for name in sumo_files(scenario)}
+    assert {name for name in names if not name.startswith("_scene")} == {
         ".net.xml", ".sumocfg", ".poly.xml", ".view.xml", ".cells.csv", ".fcd.xml"
     }  # fmt: skip
 
@@ -117,8 +116,3 @@ def test_origins_are_those_of_av2(city: str) -> None:
     theirs = convert_gps_to_utm(latitude, longitude, name)
     assert CITY_ORIGINS[city].zone == UTM_ZONE_MAP[name]
     assert (CITY_ORIGINS[city].easting_m, CITY_ORIGINS[city].northing_m) == pytest.approx(theirs, abs=1e-3)
-
-
-def test_scenes_of_a_split_get_folders_of_their_own(tmp_path: Path) -> None:
-    assert sumo_folder(tmp_path, "val", "a") == tmp_path / "val" / "a"
-    assert sumo_folder(tmp_path, None, "a") == tmp_path / "a"

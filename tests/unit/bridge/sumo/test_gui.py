@@ -14,8 +14,8 @@ import pytest
 import sumolib
 from lxml import etree
 
+from bridge.exports.export import export_scene
 from bridge.recordings.scenario import read_scenario
-from bridge.sumo.exchange import write_sumo
 from bridge.sumo.playback import POLICIES, RECORDED, STANDS_M, paints
 from bridge.sumo.poses import sumo_poses
 from netconvert.errors import ConfigError, SimulationError
@@ -31,7 +31,11 @@ def sumo(config, *options):
 
 @pytest.fixture(scope="module")
 def playable(made_scene, tmp_path_factory):
-    return write_sumo(made_scene, tmp_path_factory.mktemp("play"))[1]
+    return exported(made_scene, tmp_path_factory.mktemp("play"))
+
+
+def exported(scene, out):
+    return next(path for path in export_scene(scene, "sumo", out) if path.name.endswith("_scene.sumocfg"))
 
 
 def played(config, out):
@@ -67,7 +71,7 @@ def test_sumo_plays_a_generated_scene_from_files_without_a_warning(playable, mad
 
 
 def test_sumo_plays_real_scenes_from_files(real_scene, tmp_path):
-    _, config = write_sumo(real_scene, tmp_path / "play")
+    config = exported(real_scene, tmp_path / "play")
     check(real_scene, played(config, tmp_path / "fcd.xml"))
 
 
@@ -107,7 +111,7 @@ def test_files_are_valid_and_hold_the_lanes_of_the_map(playable, made_scene):
 
 
 def test_same_scene_gives_the_same_files(playable, made_scene, tmp_path):
-    _, again = write_sumo(made_scene, tmp_path)
+    again = exported(made_scene, tmp_path)
     for path in again.parent.iterdir():
         assert path.read_bytes() == (playable.parent / path.name).read_bytes()
 

@@ -1,0 +1,129 @@
+"""A scene as CommonRoad XML 2020a: lanelets, agents as dynamic obstacles, the recording vehicle as planning problem.
+
+Ids of lanelets are those of the lane segments, obstacles are numbered behind them, each with its track's id in a
+comment. Steps that a track lacks are between its neighbours.
+"""
+
+from collections.abc import Callable, Iterator
+from itertools import count
+
+import numpy as np
+from lxml import etree
+from lxml.builder import E
+
+from bridge.recordings.recording import AV_ID, Recording
+from hid2.agents import FloatArray
+from hid2.occupancy.traffic import traffic_of
+from netconvert.geometry import Polyline, wrap_angle
+from netconvert.gui_files import xml_bytes
+from netconvert.lane_graph import SIDES, LaneGraph, LaneSegment
+from netconvert.net_xml import SPEED_LIMIT_MPS
+
+_OBSTACLES = {"vehicle": "car", "bus": "bus", "motorcyclist": "motorcycle", "cyclist": "bicycle"}
+_OBSTACLES |= {"riderless_bicycle": "bicycle", "pedestrian": "pedestrian", "construction": "constructionZone"}
+_LANELETS = {"VEHICLE": "urban", "BUS": "busLane", "BIKE": "bicycleLane"}
+#: A planner has to come so near to where the recording vehicle was at last, m and rad.
+_GOAL_M, _GOAL_RAD = 5.0, 0.5
+
+
+def commonroad_files(scene: Recording) -> dict[str, bytes]:
+    """<id>.cr.xml by file name."""
+    name, ids = scene.scenario_id, count(max(scene.graph.lanes) + 1)
+    traffic = traffic_of(scene.tracks, scene.num_steps, step_s=scene.step_s)
+    agents: list[etree._Element] = []
+    problem = []
+    for row, track in enumerate(scene.tracks):
+        steps = np.flatnonzero(traffic.present[row])
+        poses = np.column_stack([traffic.position[row], traffic.heading[row]])[steps]
+        speeds = np.interp(steps, track.timesteps, track.speed)
+        states = [
+            (E.initialState if k == 0 else E.state, int(step), poses[k], speeds[k]) for k, step in enumerate(steps)
+        ]
+        if track.track_id == AV_ID:
+            problem.append(_problem(next(ids), poses, float(speeds[0]), steps.tolist()))
+            continue
+        length_m, width_m = track.size
+        box = E.rectangle(E.length(f"{length_m:.3f}"), E.width(f"{width_m:.3f}"))
+        kind = E.type(_OBSTACLES.get(track.object_type, "unknown"))
+        obstacle = E.dynamicObstacle(kind, E.shape(box), _state(*states[0]), id=str(next(ids)))
+        if len(states) > 1:
+            obstacle.append(E.trajectory(*(_state(*state) for state in states[1:])))
+        agents += [etree.Comment(f" track {track.track_id.replace('--', '- -')} "), obstacle]
+    known = {"commonRoadVersion": "2020a", "benchmarkID": f"ZAM_HID2-1_{_number(name)}_T-1", "date": "1970-01-01"}
+    known |= {"author": "hid2-sumo", "affiliation": "", "source": f"{scene.format} {name}"}
+    place = E.location(E.geoNameId("-999"), E.gpsLatitude("999"), E.gpsLongitude("999"))
+    lanelets = (_lanelet(scene.graph, lane) for lane in scene.graph.lanes.values())
+    root = E.commonRoad(
+        {**known, "timeStepSize": f"{scene.step_s:g}"}, place, E.scenarioTags(E.urban()), *lanelets, *agents, *problem
+    )
+    return {f"{name}.cr.xml": xml_bytes(root)}
+
+
+def _number(name: str) -> int:
+    """A number of a scene, as names of CommonRoad have: of the letters and digits of its id."""
+    return sum((k + 1) * ord(letter) for k, letter in enumerate(name))
+
+
+def _lanelet(graph: LaneGraph, lane: LaneSegment) -> etree._Element:
+    lane_id, bounds = lane.lane_id, _bounds(lane)
+    parts = []
+    for side, bound in zip(SIDES, bounds, strict=True):
+        mark = "dashed" if "DASH" in lane.mark_type(side) else "solid" if "SOLID" in lane.mark_type(side) else "unknown"
+        points = (E.point(E.x(f"{x:.4f}"), E.y(f"{y:.4f}")) for x, y in bound.tolist())
+        parts.append(E(f"{side}Bound", *points, E.lineMarking(mark)))
+    parts += [E.predecessor(ref=str(other)) for other in graph.predecessors(lane_id)]
+    parts += [E.successor(ref=str(other)) for other in graph.successors(lane_id)]
+    for side in SIDES:
+        beside = graph.neighbor(lane_id, side)
+        if beside is not None:
+            parts.append(E(f"adjacent{side.capitalize()}", ref=str(beside), drivingDir="same"))
+    kinds = [_LANELETS[lane.lane_type], *(["intersection"] if lane.is_intersection else [])]
+    return E.lanelet(*parts, *map(E.laneletType, kinds), id=str(lane_id))
+
+
+def _bounds(lane: LaneSegment) -> tuple[FloatArray, FloatArray]:
+    """Left and right bound with as many points, (N, 2) m, at equal shares of their lengths; of a map without, aside."""
+    half = lane.width_m / 2.0
+    lines = []
+    for points, aside in ((lane.left_boundary, half), (lane.right_boundary, -half)):
+        lines.append(Polyline(lane.path.xy(lane.path.s, aside) if points is None else points))
+    shares = np.unique(np.round(np.concatenate([line.s / line.length_m for line in lines]), 6))
+    return lines[0].point(shares * lines[0].length_m), lines[1].point(shares * lines[1].length_m)
+
+
+def _state(tag: Callable[..., etree._Element], step: int, pose: FloatArray, speed_mps: float) -> etree._Element:
+    return tag(*_motion(pose), E.time(_exact(step)), E.velocity(_exact(f"{speed_mps:.6f}")))
+
+
+def _motion(pose: FloatArray) -> Iterator[etree._Element]:
+    x, y, heading = pose.tolist()
+    yield E.position(E.point(E.x(f"{x:.6f}"), E.y(f"{y:.6f}")))
+    yield E.orientation(_exact(f"{float(wrap_angle(heading)):.6f}"))
+
+
+def _exact(value: object) -> etree._Element:
+    return E.exact(str(value))
+
+
+def _problem(number: int, poses: FloatArray, speed_mps: float, steps: list[int]) -> etree._Element:
+    """From where the recording vehicle was first to about where it was at last, at about that time."""
+    start = _state(E.initialState, steps[0], poses[0], speed_mps)
+    start.append(E.yawRate(_exact(0.0)))
+    start.append(E.slipAngle(_exact(0.0)))
+    x, y, heading = poses[-1].tolist()
+    size = f"{2 * _GOAL_M:g}"
+    area = E.rectangle(
+        E.length(size), E.width(size), E.orientation(f"{heading:.6f}"), E.center(E.x(f"{x:.6f}"), E.y(f"{y:.6f}"))
+    )
+    turned = float(wrap_angle(heading))
+
+    def between(low: float, high: float) -> list[etree._Element]:
+        return [E.intervalStart(f"{low:.6f}"), E.intervalEnd(f"{high:.6f}")]
+
+    goal = E.goalState(
+        E.position(area),
+        E.orientation(*between(turned - _GOAL_RAD, turned + _GOAL_RAD)),
+        E.time(E.intervalStart(str(steps[0] + 1)), E.intervalEnd(str(steps[-1]))),
+        E.velocity(*between(0.0, SPEED_LIMIT_MPS)),
+    )
+    return E.planningProblem(start, goal, id=str(number))

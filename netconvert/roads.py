@@ -1,0 +1,136 @@
+"""Lane graphs as roads and junctions, as whole-lane nets and OpenDRIVE have them.
+
+Lanes side by side are a road. Lanes of an intersection are ways through its junction, from the end of a road's lane to
+the start of another's; those that begin or end at the map's edge lie on no way and are roads.
+"""
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import shapely
+
+from netconvert.errors import NetError
+from netconvert.lane_graph import LaneGraph
+
+#: Ways from one lane through an intersection. Real maps: 6 at most.
+_MOST_WAYS = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """From the end of a road's lane to the start of another's, through the lanes of an intersection if any."""
+
+    source: int
+    target: int
+    through: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Roads:
+    """Roads, as lanes from the right; ways between lanes; the junctions at start (2 k) and end (2 k + 1) of road k."""
+
+    rows: tuple[tuple[int, ...], ...]
+    ways: tuple[Way, ...]
+    junctions: tuple[int, ...]
+
+    @cached_property
+    def place(self) -> Mapping[int, tuple[int, int]]:
+        """Road and index, from the right, of each lane that is a road's."""
+        return {lane_id: (road, index) for road, row in enumerate(self.rows) for index, lane_id in enumerate(row)}
+
+    @cached_property
+    def ways_of(self) -> Mapping[int, tuple[Way, ...]]:
+        """Ways through each junction that has any."""
+        found: dict[int, list[Way]] = {}
+        for way in self.ways:
+            found.setdefault(self.junctions[2 * self.place[way.source][0] + 1], []).append(way)
+        return {junction: tuple(ways) for junction, ways in found.items()}
+
+    def joint(self, junction: int) -> tuple[int, int] | None:
+        """The roads before and behind where all lanes of one simply go on as those of another; None elsewhere."""
+        ways = self.ways_of.get(junction, ())
+        ends = [k for k, name in enumerate(self.junctions) if name == junction]
+        if len(ends) != 2 or any(way.through for way in ways):
+            return None
+        places = [(self.place[way.source], self.place[way.target]) for way in ways]
+        (before, behind) = sorted(ends, key=lambda end: end % 2 == 0)
+        one, other = before // 2, behind // 2
+        straight = all(source[1] == target[1] for source, target in places)
+        whole = len(ways) == len(self.rows[one]) == len(self.rows[other])
+        return (one, other) if straight and whole and one != other else None
+
+
+def roads_of(graph: LaneGraph, *, apart: Collection[int] = ()) -> Roads:
+    """The roads of a graph. apart: lanes that are roads of their own. Errors: NetError for endless ways from a lane."""
+    lanes = graph.lanes
+    inside = {i for i, lane in lanes.items() if lane.is_intersection and graph.predecessors(i) and graph.successors(i)}
+    while True:
+        rows = tuple(_rows(graph, inside, apart))
+        begins = {lane_id: 2 * road for road, row in enumerate(rows) for lane_id in row}
+        ways = [way for lane_id in begins for way in _ways(graph, lane_id, inside)]
+        junctions = _joined(graph, ways, begins, 2 * len(rows))
+        # A road within an intersection, from which it leads back into it, is a part of it.
+        loops = {
+            lane_id
+            for road, row in enumerate(rows)
+            if junctions[2 * road] == junctions[2 * road + 1]
+            for lane_id in row
+            if graph.predecessors(lane_id) and graph.successors(lane_id)
+        }
+        if not loops:
+            return Roads(rows, tuple(dict.fromkeys(ways)), junctions)
+        inside |= loops
+
+
+def _joined(graph: LaneGraph, ways: Sequence[Way], begins: Mapping[int, int], count: int) -> tuple[int, ...]:
+    """Ends of roads that are in one junction: by a way, by ways over the same lane, or by ways that cross."""
+    junctions = list(range(count))
+
+    def joined(place: int) -> int:
+        while junctions[place] != place:
+            junctions[place] = place = junctions[junctions[place]]
+        return place
+
+    owner: dict[int, int] = {}
+    for way in ways:
+        junctions[joined(begins[way.source] + 1)] = joined(begins[way.target])
+        for lane_id in way.through:
+            junctions[joined(owner.setdefault(lane_id, begins[way.target]))] = joined(begins[way.target])
+    lines = np.array([shapely.LineString(graph.lanes[lane_id].centerline) for lane_id in owner], dtype=np.object_)
+    ends = list(owner.values())
+    for one, other in shapely.STRtree(lines).query(lines, predicate="intersects").T.tolist():
+        junctions[joined(ends[one])] = joined(ends[other])
+    return tuple(joined(place) for place in range(count))
+
+
+def _rows(graph: LaneGraph, inside: Collection[int], apart: Collection[int]) -> Iterator[tuple[int, ...]]:
+    """Lanes side by side that are no lanes of an intersection, from the right."""
+    for lane_id in graph.lanes:
+        if lane_id in inside:
+            continue
+        right = graph.neighbor(lane_id, "right")
+        if right is not None and right not in inside and not {lane_id, right} & set(apart):
+            continue
+        row = [lane_id]
+        while (left := graph.neighbor(row[-1], "left")) is not None and left not in inside:
+            if {left, row[-1]} & set(apart):
+                break
+            row.append(left)
+        yield tuple(row)
+
+
+def _ways(graph: LaneGraph, lane_id: int, inside: Collection[int]) -> list[Way]:
+    found: list[Way] = []
+    stack: list[tuple[int, ...]] = [(lane_id,)]
+    while stack:
+        path = stack.pop()
+        for target in graph.successors(path[-1]):
+            if target not in inside:
+                found.append(Way(lane_id, target, path[1:]))
+            elif target not in path:
+                stack.append((*path, target))
+        if len(found) + len(stack) > _MOST_WAYS:
+            raise NetError(f"lane {lane_id}: more than {_MOST_WAYS} ways from it through an intersection")
+    return found

@@ -1,0 +1,118 @@
+"""Lane graphs as SUMO's plain files, of which netconvert makes a net for demand, routing and simulations of their own.
+
+One SUMO lane for each lane of a road; ways through an intersection are connections, and netconvert works out which of
+them yields. Junctions lie beside their lanes, as in `net_xml`, so that lanes keep their ends.
+"""
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from itertools import groupby
+
+import numpy as np
+import numpy.typing as npt
+from lxml import etree
+from lxml.builder import E
+
+from netconvert.geo import CityOrigin
+from netconvert.geometry import FloatArray
+from netconvert.gui_files import shape, xml_bytes
+from netconvert.lane_graph import LaneGraph
+from netconvert.net_xml import ALLOWED_CLASSES, WHOLE_LIMIT_MPS, junction_beside, location
+from netconvert.roads import Roads, Way, roads_of
+
+#: Whether a driver has to stop at the entrance of a lane of an intersection, by step; None where there is no signal.
+Red = Callable[[int], npt.NDArray[np.bool_] | None]
+
+
+def plain_files(
+    graph: LaneGraph, *, origin: CityOrigin | None = None, red: Red | None = None, step_s: float = 0.1
+) -> dict[str, bytes]:
+    """Nodes, edges, connections, and with `red` signals, by netconvert's option for each file.
+
+    Equal graphs give equal bytes. Errors: NetError for endless ways through an intersection.
+    """
+    roads = roads_of(graph)
+    links = {(way.source, way.target): way for way in reversed(roads.ways)}  # SUMO has one from lane to lane
+    ways = tuple(way for way in roads.ways if links[way.source, way.target] is way)
+    signals = {} if red is None else _signals(roads, ways, red, step_s)
+    files = {
+        "node-files": _nodes(graph, roads, origin, signals),
+        "edge-files": xml_bytes(E.edges(*(_edge(graph, roads, number) for number in range(len(roads.rows))))),
+        "connection-files": xml_bytes(E.connections(*_connections(graph, roads, ways))),
+    }
+    if signals:
+        files["tllogic-files"] = xml_bytes(E.tlLogics(*(part for parts in signals.values() for part in parts)))
+    return files
+
+
+def _nodes(
+    graph: LaneGraph, roads: Roads, origin: CityOrigin | None, signals: dict[int, list[etree._Element]]
+) -> bytes:
+    ends: dict[int, list[FloatArray]] = defaultdict(list)
+    lines: dict[int, list[FloatArray]] = defaultdict(list)
+    for end, junction in enumerate(roads.junctions):
+        row = [graph.lanes[lane_id].centerline for lane_id in roads.rows[end // 2]]
+        ends[junction] += [line[-(end % 2)] for line in row]
+        lines[junction] += row
+    nodes = []
+    for junction, points in ends.items():
+        x, y = np.mean(points, axis=0)
+        beside = shape(junction_beside(points[0], lines[junction]), digits=3)
+        kind = {"type": "traffic_light", "tl": f"J{junction}"} if junction in signals else {"type": "priority"}
+        nodes.append(E.node(kind, id=f"J{junction}", x=f"{x:.3f}", y=f"{y:.3f}", shape=beside))
+    return xml_bytes(E.nodes(etree.fromstring(location(graph, origin)), *nodes))
+
+
+def _edge(graph: LaneGraph, roads: Roads, number: int) -> etree._Element:
+    members = [graph.lanes[lane_id] for lane_id in roads.rows[number]]
+    lanes = []
+    for index, lane in enumerate(members):
+        allowed = ALLOWED_CLASSES[lane.lane_type]
+        known = {"index": str(index), "speed": f"{WHOLE_LIMIT_MPS:g}", "width": f"{lane.width_m:.2f}"}
+        known |= {} if allowed is None else {"allow": allowed}
+        segment = E.param(key="av2.lane_segment_id", value=str(lane.lane_id))
+        lanes.append(E.lane({**known, "shape": shape(lane.centerline, digits=3)}, segment))
+    ends = {"from": f"J{roads.junctions[2 * number]}", "to": f"J{roads.junctions[2 * number + 1]}"}
+    length_m = sum(lane.length_m for lane in members) / len(members)
+    middle = shape(members[len(members) // 2].centerline, digits=3)
+    known = {"numLanes": str(len(members)), "priority": "1", "length": f"{length_m:.3f}", "shape": middle}
+    return E.edge({"id": str(members[0].lane_id), **ends, **known}, *lanes)
+
+
+def _link(roads: Roads, way: Way) -> dict[str, str]:
+    (before, source), (behind, target) = roads.place[way.source], roads.place[way.target]
+    edges = {"from": str(roads.rows[before][0]), "to": str(roads.rows[behind][0])}
+    return {**edges, "fromLane": str(source), "toLane": str(target)}
+
+
+def _connections(graph: LaneGraph, roads: Roads, ways: Sequence[Way]) -> list[etree._Element]:
+    """The ways; an edge without any is told to have none, else netconvert guesses."""
+    found = []
+    for way in ways:
+        link = E.connection(_link(roads, way))
+        if way.through:
+            line = np.concatenate([graph.lanes[lane_id].centerline for lane_id in way.through])
+            link.set("shape", shape(line, digits=3))
+        found.append(link)
+    leaving = {roads.place[way.source][0] for way in ways}
+    return found + [E.connection({"from": str(row[0])}) for k, row in enumerate(roads.rows) if k not in leaving]
+
+
+def _signals(roads: Roads, ways: Sequence[Way], red: Red, step_s: float) -> dict[int, list[etree._Element]]:
+    """By junction with an entrance that was red: its program, as long as the recording, and the links it controls."""
+    by_junction: dict[int, list[Way]] = defaultdict(list)
+    for way in ways:
+        by_junction[roads.junctions[2 * roads.place[way.target][0]]].append(way)
+    found = {}
+    for junction, through in by_junction.items():
+        shown = [red(way.through[0]) if way.through else None for way in through]
+        if not any(steps is not None and steps.any() for steps in shown):
+            continue
+        count = max(len(steps) for steps in shown if steps is not None)
+        states = ["".join("r" if steps is not None and steps[k] else "g" for steps in shown) for k in range(count)]
+        phases = [E.phase(duration=f"{len(list(same)) * step_s:g}", state=state) for state, same in groupby(states)]
+        name = f"J{junction}"
+        program = E.tlLogic(*phases, id=name, type="static", programID="recorded", offset="0")
+        links = (E.connection(_link(roads, way), tl=name, linkIndex=str(k)) for k, way in enumerate(through))
+        found[junction] = [program, *links]
+    return found

@@ -1,0 +1,111 @@
+"""Nets of whole lanes in SUMO: traffic of its own drives on them as on a grid that SUMO makes."""
+
+import re
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+from lxml import etree
+
+from bridge.recordings.sources import read_recording
+from bridge.sumo import net as nets
+from bridge.sumo.net import convert, convert_whole, sumo_program
+from netconvert.errors import ConfigError, NetError
+from netconvert.geo import CITY_ORIGINS
+from netconvert.roads import roads_of
+
+
+def drive(net: Path) -> tuple[int, int, int]:
+    """300 s of SUMO's randomTrips, a vehicle each second: vehicles, collisions, warnings."""
+    tool = Path(import_module("sumo").SUMO_HOME) / "tools" / "randomTrips.py"
+    trips, log = net.with_suffix(".trips.xml"), net.with_suffix(".log")
+    command = [sys.executable, tool, "-n", net, "-o", trips, "-e", "300", "-p", "1", "--validate", "--seed", "42"]
+    made = subprocess.run(list(map(str, command)), capture_output=True, text=True)
+    assert made.returncode == 0, made.stderr
+    command = [sumo_program("sumo"), "-n", net, "-r", trips, "-e", "300", "--no-step-log", "--seed", "1"]
+    command += ["--collision.action", "warn", "--duration-log.statistics"]
+    result = subprocess.run([*map(str, command), "--log", str(log)], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    said = log.read_text()
+    warnings = [line for line in said.splitlines() if line.startswith("Warning")]
+    return int(re.search(r"Inserted: (\d+)", said)[1]), sum("collision" in one for one in warnings), len(warnings)
+
+
+def on_a_grid(folder: Path) -> float:
+    """Warnings for each vehicle on a grid of netgenerate."""
+    net = folder / "grid.net.xml"
+    command = [sumo_program("netgenerate"), "--grid", "--grid.number", "4", "-L", "2", "-o", str(net)]
+    assert subprocess.run(command, capture_output=True).returncode == 0
+    vehicles, _, warnings = drive(net)
+    return warnings / vehicles
+
+
+def check(scene: Path, folder: Path, most: float) -> int:
+    net = convert_whole(scene, folder)
+    vehicles, collisions, warnings = drive(net)
+    assert collisions == 0, scene
+    assert warnings <= most * vehicles, scene
+    assert vehicles >= 150, scene
+    root, roads = etree.parse(net).getroot(), roads_of(read_recording(scene).graph)
+    lane_of = {
+        (edge.get("id"), lane.get("index")): int(lane.find("param[@key='av2.lane_segment_id']").get("value"))
+        for edge in root.iterfind("edge")
+        if not edge.get("id").startswith(":")
+        for lane in edge.iterfind("lane")
+    }
+    assert set(lane_of.values()) == set(roads.place)
+    links = {
+        (lane_of.get((link.get("from"), link.get("fromLane"))), lane_of.get((link.get("to"), link.get("toLane"))))
+        for link in root.iterfind("connection")
+        if not link.get("from").startswith(":")
+    }
+    assert links == {(way.source, way.target) for way in roads.ways}
+    return vehicles
+
+
+def test_traffic_drives_on_synthetic_and_real_maps(
+    data_scenes: dict[str, Path], real_scenes: list[Path], tmp_path: Path
+) -> None:
+    most = on_a_grid(tmp_path)
+    for scene in (data_scenes["intersection"], real_scenes[0]):
+        check(scene, tmp_path, most)
+
+
+@pytest.mark.slow
+def test_traffic_drives_on_fourteen_real_maps(shared_data: Path, tmp_path: Path) -> None:
+    scenes = [path.parent for part in ("av2", "wide") for path in shared_data.glob(f"{part}/*/*/scenario_*.parquet")]
+    assert len(scenes) == 14
+    most = on_a_grid(tmp_path)
+    print(most, {scene.name[:8]: check(scene, tmp_path, most) for scene in scenes})
+
+
+def test_the_same_map_gives_the_same_bytes_on_the_globe(data_scene: Path, tmp_path: Path) -> None:
+    one, other = (convert_whole(data_scene, tmp_path / name) for name in ("one", "other"))
+    assert one.read_bytes() == other.read_bytes()
+    location = etree.parse(one).find("location")
+    origin = CITY_ORIGINS[read_recording(data_scene).city]
+    assert location.get("projParameter") == origin.projection
+    assert [-float(part) for part in location.get("netOffset").split(",")] == pytest.approx(
+        [origin.easting_m, origin.northing_m], abs=0.01
+    )
+
+
+def test_signals_are_in_the_net(real_scenes: list[Path], tmp_path: Path) -> None:
+    (scene,) = (scene for scene in real_scenes if scene.name.startswith("0a0af725"))
+    programs = etree.parse(convert_whole(scene, tmp_path, signals=True)).findall("tlLogic")
+    assert programs
+    for program in programs:
+        duration = sum(float(phase.get("duration")) for phase in program.iterfind("phase"))
+        assert duration == pytest.approx(read_recording(scene).num_steps * 0.1)
+
+
+def test_what_cannot_be_is_said_in_one_line(data_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (path,) = data_scene.glob("log_map_archive_*.json")
+    with pytest.raises(ConfigError, match="a map alone, expected a scene: signals"):
+        convert_whole(path, tmp_path / "out", signals=True)
+    monkeypatch.setattr(nets, "sumo_program", lambda _: None)
+    with pytest.raises(NetError, match="netconvert is not installed, expected for --lanes whole; install it"):
+        convert_whole(path, tmp_path / "out")
+    assert convert(path, tmp_path / "out").lanes_out > 0

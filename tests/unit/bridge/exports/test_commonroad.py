@@ -1,0 +1,68 @@
+"""CommonRoad files: lanelets with the graph's links, agents where their tracks have them, one planning problem."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lxml import etree
+
+from bridge.exports.export import export_scene
+from bridge.recordings.recording import AV_ID
+from bridge.recordings.sources import read_recording
+
+
+def _states(obstacle: etree._Element) -> dict[int, list[float]]:
+    found = {}
+    for state in [obstacle.find("initialState"), *obstacle.iterfind("trajectory/state")]:
+        values = [state.find(path).text for path in ("position/point/x", "position/point/y", "orientation/exact")]
+        found[int(state.find("time/exact").text)] = [*map(float, values), float(state.find("velocity/exact").text)]
+    return found
+
+
+@pytest.fixture(params=["generated", "real"])
+def scene(request: pytest.FixtureRequest) -> Path:
+    if request.param == "generated":
+        return request.getfixturevalue("made_scene")
+    return request.getfixturevalue("real_scenes")[0]
+
+
+def test_lanelets_and_agents_are_those_of_the_scene(scene: Path, tmp_path: Path) -> None:
+    (file,) = export_scene(scene, "commonroad", tmp_path)
+    recording, root = read_recording(scene), etree.parse(file).getroot()
+    graph = recording.graph
+    lanelets = {int(lanelet.get("id")): lanelet for lanelet in root.iterfind("lanelet")}
+    assert lanelets.keys() == graph.lanes.keys()
+    for lane_id, lanelet in lanelets.items():
+        for key, wanted in (
+            ("predecessor", graph.predecessors(lane_id)),
+            ("successor", graph.successors(lane_id)),
+            ("adjacentLeft", [graph.neighbor(lane_id, "left")]),
+            ("adjacentRight", [graph.neighbor(lane_id, "right")]),
+        ):
+            found = [int(one.get("ref")) for one in lanelet.iterfind(key)]
+            assert found == [one for one in wanted if one is not None]
+        left, right = (lanelet.findall(f"{side}Bound/point") for side in ("left", "right"))
+        assert len(left) == len(right) >= 2
+    tracks = [track for track in recording.tracks if track.track_id != AV_ID]
+    obstacles = root.findall("dynamicObstacle")
+    assert len(obstacles) == len(tracks)
+    ids = [int(one.get("id")) for one in [*obstacles, *root.iterfind("planningProblem"), *lanelets.values()]]
+    assert len(set(ids)) == len(ids)
+    for track, obstacle in zip(tracks, obstacles, strict=True):
+        assert obstacle.getprevious().text.strip() == f"track {track.track_id}"
+        states = _states(obstacle)
+        assert list(states) == list(range(track.timesteps[0], track.timesteps[-1] + 1))
+        values = np.array([states[step] for step in track.timesteps.tolist()])
+        assert np.abs(values[:, :2] - track.position).max() <= 0.001
+        assert np.abs(np.remainder(values[:, 2] - track.heading + np.pi, 2 * np.pi) - np.pi).max() <= 1e-5
+        assert values[:, 3] == pytest.approx(track.speed, abs=1e-5)
+    (problem,) = root.iterfind("planningProblem")
+    place = [float(problem.find(f"initialState/position/point/{axis}").text) for axis in "xy"]
+    goal = [float(problem.find(f"goalState/position/rectangle/center/{axis}").text) for axis in "xy"]
+    ego = recording.track(AV_ID)
+    assert np.abs(np.array([place, goal]) - ego.position[[0, -1]]).max() <= 0.001
+
+
+def test_the_same_scene_gives_the_same_bytes(data_scene: Path, tmp_path: Path) -> None:
+    one, other = (export_scene(data_scene, "commonroad", tmp_path / name)[0] for name in ("one", "other"))
+    assert one.read_bytes() == other.read_bytes()
