@@ -25,7 +25,7 @@ Red = Callable[[int], npt.NDArray[np.bool_] | None]
 
 
 def plain_files(
-    graph: LaneGraph, *, origin: CityOrigin | None = None, red: Red | None = None, step_s: float = 0.1
+    graph: LaneGraph, *, origin: CityOrigin | None = None, red: Red | None = None, step_s: float
 ) -> dict[str, bytes]:
     """Nodes, edges, connections, and with `red` signals, by netconvert's option for each file.
 

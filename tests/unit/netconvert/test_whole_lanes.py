@@ -59,7 +59,7 @@ def test_a_road_within_an_intersection_is_a_part_of_it() -> None:
 
 
 def test_files_have_the_lanes_and_their_ways() -> None:
-    files = {name: etree.fromstring(content) for name, content in plain_files(graph_of(*CROSSING)).items()}
+    files = {name: etree.fromstring(content) for name, content in plain_files(graph_of(*CROSSING), step_s=0.1).items()}
     edge = files["edge-files"].find("edge[@id='1']")
     assert [lane.find("param").get("value") for lane in edge.iterfind("lane")] == ["1", "2"]
     links = {
@@ -88,4 +88,4 @@ def test_signals_are_a_program_as_long_as_the_recording() -> None:
 
 @pytest.mark.parametrize("shown", [None, np.zeros(5, dtype=bool)])
 def test_where_nothing_is_ever_red_there_are_no_signals(shown: np.ndarray | None) -> None:
-    assert "tllogic-files" not in plain_files(graph_of(*CROSSING), red=lambda _: shown)
+    assert "tllogic-files" not in plain_files(graph_of(*CROSSING), red=lambda _: shown, step_s=0.1)

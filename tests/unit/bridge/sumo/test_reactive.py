@@ -90,7 +90,7 @@ def test_fixed_scene_is_never_another_one(cut_in: Callable[[DrivingParams], Driv
     assert fixed.fleet.scene.traffic.position[0, :, 0] == pytest.approx(20.0 + 1.2 * np.arange(110))
 
 
-CHANGES = Request(agents=8, straight=0.3, left_turn=0.0, right_turn=0.0, lane_change=0.7, overtake=0.0, seed=3)
+CHANGES = Request(agents=8, straight=0.3, left_turn=0.0, right_turn=0.0, lane_change=0.7, overtake=0.0, seed=4)
 
 
 @pytest.fixture(scope="module")
@@ -150,9 +150,9 @@ def test_pictures_and_sumo_gui_do_not_call_its_tracks_recorded(reactive_scene: P
 
 def test_same_request_makes_the_same_scene_again(reactive_scene: Path, data_scenes: dict[str, Path]) -> None:
     again = generate(read_scenario(data_scenes["arterial"]), Config(request=CHANGES, driving=REACTIVE))
-    assert again.new_id == reactive_scene.name
-    assert [track.position.tolist() for track in again.scenario.tracks] == [
-        read_scenario(reactive_scene).track(track.track_id).position.tolist() for track in again.scenario.tracks
+    assert again.recording.scenario_id == reactive_scene.name
+    assert [track.position.tolist() for track in again.recording.tracks] == [
+        read_scenario(reactive_scene).track(track.track_id).position.tolist() for track in again.recording.tracks
     ]
 
 
