@@ -37,7 +37,7 @@ def generate(  # noqa: PLR0913  # one for each option
         "Shares of straight, left_turn, right_turn, lane_change, overtake; those not named get none.",
         None,
         "NAME=SHARE,...",
-        show_default="straight=0.6,left_turn=0.1,right_turn=0.1,lane_change=0.15,overtake=0.05",
+        show_default="straight=0.73,left_turn=0.035,right_turn=0.035,lane_change=0.15,overtake=0.05",
     ),
     trigger_time: str | None = options.request(
         _TRIGGER_TIME, None, "S|A:B|S,S,...", show_default="0.5 to 36 % of the scene, 4 s at most"

@@ -13,7 +13,7 @@ from netconvert.errors import ConfigError
 
 
 @command()
-def evaluate(  # noqa: PLR0913  # one for each option
+def evaluate(  # one for each option
     out: Path = options.argument(
         "SCENES", "Scenes to measure, generated or recorded: a scenario folder, a split folder or a root."
     ),
@@ -32,7 +32,6 @@ def evaluate(  # noqa: PLR0913  # one for each option
     bands: str = options.option(
         "With --predictions: bands of scenes with more agents than each N.", "50,70,90", "N,N,..."
     ),
-    trj: bool = options.output("Trajectories of each scene for SSAM too, trj/ID.trj.", False, None, "--trj"),
     windows: options.Windows,
     jobs: int = options.JOBS,
     as_json: bool = options.output("With --predictions: print the table as JSON.", False, None, "--json"),
@@ -61,7 +60,6 @@ def evaluate(  # noqa: PLR0913  # one for each option
             source=source,
             choices=windows.choices(),
             control=control,
-            trj=trj,
             jobs=jobs,
             on_scene=show,
         )

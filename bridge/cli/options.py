@@ -33,7 +33,7 @@ CAN = (*BEHAVIOURS, *(f"{event}:{target}" for event in EVENTS for target in ("av
 COMPONENTS = ("topology", "collision", "smoothing")
 ExperimentName = Literal["table1", "ablation", "density", "diversity", "prediction"]
 LanesName = Literal["cells", "whole"]
-FormatName = Literal["openscenario", "opendrive", "commonroad", "sumo", "fcd"]
+FormatName = Literal["openscenario", "opendrive", "commonroad", "trj", "sumo", "fcd"]
 ReadingName = Literal["recorded", "generated", "both"]
 
 

@@ -19,10 +19,9 @@ from bridge.evaluation.scene_metrics import (
     Row,
     SceneMeasures,
     measure_folder,
-    trajectories_for_ssam,
 )
 from bridge.evaluation.totals import Evaluation, Totals
-from bridge.files import append_rows, beside, explained, table_file, write_json
+from bridge.files import append_rows, explained, table_file, write_json
 from bridge.recordings.folders import MAP_PATTERN, Address, Choices, Source, find_scenarios, source_id
 from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.scenario import read_sizes
@@ -47,13 +46,12 @@ def evaluate_folder(
     source: Path | None = None,
     choices: Choices | None = None,
     control: Path | None = None,
-    trj: bool = False,
     jobs: int = 1,
     on_scene: Callable[[int, int], None] | None = None,
 ) -> Evaluation:
     """Measure every scene below `out`, recorded in any format or generated, and write the report into `report_dir`.
 
-    Writes metrics.json, report.html, realism.csv and the tables of TABLES; trj: each scene for SSAM too, in trj/.
+    Writes metrics.json, report.html, realism.csv and the tables of TABLES.
     "Before" is the source scenes of those in `out`, each once: as they lie below `source`, with the sizes of recorded
     vehicles beside them, else the recorded tracks of the first scene made from each. A scene that cannot be read is
     listed and left out.
@@ -98,12 +96,6 @@ def evaluate_folder(
         write_json(report_dir / "metrics.json", evaluation.metrics)
         write_table(report_dir / "realism.csv", evaluation.metrics["realism"]["distances"])
         write_report(evaluation, report_dir / "report.html")
-        unread = {folder for folder, _ in evaluation.failures}
-        for folder in (one for one in folders if trj and one not in unread):
-            name, content = trajectories_for_ssam(folder)
-            (report_dir / "trj").mkdir(exist_ok=True)
-            with beside(report_dir / "trj" / f"{name}.trj") as hidden:
-                hidden.write_bytes(content)
     return evaluation
 
 

@@ -14,7 +14,6 @@ from bridge.recordings.judging import findings_of, states_of
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import REACTIVE, EventRecord, ManeuverRecord, Sidecar
 from bridge.recordings.sources import read_recording
-from bridge.recordings.ssam import trj_bytes
 from hid2.agents import BoxSize, FloatArray, Policy, Track
 from hid2.evaluation.behaviour import policies
 from hid2.evaluation.critics import pack
@@ -32,7 +31,6 @@ from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.measures.post_encroachment import Encroachment
 from hid2.measures.scene_end import contacts_after_last_step
-from hid2.occupancy.agent_states import agent_states
 from hid2.params import Limits
 from hid2.policy.rules import place_in
 from netconvert.errors import ConfigError, ScenarioError
@@ -93,15 +91,6 @@ def measure_folder(folder: Address, labelled: Labelled | None = None) -> SceneMe
         lane_changes=[name | row for row in measures.lane_changes],
         conflicts=[name | row for row in measures.conflicts],
     )
-
-
-def trajectories_for_ssam(folder: Address) -> tuple[str, bytes]:
-    """Id of a recording or generated scene, and its vehicles as a .trj file. Errors: ScenarioError, MapError."""
-    recording = read_recording(folder)
-    states = agent_states(
-        recording.tracks, _flat(recording.graph), num_steps=recording.num_steps, step_s=recording.step_s
-    )
-    return recording.scenario_id, trj_bytes(states.arrays, states.matches)
 
 
 def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | None) -> SceneMeasures:

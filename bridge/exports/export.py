@@ -15,6 +15,7 @@ WRITERS: Mapping[str, str] = {
     "openscenario": "bridge.exports.openscenario.openscenario_files",
     "opendrive": "bridge.exports.export.opendrive_files",
     "commonroad": "bridge.exports.commonroad.commonroad_files",
+    "trj": "bridge.recordings.ssam.trj_files",
     "sumo": "bridge.sumo.exchange.sumo_files",
     "fcd": "bridge.sumo.exchange.fcd_files",
 }

@@ -2,8 +2,10 @@
 
 import numpy as np
 
+from bridge.recordings.recording import Recording
 from hid2.measures.arrays import SceneArrays
-from hid2.measures.lane_matching import Matches
+from hid2.measures.lane_matching import Matches, flatten_lanes
+from hid2.occupancy.agent_states import agent_states
 
 #: Record types, byte order and units of the format: little-endian, metric.
 _FORMAT, _DIMENSIONS, _TIMESTEP, _VEHICLE, _LITTLE, _METRIC = 0, 1, 2, 3, ord("L"), 1
@@ -16,6 +18,13 @@ _ROW = np.dtype(
     [("kind", "u1"), ("vehicle", "<i4"), ("link", "<i4"), ("lane", "u1"), ("front", "<f4", 2), ("rear", "<f4", 2),
      ("length_m", "<f4"), ("width_m", "<f4"), ("speed_mps", "<f4"), ("accel_mps2", "<f4")]
 )  # fmt: skip
+
+
+def trj_files(scene: Recording) -> dict[str, bytes]:
+    """<id>.trj by file name, of a scene, recorded or generated."""
+    lanes = flatten_lanes(scene.graph)
+    states = agent_states(scene.tracks, lanes, num_steps=scene.num_steps, step_s=scene.step_s)
+    return {f"{scene.scenario_id}.trj": trj_bytes(states.arrays, states.matches)}
 
 
 def trj_bytes(arrays: SceneArrays, matches: Matches) -> bytes:

@@ -23,6 +23,7 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "requests": "requests of the kind that is studied",
         "accepted": "of these, how many got a gap",
         "seconds": "time that the run took",
+        "folder": "where what was measured lies, trajectories.trj too",
     },
     "requests": {
         **_RUN,
@@ -133,7 +134,7 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "trend_low, trend_high": "its 95 % interval, runs drawn again",
         "p": "two-sided, of no trend: signs of the clusters' own trends are changed (Canay, Romano and Shaikh 2017)",
         "clusters": "how many: scenes where there are at least three, else runs; k of them give 2 / 2^k at least",
-        "p_holm": "the same, adjusted for all outcomes of the parameter (Holm)",
+        "p_holm": "the same, adjusted for all outcomes of the parameter that vary at all (Holm)",
         "difference": "estimate less that of the first value",
         "difference_low_runs, difference_high_runs": "its 95 % interval: the same draw of runs for both values",
         "difference_low_scenes, difference_high_scenes": "the same with scenes",

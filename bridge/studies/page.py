@@ -96,12 +96,17 @@ def write_results(study: Study, tables: Tables, out_dir: Path) -> list[Path]:
         varied = next((key for key in keys if 1 < tables.flow[key].nunique() <= _MOST_VALUES), None)
         draw_fundamental(path, _title(study, tables), tables.flow, varied)
         files.append(path)
-    written = [path for name, table in named.items() if not table.empty for path in _write_table(out_dir, name, table)]
+    for name in ("lane_changes", "conflicts"):  # where there are none, tables say so
+        if named[name].empty:
+            named[name] = pd.DataFrame(columns=[column for table, column, _ in dictionary_rows() if table == name])
+    written = [
+        path for name, table in named.items() if len(table.columns) for path in _write_table(out_dir, name, table)
+    ]
     dictionary, page = out_dir / "columns.csv", out_dir / "study.md"
     with explained(dictionary):
         write_rows(dictionary, ("table", "column", "says"), dictionary_rows())
     with explained(page):
-        write_text(page, page_text(study, tables, named, keys))
+        write_text(page, page_text(study, tables, named, keys, figures=[path.name for path in files]))
     return [page, *files, dictionary, *written]
 
 
@@ -117,7 +122,9 @@ def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> list[Path]:
     csv_path = out_dir / (f"{name}.csv.gz" if long else f"{name}.csv")
     parquet_path = out_dir / f"{name}.parquet"
     mixed = [column for column in table.columns if table[column].dtype == object]
-    tidy = table.assign(**{column: table[column].astype("string") for column in mixed})
+    texts_of = {column: table[column].map(lambda cell: str(cell).lower() if isinstance(cell, bool) else cell)
+                for column in mixed}  # fmt: skip
+    tidy = table.assign(**{column: cells.astype("string") for column, cells in texts_of.items()})
     texts = tidy.select_dtypes(exclude=["number", "bool"]).columns
     safe = tidy.assign(**{column: tidy[column].map(table_cell, na_action="ignore") for column in texts})
     each = (pa.Table.from_pandas(one, preserve_index=False) for one in (tidy, safe))
@@ -155,7 +162,9 @@ def _critical_row(key: str, value: Any, side: str, found: CriticalGap) -> dict[s
 _FLOW = ("flow_veh_per_h_lane", "density_veh_per_km_lane", "speed_kmph", "waiting_to_enter_s")
 
 
-def page_text(study: Study, tables: Tables, named: Mapping[str, pd.DataFrame], keys: Sequence[str]) -> str:
+def page_text(
+    study: Study, tables: Tables, named: Mapping[str, pd.DataFrame], keys: Sequence[str], figures: Sequence[str] = ()
+) -> str:
     """What the study shows and what it does not; behind each claim the table and column that it is read from."""
     requests, runs, flow = tables.requests, tables.runs, tables.flow
     if requests.empty:
@@ -191,6 +200,7 @@ def page_text(study: Study, tables: Tables, named: Mapping[str, pd.DataFrame], k
         exported_share=None if exported.empty else float((exported == "yes").mean()),
         cut_share=float(cut_off.mean()) if len(counted) else 0.0,
         exp=math.exp,
+        figures=figures,
     )  # fmt: skip
 
 
@@ -225,6 +235,11 @@ def _told(dose: pd.DataFrame) -> list[str]:
         if len(mine) < 2:
             continue
         first, last = mine.iloc[0], mine.iloc[-1]
+        if mine["estimate"].nunique() == 1:
+            found.append(
+                f"{_SAYS[outcome]}: {first['estimate']:.3g} at every value [dose_response.estimate of {outcome}]."
+            )
+            continue
         course = _course(mine["estimate"].diff().dropna().to_numpy(float))
         unit = "scenes" if "difference_low_scenes" in mine and pd.notna(last.get("difference_low_scenes")) else "runs"
         low, high = last[f"difference_low_{unit}"], last[f"difference_high_{unit}"]
@@ -237,9 +252,10 @@ def _told(dose: pd.DataFrame) -> list[str]:
             sure = "which excludes no effect" if low > 0 or high < 0 else "which includes no effect"
             text += f"; difference {last['difference']:+.3g}, 95 % interval {low:+.3g} to {high:+.3g} ({unit}), {sure}"
         if pd.notna(last.get("p_holm")):
-            text += f"; trend {last['trend']:+.3g} for one more"
+            text += f"; trend {last['trend']:+.3g} for one more of {label_of(last['parameter'])}"
             text += f" ({last['trend_low']:+.3g} to {last['trend_high']:+.3g})" if pd.notna(last["trend_low"]) else ""
-            text += f", p {last['p_holm']:.2g} by signs of {last['clusters']:.0f} {unit}, of all outcomes (Holm)"
+            text += f", p {last['p']:.2g} by signs of {last['clusters']:.0f} {unit}"
+            text += f", {last['p_holm']:.2g} of all outcomes (Holm)"
         found.append(f"{text} [dose_response.estimate of {outcome}].")
     return found
 

@@ -268,12 +268,13 @@ def difference_sd(requests: pd.DataFrame, key: str) -> tuple[float, int] | None:
 
 
 def _adjusted(table: pd.DataFrame) -> pd.DataFrame:
-    """The same with p adjusted for the family of all outcomes of the parameter (Holm)."""
+    """The same with p adjusted for the family of all outcomes of the parameter that vary at all (Holm)."""
     from statsmodels.stats.multitest import multipletests
 
-    if "p" not in table or table["p"].isna().all():
+    varies = table.groupby("outcome")["estimate"].transform("nunique") > 1
+    if "p" not in table or table.loc[varies, "p"].isna().all():
         return table
-    each = table.dropna(subset="p").drop_duplicates("outcome").set_index("outcome")["p"]
+    each = table[varies].dropna(subset="p").drop_duplicates("outcome").set_index("outcome")["p"]
     adjusted = dict(zip(each.index, multipletests(each, method="holm")[1], strict=True))
     return table.assign(p_holm=table["outcome"].map(adjusted))
 

@@ -194,6 +194,7 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> Tables:
             {
                 **name, "status": row.status, "reason": row.reason, "vehicles": row.placed, "requests": len(mine),
                 "accepted": sum(bool(request["accepted"]) for request in mine), "seconds": row.seconds,
+                "folder": row.folder,
             }
         )  # fmt: skip
     seen = pd.concat(looks) if looks else pd.DataFrame()

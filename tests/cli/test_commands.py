@@ -103,7 +103,7 @@ def test_export_writes_all_scenes_side_by_side(hid2: Run, data_scenes: dict[str,
     assert set(result.stdout.split()) == {str(out / name) for name in names}
     wrong = hid2("export", data_scenes["curve"], "--to", "vissim", "-o", out)
     assert wrong.returncode == 2
-    assert "'openscenario', 'opendrive', 'commonroad', 'sumo', 'fcd'" in last_message(wrong)
+    assert "'openscenario', 'opendrive', 'commonroad', 'trj', 'sumo', 'fcd'" in last_message(wrong)
 
 
 def test_net_of_a_folder_without_map_is_one_line(hid2: Run, tmp_path: Path) -> None:

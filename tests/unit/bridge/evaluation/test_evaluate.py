@@ -26,7 +26,7 @@ from netconvert.errors import ExportError, MapError, ScenarioError
 @pytest.fixture(scope="module")
 def report(made_root, data_root, tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
-    return evaluate_folder(made_root, report_dir=folder, source=data_root, trj=True), folder
+    return evaluate_folder(made_root, report_dir=folder, source=data_root), folder
 
 
 def read_csv(path):
@@ -47,10 +47,7 @@ def test_report_has_every_file_and_json_reads_back(report):
         "conflicts.csv",
         "realism.csv",
         "report.html",
-        "trj",
     }
-    scenarios = {row["scenario_id"] for row in read_csv(folder / "scenes.csv")}
-    assert {path.name for path in (folder / "trj").iterdir()} == {f"{name}.trj" for name in scenarios}
     assert json.loads((folder / "metrics.json").read_text()) == evaluation.metrics
 
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bridge.evaluation.scene_metrics import trajectories_for_ssam
 from bridge.recordings.scenario import read_scenario
+from bridge.recordings.ssam import trj_files
 
 
 def _read(content: bytes) -> tuple[tuple[Any, ...], dict[float, list[tuple[Any, ...]]]]:
@@ -34,9 +34,9 @@ def test_trj_has_every_vehicle_at_every_step(data_scenes: dict[str, Path]) -> No
     folder = data_scenes["arterial"]
     scenario = read_scenario(folder)
     vehicles = [track for track in scenario.tracks if track.object_type in ("vehicle", "bus")]
-    name, content = trajectories_for_ssam(folder)
+    ((name, content),) = trj_files(scenario).items()
     (version, units, scale, *bounds), steps = _read(content)
-    assert name == scenario.scenario_id
+    assert name == f"{scenario.scenario_id}.trj"
     assert (version, units, scale) == (pytest.approx(1.04), 1, 1.0)
     assert len(steps) == scenario.num_steps
     assert sum(map(len, steps.values())) == sum(len(track.timesteps) for track in vehicles)
