@@ -153,6 +153,8 @@ class Starts:
         if isinstance(rolled, Reason):
             return rolled
         usual = partial(scene.place_on, path)
+        if BEHAVIOURS[request.policy].changes_lanes:  # the line of one lane is not that of the next
+            usual = partial(np.full_like, fill_value=config.drivers.offset_mean_m)
         start = replace(start, offset=lane_offset(driver, config, rng, length_m=path.line.length_m, usual=usual))
         return self._hinders(start, rolled) or start
 

@@ -236,6 +236,36 @@ def paths_cross(
 
 
 @inner
+def _between_bumpers(xy: FloatArray, heading: FloatArray, length: float) -> tuple[FloatArray, FloatArray]:
+    """The path of a centre from the rear bumper at its first row to the front bumper at its last one, two rows more."""
+    last, half = len(xy) - 1, length / 2
+    longer, turned = np.empty((last + 3, 2)), np.empty(last + 3)
+    longer[1:-1], turned[1:-1] = xy, heading
+    longer[0, 0], longer[0, 1] = xy[0, 0] - half * math.cos(heading[0]), xy[0, 1] - half * math.sin(heading[0])
+    longer[-1, 0] = xy[last, 0] + half * math.cos(heading[last])
+    longer[-1, 1] = xy[last, 1] + half * math.sin(heading[last])
+    turned[0], turned[-1] = heading[0], heading[last]
+    return longer, turned
+
+
+@kernel("(f8[:,::1], f8[::1], f8, f8[:,::1], f8[::1], f8, f8)")
+def swept_paths_cross(
+    xy_a: FloatArray, heading_a: FloatArray, length_a: float,
+    xy_b: FloatArray, heading_b: FloatArray, length_b: float, min_sine: float,
+) -> tuple[int, int]:  # fmt: skip
+    """Rows before which swept paths first cut each other, as `paths_cross`: from rear to front bumper at the ends.
+
+    A vehicle whose centre is not across at its last step may be with its front.
+    """
+    a, turned_a = _between_bumpers(xy_a, heading_a, length_a)
+    b, turned_b = _between_bumpers(xy_b, heading_b, length_b)
+    i, j = paths_cross(a, turned_a, b, turned_b, min_sine)
+    if i < 0:
+        return -1, -1
+    return max(0, min(i - 1, len(xy_a) - 1)), max(0, min(j - 1, len(xy_b) - 1))
+
+
+@inner
 def _swept_lengths(xy: FloatArray, length: float) -> FloatArray:
     """Length of the box at each step, longer by what its vehicle drives in a step."""
     last = len(xy) - 1
@@ -261,7 +291,7 @@ def _encroachment(
     cap_steps: int, min_sine: float,
 ) -> int:  # fmt: skip
     """PET of two tracks in steps, -1 where it is above cap_steps or their paths do not cross."""
-    if paths_cross(xy_a, heading_a, xy_b, heading_b, min_sine)[0] < 0:
+    if swept_paths_cross(xy_a, heading_a, length_a, xy_b, heading_b, length_b, min_sine)[0] < 0:
         return -1
     long_a, long_b = _swept_lengths(xy_a, length_a), _swept_lengths(xy_b, length_b)
     reach = (math.hypot(length_a, width_a) + math.hypot(length_b, width_b)) / 2
@@ -301,11 +331,11 @@ def post_encroachment(
 
     Only pairs whose second one is among agents[since:].
 
-    Paths cross where the centres' paths cut each other at `min_angle` at least (and at most pi - min_angle: meeting
-    head-on is no crossing). PET is then the smallest |t1 - t2| at which the box of one at t1 covers ground of the box
-    of the other at t2 while their headings differ by `min_angle` at least, so also before one of them has turned. Each
-    box is longer by what its vehicle drives in a step, so that the boxes of all steps cover the swept path: right to a
-    step.
+    Paths cross where the centres' paths, with the bumpers at their ends, cut each other at `min_angle` at least
+    (and at most pi - min_angle: meeting head-on is no crossing). PET is then the smallest |t1 - t2| at which the
+    box of one at t1 covers ground of the box of the other at t2 while their headings differ by `min_angle` at
+    least, so also before one of them has turned. Each box is longer by what its vehicle drives in a step, so that
+    the boxes of all steps cover the swept path: right to a step.
     """
     count = len(agents)
     bounds = np.empty((count, 4))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hid2.agents import FloatArray, IntArray
-from hid2.kernels.box_pairs import paths_cross
+from hid2.kernels.box_pairs import swept_paths_cross
 from hid2.measures.arrays import SceneArrays
 from hid2.measures.post_encroachment import CROSSING_RAD, encroachments
 from hid2.measures.time_to_collision import CAP_S, ttc_to_anything
@@ -126,7 +126,10 @@ def _passed(arrays: SceneArrays, a: int, b: int) -> tuple[int, int]:
     """Steps at which two vehicles pass the place where their paths cross."""
     own, its = (slice(int(arrays.first[one]), int(arrays.first[one + 1])) for one in (a, b))
     position, heading = arrays.position, arrays.heading
-    at, then = paths_cross(position[own], heading[own], position[its], heading[its], math.sin(CROSSING_RAD))
+    at, then = swept_paths_cross(
+        position[own], heading[own], arrays.length[a], position[its], heading[its], arrays.length[b],
+        math.sin(CROSSING_RAD),
+    )  # fmt: skip
     return int(arrays.step[own][at]), int(arrays.step[its][then])
 
 

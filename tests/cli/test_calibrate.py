@@ -50,13 +50,13 @@ def test_table_has_size_interval_and_fit(calibrated: Path) -> None:
 
 def test_generate_draws_from_the_drivers_of_the_file(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
     path = tmp_path / "drivers.toml"
-    path.write_text("[drivers]\noffset_mean_m = 0.5\noffset_sd_m = 0.0\n")
+    path.write_text("[drivers]\ntau_mean_s = 1.7\ntau_sd_s = 0.0\n")
     result = hid2("generate", data_scenes["arterial"], "-o", tmp_path / "out", "--agents", 3, "--drivers", path, "-q")
     assert result.returncode == 0, result.stderr
     sidecar = json.loads(next((tmp_path / "out").rglob("hid2_*.json")).read_text())
-    assert sidecar["config"]["drivers"]["offset_mean_m"] == 0.5
-    places = [agent["driver"]["parameters"]["offset_m"] for agent in sidecar["agents"]]
-    assert places == pytest.approx([0.5] * len(places))
+    assert sidecar["config"]["drivers"]["tau_mean_s"] == 1.7
+    gaps = [agent["driver"]["parameters"]["tau_s"] for agent in sidecar["agents"]]
+    assert gaps == pytest.approx([1.7] * len(gaps))
 
 
 @pytest.mark.parametrize(
