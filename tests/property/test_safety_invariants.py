@@ -10,14 +10,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa
 import shapely
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import HealthCheck, Phase, assume, given, settings
 from hypothesis import strategies as st
 from scene_checker import check_scene
 
 from bridge.generation.generate import generate
-from bridge.recordings.scenario import Scenario
+from bridge.recordings.scenario import Scenario, table_of
 from hid2.agents import DEFAULT_SIZES, Track
 from hid2.params import Config, Driving, Request, Source
 from netconvert.lane_graph import LaneGraph, LaneSegment, turn_type
@@ -156,9 +155,16 @@ def traffic(draw: st.DrawFn, graph: LaneGraph, steps: int) -> tuple[Track, ...]:
 def scenes(draw: st.DrawFn) -> Scenario:
     graph = draw(maps())
     steps = draw(st.sampled_from([50, 110, 110]))
+    tracks = draw(traffic(graph, steps))
+    assume(tracks)  # every recording has a focal track
+    same = {
+        "scenario_id": "0" * 8, "start_timestamp": 0.0, "end_timestamp": 0.1 * steps,
+        "num_timestamps": steps, "focal_track_id": tracks[0].track_id, "city": "synthetic",
+    }  # fmt: skip
+    table = table_of(tracks, same, observed_steps=50)
     return Scenario(
-        scenario_id="0" * 8, city="synthetic", focal_track_id="0", num_steps=steps, tracks=draw(traffic(graph, steps)),
-        graph=graph, table=pa.table({}), folder=Path("nowhere"), map_path=Path("nowhere"), split=None,
+        scenario_id="0" * 8, city="synthetic", focal_track_id=tracks[0].track_id, num_steps=steps, tracks=tracks,
+        graph=graph, table=table, folder=Path("nowhere"), map_path=Path("nowhere"), split=None,
         observed_steps=50, step_s=0.1,
     )  # fmt: skip
 

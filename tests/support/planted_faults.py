@@ -452,9 +452,20 @@ def _changing(bench: Bench, site: Site) -> tuple[SecondTrack, float, int, int] |
         s = driving(9.0)
         track = bench.track(site, Motion(s, d, np.arctan2(np.gradient(d, DT_S), np.gradient(s, DT_S))))
         found = crossings(bench.scene, track)
-        if len({round(one[0], 1) for one in found}) == 1:
+        if len({round(one[0], 1) for one in found}) == 1 and _is_alone(bench, track):
             return track, found[0][0], found[0][1], found[0][2]
     return None
+
+
+def _is_alone(bench: Bench, track: SecondTrack) -> bool:
+    """Whether no vehicle comes within 8 m: a claim's fault is to be the only one, by whatever convention of leaders."""
+    for other in bench.scene.tracks:
+        _, own, theirs = np.intersect1d(track.steps, other.steps, return_indices=True)
+        if other.track_id != bench.vehicle and own.size:
+            apart_m = np.hypot(*(track.xy[own] - other.xy[theirs]).T)
+            if other.object_type in ("vehicle", "bus") and apart_m.min() < 8.0:
+                return False
+    return True
 
 
 def _claimed_change(bench: Bench, site: Site, strength: str) -> Planting | None:
