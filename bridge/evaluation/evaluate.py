@@ -13,13 +13,7 @@ from typing import Any
 
 from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure
-from bridge.evaluation.scene_metrics import (
-    TABLES,
-    Labelled,
-    Row,
-    SceneMeasures,
-    measure_folder,
-)
+from bridge.evaluation.scene_metrics import TABLES, Labelled, Row, SceneMeasures, measure_folder
 from bridge.evaluation.totals import Evaluation, Totals
 from bridge.files import append_rows, explained, table_file, write_json
 from bridge.recordings.folders import MAP_PATTERN, Address, Choices, Source, find_scenarios, source_id

@@ -1,7 +1,7 @@
 """Every measure of one scene folder: a row for the scene, one per track, one per manoeuvre, and histograms."""
 
 from collections import Counter
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -29,8 +29,10 @@ from hid2.measures.encounters import encounters
 from hid2.measures.lane_changes import LaneChangeRow, lane_changes
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
+from hid2.measures.motion_limits import MotionProfile
 from hid2.measures.post_encroachment import Encroachment
 from hid2.measures.scene_end import contacts_after_last_step
+from hid2.occupancy.agent_states import AgentStates
 from hid2.params import Limits
 from hid2.policy.rules import place_in
 from netconvert.errors import ConfigError, ScenarioError
@@ -95,18 +97,13 @@ def measure_folder(folder: Address, labelled: Labelled | None = None) -> SceneMe
 
 def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | None) -> SceneMeasures:
     """Measure tracks on the map of a recording, with its steps and by default limits; sidecar: of a generated scene."""
-    lanes = _flat(recording.graph)
     source = sidecar.source_scenario_id if sidecar else recording.scenario_id
     generated_ids = {track.track_id for track in tracks if is_generated_id(track.track_id)}
-    states = states_of(tracks, lanes, generated_ids, num_steps=recording.num_steps, step_s=recording.step_s)
-    arrays = states.arrays
-    last_observed = recording.last_observed
-    moved = motion(arrays)
-    safe = safety(arrays, lanes, states.matches)
+    states, moved, safe, groups = _grouped(recording, tracks, generated_ids)
+    arrays, last_observed = states.arrays, recording.last_observed
     maneuvers = detect(arrays, safe.lanes, safe.matches)
-    findings = findings_of(states, lanes.graph, sidecar)
+    findings = findings_of(states, recording.graph, sidecar)
     policy_of = policies(arrays, maneuvers)
-    groups = _groups(arrays, kinematics(arrays, moved), safe, beyond_limits(moved, Limits()))
     scene: Row = {
         "format": recording.format,
         "provenance": recording.provenance,
@@ -151,13 +148,8 @@ def evaluate_scene(scene: TrafficScene, *own: Callable[[Group], float]) -> "pd.D
     """
     import pandas as pd
 
-    recording, ids = scene.recording, {track.track_id for track in scene.generated}
-    states = states_of(
-        recording.tracks, _flat(recording.graph), ids, num_steps=recording.num_steps, step_s=recording.step_s
-    )
-    arrays, moved = states.arrays, motion(states.arrays)
-    safe = safety(arrays, states.lanes, states.matches)
-    groups = _groups(arrays, kinematics(arrays, moved), safe, beyond_limits(moved, Limits()))
+    recording = scene.recording
+    *_, groups = _grouped(recording, recording.tracks, {track.track_id for track in scene.generated})
     found: dict[str, list[object]] = {}
     for metric in METRICS:
         each = [(metric.numerator.of(group), metric.denominator.of(group)) for group in groups.values()]
@@ -176,6 +168,17 @@ def _number_of(own: Callable[[Group], float], name: str, group: Group) -> float:
     except (Exception, SystemExit) as error:  # whatever a user's code may raise
         said = f"{place_in(error, own, __file__)}{type(error).__name__}: {error!s:.200}"
         raise ConfigError(f"metric {name!r}: {said}; expected a function of a Group that gives a number") from error
+
+
+def _grouped(
+    recording: Recording, tracks: Sequence[Track], generated: Collection[str]
+) -> tuple[AgentStates, MotionProfile, Safety, dict[str, Group]]:
+    """States of tracks on the map of a recording, how they move, what they do to each other, and both by group."""
+    lanes, step_s = _flat(recording.graph), recording.step_s
+    states = states_of(tracks, lanes, generated, num_steps=recording.num_steps, step_s=step_s)
+    moved, safe = motion(states.arrays), safety(states.arrays, lanes, states.matches)
+    kinematic = kinematics(states.arrays, moved)
+    return states, moved, safe, _groups(states.arrays, kinematic, safe, beyond_limits(moved, Limits()))
 
 
 def _groups(

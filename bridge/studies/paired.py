@@ -20,7 +20,7 @@ from bridge.sumo.flow_driving import NEAR_M, FlowDriving
 from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize, Policy, Track
 from hid2.conflicts.stop_lines import StopLines
-from hid2.drivers.driver import Driver
+from hid2.drivers.driver import MIDDLE, Driver
 from hid2.insertion.filling import Filling, Unmet
 from hid2.insertion.finalise import ExportedVehicle, as_exported, finalise, traffic_of_exported
 from hid2.insertion.flow import Arrival, arrivals, trigger_after_s
@@ -282,7 +282,7 @@ def _as_simulated(scene: Scene, vehicle: DrivenVehicle, first: int) -> ExportedV
     vehicle = replace(vehicle, start=replace(vehicle.start, step=first))
     s, v = np.array(vehicle.s), np.array(vehicle.v)
     motion = Motion(s=s, v=v, a=np.gradient(v, scene.step_s), step_s=scene.step_s)
-    path = trajectory(vehicle.path.line, motion, vehicle.start.offset.scaled(0.0))
+    path = trajectory(vehicle.path.line, motion, MIDDLE)
     return as_exported(scene, vehicle, motion, path, np.zeros(s.size))
 
 

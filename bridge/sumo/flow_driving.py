@@ -9,6 +9,7 @@ import numpy as np
 from bridge.sumo.driving import Driving
 from bridge.sumo.poses import center_on_path
 from bridge.sumo.routes import edges_along
+from hid2.drivers.driver import MIDDLE
 from hid2.insertion.flow import Arrival
 from hid2.occupancy.gaps import gaps_on_path
 from hid2.occupancy.traffic import Traffic
@@ -91,7 +92,7 @@ class FlowDriving(Driving):
             object_type=arrival.object_type, size=arrival.size, box=arrival.box, route=arrival.route,
             path=arrival.path, start_s=start_s,
             start_mps=simulation.speed(arrival.vehicle_id), driver=arrival.driver, desired=arrival.desired,
-            offset=arrival.offset, sides=arrival.sides,
+            offset=MIDDLE, sides=arrival.sides,
         )  # fmt: skip
         self.entered[arrival.vehicle_id] = step
         self.waiting_s[arrival.vehicle_id] = step * scene.step_s - arrival.due_s

@@ -155,6 +155,10 @@ class LaneOffset:
         )
 
 
+#: The middle of the lane, all along.
+MIDDLE = LaneOffset(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2))
+
+
 def place_of_lane(law: Drivers, lane_id: int) -> float:
     """Place of vehicles in a lane that none is recorded on, d m, left positive: drawn for the lane, one for all."""
     drawn = float(np.random.default_rng(abs(lane_id)).standard_normal())

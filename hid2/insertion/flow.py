@@ -5,12 +5,11 @@ Each vehicle is drawn from a stream of its own, by its lane and number: the same
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy
-from hid2.drivers.driver import Driver, LaneOffset, desired_speeds, draw_driver, lane_offset
+from hid2.drivers.driver import Driver, desired_speeds, draw_driver
 from hid2.insertion.requests import draw_trigger
 from hid2.insertion.routes import Routes
 from hid2.insertion.sizes import draw_size
@@ -38,7 +37,6 @@ class Arrival:
     path: DrivenPath
     driver: Driver
     desired: FloatArray
-    offset: LaneOffset
     sides: tuple[Side, ...]
 
 
@@ -85,9 +83,7 @@ def arrivals(scene: Scene, routes: Routes, seed: Sequence[int]) -> list[Arrival]
                         driver, config, rng, num_steps=scene.num_steps, step_s=scene.step_s,
                         at_least_mps=driver.desired_mps,
                     ),
-                    offset=lane_offset(
-                        driver, config, rng, length_m=path.line.length_m, usual=partial(scene.place_on, path)
-                    ), sides=sides,
+                    sides=sides,
                 )
             )  # fmt: skip
             number += 1

@@ -116,7 +116,7 @@ class Meetings:
         self._number = self._number[rows]
         self._crossed_from, self._crossed_s = self._crossings(moving)
         self._pace_mps = np.array([_pace(traffic, row) for row in moving.tolist()], dtype=np.float64)
-        speed = np.hypot(*self.scene.traffic.velocity[moving][:, self._steps].transpose(2, 0, 1))
+        speed = np.hypot(*traffic.velocity[moving][:, self._steps].transpose(2, 0, 1))
         slows = np.diff(speed, axis=1) < BRAKES_MPS2 * np.diff(self._steps) * scene.step_s
         slows &= self._there[:, 1:] & self._there[:, :-1]
         self._brakes = np.append(slows.any(axis=1), False)  # the last for no leader, -1

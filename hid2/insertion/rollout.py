@@ -357,8 +357,8 @@ class World:
         at = np.flatnonzero(rollout.v < STANDS_MPS)
         if not at.size:
             return False
-        lanes, along = self.scene.grid.graph.lanes, rollout.path.followed
-        link = np.searchsorted([one.end for one in along], rollout.s[at], side="right")
+        lanes, along, (ends, _, _) = self.scene.grid.graph.lanes, rollout.path.followed, self._links_on(rollout.path)
+        link = np.searchsorted(ends, rollout.s[at], side="right")
         blocks = np.array([lanes[one.lane_id].is_intersection for one in along])[np.minimum(link, len(along) - 1)]
         runs = np.split(at[blocks], np.flatnonzero(np.diff(at[blocks]) > 1) + 1)
         return max(run.size for run in runs) >= self.scene.steps_in(STANDS_FOR_S)

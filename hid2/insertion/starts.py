@@ -11,7 +11,7 @@ import numpy as np
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
-from hid2.drivers.driver import Driver, LaneOffset, desired_speeds, draw_driver, lane_offset
+from hid2.drivers.driver import MIDDLE, Driver, desired_speeds, draw_driver, lane_offset
 from hid2.insertion.meetings import Meetings
 from hid2.insertion.rollout import Foreseen, Rollout, World
 from hid2.insertion.routes import RouteOffer
@@ -32,8 +32,6 @@ from hid2.vehicle import Start, VehicleRequest
 _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.FOLLOWER_HEADWAY, Reason.LEAVES_TOO_EARLY})
 #: No tunable: by so much, s, SUMO may be later than a rollout at the end of an overtake.
 _SPARE_S = 0.2
-#: Of candidates, whose place in the lane is drawn when they are chosen.
-_MIDDLE = LaneOffset(np.array([0.0, 1.0]), np.zeros(2), np.zeros(2))
 
 
 class _Site(NamedTuple):
@@ -146,7 +144,7 @@ class Starts:
         start = Start(
             vehicle_id=f"v{request.number}_{self.round_number}", request=request, object_type=site.object_type,
             size=site.size, box=site.box, route=site.offer.route, path=path, start_s=site.start_s, start_mps=admitted,
-            driver=driver, desired=np.concatenate([np.full(site.step, wished[0]), wished]), offset=_MIDDLE,
+            driver=driver, desired=np.concatenate([np.full(site.step, wished[0]), wished]), offset=MIDDLE,
             sides=site.sides or order, step=site.step,
         )  # fmt: skip
         rolled = self._does(self.world, start)
@@ -222,7 +220,7 @@ class Starts:
         return float(known.along[row, step : self.scene.num_steps].max())
 
     def _start_speed(self, site: _Site, speed: float, driver: Driver) -> float | Reason:
-        """Speed at which a driver who would like to drive at `speed` begins, m/s; or why it cannot begin there."""
+        """Speed at which a driver that would drive at `speed` begins, m/s; or why it cannot begin there."""
         path, box, start_s, step = site.path, site.box, site.start_s, site.step
         limits, export = self.scene.config.limits, self.scene.config.export
         if self.leaves_early(site.offer, site.s + box.length_m / 2, 0.95 * speed, step):

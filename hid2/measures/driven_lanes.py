@@ -53,7 +53,7 @@ def first_lane_path(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> 
 def recorded_places(view: LaneView, *, within_m: float) -> dict[int, FloatArray]:
     """Where recorded vehicles drive on lanes: by lane id d m of each `STRETCH_M`, left positive, NaN where none does.
 
-    The median over vehicles of the median of each. within_m: who is farther from the middle changes lanes.
+    The median over vehicles of the median of each. within_m: a vehicle farther from the middle changes lanes.
     """
     arrays, matches, found = view.arrays, view.matches, dict[int, FloatArray]()
     usual = (arrays.vehicle & arrays.moving & ~arrays.fragment & ~arrays.generated)[arrays.agent]

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hid2.agents import BoxSize, Policy, Track
-from hid2.drivers.driver import Driver, LaneOffset
+from hid2.drivers.driver import MIDDLE, Driver
 from hid2.motion.route import DrivenPath, Route
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
@@ -24,8 +24,6 @@ DRIVER = Driver(
     desired_mps=10.0, tau_s=1.0, accel_mps2=1.6, decel_mps2=2.0, min_gap_m=2.0, turn_lateral_mps2=2.0, offset_m=0.0,
     lane_change_s=5.0,
 )  # fmt: skip
-#: The middle of the lane.
-MIDDLE = LaneOffset(np.array([0.0, 1000.0]), np.zeros(2), np.zeros(2))
 
 
 def nobody(steps: int = 110) -> Traffic:

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from inserted import MIDDLE
 
-from hid2.drivers.driver import LaneOffset
+from hid2.drivers.driver import MIDDLE, LaneOffset
 from hid2.motion.reference_line import ReferenceLine, build_reference_line
 from hid2.motion.smoothing import Motion, smooth_motion, trajectory
 
