@@ -161,7 +161,7 @@ class Spawn(_Section):
     spacing_m: float = _param(25.0, "m", "lane that a vehicle takes on a full road; `agents = max`", ge=5, le=200)
     full_share: float = _param(0.1, "share", "a round of `max` that adds a smaller share is the last", ge=0, le=1)
     failed_manoeuvres: int = _param(
-        2, "requests", "without a site, after which a round looks for no more for that manoeuvre", ge=1, le=500
+        4, "requests", "without a site, after which a round looks for no more for that manoeuvre", ge=1, le=500
     )
     failed_straight: int = _param(1, "requests", "the same for those that go straight", ge=1, le=500)
     driven_again: int = _param(

@@ -191,6 +191,10 @@ class Meetings:
                 return int(self._of_offer(cell.lane_id, row).leader[cell.index])
         return -1
 
+    def brakes(self, leader: IntArray) -> BoolArray:
+        """Whether each of some leaders (N,), numbers of its own, brakes in the recording; -1 nobody, who does not."""
+        return self._brakes[leader]
+
     def pace_of(self, leader: int) -> float:
         """How fast a leader drives while it moves, m/s, as `Scene.lane_speed` has it; 0 for nobody."""
         return float(self._pace_mps[leader]) if leader >= 0 else 0.0
@@ -248,7 +252,6 @@ class Meetings:
             weight[is_run_into] *= spawn.run_into_weight
             weight[near] *= spawn.near_weight
             weight[leader >= 0] *= spawn.leader_weight
-            weight[self._brakes[leader]] *= spawn.braking_weight
             weight[crosses] *= spawn.crossing_weight
         leaves = middle[-1] - start < sites.leaves_share * speed_mps * scene.steps_to_stay(step) * scene.step_s
         if "topology" not in scene.config.without:

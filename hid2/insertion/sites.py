@@ -176,12 +176,15 @@ class InsertionSites:
     def _weights(self, policy: Policy, rows: IntArray) -> tuple[FloatArray, IntArray]:
         """Weights of cells, rows (N,) of the grid; and 1 for those from which a named target is not met, else 0.
 
-        A leader whom a vehicle follows already, of this round or of one before, speaks for no other site.
+        A leader whom a vehicle follows already, of this round or of one before, speaks for no other site. One that
+        brakes speaks for one who goes straight alone: behind it there is no speed for a lane change.
         """
-        meetings, seen = self.here.meetings, self.here.meetings.outlook(policy)
+        meetings, seen, spawn = self.here.meetings, self.here.meetings.outlook(policy), self.here.scene.config.spawn
         leader, weight = seen.leader[rows], seen.weight[rows].copy()
+        if policy is Policy.STRAIGHT:
+            weight[meetings.brakes(leader)] *= spawn.braking_weight
         followed = self._followed()
-        weight[np.isin(leader, followed) & (leader >= 0)] /= self.here.scene.config.spawn.leader_weight
+        weight[np.isin(leader, followed) & (leader >= 0)] /= spawn.leader_weight
         tier = ~seen.near[rows] if meetings.is_target_named else np.zeros(len(rows), dtype=np.bool_)
         return weight, tier.astype(np.int64)
 
