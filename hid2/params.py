@@ -173,7 +173,7 @@ class Sites(_Section):
     """Where vehicles may begin, and how fast. Chosen on the scenes of tests/real unless another source is named."""
 
     cell_tries: int = _param(
-        2, "vehicles", "for which a cell was turned down, after which it is left alone", ge=1, le=1000
+        2, "vehicles", "that were turned down on a cell or near to it, after which it is left alone", ge=1, le=1000
     )
     tries: int = _param(80, "sites", "looked at in full for a request in a round", ge=1, le=10_000)
     drivers: int = _param(3, "drivers", "drawn for a site before it is turned down", ge=1, le=50)
@@ -194,7 +194,9 @@ class Sites(_Section):
     leaves_share: float = _param(
         0.8, "share", "of the way at usual speed, with less of which left of the map nobody begins", ge=0, le=2
     )
-    avoided_m: float = _param(5.0, "m", "around a start that could not be kept nobody begins", ge=0, le=100)
+    avoided_m: float = _param(
+        8.0, "m", "around a start that could not be kept nobody begins, nor where vehicles were turned down", ge=0, le=100
+    )
     from_edge_m: float = _param(
         0.5, "m", "rear bumper of who begins from the beginning of its way, at the least", ge=0, le=50
     )

@@ -23,7 +23,7 @@ from hid2.reasons import Reason
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.cells import Cell
 
-#: Vehicles that could not begin on a cell, by its row, for a policy.
+#: Vehicles that could not begin on a cell or near to it, by its row, for a policy.
 TurnedDown = defaultdict[Policy, Counter[int]]
 
 
@@ -106,10 +106,17 @@ class InsertionSites:
                     yield start
                 else:
                     self.starts.rejected[start] += 1
-                    turned_down[row] += start is not Reason.NO_SITE  # another one of this round may be in the way
+                    if start is not Reason.NO_SITE:  # another one of this round may be in the way
+                        turned_down.update(self._around(row, lane_id))
                 break
             if tried >= self.here.scene.config.sites.tries:
                 return
+
+    def _around(self, row: int, lane_id: int) -> range:
+        """Rows of the cells of a lane near a cell: what speaks against one mostly speaks against those."""
+        config, grid = self.here.scene.config, self.here.scene.grid
+        reach, first = int(config.sites.avoided_m / config.grid.cell_m), grid.index_of[Cell(lane_id, 0)]
+        return range(max(first, row - reach), min(first + grid.count(lane_id), row + reach + 1))
 
     def _order(self, request: VehicleRequest, cell: Cell) -> list[RouteOffer]:
         """Routes from a cell in weighted random order; those that go straight on first unless a turn is asked for."""
