@@ -17,7 +17,7 @@ from hid2.insertion.spread import Spread, by_weight
 from hid2.insertion.starts import Starts
 from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.sigma import clear_places
-from hid2.policy.behaviours import TURN_OF_POLICY
+from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
 from hid2.policy.rules import expected_reason
 from hid2.reasons import Reason
 from hid2.vehicle import Start, VehicleRequest
@@ -107,13 +107,18 @@ class InsertionSites:
                 else:
                     self.starts.rejected[start] += 1
                     if start is not Reason.NO_SITE:  # another one of this round may be in the way
-                        turned_down.update(self._around(row, lane_id))
+                        turned_down.update(self._around(row, lane_id, request.policy))
                 break
             if tried >= self.here.scene.config.sites.tries:
                 return
 
-    def _around(self, row: int, lane_id: int) -> range:
-        """Rows of the cells of a lane near a cell: what speaks against one mostly speaks against those."""
+    def _around(self, row: int, lane_id: int, policy: Policy) -> range:
+        """Rows of the cells of a lane near a cell: what speaks against one mostly speaks against those.
+
+        Whether there is a gap beside at a trigger is a matter of metres: a lane change speaks for its cell alone.
+        """
+        if BEHAVIOURS[policy].changes_lanes:
+            return range(row, row + 1)
         config, grid = self.here.scene.config, self.here.scene.grid
         reach, first = int(config.sites.avoided_m / config.grid.cell_m), grid.index_of[Cell(lane_id, 0)]
         return range(max(first, row - reach), min(first + grid.count(lane_id), row + reach + 1))
