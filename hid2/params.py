@@ -195,7 +195,11 @@ class Sites(_Section):
         0.8, "share", "of the way at usual speed, with less of which left of the map nobody begins", ge=0, le=2
     )
     avoided_m: float = _param(
-        8.0, "m", "around a start that could not be kept nobody begins, nor where vehicles were turned down", ge=0, le=100
+        8.0,
+        "m",
+        "around a start that could not be kept nobody begins, nor where vehicles were turned down",
+        ge=0,
+        le=100,
     )
     from_edge_m: float = _param(
         0.5, "m", "rear bumper of who begins from the beginning of its way, at the least", ge=0, le=50
@@ -327,7 +331,13 @@ class LaneChange(_Section):
     braking_mps2: float = _param(2.0, "m/s2", "deceleration that the follower in a pair may need", gt=0, le=9)
     min_remaining_m: float = _param(25.0, "m", "length of l' left, through its successors", ge=0, le=500)
     give_up_s: float = _param(6.0, "s", "from the trigger on, the request ends after this", ge=0, le=60)
-    min_duration_s: float = _param(2.5, "s", "shortest lane change, as lane_change_mean_s (11 s scenes)", ge=1.5, le=10)
+    min_duration_s: float = _param(
+        3.7,
+        "s",
+        "shortest lane change, as lane_change_mean_s: no driver crosses a lane faster than 1.3 m/s",
+        ge=1.5,
+        le=10,
+    )
     max_duration_s: float = _param(6.0, "s", "longest lane change", ge=1.5, le=15)
     ramp_share: float = _param(
         0.27, "share", "of its time, in which the lateral speed rises, and falls: recorded ones peak at .87 m/s", gt=0,
@@ -378,7 +388,9 @@ class Overtake(_Section):
     safe_rear_m: float = _param(8.0, "m", "delta d_safe^rear", ge=0, le=100)
     return_gap_m: float = _param(5.0, "m", "bumper gap ahead of the passed vehicle before the return", ge=1, le=50)
     parked_mps: float = _param(0.5, "m/s", "a slower leader is an obstacle, not an overtaken vehicle", ge=0, le=5)
-    shift_ratio: float = _param(0.5, "ratio", "duration of its lane changes over the driver's usual one", gt=0, le=2)
+    shift_ratio: float = _param(
+        0.68, "ratio", "duration of its lane changes over usual ones, the shortest too", gt=0, le=2
+    )
 
 
 class Turn(_Section):

@@ -124,7 +124,8 @@ class OvertakeStarts:
         """
         scene, rng, sites = self.here.scene, self.starts.rng, self.here.scene.config.sites
         self.found_none = Reason.NO_OVERTAKE_FORESEEN if slow is not None else Reason.NO_SLOW_LEADER
-        if request.trigger_s + 2.0 * scene.config.lane_change.min_duration_s > scene.last_s:
+        least_s = scene.config.overtake.shift_ratio * scene.config.lane_change.min_duration_s
+        if request.trigger_s + 2.0 * least_s > scene.last_s:
             return []  # out and back alone take longer
         ways, likely = self.here.routes.ways_past(), list[tuple[_Way, Driver, _Motions]]()
         looked = 0
@@ -250,8 +251,7 @@ class OvertakeStarts:
         scene, change, overtake = self.here.scene, self.here.scene.config.lane_change, self.here.scene.config.overtake
         sites, desired, length_m = scene.config.sites, driver.desired_mps, self._box.length_m
         start_mps = np.minimum(driver.desired_mps, speed_behind(drawn.gap_m, drawn.leader_mps, driver, sites))
-        wanted_s = max(change.min_duration_s, overtake.shift_ratio * driver.lane_change_s)
-        timing = LateralTiming.of(wanted_s, way.apart_m, change)
+        timing = LateralTiming.of(overtake.shift_ratio * driver.lane_change_s, way.apart_m, change)
         # v2 kappa of a lateral motion is what the driver takes: of `lateral_share`, D over the square of its length
         sharpest = 2.0 * way.apart_m / (timing.ramp * (1.0 - timing.ramp))
         across_m = timing.lasting_s * max(timing.slow_mps, desired)

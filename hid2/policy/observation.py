@@ -165,8 +165,8 @@ def lay_across(
 ) -> DrivenPath | Reason:  # fmt: skip
     """Path that shifts to `target` from arc length s on, in the driver's time; or why there is none.
 
-    speed_mps (M,): foreseen at the steps to come, of which the last one goes on; ratio: of the driver's usual duration.
-    The motion is no longer than the lane and the scene have room for, and no shorter than the shortest duration.
+    speed_mps (M,): foreseen at the steps to come, of which the last one goes on; ratio: of the usual durations. The
+    motion is no longer than the lane and the scene have room for, and no shorter than the shortest duration.
     """
     change, step_s = scene.config.lane_change, scene.step_s
     speeds = np.maximum(speed_mps, change.min_speed_mps)
@@ -177,11 +177,11 @@ def lay_across(
     motion, apart_m, along_m = None, 0.0, np.array([s])
     for _ in range(2):  # lanes may part: it is as far to the other one as it gets on the way
         apart_m = max(apart_m, _farthest_m(path, target, along_m))
-        wanted_s = ratio * driver.lane_change_s
-        timing = LateralTiming.of(max(wanted_s, change.min_duration_s), apart_m, change)
+        timing = LateralTiming.of(ratio * driver.lane_change_s, apart_m, change)
         over_s = timing.lasting_s - min(time_left_s, room_s)
         if over_s > 0.0:
-            timing = LateralTiming.of(max(wanted_s - over_s, change.min_duration_s), apart_m, change)
+            shorter_s = max(driver.lane_change_s - over_s / ratio, change.min_duration_s)
+            timing = LateralTiming.of(ratio * shorter_s, apart_m, change)
         motion = LateralMotion(path, target, timing, np.array([s]), np.zeros(1)).foreseen(speeds, step_s)
         along_m = motion.along_m
     assert motion is not None

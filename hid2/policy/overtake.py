@@ -34,7 +34,8 @@ def stretch_m(config: Config) -> float:
 
     Back is a lateral motion, as short as it may be, at the speed of usual traffic.
     """
-    return config.overtake.d_overtake_m + config.lane_change.min_duration_s * config.spawn.prior_speed_mps
+    back_s = config.overtake.shift_ratio * config.lane_change.min_duration_s
+    return config.overtake.d_overtake_m + back_s * config.spawn.prior_speed_mps
 
 
 def enter_reason(

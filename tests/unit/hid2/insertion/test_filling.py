@@ -197,7 +197,7 @@ def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(
     scene_for: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Cells of lane 1 admit no start. Each round adds three vehicles of twelve, and in none is a cell looked at once
-    more that was turned down `sites.cell_tries` times in those before.
+    more that was turned down `sites.cell_tries` times in those before, there or near to it.
     """
     make, looked = Starts.make, Counter[tuple[int, int]]()
 
@@ -219,7 +219,7 @@ def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(
     monkeypatch.setattr("hid2.insertion.starts.Starts.make", only_lane_2)
     filling, drive = _fill(scene_for(agents=12), spoil)
     assert len(drive.rounds) >= 4
-    assert len(looked) > 100
+    assert 25 < len(looked) < 100  # those around are spared
     assert max(looked.values()) == Sites().cell_tries
     assert len(filling.kept) == 12
 

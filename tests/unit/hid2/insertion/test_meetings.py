@@ -66,15 +66,21 @@ def test_leader_is_next_ahead_on_the_same_lane_within_three_seconds(scene_of: Ca
     assert _weight(meetings, scene, 1, 82.0) == pytest.approx(Spawn().leader_weight * _weight(meetings, scene, 2, 82.0))
 
 
-def test_leader_that_brakes_speaks_more_for_a_site(scene_of: Callable[..., Scene]) -> None:
-    """From 9 m/s by 1 m/s2 from 6 s on; without a recorded vehicle there is none to follow."""
+@pytest.mark.parametrize(("policy", "more"), [(Policy.STRAIGHT, Spawn().braking_weight), (Policy.LANE_CHANGE, 1.0)])
+def test_leader_that_brakes_speaks_more_for_a_site_to_go_straight_from(
+    scene_of: Callable[..., Scene], policy: Policy, more: float
+) -> None:
+    """From 9 m/s by 1 m/s2 from 6 s on; behind it there is no speed for a lane change."""
     steady = recorded(100.0, 0.0, 9.0)
     time_s = 0.1 * np.arange(110)
     x = 100.0 + 9.0 * time_s - 0.5 * np.maximum(time_s - 6.0, 0.0) ** 2
     braking = replace(steady, position=np.column_stack([x, np.zeros(110)]))
-    kept, slowed = (_weight(_meetings(one), one, 1, 82.0) for one in map(scene_of, (steady, braking)))
-    assert slowed == pytest.approx(Spawn().braking_weight * kept)
-    assert _weight(_meetings(scene_of()), scene_of(), 1, 82.0) > 0.0
+    rows = [scene.grid.index_of[scene.grid.cell_at(1, 82.0)] for scene in map(scene_of, (steady, braking))]
+    kept, slowed = (
+        _sites(scene_of(one), 0)._weights(policy, np.array([row]))[0][0]
+        for one, row in zip((steady, braking), rows, strict=True)
+    )
+    assert slowed == pytest.approx(more * kept)
 
 
 def test_nobody_leads_past_somebody_between(scene_of: Callable[..., Scene]) -> None:

@@ -37,5 +37,5 @@ def test_what_the_map_must_offer_beside_follows_the_parameters() -> None:
     assert needed == {
         Policy.LANE_CHANGE: config.lane_change.min_remaining_m,
         Policy.OVERTAKE: config.overtake.d_overtake_m
-        + config.lane_change.min_duration_s * config.spawn.prior_speed_mps,  # out and past, and back
+        + config.overtake.shift_ratio * config.lane_change.min_duration_s * config.spawn.prior_speed_mps,  # and back
     }
