@@ -6,11 +6,10 @@ from typing import Any
 
 from markupsafe import Markup
 
-from bridge.evaluation.aggregate import SourceSums, estimate
-from bridge.evaluation.diversity import Diversity
 from bridge.evaluation.experiments import ADDED, EXPERIMENTS, Experiment, Outcome, run_settings, settings_of
 from bridge.evaluation.paper_tables import COLUMNS, SHOWN, flat, lines_of
 from bridge.evaluation.scene_metrics import Row
+from bridge.evaluation.totals import Diversity, SourceSums, estimate
 from bridge.files import explained, make_folder, write_json, write_rows, write_text
 from bridge.pages import charts
 from bridge.pages import parts as pages

@@ -4,9 +4,9 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from bridge.evaluation import report
-from bridge.evaluation.aggregate import SourceSums, estimate
 from bridge.evaluation.experiments import Experiment, Outcome
 from bridge.evaluation.scene_metrics import Row
+from bridge.evaluation.totals import SourceSums, estimate
 from hid2.evaluation.metrics import METRICS, Metric
 from hid2.resampling import Estimate
 

@@ -10,11 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bridge.evaluation.aggregate import SourceSums, estimate
 from bridge.evaluation.evaluate import evaluate_folder
 from bridge.evaluation.report import write_report
 from bridge.evaluation.scene_metrics import measure, measure_folder
-from bridge.evaluation.totals import Evaluation, Totals
+from bridge.evaluation.totals import Evaluation, SourceSums, Totals, estimate
 from bridge.recordings.scenario import find_scenarios, read_scenario
 from hid2.agents import VEHICLE_TYPES
 from hid2.evaluation import metrics

@@ -8,11 +8,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from bridge.evaluation.aggregate import SourceSums
-from bridge.evaluation.diversity import Diversity
-from bridge.evaluation.samples import Samples
 from bridge.evaluation.scene_metrics import measure_folder
-from bridge.evaluation.totals import ManeuverCounts, Totals
+from bridge.evaluation.totals import Diversity, ManeuverCounts, Samples, SourceSums, Totals
 from bridge.pages.charts import diversity_figure
 from hid2.agents import Policy
 from hid2.evaluation.critics import WIDTH
