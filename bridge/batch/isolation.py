@@ -309,12 +309,11 @@ def _answer(connection: "Connection[Any, Any]", function: str, arguments: Sequen
             faulthandler.cancel_dump_traceback_later()
             _reply(connection, "value", value)
             faulthandler.dump_traceback_later(timeout_s, exit=True)
+        failure = None
     except Exception as error:  # noqa: BLE001  # passed on to the caller, which decides
-        faulthandler.cancel_dump_traceback_later()
-        _reply(connection, "raised", describe_error(error))
-        return
+        failure = describe_error(error)
     faulthandler.cancel_dump_traceback_later()
-    _reply(connection, "end", None)
+    _reply(connection, "raised" if failure else "end", failure)
 
 
 def _make_kernels_ready() -> None:
