@@ -10,7 +10,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from bridge.evaluation.predictions import BASELINES, BOUNDS, Score, bands, score_predictions
+from bridge.evaluation.predictions import BASELINES, BOUNDS, Band, Score, bands, score_predictions
 from bridge.files import explained, make_folder, write_json, write_rows, write_text
 from bridge.pages import parts as pages
 from bridge.recordings.scenario import find_scenarios, source_id
@@ -87,17 +87,17 @@ def difference_of(
 
 
 def differences_of(
-    pairs: Iterable[tuple[str, str]], runs: Mapping[str, Runs], bands: Mapping[str, Callable[[Score], bool]],
+    pairs: Iterable[tuple[str, str]], runs: Mapping[str, Runs], bands: Mapping[str, Band],
     source_of: Mapping[str, str], params: Forecasting,
 ) -> list[Difference]:  # fmt: skip
     """Each pair of models compared in every band by every metric."""
     return [
         difference_of(
-            (name, in_band(runs[name], belongs)), (other, in_band(runs[other], belongs)), band=band,
+            (name, list(map(band.of, runs[name]))), (other, list(map(band.of, runs[other]))), band=called,
             source_of=source_of, metric=metric, params=params,
         )
         for name, other in pairs
-        for band, belongs in bands.items()
+        for called, band in bands.items()
         for metric in METRICS
     ]  # fmt: skip
 
@@ -137,11 +137,6 @@ def _bootstrap(values: Sequence[FloatArray], source: IntArray, params: Forecasti
         drawn.append(result)
     every = np.concatenate(drawn)
     return MeanEstimate(*interval_of(value, every), float(every.std(ddof=1)))
-
-
-def in_band(runs: Runs, belongs: Callable[[Score], bool]) -> Runs:
-    """The scores of a model that belong to a band."""
-    return [[score for score in run if belongs(score)] for run in runs]
 
 
 # Files of predictions, from the command line
