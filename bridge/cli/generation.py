@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from bridge.cli import options
 from bridge.cli.app import command
+from bridge.cli.places import check_out, check_scenes
 from bridge.cli.session import select_scenes
 from bridge.console import Activity, fail, print_json, warn
 from netconvert.errors import ConfigError
@@ -22,8 +23,6 @@ _TRIGGER_TIME = "When manoeuvres are triggered, in seconds: a time, a range to d
 
 
 @command(
-    reads=("scenes", "source"),
-    folders=("out",),
     shown=(
         "scenes", "out", "agents", "near", "focal", "seed", "variants", "behaviours", "trigger_time", "event", "target",
         "at", "drivers", "config", "settings", "jobs", "resume", "again", "source", "repro", "help",
@@ -111,6 +110,8 @@ def generate(  # noqa: PLR0913  # one for each option
     if not scenes or out is None:
         missing = [name for name, value in (("SCENE", scenes), ("-o/--out", out)) if not value]
         raise ConfigError(f"missing {' and '.join(missing)} {_HELP}")
+    check_scenes(scenes)
+    check_out(out)
     from bridge.config import (
         check_reactive,
         load_config,
@@ -203,6 +204,8 @@ def _make_again(
         raise ConfigError(f"--from {sidecar}: {wrong}, expected that of a generated scene, hid2_<id>.json")
     if out is None or source is None or given:
         raise ConfigError(f"--from SIDECAR takes --source ROOT and -o OUT, no SCENE, --config or --set {_HELP}")
+    check_scenes([source])
+    check_out(out)
     activity.doing("making the scene again")
     from bridge.batch.provenance import make_again
 
@@ -223,6 +226,8 @@ def _reproduce(bundle_path: Path, out: Path | None, functions: Sequence[str], ac
     if not bundle_path.is_file() or not is_zipfile(bundle_path):
         wrong = "is no ZIP file" if bundle_path.is_file() else "no such file"
         raise ConfigError(f"{bundle_path}: {wrong}, expected a bundle, OUT/quarantine/.../NAME.zip")
+    if out is not None:
+        check_out(out)
     activity.doing("running the scene of the bundle")
     from bridge.batch.batch import reproduce
     from bridge.batch.manifest import DONE

@@ -6,6 +6,7 @@ from typing import Literal
 
 from bridge.cli import options
 from bridge.cli.app import command
+from bridge.cli.places import check_out, check_scenes
 from bridge.cli.session import tell_unread
 from bridge.console import Activity, counted, say
 from netconvert.errors import ConfigError
@@ -144,7 +145,7 @@ def make(
     print(write_corridor(out, length_m=length, lanes=lanes, seconds=seconds))
 
 
-@command(reads=("scenes", "composed"), folders=("out",))
+@command()
 def paper(  # noqa: PLR0913  # one for each option
     experiment: options.ExperimentName = options.argument(
         "EXPERIMENT", "One of table1, ablation, density, diversity, prediction."
@@ -181,6 +182,8 @@ def paper(  # noqa: PLR0913  # one for each option
     theirs = {"--variants": variants, "--val": val, "--updates": updates, "--composed": composed}
     others = {"--map": windows.map_path, "--stride": windows.stride}
     _check_fits(experiment, {**theirs, "--predictions": predictions}, others)
+    check_scenes([*scenes, *([composed] if composed else [])])
+    check_out(out)
     if experiment == "prediction":
         if predictions is None:
             from bridge.forecasting.small_forecaster import check_forecaster

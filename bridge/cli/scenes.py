@@ -4,7 +4,7 @@ from pathlib import Path
 
 from bridge.cli import options
 from bridge.cli.app import command
-from bridge.cli.places import one_scene
+from bridge.cli.places import check_out, one_scene
 from bridge.cli.session import read_facts, with_cities_of
 from bridge.console import Activity, counted, print_json, print_table
 from netconvert.errors import ConfigError
@@ -90,7 +90,7 @@ def scan(
     return options.SOME_FAILED if failures else options.ALL_DONE
 
 
-@command(folders=("out",))
+@command()
 def net(
     scene: Path = options.argument("SCENE", "Scenario folder, or a map."),
     out: Path = options.OUT,
@@ -109,6 +109,7 @@ def net(
     if signals and lanes == "cells":
         raise ConfigError("--signals: expected --lanes whole with it, a net of cells has no signals")
     found = scene if scene.is_file() and scene.suffix == ".json" else one_scene(scene, window)
+    check_out(out)
     activity.doing("converting the map")
     from bridge.sumo.net import convert, convert_whole
 
