@@ -31,6 +31,12 @@ from netconvert.net_xml import net_bytes
 _LOG = logging.getLogger(__name__)
 #: Most scenes that a process gets at a time.
 _CHUNK = 40
+#: What is told of a net, and the field of its report.
+_FIDELITY = {
+    "lanes": "lanes_in", "lanes_in_net": "lanes_out", "cells": "cells_out", "largest_distance_m": "largest_distance_m",
+    "successors": "successors_in", "successors_kept": "successors_kept", "neighbors": "neighbors_in",
+    "neighbors_kept": "neighbors_kept",
+}  # fmt: skip
 
 
 def evaluate_folder(
@@ -188,17 +194,7 @@ def _nets(folders: Mapping[str, str], by_name: Mapping[str, Address]) -> dict[st
                 graph = read_source_map(next(address.glob(MAP_PATTERN)))
             grid = build_cell_grid(graph)
             report = measure_fidelity(grid, net_bytes(grid))
+            nets[source] = {name: getattr(report, field) for name, field in _FIDELITY.items()}
         except Hid2Error as error:
             nets[source] = {"failed": str(error)}
-            continue
-        nets[source] = {
-            "lanes": report.lanes_in,
-            "lanes_in_net": report.lanes_out,
-            "cells": report.cells_out,
-            "largest_distance_m": report.largest_distance_m,
-            "successors": report.successors_in,
-            "successors_kept": report.successors_kept,
-            "neighbors": report.neighbors_in,
-            "neighbors_kept": report.neighbors_kept,
-        }
     return nets

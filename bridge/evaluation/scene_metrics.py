@@ -84,15 +84,11 @@ def measure_folder(folder: Address, labelled: Labelled | None = None) -> SceneMe
     measures = measure(recording, tracks, sidecar)
     name: Row = {"scenario_id": recording.scenario_id}
     place: Row = {"split": split_of(folder) or "", "city": recording.city, "folder": str(folder)}
-    return replace(
-        measures,
-        scene=name | place | measures.scene,
-        tracks=[name | row for row in measures.tracks],
-        maneuvers=[name | row for row in measures.maneuvers],
-        events=[name | {"folder": str(folder)} | row for row in measures.events],
-        lane_changes=[name | row for row in measures.lane_changes],
-        conflicts=[name | row for row in measures.conflicts],
-    )
+    firsts = {table: name for table in TABLES if table != "scenes"} | {"events": name | {"folder": str(folder)}}
+    tables: dict[str, Any] = {
+        table: [first | row for row in getattr(measures, table)] for table, first in firsts.items()
+    }
+    return replace(measures, scene=name | place | measures.scene, **tables)
 
 
 def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | None) -> SceneMeasures:

@@ -231,7 +231,7 @@ class ManeuverCounts:
     seen: Counter[tuple[str, str]] = field(default_factory=Counter)
     reasons: Counter[tuple[str, str, str]] = field(default_factory=Counter)
     unasked: Counter[str] = field(default_factory=Counter)
-    delays: dict[str, Counter[int]] = field(default_factory=dict)
+    delays: defaultdict[str, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
 
     def add(self, rows: Iterable[Row]) -> None:
         """Count manoeuvre rows of generated vehicles."""
@@ -249,7 +249,7 @@ class ManeuverCounts:
                 self.reasons[kind, status, row["reason"]] += 1
             if row["trigger_s"] is not None and row["start_s"] is not None:
                 delay_s = row["start_s"] - row["trigger_s"]
-                self.delays.setdefault(kind, Counter())[round(delay_s * _DELAY_PARTS)] += 1
+                self.delays[kind][round(delay_s * _DELAY_PARTS)] += 1
 
     def median_delay_s(self, kind: str) -> float | None:
         """Median time from trigger to start, None where no manoeuvre of the kind started."""
