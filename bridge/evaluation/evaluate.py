@@ -71,7 +71,7 @@ def evaluate_folder(
     totals = evaluation.totals
     with explained(report_dir):
         with contextlib.ExitStack() as stack:
-            tables = [stack.enter_context(_table(report_dir / f"{name}.csv", TABLES[name])) for name in TABLES]
+            tables = {name: stack.enter_context(_table(report_dir / f"{name}.csv", TABLES[name])) for name in TABLES}
             every = [*folders, *sources.values(), *controls]
             measured = _measured(every, _labelled(sources), jobs=jobs, on_scene=on_scene)
             for done, (folder, measures) in enumerate(measured, 1):
@@ -83,10 +83,8 @@ def evaluate_folder(
                     totals.add_source(measures)
                 else:
                     totals.add(measures)
-                    append, *others = tables
-                    append([measures.scene])
-                    for name, append in zip([*TABLES][1:], others, strict=True):
-                        append(getattr(measures, name))
+                    for name, append in tables.items():
+                        append(measures.tables[name])
             if set(folders) <= {folder for folder, _ in evaluation.failures}:
                 (first, reason), many = evaluation.failures[0], len(folders)
                 raise ScenarioError(

@@ -53,17 +53,20 @@ Labelled = Mapping[str, Mapping[str, BoxSize]]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SceneMeasures:
-    """What evaluation keeps of a scene. samples (M, WIDTH), sample_generated (M,): windows for the critics."""
+    """What evaluation keeps of a scene. samples (M, WIDTH), sample_generated (M,): windows for the critics.
 
-    scene: Row
-    tracks: list[Row]
-    maneuvers: list[Row]
-    events: list[Row]
-    lane_changes: list[Row]
-    conflicts: list[Row]
+    tables: rows of the scene by the names of TABLES.
+    """
+
+    tables: Mapping[str, list[Row]]
     realism: RealismCounts
     samples: FloatArray
     sample_generated: BoolArray
+
+    @property
+    def scene(self) -> Row:
+        """The row of the scene itself."""
+        return self.tables["scenes"][0]
 
 
 #: Of the last graphs: scenes with one map come one after the other.
@@ -84,11 +87,9 @@ def measure_folder(folder: Address, labelled: Labelled | None = None) -> SceneMe
     measures = measure(recording, tracks, sidecar)
     name: Row = {"scenario_id": recording.scenario_id}
     place: Row = {"split": split_of(folder) or "", "city": recording.city, "folder": str(folder)}
-    firsts = {table: name for table in TABLES if table != "scenes"} | {"events": name | {"folder": str(folder)}}
-    tables: dict[str, Any] = {
-        table: [first | row for row in getattr(measures, table)] for table, first in firsts.items()
-    }
-    return replace(measures, scene=name | place | measures.scene, **tables)
+    before = dict.fromkeys(TABLES, name) | {"scenes": name | place, "events": name | {"folder": str(folder)}}
+    tables = {table: [before[table] | row for row in rows] for table, rows in measures.tables.items()}
+    return replace(measures, tables=tables)
 
 
 def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | None) -> SceneMeasures:
@@ -122,13 +123,16 @@ def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | No
     generated, recorded = vehicles & arrays.generated, arrays.clean & ~arrays.generated
     driving = windows(arrays, safe, generated | recorded)
     halves = np.array([half_number(source, arrays.track_ids[a]) for a in driving.agent], dtype=np.int64)
+    tables = {
+        "scenes": [scene],
+        "tracks": _track_rows(groups, arrays.mean_per_agent(moved.speed_mps), findings, policy_of, sidecar),
+        "maneuvers": _maneuver_rows(maneuvers, generated_ids, sidecar),
+        "events": [event.model_dump(mode="json") for event in sidecar.events] if sidecar else [],
+        "lane_changes": [asdict(row) for row in lane_changes(states.view, safe.leaders, maneuvers)],
+        "conflicts": [asdict(row) for row in conflicts(arrays)],
+    }
     return SceneMeasures(
-        scene=scene,
-        tracks=_track_rows(groups, arrays.mean_per_agent(moved.speed_mps), findings, policy_of, sidecar),
-        maneuvers=_maneuver_rows(maneuvers, generated_ids, sidecar),
-        events=[event.model_dump(mode="json") for event in sidecar.events] if sidecar else [],
-        lane_changes=[asdict(row) for row in lane_changes(states.view, safe.leaders, maneuvers)],
-        conflicts=[asdict(row) for row in conflicts(arrays)],
+        tables=tables,
         realism=count_scene(
             source, arrays, scene_values(arrays, safe, driving, durations), generated=generated, recorded=recorded
         ),

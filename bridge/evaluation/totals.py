@@ -302,9 +302,10 @@ class Totals:
         source = str(row["source"])
         self.sums.add(row)
         self.diversity.add(row)
-        self.maneuvers.add(measures.maneuvers)
-        self.event_counts.update((str(row["kind"]), str(row["status"])) for row in measures.events)
-        self.events += measures.events[: max(0, MOST_EVENTS - len(self.events))]
+        self.maneuvers.add(measures.tables["maneuvers"])
+        events = measures.tables["events"]
+        self.event_counts.update((str(event["kind"]), str(event["status"])) for event in events)
+        self.events += events[: max(0, MOST_EVENTS - len(self.events))]
         # the recorded vehicles of a source scene are in every scene that was made from it: they count once
         as_recorded = source not in self._sources and source not in self._measured_sources
         self._sources.add(source)
