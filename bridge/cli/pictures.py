@@ -77,12 +77,13 @@ def plot(
     """Draw one track over time: speed, acceleration, jerk, lateral offset and cells, with its manoeuvres marked."""
     found = one_scene(scene, window)
     activity.doing("drawing")
-    from bridge.pictures.figures import check_ending
-    from bridge.pictures.plot import plot_agent
+    from bridge.pictures.figures import check_ending, save
+    from bridge.pictures.plot import agent_figure
     from bridge.recordings.sources import read_recording
 
     check_ending(out)
-    activity.result(plot_agent(read_recording(found), agent, out))
+    save(agent_figure(read_recording(found), agent), out)
+    activity.result(out)
 
 
 @command(reads=("scene",), files=("screenshot",))

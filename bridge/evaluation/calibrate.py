@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from bridge.batch.engine import sorted_out, work_on_each
 from bridge.evaluation.evaluate import write_table
-from bridge.files import explained, write_text
+from bridge.files import write_text
 from bridge.pages.parts import Section, macro, page
 from bridge.pictures import figures
 from bridge.recordings.scenario import read_scenario, source_id
@@ -85,8 +85,7 @@ def calibrate_folder(
     prior = Drivers()
     groups = {name: calibrate(*pooled(part), prior=prior) for name, part in _groups(scenes)}
     result = Calibration(groups, scenes, failures)
-    with explained(out):
-        _write(result, out, prior)
+    _write(result, out, prior)
     return result
 
 

@@ -15,7 +15,7 @@ from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure
 from bridge.evaluation.scene_metrics import TABLES, Labelled, Row, SceneMeasures, measure_folder
 from bridge.evaluation.totals import Evaluation, Totals
-from bridge.files import append_rows, explained, table_file, write_json
+from bridge.files import append_rows, table_file, write_json
 from bridge.recordings.folders import MAP_PATTERN, Address, Choices, Source, find_scenarios, source_id
 from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.scenario import read_sizes
@@ -69,31 +69,28 @@ def evaluate_folder(
     known = len(folders) + len(sources)
     evaluation = Evaluation(Totals(sources))
     totals = evaluation.totals
-    with explained(report_dir):
-        with contextlib.ExitStack() as stack:
-            tables = {name: stack.enter_context(_table(report_dir / f"{name}.csv", TABLES[name])) for name in TABLES}
-            every = [*folders, *sources.values(), *controls]
-            measured = _measured(every, _labelled(sources), jobs=jobs, on_scene=on_scene)
-            for done, (folder, measures) in enumerate(measured, 1):
-                if isinstance(measures, Failure):
-                    evaluation.failures.append((folder, measures.message))
-                elif done > known:
-                    totals.add_control(measures)
-                elif done > len(folders):
-                    totals.add_source(measures)
-                else:
-                    totals.add(measures)
-                    for name, append in tables.items():
-                        append(measures.tables[name])
-            if set(folders) <= {folder for folder, _ in evaluation.failures}:
-                (first, reason), many = evaluation.failures[0], len(folders)
-                raise ScenarioError(
-                    f"{out}: none of {many} scenes can be read, expected one at least; {first}: {reason}"
-                )
-        evaluation.metrics = _metrics(evaluation, {str(folder): folder for folder in folders})
-        write_json(report_dir / "metrics.json", evaluation.metrics)
-        write_table(report_dir / "realism.csv", evaluation.metrics["realism"]["distances"])
-        write_report(evaluation, report_dir / "report.html")
+    with contextlib.ExitStack() as stack:
+        tables = {name: stack.enter_context(_table(report_dir / f"{name}.csv", TABLES[name])) for name in TABLES}
+        every = [*folders, *sources.values(), *controls]
+        measured = _measured(every, _labelled(sources), jobs=jobs, on_scene=on_scene)
+        for done, (folder, measures) in enumerate(measured, 1):
+            if isinstance(measures, Failure):
+                evaluation.failures.append((folder, measures.message))
+            elif done > known:
+                totals.add_control(measures)
+            elif done > len(folders):
+                totals.add_source(measures)
+            else:
+                totals.add(measures)
+                for name, append in tables.items():
+                    append(measures.tables[name])
+        if set(folders) <= {folder for folder, _ in evaluation.failures}:
+            (first, reason), many = evaluation.failures[0], len(folders)
+            raise ScenarioError(f"{out}: none of {many} scenes can be read, expected one at least; {first}: {reason}")
+    evaluation.metrics = _metrics(evaluation, {str(folder): folder for folder in folders})
+    write_json(report_dir / "metrics.json", evaluation.metrics)
+    write_table(report_dir / "realism.csv", evaluation.metrics["realism"]["distances"])
+    write_report(evaluation, report_dir / "report.html")
     return evaluation
 
 

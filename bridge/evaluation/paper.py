@@ -10,7 +10,7 @@ from bridge.evaluation import report
 from bridge.evaluation.experiments import ADDED, EXPERIMENTS, Experiment, Outcome, run_settings, settings_of
 from bridge.evaluation.scene_metrics import Row
 from bridge.evaluation.totals import Diversity, SourceSums, estimate
-from bridge.files import explained, make_folder, write_json, write_rows, write_text
+from bridge.files import make_folder, write_json, write_rows, write_text
 from bridge.pages import charts
 from bridge.pages import parts as pages
 from bridge.pictures import figures
@@ -69,8 +69,7 @@ def run_experiment(
     folders = find_sources([scenes] if isinstance(scenes, Path) else scenes, choices)
     make_folder(out_dir)
     outcomes = run_settings(folders, settings_of(name, agents), seeds=seeds, jobs=jobs, on_scene=on_scene)
-    with explained(out_dir):
-        return _write(name, outcomes, out_dir, seeds=seeds, sources=len(folders), agents=agents)
+    return _write(name, outcomes, out_dir, seeds=seeds, sources=len(folders), agents=agents)
 
 
 _TITLES: Mapping[str, str] = {

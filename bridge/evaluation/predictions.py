@@ -20,7 +20,7 @@ from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 
 from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure
-from bridge.files import beside, explained, make_folder, write_json, write_rows, write_text
+from bridge.files import beside, make_folder, write_json, write_rows, write_text
 from bridge.pages import parts as pages
 from bridge.recordings.scenario import (
     MAX_STEPS,
@@ -186,7 +186,7 @@ def read_forecasts(path: Path) -> Forecasts:
 def write_forecasts(forecasts: Forecasts, path: Path) -> Path:
     """Write a submission file. Errors: ExportError; ScenarioError for forecasts that av2 refuses."""
     try:
-        with explained(path), beside(path) as hidden:
+        with beside(path) as hidden:
             ChallengeSubmission({name: (one[0], dict(one[1])) for name, one in forecasts.items()}).to_parquet(hidden)
     except ValueError as error:
         raise ScenarioError(f"{path}: forecasts that av2 refuses ({error})") from error
@@ -282,7 +282,6 @@ def _means(scores: Sequence[Score], bounds: Sequence[int]) -> Iterable[dict[str,
 def _write(result: PredictionScores, report_dir: Path) -> None:
     content = {"bands": list(result.bands), "left_out": list(result.left_out)}
     parts = [pages.macro("forecasts.html.j2", "scored", TABLE_HEAD, result.rows(), result.left_out)]
-    with explained(report_dir):
-        write_rows(report_dir / "predictions.csv", Score._fields, result.scores)
-        write_json(report_dir / "predictions.json", content)
-        write_text(report_dir / "predictions.html", pages.page("Forecasts, scored", parts))
+    write_rows(report_dir / "predictions.csv", Score._fields, result.scores)
+    write_json(report_dir / "predictions.json", content)
+    write_text(report_dir / "predictions.html", pages.page("Forecasts, scored", parts))

@@ -18,7 +18,7 @@ from hid2.agents import BoxSize, FloatArray, Policy, Track
 from hid2.evaluation.behaviour import policies
 from hid2.evaluation.critics import pack
 from hid2.evaluation.kinematics import Kinematics, beyond_limits, kinematics, motion
-from hid2.evaluation.metrics import CRITICAL, METRICS, Group, last_step_counts, measure_group
+from hid2.evaluation.metrics import CRITICAL, METRICS, Group, driven, measure_group
 from hid2.evaluation.realism import RealismCounts, count_scene, half_number, scene_values
 from hid2.evaluation.safety import IOU_THRESHOLD, Overlap, Safety, safety
 from hid2.evaluation.windows import windows
@@ -202,7 +202,7 @@ def _groups(
             members=members,
             partners=others if name == "generated" else others & arrays.vehicle,  # as in the paper's SCR
             end_contacts=contacts_after_last_step(
-                arrays, members & last_step_counts(arrays), horizon_s=CRITICAL.end_horizon_s, among=others
+                arrays, members & driven(arrays), horizon_s=CRITICAL.end_horizon_s, among=others
             ),
             met=met,
         )

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from bridge.evaluation.predictions import BASELINES, BOUNDS, Band, Score, bands, score_predictions
-from bridge.files import explained, make_folder, write_json, write_rows, write_text
+from bridge.files import make_folder, write_json, write_rows, write_text
 from bridge.pages import parts as pages
 from bridge.recordings.scenario import find_scenarios, source_id
 from hid2.agents import FloatArray, IntArray
@@ -229,13 +229,12 @@ def as_dicts(differences: Sequence[Difference]) -> list[dict[str, Any]]:
 
 
 def _write(differences: Sequence[Difference], report_dir: Path) -> None:
-    with explained(report_dir):
-        write_rows(
-            report_dir / "comparison.csv",
-            ("model", "minus", "band", "metric", "difference", "low", "high", "se", "tracks", "sources", "detectable"),
-            ((one.model, one.other, one.band, one.metric, *one.estimate, one.tracks, one.sources, one.detectable)
-             for one in differences),
-        )  # fmt: skip
-        write_json(report_dir / "comparison.json", as_dicts(differences))
-        part = pages.macro("forecasts.html.j2", "differences", HEAD, rows_of(differences))
-        write_text(report_dir / "comparison.html", pages.page("Forecasts, compared", [part]))
+    write_rows(
+        report_dir / "comparison.csv",
+        ("model", "minus", "band", "metric", "difference", "low", "high", "se", "tracks", "sources", "detectable"),
+        ((one.model, one.other, one.band, one.metric, *one.estimate, one.tracks, one.sources, one.detectable)
+         for one in differences),
+    )  # fmt: skip
+    write_json(report_dir / "comparison.json", as_dicts(differences))
+    part = pages.macro("forecasts.html.j2", "differences", HEAD, rows_of(differences))
+    write_text(report_dir / "comparison.html", pages.page("Forecasts, compared", [part]))

@@ -16,7 +16,7 @@ from bridge.batch.batch import Progress as BatchProgress
 from bridge.batch.engine import Settings, Task, execute_here
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.evaluation.predictions import BOUNDS, Band, Score, score_predictions, write_forecasts
-from bridge.files import explained, make_folder, write_json, write_rows, write_text
+from bridge.files import make_folder, write_json, write_rows, write_text
 from bridge.forecasting.comparison import (
     HEAD,
     METRICS,
@@ -309,18 +309,17 @@ def _write(runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, pl
         "head": HEAD,
         "differences": rows_of(differences),
     }
-    with explained(out):
-        every = (
-            (on, name, number, *score)
-            for on, models in runs.items()
-            for name, found in models.items()
-            for number, scores in enumerate(found)
-            for score in scores
-        )
-        write_rows(out / "prediction_scores.csv", ("validation", "trained_on", "run", *Score._fields), every)
-        write_json(out / "prediction.json", content)
-        page = out / "prediction.html"
-        write_text(page, pages.page(_TITLE, [pages.macro("forecasts.html.j2", "prediction", shown)]))
+    every = (
+        (on, name, number, *score)
+        for on, models in runs.items()
+        for name, found in models.items()
+        for number, scores in enumerate(found)
+        for score in scores
+    )
+    write_rows(out / "prediction_scores.csv", ("validation", "trained_on", "run", *Score._fields), every)
+    write_json(out / "prediction.json", content)
+    page = out / "prediction.html"
+    write_text(page, pages.page(_TITLE, [pages.macro("forecasts.html.j2", "prediction", shown)]))
     return page
 
 

@@ -16,7 +16,7 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path as MplPath
 from matplotlib.ticker import MaxNLocator
 
-from bridge.files import beside, explained
+from bridge.files import beside
 from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, Scenario
 from hid2.agents import VEHICLE_TYPES, FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
@@ -179,7 +179,7 @@ def save(figure: Figure, path: Path) -> None:
     """
     try:
         check_ending(path)
-        with explained(path), beside(path) as hidden:
+        with beside(path) as hidden:
             figure.savefig(hidden, format=path.suffix[1:].lower(), metadata=PICTURES[path.suffix.lower()])
     finally:
         plt.close(figure)
