@@ -102,7 +102,10 @@ def style() -> None:
 def draw_map(axes: Axes, graph: LaneGraph, *, cells: bool = False) -> None:
     """The map from above, in city coordinates: drivable area, lane boundaries, centrelines, cells on request."""
     parts = shapely.get_parts(graph.drivable)
-    areas = [_patch(part) for part in parts if isinstance(part, shapely.Polygon) and not part.is_empty]
+    areas = []
+    for part in (part for part in parts if isinstance(part, shapely.Polygon) and not part.is_empty):
+        rings = [MplPath(np.asarray(ring.coords), closed=True) for ring in (part.exterior, *part.interiors)]
+        areas.append(PathPatch(MplPath.make_compound_path(*rings)))
     axes.add_collection(
         PatchCollection(areas, facecolor=MAP_COLORS["ground"], edgecolor=MAP_COLORS["kerb"], linewidth=0.6, zorder=0)
     )
@@ -213,8 +216,3 @@ def data_uri(figure: Figure) -> str:
     figure.savefig(buffer, format="png", dpi=110, bbox_inches="tight", metadata={"Software": None})
     plt.close(figure)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
-
-
-def _patch(polygon: shapely.Polygon) -> PathPatch:
-    rings = [np.asarray(ring.coords) for ring in (polygon.exterior, *polygon.interiors)]
-    return PathPatch(MplPath.make_compound_path(*[MplPath(ring, closed=True) for ring in rings]))

@@ -17,11 +17,11 @@ What becomes of a log, step for step:
 The constants are rules of this reader and no parameters of the method: another value would be another recording.
 """
 
-import io
 import json
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -133,13 +133,10 @@ _KINDS: Mapping[str, Any] = {
 }
 
 
-def _feather(content: io.BytesIO) -> pa.Table:
-    return feather.read_table(content, use_threads=False)
-
-
 def _table(path: Path, columns: Mapping[str, str]) -> pd.DataFrame:
     """Columns of a feather file, each of its kind (a key of `_KINDS`), finite, without nulls. Errors: ScenarioError."""
-    table = read_arrow(path, _feather, kind="feather", wanted="it in a sensor log")
+    read = partial(feather.read_table, use_threads=False)
+    table = read_arrow(path, read, kind="feather", wanted="it in a sensor log")
     size = table.num_rows, table.num_columns
     if not 0 < size[0] <= limits.MAX_ROWS or size[1] > limits.MAX_COLUMNS:
         most = f"1 to {limits.MAX_ROWS} rows and at most {limits.MAX_COLUMNS} columns"

@@ -53,7 +53,7 @@ class Group:
     """One group of the agents of a scene, with what was measured of the whole scene.
 
     members (A,); beyond: rows (N,) that exceed each limit of motion; partners (A,): what a member may collide with;
-    end_contacts: first contacts of those `meeting`, by agent, after the last step; met: what each agent of the scene meets.
+    end_contacts: first contacts of those `meeting`, by agent, after the last step; met: what each agent meets.
     """
 
     arrays: SceneArrays
