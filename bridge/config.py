@@ -109,9 +109,7 @@ def parse_trigger_time(text: str) -> dict[str, Any]:
     wanted = "S, A:B or S,S,... in seconds"
     if "," in text:
         return {"request.trigger_list_s": [_number(part.strip(), "trigger-time", wanted) for part in text.split(",")]}
-    first, separator, second = text.partition(":")
-    low = _number(first.strip(), "trigger-time", wanted)
-    high = _number(second.strip(), "trigger-time", wanted) if separator else low
+    low, high = _ends(text, "trigger-time", wanted)
     if high < low:
         raise ConfigError(f"trigger-time: {text!r}, expected the earlier time first")
     return {"request.trigger_min_s": low, "request.trigger_max_s": high, "request.trigger_list_s": []}
@@ -154,11 +152,15 @@ _BANDS = {"at_s", "gap_m", "speed_difference_mps", *_CRITICALITY.values()}
 def _band(text: str, name: str) -> list[float]:
     """Least and largest value of "A:B"; twice the same of "A", which only a moment may be."""
     wanted = "A or A:B" if name == "at" else "A:B"
-    first, separator, second = text.partition(":")
-    if not separator and name != "at":
+    if ":" not in text and name != "at":
         raise ConfigError(f"--{name} {text!r}: expected {wanted}")
-    low = _number(first.strip(), f"--{name}", wanted)
-    return [low, _number(second.strip(), f"--{name}", wanted) if separator else low]
+    return _ends(text, f"--{name}", wanted)
+
+
+def _ends(text: str, name: str, wanted: str) -> list[float]:
+    """A and B of "A:B", twice A of "A". Errors: ConfigError."""
+    first, separator, second = text.partition(":")
+    return [_number(part.strip(), name, wanted) for part in (first, second if separator else first)]
 
 
 def config_to_dict(config: Config) -> dict[str, Any]:
