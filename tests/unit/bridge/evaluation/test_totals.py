@@ -38,7 +38,7 @@ def measured(made_scene):
 def named(measures, number, *, sources):
     """The same scene under another name, made from one of `sources` scenes."""
     scene = measures.scene | {"scenario_id": f"scene-{number}", "source": f"source-{number % sources}"}
-    return replace(measures, scene=scene)
+    return replace(measures, tables={**measures.tables, "scenes": [scene]})
 
 
 @pytest.mark.parametrize("sources", [3, 10**6])
