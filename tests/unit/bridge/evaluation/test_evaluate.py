@@ -259,7 +259,7 @@ def test_pooled_ratio_is_of_sums_and_the_interval_holds_it():
 
 def test_maneuvers_of_the_sidecar_are_found_again(made_scene):
     """What was done is seen in the positions: every done record has a manoeuvre seen beside it."""
-    rows = measure_folder(made_scene).maneuvers
+    rows = measure_folder(made_scene).tables["maneuvers"]
     done = [row for row in rows if row["status"] == "done"]
     assert done
     assert all(row["seen"] is not None for row in done)
