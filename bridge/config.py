@@ -109,9 +109,7 @@ def parse_trigger_time(text: str) -> dict[str, Any]:
     wanted = "S, A:B or S,S,... in seconds"
     if "," in text:
         return {"request.trigger_list_s": [_number(part.strip(), "trigger-time", wanted) for part in text.split(",")]}
-    first, separator, second = text.partition(":")
-    low = _number(first.strip(), "trigger-time", wanted)
-    high = _number(second.strip(), "trigger-time", wanted) if separator else low
+    low, high = _ends(text, "trigger-time", wanted)
     if high < low:
         raise ConfigError(f"trigger-time: {text!r}, expected the earlier time first")
     return {"request.trigger_min_s": low, "request.trigger_max_s": high, "request.trigger_list_s": []}
@@ -154,11 +152,15 @@ _BANDS = {"at_s", "gap_m", "speed_difference_mps", *_CRITICALITY.values()}
 def _band(text: str, name: str) -> list[float]:
     """Least and largest value of "A:B"; twice the same of "A", which only a moment may be."""
     wanted = "A or A:B" if name == "at" else "A:B"
-    first, separator, second = text.partition(":")
-    if not separator and name != "at":
+    if ":" not in text and name != "at":
         raise ConfigError(f"--{name} {text!r}: expected {wanted}")
-    low = _number(first.strip(), f"--{name}", wanted)
-    return [low, _number(second.strip(), f"--{name}", wanted) if separator else low]
+    return _ends(text, f"--{name}", wanted)
+
+
+def _ends(text: str, name: str, wanted: str) -> list[float]:
+    """A and B of "A:B", twice A of "A". Errors: ConfigError."""
+    first, separator, second = text.partition(":")
+    return [_number(part.strip(), name, wanted) for part in (first, second if separator else first)]
 
 
 def config_to_dict(config: Config) -> dict[str, Any]:
@@ -272,39 +274,31 @@ def _fields() -> dict[str, FieldInfo]:
 
 def _range(field: FieldInfo) -> str:
     """Bounds or choices of a field, in words."""
-    leaves, inner = _flatten(field.annotation)
-    choices = ", ".join(str(leaf) for leaf in leaves if not isinstance(leaf, type))
+    atoms = [*field.metadata, *_atoms(field.annotation)]
+    kinds = [atom for atom in atoms if isinstance(atom, type)]
+    choices = ", ".join(str(atom) for atom in atoms if isinstance(atom, str | int))
     if isinstance(field.get_default(call_default_factory=True), frozenset):
         return f"any of {choices}"
-    if bool in leaves:
+    if bool in kinds:
         return "true, false"
     if get_origin(field.annotation) is tuple:
-        tables = [leaf for leaf in leaves if isinstance(leaf, type) and issubclass(leaf, BaseModel)]
+        tables = [kind for kind in kinds if issubclass(kind, BaseModel)]
         if tables:
             return f"tables of {', '.join(name for table in tables for name in table.model_fields)}"
-        least = " and not empty" if any(getattr(entry, "min_length", 0) for entry in field.metadata) else ""
-        return f"list of numbers {_bounds(inner)}{least}"
-    if str in leaves and not choices:
-        return "text"
-    if int not in leaves and float not in leaves:
-        return f"{choices}, or module:function" if str in leaves else choices  # the one text that is free
-    words = f"{'integer' if int in leaves else 'number'} {_bounds([*field.metadata, *inner])}".strip()
+        least = " and not empty" if any(getattr(atom, "min_length", 0) for atom in field.metadata) else ""
+        return f"list of numbers {_bounds(atoms)}{least}"
+    if not {int, float} & {*kinds}:  # where there are choices, a text that is free names a function
+        return f"{choices}{', or module:function' if str in kinds else ''}" if choices else "text"
+    words = f"{'integer' if int in kinds else 'number'} {_bounds(atoms)}".strip()
     return f"{words}, or {choices}" if choices else words
 
 
-def _flatten(annotation: object) -> tuple[list[object], list[object]]:
-    """The types and literal values inside an annotation, and the constraints that annotate them."""
+def _atoms(annotation: object) -> list[object]:
+    """The types, literal values and constraints inside an annotation."""
     parts: tuple[object, ...] = get_args(annotation)
-    if not parts:
-        return [annotation], []
     metadata: tuple[object, ...] = getattr(annotation, "__metadata__", ())
-    leaves: list[object] = []
-    inner: list[object] = [item for entry in metadata for item in getattr(entry, "metadata", [entry])]
-    for part in parts[:1] if metadata else parts:
-        more_leaves, more_inner = _flatten(part)
-        leaves += more_leaves
-        inner += more_inner
-    return leaves, inner
+    own = [item for entry in metadata for item in getattr(entry, "metadata", [entry])]
+    return own + [atom for part in parts[: 1 if metadata else None] for atom in _atoms(part)] if parts else [annotation]
 
 
 def _bounds(metadata: Sequence[object]) -> str:

@@ -95,12 +95,13 @@ def print_json(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None
 class Activity(ExitStack):
     """What is being done, from the start: one line on a terminal, a line now and then elsewhere, none when quiet.
 
-    `doing` names the next piece of work, `show` counts within it. clock: seconds, from any moment on.
+    `doing` names the next piece of work, `show` counts within it, `result` ends it. verbose: how much a command says
+    beyond the usual, 0 to 2; clock: seconds, from any moment on.
     """
 
-    def __init__(self, what: str = "starting", *, quiet: bool, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, *, quiet: bool, verbose: int = 0, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
-        self._what, self._quiet, self._clock = what, quiet, clock
+        self.quiet, self.verbose, self._clock, self._what = quiet, verbose, clock, "starting"
         self._named = clock()
         self._next_line = self._named + FIRST_S
         self._counted = ""
@@ -109,7 +110,7 @@ class Activity(ExitStack):
 
     def __enter__(self) -> Self:
         self.enter_context(tidied(self.end))
-        if not self._quiet:
+        if not self.quiet:
             self._ticker.start()
         return self
 
@@ -139,8 +140,24 @@ class Activity(ExitStack):
 
     def note(self, *messages: str) -> None:
         """Messages that can be missed: none when quiet."""
-        for message in () if self._quiet else messages:
+        for message in () if self.quiet else messages:
             say(message)
+
+    def result(self, *lines: object) -> None:
+        """Lines of the result on stdout, none when quiet; nothing is in progress any more."""
+        self.end()
+        for line in () if self.quiet else lines:
+            print(line)
+
+    def table(
+        self, title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], *, as_json: bool = False
+    ) -> None:
+        """A table as the result: as JSON where that is asked for, else none when quiet."""
+        self.end()
+        if as_json:
+            print_json(columns, rows)
+        elif not self.quiet:
+            print_table(title, columns, rows)
 
     def _tick(self) -> None:
         while not self._over.wait(_LOOK_S):

@@ -16,8 +16,12 @@ def table_lines(columns: Sequence[str], rows: Sequence[Sequence[object]], *, wid
     Numbers are aligned right. Text of the last column is wrapped between words. What does not fit so is stacked: for
     each row its first value, and below it every other one with its name.
     """
-    texts = [[cell_text(cell) for cell in row] for row in rows]
-    numeric = [bool(rows) and all(_is_number(row[k]) for row in rows) for k in range(len(columns))]
+    # floats to twelve digits, which is more than any is rounded to; a dash for none
+    texts = [[f"{cell:.12g}" if isinstance(cell, float) else str(cell) or "-" for cell in row] for row in rows]
+    numeric = [
+        bool(rows) and all(isinstance(row[k], int | float) and not isinstance(row[k], bool) for row in rows)
+        for k in range(len(columns))
+    ]
     widths = [max(map(len, column)) for column in zip(columns, *texts, strict=True)]
     before = sum(widths[:-1]) + len(_GAP) * (len(widths) - 1)
     if width is not None and before + widths[-1] > width:
@@ -35,15 +39,6 @@ def table_lines(columns: Sequence[str], rows: Sequence[Sequence[object]], *, wid
         lines += [_GAP.join([*cells, first]).rstrip(), *(" " * before + part for part in more)]
     lines.insert(1, "-" * (before + widths[-1]))
     return lines
-
-
-def cell_text(cell: object) -> str:
-    """A value as text, whole: floats to twelve digits, which is more than any is rounded to; a dash for none."""
-    return f"{cell:.12g}" if isinstance(cell, float) else str(cell) or "-"
-
-
-def _is_number(cell: object) -> bool:
-    return isinstance(cell, int | float) and not isinstance(cell, bool)
 
 
 def _wrapped(text: str, width: int) -> list[str]:

@@ -17,7 +17,7 @@ READERS = re.compile(r"bridge/recordings/(readers/.*|argoverse1|corridor|limits|
 #: What is of Argoverse 2 alone and takes its numbers from the format's reader; it refuses or never meets others.
 OF_ARGOVERSE_2 = {
     "bridge/recordings/export.py": "writes its scenes, refuses other steps",
-    "bridge/recordings/row_rules.py": "its rules",
+    "bridge/recordings/rules.py": "its rules",
     "bridge/sumo/net.py": "a map of its own, without a recording",
     "bridge/evaluation/predictions.py": "its challenge's submissions",
     "bridge/forecasting/compose.py": "data sets of its shape",

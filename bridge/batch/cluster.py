@@ -5,24 +5,25 @@ What goes to a scheduler and comes back are pickles: scheduler and workers are t
 
 # mypy: allow-untyped-calls
 
+import atexit
 import contextlib
+import functools
 import itertools
 import logging
 import time
 from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures import CancelledError
-from typing import Any, cast
+from dataclasses import fields
+from typing import Any
 
-from distributed import Client, KilledWorker, Security, Worker, get_worker, wait
+from distributed import Client, KilledWorker, Security, wait
 from distributed.comm.addressing import parse_address, parse_host_port
 from distributed.comm.registry import get_backend
-from distributed.diagnostics.plugin import WorkerPlugin
 
 from bridge.batch.engine import Outcome, Processes, Result, Settings, Task
 from bridge.batch.isolation import Failure
 from netconvert.errors import BatchError, ConfigError, Hid2Error
 
-_PLUGIN = "hid2-scene-processes"
 #: Tasks handed to the scheduler per worker: one that runs and one that is ready when it ends.
 _AHEAD = 2
 #: Seconds to reach a scheduler.
@@ -47,8 +48,8 @@ def execute_on_dask(tasks: Iterable[Task], *, scheduler: str, settings: Settings
     Errors: BatchError when the scheduler cannot be reached or is lost.
     """
     waiting, number = iter(tasks), itertools.count()
+    how = Settings(*(getattr(settings, one.name) for one in fields(Settings)))  # what a worker can look up
     with _client(scheduler) as client, _lost(scheduler):
-        client.register_plugin(SceneProcesses(settings), name=_PLUGIN)
         if not client.nthreads():
             _LOG.warning("scheduler %s has no workers yet: waiting for %g s", scheduler, _WORKERS_S)
         running: dict[Any, Task] = {}
@@ -59,7 +60,7 @@ def execute_on_dask(tasks: Iterable[Task], *, scheduler: str, settings: Settings
                 raise BatchError(_NO_WORKERS.format(where=scheduler, seconds=_WORKERS_S))
             for task in itertools.islice(waiting, max(0, _AHEAD * threads - len(running))):
                 key = f"{task.key}-{next(number)}-{time.time_ns()}"
-                running[client.submit(_run_on_worker, task, key=key)] = task
+                running[client.submit(_run_on_worker, task, how, key=key)] = task
             if not running:
                 return
             done: Any = ()
@@ -93,23 +94,16 @@ def _lost(where: str) -> Iterator[None]:
         raise BatchError(f"scheduler {where}: lost ({type(error).__name__}: {error})") from error
 
 
-def _run_on_worker(task: Task) -> Result:
-    return cast(SceneProcesses, get_worker().plugins[_PLUGIN]).processes.run(task)
+@functools.cache
+def _processes(settings: Settings) -> Processes:
+    """The isolated processes of this Dask worker, which end with it."""
+    found = Processes(settings)
+    atexit.register(found.stop)
+    return found
 
 
-class SceneProcesses(WorkerPlugin):
-    """The isolated processes of a Dask worker, which end with it."""
-
-    def __init__(self, settings: Settings) -> None:
-        self._settings = settings
-
-    def setup(self, worker: Worker) -> None:
-        """None are there before the first task."""
-        self.processes = Processes(self._settings)
-
-    def teardown(self, worker: Worker) -> None:
-        """End the processes with the worker."""
-        self.processes.stop()
+def _run_on_worker(task: Task, settings: Settings) -> Result:
+    return _processes(settings).run(task)
 
 
 @contextlib.contextmanager

@@ -8,7 +8,7 @@ would fail no less.
 """
 
 import itertools
-import queue
+import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -119,28 +119,23 @@ def execute_here(
 
 
 class Processes:
-    """Isolated processes for the tasks that threads bring: one for each thread that is at work."""
+    """Isolated processes for the tasks that threads bring: one for each thread."""
 
     def __init__(self, settings: Settings) -> None:
-        self._settings = settings
-        self._idle: queue.SimpleQueue[IsolatedProcess] = queue.SimpleQueue()
+        self._settings, self._own, self._stopped = settings, threading.local(), False
         self._all: list[IsolatedProcess] = []
-        self._stopped = False
 
     def run(self, task: Task) -> Result:
-        """Run a task in an idle process, or in a new one; see `run_task`."""
+        """Run a task in the thread's process, a new one for its first; see `run_task`."""
         how = self._settings
-        try:
-            process = self._idle.get_nowait()
-        except queue.Empty:
-            process = IsolatedProcess(timeout_s=how.timeout_s, recycle_after=how.recycle_after, memory_mb=how.memory_mb)
-            self._all.append(process)
+        if not hasattr(self._own, "process"):
+            self._own.process = IsolatedProcess(
+                timeout_s=how.timeout_s, recycle_after=how.recycle_after, memory_mb=how.memory_mb
+            )
+            self._all.append(self._own.process)
         if self._stopped:
-            process.stop()
-        try:
-            return run_task(task, process, how)
-        finally:
-            self._idle.put(process)
+            self._own.process.stop()
+        return run_task(task, self._own.process, how)
 
     def stop(self) -> None:
         """End all processes for good, with what they are at."""

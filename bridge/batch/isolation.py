@@ -32,7 +32,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Literal
 
-from bridge.batch.start_up import spare_imports, spare_modules_of_kernels, spare_the_collector
+from bridge.batch.start_up import spare_the_collector
 from bridge.files import disk_error
 from netconvert.errors import Hid2Error
 
@@ -276,7 +276,6 @@ def _log_to(connection: "Connection[Any, Any]", *, debug: bool) -> None:
 def serve() -> None:
     """Run in the child: answer calls until the caller goes away."""
     gc.disable()  # until the work is imported, of which nothing is ever free
-    spare_imports()
     connection: Connection[Any, Any] = Connection(int(sys.argv[1]))
     threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
     _bound_memory(int(sys.argv[2]))
@@ -310,12 +309,11 @@ def _answer(connection: "Connection[Any, Any]", function: str, arguments: Sequen
             faulthandler.cancel_dump_traceback_later()
             _reply(connection, "value", value)
             faulthandler.dump_traceback_later(timeout_s, exit=True)
+        failure = None
     except Exception as error:  # noqa: BLE001  # passed on to the caller, which decides
-        faulthandler.cancel_dump_traceback_later()
-        _reply(connection, "raised", describe_error(error))
-        return
+        failure = describe_error(error)
     faulthandler.cancel_dump_traceback_later()
-    _reply(connection, "end", None)
+    _reply(connection, "raised" if failure else "end", failure)
 
 
 def _make_kernels_ready() -> None:
@@ -324,7 +322,6 @@ def _make_kernels_ready() -> None:
         from hid2.kernels.compile import make_ready
 
         make_ready()
-        spare_modules_of_kernels()
 
 
 def describe_error(error: Exception) -> Failure:

@@ -15,7 +15,8 @@ import os
 import re
 import stat
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
@@ -152,7 +153,8 @@ def read_manifest(path: Path) -> tuple[list[ManifestRow], int]:
         if not stat.S_ISREG(found.st_mode):
             raise BatchError(f"{path}: not a regular file, expected a manifest, or nothing of that name: move it away")
         with path.open("rb") as file:
-            for line in _lines(file):
+            # of bounded length: what is longer comes in pieces, none of which is a row
+            for line in iter(partial(file.readline, _MAX_LINE), b""):
                 row = _parse(line)
                 if row is not None:
                     rows.append(row)
@@ -168,18 +170,8 @@ def read_manifest(path: Path) -> tuple[list[ManifestRow], int]:
 def write_rows(path: Path, rows: Iterable[ManifestRow]) -> None:
     """Write rows with a header. Errors: ExportError."""
     with table_file(path) as file:
-        file.write(_header())
+        file.write(",".join((*ManifestRow._fields, CHECK)) + "\n")
         file.writelines(map(_line, rows))
-
-
-def _lines(file: io.BufferedReader) -> Iterator[bytes]:
-    """Lines of bounded length; what is longer comes in pieces, none of which is a row."""
-    while line := file.readline(_MAX_LINE):
-        yield line
-
-
-def _header() -> str:
-    return ",".join((*ManifestRow._fields, CHECK)) + "\n"
 
 
 def _line(row: ManifestRow) -> str:
@@ -198,18 +190,14 @@ def _parse(line: bytes) -> ManifestRow | None:
     text, _, check = line.rpartition(b",")
     if check != _check(text).encode() + b"\n":
         return None
+    types = ManifestRow.__annotations__
     try:
         values = next(csv.reader([text.decode()]), [])
-        row = _typed(values)
+        named = zip(ManifestRow._fields, values, strict=len(values) not in _OLDER)
+        row = ManifestRow(**{name: types[name](untabled(value)) for name, value in named})
     except (ValueError, csv.Error):
         return None
     return row if _is_sound(row) else None
-
-
-def _typed(values: Sequence[str]) -> ManifestRow:
-    types = ManifestRow.__annotations__
-    named = zip(ManifestRow._fields, values, strict=len(values) not in _OLDER)
-    return ManifestRow(**{name: types[name](untabled(value)) for name, value in named})
 
 
 def _is_sound(row: ManifestRow) -> bool:
@@ -219,15 +207,10 @@ def _is_sound(row: ManifestRow) -> bool:
         and row.split in ("", *SPLITS)
         and row.variant >= 0
         and all(_DIGEST.fullmatch(getattr(row, name)) for name in ManifestRow._fields if name.endswith("_sha256"))
-        and all(_is_below(path) for path in (row.folder, row.bundle))
+        and not any(path.startswith("/") or ".." in PurePosixPath(path).parts for path in (row.folder, row.bundle))
         and (row.status == DONE) == (row.folder != "")
         and all(value == one_line(value, most=MAX_TEXT) for value in row if isinstance(value, str))
     )
-
-
-def _is_below(path: str) -> bool:
-    parts = PurePosixPath(path).parts
-    return not path.startswith("/") and ".." not in parts
 
 
 def files_sha256(paths: Iterable[Path]) -> str:

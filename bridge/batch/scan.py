@@ -144,9 +144,24 @@ def rooms(routes: Routes) -> dict[Policy, float]:
     """Metres of lane from which a change, or an overtake, has the length that the configuration of the scene asks."""
     config = routes.scene.config
     lanes = [lane for lane in routes.scene.grid.graph.lanes.values() if lane.lane_type == "VEHICLE"]
+
+    def beside(lane: LaneSegment) -> list[float]:
+        """How far each neighbour that may be changed to goes on beside the whole lane."""
+        offers = routes.offers(lane.lane_id)
+        return [one.remaining_m for offer in offers for one in offer.beside if one.start == offer.start_m]
+
+    def to_pass(lane: LaneSegment) -> list[float]:
+        """How far another lane goes on beside from the start of this one, where one may change to it and back."""
+        pairs = [(offer, routes.together(offer, side)) for offer in routes.offers(lane.lane_id) for side in SIDES]
+        return [found[1] - found[0] for offer, found in pairs if found is not None and found[0] <= offer.start_m]
+
+    def metres(ways: Callable[[LaneSegment], list[float]], needed_m: float) -> float:
+        each = (min(lane.length_m, max(0.0, max(ways(lane), default=0.0) - needed_m)) for lane in lanes)
+        return round(sum(each), 1)
+
     return {
-        Policy.LANE_CHANGE: _room_beside(routes, lanes, needed_m=config.lane_change.min_remaining_m),
-        Policy.OVERTAKE: _room_to_pass(routes, lanes, needed_m=stretch_m(config)),
+        Policy.LANE_CHANGE: metres(beside, config.lane_change.min_remaining_m),
+        Policy.OVERTAKE: metres(to_pass, stretch_m(config)),
     }
 
 
@@ -199,32 +214,3 @@ def wanted(
     if selection.sample is None:
         chosen |= {folder for folder, _ in unread}
     return [folder for folder in folders if folder in chosen]
-
-
-def _room_beside(routes: Routes, lanes: Sequence[LaneSegment], *, needed_m: float) -> float:
-    """Metres of lane from which a neighbour that may be changed to goes on for at least `needed_m`."""
-    return _room_m(
-        lanes, needed_m,
-        lambda lane: [
-            one.remaining_m
-            for offer in routes.offers(lane.lane_id) for one in offer.beside if one.start == offer.start_m
-        ],
-    )  # fmt: skip
-
-
-def _room_to_pass(routes: Routes, lanes: Sequence[LaneSegment], *, needed_m: float) -> float:
-    """Metres of lane from which another goes on beside for `needed_m`, where one may change to it and back."""
-    return _room_m(
-        lanes, needed_m,
-        lambda lane: [
-            found[1] - found[0]
-            for offer in routes.offers(lane.lane_id) for side in SIDES
-            if (found := routes.together(offer, side)) is not None and found[0] <= offer.start_m
-        ],
-    )  # fmt: skip
-
-
-def _room_m(lanes: Sequence[LaneSegment], needed_m: float, ways: Callable[[LaneSegment], list[float]]) -> float:
-    """Metres from which the longest way beside a lane still lasts. ways: their lengths from the start of a lane, m."""
-    each = (min(lane.length_m, max(0.0, max(ways(lane), default=0.0) - needed_m)) for lane in lanes)
-    return round(sum(each), 1)

@@ -12,6 +12,7 @@ from bridge.batch.manifest import ManifestRow, files_sha256, output_files
 from bridge.generation.generate import PreparedScene, generate, prepare
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.export import check_step
+from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import DrivesRecord, Sidecar
 from bridge.recordings.sources import read_recording
 from hid2.agents import Policy
@@ -42,20 +43,14 @@ def generate_runs(
     place: Place, runs: Sequence[Run], finish: Callable[[TrafficScene, Place], Path] = write_all
 ) -> Iterator[ManifestRow | Failure]:
     """Read the scene and build its net once, generate each run, let `finish` write it to a folder."""
-    scenario, unreadable = None, None
+    scenario: Recording | None = None
     prepared: dict[Grid, PreparedScene] = {}
-    try:
-        found = read_recording(place.folder)
-        check_step(found)
-        scenario = found
-    except Exception as error:  # noqa: BLE001  # every run of the scene is quarantined with it
-        unreadable = describe_error(error)
     for run in runs:
-        if scenario is None:
-            assert unreadable is not None
-            yield unreadable
-            continue
         try:
+            if scenario is None:
+                found = read_recording(place.folder)
+                check_step(found)
+                scenario = found
             grid = run.config.grid
             if grid not in prepared:
                 prepared[grid] = prepare(scenario, run.config)

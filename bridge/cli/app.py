@@ -3,27 +3,36 @@
 import re
 from collections.abc import Callable, Iterable
 from importlib import import_module
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from bridge.cli.options import flattened
+from bridge.cli.options import Paths, flattened
 
-#: The commands of each module, which are registered as it is imported, in the order of the help: that of the work.
-MODULES = {
-    "generation": ("generate",),
-    "scenes": ("validate", "scan", "net", "export"),
-    "measuring": ("evaluate", "calibrate", "study", "make", "paper"),
-    "forecasting": ("compose", "forecast"),
-    "pictures": ("view", "render", "plot", "gui"),
-    "configuration": ("config",),
+#: Commands in the order of the help, that of the work, and the module that registers each as it is imported.
+COMMANDS = {
+    "generate": "generation",
+    **dict.fromkeys(("validate", "scan", "net", "export"), "scenes"),
+    **dict.fromkeys(("evaluate", "calibrate", "study", "make", "paper"), "measuring"),
+    **dict.fromkeys(("compose", "forecast"), "forecasting"),
+    **dict.fromkeys(("view", "render", "plot", "gui"), "pictures"),
+    "config": "scenes",
 }
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-#: Those of the modules that are imported, and the options that `--help` shows where not all are.
-_FUNCTIONS: dict[str, Callable[..., Any]] = {}
-_SHOWN: dict[str, frozenset[str]] = {}
+
+
+class _Registered(NamedTuple):
+    """A function, the options that `--help` shows where not all are, and its paths that are checked before it runs."""
+
+    function: Callable[..., Any]
+    shown: frozenset[str]
+    paths: Paths
+
+
+#: Those of the modules that are imported.
+_FUNCTIONS: dict[str, _Registered] = {}
 
 
 class _Group(TyperGroup):
@@ -65,12 +74,19 @@ class _Command(TyperCommand):
             )
 
 
-def command(name: str | None = None, *, shown: Iterable[str] = ()) -> Callable[[_Function], _Function]:
-    """A function, which returns the exit code, is a command. shown: parameters that `--help` lists, if not all."""
+def command(
+    name: str | None = None, *, reads: Iterable[str] = (), folders: Iterable[str] = (), files: Iterable[str] = (),
+    shown: Iterable[str] = (),
+) -> Callable[[_Function], _Function]:  # fmt: skip
+    """A function, which returns the exit code, is a command.
+
+    reads: its parameters that are scenes to read; folders, files: those that are written; each is checked before the
+    function is called. shown: parameters that `--help` lists, if not all.
+    """
 
     def register(function: _Function) -> _Function:
-        _FUNCTIONS[name or function.__name__] = function
-        _SHOWN[name or function.__name__] = frozenset(shown)
+        paths = Paths(tuple(reads), tuple(folders), tuple(files))
+        _FUNCTIONS[name or function.__name__] = _Registered(function, frozenset(shown), paths)
         return function
 
     return register
@@ -81,8 +97,8 @@ def application(named: str = "", *, every_option: bool = True) -> typer.Typer:
 
     Commands of which only the first sentence is asked for have no options. every_option: in the help, else the usual.
     """
-    of_one = [module for module, names in MODULES.items() if named in names]
-    for module in [] if named == "--version" else of_one or MODULES:
+    modules = [COMMANDS[named]] if named in COMMANDS else dict.fromkeys(COMMANDS.values())
+    for module in [] if named == "--version" else modules:
         import_module(f"bridge.cli.{module}")
     app = typer.Typer(
         name="hid2",
@@ -96,10 +112,10 @@ def application(named: str = "", *, every_option: bool = True) -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     )
     app.callback()(hid2)
-    for name in (name for names in MODULES.values() for name in names if name in _FUNCTIONS):
-        function = _FUNCTIONS[name]
-        made = (lambda: None) if named in {"-h", "--help"} else flattened(function)
-        kind = type("_Command", (_Command,), {"shown": frozenset() if every_option else _SHOWN[name]})
+    for name in (name for name in COMMANDS if name in _FUNCTIONS):
+        function, shown, paths = _FUNCTIONS[name]
+        made = (lambda: None) if named in {"-h", "--help"} else flattened(function, paths)
+        kind = type("_Command", (_Command,), {"shown": frozenset() if every_option else shown})
         app.command(name, cls=kind, help=function.__doc__)(made)
     return app
 

@@ -15,10 +15,10 @@ _REASONS = 3
 
 
 class BatchNotes:
-    """Tells an activity what becomes of a batch's runs; when verbose, of those that succeed too."""
+    """Tells an activity what becomes of a batch's runs; when it is verbose, of those that succeed too."""
 
-    def __init__(self, activity: Activity, out: Path, *, go_on: str, verbose: bool) -> None:
-        self._activity, self._out, self._go_on, self._verbose = activity, out, go_on, verbose
+    def __init__(self, activity: Activity, out: Path, *, go_on: str) -> None:
+        self._activity, self._out, self._go_on = activity, out, go_on
 
     def note(self, row: ManifestRow, progress: Progress) -> None:
         """Take note of one more run."""
@@ -28,7 +28,7 @@ class BatchNotes:
                 f"warning: {row.scenario} variant {row.variant}: {row.failure}: {row.reason}\n"
                 f"  to see it again: hid2 generate --repro {self._out / row.bundle}"
             )
-        elif self._verbose:
+        elif self._activity.verbose:
             placed = f"{row.placed} of {row.requested} placed, {row.seconds:.1f} s"
             say(f"{row.scenario} variant {row.variant}: {placed}")
         details = f" ({progress.skipped} complete before, {progress.quarantined} quarantined)"

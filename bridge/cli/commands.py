@@ -11,7 +11,7 @@ import sys
 from itertools import pairwise
 
 from bridge.batch.start_up import COLLECT
-from bridge.cli.app import MODULES, application
+from bridge.cli.app import COMMANDS, application
 from bridge.cli.options import SOME_FAILED, USAGE
 from bridge.console import fail
 from netconvert.errors import ConfigError, Hid2Error
@@ -41,7 +41,6 @@ def run() -> int:
     return code or 0
 
 
-COMMANDS = frozenset(name for names in MODULES.values() for name in names)
 #: What the parser of options says, and what is said instead.
 _PHRASES = {
     "Value error, ": "",

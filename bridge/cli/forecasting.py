@@ -5,8 +5,8 @@ from typing import Literal
 
 from bridge.cli import options
 from bridge.cli.app import command
-from bridge.cli.places import check_out, check_scenes
-from bridge.console import Activity, print_json, print_table, say
+from bridge.cli.places import check_scenes
+from bridge.console import Activity, print_json, say
 from bridge.interruption import if_interrupted
 from netconvert.errors import ConfigError
 
@@ -14,7 +14,7 @@ from netconvert.errors import ConfigError
 _SHOWN = 10
 
 
-@command()
+@command(folders=("out",))
 def compose(  # noqa: PLR0913  # one for each option
     sources: list[str] = options.argument(
         "COMPOSITION.toml|SOURCE[:N]",
@@ -38,67 +38,59 @@ def compose(  # noqa: PLR0913  # one for each option
     seed: int | None = options.selection("Seed of the draw.", None, "N", min=0, show_default="0, or that of the file"),
     jobs: int = options.JOBS,
     as_json: bool = options.AS_JSON,
-    tell: options.Tell,
+    activity: Activity,
 ) -> int:
     """Make data-set roots of recorded and generated scenes for training and validation, without leaks.
 
     With SOURCEs one root is made; a composition can make several, the control experiments among them.
     """
     if check:
-        return _check([Path(text) for text in sources], jobs=jobs, as_json=as_json, quiet=tell.quiet)
+        return _check([Path(text) for text in sources], activity, jobs=jobs, as_json=as_json)
     if out is None:
         raise ConfigError("missing -o/--out (see hid2 compose --help)")
-    check_out(out)
-    with Activity(quiet=tell.quiet) as activity:
-        from bridge.forecasting.compose import compose as make
-        from bridge.forecasting.composition import composition_of, composition_of_sources, read_composition
+    from bridge.forecasting.compose import compose as make
+    from bridge.forecasting.composition import composition_of, composition_of_sources, read_composition
 
-        if len(sources) == 1 and sources[0].endswith(".toml"):
-            found = read_composition(Path(sources[0]))
-            changes: dict[str, object] = {"seed": seed, "layout": layout}
-            found = found.model_copy(update={key: value for key, value in changes.items() if value is not None})
-        else:
-            split = {"by": split_by, "val": val, "test": test}
-            checked = composition_of({"sources": {"a": ("b",)}, "sets": {"c": {}}, "split": split}, "split")
-            found = composition_of_sources(
-                sources, split=checked.split, seed=seed or 0, layout=layout or "av2", min_agents=min_agents,
-                min_agents_in=min_agents_in,
-            )  # fmt: skip
-        check_scenes([Path(place) for places in found.sources.values() for place in places])
-
-        made = make(found, out, jobs=jobs, on_scene=activity.step)
-        for line in made.left_out[: None if tell.verbose else _SHOWN]:
-            say(f"warning: left out: {line}")
-        if len(made.left_out) > _SHOWN and not tell.verbose:
-            say(f"warning: left out: {len(made.left_out) - _SHOWN} more (-v lists them)")
-    head = ("data set", "train", "val", "test")
-    if as_json:
-        print_json(head, made.rows())
-    elif not tell.quiet:
-        print_table(f"{out}: scenes", head, made.rows())
+    if len(sources) == 1 and sources[0].endswith(".toml"):
+        found = read_composition(Path(sources[0]))
+        changes: dict[str, object] = {"seed": seed, "layout": layout}
+        found = found.model_copy(update={key: value for key, value in changes.items() if value is not None})
+    else:
+        split = {"by": split_by, "val": val, "test": test}
+        checked = composition_of({"sources": {"a": ("b",)}, "sets": {"c": {}}, "split": split}, "split")
+        found = composition_of_sources(
+            sources, split=checked.split, seed=seed or 0, layout=layout or "av2", min_agents=min_agents,
+            min_agents_in=min_agents_in,
+        )  # fmt: skip
+    check_scenes([Path(place) for places in found.sources.values() for place in places])
+    made = make(found, out, jobs=jobs, on_scene=activity.step)
+    shown = len(made.left_out) if activity.verbose else _SHOWN
+    for line in made.left_out[:shown]:
+        say(f"warning: left out: {line}")
+    if len(made.left_out) > shown:
+        say(f"warning: left out: {len(made.left_out) - shown} more (-v lists them)")
+    activity.table(f"{out}: scenes", ("data set", "train", "val", "test"), made.rows(), as_json=as_json)
     return options.ALL_DONE
 
 
-def _check(roots: list[Path], *, jobs: int, as_json: bool, quiet: bool) -> int:
+def _check(roots: list[Path], activity: Activity, *, jobs: int, as_json: bool) -> int:
     """Look for leaks; returns the exit code."""
     check_scenes(roots)
-    leaks = []
-    with Activity("looking for leaks", quiet=quiet) as activity:
-        from bridge.forecasting.compose import check_leaks
+    activity.doing("looking for leaks")
+    from bridge.forecasting.compose import check_leaks
 
-        for root in roots:
-            leaks += check_leaks(root, jobs=jobs, on_scene=activity.show)
+    leaks = [leak for root in roots for leak in check_leaks(root, jobs=jobs, on_scene=activity.show)]
+    activity.end()
     if as_json:
         print_json(("folder", "other", "why"), leaks)
     else:
         for leak in leaks:
             print(leak.text())
-    if not quiet:
-        say(f"{', '.join(map(str, roots))}: {len(leaks) or 'no'} leak{'' if len(leaks) == 1 else 's'}")
+    activity.note(f"{', '.join(map(str, roots))}: {len(leaks) or 'no'} leak{'' if len(leaks) == 1 else 's'}")
     return options.SOME_FAILED if leaks else options.ALL_DONE
 
 
-@command()
+@command(reads=("root", "scenes"), folders=("out",))
 def forecast(
     root: Path = options.argument("ROOT", "A data-set root with train/ and val/, as compose makes."),
     out: Path = options.output("Folder for checkpoint.pt and predictions.parquet.", ..., "MODEL", "-o"),
@@ -107,36 +99,33 @@ def forecast(
     updates: int | None = options.option("Updates of the training.", None, "N", min=1, show_default="300"),
     seed: int = options.option("Seed of weights and batches.", 0, "N", min=0),
     resume: bool = options.running("Go on from MODEL/checkpoint.pt.", False),
-    tell: options.Tell,
+    activity: Activity,
 ) -> None:
     """Train a small forecaster and write its forecasts of the focal tracks (needs the extra `forecast`).
 
     VectorNet with six futures: an instrument to compare data sets with, no state of the art.
     """
-    check_scenes([root, *([scenes] if scenes else [])])
-    check_out(out)
-    from bridge.forecasting.small_forecaster import check_forecaster, small_forecaster
+    from bridge.forecasting.small_forecaster import small_forecaster
 
-    check_forecaster()
-    with Activity(quiet=tell.quiet) as activity:
-        from bridge.evaluation.predictions import write_forecasts
-        from bridge.recordings.folders import find_scenarios
-        from hid2.params import Forecasting
+    features, network = small_forecaster()
+    from bridge.evaluation.predictions import write_forecasts
+    from bridge.recordings.folders import find_scenarios
+    from hid2.params import Forecasting
 
-        features, network = small_forecaster()
-        updates = updates or Forecasting().updates
-        targets = []
-        for place in (root / "train", scenes or root / "val"):
-            activity.doing(f"reading {place}")
-            found, left_out = features.features_of(find_scenarios(place), on_scene=activity.show)
-            targets.append(found)
-            for line in left_out:
-                say(f"warning: not used: {line}")
-        activity.doing("training")
-        if_interrupted("continue with --resume")
-        model = network.train(
-            targets[0], out / "checkpoint.pt", updates=updates, seed=seed, resume=resume, on_update=activity.show
-        )
-        activity.doing("forecasting")
-        path = write_forecasts(network.forecast(model, targets[1]), out / "predictions.parquet")
+    updates = updates or Forecasting().updates
+    targets = []
+    for place in (root / "train", scenes or root / "val"):
+        activity.doing(f"reading {place}")
+        found, left_out = features.features_of(find_scenarios(place), on_scene=activity.show)
+        targets.append(found)
+        for line in left_out:
+            say(f"warning: not used: {line}")
+    activity.doing("training")
+    if_interrupted("continue with --resume")
+    model = network.train(
+        targets[0], out / "checkpoint.pt", updates=updates, seed=seed, resume=resume, on_update=activity.show
+    )
+    activity.doing("forecasting")
+    path = write_forecasts(network.forecast(model, targets[1]), out / "predictions.parquet")
+    activity.end()
     print(path)

@@ -8,7 +8,7 @@ from bridge.cli import options
 from bridge.cli.app import command
 from bridge.cli.places import check_out, check_scenes
 from bridge.cli.session import select_scenes
-from bridge.console import Activity, fail, print_json, say, warn
+from bridge.console import Activity, fail, print_json, warn
 from netconvert.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ _TRIGGER_TIME = "When manoeuvres are triggered, in seconds: a time, a range to d
     shown=(
         "scenes", "out", "agents", "near", "focal", "seed", "variants", "behaviours", "trigger_time", "event", "target",
         "at", "drivers", "config", "settings", "jobs", "resume", "again", "source", "repro", "help",
-    )
+    ),
 )  # fmt: skip
 def generate(  # noqa: PLR0913  # one for each option
     *,
@@ -85,7 +85,7 @@ def generate(  # noqa: PLR0913  # one for each option
         "With --repro or --from: a function of yours that the file may ask for; repeatable.", [], "MODULE:NAME"
     ),
     as_json: bool = options.AS_JSON,
-    tell: options.Tell,
+    activity: Activity,
 ) -> int:
     """Write denser scenes: insert vehicles with the behaviours asked for among the recorded ones.
 
@@ -100,10 +100,10 @@ def generate(  # noqa: PLR0913  # one for each option
     Exit code 1: a scene could not be done, or something asked for came about in no scene. 2: no scene can meet it.
     """
     if repro is not None:
-        return _reproduce(repro, out, function, quiet=tell.quiet)
+        return _reproduce(repro, out, function, activity)
     if again is not None:
         given = bool(scenes or config or settings)
-        return _make_again(again, source, out, windows.map_path, function, given=given, quiet=tell.quiet)
+        return _make_again(again, source, out, windows.map_path, function, activity, given=given)
     if source is not None or function:
         alone = "--function without --repro or --from" if source is None else "--source without --from"
         raise ConfigError(f"{alone}, expected the two together {_HELP}")
@@ -112,64 +112,62 @@ def generate(  # noqa: PLR0913  # one for each option
         raise ConfigError(f"missing {' and '.join(missing)} {_HELP}")
     check_scenes(scenes)
     check_out(out)
-    with Activity(quiet=tell.quiet) as activity:
-        from bridge.config import (
-            check_reactive,
-            load_config,
-            parse_behaviours,
-            parse_events,
-            parse_trigger_time,
-            parse_value,
-            read_drivers,
-        )
-        from bridge.recordings.sources import described, find_sources
+    from bridge.config import (
+        check_reactive,
+        load_config,
+        parse_behaviours,
+        parse_events,
+        parse_trigger_time,
+        parse_value,
+        read_drivers,
+    )
+    from bridge.recordings.sources import described, find_sources
 
-        flags: dict[str, Any] = {f"request.{key}": value for key, value in request.items() if value is not None}
-        if "request.agents" in flags:
-            flags["request.agents"] = parse_value(flags["request.agents"])
-        flags |= {f"driving.{key}": value for key, value in driving.items() if value is not None}
-        flags |= {"without": without} if without else {}
-        flags |= read_drivers(drivers) if drivers is not None else {}
-        flags |= parse_behaviours(behaviours) if behaviours is not None else {}
-        flags |= parse_trigger_time(trigger_time) if trigger_time is not None else {}
-        flags |= parse_events(event, events, criticality)
-        resolved = load_config(config, settings, flags)
-        check_reactive(resolved)
-        activity.doing("looking for scenes")
-        folders = find_sources(scenes, windows.choices())
-        activity.note(*described(folders))
-        if formats:
-            _check_sequences(folders, resolved)
-        if any(which):  # else nothing need be imported that reads scenes
-            folders = select_scenes(folders, which.selection(resolved.request.seed), activity, jobs=batch.jobs)
+    flags: dict[str, Any] = {f"request.{key}": value for key, value in request.items() if value is not None}
+    if "request.agents" in flags:
+        flags["request.agents"] = parse_value(flags["request.agents"])
+    flags |= {f"driving.{key}": value for key, value in driving.items() if value is not None}
+    flags |= {"without": without} if without else {}
+    flags |= read_drivers(drivers) if drivers is not None else {}
+    flags |= parse_behaviours(behaviours) if behaviours is not None else {}
+    flags |= parse_trigger_time(trigger_time) if trigger_time is not None else {}
+    flags |= parse_events(event, events, criticality)
+    resolved = load_config(config, settings, flags)
+    check_reactive(resolved)
+    activity.doing("looking for scenes")
+    folders = find_sources(scenes, windows.choices())
+    activity.note(*described(folders))
+    if formats:
+        _check_sequences(folders, resolved)
+    if any(which):  # else nothing need be imported that reads scenes
+        folders = select_scenes(folders, which.selection(resolved.request.seed), activity, jobs=batch.jobs)
 
-        from bridge.batch.batch import Options, plan, run_batch
-        from bridge.batch.requested import came_about_nowhere, check_request, check_same_request, named_behaviours
-        from bridge.cli.batch_display import BatchNotes, print_batch
+    from bridge.batch.batch import Options, plan, run_batch
+    from bridge.batch.requested import came_about_nowhere, check_request, check_same_request, named_behaviours
+    from bridge.cli.batch_display import BatchNotes, print_batch
 
-        jobs_wanted = plan(folders, resolved)
-        if not append:
-            check_same_request(out, jobs_wanted[0].runs[0].config)
-        activity.doing("looking at the first scenes")
-        named = named_behaviours(resolved.request, by_option=behaviours is not None)
-        activity.note(*check_request(folders, resolved, named, jobs=batch.jobs))
-        how = Options(
-            jobs=batch.jobs, scheduler=batch.scheduler, timeout_s=batch.scene_timeout, resume=resume,
-            memory_mb=scene_memory, argoverse1=bool(formats),
-            gaps=bool(record), functions={resolved.lane_change.rule},
-        )  # fmt: skip
-        notes = BatchNotes(activity, out, go_on="continue with --resume", verbose=tell.verbose > 0)
-        activity.doing("generating")
-        activity.show(0, sum(len(job.runs) for job in jobs_wanted))
-        rows = run_batch(jobs_wanted, out, how, on_row=notes.note)
+    jobs_wanted = plan(folders, resolved)
+    if not append:
+        check_same_request(out, jobs_wanted[0].runs[0].config)
+    activity.doing("looking at the first scenes")
+    named = named_behaviours(resolved.request, by_option=behaviours is not None)
+    activity.note(*check_request(folders, resolved, named, jobs=batch.jobs))
+    how = Options(
+        jobs=batch.jobs, scheduler=batch.scheduler, timeout_s=batch.scene_timeout, resume=resume,
+        memory_mb=scene_memory, argoverse1=bool(formats),
+        gaps=bool(record), functions={resolved.lane_change.rule},
+    )  # fmt: skip
+    notes = BatchNotes(activity, out, go_on="continue with --resume")
+    activity.doing("generating")
+    activity.show(0, sum(len(job.runs) for job in jobs_wanted))
+    rows = run_batch(jobs_wanted, out, how, on_row=notes.note)
+    activity.end()
     if as_json:
         print_json(rows[0]._fields, rows)
-    elif not tell.quiet:
+    elif not activity.quiet:
         print_batch(rows)
-        for row in rows if len(rows) <= _SHOWN_PATHS else []:
-            if row.folder:
-                print(out / row.folder)
-        print(out / "manifest.csv")
+        paths = [out / row.folder for row in rows if row.folder] if len(rows) <= _SHOWN_PATHS else []
+        activity.result(*paths, out / "manifest.csv")
     return _ended(rows, came_about_nowhere(rows, resolved, named), out)
 
 
@@ -197,8 +195,8 @@ def _ended(rows: Sequence["ManifestRow"], nowhere: Sequence[str], out: Path) -> 
 
 
 def _make_again(
-    sidecar: Path, source: Path | None, out: Path | None, map_path: Path | None, functions: Sequence[str], *,
-    given: bool, quiet: bool
+    sidecar: Path, source: Path | None, out: Path | None, map_path: Path | None, functions: Sequence[str],
+    activity: Activity, *, given: bool
 ) -> int:  # fmt: skip
     """Make the scene of a sidecar again, and compare it with what lies beside the sidecar. Returns the exit code."""
     if not (sidecar.is_file() and sidecar.match("hid2_*.json")):
@@ -208,21 +206,20 @@ def _make_again(
         raise ConfigError(f"--from SIDECAR takes --source ROOT and -o OUT, no SCENE, --config or --set {_HELP}")
     check_scenes([source])
     check_out(out)
-    with Activity("making the scene again", quiet=quiet):
-        from bridge.batch.provenance import make_again
+    activity.doing("making the scene again")
+    from bridge.batch.provenance import make_again
 
-        made = make_again(sidecar, source, out, map_path=map_path, functions=functions)
+    made = make_again(sidecar, source, out, map_path=map_path, functions=functions)
     for line in made.differences:
         warn(line)
-    if not quiet:
-        print(made.folder)
-        if made.compared and not made.differences:
-            apart = f", but for what the sidecar says of the program: {made.program}" if made.program else ""
-            say(f"the same, bit for bit, as {sidecar.parent}{apart}")
+    activity.result(made.folder)
+    if made.compared and not made.differences:
+        apart = f", but for what the sidecar says of the program: {made.program}" if made.program else ""
+        activity.note(f"the same, bit for bit, as {sidecar.parent}{apart}")
     return options.SOME_FAILED if made.differences else options.ALL_DONE
 
 
-def _reproduce(bundle_path: Path, out: Path | None, functions: Sequence[str], *, quiet: bool) -> int:
+def _reproduce(bundle_path: Path, out: Path | None, functions: Sequence[str], activity: Activity) -> int:
     """Run a bundle; without an output folder nothing is kept. Returns the exit code."""
     from zipfile import is_zipfile
 
@@ -231,11 +228,12 @@ def _reproduce(bundle_path: Path, out: Path | None, functions: Sequence[str], *,
         raise ConfigError(f"{bundle_path}: {wrong}, expected a bundle, OUT/quarantine/.../NAME.zip")
     if out is not None:
         check_out(out)
-    with Activity("running the scene of the bundle", quiet=quiet):
-        from bridge.batch.batch import reproduce
-        from bridge.batch.manifest import DONE
+    activity.doing("running the scene of the bundle")
+    from bridge.batch.batch import reproduce
+    from bridge.batch.manifest import DONE
 
-        bundle, row = reproduce(bundle_path, out, functions=functions)
+    bundle, row = reproduce(bundle_path, out, functions=functions)
+    activity.end()
     print(f"{bundle.folder.name} variant {bundle.variant}, made by hid2-sumo {bundle.version}")
     print(f"then: {bundle.failure.kind}: {bundle.failure.message}")
     print(f"now:  {'done' if row.status == DONE else f'{row.failure}: {row.reason}'}")

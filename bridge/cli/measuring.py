@@ -6,14 +6,14 @@ from typing import Literal
 
 from bridge.cli import options
 from bridge.cli.app import command
-from bridge.cli.places import check_out, check_out_file, check_scenes
+from bridge.cli.places import check_out, check_scenes
 from bridge.cli.session import tell_unread
-from bridge.console import Activity, counted, print_json, print_table, say
+from bridge.console import Activity, counted, say
 from netconvert.errors import ConfigError
 
 
-@command()
-def evaluate(  # one for each option
+@command(reads=("out", "source", "control"), folders=("report",))
+def evaluate(
     out: Path = options.argument(
         "SCENES", "Scenes to measure, generated or recorded: a scenario folder, a split folder or a root."
     ),
@@ -35,47 +35,38 @@ def evaluate(  # one for each option
     windows: options.Windows,
     jobs: int = options.JOBS,
     as_json: bool = options.output("With --predictions: print the table as JSON.", False, None, "--json"),
-    tell: options.Tell,
+    activity: Activity,
 ) -> int:
     """Measure density, diversity, safety, kinematics and realism of any number of scenes, or score forecasts."""
-    check_scenes([out, *(folder for folder in (source, control) if folder)])
-    check_out(report)
     if as_json and not predictions:
         raise ConfigError("--json without --predictions: the tables of scenes are files; expected the two together")
     if predictions:
-        return _score(out, predictions, bands, report, jobs=jobs, as_json=as_json, quiet=tell.quiet)
-    with Activity(quiet=tell.quiet) as activity:
-        from bridge.evaluation.evaluate import evaluate_folder
+        return _score(out, predictions, bands, report, activity, jobs=jobs, as_json=as_json)
+    from bridge.evaluation.evaluate import evaluate_folder
 
-        activity.doing("measuring scenes")
+    activity.doing("measuring scenes")
 
-        def show(done: int, total: int) -> None:
-            activity.show(done, total)
-            if done == total:
-                activity.doing("writing the report")
+    def show(done: int, total: int) -> None:
+        activity.show(done, total)
+        if done == total:
+            activity.doing("writing the report")
 
-        evaluation = evaluate_folder(
-            out,
-            report_dir=report,
-            source=source,
-            choices=windows.choices(),
-            control=control,
-            jobs=jobs,
-            on_scene=show,
-        )
-        tell_unread(evaluation.failures)
-    if not tell.quiet:
-        counts = evaluation.metrics["scenes"]
-        made, left_out = counts["generated_vehicles"], len(evaluation.failures)
-        say(
-            f"{out}: {counted(counts['scenes'], 'scene')} made from {counts['sources']} recorded, with "
-            f"{counted(made, 'generated vehicle')}" + (f"; {left_out} not readable, left out" if left_out else "")
-        )
-        print(report / "report.html")
+    evaluation = evaluate_folder(
+        out, report_dir=report, source=source, choices=windows.choices(), control=control, jobs=jobs, on_scene=show
+    )
+    tell_unread(evaluation.failures)
+    counts, left_out = evaluation.metrics["scenes"], len(evaluation.failures)
+    activity.end()
+    activity.note(
+        f"{out}: {counted(counts['scenes'], 'scene')} made from {counts['sources']} recorded, with "
+        f"{counted(counts['generated_vehicles'], 'generated vehicle')}"
+        + (f"; {left_out} not readable, left out" if left_out else "")
+    )
+    activity.result(report / "report.html")
     return options.SOME_FAILED if evaluation.failures else options.ALL_DONE
 
 
-@command()
+@command(reads=("root",), files=("out",))
 def calibrate(
     root: Path = options.argument("ROOT", "Recorded scenes: a scenario folder, a split folder or a root."),
     out: Path = options.output(
@@ -84,24 +75,19 @@ def calibrate(
     *,
     without: list[str] = options.option("Leave a scene out, such as one to generate from; repeatable.", [], "ID"),
     jobs: int = options.JOBS,
-    tell: options.Tell,
+    activity: Activity,
 ) -> int:
     """Measure how people drive in recorded scenes, for `hid2 generate --drivers`."""
-    check_scenes([root])
-    check_out_file(out)
-    with Activity(quiet=tell.quiet) as activity:
-        from bridge.evaluation.calibrate import calibrate_folder
+    from bridge.evaluation.calibrate import calibrate_folder
 
-        activity.doing("measuring how people drive")
-        found = calibrate_folder(root, out, without=without, jobs=jobs, on_scene=activity.show)
-        tell_unread(found.failures)
-    if not tell.quiet:
-        print(out)
-        print(out.with_name(f"{out.stem}.html"))
+    activity.doing("measuring how people drive")
+    found = calibrate_folder(root, out, without=without, jobs=jobs, on_scene=activity.show)
+    tell_unread(found.failures)
+    activity.result(out, out.with_name(f"{out.stem}.html"))
     return options.SOME_FAILED if found.failures else options.ALL_DONE
 
 
-@command()
+@command(reads=("scenes",), folders=("out",))
 def study(
     file: Path = options.argument("STUDY.toml", "The study, as those in data/studies."),
     out: Path = options.OUT,
@@ -116,38 +102,34 @@ def study(
         "Beside each run driven now its trajectories for SSAM, trajectories.trj.", False, None, "--trj"
     ),
     batch: options.Batch,
-    tell: options.Tell,
+    activity: Activity,
 ) -> int:
     """Run a parameter study. Called again, it continues: completed runs are skipped."""
-    check_scenes(scenes)
-    check_out(out)
-    with Activity(quiet=tell.quiet) as activity:
-        from bridge.batch.batch import Options
-        from bridge.cli.batch_display import BatchNotes
-        from bridge.studies.run import run_study
-        from bridge.studies.study import read_study
+    from bridge.batch.batch import Options
+    from bridge.cli.batch_display import BatchNotes
+    from bridge.studies.run import run_study
+    from bridge.studies.study import read_study
 
-        how = Options(jobs=batch.jobs, scheduler=batch.scheduler, timeout_s=batch.scene_timeout, resume=True)
-        activity.doing("reading the study and its scenes")
-        found = read_study(file, scenes=scenes)
-        if plan is not None:
-            from bridge.studies.plan import plan_text
+    how = Options(jobs=batch.jobs, scheduler=batch.scheduler, timeout_s=batch.scene_timeout, resume=True)
+    activity.doing("reading the study and its scenes")
+    found = read_study(file, scenes=scenes)
+    if plan is not None:
+        from bridge.studies.plan import plan_text
 
-            activity.doing("drawing the first run")
-            for line in plan_text(found, out, plan):
-                print(line)
-            return options.ALL_DONE
-        notes = BatchNotes(activity, out, go_on="the same command continues", verbose=tell.verbose > 0)
-        activity.doing("generating")
-        activity.show(0, sum(len(job.runs) for job in found.jobs))
-        report = run_study(found, out, how, trj=trj, on_row=notes.note)
-    if not tell.quiet:
-        for path in report.files:
-            print(path)
+        activity.doing("drawing the first run")
+        lines = list(plan_text(found, out, plan))
+        activity.end()
+        print(*lines, sep="\n")
+        return options.ALL_DONE
+    notes = BatchNotes(activity, out, go_on="the same command continues")
+    activity.doing("generating")
+    activity.show(0, sum(len(job.runs) for job in found.jobs))
+    report = run_study(found, out, how, trj=trj, on_row=notes.note)
+    activity.result(*report.files)
     return options.SOME_FAILED if report.failed else options.ALL_DONE
 
 
-@command()
+@command(folders=("out",))
 def make(
     what: Literal["corridor"] = options.argument("WHAT", "corridor: a straight one-way road."),
     out: Path = options.OUT,
@@ -157,7 +139,6 @@ def make(
     seconds: float = options.option("Duration of the recording, s.", 180.0, "S"),
 ) -> None:
     """Make a synthetic scene for studies; it is no scene of Argoverse, and its id says so."""
-    check_out(out)
     from bridge.recordings.corridor import write_corridor
 
     assert what == "corridor"
@@ -195,7 +176,7 @@ def paper(  # noqa: PLR0913  # one for each option
         "Forecasts from elsewhere instead of the small forecaster's: SET/SEED/VALIDATION.parquet.", None, "DIR"
     ),
     jobs: int = options.JOBS,
-    tell: options.Tell,
+    activity: Activity,
 ) -> None:
     """Run an experiment of the paper, from generation to the table beside the paper's; prediction needs `forecast`."""
     theirs = {"--variants": variants, "--val": val, "--updates": updates, "--composed": composed}
@@ -203,29 +184,29 @@ def paper(  # noqa: PLR0913  # one for each option
     _check_fits(experiment, {**theirs, "--predictions": predictions}, others)
     check_scenes([*scenes, *([composed] if composed else [])])
     check_out(out)
-    if experiment == "prediction" and predictions is None:
-        from bridge.forecasting.small_forecaster import check_forecaster
+    if experiment == "prediction":
+        if predictions is None:
+            from bridge.forecasting.small_forecaster import check_forecaster
 
-        check_forecaster()
-    with Activity(quiet=tell.quiet) as activity:
-        if experiment == "prediction":
-            from bridge.forecasting.experiment import Plan, run_prediction
-            from hid2.params import Forecasting
+            check_forecaster()
+        from bridge.forecasting.experiment import Plan, run_prediction
+        from hid2.params import Forecasting
 
-            given = {"variants": variants, "val_share": val, "updates": updates}
-            params = Forecasting.model_validate({name: value for name, value in given.items() if value is not None})
-            page = run_prediction(
-                scenes, out, Plan(seeds=seeds or 3, agents=agents, reading=focal, params=params), jobs=jobs,
-                composed=composed, predictions=predictions, on_step=activity.step
-            )  # fmt: skip
-        else:
-            from bridge.evaluation.paper import run_experiment
+        given = {"variants": variants, "val_share": val, "updates": updates}
+        params = Forecasting.model_validate({name: value for name, value in given.items() if value is not None})
+        page = run_prediction(
+            scenes, out, Plan(seeds=seeds or 3, agents=agents, reading=focal, params=params), jobs=jobs,
+            composed=composed, predictions=predictions, on_step=activity.step
+        )  # fmt: skip
+    else:
+        from bridge.evaluation.paper import run_experiment
 
-            activity.doing("generating and measuring")
-            page = run_experiment(
-                experiment, scenes=scenes, out_dir=out, choices=windows.choices(), seeds=seeds or 10,
-                agents=agents, jobs=jobs, on_scene=activity.show
-            )  # fmt: skip
+        activity.doing("generating and measuring")
+        page = run_experiment(
+            experiment, scenes=scenes, out_dir=out, choices=windows.choices(), seeds=seeds or 10,
+            agents=agents, jobs=jobs, on_scene=activity.show
+        )  # fmt: skip
+    activity.end()
     print(page)
 
 
@@ -238,43 +219,39 @@ def _check_fits(experiment: str, prediction: Mapping[str, object], others: Mappi
         raise ConfigError(f"{given[0]} does nothing in {experiment}, expected it with {which} only")
 
 
-def _score(out: Path, files: list[str], bands: str, report: Path, *, jobs: int, as_json: bool, quiet: bool) -> int:
+def _score(
+    out: Path, files: list[str], bands: str, report: Path, activity: Activity, *, jobs: int, as_json: bool
+) -> int:
     """Score forecasts, or compare those of several files; returns the exit code."""
     try:
         bounds = [int(band) for band in bands.split(",")]
     except ValueError:
         raise ConfigError(f"--bands {bands!r}: expected numbers of agents, joined by commas") from None
+    from bridge.evaluation.predictions import BASELINES, TABLE_HEAD, score_predictions
+
+    activity.doing("scoring forecasts")
     head: Sequence[str]
     left_out: Sequence[str]
-    with Activity(quiet=quiet) as activity:
-        from bridge.evaluation.predictions import BASELINES, TABLE_HEAD, score_predictions
+    if len(files) > 1:
+        from bridge.forecasting.comparison import HEAD, compare_predictions, parse_models, rows_of
 
-        if len(files) > 1:
-            from bridge.forecasting.comparison import HEAD, compare_predictions, parse_models, rows_of
-
-            models = parse_models(files)
-            activity.doing("scoring forecasts")
-            found, left_out = compare_predictions(out, models, report, bounds=bounds, jobs=jobs, on_scene=activity.show)
-            title, head, rows, page = f"{len(models)} models", HEAD, rows_of(found), "comparison.html"
-        else:
-            (file,) = files
-            baseline = next((name for name in BASELINES if name == file), None)
-            if baseline is None and not Path(file).is_file():
-                raise ConfigError(
-                    f"--predictions {file}: no such file; expected a forecast file or one of {', '.join(BASELINES)}"
-                )
-            activity.doing("scoring forecasts")
-            scored = score_predictions(
-                out, predictions=baseline or Path(file), report_dir=report, bounds=bounds, jobs=jobs,
-                on_scene=activity.show,
-            )  # fmt: skip
-            left_out, title, head = scored.left_out, f"{len(scored.scores)} scores", TABLE_HEAD
-            rows, page = scored.rows(), "predictions.html"
-        for reason in left_out:
-            say(f"warning: not scored: {reason}")
-    if as_json:
-        print_json(head, rows)
-    elif not quiet:
-        print_table(title, head, rows)
-        print(report / page)
+        models = parse_models(files)
+        found, left_out = compare_predictions(out, models, report, bounds=bounds, jobs=jobs, on_scene=activity.show)
+        title, head, rows, page = f"{len(models)} models", HEAD, rows_of(found), "comparison.html"
+    else:
+        (file,) = files
+        baseline = next((name for name in BASELINES if name == file), None)
+        if baseline is None and not Path(file).is_file():
+            raise ConfigError(
+                f"--predictions {file}: no such file; expected a forecast file or one of {', '.join(BASELINES)}"
+            )
+        scored = score_predictions(
+            out, predictions=baseline or Path(file), report_dir=report, bounds=bounds, jobs=jobs, on_scene=activity.show
+        )
+        left_out, title, head = scored.left_out, f"{len(scored.scores)} scores", TABLE_HEAD
+        rows, page = scored.rows(), "predictions.html"
+    for reason in left_out:
+        say(f"warning: not scored: {reason}")
+    activity.table(title, head, rows, as_json=as_json)
+    activity.result(*(() if as_json else (report / page,)))
     return options.SOME_FAILED if left_out else options.ALL_DONE

@@ -6,6 +6,7 @@ method, from which name, type, range, default and sentence come.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from enum import StrEnum
 from functools import partial, wraps
 from inspect import Parameter, signature
@@ -14,7 +15,9 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_origin, get_type
 
 import typer
 
+from bridge.cli.places import check_out, check_out_file, check_scenes
 from bridge.cli.session import set_up
+from bridge.console import Activity
 from bridge.recordings.folders import SPLITS, Choices
 from hid2.policies import Policy
 from netconvert.errors import ConfigError
@@ -126,10 +129,29 @@ def _plain(value: Any) -> Any:
     return [str(one) if isinstance(one, StrEnum) else one for one in value] if isinstance(value, list) else value
 
 
-def flattened(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function of a command as typer takes it, with a parameter for each option; logging is set up before."""
+class Paths(NamedTuple):
+    """Parameters of a command whose paths are checked before it runs: scenes that it reads, what it writes."""
+
+    reads: tuple[str, ...] = ()
+    folders: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
+
+    def check(self, values: Mapping[str, Any]) -> None:
+        """Errors: ConfigError for what cannot be what it is given as."""
+        given = [values[name] for name in self.reads if values[name] is not None]
+        check_scenes([path for one in given for path in (one if isinstance(one, list) else [one])])
+        for names, check in ((self.folders, check_out), (self.files, check_out_file)):
+            for path in (values[name] for name in names if values[name] is not None):
+                check(path)
+
+
+def flattened(function: Callable[..., Any], paths: Paths) -> Callable[..., Any]:
+    """The function of a command as typer takes it, with a parameter for each option.
+
+    Before it is called logging is set up and paths are checked; an `Activity` that it takes is begun.
+    """
     parameters: list[Parameter] = []
-    groups: dict[str, tuple[Callable[..., object], dict[str, str]]] = {}
+    groups: dict[str, tuple[Callable[..., Any], dict[str, str]]] = {}
     hints = get_type_hints(function)
     for name, own in signature(function).parameters.items():
         kind = hints[name]
@@ -137,10 +159,11 @@ def flattened(function: Callable[..., Any]) -> Callable[..., Any]:
             found = own.default.parameters()
             groups[name] = dict, {key: one.name for key, one in found.items()}
             parameters += found.values()
-        elif hasattr(kind, "_fields"):
-            groups[name] = kind, {key: key for key in kind._fields}
-            each = get_type_hints(kind)
-            parameters += [_parameter(key, each[key], kind._field_defaults[key]) for key in kind._fields]
+        elif kind is Activity or hasattr(kind, "_fields"):
+            options = Tell if kind is Activity else kind
+            groups[name] = kind, {key: key for key in options._fields}
+            each = get_type_hints(options)
+            parameters += [_parameter(key, each[key], options._field_defaults[key]) for key in options._fields]
         else:
             parameters.append(_parameter(name, kind, own.default))
 
@@ -154,7 +177,11 @@ def flattened(function: Callable[..., Any]) -> Callable[..., Any]:
         made = {
             name: kind(**{key: values.pop(one) for key, one in keys.items()}) for name, (kind, keys) in groups.items()
         }
-        return function(**made, **values)
+        paths.check(values)
+        with ExitStack() as stack:
+            for activity in (one for one in made.values() if isinstance(one, Activity)):
+                stack.enter_context(activity)
+            return function(**made, **values)
 
     called.__signature__ = signature(function).replace(parameters=parameters)  # type: ignore[attr-defined]
     called.__annotations__ = {one.name: one.annotation for one in parameters}

@@ -4,14 +4,14 @@ from pathlib import Path
 
 from bridge.cli import options
 from bridge.cli.app import command
-from bridge.cli.places import check_out_file, check_scenes, one_scene
+from bridge.cli.places import one_scene
 from bridge.cli.session import select_scenes
 from bridge.console import Activity, say
 
 STEP = options.option("Timestep of a picture.", None, "N", min=0, show_default="the last observed one")
 
 
-@command()
+@command(reads=("scenes",), files=("out",))
 def view(
     scenes: list[Path] = options.argument("SCENE", "Scenes, recorded or generated: folders of them, splits, roots."),
     out: Path = options.output("Page to write: .html.", ..., "FILE", "-o"),
@@ -19,28 +19,24 @@ def view(
     which: options.Which,
     seed: int = options.selection("Seed of --sample.", 0, "N", min=0),
     windows: options.Windows,
-    tell: options.Tell,
+    activity: Activity,
 ) -> None:
     """Write scenes as one HTML file that a browser plays, without a network: what each vehicle did, and why."""
-    check_scenes(scenes)
-    check_out_file(out)
-    with Activity("looking for scenes", quiet=tell.quiet) as activity:
-        from bridge.pages.viewer import view_scenes
-        from bridge.pictures.figures import check_ending
-        from bridge.recordings.sources import described, find_recordings
+    activity.doing("looking for scenes")
+    from bridge.pages.viewer import view_scenes
+    from bridge.pictures.figures import check_ending
+    from bridge.recordings.sources import described, find_recordings
 
-        check_ending(out, (".html",))
-        found = find_recordings(scenes, windows.choices())
-        activity.note(*described(found))
-        if any(which):
-            found = select_scenes(found, which.selection(seed), activity, jobs=1)
-        activity.doing("packing scenes")
-        written = view_scenes(found, out, on_scene=activity.show)
-    if not tell.quiet:
-        print(written)
+    check_ending(out, (".html",))
+    found = find_recordings(scenes, windows.choices())
+    activity.note(*described(found))
+    if any(which):
+        found = select_scenes(found, which.selection(seed), activity, jobs=1)
+    activity.doing("packing scenes")
+    activity.result(view_scenes(found, out, on_scene=activity.show))
 
 
-@command()
+@command(reads=("scene", "source"), files=("out",))
 def render(
     scene: Path = options.SCENE,
     out: Path = options.output("Picture (.png, .jpg, .pdf, .svg) or film (.gif, .mp4) to write.", ..., "FILE", "-o"),
@@ -52,51 +48,45 @@ def render(
     cells: bool = options.option("Show the cells of the lanes.", False),
     step: int | None = STEP,
     window: options.OneWindow,
-    tell: options.Tell,
+    activity: Activity,
 ) -> None:
     """Draw a scene from above, before and after: a picture or a film."""
     found = one_scene(scene, window)
     before = None if source is None else one_scene(source, window)
-    check_out_file(out)
-    with Activity(quiet=tell.quiet) as activity:
-        from bridge.pictures.figures import check_ending
-        from bridge.pictures.render import ANIMATIONS, PICTURES, render_scene
-        from bridge.recordings.sources import read_recording
+    from bridge.pictures.figures import check_ending
+    from bridge.pictures.render import ANIMATIONS, PICTURES, render_scene
+    from bridge.recordings.sources import read_recording
 
-        check_ending(out, PICTURES + ANIMATIONS)
-        activity.doing("drawing")
-        written = render_scene(
-            read_recording(found), out, source=None if before is None else read_recording(before), agent=agent,
-            cells=cells, step=step, on_frame=activity.show,
-        )  # fmt: skip
-    if not tell.quiet:
-        print(written)
+    check_ending(out, PICTURES + ANIMATIONS)
+    activity.doing("drawing")
+    activity.result(render_scene(
+        read_recording(found), out, source=None if before is None else read_recording(before), agent=agent,
+        cells=cells, step=step, on_frame=activity.show,
+    ))  # fmt: skip
 
 
-@command()
+@command(reads=("scene",), files=("out",))
 def plot(
     scene: Path = options.SCENE,
     out: Path = options.output("Picture to write: .png, .jpg, .pdf or .svg.", ..., "FILE", "-o"),
     agent: str = options.option("The track, for example gen_0.", ..., "ID"),
     *,
     window: options.OneWindow,
-    tell: options.Tell,
+    activity: Activity,
 ) -> None:
     """Draw one track over time: speed, acceleration, jerk, lateral offset and cells, with its manoeuvres marked."""
     found = one_scene(scene, window)
-    check_out_file(out)
-    with Activity("drawing", quiet=tell.quiet):
-        from bridge.pictures.figures import check_ending
-        from bridge.pictures.plot import plot_agent
-        from bridge.recordings.sources import read_recording
+    activity.doing("drawing")
+    from bridge.pictures.figures import check_ending, save
+    from bridge.pictures.plot import agent_figure
+    from bridge.recordings.sources import read_recording
 
-        check_ending(out)
-        written = plot_agent(read_recording(found), agent, out)
-    if not tell.quiet:
-        print(written)
+    check_ending(out)
+    save(agent_figure(read_recording(found), agent), out)
+    activity.result(out)
 
 
-@command()
+@command(reads=("scene",), files=("screenshot",))
 def gui(
     scene: Path = options.SCENE,
     *,
@@ -104,20 +94,17 @@ def gui(
     screenshot: Path | None = options.output("Take a picture, then close the window.", None, "FILE.png"),
     step: int | None = STEP,
     window: options.OneWindow,
-    tell: options.Tell,
+    activity: Activity,
 ) -> None:
     """Play a scene in sumo-gui at its exact positions, paused at first (needs the extra `gui` and a screen)."""
     found = one_scene(scene, window)
-    if screenshot is not None:
-        check_out_file(screenshot)
-    with Activity("starting sumo-gui", quiet=tell.quiet) as activity:
-        from bridge.sumo.gui import play_scene
+    activity.doing("starting sumo-gui")
+    from bridge.sumo.gui import play_scene
 
-        def shown() -> None:
-            activity.end()
-            if screenshot is None and not tell.quiet:
-                say("sumo-gui waits at the first step: play with Ctrl+A, stop with Ctrl+S, close the window to end")
+    def shown() -> None:
+        activity.end()
+        if screenshot is None and not activity.quiet:
+            say("sumo-gui waits at the first step: play with Ctrl+A, stop with Ctrl+S, close the window to end")
 
-        picture = play_scene(found, speed=speed, screenshot=screenshot, step=step, on_shown=shown)
-    if picture is not None and not tell.quiet:
-        print(picture)
+    picture = play_scene(found, speed=speed, screenshot=screenshot, step=step, on_shown=shown)
+    activity.result(*(() if picture is None else (picture,)))

@@ -1,16 +1,16 @@
-"""`hid2 validate`, `scan`, `net` and `export`: what scenes and maps hold."""
+"""`hid2 validate`, `scan`, `net`, `export` and `config`: what scenes, maps and configurations hold."""
 
 from pathlib import Path
 
 from bridge.cli import options
 from bridge.cli.app import command
-from bridge.cli.places import check_out, check_out_file, check_scenes, one_scene
+from bridge.cli.places import check_out, one_scene
 from bridge.cli.session import read_facts, with_cities_of
-from bridge.console import Activity, counted, print_json, print_table, say
+from bridge.console import Activity, counted, print_json, print_table
 from netconvert.errors import ConfigError
 
 
-@command()
+@command(reads=("out", "source"), files=("csv",))
 def validate(
     out: Path = options.argument("OUT", "Generated scenes: a scenario folder, a split folder or a root."),
     *,
@@ -22,41 +22,37 @@ def validate(
     map_path: Path | None = options.MAP,
     jobs: int = options.JOBS,
     as_json: bool = options.AS_JSON,
-    tell: options.Tell,
+    activity: Activity,
 ) -> int:
     """Check that scenes are valid Argoverse 2 scenes, safe, driveable, and true to their claims; findings go to stdout.
 
     Ends with 1 where something is wrong; notes are told and are no faults.
     """
-    check_scenes([out, *source])
+    activity.doing("checking scenes")
+    from bridge.batch.validation import validate_folder
+    from bridge.files import write_rows
+    from bridge.recordings.folders import find_scenarios
+    from bridge.recordings.validate import Finding
+
+    findings = validate_folder(
+        out, source=source, map_path=map_path, inserted=inserted, jobs=jobs, on_scene=activity.show
+    )
     if csv is not None:
-        check_out_file(csv)
-    with Activity("checking scenes", quiet=tell.quiet) as activity:
-        from bridge.batch.validation import validate_folder
-        from bridge.recordings.folders import find_scenarios
-        from bridge.recordings.validate import Finding
-
-        findings = validate_folder(
-            out, source=source, map_path=map_path, inserted=inserted, jobs=jobs, on_scene=activity.show
-        )
-        if csv is not None:
-            from bridge.files import write_rows
-
-            write_rows(csv, Finding._fields, findings)
+        write_rows(csv, Finding._fields, findings)
+    activity.end()
     if as_json:
         print_json(Finding._fields, findings)
     else:
         for finding in findings:
             print(finding.line())
     wrong = sum(not finding.is_note for finding in findings)
-    if not tell.quiet:
-        noted = len(findings) - wrong
-        notes = f", {counted(noted, 'note')}" if noted else ""
-        say(f"{out}: {counted(len(find_scenarios(out)), 'scene')}, {counted(wrong, 'finding')}{notes}")
+    noted = len(findings) - wrong
+    notes = f", {counted(noted, 'note')}" if noted else ""
+    activity.note(f"{out}: {counted(len(find_scenarios(out)), 'scene')}, {counted(wrong, 'finding')}{notes}")
     return options.SOME_FAILED if wrong else options.ALL_DONE
 
 
-@command()
+@command(reads=("scenes",), files=("out",))
 def scan(
     scenes: list[Path] = options.SCENES,
     *,
@@ -67,25 +63,22 @@ def scan(
     windows: options.Windows,
     jobs: int = options.JOBS,
     as_json: bool = options.AS_JSON,
-    tell: options.Tell,
+    activity: Activity,
 ) -> int:
     """Tabulate a data set: agents, density, lanes, neighbours, and room for each manoeuvre."""
-    check_scenes(scenes)
-    if out is not None:
-        check_out_file(out)
-    with Activity(quiet=tell.quiet) as activity:
-        from bridge.batch.scan import EVENTS, SceneFacts, select
-        from bridge.files import make_folder, write_rows
-        from bridge.recordings.sources import described, find_recordings
+    from bridge.batch.scan import EVENTS, SceneFacts, select
+    from bridge.files import make_folder, write_rows
+    from bridge.recordings.sources import described, find_recordings
 
-        folders = find_recordings(scenes, windows.choices())
-        activity.note(*described(folders))
-        if out is not None:
-            make_folder(out.parent)
-        activity.doing("reading scenes")
-        wanted = which.selection(seed)
-        facts, failures = read_facts(folders, activity, EVENTS if events else wanted.can, jobs=jobs)
-        chosen = select(facts, with_cities_of(facts, wanted))
+    folders = find_recordings(scenes, windows.choices())
+    activity.note(*described(folders))
+    if out is not None:
+        make_folder(out.parent)
+    activity.doing("reading scenes")
+    wanted = which.selection(seed)
+    facts, failures = read_facts(folders, activity, EVENTS if events else wanted.can, jobs=jobs)
+    chosen = select(facts, with_cities_of(facts, wanted))
+    activity.end()
     if out is not None:
         write_rows(out, SceneFacts._fields, chosen)
         print(out)
@@ -106,7 +99,7 @@ def net(
     signals: bool = options.option("With --lanes whole: the signals that are inferred from the traffic.", False),
     window: options.OneWindow,
     as_json: bool = options.AS_JSON,
-    tell: options.Tell,
+    activity: Activity,
 ) -> None:
     """Write the lane graph as a SUMO net: of 4 m cells with files for sumo-gui and a report, or of whole lanes.
 
@@ -117,49 +110,57 @@ def net(
         raise ConfigError("--signals: expected --lanes whole with it, a net of cells has no signals")
     found = scene if scene.is_file() and scene.suffix == ".json" else one_scene(scene, window)
     check_out(out)
-    with Activity("converting the map", quiet=tell.quiet):
-        from bridge.sumo.net import convert, convert_whole
+    activity.doing("converting the map")
+    from bridge.sumo.net import convert, convert_whole
 
-        if lanes == "whole":
-            written = convert_whole(found, out, signals=signals)
-        else:
-            report = convert(found, out)
-    head = ("what", "value")
     if lanes == "whole":
-        if not tell.quiet:
-            print(written)
-    elif as_json:
-        print_json(head, report.rows())
-    elif not tell.quiet:
-        print_table(f"{scene.name}: fidelity of the net", head, report.rows())
+        activity.result(convert_whole(found, out, signals=signals))
+    else:
+        rows = convert(found, out).rows()
+        activity.table(f"{scene.name}: fidelity of the net", ("what", "value"), rows, as_json=as_json)
 
 
-@command()
+@command(reads=("scenes",), folders=("out",))
 def export(
     scenes: list[Path] = options.argument("SCENE", "Scenes, recorded or generated: folders of them, splits, roots."),
     out: Path = options.OUT,
     *,
     to: options.FormatName = options.output("Format to write.", ..., None, "--to"),
     windows: options.Windows,
-    tell: options.Tell,
+    activity: Activity,
 ) -> None:
     """Write scenes in the formats of others: OpenSCENARIO, OpenDRIVE, CommonRoad, SUMO's.
 
     Files have the scenes' ids as names and lie side by side; OpenSCENARIO brings the OpenDRIVE map that it
     refers to, FCD output the net.
     """
-    check_scenes(scenes)
-    check_out(out)
-    with Activity("writing scenes", quiet=tell.quiet) as activity:
-        from bridge.exports.export import export_scene
-        from bridge.recordings.sources import described, find_recordings
+    activity.doing("writing scenes")
+    from bridge.exports.export import export_scene
+    from bridge.recordings.sources import described, find_recordings
 
-        found = find_recordings(scenes, windows.choices())
-        activity.note(*described(found))
-        written = []
-        for count, address in enumerate(found, start=1):
-            written += export_scene(address, to, out)
-            activity.show(count, len(found))
-    if not tell.quiet:
-        for path in written:
-            print(path)
+    found = find_recordings(scenes, windows.choices())
+    activity.note(*described(found))
+    written = []
+    for count, address in enumerate(found, start=1):
+        written += export_scene(address, to, out)
+        activity.show(count, len(found))
+    activity.result(*written)
+
+
+@command("config")
+def show_config(
+    *,
+    config: Path | None = options.CONFIG,
+    settings: list[str] = options.SETTINGS,
+    toml: bool = options.output("Print the resolved configuration as a TOML file; so do --config and --set.", False),
+    as_json: bool = options.AS_JSON,
+) -> None:
+    """List every parameter with default, unit, range and source."""
+    from bridge.config import ParameterRow, config_to_toml, describe_config, load_config
+
+    if toml or config is not None or settings:
+        print(config_to_toml(load_config(config, settings)), end="")
+    elif as_json:
+        print_json(ParameterRow._fields, describe_config())
+    else:
+        print_table("Parameters", ParameterRow._fields, describe_config())

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from bridge.batch.engine import sorted_out, work_on_each
 from bridge.evaluation.evaluate import write_table
-from bridge.files import explained, write_text
+from bridge.files import write_text
 from bridge.pages.parts import Section, macro, page
 from bridge.pictures import figures
 from bridge.recordings.scenario import read_scenario, source_id
@@ -85,8 +85,10 @@ def calibrate_folder(
     prior = Drivers()
     groups = {name: calibrate(*pooled(part), prior=prior) for name, part in _groups(scenes)}
     result = Calibration(groups, scenes, failures)
-    with explained(out):
-        _write(result, out, prior)
+    rows = quantity_rows(result.groups)
+    write_table(out.with_name(f"{out.stem}.csv"), rows)
+    write_text(out.with_name(f"{out.stem}.html"), _page(result, rows))
+    write_text(out, drivers_toml(result.groups["all"], prior, result.scenes))
     return result
 
 
@@ -192,13 +194,6 @@ def quantity_rows(groups: Mapping[str, Sequence[Quantity]]) -> list[dict[str, An
         for group, found in groups.items()
         for quantity in found
     ]  # fmt: skip
-
-
-def _write(result: Calibration, out: Path, prior: Drivers) -> None:
-    rows = quantity_rows(result.groups)
-    write_table(out.with_name(f"{out.stem}.csv"), rows)
-    write_text(out.with_name(f"{out.stem}.html"), _page(result, rows))
-    write_text(out, drivers_toml(result.groups["all"], prior, result.scenes))
 
 
 def _page(result: Calibration, rows: Sequence[Mapping[str, Any]]) -> str:

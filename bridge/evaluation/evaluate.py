@@ -15,7 +15,7 @@ from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure
 from bridge.evaluation.scene_metrics import TABLES, Labelled, Row, SceneMeasures, measure_folder
 from bridge.evaluation.totals import Evaluation, Totals
-from bridge.files import append_rows, explained, table_file, write_json
+from bridge.files import append_rows, table_file, write_json
 from bridge.recordings.folders import MAP_PATTERN, Address, Choices, Source, find_scenarios, source_id
 from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.scenario import read_sizes
@@ -31,6 +31,12 @@ from netconvert.net_xml import net_bytes
 _LOG = logging.getLogger(__name__)
 #: Most scenes that a process gets at a time.
 _CHUNK = 40
+#: What is told of a net, and the field of its report.
+_FIDELITY = {
+    "lanes": "lanes_in", "lanes_in_net": "lanes_out", "cells": "cells_out", "largest_distance_m": "largest_distance_m",
+    "successors": "successors_in", "successors_kept": "successors_kept", "neighbors": "neighbors_in",
+    "neighbors_kept": "neighbors_kept",
+}  # fmt: skip
 
 
 def evaluate_folder(
@@ -63,33 +69,28 @@ def evaluate_folder(
     known = len(folders) + len(sources)
     evaluation = Evaluation(Totals(sources))
     totals = evaluation.totals
-    with explained(report_dir):
-        with contextlib.ExitStack() as stack:
-            tables = [stack.enter_context(_table(report_dir / f"{name}.csv", TABLES[name])) for name in TABLES]
-            every = [*folders, *sources.values(), *controls]
-            measured = _measured(every, _labelled(sources), jobs=jobs, on_scene=on_scene)
-            for done, (folder, measures) in enumerate(measured, 1):
-                if isinstance(measures, Failure):
-                    evaluation.failures.append((folder, measures.message))
-                elif done > known:
-                    totals.add_control(measures)
-                elif done > len(folders):
-                    totals.add_source(measures)
-                else:
-                    totals.add(measures)
-                    append, *others = tables
-                    append([measures.scene])
-                    for name, append in zip([*TABLES][1:], others, strict=True):
-                        append(getattr(measures, name))
-            if set(folders) <= {folder for folder, _ in evaluation.failures}:
-                (first, reason), many = evaluation.failures[0], len(folders)
-                raise ScenarioError(
-                    f"{out}: none of {many} scenes can be read, expected one at least; {first}: {reason}"
-                )
-        evaluation.metrics = _metrics(evaluation, {str(folder): folder for folder in folders})
-        write_json(report_dir / "metrics.json", evaluation.metrics)
-        write_table(report_dir / "realism.csv", evaluation.metrics["realism"]["distances"])
-        write_report(evaluation, report_dir / "report.html")
+    with contextlib.ExitStack() as stack:
+        tables = {name: stack.enter_context(_table(report_dir / f"{name}.csv", TABLES[name])) for name in TABLES}
+        every = [*folders, *sources.values(), *controls]
+        measured = _measured(every, _labelled(sources), jobs=jobs, on_scene=on_scene)
+        for done, (folder, measures) in enumerate(measured, 1):
+            if isinstance(measures, Failure):
+                evaluation.failures.append((folder, measures.message))
+            elif done > known:
+                totals.add_control(measures)
+            elif done > len(folders):
+                totals.add_source(measures)
+            else:
+                totals.add(measures)
+                for name, append in tables.items():
+                    append(measures.tables[name])
+        if set(folders) <= {folder for folder, _ in evaluation.failures}:
+            (first, reason), many = evaluation.failures[0], len(folders)
+            raise ScenarioError(f"{out}: none of {many} scenes can be read, expected one at least; {first}: {reason}")
+    evaluation.metrics = _metrics(evaluation, {str(folder): folder for folder in folders})
+    write_json(report_dir / "metrics.json", evaluation.metrics)
+    write_table(report_dir / "realism.csv", evaluation.metrics["realism"]["distances"])
+    write_report(evaluation, report_dir / "report.html")
     return evaluation
 
 
@@ -188,17 +189,7 @@ def _nets(folders: Mapping[str, str], by_name: Mapping[str, Address]) -> dict[st
                 graph = read_source_map(next(address.glob(MAP_PATTERN)))
             grid = build_cell_grid(graph)
             report = measure_fidelity(grid, net_bytes(grid))
+            nets[source] = {name: getattr(report, field) for name, field in _FIDELITY.items()}
         except Hid2Error as error:
             nets[source] = {"failed": str(error)}
-            continue
-        nets[source] = {
-            "lanes": report.lanes_in,
-            "lanes_in_net": report.lanes_out,
-            "cells": report.cells_out,
-            "largest_distance_m": report.largest_distance_m,
-            "successors": report.successors_in,
-            "successors_kept": report.successors_kept,
-            "neighbors": report.neighbors_in,
-            "neighbors_kept": report.neighbors_kept,
-        }
     return nets

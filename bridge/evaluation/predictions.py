@@ -20,7 +20,7 @@ from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 
 from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure
-from bridge.files import beside, explained, make_folder, write_json, write_rows, write_text
+from bridge.files import beside, make_folder, write_json, write_rows, write_text
 from bridge.pages import parts as pages
 from bridge.recordings.scenario import (
     MAX_STEPS,
@@ -44,6 +44,8 @@ BOUNDS = (50, 70, 90)
 FUTURE_STEPS = MAX_STEPS - OBSERVED_STEPS
 #: Speed, or turn rate, of each mode of a baseline as a share of the observed one, and how probable it is.
 _MODES = ((1.0, 0.4), (0.75, 0.15), (1.25, 0.15), (0.5, 0.1), (1.5, 0.1), (0.0, 0.1))
+#: Means of a band, by their names in predictions.json, and the fields of scores that they are of.
+_MEANS = {"min_ade_m": "min_ade_m", "min_fde_m": "min_fde_m", "miss_rate": "missed", "brier_min_fde": "brier_min_fde"}
 #: A baseline's speed and turn rate are means over this many steps before the last observed one.
 _HISTORY = 5
 
@@ -72,6 +74,17 @@ class Score(NamedTuple):
     min_fde_m: float
     missed: bool
     brier_min_fde: float
+
+
+class Band(NamedTuple):
+    """Scenes of more tracks than a bound, in all or at the observation's end."""
+
+    more_than: int
+    tracks: Literal["agents", "agents_observed"] = "agents"
+
+    def of(self, scores: Sequence[Score]) -> list[Score]:
+        """Those in such scenes."""
+        return [score for score in scores if getattr(score, self.tracks) > self.more_than]
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +143,7 @@ def score_predictions(
     left_out += [f"{name}: no such scene" for name in sorted(set(forecasts) - set(map(source_id, folders)))]
     if not scores:
         raise ScenarioError(f"{out}: nothing to score, first of {len(left_out)} reasons: {left_out[0]}")
-    scored = PredictionScores(tuple(scores), tuple(_bands(scores, bounds)), tuple(left_out))
+    scored = PredictionScores(tuple(scores), tuple(_means(scores, bounds)), tuple(left_out))
     if report_dir is not None:
         _write(scored, report_dir)
     return scored
@@ -173,7 +186,7 @@ def read_forecasts(path: Path) -> Forecasts:
 def write_forecasts(forecasts: Forecasts, path: Path) -> Path:
     """Write a submission file. Errors: ExportError; ScenarioError for forecasts that av2 refuses."""
     try:
-        with explained(path), beside(path) as hidden:
+        with beside(path) as hidden:
             ChallengeSubmission({name: (one[0], dict(one[1])) for name, one in forecasts.items()}).to_parquet(hidden)
     except ValueError as error:
         raise ScenarioError(f"{path}: forecasts that av2 refuses ({error})") from error
@@ -249,40 +262,26 @@ def _score_scene(scene: Rows, forecast: Forecast) -> tuple[list[Score], list[str
     return scores, reasons
 
 
-def bands(bounds: Sequence[int]) -> dict[str, Callable[[Score], bool]]:
+def bands(bounds: Sequence[int]) -> dict[str, Band]:
     """All scenes, and those of more tracks than each bound, in all and at the observation's end."""
-    found: dict[str, Callable[[Score], bool]] = {"all scenes": lambda _: True}
-    for bound in bounds:
-        found[f"more than {bound}"] = above("agents", bound)
-    for bound in bounds:
-        found[f"more than {bound} at the observation's end"] = above("agents_observed", bound)
-    return found
+    observed = {f"more than {bound} at the observation's end": Band(bound, "agents_observed") for bound in bounds}
+    return {"all scenes": Band(0)} | {f"more than {bound}": Band(bound) for bound in bounds} | observed
 
 
-def above(field: Literal["agents", "agents_observed"], bound: int) -> Callable[[Score], bool]:
-    """Whether a scene has more tracks than a bound, in all or at the observation's end."""
-    return lambda score: bool(getattr(score, field) > bound)
-
-
-def _bands(scores: Sequence[Score], bounds: Sequence[int]) -> Iterable[dict[str, Any]]:
-    for name, belongs in bands(bounds).items():
+def _means(scores: Sequence[Score], bounds: Sequence[int]) -> Iterable[dict[str, Any]]:
+    """Of each band and k the number of tracks and their mean of each metric, None where there is none."""
+    for name, band in bands(bounds).items():
+        inside = band.of(scores)
         for k in KS:
-            yield {"band": name, "k": k} | means([score for score in scores if score.k == k and belongs(score)])
-
-
-def means(scores: Sequence[Score]) -> dict[str, Any]:
-    """Number of tracks and their mean of each metric, None where there is none."""
-    values = {name: [getattr(score, field) for score in scores] for name, field in _MEANS.items()}
-    return {"tracks": len(scores)} | {name: float(np.mean(one)) if one else None for name, one in values.items()}
-
-
-_MEANS = {"min_ade_m": "min_ade_m", "min_fde_m": "min_fde_m", "miss_rate": "missed", "brier_min_fde": "brier_min_fde"}
+            own = [score for score in inside if score.k == k]
+            means = {key: float(np.mean([getattr(one, field) for one in own])) if own else None
+                     for key, field in _MEANS.items()}  # fmt: skip
+            yield {"band": name, "k": k, "tracks": len(own)} | means
 
 
 def _write(result: PredictionScores, report_dir: Path) -> None:
     content = {"bands": list(result.bands), "left_out": list(result.left_out)}
     parts = [pages.macro("forecasts.html.j2", "scored", TABLE_HEAD, result.rows(), result.left_out)]
-    with explained(report_dir):
-        write_rows(report_dir / "predictions.csv", Score._fields, result.scores)
-        write_json(report_dir / "predictions.json", content)
-        write_text(report_dir / "predictions.html", pages.page("Forecasts, scored", parts))
+    write_rows(report_dir / "predictions.csv", Score._fields, result.scores)
+    write_json(report_dir / "predictions.json", content)
+    write_text(report_dir / "predictions.html", pages.page("Forecasts, scored", parts))

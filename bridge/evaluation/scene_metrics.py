@@ -18,7 +18,7 @@ from hid2.agents import BoxSize, FloatArray, Policy, Track
 from hid2.evaluation.behaviour import policies
 from hid2.evaluation.critics import pack
 from hid2.evaluation.kinematics import Kinematics, beyond_limits, kinematics, motion
-from hid2.evaluation.metrics import CRITICAL, METRICS, Group, last_step_counts, measure_group
+from hid2.evaluation.metrics import CRITICAL, METRICS, Group, driven, measure_group
 from hid2.evaluation.realism import RealismCounts, count_scene, half_number, scene_values
 from hid2.evaluation.safety import IOU_THRESHOLD, Overlap, Safety, safety
 from hid2.evaluation.windows import windows
@@ -53,17 +53,20 @@ Labelled = Mapping[str, Mapping[str, BoxSize]]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SceneMeasures:
-    """What evaluation keeps of a scene. samples (M, WIDTH), sample_generated (M,): windows for the critics."""
+    """What evaluation keeps of a scene. samples (M, WIDTH), sample_generated (M,): windows for the critics.
 
-    scene: Row
-    tracks: list[Row]
-    maneuvers: list[Row]
-    events: list[Row]
-    lane_changes: list[Row]
-    conflicts: list[Row]
+    tables: rows of the scene by the names of TABLES.
+    """
+
+    tables: Mapping[str, list[Row]]
     realism: RealismCounts
     samples: FloatArray
     sample_generated: BoolArray
+
+    @property
+    def scene(self) -> Row:
+        """The row of the scene itself."""
+        return self.tables["scenes"][0]
 
 
 #: Of the last graphs: scenes with one map come one after the other.
@@ -84,15 +87,9 @@ def measure_folder(folder: Address, labelled: Labelled | None = None) -> SceneMe
     measures = measure(recording, tracks, sidecar)
     name: Row = {"scenario_id": recording.scenario_id}
     place: Row = {"split": split_of(folder) or "", "city": recording.city, "folder": str(folder)}
-    return replace(
-        measures,
-        scene=name | place | measures.scene,
-        tracks=[name | row for row in measures.tracks],
-        maneuvers=[name | row for row in measures.maneuvers],
-        events=[name | {"folder": str(folder)} | row for row in measures.events],
-        lane_changes=[name | row for row in measures.lane_changes],
-        conflicts=[name | row for row in measures.conflicts],
-    )
+    before = dict.fromkeys(TABLES, name) | {"scenes": name | place, "events": name | {"folder": str(folder)}}
+    tables = {table: [before[table] | row for row in rows] for table, rows in measures.tables.items()}
+    return replace(measures, tables=tables)
 
 
 def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | None) -> SceneMeasures:
@@ -126,13 +123,16 @@ def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | No
     generated, recorded = vehicles & arrays.generated, arrays.clean & ~arrays.generated
     driving = windows(arrays, safe, generated | recorded)
     halves = np.array([half_number(source, arrays.track_ids[a]) for a in driving.agent], dtype=np.int64)
+    tables = {
+        "scenes": [scene],
+        "tracks": _track_rows(groups, arrays.mean_per_agent(moved.speed_mps), findings, policy_of, sidecar),
+        "maneuvers": _maneuver_rows(maneuvers, generated_ids, sidecar),
+        "events": [event.model_dump(mode="json") for event in sidecar.events] if sidecar else [],
+        "lane_changes": [asdict(row) for row in lane_changes(states.view, safe.leaders, maneuvers)],
+        "conflicts": [asdict(row) for row in conflicts(arrays)],
+    }
     return SceneMeasures(
-        scene=scene,
-        tracks=_track_rows(groups, arrays.mean_per_agent(moved.speed_mps), findings, policy_of, sidecar),
-        maneuvers=_maneuver_rows(maneuvers, generated_ids, sidecar),
-        events=[event.model_dump(mode="json") for event in sidecar.events] if sidecar else [],
-        lane_changes=[asdict(row) for row in lane_changes(states.view, safe.leaders, maneuvers)],
-        conflicts=[asdict(row) for row in conflicts(arrays)],
+        tables=tables,
         realism=count_scene(
             source, arrays, scene_values(arrays, safe, driving, durations), generated=generated, recorded=recorded
         ),
@@ -202,7 +202,7 @@ def _groups(
             members=members,
             partners=others if name == "generated" else others & arrays.vehicle,  # as in the paper's SCR
             end_contacts=contacts_after_last_step(
-                arrays, members & last_step_counts(arrays), horizon_s=CRITICAL.end_horizon_s, among=others
+                arrays, members & driven(arrays), horizon_s=CRITICAL.end_horizon_s, among=others
             ),
             met=met,
         )

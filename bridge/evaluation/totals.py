@@ -1,31 +1,223 @@
 """What an evaluation keeps of all its scenes: sums and counts, the same size after ten scenes and after a million."""
 
-from collections import Counter
-from collections.abc import Iterable, Mapping
+import hashlib
+import heapq
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from bridge.evaluation.aggregate import SourceSums, table
 from bridge.evaluation.critique import critique
-from bridge.evaluation.diversity import Diversity
-from bridge.evaluation.samples import Samples
 from bridge.evaluation.scene_metrics import PAIR_GROUPS, PAIR_KINDS, SceneMeasures
 from bridge.recordings.folders import Address
-from hid2.evaluation.metrics import Section, metrics_in
+from hid2.agents import FloatArray, Policy
+from hid2.evaluation.critics import WIDTH, Packed
+from hid2.evaluation.metrics import GROUPS, Metric, Section, columns, metrics_in
 from hid2.evaluation.realism import FEATURES, TAIL_SHARES, TAILS, RealismCounts, quantiles
 from hid2.judge.findings import Quantity
 from hid2.measures.arrays import BoolArray
+from hid2.measures.manoeuvres import ManeuverKind
+from hid2.resampling import Estimate, ratio
 
+#: Sums are kept of at most this many source scenes; of more, they are kept of this many groups of sources.
+MOST_SOURCES = 1000
 #: Nets of at most this many different maps are measured.
 MOST_NETS = 20
 #: Events are listed in the report up to this many; events.csv has all.
 MOST_EVENTS = 40
 #: Delays are counted to this part of a second.
 _DELAY_PARTS = 1000
+#: Bounds of the agent-count bands of the paper.
+BANDS = (40, 50, 70, 90)
+#: Density in two ways: all tracks of a scene, and those present at the last observed step (evaluation.md).
+DENSITIES = ("tracks", "tracks_at_49")
+#: Most generated, and most recorded, windows that the critics look at.
+MOST_OF_A_KIND = 4000
 
 Row = Mapping[str, Any]
+
+
+class SourceSums:
+    """Sums of columns over the scenes of each source scene: what a bootstrap over source scenes draws from.
+
+    Memory does not grow with scenes, and not with source scenes beyond `most`: then the sources are pooled in `most`
+    groups by a hash of their names, and groups are drawn. Totals stay exact, intervals are as good as from `most`
+    scenes, and the order of the scenes does not matter.
+    """
+
+    def __init__(self, names: Sequence[str] | None = None, *, most: int = MOST_SOURCES) -> None:
+        """Sum the columns of these names; of every metric and group unless told."""
+        if names is None:
+            names = [f"{group}_{column}" for group in GROUPS for column in columns()]
+        self._columns = {name: k for k, name in enumerate(names)}
+        self._most = most
+        self._grouped = False
+        self._sums: dict[str, FloatArray] = {}
+
+    @classmethod
+    def of(cls, rows: Iterable[Row]) -> "SourceSums":
+        """Sums over scene rows."""
+        sums = cls()
+        for row in rows:
+            sums.add(row)
+        return sums
+
+    def __len__(self) -> int:
+        return len(self._sums)
+
+    def add(self, row: Row) -> None:
+        """Take a scene row in. Errors: KeyError where it lacks a column."""
+        self._add(str(row["source"]), np.array([float(row[name]) for name in self._columns]))
+
+    def of_columns(self, *columns: str) -> tuple[FloatArray, ...]:
+        """Sums (S,) of each column, in the order of the sources' names. Errors: KeyError for an unknown column."""
+        table = np.array([self._sums[name] for name in sorted(self._sums)]).reshape(-1, len(self._columns))
+        return tuple(table[:, self._columns[name]] for name in columns)
+
+    def _add(self, source: str, values: FloatArray) -> None:
+        name = self._group_of(source) if self._grouped else source
+        if name in self._sums:
+            self._sums[name] = self._sums[name] + values
+            return
+        self._sums[name] = values
+        if len(self._sums) > self._most:
+            known, self._sums, self._grouped = self._sums, {}, True
+            for each in sorted(known):
+                self._add(each, known[each])
+
+    def _group_of(self, source: str) -> str:
+        digest = hashlib.blake2b(source.encode(), digest_size=8).digest()
+        return f"{int.from_bytes(digest) % self._most:09d}"
+
+
+def estimate(sums: SourceSums, metric: Metric, group: str) -> Estimate:
+    """Pool a metric over scenes. The bootstrap draws source scenes: the variants of one scene are not independent."""
+    return ratio(*sums.of_columns(f"{group}_{metric.numerator.name}", f"{group}_{metric.denominator.name}"))
+
+
+def table(sums: SourceSums, metrics: Sequence[Metric]) -> dict[str, Any]:
+    """Every metric with its interval for every group, ready for JSON: table[metric.key][group]."""
+    return {
+        metric.key: {
+            "label": metric.label,
+            "unit": metric.unit,
+            "sentence": metric.sentence,
+            **{group: estimate(sums, metric, group)._asdict() for group in GROUPS},
+        }
+        for metric in metrics
+    }
+
+
+class Diversity:
+    """Scenes before and after vehicles were added, and the vehicles added alone."""
+
+    def __init__(self) -> None:
+        self._scenes: Counter[str] = Counter()
+        #: Number of scenes by number of agents, for each moment and each of DENSITIES.
+        self._density: defaultdict[tuple[str, str], Counter[int]] = defaultdict(Counter)
+        #: Moving vehicles by policy, scenes that have any, and manoeuvres by kind, for each moment.
+        self._counts: Counter[tuple[str, str, str]] = Counter()
+
+    @classmethod
+    def of(cls, rows: Iterable[Row], sources: Iterable[Row]) -> "Diversity":
+        """Count scene rows and those of their source scenes."""
+        diversity = cls()
+        for row in rows:
+            diversity.add(row)
+        for row in sources:
+            diversity.add_source(row)
+        return diversity
+
+    def add(self, row: Row) -> None:
+        """Count a scene as it is now."""
+        self._count("generated", "generated", row)
+        self._count("after", "combined", row)
+
+    def add_source(self, row: Row) -> None:
+        """Count what was recorded: a source scene, or a scene that stands for its own. Each source counts once."""
+        self._count("before", "original", row)
+
+    def _count(self, when: str, group: str, row: Row) -> None:
+        self._scenes[when] += 1
+        for name in DENSITIES:
+            added = row[name.replace("tracks", "generated")]
+            numbers = {"original": row[name] - added, "generated": added, "combined": row[name]}
+            self._density[when, name][numbers[group]] += 1
+        for policy in Policy:
+            number = row[f"{group}_policy_{policy}"]
+            self._counts[when, "vehicles", policy.value] += number
+            self._counts[when, "scenes_with", policy.value] += number > 0
+        for kind in ManeuverKind:
+            self._counts[when, "maneuvers", kind.value] += row[f"{group}_seen_{kind}"]
+
+    def content(self) -> dict[str, Any]:
+        """Ready for JSON: scenes before and after, density[name] by number of agents, and behaviours."""
+        names = {"vehicles": Policy, "scenes_with": Policy, "maneuvers": ManeuverKind}
+        return {
+            "scenes": {when: self._scenes[when] for when in ("before", "after")},
+            "density": {name: self._density_content(name) for name in DENSITIES},
+            "behaviours": {
+                when: {
+                    what: {one.value: self._counts[when, what, one.value] for one in of} for what, of in names.items()
+                }
+                | {"scenes": self._scenes[when]}
+                for when in ("before", "generated", "after")
+            },
+        }
+
+    def _density_content(self, name: str) -> dict[str, Any]:
+        """Scenes by number of agents, fewest first (JSON's keys are texts), means, and shares above BANDS."""
+        density = {when: sorted(self._density[when, name].items()) for when in ("before", "after")}
+
+        def per_scene(when: str, total: int) -> float | None:
+            return total / self._scenes[when] if self._scenes[when] else None
+
+        means = {f"mean_{when}": per_scene(when, sum(n * count for n, count in of)) for when, of in density.items()}
+        above = {
+            str(bound): {when: per_scene(when, sum(c for n, c in of if n > bound)) for when, of in density.items()}
+            for bound in BANDS
+        }
+        by_number = {when: {str(number): count for number, count in of} for when, of in density.items()}
+        return by_number | means | {"share_above": above}
+
+
+class Samples:
+    """The windows with the smallest hashes, up to `most` generated and `most` recorded ones.
+
+    A window's hash is drawn from the name of its scene, so that which ones are kept does not depend on the order of
+    the scenes, and the memory not on their number.
+    """
+
+    def __init__(self, *, most: int = MOST_OF_A_KIND) -> None:
+        self._most = most
+        #: Of each kind, by whether it is generated: hash, source and row of each window.
+        self._kept: dict[bool, list[tuple[float, str, FloatArray]]] = {False: [], True: []}
+
+    def add(self, rows: FloatArray, generated: BoolArray, *, scene: str, source: str) -> None:
+        """Offer windows of a scene: rows (M, WIDTH), generated (M,). `source`: the scene that it was made from."""
+        seed = hashlib.blake2b(scene.encode(), digest_size=8).digest()
+        hashes = np.random.default_rng(int.from_bytes(seed)).random(len(rows)).tolist()
+        for number, row, kind in zip(hashes, rows, generated.tolist(), strict=True):
+            self._kept[kind].append((number, source, row.copy()))  # a part of `rows` would keep all of them
+        self._kept = {
+            kind: heapq.nsmallest(self._most, kept, key=lambda one: one[0]) for kind, kept in self._kept.items()
+        }
+
+    def packed(self) -> Packed:
+        """The windows kept; scenes are numbered in the order of their sources' names."""
+        every = [(source, number, kind, row) for kind in (True, False) for number, source, row in self._kept[kind]]
+        every.sort(key=lambda one: one[:2])  # so that the order in which scenes came does not matter
+        scene = np.unique([one[0] for one in every], return_inverse=True)[1]
+        rows = np.array([one[3] for one in every]).reshape(-1, WIDTH)
+        return Packed(rows, np.array([one[2] for one in every], dtype=bool), scene.astype(np.int64))
+
+    def joined(self, other: "Samples") -> Packed:
+        """Recorded windows of this one with the generated ones of another: what a control is judged on."""
+        both = Samples(most=self._most)
+        both._kept = {False: self._kept[False], True: other._kept[True]}  # of the same class
+        return both.packed()
 
 
 @dataclass(eq=False, slots=True)
@@ -39,7 +231,7 @@ class ManeuverCounts:
     seen: Counter[tuple[str, str]] = field(default_factory=Counter)
     reasons: Counter[tuple[str, str, str]] = field(default_factory=Counter)
     unasked: Counter[str] = field(default_factory=Counter)
-    delays: dict[str, Counter[int]] = field(default_factory=dict)
+    delays: defaultdict[str, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
 
     def add(self, rows: Iterable[Row]) -> None:
         """Count manoeuvre rows of generated vehicles."""
@@ -57,7 +249,7 @@ class ManeuverCounts:
                 self.reasons[kind, status, row["reason"]] += 1
             if row["trigger_s"] is not None and row["start_s"] is not None:
                 delay_s = row["start_s"] - row["trigger_s"]
-                self.delays.setdefault(kind, Counter())[round(delay_s * _DELAY_PARTS)] += 1
+                self.delays[kind][round(delay_s * _DELAY_PARTS)] += 1
 
     def median_delay_s(self, kind: str) -> float | None:
         """Median time from trigger to start, None where no manoeuvre of the kind started."""
@@ -110,9 +302,10 @@ class Totals:
         source = str(row["source"])
         self.sums.add(row)
         self.diversity.add(row)
-        self.maneuvers.add(measures.maneuvers)
-        self.event_counts.update((str(row["kind"]), str(row["status"])) for row in measures.events)
-        self.events += measures.events[: max(0, MOST_EVENTS - len(self.events))]
+        self.maneuvers.add(measures.tables["maneuvers"])
+        events = measures.tables["events"]
+        self.event_counts.update((str(event["kind"]), str(event["status"])) for event in events)
+        self.events += events[: max(0, MOST_EVENTS - len(self.events))]
         # the recorded vehicles of a source scene are in every scene that was made from it: they count once
         as_recorded = source not in self._sources and source not in self._measured_sources
         self._sources.add(source)

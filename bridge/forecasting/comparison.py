@@ -10,8 +10,8 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from bridge.evaluation.predictions import BASELINES, BOUNDS, Score, bands, score_predictions
-from bridge.files import explained, make_folder, write_json, write_rows, write_text
+from bridge.evaluation.predictions import BASELINES, BOUNDS, Band, Score, bands, score_predictions
+from bridge.files import make_folder, write_json, write_rows, write_text
 from bridge.pages import parts as pages
 from bridge.recordings.scenario import find_scenarios, source_id
 from hid2.agents import FloatArray, IntArray
@@ -87,17 +87,17 @@ def difference_of(
 
 
 def differences_of(
-    pairs: Iterable[tuple[str, str]], runs: Mapping[str, Runs], bands: Mapping[str, Callable[[Score], bool]],
+    pairs: Iterable[tuple[str, str]], runs: Mapping[str, Runs], bands: Mapping[str, Band],
     source_of: Mapping[str, str], params: Forecasting,
 ) -> list[Difference]:  # fmt: skip
     """Each pair of models compared in every band by every metric."""
     return [
         difference_of(
-            (name, in_band(runs[name], belongs)), (other, in_band(runs[other], belongs)), band=band,
+            (name, list(map(band.of, runs[name]))), (other, list(map(band.of, runs[other]))), band=called,
             source_of=source_of, metric=metric, params=params,
         )
         for name, other in pairs
-        for band, belongs in bands.items()
+        for called, band in bands.items()
         for metric in METRICS
     ]  # fmt: skip
 
@@ -137,11 +137,6 @@ def _bootstrap(values: Sequence[FloatArray], source: IntArray, params: Forecasti
         drawn.append(result)
     every = np.concatenate(drawn)
     return MeanEstimate(*interval_of(value, every), float(every.std(ddof=1)))
-
-
-def in_band(runs: Runs, belongs: Callable[[Score], bool]) -> Runs:
-    """The scores of a model that belong to a band."""
-    return [[score for score in run if belongs(score)] for run in runs]
 
 
 # Files of predictions, from the command line
@@ -234,13 +229,12 @@ def as_dicts(differences: Sequence[Difference]) -> list[dict[str, Any]]:
 
 
 def _write(differences: Sequence[Difference], report_dir: Path) -> None:
-    with explained(report_dir):
-        write_rows(
-            report_dir / "comparison.csv",
-            ("model", "minus", "band", "metric", "difference", "low", "high", "se", "tracks", "sources", "detectable"),
-            ((one.model, one.other, one.band, one.metric, *one.estimate, one.tracks, one.sources, one.detectable)
-             for one in differences),
-        )  # fmt: skip
-        write_json(report_dir / "comparison.json", as_dicts(differences))
-        part = pages.macro("forecasts.html.j2", "differences", HEAD, rows_of(differences))
-        write_text(report_dir / "comparison.html", pages.page("Forecasts, compared", [part]))
+    write_rows(
+        report_dir / "comparison.csv",
+        ("model", "minus", "band", "metric", "difference", "low", "high", "se", "tracks", "sources", "detectable"),
+        ((one.model, one.other, one.band, one.metric, *one.estimate, one.tracks, one.sources, one.detectable)
+         for one in differences),
+    )  # fmt: skip
+    write_json(report_dir / "comparison.json", as_dicts(differences))
+    part = pages.macro("forecasts.html.j2", "differences", HEAD, rows_of(differences))
+    write_text(report_dir / "comparison.html", pages.page("Forecasts, compared", [part]))

@@ -15,8 +15,8 @@ from bridge.batch.batch import Options, Run, SceneJob, run_batch
 from bridge.batch.batch import Progress as BatchProgress
 from bridge.batch.engine import Settings, Task, execute_here
 from bridge.batch.manifest import DONE, ManifestRow
-from bridge.evaluation.predictions import BOUNDS, Score, above, score_predictions, write_forecasts
-from bridge.files import explained, make_folder, write_json, write_rows, write_text
+from bridge.evaluation.predictions import BOUNDS, Band, Score, score_predictions, write_forecasts
+from bridge.files import make_folder, write_json, write_rows, write_text
 from bridge.forecasting.comparison import (
     HEAD,
     METRICS,
@@ -26,7 +26,6 @@ from bridge.forecasting.comparison import (
     Runs,
     as_dicts,
     differences_of,
-    in_band,
     mean_of,
     rows_of,
     sources_of,
@@ -255,8 +254,7 @@ def _differences(
     runs: Mapping[str, Mapping[str, Runs]], source_of: Mapping[str, str], params: Forecasting
 ) -> list[Difference]:
     """The controls minus recorded scenes alone, and HiD2 minus its rivals, on recorded scenes; Table 2 on both."""
-    bands: dict[str, Callable[[Score], bool]] = {"all scenes": lambda _: True}
-    bands |= {f"more than {bound}": above("agents", bound) for bound in BOUNDS}
+    bands = {"all scenes": Band(0)} | {f"more than {bound}": Band(bound) for bound in BOUNDS}
     pairs = [(name, RECORDED) for name in CONTROLS if name != RECORDED]
     pairs += [("hid2", "recorded-dense"), ("hid2", "no-interaction")]
     found = differences_of(pairs, runs[RECORDED], bands, source_of, params)
@@ -264,12 +262,6 @@ def _differences(
         whole = {f"{on} validation scenes": bands["all scenes"]}
         found += differences_of([(HID2_ONLY, RECORDED)], runs[on], whole, source_of, params)
     return found
-
-
-def _powered(differences: Sequence[Difference]) -> Difference:
-    """The comparison of hid2 with recorded scenes, by which the page says what its numbers can show."""
-    wanted = ("hid2", "recorded", "all scenes", "min_fde_m")
-    return next(d for d in differences if (d.model, d.other, d.band, d.metric) == wanted)
 
 
 _TITLE = "Tables 2 and 3: forecasters trained with generated scenes"
@@ -285,14 +277,17 @@ def _write(runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, pl
     params = plan.params
     trained = {"recorded": RECORDED, "HiD2": HID2_ONLY}
     ours2 = {label: [runs[on][name] for on in (RECORDED, HID2)] for label, name in trained.items()}
-    above_bounds = [above("agents", bound) for bound in BOUNDS]
-    ours3 = {label: [in_band(runs[RECORDED][name], one) for one in above_bounds] for name, label in CONTROLS.items()}
+    ours3 = {
+        label: [[Band(bound).of(run) for run in runs[RECORDED][name]] for bound in BOUNDS]
+        for name, label in CONTROLS.items()
+    }
     names2 = [f"{on}_{key}" for on in (RECORDED, HID2) for key in _COLUMNS]
     names3 = [f"{key}_{bound}" for bound in BOUNDS for key in _COLUMNS]
     table2 = _table(PAPER_TABLE2, ours2, names2, source_of, params)
     table3 = _table(PAPER_TABLE3, ours3, names3, source_of, params)
     differences = _differences(runs, source_of, params)
     seeds = {name: len(found) for name, found in runs[RECORDED].items()}
+    power = ("hid2", RECORDED, "all scenes", "min_fde_m")  # by this the page says what its numbers can show
     content: dict[str, Any] = {
         "experiment": "prediction",
         "seeds": seeds,
@@ -305,7 +300,7 @@ def _write(runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, pl
         "updates": None if brought else params.updates,
         "seeds": seeds,
         "reading": _READINGS[plan.reading],
-        "power": _powered(differences),
+        "power": next(d for d in differences if (d.model, d.other, d.band, d.metric) == power),
         "gain_m": PAPER_GAIN_M,
         "sets": _sets(composed),
         "metrics": [METRICS[key] for key in _COLUMNS],
@@ -314,18 +309,17 @@ def _write(runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, pl
         "head": HEAD,
         "differences": rows_of(differences),
     }
-    with explained(out):
-        every = (
-            (on, name, number, *score)
-            for on, models in runs.items()
-            for name, found in models.items()
-            for number, scores in enumerate(found)
-            for score in scores
-        )
-        write_rows(out / "prediction_scores.csv", ("validation", "trained_on", "run", *Score._fields), every)
-        write_json(out / "prediction.json", content)
-        page = out / "prediction.html"
-        write_text(page, pages.page(_TITLE, [pages.macro("forecasts.html.j2", "prediction", shown)]))
+    every = (
+        (on, name, number, *score)
+        for on, models in runs.items()
+        for name, found in models.items()
+        for number, scores in enumerate(found)
+        for score in scores
+    )
+    write_rows(out / "prediction_scores.csv", ("validation", "trained_on", "run", *Score._fields), every)
+    write_json(out / "prediction.json", content)
+    page = out / "prediction.html"
+    write_text(page, pages.page(_TITLE, [pages.macro("forecasts.html.j2", "prediction", shown)]))
     return page
 
 

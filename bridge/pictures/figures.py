@@ -16,7 +16,7 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path as MplPath
 from matplotlib.ticker import MaxNLocator
 
-from bridge.files import beside, explained
+from bridge.files import beside
 from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, Scenario
 from hid2.agents import VEHICLE_TYPES, FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
@@ -102,7 +102,10 @@ def style() -> None:
 def draw_map(axes: Axes, graph: LaneGraph, *, cells: bool = False) -> None:
     """The map from above, in city coordinates: drivable area, lane boundaries, centrelines, cells on request."""
     parts = shapely.get_parts(graph.drivable)
-    areas = [_patch(part) for part in parts if isinstance(part, shapely.Polygon) and not part.is_empty]
+    areas = []
+    for part in (part for part in parts if isinstance(part, shapely.Polygon) and not part.is_empty):
+        rings = [MplPath(np.asarray(ring.coords), closed=True) for ring in (part.exterior, *part.interiors)]
+        areas.append(PathPatch(MplPath.make_compound_path(*rings)))
     axes.add_collection(
         PatchCollection(areas, facecolor=MAP_COLORS["ground"], edgecolor=MAP_COLORS["kerb"], linewidth=0.6, zorder=0)
     )
@@ -179,7 +182,7 @@ def save(figure: Figure, path: Path) -> None:
     """
     try:
         check_ending(path)
-        with explained(path), beside(path) as hidden:
+        with beside(path) as hidden:
             figure.savefig(hidden, format=path.suffix[1:].lower(), metadata=PICTURES[path.suffix.lower()])
     finally:
         plt.close(figure)
@@ -213,8 +216,3 @@ def data_uri(figure: Figure) -> str:
     figure.savefig(buffer, format="png", dpi=110, bbox_inches="tight", metadata={"Software": None})
     plt.close(figure)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
-
-
-def _patch(polygon: shapely.Polygon) -> PathPatch:
-    rings = [np.asarray(ring.coords) for ring in (polygon.exterior, *polygon.interiors)]
-    return PathPatch(MplPath.make_compound_path(*[MplPath(ring, closed=True) for ring in rings]))

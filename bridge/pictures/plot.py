@@ -1,7 +1,6 @@
 """One agent over time: speed, acceleration, jerk, lateral offset and cells, with the moments of its manoeuvres."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -35,16 +34,6 @@ class _Moment(NamedTuple):
 _STYLES: Mapping[str, Literal["dotted", "dashed", "solid", "dashdot"]] = {
     "trigger": "dotted", "start": "dashed", "crossing": "solid", "end": "dashdot",
 }  # fmt: skip
-
-
-def plot_agent(scenario: Recording, agent_id: str, out_file: Path) -> Path:
-    """Draw one track over time, as `agent_figure` does, into a picture: .png, .jpg, .pdf or .svg.
-
-    Errors: ConfigError for an unknown track or ending; ExportError where the picture cannot be written.
-    """
-    figures.check_ending(out_file)
-    figures.save(agent_figure(scenario, agent_id), out_file)
-    return out_file
 
 
 def agent_figure(scenario: Recording, agent_id: str) -> Figure:

@@ -22,7 +22,7 @@ from matplotlib.patheffects import withStroke
 from PIL import Image
 
 from bridge.config import word_for_recorded
-from bridge.files import beside, explained
+from bridge.files import beside
 from bridge.pictures import figures
 from bridge.recordings.recording import FOCAL_CATEGORY, Recording
 from bridge.recordings.sidecar import ManeuverRecord
@@ -100,15 +100,14 @@ def render_scene(
         raise ConfigError(f"{out_file}: a film shows every timestep; for one give a picture, {', '.join(PICTURES)}")
     shown = figures.check_step(scenario, step)
     drawing = _Drawing(scenario, source, agent=agent, cells=cells, whole_paths=suffix in PICTURES)
-    with explained(out_file):
-        if suffix in PICTURES:
-            drawing.show(shown)
-            figures.save(drawing.figure, out_file)
-        else:
-            with beside(out_file) as hidden:
-                drawing.scale(longest=GIF_WIDTH if suffix == ".gif" else None)
-                frames = drawing.frames(range(scenario.num_steps), on_frame)
-                _write_animation(frames, hidden, step_s=scenario.step_s)
+    if suffix in PICTURES:
+        drawing.show(shown)
+        figures.save(drawing.figure, out_file)
+    else:
+        with beside(out_file) as hidden:
+            drawing.scale(longest=GIF_WIDTH if suffix == ".gif" else None)
+            frames = drawing.frames(range(scenario.num_steps), on_frame)
+            _write_animation(frames, hidden, step_s=scenario.step_s)
     return out_file
 
 

@@ -256,7 +256,8 @@ def _map(path: Path, rows: SequenceRows, name: str) -> tuple[LaneGraph, bytes | 
     if path.is_file():
         return read_source_map(path), None
     vector, pixels, se2 = map_files(path, rows.city)
-    lanes, raster = _city(vector, pixels, se2, tuple(_stamp(file) for file in (vector, pixels, se2)))
+    states = [file.stat() for file in (vector, pixels, se2)]  # by which one state of a file is told from another
+    lanes, raster = _city(vector, pixels, se2, tuple((one.st_mtime_ns, one.st_size) for one in states))
     low, high = rows.position.min(axis=0) - _MARGIN_M, rows.position.max(axis=0) + _MARGIN_M
     if not (high - low).max() <= limits.MAX_EXTENT_M:
         spread = (high - low).max() - 2 * _MARGIN_M
@@ -283,12 +284,6 @@ def map_files(folder: Path, city: str) -> tuple[Path, Path, Path]:
             )
         rasters += files
     return vector, rasters[0], rasters[1]
-
-
-def _stamp(path: Path) -> tuple[int, int]:
-    """What tells one state of a file from another."""
-    status = path.stat()
-    return status.st_mtime_ns, status.st_size
 
 
 @lru_cache(maxsize=2)  # a city-wide map is read once by each process

@@ -25,7 +25,7 @@ from bridge.recordings.recording import AV_ID as AV_ID
 from bridge.recordings.recording import FOCAL_CATEGORY as FOCAL_CATEGORY
 from bridge.recordings.recording import Provenance, Recording
 from bridge.recordings.recording import Rows as Rows
-from bridge.recordings.sidecar import RecordingRecord, Sidecar, read_sidecar, sidecar_path
+from bridge.recordings.sidecar import RecordingRecord, Sidecar, sidecar_in
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray, Track
 from netconvert.errors import MapError, NoSceneError, ScenarioError
 from netconvert.lane_graph import LaneGraph
@@ -122,11 +122,6 @@ def _recording_record(folder: Path, sidecar: Sidecar | None) -> RecordingRecord:
     return RecordingRecord(format="argoverse2", provenance=provenance, step_s=STEP_S, observed_steps=OBSERVED_STEPS)
 
 
-def _sidecar(folder: Path) -> Sidecar | None:
-    path = next(iter(sorted(folder.glob(sidecar_path(folder, "*").name))), None)
-    return None if path is None else read_sidecar(path)
-
-
 def read_rows(folder: Path) -> Rows:
     """The rows of a scenario folder, checked as `read_scenario` does, without its map. Errors: ScenarioError."""
     return _rows_in(folder)[1]
@@ -137,7 +132,7 @@ def _rows_in(folder: Path) -> tuple[pa.Table, Rows, RecordingRecord, dict[str, B
     if not folder.is_dir():
         raise NoSceneError(f"{folder}: no such folder, expected a scenario folder")
     path = only_file(folder, PARQUET_PATTERN, ScenarioError)
-    table, sidecar = read_table(path), _sidecar(folder)
+    table, sidecar = read_table(path), sidecar_in(folder, source_id(folder))
     known, sizes = _recording_record(folder, sidecar), _sizes(folder, sidecar)
     rows = split_rows(table, name=str(path), sizes=sizes, observed_steps=known.observed_steps)
     return table, replace(rows, step_s=known.step_s), known, sizes, sidecar
@@ -405,7 +400,7 @@ def read_sizes(folder: Path) -> dict[str, BoxSize]:
 
     Errors: ScenarioError.
     """
-    return _sizes(folder, _sidecar(folder))
+    return _sizes(folder, sidecar_in(folder, source_id(folder)))
 
 
 def _sizes(folder: Path, sidecar: Sidecar | None) -> dict[str, BoxSize]:

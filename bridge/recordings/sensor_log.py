@@ -17,11 +17,11 @@ What becomes of a log, step for step:
 The constants are rules of this reader and no parameters of the method: another value would be another recording.
 """
 
-import io
 import json
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +35,7 @@ from bridge.files import one_line
 from bridge.recordings import limits
 from bridge.recordings.folders import ANNOTATIONS, LOG_MAP_NAME, POSES, Source, log_maps
 from bridge.recordings.map_rules import graph_of, read_document
-from bridge.recordings.recording import AV_ID, Recording, velocity_of
+from bridge.recordings.recording import AV_ID, FOCAL_CATEGORY, Recording, velocity_of
 from bridge.recordings.scenario import SCHEMA, read_arrow, recording_of, split_rows
 from hid2.agents import BoxSize, FloatArray
 from netconvert.errors import MapError, ScenarioError
@@ -133,13 +133,10 @@ _KINDS: Mapping[str, Any] = {
 }
 
 
-def _feather(content: io.BytesIO) -> pa.Table:
-    return feather.read_table(content, use_threads=False)
-
-
 def _table(path: Path, columns: Mapping[str, str]) -> pd.DataFrame:
     """Columns of a feather file, each of its kind (a key of `_KINDS`), finite, without nulls. Errors: ScenarioError."""
-    table = read_arrow(path, _feather, kind="feather", wanted="it in a sensor log")
+    read = partial(feather.read_table, use_threads=False)
+    table = read_arrow(path, read, kind="feather", wanted="it in a sensor log")
     size = table.num_rows, table.num_columns
     if not 0 < size[0] <= limits.MAX_ROWS or size[1] > limits.MAX_COLUMNS:
         most = f"1 to {limits.MAX_ROWS} rows and at most {limits.MAX_COLUMNS} columns"
@@ -272,27 +269,18 @@ def _with_tracks(states: pd.DataFrame, log: Path, start: int) -> tuple[pd.DataFr
     velocities = [velocity_of(part.to_numpy(), _VELOCITY_SAMPLES, step_s=STEP_S) for _, part in position.groupby(run)]
     states[["velocity_x", "velocity_y"]] = np.vstack(velocities)
 
-    av = states.loc[states.track_id == AV_ID, ["position_x", "position_y"]].to_numpy()
-    category: dict[str, int] = {}
-    path: dict[str, float] = {}
-    for name, rows in states.groupby("track_id"):
-        track = str(name)
-        category[track] = 0
-        if len(rows) < NUM_STEPS:
-            continue
-        category[track] = 1
-        place, kind = rows[["position_x", "position_y"]].to_numpy(), rows.object_type.iloc[0]
-        length_m = float(np.hypot(*np.diff(place[::_PATH_EVERY], axis=0).T).sum())
-        near_m = float(np.hypot(*(place - av).T).min())
-        if track != AV_ID and kind in _ROAD_USERS and length_m >= _SCORED_PATH_M and near_m <= _SCORED_NEAR_M:
-            category[track] = 2
-        if track != AV_ID and kind == "vehicle":
-            path[track] = length_m
-    if not path:
+    whole = states[states.groupby("track_id").timestep.transform("size") == NUM_STEPS]
+    ids, kinds = (whole[column].to_numpy()[::NUM_STEPS] for column in ("track_id", "object_type"))
+    place = whole[["position_x", "position_y"]].to_numpy().reshape(-1, NUM_STEPS, 2)
+    length_m = np.linalg.norm(np.diff(place[:, ::_PATH_EVERY], axis=1), axis=2).sum(axis=1)
+    near_m = np.linalg.norm(place - place[ids == AV_ID], axis=2).min(axis=1)
+    scored = (length_m >= _SCORED_PATH_M) & (near_m <= _SCORED_NEAR_M) & np.isin(kinds, _ROAD_USERS) & (ids != AV_ID)
+    vehicles = np.flatnonzero((kinds == "vehicle") & (ids != AV_ID))
+    if not len(vehicles):
         said = f"no vehicle is labelled at every one of the {NUM_STEPS} sweeps from {start} on"
         raise ScenarioError(f"{log}: {said}, expected one as focal track: choose another --window")
-    focal = max(path, key=path.__getitem__)
-    category[focal] = 3
+    focal = str(ids[vehicles[np.argmax(length_m[vehicles])]])
+    category = dict.fromkeys(names.values(), 0) | dict(zip(ids, 1 + scored, strict=True)) | {focal: FOCAL_CATEGORY}
     return states.assign(object_category=states.track_id.map(category)), focal
 
 

@@ -1,6 +1,6 @@
 """`hid2 validate`: everything that readers of a generated data set demand, also what they would not complain about.
 
-README.md lists the rules; what is checked of rows, map and sidecar is in `row_rules`, `map_rules`, `sidecar_rules`.
+README.md lists the rules; what is checked of rows, map and sidecar is in `rules` and `map_rules`.
 """
 
 import math
@@ -25,7 +25,14 @@ from bridge.recordings.judging import findings_of, states_of
 from bridge.recordings.map_rules import graph_of, read_map
 from bridge.recordings.plausibility import implausible
 from bridge.recordings.readers.argoverse2 import ARGOVERSE2
-from bridge.recordings.row_rules import RECORDED, check_generated, check_rows, compare_rows
+from bridge.recordings.rules import (
+    RECORDED,
+    check_generated,
+    check_rows,
+    check_sidecar,
+    check_written_sequence,
+    compare_rows,
+)
 from bridge.recordings.scenario import (
     RowArrays,
     read_scenario,
@@ -34,9 +41,7 @@ from bridge.recordings.scenario import (
     row_breaches,
     tracks_of,
 )
-from bridge.recordings.sequence_rules import check_written_sequence
 from bridge.recordings.sidecar import REACTIVE, Sidecar, read_sidecar, sidecar_path
-from bridge.recordings.sidecar_rules import check_sidecar
 from bridge.recordings.sources import find_recordings, read_recording
 from hid2.agents import BoxSize
 from hid2.evaluation.safety import overlaps

@@ -222,21 +222,26 @@ def _moments(rates: FloatArray, changes: FloatArray) -> _Moments:
     return _Moments(float(np.median(rates)), float(np.median(changes) / np.median(rates)), robust_sd(np.log(rates)))
 
 
+def _simulated(drive: Callable[[], Sequence[tuple[float, float]]]) -> _Moments:
+    """Moments of many simulated drivers. drive: rate and change in each window of the next one."""
+    windows = [(number, *window) for number in range(_SIMULATED) for window in drive()]
+    number, rate, change = (np.array(column) for column in zip(*windows, strict=True))
+    return _moments(_rms(number, rate), _rms(number, change))
+
+
 @cache
 def speed_moments(time_s: float) -> _Moments:
     """Moments of acceleration and jerk in windows of simulated drivers whose desired speed wanders by _UNIT_MPS."""
     config, rng = Config(drivers=Drivers(wander_time_s=time_s, wander_sd_mps=_UNIT_MPS)), np.random.default_rng(1)
     _, _, cubic = _fits()
-    driver, accel, jerk = [], [], []
-    for number in range(_SIMULATED):
+
+    def drive() -> list[tuple[float, float]]:
         v = desired_speeds(_DRIVER, config, rng, num_steps=4 * _HALF + 1, step_s=_EVERY_S, at_least_mps=0.0)
         s = np.concatenate([[0.0], np.cumsum(0.5 * _EVERY_S * (v[1:] + v[:-1]))])
-        for begin in (0, _HALF, 2 * _HALF):
-            fitted = cubic @ s[begin : begin + 2 * _HALF + 1]
-            driver.append(number)
-            accel.append(2.0 * fitted[2])
-            jerk.append(6.0 * fitted[3])
-    return _moments(_rms(np.array(driver), np.array(accel)), _rms(np.array(driver), np.array(jerk)))
+        fits = [cubic @ s[begin : begin + 2 * _HALF + 1] for begin in (0, _HALF, 2 * _HALF)]
+        return [(2.0 * fit[2], 6.0 * fit[3]) for fit in fits]
+
+    return _simulated(drive)
 
 
 @cache
@@ -249,18 +254,16 @@ def lateral_moments(time_s: float, spread: float) -> _Moments:
     speed_mps, law = _DRIVER.desired_mps, config.drivers
     time, parabola, _ = _fits()
     length_m = speed_mps * _EVERY_S * (4 * _HALF + 1) + 10.0
-    driver, drift, bend = [], [], []
-    for number in range(_SIMULATED):
+
+    def drive() -> list[tuple[float, float]]:
         # a hundredth, so that the bound on the offset does not matter
         wander = 0.01 * float(np.exp(spread * np.clip(rng.standard_normal(), -law.truncated_at, law.truncated_at)))
         offset = lane_offset(replace(_DRIVER, wander_m=wander), config, rng, length_m=length_m, usual=np.zeros_like)
-        for begin in (0.0, _HALF_S, 2.0 * _HALF_S):
-            d, _, _ = offset.at(5.0 + speed_mps * (begin + _HALF_S + time))
-            fitted = parabola @ d
-            driver.append(number)
-            drift.append(100.0 * fitted[1])
-            bend.append(100.0 * fitted[2])
-    return _moments(_rms(np.array(driver), np.array(drift)), _rms(np.array(driver), np.array(bend)))
+        middles = (_HALF_S, 2.0 * _HALF_S, 3.0 * _HALF_S)
+        fits = [parabola @ offset.at(5.0 + speed_mps * (middle + time))[0] for middle in middles]
+        return [(100.0 * fit[1], 100.0 * fit[2]) for fit in fits]
+
+    return _simulated(drive)
 
 
 def _speed_wander(free: Windows, prior: Drivers) -> list[Quantity]:

@@ -53,7 +53,7 @@ class Group:
     """One group of the agents of a scene, with what was measured of the whole scene.
 
     members (A,); beyond: rows (N,) that exceed each limit of motion; partners (A,): what a member may collide with;
-    end_contacts: first contacts of `ends`, by agent, after the last step; met: what each agent of the scene meets.
+    end_contacts: first contacts of those `meeting`, by agent, after the last step; met: what each agent meets.
     """
 
     arrays: SceneArrays
@@ -81,14 +81,9 @@ class Group:
         return np.asarray(self.tracks & self.arrays.clean)
 
     @property
-    def ends(self) -> BoolArray:
-        """(A,) members whose last step counts."""
-        return np.asarray(self.members & last_step_counts(self.arrays))
-
-    @property
     def meeting(self) -> BoolArray:
-        """(A,) vehicles that may meet others: all inserted ones, recorded ones that move and are no fragments."""
-        return np.asarray(self.vehicles & (self.arrays.generated | self.arrays.clean))
+        """(A,) members that may meet others, and whose last step counts: see `driven`."""
+        return np.asarray(self.members & driven(self.arrays))
 
     @property
     def rows(self) -> BoolArray:
@@ -130,8 +125,8 @@ class Metric(NamedTuple):
     denominator: Column
 
 
-def last_step_counts(arrays: SceneArrays) -> BoolArray:
-    """(A,) vehicles whose last step counts: all inserted ones, recorded ones that move and are no fragments."""
+def driven(arrays: SceneArrays) -> BoolArray:
+    """(A,) vehicles that are driven: all inserted ones, recorded ones that move and are no fragments."""
     return np.asarray(arrays.vehicle & (arrays.generated | arrays.clean))
 
 
@@ -142,8 +137,8 @@ ROWS = Column("rows", lambda g: int(g.rows.sum()))
 MOVING_ROWS = Column("moving_rows", lambda g: int(g.moving_rows.sum()))
 FOLLOWING_ROWS = Column("following_rows", lambda g: int(np.isfinite(g.safe.leaders.time_gap_s[g.moving_rows]).sum()))
 MEETING = Column("meeting", lambda g: int(g.meeting.sum()))
-ENDS = Column("ends", lambda g: int(g.ends.sum()))
-SCENES_WITH_ENDS = Column("end_scenes", lambda g: int(g.ends.any()))
+ENDS = Column("ends", lambda g: int(g.meeting.sum()))
+SCENES_WITH_ENDS = Column("end_scenes", lambda g: int(g.meeting.any()))
 
 
 def _magnitude(key: Literal["lo", "la", "je"], label: str, unit: str, what: str) -> tuple[Metric, Metric]:

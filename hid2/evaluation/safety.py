@@ -37,7 +37,6 @@ class Overlap(NamedTuple):
     second: int
     iou: float
     first_step: int
-    steps: int
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -61,11 +60,8 @@ class Safety:
 
 def overlaps(arrays: SceneArrays) -> tuple[Overlap, ...]:
     """Every pair of agents, of any type, whose boxes overlap at some step."""
-    iou, first, count = pairwise_overlap(arrays.position, arrays.heading, arrays.length, arrays.width, arrays.row_of)
-    return tuple(
-        Overlap(int(a), int(b), float(iou[a, b]), int(first[a, b]), int(count[a, b]))
-        for a, b in np.argwhere(first >= 0)
-    )
+    iou, first, _ = pairwise_overlap(arrays.position, arrays.heading, arrays.length, arrays.width, arrays.row_of)
+    return tuple(Overlap(int(a), int(b), float(iou[a, b]), int(first[a, b])) for a, b in np.argwhere(first >= 0))
 
 
 def colliding(arrays: SceneArrays, pairs: tuple[Overlap, ...], members: BoolArray) -> BoolArray:
@@ -87,9 +83,7 @@ def off_road(position: FloatArray, graph: LaneGraph) -> BoolArray:
 def off_footprint(arrays: SceneArrays, graph: LaneGraph) -> BoolArray:
     """Rows (N,) whose box reaches more than FOOTPRINT_TOLERANCE_M out of the drivable area, as the judge sees it."""
     length, width = arrays.length[arrays.agent], arrays.width[arrays.agent]
-    outside = outside_m(
-        arrays.position, arrays.heading, length, width, graph, tolerance_m=FOOTPRINT_TOLERANCE_M
-    )  # fmt: skip
+    outside = outside_m(arrays.position, arrays.heading, length, width, graph, tolerance_m=FOOTPRINT_TOLERANCE_M)
     return np.asarray(outside > 0.0)
 
 

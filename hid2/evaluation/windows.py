@@ -29,14 +29,13 @@ _TURNS_RAD = 0.35
 class Windows(NamedTuple):
     """Windows (M,) of one scene. Fits are in seconds from the middle of the window, lowest power first.
 
-    agent: number of the track; time_s: middle of the window. s_cubic (M, 3), s_quartic (M, 4): s(t) - s(0), m; the
+    agent: number of the track. s_cubic (M, 3), s_quartic (M, 4): s(t) - s(0), m; the
     cubic's are speed, half the acceleration, a sixth of the jerk. d_parabola (M, 3), d_cubic (M, 4): lateral offset
     from the lane's middle, m, left positive. yaw (M, 2): rate, rad/s, and half its change. gap_m, closing_mps: to the
     leader, by a line; gap_m inf without one. turning, led (M,); clean: on a lane all the while and changing none.
     """
 
     agent: IntArray
-    time_s: FloatArray
     s_cubic: FloatArray
     s_quartic: FloatArray
     d_parabola: FloatArray
@@ -124,7 +123,6 @@ def _of_track(
     turns = (safe.lanes.turn[np.maximum(lane, 0)] != 0).any(axis=1) | (np.ptp(direction, axis=1) > _TURNS_RAD)
     found = Windows(
         agent=arrays.agent[rows[:, middle]],
-        time_s=np.asarray(arrays.step[rows[:, middle]] * arrays.step_s, dtype=np.float64),
         s_cubic=(s @ fits[3].T)[:, 1:],
         s_quartic=(s @ fits[4].T)[:, 1:],
         d_parabola=d @ fits[2].T,

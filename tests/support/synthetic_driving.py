@@ -39,7 +39,7 @@ def synthetic_driving(known: Drivers, *, drivers: int, seed: int) -> tuple[Windo
     agents, along, across, gaps, led = (np.array(column) for column in zip(*rows, strict=True))
     zeros, flags = np.zeros(len(rows)), np.zeros(len(rows), dtype=bool)
     quartic, cubics, yaw = np.zeros((len(rows), 4)), np.zeros((len(rows), 4)), np.zeros((len(rows), 2))
-    seen = Windows(agents, zeros, along, quartic, across, cubics, yaw, gaps, zeros, flags, led)
+    seen = Windows(agents, along, quartic, across, cubics, yaw, gaps, zeros, flags, led)
     return seen, Extra(
         np.full(len(rows), 9.0), np.array([who.min_gap_m for who in people]),
         np.array([who.lane_change_s for who in people[: drivers // 2]]),

@@ -29,7 +29,7 @@ def looked_at(activity: Activity, clock: Clock, seconds: float) -> None:
 def test_in_a_pipe_a_first_line_comes_soon_and_then_one_every_half_minute(capsys: pytest.CaptureFixture[str]) -> None:
     """Two minutes of work: lines after 2, 32, 62 and 92 s; the command needs up to 2 s before it has a clock."""
     clock = Clock()
-    activity = Activity("starting", quiet=False, clock=clock)
+    activity = Activity(quiet=False, clock=clock)
     activity.doing("reading scenes")
     looked_at(activity, clock, 120.0)
     said = capsys.readouterr().err.splitlines()
@@ -58,7 +58,8 @@ def test_terminal_has_one_line_that_is_written_anew_and_cleared_for_messages_and
     monkeypatch.setattr(console.sys.stderr, "isatty", lambda: True)
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "20")
-    with Activity("generating", quiet=False) as activity:
+    with Activity(quiet=False) as activity:
+        activity.doing("generating")
         activity.show(1, 2, 0.0, " (3 complete before)")
         time.sleep(0.5)
         say("a message")
@@ -69,7 +70,8 @@ def test_terminal_has_one_line_that_is_written_anew_and_cleared_for_messages_and
 
 def test_nothing_done_yet_has_no_rate(capsys: pytest.CaptureFixture[str]) -> None:
     clock = Clock()
-    activity = Activity("generating", quiet=False, clock=clock)
+    activity = Activity(quiet=False, clock=clock)
+    activity.doing("generating")
     activity.show(0, 3)
     looked_at(activity, clock, 3.0)
     assert capsys.readouterr().err == "hid2: generating: 0 of 3\n"
@@ -90,7 +92,7 @@ def test_warnings_wrap_between_words_on_a_terminal_and_commands_to_copy_stay_who
 
 
 def test_quiet_says_messages_only(capsys: pytest.CaptureFixture[str]) -> None:
-    with Activity("starting", quiet=True) as activity:
+    with Activity(quiet=True) as activity:
         activity.show(1, 2)
         activity.note("not needed")
         say("needed")
@@ -109,7 +111,7 @@ def test_message_is_one_bounded_line_whatever_a_file_says(tell, capsys: pytest.C
 
 
 def test_short_work_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    with Activity("starting", quiet=False) as activity:
+    with Activity(quiet=False) as activity:
         activity.show(1, 1)
     assert capsys.readouterr().err == ""
 

@@ -10,11 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bridge.evaluation.aggregate import SourceSums, estimate
 from bridge.evaluation.evaluate import evaluate_folder
 from bridge.evaluation.report import write_report
 from bridge.evaluation.scene_metrics import measure, measure_folder
-from bridge.evaluation.totals import Evaluation, Totals
+from bridge.evaluation.totals import Evaluation, SourceSums, Totals, estimate
 from bridge.recordings.scenario import find_scenarios, read_scenario
 from hid2.agents import VEHICLE_TYPES
 from hid2.evaluation import metrics
@@ -260,7 +259,7 @@ def test_pooled_ratio_is_of_sums_and_the_interval_holds_it():
 
 def test_maneuvers_of_the_sidecar_are_found_again(made_scene):
     """What was done is seen in the positions: every done record has a manoeuvre seen beside it."""
-    rows = measure_folder(made_scene).maneuvers
+    rows = measure_folder(made_scene).tables["maneuvers"]
     done = [row for row in rows if row["status"] == "done"]
     assert done
     assert all(row["seen"] is not None for row in done)

@@ -8,11 +8,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from bridge.evaluation.aggregate import SourceSums
-from bridge.evaluation.diversity import Diversity
-from bridge.evaluation.samples import Samples
 from bridge.evaluation.scene_metrics import measure_folder
-from bridge.evaluation.totals import ManeuverCounts, Totals
+from bridge.evaluation.totals import Diversity, ManeuverCounts, Samples, SourceSums, Totals
 from bridge.pages.charts import diversity_figure
 from hid2.agents import Policy
 from hid2.evaluation.critics import WIDTH
@@ -41,7 +38,7 @@ def measured(made_scene):
 def named(measures, number, *, sources):
     """The same scene under another name, made from one of `sources` scenes."""
     scene = measures.scene | {"scenario_id": f"scene-{number}", "source": f"source-{number % sources}"}
-    return replace(measures, scene=scene)
+    return replace(measures, tables={**measures.tables, "scenes": [scene]})
 
 
 @pytest.mark.parametrize("sources", [3, 10**6])

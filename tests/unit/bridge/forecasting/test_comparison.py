@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from baseline_file import write_baseline
 
-from bridge.evaluation.predictions import Score, write_forecasts
-from bridge.forecasting.comparison import compare_predictions, difference_of, in_band, mean_of, parse_models
+from bridge.evaluation.predictions import Band, Score, write_forecasts
+from bridge.forecasting.comparison import compare_predictions, difference_of, mean_of, parse_models
 from bridge.recordings.scenario import find_scenarios, read_scenario
 from hid2.params import Forecasting
 from netconvert.errors import ConfigError
@@ -80,7 +80,7 @@ def test_only_tracks_that_every_file_forecasts_count():
 
 def test_bands_and_metrics_are_taken_apart():
     runs = [[score("a", 1.0, agents=40), score("b", 3.0, agents=80), score("b", 99.0, agents=80, k=1)]]
-    dense = in_band(runs, lambda one: one.agents > 50)
+    dense = [Band(50).of(run) for run in runs]
     assert mean_of(dense, {}, "min_fde_m", PARAMS).value == 3.0
     assert mean_of(runs, {}, "missed", PARAMS).value == 0.5
     assert mean_of(runs, {}, "brier_min_fde", PARAMS).value == 2.5

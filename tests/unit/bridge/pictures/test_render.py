@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from bridge.pictures import figures
-from bridge.pictures.plot import _levels, agent_figure, plot_agent
+from bridge.pictures.plot import _levels, agent_figure
 from bridge.pictures.render import (
     ANIMATIONS,
     CAR_PIXELS,
@@ -297,7 +297,8 @@ def test_film_without_ffmpeg_is_an_error_that_says_where_to_look(data_scenes, tm
 
 
 def test_plot_of_a_recorded_track_is_written(data_scenes, tmp_path):
-    path = plot_agent(read_scenario(data_scenes["arterial"]), "AV", tmp_path / "deep" / "av.png")
+    path = tmp_path / "deep" / "av.png"
+    figures.save(agent_figure(read_scenario(data_scenes["arterial"]), "AV"), path)
     assert iio.imread(path).shape[0] > 500
 
 

@@ -1,7 +1,14 @@
-"""The rules on the rows of a scenario: the format, what readers take for granted, generated tracks, the source."""
+"""The rules on a written scene: its rows, its sidecar, its sequence of Argoverse 1, and all of them before its source.
 
+Those on the format of rows are in `scenario`, those on maps in `map_rules`, which readers ask as well; what is safe and
+drivable is for the judge.
+"""
+
+import csv
 import re
-from collections.abc import Iterator
+import uuid
+from collections.abc import Iterator, Mapping, Set
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -9,10 +16,16 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from pydantic_core import from_json
 
-from bridge.recordings.recording import FOCAL_CATEGORY, SCORED_CATEGORY
+from bridge.config import config_from_dict, config_sha256, config_to_dict, new_scenario_id
+from bridge.files import one_line, read_received
+from bridge.recordings.argoverse1 import OTHERS, check_sequence
+from bridge.recordings.recording import FOCAL_CATEGORY, SCORED_CATEGORY, Recording
 from bridge.recordings.scenario import RowArrays, row_breaches
-from hid2.agents import VEHICLE_TYPES
+from bridge.recordings.sequence import inserted_id
+from bridge.recordings.sidecar import AgentRecord, Sidecar
+from hid2.agents import VEHICLE_TYPES, Policy
 from netconvert.av2_map import Breach
+from netconvert.errors import ConfigError, ScenarioError
 
 #: The rule on recorded rows, which are kept as they are.
 RECORDED = "recorded"
@@ -144,3 +157,110 @@ def _same_bits(one: pa.ChunkedArray, other: pa.ChunkedArray) -> npt.NDArray[np.b
             same = np.array([left == right for left, right in zip(one.to_pylist(), other.to_pylist(), strict=True)])
         same = same | left_null
     return np.asarray((left_null == right_null) & same, dtype=bool)
+
+
+def check_sidecar(
+    sidecar: Sidecar, new_id: str, *, begins: Mapping[str, int] | None, generated_ids: Set[str],
+    lanes: Set[str] | None,
+) -> Iterator[Breach]:  # fmt: skip
+    """A sidecar against its scene.
+
+    begins: first timestep of each track of the rows, by its id; lanes: those of the map; None where these are missing.
+    """
+    track_ids = None if begins is None else begins.keys()
+    try:
+        if str(uuid.UUID(new_id)) != new_id:
+            raise ValueError
+    except ValueError:
+        yield "scenario-id", f"folder {new_id!r}, expected a UUID of 36 characters"
+    try:
+        config = config_from_dict(sidecar.config)
+    except ConfigError as error:
+        yield "sidecar", f"config: {error}"
+    else:
+        if sidecar.config_sha256 != config_sha256(config) or config_to_dict(config) != sidecar.config:
+            yield "sidecar", f"config_sha256 {sidecar.config_sha256[:12]}..., expected that of config"
+        wanted = new_scenario_id(sidecar.source_scenario_id, config, sidecar.seed, sidecar.variant)
+        if wanted != new_id:
+            yield "scenario-id", f"{new_id}, expected {wanted} of this source, configuration, seed and variant"
+    if sidecar.placed.agents != len(sidecar.agents):
+        yield "sidecar", f"placed.agents {sidecar.placed.agents}, but {len(sidecar.agents)} agents"
+    for policy in Policy:
+        count = sum(agent.policy == policy for agent in sidecar.agents)
+        if sidecar.placed.behaviours.get(policy, 0) != count:
+            yield (
+                "sidecar",
+                f"placed.behaviours.{policy} {sidecar.placed.behaviours.get(policy, 0)}, but {count} agents",
+            )
+    listed = [agent.track_id for agent in sidecar.agents]
+    if len(set(listed)) != len(listed):
+        yield "sidecar", "two agents have the same track_id"
+    if track_ids is not None and set(listed) != generated_ids & track_ids:
+        missing = ", ".join(sorted(set(listed) ^ (generated_ids & track_ids)))
+        yield "sidecar", f"agents and generated tracks differ: {missing}"
+    for agent in sidecar.agents:
+        yield from _check_agent(agent, track_ids, lanes)
+        begin = agent.spawn.timestep if begins is None else begins.get(agent.track_id, agent.spawn.timestep)
+        if begin != agent.spawn.timestep:
+            yield "sidecar", f"agent {agent.track_id}: spawn.timestep {agent.spawn.timestep}, but it begins at {begin}"
+
+
+def _check_agent(agent: AgentRecord, track_ids: Set[str] | None, lanes: Set[str] | None) -> Iterator[Breach]:
+    name = f"agent {agent.track_id}"
+    kinds = [maneuver.kind for maneuver in agent.maneuvers]
+    if agent.policy is not Policy.STRAIGHT and agent.policy.value not in kinds:
+        yield "sidecar", f"{name}: policy {agent.policy}, but no record of it"
+    used = {agent.spawn.lane_segment_id, *agent.route}
+    for maneuver in agent.maneuvers:
+        used |= {lane for lane in (maneuver.source_lane, maneuver.target_lane) if lane is not None}
+        times = [
+            time
+            for time in (maneuver.trigger_s, maneuver.start_s, maneuver.crossing_s, maneuver.end_s)
+            if time is not None
+        ]
+        if times != sorted(times):
+            yield "sidecar", f"{name}: {maneuver.kind}: times {times}, expected trigger, start, crossing, end in order"
+        if maneuver.status == "done" and (maneuver.start_s is None or maneuver.end_s is None):
+            yield "sidecar", f"{name}: {maneuver.kind}: done without start_s and end_s"
+        if track_ids is not None and maneuver.leader_track_id not in (None, *track_ids):
+            yield "sidecar", f"{name}: {maneuver.kind}: no leader {maneuver.leader_track_id!r}"
+    if lanes is not None:
+        for lane in sorted(lane for lane in used if str(lane) not in lanes):
+            yield "sidecar", f"{name}: lane segment {lane} is not in the map"
+
+
+def check_written_sequence(
+    path: Path, rows: RowArrays, generated_ids: set[str], *, source: Recording | None
+) -> Iterator[Breach]:
+    """A sequence against the rows of its scene, and its recorded lines against those of the source."""
+    try:
+        content = read_received(path, ScenarioError, wanted="an Argoverse 1 sequence")
+        found = check_sequence(content, str(path))
+    except ScenarioError as error:
+        yield "sequence", str(error)
+        return
+    is_inserted = inserted_id(0)[:-12]
+    inserted = {
+        name: found.code == code
+        for code, (name, kind) in enumerate(zip(found.ids, found.kinds, strict=True))
+        if name.startswith(is_inserted) and kind == OTHERS
+    }
+    wanted = {inserted_id(int(name.removeprefix("gen_"))): name for name in generated_ids if name in rows.ids}
+    if inserted.keys() != wanted.keys():
+        names = ", ".join(sorted(inserted.keys() ^ wanted.keys())[:5])
+        yield "sequence", f"inserted tracks differ from those of the scene: {one_line(names, most=200)}"
+        return
+    for name, track_id in sorted(wanted.items()):
+        index = rows.of_track(rows.ids.index(track_id))
+        own = inserted[name]
+        same = np.array_equal(found.timestep[own], rows.timestep[index])
+        if not same or not np.array_equal(found.position[own], rows.motion[index, :2]):
+            yield "sequence", f"track {name}: positions are not those of {track_id} in the scene"
+    if source is not None and source.sequence is not None:
+        lines = source.sequence.decode("ascii").splitlines()
+        ours = content.decode("ascii").splitlines()
+        column = next(csv.reader(ours[:1])).index("TRACK_ID")
+        recorded = [line for line, row in zip(ours, csv.reader(ours), strict=False) if row[column] not in inserted]
+        if recorded != lines:
+            line = next((k for k, (a, b) in enumerate(zip(recorded, lines, strict=False)) if a != b), len(lines))
+            yield "source", f"recorded line {line + 1} is not that of {source.folder.name}"
