@@ -26,15 +26,17 @@ from netconvert.net_xml import SPEED_LIMIT_MPS
 from netconvert.roads import Roads, Way, roads_of
 
 #: How far lines leave centrelines where they round corners, where corners are left out, and widths theirs.
-_WITHIN_M, _CORNERS_M, _WIDTH_WITHIN_M = 0.03, 0.015, 0.01
+_WITHIN_M, _CORNERS_M, _WIDTH_WITHIN_M = 0.06, 0.015, 0.01
 #: Lanes of one road are at most so far off their centrelines; rows whose lanes are farther off are roads apart.
 _ROW_WITHIN_M = 0.05
 #: Lanes of a row whose borders are so straight have one width each, and so has a lane that is alone.
 _EVEN_WITHIN_M = 0.15
 #: Lanes of one section are so wide as at its start, by what that puts their middles off: what SUMO takes them for.
 _SECTION_WITHIN_M = 0.03
+#: The left border of a road is straight along its line but for this slope: SUMO draws lanes at right angles to it.
+_SLOPE = 0.01
 #: Offsets of lanes are measured so far apart along a road, and no farther to its sides.
-_EVERY_M, _ASIDE_M = 0.5, 60.0
+_EVERY_M, _ASIDE_M = 0.25, 60.0
 #: Ways that lead through no lane of an intersection take so much of the lanes, and no more than this share of a road.
 _TAKEN_M, _TAKEN_SHARE = 1.0, 0.25
 _NARROWEST_M, _SHORTEST_M, _NEAR_M = 0.3, 0.1, 0.1
@@ -166,7 +168,10 @@ def _road(lanes: Sequence[LaneSegment], start: _End, end: _End) -> _Road | None:
             measured[k] = (-1) ** k * (_across(points, heading, boundary) - known[k])
     measured[0] = np.where(np.isnan(measured).all(axis=0), half, measured[0])
     sign = (-1.0) ** np.arange(len(seen))
-    free = np.maximum(np.nanmean(measured, axis=0), _NARROWEST_M / 2.0)
+    free = np.nanmean(measured, axis=0)
+    slope = np.clip(np.polyfit(s, free, 1)[0], -_SLOPE, _SLOPE)
+    tightest = max(1.0 / max(np.abs(line.curvature).max(), 1e-9), _NARROWEST_M / 2.0)  # beyond it the border folds
+    free = np.clip(free.mean() + slope * (s - s.mean()), _NARROWEST_M / 2.0, tightest)
     borders = free * sign[:, None] + np.array(known)
     for k in range(1, len(seen)):
         borders[k] = np.minimum(borders[k], borders[k - 1] - _NARROWEST_M)
@@ -266,11 +271,15 @@ def _drawn(graph: LaneGraph) -> tuple[Roads, list[_Road]]:
         for end, junction in enumerate(roads.junctions):
             if junction in roads.ways_of:
                 ends[end] = _End.JUNCTION if roads.joint(junction) is None else _End.JOINT
+        merging: dict[tuple[int, int], set[int]] = {}
         for way in roads.ways:
+            merging.setdefault((roads.place[way.source][0], way.target), set()).add(way.source)
             for end in (2 * roads.place[way.source][0] + 1, 2 * roads.place[way.target][0]):
                 if not way.through and ends[end] is _End.JUNCTION:
                     ends[end] = _End.SHORT
         drawn, before = [], len(apart)
+        for sources in merging.values():  # netconvert takes one link from a road to a lane
+            apart.update(sorted(sources, key=lambda lane_id: roads.place[lane_id][1])[:-1])
         for number, row in enumerate(roads.rows):
             lanes = [graph.lanes[lane_id] for lane_id in reversed(row)]
             road = _road(lanes, *ends[2 * number : 2 * number + 2])
