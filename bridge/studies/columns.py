@@ -62,6 +62,7 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "overlaps": "whether its box meets another one from start to end",
         "lag_drac_mps2": "largest DRAC of the new follower from start to end: closing speed over twice the boxes' TTC",
         "lag_headway_s": "its least time headway, front to front",
+        "lag_brakes_mps2": "its hardest braking",
     },
     "looks": {**_RUN, **{name: says for name, says in GAP_COLUMNS.items() if name not in ("round", "track_id")}},
     "gaps": {
@@ -72,6 +73,8 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "lag_id": "new follower; empty: none",
         "accepted": "whether the rule took it at some look",
         "taken": "whether SUMO carried out the change",
+        "refused_by": "what said no at the last look at it: cells, road, rule, guard or sumo; empty: taken",
+        "asked_guard, asked_sumo": "whether at some look the guard, and SUMO, was asked",
         "became": "what came of it: taken, sumo_refuses, or the last reason of the guard or the rule",
         "accepted_s": "first look at which the rule took it",
         "lag_refused_s": "largest lag time gap that the rule refused for it alone, before the vehicle took any gap",

@@ -188,6 +188,7 @@ def _measured(
                 course = pair_course(arrays, *pair).during(first, last)
                 row["lag_drac_mps2"] = _rounded(course.drac_mps2.max(initial=0.0))
                 row["lag_headway_s"] = _rounded(course.headway_s.min(initial=np.inf))
+                row["lag_brakes_mps2"] = _rounded(course.brakes_mps2.max(initial=0.0))
         if row["start_s"] is not None and row["end_s"] is not None:
             row["lateral_s"] = round(row["end_s"] - row["start_s"], 6)
         rows.append(row)
@@ -224,6 +225,7 @@ _EMPTY: dict[str, Any] = dict.fromkeys(
         *(f"{what}_{name}" for name in DECIDES for what in ("asked", "refused_by")), "lead_gap_m", "lag_gap_m",
         "lead_time_gap_s", "lag_time_gap_s", "speed_mps", "start_s", "crossing_s", "end_s", "lateral_s",
         "min_ttc_s", "min_pet_s", "overlaps", "lag_drac_mps2", "lag_headway_s",
+        "lag_brakes_mps2",
     )
 )  # fmt: skip
 
