@@ -90,16 +90,6 @@ class GapLook:
         """The rule's answer: the first condition that said no, None for yes."""
         return next(iter(self.refusals), None)
 
-    @property
-    def asked(self) -> dict[str, bool]:
-        """Each of what decides that was asked: cells, road, rule, guard, sumo; whether it said no."""
-        cells, road = self.rule is Reason.CELLS_OCCUPIED, self.rule is Reason.LANE_ENDS
-        way = self.guard is not None and self.guard is not Reason.CONFLICT_PREDICTED
-        found = {"cells": cells, "road": road or way, "rule": not (self.rule is None or cells or road)}
-        if self.rule is None and not way:
-            found["guard"] = self.guard is not None
-        return found | ({} if self.sumo is None else {"sumo": not self.sumo})
-
 
 @dataclass(eq=False, slots=True)
 class DrivenVehicle:

@@ -26,15 +26,13 @@ from netconvert.net_xml import SPEED_LIMIT_MPS
 from netconvert.roads import Roads, Way, roads_of
 
 #: How far lines leave centrelines where they round corners, where corners are left out, and widths theirs.
-_WITHIN_M, _CORNERS_M, _WIDTH_WITHIN_M = 0.03, 0.015, 0.01
+_WITHIN_M, _CORNERS_M, _WIDTH_WITHIN_M = 0.05, 0.015, 0.01
 #: Lanes of one road are at most so far off their centrelines; rows whose lanes are farther off are roads apart.
 _ROW_WITHIN_M = 0.05
-#: Lanes of a row whose borders are so straight have one width each, and so has a lane that is alone.
-_EVEN_WITHIN_M = 0.15
 #: Lanes of one section are so wide as at its start, by what that puts their middles off: what SUMO takes them for.
-_SECTION_WITHIN_M = 0.03
-#: Offsets of lanes are measured so far apart along a road, and no farther to its sides.
-_EVERY_M, _ASIDE_M = 0.5, 60.0
+_SECTION_WITHIN_M = 0.02
+#: Offsets of lanes are measured so far apart along a road, and of lanes drawn on so far beyond their ends.
+_EVERY_M, _BEYOND_M = 0.25, 10.0
 #: Ways that lead through no lane of an intersection take so much of the lanes, and no more than this share of a road.
 _TAKEN_M, _TAKEN_SHARE = 1.0, 0.25
 _NARROWEST_M, _SHORTEST_M, _NEAR_M = 0.3, 0.1, 0.1
@@ -67,14 +65,6 @@ class _Line:
         s[0] = first
         (x, y), heading = (part.T for part in self.at(s))
         return _Line(s - first, x, y, heading, np.diff(np.append(s, last)), self.curvature[inside])
-
-    def split(self, s: Sequence[float]) -> "_Line":
-        """The same in more parts, so that none begins before one of s and ends behind it."""
-        begins = np.union1d(self.s, s)
-        begins = begins[np.append(True, np.diff(begins) > 1e-4)]
-        (x, y), heading = (part.T for part in self.at(begins))
-        k = np.searchsorted(self.s, begins + 1e-4, side="right") - 1
-        return _Line(begins, x, y, heading, np.diff(np.append(begins, self.length_m)), self.curvature[k])
 
     def at(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points (K, 2) m and headings (K,) rad."""
@@ -150,49 +140,28 @@ def _road(lanes: Sequence[LaneSegment], start: _End, end: _End) -> _Road | None:
         return None
     line = line.between(first, last)
     s = np.linspace(0.0, line.length_m, max(int(line.length_m / _EVERY_M), 1) + 1)
-    points, heading = line.at(s)
-    middles = [np.zeros(len(s)), *(_across(points, heading, lane.centerline) for lane in lanes[1:])]
-    if np.isnan(middles).any():
-        return None
+    middles = [np.zeros(len(s)), *(_beside(path, first + s, lane) for lane in lanes[1:])]
     # Borders b_0 ... b_n with middles between them have one degree of freedom: b_k = (-1)^k b_0 + known_k.
     known = [np.zeros(len(s))]
     for middle in middles:
         known.append(2.0 * middle - known[-1])
-    seen = [lanes[0].left_boundary, *(lane.right_boundary for lane in lanes)]
-    half = lanes[0].width_m / 2.0
-    measured = np.full((len(seen), len(s)), np.nan)
-    for k, boundary in enumerate(seen):
-        if boundary is not None:
-            measured[k] = (-1) ** k * (_across(points, heading, boundary) - known[k])
-    measured[0] = np.where(np.isnan(measured).all(axis=0), half, measured[0])
-    sign = (-1.0) ** np.arange(len(seen))
-    free = np.maximum(np.nanmean(measured, axis=0), _NARROWEST_M / 2.0)
-    borders = free * sign[:, None] + np.array(known)
-    for k in range(1, len(seen)):
+    sign = (-1.0) ** np.arange(len(known))
+    wider = [lane.width_m for lane in lanes] + np.diff(known, axis=0).mean(axis=1)
+    # beyond the tightest bend's radius the left border would fold
+    half = min(float((sign[:-1] * wider).mean()) / 2.0, 1.0 / max(np.abs(line.curvature).max(), 1e-9))
+    borders = max(half, _NARROWEST_M / 2.0) * sign[:, None] + np.array(known)
+    for k in range(1, len(borders)):
         borders[k] = np.minimum(borders[k], borders[k - 1] - _NARROWEST_M)
-    off = np.abs((borders[1:] + borders[:-1]) / 2.0 - middles)
-    if off.max() > _ROW_WITHIN_M:
+    if np.abs((borders[1:] + borders[:-1]) / 2.0 - middles).max() > _ROW_WITHIN_M:
         return None
-    even, around = borders.mean(axis=1, keepdims=True), np.abs(middles - np.mean(middles, axis=1, keepdims=True))
-    if len(lanes) == 1 or (np.abs(borders - even).max() <= _EVEN_WITHIN_M and around.max() <= _ROW_WITHIN_M):
-        borders = np.repeat(even, len(s), axis=1)
     return _Road(tuple(lane.lane_id for lane in lanes), line, s, borders)
 
 
-def _across(points: FloatArray, heading: FloatArray, line: FloatArray) -> FloatArray:
-    """How far to the left a polyline, drawn on beyond its ends, crosses the normals at points: (K,) m, NaN nowhere."""
-    ends = [line[0] + (line[0] - line[1]) * (_ASIDE_M / max(math.dist(line[0], line[1]), 1e-6))]
-    ends += [line[-1] + (line[-1] - line[-2]) * (_ASIDE_M / max(math.dist(line[-1], line[-2]), 1e-6))]
-    line = np.vstack([ends[0], line, ends[1]])
-    cos, sin = np.cos(heading)[:, None], np.sin(heading)[:, None]
-    x, y = line[:, 0] - points[:, :1], line[:, 1] - points[:, 1:]
-    ahead, aside = x * cos + y * sin, y * cos - x * sin
-    crosses = (ahead[:, :-1] <= 0.0) & (ahead[:, 1:] > 0.0)
-    step = np.where(crosses, ahead[:, 1:] - ahead[:, :-1], 1.0)
-    place = aside[:, :-1] - ahead[:, :-1] / step * (aside[:, 1:] - aside[:, :-1])
-    place = np.where(crosses & (np.abs(place) < _ASIDE_M), place, np.inf)
-    nearest = place[np.arange(len(place)), np.argmin(np.abs(place), axis=1)]
-    return np.where(np.isfinite(nearest), nearest, np.nan)
+def _beside(path: Polyline, s: FloatArray, lane: LaneSegment) -> FloatArray:
+    """How far to the left of a path at s (K,) m a lane, drawn on beyond its ends, is: (K,) m."""
+    line = lane.path.point(np.arange(-_BEYOND_M, lane.length_m + _BEYOND_M, _EVERY_M))
+    along, aside = path.frenet(line)
+    return np.interp(s, np.maximum.accumulate(along), aside)
 
 
 def _connecting(graph: LaneGraph, way: Way, source: tuple[_Road, int], target: tuple[_Road, int]) -> _Road:
@@ -266,11 +235,15 @@ def _drawn(graph: LaneGraph) -> tuple[Roads, list[_Road]]:
         for end, junction in enumerate(roads.junctions):
             if junction in roads.ways_of:
                 ends[end] = _End.JUNCTION if roads.joint(junction) is None else _End.JOINT
+        merging: dict[tuple[int, int], set[int]] = {}
         for way in roads.ways:
+            merging.setdefault((roads.place[way.source][0], way.target), set()).add(way.source)
             for end in (2 * roads.place[way.source][0] + 1, 2 * roads.place[way.target][0]):
                 if not way.through and ends[end] is _End.JUNCTION:
                     ends[end] = _End.SHORT
         drawn, before = [], len(apart)
+        for sources in merging.values():  # netconvert takes one link from a road to a lane
+            apart.update(sorted(sources, key=lambda lane_id: roads.place[lane_id][1])[:-1])
         for number, row in enumerate(roads.rows):
             lanes = [graph.lanes[lane_id] for lane_id in reversed(row)]
             road = _road(lanes, *ends[2 * number : 2 * number + 2])
@@ -316,10 +289,8 @@ def _road_xml(
 ) -> etree._Element:  # fmt: skip
     """A road. ends: what it is linked with; lanes: those before and behind each of its lanes, from the left."""
     through = junction != "-1"
-    offset = list(_pieces("laneOffset", road.s, road.borders[0], "s"))
-    offsets = E.lanes(*offset)
-    line = road.line.split([float(piece.get("s", "0")) for piece in offset])
-    plan = []
+    offsets = E.lanes(*_pieces("laneOffset", road.s, road.borders[0], "s"))
+    line, plan = road.line, []
     for s, x, y, heading, length, curvature in zip(
         line.s, line.x, line.y, line.heading, line.length, line.curvature, strict=True
     ):

@@ -1,7 +1,8 @@
 """A scene as CommonRoad XML 2020a: lanelets, agents as dynamic obstacles, the recording vehicle as planning problem.
 
 Ids of lanelets are those of the lane segments, obstacles are numbered behind them, each with its track's id in a
-comment. Steps that a track lacks are between its neighbours.
+comment. Steps that a track lacks are between its neighbours. The format wants every obstacle at step 0: one that comes
+later waits beside the map then, and is nowhere until its trajectory begins.
 """
 
 from collections.abc import Callable, Iterator
@@ -20,10 +21,12 @@ from netconvert.lane_graph import SIDES, LaneGraph, LaneSegment
 from netconvert.net_xml import SPEED_LIMIT_MPS
 
 _OBSTACLES = {"vehicle": "car", "bus": "bus", "motorcyclist": "motorcycle", "cyclist": "bicycle"}
-_OBSTACLES |= {"riderless_bicycle": "bicycle", "pedestrian": "pedestrian", "construction": "constructionZone"}
+_OBSTACLES |= {"riderless_bicycle": "bicycle", "pedestrian": "pedestrian"}
 _LANELETS = {"VEHICLE": "urban", "BUS": "busLane", "BIKE": "bicycleLane"}
 #: A planner has to come so near to where the recording vehicle was at last, m and rad.
 _GOAL_M, _GOAL_RAD = 5.0, 0.5
+#: Obstacles that come later wait so far west of all lanes, so far from each other.
+_WEST_M, _APART_M = 100.0, 10.0
 
 
 def commonroad_files(scene: Recording) -> dict[str, bytes]:
@@ -32,22 +35,23 @@ def commonroad_files(scene: Recording) -> dict[str, bytes]:
     traffic = traffic_of(scene.tracks, scene.num_steps, step_s=scene.step_s)
     agents: list[etree._Element] = []
     problem = []
+    west, south = np.concatenate([lane.centerline for lane in scene.graph.lanes.values()]).min(axis=0) - _WEST_M
     for row, track in enumerate(scene.tracks):
         steps = np.flatnonzero(traffic.present[row])
         poses = np.column_stack([traffic.position[row], traffic.heading[row]])[steps]
         speeds = np.interp(steps, track.timesteps, track.speed)
-        states = [
-            (E.initialState if k == 0 else E.state, int(step), poses[k], speeds[k]) for k, step in enumerate(steps)
-        ]
+        states = list(zip(steps.tolist(), poses, speeds.tolist(), strict=True))
         if track.track_id == AV_ID:
             problem.append(_problem(next(ids), poses, float(speeds[0]), steps.tolist()))
             continue
         length_m, width_m = track.size
         box = E.rectangle(E.length(f"{length_m:.3f}"), E.width(f"{width_m:.3f}"))
         kind = E.type(_OBSTACLES.get(track.object_type, "unknown"))
-        obstacle = E.dynamicObstacle(kind, E.shape(box), _state(*states[0]), id=str(next(ids)))
+        if states[0][0] > 0:
+            states.insert(0, (0, np.array([west, south + _APART_M * row, 0.0]), 0.0))
+        obstacle = E.dynamicObstacle(kind, E.shape(box), _state(E.initialState, *states[0]), id=str(next(ids)))
         if len(states) > 1:
-            obstacle.append(E.trajectory(*(_state(*state) for state in states[1:])))
+            obstacle.append(E.trajectory(*(_state(E.state, *state) for state in states[1:])))
         agents += [etree.Comment(f" track {track.track_id.replace('--', '- -')} "), obstacle]
     known = {"commonRoadVersion": "2020a", "benchmarkID": f"ZAM_HID2-1_{_number(name)}_T-1", "date": "1970-01-01"}
     known |= {"author": "hid2-sumo", "affiliation": "", "source": f"{scene.format} {name}"}

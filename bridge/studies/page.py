@@ -17,17 +17,8 @@ from bridge.batch.manifest import DONE
 from bridge.files import beside, explained, table_cell, write_rows, write_text
 from bridge.pages.parts import text
 from bridge.studies.columns import dictionary_rows
-from bridge.studies.statistics import (
-    OUTCOMES,
-    CriticalGap,
-    acceptance_curve,
-    critical_gap,
-    difference_sd,
-    dose_response,
-    effects,
-    gaps_of,
-    seeds_needed,
-)
+from bridge.studies.gap_acceptance import CriticalGap, acceptance_curve, critical_gap, gaps_of
+from bridge.studies.statistics import OUTCOMES, difference_sd, dose_response, effects, seeds_needed
 from bridge.studies.study import Study, Tables
 from bridge.studies.study_figures import CRITICAL, draw_fundamental, draw_parameter, label_of
 from hid2.agents import FloatArray
@@ -49,6 +40,7 @@ _TOLD = (
     "share_ttc_below_critical",
     "share_overlapping",
     "lag_drac_mps2",
+    "lag_brakes_mps2",
 )
 
 
@@ -196,12 +188,40 @@ def page_text(
         changes=tables.lane_changes,
         conflicts=_conflict_counts(tables.conflicts),
         flow={} if flow.empty else {column: flow[column].mean() for column in _FLOW},
-        reasons=[f"{reason} {count}" for reason, count in counted.loc[~accepted, "reason"].value_counts()[:6].items()],
+        reasons=_last_reasons(counted[~accepted], named["gaps"]),
+        by_value={key: _by_value(named, key) for key in keys if 1 < requests[key].nunique() <= _MOST_VALUES},
         exported_share=None if exported.empty else float((exported == "yes").mean()),
         cut_share=float(cut_off.mean()) if len(counted) else 0.0,
         exp=math.exp,
         figures=figures,
     )  # fmt: skip
+
+
+def _last_reasons(refused: pd.DataFrame, gaps: pd.DataFrame) -> list[str]:
+    """The most frequent answers to the last gap that vehicles without one looked at, or why they looked at none."""
+    same = ["scene", "point", "seed", "vehicle"]
+    reasons = refused.set_index(same)["reason"]
+    if not gaps.empty:
+        last = gaps.sort_values("to_s", kind="stable").drop_duplicates(same, keep="last").set_index(same)["became"]
+        reasons = last.reindex(reasons.index).fillna(reasons)
+    return [f"{reason} {count}" for reason, count in reasons.value_counts()[:6].items()]
+
+
+def _by_value(named: Mapping[str, pd.DataFrame], key: str) -> list[str]:
+    """One line for each value of a parameter: lane changes, conflicts, flow and speed of all traffic there."""
+    lines = []
+    for value in sorted(named["runs"][key].unique()):
+        own = {name: table[table[key] == value] if key in table else table for name, table in named.items()}
+        line = (
+            f"at {value}: {len(own['lane_changes'])} lane changes and {len(own['conflicts'])} conflicts of any vehicle"
+        )
+        told = "lane_changes.track_id, conflicts.kind"
+        if len(own["flow"]):
+            flow, speed = (own["flow"][name].mean() for name in ("flow_veh_per_h_lane", "speed_kmph"))
+            line += f", {flow:.0f} veh/h per lane at {speed:.0f} km/h"
+            told += ", flow.flow_veh_per_h_lane, flow.speed_kmph"
+        lines.append(f"{line} [{told}].")
+    return lines
 
 
 def _conflict_counts(found: pd.DataFrame) -> str | None:

@@ -188,6 +188,7 @@ def _measured(
                 course = pair_course(arrays, *pair).during(first, last)
                 row["lag_drac_mps2"] = _rounded(course.drac_mps2.max(initial=0.0))
                 row["lag_headway_s"] = _rounded(course.headway_s.min(initial=np.inf))
+                row["lag_brakes_mps2"] = _rounded(course.brakes_mps2.max(initial=0.0))
         if row["start_s"] is not None and row["end_s"] is not None:
             row["lateral_s"] = round(row["end_s"] - row["start_s"], 6)
         rows.append(row)
@@ -214,16 +215,15 @@ def _told(found: Iterable[LaneChangeRow | TrafficConflict], since_s: float) -> l
     return [{key: _rounded(value) if isinstance(value, float) else value for key, value in row.items()} for row in rows]
 
 
-#: What may refuse a gap, as `GapLook.asked` names it.
-DECIDES = ("cells", "road", "rule", "guard", "sumo")
 #: A row of the table of requests without anything in it: the order of its columns.
 _EMPTY: dict[str, Any] = dict.fromkeys(
     (
         "vehicle", "source", "kind", "status", "reason", "exported", "entered_s", "desired_mps", "trigger_s",
         "counted", "observed_to_s", "accepted_s", "waited_s", "accepted", "looks",
-        *(f"{what}_{name}" for name in DECIDES for what in ("asked", "refused_by")), "lead_gap_m", "lag_gap_m",
+        "lead_gap_m", "lag_gap_m",
         "lead_time_gap_s", "lag_time_gap_s", "speed_mps", "start_s", "crossing_s", "end_s", "lateral_s",
         "min_ttc_s", "min_pet_s", "overlaps", "lag_drac_mps2", "lag_headway_s",
+        "lag_brakes_mps2",
     )
 )  # fmt: skip
 
@@ -243,10 +243,6 @@ def _request_row(scene: Scene, vehicle: DrivenVehicle, *, first: int) -> dict[st
         "waited_s": None if until_s < trigger_s else _rounded(until_s - trigger_s),
         "looks": len(vehicle.gaps),
     }  # fmt: skip
-    asked = [look.asked for look in vehicle.gaps]
-    for name in DECIDES:
-        said = [one[name] for one in asked if name in one]
-        row |= {f"asked_{name}": len(said), f"refused_by_{name}": sum(said)}
     took = next((look for look in vehicle.gaps if look.sumo), None)
     if took is not None:
         lead, lag = took.front, took.rear

@@ -1,4 +1,4 @@
-"""What the tables of a study say: rates, waiting times, acceptance curves, critical gaps, effects, with intervals.
+"""What the tables of a study say: rates, waiting times, trends, effects, with intervals.
 
 Intervals are bootstrap intervals: runs (scene and seed) are drawn again, and scenes where there are at least three. The
 same draw serves all values of what varies, because the same vehicles took part: differences are paired. Tests change
@@ -6,7 +6,6 @@ the signs of what each cluster says alone, which holds for few of them too (Cana
 """
 
 import math
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,53 +14,12 @@ import numpy as np
 import pandas as pd
 
 from hid2.agents import FloatArray, IntArray
-from hid2.resampling import Estimate, interval, redrawn
+from hid2.resampling import interval, redrawn
 
 _SCENES_LEAST, _UNITS_LEAST = 3, 3  # fewer scenes, or units at all, are not drawn again
-_FEWEST = 8  # gaps of each answer, drivers: below, no curve and no critical gap is fitted
-#: Coefficients beyond this say that a threshold parts the gaps without exception: no curve has an interval then.
-_SEPARATED = 50.0
 _SAME = 1e-9  # values that differ by less of themselves differ by rounding
 #: Longer time gaps count as this, s: behind a leader that hardly moves they grow without end.
-_LONG_GAP_S = 10.0
-
-
-#: Columns of a gap's sizes; conditions of rules that are about one side of it.
-_SIZES = ["lag_time_gap_s", "lead_time_gap_s", "lag_gap_m", "lead_gap_m"]
-_CONDITIONS = {"lag": {"rear_gap", "mobil_unsafe", "rule_refuses"}, "lead": {"front_gap"}}
-
-
-def gaps_of(looks: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
-    """One row for each gap that a vehicle looked at: the same new leader and follower on the same side.
-
-    Its size is that at which the rule first took it, else the largest while it was looked at; beside it the largest
-    size that each side alone was refused at before the driver took any gap.
-    """
-    if looks.empty:
-        return looks
-    driver = ["scene", "city", "point", *keys, "seed", "replay", "vehicle"]
-    same = [*driver, "side", "lead_id", "lag_id"]
-    frame = looks.sort_values("time_s", kind="stable")
-    frame = frame.assign(accepted=frame["rule"] == "yes", taken=frame["sumo"] == "yes")
-    frame[["lead_id", "lag_id"]] = frame[["lead_id", "lag_id"]].fillna("")
-    waits = ~frame.groupby(driver, dropna=False)["accepted"].cummax()
-    refusals = frame["refusals"].fillna("").str.split()
-    for side, conditions in _CONDITIONS.items():
-        # where anything else says no too, that this side would do is never seen, and refusals alone would count
-        refused = waits & refusals.map(lambda said, conditions=conditions: bool(said) and conditions.issuperset(said))
-        frame[f"{side}_refused_s"] = frame[f"{side}_time_gap_s"].where(refused)
-    on_the_way = frame["guard"].where(frame["sumo"].isna(), "sumo_refuses").where(~frame["taken"], "taken")
-    frame["became"] = on_the_way.where(frame["accepted"], frame["rule"])
-    grouped = frame.groupby(same, sort=False, dropna=False)
-    found = grouped.agg(
-        accepted=("accepted", "any"), taken=("taken", "any"), from_s=("time_s", "min"), to_s=("time_s", "max"),
-        looks=("time_s", "size"), became=("became", "last"), trigger_s=("trigger_s", "first"),
-        lag_refused_s=("lag_refused_s", "max"), lead_refused_s=("lead_refused_s", "max"),
-    )  # fmt: skip
-    first = frame[frame["accepted"]].drop_duplicates(same).set_index(same)
-    found["accepted_s"] = first["time_s"].reindex(found.index)
-    sizes = grouped[_SIZES].max().where(~found["accepted"], first[_SIZES].reindex(found.index))
-    return found.join(sizes).reset_index()
+LONG_GAP_S = 10.0
 
 
 def resampled(
@@ -127,6 +85,7 @@ class Outcome:
     below: str | None = None
 
 
+_DECIDE = {"rule": "the rule", "cells": "taken cells", "road": "the road", "guard": "the guard", "sumo": "SUMO"}
 OUTCOMES = (
     Outcome("share_accepted", "share of the requests counted that got a gap", "requests", "accepted"),
     Outcome("share_accepted_of_looking", "the same of those that had a lane beside to look at", "requests", "accepted",
@@ -134,14 +93,14 @@ OUTCOMES = (
     Outcome("mean_wait_s", "mean waiting time from the trigger, up to the longest allowed, s", "requests", None),
     Outcome("gaps_accepted", "share of the gaps looked at that were taken", "gaps", "accepted"),
     *(
-        Outcome(f"refused_by_{name}", f"share that {words} refused of what it was asked", "requests",
-                f"refused_by_{name}", f"asked_{name}")
-        for name, words in (("rule", "the rule"), ("cells", "taken cells"), ("road", "the road"),
-                            ("guard", "the guard"), ("sumo", "SUMO"))
+        Outcome(f"refused_by_{name}", f"share of the gaps{asked} that {words} refused at last", "gaps",
+                f"refused_by_{name}", f"asked_{name}" if asked else None)
+        for name, words in _DECIDE.items() for asked in (" asked about" if name in ("guard", "sumo") else "",)
     ),
     Outcome("share_overlapping", "share of the changes in which boxes meet", "requests", "overlaps"),
     Outcome("lag_drac_mps2", "mean of the largest DRAC of the new follower, m/s2", "requests", "lag_drac_mps2"),
     Outcome("lag_headway_s", "mean of the least time headway of the new follower, s", "requests", "lag_headway_s"),
+    Outcome("lag_brakes_mps2", "mean of the hardest braking of the new follower, m/s2", "requests", "lag_brakes_mps2"),
     Outcome("lateral_s", "mean duration of the lateral motion, s", "requests", "lateral_s"),
     Outcome("lag_time_gap_s", "mean lag time gap taken (above 10 s: 10 s), s", "requests", "lag_time_gap_s"),
     Outcome("share_ttc_below_critical", "share of the changes with a TTC below 1.5 s", "requests", "ttc_critical"),
@@ -176,8 +135,10 @@ def dose_response(
     counted = requests[requests["counted"]].copy()
     started = counted["start_s"].notna()
     counted["ttc_critical"] = np.where(started, (counted["min_ttc_s"] < critical_ttc_s).astype(float), np.nan)
-    counted["lag_time_gap_s"] = counted["lag_time_gap_s"].clip(upper=_LONG_GAP_S)
+    counted["lag_time_gap_s"] = counted["lag_time_gap_s"].clip(upper=LONG_GAP_S)
     counted["looked"] = (counted["looks"] > 0).astype(float)
+    if not gaps.empty:
+        gaps = gaps.assign(**{f"refused_by_{name}": (gaps["refused_by"] == name).astype(float) for name in _DECIDE})
     frames = {"requests": counted, "gaps": gaps}
     rows: list[dict[str, Any]] = []
     for outcome in OUTCOMES:
@@ -279,155 +240,6 @@ def _adjusted(table: pd.DataFrame) -> pd.DataFrame:
     return table.assign(p_holm=table["outcome"].map(adjusted))
 
 
-# Acceptance and critical gaps -----------------------------------------------------------------------------------------
-
-
-def acceptance_curve(gaps: pd.DataFrame) -> dict[str, Any] | None:
-    """Logistic P(accepted | lag time gap, lead time gap) with standard errors clustered by run; None if not to be told.
-
-    A gap without a leader counts as one of the largest lead time gap seen; gaps without a follower are left out.
-    Returns a row of acceptance.csv, with the covariance (3, 3): intercept, lag (with its 95 % interval), lead, lead_s
-    (median, at which curves are drawn); or why there is no curve (separated).
-    """
-    import statsmodels.api as sm
-
-    frame = gaps[gaps["lag_time_gap_s"].notna()].copy()
-    accepted = frame["accepted"].to_numpy(float)
-    if accepted.sum() < _FEWEST or (1.0 - accepted).sum() < _FEWEST:
-        return None
-    frame["lead_time_gap_s"] = frame["lead_time_gap_s"].fillna(frame["lead_time_gap_s"].max())
-    if frame["lead_time_gap_s"].isna().any():
-        return None
-    design = np.column_stack(
-        [np.ones(len(frame)), frame["lag_time_gap_s"], frame["lead_time_gap_s"].clip(upper=_LONG_GAP_S)]
-    )
-    design[:, 1] = np.minimum(design[:, 1], _LONG_GAP_S)
-    runs = pd.factorize(pd.MultiIndex.from_frame(frame[["scene", "seed"]]))[0]
-    many = len(np.unique(runs)) > len(design[0])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a separated sample is told by its coefficients below
-        model = sm.GLM(accepted, design, family=sm.families.Binomial())
-        try:
-            fit = model.fit(cov_type="cluster", cov_kwds={"groups": runs}) if many else model.fit()
-        except Exception as error:  # noqa: BLE001  # statsmodels has no class for a separated sample
-            return {"separated": str(error)}
-    if not np.isfinite(fit.params).all() or np.abs(fit.params).max() > _SEPARATED:
-        return {"separated": "a threshold parts the gaps"}
-    intercept, lag, lead = map(float, fit.params)
-    covariance = np.asarray(fit.cov_params())
-    apart = 1.96 * float(covariance[1, 1]) ** 0.5
-    return {
-        "intercept": intercept, "lag": lag, "lead": lead, "lead_s": float(np.median(design[:, 2])),
-        "gaps": len(frame), "accepted": int(accepted.sum()), "lag_low": lag - apart, "lag_high": lag + apart,
-        "separated": None, "covariance": covariance,
-    }  # fmt: skip
-
-
-def curve_at(curve: dict[str, Any], lag_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Probability (K,) of acceptance by lag time gap at the median lead time gap, with its 95 % band."""
-    from scipy.special import expit
-
-    x = np.column_stack([np.ones(lag_s.size), lag_s, np.full(lag_s.size, curve["lead_s"])])
-    level = x @ np.array([curve["intercept"], curve["lag"], curve["lead"]])
-    error = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", x, curve["covariance"], x), 0.0))
-    return expit(level), expit(level - 1.96 * error), expit(level + 1.96 * error)
-
-
-@dataclass(frozen=True, slots=True)
-class CriticalGap:
-    """Critical time gap of a group of drivers on one side of a gap, s. mean and sd: lognormal, by maximum likelihood.
-
-    raff: Raff's.
-    """
-
-    mean: Estimate
-    sd: Estimate
-    raff: float | None
-    drivers: int
-    inconsistent: int
-
-
-def largest_rejected(gaps: pd.DataFrame, side: str) -> tuple[FloatArray, FloatArray, int]:
-    """Largest time gap refused for this side and that taken, s, of each driver that looked; how many were left out.
-
-    A gap that was refused for anything but this side of it is no refusal of it. inf: it took none, or one without a
-    vehicle on this side; where it refused none either it tells nothing. A driver that refused a larger one than it took
-    is left out: its rule asks for something else, too.
-    """
-    driver = ["scene", "point", "seed", "vehicle"]
-    first = gaps[gaps["accepted"]].sort_values("accepted_s", kind="stable").drop_duplicates(driver).set_index(driver)
-    rejected = gaps.groupby(driver)[f"{side}_refused_s"].max().astype(float).fillna(0.0)
-    r = rejected.to_numpy(float)
-    a = first[f"{side}_time_gap_s"].reindex(rejected.index).fillna(np.inf).to_numpy(float)
-    tells, consistent = np.isfinite(a) | (r > 0.0), (a > r) & (a > 0.0)
-    return r[tells & consistent], a[tells & consistent], int((tells & ~consistent).sum())
-
-
-def troutbeck(rejected_s: FloatArray, accepted_s: FloatArray) -> tuple[Estimate, Estimate]:
-    """Mean and SD of a lognormal critical gap, s, by maximum likelihood (Troutbeck 1992).
-
-    From each driver's largest rejected and accepted gap, inf where it took none: those that wait longest have the
-    largest critical gaps. Intervals: draws from the inverse information.
-    """
-    from scipy.optimize import minimize
-    from scipy.stats import norm
-    from statsmodels.tools.numdiff import approx_hess
-
-    log_a = np.log(accepted_s)
-    log_r = np.where(rejected_s > 0.0, np.log(np.maximum(rejected_s, 1e-9)), -np.inf)
-
-    def loss(p: FloatArray) -> float:
-        sd = math.exp(p[1])
-        share = norm.cdf((log_a - p[0]) / sd) - norm.cdf((log_r - p[0]) / sd)
-        return -float(np.log(np.maximum(share, 1e-300)).sum())
-
-    above_s = np.where(np.isfinite(accepted_s), accepted_s, 2.0 * rejected_s)
-    middle = np.log(np.where(rejected_s > 0.0, np.sqrt(np.maximum(rejected_s, 1e-9) * above_s), 0.7 * above_s))
-    start = np.array([float(middle.mean()), math.log(max(float(middle.std()), 0.1))])
-    best = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-8, "maxiter": 4000}).x
-    hessian = approx_hess(best, loss, epsilon=1e-3)
-
-    def moments(p: FloatArray) -> tuple[FloatArray, FloatArray]:
-        variance = np.exp(2.0 * p[..., 1])
-        mean = np.exp(p[..., 0] + 0.5 * variance)
-        return mean, mean * np.sqrt(np.expm1(variance))
-
-    mean, sd = moments(best)
-    try:
-        covariance = np.linalg.inv(hessian)
-        np.linalg.cholesky(covariance)
-    except np.linalg.LinAlgError:  # the likelihood is flat: no interval
-        return Estimate(float(mean)), Estimate(float(sd))
-    drawn = moments(np.random.default_rng(0).multivariate_normal(best, covariance, size=4000))
-    return interval(float(mean), drawn[0]), interval(float(sd), drawn[1])
-
-
-def raff(rejected_s: FloatArray, accepted_s: FloatArray) -> float | None:
-    """Raff's critical gap, s: as many accepted gaps are shorter as rejected ones are longer."""
-    rejected = rejected_s[rejected_s > 0.0]
-    if rejected.size == 0 or accepted_s.size == 0:
-        return None
-    at = np.unique(np.concatenate([rejected, accepted_s]))
-    shorter = np.searchsorted(np.sort(accepted_s), at, side="right") / accepted_s.size
-    longer = 1.0 - np.searchsorted(np.sort(rejected), at, side="right") / rejected.size
-    crossed = np.flatnonzero(shorter >= longer)
-    return float(at[crossed[0]]) if crossed.size else None
-
-
-def critical_gap(gaps: pd.DataFrame, side: str) -> CriticalGap | None:
-    """Critical time gap of the drivers in a table of gaps on one side, lag or lead; None where too few took one."""
-    rejected, accepted, inconsistent = largest_rejected(gaps, side)
-    taken = accepted[np.isfinite(accepted)]
-    if taken.size < _FEWEST or (rejected > 0).sum() < _FEWEST // 2:
-        return None
-    refused = gaps[f"{side}_refused_s"].dropna().to_numpy(float)
-    if rejected.max() < taken.min():  # one gap parts all drivers: anything between the two is as likely
-        between = Estimate(float(0.5 * (rejected.max() + taken.min())), float(rejected.max()), float(taken.min()))
-        return CriticalGap(between, Estimate(0.0), raff(refused, taken), accepted.size, inconsistent)
-    mean, sd = troutbeck(rejected, accepted)
-    return CriticalGap(mean, sd, raff(refused, taken), accepted.size, inconsistent)
-
-
 # Effects --------------------------------------------------------------------------------------------------------------
 
 
@@ -438,7 +250,7 @@ def effects(requests: pd.DataFrame, keys: Sequence[str], *, give_up_s: float) ->
     with its own where there are enough points.
     """
     counted = requests[requests["counted"]].copy()
-    counted["lag_time_gap_s"] = counted["lag_time_gap_s"].clip(upper=_LONG_GAP_S)
+    counted["lag_time_gap_s"] = counted["lag_time_gap_s"].clip(upper=LONG_GAP_S)
     counted["waited_or_end_s"] = np.minimum(counted["waited_s"], give_up_s)
     numeric = [key for key in keys if pd.api.types.is_numeric_dtype(counted[key])]
     rows: list[dict[str, Any]] = []

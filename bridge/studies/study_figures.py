@@ -10,7 +10,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from bridge.pictures import figures
-from bridge.studies.statistics import curve_at, kaplan_meier
+from bridge.studies.gap_acceptance import curve_at
+from bridge.studies.statistics import kaplan_meier
 from hid2.params import Conflict
 
 #: Critical values, whatever a run was made with.
@@ -58,14 +59,15 @@ def draw_parameter(
                              "gaps_accepted": ("gaps taken", figures.SKY)}),
         ("mean duration, s", {"mean_wait_s": (f"waiting, up to {give_up_s:g} s", figures.BLUE),
                               "lateral_s": ("lateral motion, once accepted", figures.ORANGE)}),
-        ("looks refused, share, by", _REFUSALS),
+        ("gaps refused at last, share, by", _REFUSALS),
     )  # fmt: skip
     for panel, (panel_title, outcomes) in zip(axes[0], upper, strict=True):
         for outcome, (label, color) in outcomes.items():
             _dots(panel, dose, at, outcome, color, label)
         panel.set_title(panel_title)
         panel.set_ylim(0, 1.03 if "share" in panel_title else None)
-        panel.legend(fontsize=8)
+        if panel.get_legend_handles_labels()[0]:  # no vehicle may have looked at a gap
+            panel.legend(fontsize=8)
         panel.set_xlabel(label_of(key))
         if not numeric:
             panel.set_xticks(list(at.values()), [str(value) for value in values])
@@ -83,6 +85,7 @@ def draw_parameter(
             axes[1, 1].plot(lag, middle, color=color, label=str(value))
             axes[1, 1].fill_between(lag, low, high, color=color, alpha=0.12, linewidth=0)
         started = mine[mine["start_s"].notna()]
+        axes[1, 2].plot([], [], color=color, label=str(value))
         _distribution(axes[1, 2], started["min_ttc_s"], color, "-")
         _distribution(axes[1, 2], started["min_pet_s"], color, ":")
     axes[1, 0].set_title("still waiting (Kaplan-Meier)")
@@ -102,7 +105,9 @@ def draw_parameter(
     axes[1, 2].axvline(CRITICAL.ttc_min_s, color=figures.VERMILION, linewidth=0.8)
     axes[1, 2].set_title("changes with a TTC (line), PET (dots) below")
     axes[1, 2].set_xlabel("s")
+    axes[1, 2].legend(fontsize=7, title=label_of(key), title_fontsize=7)
     axes[1, 2].set_xlim(0, 5)
+    axes[1, 2].set_ylim(bottom=0)
     figure.suptitle(title, fontsize=10)
     figures.save(figure, path)
 

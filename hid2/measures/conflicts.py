@@ -14,7 +14,7 @@ from hid2.kernels.box_pairs import swept_paths_cross
 from hid2.measures.arrays import SceneArrays
 from hid2.measures.post_encroachment import CROSSING_RAD, encroachments
 from hid2.measures.time_to_collision import CAP_S, ttc_to_anything
-from netconvert.geometry import wrap_angle
+from netconvert.geometry import differences, wrap_angle
 
 #: A conflict has a TTC below the first, or paths that cross within the second, s (SSAM's thresholds).
 CONFLICT_TTC_S, CONFLICT_PET_S = 1.5, 5.0
@@ -30,7 +30,8 @@ class PairCourse:
 
     rows, other: rows of the two; ttc_s: of the boxes at constant velocities, inf above the cap; gap_m: bumper to bumper
     along the follower's heading, negative where they are side by side; drac_mps2: deceleration that takes the closing
-    speed w along that heading away within w TTC, w / (2 TTC), 0 without a TTC; headway_s: front to front.
+    speed w along that heading away within w TTC, w / (2 TTC), 0 without a TTC; headway_s: front to front; brakes_mps2:
+    how hard the follower slows down, 0 where it does not.
     """
 
     step: IntArray
@@ -40,6 +41,7 @@ class PairCourse:
     gap_m: FloatArray
     drac_mps2: FloatArray
     headway_s: FloatArray
+    brakes_mps2: FloatArray
 
     def during(self, first: int, last: int) -> "PairCourse":
         """From a step to another."""
@@ -60,10 +62,12 @@ def pair_course(arrays: SceneArrays, follower: int, other: int, *, cap_s: float 
     speed = np.sum(pair.velocity[own] * forward, axis=1)
     drac = np.where(known & (closing > _CLOSES_MPS), closing / (2.0 * np.maximum(ttc_s, 1e-3)), 0.0)
     front_m = ahead_m + 0.5 * (pair.length[1] - pair.length[0])
+    slows = -differences(np.hypot(*pair.velocity[own].T), arrays.step_s)
     return PairCourse(
         step=steps, rows=arrays.row_of[follower, steps], other=arrays.row_of[other, steps],
         ttc_s=np.where(known, ttc_s, np.inf), gap_m=ahead_m - 0.5 * (pair.length[0] + pair.length[1]),
-        drac_mps2=drac, headway_s=np.where(speed > _CLOSES_MPS, front_m / np.maximum(speed, _CLOSES_MPS), np.inf),
+        drac_mps2=drac, brakes_mps2=np.maximum(slows, 0.0),
+        headway_s=np.where(speed > _CLOSES_MPS, front_m / np.maximum(speed, _CLOSES_MPS), np.inf),
     )  # fmt: skip
 
 

@@ -66,8 +66,8 @@ def lane_changes(view: LaneView, led: Leaders, seen: Iterable[Maneuver]) -> Iter
         if lag is not None:
             course = pair_course(arrays, lag, own).during(first, last)
             if course.step.size > 1:
-                brakes = float(np.max(-np.gradient(speed[course.rows], arrays.step_s), initial=0.0))
-                drac, headway = float(course.drac_mps2.max()), float(course.headway_s.min())
+                brakes, drac = float(course.brakes_mps2.max()), float(course.drac_mps2.max())
+                headway = float(course.headway_s.min())
         start_mps, crossing_mps, end_mps = (float(speed[arrays.row_of[own, at]]) for at in (first, middle, last))
         yield LaneChangeRow(
             one.track_id, one.source_lane, one.target_lane, one.side, one.complete, one.start_s, one.crossing_s,

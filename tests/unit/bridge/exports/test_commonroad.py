@@ -10,6 +10,9 @@ from bridge.exports.export import export_scene
 from bridge.recordings.recording import AV_ID
 from bridge.recordings.sources import read_recording
 
+#: Types of dynamic obstacles in CommonRoad's schema.
+KINDS = {"unknown", "car", "truck", "bus", "motorcycle", "bicycle", "pedestrian", "priorityVehicle", "train", "taxi"}
+
 
 def _states(obstacle: etree._Element) -> dict[int, list[float]]:
     found = {}
@@ -48,14 +51,23 @@ def test_lanelets_and_agents_are_those_of_the_scene(scene: Path, tmp_path: Path)
     assert len(obstacles) == len(tracks)
     ids = [int(one.get("id")) for one in [*obstacles, *root.iterfind("planningProblem"), *lanelets.values()]]
     assert len(set(ids)) == len(ids)
+    waiting: list[tuple[float, float]] = []
     for track, obstacle in zip(tracks, obstacles, strict=True):
+        assert obstacle.find("type").text in KINDS
+        assert obstacle.find("initialState/time/exact").text == "0"
         assert obstacle.getprevious().text.strip() == f"track {track.track_id}"
         states = _states(obstacle)
-        assert list(states) == list(range(track.timesteps[0], track.timesteps[-1] + 1))
+        there = list(range(track.timesteps[0], track.timesteps[-1] + 1))
+        assert list(states) == [*([0] if there[0] > 0 else []), *there]
+        if there[0] > 0:  # it waits where no lane is
+            x, y, *_ = states.pop(0)
+            waiting.append((x, y))
+            assert all(np.hypot(*(lane.centerline - (x, y)).T).min() > 99.0 for lane in graph.lanes.values())
         values = np.array([states[step] for step in track.timesteps.tolist()])
         assert np.abs(values[:, :2] - track.position).max() <= 0.001
         assert np.abs(np.remainder(values[:, 2] - track.heading + np.pi, 2 * np.pi) - np.pi).max() <= 1e-5
         assert values[:, 3] == pytest.approx(track.speed, abs=1e-5)
+    assert len(set(waiting)) == len(waiting) == sum(track.timesteps[0] > 0 for track in tracks)
     (problem,) = root.iterfind("planningProblem")
     place = [float(problem.find(f"initialState/position/point/{axis}").text) for axis in "xy"]
     goal = [float(problem.find(f"goalState/position/rectangle/center/{axis}").text) for axis in "xy"]

@@ -11,8 +11,8 @@ from bridge.generation.gaps import gap_rows
 from bridge.generation.generate import prepare
 from bridge.recordings.corridor import write_corridor
 from bridge.recordings.scenario import read_scenario
+from bridge.studies.gap_acceptance import CriticalGap, critical_gap, gaps_of
 from bridge.studies.paired import Drawn, PairedRun, draw, drawing_config, paired_run
-from bridge.studies.statistics import CriticalGap, critical_gap, gaps_of
 from hid2.agents import Policy
 from hid2.insertion.flow import trigger_after_s
 from hid2.params import CarFollowing, Config, Drivers, Flow, LaneChange, Request, Spawn

@@ -7,21 +7,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bridge.studies.page import _effect_lines, _told
+from bridge.studies.gap_acceptance import acceptance_curve, critical_gap, gaps_of, largest_rejected, raff, troutbeck
+from bridge.studies.page import _effect_lines, _last_reasons, _told
 from bridge.studies.statistics import (
-    acceptance_curve,
-    critical_gap,
     difference_sd,
     dose_response,
     effects,
     few_clusters_p,
-    gaps_of,
     kaplan_meier,
-    largest_rejected,
     mean_wait,
-    raff,
     seeds_needed,
-    troutbeck,
 )
 from bridge.studies.study_figures import draw_parameter
 
@@ -186,14 +181,6 @@ def test_logistic_coefficients_are_found_again() -> None:
     assert acceptance_curve(frame.head(5)) is None
 
 
-#: Of ten looks two found the cells taken; the rule refuses five of ten, the guard one of three, SUMO one of two.
-REFUSED = {
-    "asked_cells": 10, "refused_by_cells": 2, "asked_road": 10, "refused_by_road": 0, "asked_rule": 10,
-    "refused_by_rule": 5, "asked_guard": 3, "refused_by_guard": 1, "asked_sumo": 2, "refused_by_sumo": 1,
-    "overlaps": False, "lag_drac_mps2": 1.0, "lag_headway_s": 1.5,
-}  # fmt: skip
-
-
 def _requests(slope: float, *, runs: int = 12, each: int = 20) -> pd.DataFrame:
     """Requests of runs at three values of p; the share accepted goes with slope * p; the same vehicles at each."""
     rng = np.random.default_rng(3)
@@ -203,7 +190,9 @@ def _requests(slope: float, *, runs: int = 12, each: int = 20) -> pd.DataFrame:
         for point, p in enumerate((0.0, 0.5, 1.0)):
             rows += [
                 {**RUN, "point": point, "p": p, "seed": seed, "vehicle": f"v{k}", "counted": True,
-                 "accepted": luck[k] < 0.6 + slope * p, "waited_s": 5.0, "looks": 10, **REFUSED, "lateral_s": 4.0,
+                 "accepted": luck[k] < 0.6 + slope * p, "waited_s": 5.0, "looks": 10, "overlaps": False,
+                 "lag_drac_mps2": 1.0, "lag_headway_s": 1.5,
+                 "lag_brakes_mps2": 0.5, "lateral_s": 4.0,
                  "lag_time_gap_s": 2.0 + p,
                  "start_s": 3.0, "min_ttc_s": np.nan}
                 for k in range(each)
@@ -247,12 +236,32 @@ def test_parameter_with_which_nobody_gets_a_gap_is_drawn_too(tmp_path: Path) -> 
     assert share["estimate"].tolist() == [0.0] * 3
 
 
-def test_shares_of_what_each_was_asked_by_hand() -> None:
-    """SUMO was asked twice in every request and refused once, the guard once of three times."""
-    dose = dose_response(_requests(0.0), pd.DataFrame(), "p", give_up_s=6.0, critical_ttc_s=1.5)
-    for name, share in (("sumo", 0.5), ("guard", 1 / 3), ("rule", 0.5), ("cells", 0.2), ("road", 0.0)):
+def test_shares_of_the_gaps_that_each_refused_by_hand() -> None:
+    """Five gaps: cells, rule, guard and SUMO refuse one each at last, one is taken, which SUMO refused at first.
+
+    The guard was asked about three, SUMO about two; a gap is one, however often it was looked at.
+    """
+    guarded = _look("v2", 1.0, "c", 2.0, None, "yes") | {"guard": "conflict_predicted"}
+    looks = [_look("v0", 1.0, "a", 0.5, None, "cells_occupied"), _look("v1", 1.0, "b", 0.5, None, "cells_occupied")]
+    looks += [_look("v1", 1.1 + 0.1 * k, "b", 0.9, None, "rear_gap") for k in range(7)]
+    looks += [guarded, _look("v3", 1.0, "d", 3.0, "no", "yes"), _look("v4", 1.0, "e", 3.0, "no", "yes")]
+    looks += [_look("v4", 1.1, "e", 3.0, "yes", "yes")]
+    gaps = gaps_of(pd.DataFrame(looks), []).assign(p=0.0)
+    assert gaps["refused_by"].tolist() == ["cells", "rule", "guard", "sumo", ""]
+    dose = dose_response(_requests(0.0).assign(p=0.0), gaps, "p", give_up_s=6.0, critical_ttc_s=1.5)
+    for name, share in (("sumo", 1 / 2), ("guard", 1 / 3), ("rule", 0.2), ("cells", 0.2), ("road", 0.0)):
         found = dose[dose["outcome"] == f"refused_by_{name}"]
-        assert found["estimate"].tolist() == pytest.approx([share] * 3)
+        assert found["estimate"].tolist() == pytest.approx([share])
+
+
+def test_page_tells_the_answer_to_the_last_gap_that_was_looked_at() -> None:
+    """SUMO said no last, whatever reason the request has; one that looked at no gap keeps its own."""
+    refused = pd.DataFrame([{**RUN, "vehicle": name, "reason": "rear_gap"} for name in ("v0", "v1")])
+    refused.loc[1, "reason"] = "no_adjacent_lane"
+    gaps = gaps_of(
+        pd.DataFrame([_look("v0", 1.0, "a", 0.5, None, "rear_gap"), _look("v0", 2.0, "b", 2.0, "no", "yes")]), []
+    )
+    assert sorted(_last_reasons(refused, gaps)) == ["no_adjacent_lane 1", "sumo_refuses 1"]
 
 
 def test_standardised_coefficient_of_a_straight_line_is_one() -> None:

@@ -1,0 +1,208 @@
+"""Gaps that vehicles of a study looked at: one row each, acceptance curves, critical gaps."""
+
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from bridge.studies.statistics import LONG_GAP_S
+from hid2.agents import FloatArray
+from hid2.resampling import Estimate, interval
+
+_FEWEST = 8  # gaps of each answer, drivers: below, no curve and no critical gap is fitted
+#: Coefficients beyond this say that a threshold parts the gaps without exception: no curve has an interval then.
+_SEPARATED = 50.0
+#: Columns of a gap's sizes; conditions of rules that are about one side of it.
+_SIZES = ["lag_time_gap_s", "lead_time_gap_s", "lag_gap_m", "lead_gap_m"]
+_CONDITIONS = {"lag": {"rear_gap", "mobil_unsafe", "rule_refuses"}, "lead": {"front_gap"}}
+
+
+def gaps_of(looks: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
+    """One row for each gap that a vehicle looked at: the same new leader and follower on the same side.
+
+    Its size is that at which the rule first took it, else the largest while it was looked at; beside it the largest
+    size that each side alone was refused at before the driver took any gap.
+    """
+    if looks.empty:
+        return looks
+    driver = ["scene", "city", "point", *keys, "seed", "replay", "vehicle"]
+    same = [*driver, "side", "lead_id", "lag_id"]
+    frame = looks.sort_values("time_s", kind="stable")
+    frame = frame.assign(accepted=frame["rule"] == "yes", taken=frame["sumo"] == "yes")
+    frame[["lead_id", "lag_id"]] = frame[["lead_id", "lag_id"]].fillna("")
+    waits = ~frame.groupby(driver, dropna=False)["accepted"].cummax()
+    refusals = frame["refusals"].fillna("").str.split()
+    for side, conditions in _CONDITIONS.items():
+        # where anything else says no too, that this side would do is never seen, and refusals alone would count
+        refused = waits & refusals.map(lambda said, conditions=conditions: bool(said) and conditions.issuperset(said))
+        frame[f"{side}_refused_s"] = frame[f"{side}_time_gap_s"].where(refused)
+    on_the_way = frame["guard"].where(frame["sumo"].isna(), "sumo_refuses").where(~frame["taken"], "taken")
+    frame["became"] = on_the_way.where(frame["accepted"], frame["rule"])
+    by_rule = frame["rule"].map({"cells_occupied": "cells", "lane_ends": "road"}).fillna("rule")
+    after = frame["guard"].map({"yes": "sumo", "conflict_predicted": "guard"}).fillna("road")
+    frame["refused_by"] = after.where(frame["accepted"], by_rule).mask(frame["taken"], "")
+    frame["asked_guard"], frame["asked_sumo"] = (
+        frame["guard"].isin(["yes", "conflict_predicted"]),
+        frame["sumo"].notna(),
+    )
+    grouped = frame.groupby(same, sort=False, dropna=False)
+    found = grouped.agg(
+        accepted=("accepted", "any"), taken=("taken", "any"), from_s=("time_s", "min"), to_s=("time_s", "max"),
+        looks=("time_s", "size"), became=("became", "last"), refused_by=("refused_by", "last"),
+        asked_guard=("asked_guard", "any"), asked_sumo=("asked_sumo", "any"), trigger_s=("trigger_s", "first"),
+        lag_refused_s=("lag_refused_s", "max"), lead_refused_s=("lead_refused_s", "max"),
+    )  # fmt: skip
+    first = frame[frame["accepted"]].drop_duplicates(same).set_index(same)
+    found["accepted_s"] = first["time_s"].reindex(found.index)
+    sizes = grouped[_SIZES].max().where(~found["accepted"], first[_SIZES].reindex(found.index))
+    return found.join(sizes).reset_index()
+
+
+def acceptance_curve(gaps: pd.DataFrame) -> dict[str, Any] | None:
+    """Logistic P(accepted | lag time gap, lead time gap) with standard errors clustered by run; None if not to be told.
+
+    A gap without a leader counts as one of the largest lead time gap seen; gaps without a follower are left out.
+    Returns a row of acceptance.csv, with the covariance (3, 3): intercept, lag (with its 95 % interval), lead, lead_s
+    (median, at which curves are drawn); or why there is no curve (separated).
+    """
+    import statsmodels.api as sm
+
+    frame = gaps[gaps["lag_time_gap_s"].notna()].copy()
+    accepted = frame["accepted"].to_numpy(float)
+    if accepted.sum() < _FEWEST or (1.0 - accepted).sum() < _FEWEST:
+        return None
+    frame["lead_time_gap_s"] = frame["lead_time_gap_s"].fillna(frame["lead_time_gap_s"].max())
+    if frame["lead_time_gap_s"].isna().any():
+        return None
+    design = np.column_stack(
+        [np.ones(len(frame)), frame["lag_time_gap_s"], frame["lead_time_gap_s"].clip(upper=LONG_GAP_S)]
+    )
+    design[:, 1] = np.minimum(design[:, 1], LONG_GAP_S)
+    runs = pd.factorize(pd.MultiIndex.from_frame(frame[["scene", "seed"]]))[0]
+    many = len(np.unique(runs)) > len(design[0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a separated sample is told by its coefficients below
+        model = sm.GLM(accepted, design, family=sm.families.Binomial())
+        try:
+            fit = model.fit(cov_type="cluster", cov_kwds={"groups": runs}) if many else model.fit()
+        except Exception as error:  # noqa: BLE001  # statsmodels has no class for a separated sample
+            return {"separated": str(error)}
+    if not np.isfinite(fit.params).all() or np.abs(fit.params).max() > _SEPARATED:
+        return {"separated": "a threshold parts the gaps"}
+    intercept, lag, lead = map(float, fit.params)
+    covariance = np.asarray(fit.cov_params())
+    apart = 1.96 * float(covariance[1, 1]) ** 0.5
+    return {
+        "intercept": intercept, "lag": lag, "lead": lead, "lead_s": float(np.median(design[:, 2])),
+        "gaps": len(frame), "accepted": int(accepted.sum()), "lag_low": lag - apart, "lag_high": lag + apart,
+        "separated": None, "covariance": covariance,
+    }  # fmt: skip
+
+
+def curve_at(curve: dict[str, Any], lag_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Probability (K,) of acceptance by lag time gap at the median lead time gap, with its 95 % band."""
+    from scipy.special import expit
+
+    x = np.column_stack([np.ones(lag_s.size), lag_s, np.full(lag_s.size, curve["lead_s"])])
+    level = x @ np.array([curve["intercept"], curve["lag"], curve["lead"]])
+    error = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", x, curve["covariance"], x), 0.0))
+    return expit(level), expit(level - 1.96 * error), expit(level + 1.96 * error)
+
+
+@dataclass(frozen=True, slots=True)
+class CriticalGap:
+    """Critical time gap of a group of drivers on one side of a gap, s. mean and sd: lognormal, by maximum likelihood.
+
+    raff: Raff's.
+    """
+
+    mean: Estimate
+    sd: Estimate
+    raff: float | None
+    drivers: int
+    inconsistent: int
+
+
+def largest_rejected(gaps: pd.DataFrame, side: str) -> tuple[FloatArray, FloatArray, int]:
+    """Largest time gap refused for this side and that taken, s, of each driver that looked; how many were left out.
+
+    A gap that was refused for anything but this side of it is no refusal of it. inf: it took none, or one without a
+    vehicle on this side; where it refused none either it tells nothing. A driver that refused a larger one than it took
+    is left out: its rule asks for something else, too.
+    """
+    driver = ["scene", "point", "seed", "vehicle"]
+    first = gaps[gaps["accepted"]].sort_values("accepted_s", kind="stable").drop_duplicates(driver).set_index(driver)
+    rejected = gaps.groupby(driver)[f"{side}_refused_s"].max().astype(float).fillna(0.0)
+    r = rejected.to_numpy(float)
+    a = first[f"{side}_time_gap_s"].reindex(rejected.index).fillna(np.inf).to_numpy(float)
+    tells, consistent = np.isfinite(a) | (r > 0.0), (a > r) & (a > 0.0)
+    return r[tells & consistent], a[tells & consistent], int((tells & ~consistent).sum())
+
+
+def troutbeck(rejected_s: FloatArray, accepted_s: FloatArray) -> tuple[Estimate, Estimate]:
+    """Mean and SD of a lognormal critical gap, s, by maximum likelihood (Troutbeck 1992).
+
+    From each driver's largest rejected and accepted gap, inf where it took none: those that wait longest have the
+    largest critical gaps. Intervals: draws from the inverse information.
+    """
+    from scipy.optimize import minimize
+    from scipy.stats import norm
+    from statsmodels.tools.numdiff import approx_hess
+
+    log_a = np.log(accepted_s)
+    log_r = np.where(rejected_s > 0.0, np.log(np.maximum(rejected_s, 1e-9)), -np.inf)
+
+    def loss(p: FloatArray) -> float:
+        sd = math.exp(p[1])
+        share = norm.cdf((log_a - p[0]) / sd) - norm.cdf((log_r - p[0]) / sd)
+        return -float(np.log(np.maximum(share, 1e-300)).sum())
+
+    above_s = np.where(np.isfinite(accepted_s), accepted_s, 2.0 * rejected_s)
+    middle = np.log(np.where(rejected_s > 0.0, np.sqrt(np.maximum(rejected_s, 1e-9) * above_s), 0.7 * above_s))
+    start = np.array([float(middle.mean()), math.log(max(float(middle.std()), 0.1))])
+    best = minimize(loss, start, method="Nelder-Mead", options={"xatol": 1e-6, "fatol": 1e-8, "maxiter": 4000}).x
+    hessian = approx_hess(best, loss, epsilon=1e-3)
+
+    def moments(p: FloatArray) -> tuple[FloatArray, FloatArray]:
+        variance = np.exp(2.0 * p[..., 1])
+        mean = np.exp(p[..., 0] + 0.5 * variance)
+        return mean, mean * np.sqrt(np.expm1(variance))
+
+    mean, sd = moments(best)
+    try:
+        covariance = np.linalg.inv(hessian)
+        np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:  # the likelihood is flat: no interval
+        return Estimate(float(mean)), Estimate(float(sd))
+    drawn = moments(np.random.default_rng(0).multivariate_normal(best, covariance, size=4000))
+    return interval(float(mean), drawn[0]), interval(float(sd), drawn[1])
+
+
+def raff(rejected_s: FloatArray, accepted_s: FloatArray) -> float | None:
+    """Raff's critical gap, s: as many accepted gaps are shorter as rejected ones are longer."""
+    rejected = rejected_s[rejected_s > 0.0]
+    if rejected.size == 0 or accepted_s.size == 0:
+        return None
+    at = np.unique(np.concatenate([rejected, accepted_s]))
+    shorter = np.searchsorted(np.sort(accepted_s), at, side="right") / accepted_s.size
+    longer = 1.0 - np.searchsorted(np.sort(rejected), at, side="right") / rejected.size
+    crossed = np.flatnonzero(shorter >= longer)
+    return float(at[crossed[0]]) if crossed.size else None
+
+
+def critical_gap(gaps: pd.DataFrame, side: str) -> CriticalGap | None:
+    """Critical time gap of the drivers in a table of gaps on one side, lag or lead; None where too few took one."""
+    rejected, accepted, inconsistent = largest_rejected(gaps, side)
+    taken = accepted[np.isfinite(accepted)]
+    if taken.size < _FEWEST or (rejected > 0).sum() < _FEWEST // 2:
+        return None
+    refused = gaps[f"{side}_refused_s"].dropna().to_numpy(float)
+    if rejected.max() < taken.min():  # one gap parts all drivers: anything between the two is as likely
+        between = Estimate(float(0.5 * (rejected.max() + taken.min())), float(rejected.max()), float(taken.min()))
+        return CriticalGap(between, Estimate(0.0), raff(refused, taken), accepted.size, inconsistent)
+    mean, sd = troutbeck(rejected, accepted)
+    return CriticalGap(mean, sd, raff(refused, taken), accepted.size, inconsistent)
