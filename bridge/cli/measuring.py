@@ -103,7 +103,9 @@ def calibrate(
 
 @command()
 def resimulate(
-    scenes: list[Path] = options.argument("SCENE...", "Recorded scenes, two at least: scenario folders, splits or roots."),
+    scenes: list[Path] = options.argument(
+        "SCENE...", "Recorded scenes, two at least: scenario folders, splits or roots."
+    ),
     out: Path = options.OUT,
     *,
     seeds: int = options.option("Rollouts of each scene.", 32, "N", min=1),

@@ -235,7 +235,7 @@ def resimulate_folders(
         others = [one.recorded for one in some if one is not scene]
         pool, rng = (
             Features(*map(np.hstack, zip(*others, strict=True))),
-            np.random.default_rng([plan.seed, len(scene.name)]),
+            np.random.default_rng([plan.seed, zlib.crc32(scene.name.encode())]),
         )
         drawn = rng.integers(pool.values.shape[1], size=(plan.seeds, len(scene.driven)))
         scene.found["reference"] = likelihoods(scene.recorded, [pool.agents(rows) for rows in drawn])
