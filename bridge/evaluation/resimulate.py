@@ -25,6 +25,7 @@ from bridge.recordings.sidecar import GeneratorRecord, PlacedRecord, ReplayRecor
 from bridge.recordings.sources import find_sources
 from bridge.sumo.driving import Driving
 from bridge.sumo.fleet import Fleet
+from bridge.sumo.lane_changes import Attempt
 from bridge.sumo.simulation import Simulation
 from hid2.agents import FloatArray, Track
 from hid2.conflicts.stop_lines import StopLines
@@ -51,7 +52,7 @@ from hid2.policy.roads import Roads
 from hid2.resampling import ratio
 from hid2.scene import MOVES_MPS, build_scene
 from netconvert.cells import build_cell_grid
-from netconvert.errors import ConfigError, ScenarioError
+from netconvert.errors import ConfigError, ScenarioError, SimulationError
 from netconvert.net_xml import net_bytes
 
 TakeOut = Literal["all", "one"]
@@ -92,7 +93,7 @@ class _Resimulated(Driving):
 class _Unsteered(_Resimulated):
     """SUMO alone: neither guard nor turns nor stop lines."""
 
-    def _steer(self, step: int) -> tuple[dict[int, object], dict[int, tuple[float, str]]]:  # type: ignore[override]
+    def _steer(self, step: int) -> tuple[dict[int, Attempt], dict[int, tuple[float, str]]]:
         return {}, {}
 
 
@@ -116,10 +117,9 @@ class Resimulation:
         recording, rows = self.recording, {one.row for one in vehicles}
         if who == "constant velocity":
             ahead_s = recording.step_s * np.arange(recording.num_steps - NOW)
-            xy = [one.position + ahead_s[:, None] * one.velocity for one in vehicles]
-            yield self._with(
-                vehicles, [(at, np.full(len(at), one.heading)) for at, one in zip(xy, vehicles, strict=True)]
-            )
+            yield self._with(vehicles, [
+                (one.position + ahead_s[:, None] * one.velocity, np.full(ahead_s.size, one.heading)) for one in vehicles
+            ])  # fmt: skip
             return
         if who == "default":
             config = config.model_copy(update={"car_following": CarFollowing(model="Krauss")})
@@ -147,7 +147,12 @@ class Resimulation:
                     seen = fleet.obstacles(row, start.path)
                     way.obstacles = replace(seen, known=_ahead(seen.known, start.start_s))
                 driving = (_Unsteered if who == "default" else _Resimulated)(fleet, simulation, checked=False)
-                driven = zip(driving.run(), vehicles, strict=True)
+                driven = list(zip(driving.run(), vehicles, strict=True))
+                for vehicle, one in driven:
+                    if vehicle.objection is not None:
+                        raise SimulationError(
+                            f"{recording.folder}: track {one.track.track_id}: {vehicle.objection.text}"
+                        )
                 yield self._with(vehicles, [poses(scene, vehicle, one) for vehicle, one in driven])
 
     def _with(self, vehicles: Sequence[TakenOut], driven: Sequence[tuple[FloatArray, FloatArray]]) -> Traffic:
@@ -166,15 +171,10 @@ class Resimulation:
         recording, tracks = self.recording, list[Track]()
         for one in self.vehicles:
             past, span = _some(one.track, one.track.timesteps <= NOW), slice(NOW + 1, rollout.num_steps)
-            tracks.append(
-                replace(
-                    past,
-                    timesteps=np.concatenate([past.timesteps + NOW, np.arange(span.start, span.stop)]),
-                    position=np.concatenate([past.position, rollout.position[one.row, span]]),
-                    heading=np.concatenate([past.heading, rollout.heading[one.row, span]]),
-                    velocity=np.concatenate([past.velocity, rollout.velocity[one.row, span]]),
-                )
-            )
+            steps = np.concatenate([past.timesteps + NOW, np.arange(span.start, span.stop)])
+            pairs = [(getattr(past, name), getattr(rollout, name)) for name in ("position", "heading", "velocity")]
+            xy, angle, velocity = (np.concatenate([known, driven[one.row, span]]) for known, driven in pairs)
+            tracks.append(replace(past, timesteps=steps, position=xy, heading=angle, velocity=velocity))
         driving = config.driving.model_copy(update={"replay": "reactive"})
         config = config.model_copy(update={"driving": driving})
         late_s, seed = {track.track_id: 0.0 for track in tracks}, config.request.seed
@@ -233,10 +233,8 @@ def resimulate_folders(
         raise ScenarioError(f"{paths[0]}: {len(some)} scenes with a vehicle to drive, expected two at least{said}")
     for scene in some:  # the reference: in each rollout recorded vehicles of other scenes, drawn
         others = [one.recorded for one in some if one is not scene]
-        pool, rng = (
-            Features(*map(np.hstack, zip(*others, strict=True))),
-            np.random.default_rng([plan.seed, zlib.crc32(scene.name.encode())]),
-        )
+        pool = Features(*map(np.hstack, zip(*others, strict=True)))
+        rng = np.random.default_rng([plan.seed, zlib.crc32(scene.name.encode())])
         drawn = rng.integers(pool.values.shape[1], size=(plan.seeds, len(scene.driven)))
         scene.found["reference"] = likelihoods(scene.recorded, [pool.agents(rows) for rows in drawn])
     with explained(out):
@@ -251,9 +249,8 @@ def score_scene(shared: tuple[Plan, Mapping[Path, Mapping[str, float]], Path], f
         raise ScenarioError(f"{folder}: {recording.num_steps} steps, expected more than {LAST}, which are scored")
     made, beyond, step_s = Resimulation(recording), beyond_edge(recording.graph), recording.step_s
     config = Config.model_validate({"drivers": drivers[folder], "request": {"seed": plan.seed}})
-    recorded = features(
-        made.logged, np.array([one.row for one in made.vehicles], dtype=np.int64), beyond, step_s=step_s
-    )
+    every = np.array([one.row for one in made.vehicles], dtype=np.int64)
+    recorded = features(made.logged, every, beyond, step_s=step_s)
     found = {"log": likelihoods(recorded, [recorded] * plan.seeds)}
     groups = [made.vehicles] if plan.take_out == "all" else [[one] for one in made.vehicles]
     who: Who

@@ -113,14 +113,15 @@ def _central(values: FloatArray, known: BoolArray, step_s: float) -> tuple[Float
 
 def _nearest(traffic: Traffic, rows: IntArray, corners: FloatArray) -> FloatArray:
     """(N, T) m from each box to the nearest other one, 0 where they overlap; at most the range's end."""
-    boxes, reach = shapely.polygons(corners), 0.5 * np.hypot(traffic.length_m, traffic.width_m)
+    reach = 0.5 * np.hypot(traffic.length_m, traffic.width_m)
     found = np.full((len(rows), traffic.num_steps), FEATURES[4].high)
     for place, row in enumerate(rows.tolist()):
         apart = np.hypot(*np.moveaxis(traffic.position - traffic.position[row], -1, 0))
         apart[~(traffic.present & traffic.present[row])] = apart[row] = np.inf
         # boxes are no nearer than their circles, nor is the nearest one farther than centres are
         agent, step = np.nonzero(apart - reach[:, None] - reach[row] < np.minimum(apart.min(axis=0), found[place]))
-        np.minimum.at(found[place], step, shapely.distance(boxes[agent, step], boxes[row, step]))
+        boxes, own = shapely.polygons(corners[agent, step]), shapely.polygons(corners[row, step])
+        np.minimum.at(found[place], step, shapely.distance(boxes, own))
     return found
 
 
