@@ -41,7 +41,7 @@ from hid2.evaluation.likelihood import (
     likelihoods,
     scene_scores,
 )  # fmt: skip
-from hid2.evaluation.resimulated import TakenOut, begin, poses, taken_out
+from hid2.evaluation.resimulated import TakenOut, begin, own_path, poses, taken_out
 from hid2.measures.arrays import BoolArray
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.occupancy.agent_states import agent_states
@@ -130,6 +130,7 @@ class Resimulation:
             last_observed_step=recording.last_observed - NOW,
         )  # fmt: skip
         roads, stop_lines, own = Roads(scene), StopLines(scene), [one.track.track_id for one in vehicles]
+        paths = [own_path(scene, one) for one in vehicles]
         moving = [one.speed_mps for one in vehicles if one.speed_mps > MOVES_MPS]
         usual_mps = float(np.median(moving)) if len(moving) >= _PACE_OF else config.spawn.prior_speed_mps
         seed = [config.request.seed, zlib.crc32(" ".join([recording.scenario_id, *own]).encode())]
@@ -139,7 +140,10 @@ class Resimulation:
         ) as simulation:  # fmt: skip
             for rollout in range(seeds):
                 rng, pace_mps = np.random.default_rng([*seed, rollout]), None if who == "default" else usual_mps
-                starts = [begin(scene, roads, one, k, rng, usual_mps=pace_mps) for k, one in enumerate(vehicles)]
+                starts = [
+                    begin(scene, roads, one, path, rng, number=number, usual_mps=pace_mps)
+                    for number, (one, path) in enumerate(zip(vehicles, paths, strict=True))
+                ]
                 fleet = Fleet(scene, starts, Traffic.none(scene.future.num_steps), roads, stop_lines)
                 for row, (way, start) in enumerate(zip(fleet.ways, starts, strict=True)):
                     way.reroute_tried = True  # its route is its own

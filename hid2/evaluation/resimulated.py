@@ -14,8 +14,8 @@ from hid2.agents import FloatArray, Policy, Track
 from hid2.drivers.driver import Driver, LaneOffset, desired_speeds, draw_driver, lane_offset, usual_driver
 from hid2.measures.driven_lanes import LaneView, path_driven, runs_of
 from hid2.measures.following import leaders
-from hid2.motion.reference_line import TABLE_STEP_M
-from hid2.motion.route import Route
+from hid2.motion.reference_line import TABLE_STEP_M, build_reference_line
+from hid2.motion.route import DrivenPath, Route
 from hid2.motion.smoothing import smooth_motion, trajectory
 from hid2.occupancy.agent_states import AgentStates
 from hid2.policy.roads import Roads
@@ -26,8 +26,9 @@ from netconvert.geometry import Polyline, arc_length, wrap_angle
 # No tunables, here and below: figures with others are of other vehicles or of other starts.
 #: A vehicle is there so many s before the present and after it.
 _BEFORE_S, _AFTER_S = 0.5, 1.0
-#: A driver comes from its place in the lane at the present to its own over this, m, and its heading to its path's.
-_BACK_OVER_M, _STRAIGHT_OVER_M = 20.0, 5.0
+#: A driver comes from its place in the lane at the present to the usual one over this, m, to its own wandering, and its
+#: heading to its path's; points of a path are so far apart.
+_BACK_OVER_M, _WANDERS_OVER_M, _STRAIGHT_OVER_M, _POINTS_M = 50.0, 20.0, 5.0, 1.0
 #: Least time and jam gap that a present gap is taken for, s and m; a bend is taken so much faster in a try.
 _LEAST_TAU_S, _LEAST_GAP_M, _FASTER, _MOST_MPS2 = 0.5, 0.5, 1.25, 20.0
 #: SUMO's default passenger car (vType of 1.28, Krauss) on its default edge; SD of the speed factor.
@@ -102,17 +103,40 @@ def _route(view: LaneView, row: int, first: int) -> Route | None:
     return ids if lanes <= {*path} and types <= DRIVABLE_TYPES else None
 
 
+def own_path(scene: Scene, one: TakenOut) -> DrivenPath:
+    """Path of a vehicle along its lanes: as far aside as at the present, and back to the usual place."""
+    middle, usual_m = scene.path(one.route), scene.config.drivers.offset_mean_m
+    start_s, d_m = _on(middle, one.position)
+    s = np.arange(0.0, middle.line.length_m, _POINTS_M)
+    aside = usual_m + (d_m - usual_m) * np.exp(-((np.maximum(s - start_s, 0.0) / _BACK_OVER_M) ** 2))
+    xy, tangent, _ = middle.line.motion(s)
+    points = xy + aside[:, None] * np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
+    smoothing, limits, length_m = scene.config.smoothing, scene.config.limits, arc_length(points)
+    line = build_reference_line(
+        points, step_m=smoothing.path_step_m, min_radius_m=limits.min_radius_m, max_offset_m=smoothing.max_offset_m
+    )
+    ends = np.array([(part.start, part.end) for part in middle.segments])
+    ends = np.interp(ends, s, length_m * line.length_m / length_m[-1])
+    segments = tuple(replace(part, start=a, end=b) for part, (a, b) in zip(middle.segments, ends.tolist(), strict=True))
+    return DrivenPath(line=line, raw=points, segments=segments, followed=segments)
+
+
+def _on(path: DrivenPath, position: FloatArray) -> tuple[float, float]:
+    """Arc length and offset, m, of a place (2,) m on the line of a path."""
+    points = path.line.points
+    (s,), (d,) = Polyline(points).frenet(position[None])
+    return float(np.interp(s, arc_length(points), path.line.points_s)), float(d)
+
+
 def begin(
-    scene: Scene, roads: Roads, one: TakenOut, number: int, rng: np.random.Generator, *, usual_mps: float | None
-) -> Start:
+    scene: Scene, roads: Roads, one: TakenOut, path: DrivenPath, rng: np.random.Generator, *, number: int,
+    usual_mps: float | None,
+) -> Start:  # fmt: skip
     """A vehicle at the present with a driver that could have come there: with its gap, and its speed in a bend.
 
     usual_mps: of the scene's moving vehicles at the present; None: SUMO's default driver.
     """
-    path, size = scene.path(one.route), one.track.size
-    points = path.line.points
-    (along,), (d_m,) = Polyline(points).frenet(one.position[None])
-    start_s, at_m = float(np.interp(along, arc_length(points), path.line.points_s)), scene.config.drivers.offset_mean_m
+    size, (start_s, d_m) = one.track.size, _on(path, one.position)
     if usual_mps is None:
         factor = float(np.clip(1.0 + _DEFAULT_SD * rng.standard_normal(), 0.5, 1.5))
         driver = replace(_DEFAULT, desired_mps=factor * _DEFAULT.desired_mps)
@@ -125,11 +149,9 @@ def begin(
         desired = desired_speeds(
             driver, scene.config, rng, num_steps=scene.num_steps, step_s=scene.step_s, at_least_mps=one.speed_mps
         )
-    offset = lane_offset(
-        driver, scene.config, rng, length_m=path.line.length_m, usual=lambda s: np.full_like(s, at_m)
-    )  # fmt: skip
+    offset = lane_offset(driver, scene.config, rng, length_m=path.line.length_m, usual=np.zeros_like)
     knots = start_s + offset.knots_m - offset.knots_m[0]  # the first one where the vehicle is
-    place = offset.offset_m + (d_m - offset.offset_m[0]) * np.exp(-(knots - start_s) / _BACK_OVER_M)
+    place = offset.offset_m + (d_m - offset.offset_m[0]) * np.exp(-(knots - start_s) / _WANDERS_OVER_M)
     return Start(
         vehicle_id=f"v{number}", request=VehicleRequest(number, Policy.STRAIGHT, 0.0), size=size,
         object_type=one.track.object_type, box=clearance_box(size, size), route=one.route, path=path, start_s=start_s,

@@ -28,7 +28,7 @@ from bridge.recordings.scenario import read_scenario
 from bridge.sumo.poses import front_arc_m, sumo_poses
 from bridge.sumo.routes import edges_along
 from hid2.evaluation.likelihood import LAST, NOW, beyond_edge, features
-from hid2.evaluation.resimulated import begin
+from hid2.evaluation.resimulated import begin, own_path
 from hid2.params import Config
 from hid2.policy.roads import Roads
 from hid2.scene import build_scene
@@ -59,7 +59,7 @@ def cost(folder: Path, seeds: int) -> tuple[float, float]:
     )
     starts = []
     for one in made.vehicles:
-        start = begin(scene, Roads(scene), one, 0, np.random.default_rng(0), usual_mps=8.0)
+        start = begin(scene, Roads(scene), one, own_path(scene, one), np.random.default_rng(0), number=0, usual_mps=8.0)
         front = front_arc_m(start.start_s, start.size.length_m)
         segment = start.path.segment_at(front)
         cell = scene.grid.cell_at(segment.lane_id, segment.lane_s(front))

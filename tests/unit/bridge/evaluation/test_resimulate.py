@@ -9,7 +9,7 @@ from bridge.evaluation.resimulate import Resimulation
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import read_sidecar, sidecar_path
 from hid2.evaluation.likelihood import NOW
-from hid2.evaluation.resimulated import Left, begin
+from hid2.evaluation.resimulated import Left, begin, own_path
 from hid2.params import Config
 from hid2.policy.roads import Roads
 from hid2.scene import build_scene
@@ -100,7 +100,9 @@ def test_driver_keeps_no_more_from_its_leader_than_at_the_present(made):
     one = max(made.vehicles, key=lambda one: one.speed_mps)
     for gap_m, tau_s in ((4.0, 0.5), (float("inf"), None)):
         near = type(one)(one.row, one.track, one.route, one.position, one.heading, one.velocity, gap_m)
-        start = begin(scene, Roads(scene), near, 0, np.random.default_rng(0), usual_mps=8.0)
+        start = begin(
+            scene, Roads(scene), near, own_path(scene, near), np.random.default_rng(0), number=0, usual_mps=8.0
+        )
         assert start.start_mps == pytest.approx(one.speed_mps)
         assert (start.driver.tau_s == tau_s) == (tau_s is not None)
     assert recording is made.recording
