@@ -88,6 +88,33 @@ def calibrate(
 
 
 @command(reads=("scenes",), folders=("out",))
+def resimulate(
+    scenes: list[Path] = options.argument(
+        "SCENE...", "Recorded scenes, two at least: scenario folders, splits or roots."
+    ),
+    out: Path = options.OUT,
+    *,
+    seeds: int = options.option("Rollouts of each scene.", 32, "N", min=1),
+    take_out: Literal["all", "one"] = options.option(
+        "Which vehicles are driven: all of a scene together, or one at a time, the others as recorded.", "all"
+    ),
+    write: int = options.option("Rollouts of each scene to write as scenes, into OUT/scenes.", 0, "K", min=0),
+    seed: int = options.option("Seed of every random choice.", 0, "N", min=0),
+    jobs: int = options.JOBS,
+    activity: Activity,
+) -> int:
+    """Take recorded vehicles out, drive them by SUMO, and score that as simulated agents are ("WOSAC-like")."""
+    from bridge.evaluation.resimulate import Plan, resimulate_folders
+
+    activity.doing("calibrating and driving")
+    plan = Plan(seeds, take_out, min(write, seeds), seed)
+    failures = resimulate_folders(scenes, out, plan, jobs=jobs, on_scene=activity.show)
+    tell_unread(failures)
+    activity.result(out / "resimulation.html")
+    return options.SOME_FAILED if failures else options.ALL_DONE
+
+
+@command(reads=("scenes",), folders=("out",))
 def study(
     file: Path = options.argument("STUDY.toml", "The study, as those in data/studies."),
     out: Path = options.OUT,

@@ -223,7 +223,7 @@ class Simulation:
         libsumo.vehicletype.setMinGap(type_id, min_gap_m)
         libsumo.vehicletype.setMaxSpeed(type_id, max_speed_mps)
         if self._model != "EIDM":
-            libsumo.vehicletype.setImperfection(type_id, 0.0)
+            libsumo.vehicletype.setImperfection(type_id, self._parameters.get("sigma", 0.0))
         libsumo.vehicletype.setSpeedFactor(type_id, 1.0)
         libsumo.vehicletype.setSpeedDeviation(type_id, 0.0)
         return type_id

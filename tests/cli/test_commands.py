@@ -14,7 +14,7 @@ import pytest
 Run = Callable[..., Any]
 COMMANDS = (
     "generate", "net", "validate", "evaluate", "calibrate", "view", "render", "plot", "config", "scan", "study", "make",
-    "paper", "gui", "compose", "forecast",
+    "paper", "resimulate", "gui", "compose", "forecast",
 )  # fmt: skip
 
 

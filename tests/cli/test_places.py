@@ -106,6 +106,7 @@ WRITING = (
     "render {scene} -o {out}/a.png", "plot {scene} --agent AV -o {out}/a.png", "compose {scene} -o {out}",
     "gui {scene} --screenshot {out}/a.png", "forecast {scene} -o {out}", "paper table1 --scenes {scene} -o {out}",
     "study study.toml --scenes {scene} -o {out}", "make corridor -o {out}",
+    "resimulate {scene} -o {out}",
 )  # fmt: skip
 
 

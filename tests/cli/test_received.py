@@ -48,6 +48,7 @@ READERS: tuple[tuple[str, int | None, str], ...] = (
     ("evaluate . -o report --predictions forecasts.parquet", 2, "forecasts.parquet"),
     ("validate . --source {recorded} --map {received} --csv findings.csv", 1, ""),
     ("calibrate . -o measured.toml", 2, "holds generated scenes only"),
+    ("resimulate . -o again", 2, "holds generated scenes only"),
     ("scan . -o facts.csv --map {received}", 0, ""),
     ("net {received} -o net --map {received}", 0, ""),
     ("view {received} -o page.html --map {received}", 0, ""),
