@@ -1,0 +1,314 @@
+"""Minutes of traffic on a road of a file, in which vehicles change lanes by their own wish, and what is counted there.
+
+Each vehicle asks its rule at its own moments, every ASK_S, on both sides; LC2013 is asked by SUMO itself. Whose route
+leads over a lane beside must change, whatever it gains. Positions are along the road, which is straight.
+"""
+
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from bridge.generation.generate import model_parameters, sumo_seed
+from bridge.recordings.recording import Recording
+from bridge.recordings.road import RAMPS, ROW, Road
+from bridge.sumo.simulation import Simulation
+from hid2.agents import BoxSize
+from hid2.drivers.driver import Driver, draw_driver
+from hid2.insertion.sizes import draw_size
+from hid2.params import Config
+from hid2.policy.lane_change import NOBODY, Gap
+from hid2.policy.rules import GapView, by_own_wish, rule_arguments
+from netconvert.cells import Cell, build_cell_grid
+from netconvert.net_xml import net_bytes
+
+#: Seconds of a step, and between two moments at which a vehicle asks its rule; no tunables: a second is what drivers
+#: take to look and decide, and SUMO's own models are made for steps up to their time gap.
+STEP_S, ASK_S = 0.25, 1.0
+#: Long enough for every lane of a road to be one lane of SUMO's.
+_WHOLE_M = 1e6
+#: After traffic has entered, so long for those counted to leave, s; so near to the ramp's nose, m, an exit is missed.
+CLEAR_S, _MISSED_M = 240.0, 25.0
+_STREAM = 79  # of random numbers: a name
+
+
+@dataclass(eq=False, slots=True)
+class _Vehicle:
+    """One that enters, and what became of it. lane: number from the left; changes: in the section."""
+
+    name: str
+    start: int
+    due_s: float
+    leaves: bool
+    driver: Driver
+    size: BoxSize
+    asks: int
+    lane: int = 0
+    x: float = 0.0
+    v: float = 0.0
+    entered_s: float | None = None
+    entered_lane: int = 0
+    left_s: float | None = None
+    changes: list[tuple[float, float, int, int]] = field(default_factory=list)
+    waits: bool = False
+
+
+def arrivals(road: Road, config: Config) -> list[_Vehicle]:
+    """Everybody who enters, by time: shifted exponential headways at the rate of the time, by lane and on the ramp.
+
+    Every vehicle is drawn from a stream of its own, by lane and number: the same ones whatever rule is set.
+    """
+    request = config.request.model_copy(update={"bus_share": 0.0, "truck_share": road.trucks})
+    until = [part.until_s for part in road.inflow]
+    found: list[_Vehicle] = []
+    for start in range(1, road.beside_number + 1):
+        ramp = start == road.beside_number
+        rates = [part.on_ramp if ramp else part.veh_per_h[start - 1] for part in road.inflow]
+        share = road.ramp_leaving if ramp else (road.leaving or [0.0] * road.lanes)[start - 1]
+        due_s, number = 0.0, 0
+        while due_s < until[-1]:
+            rng = np.random.default_rng([config.request.seed, _STREAM, start, number])
+            rate = rates[bisect_right(until, due_s)]
+            if rate <= 0.0:
+                due_s = until[bisect_right(until, due_s)]
+                continue
+            mean_s = 3600.0 / rate
+            least_s = min(config.flow.min_headway_s, 0.9 * mean_s)
+            due_s += least_s + (mean_s - least_s) * float(rng.exponential())
+            leaves = bool(rng.random() < share)
+            _, size = draw_size(request, rng)
+            driver = draw_driver(config, rng, lane_speed_mps=config.spawn.prior_speed_mps)
+            found.append(_Vehicle(f"{start}_{number}", start, due_s, leaves, driver, size, asks=len(found)))
+            number += 1
+    return sorted((one for one in found if one.due_s < until[-1]), key=lambda one: (one.due_s, one.start))
+
+
+class RoadTraffic:
+    """One simulation of a road. Use: `RoadTraffic(recording, road, config).run()`."""
+
+    def __init__(self, recording: Recording, road: Road, config: Config) -> None:
+        self.road, self.config = road, config
+        self._grid = build_cell_grid(recording.graph, cell_m=_WHOLE_M)
+        self._lanes = {lane.lane_id: lane for lane in road.stretches()}
+        self._number_at: dict[str, tuple[int, float]] = {}
+        self._index: dict[int, int] = {}
+        self._sumo_lane: dict[int, str] = {}
+        for lane_id, lane in self._lanes.items():
+            cell = Cell(lane_id, 0)
+            name = self._sumo_lane[lane_id] = self._grid.sumo_lane_id(cell)
+            self._index[lane_id] = self._grid.lane_index(cell)
+            self._number_at[name] = lane_id, lane.start_m
+        self.vehicles = arrivals(road, config)
+        self._by_name = {one.name: one for one in self.vehicles}
+        self.driven_m, self.driven_s = ({n: 0.0 for n in range(road.beside_number + 1)} for _ in range(2))
+        self.asked = self.refused_by_sumo = self.missed_exits = 0
+        self._pending: dict[str, int] = {}
+        self._lane_id: dict[str, int] = {}
+
+    def run(self) -> None:
+        """All steps. Errors: SimulationError."""
+        config, road = self.config, self.road
+        own = config.lane_change.rule == "LC2013"
+        more = model_parameters(config)
+        if own:
+            more["lcKeepRight"] = rule_arguments(config.lane_change).get("keep_right", 1.0)
+        with Simulation(
+            net_bytes(self._grid), seed=sumo_seed([config.request.seed]), step_s=STEP_S,
+            model=config.car_following.model, parameters=more, checks_gaps=config.lane_change.safety == "sumo",
+            own_wish=own,
+        ) as simulation:  # fmt: skip
+            due = iter(self.vehicles)
+            coming = next(due, None)
+            every = round(ASK_S / STEP_S)
+            speeds = self._end_speeds()
+            change = next(speeds, None)
+            for step in range(round((road.seconds + CLEAR_S) / STEP_S)):
+                now_s = step * STEP_S
+                while change is not None and change[0] <= now_s:
+                    simulation.limit_lane(change[1], change[2])
+                    change = next(speeds, None)
+                while coming is not None and coming.due_s <= now_s:
+                    self._queue(simulation, coming)
+                    coming = next(due, None)
+                simulation.step()
+                here = self._read(simulation, now_s)
+                if road.beside and road.beside.off_ramp:
+                    self._give_up_exits(simulation, here)
+                if not own:
+                    asking = [one for one in here if one.asks % every == step % every]
+                    self._ask(simulation, here, asking, now_s)
+
+    def _end_speeds(self) -> Iterator[tuple[float, str, float]]:
+        """From when on which lane behind the section has which limit."""
+        since_s = 0.0
+        behind = [lane for lane in self._lanes.values() if lane.start_m >= self.road.length_m]
+        for part in self.road.end_speed:
+            yield from ((since_s, self._sumo_lane[lane.lane_id], part.mps[lane.number - 1]) for lane in behind)
+            since_s = part.until_s
+
+    def _edges(self, number: int, *, leaves: bool) -> list[str]:
+        return [self._grid.edge_id(Cell(lane_id, 0)) for lane_id in self.road.route(number, leaves=leaves)]
+
+    def _queue(self, simulation: Simulation, one: _Vehicle) -> None:
+        first = self.road.route(one.start, leaves=one.leaves)[0]
+        lane_id = first if one.start == self.road.beside_number else first - first % ROW + one.start
+        simulation.queue(
+            one.name, edges=self._edges(one.start, leaves=one.leaves), lane_index=self._index[lane_id],
+            length_m=one.size.length_m, width_m=one.size.width_m, accel_mps2=one.driver.accel_mps2,
+            decel_mps2=one.driver.decel_mps2, tau_s=one.driver.tau_s, min_gap_m=one.driver.min_gap_m,
+            max_speed_mps=one.driver.desired_mps,
+        )  # fmt: skip
+
+    def _read(self, simulation: Simulation, now_s: float) -> list[_Vehicle]:
+        """Take down where all are, and count; those in the net."""
+        here, length_m = [], self.road.length_m
+        pending, self._pending = self._pending, {}
+        for name, lane_id, x, v in simulation.states(self._number_at):
+            one = self._by_name[name]
+            number = self._lanes[lane_id].number
+            inside = 0.0 <= x < length_m and lane_id not in RAMPS
+            if one.entered_s is None:
+                if inside:
+                    one.entered_s, one.entered_lane = now_s, one.start if one.start > self.road.lanes else number
+            elif one.left_s is None:
+                if number != one.lane:
+                    one.changes.append((now_s, x, one.lane, number))
+                if not inside:
+                    one.left_s = now_s
+            if name in pending:
+                self.asked += 1
+                self.refused_by_sumo += number != pending[name]
+            one.lane, one.x, one.v = number, x, v
+            self._lane_id[name] = lane_id
+            if inside and now_s >= self.road.warm_up_s and now_s < self.road.seconds:
+                self.driven_m[number] += v * STEP_S
+                self.driven_s[number] += STEP_S
+            here.append(one)
+        return here
+
+    def _give_up_exits(self, simulation: Simulation, here: Sequence[_Vehicle]) -> None:
+        """Those that have not come to the lane beside in time go straight on, and do not stop for the exit."""
+        aside = self.road.beside
+        assert aside is not None
+        for one in here:
+            if one.leaves and one.lane <= self.road.lanes and aside.to_m - _MISSED_M < one.x < aside.to_m:
+                row = self._lane_id[one.name] // ROW
+                edges = [self._grid.edge_id(Cell(lane_id, 0)) for lane_id in self.road.route(1, leaves=False)]
+                simulation.set_route(one.name, edges[row:])
+                one.leaves = False
+                self.missed_exits += 1
+
+    def _ask(self, simulation: Simulation, here: Sequence[_Vehicle], asking: Sequence[_Vehicle], now_s: float) -> None:
+        """Each that asks now is told by its rule whether it changes lanes."""
+        order: dict[int, list[_Vehicle]] = {number: [] for number in range(self.road.beside_number + 1)}
+        for one in sorted(here, key=lambda one: one.x):
+            order[one.lane].append(one)
+        at = {number: [one.x for one in lane] for number, lane in order.items()}
+        for one in asking:
+            lane = self._lanes[self._lane_id[one.name]]
+            if lane.closed:
+                continue
+            wanted = self._must(one)
+            sides: list[Literal["left", "right"]] = ["left", "right"] if one.asks % 2 else ["right", "left"]
+            own_front, own_rear = _around(order[one.lane], at[one.lane], one, own=True)
+            for side in [wanted] if wanted else sides:
+                target = lane.left if side == "left" else lane.right
+                if target is None or (wanted is None and not self._leads_on(target)):
+                    continue
+                number = self._lanes[target].number
+                front, rear = _around(order[number], at[number], one, own=False)
+                if wanted is None and front.distance_m <= 0.0:
+                    continue
+                view = GapView(
+                    time_s=now_s, waited_s=now_s - (one.entered_s or now_s), side=side, speed_mps=one.v,
+                    desired_mps=one.driver.desired_mps, length_m=one.size.length_m, tau_s=one.driver.tau_s,
+                    accel_mps2=one.driver.accel_mps2, decel_mps2=one.driver.decel_mps2,
+                    min_gap_m=one.driver.min_gap_m, cells_free=front.distance_m > 0.0 and rear.distance_m > 0.0,
+                    front=front, rear=rear, own_front=own_front, own_rear=own_rear,
+                    remaining_m=self._remaining_m(one, target), vehicle_id=one.name,
+                )  # fmt: skip
+                if by_own_wish(view, self.config.lane_change, must=wanted is not None):
+                    simulation.change_lane(one.name, self._index[target])
+                    self._pending[one.name] = number
+                    break
+
+    def _must(self, one: _Vehicle) -> Literal["left", "right"] | None:
+        """The side to which its route leads; None where the lane does."""
+        if one.leaves and self._off_ramp_ahead(one):
+            return None if one.lane == self.road.beside_number else "right"
+        return None if self._leads_on(self._lane_id[one.name]) else "left"
+
+    def _off_ramp_ahead(self, one: _Vehicle) -> bool:
+        aside = self.road.beside
+        return aside is not None and aside.off_ramp and one.x < aside.to_m
+
+    def _leads_on(self, lane_id: int) -> bool:
+        """Whether a lane leads to the road's end, and to no ramp."""
+        lane = self._lanes[lane_id]
+        if lane.number == self.road.beside_number:
+            return False
+        return (
+            bool(lane.successors) and self._leads_on(lane.successors[0]) if lane.start_m < self.road.length_m else True
+        )
+
+    def _remaining_m(self, one: _Vehicle, target: int) -> float:
+        """Length of a lane beside that is left on the vehicle's route."""
+        lane = self._lanes[target]
+        while lane.successors and (lane.number <= self.road.lanes or one.leaves):
+            lane = self._lanes[lane.successors[0]]
+        return lane.end_m - one.x
+
+    def counted(self) -> list[_Vehicle]:
+        """Those that entered the section while it was counted and have left it."""
+        first_s, last_s = self.road.warm_up_s, self.road.seconds
+        return [
+            one for one in self.vehicles
+            if one.entered_s is not None and first_s <= one.entered_s < last_s and one.left_s is not None
+        ]  # fmt: skip
+
+    def told(self) -> dict[str, Any]:
+        """What a run says: counts by start lane, from start to end lane, flow, speed, by period and lane."""
+        counted, top = self.counted(), self.road.beside_number
+        vehicles, changes = Counter[int](), Counter[int]()
+        table = np.zeros((top, top), dtype=int)
+        entered = sum(
+            one.entered_s is not None and self.road.warm_up_s <= one.entered_s < self.road.seconds
+            for one in self.vehicles
+        )
+        for one in counted:
+            vehicles[one.entered_lane] += 1
+            changes[one.entered_lane] += len(one.changes)
+            table[one.entered_lane - 1, one.lane - 1] += 1
+        metres, seconds = sum(self.driven_m.values()), sum(self.driven_s.values())
+        hours = (self.road.seconds - self.road.warm_up_s) / 3600.0
+        return {
+            "vehicles": [vehicles[n] for n in range(1, top + 1)],
+            "changes": [changes[n] for n in range(1, top + 1)],
+            "start_to_end": table.tolist(),
+            "not_left": entered - len(counted),
+            "flow_veh_per_h": entered / hours,
+            "speed_mps": metres / max(seconds, 1e-9),
+            "speed_by_lane_mps": [self.driven_m[n] / max(self.driven_s[n], 1e-9) for n in range(1, top + 1)],
+            "changes_by_100_m": np.bincount(
+                [int(x // 100.0) for one in counted for _, x, _, _ in one.changes if 0.0 <= x < self.road.length_m],
+                minlength=int(self.road.length_m // 100.0) + 1,
+            ).tolist(),
+            "veh_km": metres / 1000.0,
+            "waiting": sum(one.entered_s is None and one.lane == 0 for one in self.vehicles),
+            "asked": self.asked, "refused_by_sumo": self.refused_by_sumo, "missed_exits": self.missed_exits,
+        }  # fmt: skip
+
+
+def _around(lane: Sequence[_Vehicle], at: Sequence[float], one: _Vehicle, *, own: bool) -> tuple[Gap, Gap]:
+    """Gaps to the next ahead and behind on a lane, by fronts (sorted); negative where they overlap."""
+    place = bisect_right(at, one.x)
+    ahead = lane[place] if place < len(lane) else None
+    back = place - 1 - own
+    behind = lane[back] if back >= 0 else None
+    return (
+        NOBODY if ahead is None else Gap(ahead.x - ahead.size.length_m - one.x, ahead.v),
+        NOBODY if behind is None else Gap(one.x - one.size.length_m - behind.x, behind.v),
+    )
