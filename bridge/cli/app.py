@@ -14,7 +14,7 @@ from bridge.cli.options import flattened
 MODULES = {
     "generation": ("generate",),
     "scenes": ("validate", "scan", "net", "export"),
-    "measuring": ("evaluate", "calibrate", "study", "make", "paper"),
+    "measuring": ("evaluate", "calibrate", "study", "public", "make", "paper"),
     "forecasting": ("compose", "forecast"),
     "pictures": ("view", "render", "plot", "gui"),
     "configuration": ("config",),

@@ -25,9 +25,9 @@ from hid2.policy.rules import GapView, by_own_wish, rule_arguments
 from netconvert.cells import Cell, build_cell_grid
 from netconvert.net_xml import net_bytes
 
-#: Seconds of a step, and between two moments at which a vehicle asks its rule; no tunables: a second is what drivers
-#: take to look and decide, and SUMO's own models are made for steps up to their time gap.
-STEP_S, ASK_S = 0.25, 1.0
+#: Seconds of a step, and between two moments at which a vehicle asks its rule; no tunables: SUMO's models are made for
+#: steps up to their time gap, and a second is what a driver takes to look and decide.
+STEP_S, ASK_S = 0.5, 1.0
 #: Long enough for every lane of a road to be one lane of SUMO's.
 _WHOLE_M = 1e6
 #: After traffic has entered, so long for those counted to leave, s; so near to the ramp's nose, m, an exit is missed.
@@ -36,8 +36,12 @@ _STREAM = 79  # of random numbers: a name
 
 
 @dataclass(eq=False, slots=True)
-class _Vehicle:
-    """One that enters, and what became of it. lane: number from the left; changes: in the section."""
+class RoadVehicle:
+    """One that enters, and what became of it.
+
+    start, lane, entered_lane: numbers from the left, lane 0 before it is in the net; asks: order in which vehicles ask;
+    x: front, m along the road; changes: in the section, with s, m, from and to.
+    """
 
     name: str
     start: int
@@ -53,17 +57,16 @@ class _Vehicle:
     entered_lane: int = 0
     left_s: float | None = None
     changes: list[tuple[float, float, int, int]] = field(default_factory=list)
-    waits: bool = False
 
 
-def arrivals(road: Road, config: Config) -> list[_Vehicle]:
+def arrivals(road: Road, config: Config) -> list[RoadVehicle]:
     """Everybody who enters, by time: shifted exponential headways at the rate of the time, by lane and on the ramp.
 
     Every vehicle is drawn from a stream of its own, by lane and number: the same ones whatever rule is set.
     """
     request = config.request.model_copy(update={"bus_share": 0.0, "truck_share": road.trucks})
     until = [part.until_s for part in road.inflow]
-    found: list[_Vehicle] = []
+    found: list[RoadVehicle] = []
     for start in range(1, road.beside_number + 1):
         ramp = start == road.beside_number
         rates = [part.on_ramp if ramp else part.veh_per_h[start - 1] for part in road.inflow]
@@ -81,7 +84,7 @@ def arrivals(road: Road, config: Config) -> list[_Vehicle]:
             leaves = bool(rng.random() < share)
             _, size = draw_size(request, rng)
             driver = draw_driver(config, rng, lane_speed_mps=config.spawn.prior_speed_mps)
-            found.append(_Vehicle(f"{start}_{number}", start, due_s, leaves, driver, size, asks=len(found)))
+            found.append(RoadVehicle(f"{start}_{number}", start, due_s, leaves, driver, size, asks=len(found)))
             number += 1
     return sorted((one for one in found if one.due_s < until[-1]), key=lambda one: (one.due_s, one.start))
 
@@ -103,10 +106,18 @@ class RoadTraffic:
             self._number_at[name] = lane_id, lane.start_m
         self.vehicles = arrivals(road, config)
         self._by_name = {one.name: one for one in self.vehicles}
-        self.driven_m, self.driven_s = ({n: 0.0 for n in range(road.beside_number + 1)} for _ in range(2))
+        self.driven_m, self.driven_s = (dict.fromkeys(range(road.beside_number + 1), 0.0) for _ in range(2))
         self.asked = self.refused_by_sumo = self.missed_exits = 0
         self._pending: dict[str, int] = {}
         self._lane_id: dict[str, int] = {}
+        self._on = {lane_id for lane_id in self._lanes if self._leads_on(lane_id)}
+        ways = [(start, leaves) for start in (1, road.beside_number) for leaves in (False, True)]
+        self._routes = {way: road.route(way[0], leaves=way[1]) for way in ways if self._is_there(*way)}
+
+    def _is_there(self, start: int, leaves: bool) -> bool:  # noqa: FBT001
+        aside = self.road.beside
+        ramp = aside is not None and aside.on_ramp
+        return (start <= self.road.lanes or ramp) and (not leaves or (aside is not None and aside.off_ramp))
 
     def run(self) -> None:
         """All steps. Errors: SimulationError."""
@@ -149,20 +160,21 @@ class RoadTraffic:
             yield from ((since_s, self._sumo_lane[lane.lane_id], part.mps[lane.number - 1]) for lane in behind)
             since_s = part.until_s
 
-    def _edges(self, number: int, *, leaves: bool) -> list[str]:
-        return [self._grid.edge_id(Cell(lane_id, 0)) for lane_id in self.road.route(number, leaves=leaves)]
+    def _edges(self, route: Sequence[int]) -> list[str]:
+        return [self._grid.edge_id(Cell(lane_id, 0)) for lane_id in route]
 
-    def _queue(self, simulation: Simulation, one: _Vehicle) -> None:
-        first = self.road.route(one.start, leaves=one.leaves)[0]
+    def _queue(self, simulation: Simulation, one: RoadVehicle) -> None:
+        route = self._routes[self.road.beside_number if one.start == self.road.beside_number else 1, one.leaves]
+        first = route[0]
         lane_id = first if one.start == self.road.beside_number else first - first % ROW + one.start
         simulation.queue(
-            one.name, edges=self._edges(one.start, leaves=one.leaves), lane_index=self._index[lane_id],
+            one.name, edges=self._edges(route), lane_index=self._index[lane_id],
             length_m=one.size.length_m, width_m=one.size.width_m, accel_mps2=one.driver.accel_mps2,
             decel_mps2=one.driver.decel_mps2, tau_s=one.driver.tau_s, min_gap_m=one.driver.min_gap_m,
             max_speed_mps=one.driver.desired_mps,
         )  # fmt: skip
 
-    def _read(self, simulation: Simulation, now_s: float) -> list[_Vehicle]:
+    def _read(self, simulation: Simulation, now_s: float) -> list[RoadVehicle]:
         """Take down where all are, and count; those in the net."""
         here, length_m = [], self.road.length_m
         pending, self._pending = self._pending, {}
@@ -170,11 +182,10 @@ class RoadTraffic:
             one = self._by_name[name]
             number = self._lanes[lane_id].number
             inside = 0.0 <= x < length_m and lane_id not in RAMPS
-            if one.entered_s is None:
-                if inside:
-                    one.entered_s, one.entered_lane = now_s, one.start if one.start > self.road.lanes else number
-            elif one.left_s is None:
-                if number != one.lane:
+            if one.entered_s is None and inside:
+                one.entered_s, one.entered_lane = now_s, one.start if one.start > self.road.lanes else number
+            if one.entered_s is not None and one.left_s is None:
+                if one.lane not in (0, number):
                     one.changes.append((now_s, x, one.lane, number))
                 if not inside:
                     one.left_s = now_s
@@ -189,21 +200,22 @@ class RoadTraffic:
             here.append(one)
         return here
 
-    def _give_up_exits(self, simulation: Simulation, here: Sequence[_Vehicle]) -> None:
+    def _give_up_exits(self, simulation: Simulation, here: Sequence[RoadVehicle]) -> None:
         """Those that have not come to the lane beside in time go straight on, and do not stop for the exit."""
         aside = self.road.beside
         assert aside is not None
         for one in here:
             if one.leaves and one.lane <= self.road.lanes and aside.to_m - _MISSED_M < one.x < aside.to_m:
                 row = self._lane_id[one.name] // ROW
-                edges = [self._grid.edge_id(Cell(lane_id, 0)) for lane_id in self.road.route(1, leaves=False)]
-                simulation.set_route(one.name, edges[row:])
+                simulation.set_route(one.name, self._edges(self._routes[1, False])[row:])
                 one.leaves = False
                 self.missed_exits += 1
 
-    def _ask(self, simulation: Simulation, here: Sequence[_Vehicle], asking: Sequence[_Vehicle], now_s: float) -> None:
+    def _ask(
+        self, simulation: Simulation, here: Sequence[RoadVehicle], asking: Sequence[RoadVehicle], now_s: float
+    ) -> None:
         """Each that asks now is told by its rule whether it changes lanes."""
-        order: dict[int, list[_Vehicle]] = {number: [] for number in range(self.road.beside_number + 1)}
+        order: dict[int, list[RoadVehicle]] = {number: [] for number in range(self.road.beside_number + 1)}
         for one in sorted(here, key=lambda one: one.x):
             order[one.lane].append(one)
         at = {number: [one.x for one in lane] for number, lane in order.items()}
@@ -216,7 +228,7 @@ class RoadTraffic:
             own_front, own_rear = _around(order[one.lane], at[one.lane], one, own=True)
             for side in [wanted] if wanted else sides:
                 target = lane.left if side == "left" else lane.right
-                if target is None or (wanted is None and not self._leads_on(target)):
+                if target is None or (wanted is None and target not in self._on):
                     continue
                 number = self._lanes[target].number
                 front, rear = _around(order[number], at[number], one, own=False)
@@ -235,13 +247,13 @@ class RoadTraffic:
                     self._pending[one.name] = number
                     break
 
-    def _must(self, one: _Vehicle) -> Literal["left", "right"] | None:
+    def _must(self, one: RoadVehicle) -> Literal["left", "right"] | None:
         """The side to which its route leads; None where the lane does."""
         if one.leaves and self._off_ramp_ahead(one):
             return None if one.lane == self.road.beside_number else "right"
-        return None if self._leads_on(self._lane_id[one.name]) else "left"
+        return None if self._lane_id[one.name] in self._on else "left"
 
-    def _off_ramp_ahead(self, one: _Vehicle) -> bool:
+    def _off_ramp_ahead(self, one: RoadVehicle) -> bool:
         aside = self.road.beside
         return aside is not None and aside.off_ramp and one.x < aside.to_m
 
@@ -254,14 +266,14 @@ class RoadTraffic:
             bool(lane.successors) and self._leads_on(lane.successors[0]) if lane.start_m < self.road.length_m else True
         )
 
-    def _remaining_m(self, one: _Vehicle, target: int) -> float:
+    def _remaining_m(self, one: RoadVehicle, target: int) -> float:
         """Length of a lane beside that is left on the vehicle's route."""
         lane = self._lanes[target]
         while lane.successors and (lane.number <= self.road.lanes or one.leaves):
             lane = self._lanes[lane.successors[0]]
         return lane.end_m - one.x
 
-    def counted(self) -> list[_Vehicle]:
+    def counted(self) -> list[RoadVehicle]:
         """Those that entered the section while it was counted and have left it."""
         first_s, last_s = self.road.warm_up_s, self.road.seconds
         return [
@@ -302,7 +314,7 @@ class RoadTraffic:
         }  # fmt: skip
 
 
-def _around(lane: Sequence[_Vehicle], at: Sequence[float], one: _Vehicle, *, own: bool) -> tuple[Gap, Gap]:
+def _around(lane: Sequence[RoadVehicle], at: Sequence[float], one: RoadVehicle, *, own: bool) -> tuple[Gap, Gap]:
     """Gaps to the next ahead and behind on a lane, by fronts (sorted); negative where they overlap."""
     place = bisect_right(at, one.x)
     ahead = lane[place] if place < len(lane) else None
