@@ -6,8 +6,7 @@ from typing import Annotated, NamedTuple, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from bridge.config import read_toml
-from bridge.recordings.limits import MAX_CORRIDOR_STEPS, MAX_LANE_M
-from bridge.recordings.scenario import STEP_S
+from bridge.recordings.limits import MAX_LANE_M
 from netconvert.errors import ConfigError
 
 #: Name of the file in the folder of a corridor that is made of one.
@@ -21,11 +20,13 @@ _Flow = Annotated[float, Field(ge=0, le=3000)]
 _Speed = Annotated[float, Field(gt=0, le=40)]
 
 
-class _Part(BaseModel):
+class RoadPart(BaseModel):
+    """A part of the file of a road, or of one beside it: unknown keys are refused."""
+
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Beside(_Part):
+class Beside(RoadPart):
     """An auxiliary lane on the right of all others, m from the section's start, with the ramps that it joins."""
 
     from_m: float = Field(ge=0)
@@ -34,7 +35,7 @@ class Beside(_Part):
     off_ramp: bool = False
 
 
-class Inflow(_Part):
+class Inflow(RoadPart):
     """Traffic that enters until a time: veh/h by lane, counted from the left, and on the ramp."""
 
     until_s: float = Field(gt=0)
@@ -42,7 +43,7 @@ class Inflow(_Part):
     on_ramp: _Flow = 0.0
 
 
-class EndSpeed(_Part):
+class EndSpeed(RoadPart):
     """Speed limit behind the section until a time, m/s, by lane: what lies downstream of it."""
 
     until_s: float = Field(gt=0)
@@ -62,11 +63,12 @@ class Lane(NamedTuple):
     successors: tuple[int, ...]
 
 
-class Road(_Part):
+class Road(RoadPart):
     """The section that is measured, what lies before and behind it, and its traffic. Lanes are counted from the left.
 
     approach_m, run_out_m: before and behind the section, where lanes are kept; ramp_m: of each ramp; drop_m: where the
-    rightmost lane ends; leaving: share of those of each start lane that take the off-ramp; warm_up_s: not counted.
+    rightmost lane ends; leaving: share of those of each start lane that take the off-ramp; warm_up_s: not counted;
+    step_s: of the simulation; SUMO's models are made for steps up to their time gap.
     """
 
     length_m: float = Field(ge=100, le=MAX_LANE_M)
@@ -78,6 +80,7 @@ class Road(_Part):
     beside: Beside | None = None
     trucks: _Share = 0.0
     warm_up_s: float = Field(default=180.0, ge=0, le=3600)
+    step_s: float = Field(default=0.5, gt=0, le=1)
     inflow: Annotated[list[Inflow], Field(min_length=1)]
     end_speed: list[EndSpeed] = []
     leaving: list[_Share] = []
@@ -102,8 +105,6 @@ class Road(_Part):
             raise ValueError("inflow.on_ramp: expected beside.on_ramp = true")
         if (any(self.leaving) or self.ramp_leaving) and not (self.beside and self.beside.off_ramp):
             raise ValueError("leaving: expected beside.off_ramp = true")
-        if self.seconds > MAX_CORRIDOR_STEPS * STEP_S:
-            raise ValueError(f"inflow lasts {self.seconds:g} s, expected {MAX_CORRIDOR_STEPS * STEP_S:g} at most")
         return self
 
     @property
@@ -168,16 +169,15 @@ def read_road(path: Path) -> Road:
     try:
         return Road.model_validate(read_toml(path, "a road"))
     except ValidationError as error:
-        raise ConfigError(f"{path}: {what_is_wrong(error)}") from error
+        raise ConfigError(f"{path}: {what_is_wrong(error, Road)}") from error
 
 
-def what_is_wrong(error: ValidationError) -> str:
-    """The first thing that a file breaks, in one line: key, value, what was expected."""
+def what_is_wrong(error: ValidationError, kind: type[BaseModel]) -> str:
+    """The first thing that a file of a kind breaks, in one line: key, value, what was expected."""
     first = error.errors(include_url=False)[0]
-    key = ".".join(map(str, first["loc"])) or "the file"
-    if first["type"] == "missing":
-        return f"no key {key!r}"
-    if first["type"] == "extra_forbidden":
-        return f"unknown key {key!r}"
+    key = f"{'.'.join(map(str, first['loc']))!r:.200}"
+    if first["type"] in ("missing", "extra_forbidden"):
+        what = "no key" if first["type"] == "missing" else "unknown key"
+        return f"{what} {key}; expected {', '.join(kind.model_fields)}"
     message = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
-    return message if not first["loc"] else f"{key} = {first['input']!r:.60}, expected {message}"
+    return message if not first["loc"] else f"{key[1:-1]} = {first['input']!r:.60}, expected {message}"

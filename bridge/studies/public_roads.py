@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 from scipy import stats
 
 from bridge.batch.batch import Options, Progress, SceneJob, run_batch
@@ -22,7 +22,7 @@ from bridge.config import config_sha256, read_toml
 from bridge.files import MAX_FILE_MB, read_packed, write_rows, write_text
 from bridge.pages.parts import text
 from bridge.recordings.corridor import write_road
-from bridge.recordings.road import Road, read_road, what_is_wrong
+from bridge.recordings.road import Road, RoadPart, read_road, what_is_wrong
 from bridge.studies.study import RUN_FILE, Value, configured
 from hid2.params import Config
 from hid2.resampling import Estimate, ratio
@@ -35,11 +35,7 @@ UNTUNED, TUNED = "untuned", "tuned"
 _Changes = dict[str, Value]
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Counts(_Part):
+class Counts(RoadPart):
     """What was published of a road. Lanes are start lanes, from the left; start_to_end: the ramps are the last."""
 
     name: str
@@ -51,7 +47,7 @@ class Counts(_Part):
     ramp_changes_per_vehicle: float = Field(default=0.0, ge=0)
     all_changes_per_vehicle: float = Field(gt=0)
     changes_per_veh_km: float = Field(gt=0)
-    start_to_end: list[list[float]] = []
+    start_to_end: list[list[float]] = Field(default=[])
 
     @property
     def weighed(self) -> list[tuple[float, float]]:
@@ -60,34 +56,34 @@ class Counts(_Part):
         return [*zip(self.vehicles, self.changes_per_vehicle, strict=True), *ramp]
 
 
-class _RoadEntry(_Part):
+class _RoadEntry(RoadPart):
     file: str
     counts: str
     tune: bool = False
-    set: _Changes = {}
+    set: _Changes = Field(default={})
 
 
-class _Rule(_Part):
+class _PageRule(RoadPart):
     name: str
-    set: _Changes = {}
-    vary: dict[str, Annotated[list[Value], Field(min_length=1)]] = {}
+    set: _Changes = Field(default={})
+    vary: dict[str, Annotated[list[Value], Field(min_length=1)]] = Field(default={})
 
 
-class _Cause(_Part):
+class _Cause(RoadPart):
     says: str
     set: Annotated[_Changes, Field(min_length=1)]
 
 
-class _File(_Part):
+class _PageFile(RoadPart):
     """The TOML file as it is."""
 
     seeds: int = Field(default=3, ge=1, le=1000)
     tuning_seeds: int = Field(default=1, ge=1, le=1000)
     cause_seeds: int = Field(default=1, ge=1, le=1000)
-    config: dict[str, Any] = {}
+    config: dict[str, Any] = Field(default={})
     road: Annotated[list[_RoadEntry], Field(min_length=1)]
-    rule: Annotated[list[_Rule], Field(min_length=1)]
-    cause: list[_Cause] = []
+    rule: Annotated[list[_PageRule], Field(min_length=1)]
+    cause: list[_Cause] = Field(default=[])
 
 
 _Model = TypeVar("_Model", bound=BaseModel)
@@ -108,10 +104,10 @@ class PublicRoads:
     """A page, resolved."""
 
     source: Path
-    file: _File
+    file: _PageFile
     sites: tuple[Site, ...]
 
-    def config(self, site: Site, rule: _Rule, changes: Mapping[str, Value], seed: int) -> Config:
+    def config(self, site: Site, rule: _PageRule, changes: Mapping[str, Value], seed: int) -> Config:
         """The configuration of a run. Errors: ConfigError."""
         own = {"request.agents": 0, **site.set, **rule.set, **changes, "request.seed": seed}
         return configured(self.file.config, own, source=str(self.source))
@@ -121,12 +117,12 @@ def _read(kind: type[_Model], path: Path, what: str) -> _Model:
     try:
         return kind.model_validate(read_toml(path, what))
     except ValidationError as error:
-        raise ConfigError(f"{path}: {what_is_wrong(error)}") from error
+        raise ConfigError(f"{path}: {what_is_wrong(error, kind)}") from error
 
 
 def read_public(path: Path) -> PublicRoads:
     """Read a page and the files that it names, relative to it. Errors: ConfigError with file, key, value."""
-    file = _read(_File, path, "a page of public roads")
+    file = _read(_PageFile, path, "a page of public roads")
     sites = []
     for entry in file.road:
         road_file, counts_file = path.parent / entry.file, path.parent / entry.counts
@@ -147,13 +143,13 @@ def read_public(path: Path) -> PublicRoads:
     return page
 
 
-def _points(rule: _Rule) -> list[_Changes]:
+def _points(rule: _PageRule) -> list[_Changes]:
     """What tuning chooses from: nothing changed, and every combination."""
     grid = (dict(zip(rule.vary, values, strict=True)) for values in itertools.product(*rule.vary.values()))
     return [{}, *grid] if rule.vary else [{}]
 
 
-class Result(NamedTuple):
+class RoadResult(NamedTuple):
     """What came of a rule on a road over its seeds. changes: of the configuration, beside the rule's own."""
 
     site: Site
@@ -235,7 +231,7 @@ def _veh_km(run: Mapping[str, Any]) -> float:
     return float(run["veh_km"])
 
 
-class Report(NamedTuple):
+class PublicReport(NamedTuple):
     """What a page wrote, how many runs it is made of, how many failed, and what they took, s."""
 
     files: tuple[Path, ...]
@@ -244,7 +240,7 @@ class Report(NamedTuple):
     seconds: float
 
 
-_Asked = tuple[Site, _Rule, str, Mapping[str, Value], int]
+_Asked = tuple[Site, _PageRule, str, Mapping[str, Value], int]
 
 
 def run_public(
@@ -253,14 +249,14 @@ def run_public(
     options: Options,
     *,
     on_row: Callable[[ManifestRow, Progress], None] | None = None,
-) -> Report:
+) -> PublicReport:
     """Tune each rule, test it, try the causes, and write the page. Errors: BatchError, ConfigError, ExportError."""
     names = {page.config(page.sites[0], rule, {}, 0).lane_change.rule for rule in page.file.rule}  # the user's own file
     options = replace(options, function=WORK, functions=names, resume=True)
     folders = {site.road_file: write_road(out_dir / "roads", site.road_file) for site in page.sites}
     rows: dict[tuple[str, str], ManifestRow] = {}
 
-    def driven(asked: Iterable[_Asked]) -> list[Result]:
+    def driven(asked: Iterable[_Asked]) -> list[RoadResult]:
         wanted = [(one, [page.config(one[0], one[1], one[3], seed) for seed in range(one[4])]) for one in asked]
         jobs = {
             (folders[one[0].road_file].name, config_sha256(config)):
@@ -274,7 +270,7 @@ def run_public(
             own = [rows[folders[site.road_file].name, config_sha256(config)] for config in configs]
             told = [_told(out_dir / row.folder) for row in own if row.status == DONE]
             if told:
-                results.append(Result(site, rule.name, variant, changes, told))
+                results.append(RoadResult(site, rule.name, variant, changes, told))
         return results
 
     file = page.file
@@ -295,7 +291,7 @@ def run_public(
     )  # fmt: skip
     files = _write(page, tried, best, tests, causes, out_dir)
     failed = sum(row.status != DONE for row in rows.values())
-    return Report(files, len(rows), failed, sum(row.seconds for row in rows.values()))
+    return PublicReport(files, len(rows), failed, sum(row.seconds for row in rows.values()))
 
 
 def _told(folder: Path) -> Mapping[str, Any]:
@@ -309,9 +305,9 @@ def _told(folder: Path) -> Mapping[str, Any]:
     return found
 
 
-def _best(tried: Sequence[Result]) -> Mapping[str, Value]:
+def _best(tried: Sequence[RoadResult]) -> Mapping[str, Value]:
     """The changes with the least error over the tuned roads, of those with which the roads have flow and speed."""
-    points: dict[str, list[Result]] = {}
+    points: dict[str, list[RoadResult]] = {}
     for one in tried:
         points.setdefault(one.variant, []).append(one)
     if not points:
@@ -320,13 +316,13 @@ def _best(tried: Sequence[Result]) -> Mapping[str, Value]:
     return found[0].changes
 
 
-def _mean_error(results: Sequence[Result]) -> float:
+def _mean_error(results: Sequence[RoadResult]) -> float:
     return float(np.mean([one.error for one in results]))
 
 
 def _write(
-    page: PublicRoads, tried: Sequence[Result], best: Mapping[str, Mapping[str, Value]], tests: Sequence[Result],
-    causes: Sequence[Result], out_dir: Path,
+    page: PublicRoads, tried: Sequence[RoadResult], best: Mapping[str, Mapping[str, Value]],
+    tests: Sequence[RoadResult], causes: Sequence[RoadResult], out_dir: Path,
 ) -> tuple[Path, ...]:  # fmt: skip
     table, told = out_dir / "public.csv", out_dir / "public.md"
     head = ("road", "rule", "variant", "measure", "published", "ours", "low", "high", "runs")
@@ -338,7 +334,7 @@ def _write(
     return told, table
 
 
-def _rows(one: Result) -> Iterable[tuple[object, ...]]:
+def _rows(one: RoadResult) -> Iterable[tuple[object, ...]]:
     counts, road = one.site.counts, one.site.road
     rows: list[tuple[str, float | None, Estimate]] = [
         ("flow_veh_per_h", counts.flow_veh_per_h, Estimate(one.mean("flow_veh_per_h"))),

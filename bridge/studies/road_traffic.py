@@ -25,9 +25,8 @@ from hid2.policy.rules import GapView, by_own_wish, rule_arguments
 from netconvert.cells import Cell, build_cell_grid
 from netconvert.net_xml import net_bytes
 
-#: Seconds of a step, and between two moments at which a vehicle asks its rule; no tunables: SUMO's models are made for
-#: steps up to their time gap, and a second is what a driver takes to look and decide.
-STEP_S, ASK_S = 0.5, 1.0
+#: Seconds between two moments at which a vehicle asks its rule, no tunable: what a driver takes to look and decide.
+ASK_S = 1.0
 #: Long enough for every lane of a road to be one lane of SUMO's.
 _WHOLE_M = 1e6
 #: After traffic has entered, so long for those counted to leave, s; so near to the ramp's nose, m, an exit is missed.
@@ -127,17 +126,17 @@ class RoadTraffic:
         if own:
             more["lcKeepRight"] = rule_arguments(config.lane_change).get("keep_right", 1.0)
         with Simulation(
-            net_bytes(self._grid), seed=sumo_seed([config.request.seed]), step_s=STEP_S,
+            net_bytes(self._grid), seed=sumo_seed([config.request.seed]), step_s=road.step_s,
             model=config.car_following.model, parameters=more, checks_gaps=config.lane_change.safety == "sumo",
             own_wish=own,
         ) as simulation:  # fmt: skip
             due = iter(self.vehicles)
             coming = next(due, None)
-            every = round(ASK_S / STEP_S)
+            every = max(1, round(ASK_S / road.step_s))
             speeds = self._end_speeds()
             change = next(speeds, None)
-            for step in range(round((road.seconds + CLEAR_S) / STEP_S)):
-                now_s = step * STEP_S
+            for step in range(round((road.seconds + CLEAR_S) / road.step_s)):
+                now_s = step * road.step_s
                 while change is not None and change[0] <= now_s:
                     simulation.limit_lane(change[1], change[2])
                     change = next(speeds, None)
@@ -195,8 +194,8 @@ class RoadTraffic:
             one.lane, one.x, one.v = number, x, v
             self._lane_id[name] = lane_id
             if inside and now_s >= self.road.warm_up_s and now_s < self.road.seconds:
-                self.driven_m[number] += v * STEP_S
-                self.driven_s[number] += STEP_S
+                self.driven_m[number] += v * self.road.step_s
+                self.driven_s[number] += self.road.step_s
             here.append(one)
         return here
 

@@ -60,7 +60,7 @@ def test_corridor_of_a_road_is_read_like_a_recording_and_named_by_its_content(tm
 @pytest.mark.parametrize(
     ("head", "said"),
     [
-        ("lanes = 2\n", "no key 'length_m'"),
+        ("lanes = 2\n", "no key 'length_m'; expected length_m, lanes"),
         ("length_m = 300.0\nlanes = 3\n", "inflow.veh_per_h until 60 s: 2 values, expected one for each of 3 lanes"),
         ("length_m = 300.0\nlanes = 2\nspeed = 3\n", "unknown key 'speed'"),
         ("length_m = 20.0\nlanes = 2\n", "length_m = 20.0, expected greater than or equal to 100"),

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from bridge.batch.batch import Options
-from bridge.studies.public_roads import Result, read_public, run_public
+from bridge.studies.public_roads import RoadResult, read_public, run_public
 from netconvert.errors import BatchError, ConfigError
 
 ROOT = Path(__file__).parents[4]
@@ -63,8 +63,8 @@ def run_of(vehicles: list[int], changes: list[int], **more: Any) -> dict[str, An
     return {"vehicles": vehicles, "changes": changes, "veh_km": 10.0, "flow_veh_per_h": 2040.0, "speed_mps": 9.5} | more
 
 
-def result(tmp_path: Path, *runs: dict[str, Any]) -> Result:
-    return Result(read_public(page_in(tmp_path)).sites[0], "a rule", "untuned", {}, runs)
+def result(tmp_path: Path, *runs: dict[str, Any]) -> RoadResult:
+    return RoadResult(read_public(page_in(tmp_path)).sites[0], "a rule", "untuned", {}, runs)
 
 
 def test_figures_by_hand(tmp_path: Path) -> None:
