@@ -101,6 +101,8 @@ class Road(RoadPart):
         for name, values in [*rows, *([("leaving", self.leaving)] if self.leaving else [])]:
             if len(values) != self.lanes:
                 raise ValueError(f"{name}: {len(values)} values, expected one for each of {self.lanes} lanes")
+        if self.warm_up_s >= self.seconds:
+            raise ValueError(f"warm_up_s {self.warm_up_s:g}: expected less than the {self.seconds:g} s of inflow")
         if any(one.on_ramp for one in self.inflow) and not (self.beside and self.beside.on_ramp):
             raise ValueError("inflow.on_ramp: expected beside.on_ramp = true")
         if (any(self.leaving) or self.ramp_leaving) and not (self.beside and self.beside.off_ramp):

@@ -179,7 +179,7 @@ class RoadResult(NamedTuple):
     @property
     def per_veh_km(self) -> Estimate:
         """Changes of those counted per kilometre that vehicles drove."""
-        return ratio(*(np.array([value(run) for run in self.runs]) for value in (_all_changes, _veh_km)))
+        return ratio(*np.array([(sum(run["changes"]), run["veh_km"]) for run in self.runs], dtype=np.float64).T)
 
     def mean(self, key: str) -> float:
         """Of all runs."""
@@ -221,14 +221,6 @@ class RoadResult(NamedTuple):
         """Shares of each start lane that end in each lane."""
         table = np.sum([run["start_to_end"] for run in self.runs], axis=0, dtype=np.float64)
         return (table / np.maximum(table.sum(axis=1, keepdims=True), 1.0)).tolist()  # type: ignore[no-any-return]
-
-
-def _all_changes(run: Mapping[str, Any]) -> float:
-    return float(sum(run["changes"]))
-
-
-def _veh_km(run: Mapping[str, Any]) -> float:
-    return float(run["veh_km"])
 
 
 class PublicReport(NamedTuple):
@@ -312,12 +304,10 @@ def _best(tried: Sequence[RoadResult]) -> Mapping[str, Value]:
         points.setdefault(one.variant, []).append(one)
     if not points:
         return {}
-    found = min(points.values(), key=lambda own: (not all(one.reproduces for one in own), _mean_error(own)))
+    found = min(
+        points.values(), key=lambda own: (not all(one.reproduces for one in own), np.mean([one.error for one in own]))
+    )
     return found[0].changes
-
-
-def _mean_error(results: Sequence[RoadResult]) -> float:
-    return float(np.mean([one.error for one in results]))
 
 
 def _write(

@@ -5,9 +5,9 @@ leads over a lane beside must change, whatever it gains. Positions are along the
 """
 
 from bisect import bisect_right
-from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -39,7 +39,7 @@ class RoadVehicle:
     """One that enters, and what became of it.
 
     start, lane, entered_lane: numbers from the left, lane 0 before it is in the net; asks: order in which vehicles ask;
-    x: front, m along the road; changes: in the section, with s, m, from and to.
+    x: front, m along the road; changes: of lanes, in the section.
     """
 
     name: str
@@ -55,7 +55,7 @@ class RoadVehicle:
     entered_s: float | None = None
     entered_lane: int = 0
     left_s: float | None = None
-    changes: list[tuple[float, float, int, int]] = field(default_factory=list)
+    changes: int = 0
 
 
 def arrivals(road: Road, config: Config) -> list[RoadVehicle]:
@@ -105,18 +105,14 @@ class RoadTraffic:
             self._number_at[name] = lane_id, lane.start_m
         self.vehicles = arrivals(road, config)
         self._by_name = {one.name: one for one in self.vehicles}
-        self.driven_m, self.driven_s = (dict.fromkeys(range(road.beside_number + 1), 0.0) for _ in range(2))
-        self.asked = self.refused_by_sumo = self.missed_exits = 0
-        self._pending: dict[str, int] = {}
+        self.driven_m = self.driven_s = 0.0
+        self.missed_exits = 0
         self._lane_id: dict[str, int] = {}
         self._on = {lane_id for lane_id in self._lanes if self._leads_on(lane_id)}
-        ways = [(start, leaves) for start in (1, road.beside_number) for leaves in (False, True)]
-        self._routes = {way: road.route(way[0], leaves=way[1]) for way in ways if self._is_there(*way)}
+        self._edges = cache(self._edges_of)
 
-    def _is_there(self, start: int, leaves: bool) -> bool:  # noqa: FBT001
-        aside = self.road.beside
-        ramp = aside is not None and aside.on_ramp
-        return (start <= self.road.lanes or ramp) and (not leaves or (aside is not None and aside.off_ramp))
+    def _edges_of(self, start: int, leaves: bool) -> list[str]:  # noqa: FBT001  # cached by place
+        return [self._grid.edge_id(Cell(lane_id, 0)) for lane_id in self.road.route(start, leaves=leaves)]
 
     def run(self) -> None:
         """All steps. Errors: SimulationError."""
@@ -159,15 +155,11 @@ class RoadTraffic:
             yield from ((since_s, self._sumo_lane[lane.lane_id], part.mps[lane.number - 1]) for lane in behind)
             since_s = part.until_s
 
-    def _edges(self, route: Sequence[int]) -> list[str]:
-        return [self._grid.edge_id(Cell(lane_id, 0)) for lane_id in route]
-
     def _queue(self, simulation: Simulation, one: RoadVehicle) -> None:
-        route = self._routes[self.road.beside_number if one.start == self.road.beside_number else 1, one.leaves]
-        first = route[0]
-        lane_id = first if one.start == self.road.beside_number else first - first % ROW + one.start
+        ramp = one.start == self.road.beside_number
+        lane_id = RAMPS[0] if ramp else one.start
         simulation.queue(
-            one.name, edges=self._edges(route), lane_index=self._index[lane_id],
+            one.name, edges=self._edges(one.start if ramp else 1, one.leaves), lane_index=self._index[lane_id],
             length_m=one.size.length_m, width_m=one.size.width_m, accel_mps2=one.driver.accel_mps2,
             decel_mps2=one.driver.decel_mps2, tau_s=one.driver.tau_s, min_gap_m=one.driver.min_gap_m,
             max_speed_mps=one.driver.desired_mps,
@@ -176,7 +168,6 @@ class RoadTraffic:
     def _read(self, simulation: Simulation, now_s: float) -> list[RoadVehicle]:
         """Take down where all are, and count; those in the net."""
         here, length_m = [], self.road.length_m
-        pending, self._pending = self._pending, {}
         for name, lane_id, x, v in simulation.states(self._number_at):
             one = self._by_name[name]
             number = self._lanes[lane_id].number
@@ -184,18 +175,14 @@ class RoadTraffic:
             if one.entered_s is None and inside:
                 one.entered_s, one.entered_lane = now_s, one.start if one.start > self.road.lanes else number
             if one.entered_s is not None and one.left_s is None:
-                if one.lane not in (0, number):
-                    one.changes.append((now_s, x, one.lane, number))
+                one.changes += one.lane not in (0, number)
                 if not inside:
                     one.left_s = now_s
-            if name in pending:
-                self.asked += 1
-                self.refused_by_sumo += number != pending[name]
             one.lane, one.x, one.v = number, x, v
             self._lane_id[name] = lane_id
             if inside and now_s >= self.road.warm_up_s and now_s < self.road.seconds:
-                self.driven_m[number] += v * self.road.step_s
-                self.driven_s[number] += self.road.step_s
+                self.driven_m += v * self.road.step_s
+                self.driven_s += self.road.step_s
             here.append(one)
         return here
 
@@ -206,7 +193,7 @@ class RoadTraffic:
         for one in here:
             if one.leaves and one.lane <= self.road.lanes and aside.to_m - _MISSED_M < one.x < aside.to_m:
                 row = self._lane_id[one.name] // ROW
-                simulation.set_route(one.name, self._edges(self._routes[1, False])[row:])
+                simulation.set_route(one.name, self._edges(1, False)[row:])
                 one.leaves = False
                 self.missed_exits += 1
 
@@ -243,27 +230,21 @@ class RoadTraffic:
                 )  # fmt: skip
                 if by_own_wish(view, self.config.lane_change, must=wanted is not None):
                     simulation.change_lane(one.name, self._index[target])
-                    self._pending[one.name] = number
                     break
 
     def _must(self, one: RoadVehicle) -> Literal["left", "right"] | None:
         """The side to which its route leads; None where the lane does."""
-        if one.leaves and self._off_ramp_ahead(one):
+        aside = self.road.beside
+        if one.leaves and aside is not None and one.x < aside.to_m:
             return None if one.lane == self.road.beside_number else "right"
         return None if self._lane_id[one.name] in self._on else "left"
-
-    def _off_ramp_ahead(self, one: RoadVehicle) -> bool:
-        aside = self.road.beside
-        return aside is not None and aside.off_ramp and one.x < aside.to_m
 
     def _leads_on(self, lane_id: int) -> bool:
         """Whether a lane leads to the road's end, and to no ramp."""
         lane = self._lanes[lane_id]
         if lane.number == self.road.beside_number:
             return False
-        return (
-            bool(lane.successors) and self._leads_on(lane.successors[0]) if lane.start_m < self.road.length_m else True
-        )
+        return lane.start_m >= self.road.length_m or any(map(self._leads_on, lane.successors))
 
     def _remaining_m(self, one: RoadVehicle, target: int) -> float:
         """Length of a lane beside that is left on the vehicle's route."""
@@ -272,44 +253,20 @@ class RoadTraffic:
             lane = self._lanes[lane.successors[0]]
         return lane.end_m - one.x
 
-    def counted(self) -> list[RoadVehicle]:
-        """Those that entered the section while it was counted and have left it."""
-        first_s, last_s = self.road.warm_up_s, self.road.seconds
-        return [
-            one for one in self.vehicles
-            if one.entered_s is not None and first_s <= one.entered_s < last_s and one.left_s is not None
-        ]  # fmt: skip
-
     def told(self) -> dict[str, Any]:
-        """What a run says: counts by start lane, from start to end lane, flow, speed, by period and lane."""
-        counted, top = self.counted(), self.road.beside_number
-        vehicles, changes = Counter[int](), Counter[int]()
-        table = np.zeros((top, top), dtype=int)
-        entered = sum(
-            one.entered_s is not None and self.road.warm_up_s <= one.entered_s < self.road.seconds
-            for one in self.vehicles
-        )
-        for one in counted:
-            vehicles[one.entered_lane] += 1
-            changes[one.entered_lane] += len(one.changes)
-            table[one.entered_lane - 1, one.lane - 1] += 1
-        metres, seconds = sum(self.driven_m.values()), sum(self.driven_s.values())
-        hours = (self.road.seconds - self.road.warm_up_s) / 3600.0
+        """What a run says of those that entered the section while it was counted, and have left it: by start lane."""
+        top, first_s, last_s = self.road.beside_number, self.road.warm_up_s, self.road.seconds
+        entered = [one for one in self.vehicles if one.entered_s is not None and first_s <= one.entered_s < last_s]
+        changes, table = np.zeros(top, dtype=int), np.zeros((top, top), dtype=int)
+        for one in entered:
+            if one.left_s is not None:
+                changes[one.entered_lane - 1] += one.changes
+                table[one.entered_lane - 1, one.lane - 1] += 1
         return {
-            "vehicles": [vehicles[n] for n in range(1, top + 1)],
-            "changes": [changes[n] for n in range(1, top + 1)],
-            "start_to_end": table.tolist(),
-            "not_left": entered - len(counted),
-            "flow_veh_per_h": entered / hours,
-            "speed_mps": metres / max(seconds, 1e-9),
-            "speed_by_lane_mps": [self.driven_m[n] / max(self.driven_s[n], 1e-9) for n in range(1, top + 1)],
-            "changes_by_100_m": np.bincount(
-                [int(x // 100.0) for one in counted for _, x, _, _ in one.changes if 0.0 <= x < self.road.length_m],
-                minlength=int(self.road.length_m // 100.0) + 1,
-            ).tolist(),
-            "veh_km": metres / 1000.0,
-            "waiting": sum(one.entered_s is None and one.lane == 0 for one in self.vehicles),
-            "asked": self.asked, "refused_by_sumo": self.refused_by_sumo, "missed_exits": self.missed_exits,
+            "vehicles": table.sum(axis=1).tolist(), "changes": changes.tolist(), "start_to_end": table.tolist(),
+            "not_left": len(entered) - int(table.sum()), "flow_veh_per_h": 3600.0 * len(entered) / (last_s - first_s),
+            "speed_mps": self.driven_m / max(self.driven_s, 1e-9), "veh_km": self.driven_m / 1000.0,
+            "missed_exits": self.missed_exits,
         }  # fmt: skip
 
 
