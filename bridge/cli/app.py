@@ -14,7 +14,7 @@ from bridge.cli.options import Paths, flattened
 COMMANDS = {
     "generate": "generation",
     **dict.fromkeys(("validate", "scan", "net", "export"), "scenes"),
-    **dict.fromkeys(("evaluate", "calibrate", "resimulate", "study", "make", "paper"), "measuring"),
+    **dict.fromkeys(("evaluate", "calibrate", "resimulate", "study", "public", "make", "paper"), "measuring"),
     **dict.fromkeys(("compose", "forecast"), "forecasting"),
     **dict.fromkeys(("view", "render", "plot", "gui"), "pictures"),
     "config": "scenes",

@@ -1,4 +1,4 @@
-"""`hid2 evaluate`, `study` and `paper`: from scenes to figures and tables."""
+"""`hid2 evaluate`, `study`, `public` and `paper`: from scenes to figures and tables."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -157,19 +157,47 @@ def study(
 
 
 @command(folders=("out",))
+def public(
+    file: Path = options.argument("PAGE.toml", "Roads, published counts and rules, as data/public/ngsim.toml."),
+    out: Path = options.OUT,
+    *,
+    batch: options.Batch,
+    activity: Activity,
+) -> int:
+    """Lane changes on public roads, published beside simulated, for rules untuned and tuned. Can be continued."""
+    from bridge.batch.batch import Options
+    from bridge.cli.batch_display import BatchNotes
+    from bridge.studies.public_roads import read_public, run_public
+
+    how = Options(jobs=batch.jobs, scheduler=batch.scheduler, timeout_s=batch.scene_timeout)
+    page = read_public(file)
+    activity.doing("driving roads")
+    notes = BatchNotes(activity, out, go_on="the same command continues")
+    report = run_public(page, out, how, on_row=notes.note)
+    activity.note(
+        f"{counted(report.runs, 'run')} that took {report.seconds:.0f} s in all, {report.failed or 'none'} failed"
+    )
+    activity.result(*report.files)
+    return options.SOME_FAILED if report.failed else options.ALL_DONE
+
+
+@command(folders=("out",))
 def make(
     what: Literal["corridor"] = options.argument("WHAT", "corridor: a straight one-way road."),
     out: Path = options.OUT,
     *,
+    road: Path | None = options.option(
+        "A road with ramps and traffic of its own instead, as those in data/public.", None, "ROAD.toml"
+    ),
     length: float = options.option("Length of the road, m.", 600.0, "M"),
     lanes: int = options.option("Lanes.", 2, "N"),
     seconds: float = options.option("Duration of the recording, s.", 180.0, "S"),
 ) -> None:
     """Make a synthetic scene for studies; it is no scene of Argoverse, and its id says so."""
-    from bridge.recordings.corridor import write_corridor
+    from bridge.recordings.corridor import write_corridor, write_road
 
     assert what == "corridor"
-    print(write_corridor(out, length_m=length, lanes=lanes, seconds=seconds))
+    print(write_road(out, road) if road else write_corridor(out, length_m=length, lanes=lanes, seconds=seconds))
 
 
 @command()

@@ -2,10 +2,12 @@
 
 It has the columns of the other scenes, its id begins with `corridor-`, and it is no scene of Argoverse. Readers of the
 format demand a recording vehicle and a focal track: both stand on the shoulder, off the lanes. Traffic enters in a
-study (`flow.veh_per_h_lane`).
+study (`flow.veh_per_h_lane`), or as the file of a road says, which then lies beside.
 """
 
+import hashlib
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +17,13 @@ import pyarrow as pa
 from bridge.config import CORRIDOR_PREFIX
 from bridge.recordings.export import parquet_bytes, write_folder
 from bridge.recordings.limits import MAX_CORRIDOR_STEPS, MAX_LANE_M
+from bridge.recordings.road import MOST_LANES, ROAD_FILE, Lane, read_road
 from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, OBSERVED_STEPS, STEP_S, table_of
 from hid2.agents import DEFAULT_SIZES, Track
 from netconvert.errors import ConfigError
 
 _LANE_M, _SHOULDER_M = 3.5, 4.0
-_LEAST_M, _MOST_LANES = 100.0, 8
+_LEAST_M = 100.0
 _POINT_EVERY_M = 10.0
 
 
@@ -32,47 +35,77 @@ def write_corridor(out_dir: Path, *, length_m: float, lanes: int, seconds: float
     least_s, most_s = OBSERVED_STEPS * STEP_S, MAX_CORRIDOR_STEPS * STEP_S
     for name, value, least, most, unit in (
         ("length", length_m, _LEAST_M, MAX_LANE_M, " m"),
-        ("lanes", lanes, 2, _MOST_LANES, ""),
+        ("lanes", lanes, 2, MOST_LANES, ""),
         ("seconds", seconds, least_s, most_s, " s"),
     ):
         if not least <= value <= most:
             raise ConfigError(f"--{name} {value:g}: expected {least:g} to {most:g}{unit}")
-    steps = round(seconds / STEP_S)
     scenario_id = f"{CORRIDOR_PREFIX}{length_m:g}m-{lanes}lanes-{seconds:g}s"
+    numbers = range(1, lanes + 1)
+    straight = [
+        Lane(n, lanes + 1 - n, 0.0, length_m, False, n + 1 if n < lanes else None, n - 1 if n > 1 else None, ())
+        for n in numbers
+    ]
+    return _written(out_dir / scenario_id, scenario_id, straight, round(seconds / STEP_S), lanes=lanes)
+
+
+def write_road(out_dir: Path, file: Path) -> Path:
+    """Write OUT/corridor-NAME-DIGEST/ of the file of a road, with that file; returns the folder.
+
+    Errors: ConfigError with file, key, value; ExportError.
+    """
+    road, content = read_road(file), file.read_bytes()
+    if road.seconds > MAX_CORRIDOR_STEPS * STEP_S:
+        raise ConfigError(f"{file}: inflow until {road.seconds:g} s, expected {MAX_CORRIDOR_STEPS * STEP_S:g} at most")
+    scenario_id = f"{CORRIDOR_PREFIX}{file.stem}-{hashlib.sha256(content).hexdigest()[:8]}"
+    steps = round(max(road.seconds, OBSERVED_STEPS * STEP_S) / STEP_S)
     folder = out_dir / scenario_id
+    return _written(folder, scenario_id, road.stretches(), steps, lanes=road.lanes, more={ROAD_FILE: content})
+
+
+def _written(
+    folder: Path, name: str, lanes_of: Sequence[Lane], steps: int, *, lanes: int,
+    more: Mapping[str, bytes] | None = None,
+) -> Path:  # fmt: skip
     files = {
-        f"scenario_{scenario_id}.parquet": parquet_bytes(_table(scenario_id, steps)),
-        f"log_map_archive_{scenario_id}.json": json.dumps(_map(length_m, lanes)).encode(),
+        f"scenario_{name}.parquet": parquet_bytes(_table(name, steps)),
+        f"log_map_archive_{name}.json": json.dumps(_map(lanes_of, lanes)).encode(),
     }
-    write_folder(folder, files)
+    write_folder(folder, {**files, **(more or {})})
     return folder
 
 
-def _map(length_m: float, lanes: int) -> dict[str, Any]:
-    x = np.linspace(0.0, length_m, max(2, int(length_m / _POINT_EVERY_M) + 1))
-
-    def line(y: float) -> list[dict[str, float]]:
+def _map(stretches: Sequence[Lane], lanes: int) -> dict[str, Any]:
+    def line(lane: Lane, y: float) -> list[dict[str, float]]:
+        count = max(2, int((lane.end_m - lane.start_m) / _POINT_EVERY_M) + 1)
+        x = np.linspace(lane.start_m, lane.end_m, count)
         return [{"x": round(float(at), 2), "y": round(y, 2), "z": 0.0} for at in x]
 
+    led_to: dict[int, list[int]] = {lane.lane_id: [] for lane in stretches}
+    for lane in stretches:
+        for other in lane.successors:
+            led_to[other].append(lane.lane_id)
     segments = {}
-    for lane in range(1, lanes + 1):
-        y = (lane - 1) * _LANE_M
-        segments[str(lane)] = {
-            "id": lane,
+    for lane in stretches:
+        y = (lanes - lane.number) * _LANE_M
+        segments[str(lane.lane_id)] = {
+            "id": lane.lane_id,
             "is_intersection": False,
             "lane_type": "VEHICLE",
-            "centerline": line(y),
-            "left_lane_boundary": line(y + _LANE_M / 2),
-            "right_lane_boundary": line(y - _LANE_M / 2),
-            "left_lane_mark_type": "DASHED_WHITE" if lane < lanes else "SOLID_WHITE",
-            "right_lane_mark_type": "DASHED_WHITE" if lane > 1 else "SOLID_WHITE",
-            "left_neighbor_id": lane + 1 if lane < lanes else None,
-            "right_neighbor_id": lane - 1 if lane > 1 else None,
-            "predecessors": [],
-            "successors": [],
+            "centerline": line(lane, y),
+            "left_lane_boundary": line(lane, y + _LANE_M / 2),
+            "right_lane_boundary": line(lane, y - _LANE_M / 2),
+            "left_lane_mark_type": "SOLID_WHITE" if lane.closed or lane.left is None else "DASHED_WHITE",
+            "right_lane_mark_type": "SOLID_WHITE" if lane.closed or lane.right is None else "DASHED_WHITE",
+            "left_neighbor_id": lane.left,
+            "right_neighbor_id": lane.right,
+            "predecessors": led_to[lane.lane_id],
+            "successors": list(lane.successors),
         }
-    low, high = -_LANE_M / 2 - _SHOULDER_M, (lanes - 0.5) * _LANE_M + 1.0
-    corners = [(-30.0, low), (length_m + 30.0, low), (length_m + 30.0, high), (-30.0, high)]
+    lowest = min(lanes - lane.number for lane in stretches)
+    low, high = (lowest - 0.5) * _LANE_M - _SHOULDER_M, (lanes - 0.5) * _LANE_M + 1.0
+    first, last = min(lane.start_m for lane in stretches), max(lane.end_m for lane in stretches)
+    corners = [(first - 30.0, low), (last + 30.0, low), (last + 30.0, high), (first - 30.0, high)]
     area = [{"x": round(a, 2), "y": round(b, 2), "z": 0.0} for a, b in corners]
     return {
         "drivable_areas": {"1": {"area_boundary": area, "id": 1}},

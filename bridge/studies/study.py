@@ -124,7 +124,7 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
     seeds = tuple(range(content.seeds)) if isinstance(content.seeds, int) else tuple(content.seeds)
     points = tuple(_grid(content.vary) if content.design == "grid" else _latin_hypercube(content, path))
     configs = tuple(
-        tuple(_configured(content.config, {**point, "request.seed": seed}, source=str(path)) for seed in seeds)
+        tuple(configured(content.config, {**point, "request.seed": seed}, source=str(path)) for seed in seeds)
         for point in points
     )
     for key in content.vary:
@@ -267,7 +267,7 @@ def _latin_hypercube(content: _File, path: Path) -> list[dict[str, Value]]:
     return points
 
 
-def _configured(base: Mapping[str, Any], changes: Mapping[str, Value], *, source: str) -> Config:
+def configured(base: Mapping[str, Any], changes: Mapping[str, Value], *, source: str) -> Config:
     """The base configuration with dotted keys changed. Errors: ConfigError."""
     values = {key: dict(value) if isinstance(value, Mapping) else value for key, value in base.items()}
     expanded = dict(changes)

@@ -17,6 +17,7 @@ from netconvert.errors import SimulationError
 #: TraCI lane-change mode: no change of SUMO's own; one asked for is refused where speeds and brake gaps forbid it.
 _ONLY_ASKED_IF_SAFE = 512
 _ASKED_ANYHOW = 0  # the same, and one asked for is carried out
+_OWN_WISH = 1621  # SUMO's default: its model changes lanes as it likes
 #: TraCI speed mode: car following and the greatest acceleration hold; a limit may brake harder than is comfortable.
 _SAFE_SPEED = 1 + 2 + 8 + 16
 #: Motives of SUMO's lane-change model, as it names them.
@@ -33,7 +34,8 @@ class Simulation:
 
     net: a file, or its content. model: car-following model of the vehicles that SUMO drives, as it is named in SUMO;
     parameters: its attributes.
-    checks_gaps: whether SUMO refuses a lane change that its own gaps forbid.
+    checks_gaps: whether SUMO refuses a lane change that its own gaps forbid; own_wish: whether its own model changes
+    lanes, too.
     expected_decel_mps2: what those behind a replayed vehicle expect it to brake with at most.
     Errors: SimulationError for a net that SUMO refuses, and for a second simulation in one process.
     """
@@ -42,12 +44,12 @@ class Simulation:
 
     def __init__(
         self, net: Path | bytes, *, seed: int, step_s: float, expected_decel_mps2: float = 4.5, model: str = "EIDM",
-        parameters: Mapping[str, float] | None = None, checks_gaps: bool = True,
+        parameters: Mapping[str, float] | None = None, checks_gaps: bool = True, own_wish: bool = False,
     ) -> None:  # fmt: skip
         self._net = net
         self._model, self._parameters = model, dict(parameters or {})
         self._expected_decel_mps2 = expected_decel_mps2
-        self._change_mode = _ONLY_ASKED_IF_SAFE if checks_gaps else _ASKED_ANYHOW
+        self._change_mode = _OWN_WISH if own_wish else _ONLY_ASKED_IF_SAFE if checks_gaps else _ASKED_ANYHOW
         self._seed = seed
         self._step_s = step_s
         self._types: set[str] = set()
@@ -238,9 +240,10 @@ class Simulation:
         libsumo.vehicle.setMaxSpeed(vehicle_id, float(desired_mps))
         libsumo.vehicle.setSpeed(vehicle_id, -1.0 if limit_mps is None else float(limit_mps))
 
-    def change_lane(self, vehicle_id: str, lane_index: int, *, edges: Sequence[str]) -> None:
-        """Ask for an instant change within the edge, onto a route that the new lane continues."""
-        libsumo.vehicle.setRoute(vehicle_id, list(edges))
+    def change_lane(self, vehicle_id: str, lane_index: int, *, edges: Sequence[str] = ()) -> None:
+        """Ask for an instant change within the edge, onto a route that the new lane continues; none: its own."""
+        if edges:
+            libsumo.vehicle.setRoute(vehicle_id, list(edges))
         libsumo.vehicle.changeLane(vehicle_id, lane_index, self._step_s)
 
     @staticmethod
@@ -262,6 +265,24 @@ class Simulation:
     def driven(self) -> frozenset[str]:
         """Ids of all vehicles in the net."""
         return frozenset(libsumo.vehicle.getIDList())
+
+    @staticmethod
+    def states(known: Mapping[str, tuple[int, float]]) -> list[tuple[str, int, float, float]]:
+        """Every vehicle in the net: id, value and front of its SUMO lane, m, and speed, m/s.
+
+        known: by SUMO lane a value of the caller's, and where it begins, m.
+        """
+        one = libsumo.vehicle
+        found = []
+        for vehicle_id in one.getIDList():
+            value, start_m = known[one.getLaneID(vehicle_id)]
+            found.append((vehicle_id, value, start_m + one.getLanePosition(vehicle_id), one.getSpeed(vehicle_id)))
+        return found
+
+    @staticmethod
+    def limit_lane(lane_id: str, limit_mps: float) -> None:
+        """Speed limit of a lane from now on."""
+        libsumo.lane.setMaxSpeed(lane_id, limit_mps)
 
     def speed(self, vehicle_id: str) -> float:
         """Speed in m/s over the last step."""

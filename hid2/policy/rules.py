@@ -28,6 +28,9 @@ class SumoAnswer:
     blocked_behind: bool
 
 
+#: Of the paper's rule where a vehicle changes lanes by its own wish, unless `rule_with` says otherwise: as the leader
+#: that is worth an overtake (`overtake.speed_advantage_mps`).
+INCENTIVE_MPS = 1.5
 #: What SUMO is taken to answer before it drives: it wants the lane, and finds it free.
 FORESEEN = SumoAnswer(frozenset({"foreseen"}), blocked_ahead=False, blocked_behind=False)
 
@@ -102,6 +105,23 @@ def rule_refusals(view: GapView, params: LaneChange) -> tuple[Reason, ...]:
 def rule_reason(view: GapView, params: LaneChange) -> Reason | None:
     """The first of `rule_refusals`; None where the rule takes the gap."""
     return next(iter(rule_refusals(view, params)), None)
+
+
+def by_own_wish(view: GapView, params: LaneChange, *, must: bool) -> bool:
+    """Whether a vehicle that nobody asks changes lanes into a gap. must: its route leads there, whatever it gains.
+
+    The paper's rule has no wish of its own: it gets one where the leader there (none: the desired speed) is faster than
+    the one here by `incentive` of `lane_change.rule_with`, m/s. MOBIL has its incentive, a user's rule decides alone.
+    """
+    if params.rule == "paper" and not must:
+        there, here = (
+            view.desired_mps if math.isinf(one.distance_m) else min(one.speed_mps, view.desired_mps)
+            for one in (view.front, view.own_front)
+        )
+        if there - here <= rule_arguments(params).get("incentive", INCENTIVE_MPS):
+            return False
+    refusals = rule_refusals(view, params)
+    return not refusals or (must and set(refusals) == {Reason.MOBIL_NO_ADVANTAGE})
 
 
 def rule_arguments(params: LaneChange) -> dict[str, float]:

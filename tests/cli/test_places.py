@@ -105,7 +105,7 @@ WRITING = (
     "calibrate {scene} -o {out}/drivers.toml", "scan {scene} -o {out}/scan.csv", "net {scene} -o {out}",
     "render {scene} -o {out}/a.png", "plot {scene} --agent AV -o {out}/a.png", "compose {scene} -o {out}",
     "gui {scene} --screenshot {out}/a.png", "forecast {scene} -o {out}", "paper table1 --scenes {scene} -o {out}",
-    "study study.toml --scenes {scene} -o {out}", "make corridor -o {out}",
+    "study study.toml --scenes {scene} -o {out}", "make corridor -o {out}", "public page.toml -o {out}",
     "resimulate {scene} -o {out}",
 )  # fmt: skip
 

@@ -59,7 +59,8 @@ READERS: tuple[tuple[str, int | None, str], ...] = (
     ("paper table1 -o again --scenes {received} --map {received}", 2, "holds generated scenes only"),
     ("paper prediction -o again --scenes . --composed . --predictions .", None, ""),
     ("forecast . -o . --scenes . --resume", None, ""),
-    ("make corridor -o again --seconds 12", 0, ""),
+    ("public public.toml -o again", 2, "unknown key 'rule_with'"),
+    ("make corridor -o again --seconds 12 --road drivers.toml", 2, "drivers.toml: no key 'length_m'"),
 )
 
 
@@ -78,6 +79,9 @@ def made(hid2: Run, data_scenes: dict[str, Path], tmp_path_factory: pytest.TempP
     (root / "drivers.toml").write_text(f'[lane_change]\nrule = "{RULE}"\n')
     (root / "sound.toml").write_text("[request]\nstraight = 1.0\n")
     (root / "sound_study.toml").write_text(STUDY)
+    (root / "public.toml").write_text(
+        f'rule_with = "{RULE}"\n[[road]]\nfile = "."\ncounts = "."\n[[rule]]\nname = "a"\n'
+    )
     (root / "composition.toml").write_text(f'[sources]\na = "."\n[sets.b]\n[config.lane_change]\nrule = "{RULE}"\n')
     (root / "forecasts.parquet").write_bytes(b"PAR1")
     for name in ("owned", "sitecustomize", "usercustomize", "numpy", "torch"):

@@ -11,6 +11,7 @@ from hid2.policy.lane_change import NOBODY, Gap
 from hid2.policy.rules import (
     GapView,
     SumoAnswer,
+    by_own_wish,
     check_user_rule,
     expected_reason,
     idm_mps2,
@@ -200,3 +201,23 @@ def test_change_that_is_expected_depends_on_the_rule_that_is_set() -> None:
         assert expected_reason(driver, params, speed_mps=10.0) is None
         found = [expected_reason(driver, params, speed_mps=10.0, front=one) for one in (near, beside)]
         assert tuple(found) == reasons
+
+
+def test_paper_rule_by_own_wish_wants_a_faster_leader_unless_it_must() -> None:
+    """Here 8 m/s ahead; there 9 m/s (1 m/s more: too little) or 9.6 m/s, 1.6 m/s more than 8: worth it."""
+    params = LaneChange(rule="paper")
+    slow = replace(VIEW, own_front=Gap(20.0, 8.0), front=Gap(60.0, 9.0))
+    assert not by_own_wish(slow, params, must=False)
+    assert by_own_wish(slow, params, must=True)
+    fast = replace(slow, front=Gap(60.0, 9.6))
+    assert by_own_wish(fast, params, must=False)
+    assert not by_own_wish(fast, params.model_copy(update={"rule_with": "incentive=2.0"}), must=False)
+    assert by_own_wish(replace(slow, front=NOBODY), params, must=False)  # 10 m/s wished for
+    assert not by_own_wish(replace(fast, cells_free=False), params, must=True)
+
+
+def test_mobil_that_must_asks_for_safety_alone() -> None:
+    behind = replace(VIEW, own_front=NOBODY, front=Gap(15.0, 8.0))  # slower there: nothing to gain
+    assert not by_own_wish(behind, MOBIL, must=False)
+    assert by_own_wish(behind, MOBIL, must=True)
+    assert not by_own_wish(replace(behind, rear=Gap(1.0, 14.0)), MOBIL, must=True)
