@@ -20,9 +20,10 @@ from netconvert.roads import roads_of
 def drive(net: Path) -> tuple[int, int, int]:
     """300 s of SUMO's randomTrips, a vehicle each second: vehicles, collisions, warnings."""
     tool = Path(import_module("sumo").SUMO_HOME) / "tools" / "randomTrips.py"
+    net = net.absolute()  # the tool leaves a file in its working directory
     trips, log = net.with_suffix(".trips.xml"), net.with_suffix(".log")
     command = [sys.executable, tool, "-n", net, "-o", trips, "-e", "300", "-p", "1", "--validate", "--seed", "42"]
-    made = subprocess.run(list(map(str, command)), capture_output=True, text=True)
+    made = subprocess.run(list(map(str, command)), cwd=net.parent, capture_output=True, text=True)
     assert made.returncode == 0, made.stderr
     command = [sumo_program("sumo"), "-n", net, "-r", trips, "-e", "300", "--no-step-log", "--seed", "1"]
     command += ["--collision.action", "warn", "--duration-log.statistics"]
