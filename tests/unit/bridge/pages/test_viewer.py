@@ -104,9 +104,10 @@ def test_recorded_scenes_and_other_formats_are_packed_whole(data_scenes: dict[st
 def test_table_of_looks_that_is_none_is_one_line_that_names_it(generated: list[Path], copy_scene) -> None:
     folder = copy_scene(folder=generated[0])
     table = next(folder.glob("gaps_*.csv.gz"))
-    text = gzip.decompress(table.read_bytes())
-    longer = text.rstrip() + b",1\n"
-    for content in (b"no gzip", gzip.compress(b"a,b\n1,2\n"), gzip.compress(longer)):
+    header = gzip.decompress(table.read_bytes()).decode().splitlines()[0]
+    exported = read_scenario(folder).sidecar.agents[0].track_id
+    words = ",".join(exported if name == "track_id" else "a word" for name in header.split(","))
+    for content in (b"no gzip", gzip.compress(b"a,b\n1,2\n"), gzip.compress(f"{header}\n{words}\n".encode())):
         table.write_bytes(content)
         with pytest.raises(ScenarioError, match=r"gaps_.*\.csv\.gz: .*; expected the table of hid2 generate --record"):
             scene_document(read_scenario(folder))
