@@ -1,5 +1,6 @@
 """Which events come about on real scenes: kind by target by moment, with what it costs. A script, no test:
 
+    export PYTHONPATH=tests/support
     python tests/benchmarks/event_figures.py --kinds cut_in cross --targets av focal --ttc 1.5:3 [ROOT ...]
 
 Targets: av, focal, track ids, or `moving` for every recorded vehicle that moves.
@@ -22,7 +23,7 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
-from test_time_over_limit import simulate_unsteered
+from unsteered import simulate_unsteered
 
 from bridge.generation.generate import PreparedScene, generate, prepare
 from bridge.generation.scene import TrafficScene

@@ -2,7 +2,7 @@
 
 Not part of the default run: `pytest -m benchmark -s`, or as a script with a number of seeds and a choice of scenes:
 
-    python tests/benchmarks/test_resimulate.py --seeds 32 [--only 00a 3b3]
+    PYTHONPATH=tests/support python tests/benchmarks/test_resimulate.py --seeds 32 [--only 00a 3b3]
 
     scene   reading, grid and net, and all rollouts with calibrated drivers, with their features; processor time
     limit   reading, grid, net, writing, and one simulation in which all others are replayed and the vehicles are driven
@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_time_over_limit import Start, simulate_unsteered
+from unsteered import Start, simulate_unsteered
 
 from bridge.evaluation.resimulate import MODELS, Plan, Resimulation, resimulate_folders
 from bridge.recordings.folders import find_scenarios

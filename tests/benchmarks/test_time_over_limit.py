@@ -2,6 +2,7 @@
 
 Not part of the default run: `pytest -m benchmark -s`, or as a script with a choice of scenes, counts and seeds:
 
+    export PYTHONPATH=tests/support
     python tests/benchmarks/test_time_over_limit.py --agents 10 20 40 max --seeds 0 1 [--only 00a 3b3]
 
 All in one warm process and in processor time, which hardly changes when others use the machine:
@@ -24,8 +25,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import pytest
+from unsteered import Start, simulate_unsteered
 
 from bridge.batch.start_up import spare_the_collector
 from bridge.generation.generate import PreparedScene, generate, prepare
@@ -35,25 +36,11 @@ from bridge.recordings.scenario import read_scenario
 from bridge.sumo.poses import front_arc_m, sumo_poses
 from bridge.sumo.routes import edges_along
 from bridge.sumo.simulation import Simulation
-from hid2.agents import FloatArray
-from hid2.occupancy.traffic import Traffic
 from hid2.params import Config, Request
 from hid2.scene import Scene
 
-import libsumo  # after bridge.sumo.simulation, which silences a remark of its import on stdout  # isort: skip
-
 #: Time over the limit, at most, in the median over the scenes and in the worst; driven for one kept in the median.
 MOST = {10: (6.5, 14.0, 2.0), 20: (11.0, 24.0, 2.4)}
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Start:
-    """One unsteered vehicle: SUMO edges, lane index and position of the front bumper on the first, speed."""
-
-    edges: tuple[str, ...]
-    lane_index: int
-    front_m: float
-    speed_mps: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,40 +87,6 @@ def starts_of(made: TrafficScene, scene: Scene) -> list[Start]:
         begin = float(scene.grid.edges_s(cell.lane_id)[cell.index])
         starts.append(Start(edges, scene.grid.lane_index(cell), max(0.0, lane_s - begin), begun.start_mps))
     return starts
-
-
-def simulate_unsteered(
-    net: Path, traffic: Traffic, front: FloatArray, angle: FloatArray, starts: Sequence[Start]
-) -> None:
-    """Nothing but what SUMO itself needs, from loading the net to closing. front (A, T, 2) m, angle (A, T) degrees."""
-    libsumo.start([
-        "sumo", "--net-file", str(net), "--step-length", "0.1", "--seed", "0", "--collision.action", "none",
-        "--time-to-teleport", "-1", "--no-step-log", "true", "--no-warnings", "true", "--duration-log.disable", "true",
-    ])  # fmt: skip
-    vehicle = libsumo.vehicle
-    libsumo.vehicletype.copy("DEFAULT_VEHTYPE", "recorded")
-    libsumo.vehicletype.setVehicleClass("recorded", "ignoring")
-    libsumo.route.add("replay", [libsumo.edge.getIDList()[0]])
-    inside: set[int] = set()
-    for step in range(traffic.num_steps):
-        here = set(np.flatnonzero(traffic.present[:, step]).tolist())
-        for row in inside - here:
-            vehicle.remove(f"r{row}")
-        for row in here - inside:
-            vehicle.add(f"r{row}", "replay", typeID="recorded", depart="now")
-        for row in here:
-            x, y = front[row, step].tolist()
-            vehicle.moveToXY(f"r{row}", "", -1, x, y, float(angle[row, step]), keepRoute=6, matchThreshold=3.0)
-        inside = here
-        if step == 0:
-            for row, start in enumerate(starts):
-                libsumo.route.add(f"way{row}", list(start.edges))
-                vehicle.add(
-                    f"v{row}", f"way{row}", depart="now", departLane=str(start.lane_index),
-                    departPos=f"{start.front_m:.3f}", departSpeed=f"{start.speed_mps:.3f}",
-                )  # fmt: skip
-        libsumo.simulationStep()
-    libsumo.close()
 
 
 def _limit_s(folder: Path, made: TrafficScene, config: Config, beside: Path) -> float:

@@ -1,0 +1,57 @@
+"""Bare SUMO beside which the tool's price is told: recorded agents replayed, vehicles driven by it unsteered."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import bridge.sumo.simulation  # noqa: F401  # it silences a remark of libsumo's import on stdout
+from hid2.agents import FloatArray
+from hid2.occupancy.traffic import Traffic
+
+import libsumo  # after it  # isort: skip
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Start:
+    """One unsteered vehicle: SUMO edges, lane index and position of the front bumper on the first, speed."""
+
+    edges: tuple[str, ...]
+    lane_index: int
+    front_m: float
+    speed_mps: float
+
+
+def simulate_unsteered(
+    net: Path, traffic: Traffic, front: FloatArray, angle: FloatArray, starts: Sequence[Start]
+) -> None:
+    """Nothing but what SUMO itself needs, from loading the net to closing. front (A, T, 2) m, angle (A, T) degrees."""
+    libsumo.start([
+        "sumo", "--net-file", str(net), "--step-length", "0.1", "--seed", "0", "--collision.action", "none",
+        "--time-to-teleport", "-1", "--no-step-log", "true", "--no-warnings", "true", "--duration-log.disable", "true",
+    ])  # fmt: skip
+    vehicle = libsumo.vehicle
+    libsumo.vehicletype.copy("DEFAULT_VEHTYPE", "recorded")
+    libsumo.vehicletype.setVehicleClass("recorded", "ignoring")
+    libsumo.route.add("replay", [libsumo.edge.getIDList()[0]])
+    inside: set[int] = set()
+    for step in range(traffic.num_steps):
+        here = set(np.flatnonzero(traffic.present[:, step]).tolist())
+        for row in inside - here:
+            vehicle.remove(f"r{row}")
+        for row in here - inside:
+            vehicle.add(f"r{row}", "replay", typeID="recorded", depart="now")
+        for row in here:
+            x, y = front[row, step].tolist()
+            vehicle.moveToXY(f"r{row}", "", -1, x, y, float(angle[row, step]), keepRoute=6, matchThreshold=3.0)
+        inside = here
+        if step == 0:
+            for row, start in enumerate(starts):
+                libsumo.route.add(f"way{row}", list(start.edges))
+                vehicle.add(
+                    f"v{row}", f"way{row}", depart="now", departLane=str(start.lane_index),
+                    departPos=f"{start.front_m:.3f}", departSpeed=f"{start.speed_mps:.3f}",
+                )  # fmt: skip
+        libsumo.simulationStep()
+    libsumo.close()
