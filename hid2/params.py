@@ -197,7 +197,7 @@ class Sites(_Section):
     avoided_m: float = _param(
         8.0,
         "m",
-        "around a start that could not be kept nobody begins, nor where vehicles were turned down",
+        "no vehicle begins around a start that could not be kept, nor where vehicles were turned down",
         ge=0,
         le=100,
     )

@@ -57,7 +57,7 @@ from netconvert.net_xml import net_bytes
 
 TakeOut = Literal["all", "one"]
 #: Calibrated drivers with guard, turns and stop lines; SUMO's default ones with none; none at all.
-Who = Literal["calibrated", "default", "constant velocity"]
+_Model = Literal["calibrated", "default", "constant velocity"]
 MODELS = ("calibrated", "reference", "constant velocity", "default", "log")
 _TEMPLATE, _SCENE_S = "resimulation.html.j2", 60.0  # a scene may take so long for a seed
 #: Where fewer vehicles move at the present the scene's pace is the prior. No tunable: what a recording tells.
@@ -109,19 +109,19 @@ class Resimulation:
         self.recording, self._grid = recording, build_cell_grid(recording.graph)
         self._net = net_bytes(self._grid)
 
-    def rollouts(self, config: Config, seeds: int, *, who: Who, vehicles: Sequence[TakenOut]) -> Iterator[Traffic]:
+    def rollouts(self, config: Config, seeds: int, *, model: _Model, vehicles: Sequence[TakenOut]) -> Iterator[Traffic]:
         """A rollout for each seed, one for constant velocity: vehicles driven from the present on, others as recorded.
 
         Errors: SimulationError.
         """
         recording, rows = self.recording, {one.row for one in vehicles}
-        if who == "constant velocity":
+        if model == "constant velocity":
             ahead_s = recording.step_s * np.arange(recording.num_steps - NOW)
             yield self._with(vehicles, [
                 (one.position + ahead_s[:, None] * one.velocity, np.full(ahead_s.size, one.heading)) for one in vehicles
             ])  # fmt: skip
             return
-        if who == "default":
+        if model == "default":
             config = config.model_copy(update={"car_following": CarFollowing(model="Krauss")})
         kept = [track for row, track in enumerate(recording.tracks) if row not in rows and track.timesteps[-1] >= NOW]
         scene = build_scene(
@@ -136,10 +136,10 @@ class Resimulation:
         seed = [config.request.seed, zlib.crc32(" ".join([recording.scenario_id, *own]).encode())]
         with Simulation(
             self._net, seed=sumo_seed(seed), step_s=scene.step_s, model=config.car_following.model,
-            parameters={"sigma": 0.5} if who == "default" else model_parameters(config),
+            parameters={"sigma": 0.5} if model == "default" else model_parameters(config),
         ) as simulation:  # fmt: skip
             for rollout in range(seeds):
-                rng, pace_mps = np.random.default_rng([*seed, rollout]), None if who == "default" else usual_mps
+                rng, pace_mps = np.random.default_rng([*seed, rollout]), None if model == "default" else usual_mps
                 starts = [
                     begin(scene, roads, one, path, rng, number=number, usual_mps=pace_mps)
                     for number, (one, path) in enumerate(zip(vehicles, paths, strict=True))
@@ -150,7 +150,7 @@ class Resimulation:
                     way.known = _ahead(fleet.known_on_way(row), start.start_s)
                     seen = fleet.obstacles(row, start.path)
                     way.obstacles = replace(seen, known=_ahead(seen.known, start.start_s))
-                driving = (_Unsteered if who == "default" else _Resimulated)(fleet, simulation, checked=False)
+                driving = (_Unsteered if model == "default" else _Resimulated)(fleet, simulation, checked=False)
                 driven = list(zip(driving.run(), vehicles, strict=True))
                 for vehicle, one in driven:
                     if vehicle.objection is not None:
@@ -257,18 +257,18 @@ def score_scene(shared: tuple[Plan, Mapping[Path, Mapping[str, float]], Path], f
     recorded = features(made.logged, every, beyond, step_s=step_s)
     found = {"log": likelihoods(recorded, [recorded] * plan.seeds)}
     groups = [made.vehicles] if plan.take_out == "all" else [[one] for one in made.vehicles]
-    who: Who
-    for who in ("calibrated", "default", "constant velocity") if made.vehicles else ():
+    model: _Model
+    for model in ("calibrated", "default", "constant velocity") if made.vehicles else ():
         columns, number = [], 0
         for vehicles in groups:
             rows, own = np.array([one.row for one in vehicles]), list[Features]()
-            for rollout in made.rollouts(config, plan.seeds, who=who, vehicles=vehicles):
-                if who == "calibrated" and len(own) < plan.write:
+            for rollout in made.rollouts(config, plan.seeds, model=model, vehicles=vehicles):
+                if model == "calibrated" and len(own) < plan.write:
                     made.write(rollout, config, len(own), out / "scenes")
                 own.append(features(rollout, rows, beyond, step_s=step_s))
             of = recorded.agents(np.arange(number, number := number + len(rows)))
             columns.append(likelihoods(of, own * (plan.seeds // len(own))))
-        found[who] = np.concatenate(columns, axis=1)
+        found[model] = np.concatenate(columns, axis=1)
     left = {track_id: str(why) for track_id, why in made.left.items()}
     return SceneScores(recording.scenario_id, tuple(one.track.track_id for one in made.vehicles), left, recorded, found)
 

@@ -292,7 +292,7 @@ def _told(folder: Path) -> Mapping[str, Any]:
         found: Mapping[str, Any] = json.loads(read_packed(folder / RUN_FILE, most_mb=MAX_FILE_MB))
         if not {"vehicles", "changes", "veh_km"} <= found.keys():
             raise ValueError("no vehicles, changes, veh_km")
-    except (OSError, ValueError, AttributeError) as error:
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise BatchError(f"{folder / RUN_FILE}: {error}; expected a run of a page of public roads") from error
     return found
 

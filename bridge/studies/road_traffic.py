@@ -18,6 +18,7 @@ from bridge.recordings.road import RAMPS, ROW, Road
 from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize
 from hid2.drivers.driver import Driver, draw_driver
+from hid2.insertion.flow import headway_s
 from hid2.insertion.sizes import draw_size
 from hid2.params import Config
 from hid2.policy.lane_change import NOBODY, Gap
@@ -59,7 +60,7 @@ class RoadVehicle:
 
 
 def arrivals(road: Road, config: Config) -> list[RoadVehicle]:
-    """Everybody who enters, by time: shifted exponential headways at the rate of the time, by lane and on the ramp.
+    """All that enter, by time: shifted exponential headways at the rate of the time, by lane and on the ramp.
 
     Every vehicle is drawn from a stream of its own, by lane and number: the same ones whatever rule is set.
     """
@@ -77,9 +78,7 @@ def arrivals(road: Road, config: Config) -> list[RoadVehicle]:
             if rate <= 0.0:
                 due_s = until[bisect_right(until, due_s)]
                 continue
-            mean_s = 3600.0 / rate
-            least_s = min(config.flow.min_headway_s, 0.9 * mean_s)
-            due_s += least_s + (mean_s - least_s) * float(rng.exponential())
+            due_s += headway_s(rate, config.flow, rng)
             leaves = bool(rng.random() < share)
             _, size = draw_size(request, rng)
             driver = draw_driver(config, rng, lane_speed_mps=config.spawn.prior_speed_mps)

@@ -1,18 +1,14 @@
 """What a process of a page of public roads does: drive a road with each configuration, and keep what was counted."""
 
-import gzip
-import json
 from collections.abc import Iterator, Sequence
 
-from bridge.batch.batch import RUNS, Place, Run, base_row
+from bridge.batch.batch import Place, Run, base_row
 from bridge.batch.isolation import Failure, describe_error
 from bridge.batch.manifest import ManifestRow, files_sha256, output_files
-from bridge.files import explained
-from bridge.recordings.export import new_scenario_id, write_folder
 from bridge.recordings.road import ROAD_FILE, read_road
 from bridge.recordings.sources import read_recording
 from bridge.studies.road_traffic import RoadTraffic
-from bridge.studies.study import RUN_FILE
+from bridge.studies.study import write_run
 
 
 def measure_roads(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
@@ -23,11 +19,7 @@ def measure_roads(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | F
             traffic = RoadTraffic(recording, read_road(recording.folder / ROAD_FILE), run.config)
             traffic.run()
             told = traffic.told()
-            name = new_scenario_id(recording.scenario_id, run.config, run.config.request.seed, 0)
-            folder = place.out / RUNS / name
-            text = json.dumps(told, indent=1, allow_nan=False) + "\n"
-            with explained(folder):
-                write_folder(folder, {RUN_FILE: gzip.compress(text.encode(), mtime=0)})
+            folder = write_run(place.out, recording, run.config, told)
             yield base_row(place, run)._replace(
                 city=recording.city,
                 placed=sum(told["vehicles"]),

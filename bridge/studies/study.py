@@ -4,6 +4,7 @@ A study is a TOML file (examples in data/studies, the page README.md in this fol
 a batch.
 """
 
+import gzip
 import io
 import itertools
 import json
@@ -14,12 +15,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from bridge.batch.batch import Run, SceneJob
+from bridge.batch.batch import RUNS, Run, SceneJob
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.batch.scan import Selection, facts_of, wanted
 from bridge.config import config_from_dict, config_sha256, read_toml
-from bridge.files import MAX_FILE_MB, one_line, read_packed, untabled
+from bridge.files import MAX_FILE_MB, explained, one_line, read_packed, untabled
+from bridge.recordings.export import new_scenario_id, write_folder
 from bridge.recordings.folders import Address
+from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import ManeuverKind
 from bridge.recordings.sources import find_sources
 from hid2.params import Config
@@ -200,6 +203,17 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> Tables:
     seen = pd.concat(looks) if looks else pd.DataFrame()
     rest = (_numeric(pd.DataFrame(told)) for told in others.values())
     return Tables(pd.DataFrame(runs), _numeric(pd.DataFrame(requests)), _numeric(seen), *rest)
+
+
+def write_run(
+    out: Path, source: Recording, config: Config, told: Mapping[str, Any], more: Mapping[str, bytes] | None = None
+) -> Path:
+    """Write what was measured in a run, and more files by name, into a folder of its own. Errors: ExportError."""
+    folder = out / RUNS / new_scenario_id(source.scenario_id, config, config.request.seed, 0)
+    text = json.dumps(told, indent=1, allow_nan=False) + "\n"
+    with explained(folder):
+        write_folder(folder, {RUN_FILE: gzip.compress(text.encode(), mtime=0), **(more or {})})
+    return folder
 
 
 def _written(folder: Path) -> tuple[dict[str, list[dict[str, Any]]], "pd.DataFrame"]:

@@ -1,23 +1,19 @@
 """What a process of a study does: drive each run and write what was measured."""
 
-import gzip
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from bridge.batch.batch import RUNS, Place, Run, base_row
+from bridge.batch.batch import Place, Run, base_row
 from bridge.batch.isolation import Failure, describe_error
 from bridge.batch.manifest import ManifestRow, files_sha256, output_files
 from bridge.config import config_sha256
-from bridge.files import explained
 from bridge.generation.gaps import gaps_bytes
 from bridge.generation.generate import PreparedScene, prepare
-from bridge.recordings.export import new_scenario_id, write_folder
 from bridge.recordings.recording import Recording
 from bridge.recordings.sources import read_recording
 from bridge.recordings.ssam import trj_bytes
 from bridge.studies.paired import Drawn, PairedRun, draw, drawing_config, paired_run
-from bridge.studies.study import LOOKS_FILE, RUN_FILE, RUN_TABLES
+from bridge.studies.study import LOOKS_FILE, RUN_TABLES, write_run
 from hid2.params import Config
 
 
@@ -55,13 +51,8 @@ def measure_runs(place: Place, runs: Sequence[Run], *, trj: bool = False) -> Ite
 
 
 def _write(out_dir: Path, source: Recording, config: Config, found: PairedRun, *, trj: bool) -> Path:
-    folder = out_dir / RUNS / new_scenario_id(source.scenario_id, config, config.request.seed, 0)
     told = {name: getattr(found, name) for name in RUN_TABLES}
-    text = json.dumps(told, indent=1, allow_nan=False) + "\n"
-    looks = gaps_bytes([(0, vehicle) for vehicle in found.driven], {}, step_s=source.step_s)
-    with explained(folder):
-        files = {RUN_FILE: gzip.compress(text.encode(), mtime=0), LOOKS_FILE: looks}
-        if trj:
-            files["trajectories.trj"] = trj_bytes(found.states.arrays, found.states.matches)
-        write_folder(folder, files)
-    return folder
+    files = {LOOKS_FILE: gaps_bytes([(0, vehicle) for vehicle in found.driven], {}, step_s=source.step_s)}
+    if trj:
+        files["trajectories.trj"] = trj_bytes(found.states.arrays, found.states.matches)
+    return write_run(out_dir, source, config, told, files)

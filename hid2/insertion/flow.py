@@ -1,4 +1,4 @@
-"""Flows: who enters at the map's edges, when, with which driver and request. Drawn before anything is driven.
+"""Flows: what enters at the map's edges, when, with which driver and request. Drawn before anything is driven.
 
 Each vehicle is drawn from a stream of its own, by its lane and number: the same vehicles whatever is varied.
 """
@@ -14,7 +14,7 @@ from hid2.insertion.requests import draw_trigger
 from hid2.insertion.routes import Routes
 from hid2.insertion.sizes import draw_size
 from hid2.motion.route import DrivenPath, Route
-from hid2.params import Request
+from hid2.params import Flow, Request
 from hid2.policy.decision import Side
 from hid2.scene import Scene, clearance_box
 
@@ -47,16 +47,21 @@ def entry_lanes(scene: Scene, routes: Routes) -> list[int]:
     return sorted(n for n in routes.lanes if n not in led_to and not lanes[n].is_intersection)
 
 
+def headway_s(veh_per_h: float, flow: Flow, rng: np.random.Generator) -> float:
+    """Time to the next vehicle of a lane at a rate, s: a least headway, and an exponential one beyond."""
+    mean_s = 3600.0 / veh_per_h
+    least_s = min(flow.min_headway_s, 0.9 * mean_s)
+    return least_s + (mean_s - least_s) * float(rng.exponential())
+
+
 def arrivals(scene: Scene, routes: Routes, seed: Sequence[int]) -> list[Arrival]:
-    """Everybody who enters in the time of the scene, by time: shifted exponential headways on each entry lane.
+    """All that enter in the time of the scene, by time: shifted exponential headways on each entry lane.
 
     A vehicle is asked for a lane change with the share `request.lane_change` over those of lane change and straight.
     """
     config, flow = scene.config, scene.config.flow
     if flow.veh_per_h_lane <= 0.0:
         return []
-    mean_s = 3600.0 / flow.veh_per_h_lane
-    least_s = min(flow.min_headway_s, 0.9 * mean_s)
     request = config.request
     changing = request.lane_change / max(request.lane_change + request.straight, 1e-9)
     found: list[Arrival] = []
@@ -65,7 +70,7 @@ def arrivals(scene: Scene, routes: Routes, seed: Sequence[int]) -> list[Arrival]
         due_s, number = 0.0, 0
         while offers:
             rng = np.random.default_rng([*seed, _STREAM, lane_id, number])
-            due_s += least_s + (mean_s - least_s) * float(rng.exponential())
+            due_s += headway_s(flow.veh_per_h_lane, flow, rng)
             if due_s >= scene.last_s:
                 break
             offer = offers[int(rng.integers(len(offers)))]

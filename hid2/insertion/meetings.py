@@ -192,7 +192,7 @@ class Meetings:
         return -1
 
     def brakes(self, leader: IntArray) -> BoolArray:
-        """Whether each of some leaders (N,), numbers of its own, brakes in the recording; -1 nobody, who does not."""
+        """Whether each of some leaders (N,), numbers of its own, brakes in the recording; false for none, -1."""
         return self._brakes[leader]
 
     def pace_of(self, leader: int) -> float:

@@ -24,6 +24,7 @@ from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import BoolArray
 from hid2.policy.decision import Side
 from hid2.policy.observation import admissible_neighbor
+from hid2.policy.overtake import shortest_shift_s
 from hid2.reasons import Reason
 from hid2.scene import clearance_box
 from hid2.vehicle import Start, VehicleRequest
@@ -124,8 +125,7 @@ class OvertakeStarts:
         """
         scene, rng, sites = self.here.scene, self.starts.rng, self.here.scene.config.sites
         self.found_none = Reason.NO_OVERTAKE_FORESEEN if slow is not None else Reason.NO_SLOW_LEADER
-        least_s = scene.config.overtake.shift_ratio * scene.config.lane_change.min_duration_s
-        if request.trigger_s + 2.0 * least_s > scene.last_s:
+        if request.trigger_s + 2.0 * shortest_shift_s(scene.config) > scene.last_s:
             return []  # out and back alone take longer
         ways, likely = self.here.routes.ways_past(), list[tuple[_Way, Driver, _Motions]]()
         looked = 0

@@ -188,8 +188,8 @@ class InsertionSites:
     def _weights(self, policy: Policy, rows: IntArray) -> tuple[FloatArray, IntArray]:
         """Weights of cells, rows (N,) of the grid; and 1 for those from which a named target is not met, else 0.
 
-        A leader whom a vehicle follows already, of this round or of one before, speaks for no other site. One that
-        brakes speaks for one who goes straight alone: behind it there is no speed for a lane change.
+        A leader that a vehicle follows already, of this round or of one before, speaks for no other site. One that
+        brakes speaks for straight requests alone: behind it there is no speed for a lane change.
         """
         meetings, seen, spawn = self.here.meetings, self.here.meetings.outlook(policy), self.here.scene.config.spawn
         leader, weight = seen.leader[rows], seen.weight[rows].copy()

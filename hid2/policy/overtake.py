@@ -29,13 +29,17 @@ class Leader:
     length_m: float
 
 
+def shortest_shift_s(config: Config) -> float:
+    """Shortest lateral motion of an overtake, s."""
+    return config.overtake.shift_ratio * config.lane_change.min_duration_s
+
+
 def stretch_m(config: Config) -> float:
     """Shortest stretch of two lanes side by side for an overtake, m: the corridor for out and past, and the way back.
 
     Back is a lateral motion, as short as it may be, at the speed of usual traffic.
     """
-    back_s = config.overtake.shift_ratio * config.lane_change.min_duration_s
-    return config.overtake.d_overtake_m + back_s * config.spawn.prior_speed_mps
+    return config.overtake.d_overtake_m + shortest_shift_s(config) * config.spawn.prior_speed_mps
 
 
 def enter_reason(

@@ -108,7 +108,7 @@ def rule_reason(view: GapView, params: LaneChange) -> Reason | None:
 
 
 def by_own_wish(view: GapView, params: LaneChange, *, must: bool) -> bool:
-    """Whether a vehicle that nobody asks changes lanes into a gap. must: its route leads there, whatever it gains.
+    """Whether a vehicle without a request changes lanes into a gap. must: its route leads there, whatever it gains.
 
     The paper's rule has no wish of its own: it gets one where the leader there (none: the desired speed) is faster than
     the one here by `incentive` of `lane_change.rule_with`, m/s. MOBIL has its incentive, a user's rule decides alone.

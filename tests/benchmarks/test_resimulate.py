@@ -51,7 +51,7 @@ def cost(folder: Path, seeds: int) -> tuple[float, float]:
     made, config = Resimulation(read_scenario(folder)), Config()
     rows, beyond = np.array([one.row for one in made.vehicles]), beyond_edge(made.recording.graph)
     rollout = made.logged
-    for rollout in made.rollouts(config, seeds, who="calibrated", vehicles=made.vehicles):
+    for rollout in made.rollouts(config, seeds, model="calibrated", vehicles=made.vehicles):
         features(rollout, rows, beyond, step_s=0.1)
     scene_s = time.process_time() - began
     scene = build_scene(

@@ -22,7 +22,7 @@ def made(data_scenes: dict[str, Path]) -> Resimulation:
 
 @pytest.fixture(scope="module")
 def rollouts(made: Resimulation):
-    return list(made.rollouts(Config(), 3, who="calibrated", vehicles=made.vehicles))
+    return list(made.rollouts(Config(), 3, model="calibrated", vehicles=made.vehicles))
 
 
 def test_every_vehicle_is_driven_or_left_with_a_reason(made):
@@ -65,19 +65,19 @@ def test_vehicles_keep_to_the_lanes_that_they_were_recorded_on(made, rollouts):
 
 
 def test_rollouts_differ_and_the_same_seed_gives_the_same(made, rollouts):
-    again = list(made.rollouts(Config(), 2, who="calibrated", vehicles=made.vehicles))
+    again = list(made.rollouts(Config(), 2, model="calibrated", vehicles=made.vehicles))
     for first, second in zip(rollouts, again, strict=False):
         np.testing.assert_array_equal(first.position, second.position)
     assert np.abs(rollouts[0].position - rollouts[1].position).max() > 0.5
 
 
 def test_default_drivers_drive_otherwise(made, rollouts):
-    (default,) = made.rollouts(Config(), 1, who="default", vehicles=made.vehicles)
+    (default,) = made.rollouts(Config(), 1, model="default", vehicles=made.vehicles)
     assert np.abs(default.position - rollouts[0].position).max() > 5.0
 
 
 def test_constant_velocity_is_that_of_the_half_second_before(made):
-    (rollout,) = made.rollouts(Config(), 32, who="constant velocity", vehicles=made.vehicles)
+    (rollout,) = made.rollouts(Config(), 32, model="constant velocity", vehicles=made.vehicles)
     for one in made.vehicles:
         went = rollout.position[one.row, 90] - rollout.position[one.row, NOW]
         np.testing.assert_allclose(went, 8.0 * one.velocity, atol=1e-9)
@@ -87,7 +87,7 @@ def test_constant_velocity_is_that_of_the_half_second_before(made):
 
 def test_one_at_a_time_leaves_the_others_as_recorded(made):
     one, *others = made.vehicles
-    (rollout,) = made.rollouts(Config(), 1, who="calibrated", vehicles=[one])
+    (rollout,) = made.rollouts(Config(), 1, model="calibrated", vehicles=[one])
     rows = [other.row for other in others]
     np.testing.assert_array_equal(rollout.position[rows], made.logged.position[rows])
     assert np.abs(rollout.position[one.row] - made.logged.position[one.row]).max() > 0.1
