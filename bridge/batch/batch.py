@@ -241,8 +241,9 @@ class _Written:
         if row.folder:
             other = self._owner.setdefault(row.folder, row)
             if other.key != row.key:
+                one, two = sorted((other.scenario, row.scenario))  # whichever process was faster
                 raise BatchError(
-                    f"{self._out_dir / row.folder}: written for {other.scenario!r} and for {row.scenario!r}, which are "
+                    f"{self._out_dir / row.folder}: written for {one!r} and for {two!r}, which are "
                     "the same scene: expected each scene once"
                 )
 
