@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, field, replace
 
@@ -78,8 +78,7 @@ class Filling:
     _again: list[Start] = field(default_factory=list)
     _driven_again: Counter[str] = field(default_factory=Counter)
     _last_reason: dict[int, Reason] = field(default_factory=dict)
-    _avoided: list[tuple[int, float]] = field(default_factory=list)
-    _turned_down: TurnedDown = field(default_factory=lambda: defaultdict(Counter))
+    _turned_down: TurnedDown = field(default_factory=TurnedDown)
     _fixed: Traffic = field(init=False)
     """Those kept: what is known of those of a round goes on being known in the rounds after."""
 
@@ -107,8 +106,7 @@ class Filling:
         for number in range(config.spawn.rounds):
             starts, before = self._starts(number), len(self.kept)
             if not starts and number > 0:  # a road that is full for one draw of places may not be for the next
-                self._avoided.clear()
-                self._turned_down.clear()
+                self._turned_down = TurnedDown()
                 starts = self._starts(number)
             if starts or number == 0:
                 self.rounds = number + 1
@@ -194,8 +192,8 @@ class Filling:
         here = self.surroundings
         guard = Guard(self.scene, self._fixed, here.stop_lines)
         sites = InsertionSites(
-            here, guard, rng, number, Spread.of(self.seed), self._avoided, [one.driven.start for one in self.kept],
-            asked=Counter(r.policy for r in self._open), turned_down=self._turned_down,
+            here, guard, rng, number, Spread.of(self.seed), self._turned_down, [one.driven.start for one in self.kept],
+            asked=Counter(r.policy for r in self._open),
         )  # fmt: skip
         starts, self._again = sites.starts.take(self._again), []
         used = {start.request.number for start in starts}
@@ -362,8 +360,7 @@ class Filling:
         )
         place_failed = reason not in (Reason.DID_NOT_DO_IT, Reason.WAITED_FOR_GONE)
         if place_failed and start.step == 0 and self.scene.config.request.sites == "promising":
-            segment = start.path.segment_at(start.start_s)
-            self._avoided.append((segment.lane_id, segment.lane_s(start.start_s)))
+            self._turned_down.not_kept(self.scene, self.scene.grid.index_of[cell])
 
 
 def _needs(vehicle: DrivenVehicle, least_steps: int) -> set[str]:

@@ -20,20 +20,46 @@ from hid2.occupancy.sigma import clear_places
 from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
 from hid2.policy.rules import expected_reason
 from hid2.reasons import Reason
+from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.cells import Cell
 
-#: Vehicles that could not begin on a cell or near to it, by its row, for a policy.
-TurnedDown = defaultdict[Policy, Counter[int]]
+
+@dataclass(slots=True)
+class TurnedDown:
+    """What is known to fail: vehicles that could not begin on a cell or near to it, or could not be kept, by policy."""
+
+    counts: defaultdict[Policy, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
+
+    def at(self, scene: Scene, row: int, policy: Policy) -> None:
+        """A vehicle could not begin on a cell, by its row: what speaks against one mostly speaks against those near.
+
+        Whether there is a gap beside at a trigger is a matter of metres: a lane change speaks for its cell alone.
+        """
+        alone = BEHAVIOURS[policy].changes_lanes
+        self.counts[policy].update(range(row, row + 1) if alone else _around(scene, row))
+
+    def not_kept(self, scene: Scene, row: int) -> None:
+        """A vehicle that began on a cell could not be kept: none begins near to it."""
+        near = dict.fromkeys(_around(scene, row), scene.config.sites.cell_tries)
+        for policy in Policy:
+            self.counts[policy].update(near)
+
+
+def _around(scene: Scene, row: int) -> range:
+    """Rows of the cells of a lane within `sites.avoided_m` of a cell."""
+    config, grid = scene.config, scene.grid
+    lane_id = grid.cells[row].lane_id
+    reach, first = int(config.sites.avoided_m / config.grid.cell_m), grid.index_of[Cell(lane_id, 0)]
+    return range(max(first, row - reach), min(first + grid.count(lane_id), row + reach + 1))
 
 
 @dataclass(slots=True)
 class InsertionSites:
     """Sites of one scene for the requests of a round; what was proposed in this round is kept clear of.
 
-    avoided: lanes and arc lengths, m, at which vehicles of rounds before began that could not be kept; asked: how many
-    vehicles of each policy the scene is asked for, which share its sites; kept: starts of vehicles of rounds before;
-    turned_down: what was found out in rounds before, and in this one.
+    asked: how many vehicles of each policy the scene is asked for, which share its sites; kept: starts of vehicles of
+    rounds before; turned_down: what was found out in rounds before, and in this one.
     """
 
     here: Surroundings
@@ -41,10 +67,9 @@ class InsertionSites:
     rng: np.random.Generator
     round_number: int
     spread: Spread
-    avoided: Sequence[tuple[int, float]] = ()
+    turned_down: TurnedDown = field(default_factory=TurnedDown)
     kept: Sequence[Start] = ()
     asked: Counter[Policy] = field(default_factory=Counter)
-    turned_down: TurnedDown = field(default_factory=lambda: defaultdict(Counter))
     starts: Starts = field(init=False)
     overtakes: OvertakeStarts = field(init=False)
     entering: EntrySites = field(init=False)
@@ -93,8 +118,7 @@ class InsertionSites:
         self, request: VehicleRequest, promises: Callable[[RouteOffer, float, float], bool]
     ) -> Iterator[Start]:
         tried = 0
-        turned_down = self.turned_down[request.policy]
-        for row, lane_id, lane_s in self._places(request, turned_down):
+        for row, lane_id, lane_s in self._places(request):
             for offer in self._order(request, self.here.scene.grid.cell_at(lane_id, lane_s)):
                 s = offer.start_m + lane_s
                 usual_mps = self.here.scene.usual_speed(lane_id)
@@ -107,21 +131,10 @@ class InsertionSites:
                 else:
                     self.starts.rejected[start] += 1
                     if start is not Reason.NO_SITE:  # another one of this round may be in the way
-                        turned_down.update(self._around(row, lane_id, request.policy))
+                        self.turned_down.at(self.here.scene, row, request.policy)
                 break
             if tried >= self.here.scene.config.sites.tries:
                 return
-
-    def _around(self, row: int, lane_id: int, policy: Policy) -> range:
-        """Rows of the cells of a lane near a cell: what speaks against one mostly speaks against those.
-
-        Whether there is a gap beside at a trigger is a matter of metres: a lane change speaks for its cell alone.
-        """
-        if BEHAVIOURS[policy].changes_lanes:
-            return range(row, row + 1)
-        config, grid = self.here.scene.config, self.here.scene.grid
-        reach, first = int(config.sites.avoided_m / config.grid.cell_m), grid.index_of[Cell(lane_id, 0)]
-        return range(max(first, row - reach), min(first + grid.count(lane_id), row + reach + 1))
 
     def _order(self, request: VehicleRequest, cell: Cell) -> list[RouteOffer]:
         """Routes from a cell in weighted random order; those that go straight on first unless a turn is asked for."""
@@ -136,11 +149,10 @@ class InsertionSites:
             return order
         return sorted(order, key=lambda offer: bool(offer.turns))
 
-    def _places(self, request: VehicleRequest, turned_down: Counter[int]) -> Iterator[tuple[int, int, float]]:
+    def _places(self, request: VehicleRequest) -> Iterator[tuple[int, int, float]]:
         """Row, lane and arc length, m, of free cells at step 0; first where more is met, intersections last or never.
 
-        The order is that of `Spread`, by the number of this vehicle among those of its policy. turned_down: vehicles of
-        this policy that could not begin on a cell, by row.
+        The order is that of `Spread`, by the number of this vehicle among those of its policy.
         """
         scene, policy = self.here.scene, request.policy
         grid, promising = scene.grid, scene.config.request.sites == "promising"
@@ -150,11 +162,6 @@ class InsertionSites:
         weight, tier = np.ones(rows.size), np.zeros(rows.size, dtype=np.int64)
         if promising:
             weight, tier = self._weights(policy, rows)
-        failed: dict[int, list[float]] = {}
-        for lane_id, at in self.avoided:
-            failed.setdefault(lane_id, []).append(at)
-        if failed:
-            weight /= [1.0 + len(failed.get(grid.cells[row].lane_id, ())) for row in rows.tolist()]
         if promising and policy is Policy.STRAIGHT:  # who follows a recorded vehicle goes through with it
             inside = inside & (self.here.meetings.outlook(policy).leader[rows] < 0)
         share = self.rng.random(rows.size)
@@ -170,7 +177,7 @@ class InsertionSites:
         if "collision" not in scene.config.without:  # most places of a full road; what is left is looked at on its path
             usual, gap_m = DEFAULT_SIZES["vehicle"], scene.config.spawn.clear_gap_m
             clear = clear_places(scene.boxes, rows, share, self.starts.world.at_begin, box=usual, gap_m=gap_m)
-        all_inside = bool(inside.all())
+        all_inside, turned_down = bool(inside.all()), self.turned_down.counts[policy]
         for place in order[np.lexsort((tier[order], inside[order]))].tolist():
             if inside[place] and promising and not all_inside:
                 return
@@ -181,9 +188,7 @@ class InsertionSites:
                 continue
             cell = grid.cells[row]
             begin, end = grid.edges_s(cell.lane_id)[cell.index : cell.index + 2]
-            lane_s = float(begin + share[place] * (end - begin))
-            if not any(abs(lane_s - at) < scene.config.sites.avoided_m for at in failed.get(cell.lane_id, ())):
-                yield row, cell.lane_id, lane_s
+            yield row, cell.lane_id, float(begin + share[place] * (end - begin))
 
     def _weights(self, policy: Policy, rows: IntArray) -> tuple[FloatArray, IntArray]:
         """Weights of cells, rows (N,) of the grid; and 1 for those from which a named target is not met, else 0.

@@ -114,12 +114,15 @@ def _is_on(low: FloatArray, cosine: FloatArray, s: float, step_m: float) -> bool
 
 
 @inner
-def _on_path_within(low: FloatArray, begin: int, end: int) -> IntArray:
-    """Agents that are on the path at some of the steps from `begin` to before `end`; low (A, T) as in `gap_to`."""
+def _ahead_within(low: FloatArray, high: FloatArray, s: float, begin: int, end: int) -> IntArray:
+    """Agents ahead of s, with some of their length, at some of the steps from `begin` to before `end`.
+
+    low, high (A, T): as in `gap_to`. Whoever is behind all the time is met by no motion that goes on from there.
+    """
     found, count = np.empty(low.shape[0], dtype=np.int64), 0
     for a in range(low.shape[0]):
         for t in range(begin, end):
-            if low[a, t] != np.inf:
+            if low[a, t] != np.inf and high[a, t] > s:
                 found[count] = a
                 count += 1
                 break
@@ -156,7 +159,7 @@ def needed_braking(
     best, best_step, free_step = 0, 0, -1
     leader, leader_gap, run_into = -1, np.inf, False
     last = horizon // stride
-    agents = _on_path_within(low, min(t, steps - 1), min(t + last * stride, steps - 1) + 1)
+    agents = _ahead_within(low, high, s0, min(t, steps - 1), min(t + last * stride, steps - 1) + 1)
     first = np.full(rows.size, -1, dtype=np.int64)  # who goes first is the same for every braking
     for row in range(brakes.size):
         s, v, a_cmd, hit, behind_leader, struck = s0, v0, a0, -1, False, False
