@@ -10,6 +10,7 @@ from lxml.builder import E
 
 from netconvert.cells import CellGrid
 from netconvert.geometry import FloatArray
+from netconvert.net_xml import shape
 
 CELL_COLUMNS = (
     "lane_segment_id",
@@ -87,11 +88,6 @@ def xml_bytes(root: etree._Element) -> bytes:
     return content
 
 
-def shape(points: FloatArray, *, digits: int = 2) -> str:
-    """Points (N, 2) m as SUMO writes them."""
-    return " ".join(f"{x:.{digits}f},{y:.{digits}f}" for x, y in points.tolist())
-
-
 def _configuration(name: str, step_s: float, options: Mapping[str, Mapping[str, str]]) -> bytes:
     own = {
         "input": {"net-file": f"{name}.net.xml", "additional-files": f"{name}.poly.xml"},
@@ -122,9 +118,8 @@ def _polygons(grid: CellGrid) -> list[etree._Element]:
 
 
 def _view(grid: CellGrid, shown: tuple[FloatArray, FloatArray] | None, more: Sequence[etree._Element]) -> bytes:
-    lanes = np.concatenate([lane.centerline for lane in grid.graph.lanes.values()])
-    everything = np.concatenate([lanes, *grid.graph.drivable_areas])  # what zoom 100 shows
-    low, high = shown or (lanes.min(axis=0), lanes.max(axis=0))
+    everything = np.concatenate([grid.graph.bounds, *grid.graph.drivable_areas])  # what zoom 100 shows
+    low, high = shown or grid.graph.bounds
     x, y = ((low + high) / 2.0).tolist()
     zoom = _ZOOM * _window_width(everything.min(axis=0), everything.max(axis=0)) / _window_width(low, high)
     colors = E.colorScheme(

@@ -8,12 +8,11 @@ from bridge.recordings.folders import Address
 from bridge.recordings.recording import Recording
 from bridge.recordings.sources import read_recording
 from bridge.sumo.net import write_all
-from netconvert.geo import CITY_ORIGINS
 
 #: Module and function of each format's writer: a scene in, contents by file name out. Imported when it is asked for.
 WRITERS: Mapping[str, str] = {
     "openscenario": "bridge.exports.openscenario.openscenario_files",
-    "opendrive": "bridge.exports.export.opendrive_files",
+    "opendrive": "bridge.exports.openscenario.opendrive_files",
     "commonroad": "bridge.exports.commonroad.commonroad_files",
     "trj": "bridge.recordings.ssam.trj_files",
     "sumo": "bridge.sumo.exchange.sumo_files",
@@ -31,11 +30,3 @@ def export_scene(address: Address, to: str, out_dir: Path) -> list[Path]:
     files = writer(read_recording(address))
     write_all(out_dir, files)
     return [out_dir / name for name in files]
-
-
-def opendrive_files(scene: Recording) -> dict[str, bytes]:
-    """<id>.xodr by file name."""
-    from netconvert.opendrive import opendrive_bytes
-
-    name = scene.scenario_id
-    return {f"{name}.xodr": opendrive_bytes(scene.graph, name, origin=CITY_ORIGINS.get(scene.city))}

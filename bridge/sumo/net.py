@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 
-from bridge.files import unwritten
+from bridge.files import explained, make_folder
 from bridge.interruption import hidden_folder
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, Address, Source, only_file
 from bridge.recordings.map_rules import read_source_map
@@ -108,13 +108,10 @@ def _map_of(scene: Address) -> tuple[str, LaneGraph, Recording | None]:
 
 
 def write_all(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write every file to a hidden folder beside its place, then move all of them there."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with hidden_folder(folder) as beside:
-            for name, content in files.items():
-                (beside / name).write_bytes(content)
-            for name in files:
-                (beside / name).replace(folder / name)
-    except OSError as error:
-        raise NetError(f"{folder}: {unwritten(error)}") from error
+    """Write every file to a hidden folder beside its place, then move all of them there. Errors: ExportError."""
+    make_folder(folder)
+    with explained(folder), hidden_folder(folder) as beside:
+        for name, content in files.items():
+            (beside / name).write_bytes(content)
+        for name in files:
+            (beside / name).replace(folder / name)

@@ -26,8 +26,8 @@ from hid2.policy.behaviours import BEHAVIOURS
 from netconvert.cells import CellGrid
 from netconvert.geo import CITY_ORIGINS
 from netconvert.geometry import arc_length
-from netconvert.gui_files import WINDOW_ASPECT, gui_files, shape, xml_bytes
-from netconvert.net_xml import junction_beside, junction_xml, net_bytes
+from netconvert.gui_files import WINDOW_ASPECT, gui_files, xml_bytes
+from netconvert.net_xml import junction_beside, junction_xml, net_bytes, shape
 
 # No tunables: how a scene is drawn in sumo-gui; nothing that is generated depends on any of these.
 #: A lane of a trace covers at least this much time and way (the last one whatever is left).
@@ -296,7 +296,7 @@ def _with_traces(net: bytes, traces: list[_Trace]) -> bytes:
             incoming = [f"{trace.edge(k - 1)}_0"] if k else []
             end = trace.shapes[k][0] if k < count else points[-1]
             line = junction_beside(end, trace.shapes[max(k - 1, 0) : k + 1])
-            junction = junction_xml(f"{trace.edge(k)}_j", end.tolist(), incoming=incoming, shape=line)
+            junction = junction_xml(f"{trace.edge(k)}_j", end.tolist(), incoming=incoming, line=line)
             added["junction"].append(etree.fromstring(junction))
     for tag, elements in added.items():
         before = root.findall(tag)
