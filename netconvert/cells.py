@@ -145,7 +145,7 @@ class CellGrid:
         """
         rings: list[FloatArray] = []
         for lane_id, lane in self.graph.lanes.items():
-            left, right = _sides(lane)
+            left, right = lane.sides
             count = len(self._rows[lane_id])
             for left_part, right_part in zip(_cut(left, count), _cut(right, count), strict=True):
                 rings.append(np.concatenate([right_part, left_part[::-1]]))
@@ -252,14 +252,6 @@ def _split(members: tuple[int, ...], split: npt.NDArray[np.bool_]) -> list[tuple
     """Parts of a row, cut to the right of each member where split is true."""
     borders = [0, *np.flatnonzero(split).tolist(), len(members)]
     return [members[start:end] for start, end in pairwise(borders) if end > start]
-
-
-def _sides(lane: LaneSegment) -> tuple[FloatArray, FloatArray]:
-    """Left and right edge of a lane's ground, each (M, 2) m."""
-    if lane.left_boundary is not None and lane.right_boundary is not None:
-        return lane.left_boundary, lane.right_boundary
-    s, half = lane.path.s, lane.width_m / 2.0
-    return lane.path.xy(s, half), lane.path.xy(s, -half)
 
 
 def _cut(points: FloatArray, count: int) -> list[FloatArray]:

@@ -12,15 +12,6 @@ from netconvert.cells import CellGrid
 from netconvert.geometry import FloatArray
 from netconvert.net_xml import shape
 
-CELL_COLUMNS = (
-    "lane_segment_id",
-    "cell_index",
-    "sumo_lane_id",
-    "length_m",
-    "center_x_m",
-    "center_y_m",
-    "lane_type",
-)
 _AREA_COLOR = "205,205,200"
 _LANE_COLOR = "96,99,104"
 _BICYCLE_COLOR = "178,96,76"
@@ -63,22 +54,18 @@ def gui_files(
 
 
 def cells_csv(grid: CellGrid) -> bytes:
-    """One row a cell, with the columns CELL_COLUMNS, in the order of the grid's cells."""
+    """One row a cell, in the order of the grid's cells."""
+    columns = {
+        "lane_segment_id": [cell.lane_id for cell in grid.cells],
+        "cell_index": [cell.index for cell in grid.cells],
+        "sumo_lane_id": map(grid.sumo_lane_id, grid.cells),
+        "length_m": [f"{grid.length_m(cell):.3f}" for cell in grid.cells],
+        "center_x_m": [f"{x:.3f}" for x in grid.centers[:, 0].tolist()],
+        "center_y_m": [f"{y:.3f}" for y in grid.centers[:, 1].tolist()],
+        "lane_type": [grid.graph.lanes[cell.lane_id].lane_type for cell in grid.cells],
+    }
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CELL_COLUMNS)
-    writer.writerows(
-        (
-            cell.lane_id,
-            cell.index,
-            grid.sumo_lane_id(cell),
-            f"{grid.length_m(cell):.3f}",
-            f"{x:.3f}",
-            f"{y:.3f}",
-            grid.graph.lanes[cell.lane_id].lane_type,
-        )
-        for cell, (x, y) in zip(grid.cells, grid.centers.tolist(), strict=True)
-    )
+    csv.writer(text, lineterminator="\n").writerows([columns, *zip(*columns.values(), strict=True)])
     return text.getvalue().encode()
 
 

@@ -90,6 +90,13 @@ class LaneSegment:
         object.__setattr__(self, "path", path)
         object.__setattr__(self, "length_m", path.length_m)
 
+    @property
+    def sides(self) -> tuple[FloatArray, FloatArray]:
+        """Left and right edge of the lane's ground, (M, 2) m: its boundaries, or half a width from the centreline."""
+        if self.left_boundary is not None and self.right_boundary is not None:
+            return self.left_boundary, self.right_boundary
+        return self.path.xy(self.path.s, self.width_m / 2.0), self.path.xy(self.path.s, -self.width_m / 2.0)
+
     def neighbor_id(self, side: Side) -> int | None:
         """The neighbour on a side as the source map names it, in whatever direction it runs."""
         return self.left_neighbor_id if side == "left" else self.right_neighbor_id

@@ -50,16 +50,14 @@ class Roads:
 
     def joint(self, junction: int) -> tuple[int, int] | None:
         """The roads before and behind where all lanes of one simply go on as those of another; None elsewhere."""
-        ways = self.ways_of.get(junction, ())
-        ends = [k for k, name in enumerate(self.junctions) if name == junction]
-        if len(ends) != 2 or any(way.through for way in ways):
+        ends = sorted((k for k, at in enumerate(self.junctions) if at == junction), key=lambda end: end % 2 == 0)
+        if len(ends) != 2:
             return None
-        places = [(self.place[way.source], self.place[way.target]) for way in ways]
-        (before, behind) = sorted(ends, key=lambda end: end % 2 == 0)
-        one, other = before // 2, behind // 2
-        straight = all(source[1] == target[1] for source, target in places)
-        whole = len(ways) == len(self.rows[one]) == len(self.rows[other])
-        return (one, other) if straight and whole and one != other else None
+        one, other = (end // 2 for end in ends)
+        before, behind = self.rows[one], self.rows[other]
+        straight = {Way(source, target, ()) for source, target in zip(before, behind, strict=False)}
+        same = one != other and len(before) == len(behind) and straight == set(self.ways_of.get(junction, ()))
+        return (one, other) if same else None
 
 
 def roads_of(graph: LaneGraph, *, apart: Collection[int] = ()) -> Roads:

@@ -79,11 +79,8 @@ def _lanelet(graph: LaneGraph, lane: LaneSegment) -> etree._Element:
 
 
 def _bounds(lane: LaneSegment) -> tuple[FloatArray, FloatArray]:
-    """Left and right bound with as many points, (N, 2) m, at equal shares of their lengths; of a map without, aside."""
-    half = lane.width_m / 2.0
-    lines = []
-    for points, aside in ((lane.left_boundary, half), (lane.right_boundary, -half)):
-        lines.append(Polyline(lane.path.xy(lane.path.s, aside) if points is None else points))
+    """Left and right bound with as many points, (N, 2) m, at equal shares of their lengths."""
+    lines = [Polyline(points) for points in lane.sides]
     shares = np.unique(np.round(np.concatenate([line.s / line.length_m for line in lines]), 6))
     return lines[0].point(shares * lines[0].length_m), lines[1].point(shares * lines[1].length_m)
 
