@@ -198,9 +198,6 @@ def build_cell_grid(
             right_id, left_id = members[at : at + 2]
             lost.append(DroppedLink("left_neighbor", right_id, left_id, reasons[at + 1]))
             lost.append(DroppedLink("right_neighbor", left_id, right_id, reasons[at + 1]))
-        if not split.any():
-            rows.update(dict.fromkeys(members, (members,) * count))
-            continue
         by_index = [_split(members, split[:, index]) for index in range(count)]
         for lane_id in members:
             rows[lane_id] = tuple(next(part for part in parts if lane_id in part) for parts in by_index)

@@ -70,7 +70,7 @@ def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
         root = etree.fromstring(net)
     except etree.XMLSyntaxError as error:
         raise NetError(f"the net is not XML: {error}") from error
-    lane_of, drawn, beside = _lanes(root)
+    lane_of, drawn, rows = _lanes(root)
     links = [
         tuple(f"{link.get(end)}_{link.get(f'{end}Lane')}" for end in ("from", "to"))
         for link in root.iterfind("connection")
@@ -92,28 +92,19 @@ def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
     farthest = max(distances, key=distances.__getitem__, default=None)
 
     reasons = {(link.kind, link.source, link.target): link.reason for link in grid.lost_links}
-    lost: list[tuple[str, int, int]] = []
-    counts: Counter[str] = Counter()
+    lost = []
+    counts: Counter[tuple[str, str]] = Counter()
     for lane_id, lane in graph.lanes.items():
-        for target in dict.fromkeys(lane.successors):
-            counts["successors"] += 1
-            if (lane_id, target) in joined:
-                counts["successors kept"] += 1
-            else:
-                lost.append(("successor", lane_id, target))
-        for side in SIDES:
-            neighbor = lane.neighbor_id(side)
-            if neighbor is None:
-                continue
-            kind = f"{side}_neighbor"
-            if reasons.get((kind, lane_id, neighbor)) == REASON_OPPOSITE:
-                counts["oncoming"] += 1
-                continue
-            counts["neighbors"] += 1
-            if ((lane_id, neighbor) if side == "left" else (neighbor, lane_id)) in beside:
-                counts["neighbors kept"] += 1
-            else:
-                lost.append((kind, lane_id, neighbor))
+        stated = [("successor", target) for target in dict.fromkeys(lane.successors)]
+        stated += [(f"{side}_neighbor", beside) for side in SIDES if (beside := lane.neighbor_id(side)) is not None]
+        for kind, target in stated:
+            reason = reasons.get((kind, lane_id, target), UNEXPLAINED)
+            pair = (target, lane_id) if kind == "right_neighbor" else (lane_id, target)
+            kept = pair in (joined if kind == "successor" else rows)
+            what = "oncoming" if reason == REASON_OPPOSITE else "kept" if kept else "lost"
+            counts[kind.split("_")[-1], what] += 1
+            if what == "lost":
+                lost.append(DroppedLink(kind, lane_id, target, reason))
     return FidelityReport(
         lanes_in=len(graph.lanes),
         lanes_out=len(drawn),
@@ -121,17 +112,17 @@ def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
         edges_out=sum(1 for _ in root.iterfind("edge")),
         largest_distance_m=0.0 if farthest is None else distances[farthest],
         farthest_lane_id=farthest,
-        successors_in=counts["successors"],
-        successors_kept=counts["successors kept"],
-        neighbors_in=counts["neighbors"],
-        neighbors_kept=counts["neighbors kept"],
-        oncoming=counts["oncoming"],
-        lost=tuple(DroppedLink(*link, reasons.get(link, UNEXPLAINED)) for link in lost),
+        successors_in=counts["successor", "kept"] + counts["successor", "lost"],
+        successors_kept=counts["successor", "kept"],
+        neighbors_in=counts["neighbor", "kept"] + counts["neighbor", "lost"],
+        neighbors_kept=counts["neighbor", "kept"],
+        oncoming=counts["neighbor", "oncoming"],
+        lost=tuple(lost),
     )
 
 
 def _lanes(root: etree._Element) -> tuple[dict[str, int], dict[int, list[list[list[float]]]], set[tuple[int, int]]]:
-    """Of a net's lanes the segment by id, and the shapes by segment; and the pairs of segments that lie side by side."""
+    """The segment of each of a net's lanes, shapes by segment, and the pairs of segments that lie side by side."""
     lane_of: dict[str, int] = {}
     drawn: dict[int, list[list[list[float]]]] = {}
     beside: set[tuple[int, int]] = set()

@@ -58,9 +58,6 @@ def net_bytes(grid: CellGrid, *, origin: CityOrigin | None = None) -> bytes:
     text = ["<?xml version='1.0' encoding='UTF-8'?>", f'<net version="{NET_VERSION}">', location(grid.graph, origin)]
     templates = {lane_id: _lane_attributes(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
     lines = {lane_id: _cell_lines(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
-    closed = {
-        side: {lane_id for lane_id in grid.graph.lanes if not grid.graph.may_change(lane_id, side)} for side in SIDES
-    }
     for edge, (edge_id, row) in enumerate(zip(edge_ids, rows, strict=True)):
         ends = f'from="{names[2 * edge]}" to="{names[2 * edge + 1]}"'
         # of the lanes, on which SUMO drives; netconvert has one for all of them
@@ -68,9 +65,9 @@ def net_bytes(grid: CellGrid, *, origin: CityOrigin | None = None) -> bytes:
         length = f' length="{(min(lengths) + max(lengths)) / 2.0:.6f}"' if editable else ""
         text.append(f'  <edge id="{edge_id}" {ends} priority="0"{length}>')
         for index, (lane_id, cell_index) in enumerate(row):
-            crossing = f' changeRight="{_MAY_ALWAYS_CROSS}"' if index > 0 and lane_id in closed["right"] else ""
-            if index + 1 < len(row) and lane_id in closed["left"]:
-                crossing += f' changeLeft="{_MAY_ALWAYS_CROSS}"'
+            beside = zip(SIDES[::-1], (index > 0, index + 1 < len(row)), strict=True)
+            closed = (side for side, there in beside if there and not grid.graph.may_change(lane_id, side))
+            crossing = "".join(f' change{side.capitalize()}="{_MAY_ALWAYS_CROSS}"' for side in closed)
             line = shape(lines[lane_id][cell_index], digits=3 if grid.edges_s(lane_id)[1] > _FINER_M else 6)
             text.append(
                 f'    <lane id="{edge_id}_{index}" index="{index}"{templates[lane_id]} shape="{line}"{crossing}>'

@@ -190,7 +190,8 @@ def opendrive_bytes(graph: LaneGraph, name: str, *, origin: CityOrigin | None = 
             ends[end // 2].append(_link(_SIDES[end % 2], joint[end % 2]))
         elif junction in roads.ways_of:
             ends[end // 2].append(E(_SIDES[end % 2], elementType="junction", elementId=str(junction)))
-    connecting, junctions = [], []
+    connecting: list[etree._Element] = []
+    junctions = []
     for junction, ways in roads.ways_of.items():
         if roads.joint(junction) is not None:
             continue

@@ -87,11 +87,9 @@ def _connections(graph: LaneGraph, roads: Roads, ways: Sequence[Way]) -> list[et
     """The ways; an edge without any is told to have none, else netconvert guesses."""
     found = []
     for way in ways:
-        link = E.connection(_link(roads, way))
-        if way.through:
-            line = np.concatenate([graph.lanes[lane_id].centerline for lane_id in way.through])
-            link.set("shape", shape(line, digits=3))
-        found.append(link)
+        lines = [graph.lanes[lane_id].centerline for lane_id in way.through]
+        line = {"shape": shape(np.concatenate(lines), digits=3)} if lines else {}
+        found.append(E.connection(_link(roads, way) | line))
     leaving = {roads.place[way.source][0] for way in ways}
     return found + [E.connection({"from": str(row[0])}) for k, row in enumerate(roads.rows) if k not in leaving]
 

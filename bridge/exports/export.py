@@ -23,7 +23,7 @@ WRITERS: Mapping[str, str] = {
 def export_scene(address: Address, to: str, out_dir: Path) -> list[Path]:
     """Write a scene in a format of WRITERS into out_dir, all files or, after an error, none; returns the files.
 
-    Errors: ScenarioError, MapError; NetError where it cannot be said in the format or not be written.
+    Errors: ScenarioError, MapError; NetError where it cannot be said in the format; ExportError where not be written.
     """
     module, name = WRITERS[to].rsplit(".", 1)
     writer: Callable[[Recording], dict[str, bytes]] = getattr(import_module(module), name)

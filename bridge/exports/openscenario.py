@@ -32,10 +32,10 @@ def openscenario_files(scene: Recording) -> dict[str, bytes]:
     name = scene.scenario_id
     tracks = sorted(scene.tracks, key=lambda track: track.track_id != AV_ID)
     groups = [_acts(track, scene) for track in tracks]
-    start = [track for track in tracks if track.timesteps[0] == 0]
     teleports = (
         E.Private(E.PrivateAction(E.TeleportAction(_position(_axle(track)[0]))), entityRef=_name(track))
-        for track in start
+        for track in tracks
+        if track.timesteps[0] == 0
     )
     story = E.Story(E.Act(*groups, E.StartTrigger(_at(0.0)), name="tracks"), name=name)
     header = {"revMajor": "1", "revMinor": "2", "date": "1970-01-01T00:00:00", "author": "hid2-sumo"}

@@ -41,7 +41,7 @@ def convert(scene: Address, out_dir: Path, *, cell_m: float = 4.0) -> FidelityRe
 
     scene: a recording, which gives the net a place on the globe; or a folder with one log_map_archive_<id>.json, or
     that file. Files of an earlier run are replaced, all of them or, after an error, none.
-    Errors: ScenarioError, MapError, NetError.
+    Errors: ScenarioError, MapError, NetError, ExportError.
     """
     name, graph, recording = _map_of(scene)
     grid = build_cell_grid(graph, cell_m=cell_m, saved_within_m=SAVED_WITHIN_M)

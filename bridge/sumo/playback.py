@@ -207,13 +207,12 @@ def _bar(paint: Paint, name: str, corner: tuple[float, float], high_m: float) ->
 class _Trace:
     """The lanes of one track: shapes, each (N, 2) m, and speed limits, m/s.
 
-    The first begins a vehicle's length behind the front bumper, at depart_m; the last takes the vehicle out at once.
+    The first begins a vehicle's length behind the front bumper; the last takes the vehicle out at once.
     """
 
     track: Track
     shapes: tuple[FloatArray, ...]
     limits: tuple[float, ...]
-    depart_m: float
 
     def edge(self, number: int) -> str:
         """Id of one of its edges."""
@@ -234,7 +233,7 @@ def _trace(track: Track, step_s: float) -> _Trace:
     first, last = _direction(track.heading[0]), _direction(track.heading[-1])
     shapes[0] = np.vstack([points[0] - track.size.length_m * first, shapes[0]])
     shapes.append(np.stack([points[-1], points[-1] + _OUT_M * last]))
-    return _Trace(track, tuple(shapes), (*limits, _OUT_MPS), track.size.length_m)
+    return _Trace(track, tuple(shapes), (*limits, _OUT_MPS))
 
 
 def _way(track: Track, step_s: float) -> tuple[FloatArray, FloatArray]:
@@ -315,7 +314,8 @@ def _routes(scenario: Scenario, traces: list[_Trace]) -> bytes:
         kind |= {"maxSpeed": "80", "speedFactor": "1", "speedDev": "0", "tau": f"{scenario.step_s}"}
         kinds.append(E.vType(kind))
         vehicle = {"id": name, "type": f"type_{name}", "color": colors[name].xml, "insertionChecks": "none"}
-        vehicle |= {"depart": f"{trace.track.timesteps[0] * scenario.step_s:.2f}", "departPos": f"{trace.depart_m:.2f}"}
+        vehicle |= {"depart": f"{trace.track.timesteps[0] * scenario.step_s:.2f}"}
+        vehicle |= {"departPos": f"{trace.track.size.length_m:.2f}"}
         vehicle |= {"departSpeed": f"{trace.limits[0]:.4f}", "arrivalPos": "max"}
         params = [E.param(key=ID_KEY, value=name)] if shows_id(trace.track) else []
         edges = " ".join(trace.edge(k) for k in range(len(trace.shapes)))
