@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import shapely
 
-from netconvert.geometry import FloatArray, arc_length
+from netconvert.geometry import FloatArray, arc_length, cut_at
 from netconvert.lane_graph import SIDES, DroppedLink, LaneGraph, LaneSegment, Side
 
 #: How far the length of a cell may be off in a net that an editor of SUMO's has saved, m.
@@ -102,6 +102,11 @@ class CellGrid:
             return ()
         return tuple(Cell(target, 0) for target in self.graph.successors(cell.lane_id))
 
+    def following(self, cell: Cell) -> tuple[Cell, ...]:
+        """The next cell of the lane, at its end the first ones of its successors."""
+        ahead = self.longitudinal(cell)
+        return self.inter_lane(cell) if ahead is None else (ahead,)
+
     def edge_id(self, cell: Cell) -> str:
         """SUMO edge that holds the cell."""
         return f"{self._rows[cell.lane_id][cell.index][0]}#{cell.index}"
@@ -140,7 +145,7 @@ class CellGrid:
         """
         rings: list[FloatArray] = []
         for lane_id, lane in self.graph.lanes.items():
-            left, right = _sides(lane)
+            left, right = lane.sides
             count = len(self._rows[lane_id])
             for left_part, right_part in zip(_cut(left, count), _cut(right, count), strict=True):
                 rings.append(np.concatenate([right_part, left_part[::-1]]))
@@ -168,7 +173,7 @@ def build_cell_grid(
     borders: dict[int, FloatArray] = {}
     centers: dict[int, FloatArray] = {}
     lost = list(graph.dropped)
-    for members in _lane_rows(graph):
+    for members in graph.rows():
         lanes = [graph.lanes[lane_id] for lane_id in members]
         count, apart_m = _cell_count(lanes, cell_m, saved_within_m)
         for lane in lanes:
@@ -193,9 +198,6 @@ def build_cell_grid(
             right_id, left_id = members[at : at + 2]
             lost.append(DroppedLink("left_neighbor", right_id, left_id, reasons[at + 1]))
             lost.append(DroppedLink("right_neighbor", left_id, right_id, reasons[at + 1]))
-        if not split.any():
-            rows.update(dict.fromkeys(members, (members,) * count))
-            continue
         by_index = [_split(members, split[:, index]) for index in range(count)]
         for lane_id in members:
             rows[lane_id] = tuple(next(part for part in parts if lane_id in part) for parts in by_index)
@@ -235,16 +237,6 @@ def _part_dead_ends(graph: LaneGraph, members: tuple[int, ...], split: npt.NDArr
             split[at : at + 2] = True
 
 
-def _lane_rows(graph: LaneGraph) -> Iterator[tuple[int, ...]]:
-    """Lanes side by side, from the right; every lane in one row."""
-    for lane_id in graph.lanes:
-        if graph.neighbor(lane_id, "right") is None:
-            row = [lane_id]
-            while (left := graph.neighbor(row[-1], "left")) is not None:
-                row.append(left)
-            yield tuple(row)
-
-
 def _skew(lane: LaneSegment, centers: FloatArray, facing_centers: FloatArray) -> FloatArray:
     """Distance along the lane between facing cells' middles; (N,) m."""
     s = (np.arange(len(centers)) + 0.5) * (lane.length_m / len(centers))
@@ -259,19 +251,8 @@ def _split(members: tuple[int, ...], split: npt.NDArray[np.bool_]) -> list[tuple
     return [members[start:end] for start, end in pairwise(borders) if end > start]
 
 
-def _sides(lane: LaneSegment) -> tuple[FloatArray, FloatArray]:
-    """Left and right edge of a lane's ground, each (M, 2) m."""
-    if lane.left_boundary is not None and lane.right_boundary is not None:
-        return lane.left_boundary, lane.right_boundary
-    s, half = lane.path.s, lane.width_m / 2.0
-    return lane.path.xy(s, half), lane.path.xy(s, -half)
-
-
 def _cut(points: FloatArray, count: int) -> list[FloatArray]:
-    """Pieces of equal length of a polyline, their ends and the points between; a list of (M, 2) m."""
+    """Pieces of equal length of a polyline, each (M, 2) m."""
     s = arc_length(points)
-    borders = np.linspace(0.0, s[-1], count + 1)
-    ends = np.column_stack([np.interp(borders, s, points[:, 0]), np.interp(borders, s, points[:, 1])])
-    start = np.searchsorted(s, borders[:-1], side="right")
-    stop = np.searchsorted(s, borders[1:], side="left")
-    return [np.concatenate([ends[k : k + 1], points[start[k] : stop[k]], ends[k + 1 : k + 2]]) for k in range(count)]
+    at = np.linspace(0.0, s[-1], count + 1)
+    return cut_at(points, s, at, np.column_stack([np.interp(at, s, points[:, 0]), np.interp(at, s, points[:, 1])]))

@@ -70,66 +70,61 @@ def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
         root = etree.fromstring(net)
     except etree.XMLSyntaxError as error:
         raise NetError(f"the net is not XML: {error}") from error
-    lane_of, shapes, beside = _lanes(root)
-    next_of: dict[str, set[str]] = {}
-    for link in root.iterfind("connection"):
-        source = f"{link.get('from')}_{link.get('fromLane')}"
-        next_of.setdefault(source, set()).add(f"{link.get('to')}_{link.get('toLane')}")
-
-    chains = _chains(lane_of, next_of)
+    lane_of, drawn, rows = _lanes(root)
+    links = [
+        tuple(f"{link.get(end)}_{link.get(f'{end}Lane')}" for end in ("from", "to"))
+        for link in root.iterfind("connection")
+    ]
+    within = [(source, target) for source, target in links if lane_of.get(source) == lane_of.get(target)]
+    left, reached = {source for source, _ in within}, {target for _, target in within}
+    for lane_id, count in Counter(lane for name, lane in lane_of.items() if name not in reached).items():
+        if count > 1:
+            raise NetError(f"the net's lanes of lane segment {lane_id} are not one chain")
+    joined = {
+        (lane_of.get(source), lane_of.get(target))
+        for source, target in links
+        if source not in left and target not in reached
+    }
     distances = {}
-    for lane_id, chain in chains.items():
-        drawn = shapely.LineString([point for sumo_id in chain for point in shapes[sumo_id]])
+    for lane_id, lines in drawn.items():
         line = shapely.LineString(graph.lanes[lane_id].centerline)
-        distances[lane_id] = float(shapely.hausdorff_distance(drawn, line))
+        distances[lane_id] = float(shapely.hausdorff_distance(shapely.MultiLineString(lines), line))
     farthest = max(distances, key=distances.__getitem__, default=None)
 
     reasons = {(link.kind, link.source, link.target): link.reason for link in grid.lost_links}
-    lost: list[tuple[str, int, int]] = []
-    counts: Counter[str] = Counter()
+    lost = []
+    counts: Counter[tuple[str, str]] = Counter()
     for lane_id, lane in graph.lanes.items():
-        ends = next_of.get(chains[lane_id][-1], set()) if lane_id in chains else set()
-        for target in dict.fromkeys(lane.successors):
-            counts["successors"] += 1
-            if target in chains and chains[target][0] in ends:
-                counts["successors kept"] += 1
-            else:
-                lost.append(("successor", lane_id, target))
-        for side in SIDES:
-            neighbor = lane.neighbor_id(side)
-            if neighbor is None:
-                continue
-            kind = f"{side}_neighbor"
-            if reasons.get((kind, lane_id, neighbor)) == REASON_OPPOSITE:
-                counts["oncoming"] += 1
-                continue
-            counts["neighbors"] += 1
-            if ((lane_id, neighbor) if side == "left" else (neighbor, lane_id)) in beside:
-                counts["neighbors kept"] += 1
-            else:
-                lost.append((kind, lane_id, neighbor))
+        stated = [("successor", target) for target in dict.fromkeys(lane.successors)]
+        stated += [(f"{side}_neighbor", beside) for side in SIDES if (beside := lane.neighbor_id(side)) is not None]
+        for kind, target in stated:
+            reason = reasons.get((kind, lane_id, target), UNEXPLAINED)
+            pair = (target, lane_id) if kind == "right_neighbor" else (lane_id, target)
+            kept = pair in (joined if kind == "successor" else rows)
+            what = "oncoming" if reason == REASON_OPPOSITE else "kept" if kept else "lost"
+            counts[kind.split("_")[-1], what] += 1
+            if what == "lost":
+                lost.append(DroppedLink(kind, lane_id, target, reason))
     return FidelityReport(
         lanes_in=len(graph.lanes),
-        lanes_out=len(chains),
+        lanes_out=len(drawn),
         cells_out=len(lane_of),
         edges_out=sum(1 for _ in root.iterfind("edge")),
         largest_distance_m=0.0 if farthest is None else distances[farthest],
         farthest_lane_id=farthest,
-        successors_in=counts["successors"],
-        successors_kept=counts["successors kept"],
-        neighbors_in=counts["neighbors"],
-        neighbors_kept=counts["neighbors kept"],
-        oncoming=counts["oncoming"],
-        lost=tuple(DroppedLink(*link, reasons.get(link, UNEXPLAINED)) for link in lost),
+        successors_in=counts["successor", "kept"] + counts["successor", "lost"],
+        successors_kept=counts["successor", "kept"],
+        neighbors_in=counts["neighbor", "kept"] + counts["neighbor", "lost"],
+        neighbors_kept=counts["neighbor", "kept"],
+        oncoming=counts["neighbor", "oncoming"],
+        lost=tuple(lost),
     )
 
 
-def _lanes(
-    root: etree._Element,
-) -> tuple[dict[str, int], dict[str, list[list[float]]], set[tuple[int, int]]]:
-    """Of a net's lanes by id: the lane segment and the shape; and the pairs of segments that lie side by side."""
+def _lanes(root: etree._Element) -> tuple[dict[str, int], dict[int, list[list[list[float]]]], set[tuple[int, int]]]:
+    """The segment of each of a net's lanes, shapes by segment, and the pairs of segments that lie side by side."""
     lane_of: dict[str, int] = {}
-    shapes: dict[str, list[list[float]]] = {}
+    drawn: dict[int, list[list[list[float]]]] = {}
     beside: set[tuple[int, int]] = set()
     for edge in root.iterfind("edge"):
         members = []
@@ -138,25 +133,9 @@ def _lanes(
             param = element.find("param[@key='av2.lane_segment_id']")
             if param is None:
                 raise NetError(f"net lane {sumo_id} has no parameter av2.lane_segment_id")
-            lane_of[sumo_id] = int(param.get("value", ""))
-            shapes[sumo_id] = [[float(x) for x in point.split(",")] for point in element.get("shape", "").split()]
-            members.append(lane_of[sumo_id])
+            members.append(int(param.get("value", "")))
+            lane_of[sumo_id] = members[-1]
+            points = [[float(x) for x in point.split(",")] for point in element.get("shape", "").split()]
+            drawn.setdefault(members[-1], []).append(points)
         beside.update(pairwise(members))
-    return lane_of, shapes, beside
-
-
-def _chains(lane_of: dict[str, int], next_of: dict[str, set[str]]) -> dict[int, list[str]]:
-    """SUMO lanes of each lane segment in driving direction: from the one that none of them leads to."""
-    members: dict[int, list[str]] = {}
-    for sumo_id, lane_id in lane_of.items():
-        members.setdefault(lane_id, []).append(sumo_id)
-    chains = {}
-    for lane_id, sumo_ids in members.items():
-        own = {lane: next((to for to in next_of.get(lane, ()) if lane_of[to] == lane_id), "") for lane in sumo_ids}
-        chain = [lane for lane in sumo_ids if lane not in own.values()][:1]
-        while chain and own[chain[-1]] and len(chain) <= len(sumo_ids):
-            chain.append(own[chain[-1]])
-        if len(chain) != len(sumo_ids):
-            raise NetError(f"the net's lanes of lane segment {lane_id} are not one chain: {', '.join(sumo_ids)}")
-        chains[lane_id] = chain
-    return chains
+    return lane_of, drawn, beside

@@ -22,6 +22,20 @@ def arc_length(points: FloatArray) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
 
 
+def cut_at(
+    points: FloatArray, s: FloatArray, at: FloatArray, borders: FloatArray, *, farther_m: float = 0.0
+) -> list[FloatArray]:
+    """Pieces of a polyline, points (N, 2) m with arc lengths s (N,), each (M, 2) m with both its ends.
+
+    at: (K + 1,) m, arc lengths of the ends, borders: (K + 1, 2) m, their places. Points as near to an end as farther_m
+    are left out.
+    """
+    start = np.searchsorted(s, at[:-1] + farther_m, side="right").tolist()
+    stop = np.searchsorted(s, at[1:] - farther_m, side="left").tolist()
+    parts = enumerate(zip(start, stop, strict=True))
+    return [np.concatenate([borders[k : k + 1], points[a:b], borders[k + 1 : k + 2]]) for k, (a, b) in parts]
+
+
 def resample(points: FloatArray, *, step_m: float) -> FloatArray:
     """Points at equal distances of at most step_m along a polyline, both ends kept.
 

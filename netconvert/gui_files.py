@@ -10,16 +10,8 @@ from lxml.builder import E
 
 from netconvert.cells import CellGrid
 from netconvert.geometry import FloatArray
+from netconvert.net_xml import shape
 
-CELL_COLUMNS = (
-    "lane_segment_id",
-    "cell_index",
-    "sumo_lane_id",
-    "length_m",
-    "center_x_m",
-    "center_y_m",
-    "lane_type",
-)
 _AREA_COLOR = "205,205,200"
 _LANE_COLOR = "96,99,104"
 _BICYCLE_COLOR = "178,96,76"
@@ -62,22 +54,18 @@ def gui_files(
 
 
 def cells_csv(grid: CellGrid) -> bytes:
-    """One row a cell, with the columns CELL_COLUMNS, in the order of the grid's cells."""
+    """One row a cell, in the order of the grid's cells."""
+    columns = {
+        "lane_segment_id": [cell.lane_id for cell in grid.cells],
+        "cell_index": [cell.index for cell in grid.cells],
+        "sumo_lane_id": map(grid.sumo_lane_id, grid.cells),
+        "length_m": [f"{grid.length_m(cell):.3f}" for cell in grid.cells],
+        "center_x_m": [f"{x:.3f}" for x in grid.centers[:, 0].tolist()],
+        "center_y_m": [f"{y:.3f}" for y in grid.centers[:, 1].tolist()],
+        "lane_type": [grid.graph.lanes[cell.lane_id].lane_type for cell in grid.cells],
+    }
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CELL_COLUMNS)
-    writer.writerows(
-        (
-            cell.lane_id,
-            cell.index,
-            grid.sumo_lane_id(cell),
-            f"{grid.length_m(cell):.3f}",
-            f"{x:.3f}",
-            f"{y:.3f}",
-            grid.graph.lanes[cell.lane_id].lane_type,
-        )
-        for cell, (x, y) in zip(grid.cells, grid.centers.tolist(), strict=True)
-    )
+    csv.writer(text, lineterminator="\n").writerows([columns, *zip(*columns.values(), strict=True)])
     return text.getvalue().encode()
 
 
@@ -85,11 +73,6 @@ def xml_bytes(root: etree._Element) -> bytes:
     """A file of SUMO's."""
     content: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
     return content
-
-
-def shape(points: FloatArray, *, digits: int = 2) -> str:
-    """Points (N, 2) m as SUMO writes them."""
-    return " ".join(f"{x:.{digits}f},{y:.{digits}f}" for x, y in points.tolist())
 
 
 def _configuration(name: str, step_s: float, options: Mapping[str, Mapping[str, str]]) -> bytes:
@@ -122,9 +105,8 @@ def _polygons(grid: CellGrid) -> list[etree._Element]:
 
 
 def _view(grid: CellGrid, shown: tuple[FloatArray, FloatArray] | None, more: Sequence[etree._Element]) -> bytes:
-    lanes = np.concatenate([lane.centerline for lane in grid.graph.lanes.values()])
-    everything = np.concatenate([lanes, *grid.graph.drivable_areas])  # what zoom 100 shows
-    low, high = shown or (lanes.min(axis=0), lanes.max(axis=0))
+    everything = np.concatenate([grid.graph.bounds, *grid.graph.drivable_areas])  # what zoom 100 shows
+    low, high = shown or grid.graph.bounds
     x, y = ((low + high) / 2.0).tolist()
     zoom = _ZOOM * _window_width(everything.min(axis=0), everything.max(axis=0)) / _window_width(low, high)
     colors = E.colorScheme(

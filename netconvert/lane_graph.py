@@ -1,7 +1,7 @@
 """The lane graph of a scene, whatever map it came from: segments, successors, same-direction neighbours."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
@@ -90,6 +90,13 @@ class LaneSegment:
         object.__setattr__(self, "path", path)
         object.__setattr__(self, "length_m", path.length_m)
 
+    @property
+    def sides(self) -> tuple[FloatArray, FloatArray]:
+        """Left and right edge of the lane's ground, (M, 2) m: its boundaries, or half a width from the centreline."""
+        if self.left_boundary is not None and self.right_boundary is not None:
+            return self.left_boundary, self.right_boundary
+        return self.path.xy(self.path.s, self.width_m / 2.0), self.path.xy(self.path.s, -self.width_m / 2.0)
+
     def neighbor_id(self, side: Side) -> int | None:
         """The neighbour on a side as the source map names it, in whatever direction it runs."""
         return self.left_neighbor_id if side == "left" else self.right_neighbor_id
@@ -159,6 +166,26 @@ class LaneGraph:
     def may_change(self, lane_id: int, side: Side) -> bool:
         """Whether there is a neighbour on that side and the marking between allows a vehicle of this lane to cross."""
         return self.neighbor(lane_id, side) is not None and crossable(self.lanes[lane_id].mark_type(side))
+
+    def rows(self, *, without: Collection[int] = (), apart: Collection[int] = ()) -> Iterator[tuple[int, ...]]:
+        """Lanes side by side, from the right. without: lanes that are in no row; apart: lanes that are rows alone."""
+
+        def beside(lane_id: int, side: Side) -> int | None:
+            other = self.neighbor(lane_id, side)
+            return None if other in without or lane_id in apart or other in apart else other
+
+        for lane_id in self.lanes:
+            if lane_id not in without and beside(lane_id, "right") is None:
+                row = [lane_id]
+                while (left := beside(row[-1], "left")) is not None:
+                    row.append(left)
+                yield tuple(row)
+
+    @cached_property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Low and high corner of the ground that the lanes' centrelines take, (2,) m."""
+        points = np.concatenate([lane.centerline for lane in self.lanes.values()])
+        return points.min(axis=0), points.max(axis=0)
 
     @cached_property
     def drivable(self) -> shapely.Geometry:
@@ -239,6 +266,20 @@ def crossable(mark_type: str) -> bool:
     A mark type names its lines from the stating lane outwards (a centre turn lane has DASH_SOLID_YELLOW on both sides).
     """
     return mark_type in {"NONE", "UNKNOWN"} or mark_type.startswith(("DASHED_", "DASH_SOLID_", "DOUBLE_DASH_"))
+
+
+def joined(count: int, pairs: Iterable[tuple[int, int]]) -> list[int]:
+    """Of each of `count` things, the one that stands for all that it is joined with, by pairs (union-find)."""
+    parent = list(range(count))
+
+    def root(node: int) -> int:
+        while parent[node] != node:
+            parent[node] = node = parent[parent[node]]
+        return node
+
+    for one, other in pairs:
+        parent[root(one)] = root(other)
+    return [root(node) for node in range(count)]
 
 
 def turn_type(centerline: FloatArray, *, is_intersection: bool) -> TurnType:

@@ -10,15 +10,15 @@ trimmed where they touch their junction:
                    |           |: the junction
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import shapely
 
 from netconvert.cells import Cell, CellGrid
 from netconvert.geo import CityOrigin
-from netconvert.geometry import FloatArray
-from netconvert.lane_graph import SIDES, LaneGraph, LaneSegment, TurnType
+from netconvert.geometry import FloatArray, cut_at
+from netconvert.lane_graph import SIDES, LaneGraph, LaneSegment, TurnType, joined
 
 #: Speed limit of every lane, m/s (45 mph); the maps have none.
 SPEED_LIMIT_MPS = 20.0
@@ -34,6 +34,8 @@ NET_VERSION = "1.20"
 _MIN_STEP_M = 1e-3
 #: The same in a net that may be saved by netconvert, which loses the ends of lanes that have points within 0.01 m.
 _MIN_SAVED_STEP_M = 0.015
+#: Cells shorter than this have shapes finer than a millimetre.
+_FINER_M = 0.05
 #: Such a net's junctions lie so far beside the end of a lane, in the freest of so many directions.
 _BESIDE_M, _DIRECTIONS = 0.3, 16
 #: How far netconvert extends lanes.
@@ -55,10 +57,7 @@ def net_bytes(grid: CellGrid, *, origin: CityOrigin | None = None) -> bytes:
     editable = grid.saved_within_m is not None
     text = ["<?xml version='1.0' encoding='UTF-8'?>", f'<net version="{NET_VERSION}">', location(grid.graph, origin)]
     templates = {lane_id: _lane_attributes(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
-    shapes = {lane_id: _cell_shapes(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
-    closed = {
-        side: {lane_id for lane_id in grid.graph.lanes if not grid.graph.may_change(lane_id, side)} for side in SIDES
-    }
+    lines = {lane_id: _cell_lines(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
     for edge, (edge_id, row) in enumerate(zip(edge_ids, rows, strict=True)):
         ends = f'from="{names[2 * edge]}" to="{names[2 * edge + 1]}"'
         # of the lanes, on which SUMO drives; netconvert has one for all of them
@@ -66,16 +65,16 @@ def net_bytes(grid: CellGrid, *, origin: CityOrigin | None = None) -> bytes:
         length = f' length="{(min(lengths) + max(lengths)) / 2.0:.6f}"' if editable else ""
         text.append(f'  <edge id="{edge_id}" {ends} priority="0"{length}>')
         for index, (lane_id, cell_index) in enumerate(row):
-            crossing = f' changeRight="{_MAY_ALWAYS_CROSS}"' if index > 0 and lane_id in closed["right"] else ""
-            if index + 1 < len(row) and lane_id in closed["left"]:
-                crossing += f' changeLeft="{_MAY_ALWAYS_CROSS}"'
-            shape = shapes[lane_id][cell_index]
+            beside = zip(SIDES[::-1], (index > 0, index + 1 < len(row)), strict=True)
+            closed = (side for side, there in beside if there and not grid.graph.may_change(lane_id, side))
+            crossing = "".join(f' change{side.capitalize()}="{_MAY_ALWAYS_CROSS}"' for side in closed)
+            line = shape(lines[lane_id][cell_index], digits=3 if grid.edges_s(lane_id)[1] > _FINER_M else 6)
             text.append(
-                f'    <lane id="{edge_id}_{index}" index="{index}"{templates[lane_id]} shape="{shape}"{crossing}>'
+                f'    <lane id="{edge_id}_{index}" index="{index}"{templates[lane_id]} shape="{line}"{crossing}>'
                 f'\n      <param key="av2.lane_segment_id" value="{lane_id}"/>\n    </lane>'
             )
         text.append("  </edge>")
-    text += _junctions(grid, rows, edge_ids, names)
+    text += _junctions(rows, lines, edge_ids, names, editable=editable)
     text += [
         f'  <connection from="{edge_ids[from_edge]}" to="{edge_ids[to_edge]}" fromLane="{from_lane}" toLane="{to_lane}"'
         f' dir="{direction}" state="M"/>'
@@ -88,18 +87,12 @@ def _links(
     grid: CellGrid, rows: Sequence[tuple[Cell, ...]], place: dict[Cell, tuple[int, int]]
 ) -> list[tuple[int, int, int, int, str]]:
     """Longitudinal and inter-lane links: from edge, from lane, to edge, to lane, direction."""
-    links = []
-    for edge, row in enumerate(rows):
-        for index, cell in enumerate(row):
-            following = grid.longitudinal(cell)
-            if following is not None:
-                links.append((edge, index, *place[following], "s"))
-                continue
-            links.extend(
-                (edge, index, *place[target], _DIRECTION[grid.graph.lanes[target.lane_id].turn])
-                for target in grid.inter_lane(cell)
-            )
-    return links
+    return [
+        (edge, index, *place[target], "s" if target.index else _DIRECTION[grid.graph.lanes[target.lane_id].turn])
+        for edge, row in enumerate(rows)
+        for index, cell in enumerate(row)
+        for target in grid.following(cell)
+    ]
 
 
 def _junction_names(edge_count: int, links: Sequence[tuple[int, int]]) -> list[str]:
@@ -107,49 +100,31 @@ def _junction_names(edge_count: int, links: Sequence[tuple[int, int]]) -> list[s
 
     The end of an edge and the starts of all edges that it leads to are one junction.
     """
-    parent = list(range(2 * edge_count))
-
-    def root(node: int) -> int:
-        while parent[node] != node:
-            parent[node] = node = parent[parent[node]]
-        return node
-
-    for from_edge, to_edge in links:
-        parent[root(2 * to_edge)] = root(2 * from_edge + 1)
+    of = joined(2 * edge_count, ((2 * to_edge, 2 * from_edge + 1) for from_edge, to_edge in links))
     names: dict[int, str] = {}
-    return [names.setdefault(root(node), f"J{len(names)}") for node in range(2 * edge_count)]
+    return [names.setdefault(junction, f"J{len(names)}") for junction in of]
 
 
 def _junctions(
-    grid: CellGrid, rows: Sequence[tuple[Cell, ...]], edge_ids: Sequence[str], names: Sequence[str]
-) -> list[str]:
+    rows: Sequence[tuple[Cell, ...]], lines: Mapping[int, Sequence[FloatArray]], edge_ids: Sequence[str],
+    names: Sequence[str], *, editable: bool,
+) -> list[str]:  # fmt: skip
     """Each junction; it lies in the middle of the ends of its lanes."""
-    borders = {lane_id: grid.borders(lane_id).tolist() for lane_id in grid.graph.lanes}
-    points: dict[str, list[list[float]]] = {name: [] for name in names}
-    cells: dict[str, list[Cell]] = {name: [] for name in names}
+    lanes: dict[str, list[tuple[FloatArray, int]]] = {name: [] for name in names}
     incoming: dict[str, list[str]] = {name: [] for name in names}
     for edge, row in enumerate(rows):
         start, end = names[2 * edge : 2 * edge + 2]
-        for index, cell in enumerate(row):
-            points[start].append(borders[cell.lane_id][cell.index])
-            points[end].append(borders[cell.lane_id][cell.index + 1])
-            cells[start].append(cell)
-            cells[end].append(cell)
+        for index, (lane_id, cell_index) in enumerate(row):
+            lanes[start].append((lines[lane_id][cell_index], 0))
+            lanes[end].append((lines[lane_id][cell_index], -1))
             incoming[end].append(f"{edge_ids[edge]}_{index}")
-    shapes: dict[str, FloatArray] = {}
-    if grid.saved_within_m is not None:
-        lines = {lane_id: _cell_lines(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
-        for name, ends in points.items():
-            shapes[name] = junction_beside(np.array(ends[0]), [lines[lane_id][k] for lane_id, k in cells[name]])
-    return [
-        junction_xml(
-            name,
-            (sum(x for x, _ in ends) / len(ends), sum(y for _, y in ends) / len(ends)),
-            incoming=incoming[name],
-            shape=shapes.get(name),
-        )
-        for name, ends in points.items()
-    ]
+    text = []
+    for name, touching in lanes.items():
+        ends = [line[at].tolist() for line, at in touching]
+        place = sum(x for x, _ in ends) / len(ends), sum(y for _, y in ends) / len(ends)
+        beside = junction_beside(np.array(ends[0]), [line for line, _ in touching]) if editable else None
+        text.append(junction_xml(name, place, incoming=incoming[name], line=beside))
+    return text
 
 
 def junction_beside(end: FloatArray, lanes: Sequence[FloatArray]) -> FloatArray:
@@ -169,9 +144,9 @@ def junction_beside(end: FloatArray, lanes: Sequence[FloatArray]) -> FloatArray:
     return np.asarray(end + np.array([[_BESIDE_M], [_BESIDE_M + 0.02]]) * way[np.argmax(clear)])
 
 
-def junction_xml(name: str, place: Sequence[float], *, incoming: Sequence[str], shape: FloatArray | None) -> str:
-    """A junction at a place, m; incoming: ids of the lanes that end there; shape: (N, 2) m."""
-    points = "" if shape is None else f' shape="{" ".join(_coordinates(shape, 3))}" customShape="1"'
+def junction_xml(name: str, place: Sequence[float], *, incoming: Sequence[str], line: FloatArray | None) -> str:
+    """A junction at a place, m; incoming: ids of the lanes that end there; line: its shape, (N, 2) m."""
+    points = "" if line is None else f' shape="{shape(line, digits=3)}" customShape="1"'
     return (
         f'  <junction id="{name}" type="unregulated" x="{place[0]:.3f}" y="{place[1]:.3f}"'
         f' incLanes="{" ".join(incoming)}" intLanes=""{points}/>'
@@ -180,8 +155,7 @@ def junction_xml(name: str, place: Sequence[float], *, incoming: Sequence[str], 
 
 def location(graph: LaneGraph, origin: CityOrigin | None) -> str:
     """Where a net of the graph lies: element `location` of SUMO's files."""
-    points = np.concatenate([lane.centerline for lane in graph.lanes.values()])
-    (left, bottom), (right, top) = points.min(axis=0), points.max(axis=0)
+    (left, bottom), (right, top) = graph.bounds
     boundary = f"{left:.2f},{bottom:.2f},{right:.2f},{top:.2f}"
     if origin is None:
         offset, original, projection = "0.00,0.00", boundary, "!"
@@ -202,32 +176,13 @@ def _lane_attributes(grid: CellGrid, lane: LaneSegment) -> str:
     return f'{classes} speed="{SPEED_LIMIT_MPS:g}" length="{length_m:.6f}" width="{lane.width_m:.2f}"{custom}'
 
 
-def _cell_shapes(grid: CellGrid, lane: LaneSegment) -> list[str]:
-    """The centreline of each cell as SUMO writes shapes, to the millimetre (finer only where cells are tiny)."""
-    edges_s = grid.edges_s(lane.lane_id)
-    digits = 3 if edges_s[1] > 0.05 else 6
-    vertices = _coordinates(lane.path.points, digits)
-    borders = _coordinates(grid.borders(lane.lane_id), digits)
-    return [
-        " ".join([borders[k], *vertices[start:stop], borders[k + 1]])
-        for k, (start, stop) in enumerate(_inner(grid, lane))
-    ]
-
-
 def _cell_lines(grid: CellGrid, lane: LaneSegment) -> list[FloatArray]:
     """The centreline of each cell, (N, 2) m."""
-    borders, points = grid.borders(lane.lane_id), lane.path.points
-    inner = _inner(grid, lane)
-    return [np.vstack([borders[k], points[start:stop], borders[k + 1]]) for k, (start, stop) in enumerate(inner)]
+    step_m = _MIN_STEP_M if grid.saved_within_m is None else _MIN_SAVED_STEP_M
+    borders = grid.borders(lane.lane_id)
+    return cut_at(lane.path.points, lane.path.s, grid.edges_s(lane.lane_id), borders, farther_m=step_m)
 
 
-def _inner(grid: CellGrid, lane: LaneSegment) -> list[tuple[int, int]]:
-    """First vertex of a lane inside each cell, and the first behind."""
-    edges_s, step_m = grid.edges_s(lane.lane_id), _MIN_STEP_M if grid.saved_within_m is None else _MIN_SAVED_STEP_M
-    start = np.searchsorted(lane.path.s, edges_s[:-1] + step_m, side="right").tolist()
-    stop = np.searchsorted(lane.path.s, edges_s[1:] - step_m, side="left").tolist()
-    return list(zip(start, stop, strict=True))
-
-
-def _coordinates(points: FloatArray, digits: int) -> list[str]:
-    return [f"%.{digits}f,%.{digits}f" % (x, y) for x, y in points.tolist()]  # twice as fast
+def shape(points: FloatArray, *, digits: int = 2) -> str:
+    """Points (N, 2) m as SUMO writes them."""
+    return " ".join([f"%.{digits}f,%.{digits}f" % (x, y) for x, y in points.tolist()])  # twice as fast as an f-string

@@ -7,7 +7,6 @@ where all its lanes are there, and what is left of each lane belongs to its ways
       -----------------|-----......   .: connecting roads
 """
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -21,7 +20,7 @@ from lxml.builder import E
 from netconvert.geo import CityOrigin
 from netconvert.geometry import FloatArray, Polyline, wrap_angle
 from netconvert.gui_files import xml_bytes
-from netconvert.lane_graph import LaneGraph, LaneSegment, crossable
+from netconvert.lane_graph import LaneGraph, LaneSegment
 from netconvert.net_xml import SPEED_LIMIT_MPS
 from netconvert.roads import Roads, Way, roads_of
 
@@ -44,37 +43,38 @@ _LANE_TYPES = {"VEHICLE": "driving", "BUS": "bus", "BIKE": "biking"}
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Line:
-    """A line of straights and arcs without kinks: place, heading, length (m, rad) and curvature of each, (N,)."""
+    """Straights and arcs without kinks, (N, 6): s, x, y m, heading rad, length m and curvature 1/m of each."""
 
-    s: FloatArray
-    x: FloatArray
-    y: FloatArray
-    heading: FloatArray
-    length: FloatArray
-    curvature: FloatArray
+    parts: FloatArray
 
     @property
     def length_m(self) -> float:
-        return float(self.s[-1] + self.length[-1])
+        return float(self.parts[-1, 0] + self.parts[-1, 4])
+
+    def samples(self) -> FloatArray:
+        """Arc lengths from end to end, about _EVERY_M apart, (K,) m."""
+        return np.linspace(0.0, self.length_m, max(int(self.length_m / _EVERY_M), 1) + 1)
 
     def between(self, first: float, last: float) -> "_Line":
         """The part from one s to another, beyond its ends too."""
-        inside = (self.s + self.length > first + 1e-6) & (self.s < last - 1e-6)
+        begins = self.parts[:, 0]
+        inside = (begins + self.parts[:, 4] > first + 1e-6) & (begins < last - 1e-6)
         inside[0] |= first < 0.0
-        s = np.maximum(self.s[inside], first)
+        s = np.maximum(begins[inside], first)
         s[0] = first
-        (x, y), heading = (part.T for part in self.at(s))
-        return _Line(s - first, x, y, heading, np.diff(np.append(s, last)), self.curvature[inside])
+        lengths = np.diff(np.append(s, last))
+        return _Line(np.column_stack([s - first, *self.at(s), lengths, self.parts[inside, 5]]))
 
     def at(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points (K, 2) m and headings (K,) rad."""
-        k = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 1)
-        along, bend = s - self.s[k], self.curvature[k]
+        begins = self.parts[:, 0]
+        k = np.clip(np.searchsorted(begins, s, side="right") - 1, 0, len(begins) - 1)
+        begin, x, y, heading, _, bend = self.parts[k].T
+        along = s - begin
         half = 0.5 * along * bend
-        chord = along * np.sinc(half / np.pi)
-        direction = self.heading[k] + half
-        points = np.stack([self.x[k] + chord * np.cos(direction), self.y[k] + chord * np.sin(direction)], axis=1)
-        return points, self.heading[k] + 2.0 * half
+        chord, direction = along * np.sinc(half / np.pi), heading + half
+        points = np.stack([x + chord * np.cos(direction), y + chord * np.sin(direction)], axis=1)
+        return points, heading + 2.0 * half
 
 
 def _rounded(points: FloatArray) -> _Line:
@@ -87,18 +87,15 @@ def _rounded(points: FloatArray) -> _Line:
     within = _WITHIN_M / np.maximum(np.tan(size / 4.0), 1e-9)
     cut = np.where(size > 1e-9, np.minimum(np.minimum(length[:-1], length[1:]) / 2.0, within), 0.0)
     before, behind = np.append(0.0, cut), np.append(cut, 0.0)
-    straight = np.maximum(length - before - behind, 0.0)
     radius = np.maximum(cut, 1e-6) / np.maximum(np.tan(size / 2.0), 1e-9)
     unit = step / length[:, None]
-    start, end = points[:-1] + before[:, None] * unit, points[1:] - behind[:, None] * unit
-    parts = []
-    for k in range(len(length)):
-        parts.append((*start[k], heading[k], straight[k], 0.0))
-        if k < len(turn) and size[k] > 1e-9:
-            parts.append((*end[k], heading[k], radius[k] * size[k], math.copysign(1.0 / radius[k], turn[k])))
-    made = np.array([part for part in parts if part[3] > 1e-6])
-    s = np.append(0.0, np.cumsum(made[:-1, 3]))
-    return _Line(s, *made.T)
+    parts = np.zeros((2 * len(length) - 1, 5))  # straights, and between them arcs
+    straight = np.maximum(length - before - behind, 0.0)
+    parts[::2, :4] = np.column_stack([points[:-1] + before[:, None] * unit, heading, straight])
+    ends = (points[1:] - behind[:, None] * unit)[:-1]
+    parts[1::2] = np.column_stack([ends, heading[:-1], radius * size, np.copysign(1.0 / radius, turn)])
+    parts = parts[parts[:, 3] > 1e-6]
+    return _Line(np.column_stack([np.append(0.0, np.cumsum(parts[:-1, 3])), parts]))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -129,7 +126,7 @@ class _End(Enum):
 def _road(lanes: Sequence[LaneSegment], start: _End, end: _End) -> _Road | None:
     """The road of lanes, from the left; None where they cannot be one."""
     line = _rounded(lanes[0].centerline)
-    whole = np.linspace(0.0, line.length_m, max(int(line.length_m / _EVERY_M), 1) + 1)
+    whole = line.samples()
     path = Polyline(line.at(whole)[0])
     starts, ends = (path.frenet([lane.centerline[k] for lane in lanes])[0] for k in (0, -1))
     first = {_End.OPEN: min(starts.min(), 0.0), _End.JOINT: 0.0}.get(start, max(starts.max(), 0.0))
@@ -139,7 +136,7 @@ def _road(lanes: Sequence[LaneSegment], start: _End, end: _End) -> _Road | None:
     if len(lanes) > 1 and last - first < _SHORTEST_M:
         return None
     line = line.between(first, last)
-    s = np.linspace(0.0, line.length_m, max(int(line.length_m / _EVERY_M), 1) + 1)
+    s = line.samples()
     middles = [np.zeros(len(s)), *(_beside(path, first + s, lane) for lane in lanes[1:])]
     # Borders b_0 ... b_n with middles between them have one degree of freedom: b_k = (-1)^k b_0 + known_k.
     known = [np.zeros(len(s))]
@@ -148,7 +145,7 @@ def _road(lanes: Sequence[LaneSegment], start: _End, end: _End) -> _Road | None:
     sign = (-1.0) ** np.arange(len(known))
     wider = [lane.width_m for lane in lanes] + np.diff(known, axis=0).mean(axis=1)
     # beyond the tightest bend's radius the left border would fold
-    half = min(float((sign[:-1] * wider).mean()) / 2.0, 1.0 / max(np.abs(line.curvature).max(), 1e-9))
+    half = min(float((sign[:-1] * wider).mean()) / 2.0, 1.0 / max(np.abs(line.parts[:, 5]).max(), 1e-9))
     borders = max(half, _NARROWEST_M / 2.0) * sign[:, None] + np.array(known)
     for k in range(1, len(borders)):
         borders[k] = np.minimum(borders[k], borders[k - 1] - _NARROWEST_M)
@@ -174,11 +171,7 @@ def _connecting(graph: LaneGraph, way: Way, source: tuple[_Road, int], target: t
     pieces += [graph.lanes[lane_id].centerline for lane_id in way.through]
     pieces += [last.points[last.s < end], last.point([end])]
     points = np.concatenate(pieces)
-    far = [0]
-    for k in range(1, len(points) - 1):
-        if min(math.dist(points[k], points[far[-1]]), math.dist(points[k], points[-1])) > _NEAR_M:
-            far.append(k)
-    line = _rounded(points[[*far, len(points) - 1]])
+    line = _rounded(shapely.get_coordinates(shapely.remove_repeated_points(shapely.LineString(points), _NEAR_M)))
     ends = [-np.diff(road.borders[lane : lane + 2, k])[0] for road, lane, k in ((before, left, -1), (behind, right, 0))]
     half = np.array(ends) / 2.0
     return _Road(way.through, line, np.array([0.0, line.length_m]), np.array([half, -half]))
@@ -190,38 +183,35 @@ def opendrive_bytes(graph: LaneGraph, name: str, *, origin: CityOrigin | None = 
     name: of the map; origin: of the city frame; with it the file has a geo-reference. Errors: NetError.
     """
     roads, drawn = _drawn(graph)
-    links: list[dict[str, etree._Element]] = [{} for _ in drawn]
+    ends: list[list[etree._Element]] = [[] for _ in drawn]
+    for end, junction in enumerate(roads.junctions):
+        joint = roads.joint(junction)
+        if joint is not None:
+            ends[end // 2].append(_link(_SIDES[end % 2], joint[end % 2]))
+        elif junction in roads.ways_of:
+            ends[end // 2].append(E(_SIDES[end % 2], elementType="junction", elementId=str(junction)))
     connecting: list[etree._Element] = []
     junctions = []
     for junction, ways in roads.ways_of.items():
-        joint = roads.joint(junction)
-        if joint is not None:
-            before, behind = joint
-            links[before]["successor"] = _link("successor", behind, "start")
-            links[behind]["predecessor"] = _link("predecessor", before, "end")
+        if roads.joint(junction) is not None:
             continue
-        for end, at in enumerate(roads.junctions):
-            if at == junction:
-                links[end // 2][_SIDES[end % 2]] = E(_SIDES[end % 2], elementType="junction", elementId=str(junction))
-        found: list[etree._Element] = []
+        found = E.junction(id=str(junction), name=f"J{junction}")
         for way in ways:
-            places = [_place(roads, lane_id) for lane_id in (way.source, way.target)]
-            (before, left), (behind, right) = places
+            (before, left), (behind, right) = (_place(roads, lane_id) for lane_id in (way.source, way.target))
             road = _connecting(graph, way, (drawn[before], left), (drawn[behind], right))
             number = len(drawn) + len(connecting)
-            ends = [_link("predecessor", before, "end"), _link("successor", behind, "start")]
-            lanes = {"predecessor": [left], "successor": [right]}
-            connecting.append(_road_xml(graph, road, number, ends, lanes, junction=str(junction)))
+            links = [_link("predecessor", before), _link("successor", behind)]
+            leads = {"predecessor": [left], "successor": [right]}
+            connecting.append(_road_xml(graph, road, number, links, leads, junction=str(junction)))
             known = {"id": str(len(found)), "incomingRoad": str(before), "connectingRoad": str(number)}
             lane_link = E.laneLink({"from": str(-1 - left), "to": "-1"})
             found.append(E.connection({**known, "contactPoint": "start"}, lane_link))
-        junctions.append(E.junction(*found, id=str(junction), name=f"J{junction}"))
+        junctions.append(found)
     whole = []
     for number, road in enumerate(drawn):
-        own = links[number]
-        same = list(range(len(road.lanes)))
-        lanes = {side: same for side, link in own.items() if link.get("elementType") == "road"}
-        whole.append(_road_xml(graph, road, number, [own[side] for side in _SIDES if side in own], lanes))
+        joined = [str(link.tag) for link in ends[number] if link.get("elementType") == "road"]
+        lanes = dict.fromkeys(joined, range(len(road.lanes)))
+        whole.append(_road_xml(graph, road, number, ends[number], lanes))
     return xml_bytes(E.OpenDRIVE(_header(graph, name, origin), *whole, *connecting, *junctions))
 
 
@@ -230,7 +220,7 @@ def _drawn(graph: LaneGraph) -> tuple[Roads, list[_Road]]:
     apart: set[int] = set()
     while True:
         roads = roads_of(graph, apart=apart)
-        left = {way.source for way in roads.ways}, {way.target for way in roads.ways}
+        left, entered = {way.source for way in roads.ways}, {way.target for way in roads.ways}
         ends = [_End.OPEN] * len(roads.junctions)
         for end, junction in enumerate(roads.junctions):
             if junction in roads.ways_of:
@@ -253,8 +243,8 @@ def _drawn(graph: LaneGraph) -> tuple[Roads, list[_Road]]:
             drawn.append(road)
             for k, lane in enumerate(lanes if len(row) > 1 else ()):
                 start, end = lane.path.frenet([road.middle(k, 0), road.middle(k, -1)])[0].tolist()
-                lost = start if lane.lane_id not in left[1] else 0.0, lane.length_m - end
-                if max(lost[0], lost[1] if lane.lane_id not in left[0] else 0.0) > _ROW_WITHIN_M:
+                lost = start * (lane.lane_id not in entered), (lane.length_m - end) * (lane.lane_id not in left)
+                if max(lost) > _ROW_WITHIN_M:
                     apart.add(lane.lane_id)  # nothing leads to what is cut off
         if len(apart) == before:
             return roads, drawn
@@ -267,8 +257,7 @@ def _place(roads: Roads, lane_id: int) -> tuple[int, int]:
 
 
 def _header(graph: LaneGraph, name: str, origin: CityOrigin | None) -> etree._Element:
-    points = np.concatenate([lane.centerline for lane in graph.lanes.values()])
-    (west, south), (east, north) = points.min(axis=0), points.max(axis=0)
+    (west, south), (east, north) = graph.bounds
     ground = {"north": north, "south": south, "east": east, "west": west}
     known = {"revMajor": "1", "revMinor": "7", "name": name, "version": "1.00", "vendor": "hid2-sumo"}
     header = E.header({**known, **{side: f"{value:.3f}" for side, value in ground.items()}})
@@ -279,7 +268,8 @@ def _header(graph: LaneGraph, name: str, origin: CityOrigin | None) -> etree._El
     return header
 
 
-def _link(side: str, road: int, contact: str) -> etree._Element:
+def _link(side: str, road: int) -> etree._Element:
+    contact = "end" if side == "predecessor" else "start"
     return E(side, elementType="road", elementId=str(road), contactPoint=contact)
 
 
@@ -290,10 +280,8 @@ def _road_xml(
     """A road. ends: what it is linked with; lanes: those before and behind each of its lanes, from the left."""
     through = junction != "-1"
     offsets = E.lanes(*_pieces("laneOffset", road.s, road.borders[0], "s"))
-    line, plan = road.line, []
-    for s, x, y, heading, length, curvature in zip(
-        line.s, line.x, line.y, line.heading, line.length, line.curvature, strict=True
-    ):
+    plan = []
+    for s, x, y, heading, length, curvature in road.line.parts.tolist():
         shape = E.arc(curvature=f"{curvature:.9f}") if curvature else E.line()
         place = {"s": f"{s:.6f}", "x": f"{x:.6f}", "y": f"{y:.6f}", "hdg": f"{heading:.9f}", "length": f"{length:.6f}"}
         plan.append(E.geometry(place, shape))
@@ -302,7 +290,7 @@ def _road_xml(
         within = [side for side, far in zip(_SIDES, (first, len(road.s) - 1 - last), strict=True) if far]
         linked = {**lanes, **dict.fromkeys(within, range(len(road.lanes)))}
         offsets.append(_section(graph, road, slice(first, last + 1), linked, through=through))
-    known = {"name": " ".join(map(str, road.lanes)), "length": f"{line.length_m:.6f}", "id": str(number)}
+    known = {"name": " ".join(map(str, road.lanes)), "length": f"{road.line.length_m:.6f}", "id": str(number)}
     return E.road(
         {**known, "junction": junction, "rule": "RHT"},
         E.link(*ends),
@@ -335,14 +323,14 @@ def _section(
         lane = E.lane(link, *_pieces("width", s, width, "sOffset"), id=str(-1 - k), level="false")
         lane.set("type", _LANE_TYPES[graph.lanes[segments[0]].lane_type] if segments else "driving")
         if not through:
-            lane.append(_mark(graph, graph.lanes[segments[0]]))
+            own = graph.lanes[segments[0]]
+            lane.append(_mark(own.right_mark_type, _changes(graph, own), outwards_is_left=False))
         if segments:
             lane.append(E.userData(code=LANE_IDS, value=" ".join(map(str, segments))))
         drawn.append(lane)
     center = E.lane(id="0", type="none", level="false")
     if not through:
-        mark, color = _mark_of(graph.lanes[road.lanes[0]].left_mark_type, outwards_is_left=True)
-        center.append(E.roadMark(sOffset="0", type=mark, color=color, width="0.12", laneChange="none"))
+        center.append(_mark(graph.lanes[road.lanes[0]].left_mark_type, "none", outwards_is_left=True))
     return E.laneSection(E.center(center), E.right(*drawn), s=f"{road.s[part][0]:.6f}")
 
 
@@ -354,20 +342,18 @@ def _pieces(name: str, s: FloatArray, values: FloatArray, at: str) -> Iterator[e
         yield E(name, {at: f"{first:.6f}", "a": f"{value:.6f}", "b": f"{slope:.9f}", "c": "0", "d": "0"})
 
 
-def _mark(graph: LaneGraph, lane: LaneSegment) -> etree._Element:
-    """The marking on the right of a lane; increase is towards the left."""
+def _changes(graph: LaneGraph, lane: LaneSegment) -> str:
+    """Changes of lane over the marking on the right of a lane; increase is towards the left."""
     right = graph.neighbor(lane.lane_id, "right")
-    leaves = right is not None and crossable(lane.right_mark_type)
-    enters = right is not None and crossable(graph.lanes[right].left_mark_type)
-    change = {(True, True): "both", (True, False): "decrease", (False, True): "increase"}.get((leaves, enters), "none")
-    mark, color = _mark_of(lane.right_mark_type, outwards_is_left=False)
-    return E.roadMark(sOffset="0", type=mark, color=color, width="0.12", laneChange=change)
+    allowed = graph.may_change(lane.lane_id, "right"), right is not None and graph.may_change(right, "left")
+    return {(True, True): "both", (True, False): "decrease", (False, True): "increase"}.get(allowed, "none")
 
 
-def _mark_of(mark_type: str, *, outwards_is_left: bool) -> tuple[str, str]:
-    """Type and colour of a marking, of which Argoverse names the lines from the lane outwards."""
+def _mark(mark_type: str, changes: str, *, outwards_is_left: bool) -> etree._Element:
+    """A marking, of which Argoverse names the lines from the lane outwards."""
     words = mark_type.split("_")
     lines = ["solid" if word == "SOLID" else "broken" for word in words if word in {"SOLID", "DASH", "DASHED"}]
     lines *= 2 if words[0] == "DOUBLE" else 1
+    kind = " ".join(reversed(lines) if outwards_is_left else lines) or "none"
     color = words[-1].lower() if lines else "standard"
-    return " ".join(reversed(lines) if outwards_is_left else lines) or "none", color
+    return E.roadMark(sOffset="0", type=kind, color=color, width="0.12", laneChange=changes)

@@ -4,7 +4,7 @@ Lanes side by side are a road. Lanes of an intersection are ways through its jun
 the start of another's; those that begin or end at the map's edge lie on no way and are roads.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,7 +12,7 @@ import numpy as np
 import shapely
 
 from netconvert.errors import NetError
-from netconvert.lane_graph import LaneGraph
+from netconvert.lane_graph import LaneGraph, joined
 
 #: Ways from one lane through an intersection. Real maps: 6 at most.
 _MOST_WAYS = 200
@@ -50,16 +50,14 @@ class Roads:
 
     def joint(self, junction: int) -> tuple[int, int] | None:
         """The roads before and behind where all lanes of one simply go on as those of another; None elsewhere."""
-        ways = self.ways_of.get(junction, ())
-        ends = [k for k, name in enumerate(self.junctions) if name == junction]
-        if len(ends) != 2 or any(way.through for way in ways):
+        ends = sorted((k for k, at in enumerate(self.junctions) if at == junction), key=lambda end: end % 2 == 0)
+        if len(ends) != 2:
             return None
-        places = [(self.place[way.source], self.place[way.target]) for way in ways]
-        (before, behind) = sorted(ends, key=lambda end: end % 2 == 0)
-        one, other = before // 2, behind // 2
-        straight = all(source[1] == target[1] for source, target in places)
-        whole = len(ways) == len(self.rows[one]) == len(self.rows[other])
-        return (one, other) if straight and whole and one != other else None
+        one, other = (end // 2 for end in ends)
+        before, behind = self.rows[one], self.rows[other]
+        straight = {Way(source, target, ()) for source, target in zip(before, behind, strict=False)}
+        same = one != other and len(before) == len(behind) and straight == set(self.ways_of.get(junction, ()))
+        return (one, other) if same else None
 
 
 def roads_of(graph: LaneGraph, *, apart: Collection[int] = ()) -> Roads:
@@ -67,7 +65,7 @@ def roads_of(graph: LaneGraph, *, apart: Collection[int] = ()) -> Roads:
     lanes = graph.lanes
     inside = {i for i, lane in lanes.items() if lane.is_intersection and graph.predecessors(i) and graph.successors(i)}
     while True:
-        rows = tuple(_rows(graph, inside, apart))
+        rows = tuple(graph.rows(without=inside, apart=apart))
         begins = {lane_id: 2 * road for road, row in enumerate(rows) for lane_id in row}
         ways = [way for lane_id in begins for way in _ways(graph, lane_id, inside)]
         junctions = _joined(graph, ways, begins, 2 * len(rows))
@@ -86,39 +84,16 @@ def roads_of(graph: LaneGraph, *, apart: Collection[int] = ()) -> Roads:
 
 def _joined(graph: LaneGraph, ways: Sequence[Way], begins: Mapping[int, int], count: int) -> tuple[int, ...]:
     """Ends of roads that are in one junction: by a way, by ways over the same lane, or by ways that cross."""
-    junctions = list(range(count))
-
-    def joined(place: int) -> int:
-        while junctions[place] != place:
-            junctions[place] = place = junctions[junctions[place]]
-        return place
-
+    pairs = []
     owner: dict[int, int] = {}
     for way in ways:
-        junctions[joined(begins[way.source] + 1)] = joined(begins[way.target])
-        for lane_id in way.through:
-            junctions[joined(owner.setdefault(lane_id, begins[way.target]))] = joined(begins[way.target])
+        target = begins[way.target]
+        pairs.append((begins[way.source] + 1, target))
+        pairs += [(owner.setdefault(lane_id, target), target) for lane_id in way.through]
     lines = np.array([shapely.LineString(graph.lanes[lane_id].centerline) for lane_id in owner], dtype=np.object_)
     ends = list(owner.values())
-    for one, other in shapely.STRtree(lines).query(lines, predicate="intersects").T.tolist():
-        junctions[joined(ends[one])] = joined(ends[other])
-    return tuple(joined(place) for place in range(count))
-
-
-def _rows(graph: LaneGraph, inside: Collection[int], apart: Collection[int]) -> Iterator[tuple[int, ...]]:
-    """Lanes side by side that are no lanes of an intersection, from the right."""
-    for lane_id in graph.lanes:
-        if lane_id in inside:
-            continue
-        right = graph.neighbor(lane_id, "right")
-        if right is not None and right not in inside and not {lane_id, right} & set(apart):
-            continue
-        row = [lane_id]
-        while (left := graph.neighbor(row[-1], "left")) is not None and left not in inside:
-            if {left, row[-1]} & set(apart):
-                break
-            row.append(left)
-        yield tuple(row)
+    crossing = shapely.STRtree(lines).query(lines, predicate="intersects").T.tolist()
+    return tuple(joined(count, pairs + [(ends[one], ends[other]) for one, other in crossing]))
 
 
 def _ways(graph: LaneGraph, lane_id: int, inside: Collection[int]) -> list[Way]:

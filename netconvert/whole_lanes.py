@@ -15,9 +15,9 @@ from lxml.builder import E
 
 from netconvert.geo import CityOrigin
 from netconvert.geometry import FloatArray
-from netconvert.gui_files import shape, xml_bytes
+from netconvert.gui_files import xml_bytes
 from netconvert.lane_graph import LaneGraph
-from netconvert.net_xml import ALLOWED_CLASSES, WHOLE_LIMIT_MPS, junction_beside, location
+from netconvert.net_xml import ALLOWED_CLASSES, WHOLE_LIMIT_MPS, junction_beside, location, shape
 from netconvert.roads import Roads, Way, roads_of
 
 #: Whether a driver has to stop at the entrance of a lane of an intersection, by step; None where there is no signal.
@@ -48,16 +48,14 @@ def plain_files(
 def _nodes(
     graph: LaneGraph, roads: Roads, origin: CityOrigin | None, signals: dict[int, list[etree._Element]]
 ) -> bytes:
-    ends: dict[int, list[FloatArray]] = defaultdict(list)
-    lines: dict[int, list[FloatArray]] = defaultdict(list)
+    touching: dict[int, list[tuple[FloatArray, int]]] = defaultdict(list)
     for end, junction in enumerate(roads.junctions):
-        row = [graph.lanes[lane_id].centerline for lane_id in roads.rows[end // 2]]
-        ends[junction] += [line[-(end % 2)] for line in row]
-        lines[junction] += row
+        touching[junction] += [(graph.lanes[lane_id].centerline, -(end % 2)) for lane_id in roads.rows[end // 2]]
     nodes = []
-    for junction, points in ends.items():
+    for junction, lines in touching.items():
+        points = [line[end] for line, end in lines]
         x, y = np.mean(points, axis=0)
-        beside = shape(junction_beside(points[0], lines[junction]), digits=3)
+        beside = shape(junction_beside(points[0], [line for line, _ in lines]), digits=3)
         kind = {"type": "traffic_light", "tl": f"J{junction}"} if junction in signals else {"type": "priority"}
         nodes.append(E.node(kind, id=f"J{junction}", x=f"{x:.3f}", y=f"{y:.3f}", shape=beside))
     return xml_bytes(E.nodes(etree.fromstring(location(graph, origin)), *nodes))
@@ -89,11 +87,9 @@ def _connections(graph: LaneGraph, roads: Roads, ways: Sequence[Way]) -> list[et
     """The ways; an edge without any is told to have none, else netconvert guesses."""
     found = []
     for way in ways:
-        link = E.connection(_link(roads, way))
-        if way.through:
-            line = np.concatenate([graph.lanes[lane_id].centerline for lane_id in way.through])
-            link.set("shape", shape(line, digits=3))
-        found.append(link)
+        lines = [graph.lanes[lane_id].centerline for lane_id in way.through]
+        line = {"shape": shape(np.concatenate(lines), digits=3)} if lines else {}
+        found.append(E.connection(_link(roads, way) | line))
     leaving = {roads.place[way.source][0] for way in ways}
     return found + [E.connection({"from": str(row[0])}) for k, row in enumerate(roads.rows) if k not in leaving]
 

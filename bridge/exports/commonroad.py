@@ -5,7 +5,6 @@ comment. Steps that a track lacks are between its neighbours. The format wants e
 later waits beside the map then, and is nowhere until its trajectory begins.
 """
 
-from collections.abc import Callable, Iterator
 from itertools import count
 
 import numpy as np
@@ -35,25 +34,24 @@ def commonroad_files(scene: Recording) -> dict[str, bytes]:
     traffic = traffic_of(scene.tracks, scene.num_steps, step_s=scene.step_s)
     agents: list[etree._Element] = []
     problem = []
-    west, south = np.concatenate([lane.centerline for lane in scene.graph.lanes.values()]).min(axis=0) - _WEST_M
+    west, south = scene.graph.bounds[0] - _WEST_M
     for row, track in enumerate(scene.tracks):
         steps = np.flatnonzero(traffic.present[row])
-        poses = np.column_stack([traffic.position[row], traffic.heading[row]])[steps]
-        speeds = np.interp(steps, track.timesteps, track.speed)
-        states = list(zip(steps.tolist(), poses, speeds.tolist(), strict=True))
+        heading, speed = traffic.heading[row, steps], np.interp(steps, track.timesteps, track.speed)
+        states = np.column_stack([steps, traffic.position[row, steps], heading, speed])
         if track.track_id == AV_ID:
-            problem.append(_problem(next(ids), poses, float(speeds[0]), steps.tolist()))
+            problem.append(_problem(next(ids), states))
             continue
-        length_m, width_m = track.size
-        box = E.rectangle(E.length(f"{length_m:.3f}"), E.width(f"{width_m:.3f}"))
+        box = E.rectangle(E.length(f"{track.size.length_m:.3f}"), E.width(f"{track.size.width_m:.3f}"))
         kind = E.type(_OBSTACLES.get(track.object_type, "unknown"))
-        if states[0][0] > 0:
-            states.insert(0, (0, np.array([west, south + _APART_M * row, 0.0]), 0.0))
-        obstacle = E.dynamicObstacle(kind, E.shape(box), _state(E.initialState, *states[0]), id=str(next(ids)))
+        if steps[0] > 0:
+            states = np.vstack([[0.0, west, south + _APART_M * row, 0.0, 0.0], states])
+        obstacle = E.dynamicObstacle(kind, E.shape(box), _state("initialState", states[0]), id=str(next(ids)))
         if len(states) > 1:
-            obstacle.append(E.trajectory(*(_state(E.state, *state) for state in states[1:])))
+            obstacle.append(E.trajectory(*(_state("state", state) for state in states[1:])))
         agents += [etree.Comment(f" track {track.track_id.replace('--', '- -')} "), obstacle]
-    known = {"commonRoadVersion": "2020a", "benchmarkID": f"ZAM_HID2-1_{_number(name)}_T-1", "date": "1970-01-01"}
+    number = sum((k + 1) * ord(letter) for k, letter in enumerate(name))  # which names of CommonRoad have
+    known = {"commonRoadVersion": "2020a", "benchmarkID": f"ZAM_HID2-1_{number}_T-1", "date": "1970-01-01"}
     known |= {"author": "hid2-sumo", "affiliation": "", "source": f"{scene.format} {name}"}
     place = E.location(E.geoNameId("-999"), E.gpsLatitude("999"), E.gpsLongitude("999"))
     lanelets = (_lanelet(scene.graph, lane) for lane in scene.graph.lanes.values())
@@ -61,11 +59,6 @@ def commonroad_files(scene: Recording) -> dict[str, bytes]:
         {**known, "timeStepSize": f"{scene.step_s:g}"}, place, E.scenarioTags(E.urban()), *lanelets, *agents, *problem
     )
     return {f"{name}.cr.xml": xml_bytes(root)}
-
-
-def _number(name: str) -> int:
-    """A number of a scene, as names of CommonRoad have: of the letters and digits of its id."""
-    return sum((k + 1) * ord(letter) for k, letter in enumerate(name))
 
 
 def _lanelet(graph: LaneGraph, lane: LaneSegment) -> etree._Element:
@@ -86,48 +79,34 @@ def _lanelet(graph: LaneGraph, lane: LaneSegment) -> etree._Element:
 
 
 def _bounds(lane: LaneSegment) -> tuple[FloatArray, FloatArray]:
-    """Left and right bound with as many points, (N, 2) m, at equal shares of their lengths; of a map without, aside."""
-    half = lane.width_m / 2.0
-    lines = []
-    for points, aside in ((lane.left_boundary, half), (lane.right_boundary, -half)):
-        lines.append(Polyline(lane.path.xy(lane.path.s, aside) if points is None else points))
+    """Left and right bound with as many points, (N, 2) m, at equal shares of their lengths."""
+    lines = [Polyline(points) for points in lane.sides]
     shares = np.unique(np.round(np.concatenate([line.s / line.length_m for line in lines]), 6))
     return lines[0].point(shares * lines[0].length_m), lines[1].point(shares * lines[1].length_m)
 
 
-def _state(tag: Callable[..., etree._Element], step: int, pose: FloatArray, speed_mps: float) -> etree._Element:
-    return tag(*_motion(pose), E.time(_exact(step)), E.velocity(_exact(f"{speed_mps:.6f}")))
+def _state(tag: str, state: FloatArray) -> etree._Element:
+    """A state: step, x, y m, heading rad, speed m/s."""
+    step, x, y, heading, speed = state.tolist()
+    place = E.position(E.point(E.x(f"{x:.6f}"), E.y(f"{y:.6f}")))
+    known = {"orientation": f"{wrap_angle(heading):.6f}", "time": f"{step:.0f}", "velocity": f"{speed:.6f}"}
+    return E(tag, place, *(E(key, E.exact(value)) for key, value in known.items()))
 
 
-def _motion(pose: FloatArray) -> Iterator[etree._Element]:
-    x, y, heading = pose.tolist()
-    yield E.position(E.point(E.x(f"{x:.6f}"), E.y(f"{y:.6f}")))
-    yield E.orientation(_exact(f"{float(wrap_angle(heading)):.6f}"))
-
-
-def _exact(value: object) -> etree._Element:
-    return E.exact(str(value))
-
-
-def _problem(number: int, poses: FloatArray, speed_mps: float, steps: list[int]) -> etree._Element:
+def _problem(number: int, states: FloatArray) -> etree._Element:
     """From where the recording vehicle was first to about where it was at last, at about that time."""
-    start = _state(E.initialState, steps[0], poses[0], speed_mps)
-    start.append(E.yawRate(_exact(0.0)))
-    start.append(E.slipAngle(_exact(0.0)))
-    x, y, heading = poses[-1].tolist()
-    size = f"{2 * _GOAL_M:g}"
+    start = _state("initialState", states[0])
+    start.extend(E(key, E.exact("0.0")) for key in ("yawRate", "slipAngle"))
+    last, x, y, heading, _ = states[-1].tolist()
+    size, turned = f"{2 * _GOAL_M:g}", float(wrap_angle(heading))
     area = E.rectangle(
         E.length(size), E.width(size), E.orientation(f"{heading:.6f}"), E.center(E.x(f"{x:.6f}"), E.y(f"{y:.6f}"))
     )
-    turned = float(wrap_angle(heading))
-
-    def between(low: float, high: float) -> list[etree._Element]:
-        return [E.intervalStart(f"{low:.6f}"), E.intervalEnd(f"{high:.6f}")]
-
-    goal = E.goalState(
-        E.position(area),
-        E.orientation(*between(turned - _GOAL_RAD, turned + _GOAL_RAD)),
-        E.time(E.intervalStart(str(steps[0] + 1)), E.intervalEnd(str(steps[-1]))),
-        E.velocity(*between(0.0, SPEED_LIMIT_MPS)),
-    )
+    goal = E.goalState(E.position(area))
+    for key, low, high in (
+        ("orientation", f"{turned - _GOAL_RAD:.6f}", f"{turned + _GOAL_RAD:.6f}"),
+        ("time", f"{states[0, 0] + 1:.0f}", f"{last:.0f}"),
+        ("velocity", f"{0.0:.6f}", f"{SPEED_LIMIT_MPS:.6f}"),
+    ):
+        goal.append(E(key, E.intervalStart(low), E.intervalEnd(high)))
     return E.planningProblem(start, goal, id=str(number))

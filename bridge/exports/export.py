@@ -8,12 +8,11 @@ from bridge.recordings.folders import Address
 from bridge.recordings.recording import Recording
 from bridge.recordings.sources import read_recording
 from bridge.sumo.net import write_all
-from netconvert.geo import CITY_ORIGINS
 
 #: Module and function of each format's writer: a scene in, contents by file name out. Imported when it is asked for.
 WRITERS: Mapping[str, str] = {
     "openscenario": "bridge.exports.openscenario.openscenario_files",
-    "opendrive": "bridge.exports.export.opendrive_files",
+    "opendrive": "bridge.exports.openscenario.opendrive_files",
     "commonroad": "bridge.exports.commonroad.commonroad_files",
     "trj": "bridge.recordings.ssam.trj_files",
     "sumo": "bridge.sumo.exchange.sumo_files",
@@ -24,18 +23,10 @@ WRITERS: Mapping[str, str] = {
 def export_scene(address: Address, to: str, out_dir: Path) -> list[Path]:
     """Write a scene in a format of WRITERS into out_dir, all files or, after an error, none; returns the files.
 
-    Errors: ScenarioError, MapError; NetError where it cannot be said in the format or not be written.
+    Errors: ScenarioError, MapError; NetError where it cannot be said in the format; ExportError where not be written.
     """
     module, name = WRITERS[to].rsplit(".", 1)
     writer: Callable[[Recording], dict[str, bytes]] = getattr(import_module(module), name)
     files = writer(read_recording(address))
     write_all(out_dir, files)
     return [out_dir / name for name in files]
-
-
-def opendrive_files(scene: Recording) -> dict[str, bytes]:
-    """<id>.xodr by file name."""
-    from netconvert.opendrive import opendrive_bytes
-
-    name = scene.scenario_id
-    return {f"{name}.xodr": opendrive_bytes(scene.graph, name, origin=CITY_ORIGINS.get(scene.city))}

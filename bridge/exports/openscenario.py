@@ -32,10 +32,10 @@ def openscenario_files(scene: Recording) -> dict[str, bytes]:
     name = scene.scenario_id
     tracks = sorted(scene.tracks, key=lambda track: track.track_id != AV_ID)
     groups = [_acts(track, scene) for track in tracks]
-    start = [track for track in tracks if track.timesteps[0] == 0]
     teleports = (
         E.Private(E.PrivateAction(E.TeleportAction(_position(_axle(track)[0]))), entityRef=_name(track))
-        for track in start
+        for track in tracks
+        if track.timesteps[0] == 0
     )
     story = E.Story(E.Act(*groups, E.StartTrigger(_at(0.0)), name="tracks"), name=name)
     header = {"revMajor": "1", "revMinor": "2", "date": "1970-01-01T00:00:00", "author": "hid2-sumo"}
@@ -46,8 +46,13 @@ def openscenario_files(scene: Recording) -> dict[str, bytes]:
         E.Entities(*(E.ScenarioObject(_entity(track), name=_name(track)) for track in tracks)),
         E.Storyboard(E.Init(E.Actions(*teleports)), story, E.StopTrigger(_at((scene.num_steps - 1) * scene.step_s))),
     )
-    roads = opendrive_bytes(scene.graph, name, origin=CITY_ORIGINS.get(scene.city))
-    return {f"{name}.xosc": xml_bytes(document), f"{name}.xodr": roads}
+    return {f"{name}.xosc": xml_bytes(document), **opendrive_files(scene)}
+
+
+def opendrive_files(scene: Recording) -> dict[str, bytes]:
+    """<id>.xodr by file name. Errors: NetError."""
+    name = scene.scenario_id
+    return {f"{name}.xodr": opendrive_bytes(scene.graph, name, origin=CITY_ORIGINS.get(scene.city))}
 
 
 def _name(track: Track) -> str:
@@ -72,23 +77,21 @@ def _position(pose: FloatArray) -> etree._Element:
 
 def _entity(track: Track) -> etree._Element:
     length_m, width_m = track.size
-    height_m = _HEIGHTS_M.get(track.object_type, _HEIGHT_M)
+    height_m, kind = _HEIGHTS_M.get(track.object_type, _HEIGHT_M), track.object_type
     center = E.Center(x=f"{_behind_m(track):.3f}", y="0", z=f"{height_m / 2:.3f}")
     box = E.BoundingBox(center, E.Dimensions(length=f"{length_m:.3f}", width=f"{width_m:.3f}", height=f"{height_m:g}"))
-    known = E.Properties(
-        E.Property(name="track_id", value=track.track_id), E.Property(name="object_type", value=track.object_type)
-    )
-    if track.object_type == "pedestrian":
-        kind = {"name": "pedestrian", "mass": _MASS_KG, "pedestrianCategory": "pedestrian"}
-        return E.Pedestrian(kind, E.ParameterDeclarations(), box, known)
-    if track.object_type not in _CATEGORIES:
-        kind = {"name": track.object_type, "mass": _MASS_KG, "miscObjectCategory": "obstacle"}
-        return E.MiscObject(kind, E.ParameterDeclarations(), box, known)
-    axle = {"trackWidth": f"{width_m:.3f}", "wheelDiameter": f"{_WHEEL_M}", "positionZ": f"{_WHEEL_M / 2}"}
-    front = {"maxSteering": f"{_STEERING_RAD}", "positionX": f"{_AXLE_SHARE * length_m:.3f}"}
-    axles = E.Axles(E.FrontAxle(axle, front), E.RearAxle(axle, maxSteering="0", positionX="0"))
-    kind = {"name": track.object_type, "vehicleCategory": _CATEGORIES[track.object_type]}
-    return E.Vehicle(kind, E.ParameterDeclarations(), box, E.Performance(_PERFORMANCE), axles, known)
+    if kind in _CATEGORIES:
+        axle = {"trackWidth": f"{width_m:.3f}", "wheelDiameter": f"{_WHEEL_M}", "positionZ": f"{_WHEEL_M / 2}"}
+        front = {"maxSteering": f"{_STEERING_RAD}", "positionX": f"{_AXLE_SHARE * length_m:.3f}"}
+        axles = E.Axles(E.FrontAxle(axle, front), E.RearAxle(axle, maxSteering="0", positionX="0"))
+        made, more = E.Vehicle(name=kind, vehicleCategory=_CATEGORIES[kind]), [E.Performance(_PERFORMANCE), axles]
+    elif kind == "pedestrian":
+        made, more = E.Pedestrian(name=kind, mass=_MASS_KG, pedestrianCategory=kind), []
+    else:
+        made, more = E.MiscObject(name=kind, mass=_MASS_KG, miscObjectCategory="obstacle"), []
+    named = (E.Property(name=key, value=value) for key, value in (("track_id", track.track_id), ("object_type", kind)))
+    made.extend([E.ParameterDeclarations(), box, *more, E.Properties(*named)])
+    return made
 
 
 def _acts(track: Track, scene: Recording) -> etree._Element:

@@ -170,10 +170,7 @@ def _map(graph: LaneGraph, origin: FloatArray) -> dict[str, Any]:
     grid = build_cell_grid(graph)
 
     def sides(lane: LaneSegment) -> list[list[list[int]]]:
-        half = lane.width_m / 2.0
-        left = lane.path.xy(lane.path.s, half) if lane.left_boundary is None else lane.left_boundary
-        right = lane.path.xy(lane.path.s, -half) if lane.right_boundary is None else lane.right_boundary
-        return [_line(line, origin) for line in (left, right, lane.centerline)]
+        return [_line(line, origin) for line in (*lane.sides, lane.centerline)]
 
     return {
         "ground": [_line(ring, origin) for ring in graph.drivable_areas],

@@ -1,11 +1,14 @@
 """Trajectories as the Surrogate Safety Assessment Model reads them: `.trj`, open trajectory format 1.04."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from bridge.recordings.recording import Recording
 from hid2.measures.arrays import SceneArrays
 from hid2.measures.lane_matching import Matches, flatten_lanes
 from hid2.occupancy.agent_states import agent_states
+from netconvert.geometry import differences
 
 #: Record types, byte order and units of the format: little-endian, metric.
 _FORMAT, _DIMENSIONS, _TIMESTEP, _VEHICLE, _LITTLE, _METRIC = 0, 1, 2, 3, ord("L"), 1
@@ -39,8 +42,7 @@ def trj_bytes(arrays: SceneArrays, matches: Matches) -> bytes:
     half = 0.5 * arrays.length[agent][:, None] * forward
     speed = np.hypot(*arrays.velocity.T)
     accel = np.concatenate([np.zeros(0)] + [
-        np.gradient(speed[a:b], arrays.step_s) if b - a > 1 else np.zeros(b - a)
-        for a, b in zip(arrays.first[:-1], arrays.first[1:], strict=True)
+        differences(speed[a:b], arrays.step_s) for a, b in pairwise(arrays.first.tolist())
     ])  # fmt: skip
     table = np.zeros(len(rows), _ROW)
     table["kind"], table["lane"], table["vehicle"], table["link"] = _VEHICLE, 1, agent + 1, matches.lane[rows] + 1

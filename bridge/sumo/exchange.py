@@ -70,7 +70,7 @@ def fcd_files(scenario: Recording) -> dict[str, bytes]:
 
 def _fcd(scenario: Recording, grid: CellGrid, placed: Mapping[str, _Placed]) -> bytes:
     """FCD output: the timesteps in order, and the agents of each in the scene's order."""
-    steps: list[list[str]] = [[] for _ in range(scenario.num_steps)]
+    steps = [[f'    <timestep time="{step * scenario.step_s:.2f}">'] for step in range(scenario.num_steps)]
     for track in scenario.tracks:
         front, angle = sumo_poses(track.position, track.heading, np.full(len(track.timesteps), track.size.length_m))
         where, name = placed[track.track_id], escape(track.track_id, {'"': "&quot;"})
@@ -78,16 +78,12 @@ def _fcd(scenario: Recording, grid: CellGrid, placed: Mapping[str, _Placed]) -> 
         for row, (step, (x, y), degrees, speed) in enumerate(rows):
             lane, pos = grid.sumo_lane_id(where.cells[row]), where.pos_m[row]
             steps[step].append(
-                f'<vehicle id="{name}" x="{x:.{_DIGITS}f}" y="{y:.{_DIGITS}f}" '
+                f'        <vehicle id="{name}" x="{x:.{_DIGITS}f}" y="{y:.{_DIGITS}f}" '
                 f'angle="{degrees:.{_DIGITS}f}" type="type_{name}" speed="{speed:.{_DIGITS}f}" '
                 f'pos="{pos:.{_DIGITS}f}" lane="{lane}" slope="0.00"/>'
             )
-    lines = ["<?xml version='1.0' encoding='UTF-8'?>", "<fcd-export>"]
-    for step, vehicles in enumerate(steps):
-        lines.append(f'    <timestep time="{step * scenario.step_s:.2f}">')
-        lines += [f"        {vehicle}" for vehicle in vehicles]
-        lines.append("    </timestep>")
-    return "\n".join([*lines, "</fcd-export>", ""]).encode()
+    lines = [line for step in steps for line in (*step, "    </timestep>")]
+    return "\n".join(["<?xml version='1.0' encoding='UTF-8'?>", "<fcd-export>", *lines, "</fcd-export>", ""]).encode()
 
 
 def _places(scenario: Recording, grid: CellGrid) -> dict[str, _Placed]:
@@ -137,27 +133,20 @@ def _driver(agent: AgentRecord) -> dict[str, str]:
     return known | {key: f"{value:g}" for key, value in sorted(agent.driver.parameters.items())}
 
 
-def _edge_links(grid: CellGrid) -> dict[str, tuple[str, ...]]:
+def _edge_links(grid: CellGrid) -> dict[str, list[str]]:
     """Edges that follow an edge on any of its lanes."""
-    links: dict[str, dict[str, None]] = {}
-    for row in grid.rows():
-        following = links.setdefault(grid.edge_id(row[0]), {})
-        for cell in row:
-            ahead = grid.longitudinal(cell)
-            for target in (ahead,) if ahead is not None else grid.inter_lane(cell):
-                following[grid.edge_id(target)] = None
-    return {edge: tuple(targets) for edge, targets in links.items()}
+    return {
+        grid.edge_id(row[0]): [grid.edge_id(target) for cell in row for target in grid.following(cell)]
+        for row in grid.rows()
+    }
 
 
-def _edges(cells: Sequence[Cell], grid: CellGrid, links: Mapping[str, tuple[str, ...]], name: str) -> list[str]:
+def _edges(cells: Sequence[Cell], grid: CellGrid, links: Mapping[str, Sequence[str]], name: str) -> list[str]:
     """The edges that a vehicle drove, without gaps: between two that do not follow each other the shortest way."""
     edges: list[str] = []
-    for cell in cells:
-        edge = grid.edge_id(cell)
-        if not edges or edge == edges[-1]:
-            edges = edges or [edge]
-        elif edge not in edges:
-            way = _way(edges[-1], edge, links)
+    for edge in map(grid.edge_id, cells):
+        if edge not in edges:
+            way = _way(edges[-1], edge, links) if edges else [edge]
             if way is None:
                 _LOG.warning("%s: the net has no way from edge %s to %s, its route ends there", name, edges[-1], edge)
                 break
@@ -165,14 +154,15 @@ def _edges(cells: Sequence[Cell], grid: CellGrid, links: Mapping[str, tuple[str,
     return edges
 
 
-def _way(start: str, goal: str, links: Mapping[str, tuple[str, ...]]) -> list[str] | None:
+def _way(start: str, goal: str, links: Mapping[str, Sequence[str]]) -> list[str] | None:
     """Edges after start to goal, the fewest; None where there is no way."""
     queue, seen = deque([[start]]), {start}
     while queue:
         way = queue.popleft()
         if way[-1] == goal:
             return way[1:]
-        onward = [edge for edge in links.get(way[-1], ()) if edge not in seen]
-        seen.update(onward)
-        queue.extend([*way, edge] for edge in onward)
+        for edge in links[way[-1]]:
+            if edge not in seen:
+                seen.add(edge)
+                queue.append([*way, edge])
     return None

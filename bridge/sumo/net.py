@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 
-from bridge.files import unwritten
+from bridge.files import explained, make_folder
 from bridge.interruption import hidden_folder
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, Address, Source, only_file
 from bridge.recordings.map_rules import read_source_map
@@ -41,7 +41,7 @@ def convert(scene: Address, out_dir: Path, *, cell_m: float = 4.0) -> FidelityRe
 
     scene: a recording, which gives the net a place on the globe; or a folder with one log_map_archive_<id>.json, or
     that file. Files of an earlier run are replaced, all of them or, after an error, none.
-    Errors: ScenarioError, MapError, NetError.
+    Errors: ScenarioError, MapError, NetError, ExportError.
     """
     name, graph, recording = _map_of(scene)
     grid = build_cell_grid(graph, cell_m=cell_m, saved_within_m=SAVED_WITHIN_M)
@@ -108,13 +108,10 @@ def _map_of(scene: Address) -> tuple[str, LaneGraph, Recording | None]:
 
 
 def write_all(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write every file to a hidden folder beside its place, then move all of them there."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with hidden_folder(folder) as beside:
-            for name, content in files.items():
-                (beside / name).write_bytes(content)
-            for name in files:
-                (beside / name).replace(folder / name)
-    except OSError as error:
-        raise NetError(f"{folder}: {unwritten(error)}") from error
+    """Write every file to a hidden folder beside its place, then move all of them there. Errors: ExportError."""
+    make_folder(folder)
+    with explained(folder), hidden_folder(folder) as beside:
+        for name, content in files.items():
+            (beside / name).write_bytes(content)
+        for name in files:
+            (beside / name).replace(folder / name)

@@ -26,8 +26,8 @@ from hid2.policy.behaviours import BEHAVIOURS
 from netconvert.cells import CellGrid
 from netconvert.geo import CITY_ORIGINS
 from netconvert.geometry import arc_length
-from netconvert.gui_files import WINDOW_ASPECT, gui_files, shape, xml_bytes
-from netconvert.net_xml import junction_beside, junction_xml, net_bytes
+from netconvert.gui_files import WINDOW_ASPECT, gui_files, xml_bytes
+from netconvert.net_xml import junction_beside, junction_xml, net_bytes, shape
 
 # No tunables: how a scene is drawn in sumo-gui; nothing that is generated depends on any of these.
 #: A lane of a trace covers at least this much time and way (the last one whatever is left).
@@ -207,13 +207,12 @@ def _bar(paint: Paint, name: str, corner: tuple[float, float], high_m: float) ->
 class _Trace:
     """The lanes of one track: shapes, each (N, 2) m, and speed limits, m/s.
 
-    The first begins a vehicle's length behind the front bumper, at depart_m; the last takes the vehicle out at once.
+    The first begins a vehicle's length behind the front bumper; the last takes the vehicle out at once.
     """
 
     track: Track
     shapes: tuple[FloatArray, ...]
     limits: tuple[float, ...]
-    depart_m: float
 
     def edge(self, number: int) -> str:
         """Id of one of its edges."""
@@ -234,7 +233,7 @@ def _trace(track: Track, step_s: float) -> _Trace:
     first, last = _direction(track.heading[0]), _direction(track.heading[-1])
     shapes[0] = np.vstack([points[0] - track.size.length_m * first, shapes[0]])
     shapes.append(np.stack([points[-1], points[-1] + _OUT_M * last]))
-    return _Trace(track, tuple(shapes), (*limits, _OUT_MPS), track.size.length_m)
+    return _Trace(track, tuple(shapes), (*limits, _OUT_MPS))
 
 
 def _way(track: Track, step_s: float) -> tuple[FloatArray, FloatArray]:
@@ -296,7 +295,7 @@ def _with_traces(net: bytes, traces: list[_Trace]) -> bytes:
             incoming = [f"{trace.edge(k - 1)}_0"] if k else []
             end = trace.shapes[k][0] if k < count else points[-1]
             line = junction_beside(end, trace.shapes[max(k - 1, 0) : k + 1])
-            junction = junction_xml(f"{trace.edge(k)}_j", end.tolist(), incoming=incoming, shape=line)
+            junction = junction_xml(f"{trace.edge(k)}_j", end.tolist(), incoming=incoming, line=line)
             added["junction"].append(etree.fromstring(junction))
     for tag, elements in added.items():
         before = root.findall(tag)
@@ -315,7 +314,8 @@ def _routes(scenario: Scenario, traces: list[_Trace]) -> bytes:
         kind |= {"maxSpeed": "80", "speedFactor": "1", "speedDev": "0", "tau": f"{scenario.step_s}"}
         kinds.append(E.vType(kind))
         vehicle = {"id": name, "type": f"type_{name}", "color": colors[name].xml, "insertionChecks": "none"}
-        vehicle |= {"depart": f"{trace.track.timesteps[0] * scenario.step_s:.2f}", "departPos": f"{trace.depart_m:.2f}"}
+        vehicle |= {"depart": f"{trace.track.timesteps[0] * scenario.step_s:.2f}"}
+        vehicle |= {"departPos": f"{trace.track.size.length_m:.2f}"}
         vehicle |= {"departSpeed": f"{trace.limits[0]:.4f}", "arrivalPos": "max"}
         params = [E.param(key=ID_KEY, value=name)] if shows_id(trace.track) else []
         edges = " ".join(trace.edge(k) for k in range(len(trace.shapes)))

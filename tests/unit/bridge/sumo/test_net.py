@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from bridge.sumo.net import convert
-from netconvert.errors import MapError, NetError
+from netconvert.errors import ExportError, MapError
 from netconvert.fidelity import UNEXPLAINED
 
 EditJson = Callable[[Path, Callable[[dict[str, Any]], None]], None]
@@ -60,5 +60,5 @@ def test_a_folder_without_map_is_refused(tmp_path: Path) -> None:
 
 def test_an_output_folder_that_is_a_file_is_refused(data_scene: Path, tmp_path: Path) -> None:
     (tmp_path / "out").write_text("here already")
-    with pytest.raises(NetError, match="out: cannot be written \\("):
+    with pytest.raises(ExportError, match="out: cannot be written \\("):
         convert(data_scene, tmp_path / "out")
