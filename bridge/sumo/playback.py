@@ -137,7 +137,7 @@ def scene_view_files(
         E.colorScheme(name="given vehicle/type/route color"),
     )
     names = E.pois({"poi_constantSize": "1", "poi_exaggeration": "1", **_words("poiName", 50)})
-    waits = {"start": "true", "breakpoints": f"{scenario.step_s},{scenario.num_steps * scenario.step_s:.2f}"}
+    waits = {"start": "true", "breakpoints": f"0.00,{(scenario.num_steps - 1) * scenario.step_s:.2f}"}
     files = gui_files(
         grid, name, step_s=scenario.step_s, shown=(low, high), options={**(options or {}), "gui_only": waits},
         shapes=_legend(scenario, low, high), scheme=[vehicles, names],

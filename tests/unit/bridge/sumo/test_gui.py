@@ -168,30 +168,20 @@ def test_a_map_that_begins_with_a_bicycle_lane_is_played_too(real_scene, tmp_pat
     assert colored(picture, LANE_GREY) > 2000
 
 
-STEPS = """
-import sys, time, traci
-traci.start([sys.argv[2], "-c", sys.argv[1]])
-while True:
-    traci.simulationStep()
-    print(traci.simulation.getTime(), flush=True)
-"""
-
-
-def test_sumo_gui_shows_the_first_step_and_waits(playable, screen):
-    """The second step begins when the user presses play, so that four seconds see one."""
-    environment = {key: value for key, value in screen.items() if key != "LIBSUMO_AS_TRACI"}
-    command = [sys.executable, "-c", STEPS, playable, BIN / "sumo-gui"]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment, start_new_session=True
-    ) as it:
+@pytest.mark.parametrize("waits", [True, False])
+def test_sumo_gui_waits_for_its_user_and_would_else_play_to_the_end(playable, screen, waits):
+    """It is to quit at the end: after 20 s it has not, unless the places where it waits are taken out."""
+    command = [BIN / "sumo-gui", "-c", playable, "--quit-on-end", "--delay", "0"]
+    command += [] if waits else ["--breakpoints", "1e6"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(command, env=screen, **quiet) as it:
         try:
-            lines = iter(it.stdout.readline, "")
-            first = next(line for line in lines if line[0].isdigit())
-            with pytest.raises(subprocess.TimeoutExpired):
-                it.wait(4)
+            it.wait(20 if waits else 120)
+            assert not waits
+        except subprocess.TimeoutExpired:
+            assert waits
         finally:
-            os.killpg(it.pid, signal.SIGKILL)  # sumo-gui too, which holds the pipe
-        assert [float(first), *(float(line) for line in lines)] == [0.1]
+            it.kill()
 
 
 def test_files_play_in_real_time_and_say_what_the_colours_mean(playable, made_scene):
@@ -199,7 +189,7 @@ def test_files_play_in_real_time_and_say_what_the_colours_mean(playable, made_sc
     assert configuration.find("gui_only/delay").get("value") == "1000"  # milliseconds for a simulated second
     assert [configuration.find(f"gui_only/{key}").get("value") for key in ("start", "breakpoints")] == [
         "true",
-        "0.1,11.00",
+        "0.00,10.90",
     ]
     shapes = etree.parse(str(playable).replace(".sumocfg", ".poly.xml"))
     told = {shape.get("color") for shape in shapes.iterfind("poly") if shape.get("type") == "legend"}
