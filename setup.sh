@@ -112,7 +112,7 @@ if ! .venv/bin/python -c "$LOCATE" >/dev/null 2>&1 ||
 fi
 if ! grep -qxF "$made ${1:-}" .venv/.hid2 2>/dev/null; then
     wanted="--extra critics"
-    if [ "${1:-}" = tests ]; then wanted="$wanted --extra gui --group dev"; fi
+    if [ "${1:-}" = tests ]; then wanted="$wanted --extra gui --extra site --group dev"; fi
     torch=${UV_TORCH_BACKEND-cpu} # PyTorch's own list of wheels; empty, which uv itself refuses: that of all packages
     unset UV_TORCH_BACKEND
     install() { .uv/bin/uv pip install -q --python .venv/bin/python --constraints requirements.txt "$@"; }

@@ -72,9 +72,10 @@ def applies(requirement: Requirement, extras: tuple[str, ...] = ("",)) -> bool:
 
 
 def declared() -> list[Requirement]:
-    """What pyproject.toml asks for by name: the package, its extra and the tools of the tests."""
+    """What pyproject.toml asks for by name: the package, its extras and the tools of the tests."""
     lines = [*PROJECT["project"]["dependencies"], *PROJECT["dependency-groups"]["dev"]]
-    return [Requirement(line) for line in (*lines, *PROJECT["project"]["optional-dependencies"]["gui"])]
+    extras = PROJECT["project"]["optional-dependencies"]
+    return [Requirement(line) for line in (*lines, *extras["gui"], *extras["site"])]
 
 
 def test_the_extra_forecast_is_pinned_and_nothing_else_brings_torch() -> None:

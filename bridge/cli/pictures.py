@@ -96,7 +96,7 @@ def gui(
     window: options.OneWindow,
     activity: Activity,
 ) -> None:
-    """Play a scene in sumo-gui at its exact positions, paused at first (needs the extra `gui` and a screen)."""
+    """Play a scene in sumo-gui, paused at the first step (needs the extra `gui` and a screen)."""
     found = one_scene(scene, window)
     activity.doing("starting sumo-gui")
     from bridge.sumo.gui import play_scene
@@ -104,7 +104,7 @@ def gui(
     def shown() -> None:
         activity.end()
         if screenshot is None and not activity.quiet:
-            say("sumo-gui waits at the first step: play with Ctrl+A, stop with Ctrl+S, close the window to end")
+            say("sumo-gui waits at the first step: play with Ctrl+A, stop with Ctrl+S, start again with Ctrl+R")
 
     picture = play_scene(found, speed=speed, screenshot=screenshot, step=step, on_shown=shown)
     activity.result(*(() if picture is None else (picture,)))

@@ -28,9 +28,7 @@ from netconvert.net_xml import net_bytes
 from netconvert.whole_lanes import plain_files
 
 #: How the programs of SUMO come in.
-INSTALL_SUMO = (
-    "install it: sh setup.sh tests, or in your own environment pip install 'eclipse-sumo==1.28.*' 'traci==1.28.*'"
-)
+INSTALL_SUMO = "install it: sh setup.sh tests, or in your own environment pip install 'eclipse-sumo==1.28.*'"
 #: No turns back where the map has none, and no two vehicles on ways that cross within a junction.
 _WHOLE_OPTIONS = ["--no-turnarounds", "true", "--check-lane-foes.all", "true", "--xml-validation", "never"]
 _WHOLE_OPTIONS += ["--offset.disable-normalization", "true"]

@@ -1,14 +1,14 @@
 """A scene as files that plain sumo-gui plays, without Python: net, routes, polygons, view settings, sumocfg.
 
-SUMO cannot read positions from a file, but a vehicle keeps to its lane and its lane's speed limit. So every agent gets
-lanes of its own, a centimetre wide and laid along the way of its front bumper, one for about every half second with the
-mean speed of that time as limit. `hid2 gui` (bridge.sumo.gui) shows the exact positions instead.
+A vehicle of SUMO's keeps to its lane and its lane's speed limit. So every agent gets lanes of its own, a centimetre
+wide, one for each stretch of constant velocity. They need not meet: a lane is laid so that the vehicle, which drives
+further in every step than it is long, ends each step where its front bumper was recorded, with its back on the same
+lane, whose direction is its heading. What SUMO tells as its speed is that advance.
 """
 
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -25,29 +25,20 @@ from hid2.measures.arrays import is_generated_id
 from hid2.policy.behaviours import BEHAVIOURS
 from netconvert.cells import CellGrid
 from netconvert.geo import CITY_ORIGINS
-from netconvert.geometry import arc_length
 from netconvert.gui_files import WINDOW_ASPECT, gui_files, xml_bytes
 from netconvert.net_xml import junction_beside, junction_xml, net_bytes, shape
 
 # No tunables: how a scene is drawn in sumo-gui; nothing that is generated depends on any of these.
-#: A lane of a trace covers at least this much time and way (the last one whatever is left).
-_MIN_SECONDS = 0.5
-_MIN_METERS = 0.3
-#: Points of a trace closer than this are one.
-_SAME_POINT_M = 0.02
+#: On a stretch of constant velocity no front bumper is further than this from where it was, and no heading.
+_WITHIN_M, _WITHIN_RAD = 0.05, 0.05
+#: SUMO takes a shape that is shorter to be as long.
+_LEAST_SHAPE_M = 0.1
 #: Lanes of a trace are no wider than this: they must not show.
 _TRACE_WIDTH_M = 0.01
-#: An agent that stays within this is drawn standing.
-STANDS_M = 1.5
-_CREEP_M = 0.1
-#: Rows of the moving mean over positions.
-SMOOTHED = 9
-#: The last lane of a trace, on which the vehicle leaves the scene within a step.
-_OUT_M, _OUT_MPS = 0.5, 80.0
+#: What a vehicle drives in a step beyond its length: no step ends near the end of a lane.
+_CLEAR_M = 1.0
 #: Lanes for this class of vehicle are transparent in the view settings (`gui_files`); no map has any.
 _UNSEEN = "ship"
-#: Vehicles keep to the limits of their lanes, however sudden.
-_ANY_ACCELERATION = "1000"
 #: What moves further than this is looked at, with so much ground around it.
 _MOVES_M, _MARGIN_M = 5.0, 20.0
 #: Parameter of a vehicle that holds the id to show.
@@ -114,10 +105,13 @@ def playable_files(scenario: Scenario, grid: CellGrid) -> dict[str, bytes]:
     """
     name = f"{scenario.scenario_id}_scene"
     options = run_options(scenario, f"{name}.rou.xml")
+    options["time"]["end"] = f"{(scenario.num_steps + 1) * scenario.step_s:.2f}"  # at which sumo-gui asks to close all
     options["processing"] = {"collision.action": "none", "time-to-teleport": "-1"}
     files = scene_view_files(scenario, grid, name, options)
-    traces = [_trace(track, scenario.step_s) for track in scenario.tracks]
-    files[f"{name}.net.xml"] = _with_traces(net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city)), traces)
+    traces = [_trace(track) for track in scenario.tracks]
+    files[f"{name}.net.xml"] = _with_traces(
+        net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city)), traces, scenario.step_s
+    )
     files[f"{name}.rou.xml"] = _routes(scenario, traces)
     return files
 
@@ -133,17 +127,17 @@ def scene_view_files(
 ) -> dict[str, bytes]:
     """<name>.sumocfg, .poly.xml and .view.xml: those of `hid2 net`, looking at what moves, with ids and a legend.
 
-    sumo-gui then shows the first step and waits: vehicles are boxes of their size, with their ids.
+    sumo-gui then shows the first step and waits, and the last one: vehicles are boxes of their size, with their ids.
     """
     low, high = moving_ground(scenario)
     vehicles = E.vehicles(
-        {"vehicleMode": "0", "vehicleQuality": "1", "showBlinker": "0", "vehicle_minSize": "0"},
+        {"vehicleMode": "0", "vehicleQuality": "1", "showBlinker": "0", "vehicle_minSize": "0", "scaleLength": "0"},
         {"vehicle_exaggeration": "1", **_words("vehicleText", 46)},
         {"vehicleText_bgColor": "255,255,255", "vehicleTextParam": ID_KEY},
         E.colorScheme(name="given vehicle/type/route color"),
     )
     names = E.pois({"poi_constantSize": "1", "poi_exaggeration": "1", **_words("poiName", 50)})
-    waits = {"start": "true", "breakpoints": f"{scenario.step_s}"}
+    waits = {"start": "true", "breakpoints": f"0.00,{(scenario.num_steps - 1) * scenario.step_s:.2f}"}
     files = gui_files(
         grid, name, step_s=scenario.step_s, shown=(low, high), options={**(options or {}), "gui_only": waits},
         shapes=_legend(scenario, low, high), scheme=[vehicles, names],
@@ -205,97 +199,79 @@ def _bar(paint: Paint, name: str, corner: tuple[float, float], high_m: float) ->
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Trace:
-    """The lanes of one track: shapes, each (N, 2) m, and speed limits, m/s.
-
-    The first begins a vehicle's length behind the front bumper; the last takes the vehicle out at once.
-    """
+    """The lanes of one track: shapes, each (2, 2) m, and for how many steps of advance_m each is driven on."""
 
     track: Track
     shapes: tuple[FloatArray, ...]
-    limits: tuple[float, ...]
+    steps: tuple[int, ...]
+    advance_m: float
 
     def edge(self, number: int) -> str:
         """Id of one of its edges."""
         return f"trace_{self.track.track_id}_{number}"
 
 
-def _trace(track: Track, step_s: float) -> _Trace:
-    points, when = _way(track, step_s)
-    knots = [0]
-    for row in range(1, len(points)):
-        way = float(arc_length(points[knots[-1] : row + 1])[-1])
-        if way >= _MIN_METERS and when[row] - when[knots[-1]] >= _MIN_SECONDS - 1e-9:
-            knots.append(row)
-    if knots[-1] != len(points) - 1:
-        knots = [*(knots[:-1] or [0]), len(points) - 1]
-    shapes = [points[begin : end + 1] for begin, end in pairwise(knots)]
-    limits = [float(arc_length(points[b : e + 1])[-1]) / float(when[e] - when[b]) for b, e in pairwise(knots)]
-    first, last = _direction(track.heading[0]), _direction(track.heading[-1])
-    shapes[0] = np.vstack([points[0] - track.size.length_m * first, shapes[0]])
-    shapes.append(np.stack([points[-1], points[-1] + _OUT_M * last]))
-    return _Trace(track, tuple(shapes), (*limits, _OUT_MPS))
+def _trace(track: Track) -> _Trace:
+    """Lanes as long as possible; where a track has a gap, its agent drives evenly through."""
+    steps = np.arange(track.timesteps[0], track.timesteps[-1] + 1)
+    front, _ = sumo_poses(track.position, track.heading, np.full(len(track.timesteps), track.size.length_m))
+    front = np.stack([np.interp(steps, track.timesteps, front[:, axis]) for axis in (0, 1)], axis=1)
+    heading = np.interp(steps, track.timesteps, np.unwrap(track.heading))
+    advance_m = track.size.length_m + _CLEAR_M
+    begins = 1.0 - 0.5 * _CLEAR_M / advance_m  # steps on a lane before its first front bumper
+    shapes, counts, row = [], [], 0
+    while row < len(steps):
+        count, (place, velocity) = 1, (front[row], _LEAST_SHAPE_M * _direction(heading[row]))
+        while row + count < len(steps):
+            longer = _steady(front[row : row + count + 1], heading[row : row + count + 1])
+            if longer is None:
+                break
+            count, (place, velocity) = count + 1, longer
+        shapes.append(np.stack([place - begins * velocity, place + (count - begins) * velocity]))
+        counts.append(count)
+        row += count
+    return _Trace(track, tuple(shapes), tuple(counts), advance_m)
 
 
-def _way(track: Track, step_s: float) -> tuple[FloatArray, FloatArray]:
-    """Places of the front bumper (N, 2) m, N >= 2, that follow each other forwards, and when it is there (N,) s.
+def _steady(front: FloatArray, heading: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """First place and advance a step, (2,) m, of front bumpers (N, 2) m that keep to a constant velocity, else None.
 
-    An agent that stays within STANDS_M creeps a hand's breadth, and positions are smoothed: jitter would turn it round.
+    It has the heading of the middle, forwards, also of what stands, which creeps as far as a shape has to be long.
     """
-    times = np.asarray(track.timesteps * step_s, dtype=np.float64)
-    middle = len(times) // 2
-    if np.hypot(*np.ptp(track.position, axis=0)) <= STANDS_M:
-        heading = float(track.heading[middle])
-        front = np.median(track.position, axis=0) + 0.5 * track.size.length_m * _direction(heading)
-        return np.stack([front, front + _CREEP_M * _direction(heading)]), np.array([times[0], times[-1] + step_s])
-    front, _ = sumo_poses(track.position, track.heading, np.full(len(times), track.size.length_m))
-    front = _smooth(front)
-    backwards = (track.position[-1] - track.position[0]) @ _direction(track.heading[middle]) < 0
-    kept = [0]
-    for row in range(1, len(front)):
-        step = front[row] - front[kept[-1]]
-        ahead = np.hypot(*step) if backwards else step @ _direction(track.heading[row])
-        if ahead > _SAME_POINT_M:
-            kept.append(row)
-    if len(kept) < 2:
-        kept = [0, len(front) - 1]
-    when = times[kept]
-    when[-1] = times[-1]
-    return front[kept], when
-
-
-def _smooth(points: FloatArray) -> FloatArray:
-    """Moving mean over SMOOTHED rows, fewer towards the ends, where points stay."""
-    total = np.vstack([np.zeros(2), np.cumsum(points, axis=0)])
-    rows = np.arange(len(points))
-    half = np.minimum(np.minimum(rows, rows[::-1]), SMOOTHED // 2)
-    return np.asarray((total[rows + half + 1] - total[rows - half]) / (2 * half + 1)[:, None])
+    rows, along = np.arange(len(front)), _direction(heading[len(heading) // 2])
+    moved_m = float((front[-1] - front[0]) @ along)
+    velocity = max(moved_m / (len(front) - 1), _LEAST_SHAPE_M / len(front)) * along
+    place = front.mean(axis=0) - rows.mean() * velocity
+    apart = front - place - rows[:, None] * velocity
+    near = np.hypot(*apart.T).max() <= _WITHIN_M and np.abs(heading - heading[len(heading) // 2]).max() <= _WITHIN_RAD
+    return (place, velocity) if near else None
 
 
 def _direction(heading: float) -> FloatArray:
     return np.array([np.cos(heading), np.sin(heading)])
 
 
-def _with_traces(net: bytes, traces: list[_Trace]) -> bytes:
+def _with_traces(net: bytes, traces: list[_Trace], step_s: float) -> bytes:
     """Add the lanes of the traces to a net."""
     root = etree.fromstring(net)
     added: dict[str, list[etree._Element]] = {"edge": [], "junction": [], "connection": []}
     for trace in traces:
-        count = len(trace.shapes)
-        for k, (points, limit) in enumerate(zip(trace.shapes, trace.limits, strict=True)):
-            length = f"{arc_length(points)[-1]:.4f}"
+        limit = f"{trace.advance_m / step_s:.4f}"
+        for k, (points, steps) in enumerate(zip(trace.shapes, trace.steps, strict=True)):
+            length = f"{steps * trace.advance_m:.4f}"
             edge = {"id": trace.edge(k), "from": f"{trace.edge(k)}_j", "to": f"{trace.edge(k + 1)}_j"}
             edge |= {"priority": "0", "length": length}
-            lane = {"id": f"{trace.edge(k)}_0", "index": "0", "speed": f"{limit:.4f}", "width": f"{_TRACE_WIDTH_M}"}
-            lane |= {"allow": _UNSEEN, "length": length, "shape": shape(points, digits=3), "customShape": "1"}
+            lane = {"id": f"{trace.edge(k)}_0", "index": "0", "speed": limit, "width": f"{_TRACE_WIDTH_M}"}
+            lane |= {"allow": _UNSEEN, "length": length, "shape": shape(points, digits=4), "customShape": "1"}
             added["edge"].append(E.edge(edge, E.lane(lane)))
             if k:
                 link = {"from": trace.edge(k - 1), "to": trace.edge(k), "fromLane": "0", "toLane": "0", "dir": "s"}
                 added["connection"].append(E.connection({**link, "state": "M"}))
-        for k in range(count + 1):
+        for k in range(len(trace.shapes) + 1):
             incoming = [f"{trace.edge(k - 1)}_0"] if k else []
-            end = trace.shapes[k][0] if k < count else points[-1]
+            end = trace.shapes[k - 1][1] if k else trace.shapes[0][0]
             line = junction_beside(end, trace.shapes[max(k - 1, 0) : k + 1])
-            junction = junction_xml(f"{trace.edge(k)}_j", end.tolist(), incoming=incoming, line=line)
+            junction = junction_xml(f"{trace.edge(k)}_j", end.tolist(), incoming=incoming, shape=line)
             added["junction"].append(etree.fromstring(junction))
     for tag, elements in added.items():
         before = root.findall(tag)
@@ -308,15 +284,12 @@ def _routes(scenario: Scenario, traces: list[_Trace]) -> bytes:
     colors = paints(scenario)
     kinds, vehicles = [], []
     for trace in sorted(traces, key=lambda trace: departure(trace.track)):
-        name = trace.track.track_id
-        kind = vehicle_type(trace.track) | {"vClass": _UNSEEN, "minGap": "0", "sigma": "0"}
-        kind |= {"accel": _ANY_ACCELERATION, "decel": _ANY_ACCELERATION, "emergencyDecel": _ANY_ACCELERATION}
-        kind |= {"maxSpeed": "80", "speedFactor": "1", "speedDev": "0", "tau": f"{scenario.step_s}"}
-        kinds.append(E.vType(kind))
+        name, limit = trace.track.track_id, f"{trace.advance_m / scenario.step_s:.4f}"
+        kind = vehicle_type(trace.track) | {"vClass": _UNSEEN, "maxSpeed": limit, "speedFactor": "1", "speedDev": "0"}
+        kinds.append(E.vType(kind | {"minGap": "0", "sigma": "0", "tau": f"{scenario.step_s}"}))
         vehicle = {"id": name, "type": f"type_{name}", "color": colors[name].xml, "insertionChecks": "none"}
-        vehicle |= {"depart": f"{trace.track.timesteps[0] * scenario.step_s:.2f}"}
-        vehicle |= {"departPos": f"{trace.track.size.length_m:.2f}"}
-        vehicle |= {"departSpeed": f"{trace.limits[0]:.4f}", "arrivalPos": "max"}
+        vehicle |= {"depart": f"{trace.track.timesteps[0] * scenario.step_s:.2f}", "departSpeed": limit}
+        vehicle |= {"departPos": f"{trace.advance_m - 0.5 * _CLEAR_M:.4f}", "arrivalPos": "max"}
         params = [E.param(key=ID_KEY, value=name)] if shows_id(trace.track) else []
         edges = " ".join(trace.edge(k) for k in range(len(trace.shapes)))
         vehicles.append(E.vehicle(vehicle, *params, E.route(edges=edges)))

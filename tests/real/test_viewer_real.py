@@ -12,8 +12,10 @@ ROOT = Path(__file__).parents[2]
 
 
 def hid2(*arguments: object) -> None:
+    """Exit code 1 alone says that a behaviour came about in no scene; the scenes are written all the same."""
     command = [sys.executable, "-m", "bridge.cli", *map(str, arguments), "-q"]
-    subprocess.run(command, check=True, capture_output=True, cwd=ROOT)
+    result = subprocess.run(command, capture_output=True, cwd=ROOT, text=True)
+    assert result.returncode == 0 or "came about in no scene" in result.stderr, result.stderr
 
 
 @pytest.mark.slow
