@@ -177,9 +177,11 @@ def read_road(path: Path) -> Road:
 def what_is_wrong(error: ValidationError, kind: type[BaseModel]) -> str:
     """The first thing that a file of a kind breaks, in one line: key, value, what was expected."""
     first = error.errors(include_url=False)[0]
-    key = f"{'.'.join(map(str, first['loc']))!r:.200}"
+    kinds = ("constrained-", "int", "float", "str", "bool", "list[")  # of which type of several
+    key = f"{'.'.join(part for part in map(str, first['loc']) if not part.startswith(kinds))!r:.200}"
     if first["type"] in ("missing", "extra_forbidden"):
         what = "no key" if first["type"] == "missing" else "unknown key"
         return f"{what} {key}; expected {', '.join(kind.model_fields)}"
     message = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+    message = message.replace("greater than or equal to", "at least")
     return message if not first["loc"] else f"{key[1:-1]} = {first['input']!r:.60}, expected {message}"

@@ -5,7 +5,6 @@ rule is tuned on the roads with `tune = true` alone; every other road is a test.
 """
 
 import itertools
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,16 +18,16 @@ from bridge.batch.batch import Options, Progress, SceneJob, run_batch
 from bridge.batch.batch import Run as BatchRun
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.config import config_sha256, read_toml
-from bridge.files import MAX_FILE_MB, read_packed, write_rows, write_text
+from bridge.files import write_rows, write_text
 from bridge.pages.parts import text
 from bridge.recordings.corridor import write_road
 from bridge.recordings.road import Road, RoadPart, read_road, what_is_wrong
-from bridge.studies.study import RUN_FILE, Value, configured
+from bridge.studies.study import Value, configured, read_run
 from hid2.params import Config
 from hid2.resampling import Estimate, ratio
-from netconvert.errors import BatchError, ConfigError
+from netconvert.errors import ConfigError
 
-WORK = "bridge.studies.road_work:measure_roads"
+WORK = "bridge.studies.study_work:measure_roads"
 #: What a road has to reproduce before lane changes are looked at: shares of flow and speed that it may be off.
 FLOW_WITHIN, SPEED_WITHIN = 0.03, 0.10
 UNTUNED, TUNED = "untuned", "tuned"
@@ -260,7 +259,10 @@ def run_public(
         results = []
         for (site, rule, variant, changes, _), configs in wanted:
             own = [rows[folders[site.road_file].name, config_sha256(config)] for config in configs]
-            told = [_told(out_dir / row.folder) for row in own if row.status == DONE]
+            told = [
+                read_run(out_dir / row.folder, ("vehicles", "changes", "veh_km"), "page of public roads")
+                for row in own if row.status == DONE
+            ]  # fmt: skip
             if told:
                 results.append(RoadResult(site, rule.name, variant, changes, told))
         return results
@@ -284,17 +286,6 @@ def run_public(
     files = _write(page, tried, best, tests, causes, out_dir)
     failed = sum(row.status != DONE for row in rows.values())
     return PublicReport(files, len(rows), failed, sum(row.seconds for row in rows.values()))
-
-
-def _told(folder: Path) -> Mapping[str, Any]:
-    """What a run has told. Errors: BatchError."""
-    try:
-        found: Mapping[str, Any] = json.loads(read_packed(folder / RUN_FILE, most_mb=MAX_FILE_MB))
-        if not {"vehicles", "changes", "veh_km"} <= found.keys():
-            raise ValueError("no vehicles, changes, veh_km")
-    except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
-        raise BatchError(f"{folder / RUN_FILE}: {error}; expected a run of a page of public roads") from error
-    return found
 
 
 def _best(tried: Sequence[RoadResult]) -> Mapping[str, Value]:
