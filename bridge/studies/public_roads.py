@@ -8,20 +8,20 @@ import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import Field
 from scipy import stats
 
 from bridge.batch.batch import Options, Progress, SceneJob, run_batch
 from bridge.batch.batch import Run as BatchRun
 from bridge.batch.manifest import DONE, ManifestRow
-from bridge.config import config_sha256, read_toml
+from bridge.config import config_sha256, read_toml_as
 from bridge.files import write_rows, write_text
 from bridge.pages.parts import text
 from bridge.recordings.corridor import write_road
-from bridge.recordings.road import Road, RoadPart, read_road, what_is_wrong
+from bridge.recordings.road import Road, RoadPart, read_road
 from bridge.studies.study import Value, configured, read_run
 from hid2.params import Config
 from hid2.resampling import Estimate, ratio
@@ -85,9 +85,6 @@ class _PageFile(RoadPart):
     cause: list[_Cause] = Field(default=[])
 
 
-_Model = TypeVar("_Model", bound=BaseModel)
-
-
 class Site(NamedTuple):
     """A road with what was published of it. set: of the configuration, on this road."""
 
@@ -112,20 +109,13 @@ class PublicRoads:
         return configured(self.file.config, own, source=str(self.source))
 
 
-def _read(kind: type[_Model], path: Path, what: str) -> _Model:
-    try:
-        return kind.model_validate(read_toml(path, what))
-    except ValidationError as error:
-        raise ConfigError(f"{path}: {what_is_wrong(error, kind)}") from error
-
-
 def read_public(path: Path) -> PublicRoads:
     """Read a page and the files that it names, relative to it. Errors: ConfigError with file, key, value."""
-    file = _read(_PageFile, path, "a page of public roads")
+    file = read_toml_as(_PageFile, path, "a page of public roads")
     sites = []
     for entry in file.road:
         road_file, counts_file = path.parent / entry.file, path.parent / entry.counts
-        road, counts = read_road(road_file), _read(Counts, counts_file, "published counts")
+        road, counts = read_road(road_file), read_toml_as(Counts, counts_file, "published counts")
         for name, values in (("vehicles", counts.vehicles), ("changes_per_vehicle", counts.changes_per_vehicle)):
             if len(values) != road.lanes:
                 raise ConfigError(

@@ -14,17 +14,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from bridge.batch.batch import RUNS, Run, SceneJob
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.batch.scan import Selection, facts_of, wanted
-from bridge.config import config_from_dict, config_sha256, read_toml
+from bridge.config import config_from_dict, config_sha256, read_toml_as
 from bridge.files import MAX_FILE_MB, explained, one_line, read_packed, untabled
 from bridge.recordings.export import new_scenario_id, write_folder
 from bridge.recordings.folders import Address
 from bridge.recordings.recording import Recording
-from bridge.recordings.road import what_is_wrong
 from bridge.recordings.sidecar import ManeuverKind
 from bridge.recordings.sources import find_sources
 from hid2.params import Config
@@ -103,10 +102,7 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
 
     Errors: ConfigError with file, key, value; also where a path holds no scene.
     """
-    try:
-        content = _File.model_validate(read_toml(path, "a study"))
-    except ValidationError as error:
-        raise ConfigError(f"{path}: {what_is_wrong(error, _File)}") from error
+    content = read_toml_as(_File, path, "a study")
     places = scenes or [path.parent / scene for scene in content.scenes]
     try:
         folders = tuple(find_sources(places))
