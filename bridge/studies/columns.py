@@ -67,7 +67,7 @@ OUTCOMES = (
     Outcome("share_accepted_of_looking", "the same of those that had a lane beside to look at", "requests", "accepted",
             "looked"),
     Outcome("mean_wait_s", "mean waiting time from the trigger, up to the longest allowed, s", "requests", None),
-    Outcome("gaps_accepted", "share of the gaps looked at that were taken", "gaps", "accepted"),
+    Outcome("gaps_accepted", "share of the gaps looked at that the rule took", "gaps", "accepted"),
     *(
         Outcome(f"refused_by_{name}", f"share of the gaps{asked} that {words} refused at last", "gaps",
                 f"refused_by_{name}", f"asked_{name}" if asked else None)

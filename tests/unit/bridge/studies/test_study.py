@@ -30,7 +30,12 @@ def study_file(tmp_path: Path, text: str, scenes: Path) -> Path:
         (b"no gzip", "gzip"),
         (gzip.compress(b'{"requests": [], "flow": []}', mtime=0)[:-9], "gzip"),
         (gzip.compress(b"[" * 5_000, mtime=0), "run of a study"),
-        (gzip.compress(b'{"requests": [{"kind": "lane_change"}], "flow": []}', mtime=0), "requests without accepted"),
+        (
+            gzip.compress(
+                b'{"requests": [{"kind": "lane_change"}], "flow": [], "lane_changes": [], "conflicts": []}', mtime=0
+            ),
+            "requests without accepted",
+        ),
         (gzip.compress(b"[]", mtime=0), "run of a study"),
         (gzip.compress(b'{"requests": []}', mtime=0), "without conflicts, flow, lane_changes"),
     ],
