@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from bridge.generation.generate import prepare as prepare
     from bridge.generation.scene import TrafficScene as TrafficScene
     from bridge.generation.scene import read_scene as read_scene
-    from bridge.pictures.conflicts import Conflict as Conflict
     from bridge.pictures.conflicts import draw_conflicts as draw_conflicts
     from bridge.recordings.folders import find_scenarios as find_scenarios
     from bridge.studies.run import run_study as run_study
     from bridge.studies.study import read_study as read_study
+    from hid2.measures.conflicts import TrafficConflict as TrafficConflict
     from hid2.params import Config as Config
     from hid2.reasons import Reason as Reason
     from netconvert.errors import Hid2Error as Hid2Error
@@ -39,12 +39,13 @@ _NAMES = {
     "bridge.evaluation.scene_metrics": "evaluate_scene",
     "bridge.generation.scene": "TrafficScene read_scene",
     "bridge.generation.generate": "generate prepare",
-    "bridge.pictures.conflicts": "Conflict draw_conflicts",
+    "bridge.pictures.conflicts": "draw_conflicts",
     "bridge.exports.export": "export_scene",
     "bridge.recordings.folders": "find_scenarios",
     "bridge.batch.validation": "validate_folder",
     "bridge.studies.run": "run_study",
     "bridge.studies.study": "read_study",
+    "hid2.measures.conflicts": "TrafficConflict",
     "hid2.params": "Config",
     "hid2.reasons": "Reason",
     "netconvert.errors": "Hid2Error",

@@ -8,7 +8,7 @@ import uuid
 from collections.abc import Collection, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, NamedTuple, get_args, get_origin
+from typing import Any, NamedTuple, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
@@ -320,6 +320,27 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
         raise ConfigError(f"{path}: {said}, expected {what} in TOML") from error
     except ValueError as error:
         raise ConfigError(f"{path}: not TOML ({one_line(str(error), most=300)}), expected {what}") from error
+
+
+_Model = TypeVar("_Model", bound=BaseModel)
+
+
+def read_toml_as(kind: type[_Model], path: Path, what: str) -> _Model:
+    """A TOML file as a model. Errors: ConfigError with file and, of the first thing that is wrong, key and value."""
+    try:
+        return kind.model_validate(read_toml(path, what))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        types = ("constrained-", "int", "float", "str", "bool", "list[")  # of which type of several
+        key = f"{'.'.join(part for part in map(str, first['loc']) if not part.startswith(types))!r:.200}"
+        said = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
+        said = said.replace("greater than or equal to", "at least")
+        if first["type"] in ("missing", "extra_forbidden"):
+            there = "no key" if first["type"] == "missing" else "unknown key"
+            said = f"{there} {key}; expected {', '.join(kind.model_fields)}"
+        elif first["loc"]:
+            said = f"{key[1:-1]} = {first['input']!r:.60}, expected {said}"
+        raise ConfigError(f"{path}: {said}") from error
 
 
 def _parse_toml(text: str) -> dict[str, Any]:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from bridge.pictures.conflicts import Conflict
+    from hid2.measures.conflicts import TrafficConflict
 
 
 @dataclass(frozen=True, eq=False, slots=True, repr=False)
@@ -89,11 +89,20 @@ class TrafficScene:
         ]  # fmt: skip
         return pd.DataFrame(rows, columns=columns)
 
-    def conflicts(self, *, agent: str | None = None, pet_s: float = 1.0, ttc_s: float = 1.5) -> "list[Conflict]":
-        """Agents that touch or come close, as `bridge.pictures.conflicts.find_conflicts` has them."""
-        from bridge.pictures.conflicts import find_conflicts
+    def conflicts(self, *, agent: str | None = None, pet_s: float = 5.0, ttc_s: float = 1.5) -> "list[TrafficConflict]":
+        """Conflicts in SSAM's terms, as `hid2 evaluate` has them: a TTC below ttc_s or a PET within pet_s.
 
-        return find_conflicts(self.recording, agent=agent, pet_s=pet_s, ttc_s=ttc_s)
+        agent: only those of this track. Errors: ConfigError for a track that the scene does not have.
+        """
+        from bridge.pictures.figures import find_track
+        from hid2.measures.arrays import stack
+        from hid2.measures.conflicts import conflicts
+
+        one = self.recording
+        if agent is not None:
+            find_track(one, agent)
+        found = conflicts(stack(one.tracks, num_steps=one.num_steps, step_s=one.step_s), ttc_s=ttc_s, pet_s=pet_s)
+        return [met for met in found if agent is None or agent in (met.first_id, met.second_id)]
 
     def draw(
         self, axes: "Axes | None" = None, *, step: int | None = None, agent: str | None = None, cells: bool = False

@@ -3,11 +3,10 @@
 from pathlib import Path
 from typing import Annotated, NamedTuple, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from bridge.config import read_toml
+from bridge.config import read_toml_as
 from bridge.recordings.limits import MAX_LANE_M
-from netconvert.errors import ConfigError
 
 #: Name of the file in the folder of a corridor that is made of one.
 ROAD_FILE = "road.toml"
@@ -168,18 +167,4 @@ class Road(RoadPart):
 
 def read_road(path: Path) -> Road:
     """Read a road. Errors: ConfigError with file, key, value."""
-    try:
-        return Road.model_validate(read_toml(path, "a road"))
-    except ValidationError as error:
-        raise ConfigError(f"{path}: {what_is_wrong(error, Road)}") from error
-
-
-def what_is_wrong(error: ValidationError, kind: type[BaseModel]) -> str:
-    """The first thing that a file of a kind breaks, in one line: key, value, what was expected."""
-    first = error.errors(include_url=False)[0]
-    key = f"{'.'.join(map(str, first['loc']))!r:.200}"
-    if first["type"] in ("missing", "extra_forbidden"):
-        what = "no key" if first["type"] == "missing" else "unknown key"
-        return f"{what} {key}; expected {', '.join(kind.model_fields)}"
-    message = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
-    return message if not first["loc"] else f"{key[1:-1]} = {first['input']!r:.60}, expected {message}"
+    return read_toml_as(Road, path, "a road")

@@ -1,9 +1,9 @@
-"""The data dictionary of a study: what each column of each table says."""
+"""The data dictionary of a study: what each column of each table says, and the outcomes that are made of them."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from bridge.generation.gaps import GAP_COLUMNS
-from bridge.studies.statistics import OUTCOMES
 
 _RUN: Mapping[str, str] = {
     "scene": "folder of the source scene",
@@ -12,6 +12,75 @@ _RUN: Mapping[str, str] = {
     "seed": "seed: the same vehicles, drivers, sites and traffic for every point",
     "replay": "fixed: recorded vehicles drive as recorded; reactive: they yield, which was not recorded",
 }
+
+#: Columns of the table of requests, in their order.
+REQUEST_COLUMNS: Mapping[str, str] = {
+    "vehicle": "id in the simulation; the same id is the same vehicle at every point",
+    "source": "start: begins in the scene; flow: enters at the map's edge",
+    "kind": "what is asked for",
+    "status": "done, aborted, not_feasible, not_triggered, or not_placed (no site on this map)",
+    "reason": "last reason where it was not done",
+    "exported": "whether it passes the last check and could be exported: yes, or the reason; flows: empty",
+    "entered_s": "time of its first step",
+    "desired_mps": "the driver's desired speed",
+    "trigger_s": "trigger time, from the scene's first step",
+    "counted": "enters the statistics: it was triggered, and not in the warm-up",
+    "observed_to_s": "time of the acceptance, else until when it could have accepted: given up, left, or the end",
+    "accepted_s": "time at which SUMO was asked for the change that it carried out",
+    "waited_s": "observed_to_s - trigger_s; censored where not accepted",
+    "accepted": "whether SUMO carried out the change; false, too, where no site was found",
+    "looks": "looks at gaps",
+    "lead_gap_m": "bumper gap to the new leader at the acceptance",
+    "lag_gap_m": "bumper gap to the new follower at the acceptance",
+    "lead_time_gap_s": "lead gap over the own speed",
+    "lag_time_gap_s": "lag gap over the follower's speed",
+    "speed_mps": "own speed at the acceptance",
+    "start_s": "start of the lateral motion (|d'| above 0.1 m/s)",
+    "crossing_s": "half way between the lanes",
+    "end_s": "end of the lateral motion",
+    "lateral_s": "end_s - start_s: its duration, which is no part of waited_s",
+    "min_ttc_s": "smallest two-dimensional TTC to anything from start to end; empty: none below 5 s",
+    "min_pet_s": "smallest PET of its conflicts from start to end; empty: none below 5 s",
+    "overlaps": "whether its box meets another one from start to end",
+    "lag_drac_mps2": "largest DRAC of the new follower from start to end: closing speed over twice the boxes' TTC",
+    "lag_headway_s": "its least time headway, front to front",
+    "lag_brakes_mps2": "its hardest braking",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """A figure of merit: its column in dose_response.csv, what it says, the table and columns that it is made of."""
+
+    name: str
+    says: str
+    table: str
+    above: str | None
+    below: str | None = None
+
+
+#: What may refuse a gap: column `gaps.refused_by`, and in words.
+DECIDE = {"rule": "the rule", "cells": "taken cells", "road": "the road", "guard": "the guard", "sumo": "SUMO"}
+#: What a study tells of each value of a parameter.
+OUTCOMES = (
+    Outcome("share_accepted", "share of the requests counted that got a gap", "requests", "accepted"),
+    Outcome("share_accepted_of_looking", "the same of those that had a lane beside to look at", "requests", "accepted",
+            "looked"),
+    Outcome("mean_wait_s", "mean waiting time from the trigger, up to the longest allowed, s", "requests", None),
+    Outcome("gaps_accepted", "share of the gaps looked at that the rule took", "gaps", "accepted"),
+    *(
+        Outcome(f"refused_by_{name}", f"share of the gaps{asked} that {words} refused at last", "gaps",
+                f"refused_by_{name}", f"asked_{name}" if asked else None)
+        for name, words in DECIDE.items() for asked in (" asked about" if name in ("guard", "sumo") else "",)
+    ),
+    Outcome("share_overlapping", "share of the changes in which boxes meet", "requests", "overlaps"),
+    Outcome("lag_drac_mps2", "mean of the largest DRAC of the new follower, m/s2", "requests", "lag_drac_mps2"),
+    Outcome("lag_headway_s", "mean of the least time headway of the new follower, s", "requests", "lag_headway_s"),
+    Outcome("lag_brakes_mps2", "mean of the hardest braking of the new follower, m/s2", "requests", "lag_brakes_mps2"),
+    Outcome("lateral_s", "mean duration of the lateral motion, s", "requests", "lateral_s"),
+    Outcome("lag_time_gap_s", "mean lag time gap taken (above 10 s: 10 s), s", "requests", "lag_time_gap_s"),
+    Outcome("share_ttc_below_critical", "share of the changes with a TTC below 1.5 s", "requests", "ttc_critical"),
+)  # fmt: skip
 
 #: Table -> column -> what it says. Columns that vary in the study have the names of their parameters.
 DICTIONARY: Mapping[str, Mapping[str, str]] = {
@@ -25,40 +94,7 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "seconds": "time that the run took",
         "folder": "where what was measured lies, trajectories.trj too",
     },
-    "requests": {
-        **_RUN,
-        "trigger_after_s": "where the trigger time varies: its value",
-        "vehicle": "id in the simulation; the same id is the same vehicle at every point",
-        "source": "start: begins in the scene; flow: enters at the map's edge",
-        "kind": "what is asked for",
-        "status": "done, aborted, not_feasible, not_triggered, or not_placed (no site on this map)",
-        "reason": "last reason where it was not done",
-        "exported": "whether it passes the last check and could be exported: yes, or the reason; flows: empty",
-        "entered_s": "time of its first step",
-        "desired_mps": "the driver's desired speed",
-        "trigger_s": "trigger time, from the scene's first step",
-        "counted": "enters the statistics: it was triggered, and not in the warm-up",
-        "observed_to_s": "time of the acceptance, else until when it could have accepted: given up, left, or the end",
-        "accepted_s": "time at which SUMO was asked for the change that it carried out",
-        "waited_s": "observed_to_s - trigger_s; censored where not accepted",
-        "accepted": "whether SUMO carried out the change; false, too, where no site was found",
-        "looks": "looks at gaps",
-        "lead_gap_m": "bumper gap to the new leader at the acceptance",
-        "lag_gap_m": "bumper gap to the new follower at the acceptance",
-        "lead_time_gap_s": "lead gap over the own speed",
-        "lag_time_gap_s": "lag gap over the follower's speed",
-        "speed_mps": "own speed at the acceptance",
-        "start_s": "start of the lateral motion (|d'| above 0.1 m/s)",
-        "crossing_s": "half way between the lanes",
-        "end_s": "end of the lateral motion",
-        "lateral_s": "end_s - start_s: its duration, which is no part of waited_s",
-        "min_ttc_s": "smallest two-dimensional TTC to anything from start to end; empty: none below 5 s",
-        "min_pet_s": "smallest PET of its conflicts from start to end; empty: none below 5 s",
-        "overlaps": "whether its box meets another one from start to end",
-        "lag_drac_mps2": "largest DRAC of the new follower from start to end: closing speed over twice the boxes' TTC",
-        "lag_headway_s": "its least time headway, front to front",
-        "lag_brakes_mps2": "its hardest braking",
-    },
+    "requests": {**_RUN, "trigger_after_s": "where the trigger time varies: its value", **REQUEST_COLUMNS},
     "looks": {**_RUN, **{name: says for name, says in GAP_COLUMNS.items() if name not in ("round", "track_id")}},
     "gaps": {
         **_RUN,
@@ -119,6 +155,7 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "max_s_mps": "MaxS: larger speed of the two during the conflict",
         "delta_s_mps": "DeltaS: length of the difference of the two velocities at time_s",
         "angle_deg": "from the first's heading to the second's at time_s",
+        "x_m, y_m": "place, between the two at time_s, of a crossing without a TTC where they pass; city frame",
     },
     "dose_response": {
         "parameter": "what varies",

@@ -3,7 +3,6 @@
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -66,8 +65,8 @@ def acceptance_curve(gaps: pd.DataFrame) -> dict[str, Any] | None:
     """Logistic P(accepted | lag time gap, lead time gap) with standard errors clustered by run; None if not to be told.
 
     A gap without a leader counts as one of the largest lead time gap seen; gaps without a follower are left out.
-    Returns a row of acceptance.csv, with the covariance (3, 3): intercept, lag (with its 95 % interval), lead, lead_s
-    (median, at which curves are drawn); or why there is no curve (separated).
+    Returns a row of acceptance.csv, with the fit: intercept, lag (with its 95 % interval), lead, lead_s (median, at
+    which curves are drawn); or why there is no curve (separated).
     """
     import statsmodels.api as sm
 
@@ -94,37 +93,19 @@ def acceptance_curve(gaps: pd.DataFrame) -> dict[str, Any] | None:
     if not np.isfinite(fit.params).all() or np.abs(fit.params).max() > _SEPARATED:
         return {"separated": "a threshold parts the gaps"}
     intercept, lag, lead = map(float, fit.params)
-    covariance = np.asarray(fit.cov_params())
-    apart = 1.96 * float(covariance[1, 1]) ** 0.5
+    low, high = map(float, fit.conf_int()[1])
     return {
         "intercept": intercept, "lag": lag, "lead": lead, "lead_s": float(np.median(design[:, 2])),
-        "gaps": len(frame), "accepted": int(accepted.sum()), "lag_low": lag - apart, "lag_high": lag + apart,
-        "separated": None, "covariance": covariance,
+        "gaps": len(frame), "accepted": int(accepted.sum()), "lag_low": low, "lag_high": high,
+        "separated": None, "fit": fit,
     }  # fmt: skip
 
 
-def curve_at(curve: dict[str, Any], lag_s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Probability (K,) of acceptance by lag time gap at the median lead time gap, with its 95 % band."""
-    from scipy.special import expit
-
+def curve_at(curve: dict[str, Any], lag_s: FloatArray) -> FloatArray:
+    """(3, K) probability of acceptance by lag time gap at the median lead time gap, and its 95 % band, low and high."""
     x = np.column_stack([np.ones(lag_s.size), lag_s, np.full(lag_s.size, curve["lead_s"])])
-    level = x @ np.array([curve["intercept"], curve["lag"], curve["lead"]])
-    error = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", x, curve["covariance"], x), 0.0))
-    return expit(level), expit(level - 1.96 * error), expit(level + 1.96 * error)
-
-
-@dataclass(frozen=True, slots=True)
-class CriticalGap:
-    """Critical time gap of a group of drivers on one side of a gap, s. mean and sd: lognormal, by maximum likelihood.
-
-    raff: Raff's.
-    """
-
-    mean: Estimate
-    sd: Estimate
-    raff: float | None
-    drivers: int
-    inconsistent: int
+    found = curve["fit"].get_prediction(x).summary_frame()
+    return np.asarray(found[["mean", "mean_ci_lower", "mean_ci_upper"]], dtype=np.float64).T
 
 
 def largest_rejected(gaps: pd.DataFrame, side: str) -> tuple[FloatArray, FloatArray, int]:
@@ -194,15 +175,22 @@ def raff(rejected_s: FloatArray, accepted_s: FloatArray) -> float | None:
     return float(at[crossed[0]]) if crossed.size else None
 
 
-def critical_gap(gaps: pd.DataFrame, side: str) -> CriticalGap | None:
-    """Critical time gap of the drivers in a table of gaps on one side, lag or lead; None where too few took one."""
+def critical_gap(gaps: pd.DataFrame, side: str) -> dict[str, Any] | None:
+    """Critical time gap of the drivers in a table of gaps on one side, lag or lead: a row of critical_gaps.csv.
+
+    mean_s, sd_s: lognormal, by maximum likelihood; raff_s: Raff's. None where too few took or refused one.
+    """
     rejected, accepted, inconsistent = largest_rejected(gaps, side)
     taken = accepted[np.isfinite(accepted)]
     if taken.size < _FEWEST or (rejected > 0).sum() < _FEWEST // 2:
         return None
-    refused = gaps[f"{side}_refused_s"].dropna().to_numpy(float)
-    if rejected.max() < taken.min():  # one gap parts all drivers: anything between the two is as likely
-        between = Estimate(float(0.5 * (rejected.max() + taken.min())), float(rejected.max()), float(taken.min()))
-        return CriticalGap(between, Estimate(0.0), raff(refused, taken), accepted.size, inconsistent)
-    mean, sd = troutbeck(rejected, accepted)
-    return CriticalGap(mean, sd, raff(refused, taken), accepted.size, inconsistent)
+    low, high = float(rejected.max()), float(taken.min())
+    if low < high:  # one gap parts all drivers: anything between the two is as likely
+        mean, sd = Estimate(0.5 * (low + high), low, high), Estimate(0.0)
+    else:
+        mean, sd = troutbeck(rejected, accepted)
+    return {
+        "side": side, "mean_s": mean.value, "mean_low_s": mean.low, "mean_high_s": mean.high, "sd_s": sd.value,
+        "raff_s": raff(gaps[f"{side}_refused_s"].dropna().to_numpy(float), taken), "drivers": accepted.size,
+        "inconsistent": inconsistent,
+    }  # fmt: skip

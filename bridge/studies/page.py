@@ -4,6 +4,7 @@ import gzip
 import io
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,14 @@ import pyarrow.parquet as pq
 from bridge.batch.manifest import DONE
 from bridge.files import beside, explained, table_cell, write_rows, write_text
 from bridge.pages.parts import text
-from bridge.studies.columns import dictionary_rows
-from bridge.studies.gap_acceptance import CriticalGap, acceptance_curve, critical_gap, gaps_of
-from bridge.studies.statistics import OUTCOMES, difference_sd, dose_response, effects, seeds_needed
+from bridge.studies.columns import OUTCOMES, dictionary_rows
+from bridge.studies.gap_acceptance import acceptance_curve, critical_gap, gaps_of
+from bridge.studies.statistics import difference_sd, dose_response, effects, seeds_needed
 from bridge.studies.study import Study, Tables
 from bridge.studies.study_figures import CRITICAL, draw_fundamental, draw_parameter, label_of
 from hid2.agents import FloatArray
-from hid2.measures.conflicts import CONFLICT_TTC_S
+from hid2.measures.conflicts import CONFLICT_TTC_S, TrafficConflict
+from hid2.measures.lane_changes import LaneChangeRow
 
 _SAYS = {outcome.name: outcome.says for outcome in OUTCOMES}
 #: Outcomes that the page speaks of, in this order.
@@ -71,7 +73,7 @@ def write_results(study: Study, tables: Tables, out_dir: Path) -> list[Path]:
             acceptance += [{"parameter": key, "value": value, **curve}] if curve is not None else []
             for side in ("lag", "lead"):
                 found = critical_gap(own, side) if len(own) else None
-                critical += [_critical_row(key, value, side, found)] if found is not None else []
+                critical += [{"parameter": key, "value": value, **found}] if found is not None else []
         path = out_dir / f"{study.name}_{key.replace('.', '_')}.png"
         title = f"{_title(study, tables)}; bars: 95 % intervals, runs drawn again"
         draw_parameter(path, title, key, dose=dose, requests=requests, curves=curves, give_up_s=give_up_s)
@@ -80,7 +82,7 @@ def write_results(study: Study, tables: Tables, out_dir: Path) -> list[Path]:
         named["effects"] = effects(requests, keys, give_up_s=give_up_s)
     named |= {
         "dose_response": pd.concat(doses) if doses else pd.DataFrame(),
-        "acceptance": pd.DataFrame(acceptance).drop(columns="covariance", errors="ignore"),
+        "acceptance": pd.DataFrame(acceptance).drop(columns="fit", errors="ignore"),
         "critical_gaps": pd.DataFrame(critical),
     }
     if not tables.flow.empty:
@@ -88,9 +90,9 @@ def write_results(study: Study, tables: Tables, out_dir: Path) -> list[Path]:
         varied = next((key for key in keys if 1 < tables.flow[key].nunique() <= _MOST_VALUES), None)
         draw_fundamental(path, _title(study, tables), tables.flow, varied)
         files.append(path)
-    for name in ("lane_changes", "conflicts"):  # where there are none, tables say so
-        if named[name].empty:
-            named[name] = pd.DataFrame(columns=[column for table, column, _ in dictionary_rows() if table == name])
+    for name, row in (("lane_changes", LaneChangeRow), ("conflicts", TrafficConflict)):
+        if named[name].empty:  # the table says so
+            named[name] = pd.DataFrame(columns=[field.name for field in fields(row)])
     written = [
         path for name, table in named.items() if len(table.columns) for path in _write_table(out_dir, name, table)
     ]
@@ -138,14 +140,6 @@ def _title(study: Study, tables: Tables) -> str:
         f"{study.name.replace('_', ' ')}: {counted} requests counted in {len(tables.runs)} runs on {scenes} "
         f"scene{'s' if scenes > 1 else ''}"
     ) + ("; recorded vehicles react" if set(tables.requests["replay"]) == {"reactive"} else "")
-
-
-def _critical_row(key: str, value: Any, side: str, found: CriticalGap) -> dict[str, Any]:  # noqa: ANN401
-    return {
-        "parameter": key, "value": value, "side": side, "mean_s": found.mean.value, "mean_low_s": found.mean.low,
-        "mean_high_s": found.mean.high, "sd_s": found.sd.value, "raff_s": found.raff, "drivers": found.drivers,
-        "inconsistent": found.inconsistent,
-    }  # fmt: skip
 
 
 # The page -------------------------------------------------------------------------------------------------------------
@@ -232,9 +226,9 @@ def _conflict_counts(found: pd.DataFrame) -> str | None:
     return f"{kinds}; {int(found['ttc_s'].notna().sum())} with a TTC below {CONFLICT_TTC_S:g} s"
 
 
-def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+def _records(table: pd.DataFrame) -> list[dict[Any, Any]]:
     """The rows of a table; what is missing is None."""
-    return [{str(name): None if pd.isna(cell) else cell for name, cell in row.items()} for _, row in table.iterrows()]
+    return table.astype(object).where(table.notna(), None).to_dict("records")
 
 
 def _told(dose: pd.DataFrame) -> list[str]:

@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 
 from bridge.generation.generate import PreparedScene, as_driven, model_parameters, sumo_seed
+from bridge.studies.columns import REQUEST_COLUMNS
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.flow_driving import NEAR_M, FlowDriving
 from bridge.sumo.simulation import Simulation
-from hid2.agents import BoxSize, Policy, Track
+from hid2.agents import Policy, Track
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import MIDDLE, Driver
 from hid2.insertion.filling import Filling, Unmet
@@ -127,9 +128,11 @@ def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedR
             trigger_after_s=lambda arrival: trigger_after_s(arrival, config.request, drawn.seed, last_s),
         )  # fmt: skip
         vehicles = driving.run()
+    recorded: Sequence[Track] = prepared.scenario.tracks
     if driving.reactions is not None:
-        scene = as_driven(scene, prepared.scenario, driving.reactions.tracks(prepared.scenario.tracks))
-    return _measured(scene, drawn, driving, vehicles, trigger_s)
+        recorded = driving.reactions.tracks(recorded)
+        scene = as_driven(scene, prepared.scenario, recorded)
+    return _measured(scene, drawn, driving, vehicles, recorded, trigger_s)
 
 
 def _with_duration(driver: Driver, change: LaneChange) -> Driver:
@@ -147,13 +150,14 @@ def _triggers(config: Config, drawn: Drawn) -> dict[int, float]:
 
 
 def _measured(
-    scene: Scene, drawn: Drawn, driving: FlowDriving, vehicles: Sequence[DrivenVehicle], trigger_s: dict[int, float]
-) -> PairedRun:
+    scene: Scene, drawn: Drawn, driving: FlowDriving, vehicles: Sequence[DrivenVehicle], recorded: Sequence[Track],
+    trigger_s: dict[int, float],
+) -> PairedRun:  # fmt: skip
     moved = [vehicle for vehicle in vehicles if len(vehicle.s) > 1]
     entered_at = {vehicle.vehicle_id: driving.entered.get(vehicle.vehicle_id, 0) for vehicle in vehicles}
     simulated = {one.vehicle_id: _as_simulated(scene, one, entered_at[one.vehicle_id]) for one in moved}
     exported = _exported(scene, [vehicle for vehicle in vehicles if vehicle.vehicle_id not in driving.entered])
-    tracks = [*_recorded(scene), *(one.track(vehicle_id, 1) for vehicle_id, one in simulated.items())]
+    tracks = [*recorded, *(one.track(vehicle_id, 1) for vehicle_id, one in simulated.items())]
     lanes = flatten_lanes(scene.grid.graph)
     states = agent_states(tracks, lanes, num_steps=scene.num_steps, step_s=scene.step_s)
     arrays = states.arrays
@@ -193,7 +197,7 @@ def _measured(
             row["lateral_s"] = round(row["end_s"] - row["start_s"], 6)
         rows.append(row)
     rows += [
-        _EMPTY | {
+        dict.fromkeys(REQUEST_COLUMNS) | {
             "vehicle": f"v{missed.request.number}_0", "source": "start", "kind": missed.request.policy.value,
             "status": "not_placed", "reason": missed.reason.value, "trigger_s": trigger_s[missed.request.number],
         }
@@ -215,19 +219,6 @@ def _told(found: Iterable[LaneChangeRow | TrafficConflict], since_s: float) -> l
     return [{key: _rounded(value) if isinstance(value, float) else value for key, value in row.items()} for row in rows]
 
 
-#: A row of the table of requests without anything in it: the order of its columns.
-_EMPTY: dict[str, Any] = dict.fromkeys(
-    (
-        "vehicle", "source", "kind", "status", "reason", "exported", "entered_s", "desired_mps", "trigger_s",
-        "counted", "observed_to_s", "accepted_s", "waited_s", "accepted", "looks",
-        "lead_gap_m", "lag_gap_m",
-        "lead_time_gap_s", "lag_time_gap_s", "speed_mps", "start_s", "crossing_s", "end_s", "lateral_s",
-        "min_ttc_s", "min_pet_s", "overlaps", "lag_drac_mps2", "lag_headway_s",
-        "lag_brakes_mps2",
-    )
-)  # fmt: skip
-
-
 def _request_row(scene: Scene, vehicle: DrivenVehicle, *, first: int) -> dict[str, Any]:
     """What the looks at gaps tell of one request. first: step at which the vehicle began."""
     start, trigger_s = vehicle.start, vehicle.start.request.trigger_s
@@ -236,7 +227,7 @@ def _request_row(scene: Scene, vehicle: DrivenVehicle, *, first: int) -> dict[st
     accepted_s = None if shift is None else shift.requested_step * scene.step_s
     # until when it could have accepted: it gave up, or it left, or the scene ended
     until_s = min(last_s, trigger_s + scene.config.lane_change.give_up_s) if accepted_s is None else accepted_s
-    row = _EMPTY | {
+    row = dict.fromkeys(REQUEST_COLUMNS) | {
         "vehicle": vehicle.vehicle_id, "kind": vehicle.policy.value, "entered_s": _rounded(first * scene.step_s),
         "desired_mps": _rounded(start.driver.desired_mps), "trigger_s": _rounded(trigger_s),
         "accepted": shift is not None, "accepted_s": _rounded(accepted_s), "observed_to_s": _rounded(until_s),
@@ -292,21 +283,6 @@ def _exported(scene: Scene, vehicles: Sequence[DrivenVehicle]) -> dict[str, str]
             kept.append(found)
         verdicts[vehicle.vehicle_id] = "yes" if isinstance(found, ExportedVehicle) else str(found.value)
     return verdicts
-
-
-def _recorded(scene: Scene) -> list[Track]:
-    traffic = scene.traffic
-    found = []
-    for row, track_id in enumerate(traffic.ids):
-        steps = np.flatnonzero(traffic.present[row])
-        found.append(
-            Track(
-                track_id, scene.object_types[row], 1, steps, traffic.position[row, steps], traffic.heading[row, steps],
-                traffic.velocity[row, steps],
-                BoxSize(float(traffic.length_m[row]), float(traffic.width_m[row])),
-            )
-        )  # fmt: skip
-    return found
 
 
 def _detectors(scene: Scene, driving: FlowDriving, states: AgentStates) -> list[dict[str, Any]]:

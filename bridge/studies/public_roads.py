@@ -5,30 +5,29 @@ rule is tuned on the roads with `tune = true` alone; every other road is a test.
 """
 
 import itertools
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import Field
 from scipy import stats
 
 from bridge.batch.batch import Options, Progress, SceneJob, run_batch
 from bridge.batch.batch import Run as BatchRun
 from bridge.batch.manifest import DONE, ManifestRow
-from bridge.config import config_sha256, read_toml
-from bridge.files import MAX_FILE_MB, read_packed, write_rows, write_text
+from bridge.config import config_sha256, read_toml_as
+from bridge.files import write_rows, write_text
 from bridge.pages.parts import text
 from bridge.recordings.corridor import write_road
-from bridge.recordings.road import Road, RoadPart, read_road, what_is_wrong
-from bridge.studies.study import RUN_FILE, Value, configured
+from bridge.recordings.road import Road, RoadPart, read_road
+from bridge.studies.study import Value, configured, read_run
 from hid2.params import Config
 from hid2.resampling import Estimate, ratio
-from netconvert.errors import BatchError, ConfigError
+from netconvert.errors import ConfigError
 
-WORK = "bridge.studies.road_work:measure_roads"
+WORK = "bridge.studies.study_work:measure_roads"
 #: What a road has to reproduce before lane changes are looked at: shares of flow and speed that it may be off.
 FLOW_WITHIN, SPEED_WITHIN = 0.03, 0.10
 UNTUNED, TUNED = "untuned", "tuned"
@@ -86,9 +85,6 @@ class _PageFile(RoadPart):
     cause: list[_Cause] = Field(default=[])
 
 
-_Model = TypeVar("_Model", bound=BaseModel)
-
-
 class Site(NamedTuple):
     """A road with what was published of it. set: of the configuration, on this road."""
 
@@ -113,20 +109,13 @@ class PublicRoads:
         return configured(self.file.config, own, source=str(self.source))
 
 
-def _read(kind: type[_Model], path: Path, what: str) -> _Model:
-    try:
-        return kind.model_validate(read_toml(path, what))
-    except ValidationError as error:
-        raise ConfigError(f"{path}: {what_is_wrong(error, kind)}") from error
-
-
 def read_public(path: Path) -> PublicRoads:
     """Read a page and the files that it names, relative to it. Errors: ConfigError with file, key, value."""
-    file = _read(_PageFile, path, "a page of public roads")
+    file = read_toml_as(_PageFile, path, "a page of public roads")
     sites = []
     for entry in file.road:
         road_file, counts_file = path.parent / entry.file, path.parent / entry.counts
-        road, counts = read_road(road_file), _read(Counts, counts_file, "published counts")
+        road, counts = read_road(road_file), read_toml_as(Counts, counts_file, "published counts")
         for name, values in (("vehicles", counts.vehicles), ("changes_per_vehicle", counts.changes_per_vehicle)):
             if len(values) != road.lanes:
                 raise ConfigError(
@@ -260,7 +249,10 @@ def run_public(
         results = []
         for (site, rule, variant, changes, _), configs in wanted:
             own = [rows[folders[site.road_file].name, config_sha256(config)] for config in configs]
-            told = [_told(out_dir / row.folder) for row in own if row.status == DONE]
+            told = [
+                read_run(out_dir / row.folder, ("vehicles", "changes", "veh_km"), "page of public roads")
+                for row in own if row.status == DONE
+            ]  # fmt: skip
             if told:
                 results.append(RoadResult(site, rule.name, variant, changes, told))
         return results
@@ -284,17 +276,6 @@ def run_public(
     files = _write(page, tried, best, tests, causes, out_dir)
     failed = sum(row.status != DONE for row in rows.values())
     return PublicReport(files, len(rows), failed, sum(row.seconds for row in rows.values()))
-
-
-def _told(folder: Path) -> Mapping[str, Any]:
-    """What a run has told. Errors: BatchError."""
-    try:
-        found: Mapping[str, Any] = json.loads(read_packed(folder / RUN_FILE, most_mb=MAX_FILE_MB))
-        if not {"vehicles", "changes", "veh_km"} <= found.keys():
-            raise ValueError("no vehicles, changes, veh_km")
-    except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
-        raise BatchError(f"{folder / RUN_FILE}: {error}; expected a run of a page of public roads") from error
-    return found
 
 
 def _best(tried: Sequence[RoadResult]) -> Mapping[str, Value]:

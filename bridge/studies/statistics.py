@@ -7,12 +7,12 @@ the signs of what each cluster says alone, which holds for few of them too (Cana
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from bridge.studies.columns import DECIDE, OUTCOMES, Outcome
 from hid2.agents import FloatArray, IntArray
 from hid2.resampling import interval, redrawn
 
@@ -74,39 +74,6 @@ def _ratio(above: FloatArray, below: FloatArray, codes: IntArray, count: int) ->
         return np.bincount(codes, above, count) / np.bincount(codes, below, count)
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """A figure of merit: its column in dose_response.csv, what it says, the table and columns that it is made of."""
-
-    name: str
-    says: str
-    table: str
-    above: str | None
-    below: str | None = None
-
-
-_DECIDE = {"rule": "the rule", "cells": "taken cells", "road": "the road", "guard": "the guard", "sumo": "SUMO"}
-OUTCOMES = (
-    Outcome("share_accepted", "share of the requests counted that got a gap", "requests", "accepted"),
-    Outcome("share_accepted_of_looking", "the same of those that had a lane beside to look at", "requests", "accepted",
-            "looked"),
-    Outcome("mean_wait_s", "mean waiting time from the trigger, up to the longest allowed, s", "requests", None),
-    Outcome("gaps_accepted", "share of the gaps looked at that were taken", "gaps", "accepted"),
-    *(
-        Outcome(f"refused_by_{name}", f"share of the gaps{asked} that {words} refused at last", "gaps",
-                f"refused_by_{name}", f"asked_{name}" if asked else None)
-        for name, words in _DECIDE.items() for asked in (" asked about" if name in ("guard", "sumo") else "",)
-    ),
-    Outcome("share_overlapping", "share of the changes in which boxes meet", "requests", "overlaps"),
-    Outcome("lag_drac_mps2", "mean of the largest DRAC of the new follower, m/s2", "requests", "lag_drac_mps2"),
-    Outcome("lag_headway_s", "mean of the least time headway of the new follower, s", "requests", "lag_headway_s"),
-    Outcome("lag_brakes_mps2", "mean of the hardest braking of the new follower, m/s2", "requests", "lag_brakes_mps2"),
-    Outcome("lateral_s", "mean duration of the lateral motion, s", "requests", "lateral_s"),
-    Outcome("lag_time_gap_s", "mean lag time gap taken (above 10 s: 10 s), s", "requests", "lag_time_gap_s"),
-    Outcome("share_ttc_below_critical", "share of the changes with a TTC below 1.5 s", "requests", "ttc_critical"),
-)  # fmt: skip
-
-
 def _by_value(
     frame: pd.DataFrame,
     outcome: Outcome,
@@ -138,7 +105,7 @@ def dose_response(
     counted["lag_time_gap_s"] = counted["lag_time_gap_s"].clip(upper=LONG_GAP_S)
     counted["looked"] = (counted["looks"] > 0).astype(float)
     if not gaps.empty:
-        gaps = gaps.assign(**{f"refused_by_{name}": (gaps["refused_by"] == name).astype(float) for name in _DECIDE})
+        gaps = gaps.assign(**{f"refused_by_{name}": (gaps["refused_by"] == name).astype(float) for name in DECIDE})
     frames = {"requests": counted, "gaps": gaps}
     rows: list[dict[str, Any]] = []
     for outcome in OUTCOMES:
@@ -279,19 +246,14 @@ def effects(requests: pd.DataFrame, keys: Sequence[str], *, give_up_s: float) ->
 
 def _standardised(x: FloatArray, y: FloatArray) -> Callable[[FloatArray], FloatArray]:
     """Standardised coefficients (K,) of a linear regression of y (N,) on x (N, K), as a function of weights."""
+    both, known, size = np.column_stack([x, y]).T, np.s_[: x.shape[1]], np.abs(y).max()
 
     def statistic(weight: FloatArray) -> FloatArray:
-        share = weight / weight.sum()
-        xc, yc = x - share @ x, y - share @ y
-        covariance = (xc * share[:, None]).T @ xc
-        spread = np.sqrt(np.diag(covariance)), math.sqrt(float(share @ (yc * yc)))
-        if (
-            spread[1] <= _SAME * np.abs(y).max()
-            or not spread[0].all()
-            or np.linalg.matrix_rank(covariance) < x.shape[1]
-        ):
-            return np.full(x.shape[1], np.nan)
-        return np.asarray(np.linalg.solve(covariance, (xc * share[:, None]).T @ yc) * spread[0] / spread[1])
+        together = np.cov(both, aweights=weight, ddof=0)
+        spread, own = np.sqrt(np.diag(together)), together[known, known]
+        if spread[-1] <= _SAME * size or not spread.all() or np.linalg.matrix_rank(own) < len(own):
+            return np.full(len(own), np.nan)
+        return np.asarray(np.linalg.solve(own, together[known, -1]) * spread[known] / spread[-1])
 
     return statistic
 

@@ -8,17 +8,18 @@ import gzip
 import io
 import itertools
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from bridge.batch.batch import RUNS, Run, SceneJob
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.batch.scan import Selection, facts_of, wanted
-from bridge.config import config_from_dict, config_sha256, read_toml
+from bridge.config import config_from_dict, config_sha256, read_toml_as
 from bridge.files import MAX_FILE_MB, explained, one_line, read_packed, untabled
 from bridge.recordings.export import new_scenario_id, write_folder
 from bridge.recordings.folders import Address
@@ -101,18 +102,7 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
 
     Errors: ConfigError with file, key, value; also where a path holds no scene.
     """
-    try:
-        content = _File.model_validate(read_toml(path, "a study"))
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        kinds = ("constrained-", "int", "float", "str", "bool", "list[")  # of which type of several
-        key = ".".join(part for part in map(str, first["loc"]) if not part.startswith(kinds))
-        known = f"expected a study of {', '.join(_File.model_fields)}"
-        if first["type"] in ("missing", "extra_forbidden"):
-            what = "no key" if first["type"] == "missing" else "unknown key"
-            raise ConfigError(f"{path}: {what} {key!r}; {known}") from error
-        message = first["msg"].removeprefix("Input should be ").replace("greater than or equal to", "at least")
-        raise ConfigError(f"{path}: {key} = {first['input']!r}, expected {message}") from error
+    content = read_toml_as(_File, path, "a study")
     places = scenes or [path.parent / scene for scene in content.scenes]
     try:
         folders = tuple(find_sources(places))
@@ -216,26 +206,37 @@ def write_run(
     return folder
 
 
-def _written(folder: Path) -> tuple[dict[str, list[dict[str, Any]]], "pd.DataFrame"]:
-    """Requests and flow of a run, and its looks at gaps; a folder that was continued may hold anything.
-
-    Errors: BatchError.
-    """
-    import pandas as pd
-
-    try:
-        found = json.loads(read_packed(folder / RUN_FILE, most_mb=MAX_FILE_MB))
-        if lacking := {key for row in found["requests"] for key in _REQUEST_KEYS - row.keys()}:
-            raise ValueError(f"requests without {', '.join(sorted(lacking))}")
-        if lacking := set(RUN_TABLES) - found.keys():
+def read_run(folder: Path, wanted: Collection[str], what: str) -> dict[str, Any]:
+    """What `write_run` told of a run; a folder that was continued may hold anything. Errors: BatchError."""
+    with _of_a_run(folder, what):
+        found: dict[str, Any] = json.loads(read_packed(folder / RUN_FILE, most_mb=MAX_FILE_MB))
+        if lacking := set(wanted) - found.keys():
             raise ValueError(f"without {', '.join(sorted(lacking))}")
-        looks = io.BytesIO(read_packed(folder / LOOKS_FILE, most_mb=MAX_FILE_MB))
-        return found, pd.read_csv(looks, dtype={"lead_id": str, "lag_id": str, "vehicle": str})
+        return found
+
+
+@contextmanager
+def _of_a_run(folder: Path, what: str) -> Iterator[None]:
+    """Whatever is wrong with a run's files is told with its folder. Errors: BatchError."""
+    try:
+        yield
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise BatchError(
-            f"{folder}: not what a run of a study writes ({one_line(repr(error), most=300)}); "
-            "please remove this folder, or begin the study in another one"
+            f"{folder}: not what a run of a {what} writes ({one_line(repr(error), most=300)}); "
+            f"please remove this folder, or begin the {what} in another one"
         ) from error
+
+
+def _written(folder: Path) -> tuple[dict[str, list[dict[str, Any]]], "pd.DataFrame"]:
+    """The tables of a run and its looks at gaps. Errors: BatchError."""
+    import pandas as pd
+
+    found = read_run(folder, RUN_TABLES, "study")
+    with _of_a_run(folder, "study"):
+        if lacking := {key for row in found["requests"] for key in _REQUEST_KEYS - row.keys()}:
+            raise ValueError(f"requests without {', '.join(sorted(lacking))}")
+        looks = io.BytesIO(read_packed(folder / LOOKS_FILE, most_mb=MAX_FILE_MB))
+        return found, pd.read_csv(looks, dtype={"lead_id": str, "lag_id": str, "vehicle": str})
 
 
 #: Endings of the columns that are numbers, also where all of a run's are missing.

@@ -56,7 +56,7 @@ def draw_parameter(
 
     upper = (
         ("accepted, share", {"share_accepted": ("requests that got a gap", figures.BLUE),
-                             "gaps_accepted": ("gaps taken", figures.SKY)}),
+                             "gaps_accepted": ("gaps that the rule took", figures.SKY)}),
         ("mean duration, s", {"mean_wait_s": (f"waiting, up to {give_up_s:g} s", figures.BLUE),
                               "lateral_s": ("lateral motion, once accepted", figures.ORANGE)}),
         ("gaps refused at last, share, by", _REFUSALS),

@@ -1,7 +1,8 @@
-"""What a process of a study does: drive each run and write what was measured."""
+"""What a process of a study, or of a page of public roads, does: drive each run and write what was measured."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from bridge.batch.batch import Place, Run, base_row
 from bridge.batch.isolation import Failure, describe_error
@@ -9,10 +10,11 @@ from bridge.batch.manifest import ManifestRow, files_sha256, output_files
 from bridge.config import config_sha256
 from bridge.generation.gaps import gaps_bytes
 from bridge.generation.generate import PreparedScene, prepare
-from bridge.recordings.recording import Recording
+from bridge.recordings.road import ROAD_FILE, read_road
 from bridge.recordings.sources import read_recording
 from bridge.recordings.ssam import trj_bytes
-from bridge.studies.paired import Drawn, PairedRun, draw, drawing_config, paired_run
+from bridge.studies.paired import Drawn, draw, drawing_config, paired_run
+from bridge.studies.road_traffic import RoadTraffic
 from bridge.studies.study import LOOKS_FILE, RUN_TABLES, write_run
 from hid2.params import Config
 
@@ -26,33 +28,51 @@ def measure_runs(place: Place, runs: Sequence[Run], *, trj: bool = False) -> Ite
     """Drive and measure each run; what the runs share is made once."""
     prepared: PreparedScene | None = None
     drawn: dict[str, Drawn] = {}
+
+    def measured(config: Config) -> tuple[Path, dict[str, Any]]:
+        nonlocal prepared, drawn
+        if prepared is None:
+            prepared = prepare(read_recording(place.folder), config)
+        drawing = drawing_config(config)
+        key = config_sha256(drawing)
+        if key not in drawn:
+            drawn = {key: draw(prepared, drawing)}  # the last one is enough: runs come seed by seed
+        found, source = paired_run(prepared, drawn[key], config), prepared.scenario
+        files = {LOOKS_FILE: gaps_bytes([(0, vehicle) for vehicle in found.driven], {}, step_s=source.step_s)}
+        if trj:
+            files["trajectories.trj"] = trj_bytes(found.states.arrays, found.states.matches)
+        folder = write_run(place.out, source, config, {name: getattr(found, name) for name in RUN_TABLES}, files)
+        return folder, {
+            "city": source.city, "recorded": len(source.tracks), "placed": len(found.driven),
+            "maneuvers_requested": len(found.requests),
+            "maneuvers_done": sum(row["status"] == "done" for row in found.requests),
+        }  # fmt: skip
+
+    return _rows(place, runs, measured)
+
+
+def measure_roads(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
+    """Drive and count each run on a corridor that was made of a road's file."""
+
+    def measured(config: Config) -> tuple[Path, dict[str, Any]]:
+        recording = read_recording(place.folder)
+        traffic = RoadTraffic(recording, read_road(recording.folder / ROAD_FILE), config)
+        traffic.run()
+        told = traffic.told()
+        folder = write_run(place.out, recording, config, told)
+        return folder, {"city": recording.city, "placed": sum(told["vehicles"])}
+
+    return _rows(place, runs, measured)
+
+
+def _rows(
+    place: Place, runs: Sequence[Run], measured: Callable[[Config], tuple[Path, dict[str, Any]]]
+) -> Iterator[ManifestRow | Failure]:
+    """The manifest's row of each run. measured: drives one, and returns its folder and what the row has of it."""
     for run in runs:
         try:
-            if prepared is None:
-                prepared = prepare(read_recording(place.folder), run.config)
-            drawing = drawing_config(run.config)
-            key = config_sha256(drawing)
-            if key not in drawn:
-                drawn = {key: draw(prepared, drawing)}  # the last one is enough: runs come seed by seed
-            found = paired_run(prepared, drawn[key], run.config)
-            folder = _write(place.out, prepared.scenario, run.config, found, trj=trj)
-            requests = [row for row in found.requests if row["status"] != "not_placed"]
-            yield base_row(place, run)._replace(
-                city=prepared.scenario.city,
-                recorded=len(prepared.scenario.tracks),
-                placed=len(found.driven),
-                maneuvers_requested=len(found.requests),
-                maneuvers_done=sum(row["status"] == "done" for row in requests),
-                folder=folder.relative_to(place.out).as_posix(),
-                output_sha256=files_sha256(output_files(folder)),
-            )
+            folder, told = measured(run.config)
+            where = folder.relative_to(place.out).as_posix()
+            yield base_row(place, run)._replace(folder=where, output_sha256=files_sha256(output_files(folder)), **told)
         except Exception as error:  # noqa: BLE001  # quarantined with its traceback
             yield describe_error(error)
-
-
-def _write(out_dir: Path, source: Recording, config: Config, found: PairedRun, *, trj: bool) -> Path:
-    told = {name: getattr(found, name) for name in RUN_TABLES}
-    files = {LOOKS_FILE: gaps_bytes([(0, vehicle) for vehicle in found.driven], {}, step_s=source.step_s)}
-    if trj:
-        files["trajectories.trj"] = trj_bytes(found.states.arrays, found.states.matches)
-    return write_run(out_dir, source, config, told, files)

@@ -4,7 +4,7 @@ Definitions and thresholds: Surrogate Safety Assessment Model (Gettman et al. 20
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,7 +78,8 @@ class TrafficConflict:
     start_s, end_s: TTC below the threshold, or the crossing's two passages; time_s: of the least TTC; ttc_s, pet_s:
     least, None above the thresholds; drac_mps2: largest of the second vehicle; max_s_mps: MaxS, larger speed of the two
     over the conflict; delta_s_mps: DeltaS, length of the difference of velocities at time_s; angle_deg: between the
-    headings then, -180 to 180, positive where the second comes from the right; kind: rear_end, lane_change, crossing.
+    headings then, -180 to 180, positive where the second comes from the right; kind: rear_end, lane_change, crossing;
+    x_m, y_m: between the two then, or where they pass the crossing, city frame.
     """
 
     first_id: str
@@ -93,48 +94,62 @@ class TrafficConflict:
     max_s_mps: float
     delta_s_mps: float
     angle_deg: float
+    x_m: float
+    y_m: float
+
+    @property
+    def text(self) -> str:
+        """The conflict in a few words."""
+        told = (("TTC", self.ttc_s), ("PET", self.pet_s))
+        measured = ", ".join(f"{name} {value:.1f} s" for name, value in told if value is not None)
+        return f"{self.first_id}, {self.second_id}: {self.kind.replace('_', ' ')}, {measured} at {self.time_s:.1f} s"
 
 
-def conflicts(arrays: SceneArrays) -> list[TrafficConflict]:
-    """Every conflict between two vehicles of which one moves, by start; a TTC above the threshold for 5 s ends one."""
-    crossing = _crossings(arrays)
+def conflicts(
+    arrays: SceneArrays, *, ttc_s: float = CONFLICT_TTC_S, pet_s: float = CONFLICT_PET_S
+) -> list[TrafficConflict]:
+    """Every conflict between two vehicles of which one moves, by start; a TTC above the threshold for 5 s ends one.
+
+    ttc_s, pet_s: thresholds of the TTC and of the PET of paths that cross.
+    """
+    crossing = _crossings(arrays, pet_s)
     found: list[TrafficConflict] = []
-    for a, b in sorted({*_near_pairs(arrays), *crossing}):
-        course = pair_course(arrays, a, b, cap_s=CONFLICT_TTC_S)
-        close, pet_s = course.step[np.isfinite(course.ttc_s)], crossing.get((a, b))
-        passed = _passed(arrays, a, b) if pet_s is not None else (0, 0)
-        if pet_s is not None and not close.size:
-            close = course.step[(course.step >= min(passed)) & (course.step <= max(passed))]
+    for a, b in sorted({*_near_pairs(arrays, ttc_s), *crossing}):
+        course = pair_course(arrays, a, b, cap_s=ttc_s)
+        close, met_s = course.step[np.isfinite(course.ttc_s)], crossing.get((a, b))
+        passed = _passed(arrays, a, b) if met_s is not None else {}
+        if passed and not close.size:
+            close = course.step[(course.step >= min(passed.values())) & (course.step <= max(passed.values()))]
         if not close.size:
             continue
         for part in np.split(close, np.flatnonzero(np.diff(close) * arrays.step_s > CONFLICT_PET_S) + 1):
             span = course.during(int(part[0]), int(part[-1]))
-            first = a if (passed[0] <= passed[1] if pet_s is not None else _leads(arrays, span)) else b
-            found.append(_conflict(arrays, (first, a + b - first), span, pet_s))
+            first = min(passed, key=passed.__getitem__) if passed else a if _leads(arrays, span) else b
+            found.append(_conflict(arrays, (first, a + b - first), span, met_s, passed))
     return sorted(found, key=lambda one: (one.start_s, one.first_id, one.second_id))
 
 
-def _crossings(arrays: SceneArrays) -> dict[tuple[int, int], float]:
-    """PET, s, of moving vehicles whose paths cross; asked of those that are there within so long of each other."""
+def _crossings(arrays: SceneArrays, pet_s: float) -> dict[tuple[int, int], float]:
+    """PET, s, of moving vehicles whose paths cross within pet_s; asked of those there within so long of each other."""
     since, until = arrays.step[arrays.first[:-1]], arrays.step[arrays.first[1:] - 1]
-    moving, apart = np.flatnonzero(arrays.vehicle & arrays.moving), CONFLICT_PET_S / arrays.step_s
+    moving, apart = np.flatnonzero(arrays.vehicle & arrays.moving), pet_s / arrays.step_s
     found: dict[tuple[int, int], float] = {}
     for own in moving.tolist():
         met = (since[moving] <= until[own] + apart) & (until[moving] >= since[own] - apart) & (moving <= own)
-        pairs = encroachments(arrays, since=own, cap_s=CONFLICT_PET_S, agents=moving[met])
-        found |= {(one.first, one.second): one.pet_s for one in pairs}
+        pairs = encroachments(arrays, since=own, cap_s=pet_s, agents=moving[met])
+        found |= {(one.first, one.second): one.pet_s for one in pairs if one.pet_s <= pet_s}
     return found
 
 
-def _passed(arrays: SceneArrays, a: int, b: int) -> tuple[int, int]:
-    """Steps at which two vehicles pass the place where their paths cross."""
+def _passed(arrays: SceneArrays, a: int, b: int) -> dict[int, int]:
+    """Steps by vehicle at which two pass the place where their paths cross."""
     own, its = (slice(int(arrays.first[one]), int(arrays.first[one + 1])) for one in (a, b))
     position, heading = arrays.position, arrays.heading
     at, then = swept_paths_cross(
         position[own], heading[own], arrays.length[a], position[its], heading[its], arrays.length[b],
         math.sin(CROSSING_RAD),
     )  # fmt: skip
-    return int(arrays.step[own][at]), int(arrays.step[its][then])
+    return {a: int(arrays.step[own][at]), b: int(arrays.step[its][then])}
 
 
 def _leads(arrays: SceneArrays, span: PairCourse) -> bool:
@@ -146,7 +161,7 @@ def _leads(arrays: SceneArrays, span: PairCourse) -> bool:
     return float((arrays.position[pair[0]] - arrays.position[pair[1]]) @ forward) >= 0.0
 
 
-def _near_pairs(arrays: SceneArrays) -> Iterator[tuple[int, int]]:
+def _near_pairs(arrays: SceneArrays, ttc_s: float) -> Iterator[tuple[int, int]]:
     """Pairs of vehicles, one of them moving, that are near enough at some step for a TTC below the threshold."""
     starts, stops = arrays.first[:-1], arrays.first[1:]
     since, until = arrays.step[starts], arrays.step[stops - 1]
@@ -158,18 +173,24 @@ def _near_pairs(arrays: SceneArrays) -> Iterator[tuple[int, int]]:
         rows = arrays.row_of[np.ix_(np.flatnonzero(later), arrays.step[own])]  # (K, steps of a)
         apart = arrays.position[rows] - arrays.position[own]
         closing = arrays.velocity[rows] - arrays.velocity[own]
-        reach = reach_m[later][:, None] + reach_m[a] + CONFLICT_TTC_S * np.hypot(*np.moveaxis(closing, -1, 0))
+        reach = reach_m[later][:, None] + reach_m[a] + ttc_s * np.hypot(*np.moveaxis(closing, -1, 0))
         near = ((rows >= 0) & (np.hypot(*np.moveaxis(apart, -1, 0)) <= reach)).any(axis=1)
         yield from ((a, b) for b in np.flatnonzero(later)[near].tolist())
 
 
 def _conflict(
-    arrays: SceneArrays, pair: tuple[int, int], span: PairCourse, crossing_s: float | None
+    arrays: SceneArrays, pair: tuple[int, int], span: PairCourse, crossing_s: float | None, passed: Mapping[int, int]
 ) -> TrafficConflict:
-    """The conflict of a pair, the first to be there first, over some steps. crossing_s: PET where their paths cross."""
+    """The conflict of a pair, the first to be there first, over some steps.
+
+    crossing_s: PET where their paths cross; passed: step at which each passes there, by vehicle.
+    """
     first, second = pair
     at, steps = int(np.argmin(span.ttc_s)), (int(span.step[0]), int(span.step[-1]))
-    one, other = (int(arrays.row_of[agent, span.step[at]]) for agent in pair)
+    then, ttc_s = int(span.step[at]), float(span.ttc_s[at])
+    one, other = (int(arrays.row_of[agent, then]) for agent in pair)
+    met = passed if passed and not math.isfinite(ttc_s) else dict.fromkeys(pair, then)
+    x_m, y_m = arrays.position[[arrays.row_of[agent, step] for agent, step in met.items()]].mean(axis=0).tolist()
     course = pair_course(arrays, second, first).during(*steps)
     pet_s = crossing_s if crossing_s is not None else _following_pet(arrays, first, second, steps)
     angle = math.degrees(float(wrap_angle(arrays.heading[other] - arrays.heading[one])))
@@ -178,10 +199,10 @@ def _conflict(
     return TrafficConflict(
         first_id=arrays.track_ids[first], second_id=arrays.track_ids[second], kind=kind,
         start_s=round(steps[0] * arrays.step_s, 6), end_s=round(steps[1] * arrays.step_s, 6),
-        time_s=round(int(span.step[at]) * arrays.step_s, 6),
-        ttc_s=float(span.ttc_s[at]) if math.isfinite(span.ttc_s[at]) else None, pet_s=pet_s,
+        time_s=round(then * arrays.step_s, 6), ttc_s=ttc_s if math.isfinite(ttc_s) else None, pet_s=pet_s,
         drac_mps2=float(course.drac_mps2.max()), max_s_mps=float(speeds.max()),
         delta_s_mps=float(np.hypot(*(arrays.velocity[one] - arrays.velocity[other]))), angle_deg=angle,
+        x_m=x_m, y_m=y_m,
     )  # fmt: skip
 
 

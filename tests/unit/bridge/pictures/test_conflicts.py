@@ -1,4 +1,4 @@
-"""Conflicts of scenes made by hand: two boxes that touch, two paths that cross, a leader that is closed in on."""
+"""Conflicts of a scene that is held, as values and as marks; how they are measured: tests/unit/hid2/measures."""
 
 from dataclasses import replace
 
@@ -6,7 +6,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from bridge.pictures.conflicts import ConflictKind, draw_conflicts, find_conflicts
+from bridge.generation.scene import TrafficScene, read_scene
+from bridge.pictures.conflicts import draw_conflicts
 from bridge.recordings.scenario import read_scenario
 from hid2.agents import Track
 from netconvert.errors import ConfigError
@@ -40,14 +41,14 @@ def track(name, like, start, velocity):
 
 
 def found(scenario, *tracks, **options):
-    return find_conflicts(replace(scenario, tracks=tracks), **options)
+    return TrafficScene(replace(scenario, tracks=tracks)).conflicts(**options)
 
 
 def test_crossing_has_the_pet_and_the_place(scene, data_scenes):
     r"""
-    Both at 10 m/s through one point, B one second after the boxes of A have left it.
+    Both at 10 m/s through one point, B half a second after the boxes of A have left it.
 
-        A ------+------>      A's centre is there at 2.0 s, B's at 2.0 s + 0.9 s + the time of the two half boxes
+        A ------+------>      A's centre is there at 2.0 s, B's at 2.5 s + the time of the two half boxes
                 |
                 B
     """
@@ -61,52 +62,50 @@ def test_crossing_has_the_pet_and_the_place(scene, data_scenes):
         track("gen_0", like, meeting - (20 + 10 * (behind_s + 0.5)) * across, 10 * across),
     )
     (one,) = found(scenario, *cars, ttc_s=0.0)
-    assert (one.kind, one.first, one.second) == (ConflictKind.CROSSING, "gen_0", "7")
-    assert one.value == pytest.approx(0.5, abs=0.2)
-    assert np.linalg.norm(one.position - meeting) < 4.0
+    assert (one.kind, one.first_id, one.second_id, one.ttc_s) == ("crossing", "7", "gen_0", None)
+    assert one.pet_s == pytest.approx(0.5, abs=0.2)
+    assert np.linalg.norm([one.x_m, one.y_m] - meeting) < 1.0
     assert one.time_s == pytest.approx(2.0, abs=0.5)
     assert found(scenario, *cars, ttc_s=0.0, pet_s=0.2) == []
 
 
-def test_follower_closing_in_and_contact_are_found_once_each(scene, data_scenes):
-    """At 10 m/s towards a leader at 5 m/s: the boxes touch, and shortly before TTC is below 1.5 s."""
+def test_follower_that_closes_in_and_touches_is_one_conflict(scene, data_scenes):
+    """At 10 m/s, 20 m behind a leader at 5 m/s: TTC is below 1.5 s from 2.5 s on, the boxes touch at 4 s."""
     scenario, origin, along, _ = scene
     like = read_scenario(data_scenes["arterial"]).tracks[0]
     cars = (
         track("8", like, origin + 10 * along, 10 * along),
         track("9", like, origin + 10 * along + (like.size.length_m + 20) * along, 5 * along),
     )
-    kinds = [(one.kind, one.first, one.second) for one in found(scenario, *cars)]
-    assert (ConflictKind.CONTACT, "8", "9") in kinds
-    assert (ConflictKind.CLOSING_IN, "8", "9") in kinds
-    assert len(kinds) == 2
-    (contact,) = (one for one in found(scenario, *cars) if one.kind is ConflictKind.CONTACT)
-    assert contact.time_s == pytest.approx(4.0, abs=0.11)  # 20 m at 5 m/s
-    assert "at 4." in contact.text
+    (one,) = found(scenario, *cars)
+    assert (one.kind, one.ttc_s) == ("rear_end", 0.0)
+    assert (one.start_s, one.time_s) == (pytest.approx(2.5, abs=0.11), pytest.approx(4.0, abs=0.11))
+    assert found(scenario, *cars, ttc_s=2.5)[0].start_s == pytest.approx(1.5, abs=0.11)
 
 
 def test_only_those_of_one_track(scene, data_scenes):
     scenario, origin, along, across = scene
     like = read_scenario(data_scenes["arterial"]).tracks[0]
     cars = [track(name, like, origin + (k // 2) * 40 * across, 5 * along) for k, name in enumerate("abcd")]
-    assert {(one.first, one.second) for one in found(scenario, *cars, ttc_s=0.0)} == {("a", "b"), ("c", "d")}
-    assert {(one.first, one.second) for one in found(scenario, *cars, ttc_s=0.0, agent="d")} == {("c", "d")}
+    assert {(one.first_id, one.second_id) for one in found(scenario, *cars)} == {("a", "b"), ("c", "d")}
+    assert {(one.first_id, one.second_id) for one in found(scenario, *cars, agent="d")} == {("c", "d")}
     with pytest.raises(ConfigError, match="no track 'e'"):
         found(scenario, *cars, agent="e")
 
 
-def test_generated_vehicles_touch_nobody(made_scene):
+def test_generated_vehicles_touch_nothing(made_scene):
     """What the method promises, seen by the function that draws it."""
-    kinds = {one.kind for one in find_conflicts(read_scenario(made_scene)) if "gen_" in one.first + one.second}
-    assert kinds <= {ConflictKind.CLOSING_IN, ConflictKind.CROSSING}
+    met = [one for one in read_scene(made_scene).conflicts(ttc_s=4.0) if "gen_" in one.first_id + one.second_id]
+    assert met
+    assert all(one.ttc_s is None or one.ttc_s > 0.0 for one in met)
 
 
 def test_each_conflict_is_a_mark_and_a_text(scene, data_scenes):
     scenario, origin, along, _ = scene
     like = read_scenario(data_scenes["arterial"]).tracks[0]
-    conflicts = found(scenario, *(track(name, like, origin, 5 * along) for name in "ab"), ttc_s=0.0)
+    conflicts = found(scenario, *(track(name, like, origin, 5 * along) for name in "ab"))
     figure, axes = plt.subplots()
     draw_conflicts(axes, conflicts)
     assert len(axes.lines) == len(conflicts) == 1
-    assert [text.get_text() for text in axes.texts] == ["a, b: IoU 1.00 at 0.0 s"]
+    assert [text.get_text() for text in axes.texts] == ["a, b: rear end, TTC 0.0 s, PET 0.0 s at 0.0 s"]
     plt.close(figure)

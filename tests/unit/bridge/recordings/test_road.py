@@ -63,7 +63,7 @@ def test_corridor_of_a_road_is_read_like_a_recording_and_named_by_its_content(tm
         ("lanes = 2\n", "no key 'length_m'; expected length_m, lanes"),
         ("length_m = 300.0\nlanes = 3\n", "inflow.veh_per_h until 240 s: 2 values, expected one for each of 3 lanes"),
         ("length_m = 300.0\nlanes = 2\nspeed = 3\n", "unknown key 'speed'"),
-        ("length_m = 20.0\nlanes = 2\n", "length_m = 20.0, expected greater than or equal to 100"),
+        ("length_m = 20.0\nlanes = 2\n", "length_m = 20.0, expected at least 100"),
         ("length_m = 150.0\nlanes = 2\n" + RAMPS, "beside and drop_m lie in the section, 0 to 150 m"),
         ("length_m = 300.0\nlanes = 2\nleaving = [0.1, 0.1]\n", "leaving: expected beside.off_ramp = true"),
         ("length_m = 300.0\nlanes = 2\nwarm_up_s = 300.0\n", "warm_up_s 300: expected less than the 240 s"),

@@ -44,17 +44,18 @@ def _drivers(count: int, mean_s: float, sd_s: float, seed: int) -> pd.DataFrame:
 @pytest.mark.parametrize(("mean_s", "sd_s"), [(1.5, 0.4), (2.5, 0.5), (4.0, 1.0)])
 def test_critical_gaps_of_synthetic_drivers_are_found_again(mean_s: float, sd_s: float) -> None:
     """300 drivers of known critical gap: mean and SD lie within their intervals; Raff's is near."""
-    found = critical_gap(_drivers(300, mean_s, sd_s, seed=1), "lag")
+    drivers = _drivers(300, mean_s, sd_s, seed=1)
+    found = critical_gap(drivers, "lag")
     assert found is not None
-    assert found.drivers == 300
-    assert found.inconsistent == 0
-    for estimate, true in ((found.mean, mean_s), (found.sd, sd_s)):
-        assert estimate.value is not None
+    assert (found["drivers"], found["inconsistent"]) == (300, 0)
+    mean, sd = troutbeck(*largest_rejected(drivers, "lag")[:2])
+    assert (found["mean_s"], found["mean_low_s"], found["mean_high_s"], found["sd_s"]) == (*mean, sd.value)
+    for estimate, true in ((mean, mean_s), (sd, sd_s)):
         assert estimate.low is not None
         assert estimate.high is not None
         assert estimate.low < true < estimate.high
-    assert found.raff == pytest.approx(mean_s, rel=0.15)
-    assert found.mean.high - found.mean.low < 0.25 * mean_s  # type: ignore[operator]
+    assert found["raff_s"] == pytest.approx(mean_s, rel=0.15)
+    assert found["mean_high_s"] - found["mean_low_s"] < 0.25 * mean_s
 
 
 def test_intervals_of_critical_gaps_hold_what_they_say() -> None:
@@ -177,7 +178,7 @@ def test_logistic_coefficients_are_found_again() -> None:
     curve = acceptance_curve(frame)
     assert curve is not None
     for name, row, true in (("intercept", 0, -3.0), ("lag", 1, 1.5), ("lead", 2, 0.2)):
-        assert abs(curve[name] - true) < 2.5 * curve["covariance"][row, row] ** 0.5
+        assert abs(curve[name] - true) < 2.5 * curve["fit"].bse[row]
     assert acceptance_curve(frame.head(5)) is None
 
 

@@ -30,7 +30,12 @@ def study_file(tmp_path: Path, text: str, scenes: Path) -> Path:
         (b"no gzip", "gzip"),
         (gzip.compress(b'{"requests": [], "flow": []}', mtime=0)[:-9], "gzip"),
         (gzip.compress(b"[" * 5_000, mtime=0), "run of a study"),
-        (gzip.compress(b'{"requests": [{"kind": "lane_change"}], "flow": []}', mtime=0), "requests without accepted"),
+        (
+            gzip.compress(
+                b'{"requests": [{"kind": "lane_change"}], "flow": [], "lane_changes": [], "conflicts": []}', mtime=0
+            ),
+            "requests without accepted",
+        ),
         (gzip.compress(b"[]", mtime=0), "run of a study"),
         (gzip.compress(b'{"requests": []}', mtime=0), "without conflicts, flow, lane_changes"),
     ],
@@ -83,7 +88,7 @@ def test_latin_hypercube_has_one_point_in_each_slice(tmp_path: Path, data_root: 
         ("[vary]\ntrigger_s = [1.0]\n[config.request]\nentering = 0.5\n", "in studies vehicles enter by flow"),
         ("seeds = 0\n[vary]\ntrigger_s = [1.0]\n", "seeds = 0, expected "),
         ("[vary]\n", "vary"),
-        ("colour = 1\n[vary]\ntrigger_s = [1.0]\n", "unknown key 'colour'; expected a study of "),
+        ("colour = 1\n[vary]\ntrigger_s = [1.0]\n", "unknown key 'colour'; expected scenes, can, "),
         ('design = "latin_hypercube"\n[vary]\ntrigger_s = [1.0, 2.0]\n', "samples = 0"),
         ('design = "latin_hypercube"\nsamples = 3\n[vary]\ntrigger_s = [2.0, 1.0]\n', "low < high"),
         ("[vary\n", "not TOML"),

@@ -66,7 +66,7 @@ def test_crossings_are_those_of_all_pairs_whenever_the_vehicles_are_there() -> N
     arrays = stack(tracks, step_s=0.1)
     asked = {(one.first, one.second): one.pet_s for one in encroachments(arrays, cap_s=5.0)}
     assert 3 < len(asked) < 12
-    assert _crossings(arrays) == asked
+    assert _crossings(arrays, 5.0) == asked
 
 
 @pytest.mark.parametrize(("heading_deg", "kind"), [(20, "rear_end"), (50, "lane_change"), (85, "crossing")])
