@@ -47,7 +47,7 @@ def _is_live() -> bool:
 
 
 def fitted(message: str) -> str:
-    """A message whose lines wrap between words on a terminal; one line each elsewhere, as for `grep`.
+    """A message with lines that wrap between words on a terminal; one line each elsewhere, as for `grep`.
 
     Lines that are indented stay whole: they may be commands to copy.
     """

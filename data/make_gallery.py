@@ -1,7 +1,7 @@
 """Write the gallery of events, EVENTS.md and the pictures in events/, from the synthetic scenes: data/make_gallery.py.
 
 Each kind of event is asked for in the scenes of data/av2, of any moving recorded vehicle; of the first seed that has
-it in some scene, the event whose vehicle is nearest to its target is shown. Pictures are reduced to a palette.
+it in some scene, the event with the vehicle nearest to its target is shown. Pictures are reduced to a palette.
 """
 
 import io

@@ -109,7 +109,7 @@ class Source(_Section):
     """What is asked of a recording before anything is driven in it."""
 
     plausible: bool = _param(
-        True, "-", "refuse recordings whose tracks fit neither their map nor their own velocities and headings"
+        True, "-", "refuse recordings with tracks that fit neither their map nor their own velocities and headings"
     )
 
 
@@ -128,26 +128,28 @@ class Spawn(_Section):
     )
     min_speed_mps: float = _param(4.0, "m/s", "slowest desired speed drawn", ge=0, le=40)
     max_speed_mps: float = _param(20.0, "m/s", "fastest desired speed drawn", gt=0, le=50)
-    usual_from_m: float = _param(5.0, "m", "who drives less far over the scene tells no usual speed", ge=0, le=100)
-    usual_from_s: float = _param(1.0, "s", "nor does who moves for less than this", ge=0, le=10)
+    usual_from_m: float = _param(
+        5.0, "m", "vehicles that drive less over the scene do not count for the usual speed", ge=0, le=100
+    )
+    usual_from_s: float = _param(1.0, "s", "nor do vehicles that move for less than this", ge=0, le=10)
     speed_sd: float = _param(
         0.08, "share", "standard deviation of the start speed around the desired one", ge=0, le=0.5
     )
     clear_gap_m: float = _param(2.0, "m", "smallest bumper gap at the start", ge=0.5, le=50)
     settle_s: float = _param(
-        3.0, "s", "a start holds if nobody is met so long by a vehicle that drives on and brakes as a driver would",
+        3.0, "s", "a start holds if a vehicle that drives on and brakes as a driver would meets no agent for this long",
         ge=0, le=10,
     )  # fmt: skip
-    near_weight: float = _param(8.0, "ratio", "weight of sites near to whom request.near asks for", ge=1, le=100)
+    near_weight: float = _param(8.0, "ratio", "weight of sites near to agents that request.near asks for", ge=1, le=100)
     leader_weight: float = _param(
         6.0, "ratio", "weight of sites from which a recorded vehicle would be followed", ge=1, le=100
     )
-    braking_weight: float = _param(3.0, "ratio", "weight of those of them whose leader brakes", ge=1, le=100)
+    braking_weight: float = _param(3.0, "ratio", "weight of those of them with a braking leader", ge=1, le=100)
     crossing_weight: float = _param(
         3.0, "ratio", "weight of sites from which recorded traffic would be crossed", ge=1, le=100
     )
     run_into_weight: float = _param(
-        0.2, "ratio", "weight of sites whose vehicle a recorded one would run into from behind: most fail", ge=0, le=1
+        0.2, "ratio", "weight of sites where a recorded follower would run into the vehicle: most fail", ge=0, le=1
     )
     crossing_apart_s: tuple[Annotated[float, Field(ge=0, le=10)], Annotated[float, Field(ge=0, le=10)]] = _param(
         (1.8, 3.8), "s", "between centres where a path is crossed; boxes take about .8 s less, which leaves a PET from "
@@ -178,21 +180,25 @@ class Sites(_Section):
     tries: int = _param(80, "sites", "looked at in full for a request in a round", ge=1, le=10_000)
     drivers: int = _param(3, "drivers", "drawn for a site before it is turned down", ge=1, le=50)
     routes: int = _param(16, "routes", "known from a lane", ge=1, le=1000)
-    run_up_m: float = _param(40.0, "m", "of a route before the lane that it starts on: who follows is seen there", ge=0,
+    run_up_m: float = _param(40.0, "m", "length of a route before the lane of a start: followers are seen there", ge=0,
         le=200,
     )  # fmt: skip
     routes_estimated: int = _param(
-        4, "routes", "that turn alike, in whose mean it is estimated what is met from a lane's cells", ge=1, le=100
+        4, "routes", "with the same turns: what is met from a lane's cells is estimated as their mean", ge=1, le=100
     )
     pace_share: float = _param(
         0.9, "share", "of the usual speed, at which it is estimated where a vehicle would be: it brakes now and then",
         gt=0, le=2,
     )  # fmt: skip
     near_share: float = _param(
-        0.7, "share", "of request.within_m, within which somebody is near: estimates are rough", gt=0, le=1
+        0.7,
+        "share",
+        "of request.within_m: an agent estimated within it counts as near; estimates are rough",
+        gt=0,
+        le=1,
     )
     leaves_share: float = _param(
-        0.8, "share", "of the way at usual speed, with less of which left of the map nobody begins", ge=0, le=2
+        0.8, "share", "of the way at usual speed: no vehicle begins with less of it left on the map", ge=0, le=2
     )
     avoided_m: float = _param(
         8.0,
@@ -202,29 +208,31 @@ class Sites(_Section):
         le=100,
     )
     from_edge_m: float = _param(
-        0.5, "m", "rear bumper of who begins from the beginning of its way, at the least", ge=0, le=50
+        0.5, "m", "least distance of a rear bumper from the beginning of the way at the start", ge=0, le=50
     )
-    standing_mps: float = _param(0.3, "m/s", "who would begin more slowly begins standing", ge=0, le=3)
-    queue_m: float = _param(8.0, "m", "who begins standing does so this near behind somebody who stands", ge=0, le=50)
+    standing_mps: float = _param(0.3, "m/s", "a vehicle that would begin more slowly begins standing", ge=0, le=3)
+    queue_m: float = _param(8.0, "m", "a vehicle begins standing only this near behind one that stands", ge=0, le=50)
     slowest_share: float = _param(
-        0.25, "share", "of the desired speed; nobody begins moving more slowly, with so much room ahead", ge=0, le=1
+        0.25, "share", "of the desired speed; no vehicle begins more slowly, except standing in a queue", ge=0, le=1
     )
     begin_braking_mps2: float = _param(0.8, "m/s2", "a vehicle may begin by braking so hard for its leader", ge=0, le=4)
     looks_s: float = _param(1.0, "s", "between two looks at gaps in a rollout", gt=0, le=10)
     hindered_s: float = _param(
         4.0, "s", "TTC to a vehicle that begins ahead, below which one chosen before is rolled out anew", ge=0, le=20
     )
-    before_turn_m: float = _param(5.0, "m", "who is to turn begins so far before the turn", ge=0, le=100)
+    before_turn_m: float = _param(5.0, "m", "a vehicle that is to turn begins so far before the turn", ge=0, le=100)
     turn_approach_share: float = _param(0.75, "share", "mean speed up to a turn, over the usual one", gt=0, le=1)
     turn_pace_mps: float = _param(5.0, "m/s", "mean speed on a turn lane, to tell when it is left", gt=0, le=20)
     turn_spare_s: float = _param(2.0, "s", "left of the scene after a turn", ge=0, le=10)
-    entry_stays_s: float = _param(3.0, "s", "who enters at the map's edge is there at least so long", ge=0.5, le=10)
+    entry_stays_s: float = _param(
+        3.0, "s", "a vehicle that enters at the map's edge stays at least so long", ge=0.5, le=10
+    )
     entry_edge_m: float = _param(
         15.0, "m", "a lane that begins so near to the hull of all lanes begins at the map's edge; farther inside it is "
         "a turn pocket or a driveway", ge=0, le=200,
     )  # fmt: skip
     entry_gap_s: float = _param(
-        1.0, "s", "nobody enters at the map's edge in less than this ahead of another inserted vehicle", ge=0, le=5
+        1.0, "s", "no vehicle enters at the map's edge less than this ahead of another inserted one", ge=0, le=5
     )
     slow_leader_min: float = _param(
         0.5, "share", "desired speed of an added leader over the usual one of its lane, uniform from here", gt=0, le=1
@@ -365,7 +373,9 @@ class LaneChange(_Section):
     lc_strategic: float = _param(1.0, "-", "LC2013 lcStrategic; SUMO's default", ge=0, le=100)
     lc_cooperative: float = _param(1.0, "-", "LC2013 lcCooperative; SUMO's default", ge=0, le=1)
     lc_speed_gain: float = _param(1.0, "-", "LC2013 lcSpeedGain; SUMO's default", ge=0, le=1000)
-    look_back_m: float = _param(50.0, "m", "of l' before it begins: who comes from behind there", ge=0, le=300)
+    look_back_m: float = _param(
+        50.0, "m", "length of lanes before l', where vehicles from behind are seen", ge=0, le=300
+    )
     max_shift_m: float = _param(5.5, "m", "middles of lanes farther apart are not side by side", gt=0, le=20)
     time_share: float = _param(0.95, "share", "of the time left that the lateral motion may take", gt=0, le=1)
     spare_s: float = _param(0.5, "s", "of that time, left after the lateral motion", ge=0, le=5)
@@ -432,7 +442,7 @@ class Conflict(_Section):
         1.0, "s", "a generated vehicle that brakes is predicted to brake on so long", ge=0, le=10
     )
     hardest_ratio: float = _param(
-        1.4, "ratio", "hardest braking for who appears ahead, over the driver's deceleration", ge=1, le=5
+        1.4, "ratio", "hardest braking for an agent that appears ahead, over the driver's deceleration", ge=1, le=5
     )
     stride: int = _param(2, "steps", "between two looks at the predicted motion", ge=1, le=10)
     margin_lateral_m: float = _param(0.1, "m", "added to each side of a box", ge=0, le=2)
@@ -440,11 +450,13 @@ class Conflict(_Section):
     stop_margin_m: float = _param(1.0, "m", "kept to a stop line", ge=0, le=10)
     ttc_min_s: float = _param(1.5, "s", "critical TTC (SSAM)", ge=0, le=5)
     follower_ttc_min_s: float = _param(
-        1.5, "s", "TTC kept to recorded vehicles behind, which do not brake for anybody inserted", ge=0, le=10
+        1.5, "s", "TTC kept to recorded vehicles behind, which do not brake for inserted ones", ge=0, le=10
     )
-    pet_min_s: float = _param(1.0, "s", "critical PET, kept to everybody whose path is crossed", ge=0, le=5)
+    pet_min_s: float = _param(1.0, "s", "critical PET, kept to all agents on crossing paths", ge=0, le=5)
     end_horizon_s: float = _param(3.0, "s", "beyond its last step a vehicle is looked at so long", ge=0, le=10)
-    end_ttc_min_s: float = _param(1.0, "s", "smallest TTC at the last step, everybody at constant velocity", ge=0, le=5)
+    end_ttc_min_s: float = _param(
+        1.0, "s", "smallest TTC at the last step, all agents at constant velocity", ge=0, le=5
+    )
 
     @model_validator(mode="after")
     def _check(self) -> "Conflict":
@@ -462,13 +474,17 @@ class Signals(_Section):
     beyond_m: float = _param(3.0, "m", "centres so far beyond the entrance still stand in the queue", ge=0, le=10)
     standing_mps: float = _param(0.5, "m/s", "slower recorded vehicles stand", gt=0, le=3)
     flow_mps: float = _param(1.0, "m/s", "faster recorded vehicles are cross traffic", ge=0, le=10)
-    parked_m: float = _param(5.0, "m", "whoever moves less over the scene may be parked", gt=0, le=50)
+    parked_m: float = _param(5.0, "m", "an agent that moves less over the scene may be parked", gt=0, le=50)
     crossing_deg: float = _param(40.0, "deg", "smaller angles between two ways are merges, not crossings", gt=0, lt=90)
     entry_before_s: float = _param(1.0, "s", "green so long before a recorded vehicle enters", ge=0, le=10)
     entry_after_s: float = _param(2.0, "s", "green so long after one has entered", ge=0, le=10)
     beside_m: float = _param(0.5, "m", "a centre so far beside a lane's edge is still on the lane", ge=0, le=3)
     alike_m: float = _param(
-        0.3, "m", "who enters follows the lane nearest on average, and those farther by at most this", ge=0, le=3
+        0.3,
+        "m",
+        "a vehicle that enters follows the lane nearest on average, and any farther by at most this",
+        ge=0,
+        le=3,
     )
     crossing_s: float = _param(
         1.0, "s", "no entry makes it green this close to cross traffic (critical PET)", ge=0, le=5
@@ -478,19 +494,21 @@ class Signals(_Section):
 class Crossings(_Section):
     """Pedestrians on or at the map's pedestrian crossings."""
 
-    near_m: float = _param(1.0, "m", "whoever is this near and moves towards the crossing counts", ge=0, le=5)
+    near_m: float = _param(1.0, "m", "an agent this near that moves towards the crossing counts", ge=0, le=5)
     towards_mps: float = _param(0.3, "m/s", "slower approach to the crossing is standing beside it", ge=0, le=3)
     directed_mps: float = _param(0.5, "m/s", "slower agents have no direction of motion", ge=0, le=3)
-    ahead_s: float = _param(1.5, "s", "whoever is on the crossing within this time counts", ge=0, le=10)
+    ahead_s: float = _param(1.5, "s", "an agent that is on the crossing within this time counts", ge=0, le=10)
     strip_m: float = _param(
-        1.0, "m", "to each side of the swept width, where nobody may be while it is passed", ge=0, le=5
+        1.0, "m", "to each side of the swept width, where no agent may be while a vehicle passes", ge=0, le=5
     )
-    strip_s: float = _param(3.0, "s", "only who is on that strip within this time holds a vehicle up", ge=0, le=20)
-    along_deg: float = _param(40.0, "deg", "who moves along the path within this angle does not cross it", gt=0, lt=90)
+    strip_s: float = _param(3.0, "s", "only agents on that strip within this time hold a vehicle up", ge=0, le=20)
+    along_deg: float = _param(
+        40.0, "deg", "an agent that moves along the path within this angle does not cross it", gt=0, lt=90
+    )
 
 
 class Driving(_Section):
-    """What is added to SUMO's car following, which is blind to who crosses. Chosen on the scenes of tests/real."""
+    """What is added to SUMO's car following, which is blind to crossing agents. Chosen on the scenes of tests/real."""
 
     replay: Literal["fixed", "reactive"] = _param(
         "fixed", "-", "reactive: recorded vehicles yield in time on their recorded path; for studies and planner tests"
@@ -500,12 +518,12 @@ class Driving(_Section):
         shown="",
     )  # fmt: skip
     yields_mps2: float = _param(
-        4.5, "m/s2", "reactive: whoever would have to brake harder from behind is not expected to; SUMO's decel",
+        4.5, "m/s2", "reactive: a follower that would have to brake harder is not expected to yield; SUMO's decel",
         ge=0, le=9,
     )  # fmt: skip
     yields_ahead_m: float = _param(80.0, "m", "reactive: leaders farther away are not followed", gt=0, le=300)
     standing_mps: float = _param(0.5, "m/s", "slower agents stand: SUMO is shown them in any direction", ge=0, le=3)
-    leads_from_m: float = _param(0.3, "m", "gap from which on somebody ahead leads and is not beside", ge=0, le=5)
+    leads_from_m: float = _param(0.3, "m", "an agent ahead leads from this gap on; nearer it is beside", ge=0, le=5)
     shown_m: float = _param(120.0, "m", "SUMO is shown agents up to here ahead of a vehicle", ge=20, le=500)
     soon_s: float = _param(
         2.5, "s", "no braking yet for a conflict later than this, unless it asks for hard braking", ge=0, le=10
@@ -518,7 +536,9 @@ class Driving(_Section):
         ge=0,
         le=10,
     )
-    keep_yielding_mps2: float = _param(0.3, "m/s2", "who yields goes on while a conflict asks for this", ge=0, le=4)
+    keep_yielding_mps2: float = _param(
+        0.3, "m/s2", "a vehicle that yields goes on while a conflict asks for this", ge=0, le=4
+    )
     brake_jerk_mps3: float = _param(3.5, "m/s3", "braking for what SUMO does not see builds up so", gt=0, le=20)
     last_brake_mps2: float = _param(0.6, "m/s2", "hardest braking just before standing still", gt=0, le=4)
     last_brake_per_s: float = _param(1.8, "1/s", "and so much harder by the speed", ge=0, le=20)
@@ -526,14 +546,16 @@ class Driving(_Section):
     stop_share: float = _param(0.6, "share", "of its deceleration, with which a driver rolls up to a line", gt=0, le=1)
     stop_takes_s: float = _param(0.5, "s", "in which it takes up the speed for that", gt=0, le=5)
     stop_hardest_ratio: float = _param(
-        1.3, "ratio", "over its deceleration: who would have to brake harder crosses, as at amber", ge=1, le=5
+        1.3, "ratio", "over its deceleration: a vehicle that had to brake harder crosses, as at amber", ge=1, le=5
     )
-    across_s: float = _param(
-        8.0, "s", "who comes from behind on the way across is looked for so far ahead", gt=0, le=15
+    across_s: float = _param(8.0, "s", "agents from behind on the way across are looked for so far ahead", gt=0, le=15)
+    let_pass_mps2: float = _param(
+        0.7, "m/s2", "a vehicle that waits for a gap slows down so for those beside", ge=0, le=4
     )
-    let_pass_mps2: float = _param(0.7, "m/s2", "who waits for a gap slows down so for those beside", ge=0, le=4)
     let_pass_share: float = _param(0.8, "share", "of the desired speed, to which that goes", ge=0, le=1)
-    slows_mps2: float = _param(0.7, "m/s2", "who slows down more behind somebody near has waited for it", ge=0, le=4)
+    slows_mps2: float = _param(
+        0.7, "m/s2", "a vehicle that slows down more behind a near one has waited for it", ge=0, le=4
+    )
     behind_ratio: float = _param(2.0, "ratio", "near: the gap over that of time gap and jam gap", ge=0, le=10)
 
 
@@ -592,7 +614,9 @@ class Event(_Section):
     """
 
     kind: Literal["cut_in", "overtake", "lead", "follow", "merge", "cross"]
-    target: str = _option("av", "-", "Whom with", "av|focal|any|TRACK_ID", min_length=1, max_length=100)
+    target: str = _option(
+        "av", "-", "The agent that it happens to", "av|focal|any|TRACK_ID", min_length=1, max_length=100
+    )
     at_s: Band | None = _option(
         None, "s", "When, in seconds, half a second more or less: the moment of crossing into the target's lane (of an "
         "overtake, on the way back), of coming onto the common lane, or of passing the conflict point", "S|S:S",
@@ -678,7 +702,7 @@ class Export(_Section):
     offset_shares: tuple[Annotated[float, Field(ge=0, le=1)], ...] = _param(
         (1.0, 0.5, 0.0), "share", "of the driver's place in the lane, tried in turn", min_length=1
     )
-    moves_m: float = _param(2.0, "m", "who moves less stands throughout", ge=0, le=50)
+    moves_m: float = _param(2.0, "m", "an agent that moves less stands throughout", ge=0, le=50)
     box_margin_m: float = _param(0.05, "m", "between boxes, so that readers' rounding makes none meet", ge=0, le=1)
     limit_share: float = _param(0.98, "share", "of the curvature 1 / R_min that a path may have", gt=0, le=1)
     drivable_share: float = _param(0.9, "share", "of limits.drivable_tolerance_m that is used", ge=0, le=1)
@@ -722,11 +746,9 @@ class Forecasting(_Section):
     """The forecasting experiment (`bridge/forecasting`). No part of `Config`: no scene depends on it."""
 
     place_cell_m: float = _param(
-        50.0, "m", "scenes whose lanes pass the same square of this size overlap", gt=1, le=500
+        50.0, "m", "scenes with lanes through the same square of this size overlap", gt=1, le=500
     )
-    block_m: float = _param(
-        1000.0, "m", "scenes whose maps' centres are in one square of this size are split as one", gt=1
-    )
+    block_m: float = _param(1000.0, "m", "scenes with maps centred in one square of this size are split as one", gt=1)
     density_bounds: tuple[int, ...] = _param(
         (30, 50, 70, 90), "tracks", "strata of density; paper's bands and one below"
     )

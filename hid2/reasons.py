@@ -118,7 +118,7 @@ class Reason(StrEnum):
         "ttc_recorded_follower",
         "A recorded vehicle closes in on it from behind below the critical TTC.",
     )
-    PET = "pet", "It crosses somebody's path below the critical post-encroachment time."
+    PET = "pet", "It crosses an agent's path below the critical post-encroachment time."
     TTC_AT_END = (
         "ttc_at_end",
         "Beyond its last step, others at constant velocity, it has a critical TTC or contact that no braking avoids.",

@@ -1,4 +1,4 @@
-"""What is shared by all who look at one scene: grid, recorded agents and their future, occupancy, speeds, paths."""
+"""What is shared by all parts that use one scene: grid, recorded agents and their future, occupancy, speeds, paths."""
 
 import math
 from collections.abc import Sequence
@@ -24,8 +24,8 @@ DRIVABLE_TYPES = frozenset({"VEHICLE"})
 _RUN_ON_M = 250.0  # no tunable: without topology a vehicle runs straight on, farther than any scene lasts
 #: Recorded vehicles that drive slower than this do not move, m/s.
 MOVES_MPS = 1.0
-#: Clearance boxes are rounded up to these, m, so that vehicles of about one size share what is found out on a path.
-#: No tunables, spare time: a box that is larger by less than this is clear of a little more.
+#: Clearance boxes are rounded up to these, m, so that vehicles of about one size share what is known of a path.
+#: Not parameters, they save time: a box that is larger by less than this is clear of a little more.
 _LENGTH_STEP_M, _WIDTH_STEP_M = 0.5, 0.1
 
 
@@ -105,11 +105,11 @@ class Scene:
         return self._recorded_on(path, box)[0]
 
     def kept_clear_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
-        """The same, with the place of who crosses taken for the critical PET before and after."""
+        """The same, with the place of crossing agents taken for the critical PET before and after."""
         return self._recorded_on(path, box)[1]
 
     def in_driving_width(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
-        """Intervals of the recorded agents whose boxes reach into the width driven, without margins."""
+        """Intervals of the recorded agents with boxes that reach into the width driven, without margins."""
         key = path, box
         if key not in self._leaders:
             self._leaders[key] = look_along(path.line, self.future, box.length_m, box.width_m)
@@ -139,12 +139,12 @@ class Scene:
 
     @property
     def pet_steps(self) -> int:
-        """Steps for which the place of who crosses is kept clear before and after."""
+        """Steps for which the place of crossing agents is kept clear before and after."""
         return math.ceil(self.config.conflict.pet_min_s / self.step_s) + 1
 
     @property
     def pet_margin_m(self) -> float:
-        """By how much that place is smaller on both sides than one where somebody is, m."""
+        """By how much that place is smaller on both sides than one where an agent is, m."""
         return 0.5 * self.config.conflict.margin_front_m
 
     def place_on(self, path: DrivenPath, s: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""One inserted vehicle on its way: what is asked of it, where it starts, who drives it, and how it has been driven."""
+"""One inserted vehicle on its way: what is asked of it, where it starts, its driver, and how it has been driven."""
 
 from collections import Counter
 from dataclasses import dataclass, field

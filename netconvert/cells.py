@@ -60,7 +60,7 @@ class CellGrid:
     _edges_s: dict[int, FloatArray] = field(repr=False)
     _borders: dict[int, FloatArray] = field(repr=False)
     _rows: dict[int, tuple[tuple[int, ...], ...]] = field(repr=False)
-    """For each lane and cell index, the lanes whose cells face each other, from the right."""
+    """For each lane and cell index, the lanes with cells that face each other, from the right."""
 
     def count(self, lane_id: int) -> int:
         """Number of cells of a lane: N_l of the paper, at least."""
@@ -162,7 +162,7 @@ def build_cell_grid(
 ) -> CellGrid:
     """Cut every lane into cells of at most cell_m: N_l = ceil(L_l / cell_m), the maximum over a row of neighbours.
 
-    Facing cells whose middles lie more than max_skew_m apart along the road are not linked: the row is split there.
+    Facing cells with middles more than max_skew_m apart along the road are not linked: the row is split there.
 
     saved_within_m: for a net that netconvert or netedit may save. They give all lanes of an edge one length, so that
     rows get as many cells as keep every length within saved_within_m; lanes too different for that are split apart.

@@ -138,7 +138,7 @@ class LaneGraph:
         return self._predecessors[lane_id]
 
     def straightest_successor(self, lane_id: int) -> int | None:
-        """The successor whose chord turns least from the end of the lane, the lower id of equals; None without one.
+        """The successor with a chord that turns least from the lane's end, the lower id of equals; None without one.
 
         Of a lane of MOTOR_TYPES only successors of these types count: motor vehicles do not go on into a bicycle lane.
         """

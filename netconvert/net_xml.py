@@ -26,7 +26,7 @@ SPEED_LIMIT_MPS = 20.0
 WHOLE_LIMIT_MPS = 13.89
 #: Classes that may use a lane, by lane type; None is every class.
 ALLOWED_CLASSES: dict[str, str | None] = {"VEHICLE": None, "BUS": None, "BIKE": "bicycle"}
-#: Who may cross a marking that forbids it. SUMO needs at least one class; it draws such a line solid.
+#: Vehicle class that may cross a marking that forbids it. SUMO needs at least one class; it draws such a line solid.
 _MAY_ALWAYS_CROSS = "emergency"
 #: The net format that SUMO 1.28 writes. Without it a broken reference crashes SUMO instead of raising.
 NET_VERSION = "1.20"

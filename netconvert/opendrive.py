@@ -26,7 +26,7 @@ from netconvert.roads import Roads, Way, roads_of
 
 #: How far lines leave centrelines where they round corners, where corners are left out, and widths theirs.
 _WITHIN_M, _CORNERS_M, _WIDTH_WITHIN_M = 0.05, 0.015, 0.01
-#: Lanes of one road are at most so far off their centrelines; rows whose lanes are farther off are roads apart.
+#: Lanes of one road are at most so far off their centrelines; rows with lanes farther off are roads apart.
 _ROW_WITHIN_M = 0.05
 #: Lanes of one section are so wide as at its start, by what that puts their middles off: what SUMO takes them for.
 _SECTION_WITHIN_M = 0.02
@@ -78,7 +78,7 @@ class _Line:
 
 
 def _rounded(points: FloatArray) -> _Line:
-    """A polyline (N, 2) m whose corners are arcs, as long as they stay within _WITHIN_M of it."""
+    """A polyline (N, 2) m with arcs as corners, as long as they stay within _WITHIN_M of it."""
     points = Polyline(shapely.get_coordinates(shapely.LineString(points).simplify(_CORNERS_M))).points
     step = np.diff(points, axis=0)
     length, heading = np.hypot(*step.T), np.arctan2(step[:, 1], step[:, 0])

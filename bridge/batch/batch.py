@@ -216,7 +216,7 @@ def _with_rules(jobs: Sequence[SceneJob], functions: Collection[str]) -> Sequenc
 
 
 class _Written:
-    """Whose the folders in OUT are: what one scene wrote is not replaced by another of the same scenario id."""
+    """Which scene wrote each folder in OUT: what one wrote is not replaced by another of the same scenario id."""
 
     def __init__(self, manifest: Manifest, out_dir: Path) -> None:
         self._out_dir = out_dir

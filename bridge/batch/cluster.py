@@ -36,7 +36,7 @@ _NO_WORKERS = (
 )
 _TLS = "expected Dask's settings distributed.comm.tls.ca-file, .client.cert and .client.key (bridge/batch/README.md)"
 
-#: Whose messages errors say instead.
+#: Loggers of messages that errors say instead.
 _LOGGERS = ("distributed", "tornado", "asyncio")
 
 _LOG = logging.getLogger(__name__)

@@ -186,7 +186,7 @@ def work_on_each(
 def attempt_each(named: tuple[str, Any], items: Sequence[Any]) -> Iterator[Any]:
     """What a function "module:name" makes of (shared, item) for each item, or its failure: one does not end the others.
 
-    It is imported before the first item, whose time starts after that.
+    It is imported before the first item; that item's time starts after the import.
     """
     work, shared = resolve(named[0]), named[1]
 
@@ -201,7 +201,7 @@ def attempt_each(named: tuple[str, Any], items: Sequence[Any]) -> Iterator[Any]:
 
 
 def _in_order(results: Iterable[Result]) -> Iterator[tuple[Any, Any]]:
-    """Items and values or failures of tasks whose keys count from 0."""
+    """Items and values or failures of tasks with keys that count from 0."""
     waiting: dict[int, tuple[Outcome, ...]] = {}
     following = 0
     for result in results:
@@ -227,7 +227,7 @@ def sorted_out(
 
 
 def run_task(task: Task, process: IsolatedProcess, settings: Settings) -> Result:
-    """Run the items of a task; one whose process fails is tried again in a fresh one, then given up.
+    """Run the items of a task; after a failed process an item is tried again in a fresh one, then given up.
 
     Where the process was stopped, the rest of the task has no outcomes. Errors: BatchError when no process can begin.
     """

@@ -51,7 +51,7 @@ _MB = 1_000_000
 #: Of what a process wrote last, to tell why it ended.
 _TAIL_BYTES = 8000
 
-#: Packages whose messages an isolated process passes on to its caller.
+#: Packages with messages that an isolated process passes on to its caller.
 _PACKAGES = ("netconvert", "hid2", "bridge")
 _LOG = logging.getLogger(__name__)
 #: What faulthandler writes before it ends a process that ran out of time.

@@ -117,7 +117,7 @@ class Manifest:
             )
         if len(there) < len(rows):
             gone = len(rows) - len(there)
-            _LOG.warning("%s: %d rows left out, whose folders are not there", self.path, gone)
+            _LOG.warning("%s: %d rows left out: their folders are not there", self.path, gone)
         self._rows = {row.key: row for row in there}
         self.save()
 

@@ -25,7 +25,7 @@ def validate_folder(
 
     out: a scenario folder, a split folder or a data-set root; source: recordings of any format; map_path: the map that
     was chosen for them; inserted: ids of the tracks that are judged, those that hid2 inserted unless told. Returns what
-    is wrong, and notes; nothing if all is well. A scene whose check fails or takes too long is a finding.
+    is wrong, and notes; nothing if all is well. A scene with a check that fails or takes too long is a finding.
     Errors: ScenarioError where out or source is no folder or holds no scenario.
     """
     sources = (source,) if isinstance(source, Path) else source

@@ -44,7 +44,7 @@ class _Group(TyperGroup):
 
 
 class _Command(TyperCommand):
-    """A command whose help lists options in groups, and wraps values between words instead of cutting them.
+    """A command with a help that lists options in groups, and wraps values between words instead of cutting them.
 
     shown: parameters that are listed, all where there are none; --help-all lists all.
     """

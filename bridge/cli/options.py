@@ -1,7 +1,7 @@
 """Options: what each says, groups that several commands share, and how a command's are made of its signature.
 
-A parameter of a command has an `option` or an `argument` as its default. One whose type is a group (a NamedTuple
-of options) stands for all of that group, and one whose default is `FieldOptions` for fields of the parameters of the
+A parameter of a command has an `option` or an `argument` as its default. One with a group as its type (a NamedTuple
+of options) stands for all of that group, and one with `FieldOptions` as its default for fields of the parameters of the
 method, from which name, type, range, default and sentence come.
 """
 
@@ -130,7 +130,7 @@ def _plain(value: Any) -> Any:
 
 
 class Paths(NamedTuple):
-    """Parameters of a command whose paths are checked before it runs: scenes that it reads, what it writes."""
+    """Parameters of a command with paths that are checked before it runs: scenes that it reads, what it writes."""
 
     reads: tuple[str, ...] = ()
     folders: tuple[str, ...] = ()

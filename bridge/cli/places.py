@@ -14,7 +14,7 @@ _SCENE_FILES = ("scenario_*.parquet", "log_map_archive_*.json", "annotations*.fe
 _ARCHIVES = (".zip", ".tar", ".gz", ".tgz", ".7z", ".zst")
 #: Folders of a split or root that are looked at to tell which of them it is: they are all alike.
 _LOOKED_AT = 20
-#: Folders whose recorded scenes make a split of them; any other folder becomes one by the second scene.
+#: Folders that become a split by their recorded scenes; any other folder becomes one by the second scene.
 _SPLITS = (*SPLITS, "raw")
 
 

@@ -37,7 +37,7 @@ Baseline = Literal["constant-velocity", "constant-turn-rate"]
 BASELINES: tuple[Baseline, ...] = ("constant-velocity", "constant-turn-rate")
 #: Modes of a forecast that count, the most probable first.
 KS = (1, 6)
-#: A forecast whose end is further off misses.
+#: A forecast with its end further off misses.
 MISS_M = 2.0
 #: Bands of the paper: scenes with more agents than these.
 BOUNDS = (50, 70, 90)
@@ -59,7 +59,7 @@ Forecasts = Mapping[str, Forecast]
 
 
 class Score(NamedTuple):
-    """One track at one k: displacement errors, m, of the mode whose end is nearest, and whether it misses.
+    """One track at one k: displacement errors, m, of the mode with the nearest end, and whether it misses.
 
     agents: tracks of the scene in all; agents_observed: those present at the last observed step; brier_min_fde: m,
     plus (1 - p)^2 with the probability p of that mode.

@@ -98,7 +98,7 @@ class _Unsteered(_Resimulated):
 
 
 class Resimulation:
-    """A recording whose vehicles are taken out: logged (A, T) as it was, the vehicles that are driven, those left."""
+    """A recording with its vehicles taken out: logged (A, T) as it was, the vehicles that are driven, those left."""
 
     def __init__(self, recording: Recording) -> None:
         tracks, steps, step_s = recording.tracks, recording.num_steps, recording.step_s
@@ -171,7 +171,7 @@ class Resimulation:
         return replace(logged, position=position, heading=heading, velocity=velocity, present=present)
 
     def write(self, rollout: Traffic, config: Config, number: int, out: Path) -> Path:
-        """Write a rollout as a scene, marked as one whose recorded vehicles drive otherwise. Errors: ExportError."""
+        """Write a rollout as a scene, marked: its recorded vehicles drive otherwise. Errors: ExportError."""
         recording, tracks = self.recording, list[Track]()
         for one in self.vehicles:
             past, span = _some(one.track, one.track.timesteps <= NOW), slice(NOW + 1, rollout.num_steps)

@@ -40,7 +40,7 @@ from netconvert.errors import ConfigError, ScenarioError
 if TYPE_CHECKING:
     import pandas as pd
 
-#: A manoeuvre seen belongs to a record of its kind whose crossing (or start) is at most this far away.
+#: A manoeuvre seen belongs to a record of its kind with a crossing (or start) at most this far away.
 SAME_MANEUVER_S = 2.0
 
 PAIR_GROUPS = ("original_original", "generated_original", "generated_generated")
@@ -76,7 +76,7 @@ _flat = lru_cache(maxsize=2)(flatten_lanes)
 def measure_folder(folder: Address, labelled: Labelled | None = None) -> SceneMeasures:
     """Measure one recording or generated scene. Errors: ScenarioError, MapError.
 
-    labelled: sizes of the recorded tracks of source scenes, for generated ones whose sidecar does not have them.
+    labelled: sizes of the recorded tracks of source scenes, for generated ones with a sidecar that does not have them.
     """
     recording = read_recording(folder)
     sidecar = recording.sidecar

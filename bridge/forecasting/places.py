@@ -169,7 +169,7 @@ def split_by_place(
 ) -> dict[str, list[int]]:
     """Rows of each split: groups go where they bring every city and density nearest to its share.
 
-    shares: of the scenes, by split. A split whose share is above 0 gets at least one group while there are enough.
+    shares: of the scenes, by split. A split with a share above 0 gets at least one group while there are enough.
     """
     groups = groups_of(facts)
     wanted = [split for split, share in shares.items() if share > 0]

@@ -10,7 +10,7 @@ from bridge.files import append_rows
 from hid2.policy.lane_change import Gap
 from hid2.vehicle import DrivenVehicle, GapLook
 
-#: Column -> what it says. The order of the file; empty cells: does not apply, or nobody is there.
+#: Column -> what it says. The order of the file; empty cells: does not apply, or no agent is there.
 GAP_COLUMNS: Mapping[str, str] = {
     "vehicle": "id in the simulation",
     "round": "round of the generation in which it was driven",

@@ -179,7 +179,7 @@ class _Rounds:
 
 
 class _ReactiveRounds(_Rounds):
-    """Drives all starts together among recorded vehicles that react. late: tracks of those who yielded at last."""
+    """Drives all starts together among recorded vehicles that react. late: tracks of those that yielded at last."""
 
     def __init__(self, scene: Scene, simulation: Simulation, filling: Filling, scenario: Recording) -> None:
         super().__init__(scene, simulation, filling)
@@ -202,7 +202,7 @@ class _ReactiveRounds(_Rounds):
 
 
 def as_driven(scene: Scene, scenario: Recording, tracks: Sequence[Track]) -> Scene:
-    """The scene of a recording whose tracks were driven otherwise."""
+    """The scene of a recording with tracks that were driven otherwise."""
     return build_scene(
         scene.grid, tracks, config=scene.config, num_steps=scenario.num_steps,
         last_observed_step=scenario.last_observed, step_s=scenario.step_s,

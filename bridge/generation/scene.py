@@ -109,7 +109,7 @@ class TrafficScene:
     ) -> "Figure":
         """The scene from above, before | after, as a figure; or as it is after, drawn into axes of your own.
 
-        step: a timestep (default: the last observed one); agent: a track to highlight, whose surroundings are shown.
+        step: a timestep (default: the last observed one); agent: a track to highlight with its surroundings.
         Errors: ConfigError for an unknown step or track.
         """
         from bridge.pictures.render import draw_scene, scene_figure

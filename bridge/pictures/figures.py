@@ -169,7 +169,7 @@ def label_offsets(axes: Axes, points: FloatArray, texts: Sequence[str], *, size:
 
 
 def check_ending(path: Path, endings: Iterable[str] = PICTURES) -> None:
-    """Errors: ConfigError for a file whose name does not end in one of `endings`."""
+    """Errors: ConfigError for a file with a name that does not end in one of `endings`."""
     if path.suffix.lower() not in endings:
         given = f"ending {path.suffix!r} is not supported" if path.suffix else "no ending"
         raise ConfigError(f"{path}: {given}; expected one of {', '.join(endings)}")

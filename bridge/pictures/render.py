@@ -53,7 +53,7 @@ AGENT_MARGIN_M = 25.0
 _Done = tuple[tuple[str, ManeuverRecord], ...]
 
 
-#: Who is drawn above whom; inserted ones above all.
+#: Which agents are drawn above which; inserted ones above all.
 _ORDER = {"other": 3, "recorded": 4, "focal": 4, "av": 5}
 
 
@@ -88,8 +88,8 @@ def render_scene(
 ) -> Path:
     """Draw a scene from above into a picture (.png, .jpg, .pdf, .svg) or a film (.gif, .mp4).
 
-    A generated scene is shown before | after; before is the scene `source` where given, whose sizes its recorded
-    tracks then have on both sides, else its own recorded tracks. `agent` is highlighted and its surroundings shown.
+    A generated scene is shown before | after; before is the scene `source` where given, and recorded
+    tracks then have its sizes on both sides, else its own recorded tracks. `agent` is highlighted, with surroundings.
     `step`: the timestep of a picture (default: the last observed one); a film shows all. on_frame(done, total) is
     called as the frames of a film are drawn.
     Errors: ConfigError for an unknown ending, step or track; ExportError where the file cannot be written.
@@ -126,7 +126,7 @@ def draw_scene(
 ) -> None:
     """Draw a scene, recorded or generated, into axes of your own: map, vehicles in the colours of their policies, ids.
 
-    step: a timestep (default: the last observed one). agent: a track to highlight, whose surroundings are shown. Axes
+    step: a timestep (default: the last observed one). agent: a track to highlight with its surroundings. Axes
     are in city coordinates, m, at the same scale both ways; more ground is shown where axes are wider or higher than
     the scene. Errors: ConfigError for an unknown step or track.
     """
@@ -275,7 +275,7 @@ def _marks(panel: _Panel, ax: Axes, until_s: float | None) -> list[Artist]:
 
 
 class _Drawing:
-    """A figure whose map is drawn once and whose vehicles are drawn for each step, generated and focal ones with ids.
+    """A figure with its map drawn once and its vehicles for each step, generated and focal ones with ids.
 
     agent: id of a track to highlight; then all have their ids. whole_paths: the generated vehicles' whole paths are
     drawn thinly, and all manoeuvres marked whatever the step.

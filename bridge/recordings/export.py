@@ -66,7 +66,7 @@ def write_recording(made: Recording, out_dir: Path, *, extra: Mapping[str, bytes
 
 
 def check_step(scenario: Recording) -> None:
-    """Refuse a recording whose steps are not the format's, before anything is made of it. Errors: ExportError."""
+    """Refuse a recording with other steps than the format's, before anything is made of it. Errors: ExportError."""
     if scenario.step_s != STEP_S:
         raise ExportError(
             f"{scenario.folder}: steps of {scenario.step_s:g} s, but readers of Argoverse 2 scenes take them for "

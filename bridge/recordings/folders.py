@@ -16,7 +16,7 @@ _LOG = logging.getLogger(__name__)
 PARQUET_PATTERN, MAP_PATTERN = "scenario_*.parquet", "log_map_archive_*.json"
 #: Name of the file that hid2 writes beside them.
 SIDECAR_PATTERN = "hid2_*.json"
-#: Sizes beside a scene whose boxes people have labelled.
+#: Sizes beside a scene with boxes that people have labelled.
 SIZES_FILE = "agent_sizes.csv"
 #: Files of a sensor log; log, city and number in the name of its map.
 ANNOTATIONS, POSES = "annotations*.feather", "city_SE3_egovehicle.feather"
@@ -96,7 +96,7 @@ class Choices:
 class Reader:
     """A format of recordings.
 
-    name: as in sidecars and in Source.format, and of the module in `bridge.recordings` whose `read` reads a Source
+    name: as in sidecars and in Source.format, and of the module in `bridge.recordings` that can `read` a Source
     (ScenarioError, MapError with file, id, value and what was expected); one, many: what a recording is called; sniff:
     whether a file, or a folder with these names in it, holds recordings; find: the recordings there, sorted
     (NoSceneError where something that all of them need is missing); files: those that a recording is read from, as far

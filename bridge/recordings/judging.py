@@ -28,7 +28,7 @@ def findings_of(states: AgentStates, graph: LaneGraph, sidecar: Sidecar | None) 
     """What the judge finds in a scene and in what its sidecar claims, by the limits that hold for every scene.
 
     A criticality that was asked for is no finding: of the vehicle of an event with its band, and the headway that it
-    leaves to its target, whose gap is what the event is about.
+    leaves to its target: that gap is what the event is about.
     """
     found = judge(states, graph, Bounds())
     if sidecar is None:

@@ -20,14 +20,14 @@ STATED = (0.5, 1.5)
 LEAST_GROUND = 0.75
 #: Of the moving vehicles, those within the map: where it ends early many are not, elsewhere none is.
 LEAST_MAPPED = 0.25
-#: Of the moving vehicles, those whose heading is mostly off their motion: a heading at random is so for 3 of 4.
+#: Of the moving vehicles, those with a heading mostly off their motion: a heading at random is so for 3 of 4.
 MOST_TURNED = 0.5
 #: Of the moving vehicles, those that fit a lane only after a shift beyond half a lane; and how many of them at least.
 MOST_GAIN, LEAST_GAINING = 0.15, 2
 
 
 def check_plausible(recording: Recording) -> None:
-    """Refuse a recording whose tracks do not fit its map or each other. Errors: ScenarioError with the figure."""
+    """Refuse a recording with tracks that do not fit its map or each other. Errors: ScenarioError with the figure."""
     said = implausible(recording)
     if said:
         raise ScenarioError(f"{recording.folder}: {said}; --set source.plausible=false goes on all the same")

@@ -40,7 +40,7 @@ class GeneratorRecord(_Record):
 class RecordingRecord(_Record):
     """The recording that vehicles were inserted into. first_step: of the source; map: a map chosen for it, by name.
 
-    sizes: length and width of recorded tracks whose boxes were measured, m.
+    sizes: length and width of recorded tracks with measured boxes, m.
     """
 
     format: str

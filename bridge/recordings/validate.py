@@ -207,7 +207,7 @@ def _judged(
     path: Path, rows: RowArrays, document: Mapping[str, Any], sidecar: Sidecar | None, sizes: Mapping[str, BoxSize],
     inserted: Set[str],
 ) -> list[Finding]:  # fmt: skip
-    """What the judge finds in a scene whose rows and map are sound."""
+    """What the judge finds in a scene with sound rows and map."""
     if next(row_breaches(rows), None) is not None:
         return []
     try:

@@ -29,8 +29,8 @@ from hid2.vehicle import DrivenVehicle, Start
 Limit = tuple[float, str]
 
 _BINDS_MPS = 0.05  # book-keeping: a limit this close to the speed driven is what decided it
-#: No tunable, spares time: how often it is looked who is in a recorded agent's box, s, and so deep, m, that the last
-#: check lets nobody pass: smoothing moves nobody so far.
+#: Not parameters, they save time: how often vehicles in a recorded agent's box are looked for, s, and how deep they
+#: must be in it, m. So deep that the last check would let none pass: smoothing moves no vehicle so far.
 _STRUCK_EVERY_S, _STRUCK_M = 0.5, 2.0
 
 
@@ -38,7 +38,7 @@ _STRUCK_EVERY_S, _STRUCK_M = 0.5, 2.0
 class Driving:
     """One simulation of a fleet, each vehicle from its own first step on.
 
-    checked: all recorded agents are replayed at all steps, and their poses in SUMO compared; else those who have to be
+    checked: all recorded agents are replayed at all steps, and their poses in SUMO compared; else those that have to be
     shown to a vehicle, when they have to. Where recorded vehicles react, the fleet's scene becomes another one with
     each that yields, and `reactions` says how late they are.
     """
@@ -67,7 +67,7 @@ class Driving:
         for step in range(fleet.scene.num_steps):
             attempts, limits = self._steer(step) if step > 0 else ({}, {})
             for row, vehicle in enumerate(fleet.vehicles):
-                if vehicle.start.step == step:  # SUMO has to have shown who is ahead of it by now
+                if vehicle.start.step == step:  # SUMO has to have shown its leaders by now
                     fleet.place[row] = vehicle.start.start_s
             seen, seen_kept = shown_at(fleet, step)
             recorded.place(step, seen)
@@ -83,7 +83,7 @@ class Driving:
     def _steer(self, step: int) -> tuple[dict[int, Attempt], dict[int, Limit]]:
         """Observe, decide and act before a step; returns what SUMO was asked for, and limits of speed, by vehicle."""
         fleet, now = self.fleet, step - 1
-        traffic = cache(fleet.traffic)  # put together when somebody first asks
+        traffic = cache(fleet.traffic)  # put together at the first use
         if self.reactions is not None:
             generated = fleet.fixed.at(now).joined(traffic()) if fleet.fixed.ids else traffic()
             if self.reactions.advance(step, generated):
@@ -115,12 +115,12 @@ class Driving:
 
     def _replayed(self) -> tuple[Traffic, Traffic]:
         """Recorded agents and those kept, as they are put into SUMO."""
-        if self.checked or self.fleet.scene.config.driving.replay != "fixed":  # who reacts is anywhere
+        if self.checked or self.fleet.scene.config.driving.replay != "fixed":  # agents that react are anywhere
             return self.fleet.scene.traffic, self.fleet.fixed
         return ever_shown(self.fleet)
 
     def _reactions(self) -> Reactions | None:
-        """The recorded vehicles as those who react, each by SUMO's car following of its replayed vehicle."""
+        """The recorded vehicles as agents that react, each by SUMO's car following of its replayed vehicle."""
         if self.fleet.scene.config.driving.replay == "fixed":
             return None
 
@@ -147,7 +147,7 @@ class Driving:
         return told
 
     def _enter(self, step: int) -> None:
-        """Insert whoever begins; after the step, so that the state of its first step is the start."""
+        """Insert each vehicle that begins; after the step, so that the state of its first step is the start."""
         scene = self.fleet.scene
         for row, vehicle in enumerate(self.fleet.vehicles):
             start = vehicle.start
@@ -188,7 +188,7 @@ class Driving:
                 self.fleet.follow(row, lane, front_m, speed)
 
     def _take_out_struck(self, step: int) -> None:
-        """Take out who is in a recorded agent's box, mostly as that does not brake: it will not be exported.
+        """Take out vehicles in a recorded agent's box, mostly as that does not brake: they will not be exported.
 
         Others need not mind it any more.
         """

@@ -60,7 +60,7 @@ def sumo_files(scenario: Recording) -> dict[str, bytes]:
 
 
 def fcd_files(scenario: Recording) -> dict[str, bytes]:
-    """The FCD output and the net whose lanes it names, by file name."""
+    """The FCD output and the net with the lanes that it names, by file name."""
     grid = build_cell_grid(scenario.graph, saved_within_m=SAVED_WITHIN_M)
     return {
         f"{scenario.scenario_id}.fcd.xml": _fcd(scenario, grid, _places(scenario, grid)),

@@ -1,4 +1,4 @@
-"""The vehicles that are driven together: where they are, the ways they are on, and whom they will meet there."""
+"""The vehicles driven together: where they are, the ways they are on, and which agents they will meet there."""
 
 import math
 from bisect import bisect_right
@@ -32,8 +32,8 @@ class Way:
     """What is known of a vehicle's present path; a vehicle that takes another path gets a new one.
 
     road (S,): m/s at the table of the path's line, what the road allows the driver; lane_ends: where its lanes end, m;
-    policies: numbers of what Algorithm 1 comes to on each of them without a manoeuvre; known: intervals of everybody
-    whose future is known, with rows (recorded, then kept), None as long as nobody asked; obstacles: the guard's,
+    policies: numbers of what Algorithm 1 comes to on each of them without a manoeuvre; known: intervals of all agents
+    with a known future, with rows (recorded, then kept), None until first asked for; obstacles: the guard's,
     likewise; reroute_tried: whether another way has been looked for; jump: how far SUMO is behind, m, where the vehicle
     comes on the path, and from where to where that is given back; None before.
     """
@@ -54,7 +54,7 @@ class Way:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OnWays:
-    """Everybody whose future is known on the ways of all vehicles, those of one after those of another.
+    """All agents with a known future on the ways of all vehicles, those of one way after those of another.
 
     intervals (R, T) of agents, recorded, then kept ones; length_m (A,) of all of them; first (N + 1,): rows by
     vehicle.
@@ -69,9 +69,9 @@ class OnWays:
 class Fleet:
     """Vehicles that are driven together among recorded ones and those kept in rounds before, `fixed`.
 
-    scene: where recorded vehicles react, each that yields is elsewhere in a scene to come (`look_anew`); near_m: who is
-    farther than this from another one on either axis does not look at it. By vehicle: state (N, 5), the guard's
-    columns; place (N,) m of the centre on the path, from its first step on, NaN for who is nowhere; centre (N, 2) m,
+    scene: where recorded vehicles react, each that yields is elsewhere in a scene to come (`look_anew`); near_m:
+    vehicles farther than this from another one on either axis do not look at it. By vehicle: state (N, 5), the guard's
+    columns; place (N,) m of the centre on the path, from its first step on, NaN for a vehicle nowhere; centre (N, 2) m,
     inf for a vehicle that is nowhere yet; length_m (N,) of the box; desired_mps (N, T); drivers (N, 4), the guard's
     columns; yielding (N,): whether a vehicle brakes for a conflict by now; may_change (N,): whether it may leave its
     path for that of a lane beside, wherever that goes.
@@ -98,7 +98,7 @@ class Fleet:
     _along: tuple[npt.NDArray[Any], ...] | None = field(init=False, default=None)
 
     def __post_init__(self, starts: Sequence[Start]) -> None:
-        """Nobody has moved yet."""
+        """No vehicle has moved yet."""
         self.guard = Guard(self.scene, self.fixed, self.stop_lines)
         self.state, self.centre = np.zeros((0, 5)), np.zeros((0, 2))
         self.place, self.length_m = np.zeros(0), np.zeros(0)
@@ -123,7 +123,7 @@ class Fleet:
         self.yielding = np.concatenate([self.yielding, np.zeros(count, dtype=np.bool_)])
         changes = [BEHAVIOURS[start.request.policy].changes_lanes for start in starts]
         self.may_change = np.concatenate([self.may_change, changes])
-        self._forget_obstacles()  # everybody sees who is new
+        self._forget_obstacles()  # all vehicles see the new ones
 
     def begin(self, row: int) -> None:
         """A vehicle is at its start now."""
@@ -199,7 +199,7 @@ class Fleet:
         if s is not None:
             vehicle.s[:] = s.tolist()
             self.state[row, S] = self.place[row] = s[-1]
-        self._forget_obstacles()  # everybody sees the new intention
+        self._forget_obstacles()  # all vehicles see the new intention
 
     def look_anew(self, scene: Scene) -> None:
         """Recorded vehicles will be elsewhere than was known: nothing that was worked out of it holds any more."""
@@ -209,13 +209,13 @@ class Fleet:
         self._forget_obstacles()
 
     def _forget_obstacles(self) -> None:
-        """What is on the ways is worked out anew when somebody asks."""
+        """What is on the ways is worked out anew at the next use."""
         self._on_ways = self._along = None
         for way in self.ways:
             way.obstacles = None
 
     def known_on_way(self, row: int) -> PathOccupancy:
-        """Intervals of all agents whose future is known on a vehicle's path, with rows (recorded, then kept)."""
+        """Intervals of all agents with a known future on a vehicle's path, with rows (recorded, then kept)."""
         way = self.ways[row]
         if way.known is None:
             path, box = self.vehicles[row].path, self.vehicles[row].start.box
@@ -228,10 +228,10 @@ class Fleet:
 
     @property
     def on_ways(self) -> OnWays:
-        """Everybody known on the present ways of all."""
+        """All known agents on the present ways of all vehicles."""
         if self._on_ways is None:
             known = [self.known_on_way(row) for row in range(len(self.vehicles))]
-            every = PathOccupancy.nobody(self.scene.future.num_steps).joined(*known)
+            every = PathOccupancy.none(self.scene.future.num_steps).joined(*known)
             length_m = np.concatenate([self.scene.traffic.length_m, self.fixed.length_m])
             self._on_ways = OnWays(every, length_m, np.cumsum([0, *(found.agents.size for found in known)]))
         return self._on_ways
@@ -275,7 +275,7 @@ class Fleet:
         )  # fmt: skip
 
     def obstacles(self, row: int, path: DrivenPath) -> Obstacles:
-        """Everybody on a path for a vehicle; what is on its own one is worked out once."""
+        """All agents on a path for a vehicle; what is on its own one is worked out once."""
         way, own = self.ways[row], path is self.vehicles[row].path
         if own and way.obstacles is not None:
             return way.obstacles
@@ -293,7 +293,7 @@ class Fleet:
         return [(other, one.path, one.start.box) for other, one in found]
 
     def _who_does_not_yield(self, obstacles: Obstacles, row: int, path: DrivenPath, now: int) -> Obstacles:
-        """Where recorded vehicles react: without those behind a vehicle who can yield to it."""
+        """Where recorded vehicles react: without those behind a vehicle that can yield to it."""
         if self.scene.config.driving.replay == "fixed":
             return obstacles
         vehicle = self.vehicles[row]

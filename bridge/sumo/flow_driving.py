@@ -15,7 +15,7 @@ from hid2.occupancy.gaps import gaps_on_path
 from hid2.occupancy.traffic import Traffic
 from hid2.vehicle import Start, VehicleRequest
 
-#: `Fleet.near_m` of a fleet that others join: at every entry everybody looks anew, at those near, for nobody farther
+#: `Fleet.near_m` of a fleet that others join: at every entry all vehicles look anew at those near, as none farther
 #: away gets there within the horizon.
 NEAR_M = 150.0
 
@@ -37,7 +37,7 @@ class FlowDriving(Driving):
     _queued: dict[str, Arrival] = field(default_factory=dict)
 
     def _replayed(self) -> tuple[Traffic, Traffic]:
-        """All of them at all steps: anybody may be ahead of somebody who comes."""
+        """All of them at all steps: any may be ahead of a vehicle that enters."""
         return self.fleet.scene.traffic, self.fleet.fixed
 
     def _enter(self, step: int) -> None:
@@ -62,7 +62,7 @@ class FlowDriving(Driving):
     def _is_clear(self, arrival: Arrival, step: int) -> bool:
         """Whether no recorded agent is too near ahead; those driven are SUMO's business."""
         seen = self.fleet.scene.recorded_on(arrival.path, arrival.box)
-        edge = np.array([-arrival.box.length_m])  # nobody on the path is behind it
+        edge = np.array([-arrival.box.length_m])  # no agent on the path is behind it
         room_m = arrival.driver.min_gap_m + arrival.driver.tau_s * arrival.driver.desired_mps
         return bool(gaps_on_path(seen, edge, step).lead_m[0] >= room_m + 1.5 * arrival.box.length_m)
 

@@ -26,7 +26,7 @@ def box_poses(front: FloatArray, angle_deg: FloatArray, length_m: FloatArray) ->
 
 
 def front_arc_m(center_s: float, length_m: float) -> float:
-    """Arc length of the front bumper of a box whose centre is at center_s, m."""
+    """Arc length of the front bumper of a box with its centre at center_s, m."""
     return center_s + 0.5 * length_m
 
 

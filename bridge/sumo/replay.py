@@ -45,12 +45,12 @@ class Replay:
     _since: dict[int, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Nobody is in the simulation yet."""
+        """No agent is in the simulation yet."""
         self._names = [f"{self.prefix}{row}" for row in range(len(self.traffic.ids))]
         self.take(self.traffic)
 
     def take(self, traffic: Traffic) -> None:
-        """The same agents with other states from the coming step on; all poses of who is there are turned at once."""
+        """The same agents with other states from the coming step on; all poses of those there are turned at once."""
         self.traffic = traffic
         step, row = np.nonzero(traffic.present.T)
         front, angle = sumo_poses(traffic.position[row, step], traffic.heading[row, step], traffic.length_m[row])
@@ -61,7 +61,7 @@ class Replay:
         self._poses = list(zip(*poses, strict=True))
 
     def warm_up(self, back: int) -> None:
-        """Place those of step 0 where they were `back` steps before, seen by nobody.
+        """Place those of step 0 where they were `back` steps before, seen by no vehicle.
 
         SUMO knows speed and acceleration of a vehicle that it is shown only after it has moved it for UNSEEN_STEPS.
         """
@@ -88,8 +88,8 @@ class Replay:
         """Add, move and remove vehicles so that the coming step has the states of `step`.
 
         seen: rows of those that SUMO's car following is to see, with the edge and lane index on which; the others are
-        put on no lane, for SUMO, to whom a vehicle on a lane has no width, would brake for whoever stands beside. Who
-        is new is not seen before SUMO knows its speed.
+        put on no lane, for to SUMO a vehicle on a lane has no width: it would brake for agents that stand beside. A
+        new agent is not seen before SUMO knows its speed.
         """
         rows, names = self._here[step], self._names
         here = set(rows)

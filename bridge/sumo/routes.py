@@ -31,9 +31,9 @@ def edges_along(scene: Scene, path: DrivenPath, cell: Cell) -> tuple[str, ...] |
 
 
 def take_another_way(fleet: Fleet, simulation: Simulation, row: int, now: int) -> bool:
-    """Send a vehicle another way at the next split if nobody is met there (conflict case 3); whether it goes there.
+    """Send a vehicle another way at the next split if no agent is met there (conflict case 3); whether it goes there.
 
-    Only who is to go straight: another way is no longer the turn or the change of lanes that was asked for.
+    Only one that is to go straight: another way is no longer the turn or the change of lanes that was asked for.
     """
     vehicle, way, scene = fleet.vehicles[row], fleet.ways[row], fleet.scene
     if vehicle.policy is not Policy.STRAIGHT or way.reroute_tried:

@@ -1,4 +1,4 @@
-"""Whom SUMO is shown: the others who are ahead of vehicles in time and place, and nobody else."""
+"""Agents that SUMO is shown: those ahead of vehicles in time and place, and no others."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,18 +15,18 @@ from hid2.params import Driving
 from hid2.policy.behaviours import BEHAVIOURS
 from hid2.vehicle import Start
 
-#: Agents farther than this from the way of a vehicle that may change lanes need not be shown. No tunable, spares time:
-#: lanes beside are nearer, and SUMO brakes for nobody who is farther aside.
+#: Agents farther than this from the way of a vehicle that may change lanes need not be shown. Not a parameter,
+#: it saves time: lanes beside are nearer, and SUMO brakes for no agent farther aside.
 _NEAR_M = 12.0
 #: No vehicle is faster than its desired speed by more than this ratio: no tunable, a bound that spares time.
 _PACE_MOST = 1.1
 
 
 def shown_at(fleet: Fleet, step: int) -> tuple[dict[int, tuple[str, int]], dict[int, tuple[str, int]]]:
-    """Whom SUMO's car following is shown, recorded and kept: row -> edge and lane index of its place on the way.
+    """Agents that SUMO's car following is shown, recorded and kept: row -> edge and lane index of its place on the way.
 
-    Those whose boxes reach into the driving width on the present way of some vehicle and who move along it or
-    stand. Who crosses is the guard's business: to SUMO it would appear out of nowhere.
+    Those that reach into the driving width on the present way of some vehicle and move along it or stand.
+    Crossing agents are the guard's business: to SUMO they would appear out of nowhere.
     """
     recorded: dict[int, tuple[str, int]] = {}
     kept: dict[int, tuple[str, int]] = {}
@@ -67,10 +67,10 @@ def ever_shown(fleet: Fleet) -> tuple[Traffic, Traffic]:
 def shown_when(
     traffic: Traffic, starts: Sequence[Start], known: Sequence[PathOccupancy], *, step_s: float, driving: Driving,
 ) -> BoolArray:  # fmt: skip
-    """(A, T) when agents have to be in SUMO, each from once to once, so that whoever starts is shown who is ahead.
+    """(A, T) when agents have to be in SUMO, each for one stretch, so that a vehicle that starts is shown its leaders.
 
-    known: of each start intervals of those in its driving width, on its path. Who may change lanes may leave that path:
-    shown are those near to it, on its lanes or those beside.
+    known: of each start intervals of those in its driving width, on its path. A vehicle with lane changes may leave
+    that path: shown are those near to it, on its lanes or those beside.
     """
     num_steps = traffic.num_steps
     needed = np.zeros((len(traffic.ids), num_steps), dtype=np.bool_)

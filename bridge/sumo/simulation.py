@@ -121,7 +121,7 @@ class Simulation:
     def place_all(self, poses: Sequence[tuple[str, float, float, float, tuple[str, int] | None]]) -> None:
         """The same for many: (vehicle id, x, y, angle in degrees, lane). lane: edge and index on which it is seen.
 
-        None: on no lane, so that nobody follows it.
+        None: on no lane, so that no vehicle follows it.
         """
         move = libsumo.vehicle.moveToXY
         for vehicle_id, x, y, angle_deg, lane in poses:
@@ -175,7 +175,7 @@ class Simulation:
     ) -> str | None:
         """Put a vehicle that SUMO drives on a lane of the first edge, now. Returns SUMO's objection, None if accepted.
 
-        SUMO's own insertion check is not asked: it knows neither crossing lanes nor what anybody will do next, and the
+        SUMO's own insertion check is not asked: it knows neither crossing lanes nor what agents will do next, and the
         place was chosen with both.
         """
         type_id = self._driver_type(
@@ -305,7 +305,7 @@ class Simulation:
             libsumo.vehicletype.setLength(type_id, length_m)
             libsumo.vehicletype.setWidth(type_id, width_m)
             libsumo.vehicletype.setApparentDecel(type_id, self._expected_decel_mps2)
-            libsumo.vehicletype.setSpeedDeviation(type_id, 0.0)  # who is replayed draws no random numbers from others
+            libsumo.vehicletype.setSpeedDeviation(type_id, 0.0)  # replayed agents draw no random numbers from others
             libsumo.vehicletype.setVehicleClass(type_id, "ignoring")  # recorded agents are where they are, on any lane
             libsumo.vehicletype.setActionStepLength(type_id, _NEVER_S)  # SUMO need not think about where they would go
             self._types.add(type_id)

@@ -1,4 +1,4 @@
-"""Pedestrian crossings on a path, and when somebody on or at them has to be yielded to."""
+"""Pedestrian crossings on a path, and when an agent on or at them has to be yielded to."""
 
 import math
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ CROSSING_TYPES = frozenset({"pedestrian", "cyclist", "riderless_bicycle"})
 class CrossingOnPath(NamedTuple):
     """A crossing that a path's swept width touches from entry_s to exit_s, m of the path.
 
-    occupied (T,): somebody is on it or about to be, and on the vehicle's way.
+    occupied (T,): an agent is on it or about to be, and on the vehicle's way.
     """
 
     entry_s: float
@@ -31,7 +31,7 @@ class CrossingOnPath(NamedTuple):
 
 @dataclass(slots=True)
 class PedestrianCrossings:
-    """The pedestrian crossings of a scene and who uses them when.
+    """The pedestrian crossings of a scene and which agents use them when.
 
     polygons: (4, 2) m each, `LaneGraph.pedestrian_crossings`; traffic: the recorded agents of CROSSING_TYPES alone
     (`crossing_rows`); step_s: seconds from one step to the next.
@@ -56,9 +56,9 @@ class PedestrianCrossings:
     def on(self, path: DrivenPath, *, width_m: float) -> list[CrossingOnPath]:
         """Crossings along a path in the order in which a vehicle of a width comes to them; found once.
 
-        Occupied: somebody is on the crossing, or will be within ahead_s by its recorded future, or is within near_m of
-        it and moves towards it; and is within strip_m of the swept width within strip_s. Nobody waits for those who
-        have passed, nor for those who move along the path, as cyclists on the road do.
+        Occupied: an agent is on the crossing, or will be within ahead_s by its recorded future, or is within near_m of
+        it and moves towards it; and is within strip_m of the swept width within strip_s. No vehicle waits for agents
+        that have passed, nor for those that move along the path, as cyclists on the road do.
         """
         key = path, width_m
         if key not in self._known:

@@ -23,7 +23,7 @@ from hid2.occupancy.sigma import ORIGINAL
 from hid2.occupancy.traffic import Traffic
 from hid2.scene import Scene
 
-_MARGINS_M = 10.0  # no tunable, spares time: more than any lateral margin
+_MARGINS_M = 10.0  # not a parameter, it saves time: more than any lateral margin
 _TURN_AHEAD_S = 4.0  # book-keeping: a limit this long before a turn lane is put down to the turn
 #: Columns of the fleet's state.
 S, V, A, EXECUTING, PRESENT = range(5)
@@ -56,7 +56,7 @@ class Braking(NamedTuple):
 
 @dataclass(eq=False, slots=True)
 class Obstacles:
-    """Everybody on one path: known (A, T + E) for those whose future is known, swept for the fleet's others.
+    """All agents on one path: known (A, T + E) for those with a known future, swept for the fleet's others.
 
     swept (3, G, K): low and high m, cosine, by the other vehicle's own arc length; rows (G,) of the fleet; lines: the
     stop lines on the path.
@@ -112,7 +112,7 @@ class Guard:
         return 0 if "collision" in config.without else self.scene.steps_in(config.conflict.horizon_s)
 
     def obstacles(self, path: DrivenPath, box: BoxSize, others: list[tuple[int, DrivenPath, BoxSize]]) -> Obstacles:
-        """Everybody on a path for a box; others: fleet rows with the paths and boxes of those driven together."""
+        """All agents on a path for a box; others: fleet rows with the paths and boxes of those driven together."""
         known = self.scene.kept_clear_on(path, box).joined(self.fixed_on(path, box))
         found = [
             (row, swept)
@@ -168,7 +168,7 @@ class Guard:
         self, obstacles: Obstacles, *, own: int, step: int, fleet: FloatArray, state: tuple[float, float, float],
         desired_mps: float, road: FloatArray, driver: Driver, horizon_s: float | None = None,
     ) -> Braking:  # fmt: skip
-        """Least braking from a state (s m, v m/s, a m/s2) at a step that meets nobody within the horizon.
+        """Least braking from a state (s m, v m/s, a m/s2) at a step that meets no agent within the horizon.
 
         horizon_s: another one than `conflict.horizon_s`.
         """

@@ -1,7 +1,7 @@
 """Recorded vehicles that yield in time (`driving.replay = "reactive"`), each on the path that was recorded.
 
 At every step a vehicle gets on as it did at that place of its recording, or less far where its car following has to
-brake for somebody ahead on that path. It never leaves the path, never exceeds the recorded speed, and never catches up:
+brake for an agent ahead on that path. It never leaves the path, never exceeds the recorded speed, and never catches up:
 it is late. Pedestrians, cyclists and whatever else is no car and no bus stay as recorded, and so do the signals that
 are inferred from the recording.
 """
@@ -29,7 +29,7 @@ def yielding(
 ) -> BoolArray:  # fmt: skip
     """Which of some recorded agents (K,) come from behind a vehicle at a step and can yield to it.
 
-    Those who drive as it does and would have to brake with `driving.yields_mps2` at most. xy (2,) m, forward (2,):
+    Those that drive as it does and would have to brake with `driving.yields_mps2` at most. xy (2,) m, forward (2,):
     centre and direction of the vehicle; half_m: half its length.
     """
     here = scene.traffic.at(step).rows(rows.tolist())
@@ -80,13 +80,13 @@ class Reactions:
     _paths: dict[int, _OwnPath] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Nobody is late yet."""
+        """No agent is late yet."""
         self._recorded = self.scene.future
         self.late = np.zeros(len(self._recorded.ids))
         self._speed = np.zeros(len(self._recorded.ids))
 
     def advance(self, step: int, others: Traffic) -> bool:
-        """Let everybody get on to `step`; whether anybody is later than before, and so the scene another one.
+        """Let all agents get on to `step`; whether any is later than before, and so the scene another one.
 
         others: generated vehicles where they are at the step before (one step).
         """
@@ -101,7 +101,7 @@ class Reactions:
         return True
 
     def _late_after(self, row: int, step: int, here: Traffic) -> float:
-        """How late an agent is at a step, by who is ahead of it at the step before."""
+        """How late an agent is at a step, by the agents ahead of it at the step before."""
         late, path = float(self.late[row]), self._path(row)
         place = step - 1 - late
         if place >= path.last:
@@ -112,7 +112,7 @@ class Reactions:
         if late == 0.0 and leader is None:
             return late
         wanted, ahead_m = free_m / self.scene.step_s, self.scene.config.driving.yields_ahead_m
-        # trackers jitter: who drives as recorded need not be able to accelerate as its track does
+        # trackers jitter: an agent that drives as recorded need not be able to accelerate as its track does
         speed = float(self._speed[row]) if late > 0.0 else max(wanted, float(np.hypot(*here.velocity[row, 0])))
         gap_m, leader_mps = leader or (ahead_m, wanted)
         driven_m = min(free_m, max(0.0, self.follow_mps(row, speed, gap_m, leader_mps)) * self.scene.step_s)
@@ -125,7 +125,7 @@ class Reactions:
         """Bumper gap m and speed along the path m/s of the next one on an agent's path; None near enough.
 
         place: the recorded time, steps, at which the agent was where it is. For an agent that drives as recorded: of
-        generated ones and of those who are late; all others keep out of its way as they did.
+        generated ones and of those that are late; all others keep out of its way as they did.
         """
         count, own = len(self._recorded.ids), self._recorded
         counts = here.present[:, 0].copy()
@@ -180,7 +180,7 @@ class Reactions:
 
     @property
     def late_s(self) -> dict[str, float]:
-        """Seconds behind the recording, by track id, of those who are late."""
+        """Seconds behind the recording, by track id, of those that are late."""
         rows = np.flatnonzero(self.late > 0.0).tolist()
         return {self._recorded.ids[row]: round(float(self.late[row]) * self.scene.step_s, 6) for row in rows}
 

@@ -69,7 +69,7 @@ class InferredSignals:
         )  # fmt: skip
 
     def red(self, lane_id: int) -> BoolArray | None:
-        """(T,) whether a driver who approaches the lane at a step has to stop at its entrance.
+        """(T,) whether a vehicle that approaches the lane at a step has to stop at its entrance.
 
         None for a lane without an entrance: outside of intersections, or entered from within one or from nowhere.
         """

@@ -12,7 +12,7 @@ from hid2.params import Config, Drivers
 
 @dataclass(frozen=True, slots=True)
 class Driver:
-    """Who sits at the wheel.
+    """The driver of one vehicle.
 
     desired_mps m/s; tau_s s, time gap; accel_mps2, decel_mps2 m/s2, comfortable; min_gap_m m to a standing leader;
     turn_lateral_mps2 m/s2, what the driver takes in turns; offset_m m, mean place beside that of others on the lane,
@@ -35,7 +35,7 @@ class Driver:
         return self.tau_s, self.accel_mps2, self.decel_mps2, self.min_gap_m
 
 
-#: Places in whose mean a driver takes the usual one. No tunable: a sum in place of an integral.
+#: Points along the way over which the usual place in the lane is averaged. Not a parameter: a sum for an integral.
 _AROUND = 9
 #: The distributions by default.
 _USUAL = Drivers()
@@ -57,7 +57,7 @@ def _clipped(value: float, low: float, high: float) -> float:
 
 
 def draw_driver(config: Config, rng: np.random.Generator, *, lane_speed_mps: float) -> Driver:
-    """A driver on a lane whose traffic drives at lane_speed_mps, m/s."""
+    """A driver on a lane with traffic that drives at lane_speed_mps, m/s."""
     law, spawn, change = config.drivers, config.spawn, config.lane_change
 
     def draws(count: int) -> list[float]:
@@ -94,7 +94,7 @@ def desired_speeds(
     kept, eased = float(np.exp(-step_s / law.wander_time_s)), float(np.exp(-step_s / law.eased_s))
     kick = (law.wander_sd_mps * np.sqrt(1.0 - kept * kept) * rng.standard_normal(num_steps)).tolist()
     wander = [max(law.wander_sd_mps * float(rng.standard_normal()), at_least_mps - driver.desired_mps)]
-    level = wander[0] + law.wander_sd_mps * float(rng.standard_normal())  # nobody begins at a constant speed
+    level = wander[0] + law.wander_sd_mps * float(rng.standard_normal())  # no vehicle begins at a constant speed
     for step in range(1, num_steps):
         level = kept * level + kick[step]
         wander.append(eased * wander[step - 1] + (1.0 - eased) * level)
@@ -102,7 +102,7 @@ def desired_speeds(
 
 
 def free_speeds(driver: Driver, wished_mps: FloatArray, *, speed_mps: float, step_s: float) -> FloatArray:
-    """(M,) m/s at the steps to come from a speed towards wished ones (M,) with nobody ahead, as the IDM has it."""
+    """(M,) m/s at the steps to come from a speed towards wished ones (M,) with no leader, as the IDM has it."""
     found = []
     for wished in wished_mps.tolist():
         gained = driver.accel_mps2 * max(1.0 - (speed_mps / wished) ** 4, -1.0) * step_s

@@ -2,7 +2,7 @@
 
 Each parameter is estimated from one value a driver (track), so that a longer track counts no more,
 with a bootstrap over drivers. The two wanderings are found by simulated moments: the law itself is run for many
-drivers, and the one whose windows vary as the recorded ones do is taken. What fewer than LEAST drivers tell keeps its
+drivers, and the one with windows that vary as recorded is taken. What fewer than LEAST drivers tell keeps its
 documented prior and says so.
 """
 
@@ -231,7 +231,7 @@ def _simulated(drive: Callable[[], Sequence[tuple[float, float]]]) -> _Moments:
 
 @cache
 def speed_moments(time_s: float) -> _Moments:
-    """Moments of acceleration and jerk in windows of simulated drivers whose desired speed wanders by _UNIT_MPS."""
+    """Moments of acceleration and jerk in windows of simulated drivers: desired speeds wander by _UNIT_MPS."""
     config, rng = Config(drivers=Drivers(wander_time_s=time_s, wander_sd_mps=_UNIT_MPS)), np.random.default_rng(1)
     _, _, cubic = _fits()
 
@@ -304,7 +304,7 @@ def _lateral_wander(straight: Windows, prior: Drivers) -> list[Quantity]:
 
 
 def _time_of(ratio: float, ratios: FloatArray) -> float:
-    """Time constant whose simulated ratio of change to rate is the one seen; ratios fall with time."""
+    """Time constant with the seen ratio of change to rate in simulation; ratios fall with time."""
     falling = np.minimum.accumulate(ratios)
     return float(np.interp(-ratio, -falling, _TIMES_S))
 

@@ -64,7 +64,7 @@ class Verdict(NamedTuple):
 def pack(found: Windows, halves: IntArray, *, labelled: bool) -> FloatArray:
     """Windows as rows (M, WIDTH) of numbers; halves (M,): in which halves of the recorded tracks each one's is.
 
-    labelled: whether people labelled the recording; else it is a tracker's, whose noise is larger.
+    labelled: whether people labelled the recording; else it is a tracker's, with larger noise.
     """
     kind = np.full(len(found.agent), float(labelled))
     return np.column_stack([

@@ -82,7 +82,7 @@ class Group:
 
     @property
     def meeting(self) -> BoolArray:
-        """(A,) members that may meet others, and whose last step counts: see `driven`."""
+        """(A,) members that may meet others, and with a last step that counts: see `driven`."""
         return np.asarray(self.members & driven(self.arrays))
 
     @property
@@ -217,7 +217,7 @@ METRICS: tuple[Metric, ...] = (
     *(of_clean for _, of_clean in _MAGNITUDES),
     Metric(
         "scr", "SCR: share of vehicles that collide", "share", Section.SAFETY,
-        "Vehicles whose box overlaps another one's (IoU above 0.02) at any step, of the vehicles of a scene; mean over "
+        "Vehicles that overlap another one (boxes, IoU above 0.02) at any step, of the vehicles of a scene; mean over "
         "scenes.",
         Column("scr", lambda g: g.colliding / int(g.vehicles.sum()) if g.vehicles.any() else 0.0), SCENES_WITH_VEHICLES,
     ),
@@ -238,7 +238,7 @@ METRICS: tuple[Metric, ...] = (
     ),
     _steps(
         "ttc_critical", f"share of driving, {_TTC} to anything",
-        "Steps of moving vehicles whose box would touch another one so soon if both kept their velocity.",
+        "Steps at which a moving vehicle would touch another one so soon if both kept their velocity.",
         lambda g: g.safe.ttc_s < CRITICAL.ttc_min_s,
     ),
     _steps(

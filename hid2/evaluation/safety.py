@@ -31,7 +31,7 @@ WRONG_WAY_SPEED_MPS = 1.0
 
 
 class Overlap(NamedTuple):
-    """A pair of agents (numbers, first < second) whose boxes share ground at some step."""
+    """A pair of agents (numbers, first < second) with boxes that share ground at some step."""
 
     first: int
     second: int
@@ -59,7 +59,7 @@ class Safety:
 
 
 def overlaps(arrays: SceneArrays) -> tuple[Overlap, ...]:
-    """Every pair of agents, of any type, whose boxes overlap at some step."""
+    """Every pair of agents, of any type, with boxes that overlap at some step."""
     iou, first, _ = pairwise_overlap(arrays.position, arrays.heading, arrays.length, arrays.width, arrays.row_of)
     return tuple(Overlap(int(a), int(b), float(iou[a, b]), int(first[a, b])) for a, b in np.argwhere(first >= 0))
 
@@ -81,7 +81,7 @@ def off_road(position: FloatArray, graph: LaneGraph) -> BoolArray:
 
 
 def off_footprint(arrays: SceneArrays, graph: LaneGraph) -> BoolArray:
-    """Rows (N,) whose box reaches more than FOOTPRINT_TOLERANCE_M out of the drivable area, as the judge sees it."""
+    """Rows (N,) with boxes more than FOOTPRINT_TOLERANCE_M out of the drivable area, as the judge sees it."""
     length, width = arrays.length[arrays.agent], arrays.width[arrays.agent]
     outside = outside_m(arrays.position, arrays.heading, length, width, graph, tolerance_m=FOOTPRINT_TOLERANCE_M)
     return np.asarray(outside > 0.0)

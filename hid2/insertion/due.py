@@ -63,7 +63,7 @@ def foreseen_speeds(vehicle: DrivenVehicle, scene: Scene, now: int) -> FloatArra
 class Due:
     """A vehicle at a step for which a manoeuvre is due.
 
-    fixed: vehicles whose motion is known (T steps); others: those driven with it, as they are now (one step).
+    fixed: vehicles with known motion (T steps); others: those driven with it, as they are now (one step).
     """
 
     scene: Scene

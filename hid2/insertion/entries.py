@@ -18,7 +18,7 @@ from hid2.scene import Scene
 class EntryTable(NamedTuple):
     """Entries of a scene, (N,): lane, row of the route in `Routes.offers`, step; weight, near, leader: `Outlook`.
 
-    Those from which nobody is met have no weight where vehicles are asked for near to somebody.
+    Those from which no agent is met have no weight where vehicles are asked for near to agents.
     """
 
     lane: IntArray
@@ -31,7 +31,7 @@ class EntryTable(NamedTuple):
 
 @dataclass(slots=True)
 class Entries:
-    """Entries of one scene; the table is made when somebody first asks."""
+    """Entries of one scene; the table is made at the first use."""
 
     scene: Scene
     routes: Routes
@@ -55,7 +55,7 @@ class Entries:
         return int(rng.integers(int(self.table.step[row]), min(last, self._last) + 1))
 
     def leader_of(self, route: Route, step: int) -> int:
-        """Whom a vehicle that enters on a route at a step would follow, as `Meetings` numbers them; -1 nobody."""
+        """The leader of a vehicle that enters on a route at a step, as `Meetings` numbers them; -1 for none."""
         table = self.table
         here = (table.lane == route[0]) & (table.step <= step) & (step < table.step + self._between)
         for row in np.flatnonzero(here).tolist():
@@ -91,7 +91,7 @@ class Entries:
 
     @property
     def _last(self) -> int:
-        """The last step at which anybody enters: an observed one, and not just before the scene ends."""
+        """The last step at which a vehicle enters: an observed one, and not just before the scene ends."""
         scene = self.scene
         return min(scene.last_observed_step, scene.num_steps - scene.steps_in(scene.config.sites.entry_stays_s))
 
@@ -99,7 +99,7 @@ class Entries:
 def edge_lanes(scene: Scene, routes: Routes) -> list[int]:
     """Entry lanes that begin at the map's edge: near to the hull of all lanes, and no lane of their row goes on before.
 
-    Elsewhere a lane without predecessors is a turn pocket or a driveway, where nobody appears at the speed of traffic.
+    Elsewhere a lane without predecessors is a turn pocket or a driveway: no vehicle appears there at traffic's speed.
     """
     graph, edge_m = scene.grid.graph, scene.config.sites.entry_edge_m
     hull = shapely.convex_hull(shapely.multipoints(np.concatenate([lane.centerline for lane in graph.lanes.values()])))

@@ -17,7 +17,7 @@ from hid2.vehicle import Start, VehicleRequest
 
 @dataclass(slots=True)
 class EntrySites:
-    """Sites of the vehicles that enter in one round; asked: how many are to go straight, of whom a share enters."""
+    """Sites of the vehicles that enter in one round; asked: how many are to go straight, of which a share enters."""
 
     here: Surroundings
     starts: Starts
@@ -26,7 +26,7 @@ class EntrySites:
     _looked: int = 0
 
     def is_to_enter(self, request: VehicleRequest) -> bool:
-        """Whether a vehicle is to enter at the map's edge if it can; who is scored is there from the first step on."""
+        """Whether a vehicle is to enter at the map's edge if it can; a scored one is there from the first step on."""
         asked = self.here.scene.config.request
         if request.policy is not Policy.STRAIGHT or asked.generated_category > 1 or asked.entering == 0.0:
             return False

@@ -16,7 +16,7 @@ from hid2.occupancy.agent_states import agent_states
 from hid2.params import Event
 from hid2.scene import Scene
 
-#: A leader is no farther than this beside the target, m. No tunable, spares time: the judge looks again.
+#: A leader is no farther than this beside the target, m. Not a parameter, it saves time: the judge looks again.
 _ASIDE_M = 2.5
 #: No tunable: the criticality of a cut-in counts from when the vehicle is about half way over, s before the moment.
 _ARRIVES_S = 1.5

@@ -24,7 +24,7 @@ from hid2.params import Event
 from hid2.policy.decision import Side
 from netconvert.lane_graph import TurnType
 
-#: Other ways onto a lane, and on from it. No tunable, spares time: a path takes as long as twenty rollouts.
+#: Other ways onto a lane, and on from it. Not a parameter, it saves time: a path takes as long as twenty rollouts.
 _OTHER_WAYS = 2
 #: A target is beside a path up to this distance, m, and this cosine of the angle to it; a path that it crosses comes
 #: this near to its positions, m. No tunables: a lane and a half, 37 degrees, more than a car drives in a step.
@@ -35,7 +35,7 @@ _OVERTAKES_S, _BEHIND_M = (4.0, 10.0), (3.0, 30.0)
 #: Paths cross with so much between the centres at most, s, unless a PET is asked for; boxes take so much of it at most.
 #: No tunables: bounds of what is drawn.
 _APART_S, _BOXES_S = 5.0, 2.0
-#: No tunable, spares time: a motion that is farther off a place brings no event about.
+#: Not a parameter, it saves time: a motion that is farther off a place brings no event about.
 _ABOUT_M = 2.0
 #: Of the time by which an event may be earlier or later. No tunable: SUMO's vehicle is not where its rollout is.
 _SPARE_SHARE = 0.8

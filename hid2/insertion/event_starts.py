@@ -24,7 +24,7 @@ from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 #: Of each driver so many beginnings are looked at, and the first that is free is taken; a place is left out where so
 #: many drivers in a row cannot begin; of so many the fastest is to overtake, the quickest to cut in. No tunables.
 _DRAWS, _NOT_BEGUN, _ASKED = 32, 20, 10
-#: Of so many that bring an event about the best are taken before more are drawn. No tunable, spares time.
+#: The best of this many that bring an event about are taken before more are drawn. Not a parameter, it saves time.
 _ENOUGH = 8
 _CREEPS_MPS = 0.2  # a wish to stand is one to roll on so slowly; no tunable: SUMO takes no wish of 0
 
@@ -46,7 +46,7 @@ class Candidate:
 
 @dataclass(slots=True)
 class EventStarts(Starts):
-    """Starts whose rollouts bring an event about.
+    """Starts with rollouts that bring an event about.
 
     request, size: of its vehicle; places: at which it may come about; rolls: how many were rolled out.
     """
@@ -113,7 +113,7 @@ class EventStarts(Starts):
         return Candidate(rolled, cost) if cost <= 1.0 else Reason.EVENT_NOT_AS_ASKED
 
     def _driver(self, place: Place, at: int, s: float) -> Driver:
-        """A driver who goes with the traffic of its lane, with the target as it is then, or at its fastest.
+        """A driver that goes with the traffic of its lane, with the target as it is then, or at its fastest.
 
         Of some drawn what is to overtake the target is the fastest, and what is to cut in the quickest across: there is
         little time.
@@ -176,7 +176,7 @@ class EventStarts(Starts):
         return np.array(may)[np.minimum(np.searchsorted(ends, s, side="right"), ends.size - 1)]
 
     def _braking(self, start: Start, step: int, speed_mps: float) -> Start:
-        """A driver whose wish falls from a step on, as fast as it is to brake, and afterwards is what it was.
+        """A driver with a desired speed that falls from a step on, as fast as it is to brake, then is as before.
 
         SUMO takes a wish for the most that a vehicle may drive, and brakes for one that falls.
         """

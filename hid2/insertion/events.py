@@ -38,7 +38,7 @@ DriveAlone = Callable[[Scene, StopLines, Start, Traffic], DrivenVehicle]
 FIRST_NUMBER = 10_000
 _POLICY = {"cut_in": Policy.LANE_CHANGE, "overtake": Policy.OVERTAKE}
 _MEETS_CROSSING = frozenset({"cross", "merge"})
-#: Candidates of one target that are rolled out before another target is looked at. No tunable, spares time.
+#: Candidates of one target that are rolled out before another target is looked at. Not a parameter, it saves time.
 _AT_A_TIME = 30
 _LOG = logging.getLogger(__name__)
 

@@ -27,7 +27,7 @@ from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle
 
-#: Reasons by what the judge finds; boxes that meet are told apart by whose they are.
+#: Reasons by what the judge finds; boxes that meet are told apart by their agents.
 _REASONS = {Quantity(limit.name): limit.reason for limit in MOTION_LIMITS} | {
     Quantity.CURVATURE: Reason.LIMIT_CURVATURE,
     Quantity.AGAINST_LANE: Reason.AGAINST_LANE,

@@ -19,14 +19,14 @@ from hid2.scene import MOVES_MPS, Scene
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
 
-#: Recorded traffic is looked at so often, s. No tunable, spares time: an estimate of where somebody is needs no more.
+#: Time between looks at recorded traffic, s. Not a parameter, it saves time: estimates of positions need no more.
 _EVERY_S = 0.5
 #: Centres this near to the middle of a cell are on it, m: half a lane and a little. No tunable: what on a cell means.
 _ON_CELL_M = 3.0
 #: A leader leads from this gap between centres on, m, if it does for so many looks. No tunables: what following is by
 #: `measures/encounters.py`, and a box ahead of a box.
 _LEADS_FROM_M, _LEADS_LOOKS = 6.0, 1 + round(FOLLOWS_FOR_S / _EVERY_S)
-#: Tracks of these categories are scored by whoever evaluates forecasts: scored ones and the focal one (Argoverse 2).
+#: Tracks of these categories are scored where forecasts are evaluated: scored ones and the focal one (Argoverse 2).
 _SCORED = (2, 3)
 _LEAST = 1e-3  # weight of a route that is not worth trying; no tunable: not 0, so that one is drawn where no other is
 #: Track id of the recording vehicle (Argoverse 2).
@@ -64,7 +64,7 @@ class Outlook(NamedTuple):
     """What vehicles that start on cells would meet at usual speed, in the order of the grid, or of a lane.
 
     weight (C,): of each cell, 0 where a vehicle would leave the map before the last observed step, and on lanes that
-    cars do not drive on; leader (C,): whom a vehicle from there would follow, a number of its own, -1 nobody; near
+    cars do not drive on; leader (C,): the leader of a vehicle from there, a number of its own, -1 for none; near
     (C,): whether it would be near to a named target at the last observed step.
     """
 
@@ -128,7 +128,7 @@ class Meetings:
 
     @property
     def is_target_named(self) -> bool:
-        """Whether vehicles are to be near to somebody in particular."""
+        """Whether vehicles are to be near to named agents."""
         return self.scene.config.request.near not in ("traffic", "anywhere")
 
     @property
@@ -185,7 +185,7 @@ class Meetings:
         return self._of_route(lane_id, self.routes.offers(lane_id)[row], self.scene.usual_speed(lane_id), look, 1)
 
     def leader_of(self, cell: Cell, route: Route) -> int:
-        """Whom a vehicle from a cell would follow on a route, a number of its own; -1 nobody."""
+        """The leader of a vehicle from a cell on a route, a number of its own; -1 for none."""
         for row, offer in enumerate(self.routes.offers(cell.lane_id)):
             if offer.route == route:
                 return int(self._of_offer(cell.lane_id, row).leader[cell.index])
@@ -196,7 +196,7 @@ class Meetings:
         return self._brakes[leader]
 
     def pace_of(self, leader: int) -> float:
-        """How fast a leader drives while it moves, m/s, as `Scene.lane_speed` has it; 0 for nobody."""
+        """How fast a leader drives while it moves, m/s, as `Scene.lane_speed` has it; 0 for none."""
         return float(self._pace_mps[leader]) if leader >= 0 else 0.0
 
     def _rows(self, lane_id: int, turn: TurnType) -> list[int]:
@@ -227,7 +227,7 @@ class Meetings:
     def _of_route(
         self, lane_id: int, offer: RouteOffer, speed_mps: float, look: int = 0, count: int | None = None
     ) -> Outlook:
-        """Of the cells of a lane on one route, for who is there from a look on; count: of its first cells alone."""
+        """Of the cells of a lane on one route, for a vehicle there from a look on; count: of its first cells alone."""
         scene, config = self.scene, self.scene.config
         request, sites, spawn = config.request, config.sites, config.spawn
         cells, middle = self._cells(lane_id, offer)

@@ -29,15 +29,15 @@ from hid2.reasons import Reason
 from hid2.scene import clearance_box
 from hid2.vehicle import Start, VehicleRequest
 
-#: No tunables, spare time: s between two looks at places, places tried on one way, and how many there are to choose
-#: among for each that is tried.
+#: Not parameters, they save time: s between two looks at places, places tried on one way, and how many there
+#: are to choose among for each that is tried.
 _LOOKS_S, _TRIED, _ENOUGH = 0.5, 2, 3
-#: No tunables, spare rollouts: shares of a lateral motion at which the centre has crossed the line, and up to which the
-#: lane left is not yet entered again; the time gap to others, s, at which none slows down; s kept above a TTC; and
-#: how fast a driver settles at the desired speed, over that speed and the acceleration; and the speed in a lateral
-#: motion over what its sharpest bend allows, as smoothing rounds it.
+#: Not parameters, they save rollouts: shares of a lateral motion at which the centre has crossed the line, and up to
+#: which the lane left is not yet entered again; the time gap to others, s, at which none slows down; s kept above a
+#: TTC; and how fast a driver settles at the desired speed, over that speed and the acceleration; and the speed in
+#: a lateral motion over what its sharpest bend allows, as smoothing rounds it.
 _CROSSED, _BACK, _HEADWAY_S, _SPARE_S, _SETTLES, _BENDS = 0.5, 0.4, 1.2, 0.2, 2.5, 1.4
-#: No tunable, spares rollouts: of the speed, that bends on the way allow at least.
+#: Not a parameter, it saves rollouts: share of the speed that bends on the way allow at least.
 _BEND_SHARE = 0.75
 
 
@@ -245,7 +245,7 @@ class OvertakeStarts:
     def _in_time(self, way: _Way, driver: Driver, trigger_s: float, drawn: _Drawn) -> _Motions:
         """Motions that come past and back in the time and on the stretch that there is; the soonest first.
 
-        As a driver begins who is behind a leader, slower by the trigger, then towards the desired speed as the IDM
+        As a driver begins behind a leader, slower by the trigger, then towards the desired speed as the IDM
         does near to it. A lateral motion takes its time, or its length where the vehicle is slow.
         """
         scene, change, overtake = self.here.scene, self.here.scene.config.lane_change, self.here.scene.config.overtake

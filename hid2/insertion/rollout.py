@@ -1,4 +1,4 @@
-"""The rollout of a candidate: how it would drive on among all whose motion is known, and what it would meet.
+"""The rollout of a candidate: how it would drive on among all agents with known motion, and what it would meet.
 
     recorded agents by their true future, vehicles kept in rounds before, candidates chosen before it by their rollouts
 
@@ -37,10 +37,10 @@ from netconvert.lane_graph import TurnType
 from netconvert.net_xml import SPEED_LIMIT_MPS
 
 _NONE = Traffic.none(1)
-#: No tunables, spare time: no follower has a critical TTC on the path that it drives that has so much more room ahead,
-#: or is so far aside.
+#: Not parameters, they save time: no follower has a critical TTC on the path that it drives if it has so much
+#: more room ahead, or is so far aside.
 _FOLLOWS_M, _ASIDE_M = 3.0, 12.0
-#: No tunable, spares time: beyond it, on either axis, an agent is in none of the gaps that a vehicle looks at.
+#: Not a parameter, it saves time: beyond it, on either axis, an agent is in none of the gaps that a vehicle looks at.
 _NEAR_GAPS_M = 40.0
 #: No tunable: of the time between two looks of a vehicle that waits for a gap, while it passes another one.
 _PASSING_SHARE = 0.3
@@ -78,7 +78,7 @@ class Foreseen:
 
 @dataclass(eq=False, slots=True)
 class World:
-    """What candidates are rolled out against. guard: with those kept, whose motion is settled, and those chosen.
+    """What candidates are rolled out against. guard: with those kept, which have their final motion, and those chosen.
 
     target_id: of an event, which is about the gap that is left to it.
     """
@@ -208,7 +208,7 @@ class World:
         )  # fmt: skip
 
     def known_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
-        """Intervals on a path of all whose motion is known, with margins and the critical PET: the guard's."""
+        """Intervals on a path of all agents with known motion, with margins and the critical PET: the guard's."""
         fixed, key = self.guard.fixed, (path, box)
         before = self._known.get(key)
         if before is None or before[0] is not fixed:

@@ -101,7 +101,7 @@ class Routes:
         return self._offers[lane_id]
 
     def map_offers(self, policy: Policy) -> bool:
-        """Whether the map has any place at all for a policy, whoever is on it; the rule of `hid2 scan` too."""
+        """Whether the map has any place at all for a policy, occupied or not; the rule of `hid2 scan` too."""
         return any(self.lane_offers(lane_id, policy) for lane_id in self.lanes)
 
     def lane_offers(self, lane_id: int, policy: Policy) -> bool:
@@ -148,7 +148,7 @@ class Routes:
         return self._ways_past
 
     def free_cells(self, policy: Policy) -> tuple[IntArray, BoolArray]:
-        """Rows of the grid's cells on lanes with a place for a policy that nobody recorded holds at step 0.
+        """Rows of the grid's cells on lanes with a place for a policy that no recorded agent holds at step 0.
 
         And whether each is in an intersection.
         """

@@ -3,7 +3,7 @@
 Drawn one by one, the sites of two variants would often be the same ones. Here (seed, variant) is an index into a
 sequence of low discrepancy (an additive recurrence): the sites of its scene, weighted, are a line of length 1, and
 vehicle k of K that are to do the same manoeuvre looks first at the place (k + u) / K of that line, where u is what the
-index says. Where nobody can begin there, others are drawn by weight.
+index says. Where no vehicle can begin there, others are drawn by weight.
 """
 
 from collections.abc import Sequence

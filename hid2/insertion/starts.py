@@ -260,7 +260,7 @@ class Starts:
             return Reason.NO_SITE
         if speed < max(sites.standing_mps, sites.slowest_share * wished):
             if not np.any((seen.lead_m < sites.queue_m) & (seen.along_mps < sites.standing_mps)):
-                return Reason.NO_SITE  # nobody drives so slowly with so much room ahead
+                return Reason.NO_SITE  # no vehicle drives so slowly with so much room ahead
             speed = 0.0
         return speed
 

@@ -12,7 +12,7 @@ from hid2.scene import Scene
 
 @dataclass(eq=False, slots=True)
 class Surroundings:
-    """Roads, routes, stop lines, and whom a vehicle would meet from where; nothing here depends on a seed."""
+    """Roads, routes, stop lines, and which agents a vehicle would meet from where; nothing here depends on a seed."""
 
     scene: Scene
     roads: Roads = field(init=False)
@@ -22,7 +22,7 @@ class Surroundings:
     entries: Entries = field(init=False)
 
     def __post_init__(self) -> None:
-        """Each fills its own tables when somebody first asks."""
+        """Each fills its own tables at the first use."""
         self.roads, self.routes, self.stop_lines = Roads(self.scene), Routes(self.scene), StopLines(self.scene)
         self.meetings = Meetings(self.scene, self.routes, self.stop_lines.signals)
         self.entries = Entries(self.scene, self.routes, self.meetings)

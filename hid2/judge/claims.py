@@ -113,7 +113,7 @@ def _of(states: AgentStates, agent: int) -> BoolArray:
 def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None:
     """The vehicle crosses from a lane beside the target's path into it, ahead of the target.
 
-    The target is on that path since CLAIM_S at least: where it changes into the lane itself, nobody cuts in on it.
+    The target is on that path since CLAIM_S at least: where it changes into the lane itself, no vehicle cuts in on it.
     """
     arrays, view = states.arrays, states.view
     changes = detect(arrays, states.lanes, states.matches, among=_of(states, own))

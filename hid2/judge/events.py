@@ -21,7 +21,7 @@ HUMAN_BRAKES_S = 4.7
 class EventMeasures:
     """What an event was like for its target, which is recorded and does not react.
 
-    gap_m: bumper to bumper along the target's heading at the moment of the event, whoever is ahead;
+    gap_m: bumper to bumper along the target's heading at the moment of the event, whichever is ahead;
     speed_difference_mps: speed of the vehicle minus that of the target then; min_ttc_s: smallest two-dimensional TTC
     from then on, None where it is never below CAP_S; pet_s: where the paths cross; drac_mps2: largest deceleration that
     the target would have needed, 0 where it never closes in; brakes_mps2: hardest braking of the vehicle itself from

@@ -25,7 +25,7 @@ class Bounds:
 
     spare_*: added to each side of a box, m; to each side of the path driven, m; to the TTC at the end, s.
     drivable_share, curvature_share: of limits.drivable_tolerance_m, and of 1 / limits.min_radius_m; end_rows: states
-    left out at both ends of a track, whose derivatives are one-sided; by_stated: whether the velocities that a file
+    left out at both ends of a track, where derivatives are one-sided; by_stated: whether the velocities that a file
     states are held to the limits of motion too.
     """
 
@@ -81,7 +81,7 @@ class Quantity(StrEnum):
     FOLLOWER_HEADWAY = "follower_headway", "s", "time headway that a recorded follower is left with"
 
 
-#: Quantities whose limit is a least value.
+#: Quantities with a least value as their limit.
 LEAST = frozenset({
     Quantity.TTC_LEADER, Quantity.TTC_FOLLOWER, Quantity.PET, Quantity.END_TTC, Quantity.END_CONTACT,
     Quantity.FOLLOWER_HEADWAY,

@@ -1,1 +1,1 @@
-"""Compiled loops: the only files whose change costs a recompile."""
+"""Compiled loops: a change of these files, and of no others, costs a recompile."""

@@ -1,4 +1,4 @@
-"""Recorded vehicles at the approaches of intersections: who comes from where, enters, waits, and crosses."""
+"""Recorded vehicles at the approaches of intersections: which of them come from where, enter, wait, and cross."""
 
 import numpy as np
 import numpy.typing as npt

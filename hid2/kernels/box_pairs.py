@@ -255,7 +255,7 @@ def swept_paths_cross(
 ) -> tuple[int, int]:  # fmt: skip
     """Rows before which swept paths first cut each other, as `paths_cross`: from rear to front bumper at the ends.
 
-    A vehicle whose centre is not across at its last step may be with its front.
+    A vehicle with its centre not across at its last step may be with its front.
     """
     a, turned_a = _between_bumpers(xy_a, heading_a, length_a)
     b, turned_b = _between_bumpers(xy_b, heading_b, length_b)
@@ -329,7 +329,7 @@ def post_encroachment(
 ) -> IntArray:
     """PET in steps for every pair of `agents` (K, K), upper triangle, -1 where their paths do not cross in time.
 
-    Only pairs whose second one is among agents[since:].
+    Only pairs with their second one among agents[since:].
 
     Paths cross where the centres' paths, with the bumpers at their ends, cut each other at `min_angle` at least
     (and at most pi - min_angle: meeting head-on is no crossing). PET is then the smallest |t1 - t2| at which the

@@ -24,7 +24,7 @@ DRIVER_STATE = 14  # their number
 _EPS = 0.001  # tolerance of numbers, whatever their unit
 _NOTHING = 100.0  # m/s2, wanted so far
 _COOLNESS = 0.99
-_SUDDEN_MPS2 = 1.0  # a driver who would want so much less looks anew
+_SUDDEN_MPS2 = 1.0  # a driver that would want so much less looks anew
 PREVIEW_S = 4.0  # in which a desired speed is taken up
 _FREE_GAP_M = 500.0  # to the leader that a free road is taken for
 _EMERGENCY_MPS2 = 9.0
@@ -35,7 +35,7 @@ _OFF_S_LONG, _OFF_FLAT, _OFF_BEGINS, _OFF_AGAIN_S, _OFF_BELOW_MPS = 1.2, 2.0, 0.
 
 @inner
 def new_driver(state: FloatArray, desired_mps: float) -> None:
-    """Set the state of a driver who has just come."""
+    """Set the state of a driver that has just come."""
     state[:] = 0.0
     state[_WISH] = state[_WISH_LEFT] = max(desired_mps, _EPS)
     state[_WOULD] = state[_WANTS] = state[_DOES] = state[_LEAD_DOES] = _NOTHING
@@ -79,7 +79,7 @@ def _response(
 ) -> float:  # fmt: skip
     """Speed after the step for one leader, m/s; the least acceleration wanted for any of them is kept, as in SUMO.
 
-    gap m: beyond the one at standstill; lead_a m/s2, inf where nobody leads; most m/s: highest speed after the step;
+    gap m: beyond the one at standstill; lead_a m/s2, inf where no agent leads; most m/s: highest speed after the step;
     is_limit: it stands for a lower desired speed.
     """
     tau, accel, decel, min_gap = driver
@@ -152,7 +152,7 @@ def _take_up(state: FloatArray, desired: float, step_s: float) -> None:
 
 @inner
 def _driven_off(state: FloatArray, v: float, a: float, v_next: float, accel: float, time_s: float) -> float:
-    """Speed after a step of a driver who would gain speed, m/s: less of it while it drives off."""
+    """Speed after a step of a driver that would gain speed, m/s: less of it while it drives off."""
     again = state[_OFF_S] + _OFF_AGAIN_S - _EPS < time_s and state[_SINCE] == 0.0
     if v < _OFF_BELOW_MPS and again and a < min(0.25 * accel, 0.2):
         state[_OFF_S] = time_s

@@ -92,7 +92,7 @@ class _KernelCache(_FunctionCache):  # type: ignore[misc]
         return (*super()._index_key(sig, codegen), _SOURCES)
 
     def load_overload(self, sig: object, target_context: Any) -> object:  # noqa: ANN401  # numba's
-        """Load without making the compiler ready, whose imports take half a second; running needs no compiler."""
+        """Load without the compiler's imports, which take half a second; running needs no compiler."""
         rtsys.initialize(target_context)
         target_context.codegen()._library_class = _Library
         with self._guard_against_spurious_io_errors():

@@ -1,4 +1,4 @@
-"""Boxes that keep their velocity: whom one of many touches first."""
+"""Boxes that keep their velocity: which one each of many touches first."""
 
 import math
 

@@ -30,7 +30,7 @@ def at_crossings(
     corners: FloatArray, position: FloatArray, velocity: FloatArray, present: BoolArray,
     near: float, towards: float, ahead: int,
 ) -> BoolArray:  # fmt: skip
-    """(Q, A, T) who is on a crossing, is there within `ahead` steps, or is near it (m) and moves towards it (m/s).
+    """(Q, A, T) which agents are on a crossing or will be within `ahead` steps, or near (m) and moving to it (m/s).
 
     corners (Q, 4, 2) m.
     """
@@ -109,11 +109,11 @@ def held_up(
     at: BoolArray, xy: FloatArray, heading: float, half_width: float, position: FloatArray, velocity: FloatArray,
     present: BoolArray, strip_steps: int, cos_along: float, slow: float,
 ) -> BoolArray:  # fmt: skip
-    """(T,) whether somebody holds up who is to pass a crossing.
+    """(T,) whether an agent holds up a vehicle that is to pass a crossing.
 
-    at (A, T): who is on or at it. xy (2,) m, heading rad: the path's middle there; half_width: swept, with the strip
-    beside it, m. Counted is who is on that strip within strip_steps, and does not move along the path faster than
-    `slow`, m/s.
+    at (A, T): which agents are on or at it. xy (2,) m, heading rad: the path's middle there; half_width: swept, with
+    the strip beside it, m. Counted are agents on that strip within strip_steps, unless they move along the path
+    faster than `slow`, m/s.
     """
     agents, steps = at.shape
     found = np.zeros(steps, dtype=np.bool_)

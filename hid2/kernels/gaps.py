@@ -1,7 +1,7 @@
 """The next agents ahead of and behind places on a path: the loops of `occupancy/gaps.py`.
 
-`gap_to` says who is ahead and how far, for other kernels too. Beside it the leaders on lanes, where a path is known as
-lanes alone, and the leaders that SUMO is shown, which it has on lanes.
+`gap_to` says which agent is ahead and how far, for other kernels too. Beside it the leaders on lanes, where a path is
+known as lanes alone, and the leaders that SUMO is shown, which it has on lanes.
 """
 
 import math
@@ -75,7 +75,7 @@ def lane_leaders(
     """Agent ahead (N,), -1 for none, and the gap to it (N,) m, inf for none.
 
     lane, s, d (N,): matches; next_row (N,): the next row of the same agent on another lane, -1 for none; successors
-    (L, K), straight (L,): lanes behind each lane, -1 for none. Nobody further ahead than horizon m leads.
+    (L, K), straight (L,): lanes behind each lane, -1 for none. No agent further ahead than horizon m leads.
     """
     agents, steps = row_of.shape
     lanes = len(lane_length)
@@ -135,7 +135,7 @@ def _next_two_ahead(
     agents: IntArray, lengths: FloatArray, rows: tuple[int, int], step: int, s: float, length: float,
     bounds: tuple[float, float, float],
 ) -> tuple[int, float, float, int, float, float]:  # fmt: skip
-    """Of who moves along a path or stands on it at a step, the next two ahead of arc length s: agent, gap m, middle m.
+    """Of agents that move along a path or stand on it at a step, the next two ahead of s m: agent, gap m, middle m.
 
     An agent of -1 for none. The gap is the one that SUMO will see: it has the agent's length along the path from the
     middle on, at whatever angle the agent is.
@@ -180,11 +180,11 @@ def shown_ahead(
     agents: IntArray, first: IntArray, lengths: FloatArray, recorded: FloatArray, kept: FloatArray, step: int,
     s: FloatArray, centre: FloatArray, own_lengths: FloatArray, bounds: tuple[float, float, float],
 ) -> tuple[IntArray, IntArray, FloatArray]:  # fmt: skip
-    """Whom vehicles (N,) have ahead of them at a step, two each at most, and nobody who is beside any of them.
+    """Agents that vehicles (N,) have ahead of them at a step, two each at most, and none beside any of them.
 
     Returns agents (M,), the vehicle nearest behind each, and where the agent's middle is on its path, m.
     low .. crossing (R, T): as in `PathOccupancy`, of agents (R,) on the paths; those of vehicle i are the rows from
-    first[i] to first[i + 1]. lengths (A,) m, of recorded (., T, 2) m, then kept ones. s (N,) m, NaN for who is not
+    first[i] to first[i + 1]. lengths (A,) m, of recorded (., T, 2) m, then kept ones. s (N,) m, NaN for those not
     there; centre (N, 2) m; own_lengths (N,) m; bounds: speed below which an agent stands, m/s, and of the gap, m.
     """
     count = recorded.shape[0]
@@ -223,9 +223,9 @@ def deep_inside(
     low: FloatArray, high: FloatArray, agents: IntArray, first: IntArray, count: int, step: int, s: FloatArray,
     deep: float,
 ) -> tuple[IntArray, IntArray]:  # fmt: skip
-    """Pairs (M,) of vehicles and those of the first `count` agents whose boxes are deep inside each other at a step.
+    """Pairs (M,) of vehicles and those of the first `count` agents with boxes deep inside each other at a step.
 
-    low, high, agents, first: as in `shown_ahead`; s (N,) m at that step, NaN for who is not there. deep: m along the
+    low, high, agents, first: as in `shown_ahead`; s (N,) m at that step, NaN for those not there. deep: m along the
     path to where they are clear of each other, at least.
     """
     vehicles, others = np.empty(agents.size, dtype=np.int64), np.empty(agents.size, dtype=np.int64)

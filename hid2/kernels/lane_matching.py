@@ -9,7 +9,7 @@ from hid2.kernels.polyline import project_on_polyline
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
 # No tunables: the one rule by which generator and judge tell lanes; with numbers of their own they would differ.
-#: Lanes whose width varies leave slivers of ground between them that no lane holds, for each counts with one width.
+#: Lanes of varying width leave slivers of ground between them that no lane holds, for each counts with one width.
 SLIVER_M = 0.3
 _OFFSET_SIGMA_M = 1.0
 _HEADING_SIGMA_RAD = 0.35

@@ -21,9 +21,9 @@ def _leader(
     at: FloatArray, start: float, pace: float, time_s: FloatArray, lane_cell: IntArray, number: IntArray,
     leads_from: float, leads_to: float, looks: int, held_s: float,
 ) -> tuple[int, bool]:  # fmt: skip
-    """Row of who is next ahead of a vehicle for so many looks, -1 for nobody; and whether somebody runs into it.
+    """Row of the agent next ahead of a vehicle for so many looks, -1 for none; and whether one runs into it.
 
-    Whoever has a leader stays behind it. Nobody is followed by a vehicle that is run into, nor after held_s.
+    An agent with a leader stays behind it. A vehicle that is run into follows no agent, nor does any after held_s.
     """
     count = lane_cell.shape[0]
     led = np.zeros(count, dtype=np.int64)
@@ -86,15 +86,15 @@ def met_on_route(
     leads_to: float, looks: int, crossed_from: IntArray, crossed_s: FloatArray, crossed_after: float,
     crossed_within: float, last: int, stop_at: FloatArray, closed: BoolArray,
 ) -> tuple[BoolArray, BoolArray, IntArray, BoolArray, BoolArray]:  # fmt: skip
-    """What vehicles from the first `count` cells of a route meet: targets, a leader, who is crossed, who runs into it.
+    """What vehicles from the first `count` cells of a route meet: targets, a leader, agents crossed or running into it.
 
     Returns whether a target is near at some look, and at look `last`; number of the leader, -1 for none; whether
-    anybody runs into it from behind; whether anybody is crossed.
+    any agent runs into it from behind; whether any is crossed.
     cells, middle (K,): of the route, rows of centers (C, 2) m, and m along it; time_s (T,) of the looks; pace m/s.
     targets (A, T, 2) m, there (A, T): near within a distance, m. lane_cell (M, T): cells of the others, -1 for none,
-    who lead at leads_from to leads_to m ahead for so many looks if number (M,) is not -1. crossed_s: times at which
+    which lead at leads_from to leads_to m ahead for so many looks if number (M,) is not -1. crossed_s: times at which
     cells are crossed, s, those of cell c from crossed_from[c] to crossed_from[c + 1]; a crossing counts between
-    crossed_after and crossed_within s. Nobody is followed or crossed beyond a stop line that is closed, stop_at (L,) m
+    crossed_after and crossed_within s. No agent is followed or crossed beyond a closed stop line, stop_at (L,) m
     in their order, closed (L, T).
     """
     near, near_last = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)

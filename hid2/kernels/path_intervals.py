@@ -7,11 +7,11 @@ from hid2.kernels.compiled import inner, kernel
 from hid2.kernels.raster import IndexTable
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
-#: Who stands is measured more widely, m, so that it need not be looked at again when a tracker jitters. No tunable:
-#: spares time.
+#: Standing agents are measured this much more widely, m, so that they need not be looked at again when a tracker
+#: jitters. Not a parameter: it only saves time.
 _WIDER_M = 1.0
-#: Cosines of the largest angle (45 degrees) to a path of who moves with it, and of the smallest (30) of who crosses it.
-#: No tunables: what the words mean. Between the two somebody does both.
+#: Cosines of the largest angle (45 degrees) to a path of an agent that moves with it, and of the smallest (30) of one
+#: that crosses it. Not parameters: what the words mean. Between the two an agent does both.
 SAME_WAY, _CROSSES = 0.7, 0.87
 
 
@@ -19,7 +19,7 @@ SAME_WAY, _CROSSES = 0.7, 0.87
 def crossings_kept_clear(
     low: FloatArray, high: FloatArray, same_direction: BoolArray, crossing: BoolArray, steps: int, margin: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Who crosses also holds the path where it does so, `steps` before and after."""
+    """An agent that crosses also holds the path where it does so, `steps` before and after."""
     wide_low, wide_high, leads = low.copy(), high.copy(), same_direction.copy()
     agents, last = low.shape
     for a in range(agents):
@@ -95,11 +95,11 @@ def intervals_on_path(
     length: float, width: float, position: FloatArray, other_heading: FloatArray, velocity: FloatArray,
     present: BoolArray, lengths: FloatArray, widths: FloatArray, since: int,
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, BoolArray, BoolArray]:  # fmt: skip
-    """Rows of those who touch the path, and their intervals: box against box at every point of it near the agent.
+    """Rows of those that touch the path, and their intervals: box against box at every point of it near the agent.
 
     points (4, K): x, y, cosine and sine, step m apart, and their raster (see `Raster`). length, width: of the own box.
     since: the first agent looked at.
-    Who stands, or jitters as trackers do, is not looked at again before it can have come to touch the path.
+    An agent that stands, or jitters as trackers do, is not looked at again before it can have come to touch the path.
     """
     agents, steps = present.shape
     low, high, along = np.empty((agents, steps)), np.empty((agents, steps)), np.empty((agents, steps))

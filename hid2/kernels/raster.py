@@ -7,7 +7,7 @@ import numpy as np
 from hid2.kernels.compiled import kernel
 from netconvert.geometry import FloatArray
 
-# No tunables, spare time: the raster says where to look, what is found there is measured.
+# Not parameters, they save time: the raster says where to look, what is found there is measured.
 _SQUARE_M = 3.0
 _EVERY = 4  # points of the line between two that are entered, which are entered so much more widely
 

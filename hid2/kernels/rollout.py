@@ -1,7 +1,7 @@
 """The rollout: how a vehicle would drive on by SUMO's car following and the guard, and what it would meet.
 
 Each step is the one of the simulation: limits of speed as `steering` has them, the car-following law without its noise,
-the same ballistic step. What it meets is told by the intervals of those whose motion is known.
+the same ballistic step. What it meets is told by the intervals of agents with known motion.
 """
 
 import numpy as np
@@ -24,7 +24,7 @@ def _leader(
 ) -> tuple[float, float, float]:  # fmt: skip
     """Gap, m, speed, m/s, and acceleration, m/s2, of the next agent ahead that SUMO is shown; inf, 0, inf for none.
 
-    moved m: since the step before, by whose place those are chosen that are shown.
+    moved m: since the step before; the agents shown are chosen by the place at that step.
     """
     nearest, farthest = bounds
     least, lead_v, lead_a = np.inf, 0.0, np.inf
@@ -87,7 +87,7 @@ def roll(
     """Place s and speed v at the steps of a span, first to last, (K,) each, from a start s m, v m/s, a m/s2.
 
     No further than to where the boxes of the vehicle and another agent meet. Third, what the driver keeps in mind at
-    each step (K, M); memory (M,): at the first one, none for a driver who has just come.
+    each step (K, M); memory (M,): at the first one, none for a driver that has just come.
 
     desired_mps (T,) by the scene's steps; driver .. causes: as in `speed_limits`, of one vehicle; reaction s; length m:
     own, of the box that SUMO has. seen_* (R, T): the agents that SUMO is shown, as in `Shown`; shown: gaps, m, between

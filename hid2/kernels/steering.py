@@ -50,7 +50,7 @@ def limit_of(
         act = keeps if is_yielding else begins
         soon = free >= 0 and free * step_s <= soon_s
         yields = needed >= act and (is_yielding or soon or needed >= urgent_ratio * act)
-        gentlest = max(min(a, 0.0) - jerk * step_s, -max(last_brake, last_per_s * v))  # nobody stops with a jerk
+        gentlest = max(min(a, 0.0) - jerk * step_s, -max(last_brake, last_per_s * v))  # no driver stops with a jerk
         if yields and v + max(-needed, gentlest) * step_s <= limit:
             limit, cause = v + max(-needed, gentlest) * step_s, _CONFLICT
         line, slowing = stop_ahead(stop_s, closed, s, v, t, accel, decel, stops)
@@ -83,11 +83,11 @@ def speed_limits(
     for a conflict by now. What is on a vehicle's way is from first[m] to first[m + 1] (M + 1, 6) of: road, m/s every
     table_step m; lanes (where they end, m, and their policies, of which `straight` is no turn); low ..; stop lines with
     their causes; others, rows of the fleet; and what they sweep, raveled (3, G, K) of each vehicle.
-    rules: time ahead to turns, s; of who waits for its leader: ratio of the gap, m/s2; braking to go on yielding, and
-    to begin, m/s2; time to a conflict that is soon, s; ratio of urgent braking; how braking builds up, m/s3, and ends,
-    m/s2 and 1/s. Returns, each (M,): limits m/s, inf where a vehicle wishes to go no faster anyway; numbers of their
-    causes; policies of the lanes; rows of leaders for whom a vehicle waits, -1 for none; whether it yields; and
-    whether usual braking is not enough.
+    rules: time ahead to turns, s; of a vehicle that waits for its leader: ratio of the gap, m/s2; braking to go on
+    yielding, and to begin, m/s2; time to a conflict that is soon, s; ratio of urgent braking; how braking builds up,
+    m/s3, and ends, m/s2 and 1/s. Returns, each (M,): limits m/s, inf where a vehicle wishes to go no faster anyway;
+    numbers of their causes; policies of the lanes; rows of leaders for which a vehicle waits, -1 for none; whether it
+    yields; and whether usual braking is not enough.
     """
     limits, caused = np.full(rows.size, np.inf), np.full(rows.size, -1)
     policies, waits_for = np.empty(rows.size, dtype=np.int64), np.full(rows.size, -1)

@@ -14,7 +14,7 @@ from hid2.measures.following import Leaders
 from hid2.measures.lane_matching import FlatLanes, Matches
 from hid2.measures.post_encroachment import encroachments
 
-#: A vehicle whose centre never comes this near to that of a moving recorded one meets no traffic, m.
+#: A vehicle with a centre that never comes this near to that of a moving recorded one meets no traffic, m.
 NEAR_M = 30.0
 #: A leader nearer than this time gap is followed, once it is for so long, s.
 FOLLOWS_S, FOLLOWS_FOR_S = 3.0, 1.0
@@ -142,7 +142,7 @@ def _distance_to_moving(arrays: SceneArrays, recorded: BoolArray) -> FloatArray:
 
 
 def _crosses(arrays: SceneArrays, masks: dict[Partner, BoolArray]) -> dict[Partner, BoolArray]:
-    """(A,) vehicles whose swept path crosses that of a moving agent of a kind at a PET below WITHIN_S."""
+    """(A,) vehicles with a swept path that crosses that of a moving agent of a kind at a PET below WITHIN_S."""
     met = np.logical_or.reduce(list(masks.values()))
     agents = np.flatnonzero(arrays.moving & met)
     crossings = encroachments(arrays, cap_s=WITHIN_S, agents=agents, crossing_rad=CROSSING_RAD)

@@ -59,7 +59,7 @@ class Maneuver:
     """One manoeuvre seen. Times in s from timestep 0; lanes are lane segment ids; side +1 left, -1 right.
 
     crossing_s: when the centre crosses between the lanes (overtakes: when the vehicle draws level; turns: half-way).
-    complete: a lane change or turn whose start and end both lie within the track; an overtake is complete by
+    complete: a lane change or turn with its start and end both within the track; an overtake is complete by
     definition. part_of: the overtake, pass or obstacle avoidance that a lane change belongs to.
     """
 

@@ -29,7 +29,7 @@ class Plausibility(NamedTuple):
 
     moving: moving vehicles; mapped: those of them that come within the convex hull of the drivable areas; ground: mean
     over these of the share of their points there that lie on a drivable area, 0 without any; turned: moving vehicles
-    whose heading is mostly more than 45 degrees off their motion; stated: for x and y the median ratio of the way by
+    with a heading mostly more than 45 degrees off their motion; stated: for x and y the median ratio of the way by
     the velocities to the displacement, and of how many vehicles, those displaced by MOVING_EXTENT_M along that axis;
     shift_m: by how much all tracks would have to be shifted to fit the lanes better, 0 where none does; gain: share of
     the vehicles that fit a lane only after a shift of more than half a lane.

@@ -26,9 +26,9 @@ def encroachments(
     arrays: SceneArrays, *, since: int = 0, cap_s: float = CAP_S, agents: IntArray | None = None,
     crossing_rad: float = CROSSING_RAD,
 ) -> tuple[Encroachment, ...]:  # fmt: skip
-    """PET of every pair of moving vehicles whose swept paths cross within cap_s of each other.
+    """PET of every pair of moving vehicles with swept paths that cross within cap_s of each other.
 
-    since: only pairs whose second agent is this one or a later one; agents (K,), ascending: those that are looked at,
+    since: only pairs with this agent or a later one as the second; agents (K,), ascending: those that are looked at,
     instead of moving vehicles; crossing_rad: paths that meet at less do not cross.
     """
     moving = np.flatnonzero(arrays.vehicle & arrays.moving) if agents is None else agents

@@ -11,7 +11,7 @@ from netconvert.geometry import arc_length, resample
 
 #: Spacing of the tables of pose and curvature along a line, m.
 TABLE_STEP_M = 0.5
-_BEYOND_M = 40.0  # no tunable: so far its tables go on straight behind its end, for whoever leaves it
+_BEYOND_M = 40.0  # not a parameter: its tables go on straight so far behind its end, for vehicles that leave it
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -229,7 +229,7 @@ def turn_segments(graph: LaneGraph, path: DrivenPath) -> list[tuple[float, float
 def first_turn(graph: LaneGraph, path: DrivenPath, kind: TurnType, *, after: float) -> Segment | None:
     """First stretch of a path on a lane of a turn type that begins behind arc length `after`, m; None if none does.
 
-    Only where the path itself turns so: a lane may do no more than undo the kink before it, which nobody sees.
+    Only where the path itself turns so: a lane may do no more than undo the kink before it, which does not show.
     """
     heading, sign = path.line.table_heading, 1.0 if kind is TurnType.LEFT else -1.0
     for segment in path.segments:
@@ -277,7 +277,7 @@ def routes_from(
 def route_beside(
     graph: LaneGraph, own: Route, lane_id: int, *, usable: Callable[[int], bool], look_back_m: float
 ) -> Route:
-    """Route of l', a lane beside: lanes before it, for who comes from behind, then on beside the own ones if it can."""
+    """Route of l', a lane beside: lanes before it, for agents from behind, then on beside the own ones if it can."""
     beside = {n for lane in own for n in (graph.neighbor(lane, "left"), graph.neighbor(lane, "right")) if n is not None}
 
     def choose(onward: tuple[int, ...]) -> tuple[int, ...]:

@@ -16,7 +16,7 @@ from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
 
 _TRUNCATED_AT = 3.0  # standard deviations of the filter; no tunable: 0.3 % of its weight is beyond
 #: Acceleration at the first and last step over the jerk limit, fifths of a step, and how fast it may grow from there:
-#: derived, not tuned. Who differentiates positions three times, one-sided at the ends, finds there a jerk of a quarter
+#: derived, not tuned. Positions differentiated three times, one-sided at the ends, give there a jerk of a quarter
 #: of the acceleration for each step, plus .8 times the jerk.
 _EDGE_FIFTHS, _EDGE_GROWTH = 7.0, 0.7
 
@@ -44,7 +44,7 @@ class Trajectory:
 def smooth_motion(
     s_driven: FloatArray, *, filter_s: float, step_s: float, end_jerk_mps3: float | None = None
 ) -> Motion:
-    """s(t) nearest to a driven one (T,) m whose speed has passed a Gaussian of standard deviation filter_s.
+    """s(t) nearest to a driven one (T,) m with a speed that has passed a Gaussian of standard deviation filter_s.
 
     end_jerk_mps3: bound on the jerk that differences of positions show at both ends; None: the ends are left as driven.
 
@@ -68,7 +68,7 @@ def smooth_motion(
 
 
 def _with_eased_ends(v: FloatArray, jerk_mps3: float, step_s: float) -> FloatArray:
-    """Speed (T,) whose acceleration grows from a small one at the first step, and shrinks to one at the last.
+    """Speed (T,) with an acceleration that grows from a small one at the first step, and shrinks to one at the last.
 
     Otherwise a vehicle that brakes as its track ends shows, by one-sided differences, a jerk that it never had.
     """
@@ -99,7 +99,7 @@ def trajectory(line: ReferenceLine, motion: Motion, offset: LaneOffset) -> Traje
 def _gaussian_filter(values: FloatArray, deviation: float) -> FloatArray:
     """(T,) convolved with a Gaussian of a standard deviation in steps, mirrored at the ends.
 
-    As scipy.ndimage.gaussian_filter1d, whose import takes longer than all of a scene's smoothing.
+    As scipy.ndimage.gaussian_filter1d, but its import takes longer than all of a scene's smoothing.
     """
     reach = int(_TRUNCATED_AT * deviation + 0.5)
     if reach == 0:

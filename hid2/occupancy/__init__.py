@@ -1,1 +1,1 @@
-"""Who is where: sigma of the cells, boxes over time, obstacles along a path."""
+"""Where agents are: sigma of the cells, boxes over time, obstacles along a path."""

@@ -135,9 +135,9 @@ class AgentStates:
         return found._replace(rows=others[found.rows])
 
     def led_by(self, row: int, others: Traffic, *, aside_m: float = 0.0) -> Leading:
-        """The same of other agents than these, whose rows are those of their traffic (T steps)."""
+        """The same of other agents than these; rows are those of their traffic (T steps)."""
         driven, steps, traffic = self.line(row), self.arrays.num_steps, self.traffic
-        seen = PathOccupancy.nobody(steps)
+        seen = PathOccupancy.none(steps)
         if driven is not None and others.ids:
             length_m, width_m = float(traffic.length_m[row]), float(traffic.width_m[row]) + 2 * aside_m
             seen = look_along(driven.line, others, length_m, width_m)

@@ -15,8 +15,8 @@ from hid2.kernels.path_intervals import crossings_kept_clear, intervals_on_path
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
 from hid2.occupancy.traffic import BoolArray, Traffic
 
-#: Half the diagonals of a large car and of a bus, or of a car that keeps room for a lane change, and that. No tunable:
-#: a bound that spares time.
+#: Half the diagonals of a large car and of a bus, or of a car that keeps room for a lane change, and that. Not a
+#: parameter: a bound that saves time.
 _NEAR_M = 11.0
 
 
@@ -38,7 +38,7 @@ class PathOccupancy:
     crossing: BoolArray
 
     @classmethod
-    def nobody(cls, steps: int) -> "PathOccupancy":
+    def none(cls, steps: int) -> "PathOccupancy":
         """Of no agents at so many steps."""
         nowhere, never = np.zeros((0, steps)), np.zeros((0, steps), dtype=np.bool_)
         return cls(np.zeros(0, dtype=np.int64), nowhere, nowhere, nowhere, never, never)
@@ -60,7 +60,7 @@ class PathOccupancy:
         return PathOccupancy(self.agents, *(one[:, step : step + 1] for one in self._by_step()))
 
     def kept_clear(self, steps: int, *, margin_m: float) -> "PathOccupancy":
-        """The same, with the place of who crosses taken so many steps before and after: PET is kept at crossings.
+        """The same, with the place of crossing agents taken so many steps before and after: PET is kept at crossings.
 
         margin_m: what is kept to a box that is there needs not be kept to one that was or will be: the place is
         smaller by so much on both sides then.
@@ -99,7 +99,7 @@ def path_occupancy(
     what is joined to it, too: many vehicles look along the same few paths.
     """
     if not traffic.ids:
-        return PathOccupancy.nobody(traffic.num_steps)
+        return PathOccupancy.none(traffic.num_steps)
     key = line, length_m, width_m, margin_lateral_m, clear_steps, clear_margin_m
     if key not in traffic.known and traffic.part_of is not None:
         every, row = traffic.part_of

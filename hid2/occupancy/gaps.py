@@ -67,7 +67,7 @@ def _places(s: FloatArray, steps: IntArray | int) -> tuple[FloatArray, IntArray]
 
 
 class PoseGaps(NamedTuple):
-    """Agents (A,) as seen from a pose whose path is taken as straight.
+    """Agents (A,) as seen from a pose with a path that is taken as straight.
 
     along_m: their centres ahead of its own, negative behind; gap_m: bumper to bumper; aside_m: between the sides,
     negative where they overlap across; along_mps: their speeds in its direction.

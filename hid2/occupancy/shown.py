@@ -12,7 +12,7 @@ from hid2.occupancy.traffic import BoolArray, Traffic
 
 #: Steps after which SUMO knows speed and acceleration of a vehicle that is new to it: until then it is seen by none.
 UNSEEN_STEPS = 3
-#: No tunable, half a lane and a little: an agent whose front is farther aside is ahead of none.
+#: Not a parameter, half a lane and a little: an agent with its front farther aside is ahead of none.
 ASIDE_M = 2.0
 
 

@@ -20,7 +20,7 @@ FREE: Final = 0
 ORIGINAL: Final = 1
 GENERATED: Final = 2
 
-#: A lane agrees with a vehicle whose heading is within this angle of its own, rad.
+#: A lane agrees with a vehicle's heading within this angle of its own, rad.
 AGREES_RAD: Final = np.pi / 3
 
 
@@ -77,7 +77,7 @@ def original_occupancy(boxes: CellBoxes, traffic: Traffic) -> OriginalOccupancy:
 
 
 def is_anybody_on(boxes: CellBoxes, cells: Sequence[int], traffic: Traffic, step: int, *, width_share: float) -> bool:
-    """Whether anybody is on any of some cells at a step; boxes count with a share of their width."""
+    """Whether an agent is on any of some cells at a step; boxes count with a share of their width."""
     return bool(
         anybody_on(
             boxes.center, boxes.heading, boxes.length_m, boxes.width_m, np.asarray(cells), step, width_share,

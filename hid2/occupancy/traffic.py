@@ -1,4 +1,4 @@
-"""Boxes of many agents over time, as dense arrays: what is known, or predicted, of everybody else."""
+"""Boxes of many agents over time, as dense arrays: what is known, or predicted, of other agents."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -92,7 +92,7 @@ class Traffic:
         return self if step == 0 else self._span(slice(step, None))
 
     def extended(self, steps: int, *, step_s: float) -> "Traffic":
-        """The same, and beyond the last step so many more at constant velocity, of those who are there then."""
+        """The same, and beyond the last step so many more at constant velocity, of those that are there then."""
         ahead = step_s * np.arange(1, steps + 1)[None, :, None]
         last = self.num_steps - 1
         there = np.repeat(self.present[:, last:], steps, axis=1)
@@ -161,7 +161,7 @@ def traffic_of(
 
 
 def covering(track: Track) -> BoxSize:
-    """Box that covers the labelled one and the one that readers assume, to whom the format gives no sizes."""
+    """Box that covers the labelled one and the one that readers assume, as the format gives them no sizes."""
     assumed = DEFAULT_SIZES[track.object_type]
     return BoxSize(max(track.size.length_m, assumed.length_m), max(track.size.width_m, assumed.width_m))
 

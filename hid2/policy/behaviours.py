@@ -25,9 +25,9 @@ class Behaviour:
     short: str
     """As in the figures of the paper."""
     seen_as: tuple[ManeuverKind, ...]
-    """What the detectors call it when a vehicle does it, the usual one first; none: whoever does nothing else."""
+    """What the detectors call it when a vehicle does it, the usual one first; none: it does nothing else."""
     no_map: Reason
-    """Why nobody does it where the map has no place for it."""
+    """Why no vehicle does it where the map has no place for it."""
     site_order: int
     """Requests choose their sites in this order: what needs the most room first."""
     mark: str = ""
@@ -39,7 +39,7 @@ class Behaviour:
 
     @property
     def changes_lanes(self) -> bool:
-        """Whether who does it leaves its lane for one beside."""
+        """Whether a vehicle that does it leaves its lane for one beside."""
         return self.beside_m is not None
 
 
@@ -94,7 +94,7 @@ BEHAVIOURS: Mapping[Policy, Behaviour] = {
 TURN_OF_POLICY: Mapping[Policy, TurnType] = {
     policy: behaviour.turn for policy, behaviour in BEHAVIOURS.items() if behaviour.turn is not None
 }
-#: The policy of who drives on a lane that turns.
+#: The policy of a vehicle on a lane that turns.
 POLICY_OF_TURN: Mapping[TurnType, Policy] = {turn: policy for policy, turn in TURN_OF_POLICY.items()}
 _SEEN = {kind: behaviour for behaviour in BEHAVIOURS.values() for kind in behaviour.seen_as}
 

@@ -40,7 +40,7 @@ class LaneOption:
 class Observation:
     """What the agent knows at time t: its cell, lane type, request, leader within d_obs, and adjacent lanes.
 
-    driver: its own, None for a usual one; own_front, own_rear: who is ahead and behind on its lane, where a rule asks.
+    driver: its own, None for a usual one; own_front, own_rear: gaps ahead and behind on its lane, where a rule asks.
     """
 
     time_s: float
@@ -108,7 +108,7 @@ def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) ->
                     free_corridor_m=option.corridor_m,
                     params=overtake,
                 )
-                if reason is None and lane_change.rule != "paper":  # whose gaps are the conditions above
+                if reason is None and lane_change.rule != "paper":  # its gaps are the conditions above
                     reason = rule_reason(_view(seen, option), lane_change)
             answers.append(() if reason is None else (reason,))
             if reason is None:

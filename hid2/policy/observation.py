@@ -1,4 +1,4 @@
-"""What a vehicle observes at one step: adjacent lanes with who is on them, its leader, and the path across."""
+"""What a vehicle observes at one step: adjacent lanes with the agents on them, its leader, and the path across."""
 
 import math
 from collections.abc import Sequence
@@ -83,7 +83,7 @@ def lane_options(
 
 
 def target_path(scene: Scene, path: DrivenPath, lane_id: int, *, s: float) -> DrivenPath:
-    """Path of l': lanes before it, for who comes from behind, then on beside the own route where possible."""
+    """Path of l': lanes before it, for agents from behind, then on beside the own route where possible."""
     return scene.path_beside(tuple(segment.lane_id for segment in path.segments if segment.end > s), lane_id)
 
 

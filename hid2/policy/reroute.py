@@ -15,7 +15,7 @@ _SAME_M, _EVERY_M = 0.02, 2.0  # book-keeping: how far two paths with the same f
 def ways_at_next_split(scene: Scene, path: DrivenPath, *, s: float, from_m: float) -> Iterator[DrivenPath]:
     """Paths that leave the present one at the next split, those that go straight on first.
 
-    s: arc length driven so far, m, up to which they lie on the present path; from_m: nobody turns off sooner. A path
+    s: arc length driven so far, m, up to which they lie on the present path; from_m: no turn off before it. A path
     with a change of lanes has none: it is not the middle of its lanes. Nor where nothing links lanes (ablation).
     """
     if path.shifts or "topology" in scene.config.without:

@@ -21,7 +21,7 @@ from netconvert.errors import ConfigError
 
 @dataclass(frozen=True, slots=True)
 class SumoAnswer:
-    """What SUMO's LC2013 makes of one side: its motives (none: it does not want to), and who is in its way there."""
+    """What SUMO's LC2013 makes of one side: its motives (none: it does not want to), and agents in the way."""
 
     motives: frozenset[str]
     blocked_ahead: bool
@@ -41,7 +41,7 @@ _CONDITIONS = {"lead": Reason.FRONT_GAP, "lag": Reason.REAR_GAP, "cells": Reason
 
 @dataclass(frozen=True, slots=True)
 class GapView:
-    """One look at a gap: all that a rule is told. m, s, m/s, m/s2; Gap: bumper gap and speed, inf where nobody is.
+    """One look at a gap: all that a rule is told. m, s, m/s, m/s2; Gap: bumper gap and speed, inf where no agent is.
 
     front, rear: new leader and new follower; own_front, own_rear: those on the lane that would be left; waited_s: since
     the trigger; cells_free: sigma = 0 in cells j-1, j, j+1 of l'; remaining_m: length of l' left; tau_s, accel_mps2,
@@ -137,7 +137,7 @@ def rule_arguments(params: LaneChange) -> dict[str, float]:
 
 
 def foreseen_reason(view: GapView, params: LaneChange) -> Reason | None:
-    """`rule_reason` of a gap that is foreseen, before SUMO drives anybody.
+    """`rule_reason` of a gap that is foreseen, before SUMO drives any vehicle.
 
     LC2013 is SUMO's and cannot be asked then: of it the preconditions on the map alone, speed, length of lane left and
     free cells. Whether it wants the lane shows when it is driven.
@@ -150,9 +150,9 @@ def foreseen_reason(view: GapView, params: LaneChange) -> Reason | None:
 def expected_reason(
     driver: Driver, params: LaneChange, *, speed_mps: float, front: Gap = NOBODY, rear: Gap = NOBODY
 ) -> Reason | None:
-    """Why a rule would not leave a slower leader for a lane with these on it, or with nobody; None where it would.
+    """Why a rule would not leave a slower leader for a lane with these on it, or with none; None where it would.
 
-    Sites and plans whose gap is not foreseen ask this before they expect a change of lanes. At the rule's least speed
+    Sites and plans with an unforeseen gap ask this before they expect a change of lanes. At the rule's least speed
     or faster, after all the waiting that there is, behind a leader half as fast.
     """
     v = max(speed_mps, params.min_speed_mps)
@@ -235,7 +235,7 @@ def place_in(error: BaseException | None, function: object, caller: str = __file
 def idm_mps2(speed_mps: float, ahead: Gap, view: GapView) -> float:
     """Acceleration by the intelligent driver model behind a leader (Treiber, Hennecke and Helbing 2000), m/s2.
 
-    With the parameters of the driver in `view`, for others too: nobody knows theirs. Desired speed at least the speed.
+    With the parameters of the driver in `view`, for others too: theirs are unknown. Desired speed at least the speed.
     """
     desired = max(view.desired_mps, speed_mps, 0.1)
     free = 1.0 - (speed_mps / desired) ** 4

@@ -38,7 +38,7 @@ def f_right(alpha: FloatArray, turn: Turn) -> FloatArray:
 
 
 def hard_cap(line: ReferenceLine, limits: Limits) -> FloatArray:
-    """(S,) m/s at the line's table: what yaw rate, yaw acceleration and lateral jerk allow anybody.
+    """(S,) m/s at the line's table: what yaw rate, yaw acceleration and lateral jerk allow any vehicle.
 
     With a margin to the limits, so that speeding up or slowing within the curve has room left.
     """
@@ -55,7 +55,7 @@ def hard_cap(line: ReferenceLine, limits: Limits) -> FloatArray:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class RoadSpeeds:
-    """What a road makes of anybody's speed, at its line's table.
+    """What a road makes of any vehicle's speed, at its line's table.
 
     bend (S,) m/s for a lateral acceleration of 1 m/s2; others are as its root. In bends sqrt(1 / kappa); on a turning
     lane v_0 f(alpha), with the largest v_0 that keeps within sqrt(1 / kappa) on the whole lane (they touch once).
@@ -67,7 +67,7 @@ class RoadSpeeds:
     shape: FloatArray
 
     def cap(self, lateral_accel_mps2: float) -> FloatArray:
-        """(S,) m/s the road's own limit for a driver who takes so much lateral acceleration."""
+        """(S,) m/s the road's own limit for a driver that takes so much lateral acceleration."""
         return np.minimum(self.hard, math.sqrt(lateral_accel_mps2) * self.bend)
 
     def desired(

@@ -82,7 +82,7 @@ ${scene.marks.length ? html`<span>◆ manoeuvre ✕ aborted ★ event ▲ findin
 }
 function resize() {
   for (const pane of panes) pane.setSize(pane.node.clientWidth, pane.node.clientHeight, window.devicePixelRatio || 1);
-  if (panes.length && view.fitted === looksAt()) fit(panes); // nobody looks elsewhere
+  if (panes.length && view.fitted === looksAt()) fit(panes); // the view was not moved
   redraw();
 }
 

@@ -174,7 +174,7 @@ def test_row_of_a_scene_that_is_not_there_any_more_is_left_out(
         manifest.add(row(name, status=DONE, folder=f"val/{name}"))
     (tmp_path / "val" / "b").rmdir()
     assert [one.scenario for one in Manifest(tmp_path).rows] == ["a"]
-    assert "1 rows left out, whose folders are not there" in caplog.text
+    assert "1 rows left out: their folders are not there" in caplog.text
 
 
 def test_something_else_of_that_name_is_said(tmp_path: Path) -> None:

@@ -46,8 +46,8 @@ def test_only_those_asked_for_count(seen: PathOccupancy) -> None:
 
 
 def test_nobody_is_infinitely_far_away_and_stands(seen: PathOccupancy) -> None:
-    for nobody in (PathOccupancy.nobody(1), seen.rows(np.zeros(4, dtype=np.bool_))):
-        found = gaps_on_path(nobody, np.array([40.0]), 0)
+    for empty in (PathOccupancy.none(1), seen.rows(np.zeros(4, dtype=np.bool_))):
+        found = gaps_on_path(empty, np.array([40.0]), 0)
         assert (found.leader[0], found.follower[0]) == (-1, -1)
         assert (found.lead_m[0], found.lag_m[0], found.lead_mps[0], found.lag_mps[0]) == (np.inf, np.inf, 0.0, 0.0)
 
