@@ -271,7 +271,7 @@ def _with_traces(net: bytes, traces: list[_Trace], step_s: float) -> bytes:
             incoming = [f"{trace.edge(k - 1)}_0"] if k else []
             end = trace.shapes[k - 1][1] if k else trace.shapes[0][0]
             line = junction_beside(end, trace.shapes[max(k - 1, 0) : k + 1])
-            junction = junction_xml(f"{trace.edge(k)}_j", end.tolist(), incoming=incoming, shape=line)
+            junction = junction_xml(f"{trace.edge(k)}_j", end.tolist(), incoming=incoming, line=line)
             added["junction"].append(etree.fromstring(junction))
     for tag, elements in added.items():
         before = root.findall(tag)
