@@ -1,7 +1,7 @@
 """Minutes of traffic on a road of a file, in which vehicles change lanes by their own wish, and what is counted there.
 
-Each vehicle asks its rule at its own moments, every ASK_S, on both sides; LC2013 is asked by SUMO itself. Whose route
-leads over a lane beside must change, whatever it gains. Positions are along the road, which is straight.
+Each vehicle asks its rule at its own moments, every ASK_S, on both sides; LC2013 is asked by SUMO itself. One with a
+route over a lane beside must change, whatever it gains. Positions are along the road, which is straight.
 """
 
 from bisect import bisect_right
@@ -21,7 +21,7 @@ from hid2.drivers.driver import Driver, draw_driver
 from hid2.insertion.flow import headway_s
 from hid2.insertion.sizes import draw_size
 from hid2.params import Config
-from hid2.policy.lane_change import NOBODY, Gap
+from hid2.policy.lane_change import OPEN, Gap
 from hid2.policy.rules import GapView, by_own_wish, rule_arguments
 from netconvert.cells import Cell, build_cell_grid
 from netconvert.net_xml import net_bytes
@@ -276,6 +276,6 @@ def _around(lane: Sequence[RoadVehicle], at: Sequence[float], one: RoadVehicle, 
     back = place - 1 - own
     behind = lane[back] if back >= 0 else None
     return (
-        NOBODY if ahead is None else Gap(ahead.x - ahead.size.length_m - one.x, ahead.v),
-        NOBODY if behind is None else Gap(one.x - one.size.length_m - behind.x, behind.v),
+        OPEN if ahead is None else Gap(ahead.x - ahead.size.length_m - one.x, ahead.v),
+        OPEN if behind is None else Gap(one.x - one.size.length_m - behind.x, behind.v),
     )

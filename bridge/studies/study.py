@@ -98,7 +98,7 @@ class Study:
 
 
 def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
-    """Read a study. scenes: take the place of those in the file, whose paths are relative to it.
+    """Read a study. scenes: take the place of those in the file, where paths are relative to it.
 
     Errors: ConfigError with file, key, value; also where a path holds no scene.
     """

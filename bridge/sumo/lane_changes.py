@@ -49,8 +49,8 @@ def apply_policy(
     if not due:  # nothing to be asked: it keeps to its lane, as `decide` says
         vehicle.policies[on_lane] += 1
         return None
-    everybody = traffic()
-    others = everybody.rows([other for other, one in enumerate(everybody.ids) if one != vehicle.vehicle_id])
+    fleet_now = traffic()
+    others = fleet_now.rows([other for other, one in enumerate(fleet_now.ids) if one != vehicle.vehicle_id])
     return _decided(fleet, simulation, row, now, others)
 
 

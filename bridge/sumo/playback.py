@@ -3,7 +3,7 @@
 A vehicle of SUMO's keeps to its lane and its lane's speed limit. So every agent gets lanes of its own, a centimetre
 wide, one for each stretch of constant velocity. They need not meet: a lane is laid so that the vehicle, which drives
 further in every step than it is long, ends each step where its front bumper was recorded, with its back on the same
-lane, whose direction is its heading. What SUMO tells as its speed is that advance.
+lane, and the lane's direction is its heading. What SUMO tells as its speed is that advance.
 """
 
 import itertools

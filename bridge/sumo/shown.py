@@ -50,13 +50,13 @@ def ever_shown(fleet: Fleet) -> tuple[Traffic, Traffic]:
     """Recorded agents and those kept, present only while SUMO may have to be shown them to a fleet before its start."""
     scene, count, shown = fleet.scene, len(fleet.scene.traffic.ids), []
     starts = [vehicle.start for vehicle in fleet.vehicles]
-    everybody = [fleet.known_on_way(row) for row in range(len(starts))]
+    on_ways = [fleet.known_on_way(row) for row in range(len(starts))]
     for traffic, first in ((scene.traffic.first(scene.num_steps), 0), (fleet.fixed.first(scene.num_steps), count)):
         if first == count and fleet.may_change.any():  # few, and any may come to lead
             shown.append(traffic)
             continue
         last, known = first + len(traffic.ids), []
-        for found in everybody:
+        for found in on_ways:
             here = found.rows((found.agents >= first) & (found.agents < last))
             known.append(replace(here, agents=here.agents - first))
         present = shown_when(traffic, starts, known, step_s=scene.step_s, driving=scene.config.driving)

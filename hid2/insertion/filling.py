@@ -133,9 +133,9 @@ class Filling:
         scene is the one that it has become.
         """
         starts = sorted(self._starts_of(self._target()), key=lambda start: start.request.number)
-        nobody = self._fixed
+        no_other = self._fixed
         while True:
-            vehicles = drive(starts, nobody, self.rounds)
+            vehicles = drive(starts, no_other, self.rounds)
             self.rounds += 1
             self.kept, gone = self._judged(vehicles)
             if not gone:
@@ -200,7 +200,7 @@ class Filling:
         waiting = sorted(self._open, key=lambda request: (BEHAVIOURS[request.policy].site_order, request.number))
         waiting = [request for request in waiting if request.number not in used]
         failed: Counter[Policy] = Counter()
-        for request in waiting:  # those whose manoeuvre has no place go straight, and come last
+        for request in waiting:  # those with no place for their manoeuvre go straight, and come last
             if request.number in used:
                 continue
             policy, before = request.policy, sites.starts.rejected.copy()
@@ -245,7 +245,7 @@ class Filling:
         self._last_reason[request.number] = reason
 
     def _gives_up(self, request: VehicleRequest) -> VehicleRequest:
-        """A request whose manoeuvre is given up, with its reason, for one to go straight."""
+        """A request to go straight in place of one for a manoeuvre, which is given up with its reason."""
         self.unmet.append(Unmet(request, self._last_reason.get(request.number, Reason.NO_SITE)))
         straight = replace(request, policy=Policy.STRAIGHT)
         self._open = [straight if one is request else one for one in self._open]
@@ -300,7 +300,7 @@ class Filling:
         return new, gone
 
     def _gone_straight(self, new: list[ExportedVehicle], gone: _Gone) -> list[ExportedVehicle]:
-        """Vehicles whose manoeuvre did not come about, each for an open request to go straight; the others go.
+        """Vehicles that did not do their manoeuvre, each for an open request to go straight; the others go.
 
         The manoeuvre stays open. Vehicles that others need come first.
         """
@@ -323,7 +323,7 @@ class Filling:
         return list(found.values())
 
     def _drive_again(self, new: list[ExportedVehicle], gone: _Gone) -> None:
-        """Who had braked for a vehicle that is gone, or overtook it, is driven again without it, or goes too."""
+        """A vehicle that braked for one that is gone, or overtook it, is driven again without it, or goes too."""
         changed = True
         while changed:
             changed = False

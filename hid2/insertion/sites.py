@@ -103,8 +103,8 @@ class InsertionSites:
     def _starts_for(self, request: VehicleRequest) -> Iterator[Start]:
         """Starts at sites in weighted random order; first where more speaks for them.
 
-        Strict: the lane beside is not in an intersection; whoever is to go straight meets no turn in the time of the
-        scene. Likely: a gap beside is foreseen at the trigger; nobody known is in the way of a turn.
+        Strict: the lane beside is not in an intersection; a vehicle that is to go straight meets no turn in the time of
+        the scene.
         """
         if self.entering.is_to_enter(request):
             yield from self.entering.starts_of(request, self._followed())
@@ -162,7 +162,7 @@ class InsertionSites:
         weight, tier = np.ones(rows.size), np.zeros(rows.size, dtype=np.int64)
         if promising:
             weight, tier = self._weights(policy, rows)
-        if promising and policy is Policy.STRAIGHT:  # who follows a recorded vehicle goes through with it
+        if promising and policy is Policy.STRAIGHT:  # behind a recorded vehicle it goes through with that
             inside = inside & (self.here.meetings.outlook(policy).leader[rows] < 0)
         share = self.rng.random(rows.size)
         if not promising:
@@ -240,7 +240,7 @@ class InsertionSites:
     ) -> bool:
         """Whether a route has a lane beside, long enough, about where a vehicle is at its trigger, before any turn.
 
-        And the configured rule would take it with nobody on it.
+        And the configured rule would take it with no vehicle on it.
         """
         change, drivers = self.here.scene.config.lane_change, self.here.scene.config.drivers
         waits_m = change.give_up_s * speed_mps

@@ -7,7 +7,7 @@ from hid2.kernels.gaps import gap_to
 from hid2.kernels.path_intervals import SAME_WAY
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
-_PASSED_M = 0.3  # tolerance: whoever is so far beyond a stop line has passed it
+_PASSED_M = 0.3  # tolerance: a vehicle so far beyond a stop line has passed it
 
 
 @inner
@@ -24,7 +24,7 @@ def predicted_s(s: float, v: float, a: float, ahead_s: float, lasts_s: float) ->
 def _accel_towards_stop(
     ahead_m: float, speed_mps: float, accel_mps2: float, decel_mps2: float, stops: tuple[float, float, float, float]
 ) -> float:
-    """Acceleration of a driver who comes to stand ahead_m from here, m/s2; stops: as in `stop_ahead`.
+    """Acceleration of a driver that comes to stand ahead_m from here, m/s2; stops: as in `stop_ahead`.
 
     Kinematic rather than IDM: a driver lets the car roll up to a line, and does not begin far before it.
     """
@@ -117,7 +117,7 @@ def _is_on(low: FloatArray, cosine: FloatArray, s: float, step_m: float) -> bool
 def _ahead_within(low: FloatArray, high: FloatArray, s: float, begin: int, end: int) -> IntArray:
     """Agents ahead of s, with some of their length, at some of the steps from `begin` to before `end`.
 
-    low, high (A, T): as in `gap_to`. Whoever is behind all the time is met by no motion that goes on from there.
+    low, high (A, T): as in `gap_to`. No motion that goes on from s meets an agent that stays behind it.
     """
     found, count = np.empty(low.shape[0], dtype=np.int64), 0
     for a in range(low.shape[0]):
@@ -140,15 +140,15 @@ def needed_braking(
     horizon: int, stride: int, step_s: float, driver: tuple[float, float, float, float], brakes: FloatArray,
     predicted: tuple[float, float, float, float], stops: tuple[float, float, float, float],
 ) -> tuple[int, int, int, int, float, bool]:  # fmt: skip
-    """Smallest constant braking (one of `brakes`, m/s2, ascending from 0) whose predicted motion meets nobody.
+    """Smallest constant braking (one of `brakes`, m/s2, ascending from 0) with which predicted motion meets no agent.
 
-    low, high, along, same_direction (A, T): agents whose future is known, as in `PathOccupancy`. stop_s (L,) m, closed
+    low, high, along, same_direction (A, T): agents with a known future, as in `PathOccupancy`. stop_s (L,) m, closed
     (L, T): stop lines. swept (3, G, K): low, high, cosine of generated vehicles by their own arc length, of rows (G,)
     of fleet (N, 5): s, v, a, executing, present. start: own s, v, a; driver: tau s, acceleration, deceleration m/s2,
-    gap at standstill m; predicted: rate at which braking builds up, m/s3, margin to boxes ahead, m, time for which who
-    brakes brakes on, s, hardest braking for who appears ahead over the deceleration; stops: as in `stop_ahead`. Returns
-    (row of brakes, step of its first conflict or -1, step of the first conflict without braking or -1, fleet row of
-    the nearest generated leader or -1, gap to it m, whether some known agent comes up from behind).
+    gap at standstill m; predicted: rate at which braking builds up, m/s3, margin to boxes ahead, m, time for which a
+    vehicle that brakes brakes on, s, hardest braking for one that appears ahead over the deceleration; stops: as in
+    `stop_ahead`. Returns (row of brakes, step of its first conflict or -1, step of the first conflict without braking
+    or -1, fleet row of the nearest generated leader or -1, gap to it m, whether some known agent comes up from behind).
     """
     g_low, g_high, g_cos = swept
     s0, v0, a0 = start
@@ -160,7 +160,7 @@ def needed_braking(
     leader, leader_gap, run_into = -1, np.inf, False
     last = horizon // stride
     agents = _ahead_within(low, high, s0, min(t, steps - 1), min(t + last * stride, steps - 1) + 1)
-    first = np.full(rows.size, -1, dtype=np.int64)  # who goes first is the same for every braking
+    first = np.full(rows.size, -1, dtype=np.int64)  # priority is the same for every braking
     for row in range(brakes.size):
         s, v, a_cmd, hit, behind_leader, struck = s0, v0, a0, -1, False, False
         for k in range(last + 1):
@@ -216,9 +216,11 @@ def needed_braking(
             if gap_least < 1e3:
                 star = min_gap + max(0.0, v * tau + v * closing / (2.0 * np.sqrt(accel * decel)))
                 a_next = min(a_next, accel * (1.0 - (star / max(gap_least, 0.1)) ** 2))
-                most = max(hardest, brakes[-1]) if seen else hardest  # whom SUMO sees it brakes for by itself, in time
+                most = (
+                    max(hardest, brakes[-1]) if seen else hardest
+                )  # for a leader that it sees SUMO brakes by itself, in time
                 if a_next < -most and k > 0 and not (seen and v0 < 0.1):
-                    hit = k * stride  # who appears ahead, or stands, asks for more than a driver would brake
+                    hit = k * stride  # a vehicle that appears ahead, or stands, asks for more than a driver would brake
                     behind_leader = True
                     break
                 a_next = max(a_next, -most)

@@ -30,14 +30,14 @@ def _leader(
     for look in range(time_s.size):
         if time_s[look] >= held_s:
             break
-        way, nearest, who = start + pace * time_s[look], np.inf, -1
+        way, nearest, agent = start + pace * time_s[look], np.inf, -1
         for a in range(count):
             if lane_cell[a, look] >= 0:
                 ahead = at[lane_cell[a, look]] - way
                 if 0.0 < ahead < nearest:
-                    nearest, who = ahead, a
-        if who >= 0 and number[who] >= 0 and leads_from < nearest < leads_to:
-            led[who] += 1
+                    nearest, agent = ahead, a
+        if agent >= 0 and number[agent] >= 0 and leads_from < nearest < leads_to:
+            led[agent] += 1
     leader = -1
     for a in range(count):
         if led[a] >= looks and (leader < 0 or led[a] > led[leader]):
@@ -115,10 +115,10 @@ def met_on_route(
             if (not near[n] or look == last) and _is_near(x, y, targets, there, look, within):
                 near[n] = True
                 near_last[n] = near_last[n] or look == last
-        who, is_run_into[n] = _leader(
+        agent, is_run_into[n] = _leader(
             at, middle[n], pace, time_s, lane_cell, number, leads_from, leads_to, looks, held_s
         )
-        leader[n] = number[who] if who >= 0 else -1
+        leader[n] = number[agent] if agent >= 0 else -1
         for place in range(cells.size):
             arrives = (middle[place] - middle[n]) / pace
             if 0.0 < arrives < held_s:

@@ -104,7 +104,7 @@ def intervals_on_path(
     agents, steps = present.shape
     low, high, along = np.empty((agents, steps)), np.empty((agents, steps)), np.empty((agents, steps))
     same_direction, crossing = np.empty((agents, steps), dtype=np.bool_), np.empty((agents, steps), dtype=np.bool_)
-    who, count = np.empty(agents, dtype=np.int64), 0
+    found_rows, count = np.empty(agents, dtype=np.int64), 0
     gaps = np.empty(points.shape[1])
     own_l, own_w = length / 2, width / 2
     (columns, rows), per_m = first_point.shape, 1.0 / side
@@ -165,7 +165,7 @@ def intervals_on_path(
             same_direction[k, t], crossing[k, t] = turned > SAME_WAY, abs(turned) <= _CROSSES
             spare, hit = 0.0, True
         if hit:
-            who[k] = a
+            found_rows[k] = a
             count += 1
     found = (
         low[:count].copy(),
@@ -174,4 +174,4 @@ def intervals_on_path(
         same_direction[:count].copy(),
         crossing[:count].copy(),
     )
-    return (who[:count].copy(), *found)
+    return (found_rows[:count].copy(), *found)

@@ -130,7 +130,7 @@ def conflicts(
 
 
 def _crossings(arrays: SceneArrays, pet_s: float) -> dict[tuple[int, int], float]:
-    """PET, s, of moving vehicles whose paths cross within pet_s; asked of those there within so long of each other."""
+    """PET, s, of moving vehicles on paths that cross within pet_s; of those there within so long of each other."""
     since, until = arrays.step[arrays.first[:-1]], arrays.step[arrays.first[1:] - 1]
     moving, apart = np.flatnonzero(arrays.vehicle & arrays.moving), pet_s / arrays.step_s
     found: dict[tuple[int, int], float] = {}

@@ -7,7 +7,7 @@ from hid2.agents import Policy
 from hid2.drivers.driver import Driver, usual_driver
 from hid2.params import LaneChange, Overtake
 from hid2.policy.behaviours import POLICY_OF_TURN
-from hid2.policy.lane_change import NOBODY, Gap
+from hid2.policy.lane_change import OPEN, Gap
 from hid2.policy.overtake import Leader, Stage, enter_reason, return_reason
 from hid2.policy.rules import GapView, SumoAnswer, rule_reason, rule_refusals
 from hid2.reasons import Reason
@@ -57,8 +57,8 @@ class Observation:
     passed_gap_m: float = -1.0
     length_m: float = 4.5
     driver: Driver | None = None
-    own_front: Gap = NOBODY
-    own_rear: Gap = NOBODY
+    own_front: Gap = OPEN
+    own_rear: Gap = OPEN
     vehicle_id: str = ""
 
 

@@ -17,8 +17,8 @@ class Gap:
     track_id: str | None = field(default=None, compare=False)
 
 
-#: No neighbour.
-NOBODY = Gap(math.inf, 0.0)
+#: That to no neighbour: any lane change fits in.
+OPEN = Gap(math.inf, 0.0)
 
 
 def safe_gap_m(follower_mps: float, leader_mps: float, *, time_gap_s: float, params: LaneChange) -> float:

@@ -16,7 +16,7 @@ from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path
 from hid2.occupancy.sigma import FREE, UNDER_SHARE, dwell_steps, is_anybody_on
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import LaneOption, Side
-from hid2.policy.lane_change import NOBODY, Gap
+from hid2.policy.lane_change import OPEN, Gap
 from hid2.policy.overtake import Leader
 from hid2.reasons import Reason
 from hid2.scene import DRIVABLE_TYPES, Scene
@@ -103,8 +103,8 @@ def gaps_on(
     found = gaps_on_path(seen, np.array([at]), 0)
     front, rear = int(found.leader[0]), int(found.follower[0])
     return (
-        Gap(float(found.lead_m[0]), float(found.lead_mps[0]), ids[front]) if front >= 0 else NOBODY,
-        Gap(float(found.lag_m[0]), float(found.lag_mps[0]), ids[rear]) if rear >= 0 else NOBODY,
+        Gap(float(found.lead_m[0]), float(found.lead_mps[0]), ids[front]) if front >= 0 else OPEN,
+        Gap(float(found.lag_m[0]), float(found.lag_mps[0]), ids[rear]) if rear >= 0 else OPEN,
     )
 
 
@@ -113,7 +113,7 @@ def own_gaps(
 ) -> tuple[Gap, Gap]:
     """`gaps_on` the own path where the configured rule is told of them; none for the paper's and SUMO's."""
     if scene.config.lane_change.rule in ("paper", "LC2013"):
-        return NOBODY, NOBODY
+        return OPEN, OPEN
     return gaps_on(scene, path, box, at=s, step=step, fixed=fixed, fleet=fleet)
 
 

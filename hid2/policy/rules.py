@@ -14,7 +14,7 @@ from typing import Literal
 
 from hid2.drivers.driver import Driver
 from hid2.params import LaneChange
-from hid2.policy.lane_change import NOBODY, Gap, gap_refusals
+from hid2.policy.lane_change import OPEN, Gap, gap_refusals
 from hid2.reasons import Reason
 from netconvert.errors import ConfigError
 
@@ -72,7 +72,7 @@ class GapView:
 #: What a user's rule is tried with before any scene is driven: a free road, and a gap between two vehicles.
 _FREE = GapView(
     time_s=2.0, waited_s=0.5, side="left", speed_mps=10.0, desired_mps=12.0, length_m=4.5, tau_s=1.2, accel_mps2=1.5,
-    decel_mps2=2.0, min_gap_m=2.0, cells_free=True, front=NOBODY, rear=NOBODY, own_front=NOBODY, own_rear=NOBODY,
+    decel_mps2=2.0, min_gap_m=2.0, cells_free=True, front=OPEN, rear=OPEN, own_front=OPEN, own_rear=OPEN,
     remaining_m=150.0,
 )  # fmt: skip
 _BETWEEN = replace(_FREE, front=Gap(20.0, 9.0), rear=Gap(15.0, 11.0), own_front=Gap(12.0, 8.0), own_rear=Gap(9.0, 10.0))
@@ -148,7 +148,7 @@ def foreseen_reason(view: GapView, params: LaneChange) -> Reason | None:
 
 
 def expected_reason(
-    driver: Driver, params: LaneChange, *, speed_mps: float, front: Gap = NOBODY, rear: Gap = NOBODY
+    driver: Driver, params: LaneChange, *, speed_mps: float, front: Gap = OPEN, rear: Gap = OPEN
 ) -> Reason | None:
     """Why a rule would not leave a slower leader for a lane with these on it, or with none; None where it would.
 

@@ -25,7 +25,7 @@ from hid2.occupancy.sigma import FREE, GENERATED, ORIGINAL, cell_boxes, dwell_st
 from hid2.occupancy.traffic import Traffic, traffic_of
 from hid2.params import Config, LaneChange, Limits, Overtake, Request, Turn
 from hid2.policy.decision import LaneOption, Observation, decide
-from hid2.policy.lane_change import NOBODY as NO_GAP
+from hid2.policy.lane_change import OPEN as NO_GAP
 from hid2.policy.lane_change import Gap
 from hid2.policy.observation import lane_options
 from hid2.policy.overtake import Leader, Stage, enter_reason

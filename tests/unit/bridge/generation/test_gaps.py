@@ -13,7 +13,7 @@ from bridge.generation.generate import generate
 from bridge.recordings.scenario import read_scenario
 from hid2.agents import Policy
 from hid2.params import Config, Request, Spawn
-from hid2.policy.lane_change import NOBODY, Gap
+from hid2.policy.lane_change import OPEN, Gap
 from hid2.reasons import Reason
 from hid2.vehicle import DrivenVehicle, GapLook
 from netconvert.cells import Cell
@@ -51,7 +51,7 @@ def test_row_by_hand() -> None:
 def test_what_is_not_asked_has_no_answer(
     refusals: tuple[Reason, ...], guard: Reason | None, answers: tuple[str | None, ...]
 ) -> None:
-    look = GapLook(20, "right", Cell(7, 3), NOBODY, NOBODY, 10.0, 80.0, True, refusals, guard)
+    look = GapLook(20, "right", Cell(7, 3), OPEN, OPEN, 10.0, 80.0, True, refusals, guard)
     (row,) = gap_rows([(0, _vehicle(look))], {}, step_s=0.1)
     assert (row["rule"], row["guard"], row["sumo"]) == answers
     assert row["lead_gap_m"] is row["lead_id"] is row["lag_ttc_s"] is row["track_id"] is None

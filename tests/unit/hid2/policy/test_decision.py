@@ -8,13 +8,13 @@ import pytest
 from hid2.agents import Policy
 from hid2.params import LaneChange, Overtake
 from hid2.policy.decision import Decision, LaneOption, Observation, decide
-from hid2.policy.lane_change import NOBODY, Gap
+from hid2.policy.lane_change import OPEN, Gap
 from hid2.policy.overtake import Leader, Stage
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
 
 LEFT = LaneOption(
-    side="left", target=Cell(2, 5), cells_free=True, front=NOBODY, rear=NOBODY,
+    side="left", target=Cell(2, 5), cells_free=True, front=OPEN, rear=OPEN,
     remaining_m=100.0, corridor_m=100.0,
 )  # fmt: skip
 RIGHT = replace(LEFT, side="right", target=Cell(3, 5))

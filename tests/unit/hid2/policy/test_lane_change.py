@@ -3,7 +3,8 @@ from typing import Any
 import pytest
 
 from hid2.params import LaneChange
-from hid2.policy.lane_change import NOBODY, Gap, gap_refusals, safe_gap_m
+from hid2.policy.lane_change import OPEN as NO_GAP
+from hid2.policy.lane_change import Gap, gap_refusals, safe_gap_m
 from hid2.reasons import Reason
 
 #: Every value that a number below is worked from; the defaults may be tuned.
@@ -39,7 +40,7 @@ def test_safe_gap_at_a_crawl_is_the_smallest_gap() -> None:
 
 def test_lane_change_into_an_open_lane_is_feasible() -> None:
     assert _first(**OPEN, params=PARAMS) is None
-    assert _first(**{**OPEN, "front": NOBODY, "rear": NOBODY}, params=PARAMS) is None
+    assert _first(**{**OPEN, "front": NO_GAP, "rear": NO_GAP}, params=PARAMS) is None
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from hid2.drivers.driver import usual_driver
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
-from hid2.policy.lane_change import NOBODY as NO_GAP
+from hid2.policy.lane_change import OPEN as NO_GAP
 from hid2.policy.observation import (
     admissible_neighbor,
     gap_ahead_of,

@@ -7,7 +7,7 @@ import pytest
 
 from hid2.drivers.driver import usual_driver
 from hid2.params import LaneChange
-from hid2.policy.lane_change import NOBODY, Gap
+from hid2.policy.lane_change import OPEN, Gap
 from hid2.policy.rules import (
     GapView,
     SumoAnswer,
@@ -26,7 +26,7 @@ from netconvert.errors import ConfigError
 #: 10 m/s of 10 wished for; IDM with a = 1, b = 1, T = 1 s, s0 = 2 m.
 VIEW = GapView(
     time_s=3.0, waited_s=1.0, side="left", speed_mps=10.0, desired_mps=10.0, length_m=4.0, tau_s=1.0, accel_mps2=1.0,
-    decel_mps2=1.0, min_gap_m=2.0, cells_free=True, front=NOBODY, rear=NOBODY, own_front=NOBODY, own_rear=NOBODY,
+    decel_mps2=1.0, min_gap_m=2.0, cells_free=True, front=OPEN, rear=OPEN, own_front=OPEN, own_rear=OPEN,
     remaining_m=200.0,
 )  # fmt: skip
 
@@ -40,7 +40,7 @@ MOBIL = LaneChange(rule="MOBIL", mobil_bias_mps2=0.0, mobil_threshold_mps2=0.1, 
 
 def test_idm_by_hand() -> None:
     """At the desired speed 1 - 1 = 0; behind 12 m at the same speed s* = 2 + 10 = 12: another -1."""
-    assert idm_mps2(10.0, NOBODY, VIEW) == pytest.approx(0.0)
+    assert idm_mps2(10.0, OPEN, VIEW) == pytest.approx(0.0)
     assert idm_mps2(10.0, Gap(12.0, 10.0), VIEW) == pytest.approx(-1.0)
     # closing in by 2 m/s: s* = 2 + 10 + 10 * 2 / 2 = 22, over 22 m
     assert idm_mps2(10.0, Gap(22.0, 8.0), VIEW) == pytest.approx(-1.0)
@@ -212,12 +212,12 @@ def test_paper_rule_by_own_wish_wants_a_faster_leader_unless_it_must() -> None:
     fast = replace(slow, front=Gap(60.0, 9.6))
     assert by_own_wish(fast, params, must=False)
     assert not by_own_wish(fast, params.model_copy(update={"rule_with": "incentive=2.0"}), must=False)
-    assert by_own_wish(replace(slow, front=NOBODY), params, must=False)  # 10 m/s wished for
+    assert by_own_wish(replace(slow, front=OPEN), params, must=False)  # 10 m/s wished for
     assert not by_own_wish(replace(fast, cells_free=False), params, must=True)
 
 
 def test_mobil_that_must_asks_for_safety_alone() -> None:
-    behind = replace(VIEW, own_front=NOBODY, front=Gap(15.0, 8.0))  # slower there: nothing to gain
+    behind = replace(VIEW, own_front=OPEN, front=Gap(15.0, 8.0))  # slower there: nothing to gain
     assert not by_own_wish(behind, MOBIL, must=False)
     assert by_own_wish(behind, MOBIL, must=True)
     assert not by_own_wish(replace(behind, rear=Gap(1.0, 14.0)), MOBIL, must=True)
