@@ -30,8 +30,8 @@ class PairCourse:
 
     rows, other: rows of the two; ttc_s: of the boxes at constant velocities, inf above the cap; gap_m: bumper to bumper
     along the follower's heading, negative where they are side by side; drac_mps2: deceleration that takes the closing
-    speed w along that heading away within w TTC, w / (2 TTC), 0 without a TTC; headway_s: front to front; brakes_mps2:
-    how hard the follower slows down, 0 where it does not.
+    speed w along that heading away within w TTC, w / (2 TTC), 0 without a TTC, and of one step where less is left, also
+    where boxes touch; headway_s: front to front; brakes_mps2: how hard the follower slows down, 0 where it does not.
     """
 
     step: IntArray
@@ -60,7 +60,7 @@ def pair_course(arrays: SceneArrays, follower: int, other: int, *, cap_s: float 
     ahead_m = np.sum((pair.position[its] - pair.position[own]) * forward, axis=1)
     closing = np.sum((pair.velocity[own] - pair.velocity[its]) * forward, axis=1)
     speed = np.sum(pair.velocity[own] * forward, axis=1)
-    drac = np.where(known & (closing > _CLOSES_MPS), closing / (2.0 * np.maximum(ttc_s, 1e-3)), 0.0)
+    drac = np.where(known & (closing > _CLOSES_MPS), closing / (2.0 * np.maximum(ttc_s, arrays.step_s)), 0.0)
     front_m = ahead_m + 0.5 * (pair.length[1] - pair.length[0])
     slows = -differences(np.hypot(*pair.velocity[own].T), arrays.step_s)
     return PairCourse(
