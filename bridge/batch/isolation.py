@@ -27,12 +27,14 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Literal
 
 from bridge.batch.start_up import spare_the_collector
+from bridge.console import say
 from bridge.files import disk_error
 from netconvert.errors import Hid2Error
 
@@ -199,11 +201,16 @@ class IsolatedProcess:
         self._receive_start()
 
     def _receive_start(self) -> None:
-        """Wait for the word that the process, or the work, is about to begin; anything else is why it does not."""
+        """Wait for the word that the process, or the work, is about to begin; else for why it does not.
+
+        What it is told until then is for the person: kernels are compiled, in the first run of a wheel.
+        """
         try:
-            kind, value, _ = self._receive(START_TIMEOUT_S)
+            while (told := self._receive(START_TIMEOUT_S))[0] == "told":
+                say(told[1])
         except WorkFailedError as error:
             raise StartFailedError(error.failure) from error
+        kind, value, _ = told
         if kind == "raised":
             raise StartFailedError(value)
 
@@ -300,7 +307,7 @@ def _answer(connection: "Connection[Any, Any]", function: str, arguments: Sequen
     # A C thread of faulthandler's own ends a hang even where native code holds the GIL, and shows where it hung.
     try:
         values = resolve(function)(*arguments)
-        _make_kernels_ready()
+        _make_kernels_ready(connection)
         if not gc.isenabled():  # the first
             spare_the_collector()
         _reply(connection, "started", None)
@@ -316,12 +323,12 @@ def _answer(connection: "Connection[Any, Any]", function: str, arguments: Sequen
     _reply(connection, "raised" if failure else "end", failure)
 
 
-def _make_kernels_ready() -> None:
+def _make_kernels_ready(connection: "Connection[Any, Any]") -> None:
     """Compile what set-up has not, for work that has imported kernels: its clock has not started."""
     if "hid2.kernels.compiled" in sys.modules:
         from hid2.kernels.compile import make_ready
 
-        make_ready()
+        make_ready(partial(_reply, connection, "told"))
 
 
 def describe_error(error: Exception) -> Failure:

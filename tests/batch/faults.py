@@ -5,6 +5,7 @@ does it at the first attempt only (a file beside the output remembers it).
 """
 
 import errno
+import importlib
 import logging
 import os
 import signal
@@ -174,3 +175,10 @@ def talkative(shared: str, items: tuple[object, ...]) -> Iterator[object]:
     for item in items:
         logging.getLogger("hid2.insertion.filling").debug("%s: %s", shared, item)
         yield item
+
+
+def compiles(shared: str, items: Sequence[object]) -> Iterator[object]:
+    """Work in a process for which no kernels have been compiled: what it would say, without compiling any."""
+    compile_room = importlib.import_module("hid2.kernels.compile")
+    compile_room.make_ready = lambda say: say("compiling 42 functions, which takes a minute")
+    return iter(items)

@@ -465,7 +465,14 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.parametrize(("jobs", "sent"), [(1, signal.SIGTERM), (2, signal.SIGINT), (2, signal.SIGKILL)])
+@pytest.mark.parametrize(
+    ("jobs", "sent"),
+    [
+        pytest.param(1, signal.SIGTERM, marks=pytest.mark.slow),
+        (2, signal.SIGINT),
+        pytest.param(2, signal.SIGKILL, marks=pytest.mark.slow),
+    ],
+)
 def test_interrupted_batch_is_resumed_to_the_same_bytes(
     make_data_set: MakeDataSet, tmp_path: Path, jobs: int, sent: signal.Signals
 ) -> None:

@@ -81,6 +81,7 @@ class Killer:
         return self.random.choice(workers) if workers else None
 
 
+@pytest.mark.slow
 def test_chaos(make_data_set: MakeDataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Workers are killed, one net makes libsumo segfault, one scene hangs, one is cut off, one raises.
 
@@ -176,6 +177,7 @@ def test_scheduler_that_is_not_there_is_explained(make_data_set: MakeDataSet, tm
     assert result.stderr.startswith("hid2: error: scheduler tcp://127.0.0.1:9: cannot be reached")
 
 
+@pytest.mark.slow
 def test_scheduler_that_dies_is_one_line(make_data_set: MakeDataSet, tmp_path: Path, cluster: Cluster) -> None:
     """Also where Dask has much to say about it."""
     address, processes = cluster
@@ -208,6 +210,7 @@ def certificates(folder: Path) -> dict[str, str]:
     return settings
 
 
+@pytest.mark.slow
 def test_cluster_with_certificates_serves_those_who_have_one(make_data_set: MakeDataSet, tmp_path: Path) -> None:
     settings = certificates(tmp_path)
     environment = {f"DASK_{key.replace('.', '__').replace('-', '_').upper()}": text for key, text in settings.items()}

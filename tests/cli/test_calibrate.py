@@ -82,6 +82,7 @@ def test_scenes_that_hid2_wrote_are_no_recordings(data_scenes: dict[str, Path], 
         calibrate_folder(tmp_path, tmp_path / "drivers.toml")
 
 
+@pytest.mark.slow
 def test_a_scene_that_cannot_be_read_is_listed_and_the_rest_measured(
     hid2: Run, data_root: Path, tmp_path: Path
 ) -> None:

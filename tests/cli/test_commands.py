@@ -139,6 +139,7 @@ def test_evaluate_scores_a_baseline(hid2: Run, generated: Path, tmp_path: Path) 
     )
 
 
+@pytest.mark.slow
 def test_paper_makes_a_table(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
     arterial = data_scenes["arterial"]
     result = hid2("paper", "table1", "--scenes", arterial, "--seeds", 1, "--agents", 3, "-o", tmp_path)

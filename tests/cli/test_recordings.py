@@ -106,6 +106,7 @@ def test_a_folder_that_mixes_three_formats_is_done_whole(hid2: Run, mixed: Path,
     assert len((tmp_path / "scan.csv").read_text().splitlines()) == 4
 
 
+@pytest.mark.slow
 def test_single_scene_commands_take_a_sequence_and_a_window(hid2: Run, mixed: Path, tmp_path: Path) -> None:
     sequence, log = mixed / "av1/val/data/7.csv", mixed / "logs" / "test" / LOG_ID
     assert hid2("render", sequence, "-o", tmp_path / "s.png", "-q").returncode == 0

@@ -5,6 +5,8 @@ import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import pytest
+
 Run = Callable[..., object]
 Each = Callable[[Sequence[Sequence[str]], Path], list[tuple[int, str, str]]]
 
@@ -21,6 +23,7 @@ MISTAKES = {
 }
 
 
+@pytest.mark.slow
 def test_request_that_no_scene_can_meet_is_an_error_before_the_first_is_driven(
     hid2_each: Each, data_root: Path, tmp_path: Path
 ) -> None:

@@ -35,6 +35,7 @@ def test_unknown_name_is_an_attribute_error() -> None:
         _ = bridge.nothing  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_types_are_seen_outside_the_checkout(tmp_path: Path) -> None:
     """A type checker follows the editable install: it reveals the type of a position and finds a mistake."""
     (tmp_path / "use.py").write_text(

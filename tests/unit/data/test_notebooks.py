@@ -24,7 +24,9 @@ def test_there_are_three() -> None:
     assert NOTEBOOKS == ["evaluation.ipynb", "first_scene.ipynb", "study.ipynb"]
 
 
-@pytest.mark.parametrize("name", NOTEBOOKS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name.startswith("first") else [pytest.mark.slow]) for name in NOTEBOOKS]
+)
 def test_notebook_runs_and_is_kept_with_its_outputs(name, tmp_path):
     notebook = DATA / "examples" / name
     kept = json.loads(notebook.read_text(encoding="utf-8"))
