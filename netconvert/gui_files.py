@@ -82,11 +82,8 @@ def _configuration(name: str, step_s: float, options: Mapping[str, Mapping[str, 
         "gui_only": {"gui-settings-file": f"{name}.view.xml", "delay": str(REAL_TIME_MS)},
     }
     sections = {section: {**own.get(section, {}), **options.get(section, {})} for section in {**own, **options}}
-    return xml_bytes(
-        E.sumoConfiguration(
-            *(E(section, *(E(key, value=value) for key, value in of.items())) for section, of in sections.items())
-        )
-    )
+    parts = (E(section, *(E(key, value=value) for key, value in of.items())) for section, of in sections.items())
+    return xml_bytes(E.sumoConfiguration(*parts))
 
 
 def _polygons(grid: CellGrid) -> list[etree._Element]:
@@ -109,12 +106,9 @@ def _view(grid: CellGrid, shown: tuple[FloatArray, FloatArray] | None, more: Seq
     low, high = shown or grid.graph.bounds
     x, y = ((low + high) / 2.0).tolist()
     zoom = _ZOOM * _window_width(everything.min(axis=0), everything.max(axis=0)) / _window_width(low, high)
-    colors = E.colorScheme(
-        E.entry(color=_LANE_COLOR, name="road"),
-        E.entry(color=_BICYCLE_COLOR, name="bike lane"),
-        E.entry(color="0,0,0,0", name="waterway"),  # lanes that only carry a trace
-        name="uniform",
-    )
+    # waterways are lanes that only carry a trace
+    shown_as = {"road": _LANE_COLOR, "bike lane": _BICYCLE_COLOR, "waterway": "0,0,0,0"}
+    colors = E.colorScheme(*(E.entry(color=color, name=name) for name, color in shown_as.items()), name="uniform")
     # Every cell ends in a junction: the arrows and stop lines there would hide the lanes, and there is nothing to see.
     edges = E.edges(colors, showLinkDecals="0", showLinkRules="0", laneShowBorders="0", showBikeMarkings="0")
     background = E.background(backgroundColor="250,250,248", showGrid="0")

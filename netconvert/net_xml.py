@@ -57,7 +57,11 @@ def net_bytes(grid: CellGrid, *, origin: CityOrigin | None = None) -> bytes:
     editable = grid.saved_within_m is not None
     text = ["<?xml version='1.0' encoding='UTF-8'?>", f'<net version="{NET_VERSION}">', location(grid.graph, origin)]
     templates = {lane_id: _lane_attributes(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
-    lines = {lane_id: _cell_lines(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
+    step_m = _MIN_SAVED_STEP_M if editable else _MIN_STEP_M
+    lines = {
+        lane_id: cut_at(lane.path.points, lane.path.s, grid.edges_s(lane_id), grid.borders(lane_id), farther_m=step_m)
+        for lane_id, lane in grid.graph.lanes.items()
+    }
     for edge, (edge_id, row) in enumerate(zip(edge_ids, rows, strict=True)):
         ends = f'from="{names[2 * edge]}" to="{names[2 * edge + 1]}"'
         # of the lanes, on which SUMO drives; netconvert has one for all of them
@@ -174,13 +178,6 @@ def _lane_attributes(grid: CellGrid, lane: LaneSegment) -> str:
     length_m = lane.length_m / grid.count(lane.lane_id)
     custom = "" if grid.saved_within_m is None else ' customShape="1"'
     return f'{classes} speed="{SPEED_LIMIT_MPS:g}" length="{length_m:.6f}" width="{lane.width_m:.2f}"{custom}'
-
-
-def _cell_lines(grid: CellGrid, lane: LaneSegment) -> list[FloatArray]:
-    """The centreline of each cell, (N, 2) m."""
-    step_m = _MIN_STEP_M if grid.saved_within_m is None else _MIN_SAVED_STEP_M
-    borders = grid.borders(lane.lane_id)
-    return cut_at(lane.path.points, lane.path.s, grid.edges_s(lane.lane_id), borders, farther_m=step_m)
 
 
 def shape(points: FloatArray, *, digits: int = 2) -> str:

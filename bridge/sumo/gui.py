@@ -53,12 +53,8 @@ def play_scene(
         view.append(E.snapshot(file=str(screenshot.resolve()), time=f"{at_s:.2f}"))
         files[f"{name}.view.xml"] = xml_bytes(view)
         # where a list is expected an empty one is refused, so a time that never comes
-        options |= {
-            "delay": "0",
-            "breakpoints": "1e6",
-            "end": f"{at_s + 2 * scenario.step_s:.2f}",
-            "quit-on-end": "true",
-        }
+        end_s = at_s + 2 * scenario.step_s
+        options |= {"delay": "0", "breakpoints": "1e6", "end": f"{end_s:.2f}", "quit-on-end": "true"}
     with tempfile.TemporaryDirectory(prefix="hid2-gui-") as place:
         for file, content in files.items():
             (Path(place) / file).write_bytes(content)
