@@ -16,13 +16,13 @@ _AREA_COLOR = "205,205,200"
 _LANE_COLOR = "96,99,104"
 _BICYCLE_COLOR = "178,96,76"
 _CELL_COLOR = "150,154,160"
-_CELL_LINE_M = 0.1
+_CELL_LINE_M = "0.1"
 #: Zoom at which all is shown: 100 by sumo-gui's own account, less for the frame that it leaves.
 _ZOOM = 80.0
 #: Width over height of sumo-gui's drawing in its usual window.
 WINDOW_ASPECT = 1.78
 #: Layers of sumo-gui: lanes are drawn on 100, vehicles on 400.
-_ABOVE_LANES = 150
+_ABOVE_LANES = "150"
 #: Milliseconds that sumo-gui waits for each simulated second: real time.
 REAL_TIME_MS = 1000
 
@@ -89,8 +89,7 @@ def _configuration(name: str, step_s: float, options: Mapping[str, Mapping[str, 
 def _polygons(grid: CellGrid) -> list[etree._Element]:
     """The drivable area below the lanes, and the outline of each cell above them."""
     area = {"type": "drivable_area", "color": _AREA_COLOR, "fill": "1", "layer": "-10"}
-    cell = {"type": "cell", "color": _CELL_COLOR, "fill": "0", "lineWidth": str(_CELL_LINE_M)}
-    cell |= {"layer": str(_ABOVE_LANES)}
+    cell = {"type": "cell", "color": _CELL_COLOR, "fill": "0", "lineWidth": _CELL_LINE_M, "layer": _ABOVE_LANES}
     return [
         E.poly({"id": f"drivable_area_{number}", **area, "shape": shape(ring)})
         for number, ring in enumerate(grid.graph.drivable_areas)

@@ -281,13 +281,9 @@ def _road_xml(
         linked = {**lanes, **dict.fromkeys(within, range(len(road.lanes)))}
         offsets.append(_section(graph, road, slice(first, last + 1), linked, through=through))
     known = {"name": " ".join(map(str, road.lanes)), "length": f"{road.line.length_m:.6f}", "id": str(number)}
-    return E.road(
-        {**known, "junction": junction, "rule": "RHT"},
-        E.link(*ends),
-        E.type(E.speed(max=f"{SPEED_LIMIT_MPS:g}", unit="m/s"), s="0", type="town"),
-        E.planView(*plan),
-        offsets,
-    )
+    known |= {"junction": junction, "rule": "RHT"}
+    town = E.type(E.speed(max=f"{SPEED_LIMIT_MPS:g}", unit="m/s"), s="0", type="town")
+    return E.road(known, E.link(*ends), town, E.planView(*plan), offsets)
 
 
 def _sections(road: _Road) -> list[int]:

@@ -32,8 +32,6 @@ from netconvert.gui_files import gui_files, xml_bytes
 from netconvert.net_xml import net_bytes
 
 _LOG = logging.getLogger(__name__)
-#: Digits of FCD output: a millimetre, a thousandth of a degree and of a metre per second.
-_DIGITS = 3
 #: Where an agent's front bumper is on the net at each of its steps: (N,) cells and metres along them.
 _Placed = tuple[list[Cell], FloatArray]
 
@@ -69,7 +67,7 @@ def _fcd(scenario: Recording, grid: CellGrid, placed: Mapping[str, _Placed]) -> 
         front, angle = sumo_poses(track.position, track.heading, np.full(len(track.timesteps), track.size.length_m))
         rows = np.column_stack([front, angle, track.speed, pos]).tolist()
         for step, cell, row in zip(track.timesteps.tolist(), cells, rows, strict=True):
-            x, y, degrees, speed, along = (f"{value:.{_DIGITS}f}" for value in row)
+            x, y, degrees, speed, along = (f"{value:.3f}" for value in row)  # to mm, 0.001 degrees, mm/s
             place = {"id": name, "x": x, "y": y, "angle": degrees, "type": f"type_{name}", "speed": speed}
             root[step].append(E.vehicle({**place, "pos": along, "lane": grid.sumo_lane_id(cell), "slope": "0.00"}))
     etree.indent(root, "    ")
