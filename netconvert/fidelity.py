@@ -8,7 +8,6 @@ import shapely
 from lxml import etree
 
 from netconvert.cells import CellGrid
-from netconvert.errors import NetError
 from netconvert.lane_graph import REASON_OPPOSITE, SIDES, DroppedLink
 
 #: The reason of a link that is missing although nothing stood against it: a defect of the conversion.
@@ -61,25 +60,24 @@ class FidelityReport:
 
 
 def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
-    """Compare a grid's lane graph with the net written from it, reading the net's XML afresh.
-
-    Errors: NetError if the net is not XML or has a lane without av2.lane_segment_id.
-    """
-    graph = grid.graph
-    try:
-        root = etree.fromstring(net)
-    except etree.XMLSyntaxError as error:
-        raise NetError(f"the net is not XML: {error}") from error
-    lane_of, drawn, rows = _lanes(root)
+    """Compare a grid's lane graph with the net written from it, reading the net's XML afresh."""
+    graph, root = grid.graph, etree.fromstring(net)
+    lane_of: dict[str, int] = {}
+    drawn: dict[int, list[list[list[float]]]] = {}
+    rows: set[tuple[int, int]] = set()
+    for edge in root.iterfind("edge"):
+        members = [int(param.get("value", "")) for param in edge.iterfind("lane/param")]
+        for element, lane_id in zip(edge.iterfind("lane"), members, strict=True):
+            lane_of[element.get("id", "")] = lane_id
+            points = [[float(x) for x in point.split(",")] for point in element.get("shape", "").split()]
+            drawn.setdefault(lane_id, []).append(points)
+        rows.update(pairwise(members))
     links = [
         tuple(f"{link.get(end)}_{link.get(f'{end}Lane')}" for end in ("from", "to"))
         for link in root.iterfind("connection")
     ]
     within = [(source, target) for source, target in links if lane_of.get(source) == lane_of.get(target)]
     left, reached = {source for source, _ in within}, {target for _, target in within}
-    for lane_id, count in Counter(lane for name, lane in lane_of.items() if name not in reached).items():
-        if count > 1:
-            raise NetError(f"the net's lanes of lane segment {lane_id} are not one chain")
     joined = {
         (lane_of.get(source), lane_of.get(target))
         for source, target in links
@@ -119,23 +117,3 @@ def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
         oncoming=counts["neighbor", "oncoming"],
         lost=tuple(lost),
     )
-
-
-def _lanes(root: etree._Element) -> tuple[dict[str, int], dict[int, list[list[list[float]]]], set[tuple[int, int]]]:
-    """The segment of each of a net's lanes, shapes by segment, and the pairs of segments that lie side by side."""
-    lane_of: dict[str, int] = {}
-    drawn: dict[int, list[list[list[float]]]] = {}
-    beside: set[tuple[int, int]] = set()
-    for edge in root.iterfind("edge"):
-        members = []
-        for element in sorted(edge.iterfind("lane"), key=lambda lane: int(lane.get("index", ""))):
-            sumo_id = element.get("id", "")
-            param = element.find("param[@key='av2.lane_segment_id']")
-            if param is None:
-                raise NetError(f"net lane {sumo_id} has no parameter av2.lane_segment_id")
-            members.append(int(param.get("value", "")))
-            lane_of[sumo_id] = members[-1]
-            points = [[float(x) for x in point.split(",")] for point in element.get("shape", "").split()]
-            drawn.setdefault(members[-1], []).append(points)
-        beside.update(pairwise(members))
-    return lane_of, drawn, beside

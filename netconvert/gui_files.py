@@ -16,13 +16,13 @@ _AREA_COLOR = "205,205,200"
 _LANE_COLOR = "96,99,104"
 _BICYCLE_COLOR = "178,96,76"
 _CELL_COLOR = "150,154,160"
-_CELL_LINE_M = 0.1
+_CELL_LINE_M = "0.1"
 #: Zoom at which all is shown: 100 by sumo-gui's own account, less for the frame that it leaves.
 _ZOOM = 80.0
 #: Width over height of sumo-gui's drawing in its usual window.
 WINDOW_ASPECT = 1.78
 #: Layers of sumo-gui: lanes are drawn on 100, vehicles on 400.
-_ABOVE_LANES = 150
+_ABOVE_LANES = "150"
 #: Milliseconds that sumo-gui waits for each simulated second: real time.
 REAL_TIME_MS = 1000
 
@@ -82,18 +82,14 @@ def _configuration(name: str, step_s: float, options: Mapping[str, Mapping[str, 
         "gui_only": {"gui-settings-file": f"{name}.view.xml", "delay": str(REAL_TIME_MS)},
     }
     sections = {section: {**own.get(section, {}), **options.get(section, {})} for section in {**own, **options}}
-    return xml_bytes(
-        E.sumoConfiguration(
-            *(E(section, *(E(key, value=value) for key, value in of.items())) for section, of in sections.items())
-        )
-    )
+    parts = (E(section, *(E(key, value=value) for key, value in of.items())) for section, of in sections.items())
+    return xml_bytes(E.sumoConfiguration(*parts))
 
 
 def _polygons(grid: CellGrid) -> list[etree._Element]:
     """The drivable area below the lanes, and the outline of each cell above them."""
     area = {"type": "drivable_area", "color": _AREA_COLOR, "fill": "1", "layer": "-10"}
-    cell = {"type": "cell", "color": _CELL_COLOR, "fill": "0", "lineWidth": str(_CELL_LINE_M)}
-    cell |= {"layer": str(_ABOVE_LANES)}
+    cell = {"type": "cell", "color": _CELL_COLOR, "fill": "0", "lineWidth": _CELL_LINE_M, "layer": _ABOVE_LANES}
     return [
         E.poly({"id": f"drivable_area_{number}", **area, "shape": shape(ring)})
         for number, ring in enumerate(grid.graph.drivable_areas)
@@ -109,12 +105,9 @@ def _view(grid: CellGrid, shown: tuple[FloatArray, FloatArray] | None, more: Seq
     low, high = shown or grid.graph.bounds
     x, y = ((low + high) / 2.0).tolist()
     zoom = _ZOOM * _window_width(everything.min(axis=0), everything.max(axis=0)) / _window_width(low, high)
-    colors = E.colorScheme(
-        E.entry(color=_LANE_COLOR, name="road"),
-        E.entry(color=_BICYCLE_COLOR, name="bike lane"),
-        E.entry(color="0,0,0,0", name="waterway"),  # lanes that only carry a trace
-        name="uniform",
-    )
+    # waterways are lanes that only carry a trace
+    shown_as = {"road": _LANE_COLOR, "bike lane": _BICYCLE_COLOR, "waterway": "0,0,0,0"}
+    colors = E.colorScheme(*(E.entry(color=color, name=name) for name, color in shown_as.items()), name="uniform")
     # Every cell ends in a junction: the arrows and stop lines there would hide the lanes, and there is nothing to see.
     edges = E.edges(colors, showLinkDecals="0", showLinkRules="0", laneShowBorders="0", showBikeMarkings="0")
     background = E.background(backgroundColor="250,250,248", showGrid="0")

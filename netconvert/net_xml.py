@@ -52,12 +52,19 @@ def net_bytes(grid: CellGrid, *, origin: CityOrigin | None = None) -> bytes:
     edge_ids = [grid.edge_id(row[0]) for row in rows]
     place = {cell: (edge, index) for edge, row in enumerate(rows) for index, cell in enumerate(row)}
     links = _links(grid, rows, place)
-    names = _junction_names(len(rows), [(from_edge, to_edge) for from_edge, _, to_edge, _, _ in links])
+    # The end of an edge, 2 k + 1, and the starts of all edges that it leads to, 2 k, are one junction.
+    of = joined(2 * len(rows), ((2 * to_edge, 2 * from_edge + 1) for from_edge, _, to_edge, _, _ in links))
+    known: dict[int, str] = {}
+    names = [known.setdefault(junction, f"J{len(known)}") for junction in of]
 
     editable = grid.saved_within_m is not None
     text = ["<?xml version='1.0' encoding='UTF-8'?>", f'<net version="{NET_VERSION}">', location(grid.graph, origin)]
     templates = {lane_id: _lane_attributes(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
-    lines = {lane_id: _cell_lines(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
+    step_m = _MIN_SAVED_STEP_M if editable else _MIN_STEP_M
+    lines = {
+        lane_id: cut_at(lane.path.points, lane.path.s, grid.edges_s(lane_id), grid.borders(lane_id), farther_m=step_m)
+        for lane_id, lane in grid.graph.lanes.items()
+    }
     for edge, (edge_id, row) in enumerate(zip(edge_ids, rows, strict=True)):
         ends = f'from="{names[2 * edge]}" to="{names[2 * edge + 1]}"'
         # of the lanes, on which SUMO drives; netconvert has one for all of them
@@ -95,21 +102,11 @@ def _links(
     ]
 
 
-def _junction_names(edge_count: int, links: Sequence[tuple[int, int]]) -> list[str]:
-    """Junctions at the start (item 2 k) and end (item 2 k + 1) of each edge k.
-
-    The end of an edge and the starts of all edges that it leads to are one junction.
-    """
-    of = joined(2 * edge_count, ((2 * to_edge, 2 * from_edge + 1) for from_edge, to_edge in links))
-    names: dict[int, str] = {}
-    return [names.setdefault(junction, f"J{len(names)}") for junction in of]
-
-
 def _junctions(
     rows: Sequence[tuple[Cell, ...]], lines: Mapping[int, Sequence[FloatArray]], edge_ids: Sequence[str],
     names: Sequence[str], *, editable: bool,
 ) -> list[str]:  # fmt: skip
-    """Each junction; it lies in the middle of the ends of its lanes."""
+    """Each junction, in the middle of the ends of its lanes. names: at start (2 k) and end (2 k + 1) of each edge k."""
     lanes: dict[str, list[tuple[FloatArray, int]]] = {name: [] for name in names}
     incoming: dict[str, list[str]] = {name: [] for name in names}
     for edge, row in enumerate(rows):
@@ -174,13 +171,6 @@ def _lane_attributes(grid: CellGrid, lane: LaneSegment) -> str:
     length_m = lane.length_m / grid.count(lane.lane_id)
     custom = "" if grid.saved_within_m is None else ' customShape="1"'
     return f'{classes} speed="{SPEED_LIMIT_MPS:g}" length="{length_m:.6f}" width="{lane.width_m:.2f}"{custom}'
-
-
-def _cell_lines(grid: CellGrid, lane: LaneSegment) -> list[FloatArray]:
-    """The centreline of each cell, (N, 2) m."""
-    step_m = _MIN_STEP_M if grid.saved_within_m is None else _MIN_SAVED_STEP_M
-    borders = grid.borders(lane.lane_id)
-    return cut_at(lane.path.points, lane.path.s, grid.edges_s(lane.lane_id), borders, farther_m=step_m)
 
 
 def shape(points: FloatArray, *, digits: int = 2) -> str:

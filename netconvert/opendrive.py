@@ -9,7 +9,6 @@ where all its lanes are there, and what is left of each lane belongs to its ways
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from enum import Enum
 from itertools import pairwise
 
 import numpy as np
@@ -38,6 +37,12 @@ _NARROWEST_M, _SHORTEST_M, _NEAR_M = 0.3, 0.1, 0.1
 _SIDES = ("predecessor", "successor")
 #: Code of the user data that hold the ids of a lane's segments.
 LANE_IDS = "av2.lane_segment_ids"
+#: Changes of lane over a marking, by whether its left and right lane allow them; increase is towards the left.
+_CHANGES = {(True, True): "both", (True, False): "decrease", (False, True): "increase", (False, False): "none"}
+#: What is at an end of a road: the map's edge, where each of its lanes is in the road as a whole; a road with the same
+#: lanes; a junction, which has what of its lanes is beyond the first one's end; one in which a way leads through no
+#: other lane, so that it takes a piece of the road.
+_OPEN, _JOINT, _JUNCTION, _SHORT = range(4)
 _LANE_TYPES = {"VEHICLE": "driving", "BUS": "bus", "BIKE": "biking"}
 
 
@@ -114,25 +119,16 @@ class _Road:
         return np.asarray(point[0] + aside * np.array([-np.sin(heading[0]), np.cos(heading[0])]))
 
 
-class _End(Enum):
-    """What is at an end of a road."""
-
-    OPEN = "the map's edge: each of its lanes is in the road as a whole"
-    JOINT = "a road with the same lanes"
-    JUNCTION = "a junction: what of its lanes is beyond the first one's end is the junction's"
-    SHORT = "a junction in which a way leads through no other lane, so that it takes a piece of the road"
-
-
-def _road(lanes: Sequence[LaneSegment], start: _End, end: _End) -> _Road | None:
+def _road(lanes: Sequence[LaneSegment], start: int, end: int) -> _Road | None:
     """The road of lanes, from the left; None where they cannot be one."""
     line = _rounded(lanes[0].centerline)
     whole = line.samples()
     path = Polyline(line.at(whole)[0])
     starts, ends = (path.frenet([lane.centerline[k] for lane in lanes])[0] for k in (0, -1))
-    first = {_End.OPEN: min(starts.min(), 0.0), _End.JOINT: 0.0}.get(start, max(starts.max(), 0.0))
-    last = {_End.OPEN: max(ends.max(), whole[-1]), _End.JOINT: whole[-1]}.get(end, min(ends.min(), whole[-1]))
+    first = {_OPEN: min(starts.min(), 0.0), _JOINT: 0.0}.get(start, max(starts.max(), 0.0))
+    last = {_OPEN: max(ends.max(), whole[-1]), _JOINT: whole[-1]}.get(end, min(ends.min(), whole[-1]))
     taken = min(_TAKEN_M, _TAKEN_SHARE * (last - first))
-    first, last = first + taken * (start is _End.SHORT), last - taken * (end is _End.SHORT)
+    first, last = first + taken * (start == _SHORT), last - taken * (end == _SHORT)
     if len(lanes) > 1 and last - first < _SHORTEST_M:
         return None
     line = line.between(first, last)
@@ -197,7 +193,8 @@ def opendrive_bytes(graph: LaneGraph, name: str, *, origin: CityOrigin | None = 
             continue
         found = E.junction(id=str(junction), name=f"J{junction}")
         for way in ways:
-            (before, left), (behind, right) = (_place(roads, lane_id) for lane_id in (way.source, way.target))
+            before, behind = roads.place[way.source][0], roads.place[way.target][0]
+            left, right = drawn[before].lanes.index(way.source), drawn[behind].lanes.index(way.target)
             road = _connecting(graph, way, (drawn[before], left), (drawn[behind], right))
             number = len(drawn) + len(connecting)
             links = [_link("predecessor", before), _link("successor", behind)]
@@ -221,16 +218,16 @@ def _drawn(graph: LaneGraph) -> tuple[Roads, list[_Road]]:
     while True:
         roads = roads_of(graph, apart=apart)
         left, entered = {way.source for way in roads.ways}, {way.target for way in roads.ways}
-        ends = [_End.OPEN] * len(roads.junctions)
+        ends = [_OPEN] * len(roads.junctions)
         for end, junction in enumerate(roads.junctions):
             if junction in roads.ways_of:
-                ends[end] = _End.JUNCTION if roads.joint(junction) is None else _End.JOINT
+                ends[end] = _JUNCTION if roads.joint(junction) is None else _JOINT
         merging: dict[tuple[int, int], set[int]] = {}
         for way in roads.ways:
             merging.setdefault((roads.place[way.source][0], way.target), set()).add(way.source)
             for end in (2 * roads.place[way.source][0] + 1, 2 * roads.place[way.target][0]):
-                if not way.through and ends[end] is _End.JUNCTION:
-                    ends[end] = _End.SHORT
+                if not way.through and ends[end] == _JUNCTION:
+                    ends[end] = _SHORT
         drawn, before = [], len(apart)
         for sources in merging.values():  # netconvert takes one link from a road to a lane
             apart.update(sorted(sources, key=lambda lane_id: roads.place[lane_id][1])[:-1])
@@ -250,12 +247,6 @@ def _drawn(graph: LaneGraph) -> tuple[Roads, list[_Road]]:
             return roads, drawn
 
 
-def _place(roads: Roads, lane_id: int) -> tuple[int, int]:
-    """Road of a lane, and its index from the left."""
-    road, index = roads.place[lane_id]
-    return road, len(roads.rows[road]) - 1 - index
-
-
 def _header(graph: LaneGraph, name: str, origin: CityOrigin | None) -> etree._Element:
     (west, south), (east, north) = graph.bounds
     ground = {"north": north, "south": south, "east": east, "west": west}
@@ -263,8 +254,7 @@ def _header(graph: LaneGraph, name: str, origin: CityOrigin | None) -> etree._El
     header = E.header({**known, **{side: f"{value:.3f}" for side, value in ground.items()}})
     if origin is not None:
         header.append(E.geoReference(etree.CDATA(origin.projection)))
-        offset = {"x": f"{origin.easting_m:.4f}", "y": f"{origin.northing_m:.4f}", "z": "0", "hdg": "0"}
-        header.append(E.offset(offset))
+        header.append(E.offset(x=f"{origin.easting_m:.4f}", y=f"{origin.northing_m:.4f}", z="0", hdg="0"))
     return header
 
 
@@ -291,13 +281,9 @@ def _road_xml(
         linked = {**lanes, **dict.fromkeys(within, range(len(road.lanes)))}
         offsets.append(_section(graph, road, slice(first, last + 1), linked, through=through))
     known = {"name": " ".join(map(str, road.lanes)), "length": f"{road.line.length_m:.6f}", "id": str(number)}
-    return E.road(
-        {**known, "junction": junction, "rule": "RHT"},
-        E.link(*ends),
-        E.type(E.speed(max=f"{SPEED_LIMIT_MPS:g}", unit="m/s"), s="0", type="town"),
-        E.planView(*plan),
-        offsets,
-    )
+    known |= {"junction": junction, "rule": "RHT"}
+    town = E.type(E.speed(max=f"{SPEED_LIMIT_MPS:g}", unit="m/s"), s="0", type="town")
+    return E.road(known, E.link(*ends), town, E.planView(*plan), offsets)
 
 
 def _sections(road: _Road) -> list[int]:
@@ -324,7 +310,9 @@ def _section(
         lane.set("type", _LANE_TYPES[graph.lanes[segments[0]].lane_type] if segments else "driving")
         if not through:
             own = graph.lanes[segments[0]]
-            lane.append(_mark(own.right_mark_type, _changes(graph, own), outwards_is_left=False))
+            right = graph.neighbor(own.lane_id, "right")
+            allowed = graph.may_change(own.lane_id, "right"), right is not None and graph.may_change(right, "left")
+            lane.append(_mark(own.right_mark_type, _CHANGES[allowed], outwards_is_left=False))
         if segments:
             lane.append(E.userData(code=LANE_IDS, value=" ".join(map(str, segments))))
         drawn.append(lane)
@@ -340,13 +328,6 @@ def _pieces(name: str, s: FloatArray, values: FloatArray, at: str) -> Iterator[e
     for (first, value), (last, then) in pairwise(kept.tolist()):
         slope = (then - value) / (last - first)
         yield E(name, {at: f"{first:.6f}", "a": f"{value:.6f}", "b": f"{slope:.9f}", "c": "0", "d": "0"})
-
-
-def _changes(graph: LaneGraph, lane: LaneSegment) -> str:
-    """Changes of lane over the marking on the right of a lane; increase is towards the left."""
-    right = graph.neighbor(lane.lane_id, "right")
-    allowed = graph.may_change(lane.lane_id, "right"), right is not None and graph.may_change(right, "left")
-    return {(True, True): "both", (True, False): "decrease", (False, True): "increase"}.get(allowed, "none")
 
 
 def _mark(mark_type: str, changes: str, *, outwards_is_left: bool) -> etree._Element:

@@ -96,11 +96,9 @@ def _connections(graph: LaneGraph, roads: Roads, ways: Sequence[Way]) -> list[et
 
 def _signals(roads: Roads, ways: Sequence[Way], red: Red, step_s: float) -> dict[int, list[etree._Element]]:
     """By junction with an entrance that was red: its program, as long as the recording, and the links it controls."""
-    by_junction: dict[int, list[Way]] = defaultdict(list)
-    for way in ways:
-        by_junction[roads.junctions[2 * roads.place[way.target][0]]].append(way)
     found = {}
-    for junction, through in by_junction.items():
+    for junction, every in roads.ways_of.items():
+        through = [way for way in every if way in ways]
         shown = [red(way.through[0]) if way.through else None for way in through]
         if not any(steps is not None and steps.any() for steps in shown):
             continue

@@ -53,11 +53,10 @@ def commonroad_files(scene: Recording) -> dict[str, bytes]:
     number = sum((k + 1) * ord(letter) for k, letter in enumerate(name))  # which names of CommonRoad have
     known = {"commonRoadVersion": "2020a", "benchmarkID": f"ZAM_HID2-1_{number}_T-1", "date": "1970-01-01"}
     known |= {"author": "hid2-sumo", "affiliation": "", "source": f"{scene.format} {name}"}
+    known["timeStepSize"] = f"{scene.step_s:g}"
     place = E.location(E.geoNameId("-999"), E.gpsLatitude("999"), E.gpsLongitude("999"))
     lanelets = (_lanelet(scene.graph, lane) for lane in scene.graph.lanes.values())
-    root = E.commonRoad(
-        {**known, "timeStepSize": f"{scene.step_s:g}"}, place, E.scenarioTags(E.urban()), *lanelets, *agents, *problem
-    )
+    root = E.commonRoad(known, place, E.scenarioTags(E.urban()), *lanelets, *agents, *problem)
     return {f"{name}.cr.xml": xml_bytes(root)}
 
 
@@ -99,9 +98,8 @@ def _problem(number: int, states: FloatArray) -> etree._Element:
     start.extend(E(key, E.exact("0.0")) for key in ("yawRate", "slipAngle"))
     last, x, y, heading, _ = states[-1].tolist()
     size, turned = f"{2 * _GOAL_M:g}", float(wrap_angle(heading))
-    area = E.rectangle(
-        E.length(size), E.width(size), E.orientation(f"{heading:.6f}"), E.center(E.x(f"{x:.6f}"), E.y(f"{y:.6f}"))
-    )
+    center = E.center(E.x(f"{x:.6f}"), E.y(f"{y:.6f}"))
+    area = E.rectangle(E.length(size), E.width(size), E.orientation(f"{heading:.6f}"), center)
     goal = E.goalState(E.position(area))
     for key, low, high in (
         ("orientation", f"{turned - _GOAL_RAD:.6f}", f"{turned + _GOAL_RAD:.6f}"),

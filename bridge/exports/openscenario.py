@@ -99,7 +99,7 @@ def _acts(track: Track, scene: Recording) -> etree._Element:
     name, times, poses = _name(track), track.timesteps * scene.step_s, _axle(track)
     first = []
     if track.timesteps[0] > 0:
-        first.append(_entity_action(name, E.AddEntityAction(_position(poses[0]))))
+        first.append(E.GlobalAction(E.EntityAction(E.AddEntityAction(_position(poses[0])), entityRef=name)))
     if len(times) > 1:
         vertices = (E.Vertex(_position(pose), time=f"{at:.4f}") for pose, at in zip(poses, times.tolist(), strict=True))
         path = E.Trajectory(E.ParameterDeclarations(), E.Shape(E.Polyline(*vertices)), name=name, closed="false")
@@ -110,14 +110,11 @@ def _acts(track: Track, scene: Recording) -> etree._Element:
         first.append(E.PrivateAction(E.RoutingAction(follow)))
     events = [_event("follows", times[0], first)] if first else []
     if track.timesteps[-1] < scene.num_steps - 1:
-        events.append(_event("goes", times[-1] + scene.step_s, [_entity_action(name, E.DeleteEntityAction())]))
+        gone = E.GlobalAction(E.EntityAction(E.DeleteEntityAction(), entityRef=name))
+        events.append(_event("goes", times[-1] + scene.step_s, [gone]))
     actors = E.Actors(E.EntityRef(entityRef=name), selectTriggeringEntities="false")
     maneuver = [E.Maneuver(*events, name=name)] if events else []
     return E.ManeuverGroup(actors, *maneuver, name=name, maximumExecutionCount="1")
-
-
-def _entity_action(name: str, action: etree._Element) -> etree._Element:
-    return E.GlobalAction(E.EntityAction(action, entityRef=name))
 
 
 def _event(name: str, when_s: float, actions: list[etree._Element]) -> etree._Element:

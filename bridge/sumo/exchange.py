@@ -11,18 +11,16 @@ a vehicle of its own size there, pedestrians too, as in the simulation; one off 
 """
 
 import logging
-from collections import deque
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import NamedTuple
-from xml.sax.saxutils import escape
 
 import numpy as np
 import shapely
+from lxml import etree
 from lxml.builder import E
 
 from bridge.recordings.recording import Recording
-from bridge.recordings.sidecar import AgentRecord, Sidecar, sidecar_in
+from bridge.recordings.sidecar import Sidecar, sidecar_in
 from bridge.sumo.playback import departure, paints, playable_files, run_options, vehicle_type
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray
@@ -34,15 +32,8 @@ from netconvert.gui_files import gui_files, xml_bytes
 from netconvert.net_xml import net_bytes
 
 _LOG = logging.getLogger(__name__)
-#: Digits of FCD output: a millimetre, a thousandth of a degree and of a metre per second.
-_DIGITS = 3
-
-
-class _Placed(NamedTuple):
-    """Where an agent's front bumper is on the net at each of its steps: (N,) cells and metres along them."""
-
-    cells: list[Cell]
-    pos_m: FloatArray
+#: Where an agent's front bumper is on the net at each of its steps: (N,) cells and metres along them.
+_Placed = tuple[list[Cell], FloatArray]
 
 
 def sumo_files(scenario: Recording) -> dict[str, bytes]:
@@ -70,20 +61,17 @@ def fcd_files(scenario: Recording) -> dict[str, bytes]:
 
 def _fcd(scenario: Recording, grid: CellGrid, placed: Mapping[str, _Placed]) -> bytes:
     """FCD output: the timesteps in order, and the agents of each in the scene's order."""
-    steps = [[f'    <timestep time="{step * scenario.step_s:.2f}">'] for step in range(scenario.num_steps)]
+    root = E("fcd-export", *(E.timestep(time=f"{step * scenario.step_s:.2f}") for step in range(scenario.num_steps)))
     for track in scenario.tracks:
+        name, (cells, pos) = track.track_id, placed[track.track_id]
         front, angle = sumo_poses(track.position, track.heading, np.full(len(track.timesteps), track.size.length_m))
-        where, name = placed[track.track_id], escape(track.track_id, {'"': "&quot;"})
-        rows = zip(track.timesteps.tolist(), front.tolist(), angle.tolist(), track.speed.tolist(), strict=True)
-        for row, (step, (x, y), degrees, speed) in enumerate(rows):
-            lane, pos = grid.sumo_lane_id(where.cells[row]), where.pos_m[row]
-            steps[step].append(
-                f'        <vehicle id="{name}" x="{x:.{_DIGITS}f}" y="{y:.{_DIGITS}f}" '
-                f'angle="{degrees:.{_DIGITS}f}" type="type_{name}" speed="{speed:.{_DIGITS}f}" '
-                f'pos="{pos:.{_DIGITS}f}" lane="{lane}" slope="0.00"/>'
-            )
-    lines = [line for step in steps for line in (*step, "    </timestep>")]
-    return "\n".join(["<?xml version='1.0' encoding='UTF-8'?>", "<fcd-export>", *lines, "</fcd-export>", ""]).encode()
+        rows = np.column_stack([front, angle, track.speed, pos]).tolist()
+        for step, cell, row in zip(track.timesteps.tolist(), cells, rows, strict=True):
+            x, y, degrees, speed, along = (f"{value:.3f}" for value in row)  # to mm, 0.001 degrees, mm/s
+            place = {"id": name, "x": x, "y": y, "angle": degrees, "type": f"type_{name}", "speed": speed}
+            root[step].append(E.vehicle({**place, "pos": along, "lane": grid.sumo_lane_id(cell), "slope": "0.00"}))
+    etree.indent(root, "    ")
+    return xml_bytes(root)
 
 
 def _places(scenario: Recording, grid: CellGrid) -> dict[str, _Placed]:
@@ -103,42 +91,30 @@ def _places(scenario: Recording, grid: CellGrid) -> dict[str, _Placed]:
     cells = [grid.cell_at(lane_id, s) for lane_id, s in zip(lane_ids.tolist(), along.tolist(), strict=True)]
     begin = np.array([grid.edges_s(cell.lane_id)[cell.index] for cell in cells])
     pos = np.clip(along - begin, 0.0, [grid.length_m(cell) for cell in cells])
-    bounds = list(pairwise(arrays.first.tolist()))
-    return {
-        track_id: _Placed(cells[start:stop], pos[start:stop])
-        for track_id, (start, stop) in zip(arrays.track_ids, bounds, strict=True)
-    }
+    bounds = zip(arrays.track_ids, pairwise(arrays.first.tolist()), strict=True)
+    return {track_id: (cells[start:stop], pos[start:stop]) for track_id, (start, stop) in bounds}
 
 
 def _routes(scenario: Recording, sidecar: Sidecar, grid: CellGrid, placed: Mapping[str, _Placed]) -> bytes:
     """Types of the inserted vehicles, and the vehicles in the order of departure."""
-    colors, links = paints(scenario), _edge_links(grid)
-    agents = {agent.track_id: agent for agent in sidecar.agents}
-    kinds, vehicles = [], []
-    for track in sorted((track for track in scenario.tracks if track.track_id in agents), key=departure):
-        name, where = track.track_id, placed[track.track_id]
-        kinds.append(E.vType(vehicle_type(track, colors[name]) | _driver(agents[name])))
-        vehicle = {"id": name, "type": f"type_{name}", "depart": f"{track.timesteps[0] * scenario.step_s:.2f}"}
-        vehicle |= {"departLane": str(grid.lane_index(where.cells[0])), "departPos": f"{where.pos_m[0]:.2f}"}
-        vehicle |= {"departSpeed": f"{track.speed[0]:.2f}", "insertionChecks": "none"}
-        vehicles.append(E.vehicle(vehicle, E.route(edges=" ".join(_edges(where.cells, grid, links, name)))))
-    return xml_bytes(E.routes(*kinds, *vehicles))
-
-
-def _driver(agent: AgentRecord) -> dict[str, str]:
-    """Car following as the vehicle was driven with."""
-    if agent.driver is None:
-        return {}
-    known = {"carFollowModel": agent.driver.model}
-    return known | {key: f"{value:g}" for key, value in sorted(agent.driver.parameters.items())}
-
-
-def _edge_links(grid: CellGrid) -> dict[str, list[str]]:
-    """Edges that follow an edge on any of its lanes."""
-    return {
+    colors, drivers = paints(scenario), {agent.track_id: agent.driver for agent in sidecar.agents}
+    links = {
         grid.edge_id(row[0]): [grid.edge_id(target) for cell in row for target in grid.following(cell)]
         for row in grid.rows()
     }
+    kinds, vehicles = [], []
+    for track in sorted((track for track in scenario.tracks if track.track_id in drivers), key=departure):
+        name, (cells, pos) = track.track_id, placed[track.track_id]
+        kind, driver = vehicle_type(track, colors[name]), drivers[name]
+        if driver is not None:  # car following as the vehicle was driven with
+            kind |= {"carFollowModel": driver.model}
+            kind |= {key: f"{value:g}" for key, value in sorted(driver.parameters.items())}
+        kinds.append(E.vType(kind))
+        vehicle = {"id": name, "type": f"type_{name}", "depart": f"{track.timesteps[0] * scenario.step_s:.2f}"}
+        vehicle |= {"departLane": str(grid.lane_index(cells[0])), "departPos": f"{pos[0]:.2f}"}
+        vehicle |= {"departSpeed": f"{track.speed[0]:.2f}", "insertionChecks": "none"}
+        vehicles.append(E.vehicle(vehicle, E.route(edges=" ".join(_edges(cells, grid, links, name)))))
+    return xml_bytes(E.routes(*kinds, *vehicles))
 
 
 def _edges(cells: Sequence[Cell], grid: CellGrid, links: Mapping[str, Sequence[str]], name: str) -> list[str]:
@@ -156,13 +132,11 @@ def _edges(cells: Sequence[Cell], grid: CellGrid, links: Mapping[str, Sequence[s
 
 def _way(start: str, goal: str, links: Mapping[str, Sequence[str]]) -> list[str] | None:
     """Edges after start to goal, the fewest; None where there is no way."""
-    queue, seen = deque([[start]]), {start}
-    while queue:
-        way = queue.popleft()
-        if way[-1] == goal:
-            return way[1:]
-        for edge in links[way[-1]]:
-            if edge not in seen:
-                seen.add(edge)
-                queue.append([*way, edge])
-    return None
+    ways: dict[str, list[str]] = {start: []}
+    queue = [start]
+    for edge in queue:  # which grows
+        for target in links[edge]:
+            if target not in ways:
+                ways[target] = [*ways[edge], target]
+                queue.append(target)
+    return ways.get(goal)

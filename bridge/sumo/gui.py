@@ -14,7 +14,7 @@ from bridge.files import make_folder
 from bridge.pictures.figures import check_ending, check_step
 from bridge.recordings.folders import Address
 from bridge.recordings.sources import read_recording
-from bridge.sumo.net import INSTALL_SUMO, sumo_program
+from bridge.sumo.net import sumo_program
 from bridge.sumo.playback import playable_files
 from netconvert.cells import build_cell_grid
 from netconvert.errors import ExportError, SimulationError
@@ -41,7 +41,9 @@ def play_scene(
     """
     if screenshot is not None:
         check_ending(screenshot, [".png"])
-    binary = _binary()
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise SimulationError("no display for sumo-gui: set DISPLAY, or run it under xvfb-run")
+    binary = sumo_program("sumo-gui")
     scenario = read_recording(folder)
     at_s = check_step(scenario, step) * scenario.step_s
     files = playable_files(scenario, build_cell_grid(scenario.graph))
@@ -53,12 +55,8 @@ def play_scene(
         view.append(E.snapshot(file=str(screenshot.resolve()), time=f"{at_s:.2f}"))
         files[f"{name}.view.xml"] = xml_bytes(view)
         # where a list is expected an empty one is refused, so a time that never comes
-        options |= {
-            "delay": "0",
-            "breakpoints": "1e6",
-            "end": f"{at_s + 2 * scenario.step_s:.2f}",
-            "quit-on-end": "true",
-        }
+        end_s = at_s + 2 * scenario.step_s
+        options |= {"delay": "0", "breakpoints": "1e6", "end": f"{end_s:.2f}", "quit-on-end": "true"}
     with tempfile.TemporaryDirectory(prefix="hid2-gui-") as place:
         for file, content in files.items():
             (Path(place) / file).write_bytes(content)
@@ -73,12 +71,3 @@ def play_scene(
     if screenshot is not None and not screenshot.is_file():
         raise ExportError(f"{screenshot}: sumo-gui wrote no picture; is the folder writable?")
     return screenshot
-
-
-def _binary() -> str:
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise SimulationError("no display for sumo-gui: set DISPLAY, or run it under xvfb-run")
-    binary = sumo_program("sumo-gui")
-    if binary is None:
-        raise SimulationError(f"sumo-gui is not installed; {INSTALL_SUMO}")
-    return binary

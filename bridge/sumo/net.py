@@ -19,7 +19,7 @@ from hid2.conflicts.signals import SIGNALLED_TYPES, InferredSignals
 from hid2.occupancy.traffic import traffic_of
 from hid2.params import Signals
 from netconvert.cells import SAVED_WITHIN_M, build_cell_grid
-from netconvert.errors import ConfigError, MapError, NetError, NoSceneError
+from netconvert.errors import ConfigError, MapError, NetError, NoSceneError, SimulationError
 from netconvert.fidelity import FidelityReport, measure_fidelity
 from netconvert.geo import CITY_ORIGINS
 from netconvert.gui_files import gui_files
@@ -27,8 +27,6 @@ from netconvert.lane_graph import LaneGraph
 from netconvert.net_xml import net_bytes
 from netconvert.whole_lanes import plain_files
 
-#: How the programs of SUMO come in.
-INSTALL_SUMO = "install it: sh setup.sh tests, or in your own environment pip install 'eclipse-sumo==1.28.*'"
 #: No turns back where the map has none, and no two vehicles on ways that cross within a junction.
 _WHOLE_OPTIONS = ["--no-turnarounds", "true", "--check-lane-foes.all", "true", "--xml-validation", "never"]
 _WHOLE_OPTIONS += ["--offset.disable-normalization", "true"]
@@ -53,8 +51,8 @@ def convert_whole(scene: Address, out_dir: Path, *, signals: bool = False) -> Pa
     """Write <id>.whole.net.xml into out_dir: one SUMO lane for each lane, by SUMO's netconvert; returns the file.
 
     signals: with programs of the signals that are inferred from the recorded traffic, as long as the scene.
-    Errors: ScenarioError, MapError; NetError without netconvert, or where it makes no net; ConfigError for signals of a
-    map alone.
+    Errors: ScenarioError, MapError; SimulationError without netconvert, NetError where it makes no net; ConfigError for
+    signals of a map alone.
     """
     name, graph, recording = _map_of(scene)
     red = None
@@ -66,12 +64,9 @@ def convert_whole(scene: Address, out_dir: Path, *, signals: bool = False) -> Pa
         red = InferredSignals(build_cell_grid(graph), traffic, Signals(), recording.step_s).red
     step_s = STEP_S if recording is None else recording.step_s
     origin = None if recording is None else CITY_ORIGINS.get(recording.city)
-    program = sumo_program("netconvert")
-    if program is None:
-        raise NetError(f"SUMO's netconvert is not installed, expected for --lanes whole; {INSTALL_SUMO}")
     with tempfile.TemporaryDirectory(prefix="hid2-net-") as folder:
         net = Path(folder, "net.xml")
-        command = [program, *_WHOLE_OPTIONS, "--output-file", str(net)]
+        command = [sumo_program("netconvert"), *_WHOLE_OPTIONS, "--output-file", str(net)]
         for option, content in plain_files(graph, origin=origin, red=red, step_s=step_s).items():
             Path(folder, option).write_bytes(content)
             command += [f"--{option}", str(Path(folder, option))]
@@ -85,13 +80,17 @@ def convert_whole(scene: Address, out_dir: Path, *, signals: bool = False) -> Pa
     return out_dir / f"{name}.whole.net.xml"
 
 
-def sumo_program(name: str) -> str | None:
-    """One of SUMO's programs, of the wheel or as it is installed otherwise; None where there is none."""
+def sumo_program(name: str) -> str:
+    """One of SUMO's programs, of the wheel or as it is installed otherwise. Errors: SimulationError without it."""
     try:  # the wheel's program itself: the script that starts it prints a traceback when interrupted
         inside = Path(import_module("sumo").SUMO_HOME) / "bin" / name  # sets what SUMO needs of the environment
     except ModuleNotFoundError:
         inside = Path(name)
-    return str(inside) if inside.is_file() else shutil.which(name)
+    found = str(inside) if inside.is_file() else shutil.which(name)
+    if found is None:
+        way_out = "sh setup.sh tests, or in your own environment pip install 'eclipse-sumo==1.28.*'"
+        raise SimulationError(f"SUMO's {name} is not installed; install it: {way_out}")
+    return found
 
 
 def _map_of(scene: Address) -> tuple[str, LaneGraph, Recording | None]:

@@ -37,6 +37,8 @@ _LEAST_SHAPE_M = 0.1
 _TRACE_WIDTH_M = 0.01
 #: What a vehicle drives in a step beyond its length: no step ends near the end of a lane.
 _CLEAR_M = 1.0
+#: Junctions that a lane of a trace joins are no nearer to each other: netedit takes no edge between two in one place.
+_JUNCTIONS_APART_M = 0.05
 #: Lanes for this class of vehicle are transparent in the view settings (`gui_files`); no map has any.
 _UNSEEN = "ship"
 #: What moves further than this is looked at, with so much ground around it.
@@ -109,9 +111,8 @@ def playable_files(scenario: Scenario, grid: CellGrid) -> dict[str, bytes]:
     options["processing"] = {"collision.action": "none", "time-to-teleport": "-1"}
     files = scene_view_files(scenario, grid, name, options)
     traces = [_trace(track) for track in scenario.tracks]
-    files[f"{name}.net.xml"] = _with_traces(
-        net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city)), traces, scenario.step_s
-    )
+    net = net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city))
+    files[f"{name}.net.xml"] = _with_traces(net, traces, scenario.step_s)
     files[f"{name}.rou.xml"] = _routes(scenario, traces)
     return files
 
@@ -171,30 +172,21 @@ def _legend(scenario: Scenario, low: FloatArray, high: FloatArray) -> list[etree
     size = np.array([_LEGEND_WIDTH, _LEGEND_ROW * len(shown)]) * high_m
     points = np.concatenate([track.position for track in scenario.tracks])
     reach = np.array([high[0] - low[0], high_m]) / 2 - size  # of the legend's corners from the middle
-
-    def hidden(corner: FloatArray) -> int:
-        return int(((points > corner) & (points < corner + size)).all(axis=1).sum())
-
-    middle = (low + high) / 2
     places = itertools.product((-reach[0] - size[0], reach[0]), (reach[1], -reach[1] - size[1]))
-    corners = [middle + np.array(place) for place in places]
-    left, bottom = min(corners, key=hidden).tolist()
-    parts = []
+    corners = (low + high) / 2 + np.array(list(places))
+    hidden = ((points[:, None] > corners) & (points[:, None] < corners + size)).all(axis=2).sum(axis=0)
+    left, bottom = corners[np.argmin(hidden)].tolist()
+    parts, width, height = [], size[0], 0.8 * _LEGEND_ROW * high_m
     for row, paint in enumerate(reversed(shown)):
-        name = paint.meaning if paint not in POLICIES.values() else f"inserted {paint.meaning}"
-        parts += _bar(paint, name, (left, bottom + row * _LEGEND_ROW * high_m), high_m)
+        # SUMO takes no spaces in ids, but those that do not break; to show a name it needs a point, without colour
+        name = (paint.meaning if paint not in POLICIES.values() else f"inserted {paint.meaning}").replace(" ", "\u00a0")
+        lower = bottom + row * _LEGEND_ROW * high_m
+        ring = [(left, lower), (left + width, lower), (left + width, lower + height), (left, lower + height)]
+        bar = {"id": f"legend_{name}", "type": "legend", "color": paint.xml, "fill": "1"}
+        point = {"id": name, "type": "legend", "color": "0,0,0,0", "layer": "500"}
+        point |= {"x": f"{left + width / 2:.2f}", "y": f"{lower + height / 2:.2f}"}
+        parts += [E.poly(bar, {"layer": "450", "shape": shape(np.array(ring))}), E.poi(point)]
     return parts
-
-
-def _bar(paint: Paint, name: str, corner: tuple[float, float], high_m: float) -> list[etree._Element]:
-    """A bar of the legend, lower left at `corner`, and its name, for which SUMO needs a point without colour."""
-    (left, lower), width, height = corner, _LEGEND_WIDTH * high_m, 0.8 * _LEGEND_ROW * high_m
-    ring = [(left, lower), (left + width, lower), (left + width, lower + height), (left, lower + height)]
-    # SUMO takes no spaces in ids, but those that do not break
-    bar = {"id": f"legend_{name}".replace(" ", "\u00a0"), "type": "legend", "color": paint.xml, "fill": "1"}
-    point = {"id": name.replace(" ", "\u00a0"), "type": "legend", "color": "0,0,0,0", "layer": "500"}
-    point |= {"x": f"{left + width / 2:.2f}", "y": f"{lower + height / 2:.2f}"}
-    return [E.poly(bar, {"layer": "450", "shape": shape(np.array(ring))}), E.poi(point)]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -267,16 +259,19 @@ def _with_traces(net: bytes, traces: list[_Trace], step_s: float) -> bytes:
             if k:
                 link = {"from": trace.edge(k - 1), "to": trace.edge(k), "fromLane": "0", "toLane": "0", "dir": "s"}
                 added["connection"].append(E.connection({**link, "state": "M"}))
+        place = np.full(2, np.inf)
         for k in range(len(trace.shapes) + 1):
             incoming = [f"{trace.edge(k - 1)}_0"] if k else []
             end = trace.shapes[k - 1][1] if k else trace.shapes[0][0]
             line = junction_beside(end, trace.shapes[max(k - 1, 0) : k + 1])
-            junction = junction_xml(f"{trace.edge(k)}_j", end.tolist(), incoming=incoming, line=line)
-            added["junction"].append(etree.fromstring(junction))
+            near = np.hypot(*(end - place)) < _JUNCTIONS_APART_M
+            place = end + 2.0 * _JUNCTIONS_APART_M * np.array([near, 0.0])
+            text = junction_xml(f"{trace.edge(k)}_j", place.tolist(), incoming=incoming, line=line)
+            added["junction"].append(etree.fromstring(text))
     for tag, elements in added.items():
         before = root.findall(tag)
-        place = root.index(before[-1]) + 1 if before else len(root)
-        root[place:place] = elements
+        behind = root.index(before[-1]) + 1 if before else len(root)
+        root[behind:behind] = elements
     return xml_bytes(root)
 
 

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from lxml import etree
@@ -12,7 +13,7 @@ from lxml import etree
 from bridge.recordings.sources import read_recording
 from bridge.sumo import net as nets
 from bridge.sumo.net import convert, convert_whole, sumo_program
-from netconvert.errors import ConfigError, NetError
+from netconvert.errors import ConfigError, SimulationError
 from netconvert.geo import CITY_ORIGINS
 from netconvert.roads import roads_of
 
@@ -106,7 +107,8 @@ def test_what_cannot_be_is_said_in_one_line(data_scene: Path, tmp_path: Path, mo
     (path,) = data_scene.glob("log_map_archive_*.json")
     with pytest.raises(ConfigError, match="a map alone, expected a scene: signals"):
         convert_whole(path, tmp_path / "out", signals=True)
-    monkeypatch.setattr(nets, "sumo_program", lambda _: None)
-    with pytest.raises(NetError, match="netconvert is not installed, expected for --lanes whole; install it"):
+    monkeypatch.setattr(nets, "import_module", lambda _: SimpleNamespace(SUMO_HOME=tmp_path))
+    monkeypatch.setattr(nets.shutil, "which", lambda _: None)
+    with pytest.raises(SimulationError, match=r"SUMO's netconvert is not installed; install it: sh setup\.sh"):
         convert_whole(path, tmp_path / "out")
     assert convert(path, tmp_path / "out").lanes_out > 0

@@ -3,7 +3,6 @@ from collections.abc import Callable
 import pytest
 
 from netconvert.cells import build_cell_grid
-from netconvert.errors import NetError
 from netconvert.fidelity import UNEXPLAINED, measure_fidelity
 from netconvert.lane_graph import LaneGraph, LaneSegment
 from netconvert.net_xml import net_bytes
@@ -59,15 +58,3 @@ def test_the_rows_of_the_report_name_every_reason(road: LaneGraph) -> None:
     assert rows["lanes in / with cells"] == "4 / 4"
     assert rows["successor links kept"] == "1 of 2"
     assert rows["lost: successor"] == "1 x the other lane is outside the map"
-
-
-@pytest.mark.parametrize(
-    ("net", "message"),
-    [
-        (b"<net", "the net is not XML"),
-        (b'<net><edge><lane id="a_0" index="0"/></edge></net>', "net lane a_0 has no parameter av2.lane_segment_id"),
-    ],
-)
-def test_what_is_no_net_of_ours_is_refused(road: LaneGraph, net: bytes, message: str) -> None:
-    with pytest.raises(NetError, match=message):
-        measure_fidelity(build_cell_grid(road), net)

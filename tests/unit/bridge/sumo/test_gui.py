@@ -1,5 +1,6 @@
 """Scenes in sumo-gui, on a virtual screen, and what SUMO makes of the files alone."""
 
+import math
 import os
 import signal
 import subprocess
@@ -70,6 +71,13 @@ def test_sumo_plays_a_generated_scene_from_files_as_the_fcd_file_beside_says(pla
 
 def test_sumo_plays_real_scenes_from_files_as_the_fcd_file_beside_says(real_scene, tmp_path):
     check(exported(real_scene, tmp_path / "play"), tmp_path / "fcd.xml", has_gaps=True)
+
+
+def test_no_lane_of_a_trace_joins_junctions_in_one_place(real_scene, tmp_path):
+    """netedit saves no net with such an edge before its user has dealt with it."""
+    net = etree.parse(exported(real_scene, tmp_path).with_suffix(".net.xml")).getroot()
+    place = {each.get("id"): (float(each.get("x")), float(each.get("y"))) for each in net.iterfind("junction")}
+    assert min(math.dist(place[edge.get("from")], place[edge.get("to")]) for edge in net.iterfind("edge")) >= 0.049
 
 
 def test_a_gap_in_a_track_is_driven_through_evenly(copy_scene, tmp_path):
