@@ -34,7 +34,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 from bridge.batch.start_up import spare_the_collector
-from bridge.console import say
 from bridge.files import disk_error
 from netconvert.errors import Hid2Error
 
@@ -207,7 +206,7 @@ class IsolatedProcess:
         """
         try:
             while (told := self._receive(START_TIMEOUT_S))[0] == "told":
-                say(told[1])
+                _LOG.warning("%s", told[1])
         except WorkFailedError as error:
             raise StartFailedError(error.failure) from error
         kind, value, _ = told

@@ -58,11 +58,11 @@ def test_failure_says_how_the_process_ended(
 
 
 def test_what_is_done_before_the_work_begins_is_told(
-    process: IsolatedProcess, capsys: pytest.CaptureFixture[str]
+    process: IsolatedProcess, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The first run of a wheel compiles kernels for a minute: it says so, and it does not count as the work's time."""
     assert list(process.stream("faults:compiles", "", (1, 2))) == [1, 2]
-    assert capsys.readouterr().err == "hid2: compiling 42 functions, which takes a minute\n"
+    assert caplog.messages == ["compiling 42 functions, which takes a minute"]
 
 
 def test_hang_is_ended_in_time(process: IsolatedProcess) -> None:
