@@ -58,17 +58,10 @@ def build(out: Path) -> None:
         (source / "api.md").write_text(API.format(names=names))
         (source / "conf.py").write_text(CONF)
         (source / "extra").mkdir()
-        command = [
-            sys.executable,
-            "-m",
-            "bridge.cli",
-            "view",
-            "data/av2",
-            "-q",
-            "-o",
-            str(source / "extra/gallery.html"),
-        ]
-        subprocess.run(command, cwd=ROOT, check=True)
+        gallery = str(source / "extra/gallery.html")
+        subprocess.run(
+            [sys.executable, "-m", "bridge.cli", "view", "data/av2", "-q", "-o", gallery], cwd=ROOT, check=True
+        )
         command = [sys.executable, "-m", "sphinx", "-W", "-n", "--keep-going", "-q", "-b", "html", place, str(out)]
         subprocess.run(command, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
 

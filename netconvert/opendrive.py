@@ -9,6 +9,7 @@ where all its lanes are there, and what is left of each lane belongs to its ways
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
 from itertools import pairwise
 
 import numpy as np
@@ -39,11 +40,16 @@ _SIDES = ("predecessor", "successor")
 LANE_IDS = "av2.lane_segment_ids"
 #: Changes of lane over a marking, by whether its left and right lane allow them; increase is towards the left.
 _CHANGES = {(True, True): "both", (True, False): "decrease", (False, True): "increase", (False, False): "none"}
-#: What is at an end of a road: the map's edge, where each of its lanes is in the road as a whole; a road with the same
-#: lanes; a junction, which has what of its lanes is beyond the first one's end; one in which a way leads through no
-#: other lane, so that it takes a piece of the road.
-_OPEN, _JOINT, _JUNCTION, _SHORT = range(4)
 _LANE_TYPES = {"VEHICLE": "driving", "BUS": "bus", "BIKE": "biking"}
+
+
+class _End(Enum):
+    """What is at an end of a road."""
+
+    OPEN = "the map's edge: each of its lanes is in the road as a whole"
+    JOINT = "a road with the same lanes"
+    JUNCTION = "a junction: what of its lanes is beyond the first one's end is the junction's"
+    SHORT = "a junction in which a way leads through no other lane, so that it takes a piece of the road"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -119,16 +125,16 @@ class _Road:
         return np.asarray(point[0] + aside * np.array([-np.sin(heading[0]), np.cos(heading[0])]))
 
 
-def _road(lanes: Sequence[LaneSegment], start: int, end: int) -> _Road | None:
+def _road(lanes: Sequence[LaneSegment], start: _End, end: _End) -> _Road | None:
     """The road of lanes, from the left; None where they cannot be one."""
     line = _rounded(lanes[0].centerline)
     whole = line.samples()
     path = Polyline(line.at(whole)[0])
     starts, ends = (path.frenet([lane.centerline[k] for lane in lanes])[0] for k in (0, -1))
-    first = {_OPEN: min(starts.min(), 0.0), _JOINT: 0.0}.get(start, max(starts.max(), 0.0))
-    last = {_OPEN: max(ends.max(), whole[-1]), _JOINT: whole[-1]}.get(end, min(ends.min(), whole[-1]))
+    first = {_End.OPEN: min(starts.min(), 0.0), _End.JOINT: 0.0}.get(start, max(starts.max(), 0.0))
+    last = {_End.OPEN: max(ends.max(), whole[-1]), _End.JOINT: whole[-1]}.get(end, min(ends.min(), whole[-1]))
     taken = min(_TAKEN_M, _TAKEN_SHARE * (last - first))
-    first, last = first + taken * (start == _SHORT), last - taken * (end == _SHORT)
+    first, last = first + taken * (start is _End.SHORT), last - taken * (end is _End.SHORT)
     if len(lanes) > 1 and last - first < _SHORTEST_M:
         return None
     line = line.between(first, last)
@@ -218,16 +224,16 @@ def _drawn(graph: LaneGraph) -> tuple[Roads, list[_Road]]:
     while True:
         roads = roads_of(graph, apart=apart)
         left, entered = {way.source for way in roads.ways}, {way.target for way in roads.ways}
-        ends = [_OPEN] * len(roads.junctions)
+        ends = [_End.OPEN] * len(roads.junctions)
         for end, junction in enumerate(roads.junctions):
             if junction in roads.ways_of:
-                ends[end] = _JUNCTION if roads.joint(junction) is None else _JOINT
+                ends[end] = _End.JUNCTION if roads.joint(junction) is None else _End.JOINT
         merging: dict[tuple[int, int], set[int]] = {}
         for way in roads.ways:
             merging.setdefault((roads.place[way.source][0], way.target), set()).add(way.source)
             for end in (2 * roads.place[way.source][0] + 1, 2 * roads.place[way.target][0]):
-                if not way.through and ends[end] == _JUNCTION:
-                    ends[end] = _SHORT
+                if not way.through and ends[end] is _End.JUNCTION:
+                    ends[end] = _End.SHORT
         drawn, before = [], len(apart)
         for sources in merging.values():  # netconvert takes one link from a road to a lane
             apart.update(sorted(sources, key=lambda lane_id: roads.place[lane_id][1])[:-1])
@@ -240,8 +246,9 @@ def _drawn(graph: LaneGraph) -> tuple[Roads, list[_Road]]:
             drawn.append(road)
             for k, lane in enumerate(lanes if len(row) > 1 else ()):
                 start, end = lane.path.frenet([road.middle(k, 0), road.middle(k, -1)])[0].tolist()
-                lost = start * (lane.lane_id not in entered), (lane.length_m - end) * (lane.lane_id not in left)
-                if max(lost) > _ROW_WITHIN_M:
+                before_m = start if lane.lane_id not in entered else 0.0
+                behind_m = lane.length_m - end if lane.lane_id not in left else 0.0
+                if max(before_m, behind_m) > _ROW_WITHIN_M:
                     apart.add(lane.lane_id)  # nothing leads to what is cut off
         if len(apart) == before:
             return roads, drawn

@@ -198,6 +198,10 @@ class _Trace:
     steps: tuple[int, ...]
     advance_m: float
 
+    def limit(self, step_s: float) -> str:
+        """Speed at which it is driven, m/s, as SUMO reads it."""
+        return f"{self.advance_m / step_s:.4f}"
+
     def edge(self, number: int) -> str:
         """Id of one of its edges."""
         return f"trace_{self.track.track_id}_{number}"
@@ -248,7 +252,7 @@ def _with_traces(net: bytes, traces: list[_Trace], step_s: float) -> bytes:
     root = etree.fromstring(net)
     added: dict[str, list[etree._Element]] = {"edge": [], "junction": [], "connection": []}
     for trace in traces:
-        limit = f"{trace.advance_m / step_s:.4f}"
+        limit = trace.limit(step_s)
         for k, (points, steps) in enumerate(zip(trace.shapes, trace.steps, strict=True)):
             length = f"{steps * trace.advance_m:.4f}"
             edge = {"id": trace.edge(k), "from": f"{trace.edge(k)}_j", "to": f"{trace.edge(k + 1)}_j"}
@@ -279,7 +283,7 @@ def _routes(scenario: Scenario, traces: list[_Trace]) -> bytes:
     colors = paints(scenario)
     kinds, vehicles = [], []
     for trace in sorted(traces, key=lambda trace: departure(trace.track)):
-        name, limit = trace.track.track_id, f"{trace.advance_m / scenario.step_s:.4f}"
+        name, limit = trace.track.track_id, trace.limit(scenario.step_s)
         kind = vehicle_type(trace.track) | {"vClass": _UNSEEN, "maxSpeed": limit, "speedFactor": "1", "speedDev": "0"}
         kinds.append(E.vType(kind | {"minGap": "0", "sigma": "0", "tau": f"{scenario.step_s}"}))
         vehicle = {"id": name, "type": f"type_{name}", "color": colors[name].xml, "insertionChecks": "none"}

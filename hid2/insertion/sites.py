@@ -31,7 +31,7 @@ class TurnedDown:
 
     counts: defaultdict[Policy, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
 
-    def at(self, scene: Scene, row: int, policy: Policy) -> None:
+    def could_not_begin(self, scene: Scene, row: int, policy: Policy) -> None:
         """A vehicle could not begin on a cell, by its row: what speaks against one mostly speaks against those near.
 
         Whether there is a gap beside at a trigger is a matter of metres: a lane change speaks for its cell alone.
@@ -131,7 +131,7 @@ class InsertionSites:
                 else:
                     self.starts.rejected[start] += 1
                     if start is not Reason.NO_SITE:  # another one of this round may be in the way
-                        self.turned_down.at(self.here.scene, row, request.policy)
+                        self.turned_down.could_not_begin(self.here.scene, row, request.policy)
                 break
             if tried >= self.here.scene.config.sites.tries:
                 return

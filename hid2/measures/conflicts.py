@@ -124,7 +124,7 @@ def conflicts(
             continue
         for part in np.split(close, np.flatnonzero(np.diff(close) * arrays.step_s > CONFLICT_PET_S) + 1):
             span = course.during(int(part[0]), int(part[-1]))
-            first = min(passed, key=passed.__getitem__) if passed else a if _leads(arrays, span) else b
+            first = _first(arrays, (a, b), span, passed)
             found.append(_conflict(arrays, (first, a + b - first), span, met_s, passed))
     return sorted(found, key=lambda one: (one.start_s, one.first_id, one.second_id))
 
@@ -152,13 +152,15 @@ def _passed(arrays: SceneArrays, a: int, b: int) -> dict[int, int]:
     return {a: int(arrays.step[own][at]), b: int(arrays.step[its][then])}
 
 
-def _leads(arrays: SceneArrays, span: PairCourse) -> bool:
-    """Whether the first of a pair is ahead of the second at the least TTC, by the heading of the faster one."""
+def _first(arrays: SceneArrays, agents: tuple[int, int], span: PairCourse, passed: Mapping[int, int]) -> int:
+    """The one of two that passes a crossing first, or else is ahead at the least TTC, by the faster one's heading."""
+    if passed:
+        return min(passed, key=passed.__getitem__)
     at = int(np.argmin(span.ttc_s))
     pair = int(span.rows[at]), int(span.other[at])
     fast = max(pair, key=lambda row: float(np.hypot(*arrays.velocity[row])))
     forward = np.array([math.cos(arrays.heading[fast]), math.sin(arrays.heading[fast])])
-    return float((arrays.position[pair[0]] - arrays.position[pair[1]]) @ forward) >= 0.0
+    return agents[0] if (arrays.position[pair[0]] - arrays.position[pair[1]]) @ forward >= 0.0 else agents[1]
 
 
 def _near_pairs(arrays: SceneArrays, ttc_s: float) -> Iterator[tuple[int, int]]:
