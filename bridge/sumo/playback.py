@@ -110,9 +110,9 @@ def playable_files(scenario: Scenario, grid: CellGrid) -> dict[str, bytes]:
     options["time"]["end"] = f"{(scenario.num_steps + 1) * scenario.step_s:.2f}"  # at which sumo-gui asks to close all
     options["processing"] = {"collision.action": "none", "time-to-teleport": "-1"}
     files = scene_view_files(scenario, grid, name, options)
-    traces = [_trace(track) for track in scenario.tracks]
+    traces = [_trace(track, scenario.step_s) for track in scenario.tracks]
     net = net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city))
-    files[f"{name}.net.xml"] = _with_traces(net, traces, scenario.step_s)
+    files[f"{name}.net.xml"] = _with_traces(net, traces)
     files[f"{name}.rou.xml"] = _routes(scenario, traces)
     return files
 
@@ -191,23 +191,20 @@ def _legend(scenario: Scenario, low: FloatArray, high: FloatArray) -> list[etree
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Trace:
-    """The lanes of one track: shapes, each (2, 2) m, and for how many steps of advance_m each is driven on."""
+    """The lanes of one track: shapes, each (2, 2) m, driven at limit m/s for so many steps of advance_m each."""
 
     track: Track
     shapes: tuple[FloatArray, ...]
     steps: tuple[int, ...]
     advance_m: float
-
-    def limit(self, step_s: float) -> str:
-        """Speed at which it is driven, m/s, as SUMO reads it."""
-        return f"{self.advance_m / step_s:.4f}"
+    limit: str
 
     def edge(self, number: int) -> str:
         """Id of one of its edges."""
         return f"trace_{self.track.track_id}_{number}"
 
 
-def _trace(track: Track) -> _Trace:
+def _trace(track: Track, step_s: float) -> _Trace:
     """Lanes as long as possible; where a track has a gap, its agent drives evenly through."""
     steps = np.arange(track.timesteps[0], track.timesteps[-1] + 1)
     front, _ = sumo_poses(track.position, track.heading, np.full(len(track.timesteps), track.size.length_m))
@@ -226,7 +223,7 @@ def _trace(track: Track) -> _Trace:
         shapes.append(np.stack([place - begins * velocity, place + (count - begins) * velocity]))
         counts.append(count)
         row += count
-    return _Trace(track, tuple(shapes), tuple(counts), advance_m)
+    return _Trace(track, tuple(shapes), tuple(counts), advance_m, f"{advance_m / step_s:.4f}")
 
 
 def _steady(front: FloatArray, heading: FloatArray) -> tuple[FloatArray, FloatArray] | None:
@@ -247,17 +244,16 @@ def _direction(heading: float) -> FloatArray:
     return np.array([np.cos(heading), np.sin(heading)])
 
 
-def _with_traces(net: bytes, traces: list[_Trace], step_s: float) -> bytes:
+def _with_traces(net: bytes, traces: list[_Trace]) -> bytes:
     """Add the lanes of the traces to a net."""
     root = etree.fromstring(net)
     added: dict[str, list[etree._Element]] = {"edge": [], "junction": [], "connection": []}
     for trace in traces:
-        limit = trace.limit(step_s)
         for k, (points, steps) in enumerate(zip(trace.shapes, trace.steps, strict=True)):
             length = f"{steps * trace.advance_m:.4f}"
             edge = {"id": trace.edge(k), "from": f"{trace.edge(k)}_j", "to": f"{trace.edge(k + 1)}_j"}
             edge |= {"priority": "0", "length": length}
-            lane = {"id": f"{trace.edge(k)}_0", "index": "0", "speed": limit, "width": f"{_TRACE_WIDTH_M}"}
+            lane = {"id": f"{trace.edge(k)}_0", "index": "0", "speed": trace.limit, "width": f"{_TRACE_WIDTH_M}"}
             lane |= {"allow": _UNSEEN, "length": length, "shape": shape(points, digits=4), "customShape": "1"}
             added["edge"].append(E.edge(edge, E.lane(lane)))
             if k:
@@ -283,7 +279,7 @@ def _routes(scenario: Scenario, traces: list[_Trace]) -> bytes:
     colors = paints(scenario)
     kinds, vehicles = [], []
     for trace in sorted(traces, key=lambda trace: departure(trace.track)):
-        name, limit = trace.track.track_id, trace.limit(scenario.step_s)
+        name, limit = trace.track.track_id, trace.limit
         kind = vehicle_type(trace.track) | {"vClass": _UNSEEN, "maxSpeed": limit, "speedFactor": "1", "speedDev": "0"}
         kinds.append(E.vType(kind | {"minGap": "0", "sigma": "0", "tau": f"{scenario.step_s}"}))
         vehicle = {"id": name, "type": f"type_{name}", "color": colors[name].xml, "insertionChecks": "none"}
