@@ -332,7 +332,7 @@ def of_followers(states: AgentStates, inserted: IntArray, bounds: Bounds) -> Ite
 def of_crossings(states: AgentStates, bounds: Bounds, *, since: int) -> Iterator[Finding]:
     """PET of moving vehicles with crossing swept paths; of each pair the later agent is one of `since` and later."""
     arrays, critical_s = states.arrays, bounds.conflict.pet_min_s
-    for first, second, pet_s in encroachments(arrays, since=since, cap_s=critical_s):
+    for first, second, pet_s, _ in encroachments(arrays, since=since, cap_s=critical_s):
         if pet_s < critical_s - 1e-9:
             step = int(arrays.step[arrays.first[second]])
             yield _finding(states, (second, first), step, Quantity.PET, pet_s, critical_s)

@@ -155,13 +155,12 @@ def time_to_collision(
     width: FloatArray,
     row_of: IntArray,
     cap_s: float,
-) -> tuple[FloatArray, IntArray]:
-    """Smallest TTC of every row to any other agent present, at most `cap_s` (N,), and that agent (N,), -1 if none."""
+) -> tuple[FloatArray, FloatArray]:
+    """Smallest TTC, at most `cap_s`, of every row to any other agent there (N,) and of each pair a, b > a (A, A)."""
     agents, rows = len(row_of), len(position)
     since, until = _spans(row_of)
     extent, fastest = _extents(position, velocity, row_of)
-    ttc = np.full(rows, cap_s)
-    other = np.full(rows, -1, dtype=np.int64)
+    ttc, least = np.full(rows, cap_s), np.full((agents, agents), cap_s)
     for a in range(agents):
         radius_a = math.hypot(length[a], width[a]) / 2
         for b in range(a + 1, agents):
@@ -190,11 +189,9 @@ def time_to_collision(
                     math.cos(heading[i]), math.sin(heading[i]), length[a] / 2, width[a] / 2,
                     math.cos(heading[j]), math.sin(heading[j]), length[b] / 2, width[b] / 2,
                 )  # fmt: skip
-                if seconds < ttc[i]:
-                    ttc[i], other[i] = seconds, b
-                if seconds < ttc[j]:
-                    ttc[j], other[j] = seconds, a
-    return ttc, other
+                ttc[i], ttc[j] = min(ttc[i], seconds), min(ttc[j], seconds)
+                least[a, b] = min(least[a, b], seconds)
+    return ttc, least
 
 
 @kernel("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8)")
@@ -289,10 +286,13 @@ def _encroachment(
     step_a: IntArray, xy_a: FloatArray, heading_a: FloatArray, length_a: float, width_a: float,
     step_b: IntArray, xy_b: FloatArray, heading_b: FloatArray, length_b: float, width_b: float,
     cap_steps: int, min_sine: float,
-) -> int:  # fmt: skip
-    """PET of two tracks in steps, -1 where it is above cap_steps or their paths do not cross."""
-    if swept_paths_cross(xy_a, heading_a, length_a, xy_b, heading_b, length_b, min_sine)[0] < 0:
-        return -1
+) -> tuple[int, int, int]:  # fmt: skip
+    """PET of two tracks in steps, -1 where it is above cap_steps or their paths do not cross; rows where they do."""
+    if step_a[0] - step_b[-1] > cap_steps or step_b[0] - step_a[-1] > cap_steps:
+        return -1, -1, -1
+    at, then = swept_paths_cross(xy_a, heading_a, length_a, xy_b, heading_b, length_b, min_sine)
+    if at < 0:
+        return -1, -1, -1
     long_a, long_b = _swept_lengths(xy_a, length_a), _swept_lengths(xy_b, length_b)
     reach = (math.hypot(length_a, width_a) + math.hypot(length_b, width_b)) / 2
     best, least_cosine = cap_steps + 1, math.sqrt(1.0 - min_sine * min_sine)
@@ -311,7 +311,7 @@ def _encroachment(
                 dx, dy, math.cos(heading_b[j]), math.sin(heading_b[j]), long_b[j] / 2, width_b / 2,
             ):  # fmt: skip
                 best = apart
-    return best if best <= cap_steps else -1
+    return (best if best <= cap_steps else -1), at, then
 
 
 @kernel("(i8[::1], f8[:,::1], f8[::1], f8[::1], f8[::1], i8[::1], i8[::1], i8, f8, i8,)")
@@ -326,10 +326,11 @@ def post_encroachment(
     cap_steps: int,
     min_angle: float,
     since: int = 0,
-) -> IntArray:
+) -> tuple[IntArray, IntArray]:
     """PET in steps for every pair of `agents` (K, K), upper triangle, -1 where their paths do not cross in time.
 
-    Only pairs with their second one among agents[since:].
+    Beside it rows of the two tracks before which their paths cut each other (K, K, 2). Only pairs with their second one
+    among agents[since:].
 
     Paths cross where the centres' paths, with the bumpers at their ends, cut each other at `min_angle` at least
     (and at most pi - min_angle: meeting head-on is no crossing). PET is then the smallest |t1 - t2| at which the
@@ -342,7 +343,7 @@ def post_encroachment(
     for k in range(count):
         a = agents[k]
         bounds[k] = _bounds(position[first[a] : first[a + 1]], length[a])
-    out = np.full((count, count), -1, dtype=np.int64)
+    out, crossed = np.full((count, count), -1, dtype=np.int64), np.full((count, count, 2), -1, dtype=np.int64)
     for p in range(count):
         a = agents[p]
         of_a = slice(first[a], first[a + 1])
@@ -351,9 +352,9 @@ def post_encroachment(
                 continue
             b = agents[q]
             of_b = slice(first[b], first[b + 1])
-            out[p, q] = _encroachment(
+            out[p, q], crossed[p, q, 0], crossed[p, q, 1] = _encroachment(
                 step[of_a], position[of_a], heading[of_a], length[a], width[a],
                 step[of_b], position[of_b], heading[of_b], length[b], width[b],
                 cap_steps, math.sin(min_angle),
             )  # fmt: skip
-    return out
+    return out, crossed

@@ -4,16 +4,15 @@ Definitions and thresholds: Surrogate Safety Assessment Model (Gettman et al. 20
 """
 
 import math
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from hid2.agents import FloatArray, IntArray
-from hid2.kernels.box_pairs import swept_paths_cross
 from hid2.measures.arrays import SceneArrays
-from hid2.measures.post_encroachment import CROSSING_RAD, encroachments
-from hid2.measures.time_to_collision import CAP_S, ttc_to_anything
+from hid2.measures.post_encroachment import Encroachment, encroachments
+from hid2.measures.time_to_collision import CAP_S, ttc_of_rows_and_pairs, ttc_to_anything
 from netconvert.geometry import differences, wrap_angle
 
 #: A conflict has a TTC below the first, or paths that cross within the second, s (SSAM's thresholds).
@@ -73,29 +72,25 @@ def pair_course(arrays: SceneArrays, follower: int, other: int, *, cap_s: float 
 
 @dataclass(frozen=True, slots=True)
 class TrafficConflict:
-    """One conflict; the second vehicle is the one that comes to the place of conflict later.
+    """One conflict; the second vehicle is the one that comes to the place of conflict later."""
 
-    start_s, end_s: TTC below the threshold, or the crossing's two passages; time_s: of the least TTC; ttc_s, pet_s:
-    least, None above the thresholds; drac_mps2: largest of the second vehicle; max_s_mps: MaxS, larger speed of the two
-    over the conflict; delta_s_mps: DeltaS, length of the difference of velocities at time_s; angle_deg: between the
-    headings then, -180 to 180, positive where the second comes from the right; kind: rear_end, lane_change, crossing;
-    x_m, y_m: between the two then, or where they pass the crossing, city frame.
-    """
-
-    first_id: str
-    second_id: str
-    kind: str
-    start_s: float
-    end_s: float
-    time_s: float
-    ttc_s: float | None
-    pet_s: float | None
-    drac_mps2: float
-    max_s_mps: float
-    delta_s_mps: float
-    angle_deg: float
-    x_m: float
-    y_m: float
+    first_id: Annotated[str, "the vehicle that is first at the place of conflict"]
+    second_id: Annotated[str, "the other one"]
+    kind: Annotated[str, "SSAM's class by the angle: rear_end below 30 degrees, crossing above 80, lane_change between"]
+    start_s: Annotated[float, "from when the TTC is below 1.5 s; of a crossing without: when the first passes"]
+    end_s: Annotated[float, "until when; of a crossing without: when the second passes"]
+    time_s: Annotated[float, "time of the least TTC"]
+    ttc_s: Annotated[float | None, "TTC: least, of the boxes at constant velocities; empty: not below 1.5 s"]
+    pet_s: Annotated[
+        float | None,
+        "PET: least, where the paths cross, else until the second comes where the first was; empty: above 5 s",
+    ]
+    drac_mps2: Annotated[float, "largest deceleration that the second needed to avoid the crash"]
+    max_s_mps: Annotated[float, "MaxS: larger speed of the two during the conflict"]
+    delta_s_mps: Annotated[float, "DeltaS: length of the difference of the two velocities at time_s"]
+    angle_deg: Annotated[float, "from the first's heading to the second's at time_s; positive: it comes from the right"]
+    x_m: Annotated[float, "between the two at time_s, of a crossing without a TTC where they pass; city frame"]
+    y_m: Annotated[float, "the same"]
 
     @property
     def text(self) -> str:
@@ -112,50 +107,27 @@ def conflicts(
 
     ttc_s, pet_s: thresholds of the TTC and of the PET of paths that cross.
     """
-    crossing = _crossings(arrays, pet_s)
+    crossing = {(one.first, one.second): one for one in encroachments(arrays, cap_s=pet_s) if one.pet_s <= pet_s}
+    near = ttc_of_rows_and_pairs(arrays, cap_s=ttc_s)[1] < ttc_s
+    near &= np.outer(arrays.vehicle, arrays.vehicle) & (arrays.moving[:, None] | arrays.moving)
     found: list[TrafficConflict] = []
-    for a, b in sorted({*_near_pairs(arrays, ttc_s), *crossing}):
-        course = pair_course(arrays, a, b, cap_s=ttc_s)
-        close, met_s = course.step[np.isfinite(course.ttc_s)], crossing.get((a, b))
-        passed = _passed(arrays, a, b) if met_s is not None else {}
-        if passed and not close.size:
-            close = course.step[(course.step >= min(passed.values())) & (course.step <= max(passed.values()))]
+    for a, b in sorted({*zip(*(side.tolist() for side in np.nonzero(near)), strict=True), *crossing}):
+        course, crossed = pair_course(arrays, a, b, cap_s=ttc_s), crossing.get((a, b))
+        close = course.step[np.isfinite(course.ttc_s)]
+        if crossed and not close.size:
+            close = course.step[(course.step >= min(crossed.passed)) & (course.step <= max(crossed.passed))]
         if not close.size:
             continue
-        for part in np.split(close, np.flatnonzero(np.diff(close) * arrays.step_s > CONFLICT_PET_S) + 1):
-            span = course.during(int(part[0]), int(part[-1]))
-            first = _first(arrays, (a, b), span, passed)
-            found.append(_conflict(arrays, (first, a + b - first), span, met_s, passed))
+        parts = np.split(close, np.flatnonzero(np.diff(close) * arrays.step_s > CONFLICT_PET_S) + 1)
+        spans = (course.during(int(part[0]), int(part[-1])) for part in parts)
+        found += [_conflict(arrays, (a, b), span, crossed) for span in spans]
     return sorted(found, key=lambda one: (one.start_s, one.first_id, one.second_id))
 
 
-def _crossings(arrays: SceneArrays, pet_s: float) -> dict[tuple[int, int], float]:
-    """PET, s, of moving vehicles on paths that cross within pet_s; of those there within so long of each other."""
-    since, until = arrays.step[arrays.first[:-1]], arrays.step[arrays.first[1:] - 1]
-    moving, apart = np.flatnonzero(arrays.vehicle & arrays.moving), pet_s / arrays.step_s
-    found: dict[tuple[int, int], float] = {}
-    for own in moving.tolist():
-        met = (since[moving] <= until[own] + apart) & (until[moving] >= since[own] - apart) & (moving <= own)
-        pairs = encroachments(arrays, since=own, cap_s=pet_s, agents=moving[met])
-        found |= {(one.first, one.second): one.pet_s for one in pairs if one.pet_s <= pet_s}
-    return found
-
-
-def _passed(arrays: SceneArrays, a: int, b: int) -> dict[int, int]:
-    """Steps by vehicle at which two pass the place where their paths cross."""
-    own, its = (slice(int(arrays.first[one]), int(arrays.first[one + 1])) for one in (a, b))
-    position, heading = arrays.position, arrays.heading
-    at, then = swept_paths_cross(
-        position[own], heading[own], arrays.length[a], position[its], heading[its], arrays.length[b],
-        math.sin(CROSSING_RAD),
-    )  # fmt: skip
-    return {a: int(arrays.step[own][at]), b: int(arrays.step[its][then])}
-
-
-def _first(arrays: SceneArrays, agents: tuple[int, int], span: PairCourse, passed: Mapping[int, int]) -> int:
+def _first(arrays: SceneArrays, agents: tuple[int, int], span: PairCourse, crossed: Encroachment | None) -> int:
     """The one of two that passes a crossing first, or else is ahead at the least TTC, by the faster one's heading."""
-    if passed:
-        return min(passed, key=passed.__getitem__)
+    if crossed:
+        return agents[crossed.passed[1] < crossed.passed[0]]
     at = int(np.argmin(span.ttc_s))
     pair = int(span.rows[at]), int(span.other[at])
     fast = max(pair, key=lambda row: float(np.hypot(*arrays.velocity[row])))
@@ -163,38 +135,19 @@ def _first(arrays: SceneArrays, agents: tuple[int, int], span: PairCourse, passe
     return agents[0] if (arrays.position[pair[0]] - arrays.position[pair[1]]) @ forward >= 0.0 else agents[1]
 
 
-def _near_pairs(arrays: SceneArrays, ttc_s: float) -> Iterator[tuple[int, int]]:
-    """Pairs of vehicles, one of them moving, that are near enough at some step for a TTC below the threshold."""
-    starts, stops = arrays.first[:-1], arrays.first[1:]
-    since, until = arrays.step[starts], arrays.step[stops - 1]
-    reach_m, counts = 0.5 * np.hypot(arrays.length, arrays.width), arrays.vehicle
-    for a in np.flatnonzero(counts).tolist():
-        later = counts & (since <= until[a]) & (until >= since[a]) & (arrays.moving | arrays.moving[a])
-        later[: a + 1] = False
-        own = np.arange(starts[a], stops[a])
-        rows = arrays.row_of[np.ix_(np.flatnonzero(later), arrays.step[own])]  # (K, steps of a)
-        apart = arrays.position[rows] - arrays.position[own]
-        closing = arrays.velocity[rows] - arrays.velocity[own]
-        reach = reach_m[later][:, None] + reach_m[a] + ttc_s * np.hypot(*np.moveaxis(closing, -1, 0))
-        near = ((rows >= 0) & (np.hypot(*np.moveaxis(apart, -1, 0)) <= reach)).any(axis=1)
-        yield from ((a, b) for b in np.flatnonzero(later)[near].tolist())
-
-
 def _conflict(
-    arrays: SceneArrays, pair: tuple[int, int], span: PairCourse, crossing_s: float | None, passed: Mapping[int, int]
+    arrays: SceneArrays, pair: tuple[int, int], span: PairCourse, crossed: Encroachment | None
 ) -> TrafficConflict:
-    """The conflict of a pair, the first to be there first, over some steps.
-
-    crossing_s: PET where their paths cross; passed: step at which each passes there, by vehicle.
-    """
-    first, second = pair
+    """The conflict of a pair over some steps. crossed: where their paths cross."""
+    first = _first(arrays, pair, span, crossed)
+    second = sum(pair) - first
     at, steps = int(np.argmin(span.ttc_s)), (int(span.step[0]), int(span.step[-1]))
     then, ttc_s = int(span.step[at]), float(span.ttc_s[at])
-    one, other = (int(arrays.row_of[agent, then]) for agent in pair)
-    met = passed if passed and not math.isfinite(ttc_s) else dict.fromkeys(pair, then)
-    x_m, y_m = arrays.position[[arrays.row_of[agent, step] for agent, step in met.items()]].mean(axis=0).tolist()
+    one, other = (int(arrays.row_of[agent, then]) for agent in (first, second))
+    met = crossed.passed if crossed and not math.isfinite(ttc_s) else (then, then)
+    x_m, y_m = arrays.position[arrays.row_of[list(pair), list(met)]].mean(axis=0).tolist()
     course = pair_course(arrays, second, first).during(*steps)
-    pet_s = crossing_s if crossing_s is not None else _following_pet(arrays, first, second, steps)
+    pet_s = crossed.pet_s if crossed else _following_pet(arrays, first, second, steps)
     angle = math.degrees(float(wrap_angle(arrays.heading[other] - arrays.heading[one])))
     kind = "rear_end" if abs(angle) < REAR_END_DEG else "crossing" if abs(angle) > CROSSING_DEG else "lane_change"
     speeds = np.hypot(*arrays.velocity[np.concatenate([span.rows, span.other])].T)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -13,36 +14,31 @@ from hid2.measures.manoeuvres import Maneuver, ManeuverKind
 
 @dataclass(frozen=True, slots=True)
 class LaneChangeRow:
-    """One lane change. Gaps are bumper to bumper on the lane path, up to 100 m; None: no vehicle there.
+    """One lane change. Gaps are bumper to bumper on the lane path, up to 100 m; None: no vehicle there."""
 
-    before: on the lane left, at the start; after: on the lane entered, at the end. lag_id: the new follower, at the end
-    or else at the crossing; lag_brakes_mps2, lag_drac_mps2, lag_headway_s: its hardest braking, largest DRAC and least
-    headway, front to front, from start to end.
-    """
-
-    track_id: str
-    source_lane: int
-    target_lane: int
-    side: int
-    complete: bool
-    start_s: float
-    crossing_s: float
-    end_s: float
-    duration_s: float
-    start_mps: float
-    crossing_mps: float
-    end_mps: float
-    lead_before_id: str | None
-    lead_before_m: float | None
-    lag_before_id: str | None
-    lag_before_m: float | None
-    lead_after_id: str | None
-    lead_after_m: float | None
-    lag_id: str | None
-    lag_after_m: float | None
-    lag_brakes_mps2: float | None
-    lag_drac_mps2: float | None
-    lag_headway_s: float | None
+    track_id: Annotated[str, "what changed lanes: an id in the simulation, or of a recorded vehicle"]
+    source_lane: Annotated[int, "lane segment left"]
+    target_lane: Annotated[int, "lane segment entered"]
+    side: Annotated[int, "1: to the left, -1: to the right"]
+    complete: Annotated[bool, "whether start and end were seen"]
+    start_s: Annotated[float, "from when the lateral speed is above 0.1 m/s"]
+    crossing_s: Annotated[float, "when it is between the lanes"]
+    end_s: Annotated[float, "until when the lateral speed is above 0.1 m/s"]
+    duration_s: Annotated[float, "end_s - start_s"]
+    start_mps: Annotated[float, "speed at start_s"]
+    crossing_mps: Annotated[float, "speed at crossing_s"]
+    end_mps: Annotated[float, "speed at end_s"]
+    lead_before_id: Annotated[str | None, "leader on the lane left, at the start"]
+    lead_before_m: Annotated[float | None, "bumper gap to it on the lane path, up to 100 m"]
+    lag_before_id: Annotated[str | None, "follower there"]
+    lag_before_m: Annotated[float | None, "its gap"]
+    lead_after_id: Annotated[str | None, "leader on the lane entered, at the end"]
+    lead_after_m: Annotated[float | None, "gap to it"]
+    lag_id: Annotated[str | None, "new follower, at the end or else at the crossing"]
+    lag_after_m: Annotated[float | None, "its gap at the end"]
+    lag_brakes_mps2: Annotated[float | None, "hardest braking of the new follower from start to end"]
+    lag_drac_mps2: Annotated[float | None, "its largest DRAC"]
+    lag_headway_s: Annotated[float | None, "its least time headway, front to front"]
 
 
 def lane_changes(view: LaneView, led: Leaders, seen: Iterable[Maneuver]) -> Iterator[LaneChangeRow]:
@@ -55,44 +51,38 @@ def lane_changes(view: LaneView, led: Leaders, seen: Iterable[Maneuver]) -> Iter
             continue
         own = numbers[one.track_id]
         first, middle, last = (round(at / arrays.step_s) for at in (one.start_s, one.crossing_s, one.end_s))
-        lead_before, lag_before = _neighbours(view, led, own, first)
-        lead_after, lag_after = _neighbours(view, led, own, last)
-        lag = lag_after[0] if lag_after[0] is not None else _neighbours(view, led, own, middle)[1][0]
-        names = [
-            None if agent is None else arrays.track_ids[agent]
-            for agent in (lead_before[0], lag_before[0], lead_after[0], lag)
-        ]
+        before, after = (_neighbours(view, led, own, at) for at in (first, last))
+        lag = after[2] if after[2] is not None else _neighbours(view, led, own, middle)[2]
+        names = [None if agent is None else arrays.track_ids[agent] for agent in (before[0], before[2], after[0], lag)]
+        course = None if lag is None else pair_course(arrays, lag, own).during(first, last)
         brakes = drac = headway = None
-        if lag is not None:
-            course = pair_course(arrays, lag, own).during(first, last)
-            if course.step.size > 1:
-                brakes, drac = float(course.brakes_mps2.max()), float(course.drac_mps2.max())
-                headway = float(course.headway_s.min())
+        if course is not None and course.step.size > 1:
+            brakes, drac = float(course.brakes_mps2.max()), float(course.drac_mps2.max())
+            headway = float(course.headway_s.min())
         start_mps, crossing_mps, end_mps = (float(speed[arrays.row_of[own, at]]) for at in (first, middle, last))
         yield LaneChangeRow(
             one.track_id, one.source_lane, one.target_lane, one.side, one.complete, one.start_s, one.crossing_s,
-            one.end_s, one.duration_s, start_mps, crossing_mps, end_mps, names[0], lead_before[1], names[1],
-            lag_before[1], names[2], lead_after[1], names[3], lag_after[1], brakes, drac, headway,
+            one.end_s, one.duration_s, start_mps, crossing_mps, end_mps, names[0], before[1], names[1], before[3],
+            names[2], after[1], names[3], after[3], brakes, drac, headway,
         )  # fmt: skip
 
 
 def _neighbours(
     view: LaneView, led: Leaders, own: int, step: int
-) -> tuple[tuple[int | None, float | None], tuple[int | None, float | None]]:
+) -> tuple[int | None, float | None, int | None, float | None]:
     """Leader and follower of a vehicle at a step on the lane path, each with its gap, m; none on a lane beside."""
     arrays, lane = view.arrays, view.matches.lane
-    row = int(arrays.row_of[own, step])
+    row, rows = int(arrays.row_of[own, step]), arrays.row_of[:, step]
 
-    def beside(at: int) -> bool:
-        """Whether a row is on a lane beside that of the vehicle, from or to which it may change."""
-        return lane[at] >= 0 and lane[row] >= 0 and int(view.lanes.link[lane[at], lane[row]]) == 1
+    def apart(at: int) -> bool:
+        """Whether a row is on no lane beside that of the vehicle, from or to which it may change."""
+        return lane[at] < 0 or lane[row] < 0 or int(view.lanes.link[lane[at], lane[row]]) != 1
 
-    lead: tuple[int | None, float | None] = (None, None)
-    if led.agent[row] >= 0 and not beside(int(arrays.row_of[led.agent[row], step])):
-        lead = int(led.agent[row]), float(led.gap_m[row])
-    rows = arrays.row_of[:, step]
-    behind = [int(at) for at in rows[rows >= 0] if led.agent[at] == own and not beside(int(at))]
-    if not behind:
-        return lead, (None, None)
-    nearest = min(behind, key=lambda at: float(led.gap_m[at]))
-    return lead, (int(arrays.agent[nearest]), float(led.gap_m[nearest]))
+    ahead = led.agent[row]
+    leads = ahead >= 0 and apart(int(rows[ahead]))
+    behind = [int(at) for at in rows[rows >= 0] if led.agent[at] == own and apart(int(at))]
+    nearest = min(behind, key=lambda at: float(led.gap_m[at]), default=None)
+    return (
+        *((int(ahead), float(led.gap_m[row])) if leads else (None, None)),
+        *((None, None) if nearest is None else (int(arrays.agent[nearest]), float(led.gap_m[nearest]))),
+    )

@@ -15,11 +15,12 @@ CROSSING_RAD = math.radians(30)
 
 
 class Encroachment(NamedTuple):
-    """A crossing of two vehicles' swept paths: post-encroachment time between them."""
+    """A crossing of two vehicles' swept paths: post-encroachment time, and the steps at which each passes there."""
 
     first: int
     second: int
     pet_s: float
+    passed: tuple[int, int]
 
 
 def encroachments(
@@ -32,11 +33,13 @@ def encroachments(
     instead of moving vehicles; crossing_rad: paths that meet at less do not cross.
     """
     moving = np.flatnonzero(arrays.vehicle & arrays.moving) if agents is None else agents
-    steps = post_encroachment(
+    steps, crossed = post_encroachment(
         moving, arrays.position, arrays.heading, arrays.length, arrays.width, arrays.first, arrays.step,
         round(cap_s / arrays.step_s), crossing_rad, int(np.searchsorted(moving, since)),
     )  # fmt: skip
-    return tuple(
-        Encroachment(int(moving[p]), int(moving[q]), float(steps[p, q] * arrays.step_s))
-        for p, q in np.argwhere(steps >= 0)
-    )
+    found = []
+    for p, q in np.argwhere(steps >= 0):
+        pair = int(moving[p]), int(moving[q])
+        at, then = arrays.step[arrays.first[list(pair)] + crossed[p, q]].tolist()
+        found.append(Encroachment(*pair, float(steps[p, q] * arrays.step_s), (at, then)))
+    return tuple(found)

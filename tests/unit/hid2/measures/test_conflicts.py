@@ -8,7 +8,7 @@ import pytest
 
 from hid2.agents import BoxSize, FloatArray, Track
 from hid2.measures.arrays import stack
-from hid2.measures.conflicts import _crossings, conflicts, pair_course
+from hid2.measures.conflicts import conflicts, pair_course
 from hid2.measures.following import leaders
 from hid2.measures.lane_changes import lane_changes
 from hid2.measures.lane_matching import flatten_lanes
@@ -57,16 +57,19 @@ def test_crossing_conflict_by_hand() -> None:
 
 
 def test_crossings_are_those_of_all_pairs_whenever_the_vehicles_are_there() -> None:
-    """Twelve from the south at random times, one from the west: as many PETs as pairs asked all at once have."""
+    """Twelve from the south at random times, one from the west: PETs of all pairs at once are those of each alone."""
     rng = np.random.default_rng(0)
     tracks = [_straight("w", (-60, 0), 10.0, 0, steps=120)]
     for number, start in enumerate(rng.integers(0, 150, size=12).tolist()):
         track = _straight(f"s{number}", (rng.uniform(-5, 5), -20), 8.0, 90)
         tracks.append(replace(track, timesteps=track.timesteps + start))
     arrays = stack(tracks, step_s=0.1)
-    asked = {(one.first, one.second): one.pet_s for one in encroachments(arrays, cap_s=5.0)}
-    assert 3 < len(asked) < 12
-    assert _crossings(arrays, 5.0) == asked
+    found = encroachments(arrays, cap_s=5.0)
+    assert 3 < len(found) < 12
+    alone = [encroachments(arrays.agents([0, other]), cap_s=30.0) for other in range(1, arrays.num_agents)]
+    assert [(one.pet_s, one.passed) for (one,) in filter(None, alone) if one.pet_s <= 5.0] == [
+        (one.pet_s, one.passed) for one in found
+    ]
 
 
 @pytest.mark.parametrize(("heading_deg", "kind"), [(20, "rear_end"), (50, "lane_change"), (85, "crossing")])
