@@ -5,6 +5,7 @@ route over a lane beside must change, whatever it gains. Positions are along the
 """
 
 from bisect import bisect_right
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -94,14 +95,9 @@ class RoadTraffic:
         self.road, self.config = road, config
         self._grid = build_cell_grid(recording.graph, cell_m=_WHOLE_M)
         self._lanes = {lane.lane_id: lane for lane in road.stretches()}
-        self._number_at: dict[str, tuple[int, float]] = {}
-        self._index: dict[int, int] = {}
-        self._sumo_lane: dict[int, str] = {}
-        for lane_id, lane in self._lanes.items():
-            cell = Cell(lane_id, 0)
-            name = self._sumo_lane[lane_id] = self._grid.sumo_lane_id(cell)
-            self._index[lane_id] = self._grid.lane_index(cell)
-            self._number_at[name] = lane_id, lane.start_m
+        self._index = {lane_id: self._grid.lane_index(Cell(lane_id, 0)) for lane_id in self._lanes}
+        self._sumo_lane = {lane_id: self._grid.sumo_lane_id(Cell(lane_id, 0)) for lane_id in self._lanes}
+        self._place_of = {name: (lane_id, self._lanes[lane_id].start_m) for lane_id, name in self._sumo_lane.items()}
         self.vehicles = arrivals(road, config)
         self._by_name = {one.name: one for one in self.vehicles}
         self.driven_m = self.driven_s = 0.0
@@ -125,19 +121,14 @@ class RoadTraffic:
             model=config.car_following.model, parameters=more, checks_gaps=config.lane_change.safety == "sumo",
             own_wish=own,
         ) as simulation:  # fmt: skip
-            due = iter(self.vehicles)
-            coming = next(due, None)
+            due, speeds = deque(self.vehicles), deque(self._end_speeds())
             every = max(1, round(ASK_S / road.step_s))
-            speeds = self._end_speeds()
-            change = next(speeds, None)
             for step in range(round((road.seconds + CLEAR_S) / road.step_s)):
                 now_s = step * road.step_s
-                while change is not None and change[0] <= now_s:
-                    simulation.limit_lane(change[1], change[2])
-                    change = next(speeds, None)
-                while coming is not None and coming.due_s <= now_s:
-                    self._queue(simulation, coming)
-                    coming = next(due, None)
+                while speeds and speeds[0][0] <= now_s:
+                    simulation.limit_lane(*speeds.popleft()[1:])
+                while due and due[0].due_s <= now_s:
+                    self._queue(simulation, due.popleft())
                 simulation.step()
                 here = self._read(simulation, now_s)
                 if road.beside and road.beside.off_ramp:
@@ -159,15 +150,13 @@ class RoadTraffic:
         lane_id = RAMPS[0] if ramp else one.start
         simulation.queue(
             one.name, edges=self._edges(one.start if ramp else 1, one.leaves), lane_index=self._index[lane_id],
-            length_m=one.size.length_m, width_m=one.size.width_m, accel_mps2=one.driver.accel_mps2,
-            decel_mps2=one.driver.decel_mps2, tau_s=one.driver.tau_s, min_gap_m=one.driver.min_gap_m,
-            max_speed_mps=one.driver.desired_mps,
+            driver=one.driver, size=one.size,
         )  # fmt: skip
 
     def _read(self, simulation: Simulation, now_s: float) -> list[RoadVehicle]:
         """Take down where all are, and count; those in the net."""
         here, length_m = [], self.road.length_m
-        for name, lane_id, x, v in simulation.states(self._number_at):
+        for name, lane_id, x, v in simulation.states(self._place_of):
             one = self._by_name[name]
             number = self._lanes[lane_id].number
             inside = 0.0 <= x < length_m and lane_id not in RAMPS

@@ -216,11 +216,9 @@ def insert(simulation: Simulation, scene: Scene, start: Start) -> Reason | None:
     if edges is None:
         return Reason.NO_ROUTE
     begin = float(scene.grid.edges_s(cell.lane_id)[cell.index])
-    driver = start.driver
     objection = simulation.insert(
         start.vehicle_id, edges=edges, lane_id=scene.grid.sumo_lane_id(cell), front_m=max(0.0, lane_s - begin),
-        speed_mps=start.start_mps, length_m=start.size.length_m, width_m=start.size.width_m,
-        accel_mps2=driver.accel_mps2, decel_mps2=driver.decel_mps2, tau_s=driver.tau_s, min_gap_m=driver.min_gap_m,
+        speed_mps=start.start_mps, driver=start.driver, size=start.size,
         max_speed_mps=float(max(start.desired[0], start.start_mps)),
     )  # fmt: skip
     if objection is None and "collision" in scene.config.without:

@@ -67,14 +67,13 @@ class FlowDriving(Driving):
         return bool(gaps_on_path(seen, edge, step).lead_m[0] >= room_m + 1.5 * arrival.box.length_m)
 
     def _queue(self, arrival: Arrival) -> None:
-        scene, driver = self.fleet.scene, arrival.driver
+        scene = self.fleet.scene
         cell = scene.cell_at(arrival.path, 0.0)
         edges = edges_along(scene, arrival.path, cell)
         assert edges is not None  # the route begins on its own lane
         self.simulation.queue(
-            arrival.vehicle_id, edges=edges, lane_index=scene.grid.lane_index(cell), length_m=arrival.size.length_m,
-            width_m=arrival.size.width_m, accel_mps2=driver.accel_mps2, decel_mps2=driver.decel_mps2,
-            tau_s=driver.tau_s, min_gap_m=driver.min_gap_m, max_speed_mps=float(driver.desired_mps),
+            arrival.vehicle_id, edges=edges, lane_index=scene.grid.lane_index(cell), driver=arrival.driver,
+            size=arrival.size,
         )  # fmt: skip
         self._queued[arrival.vehicle_id] = arrival
 

@@ -11,6 +11,8 @@ os.environ.setdefault("LIBSUMO_AS_TRACI", "quiet")  # read on import: silences a
 
 import libsumo
 
+from hid2.agents import BoxSize
+from hid2.drivers.driver import Driver
 from hid2.occupancy.shown import ASIDE_M
 from netconvert.errors import SimulationError
 
@@ -157,7 +159,7 @@ class Simulation:
         """Take a vehicle out."""
         libsumo.vehicle.remove(vehicle_id)
 
-    def insert(  # noqa: PLR0913  # what SUMO wants to know, by name
+    def insert(
         self,
         vehicle_id: str,
         *,
@@ -165,12 +167,8 @@ class Simulation:
         lane_id: str,
         front_m: float,
         speed_mps: float,
-        length_m: float,
-        width_m: float,
-        accel_mps2: float,
-        decel_mps2: float,
-        tau_s: float,
-        min_gap_m: float,
+        driver: Driver,
+        size: BoxSize,
         max_speed_mps: float,
     ) -> str | None:
         """Put a vehicle that SUMO drives on a lane of the first edge, now. Returns SUMO's objection, None if accepted.
@@ -178,10 +176,7 @@ class Simulation:
         SUMO's own insertion check is not asked: it knows neither crossing lanes nor what agents will do next, and the
         place was chosen with both.
         """
-        type_id = self._driver_type(
-            vehicle_id, length_m=length_m, width_m=width_m, accel_mps2=accel_mps2, decel_mps2=decel_mps2, tau_s=tau_s,
-            min_gap_m=min_gap_m, max_speed_mps=max_speed_mps,
-        )  # fmt: skip
+        type_id = self._driver_type(vehicle_id, driver, size, max_speed_mps)
         try:
             libsumo.vehicle.add(
                 vehicle_id, self._route(edges), typeID=type_id, depart="now", departSpeed=f"{speed_mps:.6f}"
@@ -193,15 +188,9 @@ class Simulation:
         libsumo.vehicle.setSpeedMode(vehicle_id, _SAFE_SPEED)
         return None
 
-    def queue(
-        self, vehicle_id: str, *, edges: Sequence[str], lane_index: int, length_m: float, width_m: float,
-        accel_mps2: float, decel_mps2: float, tau_s: float, min_gap_m: float, max_speed_mps: float,
-    ) -> None:  # fmt: skip
+    def queue(self, vehicle_id: str, *, edges: Sequence[str], lane_index: int, driver: Driver, size: BoxSize) -> None:
         """Let a vehicle wait before the first edge until SUMO finds room for it, at the fastest speed that is safe."""
-        type_id = self._driver_type(
-            vehicle_id, length_m=length_m, width_m=width_m, accel_mps2=accel_mps2, decel_mps2=decel_mps2, tau_s=tau_s,
-            min_gap_m=min_gap_m, max_speed_mps=max_speed_mps,
-        )  # fmt: skip
+        type_id = self._driver_type(vehicle_id, driver, size, driver.desired_mps)
         libsumo.vehicle.add(
             vehicle_id, self._route(edges), typeID=type_id, depart="now", departLane=str(lane_index),
             departPos="base", departSpeed="avg",
@@ -209,20 +198,17 @@ class Simulation:
         libsumo.vehicle.setLaneChangeMode(vehicle_id, self._change_mode)
         libsumo.vehicle.setSpeedMode(vehicle_id, _SAFE_SPEED)
 
-    def _driver_type(
-        self, vehicle_id: str, *, length_m: float, width_m: float, accel_mps2: float, decel_mps2: float, tau_s: float,
-        min_gap_m: float, max_speed_mps: float,
-    ) -> str:  # fmt: skip
+    def _driver_type(self, vehicle_id: str, driver: Driver, size: BoxSize, max_speed_mps: float) -> str:
         """A vehicle type of one driver's own."""
         type_id = f"driven_{vehicle_id}"
         libsumo.vehicletype.copy(_DRIVEN, type_id)
-        libsumo.vehicletype.setLength(type_id, length_m)
-        libsumo.vehicletype.setWidth(type_id, width_m)
-        libsumo.vehicletype.setAccel(type_id, accel_mps2)
-        libsumo.vehicletype.setDecel(type_id, decel_mps2)
-        libsumo.vehicletype.setEmergencyDecel(type_id, max(decel_mps2, 9.0))
-        libsumo.vehicletype.setTau(type_id, tau_s)
-        libsumo.vehicletype.setMinGap(type_id, min_gap_m)
+        libsumo.vehicletype.setLength(type_id, size.length_m)
+        libsumo.vehicletype.setWidth(type_id, size.width_m)
+        libsumo.vehicletype.setAccel(type_id, driver.accel_mps2)
+        libsumo.vehicletype.setDecel(type_id, driver.decel_mps2)
+        libsumo.vehicletype.setEmergencyDecel(type_id, max(driver.decel_mps2, 9.0))
+        libsumo.vehicletype.setTau(type_id, driver.tau_s)
+        libsumo.vehicletype.setMinGap(type_id, driver.min_gap_m)
         libsumo.vehicletype.setMaxSpeed(type_id, max_speed_mps)
         if self._model != "EIDM":
             libsumo.vehicletype.setImperfection(type_id, self._parameters.get("sigma", 0.0))

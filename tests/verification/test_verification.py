@@ -6,6 +6,7 @@ sentence what it shows, into $HID2_VERIFICATION_DIR (by default the test's own f
 
 import os
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -16,6 +17,8 @@ from synthetic_driving import KNOWN, synthetic_driving
 from bridge.generation.generate import generate, prepare
 from bridge.recordings.scenario import read_scenario
 from bridge.sumo.simulation import Simulation
+from hid2.agents import BoxSize
+from hid2.drivers.driver import usual_driver
 from hid2.evaluation.calibration import calibrate
 from hid2.evaluation.realism import FEATURES, histogram, quantiles
 from hid2.params import Config, Drivers, Request
@@ -139,7 +142,8 @@ def drive_alone(tmp_path, model, *, start_mps, steps):
         sumo.step()
         assert sumo.insert(
             "v", edges=[f"1#{k}" for k in range(2, 150)], lane_id="1#2_0", front_m=1.0, speed_mps=start_mps,
-            length_m=4.5, width_m=1.9, accel_mps2=1.5, decel_mps2=2.0, tau_s=1.2, min_gap_m=2.0, max_speed_mps=12.0,
+            driver=replace(usual_driver(12.0), accel_mps2=1.5, decel_mps2=2.0, tau_s=1.2, min_gap_m=2.0),
+            size=BoxSize(4.5, 1.9), max_speed_mps=12.0,
         ) is None  # fmt: skip
         for _ in range(steps):
             sumo.drive("v", desired_mps=12.0, limit_mps=None)

@@ -7,6 +7,8 @@ import pytest
 
 from bridge.sumo.replay import Replay
 from bridge.sumo.simulation import Simulation
+from hid2.agents import BoxSize
+from hid2.drivers.driver import usual_driver
 from hid2.occupancy.traffic import Traffic
 from netconvert.cells import build_cell_grid
 from netconvert.lane_graph import LaneGraph, LaneSegment, turn_type
@@ -126,8 +128,8 @@ def test_vehicle_follows_only_who_it_is_shown(net: Path, seen: bool, slowest: tu
             if step == 0:
                 sumo.insert(
                     "v1", edges=[f"1#{k}" for k in range(9, 25)], lane_id="1#9_0", front_m=0.0, speed_mps=9.0,
-                    length_m=4.5, width_m=1.9, accel_mps2=1.8, decel_mps2=4.0, tau_s=1.0, min_gap_m=1.5,
-                    max_speed_mps=9.0,
+                    driver=replace(usual_driver(9.0), accel_mps2=1.8, decel_mps2=4.0, tau_s=1.0, min_gap_m=1.5),
+                    size=BoxSize(4.5, 1.9), max_speed_mps=9.0,
                 )  # fmt: skip
             else:
                 speeds.append(sumo.speed("v1"))

@@ -1,16 +1,21 @@
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bridge.sumo.simulation import Simulation
+from hid2.agents import BoxSize
+from hid2.drivers.driver import usual_driver
 from netconvert.cells import build_cell_grid
 from netconvert.errors import SimulationError
 from netconvert.lane_graph import LaneGraph, LaneSegment, turn_type
 from netconvert.net_xml import net_bytes
 
 EDGES = [f"1#{k}" for k in range(25)]
+CAR = BoxSize(4.5, 1.9)
+DRIVER = replace(usual_driver(12.0), accel_mps2=1.8, decel_mps2=2.5, tau_s=1.6, min_gap_m=2.5)
 
 
 def _road() -> LaneGraph:
@@ -45,7 +50,7 @@ def _insert(sumo: Simulation, name: str, front_m: float, speed: float, *, lane_i
     first = int(front_m // 4.0)
     return sumo.insert(
         name, edges=EDGES[first:], lane_id=lane_id or f"1#{first}_0", front_m=front_m - 4.0 * first, speed_mps=speed,
-        length_m=4.5, width_m=1.9, accel_mps2=1.8, decel_mps2=2.5, tau_s=1.6, min_gap_m=2.5, max_speed_mps=12.0,
+        driver=DRIVER, size=CAR, max_speed_mps=12.0,
     )  # fmt: skip
 
 
@@ -243,8 +248,8 @@ def test_gap_behind_a_replayed_vehicle_is_what_its_expected_deceleration_asks_fo
             sumo.step()
             if step == 0:
                 assert sumo.insert(
-                    "v1", edges=EDGES[3:], lane_id="1#3_0", front_m=0.0, speed_mps=5.0, length_m=4.5, width_m=1.9,
-                    accel_mps2=1.8, decel_mps2=2.5, tau_s=1.0, min_gap_m=1.5, max_speed_mps=12.0,
+                    "v1", edges=EDGES[3:], lane_id="1#3_0", front_m=0.0, speed_mps=5.0,
+                    driver=replace(DRIVER, tau_s=1.0, min_gap_m=1.5), size=CAR, max_speed_mps=12.0,
                 ) is None  # fmt: skip
         pose = sumo.poses(["v1"])[0]
         assert pose is not None
