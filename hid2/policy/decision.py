@@ -122,22 +122,12 @@ def policy_on(lane_turn: TurnType) -> Policy:
 
 
 def _view(seen: Observation, option: LaneOption) -> GapView:
-    return gap_view(
-        option, seen.driver or usual_driver(seen.desired_mps), time_s=seen.time_s,
-        waited_s=max(0.0, seen.time_s - seen.trigger_s), speed_mps=seen.speed_mps, length_m=seen.length_m,
-        own=(seen.own_front, seen.own_rear), vehicle_id=seen.vehicle_id,
-    )  # fmt: skip
-
-
-def gap_view(
-    option: LaneOption, driver: Driver, *, time_s: float, waited_s: float, speed_mps: float, length_m: float,
-    own: tuple[Gap, Gap], vehicle_id: str = "",
-) -> GapView:  # fmt: skip
-    """What a rule is told of one adjacent lane. own: gaps ahead and behind on the lane that would be left."""
+    """What a rule is told of one adjacent lane."""
+    driver = seen.driver or usual_driver(seen.desired_mps)
     return GapView(
-        time_s=time_s, waited_s=waited_s, side=option.side, speed_mps=speed_mps, desired_mps=driver.desired_mps,
-        length_m=length_m, tau_s=driver.tau_s, accel_mps2=driver.accel_mps2, decel_mps2=driver.decel_mps2,
-        min_gap_m=driver.min_gap_m, cells_free=option.cells_free, front=option.front, rear=option.rear,
-        own_front=own[0], own_rear=own[1], remaining_m=option.remaining_m, sumo=option.sumo,
-        vehicle_id=vehicle_id,
+        time_s=seen.time_s, waited_s=max(0.0, seen.time_s - seen.trigger_s), side=option.side, speed_mps=seen.speed_mps,
+        desired_mps=driver.desired_mps, length_m=seen.length_m, tau_s=driver.tau_s, accel_mps2=driver.accel_mps2,
+        decel_mps2=driver.decel_mps2, min_gap_m=driver.min_gap_m, cells_free=option.cells_free, front=option.front,
+        rear=option.rear, own_front=seen.own_front, own_rear=seen.own_rear, remaining_m=option.remaining_m,
+        sumo=option.sumo, vehicle_id=seen.vehicle_id,
     )  # fmt: skip

@@ -136,35 +136,25 @@ def rule_arguments(params: LaneChange) -> dict[str, float]:
     return found
 
 
-def foreseen_reason(view: GapView, params: LaneChange) -> Reason | None:
-    """`rule_reason` of a gap that is foreseen, before SUMO drives any vehicle.
-
-    LC2013 is SUMO's and cannot be asked then: of it the preconditions on the map alone, speed, length of lane left and
-    free cells. Whether it wants the lane shows when it is driven.
-    """
-    if params.rule == "LC2013":
-        view = replace(view, sumo=replace(FORESEEN, blocked_ahead=not view.cells_free))
-    return rule_reason(view, params)
-
-
 def expected_reason(
     driver: Driver, params: LaneChange, *, speed_mps: float, front: Gap = OPEN, rear: Gap = OPEN
 ) -> Reason | None:
     """Why a rule would not leave a slower leader for a lane with these on it, or with none; None where it would.
 
     Sites and plans with an unforeseen gap ask this before they expect a change of lanes. At the rule's least speed
-    or faster, after all the waiting that there is, behind a leader half as fast.
+    or faster, after all the waiting that there is, behind a leader half as fast. LC2013 is SUMO's and cannot be asked
+    before SUMO drives: of it the preconditions on the map alone, speed, length of lane left and free cells.
     """
     v = max(speed_mps, params.min_speed_mps)
-    behind = Gap(driver.min_gap_m + driver.tau_s * v, 0.5 * v)
+    behind, free = Gap(driver.min_gap_m + driver.tau_s * v, 0.5 * v), min(front.distance_m, rear.distance_m) > 0.0
     view = replace(
         _FREE, time_s=params.give_up_s, waited_s=params.give_up_s, speed_mps=v,
         desired_mps=max(v, driver.desired_mps), tau_s=driver.tau_s, accel_mps2=driver.accel_mps2,
         decel_mps2=driver.decel_mps2, min_gap_m=driver.min_gap_m,
         remaining_m=params.min_remaining_m + _FREE.remaining_m, own_front=behind, front=front, rear=rear,
-        cells_free=min(front.distance_m, rear.distance_m) > 0.0,
+        cells_free=free, sumo=replace(FORESEEN, blocked_ahead=not free) if params.rule == "LC2013" else None,
     )  # fmt: skip
-    return foreseen_reason(view, params)
+    return rule_reason(view, params)
 
 
 def try_rule(params: LaneChange) -> None:
