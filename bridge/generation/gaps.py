@@ -57,21 +57,22 @@ def gap_rows(
                 "policy": vehicle.policy.value,
                 "trigger_s": round(vehicle.start.request.trigger_s, 6),
                 "time_s": round(look.step * step_s, 6),
-                **_look_row(look),
+                **look_row(look),
             }
 
 
-def _look_row(look: GapLook) -> dict[str, Any]:
+def look_row(look: GapLook) -> dict[str, Any]:
+    """What was seen of a gap, and the answers, by `GAP_COLUMNS`."""
     asked = look.rule is None
     return {
         "side": look.side,
         "lane_id": look.target.lane_id,
         "cell": look.target.index,
         "cells_free": str(look.cells_free).lower(),
-        "speed_mps": _number(look.own_mps),
+        "speed_mps": number(look.own_mps),
         **_neighbour("lead", look.front, follower_mps=look.own_mps, leader_mps=look.front.speed_mps),
         **_neighbour("lag", look.rear, follower_mps=look.rear.speed_mps, leader_mps=look.own_mps),
-        "remaining_m": _number(look.remaining_m),
+        "remaining_m": number(look.remaining_m),
         "rule": str(look.rule or "yes"),
         "refusals": " ".join(look.refusals) or None,
         "guard": str(look.guard or "yes") if asked else None,
@@ -85,10 +86,10 @@ def _neighbour(name: str, gap: Gap, *, follower_mps: float, leader_mps: float) -
     there = math.isfinite(gap_m)
     return {
         f"{name}_id": gap.track_id if there else None,
-        f"{name}_gap_m": _number(gap_m),
-        f"{name}_speed_mps": _number(gap.speed_mps) if there else None,
-        f"{name}_time_gap_s": _number(gap_m / follower_mps) if there and follower_mps > 0.0 else None,
-        f"{name}_ttc_s": _number(max(gap_m, 0.0) / closing) if there and closing > 0.0 else None,
+        f"{name}_gap_m": number(gap_m),
+        f"{name}_speed_mps": number(gap.speed_mps) if there else None,
+        f"{name}_time_gap_s": number(gap_m / follower_mps) if there and follower_mps > 0.0 else None,
+        f"{name}_ttc_s": number(max(gap_m, 0.0) / closing) if there and closing > 0.0 else None,
     }
 
 
@@ -101,5 +102,6 @@ def gaps_bytes(driven: Sequence[tuple[int, DrivenVehicle]], names: Mapping[str, 
     return gzip.compress(text.getvalue().encode(), mtime=0)
 
 
-def _number(value: float) -> float | None:
-    return round(float(value), 4) if math.isfinite(value) else None
+def number(value: float | None) -> float | None:
+    """As tables have it: to four digits, none where there is none."""
+    return None if value is None or not math.isfinite(value) else round(float(value), 4)

@@ -2,8 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import get_type_hints
 
 from bridge.generation.gaps import GAP_COLUMNS
+from hid2.measures.conflicts import TrafficConflict
+from hid2.measures.lane_changes import LaneChangeRow
 
 _RUN: Mapping[str, str] = {
     "scene": "folder of the source scene",
@@ -82,6 +85,12 @@ OUTCOMES = (
     Outcome("share_ttc_below_critical", "share of the changes with a TTC below 1.5 s", "requests", "ttc_critical"),
 )  # fmt: skip
 
+
+def _said(row: type) -> dict[str, str]:
+    """What the fields of a row say."""
+    return {name: said.__metadata__[0] for name, said in get_type_hints(row, include_extras=True).items()}
+
+
 #: Table -> column -> what it says. Columns that vary in the study have the names of their parameters.
 DICTIONARY: Mapping[str, Mapping[str, str]] = {
     "runs": {
@@ -128,35 +137,8 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "speed_kmph": "flow over density",
         "waiting_to_enter_s": "mean wait before the map of the vehicles that entered in the interval",
     },
-    "lane_changes": {
-        **_RUN,
-        "track_id": "what changed lanes: an id in the simulation, or of a recorded vehicle",
-        "source_lane, target_lane, side": "lane segments; 1: to the left, -1: to the right",
-        "complete": "whether start and end were seen",
-        "start_s, crossing_s, end_s, duration_s": "lateral speed above 0.1 m/s; between lanes; its end; end - start",
-        "start_mps, crossing_mps, end_mps": "speed then",
-        "lead_before_id, lead_before_m": "leader on the lane left, at the start: bumper gap on the lane path, to 100 m",
-        "lag_before_id, lag_before_m": "follower there",
-        "lead_after_id, lead_after_m": "leader on the lane entered, at the end",
-        "lag_id, lag_after_m": "new follower, at the end or else at the crossing; its gap at the end",
-        "lag_brakes_mps2": "hardest braking of the new follower from start to end",
-        "lag_drac_mps2": "its largest DRAC",
-        "lag_headway_s": "its least time headway, front to front",
-    },
-    "conflicts": {
-        **_RUN,
-        "first_id, second_id": "the vehicle that is first at the place of conflict, and the other",
-        "kind": "SSAM's class by the angle: rear_end below 30 degrees, crossing above 80, lane_change between",
-        "start_s, end_s": "while the TTC is below 1.5 s; of a crossing without: when the two pass",
-        "time_s": "time of the least TTC",
-        "ttc_s": "TTC: least, of the boxes at constant velocities; empty: not below 1.5 s",
-        "pet_s": "PET: least, where the paths cross, else until the second comes where the first was; empty: above 5 s",
-        "drac_mps2": "largest deceleration that the second needed to avoid the crash",
-        "max_s_mps": "MaxS: larger speed of the two during the conflict",
-        "delta_s_mps": "DeltaS: length of the difference of the two velocities at time_s",
-        "angle_deg": "from the first's heading to the second's at time_s",
-        "x_m, y_m": "place, between the two at time_s, of a crossing without a TTC where they pass; city frame",
-    },
+    "lane_changes": {**_RUN, **_said(LaneChangeRow)},
+    "conflicts": {**_RUN, **_said(TrafficConflict)},
     "dose_response": {
         "parameter": "what varies",
         "value": "its value",

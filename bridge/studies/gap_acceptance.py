@@ -44,10 +44,8 @@ def gaps_of(looks: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
     by_rule = frame["rule"].map({"cells_occupied": "cells", "lane_ends": "road"}).fillna("rule")
     after = frame["guard"].map({"yes": "sumo", "conflict_predicted": "guard"}).fillna("road")
     frame["refused_by"] = after.where(frame["accepted"], by_rule).mask(frame["taken"], "")
-    frame["asked_guard"], frame["asked_sumo"] = (
-        frame["guard"].isin(["yes", "conflict_predicted"]),
-        frame["sumo"].notna(),
-    )
+    frame["asked_guard"] = frame["guard"].isin(["yes", "conflict_predicted"])
+    frame["asked_sumo"] = frame["sumo"].notna()
     grouped = frame.groupby(same, sort=False, dropna=False)
     found = grouped.agg(
         accepted=("accepted", "any"), taken=("taken", "any"), from_s=("time_s", "min"), to_s=("time_s", "max"),
@@ -77,10 +75,8 @@ def acceptance_curve(gaps: pd.DataFrame) -> dict[str, Any] | None:
     frame["lead_time_gap_s"] = frame["lead_time_gap_s"].fillna(frame["lead_time_gap_s"].max())
     if frame["lead_time_gap_s"].isna().any():
         return None
-    design = np.column_stack(
-        [np.ones(len(frame)), frame["lag_time_gap_s"], frame["lead_time_gap_s"].clip(upper=LONG_GAP_S)]
-    )
-    design[:, 1] = np.minimum(design[:, 1], LONG_GAP_S)
+    sizes = frame[["lag_time_gap_s", "lead_time_gap_s"]].clip(upper=LONG_GAP_S)
+    design = np.column_stack([np.ones(len(frame)), sizes])
     runs = pd.factorize(pd.MultiIndex.from_frame(frame[["scene", "seed"]]))[0]
     many = len(np.unique(runs)) > len(design[0])
     with warnings.catch_warnings():

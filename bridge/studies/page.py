@@ -15,50 +15,35 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
 from bridge.batch.manifest import DONE
-from bridge.files import beside, explained, table_cell, write_rows, write_text
+from bridge.files import beside, table_cell, write_rows, write_text
 from bridge.pages.parts import text
-from bridge.studies.columns import OUTCOMES, dictionary_rows
+from bridge.studies.columns import DICTIONARY, OUTCOMES, dictionary_rows
 from bridge.studies.gap_acceptance import acceptance_curve, critical_gap, gaps_of
 from bridge.studies.statistics import difference_sd, dose_response, effects, seeds_needed
-from bridge.studies.study import Study, Tables
+from bridge.studies.study import Study
 from bridge.studies.study_figures import CRITICAL, draw_fundamental, draw_parameter, label_of
 from hid2.agents import FloatArray
 from hid2.measures.conflicts import CONFLICT_TTC_S, TrafficConflict
 from hid2.measures.lane_changes import LaneChangeRow
 
-_SAYS = {outcome.name: outcome.says for outcome in OUTCOMES}
-#: Outcomes that the page speaks of, in this order.
-_TOLD = (
-    "share_accepted",
-    "share_accepted_of_looking",
-    "mean_wait_s",
-    "gaps_accepted",
-    "refused_by_rule",
-    "refused_by_cells",
-    "refused_by_guard",
-    "refused_by_sumo",
-    "lateral_s",
-    "lag_time_gap_s",
-    "share_ttc_below_critical",
-    "share_overlapping",
-    "lag_drac_mps2",
-    "lag_brakes_mps2",
-)
+#: A parameter with more values than this has no dose-response of its own: its effect is in effects.csv.
+_MOST_VALUES = 12
+#: Tables of more rows are compressed.
+_LONG = 50_000
+#: Differences of shares for which the page says how many seeds they need.
+_SIZES_TOLD = (0.02, 0.05, 0.1)
+_SAME = 1e-9  # less is a rounding error
 
 
-def write_results(study: Study, tables: Tables, out_dir: Path) -> list[Path]:
+def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Path) -> list[Path]:
     """Write everything that a study says into out_dir; returns the files. Errors: ExportError."""
     keys = ["trigger_after_s" if key == "trigger_s" else key for key in study.keys]
     give_up_s = study.configs[0][0].lane_change.give_up_s
-    requests, gaps = tables.requests, gaps_of(tables.looks, keys)
+    requests, flow, gaps = tables["requests"], tables["flow"], gaps_of(tables["looks"], keys)
     if not gaps.empty and not requests.empty:
         counted = requests.loc[requests["counted"], ["scene", "point", "seed", "vehicle"]]
         gaps = gaps.merge(counted, on=["scene", "point", "seed", "vehicle"])
     files: list[Path] = []
-    named = {
-        "runs": tables.runs, "requests": requests, "looks": tables.looks, "gaps": gaps, "flow": tables.flow,
-        "lane_changes": tables.lane_changes, "conflicts": tables.conflicts,
-    }  # fmt: skip
     doses, acceptance, critical = [], [], []
     any_counted = not requests.empty and bool(requests["counted"].any())
     for key in keys:
@@ -68,46 +53,34 @@ def write_results(study: Study, tables: Tables, out_dir: Path) -> list[Path]:
         doses.append(dose)
         curves: dict[Any, dict[str, Any] | None] = {}
         for value in sorted(requests[key].unique()):
-            own = gaps[gaps[key] == value] if len(gaps) else gaps
+            own, place = gaps[gaps[key] == value] if len(gaps) else gaps, {"parameter": key, "value": value}
             curves[value] = curve = acceptance_curve(own) if len(own) else None
-            acceptance += [{"parameter": key, "value": value, **curve}] if curve is not None else []
-            for side in ("lag", "lead"):
-                found = critical_gap(own, side) if len(own) else None
-                critical += [{"parameter": key, "value": value, **found}] if found is not None else []
-        path = out_dir / f"{study.name}_{key.replace('.', '_')}.png"
+            acceptance += [{**place, **curve}] if curve is not None else []
+            found = [critical_gap(own, side) for side in ("lag", "lead")] if len(own) else []
+            critical += [{**place, **one} for one in found if one is not None]
+        files.append(out_dir / f"{study.name}_{key.replace('.', '_')}.png")
         title = f"{_title(study, tables)}; bars: 95 % intervals, runs drawn again"
-        draw_parameter(path, title, key, dose=dose, requests=requests, curves=curves, give_up_s=give_up_s)
-        files.append(path)
-    if any_counted:
-        named["effects"] = effects(requests, keys, give_up_s=give_up_s)
-    named |= {
-        "dose_response": pd.concat(doses) if doses else pd.DataFrame(),
+        draw_parameter(files[-1], title, key, dose=dose, requests=requests, curves=curves, give_up_s=give_up_s)
+    if not flow.empty:
+        files.append(out_dir / f"{study.name}_fundamental.png")
+        varied = next((key for key in keys if 1 < flow[key].nunique() <= _MOST_VALUES), None)
+        draw_fundamental(files[-1], _title(study, tables), flow, varied)
+    named = {
+        **tables, "gaps": gaps, "dose_response": pd.concat(doses) if doses else pd.DataFrame(),
         "acceptance": pd.DataFrame(acceptance).drop(columns="fit", errors="ignore"),
         "critical_gaps": pd.DataFrame(critical),
-    }
-    if not tables.flow.empty:
-        path = out_dir / f"{study.name}_fundamental.png"
-        varied = next((key for key in keys if 1 < tables.flow[key].nunique() <= _MOST_VALUES), None)
-        draw_fundamental(path, _title(study, tables), tables.flow, varied)
-        files.append(path)
+        "effects": effects(requests, keys, give_up_s=give_up_s) if any_counted else pd.DataFrame(),
+    }  # fmt: skip
     for name, row in (("lane_changes", LaneChangeRow), ("conflicts", TrafficConflict)):
         if named[name].empty:  # the table says so
             named[name] = pd.DataFrame(columns=[field.name for field in fields(row)])
     written = [
-        path for name, table in named.items() if len(table.columns) for path in _write_table(out_dir, name, table)
+        path for name in DICTIONARY if len(named[name].columns) for path in _write_table(out_dir, name, named[name])
     ]
     dictionary, page = out_dir / "columns.csv", out_dir / "study.md"
-    with explained(dictionary):
-        write_rows(dictionary, ("table", "column", "says"), dictionary_rows())
-    with explained(page):
-        write_text(page, page_text(study, tables, named, keys, figures=[path.name for path in files]))
+    write_rows(dictionary, ("table", "column", "says"), dictionary_rows())
+    write_text(page, page_text(study, named, keys, figures=[path.name for path in files]))
     return [page, *files, dictionary, *written]
-
-
-#: A parameter with more values than this has no dose-response of its own: its effect is in effects.csv.
-_MOST_VALUES = 12
-#: Tables of more rows are compressed.
-_LONG = 50_000
 
 
 def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> list[Path]:
@@ -115,10 +88,10 @@ def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> list[Path]:
     long = len(table) > _LONG
     csv_path = out_dir / (f"{name}.csv.gz" if long else f"{name}.csv")
     parquet_path = out_dir / f"{name}.parquet"
-    mixed = [column for column in table.columns if table[column].dtype == object]
-    texts_of = {column: table[column].map(lambda cell: str(cell).lower() if isinstance(cell, bool) else cell)
-                for column in mixed}  # fmt: skip
-    tidy = table.assign(**{column: cells.astype("string") for column, cells in texts_of.items()})
+    tidy = table.assign(**{
+        str(column): cells.map(lambda cell: str(cell).lower() if isinstance(cell, bool) else cell).astype("string")
+        for column, cells in table.select_dtypes("object").items()
+    })  # fmt: skip
     texts = tidy.select_dtypes(exclude=["number", "bool"]).columns
     safe = tidy.assign(**{column: tidy[column].map(table_cell, na_action="ignore") for column in texts})
     each = (pa.Table.from_pandas(one, preserve_index=False) for one in (tidy, safe))
@@ -128,38 +101,31 @@ def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> list[Path]:
     pq.write_table(exact, columnar)
     csv_bytes = gzip.compress(text.getvalue(), mtime=0) if long else text.getvalue()
     for path, content in ((csv_path, csv_bytes), (parquet_path, columnar.getvalue())):
-        with explained(path), beside(path) as hidden:
+        with beside(path) as hidden:
             hidden.write_bytes(content)
     return [csv_path, parquet_path]
 
 
-def _title(study: Study, tables: Tables) -> str:
-    counted = int(tables.requests["counted"].sum())
-    scenes = tables.requests["scene"].nunique()
+def _title(study: Study, tables: Mapping[str, pd.DataFrame]) -> str:
+    requests, scenes = tables["requests"], tables["requests"]["scene"].nunique()
     return (
-        f"{study.name.replace('_', ' ')}: {counted} requests counted in {len(tables.runs)} runs on {scenes} "
-        f"scene{'s' if scenes > 1 else ''}"
-    ) + ("; recorded vehicles react" if set(tables.requests["replay"]) == {"reactive"} else "")
+        f"{study.name.replace('_', ' ')}: {int(requests['counted'].sum())} requests counted in {len(tables['runs'])} "
+        f"runs on {scenes} scene{'s' * (scenes > 1)}"
+    ) + ("; recorded vehicles react" if set(requests["replay"]) == {"reactive"} else "")
 
 
 # The page -------------------------------------------------------------------------------------------------------------
 
 
-_FLOW = ("flow_veh_per_h_lane", "density_veh_per_km_lane", "speed_kmph", "waiting_to_enter_s")
-
-
-def page_text(
-    study: Study, tables: Tables, named: Mapping[str, pd.DataFrame], keys: Sequence[str], figures: Sequence[str] = ()
-) -> str:
+def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[str], figures: Sequence[str] = ()) -> str:
     """What the study shows and what it does not; behind each claim the table and column that it is read from."""
-    requests, runs, flow = tables.requests, tables.runs, tables.flow
+    requests, runs, dose = named["requests"], named["runs"], named["dose_response"]
     if requests.empty:
         return f"# {study.name}\n\nNo run has a request of the kind {study.kind}: nothing can be said.\n"
     counted, due = requests[requests["counted"]], requests["waited_s"].notna()
     config = study.configs[0][0]
     accepted, exported = counted["accepted"].astype(bool), counted["exported"].dropna()
     cut_off = ~accepted & (counted["waited_s"] < config.lane_change.give_up_s - 0.05)
-    dose, effects_found = named["dose_response"], named.get("effects", pd.DataFrame())
     return text(
         "study.md.j2",
         study=study,
@@ -178,10 +144,11 @@ def page_text(
         clusters=_few_clusters(dose),
         critical=_records(named["critical_gaps"]),
         curves=_records(named["acceptance"]),
-        effects=_effect_lines(effects_found, keys),
-        changes=tables.lane_changes,
-        conflicts=_conflict_counts(tables.conflicts),
-        flow={} if flow.empty else {column: flow[column].mean() for column in _FLOW},
+        effects=_effect_lines(named["effects"], keys),
+        changes=named["lane_changes"],
+        conflicts=named["conflicts"],
+        critical_ttc_s=CONFLICT_TTC_S,
+        flow=named["flow"],
         reasons=_last_reasons(counted[~accepted], named["gaps"]),
         by_value={key: _by_value(named, key) for key in keys if 1 < requests[key].nunique() <= _MOST_VALUES},
         exported_share=None if exported.empty else float((exported == "yes").mean()),
@@ -206,24 +173,17 @@ def _by_value(named: Mapping[str, pd.DataFrame], key: str) -> list[str]:
     lines = []
     for value in sorted(named["runs"][key].unique()):
         own = {name: table[table[key] == value] if key in table else table for name, table in named.items()}
-        line = (
-            f"at {value}: {len(own['lane_changes'])} lane changes and {len(own['conflicts'])} conflicts of any vehicle"
+        changes, met = (
+            f"{len(own[name])} {one}{'s' * (len(own[name]) != 1)}"
+            for name, one in (("lane_changes", "lane change"), ("conflicts", "conflict"))
         )
-        told = "lane_changes.track_id, conflicts.kind"
+        line, told = f"at {value}: {changes} and {met} of any vehicle", "lane_changes.track_id, conflicts.kind"
         if len(own["flow"]):
             flow, speed = (own["flow"][name].mean() for name in ("flow_veh_per_h_lane", "speed_kmph"))
             line += f", {flow:.0f} veh/h per lane at {speed:.0f} km/h"
             told += ", flow.flow_veh_per_h_lane, flow.speed_kmph"
         lines.append(f"{line} [{told}].")
     return lines
-
-
-def _conflict_counts(found: pd.DataFrame) -> str | None:
-    """Conflicts by class, and how many have a TTC below SSAM's threshold; None without any."""
-    if found.empty:
-        return None
-    kinds = ", ".join(f"{kind} {count}" for kind, count in found["kind"].value_counts().items())
-    return f"{kinds}; {int(found['ttc_s'].notna().sum())} with a TTC below {CONFLICT_TTC_S:g} s"
 
 
 def _records(table: pd.DataFrame) -> list[dict[Any, Any]]:
@@ -237,28 +197,28 @@ def _told(dose: pd.DataFrame) -> list[str]:
     Before them how many requests there were, where these are not as many at each value.
     """
     found = []
-    counts = dose[dose["outcome"] == _TOLD[0]]
+    counts = dose[dose["outcome"] == OUTCOMES[0].name]
     if counts["rows"].nunique() > 1:
         found.append(
             "requests counted: "
             + ", ".join(f"{row['rows']} at {row['value']}" for _, row in counts.iterrows())
             + "; the others were not due any more when their vehicle left or the scene ended [dose_response.rows]."
         )
-    for outcome in _TOLD:
-        mine = dose[(dose["outcome"] == outcome) & dose["estimate"].notna()]
+    for outcome in OUTCOMES:
+        mine = dose[(dose["outcome"] == outcome.name) & dose["estimate"].notna()]
         if len(mine) < 2:
             continue
         first, last = mine.iloc[0], mine.iloc[-1]
         if mine["estimate"].nunique() == 1:
             found.append(
-                f"{_SAYS[outcome]}: {first['estimate']:.3g} at every value [dose_response.estimate of {outcome}]."
+                f"{outcome.says}: {first['estimate']:.3g} at every value [dose_response.estimate of {outcome.name}]."
             )
             continue
         course = _course(mine["estimate"].diff().dropna().to_numpy(float))
         unit = "scenes" if "difference_low_scenes" in mine and pd.notna(last.get("difference_low_scenes")) else "runs"
         low, high = last[f"difference_low_{unit}"], last[f"difference_high_{unit}"]
         text = (
-            f"{_SAYS[outcome]}: {first['estimate']:.3g} at {first['value']}, {last['estimate']:.3g} at "
+            f"{outcome.says}: {first['estimate']:.3g} at {first['value']}, {last['estimate']:.3g} at "
             f"{last['value']}; {course}"
         )
         if pd.notna(low):
@@ -270,7 +230,7 @@ def _told(dose: pd.DataFrame) -> list[str]:
             text += f" ({last['trend_low']:+.3g} to {last['trend_high']:+.3g})" if pd.notna(last["trend_low"]) else ""
             text += f", p {last['p']:.2g} by signs of {last['clusters']:.0f} {unit}"
             text += f", {last['p_holm']:.2g} of all outcomes (Holm)"
-        found.append(f"{text} [dose_response.estimate of {outcome}].")
+        found.append(f"{text} [dose_response.estimate of {outcome.name}].")
     return found
 
 
@@ -297,10 +257,6 @@ def _few_clusters(dose: pd.DataFrame) -> tuple[int, int] | None:
     return (there, least) if there < least else None
 
 
-#: Differences of shares for which the page says how many seeds they need.
-_SIZES_TOLD = (0.02, 0.05, 0.1)
-
-
 def _course(steps: FloatArray) -> str:
     """How an outcome goes from value to value."""
     if (np.abs(steps) <= _SAME).all():
@@ -308,9 +264,6 @@ def _course(steps: FloatArray) -> str:
     if (steps <= _SAME).all():
         return "does not rise at any step"
     return "does not fall at any step" if (steps >= -_SAME).all() else "goes up and down"
-
-
-_SAME = 1e-9
 
 
 def _effect_lines(found: pd.DataFrame, keys: Sequence[str]) -> list[str]:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from bridge.generation.gaps import look_row, number
 from bridge.generation.generate import PreparedScene, as_driven, model_parameters, sumo_seed
 from bridge.studies.columns import REQUEST_COLUMNS
 from bridge.sumo.fleet import Fleet
@@ -69,7 +70,6 @@ class PairedRun:
     lane_changes: list[dict[str, Any]]
     conflicts: list[dict[str, Any]]
     driven: tuple[DrivenVehicle, ...]
-    exported: int
     states: AgentStates
 
 
@@ -170,29 +170,33 @@ def _measured(
         row = _request_row(scene, vehicle, first=entered)
         row["source"] = "flow" if vehicle.vehicle_id in driving.entered else "start"
         row["exported"] = exported.get(vehicle.vehicle_id)
-        if vehicle.vehicle_id in simulated:
-            one = simulated[vehicle.vehicle_id]
-            row |= _outcome(scene, one, [other for other in simulated.values() if other is not one])
+        one = simulated.get(vehicle.vehicle_id)
+        outcome = outcome_of(scene, one, simulated.values()) if one is not None and vehicle.shifts else None
+        if outcome is not None:
+            row |= {
+                "status": outcome.status, "reason": None if outcome.reason is None else str(outcome.reason.value),
+                "start_s": outcome.start_s, "crossing_s": outcome.crossing_s, "end_s": outcome.end_s,
+            }  # fmt: skip
         if row["start_s"] is not None:
             first = round(row["start_s"] / scene.step_s)
             last = round((row["end_s"] or (entered + len(vehicle.s) - 1) * scene.step_s) / scene.step_s)
             own = arrays.row_of[arrays.track_ids.index(vehicle.vehicle_id)][first : last + 1]
             ttc = float(ttc_s[own].min())
-            row["min_ttc_s"] = None if ttc >= CAP_S else _rounded(ttc)
+            row["min_ttc_s"] = None if ttc >= CAP_S else number(ttc)
             pets = [
-                one.pet_s for one in met
-                if one.pet_s is not None and vehicle.vehicle_id in (one.first_id, one.second_id)
-                and one.start_s <= last * scene.step_s and one.end_s >= row["start_s"]
+                conflict.pet_s for conflict in met
+                if conflict.pet_s is not None and vehicle.vehicle_id in (conflict.first_id, conflict.second_id)
+                and conflict.start_s <= last * scene.step_s and conflict.end_s >= row["start_s"]
             ]  # fmt: skip
-            row["min_pet_s"] = _rounded(min(pets, default=None))
+            row["min_pet_s"] = number(min(pets, default=None))
             row["overlaps"] = row["min_ttc_s"] == 0.0
             lag_id = next((look.rear.track_id for look in vehicle.gaps if look.sumo), None)
             if lag_id in arrays.track_ids:
                 pair = (arrays.track_ids.index(str(name)) for name in (lag_id, vehicle.vehicle_id))
                 course = pair_course(arrays, *pair).during(first, last)
-                row["lag_drac_mps2"] = _rounded(course.drac_mps2.max(initial=0.0))
-                row["lag_headway_s"] = _rounded(course.headway_s.min(initial=np.inf))
-                row["lag_brakes_mps2"] = _rounded(course.brakes_mps2.max(initial=0.0))
+                row["lag_drac_mps2"] = number(course.drac_mps2.max(initial=0.0))
+                row["lag_headway_s"] = number(course.headway_s.min(initial=np.inf))
+                row["lag_brakes_mps2"] = number(course.brakes_mps2.max(initial=0.0))
         if row["start_s"] is not None and row["end_s"] is not None:
             row["lateral_s"] = round(row["end_s"] - row["start_s"], 6)
         rows.append(row)
@@ -203,20 +207,19 @@ def _measured(
         }
         for missed in drawn.unmet if missed.request.policy is not Policy.STRAIGHT
     ]  # fmt: skip
-    count = sum(verdict == "yes" for verdict in exported.values())
     since_s = scene.config.flow.warm_up_s if driving.arrivals else 0.0
     led = leaders(arrays, lanes, states.matches)
     changes = lane_changes(states.view, led, detect(arrays, lanes, states.matches))
     return PairedRun(
         rows, _detectors(scene, driving, states), _told(changes, since_s), _told(met, since_s),
-        tuple(vehicles), count, states,
+        tuple(vehicles), states,
     )  # fmt: skip
 
 
 def _told(found: Iterable[LaneChangeRow | TrafficConflict], since_s: float) -> list[dict[str, Any]]:
     """Rows of what begins after the warm-up."""
     rows = (asdict(one) for one in found if one.start_s >= since_s)
-    return [{key: _rounded(value) if isinstance(value, float) else value for key, value in row.items()} for row in rows]
+    return [{key: number(value) if isinstance(value, float) else value for key, value in row.items()} for row in rows]
 
 
 def _request_row(scene: Scene, vehicle: DrivenVehicle, *, first: int) -> dict[str, Any]:
@@ -228,37 +231,18 @@ def _request_row(scene: Scene, vehicle: DrivenVehicle, *, first: int) -> dict[st
     # until when it could have accepted: it gave up, or it left, or the scene ended
     until_s = min(last_s, trigger_s + scene.config.lane_change.give_up_s) if accepted_s is None else accepted_s
     row = dict.fromkeys(REQUEST_COLUMNS) | {
-        "vehicle": vehicle.vehicle_id, "kind": vehicle.policy.value, "entered_s": _rounded(first * scene.step_s),
-        "desired_mps": _rounded(start.driver.desired_mps), "trigger_s": _rounded(trigger_s),
-        "accepted": shift is not None, "accepted_s": _rounded(accepted_s), "observed_to_s": _rounded(until_s),
-        "waited_s": None if until_s < trigger_s else _rounded(until_s - trigger_s),
+        "vehicle": vehicle.vehicle_id, "kind": vehicle.policy.value, "entered_s": number(first * scene.step_s),
+        "desired_mps": number(start.driver.desired_mps), "trigger_s": number(trigger_s),
+        "accepted": shift is not None, "accepted_s": number(accepted_s), "observed_to_s": number(until_s),
+        "waited_s": None if until_s < trigger_s else number(until_s - trigger_s),
         "looks": len(vehicle.gaps),
     }  # fmt: skip
     took = next((look for look in vehicle.gaps if look.sumo), None)
     if took is not None:
-        lead, lag = took.front, took.rear
-        row |= {
-            "lead_gap_m": _rounded(lead.distance_m), "lag_gap_m": _rounded(lag.distance_m),
-            "lead_time_gap_s": _rounded(lead.distance_m / took.own_mps) if took.own_mps > 0 else None,
-            "lag_time_gap_s": _rounded(lag.distance_m / lag.speed_mps) if lag.speed_mps > 0 else None,
-            "speed_mps": _rounded(took.own_mps),
-        }  # fmt: skip
+        row |= {name: told for name, told in look_row(took).items() if name in REQUEST_COLUMNS}
     row["status"] = "not_triggered" if trigger_s > last_s else "not_feasible"
     row["reason"] = str(vehicle.objection or vehicle.reason or Reason.SCENE_ENDED)
     return row
-
-
-def _outcome(
-    scene: Scene, vehicle: ExportedVehicle, others: Sequence[ExportedVehicle]
-) -> dict[str, Any]:  # fmt: skip
-    """Status and times of a manoeuvre by the simulated motion."""
-    outcome = outcome_of(scene, vehicle, others)
-    if outcome is None or not vehicle.driven.shifts:
-        return {}
-    return {
-        "status": outcome.status, "reason": None if outcome.reason is None else str(outcome.reason.value),
-        "start_s": outcome.start_s, "crossing_s": outcome.crossing_s, "end_s": outcome.end_s,
-    }  # fmt: skip
 
 
 def _as_simulated(scene: Scene, vehicle: DrivenVehicle, first: int) -> ExportedVehicle:
@@ -299,23 +283,18 @@ def _detectors(scene: Scene, driving: FlowDriving, states: AgentStates) -> list[
     on_lane = np.where(driven & (states.matches.lane >= 0), states.lanes.lane_ids[states.matches.lane], -1)
     speed, rows = np.hypot(*arrays.velocity.T), []
     for lane in sorted({arrival.lane_id for arrival in driving.arrivals}):
-        waits = {
-            driving.entered[one.vehicle_id]: driving.waiting_s[one.vehicle_id]
-            for one in driving.arrivals if one.lane_id == lane and one.vehicle_id in driving.entered
-        }  # fmt: skip
         for begin, end in pairwise(cuts):
             there = (on_lane == lane) & (arrays.step >= begin) & (arrays.step < end)
             area = scene.grid.graph.lanes[lane].length_m / 1000.0 * (end - begin) * step_s / 3600.0  # km h
             flow, density = speed[there].sum() * step_s / 1000.0 / area, there.sum() * step_s / 3600.0 / area
-            waited = [wait_s for step, wait_s in waits.items() if begin <= step < end]
+            waited = [
+                driving.waiting_s[one.vehicle_id] for one in driving.arrivals
+                if one.lane_id == lane and begin <= driving.entered.get(one.vehicle_id, -1) < end
+            ]  # fmt: skip
             rows.append({
-                "lane": lane, "from_s": _rounded(begin * step_s), "to_s": _rounded(end * step_s),
-                "flow_veh_per_h_lane": _rounded(flow), "density_veh_per_km_lane": _rounded(density),
-                "speed_kmph": _rounded(flow / density) if density > 0 else None,
-                "waiting_to_enter_s": _rounded(float(np.mean(waited))) if waited else None,
+                "lane": lane, "from_s": number(begin * step_s), "to_s": number(end * step_s),
+                "flow_veh_per_h_lane": number(flow), "density_veh_per_km_lane": number(density),
+                "speed_kmph": number(flow / density) if density > 0 else None,
+                "waiting_to_enter_s": number(float(np.mean(waited))) if waited else None,
             })  # fmt: skip
     return rows
-
-
-def _rounded(value: float | None) -> float | None:
-    return None if value is None or not np.isfinite(value) else round(float(value), 4)

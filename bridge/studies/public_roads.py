@@ -22,6 +22,7 @@ from bridge.files import write_rows, write_text
 from bridge.pages.parts import text
 from bridge.recordings.corridor import write_road
 from bridge.recordings.road import Road, RoadPart, read_road
+from bridge.studies.run import RunsReport
 from bridge.studies.study import Value, configured, read_run
 from hid2.params import Config
 from hid2.resampling import Estimate, ratio
@@ -212,15 +213,6 @@ class RoadResult(NamedTuple):
         return (table / np.maximum(table.sum(axis=1, keepdims=True), 1.0)).tolist()  # type: ignore[no-any-return]
 
 
-class PublicReport(NamedTuple):
-    """What a page wrote, how many runs it is made of, how many failed, and what they took, s."""
-
-    files: tuple[Path, ...]
-    runs: int
-    failed: int
-    seconds: float
-
-
 _Asked = tuple[Site, _PageRule, str, Mapping[str, Value], int]
 
 
@@ -230,7 +222,7 @@ def run_public(
     options: Options,
     *,
     on_row: Callable[[ManifestRow, Progress], None] | None = None,
-) -> PublicReport:
+) -> RunsReport:
     """Tune each rule, test it, try the causes, and write the page. Errors: BatchError, ConfigError, ExportError."""
     names = {page.config(page.sites[0], rule, {}, 0).lane_change.rule for rule in page.file.rule}  # the user's own file
     options = replace(options, function=WORK, functions=names, resume=True)
@@ -273,9 +265,7 @@ def run_public(
         (site, rule, cause.says, {**best[rule.name], **cause.set}, file.cause_seeds)
         for site in page.sites for rule in file.rule for cause in file.cause
     )  # fmt: skip
-    files = _write(page, tried, best, tests, causes, out_dir)
-    failed = sum(row.status != DONE for row in rows.values())
-    return PublicReport(files, len(rows), failed, sum(row.seconds for row in rows.values()))
+    return RunsReport.of(_write(page, tried, best, tests, causes, out_dir), rows.values())
 
 
 def _best(tried: Sequence[RoadResult]) -> Mapping[str, Value]:

@@ -1,8 +1,9 @@
 """A study from its runs to its results."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from bridge.batch.batch import Options, Progress, run_batch
 from bridge.batch.manifest import DONE, ManifestRow
@@ -12,13 +13,18 @@ from bridge.studies.study import Study, tables
 WORK, WORK_FOR_SSAM = "bridge.studies.study_work:measure_runs", "bridge.studies.study_work:measure_runs_for_ssam"
 
 
-@dataclass(frozen=True, slots=True)
-class StudyReport:
-    """What a study wrote. failed: runs without a result."""
+class RunsReport(NamedTuple):
+    """What a study or a page of public roads wrote, its runs, those without a result, and what they took, s."""
 
     files: tuple[Path, ...]
     runs: int
     failed: int
+    seconds: float
+
+    @classmethod
+    def of(cls, files: Iterable[Path], rows: Collection[ManifestRow]) -> "RunsReport":
+        """The report of some runs."""
+        return cls(tuple(files), len(rows), sum(row.status != DONE for row in rows), sum(row.seconds for row in rows))
 
 
 def run_study(
@@ -28,7 +34,7 @@ def run_study(
     *,
     trj: bool = False,
     on_row: Callable[[ManifestRow, Progress], None] | None = None,
-) -> StudyReport:
+) -> RunsReport:
     """Do the runs that are not done yet, then write tables, figures and the page into out_dir.
 
     trj: beside each run that is done, its trajectories for SSAM. Errors: BatchError, ExportError.
@@ -38,5 +44,4 @@ def run_study(
     rows = run_batch(study.jobs, out_dir, options, on_row=on_row)
     from bridge.studies.page import write_results  # pandas, statsmodels, matplotlib: at the end
 
-    files = write_results(study, tables(study, rows, out_dir), out_dir)
-    return StudyReport(tuple(files), len(rows), sum(row.status != DONE for row in rows))
+    return RunsReport.of(write_results(study, tables(study, rows, out_dir), out_dir), rows)

@@ -69,11 +69,6 @@ def mean_wait(waited_s: FloatArray, accepted: FloatArray, weights: FloatArray, *
 # Per value ------------------------------------------------------------------------------------------------------------
 
 
-def _ratio(above: FloatArray, below: FloatArray, codes: IntArray, count: int) -> FloatArray:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.bincount(codes, above, count) / np.bincount(codes, below, count)
-
-
 def _by_value(
     frame: pd.DataFrame,
     outcome: Outcome,
@@ -92,7 +87,13 @@ def _by_value(
     above = frame[outcome.above].to_numpy(float)
     below = np.ones(len(frame)) if outcome.below is None else frame[outcome.below].to_numpy(float)
     known = np.isfinite(above)
-    return lambda weight: _ratio((above * weight)[known], (below * weight)[known], code[known], count)
+
+    def ratio(weight: FloatArray) -> FloatArray:
+        sums = (np.bincount(code[known], (part * weight)[known], count) for part in (above, below))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(np.divide(*sums))
+
+    return ratio
 
 
 def dose_response(
@@ -274,5 +275,5 @@ def _first_order(frame: pd.DataFrame, keys: Sequence[str], outcome: str) -> dict
     }
 
 
-#: RBD-FAST with its ten harmonics needs more points than twice as many.
-_POINTS_LEAST = 40
+#: RBD-FAST with its ten harmonics needs more points than twice as many, also in the half that its interval draws.
+_POINTS_LEAST = 42

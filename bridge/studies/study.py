@@ -75,7 +75,6 @@ class Study:
 
     name: str
     kind: str
-    design: str
     folders: tuple[Address, ...]
     points: tuple[Point, ...]
     seeds: tuple[int, ...]
@@ -134,23 +133,11 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
             f"{path}: config.request.entering: in studies vehicles enter by flow.veh_per_h_lane, expected 0"
         )
     paired = not any(key.startswith(_CHANGES_TRAFFIC) for key in content.vary)
-    return Study(path.stem, content.kind, content.design, folders, points, seeds, configs, paired)
+    return Study(path.stem, content.kind, folders, points, seeds, configs, paired)
 
 
-@dataclass(frozen=True, slots=True)
-class Tables:
-    """What was measured, tidy: a row for each run, request, look at a gap, lane and minute, lane change, conflict."""
-
-    runs: "pd.DataFrame"
-    requests: "pd.DataFrame"
-    looks: "pd.DataFrame"
-    flow: "pd.DataFrame"
-    lane_changes: "pd.DataFrame"
-    conflicts: "pd.DataFrame"
-
-
-def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> Tables:
-    """Read what the runs have written."""
+def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> "dict[str, pd.DataFrame]":
+    """What the runs have written, by name: runs, looks, and RUN_TABLES. Errors: BatchError."""
     import pandas as pd
 
     points = {
@@ -159,9 +146,7 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> Tables:
         for config in configs
     }
     warm_up_s = study.configs[0][0].flow.warm_up_s
-    runs: list[dict[str, Any]] = []
-    requests: list[dict[str, Any]] = []
-    others: dict[str, list[dict[str, Any]]] = {table: [] for table in RUN_TABLES[1:]}
+    every: dict[str, list[dict[str, Any]]] = {table: [] for table in ("runs", *RUN_TABLES)}
     looks: list[pd.DataFrame] = []
     for row in rows:
         number, point = points[row.config_sha256]
@@ -176,23 +161,20 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> Tables:
                 own_looks[column] = own_looks[column].map(untabled, na_action="ignore")
             named = pd.DataFrame(name, index=own_looks.index)
             looks.append(named.join(own_looks.drop(columns=["round", "track_id"])))
-        mine = [request for request in found["requests"] if request["kind"] == study.kind]
-        requests += [
-            {**name, **request, "accepted": bool(request["accepted"]), "counted": _counts(request, warm_up_s)}
-            for request in mine
-        ]
-        for table, told in others.items():
+        found["requests"] = [
+            {**request, "accepted": bool(request["accepted"]), "counted": _counts(request, warm_up_s)}
+            for request in found["requests"] if request["kind"] == study.kind
+        ]  # fmt: skip
+        found["runs"] = [{
+            "status": row.status, "reason": row.reason, "vehicles": row.placed, "requests": len(found["requests"]),
+            "accepted": sum(request["accepted"] for request in found["requests"]), "seconds": row.seconds,
+            "folder": row.folder,
+        }]  # fmt: skip
+        for table, told in every.items():
             told += [{**name, **one} for one in found[table]]
-        runs.append(
-            {
-                **name, "status": row.status, "reason": row.reason, "vehicles": row.placed, "requests": len(mine),
-                "accepted": sum(bool(request["accepted"]) for request in mine), "seconds": row.seconds,
-                "folder": row.folder,
-            }
-        )  # fmt: skip
-    seen = pd.concat(looks) if looks else pd.DataFrame()
-    rest = (_numeric(pd.DataFrame(told)) for told in others.values())
-    return Tables(pd.DataFrame(runs), _numeric(pd.DataFrame(requests)), _numeric(seen), *rest)
+    known = {table: pd.DataFrame(told) for table, told in every.items()}
+    known["looks"] = pd.concat(looks) if looks else pd.DataFrame()
+    return {table: _numeric(frame) for table, frame in known.items()}
 
 
 def write_run(

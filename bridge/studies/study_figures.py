@@ -10,6 +10,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 
 from bridge.pictures import figures
+from bridge.studies.columns import DECIDE
 from bridge.studies.gap_acceptance import curve_at
 from bridge.studies.statistics import kaplan_meier
 from hid2.params import Conflict
@@ -29,12 +30,7 @@ LABELS = {
     "driving.replay": "recorded vehicles",
     "flow.veh_per_h_lane": "flow asked for, veh/h per lane",
 }
-_REFUSALS = {
-    "refused_by_cells": ("taken cells", figures.SKY),
-    "refused_by_rule": ("the rule", figures.ORANGE),
-    "refused_by_guard": ("the guard", figures.GREEN),
-    "refused_by_sumo": ("SUMO", figures.VERMILION),
-}
+_COLORS = {"cells": figures.SKY, "rule": figures.ORANGE, "guard": figures.GREEN, "sumo": figures.VERMILION}
 
 
 def label_of(key: str) -> str:
@@ -59,7 +55,8 @@ def draw_parameter(
                              "gaps_accepted": ("gaps that the rule took", figures.SKY)}),
         ("mean duration, s", {"mean_wait_s": (f"waiting, up to {give_up_s:g} s", figures.BLUE),
                               "lateral_s": ("lateral motion, once accepted", figures.ORANGE)}),
-        ("gaps refused at last, share, by", _REFUSALS),
+        ("gaps refused at last, share, by",
+         {f"refused_by_{name}": (DECIDE[name], color) for name, color in _COLORS.items()}),
     )  # fmt: skip
     for panel, (panel_title, outcomes) in zip(axes[0], upper, strict=True):
         for outcome, (label, color) in outcomes.items():
@@ -94,7 +91,7 @@ def draw_parameter(
     axes[1, 0].set_xlim(0, give_up_s)
     axes[1, 0].legend(fontsize=7, title=label_of(key), title_fontsize=7)
 
-    axes[1, 1].set_title("gap taken, logistic, at the median lead gap")
+    axes[1, 1].set_title("gap taken by the rule, logistic, at the median lead gap")
     axes[1, 1].set_xlabel("lag time gap, s")
     axes[1, 1].set_ylim(0, 1.03)
     if axes[1, 1].lines:
