@@ -76,7 +76,7 @@ def acceptance_curve(gaps: pd.DataFrame) -> dict[str, Any] | None:
     if frame["lead_time_gap_s"].isna().any():
         return None
     sizes = frame[["lag_time_gap_s", "lead_time_gap_s"]].clip(upper=LONG_GAP_S)
-    design = np.column_stack([np.ones(len(frame)), sizes])
+    design = np.column_stack([np.ones(len(frame)), *sizes.to_numpy().T])
     runs = pd.factorize(pd.MultiIndex.from_frame(frame[["scene", "seed"]]))[0]
     many = len(np.unique(runs)) > len(design[0])
     with warnings.catch_warnings():
