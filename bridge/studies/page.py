@@ -90,7 +90,7 @@ def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> list[Path]:
     parquet_path = out_dir / f"{name}.parquet"
     tidy = table.assign(**{
         str(column): cells.map(lambda cell: str(cell).lower() if isinstance(cell, bool) else cell).astype("string")
-        for column, cells in table.select_dtypes("object").items()
+        for column, cells in table.items() if cells.dtype == object
     })  # fmt: skip
     texts = tidy.select_dtypes(exclude=["number", "bool"]).columns
     safe = tidy.assign(**{column: tidy[column].map(table_cell, na_action="ignore") for column in texts})
