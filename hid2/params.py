@@ -575,6 +575,11 @@ class Flow(_Section):
     )
     warm_up_s: float = _param(30.0, "s", "requests before this are not counted", ge=0, le=3600)
 
+    @property
+    def counted_from_s(self) -> float:
+        """From when on traffic counts, s: where none enters, from the first step."""
+        return self.warm_up_s if self.veh_per_h_lane > 0.0 else 0.0
+
 
 class Limits(_Section):
     """Limits of motion of every exported step (nuPlan's comfort bounds; R_min and a_y,max of the paper)."""

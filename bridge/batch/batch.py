@@ -147,7 +147,7 @@ def run_batch(
     _check_places(jobs, out_dir)
     progress = Progress(total=sum(len(job.runs) for job in jobs))
     rows: list[ManifestRow] = []
-    jobs = _with_rules(jobs, options.functions)
+    jobs = with_rules(jobs, options.functions)
     remove = partial(_remove_half_written, out_dir)
     with _locked(out_dir), tidied(remove):
         remove()
@@ -190,7 +190,7 @@ def run_batch(
     return sorted(rows, key=lambda row: row.key)
 
 
-def _with_rules(jobs: Sequence[SceneJob], functions: Collection[str]) -> Sequence[SceneJob]:
+def with_rules(jobs: Sequence[SceneJob], functions: Collection[str]) -> Sequence[SceneJob]:
     """Import and try each lane-change rule that is a function, say its file; the jobs with that file's digest.
 
     functions: those that may be imported. They are looked for in the working folder last. Errors: ConfigError.

@@ -149,7 +149,7 @@ def study(
         print(*lines, sep="\n")
         return options.ALL_DONE
     notes = BatchNotes(activity, out, go_on="the same command continues")
-    activity.doing("generating")
+    activity.doing("driving")
     activity.show(0, sum(len(job.runs) for job in found.jobs))
     report = run_study(found, out, how, trj=trj, on_row=notes.note)
     activity.result(*report.files)

@@ -97,13 +97,6 @@ def acceptance_curve(gaps: pd.DataFrame) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def curve_at(curve: dict[str, Any], lag_s: FloatArray) -> FloatArray:
-    """(3, K) probability of acceptance by lag time gap at the median lead time gap, and its 95 % band, low and high."""
-    x = np.column_stack([np.ones(lag_s.size), lag_s, np.full(lag_s.size, curve["lead_s"])])
-    found = curve["fit"].get_prediction(x).summary_frame()
-    return np.asarray(found[["mean", "mean_ci_lower", "mean_ci_upper"]], dtype=np.float64).T
-
-
 def largest_rejected(gaps: pd.DataFrame, side: str) -> tuple[FloatArray, FloatArray, int]:
     """Largest time gap refused for this side and that taken, s, of each driver that looked; how many were left out.
 

@@ -13,6 +13,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
+from pandas.api.types import infer_dtype
 
 from bridge.batch.manifest import DONE
 from bridge.files import beside, table_cell, write_rows, write_text
@@ -88,9 +89,11 @@ def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> list[Path]:
     long = len(table) > _LONG
     csv_path = out_dir / (f"{name}.csv.gz" if long else f"{name}.csv")
     parquet_path = out_dir / f"{name}.parquet"
-    tidy = table.assign(**{
+    flags = [column for column in table if infer_dtype(table[column]) == "boolean"]
+    tidy = table.astype(dict.fromkeys(flags, "boolean"))
+    tidy = tidy.assign(**{
         str(column): cells.map(lambda cell: str(cell).lower() if isinstance(cell, bool) else cell).astype("string")
-        for column, cells in table.items() if cells.dtype == object
+        for column, cells in tidy.items() if cells.dtype == object
     })  # fmt: skip
     texts = tidy.select_dtypes(exclude=["number", "bool"]).columns
     safe = tidy.assign(**{column: tidy[column].map(table_cell, na_action="ignore") for column in texts})
@@ -152,6 +155,7 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         reasons=_last_reasons(counted[~accepted], named["gaps"]),
         by_value={key: _by_value(named, key) for key in keys if 1 < requests[key].nunique() <= _MOST_VALUES},
         exported_share=None if exported.empty else float((exported == "yes").mean()),
+        overlapping=int(counted["overlaps"].isin([True]).sum()),
         cut_share=float(cut_off.mean()) if len(counted) else 0.0,
         exp=math.exp,
         figures=figures,

@@ -108,7 +108,7 @@ def draw(prepared: PreparedScene, config: Config) -> Drawn:
 def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedRun:
     """Drive the vehicles with a configuration, and measure. Errors: SimulationError, ConfigError."""
     scene = replace(drawn.scene, config=config, _known={}, _leaders={})
-    trigger_s, last_s = _triggers(config, drawn), scene.last_s
+    trigger_s, last_s = triggers(config, drawn), scene.last_s
     starts = [
         replace(
             start, request=replace(start.request, trigger_s=trigger_s[start.request.number]),
@@ -140,7 +140,7 @@ def _with_duration(driver: Driver, change: LaneChange) -> Driver:
     return replace(driver, lane_change_s=min(max(driver.lane_change_s, change.min_duration_s), change.max_duration_s))
 
 
-def _triggers(config: Config, drawn: Drawn) -> dict[int, float]:
+def triggers(config: Config, drawn: Drawn) -> dict[int, float]:
     """Trigger times by the number of the request, drawn as those of a scene are."""
     count = config.request.agents
     assert count != "max"
@@ -207,7 +207,7 @@ def _measured(
         }
         for missed in drawn.unmet if missed.request.policy is not Policy.STRAIGHT
     ]  # fmt: skip
-    since_s = scene.config.flow.warm_up_s if driving.arrivals else 0.0
+    since_s = scene.config.flow.counted_from_s
     led = leaders(arrays, lanes, states.matches)
     changes = lane_changes(states.view, led, detect(arrays, lanes, states.matches))
     return PairedRun(

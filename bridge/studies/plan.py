@@ -4,10 +4,11 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
+from bridge.batch.batch import with_rules
 from bridge.files import explained
 from bridge.generation.generate import prepare
 from bridge.recordings.sources import read_recording
-from bridge.studies.paired import draw, drawing_config
+from bridge.studies.paired import draw, drawing_config, triggers
 from bridge.studies.statistics import difference_sd, seeds_needed
 from bridge.studies.study import Study
 from hid2.insertion.flow import trigger_after_s
@@ -22,6 +23,7 @@ def plan_text(study: Study, out_dir: Path, difference: float) -> Iterator[str]:
     """
     if not 0.0 < difference < 1.0:
         raise ConfigError(f"--plan {difference:g}: expected a difference of shares between 0 and 1, as 0.05")
+    with_rules(study.jobs, study.rules)
     points, seeds, scenes = len(study.points), len(study.seeds), len(study.folders)
     yield f"{points * seeds * scenes} runs: points {points}, seeds {seeds}, scenes {scenes}"
     each = _requests_of_a_run(study)
@@ -37,7 +39,9 @@ def plan_text(study: Study, out_dir: Path, difference: float) -> Iterator[str]:
             requests = pd.read_parquet(known)
         for key in study.keys:
             found = difference_sd(requests, key) if key in requests and not requests.empty else None
-            if found is not None:
+            if found is None:
+                yield f"  {out_dir} has fewer than three runs with results at both ends of {key}: no spread to go by"
+            else:
                 sd, runs = found
                 yield f"  {seeds_needed(sd, difference)} by the {runs} seeds in {out_dir} ({key}: SD {sd:.3f})"
 
@@ -47,11 +51,11 @@ def _requests_of_a_run(study: Study) -> int:
     config = study.configs[0][0]
     prepared = prepare(read_recording(study.folders[0]), config)
     drawn = draw(prepared, drawing_config(config))
-    last_s, warm_up_s = drawn.scene.last_s, config.flow.warm_up_s
-    due = [
+    last_s, trigger_s = drawn.scene.last_s, triggers(config, drawn)
+    due = [trigger_s[one.request.number] for one in drawn.starts if one.request.policy.value == study.kind]
+    due += [
         one.due_s + trigger_after_s(one, config.request, drawn.seed, last_s)
         for one in drawn.arrivals
         if one.policy.value == study.kind
     ]
-    inside = sum(start.request.policy.value == study.kind for start in drawn.starts)
-    return inside + sum(warm_up_s <= at_s < last_s for at_s in due)
+    return sum(config.flow.counted_from_s <= at_s < last_s for at_s in due)

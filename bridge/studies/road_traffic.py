@@ -104,10 +104,8 @@ class RoadTraffic:
         self.missed_exits = 0
         self._lane_id: dict[str, int] = {}
         self._on = {lane_id for lane_id in self._lanes if self._leads_on(lane_id)}
-        self._edges = cache(self._edges_of)
-
-    def _edges_of(self, start: int, leaves: bool) -> list[str]:  # noqa: FBT001  # cached by place
-        return [self._grid.edge_id(Cell(lane_id, 0)) for lane_id in self.road.route(start, leaves=leaves)]
+        edge_of = {lane_id: self._grid.edge_id(Cell(lane_id, 0)) for lane_id in self._lanes}
+        self._edges = cache(lambda start, leaves: [edge_of[lane] for lane in road.route(start, leaves=leaves)])
 
     def run(self) -> None:
         """All steps. Errors: SimulationError."""

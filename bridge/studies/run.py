@@ -39,8 +39,7 @@ def run_study(
 
     trj: beside each run that is done, its trajectories for SSAM. Errors: BatchError, ExportError.
     """
-    named = {config.lane_change.rule for configs in study.configs for config in configs}  # in the user's own file
-    options = replace(options, function=WORK_FOR_SSAM if trj else WORK, functions=named)
+    options = replace(options, function=WORK_FOR_SSAM if trj else WORK, functions=study.rules)  # in the user's own file
     rows = run_batch(study.jobs, out_dir, options, on_row=on_row)
     from bridge.studies.page import write_results  # pandas, statsmodels, matplotlib: at the end
 

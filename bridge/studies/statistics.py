@@ -115,8 +115,9 @@ def dose_response(
             continue
         values, code = np.unique(frame[key].to_numpy(), return_inverse=True)
         statistic = _by_value(frame, outcome, code, len(values), give_up_s=give_up_s)
+        of = (frame[outcome.above or "vehicle"].notna() & frame[outcome.below or "vehicle"].ne(0.0)).to_numpy()
         own: list[dict[str, Any]] = [
-            {"parameter": key, "value": value, "outcome": outcome.name, "rows": int((code == place).sum())}
+            {"parameter": key, "value": value, "outcome": outcome.name, "rows": int((of & (code == place)).sum())}
             for place, value in enumerate(values.tolist())
         ]
         clusters = pd.factorize(pd.MultiIndex.from_frame(frame[[*units(frame).values()][-1]]))[0]

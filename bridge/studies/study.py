@@ -91,6 +91,11 @@ class Study:
         ]
 
     @property
+    def rules(self) -> frozenset[str]:
+        """The lane-change rules that decide in it."""
+        return frozenset(config.lane_change.rule for configs in self.configs for config in configs)
+
+    @property
     def keys(self) -> tuple[str, ...]:
         """What varies."""
         return tuple(key for key in self.points[0] if len({point[key] for point in self.points}) > 1)
@@ -145,7 +150,6 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> "dict[st
         for number, (point, configs) in enumerate(zip(study.points, study.configs, strict=True))
         for config in configs
     }
-    warm_up_s = study.configs[0][0].flow.warm_up_s
     every: dict[str, list[dict[str, Any]]] = {table: [] for table in ("runs", *RUN_TABLES)}
     looks: list[pd.DataFrame] = []
     for row in rows:
@@ -154,6 +158,7 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> "dict[st
         own = {("trigger_after_s" if key == TRIGGER else key): value for key, value in point.items()}
         name = {"scene": row.scenario, "city": row.city, "point": number, **own, "seed": row.seed}
         name |= {"replay": study.configs[number][0].driving.replay}
+        warm_up_s = study.configs[number][0].flow.counted_from_s
         found: dict[str, list[dict[str, Any]]] = {table: [] for table in RUN_TABLES}
         if row.status == DONE:
             found, own_looks = _written(out_dir / row.folder)
@@ -232,9 +237,7 @@ def _numeric(table: "pd.DataFrame") -> "pd.DataFrame":
 
 def _counts(request: Mapping[str, Any], warm_up_s: float) -> bool:
     """Whether a request enters the statistics: it was triggered, and not in the warm-up of a flow."""
-    if request["waited_s"] is None:
-        return False
-    return request["source"] == "start" or float(request["trigger_s"]) >= warm_up_s
+    return request["waited_s"] is not None and float(request["trigger_s"]) >= warm_up_s
 
 
 def _grid(vary: Mapping[str, Sequence[Value]]) -> list[dict[str, Value]]:

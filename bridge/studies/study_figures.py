@@ -11,7 +11,6 @@ from matplotlib.axes import Axes
 
 from bridge.pictures import figures
 from bridge.studies.columns import DECIDE
-from bridge.studies.gap_acceptance import curve_at
 from bridge.studies.statistics import kaplan_meier
 from hid2.params import Conflict
 
@@ -78,9 +77,11 @@ def draw_parameter(
             times = np.concatenate([[0.0], survival.surv_times, [give_up_s]])
             axes[1, 0].step(times, [*level, level[-1]], where="post", color=color, label=str(value))
         if curve is not None and not curve["separated"]:
-            middle, low, high = curve_at(curve, lag)
-            axes[1, 1].plot(lag, middle, color=color, label=str(value))
-            axes[1, 1].fill_between(lag, low, high, color=color, alpha=0.12, linewidth=0)
+            x = np.column_stack([np.ones(lag.size), lag, np.full(lag.size, curve["lead_s"])])
+            found = curve["fit"].get_prediction(x).summary_frame()  # the mean and its 95 % band
+            axes[1, 1].plot(lag, found["mean"], color=color, label=str(value))
+            band = found["mean_ci_lower"], found["mean_ci_upper"]
+            axes[1, 1].fill_between(lag, *band, color=color, alpha=0.12, linewidth=0)
         started = mine[mine["start_s"].notna()]
         axes[1, 2].plot([], [], color=color, label=str(value))
         _distribution(axes[1, 2], started["min_ttc_s"], color, "-")

@@ -1,6 +1,7 @@
 """What a process of a study, or of a page of public roads, does: drive each run and write what was measured."""
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +20,8 @@ from bridge.studies.study import LOOKS_FILE, RUN_TABLES, write_run
 from hid2.params import Config
 
 
-def measure_runs_for_ssam(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
-    """The same with the trajectories of each run for SSAM beside what was measured."""
-    return measure_runs(place, runs, trj=True)
-
-
 def measure_runs(place: Place, runs: Sequence[Run], *, trj: bool = False) -> Iterator[ManifestRow | Failure]:
-    """Drive and measure each run; what the runs share is made once."""
+    """Drive and measure each run; what the runs share is made once. trj: write its trajectories for SSAM, too."""
     prepared: PreparedScene | None = None
     drawn: dict[str, Drawn] = {}
 
@@ -49,6 +45,10 @@ def measure_runs(place: Place, runs: Sequence[Run], *, trj: bool = False) -> Ite
         }  # fmt: skip
 
     return _rows(place, runs, measured)
+
+
+#: The same with trajectories.
+measure_runs_for_ssam = partial(measure_runs, trj=True)
 
 
 def measure_roads(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:

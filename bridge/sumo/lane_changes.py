@@ -51,7 +51,17 @@ def apply_policy(
         return None
     fleet_now = traffic()
     others = fleet_now.rows([other for other, one in enumerate(fleet_now.ids) if one != vehicle.vehicle_id])
-    return _decided(fleet, simulation, row, now, others)
+    scene, asked = fleet.scene, Due(fleet.scene, vehicle, now, fleet.fixed, others)
+    answer = simulation.lane_change_answer
+    asks = scene.config.lane_change.rule == "LC2013"
+    across = asked.decided((lambda side: SumoAnswer(*answer(vehicle.vehicle_id, side))) if asks else None)
+    if across is None:
+        return None
+    attempt = _asked(fleet, simulation, row, now, across)
+    if isinstance(attempt, Reason):
+        asked.refuse(attempt)
+        return None
+    return attempt
 
 
 def _keep_time(fleet: Fleet, row: int, now: int) -> None:
@@ -68,22 +78,6 @@ def _keep_time(fleet: Fleet, row: int, now: int) -> None:
     path = lay(fleet.scene, driven.foreseen(foreseen_speeds(vehicle, fleet.scene, now), step_s))
     if path is not None:
         fleet.take_path(row, path)
-
-
-def _decided(fleet: Fleet, simulation: Simulation, row: int, now: int, others: Traffic) -> Attempt | None:
-    """What Algorithm 1 decides; a lane change is asked of SUMO where it meets nothing on the way across."""
-    scene, vehicle = fleet.scene, fleet.vehicles[row]
-    due = Due(scene, vehicle, now, fleet.fixed, others)
-    answer = simulation.lane_change_answer
-    asks = scene.config.lane_change.rule == "LC2013"
-    across = due.decided((lambda side: SumoAnswer(*answer(vehicle.vehicle_id, side))) if asks else None)
-    if across is None:
-        return None
-    attempt = _asked(fleet, simulation, row, now, across)
-    if isinstance(attempt, Reason):
-        due.refuse(attempt)
-        return None
-    return attempt
 
 
 def _asked(fleet: Fleet, simulation: Simulation, row: int, now: int, across: Across) -> Attempt | Reason:

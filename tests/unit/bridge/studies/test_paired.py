@@ -2,6 +2,7 @@
 
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -245,6 +246,7 @@ def test_study_is_resumed_and_writes_what_its_dictionary_says(tmp_path: Path) ->
         assert set(frame.columns) - said <= {"lane_change.time_gap_rear_s", "waiting_to_enter_s"}
     columns = pd.read_parquet(out / "requests.parquet").dtypes
     assert {columns[name] for name in ("accepted", "counted")} == {np.dtype(bool)}
+    assert {type(one) for one in pd.read_csv(out / "requests.csv")["overlaps"].dropna()} == {bool}
     assert all(columns[name] == np.float64 for name in columns.index if name.endswith(("_s", "_m", "_mps")))
     text = (out / "study.md").read_text()
     assert "smallest time gap to the new follower" in text
@@ -277,8 +279,14 @@ def test_plan_says_how_many_runs_a_difference_needs_before_and_after_a_pilot(tmp
     pilot.to_parquet(tmp_path / "out" / "requests.parquet")
     *_, by_pilot = plan_text(study, tmp_path / "out", 0.1)  # differences -.8, -.6, -.4: SD .2
     assert f"{seeds_needed(0.2, 0.1)} by the 3 seeds" in by_pilot
+    pilot[pilot["seed"] < 2].to_parquet(tmp_path / "out" / "requests.parquet")
+    assert list(plan_text(study, tmp_path / "out", 0.1))[-1].endswith("no spread to go by")
     with pytest.raises(ConfigError, match="--plan 5: expected a difference of shares between 0 and 1"):
         list(plan_text(study, tmp_path / "out", 5.0))
+    change = LaneChange(rule="nowhere_at_all:accept")
+    wrong = tuple(tuple(one.model_copy(update={"lane_change": change}) for one in configs) for configs in study.configs)
+    with pytest.raises(ConfigError, match="nowhere_at_all"):
+        list(plan_text(replace(study, configs=wrong), tmp_path / "out", 0.1))
 
 
 def test_replay_is_varied_like_any_other_parameter_and_said_everywhere(

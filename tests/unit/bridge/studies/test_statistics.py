@@ -250,9 +250,16 @@ def test_shares_of_the_gaps_that_each_refused_by_hand() -> None:
     gaps = gaps_of(pd.DataFrame(looks), []).assign(p=0.0)
     assert gaps["refused_by"].tolist() == ["cells", "rule", "guard", "sumo", ""]
     dose = dose_response(_requests(0.0).assign(p=0.0), gaps, "p", give_up_s=6.0, critical_ttc_s=1.5)
-    for name, share in (("sumo", 1 / 2), ("guard", 1 / 3), ("rule", 0.2), ("cells", 0.2), ("road", 0.0)):
+    for name, share, of in (
+        ("sumo", 0.5, 2),
+        ("guard", 1 / 3, 3),
+        ("rule", 0.2, 5),
+        ("cells", 0.2, 5),
+        ("road", 0.0, 5),
+    ):
         found = dose[dose["outcome"] == f"refused_by_{name}"]
         assert found["estimate"].tolist() == pytest.approx([share])
+        assert found["rows"].tolist() == [of]
 
 
 def test_page_tells_the_answer_to_the_last_gap_that_was_looked_at() -> None:
