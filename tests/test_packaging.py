@@ -7,7 +7,9 @@ import re
 import shutil
 import subprocess
 import sys
+import tarfile
 import tomllib
+import zipfile
 from collections.abc import Callable, Iterator
 from importlib.metadata import Distribution, distribution, distributions
 from pathlib import Path
@@ -54,15 +56,37 @@ def test_there_is_no_lock_file() -> None:
     assert not tracked & {"uv.lock", "poetry.lock", "pdm.lock", "Pipfile.lock", "pylock.toml"}
 
 
-def test_every_module_is_listed_for_packaging() -> None:
-    """pyproject.toml lists the packages by hand: a new folder with code must be in it."""
-    listed = set(PROJECT["tool"]["setuptools"]["packages"])
-    found = {
-        str(init.parent.relative_to(ROOT)).replace("/", ".")
-        for package in ("netconvert", "hid2", "bridge")
-        for init in (ROOT / package).rglob("__init__.py")
-    }
-    assert found == listed
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """Contents of the files of wheel and sdist by name, built as uv and pip do, without a network."""
+    out = tmp_path_factory.mktemp("dist")
+    code = "import sys; from hatchling import build; build.build_wheel(sys.argv[1]); build.build_sdist(sys.argv[1])"
+    subprocess.run([sys.executable, "-c", code, out], cwd=ROOT, check=True, timeout=300, stdout=subprocess.DEVNULL)
+    with zipfile.ZipFile(next(out.glob("*.whl"))) as wheel:
+        found = {name: wheel.read(name) for name in wheel.namelist()}
+    with tarfile.open(next(out.glob("*.tar.gz"))) as sdist:
+        files = [member for member in sdist.getmembers() if member.isfile()]
+        return found | {f"sdist/{one.name.partition('/')[2]}": sdist.extractfile(one).read() for one in files}
+
+
+def test_wheel_and_sdist_hold_every_file_that_they_need(built: dict[str, bytes]) -> None:
+    names = {path.relative_to(ROOT).as_posix() for path in project_files()}
+    assert {f"sdist/{name}" for name in names} <= built.keys()
+    ours = {name for name in names if name.startswith(("netconvert/", "hid2/", "bridge/")) and not name.endswith(".md")}
+    assert {name for name in built if not name.startswith("sdist/") and ".dist-info/" not in name} == ours
+    assert any(name.endswith("viewer.js") for name in ours)
+
+
+def test_description_on_a_package_index_links_to_nothing_that_is_not_there(built: dict[str, bytes]) -> None:
+    """An index shows the text of METADATA and no file of the tree: every target is an address, of which some are left."""
+    texts = [content.decode() for name, content in built.items() if name.endswith(("/METADATA", "sdist/PKG-INFO"))]
+    assert len(texts) == 2
+    for text in texts:
+        assert "\n# hid2-sumo\n" in text
+        targets = re.findall(r"\]\(([^)]*)\)|(?:href|src)=\"?([^\" >]*)|^\[[^\]]+\]: *(\S+)", text, re.MULTILINE)
+        assert targets
+        assert [one for one in map("".join, targets) if not one.startswith("https://")] == []
+        assert "INSTALL.md says what" in text  # of a link that is none there its words stay
 
 
 def applies(requirement: Requirement, extras: tuple[str, ...] = ("",)) -> bool:
@@ -119,8 +143,8 @@ def test_every_pin_but_torch_has_a_hash_and_none_an_address() -> None:
 
 
 def test_what_builds_the_package_is_pinned() -> None:
-    (builds,) = (Requirement(line) for line in PROJECT["build-system"]["requires"])
-    assert builds.specifier.contains(pins()[builds.name])
+    for builds in (Requirement(line) for line in PROJECT["build-system"]["requires"]):
+        assert builds.specifier.contains(pins()[builds.name])
 
 
 def test_pins_are_within_the_declared_ranges() -> None:
