@@ -1,4 +1,4 @@
-"""Builds the site from the pages of the tree, offline: `.venv/bin/python .ci/site.py OUT` (extra `site`).
+"""Builds the site from the pages and notebooks of the tree, offline: `.venv/bin/python .ci/site.py OUT` (extra `site`).
 
 A page is where it is in the tree, so that links between pages hold; what they link to beside pages can be downloaded.
 Any warning is an error.
@@ -20,22 +20,25 @@ or hold a scene [in Python](bridge/PYTHON.md).
 
 <a href="gallery.html">The synthetic scenes as `hid2 view` plays them</a>
 
-```{{toctree}}
+```{toctree}
 :maxdepth: 1
+:glob:
 
-{pages}
-api
+README
+*
+**
 ```
 """
 API = """# Public names
 
-```{{eval-rst}}
-{names}
+```{eval-rst}
+.. automodule:: bridge
+   :members:
 ```
 """
 CONF = """
-project, html_theme, extensions = "hid2-sumo", "furo", ["myst_parser", "sphinx.ext.autodoc"]
-myst_heading_anchors, autodoc_typehints, html_extra_path = 4, "none", ["extra"]
+project, html_theme, extensions = "hid2-sumo", "furo", ["myst_nb", "sphinx.ext.autodoc"]
+myst_heading_anchors, nb_execution_mode, autodoc_typehints, html_extra_path = 4, "off", "none", ["extra"]
 """
 
 
@@ -48,22 +51,15 @@ def build(out: Path) -> None:
             if not name.startswith((".ci", "tests/")):
                 (source / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy(ROOT / name, source / name)
-        pages = sorted(path.relative_to(source).with_suffix("").as_posix() for path in source.rglob("*.md"))
-        import bridge
-
-        kinds = {name: "class" if isinstance(getattr(bridge, name), type) else "function" for name in bridge.__all__}
-        members = {"class": "\n   :members:", "function": ""}
-        names = "\n\n".join(f".. auto{kind}:: bridge.{name}{members[kind]}" for name, kind in kinds.items())
-        (source / "index.md").write_text(INDEX.format(pages="\n".join(pages)))
-        (source / "api.md").write_text(API.format(names=names))
-        (source / "conf.py").write_text(CONF)
+        for name, text in (("index.md", INDEX), ("api.md", API), ("conf.py", CONF)):
+            (source / name).write_text(text)
         (source / "extra").mkdir()
-        gallery = str(source / "extra/gallery.html")
-        subprocess.run(
-            [sys.executable, "-m", "bridge.cli", "view", "data/av2", "-q", "-o", gallery], cwd=ROOT, check=True
-        )
-        command = [sys.executable, "-m", "sphinx", "-W", "-n", "--keep-going", "-q", "-b", "html", place, str(out)]
-        subprocess.run(command, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
+        view = ["-m", "bridge.cli", "view", "data/av2", "-q", "-o", str(source / "extra/gallery.html")]
+        sphinx = ["-m", "sphinx", "-W", "-n", "--keep-going", "-q", "-b", "html", place, str(out)]
+        for command in (view, sphinx):
+            subprocess.run(
+                [sys.executable, *command], cwd=ROOT, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)}
+            )
 
 
 if __name__ == "__main__":

@@ -47,10 +47,10 @@ def main() -> None:
             write_small(out / f"{name}.png", PICTURES / f"{name}.png")
 
 
-def write_small(drawn: Path | BytesIO, to: Path | BytesIO, *, colors: int = 96) -> None:
-    """A picture as a PNG of at most WIDTH pixels a side with a palette."""
+def write_small(drawn: Path | BytesIO, to: Path | BytesIO, *, colors: int = 96, width: int = WIDTH) -> None:
+    """A picture as a PNG of at most so many pixels a side with a palette."""
     picture = Image.open(drawn).convert("RGB")
-    picture.thumbnail((WIDTH, WIDTH), Image.Resampling.LANCZOS)
+    picture.thumbnail((width, width), Image.Resampling.LANCZOS)
     palette = palette_of(picture, colors)
     picture.quantize(palette=palette, dither=Image.Dither.NONE).save(to, "png", optimize=True)
 

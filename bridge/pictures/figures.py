@@ -62,6 +62,13 @@ MAP_COLORS: Mapping[str, str] = {
 }  # fmt: skip
 
 
+class ShownFigure(Figure):
+    """A figure that a notebook shows where it is the value of a cell, whatever pyplot draws with."""
+
+    def _repr_png_(self) -> bytes:
+        return _png(self)
+
+
 def kind_of(track: Track, policy: Policy | None = None) -> str:
     """What an agent is to a picture: a key of FACES. policy: of an inserted vehicle, where it is known."""
     if is_generated_id(track.track_id):
@@ -212,7 +219,12 @@ def check_step(scenario: Scenario, step: int | None) -> int:
 
 def data_uri(figure: Figure) -> str:
     """A figure as a PNG inside a data: address; the figure is closed."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110, bbox_inches="tight", metadata={"Software": None})
+    content = _png(figure)
     plt.close(figure)
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+    return "data:image/png;base64," + base64.b64encode(content).decode()
+
+
+def _png(figure: Figure) -> bytes:
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format="png", dpi=110, bbox_inches="tight", metadata={"Software": None})
+    return drawn.getvalue()

@@ -95,7 +95,7 @@ def _axes(position: FloatArray) -> tuple[Figure, list[Axes]]:
     if high > wide:
         size, ratios = (12.5, 9.5), {"width_ratios": [1, 2]}
         layout = [["plan", name] for name in names]
-    figure = Figure(figsize=size, layout="constrained")
+    figure = figures.ShownFigure(figsize=size, layout="constrained")
     found = figure.subplot_mosaic(layout, **ratios)
     return figure, [found[name] for name in ["plan", *names]]
 

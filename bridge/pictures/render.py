@@ -296,7 +296,7 @@ class _Drawing:
         aspect = float(np.clip(span[0] / span[1], 0.6, 2.2))
         width = 7.0 if len(panels) > 1 else 9.0
         height = float(np.clip(width / aspect, 4.0, 9.0))
-        self.figure = Figure(figsize=(width * len(panels), height + 1.3), layout="constrained")
+        self.figure = figures.ShownFigure(figsize=(width * len(panels), height + 1.3), layout="constrained")
         axes = self.figure.subplots(1, len(panels), squeeze=False)
         self.canvas: Any = FigureCanvasAgg(self.figure)
         self.panels = list(zip(panels, axes[0], strict=True))
