@@ -9,7 +9,6 @@ from typing import get_args
 
 import pytest
 
-import bridge
 from hid2.params import Event
 from hid2.reasons import Reason
 

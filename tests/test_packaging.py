@@ -78,7 +78,7 @@ def test_wheel_and_sdist_hold_every_file_that_they_need(built: dict[str, bytes])
 
 
 def test_description_on_a_package_index_links_to_nothing_that_is_not_there(built: dict[str, bytes]) -> None:
-    """An index shows the text of METADATA and no file of the tree: every target is an address, of which some are left."""
+    """An index shows the text of METADATA and no file of the tree: all targets are addresses, and some are left."""
     texts = [content.decode() for name, content in built.items() if name.endswith(("/METADATA", "sdist/PKG-INFO"))]
     assert len(texts) == 2
     for text in texts:

@@ -55,6 +55,8 @@ FACES: Mapping[str, str] = {
     "recorded": "#B4B4B4", "focal": DARK_GREY, "av": SKY, "other": "#B9A7C4", "generated": GENERATED,
     **{policy.value: color for policy, color in POLICY_COLORS.items()},
 }  # fmt: skip
+#: What moves further than this is shown, with so much ground around it.
+MOVES_M, MARGIN_M = 5.0, 15.0
 #: The map, by what is drawn of it.
 MAP_COLORS: Mapping[str, str] = {
     "ground": "#F1F1EF", "kerb": "#C9C9C4", "bike": "#E3EEF4", "edge": "#BDBDB8", "centre": "#CFCFCA",
@@ -134,6 +136,13 @@ def draw_map(axes: Axes, graph: LaneGraph, *, cells: bool = False) -> None:
     if cells:
         outlines = [shapely.get_coordinates(p.exterior) for p in build_cell_grid(graph).polygons if not p.is_empty]
         axes.add_collection(LineCollection(outlines, colors=MAP_COLORS["cell"], linewidths=0.35, zorder=2))
+
+
+def moving_ground(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
+    """Low and high corner of the ground around what moves and the focal track, (2,) m."""
+    tracks = [track for track in scenario.tracks if np.ptp(track.position, axis=0).max() > MOVES_M]
+    points = np.concatenate([track.position for track in (*tracks, scenario.track(scenario.focal_track_id))])
+    return points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M
 
 
 def frame(axes: Axes, low: FloatArray, high: FloatArray, *, aspect: float) -> None:

@@ -44,8 +44,6 @@ _GIF_COLORS = 128
 CAR_PIXELS = 14
 MOST_GROUND_M = 400.0
 _LABEL_SIZE = 6.5
-#: Ground shown around what moves.
-MARGIN_M = 15.0
 #: Ground shown around one agent's path.
 AGENT_MARGIN_M = 25.0
 
@@ -180,14 +178,10 @@ def _look(track: Track, policy: Policy | None) -> _Look:
 
 def _window(scenario: Recording, agent: str | None) -> tuple[FloatArray, FloatArray]:
     """Ground to show, low and high corner, m: around one agent's path, else around what moves and the focal one."""
-    if agent is not None:
-        tracks, margin = [figures.find_track(scenario, agent)], AGENT_MARGIN_M
-    else:
-        tracks = [track for track in scenario.tracks if np.ptp(track.position, axis=0).max() > 5.0]
-        tracks += [scenario.track(scenario.focal_track_id)]
-        margin = MARGIN_M
-    points = np.concatenate([track.position for track in tracks])
-    return points.min(axis=0) - margin, points.max(axis=0) + margin
+    if agent is None:
+        return figures.moving_ground(scenario)
+    path = figures.find_track(scenario, agent).position
+    return path.min(axis=0) - AGENT_MARGIN_M, path.max(axis=0) + AGENT_MARGIN_M
 
 
 def _put(panel: _Panel, ax: Axes, step: int, *, agent: str | None, whole_paths: bool) -> list[Artist]:

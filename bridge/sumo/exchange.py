@@ -21,7 +21,7 @@ from lxml.builder import E
 
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import Sidecar, sidecar_in
-from bridge.sumo.playback import departure, paints, playable_files, run_options, vehicle_type
+from bridge.sumo.playback import departure, kinds_in, playable_files, run_options, vehicle_type
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray
 from hid2.measures.arrays import stack
@@ -97,7 +97,7 @@ def _places(scenario: Recording, grid: CellGrid) -> dict[str, _Placed]:
 
 def _routes(scenario: Recording, sidecar: Sidecar, grid: CellGrid, placed: Mapping[str, _Placed]) -> bytes:
     """Types of the inserted vehicles, and the vehicles in the order of departure."""
-    colors, drivers = paints(scenario), {agent.track_id: agent.driver for agent in sidecar.agents}
+    faces, drivers = kinds_in(scenario), {agent.track_id: agent.driver for agent in sidecar.agents}
     links = {
         grid.edge_id(row[0]): [grid.edge_id(target) for cell in row for target in grid.following(cell)]
         for row in grid.rows()
@@ -105,7 +105,7 @@ def _routes(scenario: Recording, sidecar: Sidecar, grid: CellGrid, placed: Mappi
     kinds, vehicles = [], []
     for track in sorted((track for track in scenario.tracks if track.track_id in drivers), key=departure):
         name, (cells, pos) = track.track_id, placed[track.track_id]
-        kind, driver = vehicle_type(track, colors[name]), drivers[name]
+        kind, driver = vehicle_type(track, faces[name]), drivers[name]
         if driver is not None:  # car following as the vehicle was driven with
             kind |= {"carFollowModel": driver.model}
             kind |= {key: f"{value:g}" for key, value in sorted(driver.parameters.items())}
