@@ -18,6 +18,8 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from bridge.cli.scenes import EXAMPLES
+
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 README = (ROOT / "README.md").read_text()
@@ -73,8 +75,22 @@ def test_wheel_and_sdist_hold_every_file_that_they_need(built: dict[str, bytes])
     names = {path.relative_to(ROOT).as_posix() for path in project_files()}
     assert {f"sdist/{name}" for name in names} <= built.keys()
     ours = {name for name in names if name.startswith(("netconvert/", "hid2/", "bridge/")) and not name.endswith(".md")}
+    ours |= {f"bridge/{name}" for name in names if name.startswith(tuple(f"data/{one}/" for one in EXAMPLES))}
     assert {name for name in built if not name.startswith("sdist/") and ".dist-info/" not in name} == ours
     assert any(name.endswith("viewer.js") for name in ours)
+
+
+def test_wheel_brings_the_example(built: dict[str, bytes], tmp_path: Path) -> None:
+    for name, content in built.items():
+        if name.startswith(("netconvert/", "hid2/", "bridge/")):
+            (tmp_path / "wheel" / name).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / "wheel" / name).write_bytes(content)
+    command = [sys.executable, "-P", "-c", "from bridge.cli import main; main()", "example", "-o", "out"]
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path / "wheel")}
+    subprocess.run(command, cwd=tmp_path, env=environment, check=True, timeout=120)
+    scenes = [path.relative_to(tmp_path / "out") for path in (tmp_path / "out" / "av2").rglob("*.parquet")]
+    assert len(scenes) == 3
+    assert all((tmp_path / "out" / path).read_bytes() == (ROOT / "data" / path).read_bytes() for path in scenes)
 
 
 def test_description_on_a_package_index_links_to_nothing_that_is_not_there(built: dict[str, bytes]) -> None:

@@ -30,7 +30,7 @@ from hid2.agents import FloatArray, Policy, Track
 from hid2.evaluation.kinematics import motion
 from hid2.judge.findings import Quantity
 from hid2.measures.arrays import is_generated_id
-from hid2.measures.driven_lanes import first_lane_path
+from hid2.measures.driven_lanes import first_lane_offset
 from hid2.measures.following import leaders
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.occupancy.agent_states import AgentStates
@@ -192,7 +192,7 @@ def _tracks(
     tracks: dict[str, Track] = {track.track_id: track for track in recording.tracks}
     found = []
     for row, track_id in enumerate(arrays.track_ids):
-        track, span = tracks[track_id], states.row_span(row)
+        track, span, alone = tracks[track_id], states.row_span(row), states.rows([row])
         step, position = arrays.step[span], arrays.position[span]
         breaks = np.flatnonzero(np.diff(step, prepend=step[0] - 2) != 1)
         found.append({
@@ -206,23 +206,13 @@ def _tracks(
             "speed": coded(np.hypot(*arrays.velocity[span].T), quantum=METRE),
             **({} if not arrays.vehicle[row] else {
                 "accel": coded(moved.accel_mps2[span], quantum=METRE),
-                "offset": coded(_offset(states, row), quantum=METRE),
+                "offset": coded(first_lane_offset(alone.arrays, alone.lanes, alone.matches), quantum=METRE),
                 "gap": coded(ahead.gap_m[span], quantum=METRE),
                 "leader": coded(ahead.agent[span]),
                 "lane": coded(lane_of[states.matches.lane[span]]),
             }),
         })  # fmt: skip
     return found
-
-
-def _offset(states: AgentStates, row: int) -> FloatArray:
-    """(N,) m, lateral offset of a vehicle from the path of the lane that it starts in; NaN beside that path's ends."""
-    alone = states.rows([row])
-    path = first_lane_path(alone.arrays, alone.lanes, alone.matches)
-    if path is None:
-        return np.full(len(alone.arrays.step), np.nan)
-    s, d = path.frenet(alone.arrays.position)
-    return np.where((s > -1.0) & (s < path.length_m + 1.0), d, np.nan)
 
 
 def _occupied(graph: LaneGraph, states: AgentStates) -> list[list[int]]:

@@ -32,6 +32,14 @@ from netconvert.gui_files import gui_files, xml_bytes
 from netconvert.net_xml import net_bytes
 
 _LOG = logging.getLogger(__name__)
+#: SUMO's names for what a driver has; all else of it stands as a parameter, which SUMO keeps and does not use.
+_OF_SUMO = {
+    "desired_mps": "maxSpeed",
+    "tau_s": "tau",
+    "accel_mps2": "accel",
+    "decel_mps2": "decel",
+    "min_gap_m": "minGap",
+}
 #: Where an agent's front bumper is on the net at each of its steps: (N,) cells and metres along them.
 _Placed = tuple[list[Cell], FloatArray]
 
@@ -105,13 +113,18 @@ def _routes(scenario: Recording, sidecar: Sidecar, grid: CellGrid, placed: Mappi
     kinds, vehicles = [], []
     for track in sorted((track for track in scenario.tracks if track.track_id in drivers), key=departure):
         name, (cells, pos) = track.track_id, placed[track.track_id]
-        kind, driver = vehicle_type(track, faces[name]), drivers[name]
+        kind, driver, more = vehicle_type(track, faces[name]), drivers[name], []
         if driver is not None:  # car following as the vehicle was driven with
-            kind |= {"carFollowModel": driver.model}
-            kind |= {key: f"{value:g}" for key, value in sorted(driver.parameters.items())}
-        kinds.append(E.vType(kind))
+            kind |= {"carFollowModel": driver.model, "speedFactor": "1", "speedDev": "0"}
+            values = {key: f"{value:g}" for key, value in sorted(driver.parameters.items())}
+            kind |= {_OF_SUMO[key]: value for key, value in values.items() if key in _OF_SUMO}
+            more = [E.param(key=f"hid2.{key}", value=value) for key, value in values.items() if key not in _OF_SUMO]
+        kinds.append(E.vType(kind, *more))
         vehicle = {"id": name, "type": f"type_{name}", "depart": f"{track.timesteps[0] * scenario.step_s:.2f}"}
-        vehicle |= {"departLane": str(grid.lane_index(cells[0])), "departPos": f"{pos[0]:.2f}"}
+        vehicle |= {
+            "departLane": str(grid.lane_index(cells[0])),
+            "departPos": f"{np.floor(100.0 * pos[0]) / 100.0:.2f}",
+        }
         vehicle |= {"departSpeed": f"{track.speed[0]:.2f}", "insertionChecks": "none"}
         vehicles.append(E.vehicle(vehicle, E.route(edges=" ".join(_edges(cells, grid, links, name)))))
     return xml_bytes(E.routes(*kinds, *vehicles))

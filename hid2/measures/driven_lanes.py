@@ -50,6 +50,15 @@ def first_lane_path(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> 
     return source_path(view, runs, change)[0]
 
 
+def first_lane_offset(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> FloatArray:
+    """(N,) m, lateral offset of the only vehicle from that path, left positive; NaN off every lane, beside its ends."""
+    path = first_lane_path(arrays, lanes, matches)
+    if path is None:
+        return np.full(len(arrays.step), np.nan)
+    s, d = path.frenet(arrays.position)
+    return np.where((s > -1.0) & (s < path.length_m + 1.0), d, np.nan)
+
+
 def recorded_places(view: LaneView, *, within_m: float) -> dict[int, FloatArray]:
     """Where recorded vehicles drive on lanes: by lane id d m of each `STRETCH_M`, left positive, NaN where none does.
 
