@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -78,7 +78,6 @@ def render_scene(
     scenario: Recording,
     out_file: Path,
     *,
-    source: Recording | None = None,
     agent: str | None = None,
     cells: bool = False,
     step: int | None = None,
@@ -86,8 +85,8 @@ def render_scene(
 ) -> Path:
     """Draw a scene from above into a picture (.png, .jpg, .pdf, .svg) or a film (.gif, .mp4).
 
-    A generated scene is shown before | after; before is the scene `source` where given, and recorded
-    tracks then have its sizes on both sides, else its own recorded tracks. `agent` is highlighted, with surroundings.
+    A generated scene is shown before | after; before are its own recorded tracks. `agent` is highlighted, with
+    surroundings.
     `step`: the timestep of a picture (default: the last observed one); a film shows all. on_frame(done, total) is
     called as the frames of a film are drawn.
     Errors: ConfigError for an unknown ending, step or track; ExportError where the file cannot be written.
@@ -97,7 +96,7 @@ def render_scene(
     if step is not None and suffix in ANIMATIONS:
         raise ConfigError(f"{out_file}: a film shows every timestep; for one give a picture, {', '.join(PICTURES)}")
     shown = figures.check_step(scenario, step)
-    drawing = _Drawing(scenario, source, agent=agent, cells=cells, whole_paths=suffix in PICTURES)
+    drawing = _Drawing(scenario, agent=agent, cells=cells, whole_paths=suffix in PICTURES)
     if suffix in PICTURES:
         drawing.show(shown)
         figures.save(drawing.figure, out_file)
@@ -110,11 +109,10 @@ def render_scene(
 
 
 def scene_figure(
-    scenario: Recording, *, source: Recording | None = None, agent: str | None = None, cells: bool = False,
-    step: int | None = None,
-) -> Figure:  # fmt: skip
+    scenario: Recording, *, agent: str | None = None, cells: bool = False, step: int | None = None
+) -> Figure:
     """A picture as `render_scene` draws it, as a figure. Errors: ConfigError for an unknown step or track."""
-    drawing = _Drawing(scenario, source, agent=agent, cells=cells, whole_paths=True)
+    drawing = _Drawing(scenario, agent=agent, cells=cells, whole_paths=True)
     drawing.show(figures.check_step(scenario, step))
     return drawing.figure
 
@@ -129,7 +127,7 @@ def draw_scene(
     the scene. Errors: ConfigError for an unknown step or track.
     """
     shown = figures.check_step(scenario, step)
-    panel = _panels(scenario, None)[-1]
+    panel = _panels(scenario)[-1]
     low, high = _window(scenario, agent)
     figures.draw_map(axes, scenario.graph, cells=cells)
     room = axes.get_window_extent()
@@ -137,7 +135,7 @@ def draw_scene(
     _put(panel, axes, shown, agent=agent, whole_paths=True)
 
 
-def _panels(scenario: Recording, source: Recording | None) -> list[_Panel]:
+def _panels(scenario: Recording) -> list[_Panel]:
     """What is shown: one half for a recorded scene, before | after for a generated one."""
     agents = scenario.sidecar.agents if scenario.sidecar else ()
     policies = {record.track_id: record.policy for record in agents}
@@ -145,28 +143,15 @@ def _panels(scenario: Recording, source: Recording | None) -> list[_Panel]:
     recorded = tuple(track for track in scenario.tracks if not is_generated_id(track.track_id))
     generated = len(scenario.tracks) - len(recorded)
     name, word = scenario.scenario_id[:8], word_for_recorded(scenario.scenario_id)
-
-    def panel(title: str, shown: Recording, tracks: tuple[Track, ...], done: _Done = ()) -> _Panel:
-        own = policies if shown is scenario else {}
-        looks = {track.track_id: _look(track, own.get(track.track_id)) for track in tracks}
-        return _Panel(title, shown, tracks, looks, done)
-
-    if not generated and source is None:
-        return [panel(f"{name}: {len(recorded)} recorded agents", scenario, scenario.tracks)]
-    before, tracks, origin = scenario, recorded, "the recorded tracks of this scene, sizes by object type"
-    if source is not None:
-        before, tracks = source, source.tracks
-        origin = f"source scene {before.scenario_id[:8]}, with the sizes labelled there"
-    known = {track.track_id: track.size for track in tracks}  # labelled sizes lie beside the source only
-    resized = (
-        track if is_generated_id(track.track_id) else replace(track, size=known.get(track.track_id, track.size))
-        for track in scenario.tracks
-    )
+    looks = {track.track_id: _look(track, policies.get(track.track_id)) for track in scenario.tracks}
+    if not generated:
+        return [_Panel(f"{name}: {len(recorded)} {word} agents", scenario, recorded, looks, ())]
     title = f"after: {len(recorded)} {word} agents + {generated} generated vehicles\n(scene {name})"
-    after = panel(title, scenario, tuple(resized), maneuvers)
-    if source is None and word != "recorded":  # what was recorded is not in it
+    after = _Panel(title, scenario, scenario.tracks, looks, maneuvers)
+    if word != "recorded":  # what was recorded is not in it
         return [after]
-    return [panel(f"before: {len(tracks)} recorded agents\n({origin})", before, tracks), after]
+    title = f"before: {len(recorded)} recorded agents\n(the recorded tracks of this scene)"
+    return [_Panel(title, scenario, recorded, looks, ()), after]
 
 
 def _look(track: Track, policy: Policy | None) -> _Look:
@@ -275,11 +260,9 @@ class _Drawing:
     drawn thinly, and all manoeuvres marked whatever the step.
     """
 
-    def __init__(
-        self, scenario: Recording, source: Recording | None, *, agent: str | None, cells: bool, whole_paths: bool
-    ) -> None:
+    def __init__(self, scenario: Recording, *, agent: str | None, cells: bool, whole_paths: bool) -> None:
         self.whole_paths, self.agent = whole_paths, agent
-        panels = _panels(scenario, source)
+        panels = _panels(scenario)
         low, high = _window(scenario, agent)
         if not whole_paths:  # a film
             middle = np.clip(scenario.track(agent or scenario.focal_track_id).position.mean(axis=0), low, high)

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 HID2 = Path(sys.executable).parent / "hid2"
 
 
@@ -12,6 +14,7 @@ def hid2(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run([HID2, *arguments], cwd=cwd, capture_output=True, text=True, timeout=550, check=False)
 
 
+@pytest.mark.slow
 def test_the_commands_that_it_prints_run_one_after_the_other(tmp_path: Path) -> None:
     """In a folder with a space in its name, which the commands quote."""
     written = hid2("example", "-o", "to try", cwd=tmp_path)

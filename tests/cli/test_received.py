@@ -53,7 +53,7 @@ READERS: tuple[tuple[str, int | None, str], ...] = (
     ("net {received} -o net --map {received}", 0, ""),
     ("view {received} -o page.html --map {received}", 0, ""),
     ("export {received} --to openscenario -o exported --map {received}", 0, ""),
-    ("render {received} -o scene.png --source {recorded} --map {received}", 0, ""),
+    ("render {received} -o scene.png --map {received}", 0, ""),
     ("plot {received} -o agent.png --agent AV --map {received}", 0, ""),
     ("gui {received} --screenshot shot.png --map {received}", None, ""),
     ("paper table1 -o again --scenes {received} --map {received}", 2, "holds generated scenes only"),

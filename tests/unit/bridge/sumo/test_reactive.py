@@ -141,7 +141,7 @@ def test_scene_in_which_recorded_vehicles_react_is_called_so_and_refused(reactiv
 
 def test_pictures_and_sumo_gui_do_not_call_its_tracks_recorded(reactive_scene: Path, tmp_path: Path) -> None:
     """One panel, for what was recorded is not in it; the legend of sumo-gui says reacting."""
-    (panel,) = _panels(read_scenario(reactive_scene), None)
+    (panel,) = _panels(read_scenario(reactive_scene))
     assert "reacting agents" in panel.title
     files = export_scene(reactive_scene, "sumo", tmp_path)
     legend = next(path for path in files if path.name.endswith("_scene.poly.xml")).read_text()
