@@ -5,6 +5,7 @@ As in Jupyter, with its kernel. The tests run them with `run` and compare the ki
 
 import base64
 import io
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -33,12 +34,9 @@ def run(notebook: Path, folder: Path) -> nbformat.NotebookNode:
 
 
 def lay_out(root: Path) -> Path:
-    """A folder to run notebooks in, which sees the data as data/examples does, and keeps what they write."""
-    folder = root / "data" / "examples"
-    folder.mkdir(parents=True)
-    for name in ("av2", "configs", "studies"):
-        (root / "data" / name).symlink_to(EXAMPLES.parent / name)
-    return folder
+    """A folder to run notebooks in, with all that `hid2 example` writes around it."""
+    subprocess.run([sys.executable, "-m", "bridge.cli", "example", "-q", "-o", str(root / "data")], check=True)
+    return root / "data" / "examples"
 
 
 def main() -> None:

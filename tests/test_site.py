@@ -28,6 +28,7 @@ def test_the_site_has_every_page_and_notebook_every_public_name_and_the_gallery(
     names = (tmp_path / "site" / "api.html").read_text()
     assert [name for name in bridge.__all__ if f'id="bridge.{name}"' not in names] == []
     assert 'id="bridge.TrafficScene.judge"' in names
+    assert "lane_change.time_gap_rear_s" in (tmp_path / "site" / "parameters.html").read_text()
     gallery = (tmp_path / "site" / "gallery.html").read_text()
     assert all(folder.name in gallery for folder in (ROOT / "data" / "av2").glob("*/*"))
     assert 'href="gallery.html"' in (tmp_path / "site" / "index.html").read_text()

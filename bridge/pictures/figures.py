@@ -118,16 +118,12 @@ def draw_map(axes: Axes, graph: LaneGraph, *, cells: bool = False) -> None:
     axes.add_collection(
         PatchCollection(areas, facecolor=MAP_COLORS["ground"], edgecolor=MAP_COLORS["kerb"], linewidth=0.6, zorder=0)
     )
-    sides = [(lane, lane.left_boundary, lane.right_boundary) for lane in graph.lanes.values()]
-    bike = [
-        np.concatenate([left, right[::-1]])
-        for lane, left, right in sides
-        if lane.lane_type == "BIKE" and left is not None and right is not None
-    ]
+    sides = [(lane, *lane.sides) for lane in graph.lanes.values()]
+    bike = [np.concatenate([left, right[::-1]]) for lane, left, right in sides if lane.lane_type == "BIKE"]
     axes.add_collection(PolyCollection(bike, facecolor=MAP_COLORS["bike"], edgecolor="none", zorder=1))
     crossings = PolyCollection(graph.pedestrian_crossings, facecolor=MAP_COLORS["crossing"], alpha=0.5, zorder=1)
     axes.add_collection(crossings)
-    edges = [line for _, *lines in sides for line in lines if line is not None]
+    edges = [line for _, *lines in sides for line in lines]
     axes.add_collection(LineCollection(edges, colors=MAP_COLORS["edge"], linewidths=0.5, zorder=2))
     centers = [lane.centerline for lane, *_ in sides if lane.lane_type != "BIKE"]
     axes.add_collection(

@@ -73,13 +73,27 @@ def rgb(kind: str) -> str:
 def playable_files(scenario: Scenario, grid: CellGrid) -> dict[str, bytes]:
     """<id>_scene.sumocfg, .net.xml, .rou.xml, .poly.xml and .view.xml by file name.
 
-    The net is that of `hid2 net` with the lanes of the traces added.
+    The net is that of `hid2 net` with the lanes of the traces added, the view looks at what moves, with a legend.
+    sumo-gui shows the first step and waits, and the last one: vehicles are boxes of their size, with their ids.
     """
-    name = f"{scenario.scenario_id}_scene"
+    name, (low, high) = f"{scenario.scenario_id}_scene", moving_ground(scenario)
     options = run_options(scenario, f"{name}.rou.xml")
     options["time"]["end"] = f"{(scenario.num_steps + 1) * scenario.step_s:.2f}"  # at which sumo-gui asks to close all
     options["processing"] = {"collision.action": "none", "time-to-teleport": "-1"}
-    files = scene_view_files(scenario, grid, name, options)
+    last_s = (scenario.num_steps - 1) * scenario.step_s
+    options["gui_only"] = {"start": "true", "breakpoints": f"0.00,{last_s:.2f}"}
+    vehicles = E.vehicles(
+        {"vehicleMode": "0", "vehicleQuality": "1", "showBlinker": "0", "vehicle_minSize": "0", "scaleLength": "0"},
+        {"vehicle_exaggeration": "1", **_words("vehicleText", 46)},
+        {"vehicleText_bgColor": "255,255,255", "vehicleTextParam": ID_KEY},
+        E.colorScheme(name="given vehicle/type/route color"),
+    )
+    names = E.pois({"poi_constantSize": "1", "poi_exaggeration": "1", **_words("poiName", 50)})
+    files = gui_files(
+        grid, name, step_s=scenario.step_s, shown=(low, high), options=options, shapes=_legend(scenario, low, high),
+        scheme=[vehicles, names],
+    )  # fmt: skip
+    del files[f"{name}.cells.csv"]
     traces = [_trace(track, scenario.step_s) for track in scenario.tracks]
     net = net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city))
     files[f"{name}.net.xml"] = _with_traces(net, traces)
@@ -91,30 +105,6 @@ def run_options(scenario: Scenario, routes: str | None) -> dict[str, dict[str, s
     """Options with which SUMO runs a file of routes for as long as a scene lasts, by section and name."""
     files = {} if routes is None else {"route-files": routes}
     return {"input": files, "time": {"end": f"{scenario.num_steps * scenario.step_s:.2f}"}}
-
-
-def scene_view_files(
-    scenario: Scenario, grid: CellGrid, name: str, options: Mapping[str, Mapping[str, str]] | None = None
-) -> dict[str, bytes]:
-    """<name>.sumocfg, .poly.xml and .view.xml: those of `hid2 net`, looking at what moves, with ids and a legend.
-
-    sumo-gui then shows the first step and waits, and the last one: vehicles are boxes of their size, with their ids.
-    """
-    low, high = moving_ground(scenario)
-    vehicles = E.vehicles(
-        {"vehicleMode": "0", "vehicleQuality": "1", "showBlinker": "0", "vehicle_minSize": "0", "scaleLength": "0"},
-        {"vehicle_exaggeration": "1", **_words("vehicleText", 46)},
-        {"vehicleText_bgColor": "255,255,255", "vehicleTextParam": ID_KEY},
-        E.colorScheme(name="given vehicle/type/route color"),
-    )
-    names = E.pois({"poi_constantSize": "1", "poi_exaggeration": "1", **_words("poiName", 50)})
-    waits = {"start": "true", "breakpoints": f"0.00,{(scenario.num_steps - 1) * scenario.step_s:.2f}"}
-    files = gui_files(
-        grid, name, step_s=scenario.step_s, shown=(low, high), options={**(options or {}), "gui_only": waits},
-        shapes=_legend(scenario, low, high), scheme=[vehicles, names],
-    )  # fmt: skip
-    del files[f"{name}.cells.csv"]
-    return files
 
 
 def shows_id(track: Track) -> bool:
