@@ -17,7 +17,8 @@ from matplotlib.path import Path as MplPath
 from matplotlib.ticker import MaxNLocator
 
 from bridge.files import beside
-from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, Scenario
+from bridge.recordings.recording import FOCAL_CATEGORY, Recording
+from bridge.recordings.scenario import AV_ID
 from hid2.agents import VEHICLE_TYPES, FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
 from hid2.policy.behaviours import BEHAVIOURS
@@ -50,7 +51,7 @@ POLICY_COLORS = {
     Policy.LANE_CHANGE: BLUE,
     Policy.OVERTAKE: ORANGE,
 }
-#: Faces of agents by `kind_of`.
+#: Faces of agents by `kinds_in`.
 FACES: Mapping[str, str] = {
     "recorded": "#B4B4B4", "focal": DARK_GREY, "av": SKY, "other": "#B9A7C4", "generated": GENERATED,
     **{policy.value: color for policy, color in POLICY_COLORS.items()},
@@ -71,8 +72,14 @@ class ShownFigure(Figure):
         return _png(self)
 
 
-def kind_of(track: Track, policy: Policy | None = None) -> str:
-    """What an agent is to a picture: a key of FACES. policy: of an inserted vehicle, where it is known."""
+def kinds_in(scenario: Recording) -> dict[str, str]:
+    """What each track of a scene is to a picture, a key of FACES, by its id."""
+    agents = scenario.sidecar.agents if scenario.sidecar is not None else ()
+    policies = {agent.track_id: agent.policy for agent in agents}
+    return {track.track_id: _kind_of(track, policies.get(track.track_id)) for track in scenario.tracks}
+
+
+def _kind_of(track: Track, policy: Policy | None) -> str:
     if is_generated_id(track.track_id):
         return "generated" if policy is None else policy.value
     if track.track_id == AV_ID:
@@ -134,7 +141,7 @@ def draw_map(axes: Axes, graph: LaneGraph, *, cells: bool = False) -> None:
         axes.add_collection(LineCollection(outlines, colors=MAP_COLORS["cell"], linewidths=0.35, zorder=2))
 
 
-def moving_ground(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
+def moving_ground(scenario: Recording) -> tuple[FloatArray, FloatArray]:
     """Low and high corner of the ground around what moves and the focal track, (2,) m."""
     tracks = [track for track in scenario.tracks if np.ptp(track.position, axis=0).max() > MOVES_M]
     points = np.concatenate([track.position for track in (*tracks, scenario.track(scenario.focal_track_id))])
@@ -200,7 +207,7 @@ def save(figure: Figure, path: Path) -> None:
         plt.close(figure)
 
 
-def find_track(scenario: Scenario, track_id: str) -> Track:
+def find_track(scenario: Recording, track_id: str) -> Track:
     """A track by id. Errors: ConfigError for an unknown one, with those that are most like it."""
     known = [track.track_id for track in scenario.tracks]
     if track_id not in known:
@@ -212,7 +219,7 @@ def find_track(scenario: Scenario, track_id: str) -> Track:
     return scenario.track(track_id)
 
 
-def check_step(scenario: Scenario, step: int | None) -> int:
+def check_step(scenario: Recording, step: int | None) -> int:
     """A timestep to show, the last observed one for None. Errors: ConfigError for one that the scene does not have."""
     last = scenario.num_steps - 1
     if step is None:

@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import imageio.v2
 import imageio_ffmpeg
@@ -26,7 +26,7 @@ from bridge.files import beside
 from bridge.pictures import figures
 from bridge.recordings.recording import FOCAL_CATEGORY, Recording
 from bridge.recordings.sidecar import ManeuverRecord
-from hid2.agents import DEFAULT_SIZES, FloatArray, Policy, Track
+from hid2.agents import DEFAULT_SIZES, FloatArray, Track
 from hid2.measures.arrays import is_generated_id
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.policy.behaviours import behaviour_seen
@@ -53,14 +53,8 @@ _Done = tuple[tuple[str, ManeuverRecord], ...]
 
 #: Which agents are drawn above which; inserted ones above all.
 _ORDER = {"other": 3, "recorded": 4, "focal": 4, "av": 5}
-
-
-class _Look(NamedTuple):
-    kind: str
-    face: str
-    edge: str
-    line_width: float
-    order: int
+#: Edge of a box and its width.
+_EDGE, _FOCAL_EDGE = ("#333333", 0.4), (figures.BLACK, 1.6)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -70,7 +64,7 @@ class _Panel:
     title: str
     scenario: Recording
     tracks: tuple[Track, ...]
-    looks: Mapping[str, _Look]
+    kinds: Mapping[str, str]
     maneuvers: _Done
 
 
@@ -138,27 +132,19 @@ def draw_scene(
 def _panels(scenario: Recording) -> list[_Panel]:
     """What is shown: one half for a recorded scene, before | after for a generated one."""
     agents = scenario.sidecar.agents if scenario.sidecar else ()
-    policies = {record.track_id: record.policy for record in agents}
     maneuvers = tuple((record.track_id, maneuver) for record in agents for maneuver in record.maneuvers)
     recorded = tuple(track for track in scenario.tracks if not is_generated_id(track.track_id))
     generated = len(scenario.tracks) - len(recorded)
     name, word = scenario.scenario_id[:8], word_for_recorded(scenario.scenario_id)
-    looks = {track.track_id: _look(track, policies.get(track.track_id)) for track in scenario.tracks}
+    kinds = figures.kinds_in(scenario)
     if not generated:
-        return [_Panel(f"{name}: {len(recorded)} {word} agents", scenario, recorded, looks, ())]
+        return [_Panel(f"{name}: {len(recorded)} {word} agents", scenario, recorded, kinds, ())]
     title = f"after: {len(recorded)} {word} agents + {generated} generated vehicles\n(scene {name})"
-    after = _Panel(title, scenario, scenario.tracks, looks, maneuvers)
+    after = _Panel(title, scenario, scenario.tracks, kinds, maneuvers)
     if word != "recorded":  # what was recorded is not in it
         return [after]
     title = f"before: {len(recorded)} recorded agents\n(the recorded tracks of this scene)"
-    return [_Panel(title, scenario, recorded, looks, ()), after]
-
-
-def _look(track: Track, policy: Policy | None) -> _Look:
-    focal = track.category == FOCAL_CATEGORY
-    edge, width = (figures.BLACK, 1.6) if focal else ("#333333", 0.4)
-    kind = figures.kind_of(track, policy)
-    return _Look(kind, figures.FACES[kind], edge, width, _ORDER.get(kind, 6))
+    return [_Panel(title, scenario, recorded, kinds, ()), after]
 
 
 def _window(scenario: Recording, agent: str | None) -> tuple[FloatArray, FloatArray]:
@@ -174,25 +160,25 @@ def _put(panel: _Panel, ax: Axes, step: int, *, agent: str | None, whole_paths: 
     trail = round(TRAIL_S / panel.scenario.step_s)
     present = [(track, int(np.searchsorted(track.timesteps, step))) for track in panel.tracks]
     present = [(t, i) for t, i in present if i < len(t.timesteps) and t.timesteps[i] == step]
-    present.sort(key=lambda item: panel.looks[item[0].track_id].order)
-    looks = [panel.looks[track.track_id] for track, _ in present]
+    present.sort(key=lambda item: _ORDER.get(panel.kinds[item[0].track_id], 6))
+    edges = [_FOCAL_EDGE if track.category == FOCAL_CATEGORY else _EDGE for track, _ in present]
     boxes = [
         box_corners(t.position[i], t.heading[i], length_m=t.size.length_m, width_m=t.size.width_m) for t, i in present
     ]
     noses = [np.stack([t.position[i], box[:2].mean(axis=0)]) for (t, i), box in zip(present, boxes, strict=True)]
     trails = [t.position[max(0, i - trail) : i + 1] for t, i in present]
-    faces = [look.face for look in looks]
+    faces = [figures.FACES[panel.kinds[track.track_id]] for track, _ in present]
     artists: list[Collection] = [
         LineCollection(trails, colors=faces, linewidths=2.2, alpha=0.5, zorder=4),
         PolyCollection(
-            boxes, facecolors=faces, edgecolors=[look.edge for look in looks],
-            linewidths=[look.line_width for look in looks], zorder=5,
+            boxes, facecolors=faces, edgecolors=[color for color, _ in edges], linewidths=[wide for _, wide in edges],
+            zorder=5,
         ),
         LineCollection(noses, colors="#222222", linewidths=0.6, zorder=6),
     ]  # fmt: skip
     if whole_paths:
         paths = [t for t in panel.tracks if is_generated_id(t.track_id)]
-        colors = [panel.looks[t.track_id].face for t in paths]
+        colors = [figures.FACES[panel.kinds[t.track_id]] for t in paths]
         whole = LineCollection([t.position for t in paths], colors=colors, linewidths=0.8, alpha=0.8, zorder=3)
         artists.insert(0, whole)
     for artist in artists:
@@ -289,12 +275,11 @@ class _Drawing:
     def legend(self) -> None:
         """What the colours and marks mean, for those that appear."""
         panel = self.panels[-1][0]
-        kinds = {look.kind for look in panel.looks.values()}
         word = word_for_recorded(panel.scenario.scenario_id)
         handles: list[Patch | Line2D] = [
             Patch(facecolor=figures.FACES[kind], edgecolor="#333333", linewidth=0.4, label=says)
             for kind, says in figures.kinds_in_words(word).items()
-            if kind in kinds
+            if kind in panel.kinds.values()
         ]
         handles.append(Patch(facecolor="none", edgecolor="black", linewidth=1.6, label="focal track: black edge"))
 

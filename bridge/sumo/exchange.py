@@ -19,9 +19,10 @@ import shapely
 from lxml import etree
 from lxml.builder import E
 
+from bridge.pictures.figures import kinds_in
 from bridge.recordings.recording import Recording
-from bridge.recordings.sidecar import Sidecar, sidecar_in
-from bridge.sumo.playback import departure, kinds_in, playable_files, run_options, vehicle_type
+from bridge.recordings.sidecar import Sidecar
+from bridge.sumo.playback import departure, playable_files, run_options, vehicle_type
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray
 from hid2.measures.arrays import stack
@@ -46,7 +47,7 @@ _Placed = tuple[list[Cell], FloatArray]
 
 def sumo_files(scenario: Recording) -> dict[str, bytes]:
     """Contents of all files by file name; vehicles of a generated scene get routes."""
-    name, sidecar = scenario.scenario_id, sidecar_in(scenario.folder, scenario.scenario_id)
+    name, sidecar = scenario.scenario_id, scenario.sidecar
     grid = build_cell_grid(scenario.graph, saved_within_m=SAVED_WITHIN_M)
     placed = _places(scenario, grid)
     options = run_options(scenario, None if sidecar is None else f"{name}.rou.xml")

@@ -15,9 +15,8 @@ from lxml import etree
 from lxml.builder import E
 
 from bridge.config import word_for_recorded
-from bridge.pictures.figures import FACES, kind_of, kinds_in_words, moving_ground
+from bridge.pictures.figures import FACES, kinds_in, kinds_in_words, moving_ground
 from bridge.recordings.scenario import FOCAL_CATEGORY, Scenario
-from bridge.recordings.sidecar import sidecar_in
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray, Track
 from hid2.measures.arrays import is_generated_id
@@ -56,13 +55,6 @@ GUI_SHAPES: Mapping[str, str] = {
 
 #: Faces as in every picture, but for the focal vehicle's, which is too dark for sumo-gui's road.
 GUI_FACES: Mapping[str, str] = {**FACES, "focal": "#F0E442"}
-
-
-def kinds_in(scenario: Scenario) -> dict[str, str]:
-    """What each track is, a key of GUI_FACES, by its id."""
-    sidecar = sidecar_in(scenario.folder, scenario.scenario_id)
-    policy_of = {agent.track_id: agent.policy for agent in sidecar.agents} if sidecar else {}
-    return {track.track_id: kind_of(track, policy_of.get(track.track_id)) for track in scenario.tracks}
 
 
 def rgb(kind: str) -> str:
@@ -105,11 +97,6 @@ def run_options(scenario: Scenario, routes: str | None) -> dict[str, dict[str, s
     """Options with which SUMO runs a file of routes for as long as a scene lasts, by section and name."""
     files = {} if routes is None else {"route-files": routes}
     return {"input": files, "time": {"end": f"{scenario.num_steps * scenario.step_s:.2f}"}}
-
-
-def shows_id(track: Track) -> bool:
-    """Whether a vehicle shows its id: inserted ones and the focal one, as those of all would hide each other."""
-    return is_generated_id(track.track_id) or track.category == FOCAL_CATEGORY
 
 
 def _words(what: str, size: int) -> dict[str, str]:
@@ -238,7 +225,8 @@ def _routes(scenario: Scenario, traces: list[_Trace]) -> bytes:
         vehicle = {"id": name, "type": f"type_{name}", "color": rgb(faces[name]), "insertionChecks": "none"}
         vehicle |= {"depart": f"{trace.track.timesteps[0] * scenario.step_s:.2f}", "departSpeed": limit}
         vehicle |= {"departPos": f"{trace.advance_m - 0.5 * _CLEAR_M:.4f}", "arrivalPos": "max"}
-        params = [E.param(key=ID_KEY, value=name)] if shows_id(trace.track) else []
+        shown = is_generated_id(name) or trace.track.category == FOCAL_CATEGORY  # all ids would hide each other
+        params = [E.param(key=ID_KEY, value=name)] if shown else []
         edges = " ".join(trace.edge(k) for k in range(len(trace.shapes)))
         vehicles.append(E.vehicle(vehicle, *params, E.route(edges=edges)))
     return xml_bytes(E.routes(*kinds, *vehicles))

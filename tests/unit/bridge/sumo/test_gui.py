@@ -17,8 +17,9 @@ import sumolib
 from lxml import etree
 
 from bridge.exports.export import export_scene
+from bridge.pictures.figures import kinds_in
 from bridge.recordings.scenario import read_scenario
-from bridge.sumo.playback import kinds_in, rgb
+from bridge.sumo.playback import rgb
 from hid2.agents import Policy
 from netconvert.errors import ConfigError, SimulationError
 
