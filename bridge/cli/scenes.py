@@ -132,7 +132,7 @@ def export(
     windows: options.Windows,
     activity: Activity,
 ) -> None:
-    """Write scenes in the formats of others: OpenSCENARIO, OpenDRIVE, CommonRoad, SUMO's.
+    """Write scenes in the formats of others: OpenSCENARIO, OpenDRIVE, CommonRoad, SSAM's trajectories, SUMO's.
 
     Files have the scenes' ids as names and lie side by side; OpenSCENARIO brings the OpenDRIVE map that it
     refers to, FCD output the net.

@@ -2,7 +2,7 @@
 
 A column of numbers is written as differences of integers, of first or second order, in steps of a quantum: small
 numbers, of which deflate leaves a byte or less. What is derived of the states comes from where every picture and every
-check takes it: `motion`, `leaders`, `first_lane_path`, `original_occupancy`, the judge.
+check takes it: `motion`, `leaders`, `first_lane_offset`, `original_occupancy`, the judge.
 """
 
 import base64
