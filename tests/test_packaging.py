@@ -93,6 +93,15 @@ def test_wheel_brings_the_example(built: dict[str, bytes], tmp_path: Path) -> No
     assert all((tmp_path / "out" / path).read_bytes() == (ROOT / "data" / path).read_bytes() for path in scenes)
 
 
+def test_command_without_what_it_needs_says_so_in_a_line() -> None:
+    """As of a wheel that was installed without its dependencies."""
+    code = "import sys; sys.modules['typer'] = None\nfrom bridge.cli import main\nmain()"
+    result = subprocess.run([sys.executable, "-c", code, "--help"], capture_output=True, text=True, timeout=120)
+    assert result.returncode == 1
+    assert result.stderr.startswith("hid2: error: no module 'typer', which hid2 needs: install it")
+    assert result.stderr.count("\n") == 1
+
+
 def test_description_on_a_package_index_links_to_nothing_that_is_not_there(built: dict[str, bytes]) -> None:
     """An index shows the text of METADATA and no file of the tree: all targets are addresses, and some are left."""
     texts = [content.decode() for name, content in built.items() if name.endswith(("/METADATA", "sdist/PKG-INFO"))]
