@@ -41,7 +41,7 @@ _UNSEEN = "ship"
 #: Parameter of a vehicle that holds the id to show.
 ID_KEY = "shown_id"
 #: Distance of two lines of the legend, and its width, as a share of the height shown.
-_LEGEND_ROW, _LEGEND_WIDTH = 0.045, 0.25
+_LEGEND_ROW, _LEGEND_WIDTH = 0.045, 0.34
 #: SUMO's pictures of vehicles, by object type.
 GUI_SHAPES: Mapping[str, str] = {
     "vehicle": "passenger/sedan",
