@@ -1,7 +1,7 @@
-"""Builds the site from the pages of the tree, offline: `.venv/bin/python .ci/site.py OUT` (extra `site`).
+"""Builds the site from the pages and notebooks of the tree, offline: `.venv/bin/python .ci/site.py OUT` (extra `site`).
 
 A page is where it is in the tree, so that links between pages hold; what they link to beside pages can be downloaded.
-Any warning is an error.
+Any warning is an error. `.ci/site/` has its front page and settings.
 """
 
 import os
@@ -12,35 +12,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 ROOT = Path(__file__).resolve().parents[1]
-INDEX = """# hid2-sumo
-
-[Make scenes denser](bridge/generation/README.md), [look at them](bridge/pictures/README.md),
-[measure them](bridge/evaluation/README.md), [ask a question of many runs](bridge/studies/README.md);
-or hold a scene [in Python](bridge/PYTHON.md).
-
-<a href="gallery.html">The synthetic scenes as `hid2 view` plays them</a>
-
-```{{toctree}}
-:maxdepth: 1
-
-{pages}
-api
-```
-"""
-API = """# Public names
-
-```{{eval-rst}}
-{names}
-```
-"""
-CONF = """
-project, html_theme, extensions = "hid2-sumo", "furo", ["myst_parser", "sphinx.ext.autodoc"]
-myst_heading_anchors, autodoc_typehints, html_extra_path = 4, "none", ["extra"]
-"""
 
 
 def build(out: Path) -> None:
     """Write the site into a folder. Errors: CalledProcessError where a page warns."""
+    sys.path.insert(0, str(ROOT))
+    from bridge.config import ParameterRow, describe_config
+
     with TemporaryDirectory() as place:
         source = Path(place)
         tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout
@@ -48,22 +26,18 @@ def build(out: Path) -> None:
             if not name.startswith((".ci", "tests/")):
                 (source / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copy(ROOT / name, source / name)
-        pages = sorted(path.relative_to(source).with_suffix("").as_posix() for path in source.rglob("*.md"))
-        import bridge
-
-        kinds = {name: "class" if isinstance(getattr(bridge, name), type) else "function" for name in bridge.__all__}
-        members = {"class": "\n   :members:", "function": ""}
-        names = "\n\n".join(f".. auto{kind}:: bridge.{name}{members[kind]}" for name, kind in kinds.items())
-        (source / "index.md").write_text(INDEX.format(pages="\n".join(pages)))
-        (source / "api.md").write_text(API.format(names=names))
-        (source / "conf.py").write_text(CONF)
+        rows = [" | ".join(str(part).replace("|", "\\|") for part in row) for row in describe_config()]
+        head = " | ".join(ParameterRow._fields)
+        parameters = "\n".join(["# Parameters\n", head, " | ".join("-" for _ in ParameterRow._fields), *rows, ""])
+        (source / "parameters.md").write_text(parameters)
+        shutil.copytree(ROOT / ".ci" / "site", source, dirs_exist_ok=True)
         (source / "extra").mkdir()
-        gallery = str(source / "extra/gallery.html")
-        subprocess.run(
-            [sys.executable, "-m", "bridge.cli", "view", "data/av2", "-q", "-o", gallery], cwd=ROOT, check=True
-        )
-        command = [sys.executable, "-m", "sphinx", "-W", "-n", "--keep-going", "-q", "-b", "html", place, str(out)]
-        subprocess.run(command, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
+        view = ["-m", "bridge.cli", "view", "data/av2", "-q", "-o", str(source / "extra/gallery.html")]
+        sphinx = ["-m", "sphinx", "-W", "-n", "--keep-going", "-q", "-b", "html", place, str(out)]
+        for command in (view, sphinx):
+            subprocess.run(
+                [sys.executable, *command], cwd=ROOT, check=True, env={**os.environ, "PYTHONPATH": str(ROOT)}
+            )
 
 
 if __name__ == "__main__":

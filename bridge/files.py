@@ -56,6 +56,12 @@ def beside(path: Path) -> Iterator[Path]:
             hidden.replace(path)
 
 
+def data_folder() -> Path:
+    """Synthetic scenes, configurations, studies and notebooks: in a wheel's packages, beside those of a checkout."""
+    packed = Path(__file__).parent / "data"
+    return packed if packed.is_dir() else packed.parents[1] / "data"
+
+
 @contextlib.contextmanager
 def table_file(path: Path) -> Iterator[IO[str]]:
     """A file for `append_rows`, `beside` its place. Errors: ExportError."""

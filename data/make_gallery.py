@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 from bridge import TrafficScene, find_scenarios, generate, read_scene
 from bridge.pictures import figures
 from bridge.recordings.sidecar import EventRecord
-from hid2.agents import Track
 from hid2.params import Config, Event, Request
 
 DATA = Path(__file__).parent
@@ -25,8 +24,8 @@ KINDS: tuple[str, ...] = get_args(Event.model_fields["kind"].annotation)
 SEEDS = 4
 #: When: an overtake takes longer than all others.
 AT_S = dict.fromkeys(KINDS, (1.5, 6.0)) | {"overtake": (6.0, 10.0)}
-#: Half of the ground shown, m, at least, and beyond the target.
-GROUND_M, BEYOND_M = 22.0, 8.0
+#: Half of the ground shown, m.
+GROUND_M = 30.0
 #: Shown so long before the moment of an event, at it, and so long after it, s.
 AROUND_S = 2.0
 #: What is to be seen in each picture.
@@ -42,7 +41,7 @@ _HEAD = """# Events
 
 A picture of each kind of event that `hid2 generate --event` makes, in the synthetic scenes of this folder: {around:g} s
 before the moment of the event, at it, and {around:g} s after it. Coloured and ringed is the inserted vehicle;
-the target is labelled: it is recorded and does not react. Each is what the command below its picture writes.
+the target, which the text names, is recorded and does not react. Each is what the command below its picture writes.
 
 This page and its pictures are made by `python data/make_gallery.py`.
 """
@@ -66,32 +65,17 @@ def best_of(kind: str) -> tuple[Path, TrafficScene, EventRecord, int]:
 
 def picture(scene: TrafficScene, event: EventRecord) -> Figure:
     """Three moments of an event."""
-    scenario = scene.recording
-    tracks = {track.track_id: track for track in scenario.tracks}
-    own, target = tracks[str(event.track_id)], tracks[str(event.target_track_id)]
-    figure = Figure(figsize=(15.0, 5.2), layout="constrained")
-    assert event.at_s is not None
-    moments = [max(0.0, event.at_s - AROUND_S), event.at_s, event.at_s + AROUND_S]
-    for axes, at_s in zip(figure.subplots(1, 3), moments, strict=True):
-        step = min(round(at_s / scenario.step_s), scenario.num_steps - 1)
-        scene.draw(axes, step=step, agent=own.track_id)
-        row, here = _row(target, step), _row(own, step)
-        if here is not None:
-            x, y = own.position[here].tolist()
-            apart = 0.0 if row is None else float(np.abs(target.position[row] - own.position[here]).max())
-            half = min(max(GROUND_M, apart + BEYOND_M), 2 * GROUND_M)
-            axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
-        if row is not None:
-            axes.annotate(
-                "target", target.position[row], xytext=(0, -26), textcoords="offset points", ha="center",
-                arrowprops={"arrowstyle": "-", "lw": 0.8}, zorder=20, annotation_clip=True,
-            )  # fmt: skip
-        axes.set_title(f"{step * scenario.step_s:.1f} s")
+    figure, step_s = Figure(figsize=(15.0, 5.2), layout="constrained"), scene.recording.step_s
+    last_s = (scene.recording.num_steps - 1) * step_s
+    for axes, apart_s in zip(figure.subplots(1, 3), (-AROUND_S, 0.0, AROUND_S), strict=True):
+        at_s = float(np.clip((event.at_s or 0.0) + apart_s, 0.0, last_s))
+        step = round(at_s / step_s)
+        scene.draw(axes, step=step, agent=event.track_id)
+        own = scene.tracks.query(f"track_id == {event.track_id!r} and timestep == {step}")
+        for x, y in own[["position_x", "position_y"]].to_numpy()[:1]:
+            axes.set(xlim=(x - GROUND_M, x + GROUND_M), ylim=(y - GROUND_M, y + GROUND_M))
+        axes.set_title(f"{at_s:.1f} s")
     return figure
-
-
-def _row(track: Track, step: int) -> int | None:
-    return next(iter(np.flatnonzero(track.timesteps == step).tolist()), None)
 
 
 def told(event: EventRecord) -> str:

@@ -9,13 +9,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from bridge import (
-    evaluate_folder,
-    find_scenarios,
-    generate,
-    load_config,
-    read_scene,
-)
+from bridge import evaluate_folder, find_scenarios, generate, load_config, read_scene
 from bridge.pages.charts import distribution_figure
 from bridge.pictures import figures
 from bridge.pictures.render import palette_of
@@ -37,28 +31,22 @@ def main() -> None:
         for scene in scenes:
             scene.write(out / "scenes")
         # the scene in which most is done, and in it a vehicle that changes lanes
-        best = max(range(len(scenes)), key=lambda k: len(_done(scenes[k].sidecar.agents)))
-        agent = _done(scenes[best].sidecar.agents)[0]
+        done = [scene.maneuvers.query("status == 'done' and kind in ['lane_change', 'overtake']") for scene in scenes]
+        best = max(range(len(scenes)), key=lambda k: len(done[k]))
         scenes[best].render(out / "scene.png")
-        figures.save(scenes[best].plot(agent), out / "plot.png")
+        figures.save(scenes[best].plot(done[best]["track_id"].iloc[0]), out / "plot.png")
         evaluation = evaluate_folder(out / "scenes", report_dir=out / "report", source=ROOT / "av2")
         figures.save(distribution_figure(evaluation.totals.realism), out / "report.png")
         for name in ("scene", "plot", "report"):
             write_small(out / f"{name}.png", PICTURES / f"{name}.png")
 
 
-def write_small(drawn: Path | BytesIO, to: Path | BytesIO, *, colors: int = 96) -> None:
-    """A picture as a PNG of at most WIDTH pixels a side with a palette."""
+def write_small(drawn: Path | BytesIO, to: Path | BytesIO, *, colors: int = 96, width: int = WIDTH) -> None:
+    """A picture as a PNG of at most so many pixels a side with a palette."""
     picture = Image.open(drawn).convert("RGB")
-    picture.thumbnail((WIDTH, WIDTH), Image.Resampling.LANCZOS)
+    picture.thumbnail((width, width), Image.Resampling.LANCZOS)
     palette = palette_of(picture, colors)
     picture.quantize(palette=palette, dither=Image.Dither.NONE).save(to, "png", optimize=True)
-
-
-def _done(agents):  # noqa: ANN001, ANN202
-    """Ids of the vehicles that did a lane change or an overtake."""
-    wanted = {"lane_change", "overtake"}
-    return [a.track_id for a in agents if any(m.kind in wanted and m.status == "done" for m in a.maneuvers)]
 
 
 if __name__ == "__main__":

@@ -60,8 +60,9 @@ class Request(_Section):
     )
     near: str = _option(
         "traffic", "-",
-        "Where vehicles are inserted: near moving traffic, the recording vehicle, the focal track, scored tracks, or a "
-        "track", "av|focal|scored|traffic|anywhere|TRACK_ID", min_length=1, max_length=100,
+        "Where vehicles are inserted first: near moving traffic, the recording vehicle, the focal track, scored "
+        "tracks, or a track; what finds no site there is inserted elsewhere",
+        "av|focal|scored|traffic|anywhere|TRACK_ID", min_length=1, max_length=100,
     )  # fmt: skip
     within_m: float = _option(
         30.0, "m",

@@ -9,7 +9,7 @@ from typing import get_args
 
 import pytest
 
-import bridge
+from bridge.studies.study import read_study
 from hid2.params import Event
 from hid2.reasons import Reason
 
@@ -77,12 +77,6 @@ def test_table_of_reasons_is_made_of_the_reasons() -> None:
     with_table = runpy.run_path(str(ROOT / ".ci" / "reasons_table.py"))["with_table"]
     assert page == with_table(page), "write it anew: .venv/bin/python .ci/reasons_table.py"
     assert f"| `{Reason.PET.value}` | {Reason.PET.text} |" in page
-
-
-def test_page_of_public_names_is_made_of_their_docstrings() -> None:
-    made = runpy.run_path(str(ROOT / ".ci" / "public_names.py"))["page"]()
-    assert (ROOT / "bridge" / "PYTHON.md").read_text() == made, "write it anew: .venv/bin/python .ci/public_names.py"
-    assert set(re.findall(r"^\| `(\w+)", made, re.MULTILINE)) == set(bridge.__all__)
 
 
 def anchors(page: Path) -> set[str]:
@@ -172,3 +166,11 @@ def test_every_reason_is_given_somewhere() -> None:
     code = "".join(path.read_text(encoding="utf-8") for path in sources if path.name != "reasons.py")
     missing = [reason.name for reason in Reason if not re.search(rf'Reason\.{reason.name}\b|"{reason.value}"', code)]
     assert missing == []
+
+
+def test_the_study_on_the_page_of_studies_is_one(tmp_path: Path) -> None:
+    page = (ROOT / "bridge" / "studies" / "README.md").read_text()
+    lines = page.split("## The file\n")[1].split("`vary` and one scene")[0].splitlines()
+    (tmp_path / "study.toml").write_text("\n".join(line.removeprefix("    ") for line in lines))
+    study = read_study(tmp_path / "study.toml", scenes=[ROOT / "data" / "av2"])
+    assert len(study.points) == 3

@@ -7,7 +7,9 @@ import re
 import shutil
 import subprocess
 import sys
+import tarfile
 import tomllib
+import zipfile
 from collections.abc import Callable, Iterator
 from importlib.metadata import Distribution, distribution, distributions
 from pathlib import Path
@@ -15,6 +17,8 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+
+from bridge.cli.scenes import EXAMPLES
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -54,15 +58,60 @@ def test_there_is_no_lock_file() -> None:
     assert not tracked & {"uv.lock", "poetry.lock", "pdm.lock", "Pipfile.lock", "pylock.toml"}
 
 
-def test_every_module_is_listed_for_packaging() -> None:
-    """pyproject.toml lists the packages by hand: a new folder with code must be in it."""
-    listed = set(PROJECT["tool"]["setuptools"]["packages"])
-    found = {
-        str(init.parent.relative_to(ROOT)).replace("/", ".")
-        for package in ("netconvert", "hid2", "bridge")
-        for init in (ROOT / package).rglob("__init__.py")
-    }
-    assert found == listed
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """Contents of the files of wheel and sdist by name, built as uv and pip do, without a network."""
+    out = tmp_path_factory.mktemp("dist")
+    code = "import sys; from hatchling import build; build.build_wheel(sys.argv[1]); build.build_sdist(sys.argv[1])"
+    subprocess.run([sys.executable, "-c", code, out], cwd=ROOT, check=True, timeout=300, stdout=subprocess.DEVNULL)
+    with zipfile.ZipFile(next(out.glob("*.whl"))) as wheel:
+        found = {name: wheel.read(name) for name in wheel.namelist()}
+    with tarfile.open(next(out.glob("*.tar.gz"))) as sdist:
+        files = [member for member in sdist.getmembers() if member.isfile()]
+        return found | {f"sdist/{one.name.partition('/')[2]}": sdist.extractfile(one).read() for one in files}
+
+
+def test_wheel_and_sdist_hold_every_file_that_they_need(built: dict[str, bytes]) -> None:
+    names = {path.relative_to(ROOT).as_posix() for path in project_files()}
+    assert {f"sdist/{name}" for name in names} <= built.keys()
+    ours = {name for name in names if name.startswith(("netconvert/", "hid2/", "bridge/")) and not name.endswith(".md")}
+    ours |= {f"bridge/{name}" for name in names if name.startswith(tuple(f"data/{one}/" for one in EXAMPLES))}
+    assert {name for name in built if not name.startswith("sdist/") and ".dist-info/" not in name} == ours
+    assert any(name.endswith("viewer.js") for name in ours)
+
+
+def test_wheel_brings_the_example(built: dict[str, bytes], tmp_path: Path) -> None:
+    for name, content in built.items():
+        if name.startswith(("netconvert/", "hid2/", "bridge/")):
+            (tmp_path / "wheel" / name).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / "wheel" / name).write_bytes(content)
+    command = [sys.executable, "-P", "-c", "from bridge.cli import main; main()", "example", "-o", "out"]
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path / "wheel")}
+    subprocess.run(command, cwd=tmp_path, env=environment, check=True, timeout=120)
+    scenes = [path.relative_to(tmp_path / "out") for path in (tmp_path / "out" / "av2").rglob("*.parquet")]
+    assert len(scenes) == 3
+    assert all((tmp_path / "out" / path).read_bytes() == (ROOT / "data" / path).read_bytes() for path in scenes)
+
+
+def test_command_without_what_it_needs_says_so_in_a_line() -> None:
+    """As of a wheel that was installed without its dependencies."""
+    code = "import sys; sys.modules['typer'] = None\nfrom bridge.cli import main\nmain()"
+    result = subprocess.run([sys.executable, "-c", code, "--help"], capture_output=True, text=True, timeout=120)
+    assert result.returncode == 1
+    assert result.stderr.startswith("hid2: error: no module 'typer', which hid2 needs: install it")
+    assert result.stderr.count("\n") == 1
+
+
+def test_description_on_a_package_index_links_to_nothing_that_is_not_there(built: dict[str, bytes]) -> None:
+    """An index shows the text of METADATA and no file of the tree: all targets are addresses, and some are left."""
+    texts = [content.decode() for name, content in built.items() if name.endswith(("/METADATA", "sdist/PKG-INFO"))]
+    assert len(texts) == 2
+    for text in texts:
+        assert "\n# hid2-sumo\n" in text
+        targets = re.findall(r"\]\(([^)]*)\)|(?:href|src)=\"?([^\" >]*)|^\[[^\]]+\]: *(\S+)", text, re.MULTILINE)
+        assert targets
+        assert [one for one in map("".join, targets) if not one.startswith("https://")] == []
+        assert "INSTALL.md says what" in text  # of a link that is none there its words stay
 
 
 def applies(requirement: Requirement, extras: tuple[str, ...] = ("",)) -> bool:
@@ -119,8 +168,8 @@ def test_every_pin_but_torch_has_a_hash_and_none_an_address() -> None:
 
 
 def test_what_builds_the_package_is_pinned() -> None:
-    (builds,) = (Requirement(line) for line in PROJECT["build-system"]["requires"])
-    assert builds.specifier.contains(pins()[builds.name])
+    for builds in (Requirement(line) for line in PROJECT["build-system"]["requires"]):
+        assert builds.specifier.contains(pins()[builds.name])
 
 
 def test_pins_are_within_the_declared_ranges() -> None:

@@ -12,7 +12,10 @@ def main() -> None:
     from bridge.interruption import SIGNALS, end_when_interrupted
 
     end_when_interrupted()
-    from bridge.cli.commands import run
+    try:
+        from bridge.cli.commands import run
+    except ModuleNotFoundError as error:  # a wheel that was installed without what it needs
+        sys.exit(f"hid2: error: no module {error.name!r}, which hid2 needs: install it, INSTALL.md has a line for all")
 
     code = run()
     for number in SIGNALS:

@@ -17,7 +17,7 @@ COMMANDS = {
     **dict.fromkeys(("evaluate", "calibrate", "resimulate", "study", "public", "make", "paper"), "measuring"),
     **dict.fromkeys(("compose", "forecast"), "forecasting"),
     **dict.fromkeys(("view", "render", "plot", "gui"), "pictures"),
-    "config": "scenes",
+    **dict.fromkeys(("example", "config"), "scenes"),
 }
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])

@@ -36,14 +36,11 @@ def view(
     activity.result(view_scenes(found, out, on_scene=activity.show))
 
 
-@command(reads=("scene", "source"), files=("out",))
+@command(reads=("scene",), files=("out",))
 def render(
     scene: Path = options.SCENE,
     out: Path = options.output("Picture (.png, .jpg, .pdf, .svg) or film (.gif, .mp4) to write.", ..., "FILE", "-o"),
     *,
-    source: Path | None = options.option(
-        "The source scene: shown as before, and its labelled sizes are used in both halves.", None, "SCENE"
-    ),
     agent: str | None = options.option("Highlight this track and show its surroundings.", None, "ID"),
     cells: bool = options.option("Show the cells of the lanes.", False),
     step: int | None = STEP,
@@ -52,17 +49,14 @@ def render(
 ) -> None:
     """Draw a scene from above, before and after: a picture or a film."""
     found = one_scene(scene, window)
-    before = None if source is None else one_scene(source, window)
     from bridge.pictures.figures import check_ending
     from bridge.pictures.render import ANIMATIONS, PICTURES, render_scene
     from bridge.recordings.sources import read_recording
 
     check_ending(out, PICTURES + ANIMATIONS)
     activity.doing("drawing")
-    activity.result(render_scene(
-        read_recording(found), out, source=None if before is None else read_recording(before), agent=agent,
-        cells=cells, step=step, on_frame=activity.show,
-    ))  # fmt: skip
+    recording = read_recording(found)
+    activity.result(render_scene(recording, out, agent=agent, cells=cells, step=step, on_frame=activity.show))
 
 
 @command(reads=("scene",), files=("out",))

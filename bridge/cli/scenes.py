@@ -1,12 +1,15 @@
-"""`hid2 validate`, `scan`, `net`, `export` and `config`: what scenes, maps and configurations hold."""
+"""`hid2 validate`, `scan`, `net`, `export`, `example` and `config`: what scenes, maps and configurations hold."""
 
 from pathlib import Path
+from shlex import quote
+from shutil import copytree, ignore_patterns
 
 from bridge.cli import options
 from bridge.cli.app import command
 from bridge.cli.places import check_out, one_scene
 from bridge.cli.session import read_facts, with_cities_of
 from bridge.console import Activity, counted, print_json, print_table
+from bridge.files import data_folder, explained
 from netconvert.errors import ConfigError
 
 
@@ -129,7 +132,7 @@ def export(
     windows: options.Windows,
     activity: Activity,
 ) -> None:
-    """Write scenes in the formats of others: OpenSCENARIO, OpenDRIVE, CommonRoad, SUMO's.
+    """Write scenes in the formats of others: OpenSCENARIO, OpenDRIVE, CommonRoad, SSAM's trajectories, SUMO's.
 
     Files have the scenes' ids as names and lie side by side; OpenSCENARIO brings the OpenDRIVE map that it
     refers to, FCD output the net.
@@ -145,6 +148,29 @@ def export(
         written += export_scene(address, to, out)
         activity.show(count, len(found))
     activity.result(*written)
+
+
+#: What `example` writes, and the commands that it prints.
+EXAMPLES = ("av2", "configs", "studies", "public", "examples")
+TRY = (
+    "hid2 generate {0}/av2 -o {0}/out --agents 10",
+    "hid2 validate {0}/out --source {0}/av2",
+    "hid2 view {0}/out -o {0}/scenes.html",
+    "hid2 generate {0}/av2 -o {0}/events --agents 0 --event cut_in --target any --at 1.5:6",
+    "hid2 study {0}/studies/lane_change_timing_real.toml --scenes {0}/av2 -o {0}/timing --plan 0.1",
+)
+
+
+@command(folders=("out",))
+def example(out: Path = options.OUT, *, activity: Activity) -> None:
+    """Write synthetic scenes with configurations, studies and notebooks to try, and print commands that do."""
+    for name in EXAMPLES:
+        if (out / name).exists():
+            raise ConfigError(f"{out / name}: is there already, expected a folder without it: choose another one")
+    for name in EXAMPLES:
+        with explained(out / name):
+            copytree(data_folder() / name, out / name, ignore=ignore_patterns("__pycache__", "*.png"))
+    activity.result(*(line.format(quote(str(out))) for line in TRY))
 
 
 @command("config")

@@ -33,7 +33,7 @@ def critique(found: Packed, control: Packed | None = None) -> dict[str, Any]:
     Without the extra `critics` there are none, which is logged.
     """
     if find_spec("sklearn") is None:
-        _LOG.warning("no critics: they need the extra `critics` (scikit-learn), which `sh setup.sh` brings")
+        _LOG.warning("no critics: they need the extra `critics`: `pip install scikit-learn`, in a clone `sh setup.sh`")
         found, control = found.of(found.scene < 0), None
     verdicts = [
         {"recordings": kind, **verdict}

@@ -1,20 +1,18 @@
-"""The small forecaster of data/examples, which needs a checkout and the extra `forecast`: whether it is there."""
+"""The small forecaster of data/examples, which needs the extra `forecast`: whether it is there."""
 
 import sys
 from importlib import import_module
 from importlib.util import find_spec
-from pathlib import Path
 from types import ModuleType
 
+from bridge.files import data_folder
 from netconvert.errors import ConfigError
 
-_SCRIPT = Path(__file__).parents[2] / "data" / "examples" / "small_forecaster.py"
+_SCRIPT = data_folder() / "examples" / "small_forecaster.py"
 
 
 def check_forecaster() -> None:
-    """Errors: ConfigError where it or torch is not there, with what to do; torch is not imported."""
-    if not _SCRIPT.is_file():
-        raise ConfigError(f"{_SCRIPT}: no such file, expected the small forecaster of a checkout: run hid2 from one")
+    """Errors: ConfigError where torch is not there, with what to do; it is not imported."""
     if find_spec("torch") is None:
         raise ConfigError(
             "the small forecaster needs the extra `forecast` (torch): run `sh setup.sh forecast` in the checkout, "

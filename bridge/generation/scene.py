@@ -14,7 +14,7 @@ from bridge.generation.gaps import gaps_bytes
 from bridge.recordings.export import write_recording
 from bridge.recordings.folders import Address
 from bridge.recordings.recording import Recording
-from bridge.recordings.sidecar import ManeuverRecord, Sidecar
+from bridge.recordings.sidecar import EventRecord, ManeuverRecord, Sidecar
 from bridge.recordings.sources import find_one, read_recording
 from hid2.agents import Track
 from hid2.insertion.finalise import ExportedVehicle
@@ -71,6 +71,14 @@ class TrafficScene:
             for record in one.maneuvers
         ]
         return pd.DataFrame(rows, columns=["track_id", "policy", *ManeuverRecord.model_fields])
+
+    @property
+    def events(self) -> "pd.DataFrame":
+        """One row for each event that was asked for, with what was measured of it or the reason, as in sidecars."""
+        import pandas as pd
+
+        events = self.sidecar.events if self.sidecar is not None else ()
+        return pd.DataFrame([one.model_dump() for one in events], columns=[*EventRecord.model_fields])
 
     def judge(self) -> "pd.DataFrame":
         """What `hid2 validate` finds in the motion of inserted tracks and in the sidecar's claims: a row each."""

@@ -2,7 +2,7 @@
 
 A column of numbers is written as differences of integers, of first or second order, in steps of a quantum: small
 numbers, of which deflate leaves a byte or less. What is derived of the states comes from where every picture and every
-check takes it: `motion`, `leaders`, `first_lane_path`, `original_occupancy`, the judge.
+check takes it: `motion`, `leaders`, `first_lane_offset`, `original_occupancy`, the judge.
 """
 
 import base64
@@ -26,11 +26,11 @@ from bridge.recordings.folders import Address
 from bridge.recordings.judging import findings_of, states_of
 from bridge.recordings.recording import FOCAL_CATEGORY, Recording
 from bridge.recordings.sources import read_recording
-from hid2.agents import FloatArray, Policy, Track
+from hid2.agents import FloatArray
 from hid2.evaluation.kinematics import motion
 from hid2.judge.findings import Quantity
 from hid2.measures.arrays import is_generated_id
-from hid2.measures.driven_lanes import first_lane_path
+from hid2.measures.driven_lanes import first_lane_offset
 from hid2.measures.following import leaders
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.occupancy.agent_states import AgentStates
@@ -128,14 +128,13 @@ def scene_document(recording: Recording, looks: bytes | None = None) -> dict[str
     ids = {track.track_id for track in recording.tracks if is_generated_id(track.track_id)}
     lanes, word = flatten_lanes(recording.graph), word_for_recorded(recording.scenario_id)
     states = states_of(recording.tracks, lanes, ids, num_steps=recording.num_steps, step_s=recording.step_s)
-    policies = {} if sidecar is None else {agent.track_id: agent.policy for agent in sidecar.agents}
     origin, found = _origin(recording.graph), findings_of(states, recording.graph, sidecar)
     return {
         "id": recording.scenario_id, "city": recording.city, "split": recording.split, "origin": origin.tolist(),
         "step_s": recording.step_s, "steps": recording.num_steps, "observed": recording.observed_steps,
         "word": word, "kinds": figures.kinds_in_words(word), "map": _map(recording.graph, origin),
-        "tracks": _tracks(recording, states, policies, origin), "occupied": _occupied(recording.graph, states),
-        "said": said, "looks": _looks(beside, looks, set(policies)),
+        "tracks": _tracks(recording, states, origin), "occupied": _occupied(recording.graph, states),
+        "said": said, "looks": _looks(beside, looks, ids),
         "findings": [
             [one.track_id, one.step, one.quantity.value, _rounded(one.value), _rounded(one.limit), one.other]
             for one in found
@@ -181,22 +180,20 @@ def _map(graph: LaneGraph, origin: FloatArray) -> dict[str, Any]:
     }
 
 
-def _tracks(
-    recording: Recording, states: AgentStates, policies: Mapping[str, Policy], origin: FloatArray
-) -> list[dict[str, Any]]:
+def _tracks(recording: Recording, states: AgentStates, origin: FloatArray) -> list[dict[str, Any]]:
     """Each agent with its states and what is derived of them: acceleration, lateral offset, leader and gap."""
     arrays, moved = states.arrays, motion(states.arrays)
     ahead = leaders(arrays, states.lanes, states.matches)
     lane_ids = list(recording.graph.lanes)  # lanes by their place in the map, none for those that match none, -1
     lane_of = np.array([*(lane_ids.index(one) for one in states.lanes.lane_ids), np.nan])
-    tracks: dict[str, Track] = {track.track_id: track for track in recording.tracks}
+    tracks, kinds = {track.track_id: track for track in recording.tracks}, figures.kinds_in(recording)
     found = []
     for row, track_id in enumerate(arrays.track_ids):
-        track, span = tracks[track_id], states.row_span(row)
+        track, span, alone = tracks[track_id], states.row_span(row), states.rows([row])
         step, position = arrays.step[span], arrays.position[span]
         breaks = np.flatnonzero(np.diff(step, prepend=step[0] - 2) != 1)
         found.append({
-            "id": track_id, "type": track.object_type, "kind": figures.kind_of(track, policies.get(track_id)),
+            "id": track_id, "type": track.object_type, "kind": kinds[track_id],
             "focal": track.category == FOCAL_CATEGORY, "inserted": is_generated_id(track_id),
             "size": [round(track.size.length_m, 2), round(track.size.width_m, 2)],
             "runs": [[int(step[a]), int(b - a)] for a, b in zip(breaks, [*breaks[1:], len(step)], strict=True)],
@@ -206,23 +203,13 @@ def _tracks(
             "speed": coded(np.hypot(*arrays.velocity[span].T), quantum=METRE),
             **({} if not arrays.vehicle[row] else {
                 "accel": coded(moved.accel_mps2[span], quantum=METRE),
-                "offset": coded(_offset(states, row), quantum=METRE),
+                "offset": coded(first_lane_offset(alone.arrays, alone.lanes, alone.matches), quantum=METRE),
                 "gap": coded(ahead.gap_m[span], quantum=METRE),
                 "leader": coded(ahead.agent[span]),
                 "lane": coded(lane_of[states.matches.lane[span]]),
             }),
         })  # fmt: skip
     return found
-
-
-def _offset(states: AgentStates, row: int) -> FloatArray:
-    """(N,) m, lateral offset of a vehicle from the path of the lane that it starts in; NaN beside that path's ends."""
-    alone = states.rows([row])
-    path = first_lane_path(alone.arrays, alone.lanes, alone.matches)
-    if path is None:
-        return np.full(len(alone.arrays.step), np.nan)
-    s, d = path.frenet(alone.arrays.position)
-    return np.where((s > -1.0) & (s < path.length_m + 1.0), d, np.nan)
 
 
 def _occupied(graph: LaneGraph, states: AgentStates) -> list[list[int]]:

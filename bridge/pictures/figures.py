@@ -17,7 +17,8 @@ from matplotlib.path import Path as MplPath
 from matplotlib.ticker import MaxNLocator
 
 from bridge.files import beside
-from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, Scenario
+from bridge.recordings.recording import FOCAL_CATEGORY, Recording
+from bridge.recordings.scenario import AV_ID
 from hid2.agents import VEHICLE_TYPES, FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
 from hid2.policy.behaviours import BEHAVIOURS
@@ -50,11 +51,13 @@ POLICY_COLORS = {
     Policy.LANE_CHANGE: BLUE,
     Policy.OVERTAKE: ORANGE,
 }
-#: Faces of agents by `kind_of`.
+#: Faces of agents by `kinds_in`.
 FACES: Mapping[str, str] = {
     "recorded": "#B4B4B4", "focal": DARK_GREY, "av": SKY, "other": "#B9A7C4", "generated": GENERATED,
     **{policy.value: color for policy, color in POLICY_COLORS.items()},
 }  # fmt: skip
+#: What moves further than this is shown, with so much ground around it.
+MOVES_M, MARGIN_M = 5.0, 15.0
 #: The map, by what is drawn of it.
 MAP_COLORS: Mapping[str, str] = {
     "ground": "#F1F1EF", "kerb": "#C9C9C4", "bike": "#E3EEF4", "edge": "#BDBDB8", "centre": "#CFCFCA",
@@ -62,8 +65,21 @@ MAP_COLORS: Mapping[str, str] = {
 }  # fmt: skip
 
 
-def kind_of(track: Track, policy: Policy | None = None) -> str:
-    """What an agent is to a picture: a key of FACES. policy: of an inserted vehicle, where it is known."""
+class ShownFigure(Figure):
+    """A figure that a notebook shows where it is the value of a cell, whatever pyplot draws with."""
+
+    def _repr_png_(self) -> bytes:
+        return _png(self)
+
+
+def kinds_in(scenario: Recording) -> dict[str, str]:
+    """What each track of a scene is to a picture, a key of FACES, by its id."""
+    agents = scenario.sidecar.agents if scenario.sidecar is not None else ()
+    policies = {agent.track_id: agent.policy for agent in agents}
+    return {track.track_id: _kind_of(track, policies.get(track.track_id)) for track in scenario.tracks}
+
+
+def _kind_of(track: Track, policy: Policy | None) -> str:
     if is_generated_id(track.track_id):
         return "generated" if policy is None else policy.value
     if track.track_id == AV_ID:
@@ -109,16 +125,12 @@ def draw_map(axes: Axes, graph: LaneGraph, *, cells: bool = False) -> None:
     axes.add_collection(
         PatchCollection(areas, facecolor=MAP_COLORS["ground"], edgecolor=MAP_COLORS["kerb"], linewidth=0.6, zorder=0)
     )
-    sides = [(lane, lane.left_boundary, lane.right_boundary) for lane in graph.lanes.values()]
-    bike = [
-        np.concatenate([left, right[::-1]])
-        for lane, left, right in sides
-        if lane.lane_type == "BIKE" and left is not None and right is not None
-    ]
+    sides = [(lane, *lane.sides) for lane in graph.lanes.values()]
+    bike = [np.concatenate([left, right[::-1]]) for lane, left, right in sides if lane.lane_type == "BIKE"]
     axes.add_collection(PolyCollection(bike, facecolor=MAP_COLORS["bike"], edgecolor="none", zorder=1))
     crossings = PolyCollection(graph.pedestrian_crossings, facecolor=MAP_COLORS["crossing"], alpha=0.5, zorder=1)
     axes.add_collection(crossings)
-    edges = [line for _, *lines in sides for line in lines if line is not None]
+    edges = [line for _, *lines in sides for line in lines]
     axes.add_collection(LineCollection(edges, colors=MAP_COLORS["edge"], linewidths=0.5, zorder=2))
     centers = [lane.centerline for lane, *_ in sides if lane.lane_type != "BIKE"]
     axes.add_collection(
@@ -127,6 +139,13 @@ def draw_map(axes: Axes, graph: LaneGraph, *, cells: bool = False) -> None:
     if cells:
         outlines = [shapely.get_coordinates(p.exterior) for p in build_cell_grid(graph).polygons if not p.is_empty]
         axes.add_collection(LineCollection(outlines, colors=MAP_COLORS["cell"], linewidths=0.35, zorder=2))
+
+
+def moving_ground(scenario: Recording) -> tuple[FloatArray, FloatArray]:
+    """Low and high corner of the ground around what moves and the focal track, (2,) m."""
+    tracks = [track for track in scenario.tracks if np.ptp(track.position, axis=0).max() > MOVES_M]
+    points = np.concatenate([track.position for track in (*tracks, scenario.track(scenario.focal_track_id))])
+    return points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M
 
 
 def frame(axes: Axes, low: FloatArray, high: FloatArray, *, aspect: float) -> None:
@@ -188,7 +207,7 @@ def save(figure: Figure, path: Path) -> None:
         plt.close(figure)
 
 
-def find_track(scenario: Scenario, track_id: str) -> Track:
+def find_track(scenario: Recording, track_id: str) -> Track:
     """A track by id. Errors: ConfigError for an unknown one, with those that are most like it."""
     known = [track.track_id for track in scenario.tracks]
     if track_id not in known:
@@ -200,7 +219,7 @@ def find_track(scenario: Scenario, track_id: str) -> Track:
     return scenario.track(track_id)
 
 
-def check_step(scenario: Scenario, step: int | None) -> int:
+def check_step(scenario: Recording, step: int | None) -> int:
     """A timestep to show, the last observed one for None. Errors: ConfigError for one that the scene does not have."""
     last = scenario.num_steps - 1
     if step is None:
@@ -212,7 +231,12 @@ def check_step(scenario: Scenario, step: int | None) -> int:
 
 def data_uri(figure: Figure) -> str:
     """A figure as a PNG inside a data: address; the figure is closed."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110, bbox_inches="tight", metadata={"Software": None})
+    content = _png(figure)
     plt.close(figure)
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+    return "data:image/png;base64," + base64.b64encode(content).decode()
+
+
+def _png(figure: Figure) -> bytes:
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format="png", dpi=110, bbox_inches="tight", metadata={"Software": None})
+    return drawn.getvalue()

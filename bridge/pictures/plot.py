@@ -14,7 +14,7 @@ from bridge.recordings.recording import Recording
 from hid2.agents import FloatArray
 from hid2.evaluation.kinematics import motion
 from hid2.measures.arrays import SceneArrays, stack
-from hid2.measures.driven_lanes import first_lane_path
+from hid2.measures.driven_lanes import first_lane_offset
 from hid2.measures.lane_matching import FlatLanes, Matches, flatten_lanes, match_lanes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.params import Limits
@@ -95,7 +95,7 @@ def _axes(position: FloatArray) -> tuple[Figure, list[Axes]]:
     if high > wide:
         size, ratios = (12.5, 9.5), {"width_ratios": [1, 2]}
         layout = [["plan", name] for name in names]
-    figure = Figure(figsize=size, layout="constrained")
+    figure = figures.ShownFigure(figsize=size, layout="constrained")
     found = figure.subplot_mosaic(layout, **ratios)
     return figure, [found[name] for name in ["plan", *names]]
 
@@ -173,14 +173,12 @@ def _derivative(
 
 
 def _offset(ax: Axes, time: FloatArray, arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> None:
-    path = first_lane_path(arrays, lanes, matches)
+    offset = first_lane_offset(arrays, lanes, matches)
     ax.set_ylabel("lateral offset, m\n(left is positive)")
-    if path is None:
+    if np.isnan(offset).all():
         ax.text(0.5, 0.5, "never on a lane", transform=ax.transAxes, ha="center")
         return
-    s, d = path.frenet(arrays.position)
-    beside = (s > -1.0) & (s < path.length_m + 1.0)
-    ax.plot(time, np.where(beside, d, np.nan), color=figures.GREEN)
+    ax.plot(time, offset, color=figures.GREEN)
     ax.axhline(0.0, color=figures.GREY, linewidth=0.8)
     first = matches.lane[matches.lane >= 0][0]
     for sign, label in ((-1, "edge of the first lane"), (1, None)):

@@ -2,9 +2,9 @@
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import imageio.v2
 import imageio_ffmpeg
@@ -26,7 +26,7 @@ from bridge.files import beside
 from bridge.pictures import figures
 from bridge.recordings.recording import FOCAL_CATEGORY, Recording
 from bridge.recordings.sidecar import ManeuverRecord
-from hid2.agents import DEFAULT_SIZES, FloatArray, Policy, Track
+from hid2.agents import DEFAULT_SIZES, FloatArray, Track
 from hid2.measures.arrays import is_generated_id
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.policy.behaviours import behaviour_seen
@@ -44,8 +44,6 @@ _GIF_COLORS = 128
 CAR_PIXELS = 14
 MOST_GROUND_M = 400.0
 _LABEL_SIZE = 6.5
-#: Ground shown around what moves.
-MARGIN_M = 15.0
 #: Ground shown around one agent's path.
 AGENT_MARGIN_M = 25.0
 
@@ -55,14 +53,8 @@ _Done = tuple[tuple[str, ManeuverRecord], ...]
 
 #: Which agents are drawn above which; inserted ones above all.
 _ORDER = {"other": 3, "recorded": 4, "focal": 4, "av": 5}
-
-
-class _Look(NamedTuple):
-    kind: str
-    face: str
-    edge: str
-    line_width: float
-    order: int
+#: Edge of a box and its width.
+_EDGE, _FOCAL_EDGE = ("#333333", 0.4), (figures.BLACK, 1.6)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -72,7 +64,7 @@ class _Panel:
     title: str
     scenario: Recording
     tracks: tuple[Track, ...]
-    looks: Mapping[str, _Look]
+    kinds: Mapping[str, str]
     maneuvers: _Done
 
 
@@ -80,7 +72,6 @@ def render_scene(
     scenario: Recording,
     out_file: Path,
     *,
-    source: Recording | None = None,
     agent: str | None = None,
     cells: bool = False,
     step: int | None = None,
@@ -88,8 +79,8 @@ def render_scene(
 ) -> Path:
     """Draw a scene from above into a picture (.png, .jpg, .pdf, .svg) or a film (.gif, .mp4).
 
-    A generated scene is shown before | after; before is the scene `source` where given, and recorded
-    tracks then have its sizes on both sides, else its own recorded tracks. `agent` is highlighted, with surroundings.
+    A generated scene is shown before | after; before are its own recorded tracks. `agent` is highlighted, with
+    surroundings.
     `step`: the timestep of a picture (default: the last observed one); a film shows all. on_frame(done, total) is
     called as the frames of a film are drawn.
     Errors: ConfigError for an unknown ending, step or track; ExportError where the file cannot be written.
@@ -99,7 +90,7 @@ def render_scene(
     if step is not None and suffix in ANIMATIONS:
         raise ConfigError(f"{out_file}: a film shows every timestep; for one give a picture, {', '.join(PICTURES)}")
     shown = figures.check_step(scenario, step)
-    drawing = _Drawing(scenario, source, agent=agent, cells=cells, whole_paths=suffix in PICTURES)
+    drawing = _Drawing(scenario, agent=agent, cells=cells, whole_paths=suffix in PICTURES)
     if suffix in PICTURES:
         drawing.show(shown)
         figures.save(drawing.figure, out_file)
@@ -112,11 +103,10 @@ def render_scene(
 
 
 def scene_figure(
-    scenario: Recording, *, source: Recording | None = None, agent: str | None = None, cells: bool = False,
-    step: int | None = None,
-) -> Figure:  # fmt: skip
+    scenario: Recording, *, agent: str | None = None, cells: bool = False, step: int | None = None
+) -> Figure:
     """A picture as `render_scene` draws it, as a figure. Errors: ConfigError for an unknown step or track."""
-    drawing = _Drawing(scenario, source, agent=agent, cells=cells, whole_paths=True)
+    drawing = _Drawing(scenario, agent=agent, cells=cells, whole_paths=True)
     drawing.show(figures.check_step(scenario, step))
     return drawing.figure
 
@@ -131,7 +121,7 @@ def draw_scene(
     the scene. Errors: ConfigError for an unknown step or track.
     """
     shown = figures.check_step(scenario, step)
-    panel = _panels(scenario, None)[-1]
+    panel = _panels(scenario)[-1]
     low, high = _window(scenario, agent)
     figures.draw_map(axes, scenario.graph, cells=cells)
     room = axes.get_window_extent()
@@ -139,55 +129,30 @@ def draw_scene(
     _put(panel, axes, shown, agent=agent, whole_paths=True)
 
 
-def _panels(scenario: Recording, source: Recording | None) -> list[_Panel]:
+def _panels(scenario: Recording) -> list[_Panel]:
     """What is shown: one half for a recorded scene, before | after for a generated one."""
     agents = scenario.sidecar.agents if scenario.sidecar else ()
-    policies = {record.track_id: record.policy for record in agents}
     maneuvers = tuple((record.track_id, maneuver) for record in agents for maneuver in record.maneuvers)
     recorded = tuple(track for track in scenario.tracks if not is_generated_id(track.track_id))
     generated = len(scenario.tracks) - len(recorded)
     name, word = scenario.scenario_id[:8], word_for_recorded(scenario.scenario_id)
-
-    def panel(title: str, shown: Recording, tracks: tuple[Track, ...], done: _Done = ()) -> _Panel:
-        own = policies if shown is scenario else {}
-        looks = {track.track_id: _look(track, own.get(track.track_id)) for track in tracks}
-        return _Panel(title, shown, tracks, looks, done)
-
-    if not generated and source is None:
-        return [panel(f"{name}: {len(recorded)} recorded agents", scenario, scenario.tracks)]
-    before, tracks, origin = scenario, recorded, "the recorded tracks of this scene, sizes by object type"
-    if source is not None:
-        before, tracks = source, source.tracks
-        origin = f"source scene {before.scenario_id[:8]}, with the sizes labelled there"
-    known = {track.track_id: track.size for track in tracks}  # labelled sizes lie beside the source only
-    resized = (
-        track if is_generated_id(track.track_id) else replace(track, size=known.get(track.track_id, track.size))
-        for track in scenario.tracks
-    )
+    kinds = figures.kinds_in(scenario)
+    if not generated:
+        return [_Panel(f"{name}: {len(recorded)} {word} agents", scenario, recorded, kinds, ())]
     title = f"after: {len(recorded)} {word} agents + {generated} generated vehicles\n(scene {name})"
-    after = panel(title, scenario, tuple(resized), maneuvers)
-    if source is None and word != "recorded":  # what was recorded is not in it
+    after = _Panel(title, scenario, scenario.tracks, kinds, maneuvers)
+    if word != "recorded":  # what was recorded is not in it
         return [after]
-    return [panel(f"before: {len(tracks)} recorded agents\n({origin})", before, tracks), after]
-
-
-def _look(track: Track, policy: Policy | None) -> _Look:
-    focal = track.category == FOCAL_CATEGORY
-    edge, width = (figures.BLACK, 1.6) if focal else ("#333333", 0.4)
-    kind = figures.kind_of(track, policy)
-    return _Look(kind, figures.FACES[kind], edge, width, _ORDER.get(kind, 6))
+    title = f"before: {len(recorded)} recorded agents\n(the recorded tracks of this scene)"
+    return [_Panel(title, scenario, recorded, kinds, ()), after]
 
 
 def _window(scenario: Recording, agent: str | None) -> tuple[FloatArray, FloatArray]:
     """Ground to show, low and high corner, m: around one agent's path, else around what moves and the focal one."""
-    if agent is not None:
-        tracks, margin = [figures.find_track(scenario, agent)], AGENT_MARGIN_M
-    else:
-        tracks = [track for track in scenario.tracks if np.ptp(track.position, axis=0).max() > 5.0]
-        tracks += [scenario.track(scenario.focal_track_id)]
-        margin = MARGIN_M
-    points = np.concatenate([track.position for track in tracks])
-    return points.min(axis=0) - margin, points.max(axis=0) + margin
+    if agent is None:
+        return figures.moving_ground(scenario)
+    path = figures.find_track(scenario, agent).position
+    return path.min(axis=0) - AGENT_MARGIN_M, path.max(axis=0) + AGENT_MARGIN_M
 
 
 def _put(panel: _Panel, ax: Axes, step: int, *, agent: str | None, whole_paths: bool) -> list[Artist]:
@@ -195,25 +160,25 @@ def _put(panel: _Panel, ax: Axes, step: int, *, agent: str | None, whole_paths: 
     trail = round(TRAIL_S / panel.scenario.step_s)
     present = [(track, int(np.searchsorted(track.timesteps, step))) for track in panel.tracks]
     present = [(t, i) for t, i in present if i < len(t.timesteps) and t.timesteps[i] == step]
-    present.sort(key=lambda item: panel.looks[item[0].track_id].order)
-    looks = [panel.looks[track.track_id] for track, _ in present]
+    present.sort(key=lambda item: _ORDER.get(panel.kinds[item[0].track_id], 6))
+    edges = [_FOCAL_EDGE if track.category == FOCAL_CATEGORY else _EDGE for track, _ in present]
     boxes = [
         box_corners(t.position[i], t.heading[i], length_m=t.size.length_m, width_m=t.size.width_m) for t, i in present
     ]
     noses = [np.stack([t.position[i], box[:2].mean(axis=0)]) for (t, i), box in zip(present, boxes, strict=True)]
     trails = [t.position[max(0, i - trail) : i + 1] for t, i in present]
-    faces = [look.face for look in looks]
+    faces = [figures.FACES[panel.kinds[track.track_id]] for track, _ in present]
     artists: list[Collection] = [
         LineCollection(trails, colors=faces, linewidths=2.2, alpha=0.5, zorder=4),
         PolyCollection(
-            boxes, facecolors=faces, edgecolors=[look.edge for look in looks],
-            linewidths=[look.line_width for look in looks], zorder=5,
+            boxes, facecolors=faces, edgecolors=[color for color, _ in edges], linewidths=[wide for _, wide in edges],
+            zorder=5,
         ),
         LineCollection(noses, colors="#222222", linewidths=0.6, zorder=6),
     ]  # fmt: skip
     if whole_paths:
         paths = [t for t in panel.tracks if is_generated_id(t.track_id)]
-        colors = [panel.looks[t.track_id].face for t in paths]
+        colors = [figures.FACES[panel.kinds[t.track_id]] for t in paths]
         whole = LineCollection([t.position for t in paths], colors=colors, linewidths=0.8, alpha=0.8, zorder=3)
         artists.insert(0, whole)
     for artist in artists:
@@ -281,11 +246,9 @@ class _Drawing:
     drawn thinly, and all manoeuvres marked whatever the step.
     """
 
-    def __init__(
-        self, scenario: Recording, source: Recording | None, *, agent: str | None, cells: bool, whole_paths: bool
-    ) -> None:
+    def __init__(self, scenario: Recording, *, agent: str | None, cells: bool, whole_paths: bool) -> None:
         self.whole_paths, self.agent = whole_paths, agent
-        panels = _panels(scenario, source)
+        panels = _panels(scenario)
         low, high = _window(scenario, agent)
         if not whole_paths:  # a film
             middle = np.clip(scenario.track(agent or scenario.focal_track_id).position.mean(axis=0), low, high)
@@ -296,7 +259,7 @@ class _Drawing:
         aspect = float(np.clip(span[0] / span[1], 0.6, 2.2))
         width = 7.0 if len(panels) > 1 else 9.0
         height = float(np.clip(width / aspect, 4.0, 9.0))
-        self.figure = Figure(figsize=(width * len(panels), height + 1.3), layout="constrained")
+        self.figure = figures.ShownFigure(figsize=(width * len(panels), height + 1.3), layout="constrained")
         axes = self.figure.subplots(1, len(panels), squeeze=False)
         self.canvas: Any = FigureCanvasAgg(self.figure)
         self.panels = list(zip(panels, axes[0], strict=True))
@@ -312,12 +275,11 @@ class _Drawing:
     def legend(self) -> None:
         """What the colours and marks mean, for those that appear."""
         panel = self.panels[-1][0]
-        kinds = {look.kind for look in panel.looks.values()}
         word = word_for_recorded(panel.scenario.scenario_id)
         handles: list[Patch | Line2D] = [
             Patch(facecolor=figures.FACES[kind], edgecolor="#333333", linewidth=0.4, label=says)
             for kind, says in figures.kinds_in_words(word).items()
-            if kind in kinds
+            if kind in panel.kinds.values()
         ]
         handles.append(Patch(facecolor="none", edgecolor="black", linewidth=1.6, label="focal track: black edge"))
 

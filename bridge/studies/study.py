@@ -55,7 +55,7 @@ class _File(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    scenes: list[str] = Field(min_length=1)
+    scenes: list[str] = []
     can: list[str] = []
     seeds: Annotated[int, Field(ge=1, le=100_000)] | Annotated[list[int], Field(min_length=1)] = 1
     design: Literal["grid", "latin_hypercube"] = "grid"
@@ -108,6 +108,8 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
     """
     content = read_toml_as(_File, path, "a study")
     places = scenes or [path.parent / scene for scene in content.scenes]
+    if not places:
+        raise ConfigError(f"{path}: no key 'scenes', expected folders of recorded scenes: add it, or give --scenes")
     try:
         folders = tuple(find_sources(places))
     except ScenarioError as error:

@@ -19,9 +19,10 @@ import shapely
 from lxml import etree
 from lxml.builder import E
 
+from bridge.pictures.figures import kinds_in
 from bridge.recordings.recording import Recording
-from bridge.recordings.sidecar import Sidecar, sidecar_in
-from bridge.sumo.playback import departure, paints, playable_files, run_options, vehicle_type
+from bridge.recordings.sidecar import Sidecar
+from bridge.sumo.playback import departure, playable_files, run_options, vehicle_type
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray
 from hid2.measures.arrays import stack
@@ -32,13 +33,21 @@ from netconvert.gui_files import gui_files, xml_bytes
 from netconvert.net_xml import net_bytes
 
 _LOG = logging.getLogger(__name__)
+#: SUMO's names for what a driver has; all else of it stands as a parameter, which SUMO keeps and does not use.
+_OF_SUMO = {
+    "desired_mps": "maxSpeed",
+    "tau_s": "tau",
+    "accel_mps2": "accel",
+    "decel_mps2": "decel",
+    "min_gap_m": "minGap",
+}
 #: Where an agent's front bumper is on the net at each of its steps: (N,) cells and metres along them.
 _Placed = tuple[list[Cell], FloatArray]
 
 
 def sumo_files(scenario: Recording) -> dict[str, bytes]:
     """Contents of all files by file name; vehicles of a generated scene get routes."""
-    name, sidecar = scenario.scenario_id, sidecar_in(scenario.folder, scenario.scenario_id)
+    name, sidecar = scenario.scenario_id, scenario.sidecar
     grid = build_cell_grid(scenario.graph, saved_within_m=SAVED_WITHIN_M)
     placed = _places(scenario, grid)
     options = run_options(scenario, None if sidecar is None else f"{name}.rou.xml")
@@ -97,7 +106,7 @@ def _places(scenario: Recording, grid: CellGrid) -> dict[str, _Placed]:
 
 def _routes(scenario: Recording, sidecar: Sidecar, grid: CellGrid, placed: Mapping[str, _Placed]) -> bytes:
     """Types of the inserted vehicles, and the vehicles in the order of departure."""
-    colors, drivers = paints(scenario), {agent.track_id: agent.driver for agent in sidecar.agents}
+    faces, drivers = kinds_in(scenario), {agent.track_id: agent.driver for agent in sidecar.agents}
     links = {
         grid.edge_id(row[0]): [grid.edge_id(target) for cell in row for target in grid.following(cell)]
         for row in grid.rows()
@@ -105,13 +114,18 @@ def _routes(scenario: Recording, sidecar: Sidecar, grid: CellGrid, placed: Mappi
     kinds, vehicles = [], []
     for track in sorted((track for track in scenario.tracks if track.track_id in drivers), key=departure):
         name, (cells, pos) = track.track_id, placed[track.track_id]
-        kind, driver = vehicle_type(track, colors[name]), drivers[name]
+        kind, driver, more = vehicle_type(track, faces[name]), drivers[name], []
         if driver is not None:  # car following as the vehicle was driven with
-            kind |= {"carFollowModel": driver.model}
-            kind |= {key: f"{value:g}" for key, value in sorted(driver.parameters.items())}
-        kinds.append(E.vType(kind))
+            kind |= {"carFollowModel": driver.model, "speedFactor": "1", "speedDev": "0"}
+            values = {key: f"{value:g}" for key, value in sorted(driver.parameters.items())}
+            kind |= {_OF_SUMO[key]: value for key, value in values.items() if key in _OF_SUMO}
+            more = [E.param(key=f"hid2.{key}", value=value) for key, value in values.items() if key not in _OF_SUMO]
+        kinds.append(E.vType(kind, *more))
         vehicle = {"id": name, "type": f"type_{name}", "depart": f"{track.timesteps[0] * scenario.step_s:.2f}"}
-        vehicle |= {"departLane": str(grid.lane_index(cells[0])), "departPos": f"{pos[0]:.2f}"}
+        vehicle |= {
+            "departLane": str(grid.lane_index(cells[0])),
+            "departPos": f"{np.floor(100.0 * pos[0]) / 100.0:.2f}",
+        }
         vehicle |= {"departSpeed": f"{track.speed[0]:.2f}", "insertionChecks": "none"}
         vehicles.append(E.vehicle(vehicle, E.route(edges=" ".join(_edges(cells, grid, links, name)))))
     return xml_bytes(E.routes(*kinds, *vehicles))

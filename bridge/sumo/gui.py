@@ -41,9 +41,9 @@ def play_scene(
     """
     if screenshot is not None:
         check_ending(screenshot, [".png"])
+    binary = sumo_program("sumo-gui")
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise SimulationError("no display for sumo-gui: set DISPLAY, or run it under xvfb-run")
-    binary = sumo_program("sumo-gui")
     scenario = read_recording(folder)
     at_s = check_step(scenario, step) * scenario.step_s
     files = playable_files(scenario, build_cell_grid(scenario.graph))

@@ -9,20 +9,17 @@ lane, and the lane's direction is its heading. What SUMO tells as its speed is t
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from lxml import etree
 from lxml.builder import E
 
 from bridge.config import word_for_recorded
-from bridge.pictures.figures import POLICY_COLORS, SKY
-from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, Scenario
-from bridge.recordings.sidecar import sidecar_in
+from bridge.pictures.figures import FACES, kinds_in, kinds_in_words, moving_ground
+from bridge.recordings.scenario import FOCAL_CATEGORY, Scenario
 from bridge.sumo.poses import sumo_poses
-from hid2.agents import FloatArray, Policy, Track
+from hid2.agents import FloatArray, Track
 from hid2.measures.arrays import is_generated_id
-from hid2.policy.behaviours import BEHAVIOURS
 from netconvert.cells import CellGrid
 from netconvert.geo import CITY_ORIGINS
 from netconvert.gui_files import WINDOW_ASPECT, gui_files, xml_bytes
@@ -41,12 +38,10 @@ _CLEAR_M = 1.0
 _JUNCTIONS_APART_M = 0.05
 #: Lanes for this class of vehicle are transparent in the view settings (`gui_files`); no map has any.
 _UNSEEN = "ship"
-#: What moves further than this is looked at, with so much ground around it.
-_MOVES_M, _MARGIN_M = 5.0, 20.0
 #: Parameter of a vehicle that holds the id to show.
 ID_KEY = "shown_id"
 #: Distance of two lines of the legend, and its width, as a share of the height shown.
-_LEGEND_ROW, _LEGEND_WIDTH = 0.045, 0.25
+_LEGEND_ROW, _LEGEND_WIDTH = 0.045, 0.34
 #: SUMO's pictures of vehicles, by object type.
 GUI_SHAPES: Mapping[str, str] = {
     "vehicle": "passenger/sedan",
@@ -58,58 +53,39 @@ GUI_SHAPES: Mapping[str, str] = {
 }
 
 
-class Paint(NamedTuple):
-    """Colour of an agent and what it stands for."""
-
-    color: str
-    meaning: str
-
-    @property
-    def rgba(self) -> tuple[int, int, int, int]:
-        """As TraCI takes it."""
-        r, g, b = (int(self.color[k : k + 2], 16) for k in (1, 3, 5))
-        return r, g, b, 255
-
-    @property
-    def xml(self) -> str:
-        """As SUMO's files have it."""
-        return ",".join(str(part) for part in self.rgba[:3])
+#: Faces as in every picture, but for the focal vehicle's, which is too dark for sumo-gui's road.
+GUI_FACES: Mapping[str, str] = {**FACES, "focal": "#F0E442"}
 
 
-RECORDED, REACTING = Paint("#9C9CA4", "recorded"), Paint("#9C9CA4", "reacting")
-AV = Paint(SKY, "recording vehicle")
-FOCAL = Paint("#F0E442", "focal")  # neither ground nor road nor background has it
-POLICIES: Mapping[Policy, Paint] = {
-    policy: Paint(color, BEHAVIOURS[policy].label) for policy, color in POLICY_COLORS.items()
-}
-
-
-def paints(scenario: Scenario) -> dict[str, Paint]:
-    """Colour of every track: recorded grey, the recorded focal one yellow, generated ones by policy."""
-    sidecar = sidecar_in(scenario.folder, scenario.scenario_id)
-    policy_of = {agent.track_id: agent.policy for agent in sidecar.agents} if sidecar else {}
-    out = {}
-    for track in scenario.tracks:
-        if is_generated_id(track.track_id):
-            out[track.track_id] = POLICIES[policy_of.get(track.track_id, Policy.STRAIGHT)]
-        elif track.category == FOCAL_CATEGORY:
-            out[track.track_id] = FOCAL
-        else:
-            others = RECORDED if word_for_recorded(scenario.scenario_id) == "recorded" else REACTING
-            out[track.track_id] = AV if track.track_id == AV_ID else others
-    return out
+def rgb(kind: str) -> str:
+    """A colour as SUMO's files have it."""
+    return ",".join(str(int(GUI_FACES[kind][k : k + 2], 16)) for k in (1, 3, 5))
 
 
 def playable_files(scenario: Scenario, grid: CellGrid) -> dict[str, bytes]:
     """<id>_scene.sumocfg, .net.xml, .rou.xml, .poly.xml and .view.xml by file name.
 
-    The net is that of `hid2 net` with the lanes of the traces added.
+    The net is that of `hid2 net` with the lanes of the traces added, the view looks at what moves, with a legend.
+    sumo-gui shows the first step and waits, and the last one: vehicles are boxes of their size, with their ids.
     """
-    name = f"{scenario.scenario_id}_scene"
+    name, (low, high) = f"{scenario.scenario_id}_scene", moving_ground(scenario)
     options = run_options(scenario, f"{name}.rou.xml")
     options["time"]["end"] = f"{(scenario.num_steps + 1) * scenario.step_s:.2f}"  # at which sumo-gui asks to close all
     options["processing"] = {"collision.action": "none", "time-to-teleport": "-1"}
-    files = scene_view_files(scenario, grid, name, options)
+    last_s = (scenario.num_steps - 1) * scenario.step_s
+    options["gui_only"] = {"start": "true", "breakpoints": f"0.00,{last_s:.2f}"}
+    vehicles = E.vehicles(
+        {"vehicleMode": "0", "vehicleQuality": "1", "showBlinker": "0", "vehicle_minSize": "0", "scaleLength": "0"},
+        {"vehicle_exaggeration": "1", **_words("vehicleText", 46)},
+        {"vehicleText_bgColor": "255,255,255", "vehicleTextParam": ID_KEY},
+        E.colorScheme(name="given vehicle/type/route color"),
+    )
+    names = E.pois({"poi_constantSize": "1", "poi_exaggeration": "1", **_words("poiName", 50)})
+    files = gui_files(
+        grid, name, step_s=scenario.step_s, shown=(low, high), options=options, shapes=_legend(scenario, low, high),
+        scheme=[vehicles, names],
+    )  # fmt: skip
+    del files[f"{name}.cells.csv"]
     traces = [_trace(track, scenario.step_s) for track in scenario.tracks]
     net = net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city))
     files[f"{name}.net.xml"] = _with_traces(net, traces)
@@ -123,42 +99,6 @@ def run_options(scenario: Scenario, routes: str | None) -> dict[str, dict[str, s
     return {"input": files, "time": {"end": f"{scenario.num_steps * scenario.step_s:.2f}"}}
 
 
-def scene_view_files(
-    scenario: Scenario, grid: CellGrid, name: str, options: Mapping[str, Mapping[str, str]] | None = None
-) -> dict[str, bytes]:
-    """<name>.sumocfg, .poly.xml and .view.xml: those of `hid2 net`, looking at what moves, with ids and a legend.
-
-    sumo-gui then shows the first step and waits, and the last one: vehicles are boxes of their size, with their ids.
-    """
-    low, high = moving_ground(scenario)
-    vehicles = E.vehicles(
-        {"vehicleMode": "0", "vehicleQuality": "1", "showBlinker": "0", "vehicle_minSize": "0", "scaleLength": "0"},
-        {"vehicle_exaggeration": "1", **_words("vehicleText", 46)},
-        {"vehicleText_bgColor": "255,255,255", "vehicleTextParam": ID_KEY},
-        E.colorScheme(name="given vehicle/type/route color"),
-    )
-    names = E.pois({"poi_constantSize": "1", "poi_exaggeration": "1", **_words("poiName", 50)})
-    waits = {"start": "true", "breakpoints": f"0.00,{(scenario.num_steps - 1) * scenario.step_s:.2f}"}
-    files = gui_files(
-        grid, name, step_s=scenario.step_s, shown=(low, high), options={**(options or {}), "gui_only": waits},
-        shapes=_legend(scenario, low, high), scheme=[vehicles, names],
-    )  # fmt: skip
-    del files[f"{name}.cells.csv"]
-    return files
-
-
-def shows_id(track: Track) -> bool:
-    """Whether a vehicle shows its id: inserted ones and the focal one, as those of all would hide each other."""
-    return is_generated_id(track.track_id) or track.category == FOCAL_CATEGORY
-
-
-def moving_ground(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
-    """Low and high corner of the ground on which something moves, (2,) m."""
-    moving = [track.position for track in scenario.tracks if np.ptp(track.position, axis=0).max() > _MOVES_M]
-    points = np.concatenate(moving or [track.position for track in scenario.tracks])
-    return points.min(axis=0) - _MARGIN_M, points.max(axis=0) + _MARGIN_M
-
-
 def _words(what: str, size: int) -> dict[str, str]:
     """View settings that show names, as large at any zoom."""
     return {f"{what}_show": "1", f"{what}_size": str(size), f"{what}_constantSize": "1", f"{what}_color": "10,10,10"}
@@ -166,8 +106,8 @@ def _words(what: str, size: int) -> dict[str, str]:
 
 def _legend(scenario: Scenario, low: FloatArray, high: FloatArray) -> list[etree._Element]:
     """What the colours mean: bars with names, in that corner of the ground shown where the fewest vehicles pass."""
-    there = set(paints(scenario).values())
-    shown = [paint for paint in (RECORDED, REACTING, AV, FOCAL, *POLICIES.values()) if paint in there]
+    there, words = set(kinds_in(scenario).values()), kinds_in_words(word_for_recorded(scenario.scenario_id))
+    shown = [kind for kind in words if kind in there]
     high_m = max(float(high[1] - low[1]), float(high[0] - low[0]) / WINDOW_ASPECT)
     size = np.array([_LEGEND_WIDTH, _LEGEND_ROW * len(shown)]) * high_m
     points = np.concatenate([track.position for track in scenario.tracks])
@@ -177,12 +117,12 @@ def _legend(scenario: Scenario, low: FloatArray, high: FloatArray) -> list[etree
     hidden = ((points[:, None] > corners) & (points[:, None] < corners + size)).all(axis=2).sum(axis=0)
     left, bottom = corners[np.argmin(hidden)].tolist()
     parts, width, height = [], size[0], 0.8 * _LEGEND_ROW * high_m
-    for row, paint in enumerate(reversed(shown)):
+    for row, kind in enumerate(reversed(shown)):
         # SUMO takes no spaces in ids, but those that do not break; to show a name it needs a point, without colour
-        name = (paint.meaning if paint not in POLICIES.values() else f"inserted {paint.meaning}").replace(" ", "\u00a0")
+        name = words[kind].replace(" ", "\u00a0")
         lower = bottom + row * _LEGEND_ROW * high_m
         ring = [(left, lower), (left + width, lower), (left + width, lower + height), (left, lower + height)]
-        bar = {"id": f"legend_{name}", "type": "legend", "color": paint.xml, "fill": "1"}
+        bar = {"id": f"legend_{name}", "type": "legend", "color": rgb(kind), "fill": "1"}
         point = {"id": name, "type": "legend", "color": "0,0,0,0", "layer": "500"}
         point |= {"x": f"{left + width / 2:.2f}", "y": f"{lower + height / 2:.2f}"}
         parts += [E.poly(bar, {"layer": "450", "shape": shape(np.array(ring))}), E.poi(point)]
@@ -276,16 +216,17 @@ def _with_traces(net: bytes, traces: list[_Trace]) -> bytes:
 
 
 def _routes(scenario: Scenario, traces: list[_Trace]) -> bytes:
-    colors = paints(scenario)
+    faces = kinds_in(scenario)
     kinds, vehicles = [], []
     for trace in sorted(traces, key=lambda trace: departure(trace.track)):
         name, limit = trace.track.track_id, trace.limit
         kind = vehicle_type(trace.track) | {"vClass": _UNSEEN, "maxSpeed": limit, "speedFactor": "1", "speedDev": "0"}
         kinds.append(E.vType(kind | {"minGap": "0", "sigma": "0", "tau": f"{scenario.step_s}"}))
-        vehicle = {"id": name, "type": f"type_{name}", "color": colors[name].xml, "insertionChecks": "none"}
+        vehicle = {"id": name, "type": f"type_{name}", "color": rgb(faces[name]), "insertionChecks": "none"}
         vehicle |= {"depart": f"{trace.track.timesteps[0] * scenario.step_s:.2f}", "departSpeed": limit}
         vehicle |= {"departPos": f"{trace.advance_m - 0.5 * _CLEAR_M:.4f}", "arrivalPos": "max"}
-        params = [E.param(key=ID_KEY, value=name)] if shows_id(trace.track) else []
+        shown = is_generated_id(name) or trace.track.category == FOCAL_CATEGORY  # all ids would hide each other
+        params = [E.param(key=ID_KEY, value=name)] if shown else []
         edges = " ".join(trace.edge(k) for k in range(len(trace.shapes)))
         vehicles.append(E.vehicle(vehicle, *params, E.route(edges=edges)))
     return xml_bytes(E.routes(*kinds, *vehicles))
@@ -296,9 +237,9 @@ def departure(track: Track) -> tuple[int, str]:
     return int(track.timesteps[0]), track.track_id
 
 
-def vehicle_type(track: Track, color: Paint | None = None) -> dict[str, str]:
-    """Attributes of the type that each agent has of its own: id, size and looks."""
-    looks = {} if color is None else {"color": color.xml}
+def vehicle_type(track: Track, kind: str | None = None) -> dict[str, str]:
+    """Attributes of the type that each agent has of its own: id, size and looks. kind: with its colour."""
+    looks = {} if kind is None else {"color": rgb(kind)}
     looks |= {"guiShape": GUI_SHAPES[track.object_type]} if track.object_type in GUI_SHAPES else {}
     size = {"length": f"{track.size.length_m:.2f}", "width": f"{track.size.width_m:.2f}"}
     return {"id": f"type_{track.track_id}", **size, **looks}

@@ -37,17 +37,20 @@ class LaneView:
     matches: Matches
 
 
-def first_lane_path(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> Polyline | None:
-    """The path of the lane that the only vehicle starts in, kept beside it through lane changes; None off every lane.
+def first_lane_offset(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> FloatArray:
+    """(N,) m, left positive, of the only vehicle from the path of the lane that it starts in; NaN where there is none.
 
-    Its Frenet d is the lateral offset over time that shows a lane change as one smooth step.
+    The path is kept beside the vehicle through lane changes, so that each shows as one smooth step; no offset is told
+    off every lane and beyond the path's ends.
     """
     view = LaneView(arrays, lanes, matches)
     runs = [run for run in runs_of(view, 0) if run.lane >= 0]
     if not runs:
-        return None
+        return np.full(len(arrays.step), np.nan)
     change = next((k for k, (a, b) in enumerate(pairwise(runs), 1) if lanes.link[a.lane, b.lane] != 0), len(runs))
-    return source_path(view, runs, change)[0]
+    path = source_path(view, runs, change)[0]
+    s, d = path.frenet(arrays.position)
+    return np.where((s > -1.0) & (s < path.length_m + 1.0), d, np.nan)
 
 
 def recorded_places(view: LaneView, *, within_m: float) -> dict[int, FloatArray]:

@@ -245,7 +245,7 @@ def test_study_without_scenes_says_so(hid2: Run, tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text("[vary]\ntrigger_s = [1.0]\n")
     result = hid2("study", tmp_path / "study.toml", "-o", tmp_path / "out")
     assert result.returncode == 2
-    assert last_message(result).startswith(f"hid2: error: {tmp_path / 'study.toml'}: no key 'scenes'; expected scenes")
+    assert last_message(result).startswith(f"hid2: error: {tmp_path / 'study.toml'}: no key 'scenes', expected folders")
 
 
 @pytest.mark.parametrize(

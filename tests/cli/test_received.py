@@ -53,13 +53,14 @@ READERS: tuple[tuple[str, int | None, str], ...] = (
     ("net {received} -o net --map {received}", 0, ""),
     ("view {received} -o page.html --map {received}", 0, ""),
     ("export {received} --to openscenario -o exported --map {received}", 0, ""),
-    ("render {received} -o scene.png --source {recorded} --map {received}", 0, ""),
+    ("render {received} -o scene.png --map {received}", 0, ""),
     ("plot {received} -o agent.png --agent AV --map {received}", 0, ""),
     ("gui {received} --screenshot shot.png --map {received}", None, ""),
     ("paper table1 -o again --scenes {received} --map {received}", 2, "holds generated scenes only"),
     ("paper prediction -o again --scenes . --composed . --predictions .", None, ""),
     ("forecast . -o . --scenes . --resume", None, ""),
     ("public public.toml -o again", 2, "unknown key 'rule_with'"),
+    ("example -o again", 0, ""),
     ("make corridor -o again --seconds 12 --road drivers.toml", 2, "drivers.toml: no key 'length_m'"),
 )
 

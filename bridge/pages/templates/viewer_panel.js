@@ -12,7 +12,7 @@ const table = (head, rows) => html`<table><tr>${head.map((one) => html`<th>${one
 ${rows.map((row) => (row instanceof Markup ? row : html`<tr>${row.map((one) => html`<td class="${typeof one === "number" ? "n" : ""}">${one ?? "–"}</td>`)}</tr>`))}</table>`;
 const section = (title, body) => html`<h3>${title}</h3>${body}`;
 const MOMENTS = { trigger: "2 3", start: "6 3", crossing: "", end: "8 3 2 3" };
-const EVENT = [["gap_m", "gap", "m"], ["min_ttc_s", "TTC", "s"], ["pet_s", "PET", "s"], ["drac_mps2", "DRAC", "m/s²"], ["brakes_mps2", "brakes with", "m/s²"]];
+const EVENT = [["gap_m", "gap", "m"], ["min_ttc_s", "least TTC", "s"], ["pet_s", "PET", "s"], ["drac_mps2", "DRAC", "m/s²"], ["brakes_mps2", "brakes with", "m/s²"]];
 
 function scenePanel(scene) {
   const { said, facts } = scene;

@@ -143,13 +143,6 @@ def test_nothing_but_the_example_imports_torch():
     assert importing == ["data/examples/small_forecaster.py"]
 
 
-def test_a_checkout_without_the_example_is_named(monkeypatch, tmp_path):
-    """As an installed wheel is."""
-    monkeypatch.setattr("bridge.forecasting.small_forecaster._SCRIPT", tmp_path / "small_forecaster.py")
-    with pytest.raises(ConfigError, match=r"small_forecaster\.py: no such file, expected .* of a checkout"):
-        small_forecaster()
-
-
 def test_features_are_in_the_targets_own_frame(data_scenes):
     """The target is at the origin at the last observed step and looks along x; its future comes back to the city."""
     scenario = read_scenario(data_scenes["arterial"])

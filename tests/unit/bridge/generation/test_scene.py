@@ -16,6 +16,7 @@ from bridge.evaluation.scene_metrics import evaluate_scene
 from bridge.generation.generate import generate
 from bridge.generation.scene import TrafficScene, read_scene
 from bridge.recordings.folders import find_scenarios
+from bridge.recordings.sidecar import EventRecord
 from hid2.policy.rules import GapView
 from netconvert.errors import ConfigError, ExportError, NoSceneError
 
@@ -57,7 +58,7 @@ def test_scene_that_was_read_is_written_as_the_same_bytes(written: Path, tmp_pat
 def test_recorded_scene_has_no_manoeuvres_and_is_not_written(data_scenes: dict[str, Path], tmp_path: Path) -> None:
     scene = read_scene(data_scenes["curve"])
     assert (scene.sidecar, scene.generated) == (None, ())
-    assert len(scene.maneuvers) == len(scene.judge()) == 0
+    assert len(scene.maneuvers) == len(scene.events) == len(scene.judge()) == 0
     with pytest.raises(ExportError, match="was recorded, nothing is inserted"):
         scene.write(tmp_path / "out")
     assert not (tmp_path / "out").exists()
@@ -70,6 +71,16 @@ def test_tables_are_in_city_coordinates_with_a_row_for_each_request(made: Traffi
     assert len(made.maneuvers) == sum(len(agent.maneuvers) for agent in made.sidecar.agents) > 0
     lane_change = made.maneuvers.iloc[0]
     assert made.sidecar.agents[int(lane_change["track_id"][4:])].policy == lane_change["policy"]
+
+
+def test_events_are_a_table_with_the_keys_of_the_sidecar(made: TrafficScene) -> None:
+    done = EventRecord(kind="cut_in", target="focal", status="done", track_id="gen_0", gap_m=7.5, at_s=5.3, tries=1)
+    missed = EventRecord(kind="cross", target="av", status="not_feasible", reason="event_no_place", tries=0)
+    sidecar = made.sidecar.model_copy(update={"events": (done, missed)})
+    table = TrafficScene(dataclasses.replace(made.recording, sidecar=sidecar)).events
+    assert table["track_id"].isna().tolist() == [False, True]
+    assert table.loc[0, ["gap_m", "at_s"]].tolist() == [7.5, 5.3]
+    assert table.loc[1, "reason"] == "event_no_place"
 
 
 def test_judge_tells_what_is_wrong_with_a_vehicle(made: TrafficScene) -> None:
@@ -92,6 +103,7 @@ def test_pictures_are_figures_that_nobody_has_to_close(made: TrafficScene, tmp_p
     assert plots[2] is figure
     assert plt.get_fignums() == [figure.number]
     assert [len(one.axes) for one in plots] == [2, 6, 1]
+    assert all(one._repr_png_().startswith(b"\x89PNG") for one in plots[:2])  # what a notebook shows
     plt.close(figure)
     assert made.render(tmp_path / "close.png", agent="gen_0").stat().st_size > 10_000
     with pytest.raises(ConfigError, match="no track 'gen_99'"):

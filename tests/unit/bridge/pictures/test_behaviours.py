@@ -8,12 +8,12 @@ from bridge.batch.manifest import ManifestRow
 from bridge.batch.scan import SceneFacts
 from bridge.pictures import figures
 from bridge.recordings.sidecar import ManeuverKind
-from bridge.sumo.playback import POLICIES
+from bridge.sumo.playback import GUI_FACES
 from hid2.policy.behaviours import BEHAVIOURS
 
 
 def test_every_behaviour_has_a_colour_of_its_own_in_pictures_and_in_sumo_gui() -> None:
-    for colours in (figures.POLICY_COLORS, {policy: paint.color for policy, paint in POLICIES.items()}):
+    for colours in (figures.POLICY_COLORS, {policy: GUI_FACES[policy.value] for policy in BEHAVIOURS}):
         assert set(colours) == set(BEHAVIOURS)
         assert len(set(colours.values())) == len(BEHAVIOURS)
 

@@ -1,5 +1,6 @@
 """Pictures of scenes: what is drawn is checked by colour in the pixels and by the words in the figure."""
 
+import json
 import shutil
 
 import imageio.v3 as iio
@@ -73,20 +74,15 @@ def test_recorded_scene_is_one_panel_without_generated_colours(data_scenes, tmp_
     assert pixels(path, figures.VERMILION) == 0
 
 
-def test_source_is_shown_before(made_scene, data_scenes, tmp_path):
-    figure = scene_figure(read_scenario(made_scene), source=read_scenario(data_scenes["curve"]))
-    recorded = len(read_scenario(data_scenes["curve"]).tracks)
-    name = data_scenes["curve"].name[:8]
-    title = f"before: {recorded} recorded agents\n(source scene {name}, with the sizes labelled there)"
-    assert figure.axes[0].get_title() == title
-    plt.close(figure)
-
-
-def test_labelled_sizes_beside_the_source_are_drawn_before_and_after(made_scene, data_scenes, tmp_path):
-    """A truck of 9.5 x 3.0 m is one in both halves: its size lies beside the source, not beside the generated scene."""
-    source = shutil.copytree(data_scenes["arterial"], tmp_path / data_scenes["arterial"].name)
-    (source / "agent_sizes.csv").write_text("track_id,length_m,width_m\nAV,9.5,3.0\n")
-    figure = scene_figure(read_scenario(made_scene), source=read_scenario(source))
+def test_labelled_sizes_of_the_source_are_drawn_before_and_after(made_scene, tmp_path):
+    """A truck of 9.5 x 3.0 m is one in both halves: the sidecar keeps the sizes that lay beside the source."""
+    scene = shutil.copytree(made_scene, tmp_path / made_scene.name)
+    (path,) = scene.glob("hid2_*.json")
+    content = json.loads(path.read_text())
+    content["recording"]["sizes"]["AV"] = [9.5, 3.0]
+    path.write_text(json.dumps(content))
+    figure = scene_figure(read_scenario(scene))
+    assert len(figure.axes) == 2
     for ax in figure.axes:
         boxes = [path.vertices for made in ax.findobj(PolyCollection) if made.zorder == 5 for path in made.get_paths()]
         assert [round(length, 2) for length in (longest_side(box) for box in boxes) if 9 < length < 10] == [9.5]
@@ -244,7 +240,7 @@ def test_no_label_of_a_picture_overlaps_another(made_scene):
 def test_cars_of_a_film_are_never_below_fourteen_pixels(made_scene, data_scenes, longest) -> None:
     """Whatever the ground: of 300 m a film of 1100 px would show cars of 8 px."""
     for folder in (made_scene, *data_scenes.values()):
-        drawing = _Drawing(read_scenario(folder), None, agent=None, cells=False, whole_paths=False)
+        drawing = _Drawing(read_scenario(folder), agent=None, cells=False, whole_paths=False)
         drawing.scale(longest=longest)
         axes = drawing.panels[0][1]
         assert 4.5 * axes.get_window_extent().width / np.ptp(axes.get_xlim()) > CAR_PIXELS - 0.1

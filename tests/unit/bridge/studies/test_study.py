@@ -107,6 +107,13 @@ def test_missing_scenes_are_named(tmp_path: Path) -> None:
         read_study(study_file(tmp_path, "[vary]\ntrigger_s = [1.0]\n", tmp_path / "nowhere"))
 
 
+def test_scenes_may_be_given_beside_the_file(tmp_path: Path, data_root: Path) -> None:
+    (tmp_path / "s.toml").write_text("[vary]\ntrigger_s = [1.0]\n")
+    assert len(read_study(tmp_path / "s.toml", scenes=[data_root]).folders) == 3
+    with pytest.raises(ConfigError, match=r"s\.toml: no key 'scenes', expected folders .*: add it, or give --scenes"):
+        read_study(tmp_path / "s.toml")
+
+
 def test_runs_of_one_scene_and_seed_share_a_job(tmp_path: Path, data_root: Path) -> None:
     study = read_study(study_file(tmp_path, "seeds = 2\n[vary]\ntrigger_s = [1.0, 2.0, 3.0]\n", data_root))
     assert [len(job.runs) for job in study.jobs] == [3] * 6

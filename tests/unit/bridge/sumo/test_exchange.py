@@ -1,6 +1,9 @@
 """A scene in SUMO's formats: FCD output is the exported positions, routes are ways of the net, which has a place."""
 
+import json
 import math
+import subprocess
+import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -88,6 +91,28 @@ def test_every_inserted_vehicle_has_a_route_that_the_net_has(written: Path, made
         )
     departures = [float(vehicle.get("depart")) for vehicle in routes.iter("vehicle")]
     assert departures == sorted(departures)
+
+
+def test_sumo_takes_each_driver_as_it_was_driven_with(written: Path, made_scene: Path) -> None:
+    """SUMO leaves out attributes that it does not know without a word, so what it holds is asked of it."""
+    code = """
+import json, sys, libsumo
+libsumo.start(["sumo", "-c", sys.argv[1], "--no-step-log"])
+ask = libsumo.vehicletype
+kinds = [name for name in ask.getIDList() if name.startswith("type_")]
+got = {k: [ask.getMaxSpeed(k), ask.getTau(k), ask.getAccel(k), ask.getDecel(k), ask.getMinGap(k)] for k in kinds}
+print(json.dumps(got))
+"""
+    (config,) = (path for path in written.glob("*.sumocfg") if "_scene" not in path.name)
+    result = subprocess.run([sys.executable, "-c", code, config], capture_output=True, text=True, check=True)
+    assert result.stderr == ""
+    got = json.loads(result.stdout.splitlines()[-1])
+    agents = read_sidecar(sidecar_path(made_scene, read_scenario(made_scene).scenario_id)).agents
+    names = ("desired_mps", "tau_s", "accel_mps2", "decel_mps2", "min_gap_m")
+    wanted = {f"type_{one.track_id}": [one.driver.parameters[name] for name in names] for one in agents}
+    assert got.keys() == wanted.keys()
+    for kind, values in wanted.items():
+        assert got[kind] == pytest.approx(values, rel=1e-4)
 
 
 def test_a_recorded_scene_has_no_routes_and_all_else(data_scene: Path) -> None:

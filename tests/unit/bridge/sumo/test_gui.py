@@ -17,8 +17,10 @@ import sumolib
 from lxml import etree
 
 from bridge.exports.export import export_scene
+from bridge.pictures.figures import kinds_in
 from bridge.recordings.scenario import read_scenario
-from bridge.sumo.playback import POLICIES, RECORDED, paints
+from bridge.sumo.playback import rgb
+from hid2.agents import Policy
 from netconvert.errors import ConfigError, SimulationError
 
 BIN = Path(sys.executable).parent
@@ -96,11 +98,11 @@ def test_a_gap_in_a_track_is_driven_through_evenly(copy_scene, tmp_path):
 
 
 def test_vehicles_carry_the_colour_of_their_policy(playable, made_scene):
-    colors = paints(read_scenario(made_scene))
+    kinds = kinds_in(read_scenario(made_scene))
     routes = etree.parse(str(playable).replace(".sumocfg", ".rou.xml"))
-    assert {v.get("id"): v.get("color") for v in routes.iter("vehicle")} == {k: p.xml for k, p in colors.items()}
-    assert any(paint in POLICIES.values() for paint in colors.values())
-    assert RECORDED in colors.values()
+    assert {v.get("id"): v.get("color") for v in routes.iter("vehicle")} == {k: rgb(kind) for k, kind in kinds.items()}
+    assert {policy.value for policy in Policy} & {*kinds.values()}
+    assert "recorded" in kinds.values()
 
 
 def test_files_are_valid_and_hold_the_lanes_of_the_map(playable, made_scene):
@@ -128,6 +130,10 @@ def colored(path, rgb):
     return int((np.abs(picture - np.array(rgb)).max(axis=-1) < 20).sum())
 
 
+def face(kind):
+    return [int(part) for part in rgb(kind).split(",")]
+
+
 LANE_GREY, CELL_LINE = (96, 99, 104), (150, 154, 160)
 
 
@@ -135,9 +141,9 @@ def assert_shows_the_scene(picture, folder):
     """Road, recorded and generated vehicles are there in their colours."""
     assert colored(picture, LANE_GREY) > 2000
     assert colored(picture, CELL_LINE) > 200
-    assert colored(picture, RECORDED.rgba[:3]) > 20
-    policies = {paint for paint in paints(read_scenario(folder)).values() if paint in POLICIES.values()}
-    assert sum(colored(picture, paint.rgba[:3]) for paint in policies) > 20 * len(policies)
+    assert colored(picture, face("recorded")) > 20
+    policies = {policy.value for policy in Policy} & {*kinds_in(read_scenario(folder)).values()}
+    assert sum(colored(picture, face(kind)) for kind in policies) > 20 * len(policies)
 
 
 @pytest.mark.parametrize("step", [49, 109])
@@ -201,7 +207,7 @@ def test_files_play_in_real_time_and_say_what_the_colours_mean(playable, made_sc
     ]
     shapes = etree.parse(str(playable).replace(".sumocfg", ".poly.xml"))
     told = {shape.get("color") for shape in shapes.iterfind("poly") if shape.get("type") == "legend"}
-    assert told == {paint.xml for paint in paints(read_scenario(made_scene)).values()}
+    assert told == {rgb(kind) for kind in kinds_in(read_scenario(made_scene)).values()}
 
 
 def test_inserted_and_focal_vehicles_show_their_ids(playable, made_scene):

@@ -13,13 +13,13 @@ from inserted import nobody, recorded, scene_on, start_on
 
 from bridge.batch.validation import validate_folder
 from bridge.evaluation.scene_metrics import measure_folder
+from bridge.exports.export import export_scene
 from bridge.forecasting.places import recorded_source
 from bridge.generation.generate import generate
 from bridge.pictures.render import _panels
 from bridge.recordings.scenario import read_scenario
 from bridge.sumo.driving import Driving
 from bridge.sumo.fleet import Fleet
-from bridge.sumo.playback import paints
 from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy
 from hid2.conflicts.stop_lines import StopLines
@@ -139,13 +139,14 @@ def test_scene_in_which_recorded_vehicles_react_is_called_so_and_refused(reactiv
             refuses()
 
 
-def test_pictures_and_sumo_gui_do_not_call_its_tracks_recorded(reactive_scene: Path) -> None:
+def test_pictures_and_sumo_gui_do_not_call_its_tracks_recorded(reactive_scene: Path, tmp_path: Path) -> None:
     """One panel, for what was recorded is not in it; the legend of sumo-gui says reacting."""
-    (panel,) = _panels(read_scenario(reactive_scene), None)
+    (panel,) = _panels(read_scenario(reactive_scene))
     assert "reacting agents" in panel.title
-    names = {paint.meaning for paint in paints(read_scenario(reactive_scene)).values()}
-    assert "reacting" in names
-    assert "recorded" not in names
+    files = export_scene(reactive_scene, "sumo", tmp_path)
+    legend = next(path for path in files if path.name.endswith("_scene.poly.xml")).read_text()
+    assert "legend_reacting\u00a0vehicle" in legend
+    assert "legend_recorded\u00a0vehicle" not in legend
 
 
 def test_same_request_makes_the_same_scene_again(reactive_scene: Path, data_scenes: dict[str, Path]) -> None:
