@@ -41,6 +41,10 @@ class Reason(StrEnum):
         "no_site",
         "Every admissible start site was taken, or the recorded traffic would have run into a vehicle there.",
     )
+    NO_CELL_IN_REACH = (
+        "no_cell_in_reach",
+        "From no free cell does a vehicle reach such a lane or turn at the time asked for, with room and time left.",
+    )
     NEAR_NO_TRACK = "near_no_track", "The track that vehicles are to be near to is not in the scene."
     # what the simulation answered
     NO_ROUTE = "no_route", "The start site is not on the vehicle's route."
@@ -54,10 +58,17 @@ class Reason(StrEnum):
         "event_no_target",
         "The target of an event is not in the scene, does not move, or is no vehicle on a lane.",
     )
-    EVENT_NO_PLACE = "event_no_place", "The target's way offers no place for the event at the time asked for."
+    EVENT_NO_PLACE = (
+        "event_no_place",
+        "The map has no place from which a vehicle meets the target so: no lane beside the target's, for example.",
+    )
+    EVENT_NOT_FORESEEN = (
+        "event_not_foreseen",
+        "No motion that was looked at makes the event safely and as asked for; behind the colon what most fail by.",
+    )
     EVENT_NOT_AS_ASKED = (
         "event_not_as_asked",
-        "No vehicle that was tried made the event safely and as asked for: time, gap, speeds, braking, criticality.",
+        "No vehicle that was driven made the event safely and as asked for; behind the colon what most failed by.",
     )
     # answers to a look at a gap (Algorithm 1, lane change)
     NO_ADJACENT_LANE = "no_adjacent_lane", "There is no lane beside that may be changed to."

@@ -13,7 +13,7 @@ from bridge.generation.generate import PreparedScene, generate, prepare
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.export import check_step
 from bridge.recordings.recording import Recording
-from bridge.recordings.sidecar import DrivesRecord, Sidecar
+from bridge.recordings.sidecar import DrivesRecord, EventRecord, Sidecar
 from bridge.recordings.sources import read_recording
 from hid2.agents import Policy
 from hid2.params import Grid
@@ -69,7 +69,7 @@ def generate_runs(
 
 def summarise(sidecar: Sidecar, row: ManifestRow) -> ManifestRow:
     """Add what a sidecar says about vehicles, manoeuvres and events."""
-    maneuvers = [maneuver for agent in sidecar.agents for maneuver in agent.maneuvers]
+    maneuvers = [record for _, record in sidecar.asked]
     # passing a standing vehicle is finished, but it is no overtake: it has a reason too
     done = Counter(maneuver.kind for maneuver in maneuvers if maneuver.status == "done" and maneuver.reason is None)
     not_done = Counter(
@@ -93,10 +93,18 @@ def summarise(sidecar: Sidecar, row: ManifestRow) -> ManifestRow:
         maneuvers_done=sum(done.values()),
         events_requested=len(sidecar.events),
         events_done=sum(event.status == "done" for event in sidecar.events),
+        events="; ".join(_told(event) for event in sidecar.events if event.status == "done"),
         rejected=join_counts({entry.reason: entry.count for entry in sidecar.rejected}),
         not_done=join_counts(not_done),
         **_selection(sidecar),
     )
+
+
+def _told(event: EventRecord) -> str:
+    """An event that came about, in a few words: the two vehicles, when, and how critical it was."""
+    figures = {"gap": (event.gap_m, "m"), "TTC": (event.min_ttc_s, "s"), "PET": (event.pet_s, "s")}
+    told = ", ".join(f"{name} {value:.1f} {unit}" for name, (value, unit) in figures.items() if value is not None)
+    return f"{event.kind} of {event.track_id} with {event.target_track_id} at {event.at_s:.1f} s ({told})"
 
 
 def _selection(sidecar: Sidecar) -> dict[str, Any]:

@@ -69,6 +69,7 @@ def _line(row: ManifestRow, *, with_events: bool) -> tuple[object, ...]:
     remarks = "; ".join(
         f"{what}: {_first(reasons)}"
         for what, reasons, told in (
+            ("events", row.events, True),
             ("not done", row.not_done, True),
             ("candidates rejected", row.rejected, row.requested == "max" or row.placed < int(row.requested)),
         )

@@ -159,7 +159,7 @@ def smoothed(tracks: Sequence[Track], *, step_s: float, least: int = _FILTER_SAM
 
 def _asked(sidecar: Sidecar | None) -> Row:
     """Manoeuvres that were asked for and done, by kind."""
-    records = [record for agent in sidecar.agents for record in agent.maneuvers] if sidecar is not None else []
+    records = [record for _, record in sidecar.asked] if sidecar is not None else []
     row: Row = {}
     for kind in ManeuverKind:
         own = [record for record in records if record.kind == kind.value]

@@ -317,13 +317,12 @@ def _maneuver_rows(seen: Sequence[Maneuver], generated: Container[str], sidecar:
     """Records of the sidecar joined with what was seen, then what was seen without a record."""
     left = list(seen)
     rows: list[Row] = []
-    for agent in sidecar.agents if sidecar else ():
-        for record in agent.maneuvers:
-            found = _seen(agent.track_id, record, left)
-            if found is not None:
-                left.remove(found)
-            known: Row = {"track_id": agent.track_id, "group": "generated", "kind": record.kind, "recorded": True}
-            rows.append(known | _fields(record, _RECORD) | _fields(found, _SEEN))
+    for track_id, record in sidecar.asked if sidecar else ():
+        found = _seen(track_id, record, left)
+        if found is not None:
+            left.remove(found)
+        known: Row = {"track_id": track_id, "group": "generated", "kind": record.kind, "recorded": True}
+        rows.append(known | _fields(record, _RECORD) | _fields(found, _SEEN))
     for maneuver in left:
         group = "generated" if maneuver.track_id in generated else "original"
         unasked: Row = {"track_id": maneuver.track_id, "group": group, "kind": maneuver.kind.value, "recorded": False}
@@ -331,7 +330,7 @@ def _maneuver_rows(seen: Sequence[Maneuver], generated: Container[str], sidecar:
     return rows
 
 
-def _seen(track_id: str, record: ManeuverRecord, candidates: Sequence[Maneuver]) -> Maneuver | None:
+def _seen(track_id: str | None, record: ManeuverRecord, candidates: Sequence[Maneuver]) -> Maneuver | None:
     """The manoeuvre seen that a record tells of."""
     kinds = (
         {record.kind, ManeuverKind.PASS, ManeuverKind.OBSTACLE_AVOIDANCE}

@@ -248,7 +248,7 @@ def _sidecar(
     config = scene.config
     names = {one.driven.vehicle_id: f"gen_{row}" for row, one in enumerate(vehicles)}
     agents = [agent_record(scene, one, filling.outcomes.get(one.driven.vehicle_id), names) for one in vehicles]
-    agents = with_unmet(agents, filling.unmet)
+    agents, unplaced = with_unmet(agents, filling.unmet)
     placed = Counter(record.policy for record in agents)
     return Sidecar(
         source_scenario_id=prepared.scenario.scenario_id,
@@ -270,6 +270,7 @@ def _sidecar(
         requested=RequestedRecord(agents=config.request.agents, behaviours=config.request.behaviours),
         placed=PlacedRecord(agents=len(agents), behaviours={p: placed[p] for p in Policy if placed[p]}),
         agents=tuple(agents),
+        unplaced=() if config.request.agents == "max" else tuple(unplaced),
         events=tuple(event_record(one, names) for one in filling.events),
         rejected=rejected_records(filling),
         replaced=tuple(replaced_record(one) for one in filling.rejected),

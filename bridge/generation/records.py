@@ -3,7 +3,8 @@
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import cast
+from dataclasses import asdict
+from typing import Any, cast
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from hid2.insertion.meetings import moving_vehicles
 from hid2.insertion.outcome import Outcome
 from hid2.measures.selection import drives
 from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
+from hid2.reasons import Reason
 from hid2.scene import Scene
 
 
@@ -92,14 +94,11 @@ def maneuver_record(vehicle: ExportedVehicle, outcome: Outcome, names: Mapping[s
     is_turn = outcome.policy in TURN_OF_POLICY
     shift = driven.shifts[0] if driven.shifts else None
     requested_s = None if shift is None else round(shift.requested_step * vehicle.motion.step_s, 6)
-    reason = None if outcome.reason is None else str(outcome.reason.value)
-    if reason is not None and outcome.detail is not None:
-        reason = f"{reason}:{outcome.detail}"
     leader = outcome.leader_id
     return ManeuverRecord(
         kind=_kind(outcome.policy),
         status=outcome.status,
-        reason=reason,
+        reason=_with_detail(outcome.reason, outcome.detail),
         trigger_s=0.0 if is_turn else round(driven.start.request.trigger_s, 6),
         requested_s=0.0 if is_turn else requested_s,
         start_s=outcome.start_s,
@@ -118,34 +117,40 @@ def event_record(found: EventOutcome, names: Mapping[str, str]) -> EventRecord:
     """Record of one event that was asked for; names: as of `agent_record`."""
     event, measures = found.event, found.measures
     if found.vehicle is None or measures is None or found.at_s is None:
-        reason = None if found.reason is None else str(found.reason.value)
+        most = next((one for one in found.tried if one is not found.reason), None)
         return EventRecord(
-            kind=event.kind, target=event.target, status="not_feasible", reason=reason, tries=found.tries,
-            tried={reason.value: count for reason, count in found.tried.items()},
+            kind=event.kind, target=event.target, status="not_feasible", reason=_with_detail(found.reason, most),
+            tries=found.tries, tried={reason.value: count for reason, count in found.tried.items()},
         )  # fmt: skip
+    figures: Any = {name: None if value is None else round(value, 6) for name, value in asdict(measures).items()}
     return EventRecord(
         kind=event.kind, target=event.target, status="done", track_id=names[found.vehicle.driven.vehicle_id],
         target_track_id=found.target_id, at_s=round(found.at_s, 6), ahead=found.order > 0,
-        gap_m=round(measures.gap_m, 6), speed_difference_mps=round(measures.speed_difference_mps, 6),
-        min_ttc_s=None if measures.min_ttc_s is None else round(measures.min_ttc_s, 6),
-        pet_s=None if measures.pet_s is None else round(measures.pet_s, 6), drac_mps2=round(measures.drac_mps2, 6),
-        human_brakes=measures.human_brakes, brakes_mps2=round(measures.brakes_mps2, 6), tries=found.tries,
+        human_brakes=measures.human_brakes, tries=found.tries, **figures,
     )  # fmt: skip
 
 
-def with_unmet(agents: Sequence[AgentRecord], unmet: Sequence[Unmet]) -> list[AgentRecord]:
-    """Give each manoeuvre that no vehicle performs a record, on a vehicle that goes straight instead of it."""
-    records, left = [], list(unmet)
+def with_unmet(agents: Sequence[AgentRecord], unmet: Sequence[Unmet]) -> tuple[list[AgentRecord], list[ManeuverRecord]]:
+    """Give each manoeuvre that no vehicle performs a record, on a vehicle that goes straight instead of it.
+
+    Second, those for which there is none: that vehicle found no place either.
+    """
+    left = [
+        ManeuverRecord(
+            kind=_kind(missed.request.policy), status="not_feasible", reason=missed.reason.value,
+            trigger_s=round(missed.request.trigger_s, 6),
+        ) for missed in unmet
+    ]  # fmt: skip
+    records = []
     for record in agents:
         if left and record.policy is Policy.STRAIGHT and not record.maneuvers:
-            missed = left.pop(0)
-            row = ManeuverRecord(
-                kind=_kind(missed.request.policy), status="not_feasible", reason=missed.reason.value,
-                trigger_s=round(missed.request.trigger_s, 6),
-            )  # fmt: skip
-            record = record.model_copy(update={"maneuvers": (row,)})
+            record = record.model_copy(update={"maneuvers": (left.pop(0),)})
         records.append(record)
-    return records
+    return records, left
+
+
+def _with_detail(reason: Reason | None, detail: str | None) -> str | None:
+    return None if reason is None else ":".join(filter(None, (reason.value, detail)))
 
 
 def rejected_records(filling: Filling) -> tuple[RejectedRecord, ...]:

@@ -61,14 +61,14 @@ class TrafficScene:
 
     @property
     def maneuvers(self) -> "pd.DataFrame":
-        """One row for each manoeuvre that was asked for, whatever became of it, as in sidecars."""
+        """One row for each manoeuvre that was asked for; track_id None where its vehicle found no place."""
         import pandas as pd
 
-        agents = self.sidecar.agents if self.sidecar is not None else ()
+        asked = self.sidecar.asked if self.sidecar is not None else ()
+        policy = {one.track_id: one.policy.value for one in self.sidecar.agents} if self.sidecar is not None else {}
         rows = [
-            {"track_id": one.track_id, "policy": one.policy.value, **record.model_dump()}
-            for one in agents
-            for record in one.maneuvers
+            {"track_id": track_id, "policy": None if track_id is None else policy[track_id], **record.model_dump()}
+            for track_id, record in asked
         ]
         return pd.DataFrame(rows, columns=["track_id", "policy", *ManeuverRecord.model_fields])
 

@@ -4,7 +4,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 from bridge.recordings.sidecar import Sidecar
 from hid2.agents import Track
-from hid2.judge.claims import Claim, EventClaim, judge_claims
+from hid2.judge.claims import FIGURES, Claim, EventClaim, judge_claims
 from hid2.judge.findings import Bounds, Finding, Quantity
 from hid2.judge.states import judge
 from hid2.measures.lane_matching import FlatLanes
@@ -54,10 +54,13 @@ def claims_of(sidecar: Sidecar) -> tuple[list[Claim], list[EventClaim]]:
             if record.status == "done" and at_s is not None:
                 claims.append(Claim(agent.track_id, kind, at_s))
     events = [
-        EventClaim(one.kind, one.track_id, one.target_track_id, one.at_s, ahead=bool(one.ahead))
+        EventClaim(
+            one.kind, one.track_id, one.target_track_id, one.at_s, bool(one.ahead),
+            {name: getattr(one, name) for name in FIGURES},
+        )
         for one in sidecar.events
         if one.status == "done" and one.track_id and one.target_track_id and one.at_s is not None
-    ]
+    ]  # fmt: skip
     return claims, events
 
 

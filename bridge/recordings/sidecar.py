@@ -211,7 +211,8 @@ class EventRecord(_Record):
     """One event that was asked for: its target, what became of it, and what it was like for its target as recorded.
 
     track_id: the vehicle that made it; gap_m bumper to bumper at at_s (cross: from the target's bumper to the conflict
-    point); drac_mps2: what the target would have had to brake with; human_brakes: whether TTC came below the one before
+    point); ttc_at_s: when the least TTC is; headway_s: least one of the target behind the vehicle from then on;
+    drac_mps2: what the target would have had to brake with; human_brakes: whether TTC came below the one before
     which drivers brake; brakes_mps2: hardest braking of the vehicle itself from then on; ahead: whether the vehicle is
     ahead of the target, or crosses first; tries: vehicles that were driven for it; tried: where none came about, what
     each of them failed by or, where none was driven, each motion that was looked at.
@@ -228,6 +229,8 @@ class EventRecord(_Record):
     gap_m: float | None = None
     speed_difference_mps: float | None = None
     min_ttc_s: Seconds | None = None
+    ttc_at_s: Seconds | None = None
+    headway_s: float | None = None
     pet_s: Seconds | None = None
     drac_mps2: float | None = Field(default=None, ge=0)
     human_brakes: bool | None = None
@@ -237,7 +240,10 @@ class EventRecord(_Record):
 
 
 class Sidecar(_Record):
-    """The whole file. Nothing in it depends on the clock or the machine: same request, same bytes."""
+    """The whole file. Nothing in it depends on the clock or the machine: same request, same bytes.
+
+    unplaced: manoeuvres that were asked for of vehicles that found no place at all.
+    """
 
     schema_version: Literal["1", "2"] = "2"
     source_scenario_id: str
@@ -252,6 +258,7 @@ class Sidecar(_Record):
     requested: RequestedRecord
     placed: PlacedRecord
     agents: Listed[AgentRecord] = ()
+    unplaced: Listed[ManeuverRecord] = ()
     events: Listed[EventRecord] = ()
     rejected: Listed[RejectedRecord] = ()
     replaced: Listed[ReplacedRecord] = ()
@@ -262,6 +269,12 @@ class Sidecar(_Record):
         return f"Sidecar(of {self.source_scenario_id}: {self.placed.agents} of {self.requested.agents} vehicles)"
 
     __str__ = __repr__
+
+    @property
+    def asked(self) -> list[tuple[str | None, ManeuverRecord]]:
+        """Each manoeuvre that was asked for, with the vehicle that it is told of; None where that found no place."""
+        told = [(agent.track_id, record) for agent in self.agents for record in agent.maneuvers]
+        return [*told, *((None, record) for record in self.unplaced)]
 
     @property
     def program(self) -> dict[str, str]:

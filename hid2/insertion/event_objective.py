@@ -4,22 +4,20 @@ Asked of candidates that are rolled out and of vehicles that SUMO has driven, in
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from hid2.agents import FloatArray, Track
 from hid2.insertion.event_targets import Target
-from hid2.judge.claims import EventClaim, crossing_steps, event_step
-from hid2.judge.events import EventMeasures, measure_event
+from hid2.judge.claims import EventClaim, event_step
+from hid2.judge.events import EventMeasures, crossing_steps, measure_event
 from hid2.occupancy.agent_states import agent_states
 from hid2.params import Event
 from hid2.scene import Scene
 
 #: A leader is no farther than this beside the target, m. Not a parameter, it saves time: the judge looks again.
 _ASIDE_M = 2.5
-#: No tunable: the criticality of a cut-in counts from when the vehicle is about half way over, s before the moment.
-_ARRIVES_S = 1.5
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -78,7 +76,7 @@ class Objective:
             [target.track, track], scene.states.lanes, num_steps=scene.num_steps, step_s=scene.step_s,
             is_inserted=track.track_id.__eq__,
         )  # fmt: skip
-        order, crossed = -1 if kind == "follow" else 1, None
+        order = -1 if kind == "follow" else 1
         if kind == "cross":
             crossed = crossing_steps(pair, 1, 0)
             order = 1 if crossed is not None and crossed[0] < crossed[1] else -1
@@ -86,11 +84,7 @@ class Objective:
         at = event_step(pair, claim)
         if at is None or at not in target.track.timesteps or at not in track.timesteps:
             return None
-        since = {"cross": 0, "cut_in": max(0, at - scene.steps_in(_ARRIVES_S))}.get(kind, at)
-        found = measure_event(pair, 1, 0, at_step=at, since_step=since)
-        if crossed is not None:  # from the target's bumper to the conflict point
-            way = abs(float(target.way[crossed[1]] - target.way[crossed[0]]))
-            found = replace(found, gap_m=way - 0.5 * target.track.size.length_m)
+        found = measure_event(pair, kind, 1, 0, at_step=at)
         if kind == "merge":
             row = int(np.searchsorted(track.timesteps, at))
             offset, heading = track.position[row] - target.position[at], target.heading[at]

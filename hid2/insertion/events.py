@@ -139,7 +139,9 @@ class EventSearch:
         told = dict((tried or others or rejected).most_common())  # many are drawn where they come too late or too early
         said = ", ".join(f"{reason} {count}" for reason, count in told.items())
         _LOG.debug("event %s: %d tries; %s", event.kind, tried.total(), said or "no place")
-        reason = Reason.EVENT_NOT_AS_ASKED if tried else Reason.EVENT_NO_PLACE
+        reason = Reason.EVENT_NO_PLACE
+        if told:
+            reason = Reason.EVENT_NOT_AS_ASKED if tried else Reason.EVENT_NOT_FORESEEN
         return EventOutcome(event, reason, tries=tried.total(), tried=told)
 
     def objectives(self, event: Event, rng: np.random.Generator) -> list[Objective]:

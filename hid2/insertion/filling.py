@@ -199,7 +199,7 @@ class Filling:
         used = {start.request.number for start in starts}
         waiting = sorted(self._open, key=lambda request: (BEHAVIOURS[request.policy].site_order, request.number))
         waiting = [request for request in waiting if request.number not in used]
-        failed: Counter[Policy] = Counter()
+        failed, why = Counter[Policy](), dict[Policy, Reason]()
         for request in waiting:  # those with no place for their manoeuvre go straight, and come last
             if request.number in used:
                 continue
@@ -213,8 +213,10 @@ class Filling:
                     self._last_reason[slow.number] = Reason.LEADS_AN_OVERTAKE
                     self._gives_up(slow)
                 failed[policy] += not found
-            if not found and not straight:
-                self._found_none(request, sites, sites.starts.rejected - before)
+                if not found:
+                    why[policy] = _found_none(policy, sites, sites.starts.rejected - before)
+            if not found and not straight:  # what became of a vehicle that was driven for it says more
+                self._last_reason.setdefault(request.number, why[policy])
                 waiting.append(self._gives_up(request))
             used.update(start.request.number for start in found)
             starts += found
@@ -232,17 +234,6 @@ class Filling:
             if found:
                 return found[0 if policy is Policy.STRAIGHT else -1]
         return None
-
-    def _found_none(self, request: VehicleRequest, sites: InsertionSites, refused: Counter[Reason]) -> None:
-        """Why no site was found: what most of them were turned down for. What became of a vehicle driven says more."""
-        if request.number in self._last_reason:
-            return
-        reason = Reason.NO_SITE
-        if request.policy is Policy.OVERTAKE and sites.overtakes.found_none is not None:
-            reason = sites.overtakes.found_none
-        elif refused:
-            reason = refused.most_common(1)[0][0]
-        self._last_reason[request.number] = reason
 
     def _gives_up(self, request: VehicleRequest) -> VehicleRequest:
         """A request to go straight in place of one for a manoeuvre, which is given up with its reason."""
@@ -361,6 +352,13 @@ class Filling:
         place_failed = reason not in (Reason.DID_NOT_DO_IT, Reason.WAITED_FOR_GONE)
         if place_failed and start.step == 0 and self.scene.config.request.sites == "promising":
             self._turned_down.not_kept(self.scene, self.scene.grid.index_of[cell])
+
+
+def _found_none(policy: Policy, sites: InsertionSites, refused: Counter[Reason]) -> Reason:
+    """Why no site was found: what most of those looked at were turned down for."""
+    if policy is Policy.OVERTAKE and sites.overtakes.found_none is not None:
+        return sites.overtakes.found_none
+    return refused.most_common(1)[0][0] if refused else Reason.NO_CELL_IN_REACH
 
 
 def _needs(vehicle: DrivenVehicle, least_steps: int) -> set[str]:

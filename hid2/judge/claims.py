@@ -5,22 +5,31 @@ that it drives then, not in one that it changes to later (method.md, ordered eve
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from hid2.judge.findings import CLAIM_S, Finding, Quantity
-from hid2.kernels.box_pairs import paths_cross
+from hid2.judge.events import crossing_steps, measure_event
+from hid2.judge.findings import CLAIM_S, FIGURE_OFF, Finding, Quantity
 from hid2.measures.arrays import BoolArray
 from hid2.measures.driven_lanes import path_driven, runs_of
-from hid2.measures.encounters import CROSSING_RAD
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.occupancy.agent_states import AgentStates
 
 #: What counts as an overtake: that of a vehicle that stands is told as one, with its reason.
 _PASSED = (ManeuverKind.OVERTAKE, ManeuverKind.OBSTACLE_AVOIDANCE)
+
+
+#: Figures of an event that the judge looks at, by their names in `EventMeasures`.
+FIGURES = {
+    "gap_m": Quantity.CLAIMED_GAP,
+    "speed_difference_mps": Quantity.CLAIMED_SPEED,
+    "min_ttc_s": Quantity.CLAIMED_TTC,
+    "pet_s": Quantity.CLAIMED_PET,
+    "drac_mps2": Quantity.CLAIMED_DRAC,
+}
 
 
 class Claim(NamedTuple):
@@ -32,13 +41,17 @@ class Claim(NamedTuple):
 
 
 class EventClaim(NamedTuple):
-    """An event that is told as done. ahead: whether the vehicle is ahead of its target, or crosses first."""
+    """An event that is told as done. ahead: whether the vehicle is ahead of its target, or crosses first.
+
+    figures: what is told of it, by the names of `EventMeasures`; None: no such figure.
+    """
 
     kind: str
     track_id: str
     target_id: str
     at_s: float
     ahead: bool
+    figures: Mapping[str, float | None] = {}
 
 
 def manoeuvres(states: AgentStates) -> list[Maneuver]:
@@ -62,7 +75,10 @@ def seen(claim: Claim, among: Sequence[Maneuver]) -> Maneuver | None:
 
 
 def judge_claims(states: AgentStates, claims: Sequence[Claim], events: Sequence[EventClaim]) -> list[Finding]:
-    """Claims that the states do not show within CLAIM_S of the time claimed; inf where they show nothing like it."""
+    """Claims that the states do not show within CLAIM_S of the time claimed; inf where they show nothing like it.
+
+    Of an event that they show also figures that are not those of the states at the time claimed.
+    """
     found, every = [], manoeuvres(states) if claims else []
     for claim in claims:
         shown = seen(claim, every)
@@ -74,6 +90,21 @@ def judge_claims(states: AgentStates, claims: Sequence[Claim], events: Sequence[
         off_s = math.inf if step is None else abs(step * states.arrays.step_s - event.at_s)
         if off_s > CLAIM_S + 1e-9:
             found.append(_finding(states, event.track_id, event.at_s, off_s, event.target_id))
+        else:
+            found += _wrong_figures(states, event)
+    return found
+
+
+def _wrong_figures(states: AgentStates, event: EventClaim) -> list[Finding]:
+    """What is told of an event and is not what the states show: by how much, inf where one of the two has no figure."""
+    own, target = (states.arrays.track_ids.index(name) for name in (event.track_id, event.target_id))
+    at_step, found = round(event.at_s / states.arrays.step_s), []
+    shown = measure_event(states, event.kind, own, target, at_step=at_step)
+    for name, told in event.figures.items():
+        value = getattr(shown, name)
+        off = math.inf if (told is None) is not (value is None) else abs((told or 0.0) - (value or 0.0))
+        if off > FIGURE_OFF:
+            found.append(Finding(event.track_id, at_step, FIGURES[name], off, FIGURE_OFF, event.target_id))
     return found
 
 
@@ -165,15 +196,6 @@ def _merged(states: AgentStates, own: int, target: int) -> int | None:
                 continue
             return int(states.arrays.step[after.first])
     return None
-
-
-def crossing_steps(states: AgentStates, own: int, target: int) -> tuple[int, int] | None:
-    """Steps at which the centres of two agents are where their paths cross, own and target's; None if they do not."""
-    arrays, (a, b) = states.arrays, (states.row_span(agent) for agent in (own, target))
-    at, there = paths_cross(
-        arrays.position[a], arrays.heading[a], arrays.position[b], arrays.heading[b], math.sin(CROSSING_RAD)
-    )
-    return None if at < 0 else (int(arrays.step[a][at]), int(arrays.step[b][there]))
 
 
 def _leads(states: AgentStates, leader: int, follower: int, step: int) -> bool:

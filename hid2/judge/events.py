@@ -1,11 +1,13 @@
 """One event between an inserted vehicle and its target, by their exported states: gap, TTC, PET, DRAC."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from hid2.agents import BoxSize
-from hid2.measures.conflicts import pair_course
+from hid2.kernels.box_pairs import paths_cross
+from hid2.measures.conflicts import PairCourse, pair_course
 from hid2.measures.encounters import CROSSING_RAD
 from hid2.measures.post_encroachment import encroachments
 from hid2.occupancy.agent_states import AgentStates
@@ -15,22 +17,29 @@ from hid2.occupancy.gaps import gaps_from_pose
 CAP_S = 10.0
 #: Drivers brake before this TTC, s: 90 % of the followers of lane changes (see method.md).
 HUMAN_BRAKES_S = 4.7
+#: No tunable: the criticality of a cut-in counts from when the vehicle is about half way over, s before the moment.
+_ARRIVES_S = 1.5
 
 
 @dataclass(frozen=True, slots=True)
 class EventMeasures:
     """What an event was like for its target, which is recorded and does not react.
 
-    gap_m: bumper to bumper along the target's heading at the moment of the event, whichever is ahead;
-    speed_difference_mps: speed of the vehicle minus that of the target then; min_ttc_s: smallest two-dimensional TTC
-    from then on, None where it is never below CAP_S; pet_s: where the paths cross; drac_mps2: largest deceleration that
-    the target would have needed, 0 where it never closes in; brakes_mps2: hardest braking of the vehicle itself from
-    the moment on, 0 where it never brakes; human_brakes: whether a human would have braked.
+    gap_m: bumper to bumper along the target's heading at the moment of the event, whichever is ahead; of a crossing
+    from the bumper to where the paths cross; speed_difference_mps: speed of the vehicle minus that of the target
+    then; min_ttc_s: smallest two-dimensional TTC from then on, of a cut-in since the vehicle is half way over, of a
+    crossing of all steps, None where it is never below CAP_S; ttc_at_s: when that is; headway_s: smallest time headway
+    of the target behind the vehicle from the moment on, front to front, None where it is never behind it; pet_s: where
+    the paths cross; drac_mps2: largest deceleration that the target would have needed, 0 where it never closes in;
+    brakes_mps2: hardest braking of the vehicle itself from the moment on, 0 where it never brakes; human_brakes:
+    whether a human would have braked.
     """
 
     gap_m: float
     speed_difference_mps: float
     min_ttc_s: float | None
+    ttc_at_s: float | None
+    headway_s: float | None
     pet_s: float | None
     drac_mps2: float
     brakes_mps2: float
@@ -41,8 +50,8 @@ class EventMeasures:
         return self.min_ttc_s is not None and self.min_ttc_s < HUMAN_BRAKES_S
 
 
-def measure_event(states: AgentStates, own: int, target: int, *, at_step: int, since_step: int) -> EventMeasures:
-    """Measures of an event of a vehicle and its target, two rows, at a step; TTC and DRAC from since_step on.
+def measure_event(states: AgentStates, kind: str, own: int, target: int, *, at_step: int) -> EventMeasures:
+    """Measures of an event of a kind, of a vehicle and its target, two rows, at a step.
 
     Errors: ValueError where one of the two is not there at that step.
     """
@@ -51,12 +60,21 @@ def measure_event(states: AgentStates, own: int, target: int, *, at_step: int, s
     forward = np.array([np.cos(arrays.heading[there]), np.sin(arrays.heading[there])])
     box, here = BoxSize(arrays.length[target], arrays.width[target]), states.traffic.rows([own]).at(at_step)
     seen, speed = gaps_from_pose(arrays.position[there], forward, box, here), np.hypot(*arrays.velocity.T)
+    gap_m = float(seen.gap_m[0])
+    if kind == "cross" and (crossed := crossing_steps(states, own, target)) is not None:
+        first, last = sorted(_row(states, target, step) for step in crossed)
+        way_m = np.hypot(*np.diff(arrays.position[first : last + 1], axis=0).T).sum()
+        gap_m = float(way_m) - 0.5 * box.length_m
     later, course = speed[row : states.row_span(own).stop], pair_course(arrays, target, own, cap_s=CAP_S)
+    since_step = {"cross": 0, "cut_in": max(0, at_step - round(_ARRIVES_S / arrays.step_s))}.get(kind, at_step)
     course = course.during(since_step, arrays.num_steps)
-    min_ttc_s = float(course.ttc_s.min(initial=np.inf))
+    least = int(course.ttc_s.argmin()) if np.isfinite(course.ttc_s).any() else None
     return EventMeasures(
-        gap_m=float(seen.gap_m[0]), speed_difference_mps=float(speed[row] - speed[there]),
-        min_ttc_s=min_ttc_s if min_ttc_s < CAP_S else None, pet_s=post_encroachment_of(states, own, target),
+        gap_m=gap_m, speed_difference_mps=float(speed[row] - speed[there]),
+        min_ttc_s=None if least is None else float(course.ttc_s[least]),
+        ttc_at_s=None if least is None else float(course.step[least] * arrays.step_s),
+        headway_s=None if kind == "cross" else _headway_s(course.during(at_step, arrays.num_steps)),
+        pet_s=post_encroachment_of(states, own, target),
         drac_mps2=float(course.drac_mps2.max(initial=0.0)),
         brakes_mps2=float(np.max(-np.gradient(later, arrays.step_s), initial=0.0)) if later.size > 1 else 0.0,
     )  # fmt: skip
@@ -67,6 +85,20 @@ def post_encroachment_of(states: AgentStates, own: int, target: int) -> float | 
     pair = np.sort(np.array([own, target]))
     found = encroachments(states.arrays, cap_s=CAP_S, agents=pair, crossing_rad=CROSSING_RAD)
     return found[0].pet_s if found else None
+
+
+def crossing_steps(states: AgentStates, own: int, target: int) -> tuple[int, int] | None:
+    """Steps at which the centres of two agents are where their paths cross, own and target's; None if they do not."""
+    arrays, (a, b) = states.arrays, (states.row_span(agent) for agent in (own, target))
+    at, there = paths_cross(
+        arrays.position[a], arrays.heading[a], arrays.position[b], arrays.heading[b], math.sin(CROSSING_RAD)
+    )
+    return None if at < 0 else (int(arrays.step[a][at]), int(arrays.step[b][there]))
+
+
+def _headway_s(course: PairCourse) -> float | None:
+    least_s = float(course.headway_s[course.gap_m >= 0.0].min(initial=math.inf))
+    return least_s if math.isfinite(least_s) else None
 
 
 def _row(states: AgentStates, agent: int, step: int) -> int:

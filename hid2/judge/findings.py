@@ -8,6 +8,8 @@ from hid2.params import Config, Conflict, Limits
 
 #: What is claimed is seen in the states within so long of the time claimed, s.
 CLAIM_S = 0.5
+#: A figure that is claimed is that of the states, but for so much of its unit.
+FIGURE_OFF = 0.01
 #: A recorded follower keeps this time headway, s, unless it kept less to its own leader; shorter ones count above this
 #: speed, m/s, when they last so long, s.
 FOLLOWER_HEADWAY_S, FOLLOWER_MPS, FOLLOWER_FOR_S = 0.8, 3.0, 1.0
@@ -78,6 +80,11 @@ class Quantity(StrEnum):
     END_TTC = "end_ttc", "s", "time to collision after the last step, all at constant velocity"
     END_CONTACT = "end_contact", "s", "contact after the last step that braking does not avoid"
     CLAIM = "claim", "s", "time between what is claimed and what the states show"
+    CLAIMED_GAP = "claimed_gap", "m", "difference to the gap that is claimed of an event"
+    CLAIMED_SPEED = "claimed_speed_difference", "m/s", "difference to the speed difference that is claimed of an event"
+    CLAIMED_TTC = "claimed_ttc", "s", "difference to the least time to collision that is claimed of an event"
+    CLAIMED_PET = "claimed_pet", "s", "difference to the post-encroachment time that is claimed of an event"
+    CLAIMED_DRAC = "claimed_drac", "m/s2", "difference to the DRAC that is claimed of an event"
     FOLLOWER_HEADWAY = "follower_headway", "s", "time headway that a recorded follower is left with"
 
 

@@ -12,8 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-import numba
-from numba import njit
+from numba import config, njit
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -29,7 +28,7 @@ def digest(sources: Iterable[Path]) -> str:
 
 
 def _folder() -> Path | None:
-    """Where what is compiled of these sources is kept: NUMBA_CACHE_DIR, beside them, the user's cache; None: nowhere."""
+    """Where to keep what is compiled: NUMBA_CACHE_DIR, beside the sources, the user's cache; None: nowhere."""
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     name = f"kernels-{digest(sorted(_ROOM.glob('*.py')))[:16]}"
@@ -48,11 +47,12 @@ FOLDER = _folder()
 @contextlib.contextmanager
 def _kept_in(folder: Path) -> Iterator[None]:
     """What is decorated meanwhile is kept in a folder; where others keep theirs stays as it is."""
-    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
+    settings: Any = config  # what is set when it is imported has no types
+    before, settings.CACHE_DIR = settings.CACHE_DIR, str(folder)
     try:
         yield
     finally:
-        numba.config.CACHE_DIR = before
+        settings.CACHE_DIR = before
 
 
 def kernel(*signatures: str) -> Callable[[F], F]:

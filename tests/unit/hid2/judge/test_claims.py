@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from hid2.agents import BoxSize, Track
-from hid2.judge.claims import Claim, EventClaim, crossing_steps, event_step, judge_claims, manoeuvres
+from hid2.judge.claims import FIGURES, Claim, EventClaim, event_step, judge_claims, manoeuvres
+from hid2.judge.events import crossing_steps
+from hid2.judge.findings import Quantity
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.occupancy.agent_states import AgentStates, agent_states
@@ -75,6 +77,19 @@ def test_cut_in_comes_from_beside_into_the_lane_of_the_target_ahead_of_it(states
     target, own, claim = _cut_in(0.0, _across(5.0, start=3.5, to=0.0))
     assert event_step(states(target, own), claim) == pytest.approx(50, abs=1)
     assert judge_claims(states(target, own), [], [claim]) == []
+
+
+def test_figures_that_are_told_are_those_of_the_states(states: Callable[..., AgentStates]) -> None:
+    """15 m between centres at 10 m/s each: what is told of the gap is off by 2 m, and there is no TTC."""
+    target, own, claim = _cut_in(0.0, _across(5.0, start=3.5, to=0.0))
+    scene, gap_m = states(target, own), 15.0 - own.size.length_m
+    told = {"gap_m": gap_m, "speed_difference_mps": 0.0, "min_ttc_s": None, "pet_s": None, "drac_mps2": 0.0}
+    assert told.keys() == FIGURES.keys()
+    assert judge_claims(scene, [], [claim._replace(figures=told)]) == []
+    wrong = claim._replace(figures=told | {"gap_m": gap_m - 2.0, "min_ttc_s": 1.6})
+    gap, ttc = judge_claims(scene, [], [wrong])
+    assert (gap.quantity, gap.value, gap.step) == (Quantity.CLAIMED_GAP, pytest.approx(2.0, abs=0.05), 50)
+    assert (ttc.quantity, ttc.value, ttc.other) == (Quantity.CLAIMED_TTC, math.inf, "t")
 
 
 def test_vehicle_that_is_in_the_lane_all_the_time_cuts_into_nothing(states: Callable[..., AgentStates]) -> None:

@@ -1,6 +1,7 @@
 """Measures of an event between a vehicle and its target: gap, TTC, DRAC, PET."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -37,10 +38,11 @@ def test_target_that_closes_in_has_gap_ttc_and_drac(pair: Callable[..., AgentSta
     A step later the gap is 0.2 m less. At step 30 it is 10 m: TTC 5 s, DRAC 2 * 2 / (2 * 10) = 0.2 m/s2. Up to step 59
     the gap falls to 16 - 5.9 * 2 = 4.2 m: TTC 2.1 s, DRAC 4 / 8.4.
     """
-    found = measure_event(pair(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0)), 0, 1, at_step=30, since_step=30)
+    found = measure_event(pair(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0)), "lead", 0, 1, at_step=30)
     assert found.gap_m == pytest.approx(10.0)
     assert found.speed_difference_mps == pytest.approx(-2.0)
-    assert found.min_ttc_s == pytest.approx(2.1, abs=1e-6)
+    assert (found.min_ttc_s, found.ttc_at_s) == (pytest.approx(2.1, abs=1e-6), pytest.approx(5.9))
+    assert found.headway_s == pytest.approx(0.82)  # 4.2 m and a length of 4 m at 10 m/s
     assert found.drac_mps2 == pytest.approx(4.0 / 8.4, rel=1e-6)
     assert found.human_brakes
     assert found.pet_s is None
@@ -48,8 +50,30 @@ def test_target_that_closes_in_has_gap_ttc_and_drac(pair: Callable[..., AgentSta
 
 def test_target_that_falls_back_needs_no_braking(pair: Callable[..., AgentStates]) -> None:
     """The vehicle ahead is faster: never closing in, no TTC, DRAC 0, and nobody brakes."""
-    found = measure_event(pair(_drive(20.0, 0.0, 12.0), _drive(0.0, 0.0, 10.0)), 0, 1, at_step=10, since_step=0)
-    assert (found.min_ttc_s, found.drac_mps2, found.human_brakes) == (None, 0.0, False)
+    found = measure_event(pair(_drive(20.0, 0.0, 12.0), _drive(0.0, 0.0, 10.0)), "lead", 0, 1, at_step=10)
+    assert (found.min_ttc_s, found.ttc_at_s, found.drac_mps2, found.human_brakes) == (None, None, 0.0, False)
+    assert found.headway_s == pytest.approx(2.2)  # 20 m front to front at step 0, 22 m at the moment
+
+
+def test_cut_in_counts_since_the_vehicle_is_half_way_over(pair: Callable[..., AgentStates]) -> None:
+    """The target is slower from step 30 on: at step 40 it closes in no more, 1.5 s before it does, 2 m/s over 2.2 m."""
+    speed = np.where(np.arange(60) < 30, 10.0, 8.0)
+    way = np.concatenate([[0.0], np.cumsum(0.1 * speed[:-1])])
+    slower = replace(
+        _drive(0.0, 0.0, 10.0), position=np.column_stack([way, np.zeros(60)]),
+        velocity=np.column_stack([speed, np.zeros(60)]),
+    )  # fmt: skip
+    states = pair(_drive(12.0, 0.0, 8.0), slower)
+    assert measure_event(states, "lead", 0, 1, at_step=40).min_ttc_s is None
+    found = measure_event(states, "cut_in", 0, 1, at_step=40)
+    assert (found.min_ttc_s, found.ttc_at_s) == (pytest.approx(1.1), pytest.approx(2.9))
+
+
+def test_gap_of_a_crossing_is_from_the_bumper_to_where_the_paths_cross(pair: Callable[..., AgentStates]) -> None:
+    """The vehicle passes the point at step 20, when the target has 20 m to it, half a length of 2 m less."""
+    states = pair(_drive(0.0, -20.0, 10.0, heading=np.pi / 2), _drive(-40.0, 0.0, 10.0))
+    found = measure_event(states, "cross", 0, 1, at_step=20)
+    assert (found.gap_m, found.headway_s) == (pytest.approx(18.0, abs=1.0), None)
 
 
 def test_crossing_has_a_pet(pair: Callable[..., AgentStates]) -> None:
@@ -71,4 +95,4 @@ def test_paths_that_do_not_meet_have_no_crossing(pair: Callable[..., AgentStates
 def test_moment_without_a_state_is_an_error(pair: Callable[..., AgentStates]) -> None:
     """Step 70 of a track of 60 steps."""
     with pytest.raises(ValueError, match="no state at step 70"):
-        measure_event(pair(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0)), 0, 1, at_step=70, since_step=0)
+        measure_event(pair(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0)), "lead", 0, 1, at_step=70)

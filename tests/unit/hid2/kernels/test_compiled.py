@@ -33,10 +33,7 @@ from hid2.kernels.compiled import kernel
 def caller(x: float) -> float:
     return called(x)
 '''
-RUN = (
-    "from hid2.kernels.caller import caller; print(caller(1.0), sum(caller.stats.cache_hits.values()),"
-    " *(name for name in ('scipy.linalg', 'numba.np.arraymath') if name in __import__('sys').modules))"
-)
+RUN = "from hid2.kernels.caller import caller; print(caller(1.0), sum(caller.stats.cache_hits.values()))"
 
 
 @pytest.fixture
@@ -60,28 +57,17 @@ def run(room: Path, *arguments: str, **variables: str) -> subprocess.CompletedPr
     return done
 
 
-def test_kernel_is_kept_and_loads_without_the_compiler(room: Path) -> None:
-    """Loaded by the second process (one hit), whose imports do not grow by what the compiler needs."""
-    assert run(room).stdout.split()[:2] == ["2.0", "0"]
+def test_kernel_is_kept_for_the_next_process(room: Path) -> None:
+    assert run(room).stdout.split() == ["2.0", "0"]
     assert run(room).stdout.split() == ["2.0", "1"]
-
-
-def test_kept_kernel_is_linked_into_one_that_is_compiled_later(room: Path) -> None:
-    """Its bitcode, which loading leaves aside, is read then: 1 + 1, and 1 more."""
-    run(room)
-    script = (
-        "from numba import njit; from hid2.kernels.caller import caller;"
-        " print(caller(1.0), njit(lambda x: caller(x) + 1.0)(1.0), sum(caller.stats.cache_hits.values()))"
-    )
-    assert run(room, "-c", script).stdout.split() == ["2.0", "3.0", "1"]
 
 
 def test_changed_kernel_is_compiled_again_with_what_calls_it(room: Path) -> None:
     """The caller's own file is the same; numba itself would go on with the old one."""
     run(room)
     (room / "called.py").write_text(CALLED.format(value=2))
-    assert run(room).stdout.split()[:2] == ["3.0", "0"]
-    assert run(room).stdout.split()[:2] == ["3.0", "1"]
+    assert run(room).stdout.split() == ["3.0", "0"]
+    assert run(room).stdout.split() == ["3.0", "1"]
 
 
 def test_change_outside_of_the_room_compiles_nothing(room: Path) -> None:
@@ -93,11 +79,11 @@ def test_change_outside_of_the_room_compiles_nothing(room: Path) -> None:
 
 def test_set_up_compiles_once_and_says_so(room: Path) -> None:
     compile_all = ("-m", "hid2.kernels.compile")
-    assert run(room, *compile_all).stderr == "hid2: compiling 1 functions, which takes a minute\n"
+    assert run(room, *compile_all).stderr == "hid2: compiling inner loops, which takes a minute\n"
     assert run(room, *compile_all).stderr == ""
     assert run(room).stdout.split() == ["2.0", "1"]
     (room / "called.py").write_text(CALLED.format(value=2))
-    assert run(room, *compile_all).stderr == "hid2: compiling 1 functions, which takes a minute\n"
+    assert run(room, *compile_all).stderr == "hid2: compiling inner loops, which takes a minute\n"
     assert run(room).stdout.split() == ["3.0", "1"]
 
 
@@ -105,8 +91,8 @@ def test_code_is_kept_elsewhere_where_sources_cannot_be_written(room: Path) -> N
     """Where NUMBA_CACHE_DIR says; also for root, since a file is where the folder would be."""
     (room / "__pycache__").write_text("")
     chosen = room.parents[1] / "chosen"
-    assert run(room, NUMBA_CACHE_DIR=str(chosen)).stdout.split()[:2] == ["2.0", "0"]
-    assert run(room, NUMBA_CACHE_DIR=str(chosen)).stdout.split()[:2] == ["2.0", "1"]
+    assert run(room, NUMBA_CACHE_DIR=str(chosen)).stdout.split() == ["2.0", "0"]
+    assert run(room, NUMBA_CACHE_DIR=str(chosen)).stdout.split() == ["2.0", "1"]
     assert list(chosen.rglob("*.nbi"))
 
 
@@ -116,7 +102,7 @@ def test_kernels_run_where_nothing_can_be_written(room: Path) -> None:
     nothing.write_text("")
     places = {"HOME": str(nothing), "XDG_CACHE_HOME": str(nothing)}
     for _ in range(2):
-        assert run(room, **places).stdout.split()[:2] == ["2.0", "0"]
+        assert run(room, **places).stdout.split() == ["2.0", "0"]
     run(room, "-m", "hid2.kernels.compile", **places)
 
 
