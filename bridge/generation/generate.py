@@ -30,6 +30,7 @@ from bridge.recordings.sidecar import (
     RequestedRecord,
     Sidecar,
 )
+from bridge.sumo.drivers import model_parameters
 from bridge.sumo.driving import Driving
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.replay import ReplayErrors
@@ -134,19 +135,6 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
 def sumo_seed(seed: Sequence[int]) -> int:
     """SUMO's seed from seed, variant and scene; rounds go on in its stream of random numbers."""
     return zlib.crc32(repr(list(seed)).encode()) & 0x7FFFFFFF
-
-
-def model_parameters(config: Config) -> dict[str, float]:
-    """Attributes of SUMO's vehicle type that its vehicles share."""
-    found: dict[str, float] = {}
-    if config.car_following.model == "EIDM":
-        law = config.drivers
-        found = {"sigmaerror": law.error, "jerkmax": config.car_following.jerk_mps3, "treaction": law.reaction_s}
-    if config.lane_change.rule == "LC2013":
-        change = config.lane_change
-        found |= {"lcStrategic": change.lc_strategic, "lcCooperative": change.lc_cooperative}
-        found["lcSpeedGain"] = change.lc_speed_gain
-    return found
 
 
 class _Rounds:

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from bridge.generation.gaps import look_row, number
-from bridge.generation.generate import PreparedScene, as_driven, model_parameters, sumo_seed
+from bridge.generation.generate import PreparedScene, as_driven, sumo_seed
 from bridge.studies.columns import REQUEST_COLUMNS
+from bridge.sumo.drivers import model_parameters
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.flow_driving import NEAR_M, FlowDriving
 from bridge.sumo.simulation import Simulation

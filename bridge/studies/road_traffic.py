@@ -13,9 +13,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bridge.generation.generate import model_parameters, sumo_seed
+from bridge.generation.generate import sumo_seed
 from bridge.recordings.recording import Recording
 from bridge.recordings.road import RAMPS, ROW, Road
+from bridge.sumo.drivers import model_parameters
 from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize
 from hid2.drivers.driver import Driver, draw_driver

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bridge.generation.generate import model_parameters, prepare, sumo_seed
+from bridge.generation.generate import prepare, sumo_seed
 from bridge.recordings.scenario import find_scenarios, read_scenario
+from bridge.sumo.drivers import model_parameters
 from bridge.sumo.driving import Driving
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.simulation import Simulation
