@@ -4,7 +4,7 @@ import logging
 import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 
 import numpy as np
@@ -58,13 +58,20 @@ _VARIANTS_KEPT = 8
 
 @dataclass(eq=False, slots=True, repr=False)
 class PreparedScene:
-    """What the variants of one scene share: grid, net, and what vehicles find there."""
+    """What the variants of one scene share: grid, nets by their speed limit, and what vehicles find there."""
 
     scenario: Recording
     grid: CellGrid
-    net: bytes
+    _nets: dict[float, bytes] = field(default_factory=dict)
     _surroundings: Surroundings | None = None
     _asked: int = 0
+
+    def net(self, config: Config) -> bytes:
+        """The net on which the drivers of a configuration may drive as fast as they desire. Errors: NetError."""
+        fastest_mps = config.spawn.max_speed_mps
+        if fastest_mps not in self._nets:
+            self._nets[fastest_mps] = net_bytes(self.grid, fastest_mps=fastest_mps)
+        return self._nets[fastest_mps]
 
     def surroundings(self, config: Config) -> Surroundings:
         """What vehicles find in the scene; kept for the next ones with the same configuration."""
@@ -81,12 +88,12 @@ class PreparedScene:
 
 
 def prepare(source: Recording | TrafficScene, config: Config) -> PreparedScene:
-    """Grid and net of a scene. Errors: MapError, NetError, ScenarioError where it is not plausible."""
+    """Grid of a scene. Errors: MapError, ScenarioError where it is not plausible."""
     scenario = source.recording if isinstance(source, TrafficScene) else source
     if config.source.plausible:
         check_plausible(scenario)
     grid = build_cell_grid(scenario.graph, cell_m=config.grid.cell_m, max_skew_m=config.grid.max_skew_m)
-    return PreparedScene(scenario=scenario, grid=grid, net=net_bytes(grid))
+    return PreparedScene(scenario=scenario, grid=grid)
 
 
 def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *, variant: int = 0) -> TrafficScene:
@@ -106,7 +113,7 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
     filling = Filling(surroundings, seed)
     _LOG.debug("%s variant %d: %s vehicles asked for", scenario.scenario_id, variant, config.request.agents)
     with Simulation(
-        prepared.net, seed=sumo_seed(seed), step_s=scene.step_s, model=config.car_following.model,
+        prepared.net(config), seed=sumo_seed(seed), step_s=scene.step_s, model=config.car_following.model,
         parameters=model_parameters(config), checks_gaps=config.lane_change.safety == "sumo",
     ) as simulation:  # fmt: skip
         rounds: _Rounds

@@ -118,9 +118,9 @@ class RoadTraffic:
         if own:
             more["lcKeepRight"] = rule_arguments(config.lane_change).get("keep_right", 1.0)
         with Simulation(
-            net_bytes(self._grid), seed=sumo_seed([config.request.seed]), step_s=road.step_s,
-            model=config.car_following.model, parameters=more, checks_gaps=config.lane_change.safety == "sumo",
-            own_wish=own,
+            net_bytes(self._grid, fastest_mps=config.spawn.max_speed_mps), seed=sumo_seed([config.request.seed]),
+            step_s=road.step_s, model=config.car_following.model, parameters=more,
+            checks_gaps=config.lane_change.safety == "sumo", own_wish=own,
         ) as simulation:  # fmt: skip
             due, speeds = deque(self.vehicles), deque(self._end_speeds())
             every = max(1, round(ASK_S / road.step_s))

@@ -32,6 +32,7 @@ from hid2.measures.arrays import stack
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from hid2.occupancy.shown import ASIDE_M
 from hid2.occupancy.traffic import BoolArray
+from hid2.params import Config
 from netconvert.cells import SAVED_WITHIN_M, Cell, CellGrid, build_cell_grid
 from netconvert.errors import ScenarioError
 from netconvert.geo import CITY_ORIGINS
@@ -47,15 +48,17 @@ _Placed = tuple[list[Cell], FloatArray, BoolArray]
 def sumo_files(scenario: Recording) -> dict[str, bytes]:
     """Contents of all files by file name; vehicles of a generated scene get routes."""
     name, sidecar = scenario.scenario_id, sidecar_in(scenario.folder, scenario.scenario_id)
+    config = Config() if sidecar is None else config_from_dict(sidecar.config, source=f"{name}: the sidecar's config")
     grid = build_cell_grid(scenario.graph, saved_within_m=SAVED_WITHIN_M)
     placed = _places(scenario, grid)
     files = gui_files(grid, name, step_s=scenario.step_s, options=run_options(scenario, f"{name}.rou.xml"))
-    files[f"{name}.net.xml"] = net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city))
+    fastest_mps = config.spawn.max_speed_mps
+    files[f"{name}.net.xml"] = net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city), fastest_mps=fastest_mps)
     files[f"{name}.fcd.xml"] = _fcd(scenario, grid, placed)
     if sidecar is None or not sidecar.agents:
         del files[f"{name}.sumocfg"]  # SUMO would have nothing to drive
     else:
-        files[f"{name}.rou.xml"] = _routes(scenario, sidecar, grid, placed)
+        files[f"{name}.rou.xml"] = _routes(scenario, sidecar, config, grid, placed)
     return files | playable_files(scenario, grid)
 
 
@@ -107,9 +110,10 @@ def _places(scenario: Recording, grid: CellGrid) -> dict[str, _Placed]:
     return {track_id: (cells[start:stop], pos[start:stop], on[start:stop]) for track_id, (start, stop) in bounds}
 
 
-def _routes(scenario: Recording, sidecar: Sidecar, grid: CellGrid, placed: Mapping[str, _Placed]) -> bytes:
+def _routes(
+    scenario: Recording, sidecar: Sidecar, config: Config, grid: CellGrid, placed: Mapping[str, _Placed]
+) -> bytes:
     """Types of the inserted vehicles, and the vehicles in the order of departure."""
-    config = config_from_dict(sidecar.config, source=f"{scenario.scenario_id}: configuration of its sidecar")
     colors, drivers = paints(scenario), {agent.track_id: agent.driver for agent in sidecar.agents}
     links = {
         grid.edge_id(row[0]): [grid.edge_id(target) for cell in row for target in grid.following(cell)]

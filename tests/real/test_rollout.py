@@ -44,7 +44,7 @@ def apart(folder: Path) -> list[FloatArray]:
     world = World(scene, here.roads, Guard(scene, nobody, here.stop_lines))
     found = []
     with Simulation(
-        prepared.net, seed=sumo_seed(seed), step_s=scene.step_s, model=config.car_following.model,
+        prepared.net(config), seed=sumo_seed(seed), step_s=scene.step_s, model=config.car_following.model,
         parameters=model_parameters(config) | NO_NOISE,
     ) as simulation:  # fmt: skip
         for start in Filling(here, seed).first_starts(ASKED):
