@@ -128,7 +128,9 @@ class Spawn(_Section):
         9.0, "m/s", "median moving speed on urban AV2 lanes; where the scene has none", gt=0, le=40
     )
     min_speed_mps: float = _param(4.0, "m/s", "slowest desired speed drawn", ge=0, le=40)
-    max_speed_mps: float = _param(20.0, "m/s", "fastest desired speed drawn", gt=0, le=50)
+    max_speed_mps: float = _param(
+        20.0, "m/s", "fastest desired speed drawn; where it is above 20, the speed limit of the lanes", gt=0, le=50
+    )
     usual_from_m: float = _param(
         5.0, "m", "vehicles that drive less over the scene do not count for the usual speed", ge=0, le=100
     )
@@ -170,6 +172,12 @@ class Spawn(_Section):
     driven_again: int = _param(
         1, "times", "a vehicle that had waited for one that is gone is driven again", ge=0, le=10
     )
+
+    @model_validator(mode="after")
+    def _check(self) -> "Spawn":
+        if self.prior_speed_mps > self.max_speed_mps:
+            raise ValueError(f"prior_speed_mps {self.prior_speed_mps:g} is above max_speed_mps {self.max_speed_mps:g}")
+        return self
 
 
 class Sites(_Section):

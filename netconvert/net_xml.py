@@ -20,7 +20,7 @@ from netconvert.geo import CityOrigin
 from netconvert.geometry import FloatArray, cut_at
 from netconvert.lane_graph import SIDES, LaneGraph, LaneSegment, TurnType, joined
 
-#: Speed limit of every lane, m/s (45 mph); the maps have none.
+#: Speed limit of every lane, m/s (45 mph), unless drivers desire more; the maps have none.
 SPEED_LIMIT_MPS = 20.0
 #: The same of nets for traffic of SUMO's own, which drives as fast as it may (50 km/h).
 WHOLE_LIMIT_MPS = 13.89
@@ -43,10 +43,16 @@ _SEEN_M = 100.0
 _DIRECTION = {TurnType.STRAIGHT: "s", TurnType.LEFT: "l", TurnType.RIGHT: "r"}
 
 
-def net_bytes(grid: CellGrid, *, origin: CityOrigin | None = None) -> bytes:
+def speed_limit_mps(fastest_mps: float) -> float:
+    """Speed limit of lanes, m/s, on which the fastest desired speed is fastest_mps: no driver is held below its own."""
+    return max(SPEED_LIMIT_MPS, fastest_mps)
+
+
+def net_bytes(grid: CellGrid, *, origin: CityOrigin | None = None, fastest_mps: float = SPEED_LIMIT_MPS) -> bytes:
     """The net.xml of a grid, in city coordinates. Equal grids give equal bytes.
 
-    origin: of the city frame; with it the net has a geo-reference, so that it lies on a map.
+    origin: of the city frame; with it the net has a geo-reference, so that it lies on a map. fastest_mps: see
+    `speed_limit_mps`.
     """
     rows = tuple(grid.rows())
     edge_ids = [grid.edge_id(row[0]) for row in rows]
@@ -59,7 +65,8 @@ def net_bytes(grid: CellGrid, *, origin: CityOrigin | None = None) -> bytes:
 
     editable = grid.saved_within_m is not None
     text = ["<?xml version='1.0' encoding='UTF-8'?>", f'<net version="{NET_VERSION}">', location(grid.graph, origin)]
-    templates = {lane_id: _lane_attributes(grid, lane) for lane_id, lane in grid.graph.lanes.items()}
+    limit_mps = speed_limit_mps(fastest_mps)
+    templates = {lane_id: _lane_attributes(grid, lane, limit_mps) for lane_id, lane in grid.graph.lanes.items()}
     step_m = _MIN_SAVED_STEP_M if editable else _MIN_STEP_M
     lines = {
         lane_id: cut_at(lane.path.points, lane.path.s, grid.edges_s(lane_id), grid.borders(lane_id), farther_m=step_m)
@@ -164,13 +171,13 @@ def location(graph: LaneGraph, origin: CityOrigin | None) -> str:
     return f'  <location {places} projParameter="{projection}"/>'
 
 
-def _lane_attributes(grid: CellGrid, lane: LaneSegment) -> str:
+def _lane_attributes(grid: CellGrid, lane: LaneSegment, limit_mps: float) -> str:
     """What all cells of a lane have in common, as XML attributes."""
     allowed = ALLOWED_CLASSES[lane.lane_type]
     classes = "" if allowed is None else f' allow="{allowed}"'
     length_m = lane.length_m / grid.count(lane.lane_id)
     custom = "" if grid.saved_within_m is None else ' customShape="1"'
-    return f'{classes} speed="{SPEED_LIMIT_MPS:g}" length="{length_m:.6f}" width="{lane.width_m:.2f}"{custom}'
+    return f'{classes} speed="{limit_mps:g}" length="{length_m:.6f}" width="{lane.width_m:.2f}"{custom}'
 
 
 def shape(points: FloatArray, *, digits: int = 2) -> str:

@@ -15,7 +15,7 @@ from bridge.config import config_sha256
 from bridge.evaluation.calibrate import observe_scene, pooled
 from bridge.evaluation.evaluate import write_table
 from bridge.files import explained, write_text
-from bridge.generation.generate import model_parameters, sumo_seed
+from bridge.generation.generate import sumo_seed
 from bridge.generation.program import code_sha256, libraries
 from bridge.pages.parts import Section, macro, page
 from bridge.recordings.export import new_scenario_id, recording_record_of, with_generated, with_motion, write_recording
@@ -23,6 +23,7 @@ from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import GeneratorRecord, PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
 from bridge.recordings.sources import find_sources
+from bridge.sumo.drivers import model_parameters
 from bridge.sumo.driving import Driving
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.lane_changes import Attempt

@@ -4,7 +4,7 @@ import logging
 import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 
 import numpy as np
@@ -30,6 +30,7 @@ from bridge.recordings.sidecar import (
     RequestedRecord,
     Sidecar,
 )
+from bridge.sumo.drivers import model_parameters
 from bridge.sumo.driving import Driving
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.replay import ReplayErrors
@@ -57,13 +58,20 @@ _VARIANTS_KEPT = 8
 
 @dataclass(eq=False, slots=True, repr=False)
 class PreparedScene:
-    """What the variants of one scene share: grid, net, and what vehicles find there."""
+    """What the variants of one scene share: grid, nets by their speed limit, and what vehicles find there."""
 
     scenario: Recording
     grid: CellGrid
-    net: bytes
+    _nets: dict[float, bytes] = field(default_factory=dict)
     _surroundings: Surroundings | None = None
     _asked: int = 0
+
+    def net(self, config: Config) -> bytes:
+        """The net on which the drivers of a configuration may drive as fast as they desire. Errors: NetError."""
+        fastest_mps = config.spawn.max_speed_mps
+        if fastest_mps not in self._nets:
+            self._nets[fastest_mps] = net_bytes(self.grid, fastest_mps=fastest_mps)
+        return self._nets[fastest_mps]
 
     def surroundings(self, config: Config) -> Surroundings:
         """What vehicles find in the scene; kept for the next ones with the same configuration."""
@@ -80,12 +88,12 @@ class PreparedScene:
 
 
 def prepare(source: Recording | TrafficScene, config: Config) -> PreparedScene:
-    """Grid and net of a scene. Errors: MapError, NetError, ScenarioError where it is not plausible."""
+    """Grid of a scene. Errors: MapError, ScenarioError where it is not plausible."""
     scenario = source.recording if isinstance(source, TrafficScene) else source
     if config.source.plausible:
         check_plausible(scenario)
     grid = build_cell_grid(scenario.graph, cell_m=config.grid.cell_m, max_skew_m=config.grid.max_skew_m)
-    return PreparedScene(scenario=scenario, grid=grid, net=net_bytes(grid))
+    return PreparedScene(scenario=scenario, grid=grid)
 
 
 def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *, variant: int = 0) -> TrafficScene:
@@ -105,7 +113,7 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
     filling = Filling(surroundings, seed)
     _LOG.debug("%s variant %d: %s vehicles asked for", scenario.scenario_id, variant, config.request.agents)
     with Simulation(
-        prepared.net, seed=sumo_seed(seed), step_s=scene.step_s, model=config.car_following.model,
+        prepared.net(config), seed=sumo_seed(seed), step_s=scene.step_s, model=config.car_following.model,
         parameters=model_parameters(config), checks_gaps=config.lane_change.safety == "sumo",
     ) as simulation:  # fmt: skip
         rounds: _Rounds
@@ -134,19 +142,6 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
 def sumo_seed(seed: Sequence[int]) -> int:
     """SUMO's seed from seed, variant and scene; rounds go on in its stream of random numbers."""
     return zlib.crc32(repr(list(seed)).encode()) & 0x7FFFFFFF
-
-
-def model_parameters(config: Config) -> dict[str, float]:
-    """Attributes of SUMO's vehicle type that its vehicles share."""
-    found: dict[str, float] = {}
-    if config.car_following.model == "EIDM":
-        law = config.drivers
-        found = {"sigmaerror": law.error, "jerkmax": config.car_following.jerk_mps3, "treaction": law.reaction_s}
-    if config.lane_change.rule == "LC2013":
-        change = config.lane_change
-        found |= {"lcStrategic": change.lc_strategic, "lcCooperative": change.lc_cooperative}
-        found["lcSpeedGain"] = change.lc_speed_gain
-    return found
 
 
 class _Rounds:

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from bridge.generation.gaps import look_row, number
-from bridge.generation.generate import PreparedScene, as_driven, model_parameters, sumo_seed
+from bridge.generation.generate import PreparedScene, as_driven, sumo_seed
 from bridge.studies.columns import REQUEST_COLUMNS
+from bridge.sumo.drivers import model_parameters
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.flow_driving import NEAR_M, FlowDriving
 from bridge.sumo.simulation import Simulation
@@ -118,7 +119,7 @@ def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedR
     ]  # fmt: skip
     comers = [replace(one, driver=_with_duration(one.driver, config.lane_change)) for one in drawn.arrivals]
     with Simulation(
-        prepared.net, seed=sumo_seed(drawn.seed), step_s=scene.step_s, model=config.car_following.model,
+        prepared.net(config), seed=sumo_seed(drawn.seed), step_s=scene.step_s, model=config.car_following.model,
         parameters=model_parameters(config), checks_gaps=config.lane_change.safety == "sumo",
     ) as simulation:  # fmt: skip
         none = traffic_of_exported([], scene)

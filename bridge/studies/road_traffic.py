@@ -13,9 +13,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bridge.generation.generate import model_parameters, sumo_seed
+from bridge.generation.generate import sumo_seed
 from bridge.recordings.recording import Recording
 from bridge.recordings.road import RAMPS, ROW, Road
+from bridge.sumo.drivers import model_parameters
 from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize
 from hid2.drivers.driver import Driver, draw_driver
@@ -115,9 +116,9 @@ class RoadTraffic:
         if own:
             more["lcKeepRight"] = rule_arguments(config.lane_change).get("keep_right", 1.0)
         with Simulation(
-            net_bytes(self._grid), seed=sumo_seed([config.request.seed]), step_s=road.step_s,
-            model=config.car_following.model, parameters=more, checks_gaps=config.lane_change.safety == "sumo",
-            own_wish=own,
+            net_bytes(self._grid, fastest_mps=config.spawn.max_speed_mps), seed=sumo_seed([config.request.seed]),
+            step_s=road.step_s, model=config.car_following.model, parameters=more,
+            checks_gaps=config.lane_change.safety == "sumo", own_wish=own,
         ) as simulation:  # fmt: skip
             due, speeds = deque(self.vehicles), deque(self._end_speeds())
             every = max(1, round(ASK_S / road.step_s))

@@ -3,14 +3,15 @@
 <id>.net.xml     the net of `hid2 net`, with the city's UTM zone and origin: sumo-gui and sumolib put it on a map
 <id>.rou.xml     the inserted vehicles: type and driver, departure, route along the net's edges
 <id>.fcd.xml     what `sumo --fcd-output` would have written: every agent at every step, as it was exported
-<id>.sumocfg     SUMO drives the inserted vehicles, alone and by its own car following
+<id>.sumocfg     SUMO drives the inserted vehicles, where there are any, alone and by its own car following
 <id>_scene.*     plain sumo-gui plays the whole scene, as `bridge.sumo.playback` lays it out
 
 Positions in the FCD output are SUMO's: the middle of the front bumper, and degrees clockwise from north. Every agent is
-a vehicle of its own size there, pedestrians too, as in the simulation; one off every lane has the nearest in `lane`.
+a vehicle of its own size there, pedestrians too, as in the simulation; it has a lane where it has one there.
 """
 
 import logging
+import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
@@ -19,43 +20,46 @@ import shapely
 from lxml import etree
 from lxml.builder import E
 
+from bridge.config import config_from_dict
 from bridge.pictures.figures import kinds_in
 from bridge.recordings.recording import Recording
-from bridge.recordings.sidecar import Sidecar
+from bridge.recordings.sidecar import DriverRecord, Sidecar
+from bridge.sumo.drivers import driver_attributes, model_parameters
 from bridge.sumo.playback import departure, playable_files, run_options, vehicle_type
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray
+from hid2.drivers.driver import Driver
 from hid2.measures.arrays import stack
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
+from hid2.occupancy.shown import ASIDE_M
+from hid2.occupancy.traffic import BoolArray
+from hid2.params import Config
 from netconvert.cells import SAVED_WITHIN_M, Cell, CellGrid, build_cell_grid
+from netconvert.errors import ScenarioError
 from netconvert.geo import CITY_ORIGINS
 from netconvert.gui_files import gui_files, xml_bytes
 from netconvert.net_xml import net_bytes
 
 _LOG = logging.getLogger(__name__)
-#: SUMO's names for what a driver has; all else of it stands as a parameter, which SUMO keeps and does not use.
-_OF_SUMO = {
-    "desired_mps": "maxSpeed",
-    "tau_s": "tau",
-    "accel_mps2": "accel",
-    "decel_mps2": "decel",
-    "min_gap_m": "minGap",
-}
-#: Where an agent's front bumper is on the net at each of its steps: (N,) cells and metres along them.
-_Placed = tuple[list[Cell], FloatArray]
+#: Where an agent's front bumper is on the net at each of its steps: (N,) cells, metres along them, and whether it is
+#: near enough to its lane to be on it.
+_Placed = tuple[list[Cell], FloatArray, BoolArray]
 
 
 def sumo_files(scenario: Recording) -> dict[str, bytes]:
     """Contents of all files by file name; vehicles of a generated scene get routes."""
     name, sidecar = scenario.scenario_id, scenario.sidecar
+    config = Config() if sidecar is None else config_from_dict(sidecar.config, source=f"{name}: the sidecar's config")
     grid = build_cell_grid(scenario.graph, saved_within_m=SAVED_WITHIN_M)
     placed = _places(scenario, grid)
-    options = run_options(scenario, None if sidecar is None else f"{name}.rou.xml")
-    files = gui_files(grid, name, step_s=scenario.step_s, options=options)
-    files[f"{name}.net.xml"] = net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city))
+    files = gui_files(grid, name, step_s=scenario.step_s, options=run_options(scenario, f"{name}.rou.xml"))
+    fastest_mps = config.spawn.max_speed_mps
+    files[f"{name}.net.xml"] = net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city), fastest_mps=fastest_mps)
     files[f"{name}.fcd.xml"] = _fcd(scenario, grid, placed)
-    if sidecar is not None:
-        files[f"{name}.rou.xml"] = _routes(scenario, sidecar, grid, placed)
+    if sidecar is None or not sidecar.agents:
+        del files[f"{name}.sumocfg"]  # SUMO would have nothing to drive
+    else:
+        files[f"{name}.rou.xml"] = _routes(scenario, sidecar, config, grid, placed)
     return files | playable_files(scenario, grid)
 
 
@@ -72,39 +76,44 @@ def _fcd(scenario: Recording, grid: CellGrid, placed: Mapping[str, _Placed]) -> 
     """FCD output: the timesteps in order, and the agents of each in the scene's order."""
     root = E("fcd-export", *(E.timestep(time=f"{step * scenario.step_s:.2f}") for step in range(scenario.num_steps)))
     for track in scenario.tracks:
-        name, (cells, pos) = track.track_id, placed[track.track_id]
+        name, (cells, pos, on) = track.track_id, placed[track.track_id]
         front, angle = sumo_poses(track.position, track.heading, np.full(len(track.timesteps), track.size.length_m))
         rows = np.column_stack([front, angle, track.speed, pos]).tolist()
-        for step, cell, row in zip(track.timesteps.tolist(), cells, rows, strict=True):
+        for step, cell, there, row in zip(track.timesteps.tolist(), cells, on.tolist(), rows, strict=True):
             x, y, degrees, speed, along = (f"{value:.3f}" for value in row)  # to mm, 0.001 degrees, mm/s
             place = {"id": name, "x": x, "y": y, "angle": degrees, "type": f"type_{name}", "speed": speed}
-            root[step].append(E.vehicle({**place, "pos": along, "lane": grid.sumo_lane_id(cell), "slope": "0.00"}))
+            place |= {"pos": along, "lane": grid.sumo_lane_id(cell)} if there else {}
+            root[step].append(E.vehicle({**place, "slope": "0.00"}))
     etree.indent(root, "    ")
     return xml_bytes(root)
 
 
 def _places(scenario: Recording, grid: CellGrid) -> dict[str, _Placed]:
-    """Cells of every agent, by the lane that it is matched to, else by the nearest lane."""
+    """Cells of every agent, by the lane that it is matched to, else by the nearest lane, however far."""
     tracks, graph = scenario.tracks, scenario.graph
     arrays = stack(tracks, num_steps=scenario.num_steps, step_s=scenario.step_s)
     flat = flatten_lanes(graph)
     matches = match_lanes(arrays, flat)
     lines = [shapely.LineString(flat.lane_points(lane)) for lane in range(len(flat.lane_ids))]
     nearest = shapely.STRtree(lines).nearest(shapely.points(arrays.position))
-    lane_ids = flat.lane_ids[np.where(matches.lane >= 0, matches.lane, nearest)]
+    rows = np.where(matches.lane >= 0, matches.lane, nearest)
     front, _ = sumo_poses(arrays.position, arrays.heading, arrays.length[arrays.agent])
+    apart_m = shapely.distance(shapely.points(front), np.array(lines)[rows])
+    on, lane_ids = (matches.lane >= 0) | (apart_m <= ASIDE_M), flat.lane_ids[rows]
     along = np.empty(len(lane_ids))
     for lane_id in np.unique(lane_ids).tolist():
-        rows = lane_ids == lane_id
-        along[rows] = graph.lanes[lane_id].path.frenet(front[rows])[0]
+        here = lane_ids == lane_id
+        along[here] = graph.lanes[lane_id].path.frenet(front[here])[0]
     cells = [grid.cell_at(lane_id, s) for lane_id, s in zip(lane_ids.tolist(), along.tolist(), strict=True)]
     begin = np.array([grid.edges_s(cell.lane_id)[cell.index] for cell in cells])
     pos = np.clip(along - begin, 0.0, [grid.length_m(cell) for cell in cells])
     bounds = zip(arrays.track_ids, pairwise(arrays.first.tolist()), strict=True)
-    return {track_id: (cells[start:stop], pos[start:stop]) for track_id, (start, stop) in bounds}
+    return {track_id: (cells[start:stop], pos[start:stop], on[start:stop]) for track_id, (start, stop) in bounds}
 
 
-def _routes(scenario: Recording, sidecar: Sidecar, grid: CellGrid, placed: Mapping[str, _Placed]) -> bytes:
+def _routes(
+    scenario: Recording, sidecar: Sidecar, config: Config, grid: CellGrid, placed: Mapping[str, _Placed]
+) -> bytes:
     """Types of the inserted vehicles, and the vehicles in the order of departure."""
     faces, drivers = kinds_in(scenario), {agent.track_id: agent.driver for agent in sidecar.agents}
     links = {
@@ -113,22 +122,31 @@ def _routes(scenario: Recording, sidecar: Sidecar, grid: CellGrid, placed: Mappi
     }
     kinds, vehicles = [], []
     for track in sorted((track for track in scenario.tracks if track.track_id in drivers), key=departure):
-        name, (cells, pos) = track.track_id, placed[track.track_id]
-        kind, driver, more = vehicle_type(track, faces[name]), drivers[name], []
+        name, (cells, pos, _) = track.track_id, placed[track.track_id]
+        kind, driver, speed_mps = vehicle_type(track, faces[name]), drivers[name], float(track.speed[0])
         if driver is not None:  # car following as the vehicle was driven with
-            kind |= {"carFollowModel": driver.model, "speedFactor": "1", "speedDev": "0"}
-            values = {key: f"{value:g}" for key, value in sorted(driver.parameters.items())}
-            kind |= {_OF_SUMO[key]: value for key, value in values.items() if key in _OF_SUMO}
-            more = [E.param(key=f"hid2.{key}", value=value) for key, value in values.items() if key not in _OF_SUMO]
-        kinds.append(E.vType(kind, *more))
+            more = model_parameters(config) | driver_attributes(_driver(driver, name), driver.model)
+            kind |= {"carFollowModel": driver.model, **{key: f"{value:g}" for key, value in more.items()}}
+            speed_mps = min(speed_mps, more["maxSpeed"])  # SUMO inserts no vehicle that is faster
+        kinds.append(E.vType(kind))
         vehicle = {"id": name, "type": f"type_{name}", "depart": f"{track.timesteps[0] * scenario.step_s:.2f}"}
-        vehicle |= {
-            "departLane": str(grid.lane_index(cells[0])),
-            "departPos": f"{np.floor(100.0 * pos[0]) / 100.0:.2f}",
-        }
-        vehicle |= {"departSpeed": f"{track.speed[0]:.2f}", "insertionChecks": "none"}
+        vehicle |= {"departLane": str(grid.lane_index(cells[0])), "departPos": _rounded_down(pos[0])}
+        vehicle |= {"departSpeed": _rounded_down(speed_mps), "insertionChecks": "none"}
         vehicles.append(E.vehicle(vehicle, E.route(edges=" ".join(_edges(cells, grid, links, name)))))
     return xml_bytes(E.routes(*kinds, *vehicles))
+
+
+def _driver(record: DriverRecord, name: str) -> Driver:
+    try:
+        return Driver(**record.parameters)
+    except TypeError as error:
+        told = ", ".join(record.parameters) or "nothing"
+        raise ScenarioError(f"{name}: the driver in the sidecar has {told}, expected all of a driver") from error
+
+
+def _rounded_down(value: float) -> str:
+    """To two digits, and so within a lane and a greatest speed."""
+    return f"{math.floor(value * 100.0) / 100.0:.2f}"
 
 
 def _edges(cells: Sequence[Cell], grid: CellGrid, links: Mapping[str, Sequence[str]], name: str) -> list[str]:

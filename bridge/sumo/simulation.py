@@ -2,7 +2,7 @@
 
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import ClassVar, Self
@@ -11,6 +11,7 @@ os.environ.setdefault("LIBSUMO_AS_TRACI", "quiet")  # read on import: silences a
 
 import libsumo
 
+from bridge.sumo.drivers import driver_attributes
 from hid2.agents import BoxSize
 from hid2.drivers.driver import Driver
 from hid2.occupancy.shown import ASIDE_M
@@ -29,6 +30,14 @@ _ASIDE_MATCH_M = 1e-9  # no tunable: so little that it is on no lane
 _NEVER_S = 1000.0  # longer than any scene
 _NET, _START, _TYPES = "scene.net.xml", "start.xml", "types.add.xml"
 _DRIVEN = "driven"
+#: What of a vehicle type libsumo sets while it runs, by attribute.
+_SETTERS: Mapping[str, Callable[[str, float], None]] = {
+    "accel": libsumo.vehicletype.setAccel, "decel": libsumo.vehicletype.setDecel,
+    "emergencyDecel": libsumo.vehicletype.setEmergencyDecel, "tau": libsumo.vehicletype.setTau,
+    "minGap": libsumo.vehicletype.setMinGap, "maxSpeed": libsumo.vehicletype.setMaxSpeed,
+    "speedFactor": libsumo.vehicletype.setSpeedFactor, "speedDev": libsumo.vehicletype.setSpeedDeviation,
+    "sigma": libsumo.vehicletype.setImperfection,
+}  # fmt: skip
 
 
 class Simulation:
@@ -204,16 +213,10 @@ class Simulation:
         libsumo.vehicletype.copy(_DRIVEN, type_id)
         libsumo.vehicletype.setLength(type_id, size.length_m)
         libsumo.vehicletype.setWidth(type_id, size.width_m)
-        libsumo.vehicletype.setAccel(type_id, driver.accel_mps2)
-        libsumo.vehicletype.setDecel(type_id, driver.decel_mps2)
-        libsumo.vehicletype.setEmergencyDecel(type_id, max(driver.decel_mps2, 9.0))
-        libsumo.vehicletype.setTau(type_id, driver.tau_s)
-        libsumo.vehicletype.setMinGap(type_id, driver.min_gap_m)
-        libsumo.vehicletype.setMaxSpeed(type_id, max_speed_mps)
-        if self._model != "EIDM":
-            libsumo.vehicletype.setImperfection(type_id, self._parameters.get("sigma", 0.0))
-        libsumo.vehicletype.setSpeedFactor(type_id, 1.0)
-        libsumo.vehicletype.setSpeedDeviation(type_id, 0.0)
+        of_driver = driver_attributes(driver, self._model) | self._parameters | {"maxSpeed": max_speed_mps}
+        for attribute, value in of_driver.items():
+            if attribute in _SETTERS:  # others are those of the type that is copied
+                _SETTERS[attribute](type_id, value)
         return type_id
 
     def disregard_others(self, vehicle_id: str) -> None:

@@ -34,7 +34,7 @@ from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start
 from netconvert.lane_graph import TurnType
-from netconvert.net_xml import SPEED_LIMIT_MPS
+from netconvert.net_xml import speed_limit_mps
 
 _NONE = Traffic.none(1)
 #: Not parameters, they save time: no follower has a critical TTC on the path that it drives if it has so much
@@ -44,8 +44,8 @@ _FOLLOWS_M, _ASIDE_M = 3.0, 12.0
 _NEAR_GAPS_M = 40.0
 #: No tunable: of the time between two looks of a vehicle that waits for a gap, while it passes another one.
 _PASSING_SHARE = 0.3
-#: Desired speeds, m/s, that SUMO's EIDM has at most for a link of the net, by its direction; speed limit of every lane.
-_TURN_MPS = {TurnType.STRAIGHT: SPEED_LIMIT_MPS, TurnType.LEFT: 8.0, TurnType.RIGHT: 6.0}
+#: Desired speeds, m/s, that SUMO's EIDM has at most for a link of the net that turns; for others the lanes' limit.
+_TURN_MPS = {TurnType.LEFT: 8.0, TurnType.RIGHT: 6.0}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -385,7 +385,9 @@ class World:
             lanes, along = self.scene.grid.graph.lanes, path.followed
             ends = np.array([one.end for one in along])
             paces = np.array([(one.end - one.start) / max(one.lane_end - one.lane_start, 1e-9) for one in along])
-            self._links[path] = ends, paces, np.array([_TURN_MPS[lanes[one.lane_id].turn] for one in along])
+            limit_mps = speed_limit_mps(self.scene.config.spawn.max_speed_mps)
+            most_mps = [_TURN_MPS.get(lanes[one.lane_id].turn, limit_mps) for one in along]
+            self._links[path] = ends, paces, np.array(most_mps)
         return self._links[path]
 
     def _shown_on(self, path: DrivenPath, box: BoxSize) -> Shown:

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bridge.generation.generate import model_parameters, prepare, sumo_seed
+from bridge.generation.generate import prepare, sumo_seed
 from bridge.recordings.scenario import find_scenarios, read_scenario
+from bridge.sumo.drivers import model_parameters
 from bridge.sumo.driving import Driving
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.simulation import Simulation
@@ -43,7 +44,7 @@ def apart(folder: Path) -> list[FloatArray]:
     world = World(scene, here.roads, Guard(scene, nobody, here.stop_lines))
     found = []
     with Simulation(
-        prepared.net, seed=sumo_seed(seed), step_s=scene.step_s, model=config.car_following.model,
+        prepared.net(config), seed=sumo_seed(seed), step_s=scene.step_s, model=config.car_following.model,
         parameters=model_parameters(config) | NO_NOISE,
     ) as simulation:  # fmt: skip
         for start in Filling(here, seed).first_starts(ASKED):

@@ -13,7 +13,7 @@ from hid2.params import Config
 def _replay(folder: Path, tmp_path: Path) -> tuple[ReplayErrors, int]:
     scenario = read_scenario(folder)
     net = tmp_path / "scene.net.xml"
-    net.write_bytes(prepare(scenario, Config()).net)
+    net.write_bytes(prepare(scenario, Config()).net(Config()))
     traffic = traffic_of(scenario.tracks, scenario.num_steps, step_s=scenario.step_s)
     with Simulation(net, seed=0, step_s=scenario.step_s) as simulation:
         replay = Replay(simulation, traffic, "r", step_s=scenario.step_s)

@@ -67,6 +67,7 @@ def test_ablations_are_a_list() -> None:
         ("turn.trough_at=nan", "turn.trough_at = nan, expected number >= 0.1"),
         ("request.trigger_max_s=0.1", "trigger_max_s 0.1 is below trigger_min_s 0.5"),
         ("sites.slow_leader_max=0.1", "slow_leader_max 0.1 is below slow_leader_min 0.5"),
+        ("spawn.prior_speed_mps=30", "prior_speed_mps 30 is above max_speed_mps 20"),
         ("conflict.brakes_mps2=[0.0, 2.0, 1.0]", "brakes_mps2 .* does not rise from 0"),
         ("conflict.brakes_mps2=[1.0, 2.0]", "brakes_mps2 .* does not rise from 0"),
         ("export.filter_ratios=[]", "export.filter_ratios = .*, expected list of numbers > 0, <= 10 and not empty"),

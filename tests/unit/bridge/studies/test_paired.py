@@ -92,6 +92,21 @@ def test_corridor_out_of_range_is_named(tmp_path: Path, changes: dict[str, float
     assert not list(tmp_path.iterdir())
 
 
+def test_speeds_above_the_usual_limit_of_lanes_are_driven_where_they_are_desired(corridor: Path) -> None:
+    """30 m/s (108 km/h) are desired, on lanes of 20 m/s unless asked for more: each vehicle comes near its own speed.
+
+    An EIDM driver keeps to 95 % of it and more on a free road; the first ones have nothing ahead.
+    """
+    spawn = Spawn(prior_speed_mps=30.0, max_speed_mps=45.0)
+    config = _corridor_config().model_copy(update={"spawn": spawn, "flow": Flow(veh_per_h_lane=400.0, warm_up_s=0.0)})
+    prepared = prepare(read_scenario(corridor), config)
+    driven = paired_run(prepared, draw(prepared, drawing_config(config)), config).driven
+    shares = [max(vehicle.v) / vehicle.start.driver.desired_mps for vehicle in driven if len(vehicle.v) > 50]
+    assert len(shares) > 4
+    assert np.median(shares) > 0.95
+    assert prepared.net(Config()) == prepare(read_scenario(corridor), Config()).net(Config())  # nets are kept apart
+
+
 def test_arrivals_keep_their_headways_and_their_rate(corridor: Path) -> None:
     """1,500 veh/h: 2.4 s in the mean, never below 1.2 s; over two lanes and 20 seeds of 40 s some 660 headways."""
     scenario = read_scenario(corridor)

@@ -9,7 +9,7 @@ import pytest
 from hand_drawn import draw_lane
 from inserted import DRIVER, nobody, recorded, scene_on, start_on
 
-from bridge.generation.generate import model_parameters
+from bridge.sumo.drivers import model_parameters
 from bridge.sumo.driving import Driving
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.simulation import Simulation
