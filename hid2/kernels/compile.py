@@ -4,6 +4,9 @@ import importlib
 import pkgutil
 import sys
 from collections.abc import Callable
+from typing import Any
+
+from numba.core.sigutils import normalize_signature
 
 import hid2.kernels
 from hid2.kernels.compiled import FOLDER, KERNELS
@@ -20,7 +23,7 @@ def compile_kernels() -> None:
             importlib.import_module(f"hid2.kernels.{module.name}")
     for dispatcher, signatures in KERNELS:
         for signature in signatures:
-            dispatcher.compile(signature)
+            dispatcher.compile(_types(signature))
 
 
 def make_ready(say: Callable[[str], None] = _say) -> None:
@@ -30,6 +33,12 @@ def make_ready(say: Callable[[str], None] = _say) -> None:
     say("compiling inner loops, which takes a minute")
     compile_kernels()
     (FOLDER / "all").touch()
+
+
+def _types(signature: str) -> Any:  # noqa: ANN401  # numba's types of the arguments
+    """The types of a signature: what is compiled for its text is not found by a call."""
+    parse: Any = normalize_signature
+    return parse(signature)[0]
 
 
 if __name__ == "__main__":

@@ -80,10 +80,11 @@ def test_cut_in_comes_from_beside_into_the_lane_of_the_target_ahead_of_it(states
 
 
 def test_figures_that_are_told_are_those_of_the_states(states: Callable[..., AgentStates]) -> None:
-    """15 m between centres at 10 m/s each: what is told of the gap is off by 2 m, and there is no TTC."""
+    """15 m between centres at 10 m/s along the road: the gap that is told is off by 2 m, and there is no TTC."""
     target, own, claim = _cut_in(0.0, _across(5.0, start=3.5, to=0.0))
     scene, gap_m = states(target, own), 15.0 - own.size.length_m
-    told = {"gap_m": gap_m, "speed_difference_mps": 0.0, "min_ttc_s": None, "pet_s": None, "drac_mps2": 0.0}
+    across_mps = float(np.hypot(10.0, np.gradient(own.position[:, 1], 0.1)[50])) - 10.0
+    told = {"gap_m": gap_m, "speed_difference_mps": across_mps, "min_ttc_s": None, "pet_s": None, "drac_mps2": 0.0}
     assert told.keys() == FIGURES.keys()
     assert judge_claims(scene, [], [claim._replace(figures=told)]) == []
     wrong = claim._replace(figures=told | {"gap_m": gap_m - 2.0, "min_ttc_s": 1.6})
