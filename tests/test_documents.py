@@ -3,6 +3,7 @@
 import re
 import runpy
 import shlex
+import shutil
 import subprocess
 from pathlib import Path
 from typing import get_args
@@ -170,7 +171,7 @@ def test_every_reason_is_given_somewhere() -> None:
 
 def test_the_study_on_the_page_of_studies_is_one(tmp_path: Path) -> None:
     page = (ROOT / "bridge" / "studies" / "README.md").read_text()
-    lines = page.split("## The file\n")[1].split("`vary` and one scene")[0].splitlines()
-    (tmp_path / "study.toml").write_text("\n".join(line.removeprefix("    ") for line in lines))
+    (tmp_path / "study.toml").write_text(page.split("## The file of a study\n\n```toml\n")[1].split("```")[0])
+    shutil.copy(ROOT / "data" / "studies" / "two_sided.py", tmp_path)
     study = read_study(tmp_path / "study.toml", scenes=[ROOT / "data" / "av2"])
-    assert len(study.points) == 3
+    assert len(study.points) == 4

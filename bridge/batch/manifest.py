@@ -27,8 +27,8 @@ from netconvert.errors import BatchError
 MANIFEST_NAME = "manifest.csv"
 #: Last column: CRC-32 of the line up to it.
 CHECK = "check"
-#: Columns of manifests that hid2-sumo 0.2 wrote, and of those before the selection was told: today's first ones.
-_OLDER = (30, 33)
+#: Columns of manifests before the selection, and before events, were told, and of older ones: today's first ones.
+_OLDER = (30, 33, 42)
 #: Longest text in a row, characters; the bundle of a scene has all of its reason.
 MAX_TEXT = 2_000
 _MAX_LINE = 100_000
@@ -70,7 +70,6 @@ class ManifestRow(NamedTuple):
     maneuvers_done: int = 0
     events_requested: int = 0
     events_done: int = 0
-    events: str = ""
     rejected: str = ""
     not_done: str = ""
     seconds: float = 0.0
@@ -95,6 +94,7 @@ class ManifestRow(NamedTuple):
     standing_recorded: float = 0.0
     limited_kept: float = 0.0
     limited_dropped: float = 0.0
+    events: str = ""
 
     @property
     def key(self) -> tuple[str, str, str, int]:

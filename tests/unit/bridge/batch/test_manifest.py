@@ -58,7 +58,7 @@ def test_text_that_a_spreadsheet_would_run_is_none_in_the_file_and_the_same_when
     assert (read["scenario"], read["city"], read["reason"]) == ("'=cmd", "'@SUM(1)", "'-2+3")
 
 
-@pytest.mark.parametrize("since", ["rule_sha256", "driven"])
+@pytest.mark.parametrize("since", ["rule_sha256", "driven", "events"])
 def test_manifest_of_an_older_version_is_read(since: str, tmp_path: Path) -> None:
     """Before these columns a row ended with the one before; the check sum was of that line."""
     fields = ManifestRow._fields[: ManifestRow._fields.index(since)]
