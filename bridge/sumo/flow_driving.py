@@ -1,17 +1,18 @@
 """Vehicles that enter at the map's edge while the scene runs, beside those that start in it: for studies."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from bridge.sumo.driving import Driving
+from bridge.sumo.driving import Driving, Limit
+from bridge.sumo.lane_changes import Attempt
 from bridge.sumo.poses import center_on_path
 from bridge.sumo.routes import edges_along
 from hid2.drivers.driver import MIDDLE
 from hid2.insertion.flow import Arrival
-from hid2.occupancy.gaps import gaps_on_path
+from hid2.occupancy.gaps import gaps_from_pose
 from hid2.occupancy.traffic import Traffic
 from hid2.vehicle import Start, VehicleRequest
 
@@ -22,7 +23,10 @@ NEAR_M = 150.0
 
 @dataclass(eq=False, slots=True)
 class FlowDriving(Driving):
-    """`Driving`, and arrivals: each waits before the map until SUMO finds room for it, and is driven from then on.
+    """`Driving`, and arrivals: each waits before the map for room, and is driven from then on.
+
+    Room is what SUMO finds on its lane, and none of the boxes that are across: a vehicle that changes lanes is on its
+    new one at once in SUMO, and for seconds on both in the world.
 
     trigger_after_s: s from its entry to the trigger of an arrival. entered: step at which a vehicle appeared, by its
     id; waiting_s: how long it had waited before the map.
@@ -40,31 +44,54 @@ class FlowDriving(Driving):
         """All of them at all steps: any may be ahead of a vehicle that enters."""
         return self.fleet.scene.traffic, self.fleet.fixed
 
-    def _enter(self, step: int) -> None:
-        Driving._enter(self, step)
-        if not self.arrivals:
-            return
-        inside = self.simulation.driven()
-        for vehicle_id in [name for name in self._queued if name in inside]:
-            self._appear(self._queued.pop(vehicle_id), step)
+    def _steer(self, step: int) -> tuple[dict[int, Attempt], dict[int, Limit]]:
+        """Those that are due are let in last, when it is known which vehicles change lanes at this step."""
+        attempts, limits = Driving._steer(self, step)
         while self._next < len(self.arrivals) and self.arrivals[self._next].due_s <= step * self.fleet.scene.step_s:
             self._held.append(self.arrivals[self._next])
             self._next += 1
-        held, blocked = [], set()
-        for arrival in self._held:
-            if arrival.lane_id in blocked or not self._is_clear(arrival, step):
-                blocked.add(arrival.lane_id)
-                held.append(arrival)
-            else:
+        first = {arrival.lane_id: arrival for arrival in reversed([*self._queued.values(), *self._held])}
+        across = self._across(step, attempts)
+        for arrival in first.values():
+            is_clear, is_queued = self._is_clear(arrival, across), arrival.vehicle_id in self._queued
+            if is_clear and not is_queued:
                 self._queue(arrival)
-        self._held = held
+                self._held.remove(arrival)
+            elif is_queued and not is_clear:
+                self.simulation.remove(arrival.vehicle_id)
+                self._held.insert(0, self._queued.pop(arrival.vehicle_id))
+        return attempts, limits
 
-    def _is_clear(self, arrival: Arrival, step: int) -> bool:
-        """Whether no recorded agent is too near ahead; those driven are SUMO's business."""
-        seen = self.fleet.scene.recorded_on(arrival.path, arrival.box)
-        edge = np.array([-arrival.box.length_m])  # no agent on the path is behind it
-        room_m = arrival.driver.min_gap_m + arrival.driver.tau_s * arrival.driver.desired_mps
-        return bool(gaps_on_path(seen, edge, step).lead_m[0] >= room_m + 1.5 * arrival.box.length_m)
+    def _enter(self, step: int) -> None:
+        Driving._enter(self, step)
+        if self._queued:
+            inside = self.simulation.driven()
+            for vehicle_id in [name for name in self._queued if name in inside]:
+                self._appear(self._queued.pop(vehicle_id), step)
+
+    def _across(self, step: int, attempts: Collection[int]) -> Traffic:
+        """Recorded agents, and vehicles that change lanes, which SUMO has on one of the two: one step.
+
+        attempts: rows of those that are to begin it now.
+        """
+        fleet = self.fleet
+        changing = {
+            vehicle.vehicle_id for row, vehicle in enumerate(fleet.vehicles)
+            if row in attempts or (vehicle.path.shifts and vehicle.s and vehicle.s[-1] < vehicle.path.shifts[-1][1])
+        }  # fmt: skip
+        driven = fleet.traffic()
+        rows = [row for row, name in enumerate(driven.ids) if name in changing]
+        return fleet.scene.traffic.at(step).joined(driven.rows(rows))
+
+    def _is_clear(self, arrival: Arrival, across: Traffic) -> bool:
+        """Whether no box is in the way where a vehicle enters, nor too near ahead; SUMO sees to those on its lane."""
+        driver, box = arrival.driver, arrival.box
+        xy, forward, _ = arrival.path.line.motion(np.array([0.5 * box.length_m]))
+        seen = gaps_from_pose(xy[0], forward[0], box, across)
+        room_m = driver.min_gap_m + driver.tau_s * driver.desired_mps
+        beside = seen.aside_m < self.fleet.scene.config.conflict.margin_lateral_m
+        near = seen.gap_m < np.where(seen.along_m > 0.0, room_m, 0.0)
+        return not bool((beside & near & across.present[:, 0]).any())
 
     def _queue(self, arrival: Arrival) -> None:
         scene = self.fleet.scene

@@ -210,7 +210,9 @@ class Simulation:
     def _driver_type(self, vehicle_id: str, driver: Driver, size: BoxSize, max_speed_mps: float) -> str:
         """A vehicle type of one driver's own."""
         type_id = f"driven_{vehicle_id}"
-        libsumo.vehicletype.copy(_DRIVEN, type_id)
+        if type_id not in self._types:  # a vehicle that was taken out may come again
+            libsumo.vehicletype.copy(_DRIVEN, type_id)
+            self._types.add(type_id)
         libsumo.vehicletype.setLength(type_id, size.length_m)
         libsumo.vehicletype.setWidth(type_id, size.width_m)
         of_driver = driver_attributes(driver, self._model) | self._parameters | {"maxSpeed": max_speed_mps}

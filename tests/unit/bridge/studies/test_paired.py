@@ -107,6 +107,29 @@ def test_speeds_above_the_usual_limit_of_lanes_are_driven_where_they_are_desired
     assert prepared.net(Config()) == prepare(read_scenario(corridor), Config()).net(Config())  # nets are kept apart
 
 
+def test_no_vehicle_enters_into_the_box_of_one_that_is_leaving_the_lane(tmp_path: Path) -> None:
+    """Vehicles change lanes from 0.5 to 2 s after they entered at 7 m/s, which takes 5 s: SUMO has them on the new
+    lane from the first moment on, so that room on its lanes alone lets the next ones in where boxes meet.
+
+        lane 2   ---[ SUMO ]------          the next one waits until the box is 10 m ahead
+        lane 1   [next][ box ]----
+    """
+    scenario = read_scenario(write_corridor(tmp_path, length_m=120.0, lanes=2, seconds=40.0))
+    rows, entered = [], 0
+    for seed in range(2):
+        config = _corridor_config(time_gap_front_s=0.2, time_gap_rear_s=0.2, min_gap_m=1.0)
+        asked = {"straight": 0.3, "lane_change": 0.7, "trigger_min_s": 0.5, "trigger_max_s": 2.0, "seed": seed}
+        more = {"spawn": Spawn(prior_speed_mps=7.0), "flow": Flow(veh_per_h_lane=1700.0, warm_up_s=0.0)}
+        config = config.model_copy(update={"request": config.request.model_copy(update=asked), **more})
+        prepared = prepare(scenario, config)
+        run = paired_run(prepared, draw(prepared, drawing_config(config)), config)
+        rows += [row for row in run.requests if row["start_s"] is not None]
+        entered += len(run.driven)
+    assert len(rows) >= 5
+    assert not [row["vehicle"] for row in rows if row["overlaps"]]
+    assert entered > 45  # 1,010 veh/h a lane: they wait no longer than they have to
+
+
 def test_arrivals_keep_their_headways_and_their_rate(corridor: Path) -> None:
     """1,500 veh/h: 2.4 s in the mean, never below 1.2 s; over two lanes and 20 seeds of 40 s some 660 headways."""
     scenario = read_scenario(corridor)

@@ -128,6 +128,24 @@ def test_vehicle_is_inserted_close_behind_another_if_it_was_planned_so(sumo: Sim
     assert {"v1", "v2"} <= sumo.driven()
 
 
+def test_vehicle_that_is_taken_from_the_queue_may_queue_again(sumo: Simulation) -> None:
+    """The lane's first metres are taken until the vehicle ahead has gone; the one behind it waits, twice."""
+    sumo.step()
+    assert _insert(sumo, "v1", 6.0, 0.0) is None
+    sumo.drive("v1", desired_mps=12.0, limit_mps=0.0)
+    for _ in range(2):
+        sumo.queue("v2", edges=EDGES, lane_index=0, driver=DRIVER, size=CAR)
+        sumo.step()
+        assert sumo.driven() == {"v1"}
+        sumo.remove("v2")
+        sumo.step()
+    sumo.queue("v2", edges=EDGES, lane_index=0, driver=DRIVER, size=CAR)
+    sumo.drive("v1", desired_mps=12.0, limit_mps=None)
+    for _ in range(80):
+        sumo.step()
+    assert sumo.lane("v2")[0].endswith("_0")
+
+
 def test_desired_speed_is_reached_within_the_vehicle_s_acceleration(sumo: Simulation) -> None:
     """From 8 towards 10 m/s at 1.8 m/s2: 8.18 after a step, 10 after 1.2 s."""
     _insert(sumo, "v1", 22.25, 8.0)
