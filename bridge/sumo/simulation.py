@@ -2,7 +2,7 @@
 
 import os
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import ClassVar, Self
@@ -30,13 +30,11 @@ _ASIDE_MATCH_M = 1e-9  # no tunable: so little that it is on no lane
 _NEVER_S = 1000.0  # longer than any scene
 _NET, _START, _TYPES = "scene.net.xml", "start.xml", "types.add.xml"
 _DRIVEN = "driven"
-#: What of a vehicle type libsumo sets while it runs, by attribute.
-_SETTERS: Mapping[str, Callable[[str, float], None]] = {
-    "accel": libsumo.vehicletype.setAccel, "decel": libsumo.vehicletype.setDecel,
-    "emergencyDecel": libsumo.vehicletype.setEmergencyDecel, "tau": libsumo.vehicletype.setTau,
-    "minGap": libsumo.vehicletype.setMinGap, "maxSpeed": libsumo.vehicletype.setMaxSpeed,
-    "speedFactor": libsumo.vehicletype.setSpeedFactor, "speedDev": libsumo.vehicletype.setSpeedDeviation,
-    "sigma": libsumo.vehicletype.setImperfection,
+#: What of a vehicle type libsumo sets while it runs: names, so that a file in its place is found where it is used.
+_SETTERS = {
+    "accel": "setAccel", "decel": "setDecel", "emergencyDecel": "setEmergencyDecel", "tau": "setTau",
+    "minGap": "setMinGap", "maxSpeed": "setMaxSpeed", "speedFactor": "setSpeedFactor",
+    "speedDev": "setSpeedDeviation", "sigma": "setImperfection",
 }  # fmt: skip
 
 
@@ -218,7 +216,7 @@ class Simulation:
         of_driver = driver_attributes(driver, self._model) | self._parameters | {"maxSpeed": max_speed_mps}
         for attribute, value in of_driver.items():
             if attribute in _SETTERS:  # others are those of the type that is copied
-                _SETTERS[attribute](type_id, value)
+                getattr(libsumo.vehicletype, _SETTERS[attribute])(type_id, value)
         return type_id
 
     def disregard_others(self, vehicle_id: str) -> None:

@@ -69,7 +69,7 @@ def test_event_that_comes_about_in_no_scene_is_in_the_table_with_its_reason_and_
     assert result.returncode == 1
     (row,) = rows_of(out)
     assert (row["events_requested"], row["events_done"]) == ("1", "0")
-    assert re.fullmatch(r"cut_in with av: event_\w+ \(1\)", row["not_done"])
+    assert re.fullmatch(r"cut_in with av: event_[\w:]+ \(1\)", row["not_done"])
     assert row["not_done"] in result.stdout
     assert result.stdout.splitlines()[1].split()[-3:] == ["events", "s", "remarks"]
     assert "\nevents done: 0 of 1\n" in result.stdout
