@@ -5,6 +5,7 @@ As in Jupyter, with its kernel. The tests run them with `run` and compare the ki
 
 import base64
 import io
+import os
 import subprocess
 import sys
 import tempfile
@@ -22,7 +23,8 @@ _COLORS, _WIDTH = 64, 800
 def run(notebook: Path, folder: Path) -> nbformat.NotebookNode:
     """A notebook with the outputs that its cells have when they run in a folder. Errors: CellExecutionError."""
     document = nbformat.read(notebook, as_version=4)
-    NotebookClient(document, resources={"metadata": {"path": str(folder)}}, record_timing=False).execute()
+    client = NotebookClient(document, resources={"metadata": {"path": str(folder)}}, record_timing=False)
+    client.execute(env={name: value for name, value in os.environ.items() if name != "MPLBACKEND"})  # Jupyter's own
     document.metadata.language_info = {"name": "python"}  # of any version
     for cell in document.cells:
         for output in cell.get("outputs", ()):

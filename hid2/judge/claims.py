@@ -102,7 +102,10 @@ def _wrong_figures(states: AgentStates, event: EventClaim) -> list[Finding]:
     shown = measure_event(states, event.kind, own, target, at_step=at_step)
     for name, told in event.figures.items():
         value = getattr(shown, name)
-        off = math.inf if (told is None) is not (value is None) else abs((told or 0.0) - (value or 0.0))
+        if told is None:  # of TTC and PET that says that there is none
+            off = math.inf if name in ("min_ttc_s", "pet_s") and value is not None else 0.0
+        else:
+            off = math.inf if value is None else abs(told - value)
         if off > FIGURE_OFF:
             found.append(Finding(event.track_id, at_step, FIGURES[name], off, FIGURE_OFF, event.target_id))
     return found
