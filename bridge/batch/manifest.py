@@ -27,8 +27,8 @@ from netconvert.errors import BatchError
 MANIFEST_NAME = "manifest.csv"
 #: Last column: CRC-32 of the line up to it.
 CHECK = "check"
-#: Columns of manifests before the selection, and before events, were told, and of older ones: today's first ones.
-_OLDER = (30, 33, 42)
+#: Columns of manifests before the selection, events and vehicles near were told, and of older ones: today's first ones.
+_OLDER = (30, 33, 42, 43)
 #: Longest text in a row, characters; the bundle of a scene has all of its reason.
 MAX_TEXT = 2_000
 _MAX_LINE = 100_000
@@ -49,7 +49,8 @@ class ManifestRow(NamedTuple):
     change rule of the user's own; version: of the program, by its contents too (`code_version`); platform,
     processor: where it ran; driven: vehicles, of which those placed are a selection; braking_*, standing_*: share
     of the vehicles that are kept, dropped or recorded that brake harder than 3 m/s2, or stand, at some time;
-    limited_*: share of steps in which one was limited for a conflict. Texts are printable, on one line and bounded.
+    limited_*: share of steps in which one was limited for a conflict; near: of those placed, those as near as
+    request.within_m to what request.near names. Texts are printable, on one line and bounded.
     """
 
     scenario: str
@@ -95,6 +96,7 @@ class ManifestRow(NamedTuple):
     limited_kept: float = 0.0
     limited_dropped: float = 0.0
     events: str = ""
+    near: int = 0
 
     @property
     def key(self) -> tuple[str, str, str, int]:

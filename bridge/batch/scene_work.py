@@ -84,6 +84,7 @@ def summarise(sidecar: Sidecar, row: ManifestRow) -> ManifestRow:
     )
     return row._replace(
         placed=sidecar.placed.agents,
+        near=sidecar.placed.near,
         straight=sidecar.placed.behaviours.get(Policy.STRAIGHT, 0),
         left_turn=done["left_turn"],
         right_turn=done["right_turn"],

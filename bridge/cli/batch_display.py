@@ -7,6 +7,7 @@ from bridge.batch.batch import Progress
 from bridge.batch.manifest import DONE, MANIFEST_NAME, ManifestRow
 from bridge.console import Activity, print_table, say
 from bridge.interruption import if_interrupted
+from hid2.params import Request
 
 #: A batch with more runs than this is summed up instead of listed.
 _LISTED_RUNS = 24
@@ -35,7 +36,7 @@ class BatchNotes:
         self._activity.show(progress.finished, progress.total, progress.rate, details)
 
 
-def print_batch(rows: Sequence[ManifestRow]) -> None:
+def print_batch(rows: Sequence[ManifestRow], request: Request) -> None:
     """Print what happened, run by run when there are few, and the sums."""
     bad = [row for row in rows if row.status != DONE]
     if len(rows) <= _LISTED_RUNS:
@@ -54,8 +55,10 @@ def print_batch(rows: Sequence[ManifestRow]) -> None:
     most = any(row.requested == "max" for row in done)
     asked = "" if most else f" of {sum(int(row.requested) for row in done)}"
     events = sum(row.events_requested for row in done)
+    target = "traffic" if request.near == "anywhere" else request.near
     print(
-        f"{len(done)} of {len(rows)} scenes done; vehicles placed: {sum(row.placed for row in done)}{asked}; "
+        f"{len(done)} of {len(rows)} scenes done; vehicles placed: {sum(row.placed for row in done)}{asked}, "
+        f"{sum(row.near for row in done)} of them within {request.within_m:g} m of {target}; "
         f"manoeuvres done: {sum(row.maneuvers_done for row in done)} of {sum(row.maneuvers_requested for row in done)}"
     )
     if events:

@@ -165,7 +165,7 @@ def generate(  # noqa: PLR0913  # one for each option
     if as_json:
         print_json(rows[0]._fields, rows)
     elif not activity.quiet:
-        print_batch(rows)
+        print_batch(rows, resolved.request)
         paths = [out / row.folder for row in rows if row.folder] if len(rows) <= _SHOWN_PATHS else []
         activity.result(*paths, out / "manifest.csv")
     return _ended(rows, came_about_nowhere(rows, resolved, named), out)

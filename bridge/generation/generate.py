@@ -14,6 +14,7 @@ from bridge.generation.program import code_sha256, libraries
 from bridge.generation.records import (
     agent_record,
     event_record,
+    near_count,
     rejected_records,
     replaced_record,
     selection_record,
@@ -263,7 +264,9 @@ def _sidecar(
             max_heading_error_rad=round(rounds.errors.max_heading_error_rad, 9),
         ),
         requested=RequestedRecord(agents=config.request.agents, behaviours=config.request.behaviours),
-        placed=PlacedRecord(agents=len(agents), behaviours={p: placed[p] for p in Policy if placed[p]}),
+        placed=PlacedRecord(
+            agents=len(agents), behaviours={p: placed[p] for p in Policy if placed[p]}, near=near_count(scene, vehicles)
+        ),
         agents=tuple(agents),
         unplaced=() if config.request.agents == "max" else tuple(unplaced),
         events=tuple(event_record(one, names) for one in filling.events),

@@ -26,7 +26,7 @@ from hid2.agents import Policy
 from hid2.insertion.events import EventOutcome
 from hid2.insertion.filling import Filling, Rejection, Unmet
 from hid2.insertion.finalise import ExportedVehicle
-from hid2.insertion.meetings import moving_vehicles
+from hid2.insertion.meetings import moving_vehicles, target_rows
 from hid2.insertion.outcome import Outcome
 from hid2.measures.selection import drives
 from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
@@ -186,6 +186,22 @@ def selection_record(scene: Scene, filling: Filling) -> SelectionRecord:
         dropped=DrivesRecord(**dropped._asdict()),
         recorded=DrivesRecord(**recorded._asdict()),
     )
+
+
+def near_count(scene: Scene, vehicles: Sequence[ExportedVehicle]) -> int:
+    """Vehicles whose centres come as near as request.within_m to what request.near names, when it says so."""
+    request, traffic = scene.config.request, scene.traffic
+    rows = target_rows(scene, request.near)
+    is_named = request.near not in ("traffic", "anywhere")
+    count = 0
+    for one in vehicles:
+        steps = np.arange(one.span.start, one.span.stop)
+        if is_named:
+            steps = steps[steps == scene.last_observed_step]
+        apart = traffic.position[rows][:, steps] - one.trajectory.position[steps - one.span.start]
+        is_near = traffic.present[rows][:, steps] & (np.hypot(*np.moveaxis(apart, -1, 0)) <= request.within_m)
+        count += bool(is_near.any())
+    return count
 
 
 def _finite(value: float) -> float | None:

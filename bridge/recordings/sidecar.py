@@ -82,10 +82,11 @@ class RequestedRecord(_Record):
 
 
 class PlacedRecord(_Record):
-    """Vehicles exported; count by policy."""
+    """Vehicles exported; count by policy; near: of them those near to what request.near names, where that is told."""
 
     agents: int = Field(ge=0)
     behaviours: Mapping[Policy, int]
+    near: int = Field(default=0, ge=0)
 
 
 class SpawnRecord(_Record):

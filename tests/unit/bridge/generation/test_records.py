@@ -115,3 +115,23 @@ def test_replay_of_every_recorded_agent_is_measured_where_that_is_asked_for(arte
     assert measured.max_heading_error_rad <= 0.001
     for one, other in zip(*(scene.generated for scene in scenes), strict=True):
         np.testing.assert_array_equal(one.position, other.position)
+
+
+@pytest.mark.parametrize(("near", "within_m", "steps"), [("focal", 15.0, [49]), ("traffic", 4.0, range(110))])
+def test_vehicles_near_to_what_was_named_are_counted_by_positions(arterial, near: str, within_m: float, steps):
+    """A focal track counts at the last observed step alone, moving traffic at any."""
+    scene = generate(arterial, Config(request=Request(agents=6, near=near, within_m=within_m)))
+    moving = [
+        track for track in scene.source.tracks
+        if (track.category == 3 if near == "focal" else np.hypot(*(track.position[-1] - track.position[0])) > 5.0)
+        and track.object_type == "vehicle"
+    ]  # fmt: skip
+
+    def is_near(own: Track, other: Track) -> bool:
+        at = {int(step): place for step, place in zip(other.timesteps, other.position, strict=True)}
+        pairs = zip(own.timesteps.tolist(), own.position, strict=True)
+        return any(step in steps and step in at and np.hypot(*(at[step] - place)) <= within_m for step, place in pairs)
+
+    wanted = sum(any(is_near(own, other) for other in moving) for own in scene.generated)
+    assert scene.sidecar.placed.near == wanted
+    assert 0 < wanted < len(scene.generated)
