@@ -115,7 +115,10 @@ if ! grep -qxF "$made ${1:-}" .venv/.hid2 2>/dev/null; then
     if [ "${1:-}" = tests ]; then wanted="$wanted --extra gui --extra site --group dev"; fi
     torch=${UV_TORCH_BACKEND-cpu} # PyTorch's own list of wheels; empty, which uv itself refuses: that of all packages
     unset UV_TORCH_BACKEND
-    install() { .uv/bin/uv pip install -q --python .venv/bin/python --constraints requirements.txt "$@"; }
+    # Byte code is written here, once: where PYTHONDONTWRITEBYTECODE is set every command would take 2 s more.
+    install() {
+        .uv/bin/uv pip install -q --compile-bytecode --python .venv/bin/python --constraints requirements.txt "$@"
+    }
     echo "setup.sh: installing packages into .venv (1.3 to 2 GB, a minute or two)" >&2
     # shellcheck disable=SC2086  # several words
     install --require-hashes -r pyproject.toml $wanted &&

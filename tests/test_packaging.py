@@ -330,6 +330,7 @@ def test_setup_fails_with_a_sentence(set_up: Setup, arguments: list[str], comman
     assert said in last
 
 
+@pytest.mark.slow
 def test_setup_tells_that_it_is_still_at_work(set_up: Setup) -> None:
     """Fetching takes 8 s here; the clock is not started anew by a step, and it does not outlive the script."""
     sleep = str(shutil.which("sleep"))

@@ -169,6 +169,7 @@ def test_cluster_that_others_started(make_data_set: MakeDataSet, tmp_path: Path,
     assert contents(tmp_path / "there") == contents(tmp_path / "here")
 
 
+@pytest.mark.slow
 def test_scheduler_that_is_not_there_is_explained(make_data_set: MakeDataSet, tmp_path: Path) -> None:
     command = [str(BIN / "hid2"), "generate", str(make_data_set(1)[0]), "-o", str(tmp_path / "out"), "-q"]
     result = subprocess.run([*command, "--scheduler", "tcp://127.0.0.1:9"], capture_output=True, text=True, timeout=300)

@@ -182,7 +182,7 @@ def test_a_map_that_begins_with_a_bicycle_lane_is_played_too(real_scene, tmp_pat
     assert colored(picture, LANE_GREY) > 2000
 
 
-@pytest.mark.parametrize("waits", [True, False])
+@pytest.mark.parametrize("waits", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_sumo_gui_waits_for_its_user_and_would_else_play_to_the_end(playable, screen, waits):
     """It is to quit at the end: after 20 s it has not, unless the places where it waits are taken out."""
     command = [BIN / "sumo-gui", "-c", playable, "--quit-on-end", "--delay", "0"]
