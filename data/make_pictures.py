@@ -35,7 +35,7 @@ def main() -> None:
         best = max(range(len(scenes)), key=lambda k: len(done[k]))
         scenes[best].render(out / "scene.png")
         figures.save(scenes[best].plot(done[best]["track_id"].iloc[0]), out / "plot.png")
-        evaluation = evaluate_folder(out / "scenes", report_dir=out / "report", source=ROOT / "av2")
+        evaluation = evaluate_folder(out / "scenes", report_dir=out / "report", source=[ROOT / "av2"])
         figures.save(distribution_figure(evaluation.totals.realism), out / "report.png")
         for name in ("scene", "plot", "report"):
             write_small(out / f"{name}.png", PICTURES / f"{name}.png")

@@ -19,7 +19,9 @@ def evaluate(
     ),
     report: Path = options.output("Folder for metrics.json, the tables and report.html.", ..., "REPORT", "-o", "--out"),
     *,
-    source: Path | None = options.option("The source scenes: before is those of the scenes measured.", None, "DIR"),
+    source: list[Path] = options.option(
+        "The source scenes: before is those of the scenes measured; repeatable.", [], "DIR"
+    ),
     control: Path | None = options.option(
         "Scenes of the same sources with drivers that the critics must tell, as data/configs has them.", None, "DIR"
     ),

@@ -43,7 +43,7 @@ def evaluate_folder(
     out: Path,
     *,
     report_dir: Path,
-    source: Path | None = None,
+    source: Sequence[Path] = (),
     choices: Choices | None = None,
     control: Path | None = None,
     jobs: int = 1,
@@ -52,7 +52,7 @@ def evaluate_folder(
     """Measure every scene below `out`, recorded in any format or generated, and write the report into `report_dir`.
 
     Writes metrics.json, report.html, realism.csv and the tables of TABLES.
-    "Before" is the source scenes of those in `out`, each once: as they lie below `source`, with the sizes of recorded
+    "Before" is the source scenes of those in `out`, each once: as they lie below those folders `source`, with the sizes of recorded
     vehicles beside them, else the recorded tracks of the first scene made from each. A scene that cannot be read is
     listed and left out.
     choices: for recordings of formats that leave something open.
@@ -64,7 +64,7 @@ def evaluate_folder(
 
     # by map, so that each is read once, and large ones first: what a process needs at most it needs from the start
     folders = sorted(find_recordings([out], choices), key=_map_size, reverse=True)
-    sources = _sources_of(folders, source, choices) if source is not None else {}
+    sources = _sources_of(folders, source, choices) if source else {}
     controls = sorted(find_scenarios(control), key=_map_size, reverse=True) if control is not None else []
     known = len(folders) + len(sources)
     evaluation = Evaluation(Totals(sources))
@@ -94,17 +94,18 @@ def evaluate_folder(
     return evaluation
 
 
-def _sources_of(folders: Sequence[Address], source: Path, choices: Choices | None) -> dict[str, Address]:
-    """Source scenes of the folders by id, as far as they lie below `source`; it is logged where some do not."""
+def _sources_of(folders: Sequence[Address], source: Sequence[Path], choices: Choices | None) -> dict[str, Address]:
+    """Source scenes of the folders by id, as far as they lie below those of `source`; it is logged where some do not."""
     ids = set()
     for folder in folders:
         with contextlib.suppress(ScenarioError):  # reported with its scene
             sidecar = sidecar_in(folder, source_id(folder)) if isinstance(folder, Path) else None
             ids.add(sidecar.source_scenario_id if sidecar is not None else source_id(folder))
     map_path = choices.map_path if choices is not None else None
-    found = {source_id(folder): folder for folder in find_recordings([source], Choices(map_path, stride=1))}
+    found = {source_id(folder): folder for folder in find_recordings(source, Choices(map_path, stride=1))}
     if lacking := len(ids - found.keys()):
-        _LOG.warning("%s: %d of %d source scenes are not there; their recorded tracks stand", source, lacking, len(ids))
+        where = ", ".join(map(str, source))
+        _LOG.warning("%s: %d of %d source scenes are not there; their recorded tracks stand", where, lacking, len(ids))
     return {known: found[known] for known in sorted(ids & found.keys())}
 
 

@@ -18,7 +18,7 @@ from bridge.generation.records import (
     rejected_records,
     replaced_record,
     selection_record,
-    with_unmet,
+    unmet_records,
 )
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.export import new_scenario_id, recording_record_of, with_generated, with_motion
@@ -244,8 +244,9 @@ def _sidecar(
     config = scene.config
     names = {one.driven.vehicle_id: f"gen_{row}" for row, one in enumerate(vehicles)}
     agents = [agent_record(scene, one, filling.outcomes.get(one.driven.vehicle_id), names) for one in vehicles]
-    agents, unplaced = with_unmet(agents, filling.unmet)
     placed = Counter(record.policy for record in agents)
+    # `max` asks for more than the road holds: what it could not hold was not wished for
+    most_unmet = placed[Policy.STRAIGHT] if config.request.agents == "max" else None
     return Sidecar(
         source_scenario_id=prepared.scenario.scenario_id,
         generator=GeneratorRecord(version=version("hid2-sumo"), code_sha256=code_sha256(), libraries=libraries()),
@@ -268,7 +269,7 @@ def _sidecar(
             agents=len(agents), behaviours={p: placed[p] for p in Policy if placed[p]}, near=near_count(scene, vehicles)
         ),
         agents=tuple(agents),
-        unplaced=() if config.request.agents == "max" else tuple(unplaced),
+        unmet=tuple(unmet_records(filling.unmet[:most_unmet])),
         events=tuple(event_record(one, names) for one in filling.events),
         rejected=rejected_records(filling),
         replaced=tuple(replaced_record(one) for one in filling.rejected),

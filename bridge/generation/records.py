@@ -130,23 +130,14 @@ def event_record(found: EventOutcome, names: Mapping[str, str]) -> EventRecord:
     )  # fmt: skip
 
 
-def with_unmet(agents: Sequence[AgentRecord], unmet: Sequence[Unmet]) -> tuple[list[AgentRecord], list[ManeuverRecord]]:
-    """Give each manoeuvre that no vehicle performs a record, on a vehicle that goes straight instead of it.
-
-    Second, those for which there is none: that vehicle found no place either.
-    """
-    left = [
+def unmet_records(unmet: Sequence[Unmet]) -> list[ManeuverRecord]:
+    """Records of manoeuvres that no vehicle does."""
+    return [
         ManeuverRecord(
             kind=_kind(missed.request.policy), status="not_feasible", reason=missed.reason.value,
             trigger_s=round(missed.request.trigger_s, 6),
         ) for missed in unmet
     ]  # fmt: skip
-    records = []
-    for record in agents:
-        if left and record.policy is Policy.STRAIGHT and not record.maneuvers:
-            record = record.model_copy(update={"maneuvers": (left.pop(0),)})
-        records.append(record)
-    return records, left
 
 
 def _with_detail(reason: Reason | None, detail: str | None) -> str | None:

@@ -61,7 +61,7 @@ class TrafficScene:
 
     @property
     def maneuvers(self) -> "pd.DataFrame":
-        """One row for each manoeuvre that was asked for; track_id None where its vehicle found no place."""
+        """One row for each manoeuvre that was asked for; track_id None where no vehicle does it."""
         import pandas as pd
 
         asked = self.sidecar.asked if self.sidecar is not None else ()

@@ -243,7 +243,7 @@ class EventRecord(_Record):
 class Sidecar(_Record):
     """The whole file. Nothing in it depends on the clock or the machine: same request, same bytes.
 
-    unplaced: manoeuvres that were asked for of vehicles that found no place at all.
+    unmet: manoeuvres that were asked for and that no vehicle does; in place of most of them one goes straight.
     """
 
     schema_version: Literal["1", "2"] = "2"
@@ -259,7 +259,7 @@ class Sidecar(_Record):
     requested: RequestedRecord
     placed: PlacedRecord
     agents: Listed[AgentRecord] = ()
-    unplaced: Listed[ManeuverRecord] = ()
+    unmet: Listed[ManeuverRecord] = ()
     events: Listed[EventRecord] = ()
     rejected: Listed[RejectedRecord] = ()
     replaced: Listed[ReplacedRecord] = ()
@@ -273,9 +273,9 @@ class Sidecar(_Record):
 
     @property
     def asked(self) -> list[tuple[str | None, ManeuverRecord]]:
-        """Each manoeuvre that was asked for, with the vehicle that it is told of; None where that found no place."""
+        """Each manoeuvre that was asked for, with the vehicle that was to do it; None where none was found that could."""
         told = [(agent.track_id, record) for agent in self.agents for record in agent.maneuvers]
-        return [*told, *((None, record) for record in self.unplaced)]
+        return [*told, *((None, record) for record in self.unmet)]
 
     @property
     def program(self) -> dict[str, str]:

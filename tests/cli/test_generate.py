@@ -189,7 +189,7 @@ def test_manifest_counts_are_those_of_the_sidecars(hid2: Run, data_root: Path, t
     assert hid2("generate", data_root, "-o", tmp_path / "out", "--behaviours", "lane_change=1").returncode == 0
     for row in rows_of(tmp_path / "out"):
         sidecar = sidecar_of(tmp_path / "out", row)
-        maneuvers = [maneuver for agent in sidecar.agents for maneuver in agent.maneuvers]
+        maneuvers = [maneuver for _, maneuver in sidecar.asked]
         assert int(row["placed"]) == sidecar.placed.agents == len(sidecar.agents)
         assert int(row["maneuvers_requested"]) == len(maneuvers)
         assert int(row["lane_change"]) == sum(m.kind == "lane_change" and m.status == "done" for m in maneuvers)

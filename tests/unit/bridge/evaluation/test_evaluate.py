@@ -25,7 +25,7 @@ from netconvert.errors import ExportError, MapError, ScenarioError
 @pytest.fixture(scope="module")
 def report(made_root, data_root, tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
-    return evaluate_folder(made_root, report_dir=folder, source=data_root), folder
+    return evaluate_folder(made_root, report_dir=folder, source=[data_root]), folder
 
 
 def read_csv(path):
@@ -100,7 +100,7 @@ def test_labelled_sizes_beside_the_source_are_those_of_recorded_vehicles(made_ro
     for folder in find_scenarios(source):
         (folder / "agent_sizes.csv").write_text("track_id,length_m,width_m\nAV,45.0,9.5\n")
     alone = {f.name: measure_folder(f).scene["original_off_footprint"] for f in find_scenarios(source)}
-    evaluate_folder(made_root, report_dir=tmp_path / "report", source=source)
+    evaluate_folder(made_root, report_dir=tmp_path / "report", source=[source])
     rows, plain = read_csv(tmp_path / "report" / "scenes.csv"), read_csv(report[1] / "scenes.csv")
     assert [int(row["original_off_footprint"]) for row in rows] == [alone[row["source"]] for row in rows]
     assert sum(alone.values()) > 0
@@ -198,7 +198,7 @@ def test_what_comes_from_files_is_escaped(made_root, tmp_path):
 
 def test_result_does_not_depend_on_jobs(report, made_root, data_root, tmp_path):
     _, folder = report
-    evaluate_folder(made_root, report_dir=tmp_path, source=data_root, jobs=2)
+    evaluate_folder(made_root, report_dir=tmp_path, source=[data_root], jobs=2)
     for name in ("metrics.json", "scenes.csv", "tracks.csv", "maneuvers.csv"):
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
 
@@ -288,7 +288,7 @@ def test_recorded_and_generated_scenes_together_have_the_same_columns(made_root,
 
 
 def test_a_source_that_is_not_there_is_said_and_what_was_recorded_stands(made_root, data_scenes, tmp_path, caplog):
-    evaluation = evaluate_folder(made_root, report_dir=tmp_path, source=data_scenes["curve"].parents[1] / "val")
+    evaluation = evaluate_folder(made_root, report_dir=tmp_path, source=[data_scenes["curve"].parents[1] / "val"])
     assert evaluation.metrics["diversity"]["scenes"] == {"before": 2, "after": 2}
     assert "source scenes are not there" in caplog.text
 
