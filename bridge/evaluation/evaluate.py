@@ -52,7 +52,7 @@ def evaluate_folder(
     """Measure every scene below `out`, recorded in any format or generated, and write the report into `report_dir`.
 
     Writes metrics.json, report.html, realism.csv and the tables of TABLES.
-    "Before" is the source scenes of those in `out`, each once: as they lie below those folders `source`, with the sizes of recorded
+    "Before" is the source scenes of those in `out`, each once: as they lie below `source`, with the sizes of recorded
     vehicles beside them, else the recorded tracks of the first scene made from each. A scene that cannot be read is
     listed and left out.
     choices: for recordings of formats that leave something open.
@@ -95,7 +95,7 @@ def evaluate_folder(
 
 
 def _sources_of(folders: Sequence[Address], source: Sequence[Path], choices: Choices | None) -> dict[str, Address]:
-    """Source scenes of the folders by id, as far as they lie below those of `source`; it is logged where some do not."""
+    """Source scenes of the folders by id, as far as they lie below `source`; it is logged where some do not."""
     ids = set()
     for folder in folders:
         with contextlib.suppress(ScenarioError):  # reported with its scene

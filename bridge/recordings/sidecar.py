@@ -273,7 +273,7 @@ class Sidecar(_Record):
 
     @property
     def asked(self) -> list[tuple[str | None, ManeuverRecord]]:
-        """Each manoeuvre that was asked for, with the vehicle that was to do it; None where none was found that could."""
+        """Each manoeuvre that was asked for, with the vehicle that was to do it; None where none was found."""
         told = [(agent.track_id, record) for agent in self.agents for record in agent.maneuvers]
         return [*told, *((None, record) for record in self.unmet)]
 
