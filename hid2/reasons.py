@@ -70,6 +70,14 @@ class Reason(StrEnum):
         "event_not_as_asked",
         "No vehicle that was driven made the event safely and as asked for; behind the colon what most failed by.",
     )
+    EVENT_NOT_THERE = (
+        "event_not_there",
+        "The vehicle is not where the target meets it so, at the time and with the gap and speed difference asked for.",
+    )
+    EVENT_CRITICALITY = (
+        "event_criticality",
+        "The event comes about, but TTC, PET, DRAC or braking are outside the band asked for; another may be met.",
+    )
     # answers to a look at a gap (Algorithm 1, lane change)
     NO_ADJACENT_LANE = "no_adjacent_lane", "There is no lane beside that may be changed to."
     TOO_SLOW = "too_slow", "The vehicle is too slow to shift a lane in time."

@@ -104,7 +104,10 @@ def summarise(sidecar: Sidecar, row: ManifestRow) -> ManifestRow:
 def _told(event: EventRecord) -> str:
     """An event that came about, in a few words: the two vehicles, when, and how critical it was."""
     figures = {"gap": (event.gap_m, "m"), "TTC": (event.min_ttc_s, "s"), "PET": (event.pet_s, "s")}
-    told = ", ".join(f"{name} {value:.1f} {unit}" for name, (value, unit) in figures.items() if value is not None)
+    at = {"TTC": "" if event.ttc_at_s is None else f" at {event.ttc_at_s:.1f} s"}
+    told = ", ".join(
+        f"{name} {value:.1f} {unit}{at.get(name, '')}" for name, (value, unit) in figures.items() if value is not None
+    )
     return f"{event.kind} of {event.track_id} with {event.target_track_id} at {event.at_s:.1f} s ({told})"
 
 

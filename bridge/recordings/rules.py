@@ -24,6 +24,7 @@ from bridge.recordings.scenario import RowArrays, row_breaches
 from bridge.recordings.sequence import inserted_id
 from bridge.recordings.sidecar import AgentRecord, Sidecar
 from hid2.agents import VEHICLE_TYPES, Policy
+from hid2.judge.events import brakes_for
 from netconvert.av2_map import Breach
 from netconvert.errors import ConfigError, ScenarioError
 
@@ -203,6 +204,15 @@ def check_sidecar(
         begin = agent.spawn.timestep if begins is None else begins.get(agent.track_id, agent.spawn.timestep)
         if begin != agent.spawn.timestep:
             yield "sidecar", f"agent {agent.track_id}: spawn.timestep {agent.spawn.timestep}, but it begins at {begin}"
+    yield from _check_events(sidecar)
+
+
+def _check_events(sidecar: Sidecar) -> Iterator[Breach]:
+    for number, event in enumerate(sidecar.events):
+        if event.status != "done" and event.track_id is not None:
+            yield "sidecar", f"event {number}: {event.status}, but made by {event.track_id}"
+        if event.human_brakes is not None and event.human_brakes is not brakes_for(event.min_ttc_s):
+            yield "sidecar", f"event {number}: human_brakes {event.human_brakes}, but min_ttc_s {event.min_ttc_s}"
 
 
 def _check_agent(agent: AgentRecord, track_ids: Set[str] | None, lanes: Set[str] | None) -> Iterator[Breach]:

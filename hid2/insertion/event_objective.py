@@ -14,6 +14,7 @@ from hid2.judge.claims import EventClaim, event_step
 from hid2.judge.events import EventMeasures, crossing_steps, measure_event
 from hid2.occupancy.agent_states import agent_states
 from hid2.params import Event
+from hid2.reasons import Reason
 from hid2.scene import Scene
 
 #: A leader is no farther than this beside the target, m. Not a parameter, it saves time: the judge looks again.
@@ -93,21 +94,35 @@ class Objective:
 
     def cost(self, seen: Seen) -> float:
         """How far from the middle of what is asked, over half of each band; above 1 where it is not as asked."""
+        return max(self._off_place(seen), self._off_criticality(seen))
+
+    def objection(self, seen: Seen) -> Reason | None:
+        """Why what is seen is not what is asked: where and when, or how critical; None where it is."""
+        if self._off_place(seen) > 1.0:
+            return Reason.EVENT_NOT_THERE
+        return Reason.EVENT_CRITICALITY if self._off_criticality(seen) > 1.0 else None
+
+    def _off_place(self, seen: Seen) -> float:
         event, found = self.event, seen.measures
-        asked = [
-            (seen.at_step * self.scene.step_s, self._at_band_s), (found.gap_m, event.gap_band_m),
-            (found.speed_difference_mps, event.difference_band_mps), (found.min_ttc_s, event.ttc_s),
-            (found.pet_s, event.pet_s), (found.drac_mps2, event.drac_mps2),
-        ]  # fmt: skip
-        offs = [
-            float(_off(np.array(math.inf if value is None else value), band)) for value, band in asked
-            if band is not None
-        ]  # fmt: skip
-        if event.brakes_mps2:
-            offs.append(
-                abs(found.brakes_mps2 / event.brakes_mps2 - 1.0) / (1.0 - self.scene.config.event_search.brakes_share)
-            )
-        return max(offs)
+        return max(
+            _off_by(seen.at_step * self.scene.step_s, self._at_band_s), _off_by(found.gap_m, event.gap_band_m),
+            _off_by(found.speed_difference_mps, event.difference_band_mps),
+        )  # fmt: skip
+
+    def _off_criticality(self, seen: Seen) -> float:
+        event, found = self.event, seen.measures
+        off = max(
+            _off_by(found.min_ttc_s, event.ttc_s), _off_by(found.pet_s, event.pet_s),
+            _off_by(found.drac_mps2, event.drac_mps2),
+        )  # fmt: skip
+        if not event.brakes_mps2:
+            return off
+        share = self.scene.config.event_search.brakes_share
+        return max(off, abs(found.brakes_mps2 / event.brakes_mps2 - 1.0) / (1.0 - share))
+
+
+def _off_by(value: float | None, band: tuple[float, float] | None) -> float:
+    return 0.0 if band is None else float(_off(np.array(math.inf if value is None else value), band))
 
 
 def _off(value: FloatArray, band: tuple[float, float]) -> FloatArray:

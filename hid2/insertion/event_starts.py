@@ -109,8 +109,9 @@ class EventStarts(Starts):
             return start
         rolled = replace(self.rolled(start)[0], start=replace(self._made, offset=start.offset))
         seen = self.objective.seen(track_of(rolled))
-        cost = np.inf if seen is None else self.objective.cost(seen)
-        return Candidate(rolled, cost) if cost <= 1.0 else Reason.EVENT_NOT_AS_ASKED
+        if seen is None:
+            return Reason.EVENT_NOT_THERE
+        return self.objective.objection(seen) or Candidate(rolled, self.objective.cost(seen))
 
     def _driver(self, place: Place, at: int, s: float) -> Driver:
         """A driver that goes with the traffic of its lane, with the target as it is then, or at its fastest.
@@ -148,7 +149,7 @@ class EventStarts(Starts):
             may = self._may_change(place, parts[0].s)
             there = (there & may)[early:] & may[: max(may.size - early, 0)]
         if not there.any():
-            return Reason.EVENT_NOT_AS_ASKED
+            return Reason.EVENT_NOT_THERE
         if place.side is not None:
             step = int(self.rng.choice(np.flatnonzero(there)))
             request = replace(start.request, trigger_s=step * self.scene.step_s)
@@ -159,7 +160,7 @@ class EventStarts(Starts):
             self._made = replace(vehicle.start, request=request)
         moment = self.objective.likely_step(track_of(world.foreseen(start, parts)))
         if moment is None:
-            return Reason.EVENT_NOT_AS_ASKED
+            return Reason.EVENT_NOT_THERE
         if self.objective.event.brakes_mps2:
             self._made = self._braking(start, moment, float(parts[0].v[moment]))
             parts = (world.roll(self._made),)

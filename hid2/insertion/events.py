@@ -135,8 +135,8 @@ class EventSearch:
                 )  # fmt: skip
             tried[judged] += 1
             _LOG.debug("event %s: %s fails: %s", event.kind, start.vehicle_id, judged)
-        others = Counter({one: count for one, count in rejected.items() if one is not Reason.EVENT_NOT_AS_ASKED})
-        told = dict((tried or others or rejected).most_common())  # many are drawn where they come too late or too early
+        # many are drawn where they come too late or too early: that is told last
+        told = dict(sorted((tried or rejected).items(), key=lambda one: (one[0] is Reason.EVENT_NOT_THERE, -one[1])))
         said = ", ".join(f"{reason} {count}" for reason, count in told.items())
         _LOG.debug("event %s: %d tries; %s", event.kind, tried.total(), said or "no place")
         reason = Reason.EVENT_NO_PLACE
@@ -192,8 +192,10 @@ class EventSearch:
         if isinstance(vehicle, Reason):
             return vehicle
         seen = objective.seen(vehicle.track(driven.vehicle_id, 1))
-        if seen is None or objective.cost(seen) > 1.0:
-            return driven.reason or Reason.EVENT_NOT_AS_ASKED
+        if seen is None or (missed := objective.objection(seen)) is Reason.EVENT_NOT_THERE:
+            return driven.reason or Reason.EVENT_NOT_THERE
+        if missed is not None:
+            return missed
         target_id = objective.target.track.track_id
         conflicts = conflicting(objective.scene, [*self.kept, vehicle], target_id=target_id)
         own = next((reason for row, reason in conflicts if row >= len(self.kept)), None)

@@ -27,6 +27,9 @@ FIGURES = {
     "gap_m": Quantity.CLAIMED_GAP,
     "speed_difference_mps": Quantity.CLAIMED_SPEED,
     "min_ttc_s": Quantity.CLAIMED_TTC,
+    "ttc_at_s": Quantity.CLAIMED_TTC_TIME,
+    "headway_s": Quantity.CLAIMED_HEADWAY,
+    "brakes_mps2": Quantity.CLAIMED_BRAKING,
     "pet_s": Quantity.CLAIMED_PET,
     "drac_mps2": Quantity.CLAIMED_DRAC,
 }

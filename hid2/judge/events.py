@@ -17,8 +17,10 @@ from hid2.occupancy.gaps import gaps_from_pose
 CAP_S = 10.0
 #: Drivers brake before this TTC, s: 90 % of the followers of lane changes (see method.md).
 HUMAN_BRAKES_S = 4.7
-#: No tunable: the criticality of a cut-in counts from when the vehicle is about half way over, s before the moment.
-_ARRIVES_S = 1.5
+#: No tunables: what an event is like for its target is looked for until so long after the moment, s, as the target
+#: does not react and may run into whatever is ahead of it later; of a cut-in from when the vehicle is about half way
+#: over, s before the moment.
+AFTER_S, _ARRIVES_S = 3.0, 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,12 +29,12 @@ class EventMeasures:
 
     gap_m: bumper to bumper along the target's heading at the moment of the event, whichever is ahead; of a crossing
     from the bumper to where the paths cross; speed_difference_mps: speed of the vehicle minus that of the target
-    then; min_ttc_s: smallest two-dimensional TTC from then on, of a cut-in since the vehicle is half way over, of a
-    crossing of all steps, None where it is never below CAP_S; ttc_at_s: when that is; headway_s: smallest time headway
-    of the target behind the vehicle from the moment on, front to front, None where it is never behind it; pet_s: where
-    the paths cross; drac_mps2: largest deceleration that the target would have needed, 0 where it never closes in;
-    brakes_mps2: hardest braking of the vehicle itself from the moment on, 0 where it never brakes; human_brakes:
-    whether a human would have braked.
+    then; min_ttc_s: smallest two-dimensional TTC from then on for AFTER_S, of a cut-in since the vehicle is half way
+    over, of a crossing of all steps, None where it is never below CAP_S; ttc_at_s: when that is; headway_s: smallest
+    time headway of the target behind the vehicle in AFTER_S from the moment on, front to front, None where it is never
+    behind it; pet_s: where the paths cross; drac_mps2: largest deceleration that the target would have needed, in the
+    time of min_ttc_s, 0 where it never closes in; brakes_mps2: hardest braking of the vehicle itself in AFTER_S from
+    the moment on, 0 where it never brakes; human_brakes: whether a human would have braked.
     """
 
     gap_m: float
@@ -47,7 +49,12 @@ class EventMeasures:
     @property
     def human_brakes(self) -> bool:
         """Whether TTC came below the one before which drivers brake."""
-        return self.min_ttc_s is not None and self.min_ttc_s < HUMAN_BRAKES_S
+        return brakes_for(self.min_ttc_s)
+
+
+def brakes_for(ttc_s: float | None) -> bool:
+    """Whether drivers brake before so short a TTC, s; None: none."""
+    return ttc_s is not None and ttc_s < HUMAN_BRAKES_S
 
 
 def measure_event(states: AgentStates, kind: str, own: int, target: int, *, at_step: int) -> EventMeasures:
@@ -65,15 +72,17 @@ def measure_event(states: AgentStates, kind: str, own: int, target: int, *, at_s
         first, last = sorted(_row(states, target, step) for step in crossed)
         way_m = np.hypot(*np.diff(arrays.position[first : last + 1], axis=0).T).sum()
         gap_m = float(way_m) - 0.5 * box.length_m
-    later, course = speed[row : states.row_span(own).stop], pair_course(arrays, target, own, cap_s=CAP_S)
-    since_step = {"cross": 0, "cut_in": max(0, at_step - round(_ARRIVES_S / arrays.step_s))}.get(kind, at_step)
-    course = course.during(since_step, arrays.num_steps)
+    until_step = at_step + round(AFTER_S / arrays.step_s)
+    later = speed[row : min(row + until_step - at_step + 1, states.row_span(own).stop)]
+    whole = pair_course(arrays, target, own, cap_s=CAP_S)
+    since_step = at_step - round(_ARRIVES_S / arrays.step_s) if kind == "cut_in" else at_step
+    course = whole if kind == "cross" else whole.during(since_step, until_step)
     least = int(course.ttc_s.argmin()) if np.isfinite(course.ttc_s).any() else None
     return EventMeasures(
         gap_m=gap_m, speed_difference_mps=float(speed[row] - speed[there]),
         min_ttc_s=None if least is None else float(course.ttc_s[least]),
         ttc_at_s=None if least is None else float(course.step[least] * arrays.step_s),
-        headway_s=None if kind == "cross" else _headway_s(course.during(at_step, arrays.num_steps)),
+        headway_s=None if kind == "cross" else _headway_s(course.during(at_step, until_step)),
         pet_s=post_encroachment_of(states, own, target),
         drac_mps2=float(course.drac_mps2.max(initial=0.0)),
         brakes_mps2=float(np.max(-np.gradient(later, arrays.step_s), initial=0.0)) if later.size > 1 else 0.0,

@@ -487,7 +487,7 @@ def _event(kind: str, vehicle: str, target: str, at_s: float) -> dict[str, Any]:
     return {
         "kind": kind, "target": target, "status": "done", "reason": None, "track_id": vehicle,
         "target_track_id": target, "at_s": round(at_s, 6), "ahead": True, "gap_m": None, "speed_difference_mps": None,
-        "min_ttc_s": None, "pet_s": None, "drac_mps2": None, "human_brakes": False, "brakes_mps2": 0.0, "tries": 1,
+        "min_ttc_s": None, "pet_s": None, "drac_mps2": None, "human_brakes": None, "brakes_mps2": None, "tries": 1,
         "tried": {},
     }  # fmt: skip
 

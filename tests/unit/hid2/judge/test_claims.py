@@ -84,7 +84,11 @@ def test_figures_that_are_told_are_those_of_the_states(states: Callable[..., Age
     target, own, claim = _cut_in(0.0, _across(5.0, start=3.5, to=0.0))
     scene, gap_m = states(target, own), 15.0 - own.size.length_m
     across_mps = float(np.hypot(10.0, np.gradient(own.position[:, 1], 0.1)[50])) - 10.0
-    told = {"gap_m": gap_m, "speed_difference_mps": across_mps, "min_ttc_s": None, "pet_s": None, "drac_mps2": 0.0}
+    speed = np.hypot(10.0, np.gradient(own.position[:, 1], 0.1))
+    told = {
+        "gap_m": gap_m, "speed_difference_mps": across_mps, "min_ttc_s": None, "ttc_at_s": None, "headway_s": 1.5,
+        "brakes_mps2": float(-np.gradient(speed[50:81], 0.1).min()), "pet_s": None, "drac_mps2": 0.0,
+    }  # fmt: skip
     assert told.keys() == FIGURES.keys()
     assert judge_claims(scene, [], [claim._replace(figures=told)]) == []
     wrong = claim._replace(figures=told | {"gap_m": gap_m - 2.0, "min_ttc_s": 1.6})

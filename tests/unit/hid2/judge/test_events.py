@@ -48,6 +48,14 @@ def test_target_that_closes_in_has_gap_ttc_and_drac(pair: Callable[..., AgentSta
     assert found.pet_s is None
 
 
+def test_what_comes_more_than_three_seconds_later_is_not_the_event(pair: Callable[..., AgentStates]) -> None:
+    """From step 20 to 50: the gap falls to 6 m at 2 m/s, and to 4.2 m only later."""
+    found = measure_event(pair(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0)), "lead", 0, 1, at_step=20)
+    assert (found.min_ttc_s, found.ttc_at_s) == (pytest.approx(3.0, abs=1e-6), pytest.approx(5.0))
+    assert found.headway_s == pytest.approx(1.0)
+    assert found.drac_mps2 == pytest.approx(4.0 / 12.0, rel=1e-6)
+
+
 def test_target_that_falls_back_needs_no_braking(pair: Callable[..., AgentStates]) -> None:
     """The vehicle ahead is faster: never closing in, no TTC, DRAC 0, and nobody brakes."""
     found = measure_event(pair(_drive(20.0, 0.0, 12.0), _drive(0.0, 0.0, 10.0)), "lead", 0, 1, at_step=10)
