@@ -6,9 +6,10 @@ from importlib import import_module
 from typing import Annotated, Any, NamedTuple, TypeVar
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from bridge.cli.options import Paths, flattened
+from netconvert.errors import ConfigError
 
 #: Commands in the order of the help, that of the work, and the module that registers each as it is imported.
 COMMANDS = {
@@ -50,6 +51,14 @@ class _Command(TyperCommand):
     """
 
     shown: frozenset[str] = frozenset()
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """As the parser does, which would take the last value of an option that holds one, and drop the others."""
+        for option in (one for one in self.params if isinstance(one, TyperOption)):
+            given = [word for word in args if word.split("=")[0] in option.opts]
+            if len(given) > 1 and not (option.multiple or option.count or option.is_flag):
+                raise ConfigError(f"{option.opts[-1]} given {len(given)} times, expected once: it holds one value")
+        return super().parse_args(ctx, args)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         groups: dict[str, list[tuple[str, str]]] = {}

@@ -53,9 +53,10 @@ def print_batch(rows: Sequence[ManifestRow], request: Request) -> None:
         )
     done = [row for row in rows if row.status == DONE]
     most = any(row.requested == "max" for row in done)
-    asked = "" if most else f" of {sum(int(row.requested) for row in done)}"
+    asked = "" if most else f" of {sum(int(_asked(row)) for row in done)}"
     events = sum(row.events_requested for row in done)
-    target = "traffic" if request.near == "anywhere" else request.near
+    named = request.near not in ("traffic", "anywhere")
+    target = f"{request.near} at the last observed step" if named else "traffic"
     print(
         f"{len(done)} of {len(rows)} scenes done; vehicles placed: {sum(row.placed for row in done)}{asked}, "
         f"{sum(row.near for row in done)} of them within {request.within_m:g} m of {target}; "
@@ -63,6 +64,11 @@ def print_batch(rows: Sequence[ManifestRow], request: Request) -> None:
     )
     if events:
         print(f"events done: {sum(row.events_done for row in done)} of {events}")
+
+
+def _asked(row: ManifestRow) -> str:
+    """Vehicles asked for: those of events are made even where they are more than --agents says."""
+    return row.requested if row.requested == "max" else str(max(int(row.requested), row.events_requested))
 
 
 def _line(row: ManifestRow, *, with_events: bool) -> tuple[object, ...]:
@@ -81,7 +87,7 @@ def _line(row: ManifestRow, *, with_events: bool) -> tuple[object, ...]:
     return (
         row.scenario,
         row.variant,
-        f"{row.placed} of {row.requested}",
+        f"{row.placed} of {_asked(row)}",
         row.left_turn,
         row.right_turn,
         row.lane_change,
