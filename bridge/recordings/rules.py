@@ -8,6 +8,7 @@ import csv
 import re
 import uuid
 from collections.abc import Iterator, Mapping, Set
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -118,9 +119,14 @@ def check_generated(rows: RowArrays, track_id: str) -> Iterator[Breach]:
 
 def compare_rows(table: pa.Table, source: pa.Table, generated_ids: set[str]) -> Iterator[str]:
     """Recorded rows against those of the source, bit for bit."""
-    if [(field.name, field.type) for field in table.schema] != [(field.name, field.type) for field in source.schema]:
-        yield f"columns {table.schema.names}, expected those of the source with their types"
-        return
+    columns = zip_longest(*([f"{field.name} ({field.type})" for field in one.schema] for one in (table, source)))
+    differing = next(((own, its) for own, its in columns if own != its), None)
+    if differing is not None:
+        yield f"column {differing[0]}, expected {differing[1]}, as the source has it"
+        try:  # what is in them is compared all the same
+            table = table.cast(source.schema)
+        except (pa.ArrowException, ValueError):
+            return
     generated = pc.is_in(
         table.column("track_id"), value_set=pa.array(sorted(generated_ids), table.schema.field("track_id").type)
     )

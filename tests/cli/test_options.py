@@ -150,7 +150,9 @@ def test_table_on_a_terminal_fits_and_crops_nothing(columns: int) -> None:
     assert missing == []
 
 
-def test_option_that_holds_one_value_and_is_given_twice_is_a_mistake(hid2: Run, data_root: Path, tmp_path: Path) -> None:
+def test_option_that_holds_one_value_and_is_given_twice_is_a_mistake(
+    hid2: Run, data_root: Path, tmp_path: Path
+) -> None:
     """The parser would take the last one, and drop the first without a word."""
     asked = ("generate", data_root, "-o", tmp_path / "out", "--event", "lead", "--event", "follow")
     result = hid2(*asked, "--target", "av", "--target=focal")

@@ -248,6 +248,10 @@ def _agent(change: Callable[[dict[str, Any]], Any]) -> Callable[[dict[str, Any]]
     return lambda document: change(document["agents"][0])
 
 
+def _event(**told: Any) -> Callable[[dict[str, Any]], Any]:
+    return lambda document: document.update(events=[{"kind": "lead", "target": "av", "tries": 1, **told}])
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -269,6 +273,8 @@ def _agent(change: Callable[[dict[str, Any]], Any]) -> Callable[[dict[str, Any]]
         ),
         (_agent(lambda agent: agent["maneuvers"][0].update(end_s=None)), "done without start_s and end_s"),
         (_agent(lambda agent: agent["maneuvers"][0].update(leader_track_id="nobody")), "no leader 'nobody'"),
+        (_event(status="not_feasible", track_id="gen_0"), "event 0: not_feasible, but made by gen_0"),
+        (_event(status="done", human_brakes=True), "event 0: human_brakes True, but min_ttc_s None"),
     ],
 )
 def test_a_spoiled_sidecar_is_found(
@@ -299,6 +305,17 @@ def test_recorded_rows_are_compared_bit_for_bit(
 ) -> None:
     edit_rows(written, change)
     assert "source" in rules(written, source=data_root)
+
+
+def test_first_column_that_differs_from_the_source_is_named(written: Path, data_root: Path) -> None:
+    """As pandas writes it anew; what was moved is found all the same."""
+    (path,) = written.glob("scenario_*.parquet")
+    rows = pd.read_parquet(path)
+    rows["position_x"] += rows["track_id"].eq("AV")
+    rows.to_parquet(path)
+    columns, moved = (one for one in breaches(written.parents[1], source=data_root) if one.rule == "source")
+    assert columns.message == "column track_id (large_string), expected track_id (string), as the source has it"
+    assert moved.message.startswith("track 'AV', timestep 0: position_x")
 
 
 def test_nulls_in_columns_of_the_source_are_the_same_as_nulls_alone(
