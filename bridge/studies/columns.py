@@ -45,7 +45,8 @@ REQUEST_COLUMNS: Mapping[str, str] = {
     "min_ttc_s": "smallest two-dimensional TTC to anything from start to end; empty: none below 5 s",
     "min_pet_s": "smallest PET of its conflicts from start to end; empty: none below 5 s",
     "overlaps": "whether its box meets another one from start to end",
-    "lag_drac_mps2": "largest DRAC of the new follower from start to end: closing speed over twice the boxes' TTC",
+    "lag_drac_mps2": "largest DRAC of the new follower from start to end: closing speed over twice the boxes' TTC; "
+    "0 where that is never below 5 s",
     "lag_headway_s": "its least time headway, front to front",
     "lag_brakes_mps2": "its hardest braking",
 }
@@ -64,6 +65,8 @@ class Outcome:
 
 #: What may refuse a gap: column `gaps.refused_by`, and in words.
 DECIDE = {"rule": "the rule", "cells": "taken cells", "road": "the road", "guard": "the guard", "sumo": "SUMO"}
+#: Those that are asked about every gap; guard and SUMO are asked about what the rule took.
+AT_LAST = ("rule", "cells", "road")
 #: What a study tells of each value of a parameter.
 OUTCOMES = (
     Outcome("share_accepted", "share of the requests counted that got a gap", "requests", "accepted"),
@@ -71,10 +74,17 @@ OUTCOMES = (
             "looked"),
     Outcome("mean_wait_s", "mean waiting time from the trigger, up to the longest allowed, s", "requests", None),
     Outcome("gaps_accepted", "share of the gaps looked at that the rule took", "gaps", "accepted"),
+    Outcome("gaps_taken", "share of the gaps that the rule took in which a change came about", "gaps", "taken",
+            "accepted"),
     *(
-        Outcome(f"refused_by_{name}", f"share of the gaps{asked} that {words} refused at last", "gaps",
-                f"refused_by_{name}", f"asked_{name}" if asked else None)
-        for name, words in DECIDE.items() for asked in (" asked about" if name in ("guard", "sumo") else "",)
+        Outcome(f"refused_by_{name}", f"share of the gaps that {DECIDE[name]} refused at last", "gaps",
+                f"refused_by_{name}")
+        for name in AT_LAST
+    ),
+    *(
+        Outcome(f"refused_by_{name}", f"share of the gaps that {DECIDE[name]} was asked about, to which it said no at "
+                "some look and that were not taken", "gaps", f"refused_{name}", f"asked_{name}")
+        for name in ("guard", "sumo")
     ),
     Outcome("share_overlapping", "share of the changes in which boxes meet", "requests", "overlaps"),
     Outcome("lag_drac_mps2", "mean of the largest DRAC of the new follower, m/s2", "requests", "lag_drac_mps2"),
@@ -114,6 +124,7 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "accepted": "whether the rule took it at some look",
         "taken": "whether SUMO carried out the change",
         "refused_by": "what said no at the last look: cells, road, rule (too_slow, too), guard or sumo; empty: taken",
+        "refused_guard, refused_sumo": "whether it said no at some look, and the gap was not taken",
         "asked_guard, asked_sumo": "whether at some look it came to the guard, and to SUMO; safety = rule: they agree",
         "became": "what came of it: taken, sumo_refuses, or the last reason of the guard or the rule",
         "accepted_s": "first look at which the rule took it",
@@ -151,7 +162,7 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "trend_low, trend_high": "its 95 % interval, runs drawn again",
         "p": "two-sided, of no trend: signs of the clusters' own trends are changed (Canay, Romano and Shaikh 2017)",
         "clusters": "how many: scenes where there are at least three, else runs; k of them give 2 / 2^k at least",
-        "p_holm": "the same, adjusted for all outcomes of the parameter that vary at all (Holm)",
+        "p_holm": f"the same, adjusted for all outcomes but {OUTCOMES[0].name} that vary at all (Holm)",
         "difference": "estimate less that of the first value",
         "difference_low_runs, difference_high_runs": "its 95 % interval: the same draw of runs for both values",
         "difference_low_scenes, difference_high_scenes": "the same with scenes",

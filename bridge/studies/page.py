@@ -24,7 +24,7 @@ from bridge.studies.statistics import difference_sd, dose_response, effects, see
 from bridge.studies.study import Study
 from bridge.studies.study_figures import CRITICAL, draw_fundamental, draw_parameter, label_of
 from hid2.agents import FloatArray
-from hid2.measures.conflicts import CONFLICT_TTC_S, TrafficConflict
+from hid2.measures.conflicts import CONFLICT_PET_S, CONFLICT_TTC_S, TrafficConflict
 from hid2.measures.lane_changes import LaneChangeRow
 
 #: A parameter with more values than this has no dose-response of its own: its effect is in effects.csv.
@@ -151,6 +151,8 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         changes=named["lane_changes"],
         conflicts=named["conflicts"],
         critical_ttc_s=CONFLICT_TTC_S,
+        critical_pet_s=CONFLICT_PET_S,
+        rising=_rising(named["flow"]),
         flow=named["flow"],
         reasons=_last_reasons(counted[~accepted], named["gaps"]),
         by_value={key: _by_value(named, key) for key in keys if 1 < requests[key].nunique() <= _MOST_VALUES},
@@ -160,6 +162,15 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         exp=math.exp,
         figures=figures,
     )  # fmt: skip
+
+
+def _rising(flow: pd.DataFrame) -> tuple[float, float] | None:
+    """Flow in the first minute counted and after it, veh/h per lane, where it still rises by more than a tenth."""
+    if flow.empty or flow["from_s"].nunique() < 2:
+        return None
+    is_first = flow["from_s"] == flow["from_s"].min()
+    first, later = (float(flow.loc[rows, "flow_veh_per_h_lane"].mean()) for rows in (is_first, ~is_first))
+    return (first, later) if first < 0.9 * later else None
 
 
 def _last_reasons(refused: pd.DataFrame, gaps: pd.DataFrame) -> list[str]:
@@ -196,7 +207,7 @@ def _records(table: pd.DataFrame) -> list[dict[Any, Any]]:
 
 
 def _told(dose: pd.DataFrame) -> list[str]:
-    """One sentence for each outcome: from the first value to the last, with the interval of the difference.
+    """One sentence for each outcome: at each value, with the interval of the difference from the first to the last.
 
     Before them how many requests there were, where these are not as many at each value.
     """
@@ -206,7 +217,7 @@ def _told(dose: pd.DataFrame) -> list[str]:
         found.append(
             "requests counted: "
             + ", ".join(f"{row['rows']} at {row['value']}" for _, row in counts.iterrows())
-            + "; the others were not due any more when their vehicle left or the scene ended [dose_response.rows]."
+            + "; the others came in the warm-up, or were not due when vehicle or scene ended [dose_response.rows]."
         )
     for outcome in OUTCOMES:
         mine = dose[(dose["outcome"] == outcome.name) & dose["estimate"].notna()]
@@ -221,19 +232,17 @@ def _told(dose: pd.DataFrame) -> list[str]:
         course = _course(mine["estimate"].diff().dropna().to_numpy(float))
         unit = "scenes" if "difference_low_scenes" in mine and pd.notna(last.get("difference_low_scenes")) else "runs"
         low, high = last[f"difference_low_{unit}"], last[f"difference_high_{unit}"]
-        text = (
-            f"{outcome.says}: {first['estimate']:.3g} at {first['value']}, {last['estimate']:.3g} at "
-            f"{last['value']}; {course}"
-        )
+        each = ", ".join(f"{row['estimate']:.3g} at {row['value']}" for _, row in mine.iterrows())
+        text = f"{outcome.says}: {each}; {course}"
         if pd.notna(low):
             low, high = (0.0 if abs(bound) <= _SAME else bound for bound in (low, high))
             sure = "which excludes no effect" if low > 0 or high < 0 else "which includes no effect"
             text += f"; difference {last['difference']:+.3g}, 95 % interval {low:+.3g} to {high:+.3g} ({unit}), {sure}"
-        if pd.notna(last.get("p_holm")):
+        if pd.notna(last.get("p")):
             text += f"; trend {last['trend']:+.3g} for one more of {label_of(last['parameter'])}"
             text += f" ({last['trend_low']:+.3g} to {last['trend_high']:+.3g})" if pd.notna(last["trend_low"]) else ""
             text += f", p {last['p']:.2g} by signs of {last['clusters']:.0f} {unit}"
-            text += f", {last['p_holm']:.2g} of all outcomes (Holm)"
+            text += f", {last['p_holm']:.2g} of all others (Holm)" if pd.notna(last.get("p_holm")) else ""
         found.append(f"{text} [dose_response.estimate of {outcome.name}].")
     return found
 
@@ -247,16 +256,17 @@ def _seeds_line(requests: pd.DataFrame, key: str) -> str | None:
     needed = (f"{math.ceil(seeds_needed(sd, size) / scenes)} for {size:g}" for size in _SIZES_TOLD)
     return (
         f"{label_of(key)}: the difference of the share between first and last value has an SD of {sd:.3f} from run to "
-        f"run ({runs} runs). Seeds needed for a difference at power .8: {', '.join(needed)} [requests.accepted]."
+        f"run ({runs} runs). Seeds needed at power .8, by a paired t test, which assumes more than the signs above: "
+        f"{', '.join(needed)} [requests.accepted]."
     )
 
 
 def _few_clusters(dose: pd.DataFrame) -> tuple[int, int] | None:
     """How many clusters there are, and from how many a test by signs can be sure; None where there are enough."""
-    if "p_holm" not in dose:
+    if "p" not in dose or (told := dose.dropna(subset="p")).empty:
         return None
-    told = dose.dropna(subset="p_holm")
-    there, family = int(told["clusters"].min()), told.groupby("parameter")["outcome"].nunique().max()
+    others = told.dropna(subset="p_holm") if "p_holm" in told else told.iloc[:0]
+    there, family = int(told["clusters"].max()), max(1, others.groupby("parameter")["outcome"].nunique().max() or 1)
     least = math.ceil(1.0 + math.log2(family / 0.05))
     return (there, least) if there < least else None
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bridge.studies.columns import DECIDE, OUTCOMES, Outcome
+from bridge.studies.columns import AT_LAST, OUTCOMES, Outcome
 from hid2.agents import FloatArray, IntArray
 from hid2.resampling import interval, redrawn
 
@@ -106,13 +106,15 @@ def dose_response(
     counted["lag_time_gap_s"] = counted["lag_time_gap_s"].clip(upper=LONG_GAP_S)
     counted["looked"] = (counted["looks"] > 0).astype(float)
     if not gaps.empty:
-        gaps = gaps.assign(**{f"refused_by_{name}": (gaps["refused_by"] == name).astype(float) for name in DECIDE})
+        gaps = gaps.assign(**{f"refused_by_{name}": (gaps["refused_by"] == name).astype(float) for name in AT_LAST})
     frames = {"requests": counted, "gaps": gaps}
     rows: list[dict[str, Any]] = []
     for outcome in OUTCOMES:
         frame = frames[outcome.table]
         if frame.empty:
             continue
+        if outcome.below == "looked" and frame["looked"].all():
+            continue  # it is the share of all
         values, code = np.unique(frame[key].to_numpy(), return_inverse=True)
         statistic = _by_value(frame, outcome, code, len(values), give_up_s=give_up_s)
         of = (frame[outcome.above or "vehicle"].notna() & frame[outcome.below or "vehicle"].ne(0.0)).to_numpy()
@@ -198,10 +200,14 @@ def difference_sd(requests: pd.DataFrame, key: str) -> tuple[float, int] | None:
 
 
 def _adjusted(table: pd.DataFrame) -> pd.DataFrame:
-    """The same with p adjusted for the family of all outcomes of the parameter that vary at all (Holm)."""
+    """The same with p adjusted for the family of all outcomes of the parameter that vary at all (Holm).
+
+    The first outcome, which a study is planned for, is no part of that family.
+    """
     from statsmodels.stats.multitest import multipletests
 
     varies = table.groupby("outcome")["estimate"].transform("nunique") > 1
+    varies &= table["outcome"] != OUTCOMES[0].name
     if "p" not in table or table.loc[varies, "p"].isna().all():
         return table
     each = table[varies].dropna(subset="p").drop_duplicates("outcome").set_index("outcome")["p"]

@@ -54,7 +54,7 @@ def draw_parameter(
                              "gaps_accepted": ("gaps that the rule took", figures.SKY)}),
         ("mean duration, s", {"mean_wait_s": (f"waiting, up to {give_up_s:g} s", figures.BLUE),
                               "lateral_s": ("lateral motion, once accepted", figures.ORANGE)}),
-        ("gaps refused at last, share, by",
+        ("gaps refused, share, by",
          {f"refused_by_{name}": (DECIDE[name], color) for name, color in _COLORS.items()}),
     )  # fmt: skip
     for panel, (panel_title, outcomes) in zip(axes[0], upper, strict=True):

@@ -230,10 +230,13 @@ class Simulation:
         libsumo.vehicle.setSpeed(vehicle_id, -1.0 if limit_mps is None else float(limit_mps))
 
     def change_lane(self, vehicle_id: str, lane_index: int, *, edges: Sequence[str] = ()) -> None:
-        """Ask for an instant change within the edge, onto a route that the new lane continues; none: its own."""
+        """Ask for an instant change within the edge, onto a route that the new lane continues; none: its own.
+
+        For the coming step alone: what it refuses SUMO would make up at a later one of a duration, unseen.
+        """
         if edges:
             libsumo.vehicle.setRoute(vehicle_id, list(edges))
-        libsumo.vehicle.changeLane(vehicle_id, lane_index, self._step_s)
+        libsumo.vehicle.changeLane(vehicle_id, lane_index, 0.0)
 
     @staticmethod
     def lane_change_answer(vehicle_id: str, side: str) -> tuple[frozenset[str], bool, bool]:

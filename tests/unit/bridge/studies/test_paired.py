@@ -291,7 +291,7 @@ def test_study_is_resumed_and_writes_what_its_dictionary_says(tmp_path: Path) ->
     _check_references(text, out)
     assert "cut off [requests.counted]" in text
     assert "- Trends as sure as their intervals look: 3 clusters are fewer than the " in text
-    assert re.search(r"Seeds needed for a difference at power \.8: \d+ for 0\.02, \d+ for 0\.05", text)
+    assert re.search(r"Seeds needed at power \.8, by a paired t test, .*: \d+ for 0\.02, \d+ for 0\.05", text)
 
 
 def test_plan_says_how_many_runs_a_difference_needs_before_and_after_a_pilot(tmp_path: Path) -> None:
