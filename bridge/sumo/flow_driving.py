@@ -55,7 +55,7 @@ class FlowDriving(Driving):
         for arrival in first.values():
             is_clear, is_queued = self._is_clear(arrival, across), arrival.vehicle_id in self._queued
             if is_clear and not is_queued:
-                self._queue(arrival)
+                self._queue(arrival, step)
                 self._held.remove(arrival)
             elif is_queued and not is_clear:
                 self.simulation.remove(arrival.vehicle_id)
@@ -93,14 +93,14 @@ class FlowDriving(Driving):
         near = seen.gap_m < np.where(seen.along_m > 0.0, room_m, 0.0)
         return not bool((beside & near & across.present[:, 0]).any())
 
-    def _queue(self, arrival: Arrival) -> None:
+    def _queue(self, arrival: Arrival, step: int) -> None:
         scene = self.fleet.scene
         cell = scene.cell_at(arrival.path, 0.0)
         edges = edges_along(scene, arrival.path, cell)
         assert edges is not None  # the route begins on its own lane
         self.simulation.queue(
             arrival.vehicle_id, edges=edges, lane_index=scene.grid.lane_index(cell), driver=arrival.driver,
-            size=arrival.size,
+            size=arrival.size, desired_mps=float(arrival.desired[step]),
         )  # fmt: skip
         self._queued[arrival.vehicle_id] = arrival
 

@@ -195,9 +195,15 @@ class Simulation:
         libsumo.vehicle.setSpeedMode(vehicle_id, _SAFE_SPEED)
         return None
 
-    def queue(self, vehicle_id: str, *, edges: Sequence[str], lane_index: int, driver: Driver, size: BoxSize) -> None:
-        """Let a vehicle wait before the first edge until SUMO finds room for it, at the fastest speed that is safe."""
-        type_id = self._driver_type(vehicle_id, driver, size, driver.desired_mps)
+    def queue(
+        self, vehicle_id: str, *, edges: Sequence[str], lane_index: int, driver: Driver, size: BoxSize,
+        desired_mps: float,
+    ) -> None:  # fmt: skip
+        """Let a vehicle wait before the first edge until SUMO finds room for it, at the fastest speed that is safe.
+
+        desired_mps: its desired speed then; a faster one would be braked for at once.
+        """
+        type_id = self._driver_type(vehicle_id, driver, size, desired_mps)
         libsumo.vehicle.add(
             vehicle_id, self._route(edges), typeID=type_id, depart="now", departLane=str(lane_index),
             departPos="base", departSpeed="avg",
