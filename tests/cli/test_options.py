@@ -97,6 +97,10 @@ def test_version_is_that_of_the_distribution(hid2: Run) -> None:
         (["genrate"], "did you mean 'generate'?"),
         (["generate"], "missing SCENE and -o/--out"),
         (["generate", "data/av2"], "missing -o/--out"),
+        (
+            ["--agents", "9", "generate", "data/av2"],
+            "option: --agents; an option of generate goes behind its name (see",
+        ),
         (["evaluate"], "missing argument 'SCENES'"),
         (["plot", "data/av2", "-o", "a.png"], "missing option '--agent'"),
         (["scan", "data/av2", "--jobs", "0"], "invalid value '0' for '--jobs' / '-j': expected at least 1"),
@@ -150,7 +154,9 @@ def test_table_on_a_terminal_fits_and_crops_nothing(columns: int) -> None:
     assert missing == []
 
 
-def test_option_that_holds_one_value_and_is_given_twice_is_a_mistake(hid2: Run, data_root: Path, tmp_path: Path) -> None:
+def test_option_that_holds_one_value_and_is_given_twice_is_a_mistake(
+    hid2: Run, data_root: Path, tmp_path: Path
+) -> None:
     """The parser would take the last one, and drop the first without a word."""
     asked = ("generate", data_root, "-o", tmp_path / "out", "--event", "lead", "--event", "follow")
     result = hid2(*asked, "--target", "av", "--target=focal")
