@@ -6,11 +6,13 @@ import shlex
 import shutil
 import subprocess
 from pathlib import Path
-from typing import get_args
+from typing import get_args, get_type_hints
 
 import pytest
 
+from bridge.batch.scan import SceneFacts
 from bridge.studies.study import read_study
+from hid2.agents import DEFAULT_SIZES
 from hid2.params import Event
 from hid2.reasons import Reason
 
@@ -78,6 +80,22 @@ def test_table_of_reasons_is_made_of_the_reasons() -> None:
     with_table = runpy.run_path(str(ROOT / ".ci" / "reasons_table.py"))["with_table"]
     assert page == with_table(page), "write it anew: .venv/bin/python .ci/reasons_table.py"
     assert f"| `{Reason.PET.value}` | {Reason.PET.text} |" in page
+
+
+def rows_below(page: str, head: str) -> list[str]:
+    """Rows of the table of a page that has this head."""
+    return (ROOT / page).read_text(encoding="utf-8").split(head + "\n")[1].split("\n\n")[0].splitlines()[1:]
+
+
+def test_table_of_sizes_is_that_of_the_code() -> None:
+    rows = [f"| `{name}` | {size.length_m:g} | {size.width_m:g} |" for name, size in DEFAULT_SIZES.items()]
+    assert rows_below("bridge/recordings/README.md", "| object type | length, m | width, m |") == rows
+
+
+def test_columns_of_scan_are_told_on_its_page() -> None:
+    said = get_type_hints(SceneFacts, include_extras=True)
+    rows = [f"| `{name}` | {said[name].__metadata__[0]} |" for name in SceneFacts._fields]
+    assert rows_below("bridge/generation/README.md", "| column | what it is |") == rows
 
 
 def anchors(page: Path) -> set[str]:

@@ -49,8 +49,9 @@ class ManifestRow(NamedTuple):
     change rule of the user's own; version: of the program, by its contents too (`code_version`); platform,
     processor: where it ran; driven: vehicles, of which those placed are a selection; braking_*, standing_*: share
     of the vehicles that are kept, dropped or recorded that brake harder than 3 m/s2, or stand, at some time;
-    limited_*: share of steps in which one was limited for a conflict; near: of those placed, those as near as
-    request.within_m to what request.near names. Texts are printable, on one line and bounded.
+    limited_*: share of steps in which one was limited for a conflict; near: of those placed, those within
+    request.within_m of what request.near names: of traffic at any step, of named agents at the last observed one.
+    Texts are printable, on one line and bounded.
     """
 
     scenario: str

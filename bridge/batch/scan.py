@@ -3,7 +3,7 @@
 import logging
 import random
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, get_args
+from typing import Annotated, NamedTuple, get_args
 
 from bridge.batch.engine import sorted_out, work_on_each
 from bridge.recordings.folders import Address
@@ -33,36 +33,27 @@ _MOVING_M, _MOVING_S = 5.0, 1.0
 
 
 class SceneFacts(NamedTuple):
-    """One row of `hid2 scan`.
+    """One row of `hid2 scan`. What is called room is room on the map, whatever the traffic."""
 
-    tracks: in all; at_49: present at the last observed timestep; vehicles: tracks of type vehicle or bus; moving:
-    vehicles with a path over 5 m, seen for more than 1 s; same_direction: (lane, side) pairs of VEHICLE lanes.
-    Room: lane_change_m and overtake_m are metres of VEHICLE lane from which a change, or an overtake, has the length it
-    needs beside it (an overtake: out, past and back); left_turns and right_turns are turning lanes that can be entered
-    within the map. All that is room on the map, whatever the traffic. events: of those that were looked for what a
-    rolled-out candidate brings about, as `cut_in:av lead:focal`. shift_m: of `hid2/measures/plausibility.py`, by how
-    much the tracks lie beside the lanes.
-    """
-
-    folder: Address
-    scenario: str
-    split: str
-    city: str
-    steps: int
-    tracks: int
-    at_49: int
-    vehicles: int
-    moving: int
-    lanes: int
-    vehicle_lanes: int
-    same_direction: int
-    straight_m: float
-    lane_change_m: float
-    overtake_m: float
-    left_turns: int
-    right_turns: int
-    events: str
-    shift_m: float
+    folder: Annotated[Address, "where the scene is; in the file and with `--json` alone"]
+    scenario: Annotated[str, "its id"]
+    split: Annotated[str, "`train`, `val` or `test`, by the folder that it lies in; empty: none of them"]
+    city: Annotated[str, "its city"]
+    steps: Annotated[int, "timesteps of 0.1 s"]
+    tracks: Annotated[int, "recorded tracks in all, of any type"]
+    at_49: Annotated[int, "of them those present at the last observed timestep, which is 49 in Argoverse 2"]
+    vehicles: Annotated[int, "tracks of type vehicle or bus"]
+    moving: Annotated[int, "vehicles with a path over 5 m, seen for more than 1 s"]
+    lanes: Annotated[int, "lane segments of the map"]
+    vehicle_lanes: Annotated[int, "of them those of type VEHICLE"]
+    same_direction: Annotated[int, "neighbours of the same direction, counted over the two sides of all VEHICLE lanes"]
+    straight_m: Annotated[float, "length of all VEHICLE lanes, m"]
+    lane_change_m: Annotated[float, "room for a lane change: m of VEHICLE lane from which one has the length it needs"]
+    overtake_m: Annotated[float, "room for an overtake: the same for out, past and back"]
+    left_turns: Annotated[int, "room for left turns: lanes that turn left and can be entered within the map"]
+    right_turns: Annotated[int, "the same to the right"]
+    events: Annotated[str, "of the events looked for what a rolled-out vehicle brings about, as `cut_in:av lead:focal`"]
+    shift_m: Annotated[float, "by how much the tracks lie beside the lanes, m (plausible sources)"]
 
     def room(self, policy: Policy) -> float:
         """Room for a policy: metres or lanes, 0 where there is none."""

@@ -70,6 +70,9 @@ def _mistake(error: Exception) -> int:
         ]
         if given and given[0] not in message:
             message = message.replace("Invalid value for ", f"Invalid value {given[0]!r} for ", 1)
+    behind = next((one for one in sys.argv[1:] if one in COMMANDS), None)
+    if type(error).__name__ == "NoSuchOption" and behind and not named:
+        command, message = f"hid2 {behind}", f"{message.rstrip('.')}; an option of {behind} goes behind its name"
     for theirs, ours in _PHRASES.items():
         message = re.sub(theirs, ours, message)
     return _failed(f"{message[:1].lower()}{message[1:].rstrip('.')} (see {command} --help)", USAGE)

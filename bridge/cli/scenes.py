@@ -68,7 +68,10 @@ def scan(
     as_json: bool = options.AS_JSON,
     activity: Activity,
 ) -> int:
-    """Tabulate a data set: agents, density, lanes, neighbours, and room for each manoeuvre."""
+    """Tabulate a data set: agents, density, lanes, neighbours, and room for each manoeuvre.
+
+    What each column is: bridge/generation/README.md, Which scenes.
+    """
     from bridge.batch.scan import EVENTS, SceneFacts, select
     from bridge.files import make_folder, write_rows
     from bridge.recordings.sources import described, find_recordings

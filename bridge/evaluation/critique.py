@@ -24,16 +24,22 @@ _SPLITS = 3
 _KINDS = (("all", None), ("tracker", 0.0), ("labelled", 1.0))
 #: Features named in the report.
 _NAMED = 6
+#: Said in the report and on stderr.
+MISSING = (
+    "the critics are not computed: scikit-learn is not installed; install it (the extra `critics`; "
+    "`pip install scikit-learn`, in a clone `sh setup.sh`) and evaluate again"
+)
 
 
 def critique(found: Packed, control: Packed | None = None) -> dict[str, Any]:
     """Verdicts of the critics by kind of recording, negative and positive controls, and what betrays most.
 
     control: recorded windows with those of other drivers, which the critics must tell, such as SUMO's default ones.
-    Without the extra `critics` there are none, which is logged.
+    Without the extra `critics` there are none, which is logged, and `missing` says so.
     """
-    if find_spec("sklearn") is None:
-        _LOG.warning("no critics: they need the extra `critics`: `pip install scikit-learn`, in a clone `sh setup.sh`")
+    missing = MISSING if find_spec("sklearn") is None else None
+    if missing is not None:
+        _LOG.warning("%s", missing)
         found, control = found.of(found.scene < 0), None
     verdicts = [
         {"recordings": kind, **verdict}
@@ -41,6 +47,7 @@ def critique(found: Packed, control: Packed | None = None) -> dict[str, Any]:
         for verdict in _all_of(found if number is None else found.of(found.labelled == number))
     ]
     return {
+        "missing": missing,
         "windows": {"generated": int(found.generated.sum()), "recorded": int((~found.generated).sum())},
         "verdicts": verdicts,
         "negative_control": [entry for critic, view in JUDGED if (entry := _halves(found, critic, view)) is not None],

@@ -126,7 +126,10 @@ def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | No
     tables = {
         "scenes": [scene],
         "tracks": _track_rows(groups, arrays.mean_per_agent(moved.speed_mps), findings, policy_of, sidecar),
-        "maneuvers": _maneuver_rows(maneuvers, generated_ids, sidecar),
+        "maneuvers": [
+            row | _apart(row, arrays, recording.focal_track_id)
+            for row in _maneuver_rows(maneuvers, generated_ids, sidecar)
+        ],
         "events": [event.model_dump(mode="json") for event in sidecar.events] if sidecar else [],
         "lane_changes": [asdict(row) for row in lane_changes(states.view, safe.leaders, maneuvers)],
         "conflicts": [asdict(row) for row in conflicts(arrays)],
@@ -346,13 +349,29 @@ def _seen(track_id: str | None, record: ManeuverRecord, candidates: Sequence[Man
     return nearest if inside else None
 
 
-#: Columns of the table of manoeuvres: fields of the record, and of the manoeuvre that was seen.
+def _apart(row: Row, arrays: SceneArrays, focal_track_id: str) -> Row:
+    """Metres from the focal track and the recording vehicle as a manoeuvre that was done or seen crosses, or begins."""
+    told = [row[name] for name in ("crossing_s", "start_s", "seen_crossing_s") if row[name] is not None]
+    if not told or row["status"] not in ("done", None):
+        return dict.fromkeys(_APART)
+    step = min(round(told[0] / arrays.step_s), arrays.num_steps - 1)
+    rows = zip(arrays.track_ids, arrays.row_of[:, step].tolist(), strict=True)
+    at = {track_id: arrays.position[there] for track_id, there in rows if there >= 0}
+    own, *others = (at.get(track_id) for track_id in (row["track_id"], focal_track_id, "AV"))
+    return {
+        name: None if own is None or other is None else float(np.hypot(*(other - own)))
+        for name, other in zip(_APART, others, strict=True)
+    }
+
+
+#: Columns of the table of manoeuvres: fields of the record, of the manoeuvre that was seen, and distances.
 _RECORD = {name: name for name in (
     "status", "reason", "trigger_s", "requested_s", "start_s", "crossing_s", "end_s", "gap_front_m", "gap_rear_m",
     "min_ttc_s", "leader_track_id",
 )}  # fmt: skip
 _SEEN = {"seen": "kind", **{f"seen_{name}": name for name in ("start_s", "crossing_s", "end_s", "complete")}}
 _SEEN |= {name: name for name in ("source_lane", "target_lane", "other_track_id", "part_of")}
+_APART = ("focal_m", "av_m")
 
 
 def _fields(one: ManeuverRecord | Maneuver | None, names: Mapping[str, str]) -> Row:
@@ -365,7 +384,7 @@ def _fields(one: ManeuverRecord | Maneuver | None, names: Mapping[str, str]) -> 
 TABLES: Mapping[str, tuple[str, ...]] = {
     "scenes": (),
     "tracks": (),
-    "maneuvers": ("scenario_id", "track_id", "group", "kind", "recorded", *_RECORD, *_SEEN),
+    "maneuvers": ("scenario_id", "track_id", "group", "kind", "recorded", *_RECORD, *_SEEN, *_APART),
     "events": ("scenario_id", "folder", *EventRecord.model_fields),
     "lane_changes": ("scenario_id", *(field.name for field in fields(LaneChangeRow))),
     "conflicts": ("scenario_id", *(field.name for field in fields(TrafficConflict))),

@@ -47,7 +47,7 @@ from hid2.params import Config
 from hid2.scene import Scene, build_scene
 from hid2.vehicle import DrivenVehicle, Start
 from netconvert.cells import CellGrid, build_cell_grid
-from netconvert.errors import ScenarioError
+from netconvert.errors import ConfigError, ScenarioError
 from netconvert.net_xml import net_bytes
 
 _LOG = logging.getLogger(__name__)
@@ -89,8 +89,12 @@ class PreparedScene:
 
 
 def prepare(source: Recording | TrafficScene, config: Config) -> PreparedScene:
-    """Grid of a scene. Errors: MapError, ScenarioError where it is not plausible."""
+    """Grid of a scene. Errors: MapError, ScenarioError where it is not plausible, ConfigError for what is no scene."""
     scenario = source.recording if isinstance(source, TrafficScene) else source
+    if not isinstance(scenario, Recording):  # a path, mostly
+        raise ConfigError(
+            f"source {str(source)[:200]!r}: expected a scene, as read_scene(path) or prepare(scene) gives it"
+        )
     if config.source.plausible:
         check_plausible(scenario)
     grid = build_cell_grid(scenario.graph, cell_m=config.grid.cell_m, max_skew_m=config.grid.max_skew_m)
@@ -100,7 +104,8 @@ def prepare(source: Recording | TrafficScene, config: Config) -> PreparedScene:
 def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *, variant: int = 0) -> TrafficScene:
     """Insert vehicles into a recorded scene as `config` asks; nothing is written.
 
-    Same scenario, configuration and variant: the same result. Errors: MapError, NetError, SimulationError, ConfigError,
+    source: a scene as `read_scene` gives it or, for several variants of it, as `prepare` does; no path. Same scenario,
+    configuration and variant: the same result. Errors: MapError, NetError, SimulationError, ConfigError,
     ScenarioError where a generated focal track was asked for and no vehicle lives through the scene.
     """
     check_exportable(config)

@@ -3,7 +3,7 @@
 <id>.net.xml     the net of `hid2 net`, with the city's UTM zone and origin: sumo-gui and sumolib put it on a map
 <id>.rou.xml     the inserted vehicles: type and driver, departure, route along the net's edges
 <id>.fcd.xml     what `sumo --fcd-output` would have written: every agent at every step, as it was exported
-<id>.sumocfg     SUMO drives the inserted vehicles, where there are any, alone and by its own car following
+<id>.sumocfg     SUMO drives the inserted vehicles, where there are any, alone, by its own models
 <id>_scene.*     plain sumo-gui plays the whole scene, as `bridge.sumo.playback` lays it out
 
 Positions in the FCD output are SUMO's: the middle of the front bumper, and degrees clockwise from north. Every agent is

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -176,6 +177,22 @@ def test_missing_scene_is_exit_code_2(hid2: Run, tmp_path: Path) -> None:
 def test_quiet_says_nothing_when_all_is_well(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
     result = hid2("generate", data_scenes["curve"], "-o", tmp_path / "out", "--agents", 1, "-q")
     assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
+
+
+def test_scene_goes_into_the_split_of_its_source_and_it_is_said_where_there_is_none(
+    hid2: Run, data_scenes: dict[str, Path], tmp_path: Path
+) -> None:
+    source = data_scenes["arterial"]
+    shutil.copytree(source, tmp_path / "mine" / source.name)
+    loose = hid2("generate", tmp_path / "mine", "-o", tmp_path / "out", "--agents", 0)
+    assert (
+        f"1 of 1 scene in no folder train, val or test: what is made of them goes to {tmp_path}/out/<id>"
+        in loose.stderr
+    )
+    split = hid2("generate", source, "-o", tmp_path / "again", "--agents", 0)
+    assert "in no folder" not in split.stderr
+    folders = [rows_of(tmp_path / out)[0]["folder"] for out in ("out", "again")]
+    assert [Path(folder).parent.name for folder in folders] == ["", source.parent.name]
 
 
 def test_selection_by_facts(hid2: Run, data_root: Path, tmp_path: Path) -> None:

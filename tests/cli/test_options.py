@@ -97,6 +97,10 @@ def test_version_is_that_of_the_distribution(hid2: Run) -> None:
         (["genrate"], "did you mean 'generate'?"),
         (["generate"], "missing SCENE and -o/--out"),
         (["generate", "data/av2"], "missing -o/--out"),
+        (
+            ["--agents", "9", "generate", "data/av2"],
+            "option: --agents; an option of generate goes behind its name (see",
+        ),
         (["evaluate"], "missing argument 'SCENES'"),
         (["plot", "data/av2", "-o", "a.png"], "missing option '--agent'"),
         (["scan", "data/av2", "--jobs", "0"], "invalid value '0' for '--jobs' / '-j': expected at least 1"),

@@ -63,6 +63,41 @@ def test_tables_have_one_row_per_scene_track_and_maneuver(report, made_root):
     assert len(recorded) == sum(entry[status] for entry in requested.values() for status in statuses)
 
 
+def test_maneuvers_tell_how_far_from_the_focal_track_and_the_recording_vehicle_they_are(report, made_root):
+    """By the tracks, at the step of the crossing, else of the start; nothing of those that were not done."""
+    scenes = {path.name: read_scenario(path) for path in find_scenarios(made_root)}
+    rows = read_csv(report[1] / "maneuvers.csv")
+    counted = Counter()
+    for row in rows:
+        scene = scenes[row["scenario_id"]]
+        is_done = row["status"] == "done" or row["recorded"] == "False"
+        for column, name in (("focal_m", scene.focal_track_id), ("av_m", "AV")):
+            counted[column, is_done, row[column] != ""] += 1
+            if row[column]:
+                step = round(float(row["crossing_s"] or row["start_s"] or row["seen_crossing_s"]) * 10)
+                own, other = (
+                    next(t.position[t.timesteps == step][0] for t in scene.tracks if t.track_id == track_id)
+                    for track_id in (row["track_id"], name)
+                )
+                assert float(row[column]) == pytest.approx(np.hypot(*(own - other)), rel=1e-5)
+    assert min(counted["focal_m", True, True], counted["av_m", True, True], counted["focal_m", False, False]) > 0
+    assert not any(counted[column, False, True] for column in ("focal_m", "av_m"))
+
+
+def test_what_differs_most_is_said_of_what_has_samples_enough(report, tmp_path):
+    """Of 30 on either side: the nearest and the furthest feature have 29 of one kind and are not named."""
+    evaluation, _ = report
+    distances = [
+        {**one, "jensen_shannon_ratio": 1.0 + row, "generated_samples": 30, "recorded_samples": 30}
+        for row, one in enumerate(evaluation.metrics["realism"]["distances"])
+    ]
+    distances[0]["generated_samples"] = distances[-1]["recorded_samples"] = 29
+    realism = evaluation.metrics["realism"] | {"distances": distances}
+    write_report(replace(evaluation, metrics=evaluation.metrics | {"realism": realism}), tmp_path / "report.html")
+    text = (tmp_path / "report.html").read_text()
+    assert "differ most in post-encroachment time (10.0 times the floor) and least in longitudinal acceleration" in text
+
+
 def test_groups_are_kept_apart(report):
     """Combined is the mean of the other two, weighted by tracks, and generated vehicles are clean."""
     evaluation, folder = report

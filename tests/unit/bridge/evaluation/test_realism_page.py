@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bridge.evaluation.critique import critique
+from bridge.evaluation.critique import MISSING, critique
 from bridge.pages.parts import macro
 from hid2.evaluation.critics import FEATURE_NAMES, WIDTH, Packed
 
@@ -22,7 +22,7 @@ def critics(auc, **more):
     return {
         "verdicts": [verdict(0.55, critic="logistic"), verdict(auc)], "negative_control": [verdict(0.51)],
         "constant_speed_control": [verdict(0.97)], "drivers_control": [],
-        "betrays": [{"feature": "drift across the lane", "auc": 0.36}],
+        "betrays": [{"feature": "drift across the lane", "auc": 0.36}], "missing": None,
     } | more  # fmt: skip
 
 
@@ -79,6 +79,13 @@ def test_one_scene_says_that_it_is_too_few():
     assert "too few scenes" in plain_words(critics(0.6, verdicts=[]), [])[0]
 
 
+def test_a_package_that_is_missing_is_not_said_to_be_too_few_scenes():
+    (line,) = plain_words(critics(0.6, verdicts=[], missing=MISSING), [])
+    assert "scikit-learn is not installed" in line
+    assert "pip install scikit-learn" in line
+    assert "too few" not in line
+
+
 @pytest.mark.slow
 def test_verdicts_are_given_by_kind_of_recording():
     """Six scenes, three of them of each kind; accelerations and places alike for both kinds of vehicles."""
@@ -103,4 +110,6 @@ def test_without_the_extra_nothing_is_judged_and_it_is_said(monkeypatch, caplog)
     monkeypatch.setattr("bridge.evaluation.critique.find_spec", lambda _: None)
     found = critique(rows, rows)
     assert (found["verdicts"], found["drivers_control"], found["betrays"]) == ([], [], [])
-    assert "need the extra `critics`" in caplog.text
+    assert found["missing"] == MISSING
+    assert MISSING in caplog.text
+    assert "pip install scikit-learn" in MISSING

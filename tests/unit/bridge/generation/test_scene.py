@@ -3,6 +3,7 @@
 import dataclasses
 import filecmp
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -13,7 +14,7 @@ from browser import Page
 
 from bridge.config import load_config
 from bridge.evaluation.scene_metrics import evaluate_scene
-from bridge.generation.generate import generate
+from bridge.generation.generate import generate, prepare
 from bridge.generation.scene import TrafficScene, read_scene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.sidecar import EventRecord
@@ -144,6 +145,12 @@ def test_scene_to_read_is_told_in_one_line(tmp_path: Path, data_root: Path) -> N
     with pytest.raises(ConfigError, match="holds several scenes"):
         read_scene(data_root)
     assert len(find_scenarios(str(data_root))) == 3
+
+
+@pytest.mark.parametrize("function", [generate, prepare])
+def test_a_path_instead_of_a_scene_is_told_in_one_line(function: Callable[..., object]) -> None:
+    with pytest.raises(ConfigError, match=r"source 'data/av2': expected a scene, as read_scene\(path\) or prepare"):
+        function("data/av2", load_config())
 
 
 # --- rules and metrics of a user's own --------------------------------------------------------------------------------
