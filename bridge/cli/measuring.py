@@ -68,9 +68,9 @@ def evaluate(
     return options.SOME_FAILED if evaluation.failures else options.ALL_DONE
 
 
-@command(reads=("root",), files=("out",))
+@command(reads=("scenes",), files=("out",))
 def calibrate(
-    root: Path = options.argument("ROOT", "Recorded scenes: a scenario folder, a split folder or a root."),
+    scenes: list[Path] = options.argument("SCENE...", "Recorded scenes: scenario folders, splits or roots."),
     out: Path = options.output(
         "File to write; tables and a page go beside it.", Path("drivers.toml"), "DRIVERS.toml", "-o"
     ),
@@ -83,7 +83,7 @@ def calibrate(
     from bridge.evaluation.calibrate import calibrate_folder
 
     activity.doing("measuring how people drive")
-    found = calibrate_folder(root, out, without=without, jobs=jobs, on_scene=activity.show)
+    found = calibrate_folder(scenes, out, without=without, jobs=jobs, on_scene=activity.show)
     tell_unread(found.failures)
     activity.result(out, out.with_name(f"{out.stem}.html"))
     return options.SOME_FAILED if found.failures else options.ALL_DONE

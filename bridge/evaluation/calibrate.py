@@ -56,17 +56,18 @@ class Calibration(NamedTuple):
 
 
 def calibrate_folder(
-    root: Path, out: Path, *, without: Sequence[str] = (), jobs: int = 1,
+    roots: Sequence[Path], out: Path, *, without: Sequence[str] = (), jobs: int = 1,
     on_scene: Callable[[int, int], None] | None = None,
 ) -> Calibration:  # fmt: skip
-    """Measure how people drive in the recorded scenes below `root`, and write what was found.
+    """Measure how people drive in the recorded scenes below some folders, and write what was found.
 
     Writes `out` (TOML, the section [drivers] of a configuration) and, beside it, STEM.csv (quantities) and STEM.html
     (the same with figures). without: ids of scenes to leave out, such as those to be generated from.
     Scenes that hid2 wrote are passed over. Errors: ConfigError where no scene is left, ScenarioError where none can be
     read; ExportError where something cannot be written.
     """
-    found = [address for address in find_sources([root]) if isinstance(address, Path)]
+    found = [address for address in find_sources(roots) if isinstance(address, Path)]
+    root = ", ".join(map(str, roots))
     there = {source_id(folder): folder for folder in found}
     if not there:
         raise ConfigError(f"{root}: no Argoverse 2 scene, which calibration reads; expected scenario_<id>.parquet")

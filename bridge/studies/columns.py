@@ -45,8 +45,7 @@ REQUEST_COLUMNS: Mapping[str, str] = {
     "min_ttc_s": "smallest two-dimensional TTC to anything from start to end; empty: none below 5 s",
     "min_pet_s": "smallest PET of its conflicts from start to end; empty: none below 5 s",
     "overlaps": "whether its box meets another one from start to end",
-    "lag_drac_mps2": "largest DRAC of the new follower from start to end: closing speed over twice the boxes' TTC; "
-    "0 where that is never below 5 s",
+    "lag_drac_mps2": "largest DRAC of the new follower from start to end: closing speed squared over twice the gap",
     "lag_headway_s": "its least time headway, front to front",
     "lag_brakes_mps2": "its hardest braking",
 }

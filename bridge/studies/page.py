@@ -5,6 +5,7 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -74,7 +75,8 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
     }  # fmt: skip
     for name, row in (("lane_changes", LaneChangeRow), ("conflicts", TrafficConflict)):
         if named[name].empty:  # the table says so
-            named[name] = pd.DataFrame(columns=[field.name for field in fields(row)])
+            of_a_run = takewhile("status".__ne__, tables["runs"].columns)
+            named[name] = pd.DataFrame(columns=[*of_a_run, *(field.name for field in fields(row))])
     written = [
         path for name in DICTIONARY if len(named[name].columns) for path in _write_table(out_dir, name, named[name])
     ]

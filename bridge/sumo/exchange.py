@@ -25,7 +25,7 @@ from bridge.pictures.figures import kinds_in
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import DriverRecord, Sidecar
 from bridge.sumo.drivers import driver_attributes, model_parameters
-from bridge.sumo.playback import departure, playable_files, run_options, vehicle_type
+from bridge.sumo.playback import departure, playable_files, run_options, type_id, vehicle_type
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray
 from hid2.drivers.driver import Driver
@@ -38,6 +38,7 @@ from netconvert.cells import SAVED_WITHIN_M, Cell, CellGrid, build_cell_grid
 from netconvert.errors import ScenarioError
 from netconvert.geo import CITY_ORIGINS
 from netconvert.gui_files import gui_files, xml_bytes
+from netconvert.lane_graph import TurnType
 from netconvert.net_xml import net_bytes
 
 _LOG = logging.getLogger(__name__)
@@ -81,7 +82,7 @@ def _fcd(scenario: Recording, grid: CellGrid, placed: Mapping[str, _Placed]) -> 
         rows = np.column_stack([front, angle, track.speed, pos]).tolist()
         for step, cell, there, row in zip(track.timesteps.tolist(), cells, on.tolist(), rows, strict=True):
             x, y, degrees, speed, along = (f"{value:.3f}" for value in row)  # to mm, 0.001 degrees, mm/s
-            place = {"id": name, "x": x, "y": y, "angle": degrees, "type": f"type_{name}", "speed": speed}
+            place = {"id": name, "x": x, "y": y, "angle": degrees, "type": type_id(track), "speed": speed}
             place |= {"pos": along, "lane": grid.sumo_lane_id(cell)} if there else {}
             root[step].append(E.vehicle({**place, "slope": "0.00"}))
     etree.indent(root, "    ")
@@ -129,10 +130,11 @@ def _routes(
             kind |= {"carFollowModel": driver.model, **{key: f"{value:g}" for key, value in more.items()}}
             speed_mps = min(speed_mps, more["maxSpeed"])  # SUMO inserts no vehicle that is faster
         kinds.append(E.vType(kind))
-        vehicle = {"id": name, "type": f"type_{name}", "depart": f"{track.timesteps[0] * scenario.step_s:.2f}"}
+        vehicle = {"id": name, "type": type_id(track), "depart": f"{track.timesteps[0] * scenario.step_s:.2f}"}
         vehicle |= {"departLane": str(grid.lane_index(cells[0])), "departPos": _rounded_down(pos[0])}
         vehicle |= {"departSpeed": _rounded_down(speed_mps), "insertionChecks": "none"}
-        vehicles.append(E.vehicle(vehicle, E.route(edges=" ".join(_edges(cells, grid, links, name)))))
+        edges = _edges(cells, grid, links, name) + _onward(cells[-1], grid)
+        vehicles.append(E.vehicle(vehicle, E.route(edges=" ".join(edges))))
     return xml_bytes(E.routes(*kinds, *vehicles))
 
 
@@ -159,6 +161,17 @@ def _edges(cells: Sequence[Cell], grid: CellGrid, links: Mapping[str, Sequence[s
                 _LOG.warning("%s: the net has no way from edge %s to %s, its route ends there", name, edges[-1], edge)
                 break
             edges += way
+    return edges
+
+
+def _onward(cell: Cell, grid: CellGrid) -> list[str]:
+    """The edges from a cell to the map's edge, straight on where there are: SUMO may be faster than it was."""
+    edges: list[str] = []
+    while targets := grid.following(cell):
+        cell = min(targets, key=lambda one: grid.graph.lanes[one.lane_id].turn is not TurnType.STRAIGHT)
+        if (edge := grid.edge_id(cell)) in edges:
+            break
+        edges.append(edge)
     return edges
 
 

@@ -222,7 +222,7 @@ def _routes(scenario: Scenario, traces: list[_Trace]) -> bytes:
         name, limit = trace.track.track_id, trace.limit
         kind = vehicle_type(trace.track) | {"vClass": _UNSEEN, "maxSpeed": limit, "speedFactor": "1", "speedDev": "0"}
         kinds.append(E.vType(kind | {"minGap": "0", "sigma": "0", "tau": f"{scenario.step_s}"}))
-        vehicle = {"id": name, "type": f"type_{name}", "color": rgb(faces[name]), "insertionChecks": "none"}
+        vehicle = {"id": name, "type": type_id(trace.track), "color": rgb(faces[name]), "insertionChecks": "none"}
         vehicle |= {"depart": f"{trace.track.timesteps[0] * scenario.step_s:.2f}", "departSpeed": limit}
         vehicle |= {"departPos": f"{trace.advance_m - 0.5 * _CLEAR_M:.4f}", "arrivalPos": "max"}
         shown = is_generated_id(name) or trace.track.category == FOCAL_CATEGORY  # all ids would hide each other
@@ -242,4 +242,9 @@ def vehicle_type(track: Track, kind: str | None = None) -> dict[str, str]:
     looks = {} if kind is None else {"color": rgb(kind)}
     looks |= {"guiShape": GUI_SHAPES[track.object_type]} if track.object_type in GUI_SHAPES else {}
     size = {"length": f"{track.size.length_m:.2f}", "width": f"{track.size.width_m:.2f}"}
-    return {"id": f"type_{track.track_id}", **size, **looks}
+    return {"id": type_id(track), **size, **looks}
+
+
+def type_id(track: Track) -> str:
+    """Its type of its own by name: what it is, so that tools can tell cars from others, and its id."""
+    return f"{track.object_type}_{track.track_id}"

@@ -30,7 +30,8 @@ class PairCourse:
     rows, other: rows of the two; ttc_s: of the boxes at constant velocities, inf above the cap; gap_m: bumper to bumper
     along the follower's heading, negative where they are side by side; drac_mps2: deceleration that takes the closing
     speed w along that heading away within w TTC, w / (2 TTC), 0 without a TTC, and of one step where less is left, also
-    where boxes touch; headway_s: front to front; brakes_mps2: how hard the follower slows down, 0 where it does not.
+    where boxes touch; follower_drac_mps2: w^2 / (2 gap), also of what comes from beside, as in lane changes; headway_s:
+    front to front; brakes_mps2: how hard the follower slows down, 0 where it does not.
     """
 
     step: IntArray
@@ -39,6 +40,7 @@ class PairCourse:
     ttc_s: FloatArray
     gap_m: FloatArray
     drac_mps2: FloatArray
+    follower_drac_mps2: FloatArray
     headway_s: FloatArray
     brakes_mps2: FloatArray
 
@@ -60,12 +62,15 @@ def pair_course(arrays: SceneArrays, follower: int, other: int, *, cap_s: float 
     closing = np.sum((pair.velocity[own] - pair.velocity[its]) * forward, axis=1)
     speed = np.sum(pair.velocity[own] * forward, axis=1)
     drac = np.where(known & (closing > _CLOSES_MPS), closing / (2.0 * np.maximum(ttc_s, arrays.step_s)), 0.0)
+    gap_m = ahead_m - 0.5 * (pair.length[0] + pair.length[1])
+    closes = (closing > _CLOSES_MPS) & (gap_m > 0.0)
+    room_m = np.where(closes, np.maximum(gap_m, closing * arrays.step_s), 1.0)
     front_m = ahead_m + 0.5 * (pair.length[1] - pair.length[0])
     slows = -differences(np.hypot(*pair.velocity[own].T), arrays.step_s)
     return PairCourse(
         step=steps, rows=arrays.row_of[follower, steps], other=arrays.row_of[other, steps],
-        ttc_s=np.where(known, ttc_s, np.inf), gap_m=ahead_m - 0.5 * (pair.length[0] + pair.length[1]),
-        drac_mps2=drac, brakes_mps2=np.maximum(slows, 0.0),
+        ttc_s=np.where(known, ttc_s, np.inf), gap_m=gap_m, drac_mps2=drac,
+        follower_drac_mps2=np.where(closes, closing**2 / (2.0 * room_m), 0.0), brakes_mps2=np.maximum(slows, 0.0),
         headway_s=np.where(speed > _CLOSES_MPS, front_m / np.maximum(speed, _CLOSES_MPS), np.inf),
     )  # fmt: skip
 

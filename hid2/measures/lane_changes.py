@@ -37,7 +37,9 @@ class LaneChangeRow:
     lag_id: Annotated[str | None, "new follower, at the end or else at the crossing"]
     lag_after_m: Annotated[float | None, "its gap at the end"]
     lag_brakes_mps2: Annotated[float | None, "hardest braking of the new follower from start to end"]
-    lag_drac_mps2: Annotated[float | None, "its largest DRAC"]
+    lag_drac_mps2: Annotated[
+        float | None, "its largest DRAC by the gap along its heading, closing speed squared over twice the gap"
+    ]
     lag_headway_s: Annotated[float | None, "its least time headway, front to front"]
 
 
@@ -57,7 +59,7 @@ def lane_changes(view: LaneView, led: Leaders, seen: Iterable[Maneuver]) -> Iter
         course = None if lag is None else pair_course(arrays, lag, own).during(first, last)
         brakes = drac = headway = None
         if course is not None and course.step.size > 1:
-            brakes, drac = float(course.brakes_mps2.max()), float(course.drac_mps2.max())
+            brakes, drac = float(course.brakes_mps2.max()), float(course.follower_drac_mps2.max())
             headway = float(course.headway_s.min())
         start_mps, crossing_mps, end_mps = (float(speed[arrays.row_of[own, at]]) for at in (first, middle, last))
         yield LaneChangeRow(

@@ -79,7 +79,7 @@ def test_scenes_that_hid2_wrote_are_no_recordings(data_scenes: dict[str, Path], 
     shutil.copytree(data_scenes["curve"], scene)
     (scene / "hid2_x.json").touch()
     with pytest.raises(ConfigError, match="holds generated scenes only"):
-        calibrate_folder(tmp_path, tmp_path / "drivers.toml")
+        calibrate_folder([tmp_path], tmp_path / "drivers.toml")
 
 
 @pytest.mark.slow

@@ -110,7 +110,7 @@ def test_sumo_knows_the_drivers_of_the_inserted_vehicles(driven: Path, made_scen
     sidecar = read_sidecar(sidecar_path(made_scene, read_scenario(made_scene).scenario_id))
     types = libsumo.vehicletype
     for agent in sidecar.agents:
-        kind, own = f"type_{agent.track_id}", agent.driver.parameters
+        kind, own = f"{agent.object_type}_{agent.track_id}", agent.driver.parameters
         found = [
             get(kind) for get in (types.getAccel, types.getDecel, types.getTau, types.getMinGap, types.getMaxSpeed)
         ]
