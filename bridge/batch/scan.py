@@ -53,7 +53,7 @@ class SceneFacts(NamedTuple):
     left_turns: Annotated[int, "room for left turns: lanes that turn left and can be entered within the map"]
     right_turns: Annotated[int, "the same to the right"]
     events: Annotated[str, "of the events looked for what a rolled-out vehicle brings about, as `cut_in:av lead:focal`"]
-    shift_m: Annotated[float, "by how much the tracks lie beside the lanes, m (plausible sources)"]
+    shift_m: Annotated[float, "by how much the tracks lie beside the lanes, m; what `source.plausible` looks at"]
 
     def room(self, policy: Policy) -> float:
         """Room for a policy: metres or lanes, 0 where there is none."""

@@ -26,8 +26,8 @@ _KINDS = (("all", None), ("tracker", 0.0), ("labelled", 1.0))
 _NAMED = 6
 #: Said in the report and on stderr.
 MISSING = (
-    "the critics are not computed: scikit-learn is not installed; install it (the extra `critics`; "
-    "`pip install scikit-learn`, in a clone `sh setup.sh`) and evaluate again"
+    "the critics are not computed: scikit-learn, the extra `critics`, is not installed; install it "
+    "(`pip install scikit-learn`, in a clone `sh setup.sh`) and evaluate again"
 )
 
 

@@ -81,7 +81,7 @@ def test_one_scene_says_that_it_is_too_few():
 
 def test_a_package_that_is_missing_is_not_said_to_be_too_few_scenes():
     (line,) = plain_words(critics(0.6, verdicts=[], missing=MISSING), [])
-    assert "scikit-learn is not installed" in line
+    assert "scikit-learn, the extra `critics`, is not installed" in line
     assert "pip install scikit-learn" in line
     assert "too few" not in line
 
