@@ -355,7 +355,9 @@ class LaneChange(_Section):
         ge=1.5,
         le=10,
     )
-    max_duration_s: float = _param(6.0, "s", "longest lane change", ge=1.5, le=15)
+    max_duration_s: float = _param(
+        6.0, "s", "longest lane change that a driver wants; driven ones end up to half a second later", ge=1.5, le=15
+    )
     ramp_share: float = _param(
         0.27, "share", "of its time, in which the lateral speed rises, and falls: recorded ones peak at .87 m/s", gt=0,
         le=0.5,

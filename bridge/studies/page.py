@@ -2,6 +2,7 @@
 
 import gzip
 import io
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -35,6 +36,7 @@ _LONG = 50_000
 #: Differences of shares for which the page says how many seeds they need.
 _SIZES_TOLD = (0.02, 0.05, 0.1)
 _SAME = 1e-9  # less is a rounding error
+_LOG = logging.getLogger(__name__)
 
 
 def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Path) -> list[Path]:
@@ -45,6 +47,10 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
     if not gaps.empty and not requests.empty:
         counted = requests.loc[requests["counted"], ["scene", "point", "seed", "vehicle"]]
         gaps = gaps.merge(counted, on=["scene", "point", "seed", "vehicle"])
+    if requests.empty:
+        _LOG.warning(
+            "%s: no run has a request of the kind %s; expected more traffic, or more time", out_dir, study.kind
+        )
     files: list[Path] = []
     doses, acceptance, critical = [], [], []
     any_counted = not requests.empty and bool(requests["counted"].any())

@@ -86,6 +86,7 @@ def test_every_inserted_vehicle_has_a_route_that_the_net_has(written: Path, made
         vehicle = vehicles[agent.track_id]
         edges = vehicle.find("route").get("edges").split()
         assert all(pair in links for pair in pairwise(edges))
+        assert edges[-1] not in {before for before, _ in links}  # to the map's edge
         assert float(vehicle.get("depart")) == pytest.approx(scenario.track(agent.track_id).timesteps[0] * 0.1)
         kind = types[vehicle.get("type")]
         assert (float(kind.get("length")), float(kind.get("width"))) == pytest.approx(
