@@ -43,7 +43,7 @@ def evaluate_folder(
     out: Path,
     *,
     report_dir: Path,
-    source: Sequence[Path] = (),
+    source: Path | Sequence[Path] = (),
     choices: Choices | None = None,
     control: Path | None = None,
     jobs: int = 1,
@@ -64,7 +64,8 @@ def evaluate_folder(
 
     # by map, so that each is read once, and large ones first: what a process needs at most it needs from the start
     folders = sorted(find_recordings([out], choices), key=_map_size, reverse=True)
-    sources = _sources_of(folders, source, choices) if source else {}
+    roots = (source,) if isinstance(source, Path) else source
+    sources = _sources_of(folders, roots, choices) if roots else {}
     controls = sorted(find_scenarios(control), key=_map_size, reverse=True) if control is not None else []
     known = len(folders) + len(sources)
     evaluation = Evaluation(Totals(sources))
