@@ -145,8 +145,7 @@ def generate(  # noqa: PLR0913  # one for each option
 
     if loose := sum(split_of(folder) is None for folder in folders):
         activity.note(
-            f"{loose} of {counted(len(folders), 'scene')} in no folder train, val or test: what is made of them goes "
-            f"to {out / '<id>'}, in no split"
+            f"{loose} of {counted(len(folders), 'scene')} in no folder train, val or test: no split of {out} has them"
         )
     from bridge.batch.batch import Options, plan, run_batch
     from bridge.batch.requested import came_about_nowhere, check_request, check_same_request, named_behaviours

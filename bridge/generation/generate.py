@@ -92,9 +92,7 @@ def prepare(source: Recording | TrafficScene, config: Config) -> PreparedScene:
     """Grid of a scene. Errors: MapError, ScenarioError where it is not plausible, ConfigError for what is no scene."""
     scenario = source.recording if isinstance(source, TrafficScene) else source
     if not isinstance(scenario, Recording):  # a path, mostly
-        raise ConfigError(
-            f"source {str(source)[:200]!r}: expected a scene, as read_scene(path) or prepare(scene) gives it"
-        )
+        raise ConfigError(f"source {str(source)[:200]!r}: expected a scene, as read_scene(path) gives it")
     if config.source.plausible:
         check_plausible(scenario)
     grid = build_cell_grid(scenario.graph, cell_m=config.grid.cell_m, max_skew_m=config.grid.max_skew_m)

@@ -182,13 +182,12 @@ def selection_record(scene: Scene, filling: Filling) -> SelectionRecord:
 def near_count(scene: Scene, vehicles: Sequence[ExportedVehicle]) -> int:
     """Vehicles whose centres come as near as request.within_m to what request.near names, when it says so."""
     request, traffic = scene.config.request, scene.traffic
-    rows = target_rows(scene, request.near)
-    is_named = request.near not in ("traffic", "anywhere")
-    count = 0
+    rows, count = target_rows(scene, request.near), 0
+    last = None if request.near in ("traffic", "anywhere") else scene.last_observed_step
     for one in vehicles:
-        steps = np.arange(one.span.start, one.span.stop)
-        if is_named:
-            steps = steps[steps == scene.last_observed_step]
+        steps = np.array(
+            [step for step in range(one.span.start, one.span.stop) if last in (None, step)], dtype=np.int64
+        )
         apart = traffic.position[rows][:, steps] - one.trajectory.position[steps - one.span.start]
         is_near = traffic.present[rows][:, steps] & (np.hypot(*np.moveaxis(apart, -1, 0)) <= request.within_m)
         count += bool(is_near.any())

@@ -69,8 +69,6 @@ AT_LAST = ("rule", "cells", "road")
 #: What a study tells of each value of a parameter.
 OUTCOMES = (
     Outcome("share_accepted", "share of the requests counted that got a gap", "requests", "accepted"),
-    Outcome("share_accepted_of_looking", "the same of those that had a lane beside to look at", "requests", "accepted",
-            "looked"),
     Outcome("mean_wait_s", "mean waiting time from the trigger, up to the longest allowed, s", "requests", None),
     Outcome("gaps_accepted", "share of the gaps looked at that the rule took", "gaps", "accepted"),
     Outcome("gaps_taken", "share of the gaps that the rule took in which a change came about", "gaps", "taken",
@@ -173,7 +171,6 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "mean_s": "mean critical time gap, lognormal, maximum likelihood (Troutbeck)",
         "mean_low_s, mean_high_s": "its 95 % interval",
         "sd_s": "standard deviation between drivers",
-        "raff_s": "Raff's critical gap",
         "drivers": "drivers that took or refused a gap for this side of it, and are used",
         "inconsistent": "drivers left out: they had refused a larger gap than the one taken",
     },

@@ -157,22 +157,10 @@ def troutbeck(rejected_s: FloatArray, accepted_s: FloatArray) -> tuple[Estimate,
     return interval(float(mean), drawn[0]), interval(float(sd), drawn[1])
 
 
-def raff(rejected_s: FloatArray, accepted_s: FloatArray) -> float | None:
-    """Raff's critical gap, s: as many accepted gaps are shorter as rejected ones are longer."""
-    rejected = rejected_s[rejected_s > 0.0]
-    if rejected.size == 0 or accepted_s.size == 0:
-        return None
-    at = np.unique(np.concatenate([rejected, accepted_s]))
-    shorter = np.searchsorted(np.sort(accepted_s), at, side="right") / accepted_s.size
-    longer = 1.0 - np.searchsorted(np.sort(rejected), at, side="right") / rejected.size
-    crossed = np.flatnonzero(shorter >= longer)
-    return float(at[crossed[0]]) if crossed.size else None
-
-
 def critical_gap(gaps: pd.DataFrame, side: str) -> dict[str, Any] | None:
     """Critical time gap of the drivers in a table of gaps on one side, lag or lead: a row of critical_gaps.csv.
 
-    mean_s, sd_s: lognormal, by maximum likelihood; raff_s: Raff's. None where too few took or refused one.
+    mean_s, sd_s: lognormal, by maximum likelihood. None where too few took or refused one.
     """
     rejected, accepted, inconsistent = largest_rejected(gaps, side)
     taken = accepted[np.isfinite(accepted)]
@@ -185,6 +173,5 @@ def critical_gap(gaps: pd.DataFrame, side: str) -> dict[str, Any] | None:
         mean, sd = troutbeck(rejected, accepted)
     return {
         "side": side, "mean_s": mean.value, "mean_low_s": mean.low, "mean_high_s": mean.high, "sd_s": sd.value,
-        "raff_s": raff(gaps[f"{side}_refused_s"].dropna().to_numpy(float), taken), "drivers": accepted.size,
-        "inconsistent": inconsistent,
+        "drivers": accepted.size, "inconsistent": inconsistent,
     }  # fmt: skip

@@ -10,7 +10,6 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.csv as pa_csv
@@ -25,7 +24,6 @@ from bridge.studies.gap_acceptance import acceptance_curve, critical_gap, gaps_o
 from bridge.studies.statistics import difference_sd, dose_response, effects, seeds_needed
 from bridge.studies.study import Study
 from bridge.studies.study_figures import CRITICAL, draw_fundamental, draw_parameter, label_of
-from hid2.agents import FloatArray
 from hid2.measures.conflicts import CONFLICT_PET_S, CONFLICT_TTC_S, TrafficConflict
 from hid2.measures.lane_changes import LaneChangeRow
 
@@ -237,11 +235,10 @@ def _told(dose: pd.DataFrame) -> list[str]:
                 f"{outcome.says}: {first['estimate']:.3g} at every value [dose_response.estimate of {outcome.name}]."
             )
             continue
-        course = _course(mine["estimate"].diff().dropna().to_numpy(float))
         unit = "scenes" if "difference_low_scenes" in mine and pd.notna(last.get("difference_low_scenes")) else "runs"
         low, high = last[f"difference_low_{unit}"], last[f"difference_high_{unit}"]
         each = ", ".join(f"{row['estimate']:.3g} at {row['value']}" for _, row in mine.iterrows())
-        text = f"{outcome.says}: {each}; {course}"
+        text = f"{outcome.says}: {each}"
         if pd.notna(low):
             low, high = (0.0 if abs(bound) <= _SAME else bound for bound in (low, high))
             sure = "which excludes no effect" if low > 0 or high < 0 else "which includes no effect"
@@ -273,19 +270,9 @@ def _few_clusters(dose: pd.DataFrame) -> tuple[int, int] | None:
     """How many clusters there are, and from how many a test by signs can be sure; None where there are enough."""
     if "p" not in dose or (told := dose.dropna(subset="p")).empty:
         return None
-    others = told.dropna(subset="p_holm") if "p_holm" in told else told.iloc[:0]
-    there, family = int(told["clusters"].max()), max(1, others.groupby("parameter")["outcome"].nunique().max() or 1)
+    there, family = int(told["clusters"].max()), told.groupby("parameter")["outcome"].nunique().max()
     least = math.ceil(1.0 + math.log2(family / 0.05))
     return (there, least) if there < least else None
-
-
-def _course(steps: FloatArray) -> str:
-    """How an outcome goes from value to value."""
-    if (np.abs(steps) <= _SAME).all():
-        return "the same at every step"
-    if (steps <= _SAME).all():
-        return "does not rise at any step"
-    return "does not fall at any step" if (steps >= -_SAME).all() else "goes up and down"
 
 
 def _effect_lines(found: pd.DataFrame, keys: Sequence[str]) -> list[str]:

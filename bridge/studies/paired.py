@@ -195,9 +195,7 @@ def _measured(
             if lag_id in arrays.track_ids:
                 pair = (arrays.track_ids.index(str(name)) for name in (lag_id, vehicle.vehicle_id))
                 course = pair_course(arrays, *pair).during(first, last)
-                row["lag_drac_mps2"] = number(course.follower_drac_mps2.max(initial=0.0))
-                row["lag_headway_s"] = number(course.headway_s.min(initial=np.inf))
-                row["lag_brakes_mps2"] = number(course.brakes_mps2.max(initial=0.0))
+                row |= {name: number(value) for name, value in course.of_follower().items()}
         if row["start_s"] is not None and row["end_s"] is not None:
             row["lateral_s"] = round(row["end_s"] - row["start_s"], 6)
         rows.append(row)

@@ -104,7 +104,6 @@ def dose_response(
     started = counted["start_s"].notna()
     counted["ttc_critical"] = np.where(started, (counted["min_ttc_s"] < critical_ttc_s).astype(float), np.nan)
     counted["lag_time_gap_s"] = counted["lag_time_gap_s"].clip(upper=LONG_GAP_S)
-    counted["looked"] = (counted["looks"] > 0).astype(float)
     if not gaps.empty:
         gaps = gaps.assign(**{f"refused_by_{name}": (gaps["refused_by"] == name).astype(float) for name in AT_LAST})
     frames = {"requests": counted, "gaps": gaps}
@@ -113,8 +112,6 @@ def dose_response(
         frame = frames[outcome.table]
         if frame.empty:
             continue
-        if outcome.below == "looked" and frame["looked"].all():
-            continue  # it is the share of all
         values, code = np.unique(frame[key].to_numpy(), return_inverse=True)
         statistic = _by_value(frame, outcome, code, len(values), give_up_s=give_up_s)
         of = (frame[outcome.above or "vehicle"].notna() & frame[outcome.below or "vehicle"].ne(0.0)).to_numpy()

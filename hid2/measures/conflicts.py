@@ -49,6 +49,11 @@ class PairCourse:
         keep = (self.step >= first) & (self.step <= last)
         return PairCourse(*(getattr(self, name)[keep] for name in self.__slots__))
 
+    def of_follower(self) -> dict[str, float]:
+        """What the follower had to do, by column of the tables of lane changes; nothing of no step."""
+        found = {"brakes_mps2": self.brakes_mps2, "drac_mps2": self.follower_drac_mps2, "headway_s": -self.headway_s}
+        return {f"lag_{name}": abs(float(each.max())) for name, each in found.items() if each.size}
+
 
 def pair_course(arrays: SceneArrays, follower: int, other: int, *, cap_s: float = CAP_S) -> PairCourse:
     """How a follower meets another agent."""

@@ -36,11 +36,9 @@ class LaneChangeRow:
     lead_after_m: Annotated[float | None, "gap to it"]
     lag_id: Annotated[str | None, "new follower, at the end or else at the crossing"]
     lag_after_m: Annotated[float | None, "its gap at the end"]
-    lag_brakes_mps2: Annotated[float | None, "hardest braking of the new follower from start to end"]
-    lag_drac_mps2: Annotated[
-        float | None, "its largest DRAC by the gap along its heading, closing speed squared over twice the gap"
-    ]
-    lag_headway_s: Annotated[float | None, "its least time headway, front to front"]
+    lag_brakes_mps2: Annotated[float | None, "hardest braking of the new follower from start to end"] = None
+    lag_drac_mps2: Annotated[float | None, "its largest DRAC: closing speed squared over twice the gap"] = None
+    lag_headway_s: Annotated[float | None, "its least time headway, front to front"] = None
 
 
 def lane_changes(view: LaneView, led: Leaders, seen: Iterable[Maneuver]) -> Iterator[LaneChangeRow]:
@@ -56,16 +54,12 @@ def lane_changes(view: LaneView, led: Leaders, seen: Iterable[Maneuver]) -> Iter
         before, after = (_neighbours(view, led, own, at) for at in (first, last))
         lag = after[2] if after[2] is not None else _neighbours(view, led, own, middle)[2]
         names = [None if agent is None else arrays.track_ids[agent] for agent in (before[0], before[2], after[0], lag)]
-        course = None if lag is None else pair_course(arrays, lag, own).during(first, last)
-        brakes = drac = headway = None
-        if course is not None and course.step.size > 1:
-            brakes, drac = float(course.brakes_mps2.max()), float(course.follower_drac_mps2.max())
-            headway = float(course.headway_s.min())
+        of_lag = {} if lag is None else pair_course(arrays, lag, own).during(first, last).of_follower()
         start_mps, crossing_mps, end_mps = (float(speed[arrays.row_of[own, at]]) for at in (first, middle, last))
         yield LaneChangeRow(
             one.track_id, one.source_lane, one.target_lane, one.side, one.complete, one.start_s, one.crossing_s,
             one.end_s, one.duration_s, start_mps, crossing_mps, end_mps, names[0], before[1], names[1], before[3],
-            names[2], after[1], names[3], after[3], brakes, drac, headway,
+            names[2], after[1], names[3], after[3], **of_lag,
         )  # fmt: skip
 
 

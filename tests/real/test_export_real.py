@@ -56,5 +56,5 @@ def test_a_changed_bit_of_a_real_scene_is_found(
 
     edit_rows(folder, change)
     findings = [finding for finding in breaches(tmp_path, source=real_scene) if not finding.is_note]
-    assert [finding.rule for finding in findings] == ["source"]
-    assert "position_y" in findings[0].message
+    assert [finding.rule for finding in findings] == ["source"] * 2  # pandas writes texts as another type, too
+    assert "position_y" in findings[1].message

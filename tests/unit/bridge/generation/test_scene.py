@@ -149,7 +149,7 @@ def test_scene_to_read_is_told_in_one_line(tmp_path: Path, data_root: Path) -> N
 
 @pytest.mark.parametrize("function", [generate, prepare])
 def test_a_path_instead_of_a_scene_is_told_in_one_line(function: Callable[..., object]) -> None:
-    with pytest.raises(ConfigError, match=r"source 'data/av2': expected a scene, as read_scene\(path\) or prepare"):
+    with pytest.raises(ConfigError, match=r"source 'data/av2': expected a scene, as read_scene\(path\) gives it"):
         function("data/av2", load_config())
 
 

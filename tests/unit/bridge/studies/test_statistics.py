@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bridge.studies.gap_acceptance import acceptance_curve, critical_gap, gaps_of, largest_rejected, raff, troutbeck
+from bridge.studies.gap_acceptance import acceptance_curve, critical_gap, gaps_of, largest_rejected, troutbeck
 from bridge.studies.page import _effect_lines, _last_reasons, _told
 from bridge.studies.statistics import (
     difference_sd,
@@ -54,7 +54,6 @@ def test_critical_gaps_of_synthetic_drivers_are_found_again(mean_s: float, sd_s:
         assert estimate.low is not None
         assert estimate.high is not None
         assert estimate.low < true < estimate.high
-    assert found["raff_s"] == pytest.approx(mean_s, rel=0.15)
     assert found["mean_high_s"] - found["mean_low_s"] < 0.25 * mean_s
 
 
@@ -103,14 +102,6 @@ def test_driver_who_refused_a_larger_gap_is_left_out_and_counted() -> None:
     ]
     rejected, accepted, inconsistent = largest_rejected(pd.DataFrame(rows), "lag")
     assert (rejected.tolist(), accepted.tolist(), inconsistent) == ([0.0], [2.0], 1)
-
-
-def test_raff_by_hand() -> None:
-    """Accepted 2, 3, 4, 5; rejected 1, 1.5, 2.5, 3: at 2.5 a quarter of the accepted is shorter, a quarter of
-    the rejected longer: they cross there.
-    """
-    assert raff(np.array([1.0, 1.5, 2.5, 3.0]), np.array([2.0, 3.0, 4.0, 5.0])) == 2.5
-    assert raff(np.zeros(3), np.array([2.0])) is None
 
 
 def test_kaplan_meier_by_hand() -> None:
