@@ -46,18 +46,16 @@ def gaps_of(looks: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
     frame["refused_by"] = after.where(frame["accepted"], by_rule).mask(frame["taken"], "")
     frame["asked_guard"] = frame["guard"].isin(["yes", "conflict_predicted"])
     frame["asked_sumo"] = frame["sumo"].notna()
-    for name in ("guard", "sumo"):  # what they said no to at one look may be another's at the last
-        frame[f"refused_{name}"] = frame["refused_by"] == name
     grouped = frame.groupby(same, sort=False, dropna=False)
     found = grouped.agg(
         accepted=("accepted", "any"), taken=("taken", "any"), from_s=("time_s", "min"), to_s=("time_s", "max"),
         looks=("time_s", "size"), became=("became", "last"), refused_by=("refused_by", "last"),
         asked_guard=("asked_guard", "any"), asked_sumo=("asked_sumo", "any"), trigger_s=("trigger_s", "first"),
-        refused_guard=("refused_guard", "any"), refused_sumo=("refused_sumo", "any"),
         lag_refused_s=("lag_refused_s", "max"), lead_refused_s=("lead_refused_s", "max"),
     )  # fmt: skip
-    for name in ("guard", "sumo"):
-        found[f"refused_{name}"] &= ~found["taken"]
+    said_no = grouped["refused_by"].agg(set)
+    for name in ("guard", "sumo"):  # what one says no to at a look may be another's at the last
+        found[f"refused_{name}"] = ~found["taken"] & np.array([name in each for each in said_no], dtype=bool)
     first = frame[frame["accepted"]].drop_duplicates(same).set_index(same)
     found["accepted_s"] = first["time_s"].reindex(found.index)
     sizes = grouped[_SIZES].max().where(~found["accepted"], first[_SIZES].reindex(found.index))

@@ -149,7 +149,7 @@ class RoadTraffic:
         lane_id = RAMPS[0] if ramp else one.start
         simulation.queue(
             one.name, edges=self._edges(one.start if ramp else 1, one.leaves), lane_index=self._index[lane_id],
-            driver=one.driver, size=one.size, desired_mps=one.driver.desired_mps,
+            driver=one.driver, size=one.size,
         )  # fmt: skip
 
     def _read(self, simulation: Simulation, now_s: float) -> list[RoadVehicle]:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -99,8 +99,8 @@ class FlowDriving(Driving):
         edges = edges_along(scene, arrival.path, cell)
         assert edges is not None  # the route begins on its own lane
         self.simulation.queue(
-            arrival.vehicle_id, edges=edges, lane_index=scene.grid.lane_index(cell), driver=arrival.driver,
-            size=arrival.size, desired_mps=float(arrival.desired[step]),
+            arrival.vehicle_id, edges=edges, lane_index=scene.grid.lane_index(cell), size=arrival.size,
+            driver=replace(arrival.driver, desired_mps=float(arrival.desired[step])),  # it would brake for its wish
         )  # fmt: skip
         self._queued[arrival.vehicle_id] = arrival
 

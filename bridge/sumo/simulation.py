@@ -195,15 +195,9 @@ class Simulation:
         libsumo.vehicle.setSpeedMode(vehicle_id, _SAFE_SPEED)
         return None
 
-    def queue(
-        self, vehicle_id: str, *, edges: Sequence[str], lane_index: int, driver: Driver, size: BoxSize,
-        desired_mps: float,
-    ) -> None:  # fmt: skip
-        """Let a vehicle wait before the first edge until SUMO finds room for it, at the fastest speed that is safe.
-
-        desired_mps: its desired speed then; a faster one would be braked for at once.
-        """
-        type_id = self._driver_type(vehicle_id, driver, size, desired_mps)
+    def queue(self, vehicle_id: str, *, edges: Sequence[str], lane_index: int, driver: Driver, size: BoxSize) -> None:
+        """Let a vehicle wait before the first edge until SUMO finds room for it, at the fastest speed that is safe."""
+        type_id = self._driver_type(vehicle_id, driver, size, driver.desired_mps)
         libsumo.vehicle.add(
             vehicle_id, self._route(edges), typeID=type_id, depart="now", departLane=str(lane_index),
             departPos="base", departSpeed="avg",
@@ -236,13 +230,10 @@ class Simulation:
         libsumo.vehicle.setSpeed(vehicle_id, -1.0 if limit_mps is None else float(limit_mps))
 
     def change_lane(self, vehicle_id: str, lane_index: int, *, edges: Sequence[str] = ()) -> None:
-        """Ask for an instant change within the edge, onto a route that the new lane continues; none: its own.
-
-        For the coming step alone: what it refuses SUMO would make up at a later one of a duration, unseen.
-        """
+        """Ask for an instant change within the edge, onto a route that the new lane continues; none: its own."""
         if edges:
             libsumo.vehicle.setRoute(vehicle_id, list(edges))
-        libsumo.vehicle.changeLane(vehicle_id, lane_index, 0.0)
+        libsumo.vehicle.changeLane(vehicle_id, lane_index, 0.0)  # else it makes up later what it refuses now
 
     @staticmethod
     def lane_change_answer(vehicle_id: str, side: str) -> tuple[frozenset[str], bool, bool]:

@@ -134,12 +134,12 @@ def test_vehicle_that_is_taken_from_the_queue_may_queue_again(sumo: Simulation) 
     assert _insert(sumo, "v1", 6.0, 0.0) is None
     sumo.drive("v1", desired_mps=12.0, limit_mps=0.0)
     for _ in range(2):
-        sumo.queue("v2", edges=EDGES, lane_index=0, driver=DRIVER, size=CAR, desired_mps=DRIVER.desired_mps)
+        sumo.queue("v2", edges=EDGES, lane_index=0, driver=DRIVER, size=CAR)
         sumo.step()
         assert sumo.driven() == {"v1"}
         sumo.remove("v2")
         sumo.step()
-    sumo.queue("v2", edges=EDGES, lane_index=0, driver=DRIVER, size=CAR, desired_mps=DRIVER.desired_mps)
+    sumo.queue("v2", edges=EDGES, lane_index=0, driver=DRIVER, size=CAR)
     sumo.drive("v1", desired_mps=12.0, limit_mps=None)
     for _ in range(80):
         sumo.step()
