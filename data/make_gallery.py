@@ -14,6 +14,7 @@ from make_pictures import write_small  # beside this file
 from matplotlib.figure import Figure
 
 from bridge import TrafficScene, find_scenarios, generate, read_scene
+from bridge.batch.scene_work import told_of
 from bridge.pictures import figures
 from bridge.recordings.sidecar import EventRecord
 from hid2.params import Config, Event, Request
@@ -78,19 +79,6 @@ def picture(scene: TrafficScene, event: EventRecord) -> Figure:
     return figure
 
 
-def told(event: EventRecord) -> str:
-    """What was measured of an event, in words."""
-    way = (
-        f"{event.gap_m:.1f} m from its bumper to the conflict point"
-        if event.kind == "cross"
-        else f"gap {event.gap_m:.1f} m"
-    )
-    difference = f"{event.speed_difference_mps:+.1f} m/s against the target"
-    pet = "" if event.pet_s is None else f", PET {event.pet_s:.1f} s"
-    ttc = "" if event.min_ttc_s is None else f", smallest TTC {event.min_ttc_s:.1f} s"
-    return f"at {event.at_s:.1f} s, {way}, {difference}{pet}{ttc}"
-
-
 def command_of(source: Path, kind: str, seed: int) -> str:
     """The command that writes the scene of a picture."""
     low, high = AT_S[kind]
@@ -110,11 +98,11 @@ def main() -> None:
         write_small(drawn, PICTURES / f"{kind}.png")
         lines += [
             f"## {kind}\n",
-            f"The vehicle {SEEN[kind]}, track {event.target_track_id}: {told(event)}.\n",
+            f"The vehicle {SEEN[kind]}: {told_of(event)}.\n",
             f"![{kind}: the vehicle {SEEN[kind]}](events/{kind}.png)\n",
             f"    {command_of(source, kind, seed)}\n",
         ]
-        print(kind, source.name, told(event), file=sys.stderr)
+        print(kind, source.name, told_of(event), file=sys.stderr)
     PAGE.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
 
 

@@ -94,14 +94,14 @@ def summarise(sidecar: Sidecar, row: ManifestRow) -> ManifestRow:
         maneuvers_done=sum(done.values()),
         events_requested=len(sidecar.events),
         events_done=sum(event.status == "done" for event in sidecar.events),
-        events="; ".join(_told(event) for event in sidecar.events if event.status == "done"),
+        events="; ".join(told_of(event) for event in sidecar.events if event.status == "done"),
         rejected=join_counts({entry.reason: entry.count for entry in sidecar.rejected}),
         not_done=join_counts(not_done),
         **_selection(sidecar),
     )
 
 
-def _told(event: EventRecord) -> str:
+def told_of(event: EventRecord) -> str:
     """An event that came about, in a few words: the two vehicles, when, and how critical it was."""
     figures = {"gap": (event.gap_m, "m"), "TTC": (event.min_ttc_s, "s"), "PET": (event.pet_s, "s")}
     at = {"TTC": "" if event.ttc_at_s is None else f" at {event.ttc_at_s:.1f} s"}

@@ -54,10 +54,10 @@ class _Command(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """As the parser does, which would take the last value of an option that holds one, and drop the others."""
-        for option in (one for one in self.params if isinstance(one, TyperOption)):
-            given = [word for word in args if word.split("=")[0] in option.opts]
-            if len(given) > 1 and not (option.multiple or option.count or option.is_flag):
-                raise ConfigError(f"{option.opts[-1]} given {len(given)} times, expected once: it holds one value")
+        for one in (one for one in self.params if isinstance(one, TyperOption)):
+            given = sum(word.split("=")[0] in one.opts for word in args)
+            if given > 1 and not (one.multiple or one.count or one.is_flag):
+                raise ConfigError(f"{one.opts[-1]} given {given} times, expected once: it holds one value")
         return super().parse_args(ctx, args)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:

@@ -8,7 +8,7 @@ from bridge.cli import options
 from bridge.cli.app import command
 from bridge.cli.places import check_out, check_scenes
 from bridge.cli.session import select_scenes
-from bridge.console import Activity, counted, fail, print_json, warn
+from bridge.console import Activity, fail, print_json, warn
 from netconvert.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -144,9 +144,7 @@ def generate(  # noqa: PLR0913  # one for each option
         folders = select_scenes(folders, which.selection(resolved.request.seed), activity, jobs=batch.jobs)
 
     if loose := sum(split_of(folder) is None for folder in folders):
-        activity.note(
-            f"{loose} of {counted(len(folders), 'scene')} in no folder train, val or test: no split of {out} has them"
-        )
+        activity.note(f"{loose} of {len(folders)} scenes in no folder train, val or test: no split in {out} has them")
     from bridge.batch.batch import Options, plan, run_batch
     from bridge.batch.requested import came_about_nowhere, check_request, check_same_request, named_behaviours
     from bridge.cli.batch_display import BatchNotes, print_batch

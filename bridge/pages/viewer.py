@@ -52,7 +52,7 @@ LOOK_COLUMNS = (
 )  # fmt: skip
 _NUMBERS = frozenset({"time_s", "lane_id", "cell", "lead_gap_m", "lag_gap_m", "remaining_m"})
 #: What of the sidecar a page holds.
-SAID = {"source_scenario_id", "seed", "variant", "requested", "placed", "agents", "events", "rejected"}
+SAID = {"source_scenario_id", "seed", "variant", "requested", "placed", "agents", "unmet", "events", "rejected"}
 
 
 def view_scenes(
@@ -103,7 +103,7 @@ def _shared() -> dict[str, Any]:
 def facts_of(document: Mapping[str, Any]) -> dict[str, Any]:
     """What the index of a page tells of a scene, and filters it by."""
     said, inserted = document["said"], sum(is_generated_id(track["id"]) for track in document["tracks"])
-    maneuvers = [one for agent in said.get("agents", ()) for one in agent["maneuvers"]]
+    maneuvers = [one for agent in said.get("agents", ()) for one in agent["maneuvers"]] + said.get("unmet", [])
     events, rejected = said.get("events", []), said.get("rejected", [])
     return {
         **{key: document[key] for key in ("id", "city", "split", "word")},

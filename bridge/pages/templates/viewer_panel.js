@@ -19,7 +19,7 @@ function scenePanel(scene) {
   const head = html`<h2>${scene.city}: ${facts.recorded} ${scene.word}, ${facts.inserted} inserted</h2><p>${scene.id}</p>
 <p class="muted">Choose a vehicle for its story or, with cells shown, a cell for its occupancy.</p>`;
   if (!said.requested) return head;
-  const { agents, behaviours } = said.requested, maneuvers = said.agents.flatMap((agent) => agent.maneuvers.map((one) =>
+  const { agents, behaviours } = said.requested, asked = [...said.agents, { maneuvers: said.unmet }], maneuvers = asked.flatMap((agent) => agent.maneuvers.map((one) =>
     [linked(scene, agent.track_id), words(one.kind), words(one.status), one.reason ? reasonOf(one.reason) : ""]));
   const events = said.events.map((one) => [words(one.kind), linked(scene, one.target_track_id ?? one.target), linked(scene, one.track_id),
     one.at_s === null ? "–" : `${fixed(one.at_s)} s`, one.status === "done" ? "done" : reasonOf(one.reason ?? one.status)]);
