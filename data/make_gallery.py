@@ -29,20 +29,12 @@ AT_S = dict.fromkeys(KINDS, (1.5, 6.0)) | {"overtake": (6.0, 10.0)}
 GROUND_M = 30.0
 #: Shown so long before the moment of an event, at it, and so long after it, s.
 AROUND_S = 2.0
-#: What is to be seen in each picture.
-SEEN = {
-    "cut_in": "changes from the lane beside to before the target",
-    "overtake": "passes the target on the lane beside and comes back before it",
-    "lead": "drives ahead of the target",
-    "follow": "drives behind the target",
-    "merge": "comes onto the target's lane from another one",
-    "cross": "drives across the target's path",
-}
 _HEAD = """# Events
 
 A picture of each kind of event that `hid2 generate --event` makes, in the synthetic scenes of this folder: {around:g} s
 before the moment of the event, at it, and {around:g} s after it. Coloured and ringed is the inserted vehicle;
-the target, which the text names, is recorded and does not react. Each is what the command below its picture writes.
+the target, which the text names, is recorded and does not react. Below a picture is the
+command that writes its scene; [what each kind is](../bridge/generation/README.md#events-with-recorded-vehicles).
 
 This page and its pictures are made by `python data/make_gallery.py`.
 """
@@ -98,8 +90,8 @@ def main() -> None:
         write_small(drawn, PICTURES / f"{kind}.png")
         lines += [
             f"## {kind}\n",
-            f"The vehicle {SEEN[kind]}: {told_of(event)}.\n",
-            f"![{kind}: the vehicle {SEEN[kind]}](events/{kind}.png)\n",
+            f"{told_of(event)}\n",
+            f"![{kind}](events/{kind}.png)\n",
             f"    {command_of(source, kind, seed)}\n",
         ]
         print(kind, source.name, told_of(event), file=sys.stderr)
