@@ -56,7 +56,7 @@ class Reason(StrEnum):
     # events
     EVENT_NO_TARGET = (
         "event_no_target",
-        "The target of an event is not in the scene, does not move, or is no vehicle on a lane.",
+        "The target of an event is not there, does not move, is no vehicle on a lane, or its box points backwards.",
     )
     EVENT_NO_PLACE = (
         "event_no_place",

@@ -49,7 +49,10 @@ def candidate_rows(scene: Scene, name: str) -> list[int]:
 
 
 def target_of(scene: Scene, row: int) -> Target | None:
-    """A recorded vehicle as a target; None where it is never on a lane. row: of `scene.traffic`."""
+    """A recorded vehicle as a target; None where it is never on a lane, or its box points against its motion.
+
+    Of such a box, which a tracker has turned round, it is not told what is ahead. row: of `scene.traffic`.
+    """
     traffic, alone = scene.traffic, scene.states.rows([row])
     if not alone.arrays.vehicle[0]:
         return None
@@ -57,8 +60,11 @@ def target_of(scene: Scene, row: int) -> Target | None:
     runs: list[Run] = [run for run in runs_of(LaneView(arrays, lanes, alone.matches), 0) if run.lane >= 0]
     if not runs:
         return None
-    step = np.hypot(*np.diff(traffic.position[row], axis=0).T)
-    step[~(traffic.present[row, 1:] & traffic.present[row, :-1])] = 0.0
+    moved, heading = np.diff(traffic.position[row], axis=0), traffic.heading[row, 1:]
+    moved[~(traffic.present[row, 1:] & traffic.present[row, :-1])] = 0.0
+    step = np.hypot(*moved.T)
+    if (moved[:, 0] * np.cos(heading) + moved[:, 1] * np.sin(heading)).sum() < 0.5 * step.sum():
+        return None
     return Target(
         track=scene.tracks[row], row=row, present=traffic.present[row], position=traffic.position[row],
         heading=traffic.heading[row], speed=np.hypot(*traffic.velocity[row].T),

@@ -1,6 +1,7 @@
 """Targets of events: which lanes a recorded vehicle drives."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -33,3 +34,10 @@ def test_who_is_on_no_lane_is_no_target(scene: Scene) -> None:
     off_road = scene_on(scene.grid.graph, recorded(50.0, 40.0, 10.0))
     assert target_of(off_road, 0) is None
     assert np.all(off_road.traffic.present[0])
+
+
+def test_recorded_box_that_points_against_its_motion_is_no_target(scene: Scene) -> None:
+    """What is ahead of it would be behind it."""
+    track = recorded(50.5, 0.0, 10.0)
+    turned = scene_on(scene.grid.graph, replace(track, heading=track.heading + np.pi))
+    assert target_of(turned, 0) is None
