@@ -55,8 +55,7 @@ def print_batch(rows: Sequence[ManifestRow], request: Request) -> None:
     most = any(row.requested == "max" for row in done)
     asked = "" if most else f" of {sum(int(_asked(row)) for row in done)}"
     events = sum(row.events_requested for row in done)
-    named = request.near not in ("traffic", "anywhere")
-    target = f"{request.near} at the last observed step" if named else "traffic"
+    target = "traffic" if request.near in ("traffic", "anywhere") else f"{request.near} at the last observed step"
     print(
         f"{len(done)} of {len(rows)} scenes done; vehicles placed: {sum(row.placed for row in done)}{asked}, "
         f"{sum(row.near for row in done)} of them within {request.within_m:g} m of {target}; "

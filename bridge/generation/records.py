@@ -185,12 +185,10 @@ def near_count(scene: Scene, vehicles: Sequence[ExportedVehicle]) -> int:
     rows, count = target_rows(scene, request.near), 0
     last = None if request.near in ("traffic", "anywhere") else scene.last_observed_step
     for one in vehicles:
-        steps = np.array(
-            [step for step in range(one.span.start, one.span.stop) if last in (None, step)], dtype=np.int64
-        )
-        apart = traffic.position[rows][:, steps] - one.trajectory.position[steps - one.span.start]
-        is_near = traffic.present[rows][:, steps] & (np.hypot(*np.moveaxis(apart, -1, 0)) <= request.within_m)
-        count += bool(is_near.any())
+        apart = traffic.position[rows][:, one.span] - one.trajectory.position
+        is_near = traffic.present[rows][:, one.span] & (np.hypot(*np.moveaxis(apart, -1, 0)) <= request.within_m)
+        at = slice(None) if last is None else np.arange(one.span.start, one.span.stop) == last
+        count += bool(is_near[:, at].any())
     return count
 
 
