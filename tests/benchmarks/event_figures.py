@@ -250,7 +250,7 @@ def floor_s(prepared: PreparedScene, scene: Scene) -> float:
     front, angle = sumo_poses(scene.traffic.position, scene.traffic.heading, scene.traffic.length_m[:, None])
     with tempfile.TemporaryDirectory() as beside:
         net = Path(beside) / "scene.net.xml"
-        net.write_bytes(prepared.net)
+        net.write_bytes(prepared.net(scene.config))
         taken = []
         for _ in range(3):
             begun = time.process_time()

@@ -97,7 +97,7 @@ def _limit_s(folder: Path, made: TrafficScene, config: Config, beside: Path) -> 
     front, angle = sumo_poses(traffic.position, traffic.heading, traffic.length_m[:, None])
     began = time.process_time()
     net = beside / "scene.net.xml"
-    net.write_bytes(prepare(read_scenario(folder), config).net)
+    net.write_bytes(prepare(read_scenario(folder), config).net(config))
     simulate_unsteered(net, traffic, front, angle, starts)
     made.write(beside / "limit")
     return time.process_time() - began
