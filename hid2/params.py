@@ -105,6 +105,11 @@ class Request(_Section):
         """Shares by policy, as asked for."""
         return {policy: float(getattr(self, policy.value)) for policy in Policy}
 
+    @property
+    def is_near_agents(self) -> bool:
+        """Whether vehicles are to be near to agents that are named, not to traffic or anywhere."""
+        return self.near not in ("traffic", "anywhere")
+
 
 class Source(_Section):
     """What is asked of a recording before anything is driven in it."""

@@ -100,6 +100,11 @@ class ManifestRow(NamedTuple):
     near: int = 0
 
     @property
+    def asked(self) -> str:
+        """Vehicles asked for, or max: those of events are made even where they are more than requested."""
+        return self.requested if self.requested == "max" else str(max(int(self.requested), self.events_requested))
+
+    @property
     def key(self) -> tuple[str, str, str, int]:
         """What a row is about: a later row with the same key takes its place."""
         return (self.split, self.scenario, self.config_sha256, self.variant)

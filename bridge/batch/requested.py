@@ -42,8 +42,7 @@ def check_request(folders: Sequence[Address], config: Config, named: Sequence[Po
     are passed over: rows of their own say why. Errors: ConfigError for what none can meet.
     """
     request = config.request
-    anywhere = request.near in ("traffic", "anywhere")
-    if anywhere and not config.event and not named and request.first_trigger_s <= _SHORTEST_S:
+    if not request.is_near_agents and not config.event and not named and request.first_trigger_s <= _SHORTEST_S:
         return []
     rooms: list[Mapping[Policy, float]] = []
     never: dict[str, str] | None = None

@@ -54,10 +54,11 @@ class _Command(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """As the parser does, which would take the last value of an option that holds one, and drop the others."""
-        for one in (one for one in self.params if isinstance(one, TyperOption)):
-            given = sum(word.split("=")[0] in one.opts for word in args)
-            if given > 1 and not (one.multiple or one.count or one.is_flag):
-                raise ConfigError(f"{one.opts[-1]} given {given} times, expected once: it holds one value")
+        for option in self.params:
+            given = sum(word.split("=")[0] in option.opts for word in args)
+            holds_one = isinstance(option, TyperOption) and not (option.multiple or option.count or option.is_flag)
+            if given > 1 and holds_one:
+                raise ConfigError(f"{option.opts[-1]} given {given} times, expected once: it holds one value")
         return super().parse_args(ctx, args)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:

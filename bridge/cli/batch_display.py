@@ -30,7 +30,7 @@ class BatchNotes:
                 f"  to see it again: hid2 generate --repro {self._out / row.bundle}"
             )
         elif self._activity.verbose:
-            placed = f"{row.placed} of {row.requested} placed, {row.seconds:.1f} s"
+            placed = f"{row.placed} of {row.asked} placed, {row.seconds:.1f} s"
             say(f"{row.scenario} variant {row.variant}: {placed}")
         details = f" ({progress.skipped} complete before, {progress.quarantined} quarantined)"
         self._activity.show(progress.finished, progress.total, progress.rate, details)
@@ -52,10 +52,10 @@ def print_batch(rows: Sequence[ManifestRow], request: Request) -> None:
             [(row.scenario, row.variant, row.failure, row.reason) for row in bad[:_LISTED_RUNS]],
         )
     done = [row for row in rows if row.status == DONE]
-    most = any(row.requested == "max" for row in done)
-    asked = "" if most else f" of {sum(int(_asked(row)) for row in done)}"
+    most = any(row.asked == "max" for row in done)
+    asked = "" if most else f" of {sum(int(row.asked) for row in done)}"
     events = sum(row.events_requested for row in done)
-    target = "traffic" if request.near in ("traffic", "anywhere") else f"{request.near} at the last observed step"
+    target = f"{request.near} at the last observed step" if request.is_near_agents else "traffic"
     print(
         f"{len(done)} of {len(rows)} scenes done; vehicles placed: {sum(row.placed for row in done)}{asked}, "
         f"{sum(row.near for row in done)} of them within {request.within_m:g} m of {target}; "
@@ -63,11 +63,6 @@ def print_batch(rows: Sequence[ManifestRow], request: Request) -> None:
     )
     if events:
         print(f"events done: {sum(row.events_done for row in done)} of {events}")
-
-
-def _asked(row: ManifestRow) -> str:
-    """Vehicles asked for: those of events are made even where they are more than --agents says."""
-    return row.requested if row.requested == "max" else str(max(int(row.requested), row.events_requested))
 
 
 def _line(row: ManifestRow, *, with_events: bool) -> tuple[object, ...]:
@@ -79,14 +74,14 @@ def _line(row: ManifestRow, *, with_events: bool) -> tuple[object, ...]:
         for what, reasons, told in (
             ("events", row.events, True),
             ("not done", row.not_done, True),
-            ("candidates rejected", row.rejected, row.requested == "max" or row.placed < int(row.requested)),
+            ("candidates rejected", row.rejected, row.asked == "max" or row.placed < int(row.asked)),
         )
         if reasons and told
     )
     return (
         row.scenario,
         row.variant,
-        f"{row.placed} of {_asked(row)}",
+        f"{row.placed} of {row.asked}",
         row.left_turn,
         row.right_turn,
         row.lane_change,

@@ -11,7 +11,7 @@ import numpy as np
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import Address, split_of
 from bridge.recordings.judging import findings_of, states_of
-from bridge.recordings.recording import Recording
+from bridge.recordings.recording import AV_ID, Recording
 from bridge.recordings.sidecar import REACTIVE, EventRecord, ManeuverRecord, Sidecar
 from bridge.recordings.sources import read_recording
 from hid2.agents import BoxSize, FloatArray, Policy, Track
@@ -357,7 +357,7 @@ def _apart(row: Row, arrays: SceneArrays, focal_track_id: str) -> Row:
     step = min(round(told[0] / arrays.step_s), arrays.num_steps - 1)
     rows = zip(arrays.track_ids, arrays.row_of[:, step].tolist(), strict=True)
     at = {track_id: arrays.position[there] for track_id, there in rows if there >= 0}
-    own, *others = (at.get(track_id) for track_id in (row["track_id"], focal_track_id, "AV"))
+    own, *others = (at.get(track_id) for track_id in (row["track_id"], focal_track_id, AV_ID))
     return {
         name: None if own is None or other is None else float(np.hypot(*(other - own)))
         for name, other in zip(_APART, others, strict=True)

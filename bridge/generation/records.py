@@ -180,15 +180,15 @@ def selection_record(scene: Scene, filling: Filling) -> SelectionRecord:
 
 
 def near_count(scene: Scene, vehicles: Sequence[ExportedVehicle]) -> int:
-    """Vehicles whose centres come as near as request.within_m to what request.near names, when it says so."""
+    """Vehicles with a centre within request.within_m of what request.near names: at the last observed step, or any."""
     request, traffic = scene.config.request, scene.traffic
-    rows, count = target_rows(scene, request.near), 0
-    last = None if request.near in ("traffic", "anywhere") else scene.last_observed_step
+    rows, count = target_rows(scene), 0
     for one in vehicles:
         apart = traffic.position[rows][:, one.span] - one.trajectory.position
         is_near = traffic.present[rows][:, one.span] & (np.hypot(*np.moveaxis(apart, -1, 0)) <= request.within_m)
-        at = slice(None) if last is None else np.arange(one.span.start, one.span.stop) == last
-        count += bool(is_near[:, at].any())
+        if request.is_near_agents:
+            is_near = is_near[:, np.arange(one.span.start, one.span.stop) == scene.last_observed_step]
+        count += bool(is_near.any())
     return count
 
 

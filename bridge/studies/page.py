@@ -270,8 +270,9 @@ def _few_clusters(dose: pd.DataFrame) -> tuple[int, int] | None:
     """How many clusters there are, and from how many a test by signs can be sure; None where there are enough."""
     if "p" not in dose or (told := dose.dropna(subset="p")).empty:
         return None
-    there, family = int(told["clusters"].max()), told.groupby("parameter")["outcome"].nunique().max()
-    least = math.ceil(1.0 + math.log2(family / 0.05))
+    others = told.dropna(subset="p_holm") if "p_holm" in told else told.iloc[:0]
+    family = max([1, *others.groupby("parameter")["outcome"].nunique()])
+    there, least = int(told["clusters"].max()), math.ceil(1.0 + math.log2(family / 0.05))
     return (there, least) if there < least else None
 
 

@@ -19,7 +19,7 @@ def impossible(scene: Scene, named: Collection[Policy]) -> dict[str, str]:
     """
     request, found = scene.config.request, {}
     ends, ids = f"the scene ends at {scene.last_s:g} s, expected an earlier time", scene.traffic.ids
-    if not target_rows(scene, request.near).size and request.near not in ("traffic", "anywhere"):
+    if not target_rows(scene).size and request.is_near_agents:
         found[f"near {request.near!r}"] = (
             f"no such track, expected av, focal, scored, traffic, anywhere or one of its {len(ids)} track ids "
             f"({', '.join(ids[:_IDS])}, ...)"

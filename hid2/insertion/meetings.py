@@ -33,9 +33,10 @@ _LEAST = 1e-3  # weight of a route that is not worth trying; no tunable: not 0, 
 _RECORDING_VEHICLE = "AV"
 
 
-def target_rows(scene: Scene, near: str) -> IntArray:
+def target_rows(scene: Scene) -> IntArray:
     """Rows of `scene.traffic` that vehicles are to be near to: av, focal, scored, a track id, else moving traffic."""
-    return moving_vehicles(scene) if near in ("traffic", "anywhere") else named_rows(scene, near)
+    request = scene.config.request
+    return named_rows(scene, request.near) if request.is_near_agents else moving_vehicles(scene)
 
 
 def named_rows(scene: Scene, name: str) -> IntArray:
@@ -103,7 +104,7 @@ class Meetings:
         """Where recorded moving vehicles are, on which cells, and which cells they cross."""
         scene, traffic = self.scene, self.scene.traffic
         moving = moving_vehicles(scene)
-        self._targets = target_rows(scene, scene.config.request.near)
+        self._targets = target_rows(scene)
         self._steps = np.arange(0, scene.num_steps, scene.steps_in(_EVERY_S))
         self._xy, self._there = traffic.position[moving][:, self._steps], traffic.present[moving][:, self._steps]
         self._target_xy = np.ascontiguousarray(traffic.position[self._targets][:, self._steps])
@@ -129,7 +130,7 @@ class Meetings:
     @property
     def is_target_named(self) -> bool:
         """Whether vehicles are to be near to named agents."""
-        return self.scene.config.request.near not in ("traffic", "anywhere")
+        return self.scene.config.request.is_near_agents
 
     @property
     def is_target_missing(self) -> bool:

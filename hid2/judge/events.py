@@ -72,8 +72,8 @@ def measure_event(states: AgentStates, kind: str, own: int, target: int, *, at_s
         first, last = sorted(_row(states, target, step) for step in crossed)
         way_m = np.hypot(*np.diff(arrays.position[first : last + 1], axis=0).T).sum()
         gap_m = float(way_m) - 0.5 * box.length_m
-    until_step = at_step + round(AFTER_S / arrays.step_s)
-    later = speed[row : min(row + until_step - at_step + 1, states.row_span(own).stop)]
+    steps = round(AFTER_S / arrays.step_s)
+    until_step, later = at_step + steps, speed[row : min(row + steps + 1, states.row_span(own).stop)]
     whole = pair_course(arrays, target, own, cap_s=CAP_S)
     since_step = at_step - round(_ARRIVES_S / arrays.step_s) if kind == "cut_in" else at_step
     course = whole if kind == "cross" else whole.during(since_step, until_step)

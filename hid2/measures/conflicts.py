@@ -51,8 +51,12 @@ class PairCourse:
 
     def of_follower(self) -> dict[str, float]:
         """What the follower had to do, by column of the tables of lane changes; nothing of no step."""
-        found = {"brakes_mps2": self.brakes_mps2, "drac_mps2": self.follower_drac_mps2, "headway_s": -self.headway_s}
-        return {f"lag_{name}": abs(float(each.max())) for name, each in found.items() if each.size}
+        if not self.step.size:
+            return {}
+        return {
+            "lag_brakes_mps2": float(self.brakes_mps2.max()), "lag_drac_mps2": float(self.follower_drac_mps2.max()),
+            "lag_headway_s": float(self.headway_s.min()),
+        }  # fmt: skip
 
 
 def pair_course(arrays: SceneArrays, follower: int, other: int, *, cap_s: float = CAP_S) -> PairCourse:

@@ -24,6 +24,7 @@ from bridge.recordings.sources import read_recording
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.occupancy.agent_states import agent_states
 from hid2.occupancy.sigma import cell_boxes, original_occupancy
+from hid2.params import Config, Request
 from netconvert.cells import build_cell_grid
 from netconvert.errors import ScenarioError
 
@@ -397,3 +398,12 @@ def test_names_of_received_files_are_text_and_nothing_else(
     ]
     assert hostile in page.js("$('title').textContent")
     assert page.errors == []
+
+
+def test_index_counts_every_manoeuvre_that_was_asked_for(data_scenes: dict[str, Path]) -> None:
+    """Those that no vehicle does, too: the intersection has no room for all of these."""
+    request = Request(agents=6, straight=0.0, left_turn=0.0, right_turn=0.0, lane_change=0.5, overtake=0.5)
+    scene = generate(read_recording(data_scenes["intersection"]), Config(request=request))
+    facts = facts_of(scene_document(scene.recording))
+    assert len(scene.sidecar.unmet) > 0
+    assert facts["maneuvers"] == [[one.kind, one.status] for _, one in scene.sidecar.asked]
