@@ -46,9 +46,7 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
         counted = requests.loc[requests["counted"], ["scene", "point", "seed", "vehicle"]]
         gaps = gaps.merge(counted, on=["scene", "point", "seed", "vehicle"])
     if requests.empty:
-        _LOG.warning(
-            "%s: no run has a request of the kind %s; expected more traffic, or more time", out_dir, study.kind
-        )
+        _LOG.warning("%s: no run has a request (%s); expected more traffic, or more time", out_dir, study.kind)
     files: list[Path] = []
     doses, acceptance, critical = [], [], []
     any_counted = not requests.empty and bool(requests["counted"].any())

@@ -197,10 +197,7 @@ def difference_sd(requests: pd.DataFrame, key: str) -> tuple[float, int] | None:
 
 
 def _adjusted(table: pd.DataFrame) -> pd.DataFrame:
-    """The same with p adjusted for the family of all outcomes of the parameter that vary at all (Holm).
-
-    The first outcome, which a study is planned for, is no part of that family.
-    """
+    """The same with p adjusted for all outcomes that vary at all (Holm), but the first, which a study is for."""
     from statsmodels.stats.multitest import multipletests
 
     varies = table.groupby("outcome")["estimate"].transform("nunique") > 1
