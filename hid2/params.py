@@ -728,6 +728,11 @@ class Export(_Section):
     limit_share: float = _param(0.98, "share", "of the curvature 1 / R_min that a path may have", gt=0, le=1)
     drivable_share: float = _param(0.9, "share", "of limits.drivable_tolerance_m that is used", ge=0, le=1)
     end_spare_s: float = _param(0.1, "s", "above conflict.end_ttc_min_s, for the rounding of files", ge=0, le=2)
+    noise: Literal["none", "tracker"] = _param(
+        "none",
+        "-",
+        "of inserted tracks; tracker: as the scene's recorded vehicles have it, with clean states in the sidecar",
+    )
 
 
 class Config(_Section):

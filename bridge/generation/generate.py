@@ -30,6 +30,7 @@ from bridge.recordings.sidecar import (
     ReplayRecord,
     RequestedRecord,
     Sidecar,
+    StatesRecord,
 )
 from bridge.sumo.drivers import model_parameters
 from bridge.sumo.driving import Driving
@@ -42,6 +43,7 @@ from hid2.insertion.events import EventSearch
 from hid2.insertion.filling import Filling
 from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.surroundings import Surroundings
+from hid2.insertion.tracker_noise import with_noise
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
 from hid2.scene import Scene, build_scene
@@ -133,12 +135,15 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
             filling.fill(rounds.drive)
         sumo_version = simulation.version()
     vehicles = sorted(filling.kept, key=lambda one: one.driven.start.request.number)
-    tracks = [one.track(f"gen_{row}", config.request.generated_category) for row, one in enumerate(vehicles)]
+    clean = [one.track(f"gen_{row}", config.request.generated_category) for row, one in enumerate(vehicles)]
+    tracks = clean
+    if config.export.noise == "tracker":
+        tracks = with_noise(scene, clean, [one.course for one in vehicles], seed)
     focal = scenario.focal_track_id
     if config.request.focal == "generated":
         focal = _focal(scenario, vehicles, tracks, filling)
         tracks = [replace(t, category=3) if t.track_id == focal else t for t in tracks]
-    sidecar = _sidecar(prepared, scene, filling, vehicles, rounds, variant=variant, sumo_version=sumo_version)
+    sidecar = _sidecar(prepared, scene, filling, vehicles, clean, rounds, variant=variant, sumo_version=sumo_version)
     made = with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=focal)
     return TrafficScene(made, scenario, tuple(vehicles), tuple(rounds.driven))
 
@@ -242,11 +247,14 @@ def _did_something(vehicle: ExportedVehicle, filling: Filling) -> bool:
 
 def _sidecar(
     prepared: PreparedScene, scene: Scene, filling: Filling, vehicles: Sequence[ExportedVehicle],
-    rounds: "_Rounds", *, variant: int, sumo_version: str,
+    clean: Sequence[Track], rounds: "_Rounds", *, variant: int, sumo_version: str,
 ) -> Sidecar:  # fmt: skip
     config = scene.config
     names = {one.driven.vehicle_id: f"gen_{row}" for row, one in enumerate(vehicles)}
     agents = [agent_record(scene, one, filling.outcomes.get(one.driven.vehicle_id), names) for one in vehicles]
+    if config.export.noise != "none":
+        told = [StatesRecord.of(track) for track in clean]
+        agents = [agent.model_copy(update={"clean": states}) for agent, states in zip(agents, told, strict=True)]
     placed = Counter(record.policy for record in agents)
     # `max` asks for more than the road holds: what it could not hold was not wished for
     most_unmet = placed[Policy.STRAIGHT] if config.request.agents == "max" else None

@@ -1,19 +1,24 @@
 """A scene as it lies on disk before the judge: its tracks with their boxes, its map, what its sidecar claims."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+
+import numpy as np
 
 from bridge.recordings.sidecar import Sidecar
-from hid2.agents import Track
+from hid2.agents import BoxSize, Track
 from hid2.judge.claims import FIGURES, Claim, EventClaim, judge_claims
-from hid2.judge.findings import Bounds, Finding, Quantity
+from hid2.judge.findings import NOISE_BOUNDS, ON_EXPORTED, Bounds, Finding, Quantity
 from hid2.judge.states import judge
 from hid2.measures.lane_matching import FlatLanes
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.occupancy.agent_states import AgentStates, agent_states
+from netconvert.geometry import wrap_angle
 from netconvert.lane_graph import LaneGraph
 
 #: What a band of criticality that was asked for allows: the quantities that it is about.
 _BANDS = {"ttc_s": (Quantity.TTC_LEADER, Quantity.TTC_FOLLOWER), "pet_s": (Quantity.PET,)}
+#: Noise that is cut at its bound is beyond it by the rounding of sums.
+_ROUNDING = 1e-6
 
 
 def states_of(
@@ -28,11 +33,16 @@ def findings_of(states: AgentStates, graph: LaneGraph, sidecar: Sidecar | None) 
     """What the judge finds in a scene and in what its sidecar claims, by the limits that hold for every scene.
 
     A criticality that was asked for is no finding: of the vehicle of an event with its band, and the headway that it
-    leaves to its target: that gap is what the event is about.
+    leaves to its target: that gap is what the event is about. With a tracker's noise boxes, road and the scene's end
+    are of the states exported, motion and claims of the clean ones, and the two are as near as a tracker's are.
     """
-    found = judge(states, graph, Bounds())
     if sidecar is None:
-        return found
+        return judge(states, graph, Bounds())
+    clean = clean_states(states, sidecar)
+    found = judge(clean, graph, Bounds())
+    if clean is not states:
+        exported = [one for one in judge(states, graph, Bounds()) if one.quantity in ON_EXPORTED]
+        found = [*(one for one in found if one.quantity not in ON_EXPORTED), *exported, *_noise(states, clean)]
     allowed = _allowed(sidecar)
     claims, events = claims_of(sidecar)
     pairs = {(event.track_id, event.target_id) for event in events}
@@ -41,7 +51,41 @@ def findings_of(states: AgentStates, graph: LaneGraph, sidecar: Sidecar | None) 
         if one.value < allowed.get((one.track_id, one.quantity), float("inf"))
         and not (one.quantity is Quantity.FOLLOWER_HEADWAY and (one.track_id, one.other) in pairs)
     ]  # fmt: skip
-    return found + judge_claims(states, claims, events)
+    return found + judge_claims(clean, claims, events)
+
+
+def clean_states(states: AgentStates, sidecar: Sidecar) -> AgentStates:
+    """The same agents, inserted ones as the sidecar has them without noise; the same object where it tells of none."""
+    arrays = states.arrays
+    told = {agent.track_id: agent.clean for agent in sidecar.agents if agent.clean is not None}
+    tracks = []
+    for row in np.flatnonzero(arrays.generated).tolist():
+        name, steps = arrays.track_ids[row], arrays.step[states.row_span(row)]
+        if name not in told or len(told[name].x) != steps.size:  # a finding of its own, or there is no noise
+            return states
+        motion, size = told[name].motion, BoxSize(float(arrays.length[row]), float(arrays.width[row]))
+        kind, category = arrays.object_types[row], int(arrays.category[row])
+        tracks.append(Track(name, kind, category, steps, motion[:, :2], motion[:, 2], motion[:, 3:], size))
+    if not tracks:
+        return states
+    inserted = states_of(tracks, states.lanes, told, num_steps=arrays.num_steps, step_s=arrays.step_s)
+    return states.rows(np.flatnonzero(~arrays.generated).tolist()).joined(inserted)
+
+
+def _noise(states: AgentStates, clean: AgentStates) -> Iterator[Finding]:
+    """Inserted agents with more noise than trackers make."""
+    arrays, without = states.arrays, clean.arrays
+    most_m = NOISE_BOUNDS.place_of(np.hypot(*without.velocity.T))
+    worst = np.max([
+        np.hypot(*(arrays.position - without.position).T) / most_m,
+        np.abs(wrap_angle(arrays.heading - without.heading)) / NOISE_BOUNDS.heading_rad,
+        np.hypot(*(arrays.velocity - without.velocity).T) / NOISE_BOUNDS.velocity_mps,
+    ], axis=0)  # fmt: skip
+    for row in np.flatnonzero(arrays.generated).tolist():
+        rows = states.row_span(row)
+        at = rows.start + int(np.argmax(worst[rows]))
+        if worst[at] > 1.0 + _ROUNDING:
+            yield Finding(arrays.track_ids[row], int(arrays.step[at]), Quantity.NOISE, float(worst[at]), 1.0)
 
 
 def claims_of(sidecar: Sidecar) -> tuple[list[Claim], list[EventClaim]]:

@@ -24,8 +24,9 @@ from bridge.recordings.recording import FOCAL_CATEGORY, SCORED_CATEGORY, Recordi
 from bridge.recordings.scenario import RowArrays, row_breaches
 from bridge.recordings.sequence import inserted_id
 from bridge.recordings.sidecar import AgentRecord, Sidecar
-from hid2.agents import VEHICLE_TYPES, Policy
+from hid2.agents import VEHICLE_TYPES, FloatArray, Policy
 from hid2.judge.events import brakes_for
+from hid2.params import Config
 from netconvert.av2_map import Breach
 from netconvert.errors import ConfigError, ScenarioError
 
@@ -76,8 +77,8 @@ def _check_index(table: pa.Table) -> Iterator[Breach]:
         yield "columns", f"index {index}, expected a RangeIndex from 0 to {table.num_rows}"
 
 
-def check_generated(rows: RowArrays, track_id: str) -> Iterator[Breach]:
-    """What is demanded of a generated track beyond the format."""
+def check_generated(rows: RowArrays, track_id: str, clean: FloatArray | None = None) -> Iterator[Breach]:
+    """What is demanded of a generated track beyond the format. clean (N, 5): its motion without a tracker's noise."""
     index = rows.of_track(rows.ids.index(track_id))
     steps, category = rows.timestep[index], int(rows.category[index.start])
     name = f"track {track_id!r}"
@@ -96,8 +97,13 @@ def check_generated(rows: RowArrays, track_id: str) -> Iterator[Breach]:
         yield "generated", f"{name}: lasts from {steps[0]} to {steps[-1]}, expected {rows.last_observed} in it"
     if category >= FOCAL_CATEGORY - 1 and (steps[0] > 0 or steps[-1] < rows.num_steps - 1):
         yield "generated", f"{name}: category {category}, from {steps[0]} to {steps[-1]}, expected all {rows.num_steps}"
-    motion = rows.motion[index]
-    if len(steps) < 3 or not np.isfinite(motion).all():
+    motion = rows.motion[index] if clean is None else clean
+    if len(motion) != len(steps):
+        yield "generated", f"{name}: {len(motion)} clean states, expected {len(steps)}, as it has rows"
+    elif np.abs(rows.motion[index, 2]).max() > np.pi:
+        heading = rows.motion[index, 2]
+        yield "heading", f"{name}: heading {heading[np.argmax(np.abs(heading))]:.3f}, expected -pi to pi"
+    if len(steps) < 3 or len(motion) != len(steps) or not np.isfinite(motion).all():
         return
     position, heading, velocity = motion[:, :2], motion[:, 2], motion[:, 3:]
     error = np.hypot(*(np.gradient(position, rows.step_s, axis=0) - velocity).T)
@@ -113,8 +119,6 @@ def check_generated(rows: RowArrays, track_id: str) -> Iterator[Breach]:
     if off.max() > HEADING_TOLERANCE_RAD:
         worst = int(np.argmax(off))
         yield "heading", f"{name}, timestep {steps[worst]}: {off[worst]:.3f} rad off the direction of motion"
-    if np.abs(heading).max() > np.pi:
-        yield "heading", f"{name}: heading {heading[np.argmax(np.abs(heading))]:.3f}, expected -pi to pi"
 
 
 def compare_rows(table: pa.Table, source: pa.Table, generated_ids: set[str]) -> Iterator[str]:
@@ -185,11 +189,7 @@ def check_sidecar(
     except ConfigError as error:
         yield "sidecar", f"config: {error}"
     else:
-        if sidecar.config_sha256 != config_sha256(config) or config_to_dict(config) != sidecar.config:
-            yield "sidecar", f"config_sha256 {sidecar.config_sha256[:12]}..., expected that of config"
-        wanted = new_scenario_id(sidecar.source_scenario_id, config, sidecar.seed, sidecar.variant)
-        if wanted != new_id:
-            yield "scenario-id", f"{new_id}, expected {wanted} of this source, configuration, seed and variant"
+        yield from _check_config(sidecar, config, new_id)
     if sidecar.placed.agents != len(sidecar.agents):
         yield "sidecar", f"placed.agents {sidecar.placed.agents}, but {len(sidecar.agents)} agents"
     for policy in Policy:
@@ -211,6 +211,21 @@ def check_sidecar(
         if begin != agent.spawn.timestep:
             yield "sidecar", f"agent {agent.track_id}: spawn.timestep {agent.spawn.timestep}, but it begins at {begin}"
     yield from _check_events(sidecar)
+
+
+def _check_config(sidecar: Sidecar, config: Config, new_id: str) -> Iterator[Breach]:
+    """What a sidecar says against its own configuration."""
+    if sidecar.config_sha256 != config_sha256(config) or config_to_dict(config) != sidecar.config:
+        yield "sidecar", f"config_sha256 {sidecar.config_sha256[:12]}..., expected that of config"
+    wanted = new_scenario_id(sidecar.source_scenario_id, config, sidecar.seed, sidecar.variant)
+    if wanted != new_id:
+        yield "scenario-id", f"{new_id}, expected {wanted} of this source, configuration, seed and variant"
+    has_noise = config.export.noise != "none"
+    if any((agent.clean is not None) != has_noise for agent in sidecar.agents):
+        yield (
+            "sidecar",
+            f"export.noise {config.export.noise}, expected clean states of {'all' if has_noise else 'no'} agents",
+        )
 
 
 def _check_events(sidecar: Sidecar) -> Iterator[Breach]:

@@ -4,11 +4,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError
+import numpy as np
+from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError, model_validator
 
 from bridge.files import read_received
 from bridge.recordings.limits import MAX_SIDECAR_MB
-from hid2.agents import BoxSize, Policy
+from hid2.agents import BoxSize, FloatArray, Policy, Track
 from netconvert.errors import ScenarioError
 
 #: How the tracks were made: by the recording vehicle's own tracker, or by people that labelled boxes.
@@ -138,8 +139,37 @@ class SimulatedRecord(_Record):
     max_off_m: float = Field(ge=0)
 
 
+class StatesRecord(_Record):
+    """States at the steps of a track, (N,) each: box centre x, y m, heading rad, velocity vx, vy m/s."""
+
+    x: Listed[float]
+    y: Listed[float]
+    heading: Listed[float]
+    vx: Listed[float]
+    vy: Listed[float]
+
+    @model_validator(mode="after")
+    def _check(self) -> "StatesRecord":
+        if len({len(column) for _, column in self}) > 1:
+            raise ValueError("x, y, heading, vx, vy: expected as many values in each")
+        return self
+
+    @classmethod
+    def of(cls, track: Track) -> "StatesRecord":
+        """Those of a track."""
+        columns = (*track.position.T, track.heading, *track.velocity.T)
+        return cls(**dict(zip(cls.model_fields, (tuple(one.tolist()) for one in columns), strict=True)))
+
+    @property
+    def motion(self) -> FloatArray:
+        """(N, 5)."""
+        return np.array([column for _, column in self], dtype=np.float64).T
+
+
 class AgentRecord(_Record):
     """One generated vehicle; route: lane segment ids in the order driven.
+
+    clean: its states without the noise that the file has (`export.noise = tracker`); None: the file has none.
 
     limited: share of steps in which hid2 held it below SUMO's own choice of speed, by cause; policies: share of steps
     by the policy that Algorithm 1 returned; rerouted_s: when it took another way at the next split.
@@ -159,6 +189,7 @@ class AgentRecord(_Record):
     gaps: GapsRecord = GapsRecord()
     rerouted_s: Seconds | None = None
     simulated: SimulatedRecord | None = None
+    clean: StatesRecord | None = None
     end_reason: str | None = None
 
 

@@ -111,13 +111,14 @@ def validate_scene(against: Against, folder: Path) -> list[Finding]:
         return [Finding(folder, "replay", REACTIVE)]  # whatever else it is, it is no scene of Argoverse
     findings += _missing_sidecar(folder, rows)
     generated_ids = {agent.track_id for agent in sidecar.agents} if sidecar is not None else set()
+    clean = {agent.track_id: agent.clean.motion for agent in sidecar.agents if agent.clean} if sidecar else {}
     begins = lanes = None
     if rows is not None:
         path = folder / f"scenario_{new_id}.parquet"
         generated_ids |= {track_id for track_id in rows.ids if track_id.startswith("gen_")}
         breaches = list(check_rows(rows, new_id))
         for track_id in sorted(generated_ids & set(rows.ids)):
-            breaches += check_generated(rows, track_id)
+            breaches += check_generated(rows, track_id, clean=clean.get(track_id))
         findings += [Finding(path, *breach) for breach in breaches]
         if document is not None:
             judged = generated_ids if against.inserted is None else against.inserted

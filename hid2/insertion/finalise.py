@@ -66,6 +66,12 @@ class ExportedVehicle:
         """Its steps among those of the scene."""
         return _span(self.driven, self.num_steps)
 
+    @property
+    def course(self) -> FloatArray:
+        """(T_i,) direction of its path, rad."""
+        _, tangent, _ = self.driven.path.line.motion(self.motion.s)
+        return np.asarray(np.arctan2(tangent[:, 1], tangent[:, 0]))
+
     def track(self, track_id: str, category: int) -> Track:
         """As it is written."""
         return _track(self.driven, self.trajectory, track_id, category)

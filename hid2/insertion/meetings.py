@@ -30,7 +30,7 @@ _LEADS_FROM_M, _LEADS_LOOKS = 6.0, 1 + round(FOLLOWS_FOR_S / _EVERY_S)
 _SCORED = (2, 3)
 _LEAST = 1e-3  # weight of a route that is not worth trying; no tunable: not 0, so that one is drawn where no other is
 #: Track id of the recording vehicle (Argoverse 2).
-_RECORDING_VEHICLE = "AV"
+RECORDING_VEHICLE = "AV"
 
 
 def target_rows(scene: Scene) -> IntArray:
@@ -44,7 +44,7 @@ def named_rows(scene: Scene, name: str) -> IntArray:
     if name in ("focal", "scored"):
         category = np.array(scene.categories, dtype=np.int64)
         return np.flatnonzero(category == _SCORED[-1] if name == "focal" else np.isin(category, _SCORED))
-    wanted = _RECORDING_VEHICLE if name == "av" else name
+    wanted = RECORDING_VEHICLE if name == "av" else name
     return np.array([row for row, track_id in enumerate(scene.traffic.ids) if track_id == wanted], dtype=np.int64)
 
 
@@ -66,12 +66,14 @@ class Outlook(NamedTuple):
 
     weight (C,): of each cell, 0 where a vehicle would leave the map before the last observed step, and on lanes that
     cars do not drive on; leader (C,): the leader of a vehicle from there, a number of its own, -1 for none; near
-    (C,): whether it would be near to a named target at the last observed step.
+    (C,): whether it would be near to a named target at the last observed step; stays (C,): whether it would be on the
+    map until the scene ends, as recorded vehicles are.
     """
 
     weight: FloatArray
     near: BoolArray
     leader: IntArray
+    stays: BoolArray
 
 
 @dataclass(slots=True)
@@ -163,7 +165,8 @@ class Meetings:
         turn = TURN_OF_POLICY.get(policy, TurnType.STRAIGHT)
         if turn not in self._outlooks:
             count = len(self.scene.grid.cells)
-            found = Outlook(np.zeros(count), np.zeros(count, dtype=np.bool_), np.full(count, -1, dtype=np.int64))
+            none = np.zeros(count, dtype=np.bool_)
+            found = Outlook(np.zeros(count), none, np.full(count, -1, dtype=np.int64), none.copy())
             for lane_id in self.routes.lanes:
                 first = self.scene.grid.index_of[Cell(lane_id, 0)]
                 self._look(lane_id, turn, found, slice(first, first + self.scene.grid.count(lane_id)))
@@ -222,6 +225,7 @@ class Meetings:
         weights = np.array([one.weight for one in looked])
         found.weight[cells] = weights.mean(axis=0)
         found.near[cells] = np.any([one.near for one in looked], axis=0)
+        found.stays[cells] = np.any([one.stays for one in looked], axis=0)
         best = weights.argmax(axis=0)
         found.leader[cells] = np.array([one.leader for one in looked])[best, np.arange(best.size)]
 
@@ -254,10 +258,11 @@ class Meetings:
             weight[near] *= spawn.near_weight
             weight[leader >= 0] *= spawn.leader_weight
             weight[crosses] *= spawn.crossing_weight
-        leaves = middle[-1] - start < sites.leaves_share * speed_mps * scene.steps_to_stay(step) * scene.step_s
+        left_m, usual_m = middle[-1] - start, sites.leaves_share * speed_mps * scene.step_s
         if "topology" not in scene.config.without:
-            weight[leaves] = 0.0
-        return Outlook(weight, near_last, leader)
+            weight[left_m < usual_m * scene.steps_to_stay(step)] = 0.0
+        stays = left_m >= speed_mps * scene.step_s * (scene.num_steps - step)
+        return Outlook(weight, near_last, leader, stays)
 
     def _red(self, lane_id: int, offer: RouteOffer, look: int) -> tuple[FloatArray, BoolArray]:
         """Where a vehicle on a route stops at signals, (L,) m from a lane on, and whether they are red (L, looks)."""

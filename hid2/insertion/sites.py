@@ -191,8 +191,9 @@ class InsertionSites:
             yield row, cell.lane_id, float(begin + share[place] * (end - begin))
 
     def _weights(self, policy: Policy, rows: IntArray) -> tuple[FloatArray, IntArray]:
-        """Weights of cells, rows (N,) of the grid; and 1 for those from which a named target is not met, else 0.
+        """Weights of cells, rows (N,) of the grid; and which of them come later, the higher the later, from 0 on.
 
+        Those from which a named target is not met, and before that those from which the map is left before the end.
         A leader that a vehicle follows already, of this round or of one before, speaks for no other site. One that
         brakes speaks for straight requests alone: behind it there is no speed for a lane change.
         """
@@ -202,8 +203,10 @@ class InsertionSites:
             weight[meetings.brakes(leader)] *= spawn.braking_weight
         followed = self._followed()
         weight[np.isin(leader, followed) & (leader >= 0)] /= spawn.leader_weight
-        tier = ~seen.near[rows] if meetings.is_target_named else np.zeros(len(rows), dtype=np.bool_)
-        return weight, tier.astype(np.int64)
+        tier = np.where(seen.stays[rows], 0, 1)
+        if meetings.is_target_named:
+            tier += np.where(seen.near[rows], 0, 2)
+        return weight, tier
 
     def _followed(self) -> list[int]:
         """Leaders of those kept and taken, as `Meetings` numbers them; -1 none."""

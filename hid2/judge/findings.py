@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
+from hid2.agents import FloatArray
 from hid2.params import Config, Conflict, Limits
 
 #: What is claimed is seen in the states within so long of the time claimed, s.
@@ -19,6 +20,26 @@ END_DECEL_MPS2, END_REACTION_S = 3.0, 1.0
 CURVATURE_SHARE = 1.1
 #: Largest angle between a vehicle and the lane below it, degrees: outside of intersections, and in them.
 LANE_DEG, INTERSECTION_DEG = 60.0, 90.0
+
+
+class NoiseBounds(NamedTuple):
+    """Exported minus clean states, with `export.noise = tracker`: at most what trackers of Argoverse 2 have.
+
+    place_m, heading_rad, velocity_mps: 99.9 % of what 36 tracks have around smooth motion, of headings without tracks
+    that are turned round; late_s: how far positions are off at the ends of tracks, which are smoothed.
+    """
+
+    place_m: float = 0.3
+    late_s: float = 0.09
+    heading_rad: float = 0.37
+    velocity_mps: float = 6.5
+
+    def place_of(self, speed_mps: FloatArray) -> FloatArray:
+        """The same of place, m, at speeds (N,) m/s."""
+        return self.place_m + self.late_s * speed_mps
+
+
+NOISE_BOUNDS = NoiseBounds()
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +110,11 @@ class Quantity(StrEnum):
     CLAIMED_PET = "claimed_pet", "s", "difference to the post-encroachment time that is claimed of an event"
     CLAIMED_DRAC = "claimed_drac", "m/s2", "difference to the DRAC that is claimed of an event"
     FOLLOWER_HEADWAY = "follower_headway", "s", "time headway that a recorded follower is left with"
+    NOISE = "noise", "", "exported minus clean state, over what trackers have"
+
+
+#: Judged on exported states also where these have a tracker's noise; all others on the clean ones.
+ON_EXPORTED = frozenset({Quantity.OVERLAP, Quantity.OFF_ROAD, Quantity.END_TTC, Quantity.END_CONTACT})
 
 
 #: Quantities with a least value as their limit.

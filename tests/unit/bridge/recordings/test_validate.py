@@ -1,6 +1,8 @@
 """Validation: a good data set has no findings; each way to spoil one is found under its rule."""
 
+import json
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,9 @@ from breaches import breaches
 from written import write_scene
 
 from bridge.batch.validation import validate_folder
+from bridge.config import load_config
+from bridge.generation.generate import generate
+from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
 from hid2.judge.findings import Quantity
 from netconvert.errors import ScenarioError
@@ -371,3 +376,53 @@ def test_added_centrelines_are_no_difference(
 def test_an_empty_output_is_said(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match="no scenario; expected"):
         validate_folder(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def noisy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scene that is generated with a tracker's noise."""
+    source = find_scenarios(Path(__file__).parents[4] / "data" / "av2")[0]
+    config = load_config(None, ["request.agents=3", "export.noise=tracker"])
+    return generate(read_scenario(source), config).write(tmp_path_factory.mktemp("noisy"))
+
+
+def _with_clean(folder: Path, out: Path, change: Callable[[dict[str, Any]], None]) -> set[str]:
+    """Rules that a scene breaks of which the sidecar of the first inserted vehicle is changed."""
+    copied = shutil.copytree(folder, out / "train" / folder.name)
+    path = copied / f"hid2_{folder.name}.json"
+    document = json.loads(path.read_text())
+    change(document["agents"][0])
+    path.write_text(json.dumps(document))
+    return {one.rule for one in validate_folder(out)}
+
+
+def test_motion_of_a_scene_with_noise_is_judged_on_its_clean_states(noisy: Path, tmp_path: Path) -> None:
+    """As exported the stated velocities are not the derivative of positions, which are smoothed up to their ends."""
+    copied = shutil.copytree(noisy, tmp_path / "train" / noisy.name)
+    assert not [one for one in validate_folder(tmp_path) if not one.is_note]
+    document = json.loads((copied / f"hid2_{noisy.name}.json").read_text())
+    assert all(len(agent["clean"]["x"]) == 110 for agent in document["agents"])
+
+
+@pytest.mark.parametrize(
+    ("change", "rule"),
+    [
+        (lambda agent: agent.update(clean=None), "sidecar"),
+        (
+            lambda agent: agent["clean"].update({name: agent["clean"][name][:-1] for name in agent["clean"]}),
+            "generated",
+        ),
+        (lambda agent: agent["clean"].update(x=[x + 3.0 for x in agent["clean"]["x"]]), "noise"),
+        (lambda agent: agent["clean"].update(vx=[5.0 + vx for vx in agent["clean"]["vx"]]), "velocity"),
+    ],
+    ids=["none", "too short", "too far off", "no derivative"],
+)
+def test_clean_states_are_those_of_the_vehicle(
+    noisy: Path, tmp_path: Path, change: Callable[[dict[str, Any]], None], rule: str
+) -> None:
+    assert rule in _with_clean(noisy, tmp_path, change)
+
+
+def test_clean_states_without_noise_are_a_finding(written: Path, tmp_path: Path) -> None:
+    one = {name: [0.0] * 110 for name in ("x", "y", "heading", "vx", "vy")}
+    assert "sidecar" in _with_clean(written, tmp_path / "copied", lambda agent: agent.update(clean=one))

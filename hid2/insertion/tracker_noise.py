@@ -1,0 +1,202 @@
+"""What a tracker adds to exported states (`export.noise = tracker`), as recorded vehicles of the same scene have it.
+
+Argoverse 2 has smoothed the positions of its trackers up to the ends of tracks, where they stay back: vehicles begin
+and end at half their speed. Beside that each inserted vehicle has the errors of a recorded one, around smooth motion.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hid2.agents import VEHICLE_TYPES, FloatArray, Track
+from hid2.insertion.meetings import RECORDING_VEHICLE
+from hid2.judge.findings import NOISE_BOUNDS, Bounds
+from hid2.judge.states import of_boxes, of_end, of_road
+from hid2.measures.arrays import FRAGMENT
+from hid2.occupancy.agent_states import AgentStates, agent_states
+from hid2.scene import Scene
+from netconvert.geometry import wrap_angle
+
+#: Of Argoverse 2's own smoothing: s and degree of a Savitzky-Golay filter. No tunables but found: with it the speed of
+#: positions over the stated one is that of 28 recorded tracks at each of the first 13 steps, within .02.
+_FILTER_S, _FILTER_DEGREE = 1.9, 2
+#: Recorded positions that make less than this share of the stated speed at their first step have been smoothed so.
+_STAYS_BACK = 0.8
+#: What errors are measured around: a polynomial of this degree over so many s. No tunables: it follows drivers alone.
+_WINDOW_S, _DEGREE = 3.1, 4
+#: The direction of a recorded path is fitted over so many s: it follows turns, and not the swaying in a lane.
+_HEADING_S = 5.1
+#: Slower vehicles tell no errors, m/s, and have smaller ones, down to none at a standstill.
+_MOVES_MPS = 2.0
+#: Shares of its errors that are tried for a vehicle: with all of them it may touch what it passes closely.
+_SHARES = (1.0, 0.5, 0.25, 0.0)
+_STREAM = 83  # of random numbers: a name
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class TrackerErrors:
+    """Those of a recording. is_smoothed: its positions are, up to the ends of tracks.
+
+    of_vehicles: of each recorded one that moves, (4, N): of place along the course, m, speed, m/s, heading, and the
+    direction of the velocity beside that, rad.
+    """
+
+    is_smoothed: bool
+    of_vehicles: tuple[FloatArray, ...]
+
+    def drawn(self, rng: np.random.Generator, count: int) -> FloatArray:
+        """(4, count) of one vehicle, there and back from a step on, of either sign; none where no vehicle tells any."""
+        if not self.of_vehicles:
+            return np.zeros((4, count))
+        steps = np.array([errors.shape[1] for errors in self.of_vehicles])
+        errors = self.of_vehicles[int(rng.choice(steps.size, p=steps / steps.sum()))]
+        there_and_back = np.concatenate([errors, errors[:, ::-1]], axis=1)
+        first, sign = int(rng.integers(there_and_back.shape[1])), rng.choice((-1.0, 1.0))
+        return np.asarray(sign * np.take(there_and_back, np.arange(first, first + count), axis=1, mode="wrap"))
+
+
+def tracker_errors(tracks: Sequence[Track], *, step_s: float) -> TrackerErrors:
+    """Of recorded tracks, the recording vehicle's and fragments left out; it was not tracked, and those were lost."""
+    begins: list[float] = []
+    found: list[FloatArray] = []
+    for track in tracks:
+        steps, stated = track.timesteps, np.hypot(*track.velocity.T)
+        if track.object_type not in VEHICLE_TYPES or track.category == FRAGMENT or track.track_id == RECORDING_VEHICLE:
+            continue
+        if steps.size != steps[-1] - steps[0] + 1:  # it was lost in between
+            continue
+        if steps.size > 1 and stated[:2].min() > _MOVES_MPS:
+            begins.append(float(np.hypot(*(track.position[1] - track.position[0]))) / (step_s * stated[:2].mean()))
+        errors = _errors_of(track, step_s)
+        if errors is not None:
+            found.append(errors)
+    return TrackerErrors(bool(begins) and float(np.median(begins)) < _STAYS_BACK, tuple(found))
+
+
+def _errors_of(track: Track, step_s: float) -> FloatArray | None:
+    """(4, N) of a track while it moves, without its ends, which are smoothed otherwise; None of a short one.
+
+    Nor of one with a box that the tracker has turned round.
+    """
+    end, most = _odd(_FILTER_S / step_s) // 2 + 1, _odd(_WINDOW_S / step_s)
+    inside = slice(end, track.timesteps.size - end)
+    position, heading = track.position[inside], np.unwrap(track.heading[inside])
+    window = min(most, _odd(len(position) - 1))
+    if window < end:
+        return None
+    smooth = _fitted(position, window)
+    velocity = np.gradient(smooth, step_s, axis=0)
+    speed, course = np.hypot(*velocity.T), np.unwrap(np.arctan2(*velocity.T[::-1]))
+    way = _direction(course, step_s)
+    moving = np.flatnonzero(speed > _MOVES_MPS)
+    longest = max(np.split(moving, np.flatnonzero(np.diff(moving) > 1) + 1), key=len)
+    if longest.size < window:
+        return None
+    number = np.arange(len(heading))  # a heading is off by what hardly changes, and by what is left over of it
+    slow = np.polyval(np.polyfit(number, wrap_angle(heading - way), 1), number)
+    errors = np.stack([
+        ((position - smooth) * velocity).sum(axis=1) / np.maximum(speed, _MOVES_MPS),
+        np.hypot(*track.velocity[inside].T) - speed, heading - _fitted(heading, window) + slow,
+        wrap_angle(np.arctan2(*track.velocity[inside].T[::-1]) - heading),
+    ])[:, longest]  # fmt: skip
+    turned_round = np.abs(errors[2:]).max() > NOISE_BOUNDS.heading_rad
+    return None if turned_round else errors
+
+
+def _fitted(values: FloatArray, window: int, degree: int = _DEGREE) -> FloatArray:
+    """Values (N, ...) fitted by a polynomial around each step."""
+    from scipy.signal import savgol_filter  # its import takes longer than a scene without noise
+
+    return np.asarray(savgol_filter(values, window, degree, axis=0), dtype=np.float64)
+
+
+def _direction(course: FloatArray, step_s: float) -> FloatArray:
+    """Direction (N,) rad of a path that is driven in a direction (N,) which sways."""
+    window = min(_odd(_HEADING_S / step_s), _odd(len(course) - 1))
+    return _fitted(np.unwrap(course), window, _FILTER_DEGREE) if window > _FILTER_DEGREE else course
+
+
+def _odd(steps: float) -> int:
+    """The nearest odd number."""
+    return 2 * round(0.5 * (steps - 1.0)) + 1
+
+
+def with_noise(
+    scene: Scene, tracks: Sequence[Track], courses: Sequence[FloatArray], seed: Sequence[int]
+) -> list[Track]:  # fmt: skip
+    """Inserted tracks as the scene's tracker would have them; boxes, road and the scene's end are as safe as before.
+
+    courses: of each, (N,) rad: the direction of its path, without the swaying in the lane, which trackers do not see.
+    Each has its errors as far as they leave it clear of all others, of those before it with their errors.
+    """
+    errors = tracker_errors(scene.tracks, step_s=scene.step_s)
+    clean = [_states(scene, track) for track in tracks]
+    found: list[Track] = []
+    so_far = scene.states
+    for number, track in enumerate(tracks):
+        rng = np.random.default_rng([*seed, _STREAM, number])
+        full = _noisy(track, courses[number], errors, rng, step_s=scene.step_s)
+        others = so_far.joined(*clean[number + 1 :])
+        for share in _SHARES:
+            noisy = _between(track, full, share)
+            states = _states(scene, noisy)
+            if share == 0.0 or _is_clear(scene, others.joined(states), track):
+                break
+        found.append(noisy)
+        so_far = so_far.joined(states)
+    return found
+
+
+def _states(scene: Scene, track: Track) -> AgentStates:
+    return agent_states(
+        [track], scene.states.lanes, num_steps=scene.num_steps, step_s=scene.step_s, is_inserted=lambda _: True
+    )
+
+
+def _is_clear(scene: Scene, states: AgentStates, track: Track) -> bool:
+    """Whether the judge finds nothing on the last agent's box, on the road below it, and at its end."""
+    row, bounds = states.arrays.num_agents - 1, Bounds(scene.config.limits, scene.config.conflict)
+    found = [
+        *of_boxes(states, row, np.arange(row), spare_m=0.0), *of_end(states, row, np.arange(row), bounds),
+        *of_road(states, row, track.size, scene.grid.graph, bounds),
+    ]  # fmt: skip
+    return not found
+
+
+def _noisy(
+    track: Track, course: FloatArray, errors: TrackerErrors, rng: np.random.Generator, *, step_s: float
+) -> Track:  # fmt: skip
+    """A track with the errors of a tracker."""
+    from scipy.signal import savgol_filter
+
+    speed, window = np.hypot(*track.velocity.T), _odd(_FILTER_S / step_s)
+    along, faster, turned, slips = np.minimum(speed / _MOVES_MPS, 1.0) * errors.drawn(rng, speed.size)
+    position = track.position
+    if errors.is_smoothed and speed.size >= window:
+        position = savgol_filter(position, window, _FILTER_DEGREE, axis=0, mode="nearest")
+    heading = wrap_angle(_direction(course, step_s) + turned)
+    stated, moves_to = np.maximum(speed + faster, 0.0), heading + slips
+    return replace(
+        track, position=position + along[:, None] * np.stack([np.cos(track.heading), np.sin(track.heading)], axis=1),
+        heading=heading, velocity=stated[:, None] * np.stack([np.cos(moves_to), np.sin(moves_to)], axis=1),
+    )  # fmt: skip
+
+
+def _between(clean: Track, noisy: Track, share: float) -> Track:
+    """A track with a share of its errors, each within `NOISE_BOUNDS`."""
+    place, turned, velocity = noisy.position - clean.position, wrap_angle(noisy.heading - clean.heading), noisy.velocity
+    most_m = NOISE_BOUNDS.place_of(np.hypot(*clean.velocity.T))
+    place = place * _at_most(share, np.hypot(*place.T), most_m)[:, None]
+    turned = turned * _at_most(share, np.abs(turned), NOISE_BOUNDS.heading_rad)
+    off = velocity - clean.velocity
+    off = off * _at_most(share, np.hypot(*off.T), NOISE_BOUNDS.velocity_mps)[:, None]
+    return replace(
+        clean, position=clean.position + place, heading=wrap_angle(clean.heading + turned),
+        velocity=clean.velocity + off,
+    )  # fmt: skip
+
+
+def _at_most(share: float, size: FloatArray, most: FloatArray | float) -> FloatArray:
+    """The share of errors of some size that is no larger than the most."""
+    return np.minimum(share, most / np.maximum(size, 1e-9))

@@ -1,0 +1,115 @@
+"""A tracker's noise on inserted tracks: that of the scene's recorded vehicles, as far as it leaves all others clear."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from inserted import recorded, scene_on
+from scipy.signal import savgol_filter
+
+from hid2.agents import BoxSize, Track
+from hid2.insertion.tracker_noise import tracker_errors, with_noise
+from hid2.judge.findings import NOISE_BOUNDS
+from hid2.scene import Scene
+from netconvert.lane_graph import LaneGraph
+
+T = 0.1 * np.arange(110)
+CAR = BoxSize(4.5, 1.9)
+
+
+def _moving(track_id: str, speed: float = 10.0, *, y: float = 0.0, x: float = 20.0) -> Track:
+    """A car along x."""
+    position = np.column_stack([x + speed * T, np.full(110, y)])
+    velocity = np.column_stack([np.full(110, speed), np.zeros(110)])
+    return Track(track_id, "vehicle", 1, np.arange(110), position, np.zeros(110), velocity, CAR)
+
+
+def _smoothed(track: Track) -> Track:
+    """As Argoverse 2 smooths positions: 19 steps, degree 2, the ends repeated."""
+    return replace(track, position=savgol_filter(track.position, 19, 2, axis=0, mode="nearest"))
+
+
+def _tracked(track: Track, *, faster: float = 0.0, turned: float = 0.0) -> Track:
+    """With a stated speed that is off by `faster` m/s, as a sine of 2 s, and a heading that is off by `turned` rad."""
+    wave = np.sin(np.pi * T)
+    velocity = track.velocity * (1.0 + faster * wave / 10.0)[:, None]
+    return replace(track, velocity=velocity, heading=track.heading + turned)
+
+
+@pytest.fixture
+def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
+    """scene_of(*recorded) -> two lanes of 300 m."""
+    return lambda *tracks: scene_on(road(length_m=300.0), *tracks)
+
+
+def _noise(scene: Scene, *tracks: Track, seed: int = 0) -> list[Track]:
+    return with_noise(scene, tracks, [track.heading for track in tracks], [seed, 0])
+
+
+def test_smoothed_positions_are_told_by_their_first_step() -> None:
+    """A filter of 19 steps and degree 2 makes .56 of a constant speed at the first step; plain positions all of it."""
+    plain = _moving("1")
+    assert not tracker_errors([plain], step_s=0.1).is_smoothed
+    assert tracker_errors([_smoothed(plain)], step_s=0.1).is_smoothed
+
+
+def test_errors_are_those_of_recorded_vehicles_that_were_tracked_throughout() -> None:
+    """A sine of .5 m/s has a deviation of .354; the recording vehicle, fragments and lost tracks tell none."""
+    one = _tracked(_moving("1"), faster=0.5, turned=0.02)
+    (errors,) = tracker_errors([one], step_s=0.1).of_vehicles
+    assert errors[1].std() == pytest.approx(0.354, abs=0.02)
+    assert errors[2] == pytest.approx(np.full(errors.shape[1], 0.02), abs=1e-6)
+    assert np.abs(errors[0]).max() == pytest.approx(0.0, abs=1e-6)
+    kept = np.arange(110) != 50
+    lost = replace(one, timesteps=one.timesteps[kept], position=one.position[kept], heading=one.heading[kept],
+                   velocity=one.velocity[kept])  # fmt: skip
+    others = [replace(one, track_id="AV"), replace(one, category=0), replace(one, object_type="pedestrian"), lost]
+    assert tracker_errors(others, step_s=0.1).of_vehicles == ()
+
+
+def test_track_that_a_tracker_turns_round_tells_no_errors() -> None:
+    turned = replace(_moving("1"), heading=np.full(110, 1.9))
+    assert tracker_errors([turned], step_s=0.1).of_vehicles == ()
+
+
+def test_inserted_vehicle_begins_slowly_and_states_its_speed_as_recorded_ones_do(
+    scene_of: Callable[..., Scene],
+) -> None:
+    """The stated speed stays at 8 m/s, positions make .56 of it at first; far from the ends they are the clean ones."""
+    scene = scene_of(_smoothed(_moving("1", y=3.5)), _smoothed(_moving("2", y=3.5, x=60.0)))
+    clean = _moving("gen_0", 8.0, x=20.0)
+    (noisy,) = _noise(scene, clean)
+    steps = np.hypot(*np.diff(noisy.position, axis=0).T) / 0.1
+    assert steps[0] == pytest.approx(0.559 * 8.0, abs=0.05)
+    assert noisy.position[20:-20] == pytest.approx(clean.position[20:-20], abs=0.02)
+    assert np.hypot(*noisy.velocity.T) == pytest.approx(8.0, abs=0.05)
+
+
+def test_errors_are_as_large_as_recorded_ones_and_none_at_a_standstill(scene_of: Callable[..., Scene]) -> None:
+    scene = scene_of(_tracked(_moving("1", y=3.5), faster=0.5, turned=0.02))
+    drives, stands = _moving("gen_0", 8.0), _moving("gen_1", 0.0, x=250.0)
+    noisy, standing = _noise(scene, drives, stands)
+    assert (np.hypot(*noisy.velocity.T) - 8.0).std() == pytest.approx(0.354, abs=0.05)
+    assert np.abs(noisy.heading) == pytest.approx(np.full(110, 0.02), abs=1e-6)
+    assert standing.position == pytest.approx(stands.position, abs=1e-9)
+    assert np.abs(standing.velocity).max() == 0.0
+
+
+def test_noise_is_cut_where_boxes_would_touch_and_stays_within_its_bounds(scene_of: Callable[..., Scene]) -> None:
+    """One stands 1.9 m beside another's path: a heading off by .02 rad would turn a corner of 2.25 m into it."""
+    loud = _tracked(_moving("1", y=3.5), faster=9.0, turned=0.3)
+    beside = recorded(60.0, -1.92, name="2")
+    clean = _moving("gen_0", 8.0)
+    (free,) = _noise(scene_of(loud), clean)
+    (held,) = _noise(scene_of(loud, beside), clean)
+    assert np.abs(held.heading).max() < np.abs(free.heading).max() <= NOISE_BOUNDS.heading_rad
+    assert np.hypot(*(free.velocity - clean.velocity).T).max() <= NOISE_BOUNDS.velocity_mps + 1e-9
+
+
+def test_noise_depends_on_seed_and_vehicle_alone(scene_of: Callable[..., Scene]) -> None:
+    scene = scene_of(_tracked(_moving("1", y=3.5), faster=0.5), _tracked(_moving("2", y=3.5, x=60.0), turned=0.02))
+    clean = _moving("gen_0", 8.0)
+    first, again, other = _noise(scene, clean)[0], _noise(scene, clean)[0], _noise(scene, clean, seed=1)[0]
+    assert (first.velocity == again.velocity).all()
+    assert (first.velocity != other.velocity).any()
