@@ -121,16 +121,11 @@ class Simulation:
         """Add a vehicle that is placed by hand at every step from now on."""
         libsumo.vehicle.add(vehicle_id, "replay", typeID=self._type("replay", length_m, width_m), depart="now")
 
-    def place(self, vehicle_id: str, x: float, y: float, angle_deg: float) -> None:
-        """Put a replayed vehicle's front bumper at its exact pose for the coming step."""
-        libsumo.vehicle.moveToXY(
-            vehicle_id, "", -1, x, y, angle_deg, keepRoute=_REPLAY_KEEP_ROUTE, matchThreshold=ASIDE_M
-        )
-
     def place_all(self, poses: Sequence[tuple[str, float, float, float, tuple[str, int] | None]]) -> None:
-        """The same for many: (vehicle id, x, y, angle in degrees, lane). lane: edge and index on which it is seen.
+        """Put replayed vehicles' front bumpers at their exact poses for the coming step.
 
-        None: on no lane, so that no vehicle follows it.
+        Each: (vehicle id, x, y, angle in degrees, lane). lane: edge and index on which it is seen; None: on no lane, so
+        that no vehicle follows it.
         """
         move = libsumo.vehicle.moveToXY
         for vehicle_id, x, y, angle_deg, lane in poses:
