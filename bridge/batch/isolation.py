@@ -27,7 +27,6 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -149,9 +148,6 @@ class IsolatedProcess:
             kind, value, self._rss_mb = self._receive(self._settings.timeout_s)
             if kind == "end":
                 return
-            if kind == "log":
-                logging.getLogger(value[0]).log(value[1], "%s", value[2])
-                continue
             if kind == "raised":
                 raise WorkFailedError(value)
             yield value
@@ -206,25 +202,24 @@ class IsolatedProcess:
         self._receive_start()
 
     def _receive_start(self) -> None:
-        """Wait for the word that the process, or the work, is about to begin; else for why it does not.
-
-        What it is told until then is for the person: kernels are compiled, in the first run of a wheel.
-        """
+        """Wait for the word that the process, or the work, is about to begin; else for why it does not."""
         try:
-            while (told := self._receive(START_TIMEOUT_S))[0] == "told":
-                _LOG.warning("%s", told[1])
+            kind, value, _ = self._receive(START_TIMEOUT_S)
         except WorkFailedError as error:
             raise StartFailedError(error.failure) from error
-        kind, value, _ = told
         if kind == "raised":
             raise StartFailedError(value)
 
     def _receive(self, timeout_s: float) -> tuple[str, Any, float]:
+        """The next word of the process that is no message, its value and its memory; messages are passed on."""
         began = time.monotonic()
         try:
-            if self._connection.poll(timeout_s + GRACE_S):
+            while self._connection.poll(timeout_s + GRACE_S):
                 kind, value, rss_mb = pickle.loads(self._connection.recv_bytes())  # noqa: S301  # our own child
-                return str(kind), value, float(rss_mb)
+                if kind != "log":
+                    return str(kind), value, float(rss_mb)
+                logging.getLogger(value[0]).log(value[1], "%s", value[2])
+                began = time.monotonic()
         except (EOFError, OSError):
             pass
         raise WorkFailedError(self._end(timeout_s if time.monotonic() - began >= timeout_s else None))
@@ -333,7 +328,7 @@ def _make_kernels_ready(connection: "Connection[Any, Any]") -> None:
     if "hid2.kernels.compiled" in sys.modules:
         from hid2.kernels.compile import make_ready
 
-        make_ready(partial(_reply, connection, "told"))
+        make_ready(lambda said: _reply(connection, "log", (_LOG.name, logging.WARNING, said)))
 
 
 def attempts(work: Callable[[_Item], _Value], items: Iterable[_Item]) -> Iterator[_Value | Failure]:
