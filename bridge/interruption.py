@@ -74,7 +74,7 @@ def tidied(tidy: Callable[[], object]) -> Iterator[None]:
 def hidden_file(folder: Path, suffix: str) -> Iterator[Path]:
     """A new empty file in a folder, gone at the end if it still has this name. Errors: OSError."""
     path = _hidden_in(folder, suffix)
-    with tidied(partial(_remove, path)), _locked(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL):
+    with tidied(partial(_remove, path)), locked(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL):
         yield path
 
 
@@ -84,7 +84,7 @@ def hidden_folder(parent: Path) -> Iterator[Path]:
     path = _hidden_in(parent)
     with tidied(partial(_remove, path)):
         path.mkdir(mode=0o700)
-        with _locked(path, os.O_RDONLY):
+        with locked(path, os.O_RDONLY):
             yield path
 
 
@@ -93,7 +93,7 @@ def remove_abandoned(folder: Path, *below: str) -> None:
     for pattern in (".hid2-*", *(f"{name}/.hid2-*" for name in below)):
         for path in folder.glob(pattern):
             flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK  # nothing waits for a pipe
-            with contextlib.suppress(OSError), _locked(path, flags) as is_abandoned:
+            with contextlib.suppress(OSError), locked(path, flags) as is_abandoned:
                 if is_abandoned and _HIDDEN.fullmatch(path.name) and path.lstat().st_uid == os.geteuid():
                     _remove(path)
 
@@ -103,7 +103,7 @@ def _hidden_in(folder: Path, suffix: str = "") -> Path:
 
 
 @contextlib.contextmanager
-def _locked(path: Path, flags: int) -> Iterator[bool]:
+def locked(path: Path, flags: int) -> Iterator[bool]:
     """Whether it is locked now: not where another process has done so, or the file system knows no locks."""
     descriptor = os.open(path, flags, 0o666)
     try:

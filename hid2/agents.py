@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,28 +13,11 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 
-class BoxSize(tuple[float, float]):
-    """(length_m, width_m) of an oriented box."""
+class BoxSize(NamedTuple):
+    """An oriented box: along its heading, and across."""
 
-    __slots__ = ()
-
-    def __new__(cls, length_m: float, width_m: float) -> "BoxSize":
-        """Make the pair."""
-        return super().__new__(cls, (float(length_m), float(width_m)))
-
-    def __getnewargs__(self) -> tuple[float, float]:
-        """Pickle and copy by the two numbers."""
-        return self[0], self[1]
-
-    @property
-    def length_m(self) -> float:
-        """Along the heading."""
-        return self[0]
-
-    @property
-    def width_m(self) -> float:
-        """Across the heading."""
-        return self[1]
+    length_m: float
+    width_m: float
 
 
 #: Sizes for tracks that carry none (medians of labelled boxes, rounded; cars a little generous to be safe).

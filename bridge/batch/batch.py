@@ -5,27 +5,27 @@ bundle in OUT/quarantine that reproduces the failure, and the batch goes on.
 """
 
 import contextlib
-import fcntl
 import hashlib
 import logging
 import math
 import os
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from platform import platform
 from tempfile import TemporaryDirectory
 
-from bridge.batch.engine import Outcome, Settings, Task, execute_here
+from bridge.batch.engine import Outcome, Task, execute_here
+from bridge.batch.isolation import Settings
 from bridge.batch.manifest import DONE, MAX_TEXT, QUARANTINED, Manifest, ManifestRow, files_sha256, output_files
 from bridge.batch.quarantine import MAX_TIMEOUT_S, Bundle, read_bundle, write_bundle
 from bridge.config import check_exportable, check_function, config_sha256, new_scenario_id
 from bridge.files import explained, one_line
 from bridge.generation.program import code_version, processor
-from bridge.interruption import remove_abandoned, tidied
+from bridge.interruption import locked, remove_abandoned, tidied
 from bridge.recordings.folders import SEQUENCES, SPLITS, Address, sequence_path, source_id, split_of
 from bridge.recordings.sources import source_files
 from hid2.params import Config
@@ -152,8 +152,8 @@ def run_batch(
     with _locked(out_dir), tidied(remove):
         remove()
         manifest = Manifest(out_dir)
-        written = _Written(manifest, out_dir)
-        written.check(jobs)
+        owner = {row.folder: row for row in manifest.rows if row.folder}
+        _check_owners(jobs, owner, out_dir)
         sources: dict[Address, str] = {}
         tasks = _tasks(jobs, out_dir, options, manifest, sources, lambda row: note(row, skipped=True))
 
@@ -176,7 +176,13 @@ def run_batch(
                     place: Place = result.task.shared
                     for outcome in result.outcomes:
                         row = _row(place, outcome, source_sha256=sources[place.folder], options=options)
-                        written.claim(row)
+                        other = owner.setdefault(row.folder, row) if row.folder else row
+                        if other.key != row.key:
+                            one, two = sorted((other.scenario, row.scenario))  # whichever process was faster
+                            raise BatchError(
+                                f"{out_dir / row.folder}: written for {one!r} and for {two!r}, which are "
+                                "the same scene: expected each scene once"
+                            )
                         manifest.add(row)
                         note(row)
             manifest.save()
@@ -215,36 +221,21 @@ def with_rules(jobs: Sequence[SceneJob], functions: Collection[str]) -> Sequence
     return [replace(job, runs=tuple(map(known, job.runs))) for job in jobs] if digests else jobs
 
 
-class _Written:
-    """Which scene wrote each folder in OUT: what one wrote is not replaced by another of the same scenario id."""
+def _check_owners(jobs: Sequence[SceneJob], owner: Mapping[str, ManifestRow], out_dir: Path) -> None:
+    """Before the work, by the ids in the names of files: what a scene wrote is not replaced by another one of its id.
 
-    def __init__(self, manifest: Manifest, out_dir: Path) -> None:
-        self._out_dir = out_dir
-        self._owner = {row.folder: row for row in manifest.rows if row.folder}
-
-    def check(self, jobs: Sequence[SceneJob]) -> None:
-        """Before the work, by the ids in the names of files. Errors: ConfigError."""
-        known = {(row.split, Path(folder).name): row for folder, row in self._owner.items()}
-        for job in jobs if known else ():
-            scenario_id, split = source_id(job.folder), split_of(job.folder) or ""
-            for run in job.runs:
-                new_id = new_scenario_id(scenario_id, run.config, run.config.request.seed, run.variant)
-                other = known.get((split, new_id))
-                if other is not None and other.scenario != _name(job.folder):
-                    raise ConfigError(
-                        f"{job.folder}: scene {scenario_id!r} is in {self._out_dir / other.folder} already, made from "
-                        f"another folder, {other.scenario!r}: expected another OUT, or the folder's name as it was"
-                    )
-
-    def claim(self, row: ManifestRow) -> None:
-        """When it is done, by what was written. Errors: BatchError."""
-        if row.folder:
-            other = self._owner.setdefault(row.folder, row)
-            if other.key != row.key:
-                one, two = sorted((other.scenario, row.scenario))  # whichever process was faster
-                raise BatchError(
-                    f"{self._out_dir / row.folder}: written for {one!r} and for {two!r}, which are "
-                    "the same scene: expected each scene once"
+    owner: the row of each folder in OUT. Errors: ConfigError.
+    """
+    known = {(row.split, Path(folder).name): row for folder, row in owner.items()}
+    for job in jobs if known else ():
+        scenario_id, split = source_id(job.folder), split_of(job.folder) or ""
+        for run in job.runs:
+            new_id = new_scenario_id(scenario_id, run.config, run.config.request.seed, run.variant)
+            other = known.get((split, new_id))
+            if other is not None and other.scenario != _name(job.folder):
+                raise ConfigError(
+                    f"{job.folder}: scene {scenario_id!r} is in {out_dir / other.folder} already, made from "
+                    f"another folder, {other.scenario!r}: expected another OUT, or the folder's name as it was"
                 )
 
 
@@ -356,7 +347,7 @@ def _is_complete(row: ManifestRow, base: ManifestRow, place: Place, source_sha25
 def _row(place: Place, outcome: Outcome, *, source_sha256: str, options: Options) -> ManifestRow:
     """The manifest's row about an outcome; a failure leaves its bundle."""
     run: Run = outcome.item
-    failure = outcome.wrong
+    failure = outcome.failure
     if failure is not None and failure.kind == "disk":  # the next scene would fail no less
         raise DiskFullError(failure.message)
     row = base_row(place, run) if failure else outcome.value
@@ -392,13 +383,11 @@ def _row(place: Place, outcome: Outcome, *, source_sha256: str, options: Options
 @contextlib.contextmanager
 def _locked(out_dir: Path) -> Iterator[None]:
     """Keep other batches out of a folder. Errors: BatchError, ExportError."""
-    with explained(out_dir):
-        out_dir.mkdir(parents=True, exist_ok=True)
-        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC  # not what a link there names
-        file = os.fdopen(os.open(out_dir / ".hid2.lock", flags, 0o666), "rb")
-    with file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise BatchError(f"{out_dir}: another run is writing there") from error
+    with contextlib.ExitStack() as stack:
+        with explained(out_dir):
+            out_dir.mkdir(parents=True, exist_ok=True)
+            flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK  # not what a link there names
+            is_mine = stack.enter_context(locked(out_dir / ".hid2.lock", flags))
+        if not is_mine:
+            raise BatchError(f"{out_dir}: another run is writing there")
         yield

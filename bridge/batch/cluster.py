@@ -10,7 +10,7 @@ import contextlib
 import functools
 import itertools
 import logging
-import time
+import threading
 from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures import CancelledError
 from dataclasses import fields
@@ -20,8 +20,8 @@ from distributed import Client, KilledWorker, Security, wait
 from distributed.comm.addressing import parse_address, parse_host_port
 from distributed.comm.registry import get_backend
 
-from bridge.batch.engine import Outcome, Processes, Result, Settings, Task
-from bridge.batch.isolation import Failure
+from bridge.batch.engine import Outcome, Result, Task, run_task
+from bridge.batch.isolation import Failure, IsolatedProcess, Settings
 from netconvert.errors import BatchError, ConfigError, Hid2Error
 
 #: Tasks handed to the scheduler per worker: one that runs and one that is ready when it ends.
@@ -47,7 +47,7 @@ def execute_on_dask(tasks: Iterable[Task], *, scheduler: str, settings: Settings
 
     Errors: BatchError when the scheduler cannot be reached or is lost.
     """
-    waiting, number = iter(tasks), itertools.count()
+    waiting = iter(tasks)
     how = Settings(*(getattr(settings, one.name) for one in fields(Settings)))  # what a worker can look up
     with _client(scheduler) as client, _lost(scheduler):
         if not client.nthreads():
@@ -59,8 +59,7 @@ def execute_on_dask(tasks: Iterable[Task], *, scheduler: str, settings: Settings
             if not (threads := sum(client.nthreads().values())):
                 raise BatchError(_NO_WORKERS.format(where=scheduler, seconds=_WORKERS_S))
             for task in itertools.islice(waiting, max(0, _AHEAD * threads - len(running))):
-                key = f"{task.key}-{next(number)}-{time.time_ns()}"
-                running[client.submit(_run_on_worker, task, how, key=key)] = task
+                running[client.submit(_run_on_worker, task, how, pure=False)] = task
             if not running:
                 return
             done: Any = ()
@@ -95,15 +94,15 @@ def _lost(where: str) -> Iterator[None]:
 
 
 @functools.cache
-def _processes(settings: Settings) -> Processes:
-    """The isolated processes of this Dask worker, which end with it."""
-    found = Processes(settings)
+def _process(settings: Settings, _thread: int) -> IsolatedProcess:
+    """The isolated process of a thread of this Dask worker, which ends with it."""
+    found = IsolatedProcess(settings)
     atexit.register(found.stop)
     return found
 
 
 def _run_on_worker(task: Task, settings: Settings) -> Result:
-    return _processes(settings).run(task)
+    return run_task(task, _process(settings, threading.get_ident()), settings)
 
 
 @contextlib.contextmanager

@@ -8,21 +8,20 @@ would fail no less.
 """
 
 import itertools
-import threading
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeVar
 
 from bridge.batch.isolation import (
-    MEMORY_MB,
-    RECYCLE_AFTER,
     Failure,
     IsolatedProcess,
+    Settings,
     StartFailedError,
     WorkFailedError,
-    describe_error,
+    attempts,
     resolve,
 )
 from bridge.files import one_line
@@ -54,18 +53,16 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of one item: a value or a failure. seconds: the time of its last attempt."""
+    """What became of one item: a value, or a failure: of its process, or what the work yielded as one.
+
+    seconds: the time of its last attempt.
+    """
 
     item: Any
     value: Any
     failure: Failure | None
     attempts: int
     seconds: float
-
-    @property
-    def wrong(self) -> Failure | None:
-        """Why there is no value: the process failed, or the work yielded a failure."""
-        return self.failure or (self.value if isinstance(self.value, Failure) else None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,20 +73,6 @@ class Result:
     outcomes: tuple[Outcome, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """How items are run.
-
-    timeout_s: for each item, a process that takes longer is ended; recycle_after: calls; memory_mb: what a process may
-    allocate.
-    """
-
-    timeout_s: float = 300.0
-    retries: int = 1
-    recycle_after: int = RECYCLE_AFTER
-    memory_mb: int = MEMORY_MB
-
-
 def execute_here(
     tasks: Iterable[Task], *, jobs: int = 1, settings: Settings | None = None
 ) -> Generator[Result, None, None]:
@@ -98,15 +81,27 @@ def execute_here(
     `tasks` is consumed as processes become free. When the caller goes away, by Ctrl-C or by closing the generator, the
     processes end with what they are at. Errors: BatchError when no process can begin its work.
     """
-    processes = Processes(settings or Settings())
-    waiting, threads = iter(tasks), ThreadPoolExecutor(jobs)
+    settings = settings or Settings()
+    processes = [IsolatedProcess(settings) for _ in range(jobs)]
+    waiting, threads, idle = iter(tasks), ThreadPoolExecutor(jobs), [*processes]
     running: set[Future[Result]] = set()
+
+    def run(task: Task) -> Result:
+        process = idle.pop()  # there are as many as threads
+        try:
+            return run_task(task, process, settings)
+        finally:
+            idle.append(process)
+
+    def stop() -> None:
+        for process in processes:
+            process.stop()
+
     try:
-        with tidied(processes.stop):
+        with tidied(stop):
             while True:
                 running |= {
-                    threads.submit(processes.run, task)
-                    for task in itertools.islice(waiting, _AHEAD * jobs - len(running))
+                    threads.submit(run, task) for task in itertools.islice(waiting, _AHEAD * jobs - len(running))
                 }
                 if not running:
                     return
@@ -115,37 +110,7 @@ def execute_here(
                     yield future.result()
     finally:
         threads.shutdown(cancel_futures=True)
-        processes.close()
-
-
-class Processes:
-    """Isolated processes for the tasks that threads bring: one for each thread."""
-
-    def __init__(self, settings: Settings) -> None:
-        self._settings, self._own, self._stopped = settings, threading.local(), False
-        self._all: list[IsolatedProcess] = []
-
-    def run(self, task: Task) -> Result:
-        """Run a task in the thread's process, a new one for its first; see `run_task`."""
-        how = self._settings
-        if not hasattr(self._own, "process"):
-            self._own.process = IsolatedProcess(
-                timeout_s=how.timeout_s, recycle_after=how.recycle_after, memory_mb=how.memory_mb
-            )
-            self._all.append(self._own.process)
-        if self._stopped:
-            self._own.process.stop()
-        return run_task(task, self._own.process, how)
-
-    def stop(self) -> None:
-        """End all processes for good, with what they are at."""
-        self._stopped = True
-        for process in self._all:
-            process.stop()
-
-    def close(self) -> None:
-        """Remove the processes' temporary files, once no thread runs a task."""
-        for process in self._all:
+        for process in processes:
             process.close()
 
 
@@ -188,16 +153,7 @@ def attempt_each(named: tuple[str, Any], items: Sequence[Any]) -> Iterator[Any]:
 
     It is imported before the first item; that item's time starts after the import.
     """
-    work, shared = resolve(named[0]), named[1]
-
-    def attempts() -> Iterator[Any]:
-        for item in items:
-            try:
-                yield work(shared, item)
-            except Exception as error:  # noqa: BLE001  # listed with its reason by the caller
-                yield describe_error(error)
-
-    return attempts()
+    return attempts(partial(resolve(named[0]), named[1]), items)
 
 
 def _in_order(results: Iterable[Result]) -> Iterator[tuple[Any, Any]]:
@@ -237,7 +193,7 @@ def run_task(task: Task, process: IsolatedProcess, settings: Settings) -> Result
         remaining = task.items[len(outcomes) :]
         try:
             for value in process.stream(task.function, task.shared, remaining):
-                outcomes.append(_outcome(task, outcomes, value, None, attempts, began))
+                outcomes.append(_outcome(task, outcomes, value, attempts, began))
                 attempts, began, failed_starts = 1, time.monotonic(), 0
             failure = Failure("exception", f"{task.function} yielded nothing for {len(remaining)} items")
         except StartFailedError as error:
@@ -255,7 +211,7 @@ def run_task(task: Task, process: IsolatedProcess, settings: Settings) -> Result
         if failure.kind in _RETRIED and attempts <= settings.retries:
             attempts += 1
         else:
-            outcomes.append(_outcome(task, outcomes, None, failure, attempts, began))
+            outcomes.append(_outcome(task, outcomes, failure, attempts, began))
             attempts = 1
         began = time.monotonic()
     return Result(task, tuple(outcomes))
@@ -270,7 +226,6 @@ def _no_start(failure: Failure) -> str:
     )
 
 
-def _outcome(
-    task: Task, done: list[Outcome], value: object, failure: Failure | None, attempts: int, began: float
-) -> Outcome:
+def _outcome(task: Task, done: list[Outcome], found: object, attempts: int, began: float) -> Outcome:
+    value, failure = (None, found) if isinstance(found, Failure) else (found, None)
     return Outcome(task.items[len(done)], value, failure, attempts, time.monotonic() - began)

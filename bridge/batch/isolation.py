@@ -25,13 +25,12 @@ import tempfile
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from bridge.batch.start_up import spare_the_collector
 from bridge.files import disk_error
@@ -41,12 +40,8 @@ from netconvert.errors import Hid2Error
 START_TIMEOUT_S = 600.0
 #: Seconds that a process which ran out of time has to end itself before it is killed.
 GRACE_S = 3.0
-#: Calls after which a process is replaced.
-RECYCLE_AFTER = 1000
 #: A process larger than this is replaced before its next call.
 MAX_RSS_MB = 600.0
-#: What a process may allocate at most, MB (RLIMIT_DATA): several times what the largest real scene takes.
-MEMORY_MB = 4000
 
 _MB = 1_000_000
 #: Of what a process wrote last, to tell why it ended.
@@ -63,6 +58,9 @@ _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 #: pydantic would ask every installed distribution whether it has a plugin.
 _NO_PLUGINS = {"PYDANTIC_DISABLE_PLUGINS": "1"}
 
+_Item = TypeVar("_Item")
+_Value = TypeVar("_Value")
+
 FailureKind = Literal["error", "exception", "crashed", "killed", "timeout", "memory", "disk"]
 
 
@@ -78,6 +76,20 @@ class Failure:
     kind: FailureKind
     message: str
     details: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How items are run.
+
+    timeout_s: for each item, a process that takes longer is ended; recycle_after: calls after which a process is
+    replaced; memory_mb: what it may allocate (RLIMIT_DATA), several times what the largest real scene takes.
+    """
+
+    timeout_s: float = 300.0
+    retries: int = 1
+    recycle_after: int = 1000
+    memory_mb: int = 4000
 
 
 class WorkFailedError(Exception):
@@ -98,12 +110,10 @@ class IsolatedProcess:
     `stop` may be called by any thread, everything else by one at a time.
     """
 
-    def __init__(self, *, timeout_s: float, recycle_after: int = RECYCLE_AFTER, memory_mb: int = MEMORY_MB) -> None:
-        self._timeout_s = timeout_s
-        self._recycle_after = recycle_after
-        self._memory_mb = memory_mb
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
         self._lock = threading.RLock()  # `stop` may interrupt a thread that holds it
-        self._stopped = False
+        self.stopped = False  # there will be no other process
         self._process: subprocess.Popen[bytes] | None = None
         self._open = contextlib.ExitStack()  # as long as there is a process
         self._calls = 0
@@ -114,11 +124,6 @@ class IsolatedProcess:
         """Process id, None while there is no process."""
         return self._process.pid if self._process else None
 
-    @property
-    def stopped(self) -> bool:
-        """Whether `stop` was called: there will be no other process."""
-        return self._stopped
-
     def stream(self, function: str, *arguments: object) -> Iterator[Any]:
         """Yield what `function(*arguments)` yields in the child; each value has `timeout_s` of its own.
 
@@ -127,25 +132,22 @@ class IsolatedProcess:
         Raises WorkFailedError when the process dies or runs out of time, or the function raises; StartFailedError when
         it does not come so far.
         """
-        if self._calls >= self._recycle_after or self._rss_mb > MAX_RSS_MB:
+        if self._calls >= self._settings.recycle_after or self._rss_mb > MAX_RSS_MB:
             self.close()
         if self._process is None or self._process.poll() is not None:
             self._start()
         self._calls += 1
         try:
             self._connection.send_bytes(
-                pickle.dumps((function, arguments, self._timeout_s, _LOG.isEnabledFor(logging.DEBUG)))
+                pickle.dumps((function, arguments, self._settings.timeout_s, _LOG.isEnabledFor(logging.DEBUG)))
             )
         except OSError as error:
             raise WorkFailedError(self._end(None)) from error
         self._receive_start()  # imported: the clock of the work starts here
         while True:
-            kind, value, self._rss_mb = self._receive(self._timeout_s)
+            kind, value, self._rss_mb = self._receive(self._settings.timeout_s)
             if kind == "end":
                 return
-            if kind == "log":
-                logging.getLogger(value[0]).log(value[1], "%s", value[2])
-                continue
             if kind == "raised":
                 raise WorkFailedError(value)
             yield value
@@ -153,7 +155,7 @@ class IsolatedProcess:
     def stop(self) -> None:
         """End the process for good, whatever another thread waits for."""
         with self._lock:
-            self._stopped = True
+            self.stopped = True
             if self._process is not None:
                 self._process.kill()
 
@@ -172,7 +174,7 @@ class IsolatedProcess:
         self._connection: Connection[Any, Any] = self._open.enter_context(here)
         try:
             with self._lock:
-                if self._stopped:
+                if self.stopped:
                     raise WorkFailedError(Failure("killed", "the process was closed"))
                 folder = tempfile.TemporaryDirectory(prefix="hid2-scene-", ignore_cleanup_errors=True)
                 scratch = self._open.enter_context(folder)
@@ -181,7 +183,7 @@ class IsolatedProcess:
                 own = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "TMPDIR": scratch}
                 command = [sys.executable, "-P", "-X", "faulthandler", "-c", _SERVE]
                 self._process = subprocess.Popen(
-                    [*command, str(there.fileno()), str(self._memory_mb)],
+                    [*command, str(there.fileno()), str(self._settings.memory_mb)],
                     stdin=subprocess.DEVNULL,
                     stdout=self._stderr,
                     stderr=self._stderr,
@@ -200,25 +202,24 @@ class IsolatedProcess:
         self._receive_start()
 
     def _receive_start(self) -> None:
-        """Wait for the word that the process, or the work, is about to begin; else for why it does not.
-
-        What it is told until then is for the person: kernels are compiled, in the first run of a wheel.
-        """
+        """Wait for the word that the process, or the work, is about to begin; else for why it does not."""
         try:
-            while (told := self._receive(START_TIMEOUT_S))[0] == "told":
-                _LOG.warning("%s", told[1])
+            kind, value, _ = self._receive(START_TIMEOUT_S)
         except WorkFailedError as error:
             raise StartFailedError(error.failure) from error
-        kind, value, _ = told
         if kind == "raised":
             raise StartFailedError(value)
 
     def _receive(self, timeout_s: float) -> tuple[str, Any, float]:
+        """The next word of the process that is no message, its value and its memory; messages are passed on."""
         began = time.monotonic()
         try:
-            if self._connection.poll(timeout_s + GRACE_S):
+            while self._connection.poll(timeout_s + GRACE_S):
                 kind, value, rss_mb = pickle.loads(self._connection.recv_bytes())  # noqa: S301  # our own child
-                return str(kind), value, float(rss_mb)
+                if kind != "log":
+                    return str(kind), value, float(rss_mb)
+                logging.getLogger(value[0]).log(value[1], "%s", value[2])
+                began = time.monotonic()
         except (EOFError, OSError):
             pass
         raise WorkFailedError(self._end(timeout_s if time.monotonic() - began >= timeout_s else None))
@@ -235,13 +236,13 @@ class IsolatedProcess:
         details = self._log_tail()
         self.close()
         if code == 1 and _RAN_OUT.search(details):  # its clock began before that of a caller that was held up
-            ran_out_of_s = self._timeout_s
+            ran_out_of_s = self._settings.timeout_s
         if ran_out_of_s is not None:
             return Failure("timeout", f"no result after {ran_out_of_s:g} s: the process was ended", details)
         if code == -signal.SIGKILL:
             return Failure("killed", "the process was killed (SIGKILL; out of memory, or from outside)", details)
         if code == -signal.SIGABRT and "bad_alloc" in details:  # native code that got no more memory
-            return Failure("memory", _too_much(self._memory_mb), details)
+            return Failure("memory", _too_much(self._settings.memory_mb), details)
         if code < 0:
             return Failure("crashed", f"the process crashed ({signal.Signals(-code).name})", details)
         return Failure("crashed", f"the process exited with status {code}", details)
@@ -327,7 +328,16 @@ def _make_kernels_ready(connection: "Connection[Any, Any]") -> None:
     if "hid2.kernels.compiled" in sys.modules:
         from hid2.kernels.compile import make_ready
 
-        make_ready(partial(_reply, connection, "told"))
+        make_ready(lambda said: _reply(connection, "log", (_LOG.name, logging.WARNING, said)))
+
+
+def attempts(work: Callable[[_Item], _Value], items: Iterable[_Item]) -> Iterator[_Value | Failure]:
+    """Yield what a function makes of each item, or its failure: one does not end the others."""
+    for item in items:
+        try:
+            yield work(item)
+        except Exception as error:  # noqa: BLE001  # told with its reason by the caller
+            yield describe_error(error)
 
 
 def describe_error(error: Exception) -> Failure:

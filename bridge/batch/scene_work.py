@@ -3,11 +3,12 @@
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from bridge.batch.batch import Place, Run, base_row
-from bridge.batch.isolation import Failure, describe_error
+from bridge.batch.isolation import Failure, attempts
 from bridge.batch.manifest import ManifestRow, files_sha256, output_files
 from bridge.generation.generate import PreparedScene, generate, prepare
 from bridge.generation.scene import TrafficScene
@@ -43,28 +44,29 @@ def generate_runs(
     place: Place, runs: Sequence[Run], finish: Callable[[TrafficScene, Place], Path] = write_all
 ) -> Iterator[ManifestRow | Failure]:
     """Read the scene and build its net once, generate each run, let `finish` write it to a folder."""
-    scenario: Recording | None = None
     prepared: dict[Grid, PreparedScene] = {}
-    for run in runs:
-        try:
-            if scenario is None:
-                found = read_recording(place.folder)
-                check_step(found)
-                scenario = found
-            grid = run.config.grid
-            if grid not in prepared:
-                prepared[grid] = prepare(scenario, run.config)
-            scene = generate(prepared[grid], run.config, variant=run.variant)
-            folder = finish(scene, place)
-            assert scene.sidecar is not None
-            yield summarise(scene.sidecar, base_row(place, run))._replace(
-                city=scenario.city,
-                recorded=len(scenario.tracks),
-                folder=folder.relative_to(place.out).as_posix(),
-                output_sha256=files_sha256(output_files(folder)),
-            )
-        except Exception as error:  # noqa: BLE001  # quarantined with its traceback
-            yield describe_error(error)
+
+    @cache
+    def source() -> Recording:
+        found = read_recording(place.folder)
+        check_step(found)
+        return found
+
+    def made(run: Run) -> ManifestRow:
+        scenario, grid = source(), run.config.grid
+        if grid not in prepared:
+            prepared[grid] = prepare(scenario, run.config)
+        scene = generate(prepared[grid], run.config, variant=run.variant)
+        folder = finish(scene, place)
+        assert scene.sidecar is not None
+        return summarise(scene.sidecar, base_row(place, run))._replace(
+            city=scenario.city,
+            recorded=len(scenario.tracks),
+            folder=folder.relative_to(place.out).as_posix(),
+            output_sha256=files_sha256(output_files(folder)),
+        )
+
+    return attempts(made, runs)
 
 
 def summarise(sidecar: Sidecar, row: ManifestRow) -> ManifestRow:

@@ -73,11 +73,15 @@ def evaluate_folder(
     with contextlib.ExitStack() as stack:
         tables = {name: stack.enter_context(_table(report_dir / f"{name}.csv", TABLES[name])) for name in TABLES}
         every = [*folders, *sources.values(), *controls]
-        measured = _measured(every, _labelled(sources), jobs=jobs, on_scene=on_scene)
-        for done, (folder, measures) in enumerate(measured, 1):
-            if isinstance(measures, Failure):
-                evaluation.failures.append((folder, measures.message))
-            elif done > known:
+        each = work_on_each(
+            measure, every, shared=_labelled(sources), jobs=jobs, chunk=_CHUNK, timeout_s=120, on_item=on_scene
+        )
+        for done, (folder, packed) in enumerate(each, 1):
+            if isinstance(packed, Failure):
+                evaluation.failures.append((folder, packed.message))
+                continue
+            measures: SceneMeasures = pickle.loads(zlib.decompress(packed))  # noqa: S301  # our own child
+            if done > known:
                 totals.add_control(measures)
             elif done > len(folders):
                 totals.add_source(measures)
@@ -88,7 +92,9 @@ def evaluate_folder(
         if set(folders) <= {folder for folder, _ in evaluation.failures}:
             (first, reason), many = evaluation.failures[0], len(folders)
             raise ScenarioError(f"{out}: none of {many} scenes can be read, expected one at least; {first}: {reason}")
-    evaluation.metrics = _metrics(evaluation, {str(folder): folder for folder in folders})
+    evaluation.metrics = totals.content() | {"nets": _nets(totals.net_folders(), {str(one): one for one in folders})}
+    failed = [{"folder": str(folder), "reason": reason} for folder, reason in evaluation.failures]
+    evaluation.metrics["scenes"]["failed"] = failed
     write_json(report_dir / "metrics.json", evaluation.metrics)
     write_table(report_dir / "realism.csv", evaluation.metrics["realism"]["distances"])
     write_report(evaluation, report_dir / "report.html")
@@ -120,15 +126,6 @@ def _labelled(sources: Mapping[str, Address]) -> Labelled:
             if recorded:
                 sizes[name] = recorded
     return sizes
-
-
-def _measured(
-    folders: Sequence[Address], labelled: Labelled, *, jobs: int, on_scene: Callable[[int, int], None] | None
-) -> Iterator[tuple[Address, SceneMeasures | Failure]]:
-    """Measures of each folder, in the order of the folders whatever the order in which they are done."""
-    each = work_on_each(measure, folders, shared=labelled, jobs=jobs, chunk=_CHUNK, timeout_s=120, on_item=on_scene)
-    for folder, packed in each:
-        yield folder, packed if isinstance(packed, Failure) else pickle.loads(zlib.decompress(packed))  # noqa: S301  # our own child
 
 
 def measure(labelled: Labelled, folder: Address) -> bytes:
@@ -171,12 +168,6 @@ def _cell(value: object) -> object:
     if isinstance(value, dict):
         return "; ".join(f"{key} ({count})" for key, count in value.items())
     return "" if value is None else value
-
-
-def _metrics(evaluation: Evaluation, by_name: Mapping[str, Address]) -> dict[str, Any]:
-    content = evaluation.totals.content()
-    content["scenes"]["failed"] = [{"folder": str(folder), "reason": reason} for folder, reason in evaluation.failures]
-    return content | {"nets": _nets(evaluation.totals.net_folders(), by_name)}
 
 
 def _nets(folders: Mapping[str, str], by_name: Mapping[str, Address]) -> dict[str, Any]:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 from scipy.signal import savgol_filter
 
-from bridge.batch.engine import Settings, Task, execute_here
-from bridge.batch.isolation import Failure, describe_error
+from bridge.batch.engine import Task, execute_here
+from bridge.batch.isolation import Failure, Settings, attempts
 from bridge.evaluation.scene_metrics import Row, measure
 from bridge.recordings.folders import Address, Source
 from bridge.recordings.sidecar import Sidecar
@@ -101,9 +101,9 @@ def run_settings(
         for outcome in result.outcomes:
             done += 1
             setting, seed = outcome.item
-            if outcome.wrong is not None:
+            if outcome.failure is not None:
                 where = f"{folders[scene].name[:8]}, seed {seed}"
-                failures.setdefault(setting, []).append(f"{where}: {outcome.wrong.message}")
+                failures.setdefault(setting, []).append(f"{where}: {outcome.failure.message}")
             else:
                 rows[setting, scene, seed] = outcome.value
         if on_scene is not None:
@@ -124,26 +124,23 @@ def generate_and_measure(
     scenario = read_recording(folder)
     prepared = prepare(scenario, next((s.config for s in settings if s.config), Config()))
     made: dict[tuple[int, int], TrafficScene] = {}  # a scene that is measured twice is generated once
-    for number, seed in items:
-        config, recorded = settings[number].config, scenario.tracks
-        if settings[number].smoothed:
-            least = scenario.num_steps if settings[number].smoothed == "whole" else _FILTER_SAMPLES
-            recorded = smoothed(recorded, step_s=scenario.step_s, least=least)
-        try:
-            if config is None:
-                tracks, sidecar = recorded, None
-            else:
-                key = next(k for k, setting in enumerate(settings) if setting.config == config), seed
-                if key not in made:
-                    request = config.request.model_copy(update={"seed": seed})
-                    made[key] = generate(prepared, config.model_copy(update={"request": request}))
-                tracks, sidecar = (*recorded, *made[key].generated), made[key].sidecar
-            measures = measure(scenario, tracks, sidecar)
-        except Exception as error:  # noqa: BLE001  # listed with its reason
-            yield describe_error(error)
-        else:
-            row = {"setting": settings[number].name, "city": scenario.city, "seed_run": seed}
-            yield row | _asked(sidecar) | measures.scene
+
+    def row(item: tuple[int, int]) -> Row:
+        setting, seed = settings[item[0]], item[1]
+        tracks, config, sidecar = scenario.tracks, setting.config, None
+        if setting.smoothed:
+            least = scenario.num_steps if setting.smoothed == "whole" else _FILTER_SAMPLES
+            tracks = smoothed(tracks, step_s=scenario.step_s, least=least)
+        if config is not None:
+            key = next(k for k, other in enumerate(settings) if other.config == config), seed
+            if key not in made:
+                request = config.request.model_copy(update={"seed": seed})
+                made[key] = generate(prepared, config.model_copy(update={"request": request}))
+            tracks, sidecar = (*tracks, *made[key].generated), made[key].sidecar
+        about = {"setting": setting.name, "city": scenario.city, "seed_run": seed}
+        return about | _asked(sidecar) | measure(scenario, tracks, sidecar).scene
+
+    yield from attempts(row, items)
 
 
 def smoothed(tracks: Sequence[Track], *, step_s: float, least: int = _FILTER_SAMPLES) -> tuple[Track, ...]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from markupsafe import Markup
 
@@ -94,10 +94,7 @@ def _write(
         _write_rows(_diversity_rows(content), out_dir / f"{name}.csv")
         figures.save(charts.diversity_figure(content), out_dir / f"{name}.png")
     else:
-        lines = lines_of(name, outcomes)
-        content["lines"] = [
-            {"row": line.label, **{key: dict(value) for key, value in line.values.items()}} for line in lines
-        ]
+        content["lines"] = lines = lines_of(name, outcomes)
         parts.append(_prose("table_of", lines, SHOWN))
         _write_rows([flat(line) for line in lines], out_dir / f"{name}.csv")
     if name == "density":
@@ -141,20 +138,17 @@ def _placed(outcome: Outcome) -> float:
 # Tables ---------------------------------------------------------------------------------------------------------------
 
 
-class Line(NamedTuple):
-    """A line of a table: its label, then value and interval (or the paper's figure) by metric key."""
-
-    label: str
-    values: Mapping[str, Mapping[str, float | None]]
+#: A line of a table: its label as `row`, then value and interval (or the paper's figure) by metric key.
+Line = dict[str, Any]
 
 
 def _ours(label: str, rows: Sequence[Row], group: str) -> Line:
     sums = SourceSums.of(rows)
-    return Line(label, {m.key: estimate(sums, m, group)._asdict() for m in SHOWN})
+    return {"row": label} | {m.key: estimate(sums, m, group)._asdict() for m in SHOWN}
 
 
 def _papers(label: str, figures: Mapping[str, float]) -> Line:
-    return Line(label, {key: Estimate(value)._asdict() for key, value in figures.items()})
+    return {"row": label} | {key: Estimate(value)._asdict() for key, value in figures.items()}
 
 
 def lines_of(name: Experiment, outcomes: Sequence[Outcome]) -> list[Line]:
@@ -164,21 +158,16 @@ def lines_of(name: Experiment, outcomes: Sequence[Outcome]) -> list[Line]:
         first = [row for row in rows if row["format"] == "argoverse1"]
         second = [row for row in rows if row["format"] != "argoverse1"]
         return [*_table1_lines(second), *_table1_argoverse1_lines(first, outcomes[1].rows, outcomes[2].rows)]
-    if name == "ablation":
-        lines = []
-        for outcome in outcomes:
-            what = "everything on" if outcome.setting.name == "full" else f"without {outcome.setting.name}"
-            lines += [
-                _papers(f"paper: {what}", PAPER_ABLATION[outcome.setting.name]),
-                _ours(f"ours: {what}, recorded and generated", outcome.rows, "combined"),
-                _ours(f"ours: {what}, generated alone", outcome.rows, "generated"),
-            ]
-        return lines
-    lines = []
+    lines: list[Line] = []
     for outcome in outcomes:
-        lines.append(_ours(f"{outcome.setting.name} asked for: recorded and generated", outcome.rows, "combined"))
+        asked, rows = outcome.setting.name, outcome.rows
+        said = f"{asked} asked for:"
+        if name == "ablation":
+            what = "everything on" if asked == "full" else f"without {asked}"
+            lines, said = [*lines, _papers(f"paper: {what}", PAPER_ABLATION[asked])], f"ours: {what},"
+        lines.append(_ours(f"{said} recorded and generated", rows, "combined"))
         if outcome.setting.config is not None:
-            lines.append(_ours(f"{outcome.setting.name} asked for: generated alone", outcome.rows, "generated"))
+            lines.append(_ours(f"{said} generated alone", rows, "generated"))
     return lines
 
 
@@ -227,9 +216,9 @@ def _table1_argoverse1_lines(rows: Sequence[Row], filtered: Sequence[Row], whole
 
 def flat(line: Line) -> Row:
     """A line for the CSV file."""
-    row: Row = {"row": line.label}
+    row: Row = {"row": line["row"]}
     for metric in SHOWN:
-        value, low, high = line.values.get(metric.key, Estimate(None)._asdict()).values()
+        value, low, high = line.get(metric.key, Estimate(None)._asdict()).values()
         row |= {metric.key: value, f"{metric.key}_low": low, f"{metric.key}_high": high}
     return row
 

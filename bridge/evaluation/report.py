@@ -15,7 +15,7 @@ from bridge.pictures.render import scene_figure
 from bridge.recordings.sidecar import AgentRecord
 from bridge.recordings.sources import read_recording
 from hid2.evaluation.critics import FEATURE_NAMES
-from hid2.evaluation.realism import FEATURES
+from hid2.evaluation.realism import FEATURES, GENERATED
 from hid2.reasons import Reason
 
 #: The paper's Table 1, Argoverse 2.
@@ -45,7 +45,7 @@ def write_report(evaluation: Evaluation, path: Path) -> None:
     metrics, totals = evaluation.metrics, evaluation.totals
     shown: dict[str, Any] = {
         "diversity": figures.data_uri(diversity_figure(metrics["diversity"])),
-        "distributions": totals.realism.generated["speed"].sum()
+        "distributions": totals.realism.of(FEATURES[0])[GENERATED].sum()
         and figures.data_uri(distribution_figure(totals.realism)),
         "events": [(row, _event_picture(row, number)) for number, row in enumerate(totals.events)],
         "example": _example(evaluation),

@@ -45,6 +45,7 @@ SAME_MANEUVER_S = 2.0
 
 PAIR_GROUPS = ("original_original", "generated_original", "generated_generated")
 PAIR_KINDS = ("pairs_vehicles", "pairs_all", "touching_all", "crossings", "pet_critical")
+PAIR_COLUMNS = tuple(f"{kind}_{group}" for kind in PAIR_KINDS for group in PAIR_GROUPS)
 
 Row = dict[str, Any]
 #: Sizes of recorded tracks by the id of their scene, then of the track.
@@ -233,7 +234,7 @@ def _group_row(group: Group, maneuvers: Sequence[Maneuver], policy_of: Mapping[s
 
 def _pair_row(safe: Safety, arrays: SceneArrays) -> Row:
     """Colliding pairs (IoU above the threshold), pairs that touch at all, and PET, by the groups of the two."""
-    row: Row = {f"{kind}_{name}": 0 for kind in PAIR_KINDS for name in PAIR_GROUPS}
+    row: Row = dict.fromkeys(PAIR_COLUMNS, 0)
 
     def of(pair: Overlap | Encroachment) -> str:
         return PAIR_GROUPS[int(arrays.generated[pair.first]) + int(arrays.generated[pair.second])]

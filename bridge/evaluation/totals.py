@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bridge.evaluation.critique import critique
-from bridge.evaluation.scene_metrics import PAIR_GROUPS, PAIR_KINDS, SceneMeasures
+from bridge.evaluation.scene_metrics import PAIR_COLUMNS, PAIR_GROUPS, PAIR_KINDS, SceneMeasures
 from bridge.recordings.folders import Address
 from hid2.agents import FloatArray, Policy
 from hid2.evaluation.critics import WIDTH, Packed
 from hid2.evaluation.metrics import GROUPS, Metric, Section, columns, metrics_in
-from hid2.evaluation.realism import FEATURES, TAIL_SHARES, TAILS, RealismCounts, quantiles
+from hid2.evaluation.realism import FEATURES, GENERATED, RECORDED, TAIL_SHARES, TAILS, RealismCounts, quantiles
 from hid2.judge.findings import Quantity
 from hid2.measures.arrays import BoolArray
 from hid2.measures.manoeuvres import ManeuverKind
@@ -35,6 +35,9 @@ BANDS = (40, 50, 70, 90)
 DENSITIES = ("tracks", "tracks_at_49")
 #: Most generated, and most recorded, windows that the critics look at.
 MOST_OF_A_KIND = 4000
+
+#: Columns of scenes that are summed, beside those of `SourceSums`.
+_COUNTED = ("generated", "placed", "replay_states", *PAIR_COLUMNS)
 
 Row = Mapping[str, Any]
 
@@ -114,11 +117,10 @@ class Diversity:
     """Scenes before and after vehicles were added, and the vehicles added alone."""
 
     def __init__(self) -> None:
-        self._scenes: Counter[str] = Counter()
         #: Number of scenes by number of agents, for each moment and each of DENSITIES.
         self._density: defaultdict[tuple[str, str], Counter[int]] = defaultdict(Counter)
-        #: Moving vehicles by policy, scenes that have any, and manoeuvres by kind, for each moment.
-        self._counts: Counter[tuple[str, str, str]] = Counter()
+        #: Scenes, moving vehicles by policy, scenes that have any, and manoeuvres by kind, for each moment.
+        self._counts: defaultdict[str, Counter[tuple[str, str]]] = defaultdict(Counter)
 
     @classmethod
     def of(cls, rows: Iterable[Row], sources: Iterable[Row]) -> "Diversity":
@@ -140,30 +142,29 @@ class Diversity:
         self._count("before", "original", row)
 
     def _count(self, when: str, group: str, row: Row) -> None:
-        self._scenes[when] += 1
+        counts = self._counts[when]
+        counts["scenes", ""] += 1
         for name in DENSITIES:
             added = row[name.replace("tracks", "generated")]
             numbers = {"original": row[name] - added, "generated": added, "combined": row[name]}
             self._density[when, name][numbers[group]] += 1
         for policy in Policy:
             number = row[f"{group}_policy_{policy}"]
-            self._counts[when, "vehicles", policy.value] += number
-            self._counts[when, "scenes_with", policy.value] += number > 0
+            counts["vehicles", policy.value] += number
+            counts["scenes_with", policy.value] += number > 0
         for kind in ManeuverKind:
-            self._counts[when, "maneuvers", kind.value] += row[f"{group}_seen_{kind}"]
+            counts["maneuvers", kind.value] += row[f"{group}_seen_{kind}"]
 
     def content(self) -> dict[str, Any]:
         """Ready for JSON: scenes before and after, density[name] by number of agents, and behaviours."""
         names = {"vehicles": Policy, "scenes_with": Policy, "maneuvers": ManeuverKind}
         return {
-            "scenes": {when: self._scenes[when] for when in ("before", "after")},
+            "scenes": {when: self._counts[when]["scenes", ""] for when in ("before", "after")},
             "density": {name: self._density_content(name) for name in DENSITIES},
             "behaviours": {
-                when: {
-                    what: {one.value: self._counts[when, what, one.value] for one in of} for what, of in names.items()
-                }
-                | {"scenes": self._scenes[when]}
-                for when in ("before", "generated", "after")
+                when: {what: {one.value: counts[what, one.value] for one in of} for what, of in names.items()}
+                | {"scenes": counts["scenes", ""]}
+                for when, counts in ((when, self._counts[when]) for when in ("before", "generated", "after"))
             },
         }
 
@@ -172,7 +173,8 @@ class Diversity:
         density = {when: sorted(self._density[when, name].items()) for when in ("before", "after")}
 
         def per_scene(when: str, total: int) -> float | None:
-            return total / self._scenes[when] if self._scenes[when] else None
+            scenes = self._counts[when]["scenes", ""]
+            return total / scenes if scenes else None
 
         means = {f"mean_{when}": per_scene(when, sum(n * count for n, count in of)) for when, of in density.items()}
         above = {
@@ -399,17 +401,10 @@ class Totals:
         }
 
     def _add_counts(self, row: Row) -> None:
-        counts = self._counts
-        counts["scenes"] += 1
-        counts["generated_scenes"] += row["generated"] > 0
-        for name in ("generated", "placed", "replay_states"):
-            counts[name] += row[name]
+        self._counts.update({name: row[name] for name in _COUNTED})
+        self._counts.update(scenes=1, generated_scenes=row["generated"] > 0)
         if row["requested"] is not None:
-            counts["requested"] += row["requested"]
-            counts["placed_of_requested"] += row["placed"]
-        for kind in PAIR_KINDS:
-            for group in PAIR_GROUPS:
-                counts[f"{kind}_{group}"] += row[f"{kind}_{group}"]
+            self._counts.update(requested=row["requested"], placed_of_requested=row["placed"])
         self._rejected.update(row["rejected"] or {})
         for name, told in (row["selection"] or {}).items():
             self._selection.setdefault(name, Counter()).update(told)
@@ -436,8 +431,8 @@ def _tails(realism: RealismCounts) -> list[dict[str, Any]]:
             "feature": feature.name,
             "unit": feature.unit,
             "shares": list(TAIL_SHARES),
-            "generated": quantiles(feature, realism.generated[feature.name]),
-            "recorded": quantiles(feature, realism.recorded[feature.name]),
+            "generated": quantiles(feature, realism.of(feature)[GENERATED]),
+            "recorded": quantiles(feature, realism.of(feature)[RECORDED]),
         }
         for feature in FEATURES
         if feature.name in TAILS

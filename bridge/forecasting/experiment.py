@@ -13,7 +13,8 @@ from typing import Any, Literal, NamedTuple
 
 from bridge.batch.batch import Options, Run, SceneJob, run_batch
 from bridge.batch.batch import Progress as BatchProgress
-from bridge.batch.engine import Settings, Task, execute_here
+from bridge.batch.engine import Task, execute_here
+from bridge.batch.isolation import Settings
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.evaluation.predictions import BOUNDS, Band, Score, score_predictions, write_forecasts
 from bridge.files import make_folder, write_json, write_rows, write_text
@@ -176,8 +177,8 @@ def _train(composed: Path, models: Path, plan: Plan, *, jobs: int, tell: Progres
     settings = Settings(timeout_s=86_400, memory_mb=_TRAINING_MB)
     for result in execute_here(tasks, jobs=min(jobs, len(SETS)), settings=settings):
         for outcome in result.outcomes:
-            if outcome.wrong is not None:
-                raise BatchError(f"training on {result.task.key}, seed {outcome.item}: {outcome.wrong.message}")
+            if outcome.failure is not None:
+                raise BatchError(f"training on {result.task.key}, seed {outcome.item}: {outcome.failure.message}")
             done += 1
         tell("training", done, total)
 

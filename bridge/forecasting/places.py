@@ -12,8 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow.compute as pc
 from pydantic_core import from_json
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from bridge.batch.engine import sorted_out, work_on_each
 from bridge.config import word_for_recorded
@@ -24,6 +22,7 @@ from bridge.recordings.scenario import OBSERVED_STEPS, read_table
 from bridge.recordings.sidecar import REACTIVE, sidecar_in
 from hid2.params import Forecasting
 from netconvert.errors import MapError, ScenarioError
+from netconvert.lane_graph import joined
 
 #: Scenes per task.
 _CHUNK = 256
@@ -150,12 +149,9 @@ def groups_of(facts: Sequence[SourceScene]) -> list[list[int]]:
         keys: list[tuple[object, ...]] = [("block", fact.city, *fact.block), ("source", fact.source_id)]
         keys += [("log", fact.log)] if fact.log else []
         links += [(row, len(facts) + number.setdefault(key, len(number))) for key in keys]
-    ends, size = np.array(links).reshape(-1, 2), len(facts) + len(number)
-    graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(size, size))
-    _, label = connected_components(graph, directed=False)
     groups: dict[int, list[int]] = defaultdict(list)
-    for row in range(len(facts)):
-        groups[int(label[row])].append(row)
+    for row, group in enumerate(joined(len(facts) + len(number), links)[: len(facts)]):
+        groups[group].append(row)
     return list(groups.values())
 
 

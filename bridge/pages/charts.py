@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from bridge.pictures import figures
 from hid2.agents import Policy
-from hid2.evaluation.realism import FEATURES, FINE, RealismCounts
+from hid2.evaluation.realism import FEATURES, FINE, GENERATED, RECORDED, RealismCounts
 from hid2.policy.behaviours import BEHAVIOURS
 from hid2.resampling import Estimate
 
@@ -19,11 +19,11 @@ def distribution_figure(counts: RealismCounts) -> Figure:
     figure, axes = plt.subplots(3, 4, figsize=(13, 8.4), layout="constrained")
     for ax, feature in zip(axes.flat, FEATURES, strict=False):
         edges = np.linspace(feature.low, feature.high, feature.bins + 1)
-        for name, data, color, line in (
-            ("recorded", counts.recorded, figures.DARK_GREY, "-"),
-            ("generated", counts.generated, figures.GENERATED, "--"),
+        for name, row, color, line in (
+            ("recorded", RECORDED, figures.DARK_GREY, "-"),
+            ("generated", GENERATED, figures.GENERATED, "--"),
         ):
-            binned = data[feature.name].reshape(feature.bins, FINE).sum(axis=1)
+            binned = counts.of(feature)[row].reshape(feature.bins, FINE).sum(axis=1)
             if binned.sum():
                 ax.stairs(binned / binned.sum(), edges, color=color, linestyle=line, linewidth=1.8, label=name)
         ax.set_xlabel(f"{feature.label}, {feature.unit}")

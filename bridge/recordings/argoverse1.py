@@ -119,9 +119,10 @@ def check_sequence(content: bytes, name: str) -> SequenceRows:
     stamp = _floats(by_name["TIMESTAMP"], "TIMESTAMP", name)
     position = np.column_stack([_floats(by_name[axis], axis, name) for axis in "XY"])
     stamps, timestep = _steps(stamp, name)
-    codes = {track_id: k for k, track_id in enumerate(dict.fromkeys(by_name["TRACK_ID"]))}
+    kind_of = _kinds(by_name["TRACK_ID"], by_name["OBJECT_TYPE"], name)
+    ids, kinds = list(kind_of), list(kind_of.values())
+    codes = {track_id: k for k, track_id in enumerate(ids)}
     code = np.array([codes[track_id] for track_id in by_name["TRACK_ID"]], dtype=np.int64)
-    ids, kinds = list(codes), _kinds(codes, code, by_name["OBJECT_TYPE"], name)
     cities = list(dict.fromkeys(by_name["CITY_NAME"]))
     if len(cities) != 1 or cities[0] not in _CITIES:
         shown = one_line(", ".join(cities), most=60)
@@ -175,17 +176,15 @@ def _steps(stamp: FloatArray, name: str) -> tuple[list[float], IntArray]:
     return stamps.tolist(), np.searchsorted(stamps, stamp).astype(np.int64)
 
 
-def _kinds(codes: dict[str, int], code: IntArray, types: list[str], name: str) -> list[str]:
-    """The type of each track."""
-    kinds = [""] * len(codes)
-    ids = list(codes)
-    for k, kind in zip(code.tolist(), types, strict=True):
-        where = f"{name}: track {one_line(ids[k], most=60)!r}"
+def _kinds(ids: list[str], types: list[str], name: str) -> dict[str, str]:
+    """The type of each track, in the order of first appearance."""
+    kinds: dict[str, str] = {}
+    for track_id, kind in dict.fromkeys(zip(ids, types, strict=True)):
+        where = f"{name}: track {one_line(track_id, most=60)!r}"
         if kind not in (AV, AGENT, OTHERS):
             raise ScenarioError(f"{where}: OBJECT_TYPE {one_line(kind, most=40)!r}, expected {AV}, {AGENT} or {OTHERS}")
-        if kinds[k] not in ("", kind):
-            raise ScenarioError(f"{where}: OBJECT_TYPE {kinds[k]} and {kind}, expected one")
-        kinds[k] = kind
+        if kinds.setdefault(track_id, kind) != kind:
+            raise ScenarioError(f"{where}: OBJECT_TYPE {kinds[track_id]} and {kind}, expected one")
     return kinds
 
 

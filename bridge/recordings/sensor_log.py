@@ -221,19 +221,14 @@ def _window(every: Any, start: int, path: Path) -> Any:  # noqa: ANN401  # numpy
 def _check_boxes(boxes: pd.DataFrame, path: Path) -> None:
     if not len(boxes):
         raise ScenarioError(f"{path}: no box in the window, expected those of a scene")
-    again = boxes[boxes.duplicated(["track_uuid", "timestamp_ns"])]
-    if len(again):
-        first = again.iloc[0]
-        where = f"track {one_line(first.track_uuid, most=60)!r}, timestamp {first.timestamp_ns}"
-        raise ScenarioError(f"{path}: {where}: two boxes, expected one")
-    wrong = boxes[
-        ~(boxes.length_m.between(0, 50, inclusive="neither") & boxes.width_m.between(0, 10, inclusive="neither"))
-    ]
-    if len(wrong):
-        first = wrong.iloc[0]
-        where = f"track {one_line(first.track_uuid, most=60)!r}"
-        box = f"box {first.length_m:.4g} x {first.width_m:.4g} m"
-        raise ScenarioError(f"{path}: {where}: {box}, expected above 0 and below 50 x 10 m")
+    usual = boxes.length_m.between(0, 50, inclusive="neither") & boxes.width_m.between(0, 10, inclusive="neither")
+    for wrong, said in (
+        (boxes.duplicated(["track_uuid", "timestamp_ns"]), ", timestamp {0.timestamp_ns}: two boxes, expected one"),
+        (~usual, ": box {0.length_m:.4g} x {0.width_m:.4g} m, expected above 0 and below 50 x 10 m"),
+    ):
+        for first in boxes[wrong][:1].itertuples():
+            track = one_line(str(first.track_uuid), most=60)
+            raise ScenarioError(f"{path}: track {track!r}{said.format(first)}")
     if (boxes.track_uuid == AV_ID).any():
         raise ScenarioError(f"{path}: a box of track {AV_ID!r}, expected that of the egovehicle as {_EGO}")
 

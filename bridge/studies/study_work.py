@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from bridge.batch.batch import Place, Run, base_row
-from bridge.batch.isolation import Failure, describe_error
+from bridge.batch.isolation import Failure, attempts
 from bridge.batch.manifest import ManifestRow, files_sha256, output_files
 from bridge.config import config_sha256
 from bridge.generation.gaps import gaps_bytes
@@ -69,10 +69,10 @@ def _rows(
     place: Place, runs: Sequence[Run], measured: Callable[[Config], tuple[Path, dict[str, Any]]]
 ) -> Iterator[ManifestRow | Failure]:
     """The manifest's row of each run. measured: drives one, and returns its folder and what the row has of it."""
-    for run in runs:
-        try:
-            folder, told = measured(run.config)
-            where = folder.relative_to(place.out).as_posix()
-            yield base_row(place, run)._replace(folder=where, output_sha256=files_sha256(output_files(folder)), **told)
-        except Exception as error:  # noqa: BLE001  # quarantined with its traceback
-            yield describe_error(error)
+
+    def row(run: Run) -> ManifestRow:
+        folder, told = measured(run.config)
+        where = folder.relative_to(place.out).as_posix()
+        return base_row(place, run)._replace(folder=where, output_sha256=files_sha256(output_files(folder)), **told)
+
+    return attempts(row, runs)

@@ -121,16 +121,11 @@ class Simulation:
         """Add a vehicle that is placed by hand at every step from now on."""
         libsumo.vehicle.add(vehicle_id, "replay", typeID=self._type("replay", length_m, width_m), depart="now")
 
-    def place(self, vehicle_id: str, x: float, y: float, angle_deg: float) -> None:
-        """Put a replayed vehicle's front bumper at its exact pose for the coming step."""
-        libsumo.vehicle.moveToXY(
-            vehicle_id, "", -1, x, y, angle_deg, keepRoute=_REPLAY_KEEP_ROUTE, matchThreshold=ASIDE_M
-        )
-
     def place_all(self, poses: Sequence[tuple[str, float, float, float, tuple[str, int] | None]]) -> None:
-        """The same for many: (vehicle id, x, y, angle in degrees, lane). lane: edge and index on which it is seen.
+        """Put replayed vehicles' front bumpers at their exact poses for the coming step.
 
-        None: on no lane, so that no vehicle follows it.
+        Each: (vehicle id, x, y, angle in degrees, lane). lane: edge and index on which it is seen; None: on no lane, so
+        that no vehicle follows it.
         """
         move = libsumo.vehicle.moveToXY
         for vehicle_id, x, y, angle_deg, lane in poses:
@@ -183,30 +178,22 @@ class Simulation:
         SUMO's own insertion check is not asked: it knows neither crossing lanes nor what agents will do next, and the
         place was chosen with both.
         """
-        type_id = self._driver_type(vehicle_id, driver, size, max_speed_mps)
         try:
-            libsumo.vehicle.add(
-                vehicle_id, self._route(edges), typeID=type_id, depart="now", departSpeed=f"{speed_mps:.6f}"
-            )
+            self._add(vehicle_id, edges, driver, size, max_speed_mps, departSpeed=f"{speed_mps:.6f}")
             libsumo.vehicle.moveTo(vehicle_id, lane_id, front_m)
         except libsumo.TraCIException as error:
             return str(error)
-        libsumo.vehicle.setLaneChangeMode(vehicle_id, self._change_mode)
-        libsumo.vehicle.setSpeedMode(vehicle_id, _SAFE_SPEED)
         return None
 
     def queue(self, vehicle_id: str, *, edges: Sequence[str], lane_index: int, driver: Driver, size: BoxSize) -> None:
         """Let a vehicle wait before the first edge until SUMO finds room for it, at the fastest speed that is safe."""
-        type_id = self._driver_type(vehicle_id, driver, size, driver.desired_mps)
-        libsumo.vehicle.add(
-            vehicle_id, self._route(edges), typeID=type_id, depart="now", departLane=str(lane_index),
-            departPos="base", departSpeed="avg",
-        )  # fmt: skip
-        libsumo.vehicle.setLaneChangeMode(vehicle_id, self._change_mode)
-        libsumo.vehicle.setSpeedMode(vehicle_id, _SAFE_SPEED)
+        departs = {"departLane": str(lane_index), "departPos": "base", "departSpeed": "avg"}
+        self._add(vehicle_id, edges, driver, size, driver.desired_mps, **departs)
 
-    def _driver_type(self, vehicle_id: str, driver: Driver, size: BoxSize, max_speed_mps: float) -> str:
-        """A vehicle type of one driver's own."""
+    def _add(
+        self, vehicle_id: str, edges: Sequence[str], driver: Driver, size: BoxSize, max_speed_mps: float, **departs: str
+    ) -> None:
+        """A vehicle that SUMO drives, with a type of one driver's own."""
         type_id = f"driven_{vehicle_id}"
         if type_id not in self._types:  # a vehicle that was taken out may come again
             libsumo.vehicletype.copy(_DRIVEN, type_id)
@@ -217,7 +204,9 @@ class Simulation:
         for attribute, value in of_driver.items():
             if attribute in _SETTERS:  # others are those of the type that is copied
                 getattr(libsumo.vehicletype, _SETTERS[attribute])(type_id, value)
-        return type_id
+        libsumo.vehicle.add(vehicle_id, self._route(edges), typeID=type_id, depart="now", **departs)
+        libsumo.vehicle.setLaneChangeMode(vehicle_id, self._change_mode)
+        libsumo.vehicle.setSpeedMode(vehicle_id, _SAFE_SPEED)
 
     def disregard_others(self, vehicle_id: str) -> None:
         """Switch SUMO's regard for others off, in following and in changing lanes."""

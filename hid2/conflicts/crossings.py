@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hid2.agents import FloatArray, IntArray
+from hid2.agents import FloatArray
 from hid2.kernels.crossings import at_crossings, crossings_swept, held_up
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
@@ -33,8 +33,8 @@ class CrossingOnPath(NamedTuple):
 class PedestrianCrossings:
     """The pedestrian crossings of a scene and which agents use them when.
 
-    polygons: (4, 2) m each, `LaneGraph.pedestrian_crossings`; traffic: the recorded agents of CROSSING_TYPES alone
-    (`crossing_rows`); step_s: seconds from one step to the next.
+    polygons: (4, 2) m each, `LaneGraph.pedestrian_crossings`; traffic: the recorded agents of CROSSING_TYPES alone;
+    step_s: seconds from one step to the next.
     """
 
     polygons: Sequence[FloatArray]
@@ -79,8 +79,3 @@ class PedestrianCrossings:
             )  # fmt: skip
             found.append(CrossingOnPath(first * TABLE_STEP_M, last * TABLE_STEP_M, occupied))
         return sorted(found, key=lambda one: one.entry_s)
-
-
-def crossing_rows(object_types: Sequence[str]) -> IntArray:
-    """Rows of the recorded agents that use pedestrian crossings."""
-    return np.flatnonzero([kind in CROSSING_TYPES for kind in object_types]).astype(np.int64)

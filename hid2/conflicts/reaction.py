@@ -168,11 +168,7 @@ class Reactions:
             present[row, ahead] = True
             velocity[row, present[row]] = velocity_of(position[row, present[row]], scene.step_s)
         future = replace(scene.future, position=position, heading=heading, velocity=velocity, present=present)
-        inside = future.first(scene.num_steps)
-        traffic = replace(
-            inside, position=np.ascontiguousarray(inside.position), heading=np.ascontiguousarray(inside.heading),
-            velocity=np.ascontiguousarray(inside.velocity), present=np.ascontiguousarray(inside.present),
-        )  # fmt: skip
+        traffic = future.first(scene.num_steps)
         self.scene = replace(
             scene, traffic=traffic, future=future, occupancy=original_occupancy(scene.boxes, traffic), _known={},
             _leaders={},

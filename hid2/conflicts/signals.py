@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hid2.agents import IntArray
 from hid2.kernels.approaches import crossing_steps, red_steps, vehicle_states, watch_approach
 from hid2.occupancy.sigma import AGREES_RAD, UNDER_SHARE
 from hid2.occupancy.traffic import BoolArray, Traffic
@@ -49,7 +48,7 @@ class InferredSignals:
     """Red and green of the entrances of a scene, worked out for each lane when it is first asked for.
 
     Only lanes of an intersection that are entered from a lane outside of it have an entrance. traffic: the recorded
-    agents of SIGNALLED_TYPES alone (`signalled_rows`); step_s: seconds from one step to the next.
+    agents of SIGNALLED_TYPES alone; step_s: seconds from one step to the next.
     """
 
     grid: CellGrid
@@ -148,11 +147,6 @@ class InferredSignals:
         if lane_id not in self._approaches:
             self._approaches[lane_id] = _approach_of(self.grid.graph, lane_id)
         return self._approaches[lane_id]
-
-
-def signalled_rows(object_types: Sequence[str]) -> IntArray:
-    """Rows of the recorded agents that obey signals."""
-    return np.flatnonzero([kind in SIGNALLED_TYPES for kind in object_types]).astype(np.int64)
 
 
 def _approach_of(graph: LaneGraph, lane_id: int) -> _Approach | None:

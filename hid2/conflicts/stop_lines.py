@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hid2.agents import BoxSize, FloatArray, IntArray
-from hid2.conflicts.crossings import PedestrianCrossings, crossing_rows
-from hid2.conflicts.signals import InferredSignals, signalled_rows
+from hid2.conflicts.crossings import CROSSING_TYPES, PedestrianCrossings
+from hid2.conflicts.signals import SIGNALLED_TYPES, InferredSignals
 from hid2.drivers.driver import Driver
 from hid2.kernels.guard import stop_ahead
 from hid2.kernels.steering import CAUSES
@@ -60,8 +60,10 @@ class StopLines:
     def __post_init__(self) -> None:
         """Signals and crossings of the recorded traffic."""
         scene, config, step_s = self.scene, self.scene.config, self.scene.step_s
-        signalled = scene.traffic.rows(signalled_rows(scene.object_types).tolist())
-        walking = scene.traffic.rows(crossing_rows(scene.object_types).tolist())
+        signalled, walking = (
+            scene.traffic.rows([row for row, kind in enumerate(scene.object_types) if kind in kinds])
+            for kinds in (SIGNALLED_TYPES, CROSSING_TYPES)
+        )
         self.signals = InferredSignals(scene.grid, signalled, config.signals, step_s)
         self._crossings = PedestrianCrossings(scene.grid.graph.pedestrian_crossings, walking, config.crossings, step_s)
 

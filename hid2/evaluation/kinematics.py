@@ -43,13 +43,7 @@ def derivative(values: FloatArray, arrays: SceneArrays) -> FloatArray:
 
 def unwrapped_heading(arrays: SceneArrays) -> FloatArray:
     """(N,) headings without jumps of a full turn within a track."""
-    if not len(arrays.heading):
-        return arrays.heading
-    turn = np.diff(arrays.heading, prepend=arrays.heading[:1])
-    turn = np.arctan2(np.sin(turn), np.cos(turn))
-    total = np.cumsum(turn)
-    start = arrays.first[:-1]
-    return np.asarray(total - np.repeat(total[start] - arrays.heading[start], arrays.rows_per_agent))
+    return np.concatenate([np.zeros(0), *map(np.unwrap, np.split(arrays.heading, arrays.first[1:-1]))])
 
 
 def motion(arrays: SceneArrays) -> MotionProfile:

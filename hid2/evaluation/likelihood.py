@@ -105,10 +105,9 @@ def features(traffic: Traffic, rows: IntArray, beyond: BeyondEdge, *, step_s: fl
 
 def _central(values: FloatArray, known: BoolArray, step_s: float) -> tuple[FloatArray, BoolArray]:
     """(N, T, ...) central differences, and where they are known (N, T): both neighbours are."""
-    found, seen = np.zeros_like(values), np.zeros_like(known)
-    found[:, 1:-1] = (values[:, 2:] - values[:, :-2]) / (2.0 * step_s)
+    seen = np.zeros_like(known)
     seen[:, 1:-1] = known[:, 2:] & known[:, :-2]
-    return found, seen
+    return np.gradient(values, step_s, axis=1), seen
 
 
 def _nearest(traffic: Traffic, rows: IntArray, corners: FloatArray) -> FloatArray:

@@ -53,25 +53,18 @@ FINE = 40
 #: Random splits of the recorded tracks into halves; the floor is the median over them.
 SPLITS = 16
 
-#: Histograms (fine bins) by feature name.
-Histograms = dict[str, IntArray]
-
-
-def empty_histograms() -> Histograms:
-    """No samples yet."""
-    return {feature.name: np.zeros(feature.bins * FINE, dtype=np.int64) for feature in FEATURES}
+#: First fine bin of each feature, and after the last one their number: histograms lie one after the other.
+_FIRST = np.cumsum([0, *(feature.bins * FINE for feature in FEATURES)]).tolist()
+#: Rows of `RealismCounts.counts`; behind them those of the halves.
+GENERATED, RECORDED = 0, 1
 
 
 def histogram(feature: Feature, values: npt.ArrayLike) -> IntArray:
     """(bins * FINE,) counts of the values, those outside the range in the end bins."""
-    place = fine_bin(feature, np.asarray(values, dtype=np.float64))
-    return np.asarray(np.bincount(place, minlength=feature.bins * FINE), dtype=np.int64)
-
-
-def fine_bin(feature: Feature, values: FloatArray) -> IntArray:
-    """The fine bin of each value: the same shape."""
-    fine = (values - feature.low) / (feature.high - feature.low) * feature.bins * FINE
-    return np.asarray(np.clip(fine.astype(np.int64), 0, feature.bins * FINE - 1))
+    share = (np.asarray(values, dtype=np.float64) - feature.low) / (feature.high - feature.low)
+    last = feature.bins * FINE - 1
+    place = np.clip((share * feature.bins * FINE).astype(np.int64), 0, last)
+    return np.asarray(np.bincount(place, minlength=last + 1), dtype=np.int64)
 
 
 def jensen_shannon(feature: Feature, first: IntArray, second: IntArray) -> float | None:
@@ -79,13 +72,11 @@ def jensen_shannon(feature: Feature, first: IntArray, second: IntArray) -> float
     if not first.sum() or not second.sum():
         return None
     p, q = (counts.reshape(feature.bins, FINE).sum(axis=1) / counts.sum() for counts in (first, second))
-    divergence = (_relative_entropy(p, (p + q) / 2) + _relative_entropy(q, (p + q) / 2)) / 2
+    divergence = 0.0
+    for one in (p, q):
+        some = one > 0
+        divergence += float((one[some] * np.log2(one[some] / ((p + q) / 2)[some])).sum()) / 2
     return float(np.sqrt(max(divergence, 0.0)))  # unlike scipy's, a number where rounding says less than 0
-
-
-def _relative_entropy(p: FloatArray, q: FloatArray) -> float:
-    some = p > 0
-    return float((p[some] * np.log2(p[some] / q[some])).sum())
 
 
 def wasserstein(feature: Feature, first: IntArray, second: IntArray) -> float | None:
@@ -115,42 +106,35 @@ class Distance(NamedTuple):
 class RealismCounts:
     """Histograms of any number of scenes: all that the distances need, in constant memory.
 
-    halves[k]: the recorded tracks of one half of split k; a track is in the same half in every copy of its scene.
+    counts (2 + SPLITS, fine bins of all features): of generated vehicles, of recorded ones, and of the recorded ones in
+    one half of each split; a track is in the same half in every copy of its scene.
     """
 
-    generated: Histograms = field(default_factory=empty_histograms)
-    recorded: Histograms = field(default_factory=empty_histograms)
-    halves: list[Histograms] = field(default_factory=lambda: [empty_histograms() for _ in range(SPLITS)])
+    counts: IntArray = field(default_factory=lambda: np.zeros((2 + SPLITS, _FIRST[-1]), dtype=np.int64))
+
+    def of(self, feature: Feature) -> IntArray:
+        """(2 + SPLITS, bins * FINE) of one feature."""
+        number = FEATURES.index(feature)
+        return self.counts[:, _FIRST[number] : _FIRST[number + 1]]
 
     def add(self, other: "RealismCounts", *, generated: bool = True, recorded: bool = True) -> None:
         """Take the samples of another batch in, or those of one kind of vehicle."""
-        pairs = [(self.generated, other.generated)] if generated else []
-        if recorded:
-            pairs += zip([self.recorded, *self.halves], [other.recorded, *other.halves], strict=True)
-        for mine, theirs in pairs:
-            for name, counts in theirs.items():
-                mine[name] += counts
+        self.counts[:RECORDED] += generated * other.counts[:RECORDED]
+        self.counts[RECORDED:] += recorded * other.counts[RECORDED:]
 
     def distances(self) -> list[Distance]:
         """Distance and floor for each feature."""
         return [self._distance(feature) for feature in FEATURES]
 
     def _distance(self, feature: Feature) -> Distance:
-        generated, recorded = self.generated[feature.name], self.recorded[feature.name]
-        halves = [half[feature.name] for half in self.halves]
-        apart = jensen_shannon(feature, generated, recorded)
-        floor = _median(jensen_shannon(feature, half, recorded - half) for half in halves)
-        return Distance(
-            feature.name,
-            feature.unit,
-            apart,
-            floor,
-            apart / floor if apart is not None and floor else None,
-            wasserstein(feature, generated, recorded),
-            _median(wasserstein(feature, half, recorded - half) for half in halves),
-            int(generated.sum()),
-            int(recorded.sum()),
+        generated, recorded, *halves = self.of(feature)
+        (apart, floor), (way, way_floor) = (
+            (measure(feature, generated, recorded), _median(measure(feature, half, recorded - half) for half in halves))
+            for measure in (jensen_shannon, wasserstein)
         )
+        over = apart / floor if apart is not None and floor else None
+        samples = int(generated.sum()), int(recorded.sum())
+        return Distance(feature.name, feature.unit, apart, floor, over, way, way_floor, *samples)
 
 
 def _median(values: Iterable[float | None]) -> float | None:
@@ -166,7 +150,7 @@ def half_of(scene: str, track_id: str) -> BoolArray:
 
 def half_number(scene: str, track_id: str) -> int:
     """The halves of `half_of` as the bits of a number."""
-    return int(sum(int(bit) << k for k, bit in enumerate(half_of(scene, track_id))))
+    return int(half_of(scene, track_id) @ (1 << np.arange(SPLITS)))
 
 
 class Values(NamedTuple):
@@ -213,20 +197,16 @@ def count_scene(
     scene: str, arrays: SceneArrays, values: Mapping[str, Values], *, generated: BoolArray, recorded: BoolArray
 ) -> RealismCounts:
     """Histograms of one scene. `scene` names the recorded scene; generated, recorded (A,): vehicles to compare."""
-    number = np.full(arrays.num_agents, -1, dtype=np.int64)
-    number[recorded] = np.arange(int(recorded.sum()))
-    # (SPLITS, recorded agents): which tracks each half holds
-    halves = [half_of(scene, arrays.track_ids[agent]) for agent in np.flatnonzero(recorded)]
-    member = np.array(halves, dtype=np.bool_).reshape(-1, SPLITS)
-    counts = RealismCounts()
+    member = np.zeros((2 + SPLITS, arrays.num_agents), dtype=np.bool_)  # which agents each row of counts is of
+    member[GENERATED], member[RECORDED] = generated, recorded
+    for agent in np.flatnonzero(recorded).tolist():
+        member[2:, agent] = half_of(scene, arrays.track_ids[agent])
+    found = RealismCounts()
     for feature in FEATURES:
         value, owner = values[feature.name]
-        counts.generated[feature.name] = histogram(feature, value[generated[owner]])
-        mine = recorded[owner]
-        counts.recorded[feature.name] = histogram(feature, value[mine])
-        for half, inside in zip(counts.halves, member.T, strict=True):
-            half[feature.name] = histogram(feature, value[mine][inside[number[owner[mine]]]])
-    return counts
+        for counts, inside in zip(found.of(feature), member[:, owner], strict=True):
+            counts[:] = histogram(feature, value[inside])
+    return found
 
 
 def quantiles(feature: Feature, counts: IntArray, shares: Sequence[float] = TAIL_SHARES) -> list[float] | None:

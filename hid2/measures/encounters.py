@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 from enum import StrEnum
-from itertools import pairwise
+from itertools import pairwise, permutations
 
 import numpy as np
 
@@ -115,13 +115,10 @@ def _acceleration(arrays: SceneArrays) -> FloatArray:
 
 def _lasts(arrays: SceneArrays, rows: BoolArray, steps: int) -> BoolArray:
     """(A,) agents of which some rows hold for so many steps in a row."""
-    out = np.zeros(arrays.num_agents, dtype=bool)
-    count = max(1, steps)
-    run = np.cumsum(rows)
-    for agent in np.flatnonzero(arrays.sum_per_agent(rows) >= count).tolist() if len(rows) else ():
-        first, stop = int(arrays.first[agent]), int(arrays.first[agent + 1])
-        inside = np.concatenate([[run[first] - rows[first]], run[first:stop]])
-        out[agent] = bool((inside[count:] - inside[:-count] == count).any())
+    out, count = np.zeros(arrays.num_agents, dtype=bool), max(1, steps)
+    before = np.concatenate([[0], np.cumsum(rows)])
+    agent = arrays.agent[: max(0, len(rows) - count + 1)]
+    out[agent[(before[count:] - before[:-count] == count) & (agent == arrays.agent[count - 1 :])]] = True
     return out
 
 
@@ -156,41 +153,23 @@ def _crosses(arrays: SceneArrays, masks: dict[Partner, BoolArray]) -> dict[Partn
     return out
 
 
-@dataclass(frozen=True, slots=True)
-class _Entry:
-    """A vehicle that comes onto a lane from another one: its row then, and the lane it comes from."""
-
-    agent: int
-    lane: int
-    source: int
-    row: int
-
-
 def _merges(arrays: SceneArrays, view: LaneView, masks: dict[Partner, BoolArray]) -> dict[Partner, BoolArray]:
     """(A,) vehicles that come onto a lane within WITHIN_S before or behind another that did so from elsewhere."""
     out = {kind: np.zeros(arrays.num_agents, dtype=bool) for kind in Partner}
-    vehicles = np.flatnonzero(arrays.clean).tolist()
-    runs = {agent: [run for run in runs_of(view, agent) if run.lane >= 0] for agent in vehicles}
-    entries = [
-        _Entry(agent, after.lane, before.lane, after.first)
-        for agent in vehicles
-        for before, after in pairwise(runs[agent])
-        if before.lane != after.lane
-    ]
-    on_lane: dict[int, list[tuple[int, int, Run]]] = {}
-    for agent in vehicles:
-        for before, run in pairwise(runs[agent]):
-            on_lane.setdefault(run.lane, []).append((agent, before.lane, run))
-    for entry in entries:
-        at_m, step = float(view.matches.s[entry.row]), int(arrays.step[entry.row])
-        for other, source, run in on_lane.get(entry.lane, ()):
-            if other == entry.agent or source == entry.source:
-                continue
-            passed = _passes(view, run, at_m)
-            if passed is not None and abs(passed - step) * arrays.step_s < WITHIN_S:
-                for kind in (Partner.RECORDED, Partner.INSERTED):
-                    out[kind][entry.agent] |= bool(masks[kind][other])
-                    out[kind][other] |= bool(masks[kind][entry.agent])
+    coming: dict[int, list[tuple[int, int, Run]]] = {}  # by lane: agents that come onto it, from which lane, their runs
+    for agent in np.flatnonzero(arrays.clean).tolist():
+        for before, run in pairwise(run for run in runs_of(view, agent) if run.lane >= 0):
+            coming.setdefault(run.lane, []).append((agent, before.lane, run))
+    for (one, source, entry), (other, elsewhere, run) in (
+        two for each in coming.values() for two in permutations(each, 2)
+    ):
+        if one == other or source in (elsewhere, entry.lane):
+            continue
+        passed = _passes(view, run, float(view.matches.s[entry.first]))
+        if passed is not None and abs(passed - int(arrays.step[entry.first])) * arrays.step_s < WITHIN_S:
+            for kind in (Partner.RECORDED, Partner.INSERTED):
+                out[kind][one] |= bool(masks[kind][other])
+                out[kind][other] |= bool(masks[kind][one])
     return out
 
 

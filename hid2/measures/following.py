@@ -57,16 +57,6 @@ def leaders(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> Leaders:
 
 def _next_lane_row(arrays: SceneArrays, matches: Matches) -> IntArray:
     """(N,) the next row of the same agent on another lane, -1 if there is none."""
-    rows = len(matches.lane)
-    out = np.full(rows, -1, dtype=np.int64)
-    if rows < 2:
-        return out
     switches = np.flatnonzero((np.diff(matches.lane) != 0) & (np.diff(arrays.agent) == 0)) + 1
-    if not len(switches):
-        return out
-    at = np.searchsorted(switches, np.arange(rows), side="right")
-    found = at < len(switches)
-    candidate = switches[np.where(found, at, 0)]
-    same = found & (arrays.agent[candidate] == arrays.agent)
-    out[same] = candidate[same]
-    return out
+    following = np.append(switches, -1)[np.searchsorted(switches, np.arange(len(matches.lane)), side="right")]
+    return np.where((following >= 0) & (arrays.agent[following] == arrays.agent), following, -1)

@@ -13,7 +13,7 @@ from hid2.agents import FloatArray, IntArray
 from hid2.kernels.lane_matching import lane_candidates, likeliest_lanes, motion_directions
 from hid2.measures.arrays import BoolArray, SceneArrays
 from netconvert.geometry import wrap_angle
-from netconvert.lane_graph import MOTOR_TYPES, LaneGraph, TurnType
+from netconvert.lane_graph import MOTOR_TYPES, SIDES, LaneGraph, TurnType
 
 #: Candidates are lanes at most this far beyond their own edge.
 BEYOND_EDGE_M = 1.0
@@ -104,12 +104,11 @@ def flatten_lanes(graph: LaneGraph) -> FlatLanes:
     low, high = (ends.reduceat(points, first[:-1], axis=0) for ends in (np.minimum, np.maximum))
     box = np.column_stack([low - margin[:, None], high + margin[:, None]])
     successors = tuple(tuple(index_of[n] for n in graph.successors(lane.lane_id) if n in index_of) for lane in lanes)
-    side = {"left": np.full(len(lanes), -1, np.int64), "right": np.full(len(lanes), -1, np.int64)}
-    for k, lane in enumerate(lanes):
-        for name in ("left", "right"):
-            neighbor = graph.neighbor(lane.lane_id, "left" if name == "left" else "right")
-            if neighbor is not None and neighbor in index_of:
-                side[name][k] = index_of[neighbor]
+    number: dict[int | None, int] = dict([(None, -1), *index_of.items()])
+    left, right = (
+        np.array([number.get(graph.neighbor(lane.lane_id, side), -1) for lane in lanes], dtype=np.int64)
+        for side in SIDES
+    )
     sign = {TurnType.STRAIGHT: 0, TurnType.LEFT: 1, TurnType.RIGHT: -1}
     straightest = (graph.straightest_successor(lane.lane_id) for lane in lanes)
     return FlatLanes(
@@ -120,11 +119,11 @@ def flatten_lanes(graph: LaneGraph) -> FlatLanes:
         first=first,
         half_width=half_width,
         box=box,
-        link=_links(successors, side["left"], side["right"], s[first[1:] - 1]),
-        left=side["left"],
-        right=side["right"],
+        link=_links(successors, left, right, s[first[1:] - 1]),
+        left=left,
+        right=right,
         turn=np.array([sign[lane.turn] for lane in lanes], dtype=np.int64),
-        straight=np.array([-1 if n is None else index_of[n] for n in straightest], dtype=np.int64),
+        straight=np.array([number[n] for n in straightest], dtype=np.int64),
         successors=successors,
         index_of=index_of,
     )
@@ -136,14 +135,8 @@ def _links(successors: tuple[tuple[int, ...], ...], left: IntArray, right: IntAr
     reached = [_reached(k, successors, length) for k in range(count)]
     for k in range(count):
         beside = [n for n in (left[k], right[k]) if n >= 0]
-        for neighbor in beside:
-            for target in (neighbor, *reached[neighbor]):
-                link[k, target] = 1
-        for ahead in reached[k]:
-            for target in (left[ahead], right[ahead]):
-                if target >= 0:
-                    link[k, target] = 1
-    for k in range(count):
+        link[k, [n for one in beside for n in (one, *reached[one])]] = 1
+        link[k, [n for ahead in reached[k] for n in (left[ahead], right[ahead]) if n >= 0]] = 1
         link[k, [k, *reached[k]]] = 0
     return link
 

@@ -12,6 +12,9 @@ from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Track
 BoolArray = npt.NDArray[np.bool_]
 #: Velocity is the difference of positions over this long either side, s. No tunable: what a tracker's velocity is.
 _HALF_S = 0.2
+#: Arrays of `Traffic`, in their order: by agent and step, and all that have a row for each agent.
+_BY_STEP = ("position", "heading", "velocity", "present")
+_BY_AGENT = (*_BY_STEP, "length_m", "width_m")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -53,28 +56,13 @@ class Traffic:
         return self._span(slice(step, step + 1))
 
     def _span(self, span: slice) -> "Traffic":
-        return Traffic(
-            ids=self.ids,
-            position=np.ascontiguousarray(self.position[:, span]),
-            heading=np.ascontiguousarray(self.heading[:, span]),
-            velocity=np.ascontiguousarray(self.velocity[:, span]),
-            present=np.ascontiguousarray(self.present[:, span]),
-            length_m=self.length_m,
-            width_m=self.width_m,
-        )
+        part: dict[str, Any] = {name: np.ascontiguousarray(getattr(self, name)[:, span]) for name in _BY_STEP}
+        return Traffic(self.ids, length_m=self.length_m, width_m=self.width_m, **part)
 
     def rows(self, rows: Sequence[int]) -> "Traffic":
         """Some of the agents."""
         index = np.asarray(rows, dtype=np.int64)
-        return Traffic(
-            ids=tuple(self.ids[row] for row in rows),
-            position=self.position[index],
-            heading=self.heading[index],
-            velocity=self.velocity[index],
-            present=self.present[index],
-            length_m=self.length_m[index],
-            width_m=self.width_m[index],
-        )
+        return Traffic(tuple(self.ids[row] for row in rows), **{one: getattr(self, one)[index] for one in _BY_AGENT})
 
     def without(self, track_id: str) -> "Traffic":
         """All agents but one; what is known of them on paths stays known."""
@@ -95,32 +83,19 @@ class Traffic:
         """The same, and beyond the last step so many more at constant velocity, of those that are there then."""
         ahead = step_s * np.arange(1, steps + 1)[None, :, None]
         last = self.num_steps - 1
-        there = np.repeat(self.present[:, last:], steps, axis=1)
-        return Traffic(
-            ids=self.ids,
-            position=np.concatenate([self.position, self.position[:, last:] + ahead * self.velocity[:, last:]], axis=1),
-            heading=np.concatenate([self.heading, np.repeat(self.heading[:, last:], steps, axis=1)], axis=1),
-            velocity=np.concatenate([self.velocity, np.repeat(self.velocity[:, last:], steps, axis=1)], axis=1),
-            present=np.concatenate([self.present, there], axis=1),
-            length_m=self.length_m,
-            width_m=self.width_m,
-        )
+        on: dict[str, Any] = {name: np.repeat(getattr(self, name)[:, last:], steps, axis=1) for name in _BY_STEP}
+        on["position"] = self.position[:, last:] + ahead * self.velocity[:, last:]
+        on = {name: np.concatenate([getattr(self, name), then], axis=1) for name, then in on.items()}
+        return Traffic(self.ids, length_m=self.length_m, width_m=self.width_m, **on)
 
     def joined(self, *others: "Traffic") -> "Traffic":
         """Agents of all, self first."""
         every = [traffic for traffic in (self, *others) if traffic.ids]
         if len(every) <= 1:
             return every[0] if every else self
-        return Traffic(
-            ids=tuple(track_id for traffic in every for track_id in traffic.ids),
-            position=np.concatenate([traffic.position for traffic in every]),
-            heading=np.concatenate([traffic.heading for traffic in every]),
-            velocity=np.concatenate([traffic.velocity for traffic in every]),
-            present=np.concatenate([traffic.present for traffic in every]),
-            length_m=np.concatenate([traffic.length_m for traffic in every]),
-            width_m=np.concatenate([traffic.width_m for traffic in every]),
-            extends=every[0],
-        )
+        ids = tuple(track_id for traffic in every for track_id in traffic.ids)
+        arrays: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in every]) for name in _BY_AGENT}
+        return Traffic(ids, extends=every[0], **arrays)
 
 
 def traffic_of(
@@ -149,14 +124,15 @@ def traffic_of(
         heading[row, first : last + 1] = angle
         present[row, first : last + 1] = True
         velocity[row, first : last + 1] = speeds_of(xy, step_s)
+    sizes = np.array([covering(track) for track in tracks], dtype=np.float64).reshape(-1, 2)
     return Traffic(
         ids=tuple(track.track_id for track in tracks),
         position=position,
         heading=heading,
         velocity=velocity,
         present=present,
-        length_m=np.array([covering(track).length_m for track in tracks]),
-        width_m=np.array([covering(track).width_m for track in tracks]),
+        length_m=sizes[:, 0].copy(),
+        width_m=sizes[:, 1].copy(),
     )
 
 

@@ -12,8 +12,8 @@ import pytest
 from processes import still_running
 
 from bridge.batch.batch import GENERATE
-from bridge.batch.engine import Settings, Task, execute_here, run_task, work_on_each
-from bridge.batch.isolation import Failure, FailureKind, WorkFailedError
+from bridge.batch.engine import Task, execute_here, run_task, work_on_each
+from bridge.batch.isolation import Failure, FailureKind, Settings, WorkFailedError
 from netconvert.errors import BatchError
 
 TASKS = [Task(f"t{k}", "faults:numbers", "", (10 * k, 10 * k + 1)) for k in range(6)]

@@ -11,12 +11,12 @@ import psutil
 import pytest
 from processes import still_running
 
-from bridge.batch.isolation import IsolatedProcess, WorkFailedError
+from bridge.batch.isolation import IsolatedProcess, Settings, WorkFailedError
 
 
 @pytest.fixture
 def process() -> Iterator[IsolatedProcess]:
-    made = IsolatedProcess(timeout_s=2.0)
+    made = IsolatedProcess(Settings(timeout_s=2.0))
     yield made
     made.close()
 
@@ -97,7 +97,7 @@ def test_stopped_process_is_killed_after_its_time(process: IsolatedProcess) -> N
 
 
 def test_process_is_replaced_after_so_many_calls() -> None:
-    process = IsolatedProcess(timeout_s=2.0, recycle_after=2)
+    process = IsolatedProcess(Settings(timeout_s=2.0, recycle_after=2))
     pids = [next(iter(list(process.stream("faults:numbers", "", (1,)))))[2] for _ in range(5)]
     process.close()
     assert pids[0] == pids[1]
@@ -112,8 +112,8 @@ def test_child_leaves_when_its_caller_is_killed(tmp_path) -> None:
     script = (
         "import sys, time\n"
         f"sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
-        "from bridge.batch.isolation import IsolatedProcess\n"
-        "p = IsolatedProcess(timeout_s=60)\n"
+        "from bridge.batch.isolation import IsolatedProcess, Settings\n"
+        "p = IsolatedProcess(Settings(timeout_s=60))\n"
         "list(p.stream('faults:numbers', '', (1,)))\n"
         "print(p.pid, flush=True)\n"
         "time.sleep(60)\n"

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from bridge.recordings.scenario import STEP_S, read_scenario
-from hid2.conflicts.signals import InferredSignals, signalled_rows
+from hid2.conflicts.signals import SIGNALLED_TYPES, InferredSignals
 from hid2.occupancy.traffic import traffic_of
 from hid2.params import Signals
 from netconvert.cells import build_cell_grid
@@ -16,8 +16,7 @@ def test_recorded_vehicles_hardly_ever_enter_on_red(real_scenes: list[Path]) -> 
     entries = on_red = red_lanes = 0
     for folder in real_scenes:
         scenario = read_scenario(folder)
-        rows = signalled_rows([track.object_type for track in scenario.tracks])
-        tracks = [scenario.tracks[row] for row in rows]
+        tracks = [track for track in scenario.tracks if track.object_type in SIGNALLED_TYPES]
         traffic = traffic_of(tracks, scenario.num_steps, step_s=STEP_S)
         signals = InferredSignals(build_cell_grid(scenario.graph), traffic, Signals(), STEP_S)
         for lane_id in scenario.graph.lanes:

@@ -13,6 +13,7 @@ from bridge.evaluation.totals import Diversity, ManeuverCounts, Samples, SourceS
 from bridge.pages.charts import diversity_figure
 from hid2.agents import Policy
 from hid2.evaluation.critics import WIDTH
+from hid2.evaluation.realism import FEATURES, GENERATED, RECORDED
 from hid2.measures.manoeuvres import ManeuverKind
 
 COLUMNS = ("hits", "rows")
@@ -146,8 +147,8 @@ def test_before_holds_each_source_once_whether_it_is_measured_itself_or_not(meas
     for _ in measured_sources:
         totals.add_source(measured)
     # how recorded vehicles drive counts once for each source as well, how generated ones drive for each scene
-    for kind, times in (("recorded", 2), ("generated", 5)):
-        once, pooled = (int(getattr(each, kind)["speed"].sum()) for each in (measured.realism, totals.realism))
+    for kind, times in ((RECORDED, 2), (GENERATED, 5)):
+        once, pooled = (int(each.of(FEATURES[0])[kind].sum()) for each in (measured.realism, totals.realism))
         assert pooled == times * once > 0
     found = totals.content()["diversity"]
     assert found["scenes"] == {"before": 2, "after": 5}

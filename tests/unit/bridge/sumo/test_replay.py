@@ -107,7 +107,7 @@ def test_deviation_is_measured(net: Path) -> None:
     with Simulation(net, seed=0, step_s=0.1) as simulation:
         replay = Replay(simulation, _traffic(), "r", step_s=0.1)
         replay.place(0, {})
-        simulation.place("r3", 70.0 + 5.5 + 0.25, 0.4, 90.0)
+        simulation.place_all([("r3", 70.0 + 5.5 + 0.25, 0.4, 90.0, None)])
         simulation.step()
         replay.check(0)
     assert replay.errors.max_position_error_m == pytest.approx(0.25)

@@ -54,6 +54,11 @@ def _insert(sumo: Simulation, name: str, front_m: float, speed: float, *, lane_i
     )  # fmt: skip
 
 
+def _place(sumo: Simulation, x: float, y: float, angle_deg: float) -> None:
+    """The replayed vehicle r0 at a pose, on whatever lane is there."""
+    sumo.place_all([("r0", x, y, angle_deg, ("", -1))])
+
+
 def test_second_simulation_in_one_process_is_refused(sumo: Simulation, net: Path) -> None:
     with pytest.raises(SimulationError, match="already running"), Simulation(net, seed=0, step_s=0.1):
         pass
@@ -84,7 +89,7 @@ def test_rewound_simulation_is_as_good_as_a_fresh_one(net: Path) -> None:
         sumo.add_replayed("r0", length_m=4.5, width_m=1.9)
         speeds = []
         for step in range(40):
-            sumo.place("r0", 50.0 + 0.8 * step - 0.01 * step**2, 0.0, 90.0)
+            _place(sumo, 50.0 + 0.8 * step - 0.01 * step**2, 0.0, 90.0)
             sumo.step()
             if step == 0:
                 assert _insert(sumo, "v1", 20.0, 11.0) is None
@@ -173,7 +178,7 @@ def test_car_following_stays_below_a_desired_speed(sumo: Simulation) -> None:
     sumo.add_replayed("r0", length_m=4.5, width_m=1.9)
     _insert(sumo, "v1", 10.0, 8.0)
     for _ in range(200):
-        sumo.place("r0", 62.0, 0.0, 90.0)
+        _place(sumo, 62.0, 0.0, 90.0)
         sumo.drive("v1", desired_mps=12.0, limit_mps=12.0)
         sumo.step()
     front = sumo.poses(["v1"])[0][0]
@@ -196,10 +201,10 @@ def test_lane_change_is_instant_and_keeps_the_route(sumo: Simulation) -> None:
 def test_unsafe_lane_change_is_refused(sumo: Simulation) -> None:
     """A vehicle that stands right beside: nothing happens, nobody is touched."""
     sumo.add_replayed("r0", length_m=4.5, width_m=1.9)
-    sumo.place("r0", 24.0, 3.5, 90.0)
+    _place(sumo, 24.0, 3.5, 90.0)
     sumo.step()
     _insert(sumo, "v1", 22.25, 0.0)
-    sumo.place("r0", 24.0, 3.5, 90.0)
+    _place(sumo, 24.0, 3.5, 90.0)
     sumo.drive("v1", desired_mps=12.0, limit_mps=0.0)
     sumo.change_lane("v1", 1, edges=EDGES[5:])
     sumo.step()
@@ -227,7 +232,7 @@ def test_replayed_vehicle_stays_where_it_is_put_and_goes_when_removed(sumo: Simu
     """On the lane, beside the road, across it: SUMO has it exactly there."""
     sumo.add_replayed("r0", length_m=4.5, width_m=1.9)
     for pose in ((30.0, 0.0, 90.0), (30.4, -9.0, 12.5), (31.0, 1.75, 180.0)):
-        sumo.place("r0", *pose)
+        _place(sumo, *pose)
         sumo.step()
         assert sumo.poses(["r0"])[0] == pytest.approx(pose)
     sumo.remove("r0")
@@ -266,7 +271,7 @@ def test_gap_behind_a_replayed_vehicle_is_what_its_expected_deceleration_asks_fo
         sumo.add_replayed("r0", length_m=4.5, width_m=1.9)
         for step in range(120):
             front = 30.0 + 0.5 * step
-            sumo.place("r0", front, 0.0, 90.0)
+            _place(sumo, front, 0.0, 90.0)
             sumo.step()
             if step == 0:
                 assert sumo.insert(

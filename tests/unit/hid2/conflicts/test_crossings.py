@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hid2.conflicts.crossings import CrossingOnPath, PedestrianCrossings, crossing_rows
+from hid2.conflicts.crossings import CrossingOnPath, PedestrianCrossings
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Crossings
@@ -96,8 +96,3 @@ def test_whoever_is_absent_is_not_on_the_crossing(look, box) -> None:
 def test_what_is_found_is_kept(straight_path: DrivenPath, box) -> None:
     crossings = PedestrianCrossings((QUAD,), box(101.5, 0.0, UP, 0.0), PARAMS, 0.1)
     assert crossings.on(straight_path, width_m=2.0) is crossings.on(straight_path, width_m=2.0)
-
-
-def test_who_uses_crossings() -> None:
-    kinds = ["vehicle", "pedestrian", "cyclist", "static", "riderless_bicycle", "motorcyclist"]
-    assert crossing_rows(kinds).tolist() == [1, 2, 4]

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from hid2.conflicts.signals import InferredSignals, signalled_rows
+from hid2.conflicts.signals import InferredSignals
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Signals
 from netconvert.cells import build_cell_grid
@@ -163,12 +163,6 @@ def test_only_lanes_that_are_entered_from_outside_have_an_entrance(lane, box) ->
     assert scene.red(9) is None
     assert scene.red(11) is None
     assert scene.enters(11) is None
-
-
-def test_who_obeys_signals() -> None:
-    kinds = ["pedestrian", "vehicle", "static", "cyclist", "bus", "riderless_bicycle", "motorcyclist"]
-    assert signalled_rows(kinds).tolist() == [1, 3, 4, 6]
-    assert signalled_rows([]).tolist() == []
 
 
 def test_an_empty_road_is_green(signals, box) -> None:
