@@ -155,11 +155,13 @@ def _states(scene: Scene, track: Track) -> AgentStates:
 
 
 def _is_clear(scene: Scene, states: AgentStates, track: Track) -> bool:
-    """Whether the judge finds nothing on the last agent's box, on the road below it, and at its end."""
+    """Whether the judge finds nothing on the last agent's box, on the road below it, and at its end and others'."""
     row, bounds = states.arrays.num_agents - 1, Bounds(scene.config.limits, scene.config.conflict)
+    inserted = np.flatnonzero(states.arrays.generated[:row]).tolist()
     found = [
         *of_boxes(states, row, np.arange(row), spare_m=0.0), *of_end(states, row, np.arange(row), bounds),
         *of_road(states, row, track.size, scene.grid.graph, bounds),
+        *(one for other in inserted for one in of_end(states, other, np.array([row]), bounds)),
     ]  # fmt: skip
     return not found
 

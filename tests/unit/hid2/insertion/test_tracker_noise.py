@@ -10,7 +10,9 @@ from scipy.signal import savgol_filter
 
 from hid2.agents import BoxSize, Track
 from hid2.insertion.tracker_noise import tracker_errors, with_noise
-from hid2.judge.findings import NOISE_BOUNDS
+from hid2.judge.findings import NOISE_BOUNDS, Bounds
+from hid2.judge.states import of_end
+from hid2.occupancy.agent_states import agent_states
 from hid2.scene import Scene
 from netconvert.lane_graph import LaneGraph
 
@@ -113,3 +115,19 @@ def test_noise_depends_on_seed_and_vehicle_alone(scene_of: Callable[..., Scene])
     first, again, other = _noise(scene, clean)[0], _noise(scene, clean)[0], _noise(scene, clean, seed=1)[0]
     assert (first.velocity == again.velocity).all()
     assert (first.velocity != other.velocity).any()
+
+
+def test_no_vehicle_ends_with_a_contact_by_the_noise_of_one_ahead(scene_of: Callable[..., Scene]) -> None:
+    """Both drive 10 m/s, 10 m apart. Ends the leader at a stated 3.5 m/s, its follower meets it though it brakes.
+
+    Within 1.54 s, of which it reacts for 1; then 3.5 m are left, and 3 m/s2 take 6.5^2 / 6 = 7 m.
+    """
+    loud = _tracked(_moving("1", y=3.5), faster=6.4)
+    scene = scene_of(loud)
+    follower, leader = _moving("gen_0"), _moving("gen_1", x=34.5)
+    for seed in range(12):
+        noisy = _noise(scene, follower, leader, seed=seed)
+        states = agent_states(
+            noisy, scene.states.lanes, num_steps=110, step_s=0.1, is_inserted=lambda _: True
+        )  # fmt: skip
+        assert not [*of_end(states, 0, np.array([1]), Bounds()), *of_end(states, 1, np.array([0]), Bounds())], seed
