@@ -21,6 +21,8 @@ from hid2.reasons import Reason
 from hid2.scene import clearance_box
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 
+_BRAKES_S = 2.5  # braking that is asked for lasts so long; no tunable: until about 20 km/h slower than before
+
 #: Of each driver so many beginnings are looked at, and the first that is free is taken; a place is left out where so
 #: many drivers in a row cannot begin; of so many the fastest is to overtake, the quickest to cut in. No tunables.
 _DRAWS, _NOT_BEGUN, _ASKED = 32, 20, 10
@@ -181,10 +183,10 @@ class EventStarts(Starts):
 
         SUMO takes a wish for the most that a vehicle may drive, and brakes for one that falls.
         """
-        search, brakes_mps2 = self.scene.config.event_search, self.objective.event.brakes_mps2
+        brakes_mps2 = self.objective.event.brakes_mps2
         since_s = self.scene.step_s * np.arange(start.desired.size - step)
         falling = np.maximum(speed_mps - brakes_mps2 * since_s, _CREEPS_MPS)
-        wish = np.where(since_s < search.brakes_s, falling, start.desired[step:])
+        wish = np.where(since_s < _BRAKES_S, falling, start.desired[step:])
         driver = replace(start.driver, decel_mps2=max(start.driver.decel_mps2, brakes_mps2))
         return replace(start, desired=np.concatenate([start.desired[:step], wish]), driver=driver)
 
