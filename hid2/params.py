@@ -121,24 +121,16 @@ class Grid(_Section):
 class Spawn(_Section):
     """Insertion into free cells."""
 
-    prior_speed_mps: float = _param(
-        9.0, "m/s", "median moving speed on urban AV2 lanes; where the scene has none", gt=0, le=40
-    )
+    prior_speed_mps: float = _param(9.0, "m/s", "speed of traffic where the scene has none; AV2's median", gt=0, le=40)
     min_speed_mps: float = _param(4.0, "m/s", "slowest desired speed drawn", ge=0, le=40)
-    max_speed_mps: float = _param(
-        20.0, "m/s", "fastest desired speed drawn; where it is above 20, the speed limit of the lanes", gt=0, le=50
-    )
-    speed_sd: float = _param(
-        0.08, "share", "standard deviation of the start speed around the desired one", ge=0, le=0.5
-    )
+    max_speed_mps: float = _param(20.0, "m/s", "fastest desired speed drawn; above 20, lanes' limit too", gt=0, le=50)
+    speed_sd: float = _param(0.08, "share", "SD of the start speed around the desired one", ge=0, le=0.5)
     clear_gap_m: float = _param(2.0, "m", "smallest bumper gap at the start", ge=0.5, le=50)
     rounds: int = _param(12, "rounds", "simulations run to reach the requested count", ge=1, le=50)
     slow_leader_share: tuple[Annotated[float, Field(gt=0, le=1)], Annotated[float, Field(gt=0, le=1)]] = _param(
         (0.5, 0.7), "share", "desired speed of an added leader over the usual one of its lane, uniform between"
     )
-    reseed_rounds: int = _param(
-        2, "rounds", "a manoeuvre that did not come about is given to another vehicle elsewhere so often", ge=0, le=20
-    )
+    reseed_rounds: int = _param(2, "rounds", "times a failed manoeuvre is given to another vehicle", ge=0, le=20)
 
     @model_validator(mode="after")
     def _check(self) -> "Spawn":
@@ -153,22 +145,12 @@ class Drivers(_Section):
     """How people drive: what each inserted vehicle's driver is drawn from."""
 
     desired_sd: float = _param(0.12, "share", "SD of the desired speed around that of the lane's traffic", ge=0, le=0.5)
-    wander_sd_mps: float = _param(
-        0.7,
-        "m/s",
-        "SD of the slow wandering of the desired speed (Ornstein-Uhlenbeck): a = 0.25 to 0.4 m/s2",
-        ge=0,
-        le=3,
-    )
+    wander_sd_mps: float = _param(0.7, "m/s", "SD of the desired speed's wandering (Ornstein-Uhlenbeck)", ge=0, le=3)
     wander_time_s: float = _param(3.0, "s", "correlation time of that wandering", gt=0, le=30)
     tau_mean_s: float = _param(1.15, "s", "time gap; usual 0.9 to 1.5", ge=0.5, le=4)
     tau_sd_s: float = _param(0.25, "s", "its SD between drivers", ge=0, le=2)
     accel_mean_mps2: float = _param(
-        1.85,
-        "m/s2",
-        "acceleration from standstill; 95 % of recorded accelerations are below 1.45, of inserted vehicles' below 1.20",
-        gt=0,
-        le=2.4,
+        1.85, "m/s2", "acceleration from standstill; 95 % of recorded ones are below 1.45", gt=0, le=2.4
     )
     accel_sd_mps2: float = _param(0.35, "m/s2", "its SD between drivers", ge=0, le=1)
     decel_mean_mps2: float = _param(2.2, "m/s2", "comfortable deceleration", gt=0, le=4.05)
@@ -176,43 +158,21 @@ class Drivers(_Section):
     min_gap_mean_m: float = _param(2.2, "m", "gap kept to a standing leader (SUMO minGap)", ge=0.5, le=10)
     min_gap_sd_m: float = _param(0.4, "m", "its SD between drivers", ge=0, le=3)
     turn_lateral_min_mps2: float = _param(
-        1.5, "m/s2", "lateral acceleration taken in turns, uniform from here", gt=0, le=4.89
+        1.5, "m/s2", "lateral acceleration in turns, uniform from here", gt=0, le=4.89
     )
     turn_lateral_max_mps2: float = _param(3.0, "m/s2", "to here (comfort ends at 3)", gt=0, le=4.89)
-    offset_mean_m: float = _param(
-        0.1,
-        "m",
-        "mean place in the lane, left positive: away from the kerb and parked cars; measured: 0.10",
-        ge=-1,
-        le=1,
-    )
-    offset_sd_m: float = _param(
-        0.39, "m", "SD between vehicles of the mean place in the lane; measured, robust: 0.39", ge=0, le=1
-    )
+    offset_mean_m: float = _param(0.1, "m", "mean place in the lane, left positive; measured", ge=-1, le=1)
+    offset_sd_m: float = _param(0.39, "m", "SD between vehicles of the place in the lane; measured", ge=0, le=1)
     offset_lane_share: float = _param(
         0.85, "share", "of its variance that is the lane's: where recorded vehicles drive, they tell it; measured: on "
         "one lane 0.24 m, wandering included", ge=0, le=1,
     )  # fmt: skip
     lateral_wander_sd_m: float = _param(
-        0.33,
-        "m",
-        "SD of the wandering about that place, of the median driver; measured (hid2 calibrate): 0.24 to 0.46",
-        ge=0,
-        le=0.5,
+        0.33, "m", "median driver's SD of wandering about it; measured: 0.24 to 0.46", ge=0, le=0.5
     )
-    lateral_wander_spread: float = _param(
-        0.8, "-", "SD between drivers of its logarithm: some hold the lane, some weave; measured", ge=0, le=1.5
-    )
-    lateral_wander_time_s: float = _param(
-        2.2, "s", "its correlation time at the desired speed; measured (hid2 calibrate): 1.5 to 3.4", gt=0, le=30
-    )
-    lane_change_mean_s: float = _param(
-        5.0,
-        "s",
-        "duration of a lane change, between the moments at which |d'| passes .1 m/s; as recorded",
-        ge=1.5,
-        le=15,
-    )
+    lateral_wander_spread: float = _param(0.8, "-", "SD between drivers of its logarithm; measured", ge=0, le=1.5)
+    lateral_wander_time_s: float = _param(2.2, "s", "its correlation time; measured: 1.5 to 3.4", gt=0, le=30)
+    lane_change_mean_s: float = _param(5.0, "s", "duration of a lane change, while |d'| is above .1 m/s", ge=1.5, le=15)
     lane_change_sd_s: float = _param(0.9, "s", "its SD between drivers", ge=0, le=4)
     reaction_s: float = _param(0.5, "s", "EIDM treaction", ge=0.1, le=3)
     error: float = _param(0.1, "-", "EIDM sigmaerror, driving error", ge=0, le=1)
@@ -228,18 +188,10 @@ class LaneChange(_Section):
     min_remaining_m: float = _param(25.0, "m", "length of l' left, through its successors", ge=0, le=500)
     give_up_s: float = _param(6.0, "s", "from the trigger on, the request ends after this", ge=0, le=60)
     min_duration_s: float = _param(
-        3.7,
-        "s",
-        "shortest lane change, as lane_change_mean_s: no driver crosses a lane faster than 1.3 m/s",
-        ge=1.5,
-        le=10,
+        3.7, "s", "shortest lane change, as lane_change_mean_s: at most 1.3 m/s", ge=1.5, le=10
     )
-    max_duration_s: float = _param(
-        6.0, "s", "longest lane change that a driver wants; driven ones end up to half a second later", ge=1.5, le=15
-    )
-    heading_deg: float = _param(
-        9.5, "deg", "to the lane at most, so that slow vehicles take longer; smoothing adds half a degree", gt=0, le=45
-    )
+    max_duration_s: float = _param(6.0, "s", "longest lane change that a driver wants", ge=1.5, le=15)
+    heading_deg: float = _param(9.5, "deg", "to the lane at most, so that slow vehicles take longer", gt=0, le=45)
     rule: Literal["paper", "MOBIL", "LC2013"] | Annotated[str, Field(pattern=_FUNCTION)] = _param(
         "paper", "-", "what decides whether a gap is taken; module:function names one of your own"
     )
@@ -301,12 +253,10 @@ class Conflict(_Section):
     margin_lateral_m: float = _param(0.1, "m", "added to each side of a box", ge=0, le=2)
     ttc_min_s: float = _param(1.5, "s", "critical TTC (SSAM)", ge=0, le=5)
     follower_ttc_min_s: float = _param(
-        1.5, "s", "TTC kept to recorded vehicles behind, which do not brake for inserted ones", ge=0, le=10
+        1.5, "s", "TTC kept to recorded vehicles behind, which do not brake", ge=0, le=10
     )
     pet_min_s: float = _param(1.0, "s", "critical PET, kept to all agents on crossing paths", ge=0, le=5)
-    end_ttc_min_s: float = _param(
-        1.0, "s", "smallest TTC at the last step, all agents at constant velocity", ge=0, le=5
-    )
+    end_ttc_min_s: float = _param(1.0, "s", "smallest TTC at the last step, at constant velocities", ge=0, le=5)
 
 
 class Signals(_Section):
@@ -338,9 +288,7 @@ class Flow(_Section):
     """Traffic that enters at the edges of the map while the scene runs: in studies (`hid2 study`)."""
 
     veh_per_h_lane: float = _param(0.0, "veh/h", "flow on each lane that begins at the map's edge", ge=0, le=3000)
-    min_headway_s: float = _param(
-        1.2, "s", "headways are exponential beyond this (shifted exponential, Cowan's M2)", ge=0, le=10
-    )
+    min_headway_s: float = _param(1.2, "s", "headways are exponential beyond this (Cowan's M2)", ge=0, le=10)
     warm_up_s: float = _param(30.0, "s", "requests before this are not counted", ge=0, le=3600)
 
     @property
@@ -366,9 +314,7 @@ class Limits(_Section):
 class Smoothing(_Section):
     """Frenet smoothing: s(t), d(t) piecewise cubics."""
 
-    filter_s: float = _param(
-        0.3, "s", "standard deviation of the Gaussian that takes SUMO's steps out of the speed", gt=0, le=2
-    )
+    filter_s: float = _param(0.3, "s", "SD of the Gaussian that takes SUMO's steps out of the speed", gt=0, le=2)
 
 
 Band = tuple[float, float]
@@ -477,8 +423,7 @@ class Config(_Section):
         json_schema_extra={"unit": "-", "source": "events, a section [[event]] each; see hid2 generate --event"},
     )
     without: frozenset[Literal["topology", "collision", "smoothing"]] = Field(
-        default=frozenset(),
-        json_schema_extra={"unit": "-", "source": "paper, Table ablation: components switched off"},
+        default=frozenset(), json_schema_extra={"unit": "-", "source": "paper, Table ablation: components switched off"}
     )
 
 
@@ -496,16 +441,10 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
 class Forecasting(_Section):
     """The forecasting experiment (`bridge/forecasting`). No part of `Config`: no scene depends on it."""
 
-    place_cell_m: float = _param(
-        50.0, "m", "scenes with lanes through the same square of this size overlap", gt=1, le=500
-    )
+    place_cell_m: float = _param(50.0, "m", "scenes with lanes through one square of this size overlap", gt=1, le=500)
     block_m: float = _param(1000.0, "m", "scenes with maps centred in one square of this size are split as one", gt=1)
-    density_bounds: tuple[int, ...] = _param(
-        (30, 50, 70, 90), "tracks", "strata of density; paper's bands and one below"
-    )
+    density_bounds: tuple[int, ...] = _param((30, 50, 70, 90), "tracks", "strata of density; the paper's and one below")
     resamples: int = _param(4000, "-", "draws of the bootstrap over scenes and seeds", ge=100, le=100_000)
-    variants: int = _param(
-        8, "scenes", "scenes generated of each recorded one in `hid2 paper prediction`", ge=1, le=1000
-    )
+    variants: int = _param(8, "scenes", "scenes of each recorded one in `hid2 paper prediction`", ge=1, le=1000)
     val_share: float = _param(0.3, "share", "scenes kept for validation in `hid2 paper prediction`", gt=0, lt=1)
     updates: int = _param(300, "-", "updates of a training, the same for every composition", ge=1)
