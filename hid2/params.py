@@ -125,19 +125,13 @@ class Spawn(_Section):
     min_speed_mps: float = _param(4.0, "m/s", "slowest desired speed drawn", ge=0, le=40)
     max_speed_mps: float = _param(20.0, "m/s", "fastest desired speed drawn; above 20, lanes' limit too", gt=0, le=50)
     speed_sd: float = _param(0.08, "share", "SD of the start speed around the desired one", ge=0, le=0.5)
-    clear_gap_m: float = _param(2.0, "m", "smallest bumper gap at the start", ge=0.5, le=50)
     rounds: int = _param(12, "rounds", "simulations run to reach the requested count", ge=1, le=50)
-    slow_leader_share: tuple[Annotated[float, Field(gt=0, le=1)], Annotated[float, Field(gt=0, le=1)]] = _param(
-        (0.5, 0.7), "share", "desired speed of an added leader over the usual one of its lane, uniform between"
-    )
     reseed_rounds: int = _param(2, "rounds", "times a failed manoeuvre is given to another vehicle", ge=0, le=20)
 
     @model_validator(mode="after")
     def _check(self) -> "Spawn":
         if self.prior_speed_mps > self.max_speed_mps:
             raise ValueError(f"prior_speed_mps {self.prior_speed_mps:g} is above max_speed_mps {self.max_speed_mps:g}")
-        if self.slow_leader_share[1] < self.slow_leader_share[0]:
-            raise ValueError(f"slow_leader_share {list(self.slow_leader_share)}, expected the smaller share first")
         return self
 
 
@@ -192,6 +186,7 @@ class LaneChange(_Section):
     )
     max_duration_s: float = _param(6.0, "s", "longest lane change that a driver wants", ge=1.5, le=15)
     heading_deg: float = _param(9.5, "deg", "to the lane at most, so that slow vehicles take longer", gt=0, le=45)
+    min_speed_mps: float = _param(2.0, "m/s", "slower vehicles cannot shift a lane in time", ge=0, le=20)
     rule: Literal["paper", "MOBIL", "LC2013"] | Annotated[str, Field(pattern=_FUNCTION)] = _param(
         "paper", "-", "what decides whether a gap is taken; module:function names one of your own"
     )

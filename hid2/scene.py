@@ -24,6 +24,9 @@ from netconvert.cells import Cell, CellGrid
 _USUAL_FROM_M, _USUAL_FROM_S = 5.0, 1.0
 #: A vehicle that enters at the map's edge stays at least so long, s. No tunable: shorter tracks tell no behaviour.
 ENTRY_STAYS_S = 3.0
+#: Desired speed of an added leader over the usual one of its lane, uniform between. No tunable: never a crawl on a free
+#: road, and no leader that is not worth an overtake.
+SLOW_LEADER_SHARE = 0.5, 0.7
 #: Kept to a box that crosses or stands ahead, m. No tunable: a bumper's length, a time is what PET and TTC keep.
 _MARGIN_FRONT_M = 1.0
 
@@ -191,9 +194,7 @@ class Scene:
     def lane_speed(self, lane_id: int, rng: np.random.Generator) -> float:
         """Speed of a vehicle of a lane's traffic, m/s; no slower than the slowest leader that is added: none crawls."""
         pool = self._speeds_on(lane_id)
-        return max(
-            pool[int(rng.integers(len(pool)))], self.config.spawn.slow_leader_share[0] * self.usual_speed(lane_id)
-        )
+        return max(pool[int(rng.integers(len(pool)))], SLOW_LEADER_SHARE[0] * self.usual_speed(lane_id))
 
 
 def build_scene(

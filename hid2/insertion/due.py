@@ -10,7 +10,6 @@ from hid2.drivers.driver import free_speeds
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import LaneOption, Observation, Side, decide
-from hid2.policy.lane_change import MIN_SPEED_MPS
 from hid2.policy.observation import gap_ahead_of, lane_options, lay_across, leader_on, own_gaps, returns_to
 from hid2.policy.overtake import SHIFT_RATIO, Leader, Stage
 from hid2.policy.rules import SumoAnswer
@@ -57,7 +56,7 @@ def foreseen_speeds(vehicle: DrivenVehicle, scene: Scene, now: int) -> FloatArra
     """(M,) m/s of a vehicle at the steps to come: up to its wish on a free road."""
     start = vehicle.start
     free = free_speeds(start.driver, start.desired[now:], speed_mps=vehicle.v[-1], step_s=scene.step_s)
-    return np.maximum(free, MIN_SPEED_MPS)
+    return np.maximum(free, scene.config.lane_change.min_speed_mps)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -8,7 +8,7 @@ import numpy as np
 from hid2.agents import Policy
 from hid2.insertion.meetings import LEADER_WEIGHT
 from hid2.insertion.spread import Spread
-from hid2.insertion.starts import SLOWEST_SHARE, STANDING_MPS, Starts, speed_behind
+from hid2.insertion.starts import CLEAR_GAP_M, SLOWEST_SHARE, STANDING_MPS, Starts, speed_behind
 from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.gaps import gaps_from_pose
 from hid2.occupancy.traffic import Traffic
@@ -75,7 +75,7 @@ def entry_speed(start: Start, fleet: Traffic, config: Config, *, step_s: float) 
     seen, speed = gaps_from_pose(xy[0], tangent[0], start.box, later), start.start_mps
     for row in np.flatnonzero((seen.aside_m < config.conflict.margin_lateral_m) & fleet.present[:, 0]).tolist():
         gap, other_mps, leads = float(seen.gap_m[row]), float(seen.along_mps[row]), seen.along_m[row] > 0.0
-        if gap < config.spawn.clear_gap_m or (not leads and gap < _ENTRY_GAP_S * other_mps):
+        if gap < CLEAR_GAP_M or (not leads and gap < _ENTRY_GAP_S * other_mps):
             return None
         if leads:
             speed = min(speed, float(speed_behind(gap, max(0.0, other_mps), start.driver)))

@@ -11,7 +11,7 @@ from hid2.drivers.driver import Driver, draw_driver
 from hid2.insertion.event_objective import Objective
 from hid2.insertion.event_places import Place
 from hid2.insertion.rollout import Foreseen, Rollout, World
-from hid2.insertion.starts import Starts
+from hid2.insertion.starts import CLEAR_GAP_M, Starts
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.gaps import gaps_on_path
 from hid2.occupancy.traffic import BoolArray
@@ -100,7 +100,7 @@ class EventStarts(Starts):
         freely = np.where(rng.random(_DRAWS) < 0.5, 1.0, rng.random(_DRAWS))  # share of the time in which it is held up
         begin_s = np.interp(np.interp(s, cells, time_s) - freely * at * scene.step_s, time_s, cells, left=-1.0)
         near = gaps_on_path(self.world.known_on(place.path, self._box), begin_s, 0)
-        clear = np.minimum(near.lead_m, near.lag_m) >= scene.config.spawn.clear_gap_m
+        clear = np.minimum(near.lead_m, near.lag_m) >= CLEAR_GAP_M
         clear &= (begin_s > 0.5 * self._box.length_m) & (s < place.path.exit_s)
         if not clear.any():
             return Reason.NO_SITE

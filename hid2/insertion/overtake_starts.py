@@ -14,7 +14,7 @@ import numpy as np
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray
 from hid2.drivers.driver import Driver, draw_driver
 from hid2.insertion.routes import RouteOffer
-from hid2.insertion.starts import BEGIN_BRAKING_MPS2, DRIVERS, Starts, speed_behind
+from hid2.insertion.starts import BEGIN_BRAKING_MPS2, CLEAR_GAP_M, DRIVERS, Starts, speed_behind
 from hid2.insertion.surroundings import Surroundings
 from hid2.kernels.polyline import frenet
 from hid2.measures.manoeuvres import PARKED_MPS
@@ -27,7 +27,7 @@ from hid2.policy.decision import Side
 from hid2.policy.observation import admissible_neighbor
 from hid2.policy.overtake import SHIFT_RATIO, shortest_shift_s
 from hid2.reasons import Reason
-from hid2.scene import clearance_box
+from hid2.scene import SLOW_LEADER_SHARE, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 
 #: Not parameters, they save time: routes on which places are looked for, drawn on each, and rolled out at most.
@@ -213,7 +213,7 @@ class OvertakeStarts:
     def _behind_added(self, way: _Way, driver: Driver) -> _Drawn:
         """Behind leaders at some share of the lane's usual speed."""
         scene, rng = self.here.scene, self.starts.rng
-        share = rng.uniform(*scene.config.spawn.slow_leader_share, size=_DRAWS)
+        share = rng.uniform(*SLOW_LEADER_SHARE, size=_DRAWS)
         slow_mps = np.maximum(_SLOWEST_MPS, share * self.here.scene.usual_speed(way.lane_id))
         slow_mps = slow_mps[slow_mps < driver.desired_mps - scene.config.overtake.speed_advantage_mps]
         gap_m = self._gap_m(driver, slow_mps)
@@ -238,9 +238,7 @@ class OvertakeStarts:
             return motions
         s, out_m, across_m = motions.s, motions.out_m, motions.across_m
         own, beside = (self.starts.world.known_on(path, self._box) for path in (way.path, way.beside))
-        met = _taken(own, looks, s, room_m=self.here.scene.config.spawn.clear_gap_m) & (
-            (out_m < _CROSSED * across_m) | (s > motions.back_s)
-        )
+        met = _taken(own, looks, s, room_m=CLEAR_GAP_M) & ((out_m < _CROSSED * across_m) | (s > motions.back_s))
         if motions.added:
             met |= _taken(own, looks, motions.leader, room_m=_HEADWAY_S * float(motions.leader_mps.max()))
         is_off = (out_m > 0.0) & (s < motions.back_s + _BACK * across_m)

@@ -27,7 +27,6 @@ from hid2.occupancy.agent_states import moving_vehicles
 from hid2.occupancy.along_path import PathOccupancy, path_occupancy
 from hid2.occupancy.shown import LEADS_FROM_M, SHOWN_M, Shown, shown_on
 from hid2.occupancy.traffic import Traffic
-from hid2.policy.lane_change import MIN_SPEED_MPS
 from hid2.policy.overtake import Stage
 from hid2.policy.roads import STRAIGHT, Roads
 from hid2.policy.rules import FORESEEN
@@ -281,7 +280,7 @@ class World:
                 over_m = part.path.shifts[-1][1] if part.path.shifts else 0.0
                 step = max(step + 1, part.step + int(np.searchsorted(part.s, over_m)))
                 continue
-            if vehicle.stage is Stage.WAITING and v < MIN_SPEED_MPS:  # no rule takes a gap
+            if vehicle.stage is Stage.WAITING and v < change.min_speed_mps:  # no rule takes a gap
                 vehicle.reason = Reason.TOO_SLOW
                 step += scene.steps_in(_LOOKS_S)
                 continue

@@ -15,7 +15,7 @@ from hid2.insertion.meetings import LEADER_WEIGHT
 from hid2.insertion.overtake_starts import OvertakeStarts
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.spread import Spread, by_weight
-from hid2.insertion.starts import Starts
+from hid2.insertion.starts import CLEAR_GAP_M, Starts
 from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.sigma import clear_places
 from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
@@ -186,7 +186,7 @@ class InsertionSites:
         self._looked[policy] += 1
         clear = np.ones(rows.size, dtype=np.bool_)
         if "collision" not in scene.config.without:  # most places of a full road; what is left is looked at on its path
-            usual, gap_m = DEFAULT_SIZES["vehicle"], scene.config.spawn.clear_gap_m
+            usual, gap_m = DEFAULT_SIZES["vehicle"], CLEAR_GAP_M
             clear = clear_places(scene.boxes, rows, share, self.starts.world.at_begin, box=usual, gap_m=gap_m)
         all_inside, turned_down = bool(inside.all()), self.turned_down.counts[policy]
         for place in order[np.lexsort((tier[order], inside[order]))].tolist():

@@ -31,6 +31,8 @@ from hid2.vehicle import Start, VehicleRequest
 # No tunables, how a vehicle begins: what a driver does on its way, and what saves looking in vain. A beginning at which
 # nothing is looked ahead holds if nothing is met so long, s; drivers that are drawn for a site; m from the way's begin.
 _HOLDS_S, DRIVERS, _FROM_EDGE_M = 3.0, 3, 0.5
+#: Smallest bumper gap at the start, m: what drivers keep standing.
+CLEAR_GAP_M = 2.0
 #: Slower than this it begins standing, m/s, and only so near behind one that stands, m; otherwise no slower than a
 #: share of the desired speed; it may have to brake so hard for its leader, m/s2.
 STANDING_MPS, _QUEUE_M, SLOWEST_SHARE, BEGIN_BRAKING_MPS2 = 0.3, 8.0, 0.25, 0.8
@@ -116,7 +118,7 @@ class Starts:
         start_s = path.to_line(s)
         if "collision" not in config.without:
             near = gaps_on_path(self.world.known_on(path, box), np.array([start_s]), step)
-            if min(near.lead_m[0], near.lag_m[0]) < config.spawn.clear_gap_m:
+            if min(near.lead_m[0], near.lag_m[0]) < CLEAR_GAP_M:
                 return Reason.NO_SITE
         flow_mps = 0.0
         if config.request.sites == "promising" and driver is None:
@@ -279,7 +281,7 @@ class Starts:
         xy, forward, _ = path.line.motion(np.array([s]))
         seen = gaps_from_pose(xy, forward, box, here)
         least_m = np.maximum(
-            config.spawn.clear_gap_m, config.conflict.follower_ttc_min_s * (seen.along_mps - speed_mps)
+            CLEAR_GAP_M, config.conflict.follower_ttc_min_s * (seen.along_mps - speed_mps)
         )  # fmt: skip
         near = (seen.aside_m < config.conflict.margin_lateral_m) & (seen.gap_m > -box.length_m)
         return bool(np.any(near & (seen.gap_m < least_m) & here.present[:, 0] & (seen.along_m < 0.0)))

@@ -7,9 +7,6 @@ from dataclasses import dataclass, field
 from hid2.params import LaneChange
 from hid2.reasons import Reason
 
-#: Slower vehicles cannot shift a lane in time, m/s: its heading is bounded (`heading_deg`). No tunable, that is.
-MIN_SPEED_MPS = 2.0
-
 
 @dataclass(frozen=True, slots=True)
 class Gap:

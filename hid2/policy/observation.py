@@ -16,7 +16,7 @@ from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path
 from hid2.occupancy.sigma import FREE, UNDER_SHARE, dwell_steps, is_anybody_on
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import LaneOption, Side
-from hid2.policy.lane_change import MIN_SPEED_MPS, OPEN, Gap
+from hid2.policy.lane_change import OPEN, Gap
 from hid2.policy.overtake import Leader
 from hid2.reasons import Reason
 from hid2.scene import DRIVABLE_TYPES, Scene
@@ -173,7 +173,7 @@ def lay_across(
     motion is no longer than the lane and the scene have room for, and no shorter than the shortest duration.
     """
     change, step_s = scene.config.lane_change, scene.step_s
-    speeds = np.maximum(speed_mps, MIN_SPEED_MPS)
+    speeds = np.maximum(speed_mps, change.min_speed_mps)
     driven = step_s * np.cumsum(speeds)
     beyond = max(0.0, _LENGTH_SHARE * remaining_m - float(driven[-1])) / float(speeds[-1])
     room_s = step_s * float(np.searchsorted(driven, _LENGTH_SHARE * remaining_m)) + beyond

@@ -14,7 +14,7 @@ from typing import Literal
 
 from hid2.drivers.driver import Driver
 from hid2.params import LaneChange
-from hid2.policy.lane_change import MIN_SPEED_MPS, OPEN, Gap, gap_refusals
+from hid2.policy.lane_change import OPEN, Gap, gap_refusals
 from hid2.reasons import Reason
 from netconvert.errors import ConfigError
 
@@ -85,7 +85,7 @@ def rule_refusals(view: GapView, params: LaneChange) -> tuple[Reason, ...]:
     imported, or answers otherwise than with True, False, or these by the names of its conditions.
     """
     found = []
-    if view.speed_mps < MIN_SPEED_MPS:
+    if view.speed_mps < params.min_speed_mps:
         found.append(Reason.TOO_SLOW)
     if view.remaining_m < params.min_remaining_m:
         found.append(Reason.LANE_ENDS)
@@ -145,7 +145,7 @@ def expected_reason(
     or faster, after all the waiting that there is, behind a leader half as fast. LC2013 is SUMO's and cannot be asked
     before SUMO drives: of it the preconditions on the map alone, speed, length of lane left and free cells.
     """
-    v = max(speed_mps, MIN_SPEED_MPS)
+    v = max(speed_mps, params.min_speed_mps)
     behind, free = Gap(driver.min_gap_m + driver.tau_s * v, 0.5 * v), min(front.distance_m, rear.distance_m) > 0.0
     view = replace(
         _FREE, time_s=params.give_up_s, waited_s=params.give_up_s, speed_mps=v,

@@ -11,10 +11,8 @@ from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
 from hid2.params import Limits, Turn
 from netconvert.lane_graph import TurnType
 
-_APPROACH_DECEL_MPS2 = (
-    1.5  # before a turn's entrance; no tunable: the mean of recorded drivers, softer than behind a leader
-)
-
+#: Slowing before a turn's entrance, m/s2. No tunable: softer than behind a leader, of which drivers differ.
+_APPROACH_DECEL_MPS2 = 1.5
 #: A line that bends, or changes its curvature, by less than this is straight, 1/m and 1/m2.
 #: No tunable: against division by 0.
 _FLAT = 1e-6

@@ -40,7 +40,7 @@ focal = "generated"
 tau_mean_s = 1.2
 wander_sd_mps = 0.3
 [spawn]
-slow_leader_share = [0.4, 0.6]
+rounds = 3
 [[event]]
 kind = "cut_in"
 target = "av"

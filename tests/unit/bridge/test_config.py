@@ -69,7 +69,6 @@ def test_ablations_are_a_list() -> None:
         ("turn.trough_at=0.95", "turn.trough_at = 0.95, expected number >= 0.1, <= 0.9"),
         ("turn.trough_at=nan", "turn.trough_at = nan, expected number >= 0.1"),
         ("request.trigger_max_s=0.1", "trigger_max_s 0.1 is below trigger_min_s 0.5"),
-        ("spawn.slow_leader_share=[0.7, 0.5]", "slow_leader_share .*, expected the smaller share first"),
         ("spawn.prior_speed_mps=30", "prior_speed_mps 30 is above max_speed_mps 20"),
         (
             "sites.standing_mps=0.4",
@@ -207,7 +206,6 @@ def test_every_parameter_is_described() -> None:
     assert all(row.default and row.unit and row.range and row.source for row in rows.values())
     assert rows["grid.cell_m"][2:5] == ("4.0", "m", "number >= 1, <= 20")
     assert rows["request.agents"].range == "integer >= 0, <= 500, or max"
-    assert rows["spawn.slow_leader_share"][2:5] == ("0.5,0.7", "share", "list of numbers > 0, <= 1")
     assert rows["request.trigger_list_s"][2:5] == ("none", "s", "list of numbers >= 0, <= 60")
     assert rows["without"][2:5] == ("none", "-", "any of topology, collision, smoothing")
 

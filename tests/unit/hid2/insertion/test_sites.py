@@ -55,7 +55,7 @@ def _many(scene: Scene, count: int, **request: Any) -> list[Start]:
 
 
 def test_site_is_never_on_an_occupied_cell_nor_near_a_box(scene_of: Callable[..., Scene]) -> None:
-    """Parked ones at 60 and 130 m of lane 1, one at 9 m/s on lane 2 at 100 m: spawn.clear_gap_m of 2 m to all."""
+    """Parked ones at 60 and 130 m of lane 1, one at 9 m/s on lane 2 at 100 m: CLEAR_GAP_M of 2 m to all."""
     others = [recorded(60.0, 0.0, name="a"), recorded(130.0, 0.0, name="b"), recorded(100.0, 3.5, 9.0, name="c")]
     scene = scene_of(*others)
     starts = _many(scene, 120)
