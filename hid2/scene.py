@@ -9,6 +9,7 @@ import numpy as np
 
 from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, IntArray, Track
 from hid2.drivers.driver import OFFSET_MAX_M, place_of_lane
+from hid2.measures.arrays import MOVING_EXTENT_M, MOVING_S
 from hid2.measures.driven_lanes import STRETCH_M, recorded_places
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.scene_end import END_HORIZON_S
@@ -20,8 +21,6 @@ from hid2.occupancy.traffic import Traffic, covering, traffic_of
 from hid2.params import Config
 from netconvert.cells import Cell, CellGrid
 
-#: Tracks that drive less than this, m, or move for less, s, tell no usual speed. No tunables: what driving is.
-_USUAL_FROM_M, _USUAL_FROM_S = 5.0, 1.0
 #: A vehicle that enters at the map's edge stays at least so long, s. No tunable: shorter tracks tell no behaviour.
 ENTRY_STAYS_S = 3.0
 #: Desired speed of an added leader over the usual one of its lane, uniform between. No tunable: never a crawl on a free
@@ -29,7 +28,6 @@ ENTRY_STAYS_S = 3.0
 SLOW_LEADER_SHARE = 0.5, 0.7
 #: Kept to a box that crosses or stands ahead, m. No tunable: a bumper's length, a time is what PET and TTC keep.
 _MARGIN_FRONT_M = 1.0
-
 #: Lane types open to general motor traffic.
 DRIVABLE_TYPES = frozenset({"VEHICLE"})
 _RUN_ON_M = 250.0  # no tunable: without topology a vehicle runs straight on, farther than any scene lasts
@@ -248,11 +246,11 @@ def _speeds(
     by_lane: dict[int, list[float]] = {}
     scene: list[float] = []
     for row, track in enumerate(tracks):
-        if track.object_type not in VEHICLE_TYPES or track.category < 1 or track.path_m < _USUAL_FROM_M:
+        if track.object_type not in VEHICLE_TYPES or track.category < 1 or track.path_m < MOVING_EXTENT_M:
             continue
         speed = np.hypot(*traffic.velocity[row].T)
         moving = traffic.present[row] & (speed > MOVES_MPS)
-        if moving.sum() < round(_USUAL_FROM_S / step_s):
+        if moving.sum() < round(MOVING_S / step_s):
             continue
         usual_mps = float(np.percentile(speed[moving], 90))
         scene.append(usual_mps)

@@ -52,7 +52,6 @@ from netconvert.net_xml import net_bytes
 
 #: Neighbours of a generated focal track are within this, m. No tunable: what a focal track is.
 _FOCAL_RADIUS_M = 50.0
-
 _LOG = logging.getLogger(__name__)
 
 

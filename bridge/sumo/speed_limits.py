@@ -15,7 +15,6 @@ from hid2.reasons import Reason
 #: A vehicle that waits for a gap slows down so for those beside, m/s2, to this share of its desired speed. No tunables:
 #: what traffic behind does not notice.
 _LET_PASS_MPS2, _LET_PASS_SHARE = 0.7, 0.8
-
 _GAP = CAUSES.index("gap")
 #: Refusals of a gap in which waiting for those beside to go ahead helps.
 _LETS_PASS = frozenset({Reason.CELLS_OCCUPIED, Reason.FRONT_GAP})

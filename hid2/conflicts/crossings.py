@@ -9,6 +9,7 @@ import numpy as np
 
 from hid2.agents import FloatArray, IntArray
 from hid2.kernels.crossings import at_crossings, crossings_swept, held_up
+from hid2.measures.encounters import CROSSING_RAD
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import BoolArray, Traffic
@@ -17,9 +18,8 @@ from hid2.occupancy.traffic import BoolArray, Traffic
 # this fast, m/s, or is on it within so long, s.
 _NEAR_M, _TOWARDS_MPS, _AHEAD_S = 1.0, 0.3, 1.5
 #: No agent may be within the strip to each side of the swept width, m, within so long, s, while a vehicle passes; one
-#: that moves along the path within this angle does not cross it, and slower ones have no direction, m/s.
-_STRIP_M, _STRIP_S, _ALONG_COS, _DIRECTED_MPS = 1.0, 3.0, math.cos(math.radians(40.0)), 0.5
-
+#: that moves along the path within CROSSING_RAD does not cross it, and slower ones have no direction, m/s.
+_STRIP_M, _STRIP_S, _DIRECTED_MPS = 1.0, 3.0, 0.5
 #: Recorded object types that use crossings.
 CROSSING_TYPES = frozenset({"pedestrian", "cyclist", "riderless_bicycle"})
 
@@ -80,7 +80,7 @@ class PedestrianCrossings:
             occupied = held_up(
                 self._at[crossing], xy[middle], heading[middle], width_m / 2 + _STRIP_M,
                 traffic.position, traffic.velocity, traffic.present, round(_STRIP_S / self.step_s),
-                _ALONG_COS, _DIRECTED_MPS,
+                math.cos(CROSSING_RAD), _DIRECTED_MPS,
             )  # fmt: skip
             found.append(CrossingOnPath(first * TABLE_STEP_M, last * TABLE_STEP_M, occupied))
         return sorted(found, key=lambda one: one.entry_s)

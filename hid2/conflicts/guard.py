@@ -40,7 +40,6 @@ ACTS_MPS2, _KEEPS_YIELDING_MPS2, _URGENT_RATIO, _SOON_S = 1.1, 0.3, 3.0, 2.5
 _JERK_MPS3, _LAST_BRAKE_MPS2, _LAST_BRAKE_PER_S = 3.5, 0.6, 1.8
 #: A vehicle that slows down more, m/s2, nearer to a leader than this times its time gap and jam gap, has waited for it.
 _SLOWS_MPS2, _BEHIND_RATIO = 0.7, 2.0
-
 _MARGINS_M = 10.0  # not a parameter, it saves time: more than any lateral margin
 _TURN_AHEAD_S = 4.0  # book-keeping: a limit this long before a turn lane is put down to the turn
 #: As the kernel `speed_limits` takes them.

@@ -14,6 +14,9 @@ import numpy.typing as npt
 
 from hid2.agents import IntArray
 from hid2.kernels.approaches import crossing_steps, red_steps, vehicle_states, watch_approach
+from hid2.measures.arrays import MOVING_EXTENT_M
+from hid2.measures.encounters import CROSSING_RAD
+from hid2.occupancy.shown import STANDING_MPS
 from hid2.occupancy.sigma import AGREES_RAD, UNDER_SHARE
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.params import Signals
@@ -24,14 +27,9 @@ from netconvert.lane_graph import SIDES, LaneGraph, TurnType
 # makes it red, m, with centres up to so far beyond it, and so far beside a lane's edge; a vehicle that enters follows
 # the lane nearest on average, and any farther by at most the last.
 _QUEUE_M, _BEYOND_M, _BESIDE_M, _ALIKE_M = 20.0, 3.0, 0.5, 0.3
-#: Slower recorded vehicles stand, faster ones are cross traffic, m/s; one that moves less over the scene may be
-#: parked, m.
-_STANDING_MPS, _FLOW_MPS, _PARKED_M = 0.5, 1.0, 5.0
-#: Smaller angles between two ways are merges, not crossings.
-_CROSSING_COS = math.cos(math.radians(40.0))
+_FLOW_MPS = 1.0  # faster recorded vehicles are cross traffic, m/s
 #: Green so long before and after a recorded vehicle enters, s, but not this close to cross traffic (critical PET).
 _ENTRY_BEFORE_S, _ENTRY_AFTER_S, _CROSSING_S = 1.0, 2.0, 1.0
-
 #: Recorded object types that obey signals.
 SIGNALLED_TYPES = frozenset({"vehicle", "bus", "motorcyclist", "cyclist"})
 
@@ -77,7 +75,7 @@ class InferredSignals:
         traffic = self.traffic
         self._states = vehicle_states(
             traffic.position, traffic.velocity, traffic.heading, traffic.present,
-            _FLOW_MPS, _STANDING_MPS, _PARKED_M,
+            _FLOW_MPS, STANDING_MPS, MOVING_EXTENT_M,
         )  # fmt: skip
 
     def red(self, lane_id: int) -> BoolArray | None:
@@ -125,7 +123,7 @@ class InferredSignals:
         line = np.ascontiguousarray(borders[0] if len(borders) == 1 else np.concatenate(borders))
         return crossing_steps(
             line, UNDER_SHARE * width_m / 2,
-            _CROSSING_COS, pose, way, flows, others,
+            math.cos(CROSSING_RAD), pose, way, flows, others,
             traffic.length_m / 2, traffic.width_m / 2, bounds,
         )  # fmt: skip
 

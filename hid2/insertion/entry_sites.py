@@ -8,8 +8,9 @@ import numpy as np
 from hid2.agents import Policy
 from hid2.insertion.meetings import LEADER_WEIGHT
 from hid2.insertion.spread import Spread
-from hid2.insertion.starts import CLEAR_GAP_M, SLOWEST_SHARE, STANDING_MPS, Starts, speed_behind
+from hid2.insertion.starts import CLEAR_GAP_M, SLOWEST_SHARE, Starts, speed_behind
 from hid2.insertion.surroundings import Surroundings
+from hid2.measures.encounters import STANDS_MPS
 from hid2.occupancy.gaps import gaps_from_pose
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
@@ -17,7 +18,6 @@ from hid2.vehicle import Start, VehicleRequest
 
 #: Sites looked at in full for a request in a round. Not a parameter, it saves time: `spawn.rounds` bounds the search.
 TRIES = 80
-
 #: None enters less than this ahead of another inserted vehicle, s. No tunable: shorter headways are no driver's.
 _ENTRY_GAP_S = 1.0
 
@@ -79,5 +79,5 @@ def entry_speed(start: Start, fleet: Traffic, config: Config, *, step_s: float) 
             return None
         if leads:
             speed = min(speed, float(speed_behind(gap, max(0.0, other_mps), start.driver)))
-    slowest_mps = max(STANDING_MPS, SLOWEST_SHARE * start.driver.desired_mps)
+    slowest_mps = max(STANDS_MPS, SLOWEST_SHARE * start.driver.desired_mps)
     return speed if speed >= slowest_mps else None

@@ -22,7 +22,6 @@ from hid2.scene import clearance_box
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 
 _BRAKES_S = 2.5  # braking that is asked for lasts so long; no tunable: until about 20 km/h slower than before
-
 #: Of each driver so many beginnings are looked at, and the first that is free is taken; a place is left out where so
 #: many drivers in a row cannot begin; of so many the fastest is to overtake, the quickest to cut in. No tunables.
 _DRAWS, _NOT_BEGUN, _ASKED = 32, 20, 10

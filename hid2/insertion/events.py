@@ -34,7 +34,6 @@ from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 
 #: lane_change.time_gap_front_s of a cut-in, s. No tunable: the band that is asked for counts, on the other side.
 _CUT_IN_GAP_S = 0.3
-
 #: Drives one vehicle alone among the recorded and the kept ones: scene, stop lines, start, kept ones.
 DriveAlone = Callable[[Scene, StopLines, Start, Traffic], DrivenVehicle]
 #: Vehicles of events are numbered from here on, behind all others: bookkeeping.

@@ -31,7 +31,6 @@ from netconvert.cells import Cell
 _MOST, _FULL_SHARE, _FAILED, _FAILED_STRAIGHT, _AGAIN = 400, 0.1, 4, 1, 1
 #: Lane that a vehicle takes on a full road, m: what `agents = max` means, no tunable.
 SPACING_M = 25.0
-
 #: Runs one simulation: starts, generated vehicles kept in rounds before, number of the round.
 Drive = Callable[[Sequence[Start], Traffic, int], list[DrivenVehicle]]
 #: Vehicles of a round that are not exported, by id: reason and detail.

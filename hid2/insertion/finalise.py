@@ -30,7 +30,6 @@ from hid2.vehicle import DrivenVehicle
 #: No tunables: widths of the filter, over smoothing.filter_s, and shares of the driver's place in the lane that are
 #: tried in turn, the usual ones first: what no limit asks for is not changed.
 _FILTER_RATIOS, _OFFSET_SHARES = (1.0, 1.6, 2.5), (1.0, 0.5, 0.0)
-
 #: Reasons by what the judge finds; boxes that meet are told apart by their agents.
 _REASONS = {Quantity(limit.name): limit.reason for limit in MOTION_LIMITS} | {
     Quantity.CURVATURE: Reason.LIMIT_CURVATURE,

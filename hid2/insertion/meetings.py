@@ -29,7 +29,6 @@ NEAR_WEIGHT, LEADER_WEIGHT, _CROSSING_WEIGHT, _RUN_INTO_WEIGHT = 8.0, 6.0, 3.0, 
 #: the way left; routes with the same turns of which the mean is taken; and s between centres where a path is crossed:
 #: boxes take about .8 s less, which leaves a PET from the critical 1 s to 3 s.
 _PACE_SHARE, _NEAR_SHARE, _LEAVES_SHARE, _ROUTES, _CROSSING_APART_S = 0.9, 0.7, 0.8, 4, (1.8, 3.8)
-
 #: Time between looks at recorded traffic, s. Not a parameter, it saves time: estimates of positions need no more.
 _EVERY_S = 0.5
 #: Centres this near to the middle of a cell are on it, m: half a lane and a little. No tunable: what on a cell means.

@@ -35,7 +35,6 @@ _ROUTES, _DRAWS, _ROLLED_OUT = 120, 120, 6
 #: No tunables, what is drawn: an added leader drives no slower, m/s; s of the speed difference from the leader at the
 #: start, beyond the gap at standstill.
 _SLOWEST_MPS, _GAP_S = 3.0, (1.0, 4.0)
-
 #: Not parameters, they save time: s between two looks at places, places tried on one way, and how many there
 #: are to choose among for each that is tried.
 _LOOKS_S, _TRIED, _ENOUGH = 0.5, 2, 3

@@ -39,7 +39,6 @@ from netconvert.net_xml import speed_limit_mps
 #: Not parameters, they save time: s between two looks at gaps; below this TTC, s, to a vehicle that begins ahead, one
 #: chosen before is rolled out anew.
 _LOOKS_S, _HINDERED_S = 1.0, 4.0
-
 _NONE = Traffic.none(1)
 #: Not parameters, they save time: no follower has a critical TTC on the path that it drives if it has so much
 #: more room ahead, or is so far aside.

@@ -17,7 +17,7 @@ from hid2.insertion.rollout import Foreseen, Rollout, World
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.sizes import draw_size
 from hid2.judge.findings import CURVATURE_KEPT
-from hid2.measures.encounters import FOLLOWS_S
+from hid2.measures.encounters import FOLLOWS_S, STANDS_MPS
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
 from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path, gaps_to_all
@@ -33,10 +33,9 @@ from hid2.vehicle import Start, VehicleRequest
 _HOLDS_S, DRIVERS, _FROM_EDGE_M = 3.0, 3, 0.5
 #: Smallest bumper gap at the start, m: what drivers keep standing.
 CLEAR_GAP_M = 2.0
-#: Slower than this it begins standing, m/s, and only so near behind one that stands, m; otherwise no slower than a
-#: share of the desired speed; it may have to brake so hard for its leader, m/s2.
-STANDING_MPS, _QUEUE_M, SLOWEST_SHARE, BEGIN_BRAKING_MPS2 = 0.3, 8.0, 0.25, 0.8
-
+#: It begins standing only so near behind one that stands, m; otherwise no slower than a share of the desired speed; it
+#: may have to brake so hard for its leader, m/s2.
+_QUEUE_M, SLOWEST_SHARE, BEGIN_BRAKING_MPS2 = 8.0, 0.25, 0.8
 #: Verdicts that another driver may change.
 _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.FOLLOWER_HEADWAY, Reason.LEAVES_TOO_EARLY})
 #: No tunable: by so much, s, SUMO may be later than a rollout at the end of an overtake.
@@ -265,10 +264,10 @@ class Starts:
         stop = self.stop_lines.arrays(path, box).braking(driver, s=s, speed_mps=speed, step=step)
         if stop is not None and stop[0] < -driver.decel_mps2:
             return Reason.CONFLICT_PREDICTED
-        if step > 0 and (speed < STANDING_MPS or self._follower_is_near(path, s, box, speed, step)):
+        if step > 0 and (speed < STANDS_MPS or self._follower_is_near(path, s, box, speed, step)):
             return Reason.NO_SITE
-        if speed < max(STANDING_MPS, SLOWEST_SHARE * wished):
-            if not np.any((seen.lead_m < _QUEUE_M) & (seen.along_mps < STANDING_MPS)):
+        if speed < max(STANDS_MPS, SLOWEST_SHARE * wished):
+            if not np.any((seen.lead_m < _QUEUE_M) & (seen.along_mps < STANDS_MPS)):
                 return Reason.NO_SITE  # no vehicle drives so slowly with so much room ahead
             speed = 0.0
         return speed

@@ -8,11 +8,9 @@ from hid2.params import Config, Conflict, Limits
 
 #: An agent that moves less over the scene stands throughout, m. No tunable: what standing throughout is.
 MOVES_M = 2.0
-
 #: No tunables, rounding alone: m between boxes, s above the TTC at the end, and shares of tolerance and of 1 / R_min
 #: that are used, so that no reader's rounding finds what the last word did not.
 _SPARE_BOX_M, _SPARE_END_S, _DRIVABLE_KEPT, CURVATURE_KEPT = 0.05, 0.1, 0.9, 0.98
-
 #: What is claimed is seen in the states within so long of the time claimed, s.
 CLAIM_S = 0.5
 #: A figure that is claimed is that of the states, but for so much of its unit.

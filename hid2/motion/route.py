@@ -17,7 +17,6 @@ from netconvert.lane_graph import TURN_RAD, LaneGraph, TurnType
 #: no tunable: half a lane less half a car. Middles of lanes farther apart are not side by side, m. Lanes before l'
 #: are seen so far back, m, no tunable: with no follower farther does a gap end.
 PATH_STEP_M, MAX_OFFSET_M, _MAX_SHIFT_M, _LOOK_BACK_M = 1.0, 0.9, 5.5, 50.0
-
 #: A route that is no shorter than this stops growing.
 ROUTE_LONGEST_M = 260.0
 _BESIDE_TURN_M = 5.0  # before a turning lane and behind it its heading is compared; no tunable: what a turn is

@@ -13,7 +13,6 @@ from hid2.occupancy.traffic import BoolArray, Traffic
 #: No tunables, whom SUMO is shown: slower agents stand and are shown in any direction, m/s; an agent leads from this
 #: gap on, m, nearer it is beside; and up to so far ahead, m, farther than any driver brakes for.
 STANDING_MPS, LEADS_FROM_M, SHOWN_M = 0.5, 0.3, 120.0
-
 #: Steps after which SUMO knows speed and acceleration of a vehicle that is new to it: until then it is seen by none.
 UNSEEN_STEPS = 3
 #: Not a parameter, half a lane and a little: an agent with its front farther aside is ahead of none.

@@ -25,7 +25,6 @@ from netconvert.cells import Cell
 #: No tunables, room for what a driver does otherwise: shares of the time and of the length of l' left that a lateral
 #: motion may take, and s of that time left after it.
 _TIME_SHARE, _LENGTH_SHARE, _SPARE_S = 0.95, 0.8, 0.5
-
 _HALF_LANE_M = 1.5  # half of the narrowest lane: what "on a lane path" means, the same for all
 
 
