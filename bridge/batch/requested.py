@@ -13,7 +13,6 @@ from bridge.batch.manifest import DONE, MANIFEST_NAME, ManifestRow, read_manifes
 from bridge.config import config_sha256, config_to_dict
 from bridge.files import one_line
 from bridge.recordings.folders import SIDECAR_PATTERN, Address
-from hid2.insertion.filling import SPACING_M
 from hid2.params import Config, Request
 from hid2.policies import Policy
 from netconvert.errors import ConfigError, Hid2Error
@@ -67,6 +66,8 @@ def check_request(folders: Sequence[Address], config: Config, named: Sequence[Po
 
 def _low_yield(policy: Policy, rooms: Sequence[Mapping[Policy, float]], config: Config) -> str:
     """What is said of a behaviour for which most of the vehicles find no room on the maps; "" where they do."""
+    from hid2.insertion.filling import SPACING_M
+
     request, takes_m = config.request, 2 * SPACING_M  # in its own lane and in the one beside
     if request.agents == "max":
         return ""
