@@ -7,6 +7,7 @@ import tomllib
 import uuid
 from collections.abc import Collection, Mapping, Sequence
 from difflib import get_close_matches
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, get_args, get_origin
 
@@ -14,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from bridge.files import one_line, read_regular
-from hid2.params import Config, Event
+from hid2.params import GROUPS, Config, Event
 from hid2.policies import Policy
 from netconvert.errors import ConfigError
 
@@ -29,8 +30,9 @@ REACTIVE_PREFIX = "reactive-"
 
 
 class ParameterRow(NamedTuple):
-    """One line of `hid2 config`."""
+    """One line of `hid2 config`; group: whom it is for, as `params.GROUPS` has it."""
 
+    group: str
     key: str
     default: str
     unit: str
@@ -249,15 +251,17 @@ def config_to_toml(config: Config) -> str:
 
 
 def describe_config() -> list[ParameterRow]:
-    """Every parameter with default, unit, range and source, in the order of the tree."""
-    rows = []
+    """Every parameter with default, unit, range and source, by group, then in the order of the tree."""
+    rows, group_of = [], {name: group for group, names in GROUPS.items() for name in names}
     for key, field in _fields().items():
         extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
         default = field.get_default(call_default_factory=True)
         values = sorted(default) if isinstance(default, frozenset) else default
         text = ",".join(map(str, values)) or "none" if isinstance(values, list | tuple) else str(default) or "none"
-        rows.append(ParameterRow(key, text, str(extra.get("unit", "-")), _range(field), str(extra.get("source", ""))))
-    return rows
+        group = group_of.get(key) or group_of[key.partition(".")[0]]
+        unit, source = str(extra.get("unit", "-")), str(extra.get("source", ""))
+        rows.append(ParameterRow(group, key, text, unit, _range(field), source))
+    return sorted(rows, key=lambda row: list(GROUPS).index(row.group))
 
 
 def _fields() -> dict[str, FieldInfo]:
@@ -303,12 +307,13 @@ def _atoms(annotation: object) -> list[object]:
 
 def _bounds(metadata: Sequence[object]) -> str:
     signs = {"gt": "> {}", "ge": ">= {}", "lt": "< {}", "le": "<= {}"}
-    return ", ".join(
+    found = (
         sign.format(getattr(entry, name))
         for entry in metadata
         for name, sign in signs.items()
         if getattr(entry, name, None) is not None
     )
+    return ", ".join(dict.fromkeys(found))  # of a pair once
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
@@ -384,9 +389,11 @@ def parse_value(text: str) -> Any:  # noqa: ANN401  # whatever TOML holds
 
 def _put(data: dict[str, Any], key: str, value: object) -> None:
     """Set a dotted key in place; ConfigError for a key that no parameter has."""
-    if key not in _fields():
-        raise ConfigError(_unknown(key, value))
     section, separator, name = key.partition(".")
+    if key not in _fields():
+        if _is_fixed(section, name, value):
+            return
+        raise ConfigError(_unknown(key, value))
     if separator:
         data[section] = {**data.get(section, {}), name: value}
     else:
@@ -394,7 +401,14 @@ def _put(data: dict[str, Any], key: str, value: object) -> None:
 
 
 def _validated(data: Mapping[str, Any], source: str) -> Config:
-    values = {key: _with_tuples(value) if isinstance(value, Mapping) else value for key, value in data.items()}
+    values = {}
+    for key, value in data.items():
+        if isinstance(value, Mapping):
+            own = {name: one for name, one in value.items() if not _is_fixed(key, name, one)}
+            if not own and value and key not in Config.model_fields:  # a section of which nothing is left
+                continue
+            value = _with_tuples(own)
+        values[key] = value
     if isinstance(values.get("event"), list):
         values["event"] = tuple(values["event"])
     if isinstance(values.get("without"), list | tuple):
@@ -439,6 +453,24 @@ def _explain_event(location: tuple[int | str, ...], message: str, value: object)
         return f"{which}: unknown key {key!r} (= {value!r}), expected one of {names}"
     wanted = "[least, largest]" if key in _BANDS else ""
     return f"{which}: {key} = {value!r}, expected {wanted or _range(Event.model_fields[key])}"
+
+
+@cache
+def _removed() -> dict[str, Any]:
+    """What the method has in place of keys of earlier versions, by section; `instead`: what says the same now."""
+    return tomllib.loads(Path(__file__).with_name("removed.toml").read_text())
+
+
+def _is_fixed(section: str, name: str, value: object) -> bool:
+    """Whether a key is no parameter any more and the value is what the method has. Errors: ConfigError for another."""
+    fixed = _removed().get(section, {}).get(name)
+    if fixed is None or fixed == (list(value) if isinstance(value, tuple) else value):
+        return fixed is not None
+    instead = _removed()["instead"].get(f"{section}.{name}")
+    hint = f", or set {instead}" if instead else ""
+    raise ConfigError(
+        f"{section}.{name} = {value!r:.80}: no parameter any more, the method has {fixed}; leave it out{hint}"
+    )
 
 
 def _unknown(key: str, value: object) -> str:

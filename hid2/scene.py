@@ -8,17 +8,26 @@ from statistics import median
 import numpy as np
 
 from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, IntArray, Track
-from hid2.drivers.driver import place_of_lane
+from hid2.drivers.driver import OFFSET_MAX_M, place_of_lane
+from hid2.measures.arrays import MOVING_EXTENT_M, MOVING_S
 from hid2.measures.driven_lanes import STRETCH_M, recorded_places
 from hid2.measures.lane_matching import flatten_lanes
+from hid2.measures.scene_end import END_HORIZON_S
 from hid2.motion.route import DrivenPath, Route, path_along, route_beside
 from hid2.occupancy.agent_states import AgentStates, agent_states
 from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.sigma import CellBoxes, OriginalOccupancy, cell_boxes, original_occupancy
 from hid2.occupancy.traffic import Traffic, covering, traffic_of
-from hid2.params import Config, Spawn
+from hid2.params import Config
 from netconvert.cells import Cell, CellGrid
 
+#: A vehicle that enters at the map's edge stays at least so long, s. No tunable: shorter tracks tell no behaviour.
+ENTRY_STAYS_S = 3.0
+#: Desired speed of an added leader over the usual one of its lane, uniform between. No tunable: never a crawl on a free
+#: road, and no leader that is not worth an overtake.
+SLOW_LEADER_SHARE = 0.5, 0.7
+#: Kept to a box that crosses or stands ahead, m. No tunable: a bumper's length, a time is what PET and TTC keep.
+_MARGIN_FRONT_M = 1.0
 #: Lane types open to general motor traffic.
 DRIVABLE_TYPES = frozenset({"VEHICLE"})
 _RUN_ON_M = 250.0  # no tunable: without topology a vehicle runs straight on, farther than any scene lasts
@@ -77,7 +86,7 @@ class Scene:
         """Path on the middle of a route's lanes; built once."""
         if route not in self._paths:
             self._paths[route] = path_along(
-                self.grid.graph, route, smoothing=self.config.smoothing, limits=self.config.limits,
+                self.grid.graph, route, limits=self.config.limits,
                 run_on_m=_RUN_ON_M if "topology" in self.config.without else 0.0,
             )  # fmt: skip
         return self._paths[route]
@@ -96,7 +105,6 @@ class Scene:
                 own,
                 lane_id,
                 usable=lambda n: lanes[n].lane_type in DRIVABLE_TYPES,
-                look_back_m=self.config.lane_change.look_back_m,
             )
         return self._routes_beside[key]
 
@@ -131,7 +139,7 @@ class Scene:
     def steps_to_stay(self, step: int) -> int:
         """Steps that a generated vehicle which is there from a step on stays at least."""
         until = self.first_exit_step - step
-        return until if step == 0 else max(until, self.steps_in(self.config.sites.entry_stays_s))
+        return until if step == 0 else max(until, self.steps_in(ENTRY_STAYS_S))
 
     def steps_in(self, seconds: float) -> int:
         """The number of steps nearest to a duration, at least one."""
@@ -145,7 +153,7 @@ class Scene:
     @property
     def pet_margin_m(self) -> float:
         """By how much that place is smaller on both sides than one where an agent is, m."""
-        return 0.5 * self.config.conflict.margin_front_m
+        return 0.5 * _MARGIN_FRONT_M
 
     def place_on(self, path: DrivenPath, s: FloatArray) -> FloatArray:
         """Usual place in the lane, d m, of vehicles at arc lengths (N,) m of a path, left positive.
@@ -154,7 +162,7 @@ class Scene:
         """
         law, found = self.config.drivers, np.empty(s.size)
         if self._places is None:
-            self._places = recorded_places(self.states.view, within_m=law.offset_max_m)
+            self._places = recorded_places(self.states.view, within_m=OFFSET_MAX_M)
         ends = [segment.end for segment in path.segments]
         of = np.minimum(np.searchsorted(ends, s, side="right"), len(ends) - 1)
         for number in np.unique(of).tolist():
@@ -184,7 +192,7 @@ class Scene:
     def lane_speed(self, lane_id: int, rng: np.random.Generator) -> float:
         """Speed of a vehicle of a lane's traffic, m/s; no slower than the slowest leader that is added: none crawls."""
         pool = self._speeds_on(lane_id)
-        return max(pool[int(rng.integers(len(pool)))], self.config.sites.slow_leader_min * self.usual_speed(lane_id))
+        return max(pool[int(rng.integers(len(pool)))], SLOW_LEADER_SHARE[0] * self.usual_speed(lane_id))
 
 
 def build_scene(
@@ -195,9 +203,9 @@ def build_scene(
     boxes = cell_boxes(grid)
     occupancy = original_occupancy(boxes, traffic)
     through = config.request.focal == "generated" or config.request.generated_category >= 2
-    lane_speeds, scene_speeds = _speeds(grid, tracks, traffic, occupancy, config.spawn, step_s=step_s)
+    lane_speeds, scene_speeds = _speeds(grid, tracks, traffic, occupancy, step_s=step_s)
     rows = [row for row, track in enumerate(tracks) if track.object_type in VEHICLE_TYPES]
-    beyond = math.ceil((config.conflict.end_horizon_s + config.conflict.horizon_s) / step_s)
+    beyond = math.ceil((END_HORIZON_S + config.conflict.horizon_s) / step_s)
     return Scene(
         grid=grid,
         config=config,
@@ -230,7 +238,6 @@ def _speeds(
     tracks: Sequence[Track],
     traffic: Traffic,
     occupancy: OriginalOccupancy,
-    spawn: Spawn,
     *,
     step_s: float,
 ) -> tuple[dict[int, list[float]], list[float]]:
@@ -239,11 +246,11 @@ def _speeds(
     by_lane: dict[int, list[float]] = {}
     scene: list[float] = []
     for row, track in enumerate(tracks):
-        if track.object_type not in VEHICLE_TYPES or track.category < 1 or track.path_m < spawn.usual_from_m:
+        if track.object_type not in VEHICLE_TYPES or track.category < 1 or track.path_m < MOVING_EXTENT_M:
             continue
         speed = np.hypot(*traffic.velocity[row].T)
         moving = traffic.present[row] & (speed > MOVES_MPS)
-        if moving.sum() < round(spawn.usual_from_s / step_s):
+        if moving.sum() < round(MOVING_S / step_s):
             continue
         usual_mps = float(np.percentile(speed[moving], 90))
         scene.append(usual_mps)

@@ -66,7 +66,9 @@ def check_request(folders: Sequence[Address], config: Config, named: Sequence[Po
 
 def _low_yield(policy: Policy, rooms: Sequence[Mapping[Policy, float]], config: Config) -> str:
     """What is said of a behaviour for which most of the vehicles find no room on the maps; "" where they do."""
-    request, takes_m = config.request, 2 * config.spawn.spacing_m  # in its own lane and in the one beside
+    from hid2.insertion.filling import SPACING_M
+
+    request, takes_m = config.request, 2 * SPACING_M  # in its own lane and in the one beside
     if request.agents == "max":
         return ""
     each = request.agents * request.behaviours[policy] / sum(request.behaviours.values())

@@ -158,7 +158,7 @@ def rooms(routes: Routes) -> dict[Policy, float]:
 
 def scene_of(scenario: Recording, config: Config) -> Scene:
     """The scene of a recording, without a net. Errors: MapError."""
-    grid = build_cell_grid(scenario.graph, cell_m=config.grid.cell_m, max_skew_m=config.grid.max_skew_m)
+    grid = build_cell_grid(scenario.graph, cell_m=config.grid.cell_m)
     return build_scene(
         grid, scenario.tracks, config=config, num_steps=scenario.num_steps,
         step_s=scenario.step_s, last_observed_step=scenario.last_observed,

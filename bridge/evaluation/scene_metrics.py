@@ -31,7 +31,7 @@ from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.measures.motion_limits import MotionProfile
 from hid2.measures.post_encroachment import Encroachment
-from hid2.measures.scene_end import contacts_after_last_step
+from hid2.measures.scene_end import END_HORIZON_S, contacts_after_last_step
 from hid2.occupancy.agent_states import AgentStates
 from hid2.params import Limits
 from hid2.policy.rules import place_in
@@ -206,7 +206,7 @@ def _groups(
             members=members,
             partners=others if name == "generated" else others & arrays.vehicle,  # as in the paper's SCR
             end_contacts=contacts_after_last_step(
-                arrays, members & driven(arrays), horizon_s=CRITICAL.end_horizon_s, among=others
+                arrays, members & driven(arrays), horizon_s=END_HORIZON_S, among=others
             ),
             met=met,
         )

@@ -52,6 +52,8 @@ from netconvert.cells import CellGrid, build_cell_grid
 from netconvert.errors import ConfigError, ScenarioError
 from netconvert.net_xml import net_bytes
 
+#: Neighbours of a generated focal track are within this, m. No tunable: what a focal track is.
+_FOCAL_RADIUS_M = 50.0
 _LOG = logging.getLogger(__name__)
 
 
@@ -97,7 +99,7 @@ def prepare(source: Recording | TrafficScene, config: Config) -> PreparedScene:
         raise ConfigError(f"source {str(source)[:200]!r}: expected a scene, as read_scene(path) gives it")
     if config.source.plausible:
         check_plausible(scenario)
-    grid = build_cell_grid(scenario.graph, cell_m=config.grid.cell_m, max_skew_m=config.grid.max_skew_m)
+    grid = build_cell_grid(scenario.graph, cell_m=config.grid.cell_m)
     return PreparedScene(scenario=scenario, grid=grid)
 
 
@@ -216,17 +218,16 @@ def as_driven(scene: Scene, scenario: Recording, tracks: Sequence[Track]) -> Sce
 def _focal(scenario: Recording, vehicles: Sequence[ExportedVehicle], tracks: Sequence[Track], filling: Filling) -> str:
     """Generated focal track: lives through the scene; a manoeuvre done before none, then more neighbours before fewer.
 
-    Neighbours are the tracks within `request.focal_radius_m` at the last observed step, recorded and generated: what a
+    Neighbours are the tracks within _FOCAL_RADIUS_M at the last observed step, recorded and generated: what a
     forecaster of this track sees of the scene.
     """
     last = scenario.last_observed
     every = [track.position[track.timesteps == last] for track in (*scenario.tracks, *tracks)]
     around = np.concatenate(every)
-    radius_m = filling.scene.config.request.focal_radius_m
     through = [
         (
             _did_something(one, filling),
-            int((np.hypot(*(around - track.position[last]).T) <= radius_m).sum()),
+            int((np.hypot(*(around - track.position[last]).T) <= _FOCAL_RADIUS_M).sum()),
             track.path_m,
             track.track_id,
         )

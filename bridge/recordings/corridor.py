@@ -22,9 +22,8 @@ from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, OBSERVED_STEPS, ST
 from hid2.agents import DEFAULT_SIZES, Track
 from netconvert.errors import ConfigError
 
-_LANE_M, _SHOULDER_M = 3.5, 4.0
-_LEAST_M = 100.0
-_POINT_EVERY_M = 10.0
+#: A motorway's usual widths, m, the shortest road on which vehicles meet, and points as far apart as on real maps.
+_LANE_M, _SHOULDER_M, _LEAST_M, _POINT_EVERY_M = 3.5, 4.0, 100.0, 10.0
 
 
 def write_corridor(out_dir: Path, *, length_m: float, lanes: int, seconds: float) -> Path:

@@ -82,7 +82,7 @@ def drawing_config(config: Config) -> Config:
     flow = config.flow.model_copy(update={"warm_up_s": 0.0})
     spawn = config.spawn.model_copy(update={"reseed_rounds": 1})  # a study may vary it
     return Config(
-        request=request, grid=config.grid, spawn=spawn, sites=config.sites, drivers=config.drivers, turn=config.turn,
+        request=request, grid=config.grid, spawn=spawn, drivers=config.drivers, turn=config.turn,
         limits=config.limits, smoothing=config.smoothing, flow=flow, without=config.without,
     )  # fmt: skip
 

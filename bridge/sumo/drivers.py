@@ -11,8 +11,7 @@ def model_parameters(config: Config) -> dict[str, float]:
     """Attributes of the vehicle type that all vehicles of a configuration share, beside the car-following model."""
     found: dict[str, float] = {}
     if config.car_following.model == "EIDM":
-        law = config.drivers
-        found = {"sigmaerror": law.error, "jerkmax": config.car_following.jerk_mps3, "treaction": law.reaction_s}
+        found = {"sigmaerror": config.drivers.error, "treaction": config.drivers.reaction_s}
     if config.lane_change.rule == "LC2013":
         change = config.lane_change
         found |= {"lcStrategic": change.lc_strategic, "lcCooperative": change.lc_cooperative}

@@ -15,6 +15,7 @@ from bridge.sumo.simulation import Simulation
 from bridge.sumo.speed_limits import Limits, let_pass, limits_of
 from hid2.agents import IntArray
 from hid2.conflicts.reaction import Reactions
+from hid2.drivers.driver import OFFSET_MAX_M
 from hid2.insertion.entry_sites import entry_speed
 from hid2.kernels.gaps import deep_inside
 from hid2.kernels.steering import CAUSES
@@ -192,14 +193,14 @@ class Driving:
 
         Others need not mind it any more.
         """
-        fleet, here, scene, traffic = self.fleet, self.fleet.on_ways, self.fleet.scene, self.fleet.scene.traffic
+        fleet, here, traffic = self.fleet, self.fleet.on_ways, self.fleet.scene.traffic
         low, high, count = here.intervals.low, here.intervals.high, len(traffic.ids)
         struck = deep_inside(low, high, here.intervals.agents, here.first, count, step, fleet.place, _STRUCK_M)
         for row, agent in zip(*(column.tolist() for column in struck), strict=True):
             vehicle = fleet.vehicles[row]
             xy, tangent, _ = vehicle.path.line.motion(np.array([vehicle.s[-1]]))
             (tx, ty), (dx, dy) = tangent[0], traffic.position[agent, step] - xy[0]
-            room = 0.5 * (vehicle.start.box.width_m + traffic.width_m[agent]) - scene.config.drivers.offset_max_m
+            room = 0.5 * (vehicle.start.box.width_m + traffic.width_m[agent]) - OFFSET_MAX_M
             if vehicle.running and abs(tx * dy - ty * dx) < room:  # wherever in its lane it is
                 vehicle.objection = Reason.MEETS_RECORDED
                 self.simulation.remove(vehicle.vehicle_id)

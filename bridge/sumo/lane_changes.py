@@ -9,6 +9,7 @@ from bridge.sumo.fleet import Fleet
 from bridge.sumo.routes import edges_along
 from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy
+from hid2.conflicts.guard import ACROSS_S
 from hid2.insertion.due import Across, Due, foreseen_speeds, is_due
 from hid2.motion.lane_change_path import lateral_share
 from hid2.motion.route import DrivenPath
@@ -101,11 +102,10 @@ def _asked(fleet: Fleet, simulation: Simulation, row: int, now: int, across: Acr
 
 def _meets_on(fleet: Fleet, row: int, now: int, path: DrivenPath) -> bool:
     """Whether a path across has a predicted conflict that ordinary braking does not solve."""
-    vehicle, scene = fleet.vehicles[row], fleet.scene
-    start = vehicle.start
+    vehicle, start = fleet.vehicles[row], fleet.vehicles[row].start
     return fleet.braking(
         row, path, now, state=(vehicle.s[-1], vehicle.v[-1], 0.0), desired_mps=float(start.desired[now]),
-        horizon_s=scene.config.driving.across_s,
+        horizon_s=ACROSS_S,
     ).forbids(start.driver)  # fmt: skip
 
 

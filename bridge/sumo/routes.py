@@ -5,11 +5,14 @@ import numpy as np
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy
+from hid2.conflicts.guard import ACTS_MPS2
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.policy.reroute import places_on, ways_at_next_split
 from hid2.scene import Scene
 from netconvert.cells import Cell
+
+_FASTER_MPS = 0.05  # over the speed of the road on another way, with which it is still taken; no tunable: rounding
 
 
 def edges_along(scene: Scene, path: DrivenPath, cell: Cell) -> tuple[str, ...] | None:
@@ -46,13 +49,13 @@ def take_another_way(fleet: Fleet, simulation: Simulation, row: int, now: int) -
     for path in ways_at_next_split(scene, vehicle.path, s=s, from_m=s + vehicle.start.box.length_m):
         at = places_on(path, vehicle.path, np.array(vehicle.s))
         road = fleet.roads.speeds(path, vehicle.start.driver)
-        if v > road[min(int(at[-1] / TABLE_STEP_M), road.size - 1)] + scene.config.driving.reroute_over_mps:
+        if v > road[min(int(at[-1] / TABLE_STEP_M), road.size - 1)] + _FASTER_MPS:
             continue
         found = fleet.braking(
             row, path, now, state=(float(at[-1]), v, a), desired_mps=float(vehicle.start.desired[now])
         )
         edges = edges_along(scene, path, cell)
-        if found.conflict_s is None and found.decel_mps2 < scene.config.conflict.act_mps2 and edges:
+        if found.conflict_s is None and found.decel_mps2 < ACTS_MPS2 and edges:
             simulation.set_route(vehicle.vehicle_id, edges)
             fleet.take_path(row, path, at)
             vehicle.rerouted_at = now

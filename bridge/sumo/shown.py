@@ -9,7 +9,7 @@ from bridge.sumo.fleet import Fleet
 from hid2.kernels.gaps import shown_ahead
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.along_path import PathOccupancy
-from hid2.occupancy.shown import UNSEEN_STEPS
+from hid2.occupancy.shown import LEADS_FROM_M, SHOWN_M, STANDING_MPS, UNSEEN_STEPS
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.params import Driving
 from hid2.policy.behaviours import BEHAVIOURS
@@ -30,14 +30,14 @@ def shown_at(fleet: Fleet, step: int) -> tuple[dict[int, tuple[str, int]], dict[
     """
     recorded: dict[int, tuple[str, int]] = {}
     kept: dict[int, tuple[str, int]] = {}
-    scene, driving, count = fleet.scene, fleet.scene.config.driving, len(fleet.scene.traffic.ids)
+    scene, count = fleet.scene, len(fleet.scene.traffic.ids)
     if "collision" in scene.config.without:
         return recorded, kept
     here, known = fleet.on_ways, fleet.on_ways.intervals
     found = shown_ahead(
         known.low, known.high, known.along, known.same_direction, known.crossing, known.agents, here.first,
         here.length_m, scene.traffic.position, fleet.fixed.position, step, fleet.place, fleet.centre, fleet.length_m,
-        (driving.standing_mps, driving.leads_from_m, driving.shown_m),
+        (STANDING_MPS, LEADS_FROM_M, SHOWN_M),
     )  # fmt: skip
     for agent, row, middle in zip(*(column.tolist() for column in found), strict=True):
         cell = scene.cell_at(fleet.vehicles[row].path, middle)
@@ -81,7 +81,7 @@ def shown_when(
             continue
         fastest_mps = _PACE_MOST * max(float(start.desired.max()), start.start_mps)
         lasting_s = step_s * (np.arange(num_steps) - start.step)
-        reach_m = start.start_s + start.box.length_m + driving.shown_m + fastest_mps * lasting_s
+        reach_m = start.start_s + start.box.length_m + SHOWN_M + fastest_mps * lasting_s
         low, high = found.low[:, :num_steps], found.high[:, :num_steps]
         needed[found.agents] |= np.isfinite(low) & (high > start.start_s) & (low < reach_m) & (lasting_s >= 0.0)
     needed &= traffic.present

@@ -9,11 +9,17 @@ import numpy as np
 
 from hid2.agents import FloatArray
 from hid2.kernels.crossings import at_crossings, crossings_swept, held_up
+from hid2.measures.encounters import CROSSING_RAD
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import BoolArray, Traffic
-from hid2.params import Crossings
 
+# No tunables, here and below: when an agent walks over a crossing. It counts so near to it, m, if it comes towards it
+# this fast, m/s, or is on it within so long, s.
+_NEAR_M, _TOWARDS_MPS, _AHEAD_S = 1.0, 0.3, 1.5
+#: No agent may be within the strip to each side of the swept width, m, within so long, s, while a vehicle passes; one
+#: that moves along the path within CROSSING_RAD does not cross it, and slower ones have no direction, m/s.
+_STRIP_M, _STRIP_S, _DIRECTED_MPS = 1.0, 3.0, 0.5
 #: Recorded object types that use crossings.
 CROSSING_TYPES = frozenset({"pedestrian", "cyclist", "riderless_bicycle"})
 
@@ -39,26 +45,25 @@ class PedestrianCrossings:
 
     polygons: Sequence[FloatArray]
     traffic: Traffic
-    params: Crossings
     step_s: float
     _corners: FloatArray = field(init=False, repr=False)
     _at: BoolArray = field(init=False, repr=False)
     _known: dict[tuple[DrivenPath, float], list[CrossingOnPath]] = field(init=False, default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        traffic, params = self.traffic, self.params
+        traffic = self.traffic
         self._corners = np.array(self.polygons, dtype=np.float64).reshape(-1, 4, 2)
         self._at = at_crossings(
             self._corners, traffic.position, traffic.velocity, traffic.present,
-            params.near_m, params.towards_mps, round(params.ahead_s / self.step_s),
+            _NEAR_M, _TOWARDS_MPS, round(_AHEAD_S / self.step_s),
         )  # fmt: skip
 
     def on(self, path: DrivenPath, *, width_m: float) -> list[CrossingOnPath]:
         """Crossings along a path in the order in which a vehicle of a width comes to them; found once.
 
-        Occupied: an agent is on the crossing, or will be within ahead_s by its recorded future, or is within near_m of
-        it and moves towards it; and is within strip_m of the swept width within strip_s. No vehicle waits for agents
-        that have passed, nor for those that move along the path, as cyclists on the road do.
+        Occupied: an agent is on the crossing, or will be within _AHEAD_S by its recorded future, or is within _NEAR_M
+        of it and moves towards it; and is within _STRIP_M of the swept width within _STRIP_S. No vehicle waits for
+        agents that have passed, nor for those that move along the path, as cyclists on the road do.
         """
         key = path, width_m
         if key not in self._known:
@@ -66,16 +71,16 @@ class PedestrianCrossings:
         return self._known[key]
 
     def _find(self, path: DrivenPath, width_m: float) -> list[CrossingOnPath]:
-        traffic, params, line = self.traffic, self.params, path.line
+        traffic, line = self.traffic, path.line
         count = min(int(path.exit_s / TABLE_STEP_M) + 1, len(line.table_xy))
         xy, heading = line.table_xy[:count], line.table_heading[:count]
         found = []
         for crossing, first, last in crossings_swept(self._corners, xy, heading, width_m / 2).tolist():
             middle = (first + last) // 2
             occupied = held_up(
-                self._at[crossing], xy[middle], heading[middle], width_m / 2 + params.strip_m,
-                traffic.position, traffic.velocity, traffic.present, round(params.strip_s / self.step_s),
-                math.cos(math.radians(params.along_deg)), params.directed_mps,
+                self._at[crossing], xy[middle], heading[middle], width_m / 2 + _STRIP_M,
+                traffic.position, traffic.velocity, traffic.present, round(_STRIP_S / self.step_s),
+                math.cos(CROSSING_RAD), _DIRECTED_MPS,
             )  # fmt: skip
             found.append(CrossingOnPath(first * TABLE_STEP_M, last * TABLE_STEP_M, occupied))
         return sorted(found, key=lambda one: one.entry_s)

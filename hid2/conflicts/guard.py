@@ -23,8 +23,30 @@ from hid2.occupancy.sigma import ORIGINAL
 from hid2.occupancy.traffic import Traffic
 from hid2.scene import Scene
 
+# No tunables, here and below: they are how a driver brakes for what SUMO does not see, chosen on the scenes of
+# tests/real; `conflict` has what is kept to whom. Decelerations tried, m/s2, least first, up to
+# conflict.brake_max_mps2.
+_BRAKES_MPS2 = (0.0, 0.5, 0.8, 1.1, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
+#: Predicted braking builds up at this rate, m/s3; a generated vehicle that brakes is predicted to brake on so long, s;
+#: hardest braking for an agent that appears ahead, over the driver's; steps between two looks at the predicted motion.
+_PREDICTED_JERK_MPS3, _BRAKING_LASTS_S, _HARDEST_RATIO, STRIDE = 4.0, 1.0, 1.4, 2
+#: Agents from behind on the way across are looked for so far ahead, s: as long as a lane change takes, and some.
+ACROSS_S = 8.0
+#: A deceleration that a conflict must ask for before the timing is changed, m/s2, and for which one that yields goes
+#: on; hard braking over the first, below which none brakes for a conflict that is later than so many s.
+ACTS_MPS2, _KEEPS_YIELDING_MPS2, _URGENT_RATIO, _SOON_S = 1.1, 0.3, 3.0, 2.5
+#: Such braking builds up so, m/s3, and is at most so hard just before standing still, m/s2, and harder by the speed,
+#: 1/s.
+_JERK_MPS3, _LAST_BRAKE_MPS2, _LAST_BRAKE_PER_S = 3.5, 0.6, 1.8
+#: A vehicle that slows down more, m/s2, nearer to a leader than this times its time gap and jam gap, has waited for it.
+_SLOWS_MPS2, _BEHIND_RATIO = 0.7, 2.0
 _MARGINS_M = 10.0  # not a parameter, it saves time: more than any lateral margin
 _TURN_AHEAD_S = 4.0  # book-keeping: a limit this long before a turn lane is put down to the turn
+#: As the kernel `speed_limits` takes them.
+_RULES = (
+    _TURN_AHEAD_S, _BEHIND_RATIO, _SLOWS_MPS2, _KEEPS_YIELDING_MPS2, ACTS_MPS2, _SOON_S, _URGENT_RATIO, _JERK_MPS3,
+    _LAST_BRAKE_MPS2, _LAST_BRAKE_PER_S,
+)  # fmt: skip
 #: Columns of the fleet's state.
 S, V, A, EXECUTING, PRESENT = range(5)
 
@@ -86,24 +108,16 @@ class Guard:
     _on_its_own: dict[tuple[DrivenPath, BoxSize], Traffic] = field(default_factory=dict)
     brakes: FloatArray = field(init=False)
     predicted: tuple[float, float, float, float] = field(init=False)
-    rules: tuple[float, float, float, float, float, float, float, float, float, float] = field(init=False)
+    rules: tuple[float, float, float, float, float, float, float, float, float, float] = _RULES
 
     def __post_init__(self) -> None:
         """As the kernels `needed_braking` and `speed_limits` take them.
 
         The decelerations that are tried, how others are predicted, and when a driver begins and ends to brake.
         """
-        conflict, driving = self.scene.config.conflict, self.scene.config.driving
-        self.rules = (
-            _TURN_AHEAD_S, driving.behind_ratio, driving.slows_mps2, driving.keep_yielding_mps2, conflict.act_mps2,
-            driving.soon_s, driving.urgent_ratio, driving.brake_jerk_mps3, driving.last_brake_mps2,
-            driving.last_brake_per_s,
-        )  # fmt: skip
-        self.brakes = np.array([brake for brake in conflict.brakes_mps2 if brake <= conflict.brake_max_mps2])
-        self.predicted = (
-            conflict.predicted_jerk_mps3, 0.5 * conflict.margin_front_m, conflict.braking_lasts_s,
-            conflict.hardest_ratio,
-        )  # fmt: skip
+        most_mps2 = self.scene.config.conflict.brake_max_mps2
+        self.brakes = np.array([brake for brake in _BRAKES_MPS2 if brake <= most_mps2])
+        self.predicted = _PREDICTED_JERK_MPS3, self.scene.pet_margin_m, _BRAKING_LASTS_S, _HARDEST_RATIO
 
     @property
     def horizon(self) -> int:
@@ -176,7 +190,7 @@ class Guard:
         row, hit, free, leader, gap, run_into = needed_braking(
             known.low, known.high, known.along, known.same_direction, obstacles.lines.stop_s, obstacles.lines.closed,
             obstacles.swept, obstacles.rows, fleet, own, step, state, desired_mps, road, TABLE_STEP_M, 1.0,
-            round((conflict.horizon_s if horizon_s is None else horizon_s) / step_s), conflict.stride, step_s,
+            round((conflict.horizon_s if horizon_s is None else horizon_s) / step_s), STRIDE, step_s,
             driver.following, self.brakes, self.predicted,
             obstacles.lines.stops,
         )  # fmt: skip

@@ -20,6 +20,9 @@ from hid2.occupancy.traffic import BoolArray, Traffic, velocity_of
 from hid2.scene import Scene
 from netconvert.geometry import wrap_angle
 
+#: A follower that would have to brake harder is not expected to yield, m/s2: SUMO's decel; leaders farther away are not
+#: followed, m. No tunables: how the recorded drive on is for the car-following model to say.
+YIELDS_MPS2, AHEAD_M = 4.5, 80.0
 #: Car following: row of the recorded agent, its speed m/s, bumper gap m and speed of its leader m/s -> speed, m/s.
 FollowSpeed = Callable[[int, float, float, float], float]
 
@@ -29,7 +32,7 @@ def yielding(
 ) -> BoolArray:  # fmt: skip
     """Which of some recorded agents (K,) come from behind a vehicle at a step and can yield to it.
 
-    Those that drive as it does and would have to brake with `driving.yields_mps2` at most. xy (2,) m, forward (2,):
+    Those that drive as it does and would have to brake with YIELDS_MPS2 at most. xy (2,) m, forward (2,):
     centre and direction of the vehicle; half_m: half its length.
     """
     here = scene.traffic.at(step).rows(rows.tolist())
@@ -37,7 +40,7 @@ def yielding(
     same_way = np.cos(here.heading[:, 0]) * forward[0] + np.sin(here.heading[:, 0]) * forward[1] > SAME_WAY
     closing = np.maximum(seen.along_mps - speed_mps, 0.0)
     brakes = np.square(closing) / (2.0 * np.maximum(seen.gap_m, 1e-6))
-    able = (seen.along_m < 0.0) & (seen.gap_m > 0.0) & (brakes <= scene.config.driving.yields_mps2)
+    able = (seen.along_m < 0.0) & (seen.gap_m > 0.0) & (brakes <= YIELDS_MPS2)
     return np.asarray(able & same_way & here.present[:, 0] & np.isin(rows, scene.vehicle_rows))
 
 
@@ -111,10 +114,10 @@ class Reactions:
         leader = self._leader(row, place, here) if free_m > 0.0 else None
         if late == 0.0 and leader is None:
             return late
-        wanted, ahead_m = free_m / self.scene.step_s, self.scene.config.driving.yields_ahead_m
+        wanted = free_m / self.scene.step_s
         # trackers jitter: an agent that drives as recorded need not be able to accelerate as its track does
         speed = float(self._speed[row]) if late > 0.0 else max(wanted, float(np.hypot(*here.velocity[row, 0])))
-        gap_m, leader_mps = leader or (ahead_m, wanted)
+        gap_m, leader_mps = leader or (AHEAD_M, wanted)
         driven_m = min(free_m, max(0.0, self.follow_mps(row, speed, gap_m, leader_mps)) * self.scene.step_s)
         self._speed[row] = driven_m / self.scene.step_s
         if driven_m >= free_m:
@@ -133,7 +136,7 @@ class Reactions:
         if self.late[row] == 0.0:
             counts[:count] &= self.late > 0.0
         apart = np.hypot(*(here.position[:, 0] - here.position[row, 0]).T)
-        others = np.flatnonzero(counts & (apart < self.scene.config.driving.yields_ahead_m))
+        others = np.flatnonzero(counts & (apart < AHEAD_M))
         driven = self.scene.states.line(row) if others.size else None
         if driven is None:
             return None

@@ -13,12 +13,22 @@ import numpy as np
 import numpy.typing as npt
 
 from hid2.kernels.approaches import crossing_steps, red_steps, vehicle_states, watch_approach
+from hid2.measures.arrays import MOVING_EXTENT_M
+from hid2.measures.encounters import CROSSING_RAD
+from hid2.occupancy.shown import STANDING_MPS
 from hid2.occupancy.sigma import AGREES_RAD, UNDER_SHARE
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.params import Signals
 from netconvert.cells import CellGrid
 from netconvert.lane_graph import SIDES, LaneGraph, TurnType
 
+# No tunables, here and below: what recorded traffic tells of a phase. A queue that stands so near to the entrance
+# makes it red, m, with centres up to so far beyond it, and so far beside a lane's edge; a vehicle that enters follows
+# the lane nearest on average, and any farther by at most the last.
+_QUEUE_M, _BEYOND_M, _BESIDE_M, _ALIKE_M = 20.0, 3.0, 0.5, 0.3
+_FLOW_MPS = 1.0  # faster recorded vehicles are cross traffic, m/s
+#: Green so long before and after a recorded vehicle enters, s, but not this close to cross traffic (critical PET).
+_ENTRY_BEFORE_S, _ENTRY_AFTER_S, _CROSSING_S = 1.0, 2.0, 1.0
 #: Recorded object types that obey signals.
 SIGNALLED_TYPES = frozenset({"vehicle", "bus", "motorcyclist", "cyclist"})
 
@@ -61,10 +71,10 @@ class InferredSignals:
     _red: dict[int, BoolArray | None] = field(init=False, default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        traffic, params = self.traffic, self.params
+        traffic = self.traffic
         self._states = vehicle_states(
             traffic.position, traffic.velocity, traffic.heading, traffic.present,
-            params.flow_mps, params.standing_mps, params.parked_m,
+            _FLOW_MPS, STANDING_MPS, MOVING_EXTENT_M,
         )  # fmt: skip
 
     def red(self, lane_id: int) -> BoolArray | None:
@@ -96,7 +106,7 @@ class InferredSignals:
         for lane in approach.lanes:
             if lane_id in graph.successors(lane) or _leads_only(graph, lane, turn, approach.fan):
                 queued |= watched.queues[lane]
-        spans = params.before_s, params.after_s, params.entry_before_s, params.entry_after_s, params.crossing_s
+        spans = params.before_s, params.after_s, _ENTRY_BEFORE_S, _ENTRY_AFTER_S, _CROSSING_S
         crossed = self._crossed(lane_id, ~watched.comes_from)
         return red_steps(crossed, entered, queued, *(round(span / self.step_s) for span in spans))
 
@@ -112,7 +122,7 @@ class InferredSignals:
         line = np.ascontiguousarray(borders[0] if len(borders) == 1 else np.concatenate(borders))
         return crossing_steps(
             line, UNDER_SHARE * width_m / 2,
-            math.cos(math.radians(self.params.crossing_deg)), pose, way, flows, others,
+            math.cos(CROSSING_RAD), pose, way, flows, others,
             traffic.length_m / 2, traffic.width_m / 2, bounds,
         )  # fmt: skip
 
@@ -122,12 +132,12 @@ class InferredSignals:
         return self._watched[approach]
 
     def _look(self, approach: _Approach) -> _Watched:
-        graph, params = self.grid.graph, self.params
-        before = [found for lane in approach.lanes for found in _upstream(graph, lane, params.queue_m)]
+        graph = self.grid.graph
+        before = [found for lane in approach.lanes for found in _upstream(graph, lane, _QUEUE_M)]
         lanes = [graph.lanes[lane] for _, lane, _ in before] + [graph.lanes[lane] for lane in approach.fan]
         first = np.cumsum([0, *(len(lane.path.points) for lane in lanes)])
         pose, _, state, _, bounds, moves = self._states
-        rule = params.beside_m, math.cos(AGREES_RAD), params.queue_m, params.beyond_m, params.alike_m
+        rule = _BESIDE_M, math.cos(AGREES_RAD), _QUEUE_M, _BEYOND_M, _ALIKE_M
         comes_from, enters, waits = watch_approach(
             np.concatenate([lane.path.points for lane in lanes]), np.concatenate([lane.path.s for lane in lanes]),
             first, np.array([lane.width_m / 2 for lane in lanes]), np.array([ahead_m for _, _, ahead_m in before]),

@@ -14,6 +14,11 @@ from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import BoolArray
 from hid2.scene import Scene
 
+#: No tunables, how a driver stops: kept to a line, m; closed lines farther ahead matter to none yet, m; share of its
+#: deceleration with which it rolls up, s in which it takes up the speed for that, and over its deceleration the braking
+#: beyond which it crosses, as at amber.
+STOP_MARGIN_M, _STOPS = 1.0, (60.0, 0.6, 0.5, 1.3)
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StopLine:
@@ -65,13 +70,13 @@ class StopLines:
             for kinds in (SIGNALLED_TYPES, CROSSING_TYPES)
         )
         self.signals = InferredSignals(scene.grid, signalled, config.signals, step_s)
-        self._crossings = PedestrianCrossings(scene.grid.graph.pedestrian_crossings, walking, config.crossings, step_s)
+        self._crossings = PedestrianCrossings(scene.grid.graph.pedestrian_crossings, walking, step_s)
 
     def on(self, path: DrivenPath, box: BoxSize) -> list[StopLine]:
         """Lines along a path that are closed at some step, in the order in which a vehicle comes to them."""
         key = path, box
         if key not in self._known:
-            before = box.length_m / 2 + self.scene.config.conflict.stop_margin_m
+            before = box.length_m / 2 + STOP_MARGIN_M
             found = []
             for segment in path.segments:
                 red = self.signals.red(segment.lane_id) if segment.lane_start < 1.0 else None
@@ -101,5 +106,4 @@ class StopLines:
     @property
     def stops(self) -> tuple[float, float, float, float]:
         """How drivers stop at them, as in the kernel `stop_ahead`."""
-        driving = self.scene.config.driving
-        return driving.stop_ahead_m, driving.stop_share, driving.stop_takes_s, driving.stop_hardest_ratio
+        return _STOPS

@@ -9,6 +9,11 @@ import numpy as np
 from hid2.agents import FloatArray
 from hid2.params import Config, Drivers
 
+#: No tunables, the shape of the distributions: draws are cut off so many SD from the mean; the wandering of the speed
+#: is eased over so long, s, as feet do not jump; two places in the lane are so far apart at least, and none is farther
+#: from its middle, m: a car is no bicycle.
+TRUNCATED_AT, _EASED_S, _OFFSET_SPACING_M, OFFSET_MAX_M = 2.0, 0.8, 6.0, 0.9
+
 
 @dataclass(frozen=True, slots=True)
 class Driver:
@@ -61,7 +66,7 @@ def draw_driver(config: Config, rng: np.random.Generator, *, lane_speed_mps: flo
     law, spawn, change = config.drivers, config.spawn, config.lane_change
 
     def draws(count: int) -> list[float]:
-        return [_clipped(one, -law.truncated_at, law.truncated_at) for one in rng.standard_normal(count).tolist()]
+        return [_clipped(one, -TRUNCATED_AT, TRUNCATED_AT) for one in rng.standard_normal(count).tolist()]
 
     desired, tau, accel, decel, min_gap = draws(5)
     turn_lateral_mps2 = float(rng.uniform(law.turn_lateral_min_mps2, law.turn_lateral_max_mps2))
@@ -91,7 +96,7 @@ def desired_speeds(
     at_least_mps: what the vehicle begins with; at the first step it is not above the desired speed.
     """
     law = config.drivers
-    kept, eased = float(np.exp(-step_s / law.wander_time_s)), float(np.exp(-step_s / law.eased_s))
+    kept, eased = float(np.exp(-step_s / law.wander_time_s)), float(np.exp(-step_s / _EASED_S))
     kick = (law.wander_sd_mps * np.sqrt(1.0 - kept * kept) * rng.standard_normal(num_steps)).tolist()
     wander = [max(law.wander_sd_mps * float(rng.standard_normal()), at_least_mps - driver.desired_mps)]
     level = wander[0] + law.wander_sd_mps * float(rng.standard_normal())  # no vehicle begins at a constant speed
@@ -174,7 +179,7 @@ def lane_offset(
     usual: d m of the lanes' vehicles at arc lengths m; a driver goes from one to the next no quicker than it wanders.
     """
     law = config.drivers
-    spacing = max(law.offset_spacing_m, driver.desired_mps * law.lateral_wander_time_s)
+    spacing = max(_OFFSET_SPACING_M, driver.desired_mps * law.lateral_wander_time_s)
     count = max(4, int(length_m / spacing) + 3)
     knots = spacing * (np.arange(count) - rng.uniform())
     kept = float(np.exp(-1.0))
@@ -183,8 +188,8 @@ def lane_offset(
         value[row] = kept * value[row - 1] + rest * value[row]
     around = knots[:, None] + spacing * np.linspace(-1.0, 1.0, _AROUND)
     offset = usual(around.ravel()).reshape(around.shape).mean(axis=1) + driver.offset_m
-    offset += driver.wander_m * np.clip(value, -law.truncated_at, law.truncated_at)
-    offset = np.clip(offset, -law.offset_max_m, law.offset_max_m)
+    offset += driver.wander_m * np.clip(value, -TRUNCATED_AT, TRUNCATED_AT)
+    offset = np.clip(offset, -OFFSET_MAX_M, OFFSET_MAX_M)
     return LaneOffset(
         np.asarray(knots, dtype=np.float64), offset, np.asarray(np.gradient(offset, knots), dtype=np.float64)
     )

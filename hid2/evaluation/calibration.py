@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from hid2.agents import FloatArray, IntArray
-from hid2.drivers.driver import Driver, desired_speeds, lane_offset
+from hid2.drivers.driver import TRUNCATED_AT, Driver, desired_speeds, lane_offset
 from hid2.evaluation.windows import Windows
 from hid2.params import Config, Drivers
 from hid2.resampling import Estimate, interval, redrawn
@@ -250,14 +250,14 @@ def lateral_moments(time_s: float, spread: float) -> _Moments:
 
     The speed does not matter: the place in the lane changes with the way driven in a correlation time.
     """
-    config, rng = Config(drivers=Drivers(lateral_wander_time_s=time_s, offset_max_m=1.5)), np.random.default_rng(2)
-    speed_mps, law = _DRIVER.desired_mps, config.drivers
+    config, rng = Config(drivers=Drivers(lateral_wander_time_s=time_s)), np.random.default_rng(2)
+    speed_mps = _DRIVER.desired_mps
     time, parabola, _ = _fits()
     length_m = speed_mps * _EVERY_S * (4 * _HALF + 1) + 10.0
 
     def drive() -> list[tuple[float, float]]:
         # a hundredth, so that the bound on the offset does not matter
-        wander = 0.01 * float(np.exp(spread * np.clip(rng.standard_normal(), -law.truncated_at, law.truncated_at)))
+        wander = 0.01 * float(np.exp(spread * np.clip(rng.standard_normal(), -TRUNCATED_AT, TRUNCATED_AT)))
         offset = lane_offset(replace(_DRIVER, wander_m=wander), config, rng, length_m=length_m, usual=np.zeros_like)
         middles = (_HALF_S, 2.0 * _HALF_S, 3.0 * _HALF_S)
         fits = [parabola @ offset.at(5.0 + speed_mps * (middle + time))[0] for middle in middles]

@@ -11,7 +11,7 @@ from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import LaneOption, Observation, Side, decide
 from hid2.policy.observation import gap_ahead_of, lane_options, lay_across, leader_on, own_gaps, returns_to
-from hid2.policy.overtake import Leader, Stage
+from hid2.policy.overtake import SHIFT_RATIO, Leader, Stage
 from hid2.policy.rules import SumoAnswer
 from hid2.reasons import Reason
 from hid2.scene import Scene
@@ -171,7 +171,7 @@ class Due:
         path = lay_across(
             scene, vehicle.path, target, s=vehicle.s[-1], step=self.now,
             speed_mps=foreseen_speeds(vehicle, scene, self.now), remaining_m=option.remaining_m, driver=start.driver,
-            ratio=scene.config.overtake.shift_ratio if vehicle.policy is Policy.OVERTAKE else 1.0,
+            ratio=SHIFT_RATIO if vehicle.policy is Policy.OVERTAKE else 1.0,
         )  # fmt: skip
         if isinstance(path, DrivenPath) and vehicle.stage is Stage.PASS and not returns_to(start.path, path):
             return Reason.LANES_PART

@@ -8,11 +8,14 @@ import shapely
 
 from hid2.agents import FloatArray, IntArray, Policy
 from hid2.insertion.flow import entry_lanes
-from hid2.insertion.meetings import Meetings
+from hid2.insertion.meetings import NEAR_WEIGHT, Meetings
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.motion.route import Route
 from hid2.occupancy.traffic import BoolArray
-from hid2.scene import Scene
+from hid2.scene import ENTRY_STAYS_S, Scene
+
+#: A lane that begins so near to the hull of all lanes begins at the map's edge, m. No tunable: what the edge is.
+_EDGE_M = 15.0
 
 
 class EntryTable(NamedTuple):
@@ -64,7 +67,7 @@ class Entries:
         return -1
 
     def _made(self) -> EntryTable:
-        scene, spawn = self.scene, self.scene.config.spawn
+        scene = self.scene
         rows: list[tuple[int, int, int]] = []
         met: list[tuple[float, bool, int]] = []
         looks = [(look, step) for look, step in enumerate(self.meetings.looks.tolist()) if 0 < step <= self._last]
@@ -75,7 +78,7 @@ class Entries:
                     found = self.meetings.from_edge(lane_id, offer, look)
                     rows.append((lane_id, offer, step))
                     met.append((float(found.weight[0]) / len(offers), bool(found.near[0]), int(found.leader[0])))
-                    if scene.config.request.near != "anywhere" and found.weight[0] < spawn.near_weight:
+                    if scene.config.request.near != "anywhere" and found.weight[0] < NEAR_WEIGHT:
                         met[-1] = (0.0, *met[-1][1:])
         lane, offer_row, at = np.array(rows, dtype=np.int64).reshape(-1, 3).T
         return EntryTable(
@@ -93,7 +96,7 @@ class Entries:
     def _last(self) -> int:
         """The last step at which a vehicle enters: an observed one, and not just before the scene ends."""
         scene = self.scene
-        return min(scene.last_observed_step, scene.num_steps - scene.steps_in(scene.config.sites.entry_stays_s))
+        return min(scene.last_observed_step, scene.num_steps - scene.steps_in(ENTRY_STAYS_S))
 
 
 def edge_lanes(scene: Scene, routes: Routes) -> list[int]:
@@ -101,7 +104,7 @@ def edge_lanes(scene: Scene, routes: Routes) -> list[int]:
 
     Elsewhere a lane without predecessors is a turn pocket or a driveway: no vehicle appears there at traffic's speed.
     """
-    graph, edge_m = scene.grid.graph, scene.config.sites.entry_edge_m
+    graph = scene.grid.graph
     hull = shapely.convex_hull(shapely.multipoints(np.concatenate([lane.centerline for lane in graph.lanes.values()])))
     found = []
     for lane_id in entry_lanes(scene, routes):
@@ -112,6 +115,6 @@ def edge_lanes(scene: Scene, routes: Routes) -> list[int]:
             row |= beside  # type: ignore[arg-type]
             waiting += sorted(beside)  # type: ignore[arg-type]
         begins = shapely.points(graph.lanes[lane_id].centerline[0])
-        if not any(graph.predecessors(n) for n in row) and shapely.distance(hull.boundary, begins) <= edge_m:
+        if not any(graph.predecessors(n) for n in row) and shapely.distance(hull.boundary, begins) <= _EDGE_M:
             found.append(lane_id)
     return found

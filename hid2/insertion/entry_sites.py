@@ -6,13 +6,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hid2.agents import Policy
+from hid2.insertion.meetings import LEADER_WEIGHT
 from hid2.insertion.spread import Spread
-from hid2.insertion.starts import Starts, speed_behind
+from hid2.insertion.starts import CLEAR_GAP_M, SLOWEST_SHARE, Starts, speed_behind
 from hid2.insertion.surroundings import Surroundings
+from hid2.measures.encounters import STANDS_MPS
 from hid2.occupancy.gaps import gaps_from_pose
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
 from hid2.vehicle import Start, VehicleRequest
+
+#: Sites looked at in full for a request in a round. Not a parameter, it saves time: `spawn.rounds` bounds the search.
+TRIES = 80
+#: None enters less than this ahead of another inserted vehicle, s. No tunable: shorter headways are no driver's.
+_ENTRY_GAP_S = 1.0
 
 
 @dataclass(slots=True)
@@ -37,7 +44,7 @@ class EntrySites:
         scene, entries, rng = self.here.scene, self.here.entries, self.starts.rng
         table = entries.table
         weight = table.weight.copy()
-        weight[np.isin(table.leader, followed) & (table.leader >= 0)] /= scene.config.spawn.leader_weight
+        weight[np.isin(table.leader, followed) & (table.leader >= 0)] /= LEADER_WEIGHT
         if self.here.meetings.is_target_named:
             weight[~table.near] = 0.0
         order = self.spread.order(
@@ -45,7 +52,7 @@ class EntrySites:
             of=round(scene.config.request.entering * self.asked),
         )  # fmt: skip
         self._looked += 1
-        for row in order[: scene.config.sites.tries].tolist():
+        for row in order[:TRIES].tolist():
             start = self.starts.make(
                 request, entries.offer(row), int(table.lane[row]), None, step=entries.step(row, rng),
                 led_by=int(table.leader[row]),
@@ -68,9 +75,9 @@ def entry_speed(start: Start, fleet: Traffic, config: Config, *, step_s: float) 
     seen, speed = gaps_from_pose(xy[0], tangent[0], start.box, later), start.start_mps
     for row in np.flatnonzero((seen.aside_m < config.conflict.margin_lateral_m) & fleet.present[:, 0]).tolist():
         gap, other_mps, leads = float(seen.gap_m[row]), float(seen.along_mps[row]), seen.along_m[row] > 0.0
-        if gap < config.spawn.clear_gap_m or (not leads and gap < config.sites.entry_gap_s * other_mps):
+        if gap < CLEAR_GAP_M or (not leads and gap < _ENTRY_GAP_S * other_mps):
             return None
         if leads:
-            speed = min(speed, float(speed_behind(gap, max(0.0, other_mps), start.driver, config.sites)))
-    slowest_mps = max(config.sites.standing_mps, config.sites.slowest_share * start.driver.desired_mps)
+            speed = min(speed, float(speed_behind(gap, max(0.0, other_mps), start.driver)))
+    slowest_mps = max(STANDS_MPS, SLOWEST_SHARE * start.driver.desired_mps)
     return speed if speed >= slowest_mps else None

@@ -17,6 +17,9 @@ from hid2.params import Event
 from hid2.reasons import Reason
 from hid2.scene import Scene
 
+#: An event counts so much before or after the time asked for, s, and where so large a share of the braking asked for is
+#: seen. No tunables: jerk is bounded and positions are smoothed, so that nothing driven meets a number exactly.
+MOMENT_S, _BRAKES_SHARE = 0.5, 0.8
 #: A leader is no farther than this beside the target, m. Not a parameter, it saves time: the judge looks again.
 _ASIDE_M = 2.5
 
@@ -40,8 +43,7 @@ class Objective:
 
     @property
     def _at_band_s(self) -> tuple[float, float]:
-        spare_s = self.scene.config.event_search.moment_s
-        return self.event.at_band_s[0] - spare_s, self.event.at_band_s[1] + spare_s
+        return self.event.at_band_s[0] - MOMENT_S, self.event.at_band_s[1] + MOMENT_S
 
     def likely_step(self, track: Track) -> int | None:
         """The step nearest to the middle of what is asked at which a vehicle may bring the event about; None for never.
@@ -117,8 +119,7 @@ class Objective:
         )  # fmt: skip
         if not event.brakes_mps2:
             return off
-        share = self.scene.config.event_search.brakes_share
-        return max(off, abs(found.brakes_mps2 / event.brakes_mps2 - 1.0) / (1.0 - share))
+        return max(off, abs(found.brakes_mps2 / event.brakes_mps2 - 1.0) / (1.0 - _BRAKES_SHARE))
 
 
 def _off_by(value: float | None, band: tuple[float, float] | None) -> float:

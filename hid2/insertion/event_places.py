@@ -15,6 +15,7 @@ from itertools import islice
 import numpy as np
 
 from hid2.agents import FloatArray
+from hid2.insertion.event_objective import MOMENT_S
 from hid2.insertion.event_targets import Target
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.measures.encounters import CROSSING_RAD
@@ -167,7 +168,7 @@ class Places:
     def _within(self, low_s: float, high_s: float) -> BoolArray:
         """(T,) steps within a band of times, or nearly, at which the target is there."""
         time_s = np.arange(self.target.present.size) * self.target.step_s
-        spare_s = _SPARE_SHARE * self.routes.scene.config.event_search.moment_s
+        spare_s = _SPARE_SHARE * MOMENT_S
         return self.target.present & (time_s >= low_s - spare_s) & (time_s <= high_s + spare_s)
 
     def _lanes(self, low_s: float, high_s: float) -> list[tuple[int, int]]:

@@ -11,7 +11,7 @@ from hid2.drivers.driver import Driver, draw_driver
 from hid2.insertion.event_objective import Objective
 from hid2.insertion.event_places import Place
 from hid2.insertion.rollout import Foreseen, Rollout, World
-from hid2.insertion.starts import Starts
+from hid2.insertion.starts import CLEAR_GAP_M, Starts
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.gaps import gaps_on_path
 from hid2.occupancy.traffic import BoolArray
@@ -21,6 +21,7 @@ from hid2.reasons import Reason
 from hid2.scene import clearance_box
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 
+_BRAKES_S = 2.5  # braking that is asked for lasts so long; no tunable: until about 20 km/h slower than before
 #: Of each driver so many beginnings are looked at, and the first that is free is taken; a place is left out where so
 #: many drivers in a row cannot begin; of so many the fastest is to overtake, the quickest to cut in. No tunables.
 _DRAWS, _NOT_BEGUN, _ASKED = 32, 20, 10
@@ -98,7 +99,7 @@ class EventStarts(Starts):
         freely = np.where(rng.random(_DRAWS) < 0.5, 1.0, rng.random(_DRAWS))  # share of the time in which it is held up
         begin_s = np.interp(np.interp(s, cells, time_s) - freely * at * scene.step_s, time_s, cells, left=-1.0)
         near = gaps_on_path(self.world.known_on(place.path, self._box), begin_s, 0)
-        clear = np.minimum(near.lead_m, near.lag_m) >= scene.config.spawn.clear_gap_m
+        clear = np.minimum(near.lead_m, near.lag_m) >= CLEAR_GAP_M
         clear &= (begin_s > 0.5 * self._box.length_m) & (s < place.path.exit_s)
         if not clear.any():
             return Reason.NO_SITE
@@ -181,10 +182,10 @@ class EventStarts(Starts):
 
         SUMO takes a wish for the most that a vehicle may drive, and brakes for one that falls.
         """
-        search, brakes_mps2 = self.scene.config.event_search, self.objective.event.brakes_mps2
+        brakes_mps2 = self.objective.event.brakes_mps2
         since_s = self.scene.step_s * np.arange(start.desired.size - step)
         falling = np.maximum(speed_mps - brakes_mps2 * since_s, _CREEPS_MPS)
-        wish = np.where(since_s < search.brakes_s, falling, start.desired[step:])
+        wish = np.where(since_s < _BRAKES_S, falling, start.desired[step:])
         driver = replace(start.driver, decel_mps2=max(start.driver.decel_mps2, brakes_mps2))
         return replace(start, desired=np.concatenate([start.desired[:step], wish]), driver=driver)
 

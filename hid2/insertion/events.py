@@ -17,7 +17,7 @@ import numpy as np
 from hid2.agents import Policy
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
-from hid2.insertion.event_objective import Objective, Seen
+from hid2.insertion.event_objective import MOMENT_S, Objective, Seen
 from hid2.insertion.event_places import Places
 from hid2.insertion.event_starts import Candidate, EventStarts
 from hid2.insertion.event_targets import candidate_rows, target_of
@@ -32,6 +32,8 @@ from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 
+#: lane_change.time_gap_front_s of a cut-in, s. No tunable: the band that is asked for counts, on the other side.
+_CUT_IN_GAP_S = 0.3
 #: Drives one vehicle alone among the recorded and the kept ones: scene, stop lines, start, kept ones.
 DriveAlone = Callable[[Scene, StopLines, Start, Traffic], DrivenVehicle]
 #: Vehicles of events are numbered from here on, behind all others: bookkeeping.
@@ -82,9 +84,9 @@ def scene_for(scene: Scene, event: Event) -> Scene:
     if event.kind in _MEETS_CROSSING:
         update["signals"] = config.signals.model_copy(update={"before_s": 0.0, "after_s": 0.0})
     if event.kind == "cut_in":  # behind the vehicle the event's band counts alone
-        waits_s = min(config.lane_change.give_up_s, float(np.ptp(event.at_band_s)) + 2 * config.event_search.moment_s)
+        waits_s = min(config.lane_change.give_up_s, float(np.ptp(event.at_band_s)) + 2 * MOMENT_S)
         change = {
-            "time_gap_front_s": config.event_search.cut_in_gap_s,
+            "time_gap_front_s": _CUT_IN_GAP_S,
             "time_gap_rear_s": 0.0,
             "min_gap_m": 1.0,
             "braking_mps2": 9.0,

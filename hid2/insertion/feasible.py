@@ -3,6 +3,7 @@
 from collections.abc import Collection
 
 from hid2.agents import Policy
+from hid2.insertion.event_objective import MOMENT_S
 from hid2.insertion.event_targets import candidate_rows, target_of
 from hid2.insertion.meetings import moving_vehicles, target_rows
 from hid2.insertion.routes import Routes
@@ -29,7 +30,7 @@ def impossible(scene: Scene, named: Collection[Policy]) -> dict[str, str]:
         found[f"trigger time {request.first_trigger_s:g} s for lane changes and overtakes"] = ends
     for event in scene.config.event:
         low_s, high_s = event.at_band_s
-        if low_s - scene.config.event_search.moment_s > scene.last_s:
+        if low_s - MOMENT_S > scene.last_s:
             found[f"event {event.kind} at {low_s:g}:{high_s:g} s"] = ends
         if all(target_of(scene, row) is None for row in candidate_rows(scene, event.target)):
             moving = [ids[row] for row in moving_vehicles(scene).tolist()]

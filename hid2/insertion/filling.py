@@ -25,6 +25,12 @@ from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 from netconvert.cells import Cell
 
+#: Not parameters, they bound the search: most that `agents = max` asks for; a round of it that adds a smaller share
+#: is the last; requests without a site, for a manoeuvre or to go straight, after which a round looks for no more; and
+#: how often a vehicle that had waited for one that is gone is driven again.
+_MOST, _FULL_SHARE, _FAILED, _FAILED_STRAIGHT, _AGAIN = 400, 0.1, 4, 1, 1
+#: Lane that a vehicle takes on a full road, m: what `agents = max` means, no tunable.
+SPACING_M = 25.0
 #: Runs one simulation: starts, generated vehicles kept in rounds before, number of the round.
 Drive = Callable[[Sequence[Start], Traffic, int], list[DrivenVehicle]]
 #: Vehicles of a round that are not exported, by id: reason and detail.
@@ -116,7 +122,7 @@ class Filling:
             added = len(self.kept) - before
             idle = 0 if added else idle + 1
             is_last_try = number >= config.spawn.reseed_rounds
-            if is_last_try and config.request.agents == "max" and added <= config.spawn.full_share * len(self.kept):
+            if is_last_try and config.request.agents == "max" and added <= _FULL_SHARE * len(self.kept):
                 break
             if (is_last_try or idle == _IDLE) and self._give_up_manoeuvres(
                 {start.request.number for start in self._again}
@@ -164,9 +170,9 @@ class Filling:
 
     def _most(self) -> int:
         """How many the road takes at usual gaps, about: what `max` asks for."""
-        lanes, spawn = self.scene.grid.graph.lanes, self.scene.config.spawn
+        lanes = self.scene.grid.graph.lanes
         length_m = sum(lanes[lane_id].length_m for lane_id in self.surroundings.routes.lanes)
-        return min(spawn.most_agents, math.ceil(length_m / spawn.spacing_m))
+        return min(_MOST, math.ceil(length_m / SPACING_M))
 
     def _requests(self, count: int) -> list[VehicleRequest]:
         """What is asked for; what map or scene's length do not allow is noted, and a vehicle goes straight."""
@@ -187,7 +193,6 @@ class Filling:
 
     def _starts(self, number: int) -> list[Start]:
         """Starts of a round: those driven again, then open requests, each of which keeps clear of those before it."""
-        spawn = self.scene.config.spawn
         rng = np.random.default_rng([*self.seed, 1 + number])
         here = self.surroundings
         guard = Guard(self.scene, self._fixed, here.stop_lines)
@@ -206,7 +211,7 @@ class Filling:
             policy, before = request.policy, sites.starts.rejected.copy()
             straight = policy is Policy.STRAIGHT
             found: list[Start] = []
-            if failed[policy] < (spawn.failed_straight if straight else spawn.failed_manoeuvres):
+            if failed[policy] < (_FAILED_STRAIGHT if straight else _FAILED):
                 slow = self._to_lead(request, [r for r in waiting if r.number not in used])
                 found = sites.propose(request, slow and replace(slow, policy=Policy.STRAIGHT))
                 if slow is not None and slow.policy is not Policy.STRAIGHT and len(found) > 1:
@@ -324,7 +329,7 @@ class Filling:
                     continue
                 gone[driven.vehicle_id] = driven, Reason.WAITED_FOR_GONE, None
                 changed = True
-                if self._driven_again[driven.vehicle_id] < self.scene.config.spawn.driven_again:
+                if self._driven_again[driven.vehicle_id] < _AGAIN:
                     self._driven_again[driven.vehicle_id] += 1
                     self._again.append(driven.start)
 

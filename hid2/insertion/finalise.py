@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hid2.agents import FloatArray, Track
-from hid2.judge.findings import Finding, Quantity, last_word
+from hid2.judge.findings import MOVES_M, Finding, Quantity, last_word
 from hid2.judge.states import (
     headways,
     of_boxes,
@@ -27,6 +27,9 @@ from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle
 
+#: No tunables: widths of the filter, over smoothing.filter_s, and shares of the driver's place in the lane that are
+#: tried in turn, the usual ones first: what no limit asks for is not changed.
+_FILTER_RATIOS, _OFFSET_SHARES = (1.0, 1.6, 2.5), (1.0, 0.5, 0.0)
 #: Reasons by what the judge finds; boxes that meet are told apart by their agents.
 _REASONS = {Quantity(limit.name): limit.reason for limit in MOTION_LIMITS} | {
     Quantity.CURVATURE: Reason.LIMIT_CURVATURE,
@@ -122,7 +125,7 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, kept: Sequence[ExportedVehicl
     steps = int((s <= end).sum())
     if steps < scene.steps_to_stay(start.step):
         return Reason.LEAVES_TOO_EARLY
-    if s[steps - 1] - s[0] < config.export.moves_m and "collision" not in config.without:
+    if s[steps - 1] - s[0] < MOVES_M and "collision" not in config.without:
         return Reason.STANDS_THROUGHOUT
     others = together(scene, kept)
     if "smoothing" in config.without:
@@ -136,13 +139,13 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, kept: Sequence[ExportedVehicl
     for begin, finish in vehicle.path.shifts:
         offset = offset.held(begin, finish)
     verdict: ExportedVehicle | Reason = Reason.LIMIT_JERK
-    ratios = config.export.filter_ratios
-    for ratio, eased in [(ratios[0], False), *((ratio, True) for ratio in ratios)]:  # ends are eased where they must be
+    tried = [(_FILTER_RATIOS[0], False), *((ratio, True) for ratio in _FILTER_RATIOS)]
+    for ratio, eased in tried:  # ends are eased where they must be
         motion = smooth_motion(
             s[:steps], filter_s=ratio * config.smoothing.filter_s, step_s=scene.step_s,
             end_jerk_mps3=config.limits.longitudinal_jerk_mps3 if eased else None,
         )  # fmt: skip
-        for share in config.export.offset_shares:
+        for share in _OFFSET_SHARES:
             path = trajectory(vehicle.path.line, motion, offset.scaled(share))
             found = _smoothed(scene, vehicle, motion, path, motion.s - own[:steps], others)
             verdict = found if isinstance(found, Reason) else _beside_others(scene, *found)

@@ -8,6 +8,7 @@ import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, FloatArray, IntArray, Policy
 from hid2.conflicts.signals import InferredSignals
+from hid2.conflicts.stop_lines import STOP_MARGIN_M
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.kernels.meetings import met_on_route
 from hid2.measures.arrays import is_moving
@@ -19,6 +20,15 @@ from hid2.scene import MOVES_MPS, Scene
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
 
+#: Weights of sites, over that of any other: near to agents that request.near asks for; from which a recorded vehicle
+#: would be followed; from which recorded traffic would be crossed; where a recorded follower would run into the
+#: vehicle, as most of these fail. No tunables: `request.near`, `within_m` and `sites` say what is wanted.
+NEAR_WEIGHT, LEADER_WEIGHT, _CROSSING_WEIGHT, _RUN_INTO_WEIGHT = 8.0, 6.0, 3.0, 0.2
+#: No tunables, how roughly a vehicle is foreseen here; a rollout follows. It drives at a share of the usual speed, as
+#: it brakes now and then; agents within a share of request.within_m are near; it begins with at least this share of
+#: the way left; routes with the same turns of which the mean is taken; and s between centres where a path is crossed:
+#: boxes take about .8 s less, which leaves a PET from the critical 1 s to 3 s.
+_PACE_SHARE, _NEAR_SHARE, _LEAVES_SHARE, _ROUTES, _CROSSING_APART_S = 0.9, 0.7, 0.8, 4, (1.8, 3.8)
 #: Time between looks at recorded traffic, s. Not a parameter, it saves time: estimates of positions need no more.
 _EVERY_S = 0.5
 #: Centres this near to the middle of a cell are on it, m: half a lane and a little. No tunable: what on a cell means.
@@ -209,7 +219,7 @@ class Meetings:
         rows = [row for row, one in enumerate(offers) if (one.turns[0][0] if one.turns else TurnType.STRAIGHT) is turn]
         if turn is TurnType.STRAIGHT and not rows:
             rows = list(range(len(offers)))
-        return rows[: self.scene.config.sites.routes_estimated]
+        return rows[:_ROUTES]
 
     def _of_offer(self, lane_id: int, row: int) -> Outlook:
         if (lane_id, row) not in self._on_route:
@@ -234,9 +244,9 @@ class Meetings:
     ) -> Outlook:
         """Of the cells of a lane on one route, for a vehicle there from a look on; count: of its first cells alone."""
         scene, config = self.scene, self.scene.config
-        request, sites, spawn = config.request, config.sites, config.spawn
+        request = config.request
         cells, middle = self._cells(lane_id, offer)
-        count, pace = count or scene.grid.count(lane_id), sites.pace_share * speed_mps
+        count, pace = count or scene.grid.count(lane_id), _PACE_SHARE * speed_mps
         start, since, step = middle[:count], slice(look, None), int(self._steps[look])
         time_s = np.asarray((self._steps[since] - step) * scene.step_s, dtype=np.float64)
         last = int(np.searchsorted(self._steps, min(scene.first_exit_step, scene.num_steps) - 1, side="right")) - 1
@@ -245,20 +255,20 @@ class Meetings:
         lane_cell = np.ascontiguousarray(self._lane_cell[:, since])
         near, near_last, leader, is_run_into, crosses = met_on_route(
             scene.grid.centers, cells, middle, count, time_s, pace, target_xy, target_there,
-            sites.near_share * request.within_m, lane_cell, self._number, _LEADS_FROM_M,
+            _NEAR_SHARE * request.within_m, lane_cell, self._number, _LEADS_FROM_M,
             FOLLOWS_S * speed_mps + _LEADS_FROM_M, _LEADS_LOOKS, self._crossed_from,
-            self._crossed_s - step * scene.step_s, *spawn.crossing_apart_s, last - look,
+            self._crossed_s - step * scene.step_s, *_CROSSING_APART_S, last - look,
             *self._red(lane_id, offer, look),
         )  # fmt: skip
         weight = np.ones(count)
         if request.near == "anywhere":
             leader = np.full(count, -1, dtype=np.int64)
         else:
-            weight[is_run_into] *= spawn.run_into_weight
-            weight[near] *= spawn.near_weight
-            weight[leader >= 0] *= spawn.leader_weight
-            weight[crosses] *= spawn.crossing_weight
-        left_m, usual_m = middle[-1] - start, sites.leaves_share * speed_mps * scene.step_s
+            weight[is_run_into] *= _RUN_INTO_WEIGHT
+            weight[near] *= NEAR_WEIGHT
+            weight[leader >= 0] *= LEADER_WEIGHT
+            weight[crosses] *= _CROSSING_WEIGHT
+        left_m, usual_m = middle[-1] - start, _LEAVES_SHARE * speed_mps * scene.step_s
         if "topology" not in scene.config.without:
             weight[left_m < usual_m * scene.steps_to_stay(step)] = 0.0
         stays = left_m >= speed_mps * scene.step_s * (scene.num_steps - step)
@@ -266,8 +276,8 @@ class Meetings:
 
     def _red(self, lane_id: int, offer: RouteOffer, look: int) -> tuple[FloatArray, BoolArray]:
         """Where a vehicle on a route stops at signals, (L,) m from a lane on, and whether they are red (L, looks)."""
-        config, lanes, at = self.scene.config, self.scene.grid.graph.lanes, 0.0
-        before_m = DEFAULT_SIZES["vehicle"].length_m / 2 + config.conflict.stop_margin_m
+        lanes, at = self.scene.grid.graph.lanes, 0.0
+        before_m = DEFAULT_SIZES["vehicle"].length_m / 2 + STOP_MARGIN_M
         stop_at: list[float] = []
         red = [np.zeros((0, self._steps.size - look), dtype=np.bool_)]
         for lane in offer.route[offer.route.index(lane_id) :]:

@@ -14,9 +14,10 @@ import numpy as np
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray
 from hid2.drivers.driver import Driver, draw_driver
 from hid2.insertion.routes import RouteOffer
-from hid2.insertion.starts import Starts, speed_behind
+from hid2.insertion.starts import BEGIN_BRAKING_MPS2, CLEAR_GAP_M, DRIVERS, Starts, speed_behind
 from hid2.insertion.surroundings import Surroundings
 from hid2.kernels.polyline import frenet
+from hid2.measures.manoeuvres import PARKED_MPS
 from hid2.motion.lane_change_path import LateralTiming
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
@@ -24,11 +25,16 @@ from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import BoolArray
 from hid2.policy.decision import Side
 from hid2.policy.observation import admissible_neighbor
-from hid2.policy.overtake import shortest_shift_s
+from hid2.policy.overtake import SHIFT_RATIO, shortest_shift_s
 from hid2.reasons import Reason
-from hid2.scene import clearance_box
+from hid2.scene import SLOW_LEADER_SHARE, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 
+#: Not parameters, they save time: routes on which places are looked for, drawn on each, and rolled out at most.
+_ROUTES, _DRAWS, _ROLLED_OUT = 120, 120, 6
+#: No tunables, what is drawn: an added leader drives no slower, m/s; s of the speed difference from the leader at the
+#: start, beyond the gap at standstill.
+_SLOWEST_MPS, _GAP_S = 3.0, (1.0, 4.0)
 #: Not parameters, they save time: s between two looks at places, places tried on one way, and how many there
 #: are to choose among for each that is tried.
 _LOOKS_S, _TRIED, _ENOUGH = 0.5, 2, 3
@@ -123,7 +129,7 @@ class OvertakeStarts:
 
         slow: the request that an added leader would meet; None: only vehicles that are known may be overtaken.
         """
-        scene, rng, sites = self.here.scene, self.starts.rng, self.here.scene.config.sites
+        scene, rng = self.here.scene, self.starts.rng
         self.found_none = Reason.NO_OVERTAKE_FORESEEN if slow is not None else Reason.NO_SLOW_LEADER
         if request.trigger_s + 2.0 * shortest_shift_s(scene.config) > scene.last_s:
             return []  # out and back alone take longer
@@ -132,7 +138,7 @@ class OvertakeStarts:
         for place in np.resize(rng.permutation(len(ways)), 6 * len(ways)).tolist():
             drivers = [
                 draw_driver(scene.config, rng, lane_speed_mps=scene.lane_speed(ways[place][1], rng))
-                for _ in range(sites.drivers)
+                for _ in range(DRIVERS)
             ]
             driver = max(drivers, key=lambda one: one.desired_mps)  # that of an overtaker is in a hurry
             way = self._way(*ways[place], reach_m=driver.desired_mps * request.trigger_s)
@@ -142,14 +148,14 @@ class OvertakeStarts:
             for drawn in (self._behind_known, self._behind_added)[: 2 if slow is not None else 1]:
                 motions = self._likely(way, driver, request.trigger_s, drawn(way, driver))
                 likely += [(way, driver, motions.rows(np.array([n]))) for n in range(motions.start_s.size)[:_TRIED]]
-            if looked == sites.overtake_ways or len(likely) >= _ENOUGH * sites.overtake_tries:
+            if looked == _ROUTES or len(likely) >= _ENOUGH * _ROLLED_OUT:
                 break
         likely.sort(key=lambda one: -float(one[2].spare_m[0]))
         ranks, on_lane = list[int](), Counter[int]()
         for way, _, _ in likely:  # the best of each lane first: what is in the way is mostly in the way of all
             ranks.append(on_lane[way.lane_id])
             on_lane[way.lane_id] += 1
-        for n in np.argsort(ranks, kind="stable")[: sites.overtake_tries].tolist():
+        for n in np.argsort(ranks, kind="stable")[:_ROLLED_OUT].tolist():
             way, driver, motion = likely[n]
             self.found_none = None
             found = self._starts(request, slow, way, driver, motion)
@@ -198,16 +204,16 @@ class OvertakeStarts:
         if path not in self._slow or self._slow[path][0] is not known:
             recorded, last = scene.kept_clear_on(path, self._box).agents.size, scene.num_steps - 1
             usable = np.isin(known.agents, scene.vehicle_rows) | (np.arange(known.agents.size) >= recorded)
-            usable &= known.same_direction[:, 0] & (known.along[:, 0] > scene.config.overtake.parked_mps)
+            usable &= known.same_direction[:, 0] & (known.along[:, 0] > PARKED_MPS)
             rows = np.flatnonzero(usable & np.isfinite(known.low[:, : last + 1]).all(axis=1))
             self._slow[path] = known, rows, known.high[rows, last] - known.low[rows, 0]
         return self._slow[path]
 
     def _behind_added(self, way: _Way, driver: Driver) -> _Drawn:
         """Behind leaders at some share of the lane's usual speed."""
-        scene, sites, rng = self.here.scene, self.here.scene.config.sites, self.starts.rng
-        share = rng.uniform(sites.slow_leader_min, sites.slow_leader_max, size=sites.overtake_draws)
-        slow_mps = np.maximum(sites.slow_leader_mps, share * self.here.scene.usual_speed(way.lane_id))
+        scene, rng = self.here.scene, self.starts.rng
+        share = rng.uniform(*SLOW_LEADER_SHARE, size=_DRAWS)
+        slow_mps = np.maximum(_SLOWEST_MPS, share * self.here.scene.usual_speed(way.lane_id))
         slow_mps = slow_mps[slow_mps < driver.desired_mps - scene.config.overtake.speed_advantage_mps]
         gap_m = self._gap_m(driver, slow_mps)
         leader_m = (self._box.length_m + gap_m)[:, None] + slow_mps[:, None] * self._looks() * scene.step_s
@@ -219,7 +225,7 @@ class OvertakeStarts:
 
     def _gap_m(self, driver: Driver, leader_mps: FloatArray) -> FloatArray:
         """Bumper gaps (N,) m at the start, by the speed at which the driver closes in."""
-        share = self.starts.rng.uniform(*self.here.scene.config.sites.overtake_gap_s, size=leader_mps.size)
+        share = self.starts.rng.uniform(*_GAP_S, size=leader_mps.size)
         return np.asarray(driver.min_gap_m + share * (driver.desired_mps - leader_mps))
 
     def _likely(self, way: _Way, driver: Driver, trigger_s: float, drawn: _Drawn) -> _Motions:
@@ -231,9 +237,7 @@ class OvertakeStarts:
             return motions
         s, out_m, across_m = motions.s, motions.out_m, motions.across_m
         own, beside = (self.starts.world.known_on(path, self._box) for path in (way.path, way.beside))
-        met = _taken(own, looks, s, room_m=self.here.scene.config.spawn.clear_gap_m) & (
-            (out_m < _CROSSED * across_m) | (s > motions.back_s)
-        )
+        met = _taken(own, looks, s, room_m=CLEAR_GAP_M) & ((out_m < _CROSSED * across_m) | (s > motions.back_s))
         if motions.added:
             met |= _taken(own, looks, motions.leader, room_m=_HEADWAY_S * float(motions.leader_mps.max()))
         is_off = (out_m > 0.0) & (s < motions.back_s + _BACK * across_m)
@@ -249,9 +253,9 @@ class OvertakeStarts:
         does near to it. A lateral motion takes its time, or its length where the vehicle is slow.
         """
         scene, change, overtake = self.here.scene, self.here.scene.config.lane_change, self.here.scene.config.overtake
-        sites, desired, length_m = scene.config.sites, driver.desired_mps, self._box.length_m
-        start_mps = np.minimum(driver.desired_mps, speed_behind(drawn.gap_m, drawn.leader_mps, driver, sites))
-        timing = LateralTiming.of(overtake.shift_ratio * driver.lane_change_s, way.apart_m, change)
+        desired, length_m = driver.desired_mps, self._box.length_m
+        start_mps = np.minimum(driver.desired_mps, speed_behind(drawn.gap_m, drawn.leader_mps, driver))
+        timing = LateralTiming.of(SHIFT_RATIO * driver.lane_change_s, way.apart_m, change)
         # v2 kappa of a lateral motion is what the driver takes: of `lateral_share`, D over the square of its length
         sharpest = 2.0 * way.apart_m / (timing.ramp * (1.0 - timing.ramp))
         across_m = timing.lasting_s * max(timing.slow_mps, desired)
@@ -259,7 +263,7 @@ class OvertakeStarts:
         times, settles_s = self._looks() * scene.step_s, desired / (_SETTLES * driver.accel_mps2)
         free, lag_s = np.maximum(times - trigger_s, 0.0), scene.config.drivers.reaction_s
         slow_s = np.minimum(free, lag_s) + settles_s * (1.0 - np.exp(-np.maximum(free - lag_s, 0.0) / settles_s))
-        out_mps = np.maximum(start_mps - sites.begin_braking_mps2 * trigger_s, drawn.leader_mps)[:, None]
+        out_mps = np.maximum(start_mps - BEGIN_BRAKING_MPS2 * trigger_s, drawn.leader_mps)[:, None]
         out_mps = np.minimum(out_mps, desired)
         out_m = out_mps * slow_s + desired * (free - slow_s)
         m = 0.5 * (start_mps[:, None] + out_mps) * np.minimum(times, trigger_s) + out_m

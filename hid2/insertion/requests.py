@@ -8,6 +8,10 @@ from hid2.agents import Policy
 from hid2.params import Config, Request
 from hid2.vehicle import VehicleRequest
 
+#: Where no trigger_max_s is asked for, triggers are drawn up to so many seconds, and to this share of the scene; of
+#: overtakes, which take 8 s and more, to the other. No tunables: `request.trigger_max_s` is.
+_LATEST_S, _LATEST_SHARE, _LATEST_OVERTAKE_SHARE = 4.0, 0.36, 0.14
+
 
 def draw_requests(config: Config, rng: np.random.Generator, *, count: int, duration_s: float) -> list[VehicleRequest]:
     """`count` requests for a scene of some duration, s.
@@ -48,6 +52,6 @@ def draw_trigger(
     low, high = request.trigger_min_s, request.trigger_max_s
     if high is None:
         overtakes = policy is Policy.OVERTAKE
-        share = request.trigger_overtake_share if overtakes else request.trigger_usual_share
-        high = min(request.trigger_usual_s, share * duration_s)
+        share = _LATEST_OVERTAKE_SHARE if overtakes else _LATEST_SHARE
+        high = min(_LATEST_S, share * duration_s)
     return low if high <= low else float(rng.uniform(low, high))

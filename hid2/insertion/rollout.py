@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hid2.agents import BoxSize, FloatArray
-from hid2.conflicts.guard import Guard
+from hid2.conflicts.guard import ACROSS_S, STRIDE, Guard
 from hid2.insertion.due import Due, is_due
-from hid2.judge.findings import FOLLOWER_HEADWAY_S, last_word
+from hid2.judge.findings import FOLLOWER_HEADWAY_S, MOVES_M, last_word
 from hid2.judge.states import contacts_at_end, kept_headways, sustained_headway
 from hid2.kernels.polyline import frenet
 from hid2.kernels.rollout import CONTACT, LAG_TTC, LEAD_TTC, met_by, roll
@@ -25,7 +25,7 @@ from hid2.motion.route import DrivenPath
 from hid2.motion.smoothing import Motion, trajectory
 from hid2.occupancy.agent_states import moving_vehicles
 from hid2.occupancy.along_path import PathOccupancy, path_occupancy
-from hid2.occupancy.shown import Shown, shown_on
+from hid2.occupancy.shown import LEADS_FROM_M, SHOWN_M, Shown, shown_on
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.overtake import Stage
 from hid2.policy.roads import STRAIGHT, Roads
@@ -36,6 +36,9 @@ from hid2.vehicle import DrivenVehicle, Start
 from netconvert.lane_graph import TurnType
 from netconvert.net_xml import speed_limit_mps
 
+#: Not parameters, they save time: s between two looks at gaps; below this TTC, s, to a vehicle that begins ahead, one
+#: chosen before is rolled out anew.
+_LOOKS_S, _HINDERED_S = 1.0, 4.0
 _NONE = Traffic.none(1)
 #: Not parameters, they save time: no follower has a critical TTC on the path that it drives if it has so much
 #: more room ahead, or is so far aside.
@@ -181,14 +184,13 @@ class World:
 
     def hindered(self, candidate: Foreseen) -> list[Foreseen]:
         """Those chosen that a candidate may make drive otherwise: they close in on it, or look for gaps near it."""
-        closing_s = self.scene.config.sites.hindered_s
         found = {
             name for name, one in self._chosen.items() if len(one.parts) > 1 and self._may_be_in_gap(candidate, one)
         }
         for part in candidate.parts:
             met, known = self._met(candidate.start, part)
             recorded = self._recorded_on(part.path, candidate.start.box)
-            rows = np.flatnonzero(met[:, LAG_TTC] < closing_s)
+            rows = np.flatnonzero(met[:, LAG_TTC] < _HINDERED_S)
             found |= {self.guard.fixed.ids[known.agents[row]] for row in rows.tolist() if row >= recorded}
         return [one for name, one in self._chosen.items() if name in found]
 
@@ -246,11 +248,11 @@ class World:
             (first, scene.num_steps - 1 if last is None else min(last, scene.num_steps - 1)),
             state, start.desired, driver.following,
             scene.config.drivers.reaction_s, start.size.length_m, STRAIGHT, self.guard.horizon,
-            scene.config.conflict.stride, scene.step_s, TABLE_STEP_M, self.guard.brakes, self.guard.predicted,
+            STRIDE, scene.step_s, TABLE_STEP_M, self.guard.brakes, self.guard.predicted,
             lines.stops, self.guard.rules, self.roads.speeds(path, driver), *self.roads.lanes(path),
             known.low, known.high, known.along, known.same_direction, lines.stop_s, lines.closed, lines.cause,
             shown.middle, shown.speed, shown.leads, shown.length_m,
-            (scene.config.driving.leads_from_m, scene.config.driving.shown_m), *self._links_on(path),
+            (LEADS_FROM_M, SHOWN_M), *self._links_on(path),
             memory,
         )  # fmt: skip
         return Rollout(path, first, s, v, kept)
@@ -279,12 +281,12 @@ class World:
                 continue
             if vehicle.stage is Stage.WAITING and v < change.min_speed_mps:  # no rule takes a gap
                 vehicle.reason = Reason.TOO_SLOW
-                step += scene.steps_in(scene.config.sites.looks_s)
+                step += scene.steps_in(_LOOKS_S)
                 continue
             asked = Due(scene, vehicle, step, self.guard.fixed, _NONE)
             if vehicle.stage is Stage.PASS and asked.passed_gap_m() < scene.config.overtake.return_gap_m:
                 vehicle.reason = Reason.NOT_AHEAD  # what it would be told, sooner
-                step += scene.steps_in(_PASSING_SHARE * scene.config.sites.looks_s)
+                step += scene.steps_in(_PASSING_SHARE * _LOOKS_S)
                 continue
             across = asked.decided(foreseen)
             if vehicle.reason is Reason.SCENE_ENDS:
@@ -295,17 +297,17 @@ class World:
                 across.taken_by(vehicle)
                 vehicle.path, parts[-1] = across.path, part.until(step)
                 parts.append(self.roll(start, path=across.path, step=step, before=part, target=across.target))
-            looks_s = scene.config.sites.looks_s  # it is soon past, and looks for a gap for long
-            step += scene.steps_in(_PASSING_SHARE * looks_s if vehicle.stage is Stage.PASS else looks_s)
+            # it is soon past, and looks for a gap for long
+            step += scene.steps_in(_PASSING_SHARE * _LOOKS_S if vehicle.stage is Stage.PASS else _LOOKS_S)
         return vehicle, tuple(parts)
 
     def _meets_on(self, vehicle: DrivenVehicle, step: int, path: DrivenPath) -> bool:
         """Whether the guard would not let a vehicle go across on a path."""
-        scene, start, state = self.scene, vehicle.start, (vehicle.s[-1], vehicle.v[-1], 0.0)
+        start, state = vehicle.start, (vehicle.s[-1], vehicle.v[-1], 0.0)
         return self.guard.braking(
             self.guard.obstacles(path, start.box, []), own=0, step=step, fleet=np.array([[*state, 0.0, 1.0]]),
             state=state, desired_mps=float(start.desired[step]), road=self.roads.speeds(path, start.driver),
-            driver=start.driver, horizon_s=scene.config.driving.across_s,
+            driver=start.driver, horizon_s=ACROSS_S,
         ).forbids(start.driver)  # fmt: skip
 
     def objection(self, start: Start, parts: tuple[Rollout, ...], *, ends: bool = True) -> Reason | None:
@@ -348,7 +350,7 @@ class World:
         kept = known.agents[recorded:] < len(self._kept.ids)
         if met[recorded:, LAG_TTC][kept].min(initial=math.inf) < conflict.ttc_min_s:
             return Reason.MEETS_GENERATED
-        if is_last and rollout.s[inside - 1] - start.start_s < scene.config.export.moves_m:
+        if is_last and rollout.s[inside - 1] - start.start_s < MOVES_M:
             return Reason.STANDS_THROUGHOUT
         return Reason.STOPS_IN_INTERSECTION if self._stops_in_intersection(rollout) else None
 
@@ -399,10 +401,9 @@ class World:
             if before is not None and before[1] is inserted:
                 self._shown[key] = fixed, *before[1:]
                 return before[2]
-            slow, step_s = scene.config.driving.standing_mps, scene.step_s
-            found = shown_on(path, scene.future, scene.in_driving_width(path, box), standing_mps=slow, step_s=step_s)
+            found = shown_on(path, scene.future, scene.in_driving_width(path, box), step_s=scene.step_s)
             if inserted.agents.size:
-                found = found.joined(shown_on(path, fixed, inserted, standing_mps=slow, step_s=step_s))
+                found = found.joined(shown_on(path, fixed, inserted, step_s=scene.step_s))
             self._shown[key] = fixed, inserted, found
         return self._shown[key][2]
 

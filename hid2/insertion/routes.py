@@ -16,6 +16,9 @@ from hid2.policy.overtake import stretch_m
 from hid2.scene import DRIVABLE_TYPES, Scene
 from netconvert.lane_graph import LaneGraph, TurnType
 
+#: Not parameters, they save time: routes known from a lane, and m of a route before it, where followers are seen.
+_MOST, _RUN_UP_M = 16, 40.0
+
 _SIDES: tuple[Side, ...] = ("left", "right")
 
 
@@ -90,7 +93,7 @@ class Routes:
                         lane_id,
                         choose=lambda onward: tuple(sorted(onward)),
                         usable=self.usable,
-                        most=self.scene.config.sites.routes,
+                        most=_MOST,
                         longest_m=ROUTE_LONGEST_M,
                     )
                 )
@@ -201,12 +204,12 @@ class Routes:
         return self._beside[key]
 
     def _run_up(self, lane_id: int) -> Route:
-        """Lanes that lead to a lane, the straightest way, back to the map's edge or `sites.run_up_m`."""
+        """Lanes that lead to a lane, the straightest way, back to the map's edge or _RUN_UP_M."""
         if "topology" in self.scene.config.without:
             return ()
         graph, length = self.scene.grid.graph, 0.0
         before: Route = ()
-        while length < self.scene.config.sites.run_up_m:
+        while length < _RUN_UP_M:
             here = before[0] if before else lane_id
             onto = [p for p in graph.predecessors(here) if self.usable(p) and p not in (lane_id, *before)]
             if not onto:

@@ -10,11 +10,12 @@ import numpy as np
 from hid2.agents import DEFAULT_SIZES, FloatArray, IntArray, Policy
 from hid2.conflicts.guard import Guard
 from hid2.drivers.driver import usual_driver
-from hid2.insertion.entry_sites import EntrySites
+from hid2.insertion.entry_sites import TRIES, EntrySites
+from hid2.insertion.meetings import LEADER_WEIGHT
 from hid2.insertion.overtake_starts import OvertakeStarts
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.spread import Spread, by_weight
-from hid2.insertion.starts import Starts
+from hid2.insertion.starts import CLEAR_GAP_M, Starts
 from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.sigma import clear_places
 from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
@@ -23,6 +24,16 @@ from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.cells import Cell
+
+#: Not parameters, they save time: a cell is left alone after so many vehicles that were turned down on it or near to
+#: it, and none begins so near to one that could not be kept, m.
+CELL_TRIES, _AVOIDED_M = 2, 8.0
+#: Weight of sites behind a leader that brakes. No tunable: `request.sites = any` draws without weights.
+BRAKING_WEIGHT = 3.0
+#: No tunables, how a turn is foreseen, roughly: a vehicle begins so far before it, m, comes to it at this share of
+#: the usual speed and passes it at so many m/s, and so much of the scene is left then, s. SUMO and the judge say what
+#: comes.
+_BEFORE_TURN_M, _APPROACH_SHARE, _TURN_MPS, _TURN_SPARE_S = 5.0, 0.75, 5.0, 2.0
 
 
 @dataclass(slots=True)
@@ -41,16 +52,16 @@ class TurnedDown:
 
     def not_kept(self, scene: Scene, row: int) -> None:
         """A vehicle that began on a cell could not be kept: none begins near to it."""
-        near = dict.fromkeys(_around(scene, row), scene.config.sites.cell_tries)
+        near = dict.fromkeys(_around(scene, row), CELL_TRIES)
         for policy in Policy:
             self.counts[policy].update(near)
 
 
 def _around(scene: Scene, row: int) -> range:
-    """Rows of the cells of a lane within `sites.avoided_m` of a cell."""
+    """Rows of the cells of a lane within _AVOIDED_M of a cell."""
     config, grid = scene.config, scene.grid
     lane_id = grid.cells[row].lane_id
-    reach, first = int(config.sites.avoided_m / config.grid.cell_m), grid.index_of[Cell(lane_id, 0)]
+    reach, first = int(_AVOIDED_M / config.grid.cell_m), grid.index_of[Cell(lane_id, 0)]
     return range(max(first, row - reach), min(first + grid.count(lane_id), row + reach + 1))
 
 
@@ -133,7 +144,7 @@ class InsertionSites:
                     if start is not Reason.NO_SITE:  # another one of this round may be in the way
                         self.turned_down.could_not_begin(self.here.scene, row, request.policy)
                 break
-            if tried >= self.here.scene.config.sites.tries:
+            if tried >= TRIES:
                 return
 
     def _order(self, request: VehicleRequest, cell: Cell) -> list[RouteOffer]:
@@ -175,7 +186,7 @@ class InsertionSites:
         self._looked[policy] += 1
         clear = np.ones(rows.size, dtype=np.bool_)
         if "collision" not in scene.config.without:  # most places of a full road; what is left is looked at on its path
-            usual, gap_m = DEFAULT_SIZES["vehicle"], scene.config.spawn.clear_gap_m
+            usual, gap_m = DEFAULT_SIZES["vehicle"], CLEAR_GAP_M
             clear = clear_places(scene.boxes, rows, share, self.starts.world.at_begin, box=usual, gap_m=gap_m)
         all_inside, turned_down = bool(inside.all()), self.turned_down.counts[policy]
         for place in order[np.lexsort((tier[order], inside[order]))].tolist():
@@ -184,7 +195,7 @@ class InsertionSites:
             row = int(rows[place])
             if not clear[place]:
                 continue
-            if promising and turned_down[row] >= scene.config.sites.cell_tries:
+            if promising and turned_down[row] >= CELL_TRIES:
                 continue
             cell = grid.cells[row]
             begin, end = grid.edges_s(cell.lane_id)[cell.index : cell.index + 2]
@@ -197,12 +208,12 @@ class InsertionSites:
         A leader that a vehicle follows already, of this round or of one before, speaks for no other site. One that
         brakes speaks for straight requests alone: behind it there is no speed for a lane change.
         """
-        meetings, seen, spawn = self.here.meetings, self.here.meetings.outlook(policy), self.here.scene.config.spawn
+        meetings, seen = self.here.meetings, self.here.meetings.outlook(policy)
         leader, weight = seen.leader[rows], seen.weight[rows].copy()
         if policy is Policy.STRAIGHT:
-            weight[meetings.brakes(leader)] *= spawn.braking_weight
+            weight[meetings.brakes(leader)] *= BRAKING_WEIGHT
         followed = self._followed()
-        weight[np.isin(leader, followed) & (leader >= 0)] /= spawn.leader_weight
+        weight[np.isin(leader, followed) & (leader >= 0)] /= LEADER_WEIGHT
         tier = np.where(seen.stays[rows], 0, 1)
         if meetings.is_target_named:
             tier += np.where(seen.near[rows], 0, 2)
@@ -222,17 +233,16 @@ class InsertionSites:
         self, request: VehicleRequest, offer: RouteOffer, s: float, speed_mps: float, *, strict: bool
     ) -> bool:
         """Whether the map offers what is asked for from arc length s on, in the time that the scene has."""
-        scene, sites = self.here.scene, self.here.scene.config.sites
-        duration = scene.last_s
+        duration = self.here.scene.last_s
         reach = s + speed_mps * duration
         ahead = [turn for turn in offer.turns if turn[2] > s]
         if request.policy in TURN_OF_POLICY:
             if not ahead or ahead[0][0] is not TURN_OF_POLICY[request.policy]:
                 return False
             _, begin, end = ahead[0]
-            to_turn_s = (begin - s) / (sites.turn_approach_share * speed_mps)
-            needs_s = to_turn_s + (end - begin) / sites.turn_pace_mps + sites.turn_spare_s * (1.0 if strict else 0.5)
-            return begin - s > sites.before_turn_m and needs_s < duration
+            to_turn_s = (begin - s) / (_APPROACH_SHARE * speed_mps)
+            needs_s = to_turn_s + (end - begin) / _TURN_MPS + _TURN_SPARE_S * (1.0 if strict else 0.5)
+            return begin - s > _BEFORE_TURN_M and needs_s < duration
         at = s + 0.9 * speed_mps * request.trigger_s
         if request.policy is Policy.LANE_CHANGE:
             return self._offers_change(request, offer, at, speed_mps, strict=strict)

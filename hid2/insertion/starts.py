@@ -16,11 +16,11 @@ from hid2.insertion.meetings import Meetings
 from hid2.insertion.rollout import Foreseen, Rollout, World
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.sizes import draw_size
-from hid2.measures.encounters import FOLLOWS_S
+from hid2.judge.findings import CURVATURE_KEPT
+from hid2.measures.encounters import FOLLOWS_S, STANDS_MPS
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
 from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path, gaps_to_all
-from hid2.params import Sites
 from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
 from hid2.policy.decision import Side
 from hid2.policy.roads import Roads
@@ -28,6 +28,14 @@ from hid2.reasons import Reason
 from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 
+# No tunables, how a vehicle begins: what a driver does on its way, and what saves looking in vain. A beginning at which
+# nothing is looked ahead holds if nothing is met so long, s; drivers that are drawn for a site; m from the way's begin.
+_HOLDS_S, DRIVERS, _FROM_EDGE_M = 3.0, 3, 0.5
+#: Smallest bumper gap at the start, m: what drivers keep standing.
+CLEAR_GAP_M = 2.0
+#: It begins standing only so near behind one that stands, m; otherwise no slower than a share of the desired speed; it
+#: may have to brake so hard for its leader, m/s2.
+_QUEUE_M, SLOWEST_SHARE, BEGIN_BRAKING_MPS2 = 8.0, 0.25, 0.8
 #: Verdicts that another driver may change.
 _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.FOLLOWER_HEADWAY, Reason.LEAVES_TOO_EARLY})
 #: No tunable: by so much, s, SUMO may be later than a rollout at the end of an overtake.
@@ -100,7 +108,7 @@ class Starts:
         object_type, size = draw_size(config.request, rng) if size is None else ("vehicle", size)
         box = clearance_box(size, DEFAULT_SIZES[object_type])
         half_m, run_on = box.length_m / 2, "topology" in config.without
-        first_m = half_m + config.sites.from_edge_m
+        first_m = half_m + _FROM_EDGE_M
         if s is None:  # it has come over the edge since the step before
             s = first_m + float(rng.random()) * self.scene.usual_speed(lane_id) * scene.step_s
         if s < first_m or (s + half_m > offer.length_m - 1.0 and not run_on):
@@ -109,7 +117,7 @@ class Starts:
         start_s = path.to_line(s)
         if "collision" not in config.without:
             near = gaps_on_path(self.world.known_on(path, box), np.array([start_s]), step)
-            if min(near.lead_m[0], near.lag_m[0]) < config.spawn.clear_gap_m:
+            if min(near.lead_m[0], near.lag_m[0]) < CLEAR_GAP_M:
                 return Reason.NO_SITE
         flow_mps = 0.0
         if config.request.sites == "promising" and driver is None:
@@ -121,7 +129,7 @@ class Starts:
             )
         site = _Site(request, offer, object_type, size, box, path, s, start_s, step, sides)
         made: Start | Reason = Reason.NO_SITE
-        for _ in range(1 if driver is not None else config.sites.drivers):
+        for _ in range(1 if driver is not None else DRIVERS):
             # a driver goes with the flow of its leader and follower, or would not be there
             pace_mps = max(scene.lane_speed(lane_id, rng), flow_mps)
             made = self._begun(site, driver or draw_driver(config, rng, lane_speed_mps=pace_mps), speed_mps)
@@ -165,7 +173,7 @@ class Starts:
         if "collision" in config.without:
             return ()
         if config.request.sites == "any":
-            soon = (world.roll(start, last=start.step + scene.steps_in(config.spawn.settle_s)),)
+            soon = (world.roll(start, last=start.step + scene.steps_in(_HOLDS_S)),)
             return world.objection(start, soon, ends=False) or ()
         if BEHAVIOURS[policy].changes_lanes:
             vehicle, parts = world.act(start)
@@ -222,11 +230,11 @@ class Starts:
     def _start_speed(self, site: _Site, speed: float, driver: Driver) -> float | Reason:
         """Speed at which a driver that would drive at `speed` begins, m/s; or why it cannot begin there."""
         path, box, start_s, step = site.path, site.box, site.start_s, site.step
-        limits, export = self.scene.config.limits, self.scene.config.export
+        limits = self.scene.config.limits
         if self.leaves_early(site.offer, site.s + box.length_m / 2, 0.95 * speed, step):
             return Reason.LEAVES_TOO_EARLY
         reach = slice(int(start_s / TABLE_STEP_M), int((start_s + 12.0 * speed) / TABLE_STEP_M) + 2)
-        if np.abs(path.line.table_curvature[reach]).max(initial=0.0) > export.limit_share / limits.min_radius_m:
+        if np.abs(path.line.table_curvature[reach]).max(initial=0.0) > CURVATURE_KEPT / limits.min_radius_m:
             return Reason.LIMIT_CURVATURE
         road = self.roads.speeds(path, driver)
         speed = min(speed, float(road[min(int(start_s / TABLE_STEP_M), road.size - 1)]))
@@ -244,11 +252,11 @@ class Starts:
         self, path: DrivenPath, box: BoxSize, s: float, speed: float, driver: Driver, step: int
     ) -> float | Reason:
         """Speed that leaders allow, m/s, at most the one wished for; or why nothing can begin there."""
-        conflict, sites = self.scene.config.conflict, self.scene.config.sites
+        conflict = self.scene.config.conflict
         known = self.world.known_on(path, box)
         seen, wished = gaps_to_all(known, np.array([s]), step), speed
         for row in np.flatnonzero(np.isfinite(seen.lead_m[:, 0])).tolist():
-            behind = speed_behind(float(seen.lead_m[row, 0]), float(seen.along_mps[row, 0]), driver, sites)
+            behind = speed_behind(float(seen.lead_m[row, 0]), float(seen.along_mps[row, 0]), driver)
             speed = min(speed, float(behind))
         closing = seen.along_mps[:, 0] - speed
         if (known.same_direction[:, step] & (seen.lag_m[:, 0] < conflict.follower_ttc_min_s * closing)).any():
@@ -256,10 +264,10 @@ class Starts:
         stop = self.stop_lines.arrays(path, box).braking(driver, s=s, speed_mps=speed, step=step)
         if stop is not None and stop[0] < -driver.decel_mps2:
             return Reason.CONFLICT_PREDICTED
-        if step > 0 and (speed < sites.standing_mps or self._follower_is_near(path, s, box, speed, step)):
+        if step > 0 and (speed < STANDS_MPS or self._follower_is_near(path, s, box, speed, step)):
             return Reason.NO_SITE
-        if speed < max(sites.standing_mps, sites.slowest_share * wished):
-            if not np.any((seen.lead_m < sites.queue_m) & (seen.along_mps < sites.standing_mps)):
+        if speed < max(STANDS_MPS, SLOWEST_SHARE * wished):
+            if not np.any((seen.lead_m < _QUEUE_M) & (seen.along_mps < STANDS_MPS)):
                 return Reason.NO_SITE  # no vehicle drives so slowly with so much room ahead
             speed = 0.0
         return speed
@@ -272,15 +280,15 @@ class Starts:
         xy, forward, _ = path.line.motion(np.array([s]))
         seen = gaps_from_pose(xy, forward, box, here)
         least_m = np.maximum(
-            config.spawn.clear_gap_m, config.conflict.follower_ttc_min_s * (seen.along_mps - speed_mps)
+            CLEAR_GAP_M, config.conflict.follower_ttc_min_s * (seen.along_mps - speed_mps)
         )  # fmt: skip
         near = (seen.aside_m < config.conflict.margin_lateral_m) & (seen.gap_m > -box.length_m)
         return bool(np.any(near & (seen.gap_m < least_m) & here.present[:, 0] & (seen.along_m < 0.0)))
 
 
-def speed_behind(gap_m: FloatArray | float, leader_mps: FloatArray | float, driver: Driver, sites: Sites) -> FloatArray:
+def speed_behind(gap_m: FloatArray | float, leader_mps: FloatArray | float, driver: Driver) -> FloatArray:
     """Fastest speeds, m/s, at which a driver may begin behind leaders without having to brake (IDM)."""
-    room = math.sqrt(1.0 + sites.begin_braking_mps2 / driver.accel_mps2) * np.maximum(gap_m, 0.0) - driver.min_gap_m
+    room = math.sqrt(1.0 + BEGIN_BRAKING_MPS2 / driver.accel_mps2) * np.maximum(gap_m, 0.0) - driver.min_gap_m
     # v tau + v max(0, v - v_l) / (2 sqrt(a b)) = room
     c = 2.0 * math.sqrt(driver.accel_mps2 * driver.decel_mps2)
     b, room = driver.tau_s * c - leader_mps, np.maximum(room, 0.0)

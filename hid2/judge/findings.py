@@ -7,6 +7,11 @@ from typing import NamedTuple
 from hid2.agents import FloatArray
 from hid2.params import Config, Conflict, Limits
 
+#: An agent that moves less over the scene stands throughout, m. No tunable: what standing throughout is.
+MOVES_M = 2.0
+#: No tunables, rounding alone: m between boxes, s above the TTC at the end, and shares of tolerance and of 1 / R_min
+#: that are used, so that no reader's rounding finds what the last word did not.
+_SPARE_BOX_M, _SPARE_END_S, _DRIVABLE_KEPT, CURVATURE_KEPT = 0.05, 0.1, 0.9, 0.98
 #: What is claimed is seen in the states within so long of the time claimed, s.
 CLAIM_S = 0.5
 #: A figure that is claimed is that of the states, but for so much of its unit.
@@ -65,10 +70,10 @@ class Bounds:
 
 def last_word(config: Config) -> Bounds:
     """The bounds of what is exported: a little inside those of a reader, so that no rounding brings it beyond them."""
-    export, conflict = config.export, config.conflict
+    conflict = config.conflict
     return Bounds(
-        config.limits, conflict, export.box_margin_m, conflict.margin_lateral_m, export.end_spare_s,
-        export.drivable_share, export.limit_share, end_rows=0, by_stated=True,
+        config.limits, conflict, _SPARE_BOX_M, conflict.margin_lateral_m, _SPARE_END_S,
+        _DRIVABLE_KEPT, CURVATURE_KEPT, end_rows=0, by_stated=True,
     )  # fmt: skip
 
 

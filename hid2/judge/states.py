@@ -34,7 +34,7 @@ from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import Leaders, leaders
 from hid2.measures.motion_limits import MOTION_LIMITS, MotionProfile
 from hid2.measures.post_encroachment import encroachments
-from hid2.measures.scene_end import BoxesAtStep, first_contact
+from hid2.measures.scene_end import END_HORIZON_S, BoxesAtStep, first_contact
 from hid2.occupancy.agent_states import AgentStates, Leading
 from netconvert.geometry import box_corners, differences, wrap_angle
 from netconvert.lane_graph import LaneGraph
@@ -243,14 +243,13 @@ def of_end(states: AgentStates, row: int, others: IntArray, bounds: Bounds) -> I
     rows = np.append(row, others[states.traffic.present[others, last]])
     found = contacts_at_end(_boxes_at(states, rows, last), bounds, step_s=states.arrays.step_s)
     for quantity, other, ttc_s in found:
-        limit = bounds.conflict.end_ttc_min_s if quantity is Quantity.END_TTC else bounds.conflict.end_horizon_s
+        limit = bounds.conflict.end_ttc_min_s if quantity is Quantity.END_TTC else END_HORIZON_S
         yield _finding(states, (row, int(rows[other])), last, quantity, ttc_s, limit)
 
 
 def contacts_at_end(boxes: BoxesAtStep, bounds: Bounds, *, step_s: float) -> Iterator[tuple[Quantity, int, float]]:
     """What follows the last step of the first of some boxes, as `of_end` has it: quantity, row of the other, s."""
-    horizon_s = bounds.conflict.end_horizon_s
-    contact = first_contact(0, boxes, horizon_s=horizon_s)
+    contact = first_contact(0, boxes, horizon_s=END_HORIZON_S)
     if contact is None:
         return
     if contact.ttc_s < bounds.conflict.end_ttc_min_s + bounds.spare_end_s:
@@ -258,12 +257,12 @@ def contacts_at_end(boxes: BoxesAtStep, bounds: Bounds, *, step_s: float) -> Ite
     forward = np.array([math.cos(boxes.heading[0]), math.sin(boxes.heading[0])])
     behind = (boxes.position - boxes.position[0]) @ forward < 0.0
     ahead = np.flatnonzero(~(behind & (np.cos(boxes.heading - boxes.heading[0]) > SAME_WAY)))
-    if not _meets_braking(boxes.rows(ahead), horizon_s, step_s):
+    if not _meets_braking(boxes.rows(ahead), END_HORIZON_S, step_s):
         return
     for other in ahead[1:].tolist():  # each by itself: an agent that it would pass sees it brake
         pair = boxes.rows(np.array([0, other]))
-        contact = first_contact(0, pair, horizon_s=horizon_s)
-        if contact is not None and _meets_braking(pair, horizon_s, step_s):
+        contact = first_contact(0, pair, horizon_s=END_HORIZON_S)
+        if contact is not None and _meets_braking(pair, END_HORIZON_S, step_s):
             yield Quantity.END_CONTACT, other, contact.ttc_s
 
 

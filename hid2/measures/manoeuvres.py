@@ -19,7 +19,6 @@ from hid2.agents import FloatArray
 from hid2.measures.arrays import BoolArray, SceneArrays
 from hid2.measures.driven_lanes import LaneView, Run, runs_of, source_path, target_path
 from hid2.measures.lane_matching import FlatLanes, Matches
-from hid2.params import Overtake
 from netconvert.geometry import Polyline
 from netconvert.lane_graph import TURN_RAD
 
@@ -36,7 +35,7 @@ TURN_MARGIN_S = 1.0
 #: A vehicle overtaken is at most this far ahead when the change begins.
 OVERTAKE_REACH_M = 60.0
 #: A vehicle that never moves faster while it is passed is an obstacle.
-PARKED_MPS = Overtake().parked_mps
+PARKED_MPS = 0.5
 
 
 class ManeuverKind(StrEnum):

@@ -11,6 +11,9 @@ from hid2.agents import FloatArray, IntArray
 from hid2.kernels.constant_velocity import earliest_contact
 from hid2.measures.arrays import BoolArray, SceneArrays
 
+#: Beyond its last step a vehicle is looked at so long, s. No tunable: what generator and judge look at.
+END_HORIZON_S = 3.0
+
 
 @dataclass(frozen=True, slots=True)
 class Contact:

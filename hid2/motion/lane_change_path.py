@@ -11,6 +11,9 @@ from hid2.measures.manoeuvres import LATERAL_SPEED_MPS, LATERAL_WINDOW_S
 from hid2.params import LaneChange
 from netconvert.geometry import Polyline, arc_length, resample
 
+#: Share of its time in which the lateral speed rises, and falls. No tunable: measured, recorded ones peak at .87 m/s.
+_RAMP_SHARE = 0.27
+
 
 def lateral_share(tau: FloatArray, ramp: float) -> FloatArray:
     """d(t) / D over tau = t / T in [0, 1]: cubics with jerk +J, -J, 0, -J, +J.
@@ -46,7 +49,7 @@ class LateralTiming:
         As measured: over LATERAL_WINDOW_S. A share u of the ramp is over then, or left: 2 u^2 of the peak
         D / T / (1 - ramp), and so much as the window's spread adds to it.
         """
-        ramp, lasting_s, spread_s2 = change.ramp_share, wanted_s, (0.5 * LATERAL_WINDOW_S) ** 2 / 5.0
+        ramp, lasting_s, spread_s2 = _RAMP_SHARE, wanted_s, (0.5 * LATERAL_WINDOW_S) ** 2 / 5.0
         for _ in range(3):  # it settles at once: the ends, where |d'| is less, depend little on the whole
             peak_mps = apart_m / lasting_s / (1.0 - ramp)
             u2 = 0.5 * LATERAL_SPEED_MPS / peak_mps - spread_s2 / (ramp * lasting_s) ** 2

@@ -9,10 +9,14 @@ import numpy as np
 from hid2.agents import FloatArray
 from hid2.motion.lane_change_path import LateralTiming, blend_paths, even_line, lateral_share
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line
-from hid2.params import Limits, Smoothing
+from hid2.params import Limits
 from netconvert.geometry import Polyline, arc_length
 from netconvert.lane_graph import TURN_RAD, LaneGraph, TurnType
 
+#: Spacing of a reference line's points, m, no tunable: its table is as fine. It stays so close to the centrelines, m,
+#: no tunable: half a lane less half a car. Middles of lanes farther apart are not side by side, m. Lanes before l'
+#: are seen so far back, m, no tunable: with no follower farther does a gap end.
+PATH_STEP_M, MAX_OFFSET_M, _MAX_SHIFT_M, _LOOK_BACK_M = 1.0, 0.9, 5.5, 50.0
 #: A route that is no shorter than this stops growing.
 ROUTE_LONGEST_M = 260.0
 _BESIDE_TURN_M = 5.0  # before a turning lane and behind it its heading is compared; no tunable: what a turn is
@@ -155,9 +159,7 @@ def route_points(graph: LaneGraph, route: Route) -> FloatArray:
     return np.concatenate(pieces)
 
 
-def path_along(
-    graph: LaneGraph, route: Route, *, smoothing: Smoothing, limits: Limits, run_on_m: float = 0.0
-) -> DrivenPath:
+def path_along(graph: LaneGraph, route: Route, *, limits: Limits, run_on_m: float = 0.0) -> DrivenPath:
     """Path on the middle of a route's lanes, from the start of the first to the end of the last.
 
     run_on_m: so much farther straight on, off the grid (the ablation without topology, where nothing links lanes).
@@ -166,9 +168,7 @@ def path_along(
     if run_on_m > 0:
         last = raw[-1] - raw[-2]
         raw = np.concatenate([raw, raw[-1:] + run_on_m * last / np.hypot(last[0], last[1])])
-    line = build_reference_line(
-        raw, step_m=smoothing.path_step_m, min_radius_m=limits.min_radius_m, max_offset_m=smoothing.max_offset_m
-    )
+    line = build_reference_line(raw, step_m=PATH_STEP_M, min_radius_m=limits.min_radius_m, max_offset_m=MAX_OFFSET_M)
     bare = DrivenPath(line=line, raw=raw, segments=(), followed=())
     lengths = [graph.lanes[lane_id].length_m for lane_id in route]
     ends = bare.all_to_line(np.concatenate([[0.0], np.cumsum(lengths)])).tolist()
@@ -179,22 +179,20 @@ def path_along(
     return DrivenPath(line=line, raw=raw, segments=segments, followed=segments)
 
 
-def shifted_path(
-    motion: LateralMotion, *, max_shift_m: float, smoothing: Smoothing, limits: Limits
-) -> DrivenPath | None:
+def shifted_path(motion: LateralMotion, *, limits: Limits) -> DrivenPath | None:
     """Path of a lateral motion, on the target's lanes from half way across on; None as of `blend_paths`."""
     path, target = motion.source, motion.target
     blend = blend_paths(
-        path.even(smoothing.path_step_m), target.raw_line, along_m=path.all_to_raw(motion.along_m), tau=motion.tau,
-        ramp=motion.timing.ramp, step_m=smoothing.path_step_m, max_shift_m=max_shift_m,
+        path.even(PATH_STEP_M), target.raw_line, along_m=path.all_to_raw(motion.along_m), tau=motion.tau,
+        ramp=motion.timing.ramp, step_m=PATH_STEP_M, max_shift_m=_MAX_SHIFT_M,
     )  # fmt: skip
     if blend is None:
         return None
     line = build_reference_line(
         blend.points,
-        step_m=smoothing.path_step_m,
+        step_m=PATH_STEP_M,
         min_radius_m=limits.min_radius_m,
-        max_offset_m=smoothing.max_offset_m,
+        max_offset_m=MAX_OFFSET_M,
     )
     bare = DrivenPath(line=line, raw=blend.points, segments=(), followed=())
     start, end = bare.to_line(blend.start_m), bare.to_line(blend.end_m)
@@ -274,9 +272,7 @@ def routes_from(
         stack.extend(((*route, n), length) for n in reversed(choose(onward)))
 
 
-def route_beside(
-    graph: LaneGraph, own: Route, lane_id: int, *, usable: Callable[[int], bool], look_back_m: float
-) -> Route:
+def route_beside(graph: LaneGraph, own: Route, lane_id: int, *, usable: Callable[[int], bool]) -> Route:
     """Route of l', a lane beside: lanes before it, for agents from behind, then on beside the own ones if it can."""
     beside = {n for lane in own for n in (graph.neighbor(lane, "left"), graph.neighbor(lane, "right")) if n is not None}
 
@@ -286,7 +282,7 @@ def route_beside(
     ahead = routes_from(graph, lane_id, choose=choose, usable=usable, most=1, longest_m=ROUTE_LONGEST_M)
     route: Route = next(ahead, (lane_id,))
     behind_m = 0.0
-    while behind_m < look_back_m:
+    while behind_m < _LOOK_BACK_M:
         before = sorted(p for p in graph.predecessors(route[0]) if usable(p) and p not in route)
         if not before:
             break

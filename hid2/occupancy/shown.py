@@ -10,6 +10,9 @@ from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import BoolArray, Traffic
 
+#: No tunables, whom SUMO is shown: slower agents stand and are shown in any direction, m/s; an agent leads from this
+#: gap on, m, nearer it is beside; and up to so far ahead, m, farther than any driver brakes for.
+STANDING_MPS, LEADS_FROM_M, SHOWN_M = 0.5, 0.3, 120.0
 #: Steps after which SUMO knows speed and acceleration of a vehicle that is new to it: until then it is seen by none.
 UNSEEN_STEPS = 3
 #: Not a parameter, half a lane and a little: an agent with its front farther aside is ahead of none.
@@ -30,14 +33,14 @@ class Shown:
         return Shown(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in self.__slots__))
 
 
-def shown_on(path: DrivenPath, traffic: Traffic, seen: PathOccupancy, *, standing_mps: float, step_s: float) -> Shown:
+def shown_on(path: DrivenPath, traffic: Traffic, seen: PathOccupancy, *, step_s: float) -> Shown:
     """What SUMO has of agents of `traffic` on a path, seen: their intervals in the width that is driven.
 
     It knows the speed of a vehicle's front from where that was a step before, and puts it on the lane below its front.
     """
     front, speed, known = _fronts(traffic, step_s)
     rows, length_m, line = seen.agents, traffic.length_m[seen.agents], path.line
-    moves = seen.same_direction | (~seen.crossing & (np.abs(seen.along) < standing_mps))
+    moves = seen.same_direction | (~seen.crossing & (np.abs(seen.along) < STANDING_MPS))
     leads = np.isfinite(seen.low) & moves & known[rows]
     row, step = np.nonzero(leads)
     middle = np.zeros(leads.shape)

@@ -22,6 +22,9 @@ from hid2.reasons import Reason
 from hid2.scene import DRIVABLE_TYPES, Scene
 from netconvert.cells import Cell
 
+#: No tunables, room for what a driver does otherwise: shares of the time and of the length of l' left that a lateral
+#: motion may take, and s of that time left after it.
+_TIME_SHARE, _LENGTH_SHARE, _SPARE_S = 0.95, 0.8, 0.5
 _HALF_LANE_M = 1.5  # half of the narrowest lane: what "on a lane path" means, the same for all
 
 
@@ -171,9 +174,9 @@ def lay_across(
     change, step_s = scene.config.lane_change, scene.step_s
     speeds = np.maximum(speed_mps, change.min_speed_mps)
     driven = step_s * np.cumsum(speeds)
-    beyond = max(0.0, change.length_share * remaining_m - float(driven[-1])) / float(speeds[-1])
-    room_s = step_s * float(np.searchsorted(driven, change.length_share * remaining_m)) + beyond
-    time_left_s = change.time_share * (scene.num_steps - 1 - step) * step_s - change.spare_s
+    beyond = max(0.0, _LENGTH_SHARE * remaining_m - float(driven[-1])) / float(speeds[-1])
+    room_s = step_s * float(np.searchsorted(driven, _LENGTH_SHARE * remaining_m)) + beyond
+    time_left_s = _TIME_SHARE * (scene.num_steps - 1 - step) * step_s - _SPARE_S
     motion, apart_m, along_m = None, 0.0, np.array([s])
     for _ in range(2):  # lanes may part: it is as far to the other one as it gets on the way
         apart_m = max(apart_m, _farthest_m(path, target, along_m))
@@ -197,10 +200,7 @@ def _farthest_m(path: DrivenPath, target: DrivenPath, s: FloatArray) -> float:
 
 def lay(scene: Scene, motion: LateralMotion) -> DrivenPath | None:
     """Path of a lateral motion; None where the lanes are not side by side."""
-    config = scene.config
-    return shifted_path(
-        motion, max_shift_m=config.lane_change.max_shift_m, smoothing=config.smoothing, limits=config.limits
-    )
+    return shifted_path(motion, limits=scene.config.limits)
 
 
 def _next_sigma(scene: Scene, cell: Cell, *, step: int, speed_mps: float) -> int:

@@ -7,6 +7,9 @@ from hid2.params import Config, Overtake
 from hid2.policy.lane_change import Gap
 from hid2.reasons import Reason
 
+#: Duration of an overtake's lane changes over usual ones, the shortest too. No tunable: `lane_change_mean_s` is.
+SHIFT_RATIO = 0.68
+
 
 class Stage(StrEnum):
     """Where an overtake stands. ABORTED is a state: the vehicle stays in the lane it is in."""
@@ -31,7 +34,7 @@ class Leader:
 
 def shortest_shift_s(config: Config) -> float:
     """Shortest lateral motion of an overtake, s."""
-    return config.overtake.shift_ratio * config.lane_change.min_duration_s
+    return SHIFT_RATIO * config.lane_change.min_duration_s
 
 
 def stretch_m(config: Config) -> float:

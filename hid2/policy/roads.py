@@ -35,7 +35,6 @@ class Roads:
             self._known[path] = road_speeds(path.line, segments, turn=config.turn, limits=config.limits)
         most = self._known[path].desired(
             driver.desired_mps, lateral_accel_mps2=driver.turn_lateral_mps2, accel_mps2=driver.accel_mps2,
-            approach_decel_mps2=config.turn.approach_decel_mps2,
         )  # fmt: skip
         found = np.where(most < driver.desired_mps - 1e-6, most, np.inf)
         self._last = path, driver, found

@@ -11,6 +11,8 @@ from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
 from hid2.params import Limits, Turn
 from netconvert.lane_graph import TurnType
 
+#: Slowing before a turn's entrance, m/s2. No tunable: softer than behind a leader, of which drivers differ.
+_APPROACH_DECEL_MPS2 = 1.5
 #: A line that bends, or changes its curvature, by less than this is straight, 1/m and 1/m2.
 #: No tunable: against division by 0.
 _FLAT = 1e-6
@@ -70,16 +72,14 @@ class RoadSpeeds:
         """(S,) m/s the road's own limit for a driver that takes so much lateral acceleration."""
         return np.minimum(self.hard, math.sqrt(lateral_accel_mps2) * self.bend)
 
-    def desired(
-        self, desired_mps: float, *, lateral_accel_mps2: float, accel_mps2: float, approach_decel_mps2: float
-    ) -> FloatArray:
+    def desired(self, desired_mps: float, *, lateral_accel_mps2: float, accel_mps2: float) -> FloatArray:
         """(S,) m/s target speed along a route: the cruising speed, v_0 f(alpha) on turning lanes, less in bends.
 
         v_0, the speed at a turning lane's entrance, is the cruising speed or what the driver's lateral acceleration
-        allows. Slowing begins before the entrance at approach_decel_mps2; speeding up after the trough at accel_mps2.
+        allows. Slowing begins before the entrance at _APPROACH_DECEL_MPS2; speeding up after the trough at accel_mps2.
         """
         cap = self.cap(lateral_accel_mps2)
-        return reachable(cap, self.shape, desired_mps, TABLE_STEP_M, approach_decel_mps2, accel_mps2)
+        return reachable(cap, self.shape, desired_mps, TABLE_STEP_M, _APPROACH_DECEL_MPS2, accel_mps2)
 
 
 def road_speeds(

@@ -25,6 +25,7 @@ from bridge.evaluation.experiments import EXPERIMENTS
 from bridge.exports.export import WRITERS
 from bridge.forecasting.composition import Composition, Draw, Split
 from bridge.forecasting.experiment import Reading
+from hid2.insertion import requests
 from hid2.params import Config, Event, Forecasting, Request
 
 ROOT = Path(__file__).parents[2]
@@ -67,7 +68,7 @@ def test_defaults_in_the_help_are_those_of_the_configuration() -> None:
     assert shown == {name: str(request[name]) for name in shown}
     assert load_config(None, [], parse_behaviours(option("--behaviours").show_default)) == Config()
     assert option("--trigger-time").show_default == f"{request['trigger_min_s']:g} to 36 % of the scene, 4 s at most"
-    assert (Request().trigger_max_s, Request().trigger_usual_share, Request().trigger_usual_s) == (None, 0.36, 4.0)
+    assert (Request().trigger_max_s, requests._LATEST_SHARE, requests._LATEST_S) == (None, 0.36, 4.0)
     assert Request().spawn_leaders is True
 
 

@@ -39,8 +39,8 @@ focal = "generated"
 [drivers]
 tau_mean_s = 1.2
 wander_sd_mps = 0.3
-[export]
-filter_ratios = [1.0, 2.0]
+[spawn]
+rounds = 3
 [[event]]
 kind = "cut_in"
 target = "av"

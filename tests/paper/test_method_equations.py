@@ -262,7 +262,7 @@ def test_speed_on_a_straight_lane_stays() -> None:
     """v(t + dt) ~ v(t)."""
     line = build_reference_line(np.array([[0.0, 0.0], [200.0, 0.0]]), step_m=1.0, min_radius_m=5.0, max_offset_m=0.6)
     road = road_speeds(line, [(0.0, 200.0, TurnType.STRAIGHT)], turn=Turn(), limits=Limits())
-    speed = road.desired(11.0, lateral_accel_mps2=1.8, accel_mps2=1.8, approach_decel_mps2=1.5)
+    speed = road.desired(11.0, lateral_accel_mps2=1.8, accel_mps2=1.8)
     assert np.ptp(speed) == pytest.approx(0.0)
 
 

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -18,8 +19,10 @@ from bridge.config import (
     parse_trigger_time,
     read_drivers,
 )
-from hid2.params import Config, Event
+from hid2.params import GROUPS, Config, Event
 from netconvert.errors import ConfigError
+
+REMOVED = Path(__file__).parents[3] / "bridge/removed.toml"
 
 
 def test_defaults_are_those_of_the_parameters() -> None:
@@ -66,11 +69,12 @@ def test_ablations_are_a_list() -> None:
         ("turn.trough_at=0.95", "turn.trough_at = 0.95, expected number >= 0.1, <= 0.9"),
         ("turn.trough_at=nan", "turn.trough_at = nan, expected number >= 0.1"),
         ("request.trigger_max_s=0.1", "trigger_max_s 0.1 is below trigger_min_s 0.5"),
-        ("sites.slow_leader_max=0.1", "slow_leader_max 0.1 is below slow_leader_min 0.5"),
         ("spawn.prior_speed_mps=30", "prior_speed_mps 30 is above max_speed_mps 20"),
-        ("conflict.brakes_mps2=[0.0, 2.0, 1.0]", "brakes_mps2 .* does not rise from 0"),
-        ("conflict.brakes_mps2=[1.0, 2.0]", "brakes_mps2 .* does not rise from 0"),
-        ("export.filter_ratios=[]", "export.filter_ratios = .*, expected list of numbers > 0, <= 10 and not empty"),
+        (
+            "sites.standing_mps=0.4",
+            "sites.standing_mps = 0.4: no parameter any more, the method has 0.3; leave it out$",
+        ),
+        ("export.filter_ratios=[]", "no parameter any more, .*; leave it out, or set smoothing.filter_s"),
         ("request.spawn_leaders=1", "request.spawn_leaders = 1, expected true, false"),
         ("request.focal=nobody", "request.focal = 'nobody', expected recorded, generated"),
         ("without=brakes", "without = .*brakes.*, expected any of topology, collision, smoothing"),
@@ -200,11 +204,37 @@ def test_every_parameter_is_described() -> None:
         len(values) if isinstance(values, dict) else 1 for values in config_to_dict(Config()).values()
     )
     assert all(row.default and row.unit and row.range and row.source for row in rows.values())
-    assert rows["grid.cell_m"][1:4] == ("4.0", "m", "number >= 1, <= 20")
+    assert rows["grid.cell_m"][2:5] == ("4.0", "m", "number >= 1, <= 20")
     assert rows["request.agents"].range == "integer >= 0, <= 500, or max"
-    assert rows["export.offset_shares"][1:4] == ("1.0,0.5,0.0", "share", "list of numbers >= 0, <= 1 and not empty")
-    assert rows["request.trigger_list_s"][1:4] == ("none", "s", "list of numbers >= 0, <= 60")
-    assert rows["without"][1:4] == ("none", "-", "any of topology, collision, smoothing")
+    assert rows["request.trigger_list_s"][2:5] == ("none", "s", "list of numbers >= 0, <= 60")
+    assert rows["without"][2:5] == ("none", "-", "any of topology, collision, smoothing")
+
+
+def test_parameters_are_listed_by_whom_they_are_for() -> None:
+    groups = [row.group for row in describe_config()]
+    assert list(dict.fromkeys(groups)) == ["request", "paper", "drivers", "limits", "criticality", "expert"]
+    assert groups == sorted(groups, key=list(GROUPS).index)
+    assert len(groups) <= 110
+
+
+def test_key_of_an_earlier_version_is_taken_with_the_value_of_the_method_and_answered_with_another(
+    tmp_path: Path,
+) -> None:
+    """All of them: a file of all parameters of an earlier version is one that asks for nothing."""
+    removed = tomllib.loads(REMOVED.read_text())
+    instead = removed.pop("instead")
+    keys = {f"{section}.{name}": value for section, names in removed.items() for name, value in names.items()}
+    known = {row.key for row in describe_config()}
+    assert set(instead) <= set(keys)
+    assert set(instead.values()) <= known
+    assert not known & set(keys)
+    old = tmp_path / "old.toml"
+    old.write_text(REMOVED.read_text().split("\n\n", 2)[2])
+    assert load_config(old) == Config()
+    for key, value in keys.items():
+        assert load_config(None, [f"{key}={value}"]) == Config()
+        with pytest.raises(ConfigError, match=f"{key} = .*no parameter any more.*{instead.get(key, '')}"):
+            load_config(None, [f"{key}=77"])
 
 
 def test_drivers_of_a_file_are_flags_of_their_section(tmp_path: Path) -> None:

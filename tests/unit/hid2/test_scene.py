@@ -61,13 +61,14 @@ def test_parked_vehicle_sets_no_speed(scene_of: Callable[..., Scene], track: Cal
 
 
 def test_who_drives_too_short_a_way_or_time_sets_no_speed(
-    scene_of: Callable[..., Scene], track: Callable[..., Track]
+    scene_of: Callable[..., Scene], track: Callable[..., Track], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """8 m/s for 5.9 s are 47.2 m in 60 steps."""
     one = _moving(track, 10.0, 0.0, 8.0)
-    assert scene_of(one, spawn=Spawn(usual_from_m=47.0, usual_from_s=6.0)).scene_speeds
-    assert not scene_of(one, spawn=Spawn(usual_from_m=48.0)).scene_speeds
-    assert not scene_of(one, spawn=Spawn(usual_from_s=6.1)).scene_speeds
+    for from_m, from_s, counts in ((47.0, 6.0, True), (48.0, 6.0, False), (47.0, 6.1, False)):
+        monkeypatch.setattr("hid2.scene.MOVING_EXTENT_M", from_m)
+        monkeypatch.setattr("hid2.scene.MOVING_S", from_s)
+        assert bool(scene_of(one).scene_speeds) is counts
 
 
 def test_speed_of_a_lane_is_drawn_there_else_from_the_scene_else_it_is_the_prior(

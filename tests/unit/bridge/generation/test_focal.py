@@ -16,8 +16,12 @@ def scenes(data_scenes: dict[str, Path]):
     scenario = read_scenario(data_scenes["arterial"])
     asked = ["request.agents=8", "request.straight=0.3", "request.lane_change=0.5", "request.trigger_max_s=3"]
     asked += ["request.focal=generated"]
-    configs = {radius: load_config(None, [*asked, f"request.focal_radius_m={radius}"]) for radius in (50, 20)}
-    return {radius: generate(scenario, config) for radius, config in configs.items()}
+    found = {}
+    for radius in (50, 20):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("bridge.generation.generate._FOCAL_RADIUS_M", radius)
+            found[radius] = generate(scenario, load_config(None, asked))
+    return found
 
 
 def neighbours(scene, track, radius_m):

@@ -53,7 +53,7 @@ def cut_in(tmp_path: Path) -> Callable[[DrivingParams], Driving]:
         start = start_on(scene, (1,), 38.0, 8.0, policy=Policy.LANE_CHANGE, trigger_s=0.5)
         net = tmp_path / "road.net.xml"
         net.write_bytes(net_bytes(scene.grid))
-        parameters = {"sigmaerror": 0.1, "jerkmax": 3.0, "treaction": 0.5}
+        parameters = {"sigmaerror": 0.1, "treaction": 0.5}
         with Simulation(net, seed=0, step_s=0.1, model="EIDM", parameters=parameters) as simulation:
             others = nobody(scene.future.num_steps)
             found = Driving(Fleet(scene, [start], others, Roads(scene), StopLines(scene)), simulation)

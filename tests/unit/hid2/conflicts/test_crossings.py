@@ -8,23 +8,19 @@ import pytest
 from hid2.conflicts.crossings import CrossingOnPath, PedestrianCrossings
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
-from hid2.params import Crossings
 
 QUAD = np.array([(99.8, -6.0), (99.8, 6.0), (103.2, 6.0), (103.2, -6.0)])
-#: Every value that a number below is worked from; the defaults may be tuned.
-PARAMS = Crossings(near_m=1.0, towards_mps=0.3, ahead_s=1.5, strip_m=1.0, strip_s=3.0, along_deg=40.0)
-#: Nobody is left out who is anywhere on the crossing.
-WIDE = {"strip_m": 5.0, "strip_s": 20.0}
+#: Every agent counts that is anywhere on the crossing.
+WIDE = {"_STRIP_M": 5.0, "_STRIP_S": 20.0}
 UP = np.pi / 2
 
 
 @pytest.fixture
-def look(straight_path: DrivenPath) -> Callable[..., list[CrossingOnPath]]:
+def look(straight_path: DrivenPath, monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[CrossingOnPath]]:
     def on(*walkers: Traffic, quads: tuple[np.ndarray, ...] = (QUAD,), width_m: float = 2.0, **changed: float):
-        params = PARAMS.model_copy(update=changed)
-        return PedestrianCrossings(quads, walkers[0].joined(*walkers[1:]), params, 0.1).on(
-            straight_path, width_m=width_m
-        )
+        for name, value in changed.items():
+            monkeypatch.setattr(f"hid2.conflicts.crossings.{name}", value)
+        return PedestrianCrossings(quads, walkers[0].joined(*walkers[1:]), 0.1).on(straight_path, width_m=width_m)
 
     return on
 
@@ -66,7 +62,7 @@ def test_who_will_be_on_the_crossing_soon_counts_before(look, box) -> None:
 
 def test_who_is_near_and_walks_towards_the_crossing_counts(look, box) -> None:
     """Without the look ahead: within 1 m of it, y > -7, from step 16; behind it, at step 81, it walks away."""
-    assert _steps(look(box(101.5, -10.05, UP, 2.0), **WIDE, ahead_s=0.0)) == list(range(16, 81))
+    assert _steps(look(box(101.5, -10.05, UP, 2.0), **WIDE, _AHEAD_S=0.0)) == list(range(16, 81))
 
 
 def test_who_turns_back_or_stands_beside_is_not_waited_for(look, box) -> None:
@@ -94,5 +90,5 @@ def test_whoever_is_absent_is_not_on_the_crossing(look, box) -> None:
 
 
 def test_what_is_found_is_kept(straight_path: DrivenPath, box) -> None:
-    crossings = PedestrianCrossings((QUAD,), box(101.5, 0.0, UP, 0.0), PARAMS, 0.1)
+    crossings = PedestrianCrossings((QUAD,), box(101.5, 0.0, UP, 0.0), 0.1)
     assert crossings.on(straight_path, width_m=2.0) is crossings.on(straight_path, width_m=2.0)

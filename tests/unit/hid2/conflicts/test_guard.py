@@ -16,7 +16,7 @@ from hid2.scene import Scene
 from netconvert.lane_graph import LaneGraph, LaneSegment
 
 #: Every value that a number below is worked from; the defaults may be tuned.
-CONFIG = Config(conflict=Conflict(horizon_s=4.0, brake_max_mps2=3.5, margin_lateral_m=0.1, margin_front_m=1.0))
+CONFIG = Config(conflict=Conflict(horizon_s=4.0, brake_max_mps2=3.5, margin_lateral_m=0.1))
 UP = np.pi / 2
 State = tuple[float, float]
 

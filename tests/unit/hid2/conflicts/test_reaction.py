@@ -71,7 +71,6 @@ def test_leader_farther_away_than_is_looked_is_none() -> None:
         return speed
 
     scene = _scene(recorded(50.0, 0.0, 10.0))
-    assert scene.config.driving.yields_ahead_m == 80.0
     Reactions(scene, follow).advance(1, _ahead(131.0))
     assert asked == []
     Reactions(scene, follow).advance(1, _ahead(129.0))
@@ -174,7 +173,7 @@ def test_what_is_known_of_the_scene_is_that_of_the_late_vehicle() -> None:
 def test_who_comes_from_behind_and_can_brake_is_expected_to_yield(
     x: float, speed: float, heading: float, yields: bool
 ) -> None:
-    """A vehicle at x = 50 with 10 m/s; `driving.yields_mps2` is 4.5."""
+    """A vehicle at x = 50 with 10 m/s; YIELDS_MPS2 is 4.5."""
     scene = _scene(recorded(x, 0.0, speed, heading=heading))
     found = yielding(
         scene, np.array([0]), 0, xy=np.array([50.0, 0.0]), forward=np.array([1.0, 0.0]), half_m=2.25, speed_mps=10.0

@@ -19,11 +19,7 @@ from netconvert.cells import build_cell_grid
 from netconvert.lane_graph import LaneGraph, LaneSegment
 
 STEPS = 110
-#: Every value that a number below is worked from; the defaults may be tuned.
-PARAMS = Signals(
-    before_s=2.0, after_s=3.0, queue_m=20.0, beyond_m=3.0, standing_mps=0.5, flow_mps=1.0, parked_m=5.0,
-    crossing_deg=40.0, entry_before_s=1.0, entry_after_s=2.0, crossing_s=1.0,
-)  # fmt: skip
+PARAMS = Signals(before_s=2.0, after_s=3.0)
 
 
 @pytest.fixture(scope="module")

@@ -8,15 +8,12 @@ from inserted import CAR, DRIVER, recorded, scene_on
 
 from hid2.agents import BoxSize, Track
 from hid2.conflicts.stop_lines import StopLine, StopLines
-from hid2.params import Config, Conflict, Crossings, Signals
+from hid2.params import Config, Signals
 from hid2.scene import Scene
 from netconvert.lane_graph import LaneGraph, LaneSegment
 
 #: Every value that a number below is worked from; the defaults may be tuned.
-CONFIG = Config(
-    signals=Signals(before_s=2.0, after_s=3.0), crossings=Crossings(strip_m=1.0, strip_s=3.0),
-    conflict=Conflict(stop_margin_m=1.0),
-)  # fmt: skip
+CONFIG = Config(signals=Signals(before_s=2.0, after_s=3.0))
 UP = np.pi / 2
 #: The line of the entrance at 60 m: half a car and the margin before it, 60 - 2.25 - 1.
 STOP_S = 56.75

@@ -11,7 +11,7 @@ from hid2.params import Config, Drivers, Limits, Spawn
 CONFIG = Config(
     drivers=Drivers(
         desired_sd=0.1, wander_sd_mps=0.6, wander_time_s=3.0, tau_mean_s=1.15, tau_sd_s=0.25,
-        offset_mean_m=0.0, offset_sd_m=0.25, offset_max_m=0.9, lateral_wander_sd_m=0.15, lateral_wander_spread=0.5,
+        offset_mean_m=0.0, offset_sd_m=0.25, lateral_wander_sd_m=0.15, lateral_wander_spread=0.5,
         lateral_wander_time_s=3.0,
     ),
     spawn=Spawn(min_speed_mps=4.0, max_speed_mps=20.0),

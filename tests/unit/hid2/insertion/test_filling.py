@@ -3,7 +3,7 @@
 import logging
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,10 +14,11 @@ from hid2.agents import Policy
 from hid2.insertion.filling import Filling
 from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.routes import RouteOffer
+from hid2.insertion.sites import CELL_TRIES
 from hid2.insertion.starts import Starts
 from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.traffic import Traffic
-from hid2.params import Config, Request, Sites, Spawn
+from hid2.params import Config, Request, Spawn
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
@@ -110,7 +111,9 @@ def test_who_cannot_enter_is_replaced_and_its_lane_stays_open(scene_for: Callabl
     assert [one.span.stop for one in filling.kept] == [110, 110]
 
 
-def test_places_that_failed_are_tried_again_where_no_other_is_left(scene_for: Callable[..., Scene]) -> None:
+def test_places_that_failed_are_tried_again_where_no_other_is_left(
+    scene_for: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """All vehicles of the first round fail, perhaps because of each other: as no other place is left, all are open."""
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
@@ -119,8 +122,8 @@ def test_places_that_failed_are_tried_again_where_no_other_is_left(scene_for: Ca
         return vehicle
 
     scene = scene_for(agents=4)
-    config = scene.config.model_copy(update={"sites": scene.config.sites.model_copy(update={"avoided_m": 600.0})})
-    filling, drive = _fill(replace(scene, config=config), spoil)
+    monkeypatch.setattr("hid2.insertion.sites._AVOIDED_M", 600.0)
+    filling, drive = _fill(scene, spoil)
     assert {start.route[0] for start in drive.rounds[0]} == {1, 2}  # both lanes are avoided, whole
     assert len(filling.kept) == 4
     assert filling.rounds == 2
@@ -197,7 +200,7 @@ def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(
     scene_for: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Cells of lane 1 admit no start. Each round adds three vehicles of twelve, and in none is a cell looked at once
-    more that was turned down `sites.cell_tries` times in those before, there or near to it.
+    more that was turned down CELL_TRIES times in those before, there or near to it.
     """
     make, looked = Starts.make, Counter[tuple[int, int]]()
 
@@ -220,7 +223,7 @@ def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(
     filling, drive = _fill(scene_for(agents=12), spoil)
     assert len(drive.rounds) >= 4
     assert 25 < len(looked) < 100  # those around are spared
-    assert max(looked.values()) == Sites().cell_tries
+    assert max(looked.values()) == CELL_TRIES
     assert len(filling.kept) == 12
 
 

@@ -13,7 +13,7 @@ from hid2.agents import BoxSize, Track
 from hid2.drivers.driver import LaneOffset
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
 from hid2.motion.route import DrivenPath
-from hid2.params import Config, Request, Sites
+from hid2.params import Config, Request
 from hid2.policy.observation import lay_across
 from hid2.reasons import Reason
 from hid2.scene import Scene
@@ -415,12 +415,12 @@ def test_ttc_to_a_leader_is_that_of_the_steps_driven(scene_of: Callable[..., Sce
 
 @pytest.mark.parametrize(("step", "found"), [(0, Reason.LEAVES_TOO_EARLY), (20, None), (45, Reason.LEAVES_TOO_EARLY)])
 def test_who_enters_stays_until_it_has_been_observed_and_a_while(
-    scene_of: Callable[..., Scene], step: int, found: Reason | None
+    scene_of: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch, step: int, found: Reason | None
 ) -> None:
     """From x = 110 of 150 m on it leaves after 3.7 s, less than 4.9: from step 0 on at step 37, from step 20 on at step
     57, after the last observed one; who enters at step 45 is to be there for 4 s.
     """
-    config = Config(sites=Sites(entry_stays_s=3.0 if step < 45 else 4.0))
-    scene = scene_of(length_m=150.0, config=config)
+    monkeypatch.setattr("hid2.scene.ENTRY_STAYS_S", 3.0 if step < 45 else 4.0)
+    scene = scene_of(length_m=150.0)
     verdict = _alone(scene, np.full(110 - step, 10.0), 110.0, step=step)
     assert verdict is found or (found is None and isinstance(verdict, ExportedVehicle))

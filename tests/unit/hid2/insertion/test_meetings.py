@@ -12,9 +12,9 @@ from inserted import nobody, recorded, scene_on, start_on
 from hid2.agents import Policy
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
-from hid2.insertion.meetings import Meetings
+from hid2.insertion.meetings import LEADER_WEIGHT, Meetings
 from hid2.insertion.routes import Routes
-from hid2.insertion.sites import InsertionSites
+from hid2.insertion.sites import BRAKING_WEIGHT, InsertionSites
 from hid2.insertion.spread import Spread
 from hid2.insertion.surroundings import Surroundings
 from hid2.params import Config, Drivers, Spawn
@@ -63,10 +63,10 @@ def test_leader_is_next_ahead_on_the_same_lane_within_three_seconds(scene_of: Ca
     assert _leader(meetings, scene, 1, 40.0) == -1
     assert _leader(meetings, scene, 1, 120.0) == -1
     assert _leader(meetings, scene, 2, 82.0) == -1
-    assert _weight(meetings, scene, 1, 82.0) == pytest.approx(Spawn().leader_weight * _weight(meetings, scene, 2, 82.0))
+    assert _weight(meetings, scene, 1, 82.0) == pytest.approx(LEADER_WEIGHT * _weight(meetings, scene, 2, 82.0))
 
 
-@pytest.mark.parametrize(("policy", "more"), [(Policy.STRAIGHT, Spawn().braking_weight), (Policy.LANE_CHANGE, 1.0)])
+@pytest.mark.parametrize(("policy", "more"), [(Policy.STRAIGHT, BRAKING_WEIGHT), (Policy.LANE_CHANGE, 1.0)])
 def test_leader_that_brakes_speaks_more_for_a_site_to_go_straight_from(
     scene_of: Callable[..., Scene], policy: Policy, more: float
 ) -> None:
@@ -137,7 +137,7 @@ def test_leader_who_is_followed_by_a_kept_vehicle_speaks_for_no_other_site(scene
     free, _ = sites._weights(Policy.STRAIGHT, rows)
     sites.kept = [start_on(scene, meetings.routes.offers(1)[0].route, 80.0, 9.0)]
     taken, _ = sites._weights(Policy.STRAIGHT, rows)
-    assert free[0] == pytest.approx(Spawn().leader_weight * taken[0])
+    assert free[0] == pytest.approx(LEADER_WEIGHT * taken[0])
 
 
 def test_pace_of_a_leader_is_what_it_drives_while_it_moves(scene_of: Callable[..., Scene]) -> None:

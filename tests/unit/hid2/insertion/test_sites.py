@@ -19,7 +19,7 @@ from hid2.insertion.spread import Spread
 from hid2.insertion.starts import speed_behind
 from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.sigma import FREE
-from hid2.params import Config, LaneChange, Request, Sites, Spawn
+from hid2.params import Config, LaneChange, Request, Spawn
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
@@ -55,7 +55,7 @@ def _many(scene: Scene, count: int, **request: Any) -> list[Start]:
 
 
 def test_site_is_never_on_an_occupied_cell_nor_near_a_box(scene_of: Callable[..., Scene]) -> None:
-    """Parked ones at 60 and 130 m of lane 1, one at 9 m/s on lane 2 at 100 m: spawn.clear_gap_m of 2 m to all."""
+    """Parked ones at 60 and 130 m of lane 1, one at 9 m/s on lane 2 at 100 m: CLEAR_GAP_M of 2 m to all."""
     others = [recorded(60.0, 0.0, name="a"), recorded(130.0, 0.0, name="b"), recorded(100.0, 3.5, 9.0, name="c")]
     scene = scene_of(*others)
     starts = _many(scene, 120)
@@ -86,7 +86,7 @@ def test_start_that_a_recorded_vehicle_would_run_into_is_rejected(scene_of: Call
 @pytest.mark.parametrize(("gap", "leader_mps"), [(6.0, 0.0), (15.0, 8.0), (30.0, 4.0), (60.0, 12.0)])
 def test_start_speed_behind_a_leader_needs_no_braking(gap: float, leader_mps: float) -> None:
     """IDM at that speed and gap: a (1 - (s* / gap)^2) is -0.8 m/s2, a lifted foot; faster it would be less."""
-    v = speed_behind(gap, leader_mps, DRIVER, Sites())
+    v = speed_behind(gap, leader_mps, DRIVER)
     star = DRIVER.min_gap_m + v * DRIVER.tau_s + v * max(0.0, v - leader_mps) / (2 * np.sqrt(1.6 * 2.0))
     accel = DRIVER.accel_mps2 * (1.0 - (star / gap) ** 2)
     if v < leader_mps:
@@ -97,7 +97,7 @@ def test_start_speed_behind_a_leader_needs_no_braking(gap: float, leader_mps: fl
 
 def test_nobody_begins_moving_right_behind_who_stands() -> None:
     """1.5 m of gap are less than the 2 m kept to a standing one, whatever the speed."""
-    assert speed_behind(1.5, 0.0, DRIVER, Sites()) == 0.0
+    assert speed_behind(1.5, 0.0, DRIVER) == 0.0
 
 
 def test_starts_behind_slow_traffic_are_no_faster_than_it_allows(scene_of: Callable[..., Scene]) -> None:
@@ -220,12 +220,16 @@ def test_starts_of_a_round_keep_clear_of_each_other(scene_of: Callable[..., Scen
                 assert gap > 2.5 - 0.01
 
 
-def test_leader_who_is_followed_already_speaks_for_no_other_site(scene_of: Callable[..., Scene]) -> None:
+def test_leader_who_is_followed_already_speaks_for_no_other_site(
+    scene_of: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """One leader on each of two lanes, of one speed: with a weight of 100 for such sites the second follows the other.
 
     Where the first begins behind a leader, the sites behind that one count as little as those with nobody ahead.
     """
-    scene = scene_of(recorded(150.0, 0.0, 9.0, name="a"), recorded(150.0, 3.5, 9.0, name="b"), leader_weight=100.0)
+    scene = scene_of(recorded(150.0, 0.0, 9.0, name="a"), recorded(150.0, 3.5, 9.0, name="b"))
+    for room in ("meetings", "sites"):
+        monkeypatch.setattr(f"hid2.insertion.{room}.LEADER_WEIGHT", 100.0)
     same = other = 0
     for seed in range(60):
         sites = _sites(scene, seed)
@@ -290,10 +294,13 @@ def test_cell_that_was_turned_down_twice_is_left_alone_in_a_round(
     assert least <= max(tried.values()) <= most
 
 
-def test_rear_bumper_is_at_least_so_far_from_the_beginning_of_the_way(scene_of: Callable[..., Scene]) -> None:
-    """A car begins no nearer to the edge than half its kept length and `sites.from_edge_m`."""
+def test_rear_bumper_is_at_least_so_far_from_the_beginning_of_the_way(
+    scene_of: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A car begins no nearer to the edge than half its kept length and _FROM_EDGE_M."""
     scene = scene_of(length_m=60.0)
-    here = Surroundings(replace(scene, config=scene.config.model_copy(update={"sites": Sites(from_edge_m=6.0)})))
+    monkeypatch.setattr("hid2.insertion.starts._FROM_EDGE_M", 6.0)
+    here = Surroundings(scene)
     sites = InsertionSites(
         here, Guard(here.scene, nobody(scene.future.num_steps), here.stop_lines), np.random.default_rng(0), 0,
         Spread.of((0, 0)),

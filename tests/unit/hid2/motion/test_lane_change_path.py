@@ -36,7 +36,7 @@ def test_motion_lasts_as_wanted_between_the_moments_at_which_the_lateral_speed_p
 
     .87 = 3.5 / 5.51 / .73.
     """
-    timing = LateralTiming.of(5.0, 3.5, LaneChange(ramp_share=0.27))
+    timing = LateralTiming.of(5.0, 3.5, LaneChange())
     assert timing.lasting_s == pytest.approx(5.51, abs=0.02)
     time = np.arange(0.0, 10.0, 0.1)
     speed = lateral_speed(3.5 * lateral_share((time - 2.0) / timing.lasting_s, timing.ramp), time)
@@ -46,7 +46,7 @@ def test_motion_lasts_as_wanted_between_the_moments_at_which_the_lateral_speed_p
 
 def test_slow_vehicle_takes_longer_so_that_its_heading_stays_within_the_bound() -> None:
     """.87 m/s across is 10 degrees at .87 / tan(10 deg) = 4.93 m/s; at 2 m/s it takes 4.93 / 2 times as long."""
-    timing = LateralTiming.of(5.0, 3.5, LaneChange(ramp_share=0.27, heading_deg=10.0))
+    timing = LateralTiming.of(5.0, 3.5, LaneChange(heading_deg=10.0))
     assert timing.slow_mps == pytest.approx(4.93, abs=0.02)
     whole = 0.1 / timing.lasting_s
     assert timing.gained(np.array([0.0, 2.0, 4.93, 20.0]), 0.1) == pytest.approx(

@@ -16,7 +16,7 @@ from hid2.motion.route import (
     shifted_path,
     turn_segments,
 )
-from hid2.params import Limits, Smoothing
+from hid2.params import Limits
 from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
 
 
@@ -42,7 +42,7 @@ def forked(lane: Callable[..., LaneSegment]) -> LaneGraph:
 
 
 def _path(graph: LaneGraph, *route: int) -> DrivenPath:
-    return path_along(graph, route, smoothing=Smoothing(), limits=Limits())
+    return path_along(graph, route, limits=Limits())
 
 
 def test_points_of_a_route_hold_every_joint_once(forked: LaneGraph) -> None:
@@ -119,14 +119,15 @@ def test_routes_are_cut_when_long_enough_and_counted(forked: LaneGraph) -> None:
 
 @pytest.mark.parametrize(("look_back_m", "route"), [(0.0, (5,)), (30.0, (4, 5)), (50.0, (3, 4, 5)), (500.0, (3, 4, 5))])
 def test_lane_beside_is_known_so_far_back_as_is_asked_for(
-    lane: Callable[..., LaneSegment], look_back_m: float, route: tuple[int, ...]
+    lane: Callable[..., LaneSegment], monkeypatch: pytest.MonkeyPatch, look_back_m: float, route: tuple[int, ...]
 ) -> None:
     """Lanes 3, 4, 5 of 40 m each, one after the other, and lane 6 beside lane 5: whoever comes from behind on them."""
+    monkeypatch.setattr("hid2.motion.route._LOOK_BACK_M", look_back_m)
     graph = LaneGraph({
         n: lane(n, [(40.0 * place, 3.5), (40.0 * (place + 1), 3.5)], successors=onward)
         for place, (n, onward) in enumerate(((3, (4,)), (4, (5,)), (5, ())))
     } | {6: lane(6, [(80.0, 0.0), (120.0, 0.0)])})  # fmt: skip
-    assert route_beside(graph, (6,), 5, usable=lambda _: True, look_back_m=look_back_m) == route
+    assert route_beside(graph, (6,), 5, usable=lambda _: True) == route
 
 
 def test_circle_of_lanes_is_driven_once(lane: Callable[..., LaneSegment]) -> None:
@@ -144,7 +145,7 @@ def _shifted(own: DrivenPath, target: DrivenPath, *, start_m: float, length_m: f
     timing = LateralTiming(lasting_s=4.0, ramp=0.27, slow_mps=5.0)
     begun = LateralMotion(own, target, timing, np.array([start_m]), np.zeros(1))
     motion = begun.foreseen(np.array([length_m / 4.0]), 0.1)
-    path = shifted_path(motion, max_shift_m=5.5, smoothing=Smoothing(), limits=Limits())
+    path = shifted_path(motion, limits=Limits())
     assert path is not None
     return path
 

@@ -6,6 +6,7 @@ from hid2.agents import Policy
 from hid2.measures.manoeuvres import TURNS, ManeuverKind
 from hid2.params import Config, Request
 from hid2.policy.behaviours import BEHAVIOURS, behaviour_seen
+from hid2.policy.overtake import SHIFT_RATIO
 from netconvert.lane_graph import TurnType
 
 
@@ -37,5 +38,5 @@ def test_what_the_map_must_offer_beside_follows_the_parameters() -> None:
     assert needed == {
         Policy.LANE_CHANGE: config.lane_change.min_remaining_m,
         Policy.OVERTAKE: config.overtake.d_overtake_m
-        + config.overtake.shift_ratio * config.lane_change.min_duration_s * config.spawn.prior_speed_mps,  # and back
+        + SHIFT_RATIO * config.lane_change.min_duration_s * config.spawn.prior_speed_mps,  # and back
     }

@@ -9,7 +9,7 @@ from hid2.policy.turns import f_left, f_right, hard_cap, road_speeds, turn_shape
 from netconvert.lane_graph import TurnType
 
 #: Every value that a number below is worked from; the defaults may be tuned.
-TURN = Turn(left_trough=0.65, right_trough=0.75, trough_at=0.4, lateral_accel_mps2=2.5, approach_decel_mps2=1.5)
+TURN = Turn(left_trough=0.65, right_trough=0.75, trough_at=0.4)
 ALPHA = np.linspace(0.0, 1.0, 101)
 
 
@@ -66,7 +66,7 @@ def _desired(
     lateral_accel_mps2: float = 2.5,
 ):
     road = road_speeds(line, segments, turn=TURN, limits=Limits())
-    return road.desired(desired_mps, lateral_accel_mps2=lateral_accel_mps2, accel_mps2=1.8, approach_decel_mps2=1.5)
+    return road.desired(desired_mps, lateral_accel_mps2=lateral_accel_mps2, accel_mps2=1.8)
 
 
 def test_straight_lane_is_driven_at_the_cruising_speed(straight_line: ReferenceLine) -> None:
@@ -164,5 +164,5 @@ def test_hard_limits_have_the_last_word_in_a_turn() -> None:
     line, segments = _corner(6.0)
     limits = Limits(yaw_rate_radps=0.3)
     road = road_speeds(line, segments, turn=TURN, limits=limits)
-    speed = road.desired(10.0, lateral_accel_mps2=4.0, accel_mps2=1.8, approach_decel_mps2=1.5)
+    speed = road.desired(10.0, lateral_accel_mps2=4.0, accel_mps2=1.8)
     assert np.all(speed <= hard_cap(line, limits) + 1e-9)
