@@ -46,7 +46,6 @@ MEASURES = (
     *(f"critical_{side}_gap_{what}_s" for side in SIDES for what in ("mean", "sd")),
     *(f"accepted_{side}_gaps_{name}" for side in SIDES for name in SHARES),
 )  # fmt: skip
-UNTUNED, TUNED = "untuned", "tuned"
 _Changes = dict[str, Value]
 
 
@@ -67,6 +66,7 @@ class _RoadEntry(RoadPart):
     counts: str = ""
     tune: bool = False
     asked: bool = False
+    why: str = ""
     set: _Changes = Field(default={})
 
 
@@ -83,7 +83,7 @@ class _PageRule(RoadPart):
     @property
     def last(self) -> str:
         """The variant that counts."""
-        return TUNED if self.vary else UNTUNED
+        return "tuned" if self.vary else "as set"
 
 
 class _Cause(RoadPart):
@@ -321,8 +321,8 @@ def run_public(
     best = {rule.name: _best([one for one in tried if one.rule == rule.name]) for rule in file.rule}
     tests = driven(
         (site, rule, variant, changes, file.seeds)
-        for site, rule in pairs for variant, changes in ((UNTUNED, {}), (TUNED, best[rule.name]))
-        if rule.vary or variant == UNTUNED
+        for site, rule in pairs
+        for variant, changes in (*([("untuned", {})] if rule.vary else []), (rule.last, best[rule.name]))
     )  # fmt: skip
     causes = driven(
         (site, rule, cause.says, {**best[rule.name], **cause.set}, file.cause_seeds)
