@@ -56,7 +56,7 @@ class Counts(RoadPart):
     """
 
     name: str
-    published: dict[str, float] = Field(default={})
+    published: dict[str, Annotated[float, Field(ge=0)]] = Field(default={})
     vehicles: list[float] = Field(default=[])
     start_to_end: list[list[float]] = Field(default=[])
 
@@ -182,8 +182,8 @@ class RoadResult:
         }
         lanes = [name for name in self.site.road.from_lanes[: self.site.road.lanes] if name in self.published]
         ours = [found[name].value or 0.0 for name in lanes]
-        if len(set(ours)) > 1:
-            theirs = [self.published[name] for name in lanes]
+        theirs = [self.published[name] for name in lanes]
+        if min(len(set(ours)), len(set(theirs))) > 1:
             found["rank_correlation"] = Estimate(float(stats.spearmanr(ours, theirs).statistic))
         for side in SIDES if any("gap" in name for name in self.published) else ():
             gaps = [np.array([one for one in run[side] if one[1] < LONG_GAP_S]).reshape(-1, 2) for run in self.runs]

@@ -177,6 +177,11 @@ def test_ngsim_tunes_on_one_road_alone_and_its_counts_add_up() -> None:
             COUNTS.replace("40.0, 20.0", "20.0"),
             "vehicles: 2 values on a road to tune on, expected one for each of",
         ),
+        (
+            PAGE,
+            COUNTS.replace("speed_mps = 10.0", "speed_mps = -1.0"),
+            "published.speed_mps = -1.0, expected at least 0",
+        ),
         (PAGE, COUNTS.replace("speed_mps", "sped_mps"), "unknown key 'published.sped_mps'; expected flow_veh_per_h"),
     ],
 )
