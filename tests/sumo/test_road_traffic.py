@@ -97,6 +97,9 @@ def test_gaps_that_a_merging_vehicle_is_offered_and_takes(tmp_path: Path) -> Non
         traffic._offer()
     assert one.offered == {("B", "A"): pytest.approx((2.6, 0.6))}
     assert one.taken == pytest.approx((3.2, 1.6))
+    traffic._stops = [100.0, 155.0]  # a closed stop line before C is what a rule sees
+    front, rear = traffic._around(one, 2)
+    assert (front.distance_m, front.speed_mps, rear.track_id) == (5.0, 0.0, "B")
 
 
 def test_vehicles_stop_at_red_and_go_on_at_green(tmp_path: Path) -> None:
