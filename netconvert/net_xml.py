@@ -48,12 +48,17 @@ def speed_limit_mps(fastest_mps: float) -> float:
     return max(SPEED_LIMIT_MPS, fastest_mps)
 
 
-def net_bytes(grid: CellGrid, *, origin: CityOrigin | None = None, fastest_mps: float = SPEED_LIMIT_MPS) -> bytes:
+def net_bytes(
+    grid: CellGrid, *, origin: CityOrigin | None = None, fastest_mps: float = SPEED_LIMIT_MPS,
+    signals: Mapping[int, tuple[float, Sequence[tuple[float, str]]]] | None = None,
+) -> bytes:  # fmt: skip
     """The net.xml of a grid, in city coordinates. Equal grids give equal bytes.
 
     origin: of the city frame; with it the net has a geo-reference, so that it lies on a map. fastest_mps: see
-    `speed_limit_mps`.
+    `speed_limit_mps`. signals: by lane that begins at a stop line, from when its signal shows which phases, s and
+    SUMO's letter, again and again.
     """
+    signals = signals or {}
     rows = tuple(grid.rows())
     edge_ids = [grid.edge_id(row[0]) for row in rows]
     place = {cell: (edge, index) for edge, row in enumerate(rows) for index, cell in enumerate(row)}
@@ -89,11 +94,14 @@ def net_bytes(grid: CellGrid, *, origin: CityOrigin | None = None, fastest_mps: 
             )
         text.append("  </edge>")
     text += _junctions(rows, lines, edge_ids, names, editable=editable)
-    text += [
-        f'  <connection from="{edge_ids[from_edge]}" to="{edge_ids[to_edge]}" fromLane="{from_lane}" toLane="{to_lane}"'
-        f' dir="{direction}" state="M"/>'
-        for from_edge, from_lane, to_edge, to_lane, direction in links
-    ]
+    for lane_id, (since_s, phases) in signals.items():
+        shown = "".join(f'<phase duration="{seconds:g}" state="{state}"/>' for seconds, state in phases)
+        text.append(f'  <tlLogic id="S{lane_id}" type="static" programID="0" offset="{since_s:g}">{shown}</tlLogic>')
+    for from_edge, from_lane, to_edge, to_lane, direction in links:
+        ends = f'from="{edge_ids[from_edge]}" to="{edge_ids[to_edge]}" fromLane="{from_lane}" toLane="{to_lane}"'
+        lane_id, cell_index = rows[to_edge][to_lane]
+        held = f'tl="S{lane_id}" linkIndex="0" state="o"' if cell_index == 0 and lane_id in signals else 'state="M"'
+        text.append(f'  <connection {ends} dir="{direction}" {held}/>')
     return "\n".join([*text, "</net>", ""]).encode()
 
 

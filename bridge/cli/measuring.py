@@ -9,6 +9,7 @@ from bridge.cli.app import command
 from bridge.cli.places import check_out, check_scenes
 from bridge.cli.session import tell_unread
 from bridge.console import Activity, counted, say
+from bridge.files import data_folder
 from netconvert.errors import ConfigError
 
 
@@ -185,20 +186,22 @@ def public(
 
 @command(folders=("out",))
 def make(
-    what: Literal["corridor"] = options.argument("WHAT", "corridor: a straight one-way road."),
+    what: Literal["corridor", "arterial"] = options.argument(
+        "WHAT", "corridor: a straight one-way road; arterial: two lanes with signals, data/public/arterial.toml."
+    ),
     out: Path = options.OUT,
     *,
     road: Path | None = options.option(
-        "A road with ramps and traffic of its own instead, as those in data/public.", None, "ROAD.toml"
+        "A road with ramps, signals and traffic of its own instead, as those in data/public.", None, "ROAD.toml"
     ),
-    length: float = options.option("Length of the road, m.", 600.0, "M"),
-    lanes: int = options.option("Lanes.", 2, "N"),
+    length: float = options.option("Length of a plain corridor, m.", 600.0, "M"),
+    lanes: int = options.option("Its lanes.", 2, "N"),
     seconds: float = options.option("Duration of the recording, s.", 180.0, "S"),
 ) -> None:
     """Make a synthetic scene for studies; it is no scene of Argoverse, and its id says so."""
     from bridge.recordings.corridor import write_corridor, write_road
 
-    assert what == "corridor"
+    road = road or (data_folder() / "public" / "arterial.toml" if what == "arterial" else None)
     print(write_road(out, road) if road else write_corridor(out, length_m=length, lanes=lanes, seconds=seconds))
 
 

@@ -55,7 +55,7 @@ def write_road(out_dir: Path, file: Path) -> Path:
     """
     road, content = read_road(file), file.read_bytes()
     if road.seconds > MAX_CORRIDOR_STEPS * STEP_S:
-        raise ConfigError(f"{file}: inflow until {road.seconds:g} s, expected {MAX_CORRIDOR_STEPS * STEP_S:g} at most")
+        raise ConfigError(f"{file}: period until {road.seconds:g} s, expected {MAX_CORRIDOR_STEPS * STEP_S:g} at most")
     scenario_id = f"{CORRIDOR_PREFIX}{file.stem}-{hashlib.sha256(content).hexdigest()[:8]}"
     steps = round(max(road.seconds, OBSERVED_STEPS * STEP_S) / STEP_S)
     folder = out_dir / scenario_id
@@ -89,7 +89,7 @@ def _map(stretches: Sequence[Lane], lanes: int) -> dict[str, Any]:
         y = (lanes - lane.number) * _LANE_M
         segments[str(lane.lane_id)] = {
             "id": lane.lane_id,
-            "is_intersection": False,
+            "is_intersection": lane.crossing,
             "lane_type": "VEHICLE",
             "centerline": line(lane, y),
             "left_lane_boundary": line(lane, y + _LANE_M / 2),

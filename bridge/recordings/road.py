@@ -1,8 +1,11 @@
-"""A one-way road with its traffic as a file: lanes, ramps, inflow by lane and speed at the end over time."""
+"""A one-way road with its traffic as a file: lanes, ramps, signals, and inflow and speed at the end over time."""
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, NamedTuple, Self
 
+import numpy as np
+import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from bridge.config import read_toml_as
@@ -13,10 +16,13 @@ ROAD_FILE = "road.toml"
 #: Most lanes, and how ids of lanes are made: row times this, and the lane, counted from the left.
 MOST_LANES, ROW = 8, 100
 RAMPS = _FEEDER, _OFF = 98, 99
+#: Length of what lies between a stop line and the other side of the crossing, m.
+CROSSING_M = 20.0
 
 _Share = Annotated[float, Field(ge=0, le=1)]
 _Flow = Annotated[float, Field(ge=0, le=3000)]
 _Speed = Annotated[float, Field(gt=0, le=40)]
+_Phase = Annotated[float, Field(ge=1, le=600)]
 
 
 class RoadPart(BaseModel):
@@ -34,23 +40,38 @@ class Beside(RoadPart):
     off_ramp: bool = False
 
 
-class Inflow(RoadPart):
-    """Traffic that enters until a time: veh/h by lane, counted from the left, and on the ramp."""
+class Signal(RoadPart):
+    """A signal for all lanes, with its stop line at_m from the section's start: green from offset_s on, yellow, red."""
+
+    at_m: float = Field(gt=0)
+    green_s: _Phase
+    yellow_s: _Phase = 3.0
+    red_s: _Phase
+    offset_s: float = Field(default=0.0, ge=0)
+
+    @property
+    def phases(self) -> tuple[tuple[float, str], ...]:
+        """Seconds and SUMO's letter of each."""
+        return (self.green_s, "G"), (self.yellow_s, "y"), (self.red_s, "r")
+
+
+class Period(RoadPart):
+    """Traffic until a time: veh/h that enter by lane, counted from the left, and on the ramp.
+
+    end_mps: speed limit behind the section from the period on, by lane: what lies downstream; none: as it was.
+    """
 
     until_s: float = Field(gt=0)
     veh_per_h: Annotated[list[_Flow], Field(min_length=1)]
     on_ramp: _Flow = 0.0
-
-
-class EndSpeed(RoadPart):
-    """Speed limit behind the section until a time, m/s, by lane: what lies downstream of it."""
-
-    until_s: float = Field(gt=0)
-    mps: Annotated[list[_Speed], Field(min_length=1)]
+    end_mps: list[_Speed] = []
 
 
 class Lane(NamedTuple):
-    """A stretch of a lane, m from the section's start. number: from the left, the auxiliary lane and ramps the last."""
+    """A stretch of a lane, m from the section's start. number: from the left, the auxiliary lane and ramps the last.
+
+    closed: no lane is changed there; crossing: it begins at a stop line.
+    """
 
     lane_id: int
     number: int
@@ -60,6 +81,7 @@ class Lane(NamedTuple):
     left: int | None
     right: int | None
     successors: tuple[int, ...]
+    crossing: bool = False
 
 
 class Road(RoadPart):
@@ -77,92 +99,113 @@ class Road(RoadPart):
     ramp_m: float = Field(default=100.0, ge=20, le=1000)
     drop_m: float | None = Field(default=None, gt=0)
     beside: Beside | None = None
+    signal: list[Signal] = []
     trucks: _Share = 0.0
     warm_up_s: float = Field(default=180.0, ge=0, le=3600)
     step_s: float = Field(default=0.5, gt=0, le=1)
-    inflow: Annotated[list[Inflow], Field(min_length=1)]
-    end_speed: list[EndSpeed] = []
+    period: Annotated[list[Period], Field(min_length=1)]
     leaving: list[_Share] = []
     ramp_leaving: _Share = 0.0
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        ends = [self.beside.from_m, self.beside.to_m] if self.beside else []
+        aside, stops = self.beside, [at for one in self.signal for at in (one.at_m, one.at_m + CROSSING_M)]
+        ends = [aside.from_m, aside.to_m] if aside else []
         if ends != sorted(set(ends)) or any(end > self.length_m for end in [*ends, self.drop_m or 0.0]):
             raise ValueError(f"beside and drop_m lie in the section, 0 to {self.length_m:g} m, from_m before to_m")
-        if self.drop_m is not None and (self.beside or self.lanes < 3):
+        if self.drop_m is not None and (aside or self.lanes < 3):
             raise ValueError("drop_m: expected three lanes or more, and no lane beside")
-        for name, parts in (("inflow", self.inflow), ("end_speed", self.end_speed)):
-            if [part.until_s for part in parts] != sorted({part.until_s for part in parts}):
-                raise ValueError(f"{name}: until_s has to rise")
-        rows = [(f"inflow.veh_per_h until {one.until_s:g} s", one.veh_per_h) for one in self.inflow]
-        rows += [(f"end_speed.mps until {one.until_s:g} s", one.mps) for one in self.end_speed]
-        for name, values in [*rows, *([("leaving", self.leaving)] if self.leaving else [])]:
-            if len(values) != self.lanes:
+        if stops and (stops != sorted(set(stops)) or stops[-1] >= self.length_m or aside or self.drop_m):
+            raise ValueError(
+                f"signal: at_m has to rise by more than {CROSSING_M:g} m and to end as much before the section's "
+                "end, with no lane beside and no drop_m"
+            )
+        if [one.until_s for one in self.period] != sorted({one.until_s for one in self.period}):
+            raise ValueError("period: until_s has to rise")
+        rows = [
+            ("leaving", self.leaving),
+            *((f"period.end_mps until {one.until_s:g} s", one.end_mps) for one in self.period),
+        ]
+        rows += [(f"period.veh_per_h until {one.until_s:g} s", one.veh_per_h) for one in self.period]
+        for name, values in rows:
+            if values and len(values) != self.lanes:
                 raise ValueError(f"{name}: {len(values)} values, expected one for each of {self.lanes} lanes")
         if self.warm_up_s >= self.seconds:
-            raise ValueError(f"warm_up_s {self.warm_up_s:g}: expected less than the {self.seconds:g} s of inflow")
-        if any(one.on_ramp for one in self.inflow) and not (self.beside and self.beside.on_ramp):
-            raise ValueError("inflow.on_ramp: expected beside.on_ramp = true")
-        if (any(self.leaving) or self.ramp_leaving) and not (self.beside and self.beside.off_ramp):
+            raise ValueError(f"warm_up_s {self.warm_up_s:g}: expected less than the {self.seconds:g} s of traffic")
+        if any(one.on_ramp for one in self.period) and not (aside and aside.on_ramp):
+            raise ValueError("period.on_ramp: expected beside.on_ramp = true")
+        if (any(self.leaving) or self.ramp_leaving) and not (aside and aside.off_ramp):
             raise ValueError("leaving: expected beside.off_ramp = true")
         return self
 
     @property
     def seconds(self) -> float:
         """How long traffic enters, s."""
-        return self.inflow[-1].until_s
+        return self.period[-1].until_s
 
     @property
     def beside_number(self) -> int:
         """What the lane beside, and ramps, are counted as."""
         return self.lanes + 1
 
+    @property
+    def from_lanes(self) -> list[str]:
+        """What changes per vehicle of each start lane are called, and of the ramp."""
+        ramp = ["from_ramp"] if self.beside and self.beside.on_ramp else []
+        return [*(f"from_lane_{number}" for number in range(1, self.lanes + 1)), *ramp]
+
+    @property
+    def signals(self) -> dict[int, Signal]:
+        """By lane that begins at a stop line, its signal."""
+        at = {one.at_m: one for one in self.signal}
+        return {lane.lane_id: at[lane.start_m] for lane in self.stretches() if lane.crossing}
+
     def stretches(self) -> list[Lane]:
         """Every lane, cut where lanes begin and end, row by row and from the left; ramps last."""
-        aside = self.beside
+        aside, last = self.beside, self.beside_number
         cuts = {-self.approach_m, 0.0, self.length_m, self.length_m + self.run_out_m}
         cuts |= {aside.from_m, aside.to_m} if aside else set()
         cuts |= {self.drop_m} if self.drop_m else set()
-        at = sorted(cuts)
-        rows: list[list[int]] = []
-        for start_m in at[:-1]:
-            last = self.lanes - (self.drop_m is not None and start_m >= self.drop_m)
-            extra = aside is not None and aside.from_m <= start_m < aside.to_m
-            rows.append([*range(1, last + 1), *([self.beside_number] if extra else [])])
+        stops = {one.at_m for one in self.signal}
+        at = sorted(cuts | stops | {stop + CROSSING_M for stop in stops})
+
+        def there(number: int, x: float) -> bool:
+            if number == last:
+                return aside is not None and aside.from_m <= x < aside.to_m
+            return x < at[-1] and (number < self.lanes or self.drop_m is None or x < self.drop_m)
+
         found = []
-        for row, numbers in enumerate(rows):
-            closed = at[row] < 0.0 or at[row] >= self.length_m
-            behind = rows[row + 1] if row + 1 < len(rows) else []
+        for row, (start_m, end_m) in enumerate(pairwise(at)):
+            closed = start_m < 0.0 or start_m >= self.length_m or start_m in stops
+            numbers = [number for number in range(1, last + 1) if there(number, start_m)]
             for number in numbers:
                 name = ROW * row + number
-                on = (name + ROW,) if number in behind else ()
-                if aside and aside.off_ramp and number == self.beside_number and at[row + 1] == aside.to_m:
+                on = (name + ROW,) if there(number, end_m) else ()
+                if aside and aside.off_ramp and number == last and end_m == aside.to_m:
                     on = (_OFF,)
                 left, right = (name + by if number + by in numbers else None for by in (-1, 1))
-                found.append(Lane(name, number, at[row], at[row + 1], closed, left, right, on))
-        first = at.index(aside.from_m) if aside else 0
+                found.append(Lane(name, number, start_m, end_m, closed, left, right, on, start_m in stops))
         if aside and aside.on_ramp:
-            onto = (ROW * first + self.beside_number,)
-            start_m = aside.from_m - self.ramp_m
-            found.append(Lane(_FEEDER, self.beside_number, start_m, aside.from_m, True, None, None, onto))
+            onto = (ROW * at.index(aside.from_m) + last,)
+            found.append(Lane(_FEEDER, last, aside.from_m - self.ramp_m, aside.from_m, True, None, None, onto))
         if aside and aside.off_ramp:
-            end_m = aside.to_m + self.ramp_m
-            found.append(Lane(_OFF, self.beside_number, aside.to_m, end_m, True, None, None, ()))
+            found.append(Lane(_OFF, last, aside.to_m, aside.to_m + self.ramp_m, True, None, None, ()))
         return found
+
+    def red(self, steps: int, step_s: float) -> dict[int, npt.NDArray[np.bool_]]:
+        """By lane that begins at a stop line, (T,) whether its signal is not green."""
+        at_s = np.arange(steps) * step_s
+        return {
+            lane_id: (at_s - one.offset_s) % sum(seconds for seconds, _ in one.phases) >= one.green_s
+            for lane_id, one in self.signals.items()
+        }
 
     def route(self, number: int, *, leaves: bool) -> list[int]:
         """Lane ids from where a vehicle of a start lane enters to where it leaves, one of each row."""
-        known = {lane.lane_id: lane for lane in self.stretches()}
-        first_of = {
-            lane.lane_id // ROW: lane.lane_id for lane in reversed(known.values()) if lane.lane_id % ROW < _FEEDER
-        }
-        rows = [first_of[row] for row in sorted(first_of)]
-        if number == self.beside_number:
-            rows = [_FEEDER, *(one for one in rows if known[one].start_m >= known[_FEEDER].end_m)]
-        if leaves:
-            rows = [*(one for one in rows if known[one].start_m < known[_OFF].start_m), _OFF]
-        return rows
+        ramp, aside = number == self.beside_number, self.beside
+        first_m, last_m = aside.from_m if ramp and aside else -np.inf, aside.to_m if leaves and aside else np.inf
+        rows = [one.lane_id for one in self.stretches() if one.number == 1 and first_m <= one.start_m < last_m]
+        return [*[_FEEDER] * ramp, *rows, *[_OFF] * leaves]
 
 
 def read_road(path: Path) -> Road:

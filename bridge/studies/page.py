@@ -33,7 +33,6 @@ _MOST_VALUES = 12
 _LONG = 50_000
 #: Differences of shares for which the page says how many seeds they need.
 _SIZES_TOLD = (0.02, 0.05, 0.1)
-_SAME = 1e-9  # less is a rounding error
 _LOG = logging.getLogger(__name__)
 
 
@@ -151,7 +150,7 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         clusters=_few_clusters(dose),
         critical=_records(named["critical_gaps"]),
         curves=_records(named["acceptance"]),
-        effects=_effect_lines(named["effects"], keys),
+        effects=_effects_told(named["effects"]) if len(keys) > 1 else [],
         changes=named["lane_changes"],
         conflicts=named["conflicts"],
         critical_ttc_s=CONFLICT_TTC_S,
@@ -205,49 +204,27 @@ def _by_value(named: Mapping[str, pd.DataFrame], key: str) -> list[str]:
     return lines
 
 
+def _effects_told(found: pd.DataFrame) -> list[dict[Any, Any]]:
+    """Those over runs that have a coefficient."""
+    if found.empty:
+        return []
+    return _records(found[(found["drawn_again"] == "runs") & found["standardised_coefficient"].notna()])
+
+
 def _records(table: pd.DataFrame) -> list[dict[Any, Any]]:
     """The rows of a table; what is missing is None."""
     return table.astype(object).where(table.notna(), None).to_dict("records")
 
 
-def _told(dose: pd.DataFrame) -> list[str]:
-    """One sentence for each outcome: at each value, with the interval of the difference from the first to the last.
-
-    Before them how many requests there were, where these are not as many at each value.
-    """
-    found = []
+def _told(dose: pd.DataFrame) -> dict[str, Any]:
+    """Of a parameter: rows of each outcome known at two values; of requests, where they differ in number."""
     counts = dose[dose["outcome"] == OUTCOMES[0].name]
-    if counts["rows"].nunique() > 1:
-        found.append(
-            "requests counted: "
-            + ", ".join(f"{row['rows']} at {row['value']}" for _, row in counts.iterrows())
-            + "; the others came in the warm-up, or were not due when vehicle or scene ended [dose_response.rows]."
-        )
-    for outcome in OUTCOMES:
-        mine = dose[(dose["outcome"] == outcome.name) & dose["estimate"].notna()]
-        if len(mine) < 2:
-            continue
-        first, last = mine.iloc[0], mine.iloc[-1]
-        if mine["estimate"].nunique() == 1:
-            found.append(
-                f"{outcome.says}: {first['estimate']:.3g} at every value [dose_response.estimate of {outcome.name}]."
-            )
-            continue
-        unit = "scenes" if "difference_low_scenes" in mine and pd.notna(last.get("difference_low_scenes")) else "runs"
-        low, high = last[f"difference_low_{unit}"], last[f"difference_high_{unit}"]
-        each = ", ".join(f"{row['estimate']:.3g} at {row['value']}" for _, row in mine.iterrows())
-        text = f"{outcome.says}: {each}"
-        if pd.notna(low):
-            low, high = (0.0 if abs(bound) <= _SAME else bound for bound in (low, high))
-            sure = "which excludes no effect" if low > 0 or high < 0 else "which includes no effect"
-            text += f"; difference {last['difference']:+.3g}, 95 % interval {low:+.3g} to {high:+.3g} ({unit}), {sure}"
-        if pd.notna(last.get("p")):
-            text += f"; trend {last['trend']:+.3g} for one more of {label_of(last['parameter'])}"
-            text += f" ({last['trend_low']:+.3g} to {last['trend_high']:+.3g})" if pd.notna(last["trend_low"]) else ""
-            text += f", p {last['p']:.2g} by signs of {last['clusters']:.0f} {unit}"
-            text += f", {last['p_holm']:.2g} of all others (Holm)" if pd.notna(last.get("p_holm")) else ""
-        found.append(f"{text} [dose_response.estimate of {outcome.name}].")
-    return found
+    known = dose[dose["estimate"].notna()]
+    rows = [(one, _records(known[known["outcome"] == one.name])) for one in OUTCOMES]
+    return {
+        "counts": _records(counts) if counts["rows"].nunique() > 1 else [],
+        "outcomes": [(one, own) for one, own in rows if len(own) > 1],
+    }
 
 
 def _seeds_line(requests: pd.DataFrame, key: str) -> str | None:
@@ -272,20 +249,3 @@ def _few_clusters(dose: pd.DataFrame) -> tuple[int, int] | None:
     family = max([1, *others.groupby("parameter")["outcome"].nunique()])
     there, least = int(told["clusters"].max()), math.ceil(1.0 + math.log2(family / 0.05))
     return (there, least) if there < least else None
-
-
-def _effect_lines(found: pd.DataFrame, keys: Sequence[str]) -> list[str]:
-    if found.empty or len(keys) < 2:
-        return []
-    lines = []
-    told = found[(found["drawn_again"] == "runs") & found["standardised_coefficient"].notna()]
-    for _, row in told.iterrows():
-        line = f"{row['outcome']} by {label_of(row['parameter'])}: standardised coefficient "
-        line += f"{row['standardised_coefficient']:+.2f}"
-        line += f" ({row['low']:+.2f} to {row['high']:+.2f})" if pd.notna(row["low"]) else ""
-        line += " [effects.standardised_coefficient]"
-        if pd.notna(row.get("first_order")):
-            line += f"; first-order index {row['first_order']:.2f} +- {row['first_order_interval']:.2f}"
-            line += " [effects.first_order]"
-        lines.append(f"{line}.")
-    return lines

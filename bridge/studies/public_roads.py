@@ -1,12 +1,13 @@
-"""A page of public roads: published counts of lane changes beside those of each rule, untuned, tuned and with causes.
+"""A page of public roads: published figures of lane changes beside each rule's, untuned, tuned and with causes.
 
-A page is a TOML file (data/public/ngsim.toml; README.md in this folder) that names roads, published counts and rules. A
-rule is tuned on the roads with `tune = true` alone; every other road is a test. Runs are resumed like a batch's.
+A page is a TOML file (data/public/ngsim.toml; README.md in this folder): roads, published figures and rules. A rule is
+tuned on the roads with `tune = true` alone; every other road is a test. Runs are resumed like a batch's.
 """
 
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -22,44 +23,50 @@ from bridge.files import write_rows, write_text
 from bridge.pages.parts import text
 from bridge.recordings.corridor import write_road
 from bridge.recordings.road import Road, RoadPart, read_road
+from bridge.studies.gap_acceptance import troutbeck
+from bridge.studies.road_traffic import CELL_M, CELL_S
 from bridge.studies.run import RunsReport
-from bridge.studies.study import Value, configured, read_run
+from bridge.studies.statistics import LONG_GAP_S
+from bridge.studies.study import Value, configured, grid, read_run
+from hid2.agents import FloatArray
 from hid2.params import Config
-from hid2.resampling import Estimate, ratio
+from hid2.resampling import Estimate, interval, ratio, redrawn
 from netconvert.errors import ConfigError
 
-WORK = "bridge.studies.study_work:measure_roads"
+#: What drives a road, and one on which lane changes are asked for and laid across.
+WORK, WORK_ASKED = "bridge.studies.study_work:measure_roads", "bridge.studies.study_work:measure_runs"
 #: What a road has to reproduce before lane changes are looked at: shares of flow and speed that it may be off.
-FLOW_WITHIN, SPEED_WITHIN = 0.03, 0.10
-UNTUNED, TUNED = "untuned", "tuned"
+WITHIN = {"flow_veh_per_h": 0.03, "speed_mps": 0.10}
+#: Of gaps that those of the ramp accept: a critical gap, from so many at least, and shares (Bham 2008) from, below, s.
+SIDES, FEWEST_GAPS = ("lag", "lead"), 8
+SHARES = {"below_0.5_s": (0.0, 0.5), "from_0.5_to_1.7_s": (0.5, 1.7)}
+#: What may be published of a road, beside changes per vehicle of start lanes and from the ramp.
+MEASURES = (
+    *WITHIN, "changes_per_vehicle", "changes_per_veh_km", "duration_mean_s", "duration_sd_s", "duration_median_s",
+    *(f"critical_{side}_gap_{what}_s" for side in SIDES for what in ("mean", "sd")),
+    *(f"accepted_{side}_gaps_{name}" for side in SIDES for name in SHARES),
+)  # fmt: skip
 _Changes = dict[str, Value]
 
 
 class Counts(RoadPart):
-    """What was published of a road. Lanes are start lanes, from the left; start_to_end: the ramps are the last."""
+    """What was published of a road, by measure. vehicles: by start lane from the left, the ramp last, for the error.
+
+    start_to_end: vehicles by start and end lane, the ramps last.
+    """
 
     name: str
-    flow_veh_per_h: float = Field(gt=0)
-    speed_mps: float = Field(gt=0)
-    vehicles: Annotated[list[float], Field(min_length=2)]
-    changes_per_vehicle: Annotated[list[float], Field(min_length=2)]
-    ramp_vehicles: float = Field(default=0.0, ge=0)
-    ramp_changes_per_vehicle: float = Field(default=0.0, ge=0)
-    all_changes_per_vehicle: float = Field(gt=0)
-    changes_per_veh_km: float = Field(gt=0)
+    published: dict[str, Annotated[float, Field(ge=0)]] = Field(default={})
+    vehicles: list[float] = Field(default=[])
     start_to_end: list[list[float]] = Field(default=[])
-
-    @property
-    def weighed(self) -> list[tuple[float, float]]:
-        """Vehicles and changes per vehicle of each start lane, and of the ramp if there is one."""
-        ramp = [(self.ramp_vehicles, self.ramp_changes_per_vehicle)] if self.ramp_vehicles else []
-        return [*zip(self.vehicles, self.changes_per_vehicle, strict=True), *ramp]
 
 
 class _RoadEntry(RoadPart):
     file: str
-    counts: str
+    counts: str = ""
     tune: bool = False
+    asked: bool = False
+    why: str = ""
     set: _Changes = Field(default={})
 
 
@@ -68,15 +75,33 @@ class _PageRule(RoadPart):
     set: _Changes = Field(default={})
     vary: dict[str, Annotated[list[Value], Field(min_length=1)]] = Field(default={})
 
+    @property
+    def points(self) -> list[_Changes]:
+        """What tuning chooses from: nothing changed, and every combination."""
+        return [{}, *grid(self.vary)] if self.vary else [{}]
+
+    @property
+    def last(self) -> str:
+        """The variant that counts."""
+        return "tuned" if self.vary else "as set"
+
 
 class _Cause(RoadPart):
     says: str
     set: Annotated[_Changes, Field(min_length=1)]
 
 
+class _Densities(RoadPart):
+    """Borders of a ladder of densities, veh/km of a lane, and up to which of both lanes a slope is told."""
+
+    borders: Annotated[list[float], Field(min_length=2)]
+    critical: float = Field(gt=0)
+
+
 class _PageFile(RoadPart):
     """The TOML file as it is."""
 
+    title: str
     seeds: int = Field(default=3, ge=1, le=1000)
     tuning_seeds: int = Field(default=1, ge=1, le=1000)
     cause_seeds: int = Field(default=1, ge=1, le=1000)
@@ -84,16 +109,16 @@ class _PageFile(RoadPart):
     road: Annotated[list[_RoadEntry], Field(min_length=1)]
     rule: Annotated[list[_PageRule], Field(min_length=1)]
     cause: list[_Cause] = Field(default=[])
+    densities: _Densities | None = None
 
 
 class Site(NamedTuple):
-    """A road with what was published of it. set: of the configuration, on this road."""
+    """A road with what was published of it. entry: what the page says of it."""
 
     road_file: Path
     road: Road
     counts: Counts
-    tune: bool
-    set: Mapping[str, Value]
+    entry: _RoadEntry
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +131,7 @@ class PublicRoads:
 
     def config(self, site: Site, rule: _PageRule, changes: Mapping[str, Value], seed: int) -> Config:
         """The configuration of a run. Errors: ConfigError."""
-        own = {"request.agents": 0, **site.set, **rule.set, **changes, "request.seed": seed}
+        own = {"request.agents": 0, **site.entry.set, **rule.set, **changes, "request.seed": seed}
         return configured(self.file.config, own, source=str(self.source))
 
 
@@ -116,30 +141,28 @@ def read_public(path: Path) -> PublicRoads:
     sites = []
     for entry in file.road:
         road_file, counts_file = path.parent / entry.file, path.parent / entry.counts
-        road, counts = read_road(road_file), read_toml_as(Counts, counts_file, "published counts")
-        for name, values in (("vehicles", counts.vehicles), ("changes_per_vehicle", counts.changes_per_vehicle)):
-            if len(values) != road.lanes:
-                raise ConfigError(
-                    f"{counts_file}: {name}: {len(values)} values, expected one for each of {road.lanes} lanes of "
-                    f"{road_file}"
-                )
-        sites.append(Site(road_file, road, counts, entry.tune, entry.set))
-    if any(rule.vary for rule in file.rule) and not any(site.tune for site in sites):
+        road, counts = read_road(road_file), Counts(name=road_file.stem)
+        if entry.counts:
+            counts = read_toml_as(Counts, counts_file, "published counts")
+        known = (*MEASURES, *road.from_lanes)
+        if unknown := counts.published.keys() - known:
+            raise ConfigError(f"{counts_file}: unknown key 'published.{min(unknown)}'; expected {', '.join(known)}")
+        there = len(counts.vehicles) == len(road.from_lanes) and counts.published.keys() >= {*road.from_lanes}
+        if entry.tune and not there:
+            said = f"vehicles: {len(counts.vehicles)} values on a road to tune on, expected one for each of"
+            raise ConfigError(f"{counts_file}: {said} {', '.join(road.from_lanes)}, which have to be published")
+        sites.append(Site(road_file, road, counts, entry))
+    if any(rule.vary for rule in file.rule) and not any(site.entry.tune for site in sites):
         raise ConfigError(f"{path}: rule.vary, and no road with tune = true; expected one to tune on")
     page = PublicRoads(path, file, tuple(sites))
     for site, rule in itertools.product(sites, file.rule):  # all that is wrong is said before anything is driven
-        for changes in [*_points(rule), *(cause.set for cause in file.cause)]:
+        for changes in [*rule.points, *(cause.set for cause in file.cause)]:
             page.config(site, rule, changes, 0)
     return page
 
 
-def _points(rule: _PageRule) -> list[_Changes]:
-    """What tuning chooses from: nothing changed, and every combination."""
-    grid = (dict(zip(rule.vary, values, strict=True)) for values in itertools.product(*rule.vary.values()))
-    return [{}, *grid] if rule.vary else [{}]
-
-
-class RoadResult(NamedTuple):
+@dataclass(frozen=True)
+class RoadResult:
     """What came of a rule on a road over its seeds. changes: of the configuration, beside the rule's own."""
 
     site: Site
@@ -148,69 +171,111 @@ class RoadResult(NamedTuple):
     changes: Mapping[str, Value]
     runs: Sequence[Mapping[str, Any]]
 
-    def per_vehicle(self, lanes: Sequence[int]) -> Estimate:
-        """Changes per vehicle of start lanes (rows), with the interval over seeds."""
-        changes, vehicles = (
-            np.array([sum(run[key][lane] for lane in lanes) for run in self.runs], dtype=np.float64)
-            for key in ("changes", "vehicles")
-        )
-        return ratio(changes, vehicles)
+    @cached_property
+    def measures(self) -> dict[str, Estimate]:
+        """By name, with intervals over seeds; that of a critical gap is of the likelihood, over vehicles."""
+        if self.site.entry.asked:
+            return _durations(self.runs)
+        found = {
+            name: ratio(*np.array([run["ratios"][name] for run in self.runs], dtype=np.float64).T)
+            for name in self.runs[0]["ratios"]
+        }
+        lanes = [name for name in self.site.road.from_lanes[: self.site.road.lanes] if name in self.published]
+        ours = [found[name].value or 0.0 for name in lanes]
+        theirs = [self.published[name] for name in lanes]
+        if min(len(set(ours)), len(set(theirs))) > 1:
+            found["rank_correlation"] = Estimate(float(stats.spearmanr(ours, theirs).statistic))
+        for side in SIDES if any("gap" in name for name in self.published) else ():
+            gaps = [np.array([one for one in run[side] if one[1] < LONG_GAP_S]).reshape(-1, 2) for run in self.runs]
+            for name, (low, high) in SHARES.items():
+                among = np.array([((low <= one[:, 1]) & (one[:, 1] < high)).sum() for one in gaps], dtype=np.float64)
+                found[f"accepted_{side}_gaps_{name}"] = ratio(among, np.array([len(one) for one in gaps], dtype=float))
+            every = np.concatenate(gaps)
+            told = troutbeck(*every.T) if len(every) >= FEWEST_GAPS else (Estimate(None), Estimate(None))
+            found |= {f"critical_{side}_gap_{what}_s": one for what, one in zip(("mean", "sd"), told, strict=True)}
+        return found
 
     @property
-    def each(self) -> list[Estimate]:
-        """Changes per vehicle by start lane, the ramp last."""
-        return [self.per_vehicle([lane]) for lane in range(len(self.site.counts.weighed))]
+    def published(self) -> dict[str, float]:
+        """What was published of the road, by measure."""
+        return self.site.counts.published
 
-    @property
-    def every(self) -> Estimate:
-        """Changes per vehicle of all."""
-        return self.per_vehicle(range(self.site.road.beside_number))
+    def off(self, name: str) -> float | None:
+        """How far a measure is from that published, as a share; None where one of them is not told."""
+        ours, theirs = self.measures[name].value if name in self.measures else None, self.published.get(name)
+        return None if ours is None or not theirs else ours / theirs - 1.0
 
-    @property
-    def per_veh_km(self) -> Estimate:
-        """Changes of those counted per kilometre that vehicles drove."""
-        return ratio(*np.array([(sum(run["changes"]), run["veh_km"]) for run in self.runs], dtype=np.float64).T)
-
-    def mean(self, key: str) -> float:
-        """Of all runs."""
-        return float(np.mean([run[key] for run in self.runs]))
-
-    @property
-    def off(self) -> tuple[float, float]:
-        """How far flow and speed are from those published, as shares."""
-        counts = self.site.counts
-        return self.mean("flow_veh_per_h") / counts.flow_veh_per_h - 1, self.mean("speed_mps") / counts.speed_mps - 1
+    def first(self, runs: int) -> "RoadResult":
+        """The same of the first runs alone."""
+        return replace(self, runs=self.runs[:runs])
 
     @property
     def reproduces(self) -> bool:
         """Whether the road has its flow and speed."""
-        return abs(self.off[0]) <= FLOW_WITHIN and abs(self.off[1]) <= SPEED_WITHIN
-
-    @property
-    def misses(self) -> float:
-        """By how much changes per vehicle of all are off, as a share."""
-        return (self.every.value or 0.0) / self.site.counts.all_changes_per_vehicle - 1
+        return all(abs(self.off(name) or 0.0) <= most for name, most in WITHIN.items())
 
     @property
     def error(self) -> float:
         """Mean difference of changes per vehicle by start lane and from the ramp, weighed by published vehicles."""
-        published = self.site.counts.weighed
-        apart = [abs((ours.value or 0.0) - theirs) for ours, (_, theirs) in zip(self.each, published, strict=True)]
-        return float(np.average(apart, weights=[vehicles for vehicles, _ in published]))
-
-    @property
-    def rank(self) -> float | None:
-        """Spearman's correlation over start lanes, without the ramp; None where all of ours are alike."""
-        ours = [one.value or 0.0 for one in self.each[: self.site.road.lanes]]
-        if len(set(ours)) < 2:
-            return None
-        return float(stats.spearmanr(ours, self.site.counts.changes_per_vehicle).statistic)
+        apart = [abs((self.measures[name].value or 0.0) - self.published[name]) for name in self.site.road.from_lanes]
+        return float(np.average(apart, weights=self.site.counts.vehicles))
 
     @property
     def end_shares(self) -> list[list[float]]:
         """Shares of each start lane that end in each lane."""
         table = np.sum([run["start_to_end"] for run in self.runs], axis=0, dtype=np.float64)
         return (table / np.maximum(table.sum(axis=1, keepdims=True), 1.0)).tolist()  # type: ignore[no-any-return]
+
+    @property
+    def _cells(self) -> list[FloatArray]:
+        return [np.array(run["cells"], dtype=np.float64).reshape(-1, 4) for run in self.runs]
+
+    def ladder(self, borders: Sequence[float]) -> list[list[Estimate]]:
+        """Changes per veh-km on the lane of origin, by its density (rows) and by that of the target lane."""
+        count = len(borders) - 1
+        sums = np.zeros((2, count, count, len(self._cells)))
+        for number, cells in enumerate(self._cells):
+            steps = np.digitize(cells[:, :2], borders) - 1
+            inside = ((steps >= 0) & (steps < count)).all(axis=1)
+            np.add.at(sums[..., number], (slice(None), *steps[inside].T), cells[inside, 2:].T)
+        return [[ratio(*sums[:, own, there]) for there in range(count)] for own in range(count)]
+
+    def slopes(self, critical: float) -> list[Estimate]:
+        """Of changes per veh-km by the density of origin and target lane, both below critical, veh/km.
+
+        By least squares in which a cell weighs as the veh-km driven in it; with intervals over seeds.
+        """
+        left, right = [], []
+        for cells in self._cells:
+            own, there, changes, km = cells[(cells[:, :2] < critical).all(axis=1) & (cells[:, 3] > 0.0)].T
+            design = np.stack([np.ones_like(own), own, there])
+            left.append(design * km @ design.T)
+            right.append(design @ changes)
+
+        def solved(weights: FloatArray) -> FloatArray:
+            found = np.linalg.lstsq(np.tensordot(weights, left, 1), np.tensordot(weights, right, 1), rcond=None)[0]
+            return np.asarray(found[1:], dtype=np.float64)
+
+        return _redrawn(solved, len(left))
+
+
+def _durations(runs: Sequence[Mapping[str, Any]]) -> dict[str, Estimate]:
+    """Of all lane changes of which start and end were seen."""
+    each = [[row["duration_s"] for row in run["lane_changes"] if row["complete"]] for run in runs]
+
+    def told(weights: FloatArray) -> FloatArray:
+        every = np.concatenate([one * int(times) for one, times in zip(each, weights, strict=True)])
+        return np.array([every.mean(), every.std(), np.median(every)] if every.size else [np.nan] * 3)
+
+    names = [name for name in MEASURES if name.startswith("duration")]
+    return dict(zip(names, _redrawn(told, len(each)), strict=True))
+
+
+def _redrawn(statistic: Callable[[FloatArray], FloatArray], runs: int) -> list[Estimate]:
+    """Figures (K,) of how often each run counts, with intervals where there are several runs."""
+    whole = statistic(np.ones(runs))
+    drawn = redrawn(statistic, runs) if runs > 1 else np.zeros((0, len(whole)))
+    return [interval(float(one), drawn[:, number]) for number, one in enumerate(whole)]
 
 
 _Asked = tuple[Site, _PageRule, str, Mapping[str, Value], int]
@@ -224,89 +289,62 @@ def run_public(
     on_row: Callable[[ManifestRow, Progress], None] | None = None,
 ) -> RunsReport:
     """Tune each rule, test it, try the causes, and write the page. Errors: BatchError, ConfigError, ExportError."""
-    names = {page.config(page.sites[0], rule, {}, 0).lane_change.rule for rule in page.file.rule}  # the user's own file
-    options = replace(options, function=WORK, functions=names, resume=True)
-    folders = {site.road_file: write_road(out_dir / "roads", site.road_file) for site in page.sites}
+    file, sites = page.file, page.sites
+    names = {page.config(sites[0], rule, {}, 0).lane_change.rule for rule in file.rule}  # the user's own file
+    folders = {site.road_file: write_road(out_dir / "roads", site.road_file) for site in sites}
     rows: dict[tuple[str, str], ManifestRow] = {}
 
     def driven(asked: Iterable[_Asked]) -> list[RoadResult]:
         wanted = [(one, [page.config(one[0], one[1], one[3], seed) for seed in range(one[4])]) for one in asked]
-        jobs = {
-            (folders[one[0].road_file].name, config_sha256(config)):
-            SceneJob(folders[one[0].road_file], (BatchRun(config),))
-            for one, configs in wanted for config in configs
-        }  # fmt: skip
-        found = run_batch([job for key, job in jobs.items() if key not in rows], out_dir, options, on_row=on_row)
-        rows.update({(row.scenario, row.config_sha256): row for row in found})
+        for function, called in ((WORK, False), (WORK_ASKED, True)):
+            jobs = {
+                (folders[site.road_file].name, config_sha256(config)):
+                SceneJob(folders[site.road_file], (BatchRun(config),))
+                for (site, *_), configs in wanted for config in configs if site.entry.asked == called
+            }  # fmt: skip
+            how = replace(options, function=function, functions=names, resume=True)
+            found = run_batch([job for key, job in jobs.items() if key not in rows], out_dir, how, on_row=on_row)
+            rows.update({(row.scenario, row.config_sha256): row for row in found})
         results = []
         for (site, rule, variant, changes, _), configs in wanted:
             own = [rows[folders[site.road_file].name, config_sha256(config)] for config in configs]
-            told = [
-                read_run(out_dir / row.folder, ("vehicles", "changes", "veh_km"), "page of public roads")
-                for row in own if row.status == DONE
-            ]  # fmt: skip
-            if told:
-                results.append(RoadResult(site, rule.name, variant, changes, told))
+            keys = ("lane_changes",) if site.entry.asked else ("ratios", "cells", "start_to_end", *SIDES)
+            told = [read_run(out_dir / row.folder, keys, "page of public roads") for row in own if row.status == DONE]
+            results += [RoadResult(site, rule.name, variant, changes, told)] if told else []
         return results
 
-    file = page.file
+    pairs = list(itertools.product(sites, file.rule))
     tried = driven(
         (site, rule, f"point {number}", changes, file.tuning_seeds)
-        for rule in file.rule for site in page.sites if site.tune and rule.vary
-        for number, changes in enumerate(_points(rule))
+        for site, rule in pairs if site.entry.tune and rule.vary for number, changes in enumerate(rule.points)
     )  # fmt: skip
     best = {rule.name: _best([one for one in tried if one.rule == rule.name]) for rule in file.rule}
     tests = driven(
         (site, rule, variant, changes, file.seeds)
-        for site in page.sites for rule in file.rule
-        for variant, changes in ((UNTUNED, {}), *([(TUNED, best[rule.name])] if rule.vary else []))
+        for site, rule in pairs
+        for variant, changes in (*([("untuned", {})] if rule.vary else []), (rule.last, best[rule.name]))
     )  # fmt: skip
     causes = driven(
         (site, rule, cause.says, {**best[rule.name], **cause.set}, file.cause_seeds)
-        for site in page.sites for rule in file.rule for cause in file.cause
+        for site, rule in pairs for cause in file.cause
     )  # fmt: skip
-    return RunsReport.of(_write(page, tried, best, tests, causes, out_dir), rows.values())
+    table, told = out_dir / "public.csv", out_dir / "public.md"
+    head = ("road", "rule", "variant", "measure", "published", "ours", "low", "high", "runs")
+    write_rows(table, head, [
+        (one.site.counts.name, one.rule, one.variant, name, one.published.get(name), *ours, len(one.runs))
+        for one in [*tests, *causes] for name, ours in one.measures.items()
+    ])  # fmt: skip
+    values = {"page": page, "tried": tried, "best": best, "tests": tests, "causes": causes, "within": WITHIN}
+    values |= {"cell_m": CELL_M, "cell_s": CELL_S}
+    write_text(told, text("public.md.j2", **values))
+    return RunsReport.of((told, table), rows.values())
 
 
 def _best(tried: Sequence[RoadResult]) -> Mapping[str, Value]:
     """The changes with the least error over the tuned roads, of those with which the roads have flow and speed."""
-    points: dict[str, list[RoadResult]] = {}
-    for one in tried:
-        points.setdefault(one.variant, []).append(one)
-    if not points:
-        return {}
-    found = min(
-        points.values(), key=lambda own: (not all(one.reproduces for one in own), np.mean([one.error for one in own]))
-    )
-    return found[0].changes
 
+    def order(one: RoadResult) -> tuple[bool, float]:
+        same = [other for other in tried if other.variant == one.variant]
+        return not all(other.reproduces for other in same), sum(other.error for other in same)
 
-def _write(
-    page: PublicRoads, tried: Sequence[RoadResult], best: Mapping[str, Mapping[str, Value]],
-    tests: Sequence[RoadResult], causes: Sequence[RoadResult], out_dir: Path,
-) -> tuple[Path, ...]:  # fmt: skip
-    table, told = out_dir / "public.csv", out_dir / "public.md"
-    head = ("road", "rule", "variant", "measure", "published", "ours", "low", "high", "runs")
-    write_rows(table, head, [row for one in [*tests, *causes] for row in _rows(one)])
-    values = {"page": page, "tried": tried, "best": best, "tests": tests, "causes": causes}
-    values["last"] = {rule.name: TUNED if rule.vary else UNTUNED for rule in page.file.rule}
-    limits = {"flow_within": FLOW_WITHIN, "speed_within": SPEED_WITHIN}
-    write_text(told, text("public.md.j2", **values, **limits))
-    return told, table
-
-
-def _rows(one: RoadResult) -> Iterable[tuple[object, ...]]:
-    counts, road = one.site.counts, one.site.road
-    rows: list[tuple[str, float | None, Estimate]] = [
-        ("flow_veh_per_h", counts.flow_veh_per_h, Estimate(one.mean("flow_veh_per_h"))),
-        ("speed_mps", counts.speed_mps, Estimate(one.mean("speed_mps"))),
-        ("changes_per_vehicle", counts.all_changes_per_vehicle, one.every),
-        ("changes_per_veh_km", counts.changes_per_veh_km, one.per_veh_km),
-        ("rank_correlation", None, Estimate(one.rank)),
-        ("missed_exits", None, Estimate(one.mean("missed_exits"))),
-    ]
-    names = [f"changes_per_vehicle_from_lane_{n}" for n in range(1, road.lanes + 1)]
-    names.append("changes_per_vehicle_from_ramp")
-    rows += [(name, theirs, ours) for name, (_, theirs), ours in zip(names, counts.weighed, one.each, strict=False)]
-    for name, theirs, ours in rows:
-        yield counts.name, one.rule, one.variant, name, theirs, *ours, len(one.runs)
+    return min(tried, key=order).changes if tried else {}

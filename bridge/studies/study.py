@@ -121,7 +121,7 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
         except ConfigError as error:
             raise ConfigError(f"{path}: can = {content.can!r}: {error}") from error
     seeds = tuple(range(content.seeds)) if isinstance(content.seeds, int) else tuple(content.seeds)
-    points = tuple(_grid(content.vary) if content.design == "grid" else _latin_hypercube(content, path))
+    points = tuple(grid(content.vary) if content.design == "grid" else _latin_hypercube(content, path))
     configs = tuple(
         tuple(configured(content.config, {**point, "request.seed": seed}, source=str(path)) for seed in seeds)
         for point in points
@@ -242,7 +242,8 @@ def _counts(request: Mapping[str, Any], warm_up_s: float) -> bool:
     return request["waited_s"] is not None and float(request["trigger_s"]) >= warm_up_s
 
 
-def _grid(vary: Mapping[str, Sequence[Value]]) -> list[dict[str, Value]]:
+def grid(vary: Mapping[str, Sequence[Value]]) -> list[dict[str, Value]]:
+    """Every combination of the values."""
     return [dict(zip(vary, values, strict=True)) for values in itertools.product(*vary.values())]
 
 

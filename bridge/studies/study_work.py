@@ -60,7 +60,7 @@ def measure_roads(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | F
         traffic.run()
         told = traffic.told()
         folder = write_run(place.out, recording, config, told)
-        return folder, {"city": recording.city, "placed": sum(told["vehicles"])}
+        return folder, {"city": recording.city, "placed": told["ratios"]["changes_per_vehicle"][1]}
 
     return _rows(place, runs, measured)
 

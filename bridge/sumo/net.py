@@ -13,6 +13,7 @@ from bridge.interruption import hidden_folder
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, Address, Source, only_file
 from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.recording import Recording
+from bridge.recordings.road import ROAD_FILE, read_road
 from bridge.recordings.scenario import STEP_S
 from bridge.recordings.sources import read_recording
 from hid2.conflicts.signals import SIGNALLED_TYPES, InferredSignals
@@ -25,7 +26,7 @@ from netconvert.geo import CITY_ORIGINS
 from netconvert.gui_files import gui_files
 from netconvert.lane_graph import LaneGraph
 from netconvert.net_xml import net_bytes
-from netconvert.whole_lanes import plain_files
+from netconvert.whole_lanes import Red, plain_files
 
 #: No turns back where the map has none, and no two vehicles on ways that cross within a junction.
 _WHOLE_OPTIONS = ["--no-turnarounds", "true", "--check-lane-foes.all", "true", "--xml-validation", "never"]
@@ -50,18 +51,22 @@ def convert(scene: Address, out_dir: Path, *, cell_m: float = 4.0) -> FidelityRe
 def convert_whole(scene: Address, out_dir: Path, *, signals: bool = False) -> Path:
     """Write <id>.whole.net.xml into out_dir: one SUMO lane for each lane, by SUMO's netconvert; returns the file.
 
-    signals: with programs of the signals that are inferred from the recorded traffic, as long as the scene.
+    signals: with programs of the signals, as long as the scene: a road's own, else inferred from the recorded traffic.
     Errors: ScenarioError, MapError; SimulationError without netconvert, NetError where it makes no net; ConfigError for
     signals of a map alone.
     """
     name, graph, recording = _map_of(scene)
-    red = None
+    red: Red | None = None
     if signals:
         if recording is None:
             raise ConfigError(f"{scene}: a map alone, expected a scene: signals are inferred from its traffic")
-        signalled = [track for track in recording.tracks if track.object_type in SIGNALLED_TYPES]
-        traffic = traffic_of(signalled, recording.num_steps, step_s=recording.step_s)
-        red = InferredSignals(build_cell_grid(graph), traffic, Signals(), recording.step_s).red
+        road = recording.folder / ROAD_FILE
+        if road.is_file():
+            red = read_road(road).red(recording.num_steps, recording.step_s).get
+        else:
+            signalled = [track for track in recording.tracks if track.object_type in SIGNALLED_TYPES]
+            traffic = traffic_of(signalled, recording.num_steps, step_s=recording.step_s)
+            red = InferredSignals(build_cell_grid(graph), traffic, Signals(), recording.step_s).red
     step_s = STEP_S if recording is None else recording.step_s
     origin = None if recording is None else CITY_ORIGINS.get(recording.city)
     with tempfile.TemporaryDirectory(prefix="hid2-net-") as folder:

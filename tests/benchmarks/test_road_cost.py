@@ -42,7 +42,7 @@ def processor_s(rule: str, *, bare: bool, until_s: float) -> tuple[float, int]:
         road.write_text(text, encoding="utf-8")
         recording = read_recording(write_road(Path(folder, "roads"), road))
         law = read_road(road)
-        law = law.model_copy(update={"inflow": [one for one in law.inflow if one.until_s <= until_s]})
+        law = law.model_copy(update={"period": [one for one in law.period if one.until_s <= until_s]})
         change = {"rule": rule, "min_speed_mps": 0.0, "mobil_bias_mps2": 0.0, "safety": "rule"}
         config = config_from_dict({"lane_change": change, "drivers": {"tau_mean_s": 1.45}})
         traffic = (Bare if bare else RoadTraffic)(recording, law, config)

@@ -9,17 +9,21 @@ from bridge.config import config_from_dict
 from bridge.recordings.corridor import write_road
 from bridge.recordings.road import read_road
 from bridge.recordings.sources import read_recording
-from bridge.studies.road_traffic import RoadTraffic, arrivals
+from bridge.studies.road_traffic import RoadTraffic, RoadVehicle, arrivals
+from bridge.sumo.net import convert_whole
+from hid2.agents import BoxSize
+
+ARTERIAL = Path(__file__).parents[2] / "data" / "public" / "arterial.toml"
 
 RAMPS = "\n[beside]\nfrom_m = 100.0\nto_m = 250.0\non_ramp = true\noff_ramp = true\n"
 HEAD = "length_m = 400.0\nlanes = 2\nwarm_up_s = 30.0\n"
-LIGHT = "\n[[inflow]]\nuntil_s = 180.0\nveh_per_h = [300.0, 300.0]\non_ramp = 300.0\n"
+LIGHT = "\n[[period]]\nuntil_s = 180.0\nveh_per_h = [300.0, 300.0]\non_ramp = 300.0\n"
 
 
 def driven(tmp_path: Path, text: str, rule: str, **lane_change: Any) -> RoadTraffic:
     path = tmp_path / "road.toml"
     path.write_text(text)
-    own = {"rule": rule, "min_speed_mps": 0.0, "mobil_bias_mps2": 0.0, "safety": "rule", **lane_change}
+    own = {"rule": rule, "min_speed_mps": 0.0, "safety": "rule", **lane_change}
     config = config_from_dict({"lane_change": own, "spawn": {"prior_speed_mps": 15.0}})
     traffic = RoadTraffic(read_recording(write_road(tmp_path / "roads", path)), read_road(path), config)
     traffic.run()
@@ -29,34 +33,119 @@ def driven(tmp_path: Path, text: str, rule: str, **lane_change: Any) -> RoadTraf
 @pytest.mark.parametrize("rule", ["LC2013", "MOBIL", "paper"])
 def test_vehicles_of_the_ramp_change_whatever_the_rule_and_reach_the_road(tmp_path: Path, rule: str) -> None:
     told = driven(tmp_path, HEAD + RAMPS + LIGHT, rule).told()
-    assert told["vehicles"][2] > 5
-    assert told["changes"][2] >= told["vehicles"][2] - told["start_to_end"][2][2]
-    assert sum(told["start_to_end"][2][:2]) == told["vehicles"][2]  # none takes the exit
-    assert told["not_left"] == 0
+    changes, vehicles = told["ratios"]["from_ramp"]
+    assert vehicles > 5
+    assert changes >= vehicles - told["start_to_end"][2][2]
+    assert sum(told["start_to_end"][2][:2]) == vehicles  # none takes the exit
+    assert told["ratios"]["not_left"] == (0, 1)
+    assert len(told["lag"]) <= vehicles
+    assert all(rejected < accepted for side in ("lag", "lead") for rejected, accepted in told[side])
 
 
 @pytest.mark.parametrize("rule", ["LC2013", "MOBIL"])
 def test_vehicles_that_leave_come_to_the_off_ramp(tmp_path: Path, rule: str) -> None:
     told = driven(tmp_path, "leaving = [0.0, 1.0]\n" + HEAD + RAMPS + LIGHT, rule).told()
-    assert told["vehicles"][1] > 5
-    assert told["start_to_end"][1][2] + told["missed_exits"] == told["vehicles"][1]
-    assert told["missed_exits"] <= 1
+    vehicles, missed = told["ratios"]["from_lane_2"][1], told["ratios"]["missed_exits"][0]
+    assert vehicles > 5
+    assert told["start_to_end"][1][2] + missed == vehicles
+    assert missed <= 1
 
 
 def test_paper_rule_without_enough_to_gain_changes_nothing_but_what_it_must(tmp_path: Path) -> None:
     told = driven(tmp_path, HEAD + RAMPS + LIGHT, "paper", rule_with="incentive=99").told()
-    assert told["changes"][:2] == [0, 0]
-    assert told["changes"][2] == told["vehicles"][2]  # from the lane beside to lane 2, once
+    assert [told["ratios"][f"from_lane_{number}"][0] for number in (1, 2)] == [0, 0]
+    assert told["ratios"]["from_ramp"][0] == told["ratios"]["from_ramp"][1]  # from the lane beside to lane 2, once
+
+
+@pytest.mark.parametrize("rule", ["LC2013", "MOBIL"])
+def test_cells_hold_what_was_driven_and_every_change_between_lanes(tmp_path: Path, rule: str) -> None:
+    """Of two lanes each is origin in half of the rows: distances of cells add up to those of vehicles."""
+    text = "length_m = 400.0\nlanes = 2\nwarm_up_s = 60.0\n"
+    text += "\n[[period]]\nuntil_s = 240.0\nveh_per_h = [1200.0, 500.0]\n"
+    traffic = driven(tmp_path, text, rule, rule_with="incentive=0.1")
+    told = traffic.told()
+    assert sum(km for *_, km in told["cells"]) == pytest.approx(traffic.driven_m / 1000.0)
+    assert sum(changes for _, _, changes, _ in told["cells"]) > 0
+    mean = sum(own for own, *_ in told["cells"]) / len(told["cells"])
+    assert mean == pytest.approx(traffic.driven_s / 180.0 / 0.4 / 2, rel=0.15)  # veh/km of a lane
+
+
+def test_gaps_that_a_merging_vehicle_is_offered_and_takes(tmp_path: Path) -> None:
+    """Front of the merging vehicle M (4 m, 10 m/s) at 150 m; at 120 m it is beside another gap.
+
+    lane 2:  [A 90] ... [B 130] ... [C 170, 4 m]       B drives 5 m/s, A 10 m/s, C 10 m/s
+    120 m: lag 120 - 4 - 90 = 26 m, 2.6 s; lead 130 - 4 - 120 = 6 m, .6 s
+    150 m, on lane 2: lag 150 - 4 - 130 = 16 m, 3.2 s; lead 170 - 4 - 150 = 16 m, 1.6 s
+    """
+    (tmp_path / "road.toml").write_text(HEAD + RAMPS + LIGHT)
+    road = read_road(tmp_path / "road.toml")
+    recording = read_recording(write_road(tmp_path / "roads", tmp_path / "road.toml"))
+    traffic = RoadTraffic(recording, road, config_from_dict({}))
+    size = BoxSize(4.0, 2.0)
+    template = traffic.vehicles[0]
+
+    def vehicle(name: str, start: int, lane: int, x: float, v: float) -> RoadVehicle:
+        return RoadVehicle(name, start, 0.0, False, template.driver, size, 0, lane=lane, x=x, v=v, entered_s=40.0)
+
+    others = [vehicle("A", 2, 2, 90.0, 10.0), vehicle("B", 2, 2, 130.0, 5.0), vehicle("C", 2, 2, 170.0, 10.0)]
+    one = vehicle("M", 3, 3, 120.0, 10.0)
+    traffic._lane_id = dict.fromkeys("ABC", 202) | {"M": 203}
+    for x, lane in ((120.0, 3), (150.0, 2)):
+        one.x, one.lane = x, lane
+        traffic._on_lane = {2: sorted([*others, *[one] * (lane == 2)], key=lambda each: each.x), 3: [one] * (lane == 3)}
+        traffic._at = {number: [each.x for each in own] for number, own in traffic._on_lane.items()}
+        traffic._offer()
+    assert one.offered == {("B", "A"): pytest.approx((2.6, 0.6))}
+    assert one.taken == pytest.approx((3.2, 1.6))
+    traffic._stops = [100.0, 155.0]  # a closed stop line before C is what a rule sees
+    front, rear = traffic._around(one, 2)
+    assert (front.distance_m, front.speed_mps, rear.track_id) == (5.0, 0.0, "B")
+
+
+def test_vehicles_stop_at_red_and_go_on_at_green(tmp_path: Path) -> None:
+    """Green from 10 to 40 s of every 63, yellow for 3 s: the stop line at 200 m is passed at no other time."""
+    text = "length_m = 400.0\nlanes = 2\nwarm_up_s = 0.0\nstep_s = 0.5\n"
+    text += "\n[[period]]\nuntil_s = 180.0\nveh_per_h = [600.0, 600.0]\n"
+    signal = "\n[[signal]]\nat_m = 200.0\ngreen_s = 30.0\nred_s = 30.0\noffset_s = 10.0\n"
+    passed: list[float] = []
+
+    class Watched(RoadTraffic):
+        def _read(self, simulation: Any, now_s: float) -> Any:
+            before = {one.name: one.x for one in self.vehicles if one.lane}
+            here = super()._read(simulation, now_s)
+            passed.extend(now_s for one in here if before.get(one.name, 999.0) < 200.0 <= one.x)
+            return here
+
+    free = driven(tmp_path, text, "MOBIL").told()
+    path = tmp_path / "road.toml"
+    path.write_text(text + signal)
+    config = config_from_dict({"lane_change": {"rule": "MOBIL", "min_speed_mps": 0.0, "safety": "rule"}})
+    traffic = Watched(read_recording(write_road(tmp_path / "roads", path)), read_road(path), config)
+    traffic.run()
+    assert len(passed) > 20
+    assert all((now_s - 10.0) % 63.0 <= 34.0 for now_s in passed)  # a step after it began to be yellow for 3 s
+    told = traffic.told()["ratios"]
+    assert (
+        told["speed_mps"][0] / told["speed_mps"][1]
+        < 0.8 * free["ratios"]["speed_mps"][0] / free["ratios"]["speed_mps"][1]
+    )
+
+
+def test_signals_of_a_road_are_in_its_net_of_whole_lanes(tmp_path: Path) -> None:
+    net = convert_whole(write_road(tmp_path / "roads", ARTERIAL), tmp_path, signals=True).read_text()
+    assert net.count("<tlLogic") == 3
+    assert 'type="traffic_light"' in net
 
 
 def test_lane_that_ends_is_left_and_the_end_speed_slows_the_road(tmp_path: Path) -> None:
     drop = HEAD.replace("lanes = 2", "lanes = 3") + "drop_m = 250.0\n"
-    drop += "\n[[inflow]]\nuntil_s = 180.0\nveh_per_h = [200.0, 200.0, 200.0]\n"
+    drop += "\n[[period]]\nuntil_s = 180.0\nveh_per_h = [200.0, 200.0, 200.0]\n"
     free = driven(tmp_path, drop, "MOBIL").told()
     assert free["start_to_end"][2][2] == 0
     assert sum(free["start_to_end"][2]) > 3
-    slow = driven(tmp_path, drop + "\n[[end_speed]]\nuntil_s = 180.0\nmps = [0.5, 0.5, 0.5]\n", "MOBIL").told()
-    assert slow["speed_mps"] < 0.8 * free["speed_mps"]
+    slow = driven(tmp_path, drop + "end_mps = [0.5, 0.5, 0.5]\n", "MOBIL").told()
+    speeds = [one["ratios"]["speed_mps"][0] / one["ratios"]["speed_mps"][1] for one in (slow, free)]
+    assert speeds[0] < 0.8 * speeds[1]
 
 
 def test_same_seed_tells_the_same_and_arrivals_are_those_of_any_rule(tmp_path: Path) -> None:

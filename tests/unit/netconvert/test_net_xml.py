@@ -141,3 +141,12 @@ def test_a_net_to_be_saved_has_no_vertices_within_a_centimetre_of_a_border(lane:
 def _only_shape(grid: CellGrid) -> str:
     (lane,) = etree.fromstring(net_bytes(grid)).iter("lane")
     return lane.get("shape")
+
+
+def test_signal_of_a_lane_holds_the_connections_that_lead_to_it(fork: LaneGraph) -> None:
+    net = etree.fromstring(net_bytes(build_cell_grid(fork), signals={4: (5.0, ((20.0, "G"), (30.0, "r")))}))
+    (program,) = net.iterfind("tlLogic")
+    assert (program.get("id"), program.get("offset")) == ("S4", "5")
+    assert [(phase.get("duration"), phase.get("state")) for phase in program] == [("20", "G"), ("30", "r")]
+    held = {one.get("to"): one.get("tl") for one in net.iterfind("connection") if one.get("tl")}
+    assert held == {"4#0": "S4"}

@@ -10,7 +10,7 @@ from bridge.recordings.sources import read_recording
 from netconvert.errors import ConfigError
 
 ROOT = Path(__file__).parents[4]
-FLOW = "\n[[inflow]]\nuntil_s = 240.0\nveh_per_h = [900.0, 900.0]\n"
+FLOW = "\n[[period]]\nuntil_s = 240.0\nveh_per_h = [900.0, 900.0]\n"
 RAMPS = "\n[beside]\nfrom_m = 100.0\nto_m = 200.0\non_ramp = true\noff_ramp = true\n"
 
 
@@ -40,10 +40,23 @@ def test_lane_beside_joins_its_ramps_and_lanes_are_kept_before_and_behind_the_se
 
 
 def test_lane_that_is_dropped_leads_nowhere(tmp_path: Path) -> None:
-    three = "\n[[inflow]]\nuntil_s = 240.0\nveh_per_h = [900.0, 900.0, 900.0]\n"
+    three = "\n[[period]]\nuntil_s = 240.0\nveh_per_h = [900.0, 900.0, 900.0]\n"
     lanes = road_of(tmp_path, "length_m = 300.0\nlanes = 3\ndrop_m = 150.0\n", three).stretches()
     assert [lane.number for lane in lanes if lane.start_m >= 150.0] == [1, 2, 1, 2]
     assert [lane.lane_id for lane in lanes if not lane.successors] == [103, 301, 302]
+
+
+def test_signal_begins_a_crossing_on_which_lanes_are_kept_and_is_red_when_it_is_not_green(tmp_path: Path) -> None:
+    """Green from 5 s on for 10 s, yellow 3 s, red 7 s, and again: closed before 5, from 15 to 25, from 35 s on."""
+    signal = "\n[[signal]]\nat_m = 100.0\ngreen_s = 10.0\nred_s = 7.0\noffset_s = 5.0\n"
+    road = road_of(tmp_path, "length_m = 300.0\nlanes = 2\n", FLOW + signal)
+    crossing = [lane for lane in road.stretches() if lane.crossing]
+    assert [(one.lane_id, one.start_m, one.end_m, one.closed) for one in crossing] == [
+        (201, 100.0, 120.0, True), (202, 100.0, 120.0, True)
+    ]  # fmt: skip
+    red = road.red(40, 1.0)
+    assert sorted(red) == [201, 202]
+    assert [k for k in range(40) if red[201][k]] == [*range(5), *range(15, 25), *range(35, 40)]
 
 
 def test_corridor_of_a_road_is_read_like_a_recording_and_named_by_its_content(tmp_path: Path) -> None:
@@ -61,14 +74,15 @@ def test_corridor_of_a_road_is_read_like_a_recording_and_named_by_its_content(tm
     ("head", "said"),
     [
         ("lanes = 2\n", "no key 'length_m'; expected length_m, lanes"),
-        ("length_m = 300.0\nlanes = 3\n", "inflow.veh_per_h until 240 s: 2 values, expected one for each of 3 lanes"),
+        ("length_m = 300.0\nlanes = 3\n", "period.veh_per_h until 240 s: 2 values, expected one for each of 3 lanes"),
         ("length_m = 300.0\nlanes = 2\nspeed = 3\n", "unknown key 'speed'"),
         ("length_m = 20.0\nlanes = 2\n", "length_m = 20.0, expected at least 100"),
         ("length_m = 150.0\nlanes = 2\n" + RAMPS, "beside and drop_m lie in the section, 0 to 150 m"),
         ("length_m = 300.0\nlanes = 2\nleaving = [0.1, 0.1]\n", "leaving: expected beside.off_ramp = true"),
         ("length_m = 300.0\nlanes = 2\nwarm_up_s = 300.0\n", "warm_up_s 300: expected less than the 240 s"),
         ("length_m = 300.0\nlanes = 2\ndrop_m = 100.0\n", "drop_m: expected three lanes or more"),
-        ("length_m = 300.0\nlanes = 2\n[[inflow]]\nuntil_s = 990.0\nveh_per_h = [1.0, 1.0]\n", "until_s has to rise"),
+        ("length_m = 300.0\nlanes = 2\n[[signal]]\nat_m = 290.0\ngreen_s = 9.0\nred_s = 9.0\n", "signal: at_m has to"),
+        ("length_m = 300.0\nlanes = 2\n[[period]]\nuntil_s = 990.0\nveh_per_h = [1.0, 1.0]\n", "until_s has to rise"),
     ],
 )
 def test_road_that_cannot_be_is_refused_in_one_line(tmp_path: Path, head: str, said: str) -> None:

@@ -1,9 +1,12 @@
 """A page of public roads: figures by hand, what is tuned on, what is refused, and the same bytes after a kill."""
 
+import signal
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from interrupted import Command
 
 from bridge.batch.batch import Options
 from bridge.studies.public_roads import RoadResult, read_public, run_public
@@ -20,23 +23,25 @@ run_out_m = 30.0
 from_m = 50.0
 to_m = 150.0
 on_ramp = true
-[[inflow]]
+[[period]]
 until_s = 60.0
 veh_per_h = [900.0, 900.0]
 on_ramp = 400.0
 """
 COUNTS = """name = "Somewhere"
+vehicles = [40.0, 40.0, 20.0]
+start_to_end = [[38, 2, 0], [10, 30, 0], [5, 15, 0]]
+[published]
 flow_veh_per_h = 2000.0
 speed_mps = 10.0
-vehicles = [40.0, 40.0]
-changes_per_vehicle = [0.1, 0.3]
-ramp_vehicles = 20.0
-ramp_changes_per_vehicle = 1.5
-all_changes_per_vehicle = 0.5
+changes_per_vehicle = 0.5
 changes_per_veh_km = 1.0
-start_to_end = [[38, 2, 0], [10, 30, 0], [5, 15, 0]]
+from_lane_1 = 0.1
+from_lane_2 = 0.3
+from_ramp = 1.5
 """
-PAGE = """seeds = 2
+PAGE = """title = "A page"
+seeds = 2
 [[road]]
 file = "road.toml"
 counts = "counts.toml"
@@ -52,6 +57,7 @@ set = { "drivers.desired_sd" = 0.0 }
 min_speed_mps = 0.0
 safety = "rule"
 """
+GAPS = COUNTS[: COUNTS.index("changes_per_vehicle")] + "critical_lag_gap_mean_s = 1.0\n"
 
 
 def page_in(tmp_path: Path, *, page: str = PAGE, counts: str = COUNTS, road: str = ROAD) -> Path:
@@ -60,12 +66,20 @@ def page_in(tmp_path: Path, *, page: str = PAGE, counts: str = COUNTS, road: str
     return tmp_path / "page.toml"
 
 
-def run_of(vehicles: list[int], changes: list[int], **more: Any) -> dict[str, Any]:
-    return {"vehicles": vehicles, "changes": changes, "veh_km": 10.0, "flow_veh_per_h": 2040.0, "speed_mps": 9.5} | more
+def run_of(
+    vehicles: list[int], changes: list[int], *, flow: float = 2040.0, speed: float = 9.5, **more: Any
+) -> dict[str, Any]:
+    """What a run tells of a road of two lanes and a ramp: 10 veh-km."""
+    names = ("from_lane_1", "from_lane_2", "from_ramp")
+    ratios = {name: one for name, *one in zip(names, changes, vehicles, strict=True)}
+    every, count = sum(changes), sum(vehicles)
+    ratios |= {"flow_veh_per_h": [flow, 1.0], "speed_mps": [speed, 1.0]}
+    ratios |= {"changes_per_vehicle": [every, count], "changes_per_veh_km": [every, 10.0]}
+    return {"ratios": ratios, "cells": [], "lag": [], "lead": []} | more
 
 
-def result(tmp_path: Path, *runs: dict[str, Any]) -> RoadResult:
-    return RoadResult(read_public(page_in(tmp_path)).sites[0], "a rule", "untuned", {}, runs)
+def result(tmp_path: Path, *runs: dict[str, Any], counts: str = COUNTS, page: str = PAGE) -> RoadResult:
+    return RoadResult(read_public(page_in(tmp_path, counts=counts, page=page)).sites[0], "a rule", "untuned", {}, runs)
 
 
 def test_figures_by_hand(tmp_path: Path) -> None:
@@ -75,27 +89,80 @@ def test_figures_by_hand(tmp_path: Path) -> None:
     vehicles: (40 x .15 + 40 x .2 + 20 x .5) / 100 = .24. All 100 / 200 = .5 as published; 100 changes in 20 km: 5.
     """
     one = result(tmp_path, run_of([40, 40, 20], [10, 30, 20]), run_of([40, 40, 20], [10, 10, 20]))
-    assert [estimate.value for estimate in one.each] == [0.25, 0.5, 1.0]
-    assert (one.every.value, one.per_veh_km.value) == (0.5, 5.0)
-    assert (one.every.low, one.every.high) == (0.4, 0.6)  # draws of one seed alone
+    told = one.measures
+    assert [told[name].value for name in one.site.road.from_lanes] == [0.25, 0.5, 1.0]
+    assert (told["changes_per_vehicle"].value, told["changes_per_veh_km"].value) == (0.5, 5.0)
+    assert (told["changes_per_vehicle"].low, told["changes_per_vehicle"].high) == (0.4, 0.6)  # draws of one seed alone
     assert one.error == pytest.approx(0.24)
-    assert one.misses == pytest.approx(0.0)
-    assert one.rank == pytest.approx(1.0)
-    assert one.off == pytest.approx((0.02, -0.05))
+    assert one.off("changes_per_vehicle") == pytest.approx(0.0)
+    assert told["rank_correlation"].value == pytest.approx(1.0)
+    assert (one.off("flow_veh_per_h"), one.off("speed_mps")) == pytest.approx((0.02, -0.05))
     assert one.reproduces
+    assert one.first(1).measures["changes_per_vehicle"].value == 0.6
 
 
-@pytest.mark.parametrize("more", [{"flow_veh_per_h": 2061.0}, {"speed_mps": 8.9}])
+def test_ladder_and_slopes_by_hand(tmp_path: Path) -> None:
+    """Rates .01 x origin + .02 x target + .1 in four cells of 100 veh-km; one above 20 veh/km that no slope is told of.
+
+    | origin | target | changes |
+    |   5    |   5    |   25    |
+    |   15   |   5    |   35    |
+    |   5    |   15   |   45    |
+    |   15   |   15   |   55    |
+    """
+    cells = [(5, 5, 25, 100), (15, 5, 35, 100), (5, 15, 45, 100), (15, 15, 55, 100), (50, 50, 900, 100)]
+    one = result(tmp_path, *[run_of([1, 1, 1], [1, 1, 1], cells=cells)] * 2)
+    assert [[rate.value for rate in row] for row in one.ladder([0, 10, 20])] == [[0.25, 0.45], [0.35, 0.55]]
+    assert one.ladder([20, 60])[0][0].value == 9.0
+    for slope, wanted in zip(one.slopes(20.0), (0.01, 0.02), strict=True):
+        assert slope == pytest.approx((wanted, wanted, wanted))
+
+
+UNTUNED_PAGE = PAGE.replace("tune = true\n", "").replace('set = { "lane_change.rule" = "LC2013" }\nvary', "# vary")
+
+
+def test_critical_gap_is_found_from_what_was_rejected_and_accepted(tmp_path: Path) -> None:
+    """Drivers with lognormal critical gaps of 1.0 s (SD .25) are offered gaps until one is larger."""
+    rng = np.random.default_rng(1)
+    pairs = []
+    for critical in rng.lognormal(-0.5 * np.log(1.0625), np.sqrt(np.log(1.0625)), 400):
+        rejected, offered = 0.0, rng.exponential(1.0)
+        while offered <= critical:
+            rejected, offered = max(rejected, offered), rng.exponential(1.0)
+        pairs.append((rejected, offered))
+    lead = [(0.0, 0.4), (0.0, 50.0)]
+    runs = [run_of([1, 1, 1], [1, 1, 1], lag=half, lead=lead) for half in (pairs[:200], pairs[200:])]
+    told = result(tmp_path, *runs, counts=GAPS, page=UNTUNED_PAGE).measures
+    assert told["critical_lag_gap_mean_s"].low < 1.0 < told["critical_lag_gap_mean_s"].high
+    assert told["critical_lag_gap_sd_s"].value == pytest.approx(0.25, abs=0.06)
+    assert told["critical_lead_gap_mean_s"].value is None  # too few
+    assert told["accepted_lead_gaps_below_0.5_s"].value == 1.0  # 50 s are no gap
+
+
+def test_durations_are_those_of_changes_seen_from_start_to_end(tmp_path: Path) -> None:
+    page = UNTUNED_PAGE.replace("[[rule]]", "asked = true\n[[rule]]")
+    changes = [{"duration_s": seconds, "complete": seconds < 9.0} for seconds in (4.0, 5.0, 9.0)]
+    told = result(tmp_path, {"lane_changes": changes}, {"lane_changes": changes[:1]}, page=page).measures
+    assert told["duration_mean_s"] == pytest.approx((13.0 / 3.0, 4.0, 4.5))  # draws of one run alone
+    assert told["duration_median_s"].value == 4.0
+
+
+@pytest.mark.parametrize("more", [{"flow": 2061.0}, {"speed": 8.9}])
 def test_road_without_its_flow_or_its_speed_does_not_reproduce(tmp_path: Path, more: dict[str, float]) -> None:
     assert not result(tmp_path, run_of([40, 40, 20], [1, 1, 1], **more)).reproduces
 
 
-def test_pages_of_the_project_are_read_and_tune_on_one_road_alone() -> None:
+@pytest.mark.parametrize("name", ["ngsim", "knoop", "gaps"])
+def test_pages_of_the_project_are_read(name: str) -> None:
+    assert read_public(ROOT / "data" / "public" / f"{name}.toml").file.rule[2].name == "paper"
+
+
+def test_ngsim_tunes_on_one_road_alone_and_its_counts_add_up() -> None:
     page = read_public(ROOT / "data" / "public" / "ngsim.toml")
-    assert [(site.counts.name[:4], site.tune) for site in page.sites] == [("US-1", True), ("I-80", False)]
+    assert [site.counts.name[:7] for site in page.sites if site.entry.tune] == ["US-101,"]
+    assert [sum(site.counts.vehicles) for site in page.sites] == [2017, 2052, 2169, 1915]  # as the reports add up
     for site in page.sites:
-        assert sum(site.counts.vehicles) + site.counts.ramp_vehicles in (2017, 2052)  # as the reports add up
-        assert sum(map(sum, site.counts.start_to_end)) in (2017, 2052)
+        assert sum(map(sum, site.counts.start_to_end)) == sum(site.counts.vehicles)
 
 
 @pytest.mark.parametrize(
@@ -105,8 +172,17 @@ def test_pages_of_the_project_are_read_and_tune_on_one_road_alone() -> None:
         (PAGE.replace("lc_speed_gain", "lc_sped_gain"), COUNTS, "lc_sped_gain"),
         (PAGE.replace("seeds = 2", "seeds = 0"), COUNTS, "seeds = 0, expected at least 1"),
         (PAGE.replace('counts = "counts.toml"', 'counts = "none.toml"'), COUNTS, "none.toml: no such file"),
-        (PAGE, COUNTS.replace("[40.0, 40.0]", "[40.0, 40.0, 40.0]"), "vehicles: 3 values, expected one for each of 2"),
-        (PAGE, COUNTS.replace("speed_mps = 10.0", "speed_mps = 0.0"), "speed_mps = 0.0, expected greater than 0"),
+        (
+            PAGE,
+            COUNTS.replace("40.0, 20.0", "20.0"),
+            "vehicles: 2 values on a road to tune on, expected one for each of",
+        ),
+        (
+            PAGE,
+            COUNTS.replace("speed_mps = 10.0", "speed_mps = -1.0"),
+            "published.speed_mps = -1.0, expected at least 0",
+        ),
+        (PAGE, COUNTS.replace("speed_mps", "sped_mps"), "unknown key 'published.sped_mps'; expected flow_veh_per_h"),
     ],
 )
 def test_page_that_cannot_be_is_refused_in_one_line(tmp_path: Path, page: str, counts: str, said: str) -> None:
@@ -133,6 +209,8 @@ def test_page_goes_on_after_a_kill_with_the_same_bytes_and_refuses_runs_that_are
     told = whole.files[0].read_text()
     assert "**Somewhere** (tuned on)" in told
     assert "| one speed |" in told
+    assert "LC2013, tuned" in told
+    assert "LC2013, untuned" in told
     for run in (tmp_path / "whole" / "runs").iterdir():
         (run / "run.json.gz").unlink()
     assert run_public(page, tmp_path / "whole", Options()).files[0].read_text() == told  # made again
@@ -141,3 +219,24 @@ def test_page_goes_on_after_a_kill_with_the_same_bytes_and_refuses_runs_that_are
     (tmp_path / "run.json.gz").write_bytes(gzip.compress(b"[]", mtime=0))
     with pytest.raises(BatchError, match="not what a run of a page of public roads writes"):
         read_run(tmp_path, ("vehicles",), "page of public roads")
+
+
+@pytest.mark.slow
+def test_page_has_the_same_bytes_after_sigkill_and_the_command_says_how_long_runs_took(tmp_path: Path) -> None:
+    """All processes of the command are killed, as by a power cut, when runs are in the manifest and others are not."""
+    file, work = page_in(tmp_path), tmp_path / "work"
+    work.mkdir()
+    whole = Command(["public", file, "-o", tmp_path / "whole"], work).left(timeout_s=300.0)
+    assert "4 runs that took" in whole.stderr
+    command = Command(["public", file, "-o", tmp_path / "again"], work)
+    manifest = tmp_path / "again" / "manifest.csv"
+    command.wait_for(lambda: manifest.is_file() and manifest.read_text().count("\n") >= 2, timeout_s=300.0)
+    command.send(signal.SIGKILL, to_group=True)
+    killed = command.left()
+    assert killed.code == -signal.SIGKILL
+    assert not (tmp_path / "again" / "public.md").exists()
+    left = Command(["public", file, "-o", tmp_path / "again"], work).left(timeout_s=300.0)
+    assert left.code == whole.code == 0
+    assert "4 runs that took" in left.stderr
+    for name in ("public.md", "public.csv"):
+        assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
