@@ -335,7 +335,7 @@ def run_public(
         for one in [*tests, *causes] for name, ours in one.measures.items()
     ])  # fmt: skip
     values = {"page": page, "tried": tried, "best": best, "tests": tests, "causes": causes, "within": WITHIN}
-    values |= {"cell_m": CELL_M, "cell_s": CELL_S}
+    values |= {"cell_m": CELL_M, "cell_s": CELL_S, "long_gap_s": LONG_GAP_S}
     write_text(told, text("public.md.j2", **values))
     return RunsReport.of((told, table), rows.values())
 

@@ -9,7 +9,8 @@ import pytest
 from interrupted import Command
 
 from bridge.batch.batch import Options
-from bridge.studies.public_roads import RoadResult, read_public, run_public
+from bridge.pages.parts import text
+from bridge.studies.public_roads import WITHIN, RoadResult, read_public, run_public
 from bridge.studies.study import read_run
 from netconvert.errors import BatchError, ConfigError
 
@@ -61,8 +62,8 @@ GAPS = COUNTS[: COUNTS.index("changes_per_vehicle")] + "critical_lag_gap_mean_s 
 
 
 def page_in(tmp_path: Path, *, page: str = PAGE, counts: str = COUNTS, road: str = ROAD) -> Path:
-    for name, text in (("page.toml", page), ("counts.toml", counts), ("road.toml", road)):
-        (tmp_path / name).write_text(text)
+    for name, content in (("page.toml", page), ("counts.toml", counts), ("road.toml", road)):
+        (tmp_path / name).write_text(content)
     return tmp_path / "page.toml"
 
 
@@ -147,6 +148,19 @@ def test_durations_are_those_of_changes_seen_from_start_to_end(tmp_path: Path) -
     assert told["duration_median_s"].value == 4.0
 
 
+def test_page_says_what_gaps_do_not_tell(tmp_path: Path) -> None:
+    """Gaps of 10 ms to 9 s, taken whatever was rejected below: a fit without a bound. Of lead gaps there are none."""
+    wide = [(0.9 * taken, taken) for taken in (0.01, 0.02, 0.05, 0.3, 1.0, 3.0, 6.0, 9.0)]
+    counts = GAPS + "critical_lag_gap_sd_s = 0.2\n"
+    run = run_of([1, 1, 1], [1, 1, 1], lag=wide, start_to_end=[[1, 0, 0], [0, 1, 0], [0, 1, 0]])
+    page = read_public(page_in(tmp_path, counts=counts, page=UNTUNED_PAGE))
+    one = RoadResult(page.sites[0], "LC2013", "as set", {}, [run])
+    lists: dict[str, Any] = {"tried": [], "best": {}, "causes": [], "within": WITHIN}
+    told = text("public.md.j2", page=page, tests=[one], cell_m=250.0, cell_s=60.0, long_gap_s=10.0, **lists)
+    assert "not told by these gaps: critical_lag_gap_mean_s, critical_lag_gap_sd_s." in told
+    assert "| gaps taken below 10 s, lag and lead, all runs | - | 8 and 0 |" in told
+
+
 @pytest.mark.parametrize("more", [{"flow": 2061.0}, {"speed": 8.9}])
 def test_road_without_its_flow_or_its_speed_does_not_reproduce(tmp_path: Path, more: dict[str, float]) -> None:
     assert not result(tmp_path, run_of([40, 40, 20], [1, 1, 1], **more)).reproduces
@@ -193,7 +207,8 @@ def test_page_that_cannot_be_is_refused_in_one_line(tmp_path: Path, page: str, c
 
 
 def test_page_goes_on_after_a_kill_with_the_same_bytes_and_refuses_runs_that_are_none(tmp_path: Path) -> None:
-    page = read_public(page_in(tmp_path))
+    same_as_test = '\n[[road]]\nfile = "road.toml"\ncounts = "counts.toml"\n'
+    page = read_public(page_in(tmp_path, page=PAGE + same_as_test))
     whole = run_public(page, tmp_path / "whole", Options())
 
     def killed(*_: Any) -> None:
@@ -211,6 +226,13 @@ def test_page_goes_on_after_a_kill_with_the_same_bytes_and_refuses_runs_that_are
     assert "| one speed |" in told
     assert "LC2013, tuned" in told
     assert "LC2013, untuned" in told
+    for said in (
+        "0.0 % trucks",
+        "| 60 | 900, 900 | 400 | - |",
+        "tuned is nearer: ",
+        "With one speed changes per vehicle come",
+    ):
+        assert said in told
     for run in (tmp_path / "whole" / "runs").iterdir():
         (run / "run.json.gz").unlink()
     assert run_public(page, tmp_path / "whole", Options()).files[0].read_text() == told  # made again
