@@ -81,7 +81,7 @@ def made(hid2: Run, data_scenes: dict[str, Path], tmp_path_factory: pytest.TempP
     (root / "sound.toml").write_text("[request]\nstraight = 1.0\n")
     (root / "sound_study.toml").write_text(STUDY)
     (root / "public.toml").write_text(
-        f'rule_with = "{RULE}"\n[[road]]\nfile = "."\ncounts = "."\n[[rule]]\nname = "a"\n'
+        f'title = "a"\nrule_with = "{RULE}"\n[[road]]\nfile = "."\ncounts = "."\n[[rule]]\nname = "a"\n'
     )
     (root / "composition.toml").write_text(f'[sources]\na = "."\n[sets.b]\n[config.lane_change]\nrule = "{RULE}"\n')
     (root / "forecasts.parquet").write_bytes(b"PAR1")
