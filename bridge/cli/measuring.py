@@ -194,15 +194,25 @@ def make(
     road: Path | None = options.option(
         "A road with ramps, signals and traffic of its own instead, as those in data/public.", None, "ROAD.toml"
     ),
-    length: float = options.option("Length of a plain corridor, m.", 600.0, "M"),
-    lanes: int = options.option("Its lanes.", 2, "N"),
-    seconds: float = options.option("Duration of the recording, s.", 180.0, "S"),
+    length: float | None = options.option("Length of a plain corridor, m.", None, "M", show_default="600"),
+    lanes: int | None = options.option("Its lanes.", None, "N", show_default="2"),
+    seconds: float | None = options.option("Duration of the recording, s.", None, "S", show_default="180"),
 ) -> None:
     """Make a synthetic scene for studies; it is no scene of Argoverse, and its id says so."""
     from bridge.recordings.corridor import write_corridor, write_road
 
     road = road or (data_folder() / "public" / "arterial.toml" if what == "arterial" else None)
-    print(write_road(out, road) if road else write_corridor(out, length_m=length, lanes=lanes, seconds=seconds))
+    asked = {"length_m": length, "lanes": lanes, "seconds": seconds}
+    given = {name: value for name, value in asked.items() if value is not None}
+    if road is None:
+        print(write_corridor(out, **{"length_m": 600.0, "lanes": 2, "seconds": 180.0, **given}))  # type: ignore[arg-type]
+        return
+    for name, value in given.items():
+        option = "--" + name.removesuffix("_m")
+        raise ConfigError(
+            f"{option} {value:g}: {road.name} has its own; leave {option} out, or edit a copy of the file"
+        )
+    print(write_road(out, road))
 
 
 @command()

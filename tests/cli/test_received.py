@@ -61,7 +61,7 @@ READERS: tuple[tuple[str, int | None, str], ...] = (
     ("forecast . -o . --scenes . --resume", None, ""),
     ("public public.toml -o again", 2, "unknown key 'rule_with'"),
     ("example -o again", 0, ""),
-    ("make corridor -o again --seconds 12 --road drivers.toml", 2, "drivers.toml: no key 'length_m'"),
+    ("make corridor -o again --road drivers.toml", 2, "drivers.toml: no key 'length_m'"),
 )
 
 
