@@ -239,6 +239,9 @@ def test_corridor_is_made_and_its_range_is_said(hid2: Run, tmp_path: Path) -> No
     wrong = hid2("make", "corridor", "-o", tmp_path, "--lanes", "1")
     assert wrong.returncode == 2
     assert wrong.stderr.splitlines()[-1] == "hid2: error: --lanes 1: expected 2 to 8"  # after a warning on its place
+    its_own = hid2("make", "arterial", "-o", tmp_path, "--lanes", "3")
+    assert its_own.returncode == 2
+    assert "--lanes 3: arterial.toml has its own" in its_own.stderr
     signals = hid2("make", "arterial", "-o", tmp_path)
     assert Path(signals.stdout.strip(), "road.toml").read_text().count("[[signal]]") == 3
 

@@ -56,7 +56,6 @@ UNITS = [
     ("generate av2 -o out --set lane_change.time_gap_front_s=800", "time_gap_front_s", "800", "<= "),
     ("generate av2 -o out --scene-timeout 5min", "--scene-timeout", "5min", "float|number"),
     ("render s/made --step 4.9 -o a.png", "--step", "4.9", "integer"),
-    ("make arterial -o roads --lanes 3", "--lanes", "3", "arterial.toml has its own"),
     ("make corridor -o roads --length 0.5", "--length", "0.5", "100 to 5000 m"),
 ]
 PATHS = [
