@@ -30,7 +30,7 @@ REACTIVE_PREFIX = "reactive-"
 
 
 class ParameterRow(NamedTuple):
-    """One line of `hid2 config`; group: whom it is for, as `params.GROUPS` has it."""
+    """One line of `hid2 config`; group: its use, as `params.GROUPS` has it."""
 
     group: str
     key: str

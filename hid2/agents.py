@@ -20,6 +20,8 @@ class BoxSize(NamedTuple):
     width_m: float
 
 
+#: Track id of the recording vehicle (Argoverse 2).
+AV_ID = "AV"
 #: Sizes for tracks that carry none (medians of labelled boxes, rounded; cars a little generous to be safe).
 DEFAULT_SIZES: Mapping[str, BoxSize] = {
     "vehicle": BoxSize(4.5, 1.9),

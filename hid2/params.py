@@ -433,7 +433,7 @@ class Config(_Section):
     )
 
 
-#: `hid2 config` lists parameters by whom they are for: by section, or by key where a section is for several.
+#: `hid2 config` lists parameters by their use: by section, or by key where a section is for several.
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "request": ("request", "event", "export", "without"),
     "paper": ("grid", "lane_change", "overtake", "turn", "conflict.horizon_s", "conflict.brake_max_mps2", "smoothing"),

@@ -184,7 +184,7 @@ def show_config(
     toml: bool = options.output("Print the resolved configuration as a TOML file; so do --config and --set.", False),
     as_json: bool = options.AS_JSON,
 ) -> None:
-    """List every parameter with default, unit, range and source, by whom it is for: request, paper, ..., expert."""
+    """List every parameter with default, unit, range and source, by its use: request, paper, ..., expert."""
     from bridge.config import ParameterRow, config_to_toml, describe_config, load_config
 
     if toml or config is not None or settings:

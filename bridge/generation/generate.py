@@ -137,10 +137,10 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
             filling.fill(rounds.drive)
         sumo_version = simulation.version()
     vehicles = sorted(filling.kept, key=lambda one: one.driven.start.request.number)
-    clean = [one.track(f"gen_{row}", config.request.generated_category) for row, one in enumerate(vehicles)]
-    tracks = clean
+    tracks = [one.track(f"gen_{row}", config.request.generated_category) for row, one in enumerate(vehicles)]
+    clean: list[Track] = []
     if config.export.noise == "tracker":
-        tracks = with_noise(scene, clean, [one.course for one in vehicles], seed)
+        clean, tracks = tracks, with_noise(scene, tracks, [one.course for one in vehicles], seed)
     focal = scenario.focal_track_id
     if config.request.focal == "generated":
         focal = _focal(scenario, vehicles, tracks, filling)
@@ -253,7 +253,7 @@ def _sidecar(
     config = scene.config
     names = {one.driven.vehicle_id: f"gen_{row}" for row, one in enumerate(vehicles)}
     agents = [agent_record(scene, one, filling.outcomes.get(one.driven.vehicle_id), names) for one in vehicles]
-    if config.export.noise != "none":
+    if clean:
         told = [StatesRecord.of(track) for track in clean]
         agents = [agent.model_copy(update={"clean": states}) for agent, states in zip(agents, told, strict=True)]
     placed = Counter(record.policy for record in agents)

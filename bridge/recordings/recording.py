@@ -9,12 +9,11 @@ import pyarrow as pa
 
 from bridge.recordings.sidecar import Provenance as Provenance
 from bridge.recordings.sidecar import Sidecar
+from hid2.agents import AV_ID as AV_ID
 from hid2.agents import BoxSize, FloatArray, Track
 from netconvert.errors import ScenarioError
 from netconvert.lane_graph import LaneGraph
 
-#: Track id of the recording vehicle.
-AV_ID = "AV"
 #: Categories of the tracks that forecasts are scored on, and of the one among them that matters most.
 SCORED_CATEGORY, FOCAL_CATEGORY = 2, 3
 

@@ -24,7 +24,7 @@ from hid2.occupancy.traffic import Traffic
 from hid2.scene import Scene
 
 # No tunables, here and below: they are how a driver brakes for what SUMO does not see, chosen on the scenes of
-# tests/real; `conflict` has what is kept to whom. Decelerations tried, m/s2, least first, up to
+# tests/real; `conflict` has the margins that it keeps. Decelerations tried, m/s2, least first, up to
 # conflict.brake_max_mps2.
 _BRAKES_MPS2 = (0.0, 0.5, 0.8, 1.1, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
 #: Predicted braking builds up at this rate, m/s3; a generated vehicle that brakes is predicted to brake on so long, s;

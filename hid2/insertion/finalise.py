@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hid2.agents import FloatArray, Track
+from hid2.agents import DEFAULT_SIZES, FloatArray, Track
 from hid2.judge.findings import MOVES_M, Finding, Quantity, last_word
 from hid2.judge.states import (
     headways,
@@ -24,7 +24,7 @@ from hid2.motion.smoothing import Motion, Trajectory, smooth_motion, trajectory
 from hid2.occupancy.agent_states import AgentStates, agent_states
 from hid2.occupancy.traffic import Traffic
 from hid2.reasons import Reason
-from hid2.scene import Scene
+from hid2.scene import Scene, clearance_box
 from hid2.vehicle import DrivenVehicle
 
 #: No tunables: widths of the filter, over smoothing.filter_s, and shares of the driver's place in the lane that are
@@ -199,11 +199,16 @@ def as_exported(
     scene: Scene, vehicle: DrivenVehicle, motion: Motion, path: Trajectory, off_m: FloatArray
 ) -> ExportedVehicle:
     """A vehicle with its states, as a reader has them; not judged."""
-    track = replace(_track(vehicle, path, vehicle.vehicle_id, 1), size=vehicle.start.box)
-    states = agent_states(
-        [track], scene.states.lanes, num_steps=scene.num_steps, step_s=scene.step_s, is_inserted=lambda _: True
-    )
+    states = states_of_inserted(scene, _track(vehicle, path, vehicle.vehicle_id, 1))
     return ExportedVehicle(vehicle, motion, path, off_m, float("inf"), states)
+
+
+def states_of_inserted(scene: Scene, track: Track) -> AgentStates:
+    """The states of an inserted track as the last word sees them, with its clearance box."""
+    boxed = replace(track, size=clearance_box(track.size, DEFAULT_SIZES[track.object_type]))
+    return agent_states(
+        [boxed], scene.states.lanes, num_steps=scene.num_steps, step_s=scene.step_s, is_inserted=lambda _: True
+    )
 
 
 def _boxes(scene: Scene, states: AgentStates) -> Reason | None:

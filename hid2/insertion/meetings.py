@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hid2.agents import DEFAULT_SIZES, FloatArray, IntArray, Policy
+from hid2.agents import AV_ID, DEFAULT_SIZES, FloatArray, IntArray, Policy
 from hid2.conflicts.signals import InferredSignals
 from hid2.conflicts.stop_lines import STOP_MARGIN_M
 from hid2.insertion.routes import RouteOffer, Routes
@@ -39,8 +39,6 @@ _LEADS_FROM_M, _LEADS_LOOKS = 6.0, 1 + round(FOLLOWS_FOR_S / _EVERY_S)
 #: Tracks of these categories are scored where forecasts are evaluated: scored ones and the focal one (Argoverse 2).
 _SCORED = (2, 3)
 _LEAST = 1e-3  # weight of a route that is not worth trying; no tunable: not 0, so that one is drawn where no other is
-#: Track id of the recording vehicle (Argoverse 2).
-RECORDING_VEHICLE = "AV"
 
 
 def target_rows(scene: Scene) -> IntArray:
@@ -54,7 +52,7 @@ def named_rows(scene: Scene, name: str) -> IntArray:
     if name in ("focal", "scored"):
         category = np.array(scene.categories, dtype=np.int64)
         return np.flatnonzero(category == _SCORED[-1] if name == "focal" else np.isin(category, _SCORED))
-    wanted = RECORDING_VEHICLE if name == "av" else name
+    wanted = AV_ID if name == "av" else name
     return np.array([row for row, track_id in enumerate(scene.traffic.ids) if track_id == wanted], dtype=np.int64)
 
 

@@ -6,15 +6,17 @@ and end at half their speed. Beside that each inserted vehicle has the errors of
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
+from typing import Literal
 
 import numpy as np
 
-from hid2.agents import VEHICLE_TYPES, FloatArray, Track
-from hid2.insertion.meetings import RECORDING_VEHICLE
+from hid2.agents import AV_ID, VEHICLE_TYPES, FloatArray, Track
+from hid2.insertion.finalise import states_of_inserted
 from hid2.judge.findings import NOISE_BOUNDS, Bounds
 from hid2.judge.states import of_boxes, of_end, of_road
 from hid2.measures.arrays import FRAGMENT
-from hid2.occupancy.agent_states import AgentStates, agent_states
+from hid2.occupancy.agent_states import AgentStates
 from hid2.scene import Scene
 from netconvert.geometry import wrap_angle
 
@@ -62,7 +64,7 @@ def tracker_errors(tracks: Sequence[Track], *, step_s: float) -> TrackerErrors:
     found: list[FloatArray] = []
     for track in tracks:
         steps, stated = track.timesteps, np.hypot(*track.velocity.T)
-        if track.object_type not in VEHICLE_TYPES or track.category == FRAGMENT or track.track_id == RECORDING_VEHICLE:
+        if track.object_type not in VEHICLE_TYPES or track.category == FRAGMENT or track.track_id == AV_ID:
             continue
         if steps.size != steps[-1] - steps[0] + 1:  # it was lost in between
             continue
@@ -104,11 +106,13 @@ def _errors_of(track: Track, step_s: float) -> FloatArray | None:
     return None if turned_round else errors
 
 
-def _fitted(values: FloatArray, window: int, degree: int = _DEGREE) -> FloatArray:
-    """Values (N, ...) fitted by a polynomial around each step."""
+def _fitted(
+    values: FloatArray, window: int, degree: int = _DEGREE, *, ends: Literal["interp", "nearest"] = "interp"
+) -> FloatArray:
+    """Values (N, ...) fitted by a polynomial around each step; ends: as scipy has it."""
     from scipy.signal import savgol_filter  # its import takes longer than a scene without noise
 
-    return np.asarray(savgol_filter(values, window, degree, axis=0), dtype=np.float64)
+    return np.asarray(savgol_filter(values, window, degree, axis=0, mode=ends), dtype=np.float64)
 
 
 def _direction(course: FloatArray, step_s: float) -> FloatArray:
@@ -131,7 +135,7 @@ def with_noise(
     Each has its errors as far as they leave it clear of all others, of those before it with their errors.
     """
     errors = tracker_errors(scene.tracks, step_s=scene.step_s)
-    clean = [_states(scene, track) for track in tracks]
+    clean = [states_of_inserted(scene, track) for track in tracks]
     found: list[Track] = []
     so_far = scene.states
     for number, track in enumerate(tracks):
@@ -140,7 +144,7 @@ def with_noise(
         others = so_far.joined(*clean[number + 1 :])
         for share in _SHARES:
             noisy = _between(track, full, share)
-            states = _states(scene, noisy)
+            states = states_of_inserted(scene, noisy)
             if share == 0.0 or _is_clear(scene, others.joined(states), track):
                 break
         found.append(noisy)
@@ -148,35 +152,27 @@ def with_noise(
     return found
 
 
-def _states(scene: Scene, track: Track) -> AgentStates:
-    return agent_states(
-        [track], scene.states.lanes, num_steps=scene.num_steps, step_s=scene.step_s, is_inserted=lambda _: True
-    )
-
-
 def _is_clear(scene: Scene, states: AgentStates, track: Track) -> bool:
     """Whether the judge finds nothing on the last agent's box, on the road below it, and at its end and others'."""
     row, bounds = states.arrays.num_agents - 1, Bounds(scene.config.limits, scene.config.conflict)
     inserted = np.flatnonzero(states.arrays.generated[:row]).tolist()
-    found = [
-        *of_boxes(states, row, np.arange(row), spare_m=0.0), *of_end(states, row, np.arange(row), bounds),
-        *of_road(states, row, track.size, scene.grid.graph, bounds),
-        *(one for other in inserted for one in of_end(states, other, np.array([row]), bounds)),
-    ]  # fmt: skip
-    return not found
+    found = chain(
+        of_boxes(states, row, np.arange(row), spare_m=0.0), of_end(states, row, np.arange(row), bounds),
+        of_road(states, row, track.size, scene.grid.graph, bounds),
+        (one for other in inserted for one in of_end(states, other, np.array([row]), bounds)),
+    )  # fmt: skip
+    return next(found, None) is None
 
 
 def _noisy(
     track: Track, course: FloatArray, errors: TrackerErrors, rng: np.random.Generator, *, step_s: float
 ) -> Track:  # fmt: skip
     """A track with the errors of a tracker."""
-    from scipy.signal import savgol_filter
-
     speed, window = np.hypot(*track.velocity.T), _odd(_FILTER_S / step_s)
     along, faster, turned, slips = np.minimum(speed / _MOVES_MPS, 1.0) * errors.drawn(rng, speed.size)
     position = track.position
     if errors.is_smoothed and speed.size >= window:
-        position = savgol_filter(position, window, _FILTER_DEGREE, axis=0, mode="nearest")
+        position = _fitted(position, window, _FILTER_DEGREE, ends="nearest")
     heading = wrap_angle(_direction(course, step_s) + turned)
     stated, moves_to = np.maximum(speed + faster, 0.0), heading + slips
     return replace(

@@ -10,7 +10,7 @@ from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import BoolArray, Traffic
 
-#: No tunables, whom SUMO is shown: slower agents stand and are shown in any direction, m/s; an agent leads from this
+#: No tunables, which agents SUMO is shown: slower ones stand and are shown in any direction, m/s; one leads from this
 #: gap on, m, nearer it is beside; and up to so far ahead, m, farther than any driver brakes for.
 STANDING_MPS, LEADS_FROM_M, SHOWN_M = 0.5, 0.3, 120.0
 #: Steps after which SUMO knows speed and acceleration of a vehicle that is new to it: until then it is seen by none.
