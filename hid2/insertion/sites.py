@@ -47,7 +47,7 @@ class TurnedDown:
 
         Whether there is a gap beside at a trigger is a matter of metres: a lane change speaks for its cell alone.
         """
-        alone = BEHAVIOURS[policy].changes_lanes
+        alone = policy is not Policy.STRAIGHT
         self.counts[policy].update(range(row, row + 1) if alone else _around(scene, row))
 
     def not_kept(self, scene: Scene, row: int) -> None:
@@ -122,7 +122,7 @@ class InsertionSites:
         if self.here.scene.config.request.sites == "any":
             yield from self._starts_where(request, _any_site)
             return
-        for strict in (False,) if request.policy in TURN_OF_POLICY else (True, False):
+        for strict in (True, False):
             yield from self._starts_where(request, partial(self._promises, request, strict=strict))
 
     def _starts_where(
@@ -240,8 +240,10 @@ class InsertionSites:
             if not ahead or ahead[0][0] is not TURN_OF_POLICY[request.policy]:
                 return False
             _, begin, end = ahead[0]
+            if not strict:
+                return s < begin < reach
             to_turn_s = (begin - s) / (_APPROACH_SHARE * speed_mps)
-            needs_s = to_turn_s + (end - begin) / _TURN_MPS + _TURN_SPARE_S * (1.0 if strict else 0.5)
+            needs_s = to_turn_s + (end - begin) / _TURN_MPS + _TURN_SPARE_S
             return begin - s > _BEFORE_TURN_M and needs_s < duration
         at = s + 0.9 * speed_mps * request.trigger_s
         if request.policy is Policy.LANE_CHANGE:
