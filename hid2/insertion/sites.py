@@ -25,9 +25,9 @@ from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.cells import Cell
 
-#: Not parameters, they save time: a cell is left alone after so many vehicles that were turned down on it or near to
-#: it, and none begins so near to one that could not be kept, m.
-CELL_TRIES, _AVOIDED_M = 2, 8.0
+#: Not parameters, they save time: so near to a vehicle that could not begin, none other is tried, m, nor to one that
+#: could not be kept.
+_TURNED_DOWN_M, _NOT_KEPT_M = 16.0, 8.0
 #: Weight of sites behind a leader that brakes. No tunable: `request.sites = any` draws without weights.
 BRAKING_WEIGHT = 3.0
 #: No tunables, how a turn is foreseen, roughly: a vehicle begins so far before it, m, comes to it at this share of
@@ -38,30 +38,28 @@ _BEFORE_TURN_M, _APPROACH_SHARE, _TURN_MPS, _TURN_SPARE_S = 5.0, 0.75, 5.0, 2.0
 
 @dataclass(slots=True)
 class TurnedDown:
-    """What is known to fail: vehicles that could not begin on a cell or near to it, or could not be kept, by policy."""
+    """What is known to fail: rows of cells on or near to which vehicles could not begin, or be kept, by policy."""
 
-    counts: defaultdict[Policy, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
+    rows: defaultdict[Policy, set[int]] = field(default_factory=lambda: defaultdict(set))
 
     def could_not_begin(self, scene: Scene, row: int, policy: Policy) -> None:
         """A vehicle could not begin on a cell, by its row: what speaks against one mostly speaks against those near.
 
-        Whether there is a gap beside at a trigger is a matter of metres: a lane change speaks for its cell alone.
+        Whether a manoeuvre comes about from there is a matter of metres: one speaks for its cell alone.
         """
-        alone = policy is not Policy.STRAIGHT
-        self.counts[policy].update(range(row, row + 1) if alone else _around(scene, row))
+        self.rows[policy].update(_around(scene, row, _TURNED_DOWN_M) if policy is Policy.STRAIGHT else (row,))
 
     def not_kept(self, scene: Scene, row: int) -> None:
         """A vehicle that began on a cell could not be kept: none begins near to it."""
-        near = dict.fromkeys(_around(scene, row), CELL_TRIES)
         for policy in Policy:
-            self.counts[policy].update(near)
+            self.rows[policy].update(_around(scene, row, _NOT_KEPT_M))
 
 
-def _around(scene: Scene, row: int) -> range:
-    """Rows of the cells of a lane within _AVOIDED_M of a cell."""
+def _around(scene: Scene, row: int, within_m: float) -> range:
+    """Rows of the cells of a lane within so many metres of a cell."""
     config, grid = scene.config, scene.grid
     lane_id = grid.cells[row].lane_id
-    reach, first = int(_AVOIDED_M / config.grid.cell_m), grid.index_of[Cell(lane_id, 0)]
+    reach, first = int(within_m / config.grid.cell_m), grid.index_of[Cell(lane_id, 0)]
     return range(max(first, row - reach), min(first + grid.count(lane_id), row + reach + 1))
 
 
@@ -188,14 +186,13 @@ class InsertionSites:
         if "collision" not in scene.config.without:  # most places of a full road; what is left is looked at on its path
             usual, gap_m = DEFAULT_SIZES["vehicle"], CLEAR_GAP_M
             clear = clear_places(scene.boxes, rows, share, self.starts.world.at_begin, box=usual, gap_m=gap_m)
-        all_inside, turned_down = bool(inside.all()), self.turned_down.counts[policy]
-        for place in order[np.lexsort((tier[order], inside[order]))].tolist():
-            if inside[place] and promising and not all_inside:
-                return
+        order = order[np.lexsort((tier[order], inside[order]))]
+        if promising and not inside.all():
+            order = order[~inside[order]]
+        turned_down = self.turned_down.rows[policy] if promising else set[int]()
+        for place in order[clear[order]].tolist():
             row = int(rows[place])
-            if not clear[place]:
-                continue
-            if promising and turned_down[row] >= CELL_TRIES:
+            if row in turned_down:
                 continue
             cell = grid.cells[row]
             begin, end = grid.edges_s(cell.lane_id)[cell.index : cell.index + 2]
