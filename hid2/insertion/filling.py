@@ -111,9 +111,6 @@ class Filling:
         idle = 0
         for number in range(config.spawn.rounds):
             starts, before = self._starts(number), len(self.kept)
-            if not starts and number > 0:  # a road that is full for one draw of places may not be for the next
-                self._turned_down = TurnedDown()
-                starts = self._starts(number)
             if starts or number == 0:
                 self.rounds = number + 1
                 self._keep(drive(starts, self._fixed, number), number)
@@ -204,7 +201,7 @@ class Filling:
         used = {start.request.number for start in starts}
         waiting = sorted(self._open, key=lambda request: (BEHAVIOURS[request.policy].site_order, request.number))
         waiting = [request for request in waiting if request.number not in used]
-        failed, why = Counter[Policy](), dict[Policy, Reason]()
+        failed, why, remembers = Counter[Policy](), dict[Policy, Reason](), number > 0
         for request in waiting:  # those with no place for their manoeuvre go straight, and come last
             if request.number in used:
                 continue
@@ -214,6 +211,10 @@ class Filling:
             if failed[policy] < (_FAILED_STRAIGHT if straight else _FAILED):
                 slow = self._to_lead(request, [r for r in waiting if r.number not in used])
                 found = sites.propose(request, slow and replace(slow, policy=Policy.STRAIGHT))
+                if straight and not found and remembers:  # what was full for one draw may not be for the next
+                    remembers, self._turned_down = False, TurnedDown()
+                    sites.turned_down = self._turned_down
+                    found = sites.propose(request)
                 if slow is not None and slow.policy is not Policy.STRAIGHT and len(found) > 1:
                     self._last_reason[slow.number] = Reason.LEADS_AN_OVERTAKE
                     self._gives_up(slow)
