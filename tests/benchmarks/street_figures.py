@@ -99,6 +99,21 @@ def whole(states: AgentStates, agent: int) -> Whole | None:
     return Whole(v[inner], a[inner], j[inner], d[inner])
 
 
+def joined(tracks: list[FloatArray]) -> FloatArray:
+    """The known values of several tracks."""
+    values = np.concatenate(tracks)
+    return values[np.isfinite(values)]
+
+
+def distances(values: dict[tuple[int, bool], FloatArray], one: int, other: int) -> tuple[float, float, float]:
+    """Wasserstein-1: of the inserted vehicles of two scenes to the recorded ones of either, and between these."""
+    counts = np.array([values[k, True].size for k in (one, other)])
+    ours, weight = np.concatenate([values[k, True] for k in (one, other)]), np.repeat(1 / counts, counts)
+    first, second = values[one, False], values[other, False]
+    to = (wasserstein_distance(ours, x, weight) for x in (first, second))
+    return (*to, wasserstein_distance(first, second))
+
+
 def lasting(true: BoolArray, steps: int) -> int:
     """First place from which so many in a row hold, -1 where there is none."""
     total = np.concatenate([[0], np.cumsum(true)])
@@ -263,26 +278,38 @@ class Figures:
         """Distances to both labelled scenes, and between them; inserted ones of both, which weigh the same."""
         if len(self.labelled) != 2:
             return
-        series: dict[tuple[int, bool], list[Whole]] = defaultdict(list)
-        for scene, inserted, _, track in self.tracks:
-            series[scene, inserted].append(track)
         one, other = self.labelled
-        moving = {key: [(t.a[t.v > 0.5], t.j[t.v > 0.5]) for t in found] for key, found in series.items()}
-        steps = {key: [np.concatenate(each) for each in zip(*found, strict=True)] for key, found in moving.items()}
-        each = {key: np.array([temper_of(t) for t in found]).T for key, found in series.items()}
-        kinds = ((name, steps, row) for row, name in enumerate(SINGLE))
-        for name, of, row in (*kinds, *((name, each, row) for row, name in enumerate(EACH))):
-            got = {key: found[row][np.isfinite(found[row])] for key, found in of.items()}
-            ours = np.concatenate([got[one, True], got[other, True]])
-            counts = np.array([got[k, True].size for k in (one, other)])
-            to = [wasserstein_distance(ours, got[k, False], np.repeat(1 / counts, counts)) for k in (one, other)]
-            own = [wasserstein_distance(got[k, True], got[k, False]) for k in (one, other)]
-            between = wasserstein_distance(got[one, False], got[other, False])
-            means = [(f(got[one, False]), f(got[other, False]), f(ours)) for f in (np.mean, np.std)]
-            yield (f"temper {name:20s} to A {to[0]:.3f} to B {to[1]:.3f} between {between:.3f} "
-                   f"{'met' if max(to) <= between else 'MISSED'}; A to A {own[0]:.3f} B to B {own[1]:.3f}; "
-                   f"mean A {means[0][0]:.3f} B {means[0][1]:.3f} ours {means[0][2]:.3f}, "
-                   f"SD A {means[1][0]:.3f} B {means[1][1]:.3f} ours {means[1][2]:.3f}")  # fmt: skip
+        series: dict[tuple[int, bool], list[list[FloatArray]]] = defaultdict(list)
+        for scene, inserted, _, track in self.tracks:
+            if scene in self.labelled:
+                moves = track.v > 0.5
+                each = [np.array([value]) for value in temper_of(track)]
+                series[scene, inserted].append([track.a[moves], track.j[moves], *each])
+        rng = np.random.default_rng(0)
+        for row, name in enumerate((*SINGLE, *EACH)):
+            found = {key: [track[row] for track in tracks] for key, tracks in series.items()}
+            values = {key: joined(tracks) for key, tracks in found.items()}
+            told = distances(values, one, other)
+            drawn = np.array([
+                distances(
+                    {key: joined([tracks[k] for k in rng.integers(len(tracks), size=len(tracks))])
+                     for key, tracks in found.items()}, one, other,
+                )
+                for _ in range(200)
+            ])  # fmt: skip
+            low, high = np.percentile(drawn, [2.5, 97.5], axis=0)
+            names = ("to A", "to B", "between")
+            ends = ", ".join(
+                f"{n} {d:.3f} [{a:.2f}, {b:.2f}]" for n, d, a, b in zip(names, told, low, high, strict=True)
+            )
+            more = np.mean(drawn[:, :2].max(axis=1) <= drawn[:, 2])
+            ours = np.concatenate([values[one, True], values[other, True]])
+            means = "; ".join(
+                f"{what} mean {x.mean():.3f} SD {x.std():.3f}"
+                for what, x in (("A", values[one, False]), ("B", values[other, False]), ("inserted", ours))
+            )
+            met = "met" if max(told[:2]) <= told[2] else "MISSED"
+            yield f"temper {name:20s} {ends}: {met}, met in {more:.2f} of draws; {means}"
 
     def critics(self) -> Iterator[str]:
         rows = [one for one in self.tracks if one[0] in self.labelled]
