@@ -139,7 +139,9 @@ class Drivers(_Section):
     """How people drive: what each inserted vehicle's driver is drawn from."""
 
     desired_sd: float = _param(0.12, "share", "SD of the desired speed around that of the lane's traffic", ge=0, le=0.5)
-    wander_sd_mps: float = _param(0.7, "m/s", "SD of the desired speed's wandering (Ornstein-Uhlenbeck)", ge=0, le=3)
+    wander_sd_mps: float = _param(
+        1.0, "m/s", "SD of the desired speed's wandering (Ornstein-Uhlenbeck); measured: 0.9 to 1.5", ge=0, le=3
+    )
     wander_time_s: float = _param(3.0, "s", "correlation time of that wandering", gt=0, le=30)
     tau_mean_s: float = _param(1.15, "s", "time gap; usual 0.9 to 1.5", ge=0.5, le=4)
     tau_sd_s: float = _param(0.25, "s", "its SD between drivers", ge=0, le=2)
@@ -162,10 +164,10 @@ class Drivers(_Section):
         "one lane 0.24 m, wandering included", ge=0, le=1,
     )  # fmt: skip
     lateral_wander_sd_m: float = _param(
-        0.33, "m", "median driver's SD of wandering about it; measured: 0.24 to 0.46", ge=0, le=0.5
+        0.27, "m", "median driver's SD of wandering about it; measured: 0.16 to 0.40", ge=0, le=0.5
     )
-    lateral_wander_spread: float = _param(0.8, "-", "SD between drivers of its logarithm; measured", ge=0, le=1.5)
-    lateral_wander_time_s: float = _param(2.2, "s", "its correlation time; measured: 1.5 to 3.4", gt=0, le=30)
+    lateral_wander_spread: float = _param(0.85, "-", "SD between drivers of its logarithm; measured", ge=0, le=1.5)
+    lateral_wander_time_s: float = _param(2.7, "s", "its correlation time; measured: 1.8 to 3.3", gt=0, le=30)
     lane_change_mean_s: float = _param(5.0, "s", "duration of a lane change, while |d'| is above .1 m/s", ge=1.5, le=15)
     lane_change_sd_s: float = _param(0.9, "s", "its SD between drivers", ge=0, le=4)
     reaction_s: float = _param(0.5, "s", "EIDM treaction", ge=0.1, le=3)

@@ -10,9 +10,9 @@ from hid2.agents import FloatArray
 from hid2.params import Config, Drivers
 
 #: No tunables, the shape of the distributions: draws are cut off so many SD from the mean; the wandering of the speed
-#: is eased over so long, s, as feet do not jump; two places in the lane are so far apart at least, and none is farther
-#: from its middle, m: a car is no bicycle.
-TRUNCATED_AT, _EASED_S, _OFFSET_SPACING_M, OFFSET_MAX_M = 2.0, 0.8, 6.0, 0.9
+#: is eased over so long, s, as feet do not jump, and ends at this share of the desired speed, as none crawls without a
+#: cause; two places in the lane are so far apart at least, and none is farther from its middle, m: a car is no bicycle.
+TRUNCATED_AT, _EASED_S, _WANDERS_TO, _OFFSET_SPACING_M, OFFSET_MAX_M = 2.0, 0.8, 0.8, 6.0, 0.9
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,7 @@ def desired_speeds(
     for step in range(1, num_steps):
         level = kept * level + kick[step]
         wander.append(eased * wander[step - 1] + (1.0 - eased) * level)
-    return np.maximum(driver.desired_mps + np.array(wander), 0.5 * driver.desired_mps)
+    return np.maximum(driver.desired_mps + np.array(wander), _WANDERS_TO * driver.desired_mps)
 
 
 def free_speeds(driver: Driver, wished_mps: FloatArray, *, speed_mps: float, step_s: float) -> FloatArray:
