@@ -201,7 +201,7 @@ class Filling:
         used = {start.request.number for start in starts}
         waiting = sorted(self._open, key=lambda request: (BEHAVIOURS[request.policy].site_order, request.number))
         waiting = [request for request in waiting if request.number not in used]
-        failed, why, remembers = Counter[Policy](), dict[Policy, Reason](), number > 0
+        failed, why, remembers = Counter[Policy](), dict[Policy, Reason](), True
         for request in waiting:  # those with no place for their manoeuvre go straight, and come last
             if request.number in used:
                 continue

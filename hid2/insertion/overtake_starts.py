@@ -31,7 +31,7 @@ from hid2.scene import SLOW_LEADER_SHARE, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 
 #: Not parameters, they save time: routes on which places are looked for, drawn on each, and rolled out at most.
-_ROUTES, _DRAWS, _ROLLED_OUT = 120, 120, 6
+_ROUTES, _DRAWS, _ROLLED_OUT = 40, 120, 6
 #: No tunables, what is drawn: an added leader drives no slower, m/s; s of the speed difference from the leader at the
 #: start, beyond the gap at standstill.
 _SLOWEST_MPS, _GAP_S = 3.0, (1.0, 4.0)

@@ -25,9 +25,8 @@ from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.cells import Cell
 
-#: Not parameters, they save time: so near to a vehicle that could not begin, none other is tried, m, nor to one that
-#: could not be kept.
-_TURNED_DOWN_M, _NOT_KEPT_M = 16.0, 8.0
+#: Not a parameter, it saves time: so near to a vehicle that could not begin, or be kept, none other is tried, m.
+_AVOIDED_M = 8.0
 #: Weight of sites behind a leader that brakes. No tunable: `request.sites = any` draws without weights.
 BRAKING_WEIGHT = 3.0
 #: No tunables, how a turn is foreseen, roughly: a vehicle begins so far before it, m, comes to it at this share of
@@ -47,19 +46,19 @@ class TurnedDown:
 
         Whether a manoeuvre comes about from there is a matter of metres: one speaks for its cell alone.
         """
-        self.rows[policy].update(_around(scene, row, _TURNED_DOWN_M) if policy is Policy.STRAIGHT else (row,))
+        self.rows[policy].update(_around(scene, row) if policy is Policy.STRAIGHT else (row,))
 
     def not_kept(self, scene: Scene, row: int) -> None:
         """A vehicle that began on a cell could not be kept: none begins near to it."""
         for policy in Policy:
-            self.rows[policy].update(_around(scene, row, _NOT_KEPT_M))
+            self.rows[policy].update(_around(scene, row))
 
 
-def _around(scene: Scene, row: int, within_m: float) -> range:
-    """Rows of the cells of a lane within so many metres of a cell."""
+def _around(scene: Scene, row: int) -> range:
+    """Rows of the cells of a lane within _AVOIDED_M of a cell."""
     config, grid = scene.config, scene.grid
     lane_id = grid.cells[row].lane_id
-    reach, first = int(within_m / config.grid.cell_m), grid.index_of[Cell(lane_id, 0)]
+    reach, first = int(_AVOIDED_M / config.grid.cell_m), grid.index_of[Cell(lane_id, 0)]
     return range(max(first, row - reach), min(first + grid.count(lane_id), row + reach + 1))
 
 
