@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
-from pydantic import Field
+from pydantic import AfterValidator, Field
 from scipy import stats
 
 from bridge.batch.batch import Options, Progress, SceneJob, run_batch
@@ -48,6 +48,7 @@ MEASURES = (
     *(f"accepted_{side}_gaps_{name}" for side in SIDES for name in SHARES),
 )  # fmt: skip
 Changes = Mapping[str, Value]
+_Named = Annotated[Path, AfterValidator(lambda path, info: info.context / path)]
 
 
 class Counts(RoadPart):
@@ -62,22 +63,36 @@ class Counts(RoadPart):
     start_to_end: list[list[float]] = Field(default=[])
 
 
-class _RoadEntry(RoadPart):
-    file: str
-    counts: str = ""
+class Site(RoadPart):
+    """A road and what was published of it, as files; set: configuration of this road alone."""
+
+    file: _Named
+    counts: _Named | None = None
     tune: bool = False
     why: str = ""
     set: dict[str, Value] = Field(default={})
 
+    @cached_property
+    def road(self) -> Road:
+        """The road. Errors: ConfigError."""
+        return read_road(self.file)
 
-class _PageRule(RoadPart):
+    @cached_property
+    def told(self) -> Counts:
+        """What was published. Errors: ConfigError."""
+        return read_toml_as(Counts, self.counts, "published counts") if self.counts else Counts(name=self.file.stem)
+
+
+class PageRule(RoadPart):
+    """A rule; vary: values that tuning chooses from."""
+
     name: str
     set: dict[str, Value] = Field(default={})
     vary: dict[str, Annotated[list[Value], Field(min_length=1)]] = Field(default={})
 
 
-class _PageFile(RoadPart):
-    """The TOML file as it is. cause: by what it says, what it sets.
+class PublicRoads(RoadPart):
+    """A page. cause: by what it says, what it sets on every road.
 
     densities: borders of a ladder, veh/km of a lane; slopes_below: up to which of both lanes a slope is told.
     """
@@ -85,58 +100,34 @@ class _PageFile(RoadPart):
     title: str
     seeds: int = Field(default=3, ge=1, le=1000)
     config: dict[str, Any] = Field(default={})
-    road: Annotated[list[_RoadEntry], Field(min_length=1)]
-    rule: Annotated[list[_PageRule], Field(min_length=1)]
-    cause: dict[str, dict[str, Value]] = Field(default={})
+    road: Annotated[list[Site], Field(min_length=1)]
+    rule: Annotated[list[PageRule], Field(min_length=1)]
+    cause: dict[str, Changes] = Field(default={})
     densities: list[float] = Field(default=[])
     slopes_below: float = Field(default=np.inf, gt=0)
 
-
-class Site(NamedTuple):
-    """A road with what was published of it. entry: what the page says of it."""
-
-    road_file: Path
-    road: Road
-    counts: Counts
-    entry: _RoadEntry
-
-
-class PublicRoads(NamedTuple):
-    """A page, resolved."""
-
-    source: Path
-    file: _PageFile
-    sites: list[Site]
-
-    def configs(self, site: Site, rule: _PageRule, changes: Changes) -> list[Config]:
+    def configs(self, site: Site, rule: PageRule, changes: Changes, source: str = "a page") -> list[Config]:
         """The configurations of the runs, one for each seed. Errors: ConfigError."""
-        own = {"request.agents": 0, **site.entry.set, **rule.set, **changes}
-        seeds = [{**own, "request.seed": seed} for seed in range(self.file.seeds)]
-        return [configured(self.file.config, one, source=str(self.source)) for one in seeds]
+        own = {"request.agents": 0, **site.set, **rule.set, **changes}
+        return [configured(self.config, {**own, "request.seed": seed}, source=source) for seed in range(self.seeds)]
 
 
 def read_public(path: Path) -> PublicRoads:
     """Read a page and the files that it names, relative to it. Errors: ConfigError with file, key, value."""
-    file = read_toml_as(_PageFile, path, "a page of public roads")
-    page = PublicRoads(path, file, [])
-    for entry in file.road:
-        road_file, counts_file = path.parent / entry.file, path.parent / entry.counts
-        road, counts = read_road(road_file), Counts(name=road_file.stem)
-        if entry.counts:
-            counts = read_toml_as(Counts, counts_file, "published counts")
-        known = (*MEASURES, *road.from_lanes)
+    page = read_toml_as(PublicRoads, path, "a page of public roads")
+    for site in page.road:
+        counts, lanes = site.told, site.road.from_lanes
+        known = (*MEASURES, *lanes)
         if unknown := counts.published.keys() - known:
-            raise ConfigError(f"{counts_file}: unknown key 'published.{min(unknown)}'; expected {', '.join(known)}")
-        there = len(counts.vehicles) == len(road.from_lanes) and counts.published.keys() >= {*road.from_lanes}
-        if entry.tune and not there:
+            raise ConfigError(f"{site.counts}: unknown key 'published.{min(unknown)}'; expected {', '.join(known)}")
+        if site.tune and not (len(counts.vehicles) == len(lanes) and counts.published.keys() >= {*lanes}):
             said = f"vehicles: {len(counts.vehicles)} values on a road to tune on, expected one for each of"
-            raise ConfigError(f"{counts_file}: {said} {', '.join(road.from_lanes)}, which have to be published")
-        page.sites.append(Site(road_file, road, counts, entry))
-    if any(rule.vary for rule in file.rule) and not any(entry.tune for entry in file.road):
+            raise ConfigError(f"{site.counts}: {said} {', '.join(lanes)}, which have to be published")
+    if any(rule.vary for rule in page.rule) and not any(site.tune for site in page.road):
         raise ConfigError(f"{path}: rule.vary, and no road with tune = true; expected one to tune on")
-    for site, rule in itertools.product(page.sites, file.rule):  # all that is wrong is said before anything is driven
-        for changes in [{}, *grid(rule.vary), *file.cause.values()]:
-            page.configs(site, rule, changes)
+    for site, rule in itertools.product(page.road, page.rule):  # all that is wrong is said before anything is driven
+        for changes in [{}, *grid(rule.vary), *page.cause.values()]:
+            page.configs(site, rule, changes, str(path))
     return page
 
 
@@ -163,7 +154,7 @@ class RoadResult:
 
             names = [name for name in MEASURES if name.startswith("duration")]
             return dict(zip(names, _redrawn(seconds, moments), strict=True))
-        road, published = self.site.road, self.site.counts.published
+        road, published = self.site.road, self.site.told.published
         found = {
             name: ratio(*np.array([run["ratios"][name] for run in self.runs], dtype=np.float64).T)
             for name in self.runs[0]["ratios"]
@@ -184,7 +175,7 @@ class RoadResult:
 
     def off(self, name: str) -> float | None:
         """How far a measure is from that published, as a share; None where one of them is not told."""
-        ours, theirs = self.measures.get(name, Estimate(None)).value, self.site.counts.published.get(name)
+        ours, theirs = self.measures.get(name, Estimate(None)).value, self.site.told.published.get(name)
         return None if ours is None or not theirs else ours / theirs - 1.0
 
     @property
@@ -195,7 +186,7 @@ class RoadResult:
     @property
     def error(self) -> float:
         """Mean difference of changes per vehicle by start lane and from the ramp, weighed by published vehicles."""
-        counts, lanes = self.site.counts, self.site.road.from_lanes
+        counts, lanes = self.site.told, self.site.road.from_lanes
         apart = [abs((self.measures[name].value or 0.0) - counts.published[name]) for name in lanes]
         return float(np.average(apart, weights=counts.vehicles))
 
@@ -242,17 +233,16 @@ def run_public(
     on_row: Callable[[ManifestRow, Progress], None] | None = None,
 ) -> RunsReport:
     """Tune each rule, test it, try the causes, and write the page. Errors: BatchError, ConfigError, ExportError."""
-    file, sites = page.file, page.sites
-    names = {page.configs(sites[0], rule, {})[0].lane_change.rule for rule in file.rule}  # the user's own file
+    names = {page.configs(page.road[0], rule, {})[0].lane_change.rule for rule in page.rule}  # the user's own file
     how = replace(options, function=WORK, functions=names, resume=True)
-    folders = {site.road_file: write_road(out_dir / "roads", site.road_file) for site in sites}
+    folders = {site.file: write_road(out_dir / "roads", site.file) for site in page.road}
     rows: dict[tuple[str, str], ManifestRow] = {}
 
-    def driven(asked: Iterable[tuple[Site, _PageRule, str, Changes]]) -> list[RoadResult]:
+    def driven(asked: Iterable[tuple[Site, PageRule, str, Changes]]) -> list[RoadResult]:
         wanted: list[tuple[RoadResult, list[tuple[str, str]]]] = []
         jobs: dict[tuple[str, str], SceneJob] = {}
         for site, rule, variant, changes in asked:
-            folder = folders[site.road_file]
+            folder = folders[site.file]
             runs = {(folder.name, config_sha256(one)): one for one in page.configs(site, rule, changes)}
             jobs |= {key: SceneJob(folder, (BatchRun(one),)) for key, one in runs.items() if key not in rows}
             wanted.append((RoadResult(site, rule.name, variant, changes, []), list(runs)))
@@ -264,14 +254,14 @@ def run_public(
             result.runs.extend(read_run(folder, tables, "page of public roads") for folder in own)
         return [result for result, _ in wanted if result.runs]
 
-    pairs = list(itertools.product(sites, file.rule))
+    pairs = list(itertools.product(page.road, page.rule))
     tried = driven(
         (site, rule, f"point {number}", changes)
         for site, rule in pairs
-        if site.entry.tune and rule.vary
+        if site.tune and rule.vary
         for number, changes in enumerate([{}, *grid(rule.vary)])
     )
-    best = {rule.name: _best([one for one in tried if one.rule == rule.name]) for rule in file.rule}
+    best = {rule.name: _best([one for one in tried if one.rule == rule.name]) for rule in page.rule}
     tests = driven(
         (site, rule, variant, changes)
         for site, rule in pairs
@@ -280,12 +270,12 @@ def run_public(
     causes = driven(
         (site, rule, says, {**best[rule.name], **changes})
         for site, rule in pairs
-        for says, changes in file.cause.items()
+        for says, changes in page.cause.items()
     )
     table, told = out_dir / "public.csv", out_dir / "public.md"
     head = ("road", "rule", "variant", "measure", "published", "ours", "low", "high", "runs")
     write_rows(table, head, [
-        (one.site.counts.name, one.rule, one.variant, name, one.site.counts.published.get(name), *ours, len(one.runs))
+        (one.site.told.name, one.rule, one.variant, name, one.site.told.published.get(name), *ours, len(one.runs))
         for one in [*tests, *causes] for name, ours in one.measures.items()
     ])  # fmt: skip
     values: dict[str, object] = {"tried": tried, "best": best, "tests": tests, "causes": causes, "within": WITHIN}

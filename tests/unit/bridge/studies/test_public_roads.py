@@ -79,7 +79,7 @@ def run_of(
 
 
 def result(tmp_path: Path, *runs: dict[str, Any], **files: str) -> RoadResult:
-    return RoadResult(read_public(page_in(tmp_path, **files)).sites[0], "a rule", "untuned", {}, [*runs])
+    return RoadResult(read_public(page_in(tmp_path, **files)).road[0], "a rule", "untuned", {}, [*runs])
 
 
 def test_figures_by_hand(tmp_path: Path) -> None:
@@ -152,7 +152,7 @@ def test_page_says_what_gaps_do_not_tell(tmp_path: Path) -> None:
     counts = GAPS + "critical_lag_gap_sd_s = 0.2\n"
     run = run_of([1, 1, 1], [1, 1, 1], lag=wide, start_to_end=[[1, 0, 0], [0, 1, 0], [0, 1, 0]])
     page = read_public(page_in(tmp_path, counts=counts, page=UNTUNED_PAGE))
-    one = RoadResult(page.sites[0], "LC2013", "as set", {}, [run])
+    one = RoadResult(page.road[0], "LC2013", "as set", {}, [run])
     lists: dict[str, Any] = {"tried": [], "best": {}, "causes": [], "within": WITHIN}
     told = text("public.md.j2", page=page, tests=[one], cell_m=250.0, cell_s=60.0, long_gap_s=10.0, **lists)
     assert "not told by these gaps: critical_lag_gap_mean_s, critical_lag_gap_sd_s." in told
@@ -166,15 +166,15 @@ def test_road_without_its_flow_or_its_speed_does_not_reproduce(tmp_path: Path, m
 
 @pytest.mark.parametrize("name", ["ngsim", "knoop", "gaps"])
 def test_pages_of_the_project_are_read(name: str) -> None:
-    assert read_public(ROOT / "data" / "public" / f"{name}.toml").file.rule[2].name == "paper"
+    assert read_public(ROOT / "data" / "public" / f"{name}.toml").rule[2].name == "paper"
 
 
 def test_ngsim_tunes_on_one_road_alone_and_its_counts_add_up() -> None:
     page = read_public(ROOT / "data" / "public" / "ngsim.toml")
-    assert [site.counts.name[:7] for site in page.sites if site.entry.tune] == ["US-101,"]
-    assert [sum(site.counts.vehicles) for site in page.sites] == [2017, 2052, 2169, 1915]  # as the reports add up
-    for site in page.sites:
-        assert sum(map(sum, site.counts.start_to_end)) == sum(site.counts.vehicles)
+    assert [site.told.name[:7] for site in page.road if site.tune] == ["US-101,"]
+    assert [sum(site.told.vehicles) for site in page.road] == [2017, 2052, 2169, 1915]  # as the reports add up
+    for site in page.road:
+        assert sum(map(sum, site.told.start_to_end)) == sum(site.told.vehicles)
 
 
 @pytest.mark.parametrize(
