@@ -99,8 +99,7 @@ class RoadTraffic:
         self._grid = build_cell_grid(recording.graph, cell_m=_WHOLE_M)
         self._lanes = {lane.lane_id: lane for lane in road.stretches()}
         self._end_m = {lane.number: lane.end_m for lane in sorted(road.stretches(), key=attrgetter("end_m"))}
-        named = {self._grid.sumo_lane_id(Cell(lane_id, 0)): lane for lane_id, lane in self._lanes.items()}
-        self._place_of = {name: (lane.lane_id, lane.start_m) for name, lane in named.items()}
+        self._named = {self._grid.sumo_lane_id(Cell(lane_id, 0)): lane for lane_id, lane in self._lanes.items()}
         self.vehicles = arrivals(road, config)
         self._by_name = {one.name: one for one in self.vehicles}
         self.missed_exits = 0
@@ -125,14 +124,17 @@ class RoadTraffic:
             seed=sumo_seed([config.request.seed]), model=config.car_following.model, parameters=more,
             checks_gaps=config.lane_change.safety == "sumo", own_wish=own,
         ) as simulation:  # fmt: skip
-            due, speeds = deque(self.vehicles), deque(self._end_speeds())
+            due, since_s = deque(self.vehicles), [0.0, *(one.until_s for one in road.period)]
+            parts = deque(zip(since_s, road.period, strict=False))
+            behind = [name for name, lane in self._named.items() if lane.start_m >= road.length_m]
             every = max(1, round(ASK_S / road.step_s))
             steps = round((road.seconds + CLEAR_S) / road.step_s)
             red = [(one.at_m, one.red(steps, road.step_s)) for one in road.signal]
             for step in range(steps):
                 now_s = step * road.step_s
-                while speeds and speeds[0][0] <= now_s:
-                    simulation.limit_lane(*speeds.popleft()[1:])
+                while parts and parts[0][0] <= now_s:
+                    for lane_name, limit_mps in zip(behind, parts.popleft()[1].end_mps, strict=False):
+                        simulation.limit_lane(lane_name, limit_mps)
                 while due and due[0].due_s <= now_s:
                     self._queue(simulation, due.popleft())
                 simulation.step()
@@ -147,13 +149,6 @@ class RoadTraffic:
                     if one.asks % every == step % every:
                         self._ask(simulation, one, now_s)
 
-    def _end_speeds(self) -> Iterator[tuple[float, str, float]]:
-        """From when on which lane behind the section has which limit."""
-        for since_s, part in zip([0.0, *(one.until_s for one in self.road.period)], self.road.period, strict=False):
-            for name, (lane_id, start_m) in self._place_of.items():
-                if part.end_mps and start_m >= self.road.length_m and lane_id not in RAMPS:
-                    yield since_s, name, part.end_mps[self._lanes[lane_id].number - 1]
-
     def _queue(self, simulation: Simulation, one: RoadVehicle) -> None:
         ramp = one.start > self.road.lanes
         lane_index = self._grid.lane_index(Cell(RAMPS[0] if ramp else one.start, 0))
@@ -163,12 +158,13 @@ class RoadTraffic:
     def _read(self, simulation: Simulation, now_s: float) -> list[RoadVehicle]:
         """Take down where all in the net are."""
         here, rows = [], []
-        for name, lane_id, x, v in simulation.states(self._place_of):
+        for name, lane, on_it_m, v in simulation.states():
             one = self._by_name[name]
-            one.lane, one.x, one.v = self._lanes[lane_id], x, v
-            inside = 0.0 <= x < self.road.length_m and lane_id not in RAMPS
+            one.lane, one.v = self._named[lane], v
+            one.x = one.lane.start_m + on_it_m
+            inside = 0.0 <= one.x < self.road.length_m and one.lane.lane_id not in RAMPS
             here.append(one)
-            rows.append((now_s, one.asks, one.start, one.lane.number, x, v, inside))
+            rows.append((now_s, one.asks, one.start, one.lane.number, one.x, v, inside))
         self._seen.append(np.array(rows, dtype=np.float64).reshape(-1, len(_SEEN)))
         return here
 
