@@ -5,7 +5,7 @@ tuned on the roads with `tune = true` alone; every other road is a test. Runs ar
 """
 
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -106,10 +106,11 @@ class PublicRoads(RoadPart):
     densities: list[float] = Field(default=[])
     slopes_below: float = Field(default=np.inf, gt=0)
 
-    def configs(self, site: Site, rule: PageRule, changes: Changes, source: str = "a page") -> list[Config]:
+    def configs(self, site: Site, rule: PageRule, changes: Changes, source: str = "a page") -> Iterator[Config]:
         """The configurations of the runs, one for each seed. Errors: ConfigError."""
-        own = {"request.agents": 0, **site.set, **rule.set, **changes}
-        return [configured(self.config, {**own, "request.seed": seed}, source=source) for seed in range(self.seeds)]
+        for seed in range(self.seeds):
+            own = {"request.agents": 0, **site.set, **rule.set, **changes, "request.seed": seed}
+            yield configured(self.config, own, source=source)
 
 
 def read_public(path: Path) -> PublicRoads:
@@ -125,9 +126,11 @@ def read_public(path: Path) -> PublicRoads:
             raise ConfigError(f"{site.counts}: {said} {', '.join(lanes)}, which have to be published")
     if any(rule.vary for rule in page.rule) and not any(site.tune for site in page.road):
         raise ConfigError(f"{path}: rule.vary, and no road with tune = true; expected one to tune on")
+    if page.densities != sorted(set(page.densities)) or len(page.densities) == 1:
+        raise ConfigError(f"{path}: densities = {page.densities}, expected borders that rise, two or more")
     for site, rule in itertools.product(page.road, page.rule):  # all that is wrong is said before anything is driven
         for changes in [{}, *grid(rule.vary), *page.cause.values()]:
-            page.configs(site, rule, changes, str(path))
+            next(page.configs(site, rule, changes, str(path)))
     return page
 
 
@@ -233,7 +236,7 @@ def run_public(
     on_row: Callable[[ManifestRow, Progress], None] | None = None,
 ) -> RunsReport:
     """Tune each rule, test it, try the causes, and write the page. Errors: BatchError, ConfigError, ExportError."""
-    names = {page.configs(page.road[0], rule, {})[0].lane_change.rule for rule in page.rule}  # the user's own file
+    names = {next(page.configs(page.road[0], rule, {})).lane_change.rule for rule in page.rule}  # the user's own file
     how = replace(options, function=WORK, functions=names, resume=True)
     folders = {site.file: write_road(out_dir / "roads", site.file) for site in page.road}
     rows: dict[tuple[str, str], ManifestRow] = {}

@@ -182,6 +182,7 @@ def test_ngsim_tunes_on_one_road_alone_and_its_counts_add_up() -> None:
     [
         (PAGE.replace("tune = true", ""), COUNTS, "rule.vary, and no road with tune = true"),
         (PAGE.replace("lc_speed_gain", "lc_sped_gain"), COUNTS, "lc_sped_gain"),
+        ("densities = [9, 3]\n" + PAGE, COUNTS, "densities = [9.0, 3.0], expected borders that rise, two or more"),
         (PAGE.replace("seeds = 2", "seeds = 0"), COUNTS, "seeds = 0, expected at least 1"),
         (PAGE.replace('counts = "counts.toml"', 'counts = "none.toml"'), COUNTS, "none.toml: no such file"),
         (
