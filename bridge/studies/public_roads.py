@@ -27,11 +27,11 @@ from bridge.recordings.road import Road, RoadPart, read_road
 from bridge.studies.gap_acceptance import troutbeck
 from bridge.studies.road_traffic import CELL_M, CELL_S
 from bridge.studies.run import RunsReport
-from bridge.studies.statistics import LONG_GAP_S, resampled
+from bridge.studies.statistics import LONG_GAP_S, estimates
 from bridge.studies.study import Value, configured, grid, read_run
 from hid2.agents import FloatArray
 from hid2.params import Config
-from hid2.resampling import Estimate, interval, ratio
+from hid2.resampling import Estimate, ratio
 from netconvert.errors import ConfigError
 
 #: What drives a road.
@@ -156,7 +156,7 @@ class RoadResult:
                 return np.array([every.mean(), every.std(), np.median(every)] if every.size else [np.nan] * 3)
 
             names = [name for name in MEASURES if name.startswith("duration")]
-            return dict(zip(names, _redrawn(seconds, moments), strict=True))
+            return dict(zip(names, estimates(seconds, moments, unit=["run"]), strict=True))
         road, published = self.site.road, self.site.told.published
         found = {
             name: ratio(*np.array([run["ratios"][name] for run in self.runs], dtype=np.float64).T)
@@ -219,13 +219,7 @@ class RoadResult:
             rate = cells["changes"].to_numpy() / cells["km"].to_numpy()
             return np.asarray(np.linalg.lstsq(design * root[:, None], rate * root, rcond=None)[0][:2])
 
-        return _redrawn(cells, solved)
-
-
-def _redrawn(rows: pd.DataFrame, statistic: Callable[[FloatArray], FloatArray]) -> list[Estimate]:
-    """Figures (K,) of the weights of rows, with intervals over runs as in a study."""
-    whole, drawn = resampled(rows, statistic, unit=["run"])
-    return [interval(float(one), own) for one, own in zip(whole, drawn.T, strict=True)]
+        return estimates(cells, solved, unit=["run"])
 
 
 def run_public(
