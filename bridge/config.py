@@ -331,9 +331,12 @@ _Model = TypeVar("_Model", bound=BaseModel)
 
 
 def read_toml_as(kind: type[_Model], path: Path, what: str) -> _Model:
-    """A TOML file as a model. Errors: ConfigError with file and, of the first thing that is wrong, key and value."""
+    """A TOML file as a model. Errors: ConfigError with file and, of the first thing that is wrong, key and value.
+
+    Validators of the model find the file's folder in their context.
+    """
     try:
-        return kind.model_validate(read_toml(path, what))
+        return kind.model_validate(read_toml(path, what), context=path.parent)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         types = ("constrained-", "int", "float", "str", "bool", "list[")  # of which type of several

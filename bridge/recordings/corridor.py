@@ -40,12 +40,11 @@ def write_corridor(out_dir: Path, *, length_m: float, lanes: int, seconds: float
         if not least <= value <= most:
             raise ConfigError(f"--{name} {value:g}: expected {least:g} to {most:g}{unit}")
     scenario_id = f"{CORRIDOR_PREFIX}{length_m:g}m-{lanes}lanes-{seconds:g}s"
-    numbers = range(1, lanes + 1)
     straight = [
         Lane(n, lanes + 1 - n, 0.0, length_m, False, n + 1 if n < lanes else None, n - 1 if n > 1 else None, ())
-        for n in numbers
+        for n in range(1, lanes + 1)
     ]
-    return _written(out_dir / scenario_id, scenario_id, straight, round(seconds / STEP_S), lanes=lanes)
+    return _written(out_dir, scenario_id, straight, lanes, round(seconds / STEP_S))
 
 
 def write_road(out_dir: Path, file: Path) -> Path:
@@ -54,24 +53,18 @@ def write_road(out_dir: Path, file: Path) -> Path:
     Errors: ConfigError with file, key, value; ExportError.
     """
     road, content = read_road(file), file.read_bytes()
-    if road.seconds > MAX_CORRIDOR_STEPS * STEP_S:
-        raise ConfigError(f"{file}: period until {road.seconds:g} s, expected {MAX_CORRIDOR_STEPS * STEP_S:g} at most")
     scenario_id = f"{CORRIDOR_PREFIX}{file.stem}-{hashlib.sha256(content).hexdigest()[:8]}"
     steps = round(max(road.seconds, OBSERVED_STEPS * STEP_S) / STEP_S)
-    folder = out_dir / scenario_id
-    return _written(folder, scenario_id, road.stretches(), steps, lanes=road.lanes, more={ROAD_FILE: content})
+    return _written(out_dir, scenario_id, road.stretches(), road.lanes, steps, {ROAD_FILE: content})
 
 
 def _written(
-    folder: Path, name: str, lanes_of: Sequence[Lane], steps: int, *, lanes: int,
-    more: Mapping[str, bytes] | None = None,
-) -> Path:  # fmt: skip
-    files = {
-        f"scenario_{name}.parquet": parquet_bytes(_table(name, steps)),
-        f"log_map_archive_{name}.json": json.dumps(_map(lanes_of, lanes)).encode(),
-    }
-    write_folder(folder, {**files, **(more or {})})
-    return folder
+    out_dir: Path, name: str, stretches: Sequence[Lane], lanes: int, steps: int, more: Mapping[str, bytes] = {}
+) -> Path:
+    table, streets = parquet_bytes(_table(name, steps)), json.dumps(_map(stretches, lanes)).encode()
+    files = {f"scenario_{name}.parquet": table, f"log_map_archive_{name}.json": streets, **more}
+    write_folder(out_dir / name, files)
+    return out_dir / name
 
 
 def _map(stretches: Sequence[Lane], lanes: int) -> dict[str, Any]:

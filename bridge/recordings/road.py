@@ -9,7 +9,8 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from bridge.config import read_toml_as
-from bridge.recordings.limits import MAX_LANE_M
+from bridge.recordings.limits import MAX_CORRIDOR_STEPS, MAX_LANE_M
+from bridge.recordings.scenario import STEP_S
 
 #: Name of the file in the folder of a corridor that is made of one.
 ROAD_FILE = "road.toml"
@@ -54,16 +55,20 @@ class Signal(RoadPart):
         """Seconds and SUMO's letter of each."""
         return (self.green_s, "G"), (self.yellow_s, "y"), (self.red_s, "r")
 
+    def red(self, steps: int, step_s: float) -> npt.NDArray[np.bool_]:
+        """(T,) whether it is not green."""
+        since_s = (np.arange(steps) * step_s - self.offset_s) % sum(seconds for seconds, _ in self.phases)
+        return np.asarray(since_s >= self.green_s)
+
 
 class Period(RoadPart):
-    """Traffic until a time: veh/h that enter by lane, counted from the left, and on the ramp.
+    """Traffic until a time: veh/h that enter by lane, counted from the left, the on-ramp last.
 
     end_mps: speed limit behind the section from the period on, by lane: what lies downstream; none: as it was.
     """
 
-    until_s: float = Field(gt=0)
+    until_s: float = Field(gt=0, le=MAX_CORRIDOR_STEPS * STEP_S)
     veh_per_h: Annotated[list[_Flow], Field(min_length=1)]
-    on_ramp: _Flow = 0.0
     end_mps: list[_Speed] = []
 
 
@@ -88,8 +93,8 @@ class Road(RoadPart):
     """The section that is measured, what lies before and behind it, and its traffic. Lanes are counted from the left.
 
     approach_m, run_out_m: before and behind the section, where lanes are kept; ramp_m: of each ramp; drop_m: where the
-    rightmost lane ends; leaving: share of those of each start lane that take the off-ramp; warm_up_s: not counted;
-    step_s: of the simulation; SUMO's models are made for steps up to their time gap.
+    rightmost lane ends; leaving: share of those of each start lane, the on-ramp last, that take the off-ramp;
+    warm_up_s: not counted; step_s: of the simulation; SUMO's models are made for steps up to their time gap.
     """
 
     length_m: float = Field(ge=100, le=MAX_LANE_M)
@@ -105,38 +110,38 @@ class Road(RoadPart):
     step_s: float = Field(default=0.5, gt=0, le=1)
     period: Annotated[list[Period], Field(min_length=1)]
     leaving: list[_Share] = []
-    ramp_leaving: _Share = 0.0
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        aside, stops = self.beside, [at for one in self.signal for at in (one.at_m, one.at_m + CROSSING_M)]
-        ends = [aside.from_m, aside.to_m] if aside else []
-        if ends != sorted(set(ends)) or any(end > self.length_m for end in [*ends, self.drop_m or 0.0]):
+        aside, stops, until = self.beside, self._crossings, [one.until_s for one in self.period]
+        ends = [aside.from_m, aside.to_m] if aside else [self.drop_m or self.length_m]
+        if ends != sorted(set(ends)) or ends[-1] > self.length_m:
             raise ValueError(f"beside and drop_m lie in the section, 0 to {self.length_m:g} m, from_m before to_m")
-        if self.drop_m is not None and (aside or self.lanes < 3):
+        if self.drop_m and (aside or self.lanes < 3):
             raise ValueError("drop_m: expected three lanes or more, and no lane beside")
         if stops and (stops != sorted(set(stops)) or stops[-1] >= self.length_m or aside or self.drop_m):
-            raise ValueError(
-                f"signal: at_m has to rise by more than {CROSSING_M:g} m and to end as much before the section's "
-                "end, with no lane beside and no drop_m"
-            )
-        if [one.until_s for one in self.period] != sorted({one.until_s for one in self.period}):
+            room = f"by more than {CROSSING_M:g} m and to end as much before the section's end"
+            raise ValueError(f"signal: at_m has to rise {room}, with no lane beside and no drop_m")
+        if until != sorted(set(until)):
             raise ValueError("period: until_s has to rise")
-        rows = [
-            ("leaving", self.leaving),
-            *((f"period.end_mps until {one.until_s:g} s", one.end_mps) for one in self.period),
-        ]
-        rows += [(f"period.veh_per_h until {one.until_s:g} s", one.veh_per_h) for one in self.period]
-        for name, values in rows:
-            if values and len(values) != self.lanes:
-                raise ValueError(f"{name}: {len(values)} values, expected one for each of {self.lanes} lanes")
         if self.warm_up_s >= self.seconds:
             raise ValueError(f"warm_up_s {self.warm_up_s:g}: expected less than the {self.seconds:g} s of traffic")
-        if any(one.on_ramp for one in self.period) and not (aside and aside.on_ramp):
-            raise ValueError("period.on_ramp: expected beside.on_ramp = true")
-        if (any(self.leaving) or self.ramp_leaving) and not (aside and aside.off_ramp):
+        starts = len(self.from_lanes)
+        rows = [("leaving", self.leaving, starts)]
+        rows += [(f"period.end_mps until {one.until_s:g} s", one.end_mps, self.lanes) for one in self.period]
+        rows += [(f"period.veh_per_h until {one.until_s:g} s", one.veh_per_h, starts) for one in self.period]
+        for name, values, count in rows:
+            if values and len(values) != count:
+                ramp = " and the on-ramp" if count > self.lanes else ""
+                raise ValueError(f"{name}: {len(values)} values, expected one for each of {self.lanes} lanes{ramp}")
+        if any(self.leaving) and not (aside and aside.off_ramp):
             raise ValueError("leaving: expected beside.off_ramp = true")
         return self
+
+    @property
+    def _crossings(self) -> list[float]:
+        """Where each crossing begins, at its stop line, and ends, m."""
+        return [at_m for one in self.signal for at_m in (one.at_m, one.at_m + CROSSING_M)]
 
     @property
     def seconds(self) -> float:
@@ -144,9 +149,9 @@ class Road(RoadPart):
         return self.period[-1].until_s
 
     @property
-    def beside_number(self) -> int:
-        """What the lane beside, and ramps, are counted as."""
-        return self.lanes + 1
+    def asked(self) -> bool:
+        """Whether none enters by the file: vehicles come by `flow.veh_per_h_lane`, and are asked for lane changes."""
+        return not any(rate for part in self.period for rate in part.veh_per_h)
 
     @property
     def from_lanes(self) -> list[str]:
@@ -162,47 +167,31 @@ class Road(RoadPart):
 
     def stretches(self) -> list[Lane]:
         """Every lane, cut where lanes begin and end, row by row and from the left; ramps last."""
-        aside, last = self.beside, self.beside_number
-        cuts = {-self.approach_m, 0.0, self.length_m, self.length_m + self.run_out_m}
-        cuts |= {aside.from_m, aside.to_m} if aside else set()
-        cuts |= {self.drop_m} if self.drop_m else set()
-        stops = {one.at_m for one in self.signal}
-        at = sorted(cuts | stops | {stop + CROSSING_M for stop in stops})
-
-        def there(number: int, x: float) -> bool:
-            if number == last:
-                return aside is not None and aside.from_m <= x < aside.to_m
-            return x < at[-1] and (number < self.lanes or self.drop_m is None or x < self.drop_m)
-
+        aside, last, stops = self.beside, self.lanes + 1, [one.at_m for one in self.signal]
+        first_m, end_m = -self.approach_m, self.length_m + self.run_out_m
+        reach = dict.fromkeys(range(1, last), (first_m, end_m)) | {self.lanes: (first_m, self.drop_m or end_m)}
+        reach |= {last: (aside.from_m, aside.to_m)} if aside else {}
+        cuts = sorted({0.0, self.length_m, *self._crossings, *(at_m for ends in reach.values() for at_m in ends)})
+        leads_out = (_OFF,) if aside and aside.off_ramp else ()
         found = []
-        for row, (start_m, end_m) in enumerate(pairwise(at)):
+        for row, (start_m, end_m) in enumerate(pairwise(cuts)):
             closed = start_m < 0.0 or start_m >= self.length_m or start_m in stops
-            numbers = [number for number in range(1, last + 1) if there(number, start_m)]
+            numbers = [number for number, (since_m, until_m) in reach.items() if since_m <= start_m < until_m]
             for number in numbers:
                 name = ROW * row + number
-                on = (name + ROW,) if there(number, end_m) else ()
-                if aside and aside.off_ramp and number == last and end_m == aside.to_m:
-                    on = (_OFF,)
+                on = (name + ROW,) if end_m < reach[number][1] else leads_out if number == last else ()
                 left, right = (name + by if number + by in numbers else None for by in (-1, 1))
                 found.append(Lane(name, number, start_m, end_m, closed, left, right, on, start_m in stops))
         if aside and aside.on_ramp:
-            onto = (ROW * at.index(aside.from_m) + last,)
+            onto = (ROW * cuts.index(aside.from_m) + last,)
             found.append(Lane(_FEEDER, last, aside.from_m - self.ramp_m, aside.from_m, True, None, None, onto))
         if aside and aside.off_ramp:
             found.append(Lane(_OFF, last, aside.to_m, aside.to_m + self.ramp_m, True, None, None, ()))
         return found
 
-    def red(self, steps: int, step_s: float) -> dict[int, npt.NDArray[np.bool_]]:
-        """By lane that begins at a stop line, (T,) whether its signal is not green."""
-        at_s = np.arange(steps) * step_s
-        return {
-            lane_id: (at_s - one.offset_s) % sum(seconds for seconds, _ in one.phases) >= one.green_s
-            for lane_id, one in self.signals.items()
-        }
-
-    def route(self, number: int, *, leaves: bool) -> list[int]:
-        """Lane ids from where a vehicle of a start lane enters to where it leaves, one of each row."""
-        ramp, aside = number == self.beside_number, self.beside
+    def route(self, *, ramp: bool, leaves: bool) -> list[int]:
+        """Lane ids from where a vehicle enters, on the on-ramp or not, to where it leaves, one of each row."""
+        aside = self.beside
         first_m, last_m = aside.from_m if ramp and aside else -np.inf, aside.to_m if leaves and aside else np.inf
         rows = [one.lane_id for one in self.stretches() if one.number == 1 and first_m <= one.start_m < last_m]
         return [*[_FEEDER] * ramp, *rows, *[_OFF] * leaves]

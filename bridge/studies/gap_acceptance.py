@@ -120,8 +120,10 @@ def troutbeck(rejected_s: FloatArray, accepted_s: FloatArray) -> tuple[Estimate,
     """Mean and SD of a lognormal critical gap, s, by maximum likelihood (Troutbeck 1992).
 
     From each driver's largest rejected and accepted gap, inf where it took none: those that wait longest have the
-    largest critical gaps. Intervals: draws from the inverse information.
+    largest critical gaps. Intervals: draws from the inverse information. None of fewer than eight gaps.
     """
+    if len(accepted_s) < _FEWEST:
+        return Estimate(None), Estimate(None)
     from scipy.optimize import minimize
     from scipy.stats import norm
     from statsmodels.tools.numdiff import approx_hess

@@ -5,20 +5,21 @@ route over a lane beside must change, whatever it gains. Positions are along the
 """
 
 from bisect import bisect_right
-from collections import Counter, defaultdict, deque
+from collections import defaultdict, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from operator import attrgetter
 from typing import Any, Literal
 
 import numpy as np
+import pandas as pd
 
 from bridge.generation.generate import sumo_seed
 from bridge.recordings.recording import Recording
-from bridge.recordings.road import RAMPS, ROW, Beside, Road
+from bridge.recordings.road import RAMPS, ROW, Lane, Road
 from bridge.sumo.drivers import model_parameters
 from bridge.sumo.simulation import Simulation
-from hid2.agents import BoxSize
+from hid2.agents import BoxSize, FloatArray
 from hid2.drivers.driver import Driver, draw_driver
 from hid2.insertion.flow import headway_s
 from hid2.insertion.sizes import draw_size
@@ -37,15 +38,17 @@ CLEAR_S, _MISSED_M = 240.0, 25.0
 #: Over which length, m, and time, s, density is counted by lane, and changes from and to it.
 CELL_M, CELL_S = 250.0, 60.0
 _STREAM = 79  # of random numbers: a name
+#: Of each vehicle in the net at each step; inside: 1 in the section, 0 before and behind it, and on ramps.
+_SEEN = ["now_s", "asks", "start", "lane", "x", "v", "inside"]
+_NOWHERE = Lane(0, 0, 0.0, 0.0, True, None, None, ())
 
 
 @dataclass(eq=False, slots=True)
 class RoadVehicle:
-    """One that enters, and what became of it.
+    """One that enters, and where it is: on no lane before it is in the net. x: front, m along the road.
 
-    start, lane, entered_lane: numbers from the left, lane 0 before it is in the net; asks: order in which vehicles ask;
-    x: front, m along the road; changes: of lanes, in the section. Of one from the ramp lag and lead time gaps, s:
-    offered: the largest between two vehicles, which it did not take; taken: what it changed lanes into.
+    start: number of its lane, the ramp's the last; asks: order in which vehicles ask. Of one from the ramp lag and lead
+    time gaps, s: offered: the largest between two vehicles, which it did not take; taken: what it changed lanes into.
     """
 
     name: str
@@ -55,13 +58,9 @@ class RoadVehicle:
     driver: Driver
     size: BoxSize
     asks: int
-    lane: int = 0
+    lane: Lane = _NOWHERE
     x: float = 0.0
     v: float = 0.0
-    entered_s: float | None = None
-    entered_lane: int = 0
-    left_s: float | None = None
-    changes: int = 0
     offered: dict[tuple[str | None, str | None], tuple[float, float]] = field(default_factory=dict)
     taken: tuple[float, float] | None = None
 
@@ -74,19 +73,16 @@ def arrivals(road: Road, config: Config) -> list[RoadVehicle]:
     request = config.request.model_copy(update={"bus_share": 0.0, "truck_share": road.trucks})
     until = [part.until_s for part in road.period]
     found: list[RoadVehicle] = []
-    for start in range(1, road.beside_number + 1):
-        ramp = start == road.beside_number
-        rates = [part.on_ramp if ramp else part.veh_per_h[start - 1] for part in road.period]
-        share = road.ramp_leaving if ramp else (road.leaving or [0.0] * road.lanes)[start - 1]
+    for start in range(1, len(road.from_lanes) + 1):
         due_s, number = 0.0, 0
         while due_s < until[-1]:
-            rng = np.random.default_rng([config.request.seed, _STREAM, start, number])
-            rate = rates[bisect_right(until, due_s)]
-            if rate <= 0.0:
-                due_s = until[bisect_right(until, due_s)]
+            part = road.period[bisect_right(until, due_s)]
+            if part.veh_per_h[start - 1] <= 0.0:
+                due_s = part.until_s
                 continue
-            due_s += headway_s(rate, config.flow, rng)
-            leaves = bool(rng.random() < share)
+            rng = np.random.default_rng([config.request.seed, _STREAM, start, number])
+            due_s += headway_s(part.veh_per_h[start - 1], config.flow, rng)
+            leaves = bool(rng.random() < (road.leaving[start - 1] if road.leaving else 0.0))
             _, size = draw_size(request, rng)
             driver = draw_driver(config, rng, lane_speed_mps=config.spawn.prior_speed_mps)
             found.append(RoadVehicle(f"{start}_{number}", start, due_s, leaves, driver, size, asks=len(found)))
@@ -102,20 +98,18 @@ class RoadTraffic:
         self._change = config.lane_change.model_copy(update={"mobil_bias_mps2": 0.0})  # no lane is asked for
         self._grid = build_cell_grid(recording.graph, cell_m=_WHOLE_M)
         self._lanes = {lane.lane_id: lane for lane in road.stretches()}
-        self._index = {lane_id: self._grid.lane_index(Cell(lane_id, 0)) for lane_id in self._lanes}
-        self._sumo_lane = {lane_id: self._grid.sumo_lane_id(Cell(lane_id, 0)) for lane_id in self._lanes}
-        self._place_of = {name: (lane_id, self._lanes[lane_id].start_m) for lane_id, name in self._sumo_lane.items()}
+        self._end_m = {lane.number: lane.end_m for lane in sorted(road.stretches(), key=attrgetter("end_m"))}
+        self._named = {self._grid.sumo_lane_id(Cell(lane_id, 0)): lane for lane_id, lane in self._lanes.items()}
         self.vehicles = arrivals(road, config)
         self._by_name = {one.name: one for one in self.vehicles}
-        self.driven_m = self.driven_s = 0.0
         self.missed_exits = 0
-        self._lane_id: dict[str, int] = {}
-        self._driven: dict[tuple[int, int, int], list[float]] = defaultdict(lambda: [0.0, 0.0])
-        self._moved: Counter[tuple[int, int, int, int]] = Counter()
+        self._seen: list[FloatArray] = []
         self._stops: list[float] = []
-        self._on = {lane.lane_id for lane in self._lanes.values() if lane.number <= road.lanes - bool(road.drop_m)}
-        edge_of = {lane_id: self._grid.edge_id(Cell(lane_id, 0)) for lane_id in self._lanes}
-        self._edges = cache(lambda start, leaves: [edge_of[lane] for lane in road.route(start, leaves=leaves)])
+        self._on_lane: dict[int, list[RoadVehicle]] = {}
+        self._last_kept = road.lanes - bool(road.drop_m)
+
+    def _edges(self, *, ramp: bool, leaves: bool) -> list[str]:
+        return [self._grid.edge_id(Cell(lane_id, 0)) for lane_id in self.road.route(ramp=ramp, leaves=leaves)]
 
     def run(self) -> None:
         """All steps. Errors: SimulationError."""
@@ -130,80 +124,56 @@ class RoadTraffic:
             seed=sumo_seed([config.request.seed]), model=config.car_following.model, parameters=more,
             checks_gaps=config.lane_change.safety == "sumo", own_wish=own,
         ) as simulation:  # fmt: skip
-            due, speeds = deque(self.vehicles), deque(self._end_speeds())
+            due, since_s = deque(self.vehicles), [0.0, *(one.until_s for one in road.period)]
+            parts = deque(zip(since_s, road.period, strict=False))
+            behind = [name for name, lane in self._named.items() if lane.start_m >= road.length_m]
             every = max(1, round(ASK_S / road.step_s))
             steps = round((road.seconds + CLEAR_S) / road.step_s)
-            red = {self._lanes[lane_id].start_m: shown for lane_id, shown in road.red(steps, road.step_s).items()}
+            red = [(one.at_m, one.red(steps, road.step_s)) for one in road.signal]
             for step in range(steps):
                 now_s = step * road.step_s
-                while speeds and speeds[0][0] <= now_s:
-                    simulation.limit_lane(*speeds.popleft()[1:])
+                while parts and parts[0][0] <= now_s:
+                    for lane_name, limit_mps in zip(behind, parts.popleft()[1].end_mps, strict=False):
+                        simulation.limit_lane(lane_name, limit_mps)
                 while due and due[0].due_s <= now_s:
                     self._queue(simulation, due.popleft())
                 simulation.step()
-                self._stops = [at_m for at_m, shown in red.items() if shown[step]]
+                self._stops = [at_m for at_m, shown in red if shown[step]]
                 here = self._read(simulation, now_s)
-                self._on_lane: dict[int, list[RoadVehicle]] = {number: [] for number in range(road.beside_number + 1)}
-                for one in sorted(here, key=lambda one: one.x):
-                    self._on_lane[one.lane].append(one)
-                self._at = {number: [one.x for one in lane] for number, lane in self._on_lane.items()}
-                if road.beside and road.beside.off_ramp:
-                    self._give_up_exits(simulation, road.beside, here)
+                self._on_lane = defaultdict(list)
+                for one in sorted(here, key=attrgetter("x")):
+                    self._on_lane[one.lane.number].append(one)
+                self._give_up_exits(simulation, here)
                 self._offer()
                 for one in here if not own else ():
                     if one.asks % every == step % every:
                         self._ask(simulation, one, now_s)
 
-    def _end_speeds(self) -> Iterator[tuple[float, str, float]]:
-        """From when on which lane behind the section has which limit."""
-        behind = [lane for lane in self._lanes.values() if lane.start_m >= self.road.length_m]
-        for since, part in zip([0.0, *(one.until_s for one in self.road.period)], self.road.period, strict=False):
-            if part.end_mps:
-                yield from ((since, self._sumo_lane[lane.lane_id], part.end_mps[lane.number - 1]) for lane in behind)
-
     def _queue(self, simulation: Simulation, one: RoadVehicle) -> None:
-        ramp = one.start == self.road.beside_number
-        lane_id = RAMPS[0] if ramp else one.start
-        simulation.queue(
-            one.name, edges=self._edges(one.start if ramp else 1, one.leaves), lane_index=self._index[lane_id],
-            driver=one.driver, size=one.size,
-        )  # fmt: skip
+        ramp = one.start > self.road.lanes
+        lane_index = self._grid.lane_index(Cell(RAMPS[0] if ramp else one.start, 0))
+        edges = self._edges(ramp=ramp, leaves=one.leaves)
+        simulation.queue(one.name, edges=edges, lane_index=lane_index, driver=one.driver, size=one.size)
 
     def _read(self, simulation: Simulation, now_s: float) -> list[RoadVehicle]:
-        """Take down where all are, and count; those in the net."""
-        here, road = [], self.road
-        minute = int((now_s - road.warm_up_s) // CELL_S)
-        counted = road.warm_up_s <= now_s < road.seconds
-        for name, lane_id, x, v in simulation.states(self._place_of):
+        """Take down where all in the net are."""
+        here, rows = [], []
+        for name, lane, on_it_m, v in simulation.states():
             one = self._by_name[name]
-            number = self._lanes[lane_id].number
-            inside = 0.0 <= x < road.length_m and lane_id not in RAMPS
-            if one.entered_s is None and inside:
-                one.entered_s, one.entered_lane = now_s, one.start if one.start > road.lanes else number
-            if one.entered_s is not None and one.left_s is None:
-                one.changes += one.lane not in (0, number)
-                if not inside:
-                    one.left_s = now_s
-            if inside and counted:
-                self.driven_m += v * road.step_s
-                self.driven_s += road.step_s
-                piece = int(x // CELL_M)
-                cell = self._driven[minute, piece, number]
-                cell[0] += road.step_s
-                cell[1] += v * road.step_s
-                if one.lane not in (0, number):
-                    self._moved[minute, piece, one.lane, number] += 1
-            one.lane, one.x, one.v = number, x, v
-            self._lane_id[name] = lane_id
+            one.lane, one.v = self._named[lane], v
+            one.x = one.lane.start_m + on_it_m
+            inside = 0.0 <= one.x < self.road.length_m and one.lane.lane_id not in RAMPS
             here.append(one)
+            rows.append((now_s, one.asks, one.start, one.lane.number, one.x, v, inside))
+        self._seen.append(np.array(rows, dtype=np.float64).reshape(-1, len(_SEEN)))
         return here
 
-    def _give_up_exits(self, simulation: Simulation, aside: Beside, here: Sequence[RoadVehicle]) -> None:
+    def _give_up_exits(self, simulation: Simulation, here: Sequence[RoadVehicle]) -> None:
         """Those that have not come to the lane beside in time go straight on, and do not stop for the exit."""
+        nose_m = self.road.beside.to_m if self.road.beside else 0.0
         for one in here:
-            if one.leaves and one.lane <= self.road.lanes and aside.to_m - _MISSED_M < one.x < aside.to_m:
-                row = self._lane_id[one.name] // ROW
-                simulation.set_route(one.name, self._edges(1, False)[row:])
+            if one.leaves and one.lane.number <= self.road.lanes and nose_m - _MISSED_M < one.x < nose_m:
+                simulation.set_route(one.name, self._edges(ramp=False, leaves=False)[one.lane.lane_id // ROW :])
                 one.leaves = False
                 self.missed_exits += 1
 
@@ -211,12 +181,12 @@ class RoadTraffic:
         """Which gaps those of the ramp have beside them, and which they have taken, once they are on the lane there."""
         last = self.road.lanes
         for one in [*self._on_lane[last], *self._on_lane[last + 1]]:
-            if one.start <= last or one.leaves or one.taken or self._lane_id[one.name] in RAMPS:
+            if one.start <= last or one.leaves or one.taken or one.lane.lane_id in RAMPS:
                 continue
             front, rear = self._around(one, last)
             gaps = _time_gap_s(rear, rear.speed_mps), _time_gap_s(front, one.v)
             between = front.track_id, rear.track_id
-            if one.lane == last:
+            if one.lane.number == last:
                 one.taken = gaps
                 one.offered.pop(between, None)
             else:
@@ -225,29 +195,26 @@ class RoadTraffic:
 
     def _ask(self, simulation: Simulation, one: RoadVehicle, now_s: float) -> None:
         """A vehicle is told by its rule whether it changes lanes."""
-        lane, wanted = self._lanes[self._lane_id[one.name]], self._must(one)
-        if lane.closed:
-            return
+        wanted = self._must(one)
         sides: list[Literal["left", "right"]] = ["left", "right"] if one.asks % 2 else ["right", "left"]
-        own_front, own_rear = self._around(one, one.lane)
+        own_front, own_rear = self._around(one, one.lane.number)
         for side in [wanted] if wanted else sides:
-            target = lane.left if side == "left" else lane.right
-            if target is None or (wanted is None and target not in self._on):
+            target = self._lanes.get((one.lane.left if side == "left" else one.lane.right) or 0)
+            if target is None or one.lane.closed or (wanted is None and target.number > self._last_kept):
                 continue
-            number = self._lanes[target].number
-            front, rear = self._around(one, number)
+            front, rear = self._around(one, target.number)
             if wanted is None and front.distance_m <= 0.0:
                 continue
             view = GapView(
-                time_s=now_s, waited_s=now_s - (one.entered_s or now_s), side=side, speed_mps=one.v,
+                time_s=now_s, waited_s=now_s - one.due_s, side=side, speed_mps=one.v,
                 desired_mps=one.driver.desired_mps, length_m=one.size.length_m, tau_s=one.driver.tau_s,
                 accel_mps2=one.driver.accel_mps2, decel_mps2=one.driver.decel_mps2,
                 min_gap_m=one.driver.min_gap_m, cells_free=front.distance_m > 0.0 and rear.distance_m > 0.0,
                 front=front, rear=rear, own_front=own_front, own_rear=own_rear,
-                remaining_m=self._end_m(number, leaves=one.leaves) - one.x, vehicle_id=one.name,
+                remaining_m=self._end_m[target.number] - one.x, vehicle_id=one.name,
             )  # fmt: skip
             if by_own_wish(view, self._change, must=wanted is not None):
-                simulation.change_lane(one.name, self._index[target])
+                simulation.change_lane(one.name, self._grid.lane_index(Cell(target.lane_id, 0)))
                 break
 
     def _around(self, one: RoadVehicle, number: int) -> tuple[Gap, Gap]:
@@ -255,8 +222,9 @@ class RoadTraffic:
 
         A closed stop line is like a leader that stands.
         """
-        lane, place = self._on_lane[number], bisect_right(self._at[number], one.x)
-        back = place - 1 - (number == one.lane)
+        lane = self._on_lane[number]
+        place = bisect_right(lane, one.x, key=attrgetter("x"))
+        back = place - 1 - (number == one.lane.number)
         front = rear = OPEN
         if place < len(lane):
             front = Gap(lane[place].x - lane[place].size.length_m - one.x, lane[place].v, lane[place].name)
@@ -269,17 +237,9 @@ class RoadTraffic:
 
     def _must(self, one: RoadVehicle) -> Literal["left", "right"] | None:
         """The side to which its route leads; None where the lane does."""
-        aside = self.road.beside
-        if one.leaves and aside is not None and one.x < aside.to_m:
-            return None if one.lane == self.road.beside_number else "right"
-        return None if self._lane_id[one.name] in self._on else "left"
-
-    def _end_m(self, number: int, *, leaves: bool) -> float:
-        """Where a lane ends on the vehicle's route."""
-        road, aside = self.road, self.road.beside
-        if aside and number > road.lanes:
-            return aside.to_m + leaves * road.ramp_m
-        return road.drop_m if road.drop_m and number == road.lanes else road.length_m + road.run_out_m
+        if one.leaves and self.road.beside and one.x < self.road.beside.to_m:
+            return "right" if one.lane.number <= self.road.lanes else None
+        return "left" if one.lane.number > self._last_kept else None
 
     def told(self) -> dict[str, Any]:
         """What a run says of those that entered the section while it was counted, and have left it.
@@ -288,41 +248,53 @@ class RoadTraffic:
         cells: densities of a lane and of one beside, veh/km, changes from one to the other, veh-km on the first; lag,
         lead: of each vehicle that merged the largest gap rejected below the one accepted (0: none), and that, s.
         """
-        road, top = self.road, self.road.beside_number
-        first_s, last_s = road.warm_up_s, road.seconds
-        entered = [one for one in self.vehicles if one.entered_s is not None and first_s <= one.entered_s < last_s]
-        changes, table = np.zeros(top, dtype=int), np.zeros((top, top), dtype=int)
-        for one in entered:
-            if one.left_s is not None:
-                changes[one.entered_lane - 1] += one.changes
-                table[one.entered_lane - 1, one.lane - 1] += 1
-        counts, vehicles, veh_km = changes.tolist(), table.sum(axis=1).tolist(), self.driven_m / 1000.0
-        gaps: dict[str, list[tuple[float, float]]] = {"lag": [], "lead": []}
-        for side, own in enumerate(gaps.values()):
-            for one in entered:
-                accepted = one.taken[side] if one.taken else np.inf
-                rejected = max((gap[side] for gap in one.offered.values() if gap[side] < accepted), default=0.0)
-                own += [(max(rejected, 0.0), accepted)] if 0.0 < accepted < np.inf else []
+        road, first_s, numbers = self.road, self.road.warm_up_s, range(1, self.road.lanes + 2)
+        seen = pd.DataFrame(np.concatenate(self._seen), columns=_SEEN)
+        before = seen.groupby("asks")[["lane", "inside"]].shift()
+        seen["origin"] = before["lane"].where(before["lane"] != seen["lane"])  # the lane that is left, else NaN
+        seen["change"] = seen["origin"].notna() & ((seen["inside"] == 1.0) | (before["inside"] == 1.0))
+        inside = seen[seen["inside"] == 1.0]
+        counted, entered = (
+            rows[rows["now_s"].between(first_s, road.seconds, inclusive="left")]
+            for rows in (inside, inside.drop_duplicates("asks"))
+        )
+        whole = seen.groupby("asks").agg(end=("lane", "last"), still=("inside", "last"), changes=("change", "sum"))
+        vehicles = entered.set_index("asks").join(whole)
+        vehicles["start"] = vehicles["start"].where(vehicles["start"] > road.lanes, vehicles["lane"])
+        left = vehicles[vehicles["still"] == 0.0]
+        table = pd.crosstab(left["start"], left["end"]).reindex(index=numbers, columns=numbers, fill_value=0)
+        changes = left.groupby("start")["changes"].sum().reindex(numbers, fill_value=0)
+        driven_m = sum((counted["v"] * road.step_s).tolist())
+        every = int(changes.sum())
+
+        def merged(side: int) -> Iterator[tuple[float, float]]:
+            for one in self.vehicles:
+                if one.taken and one.asks in vehicles.index and 0.0 < one.taken[side] < np.inf:
+                    offered = [gap[side] for gap in one.offered.values() if gap[side] < one.taken[side]]
+                    yield max([0.0, *offered]), one.taken[side]
+
         ratios = {
-            "flow_veh_per_h": (len(entered), (last_s - first_s) / 3600.0),
-            "speed_mps": (self.driven_m, self.driven_s), "changes_per_vehicle": (sum(counts), sum(vehicles)),
-            "changes_per_veh_km": (sum(counts), veh_km), "missed_exits": (self.missed_exits, 1),
-            "not_left": (len(entered) - sum(vehicles), 1),
-            **dict(zip(road.from_lanes, zip(counts, vehicles, strict=True), strict=False)),
+            "flow_veh_per_h": (len(vehicles), (road.seconds - first_s) / 3600.0),
+            "speed_mps": (driven_m, len(counted) * road.step_s), "changes_per_vehicle": (every, len(left)),
+            "changes_per_veh_km": (every, driven_m / 1000.0), "missed_exits": (self.missed_exits, 1),
+            "not_left": (len(vehicles) - len(left), 1),
+            **dict(zip(road.from_lanes, zip(changes.tolist(), table.sum(axis=1).tolist(), strict=True), strict=False)),
         }  # fmt: skip
-        return {"ratios": ratios, "start_to_end": table.tolist(), "cells": list(self._rates()), **gaps}
+        told = {"ratios": ratios, "start_to_end": table.to_numpy().tolist(), "cells": list(self._rates(counted))}
+        return told | {"lag": list(merged(0)), "lead": list(merged(1))}
 
-    def _rates(self) -> Iterator[tuple[float, float, int, float]]:
-        def density(minute: int, piece: int, number: int) -> float:
-            km = min(CELL_M, self.road.length_m - piece * CELL_M) / 1000.0
-            return round(self._driven[minute, piece, number][0] / (CELL_S * km), 3)
-
-        for minute, piece, number in list(self._driven):
+    def _rates(self, counted: pd.DataFrame) -> Iterator[tuple[float, float, int, float]]:
+        """Of `told`, from where vehicles were seen in the section while it was counted."""
+        minute, piece = (counted["now_s"] - self.road.warm_up_s) // CELL_S, counted["x"] // CELL_M
+        cell = counted.groupby([minute, piece, "lane"], sort=False)["v"].agg(["size", "sum"]) * self.road.step_s
+        moved = counted.groupby([minute, piece, "origin", "lane"]).size().to_dict()
+        km = np.minimum(CELL_M, self.road.length_m - cell.index.get_level_values("x") * CELL_M) / 1000.0
+        density = (cell["size"] / (CELL_S * km)).round(3).to_dict()
+        for *place, number, _, driven_m in cell.reset_index().itertuples(index=False):
             for other in (number - 1, number + 1):
                 if max(number, other) <= self.road.lanes and other > 0:
-                    own, there = (density(minute, piece, lane) for lane in (number, other))
-                    driven_km = self._driven[minute, piece, number][1] / 1000.0
-                    yield own, there, self._moved[minute, piece, number, other], driven_km
+                    there, changes = density.get((*place, other), 0.0), moved.get((*place, number, other), 0)
+                    yield density[*place, number], there, changes, driven_m / 1000.0
 
 
 def _time_gap_s(gap: Gap, follower_mps: float) -> float:

@@ -14,7 +14,7 @@ import pandas as pd
 
 from bridge.studies.columns import AT_LAST, OUTCOMES, Outcome
 from hid2.agents import FloatArray, IntArray
-from hid2.resampling import interval, redrawn
+from hid2.resampling import Estimate, interval, redrawn
 
 _SCENES_LEAST, _UNITS_LEAST = 3, 3  # fewer scenes, or units at all, are not drawn again
 _SAME = 1e-9  # values that differ by less of themselves differ by rounding
@@ -32,6 +32,14 @@ def resampled(
     if count < _UNITS_LEAST:
         return whole, np.empty((0, whole.size))
     return whole, redrawn(lambda weights: statistic(weights[code]), count)
+
+
+def estimates(
+    frame: pd.DataFrame, statistic: Callable[[FloatArray], FloatArray], *, unit: Sequence[str]
+) -> list[Estimate]:
+    """A statistic (K,) of the weights of rows, with intervals by drawing units again."""
+    whole, draws = resampled(frame, statistic, unit=unit)
+    return [interval(float(one), drawn) for one, drawn in zip(whole, draws.T, strict=True)]
 
 
 def units(frame: pd.DataFrame) -> dict[str, list[str]]:
@@ -233,9 +241,7 @@ def effects(requests: pd.DataFrame, keys: Sequence[str], *, give_up_s: float) ->
         statistic = _standardised(frame[numeric].to_numpy(float), frame[outcome].to_numpy(float))
         sensitivity = _first_order(frame, numeric, outcome)
         for unit, columns in units(frame).items():
-            whole, draws = resampled(frame, statistic, unit=columns)
-            for number, key in enumerate(numeric):
-                found = interval(whole[number], draws[:, number])
+            for key, found in zip(numeric, estimates(frame, statistic, unit=columns), strict=True):
                 rows.append(
                     {
                         "outcome": outcome, "parameter": key, "drawn_again": unit, "rows": len(frame),

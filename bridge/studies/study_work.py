@@ -52,17 +52,18 @@ measure_runs_for_ssam = partial(measure_runs, trj=True)
 
 
 def measure_roads(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
-    """Drive and count each run on a corridor that was made of a road's file."""
+    """Drive and count each run on a corridor that was made of a road's file, as in a study where none enters by it."""
+    recording = read_recording(place.folder)
+    road = read_road(recording.folder / ROAD_FILE)
 
     def measured(config: Config) -> tuple[Path, dict[str, Any]]:
-        recording = read_recording(place.folder)
-        traffic = RoadTraffic(recording, read_road(recording.folder / ROAD_FILE), config)
+        traffic = RoadTraffic(recording, road, config)
         traffic.run()
         told = traffic.told()
         folder = write_run(place.out, recording, config, told)
         return folder, {"city": recording.city, "placed": told["ratios"]["changes_per_vehicle"][1]}
 
-    return _rows(place, runs, measured)
+    return measure_runs(place, runs) if road.asked else _rows(place, runs, measured)
 
 
 def _rows(

@@ -62,7 +62,8 @@ def convert_whole(scene: Address, out_dir: Path, *, signals: bool = False) -> Pa
             raise ConfigError(f"{scene}: a map alone, expected a scene: signals are inferred from its traffic")
         road = recording.folder / ROAD_FILE
         if road.is_file():
-            red = read_road(road).red(recording.num_steps, recording.step_s).get
+            own = read_road(road).signals
+            red = {lane_id: one.red(recording.num_steps, recording.step_s) for lane_id, one in own.items()}.get
         else:
             signalled = [track for track in recording.tracks if track.object_type in SIGNALLED_TYPES]
             traffic = traffic_of(signalled, recording.num_steps, step_s=recording.step_s)

@@ -245,17 +245,10 @@ class Simulation:
         return frozenset(libsumo.vehicle.getIDList())
 
     @staticmethod
-    def states(known: Mapping[str, tuple[int, float]]) -> list[tuple[str, int, float, float]]:
-        """Every vehicle in the net: id, value and front of its SUMO lane, m, and speed, m/s.
-
-        known: by SUMO lane a value of the caller's, and where it begins, m.
-        """
+    def states() -> list[tuple[str, str, float, float]]:
+        """Every vehicle in the net: id, SUMO lane, front bumper on it, m, and speed, m/s."""
         one = libsumo.vehicle
-        found = []
-        for vehicle_id in one.getIDList():
-            value, start_m = known[one.getLaneID(vehicle_id)]
-            found.append((vehicle_id, value, start_m + one.getLanePosition(vehicle_id), one.getSpeed(vehicle_id)))
-        return found
+        return [(name, one.getLaneID(name), one.getLanePosition(name), one.getSpeed(name)) for name in one.getIDList()]
 
     @staticmethod
     def limit_lane(lane_id: str, limit_mps: float) -> None:

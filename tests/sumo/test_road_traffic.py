@@ -17,7 +17,7 @@ ARTERIAL = Path(__file__).parents[2] / "data" / "public" / "arterial.toml"
 
 RAMPS = "\n[beside]\nfrom_m = 100.0\nto_m = 250.0\non_ramp = true\noff_ramp = true\n"
 HEAD = "length_m = 400.0\nlanes = 2\nwarm_up_s = 30.0\n"
-LIGHT = "\n[[period]]\nuntil_s = 180.0\nveh_per_h = [300.0, 300.0]\non_ramp = 300.0\n"
+LIGHT = "\n[[period]]\nuntil_s = 180.0\nveh_per_h = [300.0, 300.0, 300.0]\n"
 
 
 def driven(tmp_path: Path, text: str, rule: str, **lane_change: Any) -> RoadTraffic:
@@ -44,7 +44,7 @@ def test_vehicles_of_the_ramp_change_whatever_the_rule_and_reach_the_road(tmp_pa
 
 @pytest.mark.parametrize("rule", ["LC2013", "MOBIL"])
 def test_vehicles_that_leave_come_to_the_off_ramp(tmp_path: Path, rule: str) -> None:
-    told = driven(tmp_path, "leaving = [0.0, 1.0]\n" + HEAD + RAMPS + LIGHT, rule).told()
+    told = driven(tmp_path, "leaving = [0.0, 1.0, 0.0]\n" + HEAD + RAMPS + LIGHT, rule).told()
     vehicles, missed = told["ratios"]["from_lane_2"][1], told["ratios"]["missed_exits"][0]
     assert vehicles > 5
     assert told["start_to_end"][1][2] + missed == vehicles
@@ -62,12 +62,12 @@ def test_cells_hold_what_was_driven_and_every_change_between_lanes(tmp_path: Pat
     """Of two lanes each is origin in half of the rows: distances of cells add up to those of vehicles."""
     text = "length_m = 400.0\nlanes = 2\nwarm_up_s = 60.0\n"
     text += "\n[[period]]\nuntil_s = 240.0\nveh_per_h = [1200.0, 500.0]\n"
-    traffic = driven(tmp_path, text, rule, rule_with="incentive=0.1")
-    told = traffic.told()
-    assert sum(km for *_, km in told["cells"]) == pytest.approx(traffic.driven_m / 1000.0)
+    told = driven(tmp_path, text, rule, rule_with="incentive=0.1").told()
+    driven_m, driven_s = told["ratios"]["speed_mps"]
+    assert sum(km for *_, km in told["cells"]) == pytest.approx(driven_m / 1000.0)
     assert sum(changes for _, _, changes, _ in told["cells"]) > 0
     mean = sum(own for own, *_ in told["cells"]) / len(told["cells"])
-    assert mean == pytest.approx(traffic.driven_s / 180.0 / 0.4 / 2, rel=0.15)  # veh/km of a lane
+    assert mean == pytest.approx(driven_s / 180.0 / 0.4 / 2, rel=0.15)  # veh/km of a lane
 
 
 def test_gaps_that_a_merging_vehicle_is_offered_and_takes(tmp_path: Path) -> None:
@@ -81,19 +81,17 @@ def test_gaps_that_a_merging_vehicle_is_offered_and_takes(tmp_path: Path) -> Non
     road = read_road(tmp_path / "road.toml")
     recording = read_recording(write_road(tmp_path / "roads", tmp_path / "road.toml"))
     traffic = RoadTraffic(recording, road, config_from_dict({}))
-    size = BoxSize(4.0, 2.0)
+    size, lanes = BoxSize(4.0, 2.0), {one.lane_id: one for one in road.stretches()}
     template = traffic.vehicles[0]
 
     def vehicle(name: str, start: int, lane: int, x: float, v: float) -> RoadVehicle:
-        return RoadVehicle(name, start, 0.0, False, template.driver, size, 0, lane=lane, x=x, v=v, entered_s=40.0)
+        return RoadVehicle(name, start, 0.0, False, template.driver, size, 0, lane=lanes[200 + lane], x=x, v=v)
 
     others = [vehicle("A", 2, 2, 90.0, 10.0), vehicle("B", 2, 2, 130.0, 5.0), vehicle("C", 2, 2, 170.0, 10.0)]
     one = vehicle("M", 3, 3, 120.0, 10.0)
-    traffic._lane_id = dict.fromkeys("ABC", 202) | {"M": 203}
     for x, lane in ((120.0, 3), (150.0, 2)):
-        one.x, one.lane = x, lane
+        one.x, one.lane = x, lanes[200 + lane]
         traffic._on_lane = {2: sorted([*others, *[one] * (lane == 2)], key=lambda each: each.x), 3: [one] * (lane == 3)}
-        traffic._at = {number: [each.x for each in own] for number, own in traffic._on_lane.items()}
         traffic._offer()
     assert one.offered == {("B", "A"): pytest.approx((2.6, 0.6))}
     assert one.taken == pytest.approx((3.2, 1.6))
@@ -111,7 +109,7 @@ def test_vehicles_stop_at_red_and_go_on_at_green(tmp_path: Path) -> None:
 
     class Watched(RoadTraffic):
         def _read(self, simulation: Any, now_s: float) -> Any:
-            before = {one.name: one.x for one in self.vehicles if one.lane}
+            before = {one.name: one.x for one in self.vehicles if one.lane.number}
             here = super()._read(simulation, now_s)
             passed.extend(now_s for one in here if before.get(one.name, 999.0) < 200.0 <= one.x)
             return here

@@ -28,15 +28,16 @@ def test_lane_beside_joins_its_ramps_and_lanes_are_kept_before_and_behind_the_se
     lane 2 |  2     | 102  | 202  | 302   | 402   |
     A               98 -> | 203  | -> 99
     """
-    road = road_of(tmp_path, "length_m = 300.0\nlanes = 2\napproach_m = 50.0\nrun_out_m = 50.0\n" + RAMPS)
+    head = "length_m = 300.0\nlanes = 2\napproach_m = 50.0\nrun_out_m = 50.0\n" + RAMPS
+    road = road_of(tmp_path, head, FLOW.replace("900.0]", "900.0, 300.0]"))
     lanes = {lane.lane_id: lane for lane in road.stretches()}
     assert list(lanes) == [1, 2, 101, 102, 201, 202, 203, 301, 302, 401, 402, 98, 99]
     assert (lanes[203].left, lanes[202].right, lanes[202].left, lanes[203].right) == (202, 203, 201, None)
     assert (lanes[203].successors, lanes[98].successors, lanes[202].successors) == ((99,), (203,), (302,))
     assert [name for name, lane in lanes.items() if lane.closed] == [1, 2, 401, 402, 98, 99]
-    assert road.route(1, leaves=False) == [1, 101, 201, 301, 401]
-    assert road.route(2, leaves=True) == [1, 101, 201, 99]
-    assert road.route(3, leaves=False) == [98, 201, 301, 401]
+    assert road.route(ramp=False, leaves=False) == [1, 101, 201, 301, 401]
+    assert road.route(ramp=False, leaves=True) == [1, 101, 201, 99]
+    assert road.route(ramp=True, leaves=False) == [98, 201, 301, 401]
 
 
 def test_lane_that_is_dropped_leads_nowhere(tmp_path: Path) -> None:
@@ -54,9 +55,9 @@ def test_signal_begins_a_crossing_on_which_lanes_are_kept_and_is_red_when_it_is_
     assert [(one.lane_id, one.start_m, one.end_m, one.closed) for one in crossing] == [
         (201, 100.0, 120.0, True), (202, 100.0, 120.0, True)
     ]  # fmt: skip
-    red = road.red(40, 1.0)
-    assert sorted(red) == [201, 202]
-    assert [k for k in range(40) if red[201][k]] == [*range(5), *range(15, 25), *range(35, 40)]
+    assert sorted(road.signals) == [201, 202]
+    red = road.signals[201].red(40, 1.0)
+    assert [k for k in range(40) if red[k]] == [*range(5), *range(15, 25), *range(35, 40)]
 
 
 def test_corridor_of_a_road_is_read_like_a_recording_and_named_by_its_content(tmp_path: Path) -> None:
@@ -80,6 +81,10 @@ def test_corridor_of_a_road_is_read_like_a_recording_and_named_by_its_content(tm
         ("length_m = 150.0\nlanes = 2\n" + RAMPS, "beside and drop_m lie in the section, 0 to 150 m"),
         ("length_m = 300.0\nlanes = 2\nleaving = [0.1, 0.1]\n", "leaving: expected beside.off_ramp = true"),
         ("length_m = 300.0\nlanes = 2\nwarm_up_s = 300.0\n", "warm_up_s 300: expected less than the 240 s"),
+        (
+            "length_m = 300.0\nlanes = 2\n[beside]\nfrom_m = 9.0\nto_m = 99.0\non_ramp = true\n",
+            "of 2 lanes and the on-ramp",
+        ),
         ("length_m = 300.0\nlanes = 2\ndrop_m = 100.0\n", "drop_m: expected three lanes or more"),
         ("length_m = 300.0\nlanes = 2\n[[signal]]\nat_m = 290.0\ngreen_s = 9.0\nred_s = 9.0\n", "signal: at_m has to"),
         ("length_m = 300.0\nlanes = 2\n[[period]]\nuntil_s = 990.0\nveh_per_h = [1.0, 1.0]\n", "until_s has to rise"),

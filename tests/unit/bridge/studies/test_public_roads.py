@@ -26,9 +26,9 @@ to_m = 150.0
 on_ramp = true
 [[period]]
 until_s = 60.0
-veh_per_h = [900.0, 900.0]
-on_ramp = 400.0
+veh_per_h = [900.0, 900.0, 400.0]
 """
+ASKED = ROAD.replace("[900.0, 900.0, 400.0]", "[0.0, 0.0, 0.0]")
 COUNTS = """name = "Somewhere"
 vehicles = [40.0, 40.0, 20.0]
 start_to_end = [[38, 2, 0], [10, 30, 0], [5, 15, 0]]
@@ -51,9 +51,8 @@ tune = true
 name = "LC2013"
 set = { "lane_change.rule" = "LC2013" }
 vary = { "lane_change.lc_speed_gain" = [3.0] }
-[[cause]]
-says = "one speed"
-set = { "drivers.desired_sd" = 0.0 }
+[cause]
+"one speed" = { "drivers.desired_sd" = 0.0 }
 [config.lane_change]
 min_speed_mps = 0.0
 safety = "rule"
@@ -79,8 +78,8 @@ def run_of(
     return {"ratios": ratios, "cells": [], "lag": [], "lead": []} | more
 
 
-def result(tmp_path: Path, *runs: dict[str, Any], counts: str = COUNTS, page: str = PAGE) -> RoadResult:
-    return RoadResult(read_public(page_in(tmp_path, counts=counts, page=page)).sites[0], "a rule", "untuned", {}, runs)
+def result(tmp_path: Path, *runs: dict[str, Any], **files: str) -> RoadResult:
+    return RoadResult(read_public(page_in(tmp_path, **files)).road[0], "a rule", "untuned", {}, [*runs])
 
 
 def test_figures_by_hand(tmp_path: Path) -> None:
@@ -99,7 +98,6 @@ def test_figures_by_hand(tmp_path: Path) -> None:
     assert told["rank_correlation"].value == pytest.approx(1.0)
     assert (one.off("flow_veh_per_h"), one.off("speed_mps")) == pytest.approx((0.02, -0.05))
     assert one.reproduces
-    assert one.first(1).measures["changes_per_vehicle"].value == 0.6
 
 
 def test_ladder_and_slopes_by_hand(tmp_path: Path) -> None:
@@ -112,7 +110,7 @@ def test_ladder_and_slopes_by_hand(tmp_path: Path) -> None:
     |   15   |   15   |   55    |
     """
     cells = [(5, 5, 25, 100), (15, 5, 35, 100), (5, 15, 45, 100), (15, 15, 55, 100), (50, 50, 900, 100)]
-    one = result(tmp_path, *[run_of([1, 1, 1], [1, 1, 1], cells=cells)] * 2)
+    one = result(tmp_path, *[run_of([1, 1, 1], [1, 1, 1], cells=cells)] * 3)
     assert [[rate.value for rate in row] for row in one.ladder([0, 10, 20])] == [[0.25, 0.45], [0.35, 0.55]]
     assert one.ladder([20, 60])[0][0].value == 9.0
     for slope, wanted in zip(one.slopes(20.0), (0.01, 0.02), strict=True):
@@ -141,10 +139,10 @@ def test_critical_gap_is_found_from_what_was_rejected_and_accepted(tmp_path: Pat
 
 
 def test_durations_are_those_of_changes_seen_from_start_to_end(tmp_path: Path) -> None:
-    page = UNTUNED_PAGE.replace("[[rule]]", "asked = true\n[[rule]]")
     changes = [{"duration_s": seconds, "complete": seconds < 9.0} for seconds in (4.0, 5.0, 9.0)]
-    told = result(tmp_path, {"lane_changes": changes}, {"lane_changes": changes[:1]}, page=page).measures
-    assert told["duration_mean_s"] == pytest.approx((13.0 / 3.0, 4.0, 4.5))  # draws of one run alone
+    runs = [{"lane_changes": one} for one in (changes, changes[:1], changes[:1])]
+    told = result(tmp_path, *runs, page=UNTUNED_PAGE, road=ASKED).measures
+    assert told["duration_mean_s"] == pytest.approx((17.0 / 4.0, 4.0, 4.5))  # draws of one run alone
     assert told["duration_median_s"].value == 4.0
 
 
@@ -154,7 +152,7 @@ def test_page_says_what_gaps_do_not_tell(tmp_path: Path) -> None:
     counts = GAPS + "critical_lag_gap_sd_s = 0.2\n"
     run = run_of([1, 1, 1], [1, 1, 1], lag=wide, start_to_end=[[1, 0, 0], [0, 1, 0], [0, 1, 0]])
     page = read_public(page_in(tmp_path, counts=counts, page=UNTUNED_PAGE))
-    one = RoadResult(page.sites[0], "LC2013", "as set", {}, [run])
+    one = RoadResult(page.road[0], "LC2013", "as set", {}, [run])
     lists: dict[str, Any] = {"tried": [], "best": {}, "causes": [], "within": WITHIN}
     told = text("public.md.j2", page=page, tests=[one], cell_m=250.0, cell_s=60.0, long_gap_s=10.0, **lists)
     assert "not told by these gaps: critical_lag_gap_mean_s, critical_lag_gap_sd_s." in told
@@ -168,15 +166,15 @@ def test_road_without_its_flow_or_its_speed_does_not_reproduce(tmp_path: Path, m
 
 @pytest.mark.parametrize("name", ["ngsim", "knoop", "gaps"])
 def test_pages_of_the_project_are_read(name: str) -> None:
-    assert read_public(ROOT / "data" / "public" / f"{name}.toml").file.rule[2].name == "paper"
+    assert read_public(ROOT / "data" / "public" / f"{name}.toml").rule[2].name == "paper"
 
 
 def test_ngsim_tunes_on_one_road_alone_and_its_counts_add_up() -> None:
     page = read_public(ROOT / "data" / "public" / "ngsim.toml")
-    assert [site.counts.name[:7] for site in page.sites if site.entry.tune] == ["US-101,"]
-    assert [sum(site.counts.vehicles) for site in page.sites] == [2017, 2052, 2169, 1915]  # as the reports add up
-    for site in page.sites:
-        assert sum(map(sum, site.counts.start_to_end)) == sum(site.counts.vehicles)
+    assert [site.told.name[:7] for site in page.road if site.tune] == ["US-101,"]
+    assert [sum(site.told.vehicles) for site in page.road] == [2017, 2052, 2169, 1915]  # as the reports add up
+    for site in page.road:
+        assert sum(map(sum, site.told.start_to_end)) == sum(site.told.vehicles)
 
 
 @pytest.mark.parametrize(
@@ -184,6 +182,7 @@ def test_ngsim_tunes_on_one_road_alone_and_its_counts_add_up() -> None:
     [
         (PAGE.replace("tune = true", ""), COUNTS, "rule.vary, and no road with tune = true"),
         (PAGE.replace("lc_speed_gain", "lc_sped_gain"), COUNTS, "lc_sped_gain"),
+        ("densities = [9, 3]\n" + PAGE, COUNTS, "densities = [9.0, 3.0], expected borders that rise, two or more"),
         (PAGE.replace("seeds = 2", "seeds = 0"), COUNTS, "seeds = 0, expected at least 1"),
         (PAGE.replace('counts = "counts.toml"', 'counts = "none.toml"'), COUNTS, "none.toml: no such file"),
         (
