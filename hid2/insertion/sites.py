@@ -18,7 +18,7 @@ from hid2.insertion.spread import Spread, by_weight
 from hid2.insertion.starts import CLEAR_GAP_M, Starts
 from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.sigma import clear_places
-from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
+from hid2.policy.behaviours import TURN_OF_POLICY
 from hid2.policy.rules import expected_reason
 from hid2.reasons import Reason
 from hid2.scene import Scene
