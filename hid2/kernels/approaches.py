@@ -209,15 +209,19 @@ def red_steps(
 ) -> BoolArray:  # fmt: skip
     """(T,) red: `crossed` spread over steps before and after it, or `queued`; not near an entry.
 
-    An entry takes away the red of a queue, and that of cross traffic that is more than `clear` steps away. crossed,
-    entered, queued (T,); the rest in steps.
+    An entry takes away the red of a queue, and that of cross traffic that is more than `clear` steps away; that of
+    cross traffic to come only up to itself, as the light has turned since. crossed, entered, queued (T,); the rest in
+    steps.
     """
     steps = crossed.size
     flow, close, green = np.zeros(steps, np.bool_), np.zeros(steps, np.bool_), np.zeros(steps, np.bool_)
+    to_come, entering = np.zeros(steps, np.bool_), np.zeros(steps, np.bool_)
     for t in range(steps):
         if crossed[t]:
-            flow[max(0, t - before) : t + after + 1] = True
+            to_come[max(0, t - before) : t] = True
+            flow[t : t + after + 1] = True
             close[max(0, t - clear) : t + clear + 1] = True
         if entered[t]:
+            entering[max(0, t - entry_before) : t + 1] = True
             green[max(0, t - entry_before) : t + entry_after + 1] = True
-    return close | ((flow | queued) & ~green)
+    return close | ((flow | queued) & ~green) | (to_come & ~entering)

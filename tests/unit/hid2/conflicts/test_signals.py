@@ -134,6 +134,13 @@ def test_an_entry_makes_no_green_within_a_second_of_cross_traffic(signals, box) 
     assert _steps(scene.red(2)) == [*range(27, 64), 82, 83]
 
 
+def test_an_entry_makes_no_green_after_it_for_cross_traffic_to_come(signals, box) -> None:
+    """Cross traffic from 47 to 53. One waits for 25 steps, red to 20, and enters at 31: it is red again from 32 on."""
+    scene = signals(box(10.0, -50.0, np.pi / 2, 10.0), _along("b", [(-5.0, 0.0), (40.0, 0.0)], wait_steps=25))
+    assert _steps(scene.enters(2)) == [31]
+    assert _steps(scene.red(2)) == [*range(21), *range(32, 84)]
+
+
 def test_a_right_turn_says_nothing_of_the_way_straight_on(signals, box) -> None:
     """Who turns right enters lane 7 alone; the queue in the shared lane stays red for lane 2."""
     turning = _along("a", [(-5.0, 0.0), (0.0, 0.0), (3.0, -0.8), (5.2, -3.0), (6.0, -6.0), (6.0, -40.0)], wait_steps=30)

@@ -10,7 +10,7 @@ from inserted import recorded, scene_on, start_on
 
 from hid2.agents import Policy, Track
 from hid2.conflicts.guard import Guard
-from hid2.conflicts.stop_lines import StopLines
+from hid2.conflicts.stop_lines import StopLine, StopLines
 from hid2.insertion.rollout import Foreseen, Rollout, World
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.roads import Roads
@@ -95,6 +95,26 @@ def test_only_what_comes_near_a_lane_change_makes_it_be_rolled_out_anew(world_of
     near, far = _steady(world, 130.0, 8.0, number=1), _steady(world, 40.0, 8.0, number=2)
     assert world.hindered(near) == [across]
     assert world.hindered(far) == []
+
+
+@pytest.mark.parametrize(
+    ("since", "reason"), [(0, Reason.CONFLICT_PREDICTED), (22, Reason.CONFLICT_PREDICTED), (28, None)]
+)
+def test_none_is_to_enter_where_it_has_been_red_for_long(
+    monkeypatch: pytest.MonkeyPatch, since: int, reason: Reason | None
+) -> None:
+    """At 10 m/s from 60 m on the front is at the entrance at step 38: red for 1.6 s is long, for 1 s amber."""
+    graph = LaneGraph({
+        1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(2,)),
+        2: draw_lane(2, [(100.0, 0.0), (300.0, 0.0)], is_intersection=True),
+    }, drivable_areas=())  # fmt: skip
+    scene = scene_on(graph)
+    line = StopLine(97.0, np.arange(scene.num_steps) >= since, "signal")
+    monkeypatch.setattr(StopLines, "on", lambda *_: [line])
+    world = World(scene, Roads(scene), Guard(scene, Traffic.none(scene.future.num_steps), StopLines(scene)))
+    start, steps = start_on(scene, (1, 2), 60.0, 10.0), np.arange(scene.num_steps)
+    part = Rollout(start.path, 0, 60.0 + 1.0 * steps, np.full(steps.size, 10.0), np.zeros((steps.size, 0)))
+    assert world.objection(start, (part,)) is reason
 
 
 @pytest.mark.parametrize(("stops_m", "stands", "reason"), [
