@@ -145,6 +145,7 @@ class Reason(StrEnum):
     DID_NOT_DO_IT = "did_not_do_it", "It did not perform its manoeuvre, and was replaced by another vehicle."
     WAITED_FOR_GONE = "waited_for_gone", "It had braked for a vehicle that is not exported, and was driven again."
     STANDS_THROUGHOUT = "stands_throughout", "It stands from the first step to the last."
+    ENTERS_ON_RED = "enters_on_red", "It would enter an intersection on red, or drive over a crossing that is used."
     STOPS_IN_INTERSECTION = (
         "stops_in_intersection",
         "It would come to a stop inside an intersection, for a queue beyond it or for crossing traffic.",

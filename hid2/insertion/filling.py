@@ -201,7 +201,7 @@ class Filling:
         used = {start.request.number for start in starts}
         waiting = sorted(self._open, key=lambda request: (BEHAVIOURS[request.policy].site_order, request.number))
         waiting = [request for request in waiting if request.number not in used]
-        failed, why, remembers = Counter[Policy](), dict[Policy, Reason](), True
+        failed, why, again = Counter[Policy](), dict[Policy, Reason](), False
         for request in waiting:  # those with no place for their manoeuvre go straight, and come last
             if request.number in used:
                 continue
@@ -211,9 +211,9 @@ class Filling:
             if failed[policy] < (_FAILED_STRAIGHT if straight else _FAILED):
                 slow = self._to_lead(request, [r for r in waiting if r.number not in used])
                 found = sites.propose(request, slow and replace(slow, policy=Policy.STRAIGHT))
-                if straight and not found and remembers:  # what was full for one draw may not be for the next
-                    remembers, self._turned_down = False, TurnedDown()
-                    sites.turned_down = self._turned_down
+                if straight and not found and not again:  # what was full for one draw of places may not be for the next
+                    again = True
+                    self._turned_down.rows.clear()
                     found = sites.propose(request)
                 if slow is not None and slow.policy is not Policy.STRAIGHT and len(found) > 1:
                     self._last_reason[slow.number] = Reason.LEADS_AN_OVERTAKE

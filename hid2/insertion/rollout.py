@@ -356,7 +356,7 @@ class World:
         if is_last and rollout.s[inside - 1] - start.start_s < MOVES_M:
             return Reason.STANDS_THROUGHOUT
         if self._enters_on_red(start, rollout):
-            return Reason.CONFLICT_PREDICTED
+            return Reason.ENTERS_ON_RED
         return Reason.STOPS_IN_INTERSECTION if self._stops_in_intersection(rollout) else None
 
     def _enters_on_red(self, start: Start, rollout: Rollout) -> bool:

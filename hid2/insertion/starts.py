@@ -263,7 +263,7 @@ class Starts:
             return Reason.TTC_RECORDED_FOLLOWER
         stop = self.stop_lines.arrays(path, box).braking(driver, s=s, speed_mps=speed, step=step)
         if stop is not None and stop[0] < -driver.decel_mps2:
-            return Reason.CONFLICT_PREDICTED
+            return Reason.ENTERS_ON_RED
         if step > 0 and (speed < STANDS_MPS or self._follower_is_near(path, s, box, speed, step)):
             return Reason.NO_SITE
         if speed < max(STANDS_MPS, SLOWEST_SHARE * wished):

@@ -97,9 +97,7 @@ def test_only_what_comes_near_a_lane_change_makes_it_be_rolled_out_anew(world_of
     assert world.hindered(far) == []
 
 
-@pytest.mark.parametrize(
-    ("since", "reason"), [(0, Reason.CONFLICT_PREDICTED), (22, Reason.CONFLICT_PREDICTED), (28, None)]
-)
+@pytest.mark.parametrize(("since", "reason"), [(0, Reason.ENTERS_ON_RED), (22, Reason.ENTERS_ON_RED), (28, None)])
 def test_none_is_to_enter_where_it_has_been_red_for_long(
     monkeypatch: pytest.MonkeyPatch, since: int, reason: Reason | None
 ) -> None:
