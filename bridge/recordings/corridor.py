@@ -53,6 +53,8 @@ def write_road(out_dir: Path, file: Path) -> Path:
     Errors: ConfigError with file, key, value; ExportError.
     """
     road, content = read_road(file), file.read_bytes()
+    if road.seconds > MAX_CORRIDOR_STEPS * STEP_S:
+        raise ConfigError(f"{file}: period until {road.seconds:g} s, expected {MAX_CORRIDOR_STEPS * STEP_S:g} at most")
     scenario_id = f"{CORRIDOR_PREFIX}{file.stem}-{hashlib.sha256(content).hexdigest()[:8]}"
     steps = round(max(road.seconds, OBSERVED_STEPS * STEP_S) / STEP_S)
     return _written(out_dir, scenario_id, road.stretches(), road.lanes, steps, {ROAD_FILE: content})

@@ -9,8 +9,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from bridge.config import read_toml_as
-from bridge.recordings.limits import MAX_CORRIDOR_STEPS, MAX_LANE_M
-from bridge.recordings.scenario import STEP_S
+from bridge.recordings.limits import MAX_LANE_M
 
 #: Name of the file in the folder of a corridor that is made of one.
 ROAD_FILE = "road.toml"
@@ -67,7 +66,7 @@ class Period(RoadPart):
     end_mps: speed limit behind the section from the period on, by lane: what lies downstream; none: as it was.
     """
 
-    until_s: float = Field(gt=0, le=MAX_CORRIDOR_STEPS * STEP_S)
+    until_s: float = Field(gt=0)
     veh_per_h: Annotated[list[_Flow], Field(min_length=1)]
     end_mps: list[_Speed] = []
 

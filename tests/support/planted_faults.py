@@ -349,10 +349,19 @@ def _teleporting(bench: Bench, site: Site, strength: str) -> Planting:
     return Planting(bench.track(site, Motion(driving(5.0) + 20.0 * (T > 3.95), np.zeros(STEPS), np.zeros(STEPS))))
 
 
-def _turned(bench: Bench, site: Site, strength: str) -> Planting:
-    """Straight on along the lane with a heading that is turned from it; gross: turned round."""
+def _turned(bench: Bench, site: Site, strength: str) -> Planting | None:
+    """Straight on along the lane with a heading that is turned from it; gross: turned round.
+
+    Alone on its way: with such a heading it would cross the way of one that it follows.
+    """
     angle = math.pi if strength == GROSS else math.radians(60.0 * SHARE[strength])
-    return Planting(bench.track(site, Motion(driving(7.0), np.zeros(STEPS), np.full(STEPS, angle))))
+    track = bench.track(site, Motion(driving(7.0), np.zeros(STEPS), np.full(STEPS, angle)))
+    for one in bench.scene.tracks:
+        apart_m = np.hypot(*(one.xy[:, None] - track.xy).transpose(2, 0, 1))
+        soon = np.abs(one.steps[:, None] - track.steps) * DT_S < 1.5
+        if one.track_id != bench.vehicle and (soon & (apart_m < 5.0)).any():
+            return None
+    return Planting(track)
 
 
 def _reversed(bench: Bench, site: Site, strength: str) -> Planting:

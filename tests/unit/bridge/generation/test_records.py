@@ -125,8 +125,8 @@ def test_vehicles_near_to_what_was_named_are_counted_by_positions(arterial, near
     scene = generate(arterial, Config(request=Request(agents=6, near=near, within_m=within_m)))
     moving = [
         track for track in scene.source.tracks
-        if (track.category == 3 if near == "focal" else np.hypot(*(track.position[-1] - track.position[0])) > 5.0)
-        and track.object_type == "vehicle"
+        if (track.category == 3 if near == "focal" else np.hypot(*np.ptp(track.position, axis=0)) > 5.0)
+        and track.object_type in ("vehicle", "bus") and track.category > 0
     ]  # fmt: skip
 
     def is_near(own: Track, other: Track) -> bool:
