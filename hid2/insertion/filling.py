@@ -299,7 +299,8 @@ class Filling:
     def _gone_straight(self, new: list[ExportedVehicle], gone: _Gone) -> list[ExportedVehicle]:
         """Vehicles that did not do their manoeuvre, each for an open request to go straight; the others go.
 
-        The manoeuvre stays open. Vehicles that others need come first.
+        One that drove across, but left the map before that counts, does not go straight. The manoeuvre stays open.
+        Vehicles that others need come first.
         """
         left = [one for one in new if one.driven.vehicle_id not in gone]
         needed = set().union(*(_needs(one.driven, self._brakes_steps) for one in left))
@@ -312,7 +313,7 @@ class Filling:
                 continue
             del self.outcomes[driven.vehicle_id]
             said = self._last_reason[driven.start.request.number] = outcome.reason or Reason.SCENE_ENDED
-            if straight:
+            if straight and not driven.path.shifts:
                 start = replace(driven.start, request=straight.pop())
                 found[driven.vehicle_id] = replace(one, driven=replace(driven, start=start))
             else:

@@ -111,8 +111,8 @@ class InsertionSites:
     def _starts_for(self, request: VehicleRequest) -> Iterator[Start]:
         """Starts at sites in weighted random order; first where more speaks for them.
 
-        Strict: the lane beside is not in an intersection; a vehicle that is to go straight meets no turn in the time of
-        the scene.
+        Strict: the lane beside is not in an intersection; a turn is driven through in the time of the scene; a vehicle
+        that is to go straight meets none in that time.
         """
         if self.entering.is_to_enter(request):
             yield from self.entering.starts_of(request, self._followed())

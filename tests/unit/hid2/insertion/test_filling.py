@@ -164,6 +164,25 @@ def test_safe_vehicle_whose_manoeuvre_did_not_come_about_takes_an_open_request_t
     assert {start.vehicle_id for start in drive.rounds[1]} == {"v2_1", "v3_1"}
 
 
+def test_vehicle_that_is_on_its_way_across_does_not_go_straight(scene_for: Callable[..., Scene]) -> None:
+    """As above, and both lane changes are under way when the map ends: neither takes the place of v0."""
+    scene = scene_for(straight=0.5, lane_change=0.5, trigger_min_s=1.0, trigger_max_s=1.0)
+
+    def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
+        if vehicle.vehicle_id == "v0_0":
+            vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+        if number == 0 and vehicle.policy is Policy.LANE_CHANGE:
+            to = 3 - vehicle.start.route[0]
+            vehicle = changing(scene, vehicle.start, np.full(110, 8.0), to=to, at_step=20, wanted_s=5.0)
+            vehicle.s, vehicle.v, vehicle.jumped_m = vehicle.s[:60], vehicle.v[:60], vehicle.jumped_m[:60]
+        return vehicle
+
+    filling, _ = _fill(scene, spoil)
+    gone = {one.vehicle_id: one.reason for one in filling.rejected if one.round_number == 0}
+    assert gone["v0_0"] is Reason.SUMO_REFUSES_INSERTION
+    assert gone.get("v2_0") is gone.get("v3_0") is Reason.DID_NOT_DO_IT
+
+
 def test_vehicle_that_another_one_needs_stays_before_one_that_none_needs(scene_for: Callable[..., Scene]) -> None:
     """As above, and v1 had braked for v3."""
 
