@@ -18,6 +18,8 @@ from hid2.scene import Scene
 #: deceleration with which it rolls up, s in which it takes up the speed for that, and over its deceleration the braking
 #: beyond which it crosses, as at amber.
 STOP_MARGIN_M, _STOPS = 1.0, (60.0, 0.6, 0.5, 1.3)
+#: No tunable: s for which a light is amber about, in which one passes that can no longer stop.
+AMBER_S = 1.5
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -50,6 +52,13 @@ class ClosedLines:
             self.stop_s, self.closed, s, speed_mps, step, driver.accel_mps2, driver.decel_mps2, self.stops
         )
         return None if row < 0 else (float(accel), self.causes[row])
+
+    def is_passed(self, s: FloatArray, *, first: int, closed_steps: int) -> bool:
+        """Whether a motion (K,) m from a step on has its front pass a line that has been closed for so many steps."""
+        for closed, at in zip(self.closed, np.searchsorted(s, self.stop_s + STOP_MARGIN_M).tolist(), strict=True):
+            if 0 < at < s.size and closed[max(0, first + at - closed_steps) : first + at + 1].all():
+                return True
+        return False
 
 
 @dataclass(eq=False, slots=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 from hid2.agents import BoxSize, FloatArray
 from hid2.conflicts.guard import ACROSS_S, STRIDE, Guard
-from hid2.conflicts.stop_lines import STOP_MARGIN_M
+from hid2.conflicts.stop_lines import AMBER_S
 from hid2.insertion.due import Due, is_due
 from hid2.judge.findings import FOLLOWER_HEADWAY_S, MOVES_M, last_word
 from hid2.judge.states import contacts_at_end, kept_headways, sustained_headway
@@ -48,8 +48,6 @@ _FOLLOWS_M, _ASIDE_M = 3.0, 12.0
 _NEAR_GAPS_M = 40.0
 #: No tunable: of the time between two looks of a vehicle that waits for a gap, while it passes another one.
 _PASSING_SHARE = 0.3
-#: No tunable: s for which a light is amber about, in which one passes that can no longer stop.
-_AMBER_S = 1.5
 #: Desired speeds, m/s, that SUMO's EIDM has at most for a link of the net that turns; for others the lanes' limit.
 _TURN_MPS = {TurnType.LEFT: 8.0, TurnType.RIGHT: 6.0}
 
@@ -355,19 +353,10 @@ class World:
             return Reason.MEETS_GENERATED
         if is_last and rollout.s[inside - 1] - start.start_s < MOVES_M:
             return Reason.STANDS_THROUGHOUT
-        if self._enters_on_red(start, rollout):
+        lines = self.guard.stop_lines.arrays(rollout.path, start.box)
+        if lines.is_passed(rollout.s, first=rollout.step, closed_steps=scene.steps_in(AMBER_S)):
             return Reason.ENTERS_ON_RED
         return Reason.STOPS_IN_INTERSECTION if self._stops_in_intersection(rollout) else None
-
-    def _enters_on_red(self, start: Start, rollout: Rollout) -> bool:
-        """Whether a vehicle's front passes an entrance that was red for so long that it need not have."""
-        lines = self.guard.stop_lines.arrays(rollout.path, start.box)
-        passes = np.searchsorted(rollout.s, lines.stop_s + STOP_MARGIN_M)
-        for closed, at in zip(lines.closed, passes.tolist(), strict=True):
-            step = rollout.step + at
-            if 0 < at < rollout.s.size and closed[max(0, step - self.scene.steps_in(_AMBER_S)) : step + 1].all():
-                return True
-        return False
 
     def _stops_in_intersection(self, rollout: Rollout) -> bool:
         """Whether a vehicle stands inside an intersection, as `measures/encounters.py` has standing."""

@@ -101,12 +101,9 @@ class InsertionSites:
             self.starts.rejected[Reason.NEAR_NO_TRACK] += 1
             return []
         if request.policy is Policy.OVERTAKE:
-            return self._propose_overtake(request, slow_leader)
+            return self.overtakes.propose(request, slow_leader)
         found = next(self._starts_for(request), None)
         return [] if found is None else self.starts.take([found])
-
-    def _propose_overtake(self, request: VehicleRequest, slow_leader: VehicleRequest | None) -> list[Start]:
-        return self.overtakes.propose(request, slow_leader)
 
     def _starts_for(self, request: VehicleRequest) -> Iterator[Start]:
         """Starts at sites in weighted random order; first where more speaks for them.

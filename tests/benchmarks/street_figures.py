@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import savgol_filter
 from scipy.stats import wasserstein_distance
+from shapely import LineString
 from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.metrics import roc_auc_score
 from threadpoolctl import threadpool_limits
@@ -33,9 +34,11 @@ from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
 from hid2.agents import FloatArray, Track
 from hid2.insertion.spread import Spread, by_weight
+from hid2.judge.findings import FOLLOWER_HEADWAY_S
 from hid2.judge.states import kept_headways, sustained_headway
 from hid2.measures.arrays import BoolArray
 from hid2.measures.driven_lanes import runs_of
+from hid2.measures.encounters import CROSSING_RAD, STANDS_FOR_S, STANDS_MPS
 from hid2.measures.following import Leaders, leaders
 from hid2.measures.lane_matching import FlatLanes, flatten_lanes
 from hid2.occupancy.agent_states import AgentStates, agent_states
@@ -43,8 +46,9 @@ from hid2.resampling import ratio
 from hid2.vehicle import DrivenVehicle
 from netconvert.geometry import wrap_angle
 
-STEP_S, STANDS_MPS, STANDS_STEPS, STRETCH_M = 0.1, 0.3, 5, 10.0
-CRAWL_SHARE, CRAWL_STEPS, AHEAD_S, TAILGATES_S, ENTERS_MPS, CROSSING_RAD = 0.4, 30, 3.0, 0.7, 3.0, np.radians(40.0)
+STEP_S, STRETCH_M = 0.1, 10.0
+STANDS_STEPS = round(STANDS_FOR_S / STEP_S)
+CRAWL_SHARE, CRAWL_STEPS, AHEAD_S, TAILGATES_S, ENTERS_MPS = 0.4, 30, 3.0, 0.7, 3.0
 #: Whole tracks: of so many steps and more, and so long, m.
 LEAST_STEPS, LEAST_M = 60, 10.0
 SINGLE = ("acceleration m/s2", "jerk m/s3")
@@ -262,7 +266,7 @@ class Figures:
             exempt = kept.get(agent, np.inf) <= near
             self.count("tailgated, exempt", scene, True, near < TAILGATES_S and exempt)
             self.count("tailgated", scene, True, near < TAILGATES_S and not exempt)
-            self.count("below the limit of .8 s", scene, True, near < 0.8 and not exempt)
+            self.count("below the limit of .8 s", scene, True, near < FOLLOWER_HEADWAY_S and not exempt)
 
     def shares(self) -> Iterator[str]:
         for what, found in self.counts.items():
@@ -391,8 +395,6 @@ def graph_lane(lanes: FlatLanes, lane: int):
 
 def crossings_of(lanes: FlatLanes) -> dict[int, list[tuple[int, float]]]:
     """By lane inside an intersection: lanes that cross it at more than 40 degrees, and where on them, m."""
-    from shapely import LineString
-
     inside = [k for k in range(len(lanes.lane_ids)) if graph_lane(lanes, k).is_intersection]
     lines, found = {k: LineString(lanes.lane_points(k)) for k in inside}, {k: [] for k in inside}
     for one, other in itertools.combinations(inside, 2):
