@@ -156,17 +156,17 @@ class World:
             led = scene.states.led_by(row, own)
             if led.ttc_s.min(initial=math.inf) < critical_s:
                 return Reason.TTC_RECORDED_FOLLOWER
-            if led.rows.size and self._tailgates(row, led.gap_m[0] + own.length_m[0] - candidate.start.beyond_m):
+            if led.rows.size and self._tailgates(row, led.gap_m[0], own.length_m[0] - candidate.start.beyond_m):
                 return Reason.FOLLOWER_HEADWAY
         return None
 
-    def _tailgates(self, follower: int, front_m: FloatArray) -> bool:
-        """Whether a recorded vehicle has a time headway that it never kept. front_m (T,): from front to front."""
+    def _tailgates(self, follower: int, gap_m: FloatArray, leader_m: float) -> bool:
+        """Whether a recorded vehicle has a time headway that it never kept, gap_m (T,) behind one leader_m long."""
         states = self.scene.states
         if states.arrays.track_ids[follower] == self.target_id:
             return False
         speed = np.hypot(*states.traffic.velocity[follower].T)
-        headway_s, _ = sustained_headway(front_m, speed, self.scene.step_s)
+        headway_s, _ = sustained_headway(gap_m, leader_m, speed, self.scene.step_s)
         if headway_s >= FOLLOWER_HEADWAY_S:
             return False
         if self._kept_s is None:

@@ -37,16 +37,25 @@ _BEFORE_TURN_M, _APPROACH_SHARE, _TURN_MPS, _TURN_SPARE_S = 5.0, 0.75, 5.0, 2.0
 
 @dataclass(slots=True)
 class TurnedDown:
-    """What is known to fail: rows of cells on or near to which vehicles could not begin, or be kept, by policy."""
+    """What is known to fail: rows of cells on or near to which vehicles could not begin, or be kept, by policy.
+
+    each_cell: one that could not begin speaks for its cell alone, as where few places are left.
+    """
 
     rows: defaultdict[Policy, set[int]] = field(default_factory=lambda: defaultdict(set))
+    each_cell: bool = False
+
+    def look_anew(self) -> None:
+        """Nothing is known to fail any more, and each cell is looked at."""
+        self.rows.clear()
+        self.each_cell = True
 
     def could_not_begin(self, scene: Scene, row: int, policy: Policy) -> None:
         """A vehicle could not begin on a cell, by its row: what speaks against one mostly speaks against those near.
 
         Whether a manoeuvre comes about from there is a matter of metres: one speaks for its cell alone.
         """
-        self.rows[policy].update(_around(scene, row) if policy is Policy.STRAIGHT else (row,))
+        self.rows[policy].update(_around(scene, row) if policy is Policy.STRAIGHT and not self.each_cell else (row,))
 
     def not_kept(self, scene: Scene, row: int) -> None:
         """A vehicle that began on a cell could not be kept: none begins near to it."""

@@ -17,8 +17,9 @@ CLAIM_S = 0.5
 #: A figure that is claimed is that of the states, but for so much of its unit.
 FIGURE_OFF = 0.01
 #: A recorded follower keeps this time headway, s, unless it kept less to its own leader; shorter ones count above this
-#: speed, m/s, when they last so long, s.
-FOLLOWER_HEADWAY_S, FOLLOWER_MPS, FOLLOWER_FOR_S = 0.8, 3.0, 1.0
+#: speed, m/s, when they last so long, s. It is from front to front, of which the leader's length counts for the last at
+#: most, s: .5 s are left between bumpers (of 130 recorded followers none in its lane has less than .6 s).
+FOLLOWER_HEADWAY_S, FOLLOWER_MPS, FOLLOWER_FOR_S, LEADER_LENGTH_S = 0.8, 3.0, 1.0, 0.3
 #: After the last step a driver brakes so hard, m/s2, after so long, s.
 END_DECEL_MPS2, END_REACTION_S = 3.0, 1.0
 #: Share of 1 / R_min above which a curve cannot be driven.

@@ -21,6 +21,7 @@ from hid2.judge.findings import (
     FOLLOWER_MPS,
     INTERSECTION_DEG,
     LANE_DEG,
+    LEADER_LENGTH_S,
     LEAST,
     Bounds,
     Finding,
@@ -343,10 +344,10 @@ def headways(states: AgentStates, led: Leaders, beyond_m: FloatArray | None = No
     beyond_m (A,): by how much the boxes of the states are longer, ahead, than those that are exported.
     """
     arrays = states.arrays
-    if beyond_m is not None:
-        led = replace(led, gap_m=led.gap_m - beyond_m[np.maximum(led.agent, 0)])
     follower = ~arrays.generated[arrays.agent] & arrays.moving[arrays.agent]
-    least = _sustained_headway(states, led, follower & arrays.generated[np.maximum(led.agent, 0)] & (led.agent >= 0))
+    least = _sustained_headway(
+        states, led, follower & arrays.generated[np.maximum(led.agent, 0)] & (led.agent >= 0), beyond_m
+    )
     kept = kept_headways(states) if least else {}
     for agent, (headway_s, at) in least.items():
         if kept.get(agent, math.inf) > headway_s:
@@ -363,32 +364,40 @@ def kept_headways(states: AgentStates) -> dict[int, float]:
     return {agent: headway_s for agent, (headway_s, _) in kept.items()}
 
 
-def sustained_headway(front_m: FloatArray, speed_mps: FloatArray, step_s: float) -> tuple[float, int]:
+def sustained_headway(
+    gap_m: FloatArray, leader_m: FloatArray | float, speed_mps: FloatArray, step_s: float
+) -> tuple[float, int]:
     """Least time headway that a follower has for FOLLOWER_FOR_S, s, and the last step of it; inf where never.
 
-    front_m (T,): from front to front, inf where it follows nothing; speed_mps (T,): its own, above FOLLOWER_MPS alone.
+    From front to front, but of the leader's length at most LEADER_LENGTH_S of the way counts: at 6 m/s a car's length
+    alone would be a headway of .8 s. gap_m (T,): between bumpers, inf where it follows nothing; leader_m: the leader's
+    length; speed_mps (T,): its own, above FOLLOWER_MPS alone.
     """
     lasts = round(FOLLOWER_FOR_S / step_s)
-    if front_m.size < lasts:
+    if gap_m.size < lasts:
         return math.inf, 0
+    front_m = gap_m + np.minimum(leader_m, LEADER_LENGTH_S * speed_mps)
     headway_s = np.where(speed_mps > FOLLOWER_MPS, front_m / np.maximum(speed_mps, FOLLOWER_MPS), np.inf)
     longest = np.lib.stride_tricks.sliding_window_view(headway_s, lasts).max(axis=1)
     at = int(np.argmin(longest))
     return float(longest[at]), at + lasts - 1
 
 
-def _sustained_headway(states: AgentStates, led: Leaders, rows: BoolArray) -> dict[int, tuple[float, int]]:
-    """Least time headway, front to front, that lasts FOLLOWER_FOR_S, if it is too short, and its last row; by agent.
+def _sustained_headway(
+    states: AgentStates, led: Leaders, rows: BoolArray, beyond_m: FloatArray | None = None
+) -> dict[int, tuple[float, int]]:
+    """Least time headway that lasts FOLLOWER_FOR_S, if it is too short, and its last row; by agent.
 
-    rows (N,): of followers; above FOLLOWER_MPS alone.
+    rows (N,): of followers; above FOLLOWER_MPS alone. beyond_m: as above.
     """
     arrays = states.arrays
     speed = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1])
-    front_m = np.where(rows & (led.agent >= 0), led.gap_m + arrays.length[np.maximum(led.agent, 0)], np.inf)
+    gap_m = np.where(rows & (led.agent >= 0), led.gap_m, np.inf)
+    leader_m = (arrays.length if beyond_m is None else arrays.length - beyond_m)[np.maximum(led.agent, 0)]
     found: dict[int, tuple[float, int]] = {}
-    for agent in np.unique(arrays.agent[front_m < FOLLOWER_HEADWAY_S * speed]).tolist():
+    for agent in np.unique(arrays.agent[gap_m < FOLLOWER_HEADWAY_S * speed]).tolist():
         own = states.row_span(agent)
-        headway_s, at = sustained_headway(front_m[own], speed[own], arrays.step_s)
+        headway_s, at = sustained_headway(gap_m[own], leader_m[own], speed[own], arrays.step_s)
         if headway_s < FOLLOWER_HEADWAY_S:
             found[agent] = headway_s, own.start + at
     return found

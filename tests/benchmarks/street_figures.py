@@ -261,8 +261,8 @@ class Figures:
             follows = (led.agent[rows] >= 0) & arrays.generated[np.maximum(led.agent[rows], 0)]
             if lasting(follows & (speed[rows] > ENTERS_MPS), 10) < 0:
                 continue
-            front = np.where(follows, led.gap_m[rows] + arrays.length[np.maximum(led.agent[rows], 0)], np.inf)
-            near = sustained_headway(front, speed[rows], STEP_S)[0]
+            gap_m = np.where(follows, led.gap_m[rows], np.inf)
+            near = sustained_headway(gap_m, arrays.length[np.maximum(led.agent[rows], 0)], speed[rows], STEP_S)[0]
             exempt = kept.get(agent, np.inf) <= near
             self.count("tailgated, exempt", scene, True, near < TAILGATES_S and exempt)
             self.count("tailgated", scene, True, near < TAILGATES_S and not exempt)

@@ -40,13 +40,24 @@ def _steady(
     return world.foreseen(start, (part,))
 
 
-@pytest.mark.parametrize(("ahead_m", "reason"), [(7.5, Reason.FOLLOWER_HEADWAY), (8.5, None)])
+@pytest.mark.parametrize(
+    ("mps", "ahead_m", "reason"),
+    [
+        (16.0, 12.5, Reason.FOLLOWER_HEADWAY),
+        (16.0, 13.1, None),
+        (6.0, 7.3, Reason.FOLLOWER_HEADWAY),
+        (6.0, 7.7, None),
+    ],
+)
 def test_recorded_follower_keeps_its_time_headway(
-    world_of: Callable[..., World], ahead_m: float, reason: Reason | None
+    world_of: Callable[..., World], mps: float, ahead_m: float, reason: Reason | None
 ) -> None:
-    """At 10 m/s 7.5 m from front to front are .75 s, 8.5 m .85 s; .8 s is the limit. An event's target bears it."""
-    world = world_of(recorded(20.0, 0.0, 10.0))
-    candidate = _steady(world, 20.0 + ahead_m, 10.0)
+    """At 16 m/s 12.5 m from front to front are .78 s, 13.1 m .82 s; .8 s is the limit. An event's target bears it.
+
+    At 6 m/s 1.8 m of a leader 4.5 m long count: 7.3 m from front to front are 2.8 m between bumpers, .77 s in all.
+    """
+    world = world_of(recorded(20.0, 0.0, mps))
+    candidate = _steady(world, 20.0 + ahead_m, mps)
     assert world.harries(candidate) is reason
     world.target_id = "r"
     assert world.harries(candidate) is None
