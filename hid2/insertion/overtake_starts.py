@@ -31,7 +31,7 @@ from hid2.scene import SLOW_LEADER_SHARE, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 
 #: Not parameters, they save time: routes on which places are looked for, drawn on each, and rolled out at most.
-_ROUTES, _DRAWS, _ROLLED_OUT = 40, 120, 6
+_ROUTES, _DRAWS, _ROLLED_OUT = 40, 120, 20
 #: No tunables, what is drawn: an added leader drives no slower, m/s; s of the speed difference from the leader at the
 #: start, beyond the gap at standstill.
 _SLOWEST_MPS, _GAP_S = 3.0, (1.0, 4.0)
@@ -40,16 +40,17 @@ _SLOWEST_MPS, _GAP_S = 3.0, (1.0, 4.0)
 _LOOKS_S, _TRIED, _ENOUGH = 0.5, 2, 3
 #: Not parameters, they save rollouts: shares of a lateral motion at which the centre has crossed the line, and up to
 #: which the lane left is not yet entered again; the time gap to others, s, at which none slows down; s kept above a
-#: TTC; and how fast a driver settles at the desired speed, over that speed and the acceleration; and the speed in
-#: a lateral motion over what its sharpest bend allows, as smoothing rounds it.
-_CROSSED, _BACK, _HEADWAY_S, _SPARE_S, _SETTLES, _BENDS = 0.5, 0.4, 1.2, 0.2, 2.5, 1.4
+#: TTC; m by which it may seem late for the way back, as this is rough; how fast a driver settles at the desired speed,
+#: over that speed and the acceleration; and the speed in a lateral motion over what its sharpest bend allows, as
+#: smoothing rounds it.
+_CROSSED, _BACK, _HEADWAY_S, _SPARE_S, _LATE_M, _SETTLES, _BENDS = 0.5, 0.4, 1.2, 0.2, 5.0, 2.5, 1.4
 #: Not a parameter, it saves rollouts: share of the speed that bends on the way allow at least.
 _BEND_SHARE = 0.75
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Way:
-    """A route past: its vehicle begins at first to last m on the path, and has the lane of `beside` up to end m.
+    """A route past: its vehicle begins at first to last m on the path, and has the lane of `beside` from there on.
 
     apart_m: of the two lanes; shift_m: arc length on the path beside minus that on the own one.
     """
@@ -61,7 +62,6 @@ class _Way:
     beside: DrivenPath
     first: float
     last: float
-    end: float
     apart_m: float
     shift_m: float
 
@@ -176,13 +176,11 @@ class OvertakeStarts:
         if neighbor is None:
             return None
         path, beside = scene.path(offer.route), scene.path_beside(offer.route[row:], neighbor)
-        first, last, end = (
-            path.to_line(raw) for raw in (max(offer.start_m, stretch[0] - reach_m), lane_end, stretch[1])
-        )
+        first, last = path.to_line(max(offer.start_m, stretch[0] - reach_m)), path.to_line(lane_end)
         here_s = np.array([max(first, path.to_line(stretch[0]))])
         there, aside = frenet(path.line.position(here_s), beside.raw_line.points, beside.raw_line.s)
         shift_m = float((beside.all_to_line(there) - here_s)[0])
-        return _Way(offer, lane_id, side, path, beside, first, last, end, abs(float(aside[0])), shift_m)
+        return _Way(offer, lane_id, side, path, beside, first, last, abs(float(aside[0])), shift_m)
 
     def _behind_known(self, way: _Way, driver: Driver) -> _Drawn:
         """Behind recorded cars and buses, and inserted vehicles, that are slower at the start."""
@@ -270,16 +268,17 @@ class OvertakeStarts:
         past = (m > drawn.leader_m + length_m + overtake.return_gap_m) & (out_m > across_m)
         back_m = np.where(past.any(axis=1), m[np.arange(len(m)), past.argmax(axis=1)], 1e9)
         spare_m = m[:, -1] - back_m - across_m
-        last = np.minimum(way.last, way.end - back_m - across_m)
+        last = np.minimum(way.last, way.path.exit_s - m[:, -1])
         start = drawn.start_s
         if start is None:
-            start = np.minimum(way.first, last) + np.maximum(last - way.first, 0.0) * self.starts.rng.random(last.size)
-        room_m = (scene.config.conflict.ttc_min_s + _SPARE_S) * (driver.desired_mps - drawn.leader_mps)[:, None]
+            start = way.first + np.maximum(last - way.first, 0.0) * self.starts.rng.random(spare_m.size)
+        room_m = (scene.config.conflict.ttc_min_s + _SPARE_S) * (
+            np.gradient(m, times, axis=1) - drawn.leader_mps[:, None]
+        )
         is_behind = (m + room_m < drawn.leader_m - length_m) | (out_m > _CROSSED * across_m)
-        fits = (spare_m > 0.0) & is_behind.all(axis=1) & (start >= way.first) & (start <= last)
-        fits &= start_mps > drawn.leader_mps
-        if scene.config.request.sites == "any":
-            fits = (start >= way.first) & (start <= way.last)
+        fits = (start >= way.first) & (start <= last)
+        if scene.config.request.sites != "any":
+            fits &= (spare_m > -_LATE_M) & is_behind.all(axis=1) & (start_mps > drawn.leader_mps)
         rows = np.flatnonzero(fits)
         road = self.here.roads.speeds(way.path, driver)
         at = np.minimum(((start[rows, None] + m[rows]) / TABLE_STEP_M).astype(np.int64), road.size - 1)
