@@ -148,6 +148,6 @@ def _overtake(scene: Scene, vehicle: ExportedVehicle, others: AgentStates) -> Ou
         reason, detail = Reason.PASSED_WITHOUT_RETURN, str(driven.reason or Reason.SCENE_ENDED)
     elif not returns_to(driven.start.path, driven.path):
         reason = Reason.RETURNED_ELSEWHERE
-    elif len(changes) > 1:
+    elif len(changes) > 1 and seen is None:
         reason = Reason.RETURNED_BEHIND
     return _begun(vehicle, reason, detail=detail, **begun)

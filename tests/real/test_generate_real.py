@@ -56,13 +56,16 @@ def manoeuvres_seen(scene: TrafficScene) -> dict[str, set[str]]:
 
 
 def disagreements(scene: TrafficScene) -> list[str]:
-    """Records of manoeuvres that say done where the detector sees none, or the other way round."""
+    """Records of manoeuvres that say done where the detector sees none, or the other way round.
+
+    An overtake whose way back has crossed the line but not come to its end is neither.
+    """
     found = []
     kinds_of = manoeuvres_seen(scene)
     for agent in scene.sidecar.agents:
         for record in agent.maneuvers:
             is_seen = agent.policy.value == record.kind and record.kind in kinds_of[agent.track_id]
-            if (record.status == "done") != is_seen:
+            if record.reason != Reason.SCENE_ENDED_RETURNING and (record.status == "done") != is_seen:
                 found.append(f"{agent.track_id} {record.kind} {record.status} {record.reason}, seen: {is_seen}")
     return found
 
@@ -204,10 +207,10 @@ def test_lane_changes_asked_for_are_seen_where_the_lanes_are_long(data_scenes: d
 
 
 def test_arterial_shows_complete_overtakes(data_scenes: dict[str, Path]) -> None:
-    """Of 15 asked for a quarter are seen out, past and back in 11 s: 6 were when this was written, half is the aim."""
+    """Of 15 asked for two thirds are seen out, past and back in 11 s; 46 of 60 were when this was written."""
     asked, done, wrong = _asked(data_scenes["arterial"], {"straight": 0.7, "overtake": 0.3}, range(5))
     assert wrong == []
-    assert (asked, done >= 4) == (15, True), done
+    assert (asked, done >= 9) == (15, True), done
 
 
 def _digests(out: Path) -> Iterator[tuple[str, str]]:
