@@ -150,9 +150,10 @@ def _of(states: AgentStates, agent: int) -> BoolArray:
 def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None:
     """The vehicle crosses from a lane beside the target's path into it, ahead of the target.
 
-    The target is on that path since CLAIM_S at least: where it changes into the lane itself, no vehicle cuts in on it.
+    The target is on that path since CLAIM_S at least: where it changes into the lane itself, no vehicle cuts in on it;
+    nor does one where it changes to another lane before it is there.
     """
-    arrays, view = states.arrays, states.view
+    arrays, view, link = states.arrays, states.view, states.lanes.link
     changes = detect(arrays, states.lanes, states.matches, among=_of(states, own))
     runs, steps = runs_of(view, target), []
     for change in (one for one in changes if one.kind is ManeuverKind.LANE_CHANGE):
@@ -168,8 +169,11 @@ def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None
         on_path = {int(states.lanes.lane_ids[lane]) for lane in lanes}
         if change.target_lane not in on_path or change.source_lane in on_path:
             continue
-        (own_s, target_s), _ = path.frenet(arrays.position[[row, there]])
-        if own_s - target_s > (arrays.length[own] + arrays.length[target]) / 2:
+        left = next((n for n in range(k, len(runs) - 1) if link[runs[n].lane, runs[n + 1].lane] == 1), None)
+        (own_s, target_s, left_s), _ = path.frenet(
+            arrays.position[[row, there, row if left is None else runs[left].last]]
+        )
+        if left_s >= own_s > target_s + (arrays.length[own] + arrays.length[target]) / 2:
             steps.append(step)
     return _nearest(steps, near)
 

@@ -113,9 +113,11 @@ def test_change_behind_the_target_or_out_of_its_lane_is_no_cut_in(states: Callab
 
 
 def test_target_that_changes_itself_is_cut_in_where_it_is_at_that_moment(states: Callable[..., AgentStates]) -> None:
-    """The vehicle comes in at 3 s, the target leaves that lane at 8 s: it was there when the vehicle came."""
+    """The vehicle comes in at 3 s, 15 m ahead. A target that leaves that lane at 8 s was there, one at 4 s was not."""
     target, own, claim = _cut_in(_across(8.0), _across(3.0, start=3.5, to=0.0))
     assert event_step(states(target, own), claim) == pytest.approx(30, abs=1)
+    target, own, claim = _cut_in(_across(4.0), _across(3.0, start=3.5, to=0.0))
+    assert event_step(states(target, own), claim) is None
 
 
 def test_overtake_is_seen_from_its_way_back(states: Callable[..., AgentStates]) -> None:
