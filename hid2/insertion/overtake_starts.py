@@ -19,7 +19,6 @@ from hid2.insertion.surroundings import Surroundings
 from hid2.kernels.polyline import frenet
 from hid2.measures.manoeuvres import PARKED_MPS
 from hid2.motion.lane_change_path import LateralTiming
-from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import BoolArray
@@ -38,14 +37,11 @@ _SLOWEST_MPS, _GAP_S = 3.0, (1.0, 4.0)
 #: Not parameters, they save time: s between two looks at places, places tried on one way, and how many there
 #: are to choose among for each that is tried.
 _LOOKS_S, _TRIED, _ENOUGH = 0.5, 2, 3
-#: Not parameters, they save rollouts: shares of a lateral motion at which the centre has crossed the line, and up to
-#: which the lane left is not yet entered again; the time gap to others, s, at which none slows down; s kept above a
-#: TTC; m by which it may seem late for the way back, as this is rough; how fast a driver settles at the desired speed,
-#: over that speed and the acceleration; and the speed in a lateral motion over what its sharpest bend allows, as
+#: Not parameters, they save rollouts: share of a lateral motion at which the centre has crossed the line; s kept above
+#: a TTC; m by which it may seem late for the way back, as this is rough; how fast a driver settles at the desired
+#: speed, over that speed and the acceleration; and the speed in a lateral motion over what its sharpest bend allows, as
 #: smoothing rounds it.
-_CROSSED, _BACK, _HEADWAY_S, _SPARE_S, _LATE_M, _SETTLES, _BENDS = 0.5, 0.4, 1.2, 0.2, 5.0, 2.5, 1.4
-#: Not a parameter, it saves rollouts: share of the speed that bends on the way allow at least.
-_BEND_SHARE = 0.75
+_CROSSED, _SPARE_S, _LATE_M, _SETTLES, _BENDS = 0.5, 0.2, 5.0, 2.5, 1.4
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -83,7 +79,7 @@ class _Drawn:
 class _Motions:
     """Starts (N,) m on the path and m/s with places (N, K) m at looks; those out (N, K) m since the trigger, m.
 
-    back_s (N, 1): where the way back begins; across_m: how far a lateral motion goes; leader (N, K) m, leader_mps (N,);
+    back_s (N, 1): where the way back begins; across_m: how far a lateral motion goes; leader_s (N,) m, leader_mps (N,);
     spare_m (N,): driven after the way back.
     """
 
@@ -93,7 +89,7 @@ class _Motions:
     out_m: FloatArray
     back_s: FloatArray
     across_m: float
-    leader: FloatArray
+    leader_s: FloatArray
     leader_mps: FloatArray
     spare_m: FloatArray
     added: bool
@@ -102,7 +98,7 @@ class _Motions:
         """Some of them, in this order."""
         return replace(
             self, start_s=self.start_s[rows], start_mps=self.start_mps[rows], s=self.s[rows], out_m=self.out_m[rows],
-            back_s=self.back_s[rows], leader=self.leader[rows], leader_mps=self.leader_mps[rows],
+            back_s=self.back_s[rows], leader_s=self.leader_s[rows], leader_mps=self.leader_mps[rows],
             spare_m=self.spare_m[rows],
         )  # fmt: skip
 
@@ -235,11 +231,7 @@ class OvertakeStarts:
             return motions
         s, out_m, across_m = motions.s, motions.out_m, motions.across_m
         own, beside = (self.starts.world.known_on(path, self._box) for path in (way.path, way.beside))
-        met = _taken(own, looks, s, room_m=CLEAR_GAP_M) & ((out_m < _CROSSED * across_m) | (s > motions.back_s))
-        if motions.added:
-            met |= _taken(own, looks, motions.leader, room_m=_HEADWAY_S * float(motions.leader_mps.max()))
-        is_off = (out_m > 0.0) & (s < motions.back_s + _BACK * across_m)
-        met |= is_off & _taken(beside, looks, s + way.shift_m, room_m=_HEADWAY_S * driver.desired_mps)
+        met = _taken(own, looks, s) & ((out_m < _CROSSED * across_m) | (s > motions.back_s))
         first = out_m.shape[1] - (out_m > 0.0).sum(axis=1).max(initial=1)  # the first look at which it may be out
         enters = self._may_enter(beside, driver, int(looks[first]), s[:, first] + way.shift_m)
         return motions.rows(np.flatnonzero(enters & ~met.any(axis=1)))
@@ -280,13 +272,10 @@ class OvertakeStarts:
         if scene.config.request.sites != "any":
             fits &= (spare_m > -_LATE_M) & is_behind.all(axis=1) & (start_mps > drawn.leader_mps)
         rows = np.flatnonzero(fits)
-        road = self.here.roads.speeds(way.path, driver)
-        at = np.minimum(((start[rows, None] + m[rows]) / TABLE_STEP_M).astype(np.int64), road.size - 1)
-        rows = rows[(road[at] >= _BEND_SHARE * start_mps[rows, None]).all(axis=1)]  # no bend slows it much
         rows = rows[np.argsort(-spare_m[rows], kind="stable")]
-        leader, place = start[:, None] + drawn.leader_m, start[:, None]
+        leader_s, place = start + drawn.leader_m[:, 0], start[:, None]
         return _Motions(
-            start, start_mps, place + m, out_m, place + back_m[:, None], across_m, leader, drawn.leader_mps, spare_m,
+            start, start_mps, place + m, out_m, place + back_m[:, None], across_m, leader_s, drawn.leader_mps, spare_m,
             drawn.start_s is None,
         ).rows(rows)  # fmt: skip
 
@@ -307,7 +296,7 @@ class OvertakeStarts:
             mps = float(one.leader_mps[0])
             base = draw_driver(self.here.scene.config, starts.rng, lane_speed_mps=mps)
             leader = starts.make(
-                slow, way.offer, way.lane_id, raw(float(one.leader[0, 0])), driver=replace(base, desired_mps=mps),
+                slow, way.offer, way.lane_id, raw(float(one.leader_s[0])), driver=replace(base, desired_mps=mps),
                 speed_mps=mps,
             )  # fmt: skip
             if not isinstance(leader, Start):
@@ -325,7 +314,7 @@ class OvertakeStarts:
         return []
 
 
-def _taken(known: PathOccupancy, looks: IntArray, s: FloatArray, *, room_m: float = 0.0) -> BoolArray:
+def _taken(known: PathOccupancy, looks: IntArray, s: FloatArray) -> BoolArray:
     """Whether a box at places (N, K) m at looks (K,), with room ahead, half of it behind, touches any known, (N, K)."""
-    low, high = known.low[:, looks] - room_m, known.high[:, looks] + 0.5 * room_m
+    low, high = known.low[:, looks] - CLEAR_GAP_M, known.high[:, looks] + 0.5 * CLEAR_GAP_M
     return np.asarray(((low[None] < s[:, None]) & (s[:, None] < high[None])).any(axis=1))
