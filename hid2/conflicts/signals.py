@@ -7,25 +7,24 @@ queue stands. Recorded vehicles that enter tell that it is green.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from hid2.kernels.approaches import crossing_steps, red_steps, vehicle_states, watch_approach
-from hid2.measures.arrays import MOVING_EXTENT_M
+from hid2.agents import FloatArray
 from hid2.measures.encounters import CROSSING_RAD
+from hid2.motion.route import path_along
+from hid2.occupancy.agent_states import AgentStates
+from hid2.occupancy.along_path import look_along
 from hid2.occupancy.shown import STANDING_MPS
-from hid2.occupancy.sigma import AGREES_RAD, UNDER_SHARE
-from hid2.occupancy.traffic import BoolArray, Traffic
-from hid2.params import Signals
-from netconvert.cells import CellGrid
+from hid2.occupancy.sigma import UNDER_SHARE
+from hid2.occupancy.traffic import BoolArray
+from hid2.params import Limits, Signals
 from netconvert.lane_graph import SIDES, LaneGraph, TurnType
 
 # No tunables, here and below: what recorded traffic tells of a phase. A queue that stands so near to the entrance
-# makes it red, m, with centres up to so far beyond it, and so far beside a lane's edge; a vehicle that enters follows
-# the lane nearest on average, and any farther by at most the last.
-_QUEUE_M, _BEYOND_M, _BESIDE_M, _ALIKE_M = 20.0, 3.0, 0.5, 0.3
+# makes it red, m, with centres up to so far beyond it.
+_QUEUE_M, _BEYOND_M = 20.0, 3.0
 _FLOW_MPS = 1.0  # faster recorded vehicles are cross traffic, m/s
 #: Green so long before and after a recorded vehicle enters, s, but not this close to cross traffic (critical PET).
 _ENTRY_BEFORE_S, _ENTRY_AFTER_S, _CROSSING_S = 1.0, 2.0, 1.0
@@ -44,38 +43,37 @@ class _Approach:
 class _Watched(NamedTuple):
     """An approach over the scene: (A,) whether a vehicle comes from there; by lane, (T,) entries and waiting vehicles.
 
-    queues: waiting vehicles on an approach lane and on what lies behind it.
+    Waiting vehicles on an approach lane and on what lies behind it count for that lane.
     """
 
     comes_from: BoolArray
     enters: dict[int, BoolArray]
-    waits_inside: dict[int, BoolArray]
-    queues: dict[int, BoolArray]
+    waits: dict[int, BoolArray]
 
 
 @dataclass(slots=True)
 class InferredSignals:
     """Red and green of the entrances of a scene, worked out for each lane when it is first asked for.
 
-    Only lanes of an intersection that are entered from a lane outside of it have an entrance. traffic: the recorded
-    agents of SIGNALLED_TYPES alone; step_s: seconds from one step to the next.
+    Only lanes of an intersection that are entered from a lane outside of it have an entrance. states: the recorded
+    agents, of which those of SIGNALLED_TYPES count.
     """
 
-    grid: CellGrid
-    traffic: Traffic
+    graph: LaneGraph
+    states: AgentStates
     params: Signals
-    step_s: float
-    _states: tuple[npt.NDArray[Any], ...] = field(init=False, repr=False)
+    _speed: FloatArray = field(init=False, repr=False)
+    _flows: BoolArray = field(init=False, repr=False)
     _approaches: dict[int, _Approach | None] = field(init=False, default_factory=dict, repr=False)
     _watched: dict[_Approach, _Watched] = field(init=False, default_factory=dict, repr=False)
     _red: dict[int, BoolArray | None] = field(init=False, default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        traffic = self.traffic
-        self._states = vehicle_states(
-            traffic.position, traffic.velocity, traffic.heading, traffic.present,
-            _FLOW_MPS, STANDING_MPS, MOVING_EXTENT_M,
-        )  # fmt: skip
+        """Speeds of the agents, m/s, and whether they are cross traffic where they cross, (A, T)."""
+        arrays, velocity = self.states.arrays, self.states.traffic.velocity
+        self._speed = np.hypot(velocity[..., 0], velocity[..., 1])
+        obeys = np.array([kind in SIGNALLED_TYPES for kind in arrays.object_types], dtype=np.bool_)
+        self._flows = (self._speed > _FLOW_MPS) & (arrays.moving & obeys)[:, None]
 
     def red(self, lane_id: int) -> BoolArray | None:
         """(T,) whether a vehicle that approaches the lane at a step has to stop at its entrance.
@@ -98,33 +96,37 @@ class InferredSignals:
         An entry into one of them makes all green; a queue makes red what it stands before, and the lanes beside if it
         can go nowhere else.
         """
-        graph, params, watched = self.grid.graph, self.params, self._watch(approach)
+        graph, watched = self.graph, self._watch(approach)
         turn = graph.lanes[lane_id].turn
         alike = [one for one in approach.fan if graph.lanes[one].turn is turn]
         entered = np.logical_or.reduce([watched.enters[one] for one in alike])
-        queued = watched.waits_inside[lane_id].copy()
+        queued = watched.waits[lane_id].copy()
         for lane in approach.lanes:
             if lane_id in graph.successors(lane) or _leads_only(graph, lane, turn, approach.fan):
-                queued |= watched.queues[lane]
-        spans = params.before_s, params.after_s, _ENTRY_BEFORE_S, _ENTRY_AFTER_S, _CROSSING_S
-        crossed = self._crossed(lane_id, ~watched.comes_from)
-        return red_steps(crossed, entered, queued, *(round(span / self.step_s) for span in spans))
+                queued |= watched.waits[lane]
+        return self._reds(self._crossed(lane_id, ~watched.comes_from), entered, queued)
+
+    def _reds(self, crossed: BoolArray, entered: BoolArray, queued: BoolArray) -> BoolArray:
+        """(T,) red: `crossed` (T,) spread over steps before and after it, or `queued` (T,); not near an entry.
+
+        An entry takes away the red of a queue, and that of cross traffic that is more than _CROSSING_S away; that of
+        cross traffic to come only up to itself, as the light has turned since.
+        """
+        params, step_s = self.params, self.states.arrays.step_s
+        spans = params.before_s, params.after_s, _CROSSING_S, _ENTRY_BEFORE_S, _ENTRY_AFTER_S
+        before, after, clear, entry_before, entry_after = (round(span / step_s) for span in spans)
+        to_come, flow, close = _spread(crossed, before, -1), _spread(crossed, 0, after), _spread(crossed, clear, clear)
+        entering, green = _spread(entered, entry_before, 0), _spread(entered, entry_before, entry_after)
+        return close | ((flow | queued) & ~green) | (to_come & ~entering)
 
     def _crossed(self, lane_id: int, others: BoolArray) -> BoolArray:
         """(T,) whether a recorded vehicle that comes from another approach crosses the lane's ground."""
-        through = _through(self.grid.graph, lane_id)
-        borders = [self.grid.borders(one) for one in through]
-        # Where one lane ends and the next begins lies a cell of no length.
-        counts = [len(one) for one in borders]
-        width_m = np.repeat([self.grid.graph.lanes[one].width_m for one in through], counts)[:-1]
-        pose, way, _, flows, bounds, _ = self._states
-        traffic = self.traffic
-        line = np.ascontiguousarray(borders[0] if len(borders) == 1 else np.concatenate(borders))
-        return crossing_steps(
-            line, UNDER_SHARE * width_m / 2,
-            math.cos(CROSSING_RAD), pose, way, flows, others,
-            traffic.length_m / 2, traffic.width_m / 2, bounds,
-        )  # fmt: skip
+        traffic, width_m = self.states.traffic, UNDER_SHARE * self.graph.lanes[lane_id].width_m
+        line = path_along(self.graph, tuple(_through(self.graph, lane_id)), limits=Limits()).line
+        seen = look_along(line, traffic, 0.0, width_m)
+        across = np.abs(seen.along) <= math.cos(CROSSING_RAD) * self._speed[seen.agents]
+        across &= self._flows[seen.agents] & others[seen.agents, None]
+        return np.asarray((across & (seen.low < line.length_m)).any(axis=0))
 
     def _watch(self, approach: _Approach) -> _Watched:
         if approach not in self._watched:
@@ -132,30 +134,39 @@ class InferredSignals:
         return self._watched[approach]
 
     def _look(self, approach: _Approach) -> _Watched:
-        graph = self.grid.graph
-        before = [found for lane in approach.lanes for found in _upstream(graph, lane, _QUEUE_M)]
-        lanes = [graph.lanes[lane] for _, lane, _ in before] + [graph.lanes[lane] for lane in approach.fan]
-        first = np.cumsum([0, *(len(lane.path.points) for lane in lanes)])
-        pose, _, state, _, bounds, moves = self._states
-        rule = _BESIDE_M, math.cos(AGREES_RAD), _QUEUE_M, _BEYOND_M, _ALIKE_M
-        comes_from, enters, waits = watch_approach(
-            np.concatenate([lane.path.points for lane in lanes]), np.concatenate([lane.path.s for lane in lanes]),
-            first, np.array([lane.width_m / 2 for lane in lanes]), np.array([ahead_m for _, _, ahead_m in before]),
-            len(approach.fan), pose, state, bounds, moves, rule,
-        )  # fmt: skip
-        queues = {lane: np.zeros(self.traffic.num_steps, dtype=np.bool_) for lane in approach.lanes}
-        for (lane, _, _), waiting in zip(before, waits[: len(before)], strict=True):
-            queues[lane] |= waiting
-        return _Watched(
-            comes_from=comes_from,
-            enters=dict(zip(approach.fan, enters[len(before) :], strict=True)),
-            waits_inside=dict(zip(approach.fan, waits[len(before) :], strict=True)),
-            queues=queues,
-        )
+        arrays, matches, lanes = self.states.arrays, self.states.matches, self.states.lanes
+        steps, length_m = arrays.num_steps, lanes.length_m
+        comes_from = np.zeros(arrays.num_agents, dtype=np.bool_)
+        every = (*approach.lanes, *approach.fan)
+        enters, waits = ({lane: np.zeros(steps, dtype=np.bool_) for lane in every} for _ in range(2))
+        number = {lane: lanes.index_of[lane] for lane in every if lane in lanes.index_of}
+        before = np.isin(matches.lane, [number[lane] for lane in approach.lanes if lane in number])
+        inside = np.isin(matches.lane, [number[lane] for lane in approach.fan if lane in number])
+        for agent in np.unique(arrays.agent[before | inside]).tolist():
+            own = self.states.row_span(agent)
+            within = own.start + np.flatnonzero(inside[own])
+            if before[own].any():
+                comes_from[agent] = True
+                within = within[within > own.start + np.argmax(before[own])]
+                if within.size:
+                    enters[int(lanes.lane_ids[matches.lane[within[0]]])][arrays.step[within[0]]] = True
+            else:
+                comes_from[agent] = bool((matches.s[within] < length_m[matches.lane[within]] / 3).any())
+        middle = np.abs(matches.d) <= lanes.half_width[matches.lane] / 3
+        stands = self._speed[arrays.agent, arrays.step] < STANDING_MPS
+        waiting = np.flatnonzero(stands & (matches.lane >= 0) & (middle | arrays.moving[arrays.agent]))
+        lane, s, step = matches.lane[waiting], matches.s[waiting], arrays.step[waiting]
+        for one in approach.fan:
+            waits[one][step[(lane == number.get(one, -1)) & (s < _BEYOND_M)]] = True
+        for one in approach.lanes:
+            for behind, ahead_m in _upstream(self.graph, one, _QUEUE_M):
+                row = lanes.index_of.get(behind, -1)
+                waits[one][step[(lane == row) & (length_m[row] - s + ahead_m <= _QUEUE_M)]] = True
+        return _Watched(comes_from, enters, waits)
 
     def _approach(self, lane_id: int) -> _Approach | None:
         if lane_id not in self._approaches:
-            self._approaches[lane_id] = _approach_of(self.grid.graph, lane_id)
+            self._approaches[lane_id] = _approach_of(self.graph, lane_id)
         return self._approaches[lane_id]
 
 
@@ -178,15 +189,23 @@ def _leads_only(graph: LaneGraph, lane_id: int, turn: TurnType, fan: Sequence[in
     return bool(onward) and all(one in fan and graph.lanes[one].turn is turn for one in onward)
 
 
-def _upstream(graph: LaneGraph, lane_id: int, reach_m: float) -> list[tuple[int, int, float]]:
-    """(lane_id, lane, metres from that lane's end to the entrance): the lane, and those behind it within reach_m."""
+def _upstream(graph: LaneGraph, lane_id: int, reach_m: float) -> list[tuple[int, float]]:
+    """The lane and those behind it within reach_m, each with the metres from its end to the entrance."""
     found, stack = [], [(lane_id, 0.0)]
     while stack:
         lane, ahead_m = stack.pop()
-        found.append((lane_id, lane, ahead_m))
+        found.append((lane, ahead_m))
         ahead_m += graph.lanes[lane].length_m
         if ahead_m < reach_m:
             stack.extend((one, ahead_m) for one in graph.predecessors(lane) if not graph.lanes[one].is_intersection)
+    return found
+
+
+def _spread(at: BoolArray, before: int, after: int) -> BoolArray:
+    """(T,) steps from `before` steps before to `after` steps after those that are true (T,)."""
+    found = np.zeros_like(at)
+    for step in np.flatnonzero(at).tolist():
+        found[max(0, step - before) : step + after + 1] = True
     return found
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from hid2.agents import BoxSize, FloatArray, IntArray
 from hid2.conflicts.crossings import CROSSING_TYPES, PedestrianCrossings
-from hid2.conflicts.signals import SIGNALLED_TYPES, InferredSignals
+from hid2.conflicts.signals import InferredSignals
 from hid2.drivers.driver import Driver
 from hid2.kernels.guard import stop_ahead
 from hid2.kernels.steering import CAUSES
@@ -73,13 +73,10 @@ class StopLines:
 
     def __post_init__(self) -> None:
         """Signals and crossings of the recorded traffic."""
-        scene, config, step_s = self.scene, self.scene.config, self.scene.step_s
-        signalled, walking = (
-            scene.traffic.rows([row for row, kind in enumerate(scene.object_types) if kind in kinds])
-            for kinds in (SIGNALLED_TYPES, CROSSING_TYPES)
-        )
-        self.signals = InferredSignals(scene.grid, signalled, config.signals, step_s)
-        self._crossings = PedestrianCrossings(scene.grid.graph.pedestrian_crossings, walking, step_s)
+        scene = self.scene
+        self.signals = InferredSignals(scene.grid.graph, scene.states, scene.config.signals)
+        walking = scene.traffic.rows([row for row, kind in enumerate(scene.object_types) if kind in CROSSING_TYPES])
+        self._crossings = PedestrianCrossings(scene.grid.graph.pedestrian_crossings, walking, scene.step_s)
 
     def on(self, path: DrivenPath, box: BoxSize) -> list[StopLine]:
         """Lines along a path that are closed at some step, in the order in which a vehicle comes to them."""

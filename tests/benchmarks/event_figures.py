@@ -5,7 +5,7 @@
 
 Targets: av, focal, track ids, or `moving` for every recorded vehicle that moves.
 
-offered  the map has room for it, whoever is there (`offers`); beside: for a cut_in, the same whatever the marking
+possible it came about, or any of 2,000 rollouts with another seed brings it about
 came     it came about, and is seen again in the exported positions by the rules below, which share nothing with the
          search
 floors   processor time of the event alone, over that of SUMO replaying the recorded agents alone
@@ -32,24 +32,23 @@ from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import EventRecord
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray, Track
-from hid2.insertion.event_targets import Target, target_of
+from hid2.insertion.event_targets import target_of
+from hid2.insertion.events import EventSearch
 from hid2.insertion.meetings import moving_vehicles, named_rows
 from hid2.measures.encounters import CROSSING_RAD
 from hid2.occupancy.traffic import BoolArray
 from hid2.params import Config, Event, Request
-from hid2.scene import DRIVABLE_TYPES, Scene
+from hid2.scene import Scene
 from netconvert.geometry import Polyline
 
 KINDS = get_args(Event.model_fields["kind"].annotation)
-MOMENTS_S = (2.0, 4.0, 6.0)
-#: Nothing is asked for later than this before the end, s; so long a lane has to lie beside the target's path.
-BEFORE_END_S, BESIDE_S = 4.0, 4.0
-#: A conflict point or merge this long before or after the moment can be met then, s.
-REACH_S = 5.0
+MOMENTS_S, OVERTAKE_S = (3.0, 6.0), 9.0
+#: Nothing but an overtake is asked for later than this before the end, s, nor of a target that is slower, m/s.
+BEFORE_END_S, MOVES_MPS = 4.0, 1.0
+ROLLED_OUT, ANOTHER_SEED = 2000, 12345
 #: Off the target's path, m: in its lane at most, in the lane beside at least; how far over at the moment, share.
 ON_M, BESIDE_M, HALF_WAY = 1.3, 2.2, (0.2, 0.8)
 #: Out, past and half of the way back take so long: 2 x 9 m of boxes and gaps at 6 m/s more, and 1.5 + 0.75 s aside.
-OVERTAKE_S, PARKED_MPS = 5.0, 0.5
 OVERLAP_M = 2.0  # boxes overlap across, nearly
 MOMENT_S, SPARE_M = 0.7, 1.5
 
@@ -66,74 +65,12 @@ class Said(logging.Handler):
             self.last = str(record.args[2])
 
 
-# what the map offers
-
-
-def offers(scene: Scene, target: Target, kind: str, at_s: float, gap_m: tuple[float, float]) -> bool:
-    """Whether map and target's way have room for an event at a moment, whoever else is there."""
-    step_s, at = scene.step_s, round(at_s / scene.step_s)
-    if not target.present[at] or target.lane_at(at) is None:
-        return False
-    lengths = 0.5 * (4.5 + target.track.size.length_m)
-    if kind in ("lead", "follow"):
-        return True
-    if kind == "cut_in":
-        return lies_beside(scene, target, at, round(BESIDE_S / step_s)) and may_come_over(scene, target, at, gap_m)
-    if kind == "overtake":  # out, past, and back at the moment asked for
-        mean = float(target.speed[target.present].mean())
-        return at_s >= OVERTAKE_S and PARKED_MPS < mean < 12.0 and lies_beside(scene, target, at // 2, at)
-    graph = scene.grid.graph
-    lanes = graph.lanes
-    reach = round(REACH_S / step_s)
-    if kind == "merge":
-        for (source, _, _), (lane, entered, _) in zip(target.runs, target.runs[1:], strict=False):
-            others = [n for n in graph.predecessors(lane) if n != source and lanes[n].lane_type in DRIVABLE_TYPES]
-            apart = abs(float(target.way[entered] - target.way[at])) - lengths
-            if source in graph.predecessors(lane) and others and gap_m[0] <= apart <= gap_m[1]:
-                return True
-        return False
-    steps = np.flatnonzero(target.present)
-    steps = steps[np.abs(steps - at) <= reach]
-    own = {lane for lane, _, _ in target.runs}
-    for number, lane in lanes.items():
-        if number in own or lane.lane_type not in DRIVABLE_TYPES or len(steps) < 2:
-            continue
-        if crossing(target.position[steps], lane.path.xy(np.arange(0.0, lane.length_m, 1.0), 0.0)) is not None:
-            return True
-    return False
-
-
-def lies_beside(scene: Scene, target: Target, at: int, lasting: int) -> bool:
-    """Whether lanes of the same direction lie beside those of the target, on one side, around a step."""
-    first, last = max(0, at - lasting // 2), min(scene.num_steps - 1, at + lasting // 2)
-    graph = scene.grid.graph
-    for side in ("left", "right"):
-        found = True
-        for step in range(first, last + 1):
-            lane = target.lane_at(step)
-            beside = None if lane is None else graph.neighbor(lane, side)
-            found = found and beside is not None and graph.lanes[beside].lane_type in DRIVABLE_TYPES
-        if found:
-            return True
-    return False
-
-
-def may_come_over(scene: Scene, target: Target, at: int, gap_m: tuple[float, float]) -> bool:
-    """Whether the marking lets somebody come over from a lane beside, where a vehicle at a gap asked for would be."""
-    graph, lengths = scene.grid.graph, 0.5 * (4.5 + target.track.size.length_m)
-    for step in range(at, scene.num_steps):
-        if not gap_m[0] + lengths <= target.way[step] - target.way[at] <= gap_m[1] + lengths:
-            continue
-        lane = target.lane_at(step)
-        for side, back in (("left", "right"), ("right", "left")):
-            beside = None if lane is None else graph.neighbor(lane, side)
-            if (
-                beside is not None
-                and graph.lanes[beside].lane_type in DRIVABLE_TYPES
-                and graph.may_change(beside, back)
-            ):
-                return True
-    return False
+def possible(prepared: PreparedScene, config: Config) -> bool:
+    """Whether any of so many rollouts, drawn anew, brings the event about: what a miss is held against."""
+    many = config.event_search.model_copy(update={"candidates": ROLLED_OUT})
+    search = EventSearch(prepared.surroundings(config.model_copy(update={"event_search": many})), (ANOTHER_SEED,))
+    objectives = search.objectives(config.event[0], np.random.default_rng(0))
+    return bool(objectives) and next(search.likely(objectives, 0, Counter()), None) is not None
 
 
 # what is seen in exported positions
@@ -228,8 +165,7 @@ class Row:
     kind: str
     target: str
     at_s: float
-    offered: bool
-    beside: bool
+    possible: bool
     came: bool
     missing: str
     tries: int
@@ -240,7 +176,7 @@ class Row:
     def __str__(self) -> str:
         came = "came" if self.came else "-"
         return (
-            f"{self.scene} {self.kind:8} {self.target:5} {self.at_s:.0f} s {'offered' if self.offered else '-':7} "
+            f"{self.scene} {self.kind:8} {self.target:5} {self.at_s:.0f} s {'possible' if self.possible else '-':8} "
             f"{came:4} {self.tries:3} tries {self.floors:5.1f} floors  {self.measures or self.said}{self.missing}"
         )
 
@@ -277,19 +213,23 @@ def measure(folder: Path, kinds: Sequence[str], targets: Sequence[str], ttc_s: o
         Event(kind=kind, target=target, at_s=(at_s, at_s), ttc_s=ttc_s)
         for kind in kinds
         for target in named
-        for at_s in MOMENTS_S
+        for at_s in ((OVERTAKE_S,) if kind == "overtake" else MOMENTS_S)
     ):
         row = next((r for r in named_rows(scene, event.target).tolist() if r in moving), None)
         target = None if row is None else target_of(scene, row)
         at = round(event.at_s[0] / scene.step_s)
-        if target is None or event.at_s[0] > scene.last_s - BEFORE_END_S or not target.present[at]:
+        latest_s = scene.last_s - (0.0 if event.kind == "overtake" else BEFORE_END_S)
+        if target is None or event.at_s[0] > latest_s or not target.present[at]:
+            continue
+        if target.speed[at] < MOVES_MPS or target.lane_at(at) is None:
             continue
         said.last, begun = "", time.process_time()
-        made: TrafficScene = generate(prepared, plain.model_copy(update={"event": (event,)}))
+        config = plain.model_copy(update={"event": (event,)})
+        made: TrafficScene = generate(prepared, config)
         taken = time.process_time() - begun - base_s
         (record,) = made.sidecar.events
-        missing, measures = "", ""
-        if record.status == "done":
+        missing, measures, done = "", "", record.status == "done"
+        if done:
             own = next(track for track in made.generated if track.track_id == record.track_id)
             missing = seen(event.kind, own, tracks[str(record.target_track_id)], record, event.gap_band_m, scene.step_s)
             missing = f" NOT SEEN AGAIN: {missing}" if missing else ""
@@ -299,10 +239,8 @@ def measure(folder: Path, kinds: Sequence[str], targets: Sequence[str], ttc_s: o
         rows.append(
             Row(
                 folder.name[:8], event.kind, event.target, event.at_s[0],
-                offers(scene, target, event.kind, event.at_s[0], event.gap_band_m),
-                lies_beside(scene, target, at, round(BESIDE_S / scene.step_s)),
-                record.status == "done" and not missing, missing, record.tries, max(0.0, taken) / floor, said.last,
-                measures,
+                done or possible(prepared, config), done and not missing, missing, record.tries,
+                max(0.0, taken) / floor, said.last, measures,
             )
         )  # fmt: skip
         print(rows[-1], flush=True)
@@ -310,23 +248,22 @@ def measure(folder: Path, kinds: Sequence[str], targets: Sequence[str], ttc_s: o
 
 
 def summary(rows: Sequence[Row]) -> str:
-    """By kind and target: how many of those offered came about, and what they cost."""
+    """By kind and target: how many of those that are possible came about, and what they cost."""
     lines = []
     targets = list(dict.fromkeys(row.target for row in rows))
     for kind in dict.fromkeys(row.kind for row in rows):
         for target in (*(targets if len(targets) < 4 else ()), "all"):
             some = [row for row in rows if row.kind == kind and target in (row.target, "all")]
-            offered = [row for row in some if row.offered]
-            came, floors = sum(row.came for row in offered), [row.floors for row in some] or [0.0]
+            among = sum(row.possible for row in some)
+            came, floors = sum(row.came for row in some), [row.floors for row in some] or [0.0]
             lines.append(
-                f"{kind:8} {target:5} offered {len(offered):3} of {len(some):3} ({sum(r.beside for r in some)} with a "
-                f"lane beside), came about {came:3} = {came / max(1, len(offered)):.2f}; not offered but came "
-                f"{sum(r.came for r in some) - came}; not seen again {sum(bool(r.missing) for r in some)}; floors "
+                f"{kind:8} {target:5} {len(some):3} asked for, possible {among:3}, came about {came:3} = "
+                f"{came / max(1, among):.2f}; not seen again {sum(bool(r.missing) for r in some)}; floors "
                 f"median {np.median(floors):.1f}, largest {max(floors):.1f}"
             )
         reasons: Counter[str] = Counter()
         for row in rows:
-            if row.kind == kind and row.offered and not row.came:
+            if row.kind == kind and row.possible and not row.came:
                 for part in row.said.split(", "):
                     name, _, count = part.rpartition(" ")
                     reasons[name or part] += int(count) if count.isdigit() else 1

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
+from bridge.recordings.judging import states_of
 from bridge.recordings.scenario import STEP_S, read_scenario
-from hid2.conflicts.signals import SIGNALLED_TYPES, InferredSignals
-from hid2.occupancy.traffic import traffic_of
+from hid2.conflicts.signals import InferredSignals
+from hid2.measures.lane_matching import flatten_lanes
 from hid2.params import Signals
-from netconvert.cells import build_cell_grid
 
 #: Of the recorded entries, at red: one of 69 in these six scenes.
 MOST_ON_RED = 0.03
@@ -16,9 +16,9 @@ def test_recorded_vehicles_hardly_ever_enter_on_red(real_scenes: list[Path]) -> 
     entries = on_red = red_lanes = 0
     for folder in real_scenes:
         scenario = read_scenario(folder)
-        tracks = [track for track in scenario.tracks if track.object_type in SIGNALLED_TYPES]
-        traffic = traffic_of(tracks, scenario.num_steps, step_s=STEP_S)
-        signals = InferredSignals(build_cell_grid(scenario.graph), traffic, Signals(), STEP_S)
+        lanes = flatten_lanes(scenario.graph)
+        states = states_of(scenario.tracks, lanes, set(), num_steps=scenario.num_steps, step_s=STEP_S)
+        signals = InferredSignals(scenario.graph, states, Signals())
         for lane_id in scenario.graph.lanes:
             red, enters = signals.red(lane_id), signals.enters(lane_id)
             assert (red is None) == (enters is None)

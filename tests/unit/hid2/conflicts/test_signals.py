@@ -12,10 +12,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
+from hid2.agents import BoxSize, Track
 from hid2.conflicts.signals import InferredSignals
+from hid2.measures.lane_matching import flatten_lanes
+from hid2.occupancy.agent_states import agent_states
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Signals
-from netconvert.cells import build_cell_grid
 from netconvert.lane_graph import LaneGraph, LaneSegment
 
 STEPS = 110
@@ -40,9 +42,18 @@ def crossing(lane: Callable[..., LaneSegment]) -> LaneGraph:
 @pytest.fixture
 def signals(crossing: LaneGraph) -> Callable[..., InferredSignals]:
     def make(*vehicles: Traffic) -> InferredSignals:
-        return InferredSignals(build_cell_grid(crossing), vehicles[0].joined(*vehicles[1:]), PARAMS, 0.1)
+        return _inferred(crossing, *vehicles)
 
     return make
+
+
+def _inferred(graph: LaneGraph, *vehicles: Traffic) -> InferredSignals:
+    tracks = [
+        Track(name, "vehicle", 1, np.arange(STEPS), one.position[row], one.heading[row], one.velocity[row],
+              BoxSize(float(one.length_m[row]), float(one.width_m[row])))
+        for one in vehicles for row, name in enumerate(one.ids)
+    ]  # fmt: skip
+    return InferredSignals(graph, agent_states(tracks, flatten_lanes(graph), num_steps=STEPS, step_s=0.1), PARAMS)
 
 
 def _along(name: str, points: Sequence[Sequence[float]], *, wait_steps: int = 0, mps: float = 10.0) -> Traffic:
@@ -142,13 +153,13 @@ def test_an_entry_makes_no_green_after_it_for_cross_traffic_to_come(signals, box
 
 
 def test_a_right_turn_says_nothing_of_the_way_straight_on(signals, box) -> None:
-    """Who turns right enters lane 7 alone; the queue in the shared lane stays red for lane 2."""
+    """What turns right enters lane 7 alone; the queue in the shared lane stays red for lane 2."""
     turning = _along("a", [(-5.0, 0.0), (0.0, 0.0), (3.0, -0.8), (5.2, -3.0), (6.0, -6.0), (6.0, -40.0)], wait_steps=30)
     scene = signals(turning, box(-12.0, 0.0, name="b"))
-    assert _steps(scene.enters(7)) == [36]
+    assert _steps(scene.enters(7)) == [35]
     assert _steps(scene.enters(2)) == []
     assert _steps(scene.red(2)) == list(range(STEPS))
-    assert _steps(scene.red(7)) == [*range(26), *range(57, STEPS)]
+    assert _steps(scene.red(7)) == [*range(25), *range(56, STEPS)]
 
 
 def test_only_lanes_that_are_entered_from_outside_have_an_entrance(lane, box) -> None:
@@ -159,8 +170,7 @@ def test_only_lanes_that_are_entered_from_outside_have_an_entrance(lane, box) ->
         lane(9, [(8, 0), (30, 0)], is_intersection=True),
         lane(11, [(0, 40), (8, 40)], is_intersection=True),
     ]
-    grid = build_cell_grid(LaneGraph({one.lane_id: one for one in lanes}))
-    scene = InferredSignals(grid, box(20.0, -50.0, np.pi / 2, 10.0), PARAMS, 0.1)
+    scene = _inferred(LaneGraph({one.lane_id: one for one in lanes}), box(20.0, -50.0, np.pi / 2, 10.0))
     assert _steps(scene.red(2)) == list(range(27, 84))
     assert scene.red(1) is None
     assert scene.red(9) is None
