@@ -114,10 +114,9 @@ def told_of(event: EventRecord) -> str:
 
 
 def _selection(sidecar: Sidecar) -> dict[str, Any]:
-    """What tells of the selection; nothing where the sidecar is an older one."""
+    """What tells of the selection."""
     told = sidecar.selection
-    if told is None:
-        return {}
+    assert told is not None
     found: dict[str, Any] = {"driven": told.driven}
     for name in ("kept", "dropped", "recorded"):
         of: DrivesRecord = getattr(told, name)

@@ -15,7 +15,6 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
-from pydantic_core import from_json
 
 from bridge.config import config_from_dict, config_sha256, config_to_dict, new_scenario_id
 from bridge.files import one_line, read_received
@@ -66,10 +65,9 @@ def check_rows(rows: RowArrays, new_id: str) -> Iterator[Breach]:
 
 
 def _check_index(table: pa.Table) -> Iterator[Breach]:
-    metadata = (table.schema.metadata or {}).get(b"pandas")
     try:
-        index = from_json(metadata)["index_columns"] if metadata is not None else []
-    except (ValueError, KeyError, TypeError) as error:
+        index = (table.schema.pandas_metadata or {"index_columns": []})["index_columns"]
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         yield "columns", f"what pandas wrote about its index cannot be read ({error})"
         return
     wanted = {"kind": "range", "name": None, "start": 0, "stop": table.num_rows, "step": 1}
@@ -171,14 +169,10 @@ def _same_bits(one: pa.ChunkedArray, other: pa.ChunkedArray) -> npt.NDArray[np.b
 
 
 def check_sidecar(
-    sidecar: Sidecar, new_id: str, *, begins: Mapping[str, int] | None, generated_ids: Set[str],
-    lanes: Set[str] | None,
-) -> Iterator[Breach]:  # fmt: skip
-    """A sidecar against its scene.
-
-    begins: first timestep of each track of the rows, by its id; lanes: those of the map; None where these are missing.
-    """
-    track_ids = None if begins is None else begins.keys()
+    sidecar: Sidecar, new_id: str, begins: Mapping[str, int], generated_ids: Set[str], lanes: Set[str]
+) -> Iterator[Breach]:
+    """A sidecar against its scene. begins: first timestep of each track of the rows, by its id; lanes: of the map."""
+    track_ids = begins.keys()
     try:
         if str(uuid.UUID(new_id)) != new_id:
             raise ValueError
@@ -202,12 +196,12 @@ def check_sidecar(
     listed = [agent.track_id for agent in sidecar.agents]
     if len(set(listed)) != len(listed):
         yield "sidecar", "two agents have the same track_id"
-    if track_ids is not None and set(listed) != generated_ids & track_ids:
+    if set(listed) != generated_ids & track_ids:
         missing = ", ".join(sorted(set(listed) ^ (generated_ids & track_ids)))
         yield "sidecar", f"agents and generated tracks differ: {missing}"
     for agent in sidecar.agents:
         yield from _check_agent(agent, track_ids, lanes)
-        begin = agent.spawn.timestep if begins is None else begins.get(agent.track_id, agent.spawn.timestep)
+        begin = begins.get(agent.track_id, agent.spawn.timestep)
         if begin != agent.spawn.timestep:
             yield "sidecar", f"agent {agent.track_id}: spawn.timestep {agent.spawn.timestep}, but it begins at {begin}"
     yield from _check_events(sidecar)
@@ -236,7 +230,7 @@ def _check_events(sidecar: Sidecar) -> Iterator[Breach]:
             yield "sidecar", f"event {number}: human_brakes {event.human_brakes}, but min_ttc_s {event.min_ttc_s}"
 
 
-def _check_agent(agent: AgentRecord, track_ids: Set[str] | None, lanes: Set[str] | None) -> Iterator[Breach]:
+def _check_agent(agent: AgentRecord, track_ids: Set[str], lanes: Set[str]) -> Iterator[Breach]:
     name = f"agent {agent.track_id}"
     kinds = [maneuver.kind for maneuver in agent.maneuvers]
     if agent.policy is not Policy.STRAIGHT and agent.policy.value not in kinds:
@@ -253,11 +247,10 @@ def _check_agent(agent: AgentRecord, track_ids: Set[str] | None, lanes: Set[str]
             yield "sidecar", f"{name}: {maneuver.kind}: times {times}, expected trigger, start, crossing, end in order"
         if maneuver.status == "done" and (maneuver.start_s is None or maneuver.end_s is None):
             yield "sidecar", f"{name}: {maneuver.kind}: done without start_s and end_s"
-        if track_ids is not None and maneuver.leader_track_id not in (None, *track_ids):
+        if maneuver.leader_track_id not in (None, *track_ids):
             yield "sidecar", f"{name}: {maneuver.kind}: no leader {maneuver.leader_track_id!r}"
-    if lanes is not None:
-        for lane in sorted(lane for lane in used if str(lane) not in lanes):
-            yield "sidecar", f"{name}: lane segment {lane} is not in the map"
+    for lane in sorted(lane for lane in used if str(lane) not in lanes):
+        yield "sidecar", f"{name}: lane segment {lane} is not in the map"
 
 
 def check_written_sequence(

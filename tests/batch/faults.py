@@ -18,7 +18,7 @@ from bridge.batch.batch import Place, Run, base_row
 from bridge.batch.isolation import Failure, describe_error
 from bridge.batch.manifest import ManifestRow, files_sha256, output_files
 from bridge.config import config_sha256, config_to_dict
-from bridge.recordings.export import new_scenario_id, with_generated, write_recording
+from bridge.recordings.export import new_scenario_id, recording_record_of, with_generated, write_recording
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import GeneratorRecord, PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
 
@@ -66,7 +66,8 @@ def copies(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]
             request = run.config.request
             sidecar = Sidecar(
                 source_scenario_id=scenario.scenario_id,
-                generator=GeneratorRecord(version="test"),
+                generator=GeneratorRecord(version="test", code_sha256="0" * 64, libraries={}),
+                recording=recording_record_of(scenario),
                 sumo_version="none",
                 seed=request.seed,
                 variant=run.variant,

@@ -29,8 +29,7 @@ def _find(path: Path, _: frozenset[str], choices: Choices) -> list[Address]:
 
 
 def _files(source: Source) -> list[Path]:
-    found = [*sorted(source.path.glob(ANNOTATIONS))[:1], source.path / POSES, *log_maps(source.path)]
-    return [path for path in found if path.is_file()]
+    return [*sorted(source.path.glob(ANNOTATIONS))[:1], source.path / POSES, *log_maps(source.path)]
 
 
 def window_id(log_id: str, start: int) -> str:

@@ -75,7 +75,7 @@ def written(scenario: Recording, tmp_path: Path) -> Iterator[Path]:
     )  # fmt: skip
     sidecar = Sidecar(
         source_scenario_id=scenario.scenario_id,
-        generator=GeneratorRecord(version="test"),
+        generator=GeneratorRecord(version="test", code_sha256="0" * 64, libraries={}),
         recording=recording_record_of(scenario),
         sumo_version="none",
         seed=0,
