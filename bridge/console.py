@@ -124,10 +124,10 @@ class Activity(ExitStack):
         """Name the work that begins now, which nothing is counted of yet."""
         self._what, self._counted, self._named = what, "", self._clock()
 
-    def show(self, done: int, total: int, rate: float | None = None, details: str = "") -> None:
-        """Take note of what is done so far; rate: items a second, by the count if not given."""
+    def show(self, done: int, total: int, details: str = "") -> None:
+        """Take note of what is done so far."""
         elapsed_s = self._clock() - self._named
-        rate = (done / elapsed_s if elapsed_s > _RATED_S else 0.0) if rate is None else rate
+        rate = done / elapsed_s if elapsed_s > _RATED_S else 0.0
         left = f", {duration((total - done) / rate)} left" if rate > 0 and done < total else ""
         speed = f"{_rate(rate)}{left}" if rate > 0 else ""
         self._counted = f": {done} of {total}{details}{speed and ', '}{speed}"

@@ -1,17 +1,16 @@
 """A process of its own for work that may crash: whatever happens there, the caller lives and knows what happened.
 
 libsumo is native code and allows one simulation per process, so scenes run in such processes: a segfault, a kill or
-a hang costs the process and nothing else. The process is started once, serves many calls and is replaced after
-`recycle_after` of them, or when its memory has grown. What it may take is bounded (`memory_mb`), and what it leaves in
-its folder for temporary files goes with it. Caller and process talk over a pair of Unix sockets without a name: nothing
-listens, no other process can connect.
+a hang costs the process and nothing else. The process is started once, serves many calls and is replaced when its
+memory has grown. What it may take is bounded (`memory_mb`), and what it leaves in its folder for temporary files goes
+with it. Caller and process talk over a pair of Unix sockets without a name: nothing listens, no other process can
+connect.
 """
 
 import contextlib
 import faulthandler
 import gc
 import importlib
-import itertools
 import logging
 import os
 import pickle
@@ -32,7 +31,6 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from bridge.batch.start_up import spare_the_collector
 from bridge.files import disk_error
 from netconvert.errors import Hid2Error
 
@@ -82,13 +80,12 @@ class Failure:
 class Settings:
     """How items are run.
 
-    timeout_s: for each item, a process that takes longer is ended; recycle_after: calls after which a process is
-    replaced; memory_mb: what it may allocate (RLIMIT_DATA), several times what the largest real scene takes.
+    timeout_s: for each item, a process that takes longer is ended; memory_mb: what it may allocate (RLIMIT_DATA),
+    several times what the largest real scene takes.
     """
 
     timeout_s: float = 300.0
     retries: int = 1
-    recycle_after: int = 1000
     memory_mb: int = 4000
 
 
@@ -116,7 +113,6 @@ class IsolatedProcess:
         self.stopped = False  # there will be no other process
         self._process: subprocess.Popen[bytes] | None = None
         self._open = contextlib.ExitStack()  # as long as there is a process
-        self._calls = 0
         self._rss_mb = 0.0
 
     @property
@@ -132,11 +128,10 @@ class IsolatedProcess:
         Raises WorkFailedError when the process dies or runs out of time, or the function raises; StartFailedError when
         it does not come so far.
         """
-        if self._calls >= self._settings.recycle_after or self._rss_mb > MAX_RSS_MB:
+        if self._rss_mb > MAX_RSS_MB:
             self.close()
         if self._process is None or self._process.poll() is not None:
             self._start()
-        self._calls += 1
         try:
             self._connection.send_bytes(
                 pickle.dumps((function, arguments, self._settings.timeout_s, _LOG.isEnabledFor(logging.DEBUG)))
@@ -197,7 +192,6 @@ class IsolatedProcess:
             ) from error
         finally:
             there.close()
-        self._calls = 0
         self._rss_mb = 0.0
         self._receive_start()
 
@@ -282,16 +276,13 @@ def _log_to(connection: "Connection[Any, Any]", *, debug: bool) -> None:
 
 def serve() -> None:
     """Run in the child: answer calls until the caller goes away."""
-    gc.disable()  # until the work is imported, of which nothing is ever free
+    gc.set_threshold(5_000, 20, 20)  # a scene leaves little behind that only the collector can free
     connection: Connection[Any, Any] = Connection(int(sys.argv[1]))
     threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
     _bound_memory(int(sys.argv[2]))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _reply(connection, "ready", None)
-    for call in itertools.count():
-        if call == 1:
-            gc.collect()
-            spare_the_collector()  # what the first call loaded as well
+    while True:
         try:
             function, arguments, timeout_s, debug = pickle.loads(connection.recv_bytes())  # noqa: S301  # our own caller
         except (EOFError, OSError):  # the caller is gone, and cannot remove this process's folder any more
@@ -308,8 +299,7 @@ def _answer(connection: "Connection[Any, Any]", function: str, arguments: Sequen
     try:
         values = resolve(function)(*arguments)
         _make_kernels_ready(connection)
-        if not gc.isenabled():  # the first
-            spare_the_collector()
+        gc.freeze()  # what is imported by now is never free
         _reply(connection, "started", None)
         faulthandler.dump_traceback_later(timeout_s, exit=True)
         for value in values:

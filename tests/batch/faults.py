@@ -89,14 +89,6 @@ def copies(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]
             yield describe_error(error)
 
 
-def one_place(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow]:
-    """Write every scene to the same folder, as work that takes the names of its folders from elsewhere may."""
-    folder = place.out / "one"
-    folder.mkdir(exist_ok=True)
-    for run in runs:
-        yield base_row(place, run)._replace(folder="one")
-
-
 def other_version(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow]:
     """What a worker with another version of the package returns."""
     for run in runs:

@@ -96,15 +96,6 @@ def test_stopped_process_is_killed_after_its_time(process: IsolatedProcess) -> N
     assert caught.value.failure.kind == "timeout"
 
 
-def test_process_is_replaced_after_so_many_calls() -> None:
-    process = IsolatedProcess(Settings(timeout_s=2.0, recycle_after=2))
-    pids = [next(iter(list(process.stream("faults:numbers", "", (1,)))))[2] for _ in range(5)]
-    process.close()
-    assert pids[0] == pids[1]
-    assert pids[2] == pids[3]
-    assert len(set(pids)) == 3
-
-
 def test_child_leaves_when_its_caller_is_killed(tmp_path) -> None:
     import subprocess
     import sys
