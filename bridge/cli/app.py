@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import Annotated, Any, NamedTuple, TypeVar
 
 import typer
-from typer.core import TyperCommand, TyperGroup, TyperOption
+from typer.core import TyperCommand, TyperOption
 
 from bridge.cli.options import Paths, flattened
 from netconvert.errors import ConfigError
@@ -34,14 +34,6 @@ class _Registered(NamedTuple):
 
 #: Those of the modules that are imported.
 _FUNCTIONS: dict[str, _Registered] = {}
-
-
-class _Group(TyperGroup):
-    def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Each command with its whole first sentence."""
-        found = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, str(known.help).split("\n\n")[0]) for name, known in found if known])
 
 
 class _Command(TyperCommand):
@@ -112,7 +104,6 @@ def application(named: str = "", *, every_option: bool = True) -> typer.Typer:
         import_module(f"bridge.cli.{module}")
     app = typer.Typer(
         name="hid2",
-        cls=_Group,
         help="Dense traffic and rare manoeuvres for Argoverse 2 scenes, driven by SUMO (HiD2).",
         epilog="Exit codes: 0 all done, 1 some scene could not be done, 2 usage or configuration, "
         "130 or 143 interrupted.",
@@ -126,7 +117,8 @@ def application(named: str = "", *, every_option: bool = True) -> typer.Typer:
         function, shown, paths = _FUNCTIONS[name]
         made = (lambda: None) if named in {"-h", "--help"} else flattened(function, paths)
         kind = type("_Command", (_Command,), {"shown": frozenset() if every_option else shown})
-        app.command(name, cls=kind, help=function.__doc__)(made)
+        whole = str(function.__doc__)
+        app.command(name, cls=kind, help=whole, short_help=whole.split("\n\n")[0])(made)
     return app
 
 

@@ -72,15 +72,10 @@ def check_map_size(graph: LaneGraph, name: str) -> None:
 
 def check_ground(tracks: Sequence[Track], graph: LaneGraph, name: str) -> None:
     """Refuse tracks that do not lie on the ground of the map. Errors: ScenarioError with track and value."""
-    lanes = [lane.centerline for lane in graph.lanes.values()]
-    said = _extent_breach([*lanes, *(track.position for track in tracks)])
-    if not said:
-        return
+    ends = np.array(graph.bounds)
     for track in tracks:
-        alone = _extent_breach([*lanes[:1], track.position])
-        if alone:
-            raise ScenarioError(f"{name}: track {track.track_id!r} and the map: {alone}")
-    raise ScenarioError(f"{name}: tracks and map: {said}")
+        if said := _extent_breach([ends, track.position]):
+            raise ScenarioError(f"{name}: track {track.track_id!r} and the map: {said}")
 
 
 def _extent_breach(lines: Sequence[FloatArray]) -> str:

@@ -42,9 +42,7 @@ from bridge.recordings.scenario import (
 from bridge.recordings.sidecar import REACTIVE, Sidecar, read_sidecar, sidecar_path
 from bridge.recordings.sources import read_recording
 from hid2.agents import BoxSize
-from hid2.evaluation.safety import overlaps
 from hid2.measures.lane_matching import flatten_lanes
-from hid2.occupancy.agent_states import AgentStates
 from netconvert.errors import Hid2Error, ScenarioError
 
 _OTHER = "no other parquet file anywhere under OUT: readers take every one they find"
@@ -207,18 +205,7 @@ def _judged(
         message = f"track {one.track_id!r}, timestep {one.step}: {said}{other}, limit {one.limit:.3g}"
         value = None if math.isinf(one.value) else one.value
         found.append(Finding(path, one.quantity.value, message, one.track_id, one.step, value, one.limit, one.other))
-    return found + _recorded_overlaps(path, states)
-
-
-def _recorded_overlaps(path: Path, states: AgentStates) -> list[Finding]:
-    """A note where boxes of recorded tracks share ground."""
-    arrays = states.arrays
-    pairs = [pair for pair in overlaps(arrays) if not arrays.generated[[pair.first, pair.second]].any()]
-    if not pairs:
-        return []
-    first, second = (arrays.track_ids[row] for row in pairs[0][:2])
-    said = f"{len(pairs)} pairs of recorded boxes share ground, such as {first!r} and {second!r}"
-    return [Finding(path, RECORDED, f"{said} at timestep {pairs[0].first_step}")]
+    return found
 
 
 def check_tree(out: Path, folders: Sequence[Path]) -> list[Finding]:
