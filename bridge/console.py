@@ -74,16 +74,10 @@ def counted(number: int, noun: str) -> str:
     return f"{number or 'no'} {noun}{'' if number < 2 else 's'}"
 
 
-def table_width() -> int | None:
-    """Columns of the terminal that stdout is; None for a pipe or a file, which take lines of any length."""
-    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-
-
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Print a table with a title on stdout, every value whole."""
-    print(title)
-    for line in table_lines(columns, rows, width=table_width()):
-        print(line)
+    """Print a table with a title on stdout, every value whole; a pipe or a file takes lines of any length."""
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    print(title, *table_lines(columns, rows, width=width), sep="\n")
 
 
 def print_json(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:

@@ -10,7 +10,6 @@ connect.
 import contextlib
 import faulthandler
 import gc
-import importlib
 import logging
 import os
 import pickle
@@ -29,6 +28,7 @@ from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any, Literal, TypeVar
 
 from bridge.files import disk_error
@@ -246,13 +246,6 @@ class IsolatedProcess:
         return os.pread(self._stderr.fileno(), _TAIL_BYTES, max(0, length - _TAIL_BYTES)).decode(errors="replace")
 
 
-def resolve(function: str) -> Callable[..., Any]:
-    """Return the function that "module:name" names."""
-    module, _, name = function.partition(":")
-    found: Callable[..., Any] = getattr(importlib.import_module(module), name)
-    return found
-
-
 class _ToCaller(logging.Handler):
     """Passes messages on to the caller."""
 
@@ -297,7 +290,7 @@ def serve() -> None:
 def _answer(connection: "Connection[Any, Any]", function: str, arguments: Sequence[Any], *, timeout_s: float) -> None:
     # A C thread of faulthandler's own ends a hang even where native code holds the GIL, and shows where it hung.
     try:
-        values = resolve(function)(*arguments)
+        values = resolve_name(function)(*arguments)
         _make_kernels_ready(connection)
         gc.freeze()  # what is imported by now is never free
         _reply(connection, "started", None)

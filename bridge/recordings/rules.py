@@ -4,10 +4,9 @@ Those on the format of rows are in `scenario`, those on maps in `map_rules`, whi
 drivable is for the judge.
 """
 
-import csv
 import re
 import uuid
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from itertools import zip_longest
 from pathlib import Path
 
@@ -17,11 +16,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from bridge.config import config_from_dict, config_sha256, config_to_dict, new_scenario_id
-from bridge.files import one_line, read_received
-from bridge.recordings.argoverse1 import OTHERS, check_sequence
+from bridge.files import read_received
+from bridge.recordings.argoverse1 import check_sequence
 from bridge.recordings.recording import FOCAL_CATEGORY, SCORED_CATEGORY, Recording
 from bridge.recordings.scenario import RowArrays, row_breaches
-from bridge.recordings.sequence import inserted_id
+from bridge.recordings.sequence import INSERTED, sequence_bytes
 from bridge.recordings.sidecar import AgentRecord, Sidecar
 from hid2.agents import VEHICLE_TYPES, FloatArray, Policy
 from hid2.judge.events import brakes_for
@@ -256,35 +255,27 @@ def _check_agent(agent: AgentRecord, track_ids: Set[str], lanes: Set[str]) -> It
 def check_written_sequence(
     path: Path, rows: RowArrays, generated_ids: set[str], *, source: Recording | None
 ) -> Iterator[Breach]:
-    """A sequence against the rows of its scene, and its recorded lines against those of the source."""
+    """A sequence against what is written of its recorded lines and the rows of its scene, and these lines' source."""
     try:
         content = read_received(path, ScenarioError, wanted="an Argoverse 1 sequence")
-        found = check_sequence(content, str(path))
-    except ScenarioError as error:
+        check_sequence(content, str(path))
+        lines = content.decode("ascii").splitlines(keepends=True)
+        recorded = [line for line in lines if INSERTED not in line]
+        ours = [rows.of_track(code) for code, name in enumerate(rows.ids) if name in generated_ids]
+        inserted = [(rows.timestep[own], rows.motion[own, :2]) for own in ours]
+        wanted = sequence_bytes("".join(recorded).encode(), inserted).decode().splitlines(keepends=True)
+    except (ScenarioError, IndexError) as error:  # of fewer time stamps than steps
         yield "sequence", str(error)
         return
-    is_inserted = inserted_id(0)[:-12]
-    inserted = {
-        name: found.code == code
-        for code, (name, kind) in enumerate(zip(found.ids, found.kinds, strict=True))
-        if name.startswith(is_inserted) and kind == OTHERS
-    }
-    wanted = {inserted_id(int(name.removeprefix("gen_"))): name for name in generated_ids if name in rows.ids}
-    if inserted.keys() != wanted.keys():
-        names = ", ".join(sorted(inserted.keys() ^ wanted.keys())[:5])
-        yield "sequence", f"inserted tracks differ from those of the scene: {one_line(names, most=200)}"
-        return
-    for name, track_id in sorted(wanted.items()):
-        index = rows.of_track(rows.ids.index(track_id))
-        own = inserted[name]
-        same = np.array_equal(found.timestep[own], rows.timestep[index])
-        if not same or not np.array_equal(found.position[own], rows.motion[index, :2]):
-            yield "sequence", f"track {name}: positions are not those of {track_id} in the scene"
+    if lines != wanted:
+        yield "sequence", f"line {_first_other(lines, wanted)} is not as the inserted vehicles of the scene have it"
     if source is not None and source.sequence is not None:
-        lines = source.sequence.decode("ascii").splitlines()
-        ours = content.decode("ascii").splitlines()
-        column = next(csv.reader(ours[:1])).index("TRACK_ID")
-        recorded = [line for line, row in zip(ours, csv.reader(ours), strict=False) if row[column] not in inserted]
-        if recorded != lines:
-            line = next((k for k, (a, b) in enumerate(zip(recorded, lines, strict=False)) if a != b), len(lines))
-            yield "source", f"recorded line {line + 1} is not that of {source.folder.name}"
+        theirs = source.sequence.decode("ascii").splitlines()
+        if [line.rstrip("\r\n") for line in recorded] != theirs:
+            line = _first_other([line.rstrip("\r\n") for line in recorded], theirs)
+            yield "source", f"recorded line {line} is not that of {source.folder.name}"
+
+
+def _first_other(lines: Sequence[str], wanted: Sequence[str]) -> int:
+    """Number of the first line that is another one, from 1."""
+    return next(k for k, (one, other) in enumerate(zip_longest(lines, wanted), start=1) if one != other)

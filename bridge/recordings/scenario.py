@@ -17,7 +17,6 @@ from bridge.config import is_corridor
 from bridge.files import one_line, read_received
 from bridge.recordings import limits
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIZES_FILE, Source, only_file
-from bridge.recordings.folders import SPLITS as SPLITS
 from bridge.recordings.folders import find_scenarios as find_scenarios
 from bridge.recordings.folders import source_id as source_id
 from bridge.recordings.folders import split_of as split_of
