@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_origin, get_type
 
 import typer
 
-from bridge.cli.places import check_out, check_out_file, check_scenes
 from bridge.cli.session import set_up
 from bridge.console import Activity
 from bridge.recordings.folders import SPLITS, Choices
@@ -129,26 +128,10 @@ def _plain(value: Any) -> Any:
     return [str(one) if isinstance(one, StrEnum) else one for one in value] if isinstance(value, list) else value
 
 
-class Paths(NamedTuple):
-    """Parameters of a command with paths that are checked before it runs: scenes that it reads, what it writes."""
-
-    reads: tuple[str, ...] = ()
-    folders: tuple[str, ...] = ()
-    files: tuple[str, ...] = ()
-
-    def check(self, values: Mapping[str, Any]) -> None:
-        """Errors: ConfigError for what cannot be what it is given as."""
-        given = [values[name] for name in self.reads if values[name] is not None]
-        check_scenes([path for one in given for path in (one if isinstance(one, list) else [one])])
-        for names, check in ((self.folders, check_out), (self.files, check_out_file)):
-            for path in (values[name] for name in names if values[name] is not None):
-                check(path)
-
-
-def flattened(function: Callable[..., Any], paths: Paths) -> Callable[..., Any]:
+def flattened(function: Callable[..., Any], check: Callable[[Mapping[str, Any]], None]) -> Callable[..., Any]:
     """The function of a command as typer takes it, with a parameter for each option.
 
-    Before it is called logging is set up and paths are checked; an `Activity` that it takes is begun.
+    Before it is called logging is set up and its values are checked; an `Activity` that it takes is begun.
     """
     parameters: list[Parameter] = []
     groups: dict[str, tuple[Callable[..., Any], dict[str, str]]] = {}
@@ -177,7 +160,7 @@ def flattened(function: Callable[..., Any], paths: Paths) -> Callable[..., Any]:
         made = {
             name: kind(**{key: values.pop(one) for key, one in keys.items()}) for name, (kind, keys) in groups.items()
         }
-        paths.check(values)
+        check(values)
         with ExitStack() as stack:
             for activity in (one for one in made.values() if isinstance(one, Activity)):
                 stack.enter_context(activity)

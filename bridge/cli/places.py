@@ -1,9 +1,10 @@
 """Whether the paths of a command line can be what they are given as, before anything slow is loaded."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 from bridge.console import warn
 from bridge.interruption import remove_abandoned
@@ -26,6 +27,15 @@ def check_scenes(paths: Sequence[Path]) -> None:
         if path.is_file() and path.suffix != ".csv":
             said = other_data(path) or f"is a file, expected a folder; {_instead_of_file(path)}"
             raise ConfigError(f"{path}: {said}")
+
+
+def check_given(values: Mapping[str, Any], reads: Iterable[str], folders: Iterable[str], files: Iterable[str]) -> None:
+    """Check values of a command by their names: scenes that it reads, what it writes. Errors: ConfigError."""
+    given = {name: one if isinstance(one, list) else [one] for name, one in values.items() if one is not None}
+    check_scenes([path for name in reads for path in given.get(name, ())])
+    for names, check in ((folders, check_out), (files, check_out_file)):
+        for path in (path for name in names for path in given.get(name, ())):
+            check(path)
 
 
 def one_scene(path: Path, window: tuple[Path | None, int]) -> Address:

@@ -4,11 +4,11 @@ README.md lists the rules; what is checked of rows, map and sidecar is in `rules
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from bridge.config import REACTIVE_PREFIX
 from bridge.recordings.export import map_bytes, recording_record_of
@@ -45,6 +45,7 @@ from hid2.agents import BoxSize
 from hid2.measures.lane_matching import flatten_lanes
 from netconvert.errors import Hid2Error, ScenarioError
 
+_Part = TypeVar("_Part")
 _OTHER = "no other parquet file anywhere under OUT: readers take every one they find"
 
 
@@ -119,25 +120,21 @@ def validate_scene(against: Against, folder: Path) -> list[Finding]:
 def _parts(folder: Path, findings: list[Finding]) -> tuple[Sidecar | None, RowArrays | None, dict[str, Any] | None]:
     """Sidecar, rows and map of a scene, as far as they are there; why one cannot be read is appended to `findings`."""
     parquet_path, map_path = folder / f"scenario_{folder.name}.parquet", folder / f"log_map_archive_{folder.name}.json"
-    own_path = sidecar_path(folder, folder.name)
     findings += [Finding(path, "folder", "no such file") for path in (parquet_path, map_path) if not path.is_file()]
-    sidecar, rows, document = None, None, None
-    if own_path.is_file():
+
+    def read(path: Path, rule: str, reader: Callable[[Path], _Part]) -> _Part | None:
         try:
-            sidecar = read_sidecar(own_path)
+            return reader(path) if path.is_file() else None
         except ScenarioError as error:
-            findings.append(Finding(own_path, "sidecar", str(error)))
-    if map_path.is_file():
-        document, breaches = read_map(map_path)
-        findings += [Finding(map_path, *breach) for breach in breaches]
-    if parquet_path.is_file():
-        try:
-            rows = RowArrays.of(read_table(parquet_path))
-        except ScenarioError as error:
-            findings.append(Finding(parquet_path, "columns", str(error)))
-        if rows is not None and sidecar is not None:
-            known = sidecar.recording
-            rows = replace(rows, observed_steps=known.observed_steps, step_s=known.step_s)
+            findings.append(Finding(path, rule, str(error)))
+            return None
+
+    sidecar = read(sidecar_path(folder, folder.name), "sidecar", read_sidecar)
+    document, breaches = read_map(map_path) if map_path.is_file() else (None, [])
+    findings += [Finding(map_path, *breach) for breach in breaches]
+    rows = read(parquet_path, "columns", lambda path: RowArrays.of(read_table(path)))
+    if rows is not None and sidecar is not None:
+        rows = replace(rows, observed_steps=sidecar.recording.observed_steps, step_s=sidecar.recording.step_s)
     return sidecar, rows, document
 
 
