@@ -5,7 +5,7 @@ drivable is for the judge.
 """
 
 import re
-import uuid
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence, Set
 from itertools import zip_longest
 from pathlib import Path
@@ -15,7 +15,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from bridge.config import config_from_dict, config_sha256, config_to_dict, new_scenario_id
+from bridge.config import config_from_dict, config_sha256, config_to_dict, is_corridor, new_scenario_id
 from bridge.files import read_received
 from bridge.recordings.argoverse1 import check_sequence
 from bridge.recordings.recording import FOCAL_CATEGORY, SCORED_CATEGORY, Recording
@@ -172,11 +172,8 @@ def check_sidecar(
 ) -> Iterator[Breach]:
     """A sidecar against its scene. begins: first timestep of each track of the rows, by its id; lanes: of the map."""
     track_ids = begins.keys()
-    try:
-        if str(uuid.UUID(new_id)) != new_id:
-            raise ValueError
-    except ValueError:
-        yield "scenario-id", f"folder {new_id!r}, expected a UUID of 36 characters"
+    if is_corridor(new_id):
+        yield "scenario-id", f"folder {new_id!r}, expected a UUID: a synthetic corridor is no scene of Argoverse"
     try:
         config = config_from_dict(sidecar.config)
     except ConfigError as error:
@@ -185,13 +182,11 @@ def check_sidecar(
         yield from _check_config(sidecar, config, new_id)
     if sidecar.placed.agents != len(sidecar.agents):
         yield "sidecar", f"placed.agents {sidecar.placed.agents}, but {len(sidecar.agents)} agents"
+    counts = Counter(agent.policy for agent in sidecar.agents)
     for policy in Policy:
-        count = sum(agent.policy == policy for agent in sidecar.agents)
-        if sidecar.placed.behaviours.get(policy, 0) != count:
-            yield (
-                "sidecar",
-                f"placed.behaviours.{policy} {sidecar.placed.behaviours.get(policy, 0)}, but {count} agents",
-            )
+        told = sidecar.placed.behaviours.get(policy, 0)
+        if told != counts[policy]:
+            yield "sidecar", f"placed.behaviours.{policy} {told}, but {counts[policy]} agents"
     listed = [agent.track_id for agent in sidecar.agents]
     if len(set(listed)) != len(listed):
         yield "sidecar", "two agents have the same track_id"
