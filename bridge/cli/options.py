@@ -22,8 +22,6 @@ from hid2.policies import Policy
 from netconvert.errors import ConfigError
 
 if TYPE_CHECKING:
-    from pydantic.fields import FieldInfo
-
     from bridge.batch.scan import Selection
 
 ALL_DONE, SOME_FAILED, USAGE = 0, 1, 2
@@ -84,27 +82,22 @@ class FieldOptions(NamedTuple):
         """Parameters of the command by the names of the fields."""
         from hid2 import params
 
-        fields = getattr(params, self.section).model_fields.items()
-        return {key: self._parameter(key, field, _extra(field)) for key, field in fields if "metavar" in _extra(field)}
+        section = getattr(params, self.section)
+        said = section.model_json_schema()["properties"].items()
+        return {
+            key: self._parameter(key, section.model_fields[key].annotation, of) for key, of in said if "metavar" in of
+        }
 
-    def _parameter(self, key: str, field: "FieldInfo", extra: Mapping[str, Any]) -> Parameter:
+    def _parameter(self, key: str, kind: Any, said: Mapping[str, Any]) -> Parameter:
         from bridge.config import option_name
 
-        name, kind = option_name(key), field.annotation
-        more: dict[str, Any] = {"show_default": extra["shown"] or False}
-        names: tuple[str, ...] = ()
+        name, names = option_name(key), tuple[str, ...]()
+        more = {"show_default": said["shown"] or False, "min": said.get("minimum"), "max": said.get("maximum")}
         if kind is bool:
-            names, more["show_default"] = (f"--{name}/--no-{name}",), name if field.default else f"no-{name}"
-        elif kind in (int, float):
-            more["min"] = next((bound.ge for bound in field.metadata if hasattr(bound, "ge")), None)
-            more["max"] = next((bound.le for bound in field.metadata if hasattr(bound, "le")), None)
-        made = self.make(f"{extra['source']}.", None, extra["metavar"] or None, *names, **more)
+            names, more["show_default"] = (f"--{name}/--no-{name}",), name if said["default"] else f"no-{name}"
+        made = self.make(f"{said['source']}.", None, said["metavar"] or None, *names, **more)
         known = kind in (int, float, bool) or get_origin(kind) is Literal
         return _parameter(name.replace("-", "_"), kind if known else str, made)
-
-
-def _extra(field: "FieldInfo") -> Mapping[str, Any]:
-    return field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
 
 
 def _parameter(name: str, kind: Any, default: Any) -> Parameter:  # any type and value
