@@ -163,6 +163,6 @@ def one_line(text: str, *, most: int) -> str:
     A longer one keeps its end as well: what is expected stands there, behind a value of any length.
     """
     if len(text) > most or not text.isprintable():
-        text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in " ".join(text.split()))
+        text = printable(" ".join(text.split()))
     end = (most - len(_SHORTENED)) // 3
     return text if len(text) <= most else text[: most - end - len(_SHORTENED)] + _SHORTENED + text[len(text) - end :]

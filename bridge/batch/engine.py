@@ -35,7 +35,7 @@ _Value = TypeVar("_Value")
 #: Kinds of failure after which an item is tried again: the others would only repeat themselves.
 _RETRIED = frozenset({"crashed", "killed", "timeout"})
 #: Tasks handed out for each worker: one that runs and one that is ready when it ends.
-_AHEAD = 2
+AHEAD = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ def execute_here(
         with tidied(stop):
             while True:
                 running |= {
-                    threads.submit(run, task) for task in itertools.islice(waiting, _AHEAD * jobs - len(running))
+                    threads.submit(run, task) for task in itertools.islice(waiting, AHEAD * jobs - len(running))
                 }
                 if not running:
                     return

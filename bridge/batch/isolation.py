@@ -52,9 +52,7 @@ _LOG = logging.getLogger(__name__)
 _RAN_OUT = re.compile(r"^Timeout \(\d+:\d\d:\d\d[.\d]*\)!$", re.MULTILINE)
 
 _SERVE = "from bridge.batch.isolation import serve; serve()"
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-#: pydantic would ask every installed distribution whether it has a plugin.
-_NO_PLUGINS = {"PYDANTIC_DISABLE_PLUGINS": "1"}
+_ONE = "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "PYDANTIC_DISABLE_PLUGINS"
 
 _Item = TypeVar("_Item")
 _Value = TypeVar("_Value")
@@ -183,7 +181,7 @@ class IsolatedProcess:
                     stdout=self._stderr,
                     stderr=self._stderr,
                     pass_fds=[there.fileno()],
-                    env=os.environ | _ONE_THREAD | _NO_PLUGINS | own,
+                    env=os.environ | dict.fromkeys(_ONE, "1") | own,
                     start_new_session=True,  # Ctrl-C is for the caller, which then closes this process
                 )
         except OSError as error:

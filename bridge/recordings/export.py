@@ -21,8 +21,6 @@ from bridge.recordings.sidecar import RecordingRecord, Sidecar, sidecar_bytes, s
 from hid2.agents import Track
 from netconvert.errors import ExportError
 
-#: Category of a formerly focal track when a generated one takes its place: it lives through the scene.
-_FORMER_FOCAL_CATEGORY = SCORED_CATEGORY
 #: A lane's centreline with at least one point, in a map file.
 _CENTERLINE = re.compile(rb'"centerline":\s*\[\s*\{')
 
@@ -34,9 +32,7 @@ def with_generated(
     table = scene_table(scenario, generated, new_id=new_id, focal_track_id=focal_track_id)
     recorded = scenario.tracks
     if focal_track_id != scenario.focal_track_id:
-        recorded = tuple(
-            replace(t, category=_FORMER_FOCAL_CATEGORY) if t.category == FOCAL_CATEGORY else t for t in recorded
-        )
+        recorded = tuple(replace(t, category=SCORED_CATEGORY) if t.category == FOCAL_CATEGORY else t for t in recorded)
     ours = (replace(t, category=FOCAL_CATEGORY) if t.track_id == focal_track_id else t for t in generated)
     return replace(
         scenario, scenario_id=new_id, focal_track_id=focal_track_id, tracks=(*recorded, *ours), table=table,
@@ -90,7 +86,7 @@ def scene_table(scenario: Recording, generated: Sequence[Track], *, new_id: str,
         row, field = source.column_names.index(name), source.schema.field(name)
         if name == "object_category":
             former = pc.equal(source.column(name), FOCAL_CATEGORY)
-            changed = pc.if_else(former, pa.scalar(_FORMER_FOCAL_CATEGORY, field.type), source.column(name))
+            changed = pc.if_else(former, pa.scalar(SCORED_CATEGORY, field.type), source.column(name))
         else:
             changed = pa.repeat(constants[name].cast(field.type), source.num_rows)
         source = source.set_column(row, field, changed)

@@ -286,7 +286,8 @@ class RowBreach(NamedTuple):
 
 def row_breaches(rows: RowArrays) -> Iterator[RowBreach]:
     """What is wrong with the rows of a scenario, by the rules that every scene has to keep: a reader refuses others."""
-    same, most_steps = rows.constants, longest(str(rows.constants["scenario_id"][0]))
+    same = rows.constants
+    most_steps = limits.MAX_CORRIDOR_STEPS if is_corridor(str(same["scenario_id"][0])) else MAX_STEPS
     for column, values in same.items():
         if len(values) != 1:
             shown = one_line(str(values[:3]), most=200)
@@ -442,11 +443,6 @@ def _check_columns(table: pa.Table, name: str) -> None:
             )
     if table.num_rows == 0:
         raise ScenarioError(f"{name}: no rows, expected at least one track")
-
-
-def longest(scenario_id: str) -> int:
-    """Timesteps that a scene may have at most."""
-    return limits.MAX_CORRIDOR_STEPS if is_corridor(scenario_id) else MAX_STEPS
 
 
 def _first_line(error: Exception) -> str:

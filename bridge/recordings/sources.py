@@ -97,9 +97,7 @@ def described(found: Sequence[Address]) -> list[str]:
     """What was found that is no Argoverse 2 scene, and what these formats lack: lines for the user."""
     counts = Counter(address.format for address in found if isinstance(address, Source))
     readers = [reader for reader in READERS if reader.name in counts]
-    lines = [
-        f"{counts[reader.name]} {reader.one if counts[reader.name] == 1 else reader.many} found" for reader in readers
-    ]
+    lines = [f"{reader.many}: {counts[reader.name]} found" for reader in readers]
     return lines + [reader.lacks for reader in readers if reader.lacks]
 
 

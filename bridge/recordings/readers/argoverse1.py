@@ -77,7 +77,6 @@ def _scenario_id(path: Path, split: str | None, map_path: Path) -> str:
 #: CSV files named by a number. Their maps are files of the whole city, or one chosen by the user.
 ARGOVERSE1 = Reader(
     name="argoverse1",
-    one="Argoverse 1 sequence",
     many="Argoverse 1 sequences",
     sniff=lambda path, names: _is_sequence(path) or any(_SEQUENCE.fullmatch(name) for name in names),
     find=_find,

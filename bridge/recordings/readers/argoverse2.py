@@ -7,7 +7,6 @@ _FILES = (PARQUET_PATTERN, MAP_PATTERN, SIDECAR_PATTERN, SIZES_FILE)
 #: `bridge.recordings.scenario` reads them, by their folder.
 ARGOVERSE2 = Reader(
     name="argoverse2",
-    one="Argoverse 2 scene",
     many="Argoverse 2 scenes",
     sniff=lambda _, names: has_scenario(names),
     find=lambda path, _, choices: [path],

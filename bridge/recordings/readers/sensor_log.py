@@ -52,8 +52,7 @@ def _log_id(log: Path) -> str:
 #: Windows of sensor logs. An id is the log's for the first window, of log and first sweep for any other.
 SENSOR_LOG = Reader(
     name="sensor_log",
-    one="window of an Argoverse 2 sensor log",
-    many="windows of Argoverse 2 sensor logs",
+    many="Windows of Argoverse 2 sensor logs",
     sniff=lambda _, names: POSES in names or bool(fnmatch.filter(names, ANNOTATIONS)),
     find=_find,
     files=_files,

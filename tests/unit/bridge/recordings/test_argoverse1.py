@@ -220,7 +220,7 @@ def test_what_a_folder_holds_is_found_and_said(root: Path, data_scenes: dict[str
     assert sum(isinstance(address, Source) for address in found) == 9
     assert len(found) == 10
     lines = described(found)
-    assert lines[0] == "9 Argoverse 1 sequences found"
+    assert lines[0] == "Argoverse 1 sequences: 9 found"
     assert "headings" in lines[1]
 
 
