@@ -113,11 +113,6 @@ class IsolatedProcess:
         self._open = contextlib.ExitStack()  # as long as there is a process
         self._rss_mb = 0.0
 
-    @property
-    def pid(self) -> int | None:
-        """Process id, None while there is no process."""
-        return self._process.pid if self._process else None
-
     def stream(self, function: str, *arguments: object) -> Iterator[Any]:
         """Yield what `function(*arguments)` yields in the child; each value has `timeout_s` of its own.
 

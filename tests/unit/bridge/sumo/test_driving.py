@@ -53,7 +53,7 @@ def drive(tmp_path: Path) -> Callable[..., Driving]:
         net = tmp_path / "road.net.xml"
         net.write_bytes(net_bytes(scene.grid))
         parameters = {"sigmaerror": 0.1, "treaction": 0.5} if model == "EIDM" else {}
-        with Simulation(net, seed=seed, step_s=0.1, model=model, parameters=parameters) as simulation:
+        with Simulation(net.read_bytes(), seed=seed, step_s=0.1, model=model, parameters=parameters) as simulation:
             if patch is not None:
                 patch(simulation)
             others = fixed or nobody(scene.future.num_steps)
