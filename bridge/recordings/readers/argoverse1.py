@@ -62,6 +62,8 @@ def _chosen_map(path: Path) -> Path:
 
     Errors: NoSceneError.
     """
+    if not path.exists():
+        raise NoSceneError(f"--map {path}: no such file or folder, expected one Argoverse 2 map, or the folder of one")
     whole = (path.is_file() and path.suffix == ".json") or any(path.glob(_VECTOR_MAPS))
     return path if whole else only_file(path, MAP_PATTERN, NoSceneError)
 
