@@ -9,13 +9,12 @@ from collections.abc import Collection, Mapping, Sequence
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, get_args, get_origin
+from typing import Any, NamedTuple, TypeVar
 
 from pydantic import BaseModel, ValidationError
-from pydantic.fields import FieldInfo
 
 from bridge.files import one_line, read_regular
-from hid2.params import GROUPS, Config, Event
+from hid2.params import GROUPS, Config
 from hid2.policies import Policy
 from netconvert.errors import ConfigError
 
@@ -254,66 +253,58 @@ def describe_config() -> list[ParameterRow]:
     """Every parameter with default, unit, range and source, by group, then in the order of the tree."""
     rows, group_of = [], {name: group for group, names in GROUPS.items() for name in names}
     for key, field in _fields().items():
-        extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
-        default = field.get_default(call_default_factory=True)
-        values = sorted(default) if isinstance(default, frozenset) else default
-        text = ",".join(map(str, values)) or "none" if isinstance(values, list | tuple) else str(default) or "none"
+        default = field["default"]
+        text = ",".join(map(str, default)) if isinstance(default, list) else str(default)
         group = group_of.get(key) or group_of[key.partition(".")[0]]
-        unit, source = str(extra.get("unit", "-")), str(extra.get("source", ""))
-        rows.append(ParameterRow(group, key, text, unit, _range(field), source))
+        rows.append(ParameterRow(group, key, text or "none", field["unit"], _range(field), field["source"]))
     return sorted(rows, key=lambda row: list(GROUPS).index(row.group))
 
 
-def _fields() -> dict[str, FieldInfo]:
-    """Every field by its dotted key, in the order of the tree."""
-    found: dict[str, FieldInfo] = {}
-    for section, field in Config.model_fields.items():
-        model = field.annotation
-        if isinstance(model, type) and issubclass(model, BaseModel):
-            found |= {f"{section}.{key}": inner for key, inner in model.model_fields.items()}
-        else:
-            found[section] = field
+@cache
+def _schema() -> dict[str, Any]:
+    return Config.model_json_schema()
+
+
+def _columns(field: Mapping[str, Any]) -> dict[str, Any]:
+    """What is said of each field of a table, by its key; empty where a field is none."""
+    named: dict[str, Any] = _schema()["$defs"].get(field.get("$ref", "").rpartition("/")[2], {})
+    return named.get("properties", {})  # type: ignore[no-any-return]
+
+
+def _fields() -> dict[str, dict[str, Any]]:
+    """Every parameter by its dotted key, in the order of the tree, as JSON schema has it."""
+    found: dict[str, dict[str, Any]] = {}
+    for name, field in _schema()["properties"].items():
+        columns = _columns(field)
+        found |= {f"{name}.{key}": inner for key, inner in columns.items()} if columns else {name: field}
     return found
 
 
-def _range(field: FieldInfo) -> str:
+_SIGNS = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
+
+
+def _range(field: Mapping[str, Any]) -> str:
     """Bounds or choices of a field, in words."""
-    atoms = [*field.metadata, *_atoms(field.annotation)]
-    kinds = [atom for atom in atoms if isinstance(atom, type)]
-    choices = ", ".join(str(atom) for atom in atoms if isinstance(atom, str | int))
-    if isinstance(field.get_default(call_default_factory=True), frozenset):
-        return f"any of {choices}"
-    if bool in kinds:
-        return "true, false"
-    if get_origin(field.annotation) is tuple:
-        tables = [kind for kind in kinds if issubclass(kind, BaseModel)]
-        if tables:
-            return f"tables of {', '.join(name for table in tables for name in table.model_fields)}"
-        least = " and not empty" if any(getattr(atom, "min_length", 0) for atom in field.metadata) else ""
-        return f"list of numbers {_bounds(atoms)}{least}"
-    if not {int, float} & {*kinds}:  # where there are choices, a text that is free names a function
-        return f"{choices}{', or module:function' if str in kinds else ''}" if choices else "text"
-    words = f"{'integer' if int in kinds else 'number'} {_bounds(atoms)}".strip()
-    return f"{words}, or {choices}" if choices else words
-
-
-def _atoms(annotation: object) -> list[object]:
-    """The types, literal values and constraints inside an annotation."""
-    parts: tuple[object, ...] = get_args(annotation)
-    metadata: tuple[object, ...] = getattr(annotation, "__metadata__", ())
-    own = [item for entry in metadata for item in getattr(entry, "metadata", [entry])]
-    return own + [atom for part in parts[: 1 if metadata else None] for atom in _atoms(part)] if parts else [annotation]
-
-
-def _bounds(metadata: Sequence[object]) -> str:
-    signs = {"gt": "> {}", "ge": ">= {}", "lt": "< {}", "le": "<= {}"}
-    found = (
-        sign.format(getattr(entry, name))
-        for entry in metadata
-        for name, sign in signs.items()
-        if getattr(entry, name, None) is not None
-    )
-    return ", ".join(dict.fromkeys(found))  # of a pair once
+    if "anyOf" in field:
+        words = [_range(one) for one in field["anyOf"] if one.get("type") != "null"]
+        return ", or ".join(words).replace("text", "module:function")  # beside choices a text names one
+    choices, kind = field.get("enum", [field["const"]] if "const" in field else []), field.get("type")
+    if choices:
+        return ", ".join(map(str, choices))
+    if kind == "array":
+        inner = field.get("items", {})
+        if table := _columns(inner):
+            return f"tables of {', '.join(table)}"
+        least = " and not empty" if "minItems" in field else ""
+        return (
+            f"any of {_range(inner)}"
+            if "uniqueItems" in field
+            else f"list of {_range(inner).replace('number', 'numbers')}{least}"
+        )
+    if kind == "string":
+        return "text"
+    bounds = ", ".join(f"{sign} {field[name]:.10g}" for name, sign in _SIGNS.items() if name in field)
+    return "true, false" if kind == "boolean" else f"{kind} {bounds}".strip()
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
@@ -392,95 +383,41 @@ def parse_value(text: str) -> Any:  # noqa: ANN401  # whatever TOML holds
 
 def _put(data: dict[str, Any], key: str, value: object) -> None:
     """Set a dotted key in place; ConfigError for a key that no parameter has."""
-    section, separator, name = key.partition(".")
     if key not in _fields():
-        if _is_fixed(section, name, value):
-            return
-        raise ConfigError(_unknown(key, value))
-    if separator:
-        data[section] = {**data.get(section, {}), name: value}
-    else:
-        data[section] = value
+        raise ConfigError(_unknown(key, value, _fields()))
+    section, separator, name = key.partition(".")
+    data[section] = {**data.get(section, {}), name: value} if separator else value
 
 
 def _validated(data: Mapping[str, Any], source: str) -> Config:
-    values = {}
-    for key, value in data.items():
-        if isinstance(value, Mapping):
-            own = {name: one for name, one in value.items() if not _is_fixed(key, name, one)}
-            if not own and value and key not in Config.model_fields:  # a section of which nothing is left
-                continue
-            value = _with_tuples(own)
-        values[key] = value
-    if isinstance(values.get("event"), list):
-        values["event"] = tuple(values["event"])
-    if isinstance(values.get("without"), list | tuple):
-        values["without"] = frozenset(str(name) for name in values["without"])
-    try:
-        return Config.model_validate(values, strict=True)
+    try:  # as JSON, in which lists are taken for tuples and sets, and no other type for another
+        return Config.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
         raise ConfigError(f"{source}: {_explain(error)}") from error
 
 
-def _with_tuples(section: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of a section; lists, which is what JSON and TOML have, are tuples here."""
-    return {key: tuple(value) if isinstance(value, list) else value for key, value in section.items()}
-
-
 def _explain(error: ValidationError) -> str:
+    """What is wrong first: which key, or of which event, its value and what is expected."""
     first = error.errors(include_url=False)[0]
-    location = [str(part) for part in first["loc"]]
-    fields = _fields()
-    if location[0] == "event" and len(location) > 1:
-        return _explain_event(first["loc"], first["msg"], first["input"])
-    key = location[0] if location and location[0] in fields else ".".join(location[:2])
+    keys, value, fields, where = [*map(str, first["loc"])], first["input"], _fields(), ""
+    if keys[0] == "event" and len(keys) > 1:
+        fields, where, keys = _columns(fields["event"]["items"]), f"event {int(keys[1]) + 1}: ", keys[2:]
+    key = keys[0] if keys and keys[0] in fields else ".".join(keys[:2])
     if first["type"] == "extra_forbidden":
-        return _unknown(key, first["input"])
+        return where + _unknown(key, value, fields)
     if key in fields:
-        value = sorted(first["input"]) if isinstance(first["input"], frozenset) else first["input"]
-        return f"{key} = {value!r}, expected {_range(fields[key])}"
+        wanted = "[least, largest]" if where and key in _BANDS else _range(fields[key])
+        return f"{where}{key} = {value!r}, expected {wanted}"
     if first["type"] == "value_error":  # a check across fields
-        return f"{key}: {first['msg'].removeprefix('Value error, ')}"
-    return f"{key} = {first['input']!r}, expected a table of parameters"
+        return f"{where or f'{key}: '}{first['msg'].removeprefix('Value error, ')}"
+    return f"{where}{key} = {value!r}, expected a table of {', '.join(fields) if where else 'parameters'}"
 
 
-def _explain_event(location: tuple[int | str, ...], message: str, value: object) -> str:
-    """What is wrong with one of the events: which, what was given and what is expected."""
-    names = ", ".join(Event.model_fields)
-    which = f"event {int(location[1]) + 1}"
-    if len(location) == 2:  # a check across fields, or no table at all
-        text = message.removeprefix("Value error, ")
-        return f"{which}: {text}" if isinstance(value, Mapping) else f"{which} = {value!r}, expected a table of {names}"
-    key = str(location[2])
-    if key not in Event.model_fields:
-        return f"{which}: unknown key {key!r} (= {value!r}), expected one of {names}"
-    wanted = "[least, largest]" if key in _BANDS else ""
-    return f"{which}: {key} = {value!r}, expected {wanted or _range(Event.model_fields[key])}"
-
-
-@cache
-def _removed() -> dict[str, Any]:
-    """What the method has in place of keys of earlier versions, by section; `instead`: what says the same now."""
-    return tomllib.loads(Path(__file__).with_name("removed.toml").read_text())
-
-
-def _is_fixed(section: str, name: str, value: object) -> bool:
-    """Whether a key is no parameter any more and the value is what the method has. Errors: ConfigError for another."""
-    fixed = _removed().get(section, {}).get(name)
-    if fixed is None or fixed == (list(value) if isinstance(value, tuple) else value):
-        return fixed is not None
-    instead = _removed()["instead"].get(f"{section}.{name}")
-    hint = f", or set {instead}" if instead else ""
-    raise ConfigError(
-        f"{section}.{name} = {value!r:.80}: no parameter any more, the method has {fixed}; leave it out{hint}"
-    )
-
-
-def _unknown(key: str, value: object) -> str:
+def _unknown(key: str, value: object, fields: Collection[str]) -> str:
     section = key.partition(".")[0]
-    alike = get_close_matches(key, _fields(), 2, 0.8)
-    known = [name for name in _fields() if name.startswith(f"{section}.")]
-    names = known or sorted({name.partition(".")[0] for name in _fields()})
+    alike = get_close_matches(key, fields, 2, 0.8)
+    known = [name for name in fields if name.startswith(f"{section}.")]
+    names = known or sorted({name.partition(".")[0] for name in fields})
     meant = f"did you mean {' or '.join(alike)}? There are" if alike else "expected one of"
     return f"unknown key {key!r} (= {value!r}), {meant} {', '.join(names)}"
 

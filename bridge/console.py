@@ -74,16 +74,10 @@ def counted(number: int, noun: str) -> str:
     return f"{number or 'no'} {noun}{'' if number < 2 else 's'}"
 
 
-def table_width() -> int | None:
-    """Columns of the terminal that stdout is; None for a pipe or a file, which take lines of any length."""
-    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
-
-
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Print a table with a title on stdout, every value whole."""
-    print(title)
-    for line in table_lines(columns, rows, width=table_width()):
-        print(line)
+    """Print a table with a title on stdout, every value whole; a pipe or a file takes lines of any length."""
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+    print(title, *table_lines(columns, rows, width=width), sep="\n")
 
 
 def print_json(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
@@ -124,10 +118,10 @@ class Activity(ExitStack):
         """Name the work that begins now, which nothing is counted of yet."""
         self._what, self._counted, self._named = what, "", self._clock()
 
-    def show(self, done: int, total: int, rate: float | None = None, details: str = "") -> None:
-        """Take note of what is done so far; rate: items a second, by the count if not given."""
+    def show(self, done: int, total: int, details: str = "") -> None:
+        """Take note of what is done so far."""
         elapsed_s = self._clock() - self._named
-        rate = (done / elapsed_s if elapsed_s > _RATED_S else 0.0) if rate is None else rate
+        rate = done / elapsed_s if elapsed_s > _RATED_S else 0.0
         left = f", {duration((total - done) / rate)} left" if rate > 0 and done < total else ""
         speed = f"{_rate(rate)}{left}" if rate > 0 else ""
         self._counted = f": {done} of {total}{details}{speed and ', '}{speed}"

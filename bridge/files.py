@@ -33,14 +33,9 @@ def explained(path: Path) -> Iterator[None]:
         yield
     except OSError as error:
         kind = DiskFullError if disk_error(error) else ExportError
-        raise kind(f"{path}: {unwritten(error)}") from error
-
-
-def unwritten(error: OSError) -> str:
-    """What the system says against writing, and the way out of a lack of rights."""
-    rights = error.errno in {errno.EACCES, errno.EPERM, errno.EROFS}
-    way_out = "; choose a folder that you may write to" if rights else ""
-    return f"cannot be written ({error.strerror or error}){way_out}"
+        rights = error.errno in {errno.EACCES, errno.EPERM, errno.EROFS}
+        way_out = "; choose a folder that you may write to" if rights else ""
+        raise kind(f"{path}: cannot be written ({error.strerror or error}){way_out}") from error
 
 
 @contextlib.contextmanager
@@ -168,6 +163,6 @@ def one_line(text: str, *, most: int) -> str:
     A longer one keeps its end as well: what is expected stands there, behind a value of any length.
     """
     if len(text) > most or not text.isprintable():
-        text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in " ".join(text.split()))
+        text = printable(" ".join(text.split()))
     end = (most - len(_SHORTENED)) // 3
     return text if len(text) <= most else text[: most - end - len(_SHORTENED)] + _SHORTENED + text[len(text) - end :]

@@ -49,20 +49,11 @@ def _wrapped(text: str, width: int) -> list[str]:
 
 def _stacked(columns: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> list[str]:
     """Each row as its first value and, below it, fields "name: value", as many to a line as fit."""
+    fits, wrap = width - len(_INDENT), textwrap.TextWrapper(width, break_long_words=False, break_on_hyphens=False)
+    wrap.initial_indent = wrap.subsequent_indent = _INDENT
     lines: list[str] = []
     for row in rows:
-        lines += _wrapped(row[0], width)
-        line = ""
-        for name, text in zip(columns[1:], row[1:], strict=True):
-            field = f"{name}: {text}"
-            if line and len(_INDENT + line + _GAP + field) <= width:
-                line += _GAP + field
-                continue
-            lines += [_INDENT + line] if line else []
-            *full, line = _wrapped(field, max(width - 2 * len(_INDENT), 1)) if len(_INDENT + field) > width else [field]
-            lines += [_INDENT + part if k == 0 else 2 * _INDENT + part for k, part in enumerate(full)]
-            if full:  # the end of a long field stays alone
-                lines.append(2 * _INDENT + line)
-                line = ""
-        lines += [_INDENT + line] if line else []
+        fields = [f"{name}: {text}" for name, text in zip(columns[1:], row[1:], strict=True)]
+        whole = _GAP.join(field.replace(" ", "\0") if len(field) <= fits else field for field in fields)
+        lines += [*_wrapped(row[0], width), *(line.replace("\0", " ") for line in wrap.wrap(whole))]
     return lines

@@ -15,7 +15,7 @@ import pytest
 from browser import Page, chromium
 
 from bridge.config import config_sha256, config_to_dict, load_config
-from bridge.recordings.export import new_scenario_id
+from bridge.recordings.export import new_scenario_id, recording_record_of
 from bridge.recordings.scenario import Scenario
 from bridge.recordings.sidecar import (
     AgentRecord,
@@ -200,7 +200,8 @@ def fake_generated() -> Callable[..., Fake]:
         )
         sidecar = Sidecar(
             source_scenario_id=scenario.scenario_id,
-            generator=GeneratorRecord(version="0.1.0"),
+            generator=GeneratorRecord(version="0.1.0", code_sha256="0" * 64, libraries={}),
+            recording=recording_record_of(scenario),
             sumo_version="1.28.0",
             seed=0,
             variant=0,

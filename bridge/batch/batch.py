@@ -10,9 +10,8 @@ import logging
 import math
 import os
 import sys
-import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from platform import platform
@@ -78,7 +77,6 @@ class Options(Settings):
     lane-change rules module:function that may be imported.
     """
 
-    recycle_after: int = 200
     jobs: int = 1
     scheduler: str | None = None
     resume: bool = False
@@ -101,18 +99,11 @@ class Progress:
     done: int = 0
     skipped: int = 0
     quarantined: int = 0
-    began: float = field(default_factory=time.monotonic)
 
     @property
     def finished(self) -> int:
         """Runs that need no more work."""
         return self.done + self.skipped + self.quarantined
-
-    @property
-    def rate(self) -> float:
-        """Runs made a second, 0 before the first."""
-        made = self.done + self.quarantined
-        return made / max(time.monotonic() - self.began, 1e-9) if made else 0.0
 
 
 def plan(folders: Iterable[Address], config: Config) -> list[SceneJob]:
@@ -152,8 +143,7 @@ def run_batch(
     with _locked(out_dir), tidied(remove):
         remove()
         manifest = Manifest(out_dir)
-        owner = {row.folder: row for row in manifest.rows if row.folder}
-        _check_owners(jobs, owner, out_dir)
+        _check_owners(jobs, manifest, out_dir)
         sources: dict[Address, str] = {}
         tasks = _tasks(jobs, out_dir, options, manifest, sources, lambda row: note(row, skipped=True))
 
@@ -176,13 +166,6 @@ def run_batch(
                     place: Place = result.task.shared
                     for outcome in result.outcomes:
                         row = _row(place, outcome, source_sha256=sources[place.folder], options=options)
-                        other = owner.setdefault(row.folder, row) if row.folder else row
-                        if other.key != row.key:
-                            one, two = sorted((other.scenario, row.scenario))  # whichever process was faster
-                            raise BatchError(
-                                f"{out_dir / row.folder}: written for {one!r} and for {two!r}, which are "
-                                "the same scene: expected each scene once"
-                            )
                         manifest.add(row)
                         note(row)
             manifest.save()
@@ -221,12 +204,12 @@ def with_rules(jobs: Sequence[SceneJob], functions: Collection[str]) -> Sequence
     return [replace(job, runs=tuple(map(known, job.runs))) for job in jobs] if digests else jobs
 
 
-def _check_owners(jobs: Sequence[SceneJob], owner: Mapping[str, ManifestRow], out_dir: Path) -> None:
+def _check_owners(jobs: Sequence[SceneJob], manifest: Manifest, out_dir: Path) -> None:
     """Before the work, by the ids in the names of files: what a scene wrote is not replaced by another one of its id.
 
-    owner: the row of each folder in OUT. Errors: ConfigError.
+    Errors: ConfigError.
     """
-    known = {(row.split, Path(folder).name): row for folder, row in owner.items()}
+    known = {(row.split, Path(row.folder).name): row for row in manifest.rows if row.folder}
     for job in jobs if known else ():
         scenario_id, split = source_id(job.folder), split_of(job.folder) or ""
         for run in job.runs:

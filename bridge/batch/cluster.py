@@ -20,12 +20,10 @@ from distributed import Client, KilledWorker, Security, wait
 from distributed.comm.addressing import parse_address, parse_host_port
 from distributed.comm.registry import get_backend
 
-from bridge.batch.engine import Outcome, Result, Task, run_task
+from bridge.batch.engine import AHEAD, Outcome, Result, Task, run_task
 from bridge.batch.isolation import Failure, IsolatedProcess, Settings
 from netconvert.errors import BatchError, ConfigError, Hid2Error
 
-#: Tasks handed to the scheduler per worker: one that runs and one that is ready when it ends.
-_AHEAD = 2
 #: Seconds to reach a scheduler.
 _CONNECT_S = 10
 #: Seconds for which a scheduler may have no workers at all.
@@ -58,7 +56,7 @@ def execute_on_dask(tasks: Iterable[Task], *, scheduler: str, settings: Settings
                 client.wait_for_workers(1, timeout=_WORKERS_S)
             if not (threads := sum(client.nthreads().values())):
                 raise BatchError(_NO_WORKERS.format(where=scheduler, seconds=_WORKERS_S))
-            for task in itertools.islice(waiting, max(0, _AHEAD * threads - len(running))):
+            for task in itertools.islice(waiting, max(0, AHEAD * threads - len(running))):
                 running[client.submit(_run_on_worker, task, how, pure=False)] = task
             if not running:
                 return

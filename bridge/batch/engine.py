@@ -13,6 +13,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import partial
+from pkgutil import resolve_name
 from typing import Any, TypeVar
 
 from bridge.batch.isolation import (
@@ -22,7 +23,6 @@ from bridge.batch.isolation import (
     StartFailedError,
     WorkFailedError,
     attempts,
-    resolve,
 )
 from bridge.files import one_line
 from bridge.interruption import tidied
@@ -35,7 +35,7 @@ _Value = TypeVar("_Value")
 #: Kinds of failure after which an item is tried again: the others would only repeat themselves.
 _RETRIED = frozenset({"crashed", "killed", "timeout"})
 #: Tasks handed out for each worker: one that runs and one that is ready when it ends.
-_AHEAD = 2
+AHEAD = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +101,7 @@ def execute_here(
         with tidied(stop):
             while True:
                 running |= {
-                    threads.submit(run, task) for task in itertools.islice(waiting, _AHEAD * jobs - len(running))
+                    threads.submit(run, task) for task in itertools.islice(waiting, AHEAD * jobs - len(running))
                 }
                 if not running:
                     return
@@ -153,7 +153,7 @@ def attempt_each(named: tuple[str, Any], items: Sequence[Any]) -> Iterator[Any]:
 
     It is imported before the first item; that item's time starts after the import.
     """
-    return attempts(partial(resolve(named[0]), named[1]), items)
+    return attempts(partial(resolve_name(named[0]), named[1]), items)
 
 
 def _in_order(results: Iterable[Result]) -> Iterator[tuple[Any, Any]]:

@@ -1,17 +1,15 @@
 """A process of its own for work that may crash: whatever happens there, the caller lives and knows what happened.
 
 libsumo is native code and allows one simulation per process, so scenes run in such processes: a segfault, a kill or
-a hang costs the process and nothing else. The process is started once, serves many calls and is replaced after
-`recycle_after` of them, or when its memory has grown. What it may take is bounded (`memory_mb`), and what it leaves in
-its folder for temporary files goes with it. Caller and process talk over a pair of Unix sockets without a name: nothing
-listens, no other process can connect.
+a hang costs the process and nothing else. The process is started once, serves many calls and is replaced when its
+memory has grown. What it may take is bounded (`memory_mb`), and what it leaves in its folder for temporary files goes
+with it. Caller and process talk over a pair of Unix sockets without a name: nothing listens, no other process can
+connect.
 """
 
 import contextlib
 import faulthandler
 import gc
-import importlib
-import itertools
 import logging
 import os
 import pickle
@@ -30,9 +28,9 @@ from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any, Literal, TypeVar
 
-from bridge.batch.start_up import spare_the_collector
 from bridge.files import disk_error
 from netconvert.errors import Hid2Error
 
@@ -54,9 +52,7 @@ _LOG = logging.getLogger(__name__)
 _RAN_OUT = re.compile(r"^Timeout \(\d+:\d\d:\d\d[.\d]*\)!$", re.MULTILINE)
 
 _SERVE = "from bridge.batch.isolation import serve; serve()"
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-#: pydantic would ask every installed distribution whether it has a plugin.
-_NO_PLUGINS = {"PYDANTIC_DISABLE_PLUGINS": "1"}
+_ONE = "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "PYDANTIC_DISABLE_PLUGINS"
 
 _Item = TypeVar("_Item")
 _Value = TypeVar("_Value")
@@ -82,13 +78,12 @@ class Failure:
 class Settings:
     """How items are run.
 
-    timeout_s: for each item, a process that takes longer is ended; recycle_after: calls after which a process is
-    replaced; memory_mb: what it may allocate (RLIMIT_DATA), several times what the largest real scene takes.
+    timeout_s: for each item, a process that takes longer is ended; memory_mb: what it may allocate (RLIMIT_DATA),
+    several times what the largest real scene takes.
     """
 
     timeout_s: float = 300.0
     retries: int = 1
-    recycle_after: int = 1000
     memory_mb: int = 4000
 
 
@@ -116,13 +111,7 @@ class IsolatedProcess:
         self.stopped = False  # there will be no other process
         self._process: subprocess.Popen[bytes] | None = None
         self._open = contextlib.ExitStack()  # as long as there is a process
-        self._calls = 0
         self._rss_mb = 0.0
-
-    @property
-    def pid(self) -> int | None:
-        """Process id, None while there is no process."""
-        return self._process.pid if self._process else None
 
     def stream(self, function: str, *arguments: object) -> Iterator[Any]:
         """Yield what `function(*arguments)` yields in the child; each value has `timeout_s` of its own.
@@ -132,11 +121,10 @@ class IsolatedProcess:
         Raises WorkFailedError when the process dies or runs out of time, or the function raises; StartFailedError when
         it does not come so far.
         """
-        if self._calls >= self._settings.recycle_after or self._rss_mb > MAX_RSS_MB:
+        if self._rss_mb > MAX_RSS_MB:
             self.close()
         if self._process is None or self._process.poll() is not None:
             self._start()
-        self._calls += 1
         try:
             self._connection.send_bytes(
                 pickle.dumps((function, arguments, self._settings.timeout_s, _LOG.isEnabledFor(logging.DEBUG)))
@@ -188,7 +176,7 @@ class IsolatedProcess:
                     stdout=self._stderr,
                     stderr=self._stderr,
                     pass_fds=[there.fileno()],
-                    env=os.environ | _ONE_THREAD | _NO_PLUGINS | own,
+                    env=os.environ | dict.fromkeys(_ONE, "1") | own,
                     start_new_session=True,  # Ctrl-C is for the caller, which then closes this process
                 )
         except OSError as error:
@@ -197,7 +185,6 @@ class IsolatedProcess:
             ) from error
         finally:
             there.close()
-        self._calls = 0
         self._rss_mb = 0.0
         self._receive_start()
 
@@ -252,13 +239,6 @@ class IsolatedProcess:
         return os.pread(self._stderr.fileno(), _TAIL_BYTES, max(0, length - _TAIL_BYTES)).decode(errors="replace")
 
 
-def resolve(function: str) -> Callable[..., Any]:
-    """Return the function that "module:name" names."""
-    module, _, name = function.partition(":")
-    found: Callable[..., Any] = getattr(importlib.import_module(module), name)
-    return found
-
-
 class _ToCaller(logging.Handler):
     """Passes messages on to the caller."""
 
@@ -282,16 +262,13 @@ def _log_to(connection: "Connection[Any, Any]", *, debug: bool) -> None:
 
 def serve() -> None:
     """Run in the child: answer calls until the caller goes away."""
-    gc.disable()  # until the work is imported, of which nothing is ever free
+    gc.set_threshold(5_000, 20, 20)  # a scene leaves little behind that only the collector can free
     connection: Connection[Any, Any] = Connection(int(sys.argv[1]))
     threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
     _bound_memory(int(sys.argv[2]))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _reply(connection, "ready", None)
-    for call in itertools.count():
-        if call == 1:
-            gc.collect()
-            spare_the_collector()  # what the first call loaded as well
+    while True:
         try:
             function, arguments, timeout_s, debug = pickle.loads(connection.recv_bytes())  # noqa: S301  # our own caller
         except (EOFError, OSError):  # the caller is gone, and cannot remove this process's folder any more
@@ -306,10 +283,9 @@ def serve() -> None:
 def _answer(connection: "Connection[Any, Any]", function: str, arguments: Sequence[Any], *, timeout_s: float) -> None:
     # A C thread of faulthandler's own ends a hang even where native code holds the GIL, and shows where it hung.
     try:
-        values = resolve(function)(*arguments)
+        values = resolve_name(function)(*arguments)
         _make_kernels_ready(connection)
-        if not gc.isenabled():  # the first
-            spare_the_collector()
+        gc.freeze()  # what is imported by now is never free
         _reply(connection, "started", None)
         faulthandler.dump_traceback_later(timeout_s, exit=True)
         for value in values:

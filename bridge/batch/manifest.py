@@ -27,8 +27,6 @@ from netconvert.errors import BatchError
 MANIFEST_NAME = "manifest.csv"
 #: Last column: CRC-32 of the line up to it.
 CHECK = "check"
-#: Columns of manifests before the selection, events and vehicles near were told, and of older ones: today's first ones.
-_OLDER = (30, 33, 42, 43)
 #: Longest text in a row, characters; the bundle of a scene has all of its reason.
 MAX_TEXT = 2_000
 _MAX_LINE = 100_000
@@ -147,7 +145,9 @@ class Manifest:
 
     def save(self) -> None:
         """Write the file anew, sorted, each row once."""
-        write_rows(self.path, self.rows)
+        with table_file(self.path) as file:
+            file.write(",".join((*ManifestRow._fields, CHECK)) + "\n")
+            file.writelines(map(_line, self.rows))
 
 
 def read_manifest(path: Path) -> tuple[list[ManifestRow], int]:
@@ -176,13 +176,6 @@ def read_manifest(path: Path) -> tuple[list[ManifestRow], int]:
     return rows, unread
 
 
-def write_rows(path: Path, rows: Iterable[ManifestRow]) -> None:
-    """Write rows with a header. Errors: ExportError."""
-    with table_file(path) as file:
-        file.write(",".join((*ManifestRow._fields, CHECK)) + "\n")
-        file.writelines(map(_line, rows))
-
-
 def _line(row: ManifestRow) -> str:
     text = io.StringIO()
     append_rows(text, [[one_line(value, most=MAX_TEXT) if isinstance(value, str) else value for value in row]])
@@ -202,7 +195,7 @@ def _parse(line: bytes) -> ManifestRow | None:
     types = ManifestRow.__annotations__
     try:
         values = next(csv.reader([text.decode()]), [])
-        named = zip(ManifestRow._fields, values, strict=len(values) not in _OLDER)
+        named = zip(ManifestRow._fields, values, strict=True)
         row = ManifestRow(**{name: types[name](untabled(value)) for name, value in named})
     except (ValueError, csv.Error):
         return None

@@ -54,7 +54,7 @@ def make_again(
             f"that of its configuration: edited, or of another version ({then}): use that program"
         )
     wanted = sidecar.source_scenario_id
-    choices = Choices(map_path, sidecar.recording.first_step if sidecar.recording else 0)
+    choices = Choices(map_path, sidecar.recording.first_step)
     there = [place for place in find_recordings([source], choices) if source_id(place) == wanted]
     found = [place for place in there if isinstance(place, Source) or not is_generated(place)]
     if len(found) != 1:

@@ -95,7 +95,9 @@ def write_bundle(bundle: Bundle, path: Path) -> None:
     files: dict[str, bytes] = {}
     left_out: list[str] = []
     source = bundle.folder if isinstance(bundle.folder, Source) else None
-    for entry in _entries(bundle.folder):
+    folder = bundle.folder
+    there = source_files(folder) if isinstance(folder, Source) else sorted(folder.iterdir()) if folder.is_dir() else []
+    for entry in there:  # all in a scene's folder, which may be damaged; of another format what is read
         name = one_line(entry.name, most=200)
         try:
             if len(files) + len(left_out) >= MAX_MEMBERS - 3 or name.startswith("."):
@@ -171,13 +173,6 @@ def read_bundle(path: Path, into: Path, *, functions: Collection[str] = ()) -> B
     )
 
 
-def _entries(address: Address) -> list[Path]:
-    """What goes into a bundle: all in a scene's folder, which may be damaged; of another format what is read."""
-    if isinstance(address, Source):
-        return source_files(address)
-    return sorted(address.iterdir()) if address.is_dir() else []
-
-
 def _unpacked(folder: Path, request: _Request) -> Address:
     """The recording in an unpacked scene; the folder itself where none is recognised: reading it says why."""
     try:
@@ -200,8 +195,6 @@ def _members(archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
         name = member.filename
         if name in members:
             raise ValueError(f"file {name!r} is in it twice")
-        if member.flag_bits & 0x1:
-            raise ValueError(f"file {name!r} is encrypted")
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise ValueError(f"file {name!r}: compression {member.compress_type}, expected none or deflate")
         if name.startswith(_SCENE):

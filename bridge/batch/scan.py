@@ -166,17 +166,27 @@ def scene_of(scenario: Recording, config: Config) -> Scene:
 
 
 def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts]:
-    """The scenes that are wanted, in their order. Errors: ConfigError for a manoeuvre that does not exist."""
+    """The scenes that are wanted, in their order; cities in any case.
+
+    Errors: ConfigError for a manoeuvre that does not exist, and for a city that no scene is in.
+    """
     policies = [policy.value for policy in Policy]
     names = [*policies, *EVENTS]
     for name in selection.can:
         if name not in names:
             raise ConfigError(f"--can {name!r}: expected one of {', '.join(names)}")
+    there = {fact.city.casefold(): fact.city for fact in facts}
+    for city in selection.cities:
+        if facts and city.casefold() not in there:
+            raise ConfigError(
+                f"--city {city!r}: no scene is there, expected one of {', '.join(sorted(there.values()))}"
+            )
+    cities = {city.casefold() for city in selection.cities}
     chosen = [
         fact
         for fact in facts
         if fact.tracks >= selection.min_agents
-        and (not selection.cities or fact.city in selection.cities)
+        and (not cities or fact.city.casefold() in cities)
         and (not selection.splits or fact.split in selection.splits)
         and all(
             fact.room(Policy(name)) > 0 if name in policies else name in fact.events.split() for name in selection.can

@@ -12,22 +12,15 @@ from bridge.batch.isolation import Failure, attempts
 from bridge.batch.manifest import ManifestRow, files_sha256, output_files
 from bridge.generation.generate import PreparedScene, generate, prepare
 from bridge.generation.scene import TrafficScene
-from bridge.recordings.export import check_step
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import DrivesRecord, EventRecord, Sidecar
 from bridge.recordings.sources import read_recording
 from hid2.agents import Policy
 from hid2.params import Grid
 
-
-def _check_libsumo() -> None:
-    """A file of that name in the way is found before the first scene. Errors: ImportError."""
-    found = sys.modules["libsumo"]  # imported with what generates
-    if not hasattr(found, "simulation"):
-        raise ImportError(f"{getattr(found, '__file__', None) or found}: not SUMO's libsumo, rename it or move it away")
-
-
-_check_libsumo()
+_FOUND = sys.modules["libsumo"]  # imported with what generates
+if not hasattr(_FOUND, "simulation"):  # a file of that name in the way is found before the first scene
+    raise ImportError(f"{getattr(_FOUND, '__file__', None) or _FOUND}: not SUMO's libsumo, rename it or move it away")
 
 
 def write_all(scene: TrafficScene, place: Place) -> Path:
@@ -48,9 +41,7 @@ def generate_runs(
 
     @cache
     def source() -> Recording:
-        found = read_recording(place.folder)
-        check_step(found)
-        return found
+        return read_recording(place.folder)
 
     def made(run: Run) -> ManifestRow:
         scenario, grid = source(), run.config.grid
@@ -114,10 +105,9 @@ def told_of(event: EventRecord) -> str:
 
 
 def _selection(sidecar: Sidecar) -> dict[str, Any]:
-    """What tells of the selection; nothing where the sidecar is an older one."""
+    """What tells of the selection."""
     told = sidecar.selection
-    if told is None:
-        return {}
+    assert told is not None
     found: dict[str, Any] = {"driven": told.driven}
     for name in ("kept", "dropped", "recorded"):
         of: DrivesRecord = getattr(told, name)

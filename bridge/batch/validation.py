@@ -5,8 +5,9 @@ from pathlib import Path
 
 from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure
-from bridge.recordings.folders import find_scenarios
-from bridge.recordings.validate import Finding, check_tree, held_against, validate_scene
+from bridge.recordings.folders import Choices, find_scenarios, source_id
+from bridge.recordings.sources import find_recordings
+from bridge.recordings.validate import Against, Finding, check_tree, validate_scene
 
 #: Scenes that a process gets at a time; no tunable: starting one takes as long as checking so many.
 _CHUNK = 50
@@ -28,8 +29,11 @@ def validate_folder(
     is wrong, and notes; nothing if all is well. A scene with a check that fails or takes too long is a finding.
     Errors: ScenarioError where out or source is no folder or holds no scenario.
     """
-    sources = (source,) if isinstance(source, Path) else source
-    folders, against = find_scenarios(out), held_against(out, sources, map_path, inserted)
+    folders, sources = find_scenarios(out), [source] if isinstance(source, Path) else [*source]
+    recorded = None
+    if sources:  # every window of a log among them
+        recorded = {source_id(one): one for one in find_recordings(sources, Choices(map_path, stride=1))}
+    against = Against(out, recorded, frozenset(inserted) or None)
     findings = check_tree(out, folders)
     each = work_on_each(
         validate_scene, folders, shared=against, jobs=jobs, chunk=_CHUNK, timeout_s=120, isolated=jobs > 1,

@@ -1,14 +1,16 @@
 """The application that is made of the commands, its own options, and how its help looks."""
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from importlib import import_module
-from typing import Annotated, Any, NamedTuple, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import typer
-from typer.core import TyperCommand, TyperGroup, TyperOption
+from typer.core import TyperCommand, TyperOption
 
-from bridge.cli.options import Paths, flattened
+from bridge.cli.options import flattened
+from bridge.cli.places import check_given
 from netconvert.errors import ConfigError
 
 #: Commands in the order of the help, that of the work, and the module that registers each as it is imported.
@@ -24,24 +26,9 @@ COMMANDS = {
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-class _Registered(NamedTuple):
-    """A function, the options that `--help` shows where not all are, and its paths that are checked before it runs."""
-
-    function: Callable[..., Any]
-    shown: frozenset[str]
-    paths: Paths
-
-
-#: Those of the modules that are imported.
-_FUNCTIONS: dict[str, _Registered] = {}
-
-
-class _Group(TyperGroup):
-    def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Each command with its whole first sentence."""
-        found = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, str(known.help).split("\n\n")[0]) for name, known in found if known])
+#: By command of the modules that are imported: its function, the options that `--help` shows where not all are, and
+#: the check of its paths before it runs.
+_FUNCTIONS: dict[str, tuple[Callable[..., Any], frozenset[str], Callable[[Mapping[str, Any]], None]]] = {}
 
 
 class _Command(TyperCommand):
@@ -95,8 +82,8 @@ def command(
     """
 
     def register(function: _Function) -> _Function:
-        paths = Paths(tuple(reads), tuple(folders), tuple(files))
-        _FUNCTIONS[name or function.__name__] = _Registered(function, frozenset(shown), paths)
+        check = partial(check_given, reads=reads, folders=folders, files=files)
+        _FUNCTIONS[name or function.__name__] = function, frozenset(shown), check
         return function
 
     return register
@@ -112,7 +99,6 @@ def application(named: str = "", *, every_option: bool = True) -> typer.Typer:
         import_module(f"bridge.cli.{module}")
     app = typer.Typer(
         name="hid2",
-        cls=_Group,
         help="Dense traffic and rare manoeuvres for Argoverse 2 scenes, driven by SUMO (HiD2).",
         epilog="Exit codes: 0 all done, 1 some scene could not be done, 2 usage or configuration, "
         "130 or 143 interrupted.",
@@ -123,10 +109,11 @@ def application(named: str = "", *, every_option: bool = True) -> typer.Typer:
     )
     app.callback()(hid2)
     for name in (name for name in COMMANDS if name in _FUNCTIONS):
-        function, shown, paths = _FUNCTIONS[name]
-        made = (lambda: None) if named in {"-h", "--help"} else flattened(function, paths)
+        function, shown, check = _FUNCTIONS[name]
+        made = (lambda: None) if named in {"-h", "--help"} else flattened(function, check)
         kind = type("_Command", (_Command,), {"shown": frozenset() if every_option else shown})
-        app.command(name, cls=kind, help=function.__doc__)(made)
+        whole = str(function.__doc__)
+        app.command(name, cls=kind, help=whole, short_help=whole.split("\n\n")[0])(made)
     return app
 
 

@@ -1,6 +1,6 @@
 """What is said of a batch: a message for every scene that failed, and a table at the end."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from bridge.batch.batch import Progress
@@ -15,25 +15,23 @@ _LISTED_RUNS = 24
 _REASONS = 3
 
 
-class BatchNotes:
+def notes_of(activity: Activity, out: Path, *, go_on: str) -> Callable[[ManifestRow, Progress], None]:
     """Tells an activity what becomes of a batch's runs; when it is verbose, of those that succeed too."""
 
-    def __init__(self, activity: Activity, out: Path, *, go_on: str) -> None:
-        self._activity, self._out, self._go_on = activity, out, go_on
-
-    def note(self, row: ManifestRow, progress: Progress) -> None:
-        """Take note of one more run."""
-        if_interrupted(f"finished scenes are in {self._out / MANIFEST_NAME}; {self._go_on}")
+    def note(row: ManifestRow, progress: Progress) -> None:
+        if_interrupted(f"finished scenes are in {out / MANIFEST_NAME}; {go_on}")
         if row.status != DONE:
             say(
                 f"warning: {row.scenario} variant {row.variant}: {row.failure}: {row.reason}\n"
-                f"  to see it again: hid2 generate --repro {self._out / row.bundle}"
+                f"  to see it again: hid2 generate --repro {out / row.bundle}"
             )
-        elif self._activity.verbose:
+        elif activity.verbose:
             placed = f"{row.placed} of {row.asked} placed, {row.seconds:.1f} s"
             say(f"{row.scenario} variant {row.variant}: {placed}")
         details = f" ({progress.skipped} complete before, {progress.quarantined} quarantined)"
-        self._activity.show(progress.finished, progress.total, progress.rate, details)
+        activity.show(progress.finished - progress.skipped, progress.total - progress.skipped, details)
+
+    return note
 
 
 def print_batch(rows: Sequence[ManifestRow], request: Request) -> None:

@@ -4,13 +4,11 @@ Exit codes: 0 all done, 1 some scene could not be done, 2 usage or configuration
 to stdout, messages to stderr.
 """
 
-import gc
 import os
 import re
 import sys
 from itertools import pairwise
 
-from bridge.batch.start_up import COLLECT
 from bridge.cli.app import COMMANDS, application
 from bridge.cli.options import SOME_FAILED, USAGE
 from bridge.console import fail
@@ -21,7 +19,6 @@ __all__ = ["application", "run"]
 
 def run() -> int:
     """Run the command, return its exit code; an explained error is a line on stderr, never a traceback."""
-    gc.set_threshold(*COLLECT)
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # else every installed distribution is asked for one
     from typer.exceptions import TyperException
 

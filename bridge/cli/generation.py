@@ -147,7 +147,7 @@ def generate(  # noqa: PLR0913  # one for each option
         activity.note(f"{loose} of {len(folders)} scenes in no folder train, val or test: no split in {out} has them")
     from bridge.batch.batch import Options, plan, run_batch
     from bridge.batch.requested import came_about_nowhere, check_request, check_same_request, named_behaviours
-    from bridge.cli.batch_display import BatchNotes, print_batch
+    from bridge.cli.batch_display import notes_of, print_batch
 
     jobs_wanted = plan(folders, resolved)
     if not append:
@@ -160,10 +160,9 @@ def generate(  # noqa: PLR0913  # one for each option
         memory_mb=scene_memory, argoverse1=bool(formats),
         gaps=bool(record), functions={resolved.lane_change.rule},
     )  # fmt: skip
-    notes = BatchNotes(activity, out, go_on="continue with --resume")
     activity.doing("generating")
     activity.show(0, sum(len(job.runs) for job in jobs_wanted))
-    rows = run_batch(jobs_wanted, out, how, on_row=notes.note)
+    rows = run_batch(jobs_wanted, out, how, on_row=notes_of(activity, out, go_on="continue with --resume"))
     activity.end()
     if as_json:
         print_json(rows[0]._fields, rows)

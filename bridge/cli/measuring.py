@@ -136,7 +136,7 @@ def study(
 ) -> int:
     """Run a parameter study. Called again, it continues: completed runs are skipped."""
     from bridge.batch.batch import Options
-    from bridge.cli.batch_display import BatchNotes
+    from bridge.cli.batch_display import notes_of
     from bridge.studies.run import run_study
     from bridge.studies.study import read_study
 
@@ -151,10 +151,9 @@ def study(
         activity.end()
         print(*lines, sep="\n")
         return options.ALL_DONE
-    notes = BatchNotes(activity, out, go_on="the same command continues")
     activity.doing("driving")
     activity.show(0, sum(len(job.runs) for job in found.jobs))
-    report = run_study(found, out, how, trj=trj, on_row=notes.note)
+    report = run_study(found, out, how, trj=trj, on_row=notes_of(activity, out, go_on="the same command continues"))
     activity.result(*report.files)
     return options.SOME_FAILED if report.failed else options.ALL_DONE
 
@@ -169,14 +168,13 @@ def public(
 ) -> int:
     """Lane changes on public roads, published beside simulated, for rules untuned and tuned. Can be continued."""
     from bridge.batch.batch import Options
-    from bridge.cli.batch_display import BatchNotes
+    from bridge.cli.batch_display import notes_of
     from bridge.studies.public_roads import read_public, run_public
 
     how = Options(jobs=batch.jobs, scheduler=batch.scheduler, timeout_s=batch.scene_timeout)
     page = read_public(file)
     activity.doing("driving roads")
-    notes = BatchNotes(activity, out, go_on="the same command continues")
-    report = run_public(page, out, how, on_row=notes.note)
+    report = run_public(page, out, how, on_row=notes_of(activity, out, go_on="the same command continues"))
     activity.note(
         f"{counted(report.runs, 'run')} that took {report.seconds:.0f} s in all, {report.failed or 'none'} failed"
     )

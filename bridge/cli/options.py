@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_origin, get_type
 
 import typer
 
-from bridge.cli.places import check_out, check_out_file, check_scenes
 from bridge.cli.session import set_up
 from bridge.console import Activity
 from bridge.recordings.folders import SPLITS, Choices
@@ -23,8 +22,6 @@ from hid2.policies import Policy
 from netconvert.errors import ConfigError
 
 if TYPE_CHECKING:
-    from pydantic.fields import FieldInfo
-
     from bridge.batch.scan import Selection
 
 ALL_DONE, SOME_FAILED, USAGE = 0, 1, 2
@@ -85,27 +82,22 @@ class FieldOptions(NamedTuple):
         """Parameters of the command by the names of the fields."""
         from hid2 import params
 
-        fields = getattr(params, self.section).model_fields.items()
-        return {key: self._parameter(key, field, _extra(field)) for key, field in fields if "metavar" in _extra(field)}
+        section = getattr(params, self.section)
+        said = section.model_json_schema()["properties"].items()
+        return {
+            key: self._parameter(key, section.model_fields[key].annotation, of) for key, of in said if "metavar" in of
+        }
 
-    def _parameter(self, key: str, field: "FieldInfo", extra: Mapping[str, Any]) -> Parameter:
+    def _parameter(self, key: str, kind: Any, said: Mapping[str, Any]) -> Parameter:
         from bridge.config import option_name
 
-        name, kind = option_name(key), field.annotation
-        more: dict[str, Any] = {"show_default": extra["shown"] or False}
-        names: tuple[str, ...] = ()
+        name, names = option_name(key), tuple[str, ...]()
+        more = {"show_default": said["shown"] or False, "min": said.get("minimum"), "max": said.get("maximum")}
         if kind is bool:
-            names, more["show_default"] = (f"--{name}/--no-{name}",), name if field.default else f"no-{name}"
-        elif kind in (int, float):
-            more["min"] = next((bound.ge for bound in field.metadata if hasattr(bound, "ge")), None)
-            more["max"] = next((bound.le for bound in field.metadata if hasattr(bound, "le")), None)
-        made = self.make(f"{extra['source']}.", None, extra["metavar"] or None, *names, **more)
+            names, more["show_default"] = (f"--{name}/--no-{name}",), name if said["default"] else f"no-{name}"
+        made = self.make(f"{said['source']}.", None, said["metavar"] or None, *names, **more)
         known = kind in (int, float, bool) or get_origin(kind) is Literal
         return _parameter(name.replace("-", "_"), kind if known else str, made)
-
-
-def _extra(field: "FieldInfo") -> Mapping[str, Any]:
-    return field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
 
 
 def _parameter(name: str, kind: Any, default: Any) -> Parameter:  # any type and value
@@ -129,26 +121,10 @@ def _plain(value: Any) -> Any:
     return [str(one) if isinstance(one, StrEnum) else one for one in value] if isinstance(value, list) else value
 
 
-class Paths(NamedTuple):
-    """Parameters of a command with paths that are checked before it runs: scenes that it reads, what it writes."""
-
-    reads: tuple[str, ...] = ()
-    folders: tuple[str, ...] = ()
-    files: tuple[str, ...] = ()
-
-    def check(self, values: Mapping[str, Any]) -> None:
-        """Errors: ConfigError for what cannot be what it is given as."""
-        given = [values[name] for name in self.reads if values[name] is not None]
-        check_scenes([path for one in given for path in (one if isinstance(one, list) else [one])])
-        for names, check in ((self.folders, check_out), (self.files, check_out_file)):
-            for path in (values[name] for name in names if values[name] is not None):
-                check(path)
-
-
-def flattened(function: Callable[..., Any], paths: Paths) -> Callable[..., Any]:
+def flattened(function: Callable[..., Any], check: Callable[[Mapping[str, Any]], None]) -> Callable[..., Any]:
     """The function of a command as typer takes it, with a parameter for each option.
 
-    Before it is called logging is set up and paths are checked; an `Activity` that it takes is begun.
+    Before it is called logging is set up and its values are checked; an `Activity` that it takes is begun.
     """
     parameters: list[Parameter] = []
     groups: dict[str, tuple[Callable[..., Any], dict[str, str]]] = {}
@@ -177,7 +153,7 @@ def flattened(function: Callable[..., Any], paths: Paths) -> Callable[..., Any]:
         made = {
             name: kind(**{key: values.pop(one) for key, one in keys.items()}) for name, (kind, keys) in groups.items()
         }
-        paths.check(values)
+        check(values)
         with ExitStack() as stack:
             for activity in (one for one in made.values() if isinstance(one, Activity)):
                 stack.enter_context(activity)

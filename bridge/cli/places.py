@@ -1,16 +1,17 @@
 """Whether the paths of a command line can be what they are given as, before anything slow is loaded."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 from bridge.console import warn
 from bridge.interruption import remove_abandoned
-from bridge.recordings.folders import SEQUENCES, SPLITS, Address, Choices, is_generated, other_data
-from bridge.recordings.sources import find_one, nothing_at
+from bridge.recordings.folders import SPLITS, Address, Choices, is_generated, names_in, other_data
+from bridge.recordings.sources import READERS, find_one, nothing_at
 from netconvert.errors import ConfigError
 
-_SCENE_FILES = ("scenario_*.parquet", "log_map_archive_*.json", "annotations*.feather", "city_SE3_egovehicle.feather")
 _ARCHIVES = (".zip", ".tar", ".gz", ".tgz", ".7z", ".zst")
 #: Folders of a split or root that are looked at to tell which of them it is: they are all alike.
 _LOOKED_AT = 20
@@ -26,6 +27,15 @@ def check_scenes(paths: Sequence[Path]) -> None:
         if path.is_file() and path.suffix != ".csv":
             said = other_data(path) or f"is a file, expected a folder; {_instead_of_file(path)}"
             raise ConfigError(f"{path}: {said}")
+
+
+def check_given(values: Mapping[str, Any], reads: Iterable[str], folders: Iterable[str], files: Iterable[str]) -> None:
+    """Check values of a command by their names: scenes that it reads, what it writes. Errors: ConfigError."""
+    given = {name: one if isinstance(one, list) else [one] for name, one in values.items() if one is not None}
+    check_scenes([path for name in reads for path in given.get(name, ())])
+    for names, check in ((folders, check_out), (files, check_out_file)):
+        for path in (path for name in names for path in given.get(name, ())):
+            check(path)
 
 
 def one_scene(path: Path, window: tuple[Path | None, int]) -> Address:
@@ -90,27 +100,12 @@ def _instead_of_file(path: Path) -> str:
 
 
 def _is_scene(folder: Path) -> bool:
-    return any(any(folder.glob(pattern)) for pattern in _SCENE_FILES)
+    names = frozenset(names_in(folder)) if folder.is_dir() else frozenset()
+    return any(reader.is_folder and reader.sniff(folder, names) for reader in READERS)
 
 
 def _recorded(folder: Path) -> Iterator[Path]:
     """Scenes that hid2 did not write and that lie directly in a folder, of the first that are there."""
-    looked_at = islice(_folders(folder), _LOOKED_AT)
-    yield from (child for child in looked_at if _is_scene(child) and not is_generated(child))
-    written = any(place.name == SEQUENCES and (place.parent / "manifest.csv").is_file() for place in folder.parents)
-    for path in islice(_sequences(folder), 0 if written else 2):
-        with path.open("rb") as stream:  # any table may be called 1.csv
-            if b"TRACK_ID" in stream.readline(200):
-                yield path
-
-
-def _folders(folder: Path) -> Iterator[Path]:
-    try:
-        yield from (entry for entry in folder.iterdir() if not entry.name.startswith(".") and entry.is_dir())
-    except OSError:  # a folder on the way that may not be read
-        return
-
-
-def _sequences(folder: Path) -> Iterator[Path]:
-    """Files that are called as sequences of Argoverse 1 are, in a folder, in any order."""
-    return (path for path in folder.glob("*.csv") if path.stem.isdigit() and path.is_file())
+    with suppress(OSError):  # a folder on the way that may not be read
+        folders = (entry for entry in folder.iterdir() if not entry.name.startswith(".") and entry.is_dir())
+        yield from (one for one in islice(folders, _LOOKED_AT) if _is_scene(one) and not is_generated(one))

@@ -7,7 +7,7 @@ from shutil import copytree, ignore_patterns
 from bridge.cli import options
 from bridge.cli.app import command
 from bridge.cli.places import check_out, one_scene
-from bridge.cli.session import read_facts, with_cities_of
+from bridge.cli.session import read_facts
 from bridge.console import Activity, counted, print_json, print_table
 from bridge.files import data_folder, explained
 from netconvert.errors import ConfigError
@@ -81,9 +81,8 @@ def scan(
     if out is not None:
         make_folder(out.parent)
     activity.doing("reading scenes")
-    wanted = which.selection(seed)
-    facts, failures = read_facts(folders, activity, EVENTS if events else wanted.can, jobs=jobs)
-    chosen = select(facts, with_cities_of(facts, wanted))
+    facts, failures = read_facts(folders, activity, EVENTS if events else which.can, jobs=jobs)
+    chosen = select(facts, which.selection(seed))
     activity.end()
     if out is not None:
         write_rows(out, SceneFacts._fields, chosen)

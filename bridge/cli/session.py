@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from bridge.console import Activity, say
-from netconvert.errors import ConfigError
 
 if TYPE_CHECKING:
     from bridge.batch.scan import SceneFacts, Selection
@@ -63,20 +62,6 @@ def select_scenes(
 
     activity.doing("reading scenes for the selection")
     facts, failures = read_facts(folders, activity, selection.can, jobs=jobs)
-    chosen = wanted(folders, facts, failures, with_cities_of(facts, selection))
+    chosen = wanted(folders, facts, failures, selection)
     activity.note(f"{len(chosen)} of {len(folders)} scenes selected")
     return chosen
-
-
-def with_cities_of(facts: Sequence["SceneFacts"], selection: "Selection") -> "Selection":
-    """The selection with its cities as the data set spells them, whatever their case.
-
-    Errors: ConfigError for a city that no scene is in, with those that there are.
-    """
-    known = {fact.city.casefold(): fact.city for fact in facts}
-    for city in selection.cities:
-        if facts and city.casefold() not in known:
-            raise ConfigError(
-                f"--city {city!r}: no scene is there, expected one of {', '.join(sorted(known.values()))}"
-            )
-    return selection._replace(cities=tuple(known.get(city.casefold(), city) for city in selection.cities))

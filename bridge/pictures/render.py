@@ -47,10 +47,6 @@ _LABEL_SIZE = 6.5
 #: Ground shown around one agent's path.
 AGENT_MARGIN_M = 25.0
 
-#: Manoeuvres with the ids of their tracks.
-_Done = tuple[tuple[str, ManeuverRecord], ...]
-
-
 #: Which agents are drawn above which; inserted ones above all.
 _ORDER = {"other": 3, "recorded": 4, "focal": 4, "av": 5}
 #: Edge of a box and its width.
@@ -59,13 +55,13 @@ _EDGE, _FOCAL_EDGE = ("#333333", 0.4), (figures.BLACK, 1.6)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Panel:
-    """What one half of the picture shows."""
+    """What one half of the picture shows; maneuvers: with the ids of their tracks."""
 
     title: str
     scenario: Recording
     tracks: tuple[Track, ...]
     kinds: Mapping[str, str]
-    maneuvers: _Done
+    maneuvers: tuple[tuple[str, ManeuverRecord], ...]
 
 
 def render_scene(

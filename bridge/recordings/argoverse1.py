@@ -23,7 +23,6 @@ import csv
 import io
 import json
 import math
-import re
 import warnings
 from functools import lru_cache
 from pathlib import Path
@@ -37,7 +36,7 @@ import shapely
 
 from bridge.files import one_line, read_received
 from bridge.recordings import limits
-from bridge.recordings.folders import Source
+from bridge.recordings.folders import Source, only_file
 from bridge.recordings.map_rules import graph_of, read_source_map
 from bridge.recordings.recording import AV_ID, FOCAL_CATEGORY, Recording, velocity_of
 from bridge.recordings.scenario import recording_of, split_rows, table_of
@@ -267,22 +266,10 @@ def _map(path: Path, rows: SequenceRows, name: str) -> tuple[LaneGraph, bytes | 
 
 def map_files(folder: Path, city: str) -> tuple[Path, Path, Path]:
     """Vector map, raster and its transformation of a city. Errors: MapError with the name that is missing."""
-    pattern = re.compile(rf"pruned_argoverse_{city}_(\d+)_vector_map\.xml")
-    found = sorted((path, match[1]) for path in folder.iterdir() if (match := pattern.fullmatch(path.name)))
-    if len(found) != 1:
-        wanted = f"pruned_argoverse_{city}_<n>_vector_map.xml"
-        raise MapError(f"{folder}: {len(found) or 'no'} {wanted}, expected exactly one: the map of {_CITIES[city]}")
-    vector, number = found[0]
-    rasters = []
-    for what in _RASTERS:
-        name = f"{city}_{number}_{what}_"
-        files = sorted(path for path in folder.iterdir() if path.name.startswith(name) and path.suffix == ".npy")
-        if len(files) != 1:
-            raise MapError(
-                f"{folder}: {len(files) or 'no'} {name}<date>.npy, expected exactly one beside {vector.name}"
-            )
-        rasters += files
-    return vector, rasters[0], rasters[1]
+    vector = only_file(folder, f"pruned_argoverse_{city}_*_vector_map.xml", MapError)
+    number = vector.name.split("_")[3]
+    pixels, se2 = (only_file(folder, f"{city}_{number}_{what}_*.npy", MapError) for what in _RASTERS)
+    return vector, pixels, se2
 
 
 @lru_cache(maxsize=2)  # a city-wide map is read once by each process

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
@@ -22,8 +21,6 @@ from bridge.recordings.sidecar import RecordingRecord, Sidecar, sidecar_bytes, s
 from hid2.agents import Track
 from netconvert.errors import ExportError
 
-#: Category of a formerly focal track when a generated one takes its place: it lives through the scene.
-_FORMER_FOCAL_CATEGORY = SCORED_CATEGORY
 #: A lane's centreline with at least one point, in a map file.
 _CENTERLINE = re.compile(rb'"centerline":\s*\[\s*\{')
 
@@ -35,9 +32,7 @@ def with_generated(
     table = scene_table(scenario, generated, new_id=new_id, focal_track_id=focal_track_id)
     recorded = scenario.tracks
     if focal_track_id != scenario.focal_track_id:
-        recorded = tuple(
-            replace(t, category=_FORMER_FOCAL_CATEGORY) if t.category == FOCAL_CATEGORY else t for t in recorded
-        )
+        recorded = tuple(replace(t, category=SCORED_CATEGORY) if t.category == FOCAL_CATEGORY else t for t in recorded)
     ours = (replace(t, category=FOCAL_CATEGORY) if t.track_id == focal_track_id else t for t in generated)
     return replace(
         scenario, scenario_id=new_id, focal_track_id=focal_track_id, tracks=(*recorded, *ours), table=table,
@@ -79,9 +74,10 @@ def scene_table(scenario: Recording, generated: Sequence[Track], *, new_id: str,
 
     Columns and types are the source's. Changed in recorded rows: scenario_id, and where the focal track is another
     one, focal_track_id and the category of the former focal track.
-    Errors: ExportError where a generated track cannot be one.
+    Errors: ExportError where the id of a generated track is taken.
     """
-    _check_generated(scenario, generated, focal_track_id)
+    if taken := {track.track_id for track in generated} & {track.track_id for track in scenario.tracks}:
+        raise ExportError(f"generated track {min(taken)!r}: the id is taken, expected one of its own")
     source = scenario.table
     focal_changes = focal_track_id != scenario.focal_track_id
     constants = _constants(source)
@@ -90,7 +86,7 @@ def scene_table(scenario: Recording, generated: Sequence[Track], *, new_id: str,
         row, field = source.column_names.index(name), source.schema.field(name)
         if name == "object_category":
             former = pc.equal(source.column(name), FOCAL_CATEGORY)
-            changed = pc.if_else(former, pa.scalar(_FORMER_FOCAL_CATEGORY, field.type), source.column(name))
+            changed = pc.if_else(former, pa.scalar(SCORED_CATEGORY, field.type), source.column(name))
         else:
             changed = pa.repeat(constants[name].cast(field.type), source.num_rows)
         source = source.set_column(row, field, changed)
@@ -143,26 +139,6 @@ def parquet_bytes(table: pa.Table) -> bytes:
     metadata = {"pandas": json.dumps(_pandas_metadata(table))}
     pq.write_table(table.replace_schema_metadata(metadata), sink, compression="snappy")
     return sink.getvalue()
-
-
-def _check_generated(scenario: Recording, generated: Sequence[Track], focal_track_id: str) -> None:
-    ids = {track.track_id for track in scenario.tracks}
-    for track in generated:
-        if track.track_id in ids:
-            raise ExportError(f"generated track {track.track_id!r}: the id is taken, expected one of its own")
-        ids.add(track.track_id)
-        steps = track.timesteps
-        if len(steps) == 0 or (np.diff(steps) != 1).any() or steps[0] < 0 or steps[-1] >= scenario.num_steps:
-            raise ExportError(f"generated track {track.track_id!r}: timesteps have gaps or leave the scene")
-        if not steps[0] <= scenario.last_observed <= steps[-1]:
-            raise ExportError(
-                f"generated track {track.track_id!r}: timesteps {steps[0]} to {steps[-1]} do not hold "
-                f"{scenario.last_observed}"
-            )
-        if not all(np.isfinite(values).all() for values in (track.position, track.heading, track.velocity)):
-            raise ExportError(f"generated track {track.track_id!r}: a value is not finite")
-    if focal_track_id not in ids:
-        raise ExportError(f"focal track {focal_track_id!r}: no such track")
 
 
 def _pandas_metadata(table: pa.Table) -> dict[str, Any]:

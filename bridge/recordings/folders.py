@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from netconvert.errors import MapError, NoSceneError, ScenarioError
 
@@ -97,19 +97,18 @@ class Reader:
     """A format of recordings.
 
     name: as in sidecars and in Source.format, and of the module in `bridge.recordings` that can `read` a Source
-    (ScenarioError, MapError with file, id, value and what was expected); one, many: what a recording is called; sniff:
+    (ScenarioError, MapError with file, id, value and what was expected); many: what recordings are called; sniff:
     whether a file, or a folder with these names in it, holds recordings; find: the recordings there, sorted
-    (NoSceneError where something that all of them need is missing); files: those that a recording is read from, as far
-    as they are there; lacks: what the format does not tell and how it is made up for, a sentence; is_folder: whether a
-    recording is a folder, which then holds nothing else.
+    (NoSceneError where something that all of them need is missing); files: those that a recording is read from, also
+    where they are not there; lacks: what the format does not tell and how it is made up for, a sentence; is_folder:
+    whether a recording is a folder, which then holds nothing else.
     """
 
     name: str
-    one: str
     many: str
     sniff: Callable[[Path, frozenset[str]], bool]
     find: Callable[[Path, frozenset[str], Choices], list[Address]]
-    files: Callable[[Source], list[Path]]
+    files: Callable[[Any], list[Path]]
     lacks: str = ""
     is_folder: bool = True
 

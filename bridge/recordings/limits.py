@@ -44,43 +44,33 @@ def check_map_size(graph: LaneGraph, name: str) -> None:
     """Refuse a map that is too large for a scene. name: what messages call it. Errors: MapError with lane and value."""
     rings = graph.drivable_areas
     lines: list[FloatArray] = list(rings)
-    counts = [
-        (f"{name}: lane segments", len(graph.lanes), MAX_LANES),
-        (f"{name}: drivable areas", len(rings), MAX_AREAS),
-    ]
-    counts += [(f"{name}: points of a drivable area", len(ring), MAX_POINTS) for ring in rings]
+    sizes: list[tuple[str, float, float]] = [
+        ("lane segments", len(graph.lanes), MAX_LANES), ("drivable areas", len(rings), MAX_AREAS),
+        *(("points of a drivable area", len(ring), MAX_POINTS) for ring in rings),
+    ]  # fmt: skip
     for lane in graph.lanes.values():
-        where = f"{name}: lane {lane.lane_id}"
+        where = f"lane {lane.lane_id}"
         for lane_id in (lane.lane_id, *lane.successors, lane.left_neighbor_id or 0, lane.right_neighbor_id or 0):
             if abs(lane_id) > MAX_LANE_ID:
-                raise MapError(f"{where}: lane id {str(lane_id)[:40]}, expected an integer of 64 bit")
+                raise MapError(f"{name}: {where}: lane id {str(lane_id)[:40]}, expected an integer of 64 bit")
         own = [line for line in (lane.centerline, lane.left_boundary, lane.right_boundary) if line is not None]
-        counts += [(f"{where}: points of a line", len(line), MAX_POINTS) for line in own]
+        sizes += [(f"{where}: points of a line", len(line), MAX_POINTS) for line in own]
+        sizes.append((f"{where}: length, m", lane.length_m, MAX_LANE_M))
         lines += own
-        if not lane.length_m <= MAX_LANE_M:
-            raise MapError(f"{where}: {lane.length_m:.0f} m long, expected at most {MAX_LANE_M:.0f} m")
-    for what, count, most in counts:
-        if count > most:
-            raise MapError(f"{what}: {count}, expected at most {most}")
-    total_m = sum(lane.length_m for lane in graph.lanes.values())
-    if not total_m <= MAX_LANES_M:
-        raise MapError(f"{name}: {total_m:.0f} m of lanes, expected at most {MAX_LANES_M:.0f} m")
-    said = _extent_breach(lines)
-    if said:
+    sizes.append(("length of all lanes, m", sum(lane.length_m for lane in graph.lanes.values()), MAX_LANES_M))
+    for what, size, most in sizes:
+        if not size <= most:
+            raise MapError(f"{name}: {what}: {size:.0f}, expected at most {most:.0f}")
+    if said := _extent_breach(lines):
         raise MapError(f"{name}: {said}")
 
 
 def check_ground(tracks: Sequence[Track], graph: LaneGraph, name: str) -> None:
     """Refuse tracks that do not lie on the ground of the map. Errors: ScenarioError with track and value."""
-    lanes = [lane.centerline for lane in graph.lanes.values()]
-    said = _extent_breach([*lanes, *(track.position for track in tracks)])
-    if not said:
-        return
+    ends = np.array(graph.bounds)
     for track in tracks:
-        alone = _extent_breach([*lanes[:1], track.position])
-        if alone:
-            raise ScenarioError(f"{name}: track {track.track_id!r} and the map: {alone}")
-    raise ScenarioError(f"{name}: tracks and map: {said}")
+        if said := _extent_breach([ends, track.position]):
+            raise ScenarioError(f"{name}: track {track.track_id!r} and the map: {said}")
 
 
 def _extent_breach(lines: Sequence[FloatArray]) -> str:

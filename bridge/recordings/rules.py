@@ -4,10 +4,9 @@ Those on the format of rows are in `scenario`, those on maps in `map_rules`, whi
 drivable is for the judge.
 """
 
-import csv
 import re
-import uuid
-from collections.abc import Iterator, Mapping, Set
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence, Set
 from itertools import zip_longest
 from pathlib import Path
 
@@ -15,14 +14,13 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
-from pydantic_core import from_json
 
-from bridge.config import config_from_dict, config_sha256, config_to_dict, new_scenario_id
-from bridge.files import one_line, read_received
-from bridge.recordings.argoverse1 import OTHERS, check_sequence
+from bridge.config import config_from_dict, config_sha256, config_to_dict, is_corridor, new_scenario_id
+from bridge.files import read_received
+from bridge.recordings.argoverse1 import check_sequence
 from bridge.recordings.recording import FOCAL_CATEGORY, SCORED_CATEGORY, Recording
 from bridge.recordings.scenario import RowArrays, row_breaches
-from bridge.recordings.sequence import inserted_id
+from bridge.recordings.sequence import INSERTED, sequence_bytes
 from bridge.recordings.sidecar import AgentRecord, Sidecar
 from hid2.agents import VEHICLE_TYPES, FloatArray, Policy
 from hid2.judge.events import brakes_for
@@ -66,10 +64,9 @@ def check_rows(rows: RowArrays, new_id: str) -> Iterator[Breach]:
 
 
 def _check_index(table: pa.Table) -> Iterator[Breach]:
-    metadata = (table.schema.metadata or {}).get(b"pandas")
     try:
-        index = from_json(metadata)["index_columns"] if metadata is not None else []
-    except (ValueError, KeyError, TypeError) as error:
+        index = (table.schema.pandas_metadata or {"index_columns": []})["index_columns"]
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         yield "columns", f"what pandas wrote about its index cannot be read ({error})"
         return
     wanted = {"kind": "range", "name": None, "start": 0, "stop": table.num_rows, "step": 1}
@@ -171,19 +168,12 @@ def _same_bits(one: pa.ChunkedArray, other: pa.ChunkedArray) -> npt.NDArray[np.b
 
 
 def check_sidecar(
-    sidecar: Sidecar, new_id: str, *, begins: Mapping[str, int] | None, generated_ids: Set[str],
-    lanes: Set[str] | None,
-) -> Iterator[Breach]:  # fmt: skip
-    """A sidecar against its scene.
-
-    begins: first timestep of each track of the rows, by its id; lanes: those of the map; None where these are missing.
-    """
-    track_ids = None if begins is None else begins.keys()
-    try:
-        if str(uuid.UUID(new_id)) != new_id:
-            raise ValueError
-    except ValueError:
-        yield "scenario-id", f"folder {new_id!r}, expected a UUID of 36 characters"
+    sidecar: Sidecar, new_id: str, begins: Mapping[str, int], generated_ids: Set[str], lanes: Set[str]
+) -> Iterator[Breach]:
+    """A sidecar against its scene. begins: first timestep of each track of the rows, by its id; lanes: of the map."""
+    track_ids = begins.keys()
+    if is_corridor(new_id):
+        yield "scenario-id", f"folder {new_id!r}, expected a UUID: a synthetic corridor is no scene of Argoverse"
     try:
         config = config_from_dict(sidecar.config)
     except ConfigError as error:
@@ -192,22 +182,20 @@ def check_sidecar(
         yield from _check_config(sidecar, config, new_id)
     if sidecar.placed.agents != len(sidecar.agents):
         yield "sidecar", f"placed.agents {sidecar.placed.agents}, but {len(sidecar.agents)} agents"
+    counts = Counter(agent.policy for agent in sidecar.agents)
     for policy in Policy:
-        count = sum(agent.policy == policy for agent in sidecar.agents)
-        if sidecar.placed.behaviours.get(policy, 0) != count:
-            yield (
-                "sidecar",
-                f"placed.behaviours.{policy} {sidecar.placed.behaviours.get(policy, 0)}, but {count} agents",
-            )
+        told = sidecar.placed.behaviours.get(policy, 0)
+        if told != counts[policy]:
+            yield "sidecar", f"placed.behaviours.{policy} {told}, but {counts[policy]} agents"
     listed = [agent.track_id for agent in sidecar.agents]
     if len(set(listed)) != len(listed):
         yield "sidecar", "two agents have the same track_id"
-    if track_ids is not None and set(listed) != generated_ids & track_ids:
+    if set(listed) != generated_ids & track_ids:
         missing = ", ".join(sorted(set(listed) ^ (generated_ids & track_ids)))
         yield "sidecar", f"agents and generated tracks differ: {missing}"
     for agent in sidecar.agents:
         yield from _check_agent(agent, track_ids, lanes)
-        begin = agent.spawn.timestep if begins is None else begins.get(agent.track_id, agent.spawn.timestep)
+        begin = begins.get(agent.track_id, agent.spawn.timestep)
         if begin != agent.spawn.timestep:
             yield "sidecar", f"agent {agent.track_id}: spawn.timestep {agent.spawn.timestep}, but it begins at {begin}"
     yield from _check_events(sidecar)
@@ -236,7 +224,7 @@ def _check_events(sidecar: Sidecar) -> Iterator[Breach]:
             yield "sidecar", f"event {number}: human_brakes {event.human_brakes}, but min_ttc_s {event.min_ttc_s}"
 
 
-def _check_agent(agent: AgentRecord, track_ids: Set[str] | None, lanes: Set[str] | None) -> Iterator[Breach]:
+def _check_agent(agent: AgentRecord, track_ids: Set[str], lanes: Set[str]) -> Iterator[Breach]:
     name = f"agent {agent.track_id}"
     kinds = [maneuver.kind for maneuver in agent.maneuvers]
     if agent.policy is not Policy.STRAIGHT and agent.policy.value not in kinds:
@@ -253,45 +241,36 @@ def _check_agent(agent: AgentRecord, track_ids: Set[str] | None, lanes: Set[str]
             yield "sidecar", f"{name}: {maneuver.kind}: times {times}, expected trigger, start, crossing, end in order"
         if maneuver.status == "done" and (maneuver.start_s is None or maneuver.end_s is None):
             yield "sidecar", f"{name}: {maneuver.kind}: done without start_s and end_s"
-        if track_ids is not None and maneuver.leader_track_id not in (None, *track_ids):
+        if maneuver.leader_track_id not in (None, *track_ids):
             yield "sidecar", f"{name}: {maneuver.kind}: no leader {maneuver.leader_track_id!r}"
-    if lanes is not None:
-        for lane in sorted(lane for lane in used if str(lane) not in lanes):
-            yield "sidecar", f"{name}: lane segment {lane} is not in the map"
+    for lane in sorted(lane for lane in used if str(lane) not in lanes):
+        yield "sidecar", f"{name}: lane segment {lane} is not in the map"
 
 
 def check_written_sequence(
     path: Path, rows: RowArrays, generated_ids: set[str], *, source: Recording | None
 ) -> Iterator[Breach]:
-    """A sequence against the rows of its scene, and its recorded lines against those of the source."""
+    """A sequence against what is written of its recorded lines and the rows of its scene, and these lines' source."""
     try:
         content = read_received(path, ScenarioError, wanted="an Argoverse 1 sequence")
-        found = check_sequence(content, str(path))
-    except ScenarioError as error:
+        check_sequence(content, str(path))
+        lines = content.decode("ascii").splitlines(keepends=True)
+        recorded = [line for line in lines if INSERTED not in line]
+        ours = [rows.of_track(code) for code, name in enumerate(rows.ids) if name in generated_ids]
+        inserted = [(rows.timestep[own], rows.motion[own, :2]) for own in ours]
+        wanted = sequence_bytes("".join(recorded).encode(), inserted).decode().splitlines(keepends=True)
+    except (ScenarioError, IndexError) as error:  # of fewer time stamps than steps
         yield "sequence", str(error)
         return
-    is_inserted = inserted_id(0)[:-12]
-    inserted = {
-        name: found.code == code
-        for code, (name, kind) in enumerate(zip(found.ids, found.kinds, strict=True))
-        if name.startswith(is_inserted) and kind == OTHERS
-    }
-    wanted = {inserted_id(int(name.removeprefix("gen_"))): name for name in generated_ids if name in rows.ids}
-    if inserted.keys() != wanted.keys():
-        names = ", ".join(sorted(inserted.keys() ^ wanted.keys())[:5])
-        yield "sequence", f"inserted tracks differ from those of the scene: {one_line(names, most=200)}"
-        return
-    for name, track_id in sorted(wanted.items()):
-        index = rows.of_track(rows.ids.index(track_id))
-        own = inserted[name]
-        same = np.array_equal(found.timestep[own], rows.timestep[index])
-        if not same or not np.array_equal(found.position[own], rows.motion[index, :2]):
-            yield "sequence", f"track {name}: positions are not those of {track_id} in the scene"
+    if lines != wanted:
+        yield "sequence", f"line {_first_other(lines, wanted)} is not as the inserted vehicles of the scene have it"
     if source is not None and source.sequence is not None:
-        lines = source.sequence.decode("ascii").splitlines()
-        ours = content.decode("ascii").splitlines()
-        column = next(csv.reader(ours[:1])).index("TRACK_ID")
-        recorded = [line for line, row in zip(ours, csv.reader(ours), strict=False) if row[column] not in inserted]
-        if recorded != lines:
-            line = next((k for k, (a, b) in enumerate(zip(recorded, lines, strict=False)) if a != b), len(lines))
-            yield "source", f"recorded line {line + 1} is not that of {source.folder.name}"
+        theirs = source.sequence.decode("ascii").splitlines()
+        if [line.rstrip("\r\n") for line in recorded] != theirs:
+            line = _first_other([line.rstrip("\r\n") for line in recorded], theirs)
+            yield "source", f"recorded line {line} is not that of {source.folder.name}"
+
+
+def _first_other(lines: Sequence[str], wanted: Sequence[str]) -> int:
+    """Number of the first line that is another one, from 1."""
+    return next(k for k, (one, other) in enumerate(zip_longest(lines, wanted), start=1) if one != other)

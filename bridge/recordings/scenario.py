@@ -11,21 +11,21 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
+from pydantic import TypeAdapter, ValidationError
 
 from bridge.config import is_corridor
 from bridge.files import one_line, read_received
 from bridge.recordings import limits
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIZES_FILE, Source, only_file
-from bridge.recordings.folders import SPLITS as SPLITS
 from bridge.recordings.folders import find_scenarios as find_scenarios
 from bridge.recordings.folders import source_id as source_id
 from bridge.recordings.folders import split_of as split_of
 from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.recording import AV_ID as AV_ID
 from bridge.recordings.recording import FOCAL_CATEGORY as FOCAL_CATEGORY
-from bridge.recordings.recording import Provenance, Recording
+from bridge.recordings.recording import Recording
 from bridge.recordings.recording import Rows as Rows
-from bridge.recordings.sidecar import RecordingRecord, Sidecar, sidecar_in
+from bridge.recordings.sidecar import BoxLength, BoxWidth, RecordingRecord, Sidecar, sidecar_in
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray, Track
 from netconvert.errors import MapError, NoSceneError, ScenarioError
 from netconvert.lane_graph import LaneGraph
@@ -58,6 +58,7 @@ REQUIRED_COLUMNS: Mapping[str, tuple[pa.DataType, ...]] = {
 SCHEMA = pa.schema([(name, types[0]) for name, types in REQUIRED_COLUMNS.items()])
 #: Columns that say the same in every row.
 SCENARIO_COLUMNS = ("scenario_id", "start_timestamp", "end_timestamp", "num_timestamps", "focal_track_id", "city")
+_BOX = TypeAdapter(tuple[BoxLength, BoxWidth])
 MOTION_COLUMNS = ("position_x", "position_y", "heading", "velocity_x", "velocity_y")
 
 
@@ -79,36 +80,17 @@ def read_scenario(folder: Path) -> Scenario:
     return recording_of(source, table, rows, graph, provenance=known.provenance, sizes=sizes, sidecar=sidecar)
 
 
-def recording_of(
-    source: Source,
-    table: pa.Table,
-    rows: Rows,
-    graph: LaneGraph,
-    *,
-    provenance: Provenance,
-    sizes: Mapping[str, BoxSize],
-    map_json: bytes | None = None,
-    sequence: bytes | None = None,
-    sidecar: Sidecar | None = None,
-) -> Recording:
-    """A recording of rows that were checked and a map that they have to lie on. Errors: ScenarioError."""
+def recording_of(source: Source, table: pa.Table, rows: Rows, graph: LaneGraph, **more: Any) -> Recording:  # noqa: ANN401
+    """A recording of rows that were checked and a map that they have to lie on; more: other fields of `Recording`.
+
+    Errors: ScenarioError.
+    """
     limits.check_ground(rows.tracks, graph, str(source.path))
     assert source.map_path is not None
     return Recording(
-        **{one.name: getattr(rows, one.name) for one in fields(rows)},
-        graph=graph,
-        table=table,
-        folder=source.path,
-        map_path=source.map_path,
-        split=source.split,
-        format=source.format,
-        provenance=provenance,
-        sizes=sizes,
-        map_json=map_json,
-        start=source.start,
-        sequence=sequence,
-        sidecar=sidecar,
-    )
+        **{one.name: getattr(rows, one.name) for one in fields(rows)}, **more, graph=graph, table=table,
+        folder=source.path, map_path=source.map_path, split=source.split, format=source.format, start=source.start,
+    )  # fmt: skip
 
 
 def _recording_record(folder: Path, sidecar: Sidecar | None) -> RecordingRecord:
@@ -116,10 +98,12 @@ def _recording_record(folder: Path, sidecar: Sidecar | None) -> RecordingRecord:
 
     A recorded scene with sizes beside it was labelled by people, any other one tracked.
     """
-    if sidecar is not None and sidecar.recording is not None:
+    if sidecar is not None:
         return sidecar.recording
-    provenance: Provenance = "human" if (folder / SIZES_FILE).exists() else "tracker"
-    return RecordingRecord(format="argoverse2", provenance=provenance, step_s=STEP_S, observed_steps=OBSERVED_STEPS)
+    return RecordingRecord(
+        format="argoverse2", provenance="human" if (folder / SIZES_FILE).exists() else "tracker", step_s=STEP_S,
+        observed_steps=OBSERVED_STEPS,
+    )  # fmt: skip
 
 
 def read_rows(folder: Path) -> Rows:
@@ -302,7 +286,8 @@ class RowBreach(NamedTuple):
 
 def row_breaches(rows: RowArrays) -> Iterator[RowBreach]:
     """What is wrong with the rows of a scenario, by the rules that every scene has to keep: a reader refuses others."""
-    same, most_steps = rows.constants, longest(str(rows.constants["scenario_id"][0]))
+    same = rows.constants
+    most_steps = limits.MAX_CORRIDOR_STEPS if is_corridor(str(same["scenario_id"][0])) else MAX_STEPS
     for column, values in same.items():
         if len(values) != 1:
             shown = one_line(str(values[:3]), most=200)
@@ -410,24 +395,18 @@ def _sizes(folder: Path, sidecar: Sidecar | None) -> dict[str, BoxSize]:
         try:
             text = read_received(path, ScenarioError, wanted="sizes of tracks").decode()
             for number, row in enumerate(csv.DictReader(text.splitlines()), start=2):
-                sizes[row["track_id"]] = _size(row, f"{path} line {number}")
+                try:
+                    box = _BOX.validate_python((row["length_m"], row["width_m"]))
+                except ValidationError:
+                    have = f"length_m {row['length_m']!r}, width_m {row['width_m']!r}"
+                    wanted = "metres above 0 and below 50 and 10"
+                    raise ScenarioError(f"{path} line {number}: {have}, expected {wanted}") from None
+                sizes[row["track_id"]] = BoxSize(*box)
         except (KeyError, UnicodeDecodeError, csv.Error) as error:
             raise ScenarioError(
                 f"{path}: expected columns track_id, length_m, width_m ({_first_line(error)})"
             ) from error
     return sizes if sidecar is None else sizes | sidecar.boxes
-
-
-def _size(row: Mapping[str, str], where: str) -> BoxSize:
-    try:
-        size = BoxSize(float(row["length_m"]), float(row["width_m"]))
-    except (TypeError, ValueError):
-        raise ScenarioError(
-            f"{where}: length_m {row['length_m']!r}, width_m {row['width_m']!r}, expected metres"
-        ) from None
-    if not (0 < size.width_m < 10 and 0 < size.length_m < 50):
-        raise ScenarioError(f"{where}: box {size.length_m} x {size.width_m} m, expected above 0 and below 50 x 10 m")
-    return size
 
 
 def _check_table_size(found: pq.FileMetaData, name: str) -> None:
@@ -464,11 +443,6 @@ def _check_columns(table: pa.Table, name: str) -> None:
             )
     if table.num_rows == 0:
         raise ScenarioError(f"{name}: no rows, expected at least one track")
-
-
-def longest(scenario_id: str) -> int:
-    """Timesteps that a scene may have at most."""
-    return limits.MAX_CORRIDOR_STEPS if is_corridor(scenario_id) else MAX_STEPS
 
 
 def _first_line(error: Exception) -> str:

@@ -30,12 +30,12 @@ class _Record(BaseModel):
 
 
 class GeneratorRecord(_Record):
-    """The program that made the scene, its code and the libraries it computed with; schema 1 lacks the last two."""
+    """The program that made the scene, its code and the libraries it computed with."""
 
     name: Version = "hid2-sumo"
     version: Version
-    code_sha256: str | None = Field(default=None, pattern="^[0-9a-f]{64}$")
-    libraries: Mapping[Version, Version] = Field(default_factory=dict)
+    code_sha256: str = Field(pattern="^[0-9a-f]{64}$")
+    libraries: Mapping[Version, Version]
 
 
 class RecordingRecord(_Record):
@@ -277,10 +277,10 @@ class Sidecar(_Record):
     unmet: manoeuvres that were asked for and that no vehicle does; in place of most of them one goes straight.
     """
 
-    schema_version: Literal["1", "2"] = "2"
+    schema_version: Literal["2"] = "2"
     source_scenario_id: str
     generator: GeneratorRecord
-    recording: RecordingRecord | None = None
+    recording: RecordingRecord
     sumo_version: Version
     seed: int = Field(ge=0)
     variant: int = Field(ge=0)
@@ -310,16 +310,14 @@ class Sidecar(_Record):
 
     @property
     def program(self) -> dict[str, str]:
-        """Versions of the program and its libraries, by name, as far as they are said; the code by its digest."""
-        by = self.generator
-        code = {"code": by.code_sha256[:12]} if by.code_sha256 else {}
-        return {by.name: by.version, **code, "SUMO": self.sumo_version.removeprefix("SUMO "), **by.libraries}
+        """Versions of the program and its libraries, by name; the code by its digest."""
+        by, sumo = self.generator, self.sumo_version.removeprefix("SUMO ")
+        return {by.name: by.version, "code": by.code_sha256[:12], "SUMO": sumo, **by.libraries}
 
     @property
     def boxes(self) -> dict[str, BoxSize]:
         """Boxes by track id, as far as they are known: those measured of recorded tracks, those of inserted ones."""
-        measured = {} if self.recording is None else self.recording.sizes
-        recorded = {track_id: BoxSize(*size) for track_id, size in measured.items()}
+        recorded = {track_id: BoxSize(*size) for track_id, size in self.recording.sizes.items()}
         return recorded | {agent.track_id: BoxSize(agent.length_m, agent.width_m) for agent in self.agents}
 
 
@@ -343,7 +341,7 @@ def read_sidecar(path: Path) -> Sidecar:
         if first["type"] == "json_invalid":
             raise ScenarioError(f"{path}: not JSON, expected a sidecar, hid2_<id>.json of a generated scene") from error
         field = ".".join(str(part) for part in first["loc"]) or "the file"
-        later = "; of a later hid2-sumo, which can read it" if field == "schema_version" else ""
+        later = "; of another hid2-sumo, which can read it" if field == "schema_version" else ""
         raise ScenarioError(f"{path}: {field}: {first['msg']} (got {str(first['input'])[:60]!r}){later}") from error
 
 

@@ -11,11 +11,7 @@ from typing import TYPE_CHECKING
 from bridge.files import one_line
 from bridge.recordings.folders import (
     DEPTH,
-    MAP_PATTERN,
-    PARQUET_PATTERN,
     SEQUENCES,
-    SIDECAR_PATTERN,
-    SIZES_FILE,
     Address,
     Choices,
     Reader,
@@ -89,23 +85,19 @@ def read_recording(address: Address) -> "Recording":
 
 def source_files(address: Address) -> list[Path]:
     """The regular files that a generated scene depends on."""
-    if isinstance(address, Source):
-        return _reader(address).files(address)
-    patterns = (PARQUET_PATTERN, MAP_PATTERN, SIDECAR_PATTERN, SIZES_FILE)
-    return [path for pattern in patterns for path in address.glob(pattern) if path.is_file()]
+    return [path for path in _reader(address).files(address) if path.is_file()]
 
 
-def _reader(source: Source) -> Reader:
-    return next(reader for reader in READERS if reader.name == source.format)
+def _reader(address: Address) -> Reader:
+    name = address.format if isinstance(address, Source) else ARGOVERSE2.name
+    return next(reader for reader in READERS if reader.name == name)
 
 
 def described(found: Sequence[Address]) -> list[str]:
     """What was found that is no Argoverse 2 scene, and what these formats lack: lines for the user."""
     counts = Counter(address.format for address in found if isinstance(address, Source))
     readers = [reader for reader in READERS if reader.name in counts]
-    lines = [
-        f"{counts[reader.name]} {reader.one if counts[reader.name] == 1 else reader.many} found" for reader in readers
-    ]
+    lines = [f"{reader.many}: {counts[reader.name]} found" for reader in readers]
     return lines + [reader.lacks for reader in readers if reader.lacks]
 
 

@@ -4,11 +4,11 @@ README.md lists the rules; what is checked of rows, map and sidecar is in `rules
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from bridge.config import REACTIVE_PREFIX
 from bridge.recordings.export import map_bytes, recording_record_of
@@ -16,9 +16,7 @@ from bridge.recordings.folders import (
     RAW,
     SPLITS,
     Address,
-    Choices,
     sequence_path,
-    source_id,
     split_of,
 )
 from bridge.recordings.judging import findings_of, states_of
@@ -42,13 +40,12 @@ from bridge.recordings.scenario import (
     tracks_of,
 )
 from bridge.recordings.sidecar import REACTIVE, Sidecar, read_sidecar, sidecar_path
-from bridge.recordings.sources import find_recordings, read_recording
+from bridge.recordings.sources import read_recording
 from hid2.agents import BoxSize
-from hid2.evaluation.safety import overlaps
 from hid2.measures.lane_matching import flatten_lanes
-from hid2.occupancy.agent_states import AgentStates
 from netconvert.errors import Hid2Error, ScenarioError
 
+_Part = TypeVar("_Part")
 _OTHER = "no other parquet file anywhere under OUT: readers take every one they find"
 
 
@@ -86,19 +83,6 @@ class Against:
     inserted: frozenset[str] | None = None
 
 
-def held_against(
-    out: Path, sources: Sequence[Path] = (), map_path: Path | None = None, inserted: Sequence[str] = ()
-) -> Against:
-    """What the scenes of a data set are held against, see `Against`; map_path: the map that was chosen for the sources.
-
-    Errors: ScenarioError.
-    """
-    known = None
-    if sources:  # recordings by id, every window of a log among them
-        known = {source_id(address): address for address in find_recordings(sources, Choices(map_path, stride=1))}
-    return Against(out, known, frozenset(inserted) or None)
-
-
 def validate_scene(against: Against, folder: Path) -> list[Finding]:
     """Check one scenario folder, and its sequence of Argoverse 1 below out where there is one.
 
@@ -110,61 +94,53 @@ def validate_scene(against: Against, folder: Path) -> list[Finding]:
     if new_id.startswith(REACTIVE_PREFIX) or (sidecar is not None and sidecar.replay.mode == "reactive"):
         return [Finding(folder, "replay", REACTIVE)]  # whatever else it is, it is no scene of Argoverse
     findings += _missing_sidecar(folder, rows)
-    generated_ids = {agent.track_id for agent in sidecar.agents} if sidecar is not None else set()
-    clean = {agent.track_id: agent.clean.motion for agent in sidecar.agents if agent.clean} if sidecar else {}
-    begins = lanes = None
-    if rows is not None:
-        path = folder / f"scenario_{new_id}.parquet"
-        generated_ids |= {track_id for track_id in rows.ids if track_id.startswith("gen_")}
-        breaches = list(check_rows(rows, new_id))
-        for track_id in sorted(generated_ids & set(rows.ids)):
-            breaches += check_generated(rows, track_id, clean=clean.get(track_id))
-        findings += [Finding(path, *breach) for breach in breaches]
-        if document is not None:
-            judged = generated_ids if against.inserted is None else against.inserted
-            found = _judged(path, rows, document, sidecar, _sizes(folder, sidecar, against.sources), judged)
-            faulty = any(not finding.is_note for finding in findings)  # then it is known why nothing can be judged
-            findings += [finding for finding in found if finding.rule != "columns" or not faulty]
-        begins = dict(zip(rows.ids, rows.timestep[rows.starts].tolist(), strict=True))
+    if rows is None:
+        return findings
+    path, agents = folder / f"scenario_{new_id}.parquet", sidecar.agents if sidecar is not None else ()
+    generated_ids = {agent.track_id for agent in agents} | {name for name in rows.ids if name.startswith("gen_")}
+    clean = {agent.track_id: agent.clean.motion for agent in agents if agent.clean}
+    breaches = list(check_rows(rows, new_id))
+    for track_id in sorted(generated_ids & set(rows.ids)):
+        breaches += check_generated(rows, track_id, clean=clean.get(track_id))
+    findings += [Finding(path, *breach) for breach in breaches]
+    if document is None:
+        return findings
+    found = _judged(path, rows, document, sidecar, generated_ids if against.inserted is None else against.inserted)
+    faulty = any(not finding.is_note for finding in findings)  # then it is known why nothing can be judged
+    findings += [finding for finding in found if finding.rule != "columns" or not faulty]
     if sidecar is not None:
-        lanes = {str(lane) for lane in document["lane_segments"]} if document is not None else None
-        found_in = check_sidecar(sidecar, new_id, begins=begins, generated_ids=generated_ids, lanes=lanes)
+        begins = dict(zip(rows.ids, rows.timestep[rows.starts].tolist(), strict=True))
+        lanes = {str(lane) for lane in document["lane_segments"]}
+        found_in = check_sidecar(sidecar, new_id, begins, generated_ids, lanes)
         findings += [Finding(sidecar_path(folder, new_id), *breach) for breach in found_in]
-        findings += _compared(folder, sidecar, rows, document, generated_ids, against)
+        findings += _compared(folder, sidecar, rows, generated_ids, against)
     return findings
 
 
 def _parts(folder: Path, findings: list[Finding]) -> tuple[Sidecar | None, RowArrays | None, dict[str, Any] | None]:
     """Sidecar, rows and map of a scene, as far as they are there; why one cannot be read is appended to `findings`."""
     parquet_path, map_path = folder / f"scenario_{folder.name}.parquet", folder / f"log_map_archive_{folder.name}.json"
-    own_path = sidecar_path(folder, folder.name)
     findings += [Finding(path, "folder", "no such file") for path in (parquet_path, map_path) if not path.is_file()]
-    sidecar, rows, document = None, None, None
-    if own_path.is_file():
+
+    def read(path: Path, rule: str, reader: Callable[[Path], _Part]) -> _Part | None:
         try:
-            sidecar = read_sidecar(own_path)
+            return reader(path) if path.is_file() else None
         except ScenarioError as error:
-            findings.append(Finding(own_path, "sidecar", str(error)))
-    if map_path.is_file():
-        document, breaches = read_map(map_path)
-        findings += [Finding(map_path, *breach) for breach in breaches]
-    if parquet_path.is_file():
-        known = sidecar.recording if sidecar is not None else None
-        try:
-            table = read_table(parquet_path)
-        except ScenarioError as error:
-            findings.append(Finding(parquet_path, "columns", str(error)))
-        else:
-            rows = RowArrays.of(table)
-            if known is not None:
-                rows = replace(rows, observed_steps=known.observed_steps, step_s=known.step_s)
+            findings.append(Finding(path, rule, str(error)))
+            return None
+
+    sidecar = read(sidecar_path(folder, folder.name), "sidecar", read_sidecar)
+    document, breaches = read_map(map_path) if map_path.is_file() else (None, [])
+    findings += [Finding(map_path, *breach) for breach in breaches]
+    rows = read(parquet_path, "columns", lambda path: RowArrays.of(read_table(path)))
+    if rows is not None and sidecar is not None:
+        rows = replace(rows, observed_steps=sidecar.recording.observed_steps, step_s=sidecar.recording.step_s)
     return sidecar, rows, document
 
 
 def _compared(
-    folder: Path, sidecar: Sidecar, rows: RowArrays | None, document: Mapping[str, Any] | None,
-    generated_ids: set[str], against: Against,
-) -> Iterator[Finding]:  # fmt: skip
+    folder: Path, sidecar: Sidecar, rows: RowArrays, generated_ids: set[str], against: Against
+) -> Iterator[Finding]:
     """A scene against its source, and its sequence of Argoverse 1 where there is one."""
     source = None
     if against.sources is not None:
@@ -177,14 +153,14 @@ def _compared(
             yield Finding(sidecar_path(folder, folder.name), "source", str(error))
             return
         path = folder / f"scenario_{folder.name}.parquet"
-        for message in compare_rows(rows.table, source.table, generated_ids) if rows is not None else ():
+        for message in compare_rows(rows.table, source.table, generated_ids):
             yield Finding(path, "source", message)
         path = folder / f"log_map_archive_{folder.name}.json"
-        if document is not None and path.read_bytes() != map_bytes(source):
+        if path.read_bytes() != map_bytes(source):
             yield Finding(path, "source", f"not the bytes that are written for {source.map_path.name}")
         if source.format != ARGOVERSE2.name and sidecar.recording != recording_record_of(source):
             yield Finding(sidecar_path(folder, folder.name), "source", "recording: not that of the source")
-    if against.out is not None and rows is not None:
+    if against.out is not None:
         path = sequence_path(against.out, split_of(folder), folder.name)
         if path.is_file():
             for breach in check_written_sequence(path, rows, generated_ids, source=source):
@@ -205,9 +181,8 @@ def _missing_sidecar(folder: Path, rows: RowArrays | None) -> list[Finding]:
 
 
 def _judged(
-    path: Path, rows: RowArrays, document: Mapping[str, Any], sidecar: Sidecar | None, sizes: Mapping[str, BoxSize],
-    inserted: Set[str],
-) -> list[Finding]:  # fmt: skip
+    path: Path, rows: RowArrays, document: Mapping[str, Any], sidecar: Sidecar | None, inserted: Set[str]
+) -> list[Finding]:
     """What the judge finds in a scene with sound rows and map."""
     if next(row_breaches(rows), None) is not None:
         return []
@@ -215,6 +190,9 @@ def _judged(
         graph = graph_of(document, name=str(path.parent))
     except Hid2Error as error:
         return [Finding(path, "columns", f"cannot be judged: {error}")]
+    sizes: Mapping[str, BoxSize] = {}
+    with suppress(ScenarioError):  # a sidecar that cannot be read is a finding of its own
+        sizes = read_sizes(path.parent)
     tracks = tracks_of(rows, sizes)
     states = states_of(tracks, flatten_lanes(graph), inserted, num_steps=rows.num_steps, step_s=rows.step_s)
     found = []
@@ -224,28 +202,7 @@ def _judged(
         message = f"track {one.track_id!r}, timestep {one.step}: {said}{other}, limit {one.limit:.3g}"
         value = None if math.isinf(one.value) else one.value
         found.append(Finding(path, one.quantity.value, message, one.track_id, one.step, value, one.limit, one.other))
-    return found + _recorded_overlaps(path, states)
-
-
-def _recorded_overlaps(path: Path, states: AgentStates) -> list[Finding]:
-    """A note where boxes of recorded tracks share ground."""
-    arrays = states.arrays
-    pairs = [pair for pair in overlaps(arrays) if not arrays.generated[[pair.first, pair.second]].any()]
-    if not pairs:
-        return []
-    first, second = (arrays.track_ids[row] for row in pairs[0][:2])
-    said = f"{len(pairs)} pairs of recorded boxes share ground, such as {first!r} and {second!r}"
-    return [Finding(path, RECORDED, f"{said} at timestep {pairs[0].first_step}")]
-
-
-def _sizes(folder: Path, sidecar: Sidecar | None, sources: Mapping[str, Address] | None) -> dict[str, BoxSize]:
-    """Boxes by track id as far as they are known: beside the scene, and beside its source."""
-    source = None if sidecar is None else (sources or {}).get(sidecar.source_scenario_id)
-    sizes: dict[str, BoxSize] = {}
-    for place in (source, folder):
-        with suppress(ScenarioError):  # a sidecar that cannot be read is a finding of its own
-            sizes |= read_sizes(place) if isinstance(place, Path) else {}
-    return sizes
+    return found
 
 
 def check_tree(out: Path, folders: Sequence[Path]) -> list[Finding]:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from bridge.sumo.poses import center_on_path
 from hid2.agents import BoxSize, FloatArray, IntArray
-from hid2.conflicts.guard import PRESENT, A, Braking, Guard, Obstacles, S
+from hid2.conflicts.guard import PRESENT, Braking, Guard, Obstacles, S
 from hid2.conflicts.reaction import yielding
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver
@@ -169,11 +169,6 @@ class Fleet:
         self.state[row, PRESENT], self.centre[row], self.place[row] = 0.0, np.inf, np.nan
         self._along = None
 
-    def motion(self, row: int) -> tuple[float, float, float]:
-        """A vehicle's s m, v m/s and a m/s2."""
-        s, v, a = self.state[row, S : A + 1].tolist()
-        return s, v, a
-
     def traffic(self) -> Traffic:
         """The vehicles that are driven, where the simulation has them now (one step)."""
         rows = [row for row, vehicle in enumerate(self.vehicles) if vehicle.running and vehicle.s]
@@ -245,7 +240,8 @@ class Fleet:
         """What is on the ways of the vehicles that are `here`, by vehicle, as the kernel `speed_limits` takes it."""
         if self._along is None or self.scene.config.driving.replay != "fixed":
             ways = [self._on_way(row, now) for row in self.here.tolist()]
-            first = _first([[len(one[column]) for column in (0, 1, 3, 7, 10, 11)] for one in ways])
+            counts = [[0] * 6, *([len(one[column]) for column in (0, 1, 3, 7, 10, 11)] for one in ways)]
+            first = np.cumsum(counts, axis=0, dtype=np.int64)  # where those of each begin, and the last ones end
             self._along = first, *(np.concatenate(column) for column in zip(*ways, strict=True))
         return self._along
 
@@ -307,11 +303,6 @@ class Fleet:
         low = known.low.copy()
         low[: rows.size][yields] = np.inf
         return replace(obstacles, known=replace(known, low=low))
-
-
-def _first(counts: Sequence[Sequence[int]]) -> IntArray:
-    """Where so many of each begin, and where the last ones end: (N + 1, K) of (N, K)."""
-    return np.cumsum([[0] * len(counts[0]), *counts], axis=0, dtype=np.int64)
 
 
 def _xy(vehicle: DrivenVehicle) -> FloatArray:

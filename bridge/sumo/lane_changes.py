@@ -12,7 +12,6 @@ from hid2.agents import Policy
 from hid2.conflicts.guard import ACROSS_S
 from hid2.insertion.due import Across, Due, foreseen_speeds, is_due
 from hid2.motion.lane_change_path import lateral_share
-from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.observation import lay
 from hid2.policy.overtake import Stage
@@ -84,9 +83,13 @@ def _keep_time(fleet: Fleet, row: int, now: int) -> None:
 def _asked(fleet: Fleet, simulation: Simulation, row: int, now: int, across: Across) -> Attempt | Reason:
     """Look along the way across (conflict case 3), and ask SUMO; or the reason not to."""
     scene, vehicle = fleet.scene, fleet.vehicles[row]
-    guarded = "collision" not in scene.config.without and scene.config.lane_change.safety != "rule"
-    if guarded and _meets_on(fleet, row, now, across.path):
-        return Reason.CONFLICT_PREDICTED
+    if "collision" not in scene.config.without and scene.config.lane_change.safety != "rule":
+        meets = fleet.braking(
+            row, across.path, now, state=(vehicle.s[-1], vehicle.v[-1], 0.0),
+            desired_mps=float(vehicle.start.desired[now]), horizon_s=ACROSS_S,
+        )  # fmt: skip
+        if meets.forbids(vehicle.start.driver):  # ordinary braking does not solve it
+            return Reason.CONFLICT_PREDICTED
     cell = scene.grid.cell_of_sumo_lane.get(simulation.lane(vehicle.vehicle_id)[0])
     if cell is None:
         return Reason.OFF_ITS_LANE
@@ -98,15 +101,6 @@ def _asked(fleet: Fleet, simulation: Simulation, row: int, now: int, across: Acr
         return Reason.TARGET_NOT_BESIDE_FRONT
     simulation.change_lane(vehicle.vehicle_id, scene.grid.lane_index(link.target), edges=edges)
     return Attempt(row, len(vehicle.gaps) - 1, across, scene.grid.sumo_lane_id(link.target))
-
-
-def _meets_on(fleet: Fleet, row: int, now: int, path: DrivenPath) -> bool:
-    """Whether a path across has a predicted conflict that ordinary braking does not solve."""
-    vehicle, start = fleet.vehicles[row], fleet.vehicles[row].start
-    return fleet.braking(
-        row, path, now, state=(vehicle.s[-1], vehicle.v[-1], 0.0), desired_mps=float(start.desired[now]),
-        horizon_s=ACROSS_S,
-    ).forbids(start.driver)  # fmt: skip
 
 
 def conclude(fleet: Fleet, simulation: Simulation, attempt: Attempt, lane: str) -> None:

@@ -93,10 +93,9 @@ def playable_files(scenario: Scenario, grid: CellGrid) -> dict[str, bytes]:
     return files
 
 
-def run_options(scenario: Scenario, routes: str | None) -> dict[str, dict[str, str]]:
+def run_options(scenario: Scenario, routes: str) -> dict[str, dict[str, str]]:
     """Options with which SUMO runs a file of routes for as long as a scene lasts, by section and name."""
-    files = {} if routes is None else {"route-files": routes}
-    return {"input": files, "time": {"end": f"{scenario.num_steps * scenario.step_s:.2f}"}}
+    return {"input": {"route-files": routes}, "time": {"end": f"{scenario.num_steps * scenario.step_s:.2f}"}}
 
 
 def _words(what: str, size: int) -> dict[str, str]:

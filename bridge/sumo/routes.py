@@ -5,7 +5,7 @@ import numpy as np
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy
-from hid2.conflicts.guard import ACTS_MPS2
+from hid2.conflicts.guard import ACTS_MPS2, A, S
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.policy.reroute import places_on, ways_at_next_split
@@ -42,7 +42,7 @@ def take_another_way(fleet: Fleet, simulation: Simulation, row: int, now: int) -
     if vehicle.policy is not Policy.STRAIGHT or way.reroute_tried:
         return False
     way.reroute_tried = True
-    s, v, a = fleet.motion(row)
+    s, v, a = fleet.state[row, S : A + 1].tolist()
     cell = scene.grid.cell_of_sumo_lane.get(simulation.lane(vehicle.vehicle_id)[0])
     if cell is None:
         return False

@@ -11,7 +11,6 @@ from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.shown import LEADS_FROM_M, SHOWN_M, STANDING_MPS, UNSEEN_STEPS
 from hid2.occupancy.traffic import BoolArray, Traffic
-from hid2.params import Driving
 from hid2.policy.behaviours import BEHAVIOURS
 from hid2.vehicle import Start
 
@@ -59,14 +58,14 @@ def ever_shown(fleet: Fleet) -> tuple[Traffic, Traffic]:
         for found in on_ways:
             here = found.rows((found.agents >= first) & (found.agents < last))
             known.append(replace(here, agents=here.agents - first))
-        present = shown_when(traffic, starts, known, step_s=scene.step_s, driving=scene.config.driving)
+        present = shown_when(traffic, starts, known, step_s=scene.step_s)
         shown.append(replace(traffic, present=present))
     return shown[0], shown[1]
 
 
 def shown_when(
-    traffic: Traffic, starts: Sequence[Start], known: Sequence[PathOccupancy], *, step_s: float, driving: Driving,
-) -> BoolArray:  # fmt: skip
+    traffic: Traffic, starts: Sequence[Start], known: Sequence[PathOccupancy], *, step_s: float
+) -> BoolArray:
     """(A, T) when agents have to be in SUMO, each for one stretch, so that a vehicle that starts is shown its leaders.
 
     known: of each start intervals of those in its driving width, on its path. A vehicle with lane changes may leave

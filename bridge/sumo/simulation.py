@@ -41,7 +41,7 @@ _SETTERS = {
 class Simulation:
     """A running SUMO. Use as `with Simulation(net, seed=0, step_s=0.1) as sumo:`.
 
-    net: a file, or its content. model: car-following model of the vehicles that SUMO drives, as it is named in SUMO;
+    net: content of its file. model: car-following model of the vehicles that SUMO drives, as it is named in SUMO;
     parameters: its attributes.
     checks_gaps: whether SUMO refuses a lane change that its own gaps forbid; own_wish: whether its own model changes
     lanes, too.
@@ -52,7 +52,7 @@ class Simulation:
     _running: ClassVar[bool] = False
 
     def __init__(
-        self, net: Path | bytes, *, seed: int, step_s: float, expected_decel_mps2: float = 4.5, model: str = "EIDM",
+        self, net: bytes, *, seed: int, step_s: float, expected_decel_mps2: float = 4.5, model: str = "EIDM",
         parameters: Mapping[str, float] | None = None, checks_gaps: bool = True, own_wish: bool = False,
     ) -> None:  # fmt: skip
         self._net = net
@@ -72,10 +72,7 @@ class Simulation:
             raise SimulationError("a simulation is already running in this process, expected one at a time")
         self._beside = tempfile.TemporaryDirectory(prefix="hid2-sumo-")
         net, types = Path(self._beside.name, _NET), Path(self._beside.name, _TYPES)
-        if isinstance(self._net, bytes):
-            net.write_bytes(self._net)
-        else:
-            net = self._net
+        net.write_bytes(self._net)
         extra = "".join(f' {name}="{value:g}"' for name, value in self._parameters.items())
         types.write_text(f'<additional><vType id="{_DRIVEN}" carFollowModel="{self._model}"{extra}/></additional>')
         command = [
@@ -88,7 +85,7 @@ class Simulation:
             libsumo.start(command)
         except (libsumo.TraCIException, libsumo.FatalTraCIError) as error:
             self._beside.cleanup()
-            raise SimulationError(f"{net}: SUMO does not load the net: {error}") from error
+            raise SimulationError(f"SUMO does not load the net: {error}") from error
         Simulation._running = True
         edge = next(e for e in libsumo.edge.getIDList() if not e.startswith(":"))
         libsumo.route.add("replay", [edge])

@@ -18,7 +18,7 @@ from bridge.batch.batch import Place, Run, base_row
 from bridge.batch.isolation import Failure, describe_error
 from bridge.batch.manifest import ManifestRow, files_sha256, output_files
 from bridge.config import config_sha256, config_to_dict
-from bridge.recordings.export import new_scenario_id, with_generated, write_recording
+from bridge.recordings.export import new_scenario_id, recording_record_of, with_generated, write_recording
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import GeneratorRecord, PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
 
@@ -66,7 +66,8 @@ def copies(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]
             request = run.config.request
             sidecar = Sidecar(
                 source_scenario_id=scenario.scenario_id,
-                generator=GeneratorRecord(version="test"),
+                generator=GeneratorRecord(version="test", code_sha256="0" * 64, libraries={}),
+                recording=recording_record_of(scenario),
                 sumo_version="none",
                 seed=request.seed,
                 variant=run.variant,
@@ -86,14 +87,6 @@ def copies(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]
             )
         except Exception as error:  # noqa: BLE001  # passed on as a failure of the scene, as the product does
             yield describe_error(error)
-
-
-def one_place(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow]:
-    """Write every scene to the same folder, as work that takes the names of its folders from elsewhere may."""
-    folder = place.out / "one"
-    folder.mkdir(exist_ok=True)
-    for run in runs:
-        yield base_row(place, run)._replace(folder="one")
 
 
 def other_version(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow]:

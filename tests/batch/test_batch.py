@@ -149,11 +149,6 @@ def test_scene_of_another_batch_is_not_replaced_by_one_of_its_id(make_data_set: 
     assert len(Manifest(tmp_path / "out").rows) == 2
 
 
-def test_one_folder_written_for_two_scenes_ends_the_batch(make_data_set: MakeDataSet, tmp_path: Path) -> None:
-    with pytest.raises(BatchError, match=r"one: written for 'scene-000' and for 'scene-001', which are the same scene"):
-        run_batch(plan(make_data_set(2), Config()), tmp_path / "out", Options(function="faults:one_place"))
-
-
 @pytest.mark.parametrize("timeout_s", [float("nan"), float("inf"), 0.0, 1e9])
 def test_time_that_never_comes_is_refused(timeout_s: float) -> None:
     with pytest.raises(ConfigError, match=r"scene-timeout .*: expected 1 to 86400 s"):

@@ -76,7 +76,7 @@ def memory_of_one_worker(folders: Sequence[Path], *, scenes: int, agents: int) -
 
     with tempfile.TemporaryDirectory(prefix="hid2-memory-") as out:
         jobs = jobs_for(folders, scenes=scenes, agents=agents)
-        run_batch(jobs, Path(out), Options(recycle_after=10**9), on_row=sample)
+        run_batch(jobs, Path(out), Options(), on_row=sample)
     return sizes
 
 

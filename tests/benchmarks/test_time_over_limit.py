@@ -17,6 +17,7 @@ All in one warm process and in processor time, which hardly changes when others 
 """
 
 import argparse
+import gc
 import os
 import statistics
 import tempfile
@@ -28,7 +29,6 @@ from pathlib import Path
 import pytest
 from unsteered import Start, simulate_unsteered
 
-from bridge.batch.start_up import spare_the_collector
 from bridge.generation.generate import PreparedScene, generate, prepare
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import find_scenarios
@@ -123,7 +123,8 @@ def measure(folder: Path, agents: str, seed: int) -> Timing:
 def warm_up(folder: Path) -> None:
     """Load what a process loads once, and then run as a worker does."""
     measure(folder, "10", 0)
-    spare_the_collector()
+    gc.set_threshold(5_000, 20, 20)
+    gc.freeze()
 
 
 _HEAD = "scene     asked placed driven rounds done offered  limit s  scene s    over ms/kept driven/kept"

@@ -79,27 +79,6 @@ def test_out_that_is_a_link_into_a_split_is_refused(data_set: Path, tmp_path: Pa
         check_out(tmp_path / "link" / "out")
 
 
-def test_out_beside_sequences_of_argoverse_1_is_refused_unless_hid2_wrote_them(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Tables of other people that are called by numbers are no sequences."""
-    written = tmp_path / "out" / "argoverse1" / "val" / "data"
-    for folder, head in (
-        (tmp_path / "data", "TIMESTAMP,TRACK_ID"),
-        (written, "TIMESTAMP,TRACK_ID"),
-        (tmp_path / "b", "x,y"),
-    ):
-        folder.mkdir(parents=True)
-        for number in (1, 2):
-            (folder / f"{number}.csv").write_text(f"{head}\n")
-    (tmp_path / "out" / "manifest.csv").touch()
-    with pytest.raises(ConfigError, match=r"inside the split folder .*data, beside the scene [12]\.csv; choose"):
-        check_out(tmp_path / "data" / "report")
-    for taken in (written, tmp_path / "b"):
-        check_out(taken / "report")
-    assert capsys.readouterr().err == ""
-
-
 WRITING = (
     "generate {scene} -o {out}", "export {scene} --to sumo -o {out}", "evaluate {scene} -o {out}",
     "calibrate {scene} -o {out}/drivers.toml", "scan {scene} -o {out}/scan.csv", "net {scene} -o {out}",

@@ -86,7 +86,7 @@ def test_a_folder_that_mixes_three_formats_is_done_whole(hid2: Run, mixed: Path,
     arguments = ["generate", mixed, "-o", out, "--agents", 2]
     result = hid2(*arguments)
     assert result.returncode == 0, result.stderr
-    assert "1 window of an Argoverse 2 sensor log found" in result.stderr
+    assert "Windows of Argoverse 2 sensor logs: 1 found" in result.stderr
     assert result.stderr.count("Argoverse 1 tells no types, sizes and headings") == 1
     found = rows(out)
     assert {(row["scenario"], row["split"]) for row in found.values()} == {

@@ -18,7 +18,7 @@ from bridge.batch.manifest import QUARANTINED, Manifest, ManifestRow, read_manif
 from bridge.batch.quarantine import Bundle, read_bundle, write_bundle
 from bridge.batch.validation import validate_folder
 from bridge.config import config_sha256, config_to_dict
-from bridge.recordings.export import new_scenario_id
+from bridge.recordings.export import new_scenario_id, recording_record_of
 from bridge.recordings.scenario import Scenario, read_scenario
 from bridge.recordings.sidecar import GeneratorRecord, PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
 from hid2.params import Config
@@ -34,7 +34,8 @@ def written(scenario: Scenario, out: Path) -> Path:
     config = Config()
     sidecar = Sidecar(
         source_scenario_id=scenario.scenario_id,
-        generator=GeneratorRecord(version="fuzz"),
+        generator=GeneratorRecord(version="fuzz", code_sha256="0" * 64, libraries={}),
+        recording=recording_record_of(scenario),
         sumo_version="none",
         seed=config.request.seed,
         variant=0,

@@ -15,7 +15,7 @@ def _replay(folder: Path, tmp_path: Path) -> tuple[ReplayErrors, int]:
     net = tmp_path / "scene.net.xml"
     net.write_bytes(prepare(scenario, Config()).net(Config()))
     traffic = traffic_of(scenario.tracks, scenario.num_steps, step_s=scenario.step_s)
-    with Simulation(net, seed=0, step_s=scenario.step_s) as simulation:
+    with Simulation(net.read_bytes(), seed=0, step_s=scenario.step_s) as simulation:
         replay = Replay(simulation, traffic, "r", step_s=scenario.step_s)
         for step in range(scenario.num_steps):
             replay.place(step, {})

@@ -138,7 +138,7 @@ def drive_alone(tmp_path, model, *, start_mps, steps):
     net = tmp_path / "road.net.xml"
     net.write_bytes(net_bytes(build_cell_grid(road(600.0))))
     speeds = []
-    with Simulation(net, seed=0, step_s=0.1, model=model) as sumo:
+    with Simulation(net.read_bytes(), seed=0, step_s=0.1, model=model) as sumo:
         sumo.step()
         assert sumo.insert(
             "v", edges=[f"1#{k}" for k in range(2, 150)], lane_id="1#2_0", front_m=1.0, speed_mps=start_mps,

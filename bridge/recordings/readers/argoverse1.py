@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from bridge.recordings.folders import MAP_PATTERN, Address, Choices, Reader, Source
+from bridge.recordings.folders import MAP_PATTERN, Address, Choices, Reader, Source, only_file
 from netconvert.errors import NoSceneError
 
 _SEQUENCE = re.compile(r"(\d{1,15})\.csv")
@@ -29,10 +29,9 @@ def _find(path: Path, names: frozenset[str], choices: Choices) -> list[Address]:
 
 def _files(source: Source) -> list[Path]:
     """Sequence and map; all maps of a folder, as the sequence tells its city."""
-    found = [source.path]
-    if source.map_path is not None:
-        found += [source.map_path] if source.map_path.is_file() else sorted(source.map_path.iterdir())
-    return [path for path in found if path.is_file()]
+    maps = source.map_path
+    assert maps is not None
+    return [source.path, *([maps] if maps.is_file() else sorted(maps.iterdir()))]
 
 
 def _is_sequence(path: Path) -> bool:
@@ -59,18 +58,14 @@ def _city_maps(folder: Path) -> Path:
 
 
 def _chosen_map(path: Path) -> Path:
-    """The Argoverse 2 map file that a user chose, by itself or by the folder that it is in. Errors: NoSceneError."""
-    if path.is_file() and path.suffix == ".json":
-        return path
-    if any(path.glob(_VECTOR_MAPS)):
-        return path
-    found = sorted(path.glob(MAP_PATTERN)) if path.is_dir() else []
-    if len(found) != 1:
-        missing = "is no map" if path.is_file() else "no map in it" if path.is_dir() else "no such file or folder"
-        have = f"holds {len(found)} maps" if found else missing
-        wanted = "one Argoverse 2 map, log_map_archive_<id>.json, or the folder of one"
-        raise NoSceneError(f"--map {path}: {have}, expected {wanted}")
-    return found[0]
+    """The Argoverse 2 map that a user chose, by itself or by its folder, or a folder of cities' maps.
+
+    Errors: NoSceneError.
+    """
+    if not path.exists():
+        raise NoSceneError(f"--map {path}: no such file or folder, expected one Argoverse 2 map, or the folder of one")
+    whole = (path.is_file() and path.suffix == ".json") or any(path.glob(_VECTOR_MAPS))
+    return path if whole else only_file(path, MAP_PATTERN, NoSceneError)
 
 
 def _scenario_id(path: Path, split: str | None, map_path: Path) -> str:
@@ -84,7 +79,6 @@ def _scenario_id(path: Path, split: str | None, map_path: Path) -> str:
 #: CSV files named by a number. Their maps are files of the whole city, or one chosen by the user.
 ARGOVERSE1 = Reader(
     name="argoverse1",
-    one="Argoverse 1 sequence",
     many="Argoverse 1 sequences",
     sniff=lambda path, names: _is_sequence(path) or any(_SEQUENCE.fullmatch(name) for name in names),
     find=_find,

@@ -29,8 +29,7 @@ def _find(path: Path, _: frozenset[str], choices: Choices) -> list[Address]:
 
 
 def _files(source: Source) -> list[Path]:
-    found = [*sorted(source.path.glob(ANNOTATIONS))[:1], source.path / POSES, *log_maps(source.path)]
-    return [path for path in found if path.is_file()]
+    return [*sorted(source.path.glob(ANNOTATIONS))[:1], source.path / POSES, *log_maps(source.path)]
 
 
 def window_id(log_id: str, start: int) -> str:
@@ -53,8 +52,7 @@ def _log_id(log: Path) -> str:
 #: Windows of sensor logs. An id is the log's for the first window, of log and first sweep for any other.
 SENSOR_LOG = Reader(
     name="sensor_log",
-    one="window of an Argoverse 2 sensor log",
-    many="windows of Argoverse 2 sensor logs",
+    many="Windows of Argoverse 2 sensor logs",
     sniff=lambda _, names: POSES in names or bool(fnmatch.filter(names, ANNOTATIONS)),
     find=_find,
     files=_files,

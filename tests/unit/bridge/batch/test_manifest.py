@@ -2,7 +2,6 @@
 
 import csv
 import os
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -56,16 +55,6 @@ def test_text_that_a_spreadsheet_would_run_is_none_in_the_file_and_the_same_when
     with manifest.path.open(newline="", encoding="utf-8") as file:
         (read,) = csv.DictReader(file)
     assert (read["scenario"], read["city"], read["reason"]) == ("'=cmd", "'@SUM(1)", "'-2+3")
-
-
-@pytest.mark.parametrize("since", ["rule_sha256", "driven", "events"])
-def test_manifest_of_an_older_version_is_read(since: str, tmp_path: Path) -> None:
-    """Before these columns a row ended with the one before; the check sum was of that line."""
-    fields = ManifestRow._fields[: ManifestRow._fields.index(since)]
-    text = ",".join(str(getattr(row("a", 3), name)) for name in fields)
-    lines = [",".join((*fields, "check")), f"{text},{zlib.crc32(text.encode()):08x}", ""]
-    (tmp_path / "manifest.csv").write_text("\n".join(lines))
-    assert rows_of(tmp_path / "manifest.csv") == [row("a", 3)]
 
 
 def test_later_row_takes_the_place_of_the_earlier(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ FACTS = [
     [
         (Selection(), "abc"),
         (Selection(min_agents=50), "bc"),
-        (Selection(cities=("austin", "paris")), "b"),
+        (Selection(cities=("Austin",)), "b"),
         (Selection(splits=("val",)), "ab"),
         (Selection(can=("lane_change",)), "ac"),
         (Selection(can=("lane_change", "left_turn")), "c"),

@@ -220,7 +220,7 @@ def test_what_a_folder_holds_is_found_and_said(root: Path, data_scenes: dict[str
     assert sum(isinstance(address, Source) for address in found) == 9
     assert len(found) == 10
     lines = described(found)
-    assert lines[0] == "9 Argoverse 1 sequences found"
+    assert lines[0] == "Argoverse 1 sequences: 9 found"
     assert "headings" in lines[1]
 
 
@@ -334,11 +334,11 @@ def _save(name: str, array: np.ndarray, *, pickled: bool = False) -> Callable[[P
 
 
 WRONG_MAPS: dict[str, tuple[Callable[[Path], object], str]] = {
-    "no-vector-map": (lambda maps: (maps / VECTOR).unlink(), "no pruned_argoverse_MIA_<n>_vector_map.xml"),
-    "no-raster": (lambda maps: (maps / RASTER).unlink(), "no MIA_10316_driveable_area_mat_<date>.npy"),
-    "no-transformation": (lambda maps: (maps / SE2).unlink(), "no MIA_10316_npyimage_to_city_se2_<date>.npy"),
+    "no-vector-map": (lambda maps: (maps / VECTOR).unlink(), "no pruned_argoverse_MIA_<id>_vector_map.xml"),
+    "no-raster": (lambda maps: (maps / RASTER).unlink(), "no MIA_10316_driveable_area_mat_<id>.npy"),
+    "no-transformation": (lambda maps: (maps / SE2).unlink(), "no MIA_10316_npyimage_to_city_se2_<id>.npy"),
     "two-rasters": (
-        lambda maps: shutil.copyfile(maps / RASTER, maps / RASTER.replace("2019", "2020")), "2 MIA_10316_driveable"
+        lambda maps: shutil.copyfile(maps / RASTER, maps / RASTER.replace("2019", "2020")), "2 files MIA_10316_drive"
     ),
     "not-xml": (lambda maps: (maps / VECTOR).write_text("lanes"), "not XML"),
     "cut-off": (lambda maps: (maps / VECTOR).write_bytes((maps / VECTOR).read_bytes()[:900]), "not XML"),
@@ -392,9 +392,7 @@ def test_a_chosen_map_of_another_place_is_refused(root: Path, data_scenes: dict[
     (address,) = find_sources([root / "val/data/7.csv"], Choices(map_path=data_scenes["curve"]))
     with pytest.raises(MapError, match=r"0% of the AGENT of 7\.csv"):
         read_recording(address)
-    with pytest.raises(NoSceneError, match=r"--map .*: no map in it, expected one Argoverse 2 map"):
+    with pytest.raises(NoSceneError, match=r"no log_map_archive_<id>.json in .*; expected exactly one"):
         find_sources([root / "val/data/7.csv"], Choices(map_path=root))
-    with pytest.raises(
-        NoSceneError, match=r"--map .*7\.csv: is no map, expected one Argoverse 2 map, log_map_archive_"
-    ):
+    with pytest.raises(NoSceneError, match=r"no log_map_archive_<id>.json in .*7\.csv; expected exactly one"):
         find_sources([root / "val/data/7.csv"], Choices(map_path=root / "val/data/7.csv"))

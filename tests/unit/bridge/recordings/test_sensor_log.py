@@ -77,7 +77,7 @@ def test_windows_slide_over_the_log_with_ids_of_their_own(log: Path) -> None:
     assert [address.start for address in found if isinstance(address, Source)] == [0, 10, 20]
     assert len({address.name for address in found}) == 3
     assert found[1].name == window_id(LOG_ID, 10)
-    assert described(found)[0] == "3 windows of Argoverse 2 sensor logs found"
+    assert described(found)[0] == "Windows of Argoverse 2 sensor logs: 3 found"
     first, second = window(log), window(log, 10)
     assert second.start == 10
     one, other = first.track("AV"), second.track("AV")

@@ -16,7 +16,7 @@ from bridge.config import config_sha256, config_to_dict
 from bridge.recordings.export import new_scenario_id, recording_record_of
 from bridge.recordings.folders import sequence_path
 from bridge.recordings.recording import Recording
-from bridge.recordings.sequence import inserted_id, sequence_bytes, write_sequence
+from bridge.recordings.sequence import INSERTED, sequence_bytes, write_sequence
 from bridge.recordings.sidecar import (
     AgentRecord,
     GeneratorRecord,
@@ -75,7 +75,7 @@ def written(scenario: Recording, tmp_path: Path) -> Iterator[Path]:
     )  # fmt: skip
     sidecar = Sidecar(
         source_scenario_id=scenario.scenario_id,
-        generator=GeneratorRecord(version="test"),
+        generator=GeneratorRecord(version="test", code_sha256="0" * 64, libraries={}),
         recording=recording_record_of(scenario),
         sumo_version="none",
         seed=0,
@@ -102,9 +102,11 @@ def the_file(out: Path) -> Path:
 def test_recorded_lines_stay_text_for_text_and_inserted_ones_come_behind_their_time(scenario: Recording) -> None:
     assert scenario.sequence is not None
     source = scenario.sequence.decode().splitlines()
-    lines = sequence_bytes(scenario, [inserted(scenario)]).decode().splitlines()
-    mine = [line for line in lines if inserted_id(0) in line]
-    assert [line for line in lines if inserted_id(0) not in line] == source
+    track = inserted(scenario)
+    assert scenario.sequence is not None
+    lines = sequence_bytes(scenario.sequence, [(track.timesteps, track.position)]).decode().splitlines()
+    mine = [line for line in lines if INSERTED in line]
+    assert [line for line in lines if INSERTED not in line] == source
     assert len(mine) == 20
     assert {line.split(",")[2] for line in mine} == {"OTHERS"}
     stamps = [float(line.split(",")[0]) for line in lines[1:]]
@@ -149,9 +151,9 @@ def _first(text: str, old: str, new: str) -> str:
 @pytest.mark.parametrize(
     ("change", "rule", "said"),
     [
-        (lambda text: text.replace(inserted_id(0), inserted_id(7)), "sequence", "inserted tracks differ"),
+        (lambda text: text.replace(f"{INSERTED}{0:012d}", f"{INSERTED}{7:012d}"), "sequence", "line .* is not as"),
         (lambda text: _first(text, "AGENT", "OTHERS"), "sequence", "and .*expected one"),
-        (lambda text: "\n".join(text.splitlines()[:-1]) + "\n", "sequence|source", "positions are not|recorded line"),
+        (lambda text: "\n".join(text.splitlines()[:-1]) + "\n", "sequence|source", "is not as|recorded line"),
         (lambda text: _first(text, ",MIA\n", ",PIT\n"), "sequence", "CITY_NAME"),
         (lambda text: _first(text, ".", ".0"), "source|sequence", "recorded line 2|time stamps"),
         (lambda text: "", "sequence", "columns"),

@@ -27,7 +27,7 @@ def test_sidecar_and_back(tmp_path: Path, data_scenes: dict[str, Path], fake_gen
         (lambda d: d["agents"][0].update(policy="fly"), "agents.0.policy: .*'fly'"),
         (lambda d: d["agents"][0]["maneuvers"][0].update(status="maybe"), "agents.0.maneuvers.0.status: .*'maybe'"),
         (lambda d: d.update(config_sha256="abc"), "config_sha256"),
-        (lambda d: d.update(schema_version="3", later=1), r"schema_version: .* '1' or '2' \(got '3'\); of a later"),
+        (lambda d: d.update(schema_version="3", later=1), r"schema_version: .* '2' \(got '3'\); of another"),
         (lambda d: d["generator"].update(code_sha256="abc"), "generator.code_sha256"),
         (lambda d: d["generator"].update(libraries={"numpy": "2\x1b[2J"}), "generator.libraries.numpy"),
         (lambda d: d.update(sumo_version="1" * 101), "sumo_version: .*at most 100"),

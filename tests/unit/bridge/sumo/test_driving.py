@@ -53,7 +53,7 @@ def drive(tmp_path: Path) -> Callable[..., Driving]:
         net = tmp_path / "road.net.xml"
         net.write_bytes(net_bytes(scene.grid))
         parameters = {"sigmaerror": 0.1, "treaction": 0.5} if model == "EIDM" else {}
-        with Simulation(net, seed=seed, step_s=0.1, model=model, parameters=parameters) as simulation:
+        with Simulation(net.read_bytes(), seed=seed, step_s=0.1, model=model, parameters=parameters) as simulation:
             if patch is not None:
                 patch(simulation)
             others = fixed or nobody(scene.future.num_steps)
@@ -248,7 +248,9 @@ def test_limits_of_one_call_are_those_of_each_vehicle() -> None:
     every, last = limits_of(fleet, fleet.here, 0), limits_of(fleet, fleet.here[1:], 0)
     assert [column[1:].tolist() for column in every] == [column.tolist() for column in last]
     for row, vehicle in enumerate(fleet.vehicles):
-        found = fleet.braking(row, vehicle.path, 0, state=fleet.motion(row), desired_mps=vehicle.start.desired[0])
+        found = fleet.braking(
+            row, vehicle.path, 0, state=tuple(fleet.state[row, :3].tolist()), desired_mps=vehicle.start.desired[0]
+        )
         assert every.seeks[row] == (found.conflict_s is not None or found.decel_mps2 > DRIVER.decel_mps2)
     assert every.seeks.tolist() == [False, True]
 

@@ -54,7 +54,7 @@ def cut_in(tmp_path: Path) -> Callable[[DrivingParams], Driving]:
         net = tmp_path / "road.net.xml"
         net.write_bytes(net_bytes(scene.grid))
         parameters = {"sigmaerror": 0.1, "treaction": 0.5}
-        with Simulation(net, seed=0, step_s=0.1, model="EIDM", parameters=parameters) as simulation:
+        with Simulation(net.read_bytes(), seed=0, step_s=0.1, model="EIDM", parameters=parameters) as simulation:
             others = nobody(scene.future.num_steps)
             found = Driving(Fleet(scene, [start], others, Roads(scene), StopLines(scene)), simulation)
             found.run()

@@ -56,7 +56,7 @@ def _traffic() -> Traffic:
 
 
 def _run(net: Path, *replays: Callable[[Simulation], Replay]) -> list[Replay]:
-    with Simulation(net, seed=0, step_s=0.1) as simulation:
+    with Simulation(net.read_bytes(), seed=0, step_s=0.1) as simulation:
         made = [make(simulation) for make in replays]
         for step in range(STEPS):
             for replay in made:
@@ -104,7 +104,7 @@ def test_nobody_to_replay_is_no_error(net: Path) -> None:
 
 def test_deviation_is_measured(net: Path) -> None:
     """The check itself: states that were moved by 0.25 m behind its back are told as such."""
-    with Simulation(net, seed=0, step_s=0.1) as simulation:
+    with Simulation(net.read_bytes(), seed=0, step_s=0.1) as simulation:
         replay = Replay(simulation, _traffic(), "r", step_s=0.1)
         replay.place(0, {})
         simulation.place_all([("r3", 70.0 + 5.5 + 0.25, 0.4, 90.0, None)])
@@ -118,7 +118,7 @@ def test_vehicle_follows_only_who_it_is_shown(net: Path, seen: bool, slowest: tu
     """One parked 1.9 m aside of the lane's middle, within SUMO's reach of the lane: its pose is exact all the same."""
     standing = _traffic().rows([3])
     standing.position[..., 1] = 1.9
-    with Simulation(net, seed=0, step_s=0.1, model="Krauss") as sumo:
+    with Simulation(net.read_bytes(), seed=0, step_s=0.1, model="Krauss") as sumo:
         replay = Replay(sumo, standing, "r", step_s=0.1)
         speeds = []
         for step in range(STEPS):
@@ -142,7 +142,7 @@ def test_speed_of_a_leader_is_known_from_the_first_step_on(net: Path) -> None:
     """Warmed up two steps back, an agent that drives 9 m/s has that speed in SUMO at step 0, not 0."""
     moving = _traffic().rows([0])
     moving.velocity[..., 0] = 9.0
-    with Simulation(net, seed=0, step_s=0.1) as sumo:
+    with Simulation(net.read_bytes(), seed=0, step_s=0.1) as sumo:
         replay = Replay(sumo, moving, "r", step_s=0.1)
         for back in (2, 1):
             replay.warm_up(back)

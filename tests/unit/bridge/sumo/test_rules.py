@@ -45,7 +45,7 @@ def change(tmp_path: Path) -> Callable[..., DrivenVehicle]:
         net = tmp_path / "road.net.xml"
         net.write_bytes(net_bytes(scene.grid))
         parameters = model_parameters(config)
-        with Simulation(net, seed=0, step_s=0.1, model="EIDM", parameters=parameters) as simulation:
+        with Simulation(net.read_bytes(), seed=0, step_s=0.1, model="EIDM", parameters=parameters) as simulation:
             others = nobody(scene.future.num_steps)
             fleet = Fleet(scene, [replace(start)], others, Roads(scene), StopLines(scene))
             (vehicle,) = Driving(fleet, simulation).run()

@@ -25,7 +25,7 @@ def _shown(scene: Scene, policy: Policy = Policy.STRAIGHT) -> BoolArray:
     """Who has to be shown to one that starts at x = 40 with 10 m/s, its desired speed."""
     start = start_on(scene, (1,), 40.0, 10.0, policy=policy)
     seen = scene.in_driving_width(start.path, start.box)
-    return shown_when(scene.traffic, [start], [seen], step_s=scene.step_s, driving=scene.config.driving)
+    return shown_when(scene.traffic, [start], [seen], step_s=scene.step_s)
 
 
 def test_who_is_ahead_is_shown_and_who_is_behind_or_beside_is_not() -> None:

@@ -41,7 +41,7 @@ def net(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def sumo(net: Path) -> Iterator[Simulation]:
-    with Simulation(net, seed=0, step_s=0.1, model="Krauss") as simulation:
+    with Simulation(net.read_bytes(), seed=0, step_s=0.1, model="Krauss") as simulation:
         yield simulation
 
 
@@ -60,25 +60,21 @@ def _place(sumo: Simulation, x: float, y: float, angle_deg: float) -> None:
 
 
 def test_second_simulation_in_one_process_is_refused(sumo: Simulation, net: Path) -> None:
-    with pytest.raises(SimulationError, match="already running"), Simulation(net, seed=0, step_s=0.1):
+    with pytest.raises(SimulationError, match="already running"), Simulation(net.read_bytes(), seed=0, step_s=0.1):
         pass
     sumo.step()  # the first one is unharmed
 
 
 def test_simulation_is_closed_behind_an_error(net: Path) -> None:
-    with pytest.raises(RuntimeError, match="mine"), Simulation(net, seed=0, step_s=0.1):
+    with pytest.raises(RuntimeError, match="mine"), Simulation(net.read_bytes(), seed=0, step_s=0.1):
         raise RuntimeError("mine")
-    with Simulation(net, seed=0, step_s=0.1) as again:
+    with Simulation(net.read_bytes(), seed=0, step_s=0.1) as again:
         again.step()
 
 
-def test_net_that_sumo_refuses_is_named(tmp_path: Path) -> None:
-    broken = tmp_path / "broken.net.xml"
-    broken.write_text("<net version='1.20'><edge/></net>")
-    with pytest.raises(SimulationError, match=r"broken\.net\.xml"), Simulation(broken, seed=0, step_s=0.1):
-        pass
-    missing = tmp_path / "missing.net.xml"
-    with pytest.raises(SimulationError, match=r"missing\.net\.xml"), Simulation(missing, seed=0, step_s=0.1):
+def test_net_that_sumo_refuses_is_an_error() -> None:
+    broken = b"<net version='1.20'><edge/></net>"
+    with pytest.raises(SimulationError, match="SUMO does not load the net"), Simulation(broken, seed=0, step_s=0.1):
         pass
 
 
@@ -96,9 +92,9 @@ def test_rewound_simulation_is_as_good_as_a_fresh_one(net: Path) -> None:
             speeds.append(sumo.speed("v1"))
         return speeds
 
-    with Simulation(net, seed=0, step_s=0.1, model="Krauss") as fresh:
+    with Simulation(net.read_bytes(), seed=0, step_s=0.1, model="Krauss") as fresh:
         wanted = drive(fresh)
-    with Simulation(net, seed=0, step_s=0.1, model="Krauss") as sumo:
+    with Simulation(net.read_bytes(), seed=0, step_s=0.1, model="Krauss") as sumo:
         sumo.rewind()
         assert _insert(sumo, "v1", 60.0, 3.0) is None
         for _ in range(30):
@@ -242,7 +238,7 @@ def test_replayed_vehicle_stays_where_it_is_put_and_goes_when_removed(sumo: Simu
 
 def test_same_seed_drives_the_same(net: Path) -> None:
     def run() -> list[tuple[str, float]]:
-        with Simulation(net, seed=5, step_s=0.1) as simulation:
+        with Simulation(net.read_bytes(), seed=5, step_s=0.1) as simulation:
             for k in range(4):
                 _insert(simulation, f"v{k}", 5.0 + 15.0 * k, 6.0)
             trace = []
@@ -256,7 +252,7 @@ def test_same_seed_drives_the_same(net: Path) -> None:
 
 def test_hundred_starts_in_one_process_are_fine(net: Path) -> None:
     for seed in range(100):
-        with Simulation(net, seed=seed, step_s=0.1) as simulation:
+        with Simulation(net.read_bytes(), seed=seed, step_s=0.1) as simulation:
             simulation.step()
 
 
@@ -267,7 +263,7 @@ def test_gap_behind_a_replayed_vehicle_is_what_its_expected_deceleration_asks_fo
     """Krauss: gap_min + v tau + v^2 / 2b - v^2 / 2b_leader. At 5 m/s, tau 1, gap_min 1.5 and b 2.5: 6.5 m behind one
     that is expected to brake alike, and 25 / 5 - 25 / 9 = 2.2 m more behind one that is expected to brake with 4.5.
     """
-    with Simulation(net, seed=0, step_s=0.1, expected_decel_mps2=decel, model="Krauss") as sumo:
+    with Simulation(net.read_bytes(), seed=0, step_s=0.1, expected_decel_mps2=decel, model="Krauss") as sumo:
         sumo.add_replayed("r0", length_m=4.5, width_m=1.9)
         for step in range(120):
             front = 30.0 + 0.5 * step
