@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from exact_paths import FloatArray, Path2d, cos, direction, norm, sin, smoothstep
+from plane_paths import FloatArray, Path2d, smoothstep
 
 from bridge.recordings.export import parquet_bytes
 from bridge.recordings.recording import AV_ID, FOCAL_CATEGORY
@@ -115,20 +115,20 @@ class Scene:
         for (t0, v0), (t1, v1) in pairwise(knots):
             speed = speed + (v1 - v0) * smoothstep((time - t0) / (t1 - t0))
         if sway:
-            speed = speed * (1.0 + 0.03 * sin(0.55 * time + 0.9 * (sway % 7)))
+            speed = speed * (1.0 + 0.03 * _swing(0.55 * time + 0.9 * (sway % 7)))
         s = np.concatenate([[0.0], np.cumsum((speed[:-1] + speed[1:]) / 2 * FINE_S)])
         s = s - s[10] + start_m
         offset = np.full(len(time), offset_m)
         if sway:
-            offset = offset + 0.08 * sin(0.04 * s + (sway % 6)) * (speed / (speed + 2.0))
+            offset = offset + 0.08 * _swing(0.04 * s + (sway % 6)) * (speed / (speed + 2.0))
         if shift is not None:
             offset = offset + shift[2] * smoothstep((time - shift[0]) / (shift[1] - shift[0]))
         if s.min() < 0 or s[10 + 10 * (steps[1] - 1)] > path.s[-1]:
             raise ValueError(f"{self.name}: agent {len(self.agents)} leaves its path ({s.min():.1f} to {s.max():.1f})")
         xy, heading = path.at(s, offset_m=offset)
         velocity = np.gradient(xy, FINE_S, axis=0)
-        moving = norm(velocity) > 0.3
-        course = direction(velocity)
+        moving = np.linalg.norm(velocity, axis=1) > 0.3
+        course = np.arctan2(velocity[:, 1], velocity[:, 0])
         heading = np.where(moving, heading + wrap_angle(course - heading), heading)
         timesteps = np.arange(*steps)
         fine = 10 + 10 * timesteps
@@ -145,12 +145,22 @@ class Scene:
 
     def turned(self, xy: FloatArray) -> FloatArray:
         """Local vectors in the city frame."""
-        c, s = float(cos(self.turn_rad)), float(sin(self.turn_rad))
+        c, s = np.cos(self.turn_rad), np.sin(self.turn_rad)
         return np.column_stack([c * xy[:, 0] - s * xy[:, 1], s * xy[:, 0] + c * xy[:, 1]])
 
     def city_xy(self, xy: FloatArray) -> FloatArray:
         """Local points in the city frame."""
         return self.turned(xy) + np.asarray(self.origin)
+
+
+def _swing(angle: FloatArray) -> FloatArray:
+    """A sine by the first 22 terms of its series: what the scenes were made with, 3 cm off at 18 rad."""
+    x = np.asarray(angle, dtype=np.float64)
+    term, total = x, x
+    for n in range(1, 22):
+        term = -term * x * x / ((2 * n) * (2 * n + 1))
+        total = total + term
+    return total
 
 
 def _uuid(name: str) -> str:
