@@ -31,7 +31,7 @@ from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.measures.motion_limits import MotionProfile
 from hid2.measures.post_encroachment import Encroachment
-from hid2.measures.scene_end import END_HORIZON_S, contacts_after_last_step
+from hid2.measures.scene_end import END_HORIZON_S, ttc_after_last_step
 from hid2.occupancy.agent_states import AgentStates
 from hid2.params import Limits
 from hid2.policy.rules import place_in
@@ -205,9 +205,7 @@ def _groups(
             beyond=beyond,
             members=members,
             partners=others if name == "generated" else others & arrays.vehicle,  # as in the paper's SCR
-            end_contacts=contacts_after_last_step(
-                arrays, members & driven(arrays), horizon_s=END_HORIZON_S, among=others
-            ),
+            end_ttc_s=ttc_after_last_step(arrays, members & driven(arrays), horizon_s=END_HORIZON_S, among=others),
             met=met,
         )
     return groups
@@ -276,7 +274,7 @@ def _track_rows(
     whole = groups["combined"]
     arrays, safe, kinematic = whole.arrays, whole.safe, whole.kinematic
     # of recorded agents contacts with recorded ones, of inserted ones with any
-    after_end = {**groups["original"].end_contacts, **groups["generated"].end_contacts}
+    end_ttc_s = np.minimum(groups["original"].end_ttc_s, groups["generated"].end_ttc_s)
     asked = {agent.track_id: agent.policy.value for agent in sidecar.agents} if sidecar else {}
     collides = np.zeros((2, arrays.num_agents), dtype=bool)  # with recorded ones, with generated ones
     for pair in safe.overlaps:
@@ -310,7 +308,7 @@ def _track_rows(
         "min_ttc_s": least(safe.ttc_s),
         "min_leader_ttc_s": least(safe.leaders.ttc_s),
         "min_time_gap_s": least(safe.leaders.time_gap_s),
-        "end_ttc_s": [after_end[a].ttc_s if a in after_end else None for a in range(arrays.num_agents)],
+        "end_ttc_s": [value if np.isfinite(value) else None for value in end_ttc_s.tolist()],
         "findings": [Counter(one.quantity.value for one in findings if one.track_id == t) for t in arrays.track_ids],
         **{name: arrays.sum_per_agent(mask).astype(int).tolist() for name, mask in steps.items()},
     }

@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from hid2.agents import FloatArray
 from hid2.evaluation.kinematics import Kinematics
 from hid2.evaluation.safety import Safety, colliding
 from hid2.measures.arrays import BoolArray, SceneArrays
@@ -27,7 +28,6 @@ from hid2.measures.encounters import (
     Partner,
 )
 from hid2.measures.motion_limits import MOTION_LIMITS
-from hid2.measures.scene_end import Contact
 from hid2.params import Conflict, Limits
 
 #: The three groups that are never mixed: evaluation.md.
@@ -53,7 +53,7 @@ class Group:
     """One group of the agents of a scene, with what was measured of the whole scene.
 
     members (A,); beyond: rows (N,) that exceed each limit of motion; partners (A,): what a member may collide with;
-    end_contacts: first contacts of those `meeting`, by agent, after the last step; met: what each agent meets.
+    end_ttc_s (A,): from the last step to the first contact of those `meeting`, inf without; met: what each agent meets.
     """
 
     arrays: SceneArrays
@@ -62,7 +62,7 @@ class Group:
     beyond: Mapping[str, BoolArray]
     members: BoolArray
     partners: BoolArray
-    end_contacts: Mapping[int, Contact]
+    end_ttc_s: FloatArray
     met: Encounters
 
     @property
@@ -103,7 +103,7 @@ class Group:
     @property
     def critical_ends(self) -> int:
         """Vehicles that come to touch another agent too soon after their last step."""
-        return sum(contact.ttc_s < CRITICAL.end_ttc_min_s for contact in self.end_contacts.values())
+        return int((self.end_ttc_s < CRITICAL.end_ttc_min_s).sum())
 
 
 class Column(NamedTuple):
