@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Collection, Container, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,10 +14,10 @@ from bridge.recordings.judging import findings_of, states_of
 from bridge.recordings.recording import AV_ID, Recording
 from bridge.recordings.sidecar import REACTIVE, EventRecord, ManeuverRecord, Sidecar
 from bridge.recordings.sources import read_recording
-from hid2.agents import BoxSize, FloatArray, Policy, Track
+from hid2.agents import FloatArray, Policy, Track
 from hid2.evaluation.behaviour import policies
 from hid2.evaluation.critics import pack
-from hid2.evaluation.kinematics import Kinematics, beyond_limits, kinematics, motion
+from hid2.evaluation.kinematics import beyond_limits, kinematics, motion
 from hid2.evaluation.metrics import CRITICAL, METRICS, Group, driven, measure_group
 from hid2.evaluation.realism import RealismCounts, count_scene, half_number, scene_values
 from hid2.evaluation.safety import IOU_THRESHOLD, Overlap, Safety, safety
@@ -48,8 +48,6 @@ PAIR_KINDS = ("pairs_vehicles", "pairs_all", "touching_all", "crossings", "pet_c
 PAIR_COLUMNS = tuple(f"{kind}_{group}" for kind in PAIR_KINDS for group in PAIR_GROUPS)
 
 Row = dict[str, Any]
-#: Sizes of recorded tracks by the id of their scene, then of the track.
-Labelled = Mapping[str, Mapping[str, BoxSize]]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -74,18 +72,13 @@ class SceneMeasures:
 _flat = lru_cache(maxsize=2)(flatten_lanes)
 
 
-def measure_folder(folder: Address, labelled: Labelled | None = None) -> SceneMeasures:
-    """Measure one recording or generated scene. Errors: ScenarioError, MapError.
-
-    labelled: sizes of the recorded tracks of source scenes, for generated ones with a sidecar that does not have them.
-    """
+def measure_folder(folder: Address) -> SceneMeasures:
+    """Measure one recording or generated scene. Errors: ScenarioError, MapError."""
     recording = read_recording(folder)
     sidecar = recording.sidecar
     if sidecar is not None and sidecar.replay.mode == "reactive":
         raise ScenarioError(f"{folder}: {REACTIVE}")
-    sizes = (labelled or {}).get(sidecar.source_scenario_id, {}) if sidecar else {}
-    tracks = [replace(t, size=sizes.get(t.track_id, t.size)) for t in recording.tracks] if sizes else recording.tracks
-    measures = measure(recording, tracks, sidecar)
+    measures = measure(recording, recording.tracks, sidecar)
     name: Row = {"scenario_id": recording.scenario_id}
     place: Row = {"split": split_of(folder) or "", "city": recording.city, "folder": str(folder)}
     before = dict.fromkeys(TABLES, name) | {"scenes": name | place, "events": name | {"folder": str(folder)}}
@@ -180,35 +173,22 @@ def _grouped(
     """States of tracks on the map of a recording, how they move, what they do to each other, and both by group."""
     lanes, step_s = _flat(recording.graph), recording.step_s
     states = states_of(tracks, lanes, generated, num_steps=recording.num_steps, step_s=step_s)
-    moved, safe = motion(states.arrays), safety(states.arrays, lanes, states.matches)
-    kinematic = kinematics(states.arrays, moved)
-    return states, moved, safe, _groups(states.arrays, kinematic, safe, beyond_limits(moved, Limits()))
-
-
-def _groups(
-    arrays: SceneArrays, kinematic: Kinematics, safe: Safety, beyond: Mapping[str, BoolArray]
-) -> dict[str, Group]:
-    """Recorded agents, generated ones, and both."""
-    every = np.ones(arrays.num_agents, dtype=bool)
-    met = encounters(arrays, safe.lanes, safe.matches, safe.leaders)
+    arrays = states.arrays
+    moved, safe = motion(arrays), safety(arrays, lanes, states.matches)
+    group = partial(
+        Group, arrays=arrays, kinematic=kinematics(arrays, moved), safe=safe, beyond=beyond_limits(moved, Limits()),
+        met=encounters(arrays, lanes, safe.matches, safe.leaders),
+    )  # fmt: skip
+    recorded, every = ~arrays.generated, np.ones(arrays.num_agents, dtype=bool)
     groups = {}
     # contacts that count: of added vehicles with any road user, of recorded ones with recorded ones
     for name, members, others in (
-        ("original", ~arrays.generated, ~arrays.generated),
-        ("generated", arrays.generated, every),
-        ("combined", every, every),
-    ):
-        groups[name] = Group(
-            arrays=arrays,
-            kinematic=kinematic,
-            safe=safe,
-            beyond=beyond,
-            members=members,
-            partners=others if name == "generated" else others & arrays.vehicle,  # as in the paper's SCR
-            end_ttc_s=ttc_after_last_step(arrays, members & driven(arrays), horizon_s=END_HORIZON_S, among=others),
-            met=met,
-        )
-    return groups
+        ("original", recorded, recorded), ("generated", arrays.generated, every), ("combined", every, every)
+    ):  # fmt: skip
+        end_ttc_s = ttc_after_last_step(arrays, members & driven(arrays), horizon_s=END_HORIZON_S, among=others)
+        partners = others if name == "generated" else others & arrays.vehicle  # as in the paper's SCR
+        groups[name] = group(members=members, partners=partners, end_ttc_s=end_ttc_s)
+    return states, moved, safe, groups
 
 
 def _group_row(group: Group, maneuvers: Sequence[Maneuver], policy_of: Mapping[str, Policy]) -> Row:

@@ -4,8 +4,8 @@ Folders are real, files are hard links, or copies where the file system has none
 see linked folders. Same composition, same sources, same seed: the same root.
 """
 
+import contextlib
 import csv
-import logging
 import os
 import shutil
 import uuid
@@ -28,7 +28,6 @@ from bridge.recordings.scenario import MAX_STEPS
 from hid2.params import Forecasting
 from netconvert.errors import ConfigError, NoSceneError, ScenarioError
 
-_LOG = logging.getLogger(__name__)
 ORIGINS, COMPOSITION = "origins.csv", "composition.json"
 VALIDATION = "validation"
 _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo compose")
@@ -315,7 +314,10 @@ def check_leaks(root: Path, *, jobs: int = 1, on_scene: Callable[[int, int], Non
     """
     roots = [root] if any((root / split).is_dir() for split in SPLITS) else _roots_in(root)
     held_out = _roots_in(root / VALIDATION)
-    folders = {place: _scenes_in(place) for place in [*roots, *held_out]}
+    folders: dict[Path, list[Path]] = {}
+    for place in [*roots, *held_out]:
+        with contextlib.suppress(NoSceneError):
+            folders[place] = find_scenarios(place)
     everything = list(dict.fromkeys(folder for found in folders.values() for folder in found))
     if not everything:
         raise NoSceneError(f"{root}: no scene in folders train, val or test")
@@ -324,14 +326,14 @@ def check_leaks(root: Path, *, jobs: int = 1, on_scene: Callable[[int, int], Non
         raise ScenarioError(f"{root}: {len(unread)} scenes cannot be read, the first: {unread[0]}")
     origins = {name: origin for place in folders for name, origin in origins_of(place).items()}
     facts = [
-        fact._replace(source_id=origins[fact.scenario_id].source_id) if fact.scenario_id in origins else fact
+        fact._replace(source_id=origins[fact.scenario_id]["source_id"]) if fact.scenario_id in origins else fact
         for fact in facts
     ]
     row_of = {fact.folder: row for row, fact in enumerate(facts)}
     found: dict[Path, Leak] = {}
     for place in roots:
-        train, val, test = ([row_of[f] for f in folders[place] if split_of(f) == split] for split in SPLITS)
-        outside = list(dict.fromkeys(val + [row_of[f] for other in held_out for f in folders[other]]))
+        train, val, test = ([row_of[f] for f in folders.get(place, ()) if split_of(f) == split] for split in SPLITS)
+        outside = list(dict.fromkeys(val + [row_of[f] for other in held_out for f in folders.get(other, ())]))
         for leak in (*leaks_between(facts, train, outside + test), *leaks_between(facts, val, test)):
             found.setdefault(leak.folder, leak)
     return list(found.values())
@@ -345,20 +347,11 @@ def _roots_in(root: Path) -> list[Path]:
     )
 
 
-def _scenes_in(root: Path) -> list[Path]:
-    try:
-        return find_scenarios(root)
-    except NoSceneError:
-        return []
-
-
-def origins_of(root: Path) -> dict[str, Origin]:
-    """What origins.csv of a data-set root says, by scenario id; empty where there is none."""
+def origins_of(root: Path) -> dict[str, dict[str, str]]:
+    """Rows of origins.csv of a data-set root, by scenario id; empty where there is none."""
     path = root / ORIGINS
     if not path.is_file():
         return {}
     with path.open(newline="", encoding="utf-8") as stream:
-        return {
-            row["scenario_id"]: Origin(**{**row, "tracks": int(row["tracks"]), "observed": int(row["observed"])})  # type: ignore[arg-type]
-            for row in ({key: untabled(value) for key, value in row.items()} for row in csv.DictReader(stream))
-        }
+        rows = ({key: untabled(value) for key, value in row.items()} for row in csv.DictReader(stream))
+        return {row["scenario_id"]: row for row in rows}

@@ -22,10 +22,8 @@ from bridge.forecasting.comparison import (
     HEAD,
     METRICS,
     Difference,
-    MeanEstimate,
     MetricKey,
     Runs,
-    as_dicts,
     differences_of,
     mean_of,
     rows_of,
@@ -38,6 +36,7 @@ from bridge.pages import parts as pages
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.sources import find_sources
 from hid2.params import Config, Forecasting, Request
+from hid2.resampling import Estimate
 from netconvert.errors import BatchError, ConfigError, ScenarioError
 
 #: Which track of a generated scene is forecast: the recorded focal one, an inserted one, or both in turn by variant.
@@ -240,7 +239,7 @@ def _table(
     source_of: Mapping[str, str], params: Forecasting,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """The paper's rows and ours, by label: every metric of each of a row's runs, by name, ready for JSON."""
-    rows = [(label, [MeanEstimate(value) for value in values]) for label, values in paper.items()]
+    rows = [(label, [Estimate(value) for value in values]) for label, values in paper.items()]
     rows += [
         (f"ours: {label}", [mean_of(one, source_of, metric, params) for one in runs for metric in _COLUMNS])
         for label, runs in ours.items()
@@ -295,13 +294,13 @@ def _write(runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, pl
         "reading": None if brought else plan.reading,
         "table2": table2,
         "table3": table3,
-        "differences": as_dicts(differences),
+        "differences": [one._asdict() for one in differences],
     }
     shown = {
         "updates": None if brought else params.updates,
         "seeds": seeds,
         "reading": _READINGS[plan.reading],
-        "power": next(d for d in differences if (d.model, d.other, d.band, d.metric) == power),
+        "power": next(d for d in differences if d[:4] == power),
         "gain_m": PAPER_GAIN_M,
         "sets": _sets(composed),
         "metrics": [METRICS[key] for key in _COLUMNS],
@@ -330,11 +329,9 @@ def _sets(composed: Path) -> list[tuple[str, ...]]:
     places += [(f"{name} validation", composed / VALIDATION / name, "val") for name in (RECORDED, HID2)]
     rows = []
     for name, root, split in places:
-        found = [origin for origin in origins_of(root).values() if origin.split == split]
-        kinds = Counter(origin.kind for origin in found)
-        tracks, observed = (
-            sum(getattr(one, field) for one in found) / max(1, len(found)) for field in ("tracks", "observed")
-        )
+        found = [origin for origin in origins_of(root).values() if origin["split"] == split]
+        kinds = Counter(origin["kind"] for origin in found)
+        means = (sum(int(one[field]) for one in found) / max(1, len(found)) for field in ("tracks", "observed"))
         cells = [str(kinds[kind]) for kind in ("recorded", "generated", "copy")]
-        rows.append((name, *cells, f"{tracks:.1f}", f"{observed:.1f}"))
+        rows.append((name, *cells, *(f"{mean:.1f}" for mean in means)))
     return rows
