@@ -131,6 +131,9 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
     counted, due = requests[requests["counted"]], requests["waited_s"].notna()
     config = study.configs[0][0]
     accepted, exported = counted["accepted"].astype(bool), counted["exported"].dropna()
+    effect = named["effects"]
+    if not effect.empty:
+        effect = effect[(effect["drawn_again"] == "runs") & effect["standardised_coefficient"].notna()]
     cut_off = ~accepted & (counted["waited_s"] < config.lane_change.give_up_s - 0.05)
     return text(
         "study.md.j2",
@@ -150,7 +153,7 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         clusters=_few_clusters(dose),
         critical=_records(named["critical_gaps"]),
         curves=_records(named["acceptance"]),
-        effects=_effects_told(named["effects"]) if len(keys) > 1 else [],
+        effects=_records(effect) if len(keys) > 1 else [],
         changes=named["lane_changes"],
         conflicts=named["conflicts"],
         critical_ttc_s=CONFLICT_TTC_S,
@@ -202,13 +205,6 @@ def _by_value(named: Mapping[str, pd.DataFrame], key: str) -> list[str]:
             told += ", flow.flow_veh_per_h_lane, flow.speed_kmph"
         lines.append(f"{line} [{told}].")
     return lines
-
-
-def _effects_told(found: pd.DataFrame) -> list[dict[Any, Any]]:
-    """Those over runs that have a coefficient."""
-    if found.empty:
-        return []
-    return _records(found[(found["drawn_again"] == "runs") & found["standardised_coefficient"].notna()])
 
 
 def _records(table: pd.DataFrame) -> list[dict[Any, Any]]:
