@@ -95,10 +95,6 @@ class Packed(NamedTuple):
         band = np.searchsorted((2.0, 5.0, 8.0, 11.0), self.rows[:, 0])
         return np.asarray(self.scene * 20 + band * 4 + self.rows[:, 18] * 2 + self.rows[:, 19], dtype=np.int64)
 
-    def in_half(self, split: int) -> BoolArray:
-        """(M,) whether the recorded track falls in the first half of a split."""
-        return (self.rows[:, 21].astype(np.int64) >> split & 1).astype(bool)
-
 
 #: Features by name, in the order of `features`: those of speed, of the place in the lane, and the rest.
 SPEED_FEATURES = (
@@ -145,7 +141,7 @@ def constant_on_the_middle(found: Packed) -> Packed:
 def halves_apart(found: Packed, split: int) -> Packed:
     """The negative control: recorded windows, of which those of one half of the tracks pass as generated."""
     recorded = found.of(~found.generated)
-    return recorded._replace(generated=recorded.in_half(split))
+    return recorded._replace(generated=(recorded.rows[:, 21].astype(np.int64) >> split & 1).astype(bool))
 
 
 def matched_weights(stratum: IntArray, generated: BoolArray) -> FloatArray:
