@@ -164,18 +164,18 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> "dict[st
         if row.status == DONE:
             with _of_a_run(folder, "study"):
                 found = read_run(folder, RUN_TABLES, "study")
-                table = io.BytesIO(read_packed(folder / LOOKS_FILE, most_mb=MAX_FILE_MB))
-                own_looks = pd.read_csv(table, dtype={"lead_id": str, "lag_id": str, "vehicle": str})
-                for column in ("lead_id", "lag_id"):
-                    own_looks[column] = own_looks[column].map(untabled, na_action="ignore")
-                named = pd.DataFrame(name, index=own_looks.index)
-                looks.append(named.join(own_looks.drop(columns=["round", "track_id"])))
                 # those count that were triggered, and not in the warm-up of a flow
                 found["requests"] = [
                     {**one, "accepted": bool(one["accepted"]),
                      "counted": one["waited_s"] is not None and one["trigger_s"] >= config.flow.counted_from_s}
                     for one in found["requests"] if one["kind"] == study.kind
                 ]  # fmt: skip
+                table = io.BytesIO(read_packed(folder / LOOKS_FILE, most_mb=MAX_FILE_MB))
+                own_looks = pd.read_csv(table, dtype={"lead_id": str, "lag_id": str, "vehicle": str})
+                for column in ("lead_id", "lag_id"):
+                    own_looks[column] = own_looks[column].map(untabled, na_action="ignore")
+                named = pd.DataFrame(name, index=own_looks.index)
+                looks.append(named.join(own_looks.drop(columns=["round", "track_id"])))
         found["runs"] = [{
             "status": row.status, "reason": row.reason, "vehicles": row.placed, "requests": len(found["requests"]),
             "accepted": sum(request["accepted"] for request in found["requests"]), "seconds": row.seconds,

@@ -35,7 +35,7 @@ def study_file(tmp_path: Path, text: str, scenes: Path) -> Path:
             gzip.compress(
                 b'{"requests": [{"kind": "lane_change"}], "flow": [], "lane_changes": [], "conflicts": []}', mtime=0
             ),
-            "requests without accepted",
+            "KeyError\\('accepted'\\)",
         ),
         (gzip.compress(b"[]", mtime=0), "run of a study"),
         (gzip.compress(b'{"requests": []}', mtime=0), "without conflicts, flow, lane_changes"),
