@@ -48,7 +48,6 @@ def critique(found: Packed, control: Packed | None = None) -> dict[str, Any]:
     ]
     return {
         "missing": missing,
-        "windows": {"generated": int(found.generated.sum()), "recorded": int((~found.generated).sum())},
         "verdicts": verdicts,
         "negative_control": [entry for critic, view in JUDGED if (entry := _halves(found, critic, view)) is not None],
         "constant_speed_control": _all_of(constant_on_the_middle(found)),

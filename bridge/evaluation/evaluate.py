@@ -81,7 +81,7 @@ def evaluate_folder(
         if set(folders) <= {folder for folder, _ in evaluation.failures}:
             (first, reason), many = evaluation.failures[0], len(folders)
             raise ScenarioError(f"{out}: none of {many} scenes can be read, expected one at least; {first}: {reason}")
-    evaluation.metrics = totals.content() | {"nets": _nets(totals.net_folders(), {str(one): one for one in folders})}
+    evaluation.metrics = totals.content() | {"nets": _nets(totals.nets, {str(one): one for one in folders})}
     failed = [{"folder": str(folder), "reason": reason} for folder, reason in evaluation.failures]
     evaluation.metrics["scenes"]["failed"] = failed
     write_json(report_dir / "metrics.json", evaluation.metrics)
@@ -150,7 +150,7 @@ def _cell(value: object) -> object:
 def _nets(folders: Mapping[str, str], by_name: Mapping[str, Address]) -> dict[str, Any]:
     """Fidelity of the nets of the maps in scene folders, by source scene."""
     nets: dict[str, Any] = {}
-    for source, folder in folders.items():
+    for source, folder in sorted(folders.items()):
         try:
             address = by_name[folder]
             if isinstance(address, Source):

@@ -20,7 +20,7 @@ from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 
 from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure
-from bridge.files import beside, make_folder, write_json, write_rows, write_text
+from bridge.files import beside, make_folder, write_rows, write_text
 from bridge.pages import parts as pages
 from bridge.recordings.scenario import (
     MAX_STEPS,
@@ -34,6 +34,7 @@ from hid2.agents import FloatArray, Track
 from netconvert.errors import ConfigError, ScenarioError
 
 Baseline = Literal["constant-velocity", "constant-turn-rate"]
+MetricKey = Literal["min_ade_m", "min_fde_m", "missed", "brier_min_fde"]
 BASELINES: tuple[Baseline, ...] = ("constant-velocity", "constant-turn-rate")
 #: Modes of a forecast that count, the most probable first.
 KS = (1, 6)
@@ -44,8 +45,10 @@ BOUNDS = (50, 70, 90)
 FUTURE_STEPS = MAX_STEPS - OBSERVED_STEPS
 #: Speed, or turn rate, of each mode of a baseline as a share of the observed one, and how probable it is.
 _MODES = ((1.0, 0.4), (0.75, 0.15), (1.25, 0.15), (0.5, 0.1), (1.5, 0.1), (0.0, 0.1))
-#: Means of a band, by their names in predictions.json, and the fields of scores that they are of.
-_MEANS = {"min_ade_m": "min_ade_m", "min_fde_m": "min_fde_m", "miss_rate": "missed", "brier_min_fde": "brier_min_fde"}
+#: Metrics, fields of scores, with their names.
+METRICS: Mapping[MetricKey, str] = {
+    "min_ade_m": "minADE, m", "min_fde_m": "minFDE, m", "missed": "MR", "brier_min_fde": "brier-minFDE, m",
+}  # fmt: skip
 #: A baseline's speed and turn rate are means over this many steps before the last observed one.
 _HISTORY = 5
 
@@ -98,12 +101,12 @@ class PredictionScores:
     def rows(self) -> list[tuple[str, ...]]:
         """A table of the bands."""
         return [
-            (band["band"], str(band["k"]), str(band["tracks"]), *(pages.number(band[name]) for name in _MEANS))
+            (band["band"], str(band["k"]), str(band["tracks"]), *(pages.number(band[name]) for name in METRICS))
             for band in self.bands
         ]
 
 
-TABLE_HEAD = ("agents in the scene", "k", "tracks", "minADE, m", "minFDE, m", "MR at 2 m", "brier-minFDE, m")
+TABLE_HEAD = ("agents in the scene", "k", "tracks", *METRICS.values())
 
 
 def score_predictions(
@@ -118,7 +121,7 @@ def score_predictions(
     """Score forecasts of the scenes below `out`; `predictions` is a submission file or the name of a baseline.
 
     A baseline forecasts the focal track of each scene. A scene that cannot be read is left out, with the reason. With
-    `report_dir`, predictions.csv (one row per track and k), predictions.json and predictions.html are written. bounds:
+    `report_dir`, predictions.csv (one row per track and k) and predictions.html are written. bounds:
     bands of scenes with more agents than each. The same result with any number of jobs. Errors: ScenarioError for an
     unreadable file, for a forecast that is not finite, or where nothing can be scored; ExportError where the report
     cannot be written.
@@ -274,14 +277,11 @@ def _means(scores: Sequence[Score], bounds: Sequence[int]) -> Iterable[dict[str,
         inside = band.of(scores)
         for k in KS:
             own = [score for score in inside if score.k == k]
-            means = {key: float(np.mean([getattr(one, field) for one in own])) if own else None
-                     for key, field in _MEANS.items()}  # fmt: skip
+            means = {key: float(np.mean([getattr(one, key) for one in own])) if own else None for key in METRICS}
             yield {"band": name, "k": k, "tracks": len(own)} | means
 
 
 def _write(result: PredictionScores, report_dir: Path) -> None:
-    content = {"bands": list(result.bands), "left_out": list(result.left_out)}
     parts = [pages.macro("forecasts.html.j2", "scored", TABLE_HEAD, result.rows(), result.left_out)]
     write_rows(report_dir / "predictions.csv", Score._fields, result.scores)
-    write_json(report_dir / "predictions.json", content)
     write_text(report_dir / "predictions.html", pages.page("Forecasts, scored", parts))

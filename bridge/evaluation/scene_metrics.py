@@ -18,7 +18,7 @@ from hid2.agents import FloatArray, Policy, Track
 from hid2.evaluation.behaviour import policies
 from hid2.evaluation.critics import pack
 from hid2.evaluation.kinematics import beyond_limits, kinematics, motion
-from hid2.evaluation.metrics import CRITICAL, METRICS, Group, driven, measure_group
+from hid2.evaluation.metrics import CRITICAL, METRICS, Group, columns, driven
 from hid2.evaluation.realism import RealismCounts, count_scene, half_number, scene_values
 from hid2.evaluation.safety import IOU_THRESHOLD, Overlap, Safety, safety
 from hid2.evaluation.windows import windows
@@ -201,7 +201,7 @@ def _group_row(group: Group, maneuvers: Sequence[Maneuver], policy_of: Mapping[s
         "moving": int(moving.sum()),
         "colliding": group.colliding,
     }
-    row |= measure_group(group)
+    row |= {name: column.of(group) for name, column in columns().items()}
     counts = Counter(policy_of[arrays.track_ids[a]] for a in np.flatnonzero(moving))
     row |= {f"policy_{policy.value}": counts[policy] for policy in Policy}
     ids = {arrays.track_ids[a] for a in np.flatnonzero(group.members)}
@@ -270,7 +270,7 @@ def _track_rows(
         found = np.minimum.reduceat(values, arrays.first[:-1]) if arrays.num_agents else values
         return [float(value) if np.isfinite(value) else None for value in found]
 
-    columns: dict[str, Sequence[Any]] = {
+    table: dict[str, Sequence[Any]] = {
         "track_id": arrays.track_ids,
         "group": np.where(arrays.generated, "generated", "original").tolist(),
         "object_type": arrays.object_types,
@@ -292,7 +292,7 @@ def _track_rows(
         "findings": [Counter(one.quantity.value for one in findings if one.track_id == t) for t in arrays.track_ids],
         **{name: arrays.sum_per_agent(mask).astype(int).tolist() for name, mask in steps.items()},
     }
-    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+    return [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
 
 
 def _maneuver_rows(seen: Sequence[Maneuver], generated: Container[str], sidecar: Sidecar | None) -> list[Row]:

@@ -6,12 +6,12 @@ was made of one, and seeds of each model on its own: what is left is what other 
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from bridge.evaluation.predictions import BASELINES, BOUNDS, Band, Score, bands, score_predictions
-from bridge.files import make_folder, write_json, write_rows, write_text
+from bridge.evaluation.predictions import BASELINES, BOUNDS, METRICS, Band, MetricKey, Score, bands, score_predictions
+from bridge.files import make_folder, write_rows, write_text
 from bridge.pages import parts as pages
 from bridge.recordings.scenario import find_scenarios, source_id
 from hid2.agents import FloatArray, IntArray
@@ -19,11 +19,6 @@ from hid2.params import Forecasting
 from hid2.resampling import Estimate, draws, interval
 from netconvert.errors import ConfigError, ScenarioError
 
-MetricKey = Literal["min_ade_m", "min_fde_m", "missed", "brier_min_fde"]
-#: Metrics by key, with their names.
-METRICS: Mapping[MetricKey, str] = {
-    "min_ade_m": "minADE, m", "min_fde_m": "minFDE, m", "missed": "MR", "brier_min_fde": "brier-minFDE, m",
-}  # fmt: skip
 #: Futures that count in comparisons, as in the paper's tables.
 K = 6
 #: Normal quantiles of a two-sided test at 5 %, and of a power of 80 %.
@@ -159,7 +154,7 @@ def compare_predictions(
 ) -> tuple[list[Difference], list[str]]:  # fmt: skip
     """Score the files of models on the scenes, and compare every model with the first one.
 
-    Writes comparison.csv, comparison.json and comparison.html. Returns the differences, and a line for what could not
+    Writes comparison.csv and comparison.html. Returns the differences, and a line for what could not
     be scored. Errors: as of `score_predictions`; ConfigError where there is nothing to compare.
     """
     if len(models) < 2:
@@ -220,6 +215,5 @@ def _signed(value: float | None) -> str:
 def _write(differences: Sequence[Difference], report_dir: Path) -> None:
     *head, _ = Difference._fields
     write_rows(report_dir / "comparison.csv", head, (one[:-1] for one in differences))
-    write_json(report_dir / "comparison.json", [one._asdict() for one in differences])
     part = pages.macro("forecasts.html.j2", "differences", HEAD, rows_of(differences))
     write_text(report_dir / "comparison.html", pages.page("Forecasts, compared", [part]))

@@ -16,13 +16,11 @@ from bridge.batch.batch import Progress as BatchProgress
 from bridge.batch.engine import Task, execute_here
 from bridge.batch.isolation import Settings
 from bridge.batch.manifest import DONE, ManifestRow
-from bridge.evaluation.predictions import BOUNDS, Band, Score, score_predictions, write_forecasts
+from bridge.evaluation.predictions import BOUNDS, METRICS, Band, MetricKey, Score, score_predictions, write_forecasts
 from bridge.files import make_folder, write_json, write_rows, write_text
 from bridge.forecasting.comparison import (
     HEAD,
-    METRICS,
     Difference,
-    MetricKey,
     Runs,
     differences_of,
     mean_of,

@@ -19,7 +19,7 @@ from pandas.api.types import infer_dtype
 from bridge.batch.manifest import DONE
 from bridge.files import beside, table_cell, write_rows, write_text
 from bridge.pages.parts import text
-from bridge.studies.columns import DICTIONARY, OUTCOMES, dictionary_rows
+from bridge.studies.columns import DICTIONARY, OUTCOMES
 from bridge.studies.gap_acceptance import acceptance_curve, critical_gap, gaps_of
 from bridge.studies.statistics import difference_sd, dose_response, effects, seeds_needed
 from bridge.studies.study import Study
@@ -82,7 +82,8 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
         path for name in DICTIONARY if len(named[name].columns) for path in _write_table(out_dir, name, named[name])
     ]
     dictionary, page = out_dir / "columns.csv", out_dir / "study.md"
-    write_rows(dictionary, ("table", "column", "says"), dictionary_rows())
+    says = ((table, *said) for table, columns in DICTIONARY.items() for said in columns.items())
+    write_rows(dictionary, ("table", "column", "says"), says)
     write_text(page, page_text(study, named, keys, figures=[path.name for path in files]))
     return [page, *files, dictionary, *written]
 

@@ -297,16 +297,6 @@ METRICS: tuple[Metric, ...] = (
 )  # fmt: skip
 
 
-def metrics_in(section: Section) -> tuple[Metric, ...]:
-    """The metrics of a table, in order."""
-    return tuple(metric for metric in METRICS if metric.section is section)
-
-
 def columns() -> dict[str, Column]:
     """Every column that some metric is made of, by name."""
     return {column.name: column for metric in METRICS for column in (metric.numerator, metric.denominator)}
-
-
-def measure_group(group: Group) -> dict[str, float]:
-    """The value of every column for one group of a scene."""
-    return {name: column.of(group) for name, column in columns().items()}
