@@ -41,13 +41,13 @@ _RARE_MIX = {"straight": 0.2, "left_turn": 0.2, "right_turn": 0.2, "lane_change"
 class Setting(NamedTuple):
     """One row of an experiment: its name and the configuration that it runs (None: nothing is generated).
 
-    smoothed: recorded positions of Argoverse 1 are smoothed before they are measured, those of all tracks that are long
-    enough, or of whole ones alone, seen at every step; no other recordings have the row.
+    smoothed: recorded positions of Argoverse 1 are smoothed before they are measured, of tracks seen at every step; no
+    other recordings have the row.
     """
 
     name: str
     config: Config | None
-    smoothed: Literal["long", "whole"] | None = None
+    smoothed: bool = False
 
 
 class Outcome(NamedTuple):
@@ -71,7 +71,7 @@ def settings_of(name: Experiment, agents: int) -> list[Setting]:
     if name == "diversity":
         rare = Config(request=Request.model_validate({"agents": agents, **_RARE_MIX}))
         return [Setting("recorded", None), Setting("dense", base), Setting("rare", rare)]
-    return [Setting("hid2", base), Setting("smoothed", base, "long"), Setting("whole", base, "whole")]
+    return [Setting("hid2", base), Setting("smoothed", base, smoothed=True)]
 
 
 def run_settings(
@@ -119,8 +119,7 @@ def generate_and_measure(
         setting, seed = settings[item[0]], item[1]
         tracks, config, sidecar = scenario.tracks, setting.config, None
         if setting.smoothed:
-            least = scenario.num_steps if setting.smoothed == "whole" else _FILTER_SAMPLES
-            tracks = smoothed(tracks, step_s=scenario.step_s, least=least)
+            tracks = smoothed(tracks, scenario.num_steps, step_s=scenario.step_s)
         if config is not None:
             key = next(k for k, other in enumerate(settings) if other.config == config), seed
             if key not in made:
@@ -133,11 +132,11 @@ def generate_and_measure(
     return [(*item, found) for item, found in zip(items, attempts(row, items), strict=True)]
 
 
-def smoothed(tracks: Sequence[Track], *, step_s: float, least: int = _FILTER_SAMPLES) -> tuple[Track, ...]:
-    """Tracks by a Savitzky-Golay filter over their positions; those with gaps, or fewer states, are left out."""
+def smoothed(tracks: Sequence[Track], num_steps: int, *, step_s: float) -> tuple[Track, ...]:
+    """Tracks seen at every step by a Savitzky-Golay filter over their positions."""
     found = []
     for track in tracks:
-        if len(track.timesteps) >= max(least, _FILTER_SAMPLES) and (np.diff(track.timesteps) == 1).all():
+        if len(track.timesteps) == num_steps:
             position = savgol_filter(track.position, _FILTER_SAMPLES, _FILTER_DEGREE, axis=0)
             velocity = np.gradient(position, step_s, axis=0)
             found.append(replace(track, position=position, velocity=velocity))

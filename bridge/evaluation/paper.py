@@ -157,7 +157,7 @@ def lines_of(name: Experiment, outcomes: Sequence[Outcome]) -> list[Line]:
         rows = outcomes[0].rows
         first = [row for row in rows if row["format"] == "argoverse1"]
         second = [row for row in rows if row["format"] != "argoverse1"]
-        return [*_table1_lines(second), *_table1_argoverse1_lines(first, outcomes[1].rows, outcomes[2].rows)]
+        return [*_table1_lines(second), *_table1_argoverse1_lines(first, outcomes[1].rows)]
     lines: list[Line] = []
     for outcome in outcomes:
         asked, rows = outcome.setting.name, outcome.rows
@@ -197,19 +197,17 @@ def _table1_lines(rows: Sequence[Row]) -> list[Line]:
     ]
 
 
-def _table1_argoverse1_lines(rows: Sequence[Row], filtered: Sequence[Row], whole: Sequence[Row]) -> list[Line]:
-    """The lower half: sequences of Argoverse 1, with positions as they are, smoothed, and of whole tracks smoothed."""
+def _table1_argoverse1_lines(rows: Sequence[Row], filtered: Sequence[Row]) -> list[Line]:
+    """The lower half: sequences of Argoverse 1, with positions as they are, and of whole tracks smoothed."""
     if not rows:
         return []
     return [
         _papers("paper: Argoverse 1", PAPER_ARGOVERSE1),
         _ours("ours: Argoverse 1, recorded, positions as they are", rows, "original"),
-        _ours("ours: Argoverse 1, recorded, positions smoothed", filtered, "original"),
-        _ours("ours: Argoverse 1, recorded, smoothed, tracks seen at every step", whole, "original"),
+        _ours("ours: Argoverse 1, recorded, smoothed, tracks seen at every step", filtered, "original"),
         _papers("paper: HiD2 on Argoverse 1", PAPER_HID2_ARGOVERSE1),
         _ours("ours: Argoverse 1, recorded and generated, positions as they are", rows, "combined"),
-        _ours("ours: Argoverse 1, recorded and generated, recorded positions smoothed", filtered, "combined"),
-        _ours("ours: Argoverse 1, recorded and generated, smoothed, tracks seen at every step", whole, "combined"),
+        _ours("ours: Argoverse 1, recorded and generated, smoothed, tracks seen at every step", filtered, "combined"),
         _ours("ours: Argoverse 1, generated vehicles alone", rows, "generated"),
     ]
 
