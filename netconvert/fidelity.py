@@ -67,16 +67,9 @@ def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
             points = [[float(x) for x in point.split(",")] for point in element.get("shape", "").split()]
             drawn.setdefault(lane_id, []).append(points)
         rows.update(pairwise(members))
-    links = [
-        tuple(f"{link.get(end)}_{link.get(f'{end}Lane')}" for end in ("from", "to"))
-        for link in root.iterfind("connection")
-    ]
-    within = [(source, target) for source, target in links if lane_of.get(source) == lane_of.get(target)]
-    left, reached = {source for source, _ in within}, {target for _, target in within}
     joined = {
-        (lane_of.get(source), lane_of.get(target))
-        for source, target in links
-        if source not in left and target not in reached
+        tuple(lane_of.get(f"{link.get(end)}_{link.get(f'{end}Lane')}") for end in ("from", "to"))
+        for link in root.iterfind("connection")
     }
     pairs = [
         (shapely.MultiLineString(lines), shapely.LineString(graph.lanes[lane_id].centerline))

@@ -188,12 +188,11 @@ def quantity_rows(groups: Mapping[str, Sequence[Quantity]]) -> list[dict[str, An
     """A row for each parameter of each group."""
     return [
         {
-            "group": group, "parameter": quantity.name, "value": quantity.value, "low": quantity.low,
-            "high": quantity.high, "drivers": quantity.drivers,
-            "source": "measured" if quantity.measured else "prior", "ks": quantity.ks, "what": quantity.what,
+            "group": group, "parameter": one.name, "value": one.value, "low": one.low, "high": one.high,
+            "drivers": one.drivers, "source": "measured" if one.measured else "prior", "ks": one.ks, "what": one.what,
         }
         for group, found in groups.items()
-        for quantity in found
+        for one in found
     ]  # fmt: skip
 
 
@@ -216,7 +215,6 @@ def _distribution(quantity: Quantity) -> Figure:
     if quantity.law is not None:
         share = np.linspace(0.01, 0.99, 99)
         ax.plot(quantity.law(share), share, color=figures.GENERATED, linestyle="--", label="fitted")
-    ax.set_xlabel(quantity.what)
-    ax.set_ylabel("share of drivers below")
+    ax.set(xlabel=quantity.what, ylabel="share of drivers below")
     ax.legend(fontsize=8)
     return figure

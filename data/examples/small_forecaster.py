@@ -114,9 +114,7 @@ def train(
             of, states, done = torch.load(checkpoint, map_location=_device(), weights_only=True)
             differs = [name for name, value in identity.items() if of[name] != value]
         except Exception as error:  # torch raises whatever its unpickler meets
-            raise ConfigError(
-                f"{checkpoint}: no checkpoint of hid2 ({error!r:.100}); remove it"
-            ) from error
+            raise ConfigError(f"{checkpoint}: no checkpoint of hid2 ({error!r:.100}); remove it") from error
         if differs:
             raise ConfigError(f"{checkpoint}: of another training ({', '.join(differs)} differ); choose another folder")
         for part, state in zip(parts, states, strict=True):

@@ -95,13 +95,10 @@ def _acceleration(arrays: SceneArrays) -> FloatArray:
         way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
         index = np.arange(len(steps))
         before, after = np.maximum(index - half, 0), np.minimum(index + half, len(steps) - 1)
-        first_s = (steps[index] - steps[before]) * arrays.step_s
-        last_s = (steps[after] - steps[index]) * arrays.step_s
-        inside = (first_s > 0) & (last_s > 0)
+        first_s, last_s = (steps - steps[before]) * arrays.step_s, (steps[after] - steps) * arrays.step_s
         with np.errstate(divide="ignore", invalid="ignore"):
-            gained = (way[after] - way[index]) / last_s - (way[index] - way[before]) / first_s
-            found = 2.0 * gained / (first_s + last_s)
-        out[rows] = np.where(inside, found, 0.0)
+            found = 2.0 * ((way[after] - way) / last_s - (way - way[before]) / first_s) / (first_s + last_s)
+        out[rows] = np.where((first_s > 0) & (last_s > 0), found, 0.0)
     return out
 
 

@@ -289,35 +289,21 @@ def _overtake(view: LaneView, agent: int, change: _Change, back: _Change | None)
         ahead = shared[(lead > half) & on_path & (shared > row)]
         if not len(behind) or not len(ahead):
             continue
-        time_ahead = step_own[ahead[0]] * arrays.step_s
+        time_ahead = float(step_own[ahead[0]] * arrays.step_s)
         returned = back is not None and back.maneuver.crossing_s >= time_ahead - 1e-9
         if back is not None and not returned and time_ahead > until:
             continue  # back in the lane before it was ahead: not passed in the adjacent lane
         speed = np.hypot(*arrays.velocity[rows[shared]].T)
-        within = (shared >= behind[-1]) & (shared <= ahead[0])
-        parked = bool((speed[within] < PARKED_MPS).all())
-        level = shared[np.flatnonzero(lead >= 0)[0]]
-        moving_kind = ManeuverKind.OVERTAKE if returned else ManeuverKind.PASS
-        kind = ManeuverKind.OBSTACLE_AVOIDANCE if parked else moving_kind
-        level_s = float(step_own[level] * arrays.step_s)
-        end_s = back.maneuver.end_s if returned and back is not None else float(time_ahead)
-        maneuver = Maneuver(
-            track_id=arrays.track_ids[agent],
-            kind=kind,
-            start_s=change.maneuver.start_s,
-            crossing_s=level_s,
-            end_s=max(end_s, change.maneuver.end_s),
-            source_lane=change.maneuver.source_lane,
-            target_lane=change.maneuver.target_lane,
-            side=change.maneuver.side,
-            complete=True,
-            other_track_id=arrays.track_ids[other],
-        )
+        parked = bool((speed[(shared >= behind[-1]) & (shared <= ahead[0])] < PARKED_MPS).all())
+        level_s = float(step_own[shared[np.flatnonzero(lead >= 0)[0]]] * arrays.step_s)
+        end_s = back.maneuver.end_s if returned and back is not None else time_ahead
+        kind = ManeuverKind.OVERTAKE if returned else ManeuverKind.PASS
+        maneuver = replace(
+            change.maneuver, kind=ManeuverKind.OBSTACLE_AVOIDANCE if parked else kind, crossing_s=level_s,
+            end_s=max(end_s, change.maneuver.end_s), complete=True, other_track_id=arrays.track_ids[other],
+        )  # fmt: skip
         found.append((not parked, level_s, maneuver, returned))
-    if not found:
-        return None
-    _, _, maneuver, returned = max(found, key=lambda item: item[:2])
-    return maneuver, returned
+    return max(found, key=lambda item: item[:2])[2:] if found else None
 
 
 def _ahead_on_path(view: LaneView, agent: int, change: _Change, s_own: float) -> Iterator[int]:

@@ -45,7 +45,7 @@ def test_the_report_is_measured_on_the_net_not_on_the_grid(road: LaneGraph) -> N
     """Move one vertex by 0.3 m and cut the connection to lane 4: both are found."""
     grid = build_cell_grid(road)
     net = net_bytes(grid).replace(b"6.000,0.500", b"6.000,0.800")
-    net = net.replace(b'to="4#0" fromLane="1"', b'to="4#1" fromLane="1"')
+    net = net.replace(b'to="4#0" fromLane="1"', b'to="5#0" fromLane="1"')
     report = measure_fidelity(grid, net)
     assert report.largest_distance_m == pytest.approx(0.3, abs=0.01)
     assert ("successor", 2, 4, UNEXPLAINED) in report.lost
