@@ -15,10 +15,9 @@ from bridge.recordings.recording import AV_ID, Recording
 from bridge.recordings.sidecar import REACTIVE, EventRecord, ManeuverRecord, Sidecar
 from bridge.recordings.sources import read_recording
 from hid2.agents import FloatArray, Policy, Track
-from hid2.evaluation.behaviour import policies
 from hid2.evaluation.critics import pack
 from hid2.evaluation.kinematics import beyond_limits, kinematics, motion
-from hid2.evaluation.metrics import CRITICAL, METRICS, Group, columns, driven
+from hid2.evaluation.metrics import CRITICAL, METRICS, Group, columns, driven, policies
 from hid2.evaluation.realism import RealismCounts, count_scene, half_number, scene_values
 from hid2.evaluation.safety import IOU_THRESHOLD, Overlap, Safety, safety
 from hid2.evaluation.windows import windows

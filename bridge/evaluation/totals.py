@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from bridge.evaluation.critique import critique
 from bridge.evaluation.scene_metrics import PAIR_COLUMNS, PAIR_GROUPS, PAIR_KINDS, SceneMeasures
 from bridge.recordings.folders import Address
 from hid2.agents import FloatArray, Policy
-from hid2.evaluation.critics import WIDTH, Packed
+from hid2.evaluation.critics import WIDTH, Packed, critique
 from hid2.evaluation.metrics import GROUPS, METRICS, Metric, Section, columns
 from hid2.evaluation.realism import FEATURES, GENERATED, RECORDED, TAIL_SHARES, TAILS, RealismCounts, quantiles
 from hid2.judge.findings import Quantity

@@ -10,8 +10,10 @@ Controls say what a figure means. Negative: recorded against recorded, 0.5 withi
 windows at constant speed on the lane's middle, which a critic that is worth its name tells at 0.9 or more.
 """
 
+import logging
 from collections.abc import Sequence
 from enum import StrEnum
+from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -246,3 +248,49 @@ JUDGED: Sequence[tuple[Critic, View]] = (
     (Critic.LOGISTIC, View.ALL), (Critic.TREES, View.SPEED), (Critic.TREES, View.LATERAL), (Critic.TREES, View.ALL),
     (Critic.TEMPORAL, View.ALL),
 )  # fmt: skip
+#: Splits of the recorded tracks over which the negative control is averaged.
+_SPLITS = 3
+#: Features named in the report.
+_NAMED = 6
+#: Said in the report and on stderr.
+MISSING = (
+    "the critics are not computed: scikit-learn, the extra `critics`, is not installed; install it "
+    "(`pip install scikit-learn`, in a clone `sh setup.sh`) and evaluate again"
+)
+
+
+def critique(found: Packed, control: Packed | None = None) -> dict[str, Any]:
+    """Verdicts of the critics by kind of recording, negative and positive controls, and what betrays most.
+
+    control: recorded windows with those of other drivers, which the critics must tell, such as SUMO's default ones.
+    Without the extra `critics` there are none, which is logged, and `missing` says so.
+    """
+    missing = MISSING if find_spec("sklearn") is None else None
+    if missing is not None:
+        logging.getLogger(__name__).warning("%s", missing)
+        found, control = found.of(found.scene < 0), None
+    kinds = {"all": found, "tracker": found.of(found.labelled == 0.0), "labelled": found.of(found.labelled == 1.0)}
+    verdicts = [{"recordings": kind, **verdict} for kind, some in kinds.items() for verdict in _all_of(some)]
+    return {
+        "missing": missing,
+        "verdicts": verdicts,
+        "negative_control": [entry for critic, view in JUDGED if (entry := _halves(found, critic, view)) is not None],
+        "constant_speed_control": _all_of(constant_on_the_middle(found)),
+        "drivers_control": _all_of(control) if control is not None else [],
+        "betrays": [{"feature": name, "auc": auc} for name, auc in betrayals(found)[:_NAMED]],
+    }
+
+
+def _all_of(found: Packed) -> list[dict[str, Any]]:
+    return [verdict._asdict() for critic, view in JUDGED if (verdict := judge(found, critic, view)) is not None]
+
+
+def _halves(found: Packed, critic: Critic, view: View) -> dict[str, Any] | None:
+    """Recorded against recorded: mean over splits of the AUC and of the ends of its interval."""
+    verdicts = [judge(halves_apart(found, split), critic, view) for split in range(_SPLITS)]
+    known = [(one.auc, one.low, one.high) for one in verdicts if one is not None]
+    if not known:
+        return None
+    means = [[value for value in column if value is not None] for column in zip(*known, strict=True)]
+    auc, low, high = (float(np.mean(values)) if values else None for values in means)
+    return {"critic": critic, "view": view, "auc": auc, "low": low, "high": high}

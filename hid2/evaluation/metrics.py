@@ -4,7 +4,7 @@ A metric is a ratio of two sums over one of the three groups of a scene (evaluat
 numerators and denominators. To add one, add it to METRICS: tables, report and metrics.json follow.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hid2.agents import FloatArray
+from hid2.agents import FloatArray, Policy
 from hid2.evaluation.kinematics import Kinematics
 from hid2.evaluation.safety import Safety, colliding
 from hid2.measures.arrays import BoolArray, SceneArrays
@@ -27,8 +27,10 @@ from hid2.measures.encounters import (
     Encounters,
     Partner,
 )
+from hid2.measures.manoeuvres import Maneuver
 from hid2.measures.motion_limits import MOTION_LIMITS
 from hid2.params import Conflict, Limits
+from hid2.policy.behaviours import BEHAVIOURS, behaviour_seen
 
 #: The three groups that are never mixed: evaluation.md.
 GROUPS = ("original", "generated", "combined")
@@ -300,3 +302,14 @@ METRICS: tuple[Metric, ...] = (
 def columns() -> dict[str, Column]:
     """Every column that some metric is made of, by name."""
     return {column.name: column for metric in METRICS for column in (metric.numerator, metric.denominator)}
+
+
+def policies(arrays: SceneArrays, maneuvers: Sequence[Maneuver]) -> dict[str, Policy]:
+    """One policy of the paper per moving vehicle, by track id: the rarest of what it did, else straight."""
+    order = list(BEHAVIOURS)
+    moving = np.flatnonzero(arrays.vehicle & arrays.moving)
+    out = {arrays.track_ids[agent]: Policy.STRAIGHT for agent in moving}
+    for maneuver in maneuvers:
+        seen = behaviour_seen(maneuver.kind).policy
+        out[maneuver.track_id] = max(out[maneuver.track_id], seen, key=order.index)
+    return out
