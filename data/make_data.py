@@ -177,13 +177,14 @@ def curve() -> Scene:
         scene.side_by_side(f"l{i}", f"r{i}")
         scene.oncoming(f"l{i}", f"o{i}")
     for name in ("r2", "r4"):
-        scene.lanes[name].right_mark = none
+        scene.lanes[name]["right_lane_mark_type"] = none
     for i in (2, 3, 4):
         ends = stations(base, branch, cuts[i : i + 2])
         scene.add_lane(f"f{i}", branch, (ends[0], ends[1]), marks=(none if i != 3 else solid, solid))
     scene.link("r1", "f2", "f3", "f4", "r5")
     for i in (2, 4):  # where the branch starts and ends, it does so at the right lane's own points
-        scene.lanes[f"f{i}"].centerline[0 if i == 2 else -1] = scene.lanes[f"r{i}"].centerline[0 if i == 2 else -1]
+        end = 0 if i == 2 else -1
+        scene.lanes[f"f{i}"]["centerline"][end] = scene.lanes[f"r{i}"]["centerline"][end]
     scene.areas.append(strip(base, (0.0, 300.0), left_m=8.2, right_m=-4.4))
     ends = stations(base, branch, [66.0, 236.0])
     scene.areas.append(strip(branch, (ends[0], ends[1]), left_m=2.4, right_m=-4.9))
