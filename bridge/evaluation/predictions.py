@@ -148,7 +148,9 @@ def score_predictions(
         raise ScenarioError(f"{out}: nothing to score, first of {len(left_out)} reasons: {left_out[0]}")
     scored = PredictionScores(tuple(scores), tuple(_means(scores, bounds)), tuple(left_out))
     if report_dir is not None:
-        _write(scored, report_dir)
+        parts = [pages.macro("forecasts.html.j2", "scored", TABLE_HEAD, scored.rows(), left_out)]
+        write_rows(report_dir / "predictions.csv", Score._fields, scores)
+        write_text(report_dir / "predictions.html", pages.page("Forecasts, scored", parts))
     return scored
 
 
@@ -175,9 +177,7 @@ def read_forecasts(path: Path) -> Forecasts:
             where = f"{path}: scenario {scenario_id}, mode {int(np.argmax(outside))}"
             raise ScenarioError(f"{where}: probability {probabilities[outside][0]}, expected 0 to 1")
         for track_id, modes in by_track.items():
-            broken = np.argwhere(~np.isfinite(modes))
-            if len(broken):
-                mode, step, axis = (int(index) for index in broken[0])
+            for mode, step, axis in np.argwhere(~np.isfinite(modes)).tolist():
                 where = f"{path}: scenario {scenario_id}, track {track_id}, mode {mode}, step {step}"
                 raise ScenarioError(
                     f"{where}: {'xy'[axis]} is {modes[mode, step, axis]}, expected a finite number; "
@@ -249,19 +249,10 @@ def _score_scene(scene: Rows, forecast: Forecast) -> tuple[list[Score], list[str
             chosen = np.asarray(modes)[order[:k]]
             fde = compute_fde(chosen, future)
             best = int(np.argmin(fde))
-            scores.append(
-                Score(
-                    scenario_id=scene.scenario_id,
-                    track_id=str(track_id),
-                    agents=len(scene.tracks),
-                    agents_observed=observed,
-                    k=k,
-                    min_ade_m=float(compute_ade(chosen, future)[best]),
-                    min_fde_m=float(fde[best]),
-                    missed=bool(np.all(compute_is_missed_prediction(chosen, future, MISS_M))),
-                    brier_min_fde=float(compute_brier_fde(chosen, future, probabilities[order[:k]])[best]),
-                )
-            )
+            missed = bool(np.all(compute_is_missed_prediction(chosen, future, MISS_M)))
+            brier = float(compute_brier_fde(chosen, future, probabilities[order[:k]])[best])
+            ade, of = float(compute_ade(chosen, future)[best]), (scene.scenario_id, str(track_id))
+            scores.append(Score(*of, len(scene.tracks), observed, k, ade, float(fde[best]), missed, brier))
     return scores, reasons
 
 
@@ -279,9 +270,3 @@ def _means(scores: Sequence[Score], bounds: Sequence[int]) -> Iterable[dict[str,
             own = [score for score in inside if score.k == k]
             means = {key: float(np.mean([getattr(one, key) for one in own])) if own else None for key in METRICS}
             yield {"band": name, "k": k, "tracks": len(own)} | means
-
-
-def _write(result: PredictionScores, report_dir: Path) -> None:
-    parts = [pages.macro("forecasts.html.j2", "scored", TABLE_HEAD, result.rows(), result.left_out)]
-    write_rows(report_dir / "predictions.csv", Score._fields, result.scores)
-    write_text(report_dir / "predictions.html", pages.page("Forecasts, scored", parts))

@@ -77,11 +77,9 @@ class _Scene(NamedTuple):
         return own if not self.copy else str(uuid.uuid5(_NAMESPACE, f"{own}\n{self.copy}"))
 
     def origin(self, split: str) -> Origin:
-        fact = self.facts
-        return Origin(
-            split, self.scenario_id, "copy" if self.copy else fact.kind, self.source, fact.scenario_id, fact.source_id,
-            fact.city, fact.tracks, fact.observed, str(fact.folder),
-        )  # fmt: skip
+        fact, kind = self.facts, "copy" if self.copy else self.facts.kind
+        own = fact.scenario_id, fact.source_id, fact.city, fact.tracks, fact.observed, str(fact.folder)
+        return Origin(split, self.scenario_id, kind, self.source, *own)
 
 
 def compose(
@@ -141,16 +139,14 @@ class _Pool:
     def __init__(self, composition: Composition, *, jobs: int, tell: Callable[[int, int], None]) -> None:
         self._params = Forecasting()
         self._seed, self._sources = composition.seed, composition.sources
-        self.left_out: list[str] = []
-        names, folders = [], []
-        for name, places in composition.sources.items():
-            found = [folder for place in places for folder in find_scenarios(Path(place))]
-            names += [name] * len(found)
-            folders += found
-        facts, unread = facts_of_scenes(folders, jobs=jobs, on_scene=tell)
-        self.left_out += unread
-        source_of = dict(zip(folders, names, strict=True))
-        usable = []
+        found = [
+            (folder, name)
+            for name, places in composition.sources.items()
+            for place in places
+            for folder in find_scenarios(Path(place))
+        ]
+        facts, self.left_out = facts_of_scenes([folder for folder, _ in found], jobs=jobs, on_scene=tell)
+        source_of, usable = dict(found), []
         seen: dict[tuple[str, str], SourceScene] = {}
         for fact in facts:
             name = source_of[fact.folder]
@@ -167,9 +163,8 @@ class _Pool:
                 usable.append(fact)
         if not usable:
             raise NoSceneError(f"{', '.join(composition.sources)}: no scene that can be used")
-        splits = self._split(usable, composition)
         self._scenes: dict[tuple[str, str], list[SourceScene]] = defaultdict(list)
-        for split, rows in splits.items():
+        for split, rows in self._split(usable, composition).items():
             for row in rows:
                 self._scenes[split, source_of[usable[row].folder]].append(usable[row])
 

@@ -10,7 +10,6 @@ from recordings import make_argoverse1, make_log
 
 from bridge.evaluation.paper import PAPER_ABLATION, PAPER_ARGOVERSE1, run_experiment
 from bridge.evaluation.report import PAPER_HID2, PAPER_ORIGINAL
-from netconvert.errors import ConfigError
 
 
 def lines(path):
@@ -110,10 +109,3 @@ def test_tracked_scenes_and_labelled_ones_have_rows_of_their_own(data_scenes, tm
     assert len(parts) == 2
     low, high = sorted(part["je"]["value"] for part in parts)
     assert low <= whole["je"]["value"] <= high
-
-
-def test_unknown_experiment_is_explained(data_scenes, tmp_path):
-    with pytest.raises(ConfigError, match="expected one of table1"):
-        run_experiment("table9", scenes=data_scenes["curve"], out_dir=tmp_path)
-    with pytest.raises(ConfigError, match="seeds 0"):
-        run_experiment("table1", scenes=data_scenes["curve"], out_dir=tmp_path, seeds=0)
