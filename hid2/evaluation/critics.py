@@ -149,11 +149,9 @@ def halves_apart(found: Packed, split: int) -> Packed:
 def matched_weights(stratum: IntArray, generated: BoolArray) -> FloatArray:
     """(M,) weights by which both kinds weigh the same in each stratum, and it what the smaller kind counts; else 0."""
     _, place = np.unique(stratum, return_inverse=True)
-    ours = np.bincount(place, weights=generated, minlength=place.max(initial=-1) + 1)
-    theirs = np.bincount(place, weights=~generated, minlength=place.max(initial=-1) + 1)
+    ours, theirs = (np.bincount(place, weights=kind) for kind in (generated, ~generated))
     both = np.where(np.minimum(ours, theirs) >= _LEAST, np.minimum(ours, theirs), 0.0)
-    share = np.where(generated, both[place] / np.maximum(ours, 1)[place], both[place] / np.maximum(theirs, 1)[place])
-    return np.asarray(share, dtype=np.float64)
+    return np.asarray(both[place] / np.where(generated, ours[place], theirs[place]), dtype=np.float64)
 
 
 def weighted_auc(scores: FloatArray, labels: BoolArray, weights: FloatArray) -> float | None:
@@ -180,12 +178,11 @@ def judge(found: Packed, critic: Critic, view: View) -> Verdict | None:
         test = fold == k
         scores[test] = _scores(critic, x[~test], found.generated[~test], weights[~test], x[test])
     parts = [
-        (weights[own].sum(), weighted_auc(scores[own], found.generated[own], weights[own]))
-        for scene in scenes
-        for own in [found.scene == scene]
+        (weights[own].sum(), auc)
+        for own in found.scene == scenes[:, None]
+        if (auc := weighted_auc(scores[own], found.generated[own], weights[own])) is not None
     ]
-    size = np.array([weight for weight, auc in parts if auc is not None])
-    aucs = np.array([auc for _, auc in parts if auc is not None])
+    size, aucs = np.array(parts).reshape(-1, 2).T
     value, low, high = ratio(size * aucs, size)
     auc = 0.5 if value is None else value  # a scene at least has windows of both kinds
     return Verdict(critic, view, auc, low, high, int(found.generated.sum()), int((~found.generated).sum()), len(aucs))
