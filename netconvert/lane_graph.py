@@ -78,9 +78,6 @@ class LaneSegment:
     """Length of the centreline."""
 
     def __post_init__(self) -> None:
-        shape = self.centerline.shape
-        if self.centerline.ndim != 2 or shape[1] != 2 or shape[0] < 2:
-            raise MapError(f"lane {self.lane_id}: centerline of shape {shape}, expected (N, 2) with N >= 2")
         if self.lane_type not in LANE_TYPES:
             raise MapError(f"lane {self.lane_id}: lane_type {self.lane_type!r}, expected one of {sorted(LANE_TYPES)}")
         try:

@@ -82,8 +82,7 @@ def evaluate_folder(
             (first, reason), many = evaluation.failures[0], len(folders)
             raise ScenarioError(f"{out}: none of {many} scenes can be read, expected one at least; {first}: {reason}")
     evaluation.metrics = totals.content() | {"nets": _nets(totals.nets, {str(one): one for one in folders})}
-    failed = [{"folder": str(folder), "reason": reason} for folder, reason in evaluation.failures]
-    evaluation.metrics["scenes"]["failed"] = failed
+    evaluation.metrics["scenes"]["failed"] = [{"folder": str(at), "reason": why} for at, why in evaluation.failures]
     write_json(report_dir / "metrics.json", evaluation.metrics)
     write_table(report_dir / "realism.csv", evaluation.metrics["realism"]["distances"])
     write_report(evaluation, report_dir / "report.html")

@@ -281,17 +281,12 @@ def _put(scene: _Scene, place: Path) -> None:
             continue
         name = entry.name.replace(own, new) if scene.copy else entry.name
         if scene.copy and entry.name == f"scenario_{own}.parquet":
-            (target / name).write_bytes(_renamed(Path(entry.path), new))
+            table = pq.read_table(entry.path)
+            index = table.schema.get_field_index("scenario_id")
+            ids = pa.repeat(pa.scalar(new).cast(table.schema.field(index).type), table.num_rows)
+            (target / name).write_bytes(parquet_bytes(table.set_column(index, table.schema.field(index), ids)))
         else:
             _link(Path(entry.path), target / name)
-
-
-def _renamed(path: Path, scenario_id: str) -> bytes:
-    table = pq.read_table(path)
-    index = table.schema.get_field_index("scenario_id")
-    field = table.schema.field(index)
-    column = pa.repeat(pa.scalar(scenario_id).cast(field.type), table.num_rows)
-    return parquet_bytes(table.set_column(index, field, column))
 
 
 def _link(path: Path, target: Path) -> None:

@@ -124,18 +124,18 @@ class RealismCounts:
 
     def distances(self) -> list[Distance]:
         """Distance and floor for each feature."""
-        return [self._distance(feature) for feature in FEATURES]
-
-    def _distance(self, feature: Feature) -> Distance:
-        generated, recorded, *halves = self.of(feature)
-        found = []
-        for measure in (jensen_shannon, wasserstein):
-            known = [one for half in halves if (one := measure(feature, half, recorded - half)) is not None]
-            found += [measure(feature, generated, recorded), float(np.median(known)) if known else None]
-        apart, floor, way, way_floor = found
-        over = apart / floor if apart is not None and floor else None
-        samples = int(generated.sum()), int(recorded.sum())
-        return Distance(feature.name, feature.unit, apart, floor, over, way, way_floor, *samples)
+        every = []
+        for feature in FEATURES:
+            generated, recorded, *halves = self.of(feature)
+            found = []
+            for measure in (jensen_shannon, wasserstein):
+                known = [one for half in halves if (one := measure(feature, half, recorded - half)) is not None]
+                found += [measure(feature, generated, recorded), float(np.median(known)) if known else None]
+            apart, floor, way, way_floor = found
+            over = apart / floor if apart is not None and floor else None
+            samples = int(generated.sum()), int(recorded.sum())
+            every.append(Distance(feature.name, feature.unit, apart, floor, over, way, way_floor, *samples))
+        return every
 
 
 def half_number(scene: str, track_id: str) -> int:

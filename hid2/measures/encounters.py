@@ -133,10 +133,8 @@ def _crosses(arrays: SceneArrays, masks: dict[Partner, BoolArray]) -> dict[Partn
     agents = np.flatnonzero(arrays.moving & met)
     crossings = encroachments(arrays, cap_s=WITHIN_S, agents=agents, crossing_rad=CROSSING_RAD)
     out = {kind: np.zeros(arrays.num_agents, dtype=bool) for kind in Partner}
-    for first, second, pet_s, _ in crossings:
-        if pet_s > WITHIN_S - 1e-9:
-            continue
-        for one, other in ((first, second), (second, first)):
+    for *pair, pet_s, _ in crossings:
+        for one, other in permutations(pair) if pet_s <= WITHIN_S - 1e-9 else ():
             for kind in Partner:
                 out[kind][one] |= bool(masks[kind][other] and arrays.vehicle[one])
     return out
