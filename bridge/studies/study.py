@@ -256,11 +256,10 @@ def _latin_hypercube(content: _File, path: Path) -> list[dict[str, Value]]:
 def configured(base: Mapping[str, Any], changes: Mapping[str, Value], *, source: str) -> Config:
     """The base configuration with dotted keys changed. Errors: ConfigError."""
     values = {key: dict(value) if isinstance(value, Mapping) else value for key, value in base.items()}
-    expanded = dict(changes)
+    expanded = {key: value for key, value in changes.items() if not key.startswith(_RULE)}
     if TRIGGER in expanded:
         expanded["request.trigger_min_s"] = expanded["request.trigger_max_s"] = expanded.pop(TRIGGER)
-    arguments = ", ".join(f"{key[5:]}={value}" for key, value in expanded.items() if key.startswith(_RULE))
-    expanded = {key: value for key, value in expanded.items() if not key.startswith(_RULE)}
+    arguments = ", ".join(f"{key[5:]}={value}" for key, value in changes.items() if key.startswith(_RULE))
     if arguments:
         given = values.get("lane_change", {}).get("rule_with")
         expanded["lane_change.rule_with"] = f"{given}, {arguments}" if given else arguments
