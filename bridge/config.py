@@ -322,12 +322,14 @@ _Model = TypeVar("_Model", bound=BaseModel)
 
 
 def read_toml_as(kind: type[_Model], path: Path, what: str) -> _Model:
-    """A TOML file as a model. Errors: ConfigError with file and, of the first thing that is wrong, key and value.
+    """A TOML file as a model, whose validators find the file's folder in their context. Errors: as of `model_of`."""
+    return model_of(kind, read_toml(path, what), str(path), folder=path.parent)
 
-    Validators of the model find the file's folder in their context.
-    """
+
+def model_of(kind: type[_Model], values: Mapping[str, Any], source: str, *, folder: Path | None = None) -> _Model:
+    """Values as a model. Errors: ConfigError with the source and, of the first thing that is wrong, key and value."""
     try:
-        return kind.model_validate(read_toml(path, what), context=path.parent)
+        return kind.model_validate(values, context=folder)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         types = ("constrained-", "int", "float", "str", "bool", "list[")  # of which type of several
@@ -336,10 +338,23 @@ def read_toml_as(kind: type[_Model], path: Path, what: str) -> _Model:
         said = said.replace("greater than or equal to", "at least")
         if first["type"] in ("missing", "extra_forbidden"):
             there = "no key" if first["type"] == "missing" else "unknown key"
-            said = f"{there} {key}; expected {', '.join(kind.model_fields)}"
+            said = f"{there} {key}; expected {', '.join(_model_at(kind, first['loc'][:-1]).model_fields)}"
+        elif first["type"] == "value_error" and isinstance(first["input"], Mapping):
+            said = f"{key[1:-1]}: {said}" if first["loc"] else said
         elif first["loc"]:
             said = f"{key[1:-1]} = {first['input']!r:.60}, expected {said}"
-        raise ConfigError(f"{path}: {said}") from error
+        raise ConfigError(f"{source}: {said}") from error
+
+
+def _model_at(kind: type[BaseModel], location: Sequence[int | str]) -> type[BaseModel]:
+    """The model of the table at a place of the values."""
+    for name in location:
+        if field := kind.model_fields.get(str(name)):
+            inner = [
+                atom for atom in _atoms(field.annotation) if isinstance(atom, type) and issubclass(atom, BaseModel)
+            ]
+            kind = inner[0] if inner else kind
+    return kind
 
 
 def _parse_toml(text: str) -> dict[str, Any]:

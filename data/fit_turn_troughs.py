@@ -46,47 +46,28 @@ _PLACES = np.round(np.arange(0.1, 0.6001, 0.01), 2)  # early to mid-turn
 
 
 class Pass(NamedTuple):
-    """A vehicle on a turning lane. profile: (21,) v / v_0 at ALPHA, v_0 = entry_mps; None where left_out says why."""
+    """A vehicle on a turning lane. profile: (21,) v / v_0 at ALPHA, v_0 at the entrance; None: left_out says why."""
 
     side: str
-    profile: FloatArray | None = None
-    entry_mps: float = math.nan
+    profile: FloatArray | None
     left_out: str = ""
 
 
-class Fit(NamedTuple):
-    """A trough and its place, and the root of the mean squared difference to the profiles' median."""
-
-    trough: float
-    trough_at: float
-    rms: float
-
-
-def median_profile(profiles: Sequence[FloatArray]) -> FloatArray:
-    """(21,) the median of v / v_0 over turns."""
-    return np.asarray(np.median(np.stack(profiles), axis=0))
-
-
-def fit(medians: Mapping[str, FloatArray]) -> dict[str, Fit]:
-    """Troughs of the sides' median profiles, with one place for all: f has one (Turn.trough_at).
+def fit(profiles: Mapping[str, FloatArray]) -> dict[str, tuple[float, float, float]]:
+    """Trough, its place and the rms difference for the median profile (21,) of each side; one place for all.
 
     At a place, 1 - f = (1 - trough) g(alpha): the trough follows in closed form. Of the places early to mid-turn the
     one with the least sum of squares over the sides is taken.
     """
-    return min((_fit_at(place, medians) for place in _PLACES.tolist()), key=lambda found: found[0])[1]
-
-
-def _fit_at(place: float, medians: Mapping[str, FloatArray]) -> tuple[float, dict[str, Fit]]:
-    """The sum of squares over the sides with the trough at a place, and the troughs."""
-    depth = 1.0 - turn_shape(ALPHA, 0.0, place)
-    sides, total = {}, 0.0
-    for side, profile in medians.items():
-        slowing = 1.0 - profile
-        share = float(np.clip(slowing @ depth / (depth @ depth), 0.0, 0.99))
-        error = float(np.sum(np.square(slowing - share * depth)))
-        sides[side] = Fit(1.0 - share, place, math.sqrt(error / ALPHA.size))
-        total += error
-    return total, sides
+    tried = []
+    for place in _PLACES.tolist():
+        depth, found, total = 1.0 - turn_shape(ALPHA, 0.0, place), {}, 0.0
+        for side, profile in profiles.items():
+            share = float(np.clip((1.0 - profile) @ depth / (depth @ depth), 0.0, 0.99))
+            error = float(np.sum(np.square(1.0 - profile - share * depth)))
+            found[side], total = (1.0 - share, place, math.sqrt(error / ALPHA.size)), total + error
+        tried.append((total, found))
+    return min(tried, key=lambda one: one[0])[1]
 
 
 def turns_of(scenario: Scenario) -> Iterator[Pass]:
@@ -101,13 +82,13 @@ def turns_of(scenario: Scenario) -> Iterator[Pass]:
             if sign:
                 alpha = matches.s[run.first : run.last + 1] / lanes.length_m[run.lane]
                 profile = _profile(arrays, agent, run.first, run.last, alpha, sign=sign)
-                yield Pass(SIDES[sign], left_out=profile) if isinstance(profile, str) else Pass(SIDES[sign], *profile)
+                yield Pass(SIDES[sign], None, profile) if isinstance(profile, str) else Pass(SIDES[sign], profile)
 
 
 def _profile(
     arrays: SceneArrays, agent: int, first: int, last: int, alpha: FloatArray, *, sign: int
-) -> tuple[FloatArray, float] | str:
-    """Speed ratios v / v_0 at ALPHA and v_0, m/s, of rows first to last on a turning lane; or why it is no turn."""
+) -> FloatArray | str:
+    """Speed ratios v / v_0 at ALPHA of rows first to last on a turning lane; or why it is no turn."""
     rows = slice(int(arrays.first[agent]), int(arrays.first[agent + 1]))
     if arrays.step[rows.stop - 1] - arrays.step[rows.start] + 1 != rows.stop - rows.start:
         return "gaps in the track"
@@ -126,7 +107,7 @@ def _profile(
     order = np.maximum.accumulate(alpha)
     rising = np.concatenate([[True], order[1:] > order[:-1]])
     v = np.interp(ALPHA, alpha[rising], here[rising])
-    return v / v[0], float(v[0])
+    return np.asarray(v / v[0])
 
 
 def report(passes: Sequence[Pass], scenes: int, *, prior: Turn) -> tuple[Turn, list[str]]:
@@ -136,24 +117,15 @@ def report(passes: Sequence[Pass], scenes: int, *, prior: Turn) -> tuple[Turn, l
     profiles = {
         side: [one.profile for one in passes if one.side == side and one.profile is not None] for side in SIDES.values()
     }
-    enough = {side: found for side, found in profiles.items() if len(found) >= LEAST_TURNS}
-    fits = fit({side: median_profile(found) for side, found in enough.items()})
+    fits = fit({side: np.median(own, axis=0) for side, own in profiles.items() if len(own) >= LEAST_TURNS})
     values: dict[str, float] = {}
     for side, found in profiles.items():
-        entries = [one.entry_mps for one in passes if one.side == side and one.profile is not None]
-        entry = f", entered at {np.median(entries):.1f} m/s in the median" if found else ""
-        trough = getattr(prior, f"{side}_trough")
+        said = f"fewer than {LEAST_TURNS}: the prior stays, {getattr(prior, f'{side}_trough')} at {prior.trough_at}"
         if side in fits:
-            one = fits[side]
-            values[f"{side}_trough"] = round(one.trough, 3)
-            values["trough_at"] = one.trough_at
-            said = f"trough {one.trough:.3f} at {one.trough_at:.2f} (rms {one.rms:.3f})"
-        else:
-            said = f"fewer than {LEAST_TURNS}: the prior stays, trough {trough} at {prior.trough_at}"
-            if found:
-                alone = fit({side: median_profile(found)})[side]
-                said += f" (these alone: {alone.trough:.3f} at {alone.trough_at:.2f}, rms {alone.rms:.3f})"
-        lines.append(f"{side}: {len(found)} turns{entry}; {said}")
+            trough, place, rms = fits[side]
+            values |= {f"{side}_trough": round(trough, 3), "trough_at": place}
+            said = f"trough {trough:.3f} at {place:.2f} (rms {rms:.3f})"
+        lines.append(f"{side}: {len(found)} turns; {said}")
     left, right = (values.get(f"{side}_trough", getattr(prior, f"{side}_trough")) for side in ("left", "right"))
     if right <= left:
         lines.append(f"right {right} is not above left {left}, as the paper has it: the prior stays on both sides")

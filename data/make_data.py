@@ -6,7 +6,7 @@ arterial      three lanes one way, some 320 m, with slow leaders and fast traffi
 intersection  four arms, no signal: straight, left and right connectors; a bus, a left turn, a right turn, a yield
 curve         two lanes one way and one the other on a curve; the right lane splits, and merges again
 
-Every byte follows from this file and the two that it is made with, exact_paths.py and synthetic_scene.py.
+Every byte follows from this file and the two that it is made with, plane_paths.py and synthetic_scene.py.
 """
 
 import sys
@@ -15,7 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from exact_paths import FloatArray, Path2d, bend, cos, line, norm, sideways, sin, smoothstep, turn
+from plane_paths import FloatArray, Path2d, bend, line, sideways, smoothstep, turn
 from synthetic_scene import LANE_M, STEPS, Scene, map_json, scenario_parquet
 
 from bridge.recordings.scenario import STEP_S
@@ -24,7 +24,7 @@ from bridge.recordings.scenario import STEP_S
 def arterial() -> Scene:
     """Three lanes one way (right, middle, left), two the other way, a parking strip at the right."""
     scene = Scene("arterial", "train", "austin", 0.35, (1210.0, -640.0), slope(22.0, 0.012, -0.004), 310_100_000)
-    base = bend(lambda s: 0.0012 * sin(s / 55.0), 322.0)
+    base = bend(lambda s: 0.0012 * np.sin(s / 55.0), 322.0)
     lanes = {"r": 1.75, "m": 5.25, "l": 8.75}
     there = {name: sideways(base, offset) for name, offset in lanes.items()}
     back = {name: sideways(base, offset).reverse() for name, offset in {"a": 12.25, "b": 15.75}.items()}
@@ -177,13 +177,14 @@ def curve() -> Scene:
         scene.side_by_side(f"l{i}", f"r{i}")
         scene.oncoming(f"l{i}", f"o{i}")
     for name in ("r2", "r4"):
-        scene.lanes[name].right_mark = none
+        scene.lanes[name]["right_lane_mark_type"] = none
     for i in (2, 3, 4):
         ends = stations(base, branch, cuts[i : i + 2])
         scene.add_lane(f"f{i}", branch, (ends[0], ends[1]), marks=(none if i != 3 else solid, solid))
     scene.link("r1", "f2", "f3", "f4", "r5")
     for i in (2, 4):  # where the branch starts and ends, it does so at the right lane's own points
-        scene.lanes[f"f{i}"].centerline[0 if i == 2 else -1] = scene.lanes[f"r{i}"].centerline[0 if i == 2 else -1]
+        end = 0 if i == 2 else -1
+        scene.lanes[f"f{i}"]["centerline"][end] = scene.lanes[f"r{i}"]["centerline"][end]
     scene.areas.append(strip(base, (0.0, 300.0), left_m=8.2, right_m=-4.4))
     ends = stations(base, branch, [66.0, 236.0])
     scene.areas.append(strip(branch, (ends[0], ends[1]), left_m=2.4, right_m=-4.9))
@@ -221,7 +222,7 @@ def slope(z_m: float, x_grade: float, y_grade: float) -> Callable[[FloatArray], 
 def stations(base: Path2d, path: Path2d, at: Sequence[float]) -> list[float]:
     """Arc lengths on a sideways path abreast of arc lengths on its base (or on the base's reverse)."""
     index = [round(station / 0.02) for station in at]
-    if float(norm(path.xy[0] - base.xy[0])) > float(norm(path.xy[0] - base.xy[-1])):
+    if np.linalg.norm(path.xy[0] - base.xy[0]) > np.linalg.norm(path.xy[0] - base.xy[-1]):
         return [float(path.s[len(base.s) - 1 - i]) for i in index]
     return [float(path.s[i]) for i in index]
 
@@ -256,7 +257,7 @@ def crossing(base: Path2d, at_m: float, *, left_m: float, right_m: float) -> tup
 
 def late(scene: Scene, path: Path2d, start_m: float, speed: float, *, appears: int) -> None:
     """A vehicle first seen at a later timestep, at start_m."""
-    before = line(path.xy[0] - np.array([float(cos(path.heading[0])), float(sin(path.heading[0]))]) * 200.0, path.xy[0])
+    before = line(path.xy[0] - 200.0 * np.array([np.cos(path.heading[0]), np.sin(path.heading[0])]), path.xy[0])
     longer = Path2d.joined(before, path)
     scene.drive(longer, 200.0 + start_m - speed * appears * STEP_S, speed, category=0, steps=(appears, STEPS))
 

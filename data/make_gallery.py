@@ -71,13 +71,6 @@ def picture(scene: TrafficScene, event: EventRecord) -> Figure:
     return figure
 
 
-def command_of(source: Path, kind: str, seed: int) -> str:
-    """The command that writes the scene of a picture."""
-    low, high = AT_S[kind]
-    where = source.relative_to(DATA.parent)
-    return f"hid2 generate {where} -o out --agents 0 --seed {seed} --event {kind} --target any --at {low:g}:{high:g}"
-
-
 def main() -> None:
     """Make the page and its pictures."""
     figures.style()
@@ -88,11 +81,13 @@ def main() -> None:
         drawn = io.BytesIO()
         picture(scene, event).savefig(drawn, dpi=100)
         write_small(drawn, PICTURES / f"{kind}.png")
+        low, high = AT_S[kind]
+        made_of = f"hid2 generate {source.relative_to(DATA.parent)} -o out --agents 0 --seed {seed}"
         lines += [
             f"## {kind}\n",
             f"{told_of(event)}\n",
             f"![{kind}](events/{kind}.png)\n",
-            f"    {command_of(source, kind, seed)}\n",
+            f"    {made_of} --event {kind} --target any --at {low:g}:{high:g}\n",
         ]
         print(kind, source.name, told_of(event), file=sys.stderr)
     PAGE.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")

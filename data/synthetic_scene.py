@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from exact_paths import FloatArray, Path2d, cos, direction, norm, sin, smoothstep
+from plane_paths import FloatArray, Path2d, smoothstep
 
 from bridge.recordings.export import parquet_bytes
 from bridge.recordings.recording import AV_ID, FOCAL_CATEGORY
@@ -26,25 +26,10 @@ START_NS = 315_970_000_000_000_000.0
 
 
 @dataclass
-class Lane:
-    """A lane segment in the making; points are local."""
-
-    centerline: FloatArray
-    left: FloatArray
-    right: FloatArray
-    is_intersection: bool
-    left_mark: str
-    right_mark: str
-    successors: list[str] = field(default_factory=list)
-    left_neighbor: str | None = None
-    right_neighbor: str | None = None
-
-
-@dataclass
 class Scene:
     """A scene in the making. height_m: ground height at local points (N, 2); turn and origin lead to the city frame.
 
-    agents: in local coordinates.
+    lanes: fields of the format by name, in local coordinates, with names of lanes for ids; agents: local.
     """
 
     name: str
@@ -54,7 +39,7 @@ class Scene:
     origin: tuple[float, float]
     height_m: Callable[[FloatArray], FloatArray]
     first_id: int
-    lanes: dict[str, Lane] = field(default_factory=dict)
+    lanes: dict[str, dict[str, Any]] = field(default_factory=dict)
     areas: list[FloatArray] = field(default_factory=list)
     crossings: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
     agents: list[Track] = field(default_factory=list)
@@ -76,20 +61,25 @@ class Scene:
         stations = first + (last - first) * np.arange(count) / (count - 1)
         left, _ = path.at(stations, offset_m=LANE_M / 2)
         right, _ = path.at(stations, offset_m=-LANE_M / 2)
-        self.lanes[name] = Lane(centre, left, right, is_intersection, *marks)
+        self.lanes[name] = {
+            "centerline": centre, "is_intersection": is_intersection, "left_lane_boundary": left,
+            "left_lane_mark_type": marks[0], "left_neighbor_id": None, "predecessors": [],
+            "right_lane_boundary": right, "right_lane_mark_type": marks[1], "right_neighbor_id": None, "successors": [],
+        }  # fmt: skip
 
     def link(self, *names: str) -> None:
         """Lanes that follow each other."""
         for name, successor in pairwise(names):
-            self.lanes[name].successors.append(successor)
+            self.lanes[name]["successors"].append(successor)
+            self.lanes[successor]["predecessors"].append(name)
 
     def side_by_side(self, left: str, right: str) -> None:
         """Two lanes of one direction, side by side."""
-        self.lanes[left].right_neighbor, self.lanes[right].left_neighbor = right, left
+        self.lanes[left]["right_neighbor_id"], self.lanes[right]["left_neighbor_id"] = right, left
 
     def oncoming(self, one: str, other: str) -> None:
         """Two lanes of opposite directions; each is the other's left neighbour."""
-        self.lanes[one].left_neighbor, self.lanes[other].left_neighbor = other, one
+        self.lanes[one]["left_neighbor_id"], self.lanes[other]["left_neighbor_id"] = other, one
 
     def drive(
         self,
@@ -115,20 +105,20 @@ class Scene:
         for (t0, v0), (t1, v1) in pairwise(knots):
             speed = speed + (v1 - v0) * smoothstep((time - t0) / (t1 - t0))
         if sway:
-            speed = speed * (1.0 + 0.03 * sin(0.55 * time + 0.9 * (sway % 7)))
+            speed = speed * (1.0 + 0.03 * _swing(0.55 * time + 0.9 * (sway % 7)))
         s = np.concatenate([[0.0], np.cumsum((speed[:-1] + speed[1:]) / 2 * FINE_S)])
         s = s - s[10] + start_m
         offset = np.full(len(time), offset_m)
         if sway:
-            offset = offset + 0.08 * sin(0.04 * s + (sway % 6)) * (speed / (speed + 2.0))
+            offset = offset + 0.08 * _swing(0.04 * s + (sway % 6)) * (speed / (speed + 2.0))
         if shift is not None:
             offset = offset + shift[2] * smoothstep((time - shift[0]) / (shift[1] - shift[0]))
         if s.min() < 0 or s[10 + 10 * (steps[1] - 1)] > path.s[-1]:
             raise ValueError(f"{self.name}: agent {len(self.agents)} leaves its path ({s.min():.1f} to {s.max():.1f})")
         xy, heading = path.at(s, offset_m=offset)
         velocity = np.gradient(xy, FINE_S, axis=0)
-        moving = norm(velocity) > 0.3
-        course = direction(velocity)
+        moving = np.linalg.norm(velocity, axis=1) > 0.3
+        course = np.arctan2(velocity[:, 1], velocity[:, 0])
         heading = np.where(moving, heading + wrap_angle(course - heading), heading)
         timesteps = np.arange(*steps)
         fine = 10 + 10 * timesteps
@@ -145,12 +135,22 @@ class Scene:
 
     def turned(self, xy: FloatArray) -> FloatArray:
         """Local vectors in the city frame."""
-        c, s = float(cos(self.turn_rad)), float(sin(self.turn_rad))
+        c, s = np.cos(self.turn_rad), np.sin(self.turn_rad)
         return np.column_stack([c * xy[:, 0] - s * xy[:, 1], s * xy[:, 0] + c * xy[:, 1]])
 
     def city_xy(self, xy: FloatArray) -> FloatArray:
         """Local points in the city frame."""
         return self.turned(xy) + np.asarray(self.origin)
+
+
+def _swing(angle: FloatArray) -> FloatArray:
+    """A sine by the first 22 terms of its series: what the scenes were made with, 3 cm off at 18 rad."""
+    x = np.asarray(angle, dtype=np.float64)
+    term, total = x, x
+    for n in range(1, 22):
+        term = -term * x * x / ((2 * n) * (2 * n + 1))
+        total = total + term
+    return total
 
 
 def _uuid(name: str) -> str:
@@ -168,29 +168,19 @@ def map_json(scene: Scene) -> bytes:
         ]
 
     ids = {name: scene.first_id + 37 * i for i, name in enumerate(scene.lanes)}
-    predecessors: dict[str, list[int]] = {name: [] for name in scene.lanes}
-    for name, lane in scene.lanes.items():
-        for successor in lane.successors:
-            predecessors[successor].append(ids[name])
+
+    def written(key: str, value: Any) -> Any:  # noqa: ANN401  # whatever a field holds
+        if isinstance(value, np.ndarray):
+            return points(value, flat=key == "centerline")
+        return sorted(ids[name] for name in value) if isinstance(value, list) else ids.get(value, value)
+
     document: dict[str, dict[str, Any]] = {"drivable_areas": {}, "lane_segments": {}, "pedestrian_crossings": {}}
     for i, area in enumerate(scene.areas):
         area_id = scene.first_id // 10 + i
         document["drivable_areas"][str(area_id)] = {"area_boundary": points(area), "id": area_id}
     for name, lane in scene.lanes.items():
-        document["lane_segments"][str(ids[name])] = {
-            "centerline": points(lane.centerline, flat=True),
-            "id": ids[name],
-            "is_intersection": lane.is_intersection,
-            "lane_type": "VEHICLE",
-            "left_lane_boundary": points(lane.left),
-            "left_lane_mark_type": lane.left_mark,
-            "left_neighbor_id": ids[lane.left_neighbor] if lane.left_neighbor else None,
-            "predecessors": predecessors[name],
-            "right_lane_boundary": points(lane.right),
-            "right_lane_mark_type": lane.right_mark,
-            "right_neighbor_id": ids[lane.right_neighbor] if lane.right_neighbor else None,
-            "successors": [ids[successor] for successor in lane.successors],
-        }
+        known = {key: written(key, value) for key, value in lane.items()} | {"id": ids[name], "lane_type": "VEHICLE"}
+        document["lane_segments"][str(ids[name])] = dict(sorted(known.items()))
     for i, (edge1, edge2) in enumerate(scene.crossings):
         crossing_id = scene.first_id // 10 + 500 + i
         crossing = {"edge1": points(edge1), "edge2": points(edge2), "id": crossing_id}

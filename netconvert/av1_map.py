@@ -6,9 +6,8 @@ A part of a city is cut out as the document of an Argoverse 2 map.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,26 +23,18 @@ LANE_WIDTH_M = 3.8
 _MITRE = 2.0
 #: Limits of what is read: elements of the XML, nodes of a lane, pixels of the raster. Real: 170,000, 12 and 6 million.
 MAX_ELEMENTS, MAX_NODES, MAX_PIXELS = 5_000_000, 5_000, 100_000_000
-_UNIQUE = ("is_intersection", "l_neighbor_id", "r_neighbor_id")
 #: Farthest coordinate, m.
 _MOST_M = 1e7
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class CityLane:
-    """One way. centerline: (N, 2) m in the city frame, in driving direction."""
+class CityLane(NamedTuple):
+    """One way. centerline: (N, 2) m, city frame, in driving direction; links: its tags as Argoverse 2 has them."""
 
-    lane_id: int
     centerline: FloatArray
-    is_intersection: bool
-    left_neighbor_id: int | None
-    right_neighbor_id: int | None
-    predecessors: tuple[int, ...]
-    successors: tuple[int, ...]
+    links: dict[str, Any]
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class DrivableRaster:
+class DrivableRaster(NamedTuple):
     """Drivable area: pixels (H, W) of 1 m, and the transformation from the city to column and row, (3, 3)."""
 
     drivable: npt.NDArray[np.bool_]
@@ -65,18 +56,16 @@ def read_city_lanes(content: bytes, *, name: str) -> dict[int, CityLane]:
     lanes: dict[int, CityLane] = {}
     for element in root:
         if element.tag == "node":
-            where = f"{name}: node {_shown(element.get('id'))}"
-            nodes[_integer(element.get("id"), where)] = (
-                _coordinate(element.get("x"), f"{where}: x"),
-                _coordinate(element.get("y"), f"{where}: y"),
-            )
+            where = f"{name}: node {element.get('id')!r:.60}"
+            x, y = (_read(_METRES, element.get(axis), f"{where}: {axis}") for axis in "xy")
+            nodes[_read(_INTEGER, element.get("id"), where)] = x, y
         elif element.tag == "way":
-            lane = _lane(element, nodes, name)
-            if lane.lane_id in lanes:
-                raise MapError(f"{name}: way {lane.lane_id} appears twice, expected one way an id")
-            lanes[lane.lane_id] = lane
+            lane_id = _read(_INTEGER, element.get("lane_id"), f"{name}: way {element.get('lane_id')!r:.60}: lane_id")
+            if lane_id in lanes:
+                raise MapError(f"{name}: way {lane_id} appears twice, expected one way an id")
+            lanes[lane_id] = _lane(element, nodes, f"{name}: way {lane_id}")
         elif isinstance(element.tag, str):  # comments have none
-            raise MapError(f"{name}: element {_shown(element.tag)}, expected node or way")
+            raise MapError(f"{name}: element {element.tag!r:.60}, expected node or way")
     if not lanes:
         raise MapError(f"{name}: no way among {len(root)} elements, expected the lanes of a city")
     return lanes
@@ -91,13 +80,9 @@ def drivable_raster(pixels: npt.NDArray[Any], se2: npt.NDArray[Any], *, name: st
         )
     if se2.shape != (3, 3) or se2.dtype.kind not in "iuf":
         raise MapError(f"{se2_name}: shape {se2.shape} and type {se2.dtype}, expected numbers (3, 3)")
-    if not np.isfinite(se2).all():
-        raise MapError(f"{se2_name}: {se2.tolist()}, expected finite numbers")
     rotation = np.asarray(se2[:2, :2], dtype=np.float64)
-    if np.abs(se2).max() > _MOST_M or not np.allclose(rotation @ rotation.T, np.eye(2), atol=1e-6):
-        raise MapError(
-            f"{se2_name}: transformation {rotation.tolist()}, expected a rotation and a translation in metres"
-        )
+    if not np.abs(se2).max() <= _MOST_M or not np.allclose(rotation @ rotation.T, np.eye(2), atol=1e-6):
+        raise MapError(f"{se2_name}: {se2.tolist()}, expected a rotation and a translation in metres")
     with np.errstate(invalid="ignore"):
         drivable = np.asarray(pixels > 0)
     return DrivableRaster(drivable, np.asarray(se2, dtype=np.float64))
@@ -128,61 +113,40 @@ def cut_city(
         "drivable_areas": {
             str(number): {"area_boundary": _xyz(ring), "id": number} for number, ring in enumerate(areas, start=1)
         },
-        "lane_segments": {str(lane_id): _segment(lane) for lane_id, lane in kept.items()},
+        "lane_segments": {str(lane_id): _segment(lane_id, lane) for lane_id, lane in kept.items()},
         "pedestrian_crossings": {},
     }
 
 
-def _lane(way: etree._Element, nodes: Mapping[int, tuple[float, float]], name: str) -> CityLane:
-    lane_id = _integer(way.get("lane_id"), f"{name}: way {_shown(way.get('lane_id'))}: lane_id")
-    where = f"{name}: way {lane_id}"
+def _lane(way: etree._Element, nodes: Mapping[int, tuple[float, float]], where: str) -> CityLane:
     points = []
     for child in way.iterchildren("nd"):
-        node = _integer(child.get("ref"), f"{where}: nd ref")
+        node = _read(_INTEGER, child.get("ref"), f"{where}: nd ref")
         if node not in nodes:
             raise MapError(f"{where}: node {node} is not in the file, expected it before the way")
         points.append(nodes[node])
-    pairs = [(child.get("k"), child.get("v") or "") for child in way.iterchildren("tag")]
-    tags = {key: value for key, value in pairs if key in _UNIQUE}
-    before, after = (
-        tuple(_integer(value, f"{where}: {link}") for key, value in pairs if key == link)
-        for link in ("predecessor", "successor")
-    )
-    for key in _UNIQUE:
-        if key not in tags:
-            raise MapError(f"{where}: no tag {key}, expected one")
     line = np.array(points, dtype=np.float64).reshape(-1, 2)
     line = line[np.concatenate([[True], np.any(np.diff(line, axis=0) != 0, axis=1)])] if len(line) else line
     if not 2 <= len(line) <= MAX_NODES:
         raise MapError(f"{where}: {len(line)} different nodes, expected 2 to {MAX_NODES}")
-    return CityLane(
-        lane_id=lane_id,
-        centerline=line,
-        is_intersection=_boolean(tags["is_intersection"], f"{where}: is_intersection"),
-        left_neighbor_id=_neighbor(tags["l_neighbor_id"], f"{where}: l_neighbor_id"),
-        right_neighbor_id=_neighbor(tags["r_neighbor_id"], f"{where}: r_neighbor_id"),
-        predecessors=before,
-        successors=after,
-    )
+    tags = [(child.get("k"), child.get("v")) for child in way.iterchildren("tag")]
+    links: dict[str, Any] = {
+        f"{link}s": [_read(_INTEGER, value, f"{where}: {link}") for key, value in tags if key == link]
+        for link in ("predecessor", "successor")
+    }
+    for key, (field, kind) in _TAGS.items():
+        if key not in dict(tags):
+            raise MapError(f"{where}: no tag {key}, expected one")
+        links[field] = _read(kind, dict(tags)[key], f"{where}: {key}")
+    return CityLane(line, links)
 
 
-def _segment(lane: CityLane) -> dict[str, Any]:
+def _segment(lane_id: int, lane: CityLane) -> dict[str, Any]:
     """A lane segment of an Argoverse 2 map. Markings are not told: they may be crossed."""
     left, right = boundaries(lane.centerline)
-    return {
-        "centerline": _xyz(lane.centerline),
-        "id": lane.lane_id,
-        "is_intersection": lane.is_intersection,
-        "lane_type": "VEHICLE",
-        "left_lane_boundary": _xyz(left),
-        "left_lane_mark_type": "UNKNOWN",
-        "left_neighbor_id": lane.left_neighbor_id,
-        "predecessors": list(lane.predecessors),
-        "right_lane_boundary": _xyz(right),
-        "right_lane_mark_type": "UNKNOWN",
-        "right_neighbor_id": lane.right_neighbor_id,
-        "successors": list(lane.successors),
-    }
+    lines = {"centerline": lane.centerline, "left_lane_boundary": left, "right_lane_boundary": right}
+    known = {"id": lane_id, "lane_type": "VEHICLE", "left_lane_mark_type": "UNKNOWN", "right_lane_mark_type": "UNKNOWN"}
+    return dict(sorted({**known, **lane.links, **{name: _xyz(line) for name, line in lines.items()}}.items()))
 
 
 def boundaries(centerline: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -240,34 +204,37 @@ def _xyz(points: FloatArray) -> list[dict[str, float]]:
     return [{"x": round(x, 6), "y": round(y, 6), "z": 0.0} for x, y in points.tolist()]
 
 
-def _shown(value: object) -> str:
-    return repr(value)[:60]
+class _Kind(NamedTuple):
+    """What a text stands for, how it is read, and how that is called."""
+
+    read: Callable[[str], Any]
+    wanted: str
 
 
-def _integer(text: str | None, where: str) -> int:
-    try:
-        if text is None or len(text) > 20:
-            raise ValueError
-        return int(text)
-    except ValueError:
-        raise MapError(f"{where}: {_shown(text)}, expected an integer") from None
+def _integer(text: str) -> int:
+    if len(text) > 20:
+        raise ValueError
+    return int(text)
 
 
-def _neighbor(text: str, where: str) -> int | None:
-    return None if text == "None" else _integer(text, where)
-
-
-def _boolean(text: str, where: str) -> bool:
-    if text not in ("True", "False"):
-        raise MapError(f"{where}: {_shown(text)}, expected True or False")
-    return text == "True"
-
-
-def _coordinate(text: str | None, where: str) -> float:
-    try:
-        value = float(text or "")
-    except ValueError:
-        value = math.nan
-    if not abs(value) <= _MOST_M:
-        raise MapError(f"{where}: {_shown(text)}, expected metres")
+def _metres(text: str) -> float:
+    if not abs(value := float(text)) <= _MOST_M:
+        raise ValueError
     return value
+
+
+_INTEGER, _METRES = _Kind(_integer, "an integer"), _Kind(_metres, "metres")
+_BOOLEAN = _Kind({"True": True, "False": False}.__getitem__, "True or False")
+_NEIGHBOR = _Kind(lambda text: None if text == "None" else _integer(text), "an integer")
+#: Tags that a way has once, their fields in Argoverse 2, and what they are.
+_TAGS = {
+    "is_intersection": ("is_intersection", _BOOLEAN), "l_neighbor_id": ("left_neighbor_id", _NEIGHBOR),
+    "r_neighbor_id": ("right_neighbor_id", _NEIGHBOR),
+}  # fmt: skip
+
+
+def _read(kind: _Kind, text: str | None, where: str) -> Any:  # noqa: ANN401  # of that kind
+    try:
+        return kind.read(text or "")
+    except (ValueError, KeyError):
+        raise MapError(f"{where}: {text!r:.60}, expected {kind.wanted}") from None

@@ -1,10 +1,11 @@
 """Argoverse 2 vector maps (log_map_archive_*.json) as lane graphs."""
 
 import reprlib
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any, NotRequired
 
 import numpy as np
+from pydantic import Field, FiniteFloat, PlainValidator, TypeAdapter, ValidationError
+from typing_extensions import TypedDict
 
 from netconvert.errors import MapError
 from netconvert.geometry import FloatArray, arc_length
@@ -26,12 +27,60 @@ _PARTS = {
 }
 #: A rule of the format that is broken, by its name, and what is said of it.
 Breach = tuple[str, str]
-#: Reads one value of a map. Errors: _RefusedError.
-_Read = Callable[[Any], Any]
 
 
-class _RefusedError(Exception):
-    """A value that breaks a rule: the rule, and what is said of the value."""
+def _one_of(allowed: frozenset[str]) -> PlainValidator:
+    def check(value: object) -> object:
+        if not isinstance(value, str) or value not in allowed:
+            raise ValueError(f"one of {', '.join(sorted(allowed))}")
+        return value
+
+    return PlainValidator(check)
+
+
+class _Point(TypedDict):
+    x: FiniteFloat
+    y: FiniteFloat
+    z: FiniteFloat
+
+
+_Line = Annotated[list[_Point], Field(min_length=2)]
+_Mark = Annotated[str, _one_of(MARK_TYPES)]
+
+
+class _Lane(TypedDict):
+    id: int
+    left_lane_boundary: _Line
+    right_lane_boundary: _Line
+    centerline: NotRequired[_Line | None]
+    lane_type: Annotated[str, _one_of(LANE_TYPES)]
+    is_intersection: bool
+    predecessors: list[int]
+    successors: list[int]
+    left_neighbor_id: int | None
+    right_neighbor_id: int | None
+    left_lane_mark_type: _Mark
+    right_lane_mark_type: _Mark
+
+
+class _Area(TypedDict):
+    area_boundary: Annotated[list[_Point], Field(min_length=3)]
+
+
+class _Crossing(TypedDict):
+    edge1: _Line
+    edge2: _Line
+
+
+class _Map(TypedDict):
+    lane_segments: dict[str, _Lane]
+    drivable_areas: dict[str, _Area]
+    pedestrian_crossings: dict[str, _Crossing]
+
+
+_MAP = TypeAdapter(_Map)
+#: Rules by field; the others keep `map`, and lines without points `boundary`.
+_RULES = {"lane_type": "lane-type", "left_lane_mark_type": "mark-type", "right_lane_mark_type": "mark-type"}
 
 
 def lane_graph_from_json(data: Any, *, name: str) -> LaneGraph:  # noqa: ANN401
@@ -50,29 +99,50 @@ def read_map(data: Any) -> tuple[LaneGraph | None, list[Breach]]:  # noqa: ANN40
     said = lacks_a_part(data)
     if said:
         return None, [("map", said)]
+    try:
+        values = _MAP.validate_python(data, strict=True)
+    except ValidationError as error:
+        return None, _breaches(error)
     found: list[Breach] = []
     lanes: dict[int, LaneSegment] = {}
-    for key, segment in data["lane_segments"].items():
-        lane = _lane_segment(segment, f"lane {key}", found)
-        if lane is not None and str(lane.lane_id) != key:
-            found.append(("map", f"lane {key}: id {lane.lane_id}, expected its key"))
-        elif lane is not None:
-            lanes[lane.lane_id] = lane
+    for key, segment in values["lane_segments"].items():
+        if str(segment["id"]) != key:
+            found.append(("map", f"lane {key}: id {segment['id']}, expected its key"))
+        try:
+            lanes[segment["id"]] = _lane_segment(segment)
+        except MapError as error:
+            found.append(("map", str(error)))
     if not found and not any(lane.lane_type == "VEHICLE" for lane in lanes.values()):
         said = f"no lane of type VEHICLE among {len(lanes)} lane segments, expected at least one"
         found.append(("map", said))
-    if not data["drivable_areas"]:
+    if not values["drivable_areas"]:
         said = "no drivable area, expected at least one: where there is none, nothing tells what is off the road"
         found.append(("map", said))
-    areas = [_values(one, _AREA, f"drivable area {key}", found) for key, one in data["drivable_areas"].items()]
-    crossings = [
-        _values(one, _CROSSING, f"pedestrian crossing {key}", found)
-        for key, one in data["pedestrian_crossings"].items()
-    ]
     if found:
         return None, found
-    rings = (np.vstack([ring, ring[:1]])[:, :2] for (ring,) in map(dict.values, areas))
-    return LaneGraph(lanes, tuple(rings), tuple(_corners(*edges.values()) for edges in crossings)), []
+    rings = [_array(area["area_boundary"]) for area in values["drivable_areas"].values()]
+    areas = tuple(np.vstack([ring, ring[:1]])[:, :2] for ring in rings)
+    crossings = (_corners(one["edge1"], one["edge2"]) for one in values["pedestrian_crossings"].values())
+    return LaneGraph(lanes, areas, tuple(crossings)), []
+
+
+def _breaches(error: ValidationError) -> list[Breach]:
+    """What is wrong with the fields of a map, of each field what comes first."""
+    found: dict[tuple[int | str, ...], Breach] = {}
+    for one in error.errors(include_url=False):
+        (part, key, field), kind, value = one["loc"][:3], one["type"], one["input"]
+        place = str(field) + "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in one["loc"][3:])
+        said = (
+            f": {reprlib.repr(value)}, expected " + one["msg"].split("Input should be ")[-1].split("Value error, ")[-1]
+        )
+        if kind == "missing":
+            place, said = f"no {place}", f", expected the fields of an Argoverse 2 {_PARTS[str(part)]}"
+        elif kind == "too_short":
+            said = f": {len(value)} points, expected at least {one['ctx']['min_length']} points"
+        lacks_points = kind in {"too_short", "list_type"} and not str(field).endswith("cessors")
+        rule = "boundary" if lacks_points else _RULES.get(str(field), "map")
+        found.setdefault((part, key, field), (rule, f"{_PARTS[str(part)]} {key}: {place}{said}"))
+    return list(found.values())
 
 
 def lacks_a_part(data: object) -> str:
@@ -86,49 +156,43 @@ def lacks_a_part(data: object) -> str:
     return ""
 
 
-def _corners(first: FloatArray, second: FloatArray) -> FloatArray:
+def _array(points: list[_Point]) -> FloatArray:
+    """(N, 3) m."""
+    return np.array([(point["x"], point["y"], point["z"]) for point in points], dtype=np.float64)
+
+
+def _corners(edge1: list[_Point], edge2: list[_Point]) -> FloatArray:
     """Corners of a pedestrian crossing, along its first edge and back along the second; (4, 2) m."""
-    first, second = first[[0, -1], :2], second[[0, -1], :2]
+    first, second = (_array(edge)[[0, -1], :2] for edge in (edge1, edge2))
     is_along = np.dot(first[1] - first[0], second[1] - second[0]) > 0
     return np.concatenate([first, second[::-1] if is_along else second])
 
 
-def _lane_segment(segment: Mapping[str, Any], where: str, found: list[Breach]) -> LaneSegment | None:
-    """One lane; None where something is wrong, which is appended to `found`."""
-    before = len(found)
-    values = _values({"centerline": None, **segment}, _LANE, where, found)
-    if len(found) > before:
-        return None
-    left, right, centerline = (values.pop(line) for line in ("left_lane_boundary", "right_lane_boundary", "centerline"))
-    rungs = _rungs(left), _rungs(right)
-    if centerline is None:
-        centerline = (rungs[0] + rungs[1]) / 2.0
-    centerline = centerline[:, :2]
+def _lane_segment(segment: _Lane) -> LaneSegment:
+    """One lane. Errors: MapError for one of no length, or of coordinates without end."""
+    left, right = _array(segment["left_lane_boundary"]), _array(segment["right_lane_boundary"])
+    rungs, line = (_rungs(left), _rungs(right)), segment.get("centerline")
+    centerline = ((rungs[0] + rungs[1]) / 2.0 if line is None else _array(line))[:, :2]
     centerline = centerline[np.append(True, np.any(centerline[1:] != centerline[:-1], axis=1))]
     length_m = float(arc_length(centerline)[-1])
     if length_m < MIN_LENGTH_M:
         said = f"centerline is {length_m:.6f} m long, expected at least {MIN_LENGTH_M} m"
-        found.append(("map", f"{where}: {said}"))
-        return None
-    try:
-        return LaneSegment(
-            lane_id=values["id"],
-            centerline=centerline,
-            left_boundary=np.ascontiguousarray(left[:, :2]),
-            right_boundary=np.ascontiguousarray(right[:, :2]),
-            lane_type=values["lane_type"],
-            is_intersection=values["is_intersection"],
-            successors=values["successors"],
-            left_neighbor_id=values["left_neighbor_id"],
-            right_neighbor_id=values["right_neighbor_id"],
-            left_mark_type=values["left_lane_mark_type"],
-            right_mark_type=values["right_lane_mark_type"],
-            width_m=float(np.hypot(*(rungs[0] - rungs[1]).T[:2]).mean()),
-            turn=turn_type(centerline, is_intersection=values["is_intersection"]),
-        )
-    except MapError as error:  # coordinates without end
-        found.append(("map", str(error)))
-        return None
+        raise MapError(f"lane {segment['id']}: {said}")
+    return LaneSegment(
+        lane_id=segment["id"],
+        centerline=centerline,
+        left_boundary=np.ascontiguousarray(left[:, :2]),
+        right_boundary=np.ascontiguousarray(right[:, :2]),
+        lane_type=segment["lane_type"],
+        is_intersection=segment["is_intersection"],
+        successors=tuple(segment["successors"]),
+        left_neighbor_id=segment["left_neighbor_id"],
+        right_neighbor_id=segment["right_neighbor_id"],
+        left_mark_type=segment["left_lane_mark_type"],
+        right_mark_type=segment["right_lane_mark_type"],
+        width_m=float(np.hypot(*(rungs[0] - rungs[1]).T[:2]).mean()),
+        turn=turn_type(centerline, is_intersection=segment["is_intersection"]),
+    )
 
 
 def _rungs(boundary: FloatArray) -> FloatArray:
@@ -136,99 +200,3 @@ def _rungs(boundary: FloatArray) -> FloatArray:
     s = np.append(0.0, np.cumsum(np.sqrt(np.square(boundary[1:] - boundary[:-1]).sum(axis=1))))
     at = np.linspace(0.0, s[-1], CENTERLINE_POINTS)
     return np.column_stack([np.interp(at, s, axis) for axis in boundary.T])
-
-
-def _values(owner: Mapping[str, Any], fields: Mapping[str, _Read], where: str, found: list[Breach]) -> dict[str, Any]:
-    """The fields of an object as they are read; what is wrong with them is appended to `found`."""
-    missing = [field for field in fields if field not in owner]
-    if missing:
-        found.append(("map", f"{where}: {_LACKS.get(missing[-1], _LACKS_FIELDS).format(', '.join(missing))}"))
-        return {}
-    values = {}
-    for field, read in fields.items():
-        try:
-            values[field] = read(owner[field])
-        except _RefusedError as error:
-            rule, said = error.args
-            found.append((rule, f"{where}: {field}{said}"))
-    return values
-
-
-def _points(at_least: int = 2) -> _Read:
-    """Reads the coordinates of a list of {x, y, z}; (N, 3) m."""
-
-    def read(value: Any) -> FloatArray:  # noqa: ANN401
-        if not isinstance(value, list) or len(value) < at_least:
-            have = f"{len(value)} points" if isinstance(value, list) else reprlib.repr(value)
-            raise _RefusedError("boundary", f": {have}, expected at least {at_least} points")
-        points = _coordinates(value)
-        if points is None:
-            i, point = next((i, point) for i, point in enumerate(value) if _coordinates([point]) is None)
-            raise _RefusedError("map", f"[{i}] is {reprlib.repr(point)}, expected finite x, y and z")
-        return points
-
-    return read
-
-
-def _coordinates(points: list[Any]) -> FloatArray | None:
-    """(N, 3) m; None where a point is not made of finite numbers."""
-    try:
-        values = [point[axis] for point in points for axis in "xyz"]
-        numbers = np.array(values, dtype=np.float64).reshape(-1, 3)
-    except (KeyError, IndexError, TypeError, ValueError, OverflowError):  # the last: an integer that no double holds
-        return None
-    return numbers if {*map(type, values)} <= {float, int} and bool(np.isfinite(numbers).all()) else None
-
-
-def _integer(value: Any) -> int:  # noqa: ANN401
-    if not isinstance(value, int) or isinstance(value, bool):
-        raise _RefusedError("map", f": {reprlib.repr(value)}, expected an integer")
-    return value
-
-
-def _boolean(value: Any) -> bool:  # noqa: ANN401
-    if not isinstance(value, bool):
-        raise _RefusedError("map", f" {reprlib.repr(value)}, expected true or false")
-    return value
-
-
-def _lane_ids(value: Any) -> tuple[int, ...]:  # noqa: ANN401
-    if not isinstance(value, Sequence) or isinstance(value, str):
-        raise _RefusedError("map", f": {reprlib.repr(value)}, expected a list of lane ids")
-    return tuple(map(_integer, value))
-
-
-def _optional(read: _Read) -> _Read:
-    return lambda value: None if value is None else read(value)
-
-
-def _one_of(allowed: frozenset[str], rule: str) -> _Read:
-    def read(value: Any) -> str:  # noqa: ANN401
-        if not isinstance(value, str) or value not in allowed:
-            raise _RefusedError(rule, f": {reprlib.repr(value)}, expected one of {', '.join(sorted(allowed))}")
-        return value
-
-    return read
-
-
-#: What reads each field, by name.
-_LANE: Mapping[str, _Read] = {
-    "left_lane_boundary": _points(),
-    "right_lane_boundary": _points(),
-    "centerline": _optional(_points()),
-    "id": _integer,
-    "lane_type": _one_of(LANE_TYPES, "lane-type"),
-    "is_intersection": _boolean,
-    "predecessors": _lane_ids,
-    "successors": _lane_ids,
-    "left_neighbor_id": _optional(_integer),
-    "right_neighbor_id": _optional(_integer),
-    "left_lane_mark_type": _one_of(MARK_TYPES, "mark-type"),
-    "right_lane_mark_type": _one_of(MARK_TYPES, "mark-type"),
-}
-_AREA: Mapping[str, _Read] = {"area_boundary": _points(at_least=3)}
-_CROSSING: Mapping[str, _Read] = {"edge1": _points(), "edge2": _points()}
-#: What is said where a field is missing.
-_LACKS_FIELDS = "no {}, expected the fields of an Argoverse 2 lane segment"
-_LACKS_EDGE = "no edge1 or no edge2, expected two lists of points"
-_LACKS = {"area_boundary": "no area_boundary, expected a list of points", "edge1": _LACKS_EDGE, "edge2": _LACKS_EDGE}

@@ -96,16 +96,10 @@ class CellGrid:
             return None
         return LateralLink(Cell(row[at], cell.index), self.graph.may_change(cell.lane_id, side))
 
-    def inter_lane(self, cell: Cell) -> tuple[Cell, ...]:
-        """First cells of the lane's successors (merges, splits), for the last cell of a lane only."""
-        if cell.index + 1 < len(self._rows[cell.lane_id]):
-            return ()
-        return tuple(Cell(target, 0) for target in self.graph.successors(cell.lane_id))
-
     def following(self, cell: Cell) -> tuple[Cell, ...]:
-        """The next cell of the lane, at its end the first ones of its successors."""
+        """The next cell of the lane, at its end the first ones of its successors (merges, splits)."""
         ahead = self.longitudinal(cell)
-        return self.inter_lane(cell) if ahead is None else (ahead,)
+        return (ahead,) if ahead else tuple(Cell(target, 0) for target in self.graph.successors(cell.lane_id))
 
     def edge_id(self, cell: Cell) -> str:
         """SUMO edge that holds the cell."""
@@ -186,7 +180,10 @@ def build_cell_grid(
         reasons = [""] * len(lanes)
         for at in range(1, len(lanes)):
             right, left = lanes[at - 1], lanes[at]
-            skew = _skew(right, centers[right.lane_id], centers[left.lane_id])
+            # distance along the road between facing cells' middles
+            heading = right.path.heading((np.arange(count) + 0.5) * (right.length_m / count))
+            offset = centers[left.lane_id] - centers[right.lane_id]
+            skew = np.abs(offset[:, 0] * np.cos(heading) + offset[:, 1] * np.sin(heading))
             split[at] = skew > max_skew_m
             reasons[at] = f"facing cells are skewed by {skew.min():.1f} m or more, {max_skew_m} m is allowed"
             if apart_m is not None and abs(right.length_m - left.length_m) > count * apart_m:
@@ -235,14 +232,6 @@ def _part_dead_ends(graph: LaneGraph, members: tuple[int, ...], split: npt.NDArr
         if not may_leave and not graph.successors(lane_id) and any(graph.successors(other) for other in part):
             at = members.index(lane_id)
             split[at : at + 2] = True
-
-
-def _skew(lane: LaneSegment, centers: FloatArray, facing_centers: FloatArray) -> FloatArray:
-    """Distance along the lane between facing cells' middles; (N,) m."""
-    s = (np.arange(len(centers)) + 0.5) * (lane.length_m / len(centers))
-    heading = lane.path.heading(s)
-    offset = facing_centers - centers
-    return np.abs(offset[:, 0] * np.cos(heading) + offset[:, 1] * np.sin(heading))
 
 
 def _split(members: tuple[int, ...], split: npt.NDArray[np.bool_]) -> list[tuple[int, ...]]:

@@ -1,8 +1,8 @@
 """How faithfully a SUMO net shows the lane graph that it was made from, measured on the net's XML."""
 
 from collections import Counter
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import shapely
 from lxml import etree
@@ -14,42 +14,37 @@ from netconvert.lane_graph import REASON_OPPOSITE, SIDES, DroppedLink
 UNEXPLAINED = "no reason known"
 
 
-@dataclass(frozen=True, slots=True)
-class FidelityReport:
-    """What of a map is in its net. A link is counted once for each lane that states it."""
+class FidelityReport(NamedTuple):
+    """What of a map is in its net. A link is counted once for each lane that states it.
 
-    lanes_in: int
-    """Lane segments of the map."""
-    lanes_out: int
-    """Lane segments that have at least one cell in the net."""
-    cells_out: int
-    """SUMO lanes."""
-    edges_out: int
-    """SUMO edges: rows of facing cells."""
+    lanes: segments of the map; lanes_in_net: those with a cell at least; cells: SUMO lanes; edges: SUMO edges, rows of
+    facing cells; largest_distance_m: Hausdorff, of a lane's centreline and its SUMO lanes, the largest of all lanes;
+    neighbors: links to neighbours that run the same way, or that are not in the map, so that it is unknown; oncoming:
+    those to lanes that run the opposite way, which are none of the grid's; lost: every successor and same-direction
+    neighbour link that is not in the net, and why.
+    """
+
+    lanes: int
+    lanes_in_net: int
+    cells: int
+    edges: int
     largest_distance_m: float
-    """Hausdorff distance between a lane's centreline and its SUMO lanes, the largest of all lanes."""
-    farthest_lane_id: int | None
-    """The lane it was found at."""
-    successors_in: int
+    successors: int
     successors_kept: int
-    neighbors_in: int
-    """Links to neighbours that run the same way, or that are not in the map, so that it is unknown."""
+    neighbors: int
     neighbors_kept: int
     oncoming: int
-    """Neighbour links to lanes that run the opposite way, which are none of the grid's."""
     lost: tuple[DroppedLink, ...]
-    """Every successor and same-direction neighbour link that is not in the net, and why."""
 
     def rows(self) -> list[tuple[str, str]]:
         """The report as a table of two columns."""
-        at = "" if self.farthest_lane_id is None else f" (lane {self.farthest_lane_id})"
         table = [
-            ("lanes in / with cells", f"{self.lanes_in} / {self.lanes_out}"),
-            ("cells out (SUMO lanes)", str(self.cells_out)),
-            ("rows out (SUMO edges)", str(self.edges_out)),
-            ("largest distance from the centreline", f"{self.largest_distance_m:.4f} m{at}"),
-            ("successor links kept", f"{self.successors_kept} of {self.successors_in}"),
-            ("same-direction neighbour links kept", f"{self.neighbors_kept} of {self.neighbors_in}"),
+            ("lanes in / with cells", f"{self.lanes} / {self.lanes_in_net}"),
+            ("cells out (SUMO lanes)", str(self.cells)),
+            ("rows out (SUMO edges)", str(self.edges)),
+            ("largest distance from the centreline", f"{self.largest_distance_m:.4f} m"),
+            ("successor links kept", f"{self.successors_kept} of {self.successors}"),
+            ("same-direction neighbour links kept", f"{self.neighbors_kept} of {self.neighbors}"),
             ("oncoming neighbours, not linked", str(self.oncoming)),
         ]
         table += [
@@ -72,23 +67,14 @@ def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
             points = [[float(x) for x in point.split(",")] for point in element.get("shape", "").split()]
             drawn.setdefault(lane_id, []).append(points)
         rows.update(pairwise(members))
-    links = [
-        tuple(f"{link.get(end)}_{link.get(f'{end}Lane')}" for end in ("from", "to"))
-        for link in root.iterfind("connection")
-    ]
-    within = [(source, target) for source, target in links if lane_of.get(source) == lane_of.get(target)]
-    left, reached = {source for source, _ in within}, {target for _, target in within}
     joined = {
-        (lane_of.get(source), lane_of.get(target))
-        for source, target in links
-        if source not in left and target not in reached
+        tuple(lane_of.get(f"{link.get(end)}_{link.get(f'{end}Lane')}") for end in ("from", "to"))
+        for link in root.iterfind("connection")
     }
-    distances = {}
-    for lane_id, lines in drawn.items():
-        line = shapely.LineString(graph.lanes[lane_id].centerline)
-        distances[lane_id] = float(shapely.hausdorff_distance(shapely.MultiLineString(lines), line))
-    farthest = max(distances, key=distances.__getitem__, default=None)
-
+    pairs = [
+        (shapely.MultiLineString(lines), shapely.LineString(graph.lanes[lane_id].centerline))
+        for lane_id, lines in drawn.items()
+    ]
     reasons = {(link.kind, link.source, link.target): link.reason for link in grid.lost_links}
     lost = []
     counts: Counter[tuple[str, str]] = Counter()
@@ -104,15 +90,14 @@ def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
             if what == "lost":
                 lost.append(DroppedLink(kind, lane_id, target, reason))
     return FidelityReport(
-        lanes_in=len(graph.lanes),
-        lanes_out=len(drawn),
-        cells_out=len(lane_of),
-        edges_out=sum(1 for _ in root.iterfind("edge")),
-        largest_distance_m=0.0 if farthest is None else distances[farthest],
-        farthest_lane_id=farthest,
-        successors_in=counts["successor", "kept"] + counts["successor", "lost"],
+        lanes=len(graph.lanes),
+        lanes_in_net=len(drawn),
+        cells=len(lane_of),
+        edges=len(root.findall("edge")),
+        largest_distance_m=float(max(shapely.hausdorff_distance(*pair) for pair in pairs)),
+        successors=counts["successor", "kept"] + counts["successor", "lost"],
         successors_kept=counts["successor", "kept"],
-        neighbors_in=counts["neighbor", "kept"] + counts["neighbor", "lost"],
+        neighbors=counts["neighbor", "kept"] + counts["neighbor", "lost"],
         neighbors_kept=counts["neighbor", "kept"],
         oncoming=counts["neighbor", "oncoming"],
         lost=tuple(lost),

@@ -78,9 +78,6 @@ class LaneSegment:
     """Length of the centreline."""
 
     def __post_init__(self) -> None:
-        shape = self.centerline.shape
-        if self.centerline.ndim != 2 or shape[1] != 2 or shape[0] < 2:
-            raise MapError(f"lane {self.lane_id}: centerline of shape {shape}, expected (N, 2) with N >= 2")
         if self.lane_type not in LANE_TYPES:
             raise MapError(f"lane {self.lane_id}: lane_type {self.lane_type!r}, expected one of {sorted(LANE_TYPES)}")
         try:
@@ -208,19 +205,12 @@ class LaneGraph:
         successors: dict[int, tuple[int, ...]] = {}
         dropped = []
         for lane_id, lane in self.lanes.items():
-            kept = []
-            for target in dict.fromkeys(lane.successors):
-                reason = self._why_not(lane_id, target)
-                if (
-                    not reason
-                    and math.dist(self.lanes[target].centerline[0], lane.centerline[-1]) > MAX_SUCCESSOR_GAP_M
-                ):
-                    reason = REASON_GAP
-                if reason:
-                    dropped.append(DroppedLink("successor", lane_id, target, reason))
-                else:
-                    kept.append(target)
-            successors[lane_id] = tuple(kept)
+            why = {target: self._why_not(lane_id, target) for target in lane.successors}
+            for target in [target for target, reason in why.items() if not reason]:
+                apart_m = math.dist(self.lanes[target].centerline[0], lane.centerline[-1])
+                why[target] = REASON_GAP if apart_m > MAX_SUCCESSOR_GAP_M else ""
+            dropped += [DroppedLink("successor", lane_id, target, reason) for target, reason in why.items() if reason]
+            successors[lane_id] = tuple(target for target, reason in why.items() if not reason)
         return successors, dropped
 
     @cached_property

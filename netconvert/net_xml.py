@@ -62,7 +62,13 @@ def net_bytes(
     rows = tuple(grid.rows())
     edge_ids = [grid.edge_id(row[0]) for row in rows]
     place = {cell: (edge, index) for edge, row in enumerate(rows) for index, cell in enumerate(row)}
-    links = _links(grid, rows, place)
+    # longitudinal and inter-lane links: from edge, from lane, to edge, to lane, direction
+    links = [
+        (edge, index, *place[target], "s" if target.index else _DIRECTION[grid.graph.lanes[target.lane_id].turn])
+        for edge, row in enumerate(rows)
+        for index, cell in enumerate(row)
+        for target in grid.following(cell)
+    ]
     # The end of an edge, 2 k + 1, and the starts of all edges that it leads to, 2 k, are one junction.
     of = joined(2 * len(rows), ((2 * to_edge, 2 * from_edge + 1) for from_edge, _, to_edge, _, _ in links))
     known: dict[int, str] = {}
@@ -103,18 +109,6 @@ def net_bytes(
         held = f'tl="S{lane_id}" linkIndex="0" state="o"' if cell_index == 0 and lane_id in signals else 'state="M"'
         text.append(f'  <connection {ends} dir="{direction}" {held}/>')
     return "\n".join([*text, "</net>", ""]).encode()
-
-
-def _links(
-    grid: CellGrid, rows: Sequence[tuple[Cell, ...]], place: dict[Cell, tuple[int, int]]
-) -> list[tuple[int, int, int, int, str]]:
-    """Longitudinal and inter-lane links: from edge, from lane, to edge, to lane, direction."""
-    return [
-        (edge, index, *place[target], "s" if target.index else _DIRECTION[grid.graph.lanes[target.lane_id].turn])
-        for edge, row in enumerate(rows)
-        for index, cell in enumerate(row)
-        for target in grid.following(cell)
-    ]
 
 
 def _junctions(

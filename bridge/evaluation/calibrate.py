@@ -143,10 +143,8 @@ def _groups(scenes: Sequence[SceneDriving]) -> Iterator[tuple[str, list[SceneDri
     yield "all", list(scenes)
     for city in sorted({scene.city for scene in scenes}):
         yield f"city {city}", [scene for scene in scenes if scene.city == city]
-    for name, kind in (("tracker", False), ("labelled", True)):
-        part = [scene for scene in scenes if scene.labelled is kind]
-        if part:
-            yield f"recordings {name}", part
+    for kind in sorted({scene.labelled for scene in scenes}):
+        yield f"recordings {('tracker', 'labelled')[kind]}", [scene for scene in scenes if scene.labelled is kind]
     for name, turning in (("straight", False), ("turning", True)):
         yield f"lane {name}", [scene.rows(scene.seen.turning == turning) for scene in scenes]
 
@@ -172,14 +170,11 @@ def drivers_toml(found: Sequence[Quantity], prior: Drivers, scenes: Sequence[Sce
         "[drivers]",
     ]
     for name in Drivers.model_fields:
-        quantity = by_name.get(name)
-        if quantity is not None and name in measured:
-            lines.append(
-                f"{name} = {json.dumps(quantity.value)}  # {quantity.low:.3g} to {quantity.high:.3g}, "
-                f"{quantity.drivers} drivers"
-            )
+        one = by_name.get(name)
+        if one is not None and name in measured:
+            lines.append(f"{name} = {json.dumps(one.value)}  # {one.low:.3g} to {one.high:.3g}, {one.drivers} drivers")
         else:
-            seen = f", {quantity.drivers} drivers are too few" if quantity is not None and quantity.drivers else ""
+            seen = f", {one.drivers} drivers are too few" if one is not None and one.drivers else ""
             lines.append(f"# {name} keeps its prior {getattr(prior, name)}{seen}")
     return "\n".join(lines) + "\n"
 
@@ -188,12 +183,11 @@ def quantity_rows(groups: Mapping[str, Sequence[Quantity]]) -> list[dict[str, An
     """A row for each parameter of each group."""
     return [
         {
-            "group": group, "parameter": quantity.name, "value": quantity.value, "low": quantity.low,
-            "high": quantity.high, "drivers": quantity.drivers,
-            "source": "measured" if quantity.measured else "prior", "ks": quantity.ks, "what": quantity.what,
+            "group": group, "parameter": one.name, "value": one.value, "low": one.low, "high": one.high,
+            "drivers": one.drivers, "source": "measured" if one.measured else "prior", "ks": one.ks, "what": one.what,
         }
         for group, found in groups.items()
-        for quantity in found
+        for one in found
     ]  # fmt: skip
 
 
@@ -216,7 +210,6 @@ def _distribution(quantity: Quantity) -> Figure:
     if quantity.law is not None:
         share = np.linspace(0.01, 0.99, 99)
         ax.plot(quantity.law(share), share, color=figures.GENERATED, linestyle="--", label="fitted")
-    ax.set_xlabel(quantity.what)
-    ax.set_ylabel("share of drivers below")
+    ax.set(xlabel=quantity.what, ylabel="share of drivers below")
     ax.legend(fontsize=8)
     return figure

@@ -13,16 +13,13 @@ from typing import Any
 
 from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure
-from bridge.evaluation.scene_metrics import TABLES, Labelled, Row, SceneMeasures, measure_folder
+from bridge.evaluation.scene_metrics import TABLES, Row, SceneMeasures, measure_folder
 from bridge.evaluation.totals import Evaluation, Totals
 from bridge.files import append_rows, table_file, write_json
 from bridge.recordings.folders import MAP_PATTERN, Address, Choices, Source, find_scenarios, source_id
 from bridge.recordings.map_rules import read_source_map
-from bridge.recordings.scenario import read_sizes
 from bridge.recordings.sidecar import sidecar_in
 from bridge.recordings.sources import find_recordings, read_recording, source_files
-from hid2.agents import BoxSize
-from hid2.measures.arrays import is_generated_id
 from netconvert.cells import build_cell_grid
 from netconvert.errors import Hid2Error, ScenarioError
 from netconvert.fidelity import measure_fidelity
@@ -31,12 +28,6 @@ from netconvert.net_xml import net_bytes
 _LOG = logging.getLogger(__name__)
 #: Most scenes that a process gets at a time.
 _CHUNK = 40
-#: What is told of a net, and the field of its report.
-_FIDELITY = {
-    "lanes": "lanes_in", "lanes_in_net": "lanes_out", "cells": "cells_out", "largest_distance_m": "largest_distance_m",
-    "successors": "successors_in", "successors_kept": "successors_kept", "neighbors": "neighbors_in",
-    "neighbors_kept": "neighbors_kept",
-}  # fmt: skip
 
 
 def evaluate_folder(
@@ -52,8 +43,8 @@ def evaluate_folder(
     """Measure every scene below `out`, recorded in any format or generated, and write the report into `report_dir`.
 
     Writes metrics.json, report.html, realism.csv and the tables of TABLES.
-    "Before" is the source scenes of those in `out`, each once: as they lie below `source`, with the sizes of recorded
-    vehicles beside them, else the recorded tracks of the first scene made from each. A scene that cannot be read is
+    "Before" is the source scenes of those in `out`, each once: as they lie below `source`, else the recorded tracks of
+    the first scene made from each. A scene that cannot be read is
     listed and left out.
     choices: for recordings of formats that leave something open.
     control: scenes made from the same sources with drivers that the critics must tell, such as SUMO's default ones.
@@ -73,9 +64,7 @@ def evaluate_folder(
     with contextlib.ExitStack() as stack:
         tables = {name: stack.enter_context(_table(report_dir / f"{name}.csv", TABLES[name])) for name in TABLES}
         every = [*folders, *sources.values(), *controls]
-        each = work_on_each(
-            measure, every, shared=_labelled(sources), jobs=jobs, chunk=_CHUNK, timeout_s=120, on_item=on_scene
-        )
+        each = work_on_each(measure, every, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=120, on_item=on_scene)
         for done, (folder, packed) in enumerate(each, 1):
             if isinstance(packed, Failure):
                 evaluation.failures.append((folder, packed.message))
@@ -92,9 +81,8 @@ def evaluate_folder(
         if set(folders) <= {folder for folder, _ in evaluation.failures}:
             (first, reason), many = evaluation.failures[0], len(folders)
             raise ScenarioError(f"{out}: none of {many} scenes can be read, expected one at least; {first}: {reason}")
-    evaluation.metrics = totals.content() | {"nets": _nets(totals.net_folders(), {str(one): one for one in folders})}
-    failed = [{"folder": str(folder), "reason": reason} for folder, reason in evaluation.failures]
-    evaluation.metrics["scenes"]["failed"] = failed
+    evaluation.metrics = totals.content() | {"nets": _nets(totals.nets, {str(one): one for one in folders})}
+    evaluation.metrics["scenes"]["failed"] = [{"folder": str(at), "reason": why} for at, why in evaluation.failures]
     write_json(report_dir / "metrics.json", evaluation.metrics)
     write_table(report_dir / "realism.csv", evaluation.metrics["realism"]["distances"])
     write_report(evaluation, report_dir / "report.html")
@@ -116,21 +104,9 @@ def _sources_of(folders: Sequence[Address], source: Sequence[Path], choices: Cho
     return {known: found[known] for known in sorted(ids & found.keys())}
 
 
-def _labelled(sources: Mapping[str, Address]) -> Labelled:
-    """Sizes that lie beside source scenes; a file that cannot be read is reported with its scene."""
-    sizes: dict[str, Mapping[str, BoxSize]] = {}
-    for name, folder in sources.items():
-        with contextlib.suppress(ScenarioError):
-            own = read_sizes(folder) if isinstance(folder, Path) else {}
-            recorded = {track_id: size for track_id, size in own.items() if not is_generated_id(track_id)}
-            if recorded:
-                sizes[name] = recorded
-    return sizes
-
-
-def measure(labelled: Labelled, folder: Address) -> bytes:
+def measure(_shared: None, folder: Address) -> bytes:
     """Measures of a scene, packed to a tenth: many may wait for one before them."""
-    return zlib.compress(pickle.dumps(measure_folder(folder, labelled)), 1)
+    return zlib.compress(pickle.dumps(measure_folder(folder)), 1)
 
 
 def _map_size(folder: Address) -> int:
@@ -173,7 +149,7 @@ def _cell(value: object) -> object:
 def _nets(folders: Mapping[str, str], by_name: Mapping[str, Address]) -> dict[str, Any]:
     """Fidelity of the nets of the maps in scene folders, by source scene."""
     nets: dict[str, Any] = {}
-    for source, folder in folders.items():
+    for source, folder in sorted(folders.items()):
         try:
             address = by_name[folder]
             if isinstance(address, Source):
@@ -181,8 +157,8 @@ def _nets(folders: Mapping[str, str], by_name: Mapping[str, Address]) -> dict[st
             else:
                 graph = read_source_map(next(address.glob(MAP_PATTERN)))
             grid = build_cell_grid(graph)
-            report = measure_fidelity(grid, net_bytes(grid))
-            nets[source] = {name: getattr(report, field) for name, field in _FIDELITY.items()}
+            report = measure_fidelity(grid, net_bytes(grid))._asdict()
+            nets[source] = {name: value for name, value in report.items() if name != "lost"}
         except Hid2Error as error:
             nets[source] = {"failed": str(error)}
     return nets

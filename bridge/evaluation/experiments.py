@@ -5,15 +5,15 @@ density: 0 to 40 vehicles added. diversity: scenes by number of agents and behav
 data set and of the paper's templates.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from scipy.signal import savgol_filter
 
-from bridge.batch.engine import Task, execute_here
-from bridge.batch.isolation import Failure, Settings, attempts
+from bridge.batch.engine import work_on_each
+from bridge.batch.isolation import Failure, attempts
 from bridge.evaluation.scene_metrics import Row, measure
 from bridge.recordings.folders import Address, Source
 from bridge.recordings.sidecar import Sidecar
@@ -33,6 +33,7 @@ ADDED = (0, 5, 10, 20, 40)
 #: The paper does not say how its Argoverse 1 tracks were smoothed. With this filter (samples, degree) tracks seen at
 #: every step come to its JE, and near its LO and LA. For comparison alone: nothing that is generated depends on it.
 _SMOOTHED_FORMAT, _FILTER_SAMPLES, _FILTER_DEGREE = "argoverse1", 13, 3
+_TIMEOUT_S = 600.0  # of a scene that is generated and measured once
 #: The mix of the diversity experiment: the paper's underrepresented behaviours.
 _RARE_MIX = {"straight": 0.2, "left_turn": 0.2, "right_turn": 0.2, "lane_change": 0.25, "overtake": 0.15}
 
@@ -40,22 +41,21 @@ _RARE_MIX = {"straight": 0.2, "left_turn": 0.2, "right_turn": 0.2, "lane_change"
 class Setting(NamedTuple):
     """One row of an experiment: its name and the configuration that it runs (None: nothing is generated).
 
-    smoothed: recorded positions of Argoverse 1 are smoothed before they are measured, those of all tracks that are long
-    enough, or of whole ones alone, seen at every step; no other recordings have the row.
+    smoothed: recorded positions of Argoverse 1 are smoothed before they are measured, of tracks seen at every step; no
+    other recordings have the row.
     """
 
     name: str
     config: Config | None
-    smoothed: Literal["long", "whole"] | None = None
+    smoothed: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
+class Outcome(NamedTuple):
     """Scene rows of a setting, one per source scene and seed, and the scenes that failed with the reason."""
 
     setting: Setting
-    rows: tuple[Row, ...]
-    failures: tuple[str, ...]
+    rows: list[Row]
+    failures: list[str]
 
 
 def settings_of(name: Experiment, agents: int) -> list[Setting]:
@@ -71,7 +71,7 @@ def settings_of(name: Experiment, agents: int) -> list[Setting]:
     if name == "diversity":
         rare = Config(request=Request.model_validate({"agents": agents, **_RARE_MIX}))
         return [Setting("recorded", None), Setting("dense", base), Setting("rare", rare)]
-    return [Setting("hid2", base), Setting("smoothed", base, "long"), Setting("whole", base, "whole")]
+    return [Setting("hid2", base), Setting("smoothed", base, smoothed=True)]
 
 
 def run_settings(
@@ -82,46 +82,36 @@ def run_settings(
     jobs: int,
     on_scene: Callable[[int, int], None] | None,
 ) -> list[Outcome]:
-    """Generate and measure every setting on every scene with every seed, in isolated processes."""
-
-    def items(folder: Address) -> tuple[tuple[int, int], ...]:
-        takes_smoothed = isinstance(folder, Source) and folder.format == _SMOOTHED_FORMAT
-        wanted = [(k, s) for k, s in enumerate(settings) if takes_smoothed or not s.smoothed]
-        return tuple((k, seed) for k, setting in wanted for seed in range(seeds if setting.config else 1))
-
-    tasks = (
-        Task(str(n), f"{__name__}:generate_and_measure", (folder, tuple(settings)), items(folder))
-        for n, folder in enumerate(folders)
-    )
-    rows: dict[tuple[int, int, int], Row] = {}
-    failures: dict[int, list[str]] = {}
-    done = 0
-    for result in execute_here(tasks, jobs=min(jobs, len(folders)), settings=Settings(timeout_s=600)):
-        scene = int(result.task.key)
-        for outcome in result.outcomes:
-            done += 1
-            setting, seed = outcome.item
-            if outcome.failure is not None:
-                where = f"{folders[scene].name[:8]}, seed {seed}"
-                failures.setdefault(setting, []).append(f"{where}: {outcome.failure.message}")
+    """Generate and measure every setting on every scene with every seed, each scene in a process of its own."""
+    outcomes, shared = [Outcome(setting, [], []) for setting in settings], (tuple(settings), seeds)
+    timeout_s = _TIMEOUT_S * seeds * len(settings)
+    for folder, made in work_on_each(
+        generate_and_measure, folders, shared=shared, jobs=jobs, chunk=1, timeout_s=timeout_s, on_item=on_scene
+    ):
+        name = folder.name[:8]
+        if isinstance(made, Failure):
+            for outcome in outcomes:
+                outcome.failures.append(f"{name}: {made.message}")
+            continue
+        for setting, seed, row in made:
+            if isinstance(row, Failure):
+                outcomes[setting].failures.append(f"{name}, seed {seed}: {row.message}")
             else:
-                rows[setting, scene, seed] = outcome.value
-        if on_scene is not None:
-            on_scene(done, sum(map(len, map(items, folders))))
-    return [
-        Outcome(setting, tuple(rows[key] for key in sorted(rows) if key[0] == k), tuple(sorted(failures.get(k, []))))
-        for k, setting in enumerate(settings)
-    ]
+                outcomes[setting].rows.append(row)
+    return outcomes
 
 
 def generate_and_measure(
-    shared: tuple[Address, tuple[Setting, ...]], items: Sequence[tuple[int, int]]
-) -> Iterator[Row | Failure]:
-    """The work of a process: one scene row for each (setting, seed)."""
+    shared: tuple[tuple[Setting, ...], int], folder: Address
+) -> list[tuple[int, int, Row | Failure]]:
+    """The work on a scene: number of the setting, seed, and the scene's row of each."""
     from bridge.generation.generate import generate, prepare  # libsumo: only where scenes are made
 
-    folder, settings = shared
+    settings, seeds = shared
     scenario = read_recording(folder)
+    takes_smoothed = isinstance(folder, Source) and folder.format == _SMOOTHED_FORMAT
+    wanted = [(k, setting) for k, setting in enumerate(settings) if takes_smoothed or not setting.smoothed]
+    items = [(k, seed) for k, setting in wanted for seed in range(seeds if setting.config else 1)]
     prepared = prepare(scenario, next((s.config for s in settings if s.config), Config()))
     made: dict[tuple[int, int], TrafficScene] = {}  # a scene that is measured twice is generated once
 
@@ -129,8 +119,7 @@ def generate_and_measure(
         setting, seed = settings[item[0]], item[1]
         tracks, config, sidecar = scenario.tracks, setting.config, None
         if setting.smoothed:
-            least = scenario.num_steps if setting.smoothed == "whole" else _FILTER_SAMPLES
-            tracks = smoothed(tracks, step_s=scenario.step_s, least=least)
+            tracks = smoothed(tracks, scenario.num_steps, step_s=scenario.step_s)
         if config is not None:
             key = next(k for k, other in enumerate(settings) if other.config == config), seed
             if key not in made:
@@ -140,14 +129,14 @@ def generate_and_measure(
         about = {"setting": setting.name, "city": scenario.city, "seed_run": seed}
         return about | _asked(sidecar) | measure(scenario, tracks, sidecar).scene
 
-    yield from attempts(row, items)
+    return [(*item, found) for item, found in zip(items, attempts(row, items), strict=True)]
 
 
-def smoothed(tracks: Sequence[Track], *, step_s: float, least: int = _FILTER_SAMPLES) -> tuple[Track, ...]:
-    """Tracks by a Savitzky-Golay filter over their positions; those with gaps, or fewer states, are left out."""
+def smoothed(tracks: Sequence[Track], num_steps: int, *, step_s: float) -> tuple[Track, ...]:
+    """Tracks seen at every step by a Savitzky-Golay filter over their positions."""
     found = []
     for track in tracks:
-        if len(track.timesteps) >= max(least, _FILTER_SAMPLES) and (np.diff(track.timesteps) == 1).all():
+        if len(track.timesteps) == num_steps:
             position = savgol_filter(track.position, _FILTER_SAMPLES, _FILTER_DEGREE, axis=0)
             velocity = np.gradient(position, step_s, axis=0)
             found.append(replace(track, position=position, velocity=velocity))

@@ -7,7 +7,7 @@ from typing import Any
 from markupsafe import Markup
 
 from bridge.evaluation import report
-from bridge.evaluation.experiments import ADDED, EXPERIMENTS, Experiment, Outcome, run_settings, settings_of
+from bridge.evaluation.experiments import ADDED, Experiment, Outcome, run_settings, settings_of
 from bridge.evaluation.scene_metrics import Row
 from bridge.evaluation.totals import Diversity, SourceSums, estimate
 from bridge.files import make_folder, write_json, write_rows, write_text
@@ -19,7 +19,6 @@ from bridge.recordings.sources import find_sources
 from hid2.evaluation.metrics import METRICS, Metric
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.resampling import Estimate
-from netconvert.errors import ConfigError
 
 #: LO, LA, JE, SCR, ORR: what the paper reports.
 COLUMNS: tuple[Metric, ...] = tuple(metric for metric in METRICS if metric.key in report.PAPER_ORIGINAL)
@@ -59,36 +58,18 @@ def run_experiment(
 
     Writes <name>.html, <name>.csv (the table), <name>_scenes.csv (one row per scene and seed) and <name>.json into
     out_dir. scenes: recordings of any format, with the choices that some leave open. `agents`: vehicles added in
-    table1, ablation and diversity. on_scene(done, total) is called as generated scenes are done. Errors: ConfigError
-    for an unknown name; ScenarioError where there is no scene; ExportError.
+    table1, ablation and diversity. on_scene(done, total) is called as generated scenes are done. Errors: ScenarioError
+    where there is no scene; ExportError.
     """
-    if name not in EXPERIMENTS:
-        raise ConfigError(f"experiment {name!r}, expected one of {', '.join(EXPERIMENTS)}")
-    if seeds < 1:
-        raise ConfigError(f"seeds {seeds}, expected at least 1")
     folders = find_sources([scenes] if isinstance(scenes, Path) else scenes, choices)
     make_folder(out_dir)
     outcomes = run_settings(folders, settings_of(name, agents), seeds=seeds, jobs=jobs, on_scene=on_scene)
-    return _write(name, outcomes, out_dir, seeds=seeds, sources=len(folders), agents=agents)
-
-
-_TITLES: Mapping[str, str] = {
-    "table1": "Table 1: realism and safety of recorded and generated traffic",
-    "ablation": "Ablation: what each component is for",
-    "density": "Effect of adding different numbers of vehicles",
-    "diversity": "Diversity before and after",
-}
-
-
-def _write(
-    name: Experiment, outcomes: Sequence[Outcome], out_dir: Path, *, seeds: int, sources: int, agents: int
-) -> Path:
     figures.style()
     _write_rows([row for outcome in outcomes for row in outcome.rows], out_dir / f"{name}_scenes.csv")
     made = [row for outcome in outcomes if _generates(outcome) for row in outcome.rows]
-    counts = {"made": len(made), "sources": sources, "vehicles": sum(row["generated"] for row in made)}
+    counts = {"made": len(made), "sources": len(folders), "vehicles": sum(row["generated"] for row in made)}
     parts: list[Markup] = [_about(name, outcomes, counts, seeds=seeds, agents=agents)]
-    content: dict[str, Any] = {"experiment": name, "seeds": seeds, "scenes": sources}
+    content: dict[str, Any] = {"experiment": name, "seeds": seeds, "scenes": len(folders)}
     if name == "diversity":
         content |= _diversity(outcomes, parts)
         _write_rows(_diversity_rows(content), out_dir / f"{name}.csv")
@@ -106,6 +87,14 @@ def _write(
     path = out_dir / f"{name}.html"
     write_text(path, pages.page(_TITLES[name], parts))
     return path
+
+
+_TITLES: Mapping[str, str] = {
+    "table1": "Table 1: realism and safety of recorded and generated traffic",
+    "ablation": "Ablation: what each component is for",
+    "density": "Effect of adding different numbers of vehicles",
+    "diversity": "Diversity before and after",
+}
 
 
 def _prose(name: str, *arguments: object) -> Markup:
@@ -142,76 +131,59 @@ def _placed(outcome: Outcome) -> float:
 Line = dict[str, Any]
 
 
-def _ours(label: str, rows: Sequence[Row], group: str) -> Line:
-    sums = SourceSums.of(rows)
-    return {"row": label} | {m.key: estimate(sums, m, group)._asdict() for m in SHOWN}
+def _line(label: str, rows: Sequence[Row], what: str | Mapping[str, float]) -> Line:
+    """A line of a group of our rows, or of the paper's figures."""
+    if isinstance(what, str):
+        sums = SourceSums.of(rows)
+        return {"row": label} | {m.key: estimate(sums, m, what)._asdict() for m in SHOWN}
+    return {"row": label} | {key: Estimate(value)._asdict() for key, value in what.items()}
 
 
-def _papers(label: str, figures: Mapping[str, float]) -> Line:
-    return {"row": label} | {key: Estimate(value)._asdict() for key, value in figures.items()}
+#: Table 1: lines with the paper's figures, or with the group that they are of; of Argoverse 1 also whether smoothed.
+_ARGOVERSE2: Sequence[tuple[str, str | Mapping[str, float]]] = (
+    ("paper: Argoverse 2", report.PAPER_ORIGINAL), ("ours: recorded scenes", "original"),
+    ("paper: HiD2", report.PAPER_HID2), ("ours: recorded and generated", "combined"),
+    ("ours: generated vehicles alone", "generated"),
+)  # fmt: skip
+_ARGOVERSE1: Sequence[tuple[str, str | Mapping[str, float], bool]] = (
+    ("paper: Argoverse 1", PAPER_ARGOVERSE1, False),
+    ("ours: Argoverse 1, recorded, positions as they are", "original", False),
+    ("ours: Argoverse 1, recorded, smoothed, tracks seen at every step", "original", True),
+    ("paper: HiD2 on Argoverse 1", PAPER_HID2_ARGOVERSE1, False),
+    ("ours: Argoverse 1, recorded and generated, positions as they are", "combined", False),
+    ("ours: Argoverse 1, recorded and generated, smoothed, tracks seen at every step", "combined", True),
+    ("ours: Argoverse 1, generated vehicles alone", "generated", False),
+)
+_MADE_BY = {"tracker": "tracked on board", "human": "labelled by people"}
 
 
 def lines_of(name: Experiment, outcomes: Sequence[Outcome]) -> list[Line]:
     """The lines of an experiment's table, but for diversity, which has none."""
-    if name == "table1":
-        rows = outcomes[0].rows
-        first = [row for row in rows if row["format"] == "argoverse1"]
-        second = [row for row in rows if row["format"] != "argoverse1"]
-        return [*_table1_lines(second), *_table1_argoverse1_lines(first, outcomes[1].rows, outcomes[2].rows)]
     lines: list[Line] = []
+    if name == "table1":
+        first, second = (
+            [row for row in outcomes[0].rows if (row["format"] == "argoverse1") is one] for one in (True, False)
+        )
+        for label, what in _ARGOVERSE2 if second else ():
+            lines.append(_line(label, second, what))
+            for provenance, how in _MADE_BY.items() if what in ("original", "combined") else ():
+                own = [row for row in second if row["provenance"] == provenance]
+                if 0 < len(own) < len(second):  # each kind apart as well
+                    count = len({row["source"] for row in own})
+                    lines.append(_line(f"{label}, {how} ({count} scene{'s' * (count != 1)})", own, what))
+        return lines + [
+            _line(label, outcomes[of].rows if of else first, what) for label, what, of in _ARGOVERSE1 if first
+        ]
     for outcome in outcomes:
         asked, rows = outcome.setting.name, outcome.rows
         said = f"{asked} asked for:"
         if name == "ablation":
             what = "everything on" if asked == "full" else f"without {asked}"
-            lines, said = [*lines, _papers(f"paper: {what}", PAPER_ABLATION[asked])], f"ours: {what},"
-        lines.append(_ours(f"{said} recorded and generated", rows, "combined"))
+            lines, said = [*lines, _line(f"paper: {what}", (), PAPER_ABLATION[asked])], f"ours: {what},"
+        lines.append(_line(f"{said} recorded and generated", rows, "combined"))
         if outcome.setting.config is not None:
-            lines.append(_ours(f"{said} generated alone", rows, "generated"))
+            lines.append(_line(f"{said} generated alone", rows, "generated"))
     return lines
-
-
-def _table1_lines(rows: Sequence[Row]) -> list[Line]:
-    """The upper half: scenes of Argoverse 2; where some are tracked and some labelled by people, each apart as well."""
-    if not rows:
-        return []
-    made = {
-        what: [row for row in rows if row["provenance"] == provenance]
-        for what, provenance in (("tracked on board", "tracker"), ("labelled by people", "human"))
-    }
-    parts = made if all(made.values()) else {}
-
-    def ours(label: str, group: str) -> list[Line]:
-        lines = [_ours(label, rows, group)]
-        for what, own in parts.items():
-            count = len({row["source"] for row in own})
-            lines.append(_ours(f"{label}, {what} ({count} scene{'' if count == 1 else 's'})", own, group))
-        return lines
-
-    return [
-        _papers("paper: Argoverse 2", report.PAPER_ORIGINAL),
-        *ours("ours: recorded scenes", "original"),
-        _papers("paper: HiD2", report.PAPER_HID2),
-        *ours("ours: recorded and generated", "combined"),
-        _ours("ours: generated vehicles alone", rows, "generated"),
-    ]
-
-
-def _table1_argoverse1_lines(rows: Sequence[Row], filtered: Sequence[Row], whole: Sequence[Row]) -> list[Line]:
-    """The lower half: sequences of Argoverse 1, with positions as they are, smoothed, and of whole tracks smoothed."""
-    if not rows:
-        return []
-    return [
-        _papers("paper: Argoverse 1", PAPER_ARGOVERSE1),
-        _ours("ours: Argoverse 1, recorded, positions as they are", rows, "original"),
-        _ours("ours: Argoverse 1, recorded, positions smoothed", filtered, "original"),
-        _ours("ours: Argoverse 1, recorded, smoothed, tracks seen at every step", whole, "original"),
-        _papers("paper: HiD2 on Argoverse 1", PAPER_HID2_ARGOVERSE1),
-        _ours("ours: Argoverse 1, recorded and generated, positions as they are", rows, "combined"),
-        _ours("ours: Argoverse 1, recorded and generated, recorded positions smoothed", filtered, "combined"),
-        _ours("ours: Argoverse 1, recorded and generated, smoothed, tracks seen at every step", whole, "combined"),
-        _ours("ours: Argoverse 1, generated vehicles alone", rows, "generated"),
-    ]
 
 
 def flat(line: Line) -> Row:

@@ -20,7 +20,7 @@ from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 
 from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure
-from bridge.files import beside, make_folder, write_json, write_rows, write_text
+from bridge.files import beside, make_folder, write_rows, write_text
 from bridge.pages import parts as pages
 from bridge.recordings.scenario import (
     MAX_STEPS,
@@ -34,6 +34,7 @@ from hid2.agents import FloatArray, Track
 from netconvert.errors import ConfigError, ScenarioError
 
 Baseline = Literal["constant-velocity", "constant-turn-rate"]
+MetricKey = Literal["min_ade_m", "min_fde_m", "missed", "brier_min_fde"]
 BASELINES: tuple[Baseline, ...] = ("constant-velocity", "constant-turn-rate")
 #: Modes of a forecast that count, the most probable first.
 KS = (1, 6)
@@ -44,8 +45,10 @@ BOUNDS = (50, 70, 90)
 FUTURE_STEPS = MAX_STEPS - OBSERVED_STEPS
 #: Speed, or turn rate, of each mode of a baseline as a share of the observed one, and how probable it is.
 _MODES = ((1.0, 0.4), (0.75, 0.15), (1.25, 0.15), (0.5, 0.1), (1.5, 0.1), (0.0, 0.1))
-#: Means of a band, by their names in predictions.json, and the fields of scores that they are of.
-_MEANS = {"min_ade_m": "min_ade_m", "min_fde_m": "min_fde_m", "miss_rate": "missed", "brier_min_fde": "brier_min_fde"}
+#: Metrics, fields of scores, with their names.
+METRICS: Mapping[MetricKey, str] = {
+    "min_ade_m": "minADE, m", "min_fde_m": "minFDE, m", "missed": "MR", "brier_min_fde": "brier-minFDE, m",
+}  # fmt: skip
 #: A baseline's speed and turn rate are means over this many steps before the last observed one.
 _HISTORY = 5
 
@@ -98,12 +101,12 @@ class PredictionScores:
     def rows(self) -> list[tuple[str, ...]]:
         """A table of the bands."""
         return [
-            (band["band"], str(band["k"]), str(band["tracks"]), *(pages.number(band[name]) for name in _MEANS))
+            (band["band"], str(band["k"]), str(band["tracks"]), *(pages.number(band[name]) for name in METRICS))
             for band in self.bands
         ]
 
 
-TABLE_HEAD = ("agents in the scene", "k", "tracks", "minADE, m", "minFDE, m", "MR at 2 m", "brier-minFDE, m")
+TABLE_HEAD = ("agents in the scene", "k", "tracks", *METRICS.values())
 
 
 def score_predictions(
@@ -118,7 +121,7 @@ def score_predictions(
     """Score forecasts of the scenes below `out`; `predictions` is a submission file or the name of a baseline.
 
     A baseline forecasts the focal track of each scene. A scene that cannot be read is left out, with the reason. With
-    `report_dir`, predictions.csv (one row per track and k), predictions.json and predictions.html are written. bounds:
+    `report_dir`, predictions.csv (one row per track and k) and predictions.html are written. bounds:
     bands of scenes with more agents than each. The same result with any number of jobs. Errors: ScenarioError for an
     unreadable file, for a forecast that is not finite, or where nothing can be scored; ExportError where the report
     cannot be written.
@@ -145,7 +148,9 @@ def score_predictions(
         raise ScenarioError(f"{out}: nothing to score, first of {len(left_out)} reasons: {left_out[0]}")
     scored = PredictionScores(tuple(scores), tuple(_means(scores, bounds)), tuple(left_out))
     if report_dir is not None:
-        _write(scored, report_dir)
+        parts = [pages.macro("forecasts.html.j2", "scored", TABLE_HEAD, scored.rows(), left_out)]
+        write_rows(report_dir / "predictions.csv", Score._fields, scores)
+        write_text(report_dir / "predictions.html", pages.page("Forecasts, scored", parts))
     return scored
 
 
@@ -172,9 +177,7 @@ def read_forecasts(path: Path) -> Forecasts:
             where = f"{path}: scenario {scenario_id}, mode {int(np.argmax(outside))}"
             raise ScenarioError(f"{where}: probability {probabilities[outside][0]}, expected 0 to 1")
         for track_id, modes in by_track.items():
-            broken = np.argwhere(~np.isfinite(modes))
-            if len(broken):
-                mode, step, axis = (int(index) for index in broken[0])
+            for mode, step, axis in np.argwhere(~np.isfinite(modes)).tolist():
                 where = f"{path}: scenario {scenario_id}, track {track_id}, mode {mode}, step {step}"
                 raise ScenarioError(
                     f"{where}: {'xy'[axis]} is {modes[mode, step, axis]}, expected a finite number; "
@@ -246,19 +249,10 @@ def _score_scene(scene: Rows, forecast: Forecast) -> tuple[list[Score], list[str
             chosen = np.asarray(modes)[order[:k]]
             fde = compute_fde(chosen, future)
             best = int(np.argmin(fde))
-            scores.append(
-                Score(
-                    scenario_id=scene.scenario_id,
-                    track_id=str(track_id),
-                    agents=len(scene.tracks),
-                    agents_observed=observed,
-                    k=k,
-                    min_ade_m=float(compute_ade(chosen, future)[best]),
-                    min_fde_m=float(fde[best]),
-                    missed=bool(np.all(compute_is_missed_prediction(chosen, future, MISS_M))),
-                    brier_min_fde=float(compute_brier_fde(chosen, future, probabilities[order[:k]])[best]),
-                )
-            )
+            missed = bool(np.all(compute_is_missed_prediction(chosen, future, MISS_M)))
+            brier = float(compute_brier_fde(chosen, future, probabilities[order[:k]])[best])
+            ade, of = float(compute_ade(chosen, future)[best]), (scene.scenario_id, str(track_id))
+            scores.append(Score(*of, len(scene.tracks), observed, k, ade, float(fde[best]), missed, brier))
     return scores, reasons
 
 
@@ -274,14 +268,5 @@ def _means(scores: Sequence[Score], bounds: Sequence[int]) -> Iterable[dict[str,
         inside = band.of(scores)
         for k in KS:
             own = [score for score in inside if score.k == k]
-            means = {key: float(np.mean([getattr(one, field) for one in own])) if own else None
-                     for key, field in _MEANS.items()}  # fmt: skip
+            means = {key: float(np.mean([getattr(one, key) for one in own])) if own else None for key in METRICS}
             yield {"band": name, "k": k, "tracks": len(own)} | means
-
-
-def _write(result: PredictionScores, report_dir: Path) -> None:
-    content = {"bands": list(result.bands), "left_out": list(result.left_out)}
-    parts = [pages.macro("forecasts.html.j2", "scored", TABLE_HEAD, result.rows(), result.left_out)]
-    write_rows(report_dir / "predictions.csv", Score._fields, result.scores)
-    write_json(report_dir / "predictions.json", content)
-    write_text(report_dir / "predictions.html", pages.page("Forecasts, scored", parts))

@@ -12,7 +12,6 @@ from bridge.pages.charts import distribution_figure, diversity_figure
 from bridge.pages.parts import Section, macro, number, page
 from bridge.pictures import figures
 from bridge.pictures.render import scene_figure
-from bridge.recordings.sidecar import AgentRecord
 from bridge.recordings.sources import read_recording
 from hid2.evaluation.critics import FEATURE_NAMES
 from hid2.evaluation.realism import FEATURES, GENERATED
@@ -30,7 +29,6 @@ _TITLES = {
     "realism": "Realism",
     "events": "Events asked for",
     "safety": "Safety",
-    "example": "One of the scenes",
     "motion": "Motion",
     "diversity": "Diversity",
     "requests": "Asked for and delivered",
@@ -47,8 +45,7 @@ def write_report(evaluation: Evaluation, path: Path) -> None:
         "diversity": figures.data_uri(diversity_figure(metrics["diversity"])),
         "distributions": totals.realism.of(FEATURES[0])[GENERATED].sum()
         and figures.data_uri(distribution_figure(totals.realism)),
-        "events": [(row, _event_picture(row, number)) for number, row in enumerate(totals.events)],
-        "example": _example(evaluation),
+        "events": [(row, _picture(row) if k < _EVENT_PICTURES else "") for k, row in enumerate(totals.events)],
         "features": {feature.name: feature for feature in FEATURES},
         "paper": {key: (number(PAPER_ORIGINAL[key]), number(PAPER_HID2[key])) for key in PAPER_ORIGINAL},
         "quantities": len(FEATURE_NAMES),
@@ -62,32 +59,7 @@ def write_report(evaluation: Evaluation, path: Path) -> None:
     write_text(path, page("Generated traffic scenes: evaluation", [intro], [s for s in sections if s.body]))
 
 
-def _example(evaluation: Evaluation) -> dict[str, Any] | None:
-    """A scene, and of its generated vehicles one to look at: it overtook, else changed lanes, else any."""
-    example = evaluation.totals.example
-    if example is None:
-        return None
-    scenario = read_recording(Path(example.folder))
-    agents = scenario.sidecar.agents if scenario.sidecar is not None else ()
-    found = {
-        "scenario_id": example.scenario_id,
-        "agents": len(agents),
-        "picture": figures.data_uri(scene_figure(scenario)),
-    }
-    agent = max(agents, key=lambda one: [kind in _done(one) for kind in ("overtake", "lane_change")], default=None)
-    if agent is not None:
-        close = figures.data_uri(scene_figure(scenario, agent=agent.track_id))
-        found |= {"track_id": agent.track_id, "done": _done(agent), "close": close}
-    return found
-
-
-def _done(agent: AgentRecord) -> list[str]:
-    """Kinds of manoeuvres that a vehicle was asked for and did."""
-    return [maneuver.kind for maneuver in agent.maneuvers if maneuver.status == "done"]
-
-
-def _event_picture(row: Row, number: int) -> str:
-    """A small picture of an event at its last observed step, for the first of them; "" where there is none."""
-    if row["track_id"] is None or number >= _EVENT_PICTURES:
-        return ""
-    return figures.data_uri(scene_figure(read_recording(Path(row["folder"])), agent=row["track_id"]))
+def _picture(event: Row) -> str:
+    """A small picture of an event at its last observed step; "" where there is none."""
+    scene, track_id = Path(event["folder"]), event["track_id"]
+    return "" if track_id is None else figures.data_uri(scene_figure(read_recording(scene), agent=track_id))

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Collection, Container, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,11 +14,10 @@ from bridge.recordings.judging import findings_of, states_of
 from bridge.recordings.recording import AV_ID, Recording
 from bridge.recordings.sidecar import REACTIVE, EventRecord, ManeuverRecord, Sidecar
 from bridge.recordings.sources import read_recording
-from hid2.agents import BoxSize, FloatArray, Policy, Track
-from hid2.evaluation.behaviour import policies
+from hid2.agents import FloatArray, Policy, Track
 from hid2.evaluation.critics import pack
-from hid2.evaluation.kinematics import Kinematics, beyond_limits, kinematics, motion
-from hid2.evaluation.metrics import CRITICAL, METRICS, Group, driven, measure_group
+from hid2.evaluation.kinematics import beyond_limits, kinematics, motion
+from hid2.evaluation.metrics import CRITICAL, METRICS, Group, columns, driven, policies
 from hid2.evaluation.realism import RealismCounts, count_scene, half_number, scene_values
 from hid2.evaluation.safety import IOU_THRESHOLD, Overlap, Safety, safety
 from hid2.evaluation.windows import windows
@@ -31,7 +30,7 @@ from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.measures.motion_limits import MotionProfile
 from hid2.measures.post_encroachment import Encroachment
-from hid2.measures.scene_end import END_HORIZON_S, contacts_after_last_step
+from hid2.measures.scene_end import END_HORIZON_S, ttc_after_last_step
 from hid2.occupancy.agent_states import AgentStates
 from hid2.params import Limits
 from hid2.policy.rules import place_in
@@ -48,8 +47,6 @@ PAIR_KINDS = ("pairs_vehicles", "pairs_all", "touching_all", "crossings", "pet_c
 PAIR_COLUMNS = tuple(f"{kind}_{group}" for kind in PAIR_KINDS for group in PAIR_GROUPS)
 
 Row = dict[str, Any]
-#: Sizes of recorded tracks by the id of their scene, then of the track.
-Labelled = Mapping[str, Mapping[str, BoxSize]]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -74,18 +71,13 @@ class SceneMeasures:
 _flat = lru_cache(maxsize=2)(flatten_lanes)
 
 
-def measure_folder(folder: Address, labelled: Labelled | None = None) -> SceneMeasures:
-    """Measure one recording or generated scene. Errors: ScenarioError, MapError.
-
-    labelled: sizes of the recorded tracks of source scenes, for generated ones with a sidecar that does not have them.
-    """
+def measure_folder(folder: Address) -> SceneMeasures:
+    """Measure one recording or generated scene. Errors: ScenarioError, MapError."""
     recording = read_recording(folder)
     sidecar = recording.sidecar
     if sidecar is not None and sidecar.replay.mode == "reactive":
         raise ScenarioError(f"{folder}: {REACTIVE}")
-    sizes = (labelled or {}).get(sidecar.source_scenario_id, {}) if sidecar else {}
-    tracks = [replace(t, size=sizes.get(t.track_id, t.size)) for t in recording.tracks] if sizes else recording.tracks
-    measures = measure(recording, tracks, sidecar)
+    measures = measure(recording, recording.tracks, sidecar)
     name: Row = {"scenario_id": recording.scenario_id}
     place: Row = {"split": split_of(folder) or "", "city": recording.city, "folder": str(folder)}
     before = dict.fromkeys(TABLES, name) | {"scenes": name | place, "events": name | {"folder": str(folder)}}
@@ -180,37 +172,22 @@ def _grouped(
     """States of tracks on the map of a recording, how they move, what they do to each other, and both by group."""
     lanes, step_s = _flat(recording.graph), recording.step_s
     states = states_of(tracks, lanes, generated, num_steps=recording.num_steps, step_s=step_s)
-    moved, safe = motion(states.arrays), safety(states.arrays, lanes, states.matches)
-    kinematic = kinematics(states.arrays, moved)
-    return states, moved, safe, _groups(states.arrays, kinematic, safe, beyond_limits(moved, Limits()))
-
-
-def _groups(
-    arrays: SceneArrays, kinematic: Kinematics, safe: Safety, beyond: Mapping[str, BoolArray]
-) -> dict[str, Group]:
-    """Recorded agents, generated ones, and both."""
-    every = np.ones(arrays.num_agents, dtype=bool)
-    met = encounters(arrays, safe.lanes, safe.matches, safe.leaders)
+    arrays = states.arrays
+    moved, safe = motion(arrays), safety(arrays, lanes, states.matches)
+    group = partial(
+        Group, arrays=arrays, kinematic=kinematics(arrays, moved), safe=safe, beyond=beyond_limits(moved, Limits()),
+        met=encounters(arrays, lanes, safe.matches, safe.leaders),
+    )  # fmt: skip
+    recorded, every = ~arrays.generated, np.ones(arrays.num_agents, dtype=bool)
     groups = {}
     # contacts that count: of added vehicles with any road user, of recorded ones with recorded ones
     for name, members, others in (
-        ("original", ~arrays.generated, ~arrays.generated),
-        ("generated", arrays.generated, every),
-        ("combined", every, every),
-    ):
-        groups[name] = Group(
-            arrays=arrays,
-            kinematic=kinematic,
-            safe=safe,
-            beyond=beyond,
-            members=members,
-            partners=others if name == "generated" else others & arrays.vehicle,  # as in the paper's SCR
-            end_contacts=contacts_after_last_step(
-                arrays, members & driven(arrays), horizon_s=END_HORIZON_S, among=others
-            ),
-            met=met,
-        )
-    return groups
+        ("original", recorded, recorded), ("generated", arrays.generated, every), ("combined", every, every)
+    ):  # fmt: skip
+        end_ttc_s = ttc_after_last_step(arrays, members & driven(arrays), horizon_s=END_HORIZON_S, among=others)
+        partners = others if name == "generated" else others & arrays.vehicle  # as in the paper's SCR
+        groups[name] = group(members=members, partners=partners, end_ttc_s=end_ttc_s)
+    return states, moved, safe, groups
 
 
 def _group_row(group: Group, maneuvers: Sequence[Maneuver], policy_of: Mapping[str, Policy]) -> Row:
@@ -223,7 +200,7 @@ def _group_row(group: Group, maneuvers: Sequence[Maneuver], policy_of: Mapping[s
         "moving": int(moving.sum()),
         "colliding": group.colliding,
     }
-    row |= measure_group(group)
+    row |= {name: column.of(group) for name, column in columns().items()}
     counts = Counter(policy_of[arrays.track_ids[a]] for a in np.flatnonzero(moving))
     row |= {f"policy_{policy.value}": counts[policy] for policy in Policy}
     ids = {arrays.track_ids[a] for a in np.flatnonzero(group.members)}
@@ -276,7 +253,7 @@ def _track_rows(
     whole = groups["combined"]
     arrays, safe, kinematic = whole.arrays, whole.safe, whole.kinematic
     # of recorded agents contacts with recorded ones, of inserted ones with any
-    after_end = {**groups["original"].end_contacts, **groups["generated"].end_contacts}
+    end_ttc_s = np.minimum(groups["original"].end_ttc_s, groups["generated"].end_ttc_s)
     asked = {agent.track_id: agent.policy.value for agent in sidecar.agents} if sidecar else {}
     collides = np.zeros((2, arrays.num_agents), dtype=bool)  # with recorded ones, with generated ones
     for pair in safe.overlaps:
@@ -292,7 +269,7 @@ def _track_rows(
         found = np.minimum.reduceat(values, arrays.first[:-1]) if arrays.num_agents else values
         return [float(value) if np.isfinite(value) else None for value in found]
 
-    columns: dict[str, Sequence[Any]] = {
+    table: dict[str, Sequence[Any]] = {
         "track_id": arrays.track_ids,
         "group": np.where(arrays.generated, "generated", "original").tolist(),
         "object_type": arrays.object_types,
@@ -310,11 +287,11 @@ def _track_rows(
         "min_ttc_s": least(safe.ttc_s),
         "min_leader_ttc_s": least(safe.leaders.ttc_s),
         "min_time_gap_s": least(safe.leaders.time_gap_s),
-        "end_ttc_s": [after_end[a].ttc_s if a in after_end else None for a in range(arrays.num_agents)],
+        "end_ttc_s": [value if np.isfinite(value) else None for value in end_ttc_s.tolist()],
         "findings": [Counter(one.quantity.value for one in findings if one.track_id == t) for t in arrays.track_ids],
         **{name: arrays.sum_per_agent(mask).astype(int).tolist() for name, mask in steps.items()},
     }
-    return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
+    return [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
 
 
 def _maneuver_rows(seen: Sequence[Maneuver], generated: Container[str], sidecar: Sidecar | None) -> list[Row]:

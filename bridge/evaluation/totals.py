@@ -5,16 +5,15 @@ import heapq
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from bridge.evaluation.critique import critique
 from bridge.evaluation.scene_metrics import PAIR_COLUMNS, PAIR_GROUPS, PAIR_KINDS, SceneMeasures
 from bridge.recordings.folders import Address
 from hid2.agents import FloatArray, Policy
-from hid2.evaluation.critics import WIDTH, Packed
-from hid2.evaluation.metrics import GROUPS, Metric, Section, columns, metrics_in
+from hid2.evaluation.critics import WIDTH, Packed, critique
+from hid2.evaluation.metrics import GROUPS, METRICS, Metric, Section, columns
 from hid2.evaluation.realism import FEATURES, GENERATED, RECORDED, TAIL_SHARES, TAILS, RealismCounts, quantiles
 from hid2.judge.findings import Quantity
 from hid2.measures.arrays import BoolArray
@@ -52,11 +51,8 @@ class SourceSums:
 
     def __init__(self, names: Sequence[str] | None = None, *, most: int = MOST_SOURCES) -> None:
         """Sum the columns of these names; of every metric and group unless told."""
-        if names is None:
-            names = [f"{group}_{column}" for group in GROUPS for column in columns()]
-        self._columns = {name: k for k, name in enumerate(names)}
-        self._most = most
-        self._grouped = False
+        self._columns = list(names or (f"{group}_{column}" for group in GROUPS for column in columns()))
+        self._most, self._grouped = most, False
         self._sums: dict[str, FloatArray] = {}
 
     @classmethod
@@ -75,24 +71,21 @@ class SourceSums:
         self._add(str(row["source"]), np.array([float(row[name]) for name in self._columns]))
 
     def of_columns(self, *columns: str) -> tuple[FloatArray, ...]:
-        """Sums (S,) of each column, in the order of the sources' names. Errors: KeyError for an unknown column."""
+        """Sums (S,) of each column, in the order of the sources' names. Errors: ValueError for an unknown column."""
         table = np.array([self._sums[name] for name in sorted(self._sums)]).reshape(-1, len(self._columns))
-        return tuple(table[:, self._columns[name]] for name in columns)
+        return tuple(table[:, self._columns.index(name)] for name in columns)
 
     def _add(self, source: str, values: FloatArray) -> None:
-        name = self._group_of(source) if self._grouped else source
-        if name in self._sums:
-            self._sums[name] = self._sums[name] + values
-            return
-        self._sums[name] = values
+        name = f"{_hash(source) % self._most:09d}" if self._grouped else source
+        self._sums[name] = self._sums.get(name, 0.0) + values
         if len(self._sums) > self._most:
             known, self._sums, self._grouped = self._sums, {}, True
             for each in sorted(known):
                 self._add(each, known[each])
 
-    def _group_of(self, source: str) -> str:
-        digest = hashlib.blake2b(source.encode(), digest_size=8).digest()
-        return f"{int.from_bytes(digest) % self._most:09d}"
+
+def _hash(text: str) -> int:
+    return int.from_bytes(hashlib.blake2b(text.encode(), digest_size=8).digest())
 
 
 def estimate(sums: SourceSums, metric: Metric, group: str) -> Estimate:
@@ -100,8 +93,8 @@ def estimate(sums: SourceSums, metric: Metric, group: str) -> Estimate:
     return ratio(*sums.of_columns(f"{group}_{metric.numerator.name}", f"{group}_{metric.denominator.name}"))
 
 
-def table(sums: SourceSums, metrics: Sequence[Metric]) -> dict[str, Any]:
-    """Every metric with its interval for every group, ready for JSON: table[metric.key][group]."""
+def table(sums: SourceSums, section: Section) -> dict[str, Any]:
+    """Every metric of a section with its interval for every group, ready for JSON: table[metric.key][group]."""
     return {
         metric.key: {
             "label": metric.label,
@@ -109,7 +102,8 @@ def table(sums: SourceSums, metrics: Sequence[Metric]) -> dict[str, Any]:
             "sentence": metric.sentence,
             **{group: estimate(sums, metric, group)._asdict() for group in GROUPS},
         }
-        for metric in metrics
+        for metric in METRICS
+        if metric.section is section
     }
 
 
@@ -119,8 +113,12 @@ class Diversity:
     def __init__(self) -> None:
         #: Number of scenes by number of agents, for each moment and each of DENSITIES.
         self._density: defaultdict[tuple[str, str], Counter[int]] = defaultdict(Counter)
-        #: Scenes, moving vehicles by policy, scenes that have any, and manoeuvres by kind, for each moment.
-        self._counts: defaultdict[str, Counter[tuple[str, str]]] = defaultdict(Counter)
+        self._scenes: Counter[str] = Counter()
+        #: Moving vehicles by policy, scenes that have any, and manoeuvres by kind, for each moment.
+        self._counts: dict[str, dict[str, Counter[str]]] = {
+            when: {"vehicles": Counter(), "scenes_with": Counter(), "maneuvers": Counter()}
+            for when in ("before", "generated", "after")
+        }
 
     @classmethod
     def of(cls, rows: Iterable[Row], sources: Iterable[Row]) -> "Diversity":
@@ -142,29 +140,27 @@ class Diversity:
         self._count("before", "original", row)
 
     def _count(self, when: str, group: str, row: Row) -> None:
-        counts = self._counts[when]
-        counts["scenes", ""] += 1
+        self._scenes[when] += 1
         for name in DENSITIES:
             added = row[name.replace("tracks", "generated")]
             numbers = {"original": row[name] - added, "generated": added, "combined": row[name]}
             self._density[when, name][numbers[group]] += 1
-        for policy in Policy:
-            number = row[f"{group}_policy_{policy}"]
-            counts["vehicles", policy.value] += number
-            counts["scenes_with", policy.value] += number > 0
-        for kind in ManeuverKind:
-            counts["maneuvers", kind.value] += row[f"{group}_seen_{kind}"]
+        policies = {policy.value: row[f"{group}_policy_{policy}"] for policy in Policy}
+        counts = self._counts[when]
+        counts["vehicles"].update(policies)
+        counts["scenes_with"].update({name: number > 0 for name, number in policies.items()})
+        counts["maneuvers"].update({kind.value: row[f"{group}_seen_{kind}"] for kind in ManeuverKind})
 
     def content(self) -> dict[str, Any]:
         """Ready for JSON: scenes before and after, density[name] by number of agents, and behaviours."""
         names = {"vehicles": Policy, "scenes_with": Policy, "maneuvers": ManeuverKind}
         return {
-            "scenes": {when: self._counts[when]["scenes", ""] for when in ("before", "after")},
+            "scenes": {when: self._scenes[when] for when in ("before", "after")},
             "density": {name: self._density_content(name) for name in DENSITIES},
             "behaviours": {
-                when: {what: {one.value: counts[what, one.value] for one in of} for what, of in names.items()}
-                | {"scenes": counts["scenes", ""]}
-                for when, counts in ((when, self._counts[when]) for when in ("before", "generated", "after"))
+                when: {what: {one.value: counts[what][one.value] for one in of} for what, of in names.items()}
+                | {"scenes": self._scenes[when]}
+                for when, counts in self._counts.items()
             },
         }
 
@@ -173,8 +169,7 @@ class Diversity:
         density = {when: sorted(self._density[when, name].items()) for when in ("before", "after")}
 
         def per_scene(when: str, total: int) -> float | None:
-            scenes = self._counts[when]["scenes", ""]
-            return total / scenes if scenes else None
+            return total / self._scenes[when] if self._scenes[when] else None
 
         means = {f"mean_{when}": per_scene(when, sum(n * count for n, count in of)) for when, of in density.items()}
         above = {
@@ -199,8 +194,7 @@ class Samples:
 
     def add(self, rows: FloatArray, generated: BoolArray, *, scene: str, source: str) -> None:
         """Offer windows of a scene: rows (M, WIDTH), generated (M,). `source`: the scene that it was made from."""
-        seed = hashlib.blake2b(scene.encode(), digest_size=8).digest()
-        hashes = np.random.default_rng(int.from_bytes(seed)).random(len(rows)).tolist()
+        hashes = np.random.default_rng(_hash(scene)).random(len(rows)).tolist()
         for number, row, kind in zip(hashes, rows, generated.tolist(), strict=True):
             self._kept[kind].append((number, source, row.copy()))  # a part of `rows` would keep all of them
         self._kept = {
@@ -232,19 +226,14 @@ class ManeuverCounts:
     status: Counter[tuple[str, str]] = field(default_factory=Counter)
     seen: Counter[tuple[str, str]] = field(default_factory=Counter)
     reasons: Counter[tuple[str, str, str]] = field(default_factory=Counter)
-    unasked: Counter[str] = field(default_factory=Counter)
     delays: defaultdict[str, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
 
     def add(self, rows: Iterable[Row]) -> None:
         """Count manoeuvre rows of generated vehicles."""
         for row in rows:
-            if row["group"] != "generated":
+            if row["group"] != "generated" or not row["recorded"]:
                 continue
             kind, status = row["kind"], row["status"]
-            if not row["recorded"]:
-                if row["part_of"] is None and row["seen_complete"]:
-                    self.unasked[kind] += 1
-                continue
             self.status[kind, status] += 1
             self.seen[kind, status] += row["seen"] is not None
             if row["reason"]:
@@ -261,17 +250,8 @@ class ManeuverCounts:
         return float(np.median(np.repeat(list(counts), list(counts.values())))) / _DELAY_PARTS
 
 
-class Example(NamedTuple):
-    """The scene that shows most: one with generated vehicles, then the one with most manoeuvres."""
-
-    has_generated: bool
-    maneuvers: int
-    scenario_id: str
-    folder: str
-
-
 class Totals:
-    """Sums over all scenes of a pass. `example`: the scene to show, None before the first.
+    """Sums over all scenes of a pass.
 
     Memory grows by the names of the source scenes alone.
 
@@ -289,9 +269,9 @@ class Totals:
         self.control: Samples | None = None
         self.events: list[Row] = []
         self.event_counts: Counter[tuple[str, str]] = Counter()
-        self.example: Example | None = None
         self._sources: set[str] = set()
-        self._nets: dict[str, str] = {}
+        #: Scene folder of each of the first source scenes by name.
+        self.nets: dict[str, str] = {}
         self._counts: Counter[str] = Counter()
         self._rejected: Counter[str] = Counter()
         self._selection: dict[str, Counter[str]] = {}
@@ -315,12 +295,9 @@ class Totals:
             self.diversity.add_source(row)
         self._add_driving(measures, generated=True, recorded=as_recorded)
         self._add_counts(row)
-        shown = row["generated_seen_overtake"] + row["generated_seen_lane_change"]
-        example = Example(row["generated"] > 0, shown, row["scenario_id"], row["folder"])
-        self.example = max(example, self.example or example)
-        self._nets.setdefault(source, row["folder"])
-        if len(self._nets) > MOST_NETS:
-            del self._nets[max(self._nets)]
+        self.nets.setdefault(source, row["folder"])
+        if len(self.nets) > MOST_NETS:
+            del self.nets[max(self.nets)]
 
     def add_source(self, measures: SceneMeasures) -> None:
         """Take a source scene in: what there was before, and how recorded vehicles drive among themselves."""
@@ -330,22 +307,11 @@ class Totals:
     def add_control(self, measures: SceneMeasures) -> None:
         """Take a scene of the control's drivers in: of it only what the critics look at counts."""
         self.control = self.control or Samples()
-        self._add_windows(measures, self.control, measures.sample_generated)
+        _add_windows(measures, self.control, measures.sample_generated)
 
     def _add_driving(self, measures: SceneMeasures, *, generated: bool, recorded: bool) -> None:
         self.realism.add(measures.realism, generated=generated, recorded=recorded)
-        self._add_windows(measures, self.samples, np.where(measures.sample_generated, generated, recorded))
-
-    @staticmethod
-    def _add_windows(measures: SceneMeasures, samples: Samples, kept: BoolArray) -> None:
-        row = measures.scene
-        samples.add(
-            measures.samples[kept], measures.sample_generated[kept], scene=row["scenario_id"], source=str(row["source"])
-        )
-
-    def net_folders(self) -> dict[str, str]:
-        """Scene folder of each of the first source scenes by name."""
-        return {source: self._nets[source] for source in sorted(self._nets)}
+        _add_windows(measures, self.samples, np.where(measures.sample_generated, generated, recorded))
 
     def content(self) -> dict[str, Any]:
         """The parts of metrics.json that the scenes tell."""
@@ -358,21 +324,16 @@ class Totals:
                 "generated_vehicles": counts["generated"],
             },
             "kinematics": {
-                "paper": table(self.sums, metrics_in(Section.PAPER)),
-                "clean": table(self.sums, metrics_in(Section.CLEAN)),
-                "limits": table(self.sums, metrics_in(Section.LIMITS)),
+                part.value: table(self.sums, part) for part in (Section.PAPER, Section.CLEAN, Section.LIMITS)
             },
-            "safety": table(self.sums, metrics_in(Section.SAFETY))
+            "safety": table(self.sums, Section.SAFETY)
             | {"pairs": {kind: {g: counts[f"{kind}_{g}"] for g in PAIR_GROUPS} for kind in PAIR_KINDS}},
             "judge": {
-                quantity.value: {
-                    "findings": self._findings[quantity.value],
-                    "limit": quantity.sentence,
-                }
+                quantity.value: {"findings": self._findings[quantity.value], "limit": quantity.sentence}
                 for quantity in Quantity
                 if self._findings[quantity.value]
             },
-            "encounters": table(self.sums, metrics_in(Section.ENCOUNTERS)),
+            "encounters": table(self.sums, Section.ENCOUNTERS),
             "events": {
                 kind: {status: self.event_counts[kind, status] for status in ("done", "not_feasible")}
                 for kind in sorted({kind for kind, _ in self.event_counts})
@@ -392,12 +353,8 @@ class Totals:
                 "rejected": dict(self._rejected.most_common()),
                 "selection": {name: dict(counts) for name, counts in self._selection.items()},
                 "maneuvers": _maneuvers(self.maneuvers),
-                "seen_without_record": dict(sorted(self.maneuvers.unasked.items())),
             },
-            "replay": {
-                "states": counts["replay_states"],
-                "max_position_error_m": self._replay_position_error_m,
-            },
+            "replay": {"states": counts["replay_states"], "max_position_error_m": self._replay_position_error_m},
         }
 
     def _add_counts(self, row: Row) -> None:
@@ -410,6 +367,11 @@ class Totals:
             self._selection.setdefault(name, Counter()).update(told)
         self._findings.update(row["findings"])
         self._replay_position_error_m = max(self._replay_position_error_m, row["replay_position_error_m"] or 0.0)
+
+
+def _add_windows(measures: SceneMeasures, samples: Samples, kept: BoolArray) -> None:
+    row, generated = measures.scene, measures.sample_generated
+    samples.add(measures.samples[kept], generated[kept], scene=row["scenario_id"], source=str(row["source"]))
 
 
 @dataclass(eq=False, slots=True)

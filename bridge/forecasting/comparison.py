@@ -6,25 +6,19 @@ was made of one, and seeds of each model on its own: what is left is what other 
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from bridge.evaluation.predictions import BASELINES, BOUNDS, Band, Score, bands, score_predictions
-from bridge.files import make_folder, write_json, write_rows, write_text
+from bridge.evaluation.predictions import BASELINES, BOUNDS, METRICS, Band, MetricKey, Score, bands, score_predictions
+from bridge.files import make_folder, write_rows, write_text
 from bridge.pages import parts as pages
 from bridge.recordings.scenario import find_scenarios, source_id
 from hid2.agents import FloatArray, IntArray
 from hid2.params import Forecasting
-from hid2.resampling import draws
-from hid2.resampling import interval as interval_of
+from hid2.resampling import Estimate, draws, interval
 from netconvert.errors import ConfigError, ScenarioError
 
-MetricKey = Literal["min_ade_m", "min_fde_m", "missed", "brier_min_fde"]
-#: Metrics by key, with their names.
-METRICS: Mapping[MetricKey, str] = {
-    "min_ade_m": "minADE, m", "min_fde_m": "minFDE, m", "missed": "MR", "brier_min_fde": "brier-minFDE, m",
-}  # fmt: skip
 #: Futures that count in comparisons, as in the paper's tables.
 K = 6
 #: Normal quantiles of a two-sided test at 5 %, and of a power of 80 %.
@@ -34,31 +28,25 @@ _Z_TEST, _Z_POWER = 1.959964, 0.841621
 Runs = Sequence[Sequence[Score]]
 
 
-class MeanEstimate(NamedTuple):
-    """A mean with its 95 % interval by bootstrap; None where there is nothing. se: standard error."""
-
-    value: float | None
-    low: float | None = None
-    high: float | None = None
-    se: float | None = None
-
-
 class Difference(NamedTuple):
-    """A model minus another one, on the tracks that all of their files forecast.
+    """A model minus another one, on the tracks that all of their files forecast; se: its standard error.
 
     sources: recorded scenes behind them, which are drawn; detectable: least difference that such a comparison finds
     four times in five (two-sided test at 5 %), None with fewer than two sources, or where all differ by the same.
     """
 
     model: str
-    other: str
+    minus: str
     band: str
     metric: MetricKey
-    estimate: MeanEstimate
+    difference: float | None
+    low: float | None
+    high: float | None
+    se: float | None
     tracks: int
     sources: int
-    seeds: tuple[int, int]
     detectable: float | None
+    seeds: tuple[int, int]
 
     def sources_for(self, effect: float) -> int | None:
         """Recorded scenes that would be needed to find an effect four times in five, other things equal."""
@@ -67,9 +55,9 @@ class Difference(NamedTuple):
         return int(np.ceil(self.sources * (self.detectable / effect) ** 2))
 
 
-def mean_of(runs: Runs, source_of: Mapping[str, str], metric: MetricKey, params: Forecasting) -> MeanEstimate:
+def mean_of(runs: Runs, source_of: Mapping[str, str], metric: MetricKey, params: Forecasting) -> Estimate:
     """Mean of a metric of one model."""
-    return _bootstrap(*_aligned([runs], source_of, metric), params)
+    return _bootstrap(*_aligned([runs], source_of, metric), params)[0]
 
 
 def difference_of(
@@ -79,11 +67,10 @@ def difference_of(
     """One model minus the other, in pairs of the same track."""
     (name, mine), (others_name, theirs) = model, other
     values, source = _aligned([mine, theirs], source_of, metric)
-    estimate = _bootstrap(values, source, params)
-    return Difference(
-        name, others_name, band, metric, estimate, tracks=len(source), sources=len(np.unique(source)),
-        seeds=(len(mine), len(theirs)), detectable=(_Z_TEST + _Z_POWER) * estimate.se if estimate.se else None,
-    )  # fmt: skip
+    estimate, se = _bootstrap(values, source, params)
+    detectable = (_Z_TEST + _Z_POWER) * se if se else None
+    counts = len(source), len(np.unique(source))
+    return Difference(name, others_name, band, metric, *estimate, se, *counts, detectable, (len(mine), len(theirs)))
 
 
 def differences_of(
@@ -115,20 +102,22 @@ def _aligned(
     return [np.array([[run[track] for track in tracks] for run in runs]) for runs in found], source
 
 
-def _bootstrap(values: Sequence[FloatArray], source: IntArray, params: Forecasting) -> MeanEstimate:
-    """Mean of the first values less that of the others: sources are drawn for all at once, seeds for each."""
+def _bootstrap(values: Sequence[FloatArray], source: IntArray, params: Forecasting) -> tuple[Estimate, float | None]:
+    """Mean of the first values less that of the others, and its standard error.
+
+    Sources are drawn for all at once, seeds for each.
+    """
     if not len(source):
-        return MeanEstimate(None)
+        return Estimate(None), None
     signs = (1.0, *[-1.0] * (len(values) - 1))
     value = sum(sign * float(each.mean()) for sign, each in zip(signs, values, strict=True))
     counts = np.bincount(source).astype(np.float64)
-    sources = len(counts)
-    if sources < 2:
-        return MeanEstimate(value)
+    if len(counts) < 2:
+        return Estimate(value), None
     random = np.random.default_rng(0)
     sums = [np.array([np.bincount(source, weights=run) for run in each]) for each in values]
     drawn: list[FloatArray] = []
-    for weights in draws(sources, resamples=params.resamples, rng=random):
+    for weights in draws(len(counts), resamples=params.resamples, rng=random):
         result = np.zeros(len(weights))
         for sign, own in zip(signs, sums, strict=True):
             seeds = random.integers(len(own), size=(len(weights), len(own)))
@@ -136,7 +125,7 @@ def _bootstrap(values: Sequence[FloatArray], source: IntArray, params: Forecasti
             result += sign * np.take_along_axis(means, seeds, axis=1).mean(axis=1)
         drawn.append(result)
     every = np.concatenate(drawn)
-    return MeanEstimate(*interval_of(value, every), float(every.std(ddof=1)))
+    return interval(value, every), float(every.std(ddof=1))
 
 
 # Files of predictions, from the command line
@@ -165,7 +154,7 @@ def compare_predictions(
 ) -> tuple[list[Difference], list[str]]:  # fmt: skip
     """Score the files of models on the scenes, and compare every model with the first one.
 
-    Writes comparison.csv, comparison.json and comparison.html. Returns the differences, and a line for what could not
+    Writes comparison.csv and comparison.html. Returns the differences, and a line for what could not
     be scored. Errors: as of `score_predictions`; ConfigError where there is nothing to compare.
     """
     if len(models) < 2:
@@ -198,7 +187,7 @@ def sources_of(scenes: Path) -> dict[str, str]:
         if source is not None:
             found[source_id(folder)] = source
     for root in (scenes, scenes.parent):
-        found |= {name: origin.source_id for name, origin in origins_of(root).items()}
+        found |= {name: origin["source_id"] for name, origin in origins_of(root).items()}
     return found
 
 
@@ -210,8 +199,8 @@ def rows_of(differences: Sequence[Difference]) -> list[tuple[str, ...]]:
     """A table of differences with tracks."""
     return [
         (
-            one.model, one.other, one.band, METRICS[one.metric], _signed(one.estimate.value),
-            "–" if one.estimate.low is None else f"{_signed(one.estimate.low)} to {_signed(one.estimate.high)}",
+            one.model, one.minus, one.band, METRICS[one.metric], _signed(one.difference),
+            "–" if one.low is None else f"{_signed(one.low)} to {_signed(one.high)}",
             str(one.tracks), str(one.sources), "–" if one.detectable is None else f"{one.detectable:.3f}",
         )
         for one in differences
@@ -223,18 +212,8 @@ def _signed(value: float | None) -> str:
     return "–" if value is None else f"{value:+.3f}"
 
 
-def as_dicts(differences: Sequence[Difference]) -> list[dict[str, Any]]:
-    """For JSON."""
-    return [{**one._asdict(), "estimate": one.estimate._asdict(), "seeds": list(one.seeds)} for one in differences]
-
-
 def _write(differences: Sequence[Difference], report_dir: Path) -> None:
-    write_rows(
-        report_dir / "comparison.csv",
-        ("model", "minus", "band", "metric", "difference", "low", "high", "se", "tracks", "sources", "detectable"),
-        ((one.model, one.other, one.band, one.metric, *one.estimate, one.tracks, one.sources, one.detectable)
-         for one in differences),
-    )  # fmt: skip
-    write_json(report_dir / "comparison.json", as_dicts(differences))
+    *head, _ = Difference._fields
+    write_rows(report_dir / "comparison.csv", head, (one[:-1] for one in differences))
     part = pages.macro("forecasts.html.j2", "differences", HEAD, rows_of(differences))
     write_text(report_dir / "comparison.html", pages.page("Forecasts, compared", [part]))

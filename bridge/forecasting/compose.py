@@ -4,8 +4,8 @@ Folders are real, files are hard links, or copies where the file system has none
 see linked folders. Same composition, same sources, same seed: the same root.
 """
 
+import contextlib
 import csv
-import logging
 import os
 import shutil
 import uuid
@@ -28,7 +28,6 @@ from bridge.recordings.scenario import MAX_STEPS
 from hid2.params import Forecasting
 from netconvert.errors import ConfigError, NoSceneError, ScenarioError
 
-_LOG = logging.getLogger(__name__)
 ORIGINS, COMPOSITION = "origins.csv", "composition.json"
 VALIDATION = "validation"
 _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo compose")
@@ -78,11 +77,9 @@ class _Scene(NamedTuple):
         return own if not self.copy else str(uuid.uuid5(_NAMESPACE, f"{own}\n{self.copy}"))
 
     def origin(self, split: str) -> Origin:
-        fact = self.facts
-        return Origin(
-            split, self.scenario_id, "copy" if self.copy else fact.kind, self.source, fact.scenario_id, fact.source_id,
-            fact.city, fact.tracks, fact.observed, str(fact.folder),
-        )  # fmt: skip
+        fact, kind = self.facts, "copy" if self.copy else self.facts.kind
+        own = fact.scenario_id, fact.source_id, fact.city, fact.tracks, fact.observed, str(fact.folder)
+        return Origin(split, self.scenario_id, kind, self.source, *own)
 
 
 def compose(
@@ -142,16 +139,14 @@ class _Pool:
     def __init__(self, composition: Composition, *, jobs: int, tell: Callable[[int, int], None]) -> None:
         self._params = Forecasting()
         self._seed, self._sources = composition.seed, composition.sources
-        self.left_out: list[str] = []
-        names, folders = [], []
-        for name, places in composition.sources.items():
-            found = [folder for place in places for folder in find_scenarios(Path(place))]
-            names += [name] * len(found)
-            folders += found
-        facts, unread = facts_of_scenes(folders, jobs=jobs, on_scene=tell)
-        self.left_out += unread
-        source_of = dict(zip(folders, names, strict=True))
-        usable = []
+        found = [
+            (folder, name)
+            for name, places in composition.sources.items()
+            for place in places
+            for folder in find_scenarios(Path(place))
+        ]
+        facts, self.left_out = facts_of_scenes([folder for folder, _ in found], jobs=jobs, on_scene=tell)
+        source_of, usable = dict(found), []
         seen: dict[tuple[str, str], SourceScene] = {}
         for fact in facts:
             name = source_of[fact.folder]
@@ -168,9 +163,8 @@ class _Pool:
                 usable.append(fact)
         if not usable:
             raise NoSceneError(f"{', '.join(composition.sources)}: no scene that can be used")
-        splits = self._split(usable, composition)
         self._scenes: dict[tuple[str, str], list[SourceScene]] = defaultdict(list)
-        for split, rows in splits.items():
+        for split, rows in self._split(usable, composition).items():
             for row in rows:
                 self._scenes[split, source_of[usable[row].folder]].append(usable[row])
 
@@ -287,17 +281,12 @@ def _put(scene: _Scene, place: Path) -> None:
             continue
         name = entry.name.replace(own, new) if scene.copy else entry.name
         if scene.copy and entry.name == f"scenario_{own}.parquet":
-            (target / name).write_bytes(_renamed(Path(entry.path), new))
+            table = pq.read_table(entry.path)
+            index = table.schema.get_field_index("scenario_id")
+            ids = pa.repeat(pa.scalar(new).cast(table.schema.field(index).type), table.num_rows)
+            (target / name).write_bytes(parquet_bytes(table.set_column(index, table.schema.field(index), ids)))
         else:
             _link(Path(entry.path), target / name)
-
-
-def _renamed(path: Path, scenario_id: str) -> bytes:
-    table = pq.read_table(path)
-    index = table.schema.get_field_index("scenario_id")
-    field = table.schema.field(index)
-    column = pa.repeat(pa.scalar(scenario_id).cast(field.type), table.num_rows)
-    return parquet_bytes(table.set_column(index, field, column))
 
 
 def _link(path: Path, target: Path) -> None:
@@ -315,7 +304,10 @@ def check_leaks(root: Path, *, jobs: int = 1, on_scene: Callable[[int, int], Non
     """
     roots = [root] if any((root / split).is_dir() for split in SPLITS) else _roots_in(root)
     held_out = _roots_in(root / VALIDATION)
-    folders = {place: _scenes_in(place) for place in [*roots, *held_out]}
+    folders: dict[Path, list[Path]] = {}
+    for place in [*roots, *held_out]:
+        with contextlib.suppress(NoSceneError):
+            folders[place] = find_scenarios(place)
     everything = list(dict.fromkeys(folder for found in folders.values() for folder in found))
     if not everything:
         raise NoSceneError(f"{root}: no scene in folders train, val or test")
@@ -324,14 +316,14 @@ def check_leaks(root: Path, *, jobs: int = 1, on_scene: Callable[[int, int], Non
         raise ScenarioError(f"{root}: {len(unread)} scenes cannot be read, the first: {unread[0]}")
     origins = {name: origin for place in folders for name, origin in origins_of(place).items()}
     facts = [
-        fact._replace(source_id=origins[fact.scenario_id].source_id) if fact.scenario_id in origins else fact
+        fact._replace(source_id=origins[fact.scenario_id]["source_id"]) if fact.scenario_id in origins else fact
         for fact in facts
     ]
     row_of = {fact.folder: row for row, fact in enumerate(facts)}
     found: dict[Path, Leak] = {}
     for place in roots:
-        train, val, test = ([row_of[f] for f in folders[place] if split_of(f) == split] for split in SPLITS)
-        outside = list(dict.fromkeys(val + [row_of[f] for other in held_out for f in folders[other]]))
+        train, val, test = ([row_of[f] for f in folders.get(place, ()) if split_of(f) == split] for split in SPLITS)
+        outside = list(dict.fromkeys(val + [row_of[f] for other in held_out for f in folders.get(other, ())]))
         for leak in (*leaks_between(facts, train, outside + test), *leaks_between(facts, val, test)):
             found.setdefault(leak.folder, leak)
     return list(found.values())
@@ -345,20 +337,11 @@ def _roots_in(root: Path) -> list[Path]:
     )
 
 
-def _scenes_in(root: Path) -> list[Path]:
-    try:
-        return find_scenarios(root)
-    except NoSceneError:
-        return []
-
-
-def origins_of(root: Path) -> dict[str, Origin]:
-    """What origins.csv of a data-set root says, by scenario id; empty where there is none."""
+def origins_of(root: Path) -> dict[str, dict[str, str]]:
+    """Rows of origins.csv of a data-set root, by scenario id; empty where there is none."""
     path = root / ORIGINS
     if not path.is_file():
         return {}
     with path.open(newline="", encoding="utf-8") as stream:
-        return {
-            row["scenario_id"]: Origin(**{**row, "tracks": int(row["tracks"]), "observed": int(row["observed"])})  # type: ignore[arg-type]
-            for row in ({key: untabled(value) for key, value in row.items()} for row in csv.DictReader(stream))
-        }
+        rows = ({key: untabled(value) for key, value in row.items()} for row in csv.DictReader(stream))
+        return {row["scenario_id"]: row for row in rows}

@@ -1,21 +1,34 @@
 """COMPOSITION.toml: which scenes of which sources make which data sets. `bridge/forecasting/README.md` has examples."""
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 
-from bridge.config import read_toml
+from bridge.config import model_of, parse_value, read_toml_as
 from bridge.recordings.folders import SPLITS
 from netconvert.errors import ConfigError
 
+
+def _counted(value: object) -> object:
+    is_number = isinstance(value, int) and value >= 0
+    if not (is_number or (isinstance(value, float) and 0 < value < 1) or value == "all"):
+        raise ValueError("a number of scenes, a share of them between 0 and 1, or all")
+    return value
+
+
+def _placed(value: object, info: ValidationInfo) -> object:
+    """The folders of a source, one or a list, which begin at the file's; what is neither is left for the check."""
+    listed = [value] if isinstance(value, str) else value
+    if info.context is None or not isinstance(listed, list) or not all(isinstance(place, str) for place in listed):
+        return value
+    return [str(info.context / place) for place in listed]
+
+
 #: Number of scenes, a share of those that there are, or all of them.
-Count = Annotated[int, Field(ge=0)] | Annotated[float, Field(gt=0, lt=1)] | Literal["all"]
-_COUNT = "a number of scenes, a share of them between 0 and 1, or all"
-_NAME = r"^[A-Za-z0-9][A-Za-z0-9_.+-]{0,63}$"
-Name = Annotated[str, Field(pattern=_NAME)]
+Count = Annotated[int | float | Literal["all"], BeforeValidator(_counted)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]{0,63}$")]
 #: The control compositions by name, in the order of the tables, with what each is for.
 CONTROLS: Mapping[str, str] = {
     "recorded": "recorded scenes only",
@@ -107,7 +120,7 @@ class Composition(_Part):
     seed: int = Field(default=0, ge=0)
     layout: Literal["av2", "qcnet"] = "av2"
     split: Split = Split()
-    sources: Mapping[Name, tuple[str, ...]] = Field(min_length=1)
+    sources: Mapping[Name, Annotated[tuple[str, ...], BeforeValidator(_placed)]] = Field(min_length=1)
     sets: Mapping[Name, Draw] = Field(default_factory=dict)
     controls: Controls | None = None
     validation: Mapping[Name, Draw] = Field(default_factory=dict)
@@ -140,50 +153,12 @@ class Composition(_Part):
 
 def read_composition(path: Path) -> Composition:
     """Read a file; its relative paths begin at its folder. Errors: ConfigError with file, key, value and range."""
-    values = read_toml(path, "a composition")
-    sources = values.get("sources")
-    if isinstance(sources, dict):
-        values["sources"] = {name: _places(places, path.parent) for name, places in sources.items()}
-    return composition_of(values, str(path))
-
-
-def _places(places: object, folder: Path) -> object:
-    """The folders of a source, one or a list; what is neither is left for the check."""
-    listed = [places] if isinstance(places, str) else places
-    if not isinstance(listed, list) or not all(isinstance(place, str) for place in listed):
-        return places
-    return tuple(str(folder / place) for place in listed)
+    return read_toml_as(Composition, path, "a composition")
 
 
 def composition_of(values: Mapping[str, Any], where: str) -> Composition:
     """A composition from its values. Errors: ConfigError."""
-    try:
-        return Composition.model_validate(values, strict=True)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        names = [str(part) for part in first["loc"]]
-        kept = [name for name in names if not name.startswith(("constrained-", "int", "float", "literal["))]
-        key, message = ".".join(kept), first["msg"].removeprefix("Value error, ")
-        if first["type"] == "missing":
-            raise ConfigError(f"{where}: no {key}, expected it in a composition") from error
-        if first["type"] == "extra_forbidden":
-            raise ConfigError(f"{where}: unknown key {key!r}; expected {_known(names[:-1])}") from error
-        if first["type"] == "value_error":
-            raise ConfigError(f"{where}: {key and f'{key}: '}{message}") from error
-        wanted = message[:1].lower() + message[1:]
-        for theirs, ours in (("input should be", "expected"), ("greater than or equal to", "at least")):
-            wanted = wanted.replace(theirs, ours)
-        if len(kept) < len(names):  # one of several types
-            wanted = f"expected {_COUNT}"
-        raise ConfigError(f"{where}: {key} = {str(first['input'])[:60]!r}, {wanted}") from error
-
-
-def _known(location: Sequence[str]) -> str:
-    """The keys of the table at a place of the file."""
-    parts: Mapping[str, type[_Part]] = {
-        "split": Split, "controls": Controls, "sets": Draw, "validation": Draw, "test": Draw,
-    }  # fmt: skip
-    return ", ".join((parts[location[0]] if location else Composition).model_fields)
+    return model_of(Composition, values, where)
 
 
 def composition_of_sources(
@@ -191,35 +166,28 @@ def composition_of_sources(
     min_agents_in: Literal["all", "observed"],
 ) -> Composition:  # fmt: skip
     """One data set of SOURCE[:N] each: N of its scenes, divided among the splits. Errors: ConfigError."""
-    sources: dict[str, tuple[str, ...]] = {}
-    counts: dict[str, Count] = {}
+    sources: dict[str, tuple[str]] = {}
+    counts: dict[str, Any] = {}
     for number, text in enumerate(texts):
         place, separator, count = text.rpartition(":")
         if not separator or Path(text).exists():
             place, count = text, "all"
-        name = f"source-{number}"
-        sources[name], counts[name] = (place,), _count(count, text)
-    draws: dict[str, Draw] = {}
-    left = dict(counts)
-    for name, share in (("val", split.val), ("test", split.test)):
-        part: dict[str, Count] = {s: round(n * share) if isinstance(n, int) else n for s, n in counts.items()}
-        draws[name] = Draw(take=part if share else {}, min_agents=min_agents, min_agents_in=min_agents_in)
-        left = {s: n - int(part[s]) if isinstance(n, int) else n for s, n in left.items()}
-    train = Draw(take=left, min_agents=min_agents, min_agents_in=min_agents_in)
-    return Composition(
-        seed=seed, layout=layout, split=split, sources=sources, sets={"all": train}, validation={"all": draws["val"]},
-        test=draws["test"],
-    )  # fmt: skip
+        name, value = f"source-{number}", parse_value(count)
+        try:
+            sources[name], counts[name] = (place,), _counted(value)
+        except ValueError as error:
+            raise ConfigError(f"{text!r}: expected SOURCE or SOURCE:N, N being {error}") from None
+    held_out = {
+        name: {source: round(n * share) if isinstance(n, int) else n for source, n in counts.items()}
+        for name, share in (("val", split.val), ("test", split.test))
+    }
+    left = {
+        s: n - sum(int(part[s]) for part in held_out.values()) if isinstance(n, int) else n for s, n in counts.items()
+    }
 
+    def draw(take: Mapping[str, Any]) -> dict[str, Any]:
+        return {"take": take, "min_agents": min_agents, "min_agents_in": min_agents_in}
 
-def _count(text: str, where: str) -> Count:
-    """Errors: ConfigError."""
-    if text == "all" or text.isdigit():
-        return "all" if text == "all" else int(text)
-    try:
-        share = float(text)
-    except ValueError:
-        share = math.nan
-    if not 0 < share < 1:
-        raise ConfigError(f"{where!r}: expected SOURCE or SOURCE:N, N being {_COUNT}")
-    return share
+    val, test = (draw(held_out[name] if share else {}) for name, share in (("val", split.val), ("test", split.test)))
+    values = {"seed": seed, "layout": layout, "split": split, "sources": sources, "test": test}
+    return Composition.model_validate({**values, "sets": {"all": draw(left)}, "validation": {"all": val}})

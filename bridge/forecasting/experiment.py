@@ -16,16 +16,12 @@ from bridge.batch.batch import Progress as BatchProgress
 from bridge.batch.engine import Task, execute_here
 from bridge.batch.isolation import Settings
 from bridge.batch.manifest import DONE, ManifestRow
-from bridge.evaluation.predictions import BOUNDS, Band, Score, score_predictions, write_forecasts
+from bridge.evaluation.predictions import BOUNDS, METRICS, Band, MetricKey, Score, score_predictions, write_forecasts
 from bridge.files import make_folder, write_json, write_rows, write_text
 from bridge.forecasting.comparison import (
     HEAD,
-    METRICS,
     Difference,
-    MeanEstimate,
-    MetricKey,
     Runs,
-    as_dicts,
     differences_of,
     mean_of,
     rows_of,
@@ -38,6 +34,7 @@ from bridge.pages import parts as pages
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.sources import find_sources
 from hid2.params import Config, Forecasting, Request
+from hid2.resampling import Estimate
 from netconvert.errors import BatchError, ConfigError, ScenarioError
 
 #: Which track of a generated scene is forecast: the recorded focal one, an inserted one, or both in turn by variant.
@@ -240,7 +237,7 @@ def _table(
     source_of: Mapping[str, str], params: Forecasting,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """The paper's rows and ours, by label: every metric of each of a row's runs, by name, ready for JSON."""
-    rows = [(label, [MeanEstimate(value) for value in values]) for label, values in paper.items()]
+    rows = [(label, [Estimate(value) for value in values]) for label, values in paper.items()]
     rows += [
         (f"ours: {label}", [mean_of(one, source_of, metric, params) for one in runs for metric in _COLUMNS])
         for label, runs in ours.items()
@@ -276,37 +273,31 @@ _READINGS: Mapping[Reading, str] = {
 def _write(runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, plan: Plan, *, brought: bool) -> Path:
     source_of = {**sources_of(composed / VALIDATION / HID2), **sources_of(composed / VALIDATION / RECORDED)}
     params = plan.params
-    trained = {"recorded": RECORDED, "HiD2": HID2_ONLY}
-    ours2 = {label: [runs[on][name] for on in (RECORDED, HID2)] for label, name in trained.items()}
-    ours3 = {
+    ours2 = {"recorded": RECORDED, "HiD2": HID2_ONLY}
+    table2 = {label: [runs[on][name] for on in (RECORDED, HID2)] for label, name in ours2.items()}
+    table3 = {
         label: [[Band(bound).of(run) for run in runs[RECORDED][name]] for bound in BOUNDS]
         for name, label in CONTROLS.items()
     }
     names2 = [f"{on}_{key}" for on in (RECORDED, HID2) for key in _COLUMNS]
     names3 = [f"{key}_{bound}" for bound in BOUNDS for key in _COLUMNS]
-    table2 = _table(PAPER_TABLE2, ours2, names2, source_of, params)
-    table3 = _table(PAPER_TABLE3, ours3, names3, source_of, params)
     differences = _differences(runs, source_of, params)
-    seeds = {name: len(found) for name, found in runs[RECORDED].items()}
     power = ("hid2", RECORDED, "all scenes", "min_fde_m")  # by this the page says what its numbers can show
     content: dict[str, Any] = {
         "experiment": "prediction",
-        "seeds": seeds,
+        "seeds": {name: len(found) for name, found in runs[RECORDED].items()},
         "reading": None if brought else plan.reading,
-        "table2": table2,
-        "table3": table3,
-        "differences": as_dicts(differences),
+        "table2": _table(PAPER_TABLE2, table2, names2, source_of, params),
+        "table3": _table(PAPER_TABLE3, table3, names3, source_of, params),
+        "differences": [one._asdict() for one in differences],
     }
-    shown = {
+    shown = content | {
         "updates": None if brought else params.updates,
-        "seeds": seeds,
         "reading": _READINGS[plan.reading],
-        "power": next(d for d in differences if (d.model, d.other, d.band, d.metric) == power),
+        "power": next(d for d in differences if d[:4] == power),
         "gain_m": PAPER_GAIN_M,
         "sets": _sets(composed),
         "metrics": [METRICS[key] for key in _COLUMNS],
-        "table2": table2,
-        "table3": table3,
         "head": HEAD,
         "differences": rows_of(differences),
     }
@@ -330,11 +321,9 @@ def _sets(composed: Path) -> list[tuple[str, ...]]:
     places += [(f"{name} validation", composed / VALIDATION / name, "val") for name in (RECORDED, HID2)]
     rows = []
     for name, root, split in places:
-        found = [origin for origin in origins_of(root).values() if origin.split == split]
-        kinds = Counter(origin.kind for origin in found)
-        tracks, observed = (
-            sum(getattr(one, field) for one in found) / max(1, len(found)) for field in ("tracks", "observed")
-        )
+        found = [origin for origin in origins_of(root).values() if origin["split"] == split]
+        kinds = Counter(origin["kind"] for origin in found)
+        means = (sum(int(one[field]) for one in found) / max(1, len(found)) for field in ("tracks", "observed"))
         cells = [str(kinds[kind]) for kind in ("recorded", "generated", "copy")]
-        rows.append((name, *cells, f"{tracks:.1f}", f"{observed:.1f}"))
+        rows.append((name, *cells, *(f"{mean:.1f}" for mean in means)))
     return rows

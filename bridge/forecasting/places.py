@@ -11,13 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow.compute as pc
-from pydantic_core import from_json
 
 from bridge.batch.engine import sorted_out, work_on_each
 from bridge.config import word_for_recorded
-from bridge.files import read_regular
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, only_file, source_id
-from bridge.recordings.limits import MAX_FILE_MB
+from bridge.recordings.map_rules import read_document
 from bridge.recordings.scenario import OBSERVED_STEPS, read_table
 from bridge.recordings.sidecar import REACTIVE, sidecar_in
 from hid2.params import Forecasting
@@ -119,9 +117,7 @@ def recorded_source(folder: Path) -> str | None:
 def _ground(path: Path, params: Forecasting) -> tuple[bytes, tuple[int, int]]:
     """Cells and block of a map. Errors: MapError."""
     try:
-        points = np.array(list(_points(from_json(read_regular(path, most_mb=MAX_FILE_MB)))), dtype=np.float64)
-    except OSError as error:
-        raise MapError(f"{path}: cannot be read ({error.strerror})") from error
+        points = np.array(list(_points(read_document(path))), dtype=np.float64)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise MapError(f"{path}: no map of Argoverse 2 ({type(error).__name__}: {error})") from error
     if not len(points) or not np.isfinite(points).all():

@@ -26,9 +26,7 @@ def distribution_figure(counts: RealismCounts) -> Figure:
             binned = counts.of(feature)[row].reshape(feature.bins, FINE).sum(axis=1)
             if binned.sum():
                 ax.stairs(binned / binned.sum(), edges, color=color, linestyle=line, linewidth=1.8, label=name)
-        ax.set_xlabel(f"{feature.label}, {feature.unit}")
-        ax.set_ylabel("share")
-        ax.set_ylim(bottom=0)
+        ax.set(xlabel=f"{feature.label}, {feature.unit}", ylabel="share", ylim=(0, None))
     for ax in axes.flat[len(FEATURES) :]:
         ax.set_axis_off()
     axes.flat[0].legend(fontsize=8)
@@ -43,10 +41,8 @@ def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
         (axes[1], "tracks_at_49", "agents at 4.9 s"),
     ):
         density = diversity["density"][name]
-        numbers = [int(number) for when in ("before", "after") for number in density[when]]
-        top = max([*numbers, 10])
-        edges = np.arange(0, top + 20, 20)
-        highest = 0.0
+        top = max([10, *(int(number) for when in ("before", "after") for number in density[when])])
+        edges, highest = np.arange(0, top + 20, 20), 0.0
         for when, color, hatch in (("before", figures.GREY, ""), ("after", figures.BLUE, "//")):
             scenes = list(density[when].values())
             # a bar from 40 to 60 holds more than 40 and up to 60, as in the table: nothing lies on an edge
@@ -56,9 +52,7 @@ def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
             ax.stairs(levels, edges, fill=True, color=color, alpha=0.35, hatch=hatch, label=label)
             ax.stairs(levels, edges, color=color, linewidth=1.6)
             highest = max(highest, levels.max())
-        ax.set_ylim(0, 1.25 * highest)  # room for the legend
-        ax.set_xlabel(axis_label)
-        ax.set_ylabel("share of scenes")
+        ax.set(ylim=(0, 1.25 * highest), xlabel=axis_label, ylabel="share of scenes")  # room for the legend
     axes[0].legend(loc="upper left")
     behaviours = diversity["behaviours"]
     policies = list(Policy)
@@ -71,8 +65,7 @@ def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
         )
         axes[2].bar_label(bars, fmt="%.2f", fontsize=7)
     axes[2].set_xticks(place, [f"{BEHAVIOURS[p].short}\n{BEHAVIOURS[p].label}" for p in policies], fontsize=8)
-    axes[2].set_ylabel("share of scenes with it")
-    axes[2].set_ylim(0, 1.1)
+    axes[2].set(ylabel="share of scenes with it", ylim=(0, 1.1))
     return figure
 
 
@@ -94,10 +87,8 @@ def density_figure(series: Mapping[str, Mapping[str, Sequence[tuple[float, Estim
             band = [(x, low, high) for x, _, low, high in known if low is not None and high is not None]
             if band and group == "combined":
                 ax.fill_between(*zip(*band, strict=True), color=color, alpha=0.15)
-        ax.set_xlabel("vehicles placed, mean")
-        ax.set_title(labels[metric])
-        ax.set_ylim(bottom=0)
-        ax.set_xticks(sorted({x for points in groups.values() for x, _ in points}))
+        placed = sorted({x for points in groups.values() for x, _ in points})
+        ax.set(xlabel="vehicles placed, mean", title=labels[metric], ylim=(0, None), xticks=placed)
     figure.suptitle(of, fontsize=9)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     return figure

@@ -194,8 +194,3 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "first_order_interval": "half width of its 95 % interval",
     },
 }
-
-
-def dictionary_rows() -> list[tuple[str, str, str]]:
-    """Table, column, what it says."""
-    return [(table, column, says) for table, columns in DICTIONARY.items() for column, says in columns.items()]

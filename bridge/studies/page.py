@@ -19,7 +19,7 @@ from pandas.api.types import infer_dtype
 from bridge.batch.manifest import DONE
 from bridge.files import beside, table_cell, write_rows, write_text
 from bridge.pages.parts import text
-from bridge.studies.columns import DICTIONARY, OUTCOMES, dictionary_rows
+from bridge.studies.columns import DICTIONARY, OUTCOMES
 from bridge.studies.gap_acceptance import acceptance_curve, critical_gap, gaps_of
 from bridge.studies.statistics import difference_sd, dose_response, effects, seeds_needed
 from bridge.studies.study import Study
@@ -82,7 +82,8 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
         path for name in DICTIONARY if len(named[name].columns) for path in _write_table(out_dir, name, named[name])
     ]
     dictionary, page = out_dir / "columns.csv", out_dir / "study.md"
-    write_rows(dictionary, ("table", "column", "says"), dictionary_rows())
+    says = ((table, *said) for table, columns in DICTIONARY.items() for said in columns.items())
+    write_rows(dictionary, ("table", "column", "says"), says)
     write_text(page, page_text(study, named, keys, figures=[path.name for path in files]))
     return [page, *files, dictionary, *written]
 
@@ -131,6 +132,9 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
     counted, due = requests[requests["counted"]], requests["waited_s"].notna()
     config = study.configs[0][0]
     accepted, exported = counted["accepted"].astype(bool), counted["exported"].dropna()
+    effect = named["effects"]
+    if not effect.empty:
+        effect = effect[(effect["drawn_again"] == "runs") & effect["standardised_coefficient"].notna()]
     cut_off = ~accepted & (counted["waited_s"] < config.lane_change.give_up_s - 0.05)
     return text(
         "study.md.j2",
@@ -150,7 +154,7 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         clusters=_few_clusters(dose),
         critical=_records(named["critical_gaps"]),
         curves=_records(named["acceptance"]),
-        effects=_effects_told(named["effects"]) if len(keys) > 1 else [],
+        effects=_records(effect) if len(keys) > 1 else [],
         changes=named["lane_changes"],
         conflicts=named["conflicts"],
         critical_ttc_s=CONFLICT_TTC_S,
@@ -202,13 +206,6 @@ def _by_value(named: Mapping[str, pd.DataFrame], key: str) -> list[str]:
             told += ", flow.flow_veh_per_h_lane, flow.speed_kmph"
         lines.append(f"{line} [{told}].")
     return lines
-
-
-def _effects_told(found: pd.DataFrame) -> list[dict[Any, Any]]:
-    """Those over runs that have a coefficient."""
-    if found.empty:
-        return []
-    return _records(found[(found["drawn_again"] == "runs") & found["standardised_coefficient"].notna()])
 
 
 def _records(table: pd.DataFrame) -> list[dict[Any, Any]]:

@@ -37,7 +37,6 @@ _RULE = "rule."
 RUN_FILE, LOOKS_FILE = "run.json.gz", "looks.csv.gz"
 #: Tables in RUN_FILE.
 RUN_TABLES = ("requests", "flow", "lane_changes", "conflicts")
-_REQUEST_KEYS = frozenset({"kind", "accepted", "waited_s", "source", "trigger_s"})
 #: What decides in a run, and leaves vehicles, drivers, sites and traffic as they are.
 _DECIDES = ("lane_change", "overtake", "conflict", "signals", "crossings", "car_following", "driving")
 #: What changes the traffic itself: allowed, but its values are compared between different vehicles.
@@ -156,32 +155,42 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> "dict[st
     looks: list[pd.DataFrame] = []
     for row in rows:
         number, point = points[row.config_sha256]
+        config, folder = study.configs[number][0], out_dir / row.folder
         # the design's own trigger_s is a column of its own: that of a request in a flow is later by its entry
         own = {("trigger_after_s" if key == TRIGGER else key): value for key, value in point.items()}
         name = {"scene": row.scenario, "city": row.city, "point": number, **own, "seed": row.seed}
-        name |= {"replay": study.configs[number][0].driving.replay}
-        warm_up_s = study.configs[number][0].flow.counted_from_s
+        name |= {"replay": config.driving.replay}
         found: dict[str, list[dict[str, Any]]] = {table: [] for table in RUN_TABLES}
         if row.status == DONE:
-            found, own_looks = _written(out_dir / row.folder)
-            for column in ("lead_id", "lag_id"):
-                own_looks[column] = own_looks[column].map(untabled, na_action="ignore")
-            named = pd.DataFrame(name, index=own_looks.index)
-            looks.append(named.join(own_looks.drop(columns=["round", "track_id"])))
-        found["requests"] = [
-            {**request, "accepted": bool(request["accepted"]), "counted": _counts(request, warm_up_s)}
-            for request in found["requests"] if request["kind"] == study.kind
-        ]  # fmt: skip
+            with _of_a_run(folder, "study"):
+                found = read_run(folder, RUN_TABLES, "study")
+                # those count that were triggered, and not in the warm-up of a flow
+                found["requests"] = [
+                    {**one, "accepted": bool(one["accepted"]),
+                     "counted": one["waited_s"] is not None and one["trigger_s"] >= config.flow.counted_from_s}
+                    for one in found["requests"] if one["kind"] == study.kind
+                ]  # fmt: skip
+                table = io.BytesIO(read_packed(folder / LOOKS_FILE, most_mb=MAX_FILE_MB))
+                own_looks = pd.read_csv(table, dtype={"lead_id": str, "lag_id": str, "vehicle": str})
+                for column in ("lead_id", "lag_id"):
+                    own_looks[column] = own_looks[column].map(untabled, na_action="ignore")
+                named = pd.DataFrame(name, index=own_looks.index)
+                looks.append(named.join(own_looks.drop(columns=["round", "track_id"])))
         found["runs"] = [{
             "status": row.status, "reason": row.reason, "vehicles": row.placed, "requests": len(found["requests"]),
             "accepted": sum(request["accepted"] for request in found["requests"]), "seconds": row.seconds,
             "folder": row.folder,
         }]  # fmt: skip
-        for table, told in every.items():
-            told += [{**name, **one} for one in found[table]]
+        for name_of, told in every.items():
+            told += [{**name, **one} for one in found[name_of]]
     known = {table: pd.DataFrame(told) for table, told in every.items()}
     known["looks"] = pd.concat(looks) if looks else pd.DataFrame()
-    return {table: _numeric(frame) for table, frame in known.items()}
+    # columns of numbers are numbers, also where all of a run's are missing
+    endings = ("_s", "_m", "_mps", "_mps2")
+    return {
+        table: frame.astype({column: float for column in frame.columns if str(column).endswith(endings)})
+        for table, frame in known.items()
+    }
 
 
 def write_run(
@@ -216,32 +225,6 @@ def _of_a_run(folder: Path, what: str) -> Iterator[None]:
         ) from error
 
 
-def _written(folder: Path) -> tuple[dict[str, list[dict[str, Any]]], "pd.DataFrame"]:
-    """The tables of a run and its looks at gaps. Errors: BatchError."""
-    import pandas as pd
-
-    found = read_run(folder, RUN_TABLES, "study")
-    with _of_a_run(folder, "study"):
-        if lacking := {key for row in found["requests"] for key in _REQUEST_KEYS - row.keys()}:
-            raise ValueError(f"requests without {', '.join(sorted(lacking))}")
-        looks = io.BytesIO(read_packed(folder / LOOKS_FILE, most_mb=MAX_FILE_MB))
-        return found, pd.read_csv(looks, dtype={"lead_id": str, "lag_id": str, "vehicle": str})
-
-
-#: Endings of the columns that are numbers, also where all of a run's are missing.
-_NUMBERS = ("_s", "_m", "_mps", "_mps2")
-
-
-def _numeric(table: "pd.DataFrame") -> "pd.DataFrame":
-    """Columns of numbers as numbers, whatever is missing in them."""
-    return table.astype({column: float for column in table.columns if str(column).endswith(_NUMBERS)})
-
-
-def _counts(request: Mapping[str, Any], warm_up_s: float) -> bool:
-    """Whether a request enters the statistics: it was triggered, and not in the warm-up of a flow."""
-    return request["waited_s"] is not None and float(request["trigger_s"]) >= warm_up_s
-
-
 def grid(vary: Mapping[str, Sequence[Value]]) -> list[dict[str, Value]]:
     """Every combination of the values."""
     return [dict(zip(vary, values, strict=True)) for values in itertools.product(*vary.values())]
@@ -273,11 +256,10 @@ def _latin_hypercube(content: _File, path: Path) -> list[dict[str, Value]]:
 def configured(base: Mapping[str, Any], changes: Mapping[str, Value], *, source: str) -> Config:
     """The base configuration with dotted keys changed. Errors: ConfigError."""
     values = {key: dict(value) if isinstance(value, Mapping) else value for key, value in base.items()}
-    expanded = dict(changes)
+    expanded = {key: value for key, value in changes.items() if not key.startswith(_RULE)}
     if TRIGGER in expanded:
         expanded["request.trigger_min_s"] = expanded["request.trigger_max_s"] = expanded.pop(TRIGGER)
-    arguments = ", ".join(f"{key[5:]}={value}" for key, value in expanded.items() if key.startswith(_RULE))
-    expanded = {key: value for key, value in expanded.items() if not key.startswith(_RULE)}
+    arguments = ", ".join(f"{key[5:]}={value}" for key, value in changes.items() if key.startswith(_RULE))
     if arguments:
         given = values.get("lane_change", {}).get("rule_with")
         expanded["lane_change.rule_with"] = f"{given}, {arguments}" if given else arguments

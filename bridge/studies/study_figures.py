@@ -60,11 +60,10 @@ def draw_parameter(
     for panel, (panel_title, outcomes) in zip(axes[0], upper, strict=True):
         for outcome, (label, color) in outcomes.items():
             _dots(panel, dose, at, outcome, color, label)
-        panel.set_title(panel_title)
-        panel.set_ylim(0, 1.03 if "share" in panel_title else None)
+        top = 1.03 if "share" in panel_title else None
+        panel.set(title=panel_title, ylim=(0, top), xlabel=label_of(key))
         if panel.get_legend_handles_labels()[0]:  # no vehicle may have looked at a gap
             panel.legend(fontsize=8)
-        panel.set_xlabel(label_of(key))
         if not numeric:
             panel.set_xticks(list(at.values()), [str(value) for value in values])
 
@@ -72,9 +71,9 @@ def draw_parameter(
     for value, color in zip(values, colors, strict=True):
         mine, curve = counted[counted[key] == value], curves[value]
         if len(mine):
-            survival = kaplan_meier(mine["waited_s"].to_numpy(float), mine["accepted"].to_numpy(float))
-            level = np.concatenate([[1.0], survival.surv_prob])
-            times = np.concatenate([[0.0], survival.surv_times, [give_up_s]])
+            curve_of = kaplan_meier(mine["waited_s"].to_numpy(float), mine["accepted"].to_numpy(float))
+            level = np.concatenate([[1.0], curve_of.surv_prob])
+            times = np.concatenate([[0.0], curve_of.surv_times, [give_up_s]])
             axes[1, 0].step(times, [*level, level[-1]], where="post", color=color, label=str(value))
         if curve is not None and not curve["separated"]:
             x = np.column_stack([np.ones(lag.size), lag, np.full(lag.size, curve["lead_s"])])
@@ -86,26 +85,21 @@ def draw_parameter(
         axes[1, 2].plot([], [], color=color, label=str(value))
         _distribution(axes[1, 2], started["min_ttc_s"], color, "-")
         _distribution(axes[1, 2], started["min_pet_s"], color, ":")
-    axes[1, 0].set_title("still waiting (Kaplan-Meier)")
-    axes[1, 0].set_xlabel("time from the trigger, s")
-    axes[1, 0].set_ylim(0, 1.03)
-    axes[1, 0].set_xlim(0, give_up_s)
-    axes[1, 0].legend(fontsize=7, title=label_of(key), title_fontsize=7)
-
-    axes[1, 1].set_title("gap taken by the rule, logistic, at the median lead gap")
-    axes[1, 1].set_xlabel("lag time gap, s")
-    axes[1, 1].set_ylim(0, 1.03)
-    if axes[1, 1].lines:
-        axes[1, 1].legend(fontsize=7)
+    survival, acceptance, critical = axes[1]
+    survival.set(
+        title="still waiting (Kaplan-Meier)", xlabel="time from the trigger, s", xlim=(0, give_up_s), ylim=(0, 1.03)
+    )
+    acceptance.set(
+        title="gap taken by the rule, logistic, at the median lead gap", xlabel="lag time gap, s", ylim=(0, 1.03)
+    )
+    critical.set(title="changes with a TTC (line), PET (dots) below", xlabel="s", xlim=(0, 5), ylim=(0, None))
+    critical.axvline(CRITICAL.ttc_min_s, color=figures.VERMILION, linewidth=0.8)
+    for panel in (survival, critical):
+        panel.legend(fontsize=7, title=label_of(key), title_fontsize=7)
+    if acceptance.lines:
+        acceptance.legend(fontsize=7)
     else:
-        axes[1, 1].annotate("too few gaps, or parted by a threshold", (0.5, 0.5), xycoords="axes fraction", ha="center")
-
-    axes[1, 2].axvline(CRITICAL.ttc_min_s, color=figures.VERMILION, linewidth=0.8)
-    axes[1, 2].set_title("changes with a TTC (line), PET (dots) below")
-    axes[1, 2].set_xlabel("s")
-    axes[1, 2].legend(fontsize=7, title=label_of(key), title_fontsize=7)
-    axes[1, 2].set_xlim(0, 5)
-    axes[1, 2].set_ylim(bottom=0)
+        acceptance.annotate("too few gaps, or parted by a threshold", (0.5, 0.5), xycoords="axes fraction", ha="center")
     figure.suptitle(title, fontsize=10)
     figures.save(figure, path)
 
@@ -120,12 +114,8 @@ def draw_fundamental(path: Path, title: str, flow: pd.DataFrame, key: str | None
         mine = flow if key is None else flow[flow[key] == value]
         for panel, column in ((axes[0], "flow_veh_per_h_lane"), (axes[1], "speed_kmph")):
             panel.plot(mine["density_veh_per_km_lane"], mine[column], "o", markersize=3, color=color, label=str(value))
-    axes[0].set_ylabel("flow, veh/h per lane")
-    axes[1].set_ylabel("speed, km/h")
-    for panel in axes:
-        panel.set_xlabel("density, veh/km per lane")
-        panel.set_xlim(left=0)
-        panel.set_ylim(bottom=0)
+    for panel, label in zip(axes, ("flow, veh/h per lane", "speed, km/h"), strict=True):
+        panel.set(ylabel=label, xlabel="density, veh/km per lane", xlim=(0, None), ylim=(0, None))
     if key is not None:
         axes[1].legend(fontsize=7, title=label_of(key), title_fontsize=7)
     figure.suptitle(title, fontsize=10)
@@ -139,8 +129,7 @@ def _dots(axes: Axes, dose: pd.DataFrame, at: Mapping[Any, float], outcome: str,
         return
     x = np.array([at[value] for value in mine["value"]])
     middle = mine["estimate"].to_numpy(float)
-    low = np.where(mine["low_runs"].isna(), middle, mine["low_runs"]).astype(float)
-    high = np.where(mine["high_runs"].isna(), middle, mine["high_runs"]).astype(float)
+    low, high = (mine[end].astype(float).fillna(mine["estimate"]).to_numpy() for end in ("low_runs", "high_runs"))
     error = np.maximum([middle - low, high - middle], 0.0)
     axes.errorbar(x, middle, yerr=error, color=color, marker="o", markersize=4, linewidth=1.2, capsize=2, label=label)
 

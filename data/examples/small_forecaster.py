@@ -15,7 +15,6 @@ import os
 import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -31,7 +30,6 @@ from netconvert.errors import ConfigError, ScenarioError
 HIDDEN, LAYERS, HEADS, MODES = 64, 2, 4, 6
 #: Targets of an update; AdamW's learning rate, falling to 0 as a cosine, and weight decay; updates to a checkpoint.
 BATCH, LEARNING_RATE, WEIGHT_DECAY, CHECKPOINT_EVERY = 32, 1e-3, 1e-4, 100
-_STATE = ("model", "optimiser", "schedule", "update", "seed", "updates", "targets")
 
 
 class _Polylines(nn.Module):
@@ -109,16 +107,18 @@ def train(
     digest = zlib.crc32(
         b"".join(f"{one.scenario_id} {one.track_id}".encode() + one.seen.agents.tobytes() for one in data)
     )
-    identity = {"seed": seed, "updates": updates, "targets": digest}
+    identity, parts = {"seed": seed, "updates": updates, "targets": digest}, (model, optimiser, schedule)
     done = 0
     if resume and checkpoint.is_file():
-        state = _load(checkpoint)
-        differs = [name for name, value in identity.items() if state[name] != value]
+        try:
+            of, states, done = torch.load(checkpoint, map_location=_device(), weights_only=True)
+            differs = [name for name, value in identity.items() if of[name] != value]
+        except Exception as error:  # torch raises whatever its unpickler meets
+            raise ConfigError(f"{checkpoint}: no checkpoint of hid2 ({error!r:.100}); remove it") from error
         if differs:
             raise ConfigError(f"{checkpoint}: of another training ({', '.join(differs)} differ); choose another folder")
-        for name, part in (("model", model), ("optimiser", optimiser), ("schedule", schedule)):
-            part.load_state_dict(state[name])
-        done = state["update"]
+        for part, state in zip(parts, states, strict=True):
+            part.load_state_dict(state)
     everything = _batch(data)
     per_epoch = -(-len(data) // BATCH)
     model.train()
@@ -136,9 +136,8 @@ def train(
         optimiser.step()
         schedule.step()
         if (update + 1) % CHECKPOINT_EVERY == 0 or update + 1 == updates:
-            values = model.state_dict(), optimiser.state_dict(), schedule.state_dict(), update + 1
             with explained(checkpoint), beside(checkpoint) as hidden:
-                torch.save(dict(zip(_STATE, values, strict=False)) | identity, hidden)
+                torch.save((identity, [part.state_dict() for part in parts], update + 1), hidden)
         if on_update is not None:
             on_update(update + 1, updates)
     return model
@@ -170,13 +169,3 @@ def _batch(targets: Sequence[Target]) -> Seen:
         None if any(values is None for values in column) else torch.from_numpy(np.stack(column)).to(_device())
         for column in columns
     )
-
-
-def _load(checkpoint: Path) -> dict[str, Any]:
-    try:
-        state: dict[str, Any] = torch.load(checkpoint, map_location=_device(), weights_only=True)
-    except Exception as error:  # torch raises whatever its unpickler meets
-        raise ConfigError(f"{checkpoint}: no checkpoint of hid2 ({str(error).splitlines()[0]}); remove it") from error
-    if not isinstance(state, dict) or set(state) != set(_STATE):
-        raise ConfigError(f"{checkpoint}: no checkpoint of hid2; remove it")
-    return state

@@ -18,7 +18,7 @@ from hid2.agents import FloatArray, IntArray
 from hid2.drivers.driver import TRUNCATED_AT, Driver, desired_speeds, lane_offset
 from hid2.evaluation.windows import Windows
 from hid2.params import Config, Drivers
-from hid2.resampling import Estimate, interval, redrawn
+from hid2.resampling import interval, redrawn
 
 # No tunables of a scene: which windows tell what, and how finely laws are compared. The sources in `params.Drivers` are
 # figures made so, which other numbers here would not match.
@@ -128,21 +128,11 @@ def robust_sd(values: FloatArray) -> float:
     return float(1.4826 * np.median(np.abs(values - np.median(values))))
 
 
-def _intervals(found: Callable[[IntArray], Sequence[float]], drivers: int) -> list[Estimate]:
-    """What is found of the drivers of these numbers, for all of them, with intervals by drawing drivers again."""
-    every = np.arange(drivers)
-    drawn = redrawn(lambda times: np.asarray(found(np.repeat(every, times.astype(np.int64)))), drivers)
-    return [interval(value, column) for value, column in zip(found(every), drawn.T, strict=True)]
-
-
 def _bounded(name: str, value: float) -> float:
     """A value inside what `params.Drivers` allows, to four digits."""
-    least = greatest = None
+    low, high = -np.inf, np.inf
     for entry in Drivers.model_fields[name].metadata:
-        least = getattr(entry, "ge", getattr(entry, "gt", least))
-        greatest = getattr(entry, "le", getattr(entry, "lt", greatest))
-    low = -np.inf if least is None else float(least)
-    high = np.inf if greatest is None else float(greatest)
+        low, high = getattr(entry, "ge", getattr(entry, "gt", low)), getattr(entry, "le", getattr(entry, "lt", high))
     return round(float(np.clip(value, low, high)), 4)
 
 
@@ -184,10 +174,12 @@ def _quantities(
     """
     if len(values) < LEAST:
         return [_kept(name, what, prior, values) for name in names]
-    ks = ks_distance(values, law)
+    ks, every = ks_distance(values, law), np.arange(len(values))
+    drawn = redrawn(lambda times: np.asarray(found(np.repeat(every, times.astype(np.int64)))), len(values))
+    estimates = [interval(value, column) for value, column in zip(found(every), drawn.T, strict=True)]
     return [
         Quantity(name, what, _bounded(name, one.value or 0.0), one.low, one.high, len(values), True, values, law, ks)
-        for name, one in zip(names, _intervals(found, len(values)), strict=True)
+        for name, one in zip(names, estimates, strict=True)
     ]
 
 

@@ -10,8 +10,10 @@ Controls say what a figure means. Negative: recorded against recorded, 0.5 withi
 windows at constant speed on the lane's middle, which a critic that is worth its name tells at 0.9 or more.
 """
 
+import logging
 from collections.abc import Sequence
 from enum import StrEnum
+from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -95,10 +97,6 @@ class Packed(NamedTuple):
         band = np.searchsorted((2.0, 5.0, 8.0, 11.0), self.rows[:, 0])
         return np.asarray(self.scene * 20 + band * 4 + self.rows[:, 18] * 2 + self.rows[:, 19], dtype=np.int64)
 
-    def in_half(self, split: int) -> BoolArray:
-        """(M,) whether the recorded track falls in the first half of a split."""
-        return (self.rows[:, 21].astype(np.int64) >> split & 1).astype(bool)
-
 
 #: Features by name, in the order of `features`: those of speed, of the place in the lane, and the rest.
 SPEED_FEATURES = (
@@ -145,17 +143,15 @@ def constant_on_the_middle(found: Packed) -> Packed:
 def halves_apart(found: Packed, split: int) -> Packed:
     """The negative control: recorded windows, of which those of one half of the tracks pass as generated."""
     recorded = found.of(~found.generated)
-    return recorded._replace(generated=recorded.in_half(split))
+    return recorded._replace(generated=(recorded.rows[:, 21].astype(np.int64) >> split & 1).astype(bool))
 
 
 def matched_weights(stratum: IntArray, generated: BoolArray) -> FloatArray:
     """(M,) weights by which both kinds weigh the same in each stratum, and it what the smaller kind counts; else 0."""
     _, place = np.unique(stratum, return_inverse=True)
-    ours = np.bincount(place, weights=generated, minlength=place.max(initial=-1) + 1)
-    theirs = np.bincount(place, weights=~generated, minlength=place.max(initial=-1) + 1)
+    ours, theirs = (np.bincount(place, weights=kind) for kind in (generated, ~generated))
     both = np.where(np.minimum(ours, theirs) >= _LEAST, np.minimum(ours, theirs), 0.0)
-    share = np.where(generated, both[place] / np.maximum(ours, 1)[place], both[place] / np.maximum(theirs, 1)[place])
-    return np.asarray(share, dtype=np.float64)
+    return np.asarray(both[place] / np.where(generated, ours[place], theirs[place]), dtype=np.float64)
 
 
 def weighted_auc(scores: FloatArray, labels: BoolArray, weights: FloatArray) -> float | None:
@@ -182,12 +178,11 @@ def judge(found: Packed, critic: Critic, view: View) -> Verdict | None:
         test = fold == k
         scores[test] = _scores(critic, x[~test], found.generated[~test], weights[~test], x[test])
     parts = [
-        (weights[own].sum(), weighted_auc(scores[own], found.generated[own], weights[own]))
-        for scene in scenes
-        for own in [found.scene == scene]
+        (weights[own].sum(), auc)
+        for own in found.scene == scenes[:, None]
+        if (auc := weighted_auc(scores[own], found.generated[own], weights[own])) is not None
     ]
-    size = np.array([weight for weight, auc in parts if auc is not None])
-    aucs = np.array([auc for _, auc in parts if auc is not None])
+    size, aucs = np.array(parts).reshape(-1, 2).T
     value, low, high = ratio(size * aucs, size)
     auc = 0.5 if value is None else value  # a scene at least has windows of both kinds
     return Verdict(critic, view, auc, low, high, int(found.generated.sum()), int((~found.generated).sum()), len(aucs))
@@ -250,3 +245,49 @@ JUDGED: Sequence[tuple[Critic, View]] = (
     (Critic.LOGISTIC, View.ALL), (Critic.TREES, View.SPEED), (Critic.TREES, View.LATERAL), (Critic.TREES, View.ALL),
     (Critic.TEMPORAL, View.ALL),
 )  # fmt: skip
+#: Splits of the recorded tracks over which the negative control is averaged.
+_SPLITS = 3
+#: Features named in the report.
+_NAMED = 6
+#: Said in the report and on stderr.
+MISSING = (
+    "the critics are not computed: scikit-learn, the extra `critics`, is not installed; install it "
+    "(`pip install scikit-learn`, in a clone `sh setup.sh`) and evaluate again"
+)
+
+
+def critique(found: Packed, control: Packed | None = None) -> dict[str, Any]:
+    """Verdicts of the critics by kind of recording, negative and positive controls, and what betrays most.
+
+    control: recorded windows with those of other drivers, which the critics must tell, such as SUMO's default ones.
+    Without the extra `critics` there are none, which is logged, and `missing` says so.
+    """
+    missing = MISSING if find_spec("sklearn") is None else None
+    if missing is not None:
+        logging.getLogger(__name__).warning("%s", missing)
+        found, control = found.of(found.scene < 0), None
+    kinds = {"all": found, "tracker": found.of(found.labelled == 0.0), "labelled": found.of(found.labelled == 1.0)}
+    verdicts = [{"recordings": kind, **verdict} for kind, some in kinds.items() for verdict in _all_of(some)]
+    return {
+        "missing": missing,
+        "verdicts": verdicts,
+        "negative_control": [entry for critic, view in JUDGED if (entry := _halves(found, critic, view)) is not None],
+        "constant_speed_control": _all_of(constant_on_the_middle(found)),
+        "drivers_control": _all_of(control) if control is not None else [],
+        "betrays": [{"feature": name, "auc": auc} for name, auc in betrayals(found)[:_NAMED]],
+    }
+
+
+def _all_of(found: Packed) -> list[dict[str, Any]]:
+    return [verdict._asdict() for critic, view in JUDGED if (verdict := judge(found, critic, view)) is not None]
+
+
+def _halves(found: Packed, critic: Critic, view: View) -> dict[str, Any] | None:
+    """Recorded against recorded: mean over splits of the AUC and of the ends of its interval."""
+    verdicts = [judge(halves_apart(found, split), critic, view) for split in range(_SPLITS)]
+    known = [(one.auc, one.low, one.high) for one in verdicts if one is not None]
+    if not known:
+        return None
+    means = [[value for value in column if value is not None] for column in zip(*known, strict=True)]
+    auc, low, high = (float(np.mean(values)) if values else None for values in means)
+    return {"critic": critic, "view": view, "auc": auc, "low": low, "high": high}

@@ -41,18 +41,14 @@ def derivative(values: FloatArray, arrays: SceneArrays) -> FloatArray:
     return np.asarray(track_derivative(columns, arrays.first, arrays.step, arrays.step_s).reshape(values.shape))
 
 
-def unwrapped_heading(arrays: SceneArrays) -> FloatArray:
-    """(N,) headings without jumps of a full turn within a track."""
-    return np.concatenate([np.zeros(0), *map(np.unwrap, np.split(arrays.heading, arrays.first[1:-1]))])
-
-
 def motion(arrays: SceneArrays) -> MotionProfile:
     """Derivatives at every row of a scene, from positions and headings."""
     velocity = derivative(arrays.position, arrays)
     acceleration = derivative(velocity, arrays)
     cos, sin = np.cos(arrays.heading), np.sin(arrays.heading)
     longitudinal = acceleration[:, 0] * cos + acceleration[:, 1] * sin
-    yaw_rate = derivative(unwrapped_heading(arrays), arrays)
+    heading = np.concatenate([np.zeros(0), *map(np.unwrap, np.split(arrays.heading, arrays.first[1:-1]))])
+    yaw_rate = derivative(heading, arrays)
     return MotionProfile(
         speed_mps=np.hypot(*velocity.T),
         accel_mps2=longitudinal,

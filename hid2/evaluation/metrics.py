@@ -4,7 +4,7 @@ A metric is a ratio of two sums over one of the three groups of a scene (evaluat
 numerators and denominators. To add one, add it to METRICS: tables, report and metrics.json follow.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from hid2.agents import FloatArray, Policy
 from hid2.evaluation.kinematics import Kinematics
 from hid2.evaluation.safety import Safety, colliding
 from hid2.measures.arrays import BoolArray, SceneArrays
@@ -26,9 +27,10 @@ from hid2.measures.encounters import (
     Encounters,
     Partner,
 )
+from hid2.measures.manoeuvres import Maneuver
 from hid2.measures.motion_limits import MOTION_LIMITS
-from hid2.measures.scene_end import Contact
 from hid2.params import Conflict, Limits
+from hid2.policy.behaviours import BEHAVIOURS, behaviour_seen
 
 #: The three groups that are never mixed: evaluation.md.
 GROUPS = ("original", "generated", "combined")
@@ -53,7 +55,7 @@ class Group:
     """One group of the agents of a scene, with what was measured of the whole scene.
 
     members (A,); beyond: rows (N,) that exceed each limit of motion; partners (A,): what a member may collide with;
-    end_contacts: first contacts of those `meeting`, by agent, after the last step; met: what each agent meets.
+    end_ttc_s (A,): from the last step to the first contact of those `meeting`, inf without; met: what each agent meets.
     """
 
     arrays: SceneArrays
@@ -62,7 +64,7 @@ class Group:
     beyond: Mapping[str, BoolArray]
     members: BoolArray
     partners: BoolArray
-    end_contacts: Mapping[int, Contact]
+    end_ttc_s: FloatArray
     met: Encounters
 
     @property
@@ -103,7 +105,7 @@ class Group:
     @property
     def critical_ends(self) -> int:
         """Vehicles that come to touch another agent too soon after their last step."""
-        return sum(contact.ttc_s < CRITICAL.end_ttc_min_s for contact in self.end_contacts.values())
+        return int((self.end_ttc_s < CRITICAL.end_ttc_min_s).sum())
 
 
 class Column(NamedTuple):
@@ -297,16 +299,17 @@ METRICS: tuple[Metric, ...] = (
 )  # fmt: skip
 
 
-def metrics_in(section: Section) -> tuple[Metric, ...]:
-    """The metrics of a table, in order."""
-    return tuple(metric for metric in METRICS if metric.section is section)
-
-
 def columns() -> dict[str, Column]:
     """Every column that some metric is made of, by name."""
     return {column.name: column for metric in METRICS for column in (metric.numerator, metric.denominator)}
 
 
-def measure_group(group: Group) -> dict[str, float]:
-    """The value of every column for one group of a scene."""
-    return {name: column.of(group) for name, column in columns().items()}
+def policies(arrays: SceneArrays, maneuvers: Sequence[Maneuver]) -> dict[str, Policy]:
+    """One policy of the paper per moving vehicle, by track id: the rarest of what it did, else straight."""
+    order = list(BEHAVIOURS)
+    moving = np.flatnonzero(arrays.vehicle & arrays.moving)
+    out = {arrays.track_ids[agent]: Policy.STRAIGHT for agent in moving}
+    for maneuver in maneuvers:
+        seen = behaviour_seen(maneuver.kind).policy
+        out[maneuver.track_id] = max(out[maneuver.track_id], seen, key=order.index)
+    return out

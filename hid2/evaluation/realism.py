@@ -6,7 +6,7 @@ Every distance stands beside its floor: the distance between two halves of the r
 """
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -124,46 +124,30 @@ class RealismCounts:
 
     def distances(self) -> list[Distance]:
         """Distance and floor for each feature."""
-        return [self._distance(feature) for feature in FEATURES]
-
-    def _distance(self, feature: Feature) -> Distance:
-        generated, recorded, *halves = self.of(feature)
-        (apart, floor), (way, way_floor) = (
-            (measure(feature, generated, recorded), _median(measure(feature, half, recorded - half) for half in halves))
-            for measure in (jensen_shannon, wasserstein)
-        )
-        over = apart / floor if apart is not None and floor else None
-        samples = int(generated.sum()), int(recorded.sum())
-        return Distance(feature.name, feature.unit, apart, floor, over, way, way_floor, *samples)
-
-
-def _median(values: Iterable[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.median(known)) if known else None
-
-
-def half_of(scene: str, track_id: str) -> BoolArray:
-    """(SPLITS,) in which half of each split a track falls: by a hash of its name, the same in every run."""
-    digest = hashlib.blake2b(f"{scene}/{track_id}".encode(), digest_size=SPLITS // 8).digest()
-    return np.unpackbits(np.frombuffer(digest, dtype=np.uint8)).astype(bool)
+        every = []
+        for feature in FEATURES:
+            generated, recorded, *halves = self.of(feature)
+            found = []
+            for measure in (jensen_shannon, wasserstein):
+                known = [one for half in halves if (one := measure(feature, half, recorded - half)) is not None]
+                found += [measure(feature, generated, recorded), float(np.median(known)) if known else None]
+            apart, floor, way, way_floor = found
+            over = apart / floor if apart is not None and floor else None
+            samples = int(generated.sum()), int(recorded.sum())
+            every.append(Distance(feature.name, feature.unit, apart, floor, over, way, way_floor, *samples))
+        return every
 
 
 def half_number(scene: str, track_id: str) -> int:
-    """The halves of `half_of` as the bits of a number."""
-    return int(half_of(scene, track_id) @ (1 << np.arange(SPLITS)))
-
-
-class Values(NamedTuple):
-    """Values (V,) of a feature, and the agent that each is of."""
-
-    value: FloatArray
-    agent: IntArray
+    """In which half of each split a track falls, as SPLITS bits: by a hash of its name, the same in every run."""
+    digest = hashlib.blake2b(f"{scene}/{track_id}".encode(), digest_size=SPLITS // 8).digest()
+    return int(np.unpackbits(np.frombuffer(digest, dtype=np.uint8)) @ (1 << np.arange(SPLITS)))
 
 
 def scene_values(
     arrays: SceneArrays, safe: Safety, found: Windows, durations: Mapping[str, Sequence[float]]
-) -> dict[str, Values]:
-    """Values of every feature in a scene. durations: of lane changes, s, by track id.
+) -> dict[str, tuple[FloatArray, IntArray]]:
+    """Values (V,) of every feature in a scene, and the agent of each. durations: of lane changes, s, by track id.
 
     Motion and place in the lane at the middles of windows; TTC and time gap at every step where they are defined; a
     crossing counts for its generated vehicle, else for the first.
@@ -174,33 +158,37 @@ def scene_values(
         "jerk": found.jerk_mps3,
         "offset": found.d_parabola[:, 0],
     }
-    out = {name: Values(value, found.agent) for name, value in motion.items()}
+    out = {name: (value, found.agent) for name, value in motion.items()}
     # as many turns as were asked for are no measure of how they are driven: apart
     sideways, turns = found.lateral_accel_mps2, found.turning
-    out["lateral_accel"] = Values(sideways[~turns], found.agent[~turns])
-    out["yaw_rate"] = Values(found.yaw[~turns, 0], found.agent[~turns])
-    out["turn_lateral_accel"] = Values(sideways[turns], found.agent[turns])
+    out["lateral_accel"] = (sideways[~turns], found.agent[~turns])
+    out["yaw_rate"] = (found.yaw[~turns, 0], found.agent[~turns])
+    out["turn_lateral_accel"] = (sideways[turns], found.agent[turns])
     for name, value in (("ttc", safe.ttc_s), ("time_gap", safe.leaders.time_gap_s)):
         # boxes that overlap already tell of a tracker, not of a driver
         defined = np.isfinite(value) & (value > 0.0) & ((value < CAP_S) | (name != "ttc"))
-        out[name] = Values(value[defined], arrays.agent[defined])
+        out[name] = (value[defined], arrays.agent[defined])
     crossings = [(one.pet_s, one.second if arrays.generated[one.second] else one.first) for one in safe.encroachments]
     changes = [(value, a) for a, name in enumerate(arrays.track_ids) for value in durations.get(name, ())]
     for name, pairs in (("pet", crossings), ("lane_change_duration", changes)):
-        out[name] = Values(
-            np.array([value for value, _ in pairs], dtype=np.float64), np.array([a for _, a in pairs], dtype=np.int64)
-        )
+        values, agents = np.array(pairs, dtype=np.float64).reshape(-1, 2).T
+        out[name] = values, agents.astype(np.int64)
     return out
 
 
 def count_scene(
-    scene: str, arrays: SceneArrays, values: Mapping[str, Values], *, generated: BoolArray, recorded: BoolArray
+    scene: str,
+    arrays: SceneArrays,
+    values: Mapping[str, tuple[FloatArray, IntArray]],
+    *,
+    generated: BoolArray,
+    recorded: BoolArray,
 ) -> RealismCounts:
     """Histograms of one scene. `scene` names the recorded scene; generated, recorded (A,): vehicles to compare."""
     member = np.zeros((2 + SPLITS, arrays.num_agents), dtype=np.bool_)  # which agents each row of counts is of
     member[GENERATED], member[RECORDED] = generated, recorded
     for agent in np.flatnonzero(recorded).tolist():
-        member[2:, agent] = half_of(scene, arrays.track_ids[agent])
+        member[2:, agent] = half_number(scene, arrays.track_ids[agent]) >> np.arange(SPLITS) & 1
     found = RealismCounts()
     for feature in FEATURES:
         value, owner = values[feature.name]

@@ -90,13 +90,12 @@ def off_footprint(arrays: SceneArrays, graph: LaneGraph) -> BoolArray:
 def _against_lane(view: LaneView) -> BoolArray:
     """Rows (N,) of moving vehicles that drive against their lanes, as the judge sees it."""
     arrays = view.arrays
-    against = np.zeros(len(arrays.agent), dtype=bool)
-    for agent in np.flatnonzero(arrays.vehicle & arrays.moving).tolist():
+    against = np.hypot(*arrays.velocity.T) > WRONG_WAY_SPEED_MPS
+    for agent, driven in enumerate((arrays.vehicle & arrays.moving).tolist()):
         rows = np.arange(arrays.first[agent], arrays.first[agent + 1])
-        angle, limit = against_lane_deg(view, rows, view.lanes.graph)
-        against[rows] = angle > limit
-    fast = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1]) > WRONG_WAY_SPEED_MPS
-    return np.asarray(against & fast)
+        angle, limit = against_lane_deg(view, rows, view.lanes.graph) if driven else (0.0, 0.0)
+        against[rows] &= angle > limit
+    return np.asarray(against)
 
 
 def safety(arrays: SceneArrays, lanes: FlatLanes, matches: Matches | None = None) -> Safety:

@@ -81,21 +81,13 @@ def windows(arrays: SceneArrays, safe: Safety, members: BoolArray) -> Windows:
         degree: np.asarray(np.linalg.pinv(np.vander(time, degree + 1, increasing=True)), dtype=np.float64)
         for degree in (2, 3, 4)
     }
-    each = [_windows_of(arrays, int(agent), size, trimmed, stride) for agent in np.flatnonzero(members)]
-    none = np.zeros((0, size), dtype=np.int64)
-    found = [_of_track(arrays, safe, rows, time, fits) for rows in each if len(rows)] or [
-        _of_track(arrays, safe, none, time, fits)
-    ]
+    each = [np.zeros((0, size), dtype=np.int64)]  # joined with nothing, so that no windows are no special case
+    for agent in np.flatnonzero(members).tolist():
+        first, last = int(arrays.first[agent]) + trimmed, int(arrays.first[agent + 1]) - trimmed
+        rows = np.arange(first, last - size + 1, stride)[:, None] + np.arange(size)
+        each.append(rows[arrays.step[rows[:, -1]] - arrays.step[rows[:, 0]] == size - 1])  # none across a gap
+    found = (_of_track(arrays, safe, rows, time, fits) for k, rows in enumerate(each) if len(rows) or not k)
     return Windows(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
-
-
-def _windows_of(arrays: SceneArrays, agent: int, size: int, trimmed: int, stride: int) -> IntArray:
-    """(M, size) rows of an agent's windows; tracks with gaps have none across the gap."""
-    first, last = int(arrays.first[agent]) + trimmed, int(arrays.first[agent + 1]) - trimmed
-    starts = np.arange(first, last - size + 1, stride)
-    rows = starts[:, None] + np.arange(size)
-    whole = arrays.step[rows[:, -1]] - arrays.step[rows[:, 0]] == size - 1 if len(rows) else np.zeros(0, dtype=bool)
-    return np.asarray(rows[whole].reshape(-1, size))
 
 
 def _of_track(

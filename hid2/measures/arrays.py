@@ -85,34 +85,32 @@ class SceneArrays:
         return np.diff(self.first)
 
     @classmethod
+    def of(cls, counts: IntArray, step: IntArray, num_steps: int, **known: Any) -> "SceneArrays":  # noqa: ANN401
+        """Arrays of agents with so many rows each (A,), at these steps (N,), the other fields as they are known."""
+        first = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
+        agent = np.repeat(np.arange(len(counts)), counts)
+        row_of = np.full((len(counts), num_steps), -1, dtype=np.int64)
+        row_of[agent, step] = np.arange(len(step))
+        return cls(first=first, agent=agent, step=step, row_of=row_of, **known)
+
+    @classmethod
     def joined(cls, every: Sequence["SceneArrays"]) -> "SceneArrays":
         """The agents of all, of the same scene, in this order: T is the same."""
-        agents = np.cumsum([0, *(one.num_agents for one in every)])[:-1].tolist()
-        rows = np.cumsum([0, *(len(one.step) for one in every)])[:-1].tolist()
         parts = {name: np.concatenate([getattr(one, name) for one in every]) for name in (*_BY_AGENT, *_BY_ROW)}
-        return cls(
+        return cls.of(
+            np.concatenate([one.rows_per_agent for one in every]), num_steps=every[0].num_steps,
             track_ids=tuple(name for one in every for name in one.track_ids),
             object_types=tuple(kind for one in every for kind in one.object_types),
-            first=np.concatenate([[0], *(one.first[1:] + at for one, at in zip(every, rows, strict=True))]),
-            agent=np.concatenate([one.agent + at for one, at in zip(every, agents, strict=True)]),
-            row_of=np.concatenate([
-                np.where(one.row_of < 0, -1, one.row_of + at) for one, at in zip(every, rows, strict=True)
-            ]),
             step_s=every[0].step_s, **parts,
         )  # fmt: skip
 
     def agents(self, chosen: Sequence[int]) -> "SceneArrays":
         """Some of the agents, in the order given."""
         rows = np.concatenate([np.arange(self.first[agent], self.first[agent + 1]) for agent in chosen])
-        counts = self.rows_per_agent[list(chosen)]
-        first = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
-        agent = np.repeat(np.arange(len(chosen)), counts)
-        row_of = np.full((len(chosen), self.num_steps), -1, dtype=np.int64)
-        row_of[agent, self.step[rows]] = np.arange(len(rows))
-        return SceneArrays(
+        return SceneArrays.of(
+            self.rows_per_agent[list(chosen)], num_steps=self.num_steps,
             track_ids=tuple(self.track_ids[one] for one in chosen),
-            object_types=tuple(self.object_types[one] for one in chosen),
-            first=first, agent=agent, row_of=row_of, step_s=self.step_s,
+            object_types=tuple(self.object_types[one] for one in chosen), step_s=self.step_s,
             **{name: getattr(self, name)[list(chosen)] for name in _BY_AGENT},
             **{name: np.ascontiguousarray(getattr(self, name)[rows]) for name in _BY_ROW},
         )  # fmt: skip
@@ -139,36 +137,27 @@ def stack(
     """
     tracks = [track for track in tracks if len(track.timesteps)]
     counts = np.array([len(track.timesteps) for track in tracks], dtype=np.int64)
-    first = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
     # joined with nothing, so that no tracks are no special case
     step = np.concatenate([np.zeros(0, np.int64), *(track.timesteps for track in tracks)]).astype(np.int64)
     position = np.concatenate([np.zeros((0, 2)), *(track.position for track in tracks)])
-    heading = np.concatenate([np.zeros(0), *(track.heading for track in tracks)])
-    velocity = np.concatenate([np.zeros((0, 2)), *(track.velocity for track in tracks)])
-    steps = max(int(step.max(initial=-1)) + 1, num_steps or 0)
-    agent = np.repeat(np.arange(len(tracks)), counts)
-    row_of = np.full((len(tracks), steps), -1, dtype=np.int64)
-    row_of[agent, step] = np.arange(len(step))
-    vehicle = np.array([track.object_type in VEHICLE_TYPES for track in tracks], dtype=bool)
-    low, high = (ends.reduceat(position, first[:-1], axis=0) for ends in (np.minimum, np.maximum))
-    extent = np.hypot(*(high - low).T)
+    starts = np.cumsum(counts) - counts
+    low, high = (ends.reduceat(position, starts, axis=0) for ends in (np.minimum, np.maximum))
     category = np.array([track.category for track in tracks], dtype=np.int64)
-    return SceneArrays(
+    return SceneArrays.of(
+        counts,
+        step,
+        max(int(step.max(initial=-1)) + 1, num_steps or 0),
         track_ids=tuple(track.track_id for track in tracks),
         object_types=tuple(track.object_type for track in tracks),
         category=category,
         generated=np.array([is_generated(track.track_id) for track in tracks], dtype=bool),
-        vehicle=vehicle,
+        vehicle=np.array([track.object_type in VEHICLE_TYPES for track in tracks], dtype=bool),
         fragment=category == FRAGMENT,
-        moving=_counts_as_moving(extent, counts, step_s),
+        moving=_counts_as_moving(np.hypot(*(high - low).T), counts, step_s),
         length=np.array([track.size.length_m for track in tracks], dtype=np.float64),
         width=np.array([track.size.width_m for track in tracks], dtype=np.float64),
-        first=first,
-        agent=agent,
-        step=step,
         position=position,
-        heading=heading,
-        velocity=velocity,
-        row_of=row_of,
+        heading=np.concatenate([np.zeros(0), *(track.heading for track in tracks)]),
+        velocity=np.concatenate([np.zeros((0, 2)), *(track.velocity for track in tracks)]),
         step_s=step_s,
     )

@@ -7,7 +7,7 @@ from itertools import pairwise, permutations
 
 import numpy as np
 
-from hid2.agents import FloatArray, IntArray
+from hid2.agents import FloatArray
 from hid2.measures.arrays import BoolArray, SceneArrays
 from hid2.measures.driven_lanes import LaneView, Run, runs_of
 from hid2.measures.following import Leaders
@@ -33,10 +33,6 @@ class Partner(StrEnum):
     INSERTED = "inserted"
     PEDESTRIAN = "pedestrian"
     CYCLIST = "cyclist"
-
-
-#: Object types of pedestrians and cyclists; vehicles are told apart as recorded or inserted.
-_WALKS, _CYCLES = frozenset({"pedestrian"}), frozenset({"cyclist", "motorcyclist"})
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -66,29 +62,25 @@ def encounters(arrays: SceneArrays, lanes: FlatLanes, matches: Matches, led: Lea
     brakes_row = has & (accel < BRAKES_MPS2) & (led.gap_m < BRAKES_NEAR_M) & (led.time_gap_s < BRAKES_NEAR_S)
     leader = np.where(has, led.agent, 0)
 
-    def lasting(rows: BoolArray, for_s: float) -> BoolArray:
-        return _lasts(arrays, rows, round(for_s / arrays.step_s))
-
     vehicles = (Partner.RECORDED, Partner.INSERTED)
     return Encounters(
         distance_m=_distance_to_moving(arrays, masks[Partner.RECORDED]),
-        follows={kind: lasting(follows_row & masks[kind][leader], FOLLOWS_FOR_S) for kind in vehicles},
-        brakes={kind: lasting(brakes_row & masks[kind][leader], BRAKES_FOR_S) for kind in vehicles},
+        follows={kind: _lasts(arrays, follows_row & masks[kind][leader], FOLLOWS_FOR_S) for kind in vehicles},
+        brakes={kind: _lasts(arrays, brakes_row & masks[kind][leader], BRAKES_FOR_S) for kind in vehicles},
         merges=_merges(arrays, LaneView(arrays, lanes, matches), masks),
         crosses=_crosses(arrays, masks),
-        stands=lasting(speed < STANDS_MPS, STANDS_FOR_S) & arrays.vehicle,
+        stands=_lasts(arrays, speed < STANDS_MPS, STANDS_FOR_S) & arrays.vehicle,
     )
 
 
 def partners(arrays: SceneArrays) -> dict[Partner, BoolArray]:
     """(A,) agents of each kind that can be met; recorded and inserted: vehicles, without tracker fragments."""
-    types = np.array(arrays.object_types, dtype=object)
     vehicle = arrays.vehicle & ~arrays.fragment
     return {
         Partner.RECORDED: np.asarray(vehicle & ~arrays.generated),
         Partner.INSERTED: np.asarray(vehicle & arrays.generated),
-        Partner.PEDESTRIAN: np.array([one in _WALKS for one in types], dtype=bool),
-        Partner.CYCLIST: np.array([one in _CYCLES for one in types], dtype=bool),
+        Partner.PEDESTRIAN: np.isin(arrays.object_types, ["pedestrian"]),
+        Partner.CYCLIST: np.isin(arrays.object_types, ["cyclist", "motorcyclist"]),
     }
 
 
@@ -103,19 +95,16 @@ def _acceleration(arrays: SceneArrays) -> FloatArray:
         way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
         index = np.arange(len(steps))
         before, after = np.maximum(index - half, 0), np.minimum(index + half, len(steps) - 1)
-        first_s = (steps[index] - steps[before]) * arrays.step_s
-        last_s = (steps[after] - steps[index]) * arrays.step_s
-        inside = (first_s > 0) & (last_s > 0)
+        first_s, last_s = (steps - steps[before]) * arrays.step_s, (steps[after] - steps) * arrays.step_s
         with np.errstate(divide="ignore", invalid="ignore"):
-            gained = (way[after] - way[index]) / last_s - (way[index] - way[before]) / first_s
-            found = 2.0 * gained / (first_s + last_s)
-        out[rows] = np.where(inside, found, 0.0)
+            found = 2.0 * ((way[after] - way) / last_s - (way - way[before]) / first_s) / (first_s + last_s)
+        out[rows] = np.where((first_s > 0) & (last_s > 0), found, 0.0)
     return out
 
 
-def _lasts(arrays: SceneArrays, rows: BoolArray, steps: int) -> BoolArray:
-    """(A,) agents of which some rows hold for so many steps in a row."""
-    out, count = np.zeros(arrays.num_agents, dtype=bool), max(1, steps)
+def _lasts(arrays: SceneArrays, rows: BoolArray, for_s: float) -> BoolArray:
+    """(A,) agents of which some rows hold for so long."""
+    out, count = np.zeros(arrays.num_agents, dtype=bool), max(1, round(for_s / arrays.step_s))
     before = np.concatenate([[0], np.cumsum(rows)])
     agent = arrays.agent[: max(0, len(rows) - count + 1)]
     out[agent[(before[count:] - before[:-count] == count) & (agent == arrays.agent[count - 1 :])]] = True
@@ -144,10 +133,8 @@ def _crosses(arrays: SceneArrays, masks: dict[Partner, BoolArray]) -> dict[Partn
     agents = np.flatnonzero(arrays.moving & met)
     crossings = encroachments(arrays, cap_s=WITHIN_S, agents=agents, crossing_rad=CROSSING_RAD)
     out = {kind: np.zeros(arrays.num_agents, dtype=bool) for kind in Partner}
-    for first, second, pet_s, _ in crossings:
-        if pet_s > WITHIN_S - 1e-9:
-            continue
-        for one, other in ((first, second), (second, first)):
+    for *pair, pet_s, _ in crossings:
+        for one, other in permutations(pair) if pet_s <= WITHIN_S - 1e-9 else ():
             for kind in Partner:
                 out[kind][one] |= bool(masks[kind][other] and arrays.vehicle[one])
     return out
@@ -165,16 +152,11 @@ def _merges(arrays: SceneArrays, view: LaneView, masks: dict[Partner, BoolArray]
     ):
         if one == other or source in (elsewhere, entry.lane):
             continue
-        passed = _passes(view, run, float(view.matches.s[entry.first]))
-        if passed is not None and abs(passed - int(arrays.step[entry.first])) * arrays.step_s < WITHIN_S:
+        # where the other one is first beyond the place of entry, or begins beyond it
+        beyond = np.flatnonzero(view.matches.s[run.first : run.last + 1] >= view.matches.s[entry.first])
+        passed = arrays.step[run.first + beyond[:1]]
+        if (np.abs(passed - arrays.step[entry.first]) * arrays.step_s < WITHIN_S).any():
             for kind in (Partner.RECORDED, Partner.INSERTED):
                 out[kind][one] |= bool(masks[kind][other])
                 out[kind][other] |= bool(masks[kind][one])
     return out
-
-
-def _passes(view: LaneView, run: Run, at_m: float) -> int | None:
-    """Step at which a run on a lane first is beyond an arc length; its first one where it begins beyond, None never."""
-    rows: IntArray = np.arange(run.first, run.last + 1)
-    beyond = np.flatnonzero(view.matches.s[rows] >= at_m)
-    return int(view.arrays.step[rows[beyond[0]]]) if beyond.size else None

@@ -11,7 +11,7 @@ Definitions (evaluation.md):
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import cache
+from itertools import groupby, pairwise
 
 import numpy as np
 
@@ -104,24 +104,18 @@ def detect(
     vehicles = arrays.vehicle & arrays.moving
     for agent in np.flatnonzero(vehicles if among is None else vehicles & among):
         runs = runs_of(view, int(agent))
-        changes = list(_lane_changes(view, int(agent), runs))
-        overtakes, changes = _overtakes(view, int(agent), changes)
+        tried = (
+            _lane_change(view, int(agent), runs, k)
+            for k, (before, after) in enumerate(pairwise(runs), 1)
+            if min(before.lane, after.lane) >= 0 and lanes.link[before.lane, after.lane] == 1
+        )
+        overtakes, changes = _overtakes(view, int(agent), [one for one in tried if one is not None])
         seen = [change.maneuver for change in changes] + overtakes + list(_turns(view, int(agent), runs))
         found += sorted(seen, key=lambda maneuver: (maneuver.start_s, maneuver.kind))
     return found
 
 
 # Lane changes
-
-
-def _lane_changes(view: LaneView, agent: int, runs: list[Run]) -> Iterator[_Change]:
-    for k in range(1, len(runs)):
-        before, after = runs[k - 1], runs[k]
-        if before.lane < 0 or after.lane < 0 or view.lanes.link[before.lane, after.lane] != 1:
-            continue
-        change = _lane_change(view, agent, runs, k)
-        if change is not None:
-            yield change
 
 
 def _lane_change(view: LaneView, agent: int, runs: list[Run], k: int) -> _Change | None:
@@ -201,27 +195,13 @@ def _crossing(toward: FloatArray, known: BoolArray, time: FloatArray, switch: in
 
 def lateral_speed(values: FloatArray, time: FloatArray) -> FloatArray:
     """Slope of an offset (T,) m, m/s: of a parabola fitted over LATERAL_WINDOW_S (Savitzky and Golay 1964)."""
+    from scipy.signal import savgol_filter  # slow to import
+
     step = float(np.median(np.diff(time)))
     window = round(LATERAL_WINDOW_S / step) | 1
     if len(values) < window:
         return np.gradient(values, time)
-    half = window // 2
-    weights = _parabola_slopes(window)
-    middle = np.correlate(values, weights[half], mode="valid")
-    return np.asarray(
-        np.concatenate([weights[:half] @ values[:window], middle, weights[half + 1 :] @ values[-window:]]) / step
-    )
-
-
-@cache
-def _parabola_slopes(window: int) -> FloatArray:
-    """(window, window): row k times the values of a window is the slope of the fitted parabola at its k-th point.
-
-    Row window // 2 is for the middle of a track, the others are for its ends.
-    """
-    x = np.arange(window) - window // 2
-    fit = np.linalg.pinv(np.vander(x.astype(np.float64), 3, increasing=True))
-    return np.asarray(fit[1] + 2 * x[:, None] * fit[2])
+    return np.asarray(savgol_filter(values, window, 2, deriv=1, delta=step))
 
 
 def _edge(slope: FloatArray, known: BoolArray, at: int, direction: int, time: FloatArray) -> tuple[int, bool]:
@@ -246,18 +226,11 @@ def _turns(view: LaneView, agent: int, runs: list[Run]) -> Iterator[Maneuver]:
     start, stop = int(arrays.first[agent]), int(arrays.first[agent + 1])
     margin = round(TURN_MARGIN_S / arrays.step_s)
     direction = np.unwrap(view.matches.direction[start:stop])
-    k = 0
-    while k < len(runs):
-        sign = int(lanes.turn[runs[k].lane]) if runs[k].lane >= 0 else 0
-        if sign == 0:
-            k += 1
-            continue
-        end = k
-        while end + 1 < len(runs) and runs[end + 1].lane >= 0 and lanes.turn[runs[end + 1].lane] == sign:
-            end += 1
-        first, last = runs[k].first - start, runs[end].last - start
+    for sign, each in groupby(runs, lambda run: int(lanes.turn[run.lane]) if run.lane >= 0 else 0):
+        driven = list(each)
+        first, last = driven[0].first - start, driven[-1].last - start
         change = direction[min(last + margin, stop - start - 1)] - direction[max(first - margin, 0)]
-        if change * sign >= TURN_RAD:
+        if sign and change * sign >= TURN_RAD:
             time = arrays.step[[start + first, start + last]] * arrays.step_s
             yield Maneuver(
                 track_id=arrays.track_ids[agent],
@@ -265,12 +238,11 @@ def _turns(view: LaneView, agent: int, runs: list[Run]) -> Iterator[Maneuver]:
                 start_s=float(time[0]),
                 crossing_s=float(time.mean()),
                 end_s=float(time[1]),
-                source_lane=int(lanes.lane_ids[runs[k].lane]),
-                target_lane=int(lanes.lane_ids[runs[end].lane]),
+                source_lane=int(lanes.lane_ids[driven[0].lane]),
+                target_lane=int(lanes.lane_ids[driven[-1].lane]),
                 side=sign,
                 complete=first > 0 and last < stop - start - 1,
             )
-        k = end + 1
 
 
 # Overtakes
@@ -317,35 +289,21 @@ def _overtake(view: LaneView, agent: int, change: _Change, back: _Change | None)
         ahead = shared[(lead > half) & on_path & (shared > row)]
         if not len(behind) or not len(ahead):
             continue
-        time_ahead = step_own[ahead[0]] * arrays.step_s
+        time_ahead = float(step_own[ahead[0]] * arrays.step_s)
         returned = back is not None and back.maneuver.crossing_s >= time_ahead - 1e-9
         if back is not None and not returned and time_ahead > until:
             continue  # back in the lane before it was ahead: not passed in the adjacent lane
         speed = np.hypot(*arrays.velocity[rows[shared]].T)
-        within = (shared >= behind[-1]) & (shared <= ahead[0])
-        parked = bool((speed[within] < PARKED_MPS).all())
-        level = shared[np.flatnonzero(lead >= 0)[0]]
-        moving_kind = ManeuverKind.OVERTAKE if returned else ManeuverKind.PASS
-        kind = ManeuverKind.OBSTACLE_AVOIDANCE if parked else moving_kind
-        level_s = float(step_own[level] * arrays.step_s)
-        end_s = back.maneuver.end_s if returned and back is not None else float(time_ahead)
-        maneuver = Maneuver(
-            track_id=arrays.track_ids[agent],
-            kind=kind,
-            start_s=change.maneuver.start_s,
-            crossing_s=level_s,
-            end_s=max(end_s, change.maneuver.end_s),
-            source_lane=change.maneuver.source_lane,
-            target_lane=change.maneuver.target_lane,
-            side=change.maneuver.side,
-            complete=True,
-            other_track_id=arrays.track_ids[other],
-        )
+        parked = bool((speed[(shared >= behind[-1]) & (shared <= ahead[0])] < PARKED_MPS).all())
+        level_s = float(step_own[shared[np.flatnonzero(lead >= 0)[0]]] * arrays.step_s)
+        end_s = back.maneuver.end_s if returned and back is not None else time_ahead
+        kind = ManeuverKind.OVERTAKE if returned else ManeuverKind.PASS
+        maneuver = replace(
+            change.maneuver, kind=ManeuverKind.OBSTACLE_AVOIDANCE if parked else kind, crossing_s=level_s,
+            end_s=max(end_s, change.maneuver.end_s), complete=True, other_track_id=arrays.track_ids[other],
+        )  # fmt: skip
         found.append((not parked, level_s, maneuver, returned))
-    if not found:
-        return None
-    _, _, maneuver, returned = max(found, key=lambda item: item[:2])
-    return maneuver, returned
+    return max(found, key=lambda item: item[:2])[2:] if found else None
 
 
 def _ahead_on_path(view: LaneView, agent: int, change: _Change, s_own: float) -> Iterator[int]:

@@ -36,10 +36,6 @@ class MotionLimit(NamedTuple):
     bound: Callable[[Limits], float]
 
 
-def _size(values: FloatArray) -> FloatArray:
-    return np.asarray(np.abs(values))
-
-
 #: In the order in which the last check names the first one that is exceeded.
 MOTION_LIMITS = (
     MotionLimit("accel", Reason.LIMIT_ACCEL, "acceleration", "m/s²",
@@ -47,14 +43,14 @@ MOTION_LIMITS = (
     MotionLimit("decel", Reason.LIMIT_DECEL, "deceleration", "m/s²",
                 lambda p: -p.accel_mps2, lambda m: -m.accel_min_mps2),
     MotionLimit("lateral_accel", Reason.LIMIT_LATERAL_ACCEL, "|lateral acceleration|", "m/s²",
-                lambda p: _size(p.lateral_accel_mps2), lambda m: m.lateral_accel_mps2),
+                lambda p: np.abs(p.lateral_accel_mps2), lambda m: m.lateral_accel_mps2),
     MotionLimit("longitudinal_jerk", Reason.LIMIT_LONGITUDINAL_JERK, "|longitudinal jerk|", "m/s³",
-                lambda p: _size(p.longitudinal_jerk_mps3), lambda m: m.longitudinal_jerk_mps3),
+                lambda p: np.abs(p.longitudinal_jerk_mps3), lambda m: m.longitudinal_jerk_mps3),
     MotionLimit("jerk", Reason.LIMIT_JERK, "jerk", "m/s³", lambda p: p.jerk_mps3, lambda m: m.jerk_mps3),
     MotionLimit("yaw_rate", Reason.LIMIT_YAW_RATE, "|yaw rate|", "rad/s",
-                lambda p: _size(p.yaw_rate_radps), lambda m: m.yaw_rate_radps),
+                lambda p: np.abs(p.yaw_rate_radps), lambda m: m.yaw_rate_radps),
     MotionLimit("yaw_accel", Reason.LIMIT_YAW_ACCEL, "|yaw acceleration|", "rad/s²",
-                lambda p: _size(p.yaw_accel_radps2), lambda m: m.yaw_accel_radps2),
+                lambda p: np.abs(p.yaw_accel_radps2), lambda m: m.yaw_accel_radps2),
 )  # fmt: skip
 
 

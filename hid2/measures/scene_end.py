@@ -50,26 +50,20 @@ def first_contact(own: int, boxes: BoxesAtStep, *, horizon_s: float) -> Contact 
     return None if other < 0 else Contact(float(ttc_s), int(other))
 
 
-def contacts_after_last_step(
+def ttc_after_last_step(
     arrays: SceneArrays, members: BoolArray, *, horizon_s: float, among: BoolArray | None = None
-) -> dict[int, Contact]:
-    """First contacts of the members (A,), each at its own last step, by agent; agents without one are not in it.
+) -> FloatArray:
+    """(A,) s from the last step of each member (A,) to its first contact; inf without one, and of all other agents.
 
     among: the agents (A,) that count as others, all of the scene unless told. Only those present at that very step.
     """
-    counted = np.ones(arrays.num_agents, dtype=bool) if among is None else among
-    found: dict[int, Contact] = {}
+    found = np.full(arrays.num_agents, np.inf)
     for agent in np.flatnonzero(members).tolist():
         step = int(arrays.step[arrays.first[agent + 1] - 1])
-        present = counted & (arrays.row_of[:, step] >= 0)
-        present[agent] = True
-        agents = np.flatnonzero(present)
-        rows = arrays.row_of[agents, step]
-        boxes = BoxesAtStep(
-            arrays.position[rows], arrays.heading[rows], arrays.velocity[rows],
-            np.column_stack([arrays.length[agents], arrays.width[agents]]),
-        )  # fmt: skip
+        present = (arrays.row_of[:, step] >= 0) & (True if among is None else among)
+        agents = np.union1d(np.flatnonzero(present), agent)
+        rows, sizes = arrays.row_of[agents, step], np.column_stack([arrays.length[agents], arrays.width[agents]])
+        boxes = BoxesAtStep(arrays.position[rows], arrays.heading[rows], arrays.velocity[rows], sizes)
         contact = first_contact(int(np.searchsorted(agents, agent)), boxes, horizon_s=horizon_s)
-        if contact is not None:
-            found[agent] = Contact(contact.ttc_s, int(agents[contact.other]))
+        found[agent] = np.inf if contact is None else contact.ttc_s
     return found

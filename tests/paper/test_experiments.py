@@ -10,7 +10,6 @@ from recordings import make_argoverse1, make_log
 
 from bridge.evaluation.paper import PAPER_ABLATION, PAPER_ARGOVERSE1, run_experiment
 from bridge.evaluation.report import PAPER_HID2, PAPER_ORIGINAL
-from netconvert.errors import ConfigError
 
 
 def lines(path):
@@ -88,14 +87,13 @@ def test_table1_has_the_rows_of_argoverse_1_beside_the_papers(tmp_path):
     assert found["paper: HiD2 on Argoverse 1"]["je"]["value"] == 11.031
     assert found["ours: Argoverse 1, generated vehicles alone"]["scr"]["value"] == 0.0
     assert "paper: Argoverse 2" not in found
-    raw, filtered = (found[f"ours: Argoverse 1, recorded, positions {how}"] for how in ("as they are", "smoothed"))
+    raw = found["ours: Argoverse 1, recorded, positions as they are"]
+    filtered = found["ours: Argoverse 1, recorded, smoothed, tracks seen at every step"]
     assert 0 < filtered["je"]["value"] <= raw["je"]["value"]
-    whole = found["ours: Argoverse 1, recorded, smoothed, tracks seen at every step"]
-    assert whole["je"]["value"] > 0
     page = (tmp_path / "out" / "table1.html").read_text()
     counted = re.search(r"Of (\d+) generated scenes made from (\d+) recorded", page)
     assert counted
-    assert counted[1] == counted[2]  # one seed: a scene that is measured three times is one scene
+    assert counted[1] == counted[2]  # one seed: a scene that is measured twice is one scene
     assert "Positions jump by decimetres" in (tmp_path / "out" / "table1.html").read_text().replace("\n", " ")
 
 
@@ -111,10 +109,3 @@ def test_tracked_scenes_and_labelled_ones_have_rows_of_their_own(data_scenes, tm
     assert len(parts) == 2
     low, high = sorted(part["je"]["value"] for part in parts)
     assert low <= whole["je"]["value"] <= high
-
-
-def test_unknown_experiment_is_explained(data_scenes, tmp_path):
-    with pytest.raises(ConfigError, match="expected one of table1"):
-        run_experiment("table9", scenes=data_scenes["curve"], out_dir=tmp_path)
-    with pytest.raises(ConfigError, match="seeds 0"):
-        run_experiment("table1", scenes=data_scenes["curve"], out_dir=tmp_path, seeds=0)

@@ -123,7 +123,7 @@ def test_grid_topology_has_longitudinal_lateral_and_inter_lane_links() -> None:
     link = grid.lateral(Cell(1, 1), "left")
     assert link is not None
     assert (link.target, link.allowed) == (Cell(2, 1), True)
-    assert grid.inter_lane(Cell(1, 1)) == (Cell(3, 0), Cell(4, 0))
+    assert grid.following(Cell(1, 1)) == (Cell(3, 0), Cell(4, 0))
 
 
 def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:

@@ -114,9 +114,9 @@ def test_the_net_has_every_lane_on_its_centreline_and_every_link_or_its_reason(
     real_scene: Path, tmp_path: Path, cell_m: float
 ) -> None:
     report = convert(real_scene, tmp_path, cell_m=cell_m)
-    assert report.lanes_in == report.lanes_out > 0
+    assert report.lanes == report.lanes_in_net > 0
     assert report.largest_distance_m <= 0.01
-    assert report.successors_kept + sum(link.kind == "successor" for link in report.lost) == report.successors_in
-    assert report.neighbors_kept + sum(link.kind != "successor" for link in report.lost) == report.neighbors_in
+    assert report.successors_kept + sum(link.kind == "successor" for link in report.lost) == report.successors
+    assert report.neighbors_kept + sum(link.kind != "successor" for link in report.lost) == report.neighbors
     assert UNEXPLAINED not in {link.reason for link in report.lost}
     assert {link.reason for link in report.lost} == {"the other lane is outside the map"}

@@ -76,9 +76,7 @@ def _check_libsumo_sees_the_grid(grid: CellGrid, lanes: dict[str, dict]) -> None
         assert lane["length"] == pytest.approx(grid.length_m(cell), abs=1e-5)
         centerline = shapely.LineString(grid.graph.lanes[cell.lane_id].centerline)
         assert shapely.distance(shapely.points(np.array(lane["shape"])), centerline).max() <= 0.01
-        following = grid.longitudinal(cell)
-        targets = grid.inter_lane(cell) if following is None else (following,)
-        assert lane["links"] == sorted(grid.sumo_lane_id(target) for target in targets)
+        assert lane["links"] == sorted(grid.sumo_lane_id(target) for target in grid.following(cell))
         assert (lane["allowed"] == ["bicycle"]) == (grid.graph.lanes[cell.lane_id].lane_type == "BIKE")
         link = grid.lateral(cell, "left")
         if link is not None:

@@ -111,4 +111,4 @@ def test_what_cannot_be_is_said_in_one_line(data_scene: Path, tmp_path: Path, mo
     monkeypatch.setattr(nets.shutil, "which", lambda _: None)
     with pytest.raises(SimulationError, match=r"SUMO's netconvert is not installed; install it: sh setup\.sh"):
         convert_whole(path, tmp_path / "out")
-    assert convert(path, tmp_path / "out").lanes_out > 0
+    assert convert(path, tmp_path / "out").lanes_in_net > 0

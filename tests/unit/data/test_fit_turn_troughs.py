@@ -26,7 +26,7 @@ def script(data_root: Path) -> Iterator[ModuleType]:
 def _turns(script: ModuleType, *, left: int, right: int, left_trough: float = 0.6, right_trough: float = 0.8):
     """Turns of a shape, half of them 0.05 above it and half as much below: their median is the shape."""
     return [
-        script.Pass(side, turn_shape(script.ALPHA, trough, 0.35) + (0.05 if k % 2 else -0.05), 7.0)
+        script.Pass(side, turn_shape(script.ALPHA, trough, 0.35) + (0.05 if k % 2 else -0.05))
         for side, count, trough in (("left", left, left_trough), ("right", right, right_trough))
         for k in range(count)
     ]
@@ -35,14 +35,14 @@ def _turns(script: ModuleType, *, left: int, right: int, left_trough: float = 0.
 def test_troughs_of_both_sides_and_their_place_are_recovered(script: ModuleType) -> None:
     turn, lines = script.report(_turns(script, left=20, right=24), 3, prior=Turn())
     assert (turn.left_trough, turn.right_trough, turn.trough_at) == (0.6, 0.8, 0.35)
-    assert lines[1].startswith("left: 20 turns, entered at 7.0 m/s in the median; trough 0.600 at 0.35")
+    assert lines[1].startswith("left: 20 turns; trough 0.600 at 0.35")
 
 
 def test_a_side_with_fewer_than_twenty_turns_keeps_the_prior_and_says_so(script: ModuleType) -> None:
     prior = Turn()
     turn, lines = script.report(_turns(script, left=19, right=0), 1, prior=prior)
     assert turn == prior
-    assert "left: 19 turns, entered at 7.0 m/s in the median; fewer than 20: the prior stays" in lines[1]
+    assert "left: 19 turns; fewer than 20: the prior stays" in lines[1]
     assert lines[2].startswith("right: 0 turns; fewer than 20: the prior stays")
 
 
@@ -81,10 +81,9 @@ def test_profile_is_speed_over_speed_at_the_entrance(script: ModuleType) -> None
     )  # fmt: skip
     arrays = script.stack([car], step_s=0.1)
     inside = np.flatnonzero((s > -0.01) & (s <= 20))
-    profile, entry = script._profile(arrays, 0, inside[0], inside[-1], s[inside] / 20, sign=1)
-    assert 9.5 < entry < 10.0
+    profile = script._profile(arrays, 0, inside[0], inside[-1], s[inside] / 20, sign=1)
     assert profile[0] == 1.0
-    assert profile[18] == pytest.approx(5.0 / entry)
+    assert 5.0 / 10.0 < profile[18] < 5.0 / 9.5
     jump = replace(car, position=np.column_stack([np.where(s > 8, s + 3.0, s), np.zeros(len(s))]))
     unclean = script._profile(script.stack([jump], step_s=0.1), 0, inside[0], inside[-1], s[inside] / 20, sign=1)
     assert unclean == "not clean: speed jumps"

@@ -51,16 +51,6 @@ def test_script_makes_the_data_set_byte_for_byte(script: Script, data_root: Path
             assert ours.read_bytes() == theirs.read_bytes(), path
 
 
-def test_own_sines_and_angles_are_right(script: Script) -> None:
-    exact = script("exact_paths")
-    angles = np.linspace(-7, 7, 1001)
-    assert np.abs(exact.sin(angles) - np.sin(angles)).max() < 1e-13
-    assert np.abs(exact.cos(angles) - np.cos(angles)).max() < 1e-13
-    vectors = 3 * np.column_stack([np.cos(angles), np.sin(angles)])
-    error = exact.direction(vectors) - np.arctan2(vectors[:, 1], vectors[:, 0])
-    assert np.abs(np.sin(error / 2)).max() < 1e-13
-
-
 def test_av2_loads_scene_and_map(data_scene: Path) -> None:
     theirs = load_argoverse_scenario_parquet(data_scene / f"scenario_{data_scene.name}.parquet")
     assert len(theirs.timestamps_ns) == 110

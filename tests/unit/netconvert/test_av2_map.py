@@ -77,7 +77,7 @@ def test_a_map_without_pedestrian_crossings_has_none(lane_json: Json, map_json: 
 def test_a_pedestrian_crossing_without_an_edge_is_refused_by_name(lane_json: Json, map_json: Json) -> None:
     document = map_json(lane_json(5, STRAIGHT))
     document["pedestrian_crossings"] = {"77": {"id": 77, "edge1": _edge((0.0, 0.0), (1.0, 0.0))}}
-    with pytest.raises(MapError, match=r"map: pedestrian crossing 77: no edge1 or no edge2"):
+    with pytest.raises(MapError, match="map: pedestrian crossing 77: no edge2, expected the fields"):
         lane_graph_from_json(document, name="map")
 
 
@@ -118,20 +118,20 @@ BAD_LANES = {
     ),
     "NaN": (
         {"centerline": [{"x": 1, "y": 2, "z": 0}, {"x": float("nan"), "y": 2, "z": 0}]},
-        r"lane 5: centerline\[1\] is {'x': nan, .*}, expected finite x, y and z",
+        r"lane 5: centerline\[1\]\.x: nan, expected a finite number",
     ),
-    "no y": ({"centerline": [{"x": 1}, {"x": 2}]}, r"lane 5: centerline\[0\] is {'x': 1}, expected finite x, y"),
+    "no y": ({"centerline": [{"x": 1}, {"x": 2}]}, r"lane 5: no centerline\[0\]\.y, expected the fields"),
     "words": (
         {"centerline": [{"x": 2, "y": 1, "z": 0}, {"x": "2", "y": 1, "z": 0}]},
-        r"lane 5: centerline\[1\] is {'x': '2', .*}, expected finite x, y and z",
+        r"lane 5: centerline\[1\]\.x: '2', expected a valid number",
     ),
-    "no points": ({"right_lane_boundary": None}, "lane 5: right_lane_boundary: None, expected at least 2 points"),
+    "no points": ({"right_lane_boundary": None}, "lane 5: right_lane_boundary: None, expected a valid list"),
     "lane type": ({"lane_type": "TRAM"}, "lane 5: lane_type: 'TRAM', expected one of BIKE, BUS, VEHICLE"),
     "mark type": ({"left_lane_mark_type": None}, "lane 5: left_lane_mark_type: None, expected one of DASHED_WHITE"),
-    "intersection": ({"is_intersection": "no"}, "lane 5: is_intersection 'no', expected true or false"),
-    "successors": ({"successors": "7"}, "lane 5: successors: '7', expected a list of lane ids"),
-    "neighbour": ({"left_neighbor_id": 1.5}, "lane 5: left_neighbor_id: 1.5, expected an integer"),
-    "id": ({"id": "5"}, "lane 5: id: '5', expected an integer"),
+    "intersection": ({"is_intersection": "no"}, "lane 5: is_intersection: 'no', expected a valid boolean"),
+    "successors": ({"successors": "7"}, "lane 5: successors: '7', expected a valid list"),
+    "neighbour": ({"left_neighbor_id": 1.5}, "lane 5: left_neighbor_id: 1.5, expected a valid integer"),
+    "id": ({"id": "5"}, "lane 5: id: '5', expected a valid integer"),
 }
 
 
@@ -146,7 +146,7 @@ def test_a_broken_lane_is_refused_with_its_id_and_value(case: str, lane_json: Js
 def test_a_missing_field_is_named(lane_json: Json, map_json: Json) -> None:
     segment = lane_json(5, STRAIGHT)
     del segment["successors"], segment["lane_type"]
-    with pytest.raises(MapError, match="map: lane 5: no lane_type, successors, expected"):
+    with pytest.raises(MapError, match="map: lane 5: no lane_type, expected"):
         lane_graph_from_json(map_json(segment), name="map")
 
 

@@ -66,9 +66,9 @@ def test_longitudinal_links_end_with_the_lane(two_lanes: CellGrid) -> None:
 
 
 def test_inter_lane_links_leave_from_the_last_cell(two_lanes: CellGrid) -> None:
-    assert two_lanes.inter_lane(Cell(2, 3)) == (Cell(3, 0),)
-    assert two_lanes.inter_lane(Cell(2, 2)) == ()
-    assert two_lanes.inter_lane(Cell(1, 3)) == ()
+    assert two_lanes.following(Cell(2, 3)) == (Cell(3, 0),)
+    assert two_lanes.following(Cell(2, 2)) == (Cell(2, 3),)
+    assert two_lanes.following(Cell(1, 3)) == ()
 
 
 def test_lateral_links_face_each_other_and_say_whether_the_marking_allows_a_change(two_lanes: CellGrid) -> None:

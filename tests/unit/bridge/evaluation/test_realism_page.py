@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from bridge.evaluation.critique import MISSING, critique
 from bridge.pages.parts import macro
-from hid2.evaluation.critics import FEATURE_NAMES, WIDTH, Packed
+from hid2.evaluation.critics import FEATURE_NAMES, MISSING, WIDTH, Packed, critique
 
 
 def plain_words(critics, tails):
@@ -107,7 +106,7 @@ def test_verdicts_are_given_by_kind_of_recording():
 
 def test_without_the_extra_nothing_is_judged_and_it_is_said(monkeypatch, caplog):
     rows = Packed(np.ones((40, WIDTH)), np.arange(40) % 2 == 0, np.arange(40) % 4 // 2)
-    monkeypatch.setattr("bridge.evaluation.critique.find_spec", lambda _: None)
+    monkeypatch.setattr("hid2.evaluation.critics.find_spec", lambda _: None)
     found = critique(rows, rows)
     assert (found["verdicts"], found["drivers_control"], found["betrays"]) == ([], [], [])
     assert found["missing"] == MISSING

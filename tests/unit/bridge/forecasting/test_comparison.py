@@ -29,8 +29,8 @@ def test_a_difference_is_over_pairs():
     mine = [[score(f"s{n}", level - 0.1) for n, level in enumerate(levels)]]
     theirs = [[score(f"s{n}", level) for n, level in enumerate(levels)]]
     found = compared(mine, theirs)
-    assert found.estimate.value == pytest.approx(-0.1)
-    assert (found.estimate.low, found.estimate.high) == (pytest.approx(-0.1), pytest.approx(-0.1))
+    assert found.difference == pytest.approx(-0.1)
+    assert (found.low, found.high) == (pytest.approx(-0.1), pytest.approx(-0.1))
     assert (found.tracks, found.sources, found.seeds) == (40, 40, (1, 1))
 
 
@@ -42,8 +42,8 @@ def test_the_standard_error_over_scenes_is_that_of_a_mean():
     mine = [[score(f"s{n}", 5 + gap) for n, gap in enumerate(gaps)]]
     theirs = [[score(f"s{n}", 5.0) for n in range(400)]]
     found = compared(mine, theirs)
-    assert found.estimate.se == pytest.approx(0.04, rel=0.05)
-    assert found.detectable == pytest.approx(2.8016 * found.estimate.se, rel=1e-3)
+    assert found.se == pytest.approx(0.04, rel=0.05)
+    assert found.detectable == pytest.approx(2.8016 * found.se, rel=1e-3)
     assert found.sources_for(found.detectable / 2) == pytest.approx(1600, abs=1)
 
 
@@ -55,8 +55,8 @@ def test_scenes_made_of_one_recorded_scene_are_drawn_together():
     source_of = {f"{s}-{n}": str(s) for s in range(4) for n in range(10)}
     together, apart = compared(mine, theirs, source_of), compared(mine, theirs)
     assert (together.sources, apart.sources) == (4, 40)
-    assert together.estimate.se == pytest.approx(np.std(values) / 2, rel=0.06)
-    assert apart.estimate.se == pytest.approx(np.std(values) / np.sqrt(40), rel=0.06)
+    assert together.se == pytest.approx(np.std(values) / 2, rel=0.06)
+    assert apart.se == pytest.approx(np.std(values) / np.sqrt(40), rel=0.06)
 
 
 def test_seeds_are_drawn_too():
@@ -64,18 +64,18 @@ def test_seeds_are_drawn_too():
     mine = [[score(f"s{n}", 5.0 + seed) for n in range(30)] for seed in range(3)]
     theirs = [[score(f"s{n}", 5.0) for n in range(30)] for _ in range(3)]
     found = compared(mine, theirs)
-    assert found.estimate.value == pytest.approx(1.0)
-    assert found.estimate.se == pytest.approx(np.std([0, 1, 2]) / np.sqrt(3), rel=0.06)
+    assert found.difference == pytest.approx(1.0)
+    assert found.se == pytest.approx(np.std([0, 1, 2]) / np.sqrt(3), rel=0.06)
 
 
 def test_only_tracks_that_every_file_forecasts_count():
     mine = [[score("a", 1.0), score("b", 9.0)]]
     theirs = [[score("a", 2.0), score("c", 9.0)]]
     found = compared(mine, theirs)
-    assert (found.tracks, found.estimate.value) == (1, -1.0)
-    assert found.estimate.low is None  # one scene has no interval
+    assert (found.tracks, found.difference) == (1, -1.0)
+    assert found.low is None  # one scene has no interval
     nothing = compared(mine, [[score("z", 1.0)]])
-    assert (nothing.tracks, nothing.estimate.value, nothing.detectable) == (0, None, None)
+    assert (nothing.tracks, nothing.difference, nothing.detectable) == (0, None, None)
 
 
 def test_bands_and_metrics_are_taken_apart():
@@ -100,12 +100,10 @@ def test_files_are_compared_with_the_first(data_root, tmp_path):
     found, left_out = compare_predictions(data_root, models, tmp_path / "report", bounds=(22,))
     assert left_out == []
     whole = next(one for one in found if one.band == "all scenes" and one.metric == "min_fde_m")
-    assert (whole.model, whole.other, whole.tracks) == ("oracle", "cv", 3)
-    assert whole.estimate.high < 0
+    assert (whole.model, whole.minus, whole.tracks) == ("oracle", "cv", 3)
+    assert whole.high < 0
     assert {one.tracks for one in found if one.band == "more than 22"} == {1}
-    assert {path.name for path in (tmp_path / "report").iterdir()} == {
-        "comparison.csv", "comparison.html", "comparison.json"
-    }  # fmt: skip
+    assert {path.name for path in (tmp_path / "report").iterdir()} == {"comparison.csv", "comparison.html"}
     with pytest.raises(ConfigError, match="expected two or more"):
         compare_predictions(data_root, parse_models([str(first)]), tmp_path / "report")
     with pytest.raises(ConfigError, match="no such file"):

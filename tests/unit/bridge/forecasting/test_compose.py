@@ -286,8 +286,8 @@ def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
         ({"sources": source, "sets": {"a/b": {}}}, "sets.a/b"),
         ({"sources": source, "sets": {"a": {}}, "colour": 1}, "unknown key 'colour'; expected seed, layout, split"),
         ({"sources": source, "sets": {"a": {"tke": {}}}}, r"unknown key 'sets\.a\.tke'; expected take, again"),
-        ({"sets": {"a": {}}}, "C.toml: no sources, expected it in a composition"),
-        ({"sources": source, "sets": {"a": {"take": {"data": 1.5}}}}, "= '1.5', expected a number of scenes, a share"),
+        ({"sets": {"a": {}}}, "C.toml: no key 'sources'; expected seed, layout, split"),
+        ({"sources": source, "sets": {"a": {"take": {"data": 1.5}}}}, "= 1.5, expected a number of scenes, a share"),
         ({"sources": source, "sets": {"a": {}}, "split": {"by": "log"}}, "split.by = 'log', expected 'place' or"),
     ):
         with pytest.raises(ConfigError, match=message):

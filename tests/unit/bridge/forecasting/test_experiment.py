@@ -16,7 +16,7 @@ from written import write_scene
 
 from bridge.evaluation.predictions import baseline, read_forecasts, score_predictions, write_forecasts
 from bridge.forecasting import experiment
-from bridge.forecasting.comparison import Difference, MeanEstimate
+from bridge.forecasting.comparison import Difference
 from bridge.forecasting.compose import compose
 from bridge.forecasting.composition import composition_of
 from bridge.forecasting.experiment import PAPER_GAIN_M, PAPER_TABLE2, PAPER_TABLE3, SETS, Plan, run_prediction
@@ -84,7 +84,7 @@ def test_forecasts_from_elsewhere_make_both_tables(composed, brought, tmp_path):
         "ours: recorded"
     ] * 4
     assert content["seeds"] == dict.fromkeys(SETS, 2)
-    pairs = {(one["model"], one["other"]) for one in content["differences"]}
+    pairs = {(one["model"], one["minus"]) for one in content["differences"]}
     assert {("hid2", "recorded"), ("hid2", "recorded-dense"), ("hid2-only", "recorded")} <= pairs
     text = page.read_text()
     for words in ("nothing about the claim", "1.573", "1.219", "0.023", "one standard error"):
@@ -189,17 +189,8 @@ def test_recordings_of_other_formats_are_refused(tmp_path, monkeypatch):
 )
 def test_an_interval_is_taken_at_its_word_from_many_scenes_only(sources, says, not_says):
     """A difference of -0.5 m, -0.9 to -0.1 m."""
-    one = Difference(
-        "hid2",
-        "recorded",
-        "all scenes",
-        "min_fde_m",
-        MeanEstimate(-0.5, -0.9, -0.1, 0.2),
-        sources,
-        sources,
-        (3, 3),
-        0.57,
-    )
+    figures = -0.5, -0.9, -0.1, 0.2, sources, sources, 0.57
+    one = Difference("hid2", "recorded", "all scenes", "min_fde_m", *figures, (3, 3))
     text = " ".join(macro("forecasts.html.j2", "power", one, PAPER_GAIN_M).split())
     assert says in text
     assert not_says not in text

@@ -363,7 +363,7 @@ WRONG_MAPS: dict[str, tuple[Callable[[Path], object], str]] = {
     "raster-is-empty": (_save(RASTER, np.zeros((50, 50))), "no drivable area within"),
     "transformation-is-small": (_save(SE2, np.eye(2)), "se2.*expected numbers \\(3, 3\\)"),
     "transformation-scales": (_save(SE2, np.diag([2.0, 2.0, 1.0])), "se2.*expected a rotation"),
-    "transformation-is-nan": (_save(SE2, np.full((3, 3), np.nan)), "finite numbers"),
+    "transformation-is-nan": (_save(SE2, np.full((3, 3), np.nan)), "se2.*expected a rotation"),
 }  # fmt: skip
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from bridge.pages.parts import macro
 from bridge.studies.gap_acceptance import acceptance_curve, critical_gap, gaps_of, largest_rejected, troutbeck
-from bridge.studies.page import _effects_told, _last_reasons, _told
+from bridge.studies.page import _last_reasons, _records, _told
 from bridge.studies.statistics import (
     difference_sd,
     dose_response,
@@ -288,7 +288,8 @@ def test_interval_that_begins_at_a_rounding_error_includes_no_effect() -> None:
 def test_page_tells_effects_with_and_without_an_interval(runs: int, interval: bool) -> None:
     """Two runs are too few to be drawn again: the coefficient stands alone. One that cannot be told is not told."""
     requests = _requests(-0.3, runs=runs, each=30).assign(q=lambda frame: frame["seed"] % 2, min_ttc_s=3.0)
-    told = _effects_told(effects(requests, ["p", "q"], give_up_s=6.0))
+    found = effects(requests, ["p", "q"], give_up_s=6.0).dropna(subset="standardised_coefficient")
+    told = _records(found[found["drawn_again"] == "runs"])
     lines = [macro("study_lines.md.j2", "effect", row, row["parameter"]) for row in told]
     accepted = next(line for line in lines if line.startswith("accepted by p: standardised coefficient -"))
     assert (" to " in accepted) is interval

@@ -19,14 +19,14 @@ def test_convert_writes_the_net_and_everything_that_opens_it(data_scene: Path, t
     report = convert(data_scene, tmp_path / "deep" / "out")
     suffixes = ("net.xml", "sumocfg", "poly.xml", "view.xml", "cells.csv")
     assert _names(tmp_path / "deep" / "out") == {f"{data_scene.name}.{suffix}" for suffix in suffixes}
-    assert report.lanes_in == report.lanes_out
+    assert report.lanes == report.lanes_in_net
     assert report.largest_distance_m <= 0.01
     assert UNEXPLAINED not in {link.reason for link in report.lost}
 
 
 def test_convert_takes_the_map_file_as_well(data_scene: Path, tmp_path: Path) -> None:
     (path,) = data_scene.glob("log_map_archive_*.json")
-    assert convert(path, tmp_path).lanes_out > 0
+    assert convert(path, tmp_path).lanes_in_net > 0
     assert f"{data_scene.name}.net.xml" in _names(tmp_path)
 
 

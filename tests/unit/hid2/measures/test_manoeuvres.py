@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import savgol_filter
 
 from hid2.agents import BoxSize, Policy, Track
-from hid2.evaluation.behaviour import policies
+from hid2.evaluation.metrics import policies
 from hid2.measures.arrays import stack
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from hid2.measures.manoeuvres import ManeuverKind, detect, lateral_speed

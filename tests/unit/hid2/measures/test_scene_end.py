@@ -7,7 +7,7 @@ import pytest
 
 from hid2.agents import BoxSize, Track
 from hid2.measures.arrays import SceneArrays, stack
-from hid2.measures.scene_end import BoxesAtStep, contacts_after_last_step, first_contact
+from hid2.measures.scene_end import BoxesAtStep, first_contact, ttc_after_last_step
 
 HORIZON_S = 3.0
 Box = tuple[float, float, float, float]
@@ -88,14 +88,14 @@ def rear_end() -> SceneArrays:
 
 def test_a_track_is_looked_at_from_its_own_last_step_among_those_present_then(rear_end: SceneArrays) -> None:
     """Step 20: front at 22, the wall's rear at 32: 1 s. "late" is not there yet; step 109 knows no gen_0."""
-    found = contacts_after_last_step(rear_end, rear_end.generated, horizon_s=HORIZON_S)
-    assert {agent: (contact.other, round(contact.ttc_s, 9)) for agent, contact in found.items()} == {0: (1, 1.0)}
+    found = ttc_after_last_step(rear_end, rear_end.generated, horizon_s=HORIZON_S)
+    assert found == pytest.approx([1.0, np.inf, np.inf])
 
 
 def test_others_can_be_kept_to_a_group(rear_end: SceneArrays) -> None:
     everybody = np.ones(rear_end.num_agents, dtype=bool)
-    found = contacts_after_last_step(rear_end, everybody, horizon_s=HORIZON_S, among=rear_end.generated)
-    assert found == {}
+    found = ttc_after_last_step(rear_end, everybody, horizon_s=HORIZON_S, among=rear_end.generated)
+    assert np.isinf(found).all()
 
 
 def test_contact_is_the_same_from_any_place_and_direction(rotated: Callable[[BoxesAtStep], BoxesAtStep]) -> None:

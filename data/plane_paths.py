@@ -1,8 +1,4 @@
-"""Paths in the plane, the same to the last bit on every machine.
-
-Sines and angles are computed from sums and products alone, because those of the platform's mathematical library may
-differ in the last bit.
-"""
+"""Paths in the plane, of which the lanes and the ways of a synthetic scene are made."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,45 +7,6 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
-
-PI = 3.141592653589793
-
-
-def sin(angle: FloatArray | float) -> FloatArray:
-    """Sine by its series, |angle| below 8 rad."""
-    x = np.asarray(angle, dtype=np.float64)
-    term, total = x, x
-    for n in range(1, 22):
-        term = -term * x * x / ((2 * n) * (2 * n + 1))
-        total = total + term
-    return total
-
-
-def cos(angle: FloatArray | float) -> FloatArray:
-    """Cosine by its series, |angle| below 8 rad."""
-    x = np.asarray(angle, dtype=np.float64)
-    term, total = np.ones_like(x), np.ones_like(x)
-    for n in range(1, 22):
-        term = -term * x * x / ((2 * n - 1) * (2 * n))
-        total = total + term
-    return total
-
-
-def norm(xy: FloatArray) -> FloatArray:
-    """Lengths of vectors (..., 2)."""
-    return np.asarray(np.sqrt(xy[..., 0] * xy[..., 0] + xy[..., 1] * xy[..., 1]))
-
-
-def direction(xy: FloatArray) -> FloatArray:
-    """Angles of vectors (..., 2) in [-pi, pi], by Newton's method from a rough start."""
-    length = norm(xy)
-    c = np.where(length > 0, xy[..., 0], 1.0) / np.where(length > 0, length, 1.0)
-    s = xy[..., 1] / np.where(length > 0, length, 1.0)
-    rough = s / (np.abs(c) + np.abs(s)) * PI / 2
-    angle = np.where(c >= 0, rough, np.where(s >= 0, PI, -PI) - rough)
-    for _ in range(6):
-        angle = angle + s * cos(angle) - c * sin(angle)
-    return angle
 
 
 def smoothstep(u: FloatArray | float) -> FloatArray:
@@ -69,11 +26,9 @@ class Path2d:
     @classmethod
     def through(cls, xy: FloatArray) -> "Path2d":
         """The path along dense points."""
-        s = np.concatenate([[0.0], np.cumsum(norm(np.diff(xy, axis=0)))])
-        heading = direction(np.gradient(xy, axis=0))
-        turns = np.diff(heading)
-        jumps = np.cumsum(np.where(turns > PI, -2 * PI, 0.0) + np.where(turns < -PI, 2 * PI, 0.0))
-        return cls(xy, s, heading + np.concatenate([[0.0], jumps]))
+        ahead = np.gradient(xy, axis=0)
+        s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))])
+        return cls(xy, s, np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0])))
 
     @classmethod
     def joined(cls, *parts: "Path2d") -> "Path2d":
@@ -84,7 +39,7 @@ class Path2d:
         """Points (M, 2) and headings (M,) of the path at arc lengths, offset to the left."""
         heading = np.interp(s, self.s, self.heading)
         xy = np.column_stack([np.interp(s, self.s, self.xy[:, 0]), np.interp(s, self.s, self.xy[:, 1])])
-        return xy + np.column_stack([-sin(heading), cos(heading)]) * np.reshape(offset_m, (-1, 1)), heading
+        return xy + np.column_stack([-np.sin(heading), np.cos(heading)]) * np.reshape(offset_m, (-1, 1)), heading
 
     def reverse(self) -> "Path2d":
         """The same path driven the other way."""
@@ -94,7 +49,7 @@ class Path2d:
 def line(start: Sequence[float], end: Sequence[float]) -> Path2d:
     """A straight path."""
     first, last = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
-    count = int(norm(last - first) / 0.02) + 2
+    count = int(np.linalg.norm(last - first) / 0.02) + 2
     u = np.arange(count) / (count - 1)
     return Path2d.through(np.vstack([first + u[:-1, None] * (last - first), last]))
 
@@ -104,7 +59,7 @@ def bend(curvature: Callable[[FloatArray], FloatArray], length_m: float) -> Path
     s = np.arange(int(length_m / 0.02) + 1) * 0.02
     heading = np.concatenate([[0.0], np.cumsum(curvature(s[:-1] + 0.01)) * 0.02])
     middle = (heading[:-1] + heading[1:]) / 2
-    steps = np.column_stack([cos(middle), sin(middle)]) * 0.02
+    steps = np.column_stack([np.cos(middle), np.sin(middle)]) * 0.02
     return Path2d(np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)]), s, heading)
 
 
@@ -117,10 +72,10 @@ def turn(start: Sequence[float], start_to: Sequence[float], end: Sequence[float]
     p, q, t, n = (np.asarray(value, dtype=np.float64) for value in (start, end, start_to, end_to))
     u = (np.arange(2000) + 0.5) / 2000
     heading = np.concatenate([[0.0], np.cumsum(np.clip(np.minimum(u, 1 - u) / 0.3, 0.0, 1.0))])
-    heading = heading / heading[-1] * PI / 2
+    heading = heading / heading[-1] * np.pi / 2
     middle = (heading[:-1] + heading[1:]) / 2
-    along = np.concatenate([[0.0], np.cumsum(cos(middle))])
-    across = np.concatenate([[0.0], np.cumsum(sin(middle))])
+    along = np.concatenate([[0.0], np.cumsum(np.cos(middle))])
+    across = np.concatenate([[0.0], np.cumsum(np.sin(middle))])
     legs = float((q - p) @ t), float((q - p) @ n)
     scale = min(legs) / float(along[-1])
     xy = p + scale * (along[:, None] * t + across[:, None] * n)
@@ -139,5 +94,5 @@ def turn(start: Sequence[float], start_to: Sequence[float], end: Sequence[float]
 def sideways(base: Path2d, offset: Callable[[FloatArray], FloatArray] | float) -> Path2d:
     """The path at an offset to the left of another, constant or over its arc length."""
     offsets = offset(base.s) if callable(offset) else np.full(len(base.s), offset)
-    normal = np.column_stack([-sin(base.heading), cos(base.heading)])
+    normal = np.column_stack([-np.sin(base.heading), np.cos(base.heading)])
     return Path2d.through(base.xy + normal * offsets[:, None])
