@@ -5,11 +5,11 @@ import json
 import re
 import tomllib
 import uuid
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
@@ -350,11 +350,16 @@ def _model_at(kind: type[BaseModel], location: Sequence[int | str]) -> type[Base
     """The model of the table at a place of the values."""
     for name in location:
         if field := kind.model_fields.get(str(name)):
-            inner = [
-                atom for atom in _atoms(field.annotation) if isinstance(atom, type) and issubclass(atom, BaseModel)
-            ]
-            kind = inner[0] if inner else kind
+            kind = next(_models_in(field.annotation), kind)
     return kind
+
+
+def _models_in(annotation: object) -> Iterator[type[BaseModel]]:
+    """The models that a type is made of."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for part in get_args(annotation):
+        yield from _models_in(part)
 
 
 def _parse_toml(text: str) -> dict[str, Any]:
