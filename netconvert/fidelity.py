@@ -67,9 +67,16 @@ def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
             points = [[float(x) for x in point.split(",")] for point in element.get("shape", "").split()]
             drawn.setdefault(lane_id, []).append(points)
         rows.update(pairwise(members))
-    joined = {
-        tuple(lane_of.get(f"{link.get(end)}_{link.get(f'{end}Lane')}") for end in ("from", "to"))
+    links = [
+        tuple(f"{link.get(end)}_{link.get(f'{end}Lane')}" for end in ("from", "to"))
         for link in root.iterfind("connection")
+    ]
+    within = [(source, target) for source, target in links if lane_of.get(source) == lane_of.get(target)]
+    left, reached = {source for source, _ in within}, {target for _, target in within}
+    joined = {  # from the last cell of a lane to the first one of another
+        (lane_of.get(source), lane_of.get(target))
+        for source, target in links
+        if source not in left and target not in reached
     }
     pairs = [
         (shapely.MultiLineString(lines), shapely.LineString(graph.lanes[lane_id].centerline))
@@ -94,7 +101,7 @@ def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
         lanes_in_net=len(drawn),
         cells=len(lane_of),
         edges=len(root.findall("edge")),
-        largest_distance_m=float(max(shapely.hausdorff_distance(*pair) for pair in pairs)),
+        largest_distance_m=float(max((shapely.hausdorff_distance(*pair) for pair in pairs), default=0.0)),
         successors=counts["successor", "kept"] + counts["successor", "lost"],
         successors_kept=counts["successor", "kept"],
         neighbors=counts["neighbor", "kept"] + counts["neighbor", "lost"],
