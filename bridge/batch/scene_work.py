@@ -12,6 +12,7 @@ from bridge.batch.isolation import Failure, attempts
 from bridge.batch.manifest import ManifestRow, files_sha256, output_files
 from bridge.generation.generate import PreparedScene, generate, prepare
 from bridge.generation.scene import TrafficScene
+from bridge.recordings.export import check_step
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import DrivesRecord, EventRecord, Sidecar
 from bridge.recordings.sources import read_recording
@@ -41,7 +42,9 @@ def generate_runs(
 
     @cache
     def source() -> Recording:
-        return read_recording(place.folder)
+        found = read_recording(place.folder)
+        check_step(found)
+        return found
 
     def made(run: Run) -> ManifestRow:
         scenario, grid = source(), run.config.grid
