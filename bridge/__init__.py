@@ -5,9 +5,7 @@ versioning from 1.0 on: until then a minor version may change it, and CHANGELOG.
 with any version. Names are loaded when they are first used, so that nothing slow is imported for what is not.
 """
 
-from functools import cache
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -33,26 +31,36 @@ if TYPE_CHECKING:
     from hid2.reasons import Reason as Reason
     from netconvert.errors import Hid2Error as Hid2Error
 
-
-@cache
-def _homes() -> dict[str, str]:
-    """The module of each public name, by the imports above, which are the one list of them."""
-    import ast
-
-    found = ast.walk(ast.parse(Path(__file__).read_text(encoding="utf-8")))
-    imports = [node for node in found if isinstance(node, ast.ImportFrom)]
-    return {one.asname: str(node.module) for node in imports for one in node.names if one.asname}
+#: The public names of each module.
+_NAMES = {
+    "bridge.batch.batch": "Options plan run_batch",
+    "bridge.config": "load_config parse_behaviours",
+    "bridge.evaluation.evaluate": "evaluate_folder",
+    "bridge.evaluation.scene_metrics": "evaluate_scene",
+    "bridge.generation.scene": "TrafficScene read_scene",
+    "bridge.generation.generate": "generate prepare",
+    "bridge.pictures.conflicts": "draw_conflicts",
+    "bridge.exports.export": "export_scene",
+    "bridge.recordings.folders": "find_scenarios",
+    "bridge.batch.validation": "validate_folder",
+    "bridge.studies.run": "run_study",
+    "bridge.studies.study": "read_study",
+    "hid2.measures.conflicts": "TrafficConflict",
+    "hid2.params": "Config",
+    "hid2.reasons": "Reason",
+    "netconvert.errors": "Hid2Error",
+}
+_HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
+__all__ = sorted(_HOMES)  # noqa: PLE0605  # one list
 
 
 def __getattr__(name: str) -> object:
     """A public name, from where it is."""
-    if name == "__all__":
-        return sorted(_homes())
-    if name not in _homes():
+    if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_homes()[name]), name)
+    return getattr(import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:
     """Public names, before they are loaded too."""
-    return sorted({*globals(), *_homes(), "__all__"})
+    return sorted({*globals(), *_HOMES})

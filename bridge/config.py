@@ -403,15 +403,23 @@ def parse_value(text: str) -> Any:  # noqa: ANN401  # whatever TOML holds
 
 def _put(data: dict[str, Any], key: str, value: object) -> None:
     """Set a dotted key in place; ConfigError for a key that no parameter has."""
-    if key not in _fields():
-        raise ConfigError(_unknown(key, value, _fields()))
     section, separator, name = key.partition(".")
+    if key not in _fields():
+        if _is_fixed(section, name, value):
+            return
+        raise ConfigError(_unknown(key, value, _fields()))
     data[section] = {**data.get(section, {}), name: value} if separator else value
 
 
 def _validated(data: Mapping[str, Any], source: str) -> Config:
+    values = dict(data)
+    for section in values.keys() & _removed().keys():
+        if isinstance(values[section], Mapping):
+            values[section] = {n: one for n, one in values[section].items() if not _is_fixed(section, n, one)}
+            if not values[section] and section not in Config.model_fields:  # a section of which nothing is left
+                del values[section]
     try:  # as JSON, in which lists are taken for tuples and sets, and no other type for another
-        return Config.model_validate_json(json.dumps(data, default=str), strict=True)
+        return Config.model_validate_json(json.dumps(values, default=str), strict=True)
     except ValidationError as error:
         raise ConfigError(f"{source}: {_explain(error)}") from error
 
@@ -431,6 +439,24 @@ def _explain(error: ValidationError) -> str:
     if first["type"] == "value_error":  # a check across fields
         return f"{where or f'{key}: '}{first['msg'].removeprefix('Value error, ')}"
     return f"{where}{key} = {value!r}, expected a table of {', '.join(fields) if where else 'parameters'}"
+
+
+@cache
+def _removed() -> dict[str, Any]:
+    """What the method has in place of keys of earlier versions, by section; `instead`: what says the same now."""
+    return tomllib.loads(Path(__file__).with_name("removed.toml").read_text())
+
+
+def _is_fixed(section: str, name: str, value: object) -> bool:
+    """Whether a key is no parameter any more and the value is what the method has. Errors: ConfigError for another."""
+    fixed = _removed().get(section, {}).get(name)
+    if fixed is None or fixed == (list(value) if isinstance(value, tuple) else value):
+        return fixed is not None
+    instead = _removed()["instead"].get(f"{section}.{name}")
+    hint = f", or set {instead}" if instead else ""
+    raise ConfigError(
+        f"{section}.{name} = {value!r:.80}: no parameter any more, the method has {fixed}; leave it out{hint}"
+    )
 
 
 def _unknown(key: str, value: object, fields: Collection[str]) -> str:

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,8 @@ from bridge.config import (
 )
 from hid2.params import GROUPS, Config, Event
 from netconvert.errors import ConfigError
+
+REMOVED = Path(__file__).parents[3] / "bridge/removed.toml"
 
 
 def test_defaults_are_those_of_the_parameters() -> None:
@@ -65,6 +68,11 @@ def test_ablations_are_a_list() -> None:
         ("request.agents", "expected section.key=value"),
         ("turn.trough_at=0.95", "turn.trough_at = 0.95, expected number >= 0.1, <= 0.9"),
         ("turn.trough_at=nan", "turn.trough_at = nan, expected number >= 0.1"),
+        (
+            "sites.standing_mps=0.4",
+            "sites.standing_mps = 0.4: no parameter any more, the method has 0.3; leave it out$",
+        ),
+        ("export.filter_ratios=[]", "no parameter any more, .*; leave it out, or set smoothing.filter_s"),
         ("request.trigger_max_s=0.1", "trigger_max_s 0.1 is below trigger_min_s 0.5"),
         ("spawn.prior_speed_mps=30", "prior_speed_mps 30 is above max_speed_mps 20"),
         ("request.spawn_leaders=1", "request.spawn_leaders = 1, expected true, false"),
@@ -261,3 +269,23 @@ def test_band_of_an_event_has_two_ends_and_a_moment_need_not(name: str) -> None:
     for one in (2.0, [2.0, 2.0]):
         with pytest.raises(ValueError, match=f"{name} 2, expected a band of two values"):
             Event.model_validate({"kind": "cut_in", name: one})
+
+
+def test_key_of_an_earlier_version_is_taken_with_the_value_of_the_method_and_answered_with_another(
+    tmp_path: Path,
+) -> None:
+    """All of them: a file of all parameters of an earlier version is one that asks for nothing."""
+    removed = tomllib.loads(REMOVED.read_text())
+    instead = removed.pop("instead")
+    keys = {f"{section}.{name}": value for section, names in removed.items() for name, value in names.items()}
+    known = {row.key for row in describe_config()}
+    assert set(instead) <= set(keys)
+    assert set(instead.values()) <= known
+    assert not known & set(keys)
+    old = tmp_path / "old.toml"
+    old.write_text(REMOVED.read_text().split("\n\n", 2)[2])
+    assert load_config(old) == Config()
+    for key, value in keys.items():
+        assert load_config(None, [f"{key}={value}"]) == Config()
+        with pytest.raises(ConfigError, match=f"{key} = .*no parameter any more.*{instead.get(key, '')}"):
+            load_config(None, [f"{key}=77"])

@@ -1,5 +1,6 @@
 """The public interface: one list, loaded when used, with types that a user's checker sees."""
 
+import ast
 import subprocess
 import sys
 from pathlib import Path
@@ -8,10 +9,20 @@ import pytest
 
 import bridge
 
+SOURCE = Path(bridge.__file__)
+
 
 @pytest.mark.parametrize("name", bridge.__all__)
 def test_public_name_is_there_with_a_docstring(name: str) -> None:
     assert getattr(bridge, name).__doc__
+
+
+def test_type_checkers_are_told_the_same_names_and_homes() -> None:
+    block = next(node for node in ast.parse(SOURCE.read_text()).body if isinstance(node, ast.If))
+    told = {
+        alias.asname: node.module for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names
+    }
+    assert told == bridge._HOMES
 
 
 def test_importing_the_package_loads_nothing_slow() -> None:
