@@ -15,9 +15,9 @@ import pyarrow as pa
 from plane_paths import FloatArray, Path2d, smoothstep
 
 from bridge.recordings.export import parquet_bytes
-from bridge.recordings.recording import AV_ID, FOCAL_CATEGORY
+from bridge.recordings.recording import AV_ID
 from bridge.recordings.scenario import OBSERVED_STEPS, STEP_S, table_of
-from hid2.agents import DEFAULT_SIZES, IntArray, Track
+from hid2.agents import DEFAULT_SIZES, FOCAL_CATEGORY, IntArray, Track
 from netconvert.geometry import wrap_angle
 
 STEPS, FINE_S = 110, 0.01

@@ -36,6 +36,8 @@ DEFAULT_SIZES: Mapping[str, BoxSize] = {
     "unknown": BoxSize(0.8, 0.8),
 }
 
+#: Categories of the tracks that forecasts are scored on, and of the one among them that matters most (Argoverse 2).
+SCORED_CATEGORY, FOCAL_CATEGORY = 2, 3
 #: Object types that drive on lanes.
 VEHICLE_TYPES = frozenset({"vehicle", "bus"})
 

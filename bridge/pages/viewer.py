@@ -24,9 +24,9 @@ from bridge.pages.parts import text
 from bridge.pictures import figures
 from bridge.recordings.folders import Address
 from bridge.recordings.judging import findings_of, states_of
-from bridge.recordings.recording import FOCAL_CATEGORY, Recording
+from bridge.recordings.recording import Recording
 from bridge.recordings.sources import read_recording
-from hid2.agents import FloatArray
+from hid2.agents import FOCAL_CATEGORY, FloatArray
 from hid2.evaluation.kinematics import motion
 from hid2.judge.findings import Quantity
 from hid2.measures.arrays import is_generated_id

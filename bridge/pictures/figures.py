@@ -17,9 +17,9 @@ from matplotlib.path import Path as MplPath
 from matplotlib.ticker import MaxNLocator
 
 from bridge.files import beside
-from bridge.recordings.recording import FOCAL_CATEGORY, Recording
+from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import AV_ID
-from hid2.agents import VEHICLE_TYPES, FloatArray, Policy, Track
+from hid2.agents import FOCAL_CATEGORY, VEHICLE_TYPES, FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
 from hid2.policy.behaviours import BEHAVIOURS
 from netconvert.cells import build_cell_grid

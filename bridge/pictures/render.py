@@ -24,9 +24,9 @@ from PIL import Image
 from bridge.config import word_for_recorded
 from bridge.files import beside
 from bridge.pictures import figures
-from bridge.recordings.recording import FOCAL_CATEGORY, Recording
+from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import ManeuverRecord
-from hid2.agents import DEFAULT_SIZES, FloatArray, Track
+from hid2.agents import DEFAULT_SIZES, FOCAL_CATEGORY, FloatArray, Track
 from hid2.measures.arrays import is_generated_id
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.policy.behaviours import behaviour_seen

@@ -38,9 +38,9 @@ from bridge.files import one_line, read_received
 from bridge.recordings import limits
 from bridge.recordings.folders import Source, only_file
 from bridge.recordings.map_rules import graph_of, read_source_map
-from bridge.recordings.recording import AV_ID, FOCAL_CATEGORY, Recording, velocity_of
+from bridge.recordings.recording import AV_ID, Recording, velocity_of
 from bridge.recordings.scenario import recording_of, split_rows, table_of
-from hid2.agents import DEFAULT_SIZES, FloatArray, IntArray, Track
+from hid2.agents import DEFAULT_SIZES, FOCAL_CATEGORY, FloatArray, IntArray, Track
 from netconvert.av1_map import CityLane, DrivableRaster, cut_city, drivable_raster, read_city_lanes
 from netconvert.errors import MapError, ScenarioError
 from netconvert.lane_graph import LaneGraph

@@ -18,8 +18,8 @@ from bridge.config import CORRIDOR_PREFIX
 from bridge.recordings.export import parquet_bytes, write_folder
 from bridge.recordings.limits import MAX_CORRIDOR_STEPS, MAX_LANE_M
 from bridge.recordings.road import MOST_LANES, ROAD_FILE, Lane, read_road
-from bridge.recordings.scenario import AV_ID, FOCAL_CATEGORY, OBSERVED_STEPS, STEP_S, table_of
-from hid2.agents import DEFAULT_SIZES, Track
+from bridge.recordings.scenario import AV_ID, OBSERVED_STEPS, STEP_S, table_of
+from hid2.agents import DEFAULT_SIZES, FOCAL_CATEGORY, Track
 from netconvert.errors import ConfigError
 
 #: A motorway's usual widths, m, the shortest road on which vehicles meet, and points as far apart as on real maps.

@@ -15,10 +15,10 @@ import pyarrow.parquet as pq
 from bridge.config import new_scenario_id as new_scenario_id
 from bridge.files import explained
 from bridge.interruption import hidden_folder, tidied
-from bridge.recordings.recording import FOCAL_CATEGORY, SCORED_CATEGORY, Recording
+from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import SCENARIO_COLUMNS, STEP_S, track_columns
 from bridge.recordings.sidecar import RecordingRecord, Sidecar, sidecar_bytes, sidecar_path
-from hid2.agents import Track
+from hid2.agents import FOCAL_CATEGORY, SCORED_CATEGORY, Track
 from netconvert.errors import ExportError
 
 #: A lane's centreline with at least one point, in a map file.

@@ -14,9 +14,6 @@ from hid2.agents import BoxSize, FloatArray, Track
 from netconvert.errors import ScenarioError
 from netconvert.lane_graph import LaneGraph
 
-#: Categories of the tracks that forecasts are scored on, and of the one among them that matters most.
-SCORED_CATEGORY, FOCAL_CATEGORY = 2, 3
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Rows:

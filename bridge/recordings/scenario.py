@@ -22,11 +22,10 @@ from bridge.recordings.folders import source_id as source_id
 from bridge.recordings.folders import split_of as split_of
 from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.recording import AV_ID as AV_ID
-from bridge.recordings.recording import FOCAL_CATEGORY as FOCAL_CATEGORY
 from bridge.recordings.recording import Recording
 from bridge.recordings.recording import Rows as Rows
 from bridge.recordings.sidecar import BoxLength, BoxWidth, RecordingRecord, Sidecar, sidecar_in
-from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray, Track
+from hid2.agents import DEFAULT_SIZES, FOCAL_CATEGORY, BoxSize, FloatArray, IntArray, Track
 from netconvert.errors import MapError, NoSceneError, ScenarioError
 from netconvert.lane_graph import LaneGraph
 

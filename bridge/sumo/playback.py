@@ -16,9 +16,9 @@ from lxml.builder import E
 
 from bridge.config import word_for_recorded
 from bridge.pictures.figures import FACES, kinds_in, kinds_in_words, moving_ground
-from bridge.recordings.scenario import FOCAL_CATEGORY, Scenario
+from bridge.recordings.scenario import Scenario
 from bridge.sumo.poses import sumo_poses
-from hid2.agents import FloatArray, Track
+from hid2.agents import FOCAL_CATEGORY, FloatArray, Track
 from hid2.measures.arrays import is_generated_id
 from netconvert.cells import CellGrid
 from netconvert.geo import CITY_ORIGINS

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from bridge.evaluation.predictions import FUTURE_STEPS
-from bridge.recordings.scenario import FOCAL_CATEGORY, MAX_STEPS, OBSERVED_STEPS, STEP_S, Scenario, read_scenario
-from hid2.agents import FloatArray
+from bridge.recordings.scenario import MAX_STEPS, OBSERVED_STEPS, STEP_S, Scenario, read_scenario
+from hid2.agents import FOCAL_CATEGORY, SCORED_CATEGORY, FloatArray
 from netconvert.errors import Hid2Error, ScenarioError
 from netconvert.geometry import arc_length
 from netconvert.lane_graph import TurnType
@@ -26,7 +26,7 @@ AGENTS, LANES, RADIUS_M, HISTORY_EVERY, LANE_POINTS = 48, 48, 100.0, 5, 6
 AGENT_FEATURES, AGENT_KINDS, LANE_FEATURES, LANE_KINDS = 7, 5, 4, 4
 #: Lengths are given to the network in tens of metres, speeds in ten metres a second.
 UNIT_M = 10.0
-_SCORED_CATEGORY, _LAST = 2, OBSERVED_STEPS - 1
+_LAST = OBSERVED_STEPS - 1
 _KIND = {"vehicle": 0, "bus": 0, "pedestrian": 1, "cyclist": 2, "motorcyclist": 2, "riderless_bicycle": 2}
 
 
@@ -99,7 +99,7 @@ def targets_of(scenario: Scenario) -> list[Target]:
     return [
         _target(scenario, row, history, *lanes)
         for row, track in enumerate(scenario.tracks)
-        if track.category >= _SCORED_CATEGORY and history[row, _LAST, 6]
+        if track.category >= SCORED_CATEGORY and history[row, _LAST, 6]
     ]
 
 

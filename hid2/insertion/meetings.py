@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hid2.agents import AV_ID, DEFAULT_SIZES, FloatArray, IntArray, Policy
+from hid2.agents import AV_ID, DEFAULT_SIZES, FOCAL_CATEGORY, SCORED_CATEGORY, FloatArray, IntArray, Policy
 from hid2.conflicts.signals import InferredSignals
 from hid2.conflicts.stop_lines import STOP_MARGIN_M
 from hid2.insertion.routes import RouteOffer, Routes
@@ -36,8 +36,6 @@ _ON_CELL_M = 3.0
 #: A leader leads from this gap between centres on, m, if it does for so many looks. No tunables: what following is by
 #: `measures/encounters.py`, and a box ahead of a box.
 _LEADS_FROM_M, _LEADS_LOOKS = 6.0, 1 + round(FOLLOWS_FOR_S / _EVERY_S)
-#: Tracks of these categories are scored where forecasts are evaluated: scored ones and the focal one (Argoverse 2).
-_SCORED = (2, 3)
 _LEAST = 1e-3  # weight of a route that is not worth trying; no tunable: not 0, so that one is drawn where no other is
 
 
@@ -51,7 +49,7 @@ def named_rows(scene: Scene, name: str) -> IntArray:
     """Rows of `scene.traffic` by name: av, focal, scored, or a track id; none where there is none."""
     if name in ("focal", "scored"):
         category = np.array(scene.categories, dtype=np.int64)
-        return np.flatnonzero(category == _SCORED[-1] if name == "focal" else np.isin(category, _SCORED))
+        return np.flatnonzero(category >= (FOCAL_CATEGORY if name == "focal" else SCORED_CATEGORY))
     wanted = AV_ID if name == "av" else name
     return np.array([row for row, track_id in enumerate(scene.traffic.ids) if track_id == wanted], dtype=np.int64)
 
