@@ -213,7 +213,7 @@ class Filling:
                 found = sites.propose(request, slow and replace(slow, policy=Policy.STRAIGHT))
                 if straight and not found and not again:  # what was full for one draw of places may not be for the next
                     again = True
-                    self._turned_down.look_anew()
+                    self._turned_down.look_anew(each_cell=self.scene.config.request.agents != "max")
                     found = sites.propose(request)
                 if slow is not None and slow.policy is not Policy.STRAIGHT and len(found) > 1:
                     self._last_reason[slow.number] = Reason.LEADS_AN_OVERTAKE
