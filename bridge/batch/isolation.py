@@ -285,7 +285,8 @@ def _answer(connection: "Connection[Any, Any]", function: str, arguments: Sequen
     try:
         values = resolve_name(function)(*arguments)
         _make_kernels_ready(connection)
-        gc.freeze()  # what is imported by now is never free
+        if not gc.get_freeze_count():  # once: what a call leaves behind is to be found by the collector
+            gc.freeze()  # what is imported by now is never free
         _reply(connection, "started", None)
         faulthandler.dump_traceback_later(timeout_s, exit=True)
         for value in values:
