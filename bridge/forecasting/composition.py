@@ -12,7 +12,7 @@ from netconvert.errors import ConfigError
 
 
 def _counted(value: object) -> object:
-    is_number = isinstance(value, int) and value >= 0
+    is_number = isinstance(value, int) and not isinstance(value, bool) and value >= 0
     if not (is_number or (isinstance(value, float) and 0 < value < 1) or value == "all"):
         raise ValueError("a number of scenes, a share of them between 0 and 1, or all")
     return value
@@ -23,7 +23,7 @@ def _placed(value: object, info: ValidationInfo) -> object:
     listed = [value] if isinstance(value, str) else value
     if info.context is None or not isinstance(listed, list) or not all(isinstance(place, str) for place in listed):
         return value
-    return [str(info.context / place) for place in listed]
+    return tuple(str(info.context / place) for place in listed)
 
 
 #: Number of scenes, a share of those that there are, or all of them.
@@ -42,7 +42,7 @@ HID2_ONLY = "hid2-only"
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
 
 
 class Split(_Part):

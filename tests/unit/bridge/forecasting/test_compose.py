@@ -288,6 +288,8 @@ def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
         ({"sources": source, "sets": {"a": {"tke": {}}}}, r"unknown key 'sets\.a\.tke'; expected take, again"),
         ({"sets": {"a": {}}}, "C.toml: no key 'sources'; expected seed, layout, split"),
         ({"sources": source, "sets": {"a": {"take": {"data": 1.5}}}}, "= 1.5, expected a number of scenes, a share"),
+        ({"sources": source, "sets": {"a": {"take": {"data": True}}}}, "= True, expected a number of scenes, a share"),
+        ({"sources": source, "sets": {"a": {}}, "seed": "1"}, "seed = '1', expected a valid integer"),
         ({"sources": source, "sets": {"a": {}}, "split": {"by": "log"}}, "split.by = 'log', expected 'place' or"),
     ):
         with pytest.raises(ConfigError, match=message):
