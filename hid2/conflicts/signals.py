@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hid2.agents import FloatArray
+from hid2.agents import FloatArray, IntArray
 from hid2.measures.encounters import CROSSING_RAD
 from hid2.motion.route import path_along
 from hid2.occupancy.agent_states import AgentStates
@@ -64,16 +64,20 @@ class InferredSignals:
     params: Signals
     _speed: FloatArray = field(init=False, repr=False)
     _flows: BoolArray = field(init=False, repr=False)
+    _waits: IntArray = field(init=False, repr=False)
     _approaches: dict[int, _Approach | None] = field(init=False, default_factory=dict, repr=False)
     _watched: dict[_Approach, _Watched] = field(init=False, default_factory=dict, repr=False)
     _red: dict[int, BoolArray | None] = field(init=False, default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        """Speeds of the agents, m/s, and whether they are cross traffic where they cross, (A, T)."""
-        arrays, velocity = self.states.arrays, self.states.traffic.velocity
+        """Speeds, m/s, and whether an agent is cross traffic where it crosses (A, T); rows that stand as in a queue."""
+        arrays, velocity, matches = self.states.arrays, self.states.traffic.velocity, self.states.matches
         self._speed = np.hypot(velocity[..., 0], velocity[..., 1])
         obeys = np.array([kind in SIGNALLED_TYPES for kind in arrays.object_types], dtype=np.bool_)
         self._flows = (self._speed > _FLOW_MPS) & (arrays.moving & obeys)[:, None]
+        middle = np.abs(matches.d) <= self.states.lanes.half_width[matches.lane] / 3
+        stands = self._speed[arrays.agent, arrays.step] < STANDING_MPS
+        self._waits = np.flatnonzero(stands & (matches.lane >= 0) & (middle | arrays.moving[arrays.agent]))
 
     def red(self, lane_id: int) -> BoolArray | None:
         """(T,) whether a vehicle that approaches the lane at a step has to stop at its entrance.
@@ -152,10 +156,7 @@ class InferredSignals:
                     enters[int(lanes.lane_ids[matches.lane[within[0]]])][arrays.step[within[0]]] = True
             else:
                 comes_from[agent] = bool((matches.s[within] < length_m[matches.lane[within]] / 3).any())
-        middle = np.abs(matches.d) <= lanes.half_width[matches.lane] / 3
-        stands = self._speed[arrays.agent, arrays.step] < STANDING_MPS
-        waiting = np.flatnonzero(stands & (matches.lane >= 0) & (middle | arrays.moving[arrays.agent]))
-        lane, s, step = matches.lane[waiting], matches.s[waiting], arrays.step[waiting]
+        lane, s, step = matches.lane[self._waits], matches.s[self._waits], arrays.step[self._waits]
         for one in approach.fan:
             waits[one][step[(lane == number.get(one, -1)) & (s < _BEYOND_M)]] = True
         for one in approach.lanes:
