@@ -118,11 +118,11 @@ def generate(  # noqa: PLR0913  # one for each option
         parse_behaviours,
         parse_events,
         parse_trigger_time,
-        parse_value,
         read_drivers,
     )
     from bridge.recordings.folders import split_of
     from bridge.recordings.sources import described, find_sources
+    from bridge.toml import parse_value
 
     flags: dict[str, Any] = {f"request.{key}": value for key, value in request.items() if value is not None}
     if "request.agents" in flags:

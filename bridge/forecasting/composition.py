@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 
-from bridge.config import model_of, parse_value, read_toml_as
 from bridge.recordings.folders import SPLITS
+from bridge.toml import model_of, parse_value, read_toml_as
 from netconvert.errors import ConfigError
 
 

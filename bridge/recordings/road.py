@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from bridge.config import read_toml_as
 from bridge.recordings.limits import MAX_LANE_M
+from bridge.toml import read_toml_as
 
 #: Name of the file in the folder of a corridor that is made of one.
 ROAD_FILE = "road.toml"

@@ -19,7 +19,7 @@ from scipy import stats
 from bridge.batch.batch import Options, Progress, SceneJob, run_batch
 from bridge.batch.batch import Run as BatchRun
 from bridge.batch.manifest import DONE, ManifestRow
-from bridge.config import config_sha256, read_toml_as
+from bridge.config import config_sha256
 from bridge.files import write_rows, write_text
 from bridge.pages.parts import text
 from bridge.recordings.corridor import write_road
@@ -29,6 +29,7 @@ from bridge.studies.road_traffic import CELL_M, CELL_S
 from bridge.studies.run import RunsReport
 from bridge.studies.statistics import LONG_GAP_S, estimates
 from bridge.studies.study import Value, configured, grid, read_run
+from bridge.toml import read_toml_as
 from hid2.agents import FloatArray
 from hid2.params import Config
 from hid2.resampling import Estimate, ratio

@@ -19,13 +19,14 @@ from pydantic import BaseModel, ConfigDict, Field
 from bridge.batch.batch import RUNS, Run, SceneJob
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.batch.scan import Selection, facts_of, wanted
-from bridge.config import config_from_dict, config_sha256, read_toml_as
+from bridge.config import config_from_dict, config_sha256
 from bridge.files import MAX_FILE_MB, explained, one_line, read_packed, untabled
 from bridge.recordings.export import new_scenario_id, write_folder
 from bridge.recordings.folders import Address
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import ManeuverKind
 from bridge.recordings.sources import find_sources
+from bridge.toml import read_toml_as
 from hid2.params import Config
 from netconvert.errors import BatchError, ConfigError, ScenarioError
 
