@@ -58,7 +58,7 @@ def manoeuvres_seen(scene: TrafficScene) -> dict[str, set[str]]:
 def disagreements(scene: TrafficScene) -> list[str]:
     """Records of manoeuvres that say done where the detector sees none, or the other way round.
 
-    An overtake whose way back has crossed the line but not come to its end is neither.
+    An overtake with a way back that has crossed the line but not come to its end is neither.
     """
     found = []
     kinds_of = manoeuvres_seen(scene)

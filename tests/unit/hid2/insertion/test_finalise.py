@@ -178,7 +178,7 @@ def test_recorded_follower_keeps_its_time_headway(scene_of: Callable[..., Scene]
 def test_headway_is_that_to_the_box_that_is_exported(
     length_m: float, found: list[tuple[int, Reason]], scene_of: Callable[..., Scene]
 ) -> None:
-    """12.9 m between the centres at 16 m/s; .3 m less to the front of a car of 3.9 m, whose clearance is 4.5 m long."""
+    """12.9 m between the centres at 16 m/s; .3 m less to the front of a car of 3.9 m with a clearance 4.5 m long."""
     scene = scene_of(recorded(27.1, 0.0, 16.0))
     vehicle = _alone(scene, np.full(110, 16.0), size=BoxSize(length_m, 1.8))
     assert isinstance(vehicle, ExportedVehicle)
