@@ -5,6 +5,7 @@ spoil, and hand-made generated tracks, so that export and validation are tested 
 import json
 import os
 import shutil
+import signal
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,9 @@ from bridge.recordings.sidecar import (
 from hid2.agents import BoxSize, Policy, Track
 
 ROOT = Path(__file__).parents[1]
+#: A shell that puts a command in the background has it ignore Ctrl-C, and so all that it starts: tests send Ctrl-C.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 REAL_IDS = (
     "0a0af725-fbc3-41de-b969-3be718f694e2",
     "3b3570b4-7b0b-3268-a571-b0889dbf40b6",

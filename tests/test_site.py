@@ -12,6 +12,7 @@ import bridge
 ROOT = Path(__file__).parents[1]
 
 
+@pytest.mark.slow
 def test_the_site_has_every_page_and_notebook_every_public_name_and_the_gallery(tmp_path: Path) -> None:
     """Sphinx takes each warning for an error, so that a link of a page to nothing fails here."""
     if not shutil.which("git") or subprocess.run(["git", "rev-parse"], cwd=ROOT, capture_output=True).returncode:

@@ -150,6 +150,7 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
         yield found
 
 
+@pytest.mark.slow
 def test_cluster_that_others_started(make_data_set: MakeDataSet, tmp_path: Path, cluster: Cluster) -> None:
     """`hid2 generate --scheduler` uses its workers, also when one is killed on the way; the bytes are the same."""
     address, processes = cluster

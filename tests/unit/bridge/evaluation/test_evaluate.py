@@ -24,9 +24,18 @@ from netconvert.errors import ExportError, MapError, ScenarioError
 
 
 @pytest.fixture(scope="module")
-def report(made_root, data_root, tmp_path_factory):
+def told():
+    """What was told of the progress of the report."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def report(made_root, data_root, tmp_path_factory, told):
     folder = tmp_path_factory.mktemp("report")
-    return evaluate_folder(made_root, report_dir=folder, source=[data_root]), folder
+    found = evaluate_folder(
+        made_root, report_dir=folder, source=[data_root], on_scene=lambda done, total: told.append((done, total))
+    )
+    return found, folder
 
 
 def read_csv(path):
@@ -211,10 +220,10 @@ def test_every_row_of_numbers_leads_to_a_definition(report):
             assert not lacking, (key, lacking[0])
 
 
-def test_what_comes_from_files_is_escaped(made_root, tmp_path):
-    evaluation = evaluate_folder(made_root, report_dir=tmp_path / "report")
-    evaluation.metrics["scenes"]["failed"] = [{"folder": "a<b>", "reason": "<script>"}]
-    write_report(evaluation, tmp_path / "report.html")
+def test_what_comes_from_files_is_escaped(report, tmp_path):
+    evaluation, _ = report
+    scenes = evaluation.metrics["scenes"] | {"failed": [{"folder": "a<b>", "reason": "<script>"}]}
+    write_report(replace(evaluation, metrics=evaluation.metrics | {"scenes": scenes}), tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text()
     assert "<li>a&lt;b&gt;: &lt;script&gt;</li>" in text
 
@@ -261,10 +270,8 @@ def test_nothing_to_evaluate_and_nowhere_to_write_are_explained(made_root, tmp_p
         evaluate_folder(made_root, report_dir=tmp_path / "file")
 
 
-def test_progress_is_told(made_root, tmp_path):
-    told = []
-    evaluate_folder(made_root, report_dir=tmp_path, on_scene=lambda done, total: told.append((done, total)))
-    assert told == [(1, 2), (2, 2)]
+def test_progress_is_told(report, told):
+    assert told == [(done, 4) for done in (1, 2, 3, 4)]
 
 
 def test_pooled_ratio_is_of_sums_and_the_interval_holds_it():

@@ -113,7 +113,7 @@ def test_an_agent_is_shown_close_up(made_scene, tmp_path):
     assert pixels(close, color) > pixels(whole, color) / alike
 
 
-@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
+@pytest.mark.parametrize("suffix", [pytest.param(".gif", marks=pytest.mark.slow), ".mp4"])
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # imageio leaves ffmpeg's pipes open
 def test_animation_has_a_frame_for_every_step_and_moves(made_scene, tmp_path, suffix):
     path = render_scene(read_scenario(made_scene), tmp_path / f"scene{suffix}")
