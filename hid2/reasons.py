@@ -146,6 +146,7 @@ class Reason(StrEnum):
     WAITED_FOR_GONE = "waited_for_gone", "It had braked for a vehicle that is not exported, and was driven again."
     STANDS_THROUGHOUT = "stands_throughout", "It stands from the first step to the last."
     ENTERS_ON_RED = "enters_on_red", "It would enter an intersection on red, or drive over a crossing that is used."
+    BEHIND_PARKED = "behind_parked", "It would wait behind a parked vehicle, round which a driver would go."
     STOPS_IN_INTERSECTION = (
         "stops_in_intersection",
         "It would come to a stop inside an intersection, for a queue beyond it or for crossing traffic.",

@@ -14,10 +14,10 @@ from hid2.measures.driven_lanes import STRETCH_M, recorded_places
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.scene_end import END_HORIZON_S
 from hid2.motion.route import DrivenPath, Route, path_along, route_beside
-from hid2.occupancy.agent_states import AgentStates, agent_states
+from hid2.occupancy.agent_states import AgentStates, agent_states, parked
 from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.sigma import CellBoxes, OriginalOccupancy, cell_boxes, original_occupancy
-from hid2.occupancy.traffic import Traffic, covering, traffic_of
+from hid2.occupancy.traffic import BoolArray, Traffic, covering, traffic_of
 from hid2.params import Config
 from netconvert.cells import Cell, CellGrid
 
@@ -81,6 +81,14 @@ class Scene:
     _leaders: dict[tuple[DrivenPath, BoxSize], PathOccupancy] = field(default_factory=dict)
     _usual: dict[int, float] = field(default_factory=dict)
     _places: dict[int, FloatArray] | None = None
+    _parked: BoolArray | None = None
+
+    @property
+    def parked(self) -> BoolArray:
+        """(A,) which of the recorded agents are parked; found out once."""
+        if self._parked is None:
+            self._parked = parked(self.states)
+        return self._parked
 
     def path(self, route: Route) -> DrivenPath:
         """Path on the middle of a route's lanes; built once."""

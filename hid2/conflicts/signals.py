@@ -14,7 +14,7 @@ import numpy as np
 from hid2.agents import FloatArray, IntArray
 from hid2.measures.encounters import CROSSING_RAD
 from hid2.motion.route import path_along
-from hid2.occupancy.agent_states import AgentStates
+from hid2.occupancy.agent_states import AgentStates, parked
 from hid2.occupancy.along_path import look_along
 from hid2.occupancy.shown import STANDING_MPS
 from hid2.occupancy.sigma import UNDER_SHARE
@@ -75,9 +75,8 @@ class InferredSignals:
         self._speed = np.hypot(velocity[..., 0], velocity[..., 1])
         obeys = np.array([kind in SIGNALLED_TYPES for kind in arrays.object_types], dtype=np.bool_)
         self._flows = (self._speed > _FLOW_MPS) & (arrays.moving & obeys)[:, None]
-        middle = np.abs(matches.d) <= self.states.lanes.half_width[matches.lane] / 3
         stands = self._speed[arrays.agent, arrays.step] < STANDING_MPS
-        self._waits = np.flatnonzero(stands & (matches.lane >= 0) & (middle | arrays.moving[arrays.agent]))
+        self._waits = np.flatnonzero(stands & (matches.lane >= 0) & ~parked(self.states)[arrays.agent])
 
     def red(self, lane_id: int) -> BoolArray | None:
         """(T,) whether a vehicle that approaches the lane at a step has to stop at its entrance.

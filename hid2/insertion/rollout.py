@@ -26,8 +26,9 @@ from hid2.motion.route import DrivenPath
 from hid2.motion.smoothing import Motion, trajectory
 from hid2.occupancy.agent_states import moving_vehicles
 from hid2.occupancy.along_path import PathOccupancy, path_occupancy
+from hid2.occupancy.gaps import gaps_on_path
 from hid2.occupancy.shown import LEADS_FROM_M, SHOWN_M, Shown, shown_on
-from hid2.occupancy.traffic import Traffic
+from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.policy.overtake import Stage
 from hid2.policy.roads import STRAIGHT, Roads
 from hid2.policy.rules import FORESEEN
@@ -46,6 +47,8 @@ _NONE = Traffic.none(1)
 _FOLLOWS_M, _ASIDE_M = 3.0, 12.0
 #: Not a parameter, it saves time: beyond it, on either axis, an agent is in none of the gaps that a vehicle looks at.
 _NEAR_GAPS_M = 40.0
+#: No tunable: a vehicle that stands within so much of the one ahead, m, stands for it.
+QUEUE_M = 8.0
 #: No tunable: of the time between two looks of a vehicle that waits for a gap, while it passes another one.
 _PASSING_SHARE = 0.3
 #: Desired speeds, m/s, that SUMO's EIDM has at most for a link of the net that turns; for others the lanes' limit.
@@ -135,10 +138,10 @@ class World:
         """A candidate with its motion."""
         return Foreseen(start, parts, self._as_traffic(start, parts))
 
-    def harries(self, candidate: Foreseen) -> Reason | None:
+    def harries(self, candidate: Foreseen, headway_s: float = FOLLOWER_HEADWAY_S) -> Reason | None:
         """What a recorded vehicle that comes up from behind suffers, on the path that it drives itself; None: nothing.
 
-        It is left with too little time to collision, or with a time headway that it never kept in the recording.
+        It is left with too little time to collision, or with a shorter headway, which it never kept in the recording.
         """
         scene, own = self.scene, candidate.traffic.first(self.scene.num_steps)
         recorded, critical_s = scene.traffic, scene.config.conflict.follower_ttc_min_s
@@ -148,7 +151,7 @@ class World:
         aside_m = np.abs(offset[..., 1] * forward[..., 0] - offset[..., 0] * forward[..., 1])
         closing = ((recorded.velocity - own.velocity) * forward).sum(axis=-1)
         speed = np.hypot(recorded.velocity[..., 0], recorded.velocity[..., 1])
-        room_m = np.maximum(_FOLLOWS_M + critical_s * closing, FOLLOWER_HEADWAY_S * speed)
+        room_m = np.maximum(_FOLLOWS_M + critical_s * closing, headway_s * speed)
         near = (gap_m > -own.length_m) & (gap_m < room_m) & (aside_m < _ASIDE_M)
         near &= own.present & recorded.present
         rows = np.flatnonzero(near.any(axis=1) & moving_vehicles(scene.states.arrays)).tolist()
@@ -156,18 +159,19 @@ class World:
             led = scene.states.led_by(row, own)
             if led.ttc_s.min(initial=math.inf) < critical_s:
                 return Reason.TTC_RECORDED_FOLLOWER
-            if led.rows.size and self._tailgates(row, led.gap_m[0], own.length_m[0] - candidate.start.beyond_m):
+            length_m = own.length_m[0] - candidate.start.beyond_m
+            if led.rows.size and self._tailgates(row, led.gap_m[0], length_m, headway_s):
                 return Reason.FOLLOWER_HEADWAY
         return None
 
-    def _tailgates(self, follower: int, gap_m: FloatArray, leader_m: float) -> bool:
-        """Whether a recorded vehicle has a time headway that it never kept, gap_m (T,) behind one leader_m long."""
+    def _tailgates(self, follower: int, gap_m: FloatArray, leader_m: float, least_s: float) -> bool:
+        """Whether a recorded vehicle, gap_m (T,) behind one leader_m long, has a headway below that it never kept."""
         states = self.scene.states
         if states.arrays.track_ids[follower] == self.target_id:
             return False
         speed = np.hypot(*states.traffic.velocity[follower].T)
         headway_s, _ = sustained_headway(gap_m, leader_m, speed, self.scene.step_s)
-        if headway_s >= FOLLOWER_HEADWAY_S:
+        if headway_s >= least_s:
             return False
         if self._kept_s is None:
             self._kept_s = kept_headways(states)
@@ -356,7 +360,26 @@ class World:
         lines = self.guard.stop_lines.arrays(rollout.path, start.box)
         if lines.is_passed(rollout.s, first=rollout.step, closed_steps=scene.steps_in(AMBER_S)):
             return Reason.ENTERS_ON_RED
+        if self._waits_for_parked(start, rollout):
+            return Reason.BEHIND_PARKED
         return Reason.STOPS_IN_INTERSECTION if self._stops_in_intersection(rollout) else None
+
+    def parked_on(self, path: DrivenPath, box: BoxSize) -> BoolArray:
+        """(R,) which of those known on a path are recorded agents that are parked."""
+        known, recorded = self.known_on(path, box), self._recorded_on(path, box)
+        found = np.zeros(known.agents.size, dtype=np.bool_)
+        found[:recorded] = self.scene.parked[known.agents[:recorded]]
+        return found
+
+    def _waits_for_parked(self, start: Start, rollout: Rollout) -> bool:
+        """Whether a vehicle comes to stand behind one that is parked: a driver would go round it."""
+        at = np.flatnonzero(rollout.v < STANDS_MPS)
+        if not at.size:
+            return False
+        known = self.known_on(rollout.path, start.box)
+        seen = gaps_on_path(known, rollout.s[at[-1:]], rollout.step + int(at[-1]))
+        row = int(seen.leader[0])
+        return row >= 0 and bool(seen.lead_m[0] < QUEUE_M and self.parked_on(rollout.path, start.box)[row])
 
     def _stops_in_intersection(self, rollout: Rollout) -> bool:
         """Whether a vehicle stands inside an intersection, as `measures/encounters.py` has standing."""

@@ -13,10 +13,10 @@ from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import MIDDLE, Driver, desired_speeds, draw_driver, lane_offset
 from hid2.insertion.meetings import Meetings
-from hid2.insertion.rollout import Foreseen, Rollout, World
+from hid2.insertion.rollout import QUEUE_M, Foreseen, Rollout, World
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.sizes import draw_size
-from hid2.judge.findings import CURVATURE_KEPT
+from hid2.judge.findings import CURVATURE_KEPT, FOLLOWER_HEADWAY_S, LEADER_LENGTH_S
 from hid2.measures.encounters import FOLLOWS_S, STANDS_MPS
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
@@ -33,9 +33,9 @@ from hid2.vehicle import Start, VehicleRequest
 _HOLDS_S, DRIVERS, _FROM_EDGE_M = 3.0, 3, 0.5
 #: Smallest bumper gap at the start, m: what drivers keep standing.
 CLEAR_GAP_M = 2.0
-#: It begins standing only so near behind one that stands, m; otherwise no slower than a share of the desired speed; it
+#: A vehicle begins standing only behind one that stands, and no slower than a share of the desired speed otherwise; it
 #: may have to brake so hard for its leader, m/s2.
-_QUEUE_M, SLOWEST_SHARE, BEGIN_BRAKING_MPS2 = 8.0, 0.25, 0.8
+SLOWEST_SHARE, BEGIN_BRAKING_MPS2 = 0.25, 0.8
 #: Verdicts that another driver may change.
 _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.FOLLOWER_HEADWAY, Reason.LEAVES_TOO_EARLY})
 #: No tunable: by so much, s, SUMO may be later than a rollout at the end of an overtake.
@@ -61,7 +61,8 @@ class _Site(NamedTuple):
 class Starts:
     """Starts of one round; each keeps clear of those that were taken before it.
 
-    guard: with the vehicles kept in rounds before; those taken are added to it by their rollouts.
+    guard: with the vehicles kept in rounds before; those taken are added to it by their rollouts. headway_s: that
+    recorded followers are left with, as `sustained_headway` has it.
     """
 
     scene: Scene
@@ -73,6 +74,7 @@ class Starts:
     round_number: int
     taken: list[Start] = field(default_factory=list)
     rejected: Counter[Reason] = field(default_factory=Counter)
+    headway_s: float = FOLLOWER_HEADWAY_S
     world: World = field(init=False)
     _rolled: dict[str, tuple[Foreseen, ...]] = field(default_factory=dict)
 
@@ -119,6 +121,8 @@ class Starts:
             near = gaps_on_path(self.world.known_on(path, box), np.array([start_s]), step)
             if min(near.lead_m[0], near.lag_m[0]) < CLEAR_GAP_M:
                 return Reason.NO_SITE
+            if near.lag_m[0] < (self.headway_s - LEADER_LENGTH_S) * near.lag_mps[0]:
+                return Reason.FOLLOWER_HEADWAY
         flow_mps = 0.0
         if config.request.sites == "promising" and driver is None:
             flow_mps = max(
@@ -205,7 +209,7 @@ class Starts:
         candidate = self.world.foreseen(start, parts)
         if self.world.meets_after(candidate):
             return Reason.TTC_AT_END
-        if (harried := self.world.harries(candidate)) is not None:
+        if (harried := self.world.harries(candidate, self.headway_s)) is not None:
             return harried
         anew = [candidate]
         for one in self.world.hindered(candidate):
@@ -267,8 +271,9 @@ class Starts:
         if step > 0 and (speed < STANDS_MPS or self._follower_is_near(path, s, box, speed, step)):
             return Reason.NO_SITE
         if speed < max(STANDS_MPS, SLOWEST_SHARE * wished):
-            if not np.any((seen.lead_m < _QUEUE_M) & (seen.along_mps < STANDS_MPS)):
-                return Reason.NO_SITE  # no vehicle drives so slowly with so much room ahead
+            stands = (seen.lead_m[:, 0] < QUEUE_M) & (seen.along_mps[:, 0] < STANDS_MPS)
+            if not (stands & ~self.world.parked_on(path, box)).any():
+                return Reason.NO_SITE  # no vehicle is so slow with so much room ahead, nor waits for a parked one
             speed = 0.0
         return speed
 

@@ -164,3 +164,12 @@ def agent_states(
 def moving_vehicles(arrays: SceneArrays) -> BoolArray:
     """(A,) vehicles that move at some time."""
     return np.asarray(arrays.vehicle & arrays.moving)
+
+
+def parked(states: AgentStates) -> BoolArray:
+    """(A,) agents that never move and are never in the middle third of a lane: they stand, and not in a queue."""
+    arrays, matches = states.arrays, states.matches
+    middle = (matches.lane >= 0) & (np.abs(matches.d) <= states.lanes.half_width[matches.lane] / 3)
+    in_lane = np.zeros(arrays.num_agents, dtype=np.bool_)
+    in_lane[arrays.agent[middle]] = True
+    return ~(arrays.moving | in_lane)

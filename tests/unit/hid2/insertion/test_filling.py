@@ -14,6 +14,7 @@ from hid2.agents import Policy
 from hid2.insertion.filling import Filling
 from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.routes import RouteOffer
+from hid2.insertion.sites import TurnedDown
 from hid2.insertion.starts import Starts
 from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.traffic import Traffic
@@ -218,9 +219,9 @@ def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(
     scene_for: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Cells of lane 1 admit no start. Each round adds three vehicles of twelve, and in none is a cell looked at once
-    more that was turned down in those before, there or near to it.
+    more that was turned down in those before, there or near to it, unless all are looked at anew.
     """
-    make, looked = Starts.make, Counter[tuple[int, int]]()
+    make, looked, anew, before = Starts.make, Counter[tuple[int, int, int]](), [0], TurnedDown.look_anew
 
     def only_lane_2(
         starts: Starts, request: VehicleRequest, offer: RouteOffer, lane_id: int, s: float | None, **more: Any
@@ -229,8 +230,12 @@ def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(
             return make(starts, request, offer, lane_id, s, **more)
         assert s is not None
         cell = starts.scene.grid.cell_at(lane_id, s - offer.start_m)
-        looked[cell.lane_id, cell.index] += 1
+        looked[anew[0], cell.lane_id, cell.index] += 1
         return Reason.CONFLICT_PREDICTED
+
+    def look_anew(turned_down: TurnedDown, *, each_cell: bool) -> None:
+        anew[0] += 1
+        before(turned_down, each_cell=each_cell)
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
         if vehicle.start.request.number >= 3 * (number + 1):
@@ -238,6 +243,7 @@ def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(
         return vehicle
 
     monkeypatch.setattr("hid2.insertion.starts.Starts.make", only_lane_2)
+    monkeypatch.setattr(TurnedDown, "look_anew", look_anew)
     filling, drive = _fill(scene_for(agents=12), spoil)
     assert len(drive.rounds) >= 4
     assert 25 < len(looked) < 100  # those around are spared

@@ -150,3 +150,18 @@ def test_none_is_to_stop_in_an_intersection(stops_m: float, stands: int, reason:
     s = 60.0 + np.concatenate([[0.0], np.cumsum(0.1 * v[:-1])])
     part = Rollout(start.path, 0, s, v, np.zeros((v.size, 0)))
     assert world.objection(start, (part,)) is reason
+
+
+@pytest.mark.parametrize(("aside_m", "stops_m", "reason"), [
+    (1.0, 92.0, Reason.BEHIND_PARKED), (1.0, 85.5, None), (0.0, 92.0, None),
+])  # fmt: skip
+def test_none_is_to_wait_behind_a_parked_vehicle(
+    world_of: Callable[..., World], aside_m: float, stops_m: float, reason: Reason | None
+) -> None:
+    """A car stands at 100 m throughout, 1 m off the middle of its lane: parked; in the middle it is a queue."""
+    world = world_of(recorded(100.0, aside_m))
+    start, time_s = start_on(world.scene, (1,), 60.0, 10.0), 0.1 * np.arange(world.scene.num_steps)
+    v = np.clip(10.0 - 2.0 * (time_s - (stops_m - 85.0) / 10.0), 0.0, 10.0)  # 25 m of braking
+    s = 60.0 + np.concatenate([[0.0], np.cumsum(0.05 * (v[1:] + v[:-1]))])
+    part = Rollout(start.path, 0, s, v, np.zeros((v.size, 0)))
+    assert world.objection(start, (part,)) is reason

@@ -261,6 +261,34 @@ def test_who_begins_close_behind_a_standing_one_stands(scene_of: Callable[..., S
         assert start.start_mps == 0.0
 
 
+@pytest.mark.parametrize(("aside_m", "stands"), [(0.0, True), (1.0, False)])
+def test_none_queues_behind_a_parked_vehicle(scene_of: Callable[..., Scene], aside_m: float, stands: bool) -> None:
+    """Two cars that never move: in the middle of the lane they are a queue, 1 m aside they are parked.
+
+    Some 3 m behind there is no speed to begin with; behind a queue a vehicle begins standing, for what a look tells.
+    """
+    scene = scene_of(recorded(100.0, aside_m), recorded(107.0, aside_m, name="b"), lanes=1)
+    sites = _sites(scene)
+    start = sites.starts.make(_request(), sites.here.routes.offers(1)[0], 1, 92.5, size=CAR)
+    assert start is (Reason.STANDS_THROUGHOUT if stands else Reason.NO_SITE)
+
+
+@pytest.mark.parametrize(("behind_m", "headway_s", "begins"), [
+    (12.0, 0.8, False), (16.0, 0.8, True), (16.0, 1.3, False), (22.0, 1.3, True),
+])  # fmt: skip
+def test_none_begins_nearer_ahead_of_a_recorded_follower_than_drivers_follow(
+    scene_of: Callable[..., Scene], behind_m: float, headway_s: float, begins: bool
+) -> None:
+    """At 16 m/s behind centres 12, 16 and 22 m ahead, between bumpers .47, .72 and 1.09 s: .3 s less are asked for."""
+    scene = scene_of(recorded(60.0 - behind_m, 0.0, 16.0), lanes=1)
+    sites = _sites(scene)
+    sites.starts.headway_s = headway_s
+    start = sites.starts.make(
+        _request(), sites.here.routes.offers(1)[0], 1, 60.0, size=CAR, driver=replace(DRIVER, desired_mps=17.0)
+    )
+    assert (start is not Reason.FOLLOWER_HEADWAY) is begins
+
+
 def test_nobody_begins_in_an_intersection_where_there_is_anything_else() -> None:
     lanes = {
         1: draw_lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
