@@ -7,8 +7,9 @@ import numpy as np
 
 from hid2.agents import Policy
 from hid2.insertion.meetings import LEADER_WEIGHT
+from hid2.insertion.rollout import SLOWEST_SHARE
 from hid2.insertion.spread import Spread
-from hid2.insertion.starts import CLEAR_GAP_M, SLOWEST_SHARE, Starts, speed_behind
+from hid2.insertion.starts import CLEAR_GAP_M, Starts, speed_behind
 from hid2.insertion.surroundings import Surroundings
 from hid2.measures.encounters import STANDS_MPS
 from hid2.occupancy.gaps import gaps_from_pose

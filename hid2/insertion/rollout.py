@@ -47,8 +47,9 @@ _NONE = Traffic.none(1)
 _FOLLOWS_M, _ASIDE_M = 3.0, 12.0
 #: Not a parameter, it saves time: beyond it, on either axis, an agent is in none of the gaps that a vehicle looks at.
 _NEAR_GAPS_M = 40.0
-#: No tunable: a vehicle that stands within so much of the one ahead, m, stands for it.
-QUEUE_M = 8.0
+#: No tunables: no vehicle is slower than this share of its desired speed, but for what is ahead of it, and for one that
+#: stands it is within so much of that, m.
+SLOWEST_SHARE, QUEUE_M = 0.25, 8.0
 #: No tunable: of the time between two looks of a vehicle that waits for a gap, while it passes another one.
 _PASSING_SHARE = 0.3
 #: Desired speeds, m/s, that SUMO's EIDM has at most for a link of the net that turns; for others the lanes' limit.
@@ -372,14 +373,13 @@ class World:
         return found
 
     def _waits_for_parked(self, start: Start, rollout: Rollout) -> bool:
-        """Whether a vehicle comes to stand behind one that is parked: a driver would go round it."""
-        at = np.flatnonzero(rollout.v < STANDS_MPS)
+        """Whether a vehicle all but stands behind one that is parked: a driver would go round it."""
+        at = np.flatnonzero(rollout.v < SLOWEST_SHARE * start.driver.desired_mps)
         if not at.size:
             return False
-        known = self.known_on(rollout.path, start.box)
-        seen = gaps_on_path(known, rollout.s[at[-1:]], rollout.step + int(at[-1]))
-        row = int(seen.leader[0])
-        return row >= 0 and bool(seen.lead_m[0] < QUEUE_M and self.parked_on(rollout.path, start.box)[row])
+        seen = gaps_on_path(self.known_on(rollout.path, start.box), rollout.s[at], rollout.step + at)
+        near = (seen.leader >= 0) & (seen.lead_m < QUEUE_M)
+        return bool(self.parked_on(rollout.path, start.box)[seen.leader[near]].any())
 
     def _stops_in_intersection(self, rollout: Rollout) -> bool:
         """Whether a vehicle stands inside an intersection, as `measures/encounters.py` has standing."""

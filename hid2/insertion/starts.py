@@ -13,7 +13,7 @@ from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import MIDDLE, Driver, desired_speeds, draw_driver, lane_offset
 from hid2.insertion.meetings import Meetings
-from hid2.insertion.rollout import QUEUE_M, Foreseen, Rollout, World
+from hid2.insertion.rollout import QUEUE_M, SLOWEST_SHARE, Foreseen, Rollout, World
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.sizes import draw_size
 from hid2.judge.findings import CURVATURE_KEPT, FOLLOWER_HEADWAY_S, LEADER_LENGTH_S
@@ -33,9 +33,8 @@ from hid2.vehicle import Start, VehicleRequest
 _HOLDS_S, DRIVERS, _FROM_EDGE_M = 3.0, 3, 0.5
 #: Smallest bumper gap at the start, m: what drivers keep standing.
 CLEAR_GAP_M = 2.0
-#: A vehicle begins standing only behind one that stands, and no slower than a share of the desired speed otherwise; it
-#: may have to brake so hard for its leader, m/s2.
-SLOWEST_SHARE, BEGIN_BRAKING_MPS2 = 0.25, 0.8
+#: At the beginning it may have to brake so hard for its leader, m/s2.
+BEGIN_BRAKING_MPS2 = 0.8
 #: Verdicts that another driver may change.
 _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.FOLLOWER_HEADWAY, Reason.LEAVES_TOO_EARLY})
 #: No tunable: by so much, s, SUMO may be later than a rollout at the end of an overtake.
