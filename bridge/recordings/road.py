@@ -63,7 +63,8 @@ class Signal(RoadPart):
 class Period(RoadPart):
     """Traffic until a time: veh/h that enter by lane, counted from the left, the on-ramp last.
 
-    end_mps: speed limit behind the section from the period on, by lane: what lies downstream; none: as it was.
+    end_mps: speed limit behind the section from the period on, by lane: what lies downstream, without which no
+    congestion arises; none: as it was.
     """
 
     until_s: float = Field(gt=0)
