@@ -21,7 +21,11 @@ def arterial(data_scenes):
 
 @pytest.fixture(scope="module")
 def with_overtakes(arterial) -> list[TrafficScene]:
-    return [generate(arterial, Config(request=Request(agents=10, seed=seed, **OVERTAKES))) for seed in range(3)]
+    """Three scenes in which all may come about, and one that has no room for what it is asked for."""
+    asked = [(10, 0), (10, 1), (10, 2), (25, 0)]
+    return [
+        generate(arterial, Config(request=Request(agents=agents, seed=seed, **OVERTAKES))) for agents, seed in asked
+    ]
 
 
 def _records(scenes: list[TrafficScene], kind: str):
