@@ -99,7 +99,7 @@ def _by_hand(drawn: Drawn, entered_s: dict[str, float], lead_s: float, lag_s: fl
     return found
 
 
-@pytest.mark.parametrize("lag_s", [pytest.param(0.5, marks=pytest.mark.slow), 1.0, 2.0])
+@pytest.mark.parametrize("lag_s", [*(pytest.param(lag_s, marks=pytest.mark.slow) for lag_s in (0.5, 1.5)), 1.0, 2.0])
 def test_even_flow_by_hand(corridor: Path, rules: str, lag_s: float) -> None:
     """Headways of 2.7 s and .3 s more in the mean, a rule that looks once: the share is that of the arrivals."""
     change = LaneChange(
