@@ -3,7 +3,7 @@
 from collections import Counter
 from dataclasses import dataclass, field
 
-from hid2.agents import BoxSize, FloatArray, Policy
+from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy
 from hid2.drivers.driver import Driver, LaneOffset
 from hid2.motion.route import DrivenPath, Route
 from hid2.policy.decision import Side
@@ -15,26 +15,26 @@ from netconvert.cells import Cell
 
 @dataclass(frozen=True, slots=True)
 class VehicleRequest:
-    """A vehicle that is asked for: what it is to do, and from which moment on, s."""
+    """A vehicle that is asked for: what it is to do, from which moment on, s, and what it is."""
 
     number: int
     policy: Policy
     trigger_s: float
+    object_type: str = "vehicle"
+    size: BoxSize = DEFAULT_SIZES["vehicle"]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Start:
     """A request with a site and a driver: everything that decides how a vehicle begins.
 
-    start_s m, of the box centre on the path; start_mps m/s; box: what is kept clear, size: what is exported; desired
-    (T,) m/s, by the scene's steps; sides: where it looks for a lane, in this order; step: at which it is first there,
-    later than 0 where it enters at the map's edge.
+    start_s m, of the box centre on the path; start_mps m/s; box: what is kept clear; desired (T,) m/s, by the scene's
+    steps; sides: where it looks for a lane, in this order; step: at which it is first there, later than 0 where it
+    enters at the map's edge.
     """
 
     vehicle_id: str
     request: VehicleRequest
-    object_type: str
-    size: BoxSize
     box: BoxSize
     route: Route
     path: DrivenPath
@@ -45,6 +45,11 @@ class Start:
     offset: LaneOffset
     sides: tuple[Side, ...]
     step: int = 0
+
+    @property
+    def size(self) -> BoxSize:
+        """The box that is exported."""
+        return self.request.size
 
     @property
     def beyond_m(self) -> float:

@@ -55,7 +55,7 @@ def agent_record(
     }  # fmt: skip
     return AgentRecord(
         track_id=names[driven.vehicle_id],
-        object_type="bus" if start.object_type == "bus" else "vehicle",
+        object_type="bus" if start.request.object_type == "bus" else "vehicle",
         length_m=start.size.length_m,
         width_m=start.size.width_m,
         policy=driven.policy,

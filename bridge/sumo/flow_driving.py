@@ -113,10 +113,10 @@ class FlowDriving(Driving):
         )
         assert start_s is not None  # it begins on its route
         trigger_s = step * scene.step_s + self.trigger_after_s(arrival)
+        request = VehicleRequest(arrival.number, arrival.policy, trigger_s, arrival.object_type, arrival.size)
         start = Start(
-            vehicle_id=arrival.vehicle_id, request=VehicleRequest(arrival.number, arrival.policy, trigger_s),
-            object_type=arrival.object_type, size=arrival.size, box=arrival.box, route=arrival.route,
-            path=arrival.path, start_s=start_s,
+            vehicle_id=arrival.vehicle_id, request=request, box=arrival.box, route=arrival.route, path=arrival.path,
+            start_s=start_s,
             start_mps=simulation.speed(arrival.vehicle_id), driver=arrival.driver, desired=arrival.desired,
             offset=MIDDLE, sides=arrival.sides,
         )  # fmt: skip

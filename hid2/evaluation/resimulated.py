@@ -151,8 +151,8 @@ def begin(
     knots = start_s + offset.knots_m - offset.knots_m[0]  # the first one where the vehicle is
     place = offset.offset_m + (d_m - offset.offset_m[0]) * np.exp(-(knots - start_s) / _WANDERS_OVER_M)
     return Start(
-        vehicle_id=f"v{number}", request=VehicleRequest(number, Policy.STRAIGHT, 0.0), size=size,
-        object_type=one.track.object_type, box=clearance_box(size, size), route=one.route, path=path, start_s=start_s,
+        vehicle_id=f"v{number}", request=VehicleRequest(number, Policy.STRAIGHT, 0.0, one.track.object_type, size),
+        box=clearance_box(size, size), route=one.route, path=path, start_s=start_s,
         start_mps=one.speed_mps, driver=driver, desired=desired, sides=("left", "right"),
         offset=LaneOffset(knots, place, np.gradient(place, knots)),
     )  # fmt: skip

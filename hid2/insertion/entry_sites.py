@@ -9,7 +9,7 @@ from hid2.agents import Policy
 from hid2.insertion.meetings import LEADER_WEIGHT
 from hid2.insertion.rollout import SLOWEST_SHARE
 from hid2.insertion.spread import Spread
-from hid2.insertion.starts import CLEAR_GAP_M, Starts, speed_behind
+from hid2.insertion.starts import CLEAR_GAP_M, Site, Starts, speed_behind
 from hid2.insertion.surroundings import Surroundings
 from hid2.measures.encounters import STANDS_MPS
 from hid2.occupancy.gaps import gaps_from_pose
@@ -55,9 +55,8 @@ class EntrySites:
         self._looked += 1
         for row in order[:TRIES].tolist():
             start = self.starts.make(
-                request, entries.offer(row), int(table.lane[row]), None, step=entries.step(row, rng),
-                led_by=int(table.leader[row]),
-            )  # fmt: skip
+                request, Site(entries.offer(row), None, entries.step(row, rng), int(table.leader[row]))
+            )
             if isinstance(start, Start):
                 yield start
             else:

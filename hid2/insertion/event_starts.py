@@ -11,7 +11,7 @@ from hid2.drivers.driver import Driver, draw_driver
 from hid2.insertion.event_objective import Objective
 from hid2.insertion.event_places import Place
 from hid2.insertion.rollout import Foreseen, Rollout, World
-from hid2.insertion.starts import CLEAR_GAP_M, Starts
+from hid2.insertion.starts import CLEAR_GAP_M, Site, Starts
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.gaps import gaps_on_path
 from hid2.occupancy.traffic import BoolArray
@@ -49,13 +49,12 @@ class Candidate:
 class EventStarts(Starts):
     """Starts with rollouts that bring an event about.
 
-    request, size: of its vehicle; places: at which it may come about; rolls: how many were rolled out.
+    request: of its vehicle; places: at which it may come about; rolls: how many were rolled out.
     """
 
     _: KW_ONLY
     objective: Objective
     request: VehicleRequest
-    size: BoxSize
     places: list[Place]
     rolls: int = 0
     _box: BoxSize = field(init=False)
@@ -67,7 +66,7 @@ class EventStarts(Starts):
         """Nothing is rolled out yet."""
         Starts.__post_init__(self)
         self.world.target_id = self.objective.target.track.track_id
-        self._box = clearance_box(self.size, DEFAULT_SIZES["vehicle"])
+        self._box = clearance_box(self.request.size, DEFAULT_SIZES["vehicle"])
 
     def draw(self, count: int) -> list[Candidate]:
         """Those of so many rolled out that bring the event about, the best first; no more than `_ENOUGH`."""
@@ -104,8 +103,7 @@ class EventStarts(Starts):
         if not clear.any():
             return Reason.NO_SITE
         first, self._place = float(begin_s[np.argmax(clear)]), place
-        lane_id, raw_s = place.path.segment_at(first).lane_id, place.path.to_raw(first)
-        start = self.make(self.request, place.offer, lane_id, raw_s, driver=driver, size=self.size)
+        start = self.make(self.request, Site(place.offer, place.path.to_raw(first)), driver=driver)
         if isinstance(start, Reason):
             return start
         rolled = replace(self.rolled(start)[0], start=replace(self._made, offset=start.offset))
@@ -195,6 +193,6 @@ def track_of(foreseen: Foreseen) -> Track:
     traffic, start = foreseen.traffic, foreseen.start
     steps = np.flatnonzero(traffic.present[0, : start.desired.size])
     return Track(
-        start.vehicle_id, start.object_type, 1, steps, traffic.position[0, steps], traffic.heading[0, steps],
+        start.vehicle_id, start.request.object_type, 1, steps, traffic.position[0, steps], traffic.heading[0, steps],
         traffic.velocity[0, steps], start.size,
     )  # fmt: skip

@@ -165,8 +165,9 @@ class EventSearch:
         )
         lines = StopLines(scene) if event.kind in _MEETS_CROSSING else self.here.stop_lines
         guard, left = Guard(scene, traffic_of_exported(self.kept, scene), lines), scene.config.event_search.candidates
-        request = VehicleRequest(FIRST_NUMBER + number, _POLICY.get(event.kind, Policy.STRAIGHT), 0.0)
         _, size = draw_size(scene.config.request.model_copy(update={"bus_share": 0.0}), rng)
+        policy = _POLICY.get(event.kind, Policy.STRAIGHT)
+        request = VehicleRequest(FIRST_NUMBER + number, policy, 0.0, size=size)
         waiting: list[Objective | EventStarts] = list(objectives)
         while left > 0 and waiting:
             starts = waiting.pop(0)
@@ -174,7 +175,7 @@ class EventSearch:
                 lengths_m = 0.5 * (size.length_m + starts.target.track.size.length_m)
                 starts = EventStarts(
                     scene, self.here.roads, lines, self.here.meetings, guard, rng, 0, rejected=rejected,
-                    objective=starts, request=request, size=size,
+                    objective=starts, request=request,
                     places=list(Places(self.here.routes, event, starts.target, lengths_m).all()),
                 )  # fmt: skip
             before = starts.rolls

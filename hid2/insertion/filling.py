@@ -314,7 +314,9 @@ class Filling:
             del self.outcomes[driven.vehicle_id]
             said = self._last_reason[driven.start.request.number] = outcome.reason or Reason.SCENE_ENDED
             if straight and not driven.path.shifts:
-                start = replace(driven.start, request=straight.pop())
+                own = driven.start.request  # the vehicle is as large as it was driven
+                meets = replace(straight.pop(), object_type=own.object_type, size=own.size)
+                start = replace(driven.start, request=meets)
                 found[driven.vehicle_id] = replace(one, driven=replace(driven, start=start))
             else:
                 gone[driven.vehicle_id] = driven, Reason.DID_NOT_DO_IT, said

@@ -83,8 +83,8 @@ class ExportedVehicle:
 def _track(vehicle: DrivenVehicle, path: Trajectory, track_id: str, category: int) -> Track:
     start, steps = vehicle.start, _span(vehicle, len(path.position))
     return Track(
-        track_id, start.object_type, category, np.arange(steps.start, steps.stop, dtype=np.int64), path.position,
-        path.heading, path.velocity, start.size,
+        track_id, start.request.object_type, category, np.arange(steps.start, steps.stop, dtype=np.int64),
+        path.position, path.heading, path.velocity, start.size,
     )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray
 from hid2.drivers.driver import Driver, draw_driver
 from hid2.insertion.routes import RouteOffer
-from hid2.insertion.starts import BEGIN_BRAKING_MPS2, CLEAR_GAP_M, DRIVERS, Starts, speed_behind
+from hid2.insertion.starts import BEGIN_BRAKING_MPS2, CLEAR_GAP_M, DRIVERS, Site, Starts, speed_behind
 from hid2.insertion.surroundings import Surroundings
 from hid2.kernels.polyline import frenet
 from hid2.measures.manoeuvres import PARKED_MPS
@@ -296,16 +296,15 @@ class OvertakeStarts:
             mps = float(one.leader_mps[0])
             base = draw_driver(self.here.scene.config, starts.rng, lane_speed_mps=mps)
             leader = starts.make(
-                slow, way.offer, way.lane_id, raw(float(one.leader_s[0])), driver=replace(base, desired_mps=mps),
-                speed_mps=mps,
-            )  # fmt: skip
+                slow, Site(way.offer, raw(float(one.leader_s[0]))), driver=replace(base, desired_mps=mps), speed_mps=mps
+            )
             if not isinstance(leader, Start):
                 starts.rejected[leader] += 1
                 return []
             leaders, starts.world = [leader], world.joined_by(*starts.rolled(leader))
         found = starts.make(
-            request, way.offer, way.lane_id, raw(float(one.start_s[0])), driver=driver,
-            speed_mps=float(one.start_mps[0]), sides=(way.side,),
+            request, Site(way.offer, raw(float(one.start_s[0]))), driver=driver, speed_mps=float(one.start_mps[0]),
+            sides=(way.side,),
         )  # fmt: skip
         starts.world = world
         if isinstance(found, Start):

@@ -1,10 +1,11 @@
-"""What is asked for in a scene: how many vehicles do what, and when."""
+"""What is asked for in a scene: how many vehicles do what, and when, and how large they are."""
 
 import math
 
 import numpy as np
 
 from hid2.agents import Policy
+from hid2.insertion.sizes import draw_size
 from hid2.params import Config, Request
 from hid2.vehicle import VehicleRequest
 
@@ -21,7 +22,7 @@ def draw_requests(config: Config, rng: np.random.Generator, *, count: int, durat
     request = config.request
     policies = draw_mix(dict(request.behaviours), rng, count=count)
     return [
-        VehicleRequest(number=number, policy=policy, trigger_s=draw_trigger(request, rng, duration_s, policy=policy))
+        VehicleRequest(number, policy, draw_trigger(request, rng, duration_s, policy=policy), *draw_size(request, rng))
         for number, policy in enumerate(policies)
     ]
 

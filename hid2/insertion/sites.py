@@ -15,7 +15,7 @@ from hid2.insertion.meetings import LEADER_WEIGHT
 from hid2.insertion.overtake_starts import OvertakeStarts
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.spread import Spread, by_weight
-from hid2.insertion.starts import CLEAR_GAP_M, Starts
+from hid2.insertion.starts import CLEAR_GAP_M, Site, Starts
 from hid2.insertion.surroundings import Surroundings
 from hid2.judge.findings import FOLLOWER_HEADWAY_S
 from hid2.occupancy.sigma import clear_places
@@ -31,9 +31,6 @@ _AVOIDED_M = 8.0
 #: Time headway, s, that recorded followers are left with where there is a place for it: most keep it among themselves
 #: (36 of 39 in fourteen scenes). No tunable: `request.sites = any` draws without it.
 USUAL_HEADWAY_S = 1.3
-#: What does not speak against a cell: another vehicle of this round is in the way, or a follower would be near, to
-#: which a vehicle may be given less room later.
-_NOT_OF_THE_CELL = frozenset({Reason.NO_SITE, Reason.FOLLOWER_HEADWAY})
 #: Weight of sites behind a leader that brakes. No tunable: `request.sites = any` draws without weights.
 BRAKING_WEIGHT = 3.0
 #: No tunables, how a turn is foreseen, roughly: a vehicle begins so far before it, m, comes to it at this share of
@@ -145,15 +142,16 @@ class InsertionSites:
                 usual_mps = self.here.scene.usual_speed(lane_id)
                 if self.starts.leaves_early(offer, s, 0.8 * usual_mps) or not promises(offer, s, usual_mps):
                     continue
-                self.starts.headway_s = headway_s
-                start = self.starts.make(request, offer, lane_id, s)
-                self.starts.headway_s = FOLLOWER_HEADWAY_S
+                start = self.starts.make(request, Site(offer, s, headway_s=headway_s))
                 tried += start is not Reason.NO_SITE
                 if isinstance(start, Start):
                     yield start
                 else:
                     self.starts.rejected[start] += 1
-                    if start not in _NOT_OF_THE_CELL:
+                    less_later = start is Reason.FOLLOWER_HEADWAY and headway_s > FOLLOWER_HEADWAY_S
+                    if (
+                        start is not Reason.NO_SITE and not less_later
+                    ):  # else another vehicle of this round is in the way
                         self.turned_down.could_not_begin(self.here.scene, row, request.policy)
                 break
             if tried >= TRIES:

@@ -15,7 +15,6 @@ from hid2.drivers.driver import MIDDLE, Driver, desired_speeds, draw_driver, lan
 from hid2.insertion.meetings import Meetings
 from hid2.insertion.rollout import QUEUE_M, SLOWEST_SHARE, Foreseen, Rollout, World
 from hid2.insertion.routes import RouteOffer
-from hid2.insertion.sizes import draw_size
 from hid2.judge.findings import CURVATURE_KEPT, FOLLOWER_HEADWAY_S, LEADER_LENGTH_S
 from hid2.measures.encounters import FOLLOWS_S, STANDS_MPS
 from hid2.motion.reference_line import TABLE_STEP_M
@@ -41,18 +40,29 @@ _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.FOLLOWER_HEADW
 _SPARE_S = 0.2
 
 
-class _Site(NamedTuple):
-    """Where a vehicle of a size may begin, for a request; s, start_s: along the route's lanes and on the path, m."""
+class Site(NamedTuple):
+    """Where a vehicle may begin: s along the route's lanes, m, at a step; None: at their beginning, all of it on them.
+
+    leader: what it would follow where it enters later, as `Meetings` numbers them; headway_s: that recorded followers
+    are left with, as `sustained_headway` has it.
+    """
+
+    offer: RouteOffer
+    s: float | None
+    step: int = 0
+    leader: int = -1
+    headway_s: float = FOLLOWER_HEADWAY_S
+
+
+class _Begin(NamedTuple):
+    """What is known of a beginning before its driver: s, start_s: along the route's lanes and on the path, m."""
 
     request: VehicleRequest
-    offer: RouteOffer
-    object_type: str
-    size: BoxSize
-    box: BoxSize
+    site: Site
     path: DrivenPath
+    box: BoxSize
     s: float
     start_s: float
-    step: int
     sides: tuple[Side, ...] | None
 
 
@@ -60,8 +70,7 @@ class _Site(NamedTuple):
 class Starts:
     """Starts of one round; each keeps clear of those that were taken before it.
 
-    guard: with the vehicles kept in rounds before; those taken are added to it by their rollouts. headway_s: that
-    recorded followers are left with, as `sustained_headway` has it.
+    guard: with the vehicles kept in rounds before; those taken are added to it by their rollouts.
     """
 
     scene: Scene
@@ -73,7 +82,6 @@ class Starts:
     round_number: int
     taken: list[Start] = field(default_factory=list)
     rejected: Counter[Reason] = field(default_factory=Counter)
-    headway_s: float = FOLLOWER_HEADWAY_S
     world: World = field(init=False)
     _rolled: dict[str, tuple[Foreseen, ...]] = field(default_factory=dict)
 
@@ -95,23 +103,19 @@ class Starts:
         return self._rolled.get(start.vehicle_id, ())
 
     def make(
-        self, request: VehicleRequest, offer: RouteOffer, lane_id: int, s: float | None, *,
-        driver: Driver | None = None, speed_mps: float | None = None, step: int = 0,
-        led_by: int = -1, sides: tuple[Side, ...] | None = None, size: BoxSize | None = None,
+        self, request: VehicleRequest, site: Site, *, driver: Driver | None = None, speed_mps: float | None = None,
+        sides: tuple[Side, ...] | None = None,
     ) -> Start | Reason:  # fmt: skip
-        """A vehicle with a driver at a site, with a start speed, m/s, or why it cannot begin there.
+        """A vehicle that begins at a site, or why it cannot.
 
-        s: along the route's lanes, m; None: at their beginning, all of it on them. step: from which on it is there;
-        led_by: what it would follow then, as `Meetings` numbers them; sides, size: where it looks for a lane, and its
-        box, drawn unless given.
+        driver, speed_mps, sides: how it begins, and where it looks for a lane; drawn unless given.
         """
         scene, config, rng = self.scene, self.scene.config, self.rng
-        object_type, size = draw_size(config.request, rng) if size is None else ("vehicle", size)
-        box = clearance_box(size, DEFAULT_SIZES[object_type])
+        (offer, s, step, leader, headway_s), box = site, clearance_box(request.size, DEFAULT_SIZES[request.object_type])
         half_m, run_on = box.length_m / 2, "topology" in config.without
         first_m = half_m + _FROM_EDGE_M
         if s is None:  # it has come over the edge since the step before
-            s = first_m + float(rng.random()) * self.scene.usual_speed(lane_id) * scene.step_s
+            s = first_m + float(rng.random()) * scene.usual_speed(offer.route[0]) * scene.step_s
         if s < first_m or (s + half_m > offer.length_m - 1.0 and not run_on):
             return Reason.NO_SITE
         path = scene.path(offer.route)
@@ -120,43 +124,41 @@ class Starts:
             near = gaps_on_path(self.world.known_on(path, box), np.array([start_s]), step)
             if min(near.lead_m[0], near.lag_m[0]) < CLEAR_GAP_M:
                 return Reason.NO_SITE
-            if near.lag_m[0] < (self.headway_s - LEADER_LENGTH_S) * near.lag_mps[0]:
+            if near.lag_m[0] < (headway_s - LEADER_LENGTH_S) * near.lag_mps[0]:
                 return Reason.FOLLOWER_HEADWAY
-        flow_mps = 0.0
+        flow_mps, lane_id = 0.0, path.segment_at(start_s).lane_id
         if config.request.sites == "promising" and driver is None:
-            flow_mps = max(
-                self.meetings.pace_of(
-                    led_by if step else self.meetings.leader_of(scene.cell_at(path, start_s), offer.route)
-                ),
-                self._follower_mps(path, box, start_s, step),
-            )
-        site = _Site(request, offer, object_type, size, box, path, s, start_s, step, sides)
+            if step == 0:
+                leader = self.meetings.leader_of(scene.cell_at(path, start_s), offer.route)
+            flow_mps = max(self.meetings.pace_of(leader), self._follower_mps(path, box, start_s, step))
+        begin = _Begin(request, site, path, box, s, start_s, sides)
         made: Start | Reason = Reason.NO_SITE
         for _ in range(1 if driver is not None else DRIVERS):
             # a driver goes with the flow of its leader and follower, or would not be there
             pace_mps = max(scene.lane_speed(lane_id, rng), flow_mps)
-            made = self._begun(site, driver or draw_driver(config, rng, lane_speed_mps=pace_mps), speed_mps)
+            made = self._begun(begin, driver or draw_driver(config, rng, lane_speed_mps=pace_mps), speed_mps)
             if made not in _ANOTHER_DRIVER:
                 break
         return made
 
-    def _begun(self, site: _Site, driver: Driver, speed_mps: float | None) -> Start | Reason:
+    def _begun(self, begin: _Begin, driver: Driver, speed_mps: float | None) -> Start | Reason:
         """The start of a driver at a site, at about its desired speed unless told; or what speaks against it."""
-        scene, config, rng, request, path = self.scene, self.scene.config, self.rng, site.request, site.path
+        scene, config, rng, request, path = self.scene, self.scene.config, self.rng, begin.request, begin.path
+        step = begin.site.step
         if speed_mps is None:
             speed_mps = driver.desired_mps * (1.0 + config.spawn.speed_sd * min(max(rng.standard_normal(), -2.0), 2.0))
-        admitted = self._start_speed(site, speed_mps, driver)
+        admitted = self._start_speed(begin, speed_mps, driver)
         if isinstance(admitted, Reason):
             return admitted
         wished = desired_speeds(
-            driver, config, rng, num_steps=scene.num_steps - site.step, step_s=scene.step_s, at_least_mps=admitted
+            driver, config, rng, num_steps=scene.num_steps - step, step_s=scene.step_s, at_least_mps=admitted
         )
         order: tuple[Side, ...] = ("left", "right") if rng.random() < 0.5 else ("right", "left")
         start = Start(
-            vehicle_id=f"v{request.number}_{self.round_number}", request=request, object_type=site.object_type,
-            size=site.size, box=site.box, route=site.offer.route, path=path, start_s=site.start_s, start_mps=admitted,
-            driver=driver, desired=np.concatenate([np.full(site.step, wished[0]), wished]), offset=MIDDLE,
-            sides=site.sides or order, step=site.step,
+            vehicle_id=f"v{request.number}_{self.round_number}", request=request, box=begin.box,
+            route=begin.site.offer.route, path=path, start_s=begin.start_s, start_mps=admitted, driver=driver,
+            desired=np.concatenate([np.full(step, wished[0]), wished]), offset=MIDDLE, sides=begin.sides or order,
+            step=step,
         )  # fmt: skip
         rolled = self._does(self.world, start)
         if isinstance(rolled, Reason):
@@ -165,7 +167,7 @@ class Starts:
         if BEHAVIOURS[request.policy].changes_lanes:  # the line of one lane is not that of the next
             usual = partial(np.full_like, fill_value=config.drivers.offset_mean_m)
         start = replace(start, offset=lane_offset(driver, config, rng, length_m=path.line.length_m, usual=usual))
-        return self._hinders(start, rolled) or start
+        return self._hinders(start, rolled, begin.site.headway_s) or start
 
     def _does(self, world: World, start: Start) -> tuple[Rollout, ...] | Reason:
         """The rollout of a vehicle that does what it is asked for, and meets nothing; or why it does not.
@@ -198,7 +200,7 @@ class Starts:
                 return Reason.SCENE_ENDED
         return parts
 
-    def _hinders(self, start: Start, parts: tuple[Rollout, ...]) -> Reason | None:
+    def _hinders(self, start: Start, parts: tuple[Rollout, ...], headway_s: float) -> Reason | None:
         """Why others cannot go on with a candidate ahead of them: recorded ones, and those chosen before.
 
         None where these do what they are asked for all the same. What is rolled out is kept for `take`.
@@ -208,7 +210,7 @@ class Starts:
         candidate = self.world.foreseen(start, parts)
         if self.world.meets_after(candidate):
             return Reason.TTC_AT_END
-        if (harried := self.world.harries(candidate, self.headway_s)) is not None:
+        if (harried := self.world.harries(candidate, headway_s)) is not None:
             return harried
         anew = [candidate]
         for one in self.world.hindered(candidate):
@@ -230,11 +232,11 @@ class Starts:
             return 0.0
         return float(known.along[row, step : self.scene.num_steps].max())
 
-    def _start_speed(self, site: _Site, speed: float, driver: Driver) -> float | Reason:
+    def _start_speed(self, begin: _Begin, speed: float, driver: Driver) -> float | Reason:
         """Speed at which a driver that would drive at `speed` begins, m/s; or why it cannot begin there."""
-        path, box, start_s, step = site.path, site.box, site.start_s, site.step
+        path, box, start_s, step = begin.path, begin.box, begin.start_s, begin.site.step
         limits = self.scene.config.limits
-        if self.leaves_early(site.offer, site.s + box.length_m / 2, 0.95 * speed, step):
+        if self.leaves_early(begin.site.offer, begin.s + box.length_m / 2, 0.95 * speed, step):
             return Reason.LEAVES_TOO_EARLY
         reach = slice(int(start_s / TABLE_STEP_M), int((start_s + 12.0 * speed) / TABLE_STEP_M) + 2)
         if np.abs(path.line.table_curvature[reach]).max(initial=0.0) > CURVATURE_KEPT / limits.min_radius_m:

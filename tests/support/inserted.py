@@ -56,10 +56,11 @@ def scene_on(graph: LaneGraph, *tracks: Track, config: Config | None = None) -> 
 def start_on(scene: Scene, route: Route, s: float, speed: float, **changes: Any) -> Start:
     """A start at arc length s of a route's path; number, policy and trigger_s make its request."""
     number = changes.pop("number", 0)
-    request = VehicleRequest(number, changes.pop("policy", Policy.STRAIGHT), changes.pop("trigger_s", 0.0))
+    policy, trigger_s = changes.pop("policy", Policy.STRAIGHT), changes.pop("trigger_s", 0.0)
+    request = VehicleRequest(number, policy, trigger_s, size=changes.pop("size", CAR))
     driver = changes.get("driver", DRIVER)
     return Start(**{
-        "vehicle_id": f"v{number}_0", "request": request, "object_type": "vehicle", "size": CAR, "box": CAR,
+        "vehicle_id": f"v{number}_0", "request": request, "box": CAR,
         "route": route, "path": scene.path(route), "start_s": s, "start_mps": speed, "driver": driver,
         "desired": np.full(scene.num_steps, driver.desired_mps), "offset": MIDDLE, "sides": ("left", "right"),
         **changes,
