@@ -16,6 +16,7 @@ from hid2.measures.scene_end import END_HORIZON_S
 from hid2.motion.route import DrivenPath, Route, path_along, route_beside
 from hid2.occupancy.agent_states import AgentStates, agent_states, parked
 from hid2.occupancy.along_path import PathOccupancy, look_along
+from hid2.occupancy.shown import Shown, shown_on
 from hid2.occupancy.sigma import CellBoxes, OriginalOccupancy, cell_boxes, original_occupancy
 from hid2.occupancy.traffic import BoolArray, Traffic, covering, traffic_of
 from hid2.params import Config
@@ -79,6 +80,7 @@ class Scene:
     _routes_beside: dict[tuple[Route, int], Route] = field(default_factory=dict)
     _known: dict[tuple[DrivenPath, BoxSize], tuple[PathOccupancy, PathOccupancy]] = field(default_factory=dict)
     _leaders: dict[tuple[DrivenPath, BoxSize], PathOccupancy] = field(default_factory=dict)
+    _shown: dict[tuple[DrivenPath, BoxSize], Shown] = field(default_factory=dict)
     _usual: dict[int, float] = field(default_factory=dict)
     _places: dict[int, FloatArray] | None = None
     _parked: BoolArray | None = None
@@ -130,6 +132,14 @@ class Scene:
         if key not in self._leaders:
             self._leaders[key] = look_along(path.line, self.future, box.length_m, box.width_m)
         return self._leaders[key]
+
+    def shown_on(self, path: DrivenPath, box: BoxSize) -> Shown:
+        """The same as SUMO is shown them."""
+        key = path, box
+        if key not in self._shown:
+            seen = self.in_driving_width(path, box)
+            self._shown[key] = shown_on(path, self.future, seen, step_s=self.step_s)
+        return self._shown[key]
 
     def _recorded_on(self, path: DrivenPath, box: BoxSize) -> tuple[PathOccupancy, PathOccupancy]:
         key = path, box

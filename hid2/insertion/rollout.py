@@ -428,7 +428,7 @@ class World:
             if before is not None and before[1] is inserted:
                 self._shown[key] = fixed, *before[1:]
                 return before[2]
-            found = shown_on(path, scene.future, scene.in_driving_width(path, box), step_s=scene.step_s)
+            found = scene.shown_on(path, box)
             if inserted.agents.size:
                 found = found.joined(shown_on(path, fixed, inserted, step_s=scene.step_s))
             self._shown[key] = fixed, inserted, found
