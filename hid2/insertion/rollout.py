@@ -170,8 +170,7 @@ class World:
         states = self.scene.states
         if states.arrays.track_ids[follower] == self.target_id:
             return False
-        speed = np.hypot(*states.traffic.velocity[follower].T)
-        headway_s, _ = sustained_headway(gap_m, leader_m, speed, self.scene.step_s)
+        headway_s, _ = sustained_headway(gap_m, leader_m, states.speed(follower), self.scene.step_s)
         if headway_s >= least_s:
             return False
         if self._kept_s is None:

@@ -86,6 +86,12 @@ class AgentStates:
         chosen = Matches(*(getattr(matches, part.name)[index] for part in fields(Matches)))
         return AgentStates(arrays.agents(agents), self.traffic.rows(agents), chosen, self.lanes)
 
+    def speed(self, row: int) -> FloatArray:
+        """(T,) how fast an agent is, m/s: as stated, and by its positions where it has no state."""
+        rows, found = self.row_span(row), np.hypot(*self.traffic.velocity[row].T)
+        found[self.arrays.step[rows]] = np.hypot(*self.arrays.velocity[rows].T)
+        return found
+
     def span(self, row: int) -> slice:
         """The steps of an agent, from its first to its last."""
         steps = self.arrays.step[self.row_span(row)]
@@ -143,10 +149,9 @@ class AgentStates:
             seen = look_along(driven.line, others, length_m, width_m)
         if driven is None or not seen.agents.size:
             return Leading(seen.agents, seen.low, seen.along)
-        speed = np.hypot(traffic.velocity[row, :, 0], traffic.velocity[row, :, 1])
         found = gaps_to_all(seen, driven.s, np.arange(steps))
         leads = seen.same_direction & (found.lead_m > -SIDE_BY_SIDE_M) & (found.lead_m < HORIZON_M)
-        return Leading(seen.agents, np.where(leads, found.lead_m, np.inf), speed - found.along_mps)
+        return Leading(seen.agents, np.where(leads, found.lead_m, np.inf), self.speed(row) - found.along_mps)
 
 
 def agent_states(
