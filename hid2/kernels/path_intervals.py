@@ -19,15 +19,22 @@ SAME_WAY, _CROSSES = 0.7, 0.87
 def crossings_kept_clear(
     low: FloatArray, high: FloatArray, same_direction: BoolArray, crossing: BoolArray, steps: int, margin: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """An agent that crosses also holds the path where it does so, `steps` before and after."""
-    wide_low, wide_high, leads = low.copy(), high.copy(), same_direction.copy()
+    """An agent that crosses also holds the path where it does so, `steps` before and after.
+
+    All of the way across counts, also where it heads against the path still, as one that turns across it.
+    """
+    wide_low, wide_high, leads, across = low.copy(), high.copy(), same_direction.copy(), crossing.copy()
     agents, last = low.shape
     for a in range(agents):
+        for way in (1, -1):
+            for k in range(1, last):
+                t = k if way > 0 else last - 1 - k
+                across[a, t] |= across[a, t - way] and low[a, t] != np.inf and not same_direction[a, t]
         for t in range(last):
             if low[a, t] == np.inf:
                 leads[a, t] = False
                 continue
-            if not crossing[a, t]:
+            if not across[a, t]:
                 continue
             for k in range(max(0, t - steps), min(last, t + steps + 1)):
                 if low[a, k] != np.inf and same_direction[a, k]:
