@@ -68,7 +68,7 @@ class Driving:
         for step in range(fleet.scene.num_steps):
             attempts, limits = self._steer(step) if step > 0 else ({}, {})
             for row, vehicle in enumerate(fleet.vehicles):
-                if vehicle.start.step == step:  # SUMO has to have shown its leaders by now
+                if vehicle.start.step == step:  # from now on SUMO has to be shown its leaders
                     fleet.place[row] = vehicle.start.start_s
             seen, seen_kept = shown_at(fleet, step)
             recorded.place(step, seen)
@@ -189,9 +189,9 @@ class Driving:
                 self.fleet.follow(row, lane, front_m, speed)
 
     def _take_out_struck(self, step: int) -> None:
-        """Take out vehicles in a recorded agent's box, mostly as that does not brake: they will not be exported.
+        """Take out vehicles that are deep in a recorded agent's box: they will not be exported, and hinder no others.
 
-        Others need not mind it any more.
+        A recorded agent mostly ran into them, as it does not brake.
         """
         fleet, here, traffic = self.fleet, self.fleet.on_ways, self.fleet.scene.traffic
         low, high, count = here.intervals.low, here.intervals.high, len(traffic.ids)

@@ -151,7 +151,7 @@ class Fleet:
         path the vehicle goes on steadily, and gives back on the way across what it has jumped.
         """
         vehicle, way = self.vehicles[row], self.ways[row]
-        steady = vehicle.s[-1] + speed_mps * self.scene.step_s  # SUMO moves by the new speed (Euler)
+        steady = vehicle.s[-1] + 0.5 * (vehicle.v[-1] + speed_mps) * self.scene.step_s  # as SUMO, by the mean speed
         own = center_on_path(
             self.scene.grid, vehicle.path, lane, front_m, length_m=vehicle.start.size.length_m, after=vehicle.s[-1]
         )
@@ -247,7 +247,7 @@ class Fleet:
 
     def _on_way(self, row: int, now: int) -> tuple[npt.NDArray[Any], ...]:
         way, path = self.ways[row], self.vehicles[row].path
-        seen = self._who_does_not_yield(self.obstacles(row, path), row, path, now)
+        seen = self._without_those_that_yield(self.obstacles(row, path), row, path, now)
         known, lines = seen.known, seen.lines
         return (
             way.road, way.lane_ends, way.policies, known.low, known.high, known.along,
@@ -263,7 +263,7 @@ class Fleet:
         horizon_s: another one than `conflict.horizon_s`.
         """
         driver = self.vehicles[row].start.driver
-        obstacles = self._who_does_not_yield(self.obstacles(row, path), row, path, now)
+        obstacles = self._without_those_that_yield(self.obstacles(row, path), row, path, now)
         road = self.ways[row].road if path is self.vehicles[row].path else self.roads.speeds(path, driver)
         return self.guard.braking(
             obstacles, own=row, step=now, fleet=self.state, state=state, desired_mps=desired_mps, road=road,
@@ -288,7 +288,7 @@ class Fleet:
             found = [(other, one) for other, one in found if np.abs(_xy(one) - own).max() < self.near_m]
         return [(other, one.path, one.start.box) for other, one in found]
 
-    def _who_does_not_yield(self, obstacles: Obstacles, row: int, path: DrivenPath, now: int) -> Obstacles:
+    def _without_those_that_yield(self, obstacles: Obstacles, row: int, path: DrivenPath, now: int) -> Obstacles:
         """Where recorded vehicles react: without those behind a vehicle that can yield to it."""
         if self.scene.config.driving.replay == "fixed":
             return obstacles

@@ -10,7 +10,7 @@ from bridge.sumo.routes import edges_along
 from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy
 from hid2.conflicts.guard import ACROSS_S
-from hid2.insertion.due import Across, Due, foreseen_speeds, is_due
+from hid2.insertion.due import Across, Due, advance, foreseen_speeds
 from hid2.motion.lane_change_path import lateral_share
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.observation import lay
@@ -43,7 +43,7 @@ def apply_policy(
     Algorithm 1 comes to on its lane without one.
     """
     vehicle = fleet.vehicles[row]
-    due = is_due(vehicle, fleet.scene, now)
+    due = advance(vehicle, fleet.scene, now)
     if vehicle.stage in (Stage.ENTER, Stage.RETURN):
         _keep_time(fleet, row, now)
     if not due:  # nothing to be asked: it keeps to its lane, as `decide` says

@@ -9,7 +9,7 @@ from hid2.agents import FloatArray, Policy
 from hid2.drivers.driver import free_speeds
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
-from hid2.policy.decision import LaneOption, Observation, Side, decide
+from hid2.policy.decision import LaneOption, Observation, Side, decide, is_due
 from hid2.policy.observation import gap_ahead_of, lane_options, lay_across, leader_on, own_gaps, returns_to
 from hid2.policy.overtake import SHIFT_RATIO, Leader, Stage
 from hid2.policy.rules import SumoAnswer
@@ -40,8 +40,8 @@ class Across:
         vehicle.stage, vehicle.reason, vehicle.leader_id = self.stage, None, self.leader_id
 
 
-def is_due(vehicle: DrivenVehicle, scene: Scene, now: int) -> bool:
-    """Take a manoeuvre on by where the vehicle is; whether Algorithm 1 is to be asked at this step."""
+def advance(vehicle: DrivenVehicle, scene: Scene, now: int) -> bool:
+    """Take a manoeuvre on to its next stage by where the vehicle is; whether Algorithm 1 is to be asked now."""
     time_s, trigger_s = now * scene.step_s, vehicle.start.request.trigger_s
     if vehicle.stage in (Stage.ENTER, Stage.RETURN) and vehicle.s[-1] >= vehicle.path.shifts[-1][1]:
         passing = vehicle.stage is Stage.ENTER and vehicle.policy is Policy.OVERTAKE
@@ -49,7 +49,7 @@ def is_due(vehicle: DrivenVehicle, scene: Scene, now: int) -> bool:
     waits_s = max(scene.config.lane_change.give_up_s, scene.step_s)  # one look at least
     if vehicle.stage is Stage.WAITING and time_s > trigger_s + waits_s:
         vehicle.stage = Stage.ABORTED
-    return time_s >= trigger_s and vehicle.stage in (Stage.WAITING, Stage.PASS)
+    return is_due(vehicle.stage, time_s, trigger_s)
 
 
 def foreseen_speeds(vehicle: DrivenVehicle, scene: Scene, now: int) -> FloatArray:

@@ -118,12 +118,11 @@ class Filling:
                 break
             added = len(self.kept) - before
             idle = 0 if added else idle + 1
-            is_last_try = number >= config.spawn.reseed_rounds
-            if is_last_try and config.request.agents == "max" and added <= _FULL_SHARE * len(self.kept):
+            manoeuvres_are_over = number >= config.spawn.reseed_rounds
+            if manoeuvres_are_over and config.request.agents == "max" and added <= _FULL_SHARE * len(self.kept):
                 break
-            if (is_last_try or idle == _IDLE) and self._give_up_manoeuvres(
-                {start.request.number for start in self._again}
-            ):
+            driven_again = {start.request.number for start in self._again}
+            if (manoeuvres_are_over or idle == _IDLE) and self._give_up_manoeuvres(driven_again):
                 idle = 0  # a vehicle that goes straight may find a place
             if idle == _IDLE:
                 break
@@ -299,8 +298,8 @@ class Filling:
     def _gone_straight(self, new: list[ExportedVehicle], gone: _Gone) -> list[ExportedVehicle]:
         """Vehicles that did not do their manoeuvre, each for an open request to go straight; the others go.
 
-        One that drove across, but left the map before that counts, does not go straight. The manoeuvre stays open.
-        Vehicles that others need come first.
+        One that has begun to drive across stands for none that goes straight. The manoeuvre stays open. Vehicles that
+        others need come first.
         """
         left = [one for one in new if one.driven.vehicle_id not in gone]
         needed = set().union(*(_needs(one.driven, self._brakes_steps) for one in left))

@@ -12,11 +12,11 @@ from hid2.judge.states import (
     of_boxes,
     of_crossings,
     of_end,
-    of_followers,
-    of_lanes,
-    of_leaders,
     of_motion,
     of_road,
+    ttc_of_followers,
+    ttc_on_driven_path,
+    ttc_on_lanes,
 )
 from hid2.measures.following import leaders
 from hid2.measures.motion_limits import MOTION_LIMITS
@@ -227,7 +227,7 @@ def _beside_others(scene: Scene, vehicle: ExportedVehicle, states: AgentStates) 
     row = states.arrays.num_agents - 1
     every = np.arange(row)
     led = states.leading(row, every, aside_m=bounds.spare_aside_m)
-    verdict = _reason(scene, of_leaders(states, row, led, bounds))
+    verdict = _reason(scene, ttc_on_driven_path(states, row, led, bounds))
     verdict = verdict or _reason(scene, of_end(states, row, every, bounds))
     if verdict is None and "topology" not in config.without:
         verdict = _reason(scene, of_crossings(states, bounds, since=row))
@@ -251,14 +251,14 @@ def conflicting(
     beyond_m = np.zeros(states.arrays.num_agents)
     beyond_m[first:] = [one.driven.start.beyond_m for one in exported]
     findings = [
-        *of_lanes(states, led, bounds),
+        *ttc_on_lanes(states, led, bounds),
         *(one for one in headways(states, led, beyond_m) if one.other != target_id),
     ]
     rows = first + np.arange(len(exported))
-    findings += of_followers(states, rows[since:], bounds)
+    findings += ttc_of_followers(states, rows[since:], bounds)
     for row in rows.tolist():
         others = rows[rows != row] if row >= first + since else rows[since:]
-        findings += of_leaders(states, row, states.leading(row, others, aside_m=bounds.spare_aside_m), bounds)
+        findings += ttc_on_driven_path(states, row, states.leading(row, others, aside_m=bounds.spare_aside_m), bounds)
         findings += of_end(states, row, others, bounds)
     findings += of_crossings(states, bounds, since=first + since)
     row_of = {name: row for row, name in enumerate(states.arrays.track_ids[first:])}

@@ -2,8 +2,8 @@
 
     recorded agents by their true future, vehicles kept in rounds before, candidates chosen before it by their rollouts
 
-The loop is compiled (`kernels/rollout.py`) and is what SUMO, the guard and the road make of a driver, without noise. It
-chooses among candidates and decides nothing that happens.
+The loop is compiled (`kernels/rollout.py`) and is what SUMO, the guard and the road make of a driver, by the EIDM
+whatever `car_following.model` is, without noise. It chooses among candidates and decides nothing that happens.
 """
 
 import math
@@ -14,7 +14,7 @@ import numpy as np
 from hid2.agents import BoxSize, FloatArray
 from hid2.conflicts.guard import ACROSS_S, STRIDE, Guard
 from hid2.conflicts.stop_lines import AMBER_S
-from hid2.insertion.due import Due, is_due
+from hid2.insertion.due import Due, advance
 from hid2.judge.findings import FOLLOWER_HEADWAY_S, MOVES_M, last_word
 from hid2.judge.states import contacts_at_end, kept_headways, sustained_headway
 from hid2.kernels.polyline import frenet
@@ -26,7 +26,7 @@ from hid2.motion.route import DrivenPath
 from hid2.motion.smoothing import Motion, trajectory
 from hid2.occupancy.agent_states import moving_vehicles
 from hid2.occupancy.along_path import PathOccupancy, path_occupancy
-from hid2.occupancy.gaps import gaps_on_path
+from hid2.occupancy.gaps import Gaps, gaps_on_path
 from hid2.occupancy.shown import LEADS_FROM_M, SHOWN_M, Shown, shown_on
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.policy.overtake import Stage
@@ -47,8 +47,8 @@ _NONE = Traffic.none(1)
 _FOLLOWS_M, _ASIDE_M = 3.0, 12.0
 #: Not a parameter, it saves time: beyond it, on either axis, an agent is in none of the gaps that a vehicle looks at.
 _NEAR_GAPS_M = 40.0
-#: No tunables: no vehicle is slower than this share of its desired speed, but for what is ahead of it, and for one that
-#: stands it is within so much of that, m.
+#: No tunables: no vehicle is slower than this share of its desired speed, but for what is ahead of it; one that stands
+#: counts as queuing where its leader is nearer than so much, m.
 SLOWEST_SHARE, QUEUE_M = 0.25, 8.0
 #: No tunable: of the time between two looks of a vehicle that waits for a gap, while it passes another one.
 _PASSING_SHARE = 0.3
@@ -177,6 +177,10 @@ class World:
             self._kept_s = kept_headways(states)
         return self._kept_s.get(follower, math.inf) > headway_s
 
+    def gaps_at(self, start: Start) -> Gaps:
+        """Of a vehicle to those next to it where it begins."""
+        return gaps_on_path(self.known_on(start.path, start.box), np.array([start.start_s]), start.step)
+
     def meets_after(self, candidate: Foreseen) -> bool:
         """Whether a candidate has a critical contact after its last step, all at constant velocity."""
         own = candidate.traffic
@@ -188,10 +192,11 @@ class World:
         return any(True for _ in contacts_at_end(boxes, last_word(self.scene.config), step_s=self.scene.step_s))
 
     def hindered(self, candidate: Foreseen) -> list[Foreseen]:
-        """Those chosen that a candidate may make drive otherwise: they close in on it, or look for gaps near it."""
+        """Those chosen that may drive otherwise with a candidate: they close in, look for gaps near it, or enter later."""
         found = {
-            name for name, one in self._chosen.items() if len(one.parts) > 1 and self._may_be_in_gap(candidate, one)
-        }
+            name for name, one in self._chosen.items()
+            if one.start.step > candidate.start.step or (len(one.parts) > 1 and self._may_be_in_gap(candidate, one))
+        }  # fmt: skip
         for part in candidate.parts:
             met, known = self._met(candidate.start, part)
             recorded = self._recorded_on(part.path, candidate.start.box)
@@ -215,7 +220,10 @@ class World:
         )  # fmt: skip
 
     def known_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
-        """Intervals on a path of all agents with known motion, with margins and the critical PET: the guard's."""
+        """Intervals on a path of all agents with known motion, with margins and the critical PET: the guard's.
+
+        Recorded ones come first, by their rows in the scene's traffic; then inserted ones, by theirs in `guard.fixed`.
+        """
         fixed, key = self.guard.fixed, (path, box)
         before = self._known.get(key)
         if before is None or before[0] is not fixed:
@@ -232,8 +240,8 @@ class World:
     ) -> Rollout:  # fmt: skip
         """How a vehicle drives on: from its start, or from a step of the motion before on another path.
 
-        last: step of the scene at which to stop looking, its last one unless told; target: that of the lane on which
-        SUMO has it from the beginning of the way across on.
+        last: step of the scene at which to stop looking, its last one unless told; target: path of the lane that it
+        changes to, on which SUMO has it as soon as the change begins.
         """
         scene, box, driver = self.scene, start.box, start.driver
         path = path or start.path
@@ -249,7 +257,7 @@ class World:
             gained_mps = float(before.v[k] - before.v[max(k - 1, 0)])
             state = float(before.s[k]), float(before.v[k]), gained_mps / scene.step_s
             memory = before.memory[k].copy()
-        s, v, kept = roll(
+        s, v, memories = roll(
             (first, scene.num_steps - 1 if last is None else min(last, scene.num_steps - 1)),
             state, start.desired, driver.following,
             scene.config.drivers.reaction_s, start.size.length_m, STRAIGHT, self.guard.horizon,
@@ -260,7 +268,7 @@ class World:
             (LEADS_FROM_M, SHOWN_M), *self._links_on(path),
             memory,
         )  # fmt: skip
-        return Rollout(path, first, s, v, kept)
+        return Rollout(path, first, s, v, memories)
 
     def act(self, start: Start) -> tuple[DrivenVehicle, tuple[Rollout, ...]]:
         """The same with Algorithm 1, as the rule of the configuration decides: what becomes of it, and its motion.
@@ -277,7 +285,7 @@ class World:
                 break
             s, v = float(part.s[step - part.step]), float(part.v[step - part.step])
             vehicle.s, vehicle.v = [s], [v]
-            due = is_due(vehicle, scene, step)
+            due = advance(vehicle, scene, step)
             if vehicle.stage in (Stage.DONE, Stage.ABORTED):
                 break
             if not due:  # on its way across
@@ -352,8 +360,8 @@ class World:
             return Reason.TTC_LANE_LEADER
         if met[:recorded, LAG_TTC].min(initial=math.inf) < conflict.follower_ttc_min_s:
             return Reason.TTC_RECORDED_FOLLOWER
-        kept = known.agents[recorded:] < len(self._kept.ids)
-        if met[recorded:, LAG_TTC][kept].min(initial=math.inf) < conflict.ttc_min_s:
+        from_rounds_before = known.agents[recorded:] < len(self._kept.ids)
+        if met[recorded:, LAG_TTC][from_rounds_before].min(initial=math.inf) < conflict.ttc_min_s:
             return Reason.MEETS_GENERATED
         if is_last and rollout.s[inside - 1] - start.start_s < MOVES_M:
             return Reason.STANDS_THROUGHOUT

@@ -19,7 +19,7 @@ from hid2.judge.findings import CURVATURE_KEPT, FOLLOWER_HEADWAY_S, LEADER_LENGT
 from hid2.measures.encounters import FOLLOWS_S, STANDS_MPS
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
-from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path, gaps_to_all
+from hid2.occupancy.gaps import Gaps, gaps_from_pose, gaps_on_path, gaps_to_all
 from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
 from hid2.policy.decision import Side
 from hid2.policy.roads import Roads
@@ -122,7 +122,7 @@ class Starts:
         start_s = path.to_line(s)
         if "collision" not in config.without:
             near = gaps_on_path(self.world.known_on(path, box), np.array([start_s]), step)
-            if min(near.lead_m[0], near.lag_m[0]) < CLEAR_GAP_M:
+            if not _is_clear(near):
                 return Reason.NO_SITE
             if near.lag_m[0] < (headway_s - LEADER_LENGTH_S) * near.lag_mps[0]:
                 return Reason.FOLLOWER_HEADWAY
@@ -215,7 +215,7 @@ class Starts:
         anew = [candidate]
         for one in self.world.hindered(candidate):
             around = self.world.joined_by(candidate, without=one.start.vehicle_id)
-            still = self._does(around, one.start)
+            still = self._does(around, one.start) if _is_clear(around.gaps_at(one.start)) else Reason.NO_SITE
             if isinstance(still, Reason):
                 return Reason.MEETS_GENERATED
             if still:
@@ -290,6 +290,11 @@ class Starts:
         )  # fmt: skip
         near = (seen.aside_m < config.conflict.margin_lateral_m) & (seen.gap_m > -box.length_m)
         return bool(np.any(near & (seen.gap_m < least_m) & here.present[:, 0] & (seen.along_m < 0.0)))
+
+
+def _is_clear(near: Gaps) -> bool:
+    """Whether a vehicle may begin between those next to it, for where they are."""
+    return bool(min(near.lead_m[0], near.lag_m[0]) >= CLEAR_GAP_M)
 
 
 def speed_behind(gap_m: FloatArray | float, leader_mps: FloatArray | float, driver: Driver) -> FloatArray:

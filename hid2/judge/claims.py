@@ -99,13 +99,16 @@ def judge_claims(states: AgentStates, claims: Sequence[Claim], events: Sequence[
 
 
 def _wrong_figures(states: AgentStates, event: EventClaim) -> list[Finding]:
-    """What is told of an event and is not what the states show: by how much, inf where one of the two has no figure."""
+    """What is told of an event and is not what the states show: by how much, inf where the states have no figure.
+
+    Where none is told, that there is one counts of TTC and PET alone: both are told wherever there is one.
+    """
     own, target = (states.arrays.track_ids.index(name) for name in (event.track_id, event.target_id))
     at_step, found = round(event.at_s / states.arrays.step_s), []
     shown = measure_event(states, event.kind, own, target, at_step=at_step)
     for name, told in event.figures.items():
         value = getattr(shown, name)
-        if told is None:  # of TTC and PET that says that there is none
+        if told is None:
             off = math.inf if name in ("min_ttc_s", "pet_s") and value is not None else 0.0
         else:
             off = math.inf if value is None else abs(told - value)
@@ -119,7 +122,10 @@ def _finding(states: AgentStates, track_id: str, at_s: float, off_s: float, othe
 
 
 def event_step(states: AgentStates, claim: EventClaim) -> int | None:
-    """The step at which an event is seen, the nearest to the time claimed; None where it is not."""
+    """The step at which an event is seen; None where it is not.
+
+    Of several cut-ins the nearest to the time claimed; lead and follow are looked for at that time alone.
+    """
     ids = states.arrays.track_ids
     if claim.track_id not in ids or claim.target_id not in ids:
         return None
@@ -129,7 +135,7 @@ def event_step(states: AgentStates, claim: EventClaim) -> int | None:
         case "cut_in":
             return _cut_in(states, own, target, near)
         case "overtake":
-            return _overtaken(states, own, target, near)
+            return _overtaken(states, own, target)
         case "merge":
             return _merged(states, own, target)
         case "cross":
@@ -137,10 +143,6 @@ def event_step(states: AgentStates, claim: EventClaim) -> int | None:
             return None if steps is None or (steps[0] < steps[1]) is not claim.ahead else steps[0]
         case _:  # lead, follow
             return near if _leads(states, *((own, target) if claim.ahead else (target, own)), near) else None
-
-
-def _nearest(steps: Sequence[int], near: int) -> int | None:
-    return min(steps, key=lambda step: abs(step - near), default=None)
 
 
 def _of(states: AgentStates, agent: int) -> BoolArray:
@@ -175,13 +177,13 @@ def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None
         )
         if left_s >= own_s > target_s + (arrays.length[own] + arrays.length[target]) / 2:
             steps.append(step)
-    return _nearest(steps, near)
+    return min(steps, key=lambda step: abs(step - near), default=None)
 
 
-def _overtaken(states: AgentStates, own: int, target: int, near: int) -> int | None:
+def _overtaken(states: AgentStates, own: int, target: int) -> int | None:
     """The vehicle overtakes the target, and crosses back into its lane."""
     found = overtake_of(states, own, target)
-    return None if found is None else _nearest([round(found[1].crossing_s / states.arrays.step_s)], near)
+    return None if found is None else round(found[1].crossing_s / states.arrays.step_s)
 
 
 def overtake_of(states: AgentStates, own: int, other: int) -> tuple[Maneuver, Maneuver] | None:

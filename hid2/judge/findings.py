@@ -131,7 +131,11 @@ LEAST = frozenset({
 
 
 class Finding(NamedTuple):
-    """One breach: track and step (of the worst value), the value and its limit, and the other track it is about."""
+    """One breach: track and step, the value and its limit, and the other track it is about.
+
+    step: of the worst value; of an overlap the first one, of a headway the last of the time for which it lasts, of a
+    claim the one claimed.
+    """
 
     track_id: str
     step: int

@@ -1,8 +1,10 @@
 """Whether the states of inserted vehicles are safe and can be driven: positions, headings, velocities, boxes, the map.
 
 `judge` takes all of a scene, as `hid2 validate` and `hid2 evaluate` do; the last word asks its parts while vehicles are
-tried: what a vehicle does by itself (`of_motion`, `of_road`), what it does to others (`of_others`), and what lanes and
-crossing paths show of all together (`of_lanes`, `of_crossings`).
+tried: what a vehicle does by itself (`of_motion`, `of_road`), and what it does to others (all below).
+
+Who leads is asked twice, of the path that an agent drives (`ttc_on_driven_path`, `ttc_of_followers`) and of the lanes
+(`ttc_on_lanes`): a path misses what is on the lane beside its box, lanes miss what has just left for another one.
 """
 
 import math
@@ -55,8 +57,8 @@ def judge(states: AgentStates, graph: LaneGraph, bounds: Bounds) -> list[Finding
         found += of_road(states, row, BoxSize(arrays.length[row], arrays.width[row]), graph, bounds)
         found += of_others(states, row, bounds)
     led = leaders(arrays, states.lanes, states.matches)
-    found += of_lanes(states, led, bounds)
-    found += of_followers(states, inserted, bounds)
+    found += ttc_on_lanes(states, led, bounds)
+    found += ttc_of_followers(states, inserted, bounds)
     found += of_crossings(states, bounds, since=int(inserted[0]) if inserted.size else arrays.num_agents)
     found += headways(states, led)
     worst = {(one.track_id, one.quantity, one.other): one for one in sorted(found, key=_how_bad)}
@@ -181,7 +183,7 @@ def of_others(states: AgentStates, row: int, bounds: Bounds) -> Iterator[Finding
     """Boxes that a vehicle meets, what leads it on the path that it drives, and what follows its last step."""
     others = np.delete(np.arange(states.arrays.num_agents), row)
     yield from of_boxes(states, row, others, spare_m=bounds.spare_box_m)
-    yield from of_leaders(states, row, states.leading(row, others, aside_m=bounds.spare_aside_m), bounds)
+    yield from ttc_on_driven_path(states, row, states.leading(row, others, aside_m=bounds.spare_aside_m), bounds)
     yield from of_end(states, row, others, bounds)
 
 
@@ -224,7 +226,7 @@ def _shared_m2(states: AgentStates, own: tuple[int, float, float], other: int, s
     return most
 
 
-def of_leaders(states: AgentStates, row: int, led: Leading, bounds: Bounds) -> Iterator[Finding]:
+def ttc_on_driven_path(states: AgentStates, row: int, led: Leading, bounds: Bounds) -> Iterator[Finding]:
     """The least TTC of a vehicle to anything that leads on the path that it drives."""
     ttc_s, critical_s = led.ttc_s, bounds.conflict.ttc_min_s
     if ttc_s.min(initial=np.inf) < critical_s:
@@ -244,7 +246,9 @@ def of_end(states: AgentStates, row: int, others: IntArray, bounds: Bounds) -> I
     rows = np.append(row, others[states.traffic.present[others, last]])
     found = contacts_at_end(_boxes_at(states, rows, last), bounds, step_s=states.arrays.step_s)
     for quantity, other, ttc_s in found:
-        limit = bounds.conflict.end_ttc_min_s if quantity is Quantity.END_TTC else END_HORIZON_S
+        limit = (
+            END_HORIZON_S if quantity is Quantity.END_CONTACT else bounds.conflict.end_ttc_min_s + bounds.spare_end_s
+        )
         yield _finding(states, (row, int(rows[other])), last, quantity, ttc_s, limit)
 
 
@@ -295,7 +299,7 @@ def _meets_braking(boxes: BoxesAtStep, horizon_s: float, step_s: float) -> bool:
 # what lanes and crossing paths show of all
 
 
-def of_lanes(states: AgentStates, led: Leaders, bounds: Bounds) -> Iterator[Finding]:
+def ttc_on_lanes(states: AgentStates, led: Leaders, bounds: Bounds) -> Iterator[Finding]:
     """TTC on the lane path: of inserted vehicles to their leaders, of recorded followers to inserted leaders."""
     arrays, conflict = states.arrays, bounds.conflict
     inserted = arrays.generated[arrays.agent]
@@ -313,7 +317,7 @@ def of_lanes(states: AgentStates, led: Leaders, bounds: Bounds) -> Iterator[Find
             yield _finding(states, (own, other), int(arrays.step[at]), quantity, float(led.ttc_s[at]), critical_s)
 
 
-def of_followers(states: AgentStates, inserted: IntArray, bounds: Bounds) -> Iterator[Finding]:
+def ttc_of_followers(states: AgentStates, inserted: IntArray, bounds: Bounds) -> Iterator[Finding]:
     """The least TTC of each recorded follower to each inserted vehicle, on the path that the follower drives.
 
     A vehicle that turns off ahead of it is still in its way, though on another lane.
@@ -332,10 +336,9 @@ def of_followers(states: AgentStates, inserted: IntArray, bounds: Bounds) -> Ite
 def of_crossings(states: AgentStates, bounds: Bounds, *, since: int) -> Iterator[Finding]:
     """PET of moving vehicles with crossing swept paths; of each pair the later agent is one of `since` and later."""
     arrays, critical_s = states.arrays, bounds.conflict.pet_min_s
-    for first, second, pet_s, _ in encroachments(arrays, since=since, cap_s=critical_s):
+    for first, second, pet_s, passed in encroachments(arrays, since=since, cap_s=critical_s):
         if pet_s < critical_s - 1e-9:
-            step = int(arrays.step[arrays.first[second]])
-            yield _finding(states, (second, first), step, Quantity.PET, pet_s, critical_s)
+            yield _finding(states, (second, first), passed[1], Quantity.PET, pet_s, critical_s)
 
 
 def headways(states: AgentStates, led: Leaders, beyond_m: FloatArray | None = None) -> Iterator[Finding]:

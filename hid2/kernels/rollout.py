@@ -81,8 +81,8 @@ def roll(
     rules: tuple[float, float, float, float, float, float, float, float, float, float],
     road: FloatArray, lane_ends: FloatArray, lane_policies: IntArray, low: FloatArray, high: FloatArray,
     along: FloatArray, same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray, causes: IntArray,
-    seen_middle: FloatArray, seen_speed: FloatArray, seen_leads: BoolArray, seen_lengths: FloatArray,
-    shown: tuple[float, float], link_s: FloatArray, paces: FloatArray, turns: FloatArray, memory: FloatArray,
+    shown_middle: FloatArray, shown_speed: FloatArray, shown_leads: BoolArray, shown_lengths: FloatArray,
+    gap_bounds: tuple[float, float], link_s: FloatArray, paces: FloatArray, turns: FloatArray, memory: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Place s and speed v at the steps of a span, first to last, (K,) each, from a start s m, v m/s, a m/s2.
 
@@ -90,8 +90,8 @@ def roll(
     each step (K, M); memory (M,): at the first one, none for a driver that has just come.
 
     desired_mps (T,) by the scene's steps; driver .. causes: as in `speed_limits`, of one vehicle; reaction s; length m:
-    own, of the box that SUMO has. seen_* (R, T): the agents that SUMO is shown, as in `Shown`; shown: gaps, m, between
-    which an agent ahead is shown.
+    own, of the box that SUMO has. shown_* (R, T): the agents that SUMO is shown, as in `Shown`; gap_bounds: gaps, m,
+    between which an agent ahead is shown.
     Of SUMO's lanes along the path (L,): link_s m, where they end; paces, metres on the path for one on the lane; turns
     m/s, at most desired for the link to each.
     """
@@ -121,7 +121,7 @@ def roll(
         front = s + 0.5 * length
         lane = min(int(np.searchsorted(link_s, front, side="right")), link_s.size - 1)
         gap, lead_v, lead_a = _leader(
-            seen_middle, seen_speed, seen_leads, seen_lengths, t, s, s - before_s, length, shown, step_s
+            shown_middle, shown_speed, shown_leads, shown_lengths, t, s, s - before_s, length, gap_bounds, step_s
         )
         if gap > _looks_m(v, length, in_sumo):
             gap = np.inf

@@ -15,7 +15,7 @@ from hid2.measures.lane_matching import FlatLanes, Matches, lane_along, match_la
 from hid2.motion.reference_line import ReferenceLine, build_reference_line
 from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.gaps import gaps_to_all
-from hid2.occupancy.traffic import Traffic, traffic_of
+from hid2.occupancy.traffic import Traffic, believed, traffic_of
 from netconvert.geometry import Polyline, arc_length, differences
 
 #: Boxes that overlap along a path by more than this are side by side, m: neither leads the other.
@@ -87,10 +87,11 @@ class AgentStates:
         return AgentStates(arrays.agents(agents), self.traffic.rows(agents), chosen, self.lanes)
 
     def speed(self, row: int) -> FloatArray:
-        """(T,) how fast an agent is, m/s: as stated, and by its positions where it has no state."""
-        rows, found = self.row_span(row), np.hypot(*self.traffic.velocity[row].T)
-        found[self.arrays.step[rows]] = np.hypot(*self.arrays.velocity[rows].T)
-        return found
+        """(T,) how fast an agent is, m/s: as stated, and by its positions where it has no state, or is not believed."""
+        rows, found = self.row_span(row), self.traffic.velocity[row].copy()
+        at = self.arrays.step[rows]
+        found[at] = believed(self.arrays.velocity[rows], found[at])
+        return np.asarray(np.hypot(*found.T))
 
     def span(self, row: int) -> slice:
         """The steps of an agent, from its first to its last."""

@@ -12,6 +12,8 @@ from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Track
 BoolArray = npt.NDArray[np.bool_]
 #: Velocity is the difference of positions over this long either side, s. No tunable: what a tracker's velocity is.
 _HALF_S = 0.2
+#: Stated velocities mostly off those by the positions by more, m/s, are not believed. No tunable: no tracker is so bad.
+_BELIEVED_MPS = 2.0
 #: Arrays of `Traffic`, in their order: by agent and step, and all that have a row for each agent.
 _BY_STEP = ("position", "heading", "velocity", "present")
 _BY_AGENT = (*_BY_STEP, "length_m", "width_m")
@@ -104,8 +106,8 @@ def traffic_of(
 ) -> Traffic:  # fmt: skip
     """Dense arrays of recorded tracks; gaps inside a track are interpolated, headings the short way round.
 
-    velocity_by: velocities (N, 2) m/s of positions (N, 2) m so many s apart; the stated ones unless given: at both
-    ends of a track trackers smooth positions, by which it would be a third too slow there.
+    velocity_by: velocities (N, 2) m/s of positions (N, 2) m so many s apart; unless given the stated ones, if they are
+    to be believed: at both ends of a track trackers smooth positions, by which it would be a third too slow there.
     """
     count = len(tracks)
     position = np.zeros((count, num_steps, 2))
@@ -124,7 +126,9 @@ def traffic_of(
         position[row, first : last + 1] = xy
         heading[row, first : last + 1] = angle
         present[row, first : last + 1] = True
-        velocity[row, first : last + 1] = moved if velocity_by is None else velocity_by(xy, step_s)
+        velocity[row, first : last + 1] = (
+            believed(moved, velocity_of(xy, step_s)) if velocity_by is None else velocity_by(xy, step_s)
+        )
     sizes = np.array([covering(track) for track in tracks], dtype=np.float64).reshape(-1, 2)
     return Traffic(
         ids=tuple(track.track_id for track in tracks),
@@ -141,6 +145,12 @@ def covering(track: Track) -> BoxSize:
     """Box that covers the labelled one and the one that readers assume, as the format gives them no sizes."""
     assumed = DEFAULT_SIZES[track.object_type]
     return BoxSize(max(track.size.length_m, assumed.length_m), max(track.size.width_m, assumed.width_m))
+
+
+def believed(stated: FloatArray, by_positions: FloatArray) -> FloatArray:
+    """Velocities (N, 2) m/s of an agent: the stated ones, unless they are mostly far off those by its positions."""
+    off_mps = np.hypot(*(stated - by_positions).T)
+    return stated if off_mps.size and np.median(off_mps) < _BELIEVED_MPS else by_positions
 
 
 def velocity_of(xy: FloatArray, step_s: float) -> FloatArray:

@@ -76,11 +76,16 @@ class Decision:
     answers: tuple[tuple[Reason, ...], ...] = field(default=(), compare=False)
 
 
+def is_due(stage: Stage, time_s: float, trigger_s: float) -> bool:
+    """Whether a manoeuvre may begin, or an overtake turn back: from t_trigger on, and not while it is on its way."""
+    return time_s >= trigger_s and stage in (Stage.WAITING, Stage.PASS)
+
+
 def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) -> Decision:
     """Algorithm 1 (Agent Decision). "Not feasible" is a reason, never an exception."""
     reason: Reason | None = None
     answers: list[tuple[Reason, ...]] = []
-    due = seen.time_s >= seen.trigger_s and seen.stage is not Stage.DONE and seen.stage is not Stage.ABORTED
+    due = is_due(seen.stage, seen.time_s, seen.trigger_s)
     if due and seen.request is Policy.LANE_CHANGE:
         reason = Reason.NO_ADJACENT_LANE
         for option in seen.options:

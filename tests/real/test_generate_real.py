@@ -93,7 +93,7 @@ def test_vehicles_that_enter_a_real_scene_break_no_rule(real_scene: Path) -> Non
 
 
 def test_vehicles_that_enter_a_synthetic_scene_break_no_rule(data_scene: Path) -> None:
-    scene = generate(read_scenario(data_scene), Config(request=Request(agents=10, entering=1.0)))
+    scene = generate(read_scenario(data_scene), Config(request=Request(agents=10, entering=1.0, seed=1)))
     assert check_scene(scene) == []
     assert any(track.timesteps[0] > 0 for track in scene.generated)
     assert len(scene.generated) == 10

@@ -4,7 +4,6 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +12,8 @@ from inserted import changing, driven, scene_on
 from hid2.agents import Policy
 from hid2.insertion.filling import Filling
 from hid2.insertion.finalise import ExportedVehicle
-from hid2.insertion.routes import RouteOffer
 from hid2.insertion.sites import TurnedDown
-from hid2.insertion.starts import Starts
+from hid2.insertion.starts import Site, Starts
 from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config, Request, Spawn
@@ -173,8 +171,8 @@ def test_vehicle_that_is_on_its_way_across_does_not_go_straight(scene_for: Calla
         if vehicle.vehicle_id == "v0_0":
             vehicle.objection = Reason.SUMO_REFUSES_INSERTION
         if number == 0 and vehicle.policy is Policy.LANE_CHANGE:
-            to = 3 - vehicle.start.route[0]
-            vehicle = changing(scene, vehicle.start, np.full(110, 8.0), to=to, at_step=20, wanted_s=5.0)
+            to, mps = 3 - vehicle.start.route[0], 8.0 if vehicle.start.request.number == 2 else 4.0  # else they meet
+            vehicle = changing(scene, vehicle.start, np.full(110, mps), to=to, at_step=20, wanted_s=5.0)
             vehicle.s, vehicle.v, vehicle.jumped_m = vehicle.s[:60], vehicle.v[:60], vehicle.jumped_m[:60]
         return vehicle
 
@@ -223,13 +221,12 @@ def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(
     """
     make, looked, anew, before = Starts.make, Counter[tuple[int, int, int]](), [0], TurnedDown.look_anew
 
-    def only_lane_2(
-        starts: Starts, request: VehicleRequest, offer: RouteOffer, lane_id: int, s: float | None, **more: Any
-    ) -> Start | Reason:
-        if lane_id == 2:
-            return make(starts, request, offer, lane_id, s, **more)
-        assert s is not None
-        cell = starts.scene.grid.cell_at(lane_id, s - offer.start_m)
+    def only_lane_2(starts: Starts, request: VehicleRequest, site: Site) -> Start | Reason:
+        assert site.s is not None
+        path = starts.scene.path(site.offer.route)
+        cell = starts.scene.cell_at(path, path.to_line(site.s))
+        if cell.lane_id == 2:
+            return make(starts, request, site)
         looked[anew[0], cell.lane_id, cell.index] += 1
         return Reason.CONFLICT_PREDICTED
 

@@ -74,7 +74,8 @@ def test_leader_that_brakes_speaks_more_for_a_site_to_go_straight_from(
     steady = recorded(100.0, 0.0, 9.0)
     time_s = 0.1 * np.arange(110)
     x = 100.0 + 9.0 * time_s - 0.5 * np.maximum(time_s - 6.0, 0.0) ** 2
-    braking = replace(steady, position=np.column_stack([x, np.zeros(110)]))
+    xy = np.column_stack([x, np.zeros(110)])
+    braking = replace(steady, position=xy, velocity=np.gradient(xy, 0.1, axis=0))
     rows = [scene.grid.index_of[scene.grid.cell_at(1, 82.0)] for scene in map(scene_of, (steady, braking))]
     kept, slowed = (
         _sites(scene_of(one), 0)._weights(policy, np.array([row]))[0][0]

@@ -125,8 +125,14 @@ def test_overtakes_asked_for_alone_lead_each_other(scene_of: Callable[..., Scene
     starts = filling.first_starts(6)
     overtakers = [start for start in starts if start.request.policy is Policy.OVERTAKE]
     reasons = Counter(unmet.reason for unmet in filling.unmet)
+    leaders = [
+        start
+        for start in starts
+        if start.request.number
+        in {unmet.request.number for unmet in filling.unmet if unmet.reason is Reason.LEADS_AN_OVERTAKE}
+    ]
     assert len(overtakers) >= 1
-    assert reasons[Reason.LEADS_AN_OVERTAKE] == len(overtakers)
+    assert 1 <= len(leaders) == reasons[Reason.LEADS_AN_OVERTAKE] <= len(overtakers)  # one may lead two
     assert next(one.request.number for one in filling.unmet if one.reason is Reason.LEADS_AN_OVERTAKE) == 5
 
 

@@ -16,7 +16,7 @@ from hid2.agents import Policy, Track
 from hid2.conflicts.guard import Guard
 from hid2.insertion.sites import InsertionSites
 from hid2.insertion.spread import Spread
-from hid2.insertion.starts import speed_behind
+from hid2.insertion.starts import Site, speed_behind
 from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.sigma import FREE
 from hid2.params import Config, LaneChange, Request, Spawn
@@ -35,7 +35,7 @@ def _sites(scene: Scene, seed: int = 0) -> InsertionSites:
 
 
 def _request(number: int = 0, policy: Policy = Policy.STRAIGHT, trigger_s: float = 0.0) -> VehicleRequest:
-    return VehicleRequest(number, policy, trigger_s)
+    return VehicleRequest(number, policy, trigger_s, size=CAR)
 
 
 @pytest.fixture
@@ -201,7 +201,7 @@ def test_gap_beside_is_foreseen_by_the_configured_rule(
         scene = replace(usual, config=usual.config.model_copy(update={"lane_change": LaneChange(rule=rule)}))
         sites = _sites(scene)
         offer = sites.here.routes.offers(1)[0]
-        found = sites.starts.make(request, offer, 1, 90.0, driver=DRIVER, speed_mps=8.0)
+        found = sites.starts.make(request, Site(offer, 90.0), driver=DRIVER, speed_mps=8.0)
         return isinstance(found, Start)
 
     assert begins("paper")
@@ -256,7 +256,7 @@ def test_who_begins_close_behind_a_standing_one_stands(scene_of: Callable[..., S
     scene = scene_of(leader, lanes=1)
     for seed in range(10):
         sites = _sites(scene, seed)
-        start = sites.starts.make(_request(), sites.here.routes.offers(1)[0], 1, 92.5, size=CAR)
+        start = sites.starts.make(_request(), Site(sites.here.routes.offers(1)[0], 92.5))
         assert isinstance(start, Start), start
         assert start.start_mps == 0.0
 
@@ -269,7 +269,7 @@ def test_none_queues_behind_a_parked_vehicle(scene_of: Callable[..., Scene], asi
     """
     scene = scene_of(recorded(100.0, aside_m), recorded(107.0, aside_m, name="b"), lanes=1)
     sites = _sites(scene)
-    start = sites.starts.make(_request(), sites.here.routes.offers(1)[0], 1, 92.5, size=CAR)
+    start = sites.starts.make(_request(), Site(sites.here.routes.offers(1)[0], 92.5))
     assert start is (Reason.STANDS_THROUGHOUT if stands else Reason.NO_SITE)
 
 
@@ -282,10 +282,8 @@ def test_none_begins_nearer_ahead_of_a_recorded_follower_than_drivers_follow(
     """At 16 m/s behind centres 12, 16 and 22 m ahead, between bumpers .47, .72 and 1.09 s: .3 s less are asked for."""
     scene = scene_of(recorded(60.0 - behind_m, 0.0, 16.0), lanes=1)
     sites = _sites(scene)
-    sites.starts.headway_s = headway_s
-    start = sites.starts.make(
-        _request(), sites.here.routes.offers(1)[0], 1, 60.0, size=CAR, driver=replace(DRIVER, desired_mps=17.0)
-    )
+    site = Site(sites.here.routes.offers(1)[0], 60.0, headway_s=headway_s)
+    start = sites.starts.make(_request(), site, driver=replace(DRIVER, desired_mps=17.0))
     assert (start is not Reason.FOLLOWER_HEADWAY) is begins
 
 
@@ -312,8 +310,9 @@ def test_cell_that_was_turned_down_is_left_alone_in_a_round(
     """
     tried: Counter[tuple[int, int]] = Counter()
 
-    def turn_down(_starts: object, _request: object, offer: Any, lane_id: int, s: float, **_more: object) -> Reason:
-        tried[lane_id, int((s - offer.start_m) / 4.0)] += 1
+    def turn_down(_starts: object, _request: object, site: Site) -> Reason:
+        assert site.s is not None
+        tried[site.offer.route[0], int((site.s - site.offer.start_m) / 4.0)] += 1
         return Reason.MEETS_RECORDED  # NO_SITE: another vehicle of the round may be in the way, not the place's fault
 
     monkeypatch.setattr("hid2.insertion.starts.Starts.make", turn_down)
@@ -335,5 +334,5 @@ def test_rear_bumper_is_at_least_so_far_from_the_beginning_of_the_way(
     )  # fmt: skip
     offer = here.routes.offers(1)[0]
     for s, begins in ((0.5, False), (8.0, False), (9.5, True)):
-        found = sites.starts.make(_request(), offer, 1, s)
+        found = sites.starts.make(_request(), Site(offer, s))
         assert isinstance(found, Start) == begins, s
