@@ -56,7 +56,7 @@ def generate(  # noqa: PLR0913  # one for each option
         [],
         "ttc=A:B|pet=A:B|drac=A:B",
     ),
-    driving: dict[str, Any] = options.FieldOptions("Driving", options.parameter),  # type: ignore[assignment]
+    others: dict[str, Any] = options.FieldOptions("Config", options.parameter),  # type: ignore[assignment]
     drivers: Path | None = options.parameter("Drivers as `hid2 calibrate` measured them.", None, "DRIVERS.toml"),
     config: Path | None = options.CONFIG,
     settings: list[str] = options.SETTINGS,
@@ -127,7 +127,7 @@ def generate(  # noqa: PLR0913  # one for each option
     flags: dict[str, Any] = {f"request.{key}": value for key, value in request.items() if value is not None}
     if "request.agents" in flags:
         flags["request.agents"] = parse_value(flags["request.agents"])
-    flags |= {f"driving.{key}": value for key, value in driving.items() if value is not None}
+    flags |= {key: value for key, value in others.items() if value is not None}
     flags |= {"without": without} if without else {}
     flags |= read_drivers(drivers) if drivers is not None else {}
     flags |= parse_behaviours(behaviours) if behaviours is not None else {}

@@ -73,16 +73,27 @@ def argument(metavar: str, says: str, default: Any = ...) -> Any:  # it stands f
 
 
 class FieldOptions(NamedTuple):
-    """An option for each field of a section of parameters that names a metavar: values by field, of those given."""
+    """An option for each field of a section of parameters that names a metavar: values by field, of those given.
+
+    Of "Config" that is of all its sections but the request's: values by section.field.
+    """
 
     section: str
     make: Callable[..., Any]
 
     def parameters(self) -> dict[str, Parameter]:
         """Parameters of the command by the names of the fields."""
+        from pydantic import BaseModel
+
         from hid2 import params
 
         section = getattr(params, self.section)
+        if section is params.Config:
+            parts = {name: type(one).__name__ for name, one in section() if isinstance(one, BaseModel)}
+            every = {
+                name: FieldOptions(part, self.make).parameters() for name, part in parts.items() if part != "Request"
+            }
+            return {f"{name}.{key}": one for name, found in every.items() for key, one in found.items()}
         said = section.model_json_schema()["properties"].items()
         return {
             key: self._parameter(key, section.model_fields[key].annotation, of) for key, of in said if "metavar" in of
