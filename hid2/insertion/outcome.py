@@ -47,7 +47,7 @@ def outcome_of(scene: Scene, vehicle: ExportedVehicle, kept: Iterable[ExportedVe
     policy = vehicle.driven.policy
     if policy in TURN_OF_POLICY:
         return _turn(scene, vehicle)
-    if policy is Policy.LANE_CHANGE:
+    if BEHAVIOURS[policy].sides:
         return _lane_change(vehicle)
     if policy is Policy.OVERTAKE:
         return _overtake(scene, vehicle, together(scene, (one for one in kept if one is not vehicle)))

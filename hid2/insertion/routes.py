@@ -9,7 +9,7 @@ from hid2.agents import IntArray, Policy
 from hid2.motion.route import ROUTE_LONGEST_M, Route, routes_from
 from hid2.occupancy.sigma import FREE
 from hid2.occupancy.traffic import BoolArray
-from hid2.policy.behaviours import TURN_OF_POLICY
+from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
 from hid2.policy.decision import Side
 from hid2.policy.observation import admissible_neighbor
 from hid2.policy.overtake import stretch_m
@@ -117,7 +117,8 @@ class Routes:
         if policy is Policy.OVERTAKE:
             return any(self.together(offer, side) is not None for offer in self.offers(lane_id) for side in _SIDES)
         needed_m = self.scene.config.lane_change.min_remaining_m
-        return any(beside.remaining_m > needed_m for offer in self.offers(lane_id) for beside in offer.beside)
+        beside = (one for offer in self.offers(lane_id) for one in offer.beside)
+        return any(one.remaining_m > needed_m and one.side in BEHAVIOURS[policy].sides for one in beside)
 
     def together(self, offer: RouteOffer, side: Side) -> tuple[float, float] | None:
         """First stretch of a route, m along its lanes, with a lane beside that lasts for an overtake; None without."""

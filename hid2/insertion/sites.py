@@ -19,7 +19,7 @@ from hid2.insertion.starts import CLEAR_GAP_M, Site, Starts
 from hid2.insertion.surroundings import Surroundings
 from hid2.judge.findings import FOLLOWER_HEADWAY_S
 from hid2.occupancy.sigma import clear_places
-from hid2.policy.behaviours import TURN_OF_POLICY
+from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
 from hid2.policy.rules import expected_reason
 from hid2.reasons import Reason
 from hid2.scene import Scene
@@ -255,7 +255,7 @@ class InsertionSites:
             needs_s = to_turn_s + (end - begin) / _TURN_MPS + _TURN_SPARE_S
             return begin - s > _BEFORE_TURN_M and needs_s < duration
         at = s + 0.9 * speed_mps * request.trigger_s
-        if request.policy is Policy.LANE_CHANGE:
+        if BEHAVIOURS[request.policy].sides:
             return self._offers_change(request, offer, at, speed_mps, strict=strict)
         return not (strict or request.policy is Policy.OVERTAKE) or all(begin >= reach for _, begin, _ in ahead)
 
@@ -278,7 +278,8 @@ class InsertionSites:
         if any(at < end and begin < over for _, begin, end in offer.turns):
             return False
         is_beside = any(
-            beside.start <= at + waits_m + 1.0 and beside.end > at + 1.0
+            beside.side in BEHAVIOURS[request.policy].sides
+            and beside.start <= at + waits_m + 1.0 and beside.end > at + 1.0
             and not (strict and beside.in_intersection)
             and beside.remaining_m - max(0.0, at - beside.start) > needed
             for beside in offer.beside

@@ -26,6 +26,7 @@ from hid2.policy.roads import Roads
 from hid2.reasons import Reason
 from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
+from netconvert.lane_graph import SIDES
 
 # No tunables, how a vehicle begins: what a driver does on its way, and what saves looking in vain. A beginning at which
 # nothing is looked ahead holds if nothing is met so long, s; drivers that are drawn for a site; m from the way's begin.
@@ -153,7 +154,8 @@ class Starts:
         wished = desired_speeds(
             driver, config, rng, num_steps=scene.num_steps - step, step_s=scene.step_s, at_least_mps=admitted
         )
-        order: tuple[Side, ...] = ("left", "right") if rng.random() < 0.5 else ("right", "left")
+        sides = BEHAVIOURS[request.policy].sides or SIDES
+        order = sides if rng.random() < 0.5 else sides[::-1]
         start = Start(
             vehicle_id=f"v{request.number}_{self.round_number}", request=request, box=begin.box,
             route=begin.site.offer.route, path=path, start_s=begin.start_s, start_mps=admitted, driver=driver,

@@ -12,7 +12,7 @@ from hid2.measures.manoeuvres import ManeuverKind
 from hid2.params import Config
 from hid2.policy.overtake import stretch_m
 from hid2.reasons import Reason
-from netconvert.lane_graph import TurnType
+from netconvert.lane_graph import SIDES, Side, TurnType
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +36,8 @@ class Behaviour:
     """The map must offer a lane that turns so."""
     beside_m: Callable[[Config], float] | None = None
     """The map must offer a same-direction lane beside, that may be changed to, for so many metres."""
+    sides: tuple[Side, ...] = ()
+    """It changes lanes once, to one of these sides; none: it does not, or comes back."""
 
     @property
     def changes_lanes(self) -> bool:
@@ -77,6 +79,7 @@ BEHAVIOURS: Mapping[Policy, Behaviour] = {
             4,
             mark="D",
             beside_m=lambda config: config.lane_change.min_remaining_m,
+            sides=SIDES,
         ),
         Behaviour(
             Policy.OVERTAKE,

@@ -6,7 +6,7 @@ from typing import Literal
 from hid2.agents import Policy
 from hid2.drivers.driver import Driver, usual_driver
 from hid2.params import LaneChange, Overtake
-from hid2.policy.behaviours import POLICY_OF_TURN
+from hid2.policy.behaviours import BEHAVIOURS, POLICY_OF_TURN
 from hid2.policy.lane_change import OPEN, Gap
 from hid2.policy.overtake import Leader, Stage, enter_reason, return_reason
 from hid2.policy.rules import GapView, SumoAnswer, rule_reason, rule_refusals
@@ -86,13 +86,13 @@ def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) ->
     reason: Reason | None = None
     answers: list[tuple[Reason, ...]] = []
     due = is_due(seen.stage, seen.time_s, seen.trigger_s)
-    if due and seen.request is Policy.LANE_CHANGE:
+    if due and BEHAVIOURS[seen.request].sides:
         reason = Reason.NO_ADJACENT_LANE
         for option in seen.options:
             answers.append(rule_refusals(_view(seen, option), lane_change))
             reason = next(iter(answers[-1]), None)
             if reason is None:
-                return Decision(Policy.LANE_CHANGE, option.target, option.side, answers=tuple(answers))
+                return Decision(seen.request, option.target, option.side, answers=tuple(answers))
     elif due and seen.request is Policy.OVERTAKE:
         reason = Reason.NO_ADJACENT_LANE
         for option in seen.options:
