@@ -67,7 +67,8 @@ def summarise(sidecar: Sidecar, row: ManifestRow) -> ManifestRow:
     """Add what a sidecar says about vehicles, manoeuvres and events."""
     maneuvers = [record for _, record in sidecar.asked]
     # passing a standing vehicle is finished, but it is no overtake: it has a reason too
-    done = Counter(maneuver.kind for maneuver in maneuvers if maneuver.status == "done" and maneuver.reason is None)
+    finished = (maneuver for maneuver in maneuvers if maneuver.status == "done" and maneuver.reason is None)
+    done: Counter[str] = Counter(maneuver.kind for maneuver in finished)
     not_done = Counter(
         f"{maneuver.kind}: {maneuver.reason or maneuver.status}"
         for maneuver in maneuvers
@@ -81,11 +82,8 @@ def summarise(sidecar: Sidecar, row: ManifestRow) -> ManifestRow:
     return row._replace(
         placed=sidecar.placed.agents,
         near=sidecar.placed.near,
+        **dict[str, Any](done),  # columns have the names of the kinds
         straight=sidecar.placed.behaviours.get(Policy.STRAIGHT, 0),
-        left_turn=done["left_turn"],
-        right_turn=done["right_turn"],
-        lane_change=done["lane_change"],
-        overtake=done["overtake"],
         maneuvers_requested=len(maneuvers),
         maneuvers_done=sum(done.values()),
         events_requested=len(sidecar.events),

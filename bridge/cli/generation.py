@@ -34,7 +34,7 @@ def generate(  # noqa: PLR0913  # one for each option
     out: Path | None = options.output("Folder to write to (required).", None, "OUT", "-o"),
     request: dict[str, Any] = options.FieldOptions("Request", options.request),  # type: ignore[assignment]
     behaviours: str | None = options.request(
-        "Shares of straight, left_turn, right_turn, lane_change, overtake; those not named get none.",
+        f"Shares of {', '.join(options.BEHAVIOURS)}; those not named get none.",
         None,
         "NAME=SHARE,...",
         show_default="straight=0.73,left_turn=0.035,right_turn=0.035,lane_change=0.15,overtake=0.05",

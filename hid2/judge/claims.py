@@ -15,7 +15,7 @@ from hid2.judge.events import crossing_steps, measure_event
 from hid2.judge.findings import CLAIM_S, FIGURE_OFF, Finding, Quantity
 from hid2.measures.arrays import BoolArray
 from hid2.measures.driven_lanes import path_driven, runs_of
-from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
+from hid2.measures.manoeuvres import TURNS, Maneuver, ManeuverKind, detect
 from hid2.occupancy.agent_states import AgentStates
 
 #: What counts as an overtake: that of a vehicle that stands is told as one, with its reason.
@@ -63,8 +63,8 @@ def manoeuvres(states: AgentStates) -> list[Maneuver]:
 
 
 def moment_s(maneuver: Maneuver) -> float:
-    """The time by which a manoeuvre is told: of a lane change, also of an overtake, the crossing, else the start."""
-    return maneuver.crossing_s if maneuver.kind is ManeuverKind.LANE_CHANGE else maneuver.start_s
+    """The time by which a manoeuvre is told: of a turn the start, else the crossing."""
+    return maneuver.start_s if maneuver.kind in TURNS.values() else maneuver.crossing_s
 
 
 def seen(claim: Claim, among: Sequence[Maneuver]) -> Maneuver | None:
