@@ -277,14 +277,15 @@ class InsertionSites:
         over = at + change.min_duration_s * speed_mps
         if any(at < end and begin < over for _, begin, end in offer.turns):
             return False
-        is_beside = any(
-            beside.side in BEHAVIOURS[request.policy].sides
+        sides = {
+            beside.side for beside in offer.beside
+            if beside.side in BEHAVIOURS[request.policy].sides
             and beside.start <= at + waits_m + 1.0 and beside.end > at + 1.0
             and not (strict and beside.in_intersection)
             and beside.remaining_m - max(0.0, at - beside.start) > needed
-            for beside in offer.beside
-        )  # fmt: skip
-        return is_beside and expected_reason(usual_driver(speed_mps), change, speed_mps=speed_mps) is None
+        }  # fmt: skip
+        driver = usual_driver(speed_mps)
+        return any(expected_reason(driver, change, speed_mps=speed_mps, side=side) is None for side in sorted(sides))
 
     def _meets_junction(self, offer: RouteOffer, begin: float, end: float) -> bool:
         """Whether a stretch of a route, m along its lanes, touches an intersection."""

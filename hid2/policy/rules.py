@@ -10,13 +10,13 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
 
 from hid2.drivers.driver import Driver
 from hid2.params import LaneChange
 from hid2.policy.lane_change import OPEN, Gap, gap_refusals
 from hid2.reasons import Reason
 from netconvert.errors import ConfigError
+from netconvert.lane_graph import Side
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class GapView:
 
     time_s: float
     waited_s: float
-    side: Literal["left", "right"]
+    side: Side
     speed_mps: float
     desired_mps: float
     length_m: float
@@ -137,7 +137,7 @@ def rule_arguments(params: LaneChange) -> dict[str, float]:
 
 
 def expected_reason(
-    driver: Driver, params: LaneChange, *, speed_mps: float, front: Gap = OPEN, rear: Gap = OPEN
+    driver: Driver, params: LaneChange, *, speed_mps: float, front: Gap = OPEN, rear: Gap = OPEN, side: Side = "left"
 ) -> Reason | None:
     """Why a rule would not leave a slower leader for a lane with these on it, or with none; None where it would.
 
@@ -148,7 +148,7 @@ def expected_reason(
     v = max(speed_mps, params.min_speed_mps)
     behind, free = Gap(driver.min_gap_m + driver.tau_s * v, 0.5 * v), min(front.distance_m, rear.distance_m) > 0.0
     view = replace(
-        _FREE, time_s=params.give_up_s, waited_s=params.give_up_s, speed_mps=v,
+        _FREE, side=side, time_s=params.give_up_s, waited_s=params.give_up_s, speed_mps=v,
         desired_mps=max(v, driver.desired_mps), tau_s=driver.tau_s, accel_mps2=driver.accel_mps2,
         decel_mps2=driver.decel_mps2, min_gap_m=driver.min_gap_m,
         remaining_m=params.min_remaining_m + _FREE.remaining_m, own_front=behind, front=front, rear=rear,

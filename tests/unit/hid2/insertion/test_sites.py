@@ -185,6 +185,19 @@ def test_no_site_is_proposed_for_a_manoeuvre_that_the_configured_rule_never_begi
     assert found(refusing, "any") > 0
 
 
+@pytest.mark.parametrize(("side", "lane_id"), [("left", 1), ("right", 2)])
+def test_rule_that_takes_one_side_alone_finds_its_sites(
+    side: str, lane_id: int, road: Callable[..., LaneGraph], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two lanes, 1 to the right of 2: who is to change to the left begins on 1, to the right on 2."""
+    (tmp_path / f"only_{side}.py").write_text(f"def accept(view):\n    return view.side == {side!r}\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    config = Config(lane_change=LaneChange(rule=f"only_{side}:accept"))
+    scene = scene_on(road(length_m=ROAD_M), config=config)
+    starts = _many(scene, 4, policy=Policy.LANE_CHANGE, trigger_s=1.0)
+    assert {scene.cell_at(start.path, start.start_s).lane_id for start in starts} == {lane_id}
+
+
 def test_gap_beside_is_foreseen_by_the_configured_rule(
     scene_of: Callable[..., Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
