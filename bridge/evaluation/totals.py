@@ -30,7 +30,7 @@ MOST_EVENTS = 40
 _DELAY_PARTS = 1000
 #: Bounds of the agent-count bands of the paper.
 BANDS = (40, 50, 70, 90)
-#: Density in two ways: all tracks of a scene, and those present at the last observed step (evaluation.md).
+#: Density in two ways: all tracks of a scene, and those present at the last observed step.
 DENSITIES = ("tracks", "tracks_at_49")
 #: Most generated, and most recorded, windows that the critics look at.
 MOST_OF_A_KIND = 4000

@@ -1,6 +1,6 @@
 """Every metric of the evaluation: its key, name, unit and sentence, and the function that measures it.
 
-A metric is a ratio of two sums over one of the three groups of a scene (evaluation.md); scenes are pooled by adding
+A metric is a ratio of two sums over one of the three groups of a scene; scenes are pooled by adding
 numerators and denominators. To add one, add it to METRICS: tables, report and metrics.json follow.
 """
 
@@ -32,7 +32,7 @@ from hid2.measures.motion_limits import MOTION_LIMITS
 from hid2.params import Conflict, Limits
 from hid2.policy.behaviours import BEHAVIOURS, behaviour_seen
 
-#: The three groups that are never mixed: evaluation.md.
+#: The three groups that are never mixed.
 GROUPS = ("original", "generated", "combined")
 #: A shorter time gap to the leader counts as short.
 SHORT_GAP_S = 0.9

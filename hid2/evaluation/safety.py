@@ -1,7 +1,7 @@
 """SCR and ORR of the paper (section Realism and Safety), and what they do not see: footprint, TTC, PET, time gap.
 
 Per-agent and per-row results only: what is averaged over which group of agents is decided by the caller, because
-recorded and generated vehicles must be told apart (evaluation.md).
+recorded and generated vehicles must be told apart.
 """
 
 from dataclasses import dataclass

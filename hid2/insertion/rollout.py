@@ -192,7 +192,7 @@ class World:
         return any(True for _ in contacts_at_end(boxes, last_word(self.scene.config), step_s=self.scene.step_s))
 
     def hindered(self, candidate: Foreseen) -> list[Foreseen]:
-        """Those chosen that may drive otherwise with a candidate: they close in, look for gaps near it or enter later."""
+        """Those chosen that drive otherwise with a candidate, perhaps: close in, look for gaps near it, enter later."""
         found = {
             name for name, one in self._chosen.items()
             if one.start.step > candidate.start.step or (len(one.parts) > 1 and self._may_be_in_gap(candidate, one))

@@ -1,1 +1,1 @@
-"""The one judge of exported states: is it safe, can it be driven, did what is claimed happen (evaluation.md)."""
+"""The one judge of exported states: is it safe, can it be driven, did what is claimed happen."""

@@ -1,7 +1,7 @@
 """Whether what is claimed of inserted vehicles can be seen in their states: manoeuvres, and events with a target.
 
 A manoeuvre is what `measures.manoeuvres` detects. An event is seen from where its target is at that moment: in the lane
-that it drives then, not in one that it changes to later (method.md, ordered events).
+that it drives then, not in one that it changes to later.
 """
 
 import math

@@ -15,7 +15,7 @@ from hid2.occupancy.gaps import gaps_from_pose
 
 #: TTC and PET above this are not told apart, s.
 CAP_S = 10.0
-#: Drivers brake before this TTC, s: 90 % of the followers of lane changes (see method.md).
+#: Drivers brake before this TTC, s: 90 % of the followers of lane changes.
 HUMAN_BRAKES_S = 4.7
 #: No tunables: what an event is like for its target is looked for until so long after the moment, s, as the target
 #: does not react and may run into whatever is ahead of it later; of a cut-in from when the vehicle is about half way

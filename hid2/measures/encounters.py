@@ -1,4 +1,4 @@
-"""What vehicles meet: recorded traffic nearby, leaders, braking for them, merging and crossing (evaluation.md)."""
+"""What vehicles meet: recorded traffic nearby, leaders, braking for them, merging and crossing."""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The leader on the lane path: gap, time gap, time headway and TTC to it (evaluation.md; SSAM's car-following case)."""
+"""The leader on the lane path: gap, time gap, time headway and TTC to it (SSAM's car-following case)."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from hid2.kernels.gaps import lane_leaders
 from hid2.measures.arrays import SceneArrays
 from hid2.measures.lane_matching import FlatLanes, Matches
 
-#: Agents further ahead on a path are no leaders, m (evaluation.md).
+#: Agents further ahead on a path are no leaders, m.
 HORIZON_M = 100.0
 #: Slower followers have no time gap.
 MIN_SPEED_MPS = 1.0

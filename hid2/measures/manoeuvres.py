@@ -1,6 +1,6 @@
 """What a vehicle did, seen from its positions and the map alone: lane changes, turns, overtakes.
 
-Definitions (evaluation.md):
+Definitions:
 - lane change: the centre crosses to a same-direction neighbour lane, stays at least 0.5 s on each side and moves at
   least half a lane width; it starts and ends where the lateral speed passes 0.1 m/s;
 - turn: the vehicle drives a turning lane of an intersection and its own direction changes by as much as makes a turn;

@@ -1,4 +1,4 @@
-"""Post-encroachment time (PET) at crossings of swept paths (evaluation.md; SSAM's crossing case)."""
+"""Post-encroachment time (PET) at crossings of swept paths (SSAM's crossing case)."""
 
 import math
 from typing import NamedTuple

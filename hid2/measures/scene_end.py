@@ -1,4 +1,4 @@
-"""What follows a vehicle's last step if all agents keep their velocity: the first contact of boxes (evaluation.md).
+"""What follows a vehicle's last step if all agents keep their velocity: the first contact of boxes.
 
 Nothing is recorded beyond the last step, so nothing else would tell that a track ends a moment before a collision.
 """

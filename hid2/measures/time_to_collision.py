@@ -1,4 +1,4 @@
-"""Two-dimensional time to collision (TTC): boxes extrapolated at constant velocity (evaluation.md)."""
+"""Two-dimensional time to collision (TTC): boxes extrapolated at constant velocity."""
 
 from hid2.agents import FloatArray
 from hid2.kernels.box_pairs import time_to_collision
