@@ -1,7 +1,7 @@
 """Red and green inferred from recorded traffic: signals are not in the data, traffic is.
 
-An entrance of an intersection is red while recorded vehicles cross the ground behind it, and while its own recorded
-queue stands. Recorded vehicles that enter tell that it is green.
+An entrance of an intersection is red while recorded vehicles cross the ground behind it, while its own recorded queue
+stands, and, straight on, while that of the opposite approach does. Recorded vehicles that enter tell that it is green.
 """
 
 import math
@@ -28,6 +28,8 @@ _QUEUE_M, _BEYOND_M = 20.0, 3.0
 _FLOW_MPS = 1.0  # faster recorded vehicles are cross traffic, m/s
 #: Green so long before and after a recorded vehicle enters, s, but not this close to cross traffic (critical PET).
 _ENTRY_BEFORE_S, _ENTRY_AFTER_S, _CROSSING_S = 1.0, 2.0, 1.0
+#: An opposite approach begins so near to where a lane of the intersection ends, m, at most this cosine to its heading.
+_OPPOSITE_M, _OPPOSITE = 25.0, -0.94
 #: Recorded object types that obey signals.
 SIGNALLED_TYPES = frozenset({"vehicle", "bus", "motorcyclist", "cyclist"})
 
@@ -94,7 +96,18 @@ class InferredSignals:
         return None if approach is None else self._watch(approach).enters[lane_id]
 
     def _infer(self, lane_id: int, approach: _Approach) -> BoolArray:
-        """Lanes of one approach that turn alike share a signal.
+        """Red of a lane; straight on also while the opposite queue stands, as both have the same phase.
+
+        None of the 93 recorded vehicles that drive straight on in fourteen scenes enters then.
+        """
+        watched, (entered, queued) = self._watch(approach), self._seen(lane_id, approach)
+        if (opposite := self._opposite(lane_id)) is not None:
+            go, stand = self._seen(*opposite)
+            queued |= stand & ~_spread(go, *self._steps(_ENTRY_BEFORE_S, _ENTRY_AFTER_S))
+        return self._reds(self._crossed(lane_id, ~watched.comes_from), entered, queued)
+
+    def _seen(self, lane_id: int, approach: _Approach) -> tuple[BoolArray, BoolArray]:
+        """(T,) whether recorded vehicles enter, and whether they wait to; lanes that turn alike share a signal.
 
         An entry into one of them makes all green; a queue makes red what it stands before, and the lanes beside if it
         can go nowhere else.
@@ -107,7 +120,23 @@ class InferredSignals:
         for lane in approach.lanes:
             if lane_id in graph.successors(lane) or _leads_only(graph, lane, turn, approach.fan):
                 queued |= watched.waits[lane]
-        return self._reds(self._crossed(lane_id, ~watched.comes_from), entered, queued)
+        return entered, queued
+
+    def _opposite(self, lane_id: int) -> tuple[int, _Approach] | None:
+        """The lane straight on from the opposite approach, with that; None where there is none, or the lane turns."""
+        lanes = self.graph.lanes
+        if lanes[lane_id].turn is not TurnType.STRAIGHT:
+            return None
+        _, out, forward = _ends(self.graph, lane_id)
+        for other, one in lanes.items():
+            if one.is_intersection and one.turn is TurnType.STRAIGHT and (found := self._approach(other)) is not None:
+                begin, _, towards = _ends(self.graph, other)
+                if towards @ forward < _OPPOSITE and math.dist(begin, out) < _OPPOSITE_M:
+                    return other, found
+        return None
+
+    def _steps(self, *spans_s: float) -> list[int]:
+        return [round(span / self.states.arrays.step_s) for span in spans_s]
 
     def _reds(self, crossed: BoolArray, entered: BoolArray, queued: BoolArray) -> BoolArray:
         """(T,) red: `crossed` (T,) spread over steps before and after it, or `queued` (T,); not near an entry.
@@ -115,9 +144,9 @@ class InferredSignals:
         An entry takes away the red of a queue, and that of cross traffic that is more than _CROSSING_S away; that of
         cross traffic to come only up to itself, as the light has turned since.
         """
-        params, step_s = self.params, self.states.arrays.step_s
-        spans = params.before_s, params.after_s, _CROSSING_S, _ENTRY_BEFORE_S, _ENTRY_AFTER_S
-        before, after, clear, entry_before, entry_after = (round(span / step_s) for span in spans)
+        before, after, clear, entry_before, entry_after = self._steps(
+            self.params.before_s, self.params.after_s, _CROSSING_S, _ENTRY_BEFORE_S, _ENTRY_AFTER_S
+        )
         to_come, flow, close = _spread(crossed, before, -1), _spread(crossed, 0, after), _spread(crossed, clear, clear)
         entering, green = _spread(entered, entry_before, 0), _spread(entered, entry_before, entry_after)
         return close | ((flow | queued) & ~green) | (to_come & ~entering)
@@ -207,6 +236,13 @@ def _spread(at: BoolArray, before: int, after: int) -> BoolArray:
     for step in np.flatnonzero(at).tolist():
         found[max(0, step - before) : step + after + 1] = True
     return found
+
+
+def _ends(graph: LaneGraph, lane_id: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Where the way through an intersection begins and ends, (2,) m each, and its direction at the beginning, (2,)."""
+    points = graph.lanes[lane_id].centerline
+    ahead = points[1] - points[0]
+    return points[0], graph.lanes[_through(graph, lane_id)[-1]].centerline[-1], ahead / math.hypot(*ahead)
 
 
 def _through(graph: LaneGraph, lane_id: int) -> list[int]:

@@ -138,6 +138,26 @@ def test_an_entry_makes_green_for_the_queue_behind_it(signals, box) -> None:
     assert _steps(scene.red(2)) == [*range(26), *range(57, STEPS)]
 
 
+@pytest.mark.parametrize(("y", "red"), [(4.0, 26), (30.0, 0)])
+def test_straight_on_is_red_while_the_opposite_queue_stands(
+    crossing: LaneGraph, lane: Callable[..., LaneSegment], y: float, red: int
+) -> None:
+    """It waits 5 m before the opposite entrance for 30 steps and enters at step 36: both are green from 26 on.
+
+    The right turn of lane 7 has a phase of its own. A street 30 m aside is not the opposite one.
+    """
+    west = [
+        lane(11, [(70, y), (20, y)], successors=(12,)),
+        lane(12, [(20, y), (0, y)], successors=(13,), is_intersection=True),
+        lane(13, [(0, y), (-50, y)]),
+    ]
+    graph = LaneGraph({**crossing.lanes, **{one.lane_id: one for one in west}})
+    scene = _inferred(graph, _along("a", [(25.0, y), (-50.0, y)], wait_steps=30))
+    assert _steps(scene.red(12)) == list(range(26))
+    assert _steps(scene.red(2)) == list(range(red))
+    assert _steps(scene.red(7)) == []
+
+
 def test_an_entry_makes_no_green_within_a_second_of_cross_traffic(signals, box) -> None:
     """Cross traffic on the lane from 47 to 53, red from 27 to 83. An entry at 61 clears 51 to 81, not below 53 + 10."""
     scene = signals(box(10.0, -50.0, np.pi / 2, 10.0), _along("b", [(-50.0, 0.0), (70.0, 0.0)], wait_steps=10))
