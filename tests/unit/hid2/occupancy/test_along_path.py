@@ -5,7 +5,7 @@ import pytest
 from views import SIZE, occupancy_of
 
 from hid2.motion.reference_line import ReferenceLine, build_reference_line
-from hid2.occupancy.along_path import path_occupancy
+from hid2.occupancy.along_path import PathOccupancy, path_occupancy
 from hid2.occupancy.traffic import Traffic
 
 
@@ -113,6 +113,20 @@ def test_place_of_who_crosses_is_kept_clear_before_and_after(
     assert clear.low[0, 10] == pytest.approx(found.low[0, 17] + 0.2)
     assert clear.high[0, 30] == pytest.approx(found.high[0, 23] - 0.2)
     assert not clear.same_direction.any()
+
+
+def test_way_of_one_that_turns_across_is_kept_clear_from_its_first_touch_on() -> None:
+    """It touches at steps 5 to 8, at first heading against the path: from 2 steps before 5 to 2 after 8."""
+    low, high = np.full((1, 12), np.inf), np.full((1, 12), -np.inf)
+    low[0, 5:9], high[0, 5:9] = [50.0, 48.0, 46.0, 44.0], [58.0, 56.0, 54.0, 52.0]
+    never = np.zeros((1, 12), dtype=np.bool_)
+    crossing = never.copy()
+    crossing[0, 7:9] = True
+    found = PathOccupancy(np.array([0]), low, high, np.zeros((1, 12)), never, crossing)
+    clear = found.kept_clear(2, margin_m=0.5)
+    assert np.flatnonzero(np.isfinite(clear.low[0])).tolist() == list(range(3, 11))
+    assert (clear.low[0, 3], clear.high[0, 3]) == (50.5, 57.5)
+    assert (clear.low[0, 10], clear.high[0, 10]) == (44.5, 51.5)
 
 
 def test_leader_holds_no_more_than_where_it_is(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:

@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,12 +29,24 @@ def test_heading_in_a_gap_turns_the_short_way_round(track: Callable[..., Track])
 def test_velocity_is_that_of_the_positions_over_up_to_half_a_second(track: Callable[..., Track]) -> None:
     """x = 0 1 2 3 5 m at 0.1 s. Inside: (5 - 0) / 0.4 s = 12.5 m/s. First step: (2 - 0) / 0.2 s = 10 m/s; last: 15.
 
-    The recorded velocity (99 m/s here) is filtered by the tracker and is not used.
+    The recorded velocity, 99 m/s here, is not believed.
     """
     traffic = traffic_of([track(range(5), [0.0, 1.0, 2.0, 3.0, 5.0])], 5, step_s=0.1)
     assert traffic.velocity[0, 2] == pytest.approx([12.5, 0.0])
     assert traffic.velocity[0, 0] == pytest.approx([10.0, 0.0])
     assert traffic.velocity[0, 4] == pytest.approx([15.0, 0.0])
+
+
+@pytest.mark.parametrize(("stated", "found"), [(8.5, 8.5), (11.9, 11.9), (12.1, 10.0), (0.0, 10.0)])
+def test_stated_velocity_is_taken_where_it_is_about_that_of_the_positions(
+    track: Callable[..., Track], stated: float, found: float
+) -> None:
+    """10 m/s by the positions: up to 2 m/s off the stated one counts, also in a gap."""
+    steps = [0, 1, 2, 4, 5, 6]
+    one = track(steps, [1.0 * step for step in steps])
+    one = replace(one, velocity=np.tile([stated, 0.0], (6, 1)))
+    traffic = traffic_of([one], 7, step_s=0.1)
+    assert traffic.velocity[0, :, 0] == pytest.approx([found] * 7)
 
 
 def test_single_state_stands(track: Callable[..., Track]) -> None:
