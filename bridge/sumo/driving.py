@@ -69,7 +69,7 @@ class Driving:
             attempts, limits = self._steer(step) if step > 0 else ({}, {})
             for row, vehicle in enumerate(fleet.vehicles):
                 if vehicle.start.step == step:  # from now on SUMO has to be shown its leaders
-                    fleet.place[row] = vehicle.start.start_s
+                    fleet.along_m[row] = vehicle.start.start_s
             seen, seen_kept = shown_at(fleet, step)
             recorded.place(step, seen)
             if fleet.fixed.ids:
@@ -97,18 +97,18 @@ class Driving:
         if not rows.size:
             return attempts, {}
         limits = limits_of(fleet, rows, now)
-        for place, (row, may_change) in enumerate(zip(rows.tolist(), fleet.may_change[rows].tolist(), strict=True)):
-            on_lane = POLICIES[limits.policy[place]]
+        for k, (row, may_change) in enumerate(zip(rows.tolist(), fleet.may_change[rows].tolist(), strict=True)):
+            on_lane = POLICIES[limits.policy[k]]
             if may_change:
                 attempt = apply_policy(fleet, self.simulation, row, now, traffic, on_lane)
                 if attempt is not None:
                     attempts[row] = attempt
-                let_pass(fleet, row, now, limits, place)
+                let_pass(fleet, row, now, limits, k)
             else:  # nothing to be asked: it keeps to its lane, as `decide` says
                 fleet.vehicles[row].policies[on_lane] += 1
-            if limits.seeks[place] and take_another_way(fleet, self.simulation, row, now):
-                for found, renewed in zip(limits, limits_of(fleet, rows[place:], now), strict=True):
-                    found[place:] = renewed  # those after it see where it goes
+            if limits.seeks[k] and take_another_way(fleet, self.simulation, row, now):
+                for found, renewed in zip(limits, limits_of(fleet, rows[k:], now), strict=True):
+                    found[k:] = renewed  # those after it see where it goes
                 self._recorded.take(fleet.scene.traffic)  # others may have to be shown on this way
                 self._kept.take(fleet.fixed)
         fleet.yielding[rows] = limits.yields
@@ -163,7 +163,7 @@ class Driving:
                 vehicle.start = replace(start, start_mps=speed)
                 vehicle.objection = insert(self.simulation, scene, vehicle.start)
             if vehicle.objection is not None:
-                self.fleet.place[row] = np.nan
+                self.fleet.along_m[row] = np.nan
 
     def _read(self, step: int, attempts: dict[int, Attempt], limits: dict[int, Limit]) -> None:
         """Take down what SUMO did, what came of what it was asked for, and which of the limits decided the speed."""
@@ -195,7 +195,7 @@ class Driving:
         """
         fleet, here, traffic = self.fleet, self.fleet.on_ways, self.fleet.scene.traffic
         low, high, count = here.intervals.low, here.intervals.high, len(traffic.ids)
-        struck = deep_inside(low, high, here.intervals.agents, here.first, count, step, fleet.place, _STRUCK_M)
+        struck = deep_inside(low, high, here.intervals.agents, here.first, count, step, fleet.along_m, _STRUCK_M)
         for row, agent in zip(*(column.tolist() for column in struck), strict=True):
             vehicle = fleet.vehicles[row]
             xy, tangent, _ = vehicle.path.line.motion(np.array([vehicle.s[-1]]))

@@ -71,7 +71,7 @@ class Fleet:
 
     scene: where recorded vehicles react, each that yields is elsewhere in a scene to come (`look_anew`); near_m:
     vehicles farther than this from another one on either axis do not look at it. By vehicle: state (N, 5), the guard's
-    columns; place (N,) m of the centre on the path, from its first step on, NaN for a vehicle nowhere; centre (N, 2) m,
+    columns; along_m (N,) of the centre on the path, from its first step on, NaN for a vehicle nowhere; centre (N, 2) m,
     inf for a vehicle that is nowhere yet; length_m (N,) of the box; desired_mps (N, T); drivers (N, 4), the guard's
     columns; yielding (N,): whether a vehicle brakes for a conflict by now; may_change (N,): whether it may leave its
     path for that of a lane beside, wherever that goes.
@@ -86,7 +86,7 @@ class Fleet:
     vehicles: list[DrivenVehicle] = field(init=False, default_factory=list)
     ways: list[Way] = field(init=False, default_factory=list)
     state: FloatArray = field(init=False)
-    place: FloatArray = field(init=False)
+    along_m: FloatArray = field(init=False)
     centre: FloatArray = field(init=False)
     length_m: FloatArray = field(init=False)
     desired_mps: FloatArray = field(init=False)
@@ -101,7 +101,7 @@ class Fleet:
         """No vehicle has moved yet."""
         self.guard = Guard(self.scene, self.fixed, self.stop_lines)
         self.state, self.centre = np.zeros((0, 5)), np.zeros((0, 2))
-        self.place, self.length_m = np.zeros(0), np.zeros(0)
+        self.along_m, self.length_m = np.zeros(0), np.zeros(0)
         self.desired_mps, self.drivers = np.zeros((0, self.scene.num_steps)), np.zeros((0, 4))
         self.yielding, self.may_change = np.zeros(0, dtype=np.bool_), np.zeros(0, dtype=np.bool_)
         self.add(starts)
@@ -115,8 +115,8 @@ class Fleet:
         self.ways += [self._way(start.path, start.driver) for start in starts]
         self.state = np.concatenate([self.state, np.zeros((count, 5))])
         self.centre = np.concatenate([self.centre, np.full((count, 2), np.inf)])
-        places = [np.nan if start.step > 0 else start.start_s for start in starts]
-        self.place = np.concatenate([self.place, places])
+        at_m = [np.nan if start.step > 0 else start.start_s for start in starts]
+        self.along_m = np.concatenate([self.along_m, at_m])
         self.length_m = np.concatenate([self.length_m, [start.box.length_m for start in starts]])
         self.desired_mps = np.concatenate([self.desired_mps, [one.desired[: self.scene.num_steps] for one in starts]])
         self.drivers = np.concatenate([self.drivers, [start.driver.following for start in starts]])
@@ -141,7 +141,7 @@ class Fleet:
         shifts, table = vehicle.path.shifts, vehicle.path.line.table_xy
         # Case 2, executing goes before pending: in a change of lanes or in a turn.
         executing = (shifts and shifts[-1][0] < s < shifts[-1][1]) or way.is_turn(s)
-        self.place[row], self.centre[row] = s, table[min(int(s / TABLE_STEP_M), len(table) - 1)]
+        self.along_m[row], self.centre[row] = s, table[min(int(s / TABLE_STEP_M), len(table) - 1)]
         self.state[row] = s, speed_mps, (speed_mps - before) / self.scene.step_s, executing, 1.0
 
     def follow(self, row: int, lane: str, front_m: float, speed_mps: float) -> None:
@@ -151,7 +151,8 @@ class Fleet:
         path the vehicle goes on steadily, and gives back on the way across what it has jumped.
         """
         vehicle, way = self.vehicles[row], self.ways[row]
-        steady = vehicle.s[-1] + 0.5 * (vehicle.v[-1] + speed_mps) * self.scene.step_s  # as SUMO, by the mean speed
+        # as SUMO's ballistic step; where it replays no agent its steps are Euler's, by the new speed: millimetres
+        steady = vehicle.s[-1] + 0.5 * (vehicle.v[-1] + speed_mps) * self.scene.step_s
         own = center_on_path(
             self.scene.grid, vehicle.path, lane, front_m, length_m=vehicle.start.size.length_m, after=vehicle.s[-1]
         )
@@ -166,18 +167,18 @@ class Fleet:
 
     def leave(self, row: int) -> None:
         """A vehicle is nowhere any more."""
-        self.state[row, PRESENT], self.centre[row], self.place[row] = 0.0, np.inf, np.nan
+        self.state[row, PRESENT], self.centre[row], self.along_m[row] = 0.0, np.inf, np.nan
         self._along = None
 
     def traffic(self) -> Traffic:
         """The vehicles that are driven, where the simulation has them now (one step)."""
         rows = [row for row, vehicle in enumerate(self.vehicles) if vehicle.running and vehicle.s]
         position, heading, velocity = np.zeros((len(rows), 1, 2)), np.zeros((len(rows), 1)), np.zeros((len(rows), 1, 2))
-        for place, row in enumerate(rows):
+        for k, row in enumerate(rows):
             vehicle = self.vehicles[row]
             xy, tangent, _ = vehicle.path.line.motion(np.array([vehicle.s[-1]]))
-            position[place], heading[place, 0] = xy, np.arctan2(tangent[0, 1], tangent[0, 0])
-            velocity[place] = tangent * vehicle.v[-1]
+            position[k], heading[k, 0] = xy, np.arctan2(tangent[0, 1], tangent[0, 0])
+            velocity[k] = tangent * vehicle.v[-1]
         return Traffic(
             ids=tuple(self.vehicles[row].vehicle_id for row in rows), position=position, heading=heading,
             velocity=velocity, present=np.ones((len(rows), 1), dtype=np.bool_), length_m=self.length_m[rows],
@@ -193,7 +194,7 @@ class Fleet:
         vehicle.path, self.ways[row] = path, self._way(path, vehicle.start.driver)
         if s is not None:
             vehicle.s[:] = s.tolist()
-            self.state[row, S] = self.place[row] = s[-1]
+            self.state[row, S] = self.along_m[row] = s[-1]
         self._forget_obstacles()  # all vehicles see the new intention
 
     def look_anew(self, scene: Scene) -> None:

@@ -35,7 +35,7 @@ def shown_at(fleet: Fleet, step: int) -> tuple[dict[int, tuple[str, int]], dict[
     here, known = fleet.on_ways, fleet.on_ways.intervals
     found = shown_ahead(
         known.low, known.high, known.along, known.same_direction, known.crossing, known.agents, here.first,
-        here.length_m, scene.traffic.position, fleet.fixed.position, step, fleet.place, fleet.centre, fleet.length_m,
+        here.length_m, scene.traffic.position, fleet.fixed.position, step, fleet.along_m, fleet.centre, fleet.length_m,
         (STANDING_MPS, LEADS_FROM_M, SHOWN_M),
     )  # fmt: skip
     for agent, row, middle in zip(*(column.tolist() for column in found), strict=True):

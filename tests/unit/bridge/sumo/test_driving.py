@@ -77,7 +77,7 @@ def test_vehicle_begins_at_its_start_and_moves_by_sumos_speed(drive: Callable[..
     scene = scene_on(_two_lanes())
     (one,) = drive(scene, start_on(scene, (1,), 40.0, 7.0)).fleet.vehicles
     assert (one.s[0], one.v[0], len(one.s)) == (40.0, 7.0, 110)
-    assert np.diff(one.s) == pytest.approx(0.1 * np.array(one.v[1:]))
+    assert np.diff(one.s) == pytest.approx(0.1 * np.array(one.v[1:]), abs=0.002)
     assert np.mean(one.v[-20:]) == pytest.approx(DRIVER.desired_mps, abs=0.5)
 
 
@@ -540,7 +540,7 @@ def test_vehicle_enters_at_its_step(drive: Callable[..., Driving]) -> None:
     ).fleet.vehicles  # fmt: skip
     assert (len(first.s), len(later.s)) == (110, 80)
     assert (later.s[0], later.v[0]) == (3.0, 7.0)
-    assert np.diff(later.s) == pytest.approx(0.1 * np.array(later.v[1:]))
+    assert np.diff(later.s) == pytest.approx(0.1 * np.array(later.v[1:]), abs=0.002)
     assert np.mean(later.v[-20:]) == pytest.approx(DRIVER.desired_mps, abs=0.5)
     assert sum(later.policies.values()) == 79
 
