@@ -147,8 +147,9 @@ class Fleet:
     def follow(self, row: int, lane: str, front_m: float, speed_mps: float) -> None:
         """A vehicle is where SUMO has it now: its front bumper front_m along a lane, at a speed.
 
-        SUMO changes lanes at once, from a cell to the facing one, which may lie a metre before or behind it. On its
-        path the vehicle goes on steadily, and gives back on the way across what it has jumped.
+        SUMO changes lanes at once, from a cell to the facing one, which may lie a metre before or behind it. On each
+        new path the vehicle goes on steadily from where it was, and gives back on the way what SUMO has jumped. Where
+        SUMO has it on no lane of the path, as at a split that it takes otherwise, it goes on as it was.
         """
         vehicle, way = self.vehicles[row], self.ways[row]
         # as SUMO's ballistic step; where it replays no agent its steps are Euler's, by the new speed: millimetres

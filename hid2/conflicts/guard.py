@@ -97,7 +97,10 @@ def _boxes_reach_m(one: BoxSize, other: BoxSize) -> float:
 
 @dataclass(eq=False, slots=True)
 class Guard:
-    """Conflict case 3 of all vehicles that are driven together. fixed: generated vehicles kept in rounds before."""
+    """Conflict case 3 of all vehicles that are driven together.
+
+    fixed: generated vehicles with known motion, those kept in rounds before; in rollouts also those chosen in this one.
+    """
 
     scene: Scene
     fixed: Traffic

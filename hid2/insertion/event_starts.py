@@ -10,7 +10,7 @@ from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy, Track
 from hid2.drivers.driver import Driver, draw_driver
 from hid2.insertion.event_objective import Objective
 from hid2.insertion.event_places import Place
-from hid2.insertion.rollout import Foreseen, Rollout, World
+from hid2.insertion.rollout import RolledOut, Rollout, World
 from hid2.insertion.starts import CLEAR_GAP_M, Site, Starts
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.gaps import gaps_on_path
@@ -34,7 +34,7 @@ _CREEPS_MPS = 0.2  # a wish to stand is one to roll on so slowly; no tunable: SU
 class Candidate:
     """A rolled-out vehicle that brings an event about. cost: as in `Objective.cost`."""
 
-    rolled: Foreseen
+    rolled: RolledOut
     cost: float
 
     def as_driven(self) -> DrivenVehicle:
@@ -157,7 +157,7 @@ class EventStarts(Starts):
                 return vehicle.reason or Reason.SCENE_ENDED
             request = replace(request, trigger_s=vehicle.shifts[0].requested_step * self.scene.step_s)
             self._made = replace(vehicle.start, request=request)
-        moment = self.objective.likely_step(track_of(world.foreseen(start, parts)))
+        moment = self.objective.likely_step(track_of(world.rolled_out(start, parts)))
         if moment is None:
             return Reason.EVENT_NOT_THERE
         if self.objective.event.brakes_mps2:
@@ -188,9 +188,9 @@ class EventStarts(Starts):
         return replace(start, desired=np.concatenate([start.desired[:step], wish]), driver=driver)
 
 
-def track_of(foreseen: Foreseen) -> Track:
+def track_of(rolled: RolledOut) -> Track:
     """A rolled-out vehicle as it would be exported."""
-    traffic, start = foreseen.traffic, foreseen.start
+    traffic, start = rolled.traffic, rolled.start
     steps = np.flatnonzero(traffic.present[0, : start.desired.size])
     return Track(
         start.vehicle_id, start.request.object_type, 1, steps, traffic.position[0, steps], traffic.heading[0, steps],

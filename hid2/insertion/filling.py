@@ -131,8 +131,8 @@ class Filling:
     def fill_together(self, drive: Drive) -> None:
         """All in one round, again without those that are not kept until all are: where recorded vehicles react.
 
-        No recorded vehicle has reacted then to a vehicle that is not there, and none is replaced. After each round the
-        scene is the one that it has become.
+        No recorded vehicle has reacted then to a vehicle that is not there, and none is replaced. `drive` sets `scene`
+        to what it has become, by which the vehicles are judged.
         """
         starts = sorted(self._starts_of(self._target()), key=lambda start: start.request.number)
         no_other = self._fixed
@@ -200,7 +200,7 @@ class Filling:
         used = {start.request.number for start in starts}
         waiting = sorted(self._open, key=lambda request: (BEHAVIOURS[request.policy].site_order, request.number))
         waiting = [request for request in waiting if request.number not in used]
-        failed, why, again = Counter[Policy](), dict[Policy, Reason](), False
+        failed, why, redrawn = Counter[Policy](), dict[Policy, Reason](), False
         for request in waiting:  # those with no place for their manoeuvre go straight, and come last
             if request.number in used:
                 continue
@@ -210,8 +210,10 @@ class Filling:
             if failed[policy] < (_FAILED_STRAIGHT if straight else _FAILED):
                 slow = self._to_lead(request, [r for r in waiting if r.number not in used])
                 found = sites.propose(request, slow and replace(slow, policy=Policy.STRAIGHT))
-                if straight and not found and not again:  # what was full for one draw of places may not be for the next
-                    again = True
+                if (
+                    straight and not found and not redrawn
+                ):  # what was full for one draw of places may not be for another
+                    redrawn = True
                     self._turned_down.look_anew(each_cell=self.scene.config.request.agents != "max")
                     found = sites.propose(request)
                 if slow is not None and slow.policy is not Policy.STRAIGHT and len(found) > 1:

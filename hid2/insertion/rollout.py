@@ -31,7 +31,7 @@ from hid2.occupancy.shown import LEADS_FROM_M, SHOWN_M, Shown, shown_on
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.policy.overtake import Stage
 from hid2.policy.roads import STRAIGHT, Roads
-from hid2.policy.rules import FORESEEN
+from hid2.policy.rules import ASSUMED_ANSWER
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start
@@ -76,7 +76,7 @@ class Rollout:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Foreseen:
+class RolledOut:
     """A candidate with the parts of its motion, and as known traffic beyond the scene's end (one agent)."""
 
     start: Start
@@ -96,11 +96,11 @@ class World:
     guard: Guard
     target_id: str | None = None
     _kept: Traffic = field(init=False)
-    _chosen: dict[str, Foreseen] = field(default_factory=dict)
-    _joined: dict[tuple[Traffic, Foreseen], Traffic] = field(default_factory=dict)
+    _chosen: dict[str, RolledOut] = field(default_factory=dict)
+    _joined: dict[tuple[Traffic, RolledOut], Traffic] = field(default_factory=dict)
     _at_begin: tuple[Traffic, Traffic] | None = None
     _shown: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, PathOccupancy, Shown]] = field(default_factory=dict)
-    _kept_s: dict[int, float] | None = None
+    _headways_s: dict[int, float] | None = None
     _links: dict[DrivenPath, tuple[FloatArray, FloatArray, FloatArray]] = field(default_factory=dict)
     _known: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, PathOccupancy, PathOccupancy]] = field(default_factory=dict)
 
@@ -116,7 +116,7 @@ class World:
             self._at_begin = fixed, recorded.joined(fixed.at(0)) if fixed.ids else recorded
         return self._at_begin[1]
 
-    def choose(self, *candidates: Foreseen) -> None:
+    def choose(self, *candidates: RolledOut) -> None:
         """Candidates after these are rolled out against them; one that was chosen before has another motion now."""
         self._chosen |= {one.start.vehicle_id: one for one in candidates}
         fixed = self._kept
@@ -126,7 +126,7 @@ class World:
             fixed = self._joined[fixed, one]
         self.guard.fixed = fixed
 
-    def joined_by(self, *candidates: Foreseen, without: str | None = None) -> "World":
+    def joined_by(self, *candidates: RolledOut, without: str | None = None) -> "World":
         """The same with candidates chosen, which need not be taken in the end; to roll out anew one that is chosen."""
         found = World(self.scene, self.roads, Guard(self.scene, self._kept, self.guard.stop_lines))
         found._chosen, found._joined = dict(self._chosen), self._joined
@@ -135,11 +135,11 @@ class World:
             found.guard.fixed = found.guard.fixed.without(without)
         return found
 
-    def foreseen(self, start: Start, parts: tuple[Rollout, ...]) -> Foreseen:
+    def rolled_out(self, start: Start, parts: tuple[Rollout, ...]) -> RolledOut:
         """A candidate with its motion."""
-        return Foreseen(start, parts, self._as_traffic(start, parts))
+        return RolledOut(start, parts, self._as_traffic(start, parts))
 
-    def harries(self, candidate: Foreseen, headway_s: float = FOLLOWER_HEADWAY_S) -> Reason | None:
+    def harries(self, candidate: RolledOut, headway_s: float = FOLLOWER_HEADWAY_S) -> Reason | None:
         """What a recorded vehicle that comes up from behind suffers, on the path that it drives itself; None: nothing.
 
         It is left with too little time to collision, or with a shorter headway, which it never kept in the recording.
@@ -173,15 +173,15 @@ class World:
         headway_s, _ = sustained_headway(gap_m, leader_m, states.speed(follower), self.scene.step_s)
         if headway_s >= least_s:
             return False
-        if self._kept_s is None:
-            self._kept_s = kept_headways(states)
-        return self._kept_s.get(follower, math.inf) > headway_s
+        if self._headways_s is None:
+            self._headways_s = kept_headways(states)
+        return self._headways_s.get(follower, math.inf) > headway_s
 
     def gaps_at(self, start: Start) -> Gaps:
         """Of a vehicle to those next to it where it begins."""
         return gaps_on_path(self.known_on(start.path, start.box), np.array([start.start_s]), start.step)
 
-    def meets_after(self, candidate: Foreseen) -> bool:
+    def meets_after(self, candidate: RolledOut) -> bool:
         """Whether a candidate has a critical contact after its last step, all at constant velocity."""
         own = candidate.traffic
         last = int(np.flatnonzero(own.present[0, : self.scene.num_steps])[-1])
@@ -191,7 +191,7 @@ class World:
         boxes = BoxesAtStep(here.position[:, 0], here.heading[:, 0], here.velocity[:, 0], sizes)
         return any(True for _ in contacts_at_end(boxes, last_word(self.scene.config), step_s=self.scene.step_s))
 
-    def hindered(self, candidate: Foreseen) -> list[Foreseen]:
+    def hindered(self, candidate: RolledOut) -> list[RolledOut]:
         """Those chosen that drive otherwise with a candidate, perhaps: close in, look for gaps near it, enter later."""
         found = {
             name for name, one in self._chosen.items()
@@ -204,7 +204,7 @@ class World:
             found |= {self.guard.fixed.ids[known.agents[row]] for row in rows.tolist() if row >= recorded}
         return [one for name, one in self._chosen.items() if name in found]
 
-    def _may_be_in_gap(self, candidate: Foreseen, changer: Foreseen) -> bool:
+    def _may_be_in_gap(self, candidate: RolledOut, changer: RolledOut) -> bool:
         """Whether a candidate comes near a vehicle that changes lanes, on one of the lanes that this drives on."""
         own, other = candidate.traffic, changer.traffic
         apart_m = np.abs(own.position - other.position).max(axis=-1)[own.present & other.present]
@@ -278,7 +278,7 @@ class World:
         scene, change = self.scene, self.scene.config.lane_change
         vehicle, parts = DrivenVehicle(start, start.path), [self.roll(start)]
         step = max(start.step, math.ceil(start.request.trigger_s / scene.step_s))
-        foreseen = (lambda _: FORESEEN) if change.rule == "LC2013" else None
+        ask_sumo = (lambda _: ASSUMED_ANSWER) if change.rule == "LC2013" else None
         while step < scene.num_steps:
             part = parts[-1]
             if step - part.step >= part.s.size or part.s[step - part.step] > part.path.exit_s:  # met, or off the map
@@ -301,7 +301,7 @@ class World:
                 vehicle.reason = Reason.NOT_AHEAD  # what it would be told, sooner
                 step += scene.steps_in(_PASSING_SHARE * _LOOKS_S)
                 continue
-            across = asked.decided(foreseen)
+            across = asked.decided(ask_sumo)
             if vehicle.reason is Reason.SCENE_ENDS:
                 break
             if across is not None and self._meets_on(vehicle, step, across.path):
@@ -324,8 +324,10 @@ class World:
         ).forbids(start.driver)  # fmt: skip
 
     def objection(self, start: Start, parts: tuple[Rollout, ...], *, ends: bool = True) -> Reason | None:
-        """Why a motion would not be exported: what it meets, or leaves too little time to; None for nothing.
+        """Why a candidate is not taken; None for nothing.
 
+        What it meets or leaves too little time to, as the last word has it, and what no driver does: it enters on red,
+        waits for a parked vehicle, stands in an intersection.
         ends: whether the scene ends with the last part. Those chosen before that follow it are left out: they brake for
         it (`hindered`).
         """

@@ -13,7 +13,7 @@ from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import MIDDLE, Driver, desired_speeds, draw_driver, lane_offset
 from hid2.insertion.meetings import Meetings
-from hid2.insertion.rollout import QUEUE_M, SLOWEST_SHARE, Foreseen, Rollout, World
+from hid2.insertion.rollout import QUEUE_M, SLOWEST_SHARE, RolledOut, Rollout, World
 from hid2.insertion.routes import RouteOffer
 from hid2.judge.findings import CURVATURE_KEPT, FOLLOWER_HEADWAY_S, LEADER_LENGTH_S
 from hid2.measures.encounters import FOLLOWS_S, STANDS_MPS
@@ -84,7 +84,7 @@ class Starts:
     taken: list[Start] = field(default_factory=list)
     rejected: Counter[Reason] = field(default_factory=Counter)
     world: World = field(init=False)
-    _rolled: dict[str, tuple[Foreseen, ...]] = field(default_factory=dict)
+    _rolled: dict[str, tuple[RolledOut, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Nothing is chosen yet."""
@@ -96,10 +96,10 @@ class Starts:
         if "collision" not in self.scene.config.without:
             for start in starts:
                 rolled = self._rolled.pop(start.vehicle_id, None)
-                self.world.choose(*(rolled or (self.world.foreseen(start, (self.world.roll(start),)),)))
+                self.world.choose(*(rolled or (self.world.rolled_out(start, (self.world.roll(start),)),)))
         return starts
 
-    def rolled(self, start: Start) -> tuple[Foreseen, ...]:
+    def rolled(self, start: Start) -> tuple[RolledOut, ...]:
         """The rollout of a start that was made, and those anew of vehicles that it makes drive otherwise."""
         return self._rolled.get(start.vehicle_id, ())
 
@@ -209,7 +209,7 @@ class Starts:
         """
         if not parts:
             return None
-        candidate = self.world.foreseen(start, parts)
+        candidate = self.world.rolled_out(start, parts)
         if self.world.meets_after(candidate):
             return Reason.TTC_AT_END
         if (harried := self.world.harries(candidate, headway_s)) is not None:
@@ -221,7 +221,7 @@ class Starts:
             if isinstance(still, Reason):
                 return Reason.MEETS_GENERATED
             if still:
-                anew.append(around.foreseen(one.start, still))
+                anew.append(around.rolled_out(one.start, still))
         self._rolled[start.vehicle_id] = tuple(anew)
         return None
 

@@ -15,6 +15,7 @@ from hid2.judge.events import crossing_steps, measure_event
 from hid2.judge.findings import CLAIM_S, FIGURE_OFF, Finding, Quantity
 from hid2.measures.arrays import BoolArray
 from hid2.measures.driven_lanes import path_driven, runs_of
+from hid2.measures.lane_matching import CHANGES_LANES, GOES_ON
 from hid2.measures.manoeuvres import TURNS, Maneuver, ManeuverKind, detect
 from hid2.occupancy.agent_states import AgentStates
 
@@ -171,7 +172,7 @@ def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None
         on_path = {int(states.lanes.lane_ids[lane]) for lane in lanes}
         if change.target_lane not in on_path or change.source_lane in on_path:
             continue
-        left = next((n for n in range(k, len(runs) - 1) if link[runs[n].lane, runs[n + 1].lane] == 1), None)
+        left = next((n for n in range(k, len(runs) - 1) if link[runs[n].lane, runs[n + 1].lane] == CHANGES_LANES), None)
         (own_s, target_s, left_s), _ = path.frenet(
             arrays.position[[row, there, row if left is None else runs[left].last]]
         )
@@ -204,7 +205,7 @@ def _merged(states: AgentStates, own: int, target: int) -> int | None:
     runs = runs_of(view, own)
     for before, after in pairwise(runs):
         if after.lane in common and before.lane not in common and before.lane >= 0:
-            if states.lanes.link[before.lane, after.lane] != 0:
+            if states.lanes.link[before.lane, after.lane] != GOES_ON:
                 continue
             return int(states.arrays.step[after.first])
     return None

@@ -261,10 +261,10 @@ def contacts_at_end(boxes: BoxesAtStep, bounds: Bounds, *, step_s: float) -> Ite
         yield Quantity.END_TTC, contact.other, contact.ttc_s
     forward = np.array([math.cos(boxes.heading[0]), math.sin(boxes.heading[0])])
     behind = (boxes.position - boxes.position[0]) @ forward < 0.0
-    ahead = np.flatnonzero(~(behind & (np.cos(boxes.heading - boxes.heading[0]) > SAME_WAY)))
-    if not _meets_braking(boxes.rows(ahead), END_HORIZON_S, step_s):
+    no_followers = np.flatnonzero(~(behind & (np.cos(boxes.heading - boxes.heading[0]) > SAME_WAY)))  # 0 is the own box
+    if not _meets_braking(boxes.rows(no_followers), END_HORIZON_S, step_s):
         return
-    for other in ahead[1:].tolist():  # each by itself: an agent that it would pass sees it brake
+    for other in no_followers[1:].tolist():  # each by itself: an agent that it would pass sees it brake
         pair = boxes.rows(np.array([0, other]))
         contact = first_contact(0, pair, horizon_s=END_HORIZON_S)
         if contact is not None and _meets_braking(pair, END_HORIZON_S, step_s):
@@ -334,7 +334,7 @@ def ttc_of_followers(states: AgentStates, inserted: IntArray, bounds: Bounds) ->
 
 
 def of_crossings(states: AgentStates, bounds: Bounds, *, since: int) -> Iterator[Finding]:
-    """PET of moving vehicles with crossing swept paths; of each pair the later agent is one of `since` and later."""
+    """PET of moving vehicles with crossing swept paths, of pairs of which one has the row `since` or a higher one."""
     arrays, critical_s = states.arrays, bounds.conflict.pet_min_s
     for first, second, pet_s, passed in encroachments(arrays, since=since, cap_s=critical_s):
         if pet_s < critical_s - 1e-9:

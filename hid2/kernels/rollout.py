@@ -105,8 +105,8 @@ def roll(
     new_driver(state, desired_mps[first])
     if memory.size:
         state[:] = memory
-    before_s, kept = start[0], np.empty((last - first + 1, DRIVER_STATE))
-    kept[0] = state
+    before_s, memories = start[0], np.empty((last - first + 1, DRIVER_STATE))
+    memories[0] = state
     tau, accel, decel, min_gap = driver
     in_sumo = round(tau, 2), round(accel, 2), round(decel, 2), min_gap  # it keeps two digits of these
     for k in range(1, last - first + 1):
@@ -133,10 +133,10 @@ def roll(
         before_s = s
         s += 0.5 * (v + v_next) * step_s * paces[lane]
         fleet[0, 0], fleet[0, 1], fleet[0, 2] = s, v_next, (v_next - v) / step_s
-        s_at[k], v_at[k], kept[k] = s, v_next, state
+        s_at[k], v_at[k], memories[k] = s, v_next, state
         if _is_met(low, high, same_direction, t, s, before_s):
-            return s_at[: k + 1].copy(), v_at[: k + 1].copy(), kept[: k + 1].copy()
-    return s_at, v_at, kept
+            return s_at[: k + 1].copy(), v_at[: k + 1].copy(), memories[: k + 1].copy()
+    return s_at, v_at, memories
 
 
 @kernel("(f8[::1], f8[::1], i8, f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8)")

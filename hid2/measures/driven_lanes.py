@@ -8,7 +8,7 @@ import numpy as np
 
 from hid2.agents import FloatArray
 from hid2.measures.arrays import SceneArrays
-from hid2.measures.lane_matching import FlatLanes, Matches
+from hid2.measures.lane_matching import GOES_ON, FlatLanes, Matches
 from netconvert.geometry import Polyline
 
 # No tunables: what a manoeuvre is, to method and evaluation, whatever the configuration.
@@ -47,7 +47,7 @@ def first_lane_offset(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -
     runs = [run for run in runs_of(view, 0) if run.lane >= 0]
     if not runs:
         return np.full(len(arrays.step), np.nan)
-    change = next((k for k, (a, b) in enumerate(pairwise(runs), 1) if lanes.link[a.lane, b.lane] != 0), len(runs))
+    change = next((k for k, (a, b) in enumerate(pairwise(runs), 1) if lanes.link[a.lane, b.lane] != GOES_ON), len(runs))
     path = source_path(view, runs, change)[0]
     s, d = path.frenet(arrays.position)
     return np.where((s > -1.0) & (s < path.length_m + 1.0), d, np.nan)
@@ -98,7 +98,7 @@ def target_path(view: LaneView, runs: list[Run], k: int) -> tuple[Polyline, tupl
     chain = [runs[k].lane]
     beside = {n for run in runs[:k] if run.lane >= 0 for n in _beside(view.lanes, run.lane)}
     while len(chain) < 20:
-        before = [n for n in np.flatnonzero(view.lanes.link[:, chain[0]] == 0) if int(n) in beside]
+        before = [n for n in np.flatnonzero(view.lanes.link[:, chain[0]] == GOES_ON) if int(n) in beside]
         before = [n for n in before if chain[0] in view.lanes.successors[n] and n not in chain]
         if not before:
             break
@@ -111,7 +111,7 @@ def path_driven(view: LaneView, runs: list[Run], k: int) -> tuple[Polyline, tupl
     """The lane path of run k as the vehicle has it then: lanes so far, then its own until it changes, then ahead."""
     own: set[int] = set()
     for before, after in pairwise(runs[k:]):
-        if after.lane < 0 or view.lanes.link[before.lane, after.lane] != 0:
+        if after.lane < 0 or view.lanes.link[before.lane, after.lane] != GOES_ON:
             break
         own.add(after.lane)
     return _path(view, _chain_back(view, runs, k), own)

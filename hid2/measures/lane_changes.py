@@ -9,6 +9,7 @@ import numpy as np
 from hid2.measures.conflicts import pair_course
 from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import Leaders
+from hid2.measures.lane_matching import CHANGES_LANES
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind
 
 
@@ -72,7 +73,7 @@ def _neighbours(
 
     def apart(at: int) -> bool:
         """Whether a row is on no lane beside that of the vehicle, from or to which it may change."""
-        return lane[at] < 0 or lane[row] < 0 or int(view.lanes.link[lane[at], lane[row]]) != 1
+        return lane[at] < 0 or lane[row] < 0 or int(view.lanes.link[lane[at], lane[row]]) != CHANGES_LANES
 
     ahead = led.agent[row]
     leads = ahead >= 0 and apart(int(rows[ahead]))

@@ -23,6 +23,8 @@ AGREE_RAD = math.radians(60)
 HALF_WINDOW_S = 0.5
 MIN_CHORD_M = 1.0
 _CANDIDATES = 10  # nearest lanes looked at; no tunable: as in `kernels/lane_matching.py`, the one rule of lanes
+#: What lanes are to a lane: the same or a successor; a neighbour or the successor of one; anything else is neither.
+GOES_ON, CHANGES_LANES, _NEITHER = range(3)
 #: Lanes shorter than this may be passed between two steps. No tunable, for the same reason.
 _SHORT_M = 6.0
 
@@ -32,7 +34,7 @@ class FlatLanes:
     """The lanes of a map, `graph`, for compiled code: lane k has points first[k]:first[k + 1].
 
     lane_ids (L,); points (P, 2) m; s (P,) m along each lane; half_width (L,) m; box (L, 4) bounds, m;
-    link (L, L): 0 the same lane or a successor, 1 a lane change (neighbour, or the successor of one), 2 neither;
+    link (L, L): what each lane is to each, GOES_ON, CHANGES_LANES or neither;
     left, right (L,): same-direction neighbour of a driven type, -1 where none; turn (L,): +1 left, -1 right, else 0;
     straight (L,): `LaneGraph.straightest_successor`, -1 where there is none.
     """
@@ -135,9 +137,9 @@ def _links(successors: tuple[tuple[int, ...], ...], left: IntArray, right: IntAr
     reached = [_reached(k, successors, length) for k in range(count)]
     for k in range(count):
         beside = [n for n in (left[k], right[k]) if n >= 0]
-        link[k, [n for one in beside for n in (one, *reached[one])]] = 1
-        link[k, [n for ahead in reached[k] for n in (left[ahead], right[ahead]) if n >= 0]] = 1
-        link[k, [k, *reached[k]]] = 0
+        link[k, [n for one in beside for n in (one, *reached[one])]] = CHANGES_LANES
+        link[k, [n for ahead in reached[k] for n in (left[ahead], right[ahead]) if n >= 0]] = CHANGES_LANES
+        link[k, [k, *reached[k]]] = GOES_ON
     return link
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from hid2.agents import FloatArray
 from hid2.measures.arrays import BoolArray, SceneArrays
 from hid2.measures.driven_lanes import LaneView, Run, runs_of, source_path, target_path
-from hid2.measures.lane_matching import FlatLanes, Matches
+from hid2.measures.lane_matching import CHANGES_LANES, FlatLanes, Matches
 from netconvert.geometry import Polyline
 from netconvert.lane_graph import TURN_RAD
 
@@ -107,7 +107,7 @@ def detect(
         tried = (
             _lane_change(view, int(agent), runs, k)
             for k, (before, after) in enumerate(pairwise(runs), 1)
-            if min(before.lane, after.lane) >= 0 and lanes.link[before.lane, after.lane] == 1
+            if min(before.lane, after.lane) >= 0 and lanes.link[before.lane, after.lane] == CHANGES_LANES
         )
         overtakes, changes = _overtakes(view, int(agent), [one for one in tried if one is not None])
         seen = [change.maneuver for change in changes] + overtakes + list(_turns(view, int(agent), runs))

@@ -32,7 +32,7 @@ class SumoAnswer:
 #: that is worth an overtake (`overtake.speed_advantage_mps`).
 INCENTIVE_MPS = 1.5
 #: What SUMO is taken to answer before it drives: it wants the lane, and finds it free.
-FORESEEN = SumoAnswer(frozenset({"foreseen"}), blocked_ahead=False, blocked_behind=False)
+ASSUMED_ANSWER = SumoAnswer(frozenset({"foreseen"}), blocked_ahead=False, blocked_behind=False)
 
 
 #: Names of conditions that the rule of a user's own may answer to one by one; others are its own.
@@ -152,7 +152,7 @@ def expected_reason(
         desired_mps=max(v, driver.desired_mps), tau_s=driver.tau_s, accel_mps2=driver.accel_mps2,
         decel_mps2=driver.decel_mps2, min_gap_m=driver.min_gap_m,
         remaining_m=params.min_remaining_m + _FREE.remaining_m, own_front=behind, front=front, rear=rear,
-        cells_free=free, sumo=replace(FORESEEN, blocked_ahead=not free) if params.rule == "LC2013" else None,
+        cells_free=free, sumo=replace(ASSUMED_ANSWER, blocked_ahead=not free) if params.rule == "LC2013" else None,
     )  # fmt: skip
     return rule_reason(view, params)
 

@@ -61,7 +61,7 @@ def test_rollout_of_an_overtaker_is_out_past_and_back_in_time(scene_of: Callable
     alone = Guard(sites.here.scene, nobody(sites.here.scene.future.num_steps), sites.here.stop_lines)
     world = World(sites.here.scene, sites.here.roads, alone)
     slow = world.roll(leader)
-    world.choose(world.foreseen(leader, (slow,)))
+    world.choose(world.rolled_out(leader, (slow,)))
     vehicle, parts = world.act(overtaker)
     assert vehicle.stage is Stage.DONE
     assert vehicle.leader_id == leader.vehicle_id
@@ -114,7 +114,7 @@ def test_what_begins_later_leaves_a_chosen_overtake_as_it_is(scene_of: Callable[
         guard = Guard(scene, nobody(scene.future.num_steps), sites.here.stop_lines)
         world = World(scene, sites.here.roads, guard)
         for start in (leader, *others):
-            world.choose(world.foreseen(start, (world.roll(start),)))
+            world.choose(world.rolled_out(start, (world.roll(start),)))
         assert world.act(overtaker)[0].stage is Stage.DONE
 
 

@@ -11,7 +11,7 @@ from inserted import recorded, scene_on, start_on
 from hid2.agents import Policy, Track
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLine, StopLines
-from hid2.insertion.rollout import Foreseen, Rollout, World
+from hid2.insertion.rollout import RolledOut, Rollout, World
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
@@ -32,12 +32,12 @@ def world_of(road: Callable[..., LaneGraph]) -> Callable[..., World]:
 
 def _steady(
     world: World, s: float, mps: float, *, number: int = 0, lane: int = 1, policy: Policy = Policy.STRAIGHT
-) -> Foreseen:
+) -> RolledOut:
     """A vehicle that keeps its speed, m/s, from s m on."""
     start = start_on(world.scene, (lane,), s, mps, number=number, policy=policy)
     steps = np.arange(world.scene.num_steps)
     part = Rollout(start.path, 0, s + 0.1 * mps * steps, np.full(steps.size, mps), np.zeros((steps.size, 0)))
-    return world.foreseen(start, (part,))
+    return world.rolled_out(start, (part,))
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,7 @@ def test_follower_that_kept_as_little_in_the_recording_does_not_mind(world_of: C
     start = start_on(world.scene, (1,), 57.5, 10.0, step=30)
     steps = np.arange(world.scene.num_steps - 30)
     part = Rollout(start.path, 30, 57.5 + 1.0 * steps, np.full(steps.size, 10.0), np.zeros((steps.size, 0)))
-    assert world.harries(world.foreseen(start, (part,))) is None
+    assert world.harries(world.rolled_out(start, (part,))) is None
 
 
 def test_follower_that_closes_in_is_named(world_of: Callable[..., World]) -> None:
