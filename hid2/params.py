@@ -140,9 +140,9 @@ class Drivers(_Section):
 
     desired_sd: float = _param(0.12, "share", "SD of the desired speed around that of the lane's traffic", ge=0, le=0.5)
     wander_sd_mps: float = _param(
-        1.0, "m/s", "SD of the desired speed's wandering, drawn anew now and then; measured: 0.9 to 1.5", ge=0, le=3
+        1.0, "m/s", "SD of the desired speed's wandering (Ornstein-Uhlenbeck); measured: 0.9 to 1.5", ge=0, le=3
     )
-    wander_time_s: float = _param(2.0, "s", "correlation time of that wandering", gt=0, le=30)
+    wander_time_s: float = _param(3.0, "s", "correlation time of that wandering", gt=0, le=30)
     tau_mean_s: float = _param(1.15, "s", "time gap; usual 0.9 to 1.5", ge=0.5, le=4)
     tau_sd_s: float = _param(0.25, "s", "its SD between drivers", ge=0, le=2)
     accel_mean_mps2: float = _param(

@@ -12,7 +12,7 @@ from hid2.params import Config, Drivers
 #: No tunables, the shape of the distributions: draws are cut off so many SD from the mean; the wandering of the speed
 #: is eased over so long, s, as feet do not jump, and ends at this share of the desired speed, as none crawls without a
 #: cause; two places in the lane are so far apart at least, and none is farther from its middle, m: a car is no bicycle.
-TRUNCATED_AT, _EASED_S, _WANDERS_TO, _OFFSET_SPACING_M, OFFSET_MAX_M = 2.0, 0.3, 0.8, 6.0, 0.9
+TRUNCATED_AT, _EASED_S, _WANDERS_TO, _OFFSET_SPACING_M, OFFSET_MAX_M = 2.0, 0.8, 0.8, 6.0, 0.9
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,19 +91,17 @@ def draw_driver(config: Config, rng: np.random.Generator, *, lane_speed_mps: flo
 def desired_speeds(
     driver: Driver, config: Config, rng: np.random.Generator, *, num_steps: int, step_s: float, at_least_mps: float
 ) -> FloatArray:
-    """(T,) m/s desired speed at every step: the driver's own, and now and then another one around it.
+    """(T,) m/s desired speed at every step: the driver's own, with an Ornstein-Uhlenbeck wandering around it.
 
-    A foot moves at once and then rests: wishes are drawn anew at random times, `wander_time_s` apart in the mean, which
-    has the autocorrelation of an Ornstein-Uhlenbeck process of that time, and more of the jerk of recorded vehicles.
     at_least_mps: what the vehicle begins with; at the first step it is not above the desired speed.
     """
     law = config.drivers
     kept, eased = float(np.exp(-step_s / law.wander_time_s)), float(np.exp(-step_s / _EASED_S))
-    anew, drawn = (rng.random(num_steps) > kept).tolist(), (law.wander_sd_mps * rng.standard_normal(num_steps)).tolist()
+    kick = (law.wander_sd_mps * np.sqrt(1.0 - kept * kept) * rng.standard_normal(num_steps)).tolist()
     wander = [max(law.wander_sd_mps * float(rng.standard_normal()), at_least_mps - driver.desired_mps)]
     level = wander[0] + law.wander_sd_mps * float(rng.standard_normal())  # no vehicle begins at a constant speed
     for step in range(1, num_steps):
-        level = drawn[step] if anew[step] else level
+        level = kept * level + kick[step]
         wander.append(eased * wander[step - 1] + (1.0 - eased) * level)
     return np.maximum(driver.desired_mps + np.array(wander), _WANDERS_TO * driver.desired_mps)
 
