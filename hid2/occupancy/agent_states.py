@@ -15,7 +15,7 @@ from hid2.measures.lane_matching import FlatLanes, Matches, lane_along, match_la
 from hid2.motion.reference_line import ReferenceLine, build_reference_line
 from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.gaps import gaps_to_all
-from hid2.occupancy.traffic import Traffic, believed, traffic_of
+from hid2.occupancy.traffic import Traffic, are_believed, traffic_of
 from netconvert.geometry import Polyline, arc_length, differences
 
 #: Boxes that overlap along a path by more than this are side by side, m: neither leads the other.
@@ -58,6 +58,7 @@ class AgentStates:
     matches: Matches
     lanes: FlatLanes
     joined_of: tuple["AgentStates", ...] = field(default=(), repr=False)
+    _believed: list[bool] = field(default_factory=list, init=False, repr=False)
     _lines: dict[int, DrivenLine | None] = field(default_factory=dict, init=False, repr=False)
 
     def joined(self, *others: "AgentStates") -> "AgentStates":
@@ -87,10 +88,13 @@ class AgentStates:
         return AgentStates(arrays.agents(agents), self.traffic.rows(agents), chosen, self.lanes)
 
     def speed(self, row: int) -> FloatArray:
-        """(T,) how fast an agent is, m/s: as stated, and by its positions where it has no state, or is not believed."""
-        rows, found = self.row_span(row), self.traffic.velocity[row].copy()
-        at = self.arrays.step[rows]
-        found[at] = believed(self.arrays.velocity[rows], found[at])
+        """(T,) how fast an agent is, m/s: as stated; by its positions where it has no state, or none is believed."""
+        rows, found, arrays = self.row_span(row), self.traffic.velocity[row].copy(), self.arrays
+        if not self._believed:
+            by_positions = self.traffic.velocity[arrays.agent, arrays.step]
+            self._believed.append(are_believed(arrays.velocity, by_positions))
+        if self._believed[0]:
+            found[arrays.step[rows]] = arrays.velocity[rows]
         return np.asarray(np.hypot(*found.T))
 
     def span(self, row: int) -> slice:

@@ -12,7 +12,7 @@ from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Track
 BoolArray = npt.NDArray[np.bool_]
 #: Velocity is the difference of positions over this long either side, s. No tunable: what a tracker's velocity is.
 _HALF_S = 0.2
-#: Stated velocities mostly off those by the positions by more, m/s, are not believed. No tunable: no tracker is so bad.
+#: Stated velocities that are mostly farther off those by the positions, m/s, are not believed: no tracker is so bad.
 _BELIEVED_MPS = 2.0
 #: Arrays of `Traffic`, in their order: by agent and step, and all that have a row for each agent.
 _BY_STEP = ("position", "heading", "velocity", "present")
@@ -112,7 +112,7 @@ def traffic_of(
     count = len(tracks)
     position = np.zeros((count, num_steps, 2))
     heading = np.zeros((count, num_steps))
-    velocity = np.zeros((count, num_steps, 2))
+    velocity, stated = np.zeros((count, num_steps, 2)), np.zeros((count, num_steps, 2))
     present = np.zeros((count, num_steps), dtype=np.bool_)
     for row, track in enumerate(tracks):
         first, last = int(track.timesteps[0]), int(track.timesteps[-1])
@@ -126,9 +126,10 @@ def traffic_of(
         position[row, first : last + 1] = xy
         heading[row, first : last + 1] = angle
         present[row, first : last + 1] = True
-        velocity[row, first : last + 1] = (
-            believed(moved, velocity_of(xy, step_s)) if velocity_by is None else velocity_by(xy, step_s)
-        )
+        velocity[row, first : last + 1] = velocity_of(xy, step_s) if velocity_by is None else velocity_by(xy, step_s)
+        stated[row, first : last + 1] = moved
+    if velocity_by is None and are_believed(stated[present], velocity[present]):
+        velocity = stated
     sizes = np.array([covering(track) for track in tracks], dtype=np.float64).reshape(-1, 2)
     return Traffic(
         ids=tuple(track.track_id for track in tracks),
@@ -147,10 +148,9 @@ def covering(track: Track) -> BoxSize:
     return BoxSize(max(track.size.length_m, assumed.length_m), max(track.size.width_m, assumed.width_m))
 
 
-def believed(stated: FloatArray, by_positions: FloatArray) -> FloatArray:
-    """Velocities (N, 2) m/s of an agent: the stated ones, unless they are mostly far off those by its positions."""
-    off_mps = np.hypot(*(stated - by_positions).T)
-    return stated if off_mps.size and np.median(off_mps) < _BELIEVED_MPS else by_positions
+def are_believed(stated: FloatArray, by_positions: FloatArray) -> bool:
+    """Whether the velocities (N, 2) m/s that a recording states are mostly about those by its positions."""
+    return bool(len(stated)) and bool(np.median(np.hypot(*(stated - by_positions).T)) < _BELIEVED_MPS)
 
 
 def velocity_of(xy: FloatArray, step_s: float) -> FloatArray:

@@ -17,7 +17,7 @@ from hid2.insertion.event_starts import EventStarts, track_of
 from hid2.insertion.event_targets import target_of
 from hid2.insertion.events import scene_for
 from hid2.insertion.surroundings import Surroundings
-from hid2.params import Event, LaneChange
+from hid2.params import Config, Drivers, Event, LaneChange
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import VehicleRequest
@@ -28,8 +28,8 @@ from netconvert.lane_graph import LaneGraph
 def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
     """scene_of(*recorded) -> two lanes of 400 m: lane 1 at y = 0, lane 2 at y = 3.5 m."""
 
-    def make(*tracks: Track) -> Scene:
-        return scene_on(road(lanes=2, length_m=400.0), *tracks)
+    def make(*tracks: Track, **drivers: float) -> Scene:
+        return scene_on(road(lanes=2, length_m=400.0), *tracks, config=Config(drivers=Drivers(**drivers)))
 
     return make
 
@@ -86,8 +86,8 @@ def test_a_motion_of_two_paths_is_one_for_the_last_word(scene_of: Callable[..., 
 
 
 def test_a_leader_that_is_to_brake_wishes_less_from_the_moment_on(scene_of: Callable[..., Scene]) -> None:
-    """A target at 6 m/s, 2 m/s2 from about 4 s on: within a fifth in the rollout, and not before."""
-    scene = scene_of(recorded(100.0, 0.0, 6.0))
+    """A target at 6 m/s, 2 m/s2 from about 4 s on: within a fifth in the rollout, and not before: it is steady."""
+    scene = scene_of(recorded(100.0, 0.0, 6.0), wander_sd_mps=0.0)
     found = _starts(scene, brakes_mps2=2.0, gap_m=(4.0, 40.0), speed_difference_mps=(-6.0, 10.0)).draw(200)
     assert found
     for one in found:

@@ -41,12 +41,14 @@ def test_velocity_is_that_of_the_positions_over_up_to_half_a_second(track: Calla
 def test_stated_velocity_is_taken_where_it_is_about_that_of_the_positions(
     track: Callable[..., Track], stated: float, found: float
 ) -> None:
-    """10 m/s by the positions: up to 2 m/s off the stated one counts, also in a gap."""
+    """10 m/s by the positions: up to 2 m/s off the stated one counts, also in a gap; all of a recording, or none."""
     steps = [0, 1, 2, 4, 5, 6]
     one = track(steps, [1.0 * step for step in steps])
     one = replace(one, velocity=np.tile([stated, 0.0], (6, 1)))
-    traffic = traffic_of([one], 7, step_s=0.1)
+    off = replace(track([0, 1, 2], [0.0, 1.0, 2.0]), velocity=np.tile([3.0, 0.0], (3, 1)))
+    traffic = traffic_of([one, off], 7, step_s=0.1)
     assert traffic.velocity[0, :, 0] == pytest.approx([found] * 7)
+    assert traffic.velocity[1, 0, 0] == pytest.approx(3.0 if found != 10.0 else 10.0)
 
 
 def test_single_state_stands(track: Callable[..., Track]) -> None:
