@@ -14,7 +14,7 @@ from hid2.measures.driven_lanes import STRETCH_M, recorded_places
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.scene_end import END_HORIZON_S
 from hid2.motion.route import DrivenPath, Route, path_along, route_beside
-from hid2.occupancy.agent_states import AgentStates, agent_states, parked
+from hid2.occupancy.agent_states import AgentStates, agent_states, moving_vehicles, parked
 from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.shown import Shown, shown_on
 from hid2.occupancy.sigma import CellBoxes, OriginalOccupancy, cell_boxes, original_occupancy
@@ -84,6 +84,15 @@ class Scene:
     _usual: dict[int, float] = field(default_factory=dict)
     _places: dict[int, FloatArray] | None = None
     _parked: BoolArray | None = None
+    _movers: tuple[IntArray, Traffic] | None = None
+
+    @property
+    def movers(self) -> tuple[IntArray, Traffic]:
+        """Rows of the recorded vehicles that move at some time, and these alone; found out once."""
+        if self._movers is None:
+            rows = np.flatnonzero(moving_vehicles(self.states.arrays))
+            self._movers = rows, self.traffic.rows(rows.tolist())
+        return self._movers
 
     @property
     def parked(self) -> BoolArray:
@@ -130,7 +139,10 @@ class Scene:
         """Intervals of the recorded agents with boxes that reach into the width driven, without margins."""
         key = path, box
         if key not in self._leaders:
-            self._leaders[key] = look_along(path.line, self.future, box.length_m, box.width_m)
+            wide = self.recorded_on(path, box)  # what touches no margin touches no box
+            near = replace(self.future.rows(wide.agents.tolist()), present=np.isfinite(wide.low))
+            found = look_along(path.line, near, box.length_m, box.width_m)
+            self._leaders[key] = replace(found, agents=wide.agents[found.agents])
         return self._leaders[key]
 
     def shown_on(self, path: DrivenPath, box: BoxSize) -> Shown:

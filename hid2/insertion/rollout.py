@@ -24,7 +24,6 @@ from hid2.measures.scene_end import BoxesAtStep
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.motion.smoothing import Motion, trajectory
-from hid2.occupancy.agent_states import moving_vehicles
 from hid2.occupancy.along_path import PathOccupancy, path_occupancy
 from hid2.occupancy.gaps import Gaps, gaps_on_path
 from hid2.occupancy.shown import LEADS_FROM_M, SHOWN_M, Shown, shown_on
@@ -145,7 +144,7 @@ class World:
         It is left with too little time to collision, or with a shorter headway, which it never kept in the recording.
         """
         scene, own = self.scene, candidate.traffic.first(self.scene.num_steps)
-        recorded, critical_s = scene.traffic, scene.config.conflict.follower_ttc_min_s
+        (movers, recorded), critical_s = scene.movers, scene.config.conflict.follower_ttc_min_s
         forward = np.stack([np.cos(recorded.heading), np.sin(recorded.heading)], axis=-1)
         offset = own.position - recorded.position
         gap_m = (offset * forward).sum(axis=-1) - 0.5 * (own.length_m + recorded.length_m)[:, None]
@@ -155,8 +154,7 @@ class World:
         room_m = np.maximum(_FOLLOWS_M + critical_s * closing, headway_s * speed)
         near = (gap_m > -own.length_m) & (gap_m < room_m) & (aside_m < _ASIDE_M)
         near &= own.present & recorded.present
-        rows = np.flatnonzero(near.any(axis=1) & moving_vehicles(scene.states.arrays)).tolist()
-        for row in rows:
+        for row in movers[near.any(axis=1)].tolist():
             led = scene.states.led_by(row, own)
             if led.ttc_s.min(initial=math.inf) < critical_s:
                 return Reason.TTC_RECORDED_FOLLOWER
