@@ -54,7 +54,7 @@ MUTANTS = {
         (f"{UNIT}/conflicts/test_guard.py",),
     ),
     "trigger: a step late": Mutant(
-        "hid2/policy/decision.py", "seen.time_s >= seen.trigger_s", "seen.time_s > seen.trigger_s",
+        "hid2/policy/decision.py", "time_s >= trigger_s", "time_s > trigger_s",
         (f"{UNIT}/policy/test_decision.py",),
     ),
     "end of the scene: half the time is enough": Mutant(
