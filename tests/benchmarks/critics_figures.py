@@ -6,11 +6,11 @@ python tests/benchmarks/critics_figures.py --leave-one-out    # each scene's dri
 """
 
 import argparse
-import os
 from pathlib import Path
 
 import numpy as np
 from scipy.signal import savgol_filter
+from shared_data import SHARED_DATA
 
 from bridge.config import load_config
 from bridge.evaluation.calibrate import observe_scene, pooled
@@ -142,10 +142,9 @@ def main() -> None:
     parser.add_argument("--controls", action="store_true")
     parser.add_argument("root", type=Path, nargs="?", help="data-set root, by default the shared real scenes")
     options = parser.parse_args()
-    shared = Path(os.environ.get("HID2_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
     figures = Figures()
     placed = []
-    folders = find_scenarios(options.root or shared / "av2")
+    folders = find_scenarios(options.root or SHARED_DATA / "av2")
     seen = [observe_scene(None, folder) for folder in folders] if options.leave_one_out else []
     for number, folder in enumerate(folders):
         flags: dict[str, object] = {"request.seed": options.seed}

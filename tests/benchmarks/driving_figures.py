@@ -4,12 +4,12 @@ python tests/benchmarks/driving_figures.py --agents 10 --seeds 10 [ROOT]
 """
 
 import argparse
-import os
 import time
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
+from shared_data import SHARED_DATA
 
 from bridge.generation.generate import generate, prepare
 from bridge.generation.scene import TrafficScene
@@ -89,9 +89,8 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("root", type=Path, nargs="?", help="data-set root, by default the shared real scenes")
     options = parser.parse_args()
-    shared = Path(os.environ.get("HID2_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
     figures, placed = Figures(), []
-    for folder in find_scenarios(options.root or shared / "av2"):
+    for folder in find_scenarios(options.root or SHARED_DATA / "av2"):
         prepared, began = prepare(read_scenario(folder), Config()), time.process_time()
         for seed in range(options.seeds):
             request = Request(agents=options.agents, seed=seed)

@@ -5,12 +5,12 @@ python tests/benchmarks/encounters_figures.py --variants 20 --seed 0 [--near foc
 
 import argparse
 import itertools
-import os
 import time
 from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
+from shared_data import SHARED_DATA
 
 from bridge.config import load_config
 from bridge.generation.generate import generate, prepare
@@ -168,11 +168,10 @@ def main() -> None:
     parser.add_argument("--set", dest="settings", action="append", default=[])
     parser.add_argument("root", type=Path, nargs="?", help="data-set root, by default the shared real scenes")
     options = parser.parse_args()
-    shared = Path(os.environ.get("HID2_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
     asked = {"request.seed": options.seed, "request.near": options.near, "request.within_m": options.within}
     target = options.near if options.near in ("av", "focal") else None
     figures, scenes, seconds = Figures(), 0, 0.0
-    for folder in find_scenarios(options.root or shared / "av2"):
+    for folder in find_scenarios(options.root or SHARED_DATA / "av2"):
         config = load_config(None, options.settings, asked)
         recording = read_scenario(folder)
         prepared, lanes, name = prepare(recording, config), flatten_lanes(recording.graph), folder.name[:8]

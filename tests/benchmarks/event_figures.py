@@ -13,7 +13,6 @@ floors   processor time of the event alone, over that of SUMO replaying the reco
 
 import argparse
 import logging
-import os
 import tempfile
 import time
 from collections import Counter
@@ -23,6 +22,7 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
+from shared_data import SHARED_DATA
 from unsteered import simulate_unsteered
 
 from bridge.generation.generate import PreparedScene, generate, prepare
@@ -280,14 +280,13 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", default=[""], help="scenes whose ids begin with one of these")
     parser.add_argument("roots", type=Path, nargs="*", help="data-set roots, by default the shared real scenes")
     options = parser.parse_args()
-    shared = Path(os.environ.get("HID2_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
     ttc = None if options.ttc is None else tuple(float(one) for one in options.ttc.split(":"))
     said, log = Said(), logging.getLogger("hid2.insertion.events")
     log.addHandler(said)
     log.setLevel(logging.DEBUG)
     log.propagate = False
     rows = []
-    for folder in (one for root in options.roots or [shared / "av2"] for one in find_scenarios(root)):
+    for folder in (one for root in options.roots or [SHARED_DATA / "av2"] for one in find_scenarios(root)):
         if folder.name.startswith(tuple(options.only)):
             rows += measure(folder, options.kinds, options.targets, ttc, said)
     print(summary(rows))

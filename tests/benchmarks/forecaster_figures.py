@@ -9,12 +9,12 @@ table follows each seed.
 """
 
 import argparse
-import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from shared_data import SHARED_DATA
 
 from bridge.forecasting.small_forecaster import small_forecaster
 from bridge.generation.generate import generate, prepare
@@ -62,9 +62,8 @@ def table(scores: dict[str, list[FloatArray]], kinds: dict[str, BoolArray], scen
 
 def main() -> None:
     """Print the table."""
-    data = Path(os.environ.get("HID2_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("roots", nargs="*", type=Path, default=[data / "av2", data / "wide"])
+    parser.add_argument("roots", nargs="*", type=Path, default=[SHARED_DATA / "av2", SHARED_DATA / "wide"])
     parser.add_argument("--variants", type=int, default=6)
     parser.add_argument("--updates", type=int, default=300)
     parser.add_argument("--parts", type=int, default=4)

@@ -8,11 +8,11 @@ the same in each scene. AUC .5: not told apart; beside it the recorded ones agai
 """
 
 import argparse
-import os
 from pathlib import Path
 
 import numpy as np
 from scipy.signal import savgol_filter
+from shared_data import SHARED_DATA
 from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.metrics import roc_auc_score
 from threadpoolctl import threadpool_limits
@@ -83,9 +83,8 @@ def told_apart(features: np.ndarray, inserted: np.ndarray, scene: np.ndarray) ->
 
 def main() -> None:
     """Print the table."""
-    data = Path(os.environ.get("HID2_SHARED_DATA", "../shared/data"))
     parser = argparse.ArgumentParser()
-    parser.add_argument("roots", nargs="*", type=Path, default=[data / "av2", data / "wide"])
+    parser.add_argument("roots", nargs="*", type=Path, default=[SHARED_DATA / "av2", SHARED_DATA / "wide"])
     parser.add_argument("--seeds", nargs="*", type=int, default=[0, 1, 2])
     parser.add_argument("--labelled", action="store_true", help="scenes that people labelled, not a tracker's")
     asked = parser.parse_args()

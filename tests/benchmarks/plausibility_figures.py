@@ -6,13 +6,13 @@ and the sequences of av1/ on the map of one of the scenes.
 
 import argparse
 import csv
-import os
 import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from shared_data import SHARED_DATA
 
 from bridge.recordings.folders import Address, Choices
 from bridge.recordings.plausibility import (
@@ -58,8 +58,7 @@ def shifted(recording: Recording, by_m: float) -> Recording:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    default = Path(os.environ.get("HID2_SHARED_DATA", ROOT.parent / "shared" / "data"))
-    parser.add_argument("data", type=Path, nargs="?", default=default)
+    parser.add_argument("data", type=Path, nargs="?", default=SHARED_DATA)
     data = parser.parse_args().data
     print(f"at least {LEAST_VEHICLES} vehicles: mapped >= {LEAST_MAPPED:.0%}, ground >= {LEAST_GROUND:.0%}, ", end="")
     print(f"turned <= {MOST_TURNED:.0%}, stated {STATED}; gain < {MOST_GAIN:.0%}, or < {LEAST_GAINING} vehicles")

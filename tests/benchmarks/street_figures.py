@@ -14,7 +14,6 @@ twins        pairs of variants with a vehicle within 2 m and 1 m/s of another's 
 
 import argparse
 import itertools
-import os
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,6 +23,7 @@ import numpy as np
 from scipy.signal import savgol_filter
 from scipy.stats import wasserstein_distance
 from shapely import LineString
+from shared_data import SHARED_DATA
 from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.metrics import roc_auc_score
 from threadpoolctl import threadpool_limits
@@ -441,13 +441,12 @@ def crawling(states: AgentStates, agent: int, led: Leaders, usual) -> FloatArray
 
 def main() -> None:
     """Print the figures."""
-    data = Path(os.environ.get("HID2_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--variants", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--twins", action="store_true", help="draw as many variants independently, too")
     parser.add_argument("--set", dest="settings", action="append", default=[])
-    parser.add_argument("roots", nargs="*", type=Path, default=[data / "av2", data / "wide"])
+    parser.add_argument("roots", nargs="*", type=Path, default=[SHARED_DATA / "av2", SHARED_DATA / "wide"])
     asked = parser.parse_args()
     logged()
     figures, order = Figures(), Spread.order

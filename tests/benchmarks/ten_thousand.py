@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import psutil
+from shared_data import SHARED_DATA
 
 from bridge.batch.batch import Options, SceneJob, plan, run_batch
 from bridge.config import load_config
@@ -203,7 +204,7 @@ def check(out: Path, scratch: Path, wanted: int, jobs: list[SceneJob], seen: See
 def main() -> int:
     """Run, disturb, resume, check, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    shared = Path(os.environ.get("HID2_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data")) / "av2"
+    shared = SHARED_DATA / "av2"
     parser.add_argument("--root", type=Path, default=shared, help="recorded scenes (default: the real ones)")
     parser.add_argument("--scenes", type=int, default=10_000)
     parser.add_argument("--agents", type=int, default=10)

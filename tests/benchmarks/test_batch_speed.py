@@ -11,7 +11,6 @@ is not recycled here, after each scene.
 """
 
 import argparse
-import os
 import tempfile
 import time
 from collections.abc import Sequence
@@ -21,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 import psutil
 import pytest
+from shared_data import SHARED_DATA
 
 from bridge.batch.batch import Options, Progress, Run, SceneJob, run_batch
 from bridge.batch.manifest import ManifestRow
@@ -113,8 +113,7 @@ def main() -> None:
     parser.add_argument("--agents", type=int, nargs="+", default=[10])
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
     arguments = parser.parse_args()
-    shared = Path(os.environ.get("HID2_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
-    folders = find_scenarios(arguments.root or shared / "av2")
+    folders = find_scenarios(arguments.root or SHARED_DATA / "av2")
     if arguments.what == "memory":
         sizes = memory_of_one_worker(folders, scenes=arguments.scenes, agents=arguments.agents[0])
         shown = [round(size) for size in sizes[:: max(1, len(sizes) // 10)]]

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from shared_data import SHARED_DATA
 
 from bridge.batch.batch import Options, Run, SceneJob, run_batch
 from bridge.recordings.scenario import find_scenarios
@@ -98,9 +99,8 @@ def main() -> None:
     parser.add_argument("--scenes", type=int, nargs="+", default=[200, 600, 1200])
     parser.add_argument("--jobs", type=int, default=1)
     arguments = parser.parse_args()
-    shared = Path(os.environ.get("HID2_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
     with tempfile.TemporaryDirectory(prefix="hid2-evaluate-") as name:
-        folders = make_scenes(find_scenarios(arguments.root or shared / "av2"), Path(name) / "made")
+        folders = make_scenes(find_scenarios(arguments.root or SHARED_DATA / "av2"), Path(name) / "made")
         sizes = {}
         for scenes in arguments.scenes:
             size = measure_many(folders, Path(name) / str(scenes), scenes=scenes, jobs=arguments.jobs)

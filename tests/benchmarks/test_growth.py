@@ -10,7 +10,6 @@ with nobody recorded on them, so that nothing but the map grows.
 """
 
 import argparse
-import os
 import statistics
 import time
 from collections.abc import Sequence
@@ -21,6 +20,7 @@ from typing import NamedTuple
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from shared_data import SHARED_DATA
 
 from bridge.generation.generate import generate
 from bridge.recordings.scenario import Scenario, find_scenarios, read_scenario
@@ -158,8 +158,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=SEEDS)
     parser.add_argument("root", type=Path, nargs="?", help="data-set root, by default the shared real scenes")
     options = parser.parse_args()
-    shared = Path(os.environ.get("HID2_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
-    folders = find_scenarios(options.root or shared / "av2")
+    folders = find_scenarios(options.root or SHARED_DATA / "av2")
     scenes = {}
     print(f"{'scene':10} " + " ".join(f"{count:>10}" for count in VEHICLES) + "   vehicles")
     for folder in folders:

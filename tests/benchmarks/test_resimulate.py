@@ -12,7 +12,6 @@ Not part of the default run: `pytest -m benchmark -s`, or as a script with a num
 
 import argparse
 import csv
-import os
 import statistics
 import tempfile
 import time
@@ -20,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shared_data import SHARED_DATA
 from unsteered import Start, simulate_unsteered
 
 from bridge.evaluation.resimulate import MODELS, Plan, Resimulation, resimulate_folders
@@ -113,8 +113,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", default=[""], help="scenes whose id begins with one of these")
     parser.add_argument("--cost", action="store_true", help="the cost alone")
     options = parser.parse_args()
-    shared = Path(os.environ.get("HID2_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
-    folders = scenes_of(shared, tuple(options.only))
+    folders = scenes_of(SHARED_DATA, tuple(options.only))
     cost(folders[0], 1)
     timed = [cost(folder, options.seeds) for folder in folders]
     for folder, (scene_s, limit_s) in zip(folders, timed, strict=True):

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from shared_data import SHARED_DATA
 
 #: Largest ratio of processor times.
 MOST = 2.4
@@ -55,5 +56,4 @@ def test_starting_costs_little_more_than_the_libraries(real_scenes: list[Path]) 
 
 
 if __name__ == "__main__":
-    shared = Path(os.environ.get("HID2_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
-    ratios(next((shared / "av2").glob(f"*/{SCENE}*")), rounds=ROUNDS)
+    ratios(next((SHARED_DATA / "av2").glob(f"*/{SCENE}*")), rounds=ROUNDS)

@@ -27,6 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from shared_data import SHARED_DATA
 from unsteered import Start, simulate_unsteered
 
 from bridge.generation.generate import PreparedScene, generate, prepare
@@ -40,7 +41,7 @@ from hid2.params import Config, Request
 from hid2.scene import Scene
 
 #: Time over the limit, at most, in the median over the scenes and in the worst; driven for one kept in the median.
-MOST = {10: (6.5, 14.0, 2.0), 20: (11.0, 24.0, 2.4)}
+MOST = {10: (5.5, 12.0, 1.4), 20: (8.5, 18.0, 1.6)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,10 +185,9 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", default=[""], help="scenes whose id begins with one of these")
     parser.add_argument("--roots", type=Path, nargs="+", help="data-set roots, by default the shared real scenes")
     options = parser.parse_args()
-    shared = Path(os.environ.get("HID2_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data"))
     folders = [
         folder
-        for root in options.roots or (shared / "av2", shared / "wide")
+        for root in options.roots or (SHARED_DATA / "av2", SHARED_DATA / "wide")
         for folder in find_scenarios(root)
         if folder.name.startswith(tuple(options.only))
     ]
