@@ -88,14 +88,15 @@ class AgentStates:
         return AgentStates(arrays.agents(agents), self.traffic.rows(agents), chosen, self.lanes)
 
     def speed(self, row: int) -> FloatArray:
-        """(T,) how fast an agent is, m/s: as stated; by its positions where it has no state, or none is believed."""
-        rows, found, arrays = self.row_span(row), self.traffic.velocity[row].copy(), self.arrays
+        """(T,) how fast an agent is at most, m/s: as stated, if that is believed, or by its positions."""
+        rows, arrays, found = self.row_span(row), self.arrays, np.hypot(*self.traffic.velocity[row].T)
         if not self._believed:
             by_positions = self.traffic.velocity[arrays.agent, arrays.step]
             self._believed.append(are_believed(arrays.velocity, by_positions))
         if self._believed[0]:
-            found[arrays.step[rows]] = arrays.velocity[rows]
-        return np.asarray(np.hypot(*found.T))
+            at = arrays.step[rows]
+            found[at] = np.maximum(found[at], np.hypot(*arrays.velocity[rows].T))
+        return np.asarray(found)
 
     def span(self, row: int) -> slice:
         """The steps of an agent, from its first to its last."""
