@@ -51,13 +51,12 @@ class Figures:
         self.replayed_off_m = max(self.replayed_off_m, scene.sidecar.replay.max_position_error_m)
         for record in scene.sidecar.replaced:
             self.replaced[record.reason if record.detail is None else f"{record.reason}:{record.detail}"] += 1
-        for agent in scene.sidecar.agents:
-            for record in agent.maneuvers:
-                if str(record.reason).startswith("map_offers"):
-                    continue
-                self.manoeuvres[record.kind, record.status] += 1
-                if record.status != "done":
-                    self.reasons[record.kind, str(record.reason)] += 1
+        for _, record in scene.sidecar.asked:
+            if str(record.reason).startswith("map_offers"):
+                continue
+            self.manoeuvres[record.kind, record.status] += 1
+            if record.status != "done":
+                self.reasons[record.kind, str(record.reason)] += 1
         for vehicle in scene.vehicles:
             s, v = vehicle.motion.s, vehicle.motion.v
             self.steps += len(vehicle.driven.s) - 1

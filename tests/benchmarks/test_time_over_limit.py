@@ -113,7 +113,7 @@ def measure(folder: Path, agents: str, seed: int) -> Timing:
         made.write(Path(beside) / "out")
         scene_s = time.process_time() - began
         limit_s = _limit_s(folder, made, config, Path(beside))
-    asked = [record for agent in made.sidecar.agents for record in agent.maneuvers]
+    asked = [record for _, record in made.sidecar.asked]
     offered = [record for record in asked if not str(record.reason).startswith("map_offers")]
     return Timing(
         folder.name[:8], agents, len(made.generated), len(made.driven), 1 + max((n for n, _ in made.driven), default=0),
