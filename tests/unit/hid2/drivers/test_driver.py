@@ -40,6 +40,20 @@ def test_draws_stay_within_two_standard_deviations_and_the_bounds(lane_speed: fl
     assert all(2.5 <= driver.lane_change_s <= 6.0 for driver in drivers)
 
 
+def test_none_is_drawn_beyond_what_drivers_do() -> None:
+    """Two SD below the means come to 0.2 s, 0.1 and 0.2 m/s2 and 0.2 m: cut off at 0.6 s, 0.6 and 0.8 m/s2 and 1 m."""
+    law = Drivers(
+        tau_mean_s=0.8, tau_sd_s=0.3, accel_mean_mps2=0.7, accel_sd_mps2=0.3, decel_mean_mps2=1.0, decel_sd_mps2=0.4,
+        min_gap_mean_m=1.2, min_gap_sd_m=0.5,
+    )  # fmt: skip
+    rng, config = np.random.default_rng(0), CONFIG.model_copy(update={"drivers": law})
+    drivers = [draw_driver(config, rng, lane_speed_mps=10.0) for _ in range(100)]
+    assert min(driver.tau_s for driver in drivers) == 0.6
+    assert min(driver.accel_mps2 for driver in drivers) == 0.6
+    assert min(driver.decel_mps2 for driver in drivers) == 0.8
+    assert min(driver.min_gap_m for driver in drivers) == 1.0
+
+
 def test_no_two_drivers_are_one() -> None:
     rng = np.random.default_rng(0)
     drivers = {draw_driver(CONFIG, rng, lane_speed_mps=10.0) for _ in range(50)}

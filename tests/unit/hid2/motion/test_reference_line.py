@@ -121,3 +121,9 @@ def test_shortest_lanes_have_a_line_too(length: float) -> None:
     line = _line(np.array([[0.0, 0.0], [length, 0.0]]))
     assert line.length_m == pytest.approx(length)
     assert line.position(np.array([length / 2]))[0] == pytest.approx([length / 2, 0.0], abs=1e-6)
+
+
+def test_short_line_is_cut_evenly_wherever_its_points_lie() -> None:
+    """4 m with a point at 0.1 m: pieces of at most 4 / 6.01 = 0.67 m are seven, of 4 / 7 m, from eight points."""
+    line = _line(np.array([[0.0, 0.0], [0.1, 0.0], [4.0, 0.0]]))
+    assert np.diff(line.points[:, 0]) == pytest.approx(np.full(7, 4.0 / 7.0))

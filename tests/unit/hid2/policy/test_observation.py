@@ -157,7 +157,7 @@ def test_generated_vehicles_hold_the_cells_where_the_simulation_has_them_now(
 ) -> None:
     """Sigma = 2: somebody driven, or kept in a round before, stands in cell 11 (44 .. 48 m) of lane 2, next to cell 10.
 
-    Cell 13 is three away.
+    Cell 9 is next to it, too; cells 8 and 12, two away, do not count.
     """
     scene = scene_of()
 
@@ -171,7 +171,9 @@ def test_generated_vehicles_hold_the_cells_where_the_simulation_has_them_now(
         return option.cells_free
 
     assert not is_free(46.0)
-    assert is_free(54.0)
+    assert not is_free(38.0)
+    assert is_free(50.0)
+    assert is_free(34.0)
 
 
 def test_vehicle_beside_leaves_no_gap(scene_of: Callable[..., Scene], track: Callable[..., Track]) -> None:
