@@ -131,6 +131,11 @@ def test_who_moves_later_queues_at_the_side_of_its_lane_too(signals) -> None:
     assert _steps(scene.red(2)) == list(range(76))
 
 
+def test_vehicle_that_is_inside_at_its_last_state_alone_has_entered(signals) -> None:
+    """From (-108.5, 0) at 1 m a step: at x = 0.5 at step 109, the last one."""
+    assert _steps(signals(_along("a", [(-108.5, 0.0), (40.0, 0.0)])).enters(2)) == [109]
+
+
 def test_an_entry_makes_green_for_the_queue_behind_it(signals, box) -> None:
     """The first enters at step 36, the second stands on at x = -12: red but for 36 - 10 to 36 + 20."""
     scene = signals(_along("a", [(-5.0, 0.0), (40.0, 0.0)], wait_steps=30), box(-12.0, 0.0, name="b"))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from inserted import DRIVER
 
-from hid2.drivers.driver import LaneOffset, desired_speeds, draw_driver, lane_offset, place_of_lane
+from hid2.drivers.driver import LaneOffset, desired_speeds, draw_driver, free_speeds, lane_offset, place_of_lane
 from hid2.params import Config, Drivers, Limits, Spawn
 
 #: Every value that a number below is worked from; the defaults may be tuned.
@@ -38,6 +38,20 @@ def test_draws_stay_within_two_standard_deviations_and_the_bounds(lane_speed: fl
     assert all(driver.accel_mps2 <= 2.40 for driver in drivers)
     assert all(driver.decel_mps2 <= 4.05 for driver in drivers)
     assert all(2.5 <= driver.lane_change_s <= 6.0 for driver in drivers)
+
+
+def test_none_is_drawn_beyond_what_drivers_do() -> None:
+    """Two SD below the means come to 0.2 s, 0.1 and 0.2 m/s2 and 0.2 m: cut off at 0.6 s, 0.6 and 0.8 m/s2 and 1 m."""
+    law = Drivers(
+        tau_mean_s=0.8, tau_sd_s=0.3, accel_mean_mps2=0.7, accel_sd_mps2=0.3, decel_mean_mps2=1.0, decel_sd_mps2=0.4,
+        min_gap_mean_m=1.2, min_gap_sd_m=0.5,
+    )  # fmt: skip
+    rng, config = np.random.default_rng(0), CONFIG.model_copy(update={"drivers": law})
+    drivers = [draw_driver(config, rng, lane_speed_mps=10.0) for _ in range(100)]
+    assert min(driver.tau_s for driver in drivers) == 0.6
+    assert min(driver.accel_mps2 for driver in drivers) == 0.6
+    assert min(driver.decel_mps2 for driver in drivers) == 0.8
+    assert min(driver.min_gap_m for driver in drivers) == 1.0
 
 
 def test_no_two_drivers_are_one() -> None:
@@ -93,6 +107,25 @@ def test_desired_speed_never_falls_below_four_fifths() -> None:
         for k in range(100)
     ]
     assert min(one.min() for one in speeds) >= 8.0
+
+
+def test_free_speed_goes_towards_the_wish_as_the_model_has_it() -> None:
+    """1.6 m/s2 for .1 s. From 5 m/s to 10: 5 + .16 (1 - .5^4) = 5.15, then 5.15 + .16 (1 - .515^4) = 5.2987 m/s.
+
+    From 20 m/s the share 1 - 2^4 is cut off at -1: 19.84 m/s. From .1 m/s to a wish of .01 it stands, at 0.
+    """
+    assert free_speeds(DRIVER, np.full(2, 10.0), speed_mps=5.0, step_s=0.1) == pytest.approx([5.15, 5.2987], abs=1e-4)
+    assert free_speeds(DRIVER, np.array([10.0]), speed_mps=20.0, step_s=0.1) == pytest.approx([19.84])
+    assert free_speeds(DRIVER, np.array([0.01]), speed_mps=0.1, step_s=0.1).tolist() == [0.0]
+
+
+def test_place_in_the_lane_is_correlated_from_knot_to_knot() -> None:
+    """By exp(-1) = .37 with the one before, exp(-2) = .14 with that before it; SD .15 m, cut off at two SD: .13 m."""
+    rngs = map(np.random.default_rng, range(300))
+    knots = [lane_offset(WEAVES, CONFIG, rng, length_m=200.0, usual=np.zeros_like).offset_m[:8] for rng in rngs]
+    d = np.array(knots)
+    one, two = (np.corrcoef(d[:, :-lag].ravel(), d[:, lag:].ravel())[0, 1] for lag in (1, 2))
+    assert [one, two, d.std()] == pytest.approx([0.37, 0.14, 0.14], abs=0.06)
 
 
 def test_place_in_the_lane_does_not_move_while_standing() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hid2.agents import BoxSize, Track
-from hid2.judge.events import measure_event, post_encroachment_of
+from hid2.judge.events import crossing_steps, measure_event, post_encroachment_of
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.occupancy.agent_states import AgentStates, agent_states
 from netconvert.lane_graph import LaneGraph
@@ -82,6 +82,12 @@ def test_gap_of_a_crossing_is_from_the_bumper_to_where_the_paths_cross(pair: Cal
     states = pair(_drive(0.0, -20.0, 10.0, heading=np.pi / 2), _drive(-40.0, 0.0, 10.0))
     found = measure_event(states, "cross", 0, 1, at_step=20)
     assert (found.gap_m, found.headway_s) == (pytest.approx(18.0, abs=1.0), None)
+
+
+def test_paths_may_cross_where_one_begins(pair: Callable[..., AgentStates]) -> None:
+    """The vehicle begins 0.2 m before the point, there at step 0; the target comes 40 m at 1 m a step: step 40."""
+    states = pair(_drive(0.0, -0.2, 10.0, heading=np.pi / 2), _drive(-40.2, 0.0, 10.0))
+    assert crossing_steps(states, 0, 1) == (0, 40)
 
 
 def test_crossing_has_a_pet(pair: Callable[..., AgentStates]) -> None:

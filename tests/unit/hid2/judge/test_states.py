@@ -9,8 +9,9 @@ import pytest
 
 from hid2.agents import BoxSize, Track
 from hid2.judge.findings import Bounds, Quantity
-from hid2.judge.states import judge, of_boxes
+from hid2.judge.states import contacts_at_end, judge, of_boxes, sustained_headway
 from hid2.measures.lane_matching import flatten_lanes
+from hid2.measures.scene_end import BoxesAtStep
 from hid2.occupancy.agent_states import AgentStates, agent_states
 from netconvert.lane_graph import LaneGraph, LaneSegment
 
@@ -140,6 +141,14 @@ def test_heading_against_the_lane(
     assert all(one.value == pytest.approx(degrees) for one in seen)
 
 
+def test_heading_against_a_lane_that_leads_up_the_map(lane: Callable[..., LaneSegment], states_on: Any) -> None:
+    """The lane at 90 degrees, the box that stands on it at 20: 70 degrees between them."""
+    ring = np.array([(-50.0, -50.0), (150.0, -50.0), (150.0, 350.0), (-50.0, 350.0), (-50.0, -50.0)])
+    graph = LaneGraph({1: lane(1, [(50.0, -40.0), (50.0, 300.0)])}, drivable_areas=(ring,))
+    (seen,) = judge(states_on(graph, _at("gen_0", 50.0, 0.0, heading=np.radians(20.0))), graph, Bounds())
+    assert (seen.quantity, seen.value) == (Quantity.AGAINST_LANE, pytest.approx(70.0))
+
+
 def test_driving_against_the_lane_is_found(judged: Judged) -> None:
     """Turned round, and in reverse."""
     for heading in (np.pi, 0.0):
@@ -259,6 +268,24 @@ def test_contact_after_the_end_that_braking_avoids_is_no_finding(judged: Judged)
     for ahead, found in ((27.5, 0), (26.9, 1)):
         stands = _at("a", own.position[-1, 0] + ahead, 0.0, heading=np.pi / 2)
         assert [one[1] for one in judged(stands, own)].count(Quantity.END_CONTACT) == found
+
+
+@pytest.mark.parametrize("degrees", [0.0, 90.0, 200.0])
+def test_vehicle_that_comes_from_behind_after_the_end_brakes_itself(degrees: float) -> None:
+    """10 m behind a car of 4.5 m at 10 m/s comes one at 14 m/s: 5.5 m / 4 m/s = 1.375 s, whichever way they head."""
+    forward = np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
+    boxes = BoxesAtStep(
+        np.array([0.0 * forward, -10.0 * forward]), np.full(2, np.radians(degrees)),
+        np.array([10.0 * forward, 14.0 * forward]), np.array([[4.5, 1.9], [4.5, 1.9]]),
+    )  # fmt: skip
+    assert list(contacts_at_end(boxes, Bounds(), step_s=0.1)) == []
+
+
+def test_headway_counts_above_three_metres_a_second() -> None:
+    """1 m behind a car, of whose length .3 s of the way count: (1 + 1.2) m / 4 m/s = .55 s for 1 s; at 3 m/s none."""
+    gap_m = np.full(12, 1.0)
+    assert sustained_headway(gap_m, 4.5, np.full(12, 4.0), 0.1) == (pytest.approx(0.55), 9)
+    assert sustained_headway(gap_m, 4.5, np.full(12, 3.0), 0.1)[0] == np.inf
 
 
 @pytest.mark.parametrize(("gap", "found"), [(3.0, 1), (6.0, 0)])

@@ -121,3 +121,20 @@ def test_shortest_lanes_have_a_line_too(length: float) -> None:
     line = _line(np.array([[0.0, 0.0], [length, 0.0]]))
     assert line.length_m == pytest.approx(length)
     assert line.position(np.array([length / 2]))[0] == pytest.approx([length / 2, 0.0], abs=1e-6)
+
+
+def test_short_line_is_cut_evenly_wherever_its_points_lie() -> None:
+    """4 m with a point at 0.1 m: pieces of at most 4 / 6.01 = 0.67 m are seven, of 4 / 7 m, from eight points."""
+    line = _line(np.array([[0.0, 0.0], [0.1, 0.0], [4.0, 0.0]]))
+    assert np.diff(line.points[:, 0]) == pytest.approx(np.full(7, 4.0 / 7.0))
+
+
+@pytest.mark.parametrize(
+    ("at", "reach_m", "beyond"), [((0.0, 30.0), 32.0, False), ((0.0, 34.0), 32.0, True), ((260.0, 0.0), 15.0, True)]
+)
+def test_line_is_beyond_another_one_where_they_are_too_far_apart_on_an_axis(
+    straight_line: ReferenceLine, at: tuple[float, float], reach_m: float, beyond: bool
+) -> None:
+    """Both 200 m along x, with tables that go on to 240 m: 30 or 34 m apart across, or 20 m along."""
+    other = _line(np.array([[0.0, 0.0], [200.0, 0.0]]) + at)
+    assert straight_line.is_beyond(other, reach_m) == other.is_beyond(straight_line, reach_m) == beyond

@@ -213,6 +213,21 @@ def test_first_turn_is_one_that_the_path_makes(forked: LaneGraph) -> None:
     assert turn.lane_id == 3
     assert first_turn(forked, path, TurnType.LEFT, after=60.0) is None
     assert first_turn(forked, path, TurnType.RIGHT, after=10.0) is None
+    assert first_turn(forked, _path(forked, 3, 4), TurnType.LEFT, after=0.0) is None  # it is on it from the beginning
+
+
+def test_turn_is_told_by_how_far_the_path_turns_wherever_it_heads(lane: Callable[..., LaneSegment]) -> None:
+    """Down the map, -90 degrees, then to the left along it, 0: it turns by 0 - (-90) = 90 degrees."""
+    angle = np.linspace(np.pi, 1.5 * np.pi, 20)
+    bend = np.array([15.0, 0.0]) + 15.0 * np.column_stack([np.cos(angle), np.sin(angle)])
+    graph = LaneGraph({
+        1: lane(1, [(0.0, 50.0), (0.0, 0.0)], successors=(2,)),
+        2: lane(2, bend, successors=(3,), is_intersection=True),
+        3: lane(3, [bend[-1], bend[-1] + [60.0, 0.0]]),
+    })  # fmt: skip
+    turn = first_turn(graph, _path(graph, 1, 2, 3), TurnType.LEFT, after=10.0)
+    assert turn is not None
+    assert turn.lane_id == 2
 
 
 def test_lane_that_undoes_the_kink_before_it_is_no_turn(lane: Callable[..., LaneSegment]) -> None:

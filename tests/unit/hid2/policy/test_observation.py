@@ -157,7 +157,7 @@ def test_generated_vehicles_hold_the_cells_where_the_simulation_has_them_now(
 ) -> None:
     """Sigma = 2: somebody driven, or kept in a round before, stands in cell 11 (44 .. 48 m) of lane 2, next to cell 10.
 
-    Cell 13 is three away.
+    Cell 9 is next to it, too; cells 8 and 12, two away, do not count.
     """
     scene = scene_of()
 
@@ -171,7 +171,22 @@ def test_generated_vehicles_hold_the_cells_where_the_simulation_has_them_now(
         return option.cells_free
 
     assert not is_free(46.0)
-    assert is_free(54.0)
+    assert not is_free(38.0)
+    assert is_free(50.0)
+    assert is_free(34.0)
+
+
+@pytest.mark.parametrize(("x", "free"), [(32.0, True), (38.0, False), (46.0, False), (52.0, True)])
+def test_recorded_vehicles_hold_the_cells_beside_and_next_to_it(
+    x: float, free: bool, scene_of: Callable[..., Scene], track: Callable[..., Track]
+) -> None:
+    """Cells 9 to 11, beside and next to it, are 36 .. 48 m. A car at 32 m ends at 34.25, at 52 m it begins at 49.75."""
+    scene = scene_of(track(range(110), np.full(110, x), 3.5))
+    ((option, _),) = lane_options(
+        scene, scene.path((1,)), CAR, s=42.0, step=70, sides=("left",), fixed=NOBODY, fleet=NOBODY, speed_mps=0.0,
+        desired_mps=10.0,
+    )  # fmt: skip
+    assert option.cells_free == free
 
 
 def test_vehicle_beside_leaves_no_gap(scene_of: Callable[..., Scene], track: Callable[..., Track]) -> None:

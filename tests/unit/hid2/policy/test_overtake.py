@@ -25,6 +25,15 @@ def test_overtake_begins_when_the_three_conditions_hold() -> None:
 
 
 @pytest.mark.parametrize(
+    "changed",
+    [{"leader": Leader("7", 40.0, 8.5, 4.5)}, {"ahead": Gap(6.0, 10.0)}, {"behind": Gap(8.0, 10.0)}],
+)
+def test_what_is_asked_for_is_enough(changed: dict[str, Any]) -> None:
+    """A leader 40 m ahead that is 10 - 8.5 = 1.5 m/s slower, gaps of 6 and 8 m: no more is asked for."""
+    assert enter_reason(**{**OPEN, **changed}, params=PARAMS) is None
+
+
+@pytest.mark.parametrize(
     ("changed", "reason"),
     [
         ({"leader": None}, "no_leader"),

@@ -43,6 +43,18 @@ def test_the_next_split_ahead_offers_every_other_lane_for_vehicles(s: float, way
     assert _routes(_tree(), s) == ways
 
 
+def test_split_at_the_place_from_which_it_may_turn_off_is_offered() -> None:
+    """From the end of lane 1 on: the split there counts, 1 mm farther on it does not."""
+    scene = _tree()
+    path = scene.path((1, 2, 4))
+    at = path.segments[0].end
+    routes = [
+        [segment.lane_id for way in ways_at_next_split(scene, path, s=40.0, from_m=from_m) for segment in way.segments]
+        for from_m in (at, at + 1e-3)
+    ]
+    assert routes == [[1, 3], [1, 2, 5]]
+
+
 def test_straight_on_comes_first() -> None:
     assert _routes(_tree(), 10.0, (1, 3)) == [[1, 2, 4]]
     assert _routes(_tree(), 60.0, (1, 2, 5)) == [[1, 2, 4]]

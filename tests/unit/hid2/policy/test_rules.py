@@ -81,6 +81,16 @@ def test_mobil_politeness_counts_what_the_old_follower_wins() -> None:
     assert _mobil(view, MOBIL.model_copy(update={"mobil_politeness": 0.2})) is None
 
 
+def test_mobil_politeness_leaves_the_old_follower_the_own_leader() -> None:
+    """Leaders at 12 m here and there: no advantage. The old follower has 12 + 4 + 12 = 28 m then, -(12 / 28)^2 = -.184.
+
+    It wins .816 m/s2: more than the threshold of .1 from p = .123 on.
+    """
+    view = replace(VIEW, own_front=Gap(12.0, 10.0), own_rear=Gap(12.0, 10.0), front=Gap(12.0, 10.0))
+    for politeness, reason in ((0.12, Reason.MOBIL_NO_ADVANTAGE), (0.125, None)):
+        assert _mobil(view, MOBIL.model_copy(update={"mobil_politeness": politeness})) == reason
+
+
 @pytest.mark.parametrize(
     ("sumo", "reason"),
     [
