@@ -88,10 +88,16 @@ class Scene:
 
     @property
     def movers(self) -> tuple[IntArray, Traffic]:
-        """Rows of the recorded vehicles that move at some time, and these alone; found out once."""
+        """Rows of the recorded vehicles that move at some time, and these alone, as fast as they are at most.
+
+        Found out once.
+        """
         if self._movers is None:
             rows = np.flatnonzero(moving_vehicles(self.states.arrays))
-            self._movers = rows, self.traffic.rows(rows.tolist())
+            alone = self.traffic.rows(rows.tolist())
+            speed = np.array([self.states.speed(row) for row in rows.tolist()]).reshape(alone.heading.shape)
+            forward = np.stack([np.cos(alone.heading), np.sin(alone.heading)], axis=-1)
+            self._movers = rows, replace(alone, velocity=speed[..., None] * forward)
         return self._movers
 
     @property

@@ -106,8 +106,9 @@ def traffic_of(
 ) -> Traffic:  # fmt: skip
     """Dense arrays of recorded tracks; gaps inside a track are interpolated, headings the short way round.
 
-    velocity_by: velocities (N, 2) m/s of positions (N, 2) m so many s apart; unless given the stated ones, if they are
-    to be believed: at both ends of a track trackers smooth positions, by which it would be a third too slow there.
+    velocity_by: velocities (N, 2) m/s of positions (N, 2) m so many s apart; unless given by them or as stated, if that
+    is believed, whichever is slower: leaders are taken to be no faster. At both ends of a track trackers smooth
+    positions, and show a third less. Followers are taken to be no slower (`Scene.movers`).
     """
     count = len(tracks)
     position = np.zeros((count, num_steps, 2))
@@ -129,7 +130,8 @@ def traffic_of(
         velocity[row, first : last + 1] = velocity_of(xy, step_s) if velocity_by is None else velocity_by(xy, step_s)
         stated[row, first : last + 1] = moved
     if velocity_by is None and are_believed(stated[present], velocity[present]):
-        velocity = stated
+        slower = np.hypot(*np.moveaxis(stated, -1, 0)) < np.hypot(*np.moveaxis(velocity, -1, 0))
+        velocity = np.where(slower[..., None], stated, velocity)
     sizes = np.array([covering(track) for track in tracks], dtype=np.float64).reshape(-1, 2)
     return Traffic(
         ids=tuple(track.track_id for track in tracks),
