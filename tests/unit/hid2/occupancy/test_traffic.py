@@ -43,7 +43,7 @@ def test_velocity_is_that_of_the_positions_over_up_to_half_a_second(track: Calla
 def test_velocity_is_the_slower_of_what_is_stated_and_what_positions_show_if_that_is_believed(
     track: Callable[..., Track], stated: float, found: float, other: float
 ) -> None:
-    """10 m/s by the positions; mostly up to 2 m/s off the stated ones count, all of a recording or none, in gaps too."""
+    """10 m/s by the positions; up to 2 m/s off in the median the stated ones count, all of a recording, in gaps too."""
     steps = [0, 1, 2, 4, 5, 6]
     one = track(steps, [1.0 * step for step in steps])
     one = replace(one, velocity=np.tile([stated, 0.0], (6, 1)))
