@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from bridge.generation.scene import TrafficScene
 
 Experiment = Literal["table1", "ablation", "density", "diversity"]
-EXPERIMENTS: tuple[Experiment, ...] = ("table1", "ablation", "density", "diversity")
 
 #: Numbers of vehicles added in the paper's density figure.
 ADDED = (0, 5, 10, 20, 40)

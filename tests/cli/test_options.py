@@ -21,7 +21,7 @@ from bridge.cli import options
 from bridge.cli.commands import application
 from bridge.cli.forecasting import compose
 from bridge.config import config_to_dict, describe_config, load_config, parse_behaviours
-from bridge.evaluation.experiments import EXPERIMENTS
+from bridge.evaluation.experiments import Experiment
 from bridge.exports.export import WRITERS
 from bridge.forecasting.composition import Composition, Draw, Split
 from bridge.forecasting.experiment import Reading
@@ -42,7 +42,7 @@ def test_choices_are_those_of_the_package() -> None:
     kinds = get_args(Event.model_fields["kind"].annotation)
     assert kinds == options.EVENTS
     assert (*options.BEHAVIOURS, *EVENTS) == options.CAN
-    assert get_args(options.ExperimentName) == (*EXPERIMENTS, "prediction")
+    assert get_args(options.ExperimentName) == (*get_args(Experiment), "prediction")
     assert get_args(options.FormatName) == tuple(WRITERS)
     assert get_args(options.ReadingName) == get_args(Reading)
     hints = compose.__annotations__
