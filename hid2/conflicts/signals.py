@@ -127,11 +127,15 @@ class InferredSignals:
         lanes = self.graph.lanes
         if lanes[lane_id].turn is not TurnType.STRAIGHT:
             return None
-        _, out, forward = _ends(self.graph, lane_id)
+        out, forward = lanes[_through(self.graph, lane_id)[-1]].centerline[-1], _forward(lanes[lane_id].centerline)
         for other, one in lanes.items():
-            if one.is_intersection and one.turn is TurnType.STRAIGHT and (found := self._approach(other)) is not None:
-                begin, _, towards = _ends(self.graph, other)
-                if towards @ forward < _OPPOSITE and math.dist(begin, out) < _OPPOSITE_M:
+            if (
+                one.is_intersection
+                and one.turn is TurnType.STRAIGHT
+                and math.dist(one.centerline[0], out) < _OPPOSITE_M
+            ):
+                found = self._approach(other)
+                if found is not None and _forward(one.centerline) @ forward < _OPPOSITE:
                     return other, found
         return None
 
@@ -238,11 +242,10 @@ def _spread(at: BoolArray, before: int, after: int) -> BoolArray:
     return found
 
 
-def _ends(graph: LaneGraph, lane_id: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Where the way through an intersection begins and ends, (2,) m each, and its direction at the beginning, (2,)."""
-    points = graph.lanes[lane_id].centerline
+def _forward(points: FloatArray) -> FloatArray:
+    """Direction (2,) in which a line of points (N, 2) begins."""
     ahead = points[1] - points[0]
-    return points[0], graph.lanes[_through(graph, lane_id)[-1]].centerline[-1], ahead / math.hypot(*ahead)
+    return np.asarray(ahead / math.hypot(*ahead))
 
 
 def _through(graph: LaneGraph, lane_id: int) -> list[int]:

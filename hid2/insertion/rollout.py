@@ -175,9 +175,9 @@ class World:
             self._headways_s = kept_headways(states)
         return self._headways_s.get(follower, math.inf) > headway_s
 
-    def gaps_at(self, start: Start) -> Gaps:
-        """Of a vehicle to those next to it where it begins."""
-        return gaps_on_path(self.known_on(start.path, start.box), np.array([start.start_s]), start.step)
+    def gaps_at(self, path: DrivenPath, box: BoxSize, s: float, step: int) -> Gaps:
+        """Of a vehicle that begins at an arc length, m, of a path at a step, to those next to it."""
+        return gaps_on_path(self.known_on(path, box), np.array([s]), step)
 
     def meets_after(self, candidate: RolledOut) -> bool:
         """Whether a candidate has a critical contact after its last step, all at constant velocity."""

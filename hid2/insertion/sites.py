@@ -148,10 +148,9 @@ class InsertionSites:
                     yield start
                 else:
                     self.starts.rejected[start] += 1
+                    # another vehicle of this round may be in the way, or a follower be left less room later
                     less_later = start is Reason.FOLLOWER_HEADWAY and headway_s > FOLLOWER_HEADWAY_S
-                    if (
-                        start is not Reason.NO_SITE and not less_later
-                    ):  # else another vehicle of this round is in the way
+                    if start is not Reason.NO_SITE and not less_later:
                         self.turned_down.could_not_begin(self.here.scene, row, request.policy)
                 break
             if tried >= TRIES:

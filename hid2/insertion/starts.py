@@ -122,7 +122,7 @@ class Starts:
         path = scene.path(offer.route)
         start_s = path.to_line(s)
         if "collision" not in config.without:
-            near = gaps_on_path(self.world.known_on(path, box), np.array([start_s]), step)
+            near = self.world.gaps_at(path, box, start_s, step)
             if not _is_clear(near):
                 return Reason.NO_SITE
             if near.lag_m[0] < (headway_s - LEADER_LENGTH_S) * near.lag_mps[0]:
@@ -217,7 +217,9 @@ class Starts:
         anew = [candidate]
         for one in self.world.hindered(candidate):
             around = self.world.joined_by(candidate, without=one.start.vehicle_id)
-            still = self._does(around, one.start) if _is_clear(around.gaps_at(one.start)) else Reason.NO_SITE
+            begun = one.start
+            near = around.gaps_at(begun.path, begun.box, begun.start_s, begun.step)
+            still = self._does(around, begun) if _is_clear(near) else Reason.NO_SITE
             if isinstance(still, Reason):
                 return Reason.MEETS_GENERATED
             if still:
