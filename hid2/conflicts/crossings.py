@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hid2.agents import FloatArray
-from hid2.kernels.crossings import at_crossings, crossings_swept, held_up
+from hid2.kernels.crossings import at_crossings, crossings_swept
 from hid2.measures.encounters import CROSSING_RAD
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
@@ -71,16 +71,25 @@ class PedestrianCrossings:
         return self._known[key]
 
     def _find(self, path: DrivenPath, width_m: float) -> list[CrossingOnPath]:
-        traffic, line = self.traffic, path.line
+        line = path.line
         count = min(int(path.exit_s / TABLE_STEP_M) + 1, len(line.table_xy))
         xy, heading = line.table_xy[:count], line.table_heading[:count]
         found = []
         for crossing, first, last in crossings_swept(self._corners, xy, heading, width_m / 2).tolist():
             middle = (first + last) // 2
-            occupied = held_up(
-                self._at[crossing], xy[middle], heading[middle], width_m / 2 + _STRIP_M,
-                traffic.position, traffic.velocity, traffic.present, round(_STRIP_S / self.step_s),
-                math.cos(CROSSING_RAD), _DIRECTED_MPS,
-            )  # fmt: skip
+            occupied = self._occupied(crossing, xy[middle], heading[middle], width_m / 2 + _STRIP_M)
             found.append(CrossingOnPath(first * TABLE_STEP_M, last * TABLE_STEP_M, occupied))
         return sorted(found, key=lambda one: one.entry_s)
+
+    def _occupied(self, crossing: int, xy: FloatArray, heading: float, aside_m: float) -> BoolArray:
+        """(T,) as `on` has it, where the path's middle is at xy (2,) m; aside_m: half of the width and the strip."""
+        rows = np.flatnonzero(self._at[crossing].any(axis=1))
+        position, velocity = self.traffic.position[rows], self.traffic.velocity[rows]
+        forward, left = np.array([[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]])
+        on_strip = self.traffic.present[rows] & (np.abs((position - xy) @ left) <= aside_m)
+        steps = np.arange(on_strip.shape[1])
+        comes = np.minimum.accumulate(np.where(on_strip, steps, np.inf)[:, ::-1], axis=1)[:, ::-1]
+        speed = np.hypot(velocity[..., 0], velocity[..., 1])
+        passes = (speed > _DIRECTED_MPS) & (np.abs(velocity @ forward) > math.cos(CROSSING_RAD) * speed)
+        soon = comes - steps <= round(_STRIP_S / self.step_s)
+        return np.asarray((self._at[crossing, rows] & soon & ~passes).any(axis=0))

@@ -5,11 +5,11 @@ a track, as `numpy.gradient`), at the true times of the steps.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from hid2.agents import FloatArray
-from hid2.kernels.derivative import track_derivative
 from hid2.measures.arrays import BoolArray, SceneArrays
 from hid2.measures.motion_limits import MotionProfile, exceeded
 from hid2.params import Limits
@@ -32,13 +32,12 @@ class Kinematics:
 
 
 def derivative(values: FloatArray, arrays: SceneArrays) -> FloatArray:
-    """Time derivative of a row-wise quantity (N,) or (N, K), track by track; 0 for tracks of one row.
-
-    The formula of `numpy.gradient` with coordinates: h_s^2 f(+) + (h_d^2 - h_s^2) f(0) - h_d^2 f(-), over
-    h_s h_d (h_s + h_d); first order at both ends.
-    """
-    columns = np.ascontiguousarray(values, dtype=np.float64).reshape(len(values), *(values.shape[1:] or (1,)))
-    return np.asarray(track_derivative(columns, arrays.first, arrays.step, arrays.step_s).reshape(values.shape))
+    """Time derivative of a row-wise quantity (N,) or (N, K), track by track; 0 for tracks of one row."""
+    found = np.zeros(values.shape)
+    for first, end in pairwise(arrays.first.tolist()):
+        if end - first > 1:
+            found[first:end] = np.gradient(values[first:end], arrays.step_s * arrays.step[first:end], axis=0)
+    return found
 
 
 def motion(arrays: SceneArrays) -> MotionProfile:

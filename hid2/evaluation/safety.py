@@ -12,7 +12,6 @@ import shapely
 
 from hid2.agents import FloatArray
 from hid2.judge.states import against_lane_deg, outside_m
-from hid2.kernels.box_pairs import pairwise_overlap
 from hid2.measures.arrays import BoolArray, SceneArrays
 from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import Leaders, leaders
@@ -20,6 +19,7 @@ from hid2.measures.lane_matching import FlatLanes, Matches, match_lanes
 from hid2.measures.post_encroachment import Encroachment, encroachments
 from hid2.measures.time_to_collision import ttc_to_anything
 from hid2.params import Limits
+from netconvert.geometry import box_corners
 from netconvert.lane_graph import LaneGraph
 
 #: Boxes overlapping by more than this collide ("a small IoU threshold" in the paper).
@@ -28,6 +28,7 @@ IOU_THRESHOLD = 0.02
 FOOTPRINT_TOLERANCE_M = Limits().drivable_tolerance_m
 #: Slower vehicles drive neither with nor against a lane.
 WRONG_WAY_SPEED_MPS = 1.0
+_TOUCHES_M2 = 1e-9  # no tunable: boxes that share no more only touch
 
 
 class Overlap(NamedTuple):
@@ -59,9 +60,22 @@ class Safety:
 
 
 def overlaps(arrays: SceneArrays) -> tuple[Overlap, ...]:
-    """Every pair of agents, of any type, with boxes that overlap at some step."""
-    iou, first, _ = pairwise_overlap(arrays.position, arrays.heading, arrays.length, arrays.width, arrays.row_of)
-    return tuple(Overlap(int(a), int(b), float(iou[a, b]), int(first[a, b])) for a, b in np.argwhere(first >= 0))
+    """Every pair of agents, of any type, with boxes that overlap at some step, and their largest IoU."""
+    near = arrays.position - arrays.position[:1]  # areas keep their digits near the origin
+    length, width = arrays.length[arrays.agent], arrays.width[arrays.agent]
+    boxes = shapely.polygons(box_corners(near, arrays.heading, length_m=length, width_m=width))
+    found: dict[tuple[int, int], Overlap] = {}
+    for step, rows in enumerate(arrays.row_of.T):
+        here = rows[rows >= 0]
+        own, other = here[shapely.STRtree(boxes[here]).query(boxes[here], predicate="intersects")]
+        own, other = own[own < other], other[own < other]
+        shared = shapely.area(shapely.intersection(boxes[own], boxes[other]))
+        iou = shared / (shapely.area(boxes[own]) + shapely.area(boxes[other]) - shared)
+        for k in np.flatnonzero(shared > _TOUCHES_M2).tolist():
+            pair = int(arrays.agent[own[k]]), int(arrays.agent[other[k]])
+            before = found.get(pair, Overlap(*pair, 0.0, step))
+            found[pair] = before._replace(iou=max(before.iou, float(iou[k])))
+    return tuple(found[pair] for pair in sorted(found))
 
 
 def colliding(arrays: SceneArrays, pairs: tuple[Overlap, ...], members: BoolArray) -> BoolArray:

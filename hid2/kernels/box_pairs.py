@@ -1,7 +1,7 @@
-"""Oriented boxes against each other over a whole scene: overlap, time to collision, post-encroachment time.
+"""Oriented boxes against each other over a whole scene: time to collision, post-encroachment time.
 
 Every kernel walks over pairs of agents and steps, throws far pairs out by their circumscribed circles and does the
-exact test on the rest. Boxes are (x, y, heading, length, width), corners counter-clockwise.
+exact test on the rest. Boxes are (x, y, heading, length, width).
 """
 
 import math
@@ -14,58 +14,6 @@ from netconvert.geometry import FloatArray, IntArray
 
 #: No tunable: between two steps a position that moves less, m, is noise, which has no course.
 _COURSE_M = 0.1
-
-
-@inner
-def _corners(x: float, y: float, heading: float, length: float, width: float, out: FloatArray) -> None:
-    c, s = math.cos(heading), math.sin(heading)
-    for k in range(4):
-        a = length / 2 if k in (0, 3) else -length / 2
-        b = width / 2 if k in (0, 1) else -width / 2
-        out[k, 0] = x + a * c - b * s
-        out[k, 1] = y + a * s + b * c
-
-
-@inner
-def _area(points: FloatArray, count: int) -> float:
-    total = 0.0
-    for k in range(count):
-        n = (k + 1) % count
-        total += (points[k, 0] - points[0, 0]) * (points[n, 1] - points[0, 1])
-        total -= (points[n, 0] - points[0, 0]) * (points[k, 1] - points[0, 1])
-    return abs(total) / 2
-
-
-@inner
-def _intersection_area(first: FloatArray, second: FloatArray) -> float:
-    """Area shared by two convex quadrilaterals (counter-clockwise): Sutherland-Hodgman clipping."""
-    points = np.empty((16, 2))
-    clipped = np.empty((16, 2))
-    count = 4
-    for k in range(4):
-        points[k] = first[k]
-    for k in range(4):
-        ax, ay = second[k, 0], second[k, 1]
-        ex, ey = second[(k + 1) % 4, 0] - ax, second[(k + 1) % 4, 1] - ay
-        kept = 0
-        for i in range(count):
-            j = (i + 1) % count
-            di = ex * (points[i, 1] - ay) - ey * (points[i, 0] - ax)
-            dj = ex * (points[j, 1] - ay) - ey * (points[j, 0] - ax)
-            if di >= 0:
-                clipped[kept] = points[i]
-                kept += 1
-            if (di >= 0) != (dj >= 0):
-                r = di / (di - dj)
-                clipped[kept, 0] = points[i, 0] + r * (points[j, 0] - points[i, 0])
-                clipped[kept, 1] = points[i, 1] + r * (points[j, 1] - points[i, 1])
-                kept += 1
-        count = kept
-        if count < 3:
-            return 0.0
-        for i in range(count):
-            points[i] = clipped[i]
-    return _area(points, count)
 
 
 @inner
@@ -102,48 +50,6 @@ def _extents(position: FloatArray, velocity: FloatArray, row_of: IntArray) -> tu
 def _never_nearer(a: FloatArray, b: FloatArray) -> float:
     """Distance between two rectangles, each least x, y and largest x, y."""
     return math.hypot(max(a[0] - b[2], b[0] - a[2], 0.0), max(a[1] - b[3], b[1] - a[3], 0.0))
-
-
-@kernel("(f8[:,::1], f8[::1], f8[::1], f8[::1], i8[:,::1],)")
-def pairwise_overlap(
-    position: FloatArray, heading: FloatArray, length: FloatArray, width: FloatArray, row_of: IntArray
-) -> tuple[FloatArray, IntArray, IntArray]:
-    """For every pair of agents: largest IoU (A, A), first step with shared area and number of such steps (A, A).
-
-    Only the upper triangle is filled; the first step is -1 where a pair never overlaps.
-    """
-    agents = len(row_of)
-    since, until = _spans(row_of)
-    extent, _ = _extents(position, position, row_of)
-    iou = np.zeros((agents, agents))
-    first = np.full((agents, agents), -1, dtype=np.int64)
-    count = np.zeros((agents, agents), dtype=np.int64)
-    box_a = np.empty((4, 2))
-    box_b = np.empty((4, 2))
-    for a in range(agents):
-        radius_a = math.hypot(length[a], width[a]) / 2
-        for b in range(a + 1, agents):
-            reach = radius_a + math.hypot(length[b], width[b]) / 2
-            if _never_nearer(extent[a], extent[b]) > reach:
-                continue
-            for t in range(max(since[a], since[b]), min(until[a], until[b])):
-                i, j = row_of[a, t], row_of[b, t]
-                if i < 0 or j < 0:
-                    continue
-                dx, dy = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1]
-                if dx * dx + dy * dy >= reach * reach:
-                    continue
-                # corners relative to box a: the areas keep their digits far from the origin
-                _corners(0.0, 0.0, heading[i], length[a], width[a], box_a)
-                _corners(dx, dy, heading[j], length[b], width[b], box_b)
-                shared = _intersection_area(box_a, box_b)
-                if shared > 1e-12:
-                    if first[a, b] < 0:
-                        first[a, b] = t
-                    count[a, b] += 1
-                    union = length[a] * width[a] + length[b] * width[b] - shared
-                    iou[a, b] = max(iou[a, b], shared / union)
-    return iou, first, count
 
 
 @kernel("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], i8[:,::1], f8,)")

@@ -102,35 +102,3 @@ def crossings_swept(corners: FloatArray, xy: FloatArray, heading: FloatArray, ha
                     count += 1
                 first = -1
     return found[:count]
-
-
-@kernel("(b1[:,::1], f8[::1], f8, f8, f8[:,:,::1], f8[:,:,::1], b1[:,::1], i8, f8, f8)")
-def held_up(
-    at: BoolArray, xy: FloatArray, heading: float, half_width: float, position: FloatArray, velocity: FloatArray,
-    present: BoolArray, strip_steps: int, cos_along: float, slow: float,
-) -> BoolArray:  # fmt: skip
-    """(T,) whether an agent holds up a vehicle that is to pass a crossing.
-
-    at (A, T): which agents are on or at it. xy (2,) m, heading rad: the path's middle there; half_width: swept, with
-    the strip beside it, m. Counted are agents on that strip within strip_steps, unless they move along the path
-    faster than `slow`, m/s.
-    """
-    agents, steps = at.shape
-    found = np.zeros(steps, dtype=np.bool_)
-    co, si = np.cos(heading), np.sin(heading)
-    for a in range(agents):
-        on_strip = np.inf  # the next step at which it is on the strip
-        for t in range(steps - 1, -1, -1):
-            if not present[a, t]:
-                continue
-            dx, dy = position[a, t, 0] - xy[0], position[a, t, 1] - xy[1]
-            if abs(co * dy - si * dx) <= half_width:
-                on_strip = t
-            if not at[a, t] or on_strip - t > strip_steps:
-                continue
-            vx, vy = velocity[a, t]
-            speed = np.sqrt(vx * vx + vy * vy)
-            if speed > slow and abs(co * vx + si * vy) > cos_along * speed:
-                continue
-            found[t] = True
-    return found

@@ -10,8 +10,7 @@ from shapely.affinity import rotate, translate
 from shapely.geometry import box as rectangle
 
 from hid2.agents import BoxSize, Track
-from hid2.evaluation.safety import FOOTPRINT_TOLERANCE_M, off_footprint, safety
-from hid2.kernels.box_pairs import pairwise_overlap
+from hid2.evaluation.safety import FOOTPRINT_TOLERANCE_M, off_footprint, overlaps, safety
 from hid2.kernels.boxes import contact_time
 from hid2.measures.arrays import SceneArrays, stack
 from hid2.measures.following import leaders
@@ -42,17 +41,14 @@ sizes = st.floats(0.5, 12)
 
 @settings(deadline=None)  # the first call may compile
 @given(places, places, angles, angles, st.tuples(sizes, sizes), st.tuples(sizes, sizes))
-def test_shared_area_equals_shapelys(x, y, first, second, size_a, size_b):
-    (length_a, width_a), (length_b, width_b) = size_a, size_b
-    iou, _, _ = pairwise_overlap(
-        np.array([[0.0, 0.0], [x, y]]),
-        np.array([first, second]),
-        np.array([length_a, length_b]),
-        np.array([width_a, width_b]),
-        np.array([[0], [1]]),
-    )
-    a, b = shapely_box(0, 0, first, length_a, width_a), shapely_box(x, y, second, length_b, width_b)
-    assert iou[0, 1] == pytest.approx(a.intersection(b).area / a.union(b).area, abs=1e-9)
+def test_iou_of_boxes_at_any_angle(x, y, first, second, size_a, size_b):
+    arrays = stack(
+        [drive(0.0, 0.0, first, steps=1, name="a", size=size_a), drive(x, y, second, steps=1, name="b", size=size_b)],
+        num_steps=1, step_s=0.1,
+    )  # fmt: skip
+    a, b = shapely_box(0, 0, first, *size_a), shapely_box(x, y, second, *size_b)
+    iou = next((pair.iou for pair in overlaps(arrays)), 0.0)
+    assert iou == pytest.approx(a.intersection(b).area / a.union(b).area, abs=1e-9)
 
 
 @settings(deadline=None)  # the first call may compile
