@@ -394,7 +394,7 @@ def _sustained_headway(
     rows (N,): of followers; above FOLLOWER_MPS alone. beyond_m: as above.
     """
     arrays = states.arrays
-    speed = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1])
+    speed = states.row_speed
     gap_m = np.where(rows & (led.agent >= 0), led.gap_m, np.inf)
     leader_m = (arrays.length if beyond_m is None else arrays.length - beyond_m)[np.maximum(led.agent, 0)]
     found: dict[int, tuple[float, int]] = {}

@@ -58,7 +58,7 @@ class AgentStates:
     matches: Matches
     lanes: FlatLanes
     joined_of: tuple["AgentStates", ...] = field(default=(), repr=False)
-    _believed: list[bool] = field(default_factory=list, init=False, repr=False)
+    _row_speed: list[FloatArray] = field(default_factory=list, init=False, repr=False)
     _lines: dict[int, DrivenLine | None] = field(default_factory=dict, init=False, repr=False)
 
     def joined(self, *others: "AgentStates") -> "AgentStates":
@@ -87,15 +87,22 @@ class AgentStates:
         chosen = Matches(*(getattr(matches, part.name)[index] for part in fields(Matches)))
         return AgentStates(arrays.agents(agents), self.traffic.rows(agents), chosen, self.lanes)
 
-    def speed(self, row: int) -> FloatArray:
-        """(T,) how fast an agent is at most, m/s: as stated, if that is believed, or by its positions."""
-        rows, arrays, found = self.row_span(row), self.arrays, np.hypot(*self.traffic.velocity[row].T)
-        if not self._believed:
+    @property
+    def row_speed(self) -> FloatArray:
+        """(N,) how fast agents are at most, m/s, row by row: as stated, if that is believed, or by their positions."""
+        if not self._row_speed:
+            arrays = self.arrays
             by_positions = self.traffic.velocity[arrays.agent, arrays.step]
-            self._believed.append(are_believed(arrays.velocity, by_positions))
-        if self._believed[0]:
-            at = arrays.step[rows]
-            found[at] = np.maximum(found[at], np.hypot(*arrays.velocity[rows].T))
+            found = np.hypot(*by_positions.T)
+            if are_believed(arrays.velocity, by_positions):
+                found = np.maximum(found, np.hypot(*arrays.velocity.T))
+            self._row_speed.append(np.asarray(found))
+        return self._row_speed[0]
+
+    def speed(self, row: int) -> FloatArray:
+        """(T,) how fast an agent is at most, m/s, at the steps of the scene."""
+        rows, found = self.row_span(row), np.hypot(*self.traffic.velocity[row].T)
+        found[self.arrays.step[rows]] = self.row_speed[rows]
         return np.asarray(found)
 
     def span(self, row: int) -> slice:
