@@ -3,6 +3,7 @@
 import hashlib
 import json
 import re
+import sys
 import uuid
 from collections.abc import Collection, Mapping, Sequence
 from difflib import get_close_matches
@@ -80,25 +81,30 @@ def read_drivers(path: Path) -> dict[str, object]:
     return {f"drivers.{name}": value for name, value in data["drivers"].items()}
 
 
-def parse_behaviours(text: str) -> dict[str, float]:
+def parse_behaviours(text: str) -> dict[str, float | str]:
     """Shares "straight=.5,lane_change=.5" as flags; a behaviour that is not named gets 0.
 
     Errors: ConfigError.
     """
     names = [policy.value for policy in Policy]
-    shares = {f"request.{name}": 0.0 for name in names}
+    shares: dict[str, float | str] = {f"request.{name}": 0.0 for name in names}
+    own: list[str] = []
     given: set[str] = set()
     for part in text.split(","):
         name, separator, value = (piece.strip() for piece in part.partition("="))
+        if ":" in name and separator:
+            own.append(f"{name}={value}")
+            continue
         if name not in names or not separator:
             alike = get_close_matches(name, names, 1)
             hint = f"; did you mean {alike[0]}?" if alike and name not in names else ""
-            raise ConfigError(f"behaviours: {part.strip()!r}, expected name=share of {', '.join(names)}{hint}")
+            wanted = f"name=share of {', '.join(names)}, or module:name=share of your own"
+            raise ConfigError(f"behaviours: {part.strip()!r}, expected {wanted}{hint}")
         if name in given:
             raise ConfigError(f"behaviours: {name!r} is given twice; give each once")
         given.add(name)
         shares[f"request.{name}"] = _number(value, f"behaviours: {name}", "a share from 0 to 1")
-    return shares
+    return shares | ({"request.own": ", ".join(own)} if own else {})
 
 
 def parse_trigger_time(text: str) -> dict[str, Any]:
@@ -196,6 +202,18 @@ def is_corridor(scenario_id: str) -> bool:
 def word_for_recorded(scenario_id: str) -> str:
     """What the tracks of a scene are called that are no generated ones: recorded, unless they react."""
     return "reacting" if scenario_id.startswith(REACTIVE_PREFIX) else "recorded"
+
+
+def functions_of(config: Config) -> tuple[str, ...]:
+    """What of a user's own a configuration names, each "module:name": a lane-change rule, behaviours."""
+    rule = config.lane_change.rule
+    return (*((rule,) if ":" in rule else ()), *config.request.own_behaviours)
+
+
+def find_in_working_folder() -> None:
+    """Modules of a user's own are looked for in the working folder, last; processes of a batch get it from here."""
+    if str(Path.cwd()) not in sys.path:
+        sys.path.append(str(Path.cwd()))
 
 
 def check_function(name: str, named: Collection[str], *, where: str) -> None:

@@ -24,6 +24,7 @@ def _option(default: Any, unit: str, says: str, metavar: str, **more: Any) -> An
 
 
 _FUNCTION = r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$"  # module:function
+_OWN = r"[A-Za-z_][\w.]*:[A-Za-z_]\w*=(0?\.[0-9]+|[01])"  # module:behaviour=share
 _ARGUMENT = r"[A-Za-z_]\w*=-?[0-9][0-9.e+-]*"
 _ARGUMENTS = rf"^({_ARGUMENT}(, *{_ARGUMENT})*)?$"
 
@@ -43,6 +44,10 @@ class Request(_Section):
     right_turn: float = _param(0.035, "share", "policy mix", ge=0, le=1)
     lane_change: float = _param(0.15, "share", "policy mix", ge=0, le=1)
     overtake: float = _param(0.05, "share", "policy mix", ge=0, le=1)
+    own: str = _param(
+        "", "-", "behaviours of your own with their shares: module:name=share, ... (bridge/generation/README.md)",
+        pattern=rf"^({_OWN}(, *{_OWN})*)?$", max_length=1000,
+    )  # fmt: skip
     trigger_min_s: float = _param(0.5, "s", "t_trigger, uniform from here", ge=0, le=60)
     trigger_max_s: Annotated[float, Field(ge=0, le=60)] | None = _param(
         None,
@@ -95,8 +100,15 @@ class Request(_Section):
 
     @property
     def behaviours(self) -> Mapping[Policy, float]:
-        """Shares by policy, as asked for."""
-        return {policy: float(getattr(self, policy.value)) for policy in Policy}
+        """Shares by policy, as asked for; those of a user's own come last."""
+        shares = {policy: float(getattr(self, policy.value)) for policy in Policy}
+        return shares | {Policy(name.partition(":")[2]): share for name, share in self.own_behaviours.items()}
+
+    @property
+    def own_behaviours(self) -> Mapping[str, float]:
+        """Shares of behaviours of a user's own, by "module:name"."""
+        parts = (part.strip().partition("=") for part in self.own.split(",") if part)
+        return {name: float(share) for name, _, share in parts}
 
     @property
     def is_near_agents(self) -> bool:

@@ -21,7 +21,14 @@ from bridge.batch.engine import Outcome, Task, execute_here
 from bridge.batch.isolation import Settings
 from bridge.batch.manifest import DONE, MAX_TEXT, QUARANTINED, Manifest, ManifestRow, files_sha256, output_files
 from bridge.batch.quarantine import MAX_TIMEOUT_S, Bundle, read_bundle, write_bundle
-from bridge.config import check_exportable, check_function, config_sha256, new_scenario_id
+from bridge.config import (
+    check_exportable,
+    check_function,
+    config_sha256,
+    find_in_working_folder,
+    functions_of,
+    new_scenario_id,
+)
 from bridge.files import explained, one_line
 from bridge.generation.program import code_version, processor
 from bridge.interruption import locked, remove_abandoned, tidied
@@ -74,7 +81,7 @@ class Options(Settings):
 
     scheduler: address of a Dask scheduler; resume: skip what is complete and unchanged; argoverse1: write sequences of
     Argoverse 1 as well; gaps: write every look at a gap beside each scene; functions:
-    lane-change rules module:function that may be imported.
+    rules and behaviours of a user's own, module:name, that may be imported.
     """
 
     jobs: int = 1
@@ -138,7 +145,7 @@ def run_batch(
     _check_places(jobs, out_dir)
     progress = Progress(total=sum(len(job.runs) for job in jobs))
     rows: list[ManifestRow] = []
-    jobs = with_rules(jobs, options.functions)
+    jobs = with_own(jobs, options.functions)
     remove = partial(_remove_half_written, out_dir)
     with _locked(out_dir), tidied(remove):
         remove()
@@ -179,27 +186,32 @@ def run_batch(
     return sorted(rows, key=lambda row: row.key)
 
 
-def with_rules(jobs: Sequence[SceneJob], functions: Collection[str]) -> Sequence[SceneJob]:
-    """Import and try each lane-change rule that is a function, say its file; the jobs with that file's digest.
+def with_own(jobs: Sequence[SceneJob], functions: Collection[str]) -> Sequence[SceneJob]:
+    """Import and try each rule and behaviour of a user's own, say its file; the jobs with the digest of these files.
 
     functions: those that may be imported. They are looked for in the working folder last. Errors: ConfigError.
     """
-    changes = [run.config.lane_change for job in jobs for run in job.runs if ":" in run.config.lane_change.rule]
-    digests: dict[str, str] = {}
-    for (rule, _), change in sorted({(one.rule, one.rule_with): one for one in changes}.items()):
-        check_function(rule, functions, where="lane_change.rule")
-        from hid2.policy.rules import check_user_rule  # only where there is one
+    configs = [run.config for job in jobs for run in job.runs if functions_of(run.config)]
+    changes = {(one.lane_change.rule, one.lane_change.rule_with): one.lane_change for one in configs}
+    rules = {rule for rule, _ in changes if ":" in rule}
+    for name in sorted({name for one in configs for name in functions_of(one)}):
+        check_function(name, functions, where="lane_change.rule" if name in rules else "request.own")
+    files: dict[str, str] = {}
+    if configs:
+        from hid2.policy.behaviours import load_own  # only where there are any
+        from hid2.policy.rules import check_user_rule
 
-        if str(Path.cwd()) not in sys.path:
-            sys.path.append(str(Path.cwd()))  # processes of the batch get it from here
-        file = check_user_rule(change)
-        if rule in digests:
-            continue
-        digests[rule] = hashlib.sha256(Path(file).read_bytes()).hexdigest()
-        _LOG.warning("lane_change.rule = %s is imported from %s and run", rule, file)
+        find_in_working_folder()
+        files = {rule: check_user_rule(change) for (rule, _), change in sorted(changes.items()) if rule in rules}
+        own = sorted({name for one in configs for name in one.request.own_behaviours})
+        load_own(own)
+        files |= {name: str(sys.modules[name.partition(":")[0]].__file__) for name in own}
+    digests = {name: hashlib.sha256(Path(file).read_bytes()).hexdigest() for name, file in files.items()}
+    for name, file in files.items():
+        _LOG.warning("%s is imported from %s and run", name, file)
 
     def known(run: Run) -> Run:
-        return replace(run, rule_sha256=digests.get(run.config.lane_change.rule, ""))
+        return replace(run, rule_sha256=" ".join(digests[name] for name in functions_of(run.config)))
 
     return [replace(job, runs=tuple(map(known, job.runs))) for job in jobs] if digests else jobs
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from bridge.batch.batch import Options, Run, SceneJob, run_batch
 from bridge.batch.manifest import DONE
-from bridge.config import check_function, config_from_dict, config_sha256
+from bridge.config import check_function, config_from_dict, config_sha256, functions_of
 from bridge.recordings.folders import (
     PARQUET_PATTERN,
     SIDECAR_PATTERN,
@@ -47,7 +47,8 @@ def make_again(
         config = config_from_dict(sidecar.config, source=f"{sidecar_path}: config")
     except ConfigError as error:
         raise ConfigError(f"{error}; {then}: use that program") from error
-    check_function(config.lane_change.rule, functions, where=f"{sidecar_path}: lane_change.rule")
+    for name in functions_of(config):
+        check_function(name, functions, where=str(sidecar_path))
     if config_sha256(config) != sidecar.config_sha256:
         raise ConfigError(
             f"{sidecar_path}: config_sha256 {sidecar.config_sha256[:12]}..., expected {config_sha256(config)[:12]}..., "

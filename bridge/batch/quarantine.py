@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from bridge.batch.isolation import Failure, FailureKind
-from bridge.config import check_function, config_from_dict, config_to_dict
+from bridge.config import check_function, config_from_dict, config_to_dict, functions_of
 from bridge.files import MAX_FILE_MB, beside, one_line, printable, read_regular
 from bridge.recordings.folders import Address, Choices, Source, split_of
 from bridge.recordings.sources import find_one, source_files
@@ -146,7 +146,8 @@ def read_bundle(path: Path, into: Path, *, functions: Collection[str] = ()) -> B
             check_function(request.function, {*OWN_WORK, *functions}, where="function")
             json.dumps(request.config, allow_nan=False)
             config = config_from_dict(request.config, source="config")
-            check_function(config.lane_change.rule, functions, where="config: lane_change.rule")
+            for name in functions_of(config):
+                check_function(name, functions, where="config")
             details = printable(_unpack(archive, members[_DETAILS]).decode())
             folder = into / (request.split or "scenes") / _plain(request.scenario)
             folder.mkdir(parents=True)

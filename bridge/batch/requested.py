@@ -10,7 +10,7 @@ from typing import Any
 from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure
 from bridge.batch.manifest import DONE, MANIFEST_NAME, ManifestRow, read_manifest
-from bridge.config import config_sha256, config_to_dict
+from bridge.config import config_sha256, config_to_dict, find_in_working_folder
 from bridge.files import one_line
 from bridge.recordings.folders import SIDECAR_PATTERN, Address
 from hid2.params import Config, Request
@@ -27,11 +27,11 @@ _SHORTEST_S = 4.9
 
 def named_behaviours(request: Request, *, by_option: bool) -> tuple[Policy, ...]:
     """Behaviours asked for by name: all in --behaviours, else those with another share than the usual; not straight."""
-    usual = Request().behaviours
+    usual = dict(Request().behaviours)
     return tuple(
         policy
         for policy, share in request.behaviours.items()
-        if share > 0 and policy is not Policy.STRAIGHT and (by_option or share != usual[policy])
+        if share > 0 and policy is not Policy.STRAIGHT and (by_option or share != usual.get(policy))
     )
 
 
@@ -42,6 +42,8 @@ def check_request(folders: Sequence[Address], config: Config, named: Sequence[Po
     are passed over: rows of their own say why. Errors: ConfigError for what none can meet.
     """
     request = config.request
+    if request.own:
+        find_in_working_folder()
     if not request.is_near_agents and not config.event and not named and request.first_trigger_s <= _SHORTEST_S:
         return []
     rooms: list[Mapping[Policy, float]] = []

@@ -114,6 +114,7 @@ def generate(  # noqa: PLR0913  # one for each option
     check_out(out)
     from bridge.config import (
         check_reactive,
+        functions_of,
         load_config,
         parse_behaviours,
         parse_events,
@@ -158,7 +159,7 @@ def generate(  # noqa: PLR0913  # one for each option
     how = Options(
         jobs=batch.jobs, scheduler=batch.scheduler, timeout_s=batch.scene_timeout, resume=resume,
         memory_mb=scene_memory, argoverse1=bool(formats),
-        gaps=bool(record), functions={resolved.lane_change.rule},
+        gaps=bool(record), functions=functions_of(resolved),
     )  # fmt: skip
     activity.doing("generating")
     activity.show(0, sum(len(job.runs) for job in jobs_wanted))

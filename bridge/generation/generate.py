@@ -278,7 +278,8 @@ def _sidecar(
         ),
         requested=RequestedRecord(agents=config.request.agents, behaviours=config.request.behaviours),
         placed=PlacedRecord(
-            agents=len(agents), behaviours={p: placed[p] for p in Policy if placed[p]}, near=near_count(scene, vehicles)
+            agents=len(agents), behaviours={p: count for p in config.request.behaviours if (count := placed[p])},
+            near=near_count(scene, vehicles)
         ),
         agents=tuple(agents),
         unmet=tuple(unmet_records(filling.unmet[:most_unmet])),

@@ -33,9 +33,10 @@ from hid2.measures.arrays import is_generated_id
 from hid2.measures.driven_lanes import first_lane_offset
 from hid2.measures.following import leaders
 from hid2.measures.lane_matching import flatten_lanes
+from hid2.measures.manoeuvres import ManeuverKind
 from hid2.occupancy.agent_states import AgentStates
 from hid2.occupancy.sigma import cell_boxes, original_occupancy
-from hid2.policy.behaviours import BEHAVIOURS
+from hid2.policy.behaviours import BEHAVIOURS, behaviour_seen
 from hid2.reasons import Reason
 from netconvert.cells import build_cell_grid
 from netconvert.errors import ScenarioError
@@ -94,7 +95,7 @@ def _shared() -> dict[str, Any]:
         "metre": METRE, "radian": RADIAN, "none": NONE, "look_columns": LOOK_COLUMNS,
         "short": {policy.value: one.short for policy, one in BEHAVIOURS.items()},
         "label": {policy.value: one.label for policy, one in BEHAVIOURS.items()},
-        "policy": {kind.value: policy.value for policy, one in BEHAVIOURS.items() for kind in one.seen_as},
+        "policy": {kind.value: behaviour_seen(kind).policy for kind in ManeuverKind},
         "reasons": {reason.value: reason.text for reason in Reason},
         "quantities": {one.value: [one.sentence, one.unit] for one in Quantity},
     }  # fmt: skip

@@ -81,7 +81,7 @@ def kinds_in(scenario: Recording) -> dict[str, str]:
 
 def _kind_of(track: Track, policy: Policy | None) -> str:
     if is_generated_id(track.track_id):
-        return "generated" if policy is None else policy.value
+        return policy.value if policy in POLICY_COLORS else "generated"
     if track.track_id == AV_ID:
         return "av"
     if track.object_type not in VEHICLE_TYPES:

@@ -183,7 +183,7 @@ def check_sidecar(
     if sidecar.placed.agents != len(sidecar.agents):
         yield "sidecar", f"placed.agents {sidecar.placed.agents}, but {len(sidecar.agents)} agents"
     counts = Counter(agent.policy for agent in sidecar.agents)
-    for policy in Policy:
+    for policy in dict.fromkeys((*Policy, *counts, *sidecar.placed.behaviours)):
         told = sidecar.placed.behaviours.get(policy, 0)
         if told != counts[policy]:
             yield "sidecar", f"placed.behaviours.{policy} {told}, but {counts[policy]} agents"
@@ -208,6 +208,9 @@ def _check_config(sidecar: Sidecar, config: Config, new_id: str) -> Iterator[Bre
     wanted = new_scenario_id(sidecar.source_scenario_id, config, sidecar.seed, sidecar.variant)
     if wanted != new_id:
         yield "scenario-id", f"{new_id}, expected {wanted} of this source, configuration, seed and variant"
+    known = config.request.behaviours
+    for policy in sorted({agent.policy for agent in sidecar.agents} - known.keys()):
+        yield "sidecar", f"policy {policy!r}, expected one of {', '.join(known)}"
     has_noise = config.export.noise != "none"
     if any((agent.clean is not None) != has_noise for agent in sidecar.agents):
         yield (
@@ -227,7 +230,8 @@ def _check_events(sidecar: Sidecar) -> Iterator[Breach]:
 def _check_agent(agent: AgentRecord, track_ids: Set[str], lanes: Set[str]) -> Iterator[Breach]:
     name = f"agent {agent.track_id}"
     kinds = [maneuver.kind for maneuver in agent.maneuvers]
-    if agent.policy is not Policy.STRAIGHT and agent.policy.value not in kinds:
+    asked = agent.policy.value in kinds if agent.policy in tuple(Policy) else kinds  # of one's own: any
+    if agent.policy is not Policy.STRAIGHT and not asked:
         yield "sidecar", f"{name}: policy {agent.policy}, but no record of it"
     used = {agent.spawn.lane_segment_id, *agent.route}
     for maneuver in agent.maneuvers:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from bridge.batch.batch import with_rules
+from bridge.batch.batch import with_own
 from bridge.files import explained
 from bridge.generation.generate import prepare
 from bridge.recordings.sources import read_recording
@@ -23,7 +23,7 @@ def plan_text(study: Study, out_dir: Path, difference: float) -> Iterator[str]:
     """
     if not 0.0 < difference < 1.0:
         raise ConfigError(f"--plan {difference:g}: expected a difference of shares between 0 and 1, as 0.05")
-    with_rules(study.jobs, study.rules)
+    with_own(study.jobs, study.rules)
     points, seeds, scenes = len(study.points), len(study.seeds), len(study.folders)
     yield f"{points * seeds * scenes} runs: points {points}, seeds {seeds}, scenes {scenes}"
     each = _requests_of_a_run(study)

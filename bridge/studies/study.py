@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from bridge.batch.batch import RUNS, Run, SceneJob
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.batch.scan import Selection, facts_of, wanted
-from bridge.config import config_from_dict, config_sha256
+from bridge.config import config_from_dict, config_sha256, functions_of
 from bridge.files import MAX_FILE_MB, explained, one_line, read_packed, untabled
 from bridge.recordings.export import new_scenario_id, write_folder
 from bridge.recordings.folders import Address
@@ -92,8 +92,8 @@ class Study:
 
     @property
     def rules(self) -> frozenset[str]:
-        """The lane-change rules that decide in it."""
-        return frozenset(config.lane_change.rule for configs in self.configs for config in configs)
+        """Rules and behaviours of a user's own in it, each "module:name"."""
+        return frozenset(name for configs in self.configs for config in configs for name in functions_of(config))
 
     @property
     def keys(self) -> tuple[str, ...]:

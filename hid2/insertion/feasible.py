@@ -7,7 +7,7 @@ from hid2.insertion.event_objective import MOMENT_S
 from hid2.insertion.event_targets import candidate_rows, target_of
 from hid2.insertion.meetings import moving_vehicles, target_rows
 from hid2.insertion.routes import Routes
-from hid2.policy.behaviours import BEHAVIOURS
+from hid2.policy.behaviours import BEHAVIOURS, load_own
 from hid2.scene import Scene
 
 _IDS = 5  # named in a sentence; no tunable
@@ -19,6 +19,7 @@ def impossible(scene: Scene, named: Collection[Policy]) -> dict[str, str]:
     named: behaviours that were asked for by name.
     """
     request, found = scene.config.request, {}
+    load_own(request.own_behaviours)
     ends, ids = f"the scene ends at {scene.last_s:g} s, expected an earlier time", scene.traffic.ids
     if not target_rows(scene).size and request.is_near_agents:
         found[f"near {request.near!r}"] = (

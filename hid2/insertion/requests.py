@@ -32,12 +32,12 @@ def draw_mix(shares: dict[Policy, float], rng: np.random.Generator, *, count: in
     total = sum(shares.values())
     offset, upto, before = float(rng.random()), 0.0, 0
     found: list[Policy] = []
-    for policy in Policy:
-        upto += count * shares[policy] / total
+    for policy, share in shares.items():
+        upto += count * share / total
         until = min(max(math.floor(upto + offset), before), count)
         found += [policy] * (until - before)
         before = until
-    last = max((policy for policy in Policy if shares[policy] > 0), key=list(Policy).index)
+    last = [policy for policy, share in shares.items() if share > 0][-1]
     return found + [last] * (count - len(found))
 
 

@@ -63,7 +63,7 @@ class TurnedDown:
 
     def not_kept(self, scene: Scene, row: int) -> None:
         """A vehicle that began on a cell could not be kept: none begins near to it."""
-        for policy in Policy:
+        for policy in BEHAVIOURS:
             self.rows[policy].update(_around(scene, row))
 
 
@@ -190,7 +190,7 @@ class InsertionSites:
         else:
             order = self.spread.order(
                 weight, self.rng, number=self._looked[policy], of=self.asked[policy],
-                kind=list(Policy).index(policy), round_number=self.round_number,
+                kind=list(scene.config.request.behaviours).index(policy), round_number=self.round_number,
             )  # fmt: skip
         self._looked[policy] += 1
         clear = np.ones(rows.size, dtype=np.bool_)

@@ -1,10 +1,10 @@
 """The behaviours that a vehicle can be asked for: one record for each policy of the paper, iterated everywhere else.
 
-A sixth policy is a member of `Policy`, a share in `params.Request`, a record here, a detector in
-`measures.manoeuvres`, and a colour in the pictures; a test says which of them is missing.
+A sixth one is such a record in a module of a user's own, which `request.own` names (`load_own`).
 """
 
-from collections.abc import Callable, Mapping
+import importlib
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 from hid2.agents import Policy
@@ -12,6 +12,7 @@ from hid2.measures.manoeuvres import ManeuverKind
 from hid2.params import Config
 from hid2.policy.overtake import stretch_m
 from hid2.reasons import Reason
+from netconvert.errors import ConfigError
 from netconvert.lane_graph import SIDES, Side, TurnType
 
 
@@ -46,7 +47,7 @@ class Behaviour:
 
 
 #: By policy, the commonest first: of several that a vehicle shows, the last one counts.
-BEHAVIOURS: Mapping[Policy, Behaviour] = {
+BEHAVIOURS: dict[Policy, Behaviour] = {
     behaviour.policy: behaviour
     for behaviour in (
         Behaviour(Policy.STRAIGHT, "straight", "ST", (), Reason.MAP_OFFERS_NO_LANE, 5),
@@ -94,14 +95,36 @@ BEHAVIOURS: Mapping[Policy, Behaviour] = {
     )
 }
 #: The turn that a policy asks for; no entry: none.
-TURN_OF_POLICY: Mapping[Policy, TurnType] = {
+TURN_OF_POLICY: dict[Policy, TurnType] = {
     policy: behaviour.turn for policy, behaviour in BEHAVIOURS.items() if behaviour.turn is not None
 }
 #: The policy of a vehicle on a lane that turns.
-POLICY_OF_TURN: Mapping[TurnType, Policy] = {turn: policy for policy, turn in TURN_OF_POLICY.items()}
+POLICY_OF_TURN: dict[TurnType, Policy] = {turn: policy for policy, turn in TURN_OF_POLICY.items()}
 _SEEN = {kind: behaviour for behaviour in BEHAVIOURS.values() for kind in behaviour.seen_as}
 
 
 def behaviour_seen(kind: ManeuverKind) -> Behaviour:
     """The behaviour that a manoeuvre seen belongs to. Errors: KeyError for a kind that no behaviour names."""
     return _SEEN[kind]
+
+
+def load_own(names: Collection[str]) -> None:
+    """Import behaviours of a user's own, "module:name" with the name of their policy, so that they can be asked for.
+
+    Errors: ConfigError for what cannot be imported, is no `Behaviour`, or has another name.
+    """
+    for name in names:
+        module, _, policy = name.partition(":")
+        try:
+            found = getattr(importlib.import_module(module), policy)
+        except (Exception, SystemExit) as error:  # whatever a user's code may raise
+            said = f"{type(error).__name__}: {error!s:.200}"
+            raise ConfigError(f"request.own: {name!r}: {said}; expected a module that Python finds here") from error
+        wanted = f"a Behaviour of Policy({policy!r}), which is none of the paper's"
+        if not isinstance(found, Behaviour) or found.policy != policy or found.policy in tuple(Policy):
+            raise ConfigError(f"request.own: {name!r} is {found!r:.200}, expected {wanted}")
+        if not found.seen_as or (found.turn is None) == (not found.sides):
+            raise ConfigError(f"request.own: {name!r}: expected seen_as, and either a turn or sides")
+        BEHAVIOURS[found.policy] = found
+        if found.turn is not None:
+            TURN_OF_POLICY[found.policy] = found.turn

@@ -24,7 +24,7 @@ def test_sidecar_and_back(tmp_path: Path, data_scenes: dict[str, Path], fake_gen
     [
         (lambda d: d.pop("seed"), "seed: Field required"),
         (lambda d: d.update(speed=1), "speed: Extra inputs are not permitted"),
-        (lambda d: d["agents"][0].update(policy="fly"), "agents.0.policy: .*'fly'"),
+        (lambda d: d["agents"][0].update(policy="to fly"), "agents.0.policy: .*'to fly'"),
         (lambda d: d["agents"][0]["maneuvers"][0].update(status="maybe"), "agents.0.maneuvers.0.status: .*'maybe'"),
         (lambda d: d.update(config_sha256="abc"), "config_sha256"),
         (lambda d: d.update(schema_version="3", later=1), r"schema_version: .* '2' \(got '3'\); of another"),

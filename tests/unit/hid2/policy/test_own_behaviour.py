@@ -1,0 +1,80 @@
+"""A behaviour in a folder of a user's own is asked for, driven, seen, recorded and drawn as the paper's are."""
+
+import pickle
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bridge.config import functions_of, load_config, parse_behaviours
+from bridge.generation.generate import generate
+from bridge.pictures.figures import kinds_in
+from bridge.recordings.scenario import read_scenario
+from hid2.agents import Policy
+from hid2.policy.behaviours import BEHAVIOURS, load_own
+from netconvert.errors import ConfigError
+
+KEEP_RIGHT = """
+from hid2.agents import Policy
+from hid2.measures.manoeuvres import ManeuverKind
+from hid2.policy.behaviours import Behaviour
+from hid2.reasons import Reason
+
+keep_right = Behaviour(
+    Policy("keep_right"), "keep right", "KR", (ManeuverKind.LANE_CHANGE,), Reason.MAP_OFFERS_NO_LANE_CHANGE,
+    site_order=4, beside_m=lambda config: config.lane_change.min_remaining_m, sides=("right",),
+)
+nothing = Behaviour(Policy("nothing"), "nothing", "NO", (), Reason.MAP_OFFERS_NO_LANE, 5)
+other_name = keep_right
+number = 3
+"""
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """A module with behaviours, which are forgotten after the test."""
+    name = f"own_{tmp_path.name.replace('-', '_')}"
+    (tmp_path / f"{name}.py").write_text(KEEP_RIGHT, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    before = dict(BEHAVIOURS)
+    yield name
+    BEHAVIOURS.clear()
+    BEHAVIOURS.update(before)
+
+
+def test_own_behaviour_is_asked_for_driven_seen_and_recorded(module: str, data_scenes: dict[str, Path]) -> None:
+    flags = parse_behaviours(f"{module}:keep_right=1")
+    config = load_config(None, ["request.agents=6", "request.trigger_max_s=2"], flags)
+    assert functions_of(config) == (f"{module}:keep_right",)
+    made = generate(read_scenario(data_scenes["arterial"]), config)
+    assert made.sidecar is not None
+    asked = [agent for agent in made.sidecar.agents if agent.policy == "keep_right"]
+    done = [record for agent in asked for record in agent.maneuvers if record.status == "done"]
+    assert done
+    assert {record.kind for record in done} == {"lane_change"}
+    graph = made.recording.graph
+    assert all(graph.neighbor(record.source_lane or 0, "right") == record.target_lane for record in done)
+    assert made.sidecar.requested.behaviours[Policy("keep_right")] == 1.0
+    assert made.sidecar.placed.behaviours[Policy("keep_right")] == len(asked)
+    shown = kinds_in(made.recording)
+    assert {shown[agent.track_id] for agent in asked} == {"generated"}
+    assert set(Policy) == {"straight", "left_turn", "right_turn", "lane_change", "overtake"}
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("missing", "no attribute 'missing'"),
+        ("number", "is 3, expected a Behaviour of Policy\\('number'\\)"),
+        ("other_name", "expected a Behaviour of Policy\\('other_name'\\)"),
+        ("nothing", "expected seen_as, and either a turn or sides"),
+    ],
+)
+def test_what_is_no_behaviour_is_said(module: str, name: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=f"request.own: '{module}:{name}'.* ?{said}"):
+        load_own([f"{module}:{name}"])
+
+
+def test_policy_of_a_name_is_one_object() -> None:
+    assert Policy("overtake") is Policy.OVERTAKE
+    assert pickle.loads(pickle.dumps(Policy("keep_right"))) is Policy("keep_right")  # own bytes
