@@ -134,9 +134,10 @@ class Spawn(_Section):
     """Insertion into free cells."""
 
     prior_speed_mps: float = _param(9.0, "m/s", "speed of traffic where the scene has none; AV2's median", gt=0, le=40)
-    min_speed_mps: float = _param(4.0, "m/s", "slowest desired speed drawn", ge=0, le=40)
+    min_speed_mps: float = _param(
+        5.5, "m/s", "slowest desired speed drawn; none recorded holds one below 5", ge=0, le=40
+    )
     max_speed_mps: float = _param(20.0, "m/s", "fastest desired speed drawn; above 20, lanes' limit too", gt=0, le=50)
-    speed_sd: float = _param(0.08, "share", "SD of the start speed around the desired one", ge=0, le=0.5)
     rounds: int = _param(12, "rounds", "simulations run to reach the requested count", ge=1, le=50)
     reseed_rounds: int = _param(2, "rounds", "times a failed manoeuvre is given to another vehicle", ge=0, le=20)
 
@@ -152,7 +153,11 @@ class Drivers(_Section):
 
     desired_sd: float = _param(0.12, "share", "SD of the desired speed around that of the lane's traffic", ge=0, le=0.5)
     wander_sd_mps: float = _param(
-        1.0, "m/s", "SD of the desired speed's wandering (Ornstein-Uhlenbeck); measured: 0.9 to 1.5", ge=0, le=3
+        1.0,
+        "m/s",
+        "SD of the desired speed's wandering (Ornstein-Uhlenbeck) and of the start speed; measured: 0.9 to 1.5",
+        ge=0,
+        le=3,
     )
     wander_time_s: float = _param(3.0, "s", "correlation time of that wandering", gt=0, le=30)
     tau_mean_s: float = _param(1.15, "s", "time gap; usual 0.9 to 1.5", ge=0.5, le=4)

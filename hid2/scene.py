@@ -21,6 +21,7 @@ from hid2.occupancy.sigma import CellBoxes, OriginalOccupancy, cell_boxes, origi
 from hid2.occupancy.traffic import BoolArray, Traffic, covering, traffic_of
 from hid2.params import Config
 from netconvert.cells import Cell, CellGrid
+from netconvert.lane_graph import TurnType
 
 #: A vehicle that enters at the map's edge stays at least so long, s. No tunable: shorter tracks tell no behaviour.
 ENTRY_STAYS_S = 3.0
@@ -82,6 +83,7 @@ class Scene:
     _leaders: dict[tuple[DrivenPath, BoxSize], PathOccupancy] = field(default_factory=dict)
     _shown: dict[tuple[DrivenPath, BoxSize], Shown] = field(default_factory=dict)
     _usual: dict[int, float] = field(default_factory=dict)
+    _pools: dict[int, list[float]] = field(default_factory=dict)
     _places: dict[int, FloatArray] | None = None
     _parked: BoolArray | None = None
     _movers: tuple[IntArray, Traffic] | None = None
@@ -216,19 +218,38 @@ class Scene:
         return self.grid.cell_at(segment.lane_id, segment.lane_s(s))
 
     def _speeds_on(self, lane_id: int) -> list[float]:
-        """Speeds of a lane's traffic, m/s: of recorded moving traffic there, else of the scene, else the prior."""
-        return self.lane_speeds.get(lane_id) or self.scene_speeds or [self.config.spawn.prior_speed_mps]
+        """Speeds of a lane's traffic, m/s: of recorded moving traffic there, else where its street is driven nearest.
+
+        Where none drives on its street: of the scene, else the prior. A street: lanes beside, before and behind.
+        """
+        graph, seen, here = self.grid.graph, {lane_id}, [lane_id]
+        while here:
+            known = [speed for lane in here for speed in self.lane_speeds.get(lane, ())]
+            if known:
+                return known
+            near = {
+                other for lane in here
+                for other in (
+                    graph.neighbor(lane, "left"), graph.neighbor(lane, "right"), *graph.successors(lane),
+                    *graph.predecessors(lane),
+                )
+                if other is not None and graph.lanes[other].turn is TurnType.STRAIGHT
+            }  # fmt: skip
+            here = sorted(near - seen)
+            seen |= near
+        return self.scene_speeds or [self.config.spawn.prior_speed_mps]
 
     def usual_speed(self, lane_id: int) -> float:
         """Median speed of a lane's traffic, m/s."""
         if lane_id not in self._usual:
-            self._usual[lane_id] = median(self._speeds_on(lane_id))
+            pool = self._speeds_on(lane_id)
+            self._usual[lane_id], self._pools[lane_id] = median(pool), pool
         return self._usual[lane_id]
 
     def lane_speed(self, lane_id: int, rng: np.random.Generator) -> float:
-        """Speed of a vehicle of a lane's traffic, m/s; no slower than the slowest leader that is added: none crawls."""
-        pool = self._speeds_on(lane_id)
-        return max(pool[int(rng.integers(len(pool)))], SLOW_LEADER_SHARE[0] * self.usual_speed(lane_id))
+        """Speed of a vehicle of a lane's traffic, m/s; no slower than the fastest leader that is added: none crawls."""
+        slowest_mps, pool = SLOW_LEADER_SHARE[1] * self.usual_speed(lane_id), self._pools[lane_id]
+        return max(pool[int(rng.integers(len(pool)))], slowest_mps)
 
 
 def build_scene(

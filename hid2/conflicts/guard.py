@@ -145,11 +145,16 @@ class Guard:
         return Obstacles(known=known, swept=every, rows=rows, lines=self.stop_lines.arrays(path, box))
 
     def fixed_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
-        """Intervals of those kept on a path, with margins and the critical PET; the same object while none comes."""
+        """Intervals of those kept on a path, with margins and the critical PET; the same object while none comes.
+
+        What crosses is kept clear of as long as cross traffic makes an entrance red: streams do not mingle.
+        """
+        scene = self.scene
         return path_occupancy(
             path.line, self.fixed, length_m=box.length_m, width_m=box.width_m,
-            margin_lateral_m=self.scene.config.conflict.margin_lateral_m, clear_steps=self.scene.pet_steps,
-            clear_margin_m=self.scene.pet_margin_m,
+            margin_lateral_m=scene.config.conflict.margin_lateral_m,
+            clear_steps=max(scene.pet_steps, scene.steps_in(scene.config.signals.before_s)),
+            clear_margin_m=scene.pet_margin_m,
         )  # fmt: skip
 
     def _swept_on(

@@ -1,5 +1,6 @@
 """Stop lines ahead of a vehicle: entrances that are red, and pedestrian crossings that are used."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,9 +25,13 @@ AMBER_S = 1.5
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StopLine:
-    """Where a vehicle's centre has to stand at the latest, m on its path, at the steps (T,) at which it is closed."""
+    """Where a vehicle's centre has to stand at the latest, m on its path, at the steps (T,) at which it is closed.
+
+    end_s: of what it is before, m.
+    """
 
     stop_s: float
+    end_s: float
     closed: BoolArray
     cause: str
 
@@ -35,10 +40,12 @@ class StopLine:
 class ClosedLines:
     """The stop lines of one path, in their order: where (L,) m, whether they are closed (L, T), and why.
 
+    end_s (L,): as in `StopLine`.
     cause (L,): numbers of those; stops: how drivers stop at them, as in the kernel `stop_ahead`.
     """
 
     stop_s: FloatArray
+    end_s: FloatArray
     closed: BoolArray
     causes: tuple[str, ...]
     cause: IntArray
@@ -52,6 +59,20 @@ class ClosedLines:
             self.stop_s, self.closed, s, speed_mps, step, driver.accel_mps2, driver.decel_mps2, self.stops
         )
         return None if row < 0 else (float(accel), self.causes[row])
+
+    def room_m(self, s: float, step: int) -> float:
+        """From a place on the path to the next closed line, m, inf for none.
+
+        Negative past a closed line, on what that is before: a vehicle there came on red.
+        """
+        ahead_m, closed = self.stop_s - s, self.closed[:, step]
+        if (closed & (ahead_m < 0.0) & (s < self.end_s)).any():
+            return -1.0
+        return float(ahead_m[closed & (ahead_m >= 0.0)].min(initial=math.inf))
+
+    def towards_mps(self, driver: Driver, room_m: float) -> float:
+        """Fastest speed, m/s, from which a driver brakes as usual to stand at a line."""
+        return math.sqrt(2.0 * self.stops[1] * driver.decel_mps2 * room_m)
 
     def is_passed(self, s: FloatArray, *, first: int, closed_steps: int) -> bool:
         """Whether a motion (K,) m from a step on has its front pass a line that has been closed for so many steps."""
@@ -87,9 +108,9 @@ class StopLines:
             for segment in path.segments:
                 red = self.signals.red(segment.lane_id) if segment.lane_start < 1.0 else None
                 if red is not None and red.any():
-                    found.append(StopLine(segment.start - before, red, "signal"))
+                    found.append(StopLine(segment.start - before, segment.end, red, "signal"))
             found.extend(
-                StopLine(crossing.entry_s - before, crossing.occupied, "crossing")
+                StopLine(crossing.entry_s - before, crossing.exit_s, crossing.occupied, "crossing")
                 for crossing in self._crossings.on(path, width_m=box.width_m)
                 if crossing.occupied.any()
             )
@@ -106,7 +127,9 @@ class StopLines:
                 closed[row] = line.closed
             stop_s = np.array([line.stop_s for line in lines], dtype=np.float64)
             cause = np.array([CAUSES.index(line.cause) for line in lines], dtype=np.int64)
-            self._arrays[key] = ClosedLines(stop_s, closed, tuple(line.cause for line in lines), cause, self.stops)
+            end_s = np.array([line.end_s for line in lines], dtype=np.float64)
+            causes = tuple(line.cause for line in lines)
+            self._arrays[key] = ClosedLines(stop_s, end_s, closed, causes, cause, self.stops)
         return self._arrays[key]
 
     @property

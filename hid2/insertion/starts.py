@@ -10,7 +10,7 @@ import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy
 from hid2.conflicts.guard import Guard
-from hid2.conflicts.stop_lines import StopLines
+from hid2.conflicts.stop_lines import STOP_MARGIN_M, StopLines
 from hid2.drivers.driver import MIDDLE, Driver, desired_speeds, draw_driver, lane_offset
 from hid2.insertion.meetings import Meetings
 from hid2.insertion.rollout import QUEUE_M, SLOWEST_SHARE, RolledOut, Rollout, World
@@ -147,7 +147,8 @@ class Starts:
         scene, config, rng, request, path = self.scene, self.scene.config, self.rng, begin.request, begin.path
         step = begin.site.step
         if speed_mps is None:
-            speed_mps = driver.desired_mps * (1.0 + config.spawn.speed_sd * min(max(rng.standard_normal(), -2.0), 2.0))
+            wander_mps = config.drivers.wander_sd_mps * min(max(rng.standard_normal(), -2.0), 2.0)
+            speed_mps = max(0.0, driver.desired_mps + wander_mps)
         admitted = self._start_speed(begin, speed_mps, driver)
         if isinstance(admitted, Reason):
             return admitted
@@ -270,14 +271,16 @@ class Starts:
         closing = seen.along_mps[:, 0] - speed
         if (known.same_direction[:, step] & (seen.lag_m[:, 0] < conflict.follower_ttc_min_s * closing)).any():
             return Reason.TTC_RECORDED_FOLLOWER
-        stop = self.stop_lines.arrays(path, box).braking(driver, s=s, speed_mps=speed, step=step)
-        if stop is not None and stop[0] < -driver.decel_mps2:
+        lines = self.stop_lines.arrays(path, box)
+        room_m = lines.room_m(s, step)
+        if room_m < 0.0:
             return Reason.ENTERS_ON_RED
+        speed = min(speed, lines.towards_mps(driver, room_m))
         if step > 0 and (speed < STANDS_MPS or self._follower_is_near(path, s, box, speed, step)):
             return Reason.NO_SITE
         if speed < max(STANDS_MPS, SLOWEST_SHARE * wished):
             stands = (seen.lead_m[:, 0] < QUEUE_M) & (seen.along_mps[:, 0] < STANDS_MPS)
-            if not (stands & ~self.world.parked_on(path, box)).any():
+            if room_m > STOP_MARGIN_M and not (stands & ~self.world.parked_on(path, box)).any():
                 return Reason.NO_SITE  # no vehicle is so slow with so much room ahead, nor waits for a parked one
             speed = 0.0
         return speed

@@ -62,7 +62,7 @@ def _config(
         trigger_min_s=trigger_s[0], trigger_max_s=trigger_s[1], bus_share=0.0, truck_share=0.0, seed=seed,
     )  # fmt: skip
     return Config(
-        request=request, spawn=Spawn(prior_speed_mps=MPS, speed_sd=0.0), flow=flow, drivers=drivers, lane_change=change,
+        request=request, spawn=Spawn(prior_speed_mps=MPS), flow=flow, drivers=drivers, lane_change=change,
         car_following=CarFollowing(model="Krauss"),
     )  # fmt: skip
 

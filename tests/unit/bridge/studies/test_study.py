@@ -84,7 +84,7 @@ def test_latin_hypercube_has_one_point_in_each_slice(tmp_path: Path, data_root: 
         ('[vary]\n"lane_change.gap" = [1]\n', "unknown key 'lane_change.gap'"),
         ('[vary]\n"lane_change.give_up_s" = [-1.0]\n', "lane_change.give_up_s = -1"),
         ('[vary]\n"request.agents" = [5, 10]\n', "vary.request.agents: would choose other vehicles or sites"),
-        ('[vary]\n"spawn.speed_sd" = [0.1]\n', "vary.spawn.speed_sd: would choose other vehicles or sites"),
+        ('[vary]\n"spawn.min_speed_mps" = [0.1]\n', "vary.spawn.min_speed_mps: would choose other vehicles or sites"),
         ('[vary]\ntrigger_s = [1.0]\n[config.request]\nagents = "max"\n', "expected a number of vehicles"),
         ("[vary]\ntrigger_s = [1.0]\n[config.request]\nentering = 0.5\n", "in studies vehicles enter by flow"),
         ("seeds = 0\n[vary]\ntrigger_s = [1.0]\n", "seeds = 0, expected "),

@@ -171,7 +171,7 @@ def test_vehicle_that_is_on_its_way_across_does_not_go_straight(scene_for: Calla
         if vehicle.vehicle_id == "v0_0":
             vehicle.objection = Reason.SUMO_REFUSES_INSERTION
         if number == 0 and vehicle.policy is Policy.LANE_CHANGE:
-            to, mps = 3 - vehicle.start.route[0], 8.0 if vehicle.start.request.number == 2 else 4.0  # else they meet
+            to, mps = 3 - vehicle.start.route[0], 7.0  # at other speeds they meet
             vehicle = changing(scene, vehicle.start, np.full(110, mps), to=to, at_step=20, wanted_s=5.0)
             vehicle.s, vehicle.v, vehicle.jumped_m = vehicle.s[:60], vehicle.v[:60], vehicle.jumped_m[:60]
         return vehicle

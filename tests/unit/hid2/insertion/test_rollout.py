@@ -118,7 +118,7 @@ def test_none_is_to_enter_where_it_has_been_red_for_long(
         2: draw_lane(2, [(100.0, 0.0), (300.0, 0.0)], is_intersection=True),
     }, drivable_areas=())  # fmt: skip
     scene = scene_on(graph)
-    line = StopLine(97.0, np.arange(scene.num_steps) >= since, "signal")
+    line = StopLine(97.0, 120.0, np.arange(scene.num_steps) >= since, "signal")
     monkeypatch.setattr(StopLines, "on", lambda *_: [line])
     world = World(scene, Roads(scene), Guard(scene, Traffic.none(scene.future.num_steps), StopLines(scene)))
     start, steps = start_on(scene, (1, 2), 60.0, 10.0), np.arange(scene.num_steps)
