@@ -81,6 +81,16 @@ def test_speed_of_a_lane_is_drawn_there_else_from_the_scene_else_it_is_the_prior
     assert scene_of(spawn=Spawn(prior_speed_mps=9.0)).lane_speed(1, rng) == 9.0
 
 
+def test_lane_without_traffic_is_driven_as_the_nearest_of_its_street(
+    scene_of: Callable[..., Scene], track: Callable[..., Track]
+) -> None:
+    """Lane 1 has 12 m/s, lane 2 beside it none: 12, though the scene has one of 9 m/s, off all lanes, as well."""
+    rng = np.random.default_rng(0)
+    scene = scene_of(_moving(track, 10.0, 0.0, 12.0), _moving(track, 10.0, 60.0, 9.0, track_id="b"))
+    assert sorted(scene.scene_speeds) == pytest.approx([9.0, 12.0])
+    assert {round(scene.lane_speed(2, rng), 6) for _ in range(40)} == {12.0}
+
+
 def test_no_vehicle_of_a_lane_crawls_where_its_traffic_drives(
     scene_of: Callable[..., Scene], track: Callable[..., Track]
 ) -> None:

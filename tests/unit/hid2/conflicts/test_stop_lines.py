@@ -148,3 +148,19 @@ def test_pedestrian_on_a_crossing_is_yielded_to(
     found = brake(walker, s=76.75, v=8.0, step=40)
     assert found == (pytest.approx(-1.6, abs=0.05), "crossing")
     assert brake(walker, s=76.75, v=8.0, step=100) is None
+
+
+def test_room_before_a_closed_line_and_none_on_what_it_is_before(junction: Callable[..., Scene]) -> None:
+    """Red at step 40: 20 m before the line there are 20 m; past it, up to 80 m on lane 2, a vehicle came on red.
+
+    Towards it a driver brakes with .6 of its deceleration: v = sqrt(2 x .6 x b x 20 m).
+    """
+    scene = junction(CROSSING)
+    stop_lines = StopLines(scene)
+    lines = stop_lines.arrays(scene.path((1, 2, 3)), CAR)
+    assert lines.room_m(36.75, 40) == pytest.approx(20.0)
+    assert [lines.room_m(s, 40) for s in (58.0, 79.0)] == [-1.0, -1.0]
+    assert [lines.room_m(s, step) for s, step in ((81.0, 40), (58.0, 0), (36.75, 0))] == [np.inf] * 3
+    usual = stop_lines.stops[1]
+    assert lines.towards_mps(DRIVER, 20.0) == pytest.approx(np.sqrt(2.0 * usual * DRIVER.decel_mps2 * 20.0))
+    assert lines.towards_mps(DRIVER, np.inf) == np.inf

@@ -424,3 +424,17 @@ def test_who_enters_stays_until_it_has_been_observed_and_a_while(
     scene = scene_of(length_m=150.0)
     verdict = _alone(scene, np.full(110 - step, 10.0), 110.0, step=step)
     assert verdict is found or (found is None and isinstance(verdict, ExportedVehicle))
+
+
+@pytest.mark.parametrize(("y", "kept_m"), [(2.6, 0.0), (2.8, 0.25), (3.6, 0.5), (2.0, 0.0)])
+def test_oncoming_traffic_is_passed_with_room(scene_of: Callable[..., Scene], y: float, kept_m: float) -> None:
+    """One comes at y; the vehicle's place is .5 m towards it, half of it or none leave .5 m between boxes if any do.
+
+    Boxes are 1.9 m wide and the vehicle's own a little wider: .5 m aside take y = 2.9 m and more, the middle 2.4 m; at
+    y = 2.0 none does, and the middle leaves the most.
+    """
+    scene = scene_of(recorded(200.0, y, 8.0, heading=np.pi))
+    aside = LaneOffset(np.array([0.0, 1000.0]), np.full(2, 0.5), np.zeros(2))
+    found = _alone(scene, np.full(110, 10.0), offset=aside)
+    assert isinstance(found, ExportedVehicle), found
+    assert found.trajectory.position[:, 1] == pytest.approx(kept_m, abs=0.01)
