@@ -32,7 +32,7 @@ _TITLES = {
     "motion": "Motion",
     "diversity": "Diversity",
     "requests": "Asked for and delivered",
-    "fidelity": "Fidelity of replay and road network",
+    "fidelity": "Fidelity of replay",
     "words": "Words",
 }
 

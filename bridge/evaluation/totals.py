@@ -22,8 +22,6 @@ from hid2.resampling import Estimate, ratio
 
 #: Sums are kept of at most this many source scenes; of more, they are kept of this many groups of sources.
 MOST_SOURCES = 1000
-#: Nets of at most this many different maps are measured.
-MOST_NETS = 20
 #: Events are listed in the report up to this many; events.csv has all.
 MOST_EVENTS = 40
 #: Delays are counted to this part of a second.
@@ -270,8 +268,6 @@ class Totals:
         self.events: list[Row] = []
         self.event_counts: Counter[tuple[str, str]] = Counter()
         self._sources: set[str] = set()
-        #: Scene folder of each of the first source scenes by name.
-        self.nets: dict[str, str] = {}
         self._counts: Counter[str] = Counter()
         self._rejected: Counter[str] = Counter()
         self._selection: dict[str, Counter[str]] = {}
@@ -295,9 +291,6 @@ class Totals:
             self.diversity.add_source(row)
         self._add_driving(measures, generated=True, recorded=as_recorded)
         self._add_counts(row)
-        self.nets.setdefault(source, row["folder"])
-        if len(self.nets) > MOST_NETS:
-            del self.nets[max(self.nets)]
 
     def add_source(self, measures: SceneMeasures) -> None:
         """Take a source scene in: what there was before, and how recorded vehicles drive among themselves."""
