@@ -176,7 +176,7 @@ def _grouped(
     moved, safe = motion(arrays), safety(arrays, lanes, states.matches)
     group = partial(
         Group, arrays=arrays, kinematic=kinematics(arrays, moved), safe=safe, beyond=beyond_limits(moved, Limits()),
-        met=encounters(arrays, lanes, safe.matches, safe.leaders),
+        met=encounters(arrays, safe.leaders),
     )  # fmt: skip
     recorded, every = ~arrays.generated, np.ones(arrays.num_agents, dtype=bool)
     groups = {}

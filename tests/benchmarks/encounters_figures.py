@@ -17,9 +17,9 @@ from bridge.generation.generate import generate, prepare
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
-from hid2.evaluation.safety import Safety, safety
+from hid2.evaluation.safety import safety
 from hid2.measures.arrays import SceneArrays, stack
-from hid2.measures.encounters import NEAR_M, Encounters, Partner, encounters
+from hid2.measures.encounters import NEAR_M, encounters
 from hid2.measures.lane_matching import FlatLanes, flatten_lanes
 from hid2.measures.manoeuvres import ManeuverKind, detect
 
@@ -30,15 +30,14 @@ STRETCH_M = 10.0
 FOCAL_M = 50.0
 MEASURES = (
     f"never within {NEAR_M:g} m of moving recorded traffic", "recorded leader within 3 s for 1 s",
-    "braking for a recorded leader", "crossing a recorded one with PET < 3 s", "merging with a recorded one", "stands",
+    "braking for a recorded leader", "crossing a recorded one with PET < 3 s", "stands",
 )  # fmt: skip
 
 
-def met_of(met: Encounters) -> np.ndarray:
+def met_of(met: dict[str, np.ndarray]) -> np.ndarray:
     """(A, len(MEASURES)) of every agent; the same for inserted and recorded ones."""
-    kind = Partner.RECORDED
     return np.column_stack([
-        met.distance_m > NEAR_M, met.follows[kind], met.brakes[kind], met.crosses[kind], met.merges[kind], met.stands,
+        met[name] for name in ("far", "follows_recorded", "brakes_recorded", "crosses_recorded", "stands")
     ])  # fmt: skip
 
 
@@ -56,7 +55,7 @@ class Figures:
 
     def add_recorded(self, name: str, tracks, lanes: FlatLanes, *, num_steps: int, step_s: float) -> None:
         arrays = stack(tracks, num_steps=num_steps, step_s=step_s)
-        found = met_of(_met(arrays, safety(arrays, lanes)))
+        found = met_of(encounters(arrays, safety(arrays, lanes).leaders))
         members = arrays.vehicle & arrays.moving & ~arrays.fragment
         self.met["recorded"].append(found[members])
         self.met[f"recorded, {name}"].append(found[members])
@@ -65,7 +64,7 @@ class Figures:
         recording = scene.source
         arrays = stack([*recording.tracks, *scene.generated], num_steps=recording.num_steps, step_s=recording.step_s)
         safe = safety(arrays, lanes)
-        found = met_of(_met(arrays, safe))
+        found = met_of(encounters(arrays, safe.leaders))
         self.met["inserted"].append(found[arrays.generated])
         self.met["inserted, moving"].append(found[arrays.generated & arrays.moving])
         self.met[f"inserted, {name}"].append(found[arrays.generated])
@@ -121,10 +120,6 @@ def changes_near(scene: TrafficScene) -> list[float]:
         apart = [float(np.hypot(*(other - own)[0])) for other in others if len(other) and len(own)]
         found.append(min(apart, default=np.inf))
     return found
-
-
-def _met(arrays: SceneArrays, safe: Safety) -> Encounters:
-    return encounters(arrays, safe.lanes, safe.matches, safe.leaders)
 
 
 def _twins(one: np.ndarray, other: np.ndarray) -> float:
