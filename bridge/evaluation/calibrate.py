@@ -16,35 +16,14 @@ from bridge.pages.parts import Section, macro, page
 from bridge.pictures import figures
 from bridge.recordings.scenario import read_scenario, source_id
 from bridge.recordings.sources import find_sources
-from hid2.agents import FloatArray, IntArray
-from hid2.evaluation.calibration import Extra, Quantity, calibrate, drivers_of
-from hid2.evaluation.safety import Safety, safety
-from hid2.evaluation.windows import Windows, windows
-from hid2.measures.arrays import BoolArray, SceneArrays, stack
+from hid2.evaluation.calibration import Quantity, SceneDriving, calibrate, drivers_of, observe
 from hid2.measures.lane_matching import flatten_lanes
-from hid2.measures.manoeuvres import ManeuverKind, detect
+from hid2.occupancy.agent_states import agent_states
 from hid2.params import Drivers
 from netconvert.errors import ConfigError, ScenarioError
 
-#: Speed below which a vehicle stands, m/s, and gap to a leader in a queue, m.
-_STANDS_MPS, _QUEUE_M = 0.3, 8.0
 _CHUNK = 20
 _TEMPLATE = "calibration.html.j2"
-
-
-class SceneDriving(NamedTuple):
-    """What calibration keeps of a scene: drivers are numbered within it."""
-
-    name: str
-    city: str
-    labelled: bool
-    seen: Windows
-    extra: Extra
-
-    def rows(self, chosen: BoolArray) -> "SceneDriving":
-        """Some of the windows."""
-        usual_mps = self.extra.usual_mps[chosen]
-        return self._replace(seen=self.seen.rows(chosen), extra=self.extra._replace(usual_mps=usual_mps))
 
 
 class Calibration(NamedTuple):
@@ -84,7 +63,7 @@ def calibrate_folder(
         raise ScenarioError(f"{root}: no scene can be read; the first: {failures[0][0]}: {failures[0][1]}")
     scenes.sort(key=lambda scene: scene.name)
     prior = Drivers()
-    groups = {name: calibrate(*pooled(part), prior=prior) for name, part in _groups(scenes)}
+    groups = {name: calibrate(part, prior=prior) for name, part in _groups(scenes)}
     result = Calibration(groups, scenes, failures)
     rows = quantity_rows(result.groups)
     write_table(out.with_name(f"{out.stem}.csv"), rows)
@@ -94,49 +73,12 @@ def calibrate_folder(
 
 
 def observe_scene(_shared: None, folder: Path) -> SceneDriving:
-    """What one recorded scene shows of driving: clean tracks of moving vehicles. Errors: ScenarioError, MapError."""
-    scenario = read_scenario(folder)
-    arrays = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=scenario.step_s)
-    safe = safety(arrays, flatten_lanes(scenario.graph))
-    clean = arrays.clean & ~arrays.generated
-    seen = windows(arrays, safe, clean)
-    done = detect(arrays, safe.lanes, safe.matches)
-    durations = [one.duration_s for one in done if one.kind is ManeuverKind.LANE_CHANGE and one.complete]
-    return SceneDriving(
-        name=scenario.scenario_id,
-        city=scenario.city,
-        labelled=scenario.provenance == "human",
-        seen=seen,
-        extra=Extra(
-            _usual_speed(seen.agent, seen.speed_mps, seen.turning),
-            _standing_gaps(arrays, safe, clean),
-            np.array(durations, dtype=np.float64),
-        ),
-    )
-
-
-def _usual_speed(driver: IntArray, speed: FloatArray, turning: BoolArray) -> FloatArray:
-    """(M,) median over the drivers of the scene, apart for turns, of the median speed of each: its traffic's."""
-    usual = np.ones(len(speed))
-    for kind in (False, True):
-        own = turning == kind
-        medians = [np.median(speed[own & (driver == one)]) for one in np.unique(driver[own])]
-        if medians:
-            usual[own] = max(float(np.median(medians)), 1.0)
-    return usual
-
-
-def _standing_gaps(arrays: SceneArrays, safe: Safety, clean: BoolArray) -> FloatArray:
-    """(D,) gap, m, that each clean vehicle kept while it and the vehicle ahead stood."""
-    speed = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1])
-    leader = safe.leaders.agent
-    rows = np.flatnonzero((leader >= 0) & clean[arrays.agent] & (speed < _STANDS_MPS))
-    ahead = arrays.row_of[leader[rows], arrays.step[rows]]
-    gap = safe.leaders.gap_m[rows]
-    rows = rows[(ahead >= 0) & (speed[ahead] < _STANDS_MPS) & (gap > 0.0) & (gap < _QUEUE_M)]
-    return np.array(
-        [np.median(safe.leaders.gap_m[rows[arrays.agent[rows] == one]]) for one in np.unique(arrays.agent[rows])]
-    )
+    """What one recorded scene shows of driving. Errors: ScenarioError, MapError."""
+    scene = read_scenario(folder)
+    states = agent_states(
+        scene.tracks, flatten_lanes(scene.graph), num_steps=scene.num_steps, step_s=scene.step_s
+    )  # fmt: skip
+    return observe(states, name=scene.scenario_id, city=scene.city, labelled=scene.provenance == "human")
 
 
 def _groups(scenes: Sequence[SceneDriving]) -> Iterator[tuple[str, list[SceneDriving]]]:
@@ -146,18 +88,8 @@ def _groups(scenes: Sequence[SceneDriving]) -> Iterator[tuple[str, list[SceneDri
     for kind in sorted({scene.labelled for scene in scenes}):
         yield f"recordings {('tracker', 'labelled')[kind]}", [scene for scene in scenes if scene.labelled is kind]
     for name, turning in (("straight", False), ("turning", True)):
-        yield f"lane {name}", [scene.rows(scene.seen.turning == turning) for scene in scenes]
-
-
-def pooled(scenes: Sequence[SceneDriving]) -> tuple[Windows, Extra]:
-    """Windows and extras of several scenes; drivers get numbers of their own."""
-    parts, before = [], 0
-    for scene in scenes:
-        parts.append(scene.seen._replace(agent=scene.seen.agent + before))
-        before += int(scene.seen.agent.max(initial=-1)) + 1
-    seen = Windows(*(np.concatenate(values) for values in zip(*parts, strict=True)))
-    extra = Extra(*(np.concatenate(values) for values in zip(*(scene.extra for scene in scenes), strict=True)))
-    return seen, extra
+        kept = [scene.windows[scene.windows["turning"] == turning] for scene in scenes]
+        yield f"lane {name}", [scene._replace(windows=own) for scene, own in zip(scenes, kept, strict=True)]
 
 
 def drivers_toml(found: Sequence[Quantity], prior: Drivers, scenes: Sequence[SceneDriving]) -> str:

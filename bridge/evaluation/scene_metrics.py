@@ -15,14 +15,13 @@ from bridge.recordings.recording import AV_ID, Recording
 from bridge.recordings.sidecar import REACTIVE, EventRecord, ManeuverRecord, Sidecar
 from bridge.recordings.sources import read_recording
 from hid2.agents import FloatArray, Policy, Track
-from hid2.evaluation.critics import pack
 from hid2.evaluation.kinematics import beyond_limits, kinematics, motion
 from hid2.evaluation.metrics import CRITICAL, METRICS, Group, columns, driven, policies
-from hid2.evaluation.realism import RealismCounts, count_scene, half_number, scene_values
+from hid2.evaluation.realism import RealismCounts, count_scene
 from hid2.evaluation.safety import IOU_THRESHOLD, Overlap, Safety, safety
-from hid2.evaluation.windows import windows
+from hid2.evaluation.windows import Windows, windows
 from hid2.judge.findings import Finding
-from hid2.measures.arrays import BoolArray, SceneArrays, is_generated_id
+from hid2.measures.arrays import SceneArrays, is_generated_id
 from hid2.measures.conflicts import TrafficConflict, conflicts
 from hid2.measures.encounters import encounters
 from hid2.measures.lane_changes import LaneChangeRow, lane_changes
@@ -51,15 +50,11 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SceneMeasures:
-    """What evaluation keeps of a scene. samples (M, WIDTH), sample_generated (M,): windows for the critics.
-
-    tables: rows of the scene by the names of TABLES.
-    """
+    """What evaluation keeps of a scene. tables: its rows, by the names of TABLES; windows: for the critics."""
 
     tables: Mapping[str, list[Row]]
     realism: RealismCounts
-    samples: FloatArray
-    sample_generated: BoolArray
+    windows: Windows
 
     @property
     def scene(self) -> Row:
@@ -108,14 +103,7 @@ def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | No
     for name, group in groups.items():
         scene |= {f"{name}_{key}": value for key, value in _group_row(group, maneuvers, policy_of).items()}
     scene |= _pair_row(safe, arrays) | _request_row(sidecar)
-    durations: dict[str, list[float]] = {}
-    for maneuver in maneuvers:
-        if maneuver.kind is ManeuverKind.LANE_CHANGE and maneuver.complete:
-            durations.setdefault(maneuver.track_id, []).append(maneuver.duration_s)
-    vehicles = arrays.vehicle & arrays.moving
-    generated, recorded = vehicles & arrays.generated, arrays.clean & ~arrays.generated
-    driving = windows(arrays, safe, generated | recorded)
-    halves = np.array([half_number(source, arrays.track_ids[a]) for a in driving.agent], dtype=np.int64)
+    driving = windows(states.view, safe.leaders, scene=source, labelled=recording.provenance == "human")
     tables = {
         "scenes": [scene],
         "tracks": _track_rows(groups, arrays.mean_per_agent(moved.speed_mps), findings, policy_of, sidecar),
@@ -127,14 +115,7 @@ def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | No
         "lane_changes": [asdict(row) for row in lane_changes(states.view, safe.leaders, maneuvers)],
         "conflicts": [asdict(row) for row in conflicts(arrays)],
     }
-    return SceneMeasures(
-        tables=tables,
-        realism=count_scene(
-            source, arrays, scene_values(arrays, safe, driving, durations), generated=generated, recorded=recorded
-        ),
-        samples=pack(driving, halves, labelled=recording.provenance == "human"),
-        sample_generated=arrays.generated[driving.agent],
-    )
+    return SceneMeasures(tables, count_scene(arrays, safe, driving, maneuvers, scene=source), driving)
 
 
 def evaluate_scene(scene: TrafficScene, *own: Callable[[Group], float]) -> "pd.DataFrame":

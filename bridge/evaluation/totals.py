@@ -1,7 +1,6 @@
 """What an evaluation keeps of all its scenes: sums and counts, the same size after ten scenes and after a million."""
 
 import hashlib
-import heapq
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,11 +11,11 @@ import numpy as np
 from bridge.evaluation.scene_metrics import PAIR_COLUMNS, PAIR_GROUPS, PAIR_KINDS, SceneMeasures
 from bridge.recordings.folders import Address
 from hid2.agents import FloatArray, Policy
-from hid2.evaluation.critics import WIDTH, Packed, critique
+from hid2.evaluation.critics import critique
 from hid2.evaluation.metrics import GROUPS, METRICS, Metric, Section, columns
 from hid2.evaluation.realism import FEATURES, GENERATED, RECORDED, TAIL_SHARES, TAILS, RealismCounts, quantiles
+from hid2.evaluation.windows import WINDOW, Windows
 from hid2.judge.findings import Quantity
-from hid2.measures.arrays import BoolArray
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.resampling import Estimate, ratio
 
@@ -187,31 +186,25 @@ class Samples:
 
     def __init__(self, *, most: int = MOST_OF_A_KIND) -> None:
         self._most = most
-        #: Of each kind, by whether it is generated: hash, source and row of each window.
-        self._kept: dict[bool, list[tuple[float, str, FloatArray]]] = {False: [], True: []}
+        self._kept = np.zeros(0, dtype=WINDOW)
 
-    def add(self, rows: FloatArray, generated: BoolArray, *, scene: str, source: str) -> None:
-        """Offer windows of a scene: rows (M, WIDTH), generated (M,). `source`: the scene that it was made from."""
-        hashes = np.random.default_rng(_hash(scene)).random(len(rows)).tolist()
-        for number, row, kind in zip(hashes, rows, generated.tolist(), strict=True):
-            self._kept[kind].append((number, source, row.copy()))  # a part of `rows` would keep all of them
-        self._kept = {
-            kind: heapq.nsmallest(self._most, kept, key=lambda one: one[0]) for kind, kept in self._kept.items()
-        }
+    def add(self, offered: Windows, *, scene: str) -> None:
+        """Offer windows of a scene, which may be one of many that were made from their recorded one."""
+        every = np.concatenate([offered, self._kept])
+        every["drawn"][: len(offered)] = np.random.default_rng(_hash(scene)).random(len(offered))
+        every = every[np.argsort(every["drawn"], kind="stable")]
+        self._kept = np.concatenate([every[every["generated"] == kind][: self._most] for kind in (True, False)])
 
-    def packed(self) -> Packed:
-        """The windows kept; scenes are numbered in the order of their sources' names."""
-        every = [(source, number, kind, row) for kind in (True, False) for number, source, row in self._kept[kind]]
-        every.sort(key=lambda one: one[:2])  # so that the order in which scenes came does not matter
-        scene = np.unique([one[0] for one in every], return_inverse=True)[1]
-        rows = np.array([one[3] for one in every]).reshape(-1, WIDTH)
-        return Packed(rows, np.array([one[2] for one in every], dtype=bool), scene.astype(np.int64))
+    def windows(self, control: "Samples | None" = None) -> Windows:
+        """The windows kept, by recorded scene, so that the order in which scenes came does not matter.
 
-    def joined(self, other: "Samples") -> Packed:
-        """Recorded windows of this one with the generated ones of another: what a control is judged on."""
-        both = Samples(most=self._most)
-        both._kept = {False: self._kept[False], True: other._kept[True]}  # of the same class
-        return both.packed()
+        control: its generated windows are taken instead: what a control is judged on.
+        """
+        every = self._kept
+        if control is not None:
+            every = np.concatenate([part[part["generated"] == kind] for part, kind in ((every, 0), (control._kept, 1))])
+        by_scene = np.unique(every["scene"], return_inverse=True)[1]
+        return every[np.lexsort([every["drawn"], by_scene])]
 
 
 @dataclass(eq=False, slots=True)
@@ -300,11 +293,14 @@ class Totals:
     def add_control(self, measures: SceneMeasures) -> None:
         """Take a scene of the control's drivers in: of it only what the critics look at counts."""
         self.control = self.control or Samples()
-        _add_windows(measures, self.control, measures.sample_generated)
+        own = measures.windows
+        self.control.add(own[own["generated"]], scene=measures.scene["scenario_id"])
 
     def _add_driving(self, measures: SceneMeasures, *, generated: bool, recorded: bool) -> None:
         self.realism.add(measures.realism, generated=generated, recorded=recorded)
-        _add_windows(measures, self.samples, np.where(measures.sample_generated, generated, recorded))
+        own = measures.windows
+        kept = own[np.where(own["generated"], generated, recorded)]
+        self.samples.add(kept, scene=measures.scene["scenario_id"])
 
     def content(self) -> dict[str, Any]:
         """The parts of metrics.json that the scenes tell."""
@@ -336,7 +332,7 @@ class Totals:
                 "distances": [distance._asdict() for distance in self.realism.distances()],
                 "tails": _tails(self.realism),
                 "critics": critique(
-                    self.samples.packed(), self.samples.joined(self.control) if self.control is not None else None
+                    self.samples.windows(), None if self.control is None else self.samples.windows(self.control)
                 ),
             },
             "requests": {
@@ -360,11 +356,6 @@ class Totals:
             self._selection.setdefault(name, Counter()).update(told)
         self._findings.update(row["findings"])
         self._replay_position_error_m = max(self._replay_position_error_m, row["replay_position_error_m"] or 0.0)
-
-
-def _add_windows(measures: SceneMeasures, samples: Samples, kept: BoolArray) -> None:
-    row, generated = measures.scene, measures.sample_generated
-    samples.add(measures.samples[kept], generated[kept], scene=row["scenario_id"], source=str(row["source"]))
 
 
 @dataclass(eq=False, slots=True)

@@ -16,7 +16,10 @@ from scipy.special import ndtri
 
 from hid2.agents import FloatArray, IntArray
 from hid2.drivers.driver import TRUNCATED_AT, Driver, desired_speeds, lane_offset
-from hid2.evaluation.windows import Windows
+from hid2.evaluation.windows import Windows, lateral_accel_mps2, windows
+from hid2.measures.following import leaders
+from hid2.measures.manoeuvres import detect, whole_lane_changes
+from hid2.occupancy.agent_states import AgentStates
 from hid2.params import Config, Drivers
 from hid2.resampling import interval, redrawn
 
@@ -27,6 +30,8 @@ LEAST = 12
 # No tunables, here and below: they say which moments are measured and how finely, and calibrations with others differ.
 #: Steady following: closing slower, m/s, accelerating less, m/s2, faster than, m/s, nearer than, s and m.
 _STEADY_MPS, _STEADY_MPS2, _FOLLOWS_MPS, _FOLLOWS_S = 1.0, 0.5, 3.0, 3.0
+#: Speed below which a vehicle stands, m/s, and gap to a leader in a queue, m.
+_STANDS_MPS, _QUEUE_M = 0.3, 8.0
 #: A driver that accelerates or brakes by more than this in some window shows how: m/s2.
 _SHOWS_MPS2 = 0.7
 #: Drivers simulated for a moment, half of a window, s, and intervals in it: finer ones change no fit.
@@ -41,14 +46,16 @@ _TIMES_S = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 _SPREADS = (0.0, 0.3, 0.6, 0.9, 1.2)
 
 
-class Extra(NamedTuple):
-    """What windows do not show.
+class SceneDriving(NamedTuple):
+    """What a recorded scene shows of driving.
 
-    usual_mps (M,): of each window, what the traffic of its lane drives; standing_gap_m: gaps to standing leaders, one a
-    driver; lane_change_s: durations of lane changes.
+    standing_gap_m: gaps to standing leaders, one a driver; lane_change_s: durations of lane changes seen whole.
     """
 
-    usual_mps: FloatArray
+    name: str
+    city: str
+    labelled: bool
+    windows: Windows
     standing_gap_m: FloatArray
     lane_change_s: FloatArray
 
@@ -73,38 +80,67 @@ class Quantity:
     ks: float | None
 
 
-def calibrate(seen: Windows, extra: Extra, *, prior: Drivers) -> list[Quantity]:
-    """Every parameter that recordings can tell, in the order of `params.Drivers`. seen: each agent is a driver."""
-    straight, usual_mps = seen.rows(~seen.turning), extra.usual_mps[~seen.turning]
-    alone = np.isinf(straight.gap_m) | (straight.gap_m > 4.0 * straight.speed_mps)
-    free, usual_mps = straight.rows(alone), usual_mps[alone]
-    cruising = (free.speed_mps > _CRUISES * usual_mps) & (np.abs(free.accel_mps2) < _CRUISES_MPS2)
-    ratio = _by_driver(free.agent, np.log(free.speed_mps / usual_mps), np.median)
-    time_gap = (seen.gap_m - prior.min_gap_mean_m) / np.maximum(seen.speed_mps, 1.0)
-    steady = (
-        (np.abs(seen.closing_mps) < _STEADY_MPS) & (np.abs(seen.accel_mps2) < _STEADY_MPS2) & (time_gap > 0.0)
-        & (seen.speed_mps > _FOLLOWS_MPS) & (time_gap < _FOLLOWS_S)
+def observe(states: AgentStates, *, name: str, city: str, labelled: bool) -> SceneDriving:
+    """What the clean tracks of moving vehicles of a recorded scene show."""
+    arrays, led = states.arrays, leaders(states.arrays, states.lanes, states.matches)
+    speed = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1])
+    rows = np.flatnonzero((led.agent >= 0) & arrays.clean[arrays.agent] & (speed < _STANDS_MPS))
+    ahead, gap = arrays.row_of[led.agent[rows], arrays.step[rows]], led.gap_m[rows]
+    queue = (ahead >= 0) & (speed[ahead] < _STANDS_MPS) & (gap > 0.0) & (gap < _QUEUE_M)
+    changes = whole_lane_changes(detect(arrays, states.lanes, states.matches))
+    return SceneDriving(
+        name, city, labelled, windows(states.view, led, scene=name, labelled=labelled),
+        standing_gap_m=_by_driver(arrays.agent[rows[queue]], gap[queue], np.median),
+        lane_change_s=np.array([one.duration_s for one in changes], dtype=np.float64),
     )  # fmt: skip
-    gaps = _by_driver(seen.agent[steady], time_gap[steady], np.median)
-    strongest = _by_driver(seen.agent, seen.accel_mps2, np.max)
-    hardest = -_by_driver(seen.agent, seen.accel_mps2, np.min)
-    turning = _by_driver(seen.agent[seen.turning], np.abs(seen.lateral_accel_mps2[seen.turning]), np.max)
-    offsets = _by_driver(straight.agent, straight.d_parabola[:, 0], np.median)
+
+
+def calibrate(scenes: Sequence[SceneDriving], *, prior: Drivers) -> list[Quantity]:
+    """Every parameter that recorded scenes can tell, in the order of `params.Drivers`."""
+    seen = np.concatenate([one.windows for one in scenes])
+    standing_gap_m, lane_change_s = (np.concatenate(parts) for parts in list(zip(*scenes, strict=True))[-2:])
+    # drivers of all scenes are numbered through
+    scene = np.unique(seen["scene"], return_inverse=True)[1]
+    seen["agent"] += scene * (1 + seen["agent"].max(initial=0))
+    straight, turns = seen[~seen["turning"]], seen[seen["turning"]]
+    is_free = np.isinf(straight["gap_m"]) | (straight["gap_m"] > 4.0 * straight["speed_mps"])
+    free, usual_mps = straight[is_free], _usual_mps(straight)[is_free]
+    cruising = (free["speed_mps"] > _CRUISES * usual_mps) & (np.abs(free["accel_mps2"]) < _CRUISES_MPS2)
+    ratio = _by_driver(free["agent"], np.log(free["speed_mps"] / usual_mps), np.median)
+    time_gap = (seen["gap_m"] - prior.min_gap_mean_m) / np.maximum(seen["speed_mps"], 1.0)
+    steady = (
+        (np.abs(seen["closing_mps"]) < _STEADY_MPS) & (np.abs(seen["accel_mps2"]) < _STEADY_MPS2) & (time_gap > 0.0)
+        & (seen["speed_mps"] > _FOLLOWS_MPS) & (time_gap < _FOLLOWS_S)
+    )  # fmt: skip
+    gaps = _by_driver(seen["agent"][steady], time_gap[steady], np.median)
+    strongest = _by_driver(seen["agent"], seen["accel_mps2"], np.max)
+    hardest = -_by_driver(seen["agent"], seen["accel_mps2"], np.min)
+    turning = _by_driver(turns["agent"], np.abs(lateral_accel_mps2(turns)), np.max)
+    offsets = _by_driver(straight["agent"], straight["offset_m"], np.median)
     found = [
         *_normal("desired", "desired speed over the traffic's, logarithm", ratio, prior, sd_only=True),
-        *_speed_wander(free.rows(cruising), prior),
+        *_speed_wander(free[cruising], prior),
         *_normal("tau", "time gap in steady following, s", gaps, prior, unit="s"),
         *_normal("accel", "strongest acceleration of a driver, m/s2", strongest[strongest > _SHOWS_MPS2], prior,
                  unit="mps2"),
         *_normal("decel", "hardest braking of a driver, m/s2", hardest[hardest > _SHOWS_MPS2], prior, unit="mps2"),
-        *_normal("min_gap", "gap to a standing leader, m", extra.standing_gap_m, prior, unit="m"),
+        *_normal("min_gap", "gap to a standing leader, m", standing_gap_m, prior, unit="m"),
         *_range_of_turns(turning, prior),
         *_normal("offset", "place in the lane, m, left positive", offsets, prior, unit="m"),
         *_lateral_wander(straight, prior),
-        *_normal("lane_change", "duration of lane changes, s", extra.lane_change_s, prior, unit="s"),
+        *_normal("lane_change", "duration of lane changes, s", lane_change_s, prior, unit="s"),
     ]  # fmt: skip
     return [*found, _kept("reaction_s", "reaction time: positions do not tell it", prior),
             _kept("error", "perception error: positions do not tell it", prior)]  # fmt: skip
+
+
+def _usual_mps(seen: Windows) -> FloatArray:
+    """(M,) of each window what its scene's traffic drives: the median over drivers of the median speed of each."""
+    usual = np.ones(len(seen))
+    for scene in np.unique(seen["scene"]):
+        own = seen["scene"] == scene
+        usual[own] = max(1.0, float(np.median(_by_driver(seen["agent"][own], seen["speed_mps"][own], np.median))))
+    return usual
 
 
 def drivers_of(found: Sequence[Quantity]) -> dict[str, float]:
@@ -262,7 +298,7 @@ def _speed_wander(free: Windows, prior: Drivers) -> list[Quantity]:
     """SD and time of the wandering of the desired speed, from free driving."""
     what = "wandering of the desired speed: acceleration in windows, m/s2"
     names = ("wander_sd_mps", "wander_time_s")
-    values, changes = _rms(free.agent, free.accel_mps2), _rms(free.agent, free.jerk_mps3)
+    values, changes = (_rms(free["agent"], free[name]) for name in ("accel_mps2", "jerk_mps3"))
 
     def found(drivers: IntArray) -> tuple[float, float]:
         table, moments = [speed_moments(time_s) for time_s in _TIMES_S], _moments(values[drivers], changes[drivers])
@@ -276,8 +312,7 @@ def _lateral_wander(straight: Windows, prior: Drivers) -> list[Quantity]:
     """SD, spread and time of the wandering about the place in the lane."""
     what = "wandering about the place in the lane: drift in windows, m/s"
     names = ("lateral_wander_sd_m", "lateral_wander_time_s", "lateral_wander_spread")
-    drift_mps, bend_mps2 = straight.d_parabola[:, 1], straight.d_parabola[:, 2]
-    values, changes = _rms(straight.agent, drift_mps), _rms(straight.agent, bend_mps2)
+    values, changes = (_rms(straight["agent"], straight[name]) for name in ("drift_mps", "bend_mps2"))
 
     def found(drivers: IntArray) -> tuple[float, float, float]:
         moments = _moments(values[drivers], changes[drivers])

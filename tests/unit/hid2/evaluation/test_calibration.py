@@ -10,8 +10,8 @@ from hid2.params import Drivers
 
 @pytest.fixture(scope="module")
 def found():
-    seen, extra = synthetic_driving(KNOWN, drivers=150, seed=3)
-    return {quantity.name: quantity for quantity in calibrate(seen, extra, prior=Drivers())}
+    seen = synthetic_driving(KNOWN, drivers=150, seed=3)
+    return {quantity.name: quantity for quantity in calibrate([seen], prior=Drivers())}
 
 
 @pytest.mark.parametrize(
@@ -39,8 +39,8 @@ def test_what_the_data_cannot_tell_keeps_its_prior(found):
 
 
 def test_too_few_drivers_tell_nothing():
-    seen, extra = synthetic_driving(KNOWN, drivers=LEAST - 1, seed=0)
-    few = calibrate(seen, extra._replace(standing_gap_m=np.zeros(0), lane_change_s=np.array([4.0])), prior=Drivers())
+    seen = synthetic_driving(KNOWN, drivers=LEAST - 1, seed=0)
+    few = calibrate([seen._replace(standing_gap_m=np.zeros(0), lane_change_s=np.array([4.0]))], prior=Drivers())
     assert not any(quantity.measured for quantity in few)
 
 
