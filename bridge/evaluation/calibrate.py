@@ -1,19 +1,14 @@
-"""`hid2 calibrate`: recorded scenes to drivers.toml, with a table and a figure for each quantity."""
+"""`hid2 calibrate`: recorded scenes to drivers.toml, with a table of every quantity."""
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import matplotlib.pyplot as plt
-import numpy as np
-from matplotlib.figure import Figure
+from typing import Any
 
 from bridge.batch.engine import sorted_out, work_on_each
 from bridge.evaluation.evaluate import write_table
 from bridge.files import write_text
 from bridge.pages.parts import Section, macro, page
-from bridge.pictures import figures
 from bridge.recordings.scenario import read_scenario, source_id
 from bridge.recordings.sources import find_sources
 from hid2.evaluation.calibration import Quantity, SceneDriving, calibrate, drivers_of, observe
@@ -26,22 +21,14 @@ _CHUNK = 20
 _TEMPLATE = "calibration.html.j2"
 
 
-class Calibration(NamedTuple):
-    """Quantities by group ("all", "city ...", "lane ...", "recordings ..."), scenes read, and those that failed."""
-
-    groups: dict[str, list[Quantity]]
-    scenes: list[SceneDriving]
-    failures: list[tuple[Path, str]]
-
-
 def calibrate_folder(
     roots: Sequence[Path], out: Path, *, without: Sequence[str] = (), jobs: int = 1,
     on_scene: Callable[[int, int], None] | None = None,
-) -> Calibration:  # fmt: skip
-    """Measure how people drive in the recorded scenes below some folders, and write what was found.
+) -> list[tuple[Path, str]]:  # fmt: skip
+    """Measure how people drive in the recorded scenes below some folders; returns the scenes that failed.
 
     Writes `out` (TOML, the section [drivers] of a configuration) and, beside it, STEM.csv (quantities) and STEM.html
-    (the same with figures). without: ids of scenes to leave out, such as those to be generated from.
+    (the same as a page). without: ids of scenes to leave out, such as those to be generated from.
     Scenes that hid2 wrote are passed over. Errors: ConfigError where no scene is left, ScenarioError where none can be
     read; ExportError where something cannot be written.
     """
@@ -64,20 +51,18 @@ def calibrate_folder(
     scenes.sort(key=lambda scene: scene.name)
     prior = Drivers()
     groups = {name: calibrate(part, prior=prior) for name, part in _groups(scenes)}
-    result = Calibration(groups, scenes, failures)
-    rows = quantity_rows(result.groups)
+    rows = quantity_rows(groups)
     write_table(out.with_name(f"{out.stem}.csv"), rows)
-    write_text(out.with_name(f"{out.stem}.html"), _page(result, rows))
-    write_text(out, drivers_toml(result.groups["all"], prior, result.scenes))
-    return result
+    write_text(out.with_name(f"{out.stem}.html"), _page(len(scenes), rows))
+    write_text(out, drivers_toml(groups["all"], prior, scenes))
+    return failures
 
 
 def observe_scene(_shared: None, folder: Path) -> SceneDriving:
     """What one recorded scene shows of driving. Errors: ScenarioError, MapError."""
     scene = read_scenario(folder)
-    states = agent_states(
-        scene.tracks, flatten_lanes(scene.graph), num_steps=scene.num_steps, step_s=scene.step_s
-    )  # fmt: skip
+    lanes = flatten_lanes(scene.graph)
+    states = agent_states(scene.tracks, lanes, num_steps=scene.num_steps, step_s=scene.step_s)
     return observe(states, name=scene.scenario_id, city=scene.city, labelled=scene.provenance == "human")
 
 
@@ -116,32 +101,13 @@ def quantity_rows(groups: Mapping[str, Sequence[Quantity]]) -> list[dict[str, An
     return [
         {
             "group": group, "parameter": one.name, "value": one.value, "low": one.low, "high": one.high,
-            "drivers": one.drivers, "source": "measured" if one.measured else "prior", "ks": one.ks, "what": one.what,
+            "drivers": one.drivers, "source": "measured" if one.measured else "prior", "what": one.what,
         }
         for group, found in groups.items()
         for one in found
     ]  # fmt: skip
 
 
-def _page(result: Calibration, rows: Sequence[Mapping[str, Any]]) -> str:
-    figures.style()
-    shown = {quantity.what: quantity for quantity in reversed(result.groups["all"]) if quantity.measured}
-    drawn = [(quantity, figures.data_uri(_distribution(quantity))) for quantity in reversed(shown.values())]
-    sections = [
-        Section("quantities", "Quantities", macro(_TEMPLATE, "quantities", rows)),
-        Section("figures", "Recorded and fitted distributions", macro(_TEMPLATE, "distributions", drawn)),
-    ]
-    return page("How people drive in these recordings", [macro(_TEMPLATE, "intro", len(result.scenes))], sections)
-
-
-def _distribution(quantity: Quantity) -> Figure:
-    figure, ax = plt.subplots(figsize=(5.2, 2.8), layout="constrained")
-    ordered = np.sort(quantity.values)
-    ax.step(ordered, (np.arange(len(ordered)) + 1) / len(ordered), where="post", color=figures.DARK_GREY,
-            label="recorded drivers")  # fmt: skip
-    if quantity.law is not None:
-        share = np.linspace(0.01, 0.99, 99)
-        ax.plot(quantity.law(share), share, color=figures.GENERATED, linestyle="--", label="fitted")
-    ax.set(xlabel=quantity.what, ylabel="share of drivers below")
-    ax.legend(fontsize=8)
-    return figure
+def _page(scenes: int, rows: Sequence[Mapping[str, Any]]) -> str:
+    sections = [Section("quantities", "Quantities", macro(_TEMPLATE, "quantities", rows))]
+    return page("How people drive in these recordings", [macro(_TEMPLATE, "intro", scenes)], sections)

@@ -12,7 +12,6 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtri
 
 from hid2.agents import FloatArray, IntArray
 from hid2.drivers.driver import TRUNCATED_AT, Driver, desired_speeds, lane_offset
@@ -62,11 +61,7 @@ class SceneDriving(NamedTuple):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Quantity:
-    """One parameter: its value with a 95 % interval (None: prior), from how many drivers, and the goodness of fit.
-
-    values (D,): one a driver, of which the distribution is shown; law: quantile function of the fitted one; ks:
-    largest distance of the two distribution functions (Kolmogorov-Smirnov).
-    """
+    """One parameter: its value, and, where it was measured, a 95 % interval and from how many drivers."""
 
     name: str
     what: str
@@ -75,9 +70,6 @@ class Quantity:
     high: float | None
     drivers: int
     measured: bool
-    values: FloatArray
-    law: Callable[[FloatArray], FloatArray] | None
-    ks: float | None
 
 
 def observe(states: AgentStates, *, name: str, city: str, labelled: bool) -> SceneDriving:
@@ -148,10 +140,9 @@ def drivers_of(found: Sequence[Quantity]) -> dict[str, float]:
     return {quantity.name: quantity.value for quantity in found if quantity.measured}
 
 
-def _kept(name: str, what: str, prior: Drivers, values: FloatArray | None = None) -> Quantity:
+def _kept(name: str, what: str, prior: Drivers, drivers: int = 0) -> Quantity:
     """A parameter that keeps its prior."""
-    known = values if values is not None else np.zeros(0)
-    return Quantity(name, what, float(getattr(prior, name)), None, None, len(known), False, known, None, None)
+    return Quantity(name, what, float(getattr(prior, name)), None, None, drivers, measured=False)
 
 
 def _by_driver(driver: IntArray, values: FloatArray, pool: Callable[[FloatArray], float]) -> FloatArray:
@@ -182,7 +173,7 @@ def _normal(
     def found(drivers: IntArray) -> Sequence[float]:
         return (float(np.median(values[drivers])), robust_sd(values[drivers]))[first:]
 
-    return _quantities(names[first:], what, values, prior, found, lambda p: _normal_quantile(values, p))
+    return _quantities(names[first:], what, len(values), prior, found)
 
 
 def _range_of_turns(values: FloatArray, prior: Drivers) -> list[Quantity]:
@@ -193,28 +184,23 @@ def _range_of_turns(values: FloatArray, prior: Drivers) -> list[Quantity]:
         low, high = np.percentile(values[drivers], [10, 90])
         return float(low - (high - low) / 8.0), float(high + (high - low) / 8.0)
 
-    def law(share: FloatArray) -> FloatArray:
-        first, last = ends(np.arange(len(values)))
-        return first + (last - first) * share
-
-    return _quantities(names, what, values, prior, ends, law)
+    return _quantities(names, what, len(values), prior, ends)
 
 
 def _quantities(
-    names: Sequence[str], what: str, values: FloatArray, prior: Drivers,
-    found: Callable[[IntArray], Sequence[float]], law: Callable[[FloatArray], FloatArray],
-) -> list[Quantity]:  # fmt: skip
+    names: Sequence[str], what: str, drivers: int, prior: Drivers, found: Callable[[IntArray], Sequence[float]]
+) -> list[Quantity]:
     """Parameters that are measured together, by one value a driver; of too few drivers they keep their prior.
 
-    found: their values from the drivers of these numbers; law: the quantile function that is fitted to all.
+    found: their values from the drivers of these numbers.
     """
-    if len(values) < LEAST:
-        return [_kept(name, what, prior, values) for name in names]
-    ks, every = ks_distance(values, law), np.arange(len(values))
-    drawn = redrawn(lambda times: np.asarray(found(np.repeat(every, times.astype(np.int64)))), len(values))
+    if drivers < LEAST:
+        return [_kept(name, what, prior, drivers) for name in names]
+    every = np.arange(drivers)
+    drawn = redrawn(lambda times: np.asarray(found(np.repeat(every, times.astype(np.int64)))), drivers)
     estimates = [interval(value, column) for value, column in zip(found(every), drawn.T, strict=True)]
     return [
-        Quantity(name, what, _bounded(name, one.value or 0.0), one.low, one.high, len(values), True, values, law, ks)
+        Quantity(name, what, _bounded(name, one.value or 0.0), one.low, one.high, drivers, measured=True)
         for name, one in zip(names, estimates, strict=True)
     ]
 
@@ -305,7 +291,7 @@ def _speed_wander(free: Windows, prior: Drivers) -> list[Quantity]:
         time_s = _time_of(moments.ratio, np.array([one.ratio for one in table]))
         return moments.size / float(np.interp(time_s, _TIMES_S, [one.size / _UNIT_MPS for one in table])), time_s
 
-    return _quantities(names, what, values, prior, found, lambda p: _lognormal_quantile(values, p))
+    return _quantities(names, what, len(values), prior, found)
 
 
 def _lateral_wander(straight: Windows, prior: Drivers) -> list[Quantity]:
@@ -327,28 +313,10 @@ def _lateral_wander(straight: Windows, prior: Drivers) -> list[Quantity]:
         size = float(np.interp(time_s, _TIMES_S, [lateral_moments(t, near).size for t in _TIMES_S]))
         return moments.size / size, time_s, spread
 
-    return _quantities(names, what, values, prior, found, lambda p: _lognormal_quantile(values, p))
+    return _quantities(names, what, len(values), prior, found)
 
 
 def _time_of(ratio: float, ratios: FloatArray) -> float:
     """Time constant with the seen ratio of change to rate in simulation; ratios fall with time."""
     falling = np.minimum.accumulate(ratios)
     return float(np.interp(-ratio, -falling, _TIMES_S))
-
-
-def _normal_quantile(values: FloatArray, share: FloatArray) -> FloatArray:
-    """Quantiles of the normal law with the median and the robust SD of some values."""
-    return np.asarray(np.median(values) + max(robust_sd(values), 1e-6) * ndtri(share))
-
-
-def _lognormal_quantile(values: FloatArray, share: FloatArray) -> FloatArray:
-    return np.asarray(np.exp(_normal_quantile(np.log(values), share)))
-
-
-def ks_distance(values: FloatArray, law: Callable[[FloatArray], FloatArray]) -> float:
-    """Kolmogorov-Smirnov distance of values from a law given by its quantile function."""
-    from scipy.stats import ks_1samp  # slow to import
-
-    share = (np.arange(1, 400) - 0.5) / 399
-    grid = law(share)
-    return float(ks_1samp(values, lambda x: np.interp(x, grid, share, left=0.0, right=1.0), method="asymp").statistic)

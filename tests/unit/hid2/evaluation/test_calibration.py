@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from synthetic_driving import KNOWN, synthetic_driving
 
-from hid2.evaluation.calibration import LEAST, calibrate, drivers_of, ks_distance, robust_sd
+from hid2.evaluation.calibration import LEAST, calibrate, drivers_of, robust_sd
 from hid2.params import Drivers
 
 
@@ -47,8 +47,3 @@ def test_too_few_drivers_tell_nothing():
 def test_robust_spread_by_hand():
     """Distances from the median 3: 2, 1, 0, 1, 97; their median is 1."""
     assert robust_sd(np.array([1.0, 2.0, 3.0, 4.0, 100.0])) == pytest.approx(1.4826)
-
-
-def test_distance_from_a_law_by_hand():
-    """Values 0.1 to 0.4 against uniform on 0 to 1: behind the last one 1 - 0.4 = 0.6 is missing."""
-    assert ks_distance(np.array([0.1, 0.2, 0.3, 0.4]), lambda share: share) == pytest.approx(0.6, abs=0.01)
