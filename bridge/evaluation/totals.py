@@ -1,7 +1,7 @@
 """What an evaluation keeps of all its scenes: sums and counts, the same size after ten scenes and after a million."""
 
 import hashlib
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -108,14 +108,10 @@ class Diversity:
     """Scenes before and after vehicles were added, and the vehicles added alone."""
 
     def __init__(self) -> None:
-        #: Number of scenes by number of agents, for each moment and each of DENSITIES.
-        self._density: defaultdict[tuple[str, str], Counter[int]] = defaultdict(Counter)
         self._scenes: Counter[str] = Counter()
-        #: Moving vehicles by policy, scenes that have any, and manoeuvres by kind, for each moment.
-        self._counts: dict[str, dict[str, Counter[str]]] = {
-            when: {"vehicles": Counter(), "scenes_with": Counter(), "maneuvers": Counter()}
-            for when in ("before", "generated", "after")
-        }
+        #: By moment: scenes by measure and number of agents; moving vehicles and scenes with any, manoeuvres, by kind.
+        self._density: Counter[tuple[str, str, int]] = Counter()
+        self._behaviours: Counter[tuple[str, str, str]] = Counter()
 
     @classmethod
     def of(cls, rows: Iterable[Row], sources: Iterable[Row]) -> "Diversity":
@@ -141,12 +137,13 @@ class Diversity:
         for name in DENSITIES:
             added = row[name.replace("tracks", "generated")]
             numbers = {"original": row[name] - added, "generated": added, "combined": row[name]}
-            self._density[when, name][numbers[group]] += 1
-        policies = {policy.value: row[f"{group}_policy_{policy}"] for policy in Policy}
-        counts = self._counts[when]
-        counts["vehicles"].update(policies)
-        counts["scenes_with"].update({name: number > 0 for name, number in policies.items()})
-        counts["maneuvers"].update({kind.value: row[f"{group}_seen_{kind}"] for kind in ManeuverKind})
+            self._density[when, name, numbers[group]] += 1
+        for policy in Policy:
+            vehicles = row[f"{group}_policy_{policy}"]
+            self._behaviours[when, "vehicles", policy] += vehicles
+            self._behaviours[when, "scenes_with", policy] += vehicles > 0
+        for kind in ManeuverKind:
+            self._behaviours[when, "maneuvers", kind] += row[f"{group}_seen_{kind}"]
 
     def content(self) -> dict[str, Any]:
         """Ready for JSON: scenes before and after, density[name] by number of agents, and behaviours."""
@@ -155,15 +152,18 @@ class Diversity:
             "scenes": {when: self._scenes[when] for when in ("before", "after")},
             "density": {name: self._density_content(name) for name in DENSITIES},
             "behaviours": {
-                when: {what: {one.value: counts[what][one.value] for one in of} for what, of in names.items()}
+                when: {what: {one.value: self._behaviours[when, what, one] for one in of} for what, of in names.items()}
                 | {"scenes": self._scenes[when]}
-                for when, counts in self._counts.items()
+                for when in ("before", "generated", "after")
             },
         }
 
     def _density_content(self, name: str) -> dict[str, Any]:
         """Scenes by number of agents, fewest first (JSON's keys are texts), means, and shares above BANDS."""
-        density = {when: sorted(self._density[when, name].items()) for when in ("before", "after")}
+        density = {
+            when: sorted((n, count) for (at, what, n), count in self._density.items() if (at, what) == (when, name))
+            for when in ("before", "after")
+        }
 
         def per_scene(when: str, total: int) -> float | None:
             return total / self._scenes[when] if self._scenes[when] else None
@@ -207,38 +207,42 @@ class Samples:
         return every[np.lexsort([every["drawn"], by_scene])]
 
 
-@dataclass(eq=False, slots=True)
 class ManeuverCounts:
-    """Manoeuvres asked for by kind and status, whether they were seen, reasons, and delays from trigger to start.
+    """Manoeuvres asked for: how many of a kind came to the same, and how long after their trigger they started."""
 
-    delays[kind]: how often each delay came up, by its number of thousandths of a second.
-    """
-
-    status: Counter[tuple[str, str]] = field(default_factory=Counter)
-    seen: Counter[tuple[str, str]] = field(default_factory=Counter)
-    reasons: Counter[tuple[str, str, str]] = field(default_factory=Counter)
-    delays: defaultdict[str, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
+    def __init__(self) -> None:
+        #: By kind, status, reason and whether it was seen.
+        self._told: Counter[tuple[str, str, str | None, bool]] = Counter()
+        #: By kind and thousandths of a second.
+        self._delays: Counter[tuple[str, int]] = Counter()
 
     def add(self, rows: Iterable[Row]) -> None:
         """Count manoeuvre rows of generated vehicles."""
         for row in rows:
             if row["group"] != "generated" or not row["recorded"]:
                 continue
-            kind, status = row["kind"], row["status"]
-            self.status[kind, status] += 1
-            self.seen[kind, status] += row["seen"] is not None
-            if row["reason"]:
-                self.reasons[kind, status, row["reason"]] += 1
+            self._told[row["kind"], row["status"], row["reason"], row["seen"] is not None] += 1
             if row["trigger_s"] is not None and row["start_s"] is not None:
-                delay_s = row["start_s"] - row["trigger_s"]
-                self.delays[kind][round(delay_s * _DELAY_PARTS)] += 1
+                self._delays[row["kind"], round((row["start_s"] - row["trigger_s"]) * _DELAY_PARTS)] += 1
 
-    def median_delay_s(self, kind: str) -> float | None:
-        """Median time from trigger to start, None where no manoeuvre of the kind started."""
-        counts = self.delays.get(kind)
-        if not counts:
-            return None
-        return float(np.median(np.repeat(list(counts), list(counts.values())))) / _DELAY_PARTS
+    def content(self) -> dict[str, Any]:
+        """Ready for JSON, by kind: statuses, reasons from the commonest on, median delay, s; None where none began."""
+        return {kind: self._of(kind) for kind in sorted({kind for kind, *_ in self._told})}
+
+    def _of(self, kind: str) -> dict[str, Any]:
+        status, reasons, seen = Counter[str](), Counter[str](), 0
+        for (one, became, reason, is_seen), count in self._told.items():
+            if one == kind:
+                status[became] += count
+                seen += count * (became == "done" and is_seen)
+                reasons.update({f"{became}: {reason}": count} if reason else {})
+        delays = [delay for (one, delay), count in self._delays.items() if one == kind for _ in range(count)]
+        return {
+            **{became: status[became] for became in ("done", "aborted", "not_feasible", "not_triggered")},
+            "done_and_seen": seen,
+            "reasons": dict(reasons.most_common()),
+            "median_trigger_to_start_s": float(np.median(delays)) / _DELAY_PARTS if delays else None,
+        }
 
 
 class Totals:
@@ -341,7 +345,7 @@ class Totals:
                 "placed_of_requested": counts["placed_of_requested"],
                 "rejected": dict(self._rejected.most_common()),
                 "selection": {name: dict(counts) for name, counts in self._selection.items()},
-                "maneuvers": _maneuvers(self.maneuvers),
+                "maneuvers": self.maneuvers.content(),
             },
             "replay": {"states": counts["replay_states"], "max_position_error_m": self._replay_position_error_m},
         }
@@ -383,20 +387,3 @@ def _tails(realism: RealismCounts) -> list[dict[str, Any]]:
         for feature in FEATURES
         if feature.name in TAILS
     ]
-
-
-def _maneuvers(counts: ManeuverCounts) -> dict[str, Any]:
-    statuses = ("done", "aborted", "not_feasible", "not_triggered")
-    return {
-        kind: {
-            **{status: counts.status[kind, status] for status in statuses},
-            "done_and_seen": counts.seen[kind, "done"],
-            "reasons": {
-                f"{status}: {reason}": count
-                for (name, status, reason), count in counts.reasons.most_common()
-                if name == kind
-            },
-            "median_trigger_to_start_s": counts.median_delay_s(kind),
-        }
-        for kind in sorted({kind for kind, _ in counts.status})
-    }

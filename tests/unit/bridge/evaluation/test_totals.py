@@ -112,8 +112,10 @@ def test_median_delay_is_that_of_the_list(delays):
     counts = ManeuverCounts()
     known = {"group": "generated", "kind": "overtake", "status": "done", "recorded": True, "seen": None, "reason": None}
     counts.add([known | {"trigger_s": 2.0, "start_s": 2.0 + delay} for delay in delays])
-    assert counts.median_delay_s("overtake") == pytest.approx(np.median(delays))
-    assert counts.median_delay_s("lane_change") is None
+    counts.add([known | {"kind": "lane_change", "trigger_s": 2.0, "start_s": None}])
+    found = counts.content()
+    assert found["overtake"]["median_trigger_to_start_s"] == pytest.approx(np.median(delays))
+    assert found["lane_change"]["median_trigger_to_start_s"] is None
 
 
 def scene_row(tracks, generated, **more):
