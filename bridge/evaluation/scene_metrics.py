@@ -15,7 +15,7 @@ from bridge.recordings.recording import AV_ID, Recording
 from bridge.recordings.sidecar import REACTIVE, EventRecord, ManeuverRecord, Sidecar
 from bridge.recordings.sources import read_recording
 from hid2.agents import FloatArray, Policy, Track
-from hid2.evaluation.kinematics import beyond_limits, kinematics, motion
+from hid2.evaluation.kinematics import kinematics, motion
 from hid2.evaluation.metrics import CRITICAL, METRICS, Group, columns, driven, policies
 from hid2.evaluation.realism import RealismCounts, count_scene
 from hid2.evaluation.safety import IOU_THRESHOLD, Overlap, Safety, safety
@@ -31,7 +31,6 @@ from hid2.measures.motion_limits import MotionProfile
 from hid2.measures.post_encroachment import Encroachment
 from hid2.measures.scene_end import END_HORIZON_S, ttc_after_last_step
 from hid2.occupancy.agent_states import AgentStates
-from hid2.params import Limits
 from hid2.policy.rules import place_in
 from netconvert.errors import ConfigError, ScenarioError
 
@@ -156,7 +155,7 @@ def _grouped(
     arrays = states.arrays
     moved, safe = motion(arrays), safety(arrays, lanes, states.matches)
     group = partial(
-        Group, arrays=arrays, kinematic=kinematics(arrays, moved), safe=safe, beyond=beyond_limits(moved, Limits()),
+        Group, arrays=arrays, kinematic=kinematics(arrays, moved), safe=safe,
         met=encounters(arrays, safe.leaders),
     )  # fmt: skip
     recorded, every = ~arrays.generated, np.ones(arrays.num_agents, dtype=bool)
@@ -243,7 +242,6 @@ def _track_rows(
             collides[int(arrays.generated[pair.first]), pair.second] = True
     off = {"off_road": safe.off_road, "off_footprint": safe.off_footprint, "against_lane": safe.against_lane}
     steps = {f"{name}_steps": mask for name, mask in off.items()}
-    steps |= {f"beyond_{name}_steps": mask for name, mask in whole.beyond.items()}
 
     def least(values: FloatArray) -> list[float | None]:
         """Smallest value of each agent, None where none is finite."""

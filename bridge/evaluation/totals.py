@@ -316,9 +316,7 @@ class Totals:
                 "generated_scenes": counts["generated_scenes"],
                 "generated_vehicles": counts["generated"],
             },
-            "kinematics": {
-                part.value: table(self.sums, part) for part in (Section.PAPER, Section.CLEAN, Section.LIMITS)
-            },
+            "kinematics": {part.value: table(self.sums, part) for part in (Section.PAPER, Section.CLEAN)},
             "safety": table(self.sums, Section.SAFETY)
             | {"pairs": {kind: {g: counts[f"{kind}_{g}"] for g in PAIR_GROUPS} for kind in PAIR_KINDS}},
             "judge": {

@@ -1,4 +1,4 @@
-"""LO, LA, JE of the paper (section Realism and Safety), limits of motion, and the series they come from.
+"""LO, LA, JE of the paper (section Realism and Safety), and the series they come from.
 
 All derivatives are taken from positions and headings by second-order central differences (one-sided at the ends of
 a track, as `numpy.gradient`), at the true times of the steps.
@@ -11,14 +11,10 @@ import numpy as np
 from hid2.agents import FloatArray
 from hid2.kernels.derivative import track_derivative
 from hid2.measures.arrays import BoolArray, SceneArrays
-from hid2.measures.motion_limits import MotionProfile, exceeded
-from hid2.params import Limits
+from hid2.measures.motion_limits import MotionProfile
 
 #: Tracks shorter than this are left out of LO, LA and JE: the third derivative needs five samples.
 MIN_STEPS = 5
-#: Curvature is not defined for a vehicle that stands; below this speed it is not checked.
-CURVATURE_SPEED_MPS = 1.0
-_SLACK = 1e-6  # relative, no tunable: against rounding
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -68,15 +64,3 @@ def kinematics(arrays: SceneArrays, moved: MotionProfile) -> Kinematics:
         je=arrays.mean_per_agent(moved.jerk_mps3),
         counted=arrays.rows_per_agent >= MIN_STEPS,
     )
-
-
-def beyond_limits(moved: MotionProfile, limits: Limits) -> dict[str, BoolArray]:
-    """Which rows (N,) exceed each limit of motion, by more than rounding.
-
-    Rates of heading are those of the recorded heading; the radius is that of heading rate over speed.
-    """
-    fast = moved.speed_mps > CURVATURE_SPEED_MPS
-    curvature = np.abs(moved.yaw_rate_radps) / np.where(fast, moved.speed_mps, 1.0)
-    return exceeded(moved, limits, slack=_SLACK) | {
-        "radius": fast & (curvature > (1.0 + _SLACK) / limits.min_radius_m),
-    }

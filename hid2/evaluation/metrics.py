@@ -26,7 +26,6 @@ from hid2.measures.encounters import (
     Partner,
 )
 from hid2.measures.manoeuvres import Maneuver
-from hid2.measures.motion_limits import MOTION_LIMITS
 from hid2.params import Conflict, Limits
 from hid2.policy.behaviours import BEHAVIOURS, behaviour_seen
 
@@ -44,7 +43,6 @@ class Section(StrEnum):
     PAPER = "paper"
     CLEAN = "clean"
     SAFETY = "safety"
-    LIMITS = "limits"
     ENCOUNTERS = "encounters"
 
 
@@ -52,15 +50,13 @@ class Section(StrEnum):
 class Group:
     """One group of the agents of a scene, with what was measured of the whole scene.
 
-    members (A,); beyond: rows (N,) that exceed each limit of motion; partners (A,): what a member may collide with;
-    end_ttc_s (A,): from the last step to the first contact of those `meeting`, inf without; met: by name what each
-    agent meets (A,).
+    members (A,); partners (A,): what a member may collide with; end_ttc_s (A,): from the last step to the first contact
+    of those `meeting`, inf without; met: by name what each agent meets (A,).
     """
 
     arrays: SceneArrays
     kinematic: Kinematics
     safe: Safety
-    beyond: Mapping[str, BoolArray]
     members: BoolArray
     partners: BoolArray
     end_ttc_s: FloatArray
@@ -162,7 +158,7 @@ def _magnitude(key: Literal["lo", "la", "je"], label: str, unit: str, what: str)
 def _steps(key: str, label: str, sentence: str, of: Callable[[Group], BoolArray], *, column: str = "") -> Metric:
     """Share of the steps of moving vehicles; column: where it has another name than the metric."""
     return Metric(
-        key, label, "share", Section.LIMITS if key.startswith("limit_") else Section.SAFETY, sentence,
+        key, label, "share", Section.SAFETY, sentence,
         Column(column or key, lambda g: int((of(g) & g.moving_rows).sum())), MOVING_ROWS,
     )  # fmt: skip
 
@@ -181,11 +177,6 @@ def _followed(kind: Partner) -> tuple[Metric, Metric]:
         _met(f"follows_{kind}", f"follows a leader, {kind}", follows),
         _met(f"brakes_{kind}", f"brakes for a leader, {kind}", brakes),
     )
-
-
-def _limited(name: str, label: str, sentence: str) -> Metric:
-    """Share of driving beyond a limit of motion, by its name in `Group.beyond`."""
-    return _steps(f"limit_{name}", label, sentence, lambda g: g.beyond[name])
 
 
 _TTC = f"TTC below {CRITICAL.ttc_min_s:g} s"
@@ -248,17 +239,6 @@ METRICS: tuple[Metric, ...] = (
         "end_scenes_critical", "share of scenes with such a vehicle", "share", Section.SAFETY,
         f"Scenes in which some vehicle has a {_END_TTC} after its last step.",
         Column("end_scenes_critical", lambda g: int(g.critical_ends > 0)), SCENES_WITH_ENDS,
-    ),
-    *(
-        _limited(
-            limit.name, f"{limit.label} above {limit.bound(Limits()):g} {limit.unit}",
-            f"Steps of moving vehicles that exceed the bound of {limit.label} that drivers accept.",
-        )
-        for limit in MOTION_LIMITS
-    ),
-    _limited(
-        "radius", f"radius below {Limits().min_radius_m:g} m",
-        "Steps of moving vehicles on a tighter curve than vehicles can drive.",
     ),
     _met(
         "far", f"never within {NEAR_M:g} m of moving recorded traffic",
