@@ -19,8 +19,9 @@ MIN_STEPS = 5
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Kinematics:
-    """LO, LA, JE by agent (A,): the mean over an agent's steps; `counted` marks tracks of at least MIN_STEPS."""
+    """LO, LA, JE and speed by agent (A,): means over an agent's steps; `counted`: tracks of at least MIN_STEPS."""
 
+    speed_mps: FloatArray
     lo: FloatArray
     la: FloatArray
     je: FloatArray
@@ -59,6 +60,7 @@ def motion(arrays: SceneArrays) -> MotionProfile:
 def kinematics(arrays: SceneArrays, moved: MotionProfile) -> Kinematics:
     """LO = |a_x cos + a_y sin|, LA = |-a_x sin + a_y cos|, JE = |da/dt|: mean over each agent's steps (paper, 4.2)."""
     return Kinematics(
+        speed_mps=arrays.mean_per_agent(moved.speed_mps),
         lo=arrays.mean_per_agent(np.abs(moved.accel_mps2)),
         la=arrays.mean_per_agent(np.abs(moved.lateral_accel_mps2)),
         je=arrays.mean_per_agent(moved.jerk_mps3),

@@ -57,7 +57,7 @@ def half_numbers(scene: str, track_ids: Sequence[str]) -> IntArray:
 
 def compared(arrays: SceneArrays) -> BoolArray:
     """(A,) vehicles that are looked at: all that move, but for recorded fragments."""
-    return np.asarray(arrays.vehicle & arrays.moving & (arrays.generated | ~arrays.fragment))
+    return np.asarray(arrays.moving_vehicles & (arrays.generated | ~arrays.fragment))
 
 
 def lateral_accel_mps2(found: Windows) -> FloatArray:

@@ -101,8 +101,7 @@ def detect(
     """
     view = LaneView(arrays, lanes, matches)
     found: list[Maneuver] = []
-    vehicles = arrays.vehicle & arrays.moving
-    for agent in np.flatnonzero(vehicles if among is None else vehicles & among):
+    for agent in np.flatnonzero(arrays.moving_vehicles if among is None else arrays.moving_vehicles & among):
         runs = runs_of(view, int(agent))
         tried = (
             _lane_change(view, int(agent), runs, k)

@@ -46,7 +46,7 @@ class Plausibility(NamedTuple):
 
 def plausibility(arrays: SceneArrays, graph: LaneGraph, lanes: FlatLanes) -> Plausibility:
     """The figures of a recorded scene. lanes: those of `graph`."""
-    agents = np.flatnonzero(arrays.moving & arrays.vehicle)
+    agents = np.flatnonzero(arrays.moving_vehicles)
     half = max(1, round(HALF_WINDOW_S / arrays.step_s))
     direction = motion_directions(arrays.position, arrays.heading, arrays.first, half, MIN_CHORD_M)
     off = np.abs(np.mod(arrays.heading - direction + np.pi, 2 * np.pi) - np.pi) > np.pi / 4

@@ -61,7 +61,7 @@ class Figures:
         """Take the recorded tracks of a source in (first), or the generated ones of a scene made from it."""
         states = agent_states(tracks, flatten_lanes(graph), num_steps=num_steps, step_s=0.1)
         arrays = states.arrays
-        safe = safety(arrays, states.lanes, states.matches)
+        safe = safety(states.view)
         found = windows(states.view, safe.leaders, scene=name, labelled=labelled)
         self.windows.append(found[found["generated"] | first])
         seen = detect(arrays, states.lanes, states.matches)

@@ -21,7 +21,7 @@ from hid2.evaluation.safety import safety
 from hid2.evaluation.windows import half_numbers, windows
 from hid2.measures.arrays import stack
 from hid2.measures.driven_lanes import LaneView
-from hid2.measures.lane_matching import flatten_lanes
+from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind
 
 SPEED = FEATURES[0]
@@ -100,8 +100,9 @@ def test_distance_of_a_faster_generator_is_above_the_floor_and_of_an_equal_one_n
             recorded = _lanes_full(rng, "r", rng.uniform(5, 12, 8))
             generated = _lanes_full(rng, "gen_", rng.uniform(low, low + 7, 8))
             arrays = stack([*recorded, *generated], step_s=0.1)
-            safe = safety(arrays, flatten_lanes(road(length_m=200)))
-            view = LaneView(arrays, safe.lanes, safe.matches)
+            lanes = flatten_lanes(road(length_m=200))
+            view = LaneView(arrays, lanes, match_lanes(arrays, lanes))
+            safe = safety(view)
             driving = windows(view, safe.leaders, scene=f"s{scene}", labelled=True)
             changes = [
                 Maneuver(name, ManeuverKind.LANE_CHANGE, 0.0, 2.0, end_s, 1, 2, 1, complete=True)
