@@ -32,7 +32,6 @@ _TITLES = {
     "motion": "Motion",
     "diversity": "Diversity",
     "requests": "Asked for and delivered",
-    "fidelity": "Fidelity of replay",
     "words": "Words",
 }
 

@@ -206,15 +206,11 @@ def _pair_row(safe: Safety, arrays: SceneArrays) -> Row:
 
 def _request_row(sidecar: Sidecar | None) -> Row:
     if sidecar is None:
-        unknown = ("replay_position_error_m", "replay_heading_error_rad", "rejected", "selection", "seed", "variant")
-        return {"requested": None, "placed": 0, "replay_states": 0} | dict.fromkeys(unknown)
+        return {"requested": None, "placed": 0} | dict.fromkeys(("rejected", "selection", "seed", "variant"))
     asked = sidecar.requested.agents
     return {
         "requested": asked if isinstance(asked, int) else None,
         "placed": sidecar.placed.agents,
-        "replay_states": sidecar.replay.states,
-        "replay_position_error_m": sidecar.replay.max_position_error_m,
-        "replay_heading_error_rad": sidecar.replay.max_heading_error_rad,
         "rejected": {item.reason: item.count for item in sidecar.rejected},
         "selection": None if sidecar.selection is None else sidecar.selection.model_dump(),
         "seed": sidecar.seed,

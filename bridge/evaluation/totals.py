@@ -33,7 +33,7 @@ DENSITIES = ("tracks", "tracks_at_49")
 MOST_OF_A_KIND = 4000
 
 #: Columns of scenes that are summed, beside those of `SourceSums`.
-_COUNTED = ("generated", "placed", "replay_states", *PAIR_COLUMNS)
+_COUNTED = ("generated", "placed", *PAIR_COLUMNS)
 
 Row = Mapping[str, Any]
 
@@ -269,7 +269,6 @@ class Totals:
         self._rejected: Counter[str] = Counter()
         self._selection: dict[str, Counter[str]] = {}
         self._findings: Counter[str] = Counter()
-        self._replay_position_error_m = 0.0
 
     def add(self, measures: SceneMeasures) -> None:
         """Take a scene in."""
@@ -345,7 +344,6 @@ class Totals:
                 "selection": {name: dict(counts) for name, counts in self._selection.items()},
                 "maneuvers": self.maneuvers.content(),
             },
-            "replay": {"states": counts["replay_states"], "max_position_error_m": self._replay_position_error_m},
         }
 
     def _add_counts(self, row: Row) -> None:
@@ -357,7 +355,6 @@ class Totals:
         for name, told in (row["selection"] or {}).items():
             self._selection.setdefault(name, Counter()).update(told)
         self._findings.update(row["findings"])
-        self._replay_position_error_m = max(self._replay_position_error_m, row["replay_position_error_m"] or 0.0)
 
 
 @dataclass(eq=False, slots=True)
