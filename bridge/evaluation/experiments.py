@@ -16,10 +16,8 @@ from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure, attempts
 from bridge.evaluation.scene_metrics import Row, measure
 from bridge.recordings.folders import Address, Source
-from bridge.recordings.sidecar import Sidecar
 from bridge.recordings.sources import read_recording
 from hid2.agents import Track
-from hid2.measures.manoeuvres import ManeuverKind
 from hid2.params import Config, Request
 
 if TYPE_CHECKING:
@@ -126,7 +124,7 @@ def generate_and_measure(
                 made[key] = generate(prepared, config.model_copy(update={"request": request}))
             tracks, sidecar = (*tracks, *made[key].generated), made[key].sidecar
         about = {"setting": setting.name, "city": scenario.city, "seed_run": seed}
-        return about | _asked(sidecar) | measure(scenario, tracks, sidecar).scene
+        return about | measure(scenario, tracks, sidecar).scene
 
     return [(*item, found) for item, found in zip(items, attempts(row, items), strict=True)]
 
@@ -140,13 +138,3 @@ def smoothed(tracks: Sequence[Track], num_steps: int, *, step_s: float) -> tuple
             velocity = np.gradient(position, step_s, axis=0)
             found.append(replace(track, position=position, velocity=velocity))
     return tuple(found)
-
-
-def _asked(sidecar: Sidecar | None) -> Row:
-    """Manoeuvres that were asked for and done, by kind."""
-    records = [record for _, record in sidecar.asked] if sidecar is not None else []
-    row: Row = {}
-    for kind in ManeuverKind:
-        own = [record for record in records if record.kind == kind.value]
-        row |= {f"asked_{kind.value}": len(own), f"done_{kind.value}": sum(r.status == "done" for r in own)}
-    return row

@@ -17,7 +17,6 @@ from bridge.pictures import figures
 from bridge.recordings.folders import Choices
 from bridge.recordings.sources import find_sources
 from hid2.evaluation.metrics import METRICS, Metric
-from hid2.measures.manoeuvres import ManeuverKind
 from hid2.resampling import Estimate
 
 #: LO, LA, JE, SCR, ORR: what the paper reports.
@@ -234,11 +233,7 @@ def _diversity(outcomes: Sequence[Outcome], parts: list[Markup]) -> dict[str, An
     """What the first setting, without generation, and all others say; the parts of the page are added."""
     before, after = outcomes[0].rows, [row for outcome in outcomes[1:] for row in outcome.rows]
     content = Diversity.of(after, before).content()
-    content["asked_and_done"] = {
-        kind.value: {what: sum(row[f"{what}_{kind.value}"] for row in after) / max(1, len(after)) for what in _ASKED}
-        for kind in ManeuverKind
-    }
-    parts += [_diversity_part(content), _prose("asked", content["asked_and_done"])]
+    parts.append(_diversity_part(content))
     templates = {row["source"] for row in before if row["tracks"] > TEMPLATE_AGENTS}
     if templates and len(templates) < len(before):
         chosen = [[row for row in rows if row["source"] in templates] for rows in (after, before)]
@@ -251,9 +246,6 @@ def _diversity_part(content: Mapping[str, Any]) -> Markup:
     """Figure and tables of scenes by density and behaviour, as the report has them."""
     shown = {"diversity": figures.data_uri(charts.diversity_figure(content))}
     return pages.macro("report.html.j2", "diversity", {"diversity": content}, shown)
-
-
-_ASKED = ("asked", "done")
 
 
 def _diversity_rows(content: Mapping[str, Any]) -> list[Row]:
