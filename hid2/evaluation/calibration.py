@@ -15,7 +15,7 @@ import numpy as np
 
 from hid2.agents import FloatArray, IntArray
 from hid2.drivers.driver import TRUNCATED_AT, Driver, desired_speeds, lane_offset
-from hid2.evaluation.windows import Windows, lateral_accel_mps2, windows
+from hid2.evaluation.windows import Windows, lateral_accel_mps2, polynomial_fit, windows
 from hid2.measures.following import leaders
 from hid2.measures.manoeuvres import detect, whole_lane_changes
 from hid2.occupancy.agent_states import AgentStates
@@ -36,6 +36,7 @@ _SHOWS_MPS2 = 0.7
 #: Drivers simulated for a moment, half of a window, s, and intervals in it: finer ones change no fit.
 _SIMULATED, _HALF_S, _HALF = 250, 2.0, 20
 _EVERY_S = _HALF_S / _HALF
+_TIME_S = np.asarray(_EVERY_S * np.arange(2 * _HALF + 1) - _HALF_S, dtype=np.float64)
 #: Wandering at which the moments of the speed are simulated, m/s: so small that no bound matters.
 _UNIT_MPS = 0.3
 #: Cruising: at least this share of the usual speed, and a smaller acceleration, m/s2: no signal decides.
@@ -205,13 +206,6 @@ def _quantities(
     ]
 
 
-def _fits() -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Times of a window, and the pseudo-inverses that give a parabola and a cubic."""
-    time = np.asarray(_EVERY_S * np.arange(2 * _HALF + 1) - _HALF_S, dtype=np.float64)
-    parabola, cubic = (np.linalg.pinv(np.vander(time, powers, increasing=True)) for powers in (3, 4))
-    return time, np.asarray(parabola, dtype=np.float64), np.asarray(cubic, dtype=np.float64)
-
-
 _DRIVER = Driver(
     desired_mps=8.0, tau_s=1.2, accel_mps2=1.6, decel_mps2=2.0, min_gap_m=2.0, turn_lateral_mps2=2.0, offset_m=0.0,
     lane_change_s=5.5, wander_m=1.0,
@@ -247,7 +241,7 @@ def _simulated(drive: Callable[[], Sequence[tuple[float, float]]]) -> _Moments:
 def speed_moments(time_s: float) -> _Moments:
     """Moments of acceleration and jerk in windows of simulated drivers: desired speeds wander by _UNIT_MPS."""
     config, rng = Config(drivers=Drivers(wander_time_s=time_s, wander_sd_mps=_UNIT_MPS)), np.random.default_rng(1)
-    _, _, cubic = _fits()
+    cubic = polynomial_fit(_TIME_S, 3)
 
     def drive() -> list[tuple[float, float]]:
         v = desired_speeds(_DRIVER, config, rng, num_steps=4 * _HALF + 1, step_s=_EVERY_S, at_least_mps=0.0)
@@ -266,7 +260,7 @@ def lateral_moments(time_s: float, spread: float) -> _Moments:
     """
     config, rng = Config(drivers=Drivers(lateral_wander_time_s=time_s)), np.random.default_rng(2)
     speed_mps = _DRIVER.desired_mps
-    time, parabola, _ = _fits()
+    parabola = polynomial_fit(_TIME_S, 2)
     length_m = speed_mps * _EVERY_S * (4 * _HALF + 1) + 10.0
 
     def drive() -> list[tuple[float, float]]:
@@ -274,7 +268,7 @@ def lateral_moments(time_s: float, spread: float) -> _Moments:
         wander = 0.01 * float(np.exp(spread * np.clip(rng.standard_normal(), -TRUNCATED_AT, TRUNCATED_AT)))
         offset = lane_offset(replace(_DRIVER, wander_m=wander), config, rng, length_m=length_m, usual=np.zeros_like)
         middles = (_HALF_S, 2.0 * _HALF_S, 3.0 * _HALF_S)
-        fits = [parabola @ offset.at(5.0 + speed_mps * (middle + time))[0] for middle in middles]
+        fits = [parabola @ offset.at(5.0 + speed_mps * (middle + _TIME_S))[0] for middle in middles]
         return [(100.0 * fit[1], 100.0 * fit[2]) for fit in fits]
 
     return _simulated(drive)

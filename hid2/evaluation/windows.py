@@ -85,14 +85,14 @@ def windows(view: LaneView, led: Leaders, *, scene: str, labelled: bool) -> Wind
     return every
 
 
-def _fit(time: FloatArray, degree: int) -> FloatArray:
+def polynomial_fit(time: FloatArray, degree: int) -> FloatArray:
     """(degree + 1, T) what makes of values at the times of a window the coefficients of a polynomial, lowest first."""
     return np.asarray(np.linalg.pinv(np.vander(time, degree + 1, increasing=True)), dtype=np.float64)
 
 
 def _of_track(view: LaneView, led: Leaders, rows: IntArray, time: FloatArray) -> Windows:
     """Windows of one vehicle; rows (M, T): those of each."""
-    arrays, matches, parabola, cubic = view.arrays, view.matches, _fit(time, 2), _fit(time, 3)
+    arrays, matches, parabola, cubic = view.arrays, view.matches, polynomial_fit(time, 2), polynomial_fit(time, 3)
     middle = len(time) // 2
     position = arrays.position[rows]
     fitted = np.einsum("kt,mtc->mkc", cubic, position)
