@@ -14,7 +14,7 @@ from hid2.measures.driven_lanes import STRETCH_M, recorded_places
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.scene_end import END_HORIZON_S
 from hid2.motion.route import DrivenPath, Route, path_along, route_beside
-from hid2.occupancy.agent_states import AgentStates, agent_states, moving_vehicles, parked
+from hid2.occupancy.agent_states import AgentStates, agent_states, parked
 from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.shown import Shown, shown_on
 from hid2.occupancy.sigma import CellBoxes, OriginalOccupancy, cell_boxes, original_occupancy
@@ -95,7 +95,7 @@ class Scene:
         Found out once.
         """
         if self._movers is None:
-            rows = np.flatnonzero(moving_vehicles(self.states.arrays))
+            rows = np.flatnonzero(self.states.arrays.moving_vehicles)
             alone = self.traffic.rows(rows.tolist())
             speed = np.array([self.states.speed(row) for row in rows.tolist()]).reshape(alone.heading.shape)
             forward = np.stack([np.cos(alone.heading), np.sin(alone.heading)], axis=-1)

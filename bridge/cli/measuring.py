@@ -84,10 +84,10 @@ def calibrate(
     from bridge.evaluation.calibrate import calibrate_folder
 
     activity.doing("measuring how people drive")
-    found = calibrate_folder(scenes, out, without=without, jobs=jobs, on_scene=activity.show)
-    tell_unread(found.failures)
+    failures = calibrate_folder(scenes, out, without=without, jobs=jobs, on_scene=activity.show)
+    tell_unread(failures)
     activity.result(out, out.with_name(f"{out.stem}.html"))
-    return options.SOME_FAILED if found.failures else options.ALL_DONE
+    return options.SOME_FAILED if failures else options.ALL_DONE
 
 
 @command(reads=("scenes",), folders=("out",))

@@ -7,23 +7,18 @@ import contextlib
 import logging
 import pickle
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure
 from bridge.evaluation.scene_metrics import TABLES, Row, SceneMeasures, measure_folder
 from bridge.evaluation.totals import Evaluation, Totals
 from bridge.files import append_rows, table_file, write_json
-from bridge.recordings.folders import MAP_PATTERN, Address, Choices, Source, find_scenarios, source_id
-from bridge.recordings.map_rules import read_source_map
+from bridge.recordings.folders import MAP_PATTERN, Address, Choices, find_scenarios, source_id
 from bridge.recordings.sidecar import sidecar_in
-from bridge.recordings.sources import find_recordings, read_recording, source_files
-from netconvert.cells import build_cell_grid
-from netconvert.errors import Hid2Error, ScenarioError
-from netconvert.fidelity import measure_fidelity
-from netconvert.net_xml import net_bytes
+from bridge.recordings.sources import find_recordings, source_files
+from netconvert.errors import ScenarioError
 
 _LOG = logging.getLogger(__name__)
 #: Most scenes that a process gets at a time.
@@ -81,7 +76,7 @@ def evaluate_folder(
         if set(folders) <= {folder for folder, _ in evaluation.failures}:
             (first, reason), many = evaluation.failures[0], len(folders)
             raise ScenarioError(f"{out}: none of {many} scenes can be read, expected one at least; {first}: {reason}")
-    evaluation.metrics = totals.content() | {"nets": _nets(totals.nets, {str(one): one for one in folders})}
+    evaluation.metrics = totals.content()
     evaluation.metrics["scenes"]["failed"] = [{"folder": str(at), "reason": why} for at, why in evaluation.failures]
     write_json(report_dir / "metrics.json", evaluation.metrics)
     write_table(report_dir / "realism.csv", evaluation.metrics["realism"]["distances"])
@@ -144,21 +139,3 @@ def _cell(value: object) -> object:
     if isinstance(value, dict):
         return "; ".join(f"{key} ({count})" for key, count in value.items())
     return "" if value is None else value
-
-
-def _nets(folders: Mapping[str, str], by_name: Mapping[str, Address]) -> dict[str, Any]:
-    """Fidelity of the nets of the maps in scene folders, by source scene."""
-    nets: dict[str, Any] = {}
-    for source, folder in sorted(folders.items()):
-        try:
-            address = by_name[folder]
-            if isinstance(address, Source):
-                graph = read_recording(address).graph
-            else:
-                graph = read_source_map(next(address.glob(MAP_PATTERN)))
-            grid = build_cell_grid(graph)
-            report = measure_fidelity(grid, net_bytes(grid))._asdict()
-            nets[source] = {name: value for name, value in report.items() if name != "lost"}
-        except Hid2Error as error:
-            nets[source] = {"failed": str(error)}
-    return nets

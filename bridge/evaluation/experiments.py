@@ -7,7 +7,7 @@ data set and of the paper's templates.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.signal import savgol_filter
@@ -16,14 +16,9 @@ from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure, attempts
 from bridge.evaluation.scene_metrics import Row, measure
 from bridge.recordings.folders import Address, Source
-from bridge.recordings.sidecar import Sidecar
 from bridge.recordings.sources import read_recording
 from hid2.agents import Track
-from hid2.measures.manoeuvres import ManeuverKind
 from hid2.params import Config, Request
-
-if TYPE_CHECKING:
-    from bridge.generation.scene import TrafficScene
 
 Experiment = Literal["table1", "ablation", "density", "diversity"]
 
@@ -40,8 +35,7 @@ _RARE_MIX = {"straight": 0.2, "left_turn": 0.2, "right_turn": 0.2, "lane_change"
 class Setting(NamedTuple):
     """One row of an experiment: its name and the configuration that it runs (None: nothing is generated).
 
-    smoothed: recorded positions of Argoverse 1 are smoothed before they are measured, of tracks seen at every step; no
-    other recordings have the row.
+    smoothed: recorded positions of Argoverse 1 are also measured smoothed, of tracks seen at every step.
     """
 
     name: str
@@ -50,10 +44,11 @@ class Setting(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """Scene rows of a setting, one per source scene and seed, and the scenes that failed with the reason."""
+    """Scene rows of a setting, one per source scene and seed, those smoothed, and the scenes that failed, with why."""
 
     setting: Setting
     rows: list[Row]
+    smoothed: list[Row]
     failures: list[str]
 
 
@@ -70,7 +65,7 @@ def settings_of(name: Experiment, agents: int) -> list[Setting]:
     if name == "diversity":
         rare = Config(request=Request.model_validate({"agents": agents, **_RARE_MIX}))
         return [Setting("recorded", None), Setting("dense", base), Setting("rare", rare)]
-    return [Setting("hid2", base), Setting("smoothed", base, smoothed=True)]
+    return [Setting("hid2", base, smoothed=True)]
 
 
 def run_settings(
@@ -82,7 +77,7 @@ def run_settings(
     on_scene: Callable[[int, int], None] | None,
 ) -> list[Outcome]:
     """Generate and measure every setting on every scene with every seed, each scene in a process of its own."""
-    outcomes, shared = [Outcome(setting, [], []) for setting in settings], (tuple(settings), seeds)
+    outcomes, shared = [Outcome(setting, [], [], []) for setting in settings], (tuple(settings), seeds)
     timeout_s = _TIMEOUT_S * seeds * len(settings)
     for folder, made in work_on_each(
         generate_and_measure, folders, shared=shared, jobs=jobs, chunk=1, timeout_s=timeout_s, on_item=on_scene
@@ -92,43 +87,43 @@ def run_settings(
             for outcome in outcomes:
                 outcome.failures.append(f"{name}: {made.message}")
             continue
-        for setting, seed, row in made:
-            if isinstance(row, Failure):
-                outcomes[setting].failures.append(f"{name}, seed {seed}: {row.message}")
+        for setting, seed, found in made:
+            if isinstance(found, Failure):
+                outcomes[setting].failures.append(f"{name}, seed {seed}: {found.message}")
             else:
-                outcomes[setting].rows.append(row)
+                outcomes[setting].rows.append(found[0])
+                outcomes[setting].smoothed.extend(found[1:])
     return outcomes
 
 
 def generate_and_measure(
     shared: tuple[tuple[Setting, ...], int], folder: Address
-) -> list[tuple[int, int, Row | Failure]]:
-    """The work on a scene: number of the setting, seed, and the scene's row of each."""
+) -> list[tuple[int, int, list[Row] | Failure]]:
+    """The work on a scene: number of the setting, seed, and the scene's row of each; a second one where smoothed."""
     from bridge.generation.generate import generate, prepare  # libsumo: only where scenes are made
 
     settings, seeds = shared
     scenario = read_recording(folder)
-    takes_smoothed = isinstance(folder, Source) and folder.format == _SMOOTHED_FORMAT
-    wanted = [(k, setting) for k, setting in enumerate(settings) if takes_smoothed or not setting.smoothed]
-    items = [(k, seed) for k, setting in wanted for seed in range(seeds if setting.config else 1)]
+    is_rough = isinstance(folder, Source) and folder.format == _SMOOTHED_FORMAT
+    items = [(k, seed) for k, setting in enumerate(settings) for seed in range(seeds if setting.config else 1)]
     prepared = prepare(scenario, next((s.config for s in settings if s.config), Config()))
-    made: dict[tuple[int, int], TrafficScene] = {}  # a scene that is measured twice is generated once
 
-    def row(item: tuple[int, int]) -> Row:
+    def rows(item: tuple[int, int]) -> list[Row]:
         setting, seed = settings[item[0]], item[1]
-        tracks, config, sidecar = scenario.tracks, setting.config, None
-        if setting.smoothed:
-            tracks = smoothed(tracks, scenario.num_steps, step_s=scenario.step_s)
-        if config is not None:
-            key = next(k for k, other in enumerate(settings) if other.config == config), seed
-            if key not in made:
-                request = config.request.model_copy(update={"seed": seed})
-                made[key] = generate(prepared, config.model_copy(update={"request": request}))
-            tracks, sidecar = (*tracks, *made[key].generated), made[key].sidecar
-        about = {"setting": setting.name, "city": scenario.city, "seed_run": seed}
-        return about | _asked(sidecar) | measure(scenario, tracks, sidecar).scene
+        recorded, inserted, sidecar = {setting.name: scenario.tracks}, tuple[Track, ...](), None
+        if setting.smoothed and is_rough:
+            recorded["smoothed"] = smoothed(scenario.tracks, scenario.num_steps, step_s=scenario.step_s)
+        if setting.config is not None:
+            request = setting.config.request.model_copy(update={"seed": seed})
+            scene = generate(prepared, setting.config.model_copy(update={"request": request}))
+            inserted, sidecar = scene.generated, scene.sidecar
+        about = {"city": scenario.city, "seed_run": seed}
+        return [
+            {"setting": name} | about | measure(scenario, (*tracks, *inserted), sidecar).scene
+            for name, tracks in recorded.items()
+        ]
 
-    return [(*item, found) for item, found in zip(items, attempts(row, items), strict=True)]
+    return [(*item, found) for item, found in zip(items, attempts(rows, items), strict=True)]
 
 
 def smoothed(tracks: Sequence[Track], num_steps: int, *, step_s: float) -> tuple[Track, ...]:
@@ -140,13 +135,3 @@ def smoothed(tracks: Sequence[Track], num_steps: int, *, step_s: float) -> tuple
             velocity = np.gradient(position, step_s, axis=0)
             found.append(replace(track, position=position, velocity=velocity))
     return tuple(found)
-
-
-def _asked(sidecar: Sidecar | None) -> Row:
-    """Manoeuvres that were asked for and done, by kind."""
-    records = [record for _, record in sidecar.asked] if sidecar is not None else []
-    row: Row = {}
-    for kind in ManeuverKind:
-        own = [record for record in records if record.kind == kind.value]
-        row |= {f"asked_{kind.value}": len(own), f"done_{kind.value}": sum(r.status == "done" for r in own)}
-    return row

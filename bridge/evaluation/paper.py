@@ -17,7 +17,6 @@ from bridge.pictures import figures
 from bridge.recordings.folders import Choices
 from bridge.recordings.sources import find_sources
 from hid2.evaluation.metrics import METRICS, Metric
-from hid2.measures.manoeuvres import ManeuverKind
 from hid2.resampling import Estimate
 
 #: LO, LA, JE, SCR, ORR: what the paper reports.
@@ -65,8 +64,8 @@ def run_experiment(
     make_folder(out_dir)
     outcomes = run_settings(folders, settings_of(name, agents), seeds=seeds, jobs=jobs, on_scene=on_scene)
     figures.style()
-    _write_rows([row for outcome in outcomes for row in outcome.rows], out_dir / f"{name}_scenes.csv")
-    made = [row for outcome in outcomes if _generates(outcome) for row in outcome.rows]
+    _write_rows([row for one in outcomes for row in (*one.rows, *one.smoothed)], out_dir / f"{name}_scenes.csv")
+    made = [row for outcome in outcomes if outcome.setting.config for row in outcome.rows]
     counts = {"made": len(made), "sources": len(folders), "vehicles": sum(row["generated"] for row in made)}
     parts: list[Markup] = [_about(name, outcomes, counts, seeds=seeds, agents=agents)]
     content: dict[str, Any] = {"experiment": name, "seeds": seeds, "scenes": len(folders)}
@@ -101,13 +100,8 @@ def _prose(name: str, *arguments: object) -> Markup:
     return pages.macro("paper.html.j2", name, *arguments)
 
 
-def _generates(outcome: Outcome) -> bool:
-    """Whether scenes were generated for a setting, and not measured in another way alone."""
-    return outcome.setting.config is not None and not outcome.setting.smoothed
-
-
 def _about(name: Experiment, outcomes: Sequence[Outcome], counts: Row, *, seeds: int, agents: int) -> Markup:
-    placed = [f"{_placed(o)} {_NAMES.get(o.setting.name, '')}".strip() for o in outcomes if _generates(o)]
+    placed = [f"{_placed(o)} {_NAMES.get(o.setting.name, '')}".strip() for o in outcomes if o.setting.config]
     kinds = {(row["format"], row["provenance"]) for o in outcomes for row in o.rows}
     return _prose(
         "about", name, counts, f"seeds 0 to {seeds - 1}" if seeds > 1 else "seed 0",
@@ -172,7 +166,9 @@ def lines_of(name: Experiment, outcomes: Sequence[Outcome]) -> list[Line]:
                     count = len({row["source"] for row in own})
                     lines.append(_line(f"{label}, {how} ({count} scene{'s' * (count != 1)})", own, what))
         return lines + [
-            _line(label, outcomes[of].rows if of else first, what) for label, what, of in _ARGOVERSE1 if first
+            _line(label, outcomes[0].smoothed if is_smoothed else first, what)
+            for label, what, is_smoothed in _ARGOVERSE1
+            if first
         ]
     for outcome in outcomes:
         asked, rows = outcome.setting.name, outcome.rows
@@ -202,7 +198,7 @@ _Points = dict[str, dict[str, list[tuple[float, Estimate]]]]
 
 def _density(outcomes: Sequence[Outcome]) -> _Points:
     """Estimates by metric and group along the numbers placed."""
-    series = {_placed(outcome): (SourceSums.of(outcome.rows), _generates(outcome)) for outcome in outcomes}
+    series = {_placed(outcome): (SourceSums.of(outcome.rows), outcome.setting.config) for outcome in outcomes}
     return {
         metric.key: {
             group: [
@@ -234,11 +230,7 @@ def _diversity(outcomes: Sequence[Outcome], parts: list[Markup]) -> dict[str, An
     """What the first setting, without generation, and all others say; the parts of the page are added."""
     before, after = outcomes[0].rows, [row for outcome in outcomes[1:] for row in outcome.rows]
     content = Diversity.of(after, before).content()
-    content["asked_and_done"] = {
-        kind.value: {what: sum(row[f"{what}_{kind.value}"] for row in after) / max(1, len(after)) for what in _ASKED}
-        for kind in ManeuverKind
-    }
-    parts += [_diversity_part(content), _prose("asked", content["asked_and_done"])]
+    parts.append(_diversity_part(content))
     templates = {row["source"] for row in before if row["tracks"] > TEMPLATE_AGENTS}
     if templates and len(templates) < len(before):
         chosen = [[row for row in rows if row["source"] in templates] for rows in (after, before)]
@@ -251,9 +243,6 @@ def _diversity_part(content: Mapping[str, Any]) -> Markup:
     """Figure and tables of scenes by density and behaviour, as the report has them."""
     shown = {"diversity": figures.data_uri(charts.diversity_figure(content))}
     return pages.macro("report.html.j2", "diversity", {"diversity": content}, shown)
-
-
-_ASKED = ("asked", "done")
 
 
 def _diversity_rows(content: Mapping[str, Any]) -> list[Row]:

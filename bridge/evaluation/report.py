@@ -6,13 +6,11 @@ The page is a template (bridge/pages/templates); here are the figures, and what 
 from pathlib import Path
 from typing import Any
 
-from bridge.evaluation.totals import Evaluation, Row
+from bridge.evaluation.totals import Evaluation
 from bridge.files import write_text
 from bridge.pages.charts import distribution_figure, diversity_figure
 from bridge.pages.parts import Section, macro, number, page
 from bridge.pictures import figures
-from bridge.pictures.render import scene_figure
-from bridge.recordings.sources import read_recording
 from hid2.evaluation.critics import FEATURE_NAMES
 from hid2.evaluation.realism import FEATURES, GENERATED
 from hid2.reasons import Reason
@@ -21,8 +19,6 @@ from hid2.reasons import Reason
 PAPER_ORIGINAL = {"lo": 1.648, "la": 0.476, "je": 8.106, "scr": 0.072, "orr": 0.142}
 PAPER_HID2 = {"lo": 1.465, "la": 0.486, "je": 7.801, "scr": 0.051, "orr": 0.114}
 
-#: Events with a picture in the table; each takes some 60 kB.
-_EVENT_PICTURES = 12
 _TITLES = {
     "glance": "At a glance: are the generated vehicles safe?",
     "encounters": "Encounters",
@@ -32,7 +28,6 @@ _TITLES = {
     "motion": "Motion",
     "diversity": "Diversity",
     "requests": "Asked for and delivered",
-    "fidelity": "Fidelity of replay and road network",
     "words": "Words",
 }
 
@@ -45,7 +40,7 @@ def write_report(evaluation: Evaluation, path: Path) -> None:
         "diversity": figures.data_uri(diversity_figure(metrics["diversity"])),
         "distributions": totals.realism.of(FEATURES[0])[GENERATED].sum()
         and figures.data_uri(distribution_figure(totals.realism)),
-        "events": [(row, _picture(row) if k < _EVENT_PICTURES else "") for k, row in enumerate(totals.events)],
+        "events": totals.events,
         "features": {feature.name: feature for feature in FEATURES},
         "paper": {key: (number(PAPER_ORIGINAL[key]), number(PAPER_HID2[key])) for key in PAPER_ORIGINAL},
         "quantities": len(FEATURE_NAMES),
@@ -57,9 +52,3 @@ def write_report(evaluation: Evaluation, path: Path) -> None:
         sections.append(Section(key, title, macro("report.html.j2", key, metrics, shown)))
     intro = macro("report.html.j2", "intro", metrics["scenes"])
     write_text(path, page("Generated traffic scenes: evaluation", [intro], [s for s in sections if s.body]))
-
-
-def _picture(event: Row) -> str:
-    """A small picture of an event at its last observed step; "" where there is none."""
-    scene, track_id = Path(event["folder"]), event["track_id"]
-    return "" if track_id is None else figures.data_uri(scene_figure(read_recording(scene), agent=track_id))

@@ -12,7 +12,7 @@ import numpy as np
 
 from bridge.batch.engine import sorted_out, work_on_each
 from bridge.config import config_sha256
-from bridge.evaluation.calibrate import observe_scene, pooled
+from bridge.evaluation.calibrate import observe_scene
 from bridge.evaluation.evaluate import write_table
 from bridge.files import explained, write_text
 from bridge.generation.generate import sumo_seed
@@ -224,7 +224,7 @@ def resimulate_folders(
     folders = sorted((one for one in find_sources(paths) if isinstance(one, Path)), key=lambda one: one.name)
     seen, failures = sorted_out(work_on_each(observe_scene, folders, shared=None, jobs=jobs, chunk=4, timeout_s=120))
     folders = [one for one in folders if one not in {failed for failed, _ in failures}]
-    halves = [drivers_of(calibrate(*pooled(seen[1 - half :: 2]), prior=Drivers())) for half in (0, 1) if seen[1:]]
+    halves = [drivers_of(calibrate(seen[1 - half :: 2], prior=Drivers())) for half in (0, 1) if seen[1:]]
     drivers = {folder: halves[number % 2] for number, folder in enumerate(folders) if halves}
     each = work_on_each(
         score_scene, [*drivers], shared=(plan, drivers, out), jobs=jobs, chunk=1, timeout_s=_SCENE_S * plan.seeds,

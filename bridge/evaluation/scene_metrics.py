@@ -1,38 +1,35 @@
 """Every measure of one scene folder: a row for the scene, one per track, one per manoeuvre, and histograms."""
 
 from collections import Counter
-from collections.abc import Callable, Collection, Container, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import Address, split_of
-from bridge.recordings.judging import findings_of, states_of
+from bridge.recordings.judging import findings_of
 from bridge.recordings.recording import AV_ID, Recording
 from bridge.recordings.sidecar import REACTIVE, EventRecord, ManeuverRecord, Sidecar
 from bridge.recordings.sources import read_recording
 from hid2.agents import FloatArray, Policy, Track
-from hid2.evaluation.critics import pack
-from hid2.evaluation.kinematics import beyond_limits, kinematics, motion
+from hid2.evaluation.kinematics import kinematics, motion
 from hid2.evaluation.metrics import CRITICAL, METRICS, Group, columns, driven, policies
-from hid2.evaluation.realism import RealismCounts, count_scene, half_number, scene_values
+from hid2.evaluation.realism import RealismCounts, count_scene
 from hid2.evaluation.safety import IOU_THRESHOLD, Overlap, Safety, safety
-from hid2.evaluation.windows import windows
+from hid2.evaluation.windows import Windows, windows
 from hid2.judge.findings import Finding
-from hid2.measures.arrays import BoolArray, SceneArrays, is_generated_id
+from hid2.measures.arrays import SceneArrays, is_generated_id
 from hid2.measures.conflicts import TrafficConflict, conflicts
 from hid2.measures.encounters import encounters
 from hid2.measures.lane_changes import LaneChangeRow, lane_changes
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
-from hid2.measures.motion_limits import MotionProfile
 from hid2.measures.post_encroachment import Encroachment
-from hid2.measures.scene_end import END_HORIZON_S, ttc_after_last_step
-from hid2.occupancy.agent_states import AgentStates
-from hid2.params import Limits
+from hid2.measures.scene_end import ttc_after_last_step
+from hid2.occupancy.agent_states import AgentStates, agent_states
 from hid2.policy.rules import place_in
 from netconvert.errors import ConfigError, ScenarioError
 
@@ -51,15 +48,11 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SceneMeasures:
-    """What evaluation keeps of a scene. samples (M, WIDTH), sample_generated (M,): windows for the critics.
-
-    tables: rows of the scene by the names of TABLES.
-    """
+    """What evaluation keeps of a scene. tables: its rows, by the names of TABLES; windows: for the critics."""
 
     tables: Mapping[str, list[Row]]
     realism: RealismCounts
-    samples: FloatArray
-    sample_generated: BoolArray
+    windows: Windows
 
     @property
     def scene(self) -> Row:
@@ -88,10 +81,9 @@ def measure_folder(folder: Address) -> SceneMeasures:
 def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | None) -> SceneMeasures:
     """Measure tracks on the map of a recording, with its steps and by default limits; sidecar: of a generated scene."""
     source = sidecar.source_scenario_id if sidecar else recording.scenario_id
-    generated_ids = {track.track_id for track in tracks if is_generated_id(track.track_id)}
-    states, moved, safe, groups = _grouped(recording, tracks, generated_ids)
-    arrays, last_observed = states.arrays, recording.last_observed
-    maneuvers = detect(arrays, safe.lanes, safe.matches)
+    states, groups = _grouped(recording, tracks)
+    arrays, safe, last_observed = states.arrays, groups["combined"].safe, recording.last_observed
+    maneuvers = detect(arrays, states.lanes, states.matches)
     findings = findings_of(states, recording.graph, sidecar)
     policy_of = policies(arrays, maneuvers)
     scene: Row = {
@@ -108,33 +100,18 @@ def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | No
     for name, group in groups.items():
         scene |= {f"{name}_{key}": value for key, value in _group_row(group, maneuvers, policy_of).items()}
     scene |= _pair_row(safe, arrays) | _request_row(sidecar)
-    durations: dict[str, list[float]] = {}
-    for maneuver in maneuvers:
-        if maneuver.kind is ManeuverKind.LANE_CHANGE and maneuver.complete:
-            durations.setdefault(maneuver.track_id, []).append(maneuver.duration_s)
-    vehicles = arrays.vehicle & arrays.moving
-    generated, recorded = vehicles & arrays.generated, arrays.clean & ~arrays.generated
-    driving = windows(arrays, safe, generated | recorded)
-    halves = np.array([half_number(source, arrays.track_ids[a]) for a in driving.agent], dtype=np.int64)
+    driving = windows(states.view, safe.leaders, scene=source, labelled=recording.provenance == "human")
     tables = {
         "scenes": [scene],
-        "tracks": _track_rows(groups, arrays.mean_per_agent(moved.speed_mps), findings, policy_of, sidecar),
+        "tracks": _track_rows(groups, findings, policy_of, sidecar),
         "maneuvers": [
-            row | _apart(row, arrays, recording.focal_track_id)
-            for row in _maneuver_rows(maneuvers, generated_ids, sidecar)
+            row | _apart(row, arrays, recording.focal_track_id) for row in _maneuver_rows(maneuvers, sidecar)
         ],
         "events": [event.model_dump(mode="json") for event in sidecar.events] if sidecar else [],
         "lane_changes": [asdict(row) for row in lane_changes(states.view, safe.leaders, maneuvers)],
         "conflicts": [asdict(row) for row in conflicts(arrays)],
     }
-    return SceneMeasures(
-        tables=tables,
-        realism=count_scene(
-            source, arrays, scene_values(arrays, safe, driving, durations), generated=generated, recorded=recorded
-        ),
-        samples=pack(driving, halves, labelled=recording.provenance == "human"),
-        sample_generated=arrays.generated[driving.agent],
-    )
+    return SceneMeasures(tables, count_scene(arrays, safe, driving, maneuvers, scene=source), driving)
 
 
 def evaluate_scene(scene: TrafficScene, *own: Callable[[Group], float]) -> "pd.DataFrame":
@@ -145,7 +122,7 @@ def evaluate_scene(scene: TrafficScene, *own: Callable[[Group], float]) -> "pd.D
     import pandas as pd
 
     recording = scene.recording
-    *_, groups = _grouped(recording, recording.tracks, {track.track_id for track in scene.generated})
+    _, groups = _grouped(recording, recording.tracks)
     found: dict[str, list[object]] = {}
     for metric in METRICS:
         each = [(metric.numerator.of(group), metric.denominator.of(group)) for group in groups.values()]
@@ -166,28 +143,28 @@ def _number_of(own: Callable[[Group], float], name: str, group: Group) -> float:
         raise ConfigError(f"metric {name!r}: {said}; expected a function of a Group that gives a number") from error
 
 
-def _grouped(
-    recording: Recording, tracks: Sequence[Track], generated: Collection[str]
-) -> tuple[AgentStates, MotionProfile, Safety, dict[str, Group]]:
-    """States of tracks on the map of a recording, how they move, what they do to each other, and both by group."""
-    lanes, step_s = _flat(recording.graph), recording.step_s
-    states = states_of(tracks, lanes, generated, num_steps=recording.num_steps, step_s=step_s)
-    arrays = states.arrays
-    moved, safe = motion(arrays), safety(arrays, lanes, states.matches)
-    group = partial(
-        Group, arrays=arrays, kinematic=kinematics(arrays, moved), safe=safe, beyond=beyond_limits(moved, Limits()),
-        met=encounters(arrays, lanes, safe.matches, safe.leaders),
-    )  # fmt: skip
+def _grouped(recording: Recording, tracks: Sequence[Track]) -> tuple[AgentStates, dict[str, Group]]:
+    """States of tracks on the map of a recording, inserted ones last, and what was measured of them by group."""
+    states = agent_states(
+        sorted(tracks, key=lambda track: is_generated_id(track.track_id)),
+        _flat(recording.graph),
+        num_steps=recording.num_steps,
+        step_s=recording.step_s,
+    )
+    arrays, safe = states.arrays, safety(states.view)
+    kinematic, met = kinematics(arrays, motion(arrays)), encounters(arrays, safe.leaders)
     recorded, every = ~arrays.generated, np.ones(arrays.num_agents, dtype=bool)
     groups = {}
     # contacts that count: of added vehicles with any road user, of recorded ones with recorded ones
     for name, members, others in (
-        ("original", recorded, recorded), ("generated", arrays.generated, every), ("combined", every, every)
-    ):  # fmt: skip
-        end_ttc_s = ttc_after_last_step(arrays, members & driven(arrays), horizon_s=END_HORIZON_S, among=others)
+        ("original", recorded, recorded),
+        ("generated", arrays.generated, every),
+        ("combined", every, every),
+    ):
+        end_ttc_s = ttc_after_last_step(arrays, members & driven(arrays), others)
         partners = others if name == "generated" else others & arrays.vehicle  # as in the paper's SCR
-        groups[name] = group(members=members, partners=partners, end_ttc_s=end_ttc_s)
-    return states, moved, safe, groups
+        groups[name] = Group(arrays, kinematic, safe, members, partners, end_ttc_s, met)
+    return states, groups
 
 
 def _group_row(group: Group, maneuvers: Sequence[Maneuver], policy_of: Mapping[str, Policy]) -> Row:
@@ -229,15 +206,11 @@ def _pair_row(safe: Safety, arrays: SceneArrays) -> Row:
 
 def _request_row(sidecar: Sidecar | None) -> Row:
     if sidecar is None:
-        unknown = ("replay_position_error_m", "replay_heading_error_rad", "rejected", "selection", "seed", "variant")
-        return {"requested": None, "placed": 0, "replay_states": 0} | dict.fromkeys(unknown)
+        return {"requested": None, "placed": 0} | dict.fromkeys(("rejected", "selection", "seed", "variant"))
     asked = sidecar.requested.agents
     return {
         "requested": asked if isinstance(asked, int) else None,
         "placed": sidecar.placed.agents,
-        "replay_states": sidecar.replay.states,
-        "replay_position_error_m": sidecar.replay.max_position_error_m,
-        "replay_heading_error_rad": sidecar.replay.max_heading_error_rad,
         "rejected": {item.reason: item.count for item in sidecar.rejected},
         "selection": None if sidecar.selection is None else sidecar.selection.model_dump(),
         "seed": sidecar.seed,
@@ -246,10 +219,12 @@ def _request_row(sidecar: Sidecar | None) -> Row:
 
 
 def _track_rows(
-    groups: Mapping[str, Group], speed: FloatArray, findings: Sequence[Finding], policy_of: Mapping[str, Policy],
+    groups: Mapping[str, Group],
+    findings: Sequence[Finding],
+    policy_of: Mapping[str, Policy],
     sidecar: Sidecar | None,
-) -> list[Row]:  # fmt: skip
-    """A row for each track. speed (A,): its mean, m/s."""
+) -> list[Row]:
+    """A row for each track."""
     whole = groups["combined"]
     arrays, safe, kinematic = whole.arrays, whole.safe, whole.kinematic
     # of recorded agents contacts with recorded ones, of inserted ones with any
@@ -261,8 +236,6 @@ def _track_rows(
             collides[int(arrays.generated[pair.second]), pair.first] = True
             collides[int(arrays.generated[pair.first]), pair.second] = True
     off = {"off_road": safe.off_road, "off_footprint": safe.off_footprint, "against_lane": safe.against_lane}
-    steps = {f"{name}_steps": mask for name, mask in off.items()}
-    steps |= {f"beyond_{name}_steps": mask for name, mask in whole.beyond.items()}
 
     def least(values: FloatArray) -> list[float | None]:
         """Smallest value of each agent, None where none is finite."""
@@ -278,7 +251,7 @@ def _track_rows(
         "moving": arrays.moving.tolist(),
         "policy_requested": [asked.get(track_id) for track_id in arrays.track_ids],
         "policy_seen": [policy_of[name].value if name in policy_of else None for name in arrays.track_ids],
-        "mean_speed_mps": speed.tolist(),
+        "mean_speed_mps": kinematic.speed_mps.tolist(),
         "lo_mps2": kinematic.lo.tolist(),
         "la_mps2": kinematic.la.tolist(),
         "je_mps3": kinematic.je.tolist(),
@@ -289,26 +262,31 @@ def _track_rows(
         "min_time_gap_s": least(safe.leaders.time_gap_s),
         "end_ttc_s": [value if np.isfinite(value) else None for value in end_ttc_s.tolist()],
         "findings": [Counter(one.quantity.value for one in findings if one.track_id == t) for t in arrays.track_ids],
-        **{name: arrays.sum_per_agent(mask).astype(int).tolist() for name, mask in steps.items()},
+        **{f"{name}_steps": arrays.sum_per_agent(mask).astype(int).tolist() for name, mask in off.items()},
     }
     return [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
 
 
-def _maneuver_rows(seen: Sequence[Maneuver], generated: Container[str], sidecar: Sidecar | None) -> list[Row]:
+def _maneuver_rows(seen: Sequence[Maneuver], sidecar: Sidecar | None) -> list[Row]:
     """Records of the sidecar joined with what was seen, then what was seen without a record."""
-    left = list(seen)
-    rows: list[Row] = []
+    left, joined = list(seen), list[tuple[str | None, str, ManeuverRecord | None, Maneuver | None]]()
     for track_id, record in sidecar.asked if sidecar else ():
         found = _seen(track_id, record, left)
         if found is not None:
             left.remove(found)
-        known: Row = {"track_id": track_id, "group": "generated", "kind": record.kind, "recorded": True}
-        rows.append(known | _fields(record, _RECORD) | _fields(found, _SEEN))
-    for maneuver in left:
-        group = "generated" if maneuver.track_id in generated else "original"
-        unasked: Row = {"track_id": maneuver.track_id, "group": group, "kind": maneuver.kind.value, "recorded": False}
-        rows.append(unasked | _fields(None, _RECORD) | _fields(maneuver, _SEEN))
-    return rows
+        joined.append((track_id, record.kind, record, found))
+    joined += [(one.track_id, one.kind, None, one) for one in left]
+    return [
+        {
+            "track_id": track_id,
+            "group": "generated" if record or is_generated_id(str(track_id)) else "original",
+            "kind": kind,
+            "recorded": record is not None,
+            **{name: getattr(record, name, None) for name in _RECORD},
+            **{column: getattr(found, name, None) for column, name in _SEEN.items()},
+        }
+        for track_id, kind, record, found in joined
+    ]
 
 
 def _seen(track_id: str | None, record: ManeuverRecord, candidates: Sequence[Maneuver]) -> Maneuver | None:
@@ -343,19 +321,13 @@ def _apart(row: Row, arrays: SceneArrays, focal_track_id: str) -> Row:
 
 
 #: Columns of the table of manoeuvres: fields of the record, of the manoeuvre that was seen, and distances.
-_RECORD = {name: name for name in (
+_RECORD = (
     "status", "reason", "trigger_s", "requested_s", "start_s", "crossing_s", "end_s", "gap_front_m", "gap_rear_m",
     "min_ttc_s", "leader_track_id",
-)}  # fmt: skip
+)  # fmt: skip
 _SEEN = {"seen": "kind", **{f"seen_{name}": name for name in ("start_s", "crossing_s", "end_s", "complete")}}
 _SEEN |= {name: name for name in ("source_lane", "target_lane", "other_track_id", "part_of")}
 _APART = ("focal_m", "av_m")
-
-
-def _fields(one: ManeuverRecord | Maneuver | None, names: Mapping[str, str]) -> Row:
-    """Fields by column; None of what there is not."""
-    values = {column: None if one is None else getattr(one, name) for column, name in names.items()}
-    return {column: str(value) if isinstance(value, ManeuverKind) else value for column, value in values.items()}
 
 
 #: Tables that grow as scenes are done, and the columns of those that may stay empty.

@@ -1,8 +1,7 @@
 """What an evaluation keeps of all its scenes: sums and counts, the same size after ten scenes and after a million."""
 
 import hashlib
-import heapq
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,18 +11,16 @@ import numpy as np
 from bridge.evaluation.scene_metrics import PAIR_COLUMNS, PAIR_GROUPS, PAIR_KINDS, SceneMeasures
 from bridge.recordings.folders import Address
 from hid2.agents import FloatArray, Policy
-from hid2.evaluation.critics import WIDTH, Packed, critique
+from hid2.evaluation.critics import critique
 from hid2.evaluation.metrics import GROUPS, METRICS, Metric, Section, columns
 from hid2.evaluation.realism import FEATURES, GENERATED, RECORDED, TAIL_SHARES, TAILS, RealismCounts, quantiles
+from hid2.evaluation.windows import WINDOW, Windows
 from hid2.judge.findings import Quantity
-from hid2.measures.arrays import BoolArray
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.resampling import Estimate, ratio
 
 #: Sums are kept of at most this many source scenes; of more, they are kept of this many groups of sources.
 MOST_SOURCES = 1000
-#: Nets of at most this many different maps are measured.
-MOST_NETS = 20
 #: Events are listed in the report up to this many; events.csv has all.
 MOST_EVENTS = 40
 #: Delays are counted to this part of a second.
@@ -36,7 +33,7 @@ DENSITIES = ("tracks", "tracks_at_49")
 MOST_OF_A_KIND = 4000
 
 #: Columns of scenes that are summed, beside those of `SourceSums`.
-_COUNTED = ("generated", "placed", "replay_states", *PAIR_COLUMNS)
+_COUNTED = ("generated", "placed", *PAIR_COLUMNS)
 
 Row = Mapping[str, Any]
 
@@ -111,14 +108,10 @@ class Diversity:
     """Scenes before and after vehicles were added, and the vehicles added alone."""
 
     def __init__(self) -> None:
-        #: Number of scenes by number of agents, for each moment and each of DENSITIES.
-        self._density: defaultdict[tuple[str, str], Counter[int]] = defaultdict(Counter)
         self._scenes: Counter[str] = Counter()
-        #: Moving vehicles by policy, scenes that have any, and manoeuvres by kind, for each moment.
-        self._counts: dict[str, dict[str, Counter[str]]] = {
-            when: {"vehicles": Counter(), "scenes_with": Counter(), "maneuvers": Counter()}
-            for when in ("before", "generated", "after")
-        }
+        #: By moment: scenes by measure and number of agents; moving vehicles and scenes with any, manoeuvres, by kind.
+        self._density: Counter[tuple[str, str, int]] = Counter()
+        self._behaviours: Counter[tuple[str, str, str]] = Counter()
 
     @classmethod
     def of(cls, rows: Iterable[Row], sources: Iterable[Row]) -> "Diversity":
@@ -144,12 +137,13 @@ class Diversity:
         for name in DENSITIES:
             added = row[name.replace("tracks", "generated")]
             numbers = {"original": row[name] - added, "generated": added, "combined": row[name]}
-            self._density[when, name][numbers[group]] += 1
-        policies = {policy.value: row[f"{group}_policy_{policy}"] for policy in Policy}
-        counts = self._counts[when]
-        counts["vehicles"].update(policies)
-        counts["scenes_with"].update({name: number > 0 for name, number in policies.items()})
-        counts["maneuvers"].update({kind.value: row[f"{group}_seen_{kind}"] for kind in ManeuverKind})
+            self._density[when, name, numbers[group]] += 1
+        for policy in Policy:
+            vehicles = row[f"{group}_policy_{policy}"]
+            self._behaviours[when, "vehicles", policy] += vehicles
+            self._behaviours[when, "scenes_with", policy] += vehicles > 0
+        for kind in ManeuverKind:
+            self._behaviours[when, "maneuvers", kind] += row[f"{group}_seen_{kind}"]
 
     def content(self) -> dict[str, Any]:
         """Ready for JSON: scenes before and after, density[name] by number of agents, and behaviours."""
@@ -158,15 +152,18 @@ class Diversity:
             "scenes": {when: self._scenes[when] for when in ("before", "after")},
             "density": {name: self._density_content(name) for name in DENSITIES},
             "behaviours": {
-                when: {what: {one.value: counts[what][one.value] for one in of} for what, of in names.items()}
+                when: {what: {one.value: self._behaviours[when, what, one] for one in of} for what, of in names.items()}
                 | {"scenes": self._scenes[when]}
-                for when, counts in self._counts.items()
+                for when in ("before", "generated", "after")
             },
         }
 
     def _density_content(self, name: str) -> dict[str, Any]:
         """Scenes by number of agents, fewest first (JSON's keys are texts), means, and shares above BANDS."""
-        density = {when: sorted(self._density[when, name].items()) for when in ("before", "after")}
+        density = {
+            when: sorted((n, count) for (at, what, n), count in self._density.items() if (at, what) == (when, name))
+            for when in ("before", "after")
+        }
 
         def per_scene(when: str, total: int) -> float | None:
             return total / self._scenes[when] if self._scenes[when] else None
@@ -189,65 +186,63 @@ class Samples:
 
     def __init__(self, *, most: int = MOST_OF_A_KIND) -> None:
         self._most = most
-        #: Of each kind, by whether it is generated: hash, source and row of each window.
-        self._kept: dict[bool, list[tuple[float, str, FloatArray]]] = {False: [], True: []}
+        self._kept = np.zeros(0, dtype=WINDOW)
 
-    def add(self, rows: FloatArray, generated: BoolArray, *, scene: str, source: str) -> None:
-        """Offer windows of a scene: rows (M, WIDTH), generated (M,). `source`: the scene that it was made from."""
-        hashes = np.random.default_rng(_hash(scene)).random(len(rows)).tolist()
-        for number, row, kind in zip(hashes, rows, generated.tolist(), strict=True):
-            self._kept[kind].append((number, source, row.copy()))  # a part of `rows` would keep all of them
-        self._kept = {
-            kind: heapq.nsmallest(self._most, kept, key=lambda one: one[0]) for kind, kept in self._kept.items()
-        }
+    def add(self, offered: Windows, *, scene: str) -> None:
+        """Offer windows of a scene, which may be one of many that were made from their recorded one."""
+        every = np.concatenate([offered, self._kept])
+        every["drawn"][: len(offered)] = np.random.default_rng(_hash(scene)).random(len(offered))
+        every = every[np.argsort(every["drawn"], kind="stable")]
+        self._kept = np.concatenate([every[every["generated"] == kind][: self._most] for kind in (True, False)])
 
-    def packed(self) -> Packed:
-        """The windows kept; scenes are numbered in the order of their sources' names."""
-        every = [(source, number, kind, row) for kind in (True, False) for number, source, row in self._kept[kind]]
-        every.sort(key=lambda one: one[:2])  # so that the order in which scenes came does not matter
-        scene = np.unique([one[0] for one in every], return_inverse=True)[1]
-        rows = np.array([one[3] for one in every]).reshape(-1, WIDTH)
-        return Packed(rows, np.array([one[2] for one in every], dtype=bool), scene.astype(np.int64))
+    def windows(self, control: "Samples | None" = None) -> Windows:
+        """The windows kept, by recorded scene, so that the order in which scenes came does not matter.
 
-    def joined(self, other: "Samples") -> Packed:
-        """Recorded windows of this one with the generated ones of another: what a control is judged on."""
-        both = Samples(most=self._most)
-        both._kept = {False: self._kept[False], True: other._kept[True]}  # of the same class
-        return both.packed()
+        control: its generated windows are taken instead: what a control is judged on.
+        """
+        every = self._kept
+        if control is not None:
+            every = np.concatenate([part[part["generated"] == kind] for part, kind in ((every, 0), (control._kept, 1))])
+        by_scene = np.unique(every["scene"], return_inverse=True)[1]
+        return every[np.lexsort([every["drawn"], by_scene])]
 
 
-@dataclass(eq=False, slots=True)
 class ManeuverCounts:
-    """Manoeuvres asked for by kind and status, whether they were seen, reasons, and delays from trigger to start.
+    """Manoeuvres asked for: how many of a kind came to the same, and how long after their trigger they started."""
 
-    delays[kind]: how often each delay came up, by its number of thousandths of a second.
-    """
-
-    status: Counter[tuple[str, str]] = field(default_factory=Counter)
-    seen: Counter[tuple[str, str]] = field(default_factory=Counter)
-    reasons: Counter[tuple[str, str, str]] = field(default_factory=Counter)
-    delays: defaultdict[str, Counter[int]] = field(default_factory=lambda: defaultdict(Counter))
+    def __init__(self) -> None:
+        #: By kind, status, reason and whether it was seen.
+        self._told: Counter[tuple[str, str, str | None, bool]] = Counter()
+        #: By kind and thousandths of a second.
+        self._delays: Counter[tuple[str, int]] = Counter()
 
     def add(self, rows: Iterable[Row]) -> None:
         """Count manoeuvre rows of generated vehicles."""
         for row in rows:
             if row["group"] != "generated" or not row["recorded"]:
                 continue
-            kind, status = row["kind"], row["status"]
-            self.status[kind, status] += 1
-            self.seen[kind, status] += row["seen"] is not None
-            if row["reason"]:
-                self.reasons[kind, status, row["reason"]] += 1
+            self._told[row["kind"], row["status"], row["reason"], row["seen"] is not None] += 1
             if row["trigger_s"] is not None and row["start_s"] is not None:
-                delay_s = row["start_s"] - row["trigger_s"]
-                self.delays[kind][round(delay_s * _DELAY_PARTS)] += 1
+                self._delays[row["kind"], round((row["start_s"] - row["trigger_s"]) * _DELAY_PARTS)] += 1
 
-    def median_delay_s(self, kind: str) -> float | None:
-        """Median time from trigger to start, None where no manoeuvre of the kind started."""
-        counts = self.delays.get(kind)
-        if not counts:
-            return None
-        return float(np.median(np.repeat(list(counts), list(counts.values())))) / _DELAY_PARTS
+    def content(self) -> dict[str, Any]:
+        """Ready for JSON, by kind: statuses, reasons from the commonest on, median delay, s; None where none began."""
+        return {kind: self._of(kind) for kind in sorted({kind for kind, *_ in self._told})}
+
+    def _of(self, kind: str) -> dict[str, Any]:
+        status, reasons, seen = Counter[str](), Counter[str](), 0
+        for (one, became, reason, is_seen), count in self._told.items():
+            if one == kind:
+                status[became] += count
+                seen += count * (became == "done" and is_seen)
+                reasons.update({f"{became}: {reason}": count} if reason else {})
+        delays = [delay for (one, delay), count in self._delays.items() if one == kind for _ in range(count)]
+        return {
+            **{became: status[became] for became in ("done", "aborted", "not_feasible", "not_triggered")},
+            "done_and_seen": seen,
+            "reasons": dict(reasons.most_common()),
+            "median_trigger_to_start_s": float(np.median(delays)) / _DELAY_PARTS if delays else None,
+        }
 
 
 class Totals:
@@ -270,13 +265,10 @@ class Totals:
         self.events: list[Row] = []
         self.event_counts: Counter[tuple[str, str]] = Counter()
         self._sources: set[str] = set()
-        #: Scene folder of each of the first source scenes by name.
-        self.nets: dict[str, str] = {}
         self._counts: Counter[str] = Counter()
         self._rejected: Counter[str] = Counter()
         self._selection: dict[str, Counter[str]] = {}
         self._findings: Counter[str] = Counter()
-        self._replay_position_error_m = 0.0
 
     def add(self, measures: SceneMeasures) -> None:
         """Take a scene in."""
@@ -295,9 +287,6 @@ class Totals:
             self.diversity.add_source(row)
         self._add_driving(measures, generated=True, recorded=as_recorded)
         self._add_counts(row)
-        self.nets.setdefault(source, row["folder"])
-        if len(self.nets) > MOST_NETS:
-            del self.nets[max(self.nets)]
 
     def add_source(self, measures: SceneMeasures) -> None:
         """Take a source scene in: what there was before, and how recorded vehicles drive among themselves."""
@@ -307,11 +296,14 @@ class Totals:
     def add_control(self, measures: SceneMeasures) -> None:
         """Take a scene of the control's drivers in: of it only what the critics look at counts."""
         self.control = self.control or Samples()
-        _add_windows(measures, self.control, measures.sample_generated)
+        own = measures.windows
+        self.control.add(own[own["generated"]], scene=measures.scene["scenario_id"])
 
     def _add_driving(self, measures: SceneMeasures, *, generated: bool, recorded: bool) -> None:
         self.realism.add(measures.realism, generated=generated, recorded=recorded)
-        _add_windows(measures, self.samples, np.where(measures.sample_generated, generated, recorded))
+        own = measures.windows
+        kept = own[np.where(own["generated"], generated, recorded)]
+        self.samples.add(kept, scene=measures.scene["scenario_id"])
 
     def content(self) -> dict[str, Any]:
         """The parts of metrics.json that the scenes tell."""
@@ -323,9 +315,7 @@ class Totals:
                 "generated_scenes": counts["generated_scenes"],
                 "generated_vehicles": counts["generated"],
             },
-            "kinematics": {
-                part.value: table(self.sums, part) for part in (Section.PAPER, Section.CLEAN, Section.LIMITS)
-            },
+            "kinematics": {part.value: table(self.sums, part) for part in (Section.PAPER, Section.CLEAN)},
             "safety": table(self.sums, Section.SAFETY)
             | {"pairs": {kind: {g: counts[f"{kind}_{g}"] for g in PAIR_GROUPS} for kind in PAIR_KINDS}},
             "judge": {
@@ -343,7 +333,7 @@ class Totals:
                 "distances": [distance._asdict() for distance in self.realism.distances()],
                 "tails": _tails(self.realism),
                 "critics": critique(
-                    self.samples.packed(), self.samples.joined(self.control) if self.control is not None else None
+                    self.samples.windows(), None if self.control is None else self.samples.windows(self.control)
                 ),
             },
             "requests": {
@@ -352,9 +342,8 @@ class Totals:
                 "placed_of_requested": counts["placed_of_requested"],
                 "rejected": dict(self._rejected.most_common()),
                 "selection": {name: dict(counts) for name, counts in self._selection.items()},
-                "maneuvers": _maneuvers(self.maneuvers),
+                "maneuvers": self.maneuvers.content(),
             },
-            "replay": {"states": counts["replay_states"], "max_position_error_m": self._replay_position_error_m},
         }
 
     def _add_counts(self, row: Row) -> None:
@@ -366,12 +355,6 @@ class Totals:
         for name, told in (row["selection"] or {}).items():
             self._selection.setdefault(name, Counter()).update(told)
         self._findings.update(row["findings"])
-        self._replay_position_error_m = max(self._replay_position_error_m, row["replay_position_error_m"] or 0.0)
-
-
-def _add_windows(measures: SceneMeasures, samples: Samples, kept: BoolArray) -> None:
-    row, generated = measures.scene, measures.sample_generated
-    samples.add(measures.samples[kept], generated[kept], scene=row["scenario_id"], source=str(row["source"]))
 
 
 @dataclass(eq=False, slots=True)
@@ -399,20 +382,3 @@ def _tails(realism: RealismCounts) -> list[dict[str, Any]]:
         for feature in FEATURES
         if feature.name in TAILS
     ]
-
-
-def _maneuvers(counts: ManeuverCounts) -> dict[str, Any]:
-    statuses = ("done", "aborted", "not_feasible", "not_triggered")
-    return {
-        kind: {
-            **{status: counts.status[kind, status] for status in statuses},
-            "done_and_seen": counts.seen[kind, "done"],
-            "reasons": {
-                f"{status}: {reason}": count
-                for (name, status, reason), count in counts.reasons.most_common()
-                if name == kind
-            },
-            "median_trigger_to_start_s": counts.median_delay_s(kind),
-        }
-        for kind in sorted({kind for kind, _ in counts.status})
-    }

@@ -35,7 +35,7 @@ from hid2.measures.following import leaders
 from hid2.measures.lane_changes import LaneChangeRow, lane_changes
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import detect
-from hid2.measures.time_to_collision import CAP_S, ttc_to_anything
+from hid2.measures.time_to_collision import CAP_S, time_to_collision
 from hid2.motion.smoothing import Motion, trajectory
 from hid2.occupancy.agent_states import AgentStates, agent_states
 from hid2.params import Config, LaneChange
@@ -162,7 +162,7 @@ def _measured(
     lanes = flatten_lanes(scene.grid.graph)
     states = agent_states(tracks, lanes, num_steps=scene.num_steps, step_s=scene.step_s)
     arrays = states.arrays
-    ttc_s, met = ttc_to_anything(arrays), conflicts(arrays)
+    ttc_s, met = time_to_collision(arrays, cap_s=CAP_S)[0], conflicts(arrays)
     rows = []
     for vehicle in vehicles:
         if vehicle.policy is Policy.STRAIGHT:

@@ -12,11 +12,13 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtri
 
 from hid2.agents import FloatArray, IntArray
 from hid2.drivers.driver import TRUNCATED_AT, Driver, desired_speeds, lane_offset
-from hid2.evaluation.windows import Windows
+from hid2.evaluation.windows import Windows, lateral_accel_mps2, polynomial_fit, windows
+from hid2.measures.following import leaders
+from hid2.measures.manoeuvres import detect, whole_lane_changes
+from hid2.occupancy.agent_states import AgentStates
 from hid2.params import Config, Drivers
 from hid2.resampling import interval, redrawn
 
@@ -27,11 +29,14 @@ LEAST = 12
 # No tunables, here and below: they say which moments are measured and how finely, and calibrations with others differ.
 #: Steady following: closing slower, m/s, accelerating less, m/s2, faster than, m/s, nearer than, s and m.
 _STEADY_MPS, _STEADY_MPS2, _FOLLOWS_MPS, _FOLLOWS_S = 1.0, 0.5, 3.0, 3.0
+#: Speed below which a vehicle stands, m/s, and gap to a leader in a queue, m.
+_STANDS_MPS, _QUEUE_M = 0.3, 8.0
 #: A driver that accelerates or brakes by more than this in some window shows how: m/s2.
 _SHOWS_MPS2 = 0.7
 #: Drivers simulated for a moment, half of a window, s, and intervals in it: finer ones change no fit.
 _SIMULATED, _HALF_S, _HALF = 250, 2.0, 20
 _EVERY_S = _HALF_S / _HALF
+_TIME_S = np.asarray(_EVERY_S * np.arange(2 * _HALF + 1) - _HALF_S, dtype=np.float64)
 #: Wandering at which the moments of the speed are simulated, m/s: so small that no bound matters.
 _UNIT_MPS = 0.3
 #: Cruising: at least this share of the usual speed, and a smaller acceleration, m/s2: no signal decides.
@@ -41,25 +46,23 @@ _TIMES_S = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 _SPREADS = (0.0, 0.3, 0.6, 0.9, 1.2)
 
 
-class Extra(NamedTuple):
-    """What windows do not show.
+class SceneDriving(NamedTuple):
+    """What a recorded scene shows of driving.
 
-    usual_mps (M,): of each window, what the traffic of its lane drives; standing_gap_m: gaps to standing leaders, one a
-    driver; lane_change_s: durations of lane changes.
+    standing_gap_m: gaps to standing leaders, one a driver; lane_change_s: durations of lane changes seen whole.
     """
 
-    usual_mps: FloatArray
+    name: str
+    city: str
+    labelled: bool
+    windows: Windows
     standing_gap_m: FloatArray
     lane_change_s: FloatArray
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Quantity:
-    """One parameter: its value with a 95 % interval (None: prior), from how many drivers, and the goodness of fit.
-
-    values (D,): one a driver, of which the distribution is shown; law: quantile function of the fitted one; ks:
-    largest distance of the two distribution functions (Kolmogorov-Smirnov).
-    """
+    """One parameter: its value, and, where it was measured, a 95 % interval and from how many drivers."""
 
     name: str
     what: str
@@ -68,43 +71,69 @@ class Quantity:
     high: float | None
     drivers: int
     measured: bool
-    values: FloatArray
-    law: Callable[[FloatArray], FloatArray] | None
-    ks: float | None
 
 
-def calibrate(seen: Windows, extra: Extra, *, prior: Drivers) -> list[Quantity]:
-    """Every parameter that recordings can tell, in the order of `params.Drivers`. seen: each agent is a driver."""
-    straight, usual_mps = seen.rows(~seen.turning), extra.usual_mps[~seen.turning]
-    alone = np.isinf(straight.gap_m) | (straight.gap_m > 4.0 * straight.speed_mps)
-    free, usual_mps = straight.rows(alone), usual_mps[alone]
-    cruising = (free.speed_mps > _CRUISES * usual_mps) & (np.abs(free.accel_mps2) < _CRUISES_MPS2)
-    ratio = _by_driver(free.agent, np.log(free.speed_mps / usual_mps), np.median)
-    time_gap = (seen.gap_m - prior.min_gap_mean_m) / np.maximum(seen.speed_mps, 1.0)
-    steady = (
-        (np.abs(seen.closing_mps) < _STEADY_MPS) & (np.abs(seen.accel_mps2) < _STEADY_MPS2) & (time_gap > 0.0)
-        & (seen.speed_mps > _FOLLOWS_MPS) & (time_gap < _FOLLOWS_S)
+def observe(states: AgentStates, *, name: str, city: str, labelled: bool) -> SceneDriving:
+    """What the clean tracks of moving vehicles of a recorded scene show."""
+    arrays, led = states.arrays, leaders(states.arrays, states.lanes, states.matches)
+    speed = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1])
+    rows = np.flatnonzero((led.agent >= 0) & arrays.clean[arrays.agent] & (speed < _STANDS_MPS))
+    ahead, gap = arrays.row_of[led.agent[rows], arrays.step[rows]], led.gap_m[rows]
+    queue = (ahead >= 0) & (speed[ahead] < _STANDS_MPS) & (gap > 0.0) & (gap < _QUEUE_M)
+    changes = whole_lane_changes(detect(arrays, states.lanes, states.matches))
+    return SceneDriving(
+        name, city, labelled, windows(states.view, led, scene=name, labelled=labelled),
+        standing_gap_m=_by_driver(arrays.agent[rows[queue]], gap[queue], np.median),
+        lane_change_s=np.array([one.duration_s for one in changes], dtype=np.float64),
     )  # fmt: skip
-    gaps = _by_driver(seen.agent[steady], time_gap[steady], np.median)
-    strongest = _by_driver(seen.agent, seen.accel_mps2, np.max)
-    hardest = -_by_driver(seen.agent, seen.accel_mps2, np.min)
-    turning = _by_driver(seen.agent[seen.turning], np.abs(seen.lateral_accel_mps2[seen.turning]), np.max)
-    offsets = _by_driver(straight.agent, straight.d_parabola[:, 0], np.median)
+
+
+def calibrate(scenes: Sequence[SceneDriving], *, prior: Drivers) -> list[Quantity]:
+    """Every parameter that recorded scenes can tell, in the order of `params.Drivers`."""
+    seen = np.concatenate([one.windows for one in scenes])
+    standing_gap_m, lane_change_s = (np.concatenate(parts) for parts in list(zip(*scenes, strict=True))[-2:])
+    # drivers of all scenes are numbered through
+    scene = np.unique(seen["scene"], return_inverse=True)[1]
+    seen["agent"] += scene * (1 + seen["agent"].max(initial=0))
+    straight, turns = seen[~seen["turning"]], seen[seen["turning"]]
+    is_free = np.isinf(straight["gap_m"]) | (straight["gap_m"] > 4.0 * straight["speed_mps"])
+    free, usual_mps = straight[is_free], _usual_mps(straight)[is_free]
+    cruising = (free["speed_mps"] > _CRUISES * usual_mps) & (np.abs(free["accel_mps2"]) < _CRUISES_MPS2)
+    ratio = _by_driver(free["agent"], np.log(free["speed_mps"] / usual_mps), np.median)
+    time_gap = (seen["gap_m"] - prior.min_gap_mean_m) / np.maximum(seen["speed_mps"], 1.0)
+    steady = (
+        (np.abs(seen["closing_mps"]) < _STEADY_MPS) & (np.abs(seen["accel_mps2"]) < _STEADY_MPS2) & (time_gap > 0.0)
+        & (seen["speed_mps"] > _FOLLOWS_MPS) & (time_gap < _FOLLOWS_S)
+    )  # fmt: skip
+    gaps = _by_driver(seen["agent"][steady], time_gap[steady], np.median)
+    strongest = _by_driver(seen["agent"], seen["accel_mps2"], np.max)
+    hardest = -_by_driver(seen["agent"], seen["accel_mps2"], np.min)
+    turning = _by_driver(turns["agent"], np.abs(lateral_accel_mps2(turns)), np.max)
+    offsets = _by_driver(straight["agent"], straight["offset_m"], np.median)
     found = [
         *_normal("desired", "desired speed over the traffic's, logarithm", ratio, prior, sd_only=True),
-        *_speed_wander(free.rows(cruising), prior),
+        *_speed_wander(free[cruising], prior),
         *_normal("tau", "time gap in steady following, s", gaps, prior, unit="s"),
         *_normal("accel", "strongest acceleration of a driver, m/s2", strongest[strongest > _SHOWS_MPS2], prior,
                  unit="mps2"),
         *_normal("decel", "hardest braking of a driver, m/s2", hardest[hardest > _SHOWS_MPS2], prior, unit="mps2"),
-        *_normal("min_gap", "gap to a standing leader, m", extra.standing_gap_m, prior, unit="m"),
+        *_normal("min_gap", "gap to a standing leader, m", standing_gap_m, prior, unit="m"),
         *_range_of_turns(turning, prior),
         *_normal("offset", "place in the lane, m, left positive", offsets, prior, unit="m"),
         *_lateral_wander(straight, prior),
-        *_normal("lane_change", "duration of lane changes, s", extra.lane_change_s, prior, unit="s"),
+        *_normal("lane_change", "duration of lane changes, s", lane_change_s, prior, unit="s"),
     ]  # fmt: skip
     return [*found, _kept("reaction_s", "reaction time: positions do not tell it", prior),
             _kept("error", "perception error: positions do not tell it", prior)]  # fmt: skip
+
+
+def _usual_mps(seen: Windows) -> FloatArray:
+    """(M,) of each window what its scene's traffic drives: the median over drivers of the median speed of each."""
+    usual = np.ones(len(seen))
+    for scene in np.unique(seen["scene"]):
+        own = seen["scene"] == scene
+        usual[own] = max(1.0, float(np.median(_by_driver(seen["agent"][own], seen["speed_mps"][own], np.median))))
+    return usual
 
 
 def drivers_of(found: Sequence[Quantity]) -> dict[str, float]:
@@ -112,10 +141,9 @@ def drivers_of(found: Sequence[Quantity]) -> dict[str, float]:
     return {quantity.name: quantity.value for quantity in found if quantity.measured}
 
 
-def _kept(name: str, what: str, prior: Drivers, values: FloatArray | None = None) -> Quantity:
+def _kept(name: str, what: str, prior: Drivers, drivers: int = 0) -> Quantity:
     """A parameter that keeps its prior."""
-    known = values if values is not None else np.zeros(0)
-    return Quantity(name, what, float(getattr(prior, name)), None, None, len(known), False, known, None, None)
+    return Quantity(name, what, float(getattr(prior, name)), None, None, drivers, measured=False)
 
 
 def _by_driver(driver: IntArray, values: FloatArray, pool: Callable[[FloatArray], float]) -> FloatArray:
@@ -146,7 +174,7 @@ def _normal(
     def found(drivers: IntArray) -> Sequence[float]:
         return (float(np.median(values[drivers])), robust_sd(values[drivers]))[first:]
 
-    return _quantities(names[first:], what, values, prior, found, lambda p: _normal_quantile(values, p))
+    return _quantities(names[first:], what, len(values), prior, found)
 
 
 def _range_of_turns(values: FloatArray, prior: Drivers) -> list[Quantity]:
@@ -157,37 +185,25 @@ def _range_of_turns(values: FloatArray, prior: Drivers) -> list[Quantity]:
         low, high = np.percentile(values[drivers], [10, 90])
         return float(low - (high - low) / 8.0), float(high + (high - low) / 8.0)
 
-    def law(share: FloatArray) -> FloatArray:
-        first, last = ends(np.arange(len(values)))
-        return first + (last - first) * share
-
-    return _quantities(names, what, values, prior, ends, law)
+    return _quantities(names, what, len(values), prior, ends)
 
 
 def _quantities(
-    names: Sequence[str], what: str, values: FloatArray, prior: Drivers,
-    found: Callable[[IntArray], Sequence[float]], law: Callable[[FloatArray], FloatArray],
-) -> list[Quantity]:  # fmt: skip
+    names: Sequence[str], what: str, drivers: int, prior: Drivers, found: Callable[[IntArray], Sequence[float]]
+) -> list[Quantity]:
     """Parameters that are measured together, by one value a driver; of too few drivers they keep their prior.
 
-    found: their values from the drivers of these numbers; law: the quantile function that is fitted to all.
+    found: their values from the drivers of these numbers.
     """
-    if len(values) < LEAST:
-        return [_kept(name, what, prior, values) for name in names]
-    ks, every = ks_distance(values, law), np.arange(len(values))
-    drawn = redrawn(lambda times: np.asarray(found(np.repeat(every, times.astype(np.int64)))), len(values))
+    if drivers < LEAST:
+        return [_kept(name, what, prior, drivers) for name in names]
+    every = np.arange(drivers)
+    drawn = redrawn(lambda times: np.asarray(found(np.repeat(every, times.astype(np.int64)))), drivers)
     estimates = [interval(value, column) for value, column in zip(found(every), drawn.T, strict=True)]
     return [
-        Quantity(name, what, _bounded(name, one.value or 0.0), one.low, one.high, len(values), True, values, law, ks)
+        Quantity(name, what, _bounded(name, one.value or 0.0), one.low, one.high, drivers, measured=True)
         for name, one in zip(names, estimates, strict=True)
     ]
-
-
-def _fits() -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Times of a window, and the pseudo-inverses that give a parabola and a cubic."""
-    time = np.asarray(_EVERY_S * np.arange(2 * _HALF + 1) - _HALF_S, dtype=np.float64)
-    parabola, cubic = (np.linalg.pinv(np.vander(time, powers, increasing=True)) for powers in (3, 4))
-    return time, np.asarray(parabola, dtype=np.float64), np.asarray(cubic, dtype=np.float64)
 
 
 _DRIVER = Driver(
@@ -225,7 +241,7 @@ def _simulated(drive: Callable[[], Sequence[tuple[float, float]]]) -> _Moments:
 def speed_moments(time_s: float) -> _Moments:
     """Moments of acceleration and jerk in windows of simulated drivers: desired speeds wander by _UNIT_MPS."""
     config, rng = Config(drivers=Drivers(wander_time_s=time_s, wander_sd_mps=_UNIT_MPS)), np.random.default_rng(1)
-    _, _, cubic = _fits()
+    cubic = polynomial_fit(_TIME_S, 3)
 
     def drive() -> list[tuple[float, float]]:
         v = desired_speeds(_DRIVER, config, rng, num_steps=4 * _HALF + 1, step_s=_EVERY_S, at_least_mps=0.0)
@@ -244,7 +260,7 @@ def lateral_moments(time_s: float, spread: float) -> _Moments:
     """
     config, rng = Config(drivers=Drivers(lateral_wander_time_s=time_s)), np.random.default_rng(2)
     speed_mps = _DRIVER.desired_mps
-    time, parabola, _ = _fits()
+    parabola = polynomial_fit(_TIME_S, 2)
     length_m = speed_mps * _EVERY_S * (4 * _HALF + 1) + 10.0
 
     def drive() -> list[tuple[float, float]]:
@@ -252,7 +268,7 @@ def lateral_moments(time_s: float, spread: float) -> _Moments:
         wander = 0.01 * float(np.exp(spread * np.clip(rng.standard_normal(), -TRUNCATED_AT, TRUNCATED_AT)))
         offset = lane_offset(replace(_DRIVER, wander_m=wander), config, rng, length_m=length_m, usual=np.zeros_like)
         middles = (_HALF_S, 2.0 * _HALF_S, 3.0 * _HALF_S)
-        fits = [parabola @ offset.at(5.0 + speed_mps * (middle + time))[0] for middle in middles]
+        fits = [parabola @ offset.at(5.0 + speed_mps * (middle + _TIME_S))[0] for middle in middles]
         return [(100.0 * fit[1], 100.0 * fit[2]) for fit in fits]
 
     return _simulated(drive)
@@ -262,22 +278,21 @@ def _speed_wander(free: Windows, prior: Drivers) -> list[Quantity]:
     """SD and time of the wandering of the desired speed, from free driving."""
     what = "wandering of the desired speed: acceleration in windows, m/s2"
     names = ("wander_sd_mps", "wander_time_s")
-    values, changes = _rms(free.agent, free.accel_mps2), _rms(free.agent, free.jerk_mps3)
+    values, changes = (_rms(free["agent"], free[name]) for name in ("accel_mps2", "jerk_mps3"))
 
     def found(drivers: IntArray) -> tuple[float, float]:
         table, moments = [speed_moments(time_s) for time_s in _TIMES_S], _moments(values[drivers], changes[drivers])
         time_s = _time_of(moments.ratio, np.array([one.ratio for one in table]))
         return moments.size / float(np.interp(time_s, _TIMES_S, [one.size / _UNIT_MPS for one in table])), time_s
 
-    return _quantities(names, what, values, prior, found, lambda p: _lognormal_quantile(values, p))
+    return _quantities(names, what, len(values), prior, found)
 
 
 def _lateral_wander(straight: Windows, prior: Drivers) -> list[Quantity]:
     """SD, spread and time of the wandering about the place in the lane."""
     what = "wandering about the place in the lane: drift in windows, m/s"
     names = ("lateral_wander_sd_m", "lateral_wander_time_s", "lateral_wander_spread")
-    drift_mps, bend_mps2 = straight.d_parabola[:, 1], straight.d_parabola[:, 2]
-    values, changes = _rms(straight.agent, drift_mps), _rms(straight.agent, bend_mps2)
+    values, changes = (_rms(straight["agent"], straight[name]) for name in ("drift_mps", "bend_mps2"))
 
     def found(drivers: IntArray) -> tuple[float, float, float]:
         moments = _moments(values[drivers], changes[drivers])
@@ -292,28 +307,10 @@ def _lateral_wander(straight: Windows, prior: Drivers) -> list[Quantity]:
         size = float(np.interp(time_s, _TIMES_S, [lateral_moments(t, near).size for t in _TIMES_S]))
         return moments.size / size, time_s, spread
 
-    return _quantities(names, what, values, prior, found, lambda p: _lognormal_quantile(values, p))
+    return _quantities(names, what, len(values), prior, found)
 
 
 def _time_of(ratio: float, ratios: FloatArray) -> float:
     """Time constant with the seen ratio of change to rate in simulation; ratios fall with time."""
     falling = np.minimum.accumulate(ratios)
     return float(np.interp(-ratio, -falling, _TIMES_S))
-
-
-def _normal_quantile(values: FloatArray, share: FloatArray) -> FloatArray:
-    """Quantiles of the normal law with the median and the robust SD of some values."""
-    return np.asarray(np.median(values) + max(robust_sd(values), 1e-6) * ndtri(share))
-
-
-def _lognormal_quantile(values: FloatArray, share: FloatArray) -> FloatArray:
-    return np.asarray(np.exp(_normal_quantile(np.log(values), share)))
-
-
-def ks_distance(values: FloatArray, law: Callable[[FloatArray], FloatArray]) -> float:
-    """Kolmogorov-Smirnov distance of values from a law given by its quantile function."""
-    from scipy.stats import ks_1samp  # slow to import
-
-    share = (np.arange(1, 400) - 0.5) / 399
-    grid = law(share)
-    return float(ks_1samp(values, lambda x: np.interp(x, grid, share, left=0.0, right=1.0), method="asymp").statistic)

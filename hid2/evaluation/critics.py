@@ -1,10 +1,8 @@
 """Critics: classifiers that must tell generated from recorded driving, and the controls that they are held against.
 
-Three of them, of scikit-learn (the extra `critics`): ridge-penalised logistic regression; gradient-boosted trees; and a
-temporal one, random convolutions of (v, a, yaw rate, d) with a logistic regression on top (Dempster, Petitjean and Webb
-2020). They see windows of 4 s as fits, so that
-tracker noise does not decide. Generated and recorded windows weigh the same in each stratum of scene, speed band,
-turning and presence of a leader. A critic judges scenes that it was not trained on.
+Two of them, of scikit-learn (the extra `critics`): ridge-penalised logistic regression, and gradient-boosted trees.
+They see windows of 4 s as fits, so that tracker noise does not decide. Generated and recorded windows weigh the same in
+each stratum of scene, speed band, turning and presence of a leader. A critic judges scenes that it was not trained on.
 
 Controls say what a figure means. Negative: recorded against recorded, 0.5 within its interval. Positive: the generated
 windows at constant speed on the lane's middle, which a critic that is worth its name tells at 0.9 or more.
@@ -23,14 +21,10 @@ from hid2.evaluation.windows import WINDOW_S, Windows
 from hid2.measures.arrays import BoolArray
 from hid2.resampling import ratio
 
-#: Width of one packed window: see `pack`.
-WIDTH = 22
 # No tunables, here and below: they are what the critics are, and with others no two figures could be compared.
-#: Strata with fewer windows of either kind are left out.
-_LEAST = 2
+#: Strata with fewer windows of either kind are left out; bounds of the bands of speed, m/s.
+_LEAST, _BANDS = 2, (2.0, 5.0, 8.0, 11.0)
 _FOLDS = 5
-#: Points of a window at which the temporal critic looks, its kernels of each length, and the lengths.
-_POINTS, _KERNELS, _LENGTHS = 13, 30, (3, 5, 7)
 _FAR_M = 60.0
 
 
@@ -39,7 +33,6 @@ class Critic(StrEnum):
 
     LOGISTIC = "logistic"
     TREES = "trees"
-    TEMPORAL = "temporal"
 
 
 class View(StrEnum):
@@ -63,41 +56,6 @@ class Verdict(NamedTuple):
     scenes: int
 
 
-def pack(found: Windows, halves: IntArray, *, labelled: bool) -> FloatArray:
-    """Windows as rows (M, WIDTH) of numbers; halves (M,): in which halves of the recorded tracks each one's is.
-
-    labelled: whether people labelled the recording; else it is a tracker's, with larger noise.
-    """
-    kind = np.full(len(found.agent), float(labelled))
-    return np.column_stack([
-        found.s_cubic, found.s_quartic, found.d_parabola, found.d_cubic, found.yaw,
-        np.minimum(found.gap_m, _FAR_M), found.closing_mps, found.turning, found.led, kind, halves,
-    ]).astype(np.float64).reshape(len(found.agent), WIDTH)  # fmt: skip
-
-
-class Packed(NamedTuple):
-    """Windows of any number of scenes: rows (M, WIDTH), generated (M,), and the number of their scene (M,)."""
-
-    rows: FloatArray
-    generated: BoolArray
-    scene: IntArray
-
-    def of(self, chosen: BoolArray) -> "Packed":
-        """Some of the windows."""
-        return Packed(self.rows[chosen], self.generated[chosen], self.scene[chosen])
-
-    @property
-    def labelled(self) -> FloatArray:
-        """(M,) 1 human-labelled, 0 tracker."""
-        return self.rows[:, 20]
-
-    @property
-    def stratum(self) -> IntArray:
-        """(M,) stratum of the matching: scene, speed band, turning, led."""
-        band = np.searchsorted((2.0, 5.0, 8.0, 11.0), self.rows[:, 0])
-        return np.asarray(self.scene * 20 + band * 4 + self.rows[:, 18] * 2 + self.rows[:, 19], dtype=np.int64)
-
-
 #: Features by name, in the order of `features`: those of speed, of the place in the lane, and the rest.
 SPEED_FEATURES = (
     "speed", "acceleration", "size of the acceleration", "jerk", "size of the jerk", "acceleration at the beginning",
@@ -119,31 +77,40 @@ _COLUMNS = {
 }
 
 
-def features(rows: FloatArray) -> FloatArray:
-    """(M, F) FEATURE_NAMES of packed windows."""
+def features(found: Windows) -> FloatArray:
+    """(M, F) FEATURE_NAMES of windows."""
     half = 0.5 * WINDOW_S
-    v, a, j = rows[:, 0], 2.0 * rows[:, 1], 6.0 * rows[:, 2]
-    d, drift, bend = rows[:, 7], rows[:, 8], rows[:, 9]
-    yaw, change, gap, closing = rows[:, 14], rows[:, 15], rows[:, 16], rows[:, 17]
+    v, a, j = found["speed_mps"], found["accel_mps2"], found["jerk_mps3"]
+    d, drift, bend = found["offset_m"], found["drift_mps"], found["bend_mps2"]
+    gap, closing = np.minimum(found["gap_m"], _FAR_M), found["closing_mps"]
     return np.column_stack([
         v, a, np.abs(a), j, np.abs(j), a - j * half, a + j * half, 2.0 * half * a + j * half**3 / 3.0,
         d, np.abs(d), drift, np.abs(drift), bend, np.abs(bend),
-        np.abs(yaw), np.abs(change), gap, closing, gap / np.maximum(v, 1.0), a * closing,
+        np.abs(found["yaw_radps"]), np.abs(found["yaw_bend_radps2"]), gap, closing, gap / np.maximum(v, 1.0),
+        a * closing,
     ])  # fmt: skip
 
 
-def constant_on_the_middle(found: Packed) -> Packed:
+def constant_on_the_middle(found: Windows) -> Windows:
     """The positive control: generated windows as if driven at constant speed on the lane's middle."""
-    rows = found.rows.copy()
-    rows[found.generated, 1:3] = 0.0
-    rows[found.generated, 4:14] = 0.0
-    return found._replace(rows=rows)
+    found = found.copy()
+    for name in ("accel_mps2", "jerk_mps3", "offset_m", "drift_mps", "bend_mps2"):
+        found[name][found["generated"]] = 0.0
+    return found
 
 
-def halves_apart(found: Packed, split: int) -> Packed:
+def halves_apart(found: Windows, split: int) -> Windows:
     """The negative control: recorded windows, of which those of one half of the tracks pass as generated."""
-    recorded = found.of(~found.generated)
-    return recorded._replace(generated=(recorded.rows[:, 21].astype(np.int64) >> split & 1).astype(bool))
+    recorded: Windows = found[~found["generated"]]
+    recorded["generated"] = recorded["halves"] >> split & 1
+    return recorded
+
+
+def strata(found: Windows) -> IntArray:
+    """(M,) stratum of the matching: scene, speed band, turning, led."""
+    scene = np.unique(found["scene"], return_inverse=True)[1]
+    band = np.searchsorted(_BANDS, found["speed_mps"])
+    return np.asarray(scene * 20 + band * 4 + found["turning"] * 2 + found["led"], dtype=np.int64)
 
 
 def matched_weights(stratum: IntArray, generated: BoolArray) -> FloatArray:
@@ -164,37 +131,37 @@ def weighted_auc(scores: FloatArray, labels: BoolArray, weights: FloatArray) -> 
     return float(roc_auc_score(labels[there], scores[there], sample_weight=weights[there]))
 
 
-def judge(found: Packed, critic: Critic, view: View) -> Verdict | None:
+def judge(found: Windows, critic: Critic, view: View) -> Verdict | None:
     """Verdict of a critic on matched windows; None where fewer than two scenes hold both kinds."""
-    weights = matched_weights(found.stratum, found.generated)
-    found, weights = found.of(weights > 0), weights[weights > 0]
-    scenes = np.unique(found.scene)
+    weights = matched_weights(strata(found), found["generated"])
+    found, weights = found[weights > 0], weights[weights > 0]
+    scenes, scene = np.unique(found["scene"], return_inverse=True)
     if len(scenes) < 2:
         return None
-    x = temporal_features(found.rows) if critic is Critic.TEMPORAL else features(found.rows)[:, _COLUMNS[view]]
-    fold = np.searchsorted(scenes, found.scene) % min(_FOLDS, len(scenes))
+    x, generated = features(found)[:, _COLUMNS[view]], found["generated"]
+    fold = scene % min(_FOLDS, len(scenes))
     scores = np.zeros(len(x))
     for k in range(int(fold.max()) + 1):
         test = fold == k
-        scores[test] = _scores(critic, x[~test], found.generated[~test], weights[~test], x[test])
+        scores[test] = _scores(critic, x[~test], generated[~test], weights[~test], x[test])
     parts = [
         (weights[own].sum(), auc)
-        for own in found.scene == scenes[:, None]
-        if (auc := weighted_auc(scores[own], found.generated[own], weights[own])) is not None
+        for own in scene == np.arange(len(scenes))[:, None]
+        if (auc := weighted_auc(scores[own], generated[own], weights[own])) is not None
     ]
     size, aucs = np.array(parts).reshape(-1, 2).T
     value, low, high = ratio(size * aucs, size)
     auc = 0.5 if value is None else value  # a scene at least has windows of both kinds
-    return Verdict(critic, view, auc, low, high, int(found.generated.sum()), int((~found.generated).sum()), len(aucs))
+    return Verdict(critic, view, auc, low, high, int(generated.sum()), int((~generated).sum()), len(aucs))
 
 
-def betrayals(found: Packed) -> list[tuple[str, float]]:
+def betrayals(found: Windows) -> list[tuple[str, float]]:
     """AUC of each single feature on matched windows, those that betray most first; above .5: larger when generated."""
-    weights = matched_weights(found.stratum, found.generated)
+    weights = matched_weights(strata(found), found["generated"])
     if not (weights > 0).any():
         return []
-    x = features(found.rows)
-    alone = [(name, weighted_auc(x[:, k], found.generated, weights) or 0.5) for k, name in enumerate(FEATURE_NAMES)]
+    columns = zip(FEATURE_NAMES, features(found).T, strict=True)
+    alone = [(name, weighted_auc(column, found["generated"], weights) or 0.5) for name, column in columns]
     return sorted(alone, key=lambda item: -abs(item[1] - 0.5))
 
 
@@ -218,32 +185,9 @@ def _scores(critic: Critic, x: FloatArray, generated: BoolArray, weights: FloatA
         return np.asarray(found.decision_function((new - mean) / spread), dtype=np.float64)
 
 
-def temporal_features(rows: FloatArray) -> FloatArray:
-    """(M, 6 K): largest value and share of positive values of K random convolutions over (v, a, yaw rate, d)."""
-    time = np.linspace(-0.5 * WINDOW_S, 0.5 * WINDOW_S, _POINTS)
-    power = np.vander(time, 4, increasing=True)
-    v = rows[:, 3:7] * np.array([1.0, 2.0, 3.0, 4.0]) @ power.T
-    a = rows[:, 4:7] * np.array([2.0, 6.0, 12.0]) @ power[:, :3].T
-    yaw = rows[:, 14:16] * np.array([1.0, 2.0]) @ power[:, :2].T
-    d = rows[:, 10:14] @ power.T
-    # usual sizes, so that every series counts: m/s, m/s2, rad/s, m
-    series = np.stack([(v - 7.0) / 4.0, a, yaw / 0.1, d / 0.4], axis=1)
-    rng = np.random.default_rng(20)
-    out = []
-    for length in _LENGTHS:
-        kernels = rng.standard_normal((_KERNELS, 4, length)) * (rng.random((_KERNELS, 4, 1)) < 0.6)
-        kernels -= kernels.mean(axis=(1, 2), keepdims=True) * (rng.random((_KERNELS, 1, 1)) < 0.5)
-        patches = np.lib.stride_tricks.sliding_window_view(series, length, axis=2).transpose(0, 2, 1, 3)
-        response = patches.reshape(-1, 4 * length) @ kernels.reshape(_KERNELS, -1).T + rng.standard_normal(_KERNELS)
-        response = response.reshape(len(rows), -1, _KERNELS)
-        out += [response.max(axis=1), (response > 0).mean(axis=1)]
-    return np.column_stack(out)
-
-
 #: What is judged, in the order of the report.
 JUDGED: Sequence[tuple[Critic, View]] = (
     (Critic.LOGISTIC, View.ALL), (Critic.TREES, View.SPEED), (Critic.TREES, View.LATERAL), (Critic.TREES, View.ALL),
-    (Critic.TEMPORAL, View.ALL),
 )  # fmt: skip
 #: Splits of the recorded tracks over which the negative control is averaged.
 _SPLITS = 3
@@ -256,7 +200,7 @@ MISSING = (
 )
 
 
-def critique(found: Packed, control: Packed | None = None) -> dict[str, Any]:
+def critique(found: Windows, control: Windows | None = None) -> dict[str, Any]:
     """Verdicts of the critics by kind of recording, negative and positive controls, and what betrays most.
 
     control: recorded windows with those of other drivers, which the critics must tell, such as SUMO's default ones.
@@ -265,8 +209,8 @@ def critique(found: Packed, control: Packed | None = None) -> dict[str, Any]:
     missing = MISSING if find_spec("sklearn") is None else None
     if missing is not None:
         logging.getLogger(__name__).warning("%s", missing)
-        found, control = found.of(found.scene < 0), None
-    kinds = {"all": found, "tracker": found.of(found.labelled == 0.0), "labelled": found.of(found.labelled == 1.0)}
+        found, control = found[:0], None
+    kinds = {"all": found, "tracker": found[~found["labelled"]], "labelled": found[found["labelled"]]}
     verdicts = [{"recordings": kind, **verdict} for kind, some in kinds.items() for verdict in _all_of(some)]
     return {
         "missing": missing,
@@ -278,11 +222,11 @@ def critique(found: Packed, control: Packed | None = None) -> dict[str, Any]:
     }
 
 
-def _all_of(found: Packed) -> list[dict[str, Any]]:
+def _all_of(found: Windows) -> list[dict[str, Any]]:
     return [verdict._asdict() for critic, view in JUDGED if (verdict := judge(found, critic, view)) is not None]
 
 
-def _halves(found: Packed, critic: Critic, view: View) -> dict[str, Any] | None:
+def _halves(found: Windows, critic: Critic, view: View) -> dict[str, Any] | None:
     """Recorded against recorded: mean over splits of the AUC and of the ends of its interval."""
     verdicts = [judge(halves_apart(found, split), critic, view) for split in range(_SPLITS)]
     known = [(one.auc, one.low, one.high) for one in verdicts if one is not None]

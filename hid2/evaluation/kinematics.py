@@ -1,4 +1,4 @@
-"""LO, LA, JE of the paper (section Realism and Safety), limits of motion, and the series they come from.
+"""LO, LA, JE of the paper (section Realism and Safety), and the series they come from.
 
 All derivatives are taken from positions and headings by second-order central differences (one-sided at the ends of
 a track, as `numpy.gradient`), at the true times of the steps.
@@ -11,20 +11,17 @@ import numpy as np
 
 from hid2.agents import FloatArray
 from hid2.measures.arrays import BoolArray, SceneArrays
-from hid2.measures.motion_limits import MotionProfile, exceeded
-from hid2.params import Limits
+from hid2.measures.motion_limits import MotionProfile
 
 #: Tracks shorter than this are left out of LO, LA and JE: the third derivative needs five samples.
 MIN_STEPS = 5
-#: Curvature is not defined for a vehicle that stands; below this speed it is not checked.
-CURVATURE_SPEED_MPS = 1.0
-_SLACK = 1e-6  # relative, no tunable: against rounding
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Kinematics:
-    """LO, LA, JE by agent (A,): the mean over an agent's steps; `counted` marks tracks of at least MIN_STEPS."""
+    """LO, LA, JE and speed by agent (A,): means over an agent's steps; `counted`: tracks of at least MIN_STEPS."""
 
+    speed_mps: FloatArray
     lo: FloatArray
     la: FloatArray
     je: FloatArray
@@ -62,20 +59,9 @@ def motion(arrays: SceneArrays) -> MotionProfile:
 def kinematics(arrays: SceneArrays, moved: MotionProfile) -> Kinematics:
     """LO = |a_x cos + a_y sin|, LA = |-a_x sin + a_y cos|, JE = |da/dt|: mean over each agent's steps (paper, 4.2)."""
     return Kinematics(
+        speed_mps=arrays.mean_per_agent(moved.speed_mps),
         lo=arrays.mean_per_agent(np.abs(moved.accel_mps2)),
         la=arrays.mean_per_agent(np.abs(moved.lateral_accel_mps2)),
         je=arrays.mean_per_agent(moved.jerk_mps3),
         counted=arrays.rows_per_agent >= MIN_STEPS,
     )
-
-
-def beyond_limits(moved: MotionProfile, limits: Limits) -> dict[str, BoolArray]:
-    """Which rows (N,) exceed each limit of motion, by more than rounding.
-
-    Rates of heading are those of the recorded heading; the radius is that of heading rate over speed.
-    """
-    fast = moved.speed_mps > CURVATURE_SPEED_MPS
-    curvature = np.abs(moved.yaw_rate_radps) / np.where(fast, moved.speed_mps, 1.0)
-    return exceeded(moved, limits, slack=_SLACK) | {
-        "radius": fast & (curvature > (1.0 + _SLACK) / limits.min_radius_m),
-    }

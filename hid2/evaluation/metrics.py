@@ -7,7 +7,6 @@ numerators and denominators. To add one, add it to METRICS: tables, report and m
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -24,11 +23,9 @@ from hid2.measures.encounters import (
     STANDS_FOR_S,
     STANDS_MPS,
     WITHIN_S,
-    Encounters,
     Partner,
 )
 from hid2.measures.manoeuvres import Maneuver
-from hid2.measures.motion_limits import MOTION_LIMITS
 from hid2.params import Conflict, Limits
 from hid2.policy.behaviours import BEHAVIOURS, behaviour_seen
 
@@ -46,7 +43,6 @@ class Section(StrEnum):
     PAPER = "paper"
     CLEAN = "clean"
     SAFETY = "safety"
-    LIMITS = "limits"
     ENCOUNTERS = "encounters"
 
 
@@ -54,18 +50,17 @@ class Section(StrEnum):
 class Group:
     """One group of the agents of a scene, with what was measured of the whole scene.
 
-    members (A,); beyond: rows (N,) that exceed each limit of motion; partners (A,): what a member may collide with;
-    end_ttc_s (A,): from the last step to the first contact of those `meeting`, inf without; met: what each agent meets.
+    members (A,); partners (A,): what a member may collide with; end_ttc_s (A,): from the last step to the first contact
+    of those `meeting`, inf without; met: by name what each agent meets (A,).
     """
 
     arrays: SceneArrays
     kinematic: Kinematics
     safe: Safety
-    beyond: Mapping[str, BoolArray]
     members: BoolArray
     partners: BoolArray
     end_ttc_s: FloatArray
-    met: Encounters
+    met: Mapping[str, BoolArray]
 
     @property
     def vehicles(self) -> BoolArray:
@@ -163,45 +158,25 @@ def _magnitude(key: Literal["lo", "la", "je"], label: str, unit: str, what: str)
 def _steps(key: str, label: str, sentence: str, of: Callable[[Group], BoolArray], *, column: str = "") -> Metric:
     """Share of the steps of moving vehicles; column: where it has another name than the metric."""
     return Metric(
-        key, label, "share", Section.LIMITS if key.startswith("limit_") else Section.SAFETY, sentence,
+        key, label, "share", Section.SAFETY, sentence,
         Column(column or key, lambda g: int((of(g) & g.moving_rows).sum())), MOVING_ROWS,
     )  # fmt: skip
 
 
-def _met(key: str, label: str, sentence: str, of: Callable[[Encounters], BoolArray]) -> Metric:
-    """Share of vehicles with an encounter."""
-    return Metric(
-        f"met_{key}", label, "share", Section.ENCOUNTERS, sentence,
-        Column(f"met_{key}", lambda g: int((of(g.met) & g.meeting).sum())), MEETING,
-    )  # fmt: skip
+def _met(name: str, label: str, sentence: str) -> Metric:
+    """Share of vehicles with an encounter, by its name in `measures.encounters`."""
+    column = Column(f"met_{name}", lambda g: int((g.met[name] & g.meeting).sum()))
+    return Metric(f"met_{name}", label, "share", Section.ENCOUNTERS, sentence, column, MEETING)
 
 
-def _followed(kind: Partner) -> tuple[Metric, Metric, Metric]:
+def _followed(kind: Partner) -> tuple[Metric, Metric]:
     """What is measured of a kind of leader."""
+    follows = f"Behind a vehicle ({kind}) at a time gap below {FOLLOWS_S:g} s for {FOLLOWS_FOR_S:g} s on end."
+    brakes = f"Deceleration beyond {-BRAKES_MPS2:g} m/s² behind a near leader ({kind})."
     return (
-        _met(
-            f"follows_{kind}", f"follows a leader, {kind}",
-            f"Behind a vehicle ({kind}) at a time gap below {FOLLOWS_S:g} s for {FOLLOWS_FOR_S:g} s on end.",
-            lambda met: met.follows[kind],
-        ),
-        _met(
-            f"brakes_{kind}", f"brakes for a leader, {kind}",
-            f"Deceleration beyond {-BRAKES_MPS2:g} m/s² behind a near leader ({kind}).", lambda met: met.brakes[kind],
-        ),
-        _met(
-            f"merges_{kind}", f"merges with a vehicle, {kind}",
-            f"Comes onto a lane within {WITHIN_S:g} s of a vehicle ({kind}) that came onto it from elsewhere.",
-            lambda met: met.merges[kind],
-        ),
-    )  # fmt: skip
-
-
-def _beyond(limit: str, group: Group) -> BoolArray:
-    return group.beyond[limit]
-
-
-def _crossing(kind: Partner, met: Encounters) -> BoolArray:
-    return met.crosses[kind]
+        _met(f"follows_{kind}", f"follows a leader, {kind}", follows),
+        _met(f"brakes_{kind}", f"brakes for a leader, {kind}", brakes),
+    )
 
 
 _TTC = f"TTC below {CRITICAL.ttc_min_s:g} s"
@@ -265,22 +240,9 @@ METRICS: tuple[Metric, ...] = (
         f"Scenes in which some vehicle has a {_END_TTC} after its last step.",
         Column("end_scenes_critical", lambda g: int(g.critical_ends > 0)), SCENES_WITH_ENDS,
     ),
-    *(
-        _steps(
-            f"limit_{limit.name}", f"{limit.label} above {limit.bound(Limits()):g} {limit.unit}",
-            f"Steps of moving vehicles that exceed the bound of {limit.label} that drivers accept.",
-            partial(_beyond, limit.name),
-        )
-        for limit in MOTION_LIMITS
-    ),
-    _steps(
-        "limit_radius", f"radius below {Limits().min_radius_m:g} m",
-        "Steps of moving vehicles on a tighter curve than vehicles can drive.", partial(_beyond, "radius"),
-    ),
     _met(
         "far", f"never within {NEAR_M:g} m of moving recorded traffic",
         f"Centre never within {NEAR_M:g} m of that of another vehicle that was recorded and moves.",
-        lambda met: met.distance_m > NEAR_M,
     ),
     *_followed(Partner.RECORDED),
     *_followed(Partner.INSERTED),
@@ -288,14 +250,10 @@ METRICS: tuple[Metric, ...] = (
         _met(
             f"crosses_{kind}", f"crossing with PET below {WITHIN_S:g} s, {kind}",
             f"Swept path crosses that of a road user that moves ({kind}) at a PET below {WITHIN_S:g} s.",
-            partial(_crossing, kind),
         )
         for kind in Partner
     ),
-    _met(
-        "stands", "stands at some time", f"Slower than {STANDS_MPS:g} m/s for {STANDS_FOR_S:g} s.",
-        lambda met: met.stands,
-    ),
+    _met("stands", "stands at some time", f"Slower than {STANDS_MPS:g} m/s for {STANDS_FOR_S:g} s."),
 )  # fmt: skip
 
 
@@ -307,7 +265,7 @@ def columns() -> dict[str, Column]:
 def policies(arrays: SceneArrays, maneuvers: Sequence[Maneuver]) -> dict[str, Policy]:
     """One policy of the paper per moving vehicle, by track id: the rarest of what it did, else straight."""
     order = list(BEHAVIOURS)
-    moving = np.flatnonzero(arrays.vehicle & arrays.moving)
+    moving = np.flatnonzero(arrays.moving_vehicles)
     out = {arrays.track_ids[agent]: Policy.STRAIGHT for agent in moving}
     for maneuver in maneuvers:
         seen = behaviour_seen(maneuver.kind).policy

@@ -5,8 +5,7 @@ Motion is that of fits over 4 s (`windows.py`), so that tracker noise does not d
 Every distance stands beside its floor: the distance between two halves of the recorded tracks.
 """
 
-import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -15,8 +14,9 @@ import numpy.typing as npt
 
 from hid2.agents import FloatArray, IntArray
 from hid2.evaluation.safety import Safety
-from hid2.evaluation.windows import Windows
-from hid2.measures.arrays import BoolArray, SceneArrays
+from hid2.evaluation.windows import SPLITS, Windows, compared, half_numbers, lateral_accel_mps2
+from hid2.measures.arrays import SceneArrays
+from hid2.measures.manoeuvres import Maneuver, whole_lane_changes
 from hid2.measures.time_to_collision import CAP_S
 
 
@@ -50,8 +50,6 @@ TAILS = ("ttc", "pet", "time_gap", "longitudinal_accel")
 TAIL_SHARES = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 #: Fine bins within each bin: Wasserstein distances are exact to a fine bin.
 FINE = 40
-#: Random splits of the recorded tracks into halves; the floor is the median over them.
-SPLITS = 16
 
 #: First fine bin of each feature, and after the last one their number: histograms lie one after the other.
 _FIRST = np.cumsum([0, *(feature.bins * FINE for feature in FEATURES)]).tolist()
@@ -138,63 +136,48 @@ class RealismCounts:
         return every
 
 
-def half_number(scene: str, track_id: str) -> int:
-    """In which half of each split a track falls, as SPLITS bits: by a hash of its name, the same in every run."""
-    digest = hashlib.blake2b(f"{scene}/{track_id}".encode(), digest_size=SPLITS // 8).digest()
-    return int(np.unpackbits(np.frombuffer(digest, dtype=np.uint8)) @ (1 << np.arange(SPLITS)))
+def count_scene(
+    arrays: SceneArrays, safe: Safety, found: Windows, maneuvers: Sequence[Maneuver], *, scene: str
+) -> RealismCounts:
+    """Histograms of the vehicles of one scene that are `compared`. scene: the name of the recorded scene."""
+    vehicles = compared(arrays)
+    member = np.zeros((2 + SPLITS, arrays.num_agents), dtype=np.bool_)  # which agents each row of counts is of
+    member[GENERATED], member[RECORDED] = vehicles & arrays.generated, vehicles & ~arrays.generated
+    member[2:] = half_numbers(scene, arrays.track_ids) >> np.arange(SPLITS)[:, None] & 1
+    member[2:] &= member[RECORDED]
+    counted, values = RealismCounts(), _values(arrays, safe, found, maneuvers)
+    for feature in FEATURES:
+        value, owner = values[feature.name]
+        for counts, inside in zip(counted.of(feature), member[:, owner], strict=True):
+            counts[:] = histogram(feature, value[inside])
+    return counted
 
 
-def scene_values(
-    arrays: SceneArrays, safe: Safety, found: Windows, durations: Mapping[str, Sequence[float]]
+def _values(
+    arrays: SceneArrays, safe: Safety, found: Windows, maneuvers: Sequence[Maneuver]
 ) -> dict[str, tuple[FloatArray, IntArray]]:
-    """Values (V,) of every feature in a scene, and the agent of each. durations: of lane changes, s, by track id.
+    """Values (V,) of every feature in a scene, and the agent of each.
 
     Motion and place in the lane at the middles of windows; TTC and time gap at every step where they are defined; a
-    crossing counts for its generated vehicle, else for the first.
+    crossing counts for its generated vehicle, else for the first; durations are those of lane changes seen whole.
     """
-    motion = {
-        "speed": found.speed_mps,
-        "longitudinal_accel": found.accel_mps2,
-        "jerk": found.jerk_mps3,
-        "offset": found.d_parabola[:, 0],
-    }
-    out = {name: (value, found.agent) for name, value in motion.items()}
+    motion = {"speed": "speed_mps", "longitudinal_accel": "accel_mps2", "jerk": "jerk_mps3", "offset": "offset_m"}
+    out = {name: (found[column], found["agent"]) for name, column in motion.items()}
     # as many turns as were asked for are no measure of how they are driven: apart
-    sideways, turns = found.lateral_accel_mps2, found.turning
-    out["lateral_accel"] = (sideways[~turns], found.agent[~turns])
-    out["yaw_rate"] = (found.yaw[~turns, 0], found.agent[~turns])
-    out["turn_lateral_accel"] = (sideways[turns], found.agent[turns])
+    straight, turns = found[~found["turning"]], found[found["turning"]]
+    out["lateral_accel"] = (lateral_accel_mps2(straight), straight["agent"])
+    out["yaw_rate"] = (straight["yaw_radps"], straight["agent"])
+    out["turn_lateral_accel"] = (lateral_accel_mps2(turns), turns["agent"])
     for name, value in (("ttc", safe.ttc_s), ("time_gap", safe.leaders.time_gap_s)):
         # boxes that overlap already tell of a tracker, not of a driver
         defined = np.isfinite(value) & (value > 0.0) & ((value < CAP_S) | (name != "ttc"))
         out[name] = (value[defined], arrays.agent[defined])
     crossings = [(one.pet_s, one.second if arrays.generated[one.second] else one.first) for one in safe.encroachments]
-    changes = [(value, a) for a, name in enumerate(arrays.track_ids) for value in durations.get(name, ())]
+    changes = [(one.duration_s, arrays.track_ids.index(one.track_id)) for one in whole_lane_changes(maneuvers)]
     for name, pairs in (("pet", crossings), ("lane_change_duration", changes)):
         values, agents = np.array(pairs, dtype=np.float64).reshape(-1, 2).T
         out[name] = values, agents.astype(np.int64)
     return out
-
-
-def count_scene(
-    scene: str,
-    arrays: SceneArrays,
-    values: Mapping[str, tuple[FloatArray, IntArray]],
-    *,
-    generated: BoolArray,
-    recorded: BoolArray,
-) -> RealismCounts:
-    """Histograms of one scene. `scene` names the recorded scene; generated, recorded (A,): vehicles to compare."""
-    member = np.zeros((2 + SPLITS, arrays.num_agents), dtype=np.bool_)  # which agents each row of counts is of
-    member[GENERATED], member[RECORDED] = generated, recorded
-    for agent in np.flatnonzero(recorded).tolist():
-        member[2:, agent] = half_number(scene, arrays.track_ids[agent]) >> np.arange(SPLITS) & 1
-    found = RealismCounts()
-    for feature in FEATURES:
-        value, owner = values[feature.name]
-        for counts, inside in zip(found.of(feature), member[:, owner], strict=True):
-            counts[:] = histogram(feature, value[inside])
-    return found
 
 
 def quantiles(feature: Feature, counts: IntArray, shares: Sequence[float] = TAIL_SHARES) -> list[float] | None:

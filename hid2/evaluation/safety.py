@@ -15,9 +15,8 @@ from hid2.judge.states import against_lane_deg, outside_m
 from hid2.measures.arrays import BoolArray, SceneArrays
 from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import Leaders, leaders
-from hid2.measures.lane_matching import FlatLanes, Matches, match_lanes
 from hid2.measures.post_encroachment import Encroachment, encroachments
-from hid2.measures.time_to_collision import ttc_to_anything
+from hid2.measures.time_to_collision import CAP_S, time_to_collision
 from hid2.params import Limits
 from netconvert.geometry import box_corners
 from netconvert.lane_graph import LaneGraph
@@ -55,8 +54,6 @@ class Safety:
     against_lane: BoolArray
     ttc_s: FloatArray
     leaders: Leaders
-    matches: Matches
-    lanes: FlatLanes
 
 
 def overlaps(arrays: SceneArrays) -> tuple[Overlap, ...]:
@@ -105,24 +102,22 @@ def _against_lane(view: LaneView) -> BoolArray:
     """Rows (N,) of moving vehicles that drive against their lanes, as the judge sees it."""
     arrays = view.arrays
     against = np.hypot(*arrays.velocity.T) > WRONG_WAY_SPEED_MPS
-    for agent, driven in enumerate((arrays.vehicle & arrays.moving).tolist()):
+    for agent, driven in enumerate(arrays.moving_vehicles.tolist()):
         rows = np.arange(arrays.first[agent], arrays.first[agent + 1])
         angle, limit = against_lane_deg(view, rows, view.lanes.graph) if driven else (0.0, 0.0)
         against[rows] &= angle > limit
     return np.asarray(against)
 
 
-def safety(arrays: SceneArrays, lanes: FlatLanes, matches: Matches | None = None) -> Safety:
-    """Every measure of safety of a scene. matches: of its rows, where they are known."""
-    matches = match_lanes(arrays, lanes) if matches is None else matches
+def safety(view: LaneView) -> Safety:
+    """Every measure of safety of a scene."""
+    arrays, graph = view.arrays, view.lanes.graph
     return Safety(
         overlaps=overlaps(arrays),
         encroachments=encroachments(arrays),
-        off_road=off_road(arrays.position, lanes.graph),
-        off_footprint=off_footprint(arrays, lanes.graph),
-        against_lane=_against_lane(LaneView(arrays, lanes, matches)),
-        ttc_s=ttc_to_anything(arrays),
-        leaders=leaders(arrays, lanes, matches),
-        matches=matches,
-        lanes=lanes,
+        off_road=off_road(arrays.position, graph),
+        off_footprint=off_footprint(arrays, graph),
+        against_lane=_against_lane(view),
+        ttc_s=time_to_collision(arrays, cap_s=CAP_S)[0],
+        leaders=leaders(arrays, view.lanes, view.matches),
     )

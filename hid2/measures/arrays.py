@@ -75,9 +75,14 @@ class SceneArrays:
         return int(self.row_of.shape[1])
 
     @property
+    def moving_vehicles(self) -> BoolArray:
+        """(A,) vehicles that move at some time."""
+        return np.asarray(self.vehicle & self.moving)
+
+    @property
     def clean(self) -> BoolArray:
         """(A,) moving vehicles that are no tracker fragments."""
-        return np.asarray(self.vehicle & self.moving & ~self.fragment)
+        return np.asarray(self.moving_vehicles & ~self.fragment)
 
     @property
     def rows_per_agent(self) -> IntArray:

@@ -12,7 +12,7 @@ import numpy as np
 from hid2.agents import FloatArray, IntArray
 from hid2.measures.arrays import SceneArrays
 from hid2.measures.post_encroachment import Encroachment, encroachments
-from hid2.measures.time_to_collision import CAP_S, ttc_of_rows_and_pairs, ttc_to_anything
+from hid2.measures.time_to_collision import CAP_S, time_to_collision
 from netconvert.geometry import differences, wrap_angle
 
 #: A conflict has a TTC below the first, or paths that cross within the second, s (SSAM's thresholds).
@@ -64,7 +64,7 @@ def pair_course(arrays: SceneArrays, follower: int, other: int, *, cap_s: float 
     pair = arrays.agents([follower, other])
     steps = np.flatnonzero((pair.row_of >= 0).all(axis=0))
     own, its = pair.row_of[0, steps], pair.row_of[1, steps]
-    ttc_s = ttc_to_anything(pair, cap_s=cap_s)[own]
+    ttc_s = time_to_collision(pair, cap_s=cap_s)[0][own]
     known = ttc_s < cap_s
     forward = np.stack([np.cos(pair.heading[own]), np.sin(pair.heading[own])], axis=1)
     ahead_m = np.sum((pair.position[its] - pair.position[own]) * forward, axis=1)
@@ -122,7 +122,7 @@ def conflicts(
     ttc_s, pet_s: thresholds of the TTC and of the PET of paths that cross.
     """
     crossing = {(one.first, one.second): one for one in encroachments(arrays, cap_s=pet_s) if one.pet_s <= pet_s}
-    near = ttc_of_rows_and_pairs(arrays, cap_s=ttc_s)[1] < ttc_s
+    near = time_to_collision(arrays, cap_s=ttc_s)[1] < ttc_s
     near &= np.outer(arrays.vehicle, arrays.vehicle) & (arrays.moving[:, None] | arrays.moving)
     found: list[TrafficConflict] = []
     for a, b in sorted({*zip(*(side.tolist() for side in np.nonzero(near)), strict=True), *crossing}):

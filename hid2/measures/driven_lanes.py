@@ -59,7 +59,7 @@ def recorded_places(view: LaneView, *, within_m: float) -> dict[int, FloatArray]
     The median over vehicles of the median of each. within_m: a vehicle farther from the middle changes lanes.
     """
     arrays, matches, found = view.arrays, view.matches, dict[int, FloatArray]()
-    usual = (arrays.vehicle & arrays.moving & ~arrays.fragment & ~arrays.generated)[arrays.agent]
+    usual = (arrays.clean & ~arrays.generated)[arrays.agent]
     rows = np.flatnonzero(usual & (matches.lane >= 0) & (np.abs(matches.d) < within_m))
     if not rows.size:
         return found

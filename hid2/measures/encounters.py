@@ -1,17 +1,14 @@
-"""What vehicles meet: recorded traffic nearby, leaders, braking for them, merging and crossing."""
+"""What vehicles meet: recorded traffic nearby, leaders, braking for them, crossing paths."""
 
 import math
-from dataclasses import dataclass
 from enum import StrEnum
-from itertools import pairwise, permutations
+from itertools import permutations
 
 import numpy as np
 
 from hid2.agents import FloatArray
 from hid2.measures.arrays import BoolArray, SceneArrays
-from hid2.measures.driven_lanes import LaneView, Run, runs_of
 from hid2.measures.following import Leaders
-from hid2.measures.lane_matching import FlatLanes, Matches
 from hid2.measures.post_encroachment import encroachments
 
 #: A vehicle with a centre that never comes this near to that of a moving recorded one meets no traffic, m.
@@ -20,7 +17,7 @@ NEAR_M = 30.0
 FOLLOWS_S, FOLLOWS_FOR_S = 3.0, 1.0
 #: Braking for a leader: below this, m/s2, for so long, s, behind one nearer than this, m and s.
 BRAKES_MPS2, BRAKES_FOR_S, BRAKES_NEAR_M, BRAKES_NEAR_S = -0.7, 0.5, 40.0, 4.0
-#: Crossing and merging within this time of each other are encounters, s; smaller angles than this are no crossings.
+#: Crossing within this time of each other is an encounter, s; smaller angles than this are no crossings.
 WITHIN_S, CROSSING_RAD = 3.0, math.radians(40.0)
 #: Standing: below this, m/s, for so long, s.
 STANDS_MPS, STANDS_FOR_S = 0.3, 0.5
@@ -35,42 +32,25 @@ class Partner(StrEnum):
     CYCLIST = "cyclist"
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Encounters:
-    """What each agent of a scene meets; (A,) each, True or a value for vehicles only.
+def encounters(arrays: SceneArrays, led: Leaders) -> dict[str, BoolArray]:
+    """Which agents (A,) meet what, by name: `far`, `stands`, and `follows_`, `brakes_`, `crosses_` a `Partner`.
 
-    distance_m: least distance of centres to a moving recorded vehicle, at the same step, inf where there is none;
-    follows, brakes: has a leader of a kind for so long, brakes for one; merges, crosses: within WITHIN_S of one of a
-    kind; stands: at some time.
+    led: `measures.following.leaders` of the same rows. Only vehicles follow, brake, cross or stand.
     """
-
-    distance_m: FloatArray
-    follows: dict[Partner, BoolArray]
-    brakes: dict[Partner, BoolArray]
-    merges: dict[Partner, BoolArray]
-    crosses: dict[Partner, BoolArray]
-    stands: BoolArray
-
-
-def encounters(arrays: SceneArrays, lanes: FlatLanes, matches: Matches, led: Leaders) -> Encounters:
-    """Encounters of all vehicles of a scene. led: `measures.following.leaders` of the same rows."""
     masks = partners(arrays)
     speed = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1])
-    accel = _acceleration(arrays)
     has = led.agent >= 0
-    follows_row = has & (led.time_gap_s < FOLLOWS_S)
-    brakes_row = has & (accel < BRAKES_MPS2) & (led.gap_m < BRAKES_NEAR_M) & (led.time_gap_s < BRAKES_NEAR_S)
     leader = np.where(has, led.agent, 0)
-
-    vehicles = (Partner.RECORDED, Partner.INSERTED)
-    return Encounters(
-        distance_m=_distance_to_moving(arrays, masks[Partner.RECORDED]),
-        follows={kind: _lasts(arrays, follows_row & masks[kind][leader], FOLLOWS_FOR_S) for kind in vehicles},
-        brakes={kind: _lasts(arrays, brakes_row & masks[kind][leader], BRAKES_FOR_S) for kind in vehicles},
-        merges=_merges(arrays, LaneView(arrays, lanes, matches), masks),
-        crosses=_crosses(arrays, masks),
-        stands=_lasts(arrays, speed < STANDS_MPS, STANDS_FOR_S) & arrays.vehicle,
-    )
+    follows = has & (led.time_gap_s < FOLLOWS_S)
+    near = has & (led.gap_m < BRAKES_NEAR_M) & (led.time_gap_s < BRAKES_NEAR_S)
+    brakes = near & (_acceleration(arrays) < BRAKES_MPS2)
+    found = {f"crosses_{kind}": crossing for kind, crossing in _crosses(arrays, masks).items()}
+    for kind in (Partner.RECORDED, Partner.INSERTED):
+        found[f"follows_{kind}"] = _lasts(arrays, follows & masks[kind][leader], FOLLOWS_FOR_S)
+        found[f"brakes_{kind}"] = _lasts(arrays, brakes & masks[kind][leader], BRAKES_FOR_S)
+    found["far"] = _distance_to_moving(arrays, masks[Partner.RECORDED]) > NEAR_M
+    found["stands"] = _lasts(arrays, speed < STANDS_MPS, STANDS_FOR_S) & arrays.vehicle
+    return found
 
 
 def partners(arrays: SceneArrays) -> dict[Partner, BoolArray]:
@@ -137,26 +117,4 @@ def _crosses(arrays: SceneArrays, masks: dict[Partner, BoolArray]) -> dict[Partn
         for one, other in permutations(pair) if pet_s <= WITHIN_S - 1e-9 else ():
             for kind in Partner:
                 out[kind][one] |= bool(masks[kind][other] and arrays.vehicle[one])
-    return out
-
-
-def _merges(arrays: SceneArrays, view: LaneView, masks: dict[Partner, BoolArray]) -> dict[Partner, BoolArray]:
-    """(A,) vehicles that come onto a lane within WITHIN_S before or behind another that did so from elsewhere."""
-    out = {kind: np.zeros(arrays.num_agents, dtype=bool) for kind in Partner}
-    coming: dict[int, list[tuple[int, int, Run]]] = {}  # by lane: agents that come onto it, from which lane, their runs
-    for agent in np.flatnonzero(arrays.clean).tolist():
-        for before, run in pairwise(run for run in runs_of(view, agent) if run.lane >= 0):
-            coming.setdefault(run.lane, []).append((agent, before.lane, run))
-    for (one, source, entry), (other, elsewhere, run) in (
-        two for each in coming.values() for two in permutations(each, 2)
-    ):
-        if one == other or source in (elsewhere, entry.lane):
-            continue
-        # where the other one is first beyond the place of entry, or begins beyond it
-        beyond = np.flatnonzero(view.matches.s[run.first : run.last + 1] >= view.matches.s[entry.first])
-        passed = arrays.step[run.first + beyond[:1]]
-        if (np.abs(passed - arrays.step[entry.first]) * arrays.step_s < WITHIN_S).any():
-            for kind in (Partner.RECORDED, Partner.INSERTED):
-                out[kind][one] |= bool(masks[kind][other])
-                out[kind][other] |= bool(masks[kind][one])
     return out

@@ -5,7 +5,7 @@ picks the sequence that is near the centrelines and follows the map's links (New
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,7 +36,8 @@ class FlatLanes:
     lane_ids (L,); points (P, 2) m; s (P,) m along each lane; half_width (L,) m; box (L, 4) bounds, m;
     link (L, L): what each lane is to each, GOES_ON, CHANGES_LANES or neither;
     left, right (L,): same-direction neighbour of a driven type, -1 where none; turn (L,): +1 left, -1 right, else 0;
-    straight (L,): `LaneGraph.straightest_successor`, -1 where there is none.
+    straight (L,): `LaneGraph.straightest_successor`, -1 where there is none; length_m (L,). If all lanes lay one behind
+    the other, 1 m apart, they would begin at offset (L,) m, and the points be at along (P,) m.
     """
 
     graph: LaneGraph
@@ -53,24 +54,14 @@ class FlatLanes:
     straight: IntArray
     successors: tuple[tuple[int, ...], ...]
     index_of: dict[int, int]
-    length_m: FloatArray = field(init=False)
-    """(L,) arc lengths."""
-    _offset: FloatArray = field(init=False, repr=False)
-    """(L + 1,) m, where each lane begins when all lie one behind the other, 1 m apart."""
-    _along: FloatArray = field(init=False, repr=False)
-    """(P,) m, where the points are then."""
-
-    def __post_init__(self) -> None:
-        length_m = self.s[self.first[1:] - 1]
-        offset = np.concatenate([[0.0], np.cumsum(length_m + 1.0)])
-        object.__setattr__(self, "length_m", length_m)
-        object.__setattr__(self, "_offset", offset)
-        object.__setattr__(self, "_along", self.s + np.repeat(offset[:-1], np.diff(self.first)))
+    length_m: FloatArray
+    offset: FloatArray
+    along: FloatArray
 
     def heading(self, lane: IntArray, s: FloatArray) -> FloatArray:
         """(M,) rad, direction of lanes at arc lengths on them; that of lane 0 where there is none (-1)."""
         lane = np.maximum(lane, 0)
-        at = np.searchsorted(self._along, np.clip(s, 0.0, self.length_m[lane]) + self._offset[lane], side="right") - 1
+        at = np.searchsorted(self.along, np.clip(s, 0.0, self.length_m[lane]) + self.offset[lane], side="right") - 1
         at = np.clip(at, self.first[lane], self.first[lane + 1] - 2)
         step = self.points[at + 1] - self.points[at]
         return np.asarray(np.arctan2(step[:, 1], step[:, 0]))
@@ -101,6 +92,8 @@ def flatten_lanes(graph: LaneGraph) -> FlatLanes:
     step[first[:-1]] = 0.0
     total = np.cumsum(step)
     s = total - np.repeat(total[first[:-1]], counts)
+    length_m = s[first[1:] - 1]
+    offset = np.concatenate([[0.0], np.cumsum(length_m + 1.0)])[:-1]
     half_width = np.array([lane.width_m / 2 for lane in lanes], dtype=np.float64)
     margin = half_width + BEYOND_EDGE_M
     low, high = (ends.reduceat(points, first[:-1], axis=0) for ends in (np.minimum, np.maximum))
@@ -121,13 +114,16 @@ def flatten_lanes(graph: LaneGraph) -> FlatLanes:
         first=first,
         half_width=half_width,
         box=box,
-        link=_links(successors, left, right, s[first[1:] - 1]),
+        link=_links(successors, left, right, length_m),
         left=left,
         right=right,
         turn=np.array([sign[lane.turn] for lane in lanes], dtype=np.int64),
         straight=np.array([number[n] for n in straightest], dtype=np.int64),
         successors=successors,
         index_of=index_of,
+        length_m=length_m,
+        offset=offset,
+        along=s + np.repeat(offset, counts),
     )
 
 
@@ -159,13 +155,23 @@ def _reached(lane: int, successors: tuple[tuple[int, ...], ...], length: FloatAr
 
 
 def lanes_near(
-    lanes: FlatLanes, position: FloatArray, direction: FloatArray, wanted: BoolArray
+    lanes: FlatLanes, position: FloatArray, direction: FloatArray, wanted: BoolArray, *, beyond_m: float = BEYOND_EDGE_M
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, IntArray]:
-    """Lane, s, d, cost (N, K) of the lanes near places (N, 2) m that agree with directions (N,) rad; numbers (N,)."""
+    """Lane, s, d, cost (N, K) of the lanes near places (N, 2) m that agree with directions (N,) rad; numbers (N,).
+
+    beyond_m: a lane is near at most so far beyond its edge.
+    """
+    box = lanes.box + (beyond_m - BEYOND_EDGE_M) * np.array([-1.0, -1.0, 1.0, 1.0])
     return lane_candidates(
-        position, direction, lanes.points, lanes.s, lanes.first, lanes.half_width, lanes.box, wanted, BEYOND_EDGE_M,
-        AGREE_RAD, _CANDIDATES,
+        position, direction, lanes.points, lanes.s, lanes.first, lanes.half_width, box, wanted, beyond_m, AGREE_RAD,
+        _CANDIDATES,
     )  # fmt: skip
+
+
+def directions_of_motion(arrays: SceneArrays) -> FloatArray:
+    """(N,) rad, of the displacement from HALF_WINDOW_S before a row to as long after it, where that is long enough."""
+    half = max(1, round(HALF_WINDOW_S / arrays.step_s))
+    return motion_directions(arrays.position, arrays.heading, arrays.first, half, MIN_CHORD_M)
 
 
 def lane_along(lanes: FlatLanes, position: FloatArray, direction: float) -> tuple[int, float, float]:
@@ -184,8 +190,7 @@ def lane_along(lanes: FlatLanes, position: FloatArray, direction: float) -> tupl
 
 def match_lanes(arrays: SceneArrays, lanes: FlatLanes) -> Matches:
     """Lanes of every vehicle's rows; those of other agents have lane -1."""
-    half = max(1, round(HALF_WINDOW_S / arrays.step_s))
-    direction = motion_directions(arrays.position, arrays.heading, arrays.first, half, MIN_CHORD_M)
+    direction = directions_of_motion(arrays)
     wanted = arrays.vehicle[arrays.agent] if arrays.num_agents else np.zeros(0, dtype=bool)
     lane, s, d, cost, count = lanes_near(lanes, arrays.position, direction, wanted)
     chosen = likeliest_lanes(np.flatnonzero(arrays.vehicle), arrays.first, lane, s, cost, count, lanes.link)

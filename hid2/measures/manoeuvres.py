@@ -8,7 +8,7 @@ Definitions:
   back; without the return it is a pass; round a vehicle that stands all the while it is obstacle avoidance.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import groupby, pairwise
@@ -101,8 +101,7 @@ def detect(
     """
     view = LaneView(arrays, lanes, matches)
     found: list[Maneuver] = []
-    vehicles = arrays.vehicle & arrays.moving
-    for agent in np.flatnonzero(vehicles if among is None else vehicles & among):
+    for agent in np.flatnonzero(arrays.moving_vehicles if among is None else arrays.moving_vehicles & among):
         runs = runs_of(view, int(agent))
         tried = (
             _lane_change(view, int(agent), runs, k)
@@ -116,6 +115,11 @@ def detect(
 
 
 # Lane changes
+
+
+def whole_lane_changes(seen: Iterable[Maneuver]) -> list[Maneuver]:
+    """Lane changes of which start and end were seen: those that have a duration."""
+    return [one for one in seen if one.kind is ManeuverKind.LANE_CHANGE and one.complete]
 
 
 def _lane_change(view: LaneView, agent: int, runs: list[Run], k: int) -> _Change | None:

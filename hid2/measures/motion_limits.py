@@ -1,4 +1,4 @@
-"""Limits of motion: which quantity must not exceed which parameter, for the last check and for the evaluation."""
+"""Limits of motion: which quantity must not exceed which parameter, for the judge and the last check."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from hid2.agents import FloatArray
-from hid2.measures.arrays import BoolArray
 from hid2.params import Limits
 from hid2.reasons import Reason
 
@@ -30,32 +29,20 @@ class MotionLimit(NamedTuple):
 
     name: str
     reason: Reason
-    label: str
-    unit: str
     value: Callable[[MotionProfile], FloatArray]
     bound: Callable[[Limits], float]
 
 
 #: In the order in which the last check names the first one that is exceeded.
 MOTION_LIMITS = (
-    MotionLimit("accel", Reason.LIMIT_ACCEL, "acceleration", "m/s²",
-                lambda p: p.accel_mps2, lambda m: m.accel_max_mps2),
-    MotionLimit("decel", Reason.LIMIT_DECEL, "deceleration", "m/s²",
-                lambda p: -p.accel_mps2, lambda m: -m.accel_min_mps2),
-    MotionLimit("lateral_accel", Reason.LIMIT_LATERAL_ACCEL, "|lateral acceleration|", "m/s²",
+    MotionLimit("accel", Reason.LIMIT_ACCEL, lambda p: p.accel_mps2, lambda m: m.accel_max_mps2),
+    MotionLimit("decel", Reason.LIMIT_DECEL, lambda p: -p.accel_mps2, lambda m: -m.accel_min_mps2),
+    MotionLimit("lateral_accel", Reason.LIMIT_LATERAL_ACCEL,
                 lambda p: np.abs(p.lateral_accel_mps2), lambda m: m.lateral_accel_mps2),
-    MotionLimit("longitudinal_jerk", Reason.LIMIT_LONGITUDINAL_JERK, "|longitudinal jerk|", "m/s³",
+    MotionLimit("longitudinal_jerk", Reason.LIMIT_LONGITUDINAL_JERK,
                 lambda p: np.abs(p.longitudinal_jerk_mps3), lambda m: m.longitudinal_jerk_mps3),
-    MotionLimit("jerk", Reason.LIMIT_JERK, "jerk", "m/s³", lambda p: p.jerk_mps3, lambda m: m.jerk_mps3),
-    MotionLimit("yaw_rate", Reason.LIMIT_YAW_RATE, "|yaw rate|", "rad/s",
-                lambda p: np.abs(p.yaw_rate_radps), lambda m: m.yaw_rate_radps),
-    MotionLimit("yaw_accel", Reason.LIMIT_YAW_ACCEL, "|yaw acceleration|", "rad/s²",
+    MotionLimit("jerk", Reason.LIMIT_JERK, lambda p: p.jerk_mps3, lambda m: m.jerk_mps3),
+    MotionLimit("yaw_rate", Reason.LIMIT_YAW_RATE, lambda p: np.abs(p.yaw_rate_radps), lambda m: m.yaw_rate_radps),
+    MotionLimit("yaw_accel", Reason.LIMIT_YAW_ACCEL,
                 lambda p: np.abs(p.yaw_accel_radps2), lambda m: m.yaw_accel_radps2),
 )  # fmt: skip
-
-
-def exceeded(profile: MotionProfile, limits: Limits, *, slack: float = 0.0) -> dict[str, BoolArray]:
-    """Which steps (N,) exceed each limit, by its name. slack: relative, against rounding."""
-    return {
-        limit.name: np.asarray(limit.value(profile) > limit.bound(limits) * (1.0 + slack)) for limit in MOTION_LIMITS
-    }

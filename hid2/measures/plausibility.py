@@ -7,9 +7,9 @@ import numpy as np
 import shapely
 
 from hid2.agents import FloatArray, IntArray
-from hid2.kernels.lane_matching import lane_candidates, motion_directions
 from hid2.measures.arrays import MOVING_EXTENT_M, SceneArrays
-from hid2.measures.lane_matching import AGREE_RAD, HALF_WINDOW_S, MIN_CHORD_M, FlatLanes
+from hid2.measures.lane_matching import FlatLanes, directions_of_motion, lanes_near
+from netconvert.geometry import wrap_angle
 from netconvert.lane_graph import LaneGraph
 
 #: Half a lane: a point fits a lane fully at its centreline, and not at all from here on, m.
@@ -20,8 +20,8 @@ _SHIFTS_TO_M, _SHIFT_STEP_M = 6.0, 0.5
 _SHARE_OF_GAIN = 0.9
 #: A shift that gains less, of the vehicles, is none: some fit another lane by chance.
 _LEAST_GAIN = 0.1
-#: Points of a vehicle, and in all where there are many vehicles; lanes near a point. They bound the time.
-_POINTS_EACH, _POINTS, _CANDIDATES = 8, 240, 10
+#: Points of a vehicle, and in all where there are many vehicles: they bound the time.
+_POINTS_EACH, _POINTS = 8, 240
 
 
 class Plausibility(NamedTuple):
@@ -46,10 +46,9 @@ class Plausibility(NamedTuple):
 
 def plausibility(arrays: SceneArrays, graph: LaneGraph, lanes: FlatLanes) -> Plausibility:
     """The figures of a recorded scene. lanes: those of `graph`."""
-    agents = np.flatnonzero(arrays.moving & arrays.vehicle)
-    half = max(1, round(HALF_WINDOW_S / arrays.step_s))
-    direction = motion_directions(arrays.position, arrays.heading, arrays.first, half, MIN_CHORD_M)
-    off = np.abs(np.mod(arrays.heading - direction + np.pi, 2 * np.pi) - np.pi) > np.pi / 4
+    agents = np.flatnonzero(arrays.moving_vehicles)
+    direction = directions_of_motion(arrays)
+    off = np.abs(wrap_angle(arrays.heading - direction)) > np.pi / 4
     spread = np.linspace(0.0, 1.0, min(_POINTS_EACH, max(2, _POINTS // max(1, len(agents)))))
     first, last = arrays.first[agents, None], arrays.first[agents + 1, None] - 1
     rows = (first + spread * (last - first)).astype(np.int64)  # (vehicles, points)
@@ -104,11 +103,8 @@ def _shift(arrays: SceneArrays, direction: FloatArray, rows: IntArray, lanes: Fl
 
 def _distance(position: FloatArray, course: FloatArray, aside: FloatArray, lanes: FlatLanes) -> FloatArray:
     """Distance (points, shifts), m, to the nearest centreline of that course; aside: shifts to its left, m."""
-    box = lanes.box + _SHIFTS_TO_M * np.array([-1.0, -1.0, 1.0, 1.0])
-    _, _, d, _, count = lane_candidates(
-        position, course, lanes.points, lanes.s, lanes.first, lanes.half_width, box,
-        np.ones(len(course), dtype=np.bool_), _SHIFTS_TO_M, AGREE_RAD, _CANDIDATES,
-    )  # fmt: skip
+    every = np.ones(len(course), dtype=np.bool_)
+    _, _, d, _, count = lanes_near(lanes, position, course, every, beyond_m=_SHIFTS_TO_M)
     nearest = np.full(aside.shape, np.inf)
     for slot in range(int(count.max(initial=0))):
         there = np.flatnonzero(slot < count)

@@ -32,7 +32,7 @@ def encroachments(
     since: only pairs with this agent or a later one as the second; agents (K,), ascending: those that are looked at,
     instead of moving vehicles; crossing_rad: paths that meet at less do not cross.
     """
-    moving = np.flatnonzero(arrays.vehicle & arrays.moving) if agents is None else agents
+    moving = np.flatnonzero(arrays.moving_vehicles) if agents is None else agents
     steps, crossed = post_encroachment(
         moving, arrays.position, arrays.heading, arrays.length, arrays.width, arrays.first, arrays.step,
         round(cap_s / arrays.step_s), crossing_rad, int(np.searchsorted(moving, since)),

@@ -50,20 +50,17 @@ def first_contact(own: int, boxes: BoxesAtStep, *, horizon_s: float) -> Contact 
     return None if other < 0 else Contact(float(ttc_s), int(other))
 
 
-def ttc_after_last_step(
-    arrays: SceneArrays, members: BoolArray, *, horizon_s: float, among: BoolArray | None = None
-) -> FloatArray:
-    """(A,) s from the last step of each member (A,) to its first contact; inf without one, and of all other agents.
+def ttc_after_last_step(arrays: SceneArrays, members: BoolArray, among: BoolArray) -> FloatArray:
+    """(A,) s from the last step of each member (A,) to its first contact within END_HORIZON_S; inf for all else.
 
-    among: the agents (A,) that count as others, all of the scene unless told. Only those present at that very step.
+    among: the agents (A,) that count as others; of these those present at that very step.
     """
     found = np.full(arrays.num_agents, np.inf)
     for agent in np.flatnonzero(members).tolist():
         step = int(arrays.step[arrays.first[agent + 1] - 1])
-        present = (arrays.row_of[:, step] >= 0) & (True if among is None else among)
-        agents = np.union1d(np.flatnonzero(present), agent)
+        agents = np.union1d(np.flatnonzero((arrays.row_of[:, step] >= 0) & among), agent)
         rows, sizes = arrays.row_of[agents, step], np.column_stack([arrays.length[agents], arrays.width[agents]])
         boxes = BoxesAtStep(arrays.position[rows], arrays.heading[rows], arrays.velocity[rows], sizes)
-        contact = first_contact(int(np.searchsorted(agents, agent)), boxes, horizon_s=horizon_s)
+        contact = first_contact(int(np.searchsorted(agents, agent)), boxes, horizon_s=END_HORIZON_S)
         found[agent] = np.inf if contact is None else contact.ttc_s
     return found

@@ -179,11 +179,6 @@ def agent_states(
     return AgentStates(arrays, traffic, match_lanes(arrays, lanes), lanes)
 
 
-def moving_vehicles(arrays: SceneArrays) -> BoolArray:
-    """(A,) vehicles that move at some time."""
-    return np.asarray(arrays.vehicle & arrays.moving)
-
-
 def parked(states: AgentStates) -> BoolArray:
     """(A,) agents that never move and are never in the middle third of a lane: they stand, and not in a queue."""
     arrays, matches = states.arrays, states.matches

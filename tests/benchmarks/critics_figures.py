@@ -13,27 +13,24 @@ from scipy.signal import savgol_filter
 from shared_data import SHARED_DATA
 
 from bridge.config import load_config
-from bridge.evaluation.calibrate import observe_scene, pooled
+from bridge.evaluation.calibrate import observe_scene
 from bridge.generation.generate import generate, prepare
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
 from hid2.evaluation.calibration import calibrate, drivers_of
 from hid2.evaluation.critics import (
     JUDGED,
-    WIDTH,
-    Packed,
     betrayals,
     constant_on_the_middle,
     halves_apart,
     judge,
-    pack,
 )
-from hid2.evaluation.realism import RealismCounts, count_scene, half_number, scene_values
+from hid2.evaluation.realism import RealismCounts, count_scene
 from hid2.evaluation.safety import safety
-from hid2.evaluation.windows import windows
-from hid2.measures.arrays import stack
+from hid2.evaluation.windows import compared, windows
 from hid2.measures.lane_matching import flatten_lanes
-from hid2.measures.manoeuvres import ManeuverKind, detect
+from hid2.measures.manoeuvres import detect, whole_lane_changes
+from hid2.occupancy.agent_states import agent_states
 from hid2.params import Drivers
 
 
@@ -54,49 +51,37 @@ class Figures:
     """Windows, histograms and vehicles of all scenes."""
 
     def __init__(self) -> None:
-        self.rows, self.generated, self.scene = [np.zeros((0, WIDTH))], [np.zeros(0, bool)], [np.zeros(0, int)]
+        self.windows: list[np.ndarray] = []
         self.realism = RealismCounts()
         self.offsets: list[tuple[bool, float]] = []
         self.durations: list[float] = []
         self.accelerations: dict[bool, list[np.ndarray]] = {False: [], True: []}
 
-    def add(self, number: int, name: str, tracks, *, graph, num_steps: int, labelled: bool, first: bool) -> None:
+    def add(self, name: str, tracks, *, graph, num_steps: int, labelled: bool, first: bool) -> None:
         """Take the recorded tracks of a source in (first), or the generated ones of a scene made from it."""
-        arrays = stack(tracks, num_steps=num_steps, step_s=0.1)
-        lanes = flatten_lanes(graph)
-        safe = safety(arrays, lanes)
-        members = arrays.vehicle & arrays.moving & ~(arrays.fragment & ~arrays.generated)
-        found = windows(arrays, safe, members)
-        halves = np.array([half_number(name, arrays.track_ids[a]) for a in found.agent], dtype=np.int64)
-        generated = arrays.generated[found.agent]
-        kept = generated | first
-        packed = pack(found, halves, labelled=labelled)
-        self.rows.append(packed[kept])
-        self.generated.append(generated[kept])
-        self.scene.append(np.full(int(kept.sum()), number))
-        seen = [m for m in detect(arrays, safe.lanes, safe.matches) if m.kind is ManeuverKind.LANE_CHANGE]
-        durations = {m.track_id: [m.duration_s] for m in seen if m.complete}
-        self.durations += [m.duration_s for m in seen if m.complete and m.track_id.startswith("gen_")]
-        values = scene_values(arrays, safe, found, durations)
-        kinds = {"generated": arrays.generated & members, "recorded": ~arrays.generated & members}
-        self.realism.add(count_scene(name, arrays, values, **kinds), generated=not first, recorded=first)
-        for agent in np.flatnonzero(members & (arrays.generated | first)):
+        states = agent_states(tracks, flatten_lanes(graph), num_steps=num_steps, step_s=0.1)
+        arrays = states.arrays
+        safe = safety(states.view)
+        found = windows(states.view, safe.leaders, scene=name, labelled=labelled)
+        self.windows.append(found[found["generated"] | first])
+        seen = detect(arrays, states.lanes, states.matches)
+        self.durations += [m.duration_s for m in whole_lane_changes(seen) if m.track_id.startswith("gen_")]
+        self.realism.add(count_scene(arrays, safe, found, seen, scene=name), generated=not first, recorded=first)
+        for agent in np.flatnonzero(compared(arrays) & (arrays.generated | first)):
             self.accelerations[bool(arrays.generated[agent])].append(
                 accelerations(arrays.position[arrays.agent == agent])
             )
-        for agent in np.unique(found.agent):
-            own = found.rows(found.agent == agent)
+        for agent in np.unique(found["agent"]):
             if arrays.generated[agent] or first:
-                self.offsets.append((bool(arrays.generated[agent]), float(np.mean(own.d_parabola[:, 0]))))
+                offset_m = float(np.mean(found["offset_m"][found["agent"] == agent]))
+                self.offsets.append((bool(arrays.generated[agent]), offset_m))
 
     def report(self, *, controls: bool, most: int = 4000) -> None:
-        found = Packed(np.concatenate(self.rows), np.concatenate(self.generated), np.concatenate(self.scene))
-        drawn = np.random.default_rng(0).permutation(np.flatnonzero(found.generated))[most:]
-        kept = np.ones(len(found.rows), dtype=bool)
-        kept[drawn] = False
-        found = found.of(kept)
+        found = np.concatenate(self.windows)
+        drawn = np.random.default_rng(0).permutation(np.flatnonzero(found["generated"]))[most:]
+        found = np.delete(found, drawn)
         kinds = [("all scenes", found)]
-        kinds += [(name, found.of(found.labelled == k)) for name, k in (("labelled", 1.0), ("tracker", 0.0))]
+        kinds += [(name, found[found["labelled"] == k]) for name, k in (("labelled", True), ("tracker", False))]
         for name, part in kinds:
             for critic, view in JUDGED:
                 verdict = judge(part, critic, view)
@@ -111,17 +96,17 @@ class Figures:
                 print(f"controls     {critic:9s} {view:8s} constant {constant.auc:.3f}, recorded against recorded "
                       f"{known[0]:.3f} [{known[1]:.2f}, {known[2]:.2f}]")  # fmt: skip
         print("betrays:", ", ".join(f"{name} {auc:.2f}" for name, auc in betrayals(found)[:9]))
-        for name, mask in (("generated", found.generated), ("recorded", ~found.generated)):
-            rows = found.rows[mask]
-            a, j = 2 * rows[:, 1], 6 * rows[:, 2]
-            led = rows[:, 19] > 0
+        for name in ("generated", "recorded"):
+            rows = found[found["generated"] == (name == "generated")]
+            a, j, d, led = rows["accel_mps2"], rows["jerk_mps3"], rows["offset_m"], rows["led"]
+            drift, bend, closing = rows["drift_mps"], rows["bend_mps2"], rows["closing_mps"]
             const = (np.abs(a - 2 * j) < 0.05) & (np.abs(a + 2 * j) < 0.05) & (np.abs(j) < 0.05)
             offsets = [d for generated, d in self.offsets if generated == (name == "generated")]
             low, high = np.percentile(a, [5, 95])
             print(f"{name:10s} {len(rows)} constant {const.mean():.3f} accel 5/95 {low:.2f} {high:.2f} "
-                  f"sd a {a.std():.2f} sd j {j.std():.2f} median |d| {np.median(np.abs(rows[:, 7])):.2f} "
-                  f"sd between {np.std(offsets):.2f} drift sd {rows[:, 8].std():.3f} bend sd {rows[:, 9].std():.3f} "
-                  f"corr a, closing {np.corrcoef(a[led], -rows[led, 17])[0, 1]:.2f} led {led.mean():.2f}")  # fmt: skip
+                  f"sd a {a.std():.2f} sd j {j.std():.2f} median |d| {np.median(np.abs(d)):.2f} "
+                  f"sd between {np.std(offsets):.2f} drift sd {drift.std():.3f} bend sd {bend.std():.3f} "
+                  f"corr a, closing {np.corrcoef(a[led], -closing[led])[0, 1]:.2f} led {led.mean():.2f}")  # fmt: skip
         for name, own in (("generated", self.accelerations[True]), ("recorded", self.accelerations[False])):
             low, high = np.percentile(np.concatenate(own), [5, 95])
             print(f"{name:10s} accelerations at every step 5/95 {low:.2f} {high:.2f}")
@@ -149,17 +134,17 @@ def main() -> None:
     for number, folder in enumerate(folders):
         flags: dict[str, object] = {"request.seed": options.seed}
         if seen:
-            found = calibrate(*pooled([*seen[:number], *seen[number + 1 :]]), prior=Drivers())
+            found = calibrate([*seen[:number], *seen[number + 1 :]], prior=Drivers())
             flags |= {f"drivers.{name}": value for name, value in drivers_of(found).items()}
         config = load_config(options.config, options.settings, flags)
         prepared = prepare(read_scenario(folder), config)
         recorded = prepared.scenario
         common = {"graph": recorded.graph, "num_steps": recorded.num_steps, "labelled": recorded.provenance == "human"}
-        figures.add(number, recorded.scenario_id, recorded.tracks, first=True, **common)
+        figures.add(recorded.scenario_id, recorded.tracks, first=True, **common)
         for variant in range(options.variants):
             scene = generate(prepared, config, variant=variant)
             placed.append(len(scene.generated))
-            figures.add(number, recorded.scenario_id, [*recorded.tracks, *scene.generated], first=False, **common)
+            figures.add(recorded.scenario_id, [*recorded.tracks, *scene.generated], first=False, **common)
     print(f"placed {sum(placed)} in {len(placed)} scenes")
     figures.report(controls=options.controls)
 

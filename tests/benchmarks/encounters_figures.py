@@ -17,11 +17,12 @@ from bridge.generation.generate import generate, prepare
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
-from hid2.evaluation.safety import Safety, safety
-from hid2.measures.arrays import SceneArrays, stack
-from hid2.measures.encounters import NEAR_M, Encounters, Partner, encounters
+from hid2.measures.arrays import SceneArrays
+from hid2.measures.encounters import NEAR_M, encounters
+from hid2.measures.following import leaders
 from hid2.measures.lane_matching import FlatLanes, flatten_lanes
 from hid2.measures.manoeuvres import ManeuverKind, detect
+from hid2.occupancy.agent_states import agent_states
 
 #: Vehicles of two variants are twins where they start and are 5 s later this near to each other, m.
 TWIN_START_M, TWIN_LATER_M, LATER_S = 3.0, 5.0, 5.0
@@ -30,15 +31,14 @@ STRETCH_M = 10.0
 FOCAL_M = 50.0
 MEASURES = (
     f"never within {NEAR_M:g} m of moving recorded traffic", "recorded leader within 3 s for 1 s",
-    "braking for a recorded leader", "crossing a recorded one with PET < 3 s", "merging with a recorded one", "stands",
+    "braking for a recorded leader", "crossing a recorded one with PET < 3 s", "stands",
 )  # fmt: skip
 
 
-def met_of(met: Encounters) -> np.ndarray:
+def met_of(met: dict[str, np.ndarray]) -> np.ndarray:
     """(A, len(MEASURES)) of every agent; the same for inserted and recorded ones."""
-    kind = Partner.RECORDED
     return np.column_stack([
-        met.distance_m > NEAR_M, met.follows[kind], met.brakes[kind], met.crosses[kind], met.merges[kind], met.stands,
+        met[name] for name in ("far", "follows_recorded", "brakes_recorded", "crosses_recorded", "stands")
     ])  # fmt: skip
 
 
@@ -55,29 +55,31 @@ class Figures:
         self.changes: list[float] = []
 
     def add_recorded(self, name: str, tracks, lanes: FlatLanes, *, num_steps: int, step_s: float) -> None:
-        arrays = stack(tracks, num_steps=num_steps, step_s=step_s)
-        found = met_of(_met(arrays, safety(arrays, lanes)))
+        states = agent_states(tracks, lanes, num_steps=num_steps, step_s=step_s)
+        arrays, led = states.arrays, leaders(states.arrays, lanes, states.matches)
+        found = met_of(encounters(arrays, led))
         members = arrays.vehicle & arrays.moving & ~arrays.fragment
         self.met["recorded"].append(found[members])
         self.met[f"recorded, {name}"].append(found[members])
 
     def add(self, name: str, scene: TrafficScene, lanes: FlatLanes, target: str | None, within_m: float) -> None:
         recording = scene.source
-        arrays = stack([*recording.tracks, *scene.generated], num_steps=recording.num_steps, step_s=recording.step_s)
-        safe = safety(arrays, lanes)
-        found = met_of(_met(arrays, safe))
+        tracks = [*recording.tracks, *scene.generated]
+        states = agent_states(tracks, lanes, num_steps=recording.num_steps, step_s=recording.step_s)
+        arrays, matches = states.arrays, states.matches
+        found = met_of(encounters(arrays, leaders(arrays, lanes, matches)))
         self.met["inserted"].append(found[arrays.generated])
         self.met["inserted, moving"].append(found[arrays.generated & arrays.moving])
         self.met[f"inserted, {name}"].append(found[arrays.generated])
         later = min(round(LATER_S / recording.step_s), recording.num_steps - 1)  # some scenes last for 5 s
         ends = [(t.position[0], t.position[later]) for t in scene.generated if len(t.timesteps) > later]
         self.starts[name].append(np.array(ends).reshape(-1, 2, 2))
-        for one in detect(arrays, safe.lanes, safe.matches):
+        for one in detect(arrays, lanes, matches):
             if one.kind is ManeuverKind.LANE_CHANGE and one.track_id.startswith("gen_"):
                 agent = arrays.track_ids.index(one.track_id)
                 row = arrays.row_of[agent, min(round(one.crossing_s / arrays.step_s), arrays.num_steps - 1)]
                 if row >= 0:
-                    self.places[name].add((int(safe.matches.lane[row]), int(safe.matches.s[row] // STRETCH_M)))
+                    self.places[name].add((int(matches.lane[row]), int(matches.s[row] // STRETCH_M)))
         self.changes += changes_near(scene)
         if target is not None:
             self.near[name].append(_near(arrays, target, within_m, recording))
@@ -121,10 +123,6 @@ def changes_near(scene: TrafficScene) -> list[float]:
         apart = [float(np.hypot(*(other - own)[0])) for other in others if len(other) and len(own)]
         found.append(min(apart, default=np.inf))
     return found
-
-
-def _met(arrays: SceneArrays, safe: Safety) -> Encounters:
-    return encounters(arrays, safe.lanes, safe.matches, safe.leaders)
 
 
 def _twins(one: np.ndarray, other: np.ndarray) -> float:

@@ -67,15 +67,12 @@ def test_density_begins_with_nothing_added(data_scenes, tmp_path):
     assert (tmp_path / "density.png").stat().st_size > 10_000
 
 
-def test_diversity_is_of_the_whole_data_set_and_says_what_was_asked_for_and_done(data_scenes, tmp_path):
+def test_diversity_is_of_the_whole_data_set(data_scenes, tmp_path):
     """The synthetic scenes have fewer than 40 agents: no part on the paper's templates."""
     run_experiment("diversity", scenes=data_scenes["curve"], out_dir=tmp_path, seeds=1, agents=4)
     found = json.loads((tmp_path / "diversity.json").read_text())
     assert found["scenes"] == {"before": 1, "after": 2}
     assert "templates" not in found
-    counts = found["asked_and_done"]
-    assert all(0 <= part["done"] <= part["asked"] for part in counts.values())
-    assert sum(part["asked"] for part in counts.values()) > 0
     assert "asked for" in (tmp_path / "diversity.html").read_text()
 
 

@@ -5,8 +5,8 @@ from functools import partial
 import numpy as np
 
 from hid2.drivers.driver import desired_speeds, draw_driver, lane_offset, place_of_lane
-from hid2.evaluation.calibration import Extra
-from hid2.evaluation.windows import Windows
+from hid2.evaluation.calibration import SceneDriving
+from hid2.evaluation.windows import WINDOW
 from hid2.params import Config, Drivers
 
 KNOWN = Drivers(
@@ -16,7 +16,7 @@ KNOWN = Drivers(
 )  # fmt: skip
 
 
-def synthetic_driving(known: Drivers, *, drivers: int, seed: int) -> tuple[Windows, Extra]:
+def synthetic_driving(known: Drivers, *, drivers: int, seed: int) -> SceneDriving:
     """Drivers of `known` alone on a lane whose traffic drives 9 m/s, and half as many behind a leader."""
     config, rng = Config(drivers=known), np.random.default_rng(seed)
     time = 0.1 * np.arange(41) - 2.0
@@ -36,11 +36,12 @@ def synthetic_driving(known: Drivers, *, drivers: int, seed: int) -> tuple[Windo
             along, across = cubic @ s[part], parabola @ d[part]
             gap = known.min_gap_mean_m + who.tau_s * along[1] if led else np.inf
             rows.append((number, along[1:], across, gap, led))
-    agents, along, across, gaps, led = (np.array(column) for column in zip(*rows, strict=True))
-    zeros, flags = np.zeros(len(rows)), np.zeros(len(rows), dtype=bool)
-    quartic, cubics, yaw = np.zeros((len(rows), 4)), np.zeros((len(rows), 4)), np.zeros((len(rows), 2))
-    seen = Windows(agents, along, quartic, across, cubics, yaw, gaps, zeros, flags, led)
-    return seen, Extra(
-        np.full(len(rows), 9.0), np.array([who.min_gap_m for who in people]),
+    seen = np.zeros(len(rows), dtype=WINDOW)
+    seen["agent"], along, across, seen["gap_m"], seen["led"] = (np.array(part) for part in zip(*rows, strict=True))
+    seen["scene"], seen["speed_mps"] = "synthetic", along[:, 0]
+    seen["accel_mps2"], seen["jerk_mps3"] = 2.0 * along[:, 1], 6.0 * along[:, 2]
+    seen["offset_m"], seen["drift_mps"], seen["bend_mps2"] = across.T
+    return SceneDriving(
+        "synthetic", "city", False, seen, np.array([who.min_gap_m for who in people]),
         np.array([who.lane_change_s for who in people[: drivers // 2]]),
     )  # fmt: skip

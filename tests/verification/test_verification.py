@@ -188,8 +188,8 @@ def test_calibration_finds_synthetic_drivers_again(folder):
              "wander_time_s", "lane_change_mean_s")  # fmt: skip
     hits, ratios = Counter[str](), {name: [] for name in names}
     for seed in range(8):
-        seen, extra = synthetic_driving(KNOWN, drivers=120, seed=seed)
-        found = {one.name: one for one in calibrate(seen, extra, prior=Drivers())}
+        seen = synthetic_driving(KNOWN, drivers=120, seed=seed)
+        found = {one.name: one for one in calibrate([seen], prior=Drivers())}
         for name in names:
             known, slack = getattr(KNOWN, name), 0.12 * getattr(KNOWN, name)
             hits[name] += found[name].low - slack <= known <= found[name].high + slack

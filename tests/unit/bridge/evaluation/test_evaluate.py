@@ -18,7 +18,6 @@ from bridge.evaluation.totals import Evaluation, SourceSums, Totals, estimate
 from bridge.recordings.scenario import find_scenarios, read_scenario
 from hid2.agents import VEHICLE_TYPES
 from hid2.evaluation import metrics
-from hid2.evaluation.critics import WIDTH
 from hid2.evaluation.metrics import METRICS, ROWS, Column, Metric, Section
 from netconvert.errors import ExportError, MapError, ScenarioError
 
@@ -289,14 +288,14 @@ def test_maneuvers_of_the_sidecar_are_found_again(made_scene):
 
 
 def test_a_scene_in_which_nothing_moves_is_measured(made_scene):
-    """No vehicle to compare: no samples, of the width that others have."""
+    """No vehicle to compare: no windows."""
     scenario = read_scenario(made_scene)
     parked = [
         replace(track, position=np.repeat(track.position[:1], len(track.timesteps), axis=0))
         for track in scenario.tracks[:3]
     ]
     measures = measure(scenario, parked, None)
-    assert measures.samples.shape == (0, WIDTH)
+    assert measures.windows.shape == (0,)
     assert measures.scene["combined_moving"] == 0
 
 
@@ -333,7 +332,7 @@ def test_a_metric_that_is_added_is_measured_pooled_and_shown(made_root, tmp_path
     content = totals.content()
     assert content["safety"]["left_half"]["combined"]["value"] == pytest.approx(found / rows)
     content["scenes"]["failed"] = []
-    write_report(Evaluation(totals, metrics=content | {"nets": {}}), tmp_path / "report.html")
+    write_report(Evaluation(totals, metrics=content), tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text()
     assert "share of rows with x &lt; 0" in text
     assert extra.sentence in text

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from bridge.pages.parts import macro
-from hid2.evaluation.critics import FEATURE_NAMES, MISSING, WIDTH, Packed, critique
+from hid2.evaluation.critics import FEATURE_NAMES, MISSING, critique
+from hid2.evaluation.windows import WINDOW
 
 
 def plain_words(critics, tails):
@@ -89,23 +90,24 @@ def test_a_package_that_is_missing_is_not_said_to_be_too_few_scenes():
 def test_verdicts_are_given_by_kind_of_recording():
     """Six scenes, three of them of each kind; accelerations and places alike for both kinds of vehicles."""
     rng = np.random.default_rng(0)
-    rows, scene = np.zeros((480, WIDTH)), rng.integers(0, 6, 480)
-    rows[:, 0] = rows[:, 3] = rng.uniform(3, 12, 480)
-    rows[:, 1] = rows[:, 4] = rng.normal(0, 0.3, 480)
-    rows[:, 7] = rows[:, 10] = rng.normal(0, 0.3, 480)
-    rows[:, 20], rows[:, 21] = scene % 2, rng.integers(0, 2**16, 480)
-    same = Packed(rows, rng.random(480) < 0.5, scene)
+    same = np.zeros(480, dtype=WINDOW)
+    same["scene"] = rng.integers(0, 6, 480)
+    same["speed_mps"], same["accel_mps2"] = rng.uniform(3, 12, 480), rng.normal(0, 0.6, 480)
+    same["offset_m"] = rng.normal(0, 0.3, 480)
+    same["labelled"], same["halves"] = same["scene"] % 2, rng.integers(0, 2**16, 480)
+    same["generated"] = rng.random(480) < 0.5
     found = critique(same, control=same)
     kinds = {entry["recordings"] for entry in found["verdicts"]}
     assert kinds == {"all", "tracker", "labelled"}
-    assert {entry["critic"] for entry in found["verdicts"]} == {"logistic", "trees", "temporal"}
+    assert {entry["critic"] for entry in found["verdicts"]} == {"logistic", "trees"}
     assert min(entry["auc"] for entry in found["constant_speed_control"] if entry["view"] == "all") > 0.9
     assert found["drivers_control"]
     assert all(0.2 < entry["auc"] < 0.8 for entry in found["negative_control"])
 
 
 def test_without_the_extra_nothing_is_judged_and_it_is_said(monkeypatch, caplog):
-    rows = Packed(np.ones((40, WIDTH)), np.arange(40) % 2 == 0, np.arange(40) % 4 // 2)
+    rows = np.ones(40, dtype=WINDOW)
+    rows["generated"], rows["scene"] = np.arange(40) % 2 == 0, np.arange(40) % 4 // 2
     monkeypatch.setattr("hid2.evaluation.critics.find_spec", lambda _: None)
     found = critique(rows, rows)
     assert (found["verdicts"], found["drivers_control"], found["betrays"]) == ([], [], [])

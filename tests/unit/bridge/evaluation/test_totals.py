@@ -12,8 +12,8 @@ from bridge.evaluation.scene_metrics import measure_folder
 from bridge.evaluation.totals import Diversity, ManeuverCounts, Samples, SourceSums, Totals
 from bridge.pages.charts import diversity_figure
 from hid2.agents import Policy
-from hid2.evaluation.critics import WIDTH
 from hid2.evaluation.realism import FEATURES, GENERATED, RECORDED
+from hid2.evaluation.windows import WINDOW
 from hid2.measures.manoeuvres import ManeuverKind
 
 COLUMNS = ("hits", "rows")
@@ -86,9 +86,11 @@ def test_groups_hold_about_the_same_number_of_sources():
 def offer(samples, scenes):
     """Each scene: two generated and one recorded vehicle, whose vectors tell which they are."""
     for number in scenes:
-        vectors = np.array([[number, 0.0], [number, 1.0], [number, 2.0]]) @ np.eye(2, WIDTH)
-        samples.add(vectors, np.array([True, True, False]), scene=f"scene-{number}", source=f"s{number % 4}")
-    return {tuple(vector[:2]) for vector in samples.packed().rows}
+        offered = np.zeros(3, dtype=WINDOW)
+        offered["scene"], offered["speed_mps"], offered["agent"] = f"s{number % 4}", number, [0, 1, 2]
+        offered["generated"] = [True, True, False]
+        samples.add(offered, scene=f"scene-{number}")
+    return {(one["speed_mps"], one["agent"]) for one in samples.windows()}
 
 
 def test_every_vehicle_is_a_sample_as_long_as_there_is_room():
@@ -110,8 +112,10 @@ def test_median_delay_is_that_of_the_list(delays):
     counts = ManeuverCounts()
     known = {"group": "generated", "kind": "overtake", "status": "done", "recorded": True, "seen": None, "reason": None}
     counts.add([known | {"trigger_s": 2.0, "start_s": 2.0 + delay} for delay in delays])
-    assert counts.median_delay_s("overtake") == pytest.approx(np.median(delays))
-    assert counts.median_delay_s("lane_change") is None
+    counts.add([known | {"kind": "lane_change", "trigger_s": 2.0, "start_s": None}])
+    found = counts.content()
+    assert found["overtake"]["median_trigger_to_start_s"] == pytest.approx(np.median(delays))
+    assert found["lane_change"]["median_trigger_to_start_s"] is None
 
 
 def scene_row(tracks, generated, **more):

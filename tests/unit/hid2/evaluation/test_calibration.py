@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from synthetic_driving import KNOWN, synthetic_driving
 
-from hid2.evaluation.calibration import LEAST, calibrate, drivers_of, ks_distance, robust_sd
+from hid2.evaluation.calibration import LEAST, calibrate, drivers_of, robust_sd
 from hid2.params import Drivers
 
 
 @pytest.fixture(scope="module")
 def found():
-    seen, extra = synthetic_driving(KNOWN, drivers=150, seed=3)
-    return {quantity.name: quantity for quantity in calibrate(seen, extra, prior=Drivers())}
+    seen = synthetic_driving(KNOWN, drivers=150, seed=3)
+    return {quantity.name: quantity for quantity in calibrate([seen], prior=Drivers())}
 
 
 @pytest.mark.parametrize(
@@ -39,16 +39,11 @@ def test_what_the_data_cannot_tell_keeps_its_prior(found):
 
 
 def test_too_few_drivers_tell_nothing():
-    seen, extra = synthetic_driving(KNOWN, drivers=LEAST - 1, seed=0)
-    few = calibrate(seen, extra._replace(standing_gap_m=np.zeros(0), lane_change_s=np.array([4.0])), prior=Drivers())
+    seen = synthetic_driving(KNOWN, drivers=LEAST - 1, seed=0)
+    few = calibrate([seen._replace(standing_gap_m=np.zeros(0), lane_change_s=np.array([4.0]))], prior=Drivers())
     assert not any(quantity.measured for quantity in few)
 
 
 def test_robust_spread_by_hand():
     """Distances from the median 3: 2, 1, 0, 1, 97; their median is 1."""
     assert robust_sd(np.array([1.0, 2.0, 3.0, 4.0, 100.0])) == pytest.approx(1.4826)
-
-
-def test_distance_from_a_law_by_hand():
-    """Values 0.1 to 0.4 against uniform on 0 to 1: behind the last one 1 - 0.4 = 0.6 is missing."""
-    assert ks_distance(np.array([0.1, 0.2, 0.3, 0.4]), lambda share: share) == pytest.approx(0.6, abs=0.01)

@@ -6,9 +6,7 @@ import pytest
 from hid2.agents import BoxSize, Track
 from hid2.evaluation.critics import (
     FEATURE_NAMES,
-    WIDTH,
     Critic,
-    Packed,
     View,
     betrayals,
     constant_on_the_middle,
@@ -16,28 +14,28 @@ from hid2.evaluation.critics import (
     halves_apart,
     judge,
     matched_weights,
-    pack,
     weighted_auc,
 )
-from hid2.evaluation.safety import safety
-from hid2.evaluation.windows import windows
+from hid2.evaluation.windows import WINDOW, windows
 from hid2.measures.arrays import stack
-from hid2.measures.lane_matching import flatten_lanes
+from hid2.measures.driven_lanes import LaneView
+from hid2.measures.following import leaders
+from hid2.measures.lane_matching import flatten_lanes, match_lanes
 
 CRITICS = [(critic, View.ALL) for critic in Critic]
 
 
-def packed(count=900, scenes=6, *, shift=0.0, seed=0):
+def drawn(count=900, scenes=6, *, shift=0.0, seed=0):
     """Windows of cars at 3 to 12 m/s with accelerations of SD 0.6; those of generated ones have `shift` more."""
     rng = np.random.default_rng(seed)
-    rows = np.zeros((count, WIDTH))
-    generated = rng.random(count) < 0.5
-    speed, accel = rng.uniform(3, 12, count), rng.normal(0, 0.6, count) + shift * generated
-    rows[:, 0], rows[:, 1], rows[:, 3], rows[:, 4] = speed, accel / 2, speed, accel / 2
-    rows[:, 7], rows[:, 8] = rng.normal(0, 0.3, count), rng.normal(0, 0.1, count)
-    rows[:, 10], rows[:, 11] = rows[:, 7], rows[:, 8]
-    rows[:, 16], rows[:, 21] = 60.0, rng.integers(0, 2**16, count)
-    return Packed(rows, generated, rng.integers(0, scenes, count))
+    found = np.zeros(count, dtype=WINDOW)
+    found["generated"] = rng.random(count) < 0.5
+    found["speed_mps"] = rng.uniform(3, 12, count)
+    found["accel_mps2"] = rng.normal(0, 0.6, count) + shift * found["generated"]
+    found["offset_m"], found["drift_mps"] = rng.normal(0, 0.3, count), rng.normal(0, 0.1, count)
+    found["gap_m"], found["halves"] = 60.0, rng.integers(0, 2**16, count)
+    found["scene"] = rng.integers(0, scenes, count)
+    return found
 
 
 def test_auc_by_hand():
@@ -60,7 +58,7 @@ def test_both_kinds_weigh_the_same_in_each_stratum_and_strata_with_one_kind_coun
 
 @pytest.mark.parametrize(("critic", "view"), CRITICS)
 def test_critics_cannot_tell_what_is_equal(critic, view):
-    verdict = judge(packed(), critic, view)
+    verdict = judge(drawn(), critic, view)
     assert verdict.auc == pytest.approx(0.5, abs=0.06)
     assert verdict.low < 0.53
     assert verdict.high > 0.47
@@ -70,49 +68,49 @@ def test_critics_cannot_tell_what_is_equal(critic, view):
 @pytest.mark.parametrize(("critic", "view"), CRITICS)
 def test_critics_tell_an_acceleration_that_is_two_deviations_higher(critic, view):
     """Means two standard deviations apart: an AUC of Phi(2 / sqrt 2) = 0.92."""
-    assert judge(packed(shift=1.2), critic, view).auc == pytest.approx(0.92, abs=0.05)
+    assert judge(drawn(shift=1.2), critic, view).auc == pytest.approx(0.92, abs=0.05)
 
 
 def test_trees_see_only_their_view():
-    found = packed(shift=1.2)
+    found = drawn(shift=1.2)
     assert judge(found, Critic.TREES, View.LATERAL).auc == pytest.approx(0.5, abs=0.06)
     assert judge(found, Critic.TREES, View.SPEED).auc > 0.85
 
 
 def test_trees_tell_what_no_straight_line_does():
     """Generated ones hold their speed or change it hard, recorded ones are between: same mean, other spread."""
-    found = packed()
-    found.rows[:, 10] = found.rows[:, 7] = np.where(found.generated, 2.0, 0.8) * found.rows[:, 7]
+    found = drawn()
+    found["offset_m"] *= np.where(found["generated"], 2.0, 0.8)
     assert judge(found, Critic.TREES, View.LATERAL).auc > 0.68
 
 
 @pytest.mark.parametrize(("critic", "view"), CRITICS)
 def test_constant_speed_on_the_middle_is_found_out(critic, view):
-    assert judge(constant_on_the_middle(packed()), critic, view).auc > 0.90
+    assert judge(constant_on_the_middle(drawn()), critic, view).auc > 0.90
 
 
 def test_halves_of_the_recorded_tracks_are_not_told_apart():
-    found = packed(shift=3.0)
+    found = drawn(shift=3.0)
     apart = halves_apart(found, 3)
-    assert len(apart.rows) == int((~found.generated).sum())
+    assert len(apart) == int((~found["generated"]).sum())
     assert judge(apart, Critic.TREES, View.ALL).auc == pytest.approx(0.5, abs=0.1)
 
 
 def test_a_scene_is_never_judged_by_a_critic_that_was_trained_on_it():
     """Which side of the lane tells hangs on the scene: a critic that knew it would tell, one that does not cannot."""
-    found = packed(scenes=30)
-    side = np.where(np.random.default_rng(1).random(30) < 0.5, 1.0, -1.0)[found.scene]
-    found.rows[:, 7] = side * np.where(found.generated, 1.0, -1.0)
-    found.rows[:, 8] = found.scene  # by which a critic would know the scene again
+    found = drawn(scenes=30)
+    side = np.where(np.random.default_rng(1).random(30) < 0.5, 1.0, -1.0)[found["scene"].astype(int)]
+    found["offset_m"] = side * np.where(found["generated"], 1.0, -1.0)
+    found["drift_mps"] = found["scene"]  # by which a critic would know the scene again
     assert judge(found, Critic.TREES, View.LATERAL).auc < 0.75
 
 
 def test_one_scene_cannot_be_judged():
-    assert judge(packed(scenes=1), Critic.TREES, View.ALL) is None
+    assert judge(drawn(scenes=1), Critic.TREES, View.ALL) is None
 
 
 def test_what_betrays_most_is_named_first():
-    name, auc = betrayals(packed(shift=1.2))[0]
+    name, auc = betrayals(drawn(shift=1.2))[0]
     assert "acceleration" in name or "speed" in name
     assert auc > 0.85
 
@@ -127,20 +125,20 @@ def drive(speed, accel, offset, *, steps=80, rng=None, track_id="r1"):
 
 
 def windows_of(tracks, road):
-    arrays = stack(tracks, step_s=0.1)
-    safe = safety(arrays, flatten_lanes(road(length_m=250)))
-    return arrays, windows(arrays, safe, arrays.vehicle)
+    arrays, lanes = stack(tracks, step_s=0.1), flatten_lanes(road(length_m=250))
+    view = LaneView(arrays, lanes, match_lanes(arrays, lanes))
+    return windows(view, leaders(arrays, lanes, view.matches), scene="s", labelled=True)
 
 
 def test_windows_find_speed_acceleration_and_place_through_the_noise_of_a_tracker(road):
     """6 m/s at 0 s, 0.8 m/s2, 0.4 m left of the middle, noise of 5 cm; the first window's middle is at 3 s: 8.4 m/s."""
-    _, found = windows_of([drive(6.0, 0.8, 0.4, rng=np.random.default_rng(0))], road)
-    assert len(found.agent) == 4
-    assert found.speed_mps[0] == pytest.approx(8.4, abs=0.05)
-    assert found.accel_mps2 == pytest.approx(0.8, abs=0.05)
-    assert found.jerk_mps3 == pytest.approx(0.0, abs=0.15)
-    assert found.d_parabola[:, 0] == pytest.approx(0.4, abs=0.04)
-    assert not found.led.any()
+    found = windows_of([drive(6.0, 0.8, 0.4, rng=np.random.default_rng(0))], road)
+    assert len(found) == 4
+    assert found["speed_mps"][0] == pytest.approx(8.4, abs=0.05)
+    assert found["accel_mps2"] == pytest.approx(0.8, abs=0.05)
+    assert found["jerk_mps3"] == pytest.approx(0.0, abs=0.15)
+    assert found["offset_m"] == pytest.approx(0.4, abs=0.04)
+    assert not found["led"].any()
 
 
 def test_windows_know_the_leader(road):
@@ -156,12 +154,10 @@ def test_windows_know_the_leader(road):
         ahead.velocity,
         ahead.size,
     )
-    _, found = windows_of([drive(8.0, 0.0, 0.0), ahead], road)
-    own = found.rows(found.agent == 0)
-    assert own.led.all()
-    assert own.gap_m[0] == pytest.approx(13.0, abs=0.1)
-    assert own.closing_mps == pytest.approx(1.0, abs=0.02)
-    rows = pack(own, np.zeros(len(own.agent), dtype=np.int64), labelled=True)
-    assert rows.shape == (len(own.agent), WIDTH)
-    shown = dict(zip(FEATURE_NAMES, features(rows)[0], strict=True))
+    found = windows_of([drive(8.0, 0.0, 0.0), ahead], road)
+    own = found[found["agent"] == 0]
+    assert own["led"].all()
+    assert own["gap_m"][0] == pytest.approx(13.0, abs=0.1)
+    assert own["closing_mps"] == pytest.approx(1.0, abs=0.02)
+    shown = dict(zip(FEATURE_NAMES, features(own)[0], strict=True))
     assert shown["time gap"] == pytest.approx(13.0 / 8.0, abs=0.02)

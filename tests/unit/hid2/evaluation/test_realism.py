@@ -12,17 +12,17 @@ from hid2.evaluation.realism import (
     FINE,
     RealismCounts,
     count_scene,
-    half_number,
     histogram,
     jensen_shannon,
     quantiles,
-    scene_values,
     wasserstein,
 )
 from hid2.evaluation.safety import safety
-from hid2.evaluation.windows import windows
+from hid2.evaluation.windows import half_numbers, windows
 from hid2.measures.arrays import stack
-from hid2.measures.lane_matching import flatten_lanes
+from hid2.measures.driven_lanes import LaneView
+from hid2.measures.lane_matching import flatten_lanes, match_lanes
+from hid2.measures.manoeuvres import Maneuver, ManeuverKind
 
 SPEED = FEATURES[0]
 
@@ -72,9 +72,10 @@ def test_quantiles_by_hand():
 
 
 def test_halves_are_halves_and_the_same_every_time():
-    bits = np.array([half_number("scene", f"t{k}") >> np.arange(16) & 1 for k in range(4000)], dtype=bool)
+    names = [f"t{k}" for k in range(4000)]
+    bits = half_numbers("scene", names)[:, None] >> np.arange(16) & 1
     np.testing.assert_allclose(bits.mean(axis=0), 0.5, atol=0.04)
-    assert half_number("scene", "t1") == half_number("scene", "t1")
+    assert half_numbers("scene", names[:1]) == half_numbers("scene", names)[0]
 
 
 def _lanes_full(rng, prefix, speeds):
@@ -99,11 +100,15 @@ def test_distance_of_a_faster_generator_is_above_the_floor_and_of_an_equal_one_n
             recorded = _lanes_full(rng, "r", rng.uniform(5, 12, 8))
             generated = _lanes_full(rng, "gen_", rng.uniform(low, low + 7, 8))
             arrays = stack([*recorded, *generated], step_s=0.1)
-            safe = safety(arrays, flatten_lanes(road(length_m=200)))
-            found_windows = windows(arrays, safe, arrays.vehicle)
-            values = scene_values(arrays, safe, found_windows, {"gen_0": [4.0], "r0": [3.0]})
-            kinds = {"generated": arrays.generated, "recorded": ~arrays.generated}
-            total.add(count_scene(f"s{scene}", arrays, values, **kinds))
+            lanes = flatten_lanes(road(length_m=200))
+            view = LaneView(arrays, lanes, match_lanes(arrays, lanes))
+            safe = safety(view)
+            driving = windows(view, safe.leaders, scene=f"s{scene}", labelled=True)
+            changes = [
+                Maneuver(name, ManeuverKind.LANE_CHANGE, 0.0, 2.0, end_s, 1, 2, 1, complete=True)
+                for name, end_s in (("gen_0", 4.0), ("r0", 3.0))
+            ]
+            total.add(count_scene(arrays, safe, driving, changes, scene=f"s{scene}"))
         found[name] = {distance.feature: distance for distance in total.distances()}
     assert found["equal"]["speed"].jensen_shannon < 2 * found["equal"]["speed"].jensen_shannon_floor
     assert found["faster"]["speed"].jensen_shannon > 4 * found["faster"]["speed"].jensen_shannon_floor

@@ -13,10 +13,16 @@ from hid2.agents import BoxSize, Track
 from hid2.evaluation.safety import FOOTPRINT_TOLERANCE_M, off_footprint, overlaps, safety
 from hid2.kernels.boxes import contact_time
 from hid2.measures.arrays import SceneArrays, stack
+from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import leaders
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from hid2.measures.post_encroachment import encroachments
 from netconvert.lane_graph import LaneGraph
+
+
+def safe_of(arrays, graph):
+    lanes = flatten_lanes(graph)
+    return safety(LaneView(arrays, lanes, match_lanes(arrays, lanes)))
 
 
 def drive(x, y=0.0, heading=0.0, *, speed=0.0, steps=60, first=0, name="t", size=(4.0, 2.0), kind="vehicle"):
@@ -76,7 +82,7 @@ def test_ttc_of_a_car_that_closes_on_a_standing_one(road):
         [drive(0, speed=8.0, steps=10, name="a"), drive(20, steps=10, name="b"), drive(100, 3.5, steps=10, name="c")],
         step_s=0.1,
     )
-    safe = safety(arrays, flatten_lanes(road()))
+    safe = safe_of(arrays, road())
     np.testing.assert_allclose(safe.ttc_s[:10], 2.0 - 0.1 * np.arange(10), atol=1e-9)
     np.testing.assert_allclose(safe.ttc_s[10:20], safe.ttc_s[:10])
     np.testing.assert_allclose(safe.ttc_s[20:], 5.0)
@@ -92,12 +98,12 @@ def test_ttc_sees_a_crossing_vehicle_that_no_lane_leads_to(road):
         [drive(0, speed=10.0, steps=2, name="a"), drive(30, -30, math.pi / 2, speed=10.0, steps=2, name="b")],
         step_s=0.1,
     )
-    assert safety(arrays, flatten_lanes(road())).ttc_s[0] == pytest.approx(2.7)
+    assert safe_of(arrays, road()).ttc_s[0] == pytest.approx(2.7)
 
 
 def test_overlapping_boxes_have_ttc_zero(road):
     arrays = stack([drive(0, speed=5.0, steps=2, name="a"), drive(1, steps=2, name="b")], step_s=0.1)
-    assert safety(arrays, flatten_lanes(road())).ttc_s.max() == 0.0
+    assert safe_of(arrays, road()).ttc_s.max() == 0.0
 
 
 def test_pet_is_the_time_between_leaving_and_reaching_the_shared_ground():
@@ -216,7 +222,7 @@ def test_driving_against_the_lane_is_seen_and_parking_across_it_is_not(road):
     right = drive(50, 3.5, 0.0, speed=8.0, name="right")
     parked = drive(180, 0, math.pi, name="parked")
     arrays = stack([wrong, right, parked], step_s=0.1)
-    share = arrays.mean_per_agent(safety(arrays, flatten_lanes(graph)).against_lane.astype(float))
+    share = arrays.mean_per_agent(safe_of(arrays, graph).against_lane.astype(float))
     assert share.tolist() == [1.0, 0.0, 0.0]
 
 
@@ -234,7 +240,7 @@ def test_a_sliver_between_two_lanes_is_not_driving_against_one_that_crosses_them
     )
     for y, expected in ((0.0, False), (1.95, False), (-2.2, True)):
         arrays = stack([drive(60, y, 0.0, speed=8.0, name="x")], step_s=0.1)
-        assert safety(arrays, flatten_lanes(graph)).against_lane.any() == expected, y
+        assert safe_of(arrays, graph).against_lane.any() == expected, y
 
 
 def test_lane_of_a_vehicle_near_the_marking_does_not_flicker(road):
@@ -252,7 +258,7 @@ def test_lane_of_a_vehicle_near_the_marking_does_not_flicker(road):
 
 def test_a_scene_without_agents_has_nothing_to_report(road):
     arrays = stack([], num_steps=110, step_s=0.1)
-    safe = safety(arrays, flatten_lanes(road()))
+    safe = safe_of(arrays, road())
     assert safe.overlaps == ()
     assert len(safe.ttc_s) == 0
 

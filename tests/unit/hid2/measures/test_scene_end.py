@@ -88,13 +88,13 @@ def rear_end() -> SceneArrays:
 
 def test_a_track_is_looked_at_from_its_own_last_step_among_those_present_then(rear_end: SceneArrays) -> None:
     """Step 20: front at 22, the wall's rear at 32: 1 s. "late" is not there yet; step 109 knows no gen_0."""
-    found = ttc_after_last_step(rear_end, rear_end.generated, horizon_s=HORIZON_S)
+    found = ttc_after_last_step(rear_end, rear_end.generated, np.ones(rear_end.num_agents, dtype=bool))
     assert found == pytest.approx([1.0, np.inf, np.inf])
 
 
 def test_others_can_be_kept_to_a_group(rear_end: SceneArrays) -> None:
     everybody = np.ones(rear_end.num_agents, dtype=bool)
-    found = ttc_after_last_step(rear_end, everybody, horizon_s=HORIZON_S, among=rear_end.generated)
+    found = ttc_after_last_step(rear_end, everybody, rear_end.generated)
     assert np.isinf(found).all()
 
 
