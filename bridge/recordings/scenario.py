@@ -5,7 +5,7 @@ import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,7 @@ from bridge.recordings.recording import Recording
 from bridge.recordings.recording import Rows as Rows
 from bridge.recordings.sidecar import BoxLength, BoxWidth, RecordingRecord, Sidecar, sidecar_in
 from hid2.agents import DEFAULT_SIZES, FOCAL_CATEGORY, BoxSize, FloatArray, IntArray, Track
+from netconvert.av2_map import Breach
 from netconvert.errors import MapError, NoSceneError, ScenarioError
 from netconvert.lane_graph import LaneGraph
 
@@ -189,8 +190,8 @@ def split_rows(
     """
     _check_columns(table, name)
     rows = RowArrays.of(table, observed_steps=observed_steps)
-    for breach in row_breaches(rows):
-        raise ScenarioError(f"{name}: {breach.said}")
+    for _, said in row_breaches(rows):
+        raise ScenarioError(f"{name}: {said}")
     same = rows.constants
     return Rows(
         scenario_id=str(same["scenario_id"][0]),
@@ -275,40 +276,33 @@ class RowArrays:
         return f"track {self.ids[self.code[row]]!r}, timestep {self.timestep[row]}"
 
 
-class RowBreach(NamedTuple):
-    """A rule that rows break, by its name, what is said of the first of them, and how many more there are."""
-
-    rule: str
-    said: str
-    more: int = 0
-
-
-def row_breaches(rows: RowArrays) -> Iterator[RowBreach]:
+def row_breaches(rows: RowArrays) -> Iterator[Breach]:
     """What is wrong with the rows of a scenario, by the rules that every scene has to keep: a reader refuses others."""
     same = rows.constants
     most_steps = limits.MAX_CORRIDOR_STEPS if is_corridor(str(same["scenario_id"][0])) else MAX_STEPS
     for column, values in same.items():
         if len(values) != 1:
             shown = one_line(str(values[:3]), most=200)
-            yield RowBreach("constant", f"column {column!r} has {len(values)} values {shown}, expected one")
+            yield "constant", f"column {column!r} has {len(values)} values {shown}, expected one"
     for column in ("scenario_id", "focal_track_id", "city"):
         yield from _unprintable(str(same[column][0]), column, "city" if column == "city" else "columns")
     if len(rows.ids) > limits.MAX_TRACKS:
-        yield RowBreach("columns", f"{len(rows.ids)} tracks, expected at most {limits.MAX_TRACKS}")
+        yield "columns", f"{len(rows.ids)} tracks, expected at most {limits.MAX_TRACKS}"
     for track_id in rows.ids:
         yield from _unprintable(track_id, "track_id", "columns")
     for rule, wrong, said, *values in _masks(rows, most_steps):
         found = np.flatnonzero(wrong)
         if len(found):
             row = int(found[0])
-            yield RowBreach(rule, f"{rows.where(row)}: {said.format(*(of[row] for of in values))}", len(found) - 1)
+            more = f" (and {len(found) - 1} more rows)" if len(found) > 1 else ""
+            yield rule, f"{rows.where(row)}: {said.format(*(of[row] for of in values))}{more}"
     steps, stated = rows.num_steps, int(same["num_timestamps"][0])
     if not steps <= stated <= most_steps:
         said_steps = f"expected {steps}, as many as there are, to {most_steps}"
-        yield RowBreach("timestep", f"num_timestamps {stated}, {said_steps}")
+        yield "timestep", f"num_timestamps {stated}, {said_steps}"
     yield from _focal_breaches(rows, str(same["focal_track_id"][0]))
     if AV_ID not in rows.ids:
-        yield RowBreach("av", f"no track {AV_ID!r} among {len(rows.ids)}, readers of the format need one")
+        yield "av", f"no track {AV_ID!r} among {len(rows.ids)}, readers of the format need one"
 
 
 def _masks(rows: RowArrays, most_steps: int) -> Iterator[tuple[Any, ...]]:
@@ -332,25 +326,25 @@ def _masks(rows: RowArrays, most_steps: int) -> Iterator[tuple[Any, ...]]:
         yield "constant", values != values[rows.starts[code]], f"{column} changes within the track"
 
 
-def _unprintable(text: str, what: str, rule: str) -> Iterator[RowBreach]:
+def _unprintable(text: str, what: str, rule: str) -> Iterator[Breach]:
     """Ids and names that are empty, endless, or do not print: they go into files, tables and messages."""
     if not text or len(text) > limits.MAX_NAME or not text.isprintable():
         shown = one_line(text, most=60)
         said = f"{what} {shown!r}: expected 1 to {limits.MAX_NAME} characters that can be printed"
-        yield RowBreach(rule, said)
+        yield rule, said
 
 
-def _focal_breaches(rows: RowArrays, focal_track_id: str) -> Iterator[RowBreach]:
+def _focal_breaches(rows: RowArrays, focal_track_id: str) -> Iterator[Breach]:
     focals = [rows.ids[code] for code in np.unique(rows.code[rows.category == FOCAL_CATEGORY])]
     if focals != [focal_track_id]:
         have = ", ".join(map(repr, focals)) or "none"
         said = f"tracks of category {FOCAL_CATEGORY}: {have}, expected focal_track_id {focal_track_id!r} alone"
-        yield RowBreach("focal", said)
+        yield "focal", said
     for track_id in focals:
         steps = rows.timestep[rows.of_track(rows.ids.index(track_id))]
         if rows.last_observed not in steps:
             lasts = f"lasts from timestep {steps[0]} to {steps[-1]}, expected it present at {rows.last_observed}"
-            yield RowBreach("focal", f"focal track {track_id!r} {lasts}")
+            yield "focal", f"focal track {track_id!r} {lasts}"
 
 
 def tracks_of(rows: RowArrays, sizes: Mapping[str, BoxSize]) -> tuple[Track, ...]:
