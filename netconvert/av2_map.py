@@ -166,7 +166,7 @@ def _lane_segment(segment: _Lane) -> LaneSegment:
     centerline = ((rungs[0] + rungs[1]) / 2.0 if line is None else _array(line))[:, :2]
     centerline = centerline[np.append(True, np.any(centerline[1:] != centerline[:-1], axis=1))]
     length_m = float(arc_length(centerline)[-1])
-    if length_m < MIN_LENGTH_M:
+    if not MIN_LENGTH_M <= length_m < np.inf:
         said = f"centerline is {length_m:.6f} m long, expected at least {MIN_LENGTH_M} m"
         raise MapError(f"lane {segment['id']}: {said}")
     return LaneSegment(
