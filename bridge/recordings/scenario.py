@@ -70,11 +70,11 @@ def read_scenario(folder: Path) -> Scenario:
     breaks what readers of the format demand: nothing recorded is repaired.
     Errors: ScenarioError or MapError with file, id, value and what was expected.
     """
-    table, rows, known, sizes, sidecar = _rows_in(folder)
-    path = only_file(folder, PARQUET_PATTERN, ScenarioError)
+    table, rows, sidecar = _rows_in(folder)
+    path, map_path = only_file(folder, PARQUET_PATTERN, ScenarioError), only_file(folder, MAP_PATTERN, MapError)
     if rows.scenario_id != source_id(folder):
         raise ScenarioError(f"{path}: scenario_id {rows.scenario_id!r}, expected the id in the file's name")
-    map_path = only_file(folder, MAP_PATTERN, MapError)
+    known, sizes = _recording_record(folder, sidecar), sizes_of(folder, sidecar)
     source = Source(folder, known.format, rows.scenario_id, split_of(folder), known.first_step, map_path)
     graph = read_source_map(map_path)
     return recording_of(source, table, rows, graph, provenance=known.provenance, sizes=sizes, sidecar=sidecar)
@@ -111,15 +111,15 @@ def read_rows(folder: Path) -> Rows:
     return _rows_in(folder)[1]
 
 
-def _rows_in(folder: Path) -> tuple[pa.Table, Rows, RecordingRecord, dict[str, BoxSize], Sidecar | None]:
-    """The table of a scenario folder, its rows, what is known of the recording, the sizes beside it, the sidecar."""
+def _rows_in(folder: Path) -> tuple[pa.Table, Rows, Sidecar | None]:
+    """The table of a scenario folder, its rows, the sidecar."""
     if not folder.is_dir():
         raise NoSceneError(f"{folder}: no such folder, expected a scenario folder")
     path = only_file(folder, PARQUET_PATTERN, ScenarioError)
     table, sidecar = read_table(path), sidecar_in(folder, source_id(folder))
-    known, sizes = _recording_record(folder, sidecar), _sizes(folder, sidecar)
+    known, sizes = _recording_record(folder, sidecar), sizes_of(folder, sidecar)
     rows = split_rows(table, name=str(path), sizes=sizes, observed_steps=known.observed_steps)
-    return table, replace(rows, step_s=known.step_s), known, sizes, sidecar
+    return table, replace(rows, step_s=known.step_s), sidecar
 
 
 def table_of(tracks: Sequence[Track], same: Mapping[str, object], *, observed_steps: int) -> pa.Table:
@@ -373,15 +373,11 @@ def tracks_of(rows: RowArrays, sizes: Mapping[str, BoxSize]) -> tuple[Track, ...
     return tuple(tracks)
 
 
-def read_sizes(folder: Path) -> dict[str, BoxSize]:
+def sizes_of(folder: Path, sidecar: Sidecar | None) -> dict[str, BoxSize]:
     """Boxes by track id from agent_sizes.csv (columns track_id, length_m, width_m) and a sidecar, where they exist.
 
     Errors: ScenarioError.
     """
-    return _sizes(folder, sidecar_in(folder, source_id(folder)))
-
-
-def _sizes(folder: Path, sidecar: Sidecar | None) -> dict[str, BoxSize]:
     sizes: dict[str, BoxSize] = {}
     path = folder / SIZES_FILE
     if path.exists():

@@ -34,9 +34,9 @@ from bridge.recordings.rules import (
 from bridge.recordings.scenario import (
     RowArrays,
     read_scenario,
-    read_sizes,
     read_table,
     row_breaches,
+    sizes_of,
     tracks_of,
 )
 from bridge.recordings.sidecar import REACTIVE, Sidecar, read_sidecar, sidecar_path
@@ -189,8 +189,8 @@ def _judged(
 ) -> list[Finding]:
     """What the judge finds in a scene with sound rows and map."""
     sizes: Mapping[str, BoxSize] = {}
-    with suppress(ScenarioError):  # a sidecar that cannot be read is a finding of its own
-        sizes = read_sizes(path.parent)
+    with suppress(ScenarioError):  # sizes beside a scene are none of its files
+        sizes = sizes_of(path.parent, sidecar)
     tracks = tracks_of(rows, sizes)
     states = states_of(tracks, flatten_lanes(graph), inserted, num_steps=rows.num_steps, step_s=rows.step_s)
     found = []
