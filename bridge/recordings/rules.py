@@ -162,7 +162,6 @@ def check_sidecar(
     sidecar: Sidecar, new_id: str, begins: Mapping[str, int], generated_ids: Set[str], lanes: Set[str]
 ) -> Iterator[Breach]:
     """A sidecar against its scene. begins: first timestep of each track of the rows, by its id; lanes: of the map."""
-    track_ids = begins.keys()
     if is_corridor(new_id):
         yield "scenario-id", f"folder {new_id!r}, expected a UUID: a synthetic corridor is no scene of Argoverse"
     try:
@@ -171,25 +170,9 @@ def check_sidecar(
         yield "sidecar", f"config: {error}"
     else:
         yield from _check_config(sidecar, config, new_id)
-    if sidecar.placed.agents != len(sidecar.agents):
-        yield "sidecar", f"placed.agents {sidecar.placed.agents}, but {len(sidecar.agents)} agents"
-    counts = Counter(agent.policy for agent in sidecar.agents)
-    for policy in Policy:
-        told = sidecar.placed.behaviours.get(policy, 0)
-        if told != counts[policy]:
-            yield "sidecar", f"placed.behaviours.{policy} {told}, but {counts[policy]} agents"
-    listed = [agent.track_id for agent in sidecar.agents]
-    if len(set(listed)) != len(listed):
-        yield "sidecar", "two agents have the same track_id"
-    if set(listed) != generated_ids & track_ids:
-        missing = ", ".join(sorted(set(listed) ^ (generated_ids & track_ids)))
-        yield "sidecar", f"agents and generated tracks differ: {missing}"
-    for agent in sidecar.agents:
-        yield from _check_agent(agent, track_ids, lanes)
-        begin = begins.get(agent.track_id, agent.spawn.timestep)
-        if begin != agent.spawn.timestep:
-            yield "sidecar", f"agent {agent.track_id}: spawn.timestep {agent.spawn.timestep}, but it begins at {begin}"
-    yield from _check_events(sidecar)
+    told = [*_vehicle_rules(sidecar, generated_ids & begins.keys())]
+    told += (rule for agent in sidecar.agents for rule in _agent_rules(agent, begins, lanes))
+    yield from (("sidecar", said) for is_wrong, said in [*told, *_event_rules(sidecar)] if is_wrong)
 
 
 def _check_config(sidecar: Sidecar, config: Config, new_id: str) -> Iterator[Breach]:
@@ -199,43 +182,53 @@ def _check_config(sidecar: Sidecar, config: Config, new_id: str) -> Iterator[Bre
     wanted = new_scenario_id(sidecar.source_scenario_id, config, sidecar.seed, sidecar.variant)
     if wanted != new_id:
         yield "scenario-id", f"{new_id}, expected {wanted} of this source, configuration, seed and variant"
-    has_noise = config.export.noise != "none"
-    if any((agent.clean is not None) != has_noise for agent in sidecar.agents):
-        yield (
-            "sidecar",
-            f"export.noise {config.export.noise}, expected clean states of {'all' if has_noise else 'no'} agents",
-        )
+    noise = config.export.noise
+    if any((agent.clean is not None) != (noise != "none") for agent in sidecar.agents):
+        yield "sidecar", f"export.noise {noise}, expected clean states of {'no' if noise == 'none' else 'all'} agents"
 
 
-def _check_events(sidecar: Sidecar) -> Iterator[Breach]:
+#: Whether something is wrong, and what is said then.
+_Told = Iterator[tuple[bool, str]]
+
+
+def _vehicle_rules(sidecar: Sidecar, generated_ids: Set[str]) -> _Told:
+    """The vehicles of a sidecar against its sums and against the generated tracks of the rows."""
+    agents, placed = sidecar.agents, sidecar.placed
+    yield placed.agents != len(agents), f"placed.agents {placed.agents}, but {len(agents)} agents"
+    counts = Counter(agent.policy for agent in agents)
+    for policy in Policy:
+        told = placed.behaviours.get(policy, 0)
+        yield told != counts[policy], f"placed.behaviours.{policy} {told}, but {counts[policy]} agents"
+    listed = {agent.track_id for agent in agents}
+    yield len(listed) != len(agents), "two agents have the same track_id"
+    yield listed != generated_ids, f"agents and generated tracks differ: {', '.join(sorted(listed ^ generated_ids))}"
+
+
+def _agent_rules(agent: AgentRecord, begins: Mapping[str, int], lanes: Set[str]) -> _Told:
+    name, maneuvers, since = f"agent {agent.track_id}", agent.maneuvers, agent.spawn.timestep
+    has_record = agent.policy is Policy.STRAIGHT or agent.policy.value in [one.kind for one in maneuvers]
+    yield not has_record, f"{name}: policy {agent.policy}, but no record of it"
+    for one in maneuvers:
+        stated = (one.trigger_s, one.start_s, one.crossing_s, one.end_s)
+        times, is_known = [time for time in stated if time is not None], one.leader_track_id in (None, *begins)
+        expected = "expected trigger, start, crossing, end in order"
+        yield times != sorted(times), f"{name}: {one.kind}: times {times}, {expected}"
+        is_timed = one.start_s is not None and one.end_s is not None
+        yield one.status == "done" and not is_timed, f"{name}: {one.kind}: done without start_s and end_s"
+        yield not is_known, f"{name}: {one.kind}: no leader {one.leader_track_id!r}"
+    of_maneuvers = {lane for one in maneuvers for lane in (one.source_lane, one.target_lane) if lane is not None}
+    for lane in sorted({agent.spawn.lane_segment_id, *agent.route} | of_maneuvers):
+        yield str(lane) not in lanes, f"{name}: lane segment {lane} is not in the map"
+    begin = begins.get(agent.track_id, since)
+    yield begin != since, f"{name}: spawn.timestep {since}, but it begins at {begin}"
+
+
+def _event_rules(sidecar: Sidecar) -> _Told:
     for number, event in enumerate(sidecar.events):
-        if event.status != "done" and event.track_id is not None:
-            yield "sidecar", f"event {number}: {event.status}, but made by {event.track_id}"
-        if event.human_brakes is not None and event.human_brakes is not brakes_for(event.min_ttc_s):
-            yield "sidecar", f"event {number}: human_brakes {event.human_brakes}, but min_ttc_s {event.min_ttc_s}"
-
-
-def _check_agent(agent: AgentRecord, track_ids: Set[str], lanes: Set[str]) -> Iterator[Breach]:
-    name = f"agent {agent.track_id}"
-    kinds = [maneuver.kind for maneuver in agent.maneuvers]
-    if agent.policy is not Policy.STRAIGHT and agent.policy.value not in kinds:
-        yield "sidecar", f"{name}: policy {agent.policy}, but no record of it"
-    used = {agent.spawn.lane_segment_id, *agent.route}
-    for maneuver in agent.maneuvers:
-        used |= {lane for lane in (maneuver.source_lane, maneuver.target_lane) if lane is not None}
-        times = [
-            time
-            for time in (maneuver.trigger_s, maneuver.start_s, maneuver.crossing_s, maneuver.end_s)
-            if time is not None
-        ]
-        if times != sorted(times):
-            yield "sidecar", f"{name}: {maneuver.kind}: times {times}, expected trigger, start, crossing, end in order"
-        if maneuver.status == "done" and (maneuver.start_s is None or maneuver.end_s is None):
-            yield "sidecar", f"{name}: {maneuver.kind}: done without start_s and end_s"
-        if maneuver.leader_track_id not in (None, *track_ids):
-            yield "sidecar", f"{name}: {maneuver.kind}: no leader {maneuver.leader_track_id!r}"
-    for lane in sorted(lane for lane in used if str(lane) not in lanes):
-        yield "sidecar", f"{name}: lane segment {lane} is not in the map"
+        made = event.status != "done" and event.track_id is not None
+        yield made, f"event {number}: {event.status}, but made by {event.track_id}"
+        is_other = event.human_brakes is not None and event.human_brakes is not brakes_for(event.min_ttc_s)
+        yield is_other, f"event {number}: human_brakes {event.human_brakes}, but min_ttc_s {event.min_ttc_s}"
 
 
 def check_written_sequence(
