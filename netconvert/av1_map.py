@@ -57,10 +57,12 @@ def read_city_lanes(content: bytes, *, name: str) -> dict[int, CityLane]:
     for element in root:
         if element.tag == "node":
             where = f"{name}: node {element.get('id')!r:.60}"
-            x, y = (_read(_METRES, element.get(axis), f"{where}: {axis}") for axis in "xy")
-            nodes[_read(_INTEGER, element.get("id"), where)] = x, y
+            x, y = (_read("metres", element.get(axis), f"{where}: {axis}") for axis in "xy")
+            nodes[_read("an integer", element.get("id"), where)] = x, y
         elif element.tag == "way":
-            lane_id = _read(_INTEGER, element.get("lane_id"), f"{name}: way {element.get('lane_id')!r:.60}: lane_id")
+            lane_id = _read(
+                "an integer", element.get("lane_id"), f"{name}: way {element.get('lane_id')!r:.60}: lane_id"
+            )
             if lane_id in lanes:
                 raise MapError(f"{name}: way {lane_id} appears twice, expected one way an id")
             lanes[lane_id] = _lane(element, nodes, f"{name}: way {lane_id}")
@@ -104,8 +106,7 @@ def cut_city(
     where = f"x {low[0]:.0f} to {high[0]:.0f}, y {low[1]:.0f} to {high[1]:.0f}"
     if not kept:
         raise MapError(f"{name}: no lane within {where}, where the tracks are: expected the map of their city")
-    extremes = [np.vstack([lane.centerline.min(axis=0), lane.centerline.max(axis=0)]) for lane in kept.values()]
-    ground = np.vstack([low[None], high[None], *extremes])
+    ground = np.vstack([low, high, *(lane.centerline for lane in kept.values())])
     areas = _areas(raster, ground.min(axis=0) - LANE_WIDTH_M, ground.max(axis=0) + LANE_WIDTH_M)
     if not areas:
         raise MapError(f"{name}: no drivable area within {where}, where the tracks are: expected the map of their city")
@@ -121,7 +122,7 @@ def cut_city(
 def _lane(way: etree._Element, nodes: Mapping[int, tuple[float, float]], where: str) -> CityLane:
     points = []
     for child in way.iterchildren("nd"):
-        node = _read(_INTEGER, child.get("ref"), f"{where}: nd ref")
+        node = _read("an integer", child.get("ref"), f"{where}: nd ref")
         if node not in nodes:
             raise MapError(f"{where}: node {node} is not in the file, expected it before the way")
         points.append(nodes[node])
@@ -131,7 +132,7 @@ def _lane(way: etree._Element, nodes: Mapping[int, tuple[float, float]], where: 
         raise MapError(f"{where}: {len(line)} different nodes, expected 2 to {MAX_NODES}")
     tags = [(child.get("k"), child.get("v")) for child in way.iterchildren("tag")]
     links: dict[str, Any] = {
-        f"{link}s": [_read(_INTEGER, value, f"{where}: {link}") for key, value in tags if key == link]
+        f"{link}s": [_read("an integer", value, f"{where}: {link}") for key, value in tags if key == link]
         for link in ("predecessor", "successor")
     }
     for key, (field, kind) in _TAGS.items():
@@ -171,13 +172,11 @@ def _areas(raster: DrivableRaster, low: FloatArray, high: FloatArray) -> list[Fl
     pixels = corners @ rotation.T + translation
     height, width = raster.drivable.shape
     (first_x, first_y), (last_x, last_y) = np.floor(pixels.min(axis=0)), np.ceil(pixels.max(axis=0))
-    columns = range(max(0, int(first_x)), min(width, int(last_x) + 1))
-    boxes = []
-    for row in range(max(0, int(first_y)), min(height, int(last_y) + 1)):
-        line = raster.drivable[row, columns.start : columns.stop].astype(np.int8)
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], line, [0]]))) + columns.start
-        boxes += [shapely.box(begin, row, end, row + 1) for begin, end in edges.reshape(-1, 2).tolist()]
-    ground = shapely.union_all(boxes)
+    left, bottom = max(0, int(first_x)), max(0, int(first_y))
+    within = raster.drivable[bottom : min(height, int(last_y) + 1), left : min(width, int(last_x) + 1)]
+    row, edge = np.nonzero(np.diff(within.astype(np.int8), axis=1, prepend=0, append=0))  # where runs begin and end
+    row, begin, end = row[::2] + bottom, edge[::2] + left, edge[1::2] + left
+    ground = shapely.union_all(shapely.box(begin, row, end, row + 1))
     rings = []
     for part in shapely.get_parts(ground):
         rings += [np.asarray(piece.exterior.coords)[:-1] for piece in _without_holes(part)]
@@ -204,37 +203,29 @@ def _xyz(points: FloatArray) -> list[dict[str, float]]:
     return [{"x": round(x, 6), "y": round(y, 6), "z": 0.0} for x, y in points.tolist()]
 
 
-class _Kind(NamedTuple):
-    """What a text stands for, how it is read, and how that is called."""
-
-    read: Callable[[str], Any]
-    wanted: str
-
-
-def _integer(text: str) -> int:
-    if len(text) > 20:
-        raise ValueError
-    return int(text)
-
-
 def _metres(text: str) -> float:
     if not abs(value := float(text)) <= _MOST_M:
         raise ValueError
     return value
 
 
-_INTEGER, _METRES = _Kind(_integer, "an integer"), _Kind(_metres, "metres")
-_BOOLEAN = _Kind({"True": True, "False": False}.__getitem__, "True or False")
-_NEIGHBOR = _Kind(lambda text: None if text == "None" else _integer(text), "an integer")
+#: How a text is read, by what is expected of it.
+_READ: Mapping[str, Callable[[str], Any]] = {
+    "an integer": int,
+    "an integer or None": lambda text: None if text == "None" else int(text),
+    "metres": _metres,
+    "True or False": {"True": True, "False": False}.__getitem__,
+}
 #: Tags that a way has once, their fields in Argoverse 2, and what they are.
 _TAGS = {
-    "is_intersection": ("is_intersection", _BOOLEAN), "l_neighbor_id": ("left_neighbor_id", _NEIGHBOR),
-    "r_neighbor_id": ("right_neighbor_id", _NEIGHBOR),
-}  # fmt: skip
+    "is_intersection": ("is_intersection", "True or False"),
+    "l_neighbor_id": ("left_neighbor_id", "an integer or None"),
+    "r_neighbor_id": ("right_neighbor_id", "an integer or None"),
+}
 
 
-def _read(kind: _Kind, text: str | None, where: str) -> Any:  # noqa: ANN401  # of that kind
+def _read(wanted: str, text: str | None, where: str) -> Any:  # noqa: ANN401  # of that kind
     try:
-        return kind.read(text or "")
+        return _READ[wanted](text or "")
     except (ValueError, KeyError):
-        raise MapError(f"{where}: {text!r:.60}, expected {kind.wanted}") from None
+        raise MapError(f"{where}: {text!r:.60}, expected {wanted}") from None

@@ -83,21 +83,12 @@ _MAP = TypeAdapter(_Map)
 _RULES = {"lane_type": "lane-type", "left_lane_mark_type": "mark-type", "right_lane_mark_type": "mark-type"}
 
 
-def lane_graph_from_json(data: Any, *, name: str) -> LaneGraph:  # noqa: ANN401
-    """Build the lane graph of a decoded map; name stands for the file in messages. Errors: MapError."""
-    graph, breaches = read_map(data)
-    if graph is None:
-        raise MapError(f"{name}: {breaches[0][1]}")
-    return graph
-
-
 def read_map(data: Any) -> tuple[LaneGraph | None, list[Breach]]:  # noqa: ANN401
     """The lane graph of a decoded map, and all that is wrong with the map, of which there is no graph then.
 
     Demanded is what readers of the format demand, also where a lane graph needs less; only centrelines may be missing.
     """
-    said = lacks_a_part(data)
-    if said:
+    if said := lacks_a_part(data):
         return None, [("map", said)]
     try:
         values = _MAP.validate_python(data, strict=True)
@@ -175,7 +166,7 @@ def _lane_segment(segment: _Lane) -> LaneSegment:
     centerline = ((rungs[0] + rungs[1]) / 2.0 if line is None else _array(line))[:, :2]
     centerline = centerline[np.append(True, np.any(centerline[1:] != centerline[:-1], axis=1))]
     length_m = float(arc_length(centerline)[-1])
-    if length_m < MIN_LENGTH_M:
+    if not MIN_LENGTH_M <= length_m < np.inf:
         said = f"centerline is {length_m:.6f} m long, expected at least {MIN_LENGTH_M} m"
         raise MapError(f"lane {segment['id']}: {said}")
     return LaneSegment(

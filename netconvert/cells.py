@@ -96,16 +96,10 @@ class CellGrid:
             return None
         return LateralLink(Cell(row[at], cell.index), self.graph.may_change(cell.lane_id, side))
 
-    def inter_lane(self, cell: Cell) -> tuple[Cell, ...]:
-        """First cells of the lane's successors (merges, splits), for the last cell of a lane only."""
-        if cell.index + 1 < len(self._rows[cell.lane_id]):
-            return ()
-        return tuple(Cell(target, 0) for target in self.graph.successors(cell.lane_id))
-
     def following(self, cell: Cell) -> tuple[Cell, ...]:
-        """The next cell of the lane, at its end the first ones of its successors."""
+        """The next cell of the lane; at its end the first ones of its successors (merges, splits)."""
         ahead = self.longitudinal(cell)
-        return (ahead,) if ahead else self.inter_lane(cell)
+        return (ahead,) if ahead else tuple(Cell(target, 0) for target in self.graph.successors(cell.lane_id))
 
     def edge_id(self, cell: Cell) -> str:
         """SUMO edge that holds the cell."""

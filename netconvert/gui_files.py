@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from lxml import etree
@@ -20,7 +20,7 @@ _CELL_LINE_M = "0.1"
 #: Zoom at which all is shown: 100 by sumo-gui's own account, less for the frame that it leaves.
 _ZOOM = 80.0
 #: Width over height of sumo-gui's drawing in its usual window.
-WINDOW_ASPECT = 1.78
+_WINDOW_ASPECT = 1.78
 #: Layers of sumo-gui: lanes are drawn on 100, vehicles on 400.
 _ABOVE_LANES = "150"
 #: Milliseconds that sumo-gui waits for each simulated second: real time.
@@ -34,21 +34,20 @@ def gui_files(
     step_s: float,
     shown: tuple[FloatArray, FloatArray] | None = None,
     options: Mapping[str, Mapping[str, str]] | None = None,
-    shapes: Sequence[etree._Element] = (),
-    scheme: Sequence[etree._Element] = (),
+    vehicles: etree._Element | None = None,
 ) -> dict[str, bytes]:
     """Contents by file name of everything beside <name>.net.xml.
 
     step_s: of the simulation that sumo-gui runs. shown: low and high corner of the ground to look at first, (2,) m; all
-    lanes by default. options: more of SUMO's, by section and name; shapes, scheme: more to draw, and how.
+    lanes by default. options: more of SUMO's, by section and name; vehicles: how they are drawn.
 
     <name>.sumocfg refers to the net, the drivable area (<name>.poly.xml) and the view (<name>.view.xml) by file names,
     so that the folder can be moved; <name>.cells.csv has one row a cell.
     """
     return {
         f"{name}.sumocfg": _configuration(name, step_s, options or {}),
-        f"{name}.poly.xml": xml_bytes(E.additional(*_polygons(grid), *shapes)),
-        f"{name}.view.xml": _view(grid, shown, scheme),
+        f"{name}.poly.xml": xml_bytes(E.additional(*_polygons(grid))),
+        f"{name}.view.xml": _view(grid, shown, vehicles),
         f"{name}.cells.csv": cells_csv(grid),
     }
 
@@ -100,7 +99,7 @@ def _polygons(grid: CellGrid) -> list[etree._Element]:
     ]
 
 
-def _view(grid: CellGrid, shown: tuple[FloatArray, FloatArray] | None, more: Sequence[etree._Element]) -> bytes:
+def _view(grid: CellGrid, shown: tuple[FloatArray, FloatArray] | None, vehicles: etree._Element | None) -> bytes:
     everything = np.concatenate([grid.graph.bounds, *grid.graph.drivable_areas])  # what zoom 100 shows
     low, high = shown or grid.graph.bounds
     x, y = ((low + high) / 2.0).tolist()
@@ -111,11 +110,12 @@ def _view(grid: CellGrid, shown: tuple[FloatArray, FloatArray] | None, more: Seq
     # Every cell ends in a junction: the arrows and stop lines there would hide the lanes, and there is nothing to see.
     edges = E.edges(colors, showLinkDecals="0", showLinkRules="0", laneShowBorders="0", showBikeMarkings="0")
     background = E.background(backgroundColor="250,250,248", showGrid="0")
-    scheme = E.scheme(background, edges, E.junctions(drawShape="0"), *more, name="hid2")
+    drawn = [background, edges, E.junctions(drawShape="0"), *([] if vehicles is None else [vehicles])]
+    scheme = E.scheme(*drawn, name="hid2")
     return xml_bytes(E.viewsettings(scheme, E.viewport(zoom=f"{zoom:.1f}", x=f"{x:.2f}", y=f"{y:.2f}")))
 
 
 def _window_width(low: FloatArray, high: FloatArray) -> float:
     """Width of the ground in a window that shows all from low to high, m."""
     wide, high_m = (high - low).tolist()
-    return max(float(wide), float(high_m) * WINDOW_ASPECT, 1.0)
+    return max(float(wide), float(high_m) * _WINDOW_ASPECT, 1.0)

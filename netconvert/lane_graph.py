@@ -10,7 +10,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 import shapely
 
-from netconvert.errors import MapError
 from netconvert.geometry import FloatArray, Polyline, wrap_angle
 
 Side = Literal["left", "right"]
@@ -78,14 +77,8 @@ class LaneSegment:
     """Length of the centreline."""
 
     def __post_init__(self) -> None:
-        if self.lane_type not in LANE_TYPES:
-            raise MapError(f"lane {self.lane_id}: lane_type {self.lane_type!r}, expected one of {sorted(LANE_TYPES)}")
-        try:
-            path = Polyline(self.centerline)
-        except ValueError as error:
-            raise MapError(f"lane {self.lane_id}: centerline: {error}") from error
-        object.__setattr__(self, "path", path)
-        object.__setattr__(self, "length_m", path.length_m)
+        object.__setattr__(self, "path", Polyline(self.centerline))
+        object.__setattr__(self, "length_m", self.path.length_m)
 
     @property
     def sides(self) -> tuple[FloatArray, FloatArray]:

@@ -24,6 +24,7 @@ import io
 import json
 import math
 import warnings
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from tokenize import TokenError
@@ -100,67 +101,59 @@ def read(source: Source) -> Recording:
 
 
 def check_sequence(content: bytes, name: str) -> SequenceRows:
-    """The rows of a CSV file, checked. name: what messages call it. Errors: ScenarioError."""
+    """The rows of a CSV file, checked but for what `split_rows` asks. name: what messages call it.
+
+    Errors: ScenarioError.
+    """
     try:
-        lines = list(csv.reader(io.StringIO(content.decode("ascii"), newline="")))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ScenarioError(f"{name}: not a CSV file ({error})") from error
-    header = lines[0] if lines else []
+        header, *lines = csv.reader(io.StringIO(content.decode("ascii"), newline=""))
+    except (ValueError, csv.Error) as error:  # nothing in it, or no ASCII
+        raise ScenarioError(f"{name}: not a CSV file ({error}), expected columns {','.join(COLUMNS)}") from error
     if sorted(header) != sorted(COLUMNS):
         shown = one_line(",".join(header), most=120)
         raise ScenarioError(f"{name}: columns {shown!r}, expected {','.join(COLUMNS)} of Argoverse 1")
-    if not 0 < len(lines) - 1 <= limits.MAX_ROWS:
-        raise ScenarioError(f"{name}: {len(lines) - 1} rows, expected 1 to {limits.MAX_ROWS}")
-    for number, line in enumerate(lines[1:], start=2):
+    if not 0 < len(lines) <= limits.MAX_ROWS:
+        raise ScenarioError(f"{name}: {len(lines)} rows, expected 1 to {limits.MAX_ROWS}")
+    for number, line in enumerate(lines, start=2):
         if len(line) != len(header):
             raise ScenarioError(f"{name} line {number}: {len(line)} values, expected {len(header)}")
-    by_name = {column: [line[k] for line in lines[1:]] for k, column in enumerate(header)}
-    stamp = _floats(by_name["TIMESTAMP"], "TIMESTAMP", name)
-    position = np.column_stack([_floats(by_name[axis], axis, name) for axis in "XY"])
+    columns = dict(zip(header, zip(*lines, strict=True), strict=True))
+    stamp, x, y = (_floats(columns[column], column, name) for column in ("TIMESTAMP", "X", "Y"))
     stamps, timestep = _steps(stamp, name)
-    kind_of = _kinds(by_name["TRACK_ID"], by_name["OBJECT_TYPE"], name)
-    ids, kinds = list(kind_of), list(kind_of.values())
-    codes = {track_id: k for k, track_id in enumerate(ids)}
-    code = np.array([codes[track_id] for track_id in by_name["TRACK_ID"]], dtype=np.int64)
-    cities = list(dict.fromkeys(by_name["CITY_NAME"]))
-    if len(cities) != 1 or cities[0] not in _CITIES:
-        shown = one_line(", ".join(cities), most=60)
-        raise ScenarioError(f"{name}: CITY_NAME {shown!r}, expected one of {', '.join(_CITIES)} in every row")
-    order = np.lexsort((timestep, code))
-    code, timestep, position = code[order], timestep[order], position[order]
-    again = np.flatnonzero((np.diff(code) == 0) & (np.diff(timestep) == 0))
-    if len(again):
-        row = int(again[0])
-        where = f"track {one_line(ids[code[row]], most=60)!r}, time stamp {stamps[timestep[row]]}"
-        raise ScenarioError(f"{name}: {where}: more than one row, expected one")
+    kind_of = _kinds(columns["TRACK_ID"], columns["OBJECT_TYPE"], name)
     for kind in (AV, AGENT):
-        have = [k for k, found in enumerate(kinds) if found == kind]
+        have = [track_id for track_id, found in kind_of.items() if found == kind]
+        seen = columns["OBJECT_TYPE"].count(kind)
         if len(have) != 1:
             count = f"{len(have)} tracks" if have else "no track"
             raise ScenarioError(f"{name}: {count} of OBJECT_TYPE {kind}, expected exactly one")
-        seen = int((code == have[0]).sum())
-        if seen != len(stamps):
-            raise ScenarioError(
-                f"{name}: track {kind} at {seen} of {len(stamps)} time stamps, expected it at every one"
-            )
-    ids = [AV_ID if kind == AV else track_id for track_id, kind in zip(ids, kinds, strict=True)]
-    if ids.count(AV_ID) > 1:
-        raise ScenarioError(f"{name}: TRACK_ID {AV_ID!r} of a track of another OBJECT_TYPE, expected it of none")
-    return SequenceRows(ids, code, timestep, kinds, position, stamps, cities[0])
+        if seen < len(stamps):
+            said = f"track {kind} at {seen} of {len(stamps)} time stamps"
+            raise ScenarioError(f"{name}: {said}, expected it at every one")
+    cities = list(dict.fromkeys(columns["CITY_NAME"]))
+    if len(cities) != 1 or cities[0] not in _CITIES:
+        shown = one_line(", ".join(cities), most=60)
+        raise ScenarioError(f"{name}: CITY_NAME {shown!r}, expected one of {', '.join(_CITIES)} in every row")
+    codes = {track_id: k for k, track_id in enumerate(kind_of)}
+    code = np.array([codes[track_id] for track_id in columns["TRACK_ID"]], dtype=np.int64)
+    order, ids = np.lexsort((timestep, code)), [AV_ID if kind == AV else one for one, kind in kind_of.items()]
+    position = np.column_stack([x, y])[order]
+    return SequenceRows(ids, code[order], timestep[order], list(kind_of.values()), position, stamps, cities[0])
 
 
-def _floats(texts: list[str], column: str, name: str) -> FloatArray:
-    values = []
-    for number, text in enumerate(texts, start=2):
-        try:
-            value = float(text)
-        except ValueError:
-            shown = one_line(text, most=60)
-            raise ScenarioError(f"{name} line {number}: {column} {shown!r}, expected a number") from None
-        if not math.isfinite(value):
-            raise ScenarioError(f"{name} line {number}: {column} {value}, expected a finite number")
-        values.append(value)
-    return np.array(values, dtype=np.float64)
+def _floats(texts: Sequence[str], column: str, name: str) -> FloatArray:
+    values = np.array([_float(text) for text in texts])
+    for row in np.flatnonzero(~np.isfinite(values))[:1].tolist():
+        shown = one_line(texts[row], most=60)
+        raise ScenarioError(f"{name} line {row + 2}: {column} {shown!r}, expected a finite number")
+    return values
+
+
+def _float(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def _steps(stamp: FloatArray, name: str) -> tuple[list[float], IntArray]:
@@ -175,7 +168,7 @@ def _steps(stamp: FloatArray, name: str) -> tuple[list[float], IntArray]:
     return stamps.tolist(), np.searchsorted(stamps, stamp).astype(np.int64)
 
 
-def _kinds(ids: list[str], types: list[str], name: str) -> dict[str, str]:
+def _kinds(ids: Sequence[str], types: Sequence[str], name: str) -> dict[str, str]:
     """The type of each track, in the order of first appearance."""
     kinds: dict[str, str] = {}
     for track_id, kind in dict.fromkeys(zip(ids, types, strict=True)):
@@ -189,50 +182,23 @@ def _kinds(ids: list[str], types: list[str], name: str) -> dict[str, str]:
 
 def _table(rows: SequenceRows, graph: LaneGraph, scenario_id: str) -> pa.Table:
     """The rows as Argoverse 2 has them."""
-    lines, tracks = LaneLines.of(graph), []
+    tracks = []
     for k, (track_id, kind) in enumerate(zip(rows.ids, rows.kinds, strict=True)):
         own = rows.code == k
-        velocity, heading = motion_of(rows.position[own], rows.timestep[own], lines)
-        tracks.append(
-            Track(
-                track_id=track_id,
-                object_type="vehicle",
-                category=FOCAL_CATEGORY if kind == AGENT else int(own.sum() == len(rows.stamps)),
-                timesteps=rows.timestep[own],
-                position=rows.position[own],
-                heading=heading,
-                velocity=velocity,
-                size=DEFAULT_SIZES["vehicle"],
-            )
+        velocity, heading = motion_of(rows.position[own], rows.timestep[own], graph)
+        category, size = (
+            FOCAL_CATEGORY if kind == AGENT else int(own.sum() == len(rows.stamps)),
+            DEFAULT_SIZES["vehicle"],
         )
+        position, steps = rows.position[own], rows.timestep[own]
+        tracks.append(Track(track_id, "vehicle", category, steps, position, heading, velocity, size))
     same = {"scenario_id": scenario_id, "city": _CITIES[rows.city], "num_timestamps": len(rows.stamps)}
     same |= {"start_timestamp": rows.stamps[0] * 1e9, "end_timestamp": rows.stamps[-1] * 1e9}
     same["focal_track_id"] = rows.ids[rows.kinds.index(AGENT)]
     return table_of(tracks, same, observed_steps=OBSERVED_STEPS)
 
 
-class LaneLines(NamedTuple):
-    """The pieces of all centrelines of a map: begin (M, 2) m and step (M, 2) m to the end."""
-
-    begin: FloatArray
-    step: FloatArray
-
-    @staticmethod
-    def of(graph: LaneGraph) -> "LaneLines":
-        """Those of every lane."""
-        lines = [lane.centerline for lane in graph.lanes.values()]
-        begin = np.concatenate([line[:-1] for line in lines])
-        return LaneLines(begin, np.concatenate([np.diff(line, axis=0) for line in lines]))
-
-    def heading(self, point: FloatArray) -> float:
-        """Direction of the nearest lane at a point (2,) m."""
-        along = ((point - self.begin) * self.step).sum(axis=1) / np.square(self.step).sum(axis=1)
-        nearest = self.begin + np.clip(along, 0.0, 1.0)[:, None] * self.step
-        x, y = self.step[int(np.square(nearest - point).sum(axis=1).argmin())].tolist()
-        return math.atan2(y, x)
-
-
-def motion_of(position: FloatArray, timestep: IntArray, lines: LaneLines) -> tuple[FloatArray, FloatArray]:
+def motion_of(position: FloatArray, timestep: IntArray, graph: LaneGraph) -> tuple[FloatArray, FloatArray]:
     """Velocities (N, 2) m/s and headings (N,) rad in (-pi, pi] of a track from its positions (N, 2) m."""
     breaks = np.flatnonzero(np.diff(timestep) != 1) + 1
     velocity = np.vstack([velocity_of(run, _SAMPLES, step_s=STEP_S, shortest=5) for run in np.split(position, breaks)])
@@ -240,10 +206,21 @@ def motion_of(position: FloatArray, timestep: IntArray, lines: LaneLines) -> tup
     away_m = float(np.hypot(*(position - position[0]).T).max())
     moves = np.flatnonzero(speed >= _MOVES_MPS) if away_m >= _MOVES_M else np.empty(0, dtype=np.int64)
     if not len(moves):
-        return velocity, np.full(len(position), lines.heading(position.mean(axis=0)))
+        return velocity, np.full(len(position), _lane_heading(graph, position.mean(axis=0)))
     last = np.maximum(np.searchsorted(moves, np.arange(len(position)), side="right") - 1, 0)
     moving = velocity[moves[last]]
     return velocity, np.arctan2(moving[:, 1], moving[:, 0])
+
+
+def _lane_heading(graph: LaneGraph, point: FloatArray) -> float:
+    """Direction of the nearest lane at a point (2,) m."""
+    lines = [lane.centerline for lane in graph.lanes.values()]
+    begin = np.concatenate([line[:-1] for line in lines])
+    step = np.concatenate([np.diff(line, axis=0) for line in lines])
+    along = ((point - begin) * step).sum(axis=1) / np.square(step).sum(axis=1)
+    nearest = begin + np.clip(along, 0.0, 1.0)[:, None] * step
+    x, y = step[int(np.square(nearest - point).sum(axis=1).argmin())].tolist()
+    return math.atan2(y, x)
 
 
 # Maps

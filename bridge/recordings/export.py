@@ -8,9 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
+from pyarrow.pandas_compat import get_logical_type
 
 from bridge.config import new_scenario_id as new_scenario_id
 from bridge.files import explained
@@ -78,59 +80,41 @@ def scene_table(scenario: Recording, generated: Sequence[Track], *, new_id: str,
     """
     if taken := {track.track_id for track in generated} & {track.track_id for track in scenario.tracks}:
         raise ExportError(f"generated track {min(taken)!r}: the id is taken, expected one of its own")
-    source = scenario.table
-    focal_changes = focal_track_id != scenario.focal_track_id
-    constants = _constants(source)
-    constants |= {"scenario_id": pa.scalar(new_id), "focal_track_id": pa.scalar(focal_track_id)}
-    for name in ("scenario_id", "focal_track_id", *(["object_category"] if focal_changes else [])):
-        row, field = source.column_names.index(name), source.schema.field(name)
-        if name == "object_category":
-            former = pc.equal(source.column(name), FOCAL_CATEGORY)
-            changed = pc.if_else(former, pa.scalar(SCORED_CATEGORY, field.type), source.column(name))
-        else:
-            changed = pa.repeat(constants[name].cast(field.type), source.num_rows)
-        source = source.set_column(row, field, changed)
-    return _with_rows(source, generated, constants, focal_track_id, scenario.observed_steps)
+    table = scenario.table
+    changed = {
+        "scenario_id": pa.repeat(new_id, table.num_rows),
+        "focal_track_id": pa.repeat(focal_track_id, table.num_rows),
+    }
+    if focal_track_id != scenario.focal_track_id:
+        category = table.column("object_category")
+        changed["object_category"] = pc.if_else(pc.equal(category, FOCAL_CATEGORY), SCORED_CATEGORY, category)
+    for name, values in changed.items():
+        row, field = table.column_names.index(name), table.schema.field(name)
+        table = table.set_column(row, field, values.cast(field.type))
+    marked = [replace(t, category=FOCAL_CATEGORY) if t.track_id == focal_track_id else t for t in generated]
+    return _with_rows(table, marked, scenario.observed_steps)
 
 
 def with_motion(scenario: Recording, driven: Sequence[Track]) -> Recording:
     """A recording of which some tracks were driven otherwise: their rows, behind all others, are new ones."""
     by_id = {track.track_id: track for track in driven}
-    apart = pc.is_in(scenario.table.column("track_id"), pa.array(list(by_id), pa.string()))
-    table = _with_rows(
-        scenario.table.filter(pc.invert(apart)), driven, _constants(scenario.table), scenario.focal_track_id,
-        scenario.observed_steps,
-    )  # fmt: skip
-    return replace(scenario, tracks=tuple(by_id.get(t.track_id, t) for t in scenario.tracks), table=table)
+    table = _with_rows(scenario.table, driven, scenario.observed_steps)
+    is_old = np.isin(table.column("track_id").to_numpy(), list(by_id)) & (np.arange(len(table)) < len(scenario.table))
+    tracks = tuple(by_id.get(track.track_id, track) for track in scenario.tracks)
+    return replace(scenario, tracks=tracks, table=table.filter(pa.array(~is_old)))
 
 
-def _constants(table: pa.Table) -> dict[str, pa.Scalar]:
-    """What every row of a scene says."""
-    names = (*SCENARIO_COLUMNS, "map_id", "slice_id")
-    return {name: table.column(name)[0] for name in table.column_names if name in names}
-
-
-def _with_rows(
-    table: pa.Table, tracks: Sequence[Track], constants: Mapping[str, pa.Scalar], focal_track_id: str,
-    observed_steps: int,
-) -> pa.Table:  # fmt: skip
-    """A table and behind it the rows of tracks, in its columns and types."""
-    marked = [replace(t, category=FOCAL_CATEGORY) if t.track_id == focal_track_id else t for t in tracks]
-    added = track_columns(marked, observed_steps)
-    count = len(added["timestep"])
-    columns = []
-    for field in table.schema:
-        name, recorded = field.name, table.column(field.name)
-        if name in constants:
-            new = pa.repeat(constants[name].cast(field.type), count)
-        elif name in added:
-            new = added[name].cast(field.type)
-        else:  # a column of the source's own
-            new = pa.nulls(count, field.type)
-        chunks = recorded.chunks if isinstance(recorded, pa.ChunkedArray) else [recorded]
-        columns.append(pa.concat_arrays([*chunks, new]))
-    schema = pa.schema([pa.field(field.name, field.type) for field in table.schema])
-    return pa.Table.from_arrays(columns, schema=schema)
+def _with_rows(table: pa.Table, tracks: Sequence[Track], observed_steps: int) -> pa.Table:
+    """A table and behind it the rows of tracks, in its columns and types; what all its rows say, theirs say too."""
+    added = track_columns(tracks, observed_steps)
+    count, columns = len(added["timestep"]), []
+    for field, recorded in zip(table.schema, table.columns, strict=True):
+        if field.name in (*SCENARIO_COLUMNS, "map_id", "slice_id"):
+            new = pa.repeat(recorded[0], count)
+        else:  # or a column of the source's own
+            new = added[field.name].cast(field.type) if field.name in added else pa.nulls(count, field.type)
+        columns.append(pa.concat_arrays([*recorded.chunks, new]))
+    return pa.Table.from_arrays(columns, schema=pa.schema([(field.name, field.type) for field in table.schema]))
 
 
 def parquet_bytes(table: pa.Table) -> bytes:
@@ -143,18 +127,13 @@ def parquet_bytes(table: pa.Table) -> bytes:
 
 def _pandas_metadata(table: pa.Table) -> dict[str, Any]:
     """What pandas writes beside the columns, so that it reads a RangeIndex; free of the version of any library."""
-    types = {"string": ("unicode", "object"), "large_string": ("unicode", "object"), "double": ("float64", "float64")}
-    types |= {"null": ("empty", "object"), "float": ("float32", "float32"), "halffloat": ("float16", "float16")}
 
     def told(name: str | None, pandas_type: str, numpy_type: str, metadata: object = None) -> dict[str, Any]:
         names = {"name": name, "field_name": name}
         return {**names, "pandas_type": pandas_type, "numpy_type": numpy_type, "metadata": metadata}
 
-    columns = []
-    for field in table.schema:
-        plain = pa.types.is_integer(field.type) or pa.types.is_boolean(field.type)
-        other = str(field.type) if plain else "object"  # a column of the source's own, of whatever type
-        columns.append(told(field.name, *types.get(str(field.type), (other, other))))
+    kinds = ((field.name, get_logical_type(field.type), field.type.to_pandas_dtype()) for field in table.schema)
+    columns = [told(name, kind, np.dtype(made).name) for name, kind, made in kinds]
     return {
         "index_columns": [{"kind": "range", "name": None, "start": 0, "stop": table.num_rows, "step": 1}],
         "column_indexes": [told(None, "unicode", "object", {"encoding": "UTF-8"})],

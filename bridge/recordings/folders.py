@@ -189,11 +189,7 @@ def is_generated(folder: Path) -> bool:
 
 def other_data(path: Path, *, depth: int = 0) -> str:
     """What a file, or a folder with so many levels below, is of what hid2 does not read; "" where no name tells."""
-    files, folders = [path], [path] if path.is_dir() else []
-    for _ in range(depth + 1):
-        below = {folder: frozenset(names_in(folder)) for folder in folders}
-        files += [folder / name for folder in folders for name in sorted(below[folder])]
-        folders = [inner for folder in folders for inner in subfolders(folder, below[folder])]
+    files = [path, *(file for level in range(depth + 1) for file in sorted(path.glob("*/" * level + "*")))]
     for what, pattern in _OTHERS.items():
         found = next((file for file in files if re.fullmatch(pattern, file.name)), None)
         if found is not None:

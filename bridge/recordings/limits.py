@@ -11,7 +11,7 @@ import numpy as np
 
 from bridge.files import MAX_FILE_MB as MAX_FILE_MB
 from hid2.agents import FloatArray, Track
-from netconvert.errors import MapError, ScenarioError
+from netconvert.errors import ScenarioError
 from netconvert.lane_graph import LaneGraph
 
 #: Each map file of a whole city, MB.
@@ -40,29 +40,27 @@ MAX_SPEED_MPS = 1_000.0
 MAX_LANE_ID = 2**63 - 1
 
 
-def check_map_size(graph: LaneGraph, name: str) -> None:
-    """Refuse a map that is too large for a scene. name: what messages call it. Errors: MapError with lane and value."""
-    rings = graph.drivable_areas
-    lines: list[FloatArray] = list(rings)
+def too_large(graph: LaneGraph) -> str:
+    """What of a map is too large for a scene, with lane, value and limit; "" where nothing is."""
+    lanes, rings = list(graph.lanes.values()), graph.drivable_areas
+    lines, lane_ids = list(rings), {lane.lane_id for lane in lanes}
     sizes: list[tuple[str, float, float]] = [
-        ("lane segments", len(graph.lanes), MAX_LANES), ("drivable areas", len(rings), MAX_AREAS),
-        *(("points of a drivable area", len(ring), MAX_POINTS) for ring in rings),
-    ]  # fmt: skip
-    for lane in graph.lanes.values():
-        where = f"lane {lane.lane_id}"
-        for lane_id in (lane.lane_id, *lane.successors, lane.left_neighbor_id or 0, lane.right_neighbor_id or 0):
-            if abs(lane_id) > MAX_LANE_ID:
-                raise MapError(f"{name}: {where}: lane id {str(lane_id)[:40]}, expected an integer of 64 bit")
-        own = [line for line in (lane.centerline, lane.left_boundary, lane.right_boundary) if line is not None]
+        ("lane segments", len(lanes), MAX_LANES),
+        ("drivable areas", len(rings), MAX_AREAS),
+    ]
+    sizes += [("points of a drivable area", len(ring), MAX_POINTS) for ring in rings]
+    for lane in lanes:
+        own, where = (lane.centerline, *lane.sides), f"lane {lane.lane_id}"
         sizes += [(f"{where}: points of a line", len(line), MAX_POINTS) for line in own]
         sizes.append((f"{where}: length, m", lane.length_m, MAX_LANE_M))
         lines += own
-    sizes.append(("length of all lanes, m", sum(lane.length_m for lane in graph.lanes.values()), MAX_LANES_M))
-    for what, size, most in sizes:
-        if not size <= most:
-            raise MapError(f"{name}: {what}: {size:.0f}, expected at most {most:.0f}")
-    if said := _extent_breach(lines):
-        raise MapError(f"{name}: {said}")
+        lane_ids |= {*lane.successors, lane.left_neighbor_id or 0, lane.right_neighbor_id or 0}
+    sizes.append(("length of all lanes, m", sum(lane.length_m for lane in lanes), MAX_LANES_M))
+    most = max(lane_ids, key=abs)
+    if abs(most) > MAX_LANE_ID:
+        return f"lane id {str(most)[:40]}, expected an integer of 64 bit"
+    beyond = (f"{what}: {size:.0f}, expected at most {limit:.0f}" for what, size, limit in sizes if not size <= limit)
+    return next(beyond, "") or _extent_breach(lines)
 
 
 def check_ground(tracks: Sequence[Track], graph: LaneGraph, name: str) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic_core import from_json
 
 from bridge.files import read_received
-from bridge.recordings.limits import check_map_size
+from bridge.recordings.limits import too_large
 from netconvert import av2_map
 from netconvert.av2_map import Breach
 from netconvert.errors import MapError
@@ -20,21 +20,27 @@ from netconvert.lane_graph import LaneGraph
 
 def read_source_map(path: Path) -> LaneGraph:
     """The lane graph of a map file that keeps the rules; only centrelines may be missing. Errors: MapError."""
-    try:
-        return _known(read_received(path, MapError, wanted="an Argoverse 2 map"))
-    except (ValueError, MapError):
-        return graph_of(_decoded(path), name=str(path))  # says what is wrong with which file
+    graph, breaches = _known(read_received(path, MapError, wanted="an Argoverse 2 map"))
+    if graph is None:
+        raise MapError(f"{path}: {breaches[0][1]}")
+    return graph
 
 
 @lru_cache(maxsize=2)
-def _known(content: bytes) -> LaneGraph:
-    """The lane graph of a map file: scenes made from one share its map, and reading it takes longest."""
-    return graph_of(from_json(content), name="")
+def _known(content: bytes) -> tuple[LaneGraph | None, list[Breach]]:
+    """As `checked`, of a map file: scenes made from one share its map, and reading it takes longest."""
+    try:
+        return checked(from_json(content))
+    except ValueError as error:
+        return None, [("map", f"not JSON ({error}), expected an Argoverse 2 map")]
 
 
 def read_document(path: Path) -> dict[str, Any]:
     """The document of a map file that has the parts of a map. Errors: MapError."""
-    document = _decoded(path)
+    try:
+        document = from_json(read_received(path, MapError, wanted="an Argoverse 2 map"))
+    except ValueError as error:
+        raise MapError(f"{path}: not JSON ({error}), expected an Argoverse 2 map") from error
     said = av2_map.lacks_a_part(document)
     if said:
         raise MapError(f"{path}: {said}")
@@ -46,29 +52,23 @@ def graph_of(document: Any, *, name: str) -> LaneGraph:  # noqa: ANN401  # decod
 
     name: what messages call the document.
     """
-    with np.errstate(over="ignore", invalid="ignore"):  # coordinates may be anything until their size is known
-        graph = av2_map.lane_graph_from_json(document, name=name)
-        check_map_size(graph, name)
-    if not graph.drivable.area > 0.0:
-        raise MapError(f"{name}: drivable areas of 0 m2 in all, expected the ground that can be driven on")
+    graph, breaches = checked(document)
+    if graph is None:
+        raise MapError(f"{name}: {breaches[0][1]}")
     return graph
 
 
-def read_map(path: Path) -> tuple[dict[str, Any] | None, list[Breach]]:
-    """The document of a map file, None where it is no map, and what is wrong with it."""
-    try:
-        document = read_document(path)
-    except MapError as error:
-        return None, [("map", str(error))]
-    with np.errstate(over="ignore", invalid="ignore"):
-        breaches = av2_map.read_map(document)[1]
-    lanes = document["lane_segments"].items()
-    lacking = [f"lane segment {key}: no centerline" for key, lane in lanes if not lane.get("centerline")]
-    return document, breaches + [("boundary", f"{said}, expected at least 2 points") for said in lacking]
+def checked(document: Any) -> tuple[LaneGraph | None, list[Breach]]:  # noqa: ANN401  # decoded JSON
+    """The lane graph of a document, or what is wrong with it."""
+    with np.errstate(over="ignore", invalid="ignore"):  # coordinates may be anything until their size is known
+        graph, breaches = av2_map.read_map(document)
+        said = "" if graph is None else too_large(graph)
+    if graph is not None and not said and not graph.drivable.area > 0.0:
+        said = "drivable areas of 0 m2 in all, expected the ground that can be driven on"
+    return (None, [("map", said)]) if said else (graph, breaches)
 
 
-def _decoded(path: Path) -> Any:  # noqa: ANN401  # whatever JSON holds
-    try:
-        return from_json(read_received(path, MapError, wanted="an Argoverse 2 map"))
-    except ValueError as error:
-        raise MapError(f"{path}: not JSON ({error}), expected an Argoverse 2 map") from error
+def lacking_centerlines(document: dict[str, Any]) -> list[Breach]:
+    """Lanes without the centreline that recorded maps may lack, and written ones may not."""
+    lacking = [key for key, lane in document["lane_segments"].items() if not lane.get("centerline")]
+    return [("boundary", f"lane segment {key}: no centerline, expected at least 2 points") for key in lacking]

@@ -4,8 +4,6 @@ The bounds follow from what each figure means and from how many vehicles tell it
 `tests/benchmarks/plausibility_figures.py` prints the figures of real scenes beside them.
 """
 
-from collections.abc import Iterator
-
 from bridge.recordings.recording import Recording
 from hid2.measures.arrays import stack
 from hid2.measures.lane_matching import flatten_lanes
@@ -41,36 +39,33 @@ def figures_of(recording: Recording) -> Plausibility:
 
 def implausible(recording: Recording) -> str:
     """The first figure beyond its bound: value, bound and what is probably wrong; "" where all are plausible."""
-    return next(_breaches(recording), "")
-
-
-def _breaches(recording: Recording) -> Iterator[str]:
     start, end = (recording.table.column(f"{name}_timestamp")[0].as_py() for name in ("start", "end"))
     if end < start:
-        yield f"end_timestamp {end:.0f}, start_timestamp {start:.0f}, expected the end later; probably exchanged"
+        return f"end_timestamp {end:.0f}, start_timestamp {start:.0f}, expected the end later; probably exchanged"
     f, map_name = figures_of(recording), f"map {recording.map_path.name}"
     for axis, (ratio, count) in zip("xy", f.stated, strict=True):
         if count >= LEAST_VEHICLES and not STATED[0] <= ratio <= STATED[1]:
-            yield (
+            return (
                 f"velocity_{axis} makes {ratio:.2f} of the displacement along {axis} (median of {count} moving "
                 f"vehicles), expected {STATED[0]:g} to {STATED[1]:g}; probably no velocities, another unit, scaled "
                 "tracks, or x and y exchanged"
             )
     if f.turned >= LEAST_VEHICLES and f.turned > MOST_TURNED * f.moving:
-        yield (
+        return (
             f"headings of {f.turned} of {f.moving} moving vehicles more than 45 degrees off their motion, expected at "
             f"most {MOST_TURNED:.0%}; probably headings in degrees, or from another axis"
         )
     mapped, ground = f.mapped >= LEAST_MAPPED * f.moving, f.ground >= LEAST_GROUND
     off_map, off_ground = f.moving - f.mapped, (1.0 - f.ground) * f.mapped
     if (not mapped and off_map >= LEAST_VEHICLES) or (not ground and off_ground >= LEAST_VEHICLES):
-        yield (
+        return (
             f"{f.mapped} of {f.moving} moving vehicles within the map, on drivable ground for {f.ground:.0%} of their "
             f"points there, expected at least {LEAST_MAPPED:.0%} and {LEAST_GROUND:.0%}; probably the map of another "
             f"place, another frame, or x and y exchanged ({map_name})"
         )
     if f.gain >= max(MOST_GAIN, LEAST_GAINING / max(1, f.moving)):
-        yield (
+        return (
             f"tracks beside the lanes: {f.gain:.0%} of {f.moving} moving vehicles are on a lane of their direction "
             f"only when shifted, by {f.shift_m:.1f} m, expected below {MOST_GAIN:.0%}; probably a shifted {map_name}"
         )
+    return ""

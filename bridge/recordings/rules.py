@@ -44,8 +44,7 @@ _GENERATED_ID = re.compile(r"gen_(0|[1-9][0-9]*)")
 def check_rows(rows: RowArrays, new_id: str) -> Iterator[Breach]:
     """The hard and the silent requirements on the rows, one breach for each rule and column."""
     yield from _check_index(rows.table)
-    for rule, said, more in row_breaches(rows):
-        yield rule, said + (f" (and {more} more rows)" if more else "")
+    yield from row_breaches(rows)
     scenario_id, city = (rows.constants[column][0] for column in ("scenario_id", "city"))
     if scenario_id != new_id:
         yield "scenario-id", f"column scenario_id is {scenario_id!r}, expected {new_id!r} as the folder"
@@ -152,26 +151,17 @@ def compare_rows(table: pa.Table, source: pa.Table, generated_ids: set[str]) -> 
 
 def _same_bits(one: pa.ChunkedArray, other: pa.ChunkedArray) -> npt.NDArray[np.bool_]:
     """Which rows of two columns of one type are the same; nulls are, with nulls alone."""
-    left_null, right_null = one.is_null().to_numpy(), other.is_null().to_numpy()
     if pa.types.is_floating(one.type):
-        left, right = (
-            np.ascontiguousarray(column.to_numpy(), dtype=np.float64).view(np.int64) for column in (one, other)
-        )
-        same = left == right
-    else:
-        try:
-            same = pc.fill_null(pc.equal(one, other), fill_value=False).to_numpy()
-        except pa.ArrowNotImplementedError:  # lists, or nothing at all, in a column of the source's own
-            same = np.array([left == right for left, right in zip(one.to_pylist(), other.to_pylist(), strict=True)])
-        same = same | left_null
-    return np.asarray((left_null == right_null) & same, dtype=bool)
+        one, other = (pc.cast(column, pa.float64()).combine_chunks().view(pa.int64()) for column in (one, other))
+    if one.equals(other):
+        return np.ones(len(one), dtype=bool)
+    return np.array([left == right for left, right in zip(one.to_pylist(), other.to_pylist(), strict=True)])
 
 
 def check_sidecar(
     sidecar: Sidecar, new_id: str, begins: Mapping[str, int], generated_ids: Set[str], lanes: Set[str]
 ) -> Iterator[Breach]:
     """A sidecar against its scene. begins: first timestep of each track of the rows, by its id; lanes: of the map."""
-    track_ids = begins.keys()
     if is_corridor(new_id):
         yield "scenario-id", f"folder {new_id!r}, expected a UUID: a synthetic corridor is no scene of Argoverse"
     try:
@@ -180,25 +170,9 @@ def check_sidecar(
         yield "sidecar", f"config: {error}"
     else:
         yield from _check_config(sidecar, config, new_id)
-    if sidecar.placed.agents != len(sidecar.agents):
-        yield "sidecar", f"placed.agents {sidecar.placed.agents}, but {len(sidecar.agents)} agents"
-    counts = Counter(agent.policy for agent in sidecar.agents)
-    for policy in dict.fromkeys((*Policy, *counts, *sidecar.placed.behaviours)):
-        told = sidecar.placed.behaviours.get(policy, 0)
-        if told != counts[policy]:
-            yield "sidecar", f"placed.behaviours.{policy} {told}, but {counts[policy]} agents"
-    listed = [agent.track_id for agent in sidecar.agents]
-    if len(set(listed)) != len(listed):
-        yield "sidecar", "two agents have the same track_id"
-    if set(listed) != generated_ids & track_ids:
-        missing = ", ".join(sorted(set(listed) ^ (generated_ids & track_ids)))
-        yield "sidecar", f"agents and generated tracks differ: {missing}"
-    for agent in sidecar.agents:
-        yield from _check_agent(agent, track_ids, lanes)
-        begin = begins.get(agent.track_id, agent.spawn.timestep)
-        if begin != agent.spawn.timestep:
-            yield "sidecar", f"agent {agent.track_id}: spawn.timestep {agent.spawn.timestep}, but it begins at {begin}"
-    yield from _check_events(sidecar)
+    told = [*_vehicle_rules(sidecar, generated_ids & begins.keys())]
+    told += (rule for agent in sidecar.agents for rule in _agent_rules(agent, begins, lanes))
+    yield from (("sidecar", said) for is_wrong, said in [*told, *_event_rules(sidecar)] if is_wrong)
 
 
 def _check_config(sidecar: Sidecar, config: Config, new_id: str) -> Iterator[Breach]:
@@ -211,44 +185,55 @@ def _check_config(sidecar: Sidecar, config: Config, new_id: str) -> Iterator[Bre
     known = config.request.behaviours
     for policy in sorted({agent.policy for agent in sidecar.agents} - known.keys()):
         yield "sidecar", f"policy {policy!r}, expected one of {', '.join(known)}"
-    has_noise = config.export.noise != "none"
-    if any((agent.clean is not None) != has_noise for agent in sidecar.agents):
-        yield (
-            "sidecar",
-            f"export.noise {config.export.noise}, expected clean states of {'all' if has_noise else 'no'} agents",
-        )
+    noise = config.export.noise
+    if any((agent.clean is not None) != (noise != "none") for agent in sidecar.agents):
+        yield "sidecar", f"export.noise {noise}, expected clean states of {'no' if noise == 'none' else 'all'} agents"
 
 
-def _check_events(sidecar: Sidecar) -> Iterator[Breach]:
+#: Whether something is wrong, and what is said then.
+_Told = Iterator[tuple[bool, str]]
+
+
+def _vehicle_rules(sidecar: Sidecar, generated_ids: Set[str]) -> _Told:
+    """The vehicles of a sidecar against its sums and against the generated tracks of the rows."""
+    agents, placed = sidecar.agents, sidecar.placed
+    yield placed.agents != len(agents), f"placed.agents {placed.agents}, but {len(agents)} agents"
+    counts = Counter(agent.policy for agent in agents)
+    for policy in dict.fromkeys((*Policy, *counts, *placed.behaviours)):
+        told = placed.behaviours.get(policy, 0)
+        yield told != counts[policy], f"placed.behaviours.{policy} {told}, but {counts[policy]} agents"
+    listed = {agent.track_id for agent in agents}
+    yield len(listed) != len(agents), "two agents have the same track_id"
+    yield listed != generated_ids, f"agents and generated tracks differ: {', '.join(sorted(listed ^ generated_ids))}"
+
+
+def _agent_rules(agent: AgentRecord, begins: Mapping[str, int], lanes: Set[str]) -> _Told:
+    name, maneuvers, since = f"agent {agent.track_id}", agent.maneuvers, agent.spawn.timestep
+    kinds = [one.kind for one in maneuvers]
+    told = agent.policy.value in kinds if agent.policy in tuple(Policy) else kinds  # of one's own: any
+    has_record = agent.policy is Policy.STRAIGHT or bool(told)
+    yield not has_record, f"{name}: policy {agent.policy}, but no record of it"
+    for one in maneuvers:
+        stated = (one.trigger_s, one.start_s, one.crossing_s, one.end_s)
+        times, is_known = [time for time in stated if time is not None], one.leader_track_id in (None, *begins)
+        expected = "expected trigger, start, crossing, end in order"
+        yield times != sorted(times), f"{name}: {one.kind}: times {times}, {expected}"
+        is_timed = one.start_s is not None and one.end_s is not None
+        yield one.status == "done" and not is_timed, f"{name}: {one.kind}: done without start_s and end_s"
+        yield not is_known, f"{name}: {one.kind}: no leader {one.leader_track_id!r}"
+    of_maneuvers = {lane for one in maneuvers for lane in (one.source_lane, one.target_lane) if lane is not None}
+    for lane in sorted({agent.spawn.lane_segment_id, *agent.route} | of_maneuvers):
+        yield str(lane) not in lanes, f"{name}: lane segment {lane} is not in the map"
+    begin = begins.get(agent.track_id, since)
+    yield begin != since, f"{name}: spawn.timestep {since}, but it begins at {begin}"
+
+
+def _event_rules(sidecar: Sidecar) -> _Told:
     for number, event in enumerate(sidecar.events):
-        if event.status != "done" and event.track_id is not None:
-            yield "sidecar", f"event {number}: {event.status}, but made by {event.track_id}"
-        if event.human_brakes is not None and event.human_brakes is not brakes_for(event.min_ttc_s):
-            yield "sidecar", f"event {number}: human_brakes {event.human_brakes}, but min_ttc_s {event.min_ttc_s}"
-
-
-def _check_agent(agent: AgentRecord, track_ids: Set[str], lanes: Set[str]) -> Iterator[Breach]:
-    name = f"agent {agent.track_id}"
-    kinds = [maneuver.kind for maneuver in agent.maneuvers]
-    asked = agent.policy.value in kinds if agent.policy in tuple(Policy) else kinds  # of one's own: any
-    if agent.policy is not Policy.STRAIGHT and not asked:
-        yield "sidecar", f"{name}: policy {agent.policy}, but no record of it"
-    used = {agent.spawn.lane_segment_id, *agent.route}
-    for maneuver in agent.maneuvers:
-        used |= {lane for lane in (maneuver.source_lane, maneuver.target_lane) if lane is not None}
-        times = [
-            time
-            for time in (maneuver.trigger_s, maneuver.start_s, maneuver.crossing_s, maneuver.end_s)
-            if time is not None
-        ]
-        if times != sorted(times):
-            yield "sidecar", f"{name}: {maneuver.kind}: times {times}, expected trigger, start, crossing, end in order"
-        if maneuver.status == "done" and (maneuver.start_s is None or maneuver.end_s is None):
-            yield "sidecar", f"{name}: {maneuver.kind}: done without start_s and end_s"
-        if maneuver.leader_track_id not in (None, *track_ids):
-            yield "sidecar", f"{name}: {maneuver.kind}: no leader {maneuver.leader_track_id!r}"
-    for lane in sorted(lane for lane in used if str(lane) not in lanes):
-        yield "sidecar", f"{name}: lane segment {lane} is not in the map"
+        made = event.status != "done" and event.track_id is not None
+        yield made, f"event {number}: {event.status}, but made by {event.track_id}"
+        is_other = event.human_brakes is not None and event.human_brakes is not brakes_for(event.min_ttc_s)
+        yield is_other, f"event {number}: human_brakes {event.human_brakes}, but min_ttc_s {event.min_ttc_s}"
 
 
 def check_written_sequence(

@@ -5,7 +5,7 @@ import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,7 @@ from bridge.recordings.recording import Recording
 from bridge.recordings.recording import Rows as Rows
 from bridge.recordings.sidecar import BoxLength, BoxWidth, RecordingRecord, Sidecar, sidecar_in
 from hid2.agents import DEFAULT_SIZES, FOCAL_CATEGORY, BoxSize, FloatArray, IntArray, Track
+from netconvert.av2_map import Breach
 from netconvert.errors import MapError, NoSceneError, ScenarioError
 from netconvert.lane_graph import LaneGraph
 
@@ -69,11 +70,11 @@ def read_scenario(folder: Path) -> Scenario:
     breaks what readers of the format demand: nothing recorded is repaired.
     Errors: ScenarioError or MapError with file, id, value and what was expected.
     """
-    table, rows, known, sizes, sidecar = _rows_in(folder)
-    path = only_file(folder, PARQUET_PATTERN, ScenarioError)
+    table, rows, sidecar = _rows_in(folder)
+    path, map_path = only_file(folder, PARQUET_PATTERN, ScenarioError), only_file(folder, MAP_PATTERN, MapError)
     if rows.scenario_id != source_id(folder):
         raise ScenarioError(f"{path}: scenario_id {rows.scenario_id!r}, expected the id in the file's name")
-    map_path = only_file(folder, MAP_PATTERN, MapError)
+    known, sizes = _recording_record(folder, sidecar), sizes_of(folder, sidecar)
     source = Source(folder, known.format, rows.scenario_id, split_of(folder), known.first_step, map_path)
     graph = read_source_map(map_path)
     return recording_of(source, table, rows, graph, provenance=known.provenance, sizes=sizes, sidecar=sidecar)
@@ -110,15 +111,15 @@ def read_rows(folder: Path) -> Rows:
     return _rows_in(folder)[1]
 
 
-def _rows_in(folder: Path) -> tuple[pa.Table, Rows, RecordingRecord, dict[str, BoxSize], Sidecar | None]:
-    """The table of a scenario folder, its rows, what is known of the recording, the sizes beside it, the sidecar."""
+def _rows_in(folder: Path) -> tuple[pa.Table, Rows, Sidecar | None]:
+    """The table of a scenario folder, its rows, the sidecar."""
     if not folder.is_dir():
         raise NoSceneError(f"{folder}: no such folder, expected a scenario folder")
     path = only_file(folder, PARQUET_PATTERN, ScenarioError)
     table, sidecar = read_table(path), sidecar_in(folder, source_id(folder))
-    known, sizes = _recording_record(folder, sidecar), _sizes(folder, sidecar)
+    known, sizes = _recording_record(folder, sidecar), sizes_of(folder, sidecar)
     rows = split_rows(table, name=str(path), sizes=sizes, observed_steps=known.observed_steps)
-    return table, replace(rows, step_s=known.step_s), known, sizes, sidecar
+    return table, replace(rows, step_s=known.step_s), sidecar
 
 
 def table_of(tracks: Sequence[Track], same: Mapping[str, object], *, observed_steps: int) -> pa.Table:
@@ -189,8 +190,8 @@ def split_rows(
     """
     _check_columns(table, name)
     rows = RowArrays.of(table, observed_steps=observed_steps)
-    for breach in row_breaches(rows):
-        raise ScenarioError(f"{name}: {breach.said}")
+    for _, said in row_breaches(rows):
+        raise ScenarioError(f"{name}: {said}")
     same = rows.constants
     return Rows(
         scenario_id=str(same["scenario_id"][0]),
@@ -275,40 +276,33 @@ class RowArrays:
         return f"track {self.ids[self.code[row]]!r}, timestep {self.timestep[row]}"
 
 
-class RowBreach(NamedTuple):
-    """A rule that rows break, by its name, what is said of the first of them, and how many more there are."""
-
-    rule: str
-    said: str
-    more: int = 0
-
-
-def row_breaches(rows: RowArrays) -> Iterator[RowBreach]:
+def row_breaches(rows: RowArrays) -> Iterator[Breach]:
     """What is wrong with the rows of a scenario, by the rules that every scene has to keep: a reader refuses others."""
     same = rows.constants
     most_steps = limits.MAX_CORRIDOR_STEPS if is_corridor(str(same["scenario_id"][0])) else MAX_STEPS
     for column, values in same.items():
         if len(values) != 1:
             shown = one_line(str(values[:3]), most=200)
-            yield RowBreach("constant", f"column {column!r} has {len(values)} values {shown}, expected one")
+            yield "constant", f"column {column!r} has {len(values)} values {shown}, expected one"
     for column in ("scenario_id", "focal_track_id", "city"):
         yield from _unprintable(str(same[column][0]), column, "city" if column == "city" else "columns")
     if len(rows.ids) > limits.MAX_TRACKS:
-        yield RowBreach("columns", f"{len(rows.ids)} tracks, expected at most {limits.MAX_TRACKS}")
+        yield "columns", f"{len(rows.ids)} tracks, expected at most {limits.MAX_TRACKS}"
     for track_id in rows.ids:
         yield from _unprintable(track_id, "track_id", "columns")
     for rule, wrong, said, *values in _masks(rows, most_steps):
         found = np.flatnonzero(wrong)
         if len(found):
             row = int(found[0])
-            yield RowBreach(rule, f"{rows.where(row)}: {said.format(*(of[row] for of in values))}", len(found) - 1)
+            more = f" (and {len(found) - 1} more rows)" if len(found) > 1 else ""
+            yield rule, f"{rows.where(row)}: {said.format(*(of[row] for of in values))}{more}"
     steps, stated = rows.num_steps, int(same["num_timestamps"][0])
     if not steps <= stated <= most_steps:
         said_steps = f"expected {steps}, as many as there are, to {most_steps}"
-        yield RowBreach("timestep", f"num_timestamps {stated}, {said_steps}")
+        yield "timestep", f"num_timestamps {stated}, {said_steps}"
     yield from _focal_breaches(rows, str(same["focal_track_id"][0]))
     if AV_ID not in rows.ids:
-        yield RowBreach("av", f"no track {AV_ID!r} among {len(rows.ids)}, readers of the format need one")
+        yield "av", f"no track {AV_ID!r} among {len(rows.ids)}, readers of the format need one"
 
 
 def _masks(rows: RowArrays, most_steps: int) -> Iterator[tuple[Any, ...]]:
@@ -332,25 +326,25 @@ def _masks(rows: RowArrays, most_steps: int) -> Iterator[tuple[Any, ...]]:
         yield "constant", values != values[rows.starts[code]], f"{column} changes within the track"
 
 
-def _unprintable(text: str, what: str, rule: str) -> Iterator[RowBreach]:
+def _unprintable(text: str, what: str, rule: str) -> Iterator[Breach]:
     """Ids and names that are empty, endless, or do not print: they go into files, tables and messages."""
     if not text or len(text) > limits.MAX_NAME or not text.isprintable():
         shown = one_line(text, most=60)
         said = f"{what} {shown!r}: expected 1 to {limits.MAX_NAME} characters that can be printed"
-        yield RowBreach(rule, said)
+        yield rule, said
 
 
-def _focal_breaches(rows: RowArrays, focal_track_id: str) -> Iterator[RowBreach]:
+def _focal_breaches(rows: RowArrays, focal_track_id: str) -> Iterator[Breach]:
     focals = [rows.ids[code] for code in np.unique(rows.code[rows.category == FOCAL_CATEGORY])]
     if focals != [focal_track_id]:
         have = ", ".join(map(repr, focals)) or "none"
         said = f"tracks of category {FOCAL_CATEGORY}: {have}, expected focal_track_id {focal_track_id!r} alone"
-        yield RowBreach("focal", said)
+        yield "focal", said
     for track_id in focals:
         steps = rows.timestep[rows.of_track(rows.ids.index(track_id))]
         if rows.last_observed not in steps:
             lasts = f"lasts from timestep {steps[0]} to {steps[-1]}, expected it present at {rows.last_observed}"
-            yield RowBreach("focal", f"focal track {track_id!r} {lasts}")
+            yield "focal", f"focal track {track_id!r} {lasts}"
 
 
 def tracks_of(rows: RowArrays, sizes: Mapping[str, BoxSize]) -> tuple[Track, ...]:
@@ -379,15 +373,11 @@ def tracks_of(rows: RowArrays, sizes: Mapping[str, BoxSize]) -> tuple[Track, ...
     return tuple(tracks)
 
 
-def read_sizes(folder: Path) -> dict[str, BoxSize]:
+def sizes_of(folder: Path, sidecar: Sidecar | None) -> dict[str, BoxSize]:
     """Boxes by track id from agent_sizes.csv (columns track_id, length_m, width_m) and a sidecar, where they exist.
 
     Errors: ScenarioError.
     """
-    return _sizes(folder, sidecar_in(folder, source_id(folder)))
-
-
-def _sizes(folder: Path, sidecar: Sidecar | None) -> dict[str, BoxSize]:
     sizes: dict[str, BoxSize] = {}
     path = folder / SIZES_FILE
     if path.exists():

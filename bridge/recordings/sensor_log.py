@@ -37,9 +37,10 @@ from bridge.recordings.folders import ANNOTATIONS, LOG_MAP_NAME, POSES, Source, 
 from bridge.recordings.map_rules import graph_of, read_document
 from bridge.recordings.recording import AV_ID, Recording, velocity_of
 from bridge.recordings.scenario import SCHEMA, read_arrow, recording_of, split_rows
-from hid2.agents import FOCAL_CATEGORY, BoxSize, FloatArray
+from hid2.agents import FOCAL_CATEGORY, BoxSize, FloatArray, IntArray
 from netconvert.errors import MapError, ScenarioError
 from netconvert.geometry import arc_length
+from netconvert.lane_graph import LaneSegment
 
 #: Steps of a window, those of them that are observed, seconds from one to the next, and how far sweeps may be off that.
 NUM_STEPS, OBSERVED_STEPS, STEP_S, _OFF_S = 110, 50, 0.1, 0.01
@@ -95,7 +96,7 @@ def read(source: Source) -> Recording:
     medians = states.groupby("track_id")[["length_m", "width_m"]].median().round(3)
     sizes = {str(track): BoxSize(*row) for track, row in zip(medians.index, medians.to_numpy().tolist(), strict=True)}
     rows = split_rows(table, name=str(source), sizes=sizes, observed_steps=OBSERVED_STEPS)
-    document = _with_centerlines(read_document(map_path), name=str(map_path))
+    document = _completed(read_document(map_path), name=str(map_path))
     graph = graph_of(document, name=str(map_path))
     return recording_of(
         replace(source, map_path=map_path), table, rows, graph, provenance="human", sizes=sizes,
@@ -200,16 +201,14 @@ def _states(log: Path, start: int) -> tuple[pd.DataFrame, list[int]]:
     return states, sweeps.tolist()
 
 
-def _window(every: Any, start: int, path: Path) -> Any:  # noqa: ANN401  # numpy integers of any width
+def _window(every: IntArray, start: int, path: Path) -> IntArray:
     """The time stamps of a window among all of a log. Errors: ScenarioError."""
-    sweeps = every[start : start + NUM_STEPS]
-    if len(every) < NUM_STEPS:
+    last, sweeps = len(every) - NUM_STEPS, every[start : start + NUM_STEPS]
+    if last < 0:
         raise ScenarioError(f"{path}: {len(every)} sweeps, expected at least {NUM_STEPS}")
-    if len(sweeps) < NUM_STEPS:
-        last = len(every) - NUM_STEPS
-        raise ScenarioError(
-            f"{path}: no {NUM_STEPS} of {len(every)} sweeps from {start} on, expected --window 0 to {last}"
-        )
+    if start > last:
+        said = f"no {NUM_STEPS} of {len(every)} sweeps from {start} on"
+        raise ScenarioError(f"{path}: {said}, expected --window 0 to {last}")
     apart_s = np.diff(sweeps) / 1e9
     worst = int(np.abs(apart_s - STEP_S).argmax())
     if abs(apart_s[worst] - STEP_S) > _OFF_S:
@@ -279,47 +278,32 @@ def _with_tracks(states: pd.DataFrame, log: Path, start: int) -> tuple[pd.DataFr
     return states.assign(object_category=states.track_id.map(category)), focal
 
 
-def _with_centerlines(layers: Mapping[str, Any], *, name: str) -> dict[str, Any]:
-    """The map in the key order of forecasting maps, with centrelines and every predecessor. Errors: MapError."""
-    segments = layers["lane_segments"]
-    lanes = {lane.get("id"): lane for lane in segments.values() if isinstance(lane.get("id"), int)}
-    for key, lane in segments.items():
+def _completed(document: dict[str, Any], *, name: str) -> dict[str, Any]:
+    """A map in the key order of forecasting maps, with centrelines and every predecessor. Errors: MapError."""
+    graph, lanes = graph_of(document, name=name), document["lane_segments"]
+    for key, lane in lanes.items():
         if not lane.get("centerline"):
-            lane["centerline"] = _centerline(lane, where=f"{name}: lane segment {one_line(key, most=40)}")
-        following = lane.get("successors")
-        for successor in following if isinstance(following, list) else []:
-            other = lanes.get(successor) if isinstance(successor, int) else None
-            before = None if other is None else other.get("predecessors")
-            if isinstance(before, list) and lane.get("id") not in before:
-                before.append(lane.get("id"))
+            lane["centerline"] = _centerline(graph.lanes[lane["id"]], where=f"{name}: lane segment {key}")
+        for successor in lane["successors"]:
+            other = lanes.get(str(successor))
+            if other is not None and lane["id"] not in other["predecessors"]:
+                other["predecessors"].append(lane["id"])
     return {
-        layer: {key: dict(sorted(item.items())) for key, item in layers[layer].items()}
+        layer: {key: dict(sorted(item.items())) for key, item in document[layer].items()}
         for layer in ("drivable_areas", "lane_segments", "pedestrian_crossings")
     }
 
 
-def _centerline(lane: Mapping[str, Any], *, where: str) -> list[dict[str, float]]:
+def _centerline(lane: LaneSegment, *, where: str) -> list[dict[str, float]]:
     """Midway between the boundaries, at equal steps of at most 2 m, z = 0, centimetres: as forecasting maps have it."""
-    ladder = np.linspace(0.0, 1.0, _LADDER)
-    left, right = (_resampled(_points(lane, f"{side}_lane_boundary", where), ladder) for side in ("left", "right"))
+    left, right = (_resampled(side, np.linspace(0.0, 1.0, _LADDER)) for side in lane.sides)
     middle = (left + right) / 2
-    length_m = float(np.hypot(*np.diff(middle, axis=0).T).sum())
-    if not length_m <= limits.MAX_LANE_M:
+    length_m = float(arc_length(middle)[-1])
+    if length_m > limits.MAX_LANE_M:
         raise MapError(f"{where}: {length_m:.0f} m long, expected at most {limits.MAX_LANE_M:.0f} m")
     steps = max(1, math.ceil(length_m / _CENTERLINE_STEP_M))
     points = _resampled(middle, np.linspace(0.0, 1.0, steps + 1))
-    return [{"x": round(float(x), 2), "y": round(float(y), 2), "z": 0.0} for x, y in points]
-
-
-def _points(lane: Mapping[str, Any], side: str, where: str) -> FloatArray:
-    points = lane.get(side)
-    try:
-        line = np.array([(point["x"], point["y"]) for point in points or []], dtype=np.float64)
-    except (TypeError, KeyError, ValueError, OverflowError):
-        line = np.empty((0, 2))
-    if len(line) < 2 or not (np.abs(line) <= limits.MAX_COORDINATE_M).all():
-        raise MapError(f"{where}: {side}, expected a list of at least two points x, y, z in metres")
-    return line
+    return [{"x": round(x, 2), "y": round(y, 2), "z": 0.0} for x, y in points.tolist()]
 
 
 def _resampled(line: FloatArray, fractions: FloatArray) -> FloatArray:

@@ -20,7 +20,7 @@ from bridge.recordings.folders import (
     split_of,
 )
 from bridge.recordings.judging import findings_of, states_of
-from bridge.recordings.map_rules import graph_of, read_map
+from bridge.recordings.map_rules import checked, lacking_centerlines, read_document
 from bridge.recordings.plausibility import implausible
 from bridge.recordings.readers.argoverse2 import ARGOVERSE2
 from bridge.recordings.rules import (
@@ -34,16 +34,17 @@ from bridge.recordings.rules import (
 from bridge.recordings.scenario import (
     RowArrays,
     read_scenario,
-    read_sizes,
     read_table,
     row_breaches,
+    sizes_of,
     tracks_of,
 )
 from bridge.recordings.sidecar import REACTIVE, Sidecar, read_sidecar, sidecar_path
 from bridge.recordings.sources import read_recording
 from hid2.agents import BoxSize
 from hid2.measures.lane_matching import flatten_lanes
-from netconvert.errors import Hid2Error, ScenarioError
+from netconvert.errors import Hid2Error, MapError, ScenarioError
+from netconvert.lane_graph import LaneGraph
 
 _Part = TypeVar("_Part")
 _OTHER = "no other parquet file anywhere under OUT: readers take every one they find"
@@ -90,7 +91,7 @@ def validate_scene(against: Against, folder: Path) -> list[Finding]:
     """
     new_id = folder.name
     findings: list[Finding] = []
-    sidecar, rows, document = _parts(folder, findings)
+    sidecar, rows, document, graph = _parts(folder, findings)
     if new_id.startswith(REACTIVE_PREFIX) or (sidecar is not None and sidecar.replay.mode == "reactive"):
         return [Finding(folder, "replay", REACTIVE)]  # whatever else it is, it is no scene of Argoverse
     findings += _missing_sidecar(folder, rows)
@@ -105,9 +106,8 @@ def validate_scene(against: Against, folder: Path) -> list[Finding]:
     findings += [Finding(path, *breach) for breach in breaches]
     if document is None:
         return findings
-    found = _judged(path, rows, document, sidecar, generated_ids if against.inserted is None else against.inserted)
-    faulty = any(not finding.is_note for finding in findings)  # then it is known why nothing can be judged
-    findings += [finding for finding in found if finding.rule != "columns" or not faulty]
+    if graph is not None and next(row_breaches(rows), None) is None:
+        findings += _judged(path, rows, graph, sidecar, generated_ids if against.inserted is None else against.inserted)
     if sidecar is not None:
         begins = dict(zip(rows.ids, rows.timestep[rows.starts].tolist(), strict=True))
         lanes = {str(lane) for lane in document["lane_segments"]}
@@ -117,25 +117,29 @@ def validate_scene(against: Against, folder: Path) -> list[Finding]:
     return findings
 
 
-def _parts(folder: Path, findings: list[Finding]) -> tuple[Sidecar | None, RowArrays | None, dict[str, Any] | None]:
-    """Sidecar, rows and map of a scene, as far as they are there; why one cannot be read is appended to `findings`."""
+def _parts(
+    folder: Path, findings: list[Finding]
+) -> tuple[Sidecar | None, RowArrays | None, dict[str, Any] | None, LaneGraph | None]:
+    """Sidecar, rows, map and its graph, as far as they are there; why one cannot be read is appended to `findings`."""
     parquet_path, map_path = folder / f"scenario_{folder.name}.parquet", folder / f"log_map_archive_{folder.name}.json"
     findings += [Finding(path, "folder", "no such file") for path in (parquet_path, map_path) if not path.is_file()]
 
     def read(path: Path, rule: str, reader: Callable[[Path], _Part]) -> _Part | None:
         try:
             return reader(path) if path.is_file() else None
-        except ScenarioError as error:
+        except (ScenarioError, MapError) as error:
             findings.append(Finding(path, rule, str(error)))
             return None
 
     sidecar = read(sidecar_path(folder, folder.name), "sidecar", read_sidecar)
-    document, breaches = read_map(map_path) if map_path.is_file() else (None, [])
-    findings += [Finding(map_path, *breach) for breach in breaches]
+    document, graph = read(map_path, "map", read_document), None
+    if document is not None:
+        graph, breaches = checked(document)
+        findings += [Finding(map_path, *breach) for breach in (*breaches, *lacking_centerlines(document))]
     rows = read(parquet_path, "columns", lambda path: RowArrays.of(read_table(path)))
     if rows is not None and sidecar is not None:
         rows = replace(rows, observed_steps=sidecar.recording.observed_steps, step_s=sidecar.recording.step_s)
-    return sidecar, rows, document
+    return sidecar, rows, document, graph
 
 
 def _compared(
@@ -181,18 +185,12 @@ def _missing_sidecar(folder: Path, rows: RowArrays | None) -> list[Finding]:
 
 
 def _judged(
-    path: Path, rows: RowArrays, document: Mapping[str, Any], sidecar: Sidecar | None, inserted: Set[str]
+    path: Path, rows: RowArrays, graph: LaneGraph, sidecar: Sidecar | None, inserted: Set[str]
 ) -> list[Finding]:
     """What the judge finds in a scene with sound rows and map."""
-    if next(row_breaches(rows), None) is not None:
-        return []
-    try:
-        graph = graph_of(document, name=str(path.parent))
-    except Hid2Error as error:
-        return [Finding(path, "columns", f"cannot be judged: {error}")]
     sizes: Mapping[str, BoxSize] = {}
-    with suppress(ScenarioError):  # a sidecar that cannot be read is a finding of its own
-        sizes = read_sizes(path.parent)
+    with suppress(ScenarioError):  # sizes beside a scene are none of its files
+        sizes = sizes_of(path.parent, sidecar)
     tracks = tracks_of(rows, sizes)
     states = states_of(tracks, flatten_lanes(graph), inserted, num_steps=rows.num_steps, step_s=rows.step_s)
     found = []

@@ -193,9 +193,9 @@ class Driving:
 
         A recorded agent mostly ran into them, as it does not brake.
         """
-        fleet, here, traffic = self.fleet, self.fleet.on_ways, self.fleet.scene.traffic
-        low, high, count = here.intervals.low, here.intervals.high, len(traffic.ids)
-        struck = deep_inside(low, high, here.intervals.agents, here.first, count, step, fleet.along_m, _STRUCK_M)
+        fleet, (known, first), traffic = self.fleet, self.fleet.on_ways, self.fleet.scene.traffic
+        count = len(traffic.ids)
+        struck = deep_inside(known.low, known.high, known.agents, first, count, step, fleet.along_m, _STRUCK_M)
         for row, agent in zip(*(column.tolist() for column in struck), strict=True):
             vehicle = fleet.vehicles[row]
             xy, tangent, _ = vehicle.path.line.motion(np.array([vehicle.s[-1]]))

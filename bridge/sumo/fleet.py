@@ -52,19 +52,6 @@ class Way:
         return bool(self.policies[at] != STRAIGHT)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class OnWays:
-    """All agents with a known future on the ways of all vehicles, those of one way after those of another.
-
-    intervals (R, T) of agents, recorded, then kept ones; length_m (A,) of all of them; first (N + 1,): rows by
-    vehicle.
-    """
-
-    intervals: PathOccupancy
-    length_m: FloatArray
-    first: IntArray
-
-
 @dataclass(eq=False, slots=True)
 class Fleet:
     """Vehicles that are driven together among recorded ones and those kept in rounds before, `fixed`.
@@ -94,7 +81,7 @@ class Fleet:
     yielding: BoolArray = field(init=False)
     may_change: BoolArray = field(init=False)
     guard: Guard = field(init=False)
-    _on_ways: OnWays | None = field(init=False, default=None)
+    _on_ways: tuple[PathOccupancy, IntArray] | None = field(init=False, default=None)
     _along: tuple[npt.NDArray[Any], ...] | None = field(init=False, default=None)
 
     def __post_init__(self, starts: Sequence[Start]) -> None:
@@ -224,13 +211,15 @@ class Fleet:
         return way.known
 
     @property
-    def on_ways(self) -> OnWays:
-        """All known agents on the present ways of all vehicles."""
+    def on_ways(self) -> tuple[PathOccupancy, IntArray]:
+        """Intervals of all known agents, recorded, then kept, on the present ways of all vehicles, one after another.
+
+        And their rows by vehicle, (N + 1,).
+        """
         if self._on_ways is None:
             known = [self.known_on_way(row) for row in range(len(self.vehicles))]
             every = PathOccupancy.none(self.scene.future.num_steps).joined(*known)
-            length_m = np.concatenate([self.scene.traffic.length_m, self.fixed.length_m])
-            self._on_ways = OnWays(every, length_m, np.cumsum([0, *(found.agents.size for found in known)]))
+            self._on_ways = every, np.cumsum([0, *(found.agents.size for found in known)])
         return self._on_ways
 
     @property

@@ -6,7 +6,6 @@ further in every step than it is long, ends each step where its front bumper was
 lane, and the lane's direction is its heading. What SUMO tells as its speed is that advance.
 """
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -14,15 +13,14 @@ import numpy as np
 from lxml import etree
 from lxml.builder import E
 
-from bridge.config import word_for_recorded
-from bridge.pictures.figures import FACES, kinds_in, kinds_in_words, moving_ground
+from bridge.pictures.figures import FACES, kinds_in, moving_ground
 from bridge.recordings.scenario import Scenario
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FOCAL_CATEGORY, FloatArray, Track
 from hid2.measures.arrays import is_generated_id
 from netconvert.cells import CellGrid
 from netconvert.geo import CITY_ORIGINS
-from netconvert.gui_files import WINDOW_ASPECT, gui_files, xml_bytes
+from netconvert.gui_files import gui_files, xml_bytes
 from netconvert.net_xml import junction_beside, junction_xml, net_bytes, shape
 
 # No tunables: how a scene is drawn in sumo-gui; nothing that is generated depends on any of these.
@@ -40,8 +38,6 @@ _JUNCTIONS_APART_M = 0.05
 _UNSEEN = "ship"
 #: Parameter of a vehicle that holds the id to show.
 ID_KEY = "shown_id"
-#: Distance of two lines of the legend, and its width, as a share of the height shown.
-_LEGEND_ROW, _LEGEND_WIDTH = 0.045, 0.34
 #: SUMO's pictures of vehicles, by object type.
 GUI_SHAPES: Mapping[str, str] = {
     "vehicle": "passenger/sedan",
@@ -65,10 +61,10 @@ def rgb(kind: str) -> str:
 def playable_files(scenario: Scenario, grid: CellGrid) -> dict[str, bytes]:
     """<id>_scene.sumocfg, .net.xml, .rou.xml, .poly.xml and .view.xml by file name.
 
-    The net is that of `hid2 net` with the lanes of the traces added, the view looks at what moves, with a legend.
+    The net is that of `hid2 net` with the lanes of the traces added, the view looks at what moves.
     sumo-gui shows the first step and waits, and the last one: vehicles are boxes of their size, with their ids.
     """
-    name, (low, high) = f"{scenario.scenario_id}_scene", moving_ground(scenario)
+    name = f"{scenario.scenario_id}_scene"
     options = run_options(scenario, f"{name}.rou.xml")
     options["time"]["end"] = f"{(scenario.num_steps + 1) * scenario.step_s:.2f}"  # at which sumo-gui asks to close all
     options["processing"] = {"collision.action": "none", "time-to-teleport": "-1"}
@@ -76,15 +72,12 @@ def playable_files(scenario: Scenario, grid: CellGrid) -> dict[str, bytes]:
     options["gui_only"] = {"start": "true", "breakpoints": f"0.00,{last_s:.2f}"}
     vehicles = E.vehicles(
         {"vehicleMode": "0", "vehicleQuality": "1", "showBlinker": "0", "vehicle_minSize": "0", "scaleLength": "0"},
-        {"vehicle_exaggeration": "1", **_words("vehicleText", 46)},
-        {"vehicleText_bgColor": "255,255,255", "vehicleTextParam": ID_KEY},
+        {"vehicle_exaggeration": "1", "vehicleText_show": "1", "vehicleText_size": "46", "vehicleTextParam": ID_KEY},
+        {"vehicleText_constantSize": "1", "vehicleText_color": "10,10,10", "vehicleText_bgColor": "255,255,255"},
         E.colorScheme(name="given vehicle/type/route color"),
     )
-    names = E.pois({"poi_constantSize": "1", "poi_exaggeration": "1", **_words("poiName", 50)})
-    files = gui_files(
-        grid, name, step_s=scenario.step_s, shown=(low, high), options=options, shapes=_legend(scenario, low, high),
-        scheme=[vehicles, names],
-    )  # fmt: skip
+    shown = moving_ground(scenario)
+    files = gui_files(grid, name, step_s=scenario.step_s, shown=shown, options=options, vehicles=vehicles)
     del files[f"{name}.cells.csv"]
     traces = [_trace(track, scenario.step_s) for track in scenario.tracks]
     net = net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city))
@@ -96,36 +89,6 @@ def playable_files(scenario: Scenario, grid: CellGrid) -> dict[str, bytes]:
 def run_options(scenario: Scenario, routes: str) -> dict[str, dict[str, str]]:
     """Options with which SUMO runs a file of routes for as long as a scene lasts, by section and name."""
     return {"input": {"route-files": routes}, "time": {"end": f"{scenario.num_steps * scenario.step_s:.2f}"}}
-
-
-def _words(what: str, size: int) -> dict[str, str]:
-    """View settings that show names, as large at any zoom."""
-    return {f"{what}_show": "1", f"{what}_size": str(size), f"{what}_constantSize": "1", f"{what}_color": "10,10,10"}
-
-
-def _legend(scenario: Scenario, low: FloatArray, high: FloatArray) -> list[etree._Element]:
-    """What the colours mean: bars with names, in that corner of the ground shown where the fewest vehicles pass."""
-    there, words = set(kinds_in(scenario).values()), kinds_in_words(word_for_recorded(scenario.scenario_id))
-    shown = [kind for kind in words if kind in there]
-    high_m = max(float(high[1] - low[1]), float(high[0] - low[0]) / WINDOW_ASPECT)
-    size = np.array([_LEGEND_WIDTH, _LEGEND_ROW * len(shown)]) * high_m
-    points = np.concatenate([track.position for track in scenario.tracks])
-    reach = np.array([high[0] - low[0], high_m]) / 2 - size  # of the legend's corners from the middle
-    places = itertools.product((-reach[0] - size[0], reach[0]), (reach[1], -reach[1] - size[1]))
-    corners = (low + high) / 2 + np.array(list(places))
-    hidden = ((points[:, None] > corners) & (points[:, None] < corners + size)).all(axis=2).sum(axis=0)
-    left, bottom = corners[np.argmin(hidden)].tolist()
-    parts, width, height = [], size[0], 0.8 * _LEGEND_ROW * high_m
-    for row, kind in enumerate(reversed(shown)):
-        # SUMO takes no spaces in ids, but those that do not break; to show a name it needs a point, without colour
-        name = words[kind].replace(" ", "\u00a0")
-        lower = bottom + row * _LEGEND_ROW * high_m
-        ring = [(left, lower), (left + width, lower), (left + width, lower + height), (left, lower + height)]
-        bar = {"id": f"legend_{name}", "type": "legend", "color": rgb(kind), "fill": "1"}
-        point = {"id": name, "type": "legend", "color": "0,0,0,0", "layer": "500"}
-        point |= {"x": f"{left + width / 2:.2f}", "y": f"{lower + height / 2:.2f}"}
-        parts += [E.poly(bar, {"layer": "450", "shape": shape(np.array(ring))}), E.poi(point)]
-    return parts
 
 
 @dataclass(frozen=True, eq=False, slots=True)

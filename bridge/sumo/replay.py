@@ -7,7 +7,6 @@ import numpy as np
 
 from bridge.sumo.poses import box_poses, sumo_poses
 from bridge.sumo.simulation import Simulation
-from hid2.agents import FloatArray
 from hid2.occupancy.shown import UNSEEN_STEPS
 from hid2.occupancy.traffic import Traffic
 from netconvert.geometry import wrap_angle
@@ -39,8 +38,7 @@ class Replay:
     _names: list[str] = field(init=False)
     _poses: list[tuple[list[float], list[float], list[float]]] = field(init=False)
     _here: list[list[int]] = field(init=False)
-    _seen: list[tuple[int, list[int], FloatArray]] = field(default_factory=list)
-    _lost: int = 0
+    errors: ReplayErrors = field(init=False, default=ReplayErrors())
     _placed: int = 0
     _since: dict[int, int] = field(default_factory=dict)
 
@@ -111,27 +109,20 @@ class Replay:
         """Take down SUMO's poses, where they are to be compared with the recorded ones."""
         if not self.checked:
             return
-        rows = self._here[step]
+        rows, before = np.array(self._here[step], dtype=np.int64), self.errors
         found = self.simulation.poses([self._names[row] for row in rows])
-        kept = [number for number, pose in enumerate(found) if pose is not None]
-        self._lost += len(rows) - len(kept)
-        self._seen.append(
-            (step, [rows[number] for number in kept], np.array([found[number] for number in kept]).reshape(-1, 3))
+        there = rows[[pose is not None for pose in found]]
+        poses = np.array([pose for pose in found if pose is not None]).reshape(-1, 3)
+        center, heading = box_poses(poses[:, :2], poses[:, 2], self.traffic.length_m[there])
+        off = np.hypot(*(center - self.traffic.position[there, step]).T)
+        turned = np.abs(wrap_angle(heading - self.traffic.heading[there, step]))
+        self.errors = ReplayErrors(
+            before.states + there.size,
+            float(off.max(initial=before.max_position_error_m)),
+            float(turned.max(initial=before.max_heading_error_rad)),
+            before.lost + rows.size - there.size,
         )
 
     def name(self, row: int) -> str:
         """Id in the simulation."""
         return self._names[row]
-
-    @property
-    def errors(self) -> ReplayErrors:
-        """What SUMO made of the states checked so far."""
-        row = np.array([row for _, rows, _ in self._seen for row in rows], dtype=np.int64)
-        if row.size == 0:
-            return ReplayErrors(lost=self._lost)
-        step = np.array([step for step, rows, _ in self._seen for _ in rows])
-        poses = np.concatenate([poses for _, _, poses in self._seen])
-        center, heading = box_poses(poses[:, :2], poses[:, 2], self.traffic.length_m[row])
-        off = np.hypot(*(center - self.traffic.position[row, step]).T)
-        turned = np.abs(wrap_angle(heading - self.traffic.heading[row, step]))
-        return ReplayErrors(row.size, float(off.max()), float(turned.max()), self._lost)

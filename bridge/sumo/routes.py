@@ -1,5 +1,7 @@
 """The path of a vehicle as SUMO's route, and another one from the next split on."""
 
+from itertools import groupby
+
 import numpy as np
 
 from bridge.sumo.fleet import Fleet
@@ -20,17 +22,10 @@ def edges_along(scene: Scene, path: DrivenPath, cell: Cell) -> tuple[str, ...] |
     lanes = [segment.lane_id for segment in path.segments]
     if cell.lane_id not in lanes:
         return None
-    grid = scene.grid
-    edges: list[str] = []
-    first = cell.index
-    last = len(lanes) - 1 - lanes[::-1].index(cell.lane_id)  # an overtake comes back to the lane it left
-    for lane_id in lanes[last:]:
-        for index in range(first, grid.count(lane_id)):
-            edge = grid.edge_id(Cell(lane_id, index))
-            if not edges or edges[-1] != edge:
-                edges.append(edge)
-        first = 0
-    return tuple(edges)
+    grid, last = scene.grid, len(lanes) - 1 - lanes[::-1].index(cell.lane_id)  # an overtake comes back to its lane
+    cells = [Cell(cell.lane_id, index) for index in range(cell.index, grid.count(cell.lane_id))]
+    cells += [Cell(lane_id, index) for lane_id in lanes[last + 1 :] for index in range(grid.count(lane_id))]
+    return tuple(edge for edge, _ in groupby(map(grid.edge_id, cells)))
 
 
 def take_another_way(fleet: Fleet, simulation: Simulation, row: int, now: int) -> bool:

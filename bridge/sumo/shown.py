@@ -32,10 +32,10 @@ def shown_at(fleet: Fleet, step: int) -> tuple[dict[int, tuple[str, int]], dict[
     scene, count = fleet.scene, len(fleet.scene.traffic.ids)
     if "collision" in scene.config.without:
         return recorded, kept
-    here, known = fleet.on_ways, fleet.on_ways.intervals
+    (known, first), length_m = fleet.on_ways, np.concatenate([scene.traffic.length_m, fleet.fixed.length_m])
     found = shown_ahead(
-        known.low, known.high, known.along, known.same_direction, known.crossing, known.agents, here.first,
-        here.length_m, scene.traffic.position, fleet.fixed.position, step, fleet.along_m, fleet.centre, fleet.length_m,
+        known.low, known.high, known.along, known.same_direction, known.crossing, known.agents, first,
+        length_m, scene.traffic.position, fleet.fixed.position, step, fleet.along_m, fleet.centre, fleet.length_m,
         (STANDING_MPS, LEADS_FROM_M, SHOWN_M),
     )  # fmt: skip
     for agent, row, middle in zip(*(column.tolist() for column in found), strict=True):

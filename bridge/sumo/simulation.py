@@ -45,19 +45,17 @@ class Simulation:
     parameters: its attributes.
     checks_gaps: whether SUMO refuses a lane change that its own gaps forbid; own_wish: whether its own model changes
     lanes, too.
-    expected_decel_mps2: what those behind a replayed vehicle expect it to brake with at most.
     Errors: SimulationError for a net that SUMO refuses, and for a second simulation in one process.
     """
 
     _running: ClassVar[bool] = False
 
     def __init__(
-        self, net: bytes, *, seed: int, step_s: float, expected_decel_mps2: float = 4.5, model: str = "EIDM",
+        self, net: bytes, *, seed: int, step_s: float, model: str = "EIDM",
         parameters: Mapping[str, float] | None = None, checks_gaps: bool = True, own_wish: bool = False,
     ) -> None:  # fmt: skip
         self._net = net
         self._model, self._parameters = model, dict(parameters or {})
-        self._expected_decel_mps2 = expected_decel_mps2
         self._change_mode = _OWN_WISH if own_wish else _ONLY_ASKED_IF_SAFE if checks_gaps else _ASKED_ANYHOW
         self._seed = seed
         self._step_s = step_s
@@ -272,7 +270,6 @@ class Simulation:
             libsumo.vehicletype.copy("DEFAULT_VEHTYPE", type_id)
             libsumo.vehicletype.setLength(type_id, length_m)
             libsumo.vehicletype.setWidth(type_id, width_m)
-            libsumo.vehicletype.setApparentDecel(type_id, self._expected_decel_mps2)
             libsumo.vehicletype.setSpeedDeviation(type_id, 0.0)  # replayed agents draw no random numbers from others
             libsumo.vehicletype.setVehicleClass(type_id, "ignoring")  # recorded agents are where they are, on any lane
             libsumo.vehicletype.setActionStepLength(type_id, _NEVER_S)  # SUMO need not think about where they would go

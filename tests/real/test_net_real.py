@@ -9,9 +9,8 @@ import pytest
 import shapely
 from av2.map.map_api import ArgoverseStaticMap
 
-from bridge.recordings.map_rules import read_source_map
+from bridge.recordings.map_rules import graph_of, read_source_map
 from bridge.sumo.net import convert
-from netconvert.av2_map import lane_graph_from_json
 from netconvert.cells import build_cell_grid
 from netconvert.fidelity import UNEXPLAINED
 from netconvert.lane_graph import SIDES, LaneGraph
@@ -65,7 +64,7 @@ def test_without_centrelines_the_mid_lines_are_those_that_av2_derives(real_scene
     for segment in data["lane_segments"].values():
         del segment["centerline"]
     theirs = ArgoverseStaticMap.from_json(path)
-    for lane_id, lane in lane_graph_from_json(data, name="map").lanes.items():
+    for lane_id, lane in graph_of(data, name="map").lanes.items():
         expected = theirs.get_lane_segment_centerline(lane_id)[:, :2]
         assert np.abs(lane.centerline - expected).max() <= 1e-6
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from av2.map.map_api import ArgoverseStaticMap
 
-from netconvert.av2_map import lane_graph_from_json
+from bridge.recordings.map_rules import graph_of
 from netconvert.errors import MapError
 from netconvert.lane_graph import TurnType
 
@@ -18,7 +18,7 @@ STRAIGHT = [(0.0, 0.0), (50.0, 0.0)]
 def test_a_lane_segment_keeps_what_the_file_says(lane_json: Json, map_json: Json) -> None:
     segment = lane_json(5, STRAIGHT, left_neighbor_id=8, successors=[6], is_intersection=True, lane_type="BUS")
     other = lane_json(6, [(50.0, 0.0), (60.0, 0.0)])
-    graph = lane_graph_from_json(map_json(segment, other), name="map")
+    graph = graph_of(map_json(segment, other), name="map")
     lane = graph.lanes[5]
     assert lane.centerline.tolist() == [[0.0, 0.0], [50.0, 0.0]]
     assert lane.left_boundary is not None
@@ -47,7 +47,7 @@ def test_a_missing_centerline_is_the_mid_line_that_av2_derives(tmp_path: Path, l
     path = tmp_path / "log_map_archive_x.json"
     document = map_json(*segments)
     path.write_text(json.dumps(document))
-    graph, theirs = lane_graph_from_json(document, name="map"), ArgoverseStaticMap.from_json(path)
+    graph, theirs = graph_of(document, name="map"), ArgoverseStaticMap.from_json(path)
     for lane_id, lane in graph.lanes.items():
         expected = theirs.get_lane_segment_centerline(lane_id)[:, :2]
         assert np.abs(lane.centerline - expected).max() < 1e-9
@@ -65,31 +65,31 @@ def test_pedestrian_crossings_keep_their_corners_in_turn(
     document = map_json(lane_json(5, STRAIGHT))
     crossing = {"id": 1, "edge1": _edge((10.0, -5.0), (10.0, 5.0)), "edge2": _edge(*second)}
     document["pedestrian_crossings"] = {"1": crossing}
-    (corners,) = lane_graph_from_json(document, name="map").pedestrian_crossings
+    (corners,) = graph_of(document, name="map").pedestrian_crossings
     assert corners.tolist() == [[10.0, -5.0], [10.0, 5.0], [13.0, 5.0], [13.0, -5.0]]
 
 
 def test_a_map_without_pedestrian_crossings_has_none(lane_json: Json, map_json: Json) -> None:
     document = map_json(lane_json(5, STRAIGHT))
-    assert lane_graph_from_json(document, name="map").pedestrian_crossings == ()
+    assert graph_of(document, name="map").pedestrian_crossings == ()
 
 
 def test_a_pedestrian_crossing_without_an_edge_is_refused_by_name(lane_json: Json, map_json: Json) -> None:
     document = map_json(lane_json(5, STRAIGHT))
     document["pedestrian_crossings"] = {"77": {"id": 77, "edge1": _edge((0.0, 0.0), (1.0, 0.0))}}
     with pytest.raises(MapError, match="map: pedestrian crossing 77: no edge2, expected the fields"):
-        lane_graph_from_json(document, name="map")
+        graph_of(document, name="map")
 
 
 def test_repeated_points_of_a_centerline_are_dropped(lane_json: Json, map_json: Json) -> None:
     segment = lane_json(5, [(0.0, 0.0), (0.0, 0.0), (20.0, 0.0), (20.0, 0.0), (50.0, 0.0)])
-    lane = lane_graph_from_json(map_json(segment), name="map").lanes[5]
+    lane = graph_of(map_json(segment), name="map").lanes[5]
     assert lane.centerline.tolist() == [[0.0, 0.0], [20.0, 0.0], [50.0, 0.0]]
 
 
 def test_links_that_lead_nowhere_do_not_stop_the_map(lane_json: Json, map_json: Json) -> None:
     """A successor outside the map, a neighbour that is the lane itself, one that is missing, a cycle of two."""
-    graph = lane_graph_from_json(
+    graph = graph_of(
         map_json(
             lane_json(1, STRAIGHT, successors=[2, 77], left_neighbor_id=1, right_neighbor_id=88),
             lane_json(2, [(50.0, 0.0), (50.0, 9.0), (0.0, 9.0), (0.0, 0.0)], successors=[1]),
@@ -140,27 +140,27 @@ def test_a_broken_lane_is_refused_with_its_id_and_value(case: str, lane_json: Js
     change, message = BAD_LANES[case]
     data = map_json(lane_json(5, STRAIGHT) | change)
     with pytest.raises(MapError, match=f"^the/map.json: {message}"):
-        lane_graph_from_json(data, name="the/map.json")
+        graph_of(data, name="the/map.json")
 
 
 def test_a_missing_field_is_named(lane_json: Json, map_json: Json) -> None:
     segment = lane_json(5, STRAIGHT)
     del segment["successors"], segment["lane_type"]
     with pytest.raises(MapError, match="map: lane 5: no lane_type, expected"):
-        lane_graph_from_json(map_json(segment), name="map")
+        graph_of(map_json(segment), name="map")
 
 
 def test_a_map_without_vehicle_lane_is_refused(lane_json: Json, map_json: Json) -> None:
     data = map_json(lane_json(5, STRAIGHT, lane_type="BIKE"), lane_json(6, STRAIGHT, lane_type="BUS"))
     with pytest.raises(MapError, match="map: no lane of type VEHICLE among 2 lane segments, expected at least one"):
-        lane_graph_from_json(data, name="map")
+        graph_of(data, name="map")
 
 
 def test_an_id_that_is_not_its_key_is_refused(lane_json: Json, map_json: Json) -> None:
     data = map_json(lane_json(5, STRAIGHT))
     data["lane_segments"]["6"] = lane_json(5, STRAIGHT)
     with pytest.raises(MapError, match="lane 6: id 5, expected its key"):
-        lane_graph_from_json(data, name="map")
+        graph_of(data, name="map")
 
 
 EMPTY: dict[str, Any] = {"lane_segments": {}, "drivable_areas": {}, "pedestrian_crossings": {}}
@@ -180,11 +180,11 @@ EMPTY: dict[str, Any] = {"lane_segments": {}, "drivable_areas": {}, "pedestrian_
 )
 def test_json_that_is_no_map_is_refused(data: Any, message: str) -> None:
     with pytest.raises(MapError, match=f"map: {message}"):
-        lane_graph_from_json(data, name="map")
+        graph_of(data, name="map")
 
 
 def test_a_drivable_area_without_boundary_is_refused(lane_json: Json, map_json: Json) -> None:
     data = map_json(lane_json(5, STRAIGHT))
     data["drivable_areas"]["7"] = {"id": 7}
     with pytest.raises(MapError, match="map: drivable area 7: no area_boundary"):
-        lane_graph_from_json(data, name="map")
+        graph_of(data, name="map")

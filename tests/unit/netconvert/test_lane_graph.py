@@ -4,7 +4,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from netconvert.errors import MapError
 from netconvert.lane_graph import DroppedLink, LaneGraph, LaneSegment, TurnType, crossable, turn_type
 
 Lane = Callable[..., LaneSegment]
@@ -204,16 +203,6 @@ def test_the_drivable_area_is_the_union_of_its_parts(lane: Lane) -> None:
 
 def test_a_map_without_drivable_area_has_an_empty_one(lane: Lane, graph: Graph) -> None:
     assert graph(lane(1, [(0, 0), (10, 0)])).drivable.is_empty
-
-
-def test_a_lane_of_unknown_type_is_refused(lane: Lane) -> None:
-    with pytest.raises(MapError, match="lane 5: lane_type 'TRAM', expected one of"):
-        lane(5, [(0, 0), (10, 0)], lane_type="TRAM")
-
-
-def test_a_lane_without_length_is_refused(lane: Lane) -> None:
-    with pytest.raises(MapError, match="lane 5: centerline"):
-        lane(5, [(3, 3), (3, 3)])
 
 
 def test_straightest_successor_turns_least_and_of_equals_has_the_lower_id(lane: Lane, graph: Graph) -> None:

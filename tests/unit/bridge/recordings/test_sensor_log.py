@@ -178,7 +178,7 @@ WRONG: dict[str, tuple[Change, str]] = {
     "map-without-lanes": (_map(lambda document: document.pop("lane_segments")), "no object 'lane_segments'"),
     "boundary-of-one-point": (
         _map(lambda document: _first_lane(document).update(left_lane_boundary=[{"x": 0.0, "y": 0.0, "z": 0.0}])),
-        "left_lane_boundary, expected a list of at least two points",
+        "left_lane_boundary: 1 points, expected at least 2 points",
     ),
     "lane-type": (_map(lambda document: _first_lane(document).update(lane_type="TRAM")), "TRAM"),
     "no-drivable-area": (_map(lambda document: document.update(drivable_areas={})), "no drivable area"),

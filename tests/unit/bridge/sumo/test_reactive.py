@@ -13,7 +13,6 @@ from inserted import nobody, recorded, scene_on, start_on
 
 from bridge.batch.validation import validate_folder
 from bridge.evaluation.scene_metrics import measure_folder
-from bridge.exports.export import export_scene
 from bridge.forecasting.places import recorded_source
 from bridge.generation.generate import generate
 from bridge.pictures.render import _panels
@@ -139,14 +138,10 @@ def test_scene_in_which_recorded_vehicles_react_is_called_so_and_refused(reactiv
             refuses()
 
 
-def test_pictures_and_sumo_gui_do_not_call_its_tracks_recorded(reactive_scene: Path, tmp_path: Path) -> None:
-    """One panel, for what was recorded is not in it; the legend of sumo-gui says reacting."""
+def test_pictures_do_not_call_its_tracks_recorded(reactive_scene: Path) -> None:
+    """One panel, for what was recorded is not in it."""
     (panel,) = _panels(read_scenario(reactive_scene))
     assert "reacting agents" in panel.title
-    files = export_scene(reactive_scene, "sumo", tmp_path)
-    legend = next(path for path in files if path.name.endswith("_scene.poly.xml")).read_text()
-    assert "legend_reacting\u00a0vehicle" in legend
-    assert "legend_recorded\u00a0vehicle" not in legend
 
 
 def test_same_request_makes_the_same_scene_again(reactive_scene: Path, data_scenes: dict[str, Path]) -> None:
