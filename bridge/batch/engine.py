@@ -21,7 +21,6 @@ from bridge.batch.isolation import (
     IsolatedProcess,
     Settings,
     StartFailedError,
-    WorkFailedError,
     attempts,
 )
 from bridge.files import one_line
@@ -188,32 +187,28 @@ def run_task(task: Task, process: IsolatedProcess, settings: Settings) -> Result
     Where the process was stopped, the rest of the task has no outcomes. Errors: BatchError when no process can begin.
     """
     outcomes: list[Outcome] = []
-    attempts, began, failed_starts = 1, time.monotonic(), 0
-    while len(outcomes) < len(task.items):
-        remaining = task.items[len(outcomes) :]
+    attempts, failed_starts, began = 1, 0, time.monotonic()
+    while len(outcomes) < len(task.items) and not process.stopped:
         try:
-            for value in process.stream(task.function, task.shared, remaining):
-                outcomes.append(_outcome(task, outcomes, value, attempts, began))
-                attempts, began, failed_starts = 1, time.monotonic(), 0
-            failure = Failure("exception", f"{task.function} yielded nothing for {len(remaining)} items")
+            for found in process.stream(task.function, task.shared, task.items[len(outcomes) :]):
+                failure = found if isinstance(found, Failure) else None
+                if (
+                    failure is not None
+                    and failure.kind in _RETRIED
+                    and (process.stopped or attempts <= settings.retries)
+                ):
+                    attempts += 1
+                else:
+                    item, seconds = task.items[len(outcomes)], time.monotonic() - began
+                    outcomes.append(Outcome(item, None if failure else found, failure, attempts, seconds))
+                    attempts = 1
+                failed_starts, began = 0, time.monotonic()
         except StartFailedError as error:
-            if process.stopped:
-                break
             failed_starts += 1
-            if error.failure.kind not in _RETRIED or failed_starts > settings.retries:
+            may_pass = error.failure.kind in _RETRIED and failed_starts <= settings.retries
+            if not (may_pass or process.stopped):
                 raise BatchError(_no_start(error.failure)) from error
             began = time.monotonic()
-            continue
-        except WorkFailedError as error:
-            failure = error.failure
-        if len(outcomes) == len(task.items) or process.stopped:
-            break
-        if failure.kind in _RETRIED and attempts <= settings.retries:
-            attempts += 1
-        else:
-            outcomes.append(_outcome(task, outcomes, failure, attempts, began))
-            attempts = 1
-        began = time.monotonic()
     return Result(task, tuple(outcomes))
 
 
@@ -224,8 +219,3 @@ def _no_start(failure: Failure) -> str:
     return (
         f"no scene process can begin its work here ({one_line(reason, most=500)}); mend that and continue with --resume"
     )
-
-
-def _outcome(task: Task, done: list[Outcome], found: object, attempts: int, began: float) -> Outcome:
-    value, failure = (None, found) if isinstance(found, Failure) else (found, None)
-    return Outcome(task.items[len(done)], value, failure, attempts, time.monotonic() - began)

@@ -13,7 +13,7 @@ from processes import still_running
 
 from bridge.batch.batch import GENERATE
 from bridge.batch.engine import Task, execute_here, run_task, work_on_each
-from bridge.batch.isolation import Failure, FailureKind, Settings, WorkFailedError
+from bridge.batch.isolation import Failure, FailureKind, Settings
 from netconvert.errors import BatchError
 
 TASKS = [Task(f"t{k}", "faults:numbers", "", (10 * k, 10 * k + 1)) for k in range(6)]
@@ -138,8 +138,7 @@ class _Failing:
 
     def stream(self, _function: str, *_arguments: object) -> Iterator[object]:
         self.calls += 1
-        raise WorkFailedError(Failure(self.kind, "said"))
-        yield
+        yield Failure(self.kind, "said")
 
 
 @pytest.mark.parametrize(
