@@ -154,7 +154,7 @@ def generate(  # noqa: PLR0913  # one for each option
         check_same_request(out, jobs_wanted[0].runs[0].config)
     activity.doing("looking at the first scenes")
     named = named_behaviours(resolved.request, by_option=behaviours is not None)
-    activity.note(*check_request(folders, resolved, named, jobs=batch.jobs))
+    check_request(folders, resolved, named, jobs=batch.jobs)
     how = Options(
         jobs=batch.jobs, scheduler=batch.scheduler, timeout_s=batch.scene_timeout, resume=resume,
         memory_mb=scene_memory, argoverse1=bool(formats),
