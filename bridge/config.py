@@ -212,7 +212,10 @@ def check_function(name: str, named: Collection[str], *, where: str) -> None:
 
 
 def check_exportable(config: Config) -> None:
-    """Raise ConfigError for what studies alone may ask for: traffic that enters, lane changes that nothing guards."""
+    """Raise ConfigError for what no scene can be made with.
+
+    Traffic that enters and lane changes that nothing guards are for studies alone; events need vehicles as recorded.
+    """
     if config.lane_change.safety == "rule":
         raise ConfigError(
             "lane_change.safety = 'rule': nothing would guard a lane change of a data set, studies alone "
@@ -223,10 +226,6 @@ def check_exportable(config: Config) -> None:
             f"flow.veh_per_h_lane = {config.flow.veh_per_h_lane:g}: traffic enters in studies only (hid2 study), "
             "expected 0 here"
         )
-
-
-def check_reactive(config: Config) -> None:
-    """Raise ConfigError where recorded vehicles are to react and an event is asked for with them as recorded."""
     if config.driving.replay == "reactive" and config.event:
         raise ConfigError(
             f"event {config.event[0].kind} with driving.replay = 'reactive': an event is made with vehicles "

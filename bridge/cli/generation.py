@@ -112,14 +112,7 @@ def generate(  # noqa: PLR0913  # one for each option
         raise ConfigError(f"missing {' and '.join(missing)} {_HELP}")
     check_scenes(scenes)
     check_out(out)
-    from bridge.config import (
-        check_reactive,
-        load_config,
-        parse_behaviours,
-        parse_events,
-        parse_trigger_time,
-        read_drivers,
-    )
+    from bridge.config import load_config, parse_behaviours, parse_events, parse_trigger_time, read_drivers
     from bridge.recordings.folders import split_of
     from bridge.recordings.sources import described, find_sources
     from bridge.toml import parse_value
@@ -134,7 +127,6 @@ def generate(  # noqa: PLR0913  # one for each option
     flags |= parse_trigger_time(trigger_time) if trigger_time is not None else {}
     flags |= parse_events(event, events, criticality)
     resolved = load_config(config, settings, flags)
-    check_reactive(resolved)
     activity.doing("looking for scenes")
     folders = find_sources(scenes, windows.choices())
     activity.note(*described(folders))

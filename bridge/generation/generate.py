@@ -9,7 +9,7 @@ from importlib.metadata import version
 
 import numpy as np
 
-from bridge.config import check_exportable, check_reactive, config_sha256
+from bridge.config import check_exportable, config_sha256
 from bridge.generation.program import code_sha256, libraries
 from bridge.generation.records import (
     agent_record,
@@ -111,7 +111,6 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
     ScenarioError where a generated focal track was asked for and no vehicle lives through the scene.
     """
     check_exportable(config)
-    check_reactive(config)
     prepared = source if isinstance(source, PreparedScene) else prepare(source, config)
     scenario = prepared.scenario
     new_id = new_scenario_id(scenario.scenario_id, config, config.request.seed, variant)
