@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from bridge.recordings.folders import Address
     from hid2.params import Config
 
-#: Batches up to this size list every folder that was written.
-_SHOWN_PATHS = 24
 _HELP = "(see hid2 generate --help)"
 _TRIGGER_TIME = "When manoeuvres are triggered, in seconds: a time, a range to draw from, or a list to draw from."
 
@@ -139,7 +137,7 @@ def generate(  # noqa: PLR0913  # one for each option
         activity.note(f"{loose} of {len(folders)} scenes in no folder train, val or test: no split in {out} has them")
     from bridge.batch.batch import Options, plan, run_batch
     from bridge.batch.requested import came_about_nowhere, check_request, check_same_request, named_behaviours
-    from bridge.cli.batch_display import notes_of, print_batch
+    from bridge.cli.batch_display import LISTED_RUNS, notes_of, print_batch
 
     jobs_wanted = plan(folders, resolved)
     if not append:
@@ -160,7 +158,7 @@ def generate(  # noqa: PLR0913  # one for each option
         print_json(rows[0]._fields, rows)
     elif not activity.quiet:
         print_batch(rows, resolved.request)
-        paths = [out / row.folder for row in rows if row.folder] if len(rows) <= _SHOWN_PATHS else []
+        paths = [out / row.folder for row in rows if row.folder] if len(rows) <= LISTED_RUNS else []
         activity.result(*paths, out / "manifest.csv")
     return _ended(rows, came_about_nowhere(rows, resolved, named), out)
 
