@@ -115,14 +115,12 @@ class IsolatedProcess:
         """
         if self._process is None or self._process.poll() is not None:
             self._start()
-        try:
+        with contextlib.suppress(OSError):  # it has ended, as is found next
             self._connection.send((function, arguments, self._settings.timeout_s, _LOG.isEnabledFor(logging.DEBUG)))
-        except OSError:
-            yield self._end(None)
-            return
-        self._receive_start()  # imported: the clock of the work starts here
-        kind = "value"
-        while kind == "value":
+        kind, value = self._receive(START_TIMEOUT_S)
+        if kind == "failed":
+            raise StartFailedError(value)
+        while kind in ("started", "value"):  # imported: the clock of the work starts here
             kind, value = self._receive(self._settings.timeout_s)
             if kind != "end":
                 yield value
@@ -174,13 +172,6 @@ class IsolatedProcess:
             ) from error
         finally:
             there.close()
-        self._receive_start()
-
-    def _receive_start(self) -> None:
-        """Wait for the word that the process, or the work, is about to begin. Errors: StartFailedError."""
-        kind, value = self._receive(START_TIMEOUT_S)
-        if kind == "failed":
-            raise StartFailedError(value)
 
     def _receive(self, timeout_s: float) -> tuple[str, Any]:
         """The next word of the process that is no message, with its value; messages are passed on.
@@ -253,7 +244,6 @@ def serve() -> None:
     threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
     _bound_memory(int(sys.argv[2]))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    connection.send(("ready", None))
     while True:
         try:
             function, arguments, timeout_s, debug = connection.recv()
