@@ -48,7 +48,7 @@ def load_config(
     """
     data = read_toml(toml_path, "a configuration") if toml_path is not None else {}
     source = str(toml_path) if toml_path is not None else "configuration"
-    config, functions = _validated(data, source), False
+    config, functions = config_from_dict(data, source=source), False
     for key, value in (flags or {}).items():
         if callable(value) and key == "lane_change.rule":
             from hid2.policy.rules import name_of_rule
@@ -58,7 +58,7 @@ def load_config(
     for text in overrides:
         key, value = _parse_override(text)
         _put(data, key, value)
-    config = _validated(data, "configuration") if flags or overrides else config
+    config = config_from_dict(data) if flags or overrides else config
     if functions:
         from hid2.policy.rules import try_rule
 
@@ -76,7 +76,7 @@ def read_drivers(path: Path) -> dict[str, object]:
     if others or not isinstance(data.get("drivers"), dict):
         wrong = f"section or key {', '.join(others)}" if others else "no section [drivers]"
         raise ConfigError(f"{path}: {wrong}, expected [drivers] alone, as hid2 calibrate writes; else use --config")
-    _validated(data, str(path))
+    config_from_dict(data, source=str(path))
     return {f"drivers.{name}": value for name, value in data["drivers"].items()}
 
 
@@ -167,9 +167,18 @@ def config_to_dict(config: Config) -> dict[str, Any]:
     return values
 
 
-def config_from_dict(values: Mapping[str, Any], *, source: str = "configuration") -> Config:
-    """The way back from config_to_dict. Errors: ConfigError."""
-    return _validated(dict(values), source)
+def config_from_dict(data: Mapping[str, Any], *, source: str = "configuration") -> Config:
+    """The way back from config_to_dict; keys of earlier versions may be there. Errors: ConfigError."""
+    values = dict(data)
+    for section in values.keys() & _removed().keys():
+        if isinstance(values[section], Mapping):
+            values[section] = {n: one for n, one in values[section].items() if not _is_fixed(section, n, one)}
+            if not values[section] and section not in Config.model_fields:  # a section of which nothing is left
+                del values[section]
+    try:  # as JSON, in which lists are taken for tuples and sets, and no other type for another
+        return Config.model_validate_json(json.dumps(values, default=str), strict=True)
+    except ValidationError as error:
+        raise ConfigError(f"{source}: {_explain(error)}") from error
 
 
 def config_sha256(config: Config) -> str:
@@ -320,19 +329,6 @@ def _put(data: dict[str, Any], key: str, value: object) -> None:
             return
         raise ConfigError(_unknown(key, value, _fields()))
     data[section] = {**data.get(section, {}), name: value} if separator else value
-
-
-def _validated(data: Mapping[str, Any], source: str) -> Config:
-    values = dict(data)
-    for section in values.keys() & _removed().keys():
-        if isinstance(values[section], Mapping):
-            values[section] = {n: one for n, one in values[section].items() if not _is_fixed(section, n, one)}
-            if not values[section] and section not in Config.model_fields:  # a section of which nothing is left
-                del values[section]
-    try:  # as JSON, in which lists are taken for tuples and sets, and no other type for another
-        return Config.model_validate_json(json.dumps(values, default=str), strict=True)
-    except ValidationError as error:
-        raise ConfigError(f"{source}: {_explain(error)}") from error
 
 
 def _explain(error: ValidationError) -> str:
