@@ -162,9 +162,7 @@ def _ends(text: str, name: str, wanted: str) -> list[float]:
 
 def config_to_dict(config: Config) -> dict[str, Any]:
     """The configuration as JSON values, in a fixed order."""
-    values = config.model_dump(mode="json")
-    values["without"] = sorted(values["without"])
-    return values
+    return config.model_dump(mode="json")
 
 
 def config_from_dict(data: Mapping[str, Any], *, source: str = "configuration") -> Config:
