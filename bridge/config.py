@@ -49,7 +49,7 @@ def load_config(
     """
     data = read_toml(toml_path, "a configuration") if toml_path is not None else {}
     source = str(toml_path) if toml_path is not None else "configuration"
-    config, functions = _validated(data, source), False
+    config, functions = config_from_dict(data, source=source), False
     for key, value in (flags or {}).items():
         if callable(value) and key == "lane_change.rule":
             from hid2.policy.rules import name_of_rule
@@ -59,7 +59,7 @@ def load_config(
     for text in overrides:
         key, value = _parse_override(text)
         _put(data, key, value)
-    config = _validated(data, "configuration") if flags or overrides else config
+    config = config_from_dict(data) if flags or overrides else config
     if functions:
         from hid2.policy.rules import try_rule
 
@@ -77,7 +77,7 @@ def read_drivers(path: Path) -> dict[str, object]:
     if others or not isinstance(data.get("drivers"), dict):
         wrong = f"section or key {', '.join(others)}" if others else "no section [drivers]"
         raise ConfigError(f"{path}: {wrong}, expected [drivers] alone, as hid2 calibrate writes; else use --config")
-    _validated(data, str(path))
+    config_from_dict(data, source=str(path))
     return {f"drivers.{name}": value for name, value in data["drivers"].items()}
 
 
@@ -168,14 +168,21 @@ def _ends(text: str, name: str, wanted: str) -> list[float]:
 
 def config_to_dict(config: Config) -> dict[str, Any]:
     """The configuration as JSON values, in a fixed order."""
-    values = config.model_dump(mode="json")
-    values["without"] = sorted(values["without"])
-    return values
+    return config.model_dump(mode="json")
 
 
-def config_from_dict(values: Mapping[str, Any], *, source: str = "configuration") -> Config:
-    """The way back from config_to_dict. Errors: ConfigError."""
-    return _validated(dict(values), source)
+def config_from_dict(data: Mapping[str, Any], *, source: str = "configuration") -> Config:
+    """The way back from config_to_dict; keys of earlier versions may be there. Errors: ConfigError."""
+    values = dict(data)
+    for section in values.keys() & _removed().keys():
+        if isinstance(values[section], Mapping):
+            values[section] = {n: one for n, one in values[section].items() if not _is_fixed(section, n, one)}
+            if not values[section] and section not in Config.model_fields:  # a section of which nothing is left
+                del values[section]
+    try:  # as JSON, in which lists are taken for tuples and sets, and no other type for another
+        return Config.model_validate_json(json.dumps(values, default=str), strict=True)
+    except ValidationError as error:
+        raise ConfigError(f"{source}: {_explain(error)}") from error
 
 
 def config_sha256(config: Config) -> str:
@@ -230,7 +237,10 @@ def check_function(name: str, named: Collection[str], *, where: str) -> None:
 
 
 def check_exportable(config: Config) -> None:
-    """Raise ConfigError for what studies alone may ask for: traffic that enters, lane changes that nothing guards."""
+    """Raise ConfigError for what no scene can be made with.
+
+    Traffic that enters and lane changes that nothing guards are for studies alone; events need vehicles as recorded.
+    """
     if config.lane_change.safety == "rule":
         raise ConfigError(
             "lane_change.safety = 'rule': nothing would guard a lane change of a data set, studies alone "
@@ -241,10 +251,6 @@ def check_exportable(config: Config) -> None:
             f"flow.veh_per_h_lane = {config.flow.veh_per_h_lane:g}: traffic enters in studies only (hid2 study), "
             "expected 0 here"
         )
-
-
-def check_reactive(config: Config) -> None:
-    """Raise ConfigError where recorded vehicles are to react and an event is asked for with them as recorded."""
     if config.driving.replay == "reactive" and config.event:
         raise ConfigError(
             f"event {config.event[0].kind} with driving.replay = 'reactive': an event is made with vehicles "
@@ -339,19 +345,6 @@ def _put(data: dict[str, Any], key: str, value: object) -> None:
             return
         raise ConfigError(_unknown(key, value, _fields()))
     data[section] = {**data.get(section, {}), name: value} if separator else value
-
-
-def _validated(data: Mapping[str, Any], source: str) -> Config:
-    values = dict(data)
-    for section in values.keys() & _removed().keys():
-        if isinstance(values[section], Mapping):
-            values[section] = {n: one for n, one in values[section].items() if not _is_fixed(section, n, one)}
-            if not values[section] and section not in Config.model_fields:  # a section of which nothing is left
-                del values[section]
-    try:  # as JSON, in which lists are taken for tuples and sets, and no other type for another
-        return Config.model_validate_json(json.dumps(values, default=str), strict=True)
-    except ValidationError as error:
-        raise ConfigError(f"{source}: {_explain(error)}") from error
 
 
 def _explain(error: ValidationError) -> str:

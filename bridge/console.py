@@ -7,7 +7,6 @@ import json
 import os
 import shutil
 import sys
-import textwrap
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -25,15 +24,15 @@ _LOOK_S = 0.2
 FIRST_S, EVERY_S = 2.0, 30.0
 #: Of a message, behind the command's name.
 _MOST_CHARACTERS = 1990
-#: Nothing is said of a rate before.
-_RATED_S = 1.0
+#: Nothing is said of the time left before.
+_KNOWN_AFTER_S = 1.0
 #: To the beginning of a terminal's line, and clear it.
 _CLEAR = "\r\x1b[K"
 
 
 def say(message: str) -> None:
     """A message for the person, on stderr: in the place of the progress, which comes again below."""
-    _write(f"{fitted(f'hid2: {message}')}\n")
+    _write(f"hid2: {message}\n")
 
 
 def _write(text: str) -> None:
@@ -44,19 +43,6 @@ def _write(text: str) -> None:
 def _is_live() -> bool:
     """Whether stderr is a terminal on which a line can be written anew."""
     return sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
-
-
-def fitted(message: str) -> str:
-    """A message with lines that wrap between words on a terminal; one line each elsewhere, as for `grep`.
-
-    Lines that are indented stay whole: they may be commands to copy.
-    """
-    if not sys.stderr.isatty():
-        return message
-    wrap = textwrap.TextWrapper(
-        shutil.get_terminal_size().columns, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
-    )
-    return "\n".join(line if line.startswith(" ") else wrap.fill(line) for line in message.split("\n"))
 
 
 def warn(message: str) -> None:
@@ -121,10 +107,9 @@ class Activity(ExitStack):
     def show(self, done: int, total: int, details: str = "") -> None:
         """Take note of what is done so far."""
         elapsed_s = self._clock() - self._named
-        rate = done / elapsed_s if elapsed_s > _RATED_S else 0.0
-        left = f", {duration((total - done) / rate)} left" if rate > 0 and done < total else ""
-        speed = f"{_rate(rate)}{left}" if rate > 0 else ""
-        self._counted = f": {done} of {total}{details}{speed and ', '}{speed}"
+        is_known = 0 < done < total and elapsed_s > _KNOWN_AFTER_S
+        left = f", {duration((total - done) * elapsed_s / done)} left" if is_known else ""
+        self._counted = f": {done} of {total}{details}{left}"
 
     def step(self, what: str, done: int, total: int) -> None:
         """`show`, after `doing` where it is another piece of work than before."""
@@ -170,14 +155,6 @@ class Activity(ExitStack):
 
     def _so_far(self, now: float) -> str:
         return self._counted or f", {duration(now - self._named)} so far"
-
-
-def _rate(per_s: float) -> str:
-    """Items a second; a minute or an hour where they take long."""
-    for unit, seconds in (("s", 1.0), ("min", 60.0)):
-        if per_s * seconds >= 0.95:
-            return f"{per_s * seconds:.1f}/{unit}"
-    return f"{per_s * 3600.0:.1f}/h"
 
 
 def duration(seconds: float) -> str:

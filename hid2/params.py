@@ -7,7 +7,7 @@ number is written beside it.
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, field_validator, model_validator
 
 from hid2.policies import Policy
 
@@ -447,7 +447,7 @@ class Config(_Section):
         default=(),
         json_schema_extra={"unit": "-", "source": "events, a section [[event]] each; see hid2 generate --event"},
     )
-    without: frozenset[Literal["topology", "collision", "smoothing"]] = Field(
+    without: Annotated[frozenset[Literal["topology", "collision", "smoothing"]], PlainSerializer(sorted)] = Field(
         default=frozenset(), json_schema_extra={"unit": "-", "source": "paper, Table ablation: components switched off"}
     )
 

@@ -1,7 +1,6 @@
 """What the documents name is there: rooms, files, functions, reasons."""
 
 import re
-import runpy
 import shlex
 import shutil
 import subprocess
@@ -11,6 +10,7 @@ from typing import get_args, get_type_hints
 import pytest
 
 from bridge.batch.scan import SceneFacts
+from bridge.cli.reference import REASONS, with_reasons
 from bridge.studies.study import read_study
 from hid2.agents import DEFAULT_SIZES
 from hid2.params import Event
@@ -76,9 +76,8 @@ def test_every_symbol_of_the_paper_tables_is_in_the_table() -> None:
 
 
 def test_table_of_reasons_is_made_of_the_reasons() -> None:
-    page = (ROOT / "hid2" / "REASONS.md").read_text(encoding="utf-8")
-    with_table = runpy.run_path(str(ROOT / ".ci" / "reasons_table.py"))["with_table"]
-    assert page == with_table(page), "write it anew: .venv/bin/python .ci/reasons_table.py"
+    page = REASONS.read_text(encoding="utf-8")
+    assert page == with_reasons(page), "write it anew: .venv/bin/python -m bridge.cli.reference"
     assert f"| `{Reason.PET.value}` | {Reason.PET.text} |" in page
 
 

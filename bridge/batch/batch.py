@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from platform import platform
 from tempfile import TemporaryDirectory
@@ -67,12 +68,16 @@ class SceneJob:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a recording is read and where its results are written, with what was asked for beside (see `Options`)."""
+    """Where a recording is read and where its results are written, with what was asked for beside (see `Options`).
+
+    source_sha256: digest of what is read, "" where it cannot be.
+    """
 
     folder: Address
     out: Path
     argoverse1: bool = False
     gaps: bool = False
+    source_sha256: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,8 +156,7 @@ def run_batch(
         remove()
         manifest = Manifest(out_dir)
         _check_owners(jobs, manifest, out_dir)
-        sources: dict[Address, str] = {}
-        tasks = _tasks(jobs, out_dir, options, manifest, sources, lambda row: note(row, skipped=True))
+        tasks = _tasks(jobs, out_dir, options, manifest, lambda row: note(row, skipped=True))
 
         def note(row: ManifestRow, *, skipped: bool = False) -> None:
             rows.append(row)
@@ -169,12 +173,10 @@ def run_batch(
 
                 results = execute_on_dask(tasks, scheduler=options.scheduler, settings=options)
             with contextlib.closing(results):
-                for result in results:
-                    place: Place = result.task.shared
-                    for outcome in result.outcomes:
-                        row = _row(place, outcome, source_sha256=sources[place.folder], options=options)
-                        manifest.add(row)
-                        note(row)
+                for outcome in chain.from_iterable(results):
+                    row = _row(outcome, options)
+                    manifest.add(row)
+                    note(row)
             manifest.save()
         except BaseException as error:
             with contextlib.suppress(ExportError):  # what was appended is there all the same
@@ -234,8 +236,8 @@ def _check_owners(jobs: Sequence[SceneJob], manifest: Manifest, out_dir: Path) -
                 )
 
 
-def base_row(place: Place, run: Run) -> ManifestRow:
-    """What is known about a run before it starts."""
+def base_row(place: Place, run: Run, folder: Path | None = None) -> ManifestRow:
+    """What is known about a run before it starts; folder: what it has written."""
     return ManifestRow(
         scenario=_name(place.folder),
         split=split_of(place.folder) or "",
@@ -243,11 +245,14 @@ def base_row(place: Place, run: Run) -> ManifestRow:
         seed=run.config.request.seed,
         status=DONE,
         requested=str(run.config.request.agents),
+        source_sha256=place.source_sha256,
         config_sha256=config_sha256(run.config),
         rule_sha256=run.rule_sha256,
         version=code_version(),
         platform=platform(),
         processor=processor(),
+        folder="" if folder is None else folder.relative_to(place.out).as_posix(),
+        output_sha256="" if folder is None else files_sha256(output_files(folder)),
     )
 
 
@@ -289,23 +294,20 @@ def _tasks(
     out_dir: Path,
     options: Options,
     manifest: Manifest,
-    sources: dict[Address, str],
     skip: Callable[[ManifestRow], None],
 ) -> Iterator[Task]:
     """Yield tasks for every job that has something to do; called as workers become free."""
     for job in jobs:
-        place = Place(job.folder.absolute(), out_dir, options.argoverse1, options.gaps)
-        source_sha256 = _digest(place.folder)
+        folder = job.folder.absolute()
+        place = Place(folder, out_dir, options.argoverse1, options.gaps, _digest(folder))
         wanted = []
         for run in job.runs:
             base = base_row(place, run)
             row = manifest.get(base.key) if options.resume else None
-            if row is not None and _is_complete(row, base, place, source_sha256):
+            if row is not None and _is_complete(row, base, place):
                 skip(row)
             else:
                 wanted.append(run)
-        if wanted:
-            sources[place.folder] = source_sha256
         for first in range(0, len(wanted), RUNS_OF_A_TASK):
             part = tuple(wanted[first : first + RUNS_OF_A_TASK])
             yield Task(place.folder.name, options.function, place, part)
@@ -325,13 +327,13 @@ def _digest(folder: Address) -> str:
         return ""
 
 
-def _is_complete(row: ManifestRow, base: ManifestRow, place: Place, source_sha256: str) -> bool:
+def _is_complete(row: ManifestRow, base: ManifestRow, place: Place) -> bool:
     """Whether all that was asked for is there, as it was written, and would be written again."""
     folder, split = place.out / row.folder, row.split or None
     return (
         row.status == DONE
-        and source_sha256 != ""
-        and (row.version, row.source_sha256, row.rule_sha256) == (base.version, source_sha256, base.rule_sha256)
+        and base.source_sha256 != ""
+        and (row.version, row.source_sha256, row.rule_sha256) == (base.version, base.source_sha256, base.rule_sha256)
         and row.output_sha256 != ""
         and row.output_sha256 == files_sha256(output_files(folder))
         and (not place.gaps or any(folder.glob("gaps_*.csv.gz")))
@@ -339,8 +341,9 @@ def _is_complete(row: ManifestRow, base: ManifestRow, place: Place, source_sha25
     )
 
 
-def _row(place: Place, outcome: Outcome, *, source_sha256: str, options: Options) -> ManifestRow:
+def _row(outcome: Outcome, options: Options) -> ManifestRow:
     """The manifest's row about an outcome; a failure leaves its bundle."""
+    place: Place = outcome.task.shared
     run: Run = outcome.item
     failure = outcome.failure
     if failure is not None and failure.kind == "disk":  # the next scene would fail no less
@@ -351,7 +354,7 @@ def _row(place: Place, outcome: Outcome, *, source_sha256: str, options: Options
             f"a worker runs hid2-sumo {row.version}, expected {code_version()} as here "
             "(installed from other source, or edited while the batch ran)"
         )
-    row = row._replace(attempts=outcome.attempts, seconds=round(outcome.seconds, 3), source_sha256=source_sha256)
+    row = row._replace(attempts=outcome.attempts, seconds=round(outcome.seconds, 3))
     name = f"{row.scenario[:200]}_{row.config_sha256[:8]}_{row.variant}.zip"
     path = place.out / QUARANTINE / (row.split or ".") / name
     if failure is None:

@@ -20,7 +20,7 @@ from distributed import Client, KilledWorker, Security, wait
 from distributed.comm.addressing import parse_address, parse_host_port
 from distributed.comm.registry import get_backend
 
-from bridge.batch.engine import AHEAD, Outcome, Result, Task, run_task
+from bridge.batch.engine import AHEAD, Outcome, Task, run_task
 from bridge.batch.isolation import Failure, IsolatedProcess, Settings
 from netconvert.errors import BatchError, ConfigError, Hid2Error
 
@@ -40,14 +40,16 @@ _LOGGERS = ("distributed", "tornado", "asyncio")
 _LOG = logging.getLogger(__name__)
 
 
-def execute_on_dask(tasks: Iterable[Task], *, scheduler: str, settings: Settings) -> Generator[Result, None, None]:
-    """Yield results as they come; never more than a few tasks a worker are with the scheduler.
+def execute_on_dask(
+    tasks: Iterable[Task], *, scheduler: str, settings: Settings
+) -> Generator[list[Outcome], None, None]:
+    """Yield the outcomes of tasks as they come; never more than a few tasks a worker are with the scheduler.
 
     Errors: BatchError when the scheduler cannot be reached or is lost.
     """
     waiting = iter(tasks)
     how = Settings(*(getattr(settings, one.name) for one in fields(Settings)))  # what a worker can look up
-    with _client(scheduler) as client, _lost(scheduler):
+    with _client(scheduler) as client, _explained(scheduler):
         if not client.nthreads():
             _LOG.warning("scheduler %s has no workers yet: waiting for %g s", scheduler, _WORKERS_S)
         running: dict[Any, Task] = {}
@@ -64,30 +66,27 @@ def execute_on_dask(tasks: Iterable[Task], *, scheduler: str, settings: Settings
             with contextlib.suppress(TimeoutError), client.as_current():
                 done = wait(list(running), timeout=_WORKERS_S, return_when="FIRST_COMPLETED").done
             for future in done:
-                yield _result(future, running.pop(future), scheduler)
+                yield _outcomes(future, running.pop(future))
                 future.release()
 
 
-def _result(future: Any, task: Task, where: str) -> Result:  # noqa: ANN401  # a Future, generic or not by release
-    error = future.exception() if future.status == "error" else None
-    if future.status == "finished":
-        found: Result = future.result()
-        return found
-    if isinstance(error, KilledWorker):
+def _outcomes(future: Any, task: Task) -> list[Outcome]:  # noqa: ANN401  # a Future, generic or not by release
+    try:
+        found: list[Outcome] = future.result()
+    except KilledWorker as error:
         failure = Failure("killed", "its Dask worker died again and again", str(error))
-        return Result(task, tuple(Outcome(item, None, failure, 1, 0.0) for item in task.items))
-    if isinstance(error, Hid2Error):
-        raise error
-    reason = f"{type(error).__name__}: {error}" if error else f"task {future.status}"
-    raise BatchError(f"scheduler {where}: {reason}") from error
+        return [Outcome(task, item, None, failure, 1, 0.0) for item in task.items]
+    return found
 
 
 @contextlib.contextmanager
-def _lost(where: str) -> Iterator[None]:
-    """What Dask raises when its scheduler goes away, as one line. Errors: BatchError."""
+def _explained(where: str) -> Iterator[None]:
+    """What Dask raises, as when its scheduler goes away, as one line. Errors: BatchError, and what a task raises."""
     try:
         yield
-    except (OSError, CancelledError, RuntimeError) as error:
+    except Hid2Error:
+        raise
+    except (Exception, CancelledError) as error:
         raise BatchError(f"scheduler {where}: lost ({type(error).__name__}: {error})") from error
 
 
@@ -99,7 +98,7 @@ def _process(settings: Settings, _thread: int) -> IsolatedProcess:
     return found
 
 
-def _run_on_worker(task: Task, settings: Settings) -> Result:
+def _run_on_worker(task: Task, settings: Settings) -> list[Outcome]:
     return run_task(task, _process(settings, threading.get_ident()), settings)
 
 

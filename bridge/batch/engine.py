@@ -21,7 +21,6 @@ from bridge.batch.isolation import (
     IsolatedProcess,
     Settings,
     StartFailedError,
-    WorkFailedError,
     attempts,
 )
 from bridge.files import one_line
@@ -58,6 +57,7 @@ class Outcome:
     seconds: the time of its last attempt.
     """
 
+    task: Task
     item: Any
     value: Any
     failure: Failure | None
@@ -65,18 +65,10 @@ class Outcome:
     seconds: float
 
 
-@dataclass(frozen=True, slots=True)
-class Result:
-    """What became of a task."""
-
-    task: Task
-    outcomes: tuple[Outcome, ...]
-
-
 def execute_here(
     tasks: Iterable[Task], *, jobs: int = 1, settings: Settings | None = None
-) -> Generator[Result, None, None]:
-    """Yield the result of every task as it is done: a thread for each process hands it one task after the other.
+) -> Generator[list[Outcome], None, None]:
+    """Yield the outcomes of every task as it is done: a thread for each process hands it one task after the other.
 
     `tasks` is consumed as processes become free. When the caller goes away, by Ctrl-C or by closing the generator, the
     processes end with what they are at. Errors: BatchError when no process can begin its work.
@@ -84,9 +76,9 @@ def execute_here(
     settings = settings or Settings()
     processes = [IsolatedProcess(settings) for _ in range(jobs)]
     waiting, threads, idle = iter(tasks), ThreadPoolExecutor(jobs), [*processes]
-    running: set[Future[Result]] = set()
+    running: set[Future[list[Outcome]]] = set()
 
-    def run(task: Task) -> Result:
+    def run(task: Task) -> list[Outcome]:
         process = idle.pop()  # there are as many as threads
         try:
             return run_task(task, process, settings)
@@ -156,12 +148,12 @@ def attempt_each(named: tuple[str, Any], items: Sequence[Any]) -> Iterator[Any]:
     return attempts(partial(resolve_name(named[0]), named[1]), items)
 
 
-def _in_order(results: Iterable[Result]) -> Iterator[tuple[Any, Any]]:
+def _in_order(results: Iterable[list[Outcome]]) -> Iterator[tuple[Any, Any]]:
     """Items and values or failures of tasks with keys that count from 0."""
-    waiting: dict[int, tuple[Outcome, ...]] = {}
+    waiting: dict[int, list[Outcome]] = {}
     following = 0
-    for result in results:
-        waiting[int(result.task.key)] = result.outcomes
+    for outcomes in results:
+        waiting[int(outcomes[0].task.key)] = outcomes
         while following in waiting:
             for outcome in waiting.pop(following):
                 yield outcome.item, outcome.failure or outcome.value
@@ -182,39 +174,35 @@ def sorted_out(
     return values, failures
 
 
-def run_task(task: Task, process: IsolatedProcess, settings: Settings) -> Result:
+def run_task(task: Task, process: IsolatedProcess, settings: Settings) -> list[Outcome]:
     """Run the items of a task; after a failed process an item is tried again in a fresh one, then given up.
 
     Where the process was stopped, the rest of the task has no outcomes. Errors: BatchError when no process can begin.
     """
     outcomes: list[Outcome] = []
-    attempts, began, failed_starts = 1, time.monotonic(), 0
-    while len(outcomes) < len(task.items):
-        remaining = task.items[len(outcomes) :]
+    attempts, failed_starts, began = 1, 0, time.monotonic()
+    while len(outcomes) < len(task.items) and not process.stopped:
         try:
-            for value in process.stream(task.function, task.shared, remaining):
-                outcomes.append(_outcome(task, outcomes, value, attempts, began))
-                attempts, began, failed_starts = 1, time.monotonic(), 0
-            failure = Failure("exception", f"{task.function} yielded nothing for {len(remaining)} items")
+            for found in process.stream(task.function, task.shared, task.items[len(outcomes) :]):
+                failure = found if isinstance(found, Failure) else None
+                if (
+                    failure is not None
+                    and failure.kind in _RETRIED
+                    and (process.stopped or attempts <= settings.retries)
+                ):
+                    attempts += 1
+                else:
+                    item, seconds = task.items[len(outcomes)], time.monotonic() - began
+                    outcomes.append(Outcome(task, item, None if failure else found, failure, attempts, seconds))
+                    attempts = 1
+                failed_starts, began = 0, time.monotonic()
         except StartFailedError as error:
-            if process.stopped:
-                break
             failed_starts += 1
-            if error.failure.kind not in _RETRIED or failed_starts > settings.retries:
+            may_pass = error.failure.kind in _RETRIED and failed_starts <= settings.retries
+            if not (may_pass or process.stopped):
                 raise BatchError(_no_start(error.failure)) from error
             began = time.monotonic()
-            continue
-        except WorkFailedError as error:
-            failure = error.failure
-        if len(outcomes) == len(task.items) or process.stopped:
-            break
-        if failure.kind in _RETRIED and attempts <= settings.retries:
-            attempts += 1
-        else:
-            outcomes.append(_outcome(task, outcomes, failure, attempts, began))
-            attempts = 1
-        began = time.monotonic()
-    return Result(task, tuple(outcomes))
+    return outcomes
 
 
 def _no_start(failure: Failure) -> str:
@@ -224,8 +212,3 @@ def _no_start(failure: Failure) -> str:
     return (
         f"no scene process can begin its work here ({one_line(reason, most=500)}); mend that and continue with --resume"
     )
-
-
-def _outcome(task: Task, done: list[Outcome], found: object, attempts: int, began: float) -> Outcome:
-    value, failure = (None, found) if isinstance(found, Failure) else (found, None)
-    return Outcome(task.items[len(done)], value, failure, attempts, time.monotonic() - began)

@@ -12,7 +12,6 @@ import faulthandler
 import gc
 import logging
 import os
-import pickle
 import re
 import resource
 import shutil
@@ -38,7 +37,7 @@ from netconvert.errors import Hid2Error
 START_TIMEOUT_S = 600.0
 #: Seconds that a process which ran out of time has to end itself before it is killed.
 GRACE_S = 3.0
-#: A process larger than this is replaced before its next call.
+#: A process larger than this at the end of a call is replaced before the next one.
 MAX_RSS_MB = 600.0
 
 _MB = 1_000_000
@@ -87,16 +86,12 @@ class Settings:
     memory_mb: int = 4000
 
 
-class WorkFailedError(Exception):
-    """The work has no result: it raised an exception, or its process ended before it answered."""
+class StartFailedError(Exception):
+    """The work did not begin: no process can be started, or the function cannot be imported there."""
 
     def __init__(self, failure: Failure) -> None:
         super().__init__(failure.message)
         self.failure = failure
-
-
-class StartFailedError(WorkFailedError):
-    """The work did not begin: no process can be started, or the function cannot be imported there."""
 
 
 class IsolatedProcess:
@@ -111,34 +106,26 @@ class IsolatedProcess:
         self.stopped = False  # there will be no other process
         self._process: subprocess.Popen[bytes] | None = None
         self._open = contextlib.ExitStack()  # as long as there is a process
-        self._rss_mb = 0.0
 
     def stream(self, function: str, *arguments: object) -> Iterator[Any]:
         """Yield what `function(*arguments)` yields in the child; each value has `timeout_s` of its own.
 
-        Debug messages of the child are the caller's, where it has them on.
-
-        Raises WorkFailedError when the process dies or runs out of time, or the function raises; StartFailedError when
-        it does not come so far.
+        The last one is a `Failure` where the process dies or runs out of time, or the function raises. Debug messages
+        of the child are the caller's, where it has them on. Errors: StartFailedError where the work does not begin.
         """
-        if self._rss_mb > MAX_RSS_MB:
-            self.close()
         if self._process is None or self._process.poll() is not None:
             self._start()
-        try:
-            self._connection.send_bytes(
-                pickle.dumps((function, arguments, self._settings.timeout_s, _LOG.isEnabledFor(logging.DEBUG)))
-            )
-        except OSError as error:
-            raise WorkFailedError(self._end(None)) from error
-        self._receive_start()  # imported: the clock of the work starts here
-        while True:
-            kind, value, self._rss_mb = self._receive(self._settings.timeout_s)
-            if kind == "end":
-                return
-            if kind == "raised":
-                raise WorkFailedError(value)
-            yield value
+        with contextlib.suppress(OSError):  # it has ended, as is found next
+            self._connection.send((function, arguments, self._settings.timeout_s, _LOG.isEnabledFor(logging.DEBUG)))
+        kind, value = self._receive(START_TIMEOUT_S)
+        if kind == "failed":
+            raise StartFailedError(value)
+        while kind in ("started", "value"):  # imported: the clock of the work starts here
+            kind, value = self._receive(self._settings.timeout_s)
+            if kind != "end":
+                yield value
+            elif value > MAX_RSS_MB:
+                self.close()
 
     def stop(self) -> None:
         """End the process for good, whatever another thread waits for."""
@@ -163,7 +150,7 @@ class IsolatedProcess:
         try:
             with self._lock:
                 if self.stopped:
-                    raise WorkFailedError(Failure("killed", "the process was closed"))
+                    raise StartFailedError(Failure("killed", "the process was closed"))
                 folder = tempfile.TemporaryDirectory(prefix="hid2-scene-", ignore_cleanup_errors=True)
                 scratch = self._open.enter_context(folder)
                 stderr = tempfile.TemporaryFile(dir=scratch)  # noqa: SIM115  # closed in close()
@@ -185,31 +172,21 @@ class IsolatedProcess:
             ) from error
         finally:
             there.close()
-        self._rss_mb = 0.0
-        self._receive_start()
 
-    def _receive_start(self) -> None:
-        """Wait for the word that the process, or the work, is about to begin; else for why it does not."""
-        try:
-            kind, value, _ = self._receive(START_TIMEOUT_S)
-        except WorkFailedError as error:
-            raise StartFailedError(error.failure) from error
-        if kind == "raised":
-            raise StartFailedError(value)
+    def _receive(self, timeout_s: float) -> tuple[str, Any]:
+        """The next word of the process that is no message, with its value; messages are passed on.
 
-    def _receive(self, timeout_s: float) -> tuple[str, Any, float]:
-        """The next word of the process that is no message, its value and its memory; messages are passed on."""
-        began = time.monotonic()
+        Where the process ends without a word, or after its time: that it failed, and why.
+        """
         try:
             while self._connection.poll(timeout_s + GRACE_S):
-                kind, value, rss_mb = pickle.loads(self._connection.recv_bytes())  # noqa: S301  # our own child
+                kind, value = self._connection.recv()
                 if kind != "log":
-                    return str(kind), value, float(rss_mb)
+                    return kind, value
                 logging.getLogger(value[0]).log(value[1], "%s", value[2])
-                began = time.monotonic()
         except (EOFError, OSError):
-            pass
-        raise WorkFailedError(self._end(timeout_s if time.monotonic() - began >= timeout_s else None))
+            return "failed", self._end(None)
+        return "failed", self._end(timeout_s)
 
     def _end(self, ran_out_of_s: float | None) -> Failure:
         """End what is left of the process and say how it ended; ran_out_of_s: the time that it had, if it took it."""
@@ -222,7 +199,7 @@ class IsolatedProcess:
         code = process.wait()
         details = self._log_tail()
         self.close()
-        if code == 1 and _RAN_OUT.search(details):  # its clock began before that of a caller that was held up
+        if code == 1 and _RAN_OUT.search(details):
             ran_out_of_s = self._settings.timeout_s
         if ran_out_of_s is not None:
             return Failure("timeout", f"no result after {ran_out_of_s:g} s: the process was ended", details)
@@ -248,7 +225,7 @@ class _ToCaller(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """One message."""
-        _reply(self._connection, "log", (record.name, record.levelno, record.getMessage()))
+        self._connection.send(("log", (record.name, record.levelno, record.getMessage())))
 
 
 def _log_to(connection: "Connection[Any, Any]", *, debug: bool) -> None:
@@ -267,10 +244,9 @@ def serve() -> None:
     threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
     _bound_memory(int(sys.argv[2]))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _reply(connection, "ready", None)
     while True:
         try:
-            function, arguments, timeout_s, debug = pickle.loads(connection.recv_bytes())  # noqa: S301  # our own caller
+            function, arguments, timeout_s, debug = connection.recv()
         except (EOFError, OSError):  # the caller is gone, and cannot remove this process's folder any more
             _remove_scratch()
             return
@@ -287,17 +263,17 @@ def _answer(connection: "Connection[Any, Any]", function: str, arguments: Sequen
         _make_kernels_ready(connection)
         if not gc.get_freeze_count():  # once: what a call leaves behind is to be found by the collector
             gc.freeze()  # what is imported by now is never free
-        _reply(connection, "started", None)
+        connection.send(("started", None))
         faulthandler.dump_traceback_later(timeout_s, exit=True)
         for value in values:
             faulthandler.cancel_dump_traceback_later()
-            _reply(connection, "value", value)
+            connection.send(("value", value))
             faulthandler.dump_traceback_later(timeout_s, exit=True)
-        failure = None
+        last: tuple[str, Any] = "end", _rss_mb()
     except Exception as error:  # noqa: BLE001  # passed on to the caller, which decides
-        failure = describe_error(error)
+        last = "failed", describe_error(error)
     faulthandler.cancel_dump_traceback_later()
-    _reply(connection, "raised" if failure else "end", failure)
+    connection.send(last)
 
 
 def _make_kernels_ready(connection: "Connection[Any, Any]") -> None:
@@ -305,7 +281,7 @@ def _make_kernels_ready(connection: "Connection[Any, Any]") -> None:
     if "hid2.kernels.compiled" in sys.modules:
         from hid2.kernels.compile import make_ready
 
-        make_ready(lambda said: _reply(connection, "log", (_LOG.name, logging.WARNING, said)))
+        make_ready(lambda said: connection.send(("log", (_LOG.name, logging.WARNING, said))))
 
 
 def attempts(work: Callable[[_Item], _Value], items: Iterable[_Item]) -> Iterator[_Value | Failure]:
@@ -331,9 +307,9 @@ def describe_error(error: Exception) -> Failure:
     return Failure("exception", f"{type(error).__name__}: {error}", details)
 
 
-def _reply(connection: "Connection[Any, Any]", kind: str, value: object) -> None:
+def _rss_mb() -> float:
     pages = int(Path("/proc/self/statm").read_text().split()[1]) if Path("/proc/self/statm").exists() else 0
-    connection.send_bytes(pickle.dumps((kind, value, pages * os.sysconf("SC_PAGE_SIZE") / 1e6)))
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 def _bound_memory(memory_mb: int) -> None:

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from bridge.batch.isolation import Failure, FailureKind
+from bridge.batch.isolation import Failure
 from bridge.config import check_function, config_from_dict, config_to_dict, functions_of
 from bridge.files import MAX_FILE_MB, beside, one_line, printable, read_regular
 from bridge.recordings.folders import Address, Choices, Source, split_of
@@ -35,7 +35,7 @@ MAX_TIMEOUT_S = 86_400.0
 MAX_BUNDLE_MB, MAX_UNPACKED_MB, MAX_MEMBERS = 64, 128, 64
 
 _REQUEST, _FAILURE, _DETAILS, _SCENE = "request.json", "failure.json", "details.txt", "scene/"
-#: What comes of a file that is no bundle, besides wrong values.
+#: What comes of a file that is no bundle.
 _REFUSED = (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error, ConfigError)
 #: How the entry of a file in the directory of an archive begins.
 _ENTRY = b"PK\1\2"
@@ -45,12 +45,10 @@ _MOST_DETAILS, _MOST_REASON = 200_000, 2_000
 _MOST_MB = {_REQUEST: 1, _FAILURE: 1, _DETAILS: 4}
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class _Request(_Strict):
+class _Request(BaseModel):
     """What is to be run again."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     format: Literal[1]
     version: Annotated[str, Field(max_length=200)]
@@ -65,13 +63,6 @@ class _Request(_Strict):
     function: Annotated[str, Field(pattern=r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$", max_length=200)]
     config: dict[str, Any]
     left_out: Annotated[list[Annotated[str, Field(max_length=255)]], Field(max_length=MAX_MEMBERS)] = []
-
-
-class _Seen(_Strict):
-    """How it failed."""
-
-    kind: FailureKind
-    message: Annotated[str, Field(max_length=10 * _MOST_REASON)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,11 +111,11 @@ def write_bundle(bundle: Bundle, path: Path) -> None:
         config=config_to_dict(bundle.config),
         left_out=left_out[:MAX_MEMBERS],
     )
-    seen = _Seen(kind=bundle.failure.kind, message=printable(bundle.failure.message[:_MOST_REASON]))
+    seen = {"kind": bundle.failure.kind, "message": printable(bundle.failure.message[:_MOST_REASON])}
     details = printable(bundle.failure.details[-_MOST_DETAILS:])
     with beside(path) as hidden, zipfile.ZipFile(hidden, "w") as archive:
         _add(archive, _REQUEST, request.model_dump_json(indent=1).encode())
-        _add(archive, _FAILURE, seen.model_dump_json(indent=1).encode())
+        _add(archive, _FAILURE, json.dumps(seen, indent=1, ensure_ascii=False).encode())
         _add(archive, _DETAILS, details.encode())
         for name, content in files.items():
             _add(archive, _SCENE + name, content)
@@ -142,7 +133,7 @@ def read_bundle(path: Path, into: Path, *, functions: Collection[str] = ()) -> B
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = _members(archive)
             request = _Request.model_validate_json(_unpack(archive, members[_REQUEST]))
-            seen = _Seen.model_validate_json(_unpack(archive, members[_FAILURE]))
+            seen = TypeAdapter(Failure).validate_json(_unpack(archive, members[_FAILURE]), strict=True)
             check_function(request.function, {*OWN_WORK, *functions}, where="function")
             json.dumps(request.config, allow_nan=False)
             config = config_from_dict(request.config, source="config")
@@ -155,14 +146,9 @@ def read_bundle(path: Path, into: Path, *, functions: Collection[str] = ()) -> B
                 if name.startswith(_SCENE):
                     (folder / _plain(name.removeprefix(_SCENE))).write_bytes(_unpack(archive, member))
             address = _unpacked(folder, request)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        field = ".".join(str(part) for part in first["loc"]) or "the file"
-        said = f"{field}: {first['msg']}, have {first['input']!r}"
-        raise BatchError(_no_bundle(path, said)) from error
     except _REFUSED as error:
-        said = f"no {error} in it" if isinstance(error, KeyError) else getattr(error, "strerror", None) or str(error)
-        raise BatchError(_no_bundle(path, said)) from error
+        said = one_line(_said(error), most=500)
+        raise BatchError(f"{path}: not a bundle of hid2 that can be run ({said})") from error
     return Bundle(
         folder=address,
         config=config,
@@ -223,8 +209,13 @@ def _plain(name: str) -> str:
     return name
 
 
-def _no_bundle(path: Path, said: str) -> str:
-    return f"{path}: not a bundle of hid2 that can be run ({one_line(said, most=500)})"
+def _said(error: Exception) -> str:
+    """What speaks against a bundle."""
+    if isinstance(error, ValidationError):
+        first = error.errors(include_url=False)[0]
+        field = ".".join(str(part) for part in first["loc"]) or "the file"
+        return f"{field}: {first['msg']}, have {first['input']!r}"
+    return f"no {error} in it" if isinstance(error, KeyError) else getattr(error, "strerror", None) or str(error)
 
 
 def _add(archive: zipfile.ZipFile, name: str, content: bytes) -> None:

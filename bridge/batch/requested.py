@@ -3,7 +3,7 @@
 import contextlib
 import re
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,6 @@ from netconvert.errors import ConfigError, Hid2Error
 
 #: Scenes that are looked at for one that can meet what is asked for.
 _LOOKED_AT = 100
-#: Scenes from which it is told how many vehicles find room: no tunable, some tenths of a second each.
-_TOLD_OF = 20
 #: No scene is looked at for a trigger before this time, s: the shortest recordings last longer.
 _SHORTEST_S = 4.9
 
@@ -35,68 +33,41 @@ def named_behaviours(request: Request, *, by_option: bool) -> tuple[Policy, ...]
     )
 
 
-def check_request(folders: Sequence[Address], config: Config, named: Sequence[Policy], *, jobs: int) -> list[str]:
+def check_request(folders: Sequence[Address], config: Config, named: Sequence[Policy], *, jobs: int) -> None:
     """Look at the first scenes until each thing asked for can come about in one of those looked at.
 
-    Returns what most of is asked for in vain, as far as the maps of the first scenes tell. Scenes that cannot be read
-    are passed over: rows of their own say why. Errors: ConfigError for what none can meet.
+    Scenes that cannot be read are passed over: rows of their own say why. Errors: ConfigError for what none can meet.
     """
     request = config.request
     if request.own:
         find_in_working_folder()
     if not request.is_near_agents and not config.event and not named and request.first_trigger_s <= _SHORTEST_S:
-        return []
-    rooms: list[Mapping[Policy, float]] = []
+        return
     never: dict[str, str] | None = None
     looked_at = 0
     first = folders[:_LOOKED_AT]
-    each = work_on_each(look_at_scene, first, shared=(config, named), jobs=jobs, chunk=1, timeout_s=60.0)
+    each = work_on_each(never_in_scene, first, shared=(config, named), jobs=jobs, chunk=1, timeout_s=60.0)
     with contextlib.closing(each):
         for folder, found in each:
             if isinstance(found, Failure):
                 continue
             looked_at += 1
-            here = {asked: f"{folder}: {why}" for asked, why in found[0].items()}
+            here = {asked: f"{folder}: {why}" for asked, why in found.items()}
             never = here if never is None else {asked: why for asked, why in never.items() if asked in here}
-            rooms.append(found[1])
-            if not never and (not found[1] or looked_at == _TOLD_OF):
-                break
+            if not never:
+                return
     for asked, why in (never or {}).items():
         raise ConfigError(f"{asked}: can come about in none of the scenes looked at ({looked_at}); {why}")
-    return [said for policy in named if (said := _low_yield(policy, rooms, config))]
 
 
-def _low_yield(policy: Policy, rooms: Sequence[Mapping[Policy, float]], config: Config) -> str:
-    """What is said of a behaviour for which most of the vehicles find no room on the maps; "" where they do."""
-    from hid2.insertion.filling import SPACING_M
-
-    request, takes_m = config.request, 2 * SPACING_M  # in its own lane and in the one beside
-    if request.agents == "max":
-        return ""
-    each = request.agents * request.behaviours[policy] / sum(request.behaviours.values())
-    places = sum(min(each, one[policy] // takes_m) for one in rooms if policy in one)
-    asked = each * sum(policy in one for one in rooms)
-    said = f"{policy.value}: {places:.0f} of {asked:.0f} have a place by the maps of {len(rooms)} scenes looked at"
-    return (
-        f"{said}, before any traffic (hid2 scan; --can {policy.value} takes scenes with room)"
-        if 2 * places < asked
-        else ""
-    )
-
-
-def look_at_scene(
-    shared: tuple[Config, Collection[Policy]], folder: Address
-) -> tuple[dict[str, str], dict[Policy, float]]:
-    """What can never come about in a scene, and metres of lane with room for those behaviours asked for by name."""
-    from bridge.batch.scan import rooms, scene_of
+def never_in_scene(shared: tuple[Config, Sequence[Policy]], folder: Address) -> dict[str, str]:
+    """What can never come about in a scene, each with the reason."""
+    from bridge.generation.recorded import scene_of
     from bridge.recordings.sources import read_recording
     from hid2.insertion.feasible import impossible
-    from hid2.insertion.routes import Routes
 
     config, named = shared
-    scene, counted = scene_of(read_recording(folder), config), {Policy.LANE_CHANGE, Policy.OVERTAKE} & {*named}
-    room = rooms(Routes(scene)) if counted else {}
-    return impossible(scene, named), {policy: metres for policy, metres in room.items() if policy in counted}
+    return impossible(scene_of(read_recording(folder), config), named)
 
 
 def check_same_request(out: Path, config: Config) -> None:

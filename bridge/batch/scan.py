@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, NamedTuple, get_args
 
 from bridge.batch.engine import sorted_out, work_on_each
+from bridge.generation.recorded import scene_of
 from bridge.recordings.folders import Address
 from bridge.recordings.plausibility import figures_of
-from bridge.recordings.recording import Recording
 from bridge.recordings.sources import read_recording
 from hid2.agents import VEHICLE_TYPES, Policy
 from hid2.insertion.events import offered_events
@@ -16,8 +16,6 @@ from hid2.insertion.routes import Routes
 from hid2.insertion.surroundings import Surroundings
 from hid2.params import Config, Event
 from hid2.policy.overtake import stretch_m
-from hid2.scene import Scene, build_scene
-from netconvert.cells import build_cell_grid
 from netconvert.errors import ConfigError
 from netconvert.lane_graph import SIDES, LaneSegment, TurnType
 
@@ -156,45 +154,35 @@ def rooms(routes: Routes) -> dict[Policy, float]:
     }
 
 
-def scene_of(scenario: Recording, config: Config) -> Scene:
-    """The scene of a recording, without a net. Errors: MapError."""
-    grid = build_cell_grid(scenario.graph, cell_m=config.grid.cell_m)
-    return build_scene(
-        grid, scenario.tracks, config=config, num_steps=scenario.num_steps,
-        step_s=scenario.step_s, last_observed_step=scenario.last_observed,
-    )  # fmt: skip
-
-
 def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts]:
     """The scenes that are wanted, in their order; cities in any case.
 
     Errors: ConfigError for a manoeuvre that does not exist, and for a city that no scene is in.
     """
-    policies = [policy.value for policy in Policy]
-    names = [*policies, *EVENTS]
+    policies = {policy.value: policy for policy in Policy}
     for name in selection.can:
-        if name not in names:
-            raise ConfigError(f"--can {name!r}: expected one of {', '.join(names)}")
+        if name not in {*policies, *EVENTS}:
+            raise ConfigError(f"--can {name!r}: expected one of {', '.join((*policies, *EVENTS))}")
     there = {fact.city.casefold(): fact.city for fact in facts}
-    for city in selection.cities:
-        if facts and city.casefold() not in there:
-            raise ConfigError(
-                f"--city {city!r}: no scene is there, expected one of {', '.join(sorted(there.values()))}"
-            )
-    cities = {city.casefold() for city in selection.cities}
+    cities = {city.casefold(): city for city in selection.cities}
+    for unknown in cities.keys() - there.keys() if facts else ():
+        known = ", ".join(sorted(there.values()))
+        raise ConfigError(f"--city {cities[unknown]!r}: no scene is there, expected one of {known}")
+
+    def offers(fact: SceneFacts, name: str) -> bool:
+        return fact.room(policies[name]) > 0 if name in policies else name in fact.events.split()
+
     chosen = [
         fact
         for fact in facts
         if fact.tracks >= selection.min_agents
         and (not cities or fact.city.casefold() in cities)
         and (not selection.splits or fact.split in selection.splits)
-        and all(
-            fact.room(Policy(name)) > 0 if name in policies else name in fact.events.split() for name in selection.can
-        )
+        and all(offers(fact, name) for name in selection.can)
     ]
     if selection.sample is not None and selection.sample > len(chosen):
         _LOG.warning("--sample %d: only %d scenes are there to draw from, all are taken", selection.sample, len(chosen))
-    if selection.sample is not None and selection.sample < len(chosen):
+    elif selection.sample is not None:
         # drawn by scenario, so that the choice does not depend on where the data set lies
         drawn = random.Random(selection.seed).sample(range(len(chosen)), selection.sample)  # noqa: S311
         chosen = [chosen[index] for index in sorted(drawn)]
@@ -202,16 +190,21 @@ def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts
 
 
 def wanted(
-    folders: Sequence[Address], facts: Sequence[SceneFacts], unread: Sequence[tuple[Address, str]], selection: Selection
-) -> list[Address]:
-    """The scenes that are wanted, in the order of folders; with them, but for a sample, those that cannot be read.
+    folders: Sequence[Address],
+    selection: Selection,
+    *,
+    jobs: int = 1,
+    on_scene: Callable[[int, int], None] | None = None,
+) -> tuple[list[Address], list[tuple[Address, str]]]:
+    """The scenes that are wanted, in the order of folders, and those that cannot be read with the reason.
 
-    Those may be wanted or not: as they are tried, they are found with their reason among what could not be done.
-    Errors: ConfigError where no other one is left.
+    Those may be wanted or not: but for a sample they are among the wanted ones, so that they are tried and found with
+    their reason among what could not be done. Errors: ConfigError where no other one is left.
     """
+    facts, unread = facts_of(folders, selection.can, jobs=jobs, on_scene=on_scene)
     chosen = {fact.folder for fact in select(facts, selection)}
     if not chosen:
         raise ConfigError(f"none of {len(folders)} scenes is left by the selection (see `hid2 scan`)")
     if selection.sample is None:
         chosen |= {folder for folder, _ in unread}
-    return [folder for folder in folders if folder in chosen]
+    return [folder for folder in folders if folder in chosen], unread

@@ -2,22 +2,19 @@
 
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cache
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from bridge.batch.batch import Place, Run, base_row
 from bridge.batch.isolation import Failure, attempts
-from bridge.batch.manifest import ManifestRow, files_sha256, output_files
+from bridge.batch.manifest import ManifestRow
 from bridge.generation.generate import PreparedScene, generate, prepare
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.export import check_step
-from bridge.recordings.recording import Recording
-from bridge.recordings.sidecar import DrivesRecord, EventRecord, Sidecar
+from bridge.recordings.sidecar import EventRecord, Sidecar
 from bridge.recordings.sources import read_recording
 from hid2.agents import Policy
-from hid2.params import Grid
 
 _FOUND = sys.modules["libsumo"]  # imported with what generates
 if not hasattr(_FOUND, "simulation"):  # a file of that name in the way is found before the first scene
@@ -34,51 +31,33 @@ def write_all(scene: TrafficScene, place: Place) -> Path:
     return scene.write(place.out, record=("gaps",) if place.gaps else ())
 
 
-def generate_runs(
-    place: Place, runs: Sequence[Run], finish: Callable[[TrafficScene, Place], Path] = write_all
-) -> Iterator[ManifestRow | Failure]:
-    """Read the scene and build its net once, generate each run, let `finish` write it to a folder."""
-    prepared: dict[Grid, PreparedScene] = {}
-
-    @cache
-    def source() -> Recording:
-        found = read_recording(place.folder)
-        check_step(found)
-        return found
+def generate_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
+    """Read the scene and build its grid once, then generate and write each run; their grid is the same."""
+    prepared: PreparedScene | None = None
 
     def made(run: Run) -> ManifestRow:
-        scenario, grid = source(), run.config.grid
-        if grid not in prepared:
-            prepared[grid] = prepare(scenario, run.config)
-        scene = generate(prepared[grid], run.config, variant=run.variant)
-        folder = finish(scene, place)
+        nonlocal prepared
+        if prepared is None:
+            recording = read_recording(place.folder)
+            check_step(recording)
+            prepared = prepare(recording, run.config)
+        scene = generate(prepared, run.config, variant=run.variant)
+        row = base_row(place, run, write_all(scene, place))
         assert scene.sidecar is not None
-        return summarise(scene.sidecar, base_row(place, run))._replace(
-            city=scenario.city,
-            recorded=len(scenario.tracks),
-            folder=folder.relative_to(place.out).as_posix(),
-            output_sha256=files_sha256(output_files(folder)),
-        )
+        found = prepared.scenario
+        return summarise(scene.sidecar, row)._replace(city=found.city, recorded=len(found.tracks))
 
     return attempts(made, runs)
 
 
 def summarise(sidecar: Sidecar, row: ManifestRow) -> ManifestRow:
     """Add what a sidecar says about vehicles, manoeuvres and events."""
-    maneuvers = [record for _, record in sidecar.asked]
     # passing a standing vehicle is finished, but it is no overtake: it has a reason too
-    finished = (maneuver for maneuver in maneuvers if maneuver.status == "done" and maneuver.reason is None)
-    done: Counter[str] = Counter(maneuver.kind for maneuver in finished)
-    not_done = Counter(
-        f"{maneuver.kind}: {maneuver.reason or maneuver.status}"
-        for maneuver in maneuvers
-        if maneuver.status != "done" or maneuver.reason is not None
-    )
-    not_done.update(
-        f"{event.kind} with {event.target}: {event.reason or event.status}"
-        for event in sidecar.events
-        if event.status != "done"
-    )
+    maneuvers = [(one.kind, one.reason or ("" if one.status == "done" else one.status)) for _, one in sidecar.asked]
+    missed = [event for event in sidecar.events if event.status != "done"]
+    events = [(f"{event.kind} with {event.target}", event.reason or event.status) for event in missed]
+    done = Counter[str](kind for kind, why in maneuvers if not why)
+    not_done = Counter(f"{what}: {why}" for what, why in (*maneuvers, *events) if why)
     return row._replace(
         placed=sidecar.placed.agents,
         near=sidecar.placed.near,
@@ -87,7 +66,7 @@ def summarise(sidecar: Sidecar, row: ManifestRow) -> ManifestRow:
         maneuvers_requested=len(maneuvers),
         maneuvers_done=sum(done.values()),
         events_requested=len(sidecar.events),
-        events_done=sum(event.status == "done" for event in sidecar.events),
+        events_done=len(sidecar.events) - len(missed),
         events="; ".join(told_of(event) for event in sidecar.events if event.status == "done"),
         rejected=join_counts({entry.reason: entry.count for entry in sidecar.rejected}),
         not_done=join_counts(not_done),
@@ -109,16 +88,15 @@ def _selection(sidecar: Sidecar) -> dict[str, Any]:
     """What tells of the selection."""
     told = sidecar.selection
     assert told is not None
-    found: dict[str, Any] = {"driven": told.driven}
-    for name in ("kept", "dropped", "recorded"):
-        of: DrivesRecord = getattr(told, name)
-        found |= {
-            f"braking_{name}": round(of.braking / max(1, of.vehicles), 4),
-            f"standing_{name}": round(of.standing / max(1, of.vehicles), 4),
-        }
-        if name != "recorded":
-            found[f"limited_{name}"] = round(of.limited / max(1, of.steps), 4)
-    return found
+    shares = {
+        f"{what}_{name}": round(getattr(of, what) / max(1, of.vehicles), 4)
+        for name, of in told
+        for what in ("braking", "standing")
+    }
+    limited = {
+        f"limited_{name}": round(of.limited / max(1, of.steps), 4) for name, of in told if of is not told.recorded
+    }
+    return {"driven": told.driven, **shares, **limited}
 
 
 def join_counts(counts: Mapping[str, int]) -> str:

@@ -9,8 +9,8 @@ from bridge.console import Activity, print_table, say
 from bridge.interruption import if_interrupted
 from hid2.params import Request
 
-#: A batch with more runs than this is summed up instead of listed.
-_LISTED_RUNS = 24
+#: A batch with more runs than this is summed up instead of listed; those that failed were told one by one.
+LISTED_RUNS = 24
 #: Reasons shown in a row of the table; manifest.csv has them all.
 _REASONS = 3
 
@@ -36,19 +36,11 @@ def notes_of(activity: Activity, out: Path, *, go_on: str) -> Callable[[Manifest
 
 def print_batch(rows: Sequence[ManifestRow], request: Request) -> None:
     """Print what happened, run by run when there are few, and the sums."""
-    bad = [row for row in rows if row.status != DONE]
-    if len(rows) <= _LISTED_RUNS:
+    if len(rows) <= LISTED_RUNS:
         with_events = any(row.events_requested for row in rows)
         head = ("scene", "variant", "placed", "left", "right", "changes", "overtakes", "manoeuvres")
         listed = (*head, *(("events",) if with_events else ()), "s", "remarks")
         print_table("Generated scenes", listed, [_line(row, with_events=with_events) for row in rows])
-    elif bad:
-        summed = ("scene", "variant", "failure", "reason")
-        print_table(
-            f"Quarantined: {len(bad)}, of which the first {min(len(bad), _LISTED_RUNS)}",
-            summed,
-            [(row.scenario, row.variant, row.failure, row.reason) for row in bad[:_LISTED_RUNS]],
-        )
     done = [row for row in rows if row.status == DONE]
     most = any(row.asked == "max" for row in done)
     asked = "" if most else f" of {sum(int(row.asked) for row in done)}"

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from bridge.recordings.folders import Address
     from hid2.params import Config
 
-#: Batches up to this size list every folder that was written.
-_SHOWN_PATHS = 24
 _HELP = "(see hid2 generate --help)"
 _TRIGGER_TIME = "When manoeuvres are triggered, in seconds: a time, a range to draw from, or a list to draw from."
 
@@ -113,7 +111,6 @@ def generate(  # noqa: PLR0913  # one for each option
     check_scenes(scenes)
     check_out(out)
     from bridge.config import (
-        check_reactive,
         functions_of,
         load_config,
         parse_behaviours,
@@ -135,7 +132,6 @@ def generate(  # noqa: PLR0913  # one for each option
     flags |= parse_trigger_time(trigger_time) if trigger_time is not None else {}
     flags |= parse_events(event, events, criticality)
     resolved = load_config(config, settings, flags)
-    check_reactive(resolved)
     activity.doing("looking for scenes")
     folders = find_sources(scenes, windows.choices())
     activity.note(*described(folders))
@@ -148,14 +144,14 @@ def generate(  # noqa: PLR0913  # one for each option
         activity.note(f"{loose} of {len(folders)} scenes in no folder train, val or test: no split in {out} has them")
     from bridge.batch.batch import Options, plan, run_batch
     from bridge.batch.requested import came_about_nowhere, check_request, check_same_request, named_behaviours
-    from bridge.cli.batch_display import notes_of, print_batch
+    from bridge.cli.batch_display import LISTED_RUNS, notes_of, print_batch
 
     jobs_wanted = plan(folders, resolved)
     if not append:
         check_same_request(out, jobs_wanted[0].runs[0].config)
     activity.doing("looking at the first scenes")
     named = named_behaviours(resolved.request, by_option=behaviours is not None)
-    activity.note(*check_request(folders, resolved, named, jobs=batch.jobs))
+    check_request(folders, resolved, named, jobs=batch.jobs)
     how = Options(
         jobs=batch.jobs, scheduler=batch.scheduler, timeout_s=batch.scene_timeout, resume=resume,
         memory_mb=scene_memory, argoverse1=bool(formats),
@@ -169,7 +165,7 @@ def generate(  # noqa: PLR0913  # one for each option
         print_json(rows[0]._fields, rows)
     elif not activity.quiet:
         print_batch(rows, resolved.request)
-        paths = [out / row.folder for row in rows if row.folder] if len(rows) <= _SHOWN_PATHS else []
+        paths = [out / row.folder for row in rows if row.folder] if len(rows) <= LISTED_RUNS else []
         activity.result(*paths, out / "manifest.csv")
     return _ended(rows, came_about_nowhere(rows, resolved, named), out)
 

@@ -116,7 +116,7 @@ def _parameter(name: str, kind: Any, default: Any) -> Parameter:  # any type and
     if isinstance(default, _Option):
         says, value, metavar, names, choices, more = default
         many = isinstance(value, list)
-        if choices:
+        if choices:  # of lists typer takes enumerations alone, of texts
             kind = list[StrEnum("Choice", {choice: choice for choice in choices})]  # type: ignore[misc]
         if kind is bool or "count" in more:
             metavar = ""
@@ -125,11 +125,6 @@ def _parameter(name: str, kind: Any, default: Any) -> Parameter:  # any type and
         default = typer.Option(value, *names, **{"help": says, "metavar": metavar, "show_default": not many, **more})
         kind = kind | None if value is None else kind
     return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=kind)
-
-
-def _plain(value: Any) -> Any:
-    """Choices of a list, of which typer takes enumerations alone, as texts."""
-    return [str(one) if isinstance(one, StrEnum) else one for one in value] if isinstance(value, list) else value
 
 
 def flattened(function: Callable[..., Any], check: Callable[[Mapping[str, Any]], None]) -> Callable[..., Any]:
@@ -156,7 +151,6 @@ def flattened(function: Callable[..., Any], check: Callable[[Mapping[str, Any]],
 
     @wraps(function)
     def called(**values: Any) -> object:
-        values = {name: _plain(value) for name, value in values.items()}
         set_up(verbose=values.get("verbose", 0), quiet=values.get("quiet", False))
         for text in values.get("settings") or ():  # before what is behind it is taken for a scene
             if "=" not in text:

@@ -1,4 +1,7 @@
-"""The command reference: bridge/COMMANDS.md, made of what `--help` says. `python -m bridge.cli.reference` writes it."""
+"""Pages that are made of the code: `python -m bridge.cli.reference` writes them, a test compares them.
+
+bridge/COMMANDS.md is what `--help` says, the table in hid2/REASONS.md what hid2/reasons.py has.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -7,8 +10,10 @@ import typer
 from typer.main import get_command
 
 from bridge.cli.commands import application
+from hid2.reasons import Reason
 
-PAGE = Path(__file__).parents[1] / "COMMANDS.md"
+ROOT = Path(__file__).parents[2]
+PAGE, REASONS = ROOT / "bridge" / "COMMANDS.md", ROOT / "hid2" / "REASONS.md"
 #: Columns that the help is laid out for.
 _WIDTH = 100
 _INTRODUCTION = """\
@@ -35,5 +40,12 @@ def reference() -> str:
     return "\n".join(parts)
 
 
+def with_reasons(page: str) -> str:
+    """The page of reasons with its table, which ends it, made anew."""
+    head = "| reason | what it says |\n|---|---|\n"
+    return page.split(head)[0] + head + "".join(f"| `{reason.value}` | {reason.text} |\n" for reason in Reason)
+
+
 if __name__ == "__main__":
     PAGE.write_text(reference(), encoding="utf-8")
+    REASONS.write_text(with_reasons(REASONS.read_text(encoding="utf-8")), encoding="utf-8")

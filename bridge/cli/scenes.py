@@ -7,7 +7,7 @@ from shutil import copytree, ignore_patterns
 from bridge.cli import options
 from bridge.cli.app import command
 from bridge.cli.places import check_out, one_scene
-from bridge.cli.session import read_facts
+from bridge.cli.session import tell_unread
 from bridge.console import Activity, counted, print_json, print_table
 from bridge.files import data_folder, explained
 from netconvert.errors import ConfigError
@@ -72,7 +72,7 @@ def scan(
 
     What each column is: bridge/generation/README.md, Which scenes.
     """
-    from bridge.batch.scan import EVENTS, SceneFacts, select
+    from bridge.batch.scan import EVENTS, SceneFacts, facts_of, select
     from bridge.files import make_folder, write_rows
     from bridge.recordings.sources import described, find_recordings
 
@@ -81,7 +81,8 @@ def scan(
     if out is not None:
         make_folder(out.parent)
     activity.doing("reading scenes")
-    facts, failures = read_facts(folders, activity, EVENTS if events else which.can, jobs=jobs)
+    facts, failures = facts_of(folders, EVENTS if events else which.can, jobs=jobs, on_scene=activity.show)
+    tell_unread(failures)
     chosen = select(facts, which.selection(seed))
     activity.end()
     if out is not None:

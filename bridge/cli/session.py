@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from bridge.console import Activity, say
 
 if TYPE_CHECKING:
-    from bridge.batch.scan import SceneFacts, Selection
+    from bridge.batch.scan import Selection
     from bridge.recordings.folders import Address
 
 
@@ -43,25 +43,14 @@ def tell_unread(failures: Sequence[tuple["Address", str]]) -> None:
         say(f"warning: {said}")
 
 
-def read_facts(
-    folders: Sequence["Address"], activity: Activity, events: Sequence[str], *, jobs: int
-) -> tuple[list["SceneFacts"], list[tuple["Address", str]]]:
-    """Facts of scenes, and those that cannot be read with the reason, of which it warns; events: to look for."""
-    from bridge.batch.scan import facts_of
-
-    facts, failures = facts_of(folders, events, jobs=jobs, on_scene=activity.show)
-    tell_unread(failures)
-    return facts, failures
-
-
 def select_scenes(
     folders: Sequence["Address"], selection: "Selection", activity: Activity, *, jobs: int
 ) -> list["Address"]:
-    """The scenes that the selection wants. Errors: ConfigError where there is none."""
+    """The scenes that the selection wants; it warns of those that cannot be read. Errors: ConfigError for none."""
     from bridge.batch.scan import wanted
 
     activity.doing("reading scenes for the selection")
-    facts, failures = read_facts(folders, activity, selection.can, jobs=jobs)
-    chosen = wanted(folders, facts, failures, selection)
+    chosen, unread = wanted(folders, selection, jobs=jobs, on_scene=activity.show)
+    tell_unread(unread)
     activity.note(f"{len(chosen)} of {len(folders)} scenes selected")
     return chosen

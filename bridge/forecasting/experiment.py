@@ -172,10 +172,10 @@ def _train(composed: Path, models: Path, plan: Plan, *, jobs: int, tell: Progres
     done, total = 0, len(SETS) * plan.seeds
     tell("training", 0, total)
     settings = Settings(timeout_s=86_400, memory_mb=_TRAINING_MB)
-    for result in execute_here(tasks, jobs=min(jobs, len(SETS)), settings=settings):
-        for outcome in result.outcomes:
+    for outcomes in execute_here(tasks, jobs=min(jobs, len(SETS)), settings=settings):
+        for outcome in outcomes:
             if outcome.failure is not None:
-                raise BatchError(f"training on {result.task.key}, seed {outcome.item}: {outcome.failure.message}")
+                raise BatchError(f"training on {outcome.task.key}, seed {outcome.item}: {outcome.failure.message}")
             done += 1
         tell("training", done, total)
 

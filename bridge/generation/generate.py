@@ -9,8 +9,9 @@ from importlib.metadata import version
 
 import numpy as np
 
-from bridge.config import check_exportable, check_reactive, config_sha256
+from bridge.config import check_exportable, config_sha256
 from bridge.generation.program import code_sha256, libraries
+from bridge.generation.recorded import grid_of, scene_of
 from bridge.generation.records import (
     agent_record,
     event_record,
@@ -46,9 +47,9 @@ from hid2.insertion.surroundings import Surroundings
 from hid2.insertion.tracker_noise import with_noise
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
-from hid2.scene import Scene, build_scene
+from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start
-from netconvert.cells import CellGrid, build_cell_grid
+from netconvert.cells import CellGrid
 from netconvert.errors import ConfigError, ScenarioError
 from netconvert.net_xml import net_bytes
 
@@ -83,12 +84,7 @@ class PreparedScene:
         self._asked += 1
         worn = self._asked % _VARIANTS_KEPT == 0
         if self._surroundings is None or worn or self._surroundings.scene.config != config:
-            scenario = self.scenario
-            scene = build_scene(
-                self.grid, scenario.tracks, config=config, num_steps=scenario.num_steps, step_s=scenario.step_s,
-                last_observed_step=scenario.last_observed,
-            )  # fmt: skip
-            self._surroundings = Surroundings(scene)
+            self._surroundings = Surroundings(scene_of(self.scenario, config, self.grid))
         return self._surroundings
 
 
@@ -99,8 +95,7 @@ def prepare(source: Recording | TrafficScene, config: Config) -> PreparedScene:
         raise ConfigError(f"source {str(source)[:200]!r}: expected a scene, as read_scene(path) gives it")
     if config.source.plausible:
         check_plausible(scenario)
-    grid = build_cell_grid(scenario.graph, cell_m=config.grid.cell_m)
-    return PreparedScene(scenario=scenario, grid=grid)
+    return PreparedScene(scenario, grid_of(scenario, config))
 
 
 def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *, variant: int = 0) -> TrafficScene:
@@ -111,7 +106,6 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
     ScenarioError where a generated focal track was asked for and no vehicle lives through the scene.
     """
     check_exportable(config)
-    check_reactive(config)
     prepared = source if isinstance(source, PreparedScene) else prepare(source, config)
     scenario = prepared.scenario
     new_id = new_scenario_id(scenario.scenario_id, config, config.request.seed, variant)
@@ -124,13 +118,11 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
         prepared.net(config), seed=sumo_seed(seed), step_s=scene.step_s, model=config.car_following.model,
         parameters=model_parameters(config), checks_gaps=config.lane_change.safety == "sumo",
     ) as simulation:  # fmt: skip
-        rounds: _Rounds
+        rounds = _Rounds(scene, simulation, filling, scenario)
         if config.driving.replay == "reactive":
-            reactive = _ReactiveRounds(scene, simulation, filling, scenario)
-            filling.fill_together(reactive.drive)
-            scenario, rounds = with_motion(scenario, reactive.late), reactive
+            filling.fill_together(rounds.drive)
+            scenario = with_motion(scenario, rounds.late)
         else:
-            rounds = _Rounds(scene, simulation, filling)
             search = EventSearch(surroundings, seed)
             events = search.run(rounds.drive_alone)
             filling.take_events(events)
@@ -156,12 +148,16 @@ def sumo_seed(seed: Sequence[int]) -> int:
 
 
 class _Rounds:
-    """Drives the starts of each round in the one simulation of a scene."""
+    """Drives the starts of each round in the one simulation of a scene.
 
-    def __init__(self, scene: Scene, simulation: Simulation, filling: Filling) -> None:
-        self._scene, self._simulation, self._filling = scene, simulation, filling
+    late: tracks of the recorded vehicles that yielded at last, late_s: how late that made them; where they react.
+    """
+
+    def __init__(self, scene: Scene, simulation: Simulation, filling: Filling, scenario: Recording) -> None:
+        self._scene, self._simulation, self._filling, self._scenario = scene, simulation, filling, scenario
         self.errors = ReplayErrors()
         self.driven: list[tuple[int, DrivenVehicle]] = []
+        self.late: list[Track] = []
         self.late_s: Mapping[str, float] = {}
 
     def drive_alone(self, scene: Scene, stop_lines: StopLines, start: Start, fixed: Traffic) -> DrivenVehicle:
@@ -172,47 +168,25 @@ class _Rounds:
         return vehicle
 
     def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
-        """One simulation; in the first one the poses of all recorded agents are measured, where that is asked for."""
-        here = self._filling.surroundings
+        """One simulation, from the scene as it was recorded; where vehicles react the filling gets it as it became.
+
+        The poses of all recorded agents are measured, where that is asked for, in the first one, or in the last one
+        where they react.
+        """
+        here, asked = self._filling.surroundings, self._scene.config.driving
+        is_measured = number == 0 or asked.replay == "reactive"
         fleet = Fleet(self._scene, starts, fixed, here.roads, here.stop_lines)
-        checked = number == 0 and self._scene.config.driving.check_replay
-        driving = Driving(fleet, self._simulation, checked=checked)
+        driving = Driving(fleet, self._simulation, checked=asked.check_replay and is_measured)
         vehicles = driving.run()
         self.driven += [(number, vehicle) for vehicle in vehicles]
-        if number == 0:
+        if is_measured:
             self.errors = driving.replay_errors
+        if driving.reactions is not None:
+            self.late_s = driving.reactions.late_s
+            tracks = driving.reactions.tracks(self._scenario.tracks)
+            self.late = [track for track in tracks if track.track_id in self.late_s]
+            self._filling.scene = scene_of(self._scenario, self._scene.config, self._scene.grid, tracks=tracks)
         return vehicles
-
-
-class _ReactiveRounds(_Rounds):
-    """Drives all starts together among recorded vehicles that react. late: tracks of those that yielded at last."""
-
-    def __init__(self, scene: Scene, simulation: Simulation, filling: Filling, scenario: Recording) -> None:
-        super().__init__(scene, simulation, filling)
-        self._scenario = scenario
-        self.late: list[Track] = []
-
-    def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
-        """One simulation, from the scene as it was recorded; the filling gets it as it has become."""
-        here = self._filling.surroundings
-        fleet = Fleet(self._scene, starts, fixed, here.roads, here.stop_lines)
-        driving = Driving(fleet, self._simulation, checked=self._scene.config.driving.check_replay)
-        vehicles = driving.run()
-        assert driving.reactions is not None
-        self.driven += [(number, vehicle) for vehicle in vehicles]
-        self.errors, self.late_s = driving.replay_errors, driving.reactions.late_s
-        tracks = driving.reactions.tracks(self._scenario.tracks)
-        self.late = [track for track in tracks if track.track_id in self.late_s]
-        self._filling.scene = as_driven(self._scene, self._scenario, tracks)
-        return vehicles
-
-
-def as_driven(scene: Scene, scenario: Recording, tracks: Sequence[Track]) -> Scene:
-    """The scene of a recording with tracks that were driven otherwise."""
-    return build_scene(
-        scene.grid, tracks, config=scene.config, num_steps=scenario.num_steps,
-        last_observed_step=scenario.last_observed, step_s=scenario.step_s,
-    )  # fmt: skip
 
 
 def _focal(scenario: Recording, vehicles: Sequence[ExportedVehicle], tracks: Sequence[Track], filling: Filling) -> str:
@@ -224,9 +198,10 @@ def _focal(scenario: Recording, vehicles: Sequence[ExportedVehicle], tracks: Seq
     last = scenario.last_observed
     every = [track.position[track.timesteps == last] for track in (*scenario.tracks, *tracks)]
     around = np.concatenate(every)
+    done = {vehicle_id for vehicle_id, outcome in filling.outcomes.items() if outcome.done}
     through = [
         (
-            _did_something(one, filling),
+            one.driven.vehicle_id in done,
             int((np.hypot(*(around - track.position[last]).T) <= _FOCAL_RADIUS_M).sum()),
             track.path_m,
             track.track_id,
@@ -241,14 +216,9 @@ def _focal(scenario: Recording, vehicles: Sequence[ExportedVehicle], tracks: Seq
     return max(through)[-1]
 
 
-def _did_something(vehicle: ExportedVehicle, filling: Filling) -> bool:
-    outcome = filling.outcomes.get(vehicle.driven.vehicle_id)
-    return outcome is not None and outcome.done
-
-
 def _sidecar(
     prepared: PreparedScene, scene: Scene, filling: Filling, vehicles: Sequence[ExportedVehicle],
-    clean: Sequence[Track], rounds: "_Rounds", *, variant: int, sumo_version: str,
+    clean: Sequence[Track], rounds: _Rounds, *, variant: int, sumo_version: str,
 ) -> Sidecar:  # fmt: skip
     config = scene.config
     names = {one.driven.vehicle_id: f"gen_{row}" for row, one in enumerate(vehicles)}

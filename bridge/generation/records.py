@@ -11,7 +11,6 @@ import numpy as np
 from bridge.recordings.sidecar import (
     AgentRecord,
     DriverRecord,
-    DrivesRecord,
     EventRecord,
     GapsRecord,
     ManeuverKind,
@@ -47,12 +46,6 @@ def agent_record(
     cell = scene.cell_at(start.path, start.start_s)
     end_s = float(vehicle.motion.s[-1])
     steps = max(len(driven.s) - 1, 1)
-    parameters = {
-        "desired_mps": driver.desired_mps, "tau_s": driver.tau_s, "accel_mps2": driver.accel_mps2,
-        "decel_mps2": driver.decel_mps2, "min_gap_m": driver.min_gap_m,
-        "turn_lateral_mps2": driver.turn_lateral_mps2, "offset_m": driver.offset_m,
-        "lane_change_s": driver.lane_change_s, "wander_m": driver.wander_m,
-    }  # fmt: skip
     return AgentRecord(
         track_id=names[driven.vehicle_id],
         object_type="bus" if start.request.object_type == "bus" else "vehicle",
@@ -73,7 +66,7 @@ def agent_record(
         maneuvers=() if outcome is None else (maneuver_record(vehicle, outcome, names),),
         driver=DriverRecord(
             model=scene.config.car_following.model,
-            parameters={name: round(value, 6) for name, value in parameters.items()},
+            parameters={name: round(value, 6) for name, value in asdict(driver).items()},
         ),
         limited={cause: round(count / steps, 6) for cause, count in sorted(driven.limited.items())},
         policies={policy: round(count / steps, 6) for policy, count in sorted(driven.policies.items())},
@@ -164,19 +157,16 @@ def selection_record(scene: Scene, filling: Filling) -> SelectionRecord:
     """How vehicles that are kept drive, those that are not, and recorded vehicles that move."""
     traffic = scene.traffic
     speeds = [np.hypot(*traffic.velocity[row, traffic.present[row]].T) for row in moving_vehicles(scene).tolist()]
-    recorded = drives(speeds, step_s=scene.step_s)
-    kept, dropped = (
-        drives(
-            (np.array(one.v) for one in vehicles), step_s=scene.step_s,
+    driven = {"kept": [one.driven for one in filling.kept], "dropped": filling.dropped}
+    told = {"recorded": drives(speeds, step_s=scene.step_s)} | {
+        name: drives(
+            (np.array(one.v) for one in vehicles),
+            step_s=scene.step_s,
             limited=sum(one.limited["conflict"] for one in vehicles),
         )
-        for vehicles in ([one.driven for one in filling.kept], filling.dropped)
-    )  # fmt: skip
-    return SelectionRecord(
-        kept=DrivesRecord(**kept._asdict()),
-        dropped=DrivesRecord(**dropped._asdict()),
-        recorded=DrivesRecord(**recorded._asdict()),
-    )
+        for name, vehicles in driven.items()
+    }
+    return SelectionRecord.model_validate({name: one._asdict() for name, one in told.items()})
 
 
 def near_count(scene: Scene, vehicles: Sequence[ExportedVehicle]) -> int:

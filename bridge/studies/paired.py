@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from bridge.generation.gaps import look_row, number
-from bridge.generation.generate import PreparedScene, as_driven, sumo_seed
+from bridge.generation.generate import PreparedScene, sumo_seed
+from bridge.generation.recorded import scene_of
 from bridge.studies.columns import REQUEST_COLUMNS
 from bridge.sumo.drivers import model_parameters
 from bridge.sumo.fleet import Fleet
@@ -41,7 +42,7 @@ from hid2.occupancy.agent_states import AgentStates, agent_states
 from hid2.params import Config, LaneChange
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
-from hid2.scene import Scene, build_scene
+from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start
 
 #: Detectors: length of the intervals, s.
@@ -90,10 +91,7 @@ def drawing_config(config: Config) -> Config:
 def draw(prepared: PreparedScene, config: Config) -> Drawn:
     """Vehicles, drivers and sites for a `drawing_config`."""
     scenario = prepared.scenario
-    scene = build_scene(
-        prepared.grid, scenario.tracks, config=config, num_steps=scenario.num_steps,
-        step_s=scenario.step_s, last_observed_step=scenario.last_observed,
-    )  # fmt: skip
+    scene = scene_of(scenario, config, prepared.grid)
     seed = config.request.seed, 0, zlib.crc32(scenario.scenario_id.encode())
     surroundings = Surroundings(scene)
     filling = Filling(surroundings, seed)
@@ -132,7 +130,7 @@ def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedR
     recorded: Sequence[Track] = prepared.scenario.tracks
     if driving.reactions is not None:
         recorded = driving.reactions.tracks(recorded)
-        scene = as_driven(scene, prepared.scenario, recorded)
+        scene = scene_of(prepared.scenario, config, scene.grid, tracks=recorded)
     return _measured(scene, drawn, driving, vehicles, recorded, trigger_s)
 
 

@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from bridge.batch.batch import RUNS, Run, SceneJob
 from bridge.batch.manifest import DONE, ManifestRow
-from bridge.batch.scan import Selection, facts_of, wanted
+from bridge.batch.scan import Selection, wanted
 from bridge.config import config_from_dict, config_sha256, functions_of
 from bridge.files import MAX_FILE_MB, explained, one_line, read_packed, untabled
 from bridge.recordings.export import new_scenario_id, write_folder
@@ -117,7 +117,7 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
         raise ConfigError(f"{path}: scenes: {error}{hint}") from error
     if content.can:
         try:
-            folders = tuple(wanted(folders, *facts_of(folders, content.can), Selection(can=tuple(content.can))))
+            folders = tuple(wanted(folders, Selection(can=tuple(content.can)))[0])
         except ConfigError as error:
             raise ConfigError(f"{path}: can = {content.can!r}: {error}") from error
     seeds = tuple(range(content.seeds)) if isinstance(content.seeds, int) else tuple(content.seeds)

@@ -7,7 +7,7 @@ from typing import Any
 
 from bridge.batch.batch import Place, Run, base_row
 from bridge.batch.isolation import Failure, attempts
-from bridge.batch.manifest import ManifestRow, files_sha256, output_files
+from bridge.batch.manifest import ManifestRow
 from bridge.config import config_sha256
 from bridge.generation.gaps import gaps_bytes
 from bridge.generation.generate import PreparedScene, prepare
@@ -73,7 +73,6 @@ def _rows(
 
     def row(run: Run) -> ManifestRow:
         folder, told = measured(run.config)
-        where = folder.relative_to(place.out).as_posix()
-        return base_row(place, run)._replace(folder=where, output_sha256=files_sha256(output_files(folder)), **told)
+        return base_row(place, run, folder)._replace(**told)
 
     return attempts(row, runs)

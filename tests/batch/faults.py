@@ -17,7 +17,7 @@ from pathlib import Path
 
 from bridge.batch.batch import Place, Run, base_row
 from bridge.batch.isolation import Failure, describe_error
-from bridge.batch.manifest import ManifestRow, files_sha256, output_files
+from bridge.batch.manifest import ManifestRow
 from bridge.config import config_sha256, config_to_dict
 from bridge.recordings.export import new_scenario_id, recording_record_of, with_generated, write_recording
 from bridge.recordings.scenario import read_scenario
@@ -90,9 +90,7 @@ def copies(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]
             folder = write_recording(made, place.out)
             if place.folder.name >= os.environ.get("FAULTS_SLEEP_FROM", ""):
                 time.sleep(float(os.environ.get("FAULTS_SLEEP_S", "0")))
-            yield base_row(place, run)._replace(
-                folder=folder.relative_to(place.out).as_posix(), output_sha256=files_sha256(output_files(folder))
-            )
+            yield base_row(place, run, folder)
         except Exception as error:  # noqa: BLE001  # passed on as a failure of the scene, as the product does
             yield describe_error(error)
 

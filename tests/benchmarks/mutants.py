@@ -94,7 +94,7 @@ MUTANTS = {
         (f"{UNIT}/insertion/test_finalise.py",),
     ),
     "resume: an edited source is taken as done": Mutant(
-        "bridge/batch/batch.py", "== (base.version, source_sha256,", "== (base.version, row.source_sha256,",
+        "bridge/batch/batch.py", "== (base.version, base.source_sha256,", "== (base.version, row.source_sha256,",
         ("tests/batch/test_batch.py::TestResume",),
     ),
     "seeds: variants look for sites at one place": Mutant(

@@ -7,10 +7,10 @@ from pathlib import Path
 from fuzz import FOUND
 from scene_checker import check_scene
 
+from bridge.batch import scene_work
 from bridge.batch.batch import Place, Run
 from bridge.batch.isolation import Failure
 from bridge.batch.manifest import ManifestRow
-from bridge.batch.scene_work import generate_runs
 from bridge.generation.scene import TrafficScene
 
 
@@ -24,4 +24,5 @@ def checked(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure
             (place.out / FOUND / f"{place.folder.name}.json").write_text(json.dumps(found, indent=1))
         return scene.write(place.out)
 
-    yield from generate_runs(place, runs, finish)
+    scene_work.write_all = finish  # in a process of its own
+    yield from scene_work.generate_runs(place, runs)

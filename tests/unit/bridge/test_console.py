@@ -45,7 +45,7 @@ def test_counted_work_says_how_much_is_done_and_left(capsys: pytest.CaptureFixtu
     clock.now_s += 6.0
     activity.show(3, 12, " (1 quarantined)")
     looked_at(activity, clock, 30.0)
-    assert capsys.readouterr().err == "hid2: generating: 3 of 12 (1 quarantined), 30.0/min, 18 s left\n"
+    assert capsys.readouterr().err == "hid2: generating: 3 of 12 (1 quarantined), 18 s left\n"
 
 
 def test_terminal_has_one_line_that_is_written_anew_and_cleared_for_messages_and_in_the_end(
@@ -65,27 +65,13 @@ def test_terminal_has_one_line_that_is_written_anew_and_cleared_for_messages_and
     assert end == ""
 
 
-def test_nothing_done_yet_has_no_rate(capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_done_yet_tells_no_time_left(capsys: pytest.CaptureFixture[str]) -> None:
     clock = Clock()
     activity = Activity(quiet=False, clock=clock)
     activity.doing("generating")
     activity.show(0, 3)
     looked_at(activity, clock, 3.0)
     assert capsys.readouterr().err == "hid2: generating: 0 of 3\n"
-
-
-def test_warnings_wrap_between_words_on_a_terminal_and_commands_to_copy_stay_whole(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    text = f"hid2: warning: {'word ' * 12}--no-break\n  to see it again: {'x ' * 20}"
-    assert console.fitted(text) == text  # no terminal here
-    monkeypatch.setattr(console.sys.stderr, "isatty", lambda: True)
-    monkeypatch.setenv("COLUMNS", "40")
-    first, second, third, command = console.fitted(text).split("\n")
-    assert [len(line) <= 40 for line in (first, second, third)] == [True] * 3
-    assert [line[:2] for line in (second, third)] == ["  ", "  "]
-    assert "--no-break" in third
-    assert command == f"  to see it again: {'x ' * 20}"
 
 
 def test_quiet_says_messages_only(capsys: pytest.CaptureFixture[str]) -> None:

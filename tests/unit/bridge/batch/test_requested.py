@@ -1,12 +1,9 @@
 """What was asked for by name, and what of it came about nowhere, by the rows of a manifest."""
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import pytest
 
 from bridge.batch.manifest import DONE, QUARANTINED, ManifestRow
-from bridge.batch.requested import came_about_nowhere, check_request, named_behaviours
+from bridge.batch.requested import came_about_nowhere, named_behaviours
 from hid2.params import Config, Event, Request
 from hid2.policies import Policy
 
@@ -36,24 +33,6 @@ def row(**values: object) -> ManifestRow:
 )  # fmt: skip
 def test_what_came_about_in_none_of_the_scenes_is_named(rows: list[ManifestRow], nowhere: list[str]) -> None:
     assert came_about_nowhere(rows, EVENTS, NAMED) == nowhere
-
-
-def test_few_places_for_what_is_asked_for_are_told_before_it_is_driven(data_scenes: dict[str, Path]) -> None:
-    """Of lanes with room to change there are 550, 404 and 1,475 m, 50 m for each: 10, 8 and 29 places.
-
-    60 vehicles a scene: 47 of 180. 30 vehicles: the same 47, more than half of 90.
-    """
-    folders = [data_scenes[name] for name in ("curve", "intersection", "arterial")]
-    shares = {policy.value: float(policy is Policy.LANE_CHANGE) for policy in Policy}
-
-    def told(agents: int | str, named: Sequence[Policy] = (Policy.LANE_CHANGE,)) -> list[str]:
-        return check_request(folders, Config(request=Request(agents=agents, **shares)), named, jobs=1)
-
-    (said,) = told(60)
-    assert said.startswith(
-        "lane_change: 47 of 180 have a place by the maps of 3 scenes looked at, before any traffic ("
-    )
-    assert told(30) == told("max") == told(60, ()) == []
 
 
 def test_no_vehicle_is_missed_where_none_was_asked_for() -> None:

@@ -62,13 +62,15 @@ def test_unknown_manoeuvre_is_named() -> None:
         select(FACTS, Selection(can=("fly",)))
 
 
-def test_scene_that_cannot_be_read_is_tried_with_those_selected() -> None:
+def test_scene_that_cannot_be_read_is_tried_with_those_selected(data_scenes: dict[str, Path], tmp_path: Path) -> None:
     """It may be wanted, and its reason is then where those of others are; it is in no sample, and not enough alone."""
-    folders, unread = [Path("b"), Path("broken"), Path("a"), Path("c")], [(Path("broken"), "not a parquet file")]
-    assert wanted(folders, FACTS, unread, Selection(splits=("val",))) == [Path("b"), Path("broken"), Path("a")]
-    assert Path("broken") not in wanted(folders, FACTS, unread, Selection(sample=3))
-    with pytest.raises(ConfigError, match=r"none of 4 scenes is left by the selection"):
-        wanted(folders, FACTS, unread, Selection(splits=("test",)))
+    folders = [data_scenes["arterial"], tmp_path, data_scenes["curve"]]
+    turns, unread = Selection(can=("left_turn",)), [tmp_path]
+    chosen, failed = wanted([*folders, data_scenes["intersection"]], turns)
+    assert (chosen, [folder for folder, _ in failed]) == ([tmp_path, data_scenes["intersection"]], unread)
+    assert wanted(folders, Selection(sample=2))[0] == [data_scenes["arterial"], data_scenes["curve"]]
+    with pytest.raises(ConfigError, match=r"none of 2 scenes is left by the selection"):
+        wanted(folders[1:], turns)
 
 
 def test_synthetic_maps_offer_what_they_were_made_for(data_scenes: dict[str, Path]) -> None:
