@@ -149,7 +149,7 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
     "conflicts": {**_RUN, **_said(TrafficConflict)},
     "dose_response": {
         "parameter": "what varies",
-        "value": "its value",
+        "value": "its value; of more than 12 the mean of each of six classes of neighbouring ones",
         "outcome": "; ".join(f"{outcome.name}: {outcome.says}" for outcome in OUTCOMES),
         "rows": "requests or gaps at this value that the outcome is of: those asked about, those that changed, ...",
         "estimate": "the outcome",
@@ -182,15 +182,5 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "lead_s": "median lead time gap, at which the curve is drawn",
         "gaps, accepted": "gaps looked at, and taken",
         "separated": "why there is no curve: a threshold parts the gaps without exception",
-    },
-    "effects": {
-        "outcome": "accepted (0, 1), waited_or_end_s (waited_s up to the longest), or a column of requests",
-        "parameter": "what varies",
-        "drawn_again": "unit of the bootstrap: runs or scenes",
-        "rows": "requests with that outcome",
-        "standardised_coefficient": "standard deviations of the outcome for one of the parameter, all others held",
-        "low, high": "its 95 % interval",
-        "first_order": "first-order variance-based index on the means of the points (SALib, RBD-FAST)",
-        "first_order_interval": "half width of its 95 % interval",
     },
 }

@@ -10,25 +10,26 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
-from pandas.api.types import infer_dtype
+from pandas.api.types import infer_dtype, is_numeric_dtype
 
 from bridge.batch.manifest import DONE
 from bridge.files import beside, table_cell, write_rows, write_text
 from bridge.pages.parts import text
 from bridge.studies.columns import DICTIONARY, OUTCOMES
 from bridge.studies.gap_acceptance import acceptance_curve, critical_gap, gaps_of
-from bridge.studies.statistics import difference_sd, dose_response, effects, seeds_needed
+from bridge.studies.statistics import difference_sd, dose_response, seeds_needed
 from bridge.studies.study import Study
 from bridge.studies.study_figures import CRITICAL, draw_fundamental, draw_parameter, label_of
 from hid2.measures.conflicts import CONFLICT_PET_S, CONFLICT_TTC_S, TrafficConflict
 from hid2.measures.lane_changes import LaneChangeRow
 
-#: A parameter with more values than this has no dose-response of its own: its effect is in effects.csv.
-_MOST_VALUES = 12
+#: A parameter with more values than this, as those of a hypercube, is told in so many classes of neighbouring values.
+_MOST_VALUES, _CLASSES = 12, 6
 #: Tables of more rows are compressed.
 _LONG = 50_000
 #: Differences of shares for which the page says how many seeds they need.
@@ -50,20 +51,22 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
     doses, acceptance, critical = [], [], []
     any_counted = not requests.empty and bool(requests["counted"].any())
     for key in keys:
-        if not any_counted or requests[key].nunique() > _MOST_VALUES:
+        if not any_counted:
             continue
-        dose = dose_response(requests, gaps, key, give_up_s=give_up_s, critical_ttc_s=CRITICAL.ttc_min_s)
+        told_as = _classes(requests[key])
+        asked, looked = (one.assign(**{key: one[key].map(told_as)}) if len(one) else one for one in (requests, gaps))
+        dose = dose_response(asked, looked, key, give_up_s=give_up_s, critical_ttc_s=CRITICAL.ttc_min_s)
         doses.append(dose)
         curves: dict[Any, dict[str, Any] | None] = {}
-        for value in sorted(requests[key].unique()):
-            own, place = gaps[gaps[key] == value] if len(gaps) else gaps, {"parameter": key, "value": value}
+        for value in sorted(asked[key].unique()):
+            own, place = looked[looked[key] == value] if len(looked) else looked, {"parameter": key, "value": value}
             curves[value] = curve = acceptance_curve(own) if len(own) else None
             acceptance += [{**place, **curve}] if curve is not None else []
             found = [critical_gap(own, side) for side in ("lag", "lead")] if len(own) else []
             critical += [{**place, **one} for one in found if one is not None]
         files.append(out_dir / f"{study.name}_{key.replace('.', '_')}.png")
         title = f"{_title(study, tables)}; bars: 95 % intervals, runs drawn again"
-        draw_parameter(files[-1], title, key, dose=dose, requests=requests, curves=curves, give_up_s=give_up_s)
+        draw_parameter(files[-1], title, key, dose=dose, requests=asked, curves=curves, give_up_s=give_up_s)
     if not flow.empty:
         files.append(out_dir / f"{study.name}_fundamental.png")
         varied = next((key for key in keys if 1 < flow[key].nunique() <= _MOST_VALUES), None)
@@ -72,7 +75,6 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
         **tables, "gaps": gaps, "dose_response": pd.concat(doses) if doses else pd.DataFrame(),
         "acceptance": pd.DataFrame(acceptance).drop(columns="fit", errors="ignore"),
         "critical_gaps": pd.DataFrame(critical),
-        "effects": effects(requests, keys, give_up_s=give_up_s) if any_counted else pd.DataFrame(),
     }  # fmt: skip
     for name, row in (("lane_changes", LaneChangeRow), ("conflicts", TrafficConflict)):
         if named[name].empty:  # the table says so
@@ -86,6 +88,15 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
     write_rows(dictionary, ("table", "column", "says"), says)
     write_text(page, page_text(study, named, keys, figures=[path.name for path in files]))
     return [page, *files, dictionary, *written]
+
+
+def _classes(values: "pd.Series[Any]") -> dict[Any, Any]:
+    """What each value is told as: itself, or, of many numbers, the mean of its class, all classes as large."""
+    known = np.sort(values.unique())
+    if len(known) <= _MOST_VALUES or not is_numeric_dtype(values):
+        return {value: value for value in known.tolist()}
+    parts = np.array_split(known, _CLASSES)
+    return {value: round(float(part.mean()), 3) for part in parts for value in part.tolist()}
 
 
 def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> list[Path]:
@@ -132,9 +143,6 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
     counted, due = requests[requests["counted"]], requests["waited_s"].notna()
     config = study.configs[0][0]
     accepted, exported = counted["accepted"].astype(bool), counted["exported"].dropna()
-    effect = named["effects"]
-    if not effect.empty:
-        effect = effect[(effect["drawn_again"] == "runs") & effect["standardised_coefficient"].notna()]
     cut_off = ~accepted & (counted["waited_s"] < config.lane_change.give_up_s - 0.05)
     return text(
         "study.md.j2",
@@ -154,7 +162,6 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         clusters=_few_clusters(dose),
         critical=_records(named["critical_gaps"]),
         curves=_records(named["acceptance"]),
-        effects=_records(effect) if len(keys) > 1 else [],
         changes=named["lane_changes"],
         conflicts=named["conflicts"],
         critical_ttc_s=CONFLICT_TTC_S,

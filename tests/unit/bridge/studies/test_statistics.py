@@ -1,4 +1,4 @@
-"""What tables of looks and requests say: waiting, acceptance, critical gaps, effects."""
+"""What tables of looks and requests say: waiting, acceptance, critical gaps, trends."""
 
 from pathlib import Path
 from typing import Any
@@ -9,11 +9,10 @@ import pytest
 
 from bridge.pages.parts import macro
 from bridge.studies.gap_acceptance import acceptance_curve, critical_gap, gaps_of, largest_rejected, troutbeck
-from bridge.studies.page import _last_reasons, _records, _told
+from bridge.studies.page import _classes, _last_reasons, _told
 from bridge.studies.statistics import (
     difference_sd,
     dose_response,
-    effects,
     few_clusters_p,
     kaplan_meier,
     mean_wait,
@@ -267,12 +266,6 @@ def test_page_tells_the_answer_to_the_last_gap_that_was_looked_at() -> None:
     assert sorted(_last_reasons(refused, gaps)) == ["no_adjacent_lane 1", "sumo_refuses 1"]
 
 
-def test_standardised_coefficient_of_a_straight_line_is_one() -> None:
-    found = effects(_requests(-0.3), ["p"], give_up_s=6.0).set_index("outcome")
-    assert found.loc["lag_time_gap_s", "standardised_coefficient"] == pytest.approx(1.0)
-    assert found.loc["accepted", "high"] < 0.0
-
-
 def test_interval_that_begins_at_a_rounding_error_includes_no_effect() -> None:
     rows = [
         {"outcome": "lateral_s", "value": value, "rows": 9, "estimate": value, "difference": value,
@@ -284,27 +277,22 @@ def test_interval_that_begins_at_a_rounding_error_includes_no_effect() -> None:
     assert "95 % interval +0 to +0.04 (runs), which includes no effect" in line
 
 
-@pytest.mark.parametrize(("runs", "interval"), [(12, True), (2, False)])
-def test_page_tells_effects_with_and_without_an_interval(runs: int, interval: bool) -> None:
-    """Two runs are too few to be drawn again: the coefficient stands alone. One that cannot be told is not told."""
-    requests = _requests(-0.3, runs=runs, each=30).assign(q=lambda frame: frame["seed"] % 2, min_ttc_s=3.0)
-    found = effects(requests, ["p", "q"], give_up_s=6.0).dropna(subset="standardised_coefficient")
-    told = _records(found[found["drawn_again"] == "runs"])
-    lines = [macro("study_lines.md.j2", "effect", row, row["parameter"]) for row in told]
-    accepted = next(line for line in lines if line.startswith("accepted by p: standardised coefficient -"))
-    assert (" to " in accepted) is interval
-    assert not any("min_ttc_s" in line for line in lines)  # the same for everybody
+def test_a_parameter_of_many_values_is_told_in_six_classes_as_large() -> None:
+    """Of 0, 1, ..., 23 the first class has 0 to 3, mean 1.5; twelve values stand for themselves, and so do names."""
+    told = _classes(pd.Series([float(value) for value in range(24)] * 2))
+    assert sorted(set(told.values())) == [1.5, 5.5, 9.5, 13.5, 17.5, 21.5]
+    assert (told[3.0], told[4.0]) == (1.5, 5.5)
+    few, names = pd.Series(np.arange(12.0)), pd.Series([f"rule {number}" for number in range(20)])
+    assert all(_classes(values) == {value: value for value in values} for values in (few, names))
 
 
-def test_variance_based_index_tells_the_strong_parameter_from_the_idle_one() -> None:
-    rng = np.random.default_rng(5)
-    strong, idle = rng.random(120), rng.random(120)
-    frame = pd.DataFrame(
-        {**{name: value for name, value in RUN.items() if name not in ("point", "seed")}, "point": range(120),
-         "seed": np.arange(120) % 8, "strong": strong, "idle": idle, "counted": True, "accepted": strong > 0.5,
-         "waited_s": 10 * strong, "lateral_s": np.nan, "lag_time_gap_s": np.nan, "min_ttc_s": np.nan}
-    )  # fmt: skip
-    found = effects(frame, ["strong", "idle"], give_up_s=20.0)
-    waited = found[found["outcome"] == "waited_or_end_s"].set_index("parameter")
-    assert waited.loc["strong", "first_order"] > 0.9
-    assert abs(waited.loc["idle", "first_order"]) < 0.2
+def test_a_hypercube_has_the_trend_of_its_classes() -> None:
+    """Twenty values of q, half a second more of the lag gap for each; every value is a point of its own."""
+    values = np.linspace(0.0, 1.0, 20)
+    requests = pd.concat(
+        [_requests(0.0, runs=4, each=5).assign(q=value, lag_time_gap_s=2.0 + 0.5 * value) for value in values]
+    )
+    requests["q"] = requests["q"].map(_classes(requests["q"]))
+    dose = dose_response(requests, pd.DataFrame(), "q", give_up_s=6.0, critical_ttc_s=1.5)
+    first = dose.drop_duplicates("outcome").set_index("outcome")
+    assert first.loc["lag_time_gap_s", "trend"] == pytest.approx(0.5, abs=0.01)
