@@ -174,13 +174,4 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "drivers": "drivers that took or refused a gap for this side of it, and are used",
         "inconsistent": "drivers left out: they had refused a larger gap than the one taken",
     },
-    "acceptance": {
-        "parameter": "what varies",
-        "value": "its value",
-        "intercept, lag, lead": "logistic regression of accepted on lag and lead time gap, s (above 10 s: 10 s)",
-        "lag_low, lag_high": "95 % interval of the coefficient of the lag time gap, clustered by run",
-        "lead_s": "median lead time gap, at which the curve is drawn",
-        "gaps, accepted": "gaps looked at, and taken",
-        "separated": "why there is no curve: a threshold parts the gaps without exception",
-    },
 }

@@ -21,19 +21,18 @@ from bridge.batch.manifest import DONE
 from bridge.files import beside, table_cell, write_rows, write_text
 from bridge.pages.parts import text
 from bridge.studies.columns import DICTIONARY, OUTCOMES
-from bridge.studies.gap_acceptance import acceptance_curve, critical_gap, gaps_of
-from bridge.studies.statistics import difference_sd, dose_response, seeds_needed
+from bridge.studies.gap_acceptance import critical_gap, gaps_of
+from bridge.studies.statistics import dose_response
 from bridge.studies.study import Study
-from bridge.studies.study_figures import CRITICAL, draw_fundamental, draw_parameter, label_of
+from bridge.studies.study_figures import draw_parameter, label_of
 from hid2.measures.conflicts import CONFLICT_PET_S, CONFLICT_TTC_S, TrafficConflict
 from hid2.measures.lane_changes import LaneChangeRow
+from hid2.params import Conflict
 
 #: A parameter with more values than this, as those of a hypercube, is told in so many classes of neighbouring values.
 _MOST_VALUES, _CLASSES = 12, 6
 #: Tables of more rows are compressed.
 _LONG = 50_000
-#: Differences of shares for which the page says how many seeds they need.
-_SIZES_TOLD = (0.02, 0.05, 0.1)
 _LOG = logging.getLogger(__name__)
 
 
@@ -41,39 +40,29 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
     """Write everything that a study says into out_dir; returns the files. Errors: ExportError."""
     keys = ["trigger_after_s" if key == "trigger_s" else key for key in study.keys]
     give_up_s = study.configs[0][0].lane_change.give_up_s
-    requests, flow, gaps = tables["requests"], tables["flow"], gaps_of(tables["looks"], keys)
+    requests, gaps = tables["requests"], gaps_of(tables["looks"], keys)
     if not gaps.empty and not requests.empty:
         counted = requests.loc[requests["counted"], ["scene", "point", "seed", "vehicle"]]
         gaps = gaps.merge(counted, on=["scene", "point", "seed", "vehicle"])
     if requests.empty:
         _LOG.warning("%s: no run has a request (%s); expected more traffic, or more time", out_dir, study.kind)
     files: list[Path] = []
-    doses, acceptance, critical = [], [], []
+    doses, critical = [], []
     any_counted = not requests.empty and bool(requests["counted"].any())
-    for key in keys:
-        if not any_counted:
-            continue
+    for key in keys if any_counted else ():
         told_as = _classes(requests[key])
         asked, looked = (one.assign(**{key: one[key].map(told_as)}) if len(one) else one for one in (requests, gaps))
-        dose = dose_response(asked, looked, key, give_up_s=give_up_s, critical_ttc_s=CRITICAL.ttc_min_s)
+        dose = dose_response(asked, looked, key, give_up_s=give_up_s, critical_ttc_s=Conflict().ttc_min_s)
         doses.append(dose)
-        curves: dict[Any, dict[str, Any] | None] = {}
         for value in sorted(asked[key].unique()):
-            own, place = looked[looked[key] == value] if len(looked) else looked, {"parameter": key, "value": value}
-            curves[value] = curve = acceptance_curve(own) if len(own) else None
-            acceptance += [{**place, **curve}] if curve is not None else []
+            own = looked[looked[key] == value] if len(looked) else looked
             found = [critical_gap(own, side) for side in ("lag", "lead")] if len(own) else []
-            critical += [{**place, **one} for one in found if one is not None]
+            critical += [{"parameter": key, "value": value, **one} for one in found if one is not None]
         files.append(out_dir / f"{study.name}_{key.replace('.', '_')}.png")
         title = f"{_title(study, tables)}; bars: 95 % intervals, runs drawn again"
-        draw_parameter(files[-1], title, key, dose=dose, requests=asked, curves=curves, give_up_s=give_up_s)
-    if not flow.empty:
-        files.append(out_dir / f"{study.name}_fundamental.png")
-        varied = next((key for key in keys if 1 < flow[key].nunique() <= _MOST_VALUES), None)
-        draw_fundamental(files[-1], _title(study, tables), flow, varied)
+        draw_parameter(files[-1], title, key, dose=dose, requests=asked, give_up_s=give_up_s)
     named = {
         **tables, "gaps": gaps, "dose_response": pd.concat(doses) if doses else pd.DataFrame(),
-        "acceptance": pd.DataFrame(acceptance).drop(columns="fit", errors="ignore"),
         "critical_gaps": pd.DataFrame(critical),
     }  # fmt: skip
     for name, row in (("lane_changes", LaneChangeRow), ("conflicts", TrafficConflict)):
@@ -158,10 +147,8 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         replays=set(requests["replay"]),
         labels={key: label_of(key) for key in keys},
         told={key: _told(dose[dose["parameter"] == key]) for key in keys if key in set(dose.get("parameter", ()))},
-        seeds=[line for key in keys if (line := _seeds_line(requests, key))],
         clusters=_few_clusters(dose),
         critical=_records(named["critical_gaps"]),
-        curves=_records(named["acceptance"]),
         changes=named["lane_changes"],
         conflicts=named["conflicts"],
         critical_ttc_s=CONFLICT_TTC_S,
@@ -169,11 +156,9 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         rising=_rising(named["flow"]),
         flow=named["flow"],
         reasons=_last_reasons(counted[~accepted], named["gaps"]),
-        by_value={key: _by_value(named, key) for key in keys if 1 < requests[key].nunique() <= _MOST_VALUES},
         exported_share=None if exported.empty else float((exported == "yes").mean()),
         overlapping=int(counted["overlaps"].isin([True]).sum()),
         cut_share=float(cut_off.mean()) if len(counted) else 0.0,
-        exp=math.exp,
         figures=figures,
     )  # fmt: skip
 
@@ -197,24 +182,6 @@ def _last_reasons(refused: pd.DataFrame, gaps: pd.DataFrame) -> list[str]:
     return [f"{reason} {count}" for reason, count in reasons.value_counts()[:6].items()]
 
 
-def _by_value(named: Mapping[str, pd.DataFrame], key: str) -> list[str]:
-    """One line for each value of a parameter: lane changes, conflicts, flow and speed of all traffic there."""
-    lines = []
-    for value in sorted(named["runs"][key].unique()):
-        own = {name: table[table[key] == value] if key in table else table for name, table in named.items()}
-        changes, met = (
-            f"{len(own[name])} {one}{'s' * (len(own[name]) != 1)}"
-            for name, one in (("lane_changes", "lane change"), ("conflicts", "conflict"))
-        )
-        line, told = f"at {value}: {changes} and {met} of any vehicle", "lane_changes.track_id, conflicts.kind"
-        if len(own["flow"]):
-            flow, speed = (own["flow"][name].mean() for name in ("flow_veh_per_h_lane", "speed_kmph"))
-            line += f", {flow:.0f} veh/h per lane at {speed:.0f} km/h"
-            told += ", flow.flow_veh_per_h_lane, flow.speed_kmph"
-        lines.append(f"{line} [{told}].")
-    return lines
-
-
 def _records(table: pd.DataFrame) -> list[dict[Any, Any]]:
     """The rows of a table; what is missing is None."""
     return table.astype(object).where(table.notna(), None).to_dict("records")
@@ -229,20 +196,6 @@ def _told(dose: pd.DataFrame) -> dict[str, Any]:
         "counts": _records(counts) if counts["rows"].nunique() > 1 else [],
         "outcomes": [(one, own) for one, own in rows if len(own) > 1],
     }
-
-
-def _seeds_line(requests: pd.DataFrame, key: str) -> str | None:
-    """How many seeds differences of some sizes in the share accepted need, by the runs that there are."""
-    found = difference_sd(requests, key)
-    if found is None:
-        return None
-    (sd, runs), scenes = found, requests["scene"].nunique()
-    needed = (f"{math.ceil(seeds_needed(sd, size) / scenes)} for {size:g}" for size in _SIZES_TOLD)
-    return (
-        f"{label_of(key)}: the difference of the share between first and last value has an SD of {sd:.3f} from run to "
-        f"run ({runs} runs). Seeds needed at power .8, by a paired t test, which assumes more than the signs above: "
-        f"{', '.join(needed)} [requests.accepted]."
-    )
 
 
 def _few_clusters(dose: pd.DataFrame) -> tuple[int, int] | None:

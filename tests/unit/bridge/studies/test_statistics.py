@@ -1,4 +1,4 @@
-"""What tables of looks and requests say: waiting, acceptance, critical gaps, trends."""
+"""What tables of looks and requests say: waiting, critical gaps, trends."""
 
 from pathlib import Path
 from typing import Any
@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from bridge.pages.parts import macro
-from bridge.studies.gap_acceptance import acceptance_curve, critical_gap, gaps_of, largest_rejected, troutbeck
+from bridge.studies.gap_acceptance import critical_gap, gaps_of, largest_rejected, troutbeck
 from bridge.studies.page import _classes, _last_reasons, _told
 from bridge.studies.statistics import (
     difference_sd,
@@ -157,22 +157,6 @@ def test_gap_is_one_row_with_its_largest_size_or_that_at_which_the_rule_took_it(
     assert np.isnan(second["lag_refused_s"])
 
 
-def test_logistic_coefficients_are_found_again() -> None:
-    """2,000 gaps with logit = -3 + 1.5 lag + 0.2 lead."""
-    rng = np.random.default_rng(0)
-    lag, lead = rng.uniform(0, 5, 2000), rng.uniform(0, 5, 2000)
-    taken = rng.random(2000) < 1 / (1 + np.exp(3 - 1.5 * lag - 0.2 * lead))
-    frame = pd.DataFrame(
-        {"scene": "a", "seed": rng.integers(20, size=2000), "accepted": taken, "lag_time_gap_s": lag,
-         "lead_time_gap_s": lead}
-    )  # fmt: skip
-    curve = acceptance_curve(frame)
-    assert curve is not None
-    for name, row, true in (("intercept", 0, -3.0), ("lag", 1, 1.5), ("lead", 2, 0.2)):
-        assert abs(curve[name] - true) < 2.5 * curve["fit"].bse[row]
-    assert acceptance_curve(frame.head(5)) is None
-
-
 def _requests(slope: float, *, runs: int = 12, each: int = 20) -> pd.DataFrame:
     """Requests of runs at three values of p; the share accepted goes with slope * p; the same vehicles at each."""
     rng = np.random.default_rng(3)
@@ -217,12 +201,12 @@ def test_trend_is_the_slope_over_all_values_and_p_counts_the_family() -> None:
 
 
 def test_parameter_with_which_nobody_gets_a_gap_is_drawn_too(tmp_path: Path) -> None:
-    """Nobody accepts at any value: all still wait at the end, there is no curve, and all the rest is empty."""
+    """Nobody accepts at any value: all still wait at the end, and all the rest is empty."""
     requests = _requests(0.0).assign(accepted=False, lateral_s=np.nan, lag_time_gap_s=np.nan, start_s=np.nan)
     requests["min_pet_s"] = np.nan
     dose = dose_response(requests, pd.DataFrame(), "p", give_up_s=6.0, critical_ttc_s=1.5)
     path = tmp_path / "p.png"
-    draw_parameter(path, "p", "p", dose=dose, requests=requests, curves=dict.fromkeys((0.0, 0.5, 1.0)), give_up_s=6.0)
+    draw_parameter(path, "p", "p", dose=dose, requests=requests, give_up_s=6.0)
     assert path.stat().st_size > 10_000
     share = dose[dose["outcome"] == "share_accepted"]
     assert share["estimate"].tolist() == [0.0] * 3
