@@ -1,4 +1,4 @@
-"""The results of a study: tables as CSV and parquet with a data dictionary, figures, and a page of text."""
+"""The results of a study: tables as CSV with a data dictionary, figures, and a page of text."""
 
 import gzip
 import io
@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.csv as pa_csv
-import pyarrow.parquet as pq
 from pandas.api.types import infer_dtype, is_numeric_dtype
 
 from bridge.batch.manifest import DONE
@@ -69,9 +68,7 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
         if named[name].empty:  # the table says so
             of_a_run = takewhile("status".__ne__, tables["runs"].columns)
             named[name] = pd.DataFrame(columns=[*of_a_run, *(field.name for field in fields(row))])
-    written = [
-        path for name in DICTIONARY if len(named[name].columns) for path in _write_table(out_dir, name, named[name])
-    ]
+    written = [_write_table(out_dir, name, named[name]) for name in DICTIONARY if len(named[name].columns)]
     dictionary, page = out_dir / "columns.csv", out_dir / "study.md"
     says = ((table, *said) for table, columns in DICTIONARY.items() for said in columns.items())
     write_rows(dictionary, ("table", "column", "says"), says)
@@ -88,11 +85,10 @@ def _classes(values: "pd.Series[Any]") -> dict[Any, Any]:
     return {value: round(float(part.mean()), 3) for part in parts for value in part.tolist()}
 
 
-def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> list[Path]:
-    """CSV (compressed where it is long) and parquet."""
+def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> Path:
+    """A table as CSV, compressed where it is long."""
     long = len(table) > _LONG
-    csv_path = out_dir / (f"{name}.csv.gz" if long else f"{name}.csv")
-    parquet_path = out_dir / f"{name}.parquet"
+    path = out_dir / (f"{name}.csv.gz" if long else f"{name}.csv")
     flags = [column for column in table if infer_dtype(table[column]) == "boolean"]
     tidy = table.astype(dict.fromkeys(flags, "boolean"))
     tidy = tidy.assign(**{
@@ -101,16 +97,12 @@ def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> list[Path]:
     })  # fmt: skip
     texts = tidy.select_dtypes(exclude=["number", "bool"]).columns
     safe = tidy.assign(**{column: tidy[column].map(table_cell, na_action="ignore") for column in texts})
-    each = (pa.Table.from_pandas(one, preserve_index=False) for one in (tidy, safe))
-    exact, shown = (one.replace_schema_metadata(None) for one in each)
-    text, columnar = io.BytesIO(), io.BytesIO()
+    text = io.BytesIO()
+    shown = pa.Table.from_pandas(safe, preserve_index=False)
     pa_csv.write_csv(shown, text, pa_csv.WriteOptions(quoting_style="needed"))
-    pq.write_table(exact, columnar)
-    csv_bytes = gzip.compress(text.getvalue(), mtime=0) if long else text.getvalue()
-    for path, content in ((csv_path, csv_bytes), (parquet_path, columnar.getvalue())):
-        with beside(path) as hidden:
-            hidden.write_bytes(content)
-    return [csv_path, parquet_path]
+    with beside(path) as hidden:
+        hidden.write_bytes(gzip.compress(text.getvalue(), mtime=0) if long else text.getvalue())
+    return path
 
 
 def _title(study: Study, tables: Mapping[str, pd.DataFrame]) -> str:
