@@ -51,8 +51,6 @@ tune = true
 name = "LC2013"
 set = { "lane_change.rule" = "LC2013" }
 vary = { "lane_change.lc_speed_gain" = [3.0] }
-[cause]
-"one speed" = { "drivers.desired_sd" = 0.0 }
 [config.lane_change]
 min_speed_mps = 0.0
 safety = "rule"
@@ -153,7 +151,7 @@ def test_page_says_what_gaps_do_not_tell(tmp_path: Path) -> None:
     run = run_of([1, 1, 1], [1, 1, 1], lag=wide, start_to_end=[[1, 0, 0], [0, 1, 0], [0, 1, 0]])
     page = read_public(page_in(tmp_path, counts=counts, page=UNTUNED_PAGE))
     one = RoadResult(page.road[0], "LC2013", "as set", {}, [run])
-    lists: dict[str, Any] = {"tried": [], "best": {}, "causes": [], "within": WITHIN}
+    lists: dict[str, Any] = {"tried": [], "best": {}, "within": WITHIN}
     told = text("public.md.j2", page=page, tests=[one], cell_m=250.0, cell_s=60.0, long_gap_s=10.0, **lists)
     assert "not told by these gaps: critical_lag_gap_mean_s, critical_lag_gap_sd_s." in told
     assert "| gaps taken below 10 s, lag and lead, all runs | - | 8 and 0 |" in told
@@ -246,12 +244,12 @@ def test_page_goes_on_after_a_kill_with_the_same_bytes_and_refuses_runs_that_are
 def test_page_has_the_same_bytes_after_sigkill_and_the_command_says_how_long_runs_took(tmp_path: Path) -> None:
     """All processes of the command are killed, as by a power cut, when runs are in the manifest and others are not.
 
-    Two points and a cause, two seeds of each: 6 runs.
+    Two points, two seeds of each: 4 runs.
     """
     file, work = page_in(tmp_path), tmp_path / "work"
     work.mkdir()
     whole = Command(["public", file, "-o", tmp_path / "whole"], work).left(timeout_s=300.0)
-    assert "6 runs that took" in whole.stderr
+    assert "4 runs that took" in whole.stderr
     command = Command(["public", file, "-o", tmp_path / "again"], work)
     manifest = tmp_path / "again" / "manifest.csv"
     command.wait_for(lambda: manifest.is_file() and manifest.read_text().count("\n") >= 2, timeout_s=300.0)
@@ -261,6 +259,6 @@ def test_page_has_the_same_bytes_after_sigkill_and_the_command_says_how_long_run
     assert not (tmp_path / "again" / "public.md").exists()
     left = Command(["public", file, "-o", tmp_path / "again"], work).left(timeout_s=300.0)
     assert left.code == whole.code == 0
-    assert "6 runs that took" in left.stderr
+    assert "4 runs that took" in left.stderr
     for name in ("public.md", "public.csv"):
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
