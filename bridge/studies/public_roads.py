@@ -14,7 +14,6 @@ from typing import Annotated, Any
 import numpy as np
 import pandas as pd
 from pydantic import AfterValidator, Field
-from scipy import stats
 
 from bridge.batch.batch import Options, Progress, SceneJob, run_batch
 from bridge.batch.batch import Run as BatchRun
@@ -154,16 +153,11 @@ class RoadResult:
 
             names = [name for name in MEASURES if name.startswith("duration")]
             return dict(zip(names, estimates(seconds, moments, unit=["run"]), strict=True))
-        road, published = self.site.road, self.site.told.published
         found = {
             name: ratio(*np.array([run["ratios"][name] for run in self.runs], dtype=np.float64).T)
             for name in self.runs[0]["ratios"]
         }
-        lanes = [name for name in road.from_lanes[: road.lanes] if name in published]
-        ours, theirs = [found[name].value or 0.0 for name in lanes], [published[name] for name in lanes]
-        if min(len(set(ours)), len(set(theirs))) > 1:
-            found["rank_correlation"] = Estimate(float(stats.spearmanr(ours, theirs).statistic))
-        for side in SIDES if any("gap" in name for name in published) else ():
+        for side in SIDES if any("gap" in name for name in self.site.told.published) else ():
             gaps = self._every(side, ["rejected_s", "taken_s"])
             gaps = gaps[gaps["taken_s"] < LONG_GAP_S]
             for name, (low, high) in SHARES.items():
