@@ -309,17 +309,6 @@ def test_sidecars_that_tell_less_are_shown(page: Page, data_scenes, fake_generat
     assert page.errors == []
 
 
-def test_picture_is_saved_with_its_legend(opened: Page, tmp_path: Path) -> None:
-    opened.js("HTMLAnchorElement.prototype.click = function () { window.saved = [this.download, this.href]; }")
-    opened.press("p")
-    name, address = opened.js("window.saved")
-    assert name.endswith("_0.0s.png")
-    picture = tmp_path / name
-    picture.write_bytes(base64.b64decode(address.split(",")[1]))
-    for kind in opened.js("[...new Set(now.scene.tracks.map((track) => track.kind))]"):
-        assert pixels(picture, figures.FACES[kind]) > 20, kind
-
-
 @pytest.mark.parametrize("width", WIDTHS)
 def test_page_fits_its_width_and_shows_all_traffic(opened: Page, width: int, tmp_path: Path) -> None:
     """The window changes its size under a scene that is open, and nobody has zoomed or panned."""
