@@ -225,7 +225,7 @@ def fact(name, *, source=None, city="miami", tracks=20, cells=(1,), block=(0, 0)
     import numpy as np
 
     return SourceScene(
-        Path(name), name, source or name, source is not None, city, 110, tracks, tracks, log,
+        Path(name), name, source or name, city, 110, tracks, tracks, log,
         np.array(cells, dtype=np.int64).tobytes(), block,
     )  # fmt: skip
 
