@@ -16,7 +16,6 @@ from bridge.forecasting.compose import check_leaks, compose
 from bridge.forecasting.composition import (
     CONTROLS,
     HID2_ONLY,
-    Split,
     composition_of,
     composition_of_sources,
     read_composition,
@@ -269,11 +268,10 @@ def test_a_share_of_a_source_is_drawn(data_root, tmp_path):
         "split": {"val": 0.0},
     }
     assert composed(values, tmp_path / "root").counts == {"": {"train": 2, "val": 0, "test": 0}}
-    of = {"split": Split(), "seed": 0, "layout": "av2", "min_agents": 0, "min_agents_in": "all"}
-    made = composition_of_sources(["here:0.5", "there:7", "all"], **of)
+    made = composition_of_sources(["here:0.5", "there:7", "all"])
     assert list(made.sets["all"].take.values()) == [0.5, 6, "all"]
     with pytest.raises(ConfigError, match=r"'here:1\.5': expected SOURCE or SOURCE:N"):
-        composition_of_sources(["here:1.5"], **of)
+        composition_of_sources(["here:1.5"])
 
 
 def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
@@ -313,17 +311,16 @@ def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
 
 
 def test_a_file_and_the_command_line_say_the_same(data_root, tmp_path):
+    """One data set of all, a tenth of the three held out: one, as each has its place; of ten two tenths are two."""
     (tmp_path / "c.toml").write_text(
-        f'[sources]\nsource-0 = "{data_root}"\n[split]\nval = 0.5\n[sets.all.take]\nsource-0 = "all"\n'
+        f'[sources]\nsource-0 = "{data_root}"\n[sets.all.take]\nsource-0 = "all"\n'
         '[validation.all.take]\nsource-0 = "all"\n'
     )
-    line = composition_of_sources(
-        [str(data_root)], split=Split(val=0.5), seed=0, layout="av2", min_agents=0, min_agents_in="all"
-    )
+    line = composition_of_sources([str(data_root)])
     written = read_composition(tmp_path / "c.toml")
-    assert compose(written, tmp_path / "a").counts == compose(line, tmp_path / "b").counts
-    numbered = composition_of_sources(
-        [f"{data_root}:3"], split=Split(val=0.34), seed=0, layout="av2", min_agents=0, min_agents_in="all"
-    )
-    assert compose(numbered, tmp_path / "c").counts == {"": {"train": 2, "val": 1, "test": 0}}
-    assert json.loads((tmp_path / "c" / "composition.json").read_text())["sources"] == {"source-0": [str(data_root)]}
+    assert line.model_dump() == written.model_dump()
+    assert compose(line, tmp_path / "a").counts == {"": {"train": 2, "val": 1, "test": 0}}
+    numbered = composition_of_sources([f"{data_root}:2", "more:20"])
+    assert dict(numbered.sets["all"].take) == {"source-0": 2, "source-1": 18}
+    assert dict(numbered.validation["all"].take) == {"source-0": 0, "source-1": 2}
+    assert json.loads((tmp_path / "a" / "composition.json").read_text())["sources"] == {"source-0": [str(data_root)]}
