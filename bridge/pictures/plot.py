@@ -1,6 +1,6 @@
 """One agent over time: speed, acceleration, jerk, lateral offset and cells, with the moments of its manoeuvres."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -21,8 +21,8 @@ from hid2.params import Limits
 from hid2.policy.behaviours import behaviour_seen
 from netconvert.cells import build_cell_grid
 
-#: Length of a lane's label as a share of the time shown; distance of times on the plan, of the path.
-_LABEL_S, _LABELS_APART = 0.1, 0.08
+#: Distance of times on the plan, as a share of the path.
+_LABELS_APART = 0.08
 
 
 class _Moment(NamedTuple):
@@ -190,13 +190,13 @@ def _offset(ax: Axes, time: FloatArray, arrays: SceneArrays, lanes: FlatLanes, m
 
 
 def _cells(ax: Axes, time: FloatArray, scenario: Recording, lanes: FlatLanes, matches: Matches) -> None:
-    """Cell index within its lane; a new colour and a label where the lane changes."""
+    """Cell index within its lane, in another colour where the lane changes."""
     grid = build_cell_grid(scenario.graph)
-    palette = [figures.BLUE, figures.VERMILION, figures.GREEN, figures.PURPLE, figures.SKY, figures.ORANGE]
+    ax.set_prop_cycle(
+        color=[figures.BLUE, figures.VERMILION, figures.GREEN, figures.PURPLE, figures.SKY, figures.ORANGE]
+    )
     borders = np.flatnonzero(np.diff(matches.lane)) + 1
-    labels: list[tuple[float, str, str]] = []
-    highest = 0
-    for k, rows in enumerate(np.split(np.arange(len(time)), borders)):
+    for rows in np.split(np.arange(len(time)), borders):
         lane = int(matches.lane[rows[0]])
         if lane < 0:
             continue
@@ -204,23 +204,7 @@ def _cells(ax: Axes, time: FloatArray, scenario: Recording, lanes: FlatLanes, ma
         index = [grid.cell_at(lane_id, float(s)).index for s in matches.s[rows]]
         # up to the next lane: one that is crossed in a single step shows too
         after = time[rows[-1] + 1] if rows[-1] + 1 < len(time) else time[rows[-1]]
-        ax.step([*time[rows], after], [*index, index[-1]], where="post", color=palette[k % len(palette)])
-        labels.append((float(time[rows[0]]), str(lane_id), palette[k % len(palette)]))
-        highest = max(highest, *index)
-    levels = _levels([at for at, _, _ in labels], width=_LABEL_S * max(1.0, float(time[-1] - time[0])))
-    for (at, label, color), level in zip(labels, levels, strict=True):
-        ax.text(at, 0.99 - 0.13 * level, label, transform=ax.get_xaxis_transform(), va="top", color=color, fontsize=7)
-    ax.set_ylabel("cell of the lane\n(label: lane)")
-    room = 0.13 * (max(levels, default=0) + 1) + 0.06  # for the labels, as a share of the axis
-    ax.set_ylim(-0.5, (highest + 0.5 + 0.5 * room) / (1 - room))
-
-
-def _levels(starts: Sequence[float], *, width: float) -> list[int]:
-    """Line of each label, 0 the topmost, so that labels of this width that begin at `starts` do not overlap."""
-    ends: list[float] = []
-    levels = []
-    for start in starts:
-        level = next((k for k, end in enumerate(ends) if end <= start), len(ends))
-        ends[level : level + 1] = [start + width]
-        levels.append(level)
-    return levels
+        ax.step([*time[rows], after], [*index, index[-1]], where="post", label=str(lane_id))
+    ax.set_ylabel("cell of the lane\n(legend: lane)")
+    if ax.lines:  # the lanes in the order driven
+        ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=6, fontsize=7)
