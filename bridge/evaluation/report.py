@@ -13,7 +13,6 @@ from bridge.pages.parts import Section, macro, number, page
 from bridge.pictures import figures
 from bridge.pictures.render import scene_figure
 from bridge.recordings.sources import read_recording
-from hid2.evaluation.critics import FEATURE_NAMES
 from hid2.evaluation.realism import FEATURES, GENERATED
 from hid2.reasons import Reason
 
@@ -48,7 +47,6 @@ def write_report(evaluation: Evaluation, path: Path) -> None:
         "events": [(row, _picture(row) if k < _EVENT_PICTURES else "") for k, row in enumerate(totals.events)],
         "features": {feature.name: feature for feature in FEATURES},
         "paper": {key: (number(PAPER_ORIGINAL[key]), number(PAPER_HID2[key])) for key in PAPER_ORIGINAL},
-        "quantities": len(FEATURE_NAMES),
     }
     sections: list[Section] = []
     for key, title in _TITLES.items():
