@@ -12,7 +12,7 @@ from hid2.resampling import Estimate, interval
 
 _FEWEST = 8  # drivers: below, no critical gap is fitted
 #: Columns of a gap's sizes; conditions of rules that are about one side of it.
-_SIZES = ["lag_time_gap_s", "lead_time_gap_s", "lag_gap_m", "lead_gap_m"]
+_SIZES = ["lag_time_gap_s", "lead_time_gap_s"]
 _CONDITIONS = {"lag": {"rear_gap", "mobil_unsafe", "rule_refuses"}, "lead": {"front_gap"}}
 
 
@@ -35,8 +35,6 @@ def gaps_of(looks: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
         # where anything else says no too, that this side would do is never seen, and refusals alone would count
         refused = waits & refusals.map(lambda said, conditions=conditions: bool(said) and conditions.issuperset(said))
         frame[f"{side}_refused_s"] = frame[f"{side}_time_gap_s"].where(refused)
-    on_the_way = frame["guard"].where(frame["sumo"].isna(), "sumo_refuses").where(~frame["taken"], "taken")
-    frame["became"] = on_the_way.where(frame["accepted"], frame["rule"])
     by_rule = frame["rule"].map({"cells_occupied": "cells", "lane_ends": "road"}).fillna("rule")
     after = frame["guard"].map({"yes": "sumo", "conflict_predicted": "guard"}).fillna("road")
     frame["refused_by"] = after.where(frame["accepted"], by_rule).mask(frame["taken"], "")
@@ -45,8 +43,7 @@ def gaps_of(looks: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
     grouped = frame.groupby(same, sort=False, dropna=False)
     found = grouped.agg(
         accepted=("accepted", "any"), taken=("taken", "any"), from_s=("time_s", "min"), to_s=("time_s", "max"),
-        looks=("time_s", "size"), became=("became", "last"), refused_by=("refused_by", "last"),
-        asked_guard=("asked_guard", "any"), asked_sumo=("asked_sumo", "any"), trigger_s=("trigger_s", "first"),
+        refused_by=("refused_by", "last"), asked_guard=("asked_guard", "any"), asked_sumo=("asked_sumo", "any"),
         lag_refused_s=("lag_refused_s", "max"), lead_refused_s=("lead_refused_s", "max"),
     )  # fmt: skip
     said_no = grouped["refused_by"].agg(set)

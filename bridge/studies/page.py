@@ -23,7 +23,7 @@ from bridge.studies.columns import DICTIONARY, OUTCOMES
 from bridge.studies.gap_acceptance import critical_gap, gaps_of
 from bridge.studies.statistics import dose_response
 from bridge.studies.study import Study
-from bridge.studies.study_figures import draw_parameter, label_of
+from bridge.studies.study_figures import draw_parameter
 from hid2.measures.conflicts import CONFLICT_PET_S, CONFLICT_TTC_S, TrafficConflict
 from hid2.measures.lane_changes import LaneChangeRow
 from hid2.params import Conflict
@@ -137,7 +137,7 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         scenes=requests["scene"].nunique(),
         flows=config.flow.veh_per_h_lane > 0.0,
         replays=set(requests["replay"]),
-        labels={key: label_of(key) for key in keys},
+        keys=keys,
         told={key: _told(dose[dose["parameter"] == key]) for key in keys if key in set(dose.get("parameter", ()))},
         clusters=_few_clusters(dose),
         critical=_records(named["critical_gaps"]),
@@ -147,7 +147,7 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         critical_pet_s=CONFLICT_PET_S,
         rising=_rising(named["flow"]),
         flow=named["flow"],
-        reasons=_last_reasons(counted[~accepted], named["gaps"]),
+        reasons=counted.loc[~accepted, "reason"].value_counts()[:6].to_dict(),
         exported_share=None if exported.empty else float((exported == "yes").mean()),
         overlapping=int(counted["overlaps"].isin([True]).sum()),
         cut_share=float(cut_off.mean()) if len(counted) else 0.0,
@@ -162,16 +162,6 @@ def _rising(flow: pd.DataFrame) -> tuple[float, float] | None:
     is_first = flow["from_s"] == flow["from_s"].min()
     first, later = (float(flow.loc[rows, "flow_veh_per_h_lane"].mean()) for rows in (is_first, ~is_first))
     return (first, later) if first < 0.9 * later else None
-
-
-def _last_reasons(refused: pd.DataFrame, gaps: pd.DataFrame) -> list[str]:
-    """The most frequent answers to the last gap that vehicles without one looked at, or why they looked at none."""
-    same = ["scene", "point", "seed", "vehicle"]
-    reasons = refused.set_index(same)["reason"]
-    if not gaps.empty:
-        last = gaps.sort_values("to_s", kind="stable").drop_duplicates(same, keep="last").set_index(same)["became"]
-        reasons = last.reindex(reasons.index).fillna(reasons)
-    return [f"{reason} {count}" for reason, count in reasons.value_counts()[:6].items()]
 
 
 def _records(table: pd.DataFrame) -> list[dict[Any, Any]]:

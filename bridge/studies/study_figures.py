@@ -13,25 +13,7 @@ from bridge.pictures import figures
 from bridge.studies.columns import DECIDE
 from bridge.studies.statistics import kaplan_meier
 
-LABELS = {
-    "trigger_after_s": "trigger time, s",
-    "lane_change.time_gap_front_s": "smallest time gap to the new leader, s",
-    "lane_change.time_gap_rear_s": "smallest time gap to the new follower, s",
-    "lane_change.mobil_politeness": "MOBIL politeness p",
-    "lane_change.lc_strategic": "LC2013 lcStrategic",
-    "lane_change.lc_cooperative": "LC2013 lcCooperative",
-    "lane_change.lc_speed_gain": "LC2013 lcSpeedGain",
-    "lane_change.rule": "lane-change rule",
-    "car_following.model": "car-following model",
-    "driving.replay": "recorded vehicles",
-    "flow.veh_per_h_lane": "flow asked for, veh/h per lane",
-}
 _COLORS = {"cells": figures.SKY, "rule": figures.ORANGE, "guard": figures.GREEN, "sumo": figures.VERMILION}
-
-
-def label_of(key: str) -> str:
-    """A parameter as a reader would say it."""
-    return LABELS.get(key, f"argument {key[5:]} of the rule" if key.startswith("rule.") else key)
 
 
 def draw_parameter(
@@ -56,7 +38,7 @@ def draw_parameter(
         for outcome, (label, color) in outcomes.items():
             _dots(panel, dose, at, outcome, color, label)
         top = 1.03 if "share" in panel_title else None
-        panel.set(title=panel_title, ylim=(0, top), xlabel=label_of(key))
+        panel.set(title=panel_title, ylim=(0, top), xlabel=key)
         if panel.get_legend_handles_labels()[0]:  # no vehicle may have looked at a gap
             panel.legend(fontsize=8)
         if not numeric:
@@ -74,7 +56,7 @@ def draw_parameter(
     survival.set(
         title="still waiting (Kaplan-Meier)", xlabel="time from the trigger, s", xlim=(0, give_up_s), ylim=(0, 1.03)
     )
-    survival.legend(fontsize=7, title=label_of(key), title_fontsize=7)
+    survival.legend(fontsize=7, title=key, title_fontsize=7)
     figure.suptitle(title, fontsize=10)
     figures.save(figure, path)
 

@@ -285,7 +285,7 @@ def test_study_is_resumed_and_writes_what_its_dictionary_says(tmp_path: Path) ->
     assert {requests[name].dtype for name in ("accepted", "counted")} == {np.dtype(bool)}
     assert {type(one) for one in requests["overlaps"].dropna()} == {bool}
     text = (out / "study.md").read_text()
-    assert "smallest time gap to the new follower" in text
+    assert "## lane_change.time_gap_rear_s" in text
     _check_references(text, out)
     assert "cut off [requests.counted]" in text
     assert "- Trends as sure as their intervals look: 3 clusters are fewer than the " in text

@@ -9,7 +9,7 @@ import pytest
 
 from bridge.pages.parts import macro
 from bridge.studies.gap_acceptance import critical_gap, gaps_of, largest_rejected, troutbeck
-from bridge.studies.page import _classes, _last_reasons, _told
+from bridge.studies.page import _classes, _told
 from bridge.studies.statistics import (
     difference_sd,
     dose_response,
@@ -145,15 +145,15 @@ def test_gap_is_one_row_with_its_largest_size_or_that_at_which_the_rule_took_it(
         ]
     )
     first, second = gaps_of(looks, []).to_dict("records")
-    assert (first["lag_id"], first["accepted"], first["lag_time_gap_s"], first["looks"]) == ("a", False, 0.9, 3)
-    assert (first["became"], first["lag_refused_s"]) == ("rear_gap", 0.9)
+    assert (first["lag_id"], first["accepted"], first["lag_time_gap_s"]) == ("a", False, 0.9)
+    assert (first["refused_by"], first["lag_refused_s"]) == ("rule", 0.9)
     assert (second["lag_id"], second["accepted"], second["accepted_s"], second["lag_time_gap_s"]) == (
         "b",
         True,
         1.3,
         3.0,
     )
-    assert (second["became"], second["taken"]) == ("taken", True)
+    assert (second["refused_by"], second["taken"]) == ("", True)
     assert np.isnan(second["lag_refused_s"])
 
 
@@ -203,7 +203,6 @@ def test_trend_is_the_slope_over_all_values_and_p_counts_the_family() -> None:
 def test_parameter_with_which_nobody_gets_a_gap_is_drawn_too(tmp_path: Path) -> None:
     """Nobody accepts at any value: all still wait at the end, and all the rest is empty."""
     requests = _requests(0.0).assign(accepted=False, lateral_s=np.nan, lag_time_gap_s=np.nan, start_s=np.nan)
-    requests["min_pet_s"] = np.nan
     dose = dose_response(requests, pd.DataFrame(), "p", give_up_s=6.0, critical_ttc_s=1.5)
     path = tmp_path / "p.png"
     draw_parameter(path, "p", "p", dose=dose, requests=requests, give_up_s=6.0)
@@ -238,16 +237,6 @@ def test_shares_of_the_gaps_that_each_refused_by_hand() -> None:
         found = dose[dose["outcome"] == f"refused_by_{name}"]
         assert found["estimate"].tolist() == pytest.approx([share])
         assert found["rows"].tolist() == [of]
-
-
-def test_page_tells_the_answer_to_the_last_gap_that_was_looked_at() -> None:
-    """SUMO said no last, whatever reason the request has; one that looked at no gap keeps its own."""
-    refused = pd.DataFrame([{**RUN, "vehicle": name, "reason": "rear_gap"} for name in ("v0", "v1")])
-    refused.loc[1, "reason"] = "no_adjacent_lane"
-    gaps = gaps_of(
-        pd.DataFrame([_look("v0", 1.0, "a", 0.5, None, "rear_gap"), _look("v0", 2.0, "b", 2.0, "no", "yes")]), []
-    )
-    assert sorted(_last_reasons(refused, gaps)) == ["no_adjacent_lane 1", "sumo_refuses 1"]
 
 
 def test_interval_that_begins_at_a_rounding_error_includes_no_effect() -> None:
