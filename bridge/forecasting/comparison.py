@@ -48,12 +48,6 @@ class Difference(NamedTuple):
     detectable: float | None
     seeds: tuple[int, int]
 
-    def sources_for(self, effect: float) -> int | None:
-        """Recorded scenes that would be needed to find an effect four times in five, other things equal."""
-        if self.detectable is None:
-            return None
-        return int(np.ceil(self.sources * (self.detectable / effect) ** 2))
-
 
 def mean_of(runs: Runs, source_of: Mapping[str, str], metric: MetricKey, params: Forecasting) -> Estimate:
     """Mean of a metric of one model."""
