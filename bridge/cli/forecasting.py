@@ -36,10 +36,13 @@ def compose(
     if out is None:
         raise ConfigError("missing -o/--out (see hid2 compose --help)")
     from bridge.forecasting.compose import compose as make
-    from bridge.forecasting.composition import composition_of_sources, read_composition
+    from bridge.forecasting.composition import Composition, composition_of_sources
+    from bridge.toml import read_toml_as
 
-    is_file = len(sources) == 1 and sources[0].endswith(".toml")
-    found = read_composition(Path(sources[0])) if is_file else composition_of_sources(sources)
+    if len(sources) == 1 and sources[0].endswith(".toml"):
+        found = read_toml_as(Composition, Path(sources[0]), "a composition")
+    else:
+        found = composition_of_sources(sources)
     check_scenes([Path(place) for places in found.sources.values() for place in places])
     made = make(found, out, jobs=jobs, on_scene=activity.step)
     shown = len(made.left_out) if activity.verbose else _SHOWN

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 
 from bridge.recordings.folders import SPLITS
-from bridge.toml import model_of, parse_value, read_toml_as
+from bridge.toml import parse_value
 from netconvert.errors import ConfigError
 
 
@@ -149,16 +149,6 @@ class Composition(_Part):
     def nested(self) -> bool:
         """Whether every training set has a folder of its own in the root."""
         return self.controls is not None or len(self.sets) > 1
-
-
-def read_composition(path: Path) -> Composition:
-    """Read a file; its relative paths begin at its folder. Errors: ConfigError with file, key, value and range."""
-    return read_toml_as(Composition, path, "a composition")
-
-
-def composition_of(values: Mapping[str, Any], where: str) -> Composition:
-    """A composition from its values. Errors: ConfigError."""
-    return model_of(Composition, values, where)
 
 
 def composition_of_sources(texts: Sequence[str]) -> Composition:

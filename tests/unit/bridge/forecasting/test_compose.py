@@ -16,13 +16,13 @@ from bridge.forecasting.compose import check_leaks, compose
 from bridge.forecasting.composition import (
     CONTROLS,
     HID2_ONLY,
-    composition_of,
+    Composition,
     composition_of_sources,
-    read_composition,
 )
 from bridge.forecasting.places import SourceScene, groups_of, leaks_between, split_by_place
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
+from bridge.toml import model_of, read_toml_as
 from netconvert.errors import ConfigError, NoSceneError
 
 
@@ -37,7 +37,7 @@ def generated(tmp_path, data_root, fake_generated):
 
 
 def composed(values, root):
-    return compose(composition_of(values, "test"), root)
+    return compose(model_of(Composition, values, "test"), root)
 
 
 def ids(place):
@@ -107,7 +107,7 @@ def test_the_same_seed_makes_the_same_root_and_another_one_another(data_root, ge
 
 
 def test_jobs_do_not_change_what_is_made(data_root, generated, tmp_path):
-    found = composition_of(mixed(data_root, generated), "test")
+    found = model_of(Composition, mixed(data_root, generated), "test")
     assert tree(compose(found, tmp_path / "one").root) == tree(compose(found, tmp_path / "two", jobs=2).root)
 
 
@@ -291,7 +291,7 @@ def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
         ({"sources": source, "sets": {"a": {}}, "split": {"by": "log"}}, "split.by = 'log', expected 'place' or"),
     ):
         with pytest.raises(ConfigError, match=message):
-            composition_of(values, "C.toml")
+            model_of(Composition, values, "C.toml")
     values = {"sources": source, "sets": {"a": {"take": {"data": 4}}}, "split": {"val": 0.0}}
     with pytest.raises(ConfigError, match=r"sets\.a: 4 scenes of 'data' \(.*\) asked for in train, 3 are there"):
         composed(values, tmp_path / "root")
@@ -302,7 +302,7 @@ def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
     with pytest.raises(NoSceneError, match="no such folder"):
         composed(values | {"sources": {"data": ("nowhere",)}}, tmp_path / "root")
     with pytest.raises(ConfigError, match="no such file, expected a composition"):
-        read_composition(tmp_path / "none.toml")
+        read_toml_as(Composition, tmp_path / "none.toml", "a composition")
     twice = {"sources": source | {"same": source["data"]}, "sets": {"a": {"take": {"data": 1, "same": "all"}}}}
     with pytest.raises(ConfigError, match="is in two of the sources"):
         composed(
@@ -317,7 +317,7 @@ def test_a_file_and_the_command_line_say_the_same(data_root, tmp_path):
         '[validation.all.take]\nsource-0 = "all"\n'
     )
     line = composition_of_sources([str(data_root)])
-    written = read_composition(tmp_path / "c.toml")
+    written = read_toml_as(Composition, tmp_path / "c.toml", "a composition")
     assert line.model_dump() == written.model_dump()
     assert compose(line, tmp_path / "a").counts == {"": {"train": 2, "val": 1, "test": 0}}
     numbered = composition_of_sources([f"{data_root}:2", "more:20"])

@@ -18,13 +18,14 @@ from bridge.evaluation.predictions import baseline, read_forecasts, score_predic
 from bridge.forecasting import experiment
 from bridge.forecasting.comparison import Difference
 from bridge.forecasting.compose import compose
-from bridge.forecasting.composition import composition_of
+from bridge.forecasting.composition import Composition
 from bridge.forecasting.experiment import PAPER_GAIN_M, PAPER_TABLE2, PAPER_TABLE3, SETS, Plan, run_prediction
 from bridge.forecasting.small_forecaster import small_forecaster
 from bridge.pages.parts import macro
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_rows, read_scenario
 from bridge.recordings.sources import find_recordings, read_recording
+from bridge.toml import model_of
 from hid2.params import Forecasting
 from netconvert.errors import ConfigError, ScenarioError
 
@@ -49,7 +50,7 @@ def composed(tmp_path, data_root, fake_generated):
         "controls": {"recorded": "recorded", "generated": "hid2", "without_interaction": "plain"},
         "validation": {"recorded": {"take": {"recorded": "all"}}, "hid2": {"take": {"hid2": "all"}}},
     }
-    return compose(composition_of(values, "test"), tmp_path / "composed").root
+    return compose(model_of(Composition, values, "test"), tmp_path / "composed").root
 
 
 @pytest.fixture
