@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -20,6 +19,7 @@ from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.params import Limits
 from hid2.policy.behaviours import behaviour_seen
 from netconvert.cells import build_cell_grid
+from netconvert.geometry import arc_length
 
 #: Distance of times on the plan, as a share of the path.
 _LABELS_APART = 0.08
@@ -126,7 +126,9 @@ def _plan(ax: Axes, scenario: Recording, position: FloatArray, moments: list[_Mo
     ax.plot(position[:, 0], position[:, 1], color=figures.GENERATED, linewidth=1.6, zorder=5)
     seconds = np.flatnonzero(np.isclose(time % 1.0, 0.0, atol=1e-6) | np.isclose(time % 1.0, 1.0, atol=1e-6))
     ax.plot(*position[seconds].T, ".", color=figures.BLACK, markersize=4, zorder=6)
-    for row in _apart(position, seconds, least_m=_LABELS_APART * float(np.ptp(position, axis=0).max() + 20.0)):
+    apart_m = _LABELS_APART * float(np.ptp(position, axis=0).max() + 20.0)
+    _, labelled = np.unique(np.floor(arc_length(position)[seconds] / apart_m), return_index=True)
+    for row in seconds[labelled].tolist():  # one in each such stretch of the path
         ax.annotate(
             f"{time[row]:.0f} s", position[row], xytext=(3, 4), textcoords="offset points", fontsize=7, zorder=7
         )
@@ -138,15 +140,6 @@ def _plan(ax: Axes, scenario: Recording, position: FloatArray, moments: list[_Mo
     wide, high_m = high - low
     figures.frame(ax, low, high, aspect=0.45 if high_m > wide else 2.6)
     ax.set_title("position every second; diamond: crossing between lanes", fontsize=9)
-
-
-def _apart(position: FloatArray, rows: npt.NDArray[np.int64], *, least_m: float) -> list[int]:
-    """Those rows that lie at least so far from the ones taken before."""
-    taken: list[int] = []
-    for row in rows.tolist():
-        if all(np.hypot(*(position[row] - position[other])) >= least_m for other in taken):
-            taken.append(row)
-    return taken
 
 
 def _derivative(
