@@ -292,7 +292,7 @@ def test_what_was_zoomed_into_stays_when_a_second_picture_comes(opened: Page) ->
 
 
 def test_sidecars_that_tell_less_are_shown(page: Page, data_scenes, fake_generated, tmp_path: Path) -> None:
-    """No driver, limits, looks or reasons, as in older ones; inserted vehicles that drive off the road."""
+    """No limits, looks or reasons, as in older ones; inserted vehicles that drive off the road."""
     scenario = read_scenario(data_scenes["curve"])
     tracks, sidecar, new_id = fake_generated(scenario)
     focal = scenario.focal_track_id
