@@ -58,8 +58,7 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
             found = [critical_gap(own, side) for side in ("lag", "lead")] if len(own) else []
             critical += [{"parameter": key, "value": value, **one} for one in found if one is not None]
         files.append(out_dir / f"{study.name}_{key.replace('.', '_')}.png")
-        title = f"{_title(study, tables)}; bars: 95 % intervals, runs drawn again"
-        draw_parameter(files[-1], title, key, dose=dose, requests=asked, give_up_s=give_up_s)
+        draw_parameter(files[-1], study.name, key, dose=dose, requests=asked, give_up_s=give_up_s)
     named = {
         **tables, "gaps": gaps, "dose_response": pd.concat(doses) if doses else pd.DataFrame(),
         "critical_gaps": pd.DataFrame(critical),
@@ -103,14 +102,6 @@ def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> Path:
     with beside(path) as hidden:
         hidden.write_bytes(gzip.compress(text.getvalue(), mtime=0) if long else text.getvalue())
     return path
-
-
-def _title(study: Study, tables: Mapping[str, pd.DataFrame]) -> str:
-    requests, scenes = tables["requests"], tables["requests"]["scene"].nunique()
-    return (
-        f"{study.name.replace('_', ' ')}: {int(requests['counted'].sum())} requests counted in {len(tables['runs'])} "
-        f"runs on {scenes} scene{'s' * (scenes > 1)}"
-    ) + ("; recorded vehicles react" if set(requests["replay"]) == {"reactive"} else "")
 
 
 # The page -------------------------------------------------------------------------------------------------------------

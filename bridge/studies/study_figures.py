@@ -17,7 +17,7 @@ _COLORS = {"cells": figures.SKY, "rule": figures.ORANGE, "guard": figures.GREEN,
 
 
 def draw_parameter(
-    path: Path, title: str, key: str, *, dose: pd.DataFrame, requests: pd.DataFrame, give_up_s: float
+    path: Path, study: str, key: str, *, dose: pd.DataFrame, requests: pd.DataFrame, give_up_s: float
 ) -> None:
     """Four panels for one parameter: shares, durations and refusals by its value; waiting times. dose: its rows."""
     figures.style()
@@ -57,7 +57,7 @@ def draw_parameter(
         title="still waiting (Kaplan-Meier)", xlabel="time from the trigger, s", xlim=(0, give_up_s), ylim=(0, 1.03)
     )
     survival.legend(fontsize=7, title=key, title_fontsize=7)
-    figure.suptitle(title, fontsize=10)
+    figure.suptitle(f"{study}; bars: 95 % intervals, runs drawn again", fontsize=10)
     figures.save(figure, path)
 
 

@@ -221,11 +221,7 @@ def test_page_goes_on_after_a_kill_with_the_same_bytes_and_refuses_runs_that_are
     assert "**Somewhere** (tuned on)" in told
     assert "LC2013, tuned" in told
     assert "LC2013, untuned" in told
-    for said in (
-        "0.0 % trucks",
-        "| 60 | 900, 900 | 400 | - |",
-    ):
-        assert said in told
+    assert "0.0 % trucks" in told
     for run in (tmp_path / "whole" / "runs").iterdir():
         (run / "run.json.gz").unlink()
     assert run_public(page, tmp_path / "whole", Options()).files[0].read_text() == told  # made again
