@@ -24,7 +24,7 @@ from bridge.studies.gap_acceptance import critical_gap, gaps_of
 from bridge.studies.statistics import dose_response
 from bridge.studies.study import Study
 from bridge.studies.study_figures import draw_parameter
-from hid2.measures.conflicts import CONFLICT_PET_S, CONFLICT_TTC_S, TrafficConflict
+from hid2.measures.conflicts import TrafficConflict
 from hid2.measures.lane_changes import LaneChangeRow
 from hid2.params import Conflict
 
@@ -134,8 +134,6 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         critical=_records(named["critical_gaps"]),
         changes=named["lane_changes"],
         conflicts=named["conflicts"],
-        critical_ttc_s=CONFLICT_TTC_S,
-        critical_pet_s=CONFLICT_PET_S,
         rising=_rising(named["flow"]),
         flow=named["flow"],
         reasons=counted.loc[~accepted, "reason"].value_counts()[:6].to_dict(),
