@@ -1,7 +1,7 @@
 """One agent over time: speed, acceleration, jerk, lateral offset and cells, with the moments of its manoeuvres."""
 
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -50,7 +50,8 @@ def agent_figure(scenario: Recording, agent_id: str) -> Figure:
     moments, note = _moments(scenario, agent_id, seen)
     time = np.asarray(track.timesteps * scenario.step_s, dtype=np.float64)
     figures.style()
-    figure, axes = _axes(track.position)
+    figure = figures.ShownFigure(figsize=(9.5, 11.5), layout="constrained")
+    axes = figure.subplots(6, 1, height_ratios=[2.2, 1, 1, 1, 1, 1])
     _plan(axes[0], scenario, track.position, moments, time)
     limits, moved = Limits(), motion(arrays)
     axes[1].plot(time, moved.speed_mps, color=figures.BLUE)
@@ -83,21 +84,6 @@ def agent_figure(scenario: Recording, agent_id: str) -> Figure:
         fontsize=11,
     )
     return figure
-
-
-def _axes(position: FloatArray) -> tuple[Figure, list[Axes]]:
-    """The plan, then five axes over time: below the plan, or beside it where the path runs north or south."""
-    names = ["speed", "acceleration", "jerk", "offset", "cells"]
-    wide, high = np.ptp(position, axis=0)
-    size: tuple[float, float] = (9.5, 11.5)
-    ratios: dict[str, Any] = {"height_ratios": [2.2, 1, 1, 1, 1, 1]}
-    layout: Any = [[name] for name in ["plan", *names]]
-    if high > wide:
-        size, ratios = (12.5, 9.5), {"width_ratios": [1, 2]}
-        layout = [["plan", name] for name in names]
-    figure = figures.ShownFigure(figsize=size, layout="constrained")
-    found = figure.subplot_mosaic(layout, **ratios)
-    return figure, [found[name] for name in ["plan", *names]]
 
 
 def _moments(scenario: Recording, agent_id: str, seen: list[Maneuver]) -> tuple[list[_Moment], str]:
@@ -137,8 +123,7 @@ def _plan(ax: Axes, scenario: Recording, position: FloatArray, moments: list[_Mo
             row = int(np.argmin(np.abs(time - moment.time_s)))
             ax.plot(*position[row], "D", color=figures.BLUE, markeredgecolor="black", markersize=7, zorder=8)
     low, high = position.min(axis=0) - 10.0, position.max(axis=0) + 10.0
-    wide, high_m = high - low
-    figures.frame(ax, low, high, aspect=0.45 if high_m > wide else 2.6)
+    figures.frame(ax, low, high, aspect=2.6)
     ax.set_title("position every second; diamond: crossing between lanes", fontsize=9)
 
 
@@ -199,5 +184,6 @@ def _cells(ax: Axes, time: FloatArray, scenario: Recording, lanes: FlatLanes, ma
         after = time[rows[-1] + 1] if rows[-1] + 1 < len(time) else time[rows[-1]]
         ax.step([*time[rows], after], [*index, index[-1]], where="post", label=str(lane_id))
     ax.set_ylabel("cell of the lane\n(legend: lane)")
+    ax.set_ylim(bottom=-0.5)
     if ax.lines:  # the lanes in the order driven
         ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=6, fontsize=7)
