@@ -12,10 +12,8 @@ share alpha of the lane, on each side, and v / v_0 = f(alpha) is fitted to them 
 import argparse
 import math
 import sys
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -45,14 +43,6 @@ _ACCEL_MPS2 = 5.0  # no driver's: a tracker's
 _PLACES = np.round(np.arange(0.1, 0.6001, 0.01), 2)  # early to mid-turn
 
 
-class Pass(NamedTuple):
-    """A vehicle on a turning lane. profile: (21,) v / v_0 at ALPHA, v_0 at the entrance; None: left_out says why."""
-
-    side: str
-    profile: FloatArray | None
-    left_out: str = ""
-
-
 def fit(profiles: Mapping[str, FloatArray]) -> dict[str, tuple[float, float, float]]:
     """Trough, its place and the rms difference for the median profile (21,) of each side; one place for all.
 
@@ -70,8 +60,8 @@ def fit(profiles: Mapping[str, FloatArray]) -> dict[str, tuple[float, float, flo
     return min(tried, key=lambda one: one[0])[1]
 
 
-def turns_of(scenario: Scenario) -> Iterator[Pass]:
-    """Passes of a scene's recorded vehicles over its turning lanes."""
+def turns_of(scenario: Scenario) -> Iterator[tuple[str, FloatArray]]:
+    """Turns of a scene's recorded vehicles: the side, and (21,) v / v_0 at ALPHA, v_0 at the entrance of the lane."""
     arrays = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=scenario.step_s)
     lanes = flatten_lanes(scenario.graph)
     matches = match_lanes(arrays, lanes)
@@ -82,41 +72,36 @@ def turns_of(scenario: Scenario) -> Iterator[Pass]:
             if sign:
                 alpha = matches.s[run.first : run.last + 1] / lanes.length_m[run.lane]
                 profile = _profile(arrays, agent, run.first, run.last, alpha, sign=sign)
-                yield Pass(SIDES[sign], None, profile) if isinstance(profile, str) else Pass(SIDES[sign], profile)
+                if profile is not None:
+                    yield SIDES[sign], profile
 
 
 def _profile(
     arrays: SceneArrays, agent: int, first: int, last: int, alpha: FloatArray, *, sign: int
-) -> FloatArray | str:
-    """Speed ratios v / v_0 at ALPHA of rows first to last on a turning lane; or why it is no turn."""
+) -> FloatArray | None:
+    """Speed ratios v / v_0 at ALPHA of rows first to last on a turning lane; None where it is no turn seen whole."""
     rows = slice(int(arrays.first[agent]), int(arrays.first[agent + 1]))
-    if arrays.step[rows.stop - 1] - arrays.step[rows.start] + 1 != rows.stop - rows.start:
-        return "gaps in the track"
-    if rows.stop - rows.start < _WINDOW or alpha.min() > _FROM or alpha.max() < _TO:
-        return "seen over a part of the lane"
+    count = rows.stop - rows.start
+    has_gaps = arrays.step[rows.stop - 1] - arrays.step[rows.start] + 1 != count
+    if has_gaps or count < _WINDOW or alpha.min() > _FROM or alpha.max() < _TO:
+        return None
     velocity = savgol_filter(arrays.position[rows], _WINDOW, _DEGREE, deriv=1, delta=arrays.step_s, axis=0)
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     here = speed[first - rows.start : last + 1 - rows.start]
-    if here.min() < _STANDS_MPS:
-        return "stops on the lane"
-    if np.abs(np.diff(here)).max() > _ACCEL_MPS2 * arrays.step_s:
-        return "not clean: speed jumps"
     angle = np.unwrap(arrays.heading[first : last + 1])
-    if sign * (angle[-1] - angle[0]) < 0.8 * TURN_RAD:
-        return "hardly turns"
+    jumps = np.abs(np.diff(here)).max() > _ACCEL_MPS2 * arrays.step_s
+    if jumps or here.min() < _STANDS_MPS or sign * (angle[-1] - angle[0]) < 0.8 * TURN_RAD:
+        return None
     order = np.maximum.accumulate(alpha)
     rising = np.concatenate([[True], order[1:] > order[:-1]])
     v = np.interp(ALPHA, alpha[rising], here[rising])
     return np.asarray(v / v[0])
 
 
-def report(passes: Sequence[Pass], scenes: int, *, prior: Turn) -> tuple[Turn, list[str]]:
+def report(turns: Sequence[tuple[str, FloatArray]], scenes: int, *, prior: Turn) -> tuple[Turn, list[str]]:
     """The turns' parameters, fitted as far as the data go, and what to say of it."""
-    left_out = Counter(one.left_out for one in passes if one.left_out)
-    lines = [f"{scenes} scenes", *(f"  left out, {reason}: {count}" for reason, count in sorted(left_out.items()))]
-    profiles = {
-        side: [one.profile for one in passes if one.side == side and one.profile is not None] for side in SIDES.values()
-    }
+    lines = [f"{scenes} scenes"]
+    profiles = {side: [profile for own, profile in turns if own == side] for side in SIDES.values()}
     fits = fit({side: np.median(own, axis=0) for side, own in profiles.items() if len(own) >= LEAST_TURNS})
     values: dict[str, float] = {}
     for side, found in profiles.items():
@@ -140,8 +125,8 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("-o", "--out", type=Path, help="write the section [turn] of a configuration")
     chosen = parser.parse_args(arguments)
     folders = find_sources(chosen.paths)
-    passes = [one for folder in folders for one in turns_of(read_recording(folder))]
-    turn, lines = report(passes, len(folders), prior=Turn())
+    turns = [one for folder in folders for one in turns_of(read_recording(folder))]
+    turn, lines = report(turns, len(folders), prior=Turn())
     section = [f"{name} = {getattr(turn, name)}" for name in ("left_trough", "right_trough", "trough_at")]
     text = "\n".join(["[turn]", *section, ""])
     print("\n".join(lines), text, sep="\n\n", end="")

@@ -70,6 +70,8 @@ def _mistake(error: Exception) -> int:
     behind = next((one for one in sys.argv[1:] if one in COMMANDS), None)
     if type(error).__name__ == "NoSuchOption" and behind and not named:
         command, message = f"hid2 {behind}", f"{message.rstrip('.')}; an option of {behind} goes behind its name"
+    if type(error).__name__ == "NoSuchOption" and named == ["compose"]:  # as --val, --split-by of earlier versions
+        message = f"{message.rstrip('.')}; splits, densities, layout and seed stand in a COMPOSITION.toml"
     for theirs, ours in _PHRASES.items():
         message = re.sub(theirs, ours, message)
     return _failed(f"{message[:1].lower()}{message[1:].rstrip('.')} (see {command} --help)", USAGE)

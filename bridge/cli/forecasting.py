@@ -1,7 +1,6 @@
 """`hid2 compose` and `forecast`: data sets for forecasters, and a small forecaster to try them with."""
 
 from pathlib import Path
-from typing import Literal
 
 from bridge.cli import options
 from bridge.cli.app import command
@@ -15,7 +14,7 @@ _SHOWN = 10
 
 
 @command(folders=("out",))
-def compose(  # noqa: PLR0913  # one for each option
+def compose(
     sources: list[str] = options.argument(
         "COMPOSITION.toml|SOURCE[:N]",
         "A composition, or sources of scenes and how many of each: a number, a share (0.5) or all.",
@@ -23,45 +22,27 @@ def compose(  # noqa: PLR0913  # one for each option
     *,
     out: Path | None = options.output("Data-set root to make (required).", None, "ROOT", "-o"),
     check: bool = options.output("Make nothing: check composed roots for leaks.", False),
-    layout: Literal["av2", "qcnet"] | None = options.output(
-        "<split>/<id> or <split>/raw/<id>.", None, show_default="av2, or that of the file"
-    ),
-    split_by: Literal["place", "folder"] = options.selection(
-        "Split SOURCEs by place, or by the folders they lie in.", "place"
-    ),
-    val: float = options.selection("Share for validation.", 0.1, "SHARE", min=0, max=0.9),
-    test: float = options.selection("Share for test.", 0.0, "SHARE", min=0, max=0.9),
-    min_agents: int = options.selection("Only scenes with at least N tracks.", 0, "N", min=0),
-    min_agents_in: Literal["all", "observed"] = options.selection(
-        "Tracks in all, or those at the observation's end.", "all"
-    ),
-    seed: int | None = options.selection("Seed of the draw.", None, "N", min=0, show_default="0, or that of the file"),
     jobs: int = options.JOBS,
     as_json: bool = options.AS_JSON,
     activity: Activity,
 ) -> int:
     """Make data-set roots of recorded and generated scenes for training and validation, without leaks.
 
-    With SOURCEs one root is made; a composition can make several, the control experiments among them.
+    With SOURCEs one root is made, split by place, a tenth for validation. A composition can make several, the control
+    experiments among them, with other splits, densities, layouts and seeds.
     """
     if check:
         return _check([Path(text) for text in sources], activity, jobs=jobs, as_json=as_json)
     if out is None:
         raise ConfigError("missing -o/--out (see hid2 compose --help)")
     from bridge.forecasting.compose import compose as make
-    from bridge.forecasting.composition import composition_of, composition_of_sources, read_composition
+    from bridge.forecasting.composition import Composition, composition_of_sources
+    from bridge.toml import read_toml_as
 
     if len(sources) == 1 and sources[0].endswith(".toml"):
-        found = read_composition(Path(sources[0]))
-        changes: dict[str, object] = {"seed": seed, "layout": layout}
-        found = found.model_copy(update={key: value for key, value in changes.items() if value is not None})
+        found = read_toml_as(Composition, Path(sources[0]), "a composition")
     else:
-        split = {"by": split_by, "val": val, "test": test}
-        checked = composition_of({"sources": {"a": ("b",)}, "sets": {"c": {}}, "split": split}, "split")
-        found = composition_of_sources(
-            sources, split=checked.split, seed=seed or 0, layout=layout or "av2", min_agents=min_agents,
-            min_agents_in=min_agents_in,
-        )  # fmt: skip
+        found = composition_of_sources(sources)
     check_scenes([Path(place) for places in found.sources.values() for place in places])
     made = make(found, out, jobs=jobs, on_scene=activity.step)
     shown = len(made.left_out) if activity.verbose else _SHOWN

@@ -11,7 +11,6 @@ from bridge.files import write_text
 from bridge.pages.charts import distribution_figure, diversity_figure
 from bridge.pages.parts import Section, macro, number, page
 from bridge.pictures import figures
-from hid2.evaluation.critics import FEATURE_NAMES
 from hid2.evaluation.realism import FEATURES, GENERATED
 from hid2.reasons import Reason
 
@@ -43,7 +42,6 @@ def write_report(evaluation: Evaluation, path: Path) -> None:
         "events": totals.events,
         "features": {feature.name: feature for feature in FEATURES},
         "paper": {key: (number(PAPER_ORIGINAL[key]), number(PAPER_HID2[key])) for key in PAPER_ORIGINAL},
-        "quantities": len(FEATURE_NAMES),
     }
     sections: list[Section] = []
     for key, title in _TITLES.items():

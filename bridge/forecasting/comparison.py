@@ -4,6 +4,7 @@ A model is one file of predictions for each seed it was trained with. Scenes are
 was made of one, and seeds of each model on its own: what is left is what other scenes and another seed would give.
 """
 
+import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -48,45 +49,27 @@ class Difference(NamedTuple):
     detectable: float | None
     seeds: tuple[int, int]
 
-    def sources_for(self, effect: float) -> int | None:
-        """Recorded scenes that would be needed to find an effect four times in five, other things equal."""
-        if self.detectable is None:
-            return None
-        return int(np.ceil(self.sources * (self.detectable / effect) ** 2))
-
 
 def mean_of(runs: Runs, source_of: Mapping[str, str], metric: MetricKey, params: Forecasting) -> Estimate:
     """Mean of a metric of one model."""
     return _bootstrap(*_aligned([runs], source_of, metric), params)[0]
 
 
-def difference_of(
-    model: tuple[str, Runs], other: tuple[str, Runs], *, band: str, source_of: Mapping[str, str], metric: MetricKey,
-    params: Forecasting,
-) -> Difference:  # fmt: skip
-    """One model minus the other, in pairs of the same track."""
-    (name, mine), (others_name, theirs) = model, other
-    values, source = _aligned([mine, theirs], source_of, metric)
-    estimate, se = _bootstrap(values, source, params)
-    detectable = (_Z_TEST + _Z_POWER) * se if se else None
-    counts = len(source), len(np.unique(source))
-    return Difference(name, others_name, band, metric, *estimate, se, *counts, detectable, (len(mine), len(theirs)))
-
-
 def differences_of(
     pairs: Iterable[tuple[str, str]], runs: Mapping[str, Runs], bands: Mapping[str, Band],
     source_of: Mapping[str, str], params: Forecasting,
 ) -> list[Difference]:  # fmt: skip
-    """Each pair of models compared in every band by every metric."""
-    return [
-        difference_of(
-            (name, list(map(band.of, runs[name]))), (other, list(map(band.of, runs[other]))), band=called,
-            source_of=source_of, metric=metric, params=params,
-        )
-        for name, other in pairs
-        for called, band in bands.items()
-        for metric in METRICS
-    ]  # fmt: skip
+    """Each pair of models compared in every band by every metric, in pairs of the same track."""
+    found = []
+    for (name, other), (called, band), metric in itertools.product(pairs, bands.items(), METRICS):
+        mine, theirs = ([band.of(run) for run in runs[one]] for one in (name, other))
+        values, source = _aligned([mine, theirs], source_of, metric)
+        estimate, se = _bootstrap(values, source, params)
+        detectable = (_Z_TEST + _Z_POWER) * se if se else None
+        counts = len(source), len(np.unique(source))
+        seeds = len(mine), len(theirs)
+        found.append(Difference(name, other, called, metric, *estimate, se, *counts, detectable, seeds))
+    return found
 
 
 def _aligned(

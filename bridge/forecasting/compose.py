@@ -6,6 +6,7 @@ see linked folders. Same composition, same sources, same seed: the same root.
 
 import contextlib
 import csv
+import itertools
 import os
 import shutil
 import uuid
@@ -36,8 +37,8 @@ _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo compose")
 class Origin(NamedTuple):
     """One scene of a composed root, a row of origins.csv.
 
-    scenario_id: its own; kind: recorded, generated or copy; drawn: id of the scene it is; source_id: that of the
-    recorded scene it comes from.
+    scenario_id: its own, another one where it is a copy; kind: recorded, generated or copy; drawn: id of the scene it
+    is; source_id: that of the recorded scene it comes from.
     """
 
     split: str
@@ -62,24 +63,6 @@ class Composed(NamedTuple):
     def rows(self) -> list[tuple[str, ...]]:
         """A table: data set, and scenes of each split."""
         return [(name or ".", *(str(found.get(split, 0)) for split in SPLITS)) for name, found in self.counts.items()]
-
-
-class _Scene(NamedTuple):
-    """A scene that is drawn; copy: 0, or which further copy of it."""
-
-    source: str
-    facts: SourceScene
-    copy: int = 0
-
-    @property
-    def scenario_id(self) -> str:
-        own = self.facts.scenario_id
-        return own if not self.copy else str(uuid.uuid5(_NAMESPACE, f"{own}\n{self.copy}"))
-
-    def origin(self, split: str) -> Origin:
-        fact, kind = self.facts, "copy" if self.copy else self.facts.kind
-        own = fact.scenario_id, fact.source_id, fact.city, fact.tracks, fact.observed, str(fact.folder)
-        return Origin(split, self.scenario_id, kind, self.source, *own)
 
 
 def compose(
@@ -116,16 +99,14 @@ def compose(
         made = hidden / "root"
         write_text(made / COMPOSITION, composition.model_dump_json(indent=1) + "\n")
         for name, splits in roots.items():
-            origins = []
             for split, scenes in splits.items():
                 place = made / name / split / (RAW if composition.layout == "qcnet" else "")
                 place.mkdir(parents=True, exist_ok=True)
                 for scene in scenes:
                     _put(scene, place)
-                    origins.append(scene.origin(split))
                     done += 1
                     tell("writing", done, total)
-            write_rows(made / name / ORIGINS, Origin._fields, origins)
+            write_rows(made / name / ORIGINS, Origin._fields, itertools.chain(*splits.values()))
         if root.exists():
             root.rmdir()  # empty
         made.rename(root)
@@ -203,9 +184,9 @@ class _Pool:
             raise ConfigError(f"controls: source {min(there, key=lambda name: there[name])!r} has no scene in train")
         return min(there.values())
 
-    def draw(self, split: str, draw: Draw, where: str) -> list[_Scene]:
+    def draw(self, split: str, draw: Draw, where: str) -> list[Origin]:
         """The scenes of one split of one data set. Errors: ConfigError where there are too few."""
-        scenes: list[_Scene] = []
+        scenes: list[Origin] = []
         copies: Counter[str] = Counter()
         for source in draw.sources:
             there = [fact for fact in self._scenes[split, source] if _agents(fact, draw) >= draw.min_agents]
@@ -222,7 +203,7 @@ class _Pool:
             left = _densest((fact for fact in there if fact.scenario_id not in chosen), draw)
             dense = left[: draw.densest.get(source, 0)]
             lacking = draw.densest.get(source, 0) - len(dense)
-            scenes += [_Scene(source, fact) for fact in (*taken, *dense)]
+            scenes += [_origin(split, source, fact) for fact in (*taken, *dense)]
             for number, among in (
                 (draw.again.get(source, 0), self._shuffled(taken, f"{split} {source} again")),
                 (lacking, _densest(taken, draw)[: max(1, min(lacking, (len(taken) + 1) // 2))]),
@@ -232,7 +213,7 @@ class _Pool:
                 for index in range(number):
                     fact = among[index % len(among)]
                     copies[fact.scenario_id] += 1
-                    scenes.append(_Scene(source, fact, copies[fact.scenario_id]))
+                    scenes.append(_origin(split, source, fact, copy=copies[fact.scenario_id]))
         twice = [name for name, number in Counter(scene.scenario_id for scene in scenes).items() if number > 1]
         if twice:
             raise ConfigError(f"{where}: scene {twice[0]} is in two of the sources; leave it out of one")
@@ -271,16 +252,24 @@ def _agents(fact: SourceScene, draw: Draw) -> int:
     return fact.tracks if draw.min_agents_in == "all" else fact.observed
 
 
-def _put(scene: _Scene, place: Path) -> None:
+def _origin(split: str, source: str, fact: SourceScene, *, copy: int = 0) -> Origin:
+    """A scene that is drawn. copy: 0, or which further copy of it, with an id of its own."""
+    own = fact.scenario_id
+    name = str(uuid.uuid5(_NAMESPACE, f"{own}\n{copy}")) if copy else own
+    of = fact.source_id, fact.city, fact.tracks, fact.observed, str(fact.folder)
+    return Origin(split, name, "copy" if copy else fact.kind, source, own, *of)
+
+
+def _put(scene: Origin, place: Path) -> None:
     """Write one scene's folder. A copy has another id: its rows are written anew, its other files take the new name."""
-    folder, own, new = scene.facts.folder, scene.facts.scenario_id, scene.scenario_id
+    own, new = scene.drawn, scene.scenario_id
     target = place / new
     target.mkdir()
-    for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
+    for entry in sorted(os.scandir(scene.folder), key=lambda entry: entry.name):
         if not entry.is_file() or entry.name.startswith("."):
             continue
-        name = entry.name.replace(own, new) if scene.copy else entry.name
-        if scene.copy and entry.name == f"scenario_{own}.parquet":
+        name = entry.name.replace(own, new)
+        if name != entry.name == f"scenario_{own}.parquet":
             table = pq.read_table(entry.path)
             index = table.schema.get_field_index("scenario_id")
             ids = pa.repeat(pa.scalar(new).cast(table.schema.field(index).type), table.num_rows)

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 
 from bridge.recordings.folders import SPLITS
-from bridge.toml import model_of, parse_value, read_toml_as
+from bridge.toml import parse_value
 from netconvert.errors import ConfigError
 
 
@@ -151,43 +151,23 @@ class Composition(_Part):
         return self.controls is not None or len(self.sets) > 1
 
 
-def read_composition(path: Path) -> Composition:
-    """Read a file; its relative paths begin at its folder. Errors: ConfigError with file, key, value and range."""
-    return read_toml_as(Composition, path, "a composition")
-
-
-def composition_of(values: Mapping[str, Any], where: str) -> Composition:
-    """A composition from its values. Errors: ConfigError."""
-    return model_of(Composition, values, where)
-
-
-def composition_of_sources(
-    texts: Sequence[str], *, split: Split, seed: int, layout: Literal["av2", "qcnet"], min_agents: int,
-    min_agents_in: Literal["all", "observed"],
-) -> Composition:  # fmt: skip
-    """One data set of SOURCE[:N] each: N of its scenes, divided among the splits. Errors: ConfigError."""
+def composition_of_sources(texts: Sequence[str]) -> Composition:
+    """One data set of SOURCE[:N] each: N of its scenes, some of them for validation. Errors: ConfigError."""
     sources: dict[str, tuple[str]] = {}
-    counts: dict[str, Any] = {}
+    left: dict[str, Any] = {}
+    held_out: dict[str, Any] = {}
     for number, text in enumerate(texts):
         place, separator, count = text.rpartition(":")
         if not separator or Path(text).exists():
             place, count = text, "all"
         name, value = f"source-{number}", parse_value(count)
         try:
-            sources[name], counts[name] = (place,), _counted(value)
+            _counted(value)
         except ValueError as error:
             raise ConfigError(f"{text!r}: expected SOURCE or SOURCE:N, N being {error}") from None
-    held_out = {
-        name: {source: round(n * share) if isinstance(n, int) else n for source, n in counts.items()}
-        for name, share in (("val", split.val), ("test", split.test))
-    }
-    left = {
-        s: n - sum(int(part[s]) for part in held_out.values()) if isinstance(n, int) else n for s, n in counts.items()
-    }
-
-    def draw(take: Mapping[str, Any]) -> dict[str, Any]:
-        return {"take": take, "min_agents": min_agents, "min_agents_in": min_agents_in}
-
-    val, test = (draw(held_out[name] if share else {}) for name, share in (("val", split.val), ("test", split.test)))
-    values = {"seed": seed, "layout": layout, "split": split, "sources": sources, "test": test}
-    return Composition.model_validate({**values, "sets": {"all": draw(left)}, "validation": {"all": val}})
+        sources[name], left[name], held_out[name] = (place,), value, value
+        if isinstance(value, int):
+            held_out[name] = round(value * Split().val)
+            left[name] = value - held_out[name]
+    sets = {"sets": {"all": {"take": left}}, "validation": {"all": {"take": held_out}}}
+    return Composition.model_validate({"sources": sources, **sets})

@@ -6,7 +6,6 @@ are scored and compared in pairs. Forecasts from elsewhere on a composed root ta
 """
 
 import shutil
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -27,7 +26,7 @@ from bridge.forecasting.comparison import (
     rows_of,
     sources_of,
 )
-from bridge.forecasting.compose import COMPOSITION, VALIDATION, compose, origins_of
+from bridge.forecasting.compose import COMPOSITION, VALIDATION, compose
 from bridge.forecasting.composition import CONTROLS, HID2_ONLY, Composition, Controls, Draw, Split
 from bridge.forecasting.small_forecaster import check_forecaster, small_forecaster
 from bridge.pages import parts as pages
@@ -296,7 +295,6 @@ def _write(runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, pl
         "reading": _READINGS[plan.reading],
         "power": next(d for d in differences if d[:4] == power),
         "gain_m": PAPER_GAIN_M,
-        "sets": _sets(composed),
         "metrics": [METRICS[key] for key in _COLUMNS],
         "head": HEAD,
         "differences": rows_of(differences),
@@ -313,17 +311,3 @@ def _write(runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, pl
     page = out / "prediction.html"
     write_text(page, pages.page(_TITLE, [pages.macro("forecasts.html.j2", "prediction", shown)]))
     return page
-
-
-def _sets(composed: Path) -> list[tuple[str, ...]]:
-    """Scenes of each training and validation set by kind, and how many tracks they have, by origins.csv."""
-    places = [(name, composed / name, "train") for name in SETS]
-    places += [(f"{name} validation", composed / VALIDATION / name, "val") for name in (RECORDED, HID2)]
-    rows = []
-    for name, root, split in places:
-        found = [origin for origin in origins_of(root).values() if origin["split"] == split]
-        kinds = Counter(origin["kind"] for origin in found)
-        means = (sum(int(one[field]) for one in found) / max(1, len(found)) for field in ("tracks", "observed"))
-        cells = [str(kinds[kind]) for kind in ("recorded", "generated", "copy")]
-        rows.append((name, *cells, *(f"{mean:.1f}" for mean in means)))
-    return rows

@@ -40,7 +40,6 @@ class SourceScene(NamedTuple):
     folder: Path
     scenario_id: str
     source_id: str
-    generated: bool
     city: str
     steps: int
     tracks: int
@@ -52,7 +51,7 @@ class SourceScene(NamedTuple):
     @property
     def kind(self) -> str:
         """Recorded or generated."""
-        return "generated" if self.generated else "recorded"
+        return "recorded" if self.source_id == self.scenario_id else "generated"
 
 
 class Leak(NamedTuple):
@@ -90,12 +89,10 @@ def describe(params: Forecasting, folder: Path) -> SourceScene:
     track, timestep = table.column("track_id"), table.column("timestep")
     at_end = track.filter(pc.equal(timestep, OBSERVED_STEPS - 1))
     cells, block = _ground(map_path, params)
-    source = recorded_source(folder)
     return SourceScene(
         folder=folder,
         scenario_id=scenario_id,
-        source_id=source or scenario_id,
-        generated=source is not None,
+        source_id=recorded_source(folder) or scenario_id,
         city=str(table.column("city")[0]),
         steps=int(pc.max(timestep).as_py()) + 1,
         tracks=int(pc.count_distinct(track).as_py()),

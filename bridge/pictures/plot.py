@@ -1,10 +1,9 @@
 """One agent over time: speed, acceleration, jerk, lateral offset and cells, with the moments of its manoeuvres."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from collections.abc import Mapping
+from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -20,9 +19,10 @@ from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.params import Limits
 from hid2.policy.behaviours import behaviour_seen
 from netconvert.cells import build_cell_grid
+from netconvert.geometry import arc_length
 
-#: Length of a lane's label as a share of the time shown; distance of times on the plan, of the path.
-_LABEL_S, _LABELS_APART = 0.1, 0.08
+#: Distance of times on the plan, as a share of the path.
+_LABELS_APART = 0.08
 
 
 class _Moment(NamedTuple):
@@ -50,7 +50,8 @@ def agent_figure(scenario: Recording, agent_id: str) -> Figure:
     moments, note = _moments(scenario, agent_id, seen)
     time = np.asarray(track.timesteps * scenario.step_s, dtype=np.float64)
     figures.style()
-    figure, axes = _axes(track.position)
+    figure = figures.ShownFigure(figsize=(9.5, 11.5), layout="constrained")
+    axes = figure.subplots(6, 1, height_ratios=[2.2, 1, 1, 1, 1, 1])
     _plan(axes[0], scenario, track.position, moments, time)
     limits, moved = Limits(), motion(arrays)
     axes[1].plot(time, moved.speed_mps, color=figures.BLUE)
@@ -85,21 +86,6 @@ def agent_figure(scenario: Recording, agent_id: str) -> Figure:
     return figure
 
 
-def _axes(position: FloatArray) -> tuple[Figure, list[Axes]]:
-    """The plan, then five axes over time: below the plan, or beside it where the path runs north or south."""
-    names = ["speed", "acceleration", "jerk", "offset", "cells"]
-    wide, high = np.ptp(position, axis=0)
-    size: tuple[float, float] = (9.5, 11.5)
-    ratios: dict[str, Any] = {"height_ratios": [2.2, 1, 1, 1, 1, 1]}
-    layout: Any = [[name] for name in ["plan", *names]]
-    if high > wide:
-        size, ratios = (12.5, 9.5), {"width_ratios": [1, 2]}
-        layout = [["plan", name] for name in names]
-    figure = figures.ShownFigure(figsize=size, layout="constrained")
-    found = figure.subplot_mosaic(layout, **ratios)
-    return figure, [found[name] for name in ["plan", *names]]
-
-
 def _moments(scenario: Recording, agent_id: str, seen: list[Maneuver]) -> tuple[list[_Moment], str]:
     """Moments to mark, and what the title says of the manoeuvres."""
     agents = scenario.sidecar.agents if scenario.sidecar else ()
@@ -126,7 +112,9 @@ def _plan(ax: Axes, scenario: Recording, position: FloatArray, moments: list[_Mo
     ax.plot(position[:, 0], position[:, 1], color=figures.GENERATED, linewidth=1.6, zorder=5)
     seconds = np.flatnonzero(np.isclose(time % 1.0, 0.0, atol=1e-6) | np.isclose(time % 1.0, 1.0, atol=1e-6))
     ax.plot(*position[seconds].T, ".", color=figures.BLACK, markersize=4, zorder=6)
-    for row in _apart(position, seconds, least_m=_LABELS_APART * float(np.ptp(position, axis=0).max() + 20.0)):
+    apart_m = _LABELS_APART * float(np.ptp(position, axis=0).max() + 20.0)
+    _, labelled = np.unique(np.floor(arc_length(position)[seconds] / apart_m), return_index=True)
+    for row in seconds[labelled].tolist():  # one in each such stretch of the path
         ax.annotate(
             f"{time[row]:.0f} s", position[row], xytext=(3, 4), textcoords="offset points", fontsize=7, zorder=7
         )
@@ -135,18 +123,8 @@ def _plan(ax: Axes, scenario: Recording, position: FloatArray, moments: list[_Mo
             row = int(np.argmin(np.abs(time - moment.time_s)))
             ax.plot(*position[row], "D", color=figures.BLUE, markeredgecolor="black", markersize=7, zorder=8)
     low, high = position.min(axis=0) - 10.0, position.max(axis=0) + 10.0
-    wide, high_m = high - low
-    figures.frame(ax, low, high, aspect=0.45 if high_m > wide else 2.6)
+    figures.frame(ax, low, high, aspect=2.6)
     ax.set_title("position every second; diamond: crossing between lanes", fontsize=9)
-
-
-def _apart(position: FloatArray, rows: npt.NDArray[np.int64], *, least_m: float) -> list[int]:
-    """Those rows that lie at least so far from the ones taken before."""
-    taken: list[int] = []
-    for row in rows.tolist():
-        if all(np.hypot(*(position[row] - position[other])) >= least_m for other in taken):
-            taken.append(row)
-    return taken
 
 
 def _derivative(
@@ -190,13 +168,13 @@ def _offset(ax: Axes, time: FloatArray, arrays: SceneArrays, lanes: FlatLanes, m
 
 
 def _cells(ax: Axes, time: FloatArray, scenario: Recording, lanes: FlatLanes, matches: Matches) -> None:
-    """Cell index within its lane; a new colour and a label where the lane changes."""
+    """Cell index within its lane, in another colour where the lane changes."""
     grid = build_cell_grid(scenario.graph)
-    palette = [figures.BLUE, figures.VERMILION, figures.GREEN, figures.PURPLE, figures.SKY, figures.ORANGE]
+    ax.set_prop_cycle(
+        color=[figures.BLUE, figures.VERMILION, figures.GREEN, figures.PURPLE, figures.SKY, figures.ORANGE]
+    )
     borders = np.flatnonzero(np.diff(matches.lane)) + 1
-    labels: list[tuple[float, str, str]] = []
-    highest = 0
-    for k, rows in enumerate(np.split(np.arange(len(time)), borders)):
+    for rows in np.split(np.arange(len(time)), borders):
         lane = int(matches.lane[rows[0]])
         if lane < 0:
             continue
@@ -204,23 +182,8 @@ def _cells(ax: Axes, time: FloatArray, scenario: Recording, lanes: FlatLanes, ma
         index = [grid.cell_at(lane_id, float(s)).index for s in matches.s[rows]]
         # up to the next lane: one that is crossed in a single step shows too
         after = time[rows[-1] + 1] if rows[-1] + 1 < len(time) else time[rows[-1]]
-        ax.step([*time[rows], after], [*index, index[-1]], where="post", color=palette[k % len(palette)])
-        labels.append((float(time[rows[0]]), str(lane_id), palette[k % len(palette)]))
-        highest = max(highest, *index)
-    levels = _levels([at for at, _, _ in labels], width=_LABEL_S * max(1.0, float(time[-1] - time[0])))
-    for (at, label, color), level in zip(labels, levels, strict=True):
-        ax.text(at, 0.99 - 0.13 * level, label, transform=ax.get_xaxis_transform(), va="top", color=color, fontsize=7)
-    ax.set_ylabel("cell of the lane\n(label: lane)")
-    room = 0.13 * (max(levels, default=0) + 1) + 0.06  # for the labels, as a share of the axis
-    ax.set_ylim(-0.5, (highest + 0.5 + 0.5 * room) / (1 - room))
-
-
-def _levels(starts: Sequence[float], *, width: float) -> list[int]:
-    """Line of each label, 0 the topmost, so that labels of this width that begin at `starts` do not overlap."""
-    ends: list[float] = []
-    levels = []
-    for start in starts:
-        level = next((k for k, end in enumerate(ends) if end <= start), len(ends))
-        ends[level : level + 1] = [start + width]
-        levels.append(level)
-    return levels
+        ax.step([*time[rows], after], [*index, index[-1]], where="post", label=str(lane_id))
+    ax.set_ylabel("cell of the lane\n(legend: lane)")
+    ax.set_ylim(bottom=-0.5)
+    if ax.lines:  # the lanes in the order driven
+        ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=6, fontsize=7)

@@ -1,22 +1,18 @@
-"""Gaps that vehicles of a study looked at: one row each, acceptance curves, critical gaps."""
+"""Gaps that vehicles of a study looked at: one row each, and critical gaps."""
 
 import math
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from bridge.studies.statistics import LONG_GAP_S
 from hid2.agents import FloatArray
 from hid2.resampling import Estimate, interval
 
-_FEWEST = 8  # gaps of each answer, drivers: below, no curve and no critical gap is fitted
-#: Coefficients beyond this say that a threshold parts the gaps without exception: no curve has an interval then.
-_SEPARATED = 50.0
+_FEWEST = 8  # drivers: below, no critical gap is fitted
 #: Columns of a gap's sizes; conditions of rules that are about one side of it.
-_SIZES = ["lag_time_gap_s", "lead_time_gap_s", "lag_gap_m", "lead_gap_m"]
+_SIZES = ["lag_time_gap_s", "lead_time_gap_s"]
 _CONDITIONS = {"lag": {"rear_gap", "mobil_unsafe", "rule_refuses"}, "lead": {"front_gap"}}
 
 
@@ -39,8 +35,6 @@ def gaps_of(looks: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
         # where anything else says no too, that this side would do is never seen, and refusals alone would count
         refused = waits & refusals.map(lambda said, conditions=conditions: bool(said) and conditions.issuperset(said))
         frame[f"{side}_refused_s"] = frame[f"{side}_time_gap_s"].where(refused)
-    on_the_way = frame["guard"].where(frame["sumo"].isna(), "sumo_refuses").where(~frame["taken"], "taken")
-    frame["became"] = on_the_way.where(frame["accepted"], frame["rule"])
     by_rule = frame["rule"].map({"cells_occupied": "cells", "lane_ends": "road"}).fillna("rule")
     after = frame["guard"].map({"yes": "sumo", "conflict_predicted": "guard"}).fillna("road")
     frame["refused_by"] = after.where(frame["accepted"], by_rule).mask(frame["taken"], "")
@@ -49,8 +43,7 @@ def gaps_of(looks: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
     grouped = frame.groupby(same, sort=False, dropna=False)
     found = grouped.agg(
         accepted=("accepted", "any"), taken=("taken", "any"), from_s=("time_s", "min"), to_s=("time_s", "max"),
-        looks=("time_s", "size"), became=("became", "last"), refused_by=("refused_by", "last"),
-        asked_guard=("asked_guard", "any"), asked_sumo=("asked_sumo", "any"), trigger_s=("trigger_s", "first"),
+        refused_by=("refused_by", "last"), asked_guard=("asked_guard", "any"), asked_sumo=("asked_sumo", "any"),
         lag_refused_s=("lag_refused_s", "max"), lead_refused_s=("lead_refused_s", "max"),
     )  # fmt: skip
     said_no = grouped["refused_by"].agg(set)
@@ -60,44 +53,6 @@ def gaps_of(looks: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
     found["accepted_s"] = first["time_s"].reindex(found.index)
     sizes = grouped[_SIZES].max().where(~found["accepted"], first[_SIZES].reindex(found.index))
     return found.join(sizes).reset_index()
-
-
-def acceptance_curve(gaps: pd.DataFrame) -> dict[str, Any] | None:
-    """Logistic P(accepted | lag time gap, lead time gap) with standard errors clustered by run; None if not to be told.
-
-    A gap without a leader counts as one of the largest lead time gap seen; gaps without a follower are left out.
-    Returns a row of acceptance.csv, with the fit: intercept, lag (with its 95 % interval), lead, lead_s (median, at
-    which curves are drawn); or why there is no curve (separated).
-    """
-    import statsmodels.api as sm
-
-    frame = gaps[gaps["lag_time_gap_s"].notna()].copy()
-    accepted = frame["accepted"].to_numpy(float)
-    if accepted.sum() < _FEWEST or (1.0 - accepted).sum() < _FEWEST:
-        return None
-    frame["lead_time_gap_s"] = frame["lead_time_gap_s"].fillna(frame["lead_time_gap_s"].max())
-    if frame["lead_time_gap_s"].isna().any():
-        return None
-    sizes = frame[["lag_time_gap_s", "lead_time_gap_s"]].clip(upper=LONG_GAP_S)
-    design = np.column_stack([np.ones(len(frame)), *sizes.to_numpy().T])
-    runs = pd.factorize(pd.MultiIndex.from_frame(frame[["scene", "seed"]]))[0]
-    many = len(np.unique(runs)) > len(design[0])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a separated sample is told by its coefficients below
-        model = sm.GLM(accepted, design, family=sm.families.Binomial())
-        try:
-            fit = model.fit(cov_type="cluster", cov_kwds={"groups": runs}) if many else model.fit()
-        except Exception as error:  # noqa: BLE001  # statsmodels has no class for a separated sample
-            return {"separated": str(error)}
-    if not np.isfinite(fit.params).all() or np.abs(fit.params).max() > _SEPARATED:
-        return {"separated": "a threshold parts the gaps"}
-    intercept, lag, lead = map(float, fit.params)
-    low, high = map(float, fit.conf_int()[1])
-    return {
-        "intercept": intercept, "lag": lag, "lead": lead, "lead_s": float(np.median(design[:, 2])),
-        "gaps": len(frame), "accepted": int(accepted.sum()), "lag_low": low, "lag_high": high,
-        "separated": None, "fit": fit,
-    }  # fmt: skip
 
 
 def largest_rejected(gaps: pd.DataFrame, side: str) -> tuple[FloatArray, FloatArray, int]:

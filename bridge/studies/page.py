@@ -1,4 +1,4 @@
-"""The results of a study: tables as CSV and parquet with a data dictionary, figures, and a page of text."""
+"""The results of a study: tables as CSV with a data dictionary, figures, and a page of text."""
 
 import gzip
 import io
@@ -10,29 +10,28 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.csv as pa_csv
-import pyarrow.parquet as pq
-from pandas.api.types import infer_dtype
+from pandas.api.types import infer_dtype, is_numeric_dtype
 
 from bridge.batch.manifest import DONE
 from bridge.files import beside, table_cell, write_rows, write_text
 from bridge.pages.parts import text
 from bridge.studies.columns import DICTIONARY, OUTCOMES
-from bridge.studies.gap_acceptance import acceptance_curve, critical_gap, gaps_of
-from bridge.studies.statistics import difference_sd, dose_response, effects, seeds_needed
+from bridge.studies.gap_acceptance import critical_gap, gaps_of
+from bridge.studies.statistics import dose_response
 from bridge.studies.study import Study
-from bridge.studies.study_figures import CRITICAL, draw_fundamental, draw_parameter, label_of
-from hid2.measures.conflicts import CONFLICT_PET_S, CONFLICT_TTC_S, TrafficConflict
+from bridge.studies.study_figures import draw_parameter
+from hid2.measures.conflicts import TrafficConflict
 from hid2.measures.lane_changes import LaneChangeRow
+from hid2.params import Conflict
 
-#: A parameter with more values than this has no dose-response of its own: its effect is in effects.csv.
-_MOST_VALUES = 12
+#: A parameter with more values than this, as those of a hypercube, is told in so many classes of neighbouring values.
+_MOST_VALUES, _CLASSES = 12, 6
 #: Tables of more rows are compressed.
 _LONG = 50_000
-#: Differences of shares for which the page says how many seeds they need.
-_SIZES_TOLD = (0.02, 0.05, 0.1)
 _LOG = logging.getLogger(__name__)
 
 
@@ -40,47 +39,35 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
     """Write everything that a study says into out_dir; returns the files. Errors: ExportError."""
     keys = ["trigger_after_s" if key == "trigger_s" else key for key in study.keys]
     give_up_s = study.configs[0][0].lane_change.give_up_s
-    requests, flow, gaps = tables["requests"], tables["flow"], gaps_of(tables["looks"], keys)
+    requests, gaps = tables["requests"], gaps_of(tables["looks"], keys)
     if not gaps.empty and not requests.empty:
         counted = requests.loc[requests["counted"], ["scene", "point", "seed", "vehicle"]]
         gaps = gaps.merge(counted, on=["scene", "point", "seed", "vehicle"])
     if requests.empty:
         _LOG.warning("%s: no run has a request (%s); expected more traffic, or more time", out_dir, study.kind)
     files: list[Path] = []
-    doses, acceptance, critical = [], [], []
+    doses, critical = [], []
     any_counted = not requests.empty and bool(requests["counted"].any())
-    for key in keys:
-        if not any_counted or requests[key].nunique() > _MOST_VALUES:
-            continue
-        dose = dose_response(requests, gaps, key, give_up_s=give_up_s, critical_ttc_s=CRITICAL.ttc_min_s)
+    for key in keys if any_counted else ():
+        told_as = _classes(requests[key])
+        asked, looked = (one.assign(**{key: one[key].map(told_as)}) if len(one) else one for one in (requests, gaps))
+        dose = dose_response(asked, looked, key, give_up_s=give_up_s, critical_ttc_s=Conflict().ttc_min_s)
         doses.append(dose)
-        curves: dict[Any, dict[str, Any] | None] = {}
-        for value in sorted(requests[key].unique()):
-            own, place = gaps[gaps[key] == value] if len(gaps) else gaps, {"parameter": key, "value": value}
-            curves[value] = curve = acceptance_curve(own) if len(own) else None
-            acceptance += [{**place, **curve}] if curve is not None else []
+        for value in sorted(asked[key].unique()):
+            own = looked[looked[key] == value] if len(looked) else looked
             found = [critical_gap(own, side) for side in ("lag", "lead")] if len(own) else []
-            critical += [{**place, **one} for one in found if one is not None]
+            critical += [{"parameter": key, "value": value, **one} for one in found if one is not None]
         files.append(out_dir / f"{study.name}_{key.replace('.', '_')}.png")
-        title = f"{_title(study, tables)}; bars: 95 % intervals, runs drawn again"
-        draw_parameter(files[-1], title, key, dose=dose, requests=requests, curves=curves, give_up_s=give_up_s)
-    if not flow.empty:
-        files.append(out_dir / f"{study.name}_fundamental.png")
-        varied = next((key for key in keys if 1 < flow[key].nunique() <= _MOST_VALUES), None)
-        draw_fundamental(files[-1], _title(study, tables), flow, varied)
+        draw_parameter(files[-1], study.name, key, dose=dose, requests=asked, give_up_s=give_up_s)
     named = {
         **tables, "gaps": gaps, "dose_response": pd.concat(doses) if doses else pd.DataFrame(),
-        "acceptance": pd.DataFrame(acceptance).drop(columns="fit", errors="ignore"),
         "critical_gaps": pd.DataFrame(critical),
-        "effects": effects(requests, keys, give_up_s=give_up_s) if any_counted else pd.DataFrame(),
     }  # fmt: skip
     for name, row in (("lane_changes", LaneChangeRow), ("conflicts", TrafficConflict)):
         if named[name].empty:  # the table says so
             of_a_run = takewhile("status".__ne__, tables["runs"].columns)
             named[name] = pd.DataFrame(columns=[*of_a_run, *(field.name for field in fields(row))])
-    written = [
-        path for name in DICTIONARY if len(named[name].columns) for path in _write_table(out_dir, name, named[name])
-    ]
+    written = [_write_table(out_dir, name, named[name]) for name in DICTIONARY if len(named[name].columns)]
     dictionary, page = out_dir / "columns.csv", out_dir / "study.md"
     says = ((table, *said) for table, columns in DICTIONARY.items() for said in columns.items())
     write_rows(dictionary, ("table", "column", "says"), says)
@@ -88,11 +75,19 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
     return [page, *files, dictionary, *written]
 
 
-def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> list[Path]:
-    """CSV (compressed where it is long) and parquet."""
+def _classes(values: "pd.Series[Any]") -> dict[Any, Any]:
+    """What each value is told as: itself, or, of many numbers, the mean of its class, all classes as large."""
+    known = np.sort(values.unique())
+    if len(known) <= _MOST_VALUES or not is_numeric_dtype(values):
+        return {value: value for value in known.tolist()}
+    parts = np.array_split(known, _CLASSES)
+    return {value: round(float(part.mean()), 3) for part in parts for value in part.tolist()}
+
+
+def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> Path:
+    """A table as CSV, compressed where it is long."""
     long = len(table) > _LONG
-    csv_path = out_dir / (f"{name}.csv.gz" if long else f"{name}.csv")
-    parquet_path = out_dir / f"{name}.parquet"
+    path = out_dir / (f"{name}.csv.gz" if long else f"{name}.csv")
     flags = [column for column in table if infer_dtype(table[column]) == "boolean"]
     tidy = table.astype(dict.fromkeys(flags, "boolean"))
     tidy = tidy.assign(**{
@@ -101,24 +96,12 @@ def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> list[Path]:
     })  # fmt: skip
     texts = tidy.select_dtypes(exclude=["number", "bool"]).columns
     safe = tidy.assign(**{column: tidy[column].map(table_cell, na_action="ignore") for column in texts})
-    each = (pa.Table.from_pandas(one, preserve_index=False) for one in (tidy, safe))
-    exact, shown = (one.replace_schema_metadata(None) for one in each)
-    text, columnar = io.BytesIO(), io.BytesIO()
+    text = io.BytesIO()
+    shown = pa.Table.from_pandas(safe, preserve_index=False)
     pa_csv.write_csv(shown, text, pa_csv.WriteOptions(quoting_style="needed"))
-    pq.write_table(exact, columnar)
-    csv_bytes = gzip.compress(text.getvalue(), mtime=0) if long else text.getvalue()
-    for path, content in ((csv_path, csv_bytes), (parquet_path, columnar.getvalue())):
-        with beside(path) as hidden:
-            hidden.write_bytes(content)
-    return [csv_path, parquet_path]
-
-
-def _title(study: Study, tables: Mapping[str, pd.DataFrame]) -> str:
-    requests, scenes = tables["requests"], tables["requests"]["scene"].nunique()
-    return (
-        f"{study.name.replace('_', ' ')}: {int(requests['counted'].sum())} requests counted in {len(tables['runs'])} "
-        f"runs on {scenes} scene{'s' * (scenes > 1)}"
-    ) + ("; recorded vehicles react" if set(requests["replay"]) == {"reactive"} else "")
+    with beside(path) as hidden:
+        hidden.write_bytes(gzip.compress(text.getvalue(), mtime=0) if long else text.getvalue())
+    return path
 
 
 # The page -------------------------------------------------------------------------------------------------------------
@@ -132,9 +115,6 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
     counted, due = requests[requests["counted"]], requests["waited_s"].notna()
     config = study.configs[0][0]
     accepted, exported = counted["accepted"].astype(bool), counted["exported"].dropna()
-    effect = named["effects"]
-    if not effect.empty:
-        effect = effect[(effect["drawn_again"] == "runs") & effect["standardised_coefficient"].notna()]
     cut_off = ~accepted & (counted["waited_s"] < config.lane_change.give_up_s - 0.05)
     return text(
         "study.md.j2",
@@ -148,25 +128,18 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         scenes=requests["scene"].nunique(),
         flows=config.flow.veh_per_h_lane > 0.0,
         replays=set(requests["replay"]),
-        labels={key: label_of(key) for key in keys},
+        keys=keys,
         told={key: _told(dose[dose["parameter"] == key]) for key in keys if key in set(dose.get("parameter", ()))},
-        seeds=[line for key in keys if (line := _seeds_line(requests, key))],
         clusters=_few_clusters(dose),
         critical=_records(named["critical_gaps"]),
-        curves=_records(named["acceptance"]),
-        effects=_records(effect) if len(keys) > 1 else [],
         changes=named["lane_changes"],
         conflicts=named["conflicts"],
-        critical_ttc_s=CONFLICT_TTC_S,
-        critical_pet_s=CONFLICT_PET_S,
         rising=_rising(named["flow"]),
         flow=named["flow"],
-        reasons=_last_reasons(counted[~accepted], named["gaps"]),
-        by_value={key: _by_value(named, key) for key in keys if 1 < requests[key].nunique() <= _MOST_VALUES},
+        reasons=counted.loc[~accepted, "reason"].value_counts()[:6].to_dict(),
         exported_share=None if exported.empty else float((exported == "yes").mean()),
         overlapping=int(counted["overlaps"].isin([True]).sum()),
         cut_share=float(cut_off.mean()) if len(counted) else 0.0,
-        exp=math.exp,
         figures=figures,
     )  # fmt: skip
 
@@ -178,34 +151,6 @@ def _rising(flow: pd.DataFrame) -> tuple[float, float] | None:
     is_first = flow["from_s"] == flow["from_s"].min()
     first, later = (float(flow.loc[rows, "flow_veh_per_h_lane"].mean()) for rows in (is_first, ~is_first))
     return (first, later) if first < 0.9 * later else None
-
-
-def _last_reasons(refused: pd.DataFrame, gaps: pd.DataFrame) -> list[str]:
-    """The most frequent answers to the last gap that vehicles without one looked at, or why they looked at none."""
-    same = ["scene", "point", "seed", "vehicle"]
-    reasons = refused.set_index(same)["reason"]
-    if not gaps.empty:
-        last = gaps.sort_values("to_s", kind="stable").drop_duplicates(same, keep="last").set_index(same)["became"]
-        reasons = last.reindex(reasons.index).fillna(reasons)
-    return [f"{reason} {count}" for reason, count in reasons.value_counts()[:6].items()]
-
-
-def _by_value(named: Mapping[str, pd.DataFrame], key: str) -> list[str]:
-    """One line for each value of a parameter: lane changes, conflicts, flow and speed of all traffic there."""
-    lines = []
-    for value in sorted(named["runs"][key].unique()):
-        own = {name: table[table[key] == value] if key in table else table for name, table in named.items()}
-        changes, met = (
-            f"{len(own[name])} {one}{'s' * (len(own[name]) != 1)}"
-            for name, one in (("lane_changes", "lane change"), ("conflicts", "conflict"))
-        )
-        line, told = f"at {value}: {changes} and {met} of any vehicle", "lane_changes.track_id, conflicts.kind"
-        if len(own["flow"]):
-            flow, speed = (own["flow"][name].mean() for name in ("flow_veh_per_h_lane", "speed_kmph"))
-            line += f", {flow:.0f} veh/h per lane at {speed:.0f} km/h"
-            told += ", flow.flow_veh_per_h_lane, flow.speed_kmph"
-        lines.append(f"{line} [{told}].")
-    return lines
 
 
 def _records(table: pd.DataFrame) -> list[dict[Any, Any]]:
@@ -222,20 +167,6 @@ def _told(dose: pd.DataFrame) -> dict[str, Any]:
         "counts": _records(counts) if counts["rows"].nunique() > 1 else [],
         "outcomes": [(one, own) for one, own in rows if len(own) > 1],
     }
-
-
-def _seeds_line(requests: pd.DataFrame, key: str) -> str | None:
-    """How many seeds differences of some sizes in the share accepted need, by the runs that there are."""
-    found = difference_sd(requests, key)
-    if found is None:
-        return None
-    (sd, runs), scenes = found, requests["scene"].nunique()
-    needed = (f"{math.ceil(seeds_needed(sd, size) / scenes)} for {size:g}" for size in _SIZES_TOLD)
-    return (
-        f"{label_of(key)}: the difference of the share between first and last value has an SD of {sd:.3f} from run to "
-        f"run ({runs} runs). Seeds needed at power .8, by a paired t test, which assumes more than the signs above: "
-        f"{', '.join(needed)} [requests.accepted]."
-    )
 
 
 def _few_clusters(dose: pd.DataFrame) -> tuple[int, int] | None:

@@ -182,12 +182,6 @@ def _measured(
             own = arrays.row_of[arrays.track_ids.index(vehicle.vehicle_id)][first : last + 1]
             ttc = float(ttc_s[own].min())
             row["min_ttc_s"] = None if ttc >= CAP_S else number(ttc)
-            pets = [
-                conflict.pet_s for conflict in met
-                if conflict.pet_s is not None and vehicle.vehicle_id in (conflict.first_id, conflict.second_id)
-                and conflict.start_s <= last * scene.step_s and conflict.end_s >= row["start_s"]
-            ]  # fmt: skip
-            row["min_pet_s"] = number(min(pets, default=None))
             row["overlaps"] = row["min_ttc_s"] == 0.0
             lag_id = next((look.rear.track_id for look in vehicle.gaps if look.sumo), None)
             if lag_id in arrays.track_ids:

@@ -31,12 +31,11 @@ def plan_text(study: Study, out_dir: Path, difference: float) -> Iterator[str]:
     yield f"runs at each point for a difference of {difference:g} in the share that gets a gap (power .8, level .05):"
     if each:
         yield f"  {seeds_needed(math.sqrt(0.5 / each), difference)} by chance alone, at a share of .5 and unpaired"
-    known = out_dir / "requests.parquet"
-    if known.is_file():
+    for known in out_dir.glob("requests.csv*"):  # compressed where there are many
         import pandas as pd
 
         with explained(known):
-            requests = pd.read_parquet(known)
+            requests = pd.read_csv(known)
         for key in study.keys:
             found = difference_sd(requests, key) if key in requests and not requests.empty else None
             if found is None:

@@ -1,4 +1,4 @@
-"""What the tables of a study say: rates, waiting times, trends, effects, with intervals.
+"""What the tables of a study say: rates, waiting times, trends, with intervals.
 
 Intervals are bootstrap intervals: runs (scene and seed) are drawn again, and scenes where there are at least three. The
 same draw serves all values of what varies, because the same vehicles took part: differences are paired. Tests change
@@ -215,72 +215,3 @@ def _adjusted(table: pd.DataFrame) -> pd.DataFrame:
     each = table[varies].dropna(subset="p").drop_duplicates("outcome").set_index("outcome")["p"]
     adjusted = dict(zip(each.index, multipletests(each, method="holm")[1], strict=True))
     return table.assign(p_holm=table["outcome"].map(adjusted))
-
-
-# Effects --------------------------------------------------------------------------------------------------------------
-
-
-def effects(requests: pd.DataFrame, keys: Sequence[str], *, give_up_s: float) -> pd.DataFrame:
-    """Effect of each numeric parameter on each outcome, over the whole design.
-
-    Standardised regression coefficient with its interval, and the first-order variance-based index (SALib, RBD-FAST)
-    with its own where there are enough points.
-    """
-    counted = requests[requests["counted"]].copy()
-    counted["lag_time_gap_s"] = counted["lag_time_gap_s"].clip(upper=LONG_GAP_S)
-    counted["waited_or_end_s"] = np.minimum(counted["waited_s"], give_up_s)
-    numeric = [key for key in keys if pd.api.types.is_numeric_dtype(counted[key])]
-    rows: list[dict[str, Any]] = []
-    if not numeric:
-        return pd.DataFrame(rows)
-    for outcome in ("accepted", "waited_or_end_s", "lateral_s", "lag_time_gap_s", "min_ttc_s"):
-        frame = counted[counted[outcome].notna()]
-        if len(frame) < 10 * len(numeric):
-            continue
-
-        statistic = _standardised(frame[numeric].to_numpy(float), frame[outcome].to_numpy(float))
-        sensitivity = _first_order(frame, numeric, outcome)
-        for unit, columns in units(frame).items():
-            for key, found in zip(numeric, estimates(frame, statistic, unit=columns), strict=True):
-                rows.append(
-                    {
-                        "outcome": outcome, "parameter": key, "drawn_again": unit, "rows": len(frame),
-                        "standardised_coefficient": found.value, "low": found.low, "high": found.high,
-                        **(sensitivity.get(key, {"first_order": None, "first_order_interval": None})),
-                    }
-                )  # fmt: skip
-    return pd.DataFrame(rows)
-
-
-def _standardised(x: FloatArray, y: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """Standardised coefficients (K,) of a linear regression of y (N,) on x (N, K), as a function of weights."""
-    both, known, size = np.column_stack([x, y]).T, np.s_[: x.shape[1]], np.abs(y).max()
-
-    def statistic(weight: FloatArray) -> FloatArray:
-        together = np.cov(both, aweights=weight, ddof=0)
-        spread, own = np.sqrt(np.diag(together)), together[known, known]
-        if spread[-1] <= _SAME * size or not spread.all() or np.linalg.matrix_rank(own) < len(own):
-            return np.full(len(own), np.nan)
-        return np.asarray(np.linalg.solve(own, together[known, -1]) * spread[known] / spread[-1])
-
-    return statistic
-
-
-def _first_order(frame: pd.DataFrame, keys: Sequence[str], outcome: str) -> dict[str, dict[str, float]]:
-    """First-order index of each parameter on the mean outcome of each point of the design; RBD-FAST asks for many."""
-    means = frame.groupby("point")[[*keys, outcome]].mean()
-    if len(keys) < 2 or len(means) < _POINTS_LEAST or means[outcome].std() == 0.0:
-        return {}
-    from SALib.analyze import rbd_fast
-
-    bounds = [[float(means[key].min()), float(means[key].max())] for key in keys]
-    problem = {"num_vars": len(keys), "names": list(keys), "bounds": bounds}
-    found = rbd_fast.analyze(problem, means[list(keys)].to_numpy(float), means[outcome].to_numpy(float), seed=0)
-    return {
-        key: {"first_order": float(found["S1"][row]), "first_order_interval": float(found["S1_conf"][row])}
-        for row, key in enumerate(keys)
-    }
-
-
-#: RBD-FAST with its ten harmonics needs more points than twice as many, also in the half that its interval draws.
-_POINTS_LEAST = 42

@@ -26,6 +26,18 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 from interrupted import Command, damaged, faults, leftovers
 
 DATA = Path(__file__).parents[2] / "data" / "av2"
+COMPOSITION = """\
+split.by = "folder"
+[sources]
+made = "made"
+data = "{data}"
+[sets.all.take]
+made = "all"
+data = "all"
+[validation.all.take]
+made = "all"
+data = "all"
+"""
 STUDY = """\
 scenes = ["{scene}"]
 seeds = 1
@@ -55,7 +67,7 @@ def commands(base: Path, scene: Path) -> dict[str, list[object]]:
         "calibrate": ["calibrate", recorded, "-o", "out/drivers.toml"],
         "study": ["study", study, "-o", "out"],
         "make corridor": ["make", "corridor", "-o", "out"],
-        "compose": ["compose", f"{made}:all", f"{DATA}:all", "-o", "out/root", "--split-by", "folder"],
+        "compose": ["compose", base / "composition.toml", "-o", "out/root"],
         "paper": ["paper", "table1", "--scenes", scene, "-o", "out", "--seeds", "1", "--agents", "1"],
         "render png": ["render", generated, "-o", "out/a.png"],
         "render mp4": ["render", recorded, "-o", "out/a.mp4"],
@@ -149,9 +161,9 @@ def main() -> int:
         prepare = [["generate", DATA, "-o", "made", "--agents", "3"]]
         for arguments in prepare:
             assert Command(arguments, base).left(timeout_s=600).code == 0
+        (base / "composition.toml").write_text(COMPOSITION.format(data=DATA))
         if importlib.util.find_spec("torch"):
-            composed = ["compose", f"{base / 'made'}:all", "-o", "composed", "--split-by", "folder"]
-            assert Command(composed, base).left(timeout_s=600).code == 0
+            assert Command(["compose", "composition.toml", "-o", "composed"], base).left(timeout_s=600).code == 0
         scene = chosen.real.resolve() if chosen.real else next((DATA / "val").iterdir())
         wanted = tuple((chosen.only or "").split(","))
         found = {name: args for name, args in commands(base, scene).items() if name.startswith(wanted)}

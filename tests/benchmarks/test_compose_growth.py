@@ -58,7 +58,7 @@ def measured(root: Path, out: Path, *, jobs: int) -> tuple[float, float, float]:
     import subprocess
 
     began = time.monotonic()
-    command = [sys.executable, "-c", CODE, "compose", str(root), "-o", str(out), "--val", "0.09", "-j", str(jobs), "-q"]
+    command = [sys.executable, "-c", CODE, "compose", str(root), "-o", str(out), "-j", str(jobs), "-q"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     _, cpu, memory = done.stderr.split()[-3:]
     return time.monotonic() - began, float(cpu), float(memory)

@@ -13,7 +13,7 @@ Run = Callable[..., Any]
 
 def test_a_root_is_composed_and_checked(hid2: Run, data_root: Path, tmp_path: Path) -> None:
     root = tmp_path / "root"
-    result = hid2("compose", f"{data_root}:3", "-o", root, "--val", "0.34", "--json", "-q")
+    result = hid2("compose", data_root, "-o", root, "--json", "-q")
     assert result.returncode == 0, result.stderr
     assert json.loads(result.stdout) == [{"data set": ".", "train": "2", "val": "1", "test": "0"}]
     (held_out,) = (root / "val").iterdir()
@@ -28,6 +28,7 @@ def test_what_cannot_be_composed_is_one_line(hid2: Run, data_root: Path, tmp_pat
     for arguments, words in (
         ([f"{data_root}:many", "-o", tmp_path / "r"], "expected SOURCE or SOURCE:N"),
         ([data_root], "missing -o/--out"),
+        ([data_root, "-o", tmp_path / "r", "--val", "0.2"], "no such option: --val; splits, densities, layout and"),
         ([tmp_path / "bad.toml", "-o", tmp_path / "r"], "bad.toml: sources.a"),
     ):
         result = hid2("compose", *arguments, "-q")

@@ -19,11 +19,9 @@ from typer.main import get_command
 from bridge.batch.scan import EVENTS
 from bridge.cli import options
 from bridge.cli.commands import application
-from bridge.cli.forecasting import compose
 from bridge.config import config_to_dict, describe_config, load_config, parse_behaviours
 from bridge.evaluation.experiments import Experiment
 from bridge.exports.export import WRITERS
-from bridge.forecasting.composition import Composition, Draw, Split
 from bridge.forecasting.experiment import Reading
 from hid2.insertion import requests
 from hid2.params import Config, Event, Forecasting, Request
@@ -45,10 +43,6 @@ def test_choices_are_those_of_the_package() -> None:
     assert get_args(options.ExperimentName) == (*get_args(Experiment), "prediction")
     assert get_args(options.FormatName) == tuple(WRITERS)
     assert get_args(options.ReadingName) == get_args(Reading)
-    hints = compose.__annotations__
-    assert hints["split_by"] == Split.model_fields["by"].annotation
-    assert hints["layout"] == Composition.model_fields["layout"].annotation | None
-    assert hints["min_agents_in"] == Draw.model_fields["min_agents_in"].annotation
     components = {row.key: row.range for row in describe_config()}["without"]
     assert components == f"any of {', '.join(options.COMPONENTS)}"
 

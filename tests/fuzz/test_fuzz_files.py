@@ -14,10 +14,11 @@ from mutations import WILD_FLOATS, WILD_INTS, WILD_TEXTS, mutate_bytes
 
 from bridge.config import load_config
 from bridge.evaluation.predictions import score_predictions
-from bridge.forecasting.composition import read_composition
+from bridge.forecasting.composition import Composition
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import read_sidecar
 from bridge.studies.study import read_study
+from bridge.toml import read_toml_as
 from netconvert.errors import Hid2Error
 
 SEEDS = 80
@@ -72,6 +73,10 @@ a = 1
 """
 
 
+def _read_composition(path: Path) -> Composition:
+    return read_toml_as(Composition, path, "a composition")
+
+
 def _change_toml(path: Path, rng: random.Random) -> None:
     """Another value, another key, or a line left out, doubled or moved."""
     text, how = path.read_text(), rng.randrange(4)
@@ -124,7 +129,7 @@ def files(data_root: Path, data_scenes: dict[str, Path], tmp_path_factory: pytes
     return {
         "config.toml": (CONFIG.encode(), load_config, _change_toml),
         "study.toml": (STUDY.format(scene=scene).encode(), read_study, _change_toml),
-        "composition.toml": (COMPOSITION.format(scene=scene).encode(), read_composition, _change_toml),
+        "composition.toml": (COMPOSITION.format(scene=scene).encode(), _read_composition, _change_toml),
         "forecasts.parquet": (forecasts, lambda path: score_predictions(data_root, predictions=path), _change_table),
     }
 

@@ -160,24 +160,6 @@ function listen(pane) {
   front.onpointercancel = ({ pointerId }) => held.delete(pointerId);
   front.onwheel = (event) => { event.preventDefault(), zoom(Math.exp(-event.deltaY / 500), pane, event.offsetX, event.offsetY); };
 }
-function save() { // what is seen, with title and legend, as PNG
-  const gap = 4, [{ ratio, wide, high }] = panes, all = panes.length * (wide + gap) - gap, canvas = document.createElement("canvas");
-  [canvas.width, canvas.height] = [all * ratio, (high + 48) * ratio], draw();
-  const context = canvas.getContext("2d"), write = (text, x, y) => { context.fillStyle = "#222", context.fillText(text, x, y); };
-  context.scale(ratio, ratio), Object.assign(context, { fillStyle: "#fff", font: "12px system-ui,sans-serif" }), context.fillRect(0, 0, all, high + 48);
-  write(`${$("title").textContent}, ${$("clock").textContent}`, 8, 18);
-  panes.forEach((pane, k) => {
-    for (const layer of [pane.ground, pane.front]) context.drawImage(layer, k * (wide + gap), 26, wide, high);
-    write(pane.title, k * (wide + gap) + 8, 42);
-  });
-  let x = 8;
-  for (const item of $("legend").querySelectorAll("span:has(i)")) {
-    Object.assign(context, { fillStyle: item.firstElementChild.style.backgroundColor || "#fff" });
-    context.fillRect(x, high + 32, 12, 10), context.strokeRect(x, high + 32, 12, 10), write(item.textContent, x + 17, high + 41);
-    x += context.measureText(item.textContent).width + 30;
-  }
-  Object.assign(document.createElement("a"), { download: `${short(now.scene.id)}_${fixed(now.time)}s.png`, href: canvas.toDataURL() }).click();
-}
 function nextAgent(by) {
   const names = now.scene.order.filter((track) => rank(track) > 1).map((track) => track.id).sort(new Intl.Collator("en", { numeric: true }).compare);
   choose(names.at((names.indexOf(now.agent) + (now.agent || by > 0 ? by : 0)) % names.length));
@@ -199,7 +181,7 @@ const KEYS = {
   "+": ["nearer", () => zoom(1.25)], "-": ["farther", () => zoom(0.8)], 0: ["all traffic", turn("fit")], w: ["up", () => pan(0, 60)], a: ["left", () => pan(-60, 0)],
   s: ["down", () => pan(0, -60)], d: ["right", () => pan(60, 0)], f: ["follow the agent", turn("follow")], t: ["trails", turn("trails")],
   c: ["cells of 4 m", turn("cells")], l: ["names", turn("names")], b: ["before and after", () => beside(now.beside ? "" : "before")],
-  p: ["save a picture", save], "?": ["these keys", () => $("help").showModal()],
+  "?": ["these keys", () => $("help").showModal()],
 };
 function beside(id) {
   $("beside").value = id, now.beside = $("beside").value ||= "";
@@ -217,7 +199,7 @@ document.onclick = ({ target, clientX }) => {
   if (drawn) goTo(Math.round((((330 * (clientX - drawn.getBoundingClientRect().left)) / drawn.clientWidth - 30) / 294) * now.scene.last));
 };
 $("keylist").innerHTML = escaped(Object.entries(KEYS).map(([key, [says]]) => html`<dt>${key === " " ? "space" : key}</dt><dd>${says}</dd>`));
-$("play").onclick = KEYS[" "][1], $("save").onclick = save, $("home").onclick = showIndex, $("keys").onclick = KEYS["?"][1];
+$("play").onclick = KEYS[" "][1], $("home").onclick = showIndex, $("keys").onclick = KEYS["?"][1];
 $("fit").onclick = () => { fit(panes), redraw(); };
 $("slider").oninput = () => { const step = Number($("slider").value); play(false), goTo(step); };
 $("beside").onchange = () => beside($("beside").value);

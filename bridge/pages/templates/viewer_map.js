@@ -6,7 +6,7 @@ class Pane {
   constructor(scene, title, { without = false } = {}) { // without: inserted ones
     const node = document.createElement("div");
     node.className = "pane", node.innerHTML = "<h2></h2><canvas></canvas><canvas></canvas>", node.firstChild.textContent = title;
-    Object.assign(this, { scene, title, without, node, ground: node.children[1], front: node.children[2] });
+    Object.assign(this, { scene, without, node, ground: node.children[1], front: node.children[2] });
   }
   setSize(wide, high, ratio) {
     Object.assign(this, { wide, high, ratio, seen: "" });

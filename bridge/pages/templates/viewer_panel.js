@@ -57,7 +57,7 @@ ${words(track.type)}, ${track.size[0]} × ${track.size[1]} m</p>
 ${(record?.maneuvers ?? []).map(maneuver)}${own.map((one) => html`<p><b>event ${words(one.kind)}</b> of ${linked(scene, one.track_id)} with
 ${linked(scene, one.target_track_id)} at ${fixed(one.at_s)} s${EVENT.filter(([key]) => one[key] !== null).map(([key, name, unit]) => `, ${name} ${fixed(one[key])} ${unit}`)}</p>`)}
 ${findings(scene, scene.findings.filter((one) => one[0] === id || one[5] === id))}
-<div id="live"></div>${charts(scene, track, record)}${record ? [limits(record), looks(scene, id, record), driver(record)] : ""}`;
+<div id="live"></div>${charts(scene, track, record)}${record ? [limits(record), looks(scene, id, record)] : ""}`;
 }
 function maneuver(one) {
   const times = Object.keys(MOMENTS).filter((name) => one[`${name}_s`] !== null).map((name) => `${name} ${fixed(one[`${name}_s`])} s`);
@@ -123,11 +123,6 @@ function looks(scene, id, record) {
   return section("Looks at gaps", html`<p>${count(all, "look")}; ${rule} refused by rule or guard, ${sumo} by SUMO</p>
 ${rows.length ? html`<div class="looks">${table(["s", "side", "lead, m", "lag, m", "answer"], rows)}</div>`
     : all ? html`<p class="muted">hid2 generate --record gaps writes down each of them.</p>` : ""}`);
-}
-function driver({ spawn, driver: drawn }) { // older sidecars have none
-  return html`<details><summary>Start and driver</summary><p>Began in cell ${spawn.cell} of lane ${spawn.lane_segment_id} at
-${fixed(spawn.speed_mps)} m/s, step ${spawn.timestep}; ${drawn?.model}</p>
-${table(["parameter", "value"], Object.entries(drawn?.parameters ?? {}).map(([name, value]) => [words(name), fixed(value, 2)]))}</details>`;
 }
 
 const CARD = (one, k) => {

@@ -16,14 +16,13 @@ from bridge.forecasting.compose import check_leaks, compose
 from bridge.forecasting.composition import (
     CONTROLS,
     HID2_ONLY,
-    Split,
-    composition_of,
+    Composition,
     composition_of_sources,
-    read_composition,
 )
 from bridge.forecasting.places import SourceScene, groups_of, leaks_between, split_by_place
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
+from bridge.toml import model_of, read_toml_as
 from netconvert.errors import ConfigError, NoSceneError
 
 
@@ -38,7 +37,7 @@ def generated(tmp_path, data_root, fake_generated):
 
 
 def composed(values, root):
-    return compose(composition_of(values, "test"), root)
+    return compose(model_of(Composition, values, "test"), root)
 
 
 def ids(place):
@@ -108,7 +107,7 @@ def test_the_same_seed_makes_the_same_root_and_another_one_another(data_root, ge
 
 
 def test_jobs_do_not_change_what_is_made(data_root, generated, tmp_path):
-    found = composition_of(mixed(data_root, generated), "test")
+    found = model_of(Composition, mixed(data_root, generated), "test")
     assert tree(compose(found, tmp_path / "one").root) == tree(compose(found, tmp_path / "two", jobs=2).root)
 
 
@@ -225,7 +224,7 @@ def fact(name, *, source=None, city="miami", tracks=20, cells=(1,), block=(0, 0)
     import numpy as np
 
     return SourceScene(
-        Path(name), name, source or name, source is not None, city, 110, tracks, tracks, log,
+        Path(name), name, source or name, city, 110, tracks, tracks, log,
         np.array(cells, dtype=np.int64).tobytes(), block,
     )  # fmt: skip
 
@@ -269,11 +268,10 @@ def test_a_share_of_a_source_is_drawn(data_root, tmp_path):
         "split": {"val": 0.0},
     }
     assert composed(values, tmp_path / "root").counts == {"": {"train": 2, "val": 0, "test": 0}}
-    of = {"split": Split(), "seed": 0, "layout": "av2", "min_agents": 0, "min_agents_in": "all"}
-    made = composition_of_sources(["here:0.5", "there:7", "all"], **of)
+    made = composition_of_sources(["here:0.5", "there:7", "all"])
     assert list(made.sets["all"].take.values()) == [0.5, 6, "all"]
     with pytest.raises(ConfigError, match=r"'here:1\.5': expected SOURCE or SOURCE:N"):
-        composition_of_sources(["here:1.5"], **of)
+        composition_of_sources(["here:1.5"])
 
 
 def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
@@ -293,7 +291,7 @@ def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
         ({"sources": source, "sets": {"a": {}}, "split": {"by": "log"}}, "split.by = 'log', expected 'place' or"),
     ):
         with pytest.raises(ConfigError, match=message):
-            composition_of(values, "C.toml")
+            model_of(Composition, values, "C.toml")
     values = {"sources": source, "sets": {"a": {"take": {"data": 4}}}, "split": {"val": 0.0}}
     with pytest.raises(ConfigError, match=r"sets\.a: 4 scenes of 'data' \(.*\) asked for in train, 3 are there"):
         composed(values, tmp_path / "root")
@@ -304,7 +302,7 @@ def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
     with pytest.raises(NoSceneError, match="no such folder"):
         composed(values | {"sources": {"data": ("nowhere",)}}, tmp_path / "root")
     with pytest.raises(ConfigError, match="no such file, expected a composition"):
-        read_composition(tmp_path / "none.toml")
+        read_toml_as(Composition, tmp_path / "none.toml", "a composition")
     twice = {"sources": source | {"same": source["data"]}, "sets": {"a": {"take": {"data": 1, "same": "all"}}}}
     with pytest.raises(ConfigError, match="is in two of the sources"):
         composed(
@@ -313,17 +311,16 @@ def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
 
 
 def test_a_file_and_the_command_line_say_the_same(data_root, tmp_path):
+    """One data set of all, a tenth of the three held out: one, as each has its place; of ten two tenths are two."""
     (tmp_path / "c.toml").write_text(
-        f'[sources]\nsource-0 = "{data_root}"\n[split]\nval = 0.5\n[sets.all.take]\nsource-0 = "all"\n'
+        f'[sources]\nsource-0 = "{data_root}"\n[sets.all.take]\nsource-0 = "all"\n'
         '[validation.all.take]\nsource-0 = "all"\n'
     )
-    line = composition_of_sources(
-        [str(data_root)], split=Split(val=0.5), seed=0, layout="av2", min_agents=0, min_agents_in="all"
-    )
-    written = read_composition(tmp_path / "c.toml")
-    assert compose(written, tmp_path / "a").counts == compose(line, tmp_path / "b").counts
-    numbered = composition_of_sources(
-        [f"{data_root}:3"], split=Split(val=0.34), seed=0, layout="av2", min_agents=0, min_agents_in="all"
-    )
-    assert compose(numbered, tmp_path / "c").counts == {"": {"train": 2, "val": 1, "test": 0}}
-    assert json.loads((tmp_path / "c" / "composition.json").read_text())["sources"] == {"source-0": [str(data_root)]}
+    line = composition_of_sources([str(data_root)])
+    written = read_toml_as(Composition, tmp_path / "c.toml", "a composition")
+    assert line.model_dump() == written.model_dump()
+    assert compose(line, tmp_path / "a").counts == {"": {"train": 2, "val": 1, "test": 0}}
+    numbered = composition_of_sources([f"{data_root}:2", "more:20"])
+    assert dict(numbered.sets["all"].take) == {"source-0": 2, "source-1": 18}
+    assert dict(numbered.validation["all"].take) == {"source-0": 0, "source-1": 2}
+    assert json.loads((tmp_path / "a" / "composition.json").read_text())["sources"] == {"source-0": [str(data_root)]}

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from bridge.pictures import figures
-from bridge.pictures.plot import _levels, agent_figure
+from bridge.pictures.plot import agent_figure
 from bridge.pictures.render import (
     ANIMATIONS,
     CAR_PIXELS,
@@ -157,11 +157,6 @@ def test_progress_of_a_film_is_told(data_scenes, tmp_path):
         read_scenario(data_scenes["curve"]), tmp_path / "a.gif", on_frame=lambda done, total: told.append((done, total))
     )
     assert told == [(number, 110) for number in range(1, 111)]
-
-
-def test_labels_of_lanes_do_not_overlap():
-    """Labels 1.0 wide that begin at 0, 0.5, 1.2 and 1.4: the second goes a line down, the fourth two."""
-    assert _levels([0.0, 0.5, 1.2, 1.4], width=1.0) == [0, 1, 0, 2]
 
 
 def test_unknown_ending_step_or_agent_is_explained(data_scenes, tmp_path):

@@ -279,19 +279,16 @@ def test_study_is_resumed_and_writes_what_its_dictionary_says(tmp_path: Path) ->
     assert {path.name: path.read_bytes() for path in again.files} == first
     for table in ("runs", "requests", "looks", "gaps", "flow", "dose_response", "lane_changes"):
         frame = pd.read_csv(out / f"{table}.csv")
-        assert len(pd.read_parquet(out / f"{table}.parquet")) == len(frame)
         said = {name.strip() for column in DICTIONARY[table] for name in column.split(",")}
         assert set(frame.columns) - said <= {"lane_change.time_gap_rear_s", "waiting_to_enter_s"}
-    columns = pd.read_parquet(out / "requests.parquet").dtypes
-    assert {columns[name] for name in ("accepted", "counted")} == {np.dtype(bool)}
-    assert {type(one) for one in pd.read_csv(out / "requests.csv")["overlaps"].dropna()} == {bool}
-    assert all(columns[name] == np.float64 for name in columns.index if name.endswith(("_s", "_m", "_mps")))
+    requests = pd.read_csv(out / "requests.csv")
+    assert {requests[name].dtype for name in ("accepted", "counted")} == {np.dtype(bool)}
+    assert {type(one) for one in requests["overlaps"].dropna()} == {bool}
     text = (out / "study.md").read_text()
-    assert "smallest time gap to the new follower" in text
+    assert "## lane_change.time_gap_rear_s" in text
     _check_references(text, out)
     assert "cut off [requests.counted]" in text
     assert "- Trends as sure as their intervals look: 3 clusters are fewer than the " in text
-    assert re.search(r"Seeds needed at power \.8, by a paired t test, .*: \d+ for 0\.02, \d+ for 0\.05", text)
 
 
 def test_plan_says_how_many_runs_a_difference_needs_before_and_after_a_pilot(tmp_path: Path) -> None:
@@ -314,10 +311,10 @@ def test_plan_says_how_many_runs_a_difference_needs_before_and_after_a_pilot(tmp
     )  # fmt: skip
     pilot.loc[pilot["lane_change.time_gap_rear_s"] == 0.4, "accepted"] = True
     (tmp_path / "out").mkdir()
-    pilot.to_parquet(tmp_path / "out" / "requests.parquet")
+    pilot.to_csv(tmp_path / "out" / "requests.csv")
     *_, by_pilot = plan_text(study, tmp_path / "out", 0.1)  # differences -.8, -.6, -.4: SD .2
     assert f"{seeds_needed(0.2, 0.1)} by the 3 seeds" in by_pilot
-    pilot[pilot["seed"] < 2].to_parquet(tmp_path / "out" / "requests.parquet")
+    pilot[pilot["seed"] < 2].to_csv(tmp_path / "out" / "requests.csv")
     assert list(plan_text(study, tmp_path / "out", 0.1))[-1].endswith("no spread to go by")
     with pytest.raises(ConfigError, match="--plan 5: expected a difference of shares between 0 and 1"):
         list(plan_text(study, tmp_path / "out", 5.0))
@@ -349,10 +346,10 @@ def test_replay_is_varied_like_any_other_parameter_and_said_everywhere(
     assert (report.runs, report.failed) == (2, 0)
     assert sum(folder.name.startswith("reactive-") for folder in (out / "runs").iterdir()) == 1
     for table in ("runs", "requests", "looks", "gaps"):
-        frame = pd.read_parquet(out / f"{table}.parquet")
+        frame = pd.read_csv(out / f"{table}.csv")
         assert (frame["replay"] == frame["driving.replay"]).all()
         assert set(frame["replay"]) == {"fixed", "reactive"}
-    requests = pd.read_parquet(out / "requests.parquet")
+    requests = pd.read_csv(out / "requests.csv")
     by_mode = requests.groupby("replay")
     first, second = (by_mode.get_group(mode).reset_index(drop=True) for mode in ("fixed", "reactive"))
     assert first["vehicle"].tolist() == second["vehicle"].tolist()

@@ -1,4 +1,4 @@
-"""What tables of looks and requests say: waiting, acceptance, critical gaps, effects."""
+"""What tables of looks and requests say: waiting, critical gaps, trends."""
 
 from pathlib import Path
 from typing import Any
@@ -8,12 +8,11 @@ import pandas as pd
 import pytest
 
 from bridge.pages.parts import macro
-from bridge.studies.gap_acceptance import acceptance_curve, critical_gap, gaps_of, largest_rejected, troutbeck
-from bridge.studies.page import _last_reasons, _records, _told
+from bridge.studies.gap_acceptance import critical_gap, gaps_of, largest_rejected, troutbeck
+from bridge.studies.page import _classes, _told
 from bridge.studies.statistics import (
     difference_sd,
     dose_response,
-    effects,
     few_clusters_p,
     kaplan_meier,
     mean_wait,
@@ -146,32 +145,16 @@ def test_gap_is_one_row_with_its_largest_size_or_that_at_which_the_rule_took_it(
         ]
     )
     first, second = gaps_of(looks, []).to_dict("records")
-    assert (first["lag_id"], first["accepted"], first["lag_time_gap_s"], first["looks"]) == ("a", False, 0.9, 3)
-    assert (first["became"], first["lag_refused_s"]) == ("rear_gap", 0.9)
+    assert (first["lag_id"], first["accepted"], first["lag_time_gap_s"]) == ("a", False, 0.9)
+    assert (first["refused_by"], first["lag_refused_s"]) == ("rule", 0.9)
     assert (second["lag_id"], second["accepted"], second["accepted_s"], second["lag_time_gap_s"]) == (
         "b",
         True,
         1.3,
         3.0,
     )
-    assert (second["became"], second["taken"]) == ("taken", True)
+    assert (second["refused_by"], second["taken"]) == ("", True)
     assert np.isnan(second["lag_refused_s"])
-
-
-def test_logistic_coefficients_are_found_again() -> None:
-    """2,000 gaps with logit = -3 + 1.5 lag + 0.2 lead."""
-    rng = np.random.default_rng(0)
-    lag, lead = rng.uniform(0, 5, 2000), rng.uniform(0, 5, 2000)
-    taken = rng.random(2000) < 1 / (1 + np.exp(3 - 1.5 * lag - 0.2 * lead))
-    frame = pd.DataFrame(
-        {"scene": "a", "seed": rng.integers(20, size=2000), "accepted": taken, "lag_time_gap_s": lag,
-         "lead_time_gap_s": lead}
-    )  # fmt: skip
-    curve = acceptance_curve(frame)
-    assert curve is not None
-    for name, row, true in (("intercept", 0, -3.0), ("lag", 1, 1.5), ("lead", 2, 0.2)):
-        assert abs(curve[name] - true) < 2.5 * curve["fit"].bse[row]
-    assert acceptance_curve(frame.head(5)) is None
 
 
 def _requests(slope: float, *, runs: int = 12, each: int = 20) -> pd.DataFrame:
@@ -218,12 +201,11 @@ def test_trend_is_the_slope_over_all_values_and_p_counts_the_family() -> None:
 
 
 def test_parameter_with_which_nobody_gets_a_gap_is_drawn_too(tmp_path: Path) -> None:
-    """Nobody accepts at any value: all still wait at the end, there is no curve, and all the rest is empty."""
+    """Nobody accepts at any value: all still wait at the end, and all the rest is empty."""
     requests = _requests(0.0).assign(accepted=False, lateral_s=np.nan, lag_time_gap_s=np.nan, start_s=np.nan)
-    requests["min_pet_s"] = np.nan
     dose = dose_response(requests, pd.DataFrame(), "p", give_up_s=6.0, critical_ttc_s=1.5)
     path = tmp_path / "p.png"
-    draw_parameter(path, "p", "p", dose=dose, requests=requests, curves=dict.fromkeys((0.0, 0.5, 1.0)), give_up_s=6.0)
+    draw_parameter(path, "p", "p", dose=dose, requests=requests, give_up_s=6.0)
     assert path.stat().st_size > 10_000
     share = dose[dose["outcome"] == "share_accepted"]
     assert share["estimate"].tolist() == [0.0] * 3
@@ -257,22 +239,6 @@ def test_shares_of_the_gaps_that_each_refused_by_hand() -> None:
         assert found["rows"].tolist() == [of]
 
 
-def test_page_tells_the_answer_to_the_last_gap_that_was_looked_at() -> None:
-    """SUMO said no last, whatever reason the request has; one that looked at no gap keeps its own."""
-    refused = pd.DataFrame([{**RUN, "vehicle": name, "reason": "rear_gap"} for name in ("v0", "v1")])
-    refused.loc[1, "reason"] = "no_adjacent_lane"
-    gaps = gaps_of(
-        pd.DataFrame([_look("v0", 1.0, "a", 0.5, None, "rear_gap"), _look("v0", 2.0, "b", 2.0, "no", "yes")]), []
-    )
-    assert sorted(_last_reasons(refused, gaps)) == ["no_adjacent_lane 1", "sumo_refuses 1"]
-
-
-def test_standardised_coefficient_of_a_straight_line_is_one() -> None:
-    found = effects(_requests(-0.3), ["p"], give_up_s=6.0).set_index("outcome")
-    assert found.loc["lag_time_gap_s", "standardised_coefficient"] == pytest.approx(1.0)
-    assert found.loc["accepted", "high"] < 0.0
-
-
 def test_interval_that_begins_at_a_rounding_error_includes_no_effect() -> None:
     rows = [
         {"outcome": "lateral_s", "value": value, "rows": 9, "estimate": value, "difference": value,
@@ -284,27 +250,22 @@ def test_interval_that_begins_at_a_rounding_error_includes_no_effect() -> None:
     assert "95 % interval +0 to +0.04 (runs), which includes no effect" in line
 
 
-@pytest.mark.parametrize(("runs", "interval"), [(12, True), (2, False)])
-def test_page_tells_effects_with_and_without_an_interval(runs: int, interval: bool) -> None:
-    """Two runs are too few to be drawn again: the coefficient stands alone. One that cannot be told is not told."""
-    requests = _requests(-0.3, runs=runs, each=30).assign(q=lambda frame: frame["seed"] % 2, min_ttc_s=3.0)
-    found = effects(requests, ["p", "q"], give_up_s=6.0).dropna(subset="standardised_coefficient")
-    told = _records(found[found["drawn_again"] == "runs"])
-    lines = [macro("study_lines.md.j2", "effect", row, row["parameter"]) for row in told]
-    accepted = next(line for line in lines if line.startswith("accepted by p: standardised coefficient -"))
-    assert (" to " in accepted) is interval
-    assert not any("min_ttc_s" in line for line in lines)  # the same for everybody
+def test_a_parameter_of_many_values_is_told_in_six_classes_as_large() -> None:
+    """Of 0, 1, ..., 23 the first class has 0 to 3, mean 1.5; twelve values stand for themselves, and so do names."""
+    told = _classes(pd.Series([float(value) for value in range(24)] * 2))
+    assert sorted(set(told.values())) == [1.5, 5.5, 9.5, 13.5, 17.5, 21.5]
+    assert (told[3.0], told[4.0]) == (1.5, 5.5)
+    few, names = pd.Series(np.arange(12.0)), pd.Series([f"rule {number}" for number in range(20)])
+    assert all(_classes(values) == {value: value for value in values} for values in (few, names))
 
 
-def test_variance_based_index_tells_the_strong_parameter_from_the_idle_one() -> None:
-    rng = np.random.default_rng(5)
-    strong, idle = rng.random(120), rng.random(120)
-    frame = pd.DataFrame(
-        {**{name: value for name, value in RUN.items() if name not in ("point", "seed")}, "point": range(120),
-         "seed": np.arange(120) % 8, "strong": strong, "idle": idle, "counted": True, "accepted": strong > 0.5,
-         "waited_s": 10 * strong, "lateral_s": np.nan, "lag_time_gap_s": np.nan, "min_ttc_s": np.nan}
-    )  # fmt: skip
-    found = effects(frame, ["strong", "idle"], give_up_s=20.0)
-    waited = found[found["outcome"] == "waited_or_end_s"].set_index("parameter")
-    assert waited.loc["strong", "first_order"] > 0.9
-    assert abs(waited.loc["idle", "first_order"]) < 0.2
+def test_a_hypercube_has_the_trend_of_its_classes() -> None:
+    """Twenty values of q, half a second more of the lag gap for each; every value is a point of its own."""
+    values = np.linspace(0.0, 1.0, 20)
+    requests = pd.concat(
+        [_requests(0.0, runs=4, each=5).assign(q=value, lag_time_gap_s=2.0 + 0.5 * value) for value in values]
+    )
+    requests["q"] = requests["q"].map(_classes(requests["q"]))
+    dose = dose_response(requests, pd.DataFrame(), "q", give_up_s=6.0, critical_ttc_s=1.5)
+    first = dose.drop_duplicates("outcome").set_index("outcome")
+    assert first.loc["lag_time_gap_s", "trend"] == pytest.approx(0.5, abs=0.01)
