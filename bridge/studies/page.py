@@ -21,7 +21,7 @@ from bridge.files import beside, table_cell, write_rows, write_text
 from bridge.pages.parts import text
 from bridge.studies.columns import DICTIONARY, OUTCOMES
 from bridge.studies.gap_acceptance import critical_gap, gaps_of
-from bridge.studies.statistics import dose_response
+from bridge.studies.statistics import difference_sd, dose_response, seeds_needed
 from bridge.studies.study import Study
 from bridge.studies.study_figures import draw_parameter
 from hid2.measures.conflicts import TrafficConflict
@@ -30,6 +30,8 @@ from hid2.params import Conflict
 
 #: A parameter with more values than this, as those of a hypercube, is told in so many classes of neighbouring values.
 _MOST_VALUES, _CLASSES = 12, 6
+#: Differences of shares for which the page says how many seeds they need.
+_SIZES_TOLD = (0.02, 0.05, 0.1)
 #: Tables of more rows are compressed.
 _LONG = 50_000
 _LOG = logging.getLogger(__name__)
@@ -130,6 +132,7 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         replays=set(requests["replay"]),
         keys=keys,
         told={key: _told(dose[dose["parameter"] == key]) for key in keys if key in set(dose.get("parameter", ()))},
+        seeds=[line for key in keys if (line := _seeds_line(requests, key))],
         clusters=_few_clusters(dose),
         critical=_records(named["critical_gaps"]),
         changes=named["lane_changes"],
@@ -167,6 +170,20 @@ def _told(dose: pd.DataFrame) -> dict[str, Any]:
         "counts": _records(counts) if counts["rows"].nunique() > 1 else [],
         "outcomes": [(one, own) for one, own in rows if len(own) > 1],
     }
+
+
+def _seeds_line(requests: pd.DataFrame, key: str) -> str | None:
+    """How many seeds differences of some sizes in the share accepted need, by the runs that there are."""
+    found = difference_sd(requests, key)
+    if found is None:
+        return None
+    (sd, runs), scenes = found, requests["scene"].nunique()
+    needed = (f"{math.ceil(seeds_needed(sd, size) / scenes)} for {size:g}" for size in _SIZES_TOLD)
+    return (
+        f"{key}: the difference of the share between first and last value has an SD of {sd:.3f} from run to "
+        f"run ({runs} runs). Seeds needed at power .8, by a paired t test, which assumes more than the signs above: "
+        f"{', '.join(needed)} [requests.accepted]."
+    )
 
 
 def _few_clusters(dose: pd.DataFrame) -> tuple[int, int] | None:

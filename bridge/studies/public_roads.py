@@ -1,4 +1,4 @@
-"""A page of public roads: published figures of lane changes beside each rule's, untuned and tuned.
+"""A page of public roads: published figures of lane changes beside each rule's, untuned, tuned and with causes.
 
 A page is a TOML file (data/public/ngsim.toml; README.md in this folder): roads, published figures and rules. A rule is
 tuned on the roads with `tune = true` alone; every other road is a test. Runs are resumed like a batch's.
@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 import pandas as pd
 from pydantic import AfterValidator, Field
+from scipy import stats
 
 from bridge.batch.batch import Options, Progress, SceneJob, run_batch
 from bridge.batch.batch import Run as BatchRun
@@ -92,13 +93,17 @@ class PageRule(RoadPart):
 
 
 class PublicRoads(RoadPart):
-    """A page. densities: borders of a ladder, veh/km of a lane; slopes_below: up to which of both a slope is told."""
+    """A page. cause: by what it says, what it sets on every road.
+
+    densities: borders of a ladder, veh/km of a lane; slopes_below: up to which of both lanes a slope is told.
+    """
 
     title: str
     seeds: int = Field(default=3, ge=1, le=1000)
     config: dict[str, Any] = Field(default={})
     road: Annotated[list[Site], Field(min_length=1)]
     rule: Annotated[list[PageRule], Field(min_length=1)]
+    cause: dict[str, Changes] = Field(default={})
     densities: list[float] = Field(default=[])
     slopes_below: float = Field(default=np.inf, gt=0)
 
@@ -125,7 +130,7 @@ def read_public(path: Path) -> PublicRoads:
     if page.densities != sorted(set(page.densities)) or len(page.densities) == 1:
         raise ConfigError(f"{path}: densities = {page.densities}, expected borders that rise, two or more")
     for site, rule in itertools.product(page.road, page.rule):  # all that is wrong is said before anything is driven
-        for changes in [{}, *grid(rule.vary)]:
+        for changes in [{}, *grid(rule.vary), *page.cause.values()]:
             next(page.configs(site, rule, changes, str(path)))
     return page
 
@@ -153,11 +158,16 @@ class RoadResult:
 
             names = [name for name in MEASURES if name.startswith("duration")]
             return dict(zip(names, estimates(seconds, moments, unit=["run"]), strict=True))
+        road, published = self.site.road, self.site.told.published
         found = {
             name: ratio(*np.array([run["ratios"][name] for run in self.runs], dtype=np.float64).T)
             for name in self.runs[0]["ratios"]
         }
-        for side in SIDES if any("gap" in name for name in self.site.told.published) else ():
+        lanes = [name for name in road.from_lanes[: road.lanes] if name in published]
+        ours, theirs = [found[name].value or 0.0 for name in lanes], [published[name] for name in lanes]
+        if min(len(set(ours)), len(set(theirs))) > 1:
+            found["rank_correlation"] = Estimate(float(stats.spearmanr(ours, theirs).statistic))
+        for side in SIDES if any("gap" in name for name in published) else ():
             gaps = self._every(side, ["rejected_s", "taken_s"])
             gaps = gaps[gaps["taken_s"] < LONG_GAP_S]
             for name, (low, high) in SHARES.items():
@@ -220,7 +230,7 @@ def run_public(
     *,
     on_row: Callable[[ManifestRow, Progress], None] | None = None,
 ) -> RunsReport:
-    """Tune each rule, test it, and write the page. Errors: BatchError, ConfigError, ExportError."""
+    """Tune each rule, test it, try the causes, and write the page. Errors: BatchError, ConfigError, ExportError."""
     names = {next(page.configs(page.road[0], rule, {})).lane_change.rule for rule in page.rule}  # the user's own file
     how = replace(options, function=WORK, functions=names, resume=True)
     folders = {site.file: write_road(out_dir / "roads", site.file) for site in page.road}
@@ -255,13 +265,18 @@ def run_public(
         for site, rule in pairs
         for variant, changes in ({"untuned": {}, "tuned": best[rule.name]} if rule.vary else {"as set": {}}).items()
     )
+    causes = driven(
+        (site, rule, says, {**best[rule.name], **changes})
+        for site, rule in pairs
+        for says, changes in page.cause.items()
+    )
     table, told = out_dir / "public.csv", out_dir / "public.md"
     head = ("road", "rule", "variant", "measure", "published", "ours", "low", "high", "runs")
     write_rows(table, head, [
         (one.site.told.name, one.rule, one.variant, name, one.site.told.published.get(name), *ours, len(one.runs))
-        for one in tests for name, ours in one.measures.items()
+        for one in [*tests, *causes] for name, ours in one.measures.items()
     ])  # fmt: skip
-    values: dict[str, object] = {"tried": tried, "best": best, "tests": tests, "within": WITHIN}
+    values: dict[str, object] = {"tried": tried, "best": best, "tests": tests, "causes": causes, "within": WITHIN}
     write_text(told, text("public.md.j2", page=page, cell_m=CELL_M, cell_s=CELL_S, long_gap_s=LONG_GAP_S, **values))
     return RunsReport.of((told, table), rows.values())
 
