@@ -108,7 +108,7 @@ def draw(prepared: PreparedScene, config: Config) -> Drawn:
 
 def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedRun:
     """Drive the vehicles with a configuration, and measure. Errors: SimulationError, ConfigError."""
-    scene = replace(drawn.scene, config=config, _known={}, _leaders={})
+    scene = replace(drawn.scene, config=config)
     trigger_s, last_s = triggers(config, drawn), scene.last_s
     starts = [
         replace(

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from hid2.motion.reference_line import ReferenceLine, build_reference_line
 from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.gaps import gaps_to_all
 from hid2.occupancy.traffic import Traffic, are_believed, traffic_of
+from hid2.once import once
 from netconvert.geometry import Polyline, arc_length, differences
 
 #: Boxes that overlap along a path by more than this are side by side, m: neither leads the other.
@@ -46,7 +48,7 @@ class Leading(NamedTuple):
         return np.where(closes, np.maximum(self.gap_m, 0.0) / np.where(closes, self.closing_mps, 1.0), np.inf)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class AgentStates:
     """Agents of a scene: row by row in `arrays`, as stated, step by step in `traffic`, velocities by differences.
 
@@ -58,8 +60,6 @@ class AgentStates:
     matches: Matches
     lanes: FlatLanes
     joined_of: tuple["AgentStates", ...] = field(default=(), repr=False)
-    _believed: list[bool] = field(default_factory=list, init=False, repr=False)
-    _lines: dict[int, DrivenLine | None] = field(default_factory=dict, init=False, repr=False)
 
     def joined(self, *others: "AgentStates") -> "AgentStates":
         """The agents of all, of the same scene, in this order."""
@@ -90,13 +90,14 @@ class AgentStates:
     def speed(self, row: int) -> FloatArray:
         """(T,) how fast an agent is at most, m/s: as stated, if that is believed, or by its positions."""
         rows, arrays, found = self.row_span(row), self.arrays, np.hypot(*self.traffic.velocity[row].T)
-        if not self._believed:
-            by_positions = self.traffic.velocity[arrays.agent, arrays.step]
-            self._believed.append(are_believed(arrays.velocity, by_positions))
-        if self._believed[0]:
+        if self._is_speed_believed:
             at = arrays.step[rows]
             found[at] = np.maximum(found[at], np.hypot(*arrays.velocity[rows].T))
         return np.asarray(found)
+
+    @cached_property
+    def _is_speed_believed(self) -> bool:
+        return are_believed(self.arrays.velocity, self.traffic.velocity[self.arrays.agent, self.arrays.step])
 
     def span(self, row: int) -> slice:
         """The steps of an agent, from its first to its last."""
@@ -107,17 +108,13 @@ class AgentStates:
         """The rows of an agent in `arrays`."""
         return slice(int(self.arrays.first[row]), int(self.arrays.first[row + 1]))
 
+    @once
     def line(self, row: int) -> DrivenLine | None:
         """The path that a vehicle drives and, behind its last position, its lane; None where it has neither."""
         for part in self.joined_of:
             if row < part.arrays.num_agents:
                 return part.line(row)
             row -= part.arrays.num_agents
-        if row not in self._lines:
-            self._lines[row] = self._line(row)
-        return self._lines[row]
-
-    def _line(self, row: int) -> DrivenLine | None:
         rows = self.row_span(row)
         position, last = self.arrays.position[rows], rows.stop - 1
         place = np.floor(arc_length(position) / _POINTS_M)

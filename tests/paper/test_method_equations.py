@@ -174,7 +174,7 @@ def test_lane_change_needs_sigma_0_in_cells_j_minus_1_to_j_plus_1_of_the_target_
     """
     scene = _scene()
     (option, _), *_ = lane_options(
-        scene, scene.path((1,)), CAR, s=42.0, step=0, sides=("left",),
+        scene, scene.paths.along((1,)), CAR, s=42.0, step=0, sides=("left",),
         fixed=_box(42.0 + DELTA_S * k, 3.5, length_m=3.0), fleet=NOBODY, speed_mps=10.0, desired_mps=10.0,
     )  # fmt: skip
     assert option.target == Cell(2, 10)
@@ -348,14 +348,14 @@ def test_conflict_2_executing_before_pending_closer_before_farther(
     grid = build_cell_grid(LaneGraph(lanes, drivable_areas=(ring,)))
     scene = build_scene(grid, (), config=Config(), num_steps=110, last_observed_step=49, step_s=0.1)
     fleet = [[40.0, 10.0, 0.0, own_executing, 1.0], [other_s, (80.0 - other_s) / 4.0, 0.0, other_executing, 1.0]]
-    found = _braking(scene, scene.path((1,)), [(1, scene.path((2,)), CAR)], fleet)
+    found = _braking(scene, scene.paths.along((1,)), [(1, scene.paths.along((2,)), CAR)], fleet)
     assert (found.decel_mps2 > 0.0) is brakes
 
 
 def test_conflict_3_predicted_collision_changes_the_timing() -> None:
     """Somebody recorded crosses x = 80 at 8 m/s and is there after 4 s, as 10 m/s from x = 40 would be."""
     scene = _scene(_track(80.0, -32.0, 8.0, heading=math.pi / 2))
-    found = _braking(scene, scene.path((1,)), [], [[40.0, 10.0, 0.0, 0.0, 1.0]], horizon_s=6.0)
+    found = _braking(scene, scene.paths.along((1,)), [], [[40.0, 10.0, 0.0, 0.0, 1.0]], horizon_s=6.0)
     assert found.free_conflict_s is not None
     assert found.decel_mps2 > 0.0
     assert found.conflict_s is None

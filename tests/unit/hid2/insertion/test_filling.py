@@ -223,7 +223,7 @@ def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(
 
     def only_lane_2(starts: Starts, request: VehicleRequest, site: Site) -> Start | Reason:
         assert site.s is not None
-        path = starts.scene.path(site.offer.route)
+        path = starts.scene.paths.along(site.offer.route)
         cell = starts.scene.cell_at(path, path.to_line(site.s))
         if cell.lane_id == 2:
             return make(starts, request, site)
