@@ -154,9 +154,9 @@ def rejected_records(filling: Filling) -> tuple[RejectedRecord, ...]:
 def replaced_record(rejection: Rejection) -> ReplacedRecord:
     """One vehicle that was driven and not kept."""
     return ReplacedRecord(
-        vehicle=rejection.vehicle_id, policy=rejection.policy, reason=rejection.reason.value,
+        vehicle=rejection.vehicle.vehicle_id, policy=rejection.vehicle.policy, reason=rejection.reason.value,
         detail=None if rejection.detail is None else str(rejection.detail), round=rejection.round_number,
-        lane_segment_id=rejection.lane_id, cell=rejection.cell, last_step=rejection.last_step,
+        lane_segment_id=rejection.cell.lane_id, cell=rejection.cell.index, last_step=rejection.vehicle.last_step,
     )  # fmt: skip
 
 
@@ -170,7 +170,7 @@ def selection_record(scene: Scene, filling: Filling) -> SelectionRecord:
             (np.array(one.v) for one in vehicles), step_s=scene.step_s,
             limited=sum(one.limited["conflict"] for one in vehicles),
         )
-        for vehicles in ([one.driven for one in filling.kept], filling.dropped)
+        for vehicles in ([one.driven for one in filling.kept], [one.vehicle for one in filling.rejected])
     )  # fmt: skip
     return SelectionRecord(
         kept=DrivesRecord(**kept._asdict()),

@@ -191,7 +191,7 @@ def _measured(
             ]  # fmt: skip
             row["min_pet_s"] = number(min(pets, default=None))
             row["overlaps"] = row["min_ttc_s"] == 0.0
-            lag_id = next((look.rear.track_id for look in vehicle.gaps if look.sumo), None)
+            lag_id = next((look.seen.rear.track_id for look in vehicle.gaps if look.sumo), None)
             if lag_id in arrays.track_ids:
                 pair = (arrays.track_ids.index(str(name)) for name in (lag_id, vehicle.vehicle_id))
                 course = pair_course(arrays, *pair).during(first, last)

@@ -17,7 +17,6 @@ from hid2.occupancy.sigma import FREE, UNDER_SHARE, dwell_steps, is_anybody_on
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import LaneOption, Side
 from hid2.policy.lane_change import OPEN, Gap
-from hid2.policy.overtake import Leader
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from netconvert.cells import Cell
@@ -114,7 +113,7 @@ def own_gaps(
     return gaps_on(scene, path, box, at=s, step=step, fixed=fixed, fleet=fleet)
 
 
-def leader_on(path: DrivenPath, size: BoxSize, *, s: float, d_obs_m: float, here: Traffic) -> Leader | None:
+def leader_on(path: DrivenPath, size: BoxSize, *, s: float, d_obs_m: float, here: Traffic) -> Gap | None:
     """Next vehicle on the lane path within d_obs; here: vehicles at this step (one step)."""
     own = path.line.position(np.array([s]))[0]
     near = here.present[:, 0] & (np.abs(here.position[:, 0] - own).max(axis=1) < d_obs_m + 15.0)
@@ -123,8 +122,7 @@ def leader_on(path: DrivenPath, size: BoxSize, *, s: float, d_obs_m: float, here
     found = gaps_on_path(seen, np.array([s]), 0, among=seen.same_direction)
     if not found.lead_m[0] < d_obs_m:
         return None
-    row = int(seen.agents[found.leader[0]])
-    return Leader(here.ids[row], float(found.lead_m[0]), float(found.lead_mps[0]), float(here.length_m[row]))
+    return Gap(float(found.lead_m[0]), float(found.lead_mps[0]), here.ids[seen.agents[found.leader[0]]])
 
 
 def is_on_lane(lane: DrivenPath, position: FloatArray) -> bool:

@@ -28,7 +28,7 @@ from hid2.policy.decision import LaneOption, Observation, decide
 from hid2.policy.lane_change import OPEN as NO_GAP
 from hid2.policy.lane_change import Gap
 from hid2.policy.observation import lane_options
-from hid2.policy.overtake import Leader, Stage, enter_reason
+from hid2.policy.overtake import Stage, enter_reason
 from hid2.policy.turns import f_left, f_right, road_speeds
 from hid2.scene import Scene, build_scene
 from netconvert.cells import Cell, build_cell_grid
@@ -227,11 +227,11 @@ FREE_LANE: dict[str, Any] = {
 @pytest.mark.parametrize(("gap", "evaluated"), [(4.0, True), (40.0, True), (41.0, False)])
 def test_overtake_is_evaluated_for_a_leader_within_d_obs(gap: float, evaluated: bool) -> None:
     """k <= d_obs / delta s = 10 cells."""
-    assert (enter_reason(leader=Leader("1", gap, 5.0, 4.5), **FREE_LANE) is None) is evaluated
+    assert (enter_reason(leader=Gap(gap, 5.0, "1"), **FREE_LANE) is None) is evaluated
 
 
 def test_overtake_needs_safe_gaps_ahead_and_behind() -> None:
-    leader = Leader("1", 20.0, 5.0, 4.5)
+    leader = Gap(20.0, 5.0, "1")
     for ahead, behind, reason in ((6.0, 8.0, None), (5.9, 8.0, "front_gap"), (6.0, 7.9, "rear_gap")):
         lane = {**FREE_LANE, "ahead": Gap(ahead, 12.0), "behind": Gap(behind, 12.0)}
         assert enter_reason(leader=leader, **lane) == reason
@@ -239,14 +239,14 @@ def test_overtake_needs_safe_gaps_ahead_and_behind() -> None:
 
 def test_overtake_needs_a_corridor_of_m_cells() -> None:
     """m * 4 m >= 40 m: ten cells do, nine do not."""
-    leader = Leader("1", 20.0, 5.0, 4.5)
+    leader = Gap(20.0, 5.0, "1")
     for m, reason in ((10, None), (9, "corridor_short")):
         assert enter_reason(leader=leader, **{**FREE_LANE, "free_corridor_m": m * DELTA_S}) == reason
 
 
 def test_overtake_enters_passes_and_returns_ahead_of_where_it_left() -> None:
     """Enter at g_{l',j}; pass; return at g_{l,j+k'} once the leader is behind, k' > k."""
-    leader = Leader("1", 20.0, 5.0, 4.5)
+    leader = Gap(20.0, 5.0, "1")
     enter = _decide(request=Policy.OVERTAKE, leader=leader, desired_mps=12.0)
     assert (enter.policy, enter.target) == (Policy.OVERTAKE, Cell(2, 10))
     back = LaneOption("right", Cell(1, 25), True, NO_GAP, NO_GAP, 100.0, 100.0)

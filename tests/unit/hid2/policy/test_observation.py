@@ -231,8 +231,8 @@ def test_leader_is_the_next_one_on_the_path_within_d_obs(
     leader = leader_on(straight_path, CAR, s=30.0, d_obs_m=40.0, here=vehicles.at(0))
     assert leader is not None
     assert leader.track_id == "near"
-    assert leader.gap_m == pytest.approx(15.5, abs=0.6)
-    assert (leader.speed_mps, leader.length_m) == pytest.approx((6.0, 4.5))
+    assert leader.distance_m == pytest.approx(15.5, abs=0.6)
+    assert leader.speed_mps == pytest.approx(6.0)
 
 
 def test_nobody_is_a_leader_behind_beyond_d_obs_or_across(
