@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from statistics import median
 
 import numpy as np
@@ -13,12 +14,13 @@ from hid2.measures.arrays import MOVING_EXTENT_M, MOVING_S
 from hid2.measures.driven_lanes import STRETCH_M, recorded_places
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.scene_end import END_HORIZON_S
-from hid2.motion.route import DrivenPath, Route, path_along, route_beside
+from hid2.motion.route import DrivenPath, LanePaths
 from hid2.occupancy.agent_states import AgentStates, agent_states, parked
-from hid2.occupancy.along_path import PathOccupancy, look_along
+from hid2.occupancy.along_path import PathOccupancy, path_occupancy
 from hid2.occupancy.shown import Shown, shown_on
 from hid2.occupancy.sigma import CellBoxes, OriginalOccupancy, cell_boxes, original_occupancy
 from hid2.occupancy.traffic import BoolArray, Traffic, covering, traffic_of
+from hid2.once import once
 from hid2.params import Config
 from netconvert.cells import Cell, CellGrid
 from netconvert.lane_graph import TurnType
@@ -30,8 +32,6 @@ ENTRY_STAYS_S = 3.0
 SLOW_LEADER_SHARE = 0.5, 0.7
 #: Kept to a box that crosses or stands ahead, m. No tunable: a bumper's length, a time is what PET and TTC keep.
 _MARGIN_FRONT_M = 1.0
-#: Lane types open to general motor traffic.
-DRIVABLE_TYPES = frozenset({"VEHICLE"})
 _RUN_ON_M = 250.0  # no tunable: without topology a vehicle runs straight on, farther than any scene lasts
 #: Recorded vehicles that drive slower than this do not move, m/s.
 MOVES_MPS = 1.0
@@ -49,15 +49,15 @@ def clearance_box(size: BoxSize, assumed: BoxSize) -> BoxSize:
     )
 
 
-@dataclass(slots=True)
+@dataclass(eq=False)
 class Scene:
-    """Everything about a scene that does not change while vehicles are inserted, and caches of what follows from it.
+    """Everything about a scene that does not change while vehicles are inserted.
 
     traffic: recorded agents over the scene's T steps; future: the same, and beyond the last step at constant velocity,
     T + E steps. step_s: from one step of the recording to the next, and of the simulation: the only one that there is.
     first_exit_step: a generated vehicle may leave the map only from this step on, and enter it by last_observed_step.
     vehicle_rows: rows of the recorded cars and buses, which an overtaker may pass. tracks: the recorded ones; states:
-    as a reader has them, with boxes that cover those that the reader assumes.
+    as a reader has them, with boxes that cover those that the reader assumes; paths: those on the middle of lanes.
     """
 
     grid: CellGrid
@@ -66,8 +66,7 @@ class Scene:
     future: Traffic
     tracks: tuple[Track, ...]
     states: AgentStates
-    object_types: tuple[str, ...]
-    categories: tuple[int, ...]
+    paths: LanePaths
     vehicle_rows: IntArray
     occupancy: OriginalOccupancy
     boxes: CellBoxes
@@ -77,97 +76,39 @@ class Scene:
     last_observed_step: int
     lane_speeds: dict[int, list[float]]
     scene_speeds: list[float]
-    _paths: dict[Route, DrivenPath] = field(default_factory=dict)
-    _routes_beside: dict[tuple[Route, int], Route] = field(default_factory=dict)
-    _known: dict[tuple[DrivenPath, BoxSize], tuple[PathOccupancy, PathOccupancy]] = field(default_factory=dict)
-    _leaders: dict[tuple[DrivenPath, BoxSize], PathOccupancy] = field(default_factory=dict)
-    _shown: dict[tuple[DrivenPath, BoxSize], Shown] = field(default_factory=dict)
-    _usual: dict[int, float] = field(default_factory=dict)
-    _pools: dict[int, list[float]] = field(default_factory=dict)
-    _places: dict[int, FloatArray] | None = None
-    _parked: BoolArray | None = None
-    _movers: tuple[IntArray, Traffic] | None = None
 
-    @property
+    @cached_property
     def movers(self) -> tuple[IntArray, Traffic]:
-        """Rows of the recorded vehicles that move at some time, and these alone, as fast as they are at most.
+        """Rows of the recorded vehicles that move at some time, and these alone, as fast as they are at most."""
+        rows = np.flatnonzero(self.states.arrays.moving_vehicles)
+        alone = self.traffic.rows(rows.tolist())
+        speed = np.array([self.states.speed(row) for row in rows.tolist()]).reshape(alone.heading.shape)
+        forward = np.stack([np.cos(alone.heading), np.sin(alone.heading)], axis=-1)
+        return rows, replace(alone, velocity=speed[..., None] * forward)
 
-        Found out once.
-        """
-        if self._movers is None:
-            rows = np.flatnonzero(self.states.arrays.moving_vehicles)
-            alone = self.traffic.rows(rows.tolist())
-            speed = np.array([self.states.speed(row) for row in rows.tolist()]).reshape(alone.heading.shape)
-            forward = np.stack([np.cos(alone.heading), np.sin(alone.heading)], axis=-1)
-            self._movers = rows, replace(alone, velocity=speed[..., None] * forward)
-        return self._movers
-
-    @property
+    @cached_property
     def parked(self) -> BoolArray:
-        """(A,) which of the recorded agents are parked; found out once."""
-        if self._parked is None:
-            self._parked = parked(self.states)
-        return self._parked
+        """(A,) which of the recorded agents are parked."""
+        return parked(self.states)
 
-    def path(self, route: Route) -> DrivenPath:
-        """Path on the middle of a route's lanes; built once."""
-        if route not in self._paths:
-            self._paths[route] = path_along(
-                self.grid.graph, route, limits=self.config.limits,
-                run_on_m=_RUN_ON_M if "topology" in self.config.without else 0.0,
-            )  # fmt: skip
-        return self._paths[route]
+    def met_on(self, path: DrivenPath, box: BoxSize, traffic: Traffic) -> PathOccupancy:
+        """Intervals of agents on a path, with the lateral margin; rows of their traffic, as `future`, (A, T + E)."""
+        return path_occupancy(path.line, traffic, box, margin_m=self.config.conflict.margin_lateral_m)
 
-    def path_beside(self, own: Route, lane_id: int) -> DrivenPath:
-        """Path of l', beside the lanes that are left of an own route."""
-        return self.path(self.route_beside(own, lane_id))
+    def kept_clear_on(
+        self, path: DrivenPath, box: BoxSize, traffic: Traffic, *, at_least_s: float = 0.0
+    ) -> PathOccupancy:
+        """The same, with the place of crossing agents taken for the critical PET before and after, or longer."""
+        return path_occupancy(
+            path.line, traffic, box, margin_m=self.config.conflict.margin_lateral_m,
+            clear_steps=max(self.pet_steps, self.steps_in(at_least_s)),
+            clear_margin_m=self.pet_margin_m,
+        )  # fmt: skip
 
-    def route_beside(self, own: Route, lane_id: int) -> Route:
-        """Route of that path; looked for once."""
-        key = own, lane_id
-        if key not in self._routes_beside:
-            lanes = self.grid.graph.lanes
-            self._routes_beside[key] = route_beside(
-                self.grid.graph,
-                own,
-                lane_id,
-                usable=lambda n: lanes[n].lane_type in DRIVABLE_TYPES,
-            )
-        return self._routes_beside[key]
-
-    def recorded_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
-        """Intervals of the recorded agents on a path by their true future, (A, T + E), with rows of `traffic`."""
-        return self._recorded_on(path, box)[0]
-
-    def kept_clear_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
-        """The same, with the place of crossing agents taken for the critical PET before and after."""
-        return self._recorded_on(path, box)[1]
-
-    def in_driving_width(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
-        """Intervals of the recorded agents with boxes that reach into the width driven, without margins."""
-        key = path, box
-        if key not in self._leaders:
-            wide = self.recorded_on(path, box)  # what touches no margin touches no box
-            near = replace(self.future.rows(wide.agents.tolist()), present=np.isfinite(wide.low))
-            found = look_along(path.line, near, box.length_m, box.width_m)
-            self._leaders[key] = replace(found, agents=wide.agents[found.agents])
-        return self._leaders[key]
-
+    @once
     def shown_on(self, path: DrivenPath, box: BoxSize) -> Shown:
-        """The same as SUMO is shown them."""
-        key = path, box
-        if key not in self._shown:
-            seen = self.in_driving_width(path, box)
-            self._shown[key] = shown_on(path, self.future, seen, step_s=self.step_s)
-        return self._shown[key]
-
-    def _recorded_on(self, path: DrivenPath, box: BoxSize) -> tuple[PathOccupancy, PathOccupancy]:
-        key = path, box
-        if key not in self._known:
-            width_m = box.width_m + 2 * self.config.conflict.margin_lateral_m
-            found = look_along(path.line, self.future, box.length_m, width_m)
-            self._known[key] = found, found.kept_clear(self.pet_steps, margin_m=self.pet_margin_m)
-        return self._known[key]
+        """Recorded agents as SUMO is shown them: those whose boxes reach into the width driven, without margins."""
+        return shown_on(path, self.future, path_occupancy(path.line, self.future, box), step_s=self.step_s)
 
     @property
     def last_s(self) -> float:
@@ -193,14 +134,16 @@ class Scene:
         """By how much that place is smaller on both sides than one where an agent is, m."""
         return 0.5 * _MARGIN_FRONT_M
 
+    @cached_property
+    def _places(self) -> dict[int, FloatArray]:
+        return recorded_places(self.states.view, within_m=OFFSET_MAX_M)
+
     def place_on(self, path: DrivenPath, s: FloatArray) -> FloatArray:
         """Usual place in the lane, d m, of vehicles at arc lengths (N,) m of a path, left positive.
 
         That of recorded vehicles within `STRETCH_M`; elsewhere one drawn for the lane, the same for all that drive it.
         """
         law, found = self.config.drivers, np.empty(s.size)
-        if self._places is None:
-            self._places = recorded_places(self.states.view, within_m=OFFSET_MAX_M)
         ends = [segment.end for segment in path.segments]
         of = np.minimum(np.searchsorted(ends, s, side="right"), len(ends) - 1)
         for number in np.unique(of).tolist():
@@ -217,6 +160,7 @@ class Scene:
         segment = path.segment_at(s)
         return self.grid.cell_at(segment.lane_id, segment.lane_s(s))
 
+    @once
     def _speeds_on(self, lane_id: int) -> list[float]:
         """Speeds of a lane's traffic, m/s: of recorded moving traffic there, else where its street is driven nearest.
 
@@ -239,17 +183,15 @@ class Scene:
             seen |= near
         return self.scene_speeds or [self.config.spawn.prior_speed_mps]
 
+    @once
     def usual_speed(self, lane_id: int) -> float:
         """Median speed of a lane's traffic, m/s."""
-        if lane_id not in self._usual:
-            pool = self._speeds_on(lane_id)
-            self._usual[lane_id], self._pools[lane_id] = median(pool), pool
-        return self._usual[lane_id]
+        return median(self._speeds_on(lane_id))
 
     def lane_speed(self, lane_id: int, rng: np.random.Generator) -> float:
         """Speed of a vehicle of a lane's traffic, m/s; no slower than the fastest leader that is added: none crawls."""
-        slowest_mps, pool = SLOW_LEADER_SHARE[1] * self.usual_speed(lane_id), self._pools[lane_id]
-        return max(pool[int(rng.integers(len(pool)))], slowest_mps)
+        pool = self._speeds_on(lane_id)
+        return max(pool[int(rng.integers(len(pool)))], SLOW_LEADER_SHARE[1] * self.usual_speed(lane_id))
 
 
 def build_scene(
@@ -276,8 +218,7 @@ def build_scene(
             step_s=step_s,
             is_inserted=lambda _: False,
         ),
-        object_types=tuple(track.object_type for track in tracks),
-        categories=tuple(track.category for track in tracks),
+        paths=LanePaths(grid.graph, config.limits, _RUN_ON_M if "topology" in config.without else 0.0),
         vehicle_rows=np.array(rows, dtype=np.int64),
         occupancy=occupancy,
         boxes=boxes,

@@ -6,11 +6,9 @@ from dataclasses import dataclass, field
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy
 from hid2.drivers.driver import Driver, LaneOffset
 from hid2.motion.route import DrivenPath, Route
-from hid2.policy.decision import Side
-from hid2.policy.lane_change import Gap
+from hid2.policy.decision import LaneOption, Side
 from hid2.policy.overtake import Stage
 from hid2.reasons import Reason
-from netconvert.cells import Cell
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,19 +71,14 @@ class Shift:
 class GapLook:
     """One look at a gap: what was seen at a step, and the answers.
 
-    target: cell g_{l',j}; front, rear: new leader and new follower; refusals: conditions of the lane-change rule that
-    said no, none for yes; guard: reason found on the way across (path, conflict case 3), None for yes or where the rule
-    said no; sumo: its answer, None where it was not asked.
+    own_mps: of the vehicle; refusals: conditions of the lane-change rule that said no, none for yes; guard: reason
+    found on the way across (path, conflict case 3), None for yes or where the rule said no; sumo: its answer, None
+    where it was not asked.
     """
 
     step: int
-    side: Side
-    target: Cell
-    front: Gap
-    rear: Gap
+    seen: LaneOption
     own_mps: float
-    remaining_m: float
-    cells_free: bool
     refusals: tuple[Reason, ...]
     guard: Reason | None = None
     sumo: bool | None = None
@@ -132,6 +125,11 @@ class DrivenVehicle:
     def policy(self) -> Policy:
         """What is asked of it."""
         return self.start.request.policy
+
+    @property
+    def last_step(self) -> int:
+        """Last step at which SUMO had it."""
+        return self.start.step + max(0, len(self.s) - 1)
 
     @property
     def running(self) -> bool:

@@ -63,16 +63,16 @@ def gap_rows(
 
 def look_row(look: GapLook) -> dict[str, Any]:
     """What was seen of a gap, and the answers, by `GAP_COLUMNS`."""
-    asked = look.rule is None
+    asked, seen = look.rule is None, look.seen
     return {
-        "side": look.side,
-        "lane_id": look.target.lane_id,
-        "cell": look.target.index,
-        "cells_free": str(look.cells_free).lower(),
+        "side": seen.side,
+        "lane_id": seen.target.lane_id,
+        "cell": seen.target.index,
+        "cells_free": str(seen.cells_free).lower(),
         "speed_mps": number(look.own_mps),
-        **_neighbour("lead", look.front, follower_mps=look.own_mps, leader_mps=look.front.speed_mps),
-        **_neighbour("lag", look.rear, follower_mps=look.rear.speed_mps, leader_mps=look.own_mps),
-        "remaining_m": number(look.remaining_m),
+        **_neighbour("lead", seen.front, follower_mps=look.own_mps, leader_mps=seen.front.speed_mps),
+        **_neighbour("lag", seen.rear, follower_mps=seen.rear.speed_mps, leader_mps=look.own_mps),
+        "remaining_m": number(seen.remaining_m),
         "rule": str(look.rule or "yes"),
         "refusals": " ".join(look.refusals) or None,
         "guard": str(look.guard or "yes") if asked else None,

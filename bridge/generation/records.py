@@ -147,9 +147,9 @@ def rejected_records(filling: Filling) -> tuple[RejectedRecord, ...]:
 def replaced_record(rejection: Rejection) -> ReplacedRecord:
     """One vehicle that was driven and not kept."""
     return ReplacedRecord(
-        vehicle=rejection.vehicle_id, policy=rejection.policy, reason=rejection.reason.value,
+        vehicle=rejection.vehicle.vehicle_id, policy=rejection.vehicle.policy, reason=rejection.reason.value,
         detail=None if rejection.detail is None else str(rejection.detail), round=rejection.round_number,
-        lane_segment_id=rejection.lane_id, cell=rejection.cell, last_step=rejection.last_step,
+        lane_segment_id=rejection.cell.lane_id, cell=rejection.cell.index, last_step=rejection.vehicle.last_step,
     )  # fmt: skip
 
 
@@ -157,7 +157,7 @@ def selection_record(scene: Scene, filling: Filling) -> SelectionRecord:
     """How vehicles that are kept drive, those that are not, and recorded vehicles that move."""
     traffic = scene.traffic
     speeds = [np.hypot(*traffic.velocity[row, traffic.present[row]].T) for row in moving_vehicles(scene).tolist()]
-    driven = {"kept": [one.driven for one in filling.kept], "dropped": filling.dropped}
+    driven = {"kept": [one.driven for one in filling.kept], "dropped": [one.vehicle for one in filling.rejected]}
     told = {"recorded": drives(speeds, step_s=scene.step_s)} | {
         name: drives(
             (np.array(one.v) for one in vehicles),

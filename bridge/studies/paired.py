@@ -106,7 +106,7 @@ def draw(prepared: PreparedScene, config: Config) -> Drawn:
 
 def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedRun:
     """Drive the vehicles with a configuration, and measure. Errors: SimulationError, ConfigError."""
-    scene = replace(drawn.scene, config=config, _known={}, _leaders={})
+    scene = replace(drawn.scene, config=config)
     trigger_s, last_s = triggers(config, drawn), scene.last_s
     starts = [
         replace(
@@ -183,7 +183,7 @@ def _measured(
             ttc = float(ttc_s[own].min())
             row["min_ttc_s"] = None if ttc >= CAP_S else number(ttc)
             row["overlaps"] = row["min_ttc_s"] == 0.0
-            lag_id = next((look.rear.track_id for look in vehicle.gaps if look.sumo), None)
+            lag_id = next((look.seen.rear.track_id for look in vehicle.gaps if look.sumo), None)
             if lag_id in arrays.track_ids:
                 pair = (arrays.track_ids.index(str(name)) for name in (lag_id, vehicle.vehicle_id))
                 course = pair_course(arrays, *pair).during(first, last)

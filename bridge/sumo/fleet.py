@@ -17,7 +17,7 @@ from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
-from hid2.occupancy.along_path import PathOccupancy, look_along
+from hid2.occupancy.along_path import PathOccupancy, path_occupancy
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.policy.behaviours import BEHAVIOURS
 from hid2.policy.roads import STRAIGHT, Roads
@@ -203,11 +203,8 @@ class Fleet:
         way = self.ways[row]
         if way.known is None:
             path, box = self.vehicles[row].path, self.vehicles[row].start.box
-            found = self.scene.in_driving_width(path, box)
-            if self.fixed.ids:
-                more = look_along(path.line, self.fixed, box.length_m, box.width_m)
-                found = found.joined(replace(more, agents=more.agents + len(self.scene.traffic.ids)))
-            way.known = found
+            recorded, kept = (path_occupancy(path.line, one, box) for one in (self.scene.future, self.fixed))
+            way.known = recorded.joined(replace(kept, agents=kept.agents + len(self.scene.traffic.ids)))
         return way.known
 
     @property
@@ -284,7 +281,7 @@ class Fleet:
         if self.scene.config.driving.replay == "fixed":
             return obstacles
         vehicle = self.vehicles[row]
-        rows = self.scene.recorded_on(path, vehicle.start.box).agents
+        rows = self.scene.met_on(path, vehicle.start.box, self.scene.future).agents
         xy, tangent, _ = vehicle.path.line.motion(np.array([vehicle.s[-1]]))
         yields = yielding(
             self.scene, rows, now, xy=xy[0], forward=tangent[0], half_m=0.5 * vehicle.start.box.length_m,

@@ -5,6 +5,7 @@ from typing import NamedTuple
 from bridge.sumo.fleet import Fleet
 from hid2.agents import FloatArray, IntArray
 from hid2.conflicts.guard import STRIDE
+from hid2.conflicts.stop_lines import STOPS
 from hid2.kernels.steering import CAUSES, NO_LIMIT_MPS, speed_limits
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.traffic import BoolArray
@@ -41,7 +42,7 @@ def limits_of(fleet: Fleet, rows: IntArray, now: int) -> Limits:
     return Limits(*speed_limits(
         rows, now, fleet.state, fleet.desired_mps, fleet.drivers, fleet.yielding, STRAIGHT,
         guard.horizon, STRIDE, fleet.scene.step_s, TABLE_STEP_M, guard.brakes,
-        guard.predicted, fleet.stop_lines.stops, guard.rules, first[-rows.size - 1 :], *along,
+        guard.predicted, STOPS, guard.rules, first[-rows.size - 1 :], *along,
     ))  # fmt: skip
 
 

@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from hid2.measures.encounters import CROSSING_RAD
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import BoolArray, Traffic
+from hid2.once import once
 
 # No tunables, here and below: when an agent walks over a crossing. It counts so near to it, m, if it comes towards it
 # this fast, m/s, or is on it within so long, s.
@@ -35,7 +37,7 @@ class CrossingOnPath(NamedTuple):
     occupied: BoolArray
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, eq=False)
 class PedestrianCrossings:
     """The pedestrian crossings of a scene and which agents use them when.
 
@@ -46,31 +48,27 @@ class PedestrianCrossings:
     polygons: Sequence[FloatArray]
     traffic: Traffic
     step_s: float
-    _corners: FloatArray = field(init=False, repr=False)
-    _at: BoolArray = field(init=False, repr=False)
-    _known: dict[tuple[DrivenPath, float], list[CrossingOnPath]] = field(init=False, default_factory=dict, repr=False)
 
-    def __post_init__(self) -> None:
+    @cached_property
+    def _corners(self) -> FloatArray:
+        return np.array(self.polygons, dtype=np.float64).reshape(-1, 4, 2)
+
+    @cached_property
+    def _at(self) -> BoolArray:
         traffic = self.traffic
-        self._corners = np.array(self.polygons, dtype=np.float64).reshape(-1, 4, 2)
-        self._at = at_crossings(
+        return at_crossings(
             self._corners, traffic.position, traffic.velocity, traffic.present,
             _NEAR_M, _TOWARDS_MPS, round(_AHEAD_S / self.step_s),
         )  # fmt: skip
 
+    @once
     def on(self, path: DrivenPath, *, width_m: float) -> list[CrossingOnPath]:
-        """Crossings along a path in the order in which a vehicle of a width comes to them; found once.
+        """Crossings along a path in the order in which a vehicle of a width comes to them.
 
         Occupied: an agent is on the crossing, or will be within _AHEAD_S by its recorded future, or is within _NEAR_M
         of it and moves towards it; and is within _STRIP_M of the swept width within _STRIP_S. No vehicle waits for
         agents that have passed, nor for those that move along the path, as cyclists on the road do.
         """
-        key = path, width_m
-        if key not in self._known:
-            self._known[key] = self._find(path, width_m) if len(self._corners) else []
-        return self._known[key]
-
-    def _find(self, path: DrivenPath, width_m: float) -> list[CrossingOnPath]:
         line = path.line
         count = min(int(path.exit_s / TABLE_STEP_M) + 1, len(line.table_xy))
         xy, heading = line.table_xy[:count], line.table_heading[:count]

@@ -13,14 +13,15 @@ from typing import NamedTuple
 import numpy as np
 
 from hid2.agents import BoxSize, FloatArray, IntArray
-from hid2.conflicts.stop_lines import ClosedLines, StopLines
+from hid2.conflicts.stop_lines import STOPS, ClosedLines, StopLines
 from hid2.drivers.driver import Driver
 from hid2.kernels.guard import needed_braking
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
-from hid2.occupancy.along_path import PathOccupancy, look_along, path_occupancy
+from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.sigma import ORIGINAL
 from hid2.occupancy.traffic import Traffic
+from hid2.once import once
 from hid2.scene import Scene
 
 # No tunables, here and below: they are how a driver brakes for what SUMO does not see, chosen on the scenes of
@@ -95,7 +96,7 @@ def _boxes_reach_m(one: BoxSize, other: BoxSize) -> float:
     return 0.5 * (one.length_m + one.width_m + other.length_m + other.width_m) + _MARGINS_M
 
 
-@dataclass(eq=False, slots=True)
+@dataclass(eq=False)
 class Guard:
     """Conflict case 3 of all vehicles that are driven together.
 
@@ -105,10 +106,6 @@ class Guard:
     scene: Scene
     fixed: Traffic
     stop_lines: StopLines
-    _swept: dict[tuple[DrivenPath, BoxSize, DrivenPath, BoxSize], tuple[FloatArray, FloatArray, FloatArray] | None] = (
-        field(default_factory=dict)
-    )
-    _on_its_own: dict[tuple[DrivenPath, BoxSize], Traffic] = field(default_factory=dict)
     brakes: FloatArray = field(init=False)
     predicted: tuple[float, float, float, float] = field(init=False)
     rules: tuple[float, float, float, float, float, float, float, float, float, float] = _RULES
@@ -130,7 +127,7 @@ class Guard:
 
     def obstacles(self, path: DrivenPath, box: BoxSize, others: list[tuple[int, DrivenPath, BoxSize]]) -> Obstacles:
         """All agents on a path for a box; others: fleet rows with the paths and boxes of those driven together."""
-        known = self.scene.kept_clear_on(path, box).joined(self.fixed_on(path, box))
+        known = self.known_on(path, box)
         found = [
             (row, swept)
             for row, other, other_box in others
@@ -142,49 +139,41 @@ class Guard:
         for place, (_, swept) in enumerate(found):
             every[:, place, : swept[0].size] = swept
         rows = np.array([row for row, _ in found], dtype=np.int64)
-        return Obstacles(known=known, swept=every, rows=rows, lines=self.stop_lines.arrays(path, box))
+        return Obstacles(known=known, swept=every, rows=rows, lines=self.stop_lines.on(path, box))
 
-    def fixed_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
-        """Intervals of those kept on a path, with margins and the critical PET; the same object while none comes.
+    def known_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
+        """Intervals on a path of all agents with known motion, with margins and the critical PET.
 
-        What crosses is kept clear of as long as cross traffic makes an entrance red: streams do not mingle.
+        Inserted ones that cross are kept clear of as long as cross traffic makes an entrance red: streams do not
+        mingle. Recorded ones come first, by rows of the scene's traffic; then inserted ones, by theirs in `fixed`.
         """
         scene = self.scene
-        return path_occupancy(
-            path.line, self.fixed, length_m=box.length_m, width_m=box.width_m,
-            margin_lateral_m=scene.config.conflict.margin_lateral_m,
-            clear_steps=max(scene.pet_steps, scene.steps_in(scene.config.signals.before_s)),
-            clear_margin_m=scene.pet_margin_m,
-        )  # fmt: skip
+        recorded = scene.kept_clear_on(path, box, scene.future)
+        return recorded.joined(scene.kept_clear_on(path, box, self.fixed, at_least_s=scene.config.signals.before_s))
 
+    @once
     def _swept_on(
         self, path: DrivenPath, box: BoxSize, other: DrivenPath, other_box: BoxSize
     ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """Interval on a path, and cosine between the two, for each place of another vehicle along its own path."""
-        key = path, box, other, other_box
-        if key not in self._swept and path.line.is_beyond(other.line, _boxes_reach_m(box, other_box)):
-            self._swept[key] = None
-        if key not in self._swept:
-            alone = self._alone(other, other_box)
-            width = box.width_m + 2 * self.scene.config.conflict.margin_lateral_m
-            found = look_along(path.line, alone, box.length_m, width)
-            self._swept[key] = (found.low[0], found.high[0], found.along[0]) if found.agents.size else None
-        return self._swept[key]
+        if path.line.is_beyond(other.line, _boxes_reach_m(box, other_box)):
+            return None
+        width_m = box.width_m + 2 * self.scene.config.conflict.margin_lateral_m
+        found = look_along(path.line, self._alone(other, other_box), box.length_m, width_m)
+        return (found.low[0], found.high[0], found.along[0]) if found.agents.size else None
 
+    @once
     def _alone(self, path: DrivenPath, box: BoxSize) -> Traffic:
         """A vehicle at each place along its own path, as steps."""
-        key = path, box
-        if key not in self._on_its_own:
-            every = slice(None, None, round(1.0 / TABLE_STEP_M))
-            xy = np.ascontiguousarray(path.line.table_xy[every])
-            heading = np.ascontiguousarray(path.line.table_heading[every])
-            forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-            self._on_its_own[key] = Traffic(
-                ids=("other",), position=xy[None], heading=heading[None], velocity=forward[None],
-                present=np.ones((1, heading.size), dtype=np.bool_), length_m=np.array([box.length_m]),
-                width_m=np.array([box.width_m]),
-            )  # fmt: skip
-        return self._on_its_own[key]
+        every = slice(None, None, round(1.0 / TABLE_STEP_M))
+        xy = np.ascontiguousarray(path.line.table_xy[every])
+        heading = np.ascontiguousarray(path.line.table_heading[every])
+        forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+        return Traffic(
+            ids=("other",), position=xy[None], heading=heading[None], velocity=forward[None],
+            present=np.ones((1, heading.size), dtype=np.bool_), length_m=np.array([box.length_m]),
+            width_m=np.array([box.width_m]),
+        )  # fmt: skip
 
     def braking(
         self, obstacles: Obstacles, *, own: int, step: int, fleet: FloatArray, state: tuple[float, float, float],
@@ -199,8 +188,7 @@ class Guard:
             known.low, known.high, known.along, known.same_direction, obstacles.lines.stop_s, obstacles.lines.closed,
             obstacles.swept, obstacles.rows, fleet, own, step, state, desired_mps, road, TABLE_STEP_M, 1.0,
             round((conflict.horizon_s if horizon_s is None else horizon_s) / step_s), STRIDE, step_s,
-            driver.following, self.brakes, self.predicted,
-            obstacles.lines.stops,
+            driver.following, self.brakes, self.predicted, STOPS,
         )  # fmt: skip
         return Braking(
             decel_mps2=float(self.brakes[row]),

@@ -17,6 +17,7 @@ from hid2.occupancy.along_path import look_along
 from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path
 from hid2.occupancy.sigma import original_occupancy
 from hid2.occupancy.traffic import BoolArray, Traffic, velocity_of
+from hid2.once import once
 from hid2.scene import Scene
 from netconvert.geometry import wrap_angle
 
@@ -68,7 +69,7 @@ class _OwnPath:
         return min(max(found, since), since + 1.0)
 
 
-@dataclass(eq=False, slots=True)
+@dataclass(eq=False)
 class Reactions:
     """The recorded vehicles of one simulation. scene: as it has become; follow_mps: their car following.
 
@@ -80,7 +81,6 @@ class Reactions:
     late: FloatArray = field(init=False)
     _recorded: Traffic = field(init=False)
     _speed: FloatArray = field(init=False)
-    _paths: dict[int, _OwnPath] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """No agent is late yet."""
@@ -147,12 +147,11 @@ class Reactions:
         found = gaps_on_path(seen, np.interp([place], steps, driven.s[steps]), 0)
         return None if found.leader[0] < 0 else (max(0.0, float(found.lead_m[0])), float(found.lead_mps[0]))
 
+    @once
     def _path(self, row: int) -> _OwnPath:
-        if row not in self._paths:
-            there = np.flatnonzero(self._recorded.present[row])
-            way = np.hypot(*np.diff(self._recorded.position[row, there], axis=0).T)
-            self._paths[row] = _OwnPath(int(there[0]), np.concatenate([[0.0], np.cumsum(way)]))
-        return self._paths[row]
+        there = np.flatnonzero(self._recorded.present[row])
+        way = np.hypot(*np.diff(self._recorded.position[row, there], axis=0).T)
+        return _OwnPath(int(there[0]), np.concatenate([[0.0], np.cumsum(way)]))
 
     def _move(self, rows: Sequence[int], step: int) -> None:
         """The scene with some agents later from a step on: they are expected to go on as recorded, so much later."""
@@ -172,10 +171,8 @@ class Reactions:
             velocity[row, present[row]] = velocity_of(position[row, present[row]], scene.step_s)
         future = replace(scene.future, position=position, heading=heading, velocity=velocity, present=present)
         traffic = future.first(scene.num_steps)
-        self.scene = replace(
-            scene, traffic=traffic, future=future, occupancy=original_occupancy(scene.boxes, traffic), _known={},
-            _leaders={},
-        )  # fmt: skip
+        occupancy = original_occupancy(scene.boxes, traffic)
+        self.scene = replace(scene, traffic=traffic, future=future, occupancy=occupancy)
 
     @property
     def late_s(self) -> dict[str, float]:

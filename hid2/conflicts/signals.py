@@ -6,7 +6,8 @@ stands, and, straight on, while that of the opposite approach does. Recorded veh
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from hid2.occupancy.along_path import look_along
 from hid2.occupancy.shown import STANDING_MPS
 from hid2.occupancy.sigma import UNDER_SHARE
 from hid2.occupancy.traffic import BoolArray
+from hid2.once import once
 from hid2.params import Limits, Signals
 from netconvert.lane_graph import SIDES, LaneGraph, TurnType
 
@@ -53,7 +55,7 @@ class _Watched(NamedTuple):
     waits: dict[int, BoolArray]
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, eq=False)
 class InferredSignals:
     """Red and green of the entrances of a scene, worked out for each lane when it is first asked for.
 
@@ -64,31 +66,35 @@ class InferredSignals:
     graph: LaneGraph
     states: AgentStates
     params: Signals
-    _speed: FloatArray = field(init=False, repr=False)
-    _flows: BoolArray = field(init=False, repr=False)
-    _waits: IntArray = field(init=False, repr=False)
-    _approaches: dict[int, _Approach | None] = field(init=False, default_factory=dict, repr=False)
-    _watched: dict[_Approach, _Watched] = field(init=False, default_factory=dict, repr=False)
-    _red: dict[int, BoolArray | None] = field(init=False, default_factory=dict, repr=False)
 
-    def __post_init__(self) -> None:
-        """Speeds, m/s, and whether an agent is cross traffic where it crosses (A, T); rows that stand as in a queue."""
-        arrays, velocity, matches = self.states.arrays, self.states.traffic.velocity, self.states.matches
-        self._speed = np.hypot(velocity[..., 0], velocity[..., 1])
+    @cached_property
+    def _speed(self) -> FloatArray:
+        """(A, T) m/s."""
+        velocity = self.states.traffic.velocity
+        return np.asarray(np.hypot(velocity[..., 0], velocity[..., 1]))
+
+    @cached_property
+    def _flows(self) -> BoolArray:
+        """(A, T) whether an agent is cross traffic where it crosses."""
+        arrays = self.states.arrays
         obeys = np.array([kind in SIGNALLED_TYPES for kind in arrays.object_types], dtype=np.bool_)
-        self._flows = (self._speed > _FLOW_MPS) & (arrays.moving & obeys)[:, None]
-        stands = self._speed[arrays.agent, arrays.step] < STANDING_MPS
-        self._waits = np.flatnonzero(stands & (matches.lane >= 0) & ~parked(self.states)[arrays.agent])
+        return np.asarray((self._speed > _FLOW_MPS) & (arrays.moving & obeys)[:, None])
 
+    @cached_property
+    def _waits(self) -> IntArray:
+        """Rows that stand as in a queue."""
+        arrays = self.states.arrays
+        stands = self._speed[arrays.agent, arrays.step] < STANDING_MPS
+        return np.flatnonzero(stands & (self.states.matches.lane >= 0) & ~parked(self.states)[arrays.agent])
+
+    @once
     def red(self, lane_id: int) -> BoolArray | None:
         """(T,) whether a vehicle that approaches the lane at a step has to stop at its entrance.
 
         None for a lane without an entrance: outside of intersections, or entered from within one or from nowhere.
         """
-        if lane_id not in self._red:
-            approach = self._approach(lane_id)
-            self._red[lane_id] = None if approach is None else self._infer(lane_id, approach)
-        return self._red[lane_id]
+        approach = self._approach(lane_id)
+        return None if approach is None else self._infer(lane_id, approach)
 
     def enters(self, lane_id: int) -> BoolArray | None:
         """(T,) whether a recorded vehicle's centre passes the lane's entrance at a step; None as in `red`."""
@@ -164,12 +170,8 @@ class InferredSignals:
         across &= self._flows[seen.agents] & others[seen.agents, None]
         return np.asarray((across & (seen.low < line.length_m)).any(axis=0))
 
+    @once
     def _watch(self, approach: _Approach) -> _Watched:
-        if approach not in self._watched:
-            self._watched[approach] = self._look(approach)
-        return self._watched[approach]
-
-    def _look(self, approach: _Approach) -> _Watched:
         arrays, matches, lanes = self.states.arrays, self.states.matches, self.states.lanes
         steps, length_m = arrays.num_steps, lanes.length_m
         comes_from = np.zeros(arrays.num_agents, dtype=np.bool_)
@@ -197,24 +199,20 @@ class InferredSignals:
                 waits[one][step[(lane == row) & (length_m[row] - s + ahead_m <= _QUEUE_M)]] = True
         return _Watched(comes_from, enters, waits)
 
+    @once
     def _approach(self, lane_id: int) -> _Approach | None:
-        if lane_id not in self._approaches:
-            self._approaches[lane_id] = _approach_of(self.graph, lane_id)
-        return self._approaches[lane_id]
-
-
-def _approach_of(graph: LaneGraph, lane_id: int) -> _Approach | None:
-    if not graph.lanes[lane_id].is_intersection:
-        return None
-    lanes = {before for before in graph.predecessors(lane_id) if not graph.lanes[before].is_intersection}
-    for before in tuple(lanes):
-        for side in SIDES:
-            beside = graph.neighbor(before, side)
-            while beside is not None and not graph.lanes[beside].is_intersection:
-                lanes.add(beside)
-                beside = graph.neighbor(beside, side)
-    fan = {onward for lane in lanes for onward in graph.successors(lane) if graph.lanes[onward].is_intersection}
-    return _Approach(tuple(sorted(lanes)), tuple(sorted(fan))) if lanes else None
+        graph = self.graph
+        if not graph.lanes[lane_id].is_intersection:
+            return None
+        lanes = {before for before in graph.predecessors(lane_id) if not graph.lanes[before].is_intersection}
+        for before in tuple(lanes):
+            for side in SIDES:
+                beside = graph.neighbor(before, side)
+                while beside is not None and not graph.lanes[beside].is_intersection:
+                    lanes.add(beside)
+                    beside = graph.neighbor(beside, side)
+        fan = {onward for lane in lanes for onward in graph.successors(lane) if graph.lanes[onward].is_intersection}
+        return _Approach(tuple(sorted(lanes)), tuple(sorted(fan))) if lanes else None
 
 
 def _leads_only(graph: LaneGraph, lane_id: int, turn: TurnType, fan: Sequence[int]) -> bool:

@@ -15,11 +15,11 @@ from hid2.drivers.driver import Driver, LaneOffset, desired_speeds, draw_driver,
 from hid2.measures.driven_lanes import LaneView, path_driven, runs_of
 from hid2.measures.following import leaders
 from hid2.motion.reference_line import TABLE_STEP_M, build_reference_line
-from hid2.motion.route import MAX_OFFSET_M, PATH_STEP_M, DrivenPath, Route
+from hid2.motion.route import DRIVABLE_TYPES, MAX_OFFSET_M, PATH_STEP_M, DrivenPath, Route
 from hid2.motion.smoothing import smooth_motion, trajectory
 from hid2.occupancy.agent_states import AgentStates
 from hid2.policy.roads import Roads
-from hid2.scene import DRIVABLE_TYPES, Scene, clearance_box
+from hid2.scene import Scene, clearance_box
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 from netconvert.geometry import Polyline, arc_length, wrap_angle
 
@@ -105,7 +105,7 @@ def _route(view: LaneView, row: int, first: int) -> Route | None:
 
 def own_path(scene: Scene, one: TakenOut) -> DrivenPath:
     """Path of a vehicle along its lanes: as far aside as at the present, and back to the usual place."""
-    middle, usual_m = scene.path(one.route), scene.config.drivers.offset_mean_m
+    middle, usual_m = scene.paths.along(one.route), scene.config.drivers.offset_mean_m
     start_s, d_m = _on(middle, one.position)
     s = np.arange(0.0, middle.line.length_m, _POINTS_M)
     aside = usual_m + (d_m - usual_m) * np.exp(-((np.maximum(s - start_s, 0.0) / _BACK_OVER_M) ** 2))

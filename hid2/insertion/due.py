@@ -10,8 +10,9 @@ from hid2.drivers.driver import free_speeds
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import LaneOption, Observation, Side, decide, is_due
+from hid2.policy.lane_change import Gap
 from hid2.policy.observation import gap_ahead_of, lane_options, lay_across, leader_on, own_gaps, returns_to
-from hid2.policy.overtake import SHIFT_RATIO, Leader, Stage
+from hid2.policy.overtake import SHIFT_RATIO, Stage
 from hid2.policy.rules import SumoAnswer
 from hid2.reasons import Reason
 from hid2.scene import Scene
@@ -81,7 +82,7 @@ class Due:
         decision = decide(seen, lane_change=config.lane_change, overtake=config.overtake)
         vehicle.policies[decision.policy] += 1
         for (option, _), answer in zip(options.values(), decision.answers, strict=False):  # those not looked at: none
-            vehicle.gaps.append(self._look(option, answer))
+            vehicle.gaps.append(GapLook(self.now, option, vehicle.v[-1], answer))
         if decision.side is None:
             vehicle.reason = decision.reason
             return None
@@ -118,7 +119,7 @@ class Due:
             found = [(replace(option, sumo=ask_sumo(option.side)), target) for option, target in found]
         return {option.side: (option, target) for option, target in found}
 
-    def _leader(self) -> Leader | None:
+    def _leader(self) -> Gap | None:
         """For an overtake the leader within d_obs."""
         if self.vehicle.policy is not Policy.OVERTAKE:
             return None
@@ -143,7 +144,7 @@ class Due:
             return recorded.joined(self.fixed.at(self.now), self.others)
         return recorded.joined(self.others)
 
-    def _observation(self, options: tuple[LaneOption, ...], leader: Leader | None) -> Observation:
+    def _observation(self, options: tuple[LaneOption, ...], leader: Gap | None) -> Observation:
         vehicle, start, scene = self.vehicle, self.vehicle.start, self.scene
         cell = scene.cell_at(vehicle.path, vehicle.s[-1])
         own_front, own_rear = own_gaps(
@@ -156,13 +157,6 @@ class Due:
             stage=vehicle.stage, leader=leader, options=options, passed_gap_m=self.passed_gap_m(),
             length_m=start.box.length_m, driver=start.driver, own_front=own_front, own_rear=own_rear,
             vehicle_id=vehicle.vehicle_id,
-        )  # fmt: skip
-
-    def _look(self, option: LaneOption, refusals: tuple[Reason, ...]) -> GapLook:
-        """What is recorded of one look at a gap."""
-        return GapLook(
-            step=self.now, side=option.side, target=option.target, front=option.front, rear=option.rear,
-            own_mps=self.vehicle.v[-1], remaining_m=option.remaining_m, cells_free=option.cells_free, refusals=refusals,
         )  # fmt: skip
 
     def _lay(self, option: LaneOption, target: DrivenPath) -> DrivenPath | Reason:

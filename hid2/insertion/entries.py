@@ -1,6 +1,7 @@
 """Entries: where and when vehicles may enter at the map's edge, and what they would meet from there."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -32,21 +33,13 @@ class EntryTable(NamedTuple):
     leader: IntArray
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, eq=False)
 class Entries:
-    """Entries of one scene; the table is made at the first use."""
+    """Entries of one scene."""
 
     scene: Scene
     routes: Routes
     meetings: Meetings
-    _table: list[EntryTable] = field(default_factory=list)
-
-    @property
-    def table(self) -> EntryTable:
-        """All of them, at every look of `Meetings` after the first, up to the last observed step."""
-        if not self._table:
-            self._table.append(self._made())
-        return self._table[0]
 
     def offer(self, row: int) -> RouteOffer:
         """The route of an entry."""
@@ -66,7 +59,9 @@ class Entries:
                 return int(table.leader[row])
         return -1
 
-    def _made(self) -> EntryTable:
+    @cached_property
+    def table(self) -> EntryTable:
+        """All of them, at every look of `Meetings` after the first, up to the last observed step."""
         scene = self.scene
         rows: list[tuple[int, int, int]] = []
         met: list[tuple[float, bool, int]] = []

@@ -19,7 +19,7 @@ from hid2.insertion.event_objective import MOMENT_S
 from hid2.insertion.event_targets import Target
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.measures.encounters import CROSSING_RAD
-from hid2.motion.route import ROUTE_LONGEST_M, DrivenPath, Route
+from hid2.motion.route import ROUTE_LONGEST_M, DrivenPath, Route, is_drivable
 from hid2.occupancy.traffic import BoolArray
 from hid2.params import Event
 from hid2.policy.decision import Side
@@ -181,7 +181,7 @@ class Places:
         return list(found.items())
 
     def _path(self, route: Route) -> DrivenPath:
-        return self.routes.scene.path(route)
+        return self.routes.scene.paths.along(route)
 
     def _crossed_lanes(self) -> list[tuple[int, float, int]]:
         """Lanes that the target crosses: lane id, arc length there, m, and the step at which it does."""
@@ -206,7 +206,7 @@ class Places:
         Then those that come onto it from elsewhere, and those that go on elsewhere, the nearest ones first.
         """
         graph, lanes = self.routes.scene.grid.graph, self.routes.scene.grid.graph.lanes
-        if not self.routes.usable(lane_id):
+        if not is_drivable(graph, lane_id):
             return []
 
         def rank(known: tuple[int, ...]) -> Callable[[int], tuple[bool, bool, int]]:
@@ -223,11 +223,11 @@ class Places:
         longest_m: float,
     ) -> list[Route]:  # fmt: skip
         """Lanes from a lane on, by what is best at each split; then with another one at a split, the nearest first."""
-        lanes = self.routes.scene.grid.graph.lanes
+        graph, lanes = self.routes.scene.grid.graph, self.routes.scene.grid.graph.lanes
 
         def beyond(way: Route) -> list[int]:
             far = sum(lanes[n].length_m for n in way[1:]) > longest_m
-            return [] if far else sorted((n for n in onto(way[-1]) if self.routes.usable(n) and n not in way), key=rank)
+            return [] if far else sorted((n for n in onto(way[-1]) if is_drivable(graph, n) and n not in way), key=rank)
 
         def goes_on(way: Route) -> Route:
             while options := beyond(way):

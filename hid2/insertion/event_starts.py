@@ -97,7 +97,7 @@ class EventStarts(Starts):
         cells = np.arange(time_s.size) * TABLE_STEP_M
         freely = np.where(rng.random(_DRAWS) < 0.5, 1.0, rng.random(_DRAWS))  # share of the time in which it is held up
         begin_s = np.interp(np.interp(s, cells, time_s) - freely * at * scene.step_s, time_s, cells, left=-1.0)
-        near = gaps_on_path(self.world.known_on(place.path, self._box), begin_s, 0)
+        near = gaps_on_path(self.world.guard.known_on(place.path, self._box), begin_s, 0)
         clear = np.minimum(near.lead_m, near.lag_m) >= CLEAR_GAP_M
         clear &= (begin_s > 0.5 * self._box.length_m) & (s < place.path.exit_s)
         if not clear.any():

@@ -95,7 +95,7 @@ def scene_for(scene: Scene, event: Event) -> Scene:
         }
         update["lane_change"] = config.lane_change.model_copy(update=change)
     changed: Config = config.model_copy(update=update)
-    return replace(scene, config=changed, _known={} if "pet_min_s" in critical else scene._known)
+    return replace(scene, config=changed)
 
 
 @dataclass(slots=True)

@@ -33,8 +33,6 @@ _MOST, _FULL_SHARE, _FAILED, _FAILED_STRAIGHT, _AGAIN = 400, 0.1, 4, 1, 1
 SPACING_M = 25.0
 #: Runs one simulation: starts, generated vehicles kept in rounds before, number of the round.
 Drive = Callable[[Sequence[Start], Traffic, int], list[DrivenVehicle]]
-#: Vehicles of a round that are not exported, by id: reason and detail.
-_Gone = dict[str, tuple[DrivenVehicle, Reason, str | None]]
 #: Rounds in a row that add no vehicle, after which there are no more. No tunable: one may have had bad luck.
 _IDLE = 2
 _LOG = logging.getLogger(__name__)
@@ -50,15 +48,12 @@ class Unmet:
 
 @dataclass(frozen=True, slots=True)
 class Rejection:
-    """A vehicle that was tried and not exported: why, in which round, where it started, its last step."""
+    """A vehicle that was driven and not exported: why, in which round, in which cell it started."""
 
+    vehicle: DrivenVehicle
     reason: Reason
-    vehicle_id: str
-    policy: Policy
     round_number: int
-    lane_id: int
-    cell: int
-    last_step: int
+    cell: Cell
     detail: str | None = None
 
 
@@ -66,7 +61,7 @@ class Rejection:
 class Filling:
     """One scene being filled.
 
-    kept: exported vehicles; outcomes: of those that were to do a manoeuvre, by id; dropped: driven, not exported.
+    kept: exported vehicles; outcomes: of those that were to do a manoeuvre, by id.
     """
 
     surroundings: Surroundings
@@ -76,7 +71,6 @@ class Filling:
     outcomes: dict[str, Outcome] = field(default_factory=dict)
     unmet: list[Unmet] = field(default_factory=list)
     rejected: list[Rejection] = field(default_factory=list)
-    dropped: list[DrivenVehicle] = field(default_factory=list)
     no_site: Counter[Reason] = field(default_factory=Counter)
     events: list[EventOutcome] = field(default_factory=list)
     rounds: int = 0
@@ -113,7 +107,7 @@ class Filling:
             starts, before = self._starts(number), len(self.kept)
             if starts or number == 0:
                 self.rounds = number + 1
-                self._keep(drive(starts, self._fixed, number), number)
+                self._keep(drive(starts, self._fixed, number))
             if not self._open:
                 break
             added = len(self.kept) - before
@@ -143,9 +137,9 @@ class Filling:
             if not gone:
                 break
             self.kept = []
-            for vehicle, reason, detail in gone.values():
-                self._note(vehicle, reason, detail, self.rounds - 1)
-                self._last_reason[vehicle.start.request.number] = reason
+            for one in gone.values():
+                self._note(one)
+                self._last_reason[one.vehicle.start.request.number] = one.reason
             starts = [vehicle.start for vehicle in vehicles if vehicle.vehicle_id not in gone]
         self._give_up_manoeuvres({one.driven.start.request.number for one in self.kept})
 
@@ -256,40 +250,40 @@ class Filling:
             self._gives_up(request)
         return bool(left)
 
-    def _keep(self, vehicles: list[DrivenVehicle], number: int) -> None:
+    def _keep(self, vehicles: list[DrivenVehicle]) -> None:
         """Keep what holds; what does not goes with its reason, and its request stays open."""
         new, gone = self._judged(vehicles)
-        for vehicle, reason, _ in gone.values():
-            self._last_reason[vehicle.start.request.number] = reason
+        for one in gone.values():
+            self._last_reason[one.vehicle.start.request.number] = one.reason
         self._drive_again(new, gone)
-        if number < self.scene.config.spawn.reseed_rounds:
+        if self.rounds <= self.scene.config.spawn.reseed_rounds:
             new = self._gone_straight(new, gone)
             self._drive_again(new, gone)
-        for vehicle, reason, detail in gone.values():
-            self._note(vehicle, reason, detail, number)
-        kept_now = [one for one in new if one.driven.vehicle_id not in gone]
-        for one in kept_now:
-            outcome = self.outcomes.get(one.driven.vehicle_id)
+        for one in gone.values():
+            self._note(one)
+        kept_now = [vehicle for vehicle in new if vehicle.driven.vehicle_id not in gone]
+        for vehicle in kept_now:
+            outcome = self.outcomes.get(vehicle.driven.vehicle_id)
             became = None if outcome is None else " ".join(filter(None, (outcome.status, outcome.reason)))
-            _tell(one.driven, _site(self.scene, one.driven), number, "kept", became)
+            self._tell(vehicle.driven, self._site(vehicle.driven), "kept", became)
         self.kept += kept_now
         self._fixed = self._fixed.joined(traffic_of_exported(kept_now, self.scene))
         met = {one.driven.start.request.number for one in kept_now}
         self._open = [request for request in self._open if request.number not in met]
 
-    def _judged(self, vehicles: list[DrivenVehicle]) -> tuple[list[ExportedVehicle], _Gone]:
-        """Those driven that pass the last check beside those that are kept, with their outcomes; and all others."""
+    def _judged(self, vehicles: list[DrivenVehicle]) -> tuple[list[ExportedVehicle], dict[str, Rejection]]:
+        """Those driven that pass the last check beside those that are kept, with outcomes; all others, by id."""
         new: list[ExportedVehicle] = []
-        gone: _Gone = {}
+        gone: dict[str, Rejection] = {}
         for vehicle in vehicles:
             found = finalise(self.scene, vehicle, [*self.kept, *new])
             if isinstance(found, ExportedVehicle):
                 new.append(found)
             else:
-                gone[vehicle.vehicle_id] = vehicle, found, None
+                gone[vehicle.vehicle_id] = self._rejection(vehicle, found)
         for row, reason in conflicting(self.scene, [*self.kept, *new], since=len(self.kept)):
             driven = new[row - len(self.kept)].driven
-            gone[driven.vehicle_id] = driven, reason, None
+            gone[driven.vehicle_id] = self._rejection(driven, reason)
         new = [one for one in new if one.driven.vehicle_id not in gone]
         for one in new:
             outcome = outcome_of(self.scene, one, [*self.kept, *new])
@@ -297,7 +291,7 @@ class Filling:
                 self.outcomes[one.driven.vehicle_id] = outcome
         return new, gone
 
-    def _gone_straight(self, new: list[ExportedVehicle], gone: _Gone) -> list[ExportedVehicle]:
+    def _gone_straight(self, new: list[ExportedVehicle], gone: dict[str, Rejection]) -> list[ExportedVehicle]:
         """Vehicles that did not do their manoeuvre, each for an open request to go straight; the others go.
 
         One that has begun to drive across stands for none that goes straight. The manoeuvre stays open. Vehicles that
@@ -320,10 +314,10 @@ class Filling:
                 start = replace(driven.start, request=meets)
                 found[driven.vehicle_id] = replace(one, driven=replace(driven, start=start))
             else:
-                gone[driven.vehicle_id] = driven, Reason.DID_NOT_DO_IT, said
+                gone[driven.vehicle_id] = self._rejection(driven, Reason.DID_NOT_DO_IT, said)
         return list(found.values())
 
-    def _drive_again(self, new: list[ExportedVehicle], gone: _Gone) -> None:
+    def _drive_again(self, new: list[ExportedVehicle], gone: dict[str, Rejection]) -> None:
         """A vehicle that braked for one that is gone, or overtook it, is driven again without it, or goes too."""
         changed = True
         while changed:
@@ -332,7 +326,7 @@ class Filling:
                 driven = one.driven
                 if driven.vehicle_id in gone or not _needs(driven, self._brakes_steps) & gone.keys():
                     continue
-                gone[driven.vehicle_id] = driven, Reason.WAITED_FOR_GONE, None
+                gone[driven.vehicle_id] = self._rejection(driven, Reason.WAITED_FOR_GONE)
                 changed = True
                 if self._driven_again[driven.vehicle_id] < _AGAIN:
                     self._driven_again[driven.vehicle_id] += 1
@@ -343,25 +337,27 @@ class Filling:
         """For how many steps a vehicle brakes that is seen to brake."""
         return self.scene.steps_in(BRAKES_FOR_S)
 
-    def _note(self, vehicle: DrivenVehicle, reason: Reason, detail: str | None, number: int) -> None:
-        start, cell = vehicle.start, _site(self.scene, vehicle)
-        _tell(vehicle, cell, number, reason, detail)
-        self.dropped.append(vehicle)
-        self.rejected.append(
-            Rejection(
-                reason,
-                vehicle.vehicle_id,
-                start.request.policy,
-                number,
-                cell.lane_id,
-                cell.index,
-                _last_step(vehicle),
-                detail,
-            )
-        )
-        place_failed = reason not in (Reason.DID_NOT_DO_IT, Reason.WAITED_FOR_GONE)
-        if place_failed and start.step == 0 and self.scene.config.request.sites == "promising":
-            self._turned_down.not_kept(self.scene, self.scene.grid.index_of[cell])
+    def _site(self, vehicle: DrivenVehicle) -> Cell:
+        """Cell that a vehicle started in."""
+        return self.scene.cell_at(vehicle.start.path, vehicle.start.start_s)
+
+    def _rejection(self, vehicle: DrivenVehicle, reason: Reason, detail: str | None = None) -> Rejection:
+        return Rejection(vehicle, reason, self.rounds - 1, self._site(vehicle), detail)
+
+    def _note(self, one: Rejection) -> None:
+        self._tell(one.vehicle, one.cell, one.reason, one.detail)
+        self.rejected.append(one)
+        place_failed = one.reason not in (Reason.DID_NOT_DO_IT, Reason.WAITED_FOR_GONE)
+        if place_failed and one.vehicle.start.step == 0 and self.scene.config.request.sites == "promising":
+            self._turned_down.not_kept(self.scene, self.scene.grid.index_of[one.cell])
+
+    def _tell(self, vehicle: DrivenVehicle, cell: Cell, verdict: str, detail: str | None) -> None:
+        """What became of a vehicle that was driven, as a line of the debug log."""
+        more = "" if detail is None else f" ({detail})"
+        _LOG.debug(
+            "round %d: vehicle %s, %s, lane %d cell %d, last step %d: %s%s", self.rounds - 1, vehicle.vehicle_id,
+            vehicle.policy, cell.lane_id, cell.index, vehicle.last_step, verdict, more,
+        )  # fmt: skip
 
 
 def _found_none(policy: Policy, sites: InsertionSites, refused: Counter[Reason]) -> Reason:
@@ -375,22 +371,3 @@ def _needs(vehicle: DrivenVehicle, least_steps: int) -> set[str]:
     """Vehicles without which a vehicle would have driven otherwise: those it braked for so long, and overtook."""
     waited_for = {name for name, steps in vehicle.waited_for.items() if steps >= least_steps}
     return waited_for | ({vehicle.leader_id} if vehicle.leader_id is not None else set())
-
-
-def _site(scene: Scene, vehicle: DrivenVehicle) -> Cell:
-    """Cell that a vehicle started in."""
-    return scene.cell_at(vehicle.start.path, vehicle.start.start_s)
-
-
-def _last_step(vehicle: DrivenVehicle) -> int:
-    """Last step at which SUMO had a vehicle."""
-    return vehicle.start.step + max(0, len(vehicle.s) - 1)
-
-
-def _tell(vehicle: DrivenVehicle, cell: Cell, number: int, verdict: str, detail: str | None) -> None:
-    """What became of a vehicle that was driven, as a line of the debug log."""
-    more = "" if detail is None else f" ({detail})"
-    _LOG.debug(
-        "round %d: vehicle %s, %s, lane %d cell %d, last step %d: %s%s",
-        number, vehicle.vehicle_id, vehicle.policy, cell.lane_id, cell.index, _last_step(vehicle), verdict, more,
-    )  # fmt: skip

@@ -78,7 +78,7 @@ def arrivals(scene: Scene, routes: Routes, seed: Sequence[int]) -> list[Arrival]
             sides: tuple[Side, ...] = ("left", "right") if rng.random() < 0.5 else ("right", "left")
             object_type, size = draw_size(request, rng)
             driver = draw_driver(config, rng, lane_speed_mps=scene.lane_speed(lane_id, rng))
-            path = scene.path(offer.route)
+            path = scene.paths.along(offer.route)
             found.append(
                 Arrival(
                     vehicle_id=f"f{lane_id}_{number}", number=number, lane_id=lane_id, due_s=due_s, policy=policy,

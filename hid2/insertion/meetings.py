@@ -11,10 +11,10 @@ from hid2.conflicts.signals import InferredSignals
 from hid2.conflicts.stop_lines import STOP_MARGIN_M
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.kernels.meetings import met_on_route
-from hid2.measures.arrays import is_moving
 from hid2.measures.encounters import BRAKES_MPS2, CROSSING_RAD, FOLLOWS_FOR_S, FOLLOWS_S
 from hid2.motion.route import Route
 from hid2.occupancy.traffic import BoolArray, Traffic
+from hid2.once import once
 from hid2.policy.behaviours import TURN_OF_POLICY
 from hid2.scene import MOVES_MPS, Scene
 from netconvert.cells import Cell
@@ -48,23 +48,14 @@ def target_rows(scene: Scene) -> IntArray:
 def named_rows(scene: Scene, name: str) -> IntArray:
     """Rows of `scene.traffic` by name: av, focal, scored, or a track id; none where there is none."""
     if name in ("focal", "scored"):
-        category = np.array(scene.categories, dtype=np.int64)
-        return np.flatnonzero(category >= (FOCAL_CATEGORY if name == "focal" else SCORED_CATEGORY))
+        return np.flatnonzero(scene.states.arrays.category >= (FOCAL_CATEGORY if name == "focal" else SCORED_CATEGORY))
     wanted = AV_ID if name == "av" else name
     return np.array([row for row, track_id in enumerate(scene.traffic.ids) if track_id == wanted], dtype=np.int64)
 
 
 def moving_vehicles(scene: Scene) -> IntArray:
     """Rows of the recorded vehicles that move, without tracker fragments."""
-    traffic = scene.traffic
-    return np.array(
-        [
-            row
-            for row in scene.vehicle_rows.tolist()
-            if scene.categories[row] > 0 and is_moving(traffic.position[row, traffic.present[row]], step_s=scene.step_s)
-        ],
-        dtype=np.int64,
-    )
+    return np.flatnonzero(scene.states.arrays.clean)
 
 
 class Outlook(NamedTuple):
@@ -82,9 +73,9 @@ class Outlook(NamedTuple):
     stays: BoolArray
 
 
-@dataclass(slots=True)
+@dataclass(eq=False)
 class Meetings:
-    """What vehicles that start on the cells of a scene would meet at usual speed; what is found out is kept.
+    """What vehicles that start on the cells of a scene would meet at usual speed.
 
     signals: those of the stop lines, at which vehicles wait.
     """
@@ -104,9 +95,6 @@ class Meetings:
     _crossed_s: FloatArray = field(init=False)
     _pace_mps: FloatArray = field(init=False)
     _brakes: BoolArray = field(init=False)
-    _outlooks: dict[TurnType, Outlook] = field(default_factory=dict)
-    _on_route: dict[tuple[int, int], Outlook] = field(default_factory=dict)
-    _middles: dict[int, tuple[IntArray, FloatArray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Where recorded moving vehicles are, on which cells, and which cells they cross."""
@@ -168,16 +156,17 @@ class Meetings:
 
     def outlook(self, policy: Policy) -> Outlook:
         """Of all cells, for vehicles of a policy: in the mean over the routes that it would take."""
-        turn = TURN_OF_POLICY.get(policy, TurnType.STRAIGHT)
-        if turn not in self._outlooks:
-            count = len(self.scene.grid.cells)
-            none = np.zeros(count, dtype=np.bool_)
-            found = Outlook(np.zeros(count), none, np.full(count, -1, dtype=np.int64), none.copy())
-            for lane_id in self.routes.lanes:
-                first = self.scene.grid.index_of[Cell(lane_id, 0)]
-                self._look(lane_id, turn, found, slice(first, first + self.scene.grid.count(lane_id)))
-            self._outlooks[turn] = found
-        return self._outlooks[turn]
+        return self._towards(TURN_OF_POLICY.get(policy, TurnType.STRAIGHT))
+
+    @once
+    def _towards(self, turn: TurnType) -> Outlook:
+        count = len(self.scene.grid.cells)
+        none = np.zeros(count, dtype=np.bool_)
+        found = Outlook(np.zeros(count), none, np.full(count, -1, dtype=np.int64), none.copy())
+        for lane_id in self.routes.lanes:
+            first = self.scene.grid.index_of[Cell(lane_id, 0)]
+            self._look(lane_id, turn, found, slice(first, first + self.scene.grid.count(lane_id)))
+        return found
 
     def offer_weights(self, cell: Cell, policy: Policy) -> list[float]:
         """Weight of each of the routes from a cell, in the order of `Routes.offers`; the mean where none is known."""
@@ -217,11 +206,9 @@ class Meetings:
             rows = list(range(len(offers)))
         return rows[:_ROUTES]
 
+    @once
     def _of_offer(self, lane_id: int, row: int) -> Outlook:
-        if (lane_id, row) not in self._on_route:
-            offer = self.routes.offers(lane_id)[row]
-            self._on_route[lane_id, row] = self._of_route(lane_id, offer, self.scene.usual_speed(lane_id))
-        return self._on_route[lane_id, row]
+        return self._of_route(lane_id, self.routes.offers(lane_id)[row], self.scene.usual_speed(lane_id))
 
     def _look(self, lane_id: int, turn: TurnType, found: Outlook, cells: slice) -> None:
         """What can be met from the cells of a lane, in the mean over its routes; the leader on the best of them."""
@@ -290,12 +277,9 @@ class Meetings:
         cells: list[IntArray] = []
         middle: list[FloatArray] = []
         for lane in offer.route[offer.route.index(lane_id) :]:
-            if lane not in self._middles:
-                first, borders = grid.index_of[Cell(lane, 0)], grid.edges_s(lane)
-                self._middles[lane] = np.arange(first, first + grid.count(lane)), 0.5 * (borders[1:] + borders[:-1])
-            of_lane, middles = self._middles[lane]
-            cells.append(of_lane)
-            middle.append(begin + middles)
+            first, borders = grid.index_of[Cell(lane, 0)], grid.edges_s(lane)
+            cells.append(np.arange(first, first + grid.count(lane)))
+            middle.append(begin + 0.5 * (borders[1:] + borders[:-1]))
             begin += lanes[lane].length_m
         return np.concatenate(cells), np.concatenate(middle)
 

@@ -114,7 +114,6 @@ class OvertakeStarts:
     starts: Starts
     found_none: Reason | None = None
     _box: BoxSize = field(init=False)
-    _slow: dict[DrivenPath, tuple[PathOccupancy, IntArray, FloatArray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Places are looked for with a usual vehicle."""
@@ -129,7 +128,7 @@ class OvertakeStarts:
         self.found_none = Reason.NO_OVERTAKE_FORESEEN if slow is not None else Reason.NO_SLOW_LEADER
         if request.trigger_s + 2.0 * shortest_shift_s(scene.config) > scene.last_s:
             return []  # out and back alone take longer
-        ways, likely = self.here.routes.ways_past(), list[tuple[_Way, Driver, _Motions]]()
+        ways, likely = self.here.routes.ways_past, list[tuple[_Way, Driver, _Motions]]()
         looked = 0
         for place in np.resize(rng.permutation(len(ways)), 6 * len(ways)).tolist():
             drivers = [
@@ -171,7 +170,7 @@ class OvertakeStarts:
         neighbor = admissible_neighbor(scene, offer.route[row], side)
         if neighbor is None:
             return None
-        path, beside = scene.path(offer.route), scene.path_beside(offer.route[row:], neighbor)
+        path, beside = scene.paths.along(offer.route), scene.paths.beside(offer.route[row:], neighbor)
         first, last = path.to_line(max(offer.start_m, stretch[0] - reach_m)), path.to_line(lane_end)
         here_s = np.array([max(first, path.to_line(stretch[0]))])
         there, aside = frenet(path.line.position(here_s), beside.raw_line.points, beside.raw_line.s)
@@ -193,15 +192,13 @@ class OvertakeStarts:
         return _Drawn(gap_m, known.along[rows, 0], leader_m, start)
 
     def _slow_on(self, path: DrivenPath) -> tuple[PathOccupancy, IntArray, FloatArray]:
-        """Those known on a path, rows of those that may be overtaken, and how far these drive, m; found out once."""
-        scene, known = self.here.scene, self.starts.world.known_on(path, self._box)
-        if path not in self._slow or self._slow[path][0] is not known:
-            recorded, last = scene.kept_clear_on(path, self._box).agents.size, scene.num_steps - 1
-            usable = np.isin(known.agents, scene.vehicle_rows) | (np.arange(known.agents.size) >= recorded)
-            usable &= known.same_direction[:, 0] & (known.along[:, 0] > PARKED_MPS)
-            rows = np.flatnonzero(usable & np.isfinite(known.low[:, : last + 1]).all(axis=1))
-            self._slow[path] = known, rows, known.high[rows, last] - known.low[rows, 0]
-        return self._slow[path]
+        """Those known on a path, rows of those that may be overtaken, and how far these drive, m."""
+        scene, known = self.here.scene, self.starts.world.guard.known_on(path, self._box)
+        recorded, last = scene.kept_clear_on(path, self._box, scene.future).agents.size, scene.num_steps - 1
+        usable = np.isin(known.agents, scene.vehicle_rows) | (np.arange(known.agents.size) >= recorded)
+        usable &= known.same_direction[:, 0] & (known.along[:, 0] > PARKED_MPS)
+        rows = np.flatnonzero(usable & np.isfinite(known.low[:, : last + 1]).all(axis=1))
+        return known, rows, known.high[rows, last] - known.low[rows, 0]
 
     def _behind_added(self, way: _Way, driver: Driver) -> _Drawn:
         """Behind leaders at some share of the lane's usual speed."""
@@ -230,7 +227,7 @@ class OvertakeStarts:
         if self.here.scene.config.request.sites == "any" or not motions.start_s.size:
             return motions
         s, out_m, across_m = motions.s, motions.out_m, motions.across_m
-        own, beside = (self.starts.world.known_on(path, self._box) for path in (way.path, way.beside))
+        own, beside = (self.starts.world.guard.known_on(path, self._box) for path in (way.path, way.beside))
         met = _taken(own, looks, s) & ((out_m < _CROSSED * across_m) | (s > motions.back_s))
         first = out_m.shape[1] - (out_m > 0.0).sum(axis=1).max(initial=1)  # the first look at which it may be out
         enters = self._may_enter(beside, driver, int(looks[first]), s[:, first] + way.shift_m)

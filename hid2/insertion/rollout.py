@@ -8,12 +8,13 @@ whatever `car_following.model` is, without noise. It chooses among candidates an
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from hid2.agents import BoxSize, FloatArray
 from hid2.conflicts.guard import ACROSS_S, STRIDE, Guard
-from hid2.conflicts.stop_lines import AMBER_S
+from hid2.conflicts.stop_lines import AMBER_S, STOPS
 from hid2.insertion.due import Due, advance
 from hid2.judge.findings import FOLLOWER_HEADWAY_S, MOVES_M, last_word
 from hid2.judge.states import contacts_at_end, kept_headways, sustained_headway
@@ -24,10 +25,11 @@ from hid2.measures.scene_end import BoxesAtStep
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.motion.smoothing import Motion, trajectory
-from hid2.occupancy.along_path import PathOccupancy, path_occupancy
+from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.gaps import Gaps, gaps_on_path
 from hid2.occupancy.shown import LEADS_FROM_M, SHOWN_M, Shown, shown_on
 from hid2.occupancy.traffic import BoolArray, Traffic
+from hid2.once import once
 from hid2.policy.overtake import Stage
 from hid2.policy.roads import STRAIGHT, Roads
 from hid2.policy.rules import ASSUMED_ANSWER
@@ -83,7 +85,7 @@ class RolledOut:
     traffic: Traffic
 
 
-@dataclass(eq=False, slots=True)
+@dataclass(eq=False)
 class World:
     """What candidates are rolled out against. guard: with those kept, which have their final motion, and those chosen.
 
@@ -97,11 +99,6 @@ class World:
     _kept: Traffic = field(init=False)
     _chosen: dict[str, RolledOut] = field(default_factory=dict)
     _joined: dict[tuple[Traffic, RolledOut], Traffic] = field(default_factory=dict)
-    _at_begin: tuple[Traffic, Traffic] | None = None
-    _shown: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, PathOccupancy, Shown]] = field(default_factory=dict)
-    _headways_s: dict[int, float] | None = None
-    _links: dict[DrivenPath, tuple[FloatArray, FloatArray, FloatArray]] = field(default_factory=dict)
-    _known: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, PathOccupancy, PathOccupancy]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Nothing is chosen yet."""
@@ -110,10 +107,7 @@ class World:
     @property
     def at_begin(self) -> Traffic:
         """All agents known at the scene's first step (one step)."""
-        if self._at_begin is None or self._at_begin[0] is not self.guard.fixed:
-            recorded, fixed = self.scene.traffic.at(0), self.guard.fixed
-            self._at_begin = fixed, recorded.joined(fixed.at(0)) if fixed.ids else recorded
-        return self._at_begin[1]
+        return self.scene.traffic.at(0).joined(self.guard.fixed.at(0))
 
     def choose(self, *candidates: RolledOut) -> None:
         """Candidates after these are rolled out against them; one that was chosen before has another motion now."""
@@ -171,13 +165,15 @@ class World:
         headway_s, _ = sustained_headway(gap_m, leader_m, states.speed(follower), self.scene.step_s)
         if headway_s >= least_s:
             return False
-        if self._headways_s is None:
-            self._headways_s = kept_headways(states)
-        return self._headways_s.get(follower, math.inf) > headway_s
+        return self._kept_headways_s.get(follower, math.inf) > headway_s
+
+    @cached_property
+    def _kept_headways_s(self) -> dict[int, float]:
+        return kept_headways(self.scene.states)
 
     def gaps_at(self, path: DrivenPath, box: BoxSize, s: float, step: int) -> Gaps:
         """Of a vehicle that begins at an arc length, m, of a path at a step, to those next to it."""
-        return gaps_on_path(self.known_on(path, box), np.array([s]), step)
+        return gaps_on_path(self.guard.known_on(path, box), np.array([s]), step)
 
     def meets_after(self, candidate: RolledOut) -> bool:
         """Whether a candidate has a critical contact after its last step, all at constant velocity."""
@@ -208,29 +204,7 @@ class World:
         apart_m = np.abs(own.position - other.position).max(axis=-1)[own.present & other.present]
         if apart_m.min(initial=math.inf) > _NEAR_GAPS_M:
             return False
-        return bool(self._as_obstacle(own, changer.parts[-1].path, changer.start.box).agents.size)
-
-    def _as_obstacle(self, traffic: Traffic, path: DrivenPath, box: BoxSize) -> PathOccupancy:
-        """Intervals of vehicles that are inserted on a path, with margins."""
-        return path_occupancy(
-            path.line, traffic, length_m=box.length_m, width_m=box.width_m,
-            margin_lateral_m=self.scene.config.conflict.margin_lateral_m,
-        )  # fmt: skip
-
-    def known_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
-        """Intervals on a path of all agents with known motion, with margins and the critical PET: the guard's.
-
-        Recorded ones come first, by their rows in the scene's traffic; then inserted ones, by theirs in `guard.fixed`.
-        """
-        fixed, key = self.guard.fixed, (path, box)
-        before = self._known.get(key)
-        if before is None or before[0] is not fixed:
-            inserted = self.guard.fixed_on(path, box)
-            if before is not None and before[1] is inserted:  # none of those that came touches the path
-                self._known[key] = fixed, *before[1:]
-            else:
-                self._known[key] = fixed, inserted, self.scene.kept_clear_on(path, box).joined(inserted)
-        return self._known[key][2]
+        return bool(self.scene.met_on(changer.parts[-1].path, changer.start.box, own).agents.size)
 
     def roll(
         self, start: Start, *, path: DrivenPath | None = None, step: int | None = None,
@@ -245,8 +219,8 @@ class World:
         path = path or start.path
         first = start.step if step is None else step
         known, lines, shown = (
-            self.known_on(path, box),
-            self.guard.stop_lines.arrays(path, box),
+            self.guard.known_on(path, box),
+            self.guard.stop_lines.on(path, box),
             self._shown_on(path, box) if target is None else self._shown_beside(path, target, box),
         )
         state, memory = (start.start_s, start.start_mps, 0.0), np.zeros(0)
@@ -260,7 +234,7 @@ class World:
             state, start.desired, driver.following,
             scene.config.drivers.reaction_s, start.size.length_m, STRAIGHT, self.guard.horizon,
             STRIDE, scene.step_s, TABLE_STEP_M, self.guard.brakes, self.guard.predicted,
-            lines.stops, self.guard.rules, self.roads.speeds(path, driver), *self.roads.lanes(path),
+            STOPS, self.guard.rules, self.roads.speeds(path, driver), *self.roads.lanes(path),
             known.low, known.high, known.along, known.same_direction, lines.stop_s, lines.closed, lines.cause,
             shown.middle, shown.speed, shown.leads, shown.length_m,
             (LEADS_FROM_M, SHOWN_M), *self._links_on(path),
@@ -365,7 +339,7 @@ class World:
             return Reason.MEETS_GENERATED
         if is_last and rollout.s[inside - 1] - start.start_s < MOVES_M:
             return Reason.STANDS_THROUGHOUT
-        lines = self.guard.stop_lines.arrays(rollout.path, start.box)
+        lines = self.guard.stop_lines.on(rollout.path, start.box)
         if lines.is_passed(rollout.s, first=rollout.step, closed_steps=scene.steps_in(AMBER_S)):
             return Reason.ENTERS_ON_RED
         if self._waits_for_parked(start, rollout):
@@ -374,7 +348,7 @@ class World:
 
     def parked_on(self, path: DrivenPath, box: BoxSize) -> BoolArray:
         """(R,) which of those known on a path are recorded agents that are parked."""
-        known, recorded = self.known_on(path, box), self._recorded_on(path, box)
+        known, recorded = self.guard.known_on(path, box), self._recorded_on(path, box)
         found = np.zeros(known.agents.size, dtype=np.bool_)
         found[:recorded] = self.scene.parked[known.agents[:recorded]]
         return found
@@ -384,7 +358,7 @@ class World:
         at = np.flatnonzero(rollout.v < SLOWEST_SHARE * start.driver.desired_mps)
         if not at.size:
             return False
-        seen = gaps_on_path(self.known_on(rollout.path, start.box), rollout.s[at], rollout.step + at)
+        seen = gaps_on_path(self.guard.known_on(rollout.path, start.box), rollout.s[at], rollout.step + at)
         near = (seen.leader >= 0) & (seen.lead_m < QUEUE_M)
         return bool(self.parked_on(rollout.path, start.box)[seen.leader[near]].any())
 
@@ -405,7 +379,7 @@ class World:
 
     def _met(self, start: Start, rollout: Rollout) -> tuple[FloatArray, PathOccupancy]:
         """What each agent known on its path is to a motion (R, 3), as the kernel `met_by` has it, and those agents."""
-        known, inside = self.known_on(rollout.path, start.box), self._inside(start, rollout)
+        known, inside = self.guard.known_on(rollout.path, start.box), self._inside(start, rollout)
         return met_by(
             rollout.s[:inside], rollout.v[:inside], rollout.step, known.low, known.high, known.along,
             known.same_direction, self.scene.step_s,
@@ -413,33 +387,23 @@ class World:
 
     def _recorded_on(self, path: DrivenPath, box: BoxSize) -> int:
         """How many of those known on a path are recorded; they come first."""
-        return self.scene.kept_clear_on(path, box).agents.size
+        return self.scene.kept_clear_on(path, box, self.scene.future).agents.size
 
+    @once
     def _links_on(self, path: DrivenPath) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Of the lanes that SUMO has along a path: ends m, metres on the path for one on the lane, m/s for turns."""
-        if path not in self._links:
-            lanes, along = self.scene.grid.graph.lanes, path.followed
-            ends = np.array([one.end for one in along])
-            paces = np.array([(one.end - one.start) / max(one.lane_end - one.lane_start, 1e-9) for one in along])
-            limit_mps = speed_limit_mps(self.scene.config.spawn.max_speed_mps)
-            most_mps = [_TURN_MPS.get(lanes[one.lane_id].turn, limit_mps) for one in along]
-            self._links[path] = ends, paces, np.array(most_mps)
-        return self._links[path]
+        lanes, along = self.scene.grid.graph.lanes, path.followed
+        ends = np.array([one.end for one in along])
+        paces = np.array([(one.end - one.start) / max(one.lane_end - one.lane_start, 1e-9) for one in along])
+        limit_mps = speed_limit_mps(self.scene.config.spawn.max_speed_mps)
+        most_mps = [_TURN_MPS.get(lanes[one.lane_id].turn, limit_mps) for one in along]
+        return ends, paces, np.array(most_mps)
 
     def _shown_on(self, path: DrivenPath, box: BoxSize) -> Shown:
-        fixed, key = self.guard.fixed, (path, box)
-        before = self._shown.get(key)
-        if before is None or before[0] is not fixed:
-            scene = self.scene
-            inserted = self._as_obstacle(fixed, path, box)
-            if before is not None and before[1] is inserted:
-                self._shown[key] = fixed, *before[1:]
-                return before[2]
-            found = scene.shown_on(path, box)
-            if inserted.agents.size:
-                found = found.joined(shown_on(path, fixed, inserted, step_s=scene.step_s))
-            self._shown[key] = fixed, inserted, found
-        return self._shown[key][2]
+        scene, fixed = self.scene, self.guard.fixed
+        inserted = scene.met_on(path, box, fixed)
+        found = scene.shown_on(path, box)
+        return found.joined(shown_on(path, fixed, inserted, step_s=scene.step_s)) if inserted.agents.size else found
 
     def _shown_beside(self, path: DrivenPath, target: DrivenPath, box: BoxSize) -> Shown:
         """Those on the path of a lane, by the arc length of a path that leads across to it."""

@@ -119,7 +119,7 @@ class Starts:
             s = first_m + float(rng.random()) * scene.usual_speed(offer.route[0]) * scene.step_s
         if s < first_m or (s + half_m > offer.length_m - 1.0 and not run_on):
             return Reason.NO_SITE
-        path = scene.path(offer.route)
+        path = scene.paths.along(offer.route)
         start_s = path.to_line(s)
         if "collision" not in config.without:
             near = self.world.gaps_at(path, box, start_s, step)
@@ -230,7 +230,7 @@ class Starts:
 
     def _follower_mps(self, path: DrivenPath, box: BoxSize, s: float, step: int) -> float:
         """Pace of the recorded follower that the place gives a vehicle, m/s, over the scene; 0 without one near."""
-        known = self.scene.recorded_on(path, box)
+        known = self.scene.met_on(path, box, self.scene.future)
         found = gaps_on_path(known, np.array([s]), step, among=known.same_direction)
         row = int(found.follower[0])
         if row < 0 or found.lag_m[0] > FOLLOWS_S * found.lag_mps[0]:
@@ -263,7 +263,7 @@ class Starts:
     ) -> float | Reason:
         """Speed that leaders allow, m/s, at most the one wished for; or why nothing can begin there."""
         conflict = self.scene.config.conflict
-        known = self.world.known_on(path, box)
+        known = self.world.guard.known_on(path, box)
         seen, wished = gaps_to_all(known, np.array([s]), step), speed
         for row in np.flatnonzero(np.isfinite(seen.lead_m[:, 0])).tolist():
             behind = speed_behind(float(seen.lead_m[row, 0]), float(seen.along_mps[row, 0]), driver)
@@ -271,7 +271,7 @@ class Starts:
         closing = seen.along_mps[:, 0] - speed
         if (known.same_direction[:, step] & (seen.lag_m[:, 0] < conflict.follower_ttc_min_s * closing)).any():
             return Reason.TTC_RECORDED_FOLLOWER
-        lines = self.stop_lines.arrays(path, box)
+        lines = self.stop_lines.on(path, box)
         room_m = lines.room_m(s, step)
         if room_m < 0.0:
             return Reason.ENTERS_ON_RED
@@ -288,8 +288,7 @@ class Starts:
     def _follower_is_near(self, path: DrivenPath, s: float, box: BoxSize, speed_mps: float, step: int) -> bool:
         """Whether an agent comes from behind at a step, on the lane or before the map's edge."""
         config, fixed = self.scene.config, self.world.guard.fixed
-        here = self.scene.traffic.at(step)
-        here = here.joined(fixed.at(step)) if fixed.ids else here
+        here = self.scene.traffic.at(step).joined(fixed.at(step))
         xy, forward, _ = path.line.motion(np.array([s]))
         seen = gaps_from_pose(xy, forward, box, here)
         least_m = np.maximum(

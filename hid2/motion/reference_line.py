@@ -1,12 +1,14 @@
 """The reference line r(s) of the Frenet frame: a route's centrelines, smoothed only as far as curvature needs."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from hid2.agents import FloatArray
 from hid2.kernels.raster import Raster, raster
 from hid2.kernels.spline import along_spline, quintic_spline, smooth_polyline, spline_table
+from hid2.once import once
 from netconvert.geometry import arc_length, resample
 
 #: Spacing of the tables of pose and curvature along a line, m.
@@ -14,7 +16,7 @@ TABLE_STEP_M = 0.5
 _BEYOND_M = 40.0  # not a parameter: its tables go on straight so far behind its end, for vehicles that leave it
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class ReferenceLine:
     """A curve with continuous curvature, by arc length: a spline of degree five.
 
@@ -32,28 +34,24 @@ class ReferenceLine:
     table_sharpness: FloatArray
     points: FloatArray
     points_s: FloatArray
-    _near: dict[float, tuple[Raster, FloatArray]] = field(default_factory=dict, repr=False)
-    _extent: list[list[float]] = field(default_factory=list, repr=False)
 
+    @once
     def near(self, reach_m: float) -> tuple[Raster, FloatArray]:
-        """Raster of the table's points, and their x, y m, cosine and sine (4, K); made once for each reach."""
-        if reach_m not in self._near:
-            columns = np.stack([*self.table_xy.T, np.cos(self.table_heading), np.sin(self.table_heading)])
-            self._near[reach_m] = raster(self.table_xy, step_m=TABLE_STEP_M, reach_m=reach_m), columns
-        return self._near[reach_m]
+        """Raster of the table's points, and their x, y m, cosine and sine (4, K)."""
+        columns = np.stack([*self.table_xy.T, np.cos(self.table_heading), np.sin(self.table_heading)])
+        return raster(self.table_xy, step_m=TABLE_STEP_M, reach_m=reach_m), columns
 
     def is_beyond(self, other: "ReferenceLine", reach_m: float) -> bool:
         """Whether no point of two lines' tables can be within a distance."""
-        (low, high), (other_low, other_high) = self._corners(), other._corners()
+        (low, high), (other_low, other_high) = self._corners, other._corners
         return bool(
             low[0] > other_high[0] + reach_m or low[1] > other_high[1] + reach_m
             or other_low[0] > high[0] + reach_m or other_low[1] > high[1] + reach_m
         )  # fmt: skip
 
+    @cached_property
     def _corners(self) -> tuple[list[float], list[float]]:
-        if not self._extent:
-            self._extent.extend([self.table_xy.min(axis=0).tolist(), self.table_xy.max(axis=0).tolist()])
-        return self._extent[0], self._extent[1]
+        return self.table_xy.min(axis=0).tolist(), self.table_xy.max(axis=0).tolist()
 
     def position(self, s: FloatArray) -> FloatArray:
         """(M, 2) m at arc lengths s (M,); straight on beyond both ends."""

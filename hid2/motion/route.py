@@ -2,16 +2,18 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from hid2.agents import FloatArray
 from hid2.motion.lane_change_path import LateralTiming, blend_paths, even_line, lateral_share
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line
+from hid2.once import once
 from hid2.params import Limits
 from netconvert.geometry import Polyline, arc_length
-from netconvert.lane_graph import TURN_RAD, LaneGraph, TurnType
+from netconvert.lane_graph import SIDES, TURN_RAD, LaneGraph, TurnType
 
 #: Spacing of a reference line's points, m, no tunable: its table is as fine. It stays so close to the centrelines, m,
 #: no tunable: half a lane less half a car. Middles of lanes farther apart are not side by side, m. Lanes before l'
@@ -19,6 +21,8 @@ from netconvert.lane_graph import TURN_RAD, LaneGraph, TurnType
 PATH_STEP_M, MAX_OFFSET_M, _MAX_SHIFT_M, _LOOK_BACK_M = 1.0, 0.9, 5.5, 50.0
 #: A route that is no shorter than this stops growing.
 ROUTE_LONGEST_M = 260.0
+#: Lane types open to general motor traffic.
+DRIVABLE_TYPES = frozenset({"VEHICLE"})
 _BESIDE_TURN_M = 5.0  # before a turning lane and behind it its heading is compared; no tunable: what a turn is
 
 Route = tuple[int, ...]
@@ -45,7 +49,7 @@ class Segment:
         return self.start + pace * (lane_s - self.lane_start)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class DrivenPath:
     """Where a vehicle goes: the smoothed line, the polyline below it, and the lanes along it.
 
@@ -60,27 +64,21 @@ class DrivenPath:
     followed: tuple[Segment, ...]
     shifts: tuple[tuple[float, float], ...] = ()
     lateral: "LateralMotion | None" = None
-    raw_s: FloatArray = field(init=False, repr=False)
-    """Arc length on raw of each of the line's points, m."""
-    _even: dict[float, tuple[FloatArray, FloatArray]] = field(init=False, repr=False, default_factory=dict)
-    _raw_line: list[Polyline] = field(init=False, repr=False, default_factory=list)
 
-    def __post_init__(self) -> None:
-        total = float(arc_length(self.raw)[-1])
-        object.__setattr__(self, "raw_s", np.linspace(0.0, total, self.line.points_s.size))
+    @cached_property
+    def raw_s(self) -> FloatArray:
+        """Arc length on raw of each of the line's points, m."""
+        return np.linspace(0.0, float(arc_length(self.raw)[-1]), self.line.points_s.size)
 
-    @property
+    @cached_property
     def raw_line(self) -> Polyline:
-        """Raw with its Frenet frame; made once."""
-        if not self._raw_line:
-            self._raw_line.append(Polyline(self.raw))
-        return self._raw_line[0]
+        """Raw with its Frenet frame."""
+        return Polyline(self.raw)
 
-    def even(self, step_m: float) -> tuple[FloatArray, FloatArray]:
-        """Raw at equal distances, and its arc lengths; made once."""
-        if step_m not in self._even:
-            self._even[step_m] = even_line(self.raw, step_m=step_m)
-        return self._even[step_m]
+    @cached_property
+    def even(self) -> tuple[FloatArray, FloatArray]:
+        """Raw at equal distances, PATH_STEP_M, and its arc lengths."""
+        return even_line(self.raw, step_m=PATH_STEP_M)
 
     @property
     def exit_s(self) -> float:
@@ -183,7 +181,7 @@ def shifted_path(motion: LateralMotion, *, limits: Limits) -> DrivenPath | None:
     """Path of a lateral motion, on the target's lanes from half way across on; None as of `blend_paths`."""
     path, target = motion.source, motion.target
     blend = blend_paths(
-        path.even(PATH_STEP_M), target.raw_line, along_m=path.all_to_raw(motion.along_m), tau=motion.tau,
+        path.even, target.raw_line, along_m=path.all_to_raw(motion.along_m), tau=motion.tau,
         ramp=motion.timing.ramp, step_m=PATH_STEP_M, max_shift_m=_MAX_SHIFT_M,
     )  # fmt: skip
     if blend is None:
@@ -239,18 +237,15 @@ def first_turn(graph: LaneGraph, path: DrivenPath, kind: TurnType, *, after: flo
     return None
 
 
-def routes_from(
-    graph: LaneGraph,
-    lane_id: int,
-    *,
-    choose: Callable[[tuple[int, ...]], tuple[int, ...]],
-    usable: Callable[[int], bool],
-    most: int,
-    longest_m: float,
-) -> Iterator[Route]:
+def is_drivable(graph: LaneGraph, lane_id: int) -> bool:
+    """Whether a lane is open to general motor traffic."""
+    return graph.lanes[lane_id].lane_type in DRIVABLE_TYPES
+
+
+def routes_from(graph: LaneGraph, lane_id: int, *, choose: Callable[[Route], Route], most: int) -> Iterator[Route]:
     """Routes from a lane to where the map ends, depth first; `choose` orders the successors at each split.
 
-    A route stops growing beyond longest_m; cycles are not entered twice. At most `most` routes.
+    On drivable lanes; a route stops growing beyond ROUTE_LONGEST_M; cycles are not entered twice. At most `most`.
     """
     found = 0
     stack: list[tuple[Route, float]] = [((lane_id,), 0.0)]
@@ -259,33 +254,52 @@ def routes_from(
         while True:
             length += graph.lanes[route[-1]].length_m
             after = graph.successors(route[-1])
-            onward = tuple([n for n in after if n not in route and usable(n)])
-            if len(onward) != 1 or length > longest_m:
+            onward = tuple([n for n in after if n not in route and is_drivable(graph, n)])
+            if len(onward) != 1 or length > ROUTE_LONGEST_M:
                 break
             route = (*route, *onward)
-        if not onward and any(not usable(n) for n in after):
+        if not onward and any(not is_drivable(graph, n) for n in after):
             continue
-        if not onward or length > longest_m:
+        if not onward or length > ROUTE_LONGEST_M:
             found += 1
             yield route
             continue
         stack.extend(((*route, n), length) for n in reversed(choose(onward)))
 
 
-def route_beside(graph: LaneGraph, own: Route, lane_id: int, *, usable: Callable[[int], bool]) -> Route:
-    """Route of l', a lane beside: lanes before it, for agents from behind, then on beside the own ones if it can."""
-    beside = {n for lane in own for n in (graph.neighbor(lane, "left"), graph.neighbor(lane, "right")) if n is not None}
+@dataclass(frozen=True, eq=False)
+class LanePaths:
+    """Paths on the middle of the lanes of routes, each built once. limits, run_on_m: as of `path_along`."""
 
-    def choose(onward: tuple[int, ...]) -> tuple[int, ...]:
-        return tuple(sorted(onward, key=lambda n: (n not in beside, graph.lanes[n].turn is not TurnType.STRAIGHT, n)))
+    graph: LaneGraph
+    limits: Limits
+    run_on_m: float = 0.0
 
-    ahead = routes_from(graph, lane_id, choose=choose, usable=usable, most=1, longest_m=ROUTE_LONGEST_M)
-    route: Route = next(ahead, (lane_id,))
-    behind_m = 0.0
-    while behind_m < _LOOK_BACK_M:
-        before = sorted(p for p in graph.predecessors(route[0]) if usable(p) and p not in route)
-        if not before:
-            break
-        behind_m += graph.lanes[before[0]].length_m
-        route = (before[0], *route)
-    return route
+    @once
+    def along(self, route: Route) -> DrivenPath:
+        """Path along a route."""
+        return path_along(self.graph, route, limits=self.limits, run_on_m=self.run_on_m)
+
+    def beside(self, own: Route, lane_id: int) -> DrivenPath:
+        """Path of l', beside the lanes that are left of an own route."""
+        return self.along(self.route_beside(own, lane_id))
+
+    @once
+    def route_beside(self, own: Route, lane_id: int) -> Route:
+        """Route of that path: lanes before l', for agents from behind, then on beside the own ones if it can."""
+        graph = self.graph
+        beside = {n for lane in own for side in SIDES if (n := graph.neighbor(lane, side)) is not None}
+
+        def choose(onward: Route) -> Route:
+            lanes = graph.lanes
+            return tuple(sorted(onward, key=lambda n: (n not in beside, lanes[n].turn is not TurnType.STRAIGHT, n)))
+
+        route = next(routes_from(graph, lane_id, choose=choose, most=1), (lane_id,))
+        behind_m = 0.0
+        while behind_m < _LOOK_BACK_M:
+            before = sorted(p for p in graph.predecessors(route[0]) if is_drivable(graph, p) and p not in route)
+            if not before:
+                break
+            behind_m += graph.lanes[before[0]].length_m
+            route = (before[0], *route)
+        return route

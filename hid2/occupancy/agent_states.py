@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from hid2.motion.reference_line import ReferenceLine, build_reference_line
 from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.gaps import gaps_to_all
 from hid2.occupancy.traffic import Traffic, are_believed, traffic_of
+from hid2.once import once
 from netconvert.geometry import Polyline, arc_length, differences
 
 #: Boxes that overlap along a path by more than this are side by side, m: neither leads the other.
@@ -46,7 +48,7 @@ class Leading(NamedTuple):
         return np.where(closes, np.maximum(self.gap_m, 0.0) / np.where(closes, self.closing_mps, 1.0), np.inf)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class AgentStates:
     """Agents of a scene: row by row in `arrays`, as stated, step by step in `traffic`, velocities by differences.
 
@@ -58,8 +60,6 @@ class AgentStates:
     matches: Matches
     lanes: FlatLanes
     joined_of: tuple["AgentStates", ...] = field(default=(), repr=False)
-    _row_speed: list[FloatArray] = field(default_factory=list, init=False, repr=False)
-    _lines: dict[int, DrivenLine | None] = field(default_factory=dict, init=False, repr=False)
 
     def joined(self, *others: "AgentStates") -> "AgentStates":
         """The agents of all, of the same scene, in this order."""
@@ -87,17 +87,15 @@ class AgentStates:
         chosen = Matches(*(getattr(matches, part.name)[index] for part in fields(Matches)))
         return AgentStates(arrays.agents(agents), self.traffic.rows(agents), chosen, self.lanes)
 
-    @property
+    @cached_property
     def row_speed(self) -> FloatArray:
         """(N,) how fast agents are at most, m/s, row by row: as stated, if that is believed, or by their positions."""
-        if not self._row_speed:
-            arrays = self.arrays
-            by_positions = self.traffic.velocity[arrays.agent, arrays.step]
-            found = np.hypot(*by_positions.T)
-            if are_believed(arrays.velocity, by_positions):
-                found = np.maximum(found, np.hypot(*arrays.velocity.T))
-            self._row_speed.append(np.asarray(found))
-        return self._row_speed[0]
+        arrays = self.arrays
+        by_positions = self.traffic.velocity[arrays.agent, arrays.step]
+        found = np.hypot(*by_positions.T)
+        if are_believed(arrays.velocity, by_positions):
+            found = np.maximum(found, np.hypot(*arrays.velocity.T))
+        return np.asarray(found)
 
     def speed(self, row: int) -> FloatArray:
         """(T,) how fast an agent is at most, m/s, at the steps of the scene."""
@@ -114,17 +112,13 @@ class AgentStates:
         """The rows of an agent in `arrays`."""
         return slice(int(self.arrays.first[row]), int(self.arrays.first[row + 1]))
 
+    @once
     def line(self, row: int) -> DrivenLine | None:
         """The path that a vehicle drives and, behind its last position, its lane; None where it has neither."""
         for part in self.joined_of:
             if row < part.arrays.num_agents:
                 return part.line(row)
             row -= part.arrays.num_agents
-        if row not in self._lines:
-            self._lines[row] = self._line(row)
-        return self._lines[row]
-
-    def _line(self, row: int) -> DrivenLine | None:
         rows = self.row_span(row)
         position, last = self.arrays.position[rows], rows.stop - 1
         place = np.floor(arc_length(position) / _POINTS_M)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hid2.agents import FloatArray, IntArray
+from hid2.agents import BoxSize, FloatArray, IntArray
 from hid2.kernels.path_intervals import crossings_kept_clear, intervals_on_path
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
 from hid2.occupancy.traffic import BoolArray, Traffic
@@ -86,41 +86,40 @@ class PathOccupancy:
 def path_occupancy(
     line: ReferenceLine,
     traffic: Traffic,
+    box: BoxSize,
     *,
-    length_m: float,
-    width_m: float,
-    margin_lateral_m: float,
+    margin_m: float = 0.0,
     clear_steps: int = 0,
     clear_margin_m: float = 0.0,
 ) -> PathOccupancy:
-    """Intervals of every agent of `traffic` on `line` for a box of the given size. Only agents that ever touch it.
+    """Intervals of every agent of `traffic` on `line` for a box with a lateral margin. Only agents that ever touch it.
 
     clear_steps, clear_margin_m: as in `PathOccupancy.kept_clear`, unless 0. What is found is kept with the traffic, for
     what is joined to it, too: many vehicles look along the same few paths.
     """
+    key = line, box, margin_m, clear_steps, clear_margin_m
+    if key in traffic.known:
+        known: PathOccupancy = traffic.known[key]
+        return known
     if not traffic.ids:
         return PathOccupancy.none(traffic.num_steps)
-    key = line, length_m, width_m, margin_lateral_m, clear_steps, clear_margin_m
-    if key not in traffic.known and traffic.part_of is not None:
+    if traffic.part_of is not None:
         every, row = traffic.part_of
-        traffic.known[key] = path_occupancy(
-            line, every, length_m=length_m, width_m=width_m, margin_lateral_m=margin_lateral_m,
-            clear_steps=clear_steps, clear_margin_m=clear_margin_m,
-        ).without(row)  # fmt: skip
-    elif key not in traffic.known:
+        found = path_occupancy(
+            line, every, box, margin_m=margin_m, clear_steps=clear_steps, clear_margin_m=clear_margin_m
+        ).without(row)
+    else:
         before = traffic.extends
         while before is not None and key not in before.known:
             before = before.extends
         since = 0 if before is None else len(before.ids)
         if clear_steps > 0:
-            plain = path_occupancy(
-                line, traffic, length_m=length_m, width_m=width_m, margin_lateral_m=margin_lateral_m
-            )  # fmt: skip
-            new = plain.rows(plain.agents >= since).kept_clear(clear_steps, margin_m=clear_margin_m)
+            plain = path_occupancy(line, traffic, box, margin_m=margin_m)
+            found = plain.rows(plain.agents >= since).kept_clear(clear_steps, margin_m=clear_margin_m)
         else:
-            new = look_along(line, traffic, length_m, width_m + 2 * margin_lateral_m, since)
-        traffic.known[key] = new if before is None else before.known[key].joined(new)
-    found: PathOccupancy = traffic.known[key]
+            found = look_along(line, traffic, box.length_m, box.width_m + 2 * margin_m, since)
+        found = found if before is None else before.known[key].joined(found)
+    traffic.known[key] = found
     return found
 
 

@@ -8,7 +8,7 @@ from hid2.drivers.driver import Driver, usual_driver
 from hid2.params import LaneChange, Overtake
 from hid2.policy.behaviours import BEHAVIOURS, POLICY_OF_TURN
 from hid2.policy.lane_change import OPEN, Gap
-from hid2.policy.overtake import Leader, Stage, enter_reason, return_reason
+from hid2.policy.overtake import Stage, enter_reason, return_reason
 from hid2.policy.rules import GapView, SumoAnswer, rule_reason, rule_refusals
 from hid2.reasons import Reason
 from netconvert.cells import Cell
@@ -52,7 +52,7 @@ class Observation:
     request: Policy
     trigger_s: float
     stage: Stage
-    leader: Leader | None
+    leader: Gap | None
     options: tuple[LaneOption, ...]
     passed_gap_m: float = -1.0
     length_m: float = 4.5

@@ -10,16 +10,15 @@ from hid2.conflicts.guard import transition_rejected
 from hid2.drivers.driver import Driver
 from hid2.kernels.polyline import frenet
 from hid2.motion.lane_change_path import LateralTiming
-from hid2.motion.route import DrivenPath, LateralMotion, shifted_path
-from hid2.occupancy.along_path import look_along, path_occupancy
+from hid2.motion.route import DrivenPath, LateralMotion, is_drivable, shifted_path
+from hid2.occupancy.along_path import look_along
 from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path
 from hid2.occupancy.sigma import FREE, UNDER_SHARE, dwell_steps, is_anybody_on
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import LaneOption, Side
 from hid2.policy.lane_change import OPEN, Gap
-from hid2.policy.overtake import Leader
 from hid2.reasons import Reason
-from hid2.scene import DRIVABLE_TYPES, Scene
+from hid2.scene import Scene
 from netconvert.cells import Cell
 
 #: No tunables, room for what a driver does otherwise: shares of the time and of the length of l' left that a lateral
@@ -34,7 +33,7 @@ def admissible_neighbor(scene: Scene, lane_id: int, side: Side) -> int | None:
     if "topology" in scene.config.without:
         return None
     neighbor = graph.neighbor(lane_id, side)
-    if neighbor is None or graph.lanes[neighbor].lane_type not in DRIVABLE_TYPES:
+    if neighbor is None or not is_drivable(graph, neighbor):
         return None
     return neighbor if graph.may_change(lane_id, side) else None
 
@@ -87,23 +86,17 @@ def lane_options(
 
 def target_path(scene: Scene, path: DrivenPath, lane_id: int, *, s: float) -> DrivenPath:
     """Path of l': lanes before it, for agents from behind, then on beside the own route where possible."""
-    return scene.path_beside(tuple(segment.lane_id for segment in path.segments if segment.end > s), lane_id)
+    return scene.paths.beside(tuple(segment.lane_id for segment in path.segments if segment.end > s), lane_id)
 
 
 def gaps_on(
     scene: Scene, target: DrivenPath, box: BoxSize, *, at: float, step: int, fixed: Traffic, fleet: Traffic
 ) -> tuple[Gap, Gap]:
     """Bumper gaps ahead and behind at arc length `at` of a path, recorded and generated alike, Frenet metres."""
-    seen = scene.recorded_on(target, box).at(step)
-    ids = [scene.traffic.ids[row] for row in seen.agents]
-    for traffic, column in ((fixed, step), (fleet, 0)):
-        if traffic.ids:
-            more = path_occupancy(
-                target.line, traffic, length_m=box.length_m, width_m=box.width_m,
-                margin_lateral_m=scene.config.conflict.margin_lateral_m,
-            ).at(column)  # fmt: skip
-            seen, ids = seen.joined(more), [*ids, *(traffic.ids[row] for row in more.agents)]
-    found = gaps_on_path(seen, np.array([at]), 0)
+    every = [(traffic, scene.met_on(target, box, traffic)) for traffic in (scene.future, fixed, fleet)]
+    ids = [traffic.ids[row] for traffic, found in every for row in found.agents]
+    recorded, kept, driven = (found for _, found in every)
+    found = gaps_on_path(recorded.at(step).joined(kept.at(step), driven.at(0)), np.array([at]), 0)
     front, rear = int(found.leader[0]), int(found.follower[0])
     return (
         Gap(float(found.lead_m[0]), float(found.lead_mps[0]), ids[front]) if front >= 0 else OPEN,
@@ -120,7 +113,7 @@ def own_gaps(
     return gaps_on(scene, path, box, at=s, step=step, fixed=fixed, fleet=fleet)
 
 
-def leader_on(path: DrivenPath, size: BoxSize, *, s: float, d_obs_m: float, here: Traffic) -> Leader | None:
+def leader_on(path: DrivenPath, size: BoxSize, *, s: float, d_obs_m: float, here: Traffic) -> Gap | None:
     """Next vehicle on the lane path within d_obs; here: vehicles at this step (one step)."""
     own = path.line.position(np.array([s]))[0]
     near = here.present[:, 0] & (np.abs(here.position[:, 0] - own).max(axis=1) < d_obs_m + 15.0)
@@ -129,8 +122,7 @@ def leader_on(path: DrivenPath, size: BoxSize, *, s: float, d_obs_m: float, here
     found = gaps_on_path(seen, np.array([s]), 0, among=seen.same_direction)
     if not found.lead_m[0] < d_obs_m:
         return None
-    row = int(seen.agents[found.leader[0]])
-    return Leader(here.ids[row], float(found.lead_m[0]), float(found.lead_mps[0]), float(here.length_m[row]))
+    return Gap(float(found.lead_m[0]), float(found.lead_mps[0]), here.ids[seen.agents[found.leader[0]]])
 
 
 def is_on_lane(lane: DrivenPath, position: FloatArray) -> bool:

@@ -1,6 +1,5 @@
 """Overtaking in three stages: enter, pass, return; each with its own feasibility check (paper, Overtaking)."""
 
-from dataclasses import dataclass
 from enum import StrEnum
 
 from hid2.params import Config, Overtake
@@ -22,16 +21,6 @@ class Stage(StrEnum):
     ABORTED = "aborted"
 
 
-@dataclass(frozen=True, slots=True)
-class Leader:
-    """Next vehicle on the lane path: bumper gap m, speed m/s, length m."""
-
-    track_id: str
-    gap_m: float
-    speed_mps: float
-    length_m: float
-
-
 def shortest_shift_s(config: Config) -> float:
     """Shortest lateral motion of an overtake, s."""
     return SHIFT_RATIO * config.lane_change.min_duration_s
@@ -47,7 +36,7 @@ def stretch_m(config: Config) -> float:
 
 def enter_reason(
     *,
-    leader: Leader | None,
+    leader: Gap | None,
     desired_mps: float,
     lane_available: bool,
     ahead: Gap,
@@ -59,7 +48,7 @@ def enter_reason(
 
     The paper's three conditions: a free overtaking lane l', gaps ahead and behind, m * delta s >= d_overtake.
     """
-    if leader is None or leader.gap_m > params.d_obs_m:
+    if leader is None or leader.distance_m > params.d_obs_m:
         return Reason.NO_LEADER
     if desired_mps - leader.speed_mps < params.speed_advantage_mps:
         return Reason.LEADER_NOT_SLOWER

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from hid2.agents import FloatArray
-from hid2.motion.route import ROUTE_LONGEST_M, DrivenPath, Route, routes_from
-from hid2.scene import DRIVABLE_TYPES, Scene
+from hid2.motion.route import DrivenPath, Route, is_drivable, routes_from
+from hid2.scene import Scene
 from netconvert.lane_graph import TurnType
 
 _SAME_M, _EVERY_M = 0.02, 2.0  # book-keeping: how far two paths with the same first lanes may differ, and where we look
@@ -23,22 +23,16 @@ def ways_at_next_split(scene: Scene, path: DrivenPath, *, s: float, from_m: floa
     lanes, graph = scene.grid.graph.lanes, scene.grid.graph
     route = tuple(segment.lane_id for segment in path.segments)
 
-    def usable(lane_id: int) -> bool:
-        return lanes[lane_id].lane_type in DRIVABLE_TYPES
-
     def straight_first(onward: Route) -> Route:
         return tuple(sorted(onward, key=lambda n: (lanes[n].turn is not TurnType.STRAIGHT, n)))
 
     for row, segment in enumerate(path.segments[:-1]):
-        others = tuple(n for n in graph.successors(segment.lane_id) if n not in route and usable(n))
+        others = tuple(n for n in graph.successors(segment.lane_id) if n not in route and is_drivable(graph, n))
         if segment.end < from_m or not others:
             continue
         for lane_id in straight_first(others):
-            ahead = routes_from(
-                graph, lane_id, choose=straight_first, usable=usable, most=1, longest_m=ROUTE_LONGEST_M
-            )  # fmt: skip
-            for rest in ahead:
-                other = scene.path((*route[: row + 1], *rest))
+            for rest in routes_from(graph, lane_id, choose=straight_first, most=1):
+                other = scene.paths.along((*route[: row + 1], *rest))
                 if not set(rest) & set(route[: row + 1]) and _is_the_same_until(path, other, s):
                     yield other
         return

@@ -28,7 +28,7 @@ from hid2.policy.decision import LaneOption, Observation, decide
 from hid2.policy.lane_change import OPEN as NO_GAP
 from hid2.policy.lane_change import Gap
 from hid2.policy.observation import lane_options
-from hid2.policy.overtake import Leader, Stage, enter_reason
+from hid2.policy.overtake import Stage, enter_reason
 from hid2.policy.turns import f_left, f_right, road_speeds
 from hid2.scene import Scene, build_scene
 from netconvert.cells import Cell, build_cell_grid
@@ -174,7 +174,7 @@ def test_lane_change_needs_sigma_0_in_cells_j_minus_1_to_j_plus_1_of_the_target_
     """
     scene = _scene()
     (option, _), *_ = lane_options(
-        scene, scene.path((1,)), CAR, s=42.0, step=0, sides=("left",),
+        scene, scene.paths.along((1,)), CAR, s=42.0, step=0, sides=("left",),
         fixed=_box(42.0 + DELTA_S * k, 3.5, length_m=3.0), fleet=NOBODY, speed_mps=10.0, desired_mps=10.0,
     )  # fmt: skip
     assert option.target == Cell(2, 10)
@@ -227,11 +227,11 @@ FREE_LANE: dict[str, Any] = {
 @pytest.mark.parametrize(("gap", "evaluated"), [(4.0, True), (40.0, True), (41.0, False)])
 def test_overtake_is_evaluated_for_a_leader_within_d_obs(gap: float, evaluated: bool) -> None:
     """k <= d_obs / delta s = 10 cells."""
-    assert (enter_reason(leader=Leader("1", gap, 5.0, 4.5), **FREE_LANE) is None) is evaluated
+    assert (enter_reason(leader=Gap(gap, 5.0, "1"), **FREE_LANE) is None) is evaluated
 
 
 def test_overtake_needs_safe_gaps_ahead_and_behind() -> None:
-    leader = Leader("1", 20.0, 5.0, 4.5)
+    leader = Gap(20.0, 5.0, "1")
     for ahead, behind, reason in ((6.0, 8.0, None), (5.9, 8.0, "front_gap"), (6.0, 7.9, "rear_gap")):
         lane = {**FREE_LANE, "ahead": Gap(ahead, 12.0), "behind": Gap(behind, 12.0)}
         assert enter_reason(leader=leader, **lane) == reason
@@ -239,14 +239,14 @@ def test_overtake_needs_safe_gaps_ahead_and_behind() -> None:
 
 def test_overtake_needs_a_corridor_of_m_cells() -> None:
     """m * 4 m >= 40 m: ten cells do, nine do not."""
-    leader = Leader("1", 20.0, 5.0, 4.5)
+    leader = Gap(20.0, 5.0, "1")
     for m, reason in ((10, None), (9, "corridor_short")):
         assert enter_reason(leader=leader, **{**FREE_LANE, "free_corridor_m": m * DELTA_S}) == reason
 
 
 def test_overtake_enters_passes_and_returns_ahead_of_where_it_left() -> None:
     """Enter at g_{l',j}; pass; return at g_{l,j+k'} once the leader is behind, k' > k."""
-    leader = Leader("1", 20.0, 5.0, 4.5)
+    leader = Gap(20.0, 5.0, "1")
     enter = _decide(request=Policy.OVERTAKE, leader=leader, desired_mps=12.0)
     assert (enter.policy, enter.target) == (Policy.OVERTAKE, Cell(2, 10))
     back = LaneOption("right", Cell(1, 25), True, NO_GAP, NO_GAP, 100.0, 100.0)
@@ -348,14 +348,14 @@ def test_conflict_2_executing_before_pending_closer_before_farther(
     grid = build_cell_grid(LaneGraph(lanes, drivable_areas=(ring,)))
     scene = build_scene(grid, (), config=Config(), num_steps=110, last_observed_step=49, step_s=0.1)
     fleet = [[40.0, 10.0, 0.0, own_executing, 1.0], [other_s, (80.0 - other_s) / 4.0, 0.0, other_executing, 1.0]]
-    found = _braking(scene, scene.path((1,)), [(1, scene.path((2,)), CAR)], fleet)
+    found = _braking(scene, scene.paths.along((1,)), [(1, scene.paths.along((2,)), CAR)], fleet)
     assert (found.decel_mps2 > 0.0) is brakes
 
 
 def test_conflict_3_predicted_collision_changes_the_timing() -> None:
     """Somebody recorded crosses x = 80 at 8 m/s and is there after 4 s, as 10 m/s from x = 40 would be."""
     scene = _scene(_track(80.0, -32.0, 8.0, heading=math.pi / 2))
-    found = _braking(scene, scene.path((1,)), [], [[40.0, 10.0, 0.0, 0.0, 1.0]], horizon_s=6.0)
+    found = _braking(scene, scene.paths.along((1,)), [], [[40.0, 10.0, 0.0, 0.0, 1.0]], horizon_s=6.0)
     assert found.free_conflict_s is not None
     assert found.decel_mps2 > 0.0
     assert found.conflict_s is None

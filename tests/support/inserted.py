@@ -61,7 +61,7 @@ def start_on(scene: Scene, route: Route, s: float, speed: float, **changes: Any)
     driver = changes.get("driver", DRIVER)
     return Start(**{
         "vehicle_id": f"v{number}_0", "request": request, "box": CAR,
-        "route": route, "path": scene.path(route), "start_s": s, "start_mps": speed, "driver": driver,
+        "route": route, "path": scene.paths.along(route), "start_s": s, "start_mps": speed, "driver": driver,
         "desired": np.full(scene.num_steps, driver.desired_mps), "offset": MIDDLE, "sides": ("left", "right"),
         **changes,
     })  # fmt: skip

@@ -1,13 +1,14 @@
 """What others are to a vehicle that drives along a line."""
 
+from hid2.agents import BoxSize
 from hid2.motion.reference_line import ReferenceLine
 from hid2.occupancy.along_path import PathOccupancy, path_occupancy
 from hid2.occupancy.traffic import Traffic
 
 #: Box of the vehicle itself, and of others where they are given it too, m.
-SIZE = {"length_m": 4.0, "width_m": 2.0}
+SIZE = BoxSize(4.0, 2.0)
 
 
 def occupancy_of(line: ReferenceLine, traffic: Traffic, *, margin_m: float = 0.0) -> PathOccupancy:
     """Intervals of others for a box of SIZE."""
-    return path_occupancy(line, traffic, **SIZE, margin_lateral_m=margin_m)
+    return path_occupancy(line, traffic, SIZE, margin_m=margin_m)

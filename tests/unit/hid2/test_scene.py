@@ -106,7 +106,7 @@ def test_place_on_a_lane_is_that_of_recorded_vehicles_within_10_m_else_one_of_th
 ) -> None:
     """One at .4 m to the left from 50 to 150 m: there .4, elsewhere, and on the lane beside, what the lane is given."""
     scene = scene_of(_moving(track, 50.0, 0.4, 100.0 / 5.9))
-    here, beside = (scene.place_on(scene.path((lane,)), np.array([20.0, 105.0, 190.0])) for lane in (1, 2))
+    here, beside = (scene.place_on(scene.paths.along((lane,)), np.array([20.0, 105.0, 190.0])) for lane in (1, 2))
     law = scene.config.drivers
     assert here == pytest.approx([place_of_lane(law, 1), 0.4, place_of_lane(law, 1)])
     assert beside == pytest.approx(np.full(3, place_of_lane(law, 2)))
@@ -135,9 +135,10 @@ def test_paths_and_recorded_intervals_are_made_once(
     scene_of: Callable[..., Scene], track: Callable[..., Track]
 ) -> None:
     scene = scene_of(_moving(track, 10.0, 0.0, 8.0))
-    path = scene.path((1,))
-    assert scene.path((1,)) is path
-    assert scene.recorded_on(path, BoxSize(4.5, 1.9)) is scene.recorded_on(path, BoxSize(4.5, 1.9))
+    path = scene.paths.along((1,))
+    assert scene.paths.along((1,)) is path
+    recorded = (scene.met_on(path, BoxSize(4.5, 1.9), scene.future) for _ in range(2))
+    assert next(recorded) is next(recorded)
     assert scene.cell_at(path, 13.0) == Cell(1, 3)
 
 
@@ -151,5 +152,5 @@ def test_recorded_occupancy_is_known_beforehand(scene_of: Callable[..., Scene], 
 def test_cell_of_a_place_on_a_path(road: Callable[..., LaneGraph]) -> None:
     """200 m of lane in 50 cells of 4 m."""
     scene = build_scene(build_cell_grid(road()), (), config=Config(), num_steps=110, last_observed_step=49, step_s=0.1)
-    path = scene.path((1,))
+    path = scene.paths.along((1,))
     assert [scene.cell_at(path, s).index for s in (0.0, 3.9, 4.1, 198.0)] == [0, 0, 1, 49]

@@ -13,6 +13,7 @@ from bridge.generation.generate import generate
 from bridge.recordings.scenario import read_scenario
 from hid2.agents import Policy
 from hid2.params import Config, Request, Spawn
+from hid2.policy.decision import LaneOption
 from hid2.policy.lane_change import OPEN, Gap
 from hid2.reasons import Reason
 from hid2.vehicle import DrivenVehicle, GapLook
@@ -28,10 +29,8 @@ def _vehicle(*looks: GapLook) -> DrivenVehicle:
 
 def test_row_by_hand() -> None:
     """12 m behind a leader at 8 m/s with 10 m/s: 1.2 s, TTC 12 / 2 s. Follower at 15 m/s, 9 m: .6 s, TTC 9 / 5 s."""
-    look = GapLook(
-        step=20, side="left", target=Cell(7, 3), front=Gap(12.0, 8.0, "a"), rear=Gap(9.0, 15.0, "b"), own_mps=10.0,
-        remaining_m=80.0, cells_free=True, refusals=(), guard=None, sumo=False,
-    )  # fmt: skip
+    seen = LaneOption("left", Cell(7, 3), True, Gap(12.0, 8.0, "a"), Gap(9.0, 15.0, "b"), 80.0, 12.0)
+    look = GapLook(step=20, seen=seen, own_mps=10.0, refusals=(), guard=None, sumo=False)
     (row,) = gap_rows([(2, _vehicle(look))], {"v0_0": "gen_4"}, step_s=0.1)
     assert list(row) == list(GAP_COLUMNS)
     assert (row["vehicle"], row["round"], row["track_id"], row["policy"]) == ("v0_0", 2, "gen_4", "lane_change")
@@ -51,7 +50,7 @@ def test_row_by_hand() -> None:
 def test_what_is_not_asked_has_no_answer(
     refusals: tuple[Reason, ...], guard: Reason | None, answers: tuple[str | None, ...]
 ) -> None:
-    look = GapLook(20, "right", Cell(7, 3), OPEN, OPEN, 10.0, 80.0, True, refusals, guard)
+    look = GapLook(20, LaneOption("right", Cell(7, 3), True, OPEN, OPEN, 80.0, 80.0), 10.0, refusals, guard)
     (row,) = gap_rows([(0, _vehicle(look))], {}, step_s=0.1)
     assert (row["rule"], row["guard"], row["sumo"]) == answers
     assert row["lead_gap_m"] is row["lead_id"] is row["lag_ttc_s"] is row["track_id"] is None

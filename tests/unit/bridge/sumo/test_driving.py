@@ -498,13 +498,13 @@ def _cut_road() -> Scene:
 def test_edges_go_from_the_cell_to_the_end_of_the_route() -> None:
     """From cell 23 of lane 1: two edges of it and the five of lane 3."""
     scene = _cut_road()
-    edges = edges_along(scene, scene.path((1, 3)), Cell(1, 23))
+    edges = edges_along(scene, scene.paths.along((1, 3)), Cell(1, 23))
     assert edges == ("1#23", "1#24", "3#0", "3#1", "3#2", "3#3", "3#4")
 
 
 def test_lane_that_the_path_does_not_use_has_no_edges() -> None:
     scene = _cut_road()
-    assert edges_along(scene, scene.path((1,)), Cell(2, 3)) is None
+    assert edges_along(scene, scene.paths.along((1,)), Cell(2, 3)) is None
 
 
 @pytest.mark.parametrize("s0", [10.0, 21.75, 97.0, 99.0])

@@ -6,6 +6,7 @@ from inserted import recorded, scene_on, start_on
 
 from bridge.sumo.shown import shown_when
 from hid2.agents import Policy, Track
+from hid2.occupancy.along_path import path_occupancy
 from hid2.occupancy.traffic import BoolArray
 from hid2.scene import Scene
 from netconvert.lane_graph import LaneGraph
@@ -24,7 +25,7 @@ def _scene(*tracks: Track) -> Scene:
 def _shown(scene: Scene, policy: Policy = Policy.STRAIGHT) -> BoolArray:
     """Who has to be shown to one that starts at x = 40 with 10 m/s, its desired speed."""
     start = start_on(scene, (1,), 40.0, 10.0, policy=policy)
-    seen = scene.in_driving_width(start.path, start.box)
+    seen = path_occupancy(start.path.line, scene.future, start.box)
     return shown_when(scene.traffic, [start], [seen], step_s=scene.step_s)
 
 

@@ -38,8 +38,8 @@ def _braking(
 ) -> Braking:  # fmt: skip
     """fleet: s, v, a, executing of everybody driven, whose lanes are `lanes` (lane_id for all where it is empty)."""
     guard = Guard(scene, nobody(), StopLines(scene))
-    path = scene.path((lane_id,))
-    paths = [scene.path((lane,)) for lane in lanes or (lane_id,) * len(fleet)]
+    path = scene.paths.along((lane_id,))
+    paths = [scene.paths.along((lane,)) for lane in lanes or (lane_id,) * len(fleet)]
     others = [(row, paths[row], CAR) for row in range(len(fleet)) if row != own]
     state = np.array([[*one, 1.0] for one in fleet])
     return guard.braking(
@@ -62,7 +62,7 @@ def test_margin_widens_a_box_on_each_side_against_those_driven_with_it(
     """Lanes 3.5 m apart, boxes of 1.9 m: 1.6 m between them."""
     scene = scene_on(road(), config=Config(conflict=Conflict(margin_lateral_m=margin_m)))
     guard = Guard(scene, nobody(), StopLines(scene))
-    assert (guard.obstacles(scene.path((1,)), CAR, [(1, scene.path((2,)), CAR)]).rows.size > 0) is is_met
+    assert (guard.obstacles(scene.paths.along((1,)), CAR, [(1, scene.paths.along((2,)), CAR)]).rows.size > 0) is is_met
 
 
 def test_nobody_brakes_on_a_free_road(look: Callable[..., Braking]) -> None:
@@ -209,6 +209,6 @@ def test_larger_box_needs_more_room(road: Callable[..., LaneGraph]) -> None:
     """Beside a pedestrian at y = -1.5 m a car of 1.9 m passes; a bus of 2.9 m (with 0.1 m beside it) does not."""
     scene = scene_on(road(), recorded(70.0, -1.5, kind="pedestrian", size=BoxSize(0.6, 0.6)), config=CONFIG)
     guard = Guard(scene, nobody(), StopLines(scene))
-    path = scene.path((1,))
+    path = scene.paths.along((1,))
     widths = [guard.obstacles(path, BoxSize(10.0, width), []).known.low.shape[0] for width in (1.9, 2.9)]
     assert widths == [0, 1]

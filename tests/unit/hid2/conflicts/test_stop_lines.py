@@ -7,7 +7,8 @@ import pytest
 from inserted import CAR, DRIVER, recorded, scene_on
 
 from hid2.agents import BoxSize, Track
-from hid2.conflicts.stop_lines import StopLine, StopLines
+from hid2.conflicts.stop_lines import STOPS, ClosedLines, StopLines
+from hid2.kernels.steering import CAUSES
 from hid2.params import Config, Signals
 from hid2.scene import Scene
 from netconvert.lane_graph import LaneGraph, LaneSegment
@@ -48,7 +49,7 @@ def brake(junction: Callable[..., Scene]) -> Callable[..., tuple[float, str] | N
 
     def at(*tracks: Track, s: float, v: float, step: int) -> tuple[float, str] | None:
         scene = junction(*tracks)
-        return StopLines(scene).arrays(scene.path((1, 2, 3)), CAR).braking(DRIVER, s=s, speed_mps=v, step=step)
+        return StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR).braking(DRIVER, s=s, speed_mps=v, step=step)
 
     return at
 
@@ -57,27 +58,27 @@ def brake(junction: Callable[..., Scene]) -> Callable[..., tuple[float, str] | N
 CROSSING = recorded(70.0, -50.0, 10.0, heading=UP)
 
 
-def _closed(lines: list[StopLine], cause: str) -> tuple[float, int, int]:
-    (line,) = (line for line in lines if line.cause == cause)
-    steps = np.flatnonzero(line.closed)
-    return line.stop_s, int(steps[0]), int(steps[-1])
+def _closed(lines: ClosedLines, cause: str) -> tuple[float, int, int]:
+    (row,) = np.flatnonzero(lines.cause == CAUSES.index(cause))
+    steps = np.flatnonzero(lines.closed[row])
+    return float(lines.stop_s[row]), int(steps[0]), int(steps[-1])
 
 
 def test_entrance_is_closed_while_recorded_traffic_flows_across(junction: Callable[..., Scene]) -> None:
     """From 2 s before the crossing to 3 s after it; nothing is closed where nobody crosses."""
     scene = junction(CROSSING)
-    stop_s, first, last = _closed(StopLines(scene).on(scene.path((1, 2, 3)), CAR), "signal")
+    stop_s, first, last = _closed(StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR), "signal")
     assert stop_s == pytest.approx(STOP_S)
     assert (first, last) == (pytest.approx(26, abs=3), pytest.approx(84, abs=3))
     empty = junction()
-    assert StopLines(empty).on(empty.path((1, 2, 3)), CAR) == []
+    assert StopLines(empty).on(empty.paths.along((1, 2, 3)), CAR).stop_s.size == 0
 
 
 def test_longer_vehicles_stand_farther_back(junction: Callable[..., Scene]) -> None:
     """A bus of 12 m: 60 - 6 - 1 = 53 m."""
     scene = junction(CROSSING)
-    (line,) = StopLines(scene).on(scene.path((1, 2, 3)), BoxSize(12.0, 2.9))
-    assert line.stop_s == pytest.approx(53.0)
+    lines = StopLines(scene).on(scene.paths.along((1, 2, 3)), BoxSize(12.0, 2.9))
+    assert lines.stop_s.tolist() == pytest.approx([53.0])
 
 
 def test_driver_brakes_as_the_red_line_asks_for(brake: Callable[..., tuple[float, str] | None]) -> None:
@@ -111,7 +112,7 @@ def test_who_stands_at_the_line_stays_until_it_opens(brake: Callable[..., tuple[
 def test_braking_as_asked_for_ends_at_the_line(junction: Callable[..., Scene]) -> None:
     """Step by step from 11.75 m before it at 6 m/s, 1.5 m/s2 for 4 s: it stands within 0.5 m of the line."""
     scene = junction(CROSSING)
-    lines = StopLines(scene).arrays(scene.path((1, 2, 3)), CAR)
+    lines = StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR)
     s, v = 45.0, 6.0
     for step in range(32, 80):
         found = lines.braking(DRIVER, s=s, speed_mps=v, step=step)
@@ -128,7 +129,7 @@ def test_recorded_queue_keeps_the_entrance_closed(junction: Callable[..., Scene]
     x = np.minimum(20.0 + 0.9 * steps, 56.0)
     arrives = Track("q", "vehicle", 2, steps, np.column_stack([x, 0.0 * x]), 0.0 * x, np.zeros((110, 2)), CAR)
     scene = junction(arrives)
-    stop_s, _, last = _closed(StopLines(scene).on(scene.path((1, 2, 3)), CAR), "signal")
+    stop_s, _, last = _closed(StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR), "signal")
     assert (stop_s, last) == (pytest.approx(STOP_S), 109)
 
 
@@ -141,7 +142,7 @@ def test_pedestrian_on_a_crossing_is_yielded_to(
     """
     walker = recorded(101.5, -6.0, 1.3, heading=UP, kind="pedestrian", size=BoxSize(0.6, 0.6))
     scene = junction(walker)
-    stop_s, first, last = _closed(StopLines(scene).on(scene.path((1, 2, 3)), CAR), "crossing")
+    stop_s, first, last = _closed(StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR), "crossing")
     assert stop_s == pytest.approx(96.75, abs=0.5)
     assert first < 40
     assert last < 75
@@ -157,10 +158,10 @@ def test_room_before_a_closed_line_and_none_on_what_it_is_before(junction: Calla
     """
     scene = junction(CROSSING)
     stop_lines = StopLines(scene)
-    lines = stop_lines.arrays(scene.path((1, 2, 3)), CAR)
+    lines = stop_lines.on(scene.path((1, 2, 3)), CAR)
     assert lines.room_m(36.75, 40) == pytest.approx(20.0)
     assert [lines.room_m(s, 40) for s in (58.0, 79.0)] == [-1.0, -1.0]
     assert [lines.room_m(s, step) for s, step in ((81.0, 40), (58.0, 0), (36.75, 0))] == [np.inf] * 3
-    usual = stop_lines.stops[1]
+    usual = STOPS[1]
     assert lines.towards_mps(DRIVER, 20.0) == pytest.approx(np.sqrt(2.0 * usual * DRIVER.decel_mps2 * 20.0))
     assert lines.towards_mps(DRIVER, np.inf) == np.inf

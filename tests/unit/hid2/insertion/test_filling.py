@@ -83,7 +83,7 @@ def test_failed_vehicle_is_replaced_elsewhere_and_counted_with_its_reason(scene_
 
     filling, drive = _fill(scene_for(), spoil, seed=1)
     assert len(filling.kept) == 4
-    assert [(one.vehicle_id, one.reason, one.round_number) for one in filling.rejected] == [
+    assert [(one.vehicle.vehicle_id, one.reason, one.round_number) for one in filling.rejected] == [
         ("v0_0", Reason.SUMO_REFUSES_INSERTION, 0), ("v1_0", Reason.SUMO_REFUSES_INSERTION, 0),
     ]  # fmt: skip
     assert [start.vehicle_id for start in drive.rounds[1]] == ["v0_1", "v1_1"]
@@ -102,7 +102,7 @@ def test_who_cannot_enter_is_replaced_and_its_lane_stays_open(scene_for: Callabl
     filling, drive = _fill(scene_for(agents=2, entering=1.0, near="anywhere"), spoil)
     first, second = drive.rounds
     assert [start.step > 0 for start in (*first, *second)] == [True] * 4
-    assert [(one.reason, one.last_step) for one in filling.rejected] == [
+    assert [(one.reason, one.vehicle.last_step) for one in filling.rejected] == [
         (Reason.NO_ROOM_AT_EDGE, start.step) for start in first
     ]
     assert [one.driven.start for one in filling.kept] == second
@@ -157,7 +157,7 @@ def test_safe_vehicle_whose_manoeuvre_did_not_come_about_takes_an_open_request_t
     stayed = [one.driven for one in filling.kept if one.driven.vehicle_id in ("v2_0", "v3_0")]
     assert [(one.policy, one.start.request.number) for one in stayed] == [(Policy.STRAIGHT, 0)]
     assert not {one.vehicle_id for one in stayed} & filling.outcomes.keys()
-    gone = {one.vehicle_id: one.reason for one in filling.rejected if one.round_number == 0}
+    gone = {one.vehicle.vehicle_id: one.reason for one in filling.rejected if one.round_number == 0}
     assert set(gone.values()) == {Reason.SUMO_REFUSES_INSERTION, Reason.DID_NOT_DO_IT}
     assert len(gone) == 2
     assert {start.vehicle_id for start in drive.rounds[1]} == {"v2_1", "v3_1"}
@@ -177,7 +177,7 @@ def test_vehicle_that_is_on_its_way_across_does_not_go_straight(scene_for: Calla
         return vehicle
 
     filling, _ = _fill(scene, spoil)
-    gone = {one.vehicle_id: one.reason for one in filling.rejected if one.round_number == 0}
+    gone = {one.vehicle.vehicle_id: one.reason for one in filling.rejected if one.round_number == 0}
     assert gone["v0_0"] is Reason.SUMO_REFUSES_INSERTION
     assert gone.get("v2_0") is gone.get("v3_0") is Reason.DID_NOT_DO_IT
 
@@ -223,7 +223,7 @@ def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(
 
     def only_lane_2(starts: Starts, request: VehicleRequest, site: Site) -> Start | Reason:
         assert site.s is not None
-        path = starts.scene.path(site.offer.route)
+        path = starts.scene.paths.along(site.offer.route)
         cell = starts.scene.cell_at(path, path.to_line(site.s))
         if cell.lane_id == 2:
             return make(starts, request, site)
@@ -268,7 +268,9 @@ def test_request_keeps_its_trigger_when_its_vehicle_is_replaced(scene_for: Calla
     assert triggers
     assert all(len(one) == 1 for one in triggers.values())
     assert len({trigger for one in triggers.values() for trigger in one}) == len(triggers)
-    assert {one.reason for one in filling.rejected if one.policy is Policy.LANE_CHANGE} == {Reason.DID_NOT_DO_IT}
+    assert {one.reason for one in filling.rejected if one.vehicle.policy is Policy.LANE_CHANGE} == {
+        Reason.DID_NOT_DO_IT
+    }
 
 
 def test_unmet_manoeuvres_are_told_with_their_last_reason_and_the_count_is_reached(
@@ -331,7 +333,7 @@ def test_who_braked_for_a_vehicle_that_is_gone_is_driven_again(scene_for: Callab
         return vehicle
 
     filling, drive = _fill(scene_for(), spoil, seed=1)
-    reasons = {one.vehicle_id: one.reason for one in filling.rejected}
+    reasons = {one.vehicle.vehicle_id: one.reason for one in filling.rejected}
     assert reasons == {
         "v0_0": Reason.SUMO_REFUSES_INSERTION, "v1_0": Reason.WAITED_FOR_GONE, "v2_0": Reason.WAITED_FOR_GONE,
     }  # fmt: skip
@@ -355,7 +357,7 @@ def test_nobody_is_driven_again_twice(scene_for: Callable[..., Scene]) -> None:
         return vehicle
 
     filling, drive = _fill(scene_for(), spoil, seed=1)
-    assert [one.round_number for one in filling.rejected if one.vehicle_id == "v1_0"] == [0, 1]
+    assert [one.round_number for one in filling.rejected if one.vehicle.vehicle_id == "v1_0"] == [0, 1]
     assert "v1_0" not in {start.vehicle_id for start in drive.rounds[2]}
     assert "v1_2" in {start.vehicle_id for start in drive.rounds[2]}
     assert len(filling.kept) == 4
@@ -426,8 +428,8 @@ def test_debug_log_tells_what_became_of_every_vehicle_that_was_tried(
     for one in filling.rejected:
         detail = f" ({one.detail})" if one.detail else ""
         assert (
-            f"round {one.round_number}: vehicle {one.vehicle_id}, {one.policy}, lane {one.lane_id} cell {one.cell}, "
-            f"last step {one.last_step}: {one.reason}{detail}"
+            f"round {one.round_number}: vehicle {one.vehicle.vehicle_id}, {one.vehicle.policy}, "
+            f"lane {one.cell.lane_id} cell {one.cell.index}, last step {one.vehicle.last_step}: {one.reason}{detail}"
         ) in told
     assert {one.reason for one in filling.rejected} == {Reason.SUMO_REFUSES_INSERTION, Reason.DID_NOT_DO_IT}
     assert sum(": kept" in line for line in told) == len(filling.kept) == 2

@@ -59,7 +59,7 @@ def test_vehicle_alone_is_exported_as_it_was_driven(scene_of: Callable[..., Scen
 
 def test_what_sumo_objected_to_is_the_reason(scene_of: Callable[..., Scene]) -> None:
     scene = scene_of()
-    vehicle = DrivenVehicle(start=start_on(scene, (1,), 40.0, 9.0), path=scene.path((1,)))
+    vehicle = DrivenVehicle(start=start_on(scene, (1,), 40.0, 9.0), path=scene.paths.along((1,)))
     vehicle.objection = Reason.SUMO_REFUSES_INSERTION
     assert finalise(scene, vehicle, []) is Reason.SUMO_REFUSES_INSERTION
 
@@ -357,8 +357,8 @@ def test_who_is_started_ahead_of_a_kept_vehicle_that_comes_into_its_lane_is_no_l
     scene = scene_of()
     start = start_on(scene, (1,), 40.0, 10.0)
     across = lay_across(
-        scene, scene.path((1,)), scene.path((2,)), s=60.0, step=20, speed_mps=np.array([10.0]), remaining_m=200.0,
-        driver=start.driver,
+        scene, scene.paths.along((1,)), scene.paths.along((2,)), s=60.0, step=20, speed_mps=np.array([10.0]),
+        remaining_m=200.0, driver=start.driver,
     )  # fmt: skip
     assert isinstance(across, DrivenPath)
     changer = finalise(scene, replace(driven(start, np.full(110, 10.0)), path=across), [])

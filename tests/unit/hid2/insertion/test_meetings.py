@@ -92,7 +92,7 @@ def test_nobody_leads_past_somebody_between(scene_of: Callable[..., Scene]) -> N
 
 
 @pytest.mark.parametrize(("is_red", "expected"), [(False, 0), (True, -1)])
-def test_nobody_is_followed_beyond_a_red_light(is_red: bool, expected: int) -> None:
+def test_nobody_is_followed_beyond_a_red_light(is_red: bool, expected: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """One at 3 m/s from 130 m on: at 8.1 m/s who starts at 50 m is within 33 m of it from 9.2 s on, the light at 100 m
     behind it.
     """
@@ -104,17 +104,17 @@ def test_nobody_is_followed_beyond_a_red_light(is_red: bool, expected: int) -> N
     meetings = _meetings(scene)
     red = {2: np.full(scene.num_steps, is_red)}
     meetings.signals = SimpleNamespace(red=red.get)
-    scene._usual[1] = 9.0
+    monkeypatch.setattr(Scene, "usual_speed", lambda *_: 9.0)
     assert _leader(meetings, scene, 1, 50.0) == expected
 
 
 def test_site_at_which_somebody_recorded_would_run_into_a_vehicle_weighs_a_fifth(
-    scene_of: Callable[..., Scene],
+    scene_of: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """On lane 1 one at 20 m/s from 20 m on drives 218 m: past who starts at 60 m, not past who starts behind it."""
     scene = scene_of(recorded(20.0, 0.0, 20.0), recorded(20.0, 3.5, 9.0, name="other"), max_speed_mps=12.0)
     meetings = _meetings(scene)
-    scene._usual.update({1: 9.0, 2: 9.0})
+    monkeypatch.setattr(Scene, "usual_speed", lambda *_: 9.0)
     behind, ahead = _weight(meetings, scene, 2, 60.0), _weight(meetings, scene, 1, 60.0)
     assert ahead == pytest.approx(0.2 * behind)
 

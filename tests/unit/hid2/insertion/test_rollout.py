@@ -10,8 +10,9 @@ from inserted import recorded, scene_on, start_on
 
 from hid2.agents import Policy, Track
 from hid2.conflicts.guard import Guard
-from hid2.conflicts.stop_lines import StopLine, StopLines
+from hid2.conflicts.stop_lines import ClosedLines, StopLines
 from hid2.insertion.rollout import RolledOut, Rollout, World
+from hid2.kernels.steering import CAUSES
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
@@ -91,7 +92,7 @@ def test_vehicle_is_rolled_out_anew_without_itself(world_of: Callable[..., World
     around = world.joined_by(third, without="v1_0")
     plain.choose(first, third)
     path, box = first.start.path, first.start.box
-    seen, wanted = around.known_on(path, box), plain.known_on(path, box)
+    seen, wanted = around.guard.known_on(path, box), plain.guard.known_on(path, box)
     assert seen.low == pytest.approx(wanted.low)
     assert around.guard.fixed.ids == ("v0_0", "v2_0")
     assert world.guard.fixed.ids == ("v0_0", "v1_0")  # nothing is chosen by asking
@@ -118,8 +119,9 @@ def test_none_is_to_enter_where_it_has_been_red_for_long(
         2: draw_lane(2, [(100.0, 0.0), (300.0, 0.0)], is_intersection=True),
     }, drivable_areas=())  # fmt: skip
     scene = scene_on(graph)
-    line = StopLine(97.0, 120.0, np.arange(scene.num_steps) >= since, "signal")
-    monkeypatch.setattr(StopLines, "on", lambda *_: [line])
+    closed = np.arange(scene.num_steps)[None] >= since
+    line = ClosedLines(np.array([97.0]), np.array([120.0]), closed, np.array([CAUSES.index("signal")]))
+    monkeypatch.setattr(StopLines, "on", lambda *_: line)
     world = World(scene, Roads(scene), Guard(scene, Traffic.none(scene.future.num_steps), StopLines(scene)))
     start, steps = start_on(scene, (1, 2), 60.0, 10.0), np.arange(scene.num_steps)
     part = Rollout(start.path, 0, 60.0 + 1.0 * steps, np.full(steps.size, 10.0), np.zeros((steps.size, 0)))

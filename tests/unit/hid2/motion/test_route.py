@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,11 +7,11 @@ import pytest
 from hid2.motion.lane_change_path import LateralTiming
 from hid2.motion.route import (
     DrivenPath,
+    LanePaths,
     LateralMotion,
     Segment,
     first_turn,
     path_along,
-    route_beside,
     route_points,
     routes_from,
     shifted_path,
@@ -92,9 +93,14 @@ def test_turns_are_told_by_stretch(forked: LaneGraph) -> None:
     assert kinds == [TurnType.STRAIGHT, TurnType.LEFT, TurnType.STRAIGHT]
 
 
+def _all_drivable(forked: LaneGraph) -> LaneGraph:
+    """The same with lane 5 for all."""
+    return LaneGraph({**forked.lanes, 5: replace(forked.lanes[5], lane_type="VEHICLE")})
+
+
 def test_routes_follow_the_order_chosen_at_a_split(forked: LaneGraph) -> None:
     def routes(choose: Callable[[tuple[int, ...]], tuple[int, ...]]) -> list[tuple[int, ...]]:
-        return list(routes_from(forked, 1, choose=choose, usable=lambda _: True, most=9, longest_m=500.0))
+        return list(routes_from(_all_drivable(forked), 1, choose=choose, most=9))
 
     assert routes(lambda onward: onward) == [(1, 2, 5), (1, 3, 4)]
     assert routes(lambda onward: onward[::-1]) == [(1, 3, 4), (1, 2, 5)]
@@ -102,16 +108,14 @@ def test_routes_follow_the_order_chosen_at_a_split(forked: LaneGraph) -> None:
 
 def test_route_never_ends_before_a_lane_that_may_not_be_used(forked: LaneGraph) -> None:
     """Lane 2 leads only onto the bus lane: a route that stopped there would stop in the middle of the road."""
-    found = routes_from(
-        forked, 1, choose=lambda onward: onward, usable=lambda lane_id: lane_id != 5, most=9, longest_m=500.0
-    )
+    found = routes_from(forked, 1, choose=lambda onward: onward, most=9)
     assert list(found) == [(1, 3, 4)]
 
 
-def test_routes_are_cut_when_long_enough_and_counted(forked: LaneGraph) -> None:
+def test_routes_are_cut_when_long_enough_and_counted(forked: LaneGraph, monkeypatch: pytest.MonkeyPatch) -> None:
     def routes(most: int, longest_m: float) -> list[tuple[int, ...]]:
-        choose = lambda onward: onward  # noqa: E731
-        return list(routes_from(forked, 1, choose=choose, usable=lambda _: True, most=most, longest_m=longest_m))
+        monkeypatch.setattr("hid2.motion.route.ROUTE_LONGEST_M", longest_m)
+        return list(routes_from(_all_drivable(forked), 1, choose=lambda onward: onward, most=most))
 
     assert routes(1, 500.0) == [(1, 2, 5)]
     assert routes(9, 60.0) == [(1, 2), (1, 3)]
@@ -127,7 +131,7 @@ def test_lane_beside_is_known_so_far_back_as_is_asked_for(
         n: lane(n, [(40.0 * place, 3.5), (40.0 * (place + 1), 3.5)], successors=onward)
         for place, (n, onward) in enumerate(((3, (4,)), (4, (5,)), (5, ())))
     } | {6: lane(6, [(80.0, 0.0), (120.0, 0.0)])})  # fmt: skip
-    assert route_beside(graph, (6,), 5, usable=lambda _: True) == route
+    assert LanePaths(graph, Limits()).route_beside((6,), 5) == route
 
 
 def test_circle_of_lanes_is_driven_once(lane: Callable[..., LaneSegment]) -> None:
@@ -137,7 +141,7 @@ def test_circle_of_lanes_is_driven_once(lane: Callable[..., LaneSegment]) -> Non
         1: lane(1, half, successors=(2,)),
         2: lane(2, [0.0, 40.0] - half, successors=(1,)),
     })  # fmt: skip
-    routes = list(routes_from(ring, 1, choose=lambda onward: onward, usable=lambda _: True, most=5, longest_m=1e3))
+    routes = list(routes_from(ring, 1, choose=lambda onward: onward, most=5))
     assert routes == [(1, 2)]
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from views import SIZE, occupancy_of
 
+from hid2.agents import BoxSize
 from hid2.motion.reference_line import ReferenceLine, build_reference_line
 from hid2.occupancy.along_path import PathOccupancy, path_occupancy
 from hid2.occupancy.traffic import Traffic
@@ -18,7 +19,7 @@ def test_box_across_the_path_forbids_half_its_width_and_half_the_own_length(
     [own]---->||
               47   53
     """
-    found = occupancy_of(straight_line, box(50.0, 0.0, np.pi / 2, steps=3, **SIZE))
+    found = occupancy_of(straight_line, box(50.0, 0.0, np.pi / 2, steps=3, **SIZE._asdict()))
     assert found.low.shape == (1, 3)
     assert 46.5 - 1e-9 <= found.low[0, 0] <= 47.0
     assert 53.0 <= found.high[0, 0] <= 53.5 + 1e-9
@@ -27,7 +28,7 @@ def test_box_across_the_path_forbids_half_its_width_and_half_the_own_length(
 
 def test_box_ahead_forbids_from_bumper_to_bumper(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
     """Both 4 m long: 50 - 4 = 46 to 54. It drives at 6 m/s along the path."""
-    found = occupancy_of(straight_line, box(50.0, 0.0, 0.0, 6.0, steps=3, **SIZE))
+    found = occupancy_of(straight_line, box(50.0, 0.0, 0.0, 6.0, steps=3, **SIZE._asdict()))
     assert found.low[0, 0] == pytest.approx(46.0, abs=0.51)
     assert found.high[0, 0] == pytest.approx(54.0, abs=0.51)
     assert found.along[0, 0] == pytest.approx(6.0)
@@ -37,14 +38,14 @@ def test_box_ahead_forbids_from_bumper_to_bumper(straight_line: ReferenceLine, b
 def test_oncoming_box_is_not_aligned_and_moves_against_the_path(
     straight_line: ReferenceLine, box: Callable[..., Traffic]
 ) -> None:
-    found = occupancy_of(straight_line, box(50.0, 0.0, np.pi, 6.0, steps=3, **SIZE))
+    found = occupancy_of(straight_line, box(50.0, 0.0, np.pi, 6.0, steps=3, **SIZE._asdict()))
     assert found.along[0, 0] == pytest.approx(-6.0)
     assert not found.same_direction.any()
 
 
 def test_lateral_margin_counts_a_box_beside_the_path(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
     """At y = 2.2 half widths 1 + 1 leave 0.2 m between; a margin of 0.25 m closes it."""
-    beside = box(50.0, 2.2, steps=1, **SIZE)
+    beside = box(50.0, 2.2, steps=1, **SIZE._asdict())
     assert occupancy_of(straight_line, beside).low.shape[0] == 0
     assert occupancy_of(straight_line, beside, margin_m=0.25).low.shape[0] == 1
 
@@ -57,7 +58,7 @@ def test_agents_that_never_touch_the_path_are_left_out(
 
 
 def test_absent_steps_are_free(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
-    found = occupancy_of(straight_line, box(50.0, 0.0, steps=4, first=2, **SIZE))
+    found = occupancy_of(straight_line, box(50.0, 0.0, steps=4, first=2, **SIZE._asdict()))
     assert np.isinf(found.low[0, :2]).all()
     assert np.isfinite(found.low[0, 2:]).all()
 
@@ -83,7 +84,7 @@ def test_intervals_hold_every_arc_length_that_really_touches(box: Callable[..., 
     bend = 30.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
     line = build_reference_line(bend, step_m=1.0, min_radius_m=5.0, max_offset_m=0.6)
     s = np.arange(0.0, line.length_m, 0.05)
-    own = box_corners(line.position(s), line.heading(s), **SIZE)
+    own = box_corners(line.position(s), line.heading(s), **SIZE._asdict())
     for heading in np.linspace(0, np.pi, 7):
         one = box(20.0, 9.0, heading, steps=1)
         other = box_corners(one.position[0, 0], heading, length_m=4.5, width_m=1.9)
@@ -104,7 +105,7 @@ def test_place_of_who_crosses_is_kept_clear_before_and_after(
     added later; at the steps of the crossing itself nothing changes.
     """
     crossing = box(50.0, -20.0, np.pi / 2, 10.0)
-    found = path_occupancy(straight_line, crossing, length_m=4.5, width_m=1.9, margin_lateral_m=0.0)
+    found = path_occupancy(straight_line, crossing, BoxSize(4.5, 1.9))
     clear = found.kept_clear(10, margin_m=0.2)
     there, kept = np.flatnonzero(np.isfinite(found.low[0])), np.flatnonzero(np.isfinite(clear.low[0]))
     assert (there[0], there[-1]) == (17, 23)
@@ -130,7 +131,7 @@ def test_way_of_one_that_turns_across_is_kept_clear_from_its_first_touch_on() ->
 
 
 def test_leader_holds_no_more_than_where_it_is(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
-    found = path_occupancy(straight_line, box(50.0, 0.0, 0.0, 10.0), length_m=4.5, width_m=1.9, margin_lateral_m=0.0)
+    found = path_occupancy(straight_line, box(50.0, 0.0, 0.0, 10.0), BoxSize(4.5, 1.9))
     clear = found.kept_clear(10, margin_m=0.2)
     assert np.array_equal(clear.low, found.low)
     assert np.array_equal(clear.high, found.high)
@@ -170,7 +171,7 @@ def test_intervals_are_those_of_every_box_against_every_point(seed: int, own: tu
     loop = np.column_stack([40.0 * np.sin(angle), 25.0 * np.sin(2 * angle)])
     line = build_reference_line(loop, step_m=1.0, min_radius_m=5.0, max_offset_m=0.6)
     traffic = _around(line, np.random.default_rng(seed))
-    found = path_occupancy(line, traffic, length_m=own[0], width_m=own[1], margin_lateral_m=0.0)
+    found = path_occupancy(line, traffic, BoxSize(*own))
     low, high = np.full(traffic.present.shape, np.inf), np.full(traffic.present.shape, -np.inf)
     for row, step in zip(*np.nonzero(traffic.present), strict=True):
         x, y = traffic.position[row, step]
@@ -195,8 +196,7 @@ def test_what_is_known_of_some_holds_for_all_that_join_them(
 
     def along(traffic: Traffic, clear_steps: int):
         return path_occupancy(
-            straight_line, traffic, length_m=4.5, width_m=1.9, margin_lateral_m=0.2, clear_steps=clear_steps,
-            clear_margin_m=0.2,
+            straight_line, traffic, BoxSize(4.5, 1.9), margin_m=0.2, clear_steps=clear_steps, clear_margin_m=0.2
         )  # fmt: skip
 
     def parts() -> list[Traffic]:

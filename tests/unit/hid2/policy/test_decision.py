@@ -9,7 +9,7 @@ from hid2.agents import Policy
 from hid2.params import LaneChange, Overtake
 from hid2.policy.decision import Decision, LaneOption, Observation, decide
 from hid2.policy.lane_change import OPEN, Gap
-from hid2.policy.overtake import Leader, Stage
+from hid2.policy.overtake import Stage
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
 
@@ -25,7 +25,7 @@ SEEN = Observation(
 OVERTAKE = Overtake(
     d_obs_m=40.0, d_overtake_m=40.0, speed_advantage_mps=1.5, safe_front_m=6.0, safe_rear_m=8.0, return_gap_m=5.0
 )
-SLOW = Leader("9", 15.0, 4.0, 4.5)
+SLOW = Gap(15.0, 4.0, "9")
 
 
 def _decide(**changes: Any) -> Decision:

@@ -4,14 +4,14 @@ import pytest
 
 from hid2.params import Overtake
 from hid2.policy.lane_change import Gap
-from hid2.policy.overtake import Leader, enter_reason, return_reason
+from hid2.policy.overtake import enter_reason, return_reason
 
 #: Every value that a number below is worked from; the defaults may be tuned.
 PARAMS = Overtake(
     d_obs_m=40.0, d_overtake_m=40.0, speed_advantage_mps=1.5, safe_front_m=6.0, safe_rear_m=8.0, return_gap_m=5.0
 )
 OPEN: dict[str, Any] = {
-    "leader": Leader("7", 20.0, 5.0, 4.5),
+    "leader": Gap(20.0, 5.0, "7"),
     "desired_mps": 10.0,
     "lane_available": True,
     "ahead": Gap(40.0, 10.0),
@@ -26,7 +26,7 @@ def test_overtake_begins_when_the_three_conditions_hold() -> None:
 
 @pytest.mark.parametrize(
     "changed",
-    [{"leader": Leader("7", 40.0, 8.5, 4.5)}, {"ahead": Gap(6.0, 10.0)}, {"behind": Gap(8.0, 10.0)}],
+    [{"leader": Gap(40.0, 8.5, "7")}, {"ahead": Gap(6.0, 10.0)}, {"behind": Gap(8.0, 10.0)}],
 )
 def test_what_is_asked_for_is_enough(changed: dict[str, Any]) -> None:
     """A leader 40 m ahead that is 10 - 8.5 = 1.5 m/s slower, gaps of 6 and 8 m: no more is asked for."""
@@ -37,8 +37,8 @@ def test_what_is_asked_for_is_enough(changed: dict[str, Any]) -> None:
     ("changed", "reason"),
     [
         ({"leader": None}, "no_leader"),
-        ({"leader": Leader("7", 40.1, 5.0, 4.5)}, "no_leader"),  # d_obs = 40 m
-        ({"leader": Leader("7", 20.0, 8.6, 4.5)}, "leader_not_slower"),  # 10 - 8.6 = 1.4, below 1.5 m/s
+        ({"leader": Gap(40.1, 5.0, "7")}, "no_leader"),  # d_obs = 40 m
+        ({"leader": Gap(20.0, 8.6, "7")}, "leader_not_slower"),  # 10 - 8.6 = 1.4, below 1.5 m/s
         ({"lane_available": False}, "no_lane"),
         ({"ahead": Gap(5.9, 10.0)}, "front_gap"),
         ({"behind": Gap(7.9, 10.0)}, "rear_gap"),

@@ -30,7 +30,7 @@ def _tree(config: Config | None = None) -> Scene:
 
 
 def _routes(scene: Scene, s: float, route: tuple[int, ...] = (1, 2, 4)) -> list[list[int]]:
-    ways = ways_at_next_split(scene, scene.path(route), s=s, from_m=s + 5.0)
+    ways = ways_at_next_split(scene, scene.paths.along(route), s=s, from_m=s + 5.0)
     return [[segment.lane_id for segment in way.segments] for way in ways]
 
 
@@ -46,7 +46,7 @@ def test_the_next_split_ahead_offers_every_other_lane_for_vehicles(s: float, way
 def test_split_at_the_place_from_which_it_may_turn_off_is_offered() -> None:
     """From the end of lane 1 on: the split there counts, 1 mm farther on it does not."""
     scene = _tree()
-    path = scene.path((1, 2, 4))
+    path = scene.paths.along((1, 2, 4))
     at = path.segments[0].end
     routes = [
         [segment.lane_id for way in ways_at_next_split(scene, path, s=40.0, from_m=from_m) for segment in way.segments]
@@ -62,7 +62,7 @@ def test_straight_on_comes_first() -> None:
 
 def test_way_so_far_is_the_same_on_both() -> None:
     scene = _tree()
-    path = scene.path((1, 2, 4))
+    path = scene.paths.along((1, 2, 4))
     (other,) = ways_at_next_split(scene, path, s=30.0, from_m=35.0)
     s = np.linspace(0.0, 30.0, 31)
     at = places_on(other, path, s)
