@@ -108,18 +108,18 @@ def maneuver_record(vehicle: ExportedVehicle, outcome: Outcome, names: Mapping[s
 
 def event_record(found: EventOutcome, names: Mapping[str, str]) -> EventRecord:
     """Record of one event that was asked for; names: as of `agent_record`."""
-    event, measures = found.event, found.measures
-    if found.vehicle is None or measures is None or found.at_s is None:
+    event, seen = found.event, found.seen
+    if found.vehicle is None or seen is None:
         most = next((one for one in found.tried if one is not found.reason), None)
         return EventRecord(
             kind=event.kind, target=event.target, status="not_feasible", reason=_with_detail(found.reason, most),
             tries=found.tries, tried={reason.value: count for reason, count in found.tried.items()},
         )  # fmt: skip
-    figures: Any = {name: None if value is None else round(value, 6) for name, value in asdict(measures).items()}
+    figures: Any = {name: None if value is None else round(value, 6) for name, value in asdict(seen.measures).items()}
     return EventRecord(
         kind=event.kind, target=event.target, status="done", track_id=names[found.vehicle.driven.vehicle_id],
-        target_track_id=found.target_id, at_s=round(found.at_s, 6), ahead=found.order > 0,
-        human_brakes=measures.human_brakes, tries=found.tries, **figures,
+        target_track_id=found.target_id, at_s=round(seen.at_step * found.vehicle.motion.step_s, 6),
+        ahead=seen.order > 0, human_brakes=seen.measures.human_brakes, tries=found.tries, **figures,
     )  # fmt: skip
 
 

@@ -115,7 +115,10 @@ def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedR
         )
         for start in drawn.starts
     ]  # fmt: skip
-    comers = [replace(one, driver=_with_duration(one.driver, config.lane_change)) for one in drawn.arrivals]
+    comers = [
+        replace(one, start=replace(one.start, driver=_with_duration(one.start.driver, config.lane_change)))
+        for one in drawn.arrivals
+    ]
     with Simulation(
         prepared.net(config), seed=sumo_seed(drawn.seed), step_s=scene.step_s, model=config.car_following.model,
         parameters=model_parameters(config), checks_gaps=config.lane_change.safety == "sumo",

@@ -55,6 +55,6 @@ def _requests_of_a_run(study: Study) -> int:
     due += [
         one.due_s + trigger_after_s(one, config.request, drawn.seed, last_s)
         for one in drawn.arrivals
-        if one.policy.value == study.kind
+        if one.start.request.policy.value == study.kind
     ]
     return sum(config.flow.counted_from_s <= at_s < last_s for at_s in due)

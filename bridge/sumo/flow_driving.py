@@ -10,11 +10,9 @@ from bridge.sumo.driving import Driving, Limit
 from bridge.sumo.lane_changes import Attempt
 from bridge.sumo.poses import center_on_path
 from bridge.sumo.routes import edges_along
-from hid2.drivers.driver import MIDDLE
 from hid2.insertion.flow import Arrival
 from hid2.occupancy.gaps import gaps_from_pose
 from hid2.occupancy.traffic import Traffic
-from hid2.vehicle import Start, VehicleRequest
 
 #: `Fleet.near_m` of a fleet that others join: at every entry all vehicles look anew at those near, as none farther
 #: away gets there within the horizon.
@@ -85,8 +83,8 @@ class FlowDriving(Driving):
 
     def _is_clear(self, arrival: Arrival, across: Traffic) -> bool:
         """Whether no box is in the way where a vehicle enters, nor too near ahead; SUMO sees to those on its lane."""
-        driver, box = arrival.driver, arrival.box
-        xy, forward, _ = arrival.path.line.motion(np.array([0.5 * box.length_m]))
+        driver, box = arrival.start.driver, arrival.start.box
+        xy, forward, _ = arrival.start.path.line.motion(np.array([0.5 * box.length_m]))
         seen = gaps_from_pose(xy[0], forward[0], box, across)
         room_m = driver.min_gap_m + driver.tau_s * driver.desired_mps
         beside = seen.aside_m < self.fleet.scene.config.conflict.margin_lateral_m
@@ -94,32 +92,24 @@ class FlowDriving(Driving):
         return not bool((beside & near & across.present[:, 0]).any())
 
     def _queue(self, arrival: Arrival, step: int) -> None:
-        scene = self.fleet.scene
-        cell = scene.cell_at(arrival.path, 0.0)
-        edges = edges_along(scene, arrival.path, cell)
+        scene, start = self.fleet.scene, arrival.start
+        cell = scene.cell_at(start.path, 0.0)
+        edges = edges_along(scene, start.path, cell)
         assert edges is not None  # the route begins on its own lane
         self.simulation.queue(
-            arrival.vehicle_id, edges=edges, lane_index=scene.grid.lane_index(cell), size=arrival.size,
-            driver=replace(arrival.driver, desired_mps=float(arrival.desired[step])),  # it would brake for its wish
+            start.vehicle_id, edges=edges, lane_index=scene.grid.lane_index(cell), size=start.size,
+            driver=replace(start.driver, desired_mps=float(start.desired[step])),  # it would brake for its wish
         )  # fmt: skip
         self._queued[arrival.vehicle_id] = arrival
 
     def _appear(self, arrival: Arrival, step: int) -> None:
         """It is in the net: from now on one of those that are driven."""
-        simulation, scene = self.simulation, self.fleet.scene
-        lane, front_m = simulation.lane(arrival.vehicle_id)
-        start_s = center_on_path(
-            scene.grid, arrival.path, lane, front_m, length_m=arrival.size.length_m, after=-math.inf
-        )
+        simulation, scene, start = self.simulation, self.fleet.scene, arrival.start
+        lane, front_m = simulation.lane(start.vehicle_id)
+        start_s = center_on_path(scene.grid, start.path, lane, front_m, length_m=start.size.length_m, after=-math.inf)
         assert start_s is not None  # it begins on its route
-        trigger_s = step * scene.step_s + self.trigger_after_s(arrival)
-        request = VehicleRequest(arrival.number, arrival.policy, trigger_s, arrival.object_type, arrival.size)
-        start = Start(
-            vehicle_id=arrival.vehicle_id, request=request, box=arrival.box, route=arrival.route, path=arrival.path,
-            start_s=start_s,
-            start_mps=simulation.speed(arrival.vehicle_id), driver=arrival.driver, desired=arrival.desired,
-            offset=MIDDLE, sides=arrival.sides,
-        )  # fmt: skip
-        self.entered[arrival.vehicle_id] = step
-        self.waiting_s[arrival.vehicle_id] = step * scene.step_s - arrival.due_s
-        self.fleet.add([start])
+        request = replace(start.request, trigger_s=step * scene.step_s + self.trigger_after_s(arrival))
+        self.entered[start.vehicle_id] = step
+        self.waiting_s[start.vehicle_id] = step * scene.step_s - arrival.due_s
+        start_mps = simulation.speed(start.vehicle_id)
+        self.fleet.add([replace(start, request=request, start_s=start_s, start_mps=start_mps)])

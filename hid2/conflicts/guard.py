@@ -91,11 +91,6 @@ class Obstacles:
     lines: ClosedLines
 
 
-def _boxes_reach_m(one: BoxSize, other: BoxSize) -> float:
-    """Centres farther apart than this belong to boxes that cannot touch, with their margins."""
-    return 0.5 * (one.length_m + one.width_m + other.length_m + other.width_m) + _MARGINS_M
-
-
 @dataclass(eq=False)
 class Guard:
     """Conflict case 3 of all vehicles that are driven together.
@@ -156,8 +151,8 @@ class Guard:
         self, path: DrivenPath, box: BoxSize, other: DrivenPath, other_box: BoxSize
     ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
         """Interval on a path, and cosine between the two, for each place of another vehicle along its own path."""
-        if path.line.is_beyond(other.line, _boxes_reach_m(box, other_box)):
-            return None
+        if path.line.is_beyond(other.line, 0.5 * (sum(box) + sum(other_box)) + _MARGINS_M):
+            return None  # with centres so far apart no boxes touch
         width_m = box.width_m + 2 * self.scene.config.conflict.margin_lateral_m
         found = look_along(path.line, self._alone(other, other_box), box.length_m, width_m)
         return (found.low[0], found.high[0], found.along[0]) if found.agents.size else None

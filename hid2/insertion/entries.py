@@ -7,13 +7,14 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
-from hid2.agents import FloatArray, IntArray, Policy
+from hid2.agents import FloatArray, IntArray
 from hid2.insertion.flow import entry_lanes
 from hid2.insertion.meetings import NEAR_WEIGHT, Meetings
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.motion.route import Route
 from hid2.occupancy.traffic import BoolArray
 from hid2.scene import ENTRY_STAYS_S, Scene
+from netconvert.lane_graph import TurnType
 
 #: A lane that begins so near to the hull of all lanes begins at the map's edge, m. No tunable: what the edge is.
 _EDGE_M = 15.0
@@ -63,24 +64,18 @@ class Entries:
     def table(self) -> EntryTable:
         """All of them, at every look of `Meetings` after the first, up to the last observed step."""
         scene = self.scene
-        rows: list[tuple[int, int, int]] = []
-        met: list[tuple[float, bool, int]] = []
+        rows: list[tuple[int, int, int, float, bool, int]] = []
         looks = [(look, step) for look, step in enumerate(self.meetings.looks.tolist()) if 0 < step <= self._last]
         for lane_id in edge_lanes(scene, self.routes):
-            offers = self.meetings.offers_towards(lane_id, Policy.STRAIGHT)
+            offers = self.meetings.offers_towards(lane_id, TurnType.STRAIGHT)
             for offer in offers:
                 for look, step in looks:
-                    found = self.meetings.from_edge(lane_id, offer, look)
-                    rows.append((lane_id, offer, step))
-                    met.append((float(found.weight[0]) / len(offers), bool(found.near[0]), int(found.leader[0])))
-                    if scene.config.request.near != "anywhere" and found.weight[0] < NEAR_WEIGHT:
-                        met[-1] = (0.0, *met[-1][1:])
-        lane, offer_row, at = np.array(rows, dtype=np.int64).reshape(-1, 3).T
-        return EntryTable(
-            lane, offer_row, at, np.array([weight for weight, _, _ in met], dtype=np.float64),
-            np.array([near for _, near, _ in met], dtype=np.bool_),
-            np.array([leader for _, _, leader in met], dtype=np.int64),
-        )  # fmt: skip
+                    met = self.meetings.from_edge(lane_id, offer, look)
+                    weighs = scene.config.request.near == "anywhere" or met.weight[0] >= NEAR_WEIGHT
+                    weight = float(met.weight[0]) / len(offers) if weighs else 0.0
+                    rows.append((lane_id, offer, step, weight, bool(met.near[0]), int(met.leader[0])))
+        columns = zip(*rows, strict=True) if rows else [()] * 6
+        return EntryTable(*map(np.array, columns, (np.int64, np.int64, np.int64, np.float64, np.bool_, np.int64)))
 
     @property
     def _between(self) -> int:

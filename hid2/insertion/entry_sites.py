@@ -46,7 +46,7 @@ class EntrySites:
         table = entries.table
         weight = table.weight.copy()
         weight[np.isin(table.leader, followed) & (table.leader >= 0)] /= LEADER_WEIGHT
-        if self.here.meetings.is_target_named:
+        if scene.config.request.is_near_agents:
             weight[~table.near] = 0.0
         order = self.spread.order(
             weight, rng, number=self._looked, kind=len(Policy), round_number=self.starts.round_number,

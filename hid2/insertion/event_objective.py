@@ -26,7 +26,10 @@ _ASIDE_M = 2.5
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Seen:
-    """An event as the judge sees it in the states of a vehicle and its target. order: as in `EventOutcome`."""
+    """An event as the judge sees it in the states of a vehicle and its target.
+
+    order: 1 where the vehicle is ahead of the target, or crosses first, else -1.
+    """
 
     at_step: int
     order: int

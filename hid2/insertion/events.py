@@ -25,7 +25,6 @@ from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traf
 from hid2.insertion.outcome import Outcome, outcome_of
 from hid2.insertion.sizes import draw_size
 from hid2.insertion.surroundings import Surroundings
-from hid2.judge.events import EventMeasures
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config, Event
 from hid2.reasons import Reason
@@ -47,10 +46,9 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class EventOutcome:
-    """What became of an event that was asked for; vehicle, at_s s and measures where it came about.
+    """What became of an event that was asked for; vehicle, outcome and what is seen of it where it came about.
 
-    order: 1 where the vehicle is ahead of the target, or crosses first; tries: vehicles that were driven for it; tried:
-    what each try or, where none was driven, each candidate failed by.
+    tries: vehicles that were driven for it; tried: what each try or, where none was driven, each candidate failed by.
     """
 
     event: Event
@@ -58,9 +56,7 @@ class EventOutcome:
     target_id: str | None = None
     vehicle: ExportedVehicle | None = None
     outcome: Outcome | None = None
-    at_s: float | None = None
-    measures: EventMeasures | None = None
-    order: int = 1
+    seen: Seen | None = None
     tries: int = 0
     tried: Mapping[Reason, int] = field(default_factory=dict)
 
@@ -132,8 +128,7 @@ class EventSearch:
                 vehicle, seen = judged
                 return EventOutcome(
                     event, None, starts.objective.target.track.track_id, vehicle,
-                    outcome_of(starts.scene, vehicle, self.kept), seen.at_step * starts.scene.step_s, seen.measures,
-                    seen.order, tried.total() + 1,
+                    outcome_of(starts.scene, vehicle, self.kept), seen, tried.total() + 1,
                 )  # fmt: skip
             tried[judged] += 1
             _LOG.debug("event %s: %s fails: %s", event.kind, start.vehicle_id, judged)

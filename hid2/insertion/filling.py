@@ -155,11 +155,10 @@ class Filling:
         return starts
 
     def _target(self) -> int:
+        """How many are asked for; `max`: how many the road takes at usual gaps, about."""
         asked = self.scene.config.request.agents
-        return self._most() if asked == "max" else asked
-
-    def _most(self) -> int:
-        """How many the road takes at usual gaps, about: what `max` asks for."""
+        if asked != "max":
+            return asked
         lanes = self.scene.grid.graph.lanes
         length_m = sum(lanes[lane_id].length_m for lane_id in self.surroundings.routes.lanes)
         return min(_MOST, math.ceil(length_m / SPACING_M))

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -176,8 +177,7 @@ def _placed(
     most_m = -math.inf
     for share in _OFFSET_SHARES:
         path = trajectory(vehicle.path.line, motion, offset.scaled(share))
-        found = _smoothed(scene, vehicle, motion, path, off_m, others)
-        judged = found if isinstance(found, Reason) else _beside_others(scene, *found)
+        judged = _judged(scene, as_exported(scene, vehicle, motion, path, off_m), others)
         if not isinstance(judged, Reason):
             room_m = _passes_m(others.joined(judged.states))
             if room_m > most_m:
@@ -205,19 +205,26 @@ def _reason(scene: Scene, findings: Iterable[Finding]) -> Reason | None:
     return None
 
 
-def _smoothed(
-    scene: Scene, vehicle: DrivenVehicle, motion: Motion, path: Trajectory, off_m: FloatArray, others: AgentStates
-) -> tuple[ExportedVehicle, AgentStates] | Reason:
-    """What the choice of filter and place in the lane decides: motion, road, boxes. Returned with all others, too."""
-    bounds, without = last_word(scene.config), scene.config.without
-    found = as_exported(scene, vehicle, motion, path, off_m)
-    verdict = _reason(scene, of_motion(found.states, 0, bounds))
-    if verdict is None and not {"collision", "topology"} & without:
-        verdict = _reason(scene, of_road(found.states, 0, vehicle.start.size, scene.grid.graph, bounds))
-    if verdict is not None:
+def _judged(scene: Scene, vehicle: ExportedVehicle, others: AgentStates) -> ExportedVehicle | Reason:
+    """A vehicle that the judge has nothing against, with its least TTC; or the reason of its first finding.
+
+    First what the choice of filter and place in the lane decides: motion, road, boxes. Then what it does to others on
+    the path that it drives, and what follows its last step.
+    """
+    bounds, without, row = last_word(scene.config), scene.config.without, others.arrays.num_agents
+    found = of_motion(vehicle.states, 0, bounds)
+    if not {"collision", "topology"} & without:
+        found = chain(found, of_road(vehicle.states, 0, vehicle.driven.start.size, scene.grid.graph, bounds))
+    if (verdict := _reason(scene, found)) is not None or "collision" in without:
+        return verdict or vehicle
+    states, every = others.joined(vehicle.states), np.arange(row)
+    if (verdict := _boxes(scene, states)) is not None:
         return verdict
-    states = others.joined(found.states)
-    return _boxes(scene, states) or (found, states)
+    led = states.leading(row, every, aside_m=bounds.spare_aside_m)
+    found = chain(ttc_on_driven_path(states, row, led, bounds), of_end(states, row, every, bounds))
+    if "topology" not in without:
+        found = chain(found, of_crossings(states, bounds, since=row))
+    return _reason(scene, found) or replace(vehicle, min_ttc_s=float(led.ttc_s.min(initial=np.inf)))
 
 
 def as_exported(
@@ -256,21 +263,6 @@ def _passes_m(states: AgentStates) -> float:
     passes &= along_m < 0.5 * (traffic.length_m[:-1] + traffic.length_m[-1])[:, None]
     room_m = aside_m - 0.5 * (traffic.width_m[:-1] + traffic.width_m[-1])[:, None]
     return float(room_m[passes].min(initial=math.inf))
-
-
-def _beside_others(scene: Scene, vehicle: ExportedVehicle, states: AgentStates) -> ExportedVehicle | Reason:
-    """What a vehicle does to others on the path that it drives, and what follows its last step."""
-    config, bounds = scene.config, last_word(scene.config)
-    if "collision" in config.without:
-        return vehicle
-    row = states.arrays.num_agents - 1
-    every = np.arange(row)
-    led = states.leading(row, every, aside_m=bounds.spare_aside_m)
-    verdict = _reason(scene, ttc_on_driven_path(states, row, led, bounds))
-    verdict = verdict or _reason(scene, of_end(states, row, every, bounds))
-    if verdict is None and "topology" not in config.without:
-        verdict = _reason(scene, of_crossings(states, bounds, since=row))
-    return verdict or replace(vehicle, min_ttc_s=float(led.ttc_s.min(initial=np.inf)))
 
 
 def conflicting(

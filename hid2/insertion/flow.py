@@ -8,36 +8,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy
-from hid2.drivers.driver import Driver, desired_speeds, draw_driver
+from hid2.agents import DEFAULT_SIZES, Policy
+from hid2.drivers.driver import MIDDLE, desired_speeds, draw_driver
 from hid2.insertion.requests import draw_trigger
 from hid2.insertion.routes import Routes
 from hid2.insertion.sizes import draw_size
-from hid2.motion.route import DrivenPath, Route
 from hid2.params import Flow, Request
 from hid2.policy.decision import Side
 from hid2.scene import Scene, clearance_box
+from hid2.vehicle import Start, VehicleRequest
 
 _STREAM, _TRIGGERS = 77, 78  # of random numbers, apart from those of the rounds: names, no tunables
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Arrival:
-    """A vehicle that enters lane_id at the map's edge at due_s, or as soon after as there is room. desired (T,) m/s."""
+    """A vehicle that enters lane_id at the map's edge at due_s, or as soon after as there is room.
 
-    vehicle_id: str
-    number: int
+    start: without its place and speed, which it has when it enters, and its trigger, which counts from then.
+    """
+
     lane_id: int
     due_s: float
-    policy: Policy
-    object_type: str
-    size: BoxSize
-    box: BoxSize
-    route: Route
-    path: DrivenPath
-    driver: Driver
-    desired: FloatArray
-    sides: tuple[Side, ...]
+    start: Start
+
+    @property
+    def vehicle_id(self) -> str:
+        """Its id in the simulation."""
+        return self.start.vehicle_id
 
 
 def entry_lanes(scene: Scene, routes: Routes) -> list[int]:
@@ -78,24 +76,21 @@ def arrivals(scene: Scene, routes: Routes, seed: Sequence[int]) -> list[Arrival]
             sides: tuple[Side, ...] = ("left", "right") if rng.random() < 0.5 else ("right", "left")
             object_type, size = draw_size(request, rng)
             driver = draw_driver(config, rng, lane_speed_mps=scene.lane_speed(lane_id, rng))
-            path = scene.paths.along(offer.route)
-            found.append(
-                Arrival(
-                    vehicle_id=f"f{lane_id}_{number}", number=number, lane_id=lane_id, due_s=due_s, policy=policy,
-                    object_type=object_type, size=size,
-                    box=clearance_box(size, DEFAULT_SIZES[object_type]), route=offer.route, path=path, driver=driver,
-                    desired=desired_speeds(
-                        driver, config, rng, num_steps=scene.num_steps, step_s=scene.step_s,
-                        at_least_mps=driver.desired_mps,
-                    ),
-                    sides=sides,
-                )
+            wished = desired_speeds(
+                driver, config, rng, num_steps=scene.num_steps, step_s=scene.step_s, at_least_mps=driver.desired_mps
+            )
+            start = Start(
+                vehicle_id=f"f{lane_id}_{number}", request=VehicleRequest(number, policy, 0.0, object_type, size),
+                box=clearance_box(size, DEFAULT_SIZES[object_type]), route=offer.route,
+                path=scene.paths.along(offer.route), start_s=0.0, start_mps=0.0, driver=driver, desired=wished,
+                offset=MIDDLE, sides=sides,
             )  # fmt: skip
+            found.append(Arrival(lane_id, due_s, start))
             number += 1
     return sorted(found, key=lambda one: (one.due_s, one.lane_id))
 
 
 def trigger_after_s(arrival: Arrival, request: Request, seed: Sequence[int], duration_s: float) -> float:
     """t_trigger of an arrival, s from its entry, in a scene of some duration, s; from a stream of its own."""
-    rng = np.random.default_rng([*seed, _TRIGGERS, arrival.lane_id, arrival.number])
+    rng = np.random.default_rng([*seed, _TRIGGERS, arrival.lane_id, arrival.start.request.number])
     return draw_trigger(request, rng, duration_s)

@@ -77,16 +77,14 @@ class Outlook(NamedTuple):
 class Meetings:
     """What vehicles that start on the cells of a scene would meet at usual speed.
 
-    signals: those of the stop lines, at which vehicles wait.
+    signals: those of the stop lines, at which vehicles wait; looks: steps at which recorded traffic is looked at.
     """
 
     scene: Scene
     routes: Routes
     signals: InferredSignals
     _targets: IntArray = field(init=False)
-    _xy: FloatArray = field(init=False)
-    _there: BoolArray = field(init=False)
-    _steps: IntArray = field(init=False)
+    looks: IntArray = field(init=False)
     _target_xy: FloatArray = field(init=False)
     _target_there: BoolArray = field(init=False)
     _lane_cell: IntArray = field(init=False)
@@ -101,44 +99,34 @@ class Meetings:
         scene, traffic = self.scene, self.scene.traffic
         moving = moving_vehicles(scene)
         self._targets = target_rows(scene)
-        self._steps = np.arange(0, scene.num_steps, scene.steps_in(_EVERY_S))
-        self._xy, self._there = traffic.position[moving][:, self._steps], traffic.present[moving][:, self._steps]
-        self._target_xy = np.ascontiguousarray(traffic.position[self._targets][:, self._steps])
-        self._target_there = np.ascontiguousarray(traffic.present[self._targets][:, self._steps])
+        self.looks = np.arange(0, scene.num_steps, scene.steps_in(_EVERY_S))
+        self._target_xy = np.ascontiguousarray(traffic.position[self._targets][:, self.looks])
+        self._target_there = np.ascontiguousarray(traffic.present[self._targets][:, self.looks])
         rows = scene.vehicle_rows
-        cell = scene.occupancy.cell[rows][:, self._steps]
-        self._lane_cell = np.ascontiguousarray(np.where(scene.occupancy.mapped[rows][:, self._steps], cell, -1))
+        cell = scene.occupancy.cell[rows][:, self.looks]
+        self._lane_cell = np.ascontiguousarray(np.where(scene.occupancy.mapped[rows][:, self.looks], cell, -1))
         self._number = np.full(len(traffic.ids), -1, dtype=np.int64)
         self._number[moving] = np.arange(moving.size)
         self._number = self._number[rows]
         self._crossed_from, self._crossed_s = self._crossings(moving)
         self._pace_mps = np.array([_pace(traffic, row) for row in moving.tolist()], dtype=np.float64)
-        speed = np.hypot(*traffic.velocity[moving][:, self._steps].transpose(2, 0, 1))
-        slows = np.diff(speed, axis=1) < BRAKES_MPS2 * np.diff(self._steps) * scene.step_s
-        slows &= self._there[:, 1:] & self._there[:, :-1]
+        speed = np.hypot(*traffic.velocity[moving][:, self.looks].transpose(2, 0, 1))
+        slows = np.diff(speed, axis=1) < BRAKES_MPS2 * np.diff(self.looks) * scene.step_s
+        there = traffic.present[moving][:, self.looks]
+        slows &= there[:, 1:] & there[:, :-1]
         self._brakes = np.append(slows.any(axis=1), False)  # the last for no leader, -1
-
-    @property
-    def looks(self) -> IntArray:
-        """Steps at which recorded traffic is looked at."""
-        return self._steps
-
-    @property
-    def is_target_named(self) -> bool:
-        """Whether vehicles are to be near to named agents."""
-        return self.scene.config.request.is_near_agents
 
     @property
     def is_target_missing(self) -> bool:
         """Whether the scene lacks the track that vehicles are to be near to."""
-        return self.is_target_named and not self._targets.size
+        return self.scene.config.request.is_near_agents and not self._targets.size
 
     def _crossings(self, moving: IntArray) -> tuple[IntArray, FloatArray]:
         """Times, s, at which moving recorded vehicles cross cells: those of cell c from first[c] to first[c + 1]."""
         boxes, traffic = self.scene.boxes, self.scene.traffic
         found: list[tuple[IntArray, FloatArray]] = [(np.zeros(0, dtype=np.int64), np.zeros(0))]
         for row in moving.tolist():
-            steps = self._steps[traffic.present[row, self._steps]]
+            steps = self.looks[traffic.present[row, self.looks]]
             if not steps.size:
                 continue
             way = traffic.position[row, steps]
@@ -156,7 +144,7 @@ class Meetings:
 
     def outlook(self, policy: Policy) -> Outlook:
         """Of all cells, for vehicles of a policy: in the mean over the routes that it would take."""
-        return self._towards(TURN_OF_POLICY.get(policy, TurnType.STRAIGHT))
+        return self._towards(_turn_of(policy))
 
     @once
     def _towards(self, turn: TurnType) -> Outlook:
@@ -170,14 +158,10 @@ class Meetings:
 
     def offer_weights(self, cell: Cell, policy: Policy) -> list[float]:
         """Weight of each of the routes from a cell, in the order of `Routes.offers`; the mean where none is known."""
-        rows = self._rows(cell.lane_id, TURN_OF_POLICY.get(policy, TurnType.STRAIGHT))
+        rows = self.offers_towards(cell.lane_id, _turn_of(policy))
         known = {row: float(self._of_offer(cell.lane_id, row).weight[cell.index]) for row in rows}
         mean = sum(known.values()) / max(1, len(known))
         return [max(_LEAST, known.get(row, mean)) for row in range(len(self.routes.offers(cell.lane_id)))]
-
-    def offers_towards(self, lane_id: int, policy: Policy) -> list[int]:
-        """Rows of the routes from a lane that a vehicle of a policy would take, among `Routes.offers`."""
-        return self._rows(lane_id, TURN_OF_POLICY.get(policy, TurnType.STRAIGHT))
 
     def from_edge(self, lane_id: int, row: int, look: int) -> Outlook:
         """Of the first cell of a lane on one of its routes, for a vehicle that is there from a look on."""
@@ -198,8 +182,8 @@ class Meetings:
         """How fast a leader drives while it moves, m/s, as `Scene.lane_speed` has it; 0 for none."""
         return float(self._pace_mps[leader]) if leader >= 0 else 0.0
 
-    def _rows(self, lane_id: int, turn: TurnType) -> list[int]:
-        """Rows of the routes from a lane that first turn so, a few; straight ones where the map has them, else any."""
+    def offers_towards(self, lane_id: int, turn: TurnType) -> list[int]:
+        """Rows of `Routes.offers` that first turn so, a few; straight ones where the map has them, else any."""
         offers = self.routes.offers(lane_id)
         rows = [row for row, one in enumerate(offers) if (one.turns[0][0] if one.turns else TurnType.STRAIGHT) is turn]
         if turn is TurnType.STRAIGHT and not rows:
@@ -212,7 +196,7 @@ class Meetings:
 
     def _look(self, lane_id: int, turn: TurnType, found: Outlook, cells: slice) -> None:
         """What can be met from the cells of a lane, in the mean over its routes; the leader on the best of them."""
-        looked = [self._of_offer(lane_id, row) for row in self._rows(lane_id, turn)]
+        looked = [self._of_offer(lane_id, row) for row in self.offers_towards(lane_id, turn)]
         if not looked:
             return
         weights = np.array([one.weight for one in looked])
@@ -230,9 +214,9 @@ class Meetings:
         request = config.request
         cells, middle = self._cells(lane_id, offer)
         count, pace = count or scene.grid.count(lane_id), _PACE_SHARE * speed_mps
-        start, since, step = middle[:count], slice(look, None), int(self._steps[look])
-        time_s = np.asarray((self._steps[since] - step) * scene.step_s, dtype=np.float64)
-        last = int(np.searchsorted(self._steps, min(scene.first_exit_step, scene.num_steps) - 1, side="right")) - 1
+        start, since, step = middle[:count], slice(look, None), int(self.looks[look])
+        time_s = np.asarray((self.looks[since] - step) * scene.step_s, dtype=np.float64)
+        last = int(np.searchsorted(self.looks, min(scene.first_exit_step, scene.num_steps) - 1, side="right")) - 1
         target_xy = np.ascontiguousarray(self._target_xy[:, since])
         target_there = np.ascontiguousarray(self._target_there[:, since])
         lane_cell = np.ascontiguousarray(self._lane_cell[:, since])
@@ -262,12 +246,12 @@ class Meetings:
         lanes, at = self.scene.grid.graph.lanes, 0.0
         before_m = DEFAULT_SIZES["vehicle"].length_m / 2 + STOP_MARGIN_M
         stop_at: list[float] = []
-        red = [np.zeros((0, self._steps.size - look), dtype=np.bool_)]
+        red = [np.zeros((0, self.looks.size - look), dtype=np.bool_)]
         for lane in offer.route[offer.route.index(lane_id) :]:
             found = self.signals.red(lane)
             if found is not None and found.any():
                 stop_at.append(at - before_m)
-                red.append(found[None, self._steps[look:]])
+                red.append(found[None, self.looks[look:]])
             at += lanes[lane].length_m
         return np.array(stop_at), np.concatenate(red)
 
@@ -282,6 +266,11 @@ class Meetings:
             middle.append(begin + 0.5 * (borders[1:] + borders[:-1]))
             begin += lanes[lane].length_m
         return np.concatenate(cells), np.concatenate(middle)
+
+
+def _turn_of(policy: Policy) -> TurnType:
+    """The first turn of the routes that a vehicle of a policy would take."""
+    return TURN_OF_POLICY.get(policy, TurnType.STRAIGHT)
 
 
 def _pace(traffic: Traffic, row: int) -> float:

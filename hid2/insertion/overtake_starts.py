@@ -7,11 +7,12 @@ An added leader is rolled out first, and is known traffic for the vehicle that o
 
 import math
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, IntArray
+from hid2.agents import DEFAULT_SIZES, FloatArray, IntArray
 from hid2.drivers.driver import Driver, draw_driver
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.starts import BEGIN_BRAKING_MPS2, CLEAR_GAP_M, DRIVERS, Site, Starts, speed_behind
@@ -75,12 +76,11 @@ class _Drawn:
     start_s: FloatArray | None = None
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Motions:
+class _Motions(NamedTuple):
     """Starts (N,) m on the path and m/s with places (N, K) m at looks; those out (N, K) m since the trigger, m.
 
-    back_s (N, 1): where the way back begins; across_m: how far a lateral motion goes; leader_s (N,) m, leader_mps (N,);
-    spare_m (N,): driven after the way back.
+    back_s (N, 1): where the way back begins; across_m (N, 1): how far a lateral motion goes; leader_s (N,) m,
+    leader_mps (N,); spare_m (N,): driven after the way back; added (N,): whether the leader is.
     """
 
     start_s: FloatArray
@@ -88,22 +88,19 @@ class _Motions:
     s: FloatArray
     out_m: FloatArray
     back_s: FloatArray
-    across_m: float
+    across_m: FloatArray
     leader_s: FloatArray
     leader_mps: FloatArray
     spare_m: FloatArray
-    added: bool
+    added: BoolArray
 
     def rows(self, rows: IntArray) -> "_Motions":
         """Some of them, in this order."""
-        return replace(
-            self, start_s=self.start_s[rows], start_mps=self.start_mps[rows], s=self.s[rows], out_m=self.out_m[rows],
-            back_s=self.back_s[rows], leader_s=self.leader_s[rows], leader_mps=self.leader_mps[rows],
-            spare_m=self.spare_m[rows],
-        )  # fmt: skip
+        return _Motions._make(column[rows] for column in self)
 
 
-_NO_MOTIONS = _Motions(*(np.zeros(0),) * 5, 0.0, *(np.zeros(0),) * 3, False)
+#: Places are looked for with a usual vehicle.
+_BOX = clearance_box(DEFAULT_SIZES["vehicle"], DEFAULT_SIZES["vehicle"])
 
 
 @dataclass(slots=True)
@@ -113,11 +110,6 @@ class OvertakeStarts:
     here: Surroundings
     starts: Starts
     found_none: Reason | None = None
-    _box: BoxSize = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Places are looked for with a usual vehicle."""
-        self._box = clearance_box(DEFAULT_SIZES["vehicle"], DEFAULT_SIZES["vehicle"])
 
     def propose(self, request: VehicleRequest, slow: VehicleRequest | None) -> list[Start]:
         """A start from which an overtake comes about, after its leader where one is added; empty where none does.
@@ -179,10 +171,15 @@ class OvertakeStarts:
 
     def _behind_known(self, way: _Way, driver: Driver) -> _Drawn:
         """Behind recorded cars and buses, and inserted vehicles, that are slower at the start."""
-        overtake, length_m = self.here.scene.config.overtake, self._box.length_m
-        known, slow, driven_m = self._slow_on(way.path)
+        scene, overtake, length_m = self.here.scene, self.here.scene.config.overtake, _BOX.length_m
+        known, last = self.starts.world.guard.known_on(way.path, _BOX), scene.num_steps - 1
+        recorded = scene.kept_clear_on(way.path, _BOX, scene.future).agents.size
+        usable = np.isin(known.agents, scene.vehicle_rows) | (np.arange(known.agents.size) >= recorded)
+        usable &= known.same_direction[:, 0] & (known.along[:, 0] > PARKED_MPS)
+        slow = np.flatnonzero(usable & np.isfinite(known.low[:, : last + 1]).all(axis=1))
+        driven_m = known.high[slow, last] - known.low[slow, 0]
         can = known.along[slow, 0] < driver.desired_mps - overtake.speed_advantage_mps
-        can &= driven_m + length_m + overtake.return_gap_m < driver.desired_mps * self.here.scene.last_s
+        can &= driven_m + length_m + overtake.return_gap_m < driver.desired_mps * scene.last_s
         rows = np.repeat(slow[can], 2 * _TRIED)
         gap_m = self._gap_m(driver, known.along[rows, 0])
         start = known.low[rows, 0] - gap_m
@@ -191,15 +188,6 @@ class OvertakeStarts:
         leader_m = known.high[rows][:, self._looks()] - length_m - start[:, None]
         return _Drawn(gap_m, known.along[rows, 0], leader_m, start)
 
-    def _slow_on(self, path: DrivenPath) -> tuple[PathOccupancy, IntArray, FloatArray]:
-        """Those known on a path, rows of those that may be overtaken, and how far these drive, m."""
-        scene, known = self.here.scene, self.starts.world.guard.known_on(path, self._box)
-        recorded, last = scene.kept_clear_on(path, self._box, scene.future).agents.size, scene.num_steps - 1
-        usable = np.isin(known.agents, scene.vehicle_rows) | (np.arange(known.agents.size) >= recorded)
-        usable &= known.same_direction[:, 0] & (known.along[:, 0] > PARKED_MPS)
-        rows = np.flatnonzero(usable & np.isfinite(known.low[:, : last + 1]).all(axis=1))
-        return known, rows, known.high[rows, last] - known.low[rows, 0]
-
     def _behind_added(self, way: _Way, driver: Driver) -> _Drawn:
         """Behind leaders at some share of the lane's usual speed."""
         scene, rng = self.here.scene, self.starts.rng
@@ -207,7 +195,7 @@ class OvertakeStarts:
         slow_mps = np.maximum(_SLOWEST_MPS, share * self.here.scene.usual_speed(way.lane_id))
         slow_mps = slow_mps[slow_mps < driver.desired_mps - scene.config.overtake.speed_advantage_mps]
         gap_m = self._gap_m(driver, slow_mps)
-        leader_m = (self._box.length_m + gap_m)[:, None] + slow_mps[:, None] * self._looks() * scene.step_s
+        leader_m = (_BOX.length_m + gap_m)[:, None] + slow_mps[:, None] * self._looks() * scene.step_s
         return _Drawn(gap_m, slow_mps, leader_m)
 
     def _looks(self) -> IntArray:
@@ -222,12 +210,12 @@ class OvertakeStarts:
     def _likely(self, way: _Way, driver: Driver, trigger_s: float, drawn: _Drawn) -> _Motions:
         """Motions that are past their leaders and back in time, and touch none; the soonest first."""
         if not drawn.gap_m.size:
-            return _NO_MOTIONS
+            return _Motions._make([np.zeros(0)] * len(_Motions._fields))
         motions, looks = self._in_time(way, driver, trigger_s, drawn), self._looks()
         if self.here.scene.config.request.sites == "any" or not motions.start_s.size:
             return motions
         s, out_m, across_m = motions.s, motions.out_m, motions.across_m
-        own, beside = (self.starts.world.guard.known_on(path, self._box) for path in (way.path, way.beside))
+        own, beside = (self.starts.world.guard.known_on(path, _BOX) for path in (way.path, way.beside))
         met = _taken(own, looks, s) & ((out_m < _CROSSED * across_m) | (s > motions.back_s))
         first = out_m.shape[1] - (out_m > 0.0).sum(axis=1).max(initial=1)  # the first look at which it may be out
         enters = self._may_enter(beside, driver, int(looks[first]), s[:, first] + way.shift_m)
@@ -240,7 +228,7 @@ class OvertakeStarts:
         does near to it. A lateral motion takes its time, or its length where the vehicle is slow.
         """
         scene, change, overtake = self.here.scene, self.here.scene.config.lane_change, self.here.scene.config.overtake
-        desired, length_m = driver.desired_mps, self._box.length_m
+        desired, length_m = driver.desired_mps, _BOX.length_m
         start_mps = np.minimum(driver.desired_mps, speed_behind(drawn.gap_m, drawn.leader_mps, driver))
         timing = LateralTiming.of(SHIFT_RATIO * driver.lane_change_s, way.apart_m, change)
         # v2 kappa of a lateral motion is what the driver takes: of `lateral_share`, D over the square of its length
@@ -272,8 +260,8 @@ class OvertakeStarts:
         rows = rows[np.argsort(-spare_m[rows], kind="stable")]
         leader_s, place = start + drawn.leader_m[:, 0], start[:, None]
         return _Motions(
-            start, start_mps, place + m, out_m, place + back_m[:, None], across_m, leader_s, drawn.leader_mps, spare_m,
-            drawn.start_s is None,
+            start, start_mps, place + m, out_m, place + back_m[:, None], np.full_like(place, across_m), leader_s,
+            drawn.leader_mps, spare_m, np.full(start.size, drawn.start_s is None),
         ).rows(rows)  # fmt: skip
 
     def _may_enter(self, beside: PathOccupancy, driver: Driver, at: int, s: FloatArray) -> BoolArray:
@@ -289,7 +277,7 @@ class OvertakeStarts:
     ) -> list[Start]:
         """The vehicle, after its leader where one is added; empty where a rollout speaks against one of them."""
         starts, world, leaders, raw = self.starts, self.starts.world, list[Start](), way.path.to_raw
-        if one.added and slow is not None:
+        if one.added[0] and slow is not None:
             mps = float(one.leader_mps[0])
             base = draw_driver(self.here.scene.config, starts.rng, lane_speed_mps=mps)
             leader = starts.make(

@@ -129,8 +129,24 @@ class World:
         return found
 
     def rolled_out(self, start: Start, parts: tuple[Rollout, ...]) -> RolledOut:
-        """A candidate with its motion."""
-        return RolledOut(start, parts, self._as_traffic(start, parts))
+        """A candidate with its motion, as known traffic beyond the scene's end at constant velocity."""
+        scene = self.scene
+        shape = 1, scene.num_steps
+        position, velocity = np.zeros((*shape, 2)), np.zeros((*shape, 2))
+        heading, present = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
+        for part in parts:
+            inside = int((part.s <= part.path.exit_s).sum())
+            motion = Motion(part.s[:inside], part.v[:inside], np.zeros(inside), scene.step_s)
+            where = slice(part.step, part.step + inside)
+            driven = trajectory(part.path.line, motion, start.offset)
+            position[0, where], velocity[0, where] = driven.position, driven.velocity
+            heading[0, where], present[0, where] = driven.heading, True
+        alone = Traffic(
+            ids=(start.vehicle_id,), position=position, heading=heading, velocity=velocity, present=present,
+            length_m=np.array([start.box.length_m]), width_m=np.array([start.box.width_m]),
+        )  # fmt: skip
+        beyond = scene.future.num_steps - scene.num_steps
+        return RolledOut(start, parts, alone.extended(beyond, step_s=scene.step_s))
 
     def harries(self, candidate: RolledOut, headway_s: float = FOLLOWER_HEADWAY_S) -> Reason | None:
         """What a recorded vehicle that comes up from behind suffers, on the path that it drives itself; None: nothing.
@@ -411,22 +427,3 @@ class World:
         there = frenet(path.line.position(np.array([over])), target.raw_line.points, target.raw_line.s)[0]
         seen = self._shown_on(target, box)
         return replace(seen, middle=seen.middle - (float(target.all_to_line(there)[0]) - over))
-
-    def _as_traffic(self, start: Start, parts: tuple[Rollout, ...]) -> Traffic:
-        """A rolled-out vehicle as known traffic, beyond the scene's end at constant velocity (one agent)."""
-        scene = self.scene
-        shape = 1, scene.num_steps
-        position, velocity = np.zeros((*shape, 2)), np.zeros((*shape, 2))
-        heading, present = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
-        for part in parts:
-            inside = int((part.s <= part.path.exit_s).sum())
-            motion = Motion(part.s[:inside], part.v[:inside], np.zeros(inside), scene.step_s)
-            where = slice(part.step, part.step + inside)
-            driven = trajectory(part.path.line, motion, start.offset)
-            position[0, where], velocity[0, where] = driven.position, driven.velocity
-            heading[0, where], present[0, where] = driven.heading, True
-        alone = Traffic(
-            ids=(start.vehicle_id,), position=position, heading=heading, velocity=velocity, present=present,
-            length_m=np.array([start.box.length_m]), width_m=np.array([start.box.width_m]),
-        )  # fmt: skip
-        return alone.extended(scene.future.num_steps - scene.num_steps, step_s=scene.step_s)

@@ -127,7 +127,7 @@ class InsertionSites:
         if self.entering.is_to_enter(request):
             yield from self.entering.starts_of(request, self._followed())
         if self.here.scene.config.request.sites == "any":
-            yield from self._starts_where(request, _any_site, FOLLOWER_HEADWAY_S)
+            yield from self._starts_where(request, lambda *_: True, FOLLOWER_HEADWAY_S)
             return
         for strict, headway_s in ((True, USUAL_HEADWAY_S), (False, FOLLOWER_HEADWAY_S)):
             yield from self._starts_where(request, partial(self._promises, request, strict=strict), headway_s)
@@ -223,7 +223,7 @@ class InsertionSites:
         followed = self._followed()
         weight[np.isin(leader, followed) & (leader >= 0)] /= LEADER_WEIGHT
         tier = np.where(seen.stays[rows], 0, 1)
-        if meetings.is_target_named:
+        if self.here.scene.config.request.is_near_agents:
             tier += np.where(seen.near[rows], 0, 2)
         return weight, tier
 
@@ -295,8 +295,3 @@ class InsertionSites:
                 return True
             at += lane.length_m
         return False
-
-
-def _any_site(_offer: RouteOffer, _s: float, _speed_mps: float) -> bool:
-    """Every admissible site will do."""
-    return True

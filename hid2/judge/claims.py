@@ -136,7 +136,8 @@ def event_step(states: AgentStates, claim: EventClaim) -> int | None:
         case "cut_in":
             return _cut_in(states, own, target, near)
         case "overtake":
-            return _overtaken(states, own, target)
+            passed = overtake_of(states, own, target)  # seen where it crosses back into the target's lane
+            return None if passed is None else round(passed[1].crossing_s / states.arrays.step_s)
         case "merge":
             return _merged(states, own, target)
         case "cross":
@@ -179,12 +180,6 @@ def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None
         if left_s >= own_s > target_s + (arrays.length[own] + arrays.length[target]) / 2:
             steps.append(step)
     return min(steps, key=lambda step: abs(step - near), default=None)
-
-
-def _overtaken(states: AgentStates, own: int, target: int) -> int | None:
-    """The vehicle overtakes the target, and crosses back into its lane."""
-    found = overtake_of(states, own, target)
-    return None if found is None else round(found[1].crossing_s / states.arrays.step_s)
 
 
 def overtake_of(states: AgentStates, own: int, other: int) -> tuple[Maneuver, Maneuver] | None:

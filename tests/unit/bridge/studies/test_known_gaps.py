@@ -86,12 +86,12 @@ def _by_hand(drawn: Drawn, entered_s: dict[str, float], lead_s: float, lag_s: fl
     """Whether each vehicle that is to change has its gaps if all drive at one speed: by when they enter alone."""
     found = {}
     for one in drawn.arrivals:
-        if one.policy is not Policy.LANE_CHANGE or one.vehicle_id not in entered_s:
+        if one.start.request.policy is not Policy.LANE_CHANGE or one.vehicle_id not in entered_s:
             continue
         others = [other for other in drawn.arrivals if other.lane_id != one.lane_id and other.vehicle_id in entered_s]
         ahead_m = [MPS * (entered_s[one.vehicle_id] - entered_s[other.vehicle_id]) for other in others]
         room_m = [
-            abs(ahead) - 0.5 * (one.box.length_m + other.box.length_m)
+            abs(ahead) - 0.5 * (one.start.box.length_m + other.start.box.length_m)
             for ahead, other in zip(ahead_m, others, strict=True)
         ]
         least_m = [(lead_s if ahead > 0.0 else lag_s) * MPS for ahead in ahead_m]
