@@ -1,7 +1,7 @@
 """What is shared by all parts that use one scene: grid, recorded agents and their future, occupancy, speeds, paths."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from statistics import median
@@ -15,6 +15,7 @@ from hid2.measures.driven_lanes import STRETCH_M, recorded_places
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.scene_end import END_HORIZON_S
 from hid2.motion.route import DrivenPath, LanePaths
+from hid2.motion.smoothing import Trajectory
 from hid2.occupancy.agent_states import AgentStates, agent_states, parked
 from hid2.occupancy.along_path import PathOccupancy, path_occupancy
 from hid2.occupancy.shown import Shown, shown_on
@@ -109,6 +110,21 @@ class Scene:
     def shown_on(self, path: DrivenPath, box: BoxSize) -> Shown:
         """Recorded agents as SUMO is shown them: those whose boxes reach into the width driven, without margins."""
         return shown_on(path, self.future, path_occupancy(path.line, self.future, box), step_s=self.step_s)
+
+    def known_traffic(self, vehicle_id: str, box: BoxSize, parts: Iterable[tuple[int, Trajectory]]) -> Traffic:
+        """A vehicle with parts of its motion from a step on each, beyond the end at constant velocity (one agent)."""
+        shape = 1, self.num_steps
+        position, velocity = np.zeros((*shape, 2)), np.zeros((*shape, 2))
+        heading, present = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
+        for step, driven in parts:
+            span = slice(step, step + len(driven.heading))
+            position[0, span], velocity[0, span] = driven.position, driven.velocity
+            heading[0, span], present[0, span] = driven.heading, True
+        alone = Traffic(
+            ids=(vehicle_id,), position=position, heading=heading, velocity=velocity, present=present,
+            length_m=np.array([box.length_m]), width_m=np.array([box.width_m]),
+        )  # fmt: skip
+        return alone.extended(self.future.num_steps - self.num_steps, step_s=self.step_s)
 
     @property
     def last_s(self) -> float:

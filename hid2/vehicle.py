@@ -28,7 +28,7 @@ class Start:
 
     start_s m, of the box centre on the path; start_mps m/s; box: what is kept clear; desired (T,) m/s, by the scene's
     steps; sides: where it looks for a lane, in this order; step: at which it is first there, later than 0 where it
-    enters at the map's edge.
+    enters at the map's edge; leader: the recorded vehicle that it would follow, as `Meetings` numbers them; -1 none.
     """
 
     vehicle_id: str
@@ -43,6 +43,7 @@ class Start:
     offset: LaneOffset
     sides: tuple[Side, ...]
     step: int = 0
+    leader: int = -1
 
     @property
     def size(self) -> BoxSize:

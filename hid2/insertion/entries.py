@@ -11,7 +11,6 @@ from hid2.agents import FloatArray, IntArray
 from hid2.insertion.flow import entry_lanes
 from hid2.insertion.meetings import NEAR_WEIGHT, Meetings
 from hid2.insertion.routes import RouteOffer, Routes
-from hid2.motion.route import Route
 from hid2.occupancy.traffic import BoolArray
 from hid2.scene import ENTRY_STAYS_S, Scene
 from netconvert.lane_graph import TurnType
@@ -50,15 +49,6 @@ class Entries:
         """A step of an entry, drawn from its own to the one before the next look."""
         last = int(self.table.step[row]) + self._between - 1
         return int(rng.integers(int(self.table.step[row]), min(last, self._last) + 1))
-
-    def leader_of(self, route: Route, step: int) -> int:
-        """The leader of a vehicle that enters on a route at a step, as `Meetings` numbers them; -1 for none."""
-        table = self.table
-        here = (table.lane == route[0]) & (table.step <= step) & (step < table.step + self._between)
-        for row in np.flatnonzero(here).tolist():
-            if self.offer(row).route == route:
-                return int(table.leader[row])
-        return -1
 
     @cached_property
     def table(self) -> EntryTable:

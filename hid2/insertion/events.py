@@ -123,7 +123,7 @@ class EventSearch:
             if tried.total() >= starts.scene.config.event_search.tries:
                 break
             start = replace(candidate.rolled.start, vehicle_id=f"e{number}_{tried.total()}")
-            judged = self._judged(starts.objective, drive(starts.scene, starts.stop_lines, start, fixed))
+            judged = self._judged(starts.objective, drive(starts.scene, starts.guard.stop_lines, start, fixed))
             if not isinstance(judged, Reason):
                 vehicle, seen = judged
                 return EventOutcome(
@@ -169,7 +169,7 @@ class EventSearch:
             if isinstance(starts, Objective):
                 lengths_m = 0.5 * (size.length_m + starts.target.track.size.length_m)
                 starts = EventStarts(
-                    scene, self.here.roads, lines, self.here.meetings, guard, rng, 0, rejected=rejected,
+                    scene, self.here.roads, self.here.meetings, guard, rng, 0, rejected=rejected,
                     objective=starts, request=request,
                     places=list(Places(self.here.routes, event, starts.target, lengths_m).all()),
                 )  # fmt: skip

@@ -103,20 +103,10 @@ def _span(vehicle: DrivenVehicle, count: int) -> slice:
 
 def traffic_of_exported(vehicles: Sequence[ExportedVehicle], scene: Scene) -> Traffic:
     """Clearance boxes of exported vehicles, and beyond the scene's last step at constant velocity, (A, T + E)."""
-    count, steps = len(vehicles), scene.num_steps
-    position, heading = np.zeros((count, steps, 2)), np.zeros((count, steps))
-    velocity, present = np.zeros((count, steps, 2)), np.zeros((count, steps), dtype=np.bool_)
-    for row, vehicle in enumerate(vehicles):
-        span = vehicle.span
-        position[row, span], heading[row, span] = vehicle.trajectory.position, vehicle.trajectory.heading
-        velocity[row, span], present[row, span] = vehicle.trajectory.velocity, True
-    inside = Traffic(
-        ids=tuple(vehicle.driven.vehicle_id for vehicle in vehicles), position=position, heading=heading,
-        velocity=velocity, present=present,
-        length_m=np.array([vehicle.driven.start.box.length_m for vehicle in vehicles]),
-        width_m=np.array([vehicle.driven.start.box.width_m for vehicle in vehicles]),
-    )  # fmt: skip
-    return inside.extended(scene.future.num_steps - steps, step_s=scene.step_s)
+    return Traffic.none(scene.future.num_steps).joined(*(
+        scene.known_traffic(one.driven.vehicle_id, one.driven.start.box, [(one.driven.start.step, one.trajectory)])
+        for one in vehicles
+    ))  # fmt: skip
 
 
 def finalise(scene: Scene, vehicle: DrivenVehicle, kept: Sequence[ExportedVehicle]) -> ExportedVehicle | Reason:
@@ -324,5 +314,4 @@ def _grid_path(scene: Scene, vehicle: DrivenVehicle, s: FloatArray, v: FloatArra
         position=centre[place] + share * chord,
         heading=np.arctan2(forward[:, 1], forward[:, 0]),
         velocity=forward * v[:, None],
-        s=s,
     )

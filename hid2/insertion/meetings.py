@@ -148,12 +148,20 @@ class Meetings:
 
     @once
     def _towards(self, turn: TurnType) -> Outlook:
-        count = len(self.scene.grid.cells)
-        none = np.zeros(count, dtype=np.bool_)
-        found = Outlook(np.zeros(count), none, np.full(count, -1, dtype=np.int64), none.copy())
+        grid = self.scene.grid
+        none = np.zeros(len(grid.cells), dtype=np.bool_)
+        found = Outlook(np.zeros(none.size), none, np.full(none.size, -1, dtype=np.int64), none.copy())
         for lane_id in self.routes.lanes:
-            first = self.scene.grid.index_of[Cell(lane_id, 0)]
-            self._look(lane_id, turn, found, slice(first, first + self.scene.grid.count(lane_id)))
+            looked = [self._of_offer(lane_id, row) for row in self.offers_towards(lane_id, turn)]
+            if not looked:
+                continue
+            first = grid.index_of[Cell(lane_id, 0)]
+            cells, weights = slice(first, first + grid.count(lane_id)), np.array([one.weight for one in looked])
+            found.weight[cells] = weights.mean(axis=0)
+            found.near[cells] = np.any([one.near for one in looked], axis=0)
+            found.stays[cells] = np.any([one.stays for one in looked], axis=0)
+            best = weights.argmax(axis=0)  # the leader on the best of its routes
+            found.leader[cells] = np.array([one.leader for one in looked])[best, np.arange(best.size)]
         return found
 
     def offer_weights(self, cell: Cell, policy: Policy) -> list[float]:
@@ -193,18 +201,6 @@ class Meetings:
     @once
     def _of_offer(self, lane_id: int, row: int) -> Outlook:
         return self._of_route(lane_id, self.routes.offers(lane_id)[row], self.scene.usual_speed(lane_id))
-
-    def _look(self, lane_id: int, turn: TurnType, found: Outlook, cells: slice) -> None:
-        """What can be met from the cells of a lane, in the mean over its routes; the leader on the best of them."""
-        looked = [self._of_offer(lane_id, row) for row in self.offers_towards(lane_id, turn)]
-        if not looked:
-            return
-        weights = np.array([one.weight for one in looked])
-        found.weight[cells] = weights.mean(axis=0)
-        found.near[cells] = np.any([one.near for one in looked], axis=0)
-        found.stays[cells] = np.any([one.stays for one in looked], axis=0)
-        best = weights.argmax(axis=0)
-        found.leader[cells] = np.array([one.leader for one in looked])[best, np.arange(best.size)]
 
     def _of_route(
         self, lane_id: int, offer: RouteOffer, speed_mps: float, look: int = 0, count: int | None = None

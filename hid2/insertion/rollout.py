@@ -129,24 +129,13 @@ class World:
         return found
 
     def rolled_out(self, start: Start, parts: tuple[Rollout, ...]) -> RolledOut:
-        """A candidate with its motion, as known traffic beyond the scene's end at constant velocity."""
-        scene = self.scene
-        shape = 1, scene.num_steps
-        position, velocity = np.zeros((*shape, 2)), np.zeros((*shape, 2))
-        heading, present = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
+        """A candidate with its motion."""
+        driven = []
         for part in parts:
             inside = int((part.s <= part.path.exit_s).sum())
-            motion = Motion(part.s[:inside], part.v[:inside], np.zeros(inside), scene.step_s)
-            where = slice(part.step, part.step + inside)
-            driven = trajectory(part.path.line, motion, start.offset)
-            position[0, where], velocity[0, where] = driven.position, driven.velocity
-            heading[0, where], present[0, where] = driven.heading, True
-        alone = Traffic(
-            ids=(start.vehicle_id,), position=position, heading=heading, velocity=velocity, present=present,
-            length_m=np.array([start.box.length_m]), width_m=np.array([start.box.width_m]),
-        )  # fmt: skip
-        beyond = scene.future.num_steps - scene.num_steps
-        return RolledOut(start, parts, alone.extended(beyond, step_s=scene.step_s))
+            motion = Motion(part.s[:inside], part.v[:inside], np.zeros(inside), self.scene.step_s)
+            driven.append((part.step, trajectory(part.path.line, motion, start.offset)))
+        return RolledOut(start, parts, self.scene.known_traffic(start.vehicle_id, start.box, driven))
 
     def harries(self, candidate: RolledOut, headway_s: float = FOLLOWER_HEADWAY_S) -> Reason | None:
         """What a recorded vehicle that comes up from behind suffers, on the path that it drives itself; None: nothing.

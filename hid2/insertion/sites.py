@@ -99,9 +99,7 @@ class InsertionSites:
     def __post_init__(self) -> None:
         """Sites of all kinds share the starts of the round."""
         here = self.here
-        self.starts = Starts(
-            here.scene, here.roads, here.stop_lines, here.meetings, self.guard, self.rng, self.round_number
-        )
+        self.starts = Starts(here.scene, here.roads, here.meetings, self.guard, self.rng, self.round_number)
         self.overtakes = OvertakeStarts(here, self.starts)
         self.entering = EntrySites(here, self.starts, self.spread, self.asked[Policy.STRAIGHT])
 
@@ -229,13 +227,7 @@ class InsertionSites:
 
     def _followed(self) -> list[int]:
         """Leaders of those kept and taken, as `Meetings` numbers them; -1 none."""
-        return [self._leader_of(start) for start in (*self.kept, *self.starts.taken)]
-
-    def _leader_of(self, start: Start) -> int:
-        """The recorded vehicle that a start follows, as `Meetings` numbers them; -1 none."""
-        if start.step > 0:
-            return self.here.entries.leader_of(start.route, start.step)
-        return self.here.meetings.leader_of(self.here.scene.cell_at(start.path, start.start_s), start.route)
+        return [start.leader for start in (*self.kept, *self.starts.taken)]
 
     def _promises(
         self, request: VehicleRequest, offer: RouteOffer, s: float, speed_mps: float, *, strict: bool

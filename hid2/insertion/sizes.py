@@ -1,7 +1,5 @@
 """Sizes of inserted vehicles: quantiles of labelled Argoverse 2 boxes (human labels of sensor logs)."""
 
-from bisect import bisect_right
-
 import numpy as np
 
 from hid2.agents import BoxSize
@@ -24,10 +22,5 @@ def draw_size(request: Request, rng: np.random.Generator) -> tuple[str, BoxSize]
 
 def _quantile(table: _Table, share: float) -> BoxSize:
     """Linear between the rows of a table; share from 0 to below 1."""
-    row = bisect_right(table, share, key=lambda knot: knot[0])
-    (low, length_m, width_m), (high, longer_m, wider_m) = table[row - 1 : row + 1]
-    part = share - low
-    return BoxSize(
-        round((longer_m - length_m) / (high - low) * part + length_m, 3),
-        round((wider_m - width_m) / (high - low) * part + width_m, 3),
-    )
+    shares, *columns = np.array(table).T
+    return BoxSize(*(round(float(np.interp(share, shares, column)), 3) for column in columns))

@@ -10,7 +10,7 @@ import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy
 from hid2.conflicts.guard import Guard
-from hid2.conflicts.stop_lines import STOP_MARGIN_M, StopLines
+from hid2.conflicts.stop_lines import STOP_MARGIN_M
 from hid2.drivers.driver import MIDDLE, Driver, desired_speeds, draw_driver, lane_offset
 from hid2.insertion.meetings import Meetings
 from hid2.insertion.rollout import QUEUE_M, SLOWEST_SHARE, RolledOut, Rollout, World
@@ -76,7 +76,6 @@ class Starts:
 
     scene: Scene
     roads: Roads
-    stop_lines: StopLines
     meetings: Meetings
     guard: Guard
     rng: np.random.Generator
@@ -128,11 +127,11 @@ class Starts:
             if near.lag_m[0] < (headway_s - LEADER_LENGTH_S) * near.lag_mps[0]:
                 return Reason.FOLLOWER_HEADWAY
         flow_mps, lane_id = 0.0, path.segment_at(start_s).lane_id
+        if step == 0:
+            leader = self.meetings.leader_of(scene.cell_at(path, start_s), offer.route)
         if config.request.sites == "promising" and driver is None:
-            if step == 0:
-                leader = self.meetings.leader_of(scene.cell_at(path, start_s), offer.route)
             flow_mps = max(self.meetings.pace_of(leader), self._follower_mps(path, box, start_s, step))
-        begin = _Begin(request, site, path, box, s, start_s, sides)
+        begin = _Begin(request, site._replace(leader=leader), path, box, s, start_s, sides)
         made: Start | Reason = Reason.NO_SITE
         for _ in range(1 if driver is not None else DRIVERS):
             # a driver goes with the flow of its leader and follower, or would not be there
@@ -161,7 +160,7 @@ class Starts:
             vehicle_id=f"v{request.number}_{self.round_number}", request=request, box=begin.box,
             route=begin.site.offer.route, path=path, start_s=begin.start_s, start_mps=admitted, driver=driver,
             desired=np.concatenate([np.full(step, wished[0]), wished]), offset=MIDDLE, sides=begin.sides or order,
-            step=step,
+            step=step, leader=begin.site.leader,
         )  # fmt: skip
         rolled = self._does(self.world, start)
         if isinstance(rolled, Reason):
@@ -271,7 +270,7 @@ class Starts:
         closing = seen.along_mps[:, 0] - speed
         if (known.same_direction[:, step] & (seen.lag_m[:, 0] < conflict.follower_ttc_min_s * closing)).any():
             return Reason.TTC_RECORDED_FOLLOWER
-        lines = self.stop_lines.on(path, box)
+        lines = self.guard.stop_lines.on(path, box)
         room_m = lines.room_m(s, step)
         if room_m < 0.0:
             return Reason.ENTERS_ON_RED

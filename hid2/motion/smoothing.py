@@ -38,7 +38,6 @@ class Trajectory:
     position: FloatArray
     heading: FloatArray
     velocity: FloatArray
-    s: FloatArray
 
 
 def smooth_motion(
@@ -92,7 +91,6 @@ def trajectory(line: ReferenceLine, motion: Motion, offset: LaneOffset) -> Traje
         position=centre + d[:, None] * normal,
         heading=np.asarray(np.arctan2(direction[:, 1], direction[:, 0]), dtype=np.float64),
         velocity=direction * (motion.v * pace)[:, None],
-        s=motion.s,
     )
 
 

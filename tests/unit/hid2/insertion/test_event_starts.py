@@ -42,7 +42,7 @@ def _starts(scene: Scene, **asked: object) -> EventStarts:
     policy = {"cut_in": Policy.LANE_CHANGE, "overtake": Policy.OVERTAKE}.get(event.kind, Policy.STRAIGHT)
     guard = Guard(scene, nobody(scene.future.num_steps), here.stop_lines)
     return EventStarts(
-        scene, here.roads, here.stop_lines, here.meetings, guard, np.random.default_rng(0), 0,
+        scene, here.roads, here.meetings, guard, np.random.default_rng(0), 0,
         objective=Objective(scene, event, target), request=VehicleRequest(0, policy, 0.0, size=CAR),
         places=list(Places(here.routes, event, target, 4.5).all()),
     )  # fmt: skip

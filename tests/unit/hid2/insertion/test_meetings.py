@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from hand_drawn import draw_lane
-from inserted import nobody, recorded, scene_on, start_on
+from inserted import nobody, recorded, scene_on
 
 from hid2.agents import Policy
 from hid2.conflicts.guard import Guard
@@ -16,10 +16,11 @@ from hid2.insertion.meetings import LEADER_WEIGHT, Meetings
 from hid2.insertion.routes import Routes
 from hid2.insertion.sites import BRAKING_WEIGHT, InsertionSites
 from hid2.insertion.spread import Spread
+from hid2.insertion.starts import Site
 from hid2.insertion.surroundings import Surroundings
 from hid2.params import Config, Drivers, Spawn
 from hid2.scene import Scene
-from hid2.vehicle import VehicleRequest
+from hid2.vehicle import Start, VehicleRequest
 from netconvert.lane_graph import LaneGraph
 
 ROAD_M = 400.0
@@ -136,7 +137,9 @@ def test_leader_who_is_followed_by_a_kept_vehicle_speaks_for_no_other_site(scene
     sites = _sites(scene, 0)
     rows = np.array([scene.grid.index_of[scene.grid.cell_at(1, 82.0)]])
     free, _ = sites._weights(Policy.STRAIGHT, rows)
-    sites.kept = [start_on(scene, meetings.routes.offers(1)[0].route, 80.0, 9.0)]
+    kept = sites.starts.make(_request(), Site(meetings.routes.offers(1)[0], 80.0))
+    assert isinstance(kept, Start)
+    sites.kept = [kept]
     taken, _ = sites._weights(Policy.STRAIGHT, rows)
     assert free[0] == pytest.approx(LEADER_WEIGHT * taken[0])
 
