@@ -211,10 +211,11 @@ def word_for_recorded(scenario_id: str) -> str:
     return "reacting" if scenario_id.startswith(REACTIVE_PREFIX) else "recorded"
 
 
-def functions_of(config: Config) -> tuple[str, ...]:
-    """What of a user's own a configuration names, each "module:name": a lane-change rule, behaviours."""
+def functions_of(config: Config) -> dict[str, str]:
+    """What of a user's own a configuration names, each "module:name" with its key: a lane-change rule, behaviours."""
     rule = config.lane_change.rule
-    return (*((rule,) if ":" in rule else ()), *config.request.own_behaviours)
+    found = {rule: "lane_change.rule"} if ":" in rule else {}
+    return found | dict.fromkeys(config.request.own_behaviours, "request.own")
 
 
 def find_in_working_folder() -> None:

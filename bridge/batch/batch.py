@@ -194,23 +194,23 @@ def with_own(jobs: Sequence[SceneJob], functions: Collection[str]) -> Sequence[S
     functions: those that may be imported. They are looked for in the working folder last. Errors: ConfigError.
     """
     configs = [run.config for job in jobs for run in job.runs if functions_of(run.config)]
-    changes = {(one.lane_change.rule, one.lane_change.rule_with): one.lane_change for one in configs}
-    rules = {rule for rule, _ in changes if ":" in rule}
-    for name in sorted({name for one in configs for name in functions_of(one)}):
-        check_function(name, functions, where="lane_change.rule" if name in rules else "request.own")
+    named = {name: key for one in configs for name, key in functions_of(one).items()}
+    for name, key in sorted(named.items()):
+        check_function(name, functions, where=key)
     files: dict[str, str] = {}
     if configs:
         from hid2.policy.behaviours import load_own  # only where there are any
         from hid2.policy.rules import check_user_rule
 
         find_in_working_folder()
-        files = {rule: check_user_rule(change) for (rule, _), change in sorted(changes.items()) if rule in rules}
+        changes = {(one.lane_change.rule, one.lane_change.rule_with): one.lane_change for one in configs}
+        files = {rule: check_user_rule(change) for (rule, _), change in sorted(changes.items()) if rule in named}
         own = sorted({name for one in configs for name in one.request.own_behaviours})
         load_own(own)
         files |= {name: str(sys.modules[name.partition(":")[0]].__file__) for name in own}
     digests = {name: hashlib.sha256(Path(file).read_bytes()).hexdigest() for name, file in files.items()}
     for name, file in files.items():
-        _LOG.warning("%s is imported from %s and run", name, file)
+        _LOG.warning("%s = %s is imported from %s and run", named[name], name, file)
 
     def known(run: Run) -> Run:
         return replace(run, rule_sha256=" ".join(digests[name] for name in functions_of(run.config)))

@@ -47,8 +47,8 @@ def make_again(
         config = config_from_dict(sidecar.config, source=f"{sidecar_path}: config")
     except ConfigError as error:
         raise ConfigError(f"{error}; {then}: use that program") from error
-    for name in functions_of(config):
-        check_function(name, functions, where=str(sidecar_path))
+    for name, key in functions_of(config).items():
+        check_function(name, functions, where=f"{sidecar_path}: {key}")
     if config_sha256(config) != sidecar.config_sha256:
         raise ConfigError(
             f"{sidecar_path}: config_sha256 {sidecar.config_sha256[:12]}..., expected {config_sha256(config)[:12]}..., "

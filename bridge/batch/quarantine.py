@@ -137,8 +137,8 @@ def read_bundle(path: Path, into: Path, *, functions: Collection[str] = ()) -> B
             check_function(request.function, {*OWN_WORK, *functions}, where="function")
             json.dumps(request.config, allow_nan=False)
             config = config_from_dict(request.config, source="config")
-            for name in functions_of(config):
-                check_function(name, functions, where="config")
+            for name, key in functions_of(config).items():
+                check_function(name, functions, where=f"config: {key}")
             details = printable(_unpack(archive, members[_DETAILS]).decode())
             folder = into / (request.split or "scenes") / _plain(request.scenario)
             folder.mkdir(parents=True)

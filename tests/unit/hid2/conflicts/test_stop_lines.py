@@ -158,7 +158,7 @@ def test_room_before_a_closed_line_and_none_on_what_it_is_before(junction: Calla
     """
     scene = junction(CROSSING)
     stop_lines = StopLines(scene)
-    lines = stop_lines.on(scene.path((1, 2, 3)), CAR)
+    lines = stop_lines.on(scene.paths.along((1, 2, 3)), CAR)
     assert lines.room_m(36.75, 40) == pytest.approx(20.0)
     assert [lines.room_m(s, 40) for s in (58.0, 79.0)] == [-1.0, -1.0]
     assert [lines.room_m(s, step) for s, step in ((81.0, 40), (58.0, 0), (36.75, 0))] == [np.inf] * 3

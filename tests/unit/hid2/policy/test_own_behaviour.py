@@ -45,7 +45,7 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 def test_own_behaviour_is_asked_for_driven_seen_and_recorded(module: str, data_scenes: dict[str, Path]) -> None:
     flags = parse_behaviours(f"{module}:keep_right=1")
     config = load_config(None, ["request.agents=6", "request.trigger_max_s=2"], flags)
-    assert functions_of(config) == (f"{module}:keep_right",)
+    assert functions_of(config) == {f"{module}:keep_right": "request.own"}
     made = generate(read_scenario(data_scenes["arterial"]), config)
     assert made.sidecar is not None
     asked = [agent for agent in made.sidecar.agents if agent.policy == "keep_right"]
