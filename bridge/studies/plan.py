@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from bridge.batch.batch import with_own
-from bridge.files import explained
+from bridge.files import one_line
 from bridge.generation.generate import prepare
 from bridge.recordings.sources import read_recording
 from bridge.studies.paired import draw, drawing_config, triggers
@@ -34,10 +34,14 @@ def plan_text(study: Study, out_dir: Path, difference: float) -> Iterator[str]:
     for known in out_dir.glob("requests.csv*"):  # compressed where there are many
         import pandas as pd
 
-        with explained(known):
+        try:
             requests = pd.read_csv(known)
+            spread = {key: difference_sd(requests, key) for key in study.keys if key in requests and len(requests)}
+        except (OSError, EOFError, ValueError, KeyError) as error:  # damaged, or another table
+            said = one_line(f"{type(error).__name__}: {error}", most=200)
+            raise ConfigError(f"{known}: {said}, expected the requests of a study; take another folder") from error
         for key in study.keys:
-            found = difference_sd(requests, key) if key in requests and not requests.empty else None
+            found = spread.get(key)
             if found is None:
                 yield f"  {out_dir} has fewer than three runs with results at both ends of {key}: no spread to go by"
             else:

@@ -77,7 +77,7 @@ def test_leader_brakes_as_hard_as_is_asked_for(data_root: Path, asked_mps2: floa
     braking = -np.gradient(speed, 0.1)
     at = round(event.at_s * 10)
     assert 0.8 * asked_mps2 - 0.05 <= braking[at:].max() <= asked_mps2 + 0.1
-    assert braking[: at - 10].max() < 1.0
+    assert braking[: at - 10].max() < 1.2  # what a driver brakes by itself
     assert event.brakes_mps2 == pytest.approx(braking[at:].max(), abs=0.2)
 
 

@@ -322,6 +322,9 @@ def test_plan_says_how_many_runs_a_difference_needs_before_and_after_a_pilot(tmp
     wrong = tuple(tuple(one.model_copy(update={"lane_change": change}) for one in configs) for configs in study.configs)
     with pytest.raises(ConfigError, match="nowhere_at_all"):
         list(plan_text(replace(study, configs=wrong), tmp_path / "out", 0.1))
+    (tmp_path / "out" / "requests.csv").write_bytes(b"\xff\xfe a,b\n1")
+    with pytest.raises(ConfigError, match=r"requests\.csv: UnicodeDecodeError: .*, expected the requests of a study"):
+        list(plan_text(study, tmp_path / "out", 0.1))
 
 
 def test_replay_is_varied_like_any_other_parameter_and_said_everywhere(
