@@ -140,9 +140,7 @@ class Due:
     def _vehicles(self) -> Traffic:
         """Vehicles that can be overtaken, as they are now (one step)."""
         recorded = self.scene.traffic.at(self.now).rows(self.scene.vehicle_rows.tolist())
-        if self.fixed.ids:
-            return recorded.joined(self.fixed.at(self.now), self.others)
-        return recorded.joined(self.others)
+        return recorded.joined(self.fixed.at(self.now), self.others)
 
     def _observation(self, options: tuple[LaneOption, ...], leader: Gap | None) -> Observation:
         vehicle, start, scene = self.vehicle, self.vehicle.start, self.scene

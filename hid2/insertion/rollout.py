@@ -122,10 +122,9 @@ class World:
     def joined_by(self, *candidates: RolledOut, without: str | None = None) -> "World":
         """The same with candidates chosen, which need not be taken in the end; to roll out anew one that is chosen."""
         found = World(self.scene, self.roads, Guard(self.scene, self._kept, self.guard.stop_lines))
-        found._chosen, found._joined = dict(self._chosen), self._joined
+        found._chosen = {name: one for name, one in self._chosen.items() if name != without}
+        found._joined = self._joined
         found.choose(*candidates)
-        if without is not None:
-            found.guard.fixed = found.guard.fixed.without(without)
         return found
 
     def rolled_out(self, start: Start, parts: tuple[Rollout, ...]) -> RolledOut:
