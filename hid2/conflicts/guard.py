@@ -101,6 +101,7 @@ class Guard:
     scene: Scene
     fixed: Traffic
     stop_lines: StopLines
+    _newest: dict[tuple[DrivenPath, BoxSize], tuple[PathOccupancy, ...]] = field(default_factory=dict)
     brakes: FloatArray = field(init=False)
     predicted: tuple[float, float, float, float] = field(init=False)
     rules: tuple[float, float, float, float, float, float, float, float, float, float] = _RULES
@@ -141,8 +142,11 @@ class Guard:
 
         Recorded ones come first, by their rows in the scene's traffic; then inserted ones, by theirs in `fixed`.
         """
-        recorded = self.scene.kept_clear_on(path, box, self.scene.future)
-        return recorded.joined(self.scene.kept_clear_on(path, box, self.fixed))
+        recorded, inserted = (self.scene.kept_clear_on(path, box, one) for one in (self.scene.future, self.fixed))
+        newest = self._newest.get((path, box))
+        if newest is None or newest[0] is not recorded or newest[1] is not inserted:
+            newest = self._newest[path, box] = recorded, inserted, recorded.joined(inserted)
+        return newest[2]
 
     @once
     def _swept_on(
