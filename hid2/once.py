@@ -2,14 +2,14 @@
 
 from collections.abc import Callable
 from functools import wraps
-from typing import Any, Concatenate, ParamSpec, TypeVar, cast
+from typing import Any, TypeVar, TypeVarTuple
 
-Asked = ParamSpec("Asked")
+Asked = TypeVarTuple("Asked")
 Found = TypeVar("Found")
 
 
-def once(method: Callable[Concatenate[Any, Asked], Found]) -> Callable[Concatenate[Any, Asked], Found]:
-    """A method that works out its answer to the same arguments once.
+def once(method: Callable[[Any, *Asked], Found]) -> Callable[[Any, *Asked], Found]:
+    """A method that works out its answer to the same arguments, told by position, once.
 
     The answers live as long as the object, which has no slots; `functools.cache` would keep it alive. A copy by
     `dataclasses.replace` has to work out its own.
@@ -17,11 +17,13 @@ def once(method: Callable[Concatenate[Any, Asked], Found]) -> Callable[Concatena
     name = f"_once_{method.__name__}"
 
     @wraps(method)
-    def answer(self: Any, *args: Asked.args, **kwargs: Asked.kwargs) -> Found:  # noqa: ANN401  # any object
-        known: dict[Any, Found] = self.__dict__.setdefault(name, {})
-        key = (args, *kwargs.items()) if kwargs else args
-        if key not in known:
-            known[key] = method(self, *args, **kwargs)
-        return known[key]
+    def answer(self: Any, *asked: *Asked) -> Found:  # noqa: ANN401  # any object
+        known: dict[tuple[*Asked], Found] | None = self.__dict__.get(name)
+        if known is None:
+            known = self.__dict__[name] = {}
+        elif asked in known:
+            return known[asked]
+        found = known[asked] = method(self, *asked)
+        return found
 
-    return cast("Callable[Concatenate[Any, Asked], Found]", answer)
+    return answer

@@ -17,7 +17,7 @@ from hid2.measures.scene_end import END_HORIZON_S
 from hid2.motion.route import DrivenPath, LanePaths
 from hid2.motion.smoothing import Trajectory
 from hid2.occupancy.agent_states import AgentStates, agent_states, parked
-from hid2.occupancy.along_path import PathOccupancy, path_occupancy
+from hid2.occupancy.along_path import PathOccupancy, look_along, path_occupancy
 from hid2.occupancy.shown import Shown, shown_on
 from hid2.occupancy.sigma import CellBoxes, OriginalOccupancy, cell_boxes, original_occupancy
 from hid2.occupancy.traffic import BoolArray, Traffic, covering, traffic_of
@@ -107,9 +107,17 @@ class Scene:
         )  # fmt: skip
 
     @once
+    def in_driving_width(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
+        """Intervals of the recorded agents with boxes that reach into the width driven, without margins."""
+        wide = self.met_on(path, box, self.future)  # what touches no margin touches no box
+        near = replace(self.future.rows(wide.agents.tolist()), present=np.isfinite(wide.low))
+        found = look_along(path.line, near, box.length_m, box.width_m)
+        return replace(found, agents=wide.agents[found.agents])
+
+    @once
     def shown_on(self, path: DrivenPath, box: BoxSize) -> Shown:
-        """Recorded agents as SUMO is shown them: those whose boxes reach into the width driven, without margins."""
-        return shown_on(path, self.future, path_occupancy(path.line, self.future, box), step_s=self.step_s)
+        """The same as SUMO is shown them."""
+        return shown_on(path, self.future, self.in_driving_width(path, box), step_s=self.step_s)
 
     def known_traffic(self, vehicle_id: str, box: BoxSize, parts: Iterable[tuple[int, Trajectory]]) -> Traffic:
         """A vehicle with parts of its motion from a step on each, beyond the end at constant velocity (one agent)."""

@@ -17,7 +17,7 @@ from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
-from hid2.occupancy.along_path import PathOccupancy, path_occupancy
+from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.policy.behaviours import BEHAVIOURS
 from hid2.policy.roads import STRAIGHT, Roads
@@ -203,8 +203,9 @@ class Fleet:
         way = self.ways[row]
         if way.known is None:
             path, box = self.vehicles[row].path, self.vehicles[row].start.box
-            recorded, kept = (path_occupancy(path.line, one, box) for one in (self.scene.future, self.fixed))
-            way.known = recorded.joined(replace(kept, agents=kept.agents + len(self.scene.traffic.ids)))
+            kept = look_along(path.line, self.fixed, box.length_m, box.width_m)
+            kept = replace(kept, agents=kept.agents + len(self.scene.traffic.ids))
+            way.known = self.scene.in_driving_width(path, box).joined(kept)
         return way.known
 
     @property

@@ -12,8 +12,8 @@ from hid2.agents import Policy
 from hid2.conflicts.guard import ACROSS_S
 from hid2.insertion.due import Across, Due, advance, foreseen_speeds
 from hid2.motion.lane_change_path import lateral_share
+from hid2.motion.route import shifted_path
 from hid2.occupancy.traffic import Traffic
-from hid2.policy.observation import lay
 from hid2.policy.overtake import Stage
 from hid2.policy.rules import SumoAnswer
 from hid2.reasons import Reason
@@ -75,7 +75,8 @@ def _keep_time(fleet: Fleet, row: int, now: int) -> None:
     if tau[-1] >= 1.0 or abs(share - motion.share_at(vehicle.s[-1])) < _OFF_SHARE:
         return
     driven = replace(motion, along_m=np.array(vehicle.s[since:]), tau=tau)
-    path = lay(fleet.scene, driven.foreseen(foreseen_speeds(vehicle, fleet.scene, now), step_s))
+    foreseen = driven.foreseen(foreseen_speeds(vehicle, fleet.scene, now), step_s)
+    path = shifted_path(foreseen, limits=fleet.scene.config.limits)
     if path is not None:
         fleet.take_path(row, path)
 

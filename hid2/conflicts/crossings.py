@@ -62,7 +62,7 @@ class PedestrianCrossings:
         )  # fmt: skip
 
     @once
-    def on(self, path: DrivenPath, *, width_m: float) -> list[CrossingOnPath]:
+    def on(self, path: DrivenPath, width_m: float) -> list[CrossingOnPath]:
         """Crossings along a path in the order in which a vehicle of a width comes to them.
 
         Occupied: an agent is on the crossing, or will be within _AHEAD_S by its recorded future, or is within _NEAR_M

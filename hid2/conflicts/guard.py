@@ -101,6 +101,7 @@ class Guard:
     scene: Scene
     fixed: Traffic
     stop_lines: StopLines
+    _newest: dict[tuple[DrivenPath, BoxSize], tuple[PathOccupancy, ...]] = field(default_factory=dict)
     brakes: FloatArray = field(init=False)
     predicted: tuple[float, float, float, float] = field(init=False)
     rules: tuple[float, float, float, float, float, float, float, float, float, float] = _RULES
@@ -144,7 +145,11 @@ class Guard:
         """
         scene = self.scene
         recorded = scene.kept_clear_on(path, box, scene.future)
-        return recorded.joined(scene.kept_clear_on(path, box, self.fixed, at_least_s=scene.config.signals.before_s))
+        inserted = scene.kept_clear_on(path, box, self.fixed, at_least_s=scene.config.signals.before_s)
+        newest = self._newest.get((path, box))
+        if newest is None or newest[0] is not recorded or newest[1] is not inserted:
+            newest = self._newest[path, box] = recorded, inserted, recorded.joined(inserted)
+        return newest[2]
 
     @once
     def _swept_on(

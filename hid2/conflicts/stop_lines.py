@@ -96,7 +96,7 @@ class StopLines:
                 found.append((segment.start - before, segment.end, red, "signal"))
         found += [
             (crossing.entry_s - before, crossing.exit_s, crossing.occupied, "crossing")
-            for crossing in self._crossings.on(path, width_m=box.width_m)
+            for crossing in self._crossings.on(path, box.width_m)
             if crossing.occupied.any()
         ]
         found.sort(key=lambda line: line[0])

@@ -10,8 +10,8 @@ from hid2.drivers.driver import free_speeds
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import LaneOption, Observation, Side, decide, is_due
-from hid2.policy.lane_change import Gap
-from hid2.policy.observation import gap_ahead_of, lane_options, lay_across, leader_on, own_gaps, returns_to
+from hid2.policy.lane_change import OPEN, Gap
+from hid2.policy.observation import gap_ahead_of, gaps_on, lane_options, lay_across, leader_on, returns_to
 from hid2.policy.overtake import SHIFT_RATIO, Stage
 from hid2.policy.rules import SumoAnswer
 from hid2.reasons import Reason
@@ -140,16 +140,16 @@ class Due:
     def _vehicles(self) -> Traffic:
         """Vehicles that can be overtaken, as they are now (one step)."""
         recorded = self.scene.traffic.at(self.now).rows(self.scene.vehicle_rows.tolist())
-        if self.fixed.ids:
-            return recorded.joined(self.fixed.at(self.now), self.others)
-        return recorded.joined(self.others)
+        return recorded.joined(self.fixed.at(self.now), self.others)
 
     def _observation(self, options: tuple[LaneOption, ...], leader: Gap | None) -> Observation:
         vehicle, start, scene = self.vehicle, self.vehicle.start, self.scene
         cell = scene.cell_at(vehicle.path, vehicle.s[-1])
-        own_front, own_rear = own_gaps(
-            scene, vehicle.path, start.box, s=vehicle.s[-1], step=self.now, fixed=self.fixed, fleet=self.others
-        )
+        own_front, own_rear = OPEN, OPEN
+        if scene.config.lane_change.rule not in ("paper", "LC2013"):  # these are not told of them
+            own_front, own_rear = gaps_on(
+                scene, vehicle.path, start.box, at=vehicle.s[-1], step=self.now, fixed=self.fixed, fleet=self.others
+            )
         return Observation(
             time_s=self.now * scene.step_s, cell=cell, next_cell=scene.grid.longitudinal(cell),
             lane_turn=scene.grid.graph.lanes[cell.lane_id].turn, speed_mps=vehicle.v[-1],

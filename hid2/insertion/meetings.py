@@ -253,15 +253,22 @@ class Meetings:
 
     def _cells(self, lane_id: int, offer: RouteOffer) -> tuple[IntArray, FloatArray]:
         """Cells of a route from a lane on, (K,) rows of the grid, and their middles along it, (K,) m."""
-        grid, lanes, begin = self.scene.grid, self.scene.grid.graph.lanes, 0.0
+        lanes, begin = self.scene.grid.graph.lanes, 0.0
         cells: list[IntArray] = []
         middle: list[FloatArray] = []
         for lane in offer.route[offer.route.index(lane_id) :]:
-            first, borders = grid.index_of[Cell(lane, 0)], grid.edges_s(lane)
-            cells.append(np.arange(first, first + grid.count(lane)))
-            middle.append(begin + 0.5 * (borders[1:] + borders[:-1]))
+            rows, middles = self._of_lane(lane)
+            cells.append(rows)
+            middle.append(begin + middles)
             begin += lanes[lane].length_m
         return np.concatenate(cells), np.concatenate(middle)
+
+    @once
+    def _of_lane(self, lane_id: int) -> tuple[IntArray, FloatArray]:
+        """Cells of a lane, rows of the grid, and their middles on it, m."""
+        grid = self.scene.grid
+        first, borders = grid.index_of[Cell(lane_id, 0)], grid.edges_s(lane_id)
+        return np.arange(first, first + grid.count(lane_id)), 0.5 * (borders[1:] + borders[:-1])
 
 
 def _turn_of(policy: Policy) -> TurnType:

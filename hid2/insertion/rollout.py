@@ -99,6 +99,7 @@ class World:
     _kept: Traffic = field(init=False)
     _chosen: dict[str, RolledOut] = field(default_factory=dict)
     _joined: dict[tuple[Traffic, RolledOut], Traffic] = field(default_factory=dict)
+    _newest: dict[tuple[DrivenPath, BoxSize], tuple[PathOccupancy, Shown]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Nothing is chosen yet."""
@@ -122,10 +123,9 @@ class World:
     def joined_by(self, *candidates: RolledOut, without: str | None = None) -> "World":
         """The same with candidates chosen, which need not be taken in the end; to roll out anew one that is chosen."""
         found = World(self.scene, self.roads, Guard(self.scene, self._kept, self.guard.stop_lines))
-        found._chosen, found._joined = dict(self._chosen), self._joined
+        found._chosen = {name: one for name, one in self._chosen.items() if name != without}
+        found._joined = self._joined
         found.choose(*candidates)
-        if without is not None:
-            found.guard.fixed = found.guard.fixed.without(without)
         return found
 
     def rolled_out(self, start: Start, parts: tuple[Rollout, ...]) -> RolledOut:
@@ -406,9 +406,14 @@ class World:
 
     def _shown_on(self, path: DrivenPath, box: BoxSize) -> Shown:
         scene, fixed = self.scene, self.guard.fixed
-        inserted = scene.met_on(path, box, fixed)
-        found = scene.shown_on(path, box)
-        return found.joined(shown_on(path, fixed, inserted, step_s=scene.step_s)) if inserted.agents.size else found
+        recorded, inserted = scene.shown_on(path, box), scene.met_on(path, box, fixed)
+        if not inserted.agents.size:
+            return recorded
+        newest = self._newest.get((path, box))
+        if newest is None or newest[0] is not inserted:
+            found = recorded.joined(shown_on(path, fixed, inserted, step_s=scene.step_s))
+            newest = self._newest[path, box] = inserted, found
+        return newest[1]
 
     def _shown_beside(self, path: DrivenPath, target: DrivenPath, box: BoxSize) -> Shown:
         """Those on the path of a lane, by the arc length of a path that leads across to it."""

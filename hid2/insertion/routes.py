@@ -16,7 +16,7 @@ from hid2.policy.decision import Side
 from hid2.policy.observation import admissible_neighbor
 from hid2.policy.overtake import stretch_m
 from hid2.scene import Scene
-from netconvert.lane_graph import SIDES, LaneGraph, TurnType
+from netconvert.lane_graph import SIDES, TurnType
 
 #: Not parameters, they save time: routes known from a lane, and m of a route before it, where followers are seen.
 _MOST, _RUN_UP_M = 16, 40.0
@@ -47,17 +47,6 @@ class RouteOffer:
     beside: tuple[Beside, ...]
 
 
-def lane_to_pass_on(graph: LaneGraph, lane_id: int, side: Side) -> int | None:
-    """The lane beside that may be changed to, and back from, where neither of the two turns; None without."""
-    neighbor = graph.neighbor(lane_id, side)
-    if neighbor is None or not is_drivable(graph, neighbor):
-        return None
-    if any(graph.lanes[one].turn is not TurnType.STRAIGHT for one in (lane_id, neighbor)):
-        return None
-    back: Side = "left" if side == "right" else "right"
-    return neighbor if graph.may_change(lane_id, side) and graph.may_change(neighbor, back) else None
-
-
 @dataclass(frozen=True, eq=False)
 class Routes:
     """Routes of a scene's map."""
@@ -79,6 +68,7 @@ class Routes:
         found = routes_from(graph, lane_id, choose=lambda onward: tuple(sorted(onward)), most=_MOST)
         return tuple(self._offer(tuple(n for n in before if n not in route), route) for route in found)
 
+    @once
     def map_offers(self, policy: Policy) -> bool:
         """Whether the map has any place at all for a policy, occupied or not; the rule of `hid2 scan` too."""
         return any(self.lane_offers(lane_id, policy) for lane_id in self.lanes)
@@ -104,13 +94,25 @@ class Routes:
         for lane_id in offer.route:
             beside = None
             if at > offer.start_m - 1e-6 and "topology" not in without:
-                beside = lane_to_pass_on(graph, lane_id, side)
+                beside = self._lane_to_pass_on(lane_id, side)
             if beside is None or before is None or beside not in graph.successors(before):
                 if at - begin > needed_m and before is not None:
                     return begin, at
                 begin = at
             before, at = beside, at + lanes[lane_id].length_m
         return (begin, at) if before is not None and at - begin > needed_m else None
+
+    @once
+    def _lane_to_pass_on(self, lane_id: int, side: Side) -> int | None:
+        """The lane beside that may be changed to, and back from, where neither of the two turns; None without."""
+        graph = self.scene.grid.graph
+        neighbor = graph.neighbor(lane_id, side)
+        if neighbor is None or not is_drivable(graph, neighbor):
+            return None
+        if any(graph.lanes[one].turn is not TurnType.STRAIGHT for one in (lane_id, neighbor)):
+            return None
+        back: Side = "left" if side == "right" else "right"
+        return neighbor if graph.may_change(lane_id, side) and graph.may_change(neighbor, back) else None
 
     @cached_property
     def ways_past(self) -> list[tuple[RouteOffer, int, Side]]:
@@ -155,9 +157,13 @@ class Routes:
             Beside(side, starts[row], ends[row], self._beside_m(whole[row:], lane), lanes[whole[row]].is_intersection)
             for row in rows
             for side in SIDES
-            if (lane := admissible_neighbor(self.scene, whole[row], side)) is not None
+            if (lane := self._neighbor(whole[row], side)) is not None
         )
         return RouteOffer(whole, starts[len(before)], ends[-1], turns, beside)
+
+    @once
+    def _neighbor(self, lane_id: int, side: Side) -> int | None:
+        return admissible_neighbor(self.scene, lane_id, side)
 
     @once
     def _beside_m(self, own: Route, lane_id: int) -> float:

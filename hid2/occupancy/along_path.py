@@ -50,11 +50,6 @@ class PathOccupancy:
         """Some of the agents."""
         return PathOccupancy(self.agents[which], *(one[which] for one in self._by_step()))
 
-    def without(self, row: int) -> "PathOccupancy":
-        """The same in a traffic that an agent, by its row, is not part of."""
-        others = self.rows(self.agents != row)
-        return replace(others, agents=others.agents - (others.agents > row))
-
     def at(self, step: int) -> "PathOccupancy":
         """The same agents at one step, T = 1."""
         return PathOccupancy(self.agents, *(one[:, step : step + 1] for one in self._by_step()))
@@ -103,22 +98,17 @@ def path_occupancy(
         return known
     if not traffic.ids:
         return PathOccupancy.none(traffic.num_steps)
-    if traffic.part_of is not None:
-        every, row = traffic.part_of
-        found = path_occupancy(
-            line, every, box, margin_m=margin_m, clear_steps=clear_steps, clear_margin_m=clear_margin_m
-        ).without(row)
+    before = traffic.extends
+    while before is not None and key not in before.known:
+        before = before.extends
+    since = 0 if before is None else len(before.ids)
+    if clear_steps > 0:
+        plain = path_occupancy(line, traffic, box, margin_m=margin_m)
+        found = plain.rows(plain.agents >= since).kept_clear(clear_steps, margin_m=clear_margin_m)
     else:
-        before = traffic.extends
-        while before is not None and key not in before.known:
-            before = before.extends
-        since = 0 if before is None else len(before.ids)
-        if clear_steps > 0:
-            plain = path_occupancy(line, traffic, box, margin_m=margin_m)
-            found = plain.rows(plain.agents >= since).kept_clear(clear_steps, margin_m=clear_margin_m)
-        else:
-            found = look_along(line, traffic, box.length_m, box.width_m + 2 * margin_m, since)
-        found = found if before is None else before.known[key].joined(found)
+        found = look_along(line, traffic, box.length_m, box.width_m + 2 * margin_m, since)
+    if before is not None:
+        found = before.known[key].joined(found)
     traffic.known[key] = found
     return found
 

@@ -38,20 +38,31 @@ def shown_on(path: DrivenPath, traffic: Traffic, seen: PathOccupancy, *, step_s:
 
     It knows the speed of a vehicle's front from where that was a step before, and puts it on the lane below its front.
     """
-    here, line = traffic.rows(seen.agents.tolist()), path.line
-    ahead = np.stack([np.cos(here.heading), np.sin(here.heading)], axis=-1)
-    front = here.position + 0.5 * here.length_m[:, None, None] * ahead
-    speed, moved = np.hypot(here.velocity[..., 0], here.velocity[..., 1]), np.diff(front, axis=1)
-    speed[:, 1:] = np.hypot(moved[..., 0], moved[..., 1]) / step_s
-    since = np.maximum(np.arange(here.num_steps) - UNSEEN_STEPS, 0)  # those of step 0 come in before it
+    front, speed, known = _fronts(traffic, step_s)
+    rows, length_m, line = seen.agents, traffic.length_m[seen.agents], path.line
     moves = seen.same_direction | (~seen.crossing & (np.abs(seen.along) < STANDING_MPS))
-    leads = np.isfinite(seen.low) & moves & here.present & here.present[:, since]
+    leads = np.isfinite(seen.low) & moves & known[rows]
     row, step = np.nonzero(leads)
     middle = np.zeros(leads.shape)
     middle[row, step] = 0.5 * (seen.low[row, step] + seen.high[row, step])
-    front_s = middle[row, step] + 0.5 * here.length_m[row]
+    front_s = middle[row, step] + 0.5 * length_m[row]
     at = np.clip((front_s / TABLE_STEP_M).astype(np.int64), 0, len(line.table_xy) - 1)
-    (dx, dy), angle = (front[row, step] - line.table_xy[at]).T, line.table_heading[at]
+    (dx, dy), angle = (front[rows[row], step] - line.table_xy[at]).T, line.table_heading[at]
     aside = np.abs(np.cos(angle) * dy - np.sin(angle) * dx)
     leads[row, step] = (aside < ASIDE_M) & (front_s < path.exit_s)
-    return Shown(middle, speed, leads, here.length_m)
+    return Shown(middle, speed[rows], leads, length_m)
+
+
+def _fronts(traffic: Traffic, step_s: float) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Fronts (A, T, 2) m, their speeds (A, T) m/s, and whether SUMO knows these (A, T); kept with the traffic."""
+    key = _fronts, step_s
+    if key not in traffic.known:
+        ahead = np.stack([np.cos(traffic.heading), np.sin(traffic.heading)], axis=-1)
+        front = traffic.position + 0.5 * traffic.length_m[:, None, None] * ahead
+        speed = np.hypot(traffic.velocity[..., 0], traffic.velocity[..., 1])
+        moved = np.diff(front, axis=1)
+        speed[:, 1:] = np.hypot(moved[..., 0], moved[..., 1]) / step_s
+        first = np.maximum(np.arange(traffic.num_steps) - UNSEEN_STEPS, 0)  # those of step 0 come in before it
+        traffic.known[key] = front, speed, traffic.present & traffic.present[:, first]
+    found: tuple[FloatArray, FloatArray, BoolArray] = traffic.known[key]
+    return found

@@ -1,7 +1,7 @@
 """Boxes of many agents over time, as dense arrays: what is known, or predicted, of other agents."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -27,8 +27,7 @@ class Traffic:
     the agent has a state at that step or lies between two of its states (interpolated: it is somewhere there);
     length_m, width_m (A,).
     extends: its first agents, which others were joined to, so that what is known of them need not be worked out
-    again; part_of: those among which one, by its row, is left out here, for the same reason. The arrays do not change.
-    known: intervals on paths, kept by `path_occupancy`.
+    again. The arrays do not change. known: intervals on paths, kept by `path_occupancy`.
     """
 
     ids: tuple[str, ...]
@@ -39,7 +38,6 @@ class Traffic:
     length_m: FloatArray
     width_m: FloatArray
     extends: "Traffic | None" = None
-    part_of: "tuple[Traffic, int] | None" = None
     known: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
@@ -65,13 +63,6 @@ class Traffic:
         """Some of the agents."""
         index = np.asarray(rows, dtype=np.int64)
         return Traffic(tuple(self.ids[row] for row in rows), **{one: getattr(self, one)[index] for one in _BY_AGENT})
-
-    def without(self, track_id: str) -> "Traffic":
-        """All agents but one; what is known of them on paths stays known."""
-        if track_id not in self.ids:
-            return self
-        row = self.ids.index(track_id)
-        return replace(self.rows([other for other in range(len(self.ids)) if other != row]), part_of=(self, row))
 
     def first(self, steps: int) -> "Traffic":
         """The same agents up to a step, T = steps."""

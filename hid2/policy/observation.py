@@ -104,15 +104,6 @@ def gaps_on(
     )
 
 
-def own_gaps(
-    scene: Scene, path: DrivenPath, box: BoxSize, *, s: float, step: int, fixed: Traffic, fleet: Traffic
-) -> tuple[Gap, Gap]:
-    """`gaps_on` the own path where the configured rule is told of them; none for the paper's and SUMO's."""
-    if scene.config.lane_change.rule in ("paper", "LC2013"):
-        return OPEN, OPEN
-    return gaps_on(scene, path, box, at=s, step=step, fixed=fixed, fleet=fleet)
-
-
 def leader_on(path: DrivenPath, size: BoxSize, *, s: float, d_obs_m: float, here: Traffic) -> Gap | None:
     """Next vehicle on the lane path within d_obs; here: vehicles at this step (one step)."""
     own = path.line.position(np.array([s]))[0]
@@ -182,17 +173,12 @@ def lay_across(
     assert motion is not None
     if motion.tau.size - 1 > scene.num_steps - 2 - step:
         return Reason.SCENE_ENDS
-    return lay(scene, motion) or Reason.LANES_NOT_SIDE_BY_SIDE
+    return shifted_path(motion, limits=scene.config.limits) or Reason.LANES_NOT_SIDE_BY_SIDE
 
 
 def _farthest_m(path: DrivenPath, target: DrivenPath, s: FloatArray) -> float:
     """Largest distance of places (M,) m on a path from another one, m."""
     return float(np.abs(frenet(path.line.position(s), target.raw_line.points, target.raw_line.s)[1]).max())
-
-
-def lay(scene: Scene, motion: LateralMotion) -> DrivenPath | None:
-    """Path of a lateral motion; None where the lanes are not side by side."""
-    return shifted_path(motion, limits=scene.config.limits)
 
 
 def _next_sigma(scene: Scene, cell: Cell, *, step: int, speed_mps: float) -> int:
