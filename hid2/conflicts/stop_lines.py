@@ -10,7 +10,6 @@ from hid2.agents import BoxSize, FloatArray, IntArray
 from hid2.conflicts.crossings import CROSSING_TYPES, PedestrianCrossings
 from hid2.conflicts.signals import InferredSignals
 from hid2.drivers.driver import Driver
-from hid2.kernels.guard import stop_ahead
 from hid2.kernels.steering import CAUSES
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import BoolArray
@@ -37,13 +36,6 @@ class ClosedLines:
     end_s: FloatArray
     closed: BoolArray
     cause: IntArray
-
-    def braking(self, driver: Driver, *, s: float, speed_mps: float, step: int) -> tuple[float, str] | None:
-        """Acceleration, m/s2, that stops a driver at the next closed line, and its cause; None for none."""
-        row, accel = stop_ahead(
-            self.stop_s, self.closed, s, speed_mps, step, driver.accel_mps2, driver.decel_mps2, STOPS
-        )
-        return None if row < 0 else (float(accel), CAUSES[self.cause[row]])
 
     def room_m(self, s: float, step: int) -> float:
         """From a place on the path to the next closed line, m, inf for none.

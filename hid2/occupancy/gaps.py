@@ -67,7 +67,7 @@ def _places(s: FloatArray, steps: IntArray | int) -> tuple[FloatArray, IntArray]
 
 
 class PoseGaps(NamedTuple):
-    """Agents (A,) as seen from a pose with a path that is taken as straight.
+    """Agents (A,), or (A, T) over steps, as seen from a pose with a path that is taken as straight.
 
     along_m: their centres ahead of its own, negative behind; gap_m: bumper to bumper; aside_m: between the sides,
     negative where they overlap across; along_mps: their speeds in its direction.
@@ -79,15 +79,20 @@ class PoseGaps(NamedTuple):
     along_mps: FloatArray
 
 
-def gaps_from_pose(xy: FloatArray, forward: FloatArray, box: BoxSize, here: Traffic) -> PoseGaps:
-    """Gaps from a box at xy (2,) m heading along the unit vector forward (2,) to the agents of one step.
+def gaps_from_poses(xy: FloatArray, forward: FloatArray, box: BoxSize, others: Traffic) -> PoseGaps:
+    """Gaps from a box at xy (T, 2) m heading along the unit vectors forward (T, 2) to agents, over their steps (A, T).
 
-    Also of a box that is elsewhere for each of them: xy, forward (A, 2).
+    Also of a box that is elsewhere for each of them: xy, forward (A, T, 2).
     """
-    offset = here.position[:, 0] - xy
-    along = (offset * forward).sum(axis=1)
-    aside = np.abs(offset[:, 1] * forward[..., 0] - offset[:, 0] * forward[..., 1])
+    offset, (length_m, width_m) = others.position - xy, box
+    along = (offset * forward).sum(axis=-1)
+    aside = np.abs(offset[..., 1] * forward[..., 0] - offset[..., 0] * forward[..., 1])
     return PoseGaps(
-        along, np.abs(along) - 0.5 * (here.length_m + box.length_m), aside - 0.5 * (here.width_m + box.width_m),
-        (here.velocity[:, 0] * forward).sum(axis=1),
+        along, np.abs(along) - 0.5 * (others.length_m[:, None] + length_m),
+        aside - 0.5 * (others.width_m[:, None] + width_m), (others.velocity * forward).sum(axis=-1),
     )  # fmt: skip
+
+
+def gaps_from_pose(xy: FloatArray, forward: FloatArray, box: BoxSize, here: Traffic) -> PoseGaps:
+    """The same to the agents of one step, (A,), from xy, forward (2,), or from elsewhere for each of them (A, 2)."""
+    return PoseGaps(*(one[:, 0] for one in gaps_from_poses(xy[..., None, :], forward[..., None, :], box, here)))

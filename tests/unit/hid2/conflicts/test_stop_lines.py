@@ -8,6 +8,7 @@ from inserted import CAR, DRIVER, recorded, scene_on
 
 from hid2.agents import BoxSize, Track
 from hid2.conflicts.stop_lines import STOPS, ClosedLines, StopLines
+from hid2.kernels.guard import stop_ahead
 from hid2.kernels.steering import CAUSES
 from hid2.params import Config, Signals
 from hid2.scene import Scene
@@ -43,13 +44,21 @@ def junction(lane: Callable[..., LaneSegment]) -> Callable[..., Scene]:
     return make
 
 
+def _braking(lines: ClosedLines, *, s: float, v: float, step: int) -> tuple[float, str] | None:
+    """Acceleration, m/s2, that stops a driver at the next closed line, and its cause; None for none."""
+    row, accel = stop_ahead(
+        lines.stop_s, lines.closed, s, v, step, DRIVER.accel_mps2, DRIVER.decel_mps2, STOPS
+    )  # fmt: skip
+    return None if row < 0 else (float(accel), CAUSES[lines.cause[row]])
+
+
 @pytest.fixture
 def brake(junction: Callable[..., Scene]) -> Callable[..., tuple[float, str] | None]:
     """brake(*recorded, s=..., v=..., step=...) -> acceleration and cause."""
 
     def at(*tracks: Track, s: float, v: float, step: int) -> tuple[float, str] | None:
         scene = junction(*tracks)
-        return StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR).braking(DRIVER, s=s, speed_mps=v, step=step)
+        return _braking(StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR), s=s, v=v, step=step)
 
     return at
 
@@ -115,7 +124,7 @@ def test_braking_as_asked_for_ends_at_the_line(junction: Callable[..., Scene]) -
     lines = StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR)
     s, v = 45.0, 6.0
     for step in range(32, 80):
-        found = lines.braking(DRIVER, s=s, speed_mps=v, step=step)
+        found = _braking(lines, s=s, v=v, step=step)
         assert found is not None
         v = max(0.0, v + 0.1 * found[0])
         s += 0.1 * v
