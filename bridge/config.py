@@ -92,10 +92,7 @@ def parse_behaviours(text: str) -> dict[str, float | str]:
     given: set[str] = set()
     for part in text.split(","):
         name, separator, value = (piece.strip() for piece in part.partition("="))
-        if ":" in name and separator:
-            own.append(f"{name}={value}")
-            continue
-        if name not in names or not separator:
+        if not separator or (name not in names and ":" not in name):
             alike = get_close_matches(name, names, 1)
             hint = f"; did you mean {alike[0]}?" if alike and name not in names else ""
             wanted = f"name=share of {', '.join(names)}, or module:name=share of your own"
@@ -103,8 +100,11 @@ def parse_behaviours(text: str) -> dict[str, float | str]:
         if name in given:
             raise ConfigError(f"behaviours: {name!r} is given twice; give each once")
         given.add(name)
-        shares[f"request.{name}"] = _number(value, f"behaviours: {name}", "a share from 0 to 1")
-    return shares | ({"request.own": ", ".join(own)} if own else {})
+        if name in names:
+            shares[f"request.{name}"] = _number(value, f"behaviours: {name}", "a share from 0 to 1")
+        else:
+            own.append(f"{name}={value}")
+    return shares | {"request.own": ", ".join(own)}
 
 
 def parse_trigger_time(text: str) -> dict[str, Any]:

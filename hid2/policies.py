@@ -6,14 +6,16 @@ from typing import ClassVar
 from pydantic import GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
+_PAPER = "straight", "left_turn", "right_turn", "lane_change", "overtake"
+
 
 class _Names(type):
     def __iter__(cls) -> "Iterator[Policy]":
         """Those of the paper."""
-        return iter((Policy.STRAIGHT, Policy.LEFT_TURN, Policy.RIGHT_TURN, Policy.LANE_CHANGE, Policy.OVERTAKE))
+        return map(Policy, _PAPER)
 
     def __len__(cls) -> int:
-        return sum(1 for _ in cls)
+        return len(_PAPER)
 
 
 class Policy(str, metaclass=_Names):
@@ -42,5 +44,5 @@ class Policy(str, metaclass=_Names):
 
 
 Policy._known = {}
-for _name in ("straight", "left_turn", "right_turn", "lane_change", "overtake"):
+for _name in _PAPER:
     setattr(Policy, _name.upper(), Policy(_name))

@@ -14,6 +14,7 @@ from hid2.agents import VEHICLE_TYPES, Policy
 from hid2.insertion.events import offered_events
 from hid2.insertion.routes import Routes
 from hid2.insertion.surroundings import Surroundings
+from hid2.measures.arrays import MOVING_EXTENT_M, MOVING_S
 from hid2.params import Config, Event
 from hid2.policy.overtake import stretch_m
 from netconvert.errors import ConfigError
@@ -26,8 +27,6 @@ _CHUNK = 16
 EVENTS = tuple(
     f"{kind}:{target}" for kind in get_args(Event.model_fields["kind"].annotation) for target in ("av", "focal")
 )
-#: A track seen on a path longer than this is moving, m; for longer than this, s.
-_MOVING_M, _MOVING_S = 5.0, 1.0
 
 
 class SceneFacts(NamedTuple):
@@ -105,7 +104,7 @@ def describe_scene(events: Sequence[str], folder: Address) -> SceneFacts:
     lanes = [lane for lane in graph.lanes.values() if lane.lane_type == "VEHICLE"]
     own = {lane.lane_id for lane in lanes}
     turns = [lane for lane in lanes if lane.turn is not TurnType.STRAIGHT and graph.predecessors(lane.lane_id)]
-    short, room = round(_MOVING_S / scenario.step_s), rooms(routes)
+    short, room = round(MOVING_S / scenario.step_s), rooms(routes)
     return SceneFacts(
         folder=folder,
         scenario=scenario.scenario_id,
@@ -115,7 +114,7 @@ def describe_scene(events: Sequence[str], folder: Address) -> SceneFacts:
         tracks=len(scenario.tracks),
         at_49=sum(scenario.last_observed in track.timesteps for track in scenario.tracks),
         vehicles=len(vehicles),
-        moving=sum(track.path_m > _MOVING_M and len(track.timesteps) > short for track in vehicles),
+        moving=sum(track.path_m > MOVING_EXTENT_M and len(track.timesteps) > short for track in vehicles),
         lanes=len(graph.lanes),
         vehicle_lanes=len(lanes),
         same_direction=sum(graph.neighbor(lane.lane_id, side) in own for lane in lanes for side in SIDES),

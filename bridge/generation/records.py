@@ -28,7 +28,7 @@ from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.meetings import moving_vehicles, target_rows
 from hid2.insertion.outcome import Outcome
 from hid2.measures.selection import drives
-from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
+from hid2.policy.behaviours import BEHAVIOURS
 from hid2.reasons import Reason
 from hid2.scene import Scene
 
@@ -84,7 +84,7 @@ def agent_record(
 def maneuver_record(vehicle: ExportedVehicle, outcome: Outcome, names: Mapping[str, str]) -> ManeuverRecord:
     """Record of one manoeuvre; times are those of the exported motion."""
     driven = vehicle.driven
-    is_turn = outcome.policy in TURN_OF_POLICY
+    is_turn = BEHAVIOURS[outcome.policy].turn is not None
     shift = driven.shifts[0] if driven.shifts else None
     requested_s = None if shift is None else round(shift.requested_step * vehicle.motion.step_s, 6)
     leader = outcome.leader_id

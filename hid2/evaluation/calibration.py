@@ -16,6 +16,7 @@ import numpy as np
 from hid2.agents import FloatArray, IntArray
 from hid2.drivers.driver import TRUNCATED_AT, Driver, desired_speeds, lane_offset
 from hid2.evaluation.windows import Windows, lateral_accel_mps2, polynomial_fit, windows
+from hid2.measures.encounters import STANDS_MPS
 from hid2.measures.following import leaders
 from hid2.measures.manoeuvres import detect, whole_lane_changes
 from hid2.occupancy.agent_states import AgentStates
@@ -29,8 +30,8 @@ LEAST = 12
 # No tunables, here and below: they say which moments are measured and how finely, and calibrations with others differ.
 #: Steady following: closing slower, m/s, accelerating less, m/s2, faster than, m/s, nearer than, s and m.
 _STEADY_MPS, _STEADY_MPS2, _FOLLOWS_MPS, _FOLLOWS_S = 1.0, 0.5, 3.0, 3.0
-#: Speed below which a vehicle stands, m/s, and gap to a leader in a queue, m.
-_STANDS_MPS, _QUEUE_M = 0.3, 8.0
+#: Gap to a leader in a queue, m.
+_QUEUE_M = 8.0
 #: A driver that accelerates or brakes by more than this in some window shows how: m/s2.
 _SHOWS_MPS2 = 0.7
 #: Drivers simulated for a moment, half of a window, s, and intervals in it: finer ones change no fit.
@@ -77,9 +78,9 @@ def observe(states: AgentStates, *, name: str, city: str, labelled: bool) -> Sce
     """What the clean tracks of moving vehicles of a recorded scene show."""
     arrays, led = states.arrays, leaders(states.arrays, states.lanes, states.matches)
     speed = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1])
-    rows = np.flatnonzero((led.agent >= 0) & arrays.clean[arrays.agent] & (speed < _STANDS_MPS))
+    rows = np.flatnonzero((led.agent >= 0) & arrays.clean[arrays.agent] & (speed < STANDS_MPS))
     ahead, gap = arrays.row_of[led.agent[rows], arrays.step[rows]], led.gap_m[rows]
-    queue = (ahead >= 0) & (speed[ahead] < _STANDS_MPS) & (gap > 0.0) & (gap < _QUEUE_M)
+    queue = (ahead >= 0) & (speed[ahead] < STANDS_MPS) & (gap > 0.0) & (gap < _QUEUE_M)
     changes = whole_lane_changes(detect(arrays, states.lanes, states.matches))
     return SceneDriving(
         name, city, labelled, windows(states.view, led, scene=name, labelled=labelled),

@@ -15,7 +15,7 @@ from hid2.measures.encounters import BRAKES_MPS2, CROSSING_RAD, FOLLOWS_FOR_S, F
 from hid2.motion.route import Route
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.once import once
-from hid2.policy.behaviours import TURN_OF_POLICY
+from hid2.policy.behaviours import BEHAVIOURS
 from hid2.scene import MOVES_MPS, Scene
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
@@ -273,7 +273,7 @@ class Meetings:
 
 def _turn_of(policy: Policy) -> TurnType:
     """The first turn of the routes that a vehicle of a policy would take."""
-    return TURN_OF_POLICY.get(policy, TurnType.STRAIGHT)
+    return BEHAVIOURS[policy].turn or TurnType.STRAIGHT
 
 
 def _pace(traffic: Traffic, row: int) -> float:

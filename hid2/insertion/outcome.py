@@ -12,11 +12,12 @@ from hid2.judge.claims import manoeuvres, overtake_of
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind
 from hid2.motion.route import first_turn
 from hid2.occupancy.agent_states import AgentStates
-from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
+from hid2.policy.behaviours import BEHAVIOURS
 from hid2.policy.observation import returns_to
 from hid2.policy.overtake import Stage
 from hid2.reasons import Reason
 from hid2.scene import Scene
+from netconvert.lane_graph import TurnType
 
 Status = Literal["done", "aborted", "not_feasible", "not_triggered"]
 
@@ -45,8 +46,8 @@ class Outcome:
 def outcome_of(scene: Scene, vehicle: ExportedVehicle, kept: Iterable[ExportedVehicle]) -> Outcome | None:
     """Outcome of a vehicle's request beside what is recorded and kept; None for one that goes straight."""
     policy = vehicle.driven.policy
-    if policy in TURN_OF_POLICY:
-        return _turn(scene, vehicle)
+    if (kind := BEHAVIOURS[policy].turn) is not None:
+        return _turn(scene, vehicle, kind)
     if BEHAVIOURS[policy].sides:
         return _lane_change(vehicle)
     if policy is Policy.OVERTAKE:
@@ -64,12 +65,12 @@ def _done(vehicle: ExportedVehicle, seen: Maneuver, **more: object) -> Outcome:
     )  # fmt: skip
 
 
-def _turn(scene: Scene, vehicle: ExportedVehicle) -> Outcome:
+def _turn(scene: Scene, vehicle: ExportedVehicle, kind: TurnType) -> Outcome:
     """Done where the lane is driven to its end and the direction turns by 30 degrees."""
     driven, s = vehicle.driven, vehicle.motion.s
-    kind = BEHAVIOURS[driven.policy].seen_as[0]
-    seen = next((one for one in manoeuvres(vehicle.states) if one.kind is kind and one.complete), None)
-    turn = first_turn(scene.grid.graph, driven.path, TURN_OF_POLICY[driven.policy], after=driven.start.start_s)
+    wanted = BEHAVIOURS[driven.policy].seen_as[0]
+    seen = next((one for one in manoeuvres(vehicle.states) if one.kind is wanted and one.complete), None)
+    turn = first_turn(scene.grid.graph, driven.path, kind, after=driven.start.start_s)
     before = driven.path.segments.index(turn) - 1 if turn is not None else -1
     if seen is not None:
         source = driven.path.segments[before].lane_id if before >= 0 else None

@@ -11,7 +11,7 @@ from hid2.motion.route import Route, is_drivable, routes_from
 from hid2.occupancy.sigma import FREE
 from hid2.occupancy.traffic import BoolArray
 from hid2.once import once
-from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
+from hid2.policy.behaviours import BEHAVIOURS
 from hid2.policy.decision import Side
 from hid2.policy.observation import admissible_neighbor
 from hid2.policy.overtake import stretch_m
@@ -77,8 +77,7 @@ class Routes:
         """Whether some route from a lane has a place for a policy."""
         if policy is Policy.STRAIGHT:
             return True
-        if policy in TURN_OF_POLICY:
-            kind = TURN_OF_POLICY[policy]
+        if (kind := BEHAVIOURS[policy].turn) is not None:
             return any(offer.turns and offer.turns[0][0] is kind for offer in self.offers(lane_id))
         if policy is Policy.OVERTAKE:
             return any(self.together(offer, side) is not None for offer in self.offers(lane_id) for side in SIDES)

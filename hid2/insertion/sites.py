@@ -19,7 +19,7 @@ from hid2.insertion.starts import CLEAR_GAP_M, Site, Starts
 from hid2.insertion.surroundings import Surroundings
 from hid2.judge.findings import FOLLOWER_HEADWAY_S
 from hid2.occupancy.sigma import clear_places
-from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
+from hid2.policy.behaviours import BEHAVIOURS
 from hid2.policy.rules import expected_reason
 from hid2.reasons import Reason
 from hid2.scene import Scene
@@ -163,7 +163,7 @@ class InsertionSites:
         if self.here.scene.config.request.sites == "promising":
             key /= np.array(self.here.meetings.offer_weights(cell, request.policy))
         order = [offers[row] for row in np.argsort(key, kind="stable").tolist()]
-        if request.policy in TURN_OF_POLICY:
+        if BEHAVIOURS[request.policy].turn is not None:
             return order
         return sorted(order, key=lambda offer: bool(offer.turns))
 
@@ -235,9 +235,9 @@ class InsertionSites:
         """Whether the map offers what is asked for from arc length s on, in the time that the scene has."""
         duration = self.here.scene.last_s
         reach = s + speed_mps * duration
-        ahead = [turn for turn in offer.turns if turn[2] > s]
-        if request.policy in TURN_OF_POLICY:
-            if not ahead or ahead[0][0] is not TURN_OF_POLICY[request.policy]:
+        ahead = [one for one in offer.turns if one[2] > s]
+        if (turn := BEHAVIOURS[request.policy].turn) is not None:
+            if not ahead or ahead[0][0] is not turn:
                 return False
             _, begin, end = ahead[0]
             if not strict:

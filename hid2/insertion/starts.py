@@ -20,7 +20,7 @@ from hid2.measures.encounters import FOLLOWS_S, STANDS_MPS
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
 from hid2.occupancy.gaps import Gaps, gaps_from_pose, gaps_on_path, gaps_to_all
-from hid2.policy.behaviours import BEHAVIOURS, TURN_OF_POLICY
+from hid2.policy.behaviours import BEHAVIOURS
 from hid2.policy.decision import Side
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
@@ -194,8 +194,8 @@ class Starts:
         spare_m = _SPARE_S * parts[-1].v[-1] if policy is Policy.OVERTAKE else 0.0
         if vehicle is not None and parts[-1].s[-1] < vehicle.path.shifts[-1][1] + spare_m:
             return Reason.SCENE_ENDED
-        if policy in TURN_OF_POLICY:
-            turn = first_turn(scene.grid.graph, start.path, TURN_OF_POLICY[policy], after=start.start_s)
+        if (kind := BEHAVIOURS[policy].turn) is not None:
+            turn = first_turn(scene.grid.graph, start.path, kind, after=start.start_s)
             if turn is None:
                 return Reason.TURN_NOT_SEEN
             if parts[-1].s[-1] < turn.end + 1.0:

@@ -6,11 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hid2.agents import FloatArray
+from hid2.measures.encounters import STANDS_FOR_S, STANDS_MPS
 
 #: Harder braking than this, m/s2, in the mean over this time, s: a tracker's noise is shorter.
 HARD_BRAKING_MPS2, BRAKING_FOR_S = 3.0, 0.5
-#: A vehicle that is slower than this, m/s, for this time, s, stands.
-STANDING_MPS, STANDING_FOR_S = 0.3, 0.5
 
 
 class Drives(NamedTuple):
@@ -29,10 +28,10 @@ class Drives(NamedTuple):
 
 def drives(speeds: Iterable[FloatArray], *, step_s: float, limited: int = 0) -> Drives:
     """Of vehicles by their speeds, each (T_i,) m/s at the steps that it is there; limited: steps of all of them."""
-    brake, stand = round(BRAKING_FOR_S / step_s), round(STANDING_FOR_S / step_s)
+    brake, stand = round(BRAKING_FOR_S / step_s), round(STANDS_FOR_S / step_s)
     vehicles = braking = standing = steps = 0
     for speed in speeds:
         vehicles, steps = vehicles + 1, steps + max(0, len(speed) - 1)
         braking += bool(np.any(speed[:-brake] - speed[brake:] > HARD_BRAKING_MPS2 * brake * step_s))
-        standing += int((speed < STANDING_MPS).sum()) >= stand
+        standing += int((speed < STANDS_MPS).sum()) >= stand
     return Drives(vehicles, braking, standing, steps, limited)

@@ -4,7 +4,7 @@ A sixth one is such a record in a module of a user's own, which `request.own` na
 """
 
 import importlib
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
 from hid2.agents import Policy
@@ -94,12 +94,10 @@ BEHAVIOURS: dict[Policy, Behaviour] = {
         ),
     )
 }
-#: The turn that a policy asks for; no entry: none.
-TURN_OF_POLICY: dict[Policy, TurnType] = {
-    policy: behaviour.turn for policy, behaviour in BEHAVIOURS.items() if behaviour.turn is not None
+#: The paper's policy of a vehicle on a lane that turns.
+POLICY_OF_TURN: Mapping[TurnType, Policy] = {
+    behaviour.turn: policy for policy, behaviour in BEHAVIOURS.items() if behaviour.turn is not None
 }
-#: The policy of a vehicle on a lane that turns.
-POLICY_OF_TURN: dict[TurnType, Policy] = {turn: policy for policy, turn in TURN_OF_POLICY.items()}
 _SEEN = {kind: behaviour for behaviour in BEHAVIOURS.values() for kind in behaviour.seen_as}
 
 
@@ -126,5 +124,3 @@ def load_own(names: Collection[str]) -> None:
         if not found.seen_as or (found.turn is None) == (not found.sides):
             raise ConfigError(f"request.own: {name!r}: expected seen_as, and either a turn or sides")
         BEHAVIOURS[found.policy] = found
-        if found.turn is not None:
-            TURN_OF_POLICY[found.policy] = found.turn

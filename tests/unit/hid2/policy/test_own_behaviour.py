@@ -78,3 +78,12 @@ def test_what_is_no_behaviour_is_said(module: str, name: str, said: str) -> None
 def test_policy_of_a_name_is_one_object() -> None:
     assert Policy("overtake") is Policy.OVERTAKE
     assert pickle.loads(pickle.dumps(Policy("keep_right"))) is Policy("keep_right")  # own bytes
+
+
+def test_shares_that_are_named_are_all_that_there_are() -> None:
+    """As with the paper's: one that is not named gets none, one that is named twice is an error."""
+    before = {"request.own": "mine:x=0.5"}
+    config = load_config(None, [], before | parse_behaviours("straight=1"))
+    assert config.request.own_behaviours == {}
+    with pytest.raises(ConfigError, match="'mine:x' is given twice"):
+        parse_behaviours("mine:x=.2, mine:x=.3")
