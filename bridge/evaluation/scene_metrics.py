@@ -10,7 +10,7 @@ import numpy as np
 
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import Address, split_of
-from bridge.recordings.judging import findings_of
+from bridge.recordings.judging import findings_of, states_of
 from bridge.recordings.recording import AV_ID, Recording
 from bridge.recordings.sidecar import REACTIVE, EventRecord, ManeuverRecord, Sidecar
 from bridge.recordings.sources import read_recording
@@ -29,7 +29,7 @@ from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.measures.post_encroachment import Encroachment
 from hid2.measures.scene_end import ttc_after_last_step
-from hid2.occupancy.agent_states import AgentStates, agent_states
+from hid2.occupancy.agent_states import AgentStates
 from hid2.policy.rules import place_in
 from netconvert.errors import ConfigError, ScenarioError
 
@@ -145,12 +145,9 @@ def _number_of(own: Callable[[Group], float], name: str, group: Group) -> float:
 
 def _grouped(recording: Recording, tracks: Sequence[Track]) -> tuple[AgentStates, dict[str, Group]]:
     """States of tracks on the map of a recording, inserted ones last, and what was measured of them by group."""
-    states = agent_states(
-        sorted(tracks, key=lambda track: is_generated_id(track.track_id)),
-        _flat(recording.graph),
-        num_steps=recording.num_steps,
-        step_s=recording.step_s,
-    )
+    inserted = [track.track_id for track in tracks if is_generated_id(track.track_id)]
+    lanes, steps = _flat(recording.graph), recording.num_steps
+    states = states_of(tracks, lanes, inserted, num_steps=steps, step_s=recording.step_s)
     arrays, safe = states.arrays, safety(states.view)
     kinematic, met = kinematics(arrays, motion(arrays)), encounters(arrays, safe.leaders)
     recorded, every = ~arrays.generated, np.ones(arrays.num_agents, dtype=bool)

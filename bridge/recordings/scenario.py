@@ -70,11 +70,11 @@ def read_scenario(folder: Path) -> Scenario:
     breaks what readers of the format demand: nothing recorded is repaired.
     Errors: ScenarioError or MapError with file, id, value and what was expected.
     """
-    table, rows, sidecar = _rows_in(folder)
+    table, rows, sizes, sidecar = _rows_in(folder)
     path, map_path = only_file(folder, PARQUET_PATTERN, ScenarioError), only_file(folder, MAP_PATTERN, MapError)
     if rows.scenario_id != source_id(folder):
         raise ScenarioError(f"{path}: scenario_id {rows.scenario_id!r}, expected the id in the file's name")
-    known, sizes = _recording_record(folder, sidecar), sizes_of(folder, sidecar)
+    known = _recording_record(folder, sidecar)
     source = Source(folder, known.format, rows.scenario_id, split_of(folder), known.first_step, map_path)
     graph = read_source_map(map_path)
     return recording_of(source, table, rows, graph, provenance=known.provenance, sizes=sizes, sidecar=sidecar)
@@ -111,15 +111,15 @@ def read_rows(folder: Path) -> Rows:
     return _rows_in(folder)[1]
 
 
-def _rows_in(folder: Path) -> tuple[pa.Table, Rows, Sidecar | None]:
-    """The table of a scenario folder, its rows, the sidecar."""
+def _rows_in(folder: Path) -> tuple[pa.Table, Rows, dict[str, BoxSize], Sidecar | None]:
+    """The table of a scenario folder, its rows, the sizes beside it, the sidecar."""
     if not folder.is_dir():
         raise NoSceneError(f"{folder}: no such folder, expected a scenario folder")
     path = only_file(folder, PARQUET_PATTERN, ScenarioError)
     table, sidecar = read_table(path), sidecar_in(folder, source_id(folder))
     known, sizes = _recording_record(folder, sidecar), sizes_of(folder, sidecar)
     rows = split_rows(table, name=str(path), sizes=sizes, observed_steps=known.observed_steps)
-    return table, replace(rows, step_s=known.step_s), sidecar
+    return table, replace(rows, step_s=known.step_s), sizes, sidecar
 
 
 def table_of(tracks: Sequence[Track], same: Mapping[str, object], *, observed_steps: int) -> pa.Table:

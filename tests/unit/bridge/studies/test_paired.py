@@ -284,11 +284,13 @@ def test_study_is_resumed_and_writes_what_its_dictionary_says(tmp_path: Path) ->
     requests = pd.read_csv(out / "requests.csv")
     assert {requests[name].dtype for name in ("accepted", "counted")} == {np.dtype(bool)}
     assert {type(one) for one in requests["overlaps"].dropna()} == {bool}
+    assert all(requests[name].dtype == np.float64 for name in requests if name.endswith(("_s", "_m", "_mps")))
     text = (out / "study.md").read_text()
     assert "## lane_change.time_gap_rear_s" in text
     _check_references(text, out)
     assert "cut off [requests.counted]" in text
     assert "- Trends as sure as their intervals look: 3 clusters are fewer than the " in text
+    assert re.search(r"Seeds needed at power \.8, by a paired t test, .*: \d+ for 0\.02, \d+ for 0\.05", text)
 
 
 def test_plan_says_how_many_runs_a_difference_needs_before_and_after_a_pilot(tmp_path: Path) -> None:
