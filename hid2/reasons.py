@@ -113,6 +113,10 @@ class Reason(StrEnum):
     RETURNED_ELSEWHERE = "returned_elsewhere", "The vehicle returned to another lane path than the one it left."
     RETURNED_BEHIND = "returned_behind", "The vehicle returned behind its leader."
     OBSTACLE_AVOIDANCE = "obstacle_avoidance", "Done, but the leader stood all the while: obstacle avoidance."
+    NOT_AS_ASKED = (
+        "not_as_asked",
+        "The manoeuvre came about, but not as `is_shown` of a behaviour of your own asks for.",
+    )
     TURN_NOT_SEEN = "turn_not_seen", "The vehicle drove the turn lane, but its heading does not turn by 30 degrees."
     # why a driven vehicle was not exported
     LEAVES_TOO_EARLY = "leaves_too_early", "The vehicle leaves the map before the last observed timestep."

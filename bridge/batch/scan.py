@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, NamedTuple, get_args
 
 from bridge.batch.engine import sorted_out, work_on_each
+from bridge.config import find_in_working_folder
 from bridge.generation.recorded import scene_of
 from bridge.recordings.folders import Address
 from bridge.recordings.plausibility import figures_of
@@ -16,6 +17,7 @@ from hid2.insertion.routes import Routes
 from hid2.insertion.surroundings import Surroundings
 from hid2.measures.arrays import MOVING_EXTENT_M, MOVING_S
 from hid2.params import Config, Event
+from hid2.policy.behaviours import load_own
 from hid2.policy.overtake import stretch_m
 from netconvert.errors import ConfigError
 from netconvert.lane_graph import SIDES, LaneSegment, TurnType
@@ -49,7 +51,11 @@ class SceneFacts(NamedTuple):
     overtake_m: Annotated[float, "room for an overtake: the same for out, past and back"]
     left_turns: Annotated[int, "room for left turns: lanes that turn left and can be entered within the map"]
     right_turns: Annotated[int, "the same to the right"]
-    events: Annotated[str, "of the events looked for what a rolled-out vehicle brings about, as `cut_in:av lead:focal`"]
+    events: Annotated[
+        str,
+        "of the events looked for what a rolled-out vehicle brings about, as `cut_in:av lead:focal`, and of behaviours "
+        "of your own what the map offers, as `mine:keep_right`",
+    ]
     shift_m: Annotated[float, "by how much the tracks lie beside the lanes, m; what `source.plausible` looks at"]
 
     def room(self, policy: Policy) -> float:
@@ -66,7 +72,7 @@ class SceneFacts(NamedTuple):
 class Selection(NamedTuple):
     """Which scenes are wanted; empty fields ask for nothing.
 
-    min_agents counts tracks; can names policies, and events as `cut_in:av`.
+    min_agents counts tracks; can names policies, events as `cut_in:av`, and behaviours of a user's own as `mine:name`.
     """
 
     min_agents: int = 0
@@ -79,30 +85,48 @@ class Selection(NamedTuple):
 
 def facts_of(
     folders: Sequence[Address],
-    events: Sequence[str] = (),
+    can: Sequence[str] = (),
     *,
     jobs: int = 1,
     on_scene: Callable[[int, int], None] | None = None,
 ) -> tuple[list[SceneFacts], list[tuple[Address, str]]]:
     """Facts of scenes in the order of folders, and the scenes that cannot be read with the reason.
 
-    events: of `EVENTS`, which to look for: some tenths of a second each, to seconds where there is none.
-    on_scene(done, total) is called as scenes are done.
+    can: what `Selection` has; its events are looked for: some tenths of a second each, to seconds where there is none.
+    on_scene(done, total) is called as scenes are done. Errors: ConfigError for what can names and does not exist.
     """
-    asked = tuple(name for name in EVENTS if name in events)
+    policies = tuple(policy.value for policy in Policy)
+    for name in can:
+        if name not in {*policies, *EVENTS} and ":" not in name:
+            raise ConfigError(f"--can {name!r}: expected one of {', '.join((*policies, *EVENTS))}, or MODULE:BEHAVIOUR")
+    own = _own_in(can)
+    asked = tuple(dict.fromkeys((*(name for name in EVENTS if name in can), *own)))
     return sorted_out(
         work_on_each(describe_scene, folders, shared=asked, jobs=jobs, chunk=_CHUNK, timeout_s=60, on_item=on_scene)
     )
 
 
-def describe_scene(events: Sequence[str], folder: Address) -> SceneFacts:
-    """Read one scene and count; events: of `EVENTS`, which to look for. Errors: ScenarioError, MapError."""
+def _own_in(can: Sequence[str]) -> list[str]:
+    """Behaviours of a user's own among the names of `Selection.can`, loaded. Errors: ConfigError."""
+    own = [name for name in can if ":" in name and name not in EVENTS]
+    if own:
+        find_in_working_folder()
+        load_own(own)
+    return own
+
+
+def describe_scene(asked: Sequence[str], folder: Address) -> SceneFacts:
+    """Read one scene and count; asked: of `EVENTS` and of behaviours of a user's own, which to look for.
+
+    Errors: ScenarioError, MapError.
+    """
+    own = _own_in(asked)
     config, scenario = Config(), read_recording(folder)
     here = Surroundings(scene_of(scenario, config))
     graph, routes = scenario.graph, here.routes
     vehicles = [track for track in scenario.tracks if track.object_type in VEHICLE_TYPES]
     lanes = [lane for lane in graph.lanes.values() if lane.lane_type == "VEHICLE"]
-    own = {lane.lane_id for lane in lanes}
+    drivable = {lane.lane_id for lane in lanes}
     turns = [lane for lane in lanes if lane.turn is not TurnType.STRAIGHT and graph.predecessors(lane.lane_id)]
     short, room = round(MOVING_S / scenario.step_s), rooms(routes)
     return SceneFacts(
@@ -117,13 +141,18 @@ def describe_scene(events: Sequence[str], folder: Address) -> SceneFacts:
         moving=sum(track.path_m > MOVING_EXTENT_M and len(track.timesteps) > short for track in vehicles),
         lanes=len(graph.lanes),
         vehicle_lanes=len(lanes),
-        same_direction=sum(graph.neighbor(lane.lane_id, side) in own for lane in lanes for side in SIDES),
+        same_direction=sum(graph.neighbor(lane.lane_id, side) in drivable for lane in lanes for side in SIDES),
         straight_m=round(sum(lane.length_m for lane in lanes), 1),
         lane_change_m=room[Policy.LANE_CHANGE],
         overtake_m=room[Policy.OVERTAKE],
         left_turns=sum(lane.turn is TurnType.LEFT for lane in turns),
         right_turns=sum(lane.turn is TurnType.RIGHT for lane in turns),
-        events=" ".join(offered_events(here, events)),
+        events=" ".join(
+            (
+                *offered_events(here, [name for name in asked if name not in own]),
+                *(name for name in own if routes.map_offers(Policy(name.partition(":")[2]))),
+            )
+        ),
         shift_m=round(figures_of(scenario).shift_m, 1),
     )
 
@@ -156,12 +185,9 @@ def rooms(routes: Routes) -> dict[Policy, float]:
 def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts]:
     """The scenes that are wanted, in their order; cities in any case.
 
-    Errors: ConfigError for a manoeuvre that does not exist, and for a city that no scene is in.
+    Errors: ConfigError for a city that no scene is in.
     """
     policies = {policy.value: policy for policy in Policy}
-    for name in selection.can:
-        if name not in {*policies, *EVENTS}:
-            raise ConfigError(f"--can {name!r}: expected one of {', '.join((*policies, *EVENTS))}")
     there = {fact.city.casefold(): fact.city for fact in facts}
     cities = {city.casefold(): city for city in selection.cities}
     for unknown in cities.keys() - there.keys() if facts else ():

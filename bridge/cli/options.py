@@ -29,7 +29,6 @@ ALL_DONE, SOME_FAILED, USAGE = 0, 1, 2
 # Choices, written out because what they mirror is slow to import; tests/cli/test_options.py compares them.
 EVENTS = ("cut_in", "overtake", "lead", "follow", "merge", "cross")
 BEHAVIOURS = tuple(policy.value for policy in Policy)
-CAN = (*BEHAVIOURS, *(f"{event}:{target}" for event in EVENTS for target in ("av", "focal")))
 COMPONENTS = ("topology", "collision", "smoothing")
 ExperimentName = Literal["table1", "ablation", "density", "diversity", "prediction"]
 LanesName = Literal["cells", "whole"]
@@ -218,7 +217,10 @@ class Which(NamedTuple):
     min_agents: int = selection("Only scenes with at least N recorded tracks.", 0, "N", min=0)
     city: list[str] = selection("Only scenes of this city; repeatable.", [], "CITY")
     split: list[str] = selection("Only scenes of this split; repeatable.", [], choices=SPLITS)
-    can: list[str] = selection("Only scenes with room for this manoeuvre or event; repeatable.", [], choices=CAN)
+    can: list[str] = selection(
+        f"Only scenes with room for this: {', '.join(BEHAVIOURS)}, an event as cut_in:av or lead:focal, or a behaviour "
+        "of your own as MODULE:NAME; repeatable.", [], "WHAT",
+    )  # fmt: skip
     sample: int | None = selection("N of the selected scenes, drawn with the seed.", None, "N", min=1)
 
     def selection(self, seed: int) -> "Selection":

@@ -81,7 +81,7 @@ def scan(
     if out is not None:
         make_folder(out.parent)
     activity.doing("reading scenes")
-    facts, failures = facts_of(folders, EVENTS if events else which.can, jobs=jobs, on_scene=activity.show)
+    facts, failures = facts_of(folders, (*which.can, *(EVENTS if events else ())), jobs=jobs, on_scene=activity.show)
     tell_unread(failures)
     chosen = select(facts, which.selection(seed))
     activity.end()

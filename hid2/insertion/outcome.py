@@ -56,13 +56,15 @@ def outcome_of(scene: Scene, vehicle: ExportedVehicle, kept: Iterable[ExportedVe
 
 
 def _done(vehicle: ExportedVehicle, seen: Maneuver, **more: object) -> Outcome:
-    """A manoeuvre as it is seen. It starts with its decision at the earliest."""
+    """A manoeuvre as it is seen, done where the behaviour's predicate holds. It starts with its decision or later."""
     driven = vehicle.driven
     decided_s = driven.shifts[0].requested_step * vehicle.motion.step_s if driven.shifts else 0.0
-    return Outcome(
+    found = Outcome(
         driven.policy, "done", start_s=round(max(seen.start_s, decided_s), 6), crossing_s=round(seen.crossing_s, 6),
         end_s=round(seen.end_s, 6), source_lane=seen.source_lane, target_lane=seen.target_lane, **more,  # type: ignore[arg-type]
     )  # fmt: skip
+    as_asked = BEHAVIOURS[driven.policy].is_shown(vehicle.states, seen)
+    return found if as_asked else replace(found, status="aborted", reason=Reason.NOT_AS_ASKED)
 
 
 def _turn(scene: Scene, vehicle: ExportedVehicle, kind: TurnType) -> Outcome:

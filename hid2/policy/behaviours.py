@@ -8,7 +8,8 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
 from hid2.agents import Policy
-from hid2.measures.manoeuvres import ManeuverKind
+from hid2.measures.manoeuvres import Maneuver, ManeuverKind
+from hid2.occupancy.agent_states import AgentStates
 from hid2.params import Config
 from hid2.policy.overtake import stretch_m
 from hid2.reasons import Reason
@@ -39,6 +40,8 @@ class Behaviour:
     """The map must offer a same-direction lane beside, that may be changed to, for so many metres."""
     sides: tuple[Side, ...] = ()
     """It changes lanes once, to one of these sides; none: it does not, or comes back."""
+    is_shown: Callable[[AgentStates, Maneuver], bool] = lambda states, seen: True
+    """Whether one of a kind of `seen_as`, seen in the exported states of its vehicle alone, is what was asked for."""
 
     @property
     def changes_lanes(self) -> bool:

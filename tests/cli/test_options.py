@@ -16,7 +16,6 @@ from typing import Any, get_args
 import pytest
 from typer.main import get_command
 
-from bridge.batch.scan import EVENTS
 from bridge.cli import options
 from bridge.cli.commands import application
 from bridge.config import config_to_dict, describe_config, load_config, parse_behaviours
@@ -39,7 +38,6 @@ def option(name: str) -> Any:
 def test_choices_are_those_of_the_package() -> None:
     kinds = get_args(Event.model_fields["kind"].annotation)
     assert kinds == options.EVENTS
-    assert (*options.BEHAVIOURS, *EVENTS) == options.CAN
     assert get_args(options.ExperimentName) == (*get_args(Experiment), "prediction")
     assert get_args(options.FormatName) == tuple(WRITERS)
     assert get_args(options.ReadingName) == get_args(Reading)

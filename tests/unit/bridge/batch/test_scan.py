@@ -59,7 +59,7 @@ def test_a_sample_of_more_than_there_are_takes_all_and_warns(caplog: pytest.LogC
 
 def test_unknown_manoeuvre_is_named() -> None:
     with pytest.raises(ConfigError, match="--can 'fly'"):
-        select(FACTS, Selection(can=("fly",)))
+        facts_of([], ("fly",))
 
 
 def test_scene_that_cannot_be_read_is_tried_with_those_selected(data_scenes: dict[str, Path], tmp_path: Path) -> None:

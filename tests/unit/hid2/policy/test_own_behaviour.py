@@ -6,12 +6,14 @@ from pathlib import Path
 
 import pytest
 
+from bridge.batch.scan import Selection, facts_of, select
 from bridge.config import functions_of, load_config, parse_behaviours
 from bridge.generation.generate import generate
 from bridge.pictures.figures import kinds_in
 from bridge.recordings.scenario import read_scenario
 from hid2.agents import Policy
 from hid2.policy.behaviours import BEHAVIOURS, load_own
+from hid2.reasons import Reason
 from netconvert.errors import ConfigError
 
 KEEP_RIGHT = """
@@ -23,6 +25,11 @@ from hid2.reasons import Reason
 keep_right = Behaviour(
     Policy("keep_right"), "keep right", "KR", (ManeuverKind.LANE_CHANGE,), Reason.MAP_OFFERS_NO_LANE_CHANGE,
     site_order=4, beside_m=lambda config: config.lane_change.min_remaining_m, sides=("right",),
+)
+late = Behaviour(
+    Policy("late"), "late lane change", "LL", (ManeuverKind.LANE_CHANGE,), Reason.MAP_OFFERS_NO_LANE_CHANGE, 4,
+    beside_m=lambda config: config.lane_change.min_remaining_m, sides=("right", "left"),
+    is_shown=lambda states, seen: seen.crossing_s > 4.0 and seen.track_id in states.arrays.track_ids,
 )
 nothing = Behaviour(Policy("nothing"), "nothing", "NO", (), Reason.MAP_OFFERS_NO_LANE, 5)
 other_name = keep_right
@@ -59,6 +66,26 @@ def test_own_behaviour_is_asked_for_driven_seen_and_recorded(module: str, data_s
     shown = kinds_in(made.recording)
     assert {shown[agent.track_id] for agent in asked} == {"generated"}
     assert set(Policy) == {"straight", "left_turn", "right_turn", "lane_change", "overtake"}
+
+
+def test_own_predicate_says_what_counts_as_done(module: str, data_scenes: dict[str, Path]) -> None:
+    """Of lane changes that SUMO drives, those that it does not hold for are told with their reason."""
+    flags = parse_behaviours(f"{module}:late=1")
+    config = load_config(None, ["request.agents=8", "request.trigger_max_s=2"], flags)
+    sidecar = generate(read_scenario(data_scenes["arterial"]), config).sidecar
+    assert sidecar is not None
+    crossed = [(record.crossing_s, record.reason) for _, record in sidecar.asked if record.crossing_s is not None]
+    assert {reason for _, reason in crossed} == {None, Reason.NOT_AS_ASKED}
+    assert all((reason is None) is (crossing_s > 4.0) for crossing_s, reason in crossed)
+
+
+def test_scan_looks_for_an_own_behaviour(module: str, data_scenes: dict[str, Path]) -> None:
+    name = f"{module}:keep_right"
+    facts, _ = facts_of([data_scenes["arterial"], data_scenes["curve"]], (name, "lead:focal"))
+    assert facts[0].events == f"lead:focal {name}"
+    assert select(facts, Selection(can=(name,))) == [fact for fact in facts if name in fact.events]
+    with pytest.raises(ConfigError, match="no attribute 'missing'"):
+        facts_of([data_scenes["arterial"]], (f"{module}:missing",))
 
 
 @pytest.mark.parametrize(
