@@ -239,8 +239,8 @@ class Fleet:
         seen = self._without_those_that_yield(self.obstacles(row, path), row, path, now)
         known, lines = seen.known, seen.lines
         return (
-            way.road, way.lane_ends, way.policies, known.low, known.high, known.along,
-            known.same_direction, lines.stop_s, lines.closed, lines.cause, seen.rows, seen.swept.ravel(),
+            way.road, way.lane_ends, way.policies, known.low, known.high, known.along, known.same_direction,
+            lines.stops_s(self.vehicles[row].start.driver), lines.closed, lines.cause, seen.rows, seen.swept.ravel(),
         )  # fmt: skip
 
     def braking(

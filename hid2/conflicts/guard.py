@@ -183,9 +183,9 @@ class Guard:
 
         horizon_s: another one than `conflict.horizon_s`.
         """
-        conflict, known, step_s = self.scene.config.conflict, obstacles.known, self.scene.step_s
+        conflict, known, lines, step_s = self.scene.config.conflict, obstacles.known, obstacles.lines, self.scene.step_s
         row, hit, free, leader, gap, run_into = needed_braking(
-            known.low, known.high, known.along, known.same_direction, obstacles.lines.stop_s, obstacles.lines.closed,
+            known.low, known.high, known.along, known.same_direction, lines.stops_s(driver), lines.closed,
             obstacles.swept, obstacles.rows, fleet, own, step, state, desired_mps, road, TABLE_STEP_M, 1.0,
             round((conflict.horizon_s if horizon_s is None else horizon_s) / step_s), STRIDE, step_s,
             driver.following, self.brakes, self.predicted, STOPS,

@@ -16,10 +16,11 @@ from hid2.occupancy.traffic import BoolArray
 from hid2.once import once
 from hid2.scene import Scene
 
-#: No tunables, how a driver stops: kept to a line, m; closed lines farther ahead matter to none yet, m; share of its
-#: deceleration with which it rolls up, s in which it takes up the speed for that, and over its deceleration the braking
-#: beyond which it crosses, as at amber.
-STOP_MARGIN_M, STOPS = 1.0, (60.0, 0.6, 0.5, 1.3)
+#: No tunables, how a driver stops: closed lines farther ahead matter to none yet, m; share of its deceleration with
+#: which it rolls up, s in which it takes up the speed for that, and over its deceleration the braking beyond which it
+#: crosses, as at amber. So far, m, it keeps at least to where pedestrians cross; so near to where it would stand, m, it
+#: stands at the line, and so far past that it has passed it.
+STOPS, _CROSSING_GAP_M, AT_LINE_M = (60.0, 0.6, 0.5, 1.3), 0.5, 1.0
 #: No tunable: s for which a light is amber about, in which one passes that can no longer stop.
 AMBER_S = 1.5
 
@@ -28,21 +29,28 @@ AMBER_S = 1.5
 class ClosedLines:
     """The lines along a path that are closed at some step, in the order in which a vehicle comes to them.
 
-    stop_s (L,) m: where its centre has to stand at the latest; end_s (L,) m: of what the line is before; closed (L, T);
-    cause (L,): numbers of CAUSES.
+    line_s (L,) m: where its centre is with its front at the line; end_s (L,) m: of what the line is before; closed
+    (L, T); cause (L,): numbers of CAUSES.
     """
 
-    stop_s: FloatArray
+    line_s: FloatArray
     end_s: FloatArray
     closed: BoolArray
     cause: IntArray
 
-    def room_m(self, s: float, step: int) -> float:
-        """From a place on the path to the next closed line, m, inf for none.
+    def stops_s(self, driver: Driver) -> FloatArray:
+        """(L,) m: where the centre of a driver's vehicle stands."""
+        if not self.line_s.size:
+            return self.line_s
+        at_crossing_m = max(driver.line_gap_m, _CROSSING_GAP_M)
+        return self.line_s - np.where(self.cause == CAUSES.index("crossing"), at_crossing_m, driver.line_gap_m)
+
+    def room_m(self, s: float, step: int, driver: Driver) -> float:
+        """From a place on the path to where a driver stands before the next closed line, m, inf for none.
 
         Negative past a closed line, on what that is before: a vehicle there came on red.
         """
-        ahead_m, closed = self.stop_s - s, self.closed[:, step]
+        ahead_m, closed = self.stops_s(driver) - s, self.closed[:, step]
         if (closed & (ahead_m < 0.0) & (s < self.end_s)).any():
             return -1.0
         return float(ahead_m[closed & (ahead_m >= 0.0)].min(initial=math.inf))
@@ -51,9 +59,9 @@ class ClosedLines:
         """Fastest speed, m/s, from which a driver brakes as usual to stand at a line."""
         return math.sqrt(2.0 * STOPS[1] * driver.decel_mps2 * room_m)
 
-    def is_passed(self, s: FloatArray, *, first: int, closed_steps: int) -> bool:
-        """Whether a motion (K,) m from a step on has its front pass a line that has been closed for so many steps."""
-        for closed, at in zip(self.closed, np.searchsorted(s, self.stop_s + STOP_MARGIN_M).tolist(), strict=True):
+    def is_passed(self, s: FloatArray, driver: Driver, *, first: int, closed_steps: int) -> bool:
+        """Whether a driver's motion (K,) m from a step on passes a line that has been closed for so many steps."""
+        for closed, at in zip(self.closed, np.searchsorted(s, self.stops_s(driver) + AT_LINE_M).tolist(), strict=True):
             if 0 < at < s.size and closed[max(0, first + at - closed_steps) : first + at + 1].all():
                 return True
         return False
@@ -80,7 +88,7 @@ class StopLines:
     @once
     def on(self, path: DrivenPath, box: BoxSize) -> ClosedLines:
         """Lines along a path for a vehicle of a size."""
-        before = box.length_m / 2 + STOP_MARGIN_M
+        before = box.length_m / 2
         found: list[tuple[float, float, BoolArray, str]] = []
         for segment in path.segments:
             red = self.signals.red(segment.lane_id) if segment.lane_start < 1.0 else None
@@ -93,7 +101,7 @@ class StopLines:
         ]
         found.sort(key=lambda line: line[0])
         return ClosedLines(
-            np.array([stop_s for stop_s, _, _, _ in found], dtype=np.float64),
+            np.array([line_s for line_s, _, _, _ in found], dtype=np.float64),
             np.array([end_s for _, end_s, _, _ in found], dtype=np.float64),
             np.array([closed for _, _, closed, _ in found], dtype=np.bool_).reshape(-1, self.scene.num_steps),
             np.array([CAUSES.index(cause) for _, _, _, cause in found], dtype=np.int64),

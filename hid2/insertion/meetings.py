@@ -8,7 +8,7 @@ import numpy as np
 
 from hid2.agents import AV_ID, DEFAULT_SIZES, FOCAL_CATEGORY, SCORED_CATEGORY, FloatArray, IntArray, Policy
 from hid2.conflicts.signals import InferredSignals
-from hid2.conflicts.stop_lines import STOP_MARGIN_M
+from hid2.drivers.driver import LINE_GAP_M
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.kernels.meetings import met_on_route
 from hid2.measures.encounters import BRAKES_MPS2, CROSSING_RAD, FOLLOWS_FOR_S, FOLLOWS_S
@@ -240,7 +240,7 @@ class Meetings:
     def _red(self, lane_id: int, offer: RouteOffer, look: int) -> tuple[FloatArray, BoolArray]:
         """Where a vehicle on a route stops at signals, (L,) m from a lane on, and whether they are red (L, looks)."""
         lanes, at = self.scene.grid.graph.lanes, 0.0
-        before_m = DEFAULT_SIZES["vehicle"].length_m / 2 + STOP_MARGIN_M
+        before_m = DEFAULT_SIZES["vehicle"].length_m / 2 + sum(LINE_GAP_M) / 2
         stop_at: list[float] = []
         red = [np.zeros((0, self.looks.size - look), dtype=np.bool_)]
         for lane in offer.route[offer.route.index(lane_id) :]:

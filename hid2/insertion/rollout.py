@@ -240,7 +240,7 @@ class World:
             scene.config.drivers.reaction_s, start.size.length_m, STRAIGHT, self.guard.horizon,
             STRIDE, scene.step_s, TABLE_STEP_M, self.guard.brakes, self.guard.predicted,
             STOPS, self.guard.rules, self.roads.speeds(path, driver), *self.roads.lanes(path),
-            known.low, known.high, known.along, known.same_direction, lines.stop_s, lines.closed, lines.cause,
+            known.low, known.high, known.along, known.same_direction, lines.stops_s(driver), lines.closed, lines.cause,
             shown.middle, shown.speed, shown.leads, shown.length_m,
             (LEADS_FROM_M, SHOWN_M), *self._links_on(path),
             memory,
@@ -345,7 +345,7 @@ class World:
         if is_last and rollout.s[inside - 1] - start.start_s < MOVES_M:
             return Reason.STANDS_THROUGHOUT
         lines = self.guard.stop_lines.on(rollout.path, start.box)
-        if lines.is_passed(rollout.s, first=rollout.step, closed_steps=scene.steps_in(AMBER_S)):
+        if lines.is_passed(rollout.s, start.driver, first=rollout.step, closed_steps=scene.steps_in(AMBER_S)):
             return Reason.ENTERS_ON_RED
         if self._waits_for_parked(start, rollout):
             return Reason.BEHIND_PARKED

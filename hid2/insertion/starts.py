@@ -10,7 +10,7 @@ import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy
 from hid2.conflicts.guard import Guard
-from hid2.conflicts.stop_lines import STOP_MARGIN_M
+from hid2.conflicts.stop_lines import AT_LINE_M
 from hid2.drivers.driver import MIDDLE, Driver, desired_speeds, draw_driver, lane_offset
 from hid2.insertion.meetings import Meetings
 from hid2.insertion.rollout import QUEUE_M, SLOWEST_SHARE, RolledOut, Rollout, World
@@ -284,7 +284,7 @@ class Starts:
         if (known.same_direction[:, step] & (seen.lag_m[:, 0] < conflict.follower_ttc_min_s * closing)).any():
             return Reason.TTC_RECORDED_FOLLOWER
         lines = self.guard.stop_lines.on(path, box)
-        room_m = lines.room_m(s, step)
+        room_m = lines.room_m(s, step, driver)
         if room_m < 0.0:
             return Reason.ENTERS_ON_RED
         speed = min(speed, lines.towards_mps(driver, room_m))
@@ -292,7 +292,7 @@ class Starts:
             return Reason.NO_SITE
         if speed < max(STANDS_MPS, SLOWEST_SHARE * wished):
             stands = (seen.lead_m[:, 0] < QUEUE_M) & (seen.along_mps[:, 0] < STANDS_MPS)
-            if room_m > STOP_MARGIN_M and not (stands & ~self.world.parked_on(path, box)).any():
+            if room_m > AT_LINE_M and not (stands & ~self.world.parked_on(path, box)).any():
                 return Reason.NO_SITE  # no vehicle is so slow with so much room ahead, nor waits for a parked one
             speed = 0.0
         return speed

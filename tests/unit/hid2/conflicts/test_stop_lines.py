@@ -1,6 +1,7 @@
 """Stop lines: entrances that are red, and pedestrian crossings that are used."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -47,7 +48,7 @@ def junction(lane: Callable[..., LaneSegment]) -> Callable[..., Scene]:
 def _braking(lines: ClosedLines, *, s: float, v: float, step: int) -> tuple[float, str] | None:
     """Acceleration, m/s2, that stops a driver at the next closed line, and its cause; None for none."""
     row, accel = stop_ahead(
-        lines.stop_s, lines.closed, s, v, step, DRIVER.accel_mps2, DRIVER.decel_mps2, STOPS
+        lines.stops_s(DRIVER), lines.closed, s, v, step, DRIVER.accel_mps2, DRIVER.decel_mps2, STOPS
     )  # fmt: skip
     return None if row < 0 else (float(accel), CAUSES[lines.cause[row]])
 
@@ -70,7 +71,7 @@ CROSSING = recorded(70.0, -50.0, 10.0, heading=UP)
 def _closed(lines: ClosedLines, cause: str) -> tuple[float, int, int]:
     (row,) = np.flatnonzero(lines.cause == CAUSES.index(cause))
     steps = np.flatnonzero(lines.closed[row])
-    return float(lines.stop_s[row]), int(steps[0]), int(steps[-1])
+    return float(lines.stops_s(DRIVER)[row]), int(steps[0]), int(steps[-1])
 
 
 def test_entrance_is_closed_while_recorded_traffic_flows_across(junction: Callable[..., Scene]) -> None:
@@ -80,14 +81,14 @@ def test_entrance_is_closed_while_recorded_traffic_flows_across(junction: Callab
     assert stop_s == pytest.approx(STOP_S)
     assert (first, last) == (pytest.approx(26, abs=3), pytest.approx(84, abs=3))
     empty = junction()
-    assert StopLines(empty).on(empty.paths.along((1, 2, 3)), CAR).stop_s.size == 0
+    assert StopLines(empty).on(empty.paths.along((1, 2, 3)), CAR).line_s.size == 0
 
 
 def test_longer_vehicles_stand_farther_back(junction: Callable[..., Scene]) -> None:
     """A bus of 12 m: 60 - 6 - 1 = 53 m."""
     scene = junction(CROSSING)
     lines = StopLines(scene).on(scene.paths.along((1, 2, 3)), BoxSize(12.0, 2.9))
-    assert lines.stop_s.tolist() == pytest.approx([53.0])
+    assert lines.stops_s(DRIVER).tolist() == pytest.approx([53.0])
 
 
 def test_driver_brakes_as_the_red_line_asks_for(brake: Callable[..., tuple[float, str] | None]) -> None:
@@ -160,6 +161,20 @@ def test_pedestrian_on_a_crossing_is_yielded_to(
     assert brake(walker, s=76.75, v=8.0, step=100) is None
 
 
+def test_drivers_stand_where_they_like_but_short_of_pedestrians(junction: Callable[..., Scene]) -> None:
+    """One that stands 1.2 m past the line, front at 61.2 m, has 2.2 m more room; at a crossing it keeps .5 m."""
+    bold = replace(DRIVER, line_gap_m=-1.2)
+    walker = recorded(101.5, -6.0, 1.3, heading=UP, kind="pedestrian", size=BoxSize(0.6, 0.6))
+    scene = junction(CROSSING, walker)
+    lines = StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR)
+    usual, its = lines.stops_s(DRIVER), lines.stops_s(bold)
+    assert (its - usual).tolist() == pytest.approx([2.2, 0.5])
+    assert its[0] + CAR.length_m / 2 == pytest.approx(61.2)
+    past = np.linspace(its[0] - 5.0, its[0] + 0.9, 60)
+    assert not lines.is_passed(past, bold, first=0, closed_steps=0)
+    assert lines.is_passed(past, DRIVER, first=0, closed_steps=0)
+
+
 def test_room_before_a_closed_line_and_none_on_what_it_is_before(junction: Callable[..., Scene]) -> None:
     """Red at step 40: 20 m before the line there are 20 m; past it, up to 80 m on lane 2, a vehicle came on red.
 
@@ -168,9 +183,9 @@ def test_room_before_a_closed_line_and_none_on_what_it_is_before(junction: Calla
     scene = junction(CROSSING)
     stop_lines = StopLines(scene)
     lines = stop_lines.on(scene.paths.along((1, 2, 3)), CAR)
-    assert lines.room_m(36.75, 40) == pytest.approx(20.0)
-    assert [lines.room_m(s, 40) for s in (58.0, 79.0)] == [-1.0, -1.0]
-    assert [lines.room_m(s, step) for s, step in ((81.0, 40), (58.0, 0), (36.75, 0))] == [np.inf] * 3
+    assert lines.room_m(36.75, 40, DRIVER) == pytest.approx(20.0)
+    assert [lines.room_m(s, 40, DRIVER) for s in (58.0, 79.0)] == [-1.0, -1.0]
+    assert [lines.room_m(s, step, DRIVER) for s, step in ((81.0, 40), (58.0, 0), (36.75, 0))] == [np.inf] * 3
     usual = STOPS[1]
     assert lines.towards_mps(DRIVER, 20.0) == pytest.approx(np.sqrt(2.0 * usual * DRIVER.decel_mps2 * 20.0))
     assert lines.towards_mps(DRIVER, np.inf) == np.inf

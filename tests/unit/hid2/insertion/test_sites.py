@@ -14,6 +14,8 @@ from scipy.stats import chisquare
 
 from hid2.agents import Policy, Track
 from hid2.conflicts.guard import Guard
+from hid2.conflicts.stop_lines import StopLines
+from hid2.insertion.rollout import World
 from hid2.insertion.sites import InsertionSites
 from hid2.insertion.spread import Spread
 from hid2.insertion.starts import Site, speed_behind
@@ -85,14 +87,14 @@ def test_start_that_a_recorded_vehicle_would_run_into_is_rejected(scene_of: Call
 
 @pytest.mark.parametrize(("gap", "leader_mps"), [(6.0, 0.0), (15.0, 8.0), (30.0, 4.0), (60.0, 12.0)])
 def test_start_speed_behind_a_leader_needs_no_braking(gap: float, leader_mps: float) -> None:
-    """IDM at that speed and gap: a (1 - (s* / gap)^2) is -0.8 m/s2, a lifted foot; faster it would be less."""
+    """IDM at that speed and gap: a (1 - (s* / gap)^2) is -0.5 m/s2, a lifted foot; faster it would be less."""
     v = speed_behind(gap, leader_mps, DRIVER)
     star = DRIVER.min_gap_m + v * DRIVER.tau_s + v * max(0.0, v - leader_mps) / (2 * np.sqrt(1.6 * 2.0))
     accel = DRIVER.accel_mps2 * (1.0 - (star / gap) ** 2)
     if v < leader_mps:
-        assert accel >= -0.8 - 1e-6
+        assert accel >= -0.5 - 1e-6
     else:
-        assert accel == pytest.approx(-0.8, abs=1e-6)
+        assert accel == pytest.approx(-0.5, abs=1e-6)
 
 
 def test_nobody_begins_moving_right_behind_who_stands() -> None:
@@ -101,12 +103,31 @@ def test_nobody_begins_moving_right_behind_who_stands() -> None:
 
 
 def test_starts_behind_slow_traffic_are_no_faster_than_it_allows(scene_of: Callable[..., Scene]) -> None:
-    """A platoon at 5 m/s every 40 m on one lane: the desired speeds are of about 5 m/s, and so are the starts."""
+    """A platoon at 5 m/s every 40 m on one lane: the desired speeds are of about 5 m/s, and so are the starts.
+
+    At most 2 SD of the desired speed, .12, and of its wandering, 1 m/s, above that.
+    """
     platoon = [recorded(20.0 + 40.0 * k, 0.0, 5.0, name=f"p{k}") for k in range(6)]
     starts = _many(scene_of(*platoon, lanes=1), 80)
     assert starts
-    assert all(start.start_mps <= 5.0 * 1.24 * 1.16 for start in starts)
+    assert all(start.start_mps <= 5.0 * 1.24 + 2.0 for start in starts)
     assert all(0.0 < start.start_mps <= start.desired[0] + 1e-9 for start in starts)
+
+
+def test_vehicle_does_not_begin_with_braking(scene_of: Callable[..., Scene]) -> None:
+    """Behind one that slows down from 9 m/s by 1.2 m/s2 a driver begins slower: it loses .5 m/s2 in 1.3 s at most."""
+    speed = np.maximum(9.0 - 0.12 * np.arange(110), 0.0)
+    x = 150.0 + 0.1 * np.concatenate([[0.0], np.cumsum(speed[:-1])])
+    leader = recorded(150.0, 0.0)
+    leader = replace(
+        leader, position=np.column_stack([x, np.zeros(110)]), velocity=np.column_stack([speed, np.zeros(110)])
+    )
+    scene = scene_of(leader, lanes=1)
+    behind = [start for seed in range(60) for start in _sites(scene, seed).propose(_request()) if start.leader == 0]
+    world = World(scene, Surroundings(scene).roads, Guard(scene, nobody(110), StopLines(scene)))
+    loses = np.array([v[0] - v[13] for v in (world.roll(start).v for start in behind)]) / 1.3
+    assert (np.abs(loses - 0.5) < 0.02).sum() > 5
+    assert loses.max() < 0.52
 
 
 def test_any_site_is_drawn_uniformly_over_all_that_are_admissible(scene_of: Callable[..., Scene]) -> None:
