@@ -18,9 +18,9 @@ from hid2.scene import Scene
 
 #: No tunables, how a driver stops: closed lines farther ahead matter to none yet, m; share of its deceleration with
 #: which it rolls up, s in which it takes up the speed for that, and over its deceleration the braking beyond which it
-#: crosses, as at amber. So far, m, it keeps at least to where pedestrians cross; so near to where it would stand, m, it
-#: stands at the line, and so far past that it has passed it.
-STOPS, _CROSSING_GAP_M, AT_LINE_M = (60.0, 0.6, 0.5, 1.3), 0.5, 1.0
+#: crosses, as at amber. So far, m, it keeps at least to where pedestrians cross, and so far past where it would stand
+#: it has passed the line.
+STOPS, _CROSSING_GAP_M, _PASSED_M = (60.0, 0.6, 0.5, 1.3), 0.5, 1.0
 #: No tunable: s for which a light is amber about, in which one passes that can no longer stop.
 AMBER_S = 1.5
 
@@ -45,6 +45,11 @@ class ClosedLines:
         at_crossing_m = max(driver.line_gap_m, _CROSSING_GAP_M)
         return self.line_s - np.where(self.cause == CAUSES.index("crossing"), at_crossing_m, driver.line_gap_m)
 
+    def gap_m(self, s: float, step: int) -> float:
+        """From the front of a vehicle on the path to the nearest closed line, m, negative past it; inf for none."""
+        gap_m = (self.line_s - s)[self.closed[:, step]]
+        return float(gap_m[np.abs(gap_m).argmin()]) if gap_m.size else math.inf
+
     def room_m(self, s: float, step: int, driver: Driver) -> float:
         """From a place on the path to where a driver stands before the next closed line, m, inf for none.
 
@@ -61,7 +66,7 @@ class ClosedLines:
 
     def is_passed(self, s: FloatArray, driver: Driver, *, first: int, closed_steps: int) -> bool:
         """Whether a driver's motion (K,) m from a step on passes a line that has been closed for so many steps."""
-        for closed, at in zip(self.closed, np.searchsorted(s, self.stops_s(driver) + AT_LINE_M).tolist(), strict=True):
+        for closed, at in zip(self.closed, np.searchsorted(s, self.stops_s(driver) + _PASSED_M).tolist(), strict=True):
             if 0 < at < s.size and closed[max(0, first + at - closed_steps) : first + at + 1].all():
                 return True
         return False

@@ -21,9 +21,9 @@ from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
 
 #: Weights of sites, over that of any other: near to agents that request.near asks for; from which a recorded vehicle
-#: would be followed; from which recorded traffic would be crossed; where a recorded follower would run into the
-#: vehicle, as most of these fail. No tunables: `request.near`, `within_m` and `sites` say what is wanted.
-NEAR_WEIGHT, LEADER_WEIGHT, _CROSSING_WEIGHT, _RUN_INTO_WEIGHT = 8.0, 6.0, 3.0, 0.2
+#: would be followed; from which recorded traffic would be crossed; at a red line; where a recorded follower would run
+#: into the vehicle, as most of these fail. No tunables: `request.near`, `within_m` and `sites` say what is wanted.
+NEAR_WEIGHT, LEADER_WEIGHT, _CROSSING_WEIGHT, _WAITS_WEIGHT, _RUN_INTO_WEIGHT = 8.0, 6.0, 3.0, 6.0, 0.2
 #: No tunables, how roughly a vehicle is foreseen here; a rollout follows. It drives at a share of the usual speed, as
 #: it brakes now and then; agents within a share of request.within_m are near; it begins with at least this share of
 #: the way left; routes with the same turns of which the mean is taken; and s between centres where a path is crossed:
@@ -216,12 +216,13 @@ class Meetings:
         target_xy = np.ascontiguousarray(self._target_xy[:, since])
         target_there = np.ascontiguousarray(self._target_there[:, since])
         lane_cell = np.ascontiguousarray(self._lane_cell[:, since])
+        stop_at, red = self._red(lane_id, offer, look)
+        waits = np.abs(start - stop_at[red[:, 0], None]) < 0.5 * (LINE_GAP_M[1] - LINE_GAP_M[0])
         near, near_last, leader, is_run_into, crosses = met_on_route(
             scene.grid.centers, cells, middle, count, time_s, pace, target_xy, target_there,
             _NEAR_SHARE * request.within_m, lane_cell, self._number, _LEADS_FROM_M,
             FOLLOWS_S * speed_mps + _LEADS_FROM_M, _LEADS_LOOKS, self._crossed_from,
-            self._crossed_s - step * scene.step_s, *_CROSSING_APART_S, last - look,
-            *self._red(lane_id, offer, look),
+            self._crossed_s - step * scene.step_s, *_CROSSING_APART_S, last - look, stop_at, red,
         )  # fmt: skip
         weight = np.ones(count)
         if request.near == "anywhere":
@@ -231,6 +232,7 @@ class Meetings:
             weight[near] *= NEAR_WEIGHT
             weight[leader >= 0] *= LEADER_WEIGHT
             weight[crosses] *= _CROSSING_WEIGHT
+            weight[waits.any(axis=0)] *= _WAITS_WEIGHT
         left_m, usual_m = middle[-1] - start, _LEAVES_SHARE * speed_mps * scene.step_s
         if "topology" not in scene.config.without:
             weight[left_m < usual_m * scene.steps_to_stay(step)] = 0.0

@@ -10,8 +10,7 @@ import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy
 from hid2.conflicts.guard import Guard
-from hid2.conflicts.stop_lines import AT_LINE_M
-from hid2.drivers.driver import MIDDLE, Driver, desired_speeds, draw_driver, lane_offset
+from hid2.drivers.driver import LINE_GAP_M, MIDDLE, Driver, desired_speeds, draw_driver, lane_offset
 from hid2.insertion.meetings import Meetings
 from hid2.insertion.rollout import QUEUE_M, SLOWEST_SHARE, RolledOut, Rollout, World
 from hid2.insertion.routes import RouteOffer
@@ -146,6 +145,9 @@ class Starts:
         """The start of a driver at a site, at about its desired speed unless told; or what speaks against it."""
         scene, config, rng, request, path = self.scene, self.scene.config, self.rng, begin.request, begin.path
         step = begin.site.step
+        gap_m = self.guard.stop_lines.on(path, begin.box).gap_m(begin.start_s, step)
+        if LINE_GAP_M[0] <= gap_m <= LINE_GAP_M[1]:  # it stands where it is
+            driver = replace(driver, line_gap_m=gap_m)
         if speed_mps is None:
             wander_mps = config.drivers.wander_sd_mps * min(max(rng.standard_normal(), -2.0), 2.0)
             speed_mps = max(0.0, driver.desired_mps + wander_mps)
@@ -292,7 +294,7 @@ class Starts:
             return Reason.NO_SITE
         if speed < max(STANDS_MPS, SLOWEST_SHARE * wished):
             stands = (seen.lead_m[:, 0] < QUEUE_M) & (seen.along_mps[:, 0] < STANDS_MPS)
-            if room_m > AT_LINE_M and not (stands & ~self.world.parked_on(path, box)).any():
+            if room_m > 0.0 and not (stands & ~self.world.parked_on(path, box)).any():
                 return Reason.NO_SITE  # no vehicle is so slow with so much room ahead, nor waits for a parked one
             speed = 0.0
         return speed

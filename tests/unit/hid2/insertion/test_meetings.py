@@ -109,6 +109,21 @@ def test_nobody_is_followed_beyond_a_red_light(is_red: bool, expected: int, monk
     assert _leader(meetings, scene, 1, 50.0) == expected
 
 
+def test_site_at_a_red_light_weighs_six_times_as_much() -> None:
+    """Drivers stand with the front 1.5 m past the line to 3 m before it: the middles of cells from 94.75 to 99.25 m."""
+    lanes = {
+        1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(2,)),
+        2: draw_lane(2, [(100.0, 0.0), (400.0, 0.0)]),
+    }
+    scene = scene_on(LaneGraph(lanes, drivable_areas=()))
+    weight = {}
+    for is_red in (False, True):
+        meetings = _meetings(scene)
+        meetings.signals = SimpleNamespace(red={2: np.full(scene.num_steps, is_red)}.get)
+        weight[is_red] = meetings.outlook(Policy.STRAIGHT).weight[:25]
+    assert (weight[True] / weight[False]).tolist() == pytest.approx([1.0] * 24 + [6.0])
+
+
 def test_site_at_which_somebody_recorded_would_run_into_a_vehicle_weighs_a_fifth(
     scene_of: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -114,6 +114,37 @@ def test_starts_behind_slow_traffic_are_no_faster_than_it_allows(scene_of: Calla
     assert all(0.0 < start.start_mps <= start.desired[0] + 1e-9 for start in starts)
 
 
+def test_vehicle_that_begins_at_a_red_line_stands_there(lane: Callable[..., LaneSegment]) -> None:
+    """Cross traffic has the intersection at 60 m: with its front within what drivers keep of that, it stands.
+
+    20 m before it begins to drive; a meter past what drivers keep it came on red.
+    """
+    lanes = (
+        lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
+        lane(2, [(60.0, 0.0), (80.0, 0.0)], successors=(3,), is_intersection=True),
+        lane(3, [(80.0, 0.0), (300.0, 0.0)]),
+        lane(4, [(70.0, -90.0), (70.0, -10.0)], successors=(5,)),
+        lane(5, [(70.0, -10.0), (70.0, 10.0)], successors=(6,), is_intersection=True),
+        lane(6, [(70.0, 10.0), (70.0, 90.0)]),
+    )
+    graph = LaneGraph({one.lane_id: one for one in lanes})
+    scene = scene_on(graph, recorded(70.0, -8.0, 9.0, heading=np.pi / 2))
+    (offer,) = (one for one in Surroundings(scene).routes.offers(1) if one.route == (1, 2, 3))
+    begun = {
+        front: _sites(scene).starts.make(_request(), Site(offer, front - CAR.length_m / 2), driver=DRIVER)
+        for front in (40.0, 57.5, 60.8, 62.6)
+    }
+    at_line = [begun[57.5], begun[60.8]]
+    assert [start.start_mps for start in at_line if isinstance(start, Start)] == [0.0, 0.0]
+    gaps = [start.driver.line_gap_m for start in at_line if isinstance(start, Start)]
+    assert gaps == pytest.approx([2.5, -0.8], abs=0.1)
+    before = begun[40.0]
+    assert isinstance(before, Start)
+    assert before.start_mps > 3.0
+    assert before.driver == DRIVER
+    assert begun[62.6] is Reason.ENTERS_ON_RED
+
+
 def test_vehicle_does_not_begin_with_braking(scene_of: Callable[..., Scene]) -> None:
     """Behind one that slows down from 9 m/s by 1.2 m/s2 a driver begins slower: it loses .5 m/s2 in 1.3 s at most."""
     speed = np.maximum(9.0 - 0.12 * np.arange(110), 0.0)
