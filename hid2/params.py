@@ -153,7 +153,7 @@ class Drivers(_Section):
 
     desired_sd: float = _param(0.12, "share", "SD of the desired speed around that of the lane's traffic", ge=0, le=0.5)
     wander_sd_mps: float = _param(
-        1.0,
+        1.2,
         "m/s",
         "SD of the desired speed's wandering (Ornstein-Uhlenbeck) and of the start speed; measured: 0.9 to 1.5",
         ge=0,

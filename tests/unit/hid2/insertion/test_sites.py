@@ -105,12 +105,12 @@ def test_nobody_begins_moving_right_behind_who_stands() -> None:
 def test_starts_behind_slow_traffic_are_no_faster_than_it_allows(scene_of: Callable[..., Scene]) -> None:
     """A platoon at 5 m/s every 40 m on one lane: the desired speeds are of about 5 m/s, and so are the starts.
 
-    At most 2 SD of the desired speed, .12, and of its wandering, 1 m/s, above that.
+    At most 2 SD of the desired speed, .12, and of its wandering, 1.2 m/s, above that.
     """
     platoon = [recorded(20.0 + 40.0 * k, 0.0, 5.0, name=f"p{k}") for k in range(6)]
     starts = _many(scene_of(*platoon, lanes=1), 80)
     assert starts
-    assert all(start.start_mps <= 5.0 * 1.24 + 2.0 for start in starts)
+    assert all(start.start_mps <= 5.0 * 1.24 + 2.4 for start in starts)
     assert all(0.0 < start.start_mps <= start.desired[0] + 1e-9 for start in starts)
 
 
