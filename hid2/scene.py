@@ -79,13 +79,13 @@ class Scene:
     scene_speeds: list[float]
 
     @cached_property
-    def movers(self) -> tuple[IntArray, Traffic]:
-        """Rows of the recorded vehicles that move at some time, and these alone, as fast as they are at most."""
+    def movers(self) -> tuple[IntArray, Traffic, FloatArray]:
+        """Rows (M,) of the recorded vehicles that ever move, these alone, at most as fast, and directions (M, T, 2)."""
         rows = np.flatnonzero(self.states.arrays.moving_vehicles)
         alone = self.traffic.rows(rows.tolist())
         speed = np.array([self.states.speed(row) for row in rows.tolist()]).reshape(alone.heading.shape)
         forward = np.stack([np.cos(alone.heading), np.sin(alone.heading)], axis=-1)
-        return rows, replace(alone, velocity=speed[..., None] * forward)
+        return rows, replace(alone, velocity=speed[..., None] * forward), forward
 
     @cached_property
     def parked(self) -> BoolArray:
@@ -148,7 +148,7 @@ class Scene:
         """The number of steps nearest to a duration, at least one."""
         return max(1, round(seconds / self.step_s))
 
-    @property
+    @cached_property
     def pet_steps(self) -> int:
         """Steps for which the place of crossing agents is kept clear before and after."""
         return math.ceil(self.config.conflict.pet_min_s / self.step_s) + 1
@@ -167,17 +167,21 @@ class Scene:
 
         That of recorded vehicles within `STRETCH_M`; elsewhere one drawn for the lane, the same for all that drive it.
         """
-        law, found = self.config.drivers, np.empty(s.size)
-        ends = [segment.end for segment in path.segments]
-        of = np.minimum(np.searchsorted(ends, s, side="right"), len(ends) - 1)
-        for number in np.unique(of).tolist():
-            segment, here = path.segments[number], of == number
-            found[here] = place_of_lane(law, segment.lane_id)
-            if (places := self._places.get(segment.lane_id)) is not None:
-                lane_s = np.array([segment.lane_s(one) for one in s[here].tolist()])
-                recorded = places[np.clip((lane_s / STRETCH_M).astype(np.int64), 0, places.size - 1)]
-                found[here] = np.where(np.isnan(recorded), found[here], recorded)
-        return found
+        (of, lane_s), (places, first) = path.all_lane_s(s), self._places_along(path)
+        return places[np.minimum(first[of] + (lane_s / STRETCH_M).astype(np.int64), first[of + 1] - 1)]
+
+    @once
+    def _places_along(self, path: DrivenPath) -> tuple[FloatArray, IntArray]:
+        """The same of the stretches of a path's lanes, one lane after another, and where those of each begin."""
+        each = [self._places_on(segment.lane_id) for segment in path.segments]
+        return np.concatenate(each), np.cumsum([0, *(places.size for places in each)])
+
+    @once
+    def _places_on(self, lane_id: int) -> FloatArray:
+        """The same of the stretches of a lane, or one for all of it."""
+        drawn = place_of_lane(self.config.drivers, lane_id)
+        recorded = self._places.get(lane_id, np.array([drawn]))
+        return np.where(np.isnan(recorded), drawn, recorded)
 
     def cell_at(self, path: DrivenPath, s: float) -> Cell:
         """Cell of a path's lane at arc length s."""

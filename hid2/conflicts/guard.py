@@ -101,7 +101,9 @@ class Guard:
     scene: Scene
     fixed: Traffic
     stop_lines: StopLines
-    _newest: dict[tuple[DrivenPath, BoxSize], tuple[PathOccupancy, ...]] = field(default_factory=dict)
+    _newest: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, Traffic, PathOccupancy, PathOccupancy]] = field(
+        default_factory=dict
+    )
     brakes: FloatArray = field(init=False)
     predicted: tuple[float, float, float, float] = field(init=False)
     rules: tuple[float, float, float, float, float, float, float, float, float, float] = _RULES
@@ -143,13 +145,16 @@ class Guard:
         Inserted ones that cross are kept clear of as long as cross traffic makes an entrance red: streams do not
         mingle. Recorded ones come first, by rows of the scene's traffic; then inserted ones, by theirs in `fixed`.
         """
-        scene = self.scene
-        recorded = scene.kept_clear_on(path, box, scene.future)
+        scene, newest = self.scene, self._newest.get((path, box))
+        if newest is not None and newest[0] is scene.future and newest[1] is self.fixed:
+            return newest[3]
         inserted = scene.kept_clear_on(path, box, self.fixed, at_least_s=scene.config.signals.before_s)
-        newest = self._newest.get((path, box))
-        if newest is None or newest[0] is not recorded or newest[1] is not inserted:
-            newest = self._newest[path, box] = recorded, inserted, recorded.joined(inserted)
-        return newest[2]
+        if newest is not None and newest[0] is scene.future and newest[2] is inserted:
+            known = newest[3]
+        else:
+            known = scene.kept_clear_on(path, box, scene.future).joined(inserted)
+        self._newest[path, box] = scene.future, self.fixed, inserted, known
+        return known
 
     @once
     def _swept_on(

@@ -14,12 +14,12 @@ import numpy as np
 
 from hid2.agents import FloatArray, IntArray
 from hid2.measures.encounters import CROSSING_RAD
-from hid2.motion.route import path_along
+from hid2.motion.route import line_along, route_points
 from hid2.occupancy.agent_states import AgentStates, parked
 from hid2.occupancy.along_path import look_along
 from hid2.occupancy.shown import STANDING_MPS
 from hid2.occupancy.sigma import UNDER_SHARE
-from hid2.occupancy.traffic import BoolArray
+from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.once import once
 from hid2.params import Limits, Signals
 from netconvert.lane_graph import SIDES, LaneGraph, TurnType
@@ -79,6 +79,12 @@ class InferredSignals:
         arrays = self.states.arrays
         obeys = np.array([kind in SIGNALLED_TYPES for kind in arrays.object_types], dtype=np.bool_)
         return np.asarray((self._speed > _FLOW_MPS) & (arrays.moving & obeys)[:, None])
+
+    @cached_property
+    def _flowing(self) -> tuple[IntArray, Traffic]:
+        """Rows of the agents that are cross traffic at some step, and these alone."""
+        rows = np.flatnonzero(self._flows.any(axis=1))
+        return rows, self.states.traffic.rows(rows.tolist())
 
     @cached_property
     def _waits(self) -> IntArray:
@@ -163,11 +169,12 @@ class InferredSignals:
 
     def _crossed(self, lane_id: int, others: BoolArray) -> BoolArray:
         """(T,) whether a recorded vehicle that comes from another approach crosses the lane's ground."""
-        traffic, width_m = self.states.traffic, UNDER_SHARE * self.graph.lanes[lane_id].width_m
-        line = path_along(self.graph, tuple(_through(self.graph, lane_id)), limits=Limits()).line
-        seen = look_along(line, traffic, 0.0, width_m)
-        across = np.abs(seen.along) <= math.cos(CROSSING_RAD) * self._speed[seen.agents]
-        across &= self._flows[seen.agents] & others[seen.agents, None]
+        (rows, flowing), width_m = self._flowing, UNDER_SHARE * self.graph.lanes[lane_id].width_m
+        line = line_along(route_points(self.graph, tuple(_through(self.graph, lane_id))), Limits())
+        seen = look_along(line, flowing, 0.0, width_m)
+        agents = rows[seen.agents]
+        across = np.abs(seen.along) <= math.cos(CROSSING_RAD) * self._speed[agents]
+        across &= self._flows[agents] & others[agents, None]
         return np.asarray((across & (seen.low < line.length_m)).any(axis=0))
 
     @once

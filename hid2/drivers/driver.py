@@ -105,10 +105,12 @@ def desired_speeds(
     kept, eased = float(np.exp(-step_s / law.wander_time_s)), float(np.exp(-step_s / _EASED_S))
     kick = (law.wander_sd_mps * np.sqrt(1.0 - kept * kept) * rng.standard_normal(num_steps)).tolist()
     wander = [max(law.wander_sd_mps * float(rng.standard_normal()), at_least_mps - driver.desired_mps)]
-    level = wander[0] + law.wander_sd_mps * float(rng.standard_normal())  # no vehicle begins at a constant speed
-    for step in range(1, num_steps):
-        level = kept * level + kick[step]
-        wander.append(eased * wander[step - 1] + (1.0 - eased) * level)
+    at, left = wander[0], 1.0 - eased
+    level = at + law.wander_sd_mps * float(rng.standard_normal())  # no vehicle begins at a constant speed
+    for kicked in kick[1:]:
+        level = kept * level + kicked
+        at = eased * at + left * level
+        wander.append(at)
     return np.maximum(driver.desired_mps + np.array(wander), _WANDERS_TO * driver.desired_mps)
 
 

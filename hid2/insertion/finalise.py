@@ -39,6 +39,7 @@ _FILTER_RATIOS, _OFFSET_SHARES = (1.0, 1.6, 2.5), (1.0, 0.5, 0.0)
 #: Oncoming traffic is passed with so much room to the side, m, if another place in the lane gives it. No tunable:
 #: recorded vehicles pass each other with less once in 47 times.
 _PASSES_M = 0.5
+_PASSES_NEAR_M = 20.0  # not a parameter, it saves time: so far apart on an axis, agents have more room than that
 #: Reasons by what the judge finds; boxes that meet are told apart by their agents.
 _REASONS = {Quantity(limit.name): limit.reason for limit in MOTION_LIMITS} | {
     Quantity.CURVATURE: Reason.LIMIT_CURVATURE,
@@ -208,11 +209,11 @@ def _judged(scene: Scene, vehicle: ExportedVehicle, others: AgentStates) -> Expo
         found = chain(found, of_road(vehicle.states, 0, vehicle.driven.start.size, scene.grid.graph, bounds))
     if (verdict := _reason(scene, found)) is not None or "collision" in without:
         return verdict or vehicle
-    states, every = others.joined(vehicle.states), np.arange(row)
+    states = others.joined(vehicle.states)
     if (verdict := _boxes(scene, states)) is not None:
         return verdict
-    led = states.leading(row, every, aside_m=bounds.spare_aside_m)
-    found = chain(ttc_on_driven_path(states, row, led, bounds), of_end(states, row, every, bounds))
+    led = states.led_by(row, others.traffic, aside_m=bounds.spare_aside_m)
+    found = chain(ttc_on_driven_path(states, row, led, bounds), of_end(states, row, np.arange(row), bounds))
     if "topology" not in without:
         found = chain(found, of_crossings(states, bounds, since=row))
     return _reason(scene, found) or replace(vehicle, min_ttc_s=float(led.ttc_s.min(initial=np.inf)))
@@ -243,9 +244,11 @@ def _boxes(scene: Scene, states: AgentStates) -> Reason | None:
 
 
 def _passes_m(vehicle: AgentStates, others: AgentStates) -> float:
-    """Least room to the side of oncoming traffic that a vehicle passes, m; inf where it passes none."""
+    """Least room to the side of oncoming traffic that a vehicle passes, m; inf where it passes none near by."""
     own, traffic = vehicle.traffic, others.traffic
     forward = np.stack([np.cos(own.heading[0]), np.sin(own.heading[0])], axis=-1)
+    apart_m = np.maximum(*(np.abs(traffic.position[..., axis] - own.position[0, :, axis]) for axis in (0, 1)))
+    traffic = traffic.rows(np.flatnonzero((apart_m < _PASSES_NEAR_M).any(axis=1)).tolist())
     seen = gaps_from_poses(own.position[0], forward, BoxSize(own.length_m[0], own.width_m[0]), traffic)
     passes = own.present & traffic.present & (seen.gap_m < 0.0)
     passes &= np.cos(traffic.heading - own.heading) < -SAME_WAY

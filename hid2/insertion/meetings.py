@@ -164,12 +164,13 @@ class Meetings:
             found.leader[cells] = np.array([one.leader for one in looked])[best, np.arange(best.size)]
         return found
 
-    def offer_weights(self, cell: Cell, policy: Policy) -> list[float]:
+    @once
+    def offer_weights(self, cell: Cell, policy: Policy) -> FloatArray:
         """Weight of each of the routes from a cell, in the order of `Routes.offers`; the mean where none is known."""
         rows = self.offers_towards(cell.lane_id, _turn_of(policy))
         known = {row: float(self._of_offer(cell.lane_id, row).weight[cell.index]) for row in rows}
         mean = sum(known.values()) / max(1, len(known))
-        return [max(_LEAST, known.get(row, mean)) for row in range(len(self.routes.offers(cell.lane_id)))]
+        return np.array([max(_LEAST, known.get(row, mean)) for row in range(len(self.routes.offers(cell.lane_id)))])
 
     def from_edge(self, lane_id: int, row: int, look: int) -> Outlook:
         """Of the first cell of a lane on one of its routes, for a vehicle that is there from a look on."""

@@ -99,7 +99,7 @@ class World:
     _kept: Traffic = field(init=False)
     _chosen: dict[str, RolledOut] = field(default_factory=dict)
     _joined: dict[tuple[Traffic, RolledOut], Traffic] = field(default_factory=dict)
-    _newest: dict[tuple[DrivenPath, BoxSize], tuple[PathOccupancy, Shown]] = field(default_factory=dict)
+    _newest: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, PathOccupancy, Shown]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Nothing is chosen yet."""
@@ -143,12 +143,14 @@ class World:
         It is left with too little time to collision, or with a shorter headway, which it never kept in the recording.
         """
         scene, own = self.scene, candidate.traffic.first(self.scene.num_steps)
-        (movers, recorded), critical_s = scene.movers, scene.config.conflict.follower_ttc_min_s
-        forward = np.stack([np.cos(recorded.heading), np.sin(recorded.heading)], axis=-1)
+        (movers, recorded, forward), critical_s = scene.movers, scene.config.conflict.follower_ttc_min_s
         offset = own.position - recorded.position
-        gap_m = (offset * forward).sum(axis=-1) - 0.5 * (own.length_m + recorded.length_m)[:, None]
+        ahead_m, closing = (
+            one[..., 0] * forward[..., 0] + one[..., 1] * forward[..., 1]
+            for one in (offset, recorded.velocity - own.velocity)
+        )
+        gap_m = ahead_m - 0.5 * (own.length_m + recorded.length_m)[:, None]
         aside_m = np.abs(offset[..., 1] * forward[..., 0] - offset[..., 0] * forward[..., 1])
-        closing = ((recorded.velocity - own.velocity) * forward).sum(axis=-1)
         speed = np.hypot(recorded.velocity[..., 0], recorded.velocity[..., 1])
         room_m = np.maximum(_FOLLOWS_M + critical_s * closing, headway_s * speed)
         near = (gap_m > -own.length_m) & (gap_m < room_m) & (aside_m < _ASIDE_M)
@@ -330,18 +332,17 @@ class World:
         ):
             return Reason.LEAVES_TOO_EARLY
         met, known = self._met(start, rollout)
-        recorded = self._recorded_on(rollout.path, start.box)
-        hit = np.flatnonzero(met[:, CONTACT] < np.inf)
-        if hit.size:
-            first = hit[np.argmin(met[hit, CONTACT])]
-            return Reason.MEETS_RECORDED if first < recorded else Reason.MEETS_GENERATED
-        if met[:, LEAD_TTC].min(initial=math.inf) < conflict.ttc_min_s:
+        recorded, least = self._recorded_on(rollout.path, start.box), met.min(axis=0, initial=math.inf)
+        if least[CONTACT] < np.inf:
+            return Reason.MEETS_RECORDED if np.argmin(met[:, CONTACT]) < recorded else Reason.MEETS_GENERATED
+        if least[LEAD_TTC] < conflict.ttc_min_s:
             return Reason.TTC_LANE_LEADER
-        if met[:recorded, LAG_TTC].min(initial=math.inf) < conflict.follower_ttc_min_s:
-            return Reason.TTC_RECORDED_FOLLOWER
-        from_rounds_before = known.agents[recorded:] < len(self._kept.ids)
-        if met[recorded:, LAG_TTC][from_rounds_before].min(initial=math.inf) < conflict.ttc_min_s:
-            return Reason.MEETS_GENERATED
+        if least[LAG_TTC] < max(conflict.follower_ttc_min_s, conflict.ttc_min_s):
+            if met[:recorded, LAG_TTC].min(initial=math.inf) < conflict.follower_ttc_min_s:
+                return Reason.TTC_RECORDED_FOLLOWER
+            from_rounds_before = known.agents[recorded:] < len(self._kept.ids)
+            if met[recorded:, LAG_TTC][from_rounds_before].min(initial=math.inf) < conflict.ttc_min_s:
+                return Reason.MEETS_GENERATED
         if is_last and rollout.s[inside - 1] - start.start_s < MOVES_M:
             return Reason.STANDS_THROUGHOUT
         lines = self.guard.stop_lines.on(rollout.path, start.box)
@@ -380,7 +381,7 @@ class World:
 
     def _inside(self, start: Start, rollout: Rollout) -> int:
         """Steps of a motion before it leaves the map."""
-        return int((rollout.s <= rollout.path.exit_s - 0.5 * start.size.length_m).sum())
+        return int(np.searchsorted(rollout.s, rollout.path.exit_s - 0.5 * start.size.length_m, side="right"))
 
     def _met(self, start: Start, rollout: Rollout) -> tuple[FloatArray, PathOccupancy]:
         """What each agent known on its path is to a motion (R, 3), as the kernel `met_by` has it, and those agents."""
@@ -390,6 +391,7 @@ class World:
             known.same_direction, self.scene.step_s,
         ), known  # fmt: skip
 
+    @once
     def _recorded_on(self, path: DrivenPath, box: BoxSize) -> int:
         """How many of those known on a path are recorded; they come first."""
         return self.scene.kept_clear_on(path, box, self.scene.future).agents.size
@@ -405,15 +407,16 @@ class World:
         return ends, paces, np.array(most_mps)
 
     def _shown_on(self, path: DrivenPath, box: BoxSize) -> Shown:
-        scene, fixed = self.scene, self.guard.fixed
-        recorded, inserted = scene.shown_on(path, box), scene.met_on(path, box, fixed)
-        if not inserted.agents.size:
-            return recorded
-        newest = self._newest.get((path, box))
-        if newest is None or newest[0] is not inserted:
-            found = recorded.joined(shown_on(path, fixed, inserted, step_s=scene.step_s))
-            newest = self._newest[path, box] = inserted, found
-        return newest[1]
+        scene, fixed, newest = self.scene, self.guard.fixed, self._newest.get((path, box))
+        if newest is not None and newest[0] is fixed:
+            return newest[2]
+        found, inserted = scene.shown_on(path, box), scene.met_on(path, box, fixed)
+        if newest is not None and newest[1] is inserted:
+            found = newest[2]
+        elif inserted.agents.size:
+            found = found.joined(shown_on(path, fixed, inserted, step_s=scene.step_s))
+        self._newest[path, box] = fixed, inserted, found
+        return found
 
     def _shown_beside(self, path: DrivenPath, target: DrivenPath, box: BoxSize) -> Shown:
         """Those on the path of a lane, by the arc length of a path that leads across to it."""

@@ -161,7 +161,7 @@ class InsertionSites:
         if len(offers) == 1:  # drawn all the same
             return list(offers)
         if self.here.scene.config.request.sites == "promising":
-            key /= np.array(self.here.meetings.offer_weights(cell, request.policy))
+            key /= self.here.meetings.offer_weights(cell, request.policy)
         order = [offers[row] for row in np.argsort(key, kind="stable").tolist()]
         if BEHAVIOURS[request.policy].turn is not None:
             return order

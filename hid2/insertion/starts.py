@@ -279,9 +279,8 @@ class Starts:
         conflict = self.scene.config.conflict
         known = self.world.guard.known_on(path, box)
         seen, wished = gaps_to_all(known, np.array([s]), step), speed
-        for row in np.flatnonzero(np.isfinite(seen.lead_m[:, 0])).tolist():
-            behind = speed_behind(float(seen.lead_m[row, 0]), float(seen.along_mps[row, 0]), driver)
-            speed = min(speed, float(behind))
+        leads = np.isfinite(seen.lead_m)
+        speed = float(speed_behind(seen.lead_m[leads], seen.along_mps[leads], driver).min(initial=speed))
         closing = seen.along_mps[:, 0] - speed
         if (known.same_direction[:, step] & (seen.lag_m[:, 0] < conflict.follower_ttc_min_s * closing)).any():
             return Reason.TTC_RECORDED_FOLLOWER

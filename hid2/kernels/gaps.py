@@ -129,6 +129,34 @@ def lane_leaders(
     return leader, gap
 
 
+@kernel(
+    "(f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], b1[:,::1], i8[::1], f8[::1], f8[:,:,::1], b1[:,::1], f8[:,::1],"
+    " f8[::1], f8, f8, f8, f8)"
+)
+def leading_in_sumo(
+    low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, crossing: BoolArray,
+    agents: IntArray, lengths: FloatArray, front: FloatArray, known: BoolArray, table_xy: FloatArray,
+    table_heading: FloatArray, table_step: float, exit_s: float, standing: float, aside: float,
+) -> tuple[FloatArray, BoolArray]:  # fmt: skip
+    """Middles of agents that lead on a path (R, T), m, 0 for others, and whether SUMO has their fronts on its lanes.
+
+    As in `PathOccupancy`; front (A, T, 2) m; known (A, T): whether SUMO knows its speed; table_*: of the path's line,
+    which ends at exit_s m; standing m/s: slower agents lead in any direction; aside m: farther off no front leads.
+    """
+    middle, leads = np.zeros(low.shape), np.zeros(low.shape, dtype=np.bool_)
+    for row, agent in enumerate(agents):
+        for t in range(low.shape[1]):
+            moves = same_direction[row, t] or (not crossing[row, t] and abs(along[row, t]) < standing)
+            if low[row, t] < np.inf and moves and known[agent, t]:
+                middle[row, t] = 0.5 * (low[row, t] + high[row, t])
+                front_s = middle[row, t] + 0.5 * lengths[agent]
+                at = min(max(int(front_s / table_step), 0), table_heading.size - 1)
+                dx, dy = front[agent, t, 0] - table_xy[at, 0], front[agent, t, 1] - table_xy[at, 1]
+                off = abs(np.cos(table_heading[at]) * dy - np.sin(table_heading[at]) * dx)
+                leads[row, t] = off < aside and front_s < exit_s
+    return middle, leads
+
+
 @inner
 def _next_two_ahead(
     low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, crossing: BoolArray,

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hid2.agents import FloatArray
+from hid2.agents import FloatArray, IntArray
 from hid2.motion.lane_change_path import LateralTiming, blend_paths, even_line, lateral_share
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line
 from hid2.once import once
@@ -92,6 +92,14 @@ class DrivenPath:
                 return segment
         return self.segments[-1]
 
+    def all_lane_s(self, s: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Segments at arc lengths (M,) m, the last one beyond the end, and arc lengths on their lanes, m."""
+        every = [(one.start, one.end, one.lane_start, one.lane_end) for one in self.segments]
+        start, end, lane_start, lane_end = np.array(every).T
+        of = np.minimum(np.searchsorted(end, s, side="right"), end.size - 1)
+        share = (s - start[of]) / np.maximum(end - start, 1e-9)[of]
+        return of, lane_start[of] + np.clip(share, 0.0, 1.0) * (lane_end - lane_start)[of]
+
     def s_on(self, lane_id: int, lane_s: float, *, after: float) -> float | None:
         """Arc length at arc length lane_s of the lane on which the simulation has a vehicle; None off the path.
 
@@ -157,6 +165,11 @@ def route_points(graph: LaneGraph, route: Route) -> FloatArray:
     return np.concatenate(pieces)
 
 
+def line_along(raw: FloatArray, limits: Limits) -> ReferenceLine:
+    """Line of a path with the polyline (N, 2) m below it."""
+    return build_reference_line(raw, step_m=PATH_STEP_M, min_radius_m=limits.min_radius_m, max_offset_m=MAX_OFFSET_M)
+
+
 def path_along(graph: LaneGraph, route: Route, *, limits: Limits, run_on_m: float = 0.0) -> DrivenPath:
     """Path on the middle of a route's lanes, from the start of the first to the end of the last.
 
@@ -166,7 +179,7 @@ def path_along(graph: LaneGraph, route: Route, *, limits: Limits, run_on_m: floa
     if run_on_m > 0:
         last = raw[-1] - raw[-2]
         raw = np.concatenate([raw, raw[-1:] + run_on_m * last / np.hypot(last[0], last[1])])
-    line = build_reference_line(raw, step_m=PATH_STEP_M, min_radius_m=limits.min_radius_m, max_offset_m=MAX_OFFSET_M)
+    line = line_along(raw, limits)
     bare = DrivenPath(line=line, raw=raw, segments=(), followed=())
     lengths = [graph.lanes[lane_id].length_m for lane_id in route]
     ends = bare.all_to_line(np.concatenate([[0.0], np.cumsum(lengths)])).tolist()
@@ -186,12 +199,7 @@ def shifted_path(motion: LateralMotion, *, limits: Limits) -> DrivenPath | None:
     )  # fmt: skip
     if blend is None:
         return None
-    line = build_reference_line(
-        blend.points,
-        step_m=PATH_STEP_M,
-        min_radius_m=limits.min_radius_m,
-        max_offset_m=MAX_OFFSET_M,
-    )
+    line = line_along(blend.points, limits)
     bare = DrivenPath(line=line, raw=blend.points, segments=(), followed=())
     start, end = bare.to_line(blend.start_m), bare.to_line(blend.end_m)
 

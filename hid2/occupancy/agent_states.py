@@ -90,12 +90,16 @@ class AgentStates:
     @cached_property
     def row_speed(self) -> FloatArray:
         """(N,) how fast agents are at most, m/s, row by row: as stated, if that is believed, or by their positions."""
-        arrays = self.arrays
-        by_positions = self.traffic.velocity[arrays.agent, arrays.step]
-        found = np.hypot(*by_positions.T)
-        if are_believed(arrays.velocity, by_positions):
-            found = np.maximum(found, np.hypot(*arrays.velocity.T))
-        return np.asarray(found)
+        by_positions, stated, apart = self._speeds
+        return np.maximum(by_positions, stated) if are_believed(apart) else by_positions
+
+    @cached_property
+    def _speeds(self) -> list[FloatArray]:
+        """(N,) m/s each, row by row: by positions, as stated, and how far the two velocities are apart."""
+        if self.joined_of:
+            return [np.concatenate(parts) for parts in zip(*(one._speeds for one in self.joined_of), strict=True)]
+        stated, by_positions = self.arrays.velocity, self.traffic.velocity[self.arrays.agent, self.arrays.step]
+        return [np.hypot(*one.T) for one in (by_positions, stated, stated - by_positions)]
 
     def speed(self, row: int) -> FloatArray:
         """(T,) how fast an agent is at most, m/s, at the steps of the scene."""

@@ -46,7 +46,7 @@ class PathOccupancy:
     def _by_step(self) -> tuple[npt.NDArray[Any], ...]:
         return self.low, self.high, self.along, self.same_direction, self.crossing
 
-    def rows(self, which: BoolArray) -> "PathOccupancy":
+    def rows(self, which: BoolArray | slice) -> "PathOccupancy":
         """Some of the agents."""
         return PathOccupancy(self.agents[which], *(one[which] for one in self._by_step()))
 
@@ -93,22 +93,24 @@ def path_occupancy(
     what is joined to it, too: many vehicles look along the same few paths.
     """
     key = line, box, margin_m, clear_steps, clear_margin_m
-    if key in traffic.known:
-        known: PathOccupancy = traffic.known[key]
+    known: PathOccupancy | None = traffic.known.get(key)
+    if known is not None:
         return known
     if not traffic.ids:
         return PathOccupancy.none(traffic.num_steps)
     before = traffic.extends
     while before is not None and key not in before.known:
         before = before.extends
-    since = 0 if before is None else len(before.ids)
+    known_before = None if before is None else before.known[key]
     if clear_steps > 0:
         plain = path_occupancy(line, traffic, box, margin_m=margin_m)
-        found = plain.rows(plain.agents >= since).kept_clear(clear_steps, margin_m=clear_margin_m)
+        new = plain.rows(slice(0 if known_before is None else known_before.agents.size, None))
+        found = new.kept_clear(clear_steps, margin_m=clear_margin_m)
     else:
+        since = 0 if before is None else len(before.ids)
         found = look_along(line, traffic, box.length_m, box.width_m + 2 * margin_m, since)
-    if before is not None:
-        found = before.known[key].joined(found)
+    if known_before is not None:
+        found = known_before.joined(found)
     traffic.known[key] = found
     return found
 

@@ -85,11 +85,11 @@ def gaps_from_poses(xy: FloatArray, forward: FloatArray, box: BoxSize, others: T
     Also of a box that is elsewhere for each of them: xy, forward (A, T, 2).
     """
     offset, (length_m, width_m) = others.position - xy, box
-    along = (offset * forward).sum(axis=-1)
+    along, mps = (one[..., 0] * forward[..., 0] + one[..., 1] * forward[..., 1] for one in (offset, others.velocity))
     aside = np.abs(offset[..., 1] * forward[..., 0] - offset[..., 0] * forward[..., 1])
     return PoseGaps(
         along, np.abs(along) - 0.5 * (others.length_m[:, None] + length_m),
-        aside - 0.5 * (others.width_m[:, None] + width_m), (others.velocity * forward).sum(axis=-1),
+        aside - 0.5 * (others.width_m[:, None] + width_m), mps,
     )  # fmt: skip
 
 

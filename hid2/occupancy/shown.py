@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hid2.agents import FloatArray
+from hid2.kernels.gaps import leading_in_sumo
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy
@@ -39,18 +40,11 @@ def shown_on(path: DrivenPath, traffic: Traffic, seen: PathOccupancy, *, step_s:
     It knows the speed of a vehicle's front from where that was a step before, and puts it on the lane below its front.
     """
     front, speed, known = _fronts(traffic, step_s)
-    rows, length_m, line = seen.agents, traffic.length_m[seen.agents], path.line
-    moves = seen.same_direction | (~seen.crossing & (np.abs(seen.along) < STANDING_MPS))
-    leads = np.isfinite(seen.low) & moves & known[rows]
-    row, step = np.nonzero(leads)
-    middle = np.zeros(leads.shape)
-    middle[row, step] = 0.5 * (seen.low[row, step] + seen.high[row, step])
-    front_s = middle[row, step] + 0.5 * length_m[row]
-    at = np.clip((front_s / TABLE_STEP_M).astype(np.int64), 0, len(line.table_xy) - 1)
-    (dx, dy), angle = (front[rows[row], step] - line.table_xy[at]).T, line.table_heading[at]
-    aside = np.abs(np.cos(angle) * dy - np.sin(angle) * dx)
-    leads[row, step] = (aside < ASIDE_M) & (front_s < path.exit_s)
-    return Shown(middle, speed[rows], leads, length_m)
+    middle, leads = leading_in_sumo(
+        seen.low, seen.high, seen.along, seen.same_direction, seen.crossing, seen.agents, traffic.length_m, front,
+        known, path.line.table_xy, path.line.table_heading, TABLE_STEP_M, path.exit_s, STANDING_MPS, ASIDE_M,
+    )  # fmt: skip
+    return Shown(middle, speed[seen.agents], leads, traffic.length_m[seen.agents])
 
 
 def _fronts(traffic: Traffic, step_s: float) -> tuple[FloatArray, FloatArray, BoolArray]:

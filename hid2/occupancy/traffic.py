@@ -120,7 +120,7 @@ def traffic_of(
         present[row, first : last + 1] = True
         velocity[row, first : last + 1] = velocity_of(xy, step_s) if velocity_by is None else velocity_by(xy, step_s)
         stated[row, first : last + 1] = moved
-    if velocity_by is None and are_believed(stated[present], velocity[present]):
+    if velocity_by is None and are_believed(np.hypot(*(stated[present] - velocity[present]).T)):
         slower = np.hypot(*np.moveaxis(stated, -1, 0)) < np.hypot(*np.moveaxis(velocity, -1, 0))
         velocity = np.where(slower[..., None], stated, velocity)
     sizes = np.array([covering(track) for track in tracks], dtype=np.float64).reshape(-1, 2)
@@ -141,9 +141,9 @@ def covering(track: Track) -> BoxSize:
     return BoxSize(max(track.size.length_m, assumed.length_m), max(track.size.width_m, assumed.width_m))
 
 
-def are_believed(stated: FloatArray, by_positions: FloatArray) -> bool:
-    """Whether the velocities (N, 2) m/s that a recording states are mostly about those by its positions."""
-    return bool(len(stated)) and bool(np.median(np.hypot(*(stated - by_positions).T)) < _BELIEVED_MPS)
+def are_believed(apart_mps: FloatArray) -> bool:
+    """Whether velocities that a recording states, so far apart from those by its positions (N,), are mostly right."""
+    return bool(apart_mps.size) and bool(np.median(apart_mps) < _BELIEVED_MPS)
 
 
 def velocity_of(xy: FloatArray, step_s: float) -> FloatArray:
