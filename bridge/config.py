@@ -37,9 +37,7 @@ class ParameterRow(NamedTuple):
 
 
 def load_config(
-    toml_path: Path | None = None,
-    overrides: Sequence[str] = (),
-    flags: Mapping[str, object] | None = None,
+    toml_path: Path | None = None, overrides: Sequence[str] = (), flags: Mapping[str, object] | None = None
 ) -> Config:
     """Resolve a configuration.
 

@@ -290,11 +290,7 @@ def _check_places(jobs: Sequence[SceneJob], out_dir: Path) -> None:
 
 
 def _tasks(
-    jobs: Sequence[SceneJob],
-    out_dir: Path,
-    options: Options,
-    manifest: Manifest,
-    skip: Callable[[ManifestRow], None],
+    jobs: Sequence[SceneJob], out_dir: Path, options: Options, manifest: Manifest, skip: Callable[[ManifestRow], None]
 ) -> Iterator[Task]:
     """Yield tasks for every job that has something to do; called as workers become free."""
     for job in jobs:

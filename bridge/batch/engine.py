@@ -16,13 +16,7 @@ from functools import partial
 from pkgutil import resolve_name
 from typing import Any, TypeVar
 
-from bridge.batch.isolation import (
-    Failure,
-    IsolatedProcess,
-    Settings,
-    StartFailedError,
-    attempts,
-)
+from bridge.batch.isolation import Failure, IsolatedProcess, Settings, StartFailedError, attempts
 from bridge.files import one_line
 from bridge.interruption import tidied
 from netconvert.errors import BatchError
@@ -160,9 +154,7 @@ def _in_order(results: Iterable[list[Outcome]]) -> Iterator[tuple[Any, Any]]:
             following += 1
 
 
-def sorted_out(
-    each: Iterable[tuple[_Item, _Value | Failure]],
-) -> tuple[list[_Value], list[tuple[_Item, str]]]:
+def sorted_out(each: Iterable[tuple[_Item, _Value | Failure]]) -> tuple[list[_Value], list[tuple[_Item, str]]]:
     """The values of `work_on_each`, and the items that failed with the reason, each in order."""
     values: list[_Value] = []
     failures: list[tuple[_Item, str]] = []

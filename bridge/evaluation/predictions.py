@@ -22,14 +22,7 @@ from bridge.batch.engine import work_on_each
 from bridge.batch.isolation import Failure
 from bridge.files import beside, make_folder, write_rows, write_text
 from bridge.pages import parts as pages
-from bridge.recordings.scenario import (
-    MAX_STEPS,
-    OBSERVED_STEPS,
-    Rows,
-    find_scenarios,
-    read_rows,
-    source_id,
-)
+from bridge.recordings.scenario import MAX_STEPS, OBSERVED_STEPS, Rows, find_scenarios, read_rows, source_id
 from hid2.agents import FloatArray, Track
 from netconvert.errors import ConfigError, ScenarioError
 

@@ -216,10 +216,7 @@ def _request_row(sidecar: Sidecar | None) -> Row:
 
 
 def _track_rows(
-    groups: Mapping[str, Group],
-    findings: Sequence[Finding],
-    policy_of: Mapping[str, Policy],
-    sidecar: Sidecar | None,
+    groups: Mapping[str, Group], findings: Sequence[Finding], policy_of: Mapping[str, Policy], sidecar: Sidecar | None
 ) -> list[Row]:
     """A row for each track."""
     whole = groups["combined"]

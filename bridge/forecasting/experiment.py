@@ -17,15 +17,7 @@ from bridge.batch.isolation import Settings
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.evaluation.predictions import BOUNDS, METRICS, Band, MetricKey, Score, score_predictions, write_forecasts
 from bridge.files import make_folder, write_json, write_rows, write_text
-from bridge.forecasting.comparison import (
-    HEAD,
-    Difference,
-    Runs,
-    differences_of,
-    mean_of,
-    rows_of,
-    sources_of,
-)
+from bridge.forecasting.comparison import HEAD, Difference, Runs, differences_of, mean_of, rows_of, sources_of
 from bridge.forecasting.compose import COMPOSITION, VALIDATION, compose
 from bridge.forecasting.composition import CONTROLS, HID2_ONLY, Composition, Controls, Draw, Split
 from bridge.forecasting.small_forecaster import check_forecaster, small_forecaster

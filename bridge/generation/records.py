@@ -53,10 +53,7 @@ def agent_record(
         width_m=start.size.width_m,
         policy=driven.policy,
         spawn=SpawnRecord(
-            lane_segment_id=cell.lane_id,
-            cell=cell.index,
-            speed_mps=round(start.start_mps, 6),
-            timestep=start.step,
+            lane_segment_id=cell.lane_id, cell=cell.index, speed_mps=round(start.start_mps, 6), timestep=start.step
         ),
         route=tuple(
             segment.lane_id

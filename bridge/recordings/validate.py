@@ -12,13 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from bridge.config import REACTIVE_PREFIX
 from bridge.recordings.export import map_bytes, recording_record_of
-from bridge.recordings.folders import (
-    RAW,
-    SPLITS,
-    Address,
-    sequence_path,
-    split_of,
-)
+from bridge.recordings.folders import RAW, SPLITS, Address, sequence_path, split_of
 from bridge.recordings.judging import findings_of, states_of
 from bridge.recordings.map_rules import checked, lacking_centerlines, read_document
 from bridge.recordings.plausibility import implausible
@@ -31,14 +25,7 @@ from bridge.recordings.rules import (
     check_written_sequence,
     compare_rows,
 )
-from bridge.recordings.scenario import (
-    RowArrays,
-    read_scenario,
-    read_table,
-    row_breaches,
-    sizes_of,
-    tracks_of,
-)
+from bridge.recordings.scenario import RowArrays, read_scenario, read_table, row_breaches, sizes_of, tracks_of
 from bridge.recordings.sidecar import REACTIVE, Sidecar, read_sidecar, sidecar_path
 from bridge.recordings.sources import read_recording
 from hid2.agents import BoxSize

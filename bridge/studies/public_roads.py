@@ -224,11 +224,7 @@ class RoadResult:
 
 
 def run_public(
-    page: PublicRoads,
-    out_dir: Path,
-    options: Options,
-    *,
-    on_row: Callable[[ManifestRow, Progress], None] | None = None,
+    page: PublicRoads, out_dir: Path, options: Options, *, on_row: Callable[[ManifestRow, Progress], None] | None = None
 ) -> RunsReport:
     """Tune each rule, test it, try the causes, and write the page. Errors: BatchError, ConfigError, ExportError."""
     names = {next(page.configs(page.road[0], rule, {})).lane_change.rule for rule in page.rule}  # the user's own file
