@@ -118,6 +118,10 @@ class Progress:
         return self.done + self.skipped + self.quarantined
 
 
+#: What is called after every run.
+OnRow = Callable[[ManifestRow, Progress], None]
+
+
 def plan(folders: Iterable[Address], config: Config) -> list[SceneJob]:
     """One job for every recording, with the variants that the configuration asks for.
 
@@ -131,11 +135,7 @@ def plan(folders: Iterable[Address], config: Config) -> list[SceneJob]:
 
 
 def run_batch(
-    jobs: Sequence[SceneJob],
-    out_dir: Path,
-    options: Options | None = None,
-    *,
-    on_row: Callable[[ManifestRow, Progress], None] | None = None,
+    jobs: Sequence[SceneJob], out_dir: Path, options: Options | None = None, *, on_row: OnRow | None = None
 ) -> list[ManifestRow]:
     """Do the jobs, write OUT/manifest.csv, return the rows of these jobs in the manifest's order.
 

@@ -27,6 +27,8 @@ _Value = TypeVar("_Value")
 
 #: Kinds of failure after which an item is tried again: the others would only repeat themselves.
 _RETRIED = frozenset({"crashed", "killed", "timeout"})
+#: What is called as items are done: how many are, and how many there are.
+OnDone = Callable[[int, int], None] | None
 #: Tasks handed out for each worker: one that runs and one that is ready when it ends.
 AHEAD = 2
 
@@ -109,7 +111,7 @@ def work_on_each(
     chunk: int,
     timeout_s: float,
     isolated: bool = True,
-    on_item: Callable[[int, int], None] | None = None,
+    on_item: OnDone = None,
 ) -> Generator[tuple[_Item, _Value | Failure], None, None]:
     """Yield every item with what a piece of work makes of it, or its failure, in the order of the items.
 

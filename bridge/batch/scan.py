@@ -5,7 +5,7 @@ import random
 from collections.abc import Callable, Sequence
 from typing import Annotated, NamedTuple, get_args
 
-from bridge.batch.engine import sorted_out, work_on_each
+from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.generation.recorded import scene_of
 from bridge.recordings.folders import Address
 from bridge.recordings.plausibility import figures_of
@@ -78,11 +78,7 @@ class Selection(NamedTuple):
 
 
 def facts_of(
-    folders: Sequence[Address],
-    events: Sequence[str] = (),
-    *,
-    jobs: int = 1,
-    on_scene: Callable[[int, int], None] | None = None,
+    folders: Sequence[Address], events: Sequence[str] = (), *, jobs: int = 1, on_scene: OnDone = None
 ) -> tuple[list[SceneFacts], list[tuple[Address, str]]]:
     """Facts of scenes in the order of folders, and the scenes that cannot be read with the reason.
 
@@ -189,11 +185,7 @@ def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts
 
 
 def wanted(
-    folders: Sequence[Address],
-    selection: Selection,
-    *,
-    jobs: int = 1,
-    on_scene: Callable[[int, int], None] | None = None,
+    folders: Sequence[Address], selection: Selection, *, jobs: int = 1, on_scene: OnDone = None
 ) -> tuple[list[Address], list[tuple[Address, str]]]:
     """The scenes that are wanted, in the order of folders, and those that cannot be read with the reason.
 

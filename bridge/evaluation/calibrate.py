@@ -1,11 +1,11 @@
 """`hid2 calibrate`: recorded scenes to drivers.toml, with a table of every quantity."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bridge.batch.engine import sorted_out, work_on_each
+from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.evaluation.evaluate import write_table
 from bridge.files import write_text
 from bridge.pages.parts import Section, macro, page
@@ -22,9 +22,8 @@ _TEMPLATE = "calibration.html.j2"
 
 
 def calibrate_folder(
-    roots: Sequence[Path], out: Path, *, without: Sequence[str] = (), jobs: int = 1,
-    on_scene: Callable[[int, int], None] | None = None,
-) -> list[tuple[Path, str]]:  # fmt: skip
+    roots: Sequence[Path], out: Path, *, without: Sequence[str] = (), jobs: int = 1, on_scene: OnDone = None
+) -> list[tuple[Path, str]]:
     """Measure how people drive in the recorded scenes below some folders; returns the scenes that failed.
 
     Writes `out` (TOML, the section [drivers] of a configuration) and, beside it, STEM.csv (quantities) and STEM.html

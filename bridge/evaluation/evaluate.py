@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
-from bridge.batch.engine import work_on_each
+from bridge.batch.engine import OnDone, work_on_each
 from bridge.batch.isolation import Failure
 from bridge.evaluation.scene_metrics import TABLES, Row, SceneMeasures, measure_folder
 from bridge.evaluation.totals import Evaluation, Totals
@@ -33,7 +33,7 @@ def evaluate_folder(
     choices: Choices | None = None,
     control: Path | None = None,
     jobs: int = 1,
-    on_scene: Callable[[int, int], None] | None = None,
+    on_scene: OnDone = None,
 ) -> Evaluation:
     """Measure every scene below `out`, recorded in any format or generated, and write the report into `report_dir`.
 

@@ -1,11 +1,12 @@
 """The pages of the paper's experiments (`experiments`): finished tables and figures beside the paper's own."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 
+from bridge.batch.engine import OnDone
 from bridge.evaluation import report
 from bridge.evaluation.experiments import ADDED, Experiment, Outcome, run_settings, settings_of
 from bridge.evaluation.scene_metrics import Row
@@ -51,7 +52,7 @@ def run_experiment(
     seeds: int = 10,
     jobs: int = 1,
     agents: int = 10,
-    on_scene: Callable[[int, int], None] | None = None,
+    on_scene: OnDone = None,
 ) -> Path:
     """Run one experiment of the paper on recorded scenes; returns the page that it wrote.
 

@@ -4,7 +4,7 @@ minADE, minFDE, miss rate and brier-minFDE, each of the mode that ends nearest, 
 is av2's challenge submission: 60 steps from timestep 50 for each mode of a track.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -18,7 +18,7 @@ from av2.datasets.motion_forecasting.eval.metrics import (
 )
 from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 
-from bridge.batch.engine import work_on_each
+from bridge.batch.engine import OnDone, work_on_each
 from bridge.batch.isolation import Failure
 from bridge.files import beside, make_folder, write_rows, write_text
 from bridge.pages import parts as pages
@@ -109,7 +109,7 @@ def score_predictions(
     report_dir: Path | None = None,
     bounds: Sequence[int] = BOUNDS,
     jobs: int = 1,
-    on_scene: Callable[[int, int], None] | None = None,
+    on_scene: OnDone = None,
 ) -> PredictionScores:
     """Score forecasts of the scenes below `out`; `predictions` is a submission file or the name of a baseline.
 

@@ -2,7 +2,7 @@
 
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from bridge.batch.engine import sorted_out, work_on_each
+from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.config import config_sha256
 from bridge.evaluation.calibrate import observe_scene
 from bridge.evaluation.evaluate import write_table
@@ -212,7 +212,7 @@ def _ahead(known: PathOccupancy, start_s: float) -> PathOccupancy:
 
 
 def resimulate_folders(
-    paths: Sequence[Path], out: Path, plan: Plan, *, jobs: int = 1, on_scene: Callable[[int, int], None] | None = None
+    paths: Sequence[Path], out: Path, plan: Plan, *, jobs: int = 1, on_scene: OnDone = None
 ) -> list[tuple[Path, str]]:
     """Drive the recorded vehicles of scenes and score them: a page, two tables and `plan.write` rollouts of each scene.
 

@@ -19,6 +19,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from bridge.batch.engine import OnDone
 from bridge.files import explained, untabled, write_rows, write_text
 from bridge.forecasting.composition import Composition, Draw
 from bridge.forecasting.places import Leak, SourceScene, facts_of_scenes, leaks_between, split_by_place, stratum
@@ -285,7 +286,7 @@ def _link(path: Path, target: Path) -> None:
         shutil.copyfile(path, target)
 
 
-def check_leaks(root: Path, *, jobs: int = 1, on_scene: Callable[[int, int], None] | None = None) -> list[Leak]:
+def check_leaks(root: Path, *, jobs: int = 1, on_scene: OnDone = None) -> list[Leak]:
     """Training scenes of a root, or of the roots in it, that tell of a validation or test scene of the same.
 
     root: a data-set root, or a composed one with several. What the files say counts, and origins.csv where a copy has

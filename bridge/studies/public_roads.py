@@ -5,7 +5,7 @@ tuned on the roads with `tune = true` alone; every other road is a test. Runs ar
 """
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +16,7 @@ import pandas as pd
 from pydantic import AfterValidator, Field
 from scipy import stats
 
-from bridge.batch.batch import Options, Progress, SceneJob, run_batch
+from bridge.batch.batch import OnRow, Options, SceneJob, run_batch
 from bridge.batch.batch import Run as BatchRun
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.config import config_sha256
@@ -223,9 +223,7 @@ class RoadResult:
         return estimates(cells, solved, unit=["run"])
 
 
-def run_public(
-    page: PublicRoads, out_dir: Path, options: Options, *, on_row: Callable[[ManifestRow, Progress], None] | None = None
-) -> RunsReport:
+def run_public(page: PublicRoads, out_dir: Path, options: Options, *, on_row: OnRow | None = None) -> RunsReport:
     """Tune each rule, test it, try the causes, and write the page. Errors: BatchError, ConfigError, ExportError."""
     names = {next(page.configs(page.road[0], rule, {})).lane_change.rule for rule in page.rule}  # the user's own file
     how = replace(options, function=WORK, functions=names, resume=True)
