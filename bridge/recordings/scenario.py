@@ -357,19 +357,9 @@ def tracks_of(rows: RowArrays, sizes: Mapping[str, BoxSize]) -> tuple[Track, ...
     tracks = []
     for code, track_id in enumerate(rows.ids):
         own = rows.of_track(code)
-        object_type = rows.kinds[rows.kind[own.start]]
-        tracks.append(
-            Track(
-                track_id=track_id,
-                object_type=object_type,
-                category=int(rows.category[own.start]),
-                timesteps=rows.timestep[own],
-                position=position[own],
-                heading=heading[own],
-                velocity=velocity[own],
-                size=sizes.get(track_id, DEFAULT_SIZES[object_type]),
-            )
-        )
+        kind, category = rows.kinds[rows.kind[own.start]], int(rows.category[own.start])
+        motion, size = (position[own], heading[own], velocity[own]), sizes.get(track_id, DEFAULT_SIZES[kind])
+        tracks.append(Track(track_id, kind, category, rows.timestep[own], *motion, size))
     return tuple(tracks)
 
 
