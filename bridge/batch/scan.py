@@ -70,9 +70,9 @@ class Selection(NamedTuple):
     """
 
     min_agents: int = 0
-    cities: tuple[str, ...] = ()
-    splits: tuple[str, ...] = ()
-    can: tuple[str, ...] = ()
+    cities: Sequence[str] = ()
+    splits: Sequence[str] = ()
+    can: Sequence[str] = ()
     sample: int | None = None
     seed: int = 0
 

@@ -138,7 +138,9 @@ def generate(  # noqa: PLR0913  # one for each option
     if formats:
         _check_sequences(folders, resolved)
     if any(which):  # else nothing need be imported that reads scenes
-        folders = select_scenes(folders, which.selection(resolved.request.seed), activity, jobs=batch.jobs)
+        from bridge.batch.scan import Selection
+
+        folders = select_scenes(folders, Selection(*which, resolved.request.seed), activity, jobs=batch.jobs)
 
     if loose := sum(split_of(folder) is None for folder in folders):
         activity.note(f"{loose} of {len(folders)} scenes in no folder train, val or test: no split in {out} has them")

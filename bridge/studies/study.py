@@ -117,7 +117,7 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
         raise ConfigError(f"{path}: scenes: {error}{hint}") from error
     if content.can:
         try:
-            folders = tuple(wanted(folders, Selection(can=tuple(content.can)))[0])
+            folders = tuple(wanted(folders, Selection(can=content.can))[0])
         except ConfigError as error:
             raise ConfigError(f"{path}: can = {content.can!r}: {error}") from error
     seeds = tuple(range(content.seeds)) if isinstance(content.seeds, int) else tuple(content.seeds)
