@@ -1,5 +1,6 @@
 """Recorded agents as fixed vehicles: every state at its exact pose, every step."""
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -26,14 +27,15 @@ class ReplayErrors:
 class Replay:
     """Drives the agents of a `Traffic` along their states. Call `place` before and `check` after each step.
 
-    checked: compare poses; only a scene's first simulation does, later ones replay the same states.
+    checked: of so many, the first ones, poses are compared; only a scene's first simulation does that, later ones
+    replay the same states.
     """
 
     simulation: Simulation
     traffic: Traffic
     prefix: str
     step_s: float
-    checked: bool = True
+    checked: int = sys.maxsize
     _in: set[int] = field(default_factory=set)
     _names: list[str] = field(init=False)
     _poses: list[tuple[list[float], list[float], list[float]]] = field(init=False)
@@ -109,7 +111,7 @@ class Replay:
         """Take down SUMO's poses, where they are to be compared with the recorded ones."""
         if not self.checked:
             return
-        rows, before = np.array(self._here[step], dtype=np.int64), self.errors
+        rows, before = np.array([row for row in self._here[step] if row < self.checked], dtype=np.int64), self.errors
         found = self.simulation.poses([self._names[row] for row in rows])
         there = rows[[pose is not None for pose in found]]
         poses = np.array([pose for pose in found if pose is not None]).reshape(-1, 3)
