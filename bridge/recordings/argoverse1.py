@@ -215,12 +215,9 @@ def motion_of(position: FloatArray, timestep: IntArray, graph: LaneGraph) -> tup
 def _lane_heading(graph: LaneGraph, point: FloatArray) -> float:
     """Direction of the nearest lane at a point (2,) m."""
     lines = [lane.centerline for lane in graph.lanes.values()]
-    begin = np.concatenate([line[:-1] for line in lines])
-    step = np.concatenate([np.diff(line, axis=0) for line in lines])
-    along = ((point - begin) * step).sum(axis=1) / np.square(step).sum(axis=1)
-    nearest = begin + np.clip(along, 0.0, 1.0)[:, None] * step
-    x, y = step[int(np.square(nearest - point).sum(axis=1).argmin())].tolist()
-    return math.atan2(y, x)
+    steps = np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in lines])
+    start, end = steps[shapely.distance(shapely.linestrings(steps), shapely.Point(point)).argmin()]
+    return math.atan2(*(end - start)[::-1])
 
 
 # Maps
