@@ -79,6 +79,13 @@ class PreparedScene:
             self._nets[fastest_mps] = net_bytes(self.grid, fastest_mps=fastest_mps)
         return self._nets[fastest_mps]
 
+    def simulation(self, config: Config, seed: Sequence[int]) -> Simulation:
+        """SUMO on the net of a configuration, with its drivers and gap check. Errors: NetError."""
+        return Simulation(
+            self.net(config), seed=sumo_seed(seed), step_s=self.scenario.step_s, model=config.car_following.model,
+            parameters=model_parameters(config), checks_gaps=config.lane_change.safety == "sumo",
+        )  # fmt: skip
+
     def surroundings(self, config: Config) -> Surroundings:
         """What vehicles find in the scene; kept for the next ones with the same configuration."""
         self._asked += 1
@@ -114,10 +121,7 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
     scene = surroundings.scene
     filling = Filling(surroundings, seed)
     _LOG.debug("%s variant %d: %s vehicles asked for", scenario.scenario_id, variant, config.request.agents)
-    with Simulation(
-        prepared.net(config), seed=sumo_seed(seed), step_s=scene.step_s, model=config.car_following.model,
-        parameters=model_parameters(config), checks_gaps=config.lane_change.safety == "sumo",
-    ) as simulation:  # fmt: skip
+    with prepared.simulation(config, seed) as simulation:
         rounds = _Rounds(scene, simulation, filling, scenario)
         if config.driving.replay == "reactive":
             filling.fill_together(rounds.drive)

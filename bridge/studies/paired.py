@@ -15,13 +15,11 @@ from typing import Any
 import numpy as np
 
 from bridge.generation.gaps import look_row, number
-from bridge.generation.generate import PreparedScene, sumo_seed
+from bridge.generation.generate import PreparedScene
 from bridge.generation.recorded import scene_of
 from bridge.studies.columns import REQUEST_COLUMNS
-from bridge.sumo.drivers import model_parameters
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.flow_driving import NEAR_M, FlowDriving
-from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy, Track
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import MIDDLE, Driver
@@ -119,10 +117,7 @@ def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedR
         replace(one, start=replace(one.start, driver=_with_duration(one.start.driver, config.lane_change)))
         for one in drawn.arrivals
     ]
-    with Simulation(
-        prepared.net(config), seed=sumo_seed(drawn.seed), step_s=scene.step_s, model=config.car_following.model,
-        parameters=model_parameters(config), checks_gaps=config.lane_change.safety == "sumo",
-    ) as simulation:  # fmt: skip
+    with prepared.simulation(config, drawn.seed) as simulation:
         none = traffic_of_exported([], scene)
         driving = FlowDriving(
             Fleet(scene, starts, none, Roads(scene), StopLines(scene), near_m=NEAR_M), simulation,
