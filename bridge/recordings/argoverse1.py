@@ -95,9 +95,7 @@ def read(source: Source) -> Recording:
         )
     table = _table(rows, graph, source.scenario_id)
     checked = split_rows(table, name=name, sizes={}, observed_steps=OBSERVED_STEPS)
-    return recording_of(
-        source, table, checked, graph, provenance="tracker", sizes={}, map_json=map_json, sequence=content
-    )
+    return recording_of(source, checked, graph, provenance="tracker", map_json=map_json, sequence=content)
 
 
 def check_sequence(content: bytes, name: str) -> SequenceRows:
