@@ -210,13 +210,10 @@ def _forecast(track: Track, kind: Baseline, share: float, scene: Rows) -> FloatA
         return np.asarray(track.position[last] + share * ahead[:, None] * velocity, dtype=np.float64)
     heading = np.unwrap(track.heading[observed])
     rate = share * float(heading[-1] - heading[0]) / seconds if seconds > 0 else 0.0
-    speed = float(np.hypot(*velocity))
-    if abs(rate) < 1e-4:
-        direction = np.array([np.cos(heading[-1]), np.sin(heading[-1])])
-        return np.asarray(track.position[last] + speed * ahead[:, None] * direction, dtype=np.float64)
-    angle = heading[-1] + rate * ahead
-    along = np.stack([np.sin(angle) - np.sin(heading[-1]), np.cos(heading[-1]) - np.cos(angle)], axis=1)
-    return np.asarray(track.position[last] + speed / rate * along, dtype=np.float64)
+    half = 0.5 * rate * ahead  # of the angle turned by: a chord has the direction of its middle
+    chord_m, direction = np.hypot(*velocity) * ahead * np.sinc(half / np.pi), heading[-1] + half
+    moved = np.column_stack([chord_m * np.cos(direction), chord_m * np.sin(direction)])
+    return np.asarray(track.position[last] + moved, dtype=np.float64)
 
 
 def _future_steps(scene: Rows) -> int:
