@@ -78,8 +78,8 @@ def compose(
     if root.exists() and (not root.is_dir() or any(root.iterdir())):
         raise ConfigError(f"{root}: is there already; choose another root, or remove it")
     pool = _Pool(composition, jobs=jobs, tell=lambda done, total: tell("reading scenes", done, total))
-    added = pool.added(composition)
-    sets = {name: pool.draw("train", draw, f"sets.{name}") for name, draw in composition.all_sets(added).items()}
+    every = composition.all_sets(pool.added())
+    sets = {name: pool.draw("train", draw, f"sets.{name}") for name, draw in every.items()}
     validation = {name: pool.draw("val", draw, f"validation.{name}") for name, draw in composition.validation.items()}
     test = pool.draw("test", composition.test, "test")
     shared = next(iter(validation.values()), [])
@@ -119,8 +119,7 @@ class _Pool:
     """The scenes of all sources by split, and how they are drawn."""
 
     def __init__(self, composition: Composition, *, jobs: int, tell: Callable[[int, int], None]) -> None:
-        self._params = Forecasting()
-        self._seed, self._sources = composition.seed, composition.sources
+        self._params, self._composition = Forecasting(), composition
         found = [
             (folder, name)
             for name, places in composition.sources.items()
@@ -146,11 +145,12 @@ class _Pool:
         if not usable:
             raise NoSceneError(f"{', '.join(composition.sources)}: no scene that can be used")
         self._scenes: dict[tuple[str, str], list[SourceScene]] = defaultdict(list)
-        for split, rows in self._split(usable, composition).items():
+        for split, rows in self._split(usable).items():
             for row in rows:
                 self._scenes[split, source_of[usable[row].folder]].append(usable[row])
 
-    def _split(self, facts: Sequence[SourceScene], composition: Composition) -> dict[str, list[int]]:
+    def _split(self, facts: Sequence[SourceScene]) -> dict[str, list[int]]:
+        composition = self._composition
         by_place = composition.split.by == "place"
         if by_place:
             shares, bounds = composition.split.shares, self._params.density_bounds
@@ -175,9 +175,9 @@ class _Pool:
         dropped = {leak.folder for leak in leaks}
         return {split: [row for row in rows if facts[row].folder not in dropped] for split, rows in splits.items()}
 
-    def added(self, composition: Composition) -> int:
+    def added(self) -> int:
         """How many scenes are added to each control. Errors: ConfigError where the sources have none."""
-        controls = composition.controls
+        controls = self._composition.controls
         if controls is None or controls.added != "all":
             return 1 if controls is None else int(controls.added)
         there = {name: len(self._scenes["train", name]) for name in (controls.generated, controls.without_interaction)}
@@ -194,7 +194,7 @@ class _Pool:
             count = draw.take.get(source, 0)
             wanted = len(there) if count == "all" else round(count * len(there)) if isinstance(count, float) else count
             if wanted > len(there):
-                places = ", ".join(self._sources[source])
+                places = ", ".join(self._composition.sources[source])
                 raise ConfigError(
                     f"{where}: {wanted} scenes of {source!r} ({places}) asked for in {split}, {len(there)} are there "
                     f"({len(self.left_out)} scenes of all sources were left out); ask for fewer, or for all"
@@ -221,8 +221,10 @@ class _Pool:
         return scenes
 
     def _shuffled(self, facts: Sequence[SourceScene], what: str) -> list[SourceScene]:
+        """In an order drawn for each purpose apart, so that a further data set changes no other."""
         ranked = sorted(facts, key=lambda fact: fact.scenario_id)
-        return [ranked[index] for index in self._random(what).permutation(len(ranked))]
+        random = np.random.default_rng([self._composition.seed, *what.encode()])
+        return [ranked[index] for index in random.permutation(len(ranked))]
 
     def _stratified(self, facts: Sequence[SourceScene], number: int, what: str) -> list[SourceScene]:
         """So many, of each city and density in proportion (largest remainders), in the order of `facts`."""
@@ -238,10 +240,6 @@ class _Pool:
             counts[k] += 1
         chosen = {fact.scenario_id for name, count in zip(names, counts, strict=True) for fact in strata[name][:count]}
         return [fact for fact in facts if fact.scenario_id in chosen]
-
-    def _random(self, what: str) -> np.random.Generator:
-        """One for each purpose, so that a further data set changes no other."""
-        return np.random.default_rng([self._seed, *what.encode()])
 
 
 def _densest(facts: Iterable[SourceScene], draw: Draw) -> list[SourceScene]:
