@@ -239,20 +239,11 @@ class RowArrays:
         timestep = np.asarray(table.column("timestep").to_numpy())
         by_track = np.lexsort((timestep, code))
         order = slice(None) if (np.diff(by_track) == 1).all() else by_track  # recorded files are in this order
-        return RowArrays(
-            table,
-            ids,
-            kinds,
-            code[order],
-            kind[order],
-            timestep[order],
-            category=table.column("object_category").to_numpy()[order],
-            observed=table.column("observed").to_numpy()[order],
-            motion=np.column_stack([table.column(column).to_numpy()[order] for column in MOTION_COLUMNS]),
-            constants={name: table.column(name).unique().to_pylist() for name in SCENARIO_COLUMNS},
-            observed_steps=observed_steps,
-            step_s=step_s,
-        )
+        by_row = code[order], kind[order], timestep[order]
+        category, observed = (table.column(name).to_numpy()[order] for name in ("object_category", "observed"))
+        motion = np.column_stack([table.column(column).to_numpy()[order] for column in MOTION_COLUMNS])
+        constants = {name: table.column(name).unique().to_pylist() for name in SCENARIO_COLUMNS}
+        return RowArrays(table, ids, kinds, *by_row, category, observed, motion, constants, observed_steps, step_s)
 
     @property
     def num_steps(self) -> int:
