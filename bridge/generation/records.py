@@ -1,6 +1,5 @@
 """What became of every vehicle and manoeuvre that was asked for, as rows of the sidecar."""
 
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -8,6 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from bridge.files import rounded
 from bridge.recordings.sidecar import (
     AgentRecord,
     DriverRecord,
@@ -97,9 +97,9 @@ def maneuver_record(vehicle: ExportedVehicle, outcome: Outcome, names: Mapping[s
         source_lane=outcome.source_lane,
         target_lane=outcome.target_lane,
         leader_track_id=None if leader is None else names.get(leader, leader),
-        gap_front_m=None if shift is None else _finite(shift.gap_front_m),
-        gap_rear_m=None if shift is None else _finite(shift.gap_rear_m),
-        min_ttc_s=_finite(vehicle.min_ttc_s),
+        gap_front_m=None if shift is None else rounded(shift.gap_front_m, 6),
+        gap_rear_m=None if shift is None else rounded(shift.gap_rear_m, 6),
+        min_ttc_s=rounded(vehicle.min_ttc_s, 6),
     )
 
 
@@ -177,7 +177,3 @@ def near_count(scene: Scene, vehicles: Sequence[ExportedVehicle]) -> int:
             is_near = is_near[:, np.arange(one.span.start, one.span.stop) == scene.last_observed_step]
         count += bool(is_near.any())
     return count
-
-
-def _finite(value: float) -> float | None:
-    return round(float(value), 6) if math.isfinite(value) else None
