@@ -110,14 +110,8 @@ def generate(  # noqa: PLR0913  # one for each option
         raise ConfigError(f"missing {' and '.join(missing)} {_HELP}")
     check_scenes(scenes)
     check_out(out)
-    from bridge.config import (
-        functions_of,
-        load_config,
-        parse_behaviours,
-        parse_events,
-        parse_trigger_time,
-        read_drivers,
-    )
+    from bridge import load_config, parse_behaviours
+    from bridge.config import functions_of, parse_events, parse_trigger_time, read_drivers
     from bridge.recordings.folders import split_of
     from bridge.recordings.sources import described, find_sources
     from bridge.toml import parse_value

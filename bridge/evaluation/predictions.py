@@ -10,12 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from av2.datasets.motion_forecasting.eval.metrics import (
-    compute_ade,
-    compute_brier_fde,
-    compute_fde,
-    compute_is_missed_prediction,
-)
+from av2.datasets.motion_forecasting.eval import metrics
 from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 
 from bridge.batch.engine import OnDone, work_on_each
@@ -237,11 +232,11 @@ def _score_scene(scene: Rows, forecast: Forecast) -> tuple[list[Score], list[str
             continue
         for k in KS:
             chosen = np.asarray(modes)[order[:k]]
-            fde = compute_fde(chosen, future)
+            fde = metrics.compute_fde(chosen, future)
             best = int(np.argmin(fde))
-            missed = bool(np.all(compute_is_missed_prediction(chosen, future, MISS_M)))
-            brier = float(compute_brier_fde(chosen, future, probabilities[order[:k]])[best])
-            ade, of = float(compute_ade(chosen, future)[best]), (scene.scenario_id, str(track_id))
+            missed = bool(np.all(metrics.compute_is_missed_prediction(chosen, future, MISS_M)))
+            brier = float(metrics.compute_brier_fde(chosen, future, probabilities[order[:k]])[best])
+            ade, of = float(metrics.compute_ade(chosen, future)[best]), (scene.scenario_id, str(track_id))
             scores.append(Score(*of, len(scene.tracks), observed, k, ade, float(fde[best]), missed, brier))
     return scores, reasons
 
