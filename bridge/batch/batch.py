@@ -356,22 +356,10 @@ def _row(outcome: Outcome, options: Options) -> ManifestRow:
     if failure is None:
         path.unlink(missing_ok=True)
         return row
-    bundle = Bundle(
-        folder=place.folder,
-        config=run.config,
-        variant=run.variant,
-        timeout_s=options.timeout_s,
-        function=options.function,
-        failure=failure,
-        version=row.version,
-    )
-    write_bundle(bundle, path)
-    return row._replace(
-        status=QUARANTINED,
-        failure=failure.kind,
-        reason=one_line(failure.message, most=MAX_TEXT),
-        bundle=path.relative_to(place.out).as_posix(),
-    )
+    limits = options.timeout_s, options.function
+    write_bundle(Bundle(place.folder, run.config, run.variant, *limits, failure, row.version), path)
+    reason, bundle = one_line(failure.message, most=MAX_TEXT), path.relative_to(place.out).as_posix()
+    return row._replace(status=QUARANTINED, failure=failure.kind, reason=reason, bundle=bundle)
 
 
 @contextlib.contextmanager

@@ -179,11 +179,7 @@ def run_task(task: Task, process: IsolatedProcess, settings: Settings) -> list[O
         try:
             for found in process.stream(task.function, task.shared, task.items[len(outcomes) :]):
                 failure = found if isinstance(found, Failure) else None
-                if (
-                    failure is not None
-                    and failure.kind in _RETRIED
-                    and (process.stopped or attempts <= settings.retries)
-                ):
+                if failure and failure.kind in _RETRIED and (process.stopped or attempts <= settings.retries):
                     attempts += 1
                 else:
                     item, seconds = task.items[len(outcomes)], time.monotonic() - began
