@@ -120,12 +120,8 @@ class _Pool:
 
     def __init__(self, composition: Composition, *, jobs: int, tell: Callable[[int, int], None]) -> None:
         self._params, self._composition = Forecasting(), composition
-        found = [
-            (folder, name)
-            for name, places in composition.sources.items()
-            for place in places
-            for folder in find_scenarios(Path(place))
-        ]
+        places = [(Path(place), name) for name, folders in composition.sources.items() for place in folders]
+        found = [(folder, name) for place, name in places for folder in find_scenarios(place)]
         facts, self.left_out = facts_of_scenes([folder for folder, _ in found], jobs=jobs, on_scene=tell)
         source_of, usable = dict(found), []
         seen: dict[tuple[str, str], SourceScene] = {}
@@ -318,11 +314,8 @@ def check_leaks(root: Path, *, jobs: int = 1, on_scene: OnDone = None) -> list[L
 
 
 def _roots_in(root: Path) -> list[Path]:
-    return sorted(
-        child
-        for child in (root.iterdir() if root.is_dir() else ())
-        if child.is_dir() and any((child / split).is_dir() for split in SPLITS)
-    )
+    children = sorted(root.iterdir()) if root.is_dir() else []
+    return [child for child in children if any((child / split).is_dir() for split in SPLITS)]
 
 
 def origins_of(root: Path) -> dict[str, dict[str, str]]:

@@ -151,13 +151,9 @@ def _runs(plan: Plan, without: frozenset[str]) -> tuple[Run, ...]:
 def _train(composed: Path, models: Path, plan: Plan, *, jobs: int, tell: Progress) -> None:
     """Train on every set with every seed and forecast every validation set, each set in a process of its own."""
     validation = {name: composed / VALIDATION / name / "val" for name in (RECORDED, HID2)}
+    work, seeds = "bridge.forecasting.experiment:train_and_forecast", tuple(range(plan.seeds))
     tasks = [
-        Task(
-            name,
-            "bridge.forecasting.experiment:train_and_forecast",
-            (composed / name / "train", validation, models / name, plan.params.updates),
-            tuple(range(plan.seeds)),
-        )
+        Task(name, work, (composed / name / "train", validation, models / name, plan.params.updates), seeds)
         for name in SETS
     ]
     done, total = 0, len(SETS) * plan.seeds
