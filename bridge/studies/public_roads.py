@@ -259,11 +259,8 @@ def run_public(page: PublicRoads, out_dir: Path, options: Options, *, on_row: On
         for site, rule in pairs
         for variant, changes in ({"untuned": {}, "tuned": best[rule.name]} if rule.vary else {"as set": {}}).items()
     )
-    causes = driven(
-        (site, rule, says, {**best[rule.name], **changes})
-        for site, rule in pairs
-        for says, changes in page.cause.items()
-    )
+    every = itertools.product(pairs, page.cause.items())
+    causes = driven((site, rule, says, {**best[rule.name], **more}) for (site, rule), (says, more) in every)
     table, told = out_dir / "public.csv", out_dir / "public.md"
     head = ("road", "rule", "variant", "measure", "published", "ours", "low", "high", "runs")
     write_rows(table, head, [

@@ -84,11 +84,8 @@ class Study:
     @property
     def jobs(self) -> list[SceneJob]:
         """The runs; those of one scene and seed, which share vehicles, in one job."""
-        return [
-            SceneJob(folder, tuple(Run(configs[number]) for configs in self.configs))
-            for folder in self.folders
-            for number in range(len(self.seeds))
-        ]
+        of_seeds = [tuple(map(Run, configs)) for configs in zip(*self.configs, strict=True)]
+        return [SceneJob(folder, runs) for folder in self.folders for runs in of_seeds]
 
     @property
     def rules(self) -> frozenset[str]:
