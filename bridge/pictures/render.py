@@ -179,11 +179,8 @@ def _put(panel: _Panel, ax: Axes, step: int, *, agent: str | None, whole_paths: 
         artists.insert(0, whole)
     for artist in artists:
         ax.add_collection(artist, autolim=False)
-    return [
-        *artists,
-        *_labels(ax, present, agent),
-        *_marks(panel, ax, None if whole_paths else step * panel.scenario.step_s),
-    ]
+    labels, until_s = _labels(ax, present, agent), None if whole_paths else step * panel.scenario.step_s
+    return [*artists, *labels, *_marks(panel, ax, until_s)]
 
 
 def _labels(ax: Axes, present: Sequence[tuple[Track, int]], agent: str | None) -> list[Artist]:
