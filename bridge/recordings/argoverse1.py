@@ -184,11 +184,8 @@ def _table(rows: SequenceRows, graph: LaneGraph, scenario_id: str) -> pa.Table:
     for k, (track_id, kind) in enumerate(zip(rows.ids, rows.kinds, strict=True)):
         own = rows.code == k
         velocity, heading = motion_of(rows.position[own], rows.timestep[own], graph)
-        category, size = (
-            FOCAL_CATEGORY if kind == AGENT else int(own.sum() == len(rows.stamps)),
-            DEFAULT_SIZES["vehicle"],
-        )
-        position, steps = rows.position[own], rows.timestep[own]
+        category = FOCAL_CATEGORY if kind == AGENT else int(own.sum() == len(rows.stamps))
+        position, steps, size = rows.position[own], rows.timestep[own], DEFAULT_SIZES["vehicle"]
         tracks.append(Track(track_id, "vehicle", category, steps, position, heading, velocity, size))
     same = {"scenario_id": scenario_id, "city": _CITIES[rows.city], "num_timestamps": len(rows.stamps)}
     same |= {"start_timestamp": rows.stamps[0] * 1e9, "end_timestamp": rows.stamps[-1] * 1e9}

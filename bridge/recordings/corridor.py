@@ -101,11 +101,8 @@ def _map(stretches: Sequence[Lane], lanes: int) -> dict[str, Any]:
     first, last = min(lane.start_m for lane in stretches), max(lane.end_m for lane in stretches)
     corners = [(first - 30.0, low), (last + 30.0, low), (last + 30.0, high), (first - 30.0, high)]
     area = [{"x": round(a, 2), "y": round(b, 2), "z": 0.0} for a, b in corners]
-    return {
-        "drivable_areas": {"1": {"area_boundary": area, "id": 1}},
-        "lane_segments": segments,
-        "pedestrian_crossings": {},
-    }
+    areas = {"1": {"area_boundary": area, "id": 1}}
+    return {"drivable_areas": areas, "lane_segments": segments, "pedestrian_crossings": {}}
 
 
 def _table(scenario_id: str, steps: int) -> pa.Table:

@@ -192,17 +192,10 @@ def split_rows(
     rows = RowArrays.of(table, observed_steps=observed_steps)
     for _, said in row_breaches(rows):
         raise ScenarioError(f"{name}: {said}")
-    same = rows.constants
+    same = {name: str(rows.constants[name][0]) for name in ("scenario_id", "city", "focal_track_id")}
+    tracks, steps = tracks_of(rows, sizes), rows.num_steps
     return Rows(
-        table=table,
-        sizes=sizes,
-        scenario_id=str(same["scenario_id"][0]),
-        city=str(same["city"][0]),
-        focal_track_id=str(same["focal_track_id"][0]),
-        num_steps=rows.num_steps,
-        tracks=tracks_of(rows, sizes),
-        observed_steps=observed_steps,
-        step_s=STEP_S,
+        **same, table=table, sizes=sizes, num_steps=steps, tracks=tracks, observed_steps=observed_steps, step_s=STEP_S
     )
 
 
