@@ -99,12 +99,8 @@ class Replay:
             self._in &= here
             self._add(sorted(here - self._in))
         known, since = self._placed - UNSEEN_STEPS, self._since
-        self.simulation.place_all(
-            [
-                (names[row], x, y, angle, seen.get(row) if since[row] <= known else None)
-                for row, x, y, angle in zip(rows, *self._poses[step], strict=True)
-            ]
-        )
+        lanes = (seen.get(row) if since[row] <= known else None for row in rows)
+        self.simulation.place_all(list(zip([names[row] for row in rows], *self._poses[step], lanes, strict=True)))
         self._placed += 1
 
     def check(self, step: int) -> None:
@@ -118,12 +114,9 @@ class Replay:
         center, heading = box_poses(poses[:, :2], poses[:, 2], self.traffic.length_m[there])
         off = np.hypot(*(center - self.traffic.position[there, step]).T)
         turned = np.abs(wrap_angle(heading - self.traffic.heading[there, step]))
-        self.errors = ReplayErrors(
-            before.states + there.size,
-            float(off.max(initial=before.max_position_error_m)),
-            float(turned.max(initial=before.max_heading_error_rad)),
-            before.lost + rows.size - there.size,
-        )
+        most_m = float(off.max(initial=before.max_position_error_m))
+        most_rad, lost = float(turned.max(initial=before.max_heading_error_rad)), rows.size - there.size
+        self.errors = ReplayErrors(before.states + there.size, most_m, most_rad, before.lost + lost)
 
     def name(self, row: int) -> str:
         """Id in the simulation."""
