@@ -83,14 +83,10 @@ def compose(
     validation = {name: pool.draw("val", draw, f"validation.{name}") for name, draw in composition.validation.items()}
     test = pool.draw("test", composition.test, "test")
     shared = next(iter(validation.values()), [])
-    roots = {
-        (name if composition.nested else ""): {"train": scenes, "val": shared, "test": test}
-        for name, scenes in sets.items()
-    }
-    if composition.nested or len(validation) > 1:
-        roots |= {
-            f"{VALIDATION}/{name}": {"train": [], "val": scenes, "test": []} for name, scenes in validation.items()
-        }
+    nested = composition.nested
+    roots = {(name if nested else ""): {"train": scenes, "val": shared, "test": test} for name, scenes in sets.items()}
+    for name, scenes in validation.items() if nested or len(validation) > 1 else ():
+        roots[f"{VALIDATION}/{name}"] = {"train": [], "val": scenes, "test": []}
     total = sum(len(scenes) for splits in roots.values() for scenes in splits.values())
     done = 0
     with explained(root):
@@ -298,11 +294,8 @@ def check_leaks(root: Path, *, jobs: int = 1, on_scene: OnDone = None) -> list[L
     facts, unread = facts_of_scenes(everything, jobs=jobs, on_scene=on_scene)
     if unread:
         raise ScenarioError(f"{root}: {len(unread)} scenes cannot be read, the first: {unread[0]}")
-    origins = {name: origin for place in folders for name, origin in origins_of(place).items()}
-    facts = [
-        fact._replace(source_id=origins[fact.scenario_id]["source_id"]) if fact.scenario_id in origins else fact
-        for fact in facts
-    ]
+    source_of = {name: origin["source_id"] for place in folders for name, origin in origins_of(place).items()}
+    facts = [fact._replace(source_id=source_of.get(fact.scenario_id, fact.source_id)) for fact in facts]
     row_of = {fact.folder: row for row, fact in enumerate(facts)}
     found: dict[Path, Leak] = {}
     for place in roots:

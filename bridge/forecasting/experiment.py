@@ -229,10 +229,7 @@ def _table(
         (f"ours: {label}", [mean_of(one, source_of, metric, params) for one in runs for metric in _COLUMNS])
         for label, runs in ours.items()
     ]
-    return [
-        {"row": label, **{name: cell._asdict() for name, cell in zip(names, cells, strict=True)}}
-        for label, cells in rows
-    ]
+    return [{"row": label} | dict(zip(names, (one._asdict() for one in cells), strict=True)) for label, cells in rows]
 
 
 def _differences(
