@@ -143,10 +143,8 @@ def rooms(routes: Routes) -> dict[Policy, float]:
         each = (min(lane.length_m, max(0.0, max(ways(lane), default=0.0) - needed_m)) for lane in lanes)
         return round(sum(each), 1)
 
-    return {
-        Policy.LANE_CHANGE: metres(beside, config.lane_change.min_remaining_m),
-        Policy.OVERTAKE: metres(to_pass, stretch_m(config)),
-    }
+    change_m, overtake_m = config.lane_change.min_remaining_m, stretch_m(config)
+    return {Policy.LANE_CHANGE: metres(beside, change_m), Policy.OVERTAKE: metres(to_pass, overtake_m)}
 
 
 def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts]:

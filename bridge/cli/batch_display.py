@@ -59,15 +59,10 @@ def _line(row: ManifestRow, *, with_events: bool) -> tuple[object, ...]:
     if row.status != DONE:
         blank = ("-",) * (7 if with_events else 6)
         return (row.scenario, row.variant, *blank, row.seconds, f"{row.failure}: {row.reason}")
-    remarks = "; ".join(
-        f"{what}: {_first(reasons)}"
-        for what, reasons, told in (
-            ("events", row.events, True),
-            ("not done", row.not_done, True),
-            ("candidates rejected", row.rejected, row.asked == "max" or row.placed < int(row.asked)),
-        )
-        if reasons and told
-    )
+    said = {"events": row.events, "not done": row.not_done}
+    if row.asked == "max" or row.placed < int(row.asked):
+        said["candidates rejected"] = row.rejected
+    remarks = "; ".join(f"{what}: {_first(reasons)}" for what, reasons in said.items() if reasons)
     return (
         row.scenario,
         row.variant,

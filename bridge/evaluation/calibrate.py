@@ -79,12 +79,8 @@ def _groups(scenes: Sequence[SceneDriving]) -> Iterator[tuple[str, list[SceneDri
 def drivers_toml(found: Sequence[Quantity], prior: Drivers, scenes: Sequence[SceneDriving]) -> str:
     """The section [drivers] of a configuration: what was measured, and as comments what keeps its prior."""
     measured, by_name = drivers_of(found), {quantity.name: quantity for quantity in found}
-    lines = [
-        f"# Measured by hid2 calibrate in {len(scenes)} scenes: {', '.join(scene.name for scene in scenes[:20])}"
-        + (" and others" if len(scenes) > 20 else ""),
-        "",
-        "[drivers]",
-    ]
+    named = ", ".join(scene.name for scene in scenes[:20]) + (" and others" if len(scenes) > 20 else "")
+    lines = [f"# Measured by hid2 calibrate in {len(scenes)} scenes: {named}", "", "[drivers]"]
     for name in Drivers.model_fields:
         one = by_name.get(name)
         if one is not None and name in measured:

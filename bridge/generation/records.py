@@ -146,14 +146,10 @@ def selection_record(scene: Scene, filling: Filling) -> sidecar.SelectionRecord:
     traffic = scene.traffic
     speeds = [np.hypot(*traffic.velocity[row, traffic.present[row]].T) for row in moving_vehicles(scene).tolist()]
     driven = {"kept": [one.driven for one in filling.kept], "dropped": [one.vehicle for one in filling.rejected]}
-    told = {"recorded": drives(speeds, step_s=scene.step_s)} | {
-        name: drives(
-            (np.array(one.v) for one in vehicles),
-            step_s=scene.step_s,
-            limited=sum(one.limited["conflict"] for one in vehicles),
-        )
-        for name, vehicles in driven.items()
-    }
+    told = {"recorded": drives(speeds, step_s=scene.step_s)}
+    for name, vehicles in driven.items():
+        limited = sum(one.limited["conflict"] for one in vehicles)
+        told[name] = drives((np.array(one.v) for one in vehicles), step_s=scene.step_s, limited=limited)
     return sidecar.SelectionRecord.model_validate({name: one._asdict() for name, one in told.items()})
 
 

@@ -247,12 +247,8 @@ def run_public(page: PublicRoads, out_dir: Path, options: Options, *, on_row: On
         return [result for result, _ in wanted if result.runs]
 
     pairs = list(itertools.product(page.road, page.rule))
-    tried = driven(
-        (site, rule, f"point {number}", changes)
-        for site, rule in pairs
-        if site.tune and rule.vary
-        for number, changes in enumerate([{}, *grid(rule.vary)])
-    )
+    tuned = [(site, rule, enumerate([{}, *grid(rule.vary)])) for site, rule in pairs if site.tune and rule.vary]
+    tried = driven((site, rule, f"point {k}", changes) for site, rule, points in tuned for k, changes in points)
     best = {rule.name: _best([one for one in tried if one.rule == rule.name]) for rule in page.rule}
     tests = driven(
         (site, rule, variant, changes)

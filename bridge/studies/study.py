@@ -144,11 +144,8 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> "dict[st
     """What the runs have written, by name: runs, looks, and RUN_TABLES. Errors: BatchError."""
     import pandas as pd
 
-    points = {
-        config_sha256(config): (number, point)
-        for number, (point, configs) in enumerate(zip(study.points, study.configs, strict=True))
-        for config in configs
-    }
+    numbered = enumerate(zip(study.points, study.configs, strict=True))
+    points = {config_sha256(one): (number, point) for number, (point, configs) in numbered for one in configs}
     every: dict[str, list[dict[str, Any]]] = {table: [] for table in ("runs", *RUN_TABLES)}
     looks: list[pd.DataFrame] = []
     for row in rows:
