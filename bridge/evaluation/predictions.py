@@ -109,10 +109,9 @@ def score_predictions(
     """Score forecasts of the scenes below `out`; `predictions` is a submission file or the name of a baseline.
 
     A baseline forecasts the focal track of each scene. A scene that cannot be read is left out, with the reason. With
-    `report_dir`, predictions.csv (one row per track and k) and predictions.html are written. bounds:
-    bands of scenes with more agents than each. The same result with any number of jobs. Errors: ScenarioError for an
-    unreadable file, for a forecast that is not finite, or where nothing can be scored; ExportError where the report
-    cannot be written.
+    `report_dir`, predictions.csv (one row per track and k) and predictions.html are written. bounds: bands of scenes
+    with more agents than each. The same result with any number of jobs. Errors: ScenarioError for an unreadable file,
+    for a forecast that is not finite, or where nothing can be scored; ExportError where the report cannot be written.
     """
     folders = find_scenarios(out)
     named = next((kind for kind in BASELINES if kind == predictions), None)

@@ -76,9 +76,8 @@ def render_scene(
     """Draw a scene from above into a picture (.png, .jpg, .pdf, .svg) or a film (.gif, .mp4).
 
     A generated scene is shown before | after; before are its own recorded tracks. `agent` is highlighted, with
-    surroundings.
-    `step`: the timestep of a picture (default: the last observed one); a film shows all. on_frame(done, total) is
-    called as the frames of a film are drawn.
+    surroundings. `step`: the timestep of a picture (default: the last observed one); a film shows all.
+    on_frame(done, total) is called as the frames of a film are drawn.
     Errors: ConfigError for an unknown ending, step or track; ExportError where the file cannot be written.
     """
     suffix = out_file.suffix.lower()
