@@ -50,11 +50,9 @@ def render(
 ) -> None:
     """Draw a scene from above, before and after: a picture or a film."""
     found = one_scene(scene, window)
-    from bridge.pictures.figures import check_ending
-    from bridge.pictures.render import ANIMATIONS, PICTURES, render_scene
+    from bridge.pictures.render import render_scene
     from bridge.recordings.sources import read_recording
 
-    check_ending(out, PICTURES + ANIMATIONS)
     activity.doing("drawing")
     recording = read_recording(found)
     activity.result(render_scene(recording, out, agent=agent, cells=cells, step=step, on_frame=activity.show))

@@ -100,7 +100,7 @@ TABLE_HEAD = ("agents in the scene", "k", "tracks", *METRICS.values())
 def score_predictions(
     out: Path,
     *,
-    predictions: Path | Baseline,
+    predictions: Path | str,
     report_dir: Path | None = None,
     bounds: Sequence[int] = BOUNDS,
     jobs: int = 1,
