@@ -37,9 +37,7 @@ class ParameterRow(NamedTuple):
 
 
 def load_config(
-    toml_path: Path | None = None,
-    overrides: Sequence[str] = (),
-    flags: Mapping[str, object] | None = None,
+    toml_path: Path | None = None, overrides: Sequence[str] = (), flags: Mapping[str, object] | None = None
 ) -> Config:
     """Resolve a configuration.
 
@@ -317,11 +315,9 @@ def _range(field: Mapping[str, Any]) -> str:
         if table := _columns(inner):
             return f"tables of {', '.join(table)}"
         least = " and not empty" if "minItems" in field else ""
-        return (
-            f"any of {_range(inner)}"
-            if "uniqueItems" in field
-            else f"list of {_range(inner).replace('number', 'numbers')}{least}"
-        )
+        if "uniqueItems" in field:
+            return f"any of {_range(inner)}"
+        return f"list of {_range(inner).replace('number', 'numbers')}{least}"
     if kind == "string":
         return "text"
     bounds = ", ".join(f"{sign} {field[name]:.10g}" for name, sign in _SIGNS.items() if name in field)

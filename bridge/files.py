@@ -6,6 +6,7 @@ import errno
 import gzip
 import io
 import json
+import math
 import os
 import re
 import stat
@@ -96,6 +97,11 @@ def append_rows(stream: IO[str], rows: Iterable[Iterable[object]]) -> None:
 def table_cell(value: object) -> object:
     """A value as a CSV table has it: a text that would be run as a formula goes behind an apostrophe."""
     return f"'{value}" if isinstance(value, str) and _FORMULA.match(value) else value
+
+
+def rounded(value: float | None, digits: int = 4) -> float | None:
+    """A value as tables and sidecars have it, to so many digits; None where there is none, or no finite one."""
+    return None if value is None or not math.isfinite(value) else round(float(value), digits)
 
 
 def untabled(text: str) -> str:

@@ -248,11 +248,9 @@ def strip(base: Path2d, between: tuple[float, float], *, left_m: float, right_m:
 
 def crossing(base: Path2d, at_m: float, *, left_m: float, right_m: float) -> tuple[FloatArray, FloatArray]:
     """The two edges of a pedestrian crossing, 3 m apart."""
-    edges = [
-        np.vstack([base.at(np.array([s]), offset_m=offset)[0] for offset in (left_m, right_m)])
-        for s in (at_m, at_m + 3.0)
-    ]
-    return edges[0], edges[1]
+    ends = left_m, right_m
+    first, last = (np.vstack([base.at(np.array([s]), offset_m=m)[0] for m in ends]) for s in (at_m, at_m + 3.0))
+    return first, last
 
 
 def late(scene: Scene, path: Path2d, start_m: float, speed: float, *, appears: int) -> None:

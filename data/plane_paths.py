@@ -82,11 +82,7 @@ def turn(start: Sequence[float], start_to: Sequence[float], end: Sequence[float]
     longer = float(abs(legs[0] - legs[1]))
     if longer > 0.05:
         straight = (np.arange(int(longer / 0.02)) + 1)[:, None] * (longer / int(longer / 0.02))
-        xy = (
-            np.vstack([xy, xy[-1] + straight * n])
-            if legs[1] > legs[0]
-            else np.vstack([p, p + straight * t, xy[1:] + longer * t])
-        )
+        xy = np.vstack([xy, xy[-1] + straight * n] if legs[1] > legs[0] else [p, p + straight * t, xy[1:] + longer * t])
     xy[0], xy[-1] = p, q
     return Path2d.through(xy)
 

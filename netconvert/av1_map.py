@@ -110,13 +110,9 @@ def cut_city(
     areas = _areas(raster, ground.min(axis=0) - LANE_WIDTH_M, ground.max(axis=0) + LANE_WIDTH_M)
     if not areas:
         raise MapError(f"{name}: no drivable area within {where}, where the tracks are: expected the map of their city")
-    return {
-        "drivable_areas": {
-            str(number): {"area_boundary": _xyz(ring), "id": number} for number, ring in enumerate(areas, start=1)
-        },
-        "lane_segments": {str(lane_id): _segment(lane_id, lane) for lane_id, lane in kept.items()},
-        "pedestrian_crossings": {},
-    }
+    outlines = {str(number): {"area_boundary": _xyz(ring), "id": number} for number, ring in enumerate(areas, start=1)}
+    segments = {str(lane_id): _segment(lane_id, lane) for lane_id, lane in kept.items()}
+    return {"drivable_areas": outlines, "lane_segments": segments, "pedestrian_crossings": {}}
 
 
 def _lane(way: etree._Element, nodes: Mapping[int, tuple[float, float]], where: str) -> CityLane:

@@ -20,11 +20,7 @@ MARK_TYPES = frozenset(
     {f"{line}_{color}" for line in _LINES for color in ("WHITE", "YELLOW")} | {"SOLID_BLUE", "NONE", "UNKNOWN"}
 )
 #: The parts of a map, and how what is in them is called.
-_PARTS = {
-    "lane_segments": "lane",
-    "drivable_areas": "drivable area",
-    "pedestrian_crossings": "pedestrian crossing",
-}
+_PARTS = {"lane_segments": "lane", "drivable_areas": "drivable area", "pedestrian_crossings": "pedestrian crossing"}
 #: A rule of the format that is broken, by its name, and what is said of it.
 Breach = tuple[str, str]
 

@@ -67,10 +67,8 @@ def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
             points = [[float(x) for x in point.split(",")] for point in element.get("shape", "").split()]
             drawn.setdefault(lane_id, []).append(points)
         rows.update(pairwise(members))
-    links = [
-        tuple(f"{link.get(end)}_{link.get(f'{end}Lane')}" for end in ("from", "to"))
-        for link in root.iterfind("connection")
-    ]
+    found = root.findall("connection")
+    links = [tuple(f"{one.get(end)}_{one.get(f'{end}Lane')}" for end in ("from", "to")) for one in found]
     within = [(source, target) for source, target in links if lane_of.get(source) == lane_of.get(target)]
     left, reached = {source for source, _ in within}, {target for _, target in within}
     joined = {  # from the last cell of a lane to the first one of another

@@ -132,22 +132,14 @@ class LaneGraph:
 
         Of a lane of MOTOR_TYPES only successors of these types count: motor vehicles do not go on into a bicycle lane.
         """
-        return self._straightest[lane_id]
-
-    @cached_property
-    def _straightest(self) -> dict[int, int | None]:
-        straightest: dict[int, int | None] = {}
-        for lane_id, lane in self.lanes.items():
-            (x0, y0), (x1, y1) = lane.centerline[-2:].tolist()
-            end = math.atan2(y1 - y0, x1 - x0)
-            turned = []
-            for target in self.successors(lane_id):
-                if lane.lane_type in MOTOR_TYPES and self.lanes[target].lane_type not in MOTOR_TYPES:
-                    continue
+        lane = self.lanes[lane_id]
+        (x0, y0), (x1, y1) = lane.centerline[-2:].tolist()
+        end, turned = math.atan2(y1 - y0, x1 - x0), []
+        for target in self.successors(lane_id):
+            if lane.lane_type not in MOTOR_TYPES or self.lanes[target].lane_type in MOTOR_TYPES:
                 x, y = _direction(self.lanes[target])
                 turned.append((abs(math.remainder(math.atan2(y, x) - end, math.tau)), target))
-            straightest[lane_id] = min(turned)[1] if turned else None
-        return straightest
+        return min(turned)[1] if turned else None
 
     def neighbor(self, lane_id: int, side: Side) -> int | None:
         """The lane beside this one that runs the same way, of whatever type."""

@@ -70,13 +70,8 @@ def roads_of(graph: LaneGraph, *, apart: Collection[int] = ()) -> Roads:
         ways = [way for lane_id in begins for way in _ways(graph, lane_id, inside)]
         junctions = _joined(graph, ways, begins, 2 * len(rows))
         # A road within an intersection, from which it leads back into it, is a part of it.
-        loops = {
-            lane_id
-            for road, row in enumerate(rows)
-            if junctions[2 * road] == junctions[2 * road + 1]
-            for lane_id in row
-            if graph.predecessors(lane_id) and graph.successors(lane_id)
-        }
+        back = [row for road, row in enumerate(rows) if junctions[2 * road] == junctions[2 * road + 1]]
+        loops = {i for row in back for i in row if graph.predecessors(i) and graph.successors(i)}
         if not loops:
             return Roads(rows, tuple(dict.fromkeys(ways)), junctions)
         inside |= loops

@@ -118,6 +118,10 @@ class Progress:
         return self.done + self.skipped + self.quarantined
 
 
+#: What is called after every run.
+OnRow = Callable[[ManifestRow, Progress], None]
+
+
 def plan(folders: Iterable[Address], config: Config) -> list[SceneJob]:
     """One job for every recording, with the variants that the configuration asks for.
 
@@ -131,11 +135,7 @@ def plan(folders: Iterable[Address], config: Config) -> list[SceneJob]:
 
 
 def run_batch(
-    jobs: Sequence[SceneJob],
-    out_dir: Path,
-    options: Options | None = None,
-    *,
-    on_row: Callable[[ManifestRow, Progress], None] | None = None,
+    jobs: Sequence[SceneJob], out_dir: Path, options: Options | None = None, *, on_row: OnRow | None = None
 ) -> list[ManifestRow]:
     """Do the jobs, write OUT/manifest.csv, return the rows of these jobs in the manifest's order.
 
@@ -290,11 +290,7 @@ def _check_places(jobs: Sequence[SceneJob], out_dir: Path) -> None:
 
 
 def _tasks(
-    jobs: Sequence[SceneJob],
-    out_dir: Path,
-    options: Options,
-    manifest: Manifest,
-    skip: Callable[[ManifestRow], None],
+    jobs: Sequence[SceneJob], out_dir: Path, options: Options, manifest: Manifest, skip: Callable[[ManifestRow], None]
 ) -> Iterator[Task]:
     """Yield tasks for every job that has something to do; called as workers become free."""
     for job in jobs:
@@ -360,22 +356,10 @@ def _row(outcome: Outcome, options: Options) -> ManifestRow:
     if failure is None:
         path.unlink(missing_ok=True)
         return row
-    bundle = Bundle(
-        folder=place.folder,
-        config=run.config,
-        variant=run.variant,
-        timeout_s=options.timeout_s,
-        function=options.function,
-        failure=failure,
-        version=row.version,
-    )
-    write_bundle(bundle, path)
-    return row._replace(
-        status=QUARANTINED,
-        failure=failure.kind,
-        reason=one_line(failure.message, most=MAX_TEXT),
-        bundle=path.relative_to(place.out).as_posix(),
-    )
+    limits = options.timeout_s, options.function
+    write_bundle(Bundle(place.folder, run.config, run.variant, *limits, failure, row.version), path)
+    reason, bundle = one_line(failure.message, most=MAX_TEXT), path.relative_to(place.out).as_posix()
+    return row._replace(status=QUARANTINED, failure=failure.kind, reason=reason, bundle=bundle)
 
 
 @contextlib.contextmanager

@@ -16,13 +16,7 @@ from functools import partial
 from pkgutil import resolve_name
 from typing import Any, TypeVar
 
-from bridge.batch.isolation import (
-    Failure,
-    IsolatedProcess,
-    Settings,
-    StartFailedError,
-    attempts,
-)
+from bridge.batch.isolation import Failure, IsolatedProcess, Settings, StartFailedError, attempts
 from bridge.files import one_line
 from bridge.interruption import tidied
 from netconvert.errors import BatchError
@@ -33,6 +27,8 @@ _Value = TypeVar("_Value")
 
 #: Kinds of failure after which an item is tried again: the others would only repeat themselves.
 _RETRIED = frozenset({"crashed", "killed", "timeout"})
+#: What is called as items are done: how many are, and how many there are.
+OnDone = Callable[[int, int], None] | None
 #: Tasks handed out for each worker: one that runs and one that is ready when it ends.
 AHEAD = 2
 
@@ -115,7 +111,7 @@ def work_on_each(
     chunk: int,
     timeout_s: float,
     isolated: bool = True,
-    on_item: Callable[[int, int], None] | None = None,
+    on_item: OnDone = None,
 ) -> Generator[tuple[_Item, _Value | Failure], None, None]:
     """Yield every item with what a piece of work makes of it, or its failure, in the order of the items.
 
@@ -160,9 +156,7 @@ def _in_order(results: Iterable[list[Outcome]]) -> Iterator[tuple[Any, Any]]:
             following += 1
 
 
-def sorted_out(
-    each: Iterable[tuple[_Item, _Value | Failure]],
-) -> tuple[list[_Value], list[tuple[_Item, str]]]:
+def sorted_out(each: Iterable[tuple[_Item, _Value | Failure]]) -> tuple[list[_Value], list[tuple[_Item, str]]]:
     """The values of `work_on_each`, and the items that failed with the reason, each in order."""
     values: list[_Value] = []
     failures: list[tuple[_Item, str]] = []
@@ -185,11 +179,7 @@ def run_task(task: Task, process: IsolatedProcess, settings: Settings) -> list[O
         try:
             for found in process.stream(task.function, task.shared, task.items[len(outcomes) :]):
                 failure = found if isinstance(found, Failure) else None
-                if (
-                    failure is not None
-                    and failure.kind in _RETRIED
-                    and (process.stopped or attempts <= settings.retries)
-                ):
+                if failure and failure.kind in _RETRIED and (process.stopped or attempts <= settings.retries):
                     attempts += 1
                 else:
                     item, seconds = task.items[len(outcomes)], time.monotonic() - began

@@ -40,10 +40,10 @@ class ManifestRow(NamedTuple):
     """What became of one variant of one source scene.
 
     scenario: name of the source folder; requested: number, or "max"; maneuvers_*, events_*: records of the sidecar;
-    events: those that came about, with time, gap and criticality; rejected, not_done: "reason (count)" joined by ";
-    "; failure: error, exception, crashed, killed, timeout or memory; bundle: file that reproduces the failure,
-    below the output folder; *_sha256: contents of the source's and of the written files, and of the file of a lane-
-    change rule of the user's own; version: of the program, by its contents too (`code_version`); platform,
+    events: those that came about, with time, gap and criticality; rejected, not_done: "reason (count)" joined by "; ";
+    failure: error, exception, crashed, killed, timeout or memory; bundle: file that reproduces the failure, below the
+    output folder; *_sha256: contents of the source's and of the written files, and of the file of a lane-change rule
+    of the user's own; version: of the program, by its contents too (`code_version`); platform,
     processor: where it ran; driven: vehicles, of which those placed are a selection; braking_*, standing_*: share
     of the vehicles that are kept, dropped or recorded that brake harder than 3 m/s2, or stand, at some time;
     limited_*: share of steps in which one was limited for a conflict; near: of those placed, those within

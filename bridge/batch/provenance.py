@@ -8,15 +8,7 @@ from typing import NamedTuple
 from bridge.batch.batch import Options, Run, SceneJob, run_batch
 from bridge.batch.manifest import DONE
 from bridge.config import check_function, config_from_dict, config_sha256, functions_of
-from bridge.recordings.folders import (
-    PARQUET_PATTERN,
-    SIDECAR_PATTERN,
-    Choices,
-    Source,
-    is_generated,
-    source_id,
-    split_of,
-)
+from bridge.recordings.folders import PARQUET_PATTERN, SIDECAR_PATTERN, Choices, source_id, split_of
 from bridge.recordings.sidecar import read_sidecar
 from bridge.recordings.sources import find_recordings
 from netconvert.errors import BatchError, ConfigError, NoSceneError
@@ -56,8 +48,7 @@ def make_again(
         )
     wanted = sidecar.source_scenario_id
     choices = Choices(map_path, sidecar.recording.first_step)
-    there = [place for place in find_recordings([source], choices) if source_id(place) == wanted]
-    found = [place for place in there if isinstance(place, Source) or not is_generated(place)]
+    found = [place for place in find_recordings([source], choices) if source_id(place) == wanted]
     if len(found) != 1:
         have = f"{len(found)} scenes {wanted}, expected one" if found else f"no recorded scene {wanted}"
         raise NoSceneError(f"{source}: {have}, of which {sidecar_path} was made; give the ROOT that it lies in")

@@ -149,15 +149,9 @@ def read_bundle(path: Path, into: Path, *, functions: Collection[str] = ()) -> B
     except _REFUSED as error:
         said = one_line(_said(error), most=500)
         raise BatchError(f"{path}: not a bundle of hid2 that can be run ({said})") from error
-    return Bundle(
-        folder=address,
-        config=config,
-        variant=request.variant,
-        timeout_s=request.timeout_s,
-        function=request.function,
-        failure=Failure(seen.kind, one_line(seen.message, most=_MOST_REASON), details),
-        version=one_line(request.version, most=200),
-    )
+    failure = Failure(seen.kind, one_line(seen.message, most=_MOST_REASON), details)
+    version = one_line(request.version, most=200)
+    return Bundle(address, config, request.variant, request.timeout_s, request.function, failure, version)
 
 
 def _unpacked(folder: Path, request: _Request) -> Address:

@@ -5,7 +5,7 @@ import random
 from collections.abc import Callable, Sequence
 from typing import Annotated, NamedTuple, get_args
 
-from bridge.batch.engine import sorted_out, work_on_each
+from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.config import find_in_working_folder
 from bridge.generation.recorded import scene_of
 from bridge.recordings.folders import Address
@@ -76,19 +76,15 @@ class Selection(NamedTuple):
     """
 
     min_agents: int = 0
-    cities: tuple[str, ...] = ()
-    splits: tuple[str, ...] = ()
-    can: tuple[str, ...] = ()
+    cities: Sequence[str] = ()
+    splits: Sequence[str] = ()
+    can: Sequence[str] = ()
     sample: int | None = None
     seed: int = 0
 
 
 def facts_of(
-    folders: Sequence[Address],
-    can: Sequence[str] = (),
-    *,
-    jobs: int = 1,
-    on_scene: Callable[[int, int], None] | None = None,
+    folders: Sequence[Address], can: Sequence[str] = (), *, jobs: int = 1, on_scene: OnDone = None
 ) -> tuple[list[SceneFacts], list[tuple[Address, str]]]:
     """Facts of scenes in the order of folders, and the scenes that cannot be read with the reason.
 
@@ -176,10 +172,8 @@ def rooms(routes: Routes) -> dict[Policy, float]:
         each = (min(lane.length_m, max(0.0, max(ways(lane), default=0.0) - needed_m)) for lane in lanes)
         return round(sum(each), 1)
 
-    return {
-        Policy.LANE_CHANGE: metres(beside, config.lane_change.min_remaining_m),
-        Policy.OVERTAKE: metres(to_pass, stretch_m(config)),
-    }
+    change_m, overtake_m = config.lane_change.min_remaining_m, stretch_m(config)
+    return {Policy.LANE_CHANGE: metres(beside, change_m), Policy.OVERTAKE: metres(to_pass, overtake_m)}
 
 
 def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts]:
@@ -215,11 +209,7 @@ def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts
 
 
 def wanted(
-    folders: Sequence[Address],
-    selection: Selection,
-    *,
-    jobs: int = 1,
-    on_scene: Callable[[int, int], None] | None = None,
+    folders: Sequence[Address], selection: Selection, *, jobs: int = 1, on_scene: OnDone = None
 ) -> tuple[list[Address], list[tuple[Address, str]]]:
     """The scenes that are wanted, in the order of folders, and those that cannot be read with the reason.
 

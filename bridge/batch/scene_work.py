@@ -88,15 +88,14 @@ def _selection(sidecar: Sidecar) -> dict[str, Any]:
     """What tells of the selection."""
     told = sidecar.selection
     assert told is not None
-    shares = {
-        f"{what}_{name}": round(getattr(of, what) / max(1, of.vehicles), 4)
-        for name, of in told
-        for what in ("braking", "standing")
-    }
-    limited = {
-        f"limited_{name}": round(of.limited / max(1, of.steps), 4) for name, of in told if of is not told.recorded
-    }
-    return {"driven": told.driven, **shares, **limited}
+    found: dict[str, Any] = {"driven": told.driven}
+    for name, of in told:
+        found |= {
+            f"{what}_{name}": round(getattr(of, what) / max(1, of.vehicles), 4) for what in ("braking", "standing")
+        }
+        if of is not told.recorded:
+            found[f"limited_{name}"] = round(of.limited / max(1, of.steps), 4)
+    return found
 
 
 def join_counts(counts: Mapping[str, int]) -> str:

@@ -1,9 +1,9 @@
 """`hid2 validate`: scenes are checked in the order of their folders, with several jobs in processes of their own."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from bridge.batch.engine import work_on_each
+from bridge.batch.engine import OnDone, work_on_each
 from bridge.batch.isolation import Failure
 from bridge.recordings.folders import Choices, find_scenarios, source_id
 from bridge.recordings.sources import find_recordings
@@ -20,7 +20,7 @@ def validate_folder(
     map_path: Path | None = None,
     inserted: Sequence[str] = (),
     jobs: int = 1,
-    on_scene: Callable[[int, int], None] | None = None,
+    on_scene: OnDone = None,
 ) -> list[Finding]:
     """Check every scenario under a data set that was generated, or mixed; source: where its recordings lie.
 

@@ -1,9 +1,9 @@
 """What is said of a batch: a message for every scene that failed, and a table at the end."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
-from bridge.batch.batch import Progress
+from bridge.batch.batch import OnRow, Progress
 from bridge.batch.manifest import DONE, MANIFEST_NAME, ManifestRow
 from bridge.console import Activity, print_table, say
 from bridge.interruption import if_interrupted
@@ -15,7 +15,7 @@ LISTED_RUNS = 24
 _REASONS = 3
 
 
-def notes_of(activity: Activity, out: Path, *, go_on: str) -> Callable[[ManifestRow, Progress], None]:
+def notes_of(activity: Activity, out: Path, *, go_on: str) -> OnRow:
     """Tells an activity what becomes of a batch's runs; when it is verbose, of those that succeed too."""
 
     def note(row: ManifestRow, progress: Progress) -> None:
@@ -59,15 +59,10 @@ def _line(row: ManifestRow, *, with_events: bool) -> tuple[object, ...]:
     if row.status != DONE:
         blank = ("-",) * (7 if with_events else 6)
         return (row.scenario, row.variant, *blank, row.seconds, f"{row.failure}: {row.reason}")
-    remarks = "; ".join(
-        f"{what}: {_first(reasons)}"
-        for what, reasons, told in (
-            ("events", row.events, True),
-            ("not done", row.not_done, True),
-            ("candidates rejected", row.rejected, row.asked == "max" or row.placed < int(row.asked)),
-        )
-        if reasons and told
-    )
+    said = {"events": row.events, "not done": row.not_done}
+    if row.asked == "max" or row.placed < int(row.asked):
+        said["candidates rejected"] = row.rejected
+    remarks = "; ".join(f"{what}: {_first(reasons)}" for what, reasons in said.items() if reasons)
     return (
         row.scenario,
         row.variant,

@@ -110,14 +110,8 @@ def generate(  # noqa: PLR0913  # one for each option
         raise ConfigError(f"missing {' and '.join(missing)} {_HELP}")
     check_scenes(scenes)
     check_out(out)
-    from bridge.config import (
-        functions_of,
-        load_config,
-        parse_behaviours,
-        parse_events,
-        parse_trigger_time,
-        read_drivers,
-    )
+    from bridge import load_config, parse_behaviours
+    from bridge.config import functions_of, parse_events, parse_trigger_time, read_drivers
     from bridge.recordings.folders import split_of
     from bridge.recordings.sources import described, find_sources
     from bridge.toml import parse_value
@@ -138,7 +132,9 @@ def generate(  # noqa: PLR0913  # one for each option
     if formats:
         _check_sequences(folders, resolved)
     if any(which):  # else nothing need be imported that reads scenes
-        folders = select_scenes(folders, which.selection(resolved.request.seed), activity, jobs=batch.jobs)
+        from bridge.batch.scan import Selection
+
+        folders = select_scenes(folders, Selection(*which, resolved.request.seed), activity, jobs=batch.jobs)
 
     if loose := sum(split_of(folder) is None for folder in folders):
         activity.note(f"{loose} of {len(folders)} scenes in no folder train, val or test: no split in {out} has them")

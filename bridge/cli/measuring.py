@@ -253,10 +253,6 @@ def paper(  # noqa: PLR0913  # one for each option
     check_scenes([*scenes, *([composed] if composed else [])])
     check_out(out)
     if experiment == "prediction":
-        if predictions is None:
-            from bridge.forecasting.small_forecaster import check_forecaster
-
-            check_forecaster()
         from bridge.forecasting.experiment import Plan, run_prediction
         from hid2.params import Forecasting
 
@@ -295,7 +291,7 @@ def _score(
         bounds = [int(band) for band in bands.split(",")]
     except ValueError:
         raise ConfigError(f"--bands {bands!r}: expected numbers of agents, joined by commas") from None
-    from bridge.evaluation.predictions import BASELINES, TABLE_HEAD, score_predictions
+    from bridge.evaluation.predictions import TABLE_HEAD, score_predictions
 
     activity.doing("scoring forecasts")
     head: Sequence[str]
@@ -308,13 +304,8 @@ def _score(
         title, head, rows, page = f"{len(models)} models", HEAD, rows_of(found), "comparison.html"
     else:
         (file,) = files
-        baseline = next((name for name in BASELINES if name == file), None)
-        if baseline is None and not Path(file).is_file():
-            raise ConfigError(
-                f"--predictions {file}: no such file; expected a forecast file or one of {', '.join(BASELINES)}"
-            )
         scored = score_predictions(
-            out, predictions=baseline or Path(file), report_dir=report, bounds=bounds, jobs=jobs, on_scene=activity.show
+            out, predictions=file, report_dir=report, bounds=bounds, jobs=jobs, on_scene=activity.show
         )
         left_out, title, head = scored.left_out, f"{len(scored.scores)} scores", TABLE_HEAD
         rows, page = scored.rows(), "predictions.html"

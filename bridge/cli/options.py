@@ -11,7 +11,7 @@ from enum import StrEnum
 from functools import partial, wraps
 from inspect import Parameter, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_origin, get_type_hints
+from typing import Any, Literal, NamedTuple, get_origin, get_type_hints
 
 import typer
 
@@ -20,9 +20,6 @@ from bridge.console import Activity
 from bridge.recordings.folders import SPLITS, Choices
 from hid2.policies import Policy
 from netconvert.errors import ConfigError
-
-if TYPE_CHECKING:
-    from bridge.batch.scan import Selection
 
 ALL_DONE, SOME_FAILED, USAGE = 0, 1, 2
 
@@ -212,7 +209,7 @@ class Windows(NamedTuple):
 
 
 class Which(NamedTuple):
-    """Which scenes of a data set are wanted."""
+    """Which scenes of a data set are wanted: a `Selection`, but for its seed."""
 
     min_agents: int = selection("Only scenes with at least N recorded tracks.", 0, "N", min=0)
     city: list[str] = selection("Only scenes of this city; repeatable.", [], "CITY")
@@ -222,12 +219,6 @@ class Which(NamedTuple):
         "of your own as MODULE:NAME; repeatable.", [], "WHAT",
     )  # fmt: skip
     sample: int | None = selection("N of the selected scenes, drawn with the seed.", None, "N", min=1)
-
-    def selection(self, seed: int) -> "Selection":
-        """As scans take it."""
-        from bridge.batch.scan import Selection
-
-        return Selection(self.min_agents, tuple(self.city), tuple(self.split), tuple(self.can), self.sample, seed)
 
 
 class Batch(NamedTuple):

@@ -23,6 +23,7 @@ def view(
 ) -> None:
     """Write scenes as one HTML file that a browser plays, without a network: what each vehicle did, and why."""
     activity.doing("looking for scenes")
+    from bridge.batch.scan import Selection
     from bridge.pages.viewer import view_scenes
     from bridge.pictures.figures import check_ending
     from bridge.recordings.sources import described, find_recordings
@@ -31,7 +32,7 @@ def view(
     found = find_recordings(scenes, windows.choices())
     activity.note(*described(found))
     if any(which):
-        found = select_scenes(found, which.selection(seed), activity, jobs=1)
+        found = select_scenes(found, Selection(*which, seed), activity, jobs=1)
     activity.doing("packing scenes")
     activity.result(view_scenes(found, out, on_scene=activity.show))
 
@@ -49,11 +50,9 @@ def render(
 ) -> None:
     """Draw a scene from above, before and after: a picture or a film."""
     found = one_scene(scene, window)
-    from bridge.pictures.figures import check_ending
-    from bridge.pictures.render import ANIMATIONS, PICTURES, render_scene
+    from bridge.pictures.render import render_scene
     from bridge.recordings.sources import read_recording
 
-    check_ending(out, PICTURES + ANIMATIONS)
     activity.doing("drawing")
     recording = read_recording(found)
     activity.result(render_scene(recording, out, agent=agent, cells=cells, step=step, on_frame=activity.show))

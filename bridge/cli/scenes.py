@@ -72,7 +72,7 @@ def scan(
 
     What each column is: bridge/generation/README.md, Which scenes.
     """
-    from bridge.batch.scan import EVENTS, SceneFacts, facts_of, select
+    from bridge.batch.scan import EVENTS, SceneFacts, Selection, facts_of, select
     from bridge.files import make_folder, write_rows
     from bridge.recordings.sources import described, find_recordings
 
@@ -83,7 +83,7 @@ def scan(
     activity.doing("reading scenes")
     facts, failures = facts_of(folders, (*which.can, *(EVENTS if events else ())), jobs=jobs, on_scene=activity.show)
     tell_unread(failures)
-    chosen = select(facts, which.selection(seed))
+    chosen = select(facts, Selection(*which, seed))
     activity.end()
     if out is not None:
         write_rows(out, SceneFacts._fields, chosen)

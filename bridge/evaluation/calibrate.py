@@ -1,11 +1,11 @@
 """`hid2 calibrate`: recorded scenes to drivers.toml, with a table of every quantity."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bridge.batch.engine import sorted_out, work_on_each
+from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.evaluation.evaluate import write_table
 from bridge.files import write_text
 from bridge.pages.parts import Section, macro, page
@@ -22,9 +22,8 @@ _TEMPLATE = "calibration.html.j2"
 
 
 def calibrate_folder(
-    roots: Sequence[Path], out: Path, *, without: Sequence[str] = (), jobs: int = 1,
-    on_scene: Callable[[int, int], None] | None = None,
-) -> list[tuple[Path, str]]:  # fmt: skip
+    roots: Sequence[Path], out: Path, *, without: Sequence[str] = (), jobs: int = 1, on_scene: OnDone = None
+) -> list[tuple[Path, str]]:
     """Measure how people drive in the recorded scenes below some folders; returns the scenes that failed.
 
     Writes `out` (TOML, the section [drivers] of a configuration) and, beside it, STEM.csv (quantities) and STEM.html
@@ -80,12 +79,8 @@ def _groups(scenes: Sequence[SceneDriving]) -> Iterator[tuple[str, list[SceneDri
 def drivers_toml(found: Sequence[Quantity], prior: Drivers, scenes: Sequence[SceneDriving]) -> str:
     """The section [drivers] of a configuration: what was measured, and as comments what keeps its prior."""
     measured, by_name = drivers_of(found), {quantity.name: quantity for quantity in found}
-    lines = [
-        f"# Measured by hid2 calibrate in {len(scenes)} scenes: {', '.join(scene.name for scene in scenes[:20])}"
-        + (" and others" if len(scenes) > 20 else ""),
-        "",
-        "[drivers]",
-    ]
+    named = ", ".join(scene.name for scene in scenes[:20]) + (" and others" if len(scenes) > 20 else "")
+    lines = [f"# Measured by hid2 calibrate in {len(scenes)} scenes: {named}", "", "[drivers]"]
     for name in Drivers.model_fields:
         one = by_name.get(name)
         if one is not None and name in measured:

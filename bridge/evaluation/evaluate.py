@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
-from bridge.batch.engine import work_on_each
+from bridge.batch.engine import OnDone, work_on_each
 from bridge.batch.isolation import Failure
 from bridge.evaluation.scene_metrics import TABLES, Row, SceneMeasures, measure_folder
 from bridge.evaluation.totals import Evaluation, Totals
@@ -33,16 +33,14 @@ def evaluate_folder(
     choices: Choices | None = None,
     control: Path | None = None,
     jobs: int = 1,
-    on_scene: Callable[[int, int], None] | None = None,
+    on_scene: OnDone = None,
 ) -> Evaluation:
     """Measure every scene below `out`, recorded in any format or generated, and write the report into `report_dir`.
 
-    Writes metrics.json, report.html, realism.csv and the tables of TABLES.
-    "Before" is the source scenes of those in `out`, each once: as they lie below `source`, else the recorded tracks of
-    the first scene made from each. A scene that cannot be read is
-    listed and left out.
-    choices: for recordings of formats that leave something open.
-    control: scenes made from the same sources with drivers that the critics must tell, such as SUMO's default ones.
+    Writes metrics.json, report.html, realism.csv and the tables of TABLES. "Before" is the source scenes of those in
+    `out`, each once: as they lie below `source`, else the recorded tracks of the first scene made from each. A scene
+    that cannot be read is listed and left out. choices: for recordings of formats that leave something open; control:
+    scenes made from the same sources with drivers that the critics must tell, such as SUMO's default ones.
     on_scene(done, total) is called as scenes are done.
     Errors: ScenarioError where there is no scene; ExportError where the report cannot be written.
     """

@@ -5,14 +5,14 @@ density: 0 to 40 vehicles added. diversity: scenes by number of agents and behav
 data set and of the paper's templates.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.signal import savgol_filter
 
-from bridge.batch.engine import work_on_each
+from bridge.batch.engine import OnDone, work_on_each
 from bridge.batch.isolation import Failure, attempts
 from bridge.evaluation.scene_metrics import Row, measure
 from bridge.recordings.folders import Address, Source
@@ -69,12 +69,7 @@ def settings_of(name: Experiment, agents: int) -> list[Setting]:
 
 
 def run_settings(
-    folders: Sequence[Address],
-    settings: Sequence[Setting],
-    *,
-    seeds: int,
-    jobs: int,
-    on_scene: Callable[[int, int], None] | None,
+    folders: Sequence[Address], settings: Sequence[Setting], *, seeds: int, jobs: int, on_scene: OnDone
 ) -> list[Outcome]:
     """Generate and measure every setting on every scene with every seed, each scene in a process of its own."""
     outcomes, shared = [Outcome(setting, [], [], []) for setting in settings], (tuple(settings), seeds)

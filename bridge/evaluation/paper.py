@@ -1,11 +1,12 @@
 """The pages of the paper's experiments (`experiments`): finished tables and figures beside the paper's own."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from markupsafe import Markup
 
+from bridge.batch.engine import OnDone
 from bridge.evaluation import report
 from bridge.evaluation.experiments import ADDED, Experiment, Outcome, run_settings, settings_of
 from bridge.evaluation.scene_metrics import Row
@@ -51,7 +52,7 @@ def run_experiment(
     seeds: int = 10,
     jobs: int = 1,
     agents: int = 10,
-    on_scene: Callable[[int, int], None] | None = None,
+    on_scene: OnDone = None,
 ) -> Path:
     """Run one experiment of the paper on recorded scenes; returns the page that it wrote.
 
@@ -199,17 +200,12 @@ _Points = dict[str, dict[str, list[tuple[float, Estimate]]]]
 def _density(outcomes: Sequence[Outcome]) -> _Points:
     """Estimates by metric and group along the numbers placed."""
     series = {_placed(outcome): (SourceSums.of(outcome.rows), outcome.setting.config) for outcome in outcomes}
-    return {
-        metric.key: {
-            group: [
-                (added, estimate(sums, metric, group))
-                for added, (sums, generates) in sorted(series.items())
-                if generates or group == "combined"
-            ]
-            for group in ("combined", "generated")
-        }
-        for metric in COLUMNS
-    }
+
+    def points(metric: Metric, group: str) -> list[tuple[float, Estimate]]:
+        known = [(added, sums) for added, (sums, made) in sorted(series.items()) if made or group == "combined"]
+        return [(added, estimate(sums, metric, group)) for added, sums in known]
+
+    return {metric.key: {group: points(metric, group) for group in ("combined", "generated")} for metric in COLUMNS}
 
 
 def _differing(points: _Points) -> list[str]:
@@ -246,13 +242,10 @@ def _diversity_part(content: Mapping[str, Any]) -> Markup:
 
 
 def _diversity_rows(content: Mapping[str, Any]) -> list[Row]:
-    behaviours = content["behaviours"]
+    told = content["behaviours"]
     return [
-        {
-            "behaviour": kind,
-            **{when: part["scenes_with"][kind] / max(1, part["scenes"]) for when, part in behaviours.items()},
-        }
-        for kind in behaviours["before"]["scenes_with"]
+        {"behaviour": kind} | {when: of["scenes_with"][kind] / max(1, of["scenes"]) for when, of in told.items()}
+        for kind in told["before"]["scenes_with"]
     ]
 
 

@@ -4,32 +4,20 @@ minADE, minFDE, miss rate and brier-minFDE, each of the mode that ends nearest, 
 is av2's challenge submission: 60 steps from timestep 50 for each mode of a track.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from av2.datasets.motion_forecasting.eval.metrics import (
-    compute_ade,
-    compute_brier_fde,
-    compute_fde,
-    compute_is_missed_prediction,
-)
+from av2.datasets.motion_forecasting.eval import metrics
 from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 
-from bridge.batch.engine import work_on_each
+from bridge.batch.engine import OnDone, work_on_each
 from bridge.batch.isolation import Failure
 from bridge.files import beside, make_folder, write_rows, write_text
 from bridge.pages import parts as pages
-from bridge.recordings.scenario import (
-    MAX_STEPS,
-    OBSERVED_STEPS,
-    Rows,
-    find_scenarios,
-    read_rows,
-    source_id,
-)
+from bridge.recordings.scenario import MAX_STEPS, OBSERVED_STEPS, Rows, find_scenarios, read_rows, source_id
 from hid2.agents import FloatArray, Track
 from netconvert.errors import ConfigError, ScenarioError
 
@@ -112,19 +100,18 @@ TABLE_HEAD = ("agents in the scene", "k", "tracks", *METRICS.values())
 def score_predictions(
     out: Path,
     *,
-    predictions: Path | Baseline,
+    predictions: Path | str,
     report_dir: Path | None = None,
     bounds: Sequence[int] = BOUNDS,
     jobs: int = 1,
-    on_scene: Callable[[int, int], None] | None = None,
+    on_scene: OnDone = None,
 ) -> PredictionScores:
     """Score forecasts of the scenes below `out`; `predictions` is a submission file or the name of a baseline.
 
     A baseline forecasts the focal track of each scene. A scene that cannot be read is left out, with the reason. With
-    `report_dir`, predictions.csv (one row per track and k) and predictions.html are written. bounds:
-    bands of scenes with more agents than each. The same result with any number of jobs. Errors: ScenarioError for an
-    unreadable file, for a forecast that is not finite, or where nothing can be scored; ExportError where the report
-    cannot be written.
+    `report_dir`, predictions.csv (one row per track and k) and predictions.html are written. bounds: bands of scenes
+    with more agents than each. The same result with any number of jobs. Errors: ScenarioError for an unreadable file,
+    for a forecast that is not finite, or where nothing can be scored; ExportError where the report cannot be written.
     """
     folders = find_scenarios(out)
     named = next((kind for kind in BASELINES if kind == predictions), None)
@@ -217,13 +204,10 @@ def _forecast(track: Track, kind: Baseline, share: float, scene: Rows) -> FloatA
         return np.asarray(track.position[last] + share * ahead[:, None] * velocity, dtype=np.float64)
     heading = np.unwrap(track.heading[observed])
     rate = share * float(heading[-1] - heading[0]) / seconds if seconds > 0 else 0.0
-    speed = float(np.hypot(*velocity))
-    if abs(rate) < 1e-4:
-        direction = np.array([np.cos(heading[-1]), np.sin(heading[-1])])
-        return np.asarray(track.position[last] + speed * ahead[:, None] * direction, dtype=np.float64)
-    angle = heading[-1] + rate * ahead
-    along = np.stack([np.sin(angle) - np.sin(heading[-1]), np.cos(heading[-1]) - np.cos(angle)], axis=1)
-    return np.asarray(track.position[last] + speed / rate * along, dtype=np.float64)
+    half = 0.5 * rate * ahead  # of the angle turned by: a chord has the direction of its middle
+    chord_m, direction = np.hypot(*velocity) * ahead * np.sinc(half / np.pi), heading[-1] + half
+    moved = np.column_stack([chord_m * np.cos(direction), chord_m * np.sin(direction)])
+    return np.asarray(track.position[last] + moved, dtype=np.float64)
 
 
 def _future_steps(scene: Rows) -> int:
@@ -247,11 +231,11 @@ def _score_scene(scene: Rows, forecast: Forecast) -> tuple[list[Score], list[str
             continue
         for k in KS:
             chosen = np.asarray(modes)[order[:k]]
-            fde = compute_fde(chosen, future)
+            fde = metrics.compute_fde(chosen, future)
             best = int(np.argmin(fde))
-            missed = bool(np.all(compute_is_missed_prediction(chosen, future, MISS_M)))
-            brier = float(compute_brier_fde(chosen, future, probabilities[order[:k]])[best])
-            ade, of = float(compute_ade(chosen, future)[best]), (scene.scenario_id, str(track_id))
+            missed = bool(np.all(metrics.compute_is_missed_prediction(chosen, future, MISS_M)))
+            brier = float(metrics.compute_brier_fde(chosen, future, probabilities[order[:k]])[best])
+            ade, of = float(metrics.compute_ade(chosen, future)[best]), (scene.scenario_id, str(track_id))
             scores.append(Score(*of, len(scene.tracks), observed, k, ade, float(fde[best]), missed, brier))
     return scores, reasons
 

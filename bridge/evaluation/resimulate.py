@@ -2,26 +2,25 @@
 
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
 
-from bridge.batch.engine import sorted_out, work_on_each
+from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.config import config_sha256
 from bridge.evaluation.calibrate import observe_scene
 from bridge.evaluation.evaluate import write_table
 from bridge.files import explained, write_text
 from bridge.generation.generate import sumo_seed
-from bridge.generation.program import code_sha256, libraries
+from bridge.generation.records import generator_record
 from bridge.pages.parts import Section, macro, page
 from bridge.recordings.export import new_scenario_id, recording_record_of, with_generated, with_motion, write_recording
 from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import read_scenario
-from bridge.recordings.sidecar import GeneratorRecord, PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
+from bridge.recordings.sidecar import PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
 from bridge.recordings.sources import find_sources
 from bridge.sumo.drivers import model_parameters
 from bridge.sumo.driving import Driving
@@ -30,18 +29,9 @@ from bridge.sumo.lane_changes import Attempt
 from bridge.sumo.simulation import Simulation
 from hid2.agents import FloatArray, Track
 from hid2.conflicts.stop_lines import StopLines
+from hid2.evaluation import likelihood
 from hid2.evaluation.calibration import calibrate, drivers_of
-from hid2.evaluation.likelihood import (
-    FEATURES,
-    GROUPS,
-    LAST,
-    NOW,
-    Features,
-    beyond_edge,
-    features,
-    likelihoods,
-    scene_scores,
-)  # fmt: skip
+from hid2.evaluation.likelihood import FEATURES, GROUPS, LAST, NOW, Features, features, likelihoods, scene_scores
 from hid2.evaluation.resimulated import TakenOut, begin, own_path, poses, taken_out
 from hid2.measures.arrays import BoolArray
 from hid2.measures.lane_matching import flatten_lanes
@@ -187,10 +177,9 @@ class Resimulation:
             mode="reactive", late_s=late_s, checked=False, states=0, max_position_error_m=0.0, max_heading_error_rad=0.0
         )  # fmt: skip
         sidecar = Sidecar(
-            source_scenario_id=recording.scenario_id, recording=recording_record_of(recording),
-            generator=GeneratorRecord(version=version("hid2-sumo"), code_sha256=code_sha256(), libraries=libraries()),
-            sumo_version=Simulation.version(), seed=seed, variant=number, config=config.model_dump(mode="json"),
-            config_sha256=config_sha256(config), replay=replay,
+            source_scenario_id=recording.scenario_id, recording=recording_record_of(recording), seed=seed,
+            generator=generator_record(), sumo_version=Simulation.version(), variant=number, replay=replay,
+            config=config.model_dump(mode="json"), config_sha256=config_sha256(config),
             requested=RequestedRecord(agents=0, behaviours={}), placed=PlacedRecord(agents=0, behaviours={}),
         )  # fmt: skip
         new_id, focal = new_scenario_id(recording.scenario_id, config, seed, number), recording.focal_track_id
@@ -212,7 +201,7 @@ def _ahead(known: PathOccupancy, start_s: float) -> PathOccupancy:
 
 
 def resimulate_folders(
-    paths: Sequence[Path], out: Path, plan: Plan, *, jobs: int = 1, on_scene: Callable[[int, int], None] | None = None
+    paths: Sequence[Path], out: Path, plan: Plan, *, jobs: int = 1, on_scene: OnDone = None
 ) -> list[tuple[Path, str]]:
     """Drive the recorded vehicles of scenes and score them: a page, two tables and `plan.write` rollouts of each scene.
 
@@ -252,7 +241,7 @@ def score_scene(shared: tuple[Plan, Mapping[Path, Mapping[str, float]], Path], f
     (plan, drivers, out), recording = shared, read_scenario(folder)
     if recording.num_steps <= LAST:
         raise ScenarioError(f"{folder}: {recording.num_steps} steps, expected more than {LAST}, which are scored")
-    made, beyond, step_s = Resimulation(recording), beyond_edge(recording.graph), recording.step_s
+    made, beyond, step_s = Resimulation(recording), likelihood.beyond_edge(recording.graph), recording.step_s
     config = Config.model_validate({"drivers": drivers[folder], "request": {"seed": plan.seed}})
     every = np.array([one.row for one in made.vehicles], dtype=np.int64)
     recorded = features(made.logged, every, beyond, step_s=step_s)

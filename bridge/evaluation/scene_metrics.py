@@ -168,12 +168,8 @@ def _group_row(group: Group, maneuvers: Sequence[Maneuver], policy_of: Mapping[s
     """Sums and counts of one group; ratios are formed when scenes are pooled."""
     arrays = group.arrays
     moving = group.vehicles & arrays.moving
-    row: Row = {
-        "agents": int(group.members.sum()),
-        "vehicles": int(group.vehicles.sum()),
-        "moving": int(moving.sum()),
-        "colliding": group.colliding,
-    }
+    members = {"agents": group.members, "vehicles": group.vehicles, "moving": moving}
+    row: Row = {name: int(those.sum()) for name, those in members.items()} | {"colliding": group.colliding}
     row |= {name: column.of(group) for name, column in columns().items()}
     counts = Counter(policy_of[arrays.track_ids[a]] for a in np.flatnonzero(moving))
     row |= {f"policy_{policy.value}": counts[policy] for policy in Policy}
@@ -216,10 +212,7 @@ def _request_row(sidecar: Sidecar | None) -> Row:
 
 
 def _track_rows(
-    groups: Mapping[str, Group],
-    findings: Sequence[Finding],
-    policy_of: Mapping[str, Policy],
-    sidecar: Sidecar | None,
+    groups: Mapping[str, Group], findings: Sequence[Finding], policy_of: Mapping[str, Policy], sidecar: Sidecar | None
 ) -> list[Row]:
     """A row for each track."""
     whole = groups["combined"]
@@ -288,11 +281,8 @@ def _maneuver_rows(seen: Sequence[Maneuver], sidecar: Sidecar | None) -> list[Ro
 
 def _seen(track_id: str | None, record: ManeuverRecord, candidates: Sequence[Maneuver]) -> Maneuver | None:
     """The manoeuvre seen that a record tells of."""
-    kinds = (
-        {record.kind, ManeuverKind.PASS, ManeuverKind.OBSTACLE_AVOIDANCE}
-        if record.kind == "overtake"
-        else {record.kind}
-    )
+    passes = (ManeuverKind.PASS, ManeuverKind.OBSTACLE_AVOIDANCE) if record.kind == "overtake" else ()
+    kinds = {record.kind, *passes}
     same = [m for m in candidates if m.track_id == track_id and m.kind in kinds]
     at = record.crossing_s if record.crossing_s is not None else record.start_s
     if at is None or not same:

@@ -92,16 +92,9 @@ def estimate(sums: SourceSums, metric: Metric, group: str) -> Estimate:
 
 def table(sums: SourceSums, section: Section) -> dict[str, Any]:
     """Every metric of a section with its interval for every group, ready for JSON: table[metric.key][group]."""
-    return {
-        metric.key: {
-            "label": metric.label,
-            "unit": metric.unit,
-            "sentence": metric.sentence,
-            **{group: estimate(sums, metric, group)._asdict() for group in GROUPS},
-        }
-        for metric in METRICS
-        if metric.section is section
-    }
+    own = [metric for metric in METRICS if metric.section is section]
+    said = {one.key: {"label": one.label, "unit": one.unit, "sentence": one.sentence} for one in own}
+    return {one.key: said[one.key] | {group: estimate(sums, one, group)._asdict() for group in GROUPS} for one in own}
 
 
 class Diversity:

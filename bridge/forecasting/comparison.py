@@ -5,12 +5,13 @@ was made of one, and seeds of each model on its own: what is left is what other 
 """
 
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from bridge.batch.engine import OnDone
 from bridge.evaluation.predictions import BASELINES, BOUNDS, METRICS, Band, MetricKey, Score, bands, score_predictions
 from bridge.files import make_folder, write_rows, write_text
 from bridge.pages import parts as pages
@@ -133,7 +134,7 @@ def parse_models(texts: Sequence[str]) -> dict[str, list[Path]]:
 
 def compare_predictions(
     scenes: Path, models: Mapping[str, Sequence[Path]], report_dir: Path, *, bounds: Sequence[int] = BOUNDS,
-    jobs: int = 1, on_scene: Callable[[int, int], None] | None = None,
+    jobs: int = 1, on_scene: OnDone = None,
 ) -> tuple[list[Difference], list[str]]:  # fmt: skip
     """Score the files of models on the scenes, and compare every model with the first one.
 

@@ -19,6 +19,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from bridge.batch.engine import OnDone
 from bridge.files import explained, untabled, write_rows, write_text
 from bridge.forecasting.composition import Composition, Draw
 from bridge.forecasting.places import Leak, SourceScene, facts_of_scenes, leaks_between, split_by_place, stratum
@@ -77,19 +78,15 @@ def compose(
     if root.exists() and (not root.is_dir() or any(root.iterdir())):
         raise ConfigError(f"{root}: is there already; choose another root, or remove it")
     pool = _Pool(composition, jobs=jobs, tell=lambda done, total: tell("reading scenes", done, total))
-    added = pool.added(composition)
-    sets = {name: pool.draw("train", draw, f"sets.{name}") for name, draw in composition.all_sets(added).items()}
+    every = composition.all_sets(pool.added())
+    sets = {name: pool.draw("train", draw, f"sets.{name}") for name, draw in every.items()}
     validation = {name: pool.draw("val", draw, f"validation.{name}") for name, draw in composition.validation.items()}
     test = pool.draw("test", composition.test, "test")
     shared = next(iter(validation.values()), [])
-    roots = {
-        (name if composition.nested else ""): {"train": scenes, "val": shared, "test": test}
-        for name, scenes in sets.items()
-    }
-    if composition.nested or len(validation) > 1:
-        roots |= {
-            f"{VALIDATION}/{name}": {"train": [], "val": scenes, "test": []} for name, scenes in validation.items()
-        }
+    nested = composition.nested
+    roots = {(name if nested else ""): {"train": scenes, "val": shared, "test": test} for name, scenes in sets.items()}
+    for name, scenes in validation.items() if nested or len(validation) > 1 else ():
+        roots[f"{VALIDATION}/{name}"] = {"train": [], "val": scenes, "test": []}
     total = sum(len(scenes) for splits in roots.values() for scenes in splits.values())
     done = 0
     with explained(root):
@@ -118,14 +115,9 @@ class _Pool:
     """The scenes of all sources by split, and how they are drawn."""
 
     def __init__(self, composition: Composition, *, jobs: int, tell: Callable[[int, int], None]) -> None:
-        self._params = Forecasting()
-        self._seed, self._sources = composition.seed, composition.sources
-        found = [
-            (folder, name)
-            for name, places in composition.sources.items()
-            for place in places
-            for folder in find_scenarios(Path(place))
-        ]
+        self._params, self._composition = Forecasting(), composition
+        places = [(Path(place), name) for name, folders in composition.sources.items() for place in folders]
+        found = [(folder, name) for place, name in places for folder in find_scenarios(place)]
         facts, self.left_out = facts_of_scenes([folder for folder, _ in found], jobs=jobs, on_scene=tell)
         source_of, usable = dict(found), []
         seen: dict[tuple[str, str], SourceScene] = {}
@@ -145,11 +137,12 @@ class _Pool:
         if not usable:
             raise NoSceneError(f"{', '.join(composition.sources)}: no scene that can be used")
         self._scenes: dict[tuple[str, str], list[SourceScene]] = defaultdict(list)
-        for split, rows in self._split(usable, composition).items():
+        for split, rows in self._split(usable).items():
             for row in rows:
                 self._scenes[split, source_of[usable[row].folder]].append(usable[row])
 
-    def _split(self, facts: Sequence[SourceScene], composition: Composition) -> dict[str, list[int]]:
+    def _split(self, facts: Sequence[SourceScene]) -> dict[str, list[int]]:
+        composition = self._composition
         by_place = composition.split.by == "place"
         if by_place:
             shares, bounds = composition.split.shares, self._params.density_bounds
@@ -174,9 +167,9 @@ class _Pool:
         dropped = {leak.folder for leak in leaks}
         return {split: [row for row in rows if facts[row].folder not in dropped] for split, rows in splits.items()}
 
-    def added(self, composition: Composition) -> int:
+    def added(self) -> int:
         """How many scenes are added to each control. Errors: ConfigError where the sources have none."""
-        controls = composition.controls
+        controls = self._composition.controls
         if controls is None or controls.added != "all":
             return 1 if controls is None else int(controls.added)
         there = {name: len(self._scenes["train", name]) for name in (controls.generated, controls.without_interaction)}
@@ -193,7 +186,7 @@ class _Pool:
             count = draw.take.get(source, 0)
             wanted = len(there) if count == "all" else round(count * len(there)) if isinstance(count, float) else count
             if wanted > len(there):
-                places = ", ".join(self._sources[source])
+                places = ", ".join(self._composition.sources[source])
                 raise ConfigError(
                     f"{where}: {wanted} scenes of {source!r} ({places}) asked for in {split}, {len(there)} are there "
                     f"({len(self.left_out)} scenes of all sources were left out); ask for fewer, or for all"
@@ -220,8 +213,10 @@ class _Pool:
         return scenes
 
     def _shuffled(self, facts: Sequence[SourceScene], what: str) -> list[SourceScene]:
+        """In an order drawn for each purpose apart, so that a further data set changes no other."""
         ranked = sorted(facts, key=lambda fact: fact.scenario_id)
-        return [ranked[index] for index in self._random(what).permutation(len(ranked))]
+        random = np.random.default_rng([self._composition.seed, *what.encode()])
+        return [ranked[index] for index in random.permutation(len(ranked))]
 
     def _stratified(self, facts: Sequence[SourceScene], number: int, what: str) -> list[SourceScene]:
         """So many, of each city and density in proportion (largest remainders), in the order of `facts`."""
@@ -237,10 +232,6 @@ class _Pool:
             counts[k] += 1
         chosen = {fact.scenario_id for name, count in zip(names, counts, strict=True) for fact in strata[name][:count]}
         return [fact for fact in facts if fact.scenario_id in chosen]
-
-    def _random(self, what: str) -> np.random.Generator:
-        """One for each purpose, so that a further data set changes no other."""
-        return np.random.default_rng([self._seed, *what.encode()])
 
 
 def _densest(facts: Iterable[SourceScene], draw: Draw) -> list[SourceScene]:
@@ -285,7 +276,7 @@ def _link(path: Path, target: Path) -> None:
         shutil.copyfile(path, target)
 
 
-def check_leaks(root: Path, *, jobs: int = 1, on_scene: Callable[[int, int], None] | None = None) -> list[Leak]:
+def check_leaks(root: Path, *, jobs: int = 1, on_scene: OnDone = None) -> list[Leak]:
     """Training scenes of a root, or of the roots in it, that tell of a validation or test scene of the same.
 
     root: a data-set root, or a composed one with several. What the files say counts, and origins.csv where a copy has
@@ -303,11 +294,8 @@ def check_leaks(root: Path, *, jobs: int = 1, on_scene: Callable[[int, int], Non
     facts, unread = facts_of_scenes(everything, jobs=jobs, on_scene=on_scene)
     if unread:
         raise ScenarioError(f"{root}: {len(unread)} scenes cannot be read, the first: {unread[0]}")
-    origins = {name: origin for place in folders for name, origin in origins_of(place).items()}
-    facts = [
-        fact._replace(source_id=origins[fact.scenario_id]["source_id"]) if fact.scenario_id in origins else fact
-        for fact in facts
-    ]
+    source_of = {name: origin["source_id"] for place in folders for name, origin in origins_of(place).items()}
+    facts = [fact._replace(source_id=source_of.get(fact.scenario_id, fact.source_id)) for fact in facts]
     row_of = {fact.folder: row for row, fact in enumerate(facts)}
     found: dict[Path, Leak] = {}
     for place in roots:
@@ -319,11 +307,8 @@ def check_leaks(root: Path, *, jobs: int = 1, on_scene: Callable[[int, int], Non
 
 
 def _roots_in(root: Path) -> list[Path]:
-    return sorted(
-        child
-        for child in (root.iterdir() if root.is_dir() else ())
-        if child.is_dir() and any((child / split).is_dir() for split in SPLITS)
-    )
+    children = sorted(root.iterdir()) if root.is_dir() else []
+    return [child for child in children if any((child / split).is_dir() for split in SPLITS)]
 
 
 def origins_of(root: Path) -> dict[str, dict[str, str]]:

@@ -17,15 +17,7 @@ from bridge.batch.isolation import Settings
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.evaluation.predictions import BOUNDS, METRICS, Band, MetricKey, Score, score_predictions, write_forecasts
 from bridge.files import make_folder, write_json, write_rows, write_text
-from bridge.forecasting.comparison import (
-    HEAD,
-    Difference,
-    Runs,
-    differences_of,
-    mean_of,
-    rows_of,
-    sources_of,
-)
+from bridge.forecasting.comparison import HEAD, Difference, Runs, differences_of, mean_of, rows_of, sources_of
 from bridge.forecasting.compose import COMPOSITION, VALIDATION, compose
 from bridge.forecasting.composition import CONTROLS, HID2_ONLY, Composition, Controls, Draw, Split
 from bridge.forecasting.small_forecaster import check_forecaster, small_forecaster
@@ -159,13 +151,9 @@ def _runs(plan: Plan, without: frozenset[str]) -> tuple[Run, ...]:
 def _train(composed: Path, models: Path, plan: Plan, *, jobs: int, tell: Progress) -> None:
     """Train on every set with every seed and forecast every validation set, each set in a process of its own."""
     validation = {name: composed / VALIDATION / name / "val" for name in (RECORDED, HID2)}
+    work, seeds = "bridge.forecasting.experiment:train_and_forecast", tuple(range(plan.seeds))
     tasks = [
-        Task(
-            name,
-            "bridge.forecasting.experiment:train_and_forecast",
-            (composed / name / "train", validation, models / name, plan.params.updates),
-            tuple(range(plan.seeds)),
-        )
+        Task(name, work, (composed / name / "train", validation, models / name, plan.params.updates), seeds)
         for name in SETS
     ]
     done, total = 0, len(SETS) * plan.seeds
@@ -241,10 +229,7 @@ def _table(
         (f"ours: {label}", [mean_of(one, source_of, metric, params) for one in runs for metric in _COLUMNS])
         for label, runs in ours.items()
     ]
-    return [
-        {"row": label, **{name: cell._asdict() for name, cell in zip(names, cells, strict=True)}}
-        for label, cells in rows
-    ]
+    return [{"row": label} | dict(zip(names, (one._asdict() for one in cells), strict=True)) for label, cells in rows]
 
 
 def _differences(

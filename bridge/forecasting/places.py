@@ -5,14 +5,14 @@ slice_id, where a file has one), and where their maps share a square of ground: 
 """
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow.compute as pc
 
-from bridge.batch.engine import sorted_out, work_on_each
+from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.config import word_for_recorded
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, only_file, source_id
 from bridge.recordings.map_rules import read_document
@@ -67,7 +67,7 @@ class Leak(NamedTuple):
 
 
 def facts_of_scenes(
-    folders: Sequence[Path], *, jobs: int = 1, on_scene: Callable[[int, int], None] | None = None
+    folders: Sequence[Path], *, jobs: int = 1, on_scene: OnDone = None
 ) -> tuple[list[SourceScene], list[str]]:
     """Facts in the order of folders, and a line for each scene that cannot be read."""
     each = work_on_each(

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from bridge.files import append_rows
+from bridge.files import append_rows, rounded
 from hid2.policy.lane_change import Gap
 from hid2.vehicle import DrivenVehicle, GapLook
 
@@ -69,10 +69,10 @@ def look_row(look: GapLook) -> dict[str, Any]:
         "lane_id": seen.target.lane_id,
         "cell": seen.target.index,
         "cells_free": str(seen.cells_free).lower(),
-        "speed_mps": number(look.own_mps),
+        "speed_mps": rounded(look.own_mps),
         **_neighbour("lead", seen.front, follower_mps=look.own_mps, leader_mps=seen.front.speed_mps),
         **_neighbour("lag", seen.rear, follower_mps=seen.rear.speed_mps, leader_mps=look.own_mps),
-        "remaining_m": number(seen.remaining_m),
+        "remaining_m": rounded(seen.remaining_m),
         "rule": str(look.rule or "yes"),
         "refusals": " ".join(look.refusals) or None,
         "guard": str(look.guard or "yes") if asked else None,
@@ -86,10 +86,10 @@ def _neighbour(name: str, gap: Gap, *, follower_mps: float, leader_mps: float) -
     there = math.isfinite(gap_m)
     return {
         f"{name}_id": gap.track_id if there else None,
-        f"{name}_gap_m": number(gap_m),
-        f"{name}_speed_mps": number(gap.speed_mps) if there else None,
-        f"{name}_time_gap_s": number(gap_m / follower_mps) if there and follower_mps > 0.0 else None,
-        f"{name}_ttc_s": number(max(gap_m, 0.0) / closing) if there and closing > 0.0 else None,
+        f"{name}_gap_m": rounded(gap_m),
+        f"{name}_speed_mps": rounded(gap.speed_mps) if there else None,
+        f"{name}_time_gap_s": rounded(gap_m / follower_mps) if there and follower_mps > 0.0 else None,
+        f"{name}_ttc_s": rounded(max(gap_m, 0.0) / closing) if there and closing > 0.0 else None,
     }
 
 
@@ -100,8 +100,3 @@ def gaps_bytes(driven: Sequence[tuple[int, DrivenVehicle]], names: Mapping[str, 
     looks = gap_rows(driven, names, step_s=step_s)
     append_rows(text, ([look.get(column) for column in GAP_COLUMNS] for look in looks))
     return gzip.compress(text.getvalue().encode(), mtime=0)
-
-
-def number(value: float | None) -> float | None:
-    """As tables have it: to four digits, none where there is none."""
-    return None if value is None or not math.isfinite(value) else round(float(value), 4)

@@ -5,34 +5,17 @@ import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib.metadata import version
 
 import numpy as np
 
 from bridge.config import check_exportable, config_sha256
-from bridge.generation.program import code_sha256, libraries
+from bridge.generation import records
 from bridge.generation.recorded import grid_of, scene_of
-from bridge.generation.records import (
-    agent_record,
-    event_record,
-    near_count,
-    rejected_records,
-    replaced_record,
-    selection_record,
-    unmet_records,
-)
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.export import new_scenario_id, recording_record_of, with_generated, with_motion
 from bridge.recordings.plausibility import check_plausible
 from bridge.recordings.recording import Recording
-from bridge.recordings.sidecar import (
-    GeneratorRecord,
-    PlacedRecord,
-    ReplayRecord,
-    RequestedRecord,
-    Sidecar,
-    StatesRecord,
-)
+from bridge.recordings.sidecar import PlacedRecord, ReplayRecord, RequestedRecord, Sidecar, StatesRecord
 from bridge.sumo.drivers import model_parameters
 from bridge.sumo.driving import Driving
 from bridge.sumo.fleet import Fleet
@@ -79,6 +62,13 @@ class PreparedScene:
             self._nets[fastest_mps] = net_bytes(self.grid, fastest_mps=fastest_mps)
         return self._nets[fastest_mps]
 
+    def simulation(self, config: Config, seed: Sequence[int]) -> Simulation:
+        """SUMO on the net of a configuration, with its drivers and gap check. Errors: NetError."""
+        return Simulation(
+            self.net(config), seed=sumo_seed(seed), step_s=self.scenario.step_s, model=config.car_following.model,
+            parameters=model_parameters(config), checks_gaps=config.lane_change.safety == "sumo",
+        )  # fmt: skip
+
     def surroundings(self, config: Config) -> Surroundings:
         """What vehicles find in the scene; kept for the next ones with the same configuration."""
         self._asked += 1
@@ -114,10 +104,7 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
     scene = surroundings.scene
     filling = Filling(surroundings, seed)
     _LOG.debug("%s variant %d: %s vehicles asked for", scenario.scenario_id, variant, config.request.agents)
-    with Simulation(
-        prepared.net(config), seed=sumo_seed(seed), step_s=scene.step_s, model=config.car_following.model,
-        parameters=model_parameters(config), checks_gaps=config.lane_change.safety == "sumo",
-    ) as simulation:  # fmt: skip
+    with prepared.simulation(config, seed) as simulation:
         rounds = _Rounds(scene, simulation, filling, scenario)
         if config.driving.replay == "reactive":
             filling.fill_together(rounds.drive)
@@ -222,7 +209,7 @@ def _sidecar(
 ) -> Sidecar:  # fmt: skip
     config = scene.config
     names = {one.driven.vehicle_id: f"gen_{row}" for row, one in enumerate(vehicles)}
-    agents = [agent_record(scene, one, filling.outcomes.get(one.driven.vehicle_id), names) for one in vehicles]
+    agents = [records.agent_record(scene, one, filling.outcomes.get(one.driven.vehicle_id), names) for one in vehicles]
     if clean:
         told = [StatesRecord.of(track) for track in clean]
         agents = [agent.model_copy(update={"clean": states}) for agent, states in zip(agents, told, strict=True)]
@@ -231,7 +218,7 @@ def _sidecar(
     most_unmet = placed[Policy.STRAIGHT] if config.request.agents == "max" else None
     return Sidecar(
         source_scenario_id=prepared.scenario.scenario_id,
-        generator=GeneratorRecord(version=version("hid2-sumo"), code_sha256=code_sha256(), libraries=libraries()),
+        generator=records.generator_record(),
         recording=recording_record_of(prepared.scenario),
         sumo_version=sumo_version,
         seed=config.request.seed,
@@ -249,12 +236,12 @@ def _sidecar(
         requested=RequestedRecord(agents=config.request.agents, behaviours=config.request.behaviours),
         placed=PlacedRecord(
             agents=len(agents), behaviours={p: count for p in config.request.behaviours if (count := placed[p])},
-            near=near_count(scene, vehicles)
+            near=records.near_count(scene, vehicles)
         ),
         agents=tuple(agents),
-        unmet=tuple(unmet_records(filling.unmet[:most_unmet])),
-        events=tuple(event_record(one, names) for one in filling.events),
-        rejected=rejected_records(filling),
-        replaced=tuple(replaced_record(one) for one in filling.rejected),
-        selection=selection_record(scene, filling),
+        unmet=tuple(records.unmet_records(filling.unmet[:most_unmet])),
+        events=tuple(records.event_record(one, names) for one in filling.events),
+        rejected=records.rejected_records(filling),
+        replaced=tuple(records.replaced_record(one) for one in filling.rejected),
+        selection=records.selection_record(scene, filling),
     )  # fmt: skip

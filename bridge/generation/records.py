@@ -1,26 +1,16 @@
 """What became of every vehicle and manoeuvre that was asked for, as rows of the sidecar."""
 
-import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from importlib.metadata import version
 from typing import Any, cast
 
 import numpy as np
 
-from bridge.recordings.sidecar import (
-    AgentRecord,
-    DriverRecord,
-    EventRecord,
-    GapsRecord,
-    ManeuverKind,
-    ManeuverRecord,
-    RejectedRecord,
-    ReplacedRecord,
-    SelectionRecord,
-    SimulatedRecord,
-    SpawnRecord,
-)
+from bridge.files import rounded
+from bridge.generation.program import code_sha256, libraries
+from bridge.recordings import sidecar
 from hid2.agents import Policy
 from hid2.insertion.events import EventOutcome
 from hid2.insertion.filling import Filling, Rejection, Unmet
@@ -33,62 +23,60 @@ from hid2.reasons import Reason
 from hid2.scene import Scene
 
 
-def _kind(policy: Policy) -> ManeuverKind:
-    return cast(ManeuverKind, BEHAVIOURS[policy].seen_as[0].value)
+def generator_record() -> sidecar.GeneratorRecord:
+    """Record of this program."""
+    return sidecar.GeneratorRecord(version=version("hid2-sumo"), code_sha256=code_sha256(), libraries=libraries())
+
+
+def _kind(policy: Policy) -> sidecar.ManeuverKind:
+    return cast(sidecar.ManeuverKind, BEHAVIOURS[policy].seen_as[0].value)
 
 
 def agent_record(
     scene: Scene, vehicle: ExportedVehicle, outcome: Outcome | None, names: Mapping[str, str]
-) -> AgentRecord:
+) -> sidecar.AgentRecord:
     """Record of one exported vehicle; names: track ids of the generated vehicles by their ids in the simulation."""
     driven = vehicle.driven
     start, driver = driven.start, driven.start.driver
-    cell = scene.cell_at(start.path, start.start_s)
-    end_s = float(vehicle.motion.s[-1])
+    cell, end_s = scene.cell_at(start.path, start.start_s), float(vehicle.motion.s[-1])
+    route = [one.lane_id for one in driven.path.segments if start.start_s < one.end and one.start <= end_s]
     steps = max(len(driven.s) - 1, 1)
-    return AgentRecord(
+    return sidecar.AgentRecord(
         track_id=names[driven.vehicle_id],
         object_type="bus" if start.request.object_type == "bus" else "vehicle",
         length_m=start.size.length_m,
         width_m=start.size.width_m,
         policy=driven.policy,
-        spawn=SpawnRecord(
-            lane_segment_id=cell.lane_id,
-            cell=cell.index,
-            speed_mps=round(start.start_mps, 6),
-            timestep=start.step,
+        spawn=sidecar.SpawnRecord(
+            lane_segment_id=cell.lane_id, cell=cell.index, speed_mps=round(start.start_mps, 6), timestep=start.step
         ),
-        route=tuple(
-            segment.lane_id
-            for segment in driven.path.segments
-            if start.start_s < segment.end and segment.start <= end_s
-        ),
+        route=tuple(route),
         maneuvers=() if outcome is None else (maneuver_record(vehicle, outcome, names),),
-        driver=DriverRecord(
+        driver=sidecar.DriverRecord(
             model=scene.config.car_following.model,
             parameters={name: round(value, 6) for name, value in asdict(driver).items()},
         ),
         limited={cause: round(count / steps, 6) for cause, count in sorted(driven.limited.items())},
         policies={policy: round(count / steps, 6) for policy, count in sorted(driven.policies.items())},
-        gaps=GapsRecord(
+        gaps=sidecar.GapsRecord(
             looked_at=len(driven.gaps),
             refused_by_rule=sum((look.rule or look.guard) is not None for look in driven.gaps),
             refused_by_sumo=sum(look.sumo is False for look in driven.gaps),
         ),
         rerouted_s=None if driven.rerouted_at is None else round(driven.rerouted_at * scene.step_s, 6),
-        simulated=SimulatedRecord(max_off_m=round(float(abs(vehicle.simulated_off_m).max()), 6)),
+        simulated=sidecar.SimulatedRecord(max_off_m=round(float(abs(vehicle.simulated_off_m).max()), 6)),
         end_reason="map_edge" if vehicle.span.stop < scene.num_steps else None,
     )
 
 
-def maneuver_record(vehicle: ExportedVehicle, outcome: Outcome, names: Mapping[str, str]) -> ManeuverRecord:
+def maneuver_record(vehicle: ExportedVehicle, outcome: Outcome, names: Mapping[str, str]) -> sidecar.ManeuverRecord:
     """Record of one manoeuvre; times are those of the exported motion."""
     driven = vehicle.driven
     is_turn = BEHAVIOURS[outcome.policy].turn is not None
     shift = driven.shifts[0] if driven.shifts else None
     requested_s = None if shift is None else round(shift.requested_step * vehicle.motion.step_s, 6)
     leader = outcome.leader_id
-    return ManeuverRecord(
+    return sidecar.ManeuverRecord(
         kind=_kind(outcome.policy),
         status=outcome.status,
         reason=_with_detail(outcome.reason, outcome.detail),
@@ -100,33 +88,33 @@ def maneuver_record(vehicle: ExportedVehicle, outcome: Outcome, names: Mapping[s
         source_lane=outcome.source_lane,
         target_lane=outcome.target_lane,
         leader_track_id=None if leader is None else names.get(leader, leader),
-        gap_front_m=None if shift is None else _finite(shift.gap_front_m),
-        gap_rear_m=None if shift is None else _finite(shift.gap_rear_m),
-        min_ttc_s=_finite(vehicle.min_ttc_s),
+        gap_front_m=None if shift is None else rounded(shift.gap_front_m, 6),
+        gap_rear_m=None if shift is None else rounded(shift.gap_rear_m, 6),
+        min_ttc_s=rounded(vehicle.min_ttc_s, 6),
     )
 
 
-def event_record(found: EventOutcome, names: Mapping[str, str]) -> EventRecord:
+def event_record(found: EventOutcome, names: Mapping[str, str]) -> sidecar.EventRecord:
     """Record of one event that was asked for; names: as of `agent_record`."""
     event, seen = found.event, found.seen
     if found.vehicle is None or seen is None:
         most = next((one for one in found.tried if one is not found.reason), None)
-        return EventRecord(
+        return sidecar.EventRecord(
             kind=event.kind, target=event.target, status="not_feasible", reason=_with_detail(found.reason, most),
             tries=found.tries, tried={reason.value: count for reason, count in found.tried.items()},
         )  # fmt: skip
     figures: Any = {name: None if value is None else round(value, 6) for name, value in asdict(seen.measures).items()}
-    return EventRecord(
+    return sidecar.EventRecord(
         kind=event.kind, target=event.target, status="done", track_id=names[found.vehicle.driven.vehicle_id],
         target_track_id=found.target_id, at_s=round(seen.at_step * found.vehicle.motion.step_s, 6),
         ahead=seen.order > 0, human_brakes=seen.measures.human_brakes, tries=found.tries, **figures,
     )  # fmt: skip
 
 
-def unmet_records(unmet: Sequence[Unmet]) -> list[ManeuverRecord]:
+def unmet_records(unmet: Sequence[Unmet]) -> list[sidecar.ManeuverRecord]:
     """Records of manoeuvres that no vehicle does."""
     return [
-        ManeuverRecord(
+        sidecar.ManeuverRecord(
             kind=_kind(missed.request.policy), status="not_feasible", reason=missed.reason.value,
             trigger_s=round(missed.request.trigger_s, 6),
         ) for missed in unmet
@@ -137,36 +125,32 @@ def _with_detail(reason: Reason | None, detail: str | None) -> str | None:
     return None if reason is None else ":".join(filter(None, (reason.value, detail)))
 
 
-def rejected_records(filling: Filling) -> tuple[RejectedRecord, ...]:
+def rejected_records(filling: Filling) -> tuple[sidecar.RejectedRecord, ...]:
     """Vehicles and sites that were tried in vain, counted by reason."""
     counts: Counter[str] = Counter(str(one.reason.value) for one in filling.rejected)
     counts.update({str(reason.value): count for reason, count in filling.no_site.items()})
-    return tuple(RejectedRecord(reason=reason, count=count) for reason, count in sorted(counts.items()))
+    return tuple(sidecar.RejectedRecord(reason=reason, count=count) for reason, count in sorted(counts.items()))
 
 
-def replaced_record(rejection: Rejection) -> ReplacedRecord:
+def replaced_record(rejection: Rejection) -> sidecar.ReplacedRecord:
     """One vehicle that was driven and not kept."""
-    return ReplacedRecord(
+    return sidecar.ReplacedRecord(
         vehicle=rejection.vehicle.vehicle_id, policy=rejection.vehicle.policy, reason=rejection.reason.value,
         detail=None if rejection.detail is None else str(rejection.detail), round=rejection.round_number,
         lane_segment_id=rejection.cell.lane_id, cell=rejection.cell.index, last_step=rejection.vehicle.last_step,
     )  # fmt: skip
 
 
-def selection_record(scene: Scene, filling: Filling) -> SelectionRecord:
+def selection_record(scene: Scene, filling: Filling) -> sidecar.SelectionRecord:
     """How vehicles that are kept drive, those that are not, and recorded vehicles that move."""
     traffic = scene.traffic
     speeds = [np.hypot(*traffic.velocity[row, traffic.present[row]].T) for row in moving_vehicles(scene).tolist()]
     driven = {"kept": [one.driven for one in filling.kept], "dropped": [one.vehicle for one in filling.rejected]}
-    told = {"recorded": drives(speeds, step_s=scene.step_s)} | {
-        name: drives(
-            (np.array(one.v) for one in vehicles),
-            step_s=scene.step_s,
-            limited=sum(one.limited["conflict"] for one in vehicles),
-        )
-        for name, vehicles in driven.items()
-    }
-    return SelectionRecord.model_validate({name: one._asdict() for name, one in told.items()})
+    told = {"recorded": drives(speeds, step_s=scene.step_s)}
+    for name, vehicles in driven.items():
+        limited = sum(one.limited["conflict"] for one in vehicles)
+        told[name] = drives((np.array(one.v) for one in vehicles), step_s=scene.step_s, limited=limited)
+    return sidecar.SelectionRecord.model_validate({name: one._asdict() for name, one in told.items()})
 
 
 def near_count(scene: Scene, vehicles: Sequence[ExportedVehicle]) -> int:
@@ -180,7 +164,3 @@ def near_count(scene: Scene, vehicles: Sequence[ExportedVehicle]) -> int:
             is_near = is_near[:, np.arange(one.span.start, one.span.stop) == scene.last_observed_step]
         count += bool(is_near.any())
     return count
-
-
-def _finite(value: float) -> float | None:
-    return round(float(value), 6) if math.isfinite(value) else None

@@ -65,11 +65,9 @@ class TrafficScene:
         import pandas as pd
 
         asked = self.sidecar.asked if self.sidecar is not None else ()
-        policy = {one.track_id: one.policy.value for one in self.sidecar.agents} if self.sidecar is not None else {}
-        rows = [
-            {"track_id": track_id, "policy": None if track_id is None else policy[track_id], **record.model_dump()}
-            for track_id, record in asked
-        ]
+        agents = self.sidecar.agents if self.sidecar is not None else ()
+        policy: dict[str | None, str] = {one.track_id: one.policy.value for one in agents}
+        rows = [{"track_id": name, "policy": policy.get(name), **record.model_dump()} for name, record in asked]
         return pd.DataFrame(rows, columns=["track_id", "policy", *ManeuverRecord.model_fields])
 
     @property

@@ -9,7 +9,6 @@ import base64
 import csv
 import io
 import json
-import math
 import zlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -19,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bridge.config import word_for_recorded
-from bridge.files import MAX_FILE_MB, one_line, read_packed, write_text
+from bridge.files import MAX_FILE_MB, one_line, read_packed, rounded, write_text
 from bridge.pages.parts import text
 from bridge.pictures import figures
 from bridge.recordings.folders import Address
@@ -137,7 +136,7 @@ def scene_document(recording: Recording, looks: bytes | None = None) -> dict[str
         "tracks": _tracks(recording, states, origin), "occupied": _occupied(recording.graph, states),
         "said": said, "looks": _looks(beside, looks, ids),
         "findings": [
-            [one.track_id, one.step, one.quantity.value, _rounded(one.value), _rounded(one.limit), one.other]
+            [one.track_id, one.step, one.quantity.value, rounded(one.value), rounded(one.limit), one.other]
             for one in found
         ],
     }  # fmt: skip
@@ -240,7 +239,7 @@ def _looks(path: Path, table: bytes | None, exported: Collection[str]) -> dict[s
             if row["track_id"] in exported:  # the others' ids in the simulation become those of exported tracks
                 values = [names.get(row[column], row[column]) or None for column in LOOK_COLUMNS]
                 found.setdefault(row["track_id"], []).append(
-                    [_rounded(float(value)) if column in _NUMBERS and value else value
+                    [rounded(float(value)) if column in _NUMBERS and value else value
                      for column, value in zip(LOOK_COLUMNS, values, strict=True)]
                 )  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
@@ -249,7 +248,3 @@ def _looks(path: Path, table: bytes | None, exported: Collection[str]) -> dict[s
             "file"
         ) from error
     return found
-
-
-def _rounded(value: float) -> float | None:
-    return round(float(value), 4) if math.isfinite(value) else None

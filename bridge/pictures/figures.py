@@ -100,19 +100,13 @@ def kinds_in_words(word: str) -> dict[str, str]:
 
 def style() -> None:
     """Settings of every figure."""
-    plt.rcParams.update(
-        {
-            "font.size": 9,
-            "axes.titlesize": 10,
-            "axes.spines.top": False,
-            "axes.spines.right": False,
-            "axes.grid": False,
-            "legend.frameon": False,
-            "figure.dpi": 100,
-            "savefig.dpi": 130,
-            "svg.hashsalt": "hid2",
-        }
-    )
+    plt.rc("font", size=9)
+    plt.rc("axes", titlesize=10, grid=False)
+    plt.rc("axes.spines", top=False, right=False)
+    plt.rc("legend", frameon=False)
+    plt.rc("figure", dpi=100)
+    plt.rc("savefig", dpi=130)
+    plt.rc("svg", hashsalt="hid2")
 
 
 def draw_map(axes: Axes, graph: LaneGraph, *, cells: bool = False) -> None:

@@ -78,11 +78,8 @@ def agent_figure(scenario: Recording, agent_id: str) -> Figure:
     handles = [Line2D([], [], color=figures.DARK_GREY, linestyle=_STYLES[what], label=what) for what in marked]
     if handles:
         axes[1].legend(handles=handles, ncols=4, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    figure.suptitle(
-        f"{scenario.scenario_id[:8]}, track {agent_id} ({track.object_type}, {track.size.length_m:.1f} x "
-        f"{track.size.width_m:.1f} m){note}",
-        fontsize=11,
-    )
+    kind = f"{track.object_type}, {track.size.length_m:.1f} x {track.size.width_m:.1f} m"
+    figure.suptitle(f"{scenario.scenario_id[:8]}, track {agent_id} ({kind}){note}", fontsize=11)
     return figure
 
 

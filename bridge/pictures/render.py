@@ -76,9 +76,8 @@ def render_scene(
     """Draw a scene from above into a picture (.png, .jpg, .pdf, .svg) or a film (.gif, .mp4).
 
     A generated scene is shown before | after; before are its own recorded tracks. `agent` is highlighted, with
-    surroundings.
-    `step`: the timestep of a picture (default: the last observed one); a film shows all. on_frame(done, total) is
-    called as the frames of a film are drawn.
+    surroundings. `step`: the timestep of a picture (default: the last observed one); a film shows all.
+    on_frame(done, total) is called as the frames of a film are drawn.
     Errors: ConfigError for an unknown ending, step or track; ExportError where the file cannot be written.
     """
     suffix = out_file.suffix.lower()
@@ -179,11 +178,8 @@ def _put(panel: _Panel, ax: Axes, step: int, *, agent: str | None, whole_paths: 
         artists.insert(0, whole)
     for artist in artists:
         ax.add_collection(artist, autolim=False)
-    return [
-        *artists,
-        *_labels(ax, present, agent),
-        *_marks(panel, ax, None if whole_paths else step * panel.scenario.step_s),
-    ]
+    labels, until_s = _labels(ax, present, agent), None if whole_paths else step * panel.scenario.step_s
+    return [*artists, *labels, *_marks(panel, ax, until_s)]
 
 
 def _labels(ax: Axes, present: Sequence[tuple[Track, int]], agent: str | None) -> list[Artist]:

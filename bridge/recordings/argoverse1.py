@@ -95,9 +95,7 @@ def read(source: Source) -> Recording:
         )
     table = _table(rows, graph, source.scenario_id)
     checked = split_rows(table, name=name, sizes={}, observed_steps=OBSERVED_STEPS)
-    return recording_of(
-        source, table, checked, graph, provenance="tracker", sizes={}, map_json=map_json, sequence=content
-    )
+    return recording_of(source, checked, graph, provenance="tracker", map_json=map_json, sequence=content)
 
 
 def check_sequence(content: bytes, name: str) -> SequenceRows:
@@ -186,11 +184,8 @@ def _table(rows: SequenceRows, graph: LaneGraph, scenario_id: str) -> pa.Table:
     for k, (track_id, kind) in enumerate(zip(rows.ids, rows.kinds, strict=True)):
         own = rows.code == k
         velocity, heading = motion_of(rows.position[own], rows.timestep[own], graph)
-        category, size = (
-            FOCAL_CATEGORY if kind == AGENT else int(own.sum() == len(rows.stamps)),
-            DEFAULT_SIZES["vehicle"],
-        )
-        position, steps = rows.position[own], rows.timestep[own]
+        category = FOCAL_CATEGORY if kind == AGENT else int(own.sum() == len(rows.stamps))
+        position, steps, size = rows.position[own], rows.timestep[own], DEFAULT_SIZES["vehicle"]
         tracks.append(Track(track_id, "vehicle", category, steps, position, heading, velocity, size))
     same = {"scenario_id": scenario_id, "city": _CITIES[rows.city], "num_timestamps": len(rows.stamps)}
     same |= {"start_timestamp": rows.stamps[0] * 1e9, "end_timestamp": rows.stamps[-1] * 1e9}
@@ -215,12 +210,9 @@ def motion_of(position: FloatArray, timestep: IntArray, graph: LaneGraph) -> tup
 def _lane_heading(graph: LaneGraph, point: FloatArray) -> float:
     """Direction of the nearest lane at a point (2,) m."""
     lines = [lane.centerline for lane in graph.lanes.values()]
-    begin = np.concatenate([line[:-1] for line in lines])
-    step = np.concatenate([np.diff(line, axis=0) for line in lines])
-    along = ((point - begin) * step).sum(axis=1) / np.square(step).sum(axis=1)
-    nearest = begin + np.clip(along, 0.0, 1.0)[:, None] * step
-    x, y = step[int(np.square(nearest - point).sum(axis=1).argmin())].tolist()
-    return math.atan2(y, x)
+    steps = np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in lines])
+    start, end = steps[shapely.distance(shapely.linestrings(steps), shapely.Point(point)).argmin()]
+    return math.atan2(*(end - start)[::-1])
 
 
 # Maps

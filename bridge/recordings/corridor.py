@@ -101,26 +101,15 @@ def _map(stretches: Sequence[Lane], lanes: int) -> dict[str, Any]:
     first, last = min(lane.start_m for lane in stretches), max(lane.end_m for lane in stretches)
     corners = [(first - 30.0, low), (last + 30.0, low), (last + 30.0, high), (first - 30.0, high)]
     area = [{"x": round(a, 2), "y": round(b, 2), "z": 0.0} for a, b in corners]
-    return {
-        "drivable_areas": {"1": {"area_boundary": area, "id": 1}},
-        "lane_segments": segments,
-        "pedestrian_crossings": {},
-    }
+    areas = {"1": {"area_boundary": area, "id": 1}}
+    return {"drivable_areas": areas, "lane_segments": segments, "pedestrian_crossings": {}}
 
 
 def _table(scenario_id: str, steps: int) -> pa.Table:
     """The two vehicles on the shoulder, at every step."""
+    y, size, still = -(_LANE_M + _SHOULDER_M) / 2, DEFAULT_SIZES["vehicle"], (np.zeros(steps), np.zeros((steps, 2)))
     tracks = [
-        Track(
-            track_id=track_id,
-            object_type="vehicle",
-            category=category,
-            timesteps=np.arange(steps),
-            position=np.tile([x, -_LANE_M / 2 - _SHOULDER_M / 2], (steps, 1)),
-            heading=np.zeros(steps),
-            velocity=np.zeros((steps, 2)),
-            size=DEFAULT_SIZES["vehicle"],
-        )
+        Track(track_id, "vehicle", category, np.arange(steps), np.tile([x, y], (steps, 1)), *still, size)
         for track_id, category, x in (("1", FOCAL_CATEGORY, 20.0), (AV_ID, 1, 30.0))
     ]
     same = {"scenario_id": scenario_id, "start_timestamp": 0.0, "end_timestamp": (steps - 1) * STEP_S * 1e9}

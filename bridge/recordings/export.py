@@ -81,10 +81,8 @@ def scene_table(scenario: Recording, generated: Sequence[Track], *, new_id: str,
     if taken := {track.track_id for track in generated} & {track.track_id for track in scenario.tracks}:
         raise ExportError(f"generated track {min(taken)!r}: the id is taken, expected one of its own")
     table = scenario.table
-    changed = {
-        "scenario_id": pa.repeat(new_id, table.num_rows),
-        "focal_track_id": pa.repeat(focal_track_id, table.num_rows),
-    }
+    ids = {"scenario_id": new_id, "focal_track_id": focal_track_id}
+    changed = {name: pa.repeat(value, table.num_rows) for name, value in ids.items()}
     if focal_track_id != scenario.focal_track_id:
         category = table.column("object_category")
         changed["object_category"] = pc.if_else(pc.equal(category, FOCAL_CATEGORY), SCORED_CATEGORY, category)

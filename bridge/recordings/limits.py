@@ -44,10 +44,8 @@ def too_large(graph: LaneGraph) -> str:
     """What of a map is too large for a scene, with lane, value and limit; "" where nothing is."""
     lanes, rings = list(graph.lanes.values()), graph.drivable_areas
     lines, lane_ids = list(rings), {lane.lane_id for lane in lanes}
-    sizes: list[tuple[str, float, float]] = [
-        ("lane segments", len(lanes), MAX_LANES),
-        ("drivable areas", len(rings), MAX_AREAS),
-    ]
+    sizes: list[tuple[str, float, float]] = [("lane segments", len(lanes), MAX_LANES)]
+    sizes.append(("drivable areas", len(rings), MAX_AREAS))
     sizes += [("points of a drivable area", len(ring), MAX_POINTS) for ring in rings]
     for lane in lanes:
         own, where = (lane.centerline, *lane.sides), f"lane {lane.lane_id}"

@@ -19,10 +19,12 @@ from netconvert.lane_graph import LaneGraph
 class Rows:
     """The rows of a scene, checked, and the tracks in them, in the order of their first row.
 
-    num_steps: last timestep + 1; observed_steps: the first so many are what a forecast may see; step_s: seconds from
-    one timestep to the next.
+    table: the rows in the columns of Argoverse 2, as the source has them where it has them; num_steps: last timestep
+    + 1; observed_steps: the first so many are what a forecast may see; step_s: seconds from one timestep to the next;
+    sizes: boxes that were measured, by track id, all others are by object type.
     """
 
+    table: pa.Table
     scenario_id: str
     city: str
     focal_track_id: str
@@ -30,6 +32,7 @@ class Rows:
     tracks: tuple[Track, ...]
     observed_steps: int
     step_s: float
+    sizes: Mapping[str, BoxSize] = field(default_factory=dict)
 
     @property
     def last_observed(self) -> int:
@@ -41,21 +44,17 @@ class Rows:
 class Recording(Rows):
     """One scene: recorded, or with vehicles that were inserted.
 
-    table: the rows of the scene in the columns of Argoverse 2, as the source has them where it has them; folder: the
-    folder or file that was read; map_path: its map; map_json: the map as Argoverse 2 has it, where map_path is none;
-    sizes: boxes that were measured, by track id, all others are by object type; start: first step of the source that
-    is in it; sequence: the bytes of an Argoverse 1 file; sidecar: what is known of inserted vehicles, None: it was
-    recorded.
+    folder: the folder or file that was read; map_path: its map; map_json: the map as Argoverse 2 has it, where map_path
+    is none; start: first step of the source that is in it; sequence: the bytes of an Argoverse 1 file; sidecar: what is
+    known of inserted vehicles, None: it was recorded.
     """
 
     graph: LaneGraph
-    table: pa.Table
     folder: Path
     map_path: Path
     split: str | None
     format: str = "argoverse2"
     provenance: Provenance = "tracker"
-    sizes: Mapping[str, BoxSize] = field(default_factory=dict)
     map_json: bytes | None = None
     start: int = 0
     sequence: bytes | None = None

@@ -70,17 +70,17 @@ def read_scenario(folder: Path) -> Scenario:
     breaks what readers of the format demand: nothing recorded is repaired.
     Errors: ScenarioError or MapError with file, id, value and what was expected.
     """
-    table, rows, sizes, sidecar = _rows_in(folder)
+    rows, sidecar = _rows_in(folder)
     path, map_path = only_file(folder, PARQUET_PATTERN, ScenarioError), only_file(folder, MAP_PATTERN, MapError)
     if rows.scenario_id != source_id(folder):
         raise ScenarioError(f"{path}: scenario_id {rows.scenario_id!r}, expected the id in the file's name")
     known = _recording_record(folder, sidecar)
     source = Source(folder, known.format, rows.scenario_id, split_of(folder), known.first_step, map_path)
     graph = read_source_map(map_path)
-    return recording_of(source, table, rows, graph, provenance=known.provenance, sizes=sizes, sidecar=sidecar)
+    return recording_of(source, rows, graph, provenance=known.provenance, sidecar=sidecar)
 
 
-def recording_of(source: Source, table: pa.Table, rows: Rows, graph: LaneGraph, **more: Any) -> Recording:  # noqa: ANN401
+def recording_of(source: Source, rows: Rows, graph: LaneGraph, **more: Any) -> Recording:  # noqa: ANN401
     """A recording of rows that were checked and a map that they have to lie on; more: other fields of `Recording`.
 
     Errors: ScenarioError.
@@ -88,8 +88,8 @@ def recording_of(source: Source, table: pa.Table, rows: Rows, graph: LaneGraph, 
     limits.check_ground(rows.tracks, graph, str(source.path))
     assert source.map_path is not None
     return Recording(
-        **{one.name: getattr(rows, one.name) for one in fields(rows)}, **more, graph=graph, table=table,
-        folder=source.path, map_path=source.map_path, split=source.split, format=source.format, start=source.start,
+        **{one.name: getattr(rows, one.name) for one in fields(rows)}, **more, graph=graph, folder=source.path,
+        map_path=source.map_path, split=source.split, format=source.format, start=source.start,
     )  # fmt: skip
 
 
@@ -108,18 +108,18 @@ def _recording_record(folder: Path, sidecar: Sidecar | None) -> RecordingRecord:
 
 def read_rows(folder: Path) -> Rows:
     """The rows of a scenario folder, checked as `read_scenario` does, without its map. Errors: ScenarioError."""
-    return _rows_in(folder)[1]
+    return _rows_in(folder)[0]
 
 
-def _rows_in(folder: Path) -> tuple[pa.Table, Rows, dict[str, BoxSize], Sidecar | None]:
-    """The table of a scenario folder, its rows, the sizes beside it, the sidecar."""
+def _rows_in(folder: Path) -> tuple[Rows, Sidecar | None]:
+    """The rows of a scenario folder, with the sizes beside it, and the sidecar."""
     if not folder.is_dir():
         raise NoSceneError(f"{folder}: no such folder, expected a scenario folder")
     path = only_file(folder, PARQUET_PATTERN, ScenarioError)
     table, sidecar = read_table(path), sidecar_in(folder, source_id(folder))
     known, sizes = _recording_record(folder, sidecar), sizes_of(folder, sidecar)
     rows = split_rows(table, name=str(path), sizes=sizes, observed_steps=known.observed_steps)
-    return table, replace(rows, step_s=known.step_s), sizes, sidecar
+    return replace(rows, step_s=known.step_s), sidecar
 
 
 def table_of(tracks: Sequence[Track], same: Mapping[str, object], *, observed_steps: int) -> pa.Table:
@@ -192,15 +192,10 @@ def split_rows(
     rows = RowArrays.of(table, observed_steps=observed_steps)
     for _, said in row_breaches(rows):
         raise ScenarioError(f"{name}: {said}")
-    same = rows.constants
+    same = {name: str(rows.constants[name][0]) for name in ("scenario_id", "city", "focal_track_id")}
+    tracks, steps = tracks_of(rows, sizes), rows.num_steps
     return Rows(
-        scenario_id=str(same["scenario_id"][0]),
-        city=str(same["city"][0]),
-        focal_track_id=str(same["focal_track_id"][0]),
-        num_steps=rows.num_steps,
-        tracks=tracks_of(rows, sizes),
-        observed_steps=observed_steps,
-        step_s=STEP_S,
+        **same, table=table, sizes=sizes, num_steps=steps, tracks=tracks, observed_steps=observed_steps, step_s=STEP_S
     )
 
 
@@ -237,20 +232,11 @@ class RowArrays:
         timestep = np.asarray(table.column("timestep").to_numpy())
         by_track = np.lexsort((timestep, code))
         order = slice(None) if (np.diff(by_track) == 1).all() else by_track  # recorded files are in this order
-        return RowArrays(
-            table,
-            ids,
-            kinds,
-            code[order],
-            kind[order],
-            timestep[order],
-            category=table.column("object_category").to_numpy()[order],
-            observed=table.column("observed").to_numpy()[order],
-            motion=np.column_stack([table.column(column).to_numpy()[order] for column in MOTION_COLUMNS]),
-            constants={name: table.column(name).unique().to_pylist() for name in SCENARIO_COLUMNS},
-            observed_steps=observed_steps,
-            step_s=step_s,
-        )
+        by_row = code[order], kind[order], timestep[order]
+        category, observed = (table.column(name).to_numpy()[order] for name in ("object_category", "observed"))
+        motion = np.column_stack([table.column(column).to_numpy()[order] for column in MOTION_COLUMNS])
+        constants = {name: table.column(name).unique().to_pylist() for name in SCENARIO_COLUMNS}
+        return RowArrays(table, ids, kinds, *by_row, category, observed, motion, constants, observed_steps, step_s)
 
     @property
     def num_steps(self) -> int:
@@ -357,19 +343,9 @@ def tracks_of(rows: RowArrays, sizes: Mapping[str, BoxSize]) -> tuple[Track, ...
     tracks = []
     for code, track_id in enumerate(rows.ids):
         own = rows.of_track(code)
-        object_type = rows.kinds[rows.kind[own.start]]
-        tracks.append(
-            Track(
-                track_id=track_id,
-                object_type=object_type,
-                category=int(rows.category[own.start]),
-                timesteps=rows.timestep[own],
-                position=position[own],
-                heading=heading[own],
-                velocity=velocity[own],
-                size=sizes.get(track_id, DEFAULT_SIZES[object_type]),
-            )
-        )
+        kind, category = rows.kinds[rows.kind[own.start]], int(rows.category[own.start])
+        motion, size = (position[own], heading[own], velocity[own]), sizes.get(track_id, DEFAULT_SIZES[kind])
+        tracks.append(Track(track_id, kind, category, rows.timestep[own], *motion, size))
     return tuple(tracks)
 
 

@@ -98,10 +98,8 @@ def read(source: Source) -> Recording:
     rows = split_rows(table, name=str(source), sizes=sizes, observed_steps=OBSERVED_STEPS)
     document = _completed(read_document(map_path), name=str(map_path))
     graph = graph_of(document, name=str(map_path))
-    return recording_of(
-        replace(source, map_path=map_path), table, rows, graph, provenance="human", sizes=sizes,
-        map_json=json.dumps(document).encode(),
-    )  # fmt: skip
+    source, written = replace(source, map_path=map_path), json.dumps(document).encode()
+    return recording_of(source, rows, graph, provenance="human", map_json=written)
 
 
 def last_start(log: Path) -> int:

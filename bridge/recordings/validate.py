@@ -11,34 +11,14 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from bridge.config import REACTIVE_PREFIX
+from bridge.recordings import rules
 from bridge.recordings.export import map_bytes, recording_record_of
-from bridge.recordings.folders import (
-    RAW,
-    SPLITS,
-    Address,
-    sequence_path,
-    split_of,
-)
+from bridge.recordings.folders import RAW, SPLITS, Address, sequence_path, split_of
 from bridge.recordings.judging import findings_of, states_of
 from bridge.recordings.map_rules import checked, lacking_centerlines, read_document
 from bridge.recordings.plausibility import implausible
 from bridge.recordings.readers.argoverse2 import ARGOVERSE2
-from bridge.recordings.rules import (
-    RECORDED,
-    check_generated,
-    check_rows,
-    check_sidecar,
-    check_written_sequence,
-    compare_rows,
-)
-from bridge.recordings.scenario import (
-    RowArrays,
-    read_scenario,
-    read_table,
-    row_breaches,
-    sizes_of,
-    tracks_of,
-)
+from bridge.recordings.scenario import RowArrays, read_scenario, read_table, row_breaches, sizes_of, tracks_of
 from bridge.recordings.sidecar import REACTIVE, Sidecar, read_sidecar, sidecar_path
 from bridge.recordings.sources import read_recording
 from hid2.agents import BoxSize
@@ -65,7 +45,7 @@ class Finding(NamedTuple):
     @property
     def is_note(self) -> bool:
         """Whether it is told and is no fault of the scene."""
-        return self.rule == RECORDED
+        return self.rule == rules.RECORDED
 
     def line(self) -> str:
         """As it is printed."""
@@ -100,9 +80,9 @@ def validate_scene(against: Against, folder: Path) -> list[Finding]:
     path, agents = folder / f"scenario_{new_id}.parquet", sidecar.agents if sidecar is not None else ()
     generated_ids = {agent.track_id for agent in agents} | {name for name in rows.ids if name.startswith("gen_")}
     clean = {agent.track_id: agent.clean.motion for agent in agents if agent.clean}
-    breaches = list(check_rows(rows, new_id))
+    breaches = list(rules.check_rows(rows, new_id))
     for track_id in sorted(generated_ids & set(rows.ids)):
-        breaches += check_generated(rows, track_id, clean=clean.get(track_id))
+        breaches += rules.check_generated(rows, track_id, clean=clean.get(track_id))
     findings += [Finding(path, *breach) for breach in breaches]
     if document is None:
         return findings
@@ -111,7 +91,7 @@ def validate_scene(against: Against, folder: Path) -> list[Finding]:
     if sidecar is not None:
         begins = dict(zip(rows.ids, rows.timestep[rows.starts].tolist(), strict=True))
         lanes = {str(lane) for lane in document["lane_segments"]}
-        found_in = check_sidecar(sidecar, new_id, begins, generated_ids, lanes)
+        found_in = rules.check_sidecar(sidecar, new_id, begins, generated_ids, lanes)
         findings += [Finding(sidecar_path(folder, new_id), *breach) for breach in found_in]
         findings += _compared(folder, sidecar, rows, generated_ids, against)
     return findings
@@ -157,7 +137,7 @@ def _compared(
             yield Finding(sidecar_path(folder, folder.name), "source", str(error))
             return
         path = folder / f"scenario_{folder.name}.parquet"
-        for message in compare_rows(rows.table, source.table, generated_ids):
+        for message in rules.compare_rows(rows.table, source.table, generated_ids):
             yield Finding(path, "source", message)
         path = folder / f"log_map_archive_{folder.name}.json"
         if path.read_bytes() != map_bytes(source):
@@ -167,7 +147,7 @@ def _compared(
     if against.out is not None:
         path = sequence_path(against.out, split_of(folder), folder.name)
         if path.is_file():
-            for breach in check_written_sequence(path, rows, generated_ids, source=source):
+            for breach in rules.check_written_sequence(path, rows, generated_ids, source=source):
                 yield Finding(path, *breach)
 
 
@@ -180,7 +160,7 @@ def _missing_sidecar(folder: Path, rows: RowArrays | None) -> list[Finding]:
         return [Finding(path, "folder", "no such file, which every generated scene has (a recorded one has none)")]
     with suppress(Hid2Error):  # which the other rules find
         said = implausible(read_scenario(folder))
-        return [Finding(folder / f"scenario_{folder.name}.parquet", RECORDED, said)] if said else []
+        return [Finding(folder / f"scenario_{folder.name}.parquet", rules.RECORDED, said)] if said else []
     return []
 
 

@@ -14,14 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from bridge.generation.gaps import look_row, number
-from bridge.generation.generate import PreparedScene, sumo_seed
+from bridge.files import rounded
+from bridge.generation.gaps import look_row
+from bridge.generation.generate import PreparedScene
 from bridge.generation.recorded import scene_of
 from bridge.studies.columns import REQUEST_COLUMNS
-from bridge.sumo.drivers import model_parameters
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.flow_driving import NEAR_M, FlowDriving
-from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy, Track
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import MIDDLE, Driver
@@ -119,10 +118,7 @@ def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedR
         replace(one, start=replace(one.start, driver=_with_duration(one.start.driver, config.lane_change)))
         for one in drawn.arrivals
     ]
-    with Simulation(
-        prepared.net(config), seed=sumo_seed(drawn.seed), step_s=scene.step_s, model=config.car_following.model,
-        parameters=model_parameters(config), checks_gaps=config.lane_change.safety == "sumo",
-    ) as simulation:  # fmt: skip
+    with prepared.simulation(config, drawn.seed) as simulation:
         none = traffic_of_exported([], scene)
         driving = FlowDriving(
             Fleet(scene, starts, none, Roads(scene), StopLines(scene), near_m=NEAR_M), simulation,
@@ -184,13 +180,13 @@ def _measured(
             last = round((row["end_s"] or (entered + len(vehicle.s) - 1) * scene.step_s) / scene.step_s)
             own = arrays.row_of[arrays.track_ids.index(vehicle.vehicle_id)][first : last + 1]
             ttc = float(ttc_s[own].min())
-            row["min_ttc_s"] = None if ttc >= CAP_S else number(ttc)
+            row["min_ttc_s"] = None if ttc >= CAP_S else rounded(ttc)
             row["overlaps"] = row["min_ttc_s"] == 0.0
             lag_id = next((look.seen.rear.track_id for look in vehicle.gaps if look.sumo), None)
             if lag_id in arrays.track_ids:
                 pair = (arrays.track_ids.index(str(name)) for name in (lag_id, vehicle.vehicle_id))
                 course = pair_course(arrays, *pair).during(first, last)
-                row |= {name: number(value) for name, value in course.of_follower().items()}
+                row |= {name: rounded(value) for name, value in course.of_follower().items()}
         if row["start_s"] is not None and row["end_s"] is not None:
             row["lateral_s"] = round(row["end_s"] - row["start_s"], 6)
         rows.append(row)
@@ -213,7 +209,7 @@ def _measured(
 def _told(found: Iterable[LaneChangeRow | TrafficConflict], since_s: float) -> list[dict[str, Any]]:
     """Rows of what begins after the warm-up."""
     rows = (asdict(one) for one in found if one.start_s >= since_s)
-    return [{key: number(value) if isinstance(value, float) else value for key, value in row.items()} for row in rows]
+    return [{key: rounded(value) if isinstance(value, float) else value for key, value in row.items()} for row in rows]
 
 
 def _request_row(scene: Scene, vehicle: DrivenVehicle, *, first: int) -> dict[str, Any]:
@@ -225,10 +221,10 @@ def _request_row(scene: Scene, vehicle: DrivenVehicle, *, first: int) -> dict[st
     # until when it could have accepted: it gave up, or it left, or the scene ended
     until_s = min(last_s, trigger_s + scene.config.lane_change.give_up_s) if accepted_s is None else accepted_s
     row = dict.fromkeys(REQUEST_COLUMNS) | {
-        "vehicle": vehicle.vehicle_id, "kind": vehicle.policy.value, "entered_s": number(first * scene.step_s),
-        "desired_mps": number(start.driver.desired_mps), "trigger_s": number(trigger_s),
-        "accepted": shift is not None, "accepted_s": number(accepted_s), "observed_to_s": number(until_s),
-        "waited_s": None if until_s < trigger_s else number(until_s - trigger_s),
+        "vehicle": vehicle.vehicle_id, "kind": vehicle.policy.value, "entered_s": rounded(first * scene.step_s),
+        "desired_mps": rounded(start.driver.desired_mps), "trigger_s": rounded(trigger_s),
+        "accepted": shift is not None, "accepted_s": rounded(accepted_s), "observed_to_s": rounded(until_s),
+        "waited_s": None if until_s < trigger_s else rounded(until_s - trigger_s),
         "looks": len(vehicle.gaps),
     }  # fmt: skip
     took = next((look for look in vehicle.gaps if look.sumo), None)
@@ -286,9 +282,9 @@ def _detectors(scene: Scene, driving: FlowDriving, states: AgentStates) -> list[
                 if one.lane_id == lane and begin <= driving.entered.get(one.vehicle_id, -1) < end
             ]  # fmt: skip
             rows.append({
-                "lane": lane, "from_s": number(begin * step_s), "to_s": number(end * step_s),
-                "flow_veh_per_h_lane": number(flow), "density_veh_per_km_lane": number(density),
-                "speed_kmph": number(flow / density) if density > 0 else None,
-                "waiting_to_enter_s": number(float(np.mean(waited))) if waited else None,
+                "lane": lane, "from_s": rounded(begin * step_s), "to_s": rounded(end * step_s),
+                "flow_veh_per_h_lane": rounded(flow), "density_veh_per_km_lane": rounded(density),
+                "speed_kmph": rounded(flow / density) if density > 0 else None,
+                "waiting_to_enter_s": rounded(float(np.mean(waited))) if waited else None,
             })  # fmt: skip
     return rows

@@ -56,9 +56,6 @@ def _requests_of_a_run(study: Study) -> int:
     drawn = draw(prepared, drawing_config(config))
     last_s, trigger_s = drawn.scene.last_s, triggers(config, drawn)
     due = [trigger_s[one.request.number] for one in drawn.starts if one.request.policy.value == study.kind]
-    due += [
-        one.due_s + trigger_after_s(one, config.request, drawn.seed, last_s)
-        for one in drawn.arrivals
-        if one.start.request.policy.value == study.kind
-    ]
+    comers = [one for one in drawn.arrivals if one.start.request.policy.value == study.kind]
+    due += [one.due_s + trigger_after_s(one, config.request, drawn.seed, last_s) for one in comers]
     return sum(config.flow.counted_from_s <= at_s < last_s for at_s in due)

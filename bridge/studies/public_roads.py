@@ -5,7 +5,7 @@ tuned on the roads with `tune = true` alone; every other road is a test. Runs ar
 """
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +16,7 @@ import pandas as pd
 from pydantic import AfterValidator, Field
 from scipy import stats
 
-from bridge.batch.batch import Options, Progress, SceneJob, run_batch
+from bridge.batch.batch import OnRow, Options, SceneJob, run_batch
 from bridge.batch.batch import Run as BatchRun
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.config import config_sha256
@@ -223,13 +223,7 @@ class RoadResult:
         return estimates(cells, solved, unit=["run"])
 
 
-def run_public(
-    page: PublicRoads,
-    out_dir: Path,
-    options: Options,
-    *,
-    on_row: Callable[[ManifestRow, Progress], None] | None = None,
-) -> RunsReport:
+def run_public(page: PublicRoads, out_dir: Path, options: Options, *, on_row: OnRow | None = None) -> RunsReport:
     """Tune each rule, test it, try the causes, and write the page. Errors: BatchError, ConfigError, ExportError."""
     names = {next(page.configs(page.road[0], rule, {})).lane_change.rule for rule in page.rule}  # the user's own file
     how = replace(options, function=WORK, functions=names, resume=True)
@@ -253,23 +247,16 @@ def run_public(
         return [result for result, _ in wanted if result.runs]
 
     pairs = list(itertools.product(page.road, page.rule))
-    tried = driven(
-        (site, rule, f"point {number}", changes)
-        for site, rule in pairs
-        if site.tune and rule.vary
-        for number, changes in enumerate([{}, *grid(rule.vary)])
-    )
+    tuned = [(site, rule, enumerate([{}, *grid(rule.vary)])) for site, rule in pairs if site.tune and rule.vary]
+    tried = driven((site, rule, f"point {k}", changes) for site, rule, points in tuned for k, changes in points)
     best = {rule.name: _best([one for one in tried if one.rule == rule.name]) for rule in page.rule}
     tests = driven(
         (site, rule, variant, changes)
         for site, rule in pairs
         for variant, changes in ({"untuned": {}, "tuned": best[rule.name]} if rule.vary else {"as set": {}}).items()
     )
-    causes = driven(
-        (site, rule, says, {**best[rule.name], **changes})
-        for site, rule in pairs
-        for says, changes in page.cause.items()
-    )
+    every = itertools.product(pairs, page.cause.items())
+    causes = driven((site, rule, says, {**best[rule.name], **more}) for (site, rule), (says, more) in every)
     table, told = out_dir / "public.csv", out_dir / "public.md"
     head = ("road", "rule", "variant", "measure", "published", "ours", "low", "high", "runs")
     write_rows(table, head, [

@@ -1,11 +1,11 @@
 """A study from its runs to its results."""
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-from bridge.batch.batch import Options, Progress, run_batch
+from bridge.batch.batch import OnRow, Options, run_batch
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.studies.study import Study, tables
 
@@ -28,12 +28,7 @@ class RunsReport(NamedTuple):
 
 
 def run_study(
-    study: Study,
-    out_dir: Path,
-    options: Options,
-    *,
-    trj: bool = False,
-    on_row: Callable[[ManifestRow, Progress], None] | None = None,
+    study: Study, out_dir: Path, options: Options, *, trj: bool = False, on_row: OnRow | None = None
 ) -> RunsReport:
     """Do the runs that are not done yet, then write tables, figures and the page into out_dir.
 

@@ -78,12 +78,7 @@ def mean_wait(waited_s: FloatArray, accepted: FloatArray, weights: FloatArray, *
 
 
 def _by_value(
-    frame: pd.DataFrame,
-    outcome: Outcome,
-    code: IntArray,
-    count: int,
-    *,
-    give_up_s: float,
+    frame: pd.DataFrame, outcome: Outcome, code: IntArray, count: int, *, give_up_s: float
 ) -> Callable[[FloatArray], FloatArray]:
     """An outcome by value (count,), as a function of the weights of the rows; code: the value's place of each row."""
     if outcome.above is None:

@@ -84,11 +84,8 @@ class Study:
     @property
     def jobs(self) -> list[SceneJob]:
         """The runs; those of one scene and seed, which share vehicles, in one job."""
-        return [
-            SceneJob(folder, tuple(Run(configs[number]) for configs in self.configs))
-            for folder in self.folders
-            for number in range(len(self.seeds))
-        ]
+        of_seeds = [tuple(map(Run, configs)) for configs in zip(*self.configs, strict=True)]
+        return [SceneJob(folder, runs) for folder in self.folders for runs in of_seeds]
 
     @property
     def rules(self) -> frozenset[str]:
@@ -117,7 +114,7 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
         raise ConfigError(f"{path}: scenes: {error}{hint}") from error
     if content.can:
         try:
-            folders = tuple(wanted(folders, Selection(can=tuple(content.can)))[0])
+            folders = tuple(wanted(folders, Selection(can=content.can))[0])
         except ConfigError as error:
             raise ConfigError(f"{path}: can = {content.can!r}: {error}") from error
     seeds = tuple(range(content.seeds)) if isinstance(content.seeds, int) else tuple(content.seeds)
@@ -147,11 +144,8 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> "dict[st
     """What the runs have written, by name: runs, looks, and RUN_TABLES. Errors: BatchError."""
     import pandas as pd
 
-    points = {
-        config_sha256(config): (number, point)
-        for number, (point, configs) in enumerate(zip(study.points, study.configs, strict=True))
-        for config in configs
-    }
+    numbered = enumerate(zip(study.points, study.configs, strict=True))
+    points = {config_sha256(one): (number, point) for number, (point, configs) in numbered for one in configs}
     every: dict[str, list[dict[str, Any]]] = {table: [] for table in ("runs", *RUN_TABLES)}
     looks: list[pd.DataFrame] = []
     for row in rows:

@@ -49,20 +49,16 @@ class Driving:
     checked: bool = True
     replay_errors: ReplayErrors = field(init=False)
     reactions: Reactions | None = field(init=False, default=None)
-    _recorded: Replay = field(init=False)
-    _kept: Replay = field(init=False)
+    _replay: Replay = field(init=False)
 
     def run(self) -> list[DrivenVehicle]:
         """All steps of the scene; a vehicle's first state is its start."""
         fleet, simulation, step_s = self.fleet, self.simulation, self.fleet.scene.step_s
         simulation.rewind()
-        there, there_kept = self._replayed()
-        recorded = self._recorded = Replay(simulation, there, "r", step_s=step_s, checked=self.checked)
-        kept = self._kept = Replay(simulation, there_kept, "k", step_s=step_s, checked=False)
+        recorded = len(fleet.scene.traffic.ids) if self.checked else 0
+        replay = self._replay = Replay(simulation, self._replayed(), "r", step_s=step_s, checked=recorded)
         for back in range(UNSEEN_STEPS, 0, -1):
-            recorded.warm_up(back)
-            if fleet.fixed.ids:
-                kept.warm_up(back)
+            replay.warm_up(back)
             simulation.step()
         self.reactions = self._reactions()
         for step in range(fleet.scene.num_steps):
@@ -70,15 +66,12 @@ class Driving:
             for row, vehicle in enumerate(fleet.vehicles):
                 if vehicle.start.step == step:  # from now on SUMO has to be shown its leaders
                     fleet.along_m[row] = vehicle.start.start_s
-            seen, seen_kept = shown_at(fleet, step)
-            recorded.place(step, seen)
-            if fleet.fixed.ids:
-                kept.place(step, seen_kept)
+            replay.place(step, shown_at(fleet, step))
             simulation.step()
             self._enter(step)
-            recorded.check(step)
+            replay.check(step)
             self._read(step, attempts, limits)
-        self.replay_errors = recorded.errors
+        self.replay_errors = replay.errors
         return fleet.vehicles
 
     def _steer(self, step: int) -> tuple[dict[int, Attempt], dict[int, Limit]]:
@@ -89,7 +82,7 @@ class Driving:
             generated = fleet.fixed.at(now).joined(traffic()) if fleet.fixed.ids else traffic()
             if self.reactions.advance(step, generated):
                 fleet.look_anew(self.reactions.scene)
-                self._recorded.take(fleet.scene.traffic)
+                self._replay.take(fleet.known)
         elif "collision" not in fleet.scene.config.without and step % fleet.scene.steps_in(_STRUCK_EVERY_S) == 0:
             self._take_out_struck(now)
         attempts: dict[int, Attempt] = {}
@@ -109,16 +102,14 @@ class Driving:
             if limits.seeks[k] and take_another_way(fleet, self.simulation, row, now):
                 for found, renewed in zip(limits, limits_of(fleet, rows[k:], now), strict=True):
                     found[k:] = renewed  # those after it see where it goes
-                self._recorded.take(fleet.scene.traffic)  # others may have to be shown on this way
-                self._kept.take(fleet.fixed)
+                self._replay.take(fleet.known)  # others may have to be shown on this way
         fleet.yielding[rows] = limits.yields
         return attempts, self._drive(rows, limits, now)
 
-    def _replayed(self) -> tuple[Traffic, Traffic]:
+    def _replayed(self) -> Traffic:
         """Recorded agents and those kept, as they are put into SUMO."""
-        if self.checked or self.fleet.scene.config.driving.replay != "fixed":  # agents that react are anywhere
-            return self.fleet.scene.traffic, self.fleet.fixed
-        return ever_shown(self.fleet)
+        anywhere = self.checked or self.fleet.scene.config.driving.replay != "fixed"  # as agents that react are
+        return self.fleet.known if anywhere else ever_shown(self.fleet)
 
     def _reactions(self) -> Reactions | None:
         """The recorded vehicles as agents that react, each by SUMO's car following of its replayed vehicle."""
@@ -126,7 +117,7 @@ class Driving:
             return None
 
         def follow_mps(row: int, speed_mps: float, gap_m: float, leader_mps: float) -> float:
-            name = self._recorded.name(row)
+            name = self._replay.name(row)
             return self.simulation.follow_speed(name, speed_mps, gap_m=gap_m, leader_mps=leader_mps)
 
         return Reactions(self.fleet.scene, follow_mps)

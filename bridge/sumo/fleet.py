@@ -198,6 +198,11 @@ class Fleet:
         for way in self.ways:
             way.obstacles = None
 
+    @property
+    def known(self) -> Traffic:
+        """All agents with a known future, recorded, then kept, up to the scene's end."""
+        return self.scene.traffic.joined(self.fixed.first(self.scene.num_steps))
+
     def known_on_way(self, row: int) -> PathOccupancy:
         """Intervals of all agents with a known future on a vehicle's path, with rows (recorded, then kept)."""
         way = self.ways[row]

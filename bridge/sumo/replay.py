@@ -1,5 +1,6 @@
 """Recorded agents as fixed vehicles: every state at its exact pose, every step."""
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -26,14 +27,15 @@ class ReplayErrors:
 class Replay:
     """Drives the agents of a `Traffic` along their states. Call `place` before and `check` after each step.
 
-    checked: compare poses; only a scene's first simulation does, later ones replay the same states.
+    checked: of so many, the first ones, poses are compared; only a scene's first simulation does that, later ones
+    replay the same states.
     """
 
     simulation: Simulation
     traffic: Traffic
     prefix: str
     step_s: float
-    checked: bool = True
+    checked: int = sys.maxsize
     _in: set[int] = field(default_factory=set)
     _names: list[str] = field(init=False)
     _poses: list[tuple[list[float], list[float], list[float]]] = field(init=False)
@@ -97,31 +99,24 @@ class Replay:
             self._in &= here
             self._add(sorted(here - self._in))
         known, since = self._placed - UNSEEN_STEPS, self._since
-        self.simulation.place_all(
-            [
-                (names[row], x, y, angle, seen.get(row) if since[row] <= known else None)
-                for row, x, y, angle in zip(rows, *self._poses[step], strict=True)
-            ]
-        )
+        lanes = (seen.get(row) if since[row] <= known else None for row in rows)
+        self.simulation.place_all(list(zip([names[row] for row in rows], *self._poses[step], lanes, strict=True)))
         self._placed += 1
 
     def check(self, step: int) -> None:
         """Take down SUMO's poses, where they are to be compared with the recorded ones."""
         if not self.checked:
             return
-        rows, before = np.array(self._here[step], dtype=np.int64), self.errors
+        rows, before = np.array([row for row in self._here[step] if row < self.checked], dtype=np.int64), self.errors
         found = self.simulation.poses([self._names[row] for row in rows])
         there = rows[[pose is not None for pose in found]]
         poses = np.array([pose for pose in found if pose is not None]).reshape(-1, 3)
         center, heading = box_poses(poses[:, :2], poses[:, 2], self.traffic.length_m[there])
         off = np.hypot(*(center - self.traffic.position[there, step]).T)
         turned = np.abs(wrap_angle(heading - self.traffic.heading[there, step]))
-        self.errors = ReplayErrors(
-            before.states + there.size,
-            float(off.max(initial=before.max_position_error_m)),
-            float(turned.max(initial=before.max_heading_error_rad)),
-            before.lost + rows.size - there.size,
-        )
+        most_m = float(off.max(initial=before.max_position_error_m))
+        most_rad, lost = float(turned.max(initial=before.max_heading_error_rad)), rows.size - there.size
+        self.errors = ReplayErrors(before.states + there.size, most_m, most_rad, before.lost + lost)
 
     def name(self, row: int) -> str:
         """Id in the simulation."""

@@ -21,17 +21,16 @@ _NEAR_M = 12.0
 _PACE_MOST = 1.1
 
 
-def shown_at(fleet: Fleet, step: int) -> tuple[dict[int, tuple[str, int]], dict[int, tuple[str, int]]]:
-    """Agents that SUMO's car following is shown, recorded and kept: row -> edge and lane index of its place on the way.
+def shown_at(fleet: Fleet, step: int) -> dict[int, tuple[str, int]]:
+    """Agents that SUMO's car following is shown: row (recorded, then kept) -> edge and lane index of its place there.
 
     Those that reach into the driving width on the present way of some vehicle and move along it or stand.
     Crossing agents are the guard's business: to SUMO they would appear out of nowhere.
     """
-    recorded: dict[int, tuple[str, int]] = {}
-    kept: dict[int, tuple[str, int]] = {}
-    scene, count = fleet.scene, len(fleet.scene.traffic.ids)
+    seen: dict[int, tuple[str, int]] = {}
+    scene = fleet.scene
     if "collision" in scene.config.without:
-        return recorded, kept
+        return seen
     (known, first), length_m = fleet.on_ways, np.concatenate([scene.traffic.length_m, fleet.fixed.length_m])
     found = shown_ahead(
         known.low, known.high, known.along, known.same_direction, known.crossing, known.agents, first,
@@ -40,27 +39,18 @@ def shown_at(fleet: Fleet, step: int) -> tuple[dict[int, tuple[str, int]], dict[
     )  # fmt: skip
     for agent, row, middle in zip(*(column.tolist() for column in found), strict=True):
         cell = scene.cell_at(fleet.vehicles[row].path, middle)
-        where = scene.grid.edge_id(cell), scene.grid.lane_index(cell)
-        (recorded if agent < count else kept)[agent if agent < count else agent - count] = where
-    return recorded, kept
+        seen[agent] = scene.grid.edge_id(cell), scene.grid.lane_index(cell)
+    return seen
 
 
-def ever_shown(fleet: Fleet) -> tuple[Traffic, Traffic]:
+def ever_shown(fleet: Fleet) -> Traffic:
     """Recorded agents and those kept, present only while SUMO may have to be shown them to a fleet before its start."""
-    scene, count, shown = fleet.scene, len(fleet.scene.traffic.ids), []
-    starts = [vehicle.start for vehicle in fleet.vehicles]
+    traffic, count, starts = fleet.known, len(fleet.scene.traffic.ids), [vehicle.start for vehicle in fleet.vehicles]
     on_ways = [fleet.known_on_way(row) for row in range(len(starts))]
-    for traffic, first in ((scene.traffic.first(scene.num_steps), 0), (fleet.fixed.first(scene.num_steps), count)):
-        if first == count and fleet.may_change.any():  # few, and any may come to lead
-            shown.append(traffic)
-            continue
-        last, known = first + len(traffic.ids), []
-        for found in on_ways:
-            here = found.rows((found.agents >= first) & (found.agents < last))
-            known.append(replace(here, agents=here.agents - first))
-        present = shown_when(traffic, starts, known, step_s=scene.step_s)
-        shown.append(replace(traffic, present=present))
-    return shown[0], shown[1]
+    present = shown_when(traffic, starts, on_ways, step_s=fleet.scene.step_s)
+    if fleet.may_change.any():  # kept ones are few, and any may come to lead
+        present[count:] = traffic.present[count:]
+    return replace(traffic, present=present)
 
 
 def shown_when(

@@ -41,11 +41,10 @@ _SETTERS = {
 class Simulation:
     """A running SUMO. Use as `with Simulation(net, seed=0, step_s=0.1) as sumo:`.
 
-    net: content of its file. model: car-following model of the vehicles that SUMO drives, as it is named in SUMO;
-    parameters: its attributes.
-    checks_gaps: whether SUMO refuses a lane change that its own gaps forbid; own_wish: whether its own model changes
-    lanes, too.
-    Errors: SimulationError for a net that SUMO refuses, and for a second simulation in one process.
+    net: content of its file; model: car-following model of the vehicles that SUMO drives, as it is named in SUMO;
+    parameters: its attributes; checks_gaps: whether SUMO refuses a lane change that its own gaps forbid; own_wish:
+    whether its own model changes lanes, too. Errors: SimulationError for a net that SUMO refuses, and for a second
+    simulation in one process.
     """
 
     _running: ClassVar[bool] = False
