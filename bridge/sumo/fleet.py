@@ -16,15 +16,13 @@ from hid2.conflicts.reaction import yielding
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver
 from hid2.motion.reference_line import TABLE_STEP_M
-from hid2.motion.route import DrivenPath
+from hid2.motion.route import DrivenPath, Jump
 from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.policy.behaviours import BEHAVIOURS
 from hid2.policy.roads import STRAIGHT, Roads
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start
-
-_GIVEN_BACK = 0.05  # no tunable, not seen: share of its speed by which a vehicle gives back at most what SUMO jumped
 
 
 @dataclass(eq=False, slots=True)
@@ -34,8 +32,8 @@ class Way:
     road (S,): m/s at the table of the path's line, what the road allows the driver; lane_ends: where its lanes end, m;
     policies: numbers of what Algorithm 1 comes to on each of them without a manoeuvre; known: intervals of all agents
     with a known future, with rows (recorded, then kept), None until first asked for; obstacles: the guard's,
-    likewise; reroute_tried: whether another way has been looked for; jump: how far SUMO is behind, m, where the vehicle
-    comes on the path, and from where to where that is given back; None before.
+    likewise; reroute_tried: whether another way has been looked for; jump: SUMO's where the vehicle comes on the path,
+    None before.
     """
 
     road: FloatArray
@@ -44,7 +42,7 @@ class Way:
     known: PathOccupancy | None = None
     obstacles: Obstacles | None = None
     reroute_tried: bool = False
-    jump: tuple[float, float, float] | None = None
+    jump: Jump | None = None
 
     def is_turn(self, s: float) -> bool:
         """Whether the lane at an arc length, m, is one."""
@@ -134,9 +132,8 @@ class Fleet:
     def follow(self, row: int, lane: str, front_m: float, speed_mps: float) -> None:
         """A vehicle is where SUMO has it now: its front bumper front_m along a lane, at a speed.
 
-        SUMO changes lanes at once, from a cell to the facing one, which may lie a metre before or behind it. On each
-        new path the vehicle goes on steadily from where it was, and gives back on the way what SUMO has jumped. Where
-        SUMO has it on no lane of the path, as at a split that it takes otherwise, it goes on as it was.
+        On each new path it goes on steadily from where it was, and gives back on the way what SUMO has jumped (`Jump`).
+        Where SUMO has it on no lane of the path, as at a split that it takes otherwise, it goes on as it was.
         """
         vehicle, way = self.vehicles[row], self.ways[row]
         # as SUMO's ballistic step; where it replays no agent its steps are Euler's, by the new speed: millimetres
@@ -147,10 +144,8 @@ class Fleet:
         if own is None:
             own = steady - vehicle.jumped_m[-1]
         if way.jump is None:
-            jump, shifts = steady - own, vehicle.path.shifts
-            way.jump = jump, own, max(own + abs(jump) / _GIVEN_BACK, shifts[-1][1] if shifts else own + 1.0)
-        jump, since, until = way.jump
-        jumped = jump * max(until - own, 0.0) / (until - since)
+            way.jump = Jump.onto(vehicle.path, own, steady - own)
+        jumped = float(way.jump.left_m(np.array(own)))
         self.move(row, own + jumped, speed_mps, jumped_m=jumped)
 
     def leave(self, row: int) -> None:

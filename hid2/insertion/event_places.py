@@ -37,7 +37,7 @@ _OVERTAKES_S, _BEHIND_M = (4.0, 10.0), (3.0, 30.0)
 #: No tunables: bounds of what is drawn.
 _APART_S, _BOXES_S = 5.0, 2.0
 #: Not a parameter, it saves time: a motion that is farther off a place brings no event about.
-_ABOUT_M = 2.0
+ABOUT_M = 2.0
 #: Of the time by which an event may be earlier or later. No tunable: SUMO's vehicle is not where its rollout is.
 _SPARE_SHARE = 0.8
 _SIDES: tuple[tuple[Side, Side], ...] = (("left", "right"), ("right", "left"))
@@ -61,7 +61,7 @@ class Place:
         """(K,) whether a motion, m by the steps from 0 on, is about there in time; step_m (K,): its way in a step."""
         off = s - self.along[: s.size]
         low, high = self.beyond
-        return np.asarray((off > low - step_m - _ABOUT_M) & (off < high + step_m + _ABOUT_M))
+        return np.asarray((off > low - step_m - ABOUT_M) & (off < high + step_m + ABOUT_M))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

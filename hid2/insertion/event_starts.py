@@ -1,5 +1,6 @@
 """Candidates for an event: drawn over its places and rolled out; those count in which the judge sees the event."""
 
+import math
 from collections import Counter
 from dataclasses import KW_ONLY, dataclass, field, replace
 from itertools import pairwise
@@ -8,8 +9,8 @@ import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy, Track
 from hid2.drivers.driver import Driver, draw_driver
-from hid2.insertion.event_objective import Objective
-from hid2.insertion.event_places import Place
+from hid2.insertion.event_objective import MOMENT_S, Objective
+from hid2.insertion.event_places import ABOUT_M, Place
 from hid2.insertion.rollout import RolledOut, Rollout, World
 from hid2.insertion.starts import CLEAR_GAP_M, Site, Starts
 from hid2.motion.reference_line import TABLE_STEP_M
@@ -49,7 +50,8 @@ class Candidate:
 class EventStarts(Starts):
     """Starts with rollouts that bring an event about.
 
-    request: of its vehicle; places: at which it may come about; rolls: how many were rolled out.
+    request: of its vehicle; places: at which it may come about; rolls: how many were rolled out; _best: cost, place,
+    driver and begin, m on its path, of the one nearest to what is asked so far.
     """
 
     _: KW_ONLY
@@ -61,6 +63,7 @@ class EventStarts(Starts):
     _not_begun: Counter[int] = field(default_factory=Counter)
     _place: Place = field(init=False)
     _made: Start = field(init=False)
+    _best: tuple[float, Place, Driver, float] | None = None
 
     def __post_init__(self) -> None:
         """Nothing is rolled out yet."""
@@ -87,7 +90,32 @@ class EventStarts(Starts):
         return sorted(found, key=lambda one: one.cost)
 
     def _drawn(self, place: Place) -> Candidate | Reason:
-        """A candidate that begins where its driver would be at the place in time; or why it is none."""
+        """A candidate, or why it is none: a new driver at the place in time, or that of the best so far near by.
+
+        Of events that come about few are as critical as asked: by a little more or less way they are.
+        """
+        if self._best is None or self.rng.random() < 0.5:
+            begun = self._begins(place)
+            if begun is None:
+                return Reason.NO_SITE
+        else:
+            place, driver, first = self._best[1:]
+            begun = driver, first + self.rng.uniform(-ABOUT_M, ABOUT_M)
+        (driver, first), self._place = begun, place
+        start = self.make(self.request, Site(place.offer, place.path.to_raw(first)), driver=driver)
+        if isinstance(start, Reason):
+            return start
+        rolled = replace(self.rolled(start)[0], start=replace(self._made, offset=start.offset))
+        seen = self.objective.seen(track_of(rolled))
+        if seen is None:
+            return Reason.EVENT_NOT_THERE
+        cost = self.objective.cost(seen)
+        if cost < (math.inf if self._best is None else self._best[0]):
+            self._best = cost, place, driver, first
+        return self.objective.objection(seen) or Candidate(rolled, cost)
+
+    def _begins(self, place: Place) -> tuple[Driver, float] | None:
+        """A driver and where it begins, m along the path; None where that is not free."""
         scene, rng = self.scene, self.rng
         at = rng.choice(np.flatnonzero(np.isfinite(place.along)), _DRAWS)
         s = place.along[at] + rng.uniform(*place.beyond, _DRAWS)
@@ -100,17 +128,7 @@ class EventStarts(Starts):
         near = gaps_on_path(self.world.guard.known_on(place.path, self._box), begin_s, 0)
         clear = np.minimum(near.lead_m, near.lag_m) >= CLEAR_GAP_M
         clear &= (begin_s > 0.5 * self._box.length_m) & (s < place.path.exit_s)
-        if not clear.any():
-            return Reason.NO_SITE
-        first, self._place = float(begin_s[np.argmax(clear)]), place
-        start = self.make(self.request, Site(place.offer, place.path.to_raw(first)), driver=driver)
-        if isinstance(start, Reason):
-            return start
-        rolled = replace(self.rolled(start)[0], start=replace(self._made, offset=start.offset))
-        seen = self.objective.seen(track_of(rolled))
-        if seen is None:
-            return Reason.EVENT_NOT_THERE
-        return self.objective.objection(seen) or Candidate(rolled, self.objective.cost(seen))
+        return (driver, float(begin_s[np.argmax(clear)])) if clear.any() else None
 
     def _driver(self, place: Place, at: int, s: float) -> Driver:
         """A driver that goes with the traffic of its lane, with the target as it is then, or at its fastest.
@@ -163,6 +181,9 @@ class EventStarts(Starts):
         if self.objective.event.brakes_mps2:
             self._made = self._braking(start, moment, float(parts[0].v[moment]))
             parts = (world.roll(self._made),)
+            seen_at = self.objective.likely_step(track_of(world.rolled_out(start, parts)))
+            if seen_at is None or abs(seen_at - moment) > self.scene.steps_in(MOMENT_S):
+                return Reason.EVENT_NOT_THERE  # it would be seen to brake before
         found = world.objection(self._made, parts)
         if found is Reason.TTC_LANE_LEADER and place.side is not None:
             found = None  # one that stands aside on the lane left counts there: the judge tells before any is driven

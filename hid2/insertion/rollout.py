@@ -23,13 +23,14 @@ from hid2.kernels.rollout import CONTACT, LAG_TTC, LEAD_TTC, met_by, roll
 from hid2.measures.encounters import STANDS_FOR_S, STANDS_MPS
 from hid2.measures.scene_end import BoxesAtStep
 from hid2.motion.reference_line import TABLE_STEP_M
-from hid2.motion.route import DrivenPath
+from hid2.motion.route import DrivenPath, Jump
 from hid2.motion.smoothing import Motion, trajectory
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.gaps import Gaps, gaps_on_path
 from hid2.occupancy.shown import LEADS_FROM_M, SHOWN_M, Shown, shown_on
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.once import once
+from hid2.policy.decision import Side
 from hid2.policy.overtake import Stage
 from hid2.policy.roads import STRAIGHT, Roads
 from hid2.policy.rules import ASSUMED_ANSWER
@@ -287,11 +288,29 @@ class World:
                 asked.refuse(Reason.CONFLICT_PREDICTED)
             elif across is not None:
                 across.taken_by(vehicle)
-                vehicle.path, parts[-1] = across.path, part.until(step)
-                parts.append(self.roll(start, path=across.path, step=step, before=part, target=across.target))
+                onto = self.roll(start, path=across.path, step=step, before=part, target=across.target)
+                parts[-1:] = part.until(step), self._jumped(start, vehicle.path, onto, across.shift.side)
+                vehicle.path = across.path
             # it is soon past, and looks for a gap for long
             step += scene.steps_in(_PASSING_SHARE * _LOOKS_S if vehicle.stage is Stage.PASS else _LOOKS_S)
         return vehicle, tuple(parts)
+
+    def _jumped(self, start: Start, left: DrivenPath, onto: Rollout, side: Side) -> Rollout:
+        """The motion onto another lane, with what SUMO jumps to the facing cell given back on the way (`Jump`)."""
+        grid, front = self.scene.grid, float(onto.s[0]) + 0.5 * start.size.length_m
+        segment = next((one for one in left.followed if one.end > front), left.followed[-1])
+        cell = grid.cell_at(segment.lane_id, segment.lane_s(front))
+        if (link := grid.lateral(cell, side)) is None:
+            return onto
+        off, facing = (
+            grid.edges_s(link.target.lane_id)[cell.index] - grid.edges_s(cell.lane_id)[cell.index],
+            link.target,
+        )
+        there = onto.path.s_on(facing.lane_id, segment.lane_s(front) + float(off), after=float(onto.s[0]))
+        if there is None:
+            return onto
+        own = onto.s + (there - front)
+        return replace(onto, s=own + Jump.onto(onto.path, float(own[0]), front - there).left_m(own))
 
     def _meets_on(self, vehicle: DrivenVehicle, step: int, path: DrivenPath) -> bool:
         """Whether the guard would not let a vehicle go across on a path."""

@@ -142,7 +142,9 @@ def event_step(states: AgentStates, claim: EventClaim) -> int | None:
             return _merged(states, own, target)
         case "cross":
             steps = crossing_steps(states, own, target)
-            return None if steps is None or (steps[0] < steps[1]) is not claim.ahead else steps[0]
+            if steps is None or (steps[0] < steps[1]) is not claim.ahead or _merged(states, own, target) is not None:
+                return None  # ways that join cut each other where they do
+            return steps[0]
         case _:  # lead, follow
             return near if _leads(states, *((own, target) if claim.ahead else (target, own)), near) else None
 

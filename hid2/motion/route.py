@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,7 @@ PATH_STEP_M, MAX_OFFSET_M, _MAX_SHIFT_M, _LOOK_BACK_M = 1.0, 0.9, 5.5, 50.0
 ROUTE_LONGEST_M = 260.0
 #: Lane types open to general motor traffic.
 DRIVABLE_TYPES = frozenset({"VEHICLE"})
+_GIVEN_BACK = 0.05  # no tunable, not seen: share of its speed by which a vehicle gives back at most what SUMO jumped
 _BESIDE_TURN_M = 5.0  # before a turning lane and behind it its heading is compared; no tunable: what a turn is
 
 Route = tuple[int, ...]
@@ -125,6 +127,27 @@ class DrivenPath:
     def all_to_raw(self, s: FloatArray) -> FloatArray:
         """The same for many, (M,) m."""
         return np.interp(s, self.line.points_s, self.raw_s)
+
+
+class Jump(NamedTuple):
+    """What SUMO jumps, m, where it puts a vehicle from a cell onto the facing one, which lies a metre before or behind.
+
+    The vehicle goes on steadily and gives it back, from one arc length on its new path to another, m.
+    """
+
+    jump_m: float
+    since: float
+    until: float
+
+    @classmethod
+    def onto(cls, path: DrivenPath, own: float, jump_m: float) -> "Jump":
+        """On a path on which SUMO has the vehicle at an arc length, m: by the end of a change of lanes."""
+        end = path.shifts[-1][1] if path.shifts else own + 1.0
+        return cls(jump_m, own, max(own + abs(jump_m) / _GIVEN_BACK, end))
+
+    def left_m(self, own: FloatArray) -> FloatArray:
+        """How far the vehicle is ahead of SUMO's, m, where that is at arc lengths (K,) m."""
+        return self.jump_m * np.maximum(self.until - own, 0.0) / (self.until - self.since)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -1,9 +1,10 @@
 """Which events come about on real scenes: kind by target by moment, with what it costs. A script, no test:
 
     export PYTHONPATH=tests/support
-    python tests/benchmarks/event_figures.py --kinds cut_in cross --targets av focal --ttc 1.5:3 [ROOT ...]
+    python tests/benchmarks/event_figures.py --kinds cut_in cross --targets av focal --ttc 1.5:3 [--roots ROOT ...]
 
-Targets: av, focal, track ids, or `moving` for every recorded vehicle that moves.
+Targets: av, focal, any, track ids, or `moving` for every other recorded vehicle. Those are asked for that are seen for
+3 s around the moment, on a lane of the map, above 1 m/s.
 
 possible it came about, or any of 2,000 rollouts with another seed brings it about
 came     it came about, and is seen again in the exported positions by the rules below, which share nothing with the
@@ -16,7 +17,7 @@ import logging
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
@@ -32,7 +33,7 @@ from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import EventRecord
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray, Track
-from hid2.insertion.event_targets import target_of
+from hid2.insertion.event_targets import candidate_rows, target_of
 from hid2.insertion.events import EventSearch
 from hid2.insertion.meetings import moving_vehicles, named_rows
 from hid2.measures.encounters import CROSSING_RAD
@@ -41,10 +42,12 @@ from hid2.params import Config, Event, Request
 from hid2.scene import Scene
 from netconvert.geometry import Polyline
 
+Bands = dict[str, tuple[float, ...]]
 KINDS = get_args(Event.model_fields["kind"].annotation)
 MOMENTS_S, OVERTAKE_S = (3.0, 6.0), 9.0
-#: Nothing but an overtake is asked for later than this before the end, s, nor of a target that is slower, m/s.
-BEFORE_END_S, MOVES_MPS = 4.0, 1.0
+#: Nothing but an overtake is asked for later than this before the end, s, nor of a target that is slower, m/s, or is
+#: not there so long before and after, s.
+BEFORE_END_S, MOVES_MPS, SEEN_S = 4.0, 1.0, 1.5
 ROLLED_OUT, ANOTHER_SEED = 2000, 12345
 #: Off the target's path, m: in its lane at most, in the lane beside at least; how far over at the moment, share.
 ON_M, BESIDE_M, HALF_WAY = 1.3, 2.2, (0.2, 0.8)
@@ -77,7 +80,7 @@ def possible(prepared: PreparedScene, config: Config) -> bool:
 
 
 def crossing(a: FloatArray, b: FloatArray) -> tuple[int, int] | None:
-    """Rows of two ways (N, 2) m at which they first cut each other steeply."""
+    """Rows of two ways (N, 2) m at which they first cut each other steeply, oncoming ones too."""
     u, w = np.diff(a, axis=0), np.diff(b, axis=0)
     det = u[:, None, 0] * w[None, :, 1] - u[:, None, 1] * w[None, :, 0]
     off = b[None, :-1] - a[:-1, None]
@@ -85,7 +88,7 @@ def crossing(a: FloatArray, b: FloatArray) -> tuple[int, int] | None:
         t = (off[..., 0] * w[None, :, 1] - off[..., 1] * w[None, :, 0]) / det
         r = (off[..., 0] * u[:, None, 1] - off[..., 1] * u[:, None, 0]) / det
     lengths = np.hypot(*u.T)[:, None] * np.hypot(*w.T)[None]
-    steep = np.abs(det) > np.sin(CROSSING_RAD) * lengths
+    steep = u @ w.T < np.cos(CROSSING_RAD) * lengths
     hits = np.argwhere((t >= 0) & (t <= 1) & (r >= 0) & (r <= 1) & steep)
     return (int(hits[0, 0]), int(hits[0, 1])) if len(hits) else None
 
@@ -195,7 +198,17 @@ def floor_s(prepared: PreparedScene, scene: Scene) -> float:
     return min(taken)
 
 
-def measure(folder: Path, kinds: Sequence[str], targets: Sequence[str], ttc_s: object, said: Said) -> list[Row]:
+def is_eligible(scene: Scene, row: int, at: int) -> bool:
+    """Whether a recorded vehicle may be asked for at a step. row: of `scene.traffic`."""
+    target, around = target_of(scene, row), scene.steps_in(SEEN_S)
+    if target is None or not target.present[max(0, at - around) : at + around + 1].all():
+        return False
+    return bool(target.speed[at] >= MOVES_MPS) and target.lane_at(at) is not None
+
+
+def measure(
+    folder: Path, kinds: Sequence[str], targets: Sequence[str], bands: Callable[[str], Bands], said: Said
+) -> list[Row]:
     """All events of one scene, each asked for alone."""
     prepared = prepare(read_scenario(folder), Config())
     plain = Config(request=Request(agents=0, seed=0))
@@ -205,23 +218,18 @@ def measure(folder: Path, kinds: Sequence[str], targets: Sequence[str], ttc_s: o
     generate(prepared, plain.model_copy(update={"request": Request(agents=0, seed=1)}))
     base_s, floor = time.process_time() - begun, floor_s(prepared, scene)
     tracks = {track.track_id: track for track in prepared.scenario.tracks}
-    rows, moving = [], set(moving_vehicles(scene).tolist())
-    named = [
-        n for name in targets for n in ([scene.traffic.ids[r] for r in sorted(moving)] if name == "moving" else [name])
-    ]
+    rows, moving = [], moving_vehicles(scene).tolist()
+    others = [scene.traffic.ids[r] for r in moving if all(r not in named_rows(scene, n) for n in ("av", "focal"))]
+    named = [n for name in targets for n in (others if name == "moving" else [name])]
     for event in (
-        Event(kind=kind, target=target, at_s=(at_s, at_s), ttc_s=ttc_s)
+        Event(kind=kind, target=target, at_s=(at_s, at_s), **bands(kind))
         for kind in kinds
         for target in named
         for at_s in ((OVERTAKE_S,) if kind == "overtake" else MOMENTS_S)
     ):
-        row = next((r for r in named_rows(scene, event.target).tolist() if r in moving), None)
-        target = None if row is None else target_of(scene, row)
-        at = round(event.at_s[0] / scene.step_s)
-        latest_s = scene.last_s - (0.0 if event.kind == "overtake" else BEFORE_END_S)
-        if target is None or event.at_s[0] > latest_s or not target.present[at]:
-            continue
-        if target.speed[at] < MOVES_MPS or target.lane_at(at) is None:
+        latest_s, at = scene.last_s - (0.0 if event.kind == "overtake" else BEFORE_END_S), scene.steps_in(event.at_s[0])
+        among = candidate_rows(scene, event.target)
+        if event.at_s[0] > latest_s or not any(is_eligible(scene, row, at) for row in among):
             continue
         said.last, begun = "", time.process_time()
         config = plain.model_copy(update={"event": (event,)})
@@ -250,10 +258,10 @@ def measure(folder: Path, kinds: Sequence[str], targets: Sequence[str], ttc_s: o
 def summary(rows: Sequence[Row]) -> str:
     """By kind and target: how many of those that are possible came about, and what they cost."""
     lines = []
-    targets = list(dict.fromkeys(row.target for row in rows))
+    named = {row.target: row.target if row.target in ("av", "focal", "any") else "other" for row in rows}
     for kind in dict.fromkeys(row.kind for row in rows):
-        for target in (*(targets if len(targets) < 4 else ()), "all"):
-            some = [row for row in rows if row.kind == kind and target in (row.target, "all")]
+        for target in (*dict.fromkeys(named.values()), "all"):
+            some = [row for row in rows if row.kind == kind and target in (named[row.target], "all")]
             among = sum(row.possible for row in some)
             came, floors = sum(row.came for row in some), [row.floors for row in some] or [0.0]
             lines.append(
@@ -277,18 +285,24 @@ def main() -> None:
     parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=KINDS)
     parser.add_argument("--targets", nargs="+", default=["av", "focal"])
     parser.add_argument("--ttc", help="band of TTC asked for, A:B in s")
+    parser.add_argument("--pet", help="band of PET asked for of what crosses, in place of that of TTC, A:B in s")
     parser.add_argument("--only", nargs="+", default=[""], help="scenes whose ids begin with one of these")
-    parser.add_argument("roots", type=Path, nargs="*", help="data-set roots, by default the shared real scenes")
+    roots = [SHARED_DATA / "av2", SHARED_DATA / "wide"]
+    parser.add_argument("--roots", type=Path, nargs="+", default=roots, help="data-set roots")
     options = parser.parse_args()
-    ttc = None if options.ttc is None else tuple(float(one) for one in options.ttc.split(":"))
+
+    def bands(kind: str) -> Bands:
+        name, band = ("pet_s", options.pet) if kind == "cross" and options.pet else ("ttc_s", options.ttc)
+        return {name: tuple(float(one) for one in band.split(":"))} if band else {}
+
     said, log = Said(), logging.getLogger("hid2.insertion.events")
     log.addHandler(said)
     log.setLevel(logging.DEBUG)
     log.propagate = False
     rows = []
-    for folder in (one for root in options.roots or [SHARED_DATA / "av2"] for one in find_scenarios(root)):
+    for folder in (one for root in options.roots for one in find_scenarios(root)):
         if folder.name.startswith(tuple(options.only)):
-            rows += measure(folder, options.kinds, options.targets, ttc, said)
+            rows += measure(folder, options.kinds, options.targets, bands, said)
     print(summary(rows))
 
 

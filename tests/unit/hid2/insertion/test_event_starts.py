@@ -65,6 +65,12 @@ def test_candidates_have_the_gap_asked_for_in_their_rollouts(
     assert [one.cost for one in found] == sorted(one.cost for one in found)
 
 
+def test_a_narrow_band_is_come_to_from_the_nearest_that_is_found(scene_of: Callable[..., Scene]) -> None:
+    """Behind a target at 10 m/s: of 119 in 150 that come about at random 2 have a TTC below 10 s, 8.5 and 9.2 s."""
+    starts = _starts(scene_of(recorded(100.0, 0.0, 10.0)), kind="follow", ttc_s=(8.0, 8.6))
+    assert len([one for _ in range(3) for one in starts.draw(50)]) >= 8
+
+
 def test_cut_ins_change_to_the_lane_of_the_target_and_are_told_when(scene_of: Callable[..., Scene]) -> None:
     """From lane 2 to the right; over the line, at y = 1.75 m, at 4 s more or less, and the trigger before that."""
     found = _starts(scene_of(recorded(100.0, 0.0, 8.0)), kind="cut_in").draw(60)

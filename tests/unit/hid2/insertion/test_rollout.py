@@ -16,7 +16,7 @@ from hid2.kernels.steering import CAUSES
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
-from netconvert.lane_graph import LaneGraph
+from netconvert.lane_graph import LaneGraph, LaneSegment
 
 
 @pytest.fixture
@@ -96,6 +96,22 @@ def test_vehicle_is_rolled_out_anew_without_itself(world_of: Callable[..., World
     assert seen.low == pytest.approx(wanted.low)
     assert around.guard.fixed.ids == ("v0_0", "v2_0")
     assert world.guard.fixed.ids == ("v0_0", "v1_0")  # nothing is chosen by asking
+
+
+def test_a_cell_that_begins_farther_on_takes_a_vehicle_there(lane: Callable[..., LaneSegment]) -> None:
+    """SUMO puts a vehicle as far into the facing cell as into its own: 2 m on where the lane beside begins 2 m on."""
+    driven_on = []
+    for begin_m in (0.0, 2.0):
+        lanes = [
+            lane(1, [(0.0, 0.0), (300.0, 0.0)], left=2),
+            lane(2, [(begin_m, 3.5), (300.0 + begin_m, 3.5)], right=1),
+        ]
+        scene = scene_on(LaneGraph({one.lane_id: one for one in lanes}))
+        world = World(scene, Roads(scene), Guard(scene, Traffic.none(scene.future.num_steps), StopLines(scene)))
+        before, onto = world.act(start_on(scene, (1,), 50.0, 10.0, policy=Policy.LANE_CHANGE))[1]
+        assert onto.s[0] == pytest.approx(before.s[-1])
+        driven_on.append(onto.s[-1] - onto.s[0] - 0.05 * (onto.v[1:] + onto.v[:-1]).sum())
+    assert driven_on[1] - driven_on[0] == pytest.approx(2.0, abs=0.02)
 
 
 def test_only_what_comes_near_a_lane_change_makes_it_be_rolled_out_anew(world_of: Callable[..., World]) -> None:

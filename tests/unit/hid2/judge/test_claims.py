@@ -14,7 +14,7 @@ from hid2.judge.findings import Quantity
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.occupancy.agent_states import AgentStates, agent_states
-from netconvert.lane_graph import LaneGraph
+from netconvert.lane_graph import LaneGraph, LaneSegment
 
 STEPS = 110
 TIME = 0.1 * np.arange(STEPS)
@@ -151,6 +151,25 @@ def test_crossing_is_seen_in_the_order_that_is_claimed(states: Callable[..., Age
     assert crossing_steps(scene, 1, 0) == (pytest.approx(20, abs=1), pytest.approx(40, abs=1))
     assert event_step(scene, EventClaim("cross", "gen_0", "t", 2.0, ahead=True)) == pytest.approx(20, abs=1)
     assert event_step(scene, EventClaim("cross", "gen_0", "t", 2.0, ahead=False)) is None
+
+
+def test_paths_that_cut_each_other_where_they_join_are_a_merge(lane: Callable[..., LaneSegment]) -> None:
+    """Lanes 1 from the west and 2 from the south lead to 3. The vehicle comes to y = .5 m, then drives on along it.
+
+    It is at the beginning of lane 3 at 4 s, the target at 8 s.
+    """
+    graph = [
+        lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(3,)), lane(2, [(100.0, -60.0), (100.0, 0.0)], successors=(3,)),
+        lane(3, [(100.0, 0.0), (300.0, 0.0)]),
+    ]  # fmt: skip
+    way = 10.0 * TIME - 40.0
+    xy = np.column_stack([100.0 + np.maximum(way - 0.5, 0.0), np.minimum(way, 0.5)])
+    own = replace(_drive("gen_0", 0.0, 10.0), position=xy, heading=np.where(way < 0.5, np.pi / 2, 0.0))
+    lanes = flatten_lanes(LaneGraph({one.lane_id: one for one in graph}))
+    scene = agent_states([_drive("t", 20.0, 10.0), own], lanes, num_steps=STEPS, step_s=0.1)
+    assert crossing_steps(scene, 1, 0) == (pytest.approx(40, abs=1), pytest.approx(80, abs=1))
+    assert event_step(scene, EventClaim("cross", "gen_0", "t", 4.0, ahead=True)) is None
+    assert event_step(scene, EventClaim("merge", "gen_0", "t", 4.0, ahead=True)) == pytest.approx(40, abs=2)
 
 
 def test_paths_side_by_side_do_not_cross(states: Callable[..., AgentStates]) -> None:
