@@ -352,7 +352,7 @@ class Event(_Section):
         shown="2:7, overtake 4:10",
     )  # fmt: skip
     gap_m: Band | None = _option(
-        None, "m", "Bumper to bumper at that moment, in metres", "A:B", shown="4:30, cross 0:100"
+        None, "m", "Bumper to bumper at that moment, in metres", "A:B", shown="4:30, cut_in 4:15, cross 0:100"
     )
     speed_difference_mps: Band | None = _option(
         None, "m/s", "Own speed minus the target's at that moment, in m/s", "A:B", shown="-6:6, cross any"
@@ -373,7 +373,7 @@ class Event(_Section):
     @property
     def gap_band_m(self) -> Band:
         """Gap asked for; where none is, what is usual for the kind."""
-        return self.gap_m or ((0.0, 100.0) if self.kind == "cross" else (4.0, 30.0))
+        return self.gap_m or {"cross": (0.0, 100.0), "cut_in": (4.0, 15.0)}.get(self.kind, (4.0, 30.0))
 
     @property
     def difference_band_mps(self) -> Band:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hid2.judge.events import crossing_steps, measure_event
+from hid2.judge.events import CUT_IN_S, HUMAN_BRAKES_S, crossing_steps, measure_event
 from hid2.judge.findings import CLAIM_S, FIGURE_OFF, Finding, Quantity
 from hid2.measures.arrays import BoolArray
 from hid2.measures.driven_lanes import path_driven, runs_of
@@ -154,8 +154,10 @@ def _of(states: AgentStates, agent: int) -> BoolArray:
 
 
 def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None:
-    """The vehicle crosses from a lane beside the target's path into it, ahead of the target.
+    """The vehicle crosses from a lane beside the target's path into it, ahead of the target, and near to it.
 
+    Near: it leaves less than the time gap that is recommended, or than the TTC before which drivers brake; with more
+    it is an ordinary change of lanes.
     The target is on that path since CLAIM_S at least: where it changes into the lane itself, no vehicle cuts in on it;
     nor does one where it changes to another lane before it is there.
     """
@@ -179,7 +181,9 @@ def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None
         (own_s, target_s, left_s), _ = path.frenet(
             arrays.position[[row, there, row if left is None else runs[left].last]]
         )
-        if left_s >= own_s > target_s + (arrays.length[own] + arrays.length[target]) / 2:
+        gap_m = own_s - target_s - (arrays.length[own] + arrays.length[target]) / 2
+        own_mps, target_mps = np.hypot(*arrays.velocity[[row, there]].T)
+        if left_s >= own_s and 0.0 < gap_m < max(CUT_IN_S * target_mps, HUMAN_BRAKES_S * (target_mps - own_mps)):
             steps.append(step)
     return min(steps, key=lambda step: abs(step - near), default=None)
 

@@ -17,6 +17,8 @@ from hid2.occupancy.gaps import gaps_from_pose
 CAP_S = 10.0
 #: Drivers brake before this TTC, s: 90 % of the followers of lane changes.
 HUMAN_BRAKES_S = 4.7
+#: A cut-in leaves its target less than this, s: the time gap that is recommended.
+CUT_IN_S = 1.8
 #: No tunables: what an event is like for its target is looked for until so long after the moment, s, as the target
 #: does not react and may run into whatever is ahead of it later; of a cut-in from when the vehicle is about half way
 #: over, s before the moment.

@@ -232,7 +232,10 @@ def _event_cut_in(scene: SecondScene, track: SecondTrack, target: SecondTrack, o
     ahead = dict(zip(np.round(seen[0] / DT_S).astype(int).tolist(), seen[1].tolist(), strict=True))
     for moment, crossed in _changes(track, beside, inside):
         step = int(track.steps[crossed])
-        if ahead.get(step, -1.0) > 0.0 and _from_beside(scene, held[crossed], track.xy[crossed], own):
+        mps = float(np.hypot(*target.moved[target.row_of[step]])) if step in target.row_of else 0.0
+        near_m = max(1.8 * mps, 4.7 * (mps - float(np.hypot(*track.moved[crossed]))))
+        near_m = 1.05 * near_m + 0.5 * (track.length_m + target.length_m) + 1.0  # by centres, and its own moment
+        if 0.0 < ahead.get(step, -1.0) < near_m and _from_beside(scene, held[crossed], track.xy[crossed], own):
             offs.append(abs(moment - at))
     return min(offs, default=math.inf)
 
