@@ -34,7 +34,9 @@ _HOLDS_S, DRIVERS, _FROM_EDGE_M = 3.0, 3, 0.5
 CLEAR_GAP_M = 2.0
 #: So long after its beginning, s, a vehicle has braked so hard in the mean, m/s2, at most, as nine in ten of those
 #: recorded from step 0 on (89 of 98 in fourteen scenes).
-_BEGINS_S, BEGIN_BRAKING_MPS2 = 1.3, 0.5
+_BEGINS_S, _BEGIN_BRAKING_MPS2 = 1.3, 0.5
+#: Before that, for the leader that it has then, it may have to brake so hard, m/s2.
+BEGIN_BRAKING_MPS2 = 0.8
 #: Verdicts that another driver may change.
 _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.FOLLOWER_HEADWAY, Reason.LEAVES_TOO_EARLY})
 #: No tunable: by so much, s, SUMO may be later than a rollout at the end of an overtake.
@@ -148,6 +150,7 @@ class Starts:
         gap_m = self.guard.stop_lines.on(path, begin.box).gap_m(begin.start_s, step)
         if LINE_GAP_M[0] <= gap_m <= LINE_GAP_M[1]:  # it stands where it is
             driver = replace(driver, line_gap_m=gap_m)
+        is_given = speed_mps is not None
         if speed_mps is None:
             wander_mps = config.drivers.wander_sd_mps * min(max(rng.standard_normal(), -2.0), 2.0)
             speed_mps = max(0.0, driver.desired_mps + wander_mps)
@@ -166,7 +169,7 @@ class Starts:
             step=step, leader=begin.site.leader,
         )  # fmt: skip
         rolled = self._does(self.world, start)
-        for _ in range(DRIVERS):  # once is enough for most
+        for _ in range(0 if is_given else DRIVERS):  # one that is to overtake begins as that is foreseen
             if isinstance(rolled, Reason) or not rolled or (eased_mps := self._eased_mps(rolled[0])) >= start.start_mps:
                 break
             if eased_mps < SLOWEST_SHARE * driver.desired_mps:
@@ -215,7 +218,7 @@ class Starts:
     def _eased_mps(self, begins: Rollout) -> float:
         """Speed to begin with for one that would brake at once: what it falls to is reached without braking hard."""
         step = min(self.scene.steps_in(_BEGINS_S), begins.v.size - 1)
-        return float(begins.v[step]) + BEGIN_BRAKING_MPS2 * step * self.scene.step_s
+        return float(begins.v[step]) + _BEGIN_BRAKING_MPS2 * step * self.scene.step_s
 
     def _hinders(self, start: Start, parts: tuple[Rollout, ...], headway_s: float) -> Reason | None:
         """Why others cannot go on with a candidate ahead of them: recorded ones, and those chosen before.
