@@ -102,13 +102,12 @@ def facts_of(
     )
 
 
-def _own_in(can: Sequence[str]) -> list[str]:
-    """Behaviours of a user's own among the names of `Selection.can`, loaded. Errors: ConfigError."""
+def _own_in(can: Sequence[str]) -> dict[str, Policy]:
+    """Policies of the behaviours of a user's own among the names of `Selection.can`, loaded. Errors: ConfigError."""
     own = [name for name in can if ":" in name and name not in EVENTS]
     if own:
         find_in_working_folder()
-        load_own(own)
-    return own
+    return load_own(own)
 
 
 def describe_scene(asked: Sequence[str], folder: Address) -> SceneFacts:
@@ -146,7 +145,7 @@ def describe_scene(asked: Sequence[str], folder: Address) -> SceneFacts:
         events=" ".join(
             (
                 *offered_events(here, [name for name in asked if name not in own]),
-                *(name for name in own if routes.map_offers(Policy(name.partition(":")[2]))),
+                *(name for name, policy in own.items() if routes.map_offers(policy)),
             )
         ),
         shift_m=round(figures_of(scenario).shift_m, 1),

@@ -302,11 +302,8 @@ class World:
         cell = grid.cell_at(segment.lane_id, segment.lane_s(front))
         if (link := grid.lateral(cell, side)) is None:
             return onto
-        off, facing = (
-            grid.edges_s(link.target.lane_id)[cell.index] - grid.edges_s(cell.lane_id)[cell.index],
-            link.target,
-        )
-        there = onto.path.s_on(facing.lane_id, segment.lane_s(front) + float(off), after=float(onto.s[0]))
+        off = grid.edges_s(link.target.lane_id)[cell.index] - grid.edges_s(cell.lane_id)[cell.index]
+        there = onto.path.s_on(link.target.lane_id, segment.lane_s(front) + float(off), after=float(onto.s[0]))
         if there is None:
             return onto
         own = onto.s + (there - front)

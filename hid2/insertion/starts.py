@@ -33,8 +33,8 @@ _HOLDS_S, DRIVERS, _FROM_EDGE_M = 3.0, 3, 0.5
 #: Smallest bumper gap at the start, m: what drivers keep standing.
 CLEAR_GAP_M = 2.0
 #: So long after its beginning, s, a vehicle has braked so hard in the mean, m/s2, at most, as nine in ten of those
-#: recorded from step 0 on (89 of 98 in fourteen scenes).
-_BEGINS_S, _BEGIN_BRAKING_MPS2 = 1.3, 0.5
+#: recorded from step 0 on (89 of 98 in fourteen scenes). It saves time: once is enough for most, no more are tried.
+_BEGINS_S, _BEGIN_BRAKING_MPS2, _EASED_AT_MOST = 1.3, 0.5, 3
 #: Before that, for the leader that it has then, it may have to brake so hard, m/s2.
 BEGIN_BRAKING_MPS2 = 0.8
 #: Verdicts that another driver may change.
@@ -58,7 +58,10 @@ class Site(NamedTuple):
 
 
 class _Begin(NamedTuple):
-    """What is known of a beginning before its driver: s, start_s: along the route's lanes and on the path, m."""
+    """What is known of a beginning before its driver: s, start_s: along the route's lanes and on the path, m.
+
+    line_gap_m: from its front to the nearest closed line.
+    """
 
     request: VehicleRequest
     site: Site
@@ -66,6 +69,7 @@ class _Begin(NamedTuple):
     box: BoxSize
     s: float
     start_s: float
+    line_gap_m: float
     sides: tuple[Side, ...] | None
 
 
@@ -133,7 +137,8 @@ class Starts:
             leader = self.meetings.leader_of(scene.cell_at(path, start_s), offer.route)
         if config.request.sites == "promising" and driver is None:
             flow_mps = max(self.meetings.pace_of(leader), self._follower_mps(path, box, start_s, step))
-        begin = _Begin(request, site._replace(leader=leader), path, box, s, start_s, sides)
+        line_gap_m = self.guard.stop_lines.on(path, box).gap_m(start_s, step)
+        begin = _Begin(request, site._replace(leader=leader), path, box, s, start_s, line_gap_m, sides)
         made: Start | Reason = Reason.NO_SITE
         for _ in range(1 if driver is not None else DRIVERS):
             # a driver goes with the flow of its leader and follower, or would not be there
@@ -146,11 +151,9 @@ class Starts:
     def _begun(self, begin: _Begin, driver: Driver, speed_mps: float | None) -> Start | Reason:
         """The start of a driver at a site, at about its desired speed unless told; or what speaks against it."""
         scene, config, rng, request, path = self.scene, self.scene.config, self.rng, begin.request, begin.path
-        step = begin.site.step
-        gap_m = self.guard.stop_lines.on(path, begin.box).gap_m(begin.start_s, step)
-        if LINE_GAP_M[0] <= gap_m <= LINE_GAP_M[1]:  # it stands where it is
-            driver = replace(driver, line_gap_m=gap_m)
-        is_given = speed_mps is not None
+        step, is_given = begin.site.step, speed_mps is not None
+        if LINE_GAP_M[0] <= begin.line_gap_m <= LINE_GAP_M[1]:  # it stands where it is
+            driver = replace(driver, line_gap_m=begin.line_gap_m)
         if speed_mps is None:
             wander_mps = config.drivers.wander_sd_mps * min(max(rng.standard_normal(), -2.0), 2.0)
             speed_mps = max(0.0, driver.desired_mps + wander_mps)
@@ -169,13 +172,8 @@ class Starts:
             step=step, leader=begin.site.leader,
         )  # fmt: skip
         rolled = self._does(self.world, start)
-        for _ in range(0 if is_given else DRIVERS):  # one that is to overtake begins as that is foreseen
-            if isinstance(rolled, Reason) or not rolled or (eased_mps := self._eased_mps(rolled[0])) >= start.start_mps:
-                break
-            if eased_mps < SLOWEST_SHARE * driver.desired_mps:
-                return Reason.NO_SITE
-            start = replace(start, start_mps=eased_mps)
-            rolled = self._does(self.world, start)
+        if not is_given:  # one that is to overtake begins as that is foreseen
+            start, rolled = self._eased(start, rolled)
         if isinstance(rolled, Reason):
             return rolled
         usual = partial(scene.place_on, path)
@@ -215,10 +213,20 @@ class Starts:
                 return Reason.SCENE_ENDED
         return parts
 
-    def _eased_mps(self, begins: Rollout) -> float:
-        """Speed to begin with for one that would brake at once: what it falls to is reached without braking hard."""
-        step = min(self.scene.steps_in(_BEGINS_S), begins.v.size - 1)
-        return float(begins.v[step]) + _BEGIN_BRAKING_MPS2 * step * self.scene.step_s
+    def _eased(self, start: Start, rolled: tuple[Rollout, ...] | Reason) -> tuple[Start, tuple[Rollout, ...] | Reason]:
+        """A start that does not brake hard at once, with its rollout: as slow as what its speed falls to allows."""
+        for _ in range(_EASED_AT_MOST):
+            if isinstance(rolled, Reason) or not rolled:
+                break
+            v, step = rolled[0].v, min(self.scene.steps_in(_BEGINS_S), rolled[0].v.size - 1)
+            eased_mps = float(v[step]) + _BEGIN_BRAKING_MPS2 * step * self.scene.step_s
+            if eased_mps >= start.start_mps:
+                break
+            if eased_mps < SLOWEST_SHARE * start.driver.desired_mps:
+                return start, Reason.NO_SITE
+            start = replace(start, start_mps=eased_mps)
+            rolled = self._does(self.world, start)
+        return start, rolled
 
     def _hinders(self, start: Start, parts: tuple[Rollout, ...], headway_s: float) -> Reason | None:
         """Why others cannot go on with a candidate ahead of them: recorded ones, and those chosen before.

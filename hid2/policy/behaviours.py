@@ -109,11 +109,13 @@ def behaviour_seen(kind: ManeuverKind) -> Behaviour:
     return _SEEN[kind]
 
 
-def load_own(names: Collection[str]) -> None:
+def load_own(names: Collection[str]) -> dict[str, Policy]:
     """Import behaviours of a user's own, "module:name" with the name of their policy, so that they can be asked for.
 
-    Errors: ConfigError for what cannot be imported, is no `Behaviour`, or has another name.
+    Returns their policies by these names. Errors: ConfigError for what cannot be imported, is no `Behaviour`, or has
+    another name.
     """
+    loaded = {}
     for name in names:
         module, _, policy = name.partition(":")
         try:
@@ -126,4 +128,5 @@ def load_own(names: Collection[str]) -> None:
             raise ConfigError(f"request.own: {name!r} is {found!r:.200}, expected {wanted}")
         if not found.seen_as or (found.turn is None) == (not found.sides):
             raise ConfigError(f"request.own: {name!r}: expected seen_as, and either a turn or sides")
-        BEHAVIOURS[found.policy] = found
+        BEHAVIOURS[found.policy], loaded[name] = found, found.policy
+    return loaded

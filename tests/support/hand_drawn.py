@@ -37,3 +37,15 @@ def draw_lane(
         width_m=width_m,
         turn=turn_type(centerline, is_intersection=is_intersection),
     )
+
+
+def draw_crossing() -> tuple[LaneSegment, ...]:
+    """Lanes 1 (0 .. 60 m), 2 (the intersection, 60 .. 80 m), 3 (to 200 m) along the x axis; 4, 5, 6 cross at x = 70."""
+    return (
+        draw_lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
+        draw_lane(2, [(60.0, 0.0), (80.0, 0.0)], successors=(3,), is_intersection=True),
+        draw_lane(3, [(80.0, 0.0), (200.0, 0.0)]),
+        draw_lane(4, [(70.0, -90.0), (70.0, -10.0)], successors=(5,)),
+        draw_lane(5, [(70.0, -10.0), (70.0, 10.0)], successors=(6,), is_intersection=True),
+        draw_lane(6, [(70.0, 10.0), (70.0, 90.0)]),
+    )

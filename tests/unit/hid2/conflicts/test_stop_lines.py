@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hand_drawn import draw_crossing
 from inserted import CAR, DRIVER, recorded, scene_on
 
 from hid2.agents import BoxSize, Track
@@ -13,7 +14,7 @@ from hid2.kernels.guard import stop_ahead
 from hid2.kernels.steering import CAUSES
 from hid2.params import Config, Signals
 from hid2.scene import Scene
-from netconvert.lane_graph import LaneGraph, LaneSegment
+from netconvert.lane_graph import LaneGraph
 
 #: Every value that a number below is worked from; the defaults may be tuned.
 CONFIG = Config(signals=Signals(before_s=2.0, after_s=3.0))
@@ -23,23 +24,15 @@ STOP_S = 56.75
 
 
 @pytest.fixture
-def junction(lane: Callable[..., LaneSegment]) -> Callable[..., Scene]:
+def junction() -> Callable[..., Scene]:
     """junction(*recorded) -> lanes 1 (0 .. 60 m), 2 (the intersection, 60 .. 80 m) and 3 along the x axis.
 
     Lanes 4, 5 and 6 cross it at x = 70, and a pedestrian crossing lies over lane 3 from x = 100 to 103 m.
     """
 
     def make(*tracks: Track) -> Scene:
-        lanes = (
-            lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
-            lane(2, [(60.0, 0.0), (80.0, 0.0)], successors=(3,), is_intersection=True),
-            lane(3, [(80.0, 0.0), (200.0, 0.0)]),
-            lane(4, [(70.0, -90.0), (70.0, -10.0)], successors=(5,)),
-            lane(5, [(70.0, -10.0), (70.0, 10.0)], successors=(6,), is_intersection=True),
-            lane(6, [(70.0, 10.0), (70.0, 90.0)]),
-        )
         zebra = np.array([(100.0, -6.0), (100.0, 6.0), (103.0, 6.0), (103.0, -6.0)])
-        graph = LaneGraph({one.lane_id: one for one in lanes}, pedestrian_crossings=(zebra,))
+        graph = LaneGraph({one.lane_id: one for one in draw_crossing()}, pedestrian_crossings=(zebra,))
         return scene_on(graph, *tracks, config=CONFIG)
 
     return make

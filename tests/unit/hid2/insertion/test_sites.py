@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hand_drawn import draw_lane
+from hand_drawn import draw_crossing, draw_lane
 from inserted import CAR, DRIVER, nobody, recorded, scene_on
 from scipy.stats import chisquare
 
@@ -114,20 +114,12 @@ def test_starts_behind_slow_traffic_are_no_faster_than_it_allows(scene_of: Calla
     assert all(0.0 < start.start_mps <= start.desired[0] + 1e-9 for start in starts)
 
 
-def test_vehicle_that_begins_at_a_red_line_stands_there(lane: Callable[..., LaneSegment]) -> None:
+def test_vehicle_that_begins_at_a_red_line_stands_there() -> None:
     """Cross traffic has the intersection at 60 m: with its front within what drivers keep of that, it stands.
 
     20 m before it begins to drive; a meter past what drivers keep it came on red.
     """
-    lanes = (
-        lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
-        lane(2, [(60.0, 0.0), (80.0, 0.0)], successors=(3,), is_intersection=True),
-        lane(3, [(80.0, 0.0), (300.0, 0.0)]),
-        lane(4, [(70.0, -90.0), (70.0, -10.0)], successors=(5,)),
-        lane(5, [(70.0, -10.0), (70.0, 10.0)], successors=(6,), is_intersection=True),
-        lane(6, [(70.0, 10.0), (70.0, 90.0)]),
-    )
-    graph = LaneGraph({one.lane_id: one for one in lanes})
+    graph = LaneGraph({one.lane_id: one for one in draw_crossing()})
     scene = scene_on(graph, recorded(70.0, -8.0, 9.0, heading=np.pi / 2))
     (offer,) = (one for one in Surroundings(scene).routes.offers(1) if one.route == (1, 2, 3))
     begun = {
