@@ -105,6 +105,10 @@ class Reason(StrEnum):
     SCENE_ENDS = "scene_ends", "The scene ends before the manoeuvre could be completed."
     # outcomes of manoeuvres that were begun
     SCENE_ENDED = "scene_ended", "The scene or the map ended first."
+    WAITS_AT_LINE = (
+        "waits_at_line",
+        "A red light, or a crossing that is walked on, is ahead of it until the scene ends.",
+    )
     SCENE_ENDED_ENTERING = "scene_ended_entering", "The scene ended while the vehicle entered the overtaking lane."
     SCENE_ENDED_RETURNING = "scene_ended_returning", "The scene ended while the vehicle returned."
     PASSED_WITHOUT_RETURN = "passed_without_return", "The leader was passed, but the vehicle did not return."

@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, field, replace
 
@@ -33,8 +33,9 @@ _MOST, _FULL_SHARE, _FAILED, _FAILED_STRAIGHT, _AGAIN = 400, 0.1, 4, 1, 1
 SPACING_M = 25.0
 #: Runs one simulation: starts, generated vehicles kept in rounds before, number of the round.
 Drive = Callable[[Sequence[Start], Traffic, int], list[DrivenVehicle]]
-#: Rounds in a row that add no vehicle, after which there are no more. No tunable: one may have had bad luck.
-_IDLE = 2
+#: Rounds in a row that add no vehicle, after which there are no more. Not a parameter, it bounds the search: each draws
+#: places anew, and those that find no start cost little.
+_IDLE = 4
 _LOG = logging.getLogger(__name__)
 
 
@@ -193,7 +194,7 @@ class Filling:
         used = {start.request.number for start in starts}
         waiting = sorted(self._open, key=lambda request: (BEHAVIOURS[request.policy].site_order, request.number))
         waiting = [request for request in waiting if request.number not in used]
-        failed, why, redrawn = Counter[Policy](), dict[Policy, Reason](), False
+        failed, refused, redrawn = Counter[Policy](), defaultdict[Policy, Counter[Reason]](Counter), False
         for request in waiting:  # those with no place for their manoeuvre go straight, and come last
             if request.number in used:
                 continue
@@ -213,16 +214,15 @@ class Filling:
                     self._last_reason[slow.number] = Reason.LEADS_AN_OVERTAKE
                     self._gives_up(slow)
                 failed[policy] += not found
-                if not found:
-                    why[policy] = _found_none(policy, sites, sites.starts.rejected - before)
+                refused[policy] += sites.starts.rejected - before
             if not found and not straight:  # what became of a vehicle that was driven for it says more
-                self._last_reason.setdefault(request.number, why[policy])
+                self._last_reason.setdefault(request.number, _found_none(policy, sites, refused[policy]))
                 waiting.append(self._gives_up(request))
             used.update(start.request.number for start in found)
             starts += found
         self.no_site.update(sites.starts.rejected)
-        refused = ", ".join(f"{reason} {count}" for reason, count in sites.starts.rejected.most_common())
-        _LOG.debug("round %d: %d starts; sites turned down: %s", number, len(starts), refused or "none")
+        turned_down = ", ".join(f"{reason} {count}" for reason, count in sites.starts.rejected.most_common())
+        _LOG.debug("round %d: %d starts; sites turned down: %s", number, len(starts), turned_down or "none")
         return starts
 
     def _to_lead(self, request: VehicleRequest, others: list[VehicleRequest]) -> VehicleRequest | None:
@@ -360,10 +360,11 @@ class Filling:
 
 
 def _found_none(policy: Policy, sites: InsertionSites, refused: Counter[Reason]) -> Reason:
-    """Why no site was found: what most of those looked at were turned down for."""
+    """Why no site was found: what most of those looked at were turned down for, rather than for being taken."""
     if policy is Policy.OVERTAKE and sites.overtakes.found_none is not None:
         return sites.overtakes.found_none
-    return refused.most_common(1)[0][0] if refused else Reason.NO_CELL_IN_REACH
+    ranked = sorted(refused, key=lambda reason: (reason is Reason.NO_SITE, -refused[reason]))
+    return ranked[0] if ranked else Reason.NO_CELL_IN_REACH
 
 
 def _needs(vehicle: DrivenVehicle, least_steps: int) -> set[str]:

@@ -209,8 +209,10 @@ class Starts:
             turn = first_turn(scene.grid.graph, start.path, kind, after=start.start_s)
             if turn is None:
                 return Reason.TURN_NOT_SEEN
-            if parts[-1].s[-1] < turn.end + 1.0:
-                return Reason.SCENE_ENDED
+            last_s, last = float(parts[-1].s[-1]), scene.num_steps - 1
+            if last_s < turn.end + 1.0:
+                room_m = self.guard.stop_lines.on(start.path, start.box).room_m(last_s, last, start.driver)
+                return Reason.WAITS_AT_LINE if room_m < turn.end - last_s else Reason.SCENE_ENDED
         return parts
 
     def _eased(self, start: Start, rolled: tuple[Rollout, ...] | Reason) -> tuple[Start, tuple[Rollout, ...] | Reason]:

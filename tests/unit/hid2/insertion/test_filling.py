@@ -1,5 +1,6 @@
 """Rounds of filling a scene; in SUMO's place a function says how the starts were driven."""
 
+import itertools
 import logging
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -200,8 +201,8 @@ def test_vehicle_that_another_one_needs_stays_before_one_that_none_needs(scene_f
         assert not {"v2_0", "v3_0"} - {needed} & kept
 
 
-def test_two_rounds_that_add_no_vehicle_are_the_last(scene_for: Callable[..., Scene]) -> None:
-    """Round 0 keeps v0 to v2; v3 fails in this one and in all that follow, which are two instead of eleven."""
+def test_four_rounds_that_add_no_vehicle_are_the_last(scene_for: Callable[..., Scene]) -> None:
+    """Round 0 keeps v0 to v2; v3 fails in this one and in all that follow, which are four instead of eleven."""
 
     def spoil(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
         if vehicle.start.request.number == 3:
@@ -209,8 +210,26 @@ def test_two_rounds_that_add_no_vehicle_are_the_last(scene_for: Callable[..., Sc
         return vehicle
 
     filling, drive = _fill(scene_for(rounds=12), spoil)
-    assert [len(starts) for starts in drive.rounds] == [4, 1, 1]
+    assert [len(starts) for starts in drive.rounds] == [4, 1, 1, 1, 1]
     assert len(filling.kept) == 3
+
+
+def test_reason_of_a_manoeuvre_without_a_site_is_what_turns_most_down_rather_than_that_places_are_taken(
+    scene_for: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two places in three are taken, and from the others lane changes are too slow: all of them name that."""
+    make, count = Starts.make, itertools.count()
+
+    def too_slow(starts: Starts, request: VehicleRequest, site: Site) -> Start | Reason:
+        if request.policy is not Policy.LANE_CHANGE:
+            return make(starts, request, site)
+        return Reason.TOO_SLOW if next(count) % 3 == 0 else Reason.NO_SITE
+
+    monkeypatch.setattr(Starts, "make", too_slow)
+    filling, _ = _fill(scene_for(straight=0.5, lane_change=0.5, trigger_min_s=1.0, trigger_max_s=1.0))
+    lane_changes = [one.reason for one in filling.unmet if one.request.policy is Policy.LANE_CHANGE]
+    assert lane_changes
+    assert set(lane_changes) == {Reason.TOO_SLOW}
 
 
 def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(

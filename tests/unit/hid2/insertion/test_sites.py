@@ -14,7 +14,7 @@ from scipy.stats import chisquare
 
 from hid2.agents import Policy, Track
 from hid2.conflicts.guard import Guard
-from hid2.conflicts.stop_lines import StopLines
+from hid2.conflicts.stop_lines import ClosedLines, StopLines
 from hid2.insertion.rollout import World
 from hid2.insertion.sites import InsertionSites
 from hid2.insertion.spread import Spread
@@ -135,6 +135,27 @@ def test_vehicle_that_begins_at_a_red_line_stands_there() -> None:
     assert before.start_mps > 3.0
     assert before.driver == DRIVER
     assert begun[62.6] is Reason.ENTERS_ON_RED
+
+
+@pytest.mark.parametrize(("red", "reason"), [(True, Reason.WAITS_AT_LINE), (False, Reason.SCENE_ENDED)])
+def test_turn_behind_a_red_line_says_that_the_vehicle_waits(
+    monkeypatch: pytest.MonkeyPatch, red: bool, reason: Reason
+) -> None:
+    """30 m before a turn to the left that is red throughout; 150 m before one that is not, farther than it drives."""
+    at_m = 60.0 if red else 180.0
+    bend = [(at_m + 15.0 * np.sin(a), 15.0 - 15.0 * np.cos(a)) for a in np.linspace(0.0, np.pi / 2, 12)]
+    graph = LaneGraph({
+        1: draw_lane(1, [(0.0, 0.0), (at_m, 0.0)], successors=(2,)),
+        2: draw_lane(2, bend, successors=(3,), is_intersection=True),
+        3: draw_lane(3, [bend[-1], (at_m + 15.0, 200.0)]),
+    }, drivable_areas=())  # fmt: skip
+    scene = scene_on(graph)
+    closed = np.full((1, scene.num_steps), red)
+    line = ClosedLines(np.array([at_m - CAR.length_m / 2]), np.array([at_m + 24.0]), closed, np.array([0]))
+    monkeypatch.setattr(StopLines, "on", lambda *_: line)
+    (offer,) = Surroundings(scene).routes.offers(1)
+    made = _sites(scene).starts.make(_request(0, Policy.LEFT_TURN), Site(offer, 30.0), driver=DRIVER)
+    assert made is reason
 
 
 def test_vehicle_does_not_begin_with_braking(scene_of: Callable[..., Scene]) -> None:
