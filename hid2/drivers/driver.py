@@ -76,10 +76,11 @@ def draw_driver(config: Config, rng: np.random.Generator, *, lane_speed_mps: flo
     desired, tau, accel, decel, min_gap = draws(5)
     turn_lateral_mps2 = float(rng.uniform(law.turn_lateral_min_mps2, law.turn_lateral_max_mps2))
     offset, lane_change, wander = draws(3)
+    desired_mps = lane_speed_mps * (1.0 + law.desired_sd * desired)
+    if desired_mps < spawn.min_speed_mps:  # they do not all wish the same
+        desired_mps = spawn.min_speed_mps * (1.0 + law.desired_sd * abs(desired))
     return Driver(
-        desired_mps=_clipped(
-            lane_speed_mps * (1.0 + law.desired_sd * desired), spawn.min_speed_mps, spawn.max_speed_mps
-        ),
+        desired_mps=min(desired_mps, spawn.max_speed_mps),
         tau_s=max(0.6, law.tau_mean_s + law.tau_sd_s * tau),
         accel_mps2=_clipped(law.accel_mean_mps2 + law.accel_sd_mps2 * accel, 0.6, config.limits.accel_max_mps2),
         decel_mps2=_clipped(law.decel_mean_mps2 + law.decel_sd_mps2 * decel, 0.8, -config.limits.accel_min_mps2),

@@ -251,7 +251,7 @@ def _passes_m(vehicle: AgentStates, others: AgentStates) -> float:
     traffic = traffic.rows(np.flatnonzero((apart_m < _PASSES_NEAR_M).any(axis=1)).tolist())
     seen = gaps_from_poses(own.position[0], forward, BoxSize(own.length_m[0], own.width_m[0]), traffic)
     passes = own.present & traffic.present & (seen.gap_m < 0.0)
-    passes &= np.cos(traffic.heading - own.heading) < -SAME_WAY
+    passes &= np.abs(np.cos(traffic.heading - own.heading)) > SAME_WAY
     passes &= np.hypot(traffic.velocity[..., 0], traffic.velocity[..., 1]) > MOVES_MPS
     return float(seen.aside_m[passes].min(initial=math.inf))
 
