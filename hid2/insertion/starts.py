@@ -15,7 +15,7 @@ from hid2.insertion.meetings import Meetings
 from hid2.insertion.rollout import QUEUE_M, SLOWEST_SHARE, RolledOut, Rollout, World
 from hid2.insertion.routes import RouteOffer
 from hid2.judge.findings import CURVATURE_KEPT, FOLLOWER_HEADWAY_S, LEADER_LENGTH_S
-from hid2.measures.encounters import FOLLOWS_S, STANDS_MPS
+from hid2.measures.encounters import BRAKES_FOR_S, FOLLOWS_S, STANDS_MPS
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
 from hid2.occupancy.gaps import Gaps, gaps_from_pose, gaps_on_path, gaps_to_all
@@ -35,11 +35,13 @@ CLEAR_GAP_M = 2.0
 #: So long after its beginning, s, a vehicle has braked so hard in the mean, m/s2, at most, as nine in ten of those
 #: recorded from step 0 on (89 of 98 in fourteen scenes). It saves time: once is enough for most, no more are tried.
 _BEGINS_S, _BEGIN_BRAKING_MPS2, _EASED_AT_MOST = 1.3, 0.5, 3
-#: So long before it begins, s, it was not where its leader or follower was, both at the speeds that they have then (of
-#: recorded vehicles behind a leader .5 % would have been, at any step).
+#: No tunable: so long before it begins, s, a vehicle was not where its leader or follower was, both at the speeds that
+#: they begin with (of recorded vehicles behind a leader .5 % would have been, at any step).
 _BEFORE_S = 1.5
 #: Before that, for the leader that it has then, it may have to brake so hard, m/s2.
 BEGIN_BRAKING_MPS2 = 0.8
+#: No tunable: none begins that makes one chosen before brake harder, m/s2: what turns in lets traffic pass.
+_MADE_TO_BRAKE_MPS2 = 1.2
 #: Verdicts that another driver may change.
 _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.FOLLOWER_HEADWAY, Reason.LEAVES_TOO_EARLY})
 #: No tunable: by so much, s, SUMO may be later than a rollout at the end of an overtake.
@@ -255,12 +257,20 @@ class Starts:
             begun = one.start
             near = around.gaps_at(begun.path, begun.box, begun.start_s, begun.step)
             still = self._does(around, begun) if _is_clear(near) else Reason.NO_SITE
-            if isinstance(still, Reason):
+            if isinstance(still, Reason) or self._brakes_mps2(still) > max(
+                _MADE_TO_BRAKE_MPS2, self._brakes_mps2(one.parts)
+            ):
                 return Reason.MEETS_GENERATED
             if still:
                 anew.append(around.rolled_out(one.start, still))
         self._rolled[start.vehicle_id] = tuple(anew)
         return None
+
+    def _brakes_mps2(self, parts: tuple[Rollout, ...]) -> float:
+        """How hard a vehicle brakes at most, in the mean over BRAKES_FOR_S, m/s2."""
+        steps = self.scene.steps_in(BRAKES_FOR_S)
+        lost = [float((one.v[:-steps] - one.v[steps:]).max(initial=0.0)) for one in parts]
+        return max(lost, default=0.0) / (steps * self.scene.step_s)
 
     def _follower_mps(self, path: DrivenPath, box: BoxSize, s: float, step: int) -> float:
         """Pace of the recorded follower that the place gives a vehicle, m/s, over the scene; 0 without one near."""
@@ -319,7 +329,7 @@ class Starts:
         return speed
 
     def _came_through(self, begin: _Begin, speed_mps: float) -> bool:
-        """Whether a vehicle that begins at a speed was inside one that leads or follows it shortly before, by speeds."""
+        """Whether a vehicle that begins at a speed was inside its leader or follower shortly before, by all speeds."""
         known, step = self.world.guard.known_on(begin.path, begin.box), begin.site.step
         seen = gaps_to_all(known, np.array([begin.start_s]), step)
         nearer_m = _BEFORE_S * (seen.along_mps[:, 0] - speed_mps)

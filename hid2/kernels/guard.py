@@ -8,6 +8,10 @@ from hid2.kernels.path_intervals import SAME_WAY
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
 _PASSED_M = 0.3  # tolerance: a vehicle so far beyond a stop line has passed it
+#: No driver stops at a constant deceleration: braking builds up and eases. At a line it begins where this share of
+#: usual braking would do, and brakes by this share of what would; by so much more for each usual braking that is
+#: needed, up to a bound; and by so much more, below a speed, m/s, as it comes to stand.
+_BEGINS, _BUILDS_UP, _AT_MOST, _EASES, _EASES_BELOW_MPS = 0.7, 1.2, 1.3, 0.4, 5.0
 
 
 @inner
@@ -31,11 +35,12 @@ def _accel_towards_stop(
     if ahead_m <= 0.1:
         return -decel_mps2
     needed = speed_mps * speed_mps / (2.0 * ahead_m)
-    comfortable = stops[1] * decel_mps2
-    if needed < comfortable:
-        reach: float = np.sqrt(2.0 * comfortable * ahead_m)  # from which comfortable braking ends at the line
+    usual = stops[1] * decel_mps2
+    if needed < _BEGINS * usual:
+        reach: float = np.sqrt(2.0 * _BEGINS * usual * ahead_m)  # from which so little braking ends at the line
         return min(accel_mps2, (reach - speed_mps) / stops[2])
-    return -needed
+    builds_up = min(_BEGINS + _BUILDS_UP * (needed / usual - _BEGINS), _AT_MOST)
+    return -needed * (builds_up + _EASES * max(0.0, 1.0 - speed_mps / _EASES_BELOW_MPS))
 
 
 @inner

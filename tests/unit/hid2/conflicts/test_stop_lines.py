@@ -85,9 +85,29 @@ def test_longer_vehicles_stand_farther_back(junction: Callable[..., Scene]) -> N
 
 
 def test_driver_brakes_as_the_red_line_asks_for(brake: Callable[..., tuple[float, str] | None]) -> None:
-    """From 26.75 m before it at 10 m/s: 10^2 / (2 * 26.75) = 1.87 m/s2, less than 1.3 times the comfortable 2."""
+    """From 26.75 m before it at 10 m/s 10^2 / (2 * 26.75) = 1.87 m/s2 would do, less than 1.3 times the comfortable 2.
+
+    As that is more than usual, 1.3 times as much; 40 m before it at 9 m/s, where 1.01 m/s2 would do, .87 times as much.
+    """
     found = brake(CROSSING, s=30.0, v=10.0, step=40)
-    assert found == (pytest.approx(-1.869, abs=1e-3), "signal")
+    assert found == (pytest.approx(-1.3 * 1.869, abs=1e-3), "signal")
+    early = brake(CROSSING, s=16.75, v=9.0, step=40)
+    assert early == (pytest.approx(-0.8725 * 1.0125, abs=1e-3), "signal")
+
+
+@pytest.mark.parametrize("speed_mps", [6.0, 9.0])
+def test_braking_for_a_line_builds_up_and_eases(speed_mps: float) -> None:
+    """From 60 m before it: gentle at first, hardest in between, gentle as it comes to stand, at the line."""
+    line_s, closed, s, v = np.array([60.0]), np.ones((1, 1), dtype=np.bool_), 0.0, speed_mps
+    braked = []
+    while v > 0.5:
+        _, accel = stop_ahead(line_s, closed, s, v, 0, DRIVER.accel_mps2, DRIVER.decel_mps2, STOPS)
+        s, v = s + 0.1 * v, v + 0.1 * min(accel, 0.0)
+        braked.append(-accel)
+    harder = np.array(braked)[np.array(braked) > 0.1]
+    assert s == pytest.approx(60.0, abs=0.5)
+    assert 0.2 * harder.size < harder.argmax() < 0.95 * harder.size
+    assert max(harder[0], harder[-1]) < 0.95 * harder.max() < 0.95 * 1.3 * STOPS[1] * DRIVER.decel_mps2
 
 
 def test_driver_does_not_begin_far_before(brake: Callable[..., tuple[float, str] | None]) -> None:
@@ -141,7 +161,7 @@ def test_pedestrian_on_a_crossing_is_yielded_to(
 ) -> None:
     """A walker at 1.3 m/s goes over the crossing at x = 101.5 from y = -6 on; the line is 100 - 2.25 - 1 = 96.75 m.
 
-    20 m before it at 8 m/s: 8^2 / 40 = 1.6 m/s2. Once the walker is across, nobody waits.
+    20 m before it at 8 m/s 8^2 / 40 = 1.6 m/s2 would do: 1.3 times that. Once the walker is across, none waits.
     """
     walker = recorded(101.5, -6.0, 1.3, heading=UP, kind="pedestrian", size=BoxSize(0.6, 0.6))
     scene = junction(walker)
@@ -150,7 +170,7 @@ def test_pedestrian_on_a_crossing_is_yielded_to(
     assert first < 40
     assert last < 75
     found = brake(walker, s=76.75, v=8.0, step=40)
-    assert found == (pytest.approx(-1.6, abs=0.05), "crossing")
+    assert found == (pytest.approx(-1.3 * 1.6, abs=0.07), "crossing")
     assert brake(walker, s=76.75, v=8.0, step=100) is None
 
 
