@@ -34,11 +34,11 @@ _HOLDS_S, DRIVERS, _FROM_EDGE_M = 3.0, 3, 0.5
 CLEAR_GAP_M = 2.0
 #: So long after its beginning, s, a vehicle has braked so hard in the mean, m/s2, at most, as nine in ten of those
 #: recorded from step 0 on (89 of 98 in fourteen scenes). It saves time: once is enough for most, no more are tried.
-_BEGINS_S, _BEGIN_BRAKING_MPS2, _EASED_AT_MOST = 1.3, 0.5, 3
+_BEGINS_S, _EASED_TO_MPS2, _EASED_AT_MOST = 1.3, 0.5, 3
 #: No tunable: so long before it begins, s, a vehicle was not where its leader or follower was, both at the speeds that
 #: they begin with (of recorded vehicles behind a leader .5 % would have been, at any step).
 _BEFORE_S = 1.5
-#: Before that, for the leader that it has then, it may have to brake so hard, m/s2.
+#: At its start a vehicle may brake so hard for its leader, m/s2; then it is eased.
 BEGIN_BRAKING_MPS2 = 0.8
 #: No tunable: none begins that makes one chosen before brake harder, m/s2: what turns in lets traffic pass.
 _MADE_TO_BRAKE_MPS2 = 1.2
@@ -230,7 +230,7 @@ class Starts:
             if isinstance(rolled, Reason) or not rolled:
                 break
             v, step = rolled[0].v, min(self.scene.steps_in(_BEGINS_S), rolled[0].v.size - 1)
-            eased_mps = float(v[step]) + _BEGIN_BRAKING_MPS2 * step * self.scene.step_s
+            eased_mps = float(v[step]) + _EASED_TO_MPS2 * step * self.scene.step_s
             if eased_mps >= start.start_mps:
                 break
             if eased_mps < SLOWEST_SHARE * start.driver.desired_mps:
@@ -355,9 +355,12 @@ def _is_clear(near: Gaps) -> bool:
 
 
 def speed_behind(gap_m: FloatArray | float, leader_mps: FloatArray | float, driver: Driver) -> FloatArray:
-    """Fastest speeds, m/s, at which a driver may begin behind leaders without having to brake (IDM)."""
+    """Fastest speeds, m/s, to begin behind leaders: for these a driver brakes by BEGIN_BRAKING_MPS2 (IDM).
+
+    One that is faster leaves: a driver may be nearer to it.
+    """
     room = math.sqrt(1.0 + BEGIN_BRAKING_MPS2 / driver.accel_mps2) * np.maximum(gap_m, 0.0) - driver.min_gap_m
-    # v tau + v max(0, v - v_l) / (2 sqrt(a b)) = room
+    # v tau + v (v - v_l) / (2 sqrt(a b)) = room
     c = 2.0 * math.sqrt(driver.accel_mps2 * driver.decel_mps2)
     b, room = driver.tau_s * c - leader_mps, np.maximum(room, 0.0)
-    return np.asarray(np.minimum(room / driver.tau_s, 0.5 * (-b + np.sqrt(b * b + 4.0 * c * room))))
+    return np.asarray(0.5 * (-b + np.sqrt(b * b + 4.0 * c * room)))
