@@ -36,8 +36,8 @@ from hid2.vehicle import DrivenVehicle
 #: No tunables: widths of the filter, over smoothing.filter_s, and shares of the driver's place in the lane that are
 #: tried in turn, the usual ones first: what no limit asks for is not changed.
 _FILTER_RATIOS, _OFFSET_SHARES = (1.0, 1.6, 2.5), (1.0, 0.5, 0.0)
-#: Oncoming traffic is passed with so much room to the side, m, if another place in the lane gives it. No tunable:
-#: recorded vehicles pass each other with less once in 47 times.
+#: Traffic beside, of either way, is passed with so much room to the side, m, if another place in the lane gives it. No
+#: tunable: 5 of 150 recorded vehicles have less.
 _PASSES_M = 0.5
 _PASSES_NEAR_M = 20.0  # not a parameter, it saves time: so far apart on an axis, agents have more room than that
 #: Reasons by what the judge finds; boxes that meet are told apart by their agents.
@@ -164,7 +164,7 @@ _STEEP = frozenset({
 def _placed(
     scene: Scene, vehicle: DrivenVehicle, motion: Motion, offset: LaneOffset, off_m: FloatArray, others: AgentStates
 ) -> ExportedVehicle | Reason:
-    """At the first place in the lane that leaves room to oncoming traffic, else the most; or why it is not exported."""
+    """At the first place in the lane that leaves room to traffic beside, else the most; or why it is not exported."""
     verdict: ExportedVehicle | Reason = Reason.LIMIT_JERK
     most_m = -math.inf
     for share in _OFFSET_SHARES:
@@ -244,7 +244,7 @@ def _boxes(scene: Scene, states: AgentStates) -> Reason | None:
 
 
 def _passes_m(vehicle: AgentStates, others: AgentStates) -> float:
-    """Least room to the side of oncoming traffic that a vehicle passes, m; inf where it passes none near by."""
+    """Least room to the side of traffic that a vehicle passes, either way, m; inf where it passes none near by."""
     own, traffic = vehicle.traffic, others.traffic
     forward = np.stack([np.cos(own.heading[0]), np.sin(own.heading[0])], axis=-1)
     apart_m = np.maximum(*(np.abs(traffic.position[..., axis] - own.position[0, :, axis]) for axis in (0, 1)))

@@ -426,14 +426,19 @@ def test_who_enters_stays_until_it_has_been_observed_and_a_while(
     assert verdict is found or (found is None and isinstance(verdict, ExportedVehicle))
 
 
-@pytest.mark.parametrize(("y", "kept_m"), [(2.6, 0.0), (2.8, 0.25), (3.6, 0.5), (2.0, 0.0)])
-def test_oncoming_traffic_is_passed_with_room(scene_of: Callable[..., Scene], y: float, kept_m: float) -> None:
-    """One comes at y; the vehicle's place is .5 m towards it, half of it or none leave .5 m between boxes if any do.
+@pytest.mark.parametrize(("comes", "y", "kept_m"), [
+    (True, 2.6, 0.0), (True, 2.8, 0.25), (True, 3.6, 0.5), (True, 2.0, 0.0), (False, 2.8, 0.25), (False, 3.6, 0.5),
+])  # fmt: skip
+def test_traffic_beside_is_passed_with_room(
+    scene_of: Callable[..., Scene], comes: bool, y: float, kept_m: float
+) -> None:
+    """One comes at y, or goes the same way; the vehicle's place is .5 m towards it, half of it or none leave .5 m.
 
     Boxes are 1.9 m wide and the vehicle's own a little wider: .5 m aside take y = 2.9 m and more, the middle 2.4 m; at
     y = 2.0 none does, and the middle leaves the most.
     """
-    scene = scene_of(recorded(200.0, y, 8.0, heading=np.pi))
+    x, heading = (200.0, np.pi) if comes else (60.0, 0.0)
+    scene = scene_of(recorded(x, y, 8.0, heading=heading))
     aside = LaneOffset(np.array([0.0, 1000.0]), np.full(2, 0.5), np.zeros(2))
     found = _alone(scene, np.full(110, 10.0), offset=aside)
     assert isinstance(found, ExportedVehicle), found

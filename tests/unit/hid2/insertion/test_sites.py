@@ -87,14 +87,31 @@ def test_start_that_a_recorded_vehicle_would_run_into_is_rejected(scene_of: Call
 
 @pytest.mark.parametrize(("gap", "leader_mps"), [(6.0, 0.0), (15.0, 8.0), (30.0, 4.0), (60.0, 12.0)])
 def test_start_speed_behind_a_leader_needs_no_braking(gap: float, leader_mps: float) -> None:
-    """IDM at that speed and gap: a (1 - (s* / gap)^2) is -0.8 m/s2, a lifted foot; faster it would be less."""
+    """IDM at that speed and gap: a (1 - (s* / gap)^2) is -0.8 m/s2, a lifted foot; also behind a faster one."""
     v = speed_behind(gap, leader_mps, DRIVER)
-    star = DRIVER.min_gap_m + v * DRIVER.tau_s + v * max(0.0, v - leader_mps) / (2 * np.sqrt(1.6 * 2.0))
-    accel = DRIVER.accel_mps2 * (1.0 - (star / gap) ** 2)
-    if v < leader_mps:
-        assert accel >= -0.8 - 1e-6
+    star = DRIVER.min_gap_m + v * DRIVER.tau_s + v * (v - leader_mps) / (2 * np.sqrt(1.6 * 2.0))
+    assert DRIVER.accel_mps2 * (1.0 - (star / gap) ** 2) == pytest.approx(-0.8, abs=1e-6)
+
+
+@pytest.mark.parametrize(("gap_m", "other_mps", "begins"), [
+    (2.5, 14.0, False), (8.0, 14.0, True), (-4.0, 4.0, False), (-12.0, 4.0, True),
+])  # fmt: skip
+def test_none_begins_where_its_leader_or_follower_has_just_been(
+    scene_of: Callable[..., Scene], gap_m: float, other_mps: float, begins: bool
+) -> None:
+    """Behind one at 14 m/s, 2.5 m of gap are as much as .2 s ago there was none; 8 m allow 10.7 m/s at the start.
+
+    Ahead of one at 4 m/s a vehicle at some 10 m/s was inside it .7 s ago if there are 4 m between them, not 12.
+    """
+    x = 100.0 + gap_m + np.sign(gap_m) * CAR.length_m
+    sites = _sites(scene_of(recorded(x, 0.0, other_mps), lanes=1))
+    driver = replace(DRIVER, desired_mps=11.0)
+    start = sites.starts.make(_request(), Site(sites.here.routes.offers(1)[0], 100.0), driver=driver)
+    if begins:
+        assert isinstance(start, Start), start
+        assert 1.5 * abs(other_mps - start.start_mps) <= abs(gap_m) + 0.3
     else:
-        assert accel == pytest.approx(-0.8, abs=1e-6)
+        assert start is Reason.NO_SITE
 
 
 def test_nobody_begins_moving_right_behind_who_stands() -> None:
