@@ -252,7 +252,7 @@ def _track_rows(
         "min_time_gap_s": least(safe.leaders.time_gap_s),
         "end_ttc_s": [value if np.isfinite(value) else None for value in end_ttc_s.tolist()],
         "findings": [Counter(one.quantity.value for one in findings if one.track_id == t) for t in arrays.track_ids],
-        **{f"{name}_steps": arrays.sum_per_agent(mask).astype(int).tolist() for name, mask in off.items()},
+        **{f"{name}_steps": np.add.reduceat(mask, arrays.first[:-1], dtype=int).tolist() for name, mask in off.items()},
     }
     return [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
 

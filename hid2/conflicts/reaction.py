@@ -30,7 +30,7 @@ FollowSpeed = Callable[[int, float, float, float], float]
 
 def yielding(
     scene: Scene, rows: IntArray, step: int, *, xy: FloatArray, forward: FloatArray, half_m: float, speed_mps: float
-) -> BoolArray:  # fmt: skip
+) -> BoolArray:
     """Which of some recorded agents (K,) come from behind a vehicle at a step and can yield to it.
 
     Those that drive as it does and would have to brake with YIELDS_MPS2 at most. xy (2,) m, forward (2,):
@@ -140,9 +140,7 @@ class Reactions:
         driven = self.scene.states.line(row) if others.size else None
         if driven is None:
             return None
-        seen = look_along(
-            driven.line, here.rows(others.tolist()), float(own.length_m[row]), float(own.width_m[row])
-        )  # fmt: skip
+        seen = look_along(driven.line, here.rows(others.tolist()), float(own.length_m[row]), float(own.width_m[row]))
         steps = np.flatnonzero(np.isfinite(driven.s))
         found = gaps_on_path(seen, np.interp([place], steps, driven.s[steps]), 0)
         return None if found.leader[0] < 0 else (max(0.0, float(found.lead_m[0])), float(found.lead_mps[0]))

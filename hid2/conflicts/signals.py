@@ -98,20 +98,12 @@ class InferredSignals:
         """(T,) whether a vehicle that approaches the lane at a step has to stop at its entrance.
 
         None for a lane without an entrance: outside of intersections, or entered from within one or from nowhere.
+        Straight on also while the opposite queue stands, as both have the same phase: none of the 93 recorded vehicles
+        that drive straight on in fourteen scenes enters then.
         """
         approach = self._approach(lane_id)
-        return None if approach is None else self._infer(lane_id, approach)
-
-    def enters(self, lane_id: int) -> BoolArray | None:
-        """(T,) whether a recorded vehicle's centre passes the lane's entrance at a step; None as in `red`."""
-        approach = self._approach(lane_id)
-        return None if approach is None else self._watch(approach).enters[lane_id]
-
-    def _infer(self, lane_id: int, approach: _Approach) -> BoolArray:
-        """Red of a lane; straight on also while the opposite queue stands, as both have the same phase.
-
-        None of the 93 recorded vehicles that drive straight on in fourteen scenes enters then.
-        """
+        if approach is None:
+            return None
         watched, (entered, queued) = self._watch(approach), self._seen(lane_id, approach)
         if (opposite := self._opposite(lane_id)) is not None:
             go, stand = self._seen(*opposite)

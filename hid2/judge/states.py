@@ -25,8 +25,10 @@ from hid2.judge.findings import (
     LANE_DEG,
     LEADER_LENGTH_S,
     LEAST,
+    MOTION_LIMITS,
     Bounds,
     Finding,
+    MotionProfile,
     Quantity,
 )
 from hid2.kernels.lane_matching import SLIVER_M
@@ -35,15 +37,12 @@ from hid2.kernels.trajectory import derivatives_of_motion, first_overlapping
 from hid2.measures.arrays import BoolArray
 from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import Leaders, leaders
-from hid2.measures.motion_limits import MOTION_LIMITS, MotionProfile
 from hid2.measures.post_encroachment import encroachments
 from hid2.measures.scene_end import END_HORIZON_S, BoxesAtStep, first_contact
 from hid2.occupancy.agent_states import AgentStates, Leading
 from netconvert.geometry import box_corners, differences, wrap_angle
 from netconvert.lane_graph import LaneGraph
 
-#: Slower vehicles have neither a curvature nor a direction of motion, m/s.
-MOVES_MPS = 1.0
 _OUTLINE_STEP_M = 0.5  # no tunable: between two points a side leaves the road by less than the tolerance spares
 
 
@@ -61,13 +60,10 @@ def judge(states: AgentStates, graph: LaneGraph, bounds: Bounds) -> list[Finding
     found += ttc_of_followers(states, inserted, bounds)
     found += of_crossings(states, bounds, since=int(inserted[0]) if inserted.size else arrays.num_agents)
     found += headways(states, led)
-    worst = {(one.track_id, one.quantity, one.other): one for one in sorted(found, key=_how_bad)}
+    # the worst of each comes last: of times the shortest
+    found.sort(key=lambda one: -one.value if one.quantity in LEAST else one.value)
+    worst = {(one.track_id, one.quantity, one.other): one for one in found}
     return sorted(worst.values(), key=lambda one: (one.track_id, one.step, one.quantity, one.other or ""))
-
-
-def _how_bad(one: Finding) -> float:
-    """Larger for the worse of two findings of one quantity: those of times are worse the shorter they are."""
-    return -one.value if one.quantity in LEAST else one.value
 
 
 # what a vehicle does by itself
@@ -85,15 +81,12 @@ def _of_velocity(states: AgentStates, row: int, velocity: FloatArray, bounds: Bo
     step_s, heading = states.arrays.step_s, np.ascontiguousarray(states.arrays.heading[states.row_span(row)])
     profile = MotionProfile(*derivatives_of_motion(np.ascontiguousarray(velocity), heading, step_s))
     inside = slice(bounds.end_rows, len(heading) - bounds.end_rows)
-    quantities = [(limit.name, limit.value(profile), limit.bound(bounds.limits)) for limit in MOTION_LIMITS]
-    fast = profile.speed_mps > MOVES_MPS
-    curvature = np.where(fast, np.abs(profile.yaw_rate_radps) / np.where(fast, profile.speed_mps, 1.0), 0.0)
-    quantities.append(("curvature", curvature, bounds.curvature_share / bounds.limits.min_radius_m))
-    for name, values, bound in quantities:
+    for quantity, (value_of, bound_of) in MOTION_LIMITS.items():
+        values, bound = value_of(profile), bound_of(bounds)
         beyond = values[inside]
         if beyond.size and beyond.max() > bound:
             worst = int(np.argmax(beyond)) + bounds.end_rows
-            yield _of_one(states, row, worst, Quantity(name), float(values[worst]), bound)
+            yield _of_one(states, row, worst, quantity, float(values[worst]), bound)
 
 
 def of_road(states: AgentStates, row: int, size: BoxSize, graph: LaneGraph, bounds: Bounds) -> Iterator[Finding]:

@@ -66,9 +66,9 @@ class AgentStates:
         every = [self, *(other for other in others if other.arrays.num_agents)]
         if len(every) == 1:
             return self
-        matches = Matches(*(
-            np.concatenate([getattr(one.matches, part.name) for one in every]) for part in fields(Matches)
-        ))  # fmt: skip
+        matches = Matches(
+            *(np.concatenate([getattr(one.matches, part.name) for one in every]) for part in fields(Matches))
+        )
         return AgentStates(
             SceneArrays.joined([one.arrays for one in every]),
             self.traffic.joined(*(one.traffic for one in every[1:])), matches, self.lanes,

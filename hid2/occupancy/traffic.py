@@ -68,10 +68,6 @@ class Traffic:
         """The same agents up to a step, T = steps."""
         return self._span(slice(0, steps))
 
-    def since(self, step: int) -> "Traffic":
-        """The same agents from a step on."""
-        return self if step == 0 else self._span(slice(step, None))
-
     def extended(self, steps: int, *, step_s: float) -> "Traffic":
         """The same, and beyond the last step so many more at constant velocity, of those that are there then."""
         ahead = step_s * np.arange(1, steps + 1)[None, :, None]

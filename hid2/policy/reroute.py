@@ -4,7 +4,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hid2.agents import FloatArray
 from hid2.motion.route import DrivenPath, Route, is_drivable, routes_from
 from hid2.scene import Scene
 from netconvert.lane_graph import TurnType
@@ -38,12 +37,7 @@ def ways_at_next_split(scene: Scene, path: DrivenPath, *, s: float, from_m: floa
         return
 
 
-def places_on(other: DrivenPath, path: DrivenPath, s: FloatArray) -> FloatArray:
-    """Arc lengths (N,) m on another path of those (N,) on the present one, where both have the same first lanes."""
-    return other.all_to_line(np.interp(s, path.line.points_s, path.raw_s))
-
-
 def _is_the_same_until(path: DrivenPath, other: DrivenPath, s: float) -> bool:
     own = np.arange(0.0, s + _EVERY_M, _EVERY_M)
-    apart = path.line.position(own) - other.line.position(places_on(other, path, own))
+    apart = path.line.position(own) - other.line.position(other.all_to_line(path.all_to_raw(own)))
     return bool(np.hypot(apart[:, 0], apart[:, 1]).max() < _SAME_M)
