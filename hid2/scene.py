@@ -250,6 +250,13 @@ def build_scene(
     )
 
 
+def cruising_mps(traffic: Traffic, row: int) -> float:
+    """Speed of a recorded agent while it moves, 90th percentile, m/s; 0 where it never does."""
+    speed = np.hypot(*traffic.velocity[row, traffic.present[row]].T)
+    moves = speed > MOVES_MPS
+    return float(np.percentile(speed[moves], 90)) if moves.any() else 0.0
+
+
 def _speeds(
     grid: CellGrid,
     tracks: Sequence[Track],
@@ -258,18 +265,17 @@ def _speeds(
     *,
     step_s: float,
 ) -> tuple[dict[int, list[float]], list[float]]:
-    """Cruising speed (90th percentile while moving) of each moving vehicle: over the scene, and by lane driven on."""
+    """Cruising speed of each moving vehicle: over the scene, and by lane driven on."""
     lane_of = np.array([cell.lane_id for cell in grid.cells])
     by_lane: dict[int, list[float]] = {}
     scene: list[float] = []
     for row, track in enumerate(tracks):
         if track.object_type not in VEHICLE_TYPES or track.category < 1 or track.path_m < MOVING_EXTENT_M:
             continue
-        speed = np.hypot(*traffic.velocity[row].T)
-        moving = traffic.present[row] & (speed > MOVES_MPS)
+        moving = traffic.present[row] & (np.hypot(*traffic.velocity[row].T) > MOVES_MPS)
         if moving.sum() < round(MOVING_S / step_s):
             continue
-        usual_mps = float(np.percentile(speed[moving], 90))
+        usual_mps = cruising_mps(traffic, row)
         scene.append(usual_mps)
         for lane_id in np.unique(lane_of[occupancy.cell[row, moving & occupancy.mapped[row]]]):
             by_lane.setdefault(int(lane_id), []).append(usual_mps)

@@ -22,8 +22,7 @@ from hid2.measures.encounters import CROSSING_RAD
 from hid2.motion.route import ROUTE_LONGEST_M, DrivenPath, Route, is_drivable
 from hid2.occupancy.traffic import BoolArray
 from hid2.params import Event
-from hid2.policy.decision import Side
-from netconvert.lane_graph import TurnType
+from netconvert.lane_graph import Side, TurnType
 
 #: Other ways onto a lane, and on from it. Not a parameter, it saves time: a path takes as long as twenty rollouts.
 _OTHER_WAYS = 2

@@ -63,7 +63,7 @@ class ExportedVehicle:
     @property
     def span(self) -> slice:
         """Its steps among those of the scene."""
-        return _span(self.driven, self.num_steps)
+        return slice(self.driven.start.step, self.driven.start.step + self.num_steps)
 
     @property
     def course(self) -> FloatArray:
@@ -77,16 +77,9 @@ class ExportedVehicle:
 
 
 def _track(vehicle: DrivenVehicle, path: Trajectory, track_id: str, category: int) -> Track:
-    start, steps = vehicle.start, _span(vehicle, len(path.position))
-    return Track(
-        track_id, start.request.object_type, category, np.arange(steps.start, steps.stop, dtype=np.int64),
-        path.position, path.heading, path.velocity, start.size,
-    )  # fmt: skip
-
-
-def _span(vehicle: DrivenVehicle, count: int) -> slice:
-    """The first `count` steps of a vehicle among those of the scene."""
-    return slice(vehicle.start.step, vehicle.start.step + count)
+    start, steps = vehicle.start, vehicle.start.step + np.arange(len(path.position), dtype=np.int64)
+    motion = path.position, path.heading, path.velocity
+    return Track(track_id, start.request.object_type, category, steps, *motion, start.size)
 
 
 def traffic_of_exported(vehicles: Sequence[ExportedVehicle], scene: Scene) -> Traffic:

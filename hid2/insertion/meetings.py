@@ -1,7 +1,6 @@
 """What can be met from a start site: recorded traffic nearby, a leader to follow, a path to cross; weights of sites."""
 
 import math
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -13,10 +12,10 @@ from hid2.insertion.routes import RouteOffer, Routes
 from hid2.kernels.meetings import met_on_route
 from hid2.measures.encounters import BRAKES_MPS2, CROSSING_RAD, FOLLOWS_FOR_S, FOLLOWS_S
 from hid2.motion.route import Route
-from hid2.occupancy.traffic import BoolArray, Traffic
+from hid2.occupancy.traffic import BoolArray
 from hid2.once import once
 from hid2.policy.behaviours import BEHAVIOURS
-from hid2.scene import MOVES_MPS, Scene
+from hid2.scene import Scene, cruising_mps
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
 
@@ -73,43 +72,27 @@ class Outlook(NamedTuple):
     stays: BoolArray
 
 
-@dataclass(eq=False)
 class Meetings:
     """What vehicles that start on the cells of a scene would meet at usual speed.
 
     signals: those of the stop lines, at which vehicles wait; looks: steps at which recorded traffic is looked at.
     """
 
-    scene: Scene
-    routes: Routes
-    signals: InferredSignals
-    _targets: IntArray = field(init=False)
-    looks: IntArray = field(init=False)
-    _target_xy: FloatArray = field(init=False)
-    _target_there: BoolArray = field(init=False)
-    _lane_cell: IntArray = field(init=False)
-    _number: IntArray = field(init=False)
-    _crossed_from: IntArray = field(init=False)
-    _crossed_s: FloatArray = field(init=False)
-    _pace_mps: FloatArray = field(init=False)
-    _brakes: BoolArray = field(init=False)
-
-    def __post_init__(self) -> None:
+    def __init__(self, scene: Scene, routes: Routes, signals: InferredSignals) -> None:
         """Where recorded moving vehicles are, on which cells, and which cells they cross."""
-        scene, traffic = self.scene, self.scene.traffic
-        moving = moving_vehicles(scene)
+        self.scene, self.routes, self.signals = scene, routes, signals
+        traffic, rows, moving = scene.traffic, scene.vehicle_rows, moving_vehicles(scene)
         self._targets = target_rows(scene)
         self.looks = np.arange(0, scene.num_steps, scene.steps_in(_EVERY_S))
-        self._target_xy = np.ascontiguousarray(traffic.position[self._targets][:, self.looks])
-        self._target_there = np.ascontiguousarray(traffic.present[self._targets][:, self.looks])
-        rows = scene.vehicle_rows
+        self._target_xy = traffic.position[self._targets][:, self.looks]
+        self._target_there = traffic.present[self._targets][:, self.looks]
         cell = scene.occupancy.cell[rows][:, self.looks]
-        self._lane_cell = np.ascontiguousarray(np.where(scene.occupancy.mapped[rows][:, self.looks], cell, -1))
+        self._lane_cell = np.where(scene.occupancy.mapped[rows][:, self.looks], cell, -1)
         self._number = np.full(len(traffic.ids), -1, dtype=np.int64)
         self._number[moving] = np.arange(moving.size)
         self._number = self._number[rows]
         self._crossed_from, self._crossed_s = self._crossings(moving)
-        self._pace_mps = np.array([_pace(traffic, row) for row in moving.tolist()], dtype=np.float64)
+        self._pace_mps = [cruising_mps(traffic, row) for row in moving.tolist()]
         speed = np.hypot(*traffic.velocity[moving][:, self.looks].transpose(2, 0, 1))
         slows = np.diff(speed, axis=1) < BRAKES_MPS2 * np.diff(self.looks) * scene.step_s
         there = traffic.present[moving][:, self.looks]
@@ -189,7 +172,7 @@ class Meetings:
 
     def pace_of(self, leader: int) -> float:
         """How fast a leader drives while it moves, m/s, as `Scene.lane_speed` has it; 0 for none."""
-        return float(self._pace_mps[leader]) if leader >= 0 else 0.0
+        return self._pace_mps[leader] if leader >= 0 else 0.0
 
     def offers_towards(self, lane_id: int, turn: TurnType) -> list[int]:
         """Rows of `Routes.offers` that first turn so, a few; straight ones where the map has them, else any."""
@@ -277,10 +260,3 @@ class Meetings:
 def _turn_of(policy: Policy) -> TurnType:
     """The first turn of the routes that a vehicle of a policy would take."""
     return BEHAVIOURS[policy].turn or TurnType.STRAIGHT
-
-
-def _pace(traffic: Traffic, row: int) -> float:
-    """Speed of a recorded vehicle while it moves, 90th percentile, m/s; 0 where it never does."""
-    speed = np.hypot(*traffic.velocity[row, traffic.present[row]].T)
-    moves = speed > MOVES_MPS
-    return float(np.percentile(speed[moves], 90)) if moves.any() else 0.0

@@ -12,11 +12,10 @@ from hid2.occupancy.sigma import FREE
 from hid2.occupancy.traffic import BoolArray
 from hid2.once import once
 from hid2.policy.behaviours import BEHAVIOURS
-from hid2.policy.decision import Side
 from hid2.policy.observation import admissible_neighbor
 from hid2.policy.overtake import stretch_m
 from hid2.scene import Scene
-from netconvert.lane_graph import SIDES, TurnType
+from netconvert.lane_graph import SIDES, Side, TurnType
 
 #: Not parameters, they save time: routes known from a lane, and m of a route before it, where followers are seen.
 _MOST, _RUN_UP_M = 16, 40.0

@@ -15,11 +15,11 @@ from hid2.occupancy.along_path import look_along
 from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path
 from hid2.occupancy.sigma import FREE, UNDER_SHARE, dwell_steps, is_anybody_on
 from hid2.occupancy.traffic import Traffic
-from hid2.policy.decision import LaneOption, Side
-from hid2.policy.lane_change import OPEN, Gap
+from hid2.policy.lane_change import OPEN, Gap, LaneOption
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from netconvert.cells import Cell
+from netconvert.lane_graph import Side
 
 #: No tunables, room for what a driver does otherwise: shares of the time and of the length of l' left that a lateral
 #: motion may take, and s of that time left after it.

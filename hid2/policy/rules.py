@@ -13,20 +13,10 @@ from dataclasses import dataclass, replace
 
 from hid2.drivers.driver import Driver
 from hid2.params import LaneChange
-from hid2.policy.lane_change import OPEN, Gap, gap_refusals
+from hid2.policy.lane_change import OPEN, Gap, SumoAnswer, gap_refusals
 from hid2.reasons import Reason
 from netconvert.errors import ConfigError
 from netconvert.lane_graph import Side
-
-
-@dataclass(frozen=True, slots=True)
-class SumoAnswer:
-    """What SUMO's LC2013 makes of one side: its motives (none: it does not want to), and agents in the way."""
-
-    motives: frozenset[str]
-    blocked_ahead: bool
-    blocked_behind: bool
-
 
 #: Of the paper's rule where a vehicle changes lanes by its own wish, unless `rule_with` says otherwise: as the leader
 #: that is worth an overtake (`overtake.speed_advantage_mps`).

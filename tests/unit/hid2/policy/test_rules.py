@@ -7,10 +7,9 @@ import pytest
 
 from hid2.drivers.driver import usual_driver
 from hid2.params import LaneChange
-from hid2.policy.lane_change import OPEN, Gap
+from hid2.policy.lane_change import OPEN, Gap, SumoAnswer
 from hid2.policy.rules import (
     GapView,
-    SumoAnswer,
     by_own_wish,
     check_user_rule,
     expected_reason,
