@@ -27,8 +27,8 @@ from hid2.measures.encounters import encounters
 from hid2.measures.lane_changes import LaneChangeRow, lane_changes
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
-from hid2.measures.post_encroachment import Encroachment
 from hid2.measures.scene_end import ttc_after_last_step
+from hid2.measures.surrogates import Encroachment
 from hid2.occupancy.agent_states import AgentStates
 from hid2.policy.rules import place_in
 from netconvert.errors import ConfigError, ScenarioError

@@ -97,12 +97,10 @@ class Guard:
     scene: Scene
     fixed: Traffic
     stop_lines: StopLines
-    _newest: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, Traffic, PathOccupancy, PathOccupancy]] = field(
-        default_factory=dict
-    )
+    _newest: dict[tuple[DrivenPath, BoxSize], tuple[PathOccupancy, ...]] = field(default_factory=dict)
     brakes: FloatArray = field(init=False)
     predicted: tuple[float, float, float, float] = field(init=False)
-    rules: tuple[float, float, float, float, float, float, float, float, float, float] = _RULES
+    rules = _RULES
 
     def __post_init__(self) -> None:
         """As the kernels `needed_braking` and `speed_limits` take them.
@@ -139,15 +137,11 @@ class Guard:
         mingle. Recorded ones come first, by rows of the scene's traffic; then inserted ones, by theirs in `fixed`.
         """
         scene, newest = self.scene, self._newest.get((path, box))
-        if newest is not None and newest[0] is scene.future and newest[1] is self.fixed:
-            return newest[3]
+        recorded = scene.kept_clear_on(path, box, scene.future)
         inserted = scene.kept_clear_on(path, box, self.fixed, at_least_s=scene.config.signals.before_s)
-        if newest is not None and newest[0] is scene.future and newest[2] is inserted:
-            known = newest[3]
-        else:
-            known = scene.kept_clear_on(path, box, scene.future).joined(inserted)
-        self._newest[path, box] = scene.future, self.fixed, inserted, known
-        return known
+        if newest is None or newest[0] is not recorded or newest[1] is not inserted:
+            newest = self._newest[path, box] = recorded, inserted, recorded.joined(inserted)
+        return newest[2]
 
     @once
     def _swept_on(

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from hid2.agents import FloatArray, IntArray
 from hid2.kernels.box_pairs import time_to_collision
 from hid2.measures.arrays import BoolArray
-from hid2.measures.time_to_collision import CAP_S
+from hid2.measures.surrogates import CAP_S
 from hid2.occupancy.traffic import Traffic
 from netconvert.geometry import box_corners
 from netconvert.lane_graph import LaneGraph

@@ -16,8 +16,7 @@ from hid2.judge.states import against_lane_deg, outside_m
 from hid2.measures.arrays import BoolArray, SceneArrays
 from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import Leaders, leaders
-from hid2.measures.post_encroachment import Encroachment, encroachments
-from hid2.measures.time_to_collision import CAP_S, time_to_collision
+from hid2.measures.surrogates import CAP_S, Encroachment, encroachments, time_to_collision
 from hid2.params import Limits
 from netconvert.geometry import box_corners
 from netconvert.lane_graph import LaneGraph

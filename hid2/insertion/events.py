@@ -153,11 +153,8 @@ class EventSearch:
         self, objectives: Sequence[Objective], number: int, rejected: Counter[Reason]
     ) -> Iterator[tuple[EventStarts, Candidate]]:
         """Candidates that the judge finds to be as asked, the best of a few first; targets in turns."""
-        rng, scene, event = (
-            np.random.default_rng([*self.seed, 0xE7E27, number]),
-            objectives[0].scene,
-            objectives[0].event,
-        )
+        scene, event = objectives[0].scene, objectives[0].event
+        rng = np.random.default_rng([*self.seed, 0xE7E27, number])
         lines = StopLines(scene) if event.kind in _MEETS_CROSSING else self.here.stop_lines
         guard, left = Guard(scene, traffic_of_exported(self.kept, scene), lines), scene.config.event_search.candidates
         _, size = draw_size(scene.config.request.model_copy(update={"bus_share": 0.0}), rng)

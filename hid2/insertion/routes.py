@@ -62,10 +62,10 @@ class Routes:
     def offers(self, lane_id: int) -> tuple[RouteOffer, ...]:
         """All routes from a lane on, in the order of the map."""
         if "topology" in self.scene.config.without:
-            return (self._offer((), (lane_id,)),)
+            return (self.offer_of((lane_id,)),)
         before, graph = self._run_up(lane_id), self.scene.grid.graph
         found = routes_from(graph, lane_id, choose=lambda onward: tuple(sorted(onward)), most=_MOST)
-        return tuple(self._offer(tuple(n for n in before if n not in route), route) for route in found)
+        return tuple(self.offer_of(route, tuple(n for n in before if n not in route)) for route in found)
 
     @once
     def map_offers(self, policy: Policy) -> bool:
@@ -136,11 +136,8 @@ class Routes:
         inside = [lanes[grid.cells[row].lane_id].is_intersection for row in rows]
         return np.array(rows, dtype=np.int64), np.array(inside, dtype=np.bool_)
 
-    def offer_of(self, route: Route) -> RouteOffer:
-        """What a route offers from its beginning on."""
-        return self._offer((), route)
-
-    def _offer(self, before: Route, route: Route) -> RouteOffer:
+    def offer_of(self, route: Route, before: Route = ()) -> RouteOffer:
+        """What a route offers from its beginning on. before: its run-up."""
         lanes = self.scene.grid.graph.lanes
         whole = (*before, *route)
         ends = list(itertools.accumulate(lanes[n].length_m for n in whole))

@@ -9,7 +9,7 @@ from hid2.agents import BoxSize
 from hid2.kernels.box_pairs import paths_cross
 from hid2.measures.conflicts import PairCourse, pair_course
 from hid2.measures.encounters import CROSSING_RAD
-from hid2.measures.post_encroachment import encroachments
+from hid2.measures.surrogates import encroachments
 from hid2.occupancy.agent_states import AgentStates
 from hid2.occupancy.gaps import gaps_from_pose
 

@@ -37,8 +37,8 @@ from hid2.kernels.trajectory import derivatives_of_motion, first_overlapping
 from hid2.measures.arrays import BoolArray
 from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import Leaders, leaders
-from hid2.measures.post_encroachment import encroachments
 from hid2.measures.scene_end import END_HORIZON_S, BoxesAtStep, first_contact
+from hid2.measures.surrogates import encroachments
 from hid2.occupancy.agent_states import AgentStates, Leading
 from netconvert.geometry import box_corners, differences, wrap_angle
 from netconvert.lane_graph import LaneGraph
@@ -54,7 +54,11 @@ def judge(states: AgentStates, graph: LaneGraph, bounds: Bounds) -> list[Finding
     for row in inserted.tolist():
         found += of_motion(states, row, bounds)
         found += of_road(states, row, BoxSize(arrays.length[row], arrays.width[row]), graph, bounds)
-        found += of_others(states, row, bounds)
+        others = np.delete(np.arange(arrays.num_agents), row)
+        found += of_boxes(states, row, others, spare_m=bounds.spare_box_m)
+        led_by = states.leading(row, others, aside_m=bounds.spare_aside_m)
+        found += ttc_on_driven_path(states, row, led_by, bounds)
+        found += of_end(states, row, others, bounds)
     led = leaders(arrays, states.lanes, states.matches)
     found += ttc_on_lanes(states, led, bounds)
     found += ttc_of_followers(states, inserted, bounds)
@@ -172,25 +176,13 @@ def against_lane_deg(view: LaneView, rows: IntArray, graph: LaneGraph) -> tuple[
 # what a vehicle does to others
 
 
-def of_others(states: AgentStates, row: int, bounds: Bounds) -> Iterator[Finding]:
-    """Boxes that a vehicle meets, what leads it on the path that it drives, and what follows its last step."""
-    others = np.delete(np.arange(states.arrays.num_agents), row)
-    yield from of_boxes(states, row, others, spare_m=bounds.spare_box_m)
-    yield from ttc_on_driven_path(states, row, states.leading(row, others, aside_m=bounds.spare_aside_m), bounds)
-    yield from of_end(states, row, others, bounds)
-
-
 def of_boxes(states: AgentStates, row: int, others: IntArray, *, spare_m: float) -> Iterator[Finding]:
     """Every other box that a vehicle's own meets, at the steps and halfway between them, at the first time."""
     traffic, span, left = states.traffic, states.span(row), others
     own, heading = traffic.position[row, span], traffic.heading[row, span]
     length, width = traffic.length_m[row] + 2 * spare_m, traffic.width_m[row] + 2 * spare_m
     while left.size:
-        agent, step = first_overlapping(
-            own, heading, length, width, np.ascontiguousarray(traffic.position[left, span]),
-            np.ascontiguousarray(traffic.heading[left, span]), np.ascontiguousarray(traffic.present[left, span]),
-            traffic.length_m[left], traffic.width_m[left],
-        )  # fmt: skip
+        agent, step = first_overlapping(own, heading, length, width, *traffic.rows(left.tolist()).span(span).boxes)
         if agent < 0:
             return
         other = int(left[agent])

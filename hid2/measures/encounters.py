@@ -9,7 +9,7 @@ import numpy as np
 from hid2.agents import FloatArray
 from hid2.measures.arrays import BoolArray, SceneArrays
 from hid2.measures.following import Leaders
-from hid2.measures.post_encroachment import encroachments
+from hid2.measures.surrogates import encroachments
 
 #: A vehicle with a centre that never comes this near to that of a moving recorded one meets no traffic, m.
 NEAR_M = 30.0

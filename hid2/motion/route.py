@@ -1,9 +1,9 @@
 """Routes through the lane graph, and the path that a vehicle drives along one (with its lane changes)."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -243,6 +243,11 @@ def is_drivable(graph: LaneGraph, lane_id: int) -> bool:
     return graph.lanes[lane_id].lane_type in DRIVABLE_TYPES
 
 
+def straightest_first(graph: LaneGraph, onward: Iterable[int], preferred: Container[int] = ()) -> Route:
+    """Lanes to go on along: those preferred, then those that go straight on."""
+    return tuple(sorted(onward, key=lambda n: (n not in preferred, graph.lanes[n].turn is not TurnType.STRAIGHT, n)))
+
+
 def routes_from(graph: LaneGraph, lane_id: int, *, choose: Callable[[Route], Route], most: int) -> Iterator[Route]:
     """Routes from a lane to where the map ends, depth first; `choose` orders the successors at each split.
 
@@ -301,11 +306,7 @@ class LanePaths:
         """Route of that path: lanes before l', for agents from behind, then on beside the own ones if it can."""
         graph = self.graph
         beside = {n for lane in own for side in SIDES if (n := graph.neighbor(lane, side)) is not None}
-
-        def choose(onward: Route) -> Route:
-            lanes = graph.lanes
-            return tuple(sorted(onward, key=lambda n: (n not in beside, lanes[n].turn is not TurnType.STRAIGHT, n)))
-
+        choose = partial(straightest_first, graph, preferred=beside)
         route = next(routes_from(graph, lane_id, choose=choose, most=1), (lane_id,))
         behind_m = 0.0
         while behind_m < _LOOK_BACK_M:
