@@ -113,7 +113,7 @@ class Scene:
         wide = self.met_on(path, box, self.future)  # what touches no margin touches no box
         near = replace(self.future.rows(wide.agents.tolist()), present=np.isfinite(wide.low))
         found = look_along(path.line, near, box.length_m, box.width_m)
-        return replace(found, agents=wide.agents[found.agents])
+        return found._replace(agents=wide.agents[found.agents])
 
     @once
     def shown_on(self, path: DrivenPath, box: BoxSize) -> Shown:
@@ -277,6 +277,6 @@ def _speeds(
             continue
         usual_mps = cruising_mps(traffic, row)
         scene.append(usual_mps)
-        for lane_id in np.unique(lane_of[occupancy.cell[row, moving & occupancy.mapped[row]]]):
+        for lane_id in np.unique(lane_of[occupancy.cell[row, moving & (occupancy.cell[row] >= 0)]]):
             by_lane.setdefault(int(lane_id), []).append(usual_mps)
     return by_lane, scene

@@ -19,7 +19,7 @@ from hid2.occupancy.sigma import original_occupancy
 from hid2.occupancy.traffic import BoolArray, Traffic, velocity_of
 from hid2.once import once
 from hid2.scene import Scene
-from netconvert.geometry import wrap_angle
+from netconvert.geometry import arc_length, wrap_angle
 
 #: A follower that would have to brake harder is not expected to yield, m/s2: SUMO's decel; leaders farther away are not
 #: followed, m. No tunables: how the recorded drive on is for the car-following model to say.
@@ -148,8 +148,7 @@ class Reactions:
     @once
     def _path(self, row: int) -> _OwnPath:
         there = np.flatnonzero(self._recorded.present[row])
-        way = np.hypot(*np.diff(self._recorded.position[row, there], axis=0).T)
-        return _OwnPath(int(there[0]), np.concatenate([[0.0], np.cumsum(way)]))
+        return _OwnPath(int(there[0]), arc_length(self._recorded.position[row, there]))
 
     def _move(self, rows: Sequence[int], step: int) -> None:
         """The scene with some agents later from a step on: they are expected to go on as recorded, so much later."""

@@ -23,7 +23,7 @@ from hid2.insertion.event_starts import Candidate, EventStarts
 from hid2.insertion.event_targets import candidate_rows, target_of
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
 from hid2.insertion.outcome import Outcome, outcome_of
-from hid2.insertion.sizes import draw_size
+from hid2.insertion.requests import draw_size
 from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config, Event

@@ -10,9 +10,8 @@ import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, Policy
 from hid2.drivers.driver import MIDDLE, desired_speeds, draw_driver
-from hid2.insertion.requests import draw_trigger
+from hid2.insertion.requests import draw_size, draw_trigger
 from hid2.insertion.routes import Routes
-from hid2.insertion.sizes import draw_size
 from hid2.params import Flow, Request
 from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest

@@ -1,6 +1,8 @@
 """What can be met from a start site: recorded traffic nearby, a leader to follow, a path to cross; weights of sites."""
 
 import math
+from collections.abc import Iterator
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -86,8 +88,7 @@ class Meetings:
         self.looks = np.arange(0, scene.num_steps, scene.steps_in(_EVERY_S))
         self._target_xy = traffic.position[self._targets][:, self.looks]
         self._target_there = traffic.present[self._targets][:, self.looks]
-        cell = scene.occupancy.cell[rows][:, self.looks]
-        self._lane_cell = np.where(scene.occupancy.mapped[rows][:, self.looks], cell, -1)
+        self._lane_cell = scene.occupancy.cell[rows][:, self.looks]
         self._number = np.full(len(traffic.ids), -1, dtype=np.int64)
         self._number[moving] = np.arange(moving.size)
         self._number = self._number[rows]
@@ -225,29 +226,21 @@ class Meetings:
 
     def _red(self, lane_id: int, offer: RouteOffer, look: int) -> tuple[FloatArray, BoolArray]:
         """Where a vehicle on a route stops at signals, (L,) m from a lane on, and whether they are red (L, looks)."""
-        lanes, at = self.scene.grid.graph.lanes, 0.0
         before_m = DEFAULT_SIZES["vehicle"].length_m / 2 + sum(LINE_GAP_M) / 2
-        stop_at: list[float] = []
-        red = [np.zeros((0, self.looks.size - look), dtype=np.bool_)]
-        for lane in offer.route[offer.route.index(lane_id) :]:
-            found = self.signals.red(lane)
-            if found is not None and found.any():
-                stop_at.append(at - before_m)
-                red.append(found[None, self.looks[look:]])
-            at += lanes[lane].length_m
-        return np.array(stop_at), np.concatenate(red)
+        each = [(at - before_m, self.signals.red(lane)) for lane, at in self._lanes_from(lane_id, offer)]
+        found = [(at, red[self.looks[look:]]) for at, red in each if red is not None and red.any()]
+        red = np.array([red for _, red in found], dtype=np.bool_).reshape(-1, self.looks.size - look)
+        return np.array([at for at, _ in found]), red
 
     def _cells(self, lane_id: int, offer: RouteOffer) -> tuple[IntArray, FloatArray]:
         """Cells of a route from a lane on, (K,) rows of the grid, and their middles along it, (K,) m."""
-        lanes, begin = self.scene.grid.graph.lanes, 0.0
-        cells: list[IntArray] = []
-        middle: list[FloatArray] = []
-        for lane in offer.route[offer.route.index(lane_id) :]:
-            rows, middles = self._of_lane(lane)
-            cells.append(rows)
-            middle.append(begin + middles)
-            begin += lanes[lane].length_m
-        return np.concatenate(cells), np.concatenate(middle)
+        each = [(self._of_lane(lane), begin) for lane, begin in self._lanes_from(lane_id, offer)]
+        return np.concatenate([rows for (rows, _), _ in each]), np.concatenate([begin + at for (_, at), begin in each])
+
+    def _lanes_from(self, lane_id: int, offer: RouteOffer) -> Iterator[tuple[int, float]]:
+        """Lanes of a route from a lane on, and where each begins, m from that."""
+        lanes, onward = self.scene.grid.graph.lanes, offer.route[offer.route.index(lane_id) :]
+        return zip(onward, accumulate((lanes[lane].length_m for lane in onward), initial=0.0), strict=False)
 
     @once
     def _of_lane(self, lane_id: int) -> tuple[IntArray, FloatArray]:

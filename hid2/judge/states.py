@@ -40,6 +40,7 @@ from hid2.measures.following import Leaders, leaders
 from hid2.measures.scene_end import END_HORIZON_S, BoxesAtStep, first_contact
 from hid2.measures.surrogates import encroachments
 from hid2.occupancy.agent_states import AgentStates, Leading
+from hid2.occupancy.traffic import Traffic
 from netconvert.geometry import box_corners, differences, wrap_angle
 from netconvert.lane_graph import LaneGraph
 
@@ -186,28 +187,23 @@ def of_boxes(states: AgentStates, row: int, others: IntArray, *, spare_m: float)
         if agent < 0:
             return
         other = int(left[agent])
-        shared_m2 = _shared_m2(states, (row, length, width), other, span.start + step)
+        boxes = [row, other], [length, traffic.length_m[other]], [width, traffic.width_m[other]]
+        shared_m2 = _shared_m2(traffic, *boxes, step=span.start + step)
         yield _finding(states, (row, other), span.start + step, Quantity.OVERLAP, shared_m2, 0.0)
         left = np.delete(left, agent)
 
 
-def _shared_m2(states: AgentStates, own: tuple[int, float, float], other: int, step: int) -> float:
-    """Ground that two boxes share at a step or halfway to the next, m2."""
-    traffic, (row, length_m, width_m) = states.traffic, own
+def _shared_m2(traffic: Traffic, rows: list[int], length_m: list[float], width_m: list[float], *, step: int) -> float:
+    """Ground that the boxes of two agents share at a step or halfway to the next, m2."""
+    position, heading, following = traffic.position[rows], traffic.heading[rows], min(step + 1, traffic.num_steps - 1)
+    there = traffic.present[rows, following]
+    way = np.where(there[:, None], position[:, following] - position[:, step], 0.0)
+    turn = np.where(there, wrap_angle(heading[:, following] - heading[:, step]), 0.0)
     most = 0.0
-    following = min(step + 1, traffic.num_steps - 1)
     for share in (0.0, 0.5):
-        boxes = []
-        for agent, box_length_m, box_width_m in (
-            (row, length_m, width_m), (other, traffic.length_m[other], traffic.width_m[other])
-        ):  # fmt: skip
-            now, then = traffic.position[agent, step], traffic.position[agent, following]
-            turn = float(wrap_angle(traffic.heading[agent, following] - traffic.heading[agent, step]))
-            there = traffic.present[agent, following]
-            at = now + share * (then - now) if there else now
-            angle = traffic.heading[agent, step] + (share * turn if there else 0.0)
-            boxes.append(shapely.Polygon(box_corners(at, angle, length_m=box_length_m, width_m=box_width_m)))
-        most = max(most, float(boxes[0].intersection(boxes[1]).area))
+        at, angle = position[:, step] + share * way, heading[:, step] + share * turn
+        own, other = shapely.polygons(box_corners(at, angle, length_m=length_m, width_m=width_m))
+        most = max(most, float(shapely.area(shapely.intersection(own, other))))
     return most
 
 

@@ -52,13 +52,11 @@ def cell_boxes(grid: CellGrid) -> CellBoxes:
 class OriginalOccupancy:
     """What the recorded agents occupy, for all steps beforehand.
 
-    sigma (T, C) uint8, FREE or ORIGINAL; cell (A, T) index of the cell of each agent's centre, mapped (A, T) tells
-    whether it has one.
+    sigma (T, C) uint8, FREE or ORIGINAL; cell (A, T) index of the cell of each agent's centre, -1 for none.
     """
 
     sigma: npt.NDArray[np.uint8]
     cell: npt.NDArray[np.int64]
-    mapped: npt.NDArray[np.bool_]
 
 
 def original_occupancy(boxes: CellBoxes, traffic: Traffic) -> OriginalOccupancy:
@@ -69,10 +67,9 @@ def original_occupancy(boxes: CellBoxes, traffic: Traffic) -> OriginalOccupancy:
     """
     by_x = np.argsort(boxes.center[:, 0])  # so that only cells near in x need to be looked at
     widest = float(np.hypot(boxes.length_m.max(), boxes.width_m.max())) / 2 if by_x.size else 0.0
-    sigma, cell = original_cells(
+    return OriginalOccupancy(*original_cells(
         boxes.center, boxes.heading, boxes.length_m, boxes.width_m, by_x, widest, *traffic.boxes, AGREES_RAD
-    )
-    return OriginalOccupancy(sigma=sigma, cell=cell, mapped=cell >= 0)
+    ))  # fmt: skip
 
 
 def is_anybody_on(boxes: CellBoxes, cells: Sequence[int], traffic: Traffic, step: int, *, width_share: float) -> bool:

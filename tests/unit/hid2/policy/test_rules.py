@@ -203,7 +203,7 @@ def test_own_rule_takes_arguments_and_answers_by_condition(monkeypatch: pytest.M
 
 
 def test_change_to_a_free_lane_is_expected_of_every_rule_with_an_incentive() -> None:
-    """Behind a leader half as fast, LC2013 as if SUMO had a motive. MOBIL that wants 5 m/s2 more does not change at 2 m/s.
+    """Behind a leader half as fast, LC2013 as if SUMO had a motive. MOBIL that wants 5 m/s2 more does not, at 2 m/s.
 
     By the IDM it gains 1.85 (2.2 + 2.3 + .5)^2 / 4.5^2 = 2.3 m/s2.
     """
