@@ -5,7 +5,6 @@ stands, and, straight on, while that of the opposite approach does. Recorded veh
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -122,7 +121,9 @@ class InferredSignals:
         entered = np.logical_or.reduce([watched.enters[one] for one in alike])
         queued = watched.waits[lane_id].copy()
         for lane in approach.lanes:
-            if lane_id in graph.successors(lane) or _leads_only(graph, lane, turn, approach.fan):
+            onward = graph.successors(lane)
+            alone = all(one in approach.fan and graph.lanes[one].turn is turn for one in onward)
+            if lane_id in onward or (onward and alone):
                 queued |= watched.waits[lane]
         return entered, queued
 
@@ -212,11 +213,6 @@ class InferredSignals:
                     beside = graph.neighbor(beside, side)
         fan = {onward for lane in lanes for onward in graph.successors(lane) if graph.lanes[onward].is_intersection}
         return _Approach(tuple(sorted(lanes)), tuple(sorted(fan))) if lanes else None
-
-
-def _leads_only(graph: LaneGraph, lane_id: int, turn: TurnType, fan: Sequence[int]) -> bool:
-    onward = graph.successors(lane_id)
-    return bool(onward) and all(one in fan and graph.lanes[one].turn is turn for one in onward)
 
 
 def _upstream(graph: LaneGraph, lane_id: int, reach_m: float) -> list[tuple[int, float]]:

@@ -86,31 +86,25 @@ class Routes:
 
     def together(self, offer: RouteOffer, side: Side) -> tuple[float, float] | None:
         """First stretch of a route, m along its lanes, with a lane beside that lasts for an overtake; None without."""
-        graph, lanes, without = self.scene.grid.graph, self.scene.grid.graph.lanes, self.scene.config.without
-        needed_m, at, begin = stretch_m(self.scene.config), 0.0, 0.0
+        graph, needed_m, at, begin = self.scene.grid.graph, stretch_m(self.scene.config), 0.0, 0.0
         before: int | None = None
         for lane_id in offer.route:
-            beside = None
-            if at > offer.start_m - 1e-6 and "topology" not in without:
-                beside = self._lane_to_pass_on(lane_id, side)
+            beside = self._lane_to_pass_on(lane_id, side) if at > offer.start_m - 1e-6 else None
             if beside is None or before is None or beside not in graph.successors(before):
                 if at - begin > needed_m and before is not None:
                     return begin, at
                 begin = at
-            before, at = beside, at + lanes[lane_id].length_m
+            before, at = beside, at + graph.lanes[lane_id].length_m
         return (begin, at) if before is not None and at - begin > needed_m else None
 
     @once
     def _lane_to_pass_on(self, lane_id: int, side: Side) -> int | None:
         """The lane beside that may be changed to, and back from, where neither of the two turns; None without."""
-        graph = self.scene.grid.graph
-        neighbor = graph.neighbor(lane_id, side)
-        if neighbor is None or not is_drivable(graph, neighbor):
-            return None
-        if any(graph.lanes[one].turn is not TurnType.STRAIGHT for one in (lane_id, neighbor)):
-            return None
+        lanes, beside = self.scene.grid.graph.lanes, self._neighbor(lane_id, side)
         back: Side = "left" if side == "right" else "right"
-        return neighbor if graph.may_change(lane_id, side) and graph.may_change(neighbor, back) else None
+        if beside is None or self._neighbor(beside, back) is None:
+            return None
+        return beside if lanes[lane_id].turn is lanes[beside].turn is TurnType.STRAIGHT else None
 
     @cached_property
     def ways_past(self) -> list[tuple[RouteOffer, int, Side]]:
