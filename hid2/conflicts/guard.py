@@ -8,6 +8,7 @@
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -98,18 +99,15 @@ class Guard:
     fixed: Traffic
     stop_lines: StopLines
     _newest: dict[tuple[DrivenPath, BoxSize], tuple[PathOccupancy, ...]] = field(default_factory=dict)
-    brakes: FloatArray = field(init=False)
-    predicted: tuple[float, float, float, float] = field(init=False)
+    # as the kernels `needed_braking` and `speed_limits` take them: how others are predicted, when a driver brakes
+    predicted = _PREDICTED_JERK_MPS3, PET_MARGIN_M, _BRAKING_LASTS_S, _HARDEST_RATIO
     rules = _RULES
 
-    def __post_init__(self) -> None:
-        """As the kernels `needed_braking` and `speed_limits` take them.
-
-        The decelerations that are tried, how others are predicted, and when a driver begins and ends to brake.
-        """
+    @cached_property
+    def brakes(self) -> FloatArray:
+        """Decelerations that are tried, m/s2."""
         most_mps2 = self.scene.config.conflict.brake_max_mps2
-        self.brakes = np.array([brake for brake in _BRAKES_MPS2 if brake <= most_mps2])
-        self.predicted = _PREDICTED_JERK_MPS3, PET_MARGIN_M, _BRAKING_LASTS_S, _HARDEST_RATIO
+        return np.array([brake for brake in _BRAKES_MPS2 if brake <= most_mps2])
 
     @property
     def horizon(self) -> int:

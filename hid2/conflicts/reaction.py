@@ -7,7 +7,7 @@ are inferred from the recording.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,24 +69,15 @@ class _OwnPath:
         return min(max(found, since), since + 1.0)
 
 
-@dataclass(eq=False)
 class Reactions:
     """The recorded vehicles of one simulation. scene: as it has become; follow_mps: their car following.
 
     late (A,): how many steps each recorded agent is behind its recording by now.
     """
 
-    scene: Scene
-    follow_mps: FollowSpeed
-    late: FloatArray = field(init=False)
-    _recorded: Traffic = field(init=False)
-    _speed: FloatArray = field(init=False)
-
-    def __post_init__(self) -> None:
-        """No agent is late yet."""
-        self._recorded = self.scene.future
-        self.late = np.zeros(len(self._recorded.ids))
-        self._speed = np.zeros(len(self._recorded.ids))
+    def __init__(self, scene: Scene, follow_mps: FollowSpeed) -> None:
+        self.scene, self.follow_mps, self._recorded = scene, follow_mps, scene.future
+        self.late, self._speed = np.zeros((2, len(scene.future.ids)))
 
     def advance(self, step: int, others: Traffic) -> bool:
         """Let all agents get on to `step`; whether any is later than before, and so the scene another one.

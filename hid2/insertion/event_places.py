@@ -166,7 +166,7 @@ class Places:
 
     def _within(self, low_s: float, high_s: float) -> BoolArray:
         """(T,) steps within a band of times, or nearly, at which the target is there."""
-        time_s = np.arange(self.target.present.size) * self.target.step_s
+        time_s = np.arange(self.target.present.size) * self.routes.scene.step_s
         spare_s = _SPARE_SHARE * MOMENT_S
         return self.target.present & (time_s >= low_s - spare_s) & (time_s <= high_s + spare_s)
 

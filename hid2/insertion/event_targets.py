@@ -15,8 +15,8 @@ from hid2.scene import Scene
 class Target:
     """A recorded vehicle that an event is about: its track, lanes in the order driven, and way driven (T,) m.
 
-    present (T,); position (T, 2) m, heading (T,) rad and speed (T,) m/s as dense arrays,
-    steps step_s apart; runs: lane ids with first and last step.
+    present (T,); position (T, 2) m, heading (T,) rad and speed (T,) m/s as dense arrays;
+    runs: lane ids with first and last step.
     """
 
     track: Track
@@ -26,7 +26,6 @@ class Target:
     speed: FloatArray
     way: FloatArray
     runs: tuple[tuple[int, int, int], ...]
-    step_s: float
 
     def lane_at(self, step: int) -> int | None:
         """Lane id at a step, None off every lane."""
@@ -71,5 +70,4 @@ def target_of(scene: Scene, row: int) -> Target | None:
         runs=tuple(
             (int(lanes.lane_ids[run.lane]), int(arrays.step[run.first]), int(arrays.step[run.last])) for run in runs
         ),
-        step_s=scene.step_s,
     )  # fmt: skip

@@ -26,7 +26,7 @@ from hid2.insertion.outcome import Outcome, outcome_of
 from hid2.insertion.requests import draw_size
 from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.traffic import Traffic
-from hid2.params import Config, Event
+from hid2.params import Event
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
@@ -90,8 +90,7 @@ def scene_for(scene: Scene, event: Event) -> Scene:
             "give_up_s": waits_s,
         }
         update["lane_change"] = config.lane_change.model_copy(update=change)
-    changed: Config = config.model_copy(update=update)
-    return replace(scene, config=changed)
+    return replace(scene, config=config.model_copy(update=update))
 
 
 @dataclass(slots=True)
