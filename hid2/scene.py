@@ -31,8 +31,9 @@ ENTRY_STAYS_S = 3.0
 #: Desired speed of an added leader over the usual one of its lane, uniform between. No tunable: never a crawl on a free
 #: road, and no leader that is not worth an overtake.
 SLOW_LEADER_SHARE = 0.5, 0.7
-#: Kept to a box that crosses or stands ahead, m. No tunable: a bumper's length, a time is what PET and TTC keep.
-_MARGIN_FRONT_M = 1.0
+#: By how much the place of a crossing agent is smaller on both sides before it is there and after, m. No tunable: half
+#: of a bumper's length, a time is what PET and TTC keep.
+PET_MARGIN_M = 0.5
 _RUN_ON_M = 250.0  # no tunable: without topology a vehicle runs straight on, farther than any scene lasts
 #: Recorded vehicles that drive slower than this do not move, m/s.
 MOVES_MPS = 1.0
@@ -102,8 +103,8 @@ class Scene:
         """The same, with the place of crossing agents taken for the critical PET before and after, or longer."""
         return path_occupancy(
             path.line, traffic, box, margin_m=self.config.conflict.margin_lateral_m,
-            clear_steps=max(self.pet_steps, self.steps_in(at_least_s)),
-            clear_margin_m=self.pet_margin_m,
+            clear_steps=max(math.ceil(self.config.conflict.pet_min_s / self.step_s) + 1, self.steps_in(at_least_s)),
+            clear_margin_m=PET_MARGIN_M,
         )  # fmt: skip
 
     @once
@@ -112,7 +113,7 @@ class Scene:
         wide = self.met_on(path, box, self.future)  # what touches no margin touches no box
         near = replace(self.future.rows(wide.agents.tolist()), present=np.isfinite(wide.low))
         found = look_along(path.line, near, box.length_m, box.width_m)
-        return replace(found, agents=wide.agents[found.agents])
+        return found._replace(agents=wide.agents[found.agents])
 
     @once
     def shown_on(self, path: DrivenPath, box: BoxSize) -> Shown:
@@ -147,16 +148,6 @@ class Scene:
     def steps_in(self, seconds: float) -> int:
         """The number of steps nearest to a duration, at least one."""
         return max(1, round(seconds / self.step_s))
-
-    @cached_property
-    def pet_steps(self) -> int:
-        """Steps for which the place of crossing agents is kept clear before and after."""
-        return math.ceil(self.config.conflict.pet_min_s / self.step_s) + 1
-
-    @property
-    def pet_margin_m(self) -> float:
-        """By how much that place is smaller on both sides than one where an agent is, m."""
-        return 0.5 * _MARGIN_FRONT_M
 
     @cached_property
     def _places(self) -> dict[int, FloatArray]:
@@ -259,6 +250,13 @@ def build_scene(
     )
 
 
+def cruising_mps(traffic: Traffic, row: int) -> float:
+    """Speed of a recorded agent while it moves, 90th percentile, m/s; 0 where it never does."""
+    speed = np.hypot(*traffic.velocity[row, traffic.present[row]].T)
+    moves = speed > MOVES_MPS
+    return float(np.percentile(speed[moves], 90)) if moves.any() else 0.0
+
+
 def _speeds(
     grid: CellGrid,
     tracks: Sequence[Track],
@@ -267,19 +265,18 @@ def _speeds(
     *,
     step_s: float,
 ) -> tuple[dict[int, list[float]], list[float]]:
-    """Cruising speed (90th percentile while moving) of each moving vehicle: over the scene, and by lane driven on."""
+    """Cruising speed of each moving vehicle: over the scene, and by lane driven on."""
     lane_of = np.array([cell.lane_id for cell in grid.cells])
     by_lane: dict[int, list[float]] = {}
     scene: list[float] = []
     for row, track in enumerate(tracks):
         if track.object_type not in VEHICLE_TYPES or track.category < 1 or track.path_m < MOVING_EXTENT_M:
             continue
-        speed = np.hypot(*traffic.velocity[row].T)
-        moving = traffic.present[row] & (speed > MOVES_MPS)
+        moving = traffic.present[row] & (np.hypot(*traffic.velocity[row].T) > MOVES_MPS)
         if moving.sum() < round(MOVING_S / step_s):
             continue
-        usual_mps = float(np.percentile(speed[moving], 90))
+        usual_mps = cruising_mps(traffic, row)
         scene.append(usual_mps)
-        for lane_id in np.unique(lane_of[occupancy.cell[row, moving & occupancy.mapped[row]]]):
+        for lane_id in np.unique(lane_of[occupancy.cell[row, moving & (occupancy.cell[row] >= 0)]]):
             by_lane.setdefault(int(lane_id), []).append(usual_mps)
     return by_lane, scene

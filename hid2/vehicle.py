@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy
 from hid2.drivers.driver import Driver, LaneOffset
 from hid2.motion.route import DrivenPath, Route
-from hid2.policy.decision import LaneOption, Side
+from hid2.policy.lane_change import LaneOption
 from hid2.policy.overtake import Stage
 from hid2.reasons import Reason
+from netconvert.lane_graph import Side
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,8 +27,8 @@ from hid2.measures.encounters import encounters
 from hid2.measures.lane_changes import LaneChangeRow, lane_changes
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
-from hid2.measures.post_encroachment import Encroachment
 from hid2.measures.scene_end import ttc_after_last_step
+from hid2.measures.surrogates import Encroachment
 from hid2.occupancy.agent_states import AgentStates
 from hid2.policy.rules import place_in
 from netconvert.errors import ConfigError, ScenarioError
@@ -252,7 +252,7 @@ def _track_rows(
         "min_time_gap_s": least(safe.leaders.time_gap_s),
         "end_ttc_s": [value if np.isfinite(value) else None for value in end_ttc_s.tolist()],
         "findings": [Counter(one.quantity.value for one in findings if one.track_id == t) for t in arrays.track_ids],
-        **{f"{name}_steps": arrays.sum_per_agent(mask).astype(int).tolist() for name, mask in off.items()},
+        **{f"{name}_steps": np.add.reduceat(mask, arrays.first[:-1], dtype=int).tolist() for name, mask in off.items()},
     }
     return [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
 

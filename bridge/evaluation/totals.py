@@ -369,8 +369,8 @@ def _tails(realism: RealismCounts) -> list[dict[str, Any]]:
             "feature": feature.name,
             "unit": feature.unit,
             "shares": list(TAIL_SHARES),
-            "generated": quantiles(feature, realism.of(feature)[GENERATED]),
-            "recorded": quantiles(feature, realism.of(feature)[RECORDED]),
+            "generated": quantiles(feature, realism.of(feature)[GENERATED], TAIL_SHARES),
+            "recorded": quantiles(feature, realism.of(feature)[RECORDED], TAIL_SHARES),
         }
         for feature in FEATURES
         if feature.name in TAILS

@@ -203,7 +203,7 @@ def _tracks(recording: Recording, states: AgentStates, origin: FloatArray) -> li
             "speed": coded(np.hypot(*arrays.velocity[span].T), quantum=METRE),
             **({} if not arrays.vehicle[row] else {
                 "accel": coded(moved.accel_mps2[span], quantum=METRE),
-                "offset": coded(first_lane_offset(alone.arrays, alone.lanes, alone.matches), quantum=METRE),
+                "offset": coded(first_lane_offset(alone.view), quantum=METRE),
                 "gap": coded(ahead.gap_m[span], quantum=METRE),
                 "leader": coded(ahead.agent[span]),
                 "lane": coded(lane_of[states.matches.lane[span]]),

@@ -12,8 +12,8 @@ from bridge.pictures import figures
 from bridge.recordings.recording import Recording
 from hid2.agents import FloatArray
 from hid2.evaluation.kinematics import motion
-from hid2.measures.arrays import SceneArrays, stack
-from hid2.measures.driven_lanes import first_lane_offset
+from hid2.measures.arrays import stack
+from hid2.measures.driven_lanes import LaneView, first_lane_offset
 from hid2.measures.lane_matching import FlatLanes, Matches, flatten_lanes, match_lanes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.params import Limits
@@ -64,7 +64,7 @@ def agent_figure(scenario: Recording, agent_id: str) -> Figure:
     most = limits.longitudinal_jerk_mps3
     _derivative(axes[3], time, jerk, limits=(-most, most), one_sided=3)
     axes[3].set_ylabel("jerk, m/s³")
-    _offset(axes[4], time, arrays, lanes, matches)
+    _offset(axes[4], time, LaneView(arrays, lanes, matches))
     _cells(axes[5], time, scenario, lanes, matches)
     for ax in axes[1:]:
         ax.set_xlim(time[0] - 0.1, time[-1] + 0.1)
@@ -147,17 +147,17 @@ def _derivative(
     ax.legend(loc="upper right", ncols=3, fontsize=8)
 
 
-def _offset(ax: Axes, time: FloatArray, arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> None:
-    offset = first_lane_offset(arrays, lanes, matches)
+def _offset(ax: Axes, time: FloatArray, view: LaneView) -> None:
+    offset = first_lane_offset(view)
     ax.set_ylabel("lateral offset, m\n(left is positive)")
     if np.isnan(offset).all():
         ax.text(0.5, 0.5, "never on a lane", transform=ax.transAxes, ha="center")
         return
     ax.plot(time, offset, color=figures.GREEN)
     ax.axhline(0.0, color=figures.GREY, linewidth=0.8)
-    first = matches.lane[matches.lane >= 0][0]
+    first = view.matches.lane[view.matches.lane >= 0][0]
     for sign, label in ((-1, "edge of the first lane"), (1, None)):
-        ax.axhline(sign * lanes.half_width[first], color=figures.GREY, linewidth=0.8, linestyle=":", label=label)
+        ax.axhline(sign * view.lanes.half_width[first], color=figures.GREY, linewidth=0.8, linestyle=":", label=label)
     ax.legend(loc="upper right", fontsize=8)
     low, high = ax.get_ylim()
     low, high = min(low, -2.2), max(high, 2.2)

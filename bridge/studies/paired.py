@@ -35,7 +35,7 @@ from hid2.measures.following import leaders
 from hid2.measures.lane_changes import LaneChangeRow, lane_changes
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import detect
-from hid2.measures.time_to_collision import CAP_S, time_to_collision
+from hid2.measures.surrogates import CAP_S, time_to_collision
 from hid2.motion.smoothing import Motion, trajectory
 from hid2.occupancy.agent_states import AgentStates, agent_states
 from hid2.params import Config, LaneChange

@@ -22,7 +22,7 @@ from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize, FloatArray
 from hid2.drivers.driver import Driver, draw_driver
 from hid2.insertion.flow import headway_s
-from hid2.insertion.sizes import draw_size
+from hid2.insertion.requests import draw_size
 from hid2.params import Config
 from hid2.policy.lane_change import OPEN, Gap
 from hid2.policy.rules import GapView, by_own_wish, rule_arguments

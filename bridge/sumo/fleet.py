@@ -204,7 +204,7 @@ class Fleet:
         if way.known is None:
             path, box = self.vehicles[row].path, self.vehicles[row].start.box
             kept = look_along(path.line, self.fixed, box.length_m, box.width_m)
-            kept = replace(kept, agents=kept.agents + len(self.scene.traffic.ids))
+            kept = kept._replace(agents=kept.agents + len(self.scene.traffic.ids))
             way.known = self.scene.in_driving_width(path, box).joined(kept)
         return way.known
 
@@ -291,7 +291,7 @@ class Fleet:
         known = obstacles.known
         low = known.low.copy()
         low[: rows.size][yields] = np.inf
-        return replace(obstacles, known=replace(known, low=low))
+        return replace(obstacles, known=known._replace(low=low))
 
 
 def _xy(vehicle: DrivenVehicle) -> FloatArray:

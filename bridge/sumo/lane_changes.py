@@ -14,8 +14,8 @@ from hid2.insertion.due import Across, Due, advance, foreseen_speeds
 from hid2.motion.lane_change_path import lateral_share
 from hid2.motion.route import shifted_path
 from hid2.occupancy.traffic import Traffic
+from hid2.policy.lane_change import SumoAnswer
 from hid2.policy.overtake import Stage
-from hid2.policy.rules import SumoAnswer
 from hid2.reasons import Reason
 
 _OFF_SHARE = 0.03  # no tunable: a tenth of a metre of a lane's width, before a way across is laid anew

@@ -10,7 +10,7 @@ from hid2.agents import Policy
 from hid2.conflicts.guard import ACTS_MPS2, A, S
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
-from hid2.policy.reroute import places_on, ways_at_next_split
+from hid2.policy.reroute import ways_at_next_split
 from hid2.scene import Scene
 from netconvert.cells import Cell
 
@@ -42,7 +42,7 @@ def take_another_way(fleet: Fleet, simulation: Simulation, row: int, now: int) -
     if cell is None:
         return False
     for path in ways_at_next_split(scene, vehicle.path, s=s, from_m=s + vehicle.start.box.length_m):
-        at = places_on(path, vehicle.path, np.array(vehicle.s))
+        at = path.all_to_line(vehicle.path.all_to_raw(np.array(vehicle.s)))
         road = fleet.roads.speeds(path, vehicle.start.driver)
         if v > road[min(int(at[-1] / TABLE_STEP_M), road.size - 1)] + _FASTER_MPS:
             continue

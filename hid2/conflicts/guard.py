@@ -8,6 +8,7 @@
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,7 @@ from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.sigma import ORIGINAL
 from hid2.occupancy.traffic import Traffic
 from hid2.once import once
-from hid2.scene import Scene
+from hid2.scene import PET_MARGIN_M, Scene
 
 # No tunables, here and below: they are how a driver brakes for what SUMO does not see, chosen on the scenes of
 # tests/real; `conflict` has the margins that it keeps. Decelerations tried, m/s2, least first, up to
@@ -61,15 +62,11 @@ class Braking(NamedTuple):
     """What a vehicle has to do about predicted conflicts.
 
     decel_mps2: least constant braking without a conflict, 0 for none; conflict_s: seconds to a conflict that remains
-    even so, None where none does; free_conflict_s: to the one without braking; leader: fleet row of the generated
-    leader within leader_gap_m; run_into: a recorded vehicle comes up from behind.
+    even so, None where none does; run_into: a recorded vehicle comes up from behind.
     """
 
     decel_mps2: float
     conflict_s: float | None
-    free_conflict_s: float | None
-    leader: int
-    leader_gap_m: float
     run_into: bool
 
     def forbids(self, driver: Driver) -> bool:
@@ -101,21 +98,16 @@ class Guard:
     scene: Scene
     fixed: Traffic
     stop_lines: StopLines
-    _newest: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, Traffic, PathOccupancy, PathOccupancy]] = field(
-        default_factory=dict
-    )
-    brakes: FloatArray = field(init=False)
-    predicted: tuple[float, float, float, float] = field(init=False)
-    rules: tuple[float, float, float, float, float, float, float, float, float, float] = _RULES
+    _newest: dict[tuple[DrivenPath, BoxSize], tuple[PathOccupancy, ...]] = field(default_factory=dict)
+    # as the kernels `needed_braking` and `speed_limits` take them: how others are predicted, when a driver brakes
+    predicted = _PREDICTED_JERK_MPS3, PET_MARGIN_M, _BRAKING_LASTS_S, _HARDEST_RATIO
+    rules = _RULES
 
-    def __post_init__(self) -> None:
-        """As the kernels `needed_braking` and `speed_limits` take them.
-
-        The decelerations that are tried, how others are predicted, and when a driver begins and ends to brake.
-        """
+    @cached_property
+    def brakes(self) -> FloatArray:
+        """Decelerations that are tried, m/s2."""
         most_mps2 = self.scene.config.conflict.brake_max_mps2
-        self.brakes = np.array([brake for brake in _BRAKES_MPS2 if brake <= most_mps2])
-        self.predicted = _PREDICTED_JERK_MPS3, self.scene.pet_margin_m, _BRAKING_LASTS_S, _HARDEST_RATIO
+        return np.array([brake for brake in _BRAKES_MPS2 if brake <= most_mps2])
 
     @property
     def horizon(self) -> int:
@@ -126,11 +118,8 @@ class Guard:
     def obstacles(self, path: DrivenPath, box: BoxSize, others: list[tuple[int, DrivenPath, BoxSize]]) -> Obstacles:
         """All agents on a path for a box; others: fleet rows with the paths and boxes of those driven together."""
         known = self.known_on(path, box)
-        found = [
-            (row, swept)
-            for row, other, other_box in others
-            if (swept := self._swept_on(path, box, other, other_box)) is not None
-        ]
+        each = ((row, self._swept_on(path, box, other, other_box)) for row, other, other_box in others)
+        found = [(row, swept) for row, swept in each if swept is not None]
         longest = max((swept[0].size for _, swept in found), default=1)
         every = np.empty((3, len(found), longest))
         every[0], every[1], every[2] = np.inf, -np.inf, 0.0
@@ -146,15 +135,11 @@ class Guard:
         mingle. Recorded ones come first, by rows of the scene's traffic; then inserted ones, by theirs in `fixed`.
         """
         scene, newest = self.scene, self._newest.get((path, box))
-        if newest is not None and newest[0] is scene.future and newest[1] is self.fixed:
-            return newest[3]
+        recorded = scene.kept_clear_on(path, box, scene.future)
         inserted = scene.kept_clear_on(path, box, self.fixed, at_least_s=scene.config.signals.before_s)
-        if newest is not None and newest[0] is scene.future and newest[2] is inserted:
-            known = newest[3]
-        else:
-            known = scene.kept_clear_on(path, box, scene.future).joined(inserted)
-        self._newest[path, box] = scene.future, self.fixed, inserted, known
-        return known
+        if newest is None or newest[0] is not recorded or newest[1] is not inserted:
+            newest = self._newest[path, box] = recorded, inserted, recorded.joined(inserted)
+        return newest[2]
 
     @once
     def _swept_on(
@@ -189,17 +174,10 @@ class Guard:
         horizon_s: another one than `conflict.horizon_s`.
         """
         conflict, known, lines, step_s = self.scene.config.conflict, obstacles.known, obstacles.lines, self.scene.step_s
-        row, hit, free, leader, gap, run_into = needed_braking(
+        row, hit, *_, run_into = needed_braking(
             known.low, known.high, known.along, known.same_direction, lines.stops_s(driver), lines.closed,
             obstacles.swept, obstacles.rows, fleet, own, step, state, desired_mps, road, TABLE_STEP_M, 1.0,
             round((conflict.horizon_s if horizon_s is None else horizon_s) / step_s), STRIDE, step_s,
             driver.following, self.brakes, self.predicted, STOPS,
         )  # fmt: skip
-        return Braking(
-            decel_mps2=float(self.brakes[row]),
-            conflict_s=None if hit < 0 else hit * step_s,
-            free_conflict_s=None if free < 0 else free * step_s,
-            leader=int(leader),
-            leader_gap_m=float(gap),
-            run_into=bool(run_into),
-        )
+        return Braking(float(self.brakes[row]), None if hit < 0 else hit * step_s, bool(run_into))

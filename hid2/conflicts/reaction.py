@@ -7,7 +7,7 @@ are inferred from the recording.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from hid2.occupancy.sigma import original_occupancy
 from hid2.occupancy.traffic import BoolArray, Traffic, velocity_of
 from hid2.once import once
 from hid2.scene import Scene
-from netconvert.geometry import wrap_angle
+from netconvert.geometry import arc_length, wrap_angle
 
 #: A follower that would have to brake harder is not expected to yield, m/s2: SUMO's decel; leaders farther away are not
 #: followed, m. No tunables: how the recorded drive on is for the car-following model to say.
@@ -30,7 +30,7 @@ FollowSpeed = Callable[[int, float, float, float], float]
 
 def yielding(
     scene: Scene, rows: IntArray, step: int, *, xy: FloatArray, forward: FloatArray, half_m: float, speed_mps: float
-) -> BoolArray:  # fmt: skip
+) -> BoolArray:
     """Which of some recorded agents (K,) come from behind a vehicle at a step and can yield to it.
 
     Those that drive as it does and would have to brake with YIELDS_MPS2 at most. xy (2,) m, forward (2,):
@@ -69,24 +69,15 @@ class _OwnPath:
         return min(max(found, since), since + 1.0)
 
 
-@dataclass(eq=False)
 class Reactions:
     """The recorded vehicles of one simulation. scene: as it has become; follow_mps: their car following.
 
     late (A,): how many steps each recorded agent is behind its recording by now.
     """
 
-    scene: Scene
-    follow_mps: FollowSpeed
-    late: FloatArray = field(init=False)
-    _recorded: Traffic = field(init=False)
-    _speed: FloatArray = field(init=False)
-
-    def __post_init__(self) -> None:
-        """No agent is late yet."""
-        self._recorded = self.scene.future
-        self.late = np.zeros(len(self._recorded.ids))
-        self._speed = np.zeros(len(self._recorded.ids))
+    def __init__(self, scene: Scene, follow_mps: FollowSpeed) -> None:
+        self.scene, self.follow_mps, self._recorded = scene, follow_mps, scene.future
+        self.late, self._speed = np.zeros((2, len(scene.future.ids)))
 
     def advance(self, step: int, others: Traffic) -> bool:
         """Let all agents get on to `step`; whether any is later than before, and so the scene another one.
@@ -140,9 +131,7 @@ class Reactions:
         driven = self.scene.states.line(row) if others.size else None
         if driven is None:
             return None
-        seen = look_along(
-            driven.line, here.rows(others.tolist()), float(own.length_m[row]), float(own.width_m[row])
-        )  # fmt: skip
+        seen = look_along(driven.line, here.rows(others.tolist()), float(own.length_m[row]), float(own.width_m[row]))
         steps = np.flatnonzero(np.isfinite(driven.s))
         found = gaps_on_path(seen, np.interp([place], steps, driven.s[steps]), 0)
         return None if found.leader[0] < 0 else (max(0.0, float(found.lead_m[0])), float(found.lead_mps[0]))
@@ -150,8 +139,7 @@ class Reactions:
     @once
     def _path(self, row: int) -> _OwnPath:
         there = np.flatnonzero(self._recorded.present[row])
-        way = np.hypot(*np.diff(self._recorded.position[row, there], axis=0).T)
-        return _OwnPath(int(there[0]), np.concatenate([[0.0], np.cumsum(way)]))
+        return _OwnPath(int(there[0]), arc_length(self._recorded.position[row, there]))
 
     def _move(self, rows: Sequence[int], step: int) -> None:
         """The scene with some agents later from a step on: they are expected to go on as recorded, so much later."""

@@ -10,8 +10,8 @@ from itertools import pairwise
 import numpy as np
 
 from hid2.agents import FloatArray
+from hid2.judge.findings import MotionProfile
 from hid2.measures.arrays import BoolArray, SceneArrays
-from hid2.measures.motion_limits import MotionProfile
 
 #: Tracks shorter than this are left out of LO, LA and JE: the third derivative needs five samples.
 MIN_STEPS = 5

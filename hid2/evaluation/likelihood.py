@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from hid2.agents import FloatArray, IntArray
 from hid2.kernels.box_pairs import time_to_collision
 from hid2.measures.arrays import BoolArray
-from hid2.measures.time_to_collision import CAP_S
+from hid2.measures.surrogates import CAP_S
 from hid2.occupancy.traffic import Traffic
 from netconvert.geometry import box_corners
 from netconvert.lane_graph import LaneGraph
@@ -87,15 +87,13 @@ def features(traffic: Traffic, rows: IntArray, beyond: BeyondEdge, *, step_s: fl
     yaw_acceleration, _ = _central(yaw, moved, step_s)
     corners = box_corners(
         traffic.position, traffic.heading, length_m=traffic.length_m[:, None], width_m=traffic.width_m[:, None]
-    )  # fmt: skip
+    )
     row_of = np.full(traffic.present.shape, -1, dtype=np.int64)
     row_of[traffic.present] = np.arange(traffic.present.sum())
     position, heading, velocities = (
         np.ascontiguousarray(one[traffic.present]) for one in (traffic.position, traffic.heading, traffic.velocity)
     )
-    ttc_s, _ = time_to_collision(
-        position, heading, velocities, traffic.length_m, traffic.width_m, row_of, CAP_S
-    )  # fmt: skip
+    ttc_s, _ = time_to_collision(position, heading, velocities, traffic.length_m, traffic.width_m, row_of, CAP_S)
     values = np.stack([
         np.hypot(velocity[..., 0], velocity[..., 1]), acceleration, yaw, yaw_acceleration,
         _nearest(traffic, rows, corners), ttc_s[row_of[rows]], beyond(corners[rows]),

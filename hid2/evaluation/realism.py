@@ -17,7 +17,7 @@ from hid2.evaluation.safety import Safety
 from hid2.evaluation.windows import SPLITS, Windows, compared, half_numbers, lateral_accel_mps2
 from hid2.measures.arrays import SceneArrays
 from hid2.measures.manoeuvres import Maneuver, whole_lane_changes
-from hid2.measures.time_to_collision import CAP_S
+from hid2.measures.surrogates import CAP_S
 
 
 class Feature(NamedTuple):
@@ -180,7 +180,7 @@ def _values(
     return out
 
 
-def quantiles(feature: Feature, counts: IntArray, shares: Sequence[float] = TAIL_SHARES) -> list[float] | None:
+def quantiles(feature: Feature, counts: IntArray, shares: Sequence[float]) -> list[float] | None:
     """Quantiles, to a fine bin, of a histogram; None without samples."""
     total = int(counts.sum())
     if not total:

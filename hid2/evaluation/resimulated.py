@@ -14,8 +14,8 @@ from hid2.agents import FloatArray, Policy, Track
 from hid2.drivers.driver import Driver, LaneOffset, desired_speeds, draw_driver, lane_offset, usual_driver
 from hid2.measures.driven_lanes import LaneView, path_driven, runs_of
 from hid2.measures.following import leaders
-from hid2.motion.reference_line import TABLE_STEP_M, build_reference_line
-from hid2.motion.route import DRIVABLE_TYPES, MAX_OFFSET_M, PATH_STEP_M, DrivenPath, Route
+from hid2.motion.reference_line import TABLE_STEP_M
+from hid2.motion.route import DRIVABLE_TYPES, DrivenPath, Route, line_along
 from hid2.motion.smoothing import smooth_motion, trajectory
 from hid2.occupancy.agent_states import AgentStates
 from hid2.policy.roads import Roads
@@ -111,8 +111,7 @@ def own_path(scene: Scene, one: TakenOut) -> DrivenPath:
     aside = usual_m + (d_m - usual_m) * np.exp(-((np.maximum(s - start_s, 0.0) / _BACK_OVER_M) ** 2))
     xy, tangent, _ = middle.line.motion(s)
     points = xy + aside[:, None] * np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
-    limits, length_m = scene.config.limits, arc_length(points)
-    line = build_reference_line(points, step_m=PATH_STEP_M, min_radius_m=limits.min_radius_m, max_offset_m=MAX_OFFSET_M)
+    line, length_m = line_along(points, scene.config.limits), arc_length(points)
     ends = np.array([(part.start, part.end) for part in middle.segments])
     ends = np.interp(ends, s, length_m * line.length_m / length_m[-1])
     segments = tuple(replace(part, start=a, end=b) for part, (a, b) in zip(middle.segments, ends.tolist(), strict=True))

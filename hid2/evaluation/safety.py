@@ -11,12 +11,12 @@ import numpy as np
 import shapely
 
 from hid2.agents import FloatArray
+from hid2.judge.findings import MOVES_MPS
 from hid2.judge.states import against_lane_deg, outside_m
 from hid2.measures.arrays import BoolArray, SceneArrays
 from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import Leaders, leaders
-from hid2.measures.post_encroachment import Encroachment, encroachments
-from hid2.measures.time_to_collision import CAP_S, time_to_collision
+from hid2.measures.surrogates import CAP_S, Encroachment, encroachments, time_to_collision
 from hid2.params import Limits
 from netconvert.geometry import box_corners
 from netconvert.lane_graph import LaneGraph
@@ -25,8 +25,6 @@ from netconvert.lane_graph import LaneGraph
 IOU_THRESHOLD = 0.02
 #: A corner further outside than this is off the road.
 FOOTPRINT_TOLERANCE_M = Limits().drivable_tolerance_m
-#: Slower vehicles drive neither with nor against a lane.
-WRONG_WAY_SPEED_MPS = 1.0
 _TOUCHES_M2 = 1e-9  # no tunable: boxes that share no more only touch
 
 
@@ -101,7 +99,7 @@ def off_footprint(arrays: SceneArrays, graph: LaneGraph) -> BoolArray:
 def _against_lane(view: LaneView) -> BoolArray:
     """Rows (N,) of moving vehicles that drive against their lanes, as the judge sees it."""
     arrays = view.arrays
-    against = np.hypot(*arrays.velocity.T) > WRONG_WAY_SPEED_MPS
+    against = np.hypot(*arrays.velocity.T) > MOVES_MPS
     for agent, driven in enumerate(arrays.moving_vehicles.tolist()):
         rows = np.arange(arrays.first[agent], arrays.first[agent + 1])
         angle, limit = against_lane_deg(view, rows, view.lanes.graph) if driven else (0.0, 0.0)

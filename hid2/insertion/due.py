@@ -9,11 +9,10 @@ from hid2.agents import FloatArray, Policy
 from hid2.drivers.driver import free_speeds
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
-from hid2.policy.decision import LaneOption, Observation, Side, decide, is_due
-from hid2.policy.lane_change import OPEN, Gap
+from hid2.policy.decision import Observation, Side, decide, is_due
+from hid2.policy.lane_change import OPEN, Gap, LaneOption, SumoAnswer
 from hid2.policy.observation import gap_ahead_of, gaps_on, lane_options, lay_across, leader_on, returns_to
 from hid2.policy.overtake import SHIFT_RATIO, Stage
-from hid2.policy.rules import SumoAnswer
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, GapLook, Shift

@@ -2,16 +2,14 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import shapely
 
-from hid2.agents import FloatArray, IntArray
 from hid2.insertion.flow import entry_lanes
 from hid2.insertion.meetings import NEAR_WEIGHT, Meetings
 from hid2.insertion.routes import RouteOffer, Routes
-from hid2.occupancy.traffic import BoolArray
 from hid2.scene import ENTRY_STAYS_S, Scene
 from netconvert.lane_graph import TurnType
 
@@ -19,18 +17,11 @@ from netconvert.lane_graph import TurnType
 _EDGE_M = 15.0
 
 
-class EntryTable(NamedTuple):
-    """Entries of a scene, (N,): lane, row of the route in `Routes.offers`, step; weight, near, leader: `Outlook`.
-
-    Those from which no agent is met have no weight where vehicles are asked for near to agents.
-    """
-
-    lane: IntArray
-    offer: IntArray
-    step: IntArray
-    weight: FloatArray
-    near: BoolArray
-    leader: IntArray
+#: An entry: lane, row of the route in `Routes.offers`, step; weight, near, leader: `Outlook`. One from which no agent
+#: is met has no weight where vehicles are asked for near to agents.
+_ENTRY = np.dtype([
+    ("lane", "i8"), ("offer", "i8"), ("step", "i8"), ("weight", "f8"), ("near", "?"), ("leader", "i8")
+])  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,16 +34,16 @@ class Entries:
 
     def offer(self, row: int) -> RouteOffer:
         """The route of an entry."""
-        return self.routes.offers(int(self.table.lane[row]))[int(self.table.offer[row])]
+        return self.routes.offers(int(self.table["lane"][row]))[int(self.table["offer"][row])]
 
     def step(self, row: int, rng: np.random.Generator) -> int:
         """A step of an entry, drawn from its own to the one before the next look."""
-        last = int(self.table.step[row]) + self._between - 1
-        return int(rng.integers(int(self.table.step[row]), min(last, self._last) + 1))
+        first = int(self.table["step"][row])
+        return int(rng.integers(first, min(first + self._between - 1, self._last) + 1))
 
     @cached_property
-    def table(self) -> EntryTable:
-        """All of them, at every look of `Meetings` after the first, up to the last observed step."""
+    def table(self) -> npt.NDArray[np.void]:
+        """All of them, (N,) of _ENTRY, at every look of `Meetings` after the first, up to the last observed step."""
         scene = self.scene
         rows: list[tuple[int, int, int, float, bool, int]] = []
         looks = [(look, step) for look, step in enumerate(self.meetings.looks.tolist()) if 0 < step <= self._last]
@@ -64,8 +55,7 @@ class Entries:
                     weighs = scene.config.request.near == "anywhere" or met.weight[0] >= NEAR_WEIGHT
                     weight = float(met.weight[0]) / len(offers) if weighs else 0.0
                     rows.append((lane_id, offer, step, weight, bool(met.near[0]), int(met.leader[0])))
-        columns = zip(*rows, strict=True) if rows else [()] * 6
-        return EntryTable(*map(np.array, columns, (np.int64, np.int64, np.int64, np.float64, np.bool_, np.int64)))
+        return np.array(rows, dtype=_ENTRY)
 
     @property
     def _between(self) -> int:

@@ -43,20 +43,18 @@ class EntrySites:
     def starts_of(self, request: VehicleRequest, followed: list[int]) -> Iterator[Start]:
         """Starts at the map's edge during the scene: lane, route and step in the order of `Spread`."""
         scene, entries, rng = self.here.scene, self.here.entries, self.starts.rng
-        table = entries.table
-        weight = table.weight.copy()
-        weight[np.isin(table.leader, followed) & (table.leader >= 0)] /= LEADER_WEIGHT
+        leader, weight = entries.table["leader"], entries.table["weight"].copy()
+        weight[np.isin(leader, followed) & (leader >= 0)] /= LEADER_WEIGHT
         if scene.config.request.is_near_agents:
-            weight[~table.near] = 0.0
+            weight[~entries.table["near"]] = 0.0
         order = self.spread.order(
             weight, rng, number=self._looked, kind=len(Policy), round_number=self.starts.round_number,
             of=round(scene.config.request.entering * self.asked),
         )  # fmt: skip
         self._looked += 1
         for row in order[:TRIES].tolist():
-            start = self.starts.make(
-                request, Site(entries.offer(row), None, entries.step(row, rng), int(table.leader[row]))
-            )
+            site = Site(entries.offer(row), None, entries.step(row, rng), int(leader[row]))
+            start = self.starts.make(request, site)
             if isinstance(start, Start):
                 yield start
             else:

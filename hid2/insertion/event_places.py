@@ -19,11 +19,10 @@ from hid2.insertion.event_objective import MOMENT_S
 from hid2.insertion.event_targets import Target
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.measures.encounters import CROSSING_RAD
-from hid2.motion.route import ROUTE_LONGEST_M, DrivenPath, Route, is_drivable
+from hid2.motion.route import ROUTE_LONGEST_M, DrivenPath, Route, is_drivable, straightest_first
 from hid2.occupancy.traffic import BoolArray
 from hid2.params import Event
-from hid2.policy.decision import Side
-from netconvert.lane_graph import TurnType
+from netconvert.lane_graph import Side
 
 #: Other ways onto a lane, and on from it. Not a parameter, it saves time: a path takes as long as twenty rollouts.
 _OTHER_WAYS = 2
@@ -167,7 +166,7 @@ class Places:
 
     def _within(self, low_s: float, high_s: float) -> BoolArray:
         """(T,) steps within a band of times, or nearly, at which the target is there."""
-        time_s = np.arange(self.target.present.size) * self.target.step_s
+        time_s = np.arange(self.target.present.size) * self.routes.scene.step_s
         spare_s = _SPARE_SHARE * MOMENT_S
         return self.target.present & (time_s >= low_s - spare_s) & (time_s <= high_s + spare_s)
 
@@ -205,29 +204,25 @@ class Places:
 
         Then those that come onto it from elsewhere, and those that go on elsewhere, the nearest ones first.
         """
-        graph, lanes = self.routes.scene.grid.graph, self.routes.scene.grid.graph.lanes
+        graph = self.routes.scene.grid.graph
         if not is_drivable(graph, lane_id):
             return []
-
-        def rank(known: tuple[int, ...]) -> Callable[[int], tuple[bool, bool, int]]:
-            return lambda n: (n not in known, lanes[n].turn is not TurnType.STRAIGHT, n)
-
-        onward = self._ways(lane_id, graph.successors, rank(ahead), ROUTE_LONGEST_M)
-        back = self._ways(lane_id, graph.predecessors, rank(before), 0.5 * ROUTE_LONGEST_M)
+        onward = self._ways(lane_id, graph.successors, ahead, ROUTE_LONGEST_M)
+        back = self._ways(lane_id, graph.predecessors, before, 0.5 * ROUTE_LONGEST_M)
         pairs = [(0, 0), *((0, row) for row in range(1, len(onward))), *((row, 0) for row in range(1, len(back)))]
         found = [(*back[one][:0:-1], *onward[other]) for one, other in pairs]
         return [route for route in found if len(set(route)) == len(route)]
 
     def _ways(
-        self, lane_id: int, onto: Callable[[int], Iterable[int]], rank: Callable[[int], tuple[bool, bool, int]],
-        longest_m: float,
+        self, lane_id: int, onto: Callable[[int], Iterable[int]], known: Route, longest_m: float
     ) -> list[Route]:  # fmt: skip
         """Lanes from a lane on, by what is best at each split; then with another one at a split, the nearest first."""
-        graph, lanes = self.routes.scene.grid.graph, self.routes.scene.grid.graph.lanes
+        graph = self.routes.scene.grid.graph
 
-        def beyond(way: Route) -> list[int]:
-            far = sum(lanes[n].length_m for n in way[1:]) > longest_m
-            return [] if far else sorted((n for n in onto(way[-1]) if is_drivable(graph, n) and n not in way), key=rank)
+        def beyond(way: Route) -> Route:
+            if sum(graph.lanes[n].length_m for n in way[1:]) > longest_m:
+                return ()
+            return straightest_first(graph, (n for n in onto(way[-1]) if is_drivable(graph, n) and n not in way), known)
 
         def goes_on(way: Route) -> Route:
             while options := beyond(way):

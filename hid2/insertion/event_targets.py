@@ -6,7 +6,7 @@ import numpy as np
 
 from hid2.agents import FloatArray, Track
 from hid2.insertion.meetings import moving_vehicles, named_rows
-from hid2.measures.driven_lanes import LaneView, Run, runs_of
+from hid2.measures.driven_lanes import runs_of
 from hid2.occupancy.traffic import BoolArray
 from hid2.scene import Scene
 
@@ -15,19 +15,17 @@ from hid2.scene import Scene
 class Target:
     """A recorded vehicle that an event is about: its track, lanes in the order driven, and way driven (T,) m.
 
-    row: of the scene's traffic; present (T,); position (T, 2) m, heading (T,) rad and speed (T,) m/s as dense arrays,
-    steps step_s apart; runs: lane ids with first and last step.
+    present (T,); position (T, 2) m, heading (T,) rad and speed (T,) m/s as dense arrays;
+    runs: lane ids with first and last step.
     """
 
     track: Track
-    row: int
     present: BoolArray
     position: FloatArray
     heading: FloatArray
     speed: FloatArray
     way: FloatArray
     runs: tuple[tuple[int, int, int], ...]
-    step_s: float
 
     def lane_at(self, step: int) -> int | None:
         """Lane id at a step, None off every lane."""
@@ -57,7 +55,7 @@ def target_of(scene: Scene, row: int) -> Target | None:
     if not alone.arrays.vehicle[0]:
         return None
     arrays, lanes = alone.arrays, alone.lanes
-    runs: list[Run] = [run for run in runs_of(LaneView(arrays, lanes, alone.matches), 0) if run.lane >= 0]
+    runs = [run for run in runs_of(alone.view, 0) if run.lane >= 0]
     if not runs:
         return None
     moved, heading = np.diff(traffic.position[row], axis=0), traffic.heading[row, 1:]
@@ -66,11 +64,10 @@ def target_of(scene: Scene, row: int) -> Target | None:
     if (moved[:, 0] * np.cos(heading) + moved[:, 1] * np.sin(heading)).sum() < 0.5 * step.sum():
         return None
     return Target(
-        track=scene.tracks[row], row=row, present=traffic.present[row], position=traffic.position[row],
+        track=scene.tracks[row], present=traffic.present[row], position=traffic.position[row],
         heading=traffic.heading[row], speed=np.hypot(*traffic.velocity[row].T),
         way=np.concatenate([[0.0], np.cumsum(step)]),
         runs=tuple(
             (int(lanes.lane_ids[run.lane]), int(arrays.step[run.first]), int(arrays.step[run.last])) for run in runs
         ),
-        step_s=scene.step_s,
     )  # fmt: skip

@@ -23,10 +23,10 @@ from hid2.insertion.event_starts import Candidate, EventStarts
 from hid2.insertion.event_targets import candidate_rows, target_of
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
 from hid2.insertion.outcome import Outcome, outcome_of
-from hid2.insertion.sizes import draw_size
+from hid2.insertion.requests import draw_size
 from hid2.insertion.surroundings import Surroundings
 from hid2.occupancy.traffic import Traffic
-from hid2.params import Config, Event
+from hid2.params import Event
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
@@ -90,8 +90,7 @@ def scene_for(scene: Scene, event: Event) -> Scene:
             "give_up_s": waits_s,
         }
         update["lane_change"] = config.lane_change.model_copy(update=change)
-    changed: Config = config.model_copy(update=update)
-    return replace(scene, config=changed)
+    return replace(scene, config=config.model_copy(update=update))
 
 
 @dataclass(slots=True)
@@ -153,11 +152,8 @@ class EventSearch:
         self, objectives: Sequence[Objective], number: int, rejected: Counter[Reason]
     ) -> Iterator[tuple[EventStarts, Candidate]]:
         """Candidates that the judge finds to be as asked, the best of a few first; targets in turns."""
-        rng, scene, event = (
-            np.random.default_rng([*self.seed, 0xE7E27, number]),
-            objectives[0].scene,
-            objectives[0].event,
-        )
+        scene, event = objectives[0].scene, objectives[0].event
+        rng = np.random.default_rng([*self.seed, 0xE7E27, number])
         lines = StopLines(scene) if event.kind in _MEETS_CROSSING else self.here.stop_lines
         guard, left = Guard(scene, traffic_of_exported(self.kept, scene), lines), scene.config.event_search.candidates
         _, size = draw_size(scene.config.request.model_copy(update={"bus_share": 0.0}), rng)

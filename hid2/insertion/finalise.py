@@ -9,9 +9,8 @@ import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Track
 from hid2.drivers.driver import LaneOffset
-from hid2.judge.findings import MOVES_M, Finding, Quantity, last_word
+from hid2.judge.findings import MOVES_M, MOVES_MPS, Finding, Quantity, last_word
 from hid2.judge.states import (
-    MOVES_MPS,
     headways,
     of_boxes,
     of_crossings,
@@ -24,7 +23,6 @@ from hid2.judge.states import (
 )
 from hid2.kernels.path_intervals import SAME_WAY
 from hid2.measures.following import leaders
-from hid2.measures.motion_limits import MOTION_LIMITS
 from hid2.motion.smoothing import Motion, Trajectory, smooth_motion, trajectory
 from hid2.occupancy.agent_states import AgentStates, agent_states
 from hid2.occupancy.gaps import gaps_from_poses
@@ -40,18 +38,6 @@ _FILTER_RATIOS, _OFFSET_SHARES = (1.0, 1.6, 2.5), (1.0, 0.5, 0.0)
 #: tunable: 5 of 150 recorded vehicles have less.
 _PASSES_M = 0.5
 _PASSES_NEAR_M = 20.0  # not a parameter, it saves time: so far apart on an axis, agents have more room than that
-#: Reasons by what the judge finds; boxes that meet are told apart by their agents.
-_REASONS = {Quantity(limit.name): limit.reason for limit in MOTION_LIMITS} | {
-    Quantity.CURVATURE: Reason.LIMIT_CURVATURE,
-    Quantity.AGAINST_LANE: Reason.AGAINST_LANE,
-    Quantity.OFF_ROAD: Reason.OFF_ROAD,
-    Quantity.TTC_LEADER: Reason.TTC_LANE_LEADER,
-    Quantity.TTC_FOLLOWER: Reason.TTC_RECORDED_FOLLOWER,
-    Quantity.FOLLOWER_HEADWAY: Reason.FOLLOWER_HEADWAY,
-    Quantity.PET: Reason.PET,
-    Quantity.END_TTC: Reason.TTC_AT_END,
-    Quantity.END_CONTACT: Reason.TTC_AT_END,
-}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -77,7 +63,7 @@ class ExportedVehicle:
     @property
     def span(self) -> slice:
         """Its steps among those of the scene."""
-        return _span(self.driven, self.num_steps)
+        return slice(self.driven.start.step, self.driven.start.step + self.num_steps)
 
     @property
     def course(self) -> FloatArray:
@@ -91,16 +77,9 @@ class ExportedVehicle:
 
 
 def _track(vehicle: DrivenVehicle, path: Trajectory, track_id: str, category: int) -> Track:
-    start, steps = vehicle.start, _span(vehicle, len(path.position))
-    return Track(
-        track_id, start.request.object_type, category, np.arange(steps.start, steps.stop, dtype=np.int64),
-        path.position, path.heading, path.velocity, start.size,
-    )  # fmt: skip
-
-
-def _span(vehicle: DrivenVehicle, count: int) -> slice:
-    """The first `count` steps of a vehicle among those of the scene."""
-    return slice(vehicle.start.step, vehicle.start.step + count)
+    start, steps = vehicle.start, vehicle.start.step + np.arange(len(path.position), dtype=np.int64)
+    motion = path.position, path.heading, path.velocity
+    return Track(track_id, start.request.object_type, category, steps, *motion, start.size)
 
 
 def traffic_of_exported(vehicles: Sequence[ExportedVehicle], scene: Scene) -> Traffic:
@@ -189,11 +168,11 @@ def together(scene: Scene, vehicles: Iterable[ExportedVehicle]) -> AgentStates:
 
 
 def _reason(scene: Scene, findings: Iterable[Finding]) -> Reason | None:
-    """Reason of the first finding."""
+    """Reason of the first finding; boxes that meet are told apart by their agents."""
     for one in findings:
         if one.quantity is Quantity.OVERLAP:
             return Reason.MEETS_RECORDED if one.other in scene.states.traffic.ids else Reason.MEETS_GENERATED
-        return _REASONS[one.quantity]
+        return one.quantity.reason
     return None
 
 
@@ -286,7 +265,8 @@ def conflicting(
     row_of = {name: row for row, name in enumerate(states.arrays.track_ids[first:])}
     found: dict[int, Reason] = {}
     for one in findings:
-        found.setdefault(max(row_of[one.track_id], row_of.get(one.other or "", -1)), _REASONS[one.quantity])
+        if (reason := one.quantity.reason) is not None:
+            found.setdefault(max(row_of[one.track_id], row_of.get(one.other or "", -1)), reason)
     return sorted((row, reason) for row, reason in found.items() if row >= since)
 
 

@@ -10,13 +10,12 @@ import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, Policy
 from hid2.drivers.driver import MIDDLE, desired_speeds, draw_driver
-from hid2.insertion.requests import draw_trigger
+from hid2.insertion.requests import draw_size, draw_trigger
 from hid2.insertion.routes import Routes
-from hid2.insertion.sizes import draw_size
 from hid2.params import Flow, Request
-from hid2.policy.decision import Side
 from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
+from netconvert.lane_graph import Side
 
 _STREAM, _TRIGGERS = 77, 78  # of random numbers, apart from those of the rounds: names, no tunables
 

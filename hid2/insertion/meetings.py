@@ -1,7 +1,8 @@
 """What can be met from a start site: recorded traffic nearby, a leader to follow, a path to cross; weights of sites."""
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -13,10 +14,10 @@ from hid2.insertion.routes import RouteOffer, Routes
 from hid2.kernels.meetings import met_on_route
 from hid2.measures.encounters import BRAKES_MPS2, CROSSING_RAD, FOLLOWS_FOR_S, FOLLOWS_S
 from hid2.motion.route import Route
-from hid2.occupancy.traffic import BoolArray, Traffic
+from hid2.occupancy.traffic import BoolArray
 from hid2.once import once
 from hid2.policy.behaviours import BEHAVIOURS
-from hid2.scene import MOVES_MPS, Scene
+from hid2.scene import Scene, cruising_mps
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
 
@@ -73,43 +74,26 @@ class Outlook(NamedTuple):
     stays: BoolArray
 
 
-@dataclass(eq=False)
 class Meetings:
     """What vehicles that start on the cells of a scene would meet at usual speed.
 
     signals: those of the stop lines, at which vehicles wait; looks: steps at which recorded traffic is looked at.
     """
 
-    scene: Scene
-    routes: Routes
-    signals: InferredSignals
-    _targets: IntArray = field(init=False)
-    looks: IntArray = field(init=False)
-    _target_xy: FloatArray = field(init=False)
-    _target_there: BoolArray = field(init=False)
-    _lane_cell: IntArray = field(init=False)
-    _number: IntArray = field(init=False)
-    _crossed_from: IntArray = field(init=False)
-    _crossed_s: FloatArray = field(init=False)
-    _pace_mps: FloatArray = field(init=False)
-    _brakes: BoolArray = field(init=False)
-
-    def __post_init__(self) -> None:
+    def __init__(self, scene: Scene, routes: Routes, signals: InferredSignals) -> None:
         """Where recorded moving vehicles are, on which cells, and which cells they cross."""
-        scene, traffic = self.scene, self.scene.traffic
-        moving = moving_vehicles(scene)
+        self.scene, self.routes, self.signals = scene, routes, signals
+        traffic, rows, moving = scene.traffic, scene.vehicle_rows, moving_vehicles(scene)
         self._targets = target_rows(scene)
         self.looks = np.arange(0, scene.num_steps, scene.steps_in(_EVERY_S))
-        self._target_xy = np.ascontiguousarray(traffic.position[self._targets][:, self.looks])
-        self._target_there = np.ascontiguousarray(traffic.present[self._targets][:, self.looks])
-        rows = scene.vehicle_rows
-        cell = scene.occupancy.cell[rows][:, self.looks]
-        self._lane_cell = np.ascontiguousarray(np.where(scene.occupancy.mapped[rows][:, self.looks], cell, -1))
+        self._target_xy = traffic.position[self._targets][:, self.looks]
+        self._target_there = traffic.present[self._targets][:, self.looks]
+        self._lane_cell = scene.occupancy.cell[rows][:, self.looks]
         self._number = np.full(len(traffic.ids), -1, dtype=np.int64)
         self._number[moving] = np.arange(moving.size)
         self._number = self._number[rows]
         self._crossed_from, self._crossed_s = self._crossings(moving)
-        self._pace_mps = np.array([_pace(traffic, row) for row in moving.tolist()], dtype=np.float64)
+        self._pace_mps = [cruising_mps(traffic, row) for row in moving.tolist()]
         speed = np.hypot(*traffic.velocity[moving][:, self.looks].transpose(2, 0, 1))
         slows = np.diff(speed, axis=1) < BRAKES_MPS2 * np.diff(self.looks) * scene.step_s
         there = traffic.present[moving][:, self.looks]
@@ -189,7 +173,7 @@ class Meetings:
 
     def pace_of(self, leader: int) -> float:
         """How fast a leader drives while it moves, m/s, as `Scene.lane_speed` has it; 0 for none."""
-        return float(self._pace_mps[leader]) if leader >= 0 else 0.0
+        return self._pace_mps[leader] if leader >= 0 else 0.0
 
     def offers_towards(self, lane_id: int, turn: TurnType) -> list[int]:
         """Rows of `Routes.offers` that first turn so, a few; straight ones where the map has them, else any."""
@@ -242,29 +226,21 @@ class Meetings:
 
     def _red(self, lane_id: int, offer: RouteOffer, look: int) -> tuple[FloatArray, BoolArray]:
         """Where a vehicle on a route stops at signals, (L,) m from a lane on, and whether they are red (L, looks)."""
-        lanes, at = self.scene.grid.graph.lanes, 0.0
         before_m = DEFAULT_SIZES["vehicle"].length_m / 2 + sum(LINE_GAP_M) / 2
-        stop_at: list[float] = []
-        red = [np.zeros((0, self.looks.size - look), dtype=np.bool_)]
-        for lane in offer.route[offer.route.index(lane_id) :]:
-            found = self.signals.red(lane)
-            if found is not None and found.any():
-                stop_at.append(at - before_m)
-                red.append(found[None, self.looks[look:]])
-            at += lanes[lane].length_m
-        return np.array(stop_at), np.concatenate(red)
+        each = [(at - before_m, self.signals.red(lane)) for lane, at in self._lanes_from(lane_id, offer)]
+        found = [(at, red[self.looks[look:]]) for at, red in each if red is not None and red.any()]
+        red = np.array([red for _, red in found], dtype=np.bool_).reshape(-1, self.looks.size - look)
+        return np.array([at for at, _ in found]), red
 
     def _cells(self, lane_id: int, offer: RouteOffer) -> tuple[IntArray, FloatArray]:
         """Cells of a route from a lane on, (K,) rows of the grid, and their middles along it, (K,) m."""
-        lanes, begin = self.scene.grid.graph.lanes, 0.0
-        cells: list[IntArray] = []
-        middle: list[FloatArray] = []
-        for lane in offer.route[offer.route.index(lane_id) :]:
-            rows, middles = self._of_lane(lane)
-            cells.append(rows)
-            middle.append(begin + middles)
-            begin += lanes[lane].length_m
-        return np.concatenate(cells), np.concatenate(middle)
+        each = [(self._of_lane(lane), begin) for lane, begin in self._lanes_from(lane_id, offer)]
+        return np.concatenate([rows for (rows, _), _ in each]), np.concatenate([begin + at for (_, at), begin in each])
+
+    def _lanes_from(self, lane_id: int, offer: RouteOffer) -> Iterator[tuple[int, float]]:
+        """Lanes of a route from a lane on, and where each begins, m from that."""
+        lanes, onward = self.scene.grid.graph.lanes, offer.route[offer.route.index(lane_id) :]
+        return zip(onward, accumulate((lanes[lane].length_m for lane in onward), initial=0.0), strict=False)
 
     @once
     def _of_lane(self, lane_id: int) -> tuple[IntArray, FloatArray]:
@@ -277,10 +253,3 @@ class Meetings:
 def _turn_of(policy: Policy) -> TurnType:
     """The first turn of the routes that a vehicle of a policy would take."""
     return BEHAVIOURS[policy].turn or TurnType.STRAIGHT
-
-
-def _pace(traffic: Traffic, row: int) -> float:
-    """Speed of a recorded vehicle while it moves, 90th percentile, m/s; 0 where it never does."""
-    speed = np.hypot(*traffic.velocity[row, traffic.present[row]].T)
-    moves = speed > MOVES_MPS
-    return float(np.percentile(speed[moves], 90)) if moves.any() else 0.0

@@ -85,11 +85,6 @@ def _turn(scene: Scene, vehicle: ExportedVehicle, kind: TurnType) -> Outcome:
     return Outcome(driven.policy, "aborted", Reason.SCENE_ENDED, start_s=round(start_s, 6), target_lane=turn.lane_id)
 
 
-def _cut_off(outcome: Outcome) -> Outcome:
-    """The same, of which the track does not show the end."""
-    return replace(outcome, status="aborted", reason=Reason.SCENE_ENDED, end_s=None)
-
-
 def _missed(vehicle: ExportedVehicle) -> Outcome:
     driven = vehicle.driven
     late = driven.start.request.trigger_s > (vehicle.num_steps - 1) * vehicle.motion.step_s
@@ -110,17 +105,17 @@ def _lane_change(vehicle: ExportedVehicle) -> Outcome:
     seen = next(iter(_changes(vehicle)), None)
     if seen is None:
         return _begun(vehicle, Reason.SCENE_ENDED)
-    return _done(vehicle, seen) if seen.complete else _cut_off(_done(vehicle, seen))
+    found = _done(vehicle, seen)  # of one that is not complete the track does not show the end
+    return found if seen.complete else replace(found, status="aborted", reason=Reason.SCENE_ENDED, end_s=None)
 
 
 def _begun(vehicle: ExportedVehicle, reason: Reason, **more: object) -> Outcome:
     """A manoeuvre that SUMO began and that the states do not show to its end."""
-    driven = vehicle.driven
-    shift = driven.shifts[0]
+    shift = vehicle.driven.shifts[0]
     start_s = round(shift.requested_step * vehicle.motion.step_s, 6)
     return Outcome(
-        driven.policy, "aborted", reason, start_s=start_s, source_lane=shift.source_lane, target_lane=shift.target_lane,
-        **more,  # type: ignore[arg-type]
+        vehicle.driven.policy, "aborted", reason, start_s=start_s, source_lane=shift.source_lane,
+        target_lane=shift.target_lane, **more,  # type: ignore[arg-type]
     )  # fmt: skip
 
 

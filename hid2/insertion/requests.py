@@ -4,14 +4,19 @@ import math
 
 import numpy as np
 
-from hid2.agents import Policy
-from hid2.insertion.sizes import draw_size
+from hid2.agents import BoxSize, Policy
 from hid2.params import Config, Request
 from hid2.vehicle import VehicleRequest
 
 #: Where no trigger_max_s is asked for, triggers are drawn up to so many seconds, and to this share of the scene; of
 #: overtakes, which take 8 s and more, to the other. No tunables: `request.trigger_max_s` is.
 _LATEST_S, _LATEST_SHARE, _LATEST_OVERTAKE_SHARE = 4.0, 0.36, 0.14
+_Table = tuple[tuple[float, float, float], ...]
+#: (share, length m, width m) of cars, box trucks and buses: quantiles of labelled Argoverse 2 boxes (human labels of
+#: sensor logs). No tunables: measured; shares of buses and trucks are.
+_CAR = ((0.0, 3.8, 1.72), (0.1, 4.0, 1.76), (0.5, 4.2, 1.87), (0.9, 5.2, 2.05), (1.0, 5.6, 2.12))
+_TRUCK = ((0.0, 7.0, 2.3), (0.5, 9.6, 2.6), (1.0, 10.5, 2.7))
+_BUS = ((0.0, 10.5, 2.7), (0.5, 11.6, 2.9), (1.0, 12.3, 2.95))
 
 
 def draw_requests(config: Config, rng: np.random.Generator, *, count: int, duration_s: float) -> list[VehicleRequest]:
@@ -56,3 +61,17 @@ def draw_trigger(
         share = _LATEST_OVERTAKE_SHARE if overtakes else _LATEST_SHARE
         high = min(_LATEST_S, share * duration_s)
     return low if high <= low else float(rng.uniform(low, high))
+
+
+def draw_size(request: Request, rng: np.random.Generator) -> tuple[str, BoxSize]:
+    """Object type and box of a vehicle; trucks are of type vehicle, as in the data set."""
+    kind, share = float(rng.random()), float(rng.random())
+    if kind < request.bus_share:
+        return "bus", _quantile(_BUS, share)
+    return "vehicle", _quantile(_TRUCK if kind < request.bus_share + request.truck_share else _CAR, share)
+
+
+def _quantile(table: _Table, share: float) -> BoxSize:
+    """Linear between the rows of a table; share from 0 to below 1."""
+    shares, *columns = np.array(table).T
+    return BoxSize(*(round(float(np.interp(share, shares, column)), 3) for column in columns))

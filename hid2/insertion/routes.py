@@ -12,11 +12,10 @@ from hid2.occupancy.sigma import FREE
 from hid2.occupancy.traffic import BoolArray
 from hid2.once import once
 from hid2.policy.behaviours import BEHAVIOURS
-from hid2.policy.decision import Side
 from hid2.policy.observation import admissible_neighbor
 from hid2.policy.overtake import stretch_m
 from hid2.scene import Scene
-from netconvert.lane_graph import SIDES, TurnType
+from netconvert.lane_graph import SIDES, Side, TurnType
 
 #: Not parameters, they save time: routes known from a lane, and m of a route before it, where followers are seen.
 _MOST, _RUN_UP_M = 16, 40.0
@@ -63,10 +62,10 @@ class Routes:
     def offers(self, lane_id: int) -> tuple[RouteOffer, ...]:
         """All routes from a lane on, in the order of the map."""
         if "topology" in self.scene.config.without:
-            return (self._offer((), (lane_id,)),)
+            return (self.offer_of((lane_id,)),)
         before, graph = self._run_up(lane_id), self.scene.grid.graph
         found = routes_from(graph, lane_id, choose=lambda onward: tuple(sorted(onward)), most=_MOST)
-        return tuple(self._offer(tuple(n for n in before if n not in route), route) for route in found)
+        return tuple(self.offer_of(route, tuple(n for n in before if n not in route)) for route in found)
 
     @once
     def map_offers(self, policy: Policy) -> bool:
@@ -87,31 +86,25 @@ class Routes:
 
     def together(self, offer: RouteOffer, side: Side) -> tuple[float, float] | None:
         """First stretch of a route, m along its lanes, with a lane beside that lasts for an overtake; None without."""
-        graph, lanes, without = self.scene.grid.graph, self.scene.grid.graph.lanes, self.scene.config.without
-        needed_m, at, begin = stretch_m(self.scene.config), 0.0, 0.0
+        graph, needed_m, at, begin = self.scene.grid.graph, stretch_m(self.scene.config), 0.0, 0.0
         before: int | None = None
         for lane_id in offer.route:
-            beside = None
-            if at > offer.start_m - 1e-6 and "topology" not in without:
-                beside = self._lane_to_pass_on(lane_id, side)
+            beside = self._lane_to_pass_on(lane_id, side) if at > offer.start_m - 1e-6 else None
             if beside is None or before is None or beside not in graph.successors(before):
                 if at - begin > needed_m and before is not None:
                     return begin, at
                 begin = at
-            before, at = beside, at + lanes[lane_id].length_m
+            before, at = beside, at + graph.lanes[lane_id].length_m
         return (begin, at) if before is not None and at - begin > needed_m else None
 
     @once
     def _lane_to_pass_on(self, lane_id: int, side: Side) -> int | None:
         """The lane beside that may be changed to, and back from, where neither of the two turns; None without."""
-        graph = self.scene.grid.graph
-        neighbor = graph.neighbor(lane_id, side)
-        if neighbor is None or not is_drivable(graph, neighbor):
-            return None
-        if any(graph.lanes[one].turn is not TurnType.STRAIGHT for one in (lane_id, neighbor)):
-            return None
+        lanes, beside = self.scene.grid.graph.lanes, self._neighbor(lane_id, side)
         back: Side = "left" if side == "right" else "right"
-        return neighbor if graph.may_change(lane_id, side) and graph.may_change(neighbor, back) else None
+        if beside is None or self._neighbor(beside, back) is None:
+            return None
+        return beside if lanes[lane_id].turn is lanes[beside].turn is TurnType.STRAIGHT else None
 
     @cached_property
     def ways_past(self) -> list[tuple[RouteOffer, int, Side]]:
@@ -137,11 +130,8 @@ class Routes:
         inside = [lanes[grid.cells[row].lane_id].is_intersection for row in rows]
         return np.array(rows, dtype=np.int64), np.array(inside, dtype=np.bool_)
 
-    def offer_of(self, route: Route) -> RouteOffer:
-        """What a route offers from its beginning on."""
-        return self._offer((), route)
-
-    def _offer(self, before: Route, route: Route) -> RouteOffer:
+    def offer_of(self, route: Route, before: Route = ()) -> RouteOffer:
+        """What a route offers from its beginning on. before: its run-up."""
         lanes = self.scene.grid.graph.lanes
         whole = (*before, *route)
         ends = list(itertools.accumulate(lanes[n].length_m for n in whole))

@@ -128,7 +128,7 @@ def _odd(steps: float) -> int:
 
 def with_noise(
     scene: Scene, tracks: Sequence[Track], courses: Sequence[FloatArray], seed: Sequence[int]
-) -> list[Track]:  # fmt: skip
+) -> list[Track]:
     """Inserted tracks as the scene's tracker would have them; boxes, road and the scene's end are as safe as before.
 
     courses: of each, (N,) rad: the direction of its path, without the swaying in the lane, which trackers do not see.
@@ -166,7 +166,7 @@ def _is_clear(scene: Scene, states: AgentStates, track: Track) -> bool:
 
 def _noisy(
     track: Track, course: FloatArray, errors: TrackerErrors, rng: np.random.Generator, *, step_s: float
-) -> Track:  # fmt: skip
+) -> Track:
     """A track with the errors of a tracker."""
     speed, window = np.hypot(*track.velocity.T), _odd(_FILTER_S / step_s)
     along, faster, turned, slips = np.minimum(speed / _MOVES_MPS, 1.0) * errors.drawn(rng, speed.size)

@@ -13,7 +13,6 @@ import numpy as np
 
 from hid2.judge.events import CUT_IN_S, HUMAN_BRAKES_S, crossing_steps, measure_event
 from hid2.judge.findings import CLAIM_S, FIGURE_OFF, Finding, Quantity
-from hid2.measures.arrays import BoolArray
 from hid2.measures.driven_lanes import path_driven, runs_of
 from hid2.measures.lane_matching import CHANGES_LANES, GOES_ON
 from hid2.measures.manoeuvres import TURNS, Maneuver, ManeuverKind, detect
@@ -58,9 +57,11 @@ class EventClaim(NamedTuple):
     figures: Mapping[str, float | None] = {}
 
 
-def manoeuvres(states: AgentStates) -> list[Maneuver]:
-    """All manoeuvres of the inserted vehicles of a scene."""
-    return detect(states.arrays, states.lanes, states.matches, among=states.arrays.generated)
+def manoeuvres(states: AgentStates, agent: int | None = None) -> list[Maneuver]:
+    """All manoeuvres of the inserted vehicles of a scene, or of one agent."""
+    arrays = states.arrays
+    among = arrays.generated if agent is None else np.arange(arrays.num_agents) == agent
+    return detect(arrays, states.lanes, states.matches, among=among)
 
 
 def moment_s(maneuver: Maneuver) -> float:
@@ -83,17 +84,17 @@ def judge_claims(states: AgentStates, claims: Sequence[Claim], events: Sequence[
 
     Of an event that they show also figures that are not those of the states at the time claimed.
     """
-    found, every = [], manoeuvres(states) if claims else []
+    found, every, step_s = [], manoeuvres(states) if claims else [], states.arrays.step_s
     for claim in claims:
         shown = seen(claim, every)
         off_s = math.inf if shown is None else abs(moment_s(shown) - claim.at_s)
         if off_s > CLAIM_S:
-            found.append(_finding(states, claim.track_id, claim.at_s, off_s, None))
+            found.append(Finding(claim.track_id, round(claim.at_s / step_s), Quantity.CLAIM, off_s, CLAIM_S))
     for event in events:
         step = event_step(states, event)
-        off_s = math.inf if step is None else abs(step * states.arrays.step_s - event.at_s)
+        off_s, at_step = math.inf if step is None else abs(step * step_s - event.at_s), round(event.at_s / step_s)
         if off_s > CLAIM_S + 1e-9:
-            found.append(_finding(states, event.track_id, event.at_s, off_s, event.target_id))
+            found.append(Finding(event.track_id, at_step, Quantity.CLAIM, off_s, CLAIM_S, event.target_id))
         else:
             found += _wrong_figures(states, event)
     return found
@@ -116,10 +117,6 @@ def _wrong_figures(states: AgentStates, event: EventClaim) -> list[Finding]:
         if off > FIGURE_OFF:
             found.append(Finding(event.track_id, at_step, FIGURES[name], off, FIGURE_OFF, event.target_id))
     return found
-
-
-def _finding(states: AgentStates, track_id: str, at_s: float, off_s: float, other: str | None) -> Finding:
-    return Finding(track_id, round(at_s / states.arrays.step_s), Quantity.CLAIM, off_s, CLAIM_S, other)
 
 
 def event_step(states: AgentStates, claim: EventClaim) -> int | None:
@@ -149,10 +146,6 @@ def event_step(states: AgentStates, claim: EventClaim) -> int | None:
             return near if _leads(states, *((own, target) if claim.ahead else (target, own)), near) else None
 
 
-def _of(states: AgentStates, agent: int) -> BoolArray:
-    return np.asarray(np.arange(states.arrays.num_agents) == agent)
-
-
 def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None:
     """The vehicle crosses from a lane beside the target's path into it, ahead of the target, and near to it.
 
@@ -162,9 +155,8 @@ def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None
     nor does one where it changes to another lane before it is there.
     """
     arrays, view, link = states.arrays, states.view, states.lanes.link
-    changes = detect(arrays, states.lanes, states.matches, among=_of(states, own))
     runs, steps = runs_of(view, target), []
-    for change in (one for one in changes if one.kind is ManeuverKind.LANE_CHANGE):
+    for change in (one for one in manoeuvres(states, own) if one.kind is ManeuverKind.LANE_CHANGE):
         step = round(change.crossing_s / arrays.step_s)
         row, there = arrays.row_of[own, step], arrays.row_of[target, step]
         k = next((k for k, run in enumerate(runs) if run.first <= there <= run.last), None)
@@ -190,8 +182,7 @@ def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None
 
 def overtake_of(states: AgentStates, own: int, other: int) -> tuple[Maneuver, Maneuver] | None:
     """The overtake of one vehicle by another and its change back; None where there is none."""
-    pair = states.rows([own, other])
-    every = detect(pair.arrays, pair.lanes, pair.matches, among=_of(pair, 0))
+    every = manoeuvres(states.rows([own, other]), 0)
     for passed in (one for one in every if one.kind in _PASSED):
         back = [one for one in every if one.part_of is passed.kind and one.side == -passed.side]
         if back:

@@ -7,9 +7,9 @@ import numpy as np
 
 from hid2.agents import BoxSize
 from hid2.kernels.box_pairs import paths_cross
-from hid2.measures.conflicts import PairCourse, pair_course
+from hid2.measures.conflicts import pair_course
 from hid2.measures.encounters import CROSSING_RAD
-from hid2.measures.post_encroachment import encroachments
+from hid2.measures.surrogates import encroachments
 from hid2.occupancy.agent_states import AgentStates
 from hid2.occupancy.gaps import gaps_from_pose
 
@@ -79,12 +79,14 @@ def measure_event(states: AgentStates, kind: str, own: int, target: int, *, at_s
     whole = pair_course(arrays, target, own, cap_s=CAP_S)
     since_step = at_step - round(_ARRIVES_S / arrays.step_s) if kind == "cut_in" else at_step
     course = whole if kind == "cross" else whole.during(since_step, until_step)
+    later_on = course.during(at_step, until_step)
+    headway_s = float(later_on.headway_s[later_on.gap_m >= 0.0].min(initial=math.inf))
     least = int(course.ttc_s.argmin()) if np.isfinite(course.ttc_s).any() else None
     return EventMeasures(
         gap_m=gap_m, speed_difference_mps=float(speed[row] - speed[there]),
         min_ttc_s=None if least is None else float(course.ttc_s[least]),
         ttc_at_s=None if least is None else float(course.step[least] * arrays.step_s),
-        headway_s=None if kind == "cross" else _headway_s(course.during(at_step, until_step)),
+        headway_s=None if kind == "cross" or math.isinf(headway_s) else headway_s,
         pet_s=post_encroachment_of(states, own, target),
         drac_mps2=float(course.drac_mps2.max(initial=0.0)),
         brakes_mps2=float(np.max(-np.gradient(later, arrays.step_s), initial=0.0)) if later.size > 1 else 0.0,
@@ -105,11 +107,6 @@ def crossing_steps(states: AgentStates, own: int, target: int) -> tuple[int, int
         arrays.position[a], arrays.heading[a], arrays.position[b], arrays.heading[b], math.sin(CROSSING_RAD)
     )
     return None if at < 0 else (int(arrays.step[a][at]), int(arrays.step[b][there]))
-
-
-def _headway_s(course: PairCourse) -> float | None:
-    least_s = float(course.headway_s[course.gap_m >= 0.0].min(initial=math.inf))
-    return least_s if math.isfinite(least_s) else None
 
 
 def _row(states: AgentStates, agent: int, step: int) -> int:

@@ -1,12 +1,18 @@
 """What the judge holds the states of inserted vehicles to: each quantity with its limit, and what it finds."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
+import numpy as np
+
 from hid2.agents import FloatArray
 from hid2.params import Config, Conflict, Limits
+from hid2.reasons import Reason
 
+#: Slower vehicles have neither a curvature nor a direction of motion, m/s.
+MOVES_MPS = 1.0
 #: An agent that moves less over the scene stands throughout, m. No tunable: what standing throughout is.
 MOVES_M = 2.0
 #: No tunables, rounding alone: m between boxes, s above the TTC at the end, and shares of tolerance and of 1 / R_min
@@ -79,33 +85,38 @@ def last_word(config: Config) -> Bounds:
 
 
 class Quantity(StrEnum):
-    """What is judged, by the name that findings have; unit and what is said of it."""
+    """What is judged, by the name that findings have; unit, what is said of it, and why a vehicle is not exported."""
 
     unit: str
     sentence: str
+    reason: Reason | None
 
-    def __new__(cls, value: str, unit: str = "", sentence: str = "") -> "Quantity":
-        """A member with its unit and sentence."""
+    def __new__(cls, value: str, unit: str = "", sentence: str = "", reason: Reason | None = None) -> "Quantity":
+        """A member with its unit, sentence and reason."""
         member = str.__new__(cls, value)
-        member._value_, member.unit, member.sentence = value, unit, sentence
+        member._value_, member.unit, member.sentence, member.reason = value, unit, sentence, reason
         return member
 
-    ACCEL = "accel", "m/s2", "acceleration along the heading"
-    DECEL = "decel", "m/s2", "deceleration along the heading"
-    LATERAL_ACCEL = "lateral_accel", "m/s2", "acceleration across the heading"
-    LONGITUDINAL_JERK = "longitudinal_jerk", "m/s3", "change of the acceleration along the heading"
-    JERK = "jerk", "m/s3", "change of the acceleration"
-    YAW_RATE = "yaw_rate", "rad/s", "change of the heading"
-    YAW_ACCEL = "yaw_accel", "rad/s2", "change of the yaw rate"
-    CURVATURE = "curvature", "1/m", "yaw rate over speed"
-    AGAINST_LANE = "against_lane", "deg", "angle to every lane below the centre"
-    OFF_ROAD = "off_road", "m", "distance of the box's outline from the drivable area"
+    ACCEL = "accel", "m/s2", "acceleration along the heading", Reason.LIMIT_ACCEL
+    DECEL = "decel", "m/s2", "deceleration along the heading", Reason.LIMIT_DECEL
+    LATERAL_ACCEL = "lateral_accel", "m/s2", "acceleration across the heading", Reason.LIMIT_LATERAL_ACCEL
+    LONGITUDINAL_JERK = (
+        "longitudinal_jerk", "m/s3", "change of the acceleration along the heading", Reason.LIMIT_LONGITUDINAL_JERK
+    )  # fmt: skip
+    JERK = "jerk", "m/s3", "change of the acceleration", Reason.LIMIT_JERK
+    YAW_RATE = "yaw_rate", "rad/s", "change of the heading", Reason.LIMIT_YAW_RATE
+    YAW_ACCEL = "yaw_accel", "rad/s2", "change of the yaw rate", Reason.LIMIT_YAW_ACCEL
+    CURVATURE = "curvature", "1/m", "yaw rate over speed", Reason.LIMIT_CURVATURE
+    AGAINST_LANE = "against_lane", "deg", "angle to every lane below the centre", Reason.AGAINST_LANE
+    OFF_ROAD = "off_road", "m", "distance of the box's outline from the drivable area", Reason.OFF_ROAD
     OVERLAP = "overlap", "m2", "ground shared with another box"
-    TTC_LEADER = "ttc_leader", "s", "time to collision with what leads on the path driven"
-    TTC_FOLLOWER = "ttc_recorded_follower", "s", "time to collision of a recorded follower"
-    PET = "pet", "s", "post-encroachment time where paths cross"
-    END_TTC = "end_ttc", "s", "time to collision after the last step, all at constant velocity"
-    END_CONTACT = "end_contact", "s", "contact after the last step that braking does not avoid"
+    TTC_LEADER = "ttc_leader", "s", "time to collision with what leads on the path driven", Reason.TTC_LANE_LEADER
+    TTC_FOLLOWER = (
+        "ttc_recorded_follower", "s", "time to collision of a recorded follower", Reason.TTC_RECORDED_FOLLOWER
+    )  # fmt: skip
+    PET = "pet", "s", "post-encroachment time where paths cross", Reason.PET
+    END_TTC = "end_ttc", "s", "time to collision after the last step, all at constant velocity", Reason.TTC_AT_END
+    END_CONTACT = "end_contact", "s", "contact after the last step that braking does not avoid", Reason.TTC_AT_END
     CLAIM = "claim", "s", "time between what is claimed and what the states show"
     CLAIMED_GAP = "claimed_gap", "m", "difference to the gap that is claimed of an event"
     CLAIMED_SPEED = "claimed_speed_difference", "m/s", "difference to the speed difference that is claimed of an event"
@@ -115,13 +126,47 @@ class Quantity(StrEnum):
     CLAIMED_BRAKING = "claimed_braking", "m/s2", "difference to the braking that is claimed of an event's vehicle"
     CLAIMED_PET = "claimed_pet", "s", "difference to the post-encroachment time that is claimed of an event"
     CLAIMED_DRAC = "claimed_drac", "m/s2", "difference to the DRAC that is claimed of an event"
-    FOLLOWER_HEADWAY = "follower_headway", "s", "time headway that a recorded follower is left with"
+    FOLLOWER_HEADWAY = (
+        "follower_headway",
+        "s",
+        "time headway that a recorded follower is left with",
+        Reason.FOLLOWER_HEADWAY,
+    )
     NOISE = "noise", "", "exported minus clean state, over what trackers have"
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class MotionProfile:
+    """What a reader of positions would compute, by differences at the steps, each (N,): the names say the units."""
+
+    speed_mps: FloatArray
+    accel_mps2: FloatArray
+    lateral_accel_mps2: FloatArray
+    longitudinal_jerk_mps3: FloatArray
+    jerk_mps3: FloatArray
+    yaw_rate_radps: FloatArray
+    yaw_accel_radps2: FloatArray
+
+    @property
+    def curvature_1pm(self) -> FloatArray:
+        """Yaw rate over speed, 1/m; 0 where it is slow."""
+        fast = self.speed_mps > MOVES_MPS
+        return np.where(fast, np.abs(self.yaw_rate_radps) / np.where(fast, self.speed_mps, 1.0), 0.0)
+
+
+#: What of a profile must not exceed which bound, in the order in which the last word names the first that does.
+MOTION_LIMITS: Mapping[Quantity, tuple[Callable[[MotionProfile], FloatArray], Callable[[Bounds], float]]] = {
+    Quantity.ACCEL: (lambda p: p.accel_mps2, lambda b: b.limits.accel_max_mps2),
+    Quantity.DECEL: (lambda p: -p.accel_mps2, lambda b: -b.limits.accel_min_mps2),
+    Quantity.LATERAL_ACCEL: (lambda p: np.abs(p.lateral_accel_mps2), lambda b: b.limits.lateral_accel_mps2),
+    Quantity.LONGITUDINAL_JERK: (lambda p: np.abs(p.longitudinal_jerk_mps3), lambda b: b.limits.longitudinal_jerk_mps3),
+    Quantity.JERK: (lambda p: p.jerk_mps3, lambda b: b.limits.jerk_mps3),
+    Quantity.YAW_RATE: (lambda p: np.abs(p.yaw_rate_radps), lambda b: b.limits.yaw_rate_radps),
+    Quantity.YAW_ACCEL: (lambda p: np.abs(p.yaw_accel_radps2), lambda b: b.limits.yaw_accel_radps2),
+    Quantity.CURVATURE: (lambda p: p.curvature_1pm, lambda b: b.curvature_share / b.limits.min_radius_m),
+}
 #: Judged on exported states also where these have a tracker's noise; all others on the clean ones.
 ON_EXPORTED = frozenset({Quantity.OVERLAP, Quantity.OFF_ROAD, Quantity.END_TTC, Quantity.END_CONTACT})
-
 
 #: Quantities with a least value as their limit.
 LEAST = frozenset({

@@ -25,8 +25,10 @@ from hid2.judge.findings import (
     LANE_DEG,
     LEADER_LENGTH_S,
     LEAST,
+    MOTION_LIMITS,
     Bounds,
     Finding,
+    MotionProfile,
     Quantity,
 )
 from hid2.kernels.lane_matching import SLIVER_M
@@ -35,15 +37,13 @@ from hid2.kernels.trajectory import derivatives_of_motion, first_overlapping
 from hid2.measures.arrays import BoolArray
 from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import Leaders, leaders
-from hid2.measures.motion_limits import MOTION_LIMITS, MotionProfile
-from hid2.measures.post_encroachment import encroachments
 from hid2.measures.scene_end import END_HORIZON_S, BoxesAtStep, first_contact
+from hid2.measures.surrogates import encroachments
 from hid2.occupancy.agent_states import AgentStates, Leading
+from hid2.occupancy.traffic import Traffic
 from netconvert.geometry import box_corners, differences, wrap_angle
 from netconvert.lane_graph import LaneGraph
 
-#: Slower vehicles have neither a curvature nor a direction of motion, m/s.
-MOVES_MPS = 1.0
 _OUTLINE_STEP_M = 0.5  # no tunable: between two points a side leaves the road by less than the tolerance spares
 
 
@@ -55,19 +55,20 @@ def judge(states: AgentStates, graph: LaneGraph, bounds: Bounds) -> list[Finding
     for row in inserted.tolist():
         found += of_motion(states, row, bounds)
         found += of_road(states, row, BoxSize(arrays.length[row], arrays.width[row]), graph, bounds)
-        found += of_others(states, row, bounds)
+        others = np.delete(np.arange(arrays.num_agents), row)
+        found += of_boxes(states, row, others, spare_m=bounds.spare_box_m)
+        led_by = states.leading(row, others, aside_m=bounds.spare_aside_m)
+        found += ttc_on_driven_path(states, row, led_by, bounds)
+        found += of_end(states, row, others, bounds)
     led = leaders(arrays, states.lanes, states.matches)
     found += ttc_on_lanes(states, led, bounds)
     found += ttc_of_followers(states, inserted, bounds)
     found += of_crossings(states, bounds, since=int(inserted[0]) if inserted.size else arrays.num_agents)
     found += headways(states, led)
-    worst = {(one.track_id, one.quantity, one.other): one for one in sorted(found, key=_how_bad)}
+    # the worst of each comes last: of times the shortest
+    found.sort(key=lambda one: -one.value if one.quantity in LEAST else one.value)
+    worst = {(one.track_id, one.quantity, one.other): one for one in found}
     return sorted(worst.values(), key=lambda one: (one.track_id, one.step, one.quantity, one.other or ""))
-
-
-def _how_bad(one: Finding) -> float:
-    """Larger for the worse of two findings of one quantity: those of times are worse the shorter they are."""
-    return -one.value if one.quantity in LEAST else one.value
 
 
 # what a vehicle does by itself
@@ -85,15 +86,12 @@ def _of_velocity(states: AgentStates, row: int, velocity: FloatArray, bounds: Bo
     step_s, heading = states.arrays.step_s, np.ascontiguousarray(states.arrays.heading[states.row_span(row)])
     profile = MotionProfile(*derivatives_of_motion(np.ascontiguousarray(velocity), heading, step_s))
     inside = slice(bounds.end_rows, len(heading) - bounds.end_rows)
-    quantities = [(limit.name, limit.value(profile), limit.bound(bounds.limits)) for limit in MOTION_LIMITS]
-    fast = profile.speed_mps > MOVES_MPS
-    curvature = np.where(fast, np.abs(profile.yaw_rate_radps) / np.where(fast, profile.speed_mps, 1.0), 0.0)
-    quantities.append(("curvature", curvature, bounds.curvature_share / bounds.limits.min_radius_m))
-    for name, values, bound in quantities:
+    for quantity, (value_of, bound_of) in MOTION_LIMITS.items():
+        values, bound = value_of(profile), bound_of(bounds)
         beyond = values[inside]
         if beyond.size and beyond.max() > bound:
             worst = int(np.argmax(beyond)) + bounds.end_rows
-            yield _of_one(states, row, worst, Quantity(name), float(values[worst]), bound)
+            yield _of_one(states, row, worst, quantity, float(values[worst]), bound)
 
 
 def of_road(states: AgentStates, row: int, size: BoxSize, graph: LaneGraph, bounds: Bounds) -> Iterator[Finding]:
@@ -179,50 +177,33 @@ def against_lane_deg(view: LaneView, rows: IntArray, graph: LaneGraph) -> tuple[
 # what a vehicle does to others
 
 
-def of_others(states: AgentStates, row: int, bounds: Bounds) -> Iterator[Finding]:
-    """Boxes that a vehicle meets, what leads it on the path that it drives, and what follows its last step."""
-    others = np.delete(np.arange(states.arrays.num_agents), row)
-    yield from of_boxes(states, row, others, spare_m=bounds.spare_box_m)
-    yield from ttc_on_driven_path(states, row, states.leading(row, others, aside_m=bounds.spare_aside_m), bounds)
-    yield from of_end(states, row, others, bounds)
-
-
 def of_boxes(states: AgentStates, row: int, others: IntArray, *, spare_m: float) -> Iterator[Finding]:
     """Every other box that a vehicle's own meets, at the steps and halfway between them, at the first time."""
     traffic, span, left = states.traffic, states.span(row), others
     own, heading = traffic.position[row, span], traffic.heading[row, span]
     length, width = traffic.length_m[row] + 2 * spare_m, traffic.width_m[row] + 2 * spare_m
     while left.size:
-        agent, step = first_overlapping(
-            own, heading, length, width, np.ascontiguousarray(traffic.position[left, span]),
-            np.ascontiguousarray(traffic.heading[left, span]), np.ascontiguousarray(traffic.present[left, span]),
-            traffic.length_m[left], traffic.width_m[left],
-        )  # fmt: skip
+        agent, step = first_overlapping(own, heading, length, width, *traffic.rows(left.tolist()).span(span).boxes)
         if agent < 0:
             return
         other = int(left[agent])
-        shared_m2 = _shared_m2(states, (row, length, width), other, span.start + step)
+        boxes = [row, other], [length, traffic.length_m[other]], [width, traffic.width_m[other]]
+        shared_m2 = _shared_m2(traffic, *boxes, step=span.start + step)
         yield _finding(states, (row, other), span.start + step, Quantity.OVERLAP, shared_m2, 0.0)
         left = np.delete(left, agent)
 
 
-def _shared_m2(states: AgentStates, own: tuple[int, float, float], other: int, step: int) -> float:
-    """Ground that two boxes share at a step or halfway to the next, m2."""
-    traffic, (row, length_m, width_m) = states.traffic, own
+def _shared_m2(traffic: Traffic, rows: list[int], length_m: list[float], width_m: list[float], *, step: int) -> float:
+    """Ground that the boxes of two agents share at a step or halfway to the next, m2."""
+    position, heading, following = traffic.position[rows], traffic.heading[rows], min(step + 1, traffic.num_steps - 1)
+    there = traffic.present[rows, following]
+    way = np.where(there[:, None], position[:, following] - position[:, step], 0.0)
+    turn = np.where(there, wrap_angle(heading[:, following] - heading[:, step]), 0.0)
     most = 0.0
-    following = min(step + 1, traffic.num_steps - 1)
     for share in (0.0, 0.5):
-        boxes = []
-        for agent, box_length_m, box_width_m in (
-            (row, length_m, width_m), (other, traffic.length_m[other], traffic.width_m[other])
-        ):  # fmt: skip
-            now, then = traffic.position[agent, step], traffic.position[agent, following]
-            turn = float(wrap_angle(traffic.heading[agent, following] - traffic.heading[agent, step]))
-            there = traffic.present[agent, following]
-            at = now + share * (then - now) if there else now
-            angle = traffic.heading[agent, step] + (share * turn if there else 0.0)
-            boxes.append(shapely.Polygon(box_corners(at, angle, length_m=box_length_m, width_m=box_width_m)))
-        most = max(most, float(boxes[0].intersection(boxes[1]).area))
+        at, angle = position[:, step] + share * way, heading[:, step] + share * turn
+        own, other = shapely.polygons(box_corners(at, angle, length_m=length_m, width_m=width_m))
+        most = max(most, float(shapely.area(shapely.intersection(own, other))))
     return most
 
 

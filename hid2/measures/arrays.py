@@ -22,16 +22,6 @@ def is_generated_id(track_id: str) -> bool:
     return track_id.startswith("gen_")
 
 
-def is_moving(position: FloatArray, *, step_s: float) -> bool:
-    """Whether a track (N, 2), m, counts as that of a moving agent."""
-    extent = position.max(axis=0) - position.min(axis=0)
-    return bool(_counts_as_moving(np.hypot(*extent), len(position), step_s))
-
-
-def _counts_as_moving(extent_m: Any, steps: Any, step_s: float) -> Any:  # noqa: ANN401  # numbers or arrays of them
-    return (extent_m > MOVING_EXTENT_M) & (steps > round(MOVING_S / step_s))
-
-
 #: Fields of `SceneArrays` by agent, and by row; the others number agents and rows.
 _BY_AGENT = ("category", "generated", "vehicle", "fragment", "moving", "length", "width")
 _BY_ROW = ("step", "position", "heading", "velocity")
@@ -124,10 +114,6 @@ class SceneArrays:
         """Mean of a row-wise quantity (N,) over each agent's rows: (A,)."""
         return np.asarray(np.add.reduceat(values, self.first[:-1]) / self.rows_per_agent, dtype=np.float64)
 
-    def sum_per_agent(self, values: npt.NDArray[np.generic]) -> FloatArray:
-        """Sum of a row-wise quantity (N,) over each agent's rows: (A,)."""
-        return np.add.reduceat(np.asarray(values, dtype=np.float64), self.first[:-1])
-
 
 def stack(
     tracks: Sequence[Track],
@@ -158,7 +144,7 @@ def stack(
         generated=np.array([is_generated(track.track_id) for track in tracks], dtype=bool),
         vehicle=np.array([track.object_type in VEHICLE_TYPES for track in tracks], dtype=bool),
         fragment=category == FRAGMENT,
-        moving=_counts_as_moving(np.hypot(*(high - low).T), counts, step_s),
+        moving=(np.hypot(*(high - low).T) > MOVING_EXTENT_M) & (counts > round(MOVING_S / step_s)),
         length=np.array([track.size.length_m for track in tracks], dtype=np.float64),
         width=np.array([track.size.width_m for track in tracks], dtype=np.float64),
         position=position,

@@ -11,8 +11,7 @@ import numpy as np
 
 from hid2.agents import FloatArray, IntArray
 from hid2.measures.arrays import SceneArrays
-from hid2.measures.post_encroachment import Encroachment, encroachments
-from hid2.measures.time_to_collision import CAP_S, time_to_collision
+from hid2.measures.surrogates import CAP_S, Encroachment, encroachments, time_to_collision
 from netconvert.geometry import differences, wrap_angle
 
 #: A conflict has a TTC below the first, or paths that cross within the second, s (SSAM's thresholds).

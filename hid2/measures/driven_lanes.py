@@ -37,19 +37,18 @@ class LaneView:
     matches: Matches
 
 
-def first_lane_offset(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> FloatArray:
+def first_lane_offset(view: LaneView) -> FloatArray:
     """(N,) m, left positive, of the only vehicle from the path of the lane that it starts in; NaN where there is none.
 
     The path is kept beside the vehicle through lane changes, so that each shows as one smooth step; no offset is told
     off every lane and beyond the path's ends.
     """
-    view = LaneView(arrays, lanes, matches)
-    runs = [run for run in runs_of(view, 0) if run.lane >= 0]
+    runs, link = [run for run in runs_of(view, 0) if run.lane >= 0], view.lanes.link
     if not runs:
-        return np.full(len(arrays.step), np.nan)
-    change = next((k for k, (a, b) in enumerate(pairwise(runs), 1) if lanes.link[a.lane, b.lane] != GOES_ON), len(runs))
+        return np.full(len(view.arrays.step), np.nan)
+    change = next((k for k, (a, b) in enumerate(pairwise(runs), 1) if link[a.lane, b.lane] != GOES_ON), len(runs))
     path = source_path(view, runs, change)[0]
-    s, d = path.frenet(arrays.position)
+    s, d = path.frenet(view.arrays.position)
     return np.where((s > -1.0) & (s < path.length_m + 1.0), d, np.nan)
 
 

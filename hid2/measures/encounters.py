@@ -9,7 +9,8 @@ import numpy as np
 from hid2.agents import FloatArray
 from hid2.measures.arrays import BoolArray, SceneArrays
 from hid2.measures.following import Leaders
-from hid2.measures.post_encroachment import encroachments
+from hid2.measures.surrogates import encroachments
+from netconvert.geometry import arc_length
 
 #: A vehicle with a centre that never comes this near to that of a moving recorded one meets no traffic, m.
 NEAR_M = 30.0
@@ -72,7 +73,7 @@ def _acceleration(arrays: SceneArrays) -> FloatArray:
         steps, xy = arrays.step[rows], arrays.position[rows]
         if len(steps) < 3:
             continue
-        way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
+        way = arc_length(xy)
         index = np.arange(len(steps))
         before, after = np.maximum(index - half, 0), np.minimum(index + half, len(steps) - 1)
         first_s, last_s = (steps - steps[before]) * arrays.step_s, (steps[after] - steps) * arrays.step_s

@@ -86,7 +86,6 @@ class _Change:
 
     maneuver: Maneuver
     source: int
-    target: int
     row: int
     path: Polyline
     path_lanes: tuple[int, ...]
@@ -157,7 +156,7 @@ def _lane_change(view: LaneView, agent: int, runs: list[Run], k: int) -> _Change
         side=side,
         complete=started and ended,
     )
-    return _Change(maneuver, source, target, start + at, left, left_lanes)
+    return _Change(maneuver, source, start + at, left, left_lanes)
 
 
 def _lateral(

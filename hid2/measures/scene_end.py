@@ -4,6 +4,7 @@ Nothing is recorded beyond the last step, so nothing else would tell that a trac
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,8 +16,7 @@ from hid2.measures.arrays import BoolArray, SceneArrays
 END_HORIZON_S = 3.0
 
 
-@dataclass(frozen=True, slots=True)
-class Contact:
+class Contact(NamedTuple):
     """The first contact of a vehicle: time to collision, s, and the row of the other one."""
 
     ttc_s: float
@@ -25,16 +25,15 @@ class Contact:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class BoxesAtStep:
-    """The boxes that are present at one step, (A,) of them, city frame."""
+    """The boxes that are present at one step, (A,) of them, city frame.
+
+    position (A, 2) m, centres; heading (A,) rad; velocity (A, 2) m/s; size (A, 2) m, length and width.
+    """
 
     position: FloatArray
-    """(A, 2) m, centres."""
     heading: FloatArray
-    """(A,) rad."""
     velocity: FloatArray
-    """(A, 2) m/s."""
     size: FloatArray
-    """(A, 2) m, length and width."""
 
     def rows(self, rows: IntArray) -> "BoxesAtStep":
         """Some of them."""

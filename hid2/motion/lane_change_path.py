@@ -9,7 +9,7 @@ from hid2.agents import FloatArray
 from hid2.kernels.polyline import frenet
 from hid2.measures.manoeuvres import LATERAL_SPEED_MPS, LATERAL_WINDOW_S
 from hid2.params import LaneChange
-from netconvert.geometry import Polyline, arc_length, resample
+from netconvert.geometry import Polyline, arc_length
 
 #: Share of its time in which the lateral speed rises, and falls. No tunable: measured, recorded ones peak at .87 m/s.
 _RAMP_SHARE = 0.27
@@ -78,17 +78,11 @@ class Blend:
     target_offset_m: float
 
 
-def even_line(points: FloatArray, *, step_m: float) -> tuple[FloatArray, FloatArray]:
-    """Points (N, 2) m at equal distances, and their arc lengths (N,) m."""
-    source = resample(points, step_m=step_m)
-    return source, arc_length(source)
-
-
 def blend_paths(
     current: tuple[FloatArray, FloatArray], aim: Polyline, *, along_m: FloatArray, tau: FloatArray, ramp: float,
     step_m: float, max_shift_m: float,
 ) -> Blend | None:  # fmt: skip
-    """Path that follows `current`, an `even_line`, shifts to `aim`, and follows that one from there.
+    """Path that follows `current`, as `DrivenPath.even`, shifts to `aim`, and follows that one from there.
 
     tau (K,), ramp: of `lateral_share`, at arc lengths along_m (K,) m of `current`; from 0 to 1. None where the two are
     not side by side all along (farther than max_shift_m apart), or the target ends before.

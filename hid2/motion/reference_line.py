@@ -57,15 +57,6 @@ class ReferenceLine:
         """(M, 2) m at arc lengths s (M,); straight on beyond both ends."""
         return self.motion(s)[0]
 
-    def tangent(self, s: FloatArray) -> FloatArray:
-        """(M, 2) unit vectors in driving direction."""
-        return self.motion(s)[1]
-
-    def heading(self, s: FloatArray) -> FloatArray:
-        """(M,) rad in (-pi, pi]."""
-        tangent = self.tangent(s)
-        return np.asarray(np.arctan2(tangent[:, 1], tangent[:, 0]), dtype=np.float64)
-
     def motion(self, s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Position (M, 2) m, tangent (M, 2) and pace (M,) at arc lengths s (M,).
 
@@ -74,32 +65,23 @@ class ReferenceLine:
         return along_spline(self.breaks, self.pieces, np.ascontiguousarray(s, dtype=np.float64))
 
 
-def smooth_points(points: FloatArray, *, strength: float) -> FloatArray:
-    """Penalised least squares on third differences: parabolas, so constant curvature, pass unchanged.
-
-    points (N, 2) m evenly spaced; strength: the sixth power of the length, in points, over which kinks are spread.
-    """
-    if len(points) < 5 or strength <= 0:
-        return points
-    return smooth_polyline(np.ascontiguousarray(points, dtype=np.float64), strength, 1e4)
-
-
 def build_reference_line(
     points: FloatArray, *, step_m: float, min_radius_m: float, max_offset_m: float
 ) -> ReferenceLine:
     """Smooth a polyline (N, 2) m until its curvature stays below 1 / min_radius_m or it strays max_offset_m from it.
 
+    By penalised least squares on third differences: parabolas, so constant curvature, pass unchanged.
     Paper, Trajectory Smoothing: kappa <= 1 / R_min. The result's points keep the order and number of the resampled
     input's, so that index i of `points` still belongs to arc length i * step of the input.
     """
     raw = resample(points, step_m=step_m)
     if len(raw) < 6:  # a spline of degree five needs six points
         raw = resample(points, step_m=float(arc_length(points)[-1]) / 6.01)
-    strength = 300.0  # spreads a kink of the map over 2.6 points
-    line = _line_through(smooth_points(raw, strength=strength))
+    strength = 300.0  # the sixth power of 2.6 points, over which a kink of the map is spread
+    line = _line_through(smooth_polyline(raw, strength, 1e4))
     while np.abs(line.table_curvature).max() > 0.95 / min_radius_m and strength < 3e5:
         strength *= 4.0
-        smoothed = smooth_points(raw, strength=strength)
+        smoothed = smooth_polyline(raw, strength, 1e4)
         if np.hypot(*(smoothed - raw).T).max() > max_offset_m:
             break
         line = _line_through(smoothed)
@@ -108,18 +90,7 @@ def build_reference_line(
 
 def _line_through(points: FloatArray) -> ReferenceLine:
     parameter, breaks, pieces = quintic_spline(points)
-    length = float(parameter[-1])
-    xy, heading, curvature, sharpness = spline_table(
-        breaks, pieces, int(length / TABLE_STEP_M) + 2 + int(_BEYOND_M / TABLE_STEP_M), TABLE_STEP_M
-    )
-    return ReferenceLine(
-        breaks=breaks,
-        pieces=pieces,
-        length_m=length,
-        table_xy=xy,
-        table_heading=heading,
-        table_curvature=curvature,
-        table_sharpness=sharpness,
-        points=points,
-        points_s=parameter,
-    )
+    length_m = float(parameter[-1])
+    count = int(length_m / TABLE_STEP_M) + 2 + int(_BEYOND_M / TABLE_STEP_M)
+    tables = spline_table(breaks, pieces, count, TABLE_STEP_M)
+    return ReferenceLine(breaks, pieces, length_m, *tables, points, points_s=parameter)

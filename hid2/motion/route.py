@@ -1,19 +1,19 @@
 """Routes through the lane graph, and the path that a vehicle drives along one (with its lane changes)."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
 
 from hid2.agents import FloatArray, IntArray
-from hid2.motion.lane_change_path import LateralTiming, blend_paths, even_line, lateral_share
+from hid2.motion.lane_change_path import LateralTiming, blend_paths, lateral_share
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line
 from hid2.once import once
 from hid2.params import Limits
-from netconvert.geometry import Polyline, arc_length
+from netconvert.geometry import Polyline, arc_length, resample
 from netconvert.lane_graph import SIDES, TURN_RAD, LaneGraph, TurnType
 
 #: Spacing of a reference line's points, m, no tunable: its table is as fine. It stays so close to the centrelines, m,
@@ -80,7 +80,8 @@ class DrivenPath:
     @cached_property
     def even(self) -> tuple[FloatArray, FloatArray]:
         """Raw at equal distances, PATH_STEP_M, and its arc lengths."""
-        return even_line(self.raw, step_m=PATH_STEP_M)
+        points = resample(self.raw, step_m=PATH_STEP_M)
+        return points, arc_length(points)
 
     @property
     def exit_s(self) -> float:
@@ -193,26 +194,6 @@ def line_along(raw: FloatArray, limits: Limits) -> ReferenceLine:
     return build_reference_line(raw, step_m=PATH_STEP_M, min_radius_m=limits.min_radius_m, max_offset_m=MAX_OFFSET_M)
 
 
-def path_along(graph: LaneGraph, route: Route, *, limits: Limits, run_on_m: float = 0.0) -> DrivenPath:
-    """Path on the middle of a route's lanes, from the start of the first to the end of the last.
-
-    run_on_m: so much farther straight on, off the grid (the ablation without topology, where nothing links lanes).
-    """
-    raw = route_points(graph, route)
-    if run_on_m > 0:
-        last = raw[-1] - raw[-2]
-        raw = np.concatenate([raw, raw[-1:] + run_on_m * last / np.hypot(last[0], last[1])])
-    line = line_along(raw, limits)
-    bare = DrivenPath(line=line, raw=raw, segments=(), followed=())
-    lengths = [graph.lanes[lane_id].length_m for lane_id in route]
-    ends = bare.all_to_line(np.concatenate([[0.0], np.cumsum(lengths)])).tolist()
-    segments = tuple(
-        Segment(lane_id, start, end, 0.0, length)
-        for lane_id, start, end, length in zip(route, ends[:-1], ends[1:], lengths, strict=True)
-    )
-    return DrivenPath(line=line, raw=raw, segments=segments, followed=segments)
-
-
 def shifted_path(motion: LateralMotion, *, limits: Limits) -> DrivenPath | None:
     """Path of a lateral motion, on the target's lanes from half way across on; None as of `blend_paths`."""
     path, target = motion.source, motion.target
@@ -222,8 +203,7 @@ def shifted_path(motion: LateralMotion, *, limits: Limits) -> DrivenPath | None:
     )  # fmt: skip
     if blend is None:
         return None
-    line = line_along(blend.points, limits)
-    bare = DrivenPath(line=line, raw=blend.points, segments=(), followed=())
+    bare = DrivenPath(line=line_along(blend.points, limits), raw=blend.points, segments=(), followed=())
     start, end = bare.to_line(blend.start_m), bare.to_line(blend.end_m)
 
     def beside(s: float) -> float:  # the target may begin before the path: straight on there
@@ -231,14 +211,9 @@ def shifted_path(motion: LateralMotion, *, limits: Limits) -> DrivenPath | None:
         return bare.to_line(raw) + min(raw, 0.0)
 
     onto = [replace(segment, start=beside(segment.start), end=beside(segment.end)) for segment in target.segments]
-    return DrivenPath(
-        line=line,
-        raw=blend.points,
-        segments=_joined(path.segments, onto, at=bare.to_line(blend.middle_m)),
-        followed=_joined(path.followed, onto, at=start),
-        shifts=(*path.shifts, (start, end)),
-        lateral=motion,
-    )
+    segments = _joined(path.segments, onto, at=bare.to_line(blend.middle_m))
+    followed = _joined(path.followed, onto, at=start)
+    return replace(bare, segments=segments, followed=followed, shifts=(*path.shifts, (start, end)), lateral=motion)
 
 
 def _joined(own: Iterable[Segment], beside: Iterable[Segment], *, at: float) -> tuple[Segment, ...]:
@@ -246,11 +221,6 @@ def _joined(own: Iterable[Segment], beside: Iterable[Segment], *, at: float) -> 
     before = [replace(one, end=min(one.end, at), lane_end=one.lane_s(at)) for one in own if one.start < at]
     behind = [replace(one, start=max(one.start, at), lane_start=one.lane_s(at)) for one in beside if one.end > at]
     return (*before, *behind)
-
-
-def turn_segments(graph: LaneGraph, path: DrivenPath) -> list[tuple[float, float, TurnType]]:
-    """(start, end, turn type) of each stretch of a path."""
-    return [(segment.start, segment.end, graph.lanes[segment.lane_id].turn) for segment in path.segments]
 
 
 def first_turn(graph: LaneGraph, path: DrivenPath, kind: TurnType, *, after: float) -> Segment | None:
@@ -271,6 +241,11 @@ def first_turn(graph: LaneGraph, path: DrivenPath, kind: TurnType, *, after: flo
 def is_drivable(graph: LaneGraph, lane_id: int) -> bool:
     """Whether a lane is open to general motor traffic."""
     return graph.lanes[lane_id].lane_type in DRIVABLE_TYPES
+
+
+def straightest_first(graph: LaneGraph, onward: Iterable[int], preferred: Container[int] = ()) -> Route:
+    """Lanes to go on along: those preferred, then those that go straight on."""
+    return tuple(sorted(onward, key=lambda n: (n not in preferred, graph.lanes[n].turn is not TurnType.STRAIGHT, n)))
 
 
 def routes_from(graph: LaneGraph, lane_id: int, *, choose: Callable[[Route], Route], most: int) -> Iterator[Route]:
@@ -300,7 +275,10 @@ def routes_from(graph: LaneGraph, lane_id: int, *, choose: Callable[[Route], Rou
 
 @dataclass(frozen=True, eq=False)
 class LanePaths:
-    """Paths on the middle of the lanes of routes, each built once. limits, run_on_m: as of `path_along`."""
+    """Paths on the middle of the lanes of routes, each built once, from the start of the first to the end of the last.
+
+    run_on_m: so much farther straight on, off the grid (the ablation without topology, where nothing links lanes).
+    """
 
     graph: LaneGraph
     limits: Limits
@@ -309,7 +287,15 @@ class LanePaths:
     @once
     def along(self, route: Route) -> DrivenPath:
         """Path along a route."""
-        return path_along(self.graph, route, limits=self.limits, run_on_m=self.run_on_m)
+        raw = route_points(self.graph, route)
+        if self.run_on_m > 0:
+            last = raw[-1] - raw[-2]
+            raw = np.concatenate([raw, raw[-1:] + self.run_on_m * last / np.hypot(last[0], last[1])])
+        bare = DrivenPath(line=line_along(raw, self.limits), raw=raw, segments=(), followed=())
+        lengths = [self.graph.lanes[lane_id].length_m for lane_id in route]
+        ends = bare.all_to_line(np.concatenate([[0.0], np.cumsum(lengths)])).tolist()
+        segments = tuple(map(Segment, route, ends[:-1], ends[1:], [0.0] * len(route), lengths))
+        return replace(bare, segments=segments, followed=segments)
 
     def beside(self, own: Route, lane_id: int) -> DrivenPath:
         """Path of l', beside the lanes that are left of an own route."""
@@ -320,11 +306,7 @@ class LanePaths:
         """Route of that path: lanes before l', for agents from behind, then on beside the own ones if it can."""
         graph = self.graph
         beside = {n for lane in own for side in SIDES if (n := graph.neighbor(lane, side)) is not None}
-
-        def choose(onward: Route) -> Route:
-            lanes = graph.lanes
-            return tuple(sorted(onward, key=lambda n: (n not in beside, lanes[n].turn is not TurnType.STRAIGHT, n)))
-
+        choose = partial(straightest_first, graph, preferred=beside)
         route = next(routes_from(graph, lane_id, choose=choose, most=1), (lane_id,))
         behind_m = 0.0
         while behind_m < _LOOK_BACK_M:

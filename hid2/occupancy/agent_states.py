@@ -14,7 +14,7 @@ from hid2.measures.driven_lanes import LaneView, points_ahead
 from hid2.measures.following import HORIZON_M
 from hid2.measures.lane_matching import FlatLanes, Matches, lane_along, match_lanes
 from hid2.motion.reference_line import ReferenceLine, build_reference_line
-from hid2.occupancy.along_path import PathOccupancy, look_along
+from hid2.occupancy.along_path import look_along
 from hid2.occupancy.gaps import gaps_to_all
 from hid2.occupancy.traffic import Traffic, are_believed, traffic_of
 from hid2.once import once
@@ -66,9 +66,9 @@ class AgentStates:
         every = [self, *(other for other in others if other.arrays.num_agents)]
         if len(every) == 1:
             return self
-        matches = Matches(*(
-            np.concatenate([getattr(one.matches, part.name) for one in every]) for part in fields(Matches)
-        ))  # fmt: skip
+        matches = Matches(
+            *(np.concatenate([getattr(one.matches, part.name) for one in every]) for part in fields(Matches))
+        )
         return AgentStates(
             SceneArrays.joined([one.arrays for one in every]),
             self.traffic.joined(*(one.traffic for one in every[1:])), matches, self.lanes,
@@ -154,12 +154,10 @@ class AgentStates:
     def led_by(self, row: int, others: Traffic, *, aside_m: float = 0.0) -> Leading:
         """The same of other agents than these; rows are those of their traffic (T steps)."""
         driven, steps, traffic = self.line(row), self.arrays.num_steps, self.traffic
-        seen = PathOccupancy.none(steps)
-        if driven is not None and others.ids:
-            length_m, width_m = float(traffic.length_m[row]), float(traffic.width_m[row]) + 2 * aside_m
-            seen = look_along(driven.line, others, length_m, width_m)
-        if driven is None or not seen.agents.size:
-            return Leading(seen.agents, seen.low, seen.along)
+        if driven is None:
+            return Leading(np.zeros(0, dtype=np.int64), *np.zeros((2, 0, steps)))
+        length_m, width_m = float(traffic.length_m[row]), float(traffic.width_m[row]) + 2 * aside_m
+        seen = look_along(driven.line, others, length_m, width_m)
         found = gaps_to_all(seen, driven.s, np.arange(steps))
         leads = seen.same_direction & (found.lead_m > -SIDE_BY_SIDE_M) & (found.lead_m < HORIZON_M)
         return Leading(seen.agents, np.where(leads, found.lead_m, np.inf), self.speed(row) - found.along_mps)

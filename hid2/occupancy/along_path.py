@@ -4,11 +4,9 @@ Recorded agents enter with their true future, generated ones with their predicte
 conflict case 3).
 """
 
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from hid2.agents import BoxSize, FloatArray, IntArray
 from hid2.kernels.path_intervals import crossings_kept_clear, intervals_on_path
@@ -20,8 +18,7 @@ from hid2.occupancy.traffic import BoolArray, Traffic
 _NEAR_M = 11.0
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class PathOccupancy:
+class PathOccupancy(NamedTuple):
     """Forbidden intervals of the own box centre on one path.
 
     agents (A,): their rows in the traffic. low, high (A, T) m: the own box touches the agent's (with the lateral
@@ -43,16 +40,13 @@ class PathOccupancy:
         nowhere, never = np.zeros((0, steps)), np.zeros((0, steps), dtype=np.bool_)
         return cls(np.zeros(0, dtype=np.int64), nowhere, nowhere, nowhere, never, never)
 
-    def _by_step(self) -> tuple[npt.NDArray[Any], ...]:
-        return self.low, self.high, self.along, self.same_direction, self.crossing
-
     def rows(self, which: BoolArray | slice) -> "PathOccupancy":
         """Some of the agents."""
-        return PathOccupancy(self.agents[which], *(one[which] for one in self._by_step()))
+        return PathOccupancy._make(one[which] for one in self)
 
     def at(self, step: int) -> "PathOccupancy":
         """The same agents at one step, T = 1."""
-        return PathOccupancy(self.agents, *(one[:, step : step + 1] for one in self._by_step()))
+        return PathOccupancy._make((self.agents, *(one[:, step : step + 1] for one in self[1:])))
 
     def kept_clear(self, steps: int, *, margin_m: float) -> "PathOccupancy":
         """The same, with the place of crossing agents taken so many steps before and after: PET is kept at crossings.
@@ -65,17 +59,14 @@ class PathOccupancy:
         low, high, same_direction = crossings_kept_clear(
             self.low, self.high, self.same_direction, self.crossing, steps, margin_m
         )
-        return replace(self, low=low, high=high, same_direction=same_direction)
+        return self._replace(low=low, high=high, same_direction=same_direction)
 
     def joined(self, *others: "PathOccupancy") -> "PathOccupancy":
         """Agents of all, self first; each with its row in its own traffic."""
         every = [one for one in (self, *others) if one.agents.size]
         if len(every) <= 1:
             return every[0] if every else self
-        columns = zip(*(one._by_step() for one in every), strict=True)
-        return PathOccupancy(
-            np.concatenate([one.agents for one in every]), *(np.concatenate(column) for column in columns)
-        )
+        return PathOccupancy._make(map(np.concatenate, zip(*every, strict=True)))
 
 
 def path_occupancy(

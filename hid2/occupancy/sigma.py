@@ -52,13 +52,11 @@ def cell_boxes(grid: CellGrid) -> CellBoxes:
 class OriginalOccupancy:
     """What the recorded agents occupy, for all steps beforehand.
 
-    sigma (T, C) uint8, FREE or ORIGINAL; cell (A, T) index of the cell of each agent's centre, mapped (A, T) tells
-    whether it has one.
+    sigma (T, C) uint8, FREE or ORIGINAL; cell (A, T) index of the cell of each agent's centre, -1 for none.
     """
 
     sigma: npt.NDArray[np.uint8]
     cell: npt.NDArray[np.int64]
-    mapped: npt.NDArray[np.bool_]
 
 
 def original_occupancy(boxes: CellBoxes, traffic: Traffic) -> OriginalOccupancy:
@@ -69,21 +67,17 @@ def original_occupancy(boxes: CellBoxes, traffic: Traffic) -> OriginalOccupancy:
     """
     by_x = np.argsort(boxes.center[:, 0])  # so that only cells near in x need to be looked at
     widest = float(np.hypot(boxes.length_m.max(), boxes.width_m.max())) / 2 if by_x.size else 0.0
-    sigma, cell = original_cells(
-        boxes.center, boxes.heading, boxes.length_m, boxes.width_m, by_x, widest,
-        traffic.position, traffic.heading, traffic.present, traffic.length_m, traffic.width_m, AGREES_RAD,
-    )  # fmt: skip
-    return OriginalOccupancy(sigma=sigma, cell=cell, mapped=cell >= 0)
+    return OriginalOccupancy(*original_cells(
+        boxes.center, boxes.heading, boxes.length_m, boxes.width_m, by_x, widest, *traffic.boxes, AGREES_RAD
+    ))  # fmt: skip
 
 
 def is_anybody_on(boxes: CellBoxes, cells: Sequence[int], traffic: Traffic, step: int, *, width_share: float) -> bool:
     """Whether an agent is on any of some cells at a step; boxes count with a share of their width."""
-    return bool(
-        anybody_on(
-            boxes.center, boxes.heading, boxes.length_m, boxes.width_m, np.asarray(cells), step, width_share,
-            traffic.position, traffic.heading, traffic.present, traffic.length_m, traffic.width_m,
-        )
-    )  # fmt: skip
+    held = anybody_on(
+        boxes.center, boxes.heading, boxes.length_m, boxes.width_m, np.asarray(cells), step, width_share, *traffic.boxes
+    )
+    return bool(held)
 
 
 def clear_places(
@@ -96,12 +90,7 @@ def clear_places(
     heading = boxes.heading[cells]
     forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
     place = boxes.center[cells] + ((share - 0.5) * boxes.length_m[cells])[:, None] * forward
-    return np.asarray(
-        kernels.clear_places(
-            place, heading, 0.5 * box.length_m + gap_m, 0.5 * box.width_m, here.position, here.heading, here.present,
-            here.length_m, here.width_m,
-        )
-    )  # fmt: skip
+    return np.asarray(kernels.clear_places(place, heading, 0.5 * box.length_m + gap_m, 0.5 * box.width_m, *here.boxes))
 
 
 def dwell_steps(*, cell_m: float, speed_mps: float, step_s: float) -> int | None:

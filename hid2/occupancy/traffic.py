@@ -51,11 +51,17 @@ class Traffic:
         """T."""
         return int(self.present.shape[1])
 
+    @property
+    def boxes(self) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray, FloatArray]:
+        """As compiled loops take them: centres, headings, where they are present, lengths and widths."""
+        return self.position, self.heading, self.present, self.length_m, self.width_m
+
     def at(self, step: int) -> "Traffic":
         """The same agents at one step, T = 1."""
-        return self._span(slice(step, step + 1))
+        return self.span(slice(step, step + 1))
 
-    def _span(self, span: slice) -> "Traffic":
+    def span(self, span: slice) -> "Traffic":
+        """The same agents over some steps."""
         part: dict[str, Any] = {name: np.ascontiguousarray(getattr(self, name)[:, span]) for name in _BY_STEP}
         return Traffic(self.ids, length_m=self.length_m, width_m=self.width_m, **part)
 
@@ -66,11 +72,7 @@ class Traffic:
 
     def first(self, steps: int) -> "Traffic":
         """The same agents up to a step, T = steps."""
-        return self._span(slice(0, steps))
-
-    def since(self, step: int) -> "Traffic":
-        """The same agents from a step on."""
-        return self if step == 0 else self._span(slice(step, None))
+        return self.span(slice(0, steps))
 
     def extended(self, steps: int, *, step_s: float) -> "Traffic":
         """The same, and beyond the last step so many more at constant velocity, of those that are there then."""

@@ -1,39 +1,18 @@
 """Algorithm 1 of the paper: the decision of one generated agent at one step. Values in, a value out."""
 
 from dataclasses import dataclass, field
-from typing import Literal
 
 from hid2.agents import Policy
 from hid2.drivers.driver import Driver, usual_driver
 from hid2.params import LaneChange, Overtake
 from hid2.policy.behaviours import BEHAVIOURS, POLICY_OF_TURN
-from hid2.policy.lane_change import OPEN, Gap
+from hid2.policy.lane_change import OPEN, Gap, LaneOption
 from hid2.policy.overtake import Stage, enter_reason, return_reason
-from hid2.policy.rules import GapView, SumoAnswer, rule_reason, rule_refusals
+from hid2.policy.rules import GapView, rule_reason, rule_refusals
 from hid2.reasons import Reason
 from netconvert.cells import Cell
+from netconvert.lane_graph import Side as Side
 from netconvert.lane_graph import TurnType
-
-Side = Literal["left", "right"]
-
-
-@dataclass(frozen=True, slots=True)
-class LaneOption:
-    """An adjacent lane l' that the marking lets the agent change to, as it sees it at one step.
-
-    target: cell g_{l',j}; cells_free: sigma = 0 in j-1, j, j+1; gaps to the vehicles ahead and behind there, Frenet m;
-    remaining_m: length of l' left through its successors; corridor_m: its free stretch m * delta s; sumo: what SUMO
-    answers.
-    """
-
-    side: Side
-    target: Cell
-    cells_free: bool
-    front: Gap
-    rear: Gap
-    remaining_m: float
-    corridor_m: float
-    sumo: SumoAnswer | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,22 +76,9 @@ def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) ->
         reason = Reason.NO_ADJACENT_LANE
         for option in seen.options:
             if seen.stage is Stage.PASS:
-                reason = return_reason(
-                    lead_gap_m=seen.passed_gap_m,
-                    lane_available=option.cells_free,
-                    ahead=option.front,
-                    params=overtake,
-                )
+                reason = return_reason(option, lead_gap_m=seen.passed_gap_m, params=overtake)
             else:
-                reason = enter_reason(
-                    leader=seen.leader,
-                    desired_mps=seen.desired_mps,
-                    lane_available=option.cells_free,
-                    ahead=option.front,
-                    behind=option.rear,
-                    free_corridor_m=option.corridor_m,
-                    params=overtake,
-                )
+                reason = enter_reason(option, leader=seen.leader, desired_mps=seen.desired_mps, params=overtake)
                 if reason is None and lane_change.rule != "paper":  # its gaps are the conditions above
                     reason = rule_reason(_view(seen, option), lane_change)
             answers.append(() if reason is None else (reason,))

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 from hid2.params import LaneChange
 from hid2.reasons import Reason
+from netconvert.cells import Cell
+from netconvert.lane_graph import Side
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,6 +21,34 @@ class Gap:
 
 #: That to no neighbour: any lane change fits in.
 OPEN = Gap(math.inf, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class SumoAnswer:
+    """What SUMO's LC2013 makes of one side: its motives (none: it does not want to), and agents in the way."""
+
+    motives: frozenset[str]
+    blocked_ahead: bool
+    blocked_behind: bool
+
+
+@dataclass(frozen=True, slots=True)
+class LaneOption:
+    """An adjacent lane l' that the marking lets the agent change to, as it sees it at one step.
+
+    target: cell g_{l',j}; cells_free: sigma = 0 in j-1, j, j+1; gaps to the vehicles ahead and behind there, Frenet m;
+    remaining_m: length of l' left through its successors; corridor_m: its free stretch m * delta s; sumo: what SUMO
+    answers.
+    """
+
+    side: Side
+    target: Cell
+    cells_free: bool
+    front: Gap
+    rear: Gap
+    remaining_m: float
+    corridor_m: float
+    sumo: SumoAnswer | None = None
 
 
 def safe_gap_m(follower_mps: float, leader_mps: float, *, time_gap_s: float, params: LaneChange) -> float:

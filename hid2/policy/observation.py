@@ -15,11 +15,11 @@ from hid2.occupancy.along_path import look_along
 from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path
 from hid2.occupancy.sigma import FREE, UNDER_SHARE, dwell_steps, is_anybody_on
 from hid2.occupancy.traffic import Traffic
-from hid2.policy.decision import LaneOption, Side
-from hid2.policy.lane_change import OPEN, Gap
+from hid2.policy.lane_change import OPEN, Gap, LaneOption
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from netconvert.cells import Cell
+from netconvert.lane_graph import Side
 
 #: No tunables, room for what a driver does otherwise: shares of the time and of the length of l' left that a lateral
 #: motion may take, and s of that time left after it.
@@ -162,7 +162,8 @@ def lay_across(
     time_left_s = _TIME_SHARE * (scene.num_steps - 1 - step) * step_s - _SPARE_S
     motion, apart_m, along_m = None, 0.0, np.array([s])
     for _ in range(2):  # lanes may part: it is as far to the other one as it gets on the way
-        apart_m = max(apart_m, _farthest_m(path, target, along_m))
+        aside_m = frenet(path.line.position(along_m), target.raw_line.points, target.raw_line.s)[1]
+        apart_m = max(apart_m, float(np.abs(aside_m).max()))
         timing = LateralTiming.of(ratio * driver.lane_change_s, apart_m, change)
         over_s = timing.lasting_s - min(time_left_s, room_s)
         if over_s > 0.0:
@@ -174,11 +175,6 @@ def lay_across(
     if motion.tau.size - 1 > scene.num_steps - 2 - step:
         return Reason.SCENE_ENDS
     return shifted_path(motion, limits=scene.config.limits) or Reason.LANES_NOT_SIDE_BY_SIDE
-
-
-def _farthest_m(path: DrivenPath, target: DrivenPath, s: FloatArray) -> float:
-    """Largest distance of places (M,) m on a path from another one, m."""
-    return float(np.abs(frenet(path.line.position(s), target.raw_line.points, target.raw_line.s)[1]).max())
 
 
 def _next_sigma(scene: Scene, cell: Cell, *, step: int, speed_mps: float) -> int:

@@ -3,7 +3,7 @@
 from enum import StrEnum
 
 from hid2.params import Config, Overtake
-from hid2.policy.lane_change import Gap
+from hid2.policy.lane_change import Gap, LaneOption
 from hid2.reasons import Reason
 
 #: Duration of an overtake's lane changes over usual ones, the shortest too. No tunable: `lane_change_mean_s` is.
@@ -35,15 +35,8 @@ def stretch_m(config: Config) -> float:
 
 
 def enter_reason(
-    *,
-    leader: Gap | None,
-    desired_mps: float,
-    lane_available: bool,
-    ahead: Gap,
-    behind: Gap,
-    free_corridor_m: float,
-    params: Overtake,
-) -> Reason | None:
+    option: LaneOption, *, leader: Gap | None, desired_mps: float, params: Overtake
+) -> Reason | None:  # fmt: skip
     """Why the overtake cannot begin now; None where it can.
 
     The paper's three conditions: a free overtaking lane l', gaps ahead and behind, m * delta s >= d_overtake.
@@ -52,23 +45,23 @@ def enter_reason(
         return Reason.NO_LEADER
     if desired_mps - leader.speed_mps < params.speed_advantage_mps:
         return Reason.LEADER_NOT_SLOWER
-    if not lane_available:
+    if not option.cells_free:
         return Reason.NO_LANE
-    if ahead.distance_m < params.safe_front_m:
+    if option.front.distance_m < params.safe_front_m:
         return Reason.FRONT_GAP
-    if behind.distance_m < params.safe_rear_m:
+    if option.rear.distance_m < params.safe_rear_m:
         return Reason.REAR_GAP
-    if free_corridor_m < params.d_overtake_m:
+    if option.corridor_m < params.d_overtake_m:
         return Reason.CORRIDOR_SHORT
     return None
 
 
-def return_reason(*, lead_gap_m: float, lane_available: bool, ahead: Gap, params: Overtake) -> Reason | None:
+def return_reason(option: LaneOption, *, lead_gap_m: float, params: Overtake) -> Reason | None:
     """Why the return cannot begin now: lead_gap_m is the bumper gap to the passed vehicle, negative beside it."""
     if lead_gap_m < params.return_gap_m:
         return Reason.NOT_AHEAD
-    if not lane_available:
+    if not option.cells_free:
         return Reason.NO_LANE
-    if ahead.distance_m < params.safe_front_m:
+    if option.front.distance_m < params.safe_front_m:
         return Reason.FRONT_GAP
     return None

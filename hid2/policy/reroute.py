@@ -1,13 +1,12 @@
 """Another way at the next split: the paper's answer to a predicted conflict (case 3) that timing does not solve."""
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
-from hid2.agents import FloatArray
-from hid2.motion.route import DrivenPath, Route, is_drivable, routes_from
+from hid2.motion.route import DrivenPath, is_drivable, routes_from, straightest_first
 from hid2.scene import Scene
-from netconvert.lane_graph import TurnType
 
 _SAME_M, _EVERY_M = 0.02, 2.0  # book-keeping: how far two paths with the same first lanes may differ, and where we look
 
@@ -20,12 +19,8 @@ def ways_at_next_split(scene: Scene, path: DrivenPath, *, s: float, from_m: floa
     """
     if path.shifts or "topology" in scene.config.without:
         return
-    lanes, graph = scene.grid.graph.lanes, scene.grid.graph
-    route = tuple(segment.lane_id for segment in path.segments)
-
-    def straight_first(onward: Route) -> Route:
-        return tuple(sorted(onward, key=lambda n: (lanes[n].turn is not TurnType.STRAIGHT, n)))
-
+    graph, route = scene.grid.graph, tuple(segment.lane_id for segment in path.segments)
+    straight_first = partial(straightest_first, graph)
     for row, segment in enumerate(path.segments[:-1]):
         others = tuple(n for n in graph.successors(segment.lane_id) if n not in route and is_drivable(graph, n))
         if segment.end < from_m or not others:
@@ -38,12 +33,7 @@ def ways_at_next_split(scene: Scene, path: DrivenPath, *, s: float, from_m: floa
         return
 
 
-def places_on(other: DrivenPath, path: DrivenPath, s: FloatArray) -> FloatArray:
-    """Arc lengths (N,) m on another path of those (N,) on the present one, where both have the same first lanes."""
-    return other.all_to_line(np.interp(s, path.line.points_s, path.raw_s))
-
-
 def _is_the_same_until(path: DrivenPath, other: DrivenPath, s: float) -> bool:
     own = np.arange(0.0, s + _EVERY_M, _EVERY_M)
-    apart = path.line.position(own) - other.line.position(places_on(other, path, own))
+    apart = path.line.position(own) - other.line.position(other.all_to_line(path.all_to_raw(own)))
     return bool(np.hypot(apart[:, 0], apart[:, 1]).max() < _SAME_M)

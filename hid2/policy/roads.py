@@ -6,7 +6,7 @@ import numpy as np
 
 from hid2.agents import FloatArray, IntArray, Policy
 from hid2.drivers.driver import Driver
-from hid2.motion.route import DrivenPath, turn_segments
+from hid2.motion.route import DrivenPath
 from hid2.once import once
 from hid2.policy.decision import policy_on
 from hid2.policy.turns import RoadSpeeds, road_speeds
@@ -37,7 +37,8 @@ class Roads:
 
     @once
     def _of_any(self, path: DrivenPath) -> RoadSpeeds:
-        config, segments = self.scene.config, turn_segments(self.scene.grid.graph, path)
+        config, lanes = self.scene.config, self.scene.grid.graph.lanes
+        segments = [(one.start, one.end, lanes[one.lane_id].turn) for one in path.segments]
         return road_speeds(path.line, segments, turn=config.turn, limits=config.limits)
 
     @once

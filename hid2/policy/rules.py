@@ -13,20 +13,10 @@ from dataclasses import dataclass, replace
 
 from hid2.drivers.driver import Driver
 from hid2.params import LaneChange
-from hid2.policy.lane_change import OPEN, Gap, gap_refusals
+from hid2.policy.lane_change import OPEN, Gap, SumoAnswer, gap_refusals
 from hid2.reasons import Reason
 from netconvert.errors import ConfigError
 from netconvert.lane_graph import Side
-
-
-@dataclass(frozen=True, slots=True)
-class SumoAnswer:
-    """What SUMO's LC2013 makes of one side: its motives (none: it does not want to), and agents in the way."""
-
-    motives: frozenset[str]
-    blocked_ahead: bool
-    blocked_behind: bool
-
 
 #: Of the paper's rule where a vehicle changes lanes by its own wish, unless `rule_with` says otherwise: as the leader
 #: that is worth an overtake (`overtake.speed_advantage_mps`).
@@ -137,22 +127,22 @@ def rule_arguments(params: LaneChange) -> dict[str, float]:
 
 
 def expected_reason(
-    driver: Driver, params: LaneChange, *, speed_mps: float, front: Gap = OPEN, rear: Gap = OPEN, side: Side = "left"
-) -> Reason | None:
-    """Why a rule would not leave a slower leader for a lane with these on it, or with none; None where it would.
+    driver: Driver, params: LaneChange, *, speed_mps: float, side: Side = "left"
+) -> Reason | None:  # fmt: skip
+    """Why a rule would not leave a slower leader for a free lane; None where it would.
 
     Sites and plans with an unforeseen gap ask this before they expect a change of lanes. At the rule's least speed
     or faster, after all the waiting that there is, behind a leader half as fast. LC2013 is SUMO's and cannot be asked
     before SUMO drives: of it the preconditions on the map alone, speed, length of lane left and free cells.
     """
     v = max(speed_mps, params.min_speed_mps)
-    behind, free = Gap(driver.min_gap_m + driver.tau_s * v, 0.5 * v), min(front.distance_m, rear.distance_m) > 0.0
     view = replace(
         _FREE, side=side, time_s=params.give_up_s, waited_s=params.give_up_s, speed_mps=v,
         desired_mps=max(v, driver.desired_mps), tau_s=driver.tau_s, accel_mps2=driver.accel_mps2,
         decel_mps2=driver.decel_mps2, min_gap_m=driver.min_gap_m,
-        remaining_m=params.min_remaining_m + _FREE.remaining_m, own_front=behind, front=front, rear=rear,
-        cells_free=free, sumo=replace(ASSUMED_ANSWER, blocked_ahead=not free) if params.rule == "LC2013" else None,
+        remaining_m=params.min_remaining_m + _FREE.remaining_m,
+        own_front=Gap(driver.min_gap_m + driver.tau_s * v, 0.5 * v),
+        sumo=ASSUMED_ANSWER if params.rule == "LC2013" else None,
     )  # fmt: skip
     return rule_reason(view, params)
 

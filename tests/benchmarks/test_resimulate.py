@@ -66,7 +66,7 @@ def cost(folder: Path, seeds: int) -> tuple[float, float]:
         edges = edges_along(scene, start.path, cell)
         assert edges is not None
         starts.append(Start(edges, scene.grid.lane_index(cell), 0.1, start.start_mps))
-    others = made.logged.rows([row for row in range(len(made.logged.ids)) if row not in rows]).since(NOW)
+    others = made.logged.rows([row for row in range(len(made.logged.ids)) if row not in rows]).span(slice(NOW, None))
     front, angle = sumo_poses(others.position, others.heading, others.length_m[:, None])
     with tempfile.TemporaryDirectory() as beside:
         began = time.process_time()

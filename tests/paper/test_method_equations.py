@@ -1,6 +1,7 @@
 """The equations of the paper's method, one test each, in the paper's order and with its symbols."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,8 @@ from hid2.insertion.requests import draw_requests
 from hid2.insertion.sites import InsertionSites
 from hid2.insertion.spread import Spread
 from hid2.insertion.surroundings import Surroundings
+from hid2.judge.findings import MotionProfile
 from hid2.kernels.trajectory import derivatives_of_motion
-from hid2.measures.motion_limits import MotionProfile
 from hid2.motion.lane_change_path import lateral_share
 from hid2.motion.reference_line import TABLE_STEP_M, build_reference_line
 from hid2.motion.route import DrivenPath
@@ -24,12 +25,13 @@ from hid2.motion.smoothing import Motion, smooth_motion, trajectory
 from hid2.occupancy.sigma import FREE, GENERATED, ORIGINAL, cell_boxes, dwell_steps, original_occupancy
 from hid2.occupancy.traffic import Traffic, traffic_of
 from hid2.params import Config, LaneChange, Limits, Overtake, Request, Turn
-from hid2.policy.decision import LaneOption, Observation, decide
+from hid2.policy.decision import Observation, decide
 from hid2.policy.lane_change import OPEN as NO_GAP
-from hid2.policy.lane_change import Gap
+from hid2.policy.lane_change import Gap, LaneOption
 from hid2.policy.observation import lane_options
 from hid2.policy.overtake import Stage, enter_reason
 from hid2.policy.turns import f_left, f_right, road_speeds
+from hid2.reasons import Reason
 from hid2.scene import Scene, build_scene
 from netconvert.cells import Cell, build_cell_grid
 from netconvert.geometry import Polyline, arc_length
@@ -218,30 +220,31 @@ def test_remaining_length_of_the_target_lane_exceeds_a_threshold() -> None:
 
 # Agent policy: overtaking ---------------------------------------------------------------------------------------------
 
-FREE_LANE: dict[str, Any] = {
-    "desired_mps": 12.0, "lane_available": True, "ahead": NO_GAP, "behind": NO_GAP, "free_corridor_m": 100.0,
-    "params": Overtake(d_obs_m=40.0, safe_front_m=6.0, safe_rear_m=8.0, d_overtake_m=40.0),
-}  # fmt: skip
+FREE_LANE = LaneOption("left", Cell(2, 10), True, NO_GAP, NO_GAP, 150.0, 100.0)
+
+
+def _enter(leader: Gap, **lane: Any) -> Reason | None:
+    params = Overtake(d_obs_m=40.0, safe_front_m=6.0, safe_rear_m=8.0, d_overtake_m=40.0)
+    return enter_reason(replace(FREE_LANE, **lane), leader=leader, desired_mps=12.0, params=params)
 
 
 @pytest.mark.parametrize(("gap", "evaluated"), [(4.0, True), (40.0, True), (41.0, False)])
 def test_overtake_is_evaluated_for_a_leader_within_d_obs(gap: float, evaluated: bool) -> None:
     """k <= d_obs / delta s = 10 cells."""
-    assert (enter_reason(leader=Gap(gap, 5.0, "1"), **FREE_LANE) is None) is evaluated
+    assert (_enter(Gap(gap, 5.0, "1")) is None) is evaluated
 
 
 def test_overtake_needs_safe_gaps_ahead_and_behind() -> None:
     leader = Gap(20.0, 5.0, "1")
     for ahead, behind, reason in ((6.0, 8.0, None), (5.9, 8.0, "front_gap"), (6.0, 7.9, "rear_gap")):
-        lane = {**FREE_LANE, "ahead": Gap(ahead, 12.0), "behind": Gap(behind, 12.0)}
-        assert enter_reason(leader=leader, **lane) == reason
+        assert _enter(leader, front=Gap(ahead, 12.0), rear=Gap(behind, 12.0)) == reason
 
 
 def test_overtake_needs_a_corridor_of_m_cells() -> None:
     """m * 4 m >= 40 m: ten cells do, nine do not."""
     leader = Gap(20.0, 5.0, "1")
     for m, reason in ((10, None), (9, "corridor_short")):
-        assert enter_reason(leader=leader, **{**FREE_LANE, "free_corridor_m": m * DELTA_S}) == reason
+        assert _enter(leader, corridor_m=m * DELTA_S) == reason
 
 
 def test_overtake_enters_passes_and_returns_ahead_of_where_it_left() -> None:
@@ -356,7 +359,6 @@ def test_conflict_3_predicted_collision_changes_the_timing() -> None:
     """Somebody recorded crosses x = 80 at 8 m/s and is there after 4 s, as 10 m/s from x = 40 would be."""
     scene = _scene(_track(80.0, -32.0, 8.0, heading=math.pi / 2))
     found = _braking(scene, scene.paths.along((1,)), [], [[40.0, 10.0, 0.0, 0.0, 1.0]], horizon_s=6.0)
-    assert found.free_conflict_s is not None
     assert found.decel_mps2 > 0.0
     assert found.conflict_s is None
 

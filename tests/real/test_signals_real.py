@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from signal_entries import entries as passed
+
 from bridge.recordings.judging import states_of
 from bridge.recordings.scenario import STEP_S, read_scenario
 from hid2.conflicts.signals import InferredSignals
@@ -20,7 +22,7 @@ def test_recorded_vehicles_hardly_ever_enter_on_red(real_scenes: list[Path]) -> 
         states = states_of(scenario.tracks, lanes, set(), num_steps=scenario.num_steps, step_s=STEP_S)
         signals = InferredSignals(scenario.graph, states, Signals())
         for lane_id in scenario.graph.lanes:
-            red, enters = signals.red(lane_id), signals.enters(lane_id)
+            red, enters = signals.red(lane_id), passed(signals, lane_id)
             assert (red is None) == (enters is None)
             if red is not None and enters is not None:
                 entries += int(enters.sum())

@@ -8,7 +8,7 @@ from hand_drawn import draw_lane
 
 from hid2.agents import BoxSize, Track
 from hid2.motion.reference_line import ReferenceLine, build_reference_line
-from hid2.motion.route import DrivenPath, path_along
+from hid2.motion.route import DrivenPath, LanePaths
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Limits
 from netconvert.lane_graph import LaneGraph, LaneSegment
@@ -54,7 +54,7 @@ def straight_line() -> ReferenceLine:
 @pytest.fixture(scope="session")
 def straight_path(road: Callable[..., LaneGraph]) -> DrivenPath:
     """The middle of the right lane of a two-lane road of 200 m."""
-    return path_along(road(), (1,), limits=Limits())
+    return LanePaths(road(), Limits()).along((1,))
 
 
 @pytest.fixture(scope="session")

@@ -2,7 +2,7 @@ import ast
 from pathlib import Path
 
 import hid2
-from hid2.measures.motion_limits import MOTION_LIMITS
+from hid2.judge.findings import MOTION_LIMITS, Quantity
 from hid2.reasons import Reason
 
 
@@ -37,4 +37,10 @@ def test_no_reason_is_a_string_literal() -> None:
 
 
 def test_every_limit_of_motion_has_a_reason() -> None:
-    assert [limit.reason.value for limit in MOTION_LIMITS] == [f"limit_{limit.name}" for limit in MOTION_LIMITS]
+    assert [limit.reason for limit in MOTION_LIMITS] == [Reason(f"limit_{limit.value}") for limit in MOTION_LIMITS]
+
+
+def test_quantities_without_a_reason_drop_no_vehicle() -> None:
+    """Boxes that meet are told apart by their agents; claims and noise are judged when all is exported."""
+    names = {one.value for one in Quantity if one.reason is None}
+    assert names == {one for one in names if one.startswith("claim")} | {"overlap", "noise"}

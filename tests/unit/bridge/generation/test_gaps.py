@@ -13,8 +13,7 @@ from bridge.generation.generate import generate
 from bridge.recordings.scenario import read_scenario
 from hid2.agents import Policy
 from hid2.params import Config, Request, Spawn
-from hid2.policy.decision import LaneOption
-from hid2.policy.lane_change import OPEN, Gap
+from hid2.policy.lane_change import OPEN, Gap, LaneOption
 from hid2.reasons import Reason
 from hid2.vehicle import DrivenVehicle, GapLook
 from netconvert.cells import Cell

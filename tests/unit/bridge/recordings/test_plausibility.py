@@ -22,7 +22,7 @@ from bridge.recordings.plausibility import (
 )
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sources import find_one, find_recordings, read_recording
-from hid2.measures.arrays import is_moving
+from hid2.measures.arrays import stack
 from netconvert.errors import NoSceneError, ScenarioError
 
 _TURNED = moved(((math.cos(2.0), -math.sin(2.0)), (math.sin(2.0), math.cos(2.0))))
@@ -81,8 +81,8 @@ def test_too_few_moving_vehicles_tell_nothing(spoiled_scenes: list[Path], tmp_pa
     """Two moving vehicles are below every least number: LEAST_VEHICLES, and as many that fit fully elsewhere."""
     assert LEAST_VEHICLES > LEAST_GAINING
     recording = read_scenario(plant(spoiled_scenes[0], tmp_path, FAULTS[name][0], other=spoiled_scenes[1]))
-    moving = [track for track in recording.tracks if is_moving(track.position, step_s=recording.step_s)]
-    few = {track.track_id for track in moving if track.object_type in {"vehicle", "bus"}}
+    arrays = stack(recording.tracks, step_s=recording.step_s)
+    few = {arrays.track_ids[row] for row in np.flatnonzero(arrays.moving_vehicles)}
     kept = sorted(few)[:1]
     tracks = tuple(track for track in recording.tracks if track.track_id not in few or track.track_id in kept)
     assert implausible(replace(recording, tracks=tracks)) == ""

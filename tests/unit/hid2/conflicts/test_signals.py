@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
+from signal_entries import entries
 
 from hid2.agents import BoxSize, Track
 from hid2.conflicts.signals import InferredSignals
@@ -84,7 +85,7 @@ def test_cross_traffic_makes_red_two_seconds_before_and_three_after(signals, box
     scene = signals(box(10.0, -50.0, np.pi / 2, 10.0))
     assert _steps(scene.red(2)) == list(range(27, 84))
     assert _steps(scene.red(5)) == []
-    assert _steps(scene.enters(5)) == [41]  # the first centre above y = -10
+    assert _steps(entries(scene, 5)) == [41]  # the first centre above y = -10
 
 
 @pytest.mark.parametrize(("degrees", "red"), [(35, False), (50, True), (130, True), (150, False)])
@@ -127,19 +128,19 @@ def test_who_moves_later_queues_at_the_side_of_its_lane_too(signals) -> None:
     It passes x = 0 at step 85 and is inside at 86: green from step 76. It stands, by central differences, to step 79.
     """
     scene = signals(_along("a", [(-5.0, 1.0), (40.0, 1.0)], wait_steps=80))
-    assert _steps(scene.enters(2)) == [86]
+    assert _steps(entries(scene, 2)) == [86]
     assert _steps(scene.red(2)) == list(range(76))
 
 
 def test_vehicle_that_is_inside_at_its_last_state_alone_has_entered(signals) -> None:
     """From (-108.5, 0) at 1 m a step: at x = 0.5 at step 109, the last one."""
-    assert _steps(signals(_along("a", [(-108.5, 0.0), (40.0, 0.0)])).enters(2)) == [109]
+    assert _steps(entries(signals(_along("a", [(-108.5, 0.0), (40.0, 0.0)])), 2)) == [109]
 
 
 def test_an_entry_makes_green_for_the_queue_behind_it(signals, box) -> None:
     """The first enters at step 36, the second stands on at x = -12: red but for 36 - 10 to 36 + 20."""
     scene = signals(_along("a", [(-5.0, 0.0), (40.0, 0.0)], wait_steps=30), box(-12.0, 0.0, name="b"))
-    assert _steps(scene.enters(2)) == [36]
+    assert _steps(entries(scene, 2)) == [36]
     assert _steps(scene.red(2)) == [*range(26), *range(57, STEPS)]
 
 
@@ -166,14 +167,14 @@ def test_straight_on_is_red_while_the_opposite_queue_stands(
 def test_an_entry_makes_no_green_within_a_second_of_cross_traffic(signals, box) -> None:
     """Cross traffic on the lane from 47 to 53, red from 27 to 83. An entry at 61 clears 51 to 81, not below 53 + 10."""
     scene = signals(box(10.0, -50.0, np.pi / 2, 10.0), _along("b", [(-50.0, 0.0), (70.0, 0.0)], wait_steps=10))
-    assert _steps(scene.enters(2)) == [61]
+    assert _steps(entries(scene, 2)) == [61]
     assert _steps(scene.red(2)) == [*range(27, 64), 82, 83]
 
 
 def test_an_entry_makes_no_green_after_it_for_cross_traffic_to_come(signals, box) -> None:
     """Cross traffic from 47 to 53. One waits for 25 steps, red to 20, and enters at 31: it is red again from 32 on."""
     scene = signals(box(10.0, -50.0, np.pi / 2, 10.0), _along("b", [(-5.0, 0.0), (40.0, 0.0)], wait_steps=25))
-    assert _steps(scene.enters(2)) == [31]
+    assert _steps(entries(scene, 2)) == [31]
     assert _steps(scene.red(2)) == [*range(21), *range(32, 84)]
 
 
@@ -181,8 +182,8 @@ def test_a_right_turn_says_nothing_of_the_way_straight_on(signals, box) -> None:
     """What turns right enters lane 7 alone; the queue in the shared lane stays red for lane 2."""
     turning = _along("a", [(-5.0, 0.0), (0.0, 0.0), (3.0, -0.8), (5.2, -3.0), (6.0, -6.0), (6.0, -40.0)], wait_steps=30)
     scene = signals(turning, box(-12.0, 0.0, name="b"))
-    assert _steps(scene.enters(7)) == [35]
-    assert _steps(scene.enters(2)) == []
+    assert _steps(entries(scene, 7)) == [35]
+    assert _steps(entries(scene, 2)) == []
     assert _steps(scene.red(2)) == list(range(STEPS))
     assert _steps(scene.red(7)) == [*range(25), *range(56, STEPS)]
 
@@ -200,7 +201,7 @@ def test_only_lanes_that_are_entered_from_outside_have_an_entrance(lane, box) ->
     assert scene.red(1) is None
     assert scene.red(9) is None
     assert scene.red(11) is None
-    assert scene.enters(11) is None
+    assert entries(scene, 11) is None
 
 
 def test_an_empty_road_is_green(signals, box) -> None:

@@ -68,7 +68,7 @@ def test_quantiles_by_hand():
     low, middle = quantiles(SPEED, counts, [0.05, 0.5])
     assert low == pytest.approx(0.5, abs=1 / FINE)
     assert middle == pytest.approx(5.0, abs=1 / FINE)
-    assert quantiles(SPEED, histogram(SPEED, [])) is None
+    assert quantiles(SPEED, histogram(SPEED, []), [0.5]) is None
 
 
 def test_halves_are_halves_and_the_same_every_time():

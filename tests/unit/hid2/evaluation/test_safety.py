@@ -16,7 +16,7 @@ from hid2.measures.arrays import SceneArrays, stack
 from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import leaders
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
-from hid2.measures.post_encroachment import encroachments
+from hid2.measures.surrogates import encroachments
 from netconvert.lane_graph import LaneGraph
 
 

@@ -13,7 +13,7 @@ from hid2.measures.following import leaders
 from hid2.measures.lane_changes import lane_changes
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import detect
-from hid2.measures.post_encroachment import encroachments
+from hid2.measures.surrogates import encroachments
 from hid2.occupancy.agent_states import agent_states
 from netconvert.lane_graph import LaneGraph
 

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from hid2.measures.manoeuvres import lateral_speed
-from hid2.motion.lane_change_path import Blend, LateralTiming, blend_paths, even_line, lateral_share
+from hid2.motion.lane_change_path import Blend, LateralTiming, blend_paths, lateral_share
 from hid2.params import LaneChange
-from netconvert.geometry import Polyline
+from netconvert.geometry import Polyline, arc_length, resample
 
 
 def test_lateral_share_rises_evenly_between_two_ramps() -> None:
@@ -58,10 +58,15 @@ CURRENT = np.array([[0.0, 0.0], [200.0, 0.0]])
 LEFT = np.array([[0.0, 3.5], [200.0, 3.5]])
 
 
+def even_line(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    even = resample(points, step_m=1.0)
+    return even, arc_length(even)
+
+
 def blend_of(current: np.ndarray, target: np.ndarray, *, start_m: float, length_m: float) -> Blend | None:
     tau = np.linspace(0.0, 1.0, 11)
     return blend_paths(
-        even_line(current, step_m=1.0), Polyline(target), along_m=start_m + length_m * tau, tau=tau, ramp=0.27,
+        even_line(current), Polyline(target), along_m=start_m + length_m * tau, tau=tau, ramp=0.27,
         step_m=1.0, max_shift_m=5.5,
     )  # fmt: skip
 
@@ -86,7 +91,7 @@ def test_blend_leaves_one_lane_for_the_other() -> None:
 def test_who_slows_down_is_half_way_across_farther_on() -> None:
     """Half of the time over 30 m, the other half over 10: the middle is crossed at 80 m, not at 70."""
     blend = blend_paths(
-        even_line(CURRENT, step_m=1.0), Polyline(LEFT), along_m=np.array([50.0, 80.0, 90.0]),
+        even_line(CURRENT), Polyline(LEFT), along_m=np.array([50.0, 80.0, 90.0]),
         tau=np.array([0.0, 0.5, 1.0]), ramp=0.27, step_m=1.0, max_shift_m=5.5,
     )  # fmt: skip
     assert blend is not None

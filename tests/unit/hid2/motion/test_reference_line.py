@@ -3,7 +3,8 @@ import math
 import numpy as np
 import pytest
 
-from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line, smooth_points
+from hid2.kernels.spline import smooth_polyline
+from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line
 from netconvert.geometry import Polyline, resample
 
 
@@ -107,13 +108,13 @@ def test_parabola_passes_the_smoothing_unchanged() -> None:
     """Third differences of a parabola are zero: whatever the strength, it is its own smoothest neighbour."""
     x = np.arange(30.0)
     parabola = np.column_stack([x, 0.01 * x**2])
-    assert smooth_points(parabola, strength=1e5) == pytest.approx(parabola, abs=1e-6)
+    assert smooth_polyline(parabola, 1e5, 1e4) == pytest.approx(parabola, abs=1e-6)
 
 
 def test_smoothing_draws_in_a_spike() -> None:
     points = np.column_stack([np.arange(21.0), np.zeros(21)])
     points[10, 1] = 1.0
-    assert smooth_points(points, strength=300.0)[10, 1] < 0.4
+    assert smooth_polyline(points, 300.0, 1e4)[10, 1] < 0.4
 
 
 @pytest.mark.parametrize("length", [0.25, 1.0, 4.0])

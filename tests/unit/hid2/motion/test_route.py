@@ -11,11 +11,9 @@ from hid2.motion.route import (
     LateralMotion,
     Segment,
     first_turn,
-    path_along,
     route_points,
     routes_from,
     shifted_path,
-    turn_segments,
 )
 from hid2.params import Limits
 from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
@@ -43,7 +41,7 @@ def forked(lane: Callable[..., LaneSegment]) -> LaneGraph:
 
 
 def _path(graph: LaneGraph, *route: int) -> DrivenPath:
-    return path_along(graph, route, limits=Limits())
+    return LanePaths(graph, Limits()).along(route)
 
 
 def test_points_of_a_route_hold_every_joint_once(forked: LaneGraph) -> None:
@@ -89,7 +87,7 @@ def test_line_and_polyline_scales_are_inverse(forked: LaneGraph) -> None:
 
 
 def test_turns_are_told_by_stretch(forked: LaneGraph) -> None:
-    kinds = [kind for _, _, kind in turn_segments(forked, _path(forked, 1, 3, 4))]
+    kinds = [forked.lanes[one.lane_id].turn for one in _path(forked, 1, 3, 4).segments]
     assert kinds == [TurnType.STRAIGHT, TurnType.LEFT, TurnType.STRAIGHT]
 
 

@@ -84,7 +84,8 @@ def test_intervals_hold_every_arc_length_that_really_touches(box: Callable[..., 
     bend = 30.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
     line = build_reference_line(bend, step_m=1.0, min_radius_m=5.0, max_offset_m=0.6)
     s = np.arange(0.0, line.length_m, 0.05)
-    own = box_corners(line.position(s), line.heading(s), **SIZE._asdict())
+    xy, tangent, _ = line.motion(s)
+    own = box_corners(xy, np.arctan2(tangent[:, 1], tangent[:, 0]), **SIZE._asdict())
     for heading in np.linspace(0, np.pi, 7):
         one = box(20.0, 9.0, heading, steps=1)
         other = box_corners(one.position[0, 0], heading, length_m=4.5, width_m=1.9)

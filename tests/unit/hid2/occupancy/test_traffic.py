@@ -72,9 +72,6 @@ def test_joined_rows_and_steps_keep_the_order(box: Callable[..., Traffic]) -> No
     assert both.rows([1]).position[0, 3].tolist() == pytest.approx([5.0, 0.0])
     assert both.at(3).num_steps == 1
     assert both.at(3).position[:, 0, 0] == pytest.approx([1.0, 5.0])
-    assert both.since(3).num_steps == 107
-    assert both.since(3).position[:, 0, 0] == pytest.approx([1.0, 5.0])
-    assert both.since(0) is both
 
 
 def test_nobody_is_a_traffic_too(box: Callable[..., Traffic]) -> None:

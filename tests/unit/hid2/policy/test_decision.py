@@ -7,8 +7,8 @@ import pytest
 
 from hid2.agents import Policy
 from hid2.params import LaneChange, Overtake
-from hid2.policy.decision import Decision, LaneOption, Observation, decide
-from hid2.policy.lane_change import OPEN, Gap
+from hid2.policy.decision import Decision, Observation, decide
+from hid2.policy.lane_change import OPEN, Gap, LaneOption
 from hid2.policy.overtake import Stage
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType

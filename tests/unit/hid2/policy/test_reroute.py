@@ -6,7 +6,7 @@ from hand_drawn import draw_lane
 from inserted import scene_on
 
 from hid2.params import Config
-from hid2.policy.reroute import places_on, ways_at_next_split
+from hid2.policy.reroute import ways_at_next_split
 from hid2.scene import Scene
 from netconvert.lane_graph import LaneGraph
 
@@ -65,7 +65,7 @@ def test_way_so_far_is_the_same_on_both() -> None:
     path = scene.paths.along((1, 2, 4))
     (other,) = ways_at_next_split(scene, path, s=30.0, from_m=35.0)
     s = np.linspace(0.0, 30.0, 31)
-    at = places_on(other, path, s)
+    at = other.all_to_line(path.all_to_raw(s))
     assert other.line.position(at) == pytest.approx(path.line.position(s), abs=0.02)
 
 

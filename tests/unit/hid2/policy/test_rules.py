@@ -7,10 +7,9 @@ import pytest
 
 from hid2.drivers.driver import usual_driver
 from hid2.params import LaneChange
-from hid2.policy.lane_change import OPEN, Gap
+from hid2.policy.lane_change import OPEN, Gap, SumoAnswer
 from hid2.policy.rules import (
     GapView,
-    SumoAnswer,
     by_own_wish,
     check_user_rule,
     expected_reason,
@@ -203,14 +202,21 @@ def test_own_rule_takes_arguments_and_answers_by_condition(monkeypatch: pytest.M
         check_user_rule(unknown)
 
 
-def test_change_that_is_expected_depends_on_the_rule_that_is_set() -> None:
-    """Behind a leader half as fast. 3 m ahead the paper's rule wants more; LC2013 asks SUMO, unless beside."""
-    driver, near, beside = usual_driver(10.0), Gap(3.0, 10.0), Gap(-1.0, 10.0)
-    for rule, reasons in (("paper", ("front_gap", "cells_occupied")), ("LC2013", (None, "front_gap"))):
-        params = LaneChange(rule=rule)
-        assert expected_reason(driver, params, speed_mps=10.0) is None
-        found = [expected_reason(driver, params, speed_mps=10.0, front=one) for one in (near, beside)]
-        assert tuple(found) == reasons
+def test_change_to_a_free_lane_is_expected_of_every_rule_with_an_incentive() -> None:
+    """Behind a leader half as fast, LC2013 as if SUMO had a motive. MOBIL that wants 5 m/s2 more does not, at 2 m/s.
+
+    By the IDM it gains 1.85 (2.2 + 2.3 + .5)^2 / 4.5^2 = 2.3 m/s2.
+    """
+    for rule in ("paper", "LC2013", "MOBIL"):
+        assert expected_reason(usual_driver(10.0), LaneChange(rule=rule), speed_mps=10.0) is None
+    never = LaneChange(rule="MOBIL", mobil_threshold_mps2=5.0, mobil_bias_mps2=0.0)
+    assert expected_reason(usual_driver(10.0), never, speed_mps=2.0) is Reason.MOBIL_NO_ADVANTAGE
+
+
+@pytest.mark.parametrize(("lead_m", "reason"), [(3.0, Reason.FRONT_GAP), (-1.0, Reason.CELLS_OCCUPIED)])
+def test_paper_rule_wants_room_to_the_new_leader(lead_m: float, reason: Reason) -> None:
+    view = replace(VIEW, speed_mps=10.0, front=Gap(lead_m, 10.0), cells_free=lead_m > 0.0)
+    assert rule_reason(view, LaneChange(rule="paper")) is reason
 
 
 def test_paper_rule_by_own_wish_wants_a_faster_leader_unless_it_must() -> None:

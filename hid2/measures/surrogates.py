@@ -1,17 +1,28 @@
-"""Post-encroachment time (PET) at crossings of swept paths (SSAM's crossing case)."""
+"""Surrogate measures of safety of two agents: two-dimensional TTC, and PET at crossings of swept paths (SSAM)."""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from hid2.agents import IntArray
-from hid2.kernels.box_pairs import post_encroachment
+from hid2.agents import FloatArray, IntArray
+from hid2.kernels import box_pairs
 from hid2.measures.arrays import SceneArrays
-from hid2.measures.time_to_collision import CAP_S
 
+#: TTC and PET above this are not told apart.
+CAP_S = 5.0
 #: Paths that meet at less than this follow each other; they do not cross (SSAM's rear-end bound).
 CROSSING_RAD = math.radians(30)
+
+
+def time_to_collision(arrays: SceneArrays, *, cap_s: float) -> tuple[FloatArray, FloatArray]:
+    """Smallest TTC (N,) s of every row to any other agent present at its step, at most cap_s, and (A, A) of each pair.
+
+    Boxes extrapolated at constant velocity. Of a pair the earlier agent is first.
+    """
+    return box_pairs.time_to_collision(
+        arrays.position, arrays.heading, arrays.velocity, arrays.length, arrays.width, arrays.row_of, cap_s
+    )
 
 
 class Encroachment(NamedTuple):
@@ -33,7 +44,7 @@ def encroachments(
     instead of moving vehicles; crossing_rad: paths that meet at less do not cross.
     """
     moving = np.flatnonzero(arrays.moving_vehicles) if agents is None else agents
-    steps, crossed = post_encroachment(
+    steps, crossed = box_pairs.post_encroachment(
         moving, arrays.position, arrays.heading, arrays.length, arrays.width, arrays.first, arrays.step,
         round(cap_s / arrays.step_s), crossing_rad, int(np.searchsorted(moving, since)),
     )  # fmt: skip
