@@ -39,8 +39,8 @@ _STRUCK_EVERY_S, _STRUCK_M = 0.5, 2.0
 class Driving:
     """One simulation of a fleet, each vehicle from its own first step on.
 
-    checked: all recorded agents are replayed at all steps, and their poses in SUMO compared; else those that have to be
-    shown to a vehicle, when they have to. Where recorded vehicles react, the fleet's scene becomes another one with
+    checked: every recorded agent is replayed at every step, and its pose in SUMO compared; else only while a vehicle is
+    to see it. Where recorded vehicles react, the fleet's scene becomes another one with
     each that yields, and `reactions` says how late they are.
     """
 

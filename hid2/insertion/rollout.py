@@ -1,6 +1,6 @@
 """The rollout of a candidate: how it would drive on among all agents with known motion, and what it would meet.
 
-    recorded agents by their true future, vehicles kept in rounds before, candidates chosen before it by their rollouts
+    known: recorded agents by their true future, vehicles kept in rounds before, candidates chosen so far by rollouts
 
 The loop is compiled (`kernels/rollout.py`) and is what SUMO, the guard and the road make of a driver, by the EIDM
 whatever `car_following.model` is, without noise. It chooses among candidates and decides nothing that happens.
@@ -122,7 +122,7 @@ class World:
         self.guard.fixed = fixed
 
     def joined_by(self, *candidates: RolledOut, without: str | None = None) -> "World":
-        """The same with candidates chosen, which need not be taken in the end; to roll out anew one that is chosen."""
+        """The same with candidates chosen, which need not be taken in the end; without: one that is rolled out anew."""
         found = World(self.scene, self.roads, Guard(self.scene, self._kept, self.guard.stop_lines))
         found._chosen = {name: one for name, one in self._chosen.items() if name != without}
         found._joined = self._joined
@@ -194,7 +194,7 @@ class World:
         return any(True for _ in contacts_at_end(boxes, last_word(self.scene.config), step_s=self.scene.step_s))
 
     def hindered(self, candidate: RolledOut) -> list[RolledOut]:
-        """Those chosen that drive otherwise with a candidate, perhaps: close in, look for gaps near it, enter later."""
+        """Those chosen that may drive otherwise with a candidate: followers, lane changers near it, later entrants."""
         found = {
             name for name, one in self._chosen.items()
             if one.start.step > candidate.start.step or (len(one.parts) > 1 and self._may_be_in_gap(candidate, one))
@@ -251,7 +251,7 @@ class World:
         return Rollout(path, first, s, v, memories)
 
     def act(self, start: Start) -> tuple[DrivenVehicle, tuple[Rollout, ...]]:
-        """The same with Algorithm 1, as the rule of the configuration decides: what becomes of it, and its motion.
+        """How a vehicle drives on with Algorithm 1, by the configured rule: what becomes of it, and its motion.
 
         A part of the motion ends with each lane change, and the next one begins with the state that it ended in.
         """
@@ -291,7 +291,7 @@ class World:
                 onto = self.roll(start, path=across.path, step=step, before=part, target=across.target)
                 parts[-1:] = part.until(step), self._jumped(start, vehicle.path, onto, across.shift.side)
                 vehicle.path = across.path
-            # it is soon past, and looks for a gap for long
+            # passing is short, waiting for a gap long
             step += scene.steps_in(_PASSING_SHARE * _LOOKS_S if vehicle.stage is Stage.PASS else _LOOKS_S)
         return vehicle, tuple(parts)
 

@@ -33,6 +33,8 @@ _AVOIDED_M = 8.0
 USUAL_HEADWAY_S = 1.3
 #: Weight of sites behind a leader that brakes. No tunable: `request.sites = any` draws without weights.
 BRAKING_WEIGHT = 3.0
+#: Not a parameter, it saves time: at this share of the usual speed a vehicle would not leave the map too early.
+_STAYS_SHARE = 0.8
 #: No tunables, how a turn is foreseen, roughly: a vehicle begins so far before it, m, comes to it at this share of
 #: the usual speed and passes it at so many m/s, and so much of the scene is left then, s. SUMO and the judge say what
 #: comes.
@@ -57,7 +59,7 @@ class TurnedDown:
     def could_not_begin(self, scene: Scene, row: int, policy: Policy) -> None:
         """A vehicle could not begin on a cell, by its row: what speaks against one mostly speaks against those near.
 
-        Whether a manoeuvre comes about from there is a matter of metres: one speaks for its cell alone.
+        Whether a manoeuvre comes about is a matter of metres: one that does not speaks for its cell alone.
         """
         self.rows[policy].update(_around(scene, row) if policy is Policy.STRAIGHT and not self.each_cell else (row,))
 
@@ -113,46 +115,51 @@ class InsertionSites:
             return []
         if request.policy is Policy.OVERTAKE:
             return self.overtakes.propose(request, slow_leader)
-        found = next(self._starts_for(request), None)
+        found = self._start_for(request)
         return [] if found is None else self.starts.take([found])
 
-    def _starts_for(self, request: VehicleRequest) -> Iterator[Start]:
-        """Starts at sites in weighted random order; first where more speaks for them.
+    def _start_for(self, request: VehicleRequest) -> Start | None:
+        """A start at one of the sites in weighted random order; first where more speaks for them.
 
         Strict: the lane beside is not in an intersection; a turn is driven through in the time of the scene; a vehicle
-        that is to go straight meets none in that time.
+        that is to go straight comes to no turn in that time.
         """
         if self.entering.is_to_enter(request):
-            yield from self.entering.starts_of(request, self._followed())
+            entry = next(self.entering.starts_of(request, self._followed()), None)
+            if entry is not None:
+                return entry
         if self.here.scene.config.request.sites == "any":
-            yield from self._starts_where(request, lambda *_: True, FOLLOWER_HEADWAY_S)
-            return
-        for strict, headway_s in ((True, USUAL_HEADWAY_S), (False, FOLLOWER_HEADWAY_S)):
-            yield from self._starts_where(request, partial(self._promises, request, strict=strict), headway_s)
+            return self._start_where(request, lambda *_: True, FOLLOWER_HEADWAY_S)
+        return self._start_where(
+            request, partial(self._promises, request, strict=True), USUAL_HEADWAY_S
+        ) or self._start_where(request, partial(self._promises, request, strict=False), FOLLOWER_HEADWAY_S)
 
-    def _starts_where(
+    def _start_where(
         self, request: VehicleRequest, promises: Callable[[RouteOffer, float, float], bool], headway_s: float
-    ) -> Iterator[Start]:
-        tried = 0
+    ) -> Start | None:
+        """A start at the first site from which one can begin, each on the first route that promises what is asked."""
+        scene, starts, tried = self.here.scene, self.starts, 0
         for row, lane_id, lane_s in self._places(request):
-            for offer in self._order(request, self.here.scene.grid.cell_at(lane_id, lane_s)):
-                s = offer.start_m + lane_s
-                usual_mps = self.here.scene.usual_speed(lane_id)
-                if self.starts.leaves_early(offer, s, 0.8 * usual_mps) or not promises(offer, s, usual_mps):
-                    continue
-                start = self.starts.make(request, Site(offer, s, headway_s=headway_s))
-                tried += start is not Reason.NO_SITE
-                if isinstance(start, Start):
-                    yield start
-                else:
-                    self.starts.rejected[start] += 1
-                    # another vehicle of this round may be in the way, or a follower be left less room later
-                    less_later = start is Reason.FOLLOWER_HEADWAY and headway_s > FOLLOWER_HEADWAY_S
-                    if start is not Reason.NO_SITE and not less_later:
-                        self.turned_down.could_not_begin(self.here.scene, row, request.policy)
+            usual_mps = scene.usual_speed(lane_id)
+            offer = next((
+                one for one in self._order(request, scene.grid.cell_at(lane_id, lane_s))
+                if not starts.leaves_early(one, one.start_m + lane_s, _STAYS_SHARE * usual_mps)
+                and promises(one, one.start_m + lane_s, usual_mps)
+            ), None)  # fmt: skip
+            if offer is None:
+                continue
+            start = starts.make(request, Site(offer, offer.start_m + lane_s, headway_s=headway_s))
+            if isinstance(start, Start):
+                return start
+            starts.rejected[start] += 1
+            if start is Reason.NO_SITE:
+                continue  # another vehicle of this round may be in the way
+            if start is not Reason.FOLLOWER_HEADWAY or headway_s == FOLLOWER_HEADWAY_S:  # else it is left less later
+                self.turned_down.could_not_begin(scene, row, request.policy)
+            tried += 1
+            if tried == TRIES:
                 break
-            if tried >= TRIES:
-                return
+        return None
 
     def _order(self, request: VehicleRequest, cell: Cell) -> list[RouteOffer]:
         """Routes from a cell in weighted random order; those that go straight on first unless a turn is asked for."""
@@ -210,7 +217,7 @@ class InsertionSites:
     def _weights(self, policy: Policy, rows: IntArray) -> tuple[FloatArray, IntArray]:
         """Weights of cells, rows (N,) of the grid; and which of them come later, the higher the later, from 0 on.
 
-        Those from which a named target is not met, and before that those from which the map is left before the end.
+        Last are those from which a named target is not met, before them those that leave the map before the end.
         A leader that a vehicle follows already, of this round or of one before, speaks for no other site. One that
         brakes speaks for straight requests alone: behind it there is no speed for a lane change.
         """
@@ -248,7 +255,7 @@ class InsertionSites:
         at = s + 0.9 * speed_mps * request.trigger_s
         if BEHAVIOURS[request.policy].sides:
             return self._offers_change(request, offer, at, speed_mps, strict=strict)
-        return not (strict or request.policy is Policy.OVERTAKE) or all(begin >= reach for _, begin, _ in ahead)
+        return not strict or all(begin >= reach for _, begin, _ in ahead)
 
     def _offers_change(
         self, request: VehicleRequest, offer: RouteOffer, at: float, speed_mps: float, *, strict: bool

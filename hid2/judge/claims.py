@@ -18,7 +18,7 @@ from hid2.measures.lane_matching import CHANGES_LANES, GOES_ON
 from hid2.measures.manoeuvres import TURNS, Maneuver, ManeuverKind, detect
 from hid2.occupancy.agent_states import AgentStates
 
-#: What counts as an overtake: that of a vehicle that stands is told as one, with its reason.
+#: What counts as an overtake: to pass a vehicle that stands does too, and has a reason.
 _PASSED = (ManeuverKind.OVERTAKE, ManeuverKind.OBSTACLE_AVOIDANCE)
 
 
@@ -103,7 +103,7 @@ def judge_claims(states: AgentStates, claims: Sequence[Claim], events: Sequence[
 def _wrong_figures(states: AgentStates, event: EventClaim) -> list[Finding]:
     """What is told of an event and is not what the states show: by how much, inf where the states have no figure.
 
-    Where none is told, that there is one counts of TTC and PET alone: both are told wherever there is one.
+    TTC and PET are told wherever there is one: there alone a figure that is missing is wrong.
     """
     own, target = (states.arrays.track_ids.index(name) for name in (event.track_id, event.target_id))
     at_step, found = round(event.at_s / states.arrays.step_s), []

@@ -48,7 +48,7 @@ _OUTLINE_STEP_M = 0.5  # no tunable: between two points a side leaves the road b
 
 
 def judge(states: AgentStates, graph: LaneGraph, bounds: Bounds) -> list[Finding]:
-    """All findings on the inserted vehicles of a scene, which come last in the states."""
+    """Findings on the inserted vehicles of a scene, which come last: the worst of each quantity and other agent."""
     arrays = states.arrays
     inserted = np.flatnonzero(arrays.generated)
     found: list[Finding] = []

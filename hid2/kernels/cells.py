@@ -73,7 +73,7 @@ def original_cells(
 
 
 @kernel("(f8[:,::1], f8[::1], f8[::1], f8[::1], i8[::1], i8, f8, f8[:,:,::1], f8[:,::1], b1[:,::1], f8[::1], f8[::1])")
-def anybody_on(
+def agent_on(
     center: FloatArray, c_heading: FloatArray, c_length: FloatArray, c_width: FloatArray, cells: IntArray, step: int,
     share: float, position: FloatArray, heading: FloatArray, present: BoolArray, length: FloatArray, width: FloatArray,
 ) -> bool:  # fmt: skip

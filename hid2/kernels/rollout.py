@@ -1,7 +1,8 @@
 """The rollout: how a vehicle would drive on by SUMO's car following and the guard, and what it would meet.
 
-Each step is the one of the simulation: limits of speed as `steering` has them, the car-following law without its noise,
-the same ballistic step. What it meets is told by the intervals of agents with known motion.
+Each step is that of the simulation, but that none slows down for a gap or takes another way: limits of speed as
+`steering` has them, the car-following law without its noise, the same ballistic step. What it meets is told by the
+intervals of agents with known motion.
 """
 
 import numpy as np

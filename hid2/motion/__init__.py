@@ -1,1 +1,1 @@
-"""Reference lines, routes, Frenet smoothing, and the last check before export."""
+"""Reference lines, routes, Frenet smoothing."""

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from hid2.agents import BoxSize, FloatArray
 from hid2.kernels import cells as kernels
-from hid2.kernels.cells import anybody_on, original_cells
+from hid2.kernels.cells import agent_on, original_cells
 from hid2.occupancy.traffic import Traffic
 from netconvert.cells import CellGrid
 
@@ -72,9 +72,9 @@ def original_occupancy(boxes: CellBoxes, traffic: Traffic) -> OriginalOccupancy:
     ))  # fmt: skip
 
 
-def is_anybody_on(boxes: CellBoxes, cells: Sequence[int], traffic: Traffic, step: int, *, width_share: float) -> bool:
+def is_agent_on(boxes: CellBoxes, cells: Sequence[int], traffic: Traffic, step: int, *, width_share: float) -> bool:
     """Whether an agent is on any of some cells at a step; boxes count with a share of their width."""
-    held = anybody_on(
+    held = agent_on(
         boxes.center, boxes.heading, boxes.length_m, boxes.width_m, np.asarray(cells), step, width_share, *traffic.boxes
     )
     return bool(held)

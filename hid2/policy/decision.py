@@ -43,9 +43,10 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """policy_i and g_i^{t+1}. reason: why a manoeuvre that is due was not begun; None where begun or not due.
+    """policy_i and g_i^{t+1}. reason: why the last lane looked at was not taken; None where one is, or none is due.
 
-    answers: to each adjacent lane that was looked at, in order: the conditions that said no, none for yes.
+    answers: to each adjacent lane that was looked at, in order: the conditions that said no (of an overtake the first),
+    none for yes.
     """
 
     policy: Policy
@@ -61,7 +62,10 @@ def is_due(stage: Stage, time_s: float, trigger_s: float) -> bool:
 
 
 def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) -> Decision:
-    """Algorithm 1 (Agent Decision). "Not feasible" is a reason, never an exception."""
+    """Algorithm 1 (Agent Decision) for the manoeuvre that is requested, of an overtake too from the trigger on.
+
+    Into g_{l',j}, as the paper's text has it (its listing enters j+1). "Not feasible" is a reason, no exception.
+    """
     reason: Reason | None = None
     answers: list[tuple[Reason, ...]] = []
     due = is_due(seen.stage, seen.time_s, seen.trigger_s)

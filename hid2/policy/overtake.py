@@ -11,7 +11,7 @@ SHIFT_RATIO = 0.68
 
 
 class Stage(StrEnum):
-    """Where an overtake stands. ABORTED is a state: the vehicle stays in the lane it is in."""
+    """Where a lane change or an overtake stands. ABORTED is a state: the vehicle stays in the lane it is in."""
 
     WAITING = "waiting"
     ENTER = "enter"

@@ -1,7 +1,7 @@
 """Rules that decide whether a gap is taken, to be exchanged: the paper's, MOBIL, SUMO's LC2013, a function of a user's.
 
-A rule is pure: what a vehicle sees of a gap at one step in, a decision out. Every rule is asked for a gap that the lane
-can be changed in at all (speed, length of lane left); the paper's cells and gaps are the paper's rule.
+A rule is pure: what a vehicle sees of a gap at one step in, a decision out. Below a least speed and length of lane left
+every rule refuses, and a user's is not asked; the paper's cells and gaps are the paper's rule.
 """
 
 import importlib
@@ -131,7 +131,7 @@ def expected_reason(
 ) -> Reason | None:  # fmt: skip
     """Why a rule would not leave a slower leader for a free lane; None where it would.
 
-    Sites and plans with an unforeseen gap ask this before they expect a change of lanes. At the rule's least speed
+    Sites ask this before they expect a change of lanes. At the rule's least speed
     or faster, after all the waiting that there is, behind a leader half as fast. LC2013 is SUMO's and cannot be asked
     before SUMO drives: of it the preconditions on the map alone, speed, length of lane left and free cells.
     """
