@@ -211,6 +211,8 @@ class Starts:
         found = world.objection(start, parts)
         if found is not None:
             return found
+        if vehicle is not None and self._waits_astride(parts[-1]):
+            return Reason.TOO_SLOW
         spare_m = _SPARE_S * parts[-1].v[-1] if policy is Policy.OVERTAKE else 0.0
         if vehicle is not None and parts[-1].s[-1] < vehicle.path.shifts[-1][1] + spare_m:
             return Reason.SCENE_ENDED
@@ -223,6 +225,11 @@ class Starts:
                 room_m = self.guard.stop_lines.on(start.path, start.box).room_m(last_s, last, start.driver)
                 return Reason.WAITS_AT_LINE if room_m < turn.end - last_s else Reason.SCENE_ENDED
         return parts
+
+    def _waits_astride(self, part: Rollout) -> bool:
+        """Whether a lateral motion waits on its way across, as the vehicle is too slow for it."""
+        begin, end = np.searchsorted(part.s, part.path.shifts[-1])
+        return bool(part.v[begin:end].min(initial=math.inf) < self.scene.config.lane_change.min_speed_mps)
 
     def _eased(self, start: Start, rolled: tuple[Rollout, ...] | Reason) -> tuple[Start, tuple[Rollout, ...] | Reason]:
         """A start that does not brake hard at once, with its rollout: as slow as what its speed falls to allows."""
