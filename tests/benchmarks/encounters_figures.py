@@ -53,6 +53,7 @@ class Figures:
         self.offered: dict[str, int] = {}
         self.near: dict[str, list[int]] = defaultdict(list)
         self.changes: list[float] = []
+        self.enters: list[bool] = []
 
     def add_recorded(self, name: str, tracks, lanes: FlatLanes, *, num_steps: int, step_s: float) -> None:
         states = agent_states(tracks, lanes, num_steps=num_steps, step_s=step_s)
@@ -81,6 +82,7 @@ class Figures:
                 if row >= 0:
                     self.places[name].add((int(matches.lane[row]), int(matches.s[row] // STRETCH_M)))
         self.changes += changes_near(scene)
+        self.enters += [bool(track.timesteps[0] > 0) for track in scene.generated]
         if target is not None:
             self.near[name].append(_near(arrays, target, within_m, recording))
 
@@ -98,6 +100,7 @@ class Figures:
             out.append(f"{kind:40s} {' '.join(f'{share:.2f}' for share in found.mean(axis=0))} of {len(found)}")
         near = np.array(self.changes) <= FOCAL_M
         out.append(f"{near.size} lane changes done, {near.sum()} within {FOCAL_M:g} m of the focal track or the AV")
+        out.append(f"{np.mean(self.enters):.3f} of the inserted enter during the scene")
         for name, variants in self.starts.items():
             pairs = [_twins(one, other) for one, other in itertools.permutations(variants, 2)]
             near = self.near.get(name)
