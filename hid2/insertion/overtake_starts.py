@@ -181,10 +181,11 @@ class OvertakeStarts:
         scene, rng = self.here.scene, self.starts.rng
         usual_mps, length_m = scene.usual_speed(way.lane_id), _BOX.length_m
         driver = draw_driver(scene.config, rng, lane_speed_mps=usual_mps)
+        slowest_mps, fastest_mps = (max(_SLOWEST_MPS, share * usual_mps) for share in SLOW_LEADER_SHARE)
         latest = max(min(way.last, way.end - _LASTS * scene.last_s * usual_mps), way.first)
         for _ in range(_LEADERS):
-            mps = max(_SLOWEST_MPS, usual_mps * rng.uniform(*SLOW_LEADER_SHARE))
-            v = wished_speeds(mps, wander[int(rng.integers(len(wander)))])
+            mps = rng.uniform(slowest_mps, fastest_mps)
+            v = np.maximum(wished_speeds(mps, wander[int(rng.integers(len(wander)))]), slowest_mps)
             start = rng.uniform(way.first, latest) + length_m + rng.uniform(*_GAP_S) * (usual_mps - mps)
             s = start + scene.step_s * (np.cumsum(v) - v)
             one = replace(driver, desired_mps=mps)
@@ -215,23 +216,14 @@ class OvertakeStarts:
         drawn = self._drawn(leaders, drivers, wander) if leaders else None
         if drawn is None or not drawn.s.size:
             return
-        looks, steps = self._looks(), np.arange(scene.num_steps)
-        s, v, across, over, fits = self._driven(leaders, drivers, drawn, trigger_s)
-        if scene.config.request.sites != "any":
-            fits &= over[-1] > _BACK
-        rows = np.flatnonzero(fits)
+        steps, looks = np.arange(scene.num_steps), np.arange(0, scene.num_steps, scene.steps_in(_LOOKS_S))
+        s, v, across, over, fits = self._driven(leaders, drivers, drawn, looks, trigger_s)
+        rows = np.flatnonzero((fits & (over[-1] > _BACK)) | (scene.config.request.sites == "any"))
         for n in rows[np.argsort(-over[-1, rows], kind="stable")].tolist():
-            crossed, turned = (
-                int(looks[(one[:, n] > least).argmax()]) for one, least in ((across, _CROSSED), (over, 0.0))
-            )
+            leader, (_, driver) = leaders[drawn.leader[n]], drivers[drawn.driver[n]]
             places, speeds = (np.interp(steps, looks, one[:, n]) for one in (s, v))
-            yield _Foreseen(
-                leaders[drawn.leader[n]], drivers[drawn.driver[n]][1], places, speeds, drawn.wished[n], crossed, turned
-            )
-
-    def _looks(self) -> IntArray:
-        """Steps (K,) at which motions are looked at."""
-        return np.arange(0, self.here.scene.num_steps, self.here.scene.steps_in(_LOOKS_S))
+            crossed, back = (int(looks[(one[:, n] > done).argmax()]) for one, done in ((across, _CROSSED), (over, 0.0)))
+            yield _Foreseen(leader, driver, places, speeds, drawn.wished[n], crossed, back)
 
     def _drawn(self, leaders: list[_Leader], drivers: list[tuple[_Way, Driver]], wander: FloatArray) -> _Drawn:
         """Gaps behind leaders for the drivers on their ways, where there is room to begin."""
@@ -255,79 +247,50 @@ class OvertakeStarts:
         return _Drawn(leader[fits], driver[fits], s[fits], v, wished)
 
     def _driven(
-        self, leaders: list[_Leader], drivers: list[tuple[_Way, Driver]], drawn: _Drawn, trigger_s: float
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]:
+        self, leaders: list[_Leader], drivers: list[tuple[_Way, Driver]], drawn: _Drawn, looks: IntArray,
+        trigger_s: float,
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]:  # fmt: skip
         """Places m, speeds m/s, and how much is done of the way out, and back, at looks (K, N); which leave room (N,).
 
-        By the IDM: up to the trigger behind the leader, then behind what is ahead on the lane beside. A lateral motion
-        takes its time, or its length where the vehicle is slow.
+        By the IDM: behind the leader up to the trigger, then on a free road. A lateral motion takes its time, or its
+        length where the vehicle is slow.
         """
         scene, config = self.here.scene, self.here.scene.config
-        step_s, return_gap_m = scene.step_s * scene.steps_in(_LOOKS_S), config.overtake.return_gap_m
-        ways = [way for way, _ in drivers[::_DRIVERS]]
-        tau, accel, decel, min_gap = np.array([driver.following for _, driver in drivers]).T[:, drawn.driver]
-        out, back = (
-            [LateralTiming.of(SHIFT_RATIO * wanted_s, way.apart_m, config.lane_change) for way, wanted_s in wanted]
-            for wanted in (
-                [(way, driver.lane_change_s) for way, driver in drivers],
-                [(way, config.lane_change.min_duration_s) for way, _ in drivers],
-            )
-        )
-        out_s, out_mps, back_s, back_mps, shift_m, end = np.array([
-            (one.lasting_s, one.slow_mps, other.lasting_s, other.slow_mps, way.shift_m, way.end)
-            for one, other, (way, _) in zip(out, back, drivers, strict=True)
+        step_s, shortest_s = scene.step_s * scene.steps_in(_LOOKS_S), config.lane_change.min_duration_s
+
+        def timed(way: _Way, wanted_s: float) -> tuple[float, float]:
+            timing = LateralTiming.of(SHIFT_RATIO * wanted_s, way.apart_m, config.lane_change)
+            return timing.lasting_s, timing.slow_mps
+
+        tau, accel, decel, min_gap, out_s, out_mps, back_s, back_mps, shift_m, end = np.array([
+            (*one.following, *timed(way, one.lane_change_s), *timed(way, shortest_s), way.shift_m, way.end)
+            for way, one in drivers
         ]).T[:, drawn.driver]  # fmt: skip
-        way_of, roads = (
-            drawn.driver // _DRIVERS,
-            [self.here.roads.speeds(way.beside, one) for way, one in drivers[::_DRIVERS]],
-        )
+        roads = [self.here.roads.speeds(way.beside, one) for way, one in drivers[::_DRIVERS]]
         road = np.full((len(roads), max(one.size for one in roads)), np.inf)
         for n, one in enumerate(roads):
             road[n, : one.size] = one
-        low, high, mps = (
-            np.stack([getattr(one, name) for one in leaders])[drawn.leader] for name in ("low", "high", "mps")
-        )
-        looks, s, v = self._looks(), drawn.s, drawn.v
+        low, high, mps = np.array([(one.low, one.high, one.mps) for one in leaders]).transpose(1, 0, 2)[:, drawn.leader]
+        s, v, fits = drawn.s, drawn.v, drawn.v > mps[:, 0]
         at, speed, across, over = np.zeros((4, looks.size, s.size))
-        ahead, ahead_mps, fits, is_out = low, mps, v > mps[:, 0], False
         for k, now in enumerate(looks.tolist()):
             at[k], speed[k] = s, v
             is_behind = low[:, now] - s > (config.conflict.ttc_min_s + _SPARE_S) * (v - mps[:, now])
             fits &= ((across[k] >= _CROSSED) | is_behind) & ((over[k] >= 1.0) | (s < end))
             if k + 1 == looks.size:
                 break
-            if not is_out and now * scene.step_s >= trigger_s:
-                (ahead, ahead_mps), is_out = self._ahead_beside(ways, way_of, s, now), True
-            star = min_gap + np.maximum(0.0, v * tau + 0.5 * v * (v - ahead_mps[:, now]) / np.sqrt(accel * decel))
-            gap_m = np.maximum(ahead[:, now] - s, CLEAR_GAP_M)
-            wanted = accel * (1.0 - (v / drawn.wished[:, now]) ** 4 - (star / gap_m) ** 2)
+            star = min_gap + np.maximum(0.0, v * tau + 0.5 * v * (v - mps[:, now]) / np.sqrt(accel * decel))
+            follows, is_out = (star / np.maximum(low[:, now] - s, CLEAR_GAP_M)) ** 2, now * scene.step_s >= trigger_s
+            wanted = accel * (1.0 - (v / drawn.wished[:, now]) ** 4 - (0.0 if is_out else follows))
             faster = np.maximum(v + step_s * np.maximum(wanted, -_BRAKES_MPS2), 0.0)
             if is_out:
                 cell = np.minimum((s + shift_m) / TABLE_STEP_M, road.shape[1] - 1.0).astype(np.int64)
-                faster = np.minimum(faster, road[way_of, cell])
-                returns = (over[k] > 0.0) | ((across[k] >= 1.0) & (s > high[:, now] + return_gap_m))
+                faster = np.minimum(faster, road[drawn.driver // _DRIVERS, cell])
+                returns = (over[k] > 0.0) | ((across[k] >= 1.0) & (s > high[:, now] + config.overtake.return_gap_m))
                 across[k + 1] = across[k] + np.minimum(v / out_mps, 1.0) * step_s / out_s
                 over[k + 1] = over[k] + returns * np.minimum(v / back_mps, 1.0) * step_s / back_s
             s, v = s + 0.5 * step_s * (v + faster), faster
         return at, speed, across, over, fits
-
-    def _ahead_beside(
-        self, ways: list[_Way], way_of: IntArray, s: FloatArray, now: int
-    ) -> tuple[FloatArray, FloatArray]:
-        """What is next on the lanes beside places (N,) m on ways at a step: where it is touched, m, and m/s, (N, T)."""
-        ahead = np.full((s.size, self.here.scene.num_steps), np.inf)
-        mps = np.zeros_like(ahead)
-        for n, way in enumerate(ways):
-            known, rows = self._on(way.beside), np.flatnonzero(way_of == n)
-            if not known.agents.size:
-                continue
-            apart_m = known.low[:, now, None] - way.shift_m - s[rows]
-            apart_m[(apart_m < 0.0) | ~known.same_direction[:, now, None]] = np.inf
-            least = apart_m.argmin(axis=0)
-            there = np.isfinite(apart_m.min(axis=0))
-            ahead[rows[there]] = known.low[least[there], : ahead.shape[1]] - way.shift_m
-            mps[rows[there]] = known.along[least[there], : ahead.shape[1]]
-        return ahead, mps
 
     def _is_free(self, one: _Foreseen, trigger_s: float) -> bool:
         """Whether Algorithm 1 would find its gaps at the trigger, and none is met on the way, nor a closed line."""
