@@ -33,9 +33,9 @@ from hid2.reasons import Reason
 from hid2.scene import SLOW_LEADER_SHARE, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 
-#: Not parameters, they bound the search: ways that are looked at, at once, and before it is given up where nothing is
-#: foreseen; leaders and drivers drawn for each, gaps for each two; wanderings of speeds; and what is rolled out.
-_WAYS, _TOGETHER, _HOPELESS, _LEADERS, _DRIVERS, _GAPS, _WANDERS, _ROLLED_OUT = 288, 16, 96, 6, 6, 6, 48, 24
+#: Not parameters, they bound the search: ways that are looked at, at once, and before it is given up where none seems
+#: to fit; leaders and drivers drawn for each, gaps for each two; wanderings of speeds; and what is rolled out.
+_WAYS, _TOGETHER, _HOPELESS, _LEADERS, _DRIVERS, _GAPS, _WANDERS, _ROLLED_OUT = 288, 16, 80, 6, 6, 6, 48, 24
 #: No tunables, what is drawn: an added leader drives no slower, m/s; s of the speed difference from the leader at the
 #: start, beyond the gap at standstill; one that is to overtake is in a hurry: the fastest wanderings, one of so many.
 _SLOWEST_MPS, _GAP_S, _HURRIED = 3.0, (1.0, 5.0), 3
@@ -125,7 +125,7 @@ class OvertakeStarts:
             wandering(scene.config, rng, num_steps=scene.num_steps, step_s=scene.step_s) for _ in range(_WANDERS)
         ])  # fmt: skip
         order = np.resize(rng.permutation(len(ways)), _WAYS).tolist()
-        led, foreseen, tried = dict[_Leader, list[Start] | None](), False, 0
+        led, tried = dict[_Leader, list[Start] | None](), 0
         for n in range(0, _WAYS, _TOGETHER):
             looked = [self._way(*ways[place], request.trigger_s) for place in order[n : n + _TOGETHER]]
             leaders = [
@@ -133,7 +133,6 @@ class OvertakeStarts:
                 for leader in (*self._known(way), *(self._added(way, wander) if slow is not None else ()))
             ]  # fmt: skip
             for one in self._foreseen(leaders, request.trigger_s, wander):
-                foreseen = True
                 if self.here.scene.config.request.sites != "any" and not self._is_free(one, request.trigger_s):
                     continue
                 if one.leader not in led:
@@ -142,7 +141,7 @@ class OvertakeStarts:
                 found = [] if before is None else self._starts(request, one, before)
                 if found or tried == _ROLLED_OUT:
                     return found
-            if not foreseen and n >= _HOPELESS:
+            if not tried and n >= _HOPELESS:
                 break
         return []
 
@@ -236,15 +235,15 @@ class OvertakeStarts:
         desired = np.array([one.desired_mps for _, one in drivers])[driver]
         following = tuple(np.array([one.following for _, one in drivers]).T[:, driver])
         gap_m = following[-1] + gap_s.ravel() * (desired - mps)
-        s, fits = low - gap_m, mps < desired - self.here.scene.config.overtake.speed_advantage_mps
+        s, v = low - gap_m, speed_behind(gap_m, mps, following)
+        fits = (mps < desired - self.here.scene.config.overtake.speed_advantage_mps) & (mps < v)
         for n, way in enumerate(ways):
             known, rows = self._on(way.path).at(0), np.flatnonzero(way_of[leader] == n)
             touched = (known.low - CLEAR_GAP_M < s[rows]) & (s[rows] < known.high + CLEAR_GAP_M)
             fits[rows] &= (way.first < s[rows]) & (s[rows] < way.last) & ~touched.any(axis=0)
         hurried = wander[np.argsort(-wander.mean(axis=1), kind="stable")[: len(wander) // _HURRIED]]
         wished = wished_speeds(desired[fits, None], hurried[rng.integers(len(hurried), size=fits.sum())])
-        v = np.minimum(speed_behind(gap_m, mps, following)[fits], wished[:, 0])
-        return _Drawn(leader[fits], driver[fits], s[fits], v, wished)
+        return _Drawn(leader[fits], driver[fits], s[fits], np.minimum(v[fits], wished[:, 0]), wished)
 
     def _driven(
         self, leaders: list[_Leader], drivers: list[tuple[_Way, Driver]], drawn: _Drawn, looks: IntArray,
