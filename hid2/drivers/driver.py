@@ -98,21 +98,34 @@ def draw_driver(config: Config, rng: np.random.Generator, *, lane_speed_mps: flo
 def desired_speeds(
     driver: Driver, config: Config, rng: np.random.Generator, *, num_steps: int, step_s: float, at_least_mps: float
 ) -> FloatArray:
-    """(T,) m/s desired speed at every step: the driver's own, with an Ornstein-Uhlenbeck wandering around it.
+    """(T,) m/s desired speed at every step: the driver's own, with its wandering around it.
 
     at_least_mps: what the vehicle begins with; at the first step it is not above the desired speed.
     """
+    wander = wandering(config, rng, num_steps=num_steps, step_s=step_s, at_least_mps=at_least_mps - driver.desired_mps)
+    return wished_speeds(driver.desired_mps, wander)
+
+
+def wished_speeds(desired_mps: FloatArray | float, wander_mps: FloatArray) -> FloatArray:
+    """Desired speeds with their wandering, m/s."""
+    return np.maximum(desired_mps + wander_mps, _WANDERS_TO * desired_mps)
+
+
+def wandering(
+    config: Config, rng: np.random.Generator, *, num_steps: int, step_s: float, at_least_mps: float = -math.inf
+) -> FloatArray:
+    """(T,) m/s by which a desired speed wanders at every step (Ornstein-Uhlenbeck); at_least_mps: at the first one."""
     law = config.drivers
     kept, eased = float(np.exp(-step_s / law.wander_time_s)), float(np.exp(-step_s / _EASED_S))
     kick = (law.wander_sd_mps * np.sqrt(1.0 - kept * kept) * rng.standard_normal(num_steps)).tolist()
-    wander = [max(law.wander_sd_mps * float(rng.standard_normal()), at_least_mps - driver.desired_mps)]
+    wander = [max(law.wander_sd_mps * float(rng.standard_normal()), at_least_mps)]
     at, left = wander[0], 1.0 - eased
     level = at + law.wander_sd_mps * float(rng.standard_normal())  # no vehicle begins at a constant speed
     for kicked in kick[1:]:
         level = kept * level + kicked
         at = eased * at + left * level
         wander.append(at)
-    return np.maximum(driver.desired_mps + np.array(wander), _WANDERS_TO * driver.desired_mps)
+    return np.array(wander)
 
 
 def free_speeds(driver: Driver, wished_mps: FloatArray, *, speed_mps: float, step_s: float) -> FloatArray:

@@ -76,6 +76,6 @@ def entry_speed(start: Start, fleet: Traffic, config: Config, *, step_s: float) 
         if gap < CLEAR_GAP_M or (not leads and gap < _ENTRY_GAP_S * other_mps):
             return None
         if leads:
-            speed = min(speed, float(speed_behind(gap, max(0.0, other_mps), start.driver)))
+            speed = min(speed, float(speed_behind(gap, max(0.0, other_mps), start.driver.following)))
     slowest_mps = max(STANDS_MPS, SLOWEST_SHARE * start.driver.desired_mps)
     return speed if speed >= slowest_mps else None

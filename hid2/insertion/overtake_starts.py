@@ -1,4 +1,4 @@
-"""Overtakes: where one may fit, by lines over time; whether it comes about, by rollouts with Algorithm 1.
+"""Overtakes: many are drawn and driven roughly, those that come about and meet none are rolled out with Algorithm 1.
 
     closing in on a slower leader, recorded, inserted before, or added for it | trigger: out | past | back | to the end
 
@@ -6,20 +6,23 @@ An added leader is rolled out first, and is known traffic for the vehicle that o
 """
 
 import math
-from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, FloatArray, IntArray
-from hid2.drivers.driver import Driver, draw_driver
+from hid2.conflicts.stop_lines import AMBER_S
+from hid2.drivers.driver import Driver, draw_driver, wandering, wished_speeds
 from hid2.insertion.routes import RouteOffer
-from hid2.insertion.starts import BEGIN_BRAKING_MPS2, CLEAR_GAP_M, DRIVERS, Site, Starts, speed_behind
+from hid2.insertion.starts import CLEAR_GAP_M, Site, Starts, speed_behind
 from hid2.insertion.surroundings import Surroundings
 from hid2.kernels.polyline import frenet
+from hid2.kernels.rollout import met_by
 from hid2.measures.manoeuvres import PARKED_MPS
 from hid2.motion.lane_change_path import LateralTiming
+from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import BoolArray
@@ -30,24 +33,21 @@ from hid2.reasons import Reason
 from hid2.scene import SLOW_LEADER_SHARE, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 
-#: Not parameters, they save time: routes on which places are looked for, drawn on each, and rolled out at most.
-_ROUTES, _DRAWS, _ROLLED_OUT = 40, 120, 20
+#: Not parameters, they bound the search: ways that are looked at, at once, and before it is given up where none seems
+#: to fit; leaders and drivers drawn for each, gaps for each two; wanderings of speeds; and what is rolled out.
+_WAYS, _TOGETHER, _HOPELESS, _LEADERS, _DRIVERS, _GAPS, _WANDERS, _ROLLED_OUT = 288, 16, 80, 6, 6, 6, 48, 24
 #: No tunables, what is drawn: an added leader drives no slower, m/s; s of the speed difference from the leader at the
-#: start, beyond the gap at standstill.
-_SLOWEST_MPS, _GAP_S = 3.0, (1.0, 4.0)
-#: Not parameters, they save time: s between two looks at places, places tried on one way, and how many there
-#: are to choose among for each that is tried.
-_LOOKS_S, _TRIED, _ENOUGH = 0.5, 2, 3
-#: Not parameters, they save rollouts: share of a lateral motion at which the centre has crossed the line; s kept above
-#: a TTC; m by which it may seem late for the way back, as this is rough; how fast a driver settles at the desired
-#: speed, over that speed and the acceleration; and the speed in a lateral motion over what its sharpest bend allows, as
-#: smoothing rounds it.
-_CROSSED, _SPARE_S, _LATE_M, _SETTLES, _BENDS = 0.5, 0.2, 5.0, 2.5, 1.4
+#: start, beyond the gap at standstill; one that is to overtake is in a hurry: the fastest wanderings, one of so many.
+_SLOWEST_MPS, _GAP_S, _HURRIED = 3.0, (1.0, 5.0), 3
+#: Not parameters, they save rollouts: s between two looks; share of a lateral motion at which the centre has crossed
+#: the line; s kept above a TTC; of the way back how much is driven by the end, as a rollout wants some time left; m/s2
+#: that a driver brakes at most; and share of the scene that an overtake takes up to the end of its stretch.
+_LOOKS_S, _CROSSED, _SPARE_S, _BACK, _BRAKES_MPS2, _LASTS = 0.2, 0.5, 0.1, 1.05, 3.0, 0.75
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Way:
-    """A route past: its vehicle begins at first to last m on the path, and has the lane of `beside` from there on.
+    """A route past: its vehicle begins at first to last m on the path, and has the lane of `beside` from there to end.
 
     apart_m: of the two lanes; shift_m: arc length on the path beside minus that on the own one.
     """
@@ -59,44 +59,45 @@ class _Way:
     beside: DrivenPath
     first: float
     last: float
+    end: float
     apart_m: float
     shift_m: float
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Drawn:
-    """Gaps (N,) m at the start to leaders: speeds m/s, and how far they are from their starts at looks (N, K) m.
+class _Leader:
+    """One to overtake: it is touched from low to high (T,) m on the path, and drives at mps (T,) m/s.
 
-    start_s (N,) m on the path, of those behind known leaders; None: anywhere, behind added ones.
+    driver: of one that would be added, which wishes for that speed; None for one that is known.
     """
 
-    gap_m: FloatArray
-    leader_mps: FloatArray
-    leader_m: FloatArray
-    start_s: FloatArray | None = None
+    way: _Way
+    low: FloatArray
+    high: FloatArray
+    mps: FloatArray
+    driver: Driver | None = None
 
 
-class _Motions(NamedTuple):
-    """Starts (N,) m on the path and m/s with places (N, K) m at looks; those out (N, K) m since the trigger, m.
+class _Foreseen(NamedTuple):
+    """An overtake, roughly: s m, v m/s and wished m/s (T,), and steps at which it is half across, and turns back."""
 
-    back_s (N, 1): where the way back begins; across_m (N, 1): how far a lateral motion goes; leader_s (N,) m,
-    leader_mps (N,); spare_m (N,): driven after the way back; added (N,): whether the leader is.
-    """
-
-    start_s: FloatArray
-    start_mps: FloatArray
+    leader: _Leader
+    driver: Driver
     s: FloatArray
-    out_m: FloatArray
-    back_s: FloatArray
-    across_m: FloatArray
-    leader_s: FloatArray
-    leader_mps: FloatArray
-    spare_m: FloatArray
-    added: BoolArray
+    v: FloatArray
+    wished: FloatArray
+    crossed: int
+    back: int
 
-    def rows(self, rows: IntArray) -> "_Motions":
-        """Some of them, in this order."""
-        return _Motions._make(column[rows] for column in self)
+
+class _Drawn(NamedTuple):
+    """What begins behind leaders, by the rows of these and of drivers (N,): s m, v m/s, and wished (N, T) m/s."""
+
+    leader: IntArray
+    driver: IntArray
+    s: FloatArray
+    v: FloatArray
+    wished: FloatArray
 
 
 #: Places are looked for with a usual vehicle.
@@ -116,45 +117,39 @@ class OvertakeStarts:
 
         slow: the request that an added leader would meet; None: only vehicles that are known may be overtaken.
         """
-        scene, rng = self.here.scene, self.starts.rng
+        scene, rng, ways = self.here.scene, self.starts.rng, self.here.routes.ways_past
         self.found_none = Reason.NO_OVERTAKE_FORESEEN if slow is not None else Reason.NO_SLOW_LEADER
-        if request.trigger_s + 2.0 * shortest_shift_s(scene.config) > scene.last_s:
+        if request.trigger_s + 2.0 * shortest_shift_s(scene.config) > scene.last_s or not ways:
             return []  # out and back alone take longer
-        ways, likely = self.here.routes.ways_past, list[tuple[_Way, Driver, _Motions]]()
-        looked = 0
-        for place in np.resize(rng.permutation(len(ways)), 6 * len(ways)).tolist():
-            drivers = [
-                draw_driver(scene.config, rng, lane_speed_mps=scene.lane_speed(ways[place][1], rng))
-                for _ in range(DRIVERS)
-            ]
-            driver = max(drivers, key=lambda one: one.desired_mps)  # that of an overtaker is in a hurry
-            way = self._way(*ways[place], reach_m=driver.desired_mps * request.trigger_s)
-            if way is None:
-                continue
-            looked += 1
-            for drawn in (self._behind_known, self._behind_added)[: 2 if slow is not None else 1]:
-                motions = self._likely(way, driver, request.trigger_s, drawn(way, driver))
-                likely += [(way, driver, motions.rows(np.array([n]))) for n in range(motions.start_s.size)[:_TRIED]]
-            if looked == _ROUTES or len(likely) >= _ENOUGH * _ROLLED_OUT:
+        wander = np.array([
+            wandering(scene.config, rng, num_steps=scene.num_steps, step_s=scene.step_s) for _ in range(_WANDERS)
+        ])  # fmt: skip
+        order = np.resize(rng.permutation(len(ways)), _WAYS).tolist()
+        led, tried = dict[_Leader, list[Start] | None](), 0
+        for n in range(0, _WAYS, _TOGETHER):
+            looked = [self._way(*ways[place], request.trigger_s) for place in order[n : n + _TOGETHER]]
+            leaders = [
+                leader for way in looked if way is not None
+                for leader in (*self._known(way), *(self._added(way, wander) if slow is not None else ()))
+            ]  # fmt: skip
+            for one in self._foreseen(leaders, request.trigger_s, wander):
+                if self.here.scene.config.request.sites != "any" and not self._is_free(one, request.trigger_s):
+                    continue
+                if one.leader not in led:
+                    led[one.leader] = self._led_by(one.leader, slow)
+                self.found_none, tried, before = None, tried + 1, led[one.leader]
+                found = [] if before is None else self._starts(request, one, before)
+                if found or tried == _ROLLED_OUT:
+                    return found
+            if not tried and n >= _HOPELESS:
                 break
-        likely.sort(key=lambda one: -float(one[2].spare_m[0]))
-        ranks, on_lane = list[int](), Counter[int]()
-        for way, _, _ in likely:  # the best of each lane first: what is in the way is mostly in the way of all
-            ranks.append(on_lane[way.lane_id])
-            on_lane[way.lane_id] += 1
-        for n in np.argsort(ranks, kind="stable")[:_ROLLED_OUT].tolist():
-            way, driver, motion = likely[n]
-            self.found_none = None
-            found = self._starts(request, slow, way, driver, motion)
-            if found:
-                return found
         return []
 
-    def _way(self, offer: RouteOffer, lane_id: int, side: Side, *, reach_m: float) -> _Way | None:
-        """A way past with its paths; None where it begins farther than reach_m from the lane."""
+    def _way(self, offer: RouteOffer, lane_id: int, side: Side, trigger_s: float) -> _Way | None:
+        """A way past with its paths; None where it begins farther from the lane than is driven up to the trigger."""
         scene, stretch = self.here.scene, self.here.routes.together(offer, side)
         lanes, row, at = scene.grid.graph.lanes, 0, 0.0
-        lane_end = offer.start_m + lanes[lane_id].length_m
+        lane_end, reach_m = offer.start_m + lanes[lane_id].length_m, scene.usual_speed(lane_id) * trigger_s
         if stretch is None or stretch[0] - reach_m > lane_end:
             return None
         while at + lanes[offer.route[row]].length_m <= stretch[0] + 0.5:
@@ -164,141 +159,175 @@ class OvertakeStarts:
             return None
         path, beside = scene.paths.along(offer.route), scene.paths.beside(offer.route[row:], neighbor)
         first, last = path.to_line(max(offer.start_m, stretch[0] - reach_m)), path.to_line(lane_end)
+        end = min(path.to_line(stretch[1]), path.exit_s - _BOX.length_m)
         here_s = np.array([max(first, path.to_line(stretch[0]))])
         there, aside = frenet(path.line.position(here_s), beside.raw_line.points, beside.raw_line.s)
         shift_m = float((beside.all_to_line(there) - here_s)[0])
-        return _Way(offer, lane_id, side, path, beside, first, last, abs(float(aside[0])), shift_m)
+        return _Way(offer, lane_id, side, path, beside, first, last, end, abs(float(aside[0])), shift_m)
 
-    def _behind_known(self, way: _Way, driver: Driver) -> _Drawn:
-        """Behind recorded cars and buses, and inserted vehicles, that are slower at the start."""
-        scene, overtake, length_m = self.here.scene, self.here.scene.config.overtake, _BOX.length_m
-        known, last = self.starts.world.guard.known_on(way.path, _BOX), scene.num_steps - 1
+    def _known(self, way: _Way) -> Iterator[_Leader]:
+        """Recorded cars and buses, and inserted vehicles, that drive ahead on a way all the time."""
+        scene, known = self.here.scene, self._on(way.path)
         recorded = scene.kept_clear_on(way.path, _BOX, scene.future).agents.size
         usable = np.isin(known.agents, scene.vehicle_rows) | (np.arange(known.agents.size) >= recorded)
-        usable &= known.same_direction[:, 0] & (known.along[:, 0] > PARKED_MPS)
-        slow = np.flatnonzero(usable & np.isfinite(known.low[:, : last + 1]).all(axis=1))
-        driven_m = known.high[slow, last] - known.low[slow, 0]
-        can = known.along[slow, 0] < driver.desired_mps - overtake.speed_advantage_mps
-        can &= driven_m + length_m + overtake.return_gap_m < driver.desired_mps * scene.last_s
-        rows = np.repeat(slow[can], 2 * _TRIED)
-        gap_m = self._gap_m(driver, known.along[rows, 0])
-        start = known.low[rows, 0] - gap_m
-        near = (start > way.first) & (start < way.last)
-        rows, start, gap_m = rows[near], start[near], gap_m[near]
-        leader_m = known.high[rows][:, self._looks()] - length_m - start[:, None]
-        return _Drawn(gap_m, known.along[rows, 0], leader_m, start)
+        usable &= known.same_direction[:, 0] & (known.along[:, 0] > PARKED_MPS) & (known.low[:, 0] > way.first)
+        steps = slice(scene.num_steps)
+        for row in np.flatnonzero(usable & np.isfinite(known.low[:, steps]).all(axis=1)).tolist():
+            yield _Leader(way, known.low[row, steps], known.high[row, steps], known.along[row, steps])
 
-    def _behind_added(self, way: _Way, driver: Driver) -> _Drawn:
-        """Behind leaders at some share of the lane's usual speed."""
+    def _added(self, way: _Way, wander: FloatArray) -> Iterator[_Leader]:
+        """Leaders at some share of the lane's usual speed that could be added on a way, and meet none."""
         scene, rng = self.here.scene, self.starts.rng
-        share = rng.uniform(*SLOW_LEADER_SHARE, size=_DRAWS)
-        slow_mps = np.maximum(_SLOWEST_MPS, share * self.here.scene.usual_speed(way.lane_id))
-        slow_mps = slow_mps[slow_mps < driver.desired_mps - scene.config.overtake.speed_advantage_mps]
-        gap_m = self._gap_m(driver, slow_mps)
-        leader_m = (_BOX.length_m + gap_m)[:, None] + slow_mps[:, None] * self._looks() * scene.step_s
-        return _Drawn(gap_m, slow_mps, leader_m)
+        usual_mps, length_m = scene.usual_speed(way.lane_id), _BOX.length_m
+        driver = draw_driver(scene.config, rng, lane_speed_mps=usual_mps)
+        slowest_mps, fastest_mps = (max(_SLOWEST_MPS, share * usual_mps) for share in SLOW_LEADER_SHARE)
+        latest = max(min(way.last, way.end - _LASTS * scene.last_s * usual_mps), way.first)
+        for _ in range(_LEADERS):
+            mps = rng.uniform(slowest_mps, fastest_mps)
+            v = np.maximum(wished_speeds(mps, wander[int(rng.integers(len(wander)))]), slowest_mps)
+            start = rng.uniform(way.first, latest) + length_m + rng.uniform(*_GAP_S) * (usual_mps - mps)
+            s = start + scene.step_s * (np.cumsum(v) - v)
+            one = replace(driver, desired_mps=mps)
+            if s[-1] < way.path.exit_s and not self._is_met(way.path, one, s, v, 0):
+                yield _Leader(way, s - length_m, s + length_m, v, one)
 
-    def _looks(self) -> IntArray:
-        """Steps (K,) at which places are looked at."""
-        return np.arange(0, self.here.scene.num_steps, self.here.scene.steps_in(_LOOKS_S))
+    def _on(self, path: DrivenPath) -> PathOccupancy:
+        return self.starts.world.guard.known_on(path, _BOX)
 
-    def _gap_m(self, driver: Driver, leader_mps: FloatArray) -> FloatArray:
-        """Bumper gaps (N,) m at the start, by the speed at which the driver closes in."""
-        share = self.starts.rng.uniform(*_GAP_S, size=leader_mps.size)
-        return np.asarray(driver.min_gap_m + share * (driver.desired_mps - leader_mps))
+    def _is_met(self, path: DrivenPath, driver: Driver, s: FloatArray, v: FloatArray, first: int) -> bool:
+        """Whether a motion (K,) from a step on meets any that is known, or a line that is closed."""
+        conflict, known = self.here.scene.config.conflict, self._on(path)
+        met = met_by(s, v, first, known.low, known.high, known.along, known.same_direction, self.here.scene.step_s)
+        contact, ahead_s, behind_s = met.min(axis=0, initial=math.inf)
+        lines, amber = self.starts.world.guard.stop_lines.on(path, _BOX), self.here.scene.steps_in(AMBER_S)
+        return bool(
+            contact < math.inf or ahead_s < conflict.ttc_min_s or behind_s < conflict.follower_ttc_min_s
+            or lines.is_passed(s, driver, first=first, closed_steps=amber)
+        )  # fmt: skip
 
-    def _likely(self, way: _Way, driver: Driver, trigger_s: float, drawn: _Drawn) -> _Motions:
-        """Motions that are past their leaders and back in time, and touch none; the soonest first."""
-        if not drawn.gap_m.size:
-            return _Motions._make([np.zeros(0)] * len(_Motions._fields))
-        motions, looks = self._in_time(way, driver, trigger_s, drawn), self._looks()
-        if self.here.scene.config.request.sites == "any" or not motions.start_s.size:
-            return motions
-        s, out_m, across_m = motions.s, motions.out_m, motions.across_m
-        own, beside = (self.starts.world.guard.known_on(path, _BOX) for path in (way.path, way.beside))
-        met = _taken(own, looks, s) & ((out_m < _CROSSED * across_m) | (s > motions.back_s))
-        first = out_m.shape[1] - (out_m > 0.0).sum(axis=1).max(initial=1)  # the first look at which it may be out
-        enters = self._may_enter(beside, driver, int(looks[first]), s[:, first] + way.shift_m)
-        return motions.rows(np.flatnonzero(enters & ~met.any(axis=1)))
+    def _foreseen(self, leaders: list[_Leader], trigger_s: float, wander: FloatArray) -> Iterator[_Foreseen]:
+        """Overtakes that come past and back in the time and on the stretch that there is; the soonest first."""
+        scene, rng = self.here.scene, self.starts.rng
+        drivers = [
+            (way, draw_driver(scene.config, rng, lane_speed_mps=scene.lane_speed(way.lane_id, rng)))
+            for way in dict.fromkeys(leader.way for leader in leaders) for _ in range(_DRIVERS)
+        ]  # fmt: skip
+        drawn = self._drawn(leaders, drivers, wander) if leaders else None
+        if drawn is None or not drawn.s.size:
+            return
+        steps, looks = np.arange(scene.num_steps), np.arange(0, scene.num_steps, scene.steps_in(_LOOKS_S))
+        s, v, across, over, fits = self._driven(leaders, drivers, drawn, looks, trigger_s)
+        rows = np.flatnonzero((fits & (over[-1] > _BACK)) | (scene.config.request.sites == "any"))
+        for n in rows[np.argsort(-over[-1, rows], kind="stable")].tolist():
+            leader, (_, driver) = leaders[drawn.leader[n]], drivers[drawn.driver[n]]
+            places, speeds = (np.interp(steps, looks, one[:, n]) for one in (s, v))
+            crossed, back = (int(looks[(one[:, n] > done).argmax()]) for one, done in ((across, _CROSSED), (over, 0.0)))
+            yield _Foreseen(leader, driver, places, speeds, drawn.wished[n], crossed, back)
 
-    def _in_time(self, way: _Way, driver: Driver, trigger_s: float, drawn: _Drawn) -> _Motions:
-        """Motions that come past and back in the time and on the stretch that there is; the soonest first.
+    def _drawn(self, leaders: list[_Leader], drivers: list[tuple[_Way, Driver]], wander: FloatArray) -> _Drawn:
+        """Gaps behind leaders for the drivers on their ways, where there is room to begin."""
+        rng, ways = self.starts.rng, [way for way, _ in drivers[::_DRIVERS]]
+        gap_s = rng.uniform(*_GAP_S, size=(len(leaders), _DRIVERS, _GAPS))
+        way_of = np.array([ways.index(leader.way) for leader in leaders])
+        leader, driver, _ = (one.ravel() for one in np.indices(gap_s.shape))
+        driver = driver + _DRIVERS * way_of[leader]
+        low, mps = np.array([(one.low[0], one.mps[0]) for one in leaders]).T[:, leader]
+        desired = np.array([one.desired_mps for _, one in drivers])[driver]
+        following = tuple(np.array([one.following for _, one in drivers]).T[:, driver])
+        gap_m = following[-1] + gap_s.ravel() * (desired - mps)
+        s, v = low - gap_m, speed_behind(gap_m, mps, following)
+        fits = (mps < desired - self.here.scene.config.overtake.speed_advantage_mps) & (mps < v)
+        for n, way in enumerate(ways):
+            known, rows = self._on(way.path).at(0), np.flatnonzero(way_of[leader] == n)
+            touched = (known.low - CLEAR_GAP_M < s[rows]) & (s[rows] < known.high + CLEAR_GAP_M)
+            fits[rows] &= (way.first < s[rows]) & (s[rows] < way.last) & ~touched.any(axis=0)
+        hurried = wander[np.argsort(-wander.mean(axis=1), kind="stable")[: len(wander) // _HURRIED]]
+        wished = wished_speeds(desired[fits, None], hurried[rng.integers(len(hurried), size=fits.sum())])
+        return _Drawn(leader[fits], driver[fits], s[fits], np.minimum(v[fits], wished[:, 0]), wished)
 
-        As a driver begins behind a leader, slower by the trigger, then towards the desired speed as the IDM
-        does near to it. A lateral motion takes its time, or its length where the vehicle is slow.
+    def _driven(
+        self, leaders: list[_Leader], drivers: list[tuple[_Way, Driver]], drawn: _Drawn, looks: IntArray,
+        trigger_s: float,
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]:  # fmt: skip
+        """Places m, speeds m/s, and how much is done of the way out, and back, at looks (K, N); which leave room (N,).
+
+        By the IDM: behind the leader up to the trigger, then on a free road. A lateral motion takes its time, or its
+        length where the vehicle is slow.
         """
-        scene, change, overtake = self.here.scene, self.here.scene.config.lane_change, self.here.scene.config.overtake
-        desired, length_m = driver.desired_mps, _BOX.length_m
-        start_mps = np.minimum(driver.desired_mps, speed_behind(drawn.gap_m, drawn.leader_mps, driver))
-        timing = LateralTiming.of(SHIFT_RATIO * driver.lane_change_s, way.apart_m, change)
-        # v2 kappa of a lateral motion is what the driver takes: of `lateral_share`, D over the square of its length
-        sharpest = 2.0 * way.apart_m / (timing.ramp * (1.0 - timing.ramp))
-        across_m = timing.lasting_s * max(timing.slow_mps, desired)
-        desired = min(desired, _BENDS * math.sqrt(driver.turn_lateral_mps2 / sharpest) * across_m)
-        times, settles_s = self._looks() * scene.step_s, desired / (_SETTLES * driver.accel_mps2)
-        free, lag_s = np.maximum(times - trigger_s, 0.0), scene.config.drivers.reaction_s
-        slow_s = np.minimum(free, lag_s) + settles_s * (1.0 - np.exp(-np.maximum(free - lag_s, 0.0) / settles_s))
-        out_mps = np.maximum(start_mps - BEGIN_BRAKING_MPS2 * trigger_s, drawn.leader_mps)[:, None]
-        out_mps = np.minimum(out_mps, desired)
-        out_m = out_mps * slow_s + desired * (free - slow_s)
-        m = 0.5 * (start_mps[:, None] + out_mps) * np.minimum(times, trigger_s) + out_m
-        past = (m > drawn.leader_m + length_m + overtake.return_gap_m) & (out_m > across_m)
-        back_m = np.where(past.any(axis=1), m[np.arange(len(m)), past.argmax(axis=1)], 1e9)
-        spare_m = m[:, -1] - back_m - across_m
-        last = np.minimum(way.last, way.path.exit_s - m[:, -1])
-        start = drawn.start_s
-        if start is None:
-            start = way.first + np.maximum(last - way.first, 0.0) * self.starts.rng.random(spare_m.size)
-        room_m = (scene.config.conflict.ttc_min_s + _SPARE_S) * (
-            np.gradient(m, times, axis=1) - drawn.leader_mps[:, None]
+        scene, config = self.here.scene, self.here.scene.config
+        step_s, shortest_s = scene.step_s * scene.steps_in(_LOOKS_S), config.lane_change.min_duration_s
+
+        def timed(way: _Way, wanted_s: float) -> tuple[float, float]:
+            timing = LateralTiming.of(SHIFT_RATIO * wanted_s, way.apart_m, config.lane_change)
+            return timing.lasting_s, timing.slow_mps
+
+        tau, accel, decel, min_gap, out_s, out_mps, back_s, back_mps, shift_m, end = np.array([
+            (*one.following, *timed(way, one.lane_change_s), *timed(way, shortest_s), way.shift_m, way.end)
+            for way, one in drivers
+        ]).T[:, drawn.driver]  # fmt: skip
+        roads = [self.here.roads.speeds(way.beside, one) for way, one in drivers[::_DRIVERS]]
+        road = np.full((len(roads), max(one.size for one in roads)), np.inf)
+        for n, one in enumerate(roads):
+            road[n, : one.size] = one
+        low, high, mps = np.array([(one.low, one.high, one.mps) for one in leaders]).transpose(1, 0, 2)[:, drawn.leader]
+        s, v, fits = drawn.s, drawn.v, drawn.v > mps[:, 0]
+        at, speed, across, over = np.zeros((4, looks.size, s.size))
+        for k, now in enumerate(looks.tolist()):
+            at[k], speed[k] = s, v
+            is_behind = low[:, now] - s > (config.conflict.ttc_min_s + _SPARE_S) * (v - mps[:, now])
+            fits &= ((across[k] >= _CROSSED) | is_behind) & ((over[k] >= 1.0) | (s < end))
+            if k + 1 == looks.size:
+                break
+            star = min_gap + np.maximum(0.0, v * tau + 0.5 * v * (v - mps[:, now]) / np.sqrt(accel * decel))
+            follows, is_out = (star / np.maximum(low[:, now] - s, CLEAR_GAP_M)) ** 2, now * scene.step_s >= trigger_s
+            wanted = accel * (1.0 - (v / drawn.wished[:, now]) ** 4 - (0.0 if is_out else follows))
+            faster = np.maximum(v + step_s * np.maximum(wanted, -_BRAKES_MPS2), 0.0)
+            if is_out:
+                cell = np.minimum((s + shift_m) / TABLE_STEP_M, road.shape[1] - 1.0).astype(np.int64)
+                faster = np.minimum(faster, road[drawn.driver // _DRIVERS, cell])
+                returns = (over[k] > 0.0) | ((across[k] >= 1.0) & (s > high[:, now] + config.overtake.return_gap_m))
+                across[k + 1] = across[k] + np.minimum(v / out_mps, 1.0) * step_s / out_s
+                over[k + 1] = over[k] + returns * np.minimum(v / back_mps, 1.0) * step_s / back_s
+            s, v = s + 0.5 * step_s * (v + faster), faster
+        return at, speed, across, over, fits
+
+    def _is_free(self, one: _Foreseen, trigger_s: float) -> bool:
+        """Whether Algorithm 1 would find its gaps at the trigger, and none is met on the way, nor a closed line."""
+        scene, way, overtake = self.here.scene, one.leader.way, self.here.scene.config.overtake
+        out, over = math.ceil(trigger_s / scene.step_s), (one.back + scene.num_steps) // 2
+        lines, beside = self.starts.world.guard.stop_lines.on(way.path, _BOX), self._on(way.beside)
+        room_m, s = lines.room_m(float(one.s[0]), 0, one.driver), one.s[out] + way.shift_m
+        free_m = np.where(beside.along[:, out] < one.driver.desired_mps, overtake.d_overtake_m, overtake.safe_front_m)
+        in_the_way = (beside.high[:, out] > s - overtake.safe_rear_m) & (beside.low[:, out] < s + free_m)
+        if room_m < 0.0 or lines.towards_mps(one.driver, room_m) < one.v[0] or in_the_way.any():
+            return False
+        parts = (way.path, 0.0, 0, one.crossed), (way.beside, way.shift_m, out, over), (way.path, 0.0, over, None)
+        return not any(
+            self._is_met(path, one.driver, one.s[first:until] + shift_m, one.v[first:until], first)
+            for path, shift_m, first, until in parts
         )
-        is_behind = (m + room_m < drawn.leader_m - length_m) | (out_m > _CROSSED * across_m)
-        fits = (start >= way.first) & (start <= last)
-        if scene.config.request.sites != "any":
-            fits &= (spare_m > -_LATE_M) & is_behind.all(axis=1) & (start_mps > drawn.leader_mps)
-        rows = np.flatnonzero(fits)
-        rows = rows[np.argsort(-spare_m[rows], kind="stable")]
-        leader_s, place = start + drawn.leader_m[:, 0], start[:, None]
-        return _Motions(
-            start, start_mps, place + m, out_m, place + back_m[:, None], np.full_like(place, across_m), leader_s,
-            drawn.leader_mps, spare_m, np.full(start.size, drawn.start_s is None),
-        ).rows(rows)  # fmt: skip
 
-    def _may_enter(self, beside: PathOccupancy, driver: Driver, at: int, s: FloatArray) -> BoolArray:
-        """Whether Algorithm 1 finds its gaps and its corridor at a step at places (N,) m on the lane beside."""
-        overtake = self.here.scene.config.overtake
-        low, high, along = beside.low[:, at], beside.high[:, at], beside.along[:, at]
-        free_m = np.where(along < driver.desired_mps, overtake.d_overtake_m, overtake.safe_front_m)
-        in_the_way = (high > s[:, None] - overtake.safe_rear_m) & (low < s[:, None] + free_m)
-        return np.asarray(~in_the_way.any(axis=1))
+    def _led_by(self, leader: _Leader, slow: VehicleRequest | None) -> list[Start] | None:
+        """The start of a leader where one is to be added; None where it cannot be."""
+        if leader.driver is None or slow is None:
+            return []
+        site = Site(leader.way.offer, leader.way.path.to_raw(float(leader.low[0]) + _BOX.length_m))
+        found = self.starts.make(slow, site, driver=leader.driver, speed_mps=float(leader.mps[0]), wished=leader.mps)
+        if isinstance(found, Start):
+            return [found]
+        self.starts.rejected[found] += 1
+        return None
 
-    def _starts(
-        self, request: VehicleRequest, slow: VehicleRequest | None, way: _Way, driver: Driver, one: _Motions
-    ) -> list[Start]:
-        """The vehicle, after its leader where one is added; empty where a rollout speaks against one of them."""
-        starts, world, leaders, raw = self.starts, self.starts.world, list[Start](), way.path.to_raw
-        if one.added[0] and slow is not None:
-            mps = float(one.leader_mps[0])
-            base = draw_driver(self.here.scene.config, starts.rng, lane_speed_mps=mps)
-            leader = starts.make(
-                slow, Site(way.offer, raw(float(one.leader_s[0]))), driver=replace(base, desired_mps=mps), speed_mps=mps
-            )
-            if not isinstance(leader, Start):
-                starts.rejected[leader] += 1
-                return []
-            leaders, starts.world = [leader], world.joined_by(*starts.rolled(leader))
+    def _starts(self, request: VehicleRequest, one: _Foreseen, before: list[Start]) -> list[Start]:
+        """The vehicle, after those before it; empty where a rollout speaks against it."""
+        starts, world, way = self.starts, self.starts.world, one.leader.way
+        starts.world = world.joined_by(*(rolled for start in before for rolled in starts.rolled(start)))
         found = starts.make(
-            request, Site(way.offer, raw(float(one.start_s[0]))), driver=driver, speed_mps=float(one.start_mps[0]),
-            sides=(way.side,),
+            request, Site(way.offer, way.path.to_raw(float(one.s[0]))), driver=one.driver, speed_mps=float(one.v[0]),
+            sides=(way.side,), wished=one.wished,
         )  # fmt: skip
         starts.world = world
         if isinstance(found, Start):
-            return starts.take([*leaders, found])
+            return starts.take([*before, found])
         starts.rejected[found] += 1
         return []
-
-
-def _taken(known: PathOccupancy, looks: IntArray, s: FloatArray) -> BoolArray:
-    """Whether a box at places (N, K) m at looks (K,), with room ahead, half of it behind, touches any known, (N, K)."""
-    low, high = known.low[:, looks] - CLEAR_GAP_M, known.high[:, looks] + 0.5 * CLEAR_GAP_M
-    return np.asarray(((low[None] < s[:, None]) & (s[:, None] < high[None])).any(axis=1))

@@ -255,7 +255,7 @@ class World:
 
         A part of the motion ends with each lane change, and the next one begins with the state that it ended in.
         """
-        scene, change = self.scene, self.scene.config.lane_change
+        scene, change, return_gap_m = self.scene, self.scene.config.lane_change, self.scene.config.overtake.return_gap_m
         vehicle, parts = DrivenVehicle(start, start.path), [self.roll(start)]
         step = max(start.step, math.ceil(start.request.trigger_s / scene.step_s))
         ask_sumo = (lambda _: ASSUMED_ANSWER) if change.rule == "LC2013" else None
@@ -277,9 +277,9 @@ class World:
                 step += scene.steps_in(_LOOKS_S)
                 continue
             asked = Due(scene, vehicle, step, self.guard.fixed, _NONE)
-            if vehicle.stage is Stage.PASS and asked.passed_gap_m() < scene.config.overtake.return_gap_m:
+            if vehicle.stage is Stage.PASS and (short_m := return_gap_m - asked.passed_gap_m()) > 0.0:
                 vehicle.reason = Reason.NOT_AHEAD  # what it would be told, sooner
-                step += scene.steps_in(_PASSING_SHARE * _LOOKS_S)
+                step += max(1, int(min(short_m / v, _PASSING_SHARE * _LOOKS_S) / scene.step_s))
                 continue
             across = asked.decided(ask_sumo)
             if vehicle.reason is Reason.SCENE_ENDS:

@@ -29,7 +29,7 @@ from netconvert.lane_graph import SIDES
 
 # No tunables, how a vehicle begins: what a driver does on its way, and what saves looking in vain. A beginning at which
 # nothing is looked ahead holds if nothing is met so long, s; drivers that are drawn for a site; m from the way's begin.
-_HOLDS_S, DRIVERS, _FROM_EDGE_M = 3.0, 3, 0.5
+_HOLDS_S, _DRIVERS, _FROM_EDGE_M = 3.0, 3, 0.5
 #: Smallest bumper gap at the start, m: what drivers keep standing.
 CLEAR_GAP_M = 2.0
 #: So long after its beginning, s, a vehicle has braked so hard in the mean, m/s2, at most, as nine in ten of those
@@ -39,7 +39,7 @@ _BEGINS_S, _EASED_TO_MPS2, _EASED_AT_MOST = 1.3, 0.5, 3
 #: they begin with (of recorded vehicles behind a leader .5 % would have been, at any step).
 _BEFORE_S = 1.5
 #: At its start a vehicle may brake so hard for its leader, m/s2; then it is eased.
-BEGIN_BRAKING_MPS2 = 0.8
+_LEADER_BRAKING_MPS2 = 0.8
 #: No tunable: none begins that makes one chosen before brake harder, m/s2: what turns in lets traffic pass.
 _MADE_TO_BRAKE_MPS2 = 1.2
 #: Verdicts that another driver may change.
@@ -94,7 +94,7 @@ class Starts:
     taken: list[Start] = field(default_factory=list)
     rejected: Counter[Reason] = field(default_factory=Counter)
     world: World = field(init=False)
-    _rolled: dict[str, tuple[RolledOut, ...]] = field(default_factory=dict)
+    _rolled: dict[Start, tuple[RolledOut, ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Nothing is chosen yet."""
@@ -105,17 +105,17 @@ class Starts:
         self.taken += starts
         if "collision" not in self.scene.config.without:
             for start in starts:
-                rolled = self._rolled.pop(start.vehicle_id, None)
+                rolled = self._rolled.pop(start, None)
                 self.world.choose(*(rolled or (self.world.rolled_out(start, (self.world.roll(start),)),)))
         return starts
 
     def rolled(self, start: Start) -> tuple[RolledOut, ...]:
         """The rollout of a start that was made, and those anew of vehicles that it makes drive otherwise."""
-        return self._rolled.get(start.vehicle_id, ())
+        return self._rolled.get(start, ())
 
     def make(
         self, request: VehicleRequest, site: Site, *, driver: Driver | None = None, speed_mps: float | None = None,
-        sides: tuple[Side, ...] | None = None,
+        sides: tuple[Side, ...] | None = None, wished: FloatArray | None = None,
     ) -> Start | Reason:  # fmt: skip
         """A vehicle that begins at a site, or why it cannot.
 
@@ -145,15 +145,17 @@ class Starts:
         line_gap_m = self.guard.stop_lines.on(path, box).gap_m(start_s, step)
         begin = _Begin(request, site._replace(leader=leader), path, box, s, start_s, line_gap_m, sides)
         made: Start | Reason = Reason.NO_SITE
-        for _ in range(1 if driver is not None else DRIVERS):
+        for _ in range(1 if driver is not None else _DRIVERS):
             # a driver goes with the flow of its leader and follower, or would not be there
             pace_mps = max(scene.lane_speed(lane_id, rng), flow_mps)
-            made = self._begun(begin, driver or draw_driver(config, rng, lane_speed_mps=pace_mps), speed_mps)
+            made = self._begun(begin, driver or draw_driver(config, rng, lane_speed_mps=pace_mps), speed_mps, wished)
             if made not in _ANOTHER_DRIVER:
                 break
         return made
 
-    def _begun(self, begin: _Begin, driver: Driver, speed_mps: float | None) -> Start | Reason:
+    def _begun(
+        self, begin: _Begin, driver: Driver, speed_mps: float | None, wished: FloatArray | None
+    ) -> Start | Reason:
         """The start of a driver at a site, at about its desired speed unless told; or what speaks against it."""
         scene, config, rng, request, path = self.scene, self.scene.config, self.rng, begin.request, begin.path
         step, is_given = begin.site.step, speed_mps is not None
@@ -167,9 +169,10 @@ class Starts:
             return admitted
         if self._came_through(begin, admitted):
             return Reason.NO_SITE
-        wished = desired_speeds(
-            driver, config, rng, num_steps=scene.num_steps - step, step_s=scene.step_s, at_least_mps=admitted
-        )
+        if wished is None:
+            wished = desired_speeds(
+                driver, config, rng, num_steps=scene.num_steps - step, step_s=scene.step_s, at_least_mps=admitted
+            )
         sides = BEHAVIOURS[request.policy].sides or SIDES
         order = sides if rng.random() < 0.5 else sides[::-1]
         start = Start(
@@ -211,11 +214,13 @@ class Starts:
         found = world.objection(start, parts)
         if found is not None:
             return found
-        if vehicle is not None and self._waits_astride(parts[-1]):
-            return Reason.TOO_SLOW
-        spare_m = _SPARE_S * parts[-1].v[-1] if policy is Policy.OVERTAKE else 0.0
-        if vehicle is not None and parts[-1].s[-1] < vehicle.path.shifts[-1][1] + spare_m:
-            return Reason.SCENE_ENDED
+        if vehicle is not None:
+            if self._waits_astride(parts[-1]):
+                return Reason.TOO_SLOW
+            spare_m = _SPARE_S * parts[-1].v[-1] if policy is Policy.OVERTAKE else 0.0
+            shown_m = min(float(parts[-1].s[-1]), vehicle.path.exit_s - 0.5 * start.size.length_m)
+            if shown_m < vehicle.path.shifts[-1][1] + spare_m:
+                return Reason.SCENE_ENDED
         if (kind := BEHAVIOURS[policy].turn) is not None:
             turn = first_turn(scene.grid.graph, start.path, kind, after=start.start_s)
             if turn is None:
@@ -270,7 +275,7 @@ class Starts:
                 return Reason.MEETS_GENERATED
             if still:
                 anew.append(around.rolled_out(one.start, still))
-        self._rolled[start.vehicle_id] = tuple(anew)
+        self._rolled[start] = tuple(anew)
         return None
 
     def _brakes_mps2(self, parts: tuple[Rollout, ...]) -> float:
@@ -317,7 +322,7 @@ class Starts:
         known = self.world.guard.known_on(path, box)
         seen, wished = gaps_to_all(known, np.array([s]), step), speed
         leads = np.isfinite(seen.lead_m)
-        speed = float(speed_behind(seen.lead_m[leads], seen.along_mps[leads], driver).min(initial=speed))
+        speed = float(speed_behind(seen.lead_m[leads], seen.along_mps[leads], driver.following).min(initial=speed))
         closing = seen.along_mps[:, 0] - speed
         if (known.same_direction[:, step] & (seen.lag_m[:, 0] < conflict.follower_ttc_min_s * closing)).any():
             return Reason.TTC_RECORDED_FOLLOWER
@@ -361,13 +366,16 @@ def _is_clear(near: Gaps) -> bool:
     return bool(min(near.lead_m[0], near.lag_m[0]) >= CLEAR_GAP_M)
 
 
-def speed_behind(gap_m: FloatArray | float, leader_mps: FloatArray | float, driver: Driver) -> FloatArray:
-    """Fastest speeds, m/s, to begin behind leaders: for these a driver brakes by BEGIN_BRAKING_MPS2 (IDM).
+def speed_behind(
+    gap_m: FloatArray | float, leader_mps: FloatArray | float, following: tuple[FloatArray | float, ...]
+) -> FloatArray:
+    """Fastest speeds, m/s, to begin behind leaders: for these drivers brake by _LEADER_BRAKING_MPS2 (IDM).
 
-    One that is faster leaves: a driver may be nearer to it.
+    One that is faster leaves: a driver may be nearer to it. following: as `Driver.following`, of one or of each.
     """
-    room = math.sqrt(1.0 + BEGIN_BRAKING_MPS2 / driver.accel_mps2) * np.maximum(gap_m, 0.0) - driver.min_gap_m
+    tau_s, accel, decel, min_gap_m = following
+    room = np.sqrt(1.0 + _LEADER_BRAKING_MPS2 / accel) * np.maximum(gap_m, 0.0) - min_gap_m
     # v tau + v (v - v_l) / (2 sqrt(a b)) = room
-    c = 2.0 * math.sqrt(driver.accel_mps2 * driver.decel_mps2)
-    b, room = driver.tau_s * c - leader_mps, np.maximum(room, 0.0)
+    c = 2.0 * np.sqrt(accel * decel)
+    b, room = tau_s * c - leader_mps, np.maximum(room, 0.0)
     return np.asarray(0.5 * (-b + np.sqrt(b * b + 4.0 * c * room)))

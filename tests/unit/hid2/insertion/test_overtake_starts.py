@@ -44,13 +44,17 @@ def _sites(scene: Scene, seed: int = 0) -> InsertionSites:
 
 
 def test_overtaker_without_a_slower_leader_gets_one(scene_of: Callable[..., Scene]) -> None:
-    """The leader is a straight request's, ahead on the same lane, and wants 50 to 70 % of 9 m/s: 4.5 to 6.3."""
+    """The leader is a straight request's, ahead on the same lane, and wants 50 to 70 % of 9 m/s: 4.5 to 6.3.
+
+    Its wish wanders, and never below 4.5 m/s.
+    """
     for seed in range(4):
         leader, overtaker = _sites(scene_of(), seed).propose(OVERTAKE, SLOW)
         assert (leader.request, overtaker.request) == (SLOW, OVERTAKE)
         assert leader.route == overtaker.route
         assert leader.start_s - overtaker.start_s > leader.box.length_m
         assert 4.5 <= leader.driver.desired_mps <= 6.3
+        assert leader.desired.min() >= 4.5
         assert leader.start_mps < overtaker.start_mps
 
 
@@ -70,6 +74,22 @@ def test_rollout_of_an_overtaker_is_out_past_and_back_in_time(scene_of: Callable
     assert back + 25 <= 109
     at = parts[1].s[back - out] - slow.s[back]
     assert at >= 0.5 * (leader.box.length_m + overtaker.box.length_m) + 5.0 - 0.2
+
+
+def test_way_back_of_an_overtake_ends_on_the_map(road: Callable[..., LaneGraph]) -> None:
+    """On 120 m of road, which vehicles at 9 m/s leave at about 11 s: it is over before the front is at the edge."""
+    config, found = Config(request=Request(near="anywhere"), spawn=Spawn(prior_speed_mps=9.0)), 0
+    for seed in range(6):
+        sites = _sites(scene_on(road(lanes=2, length_m=120.0), config=config), seed)
+        starts = sites.propose(OVERTAKE, SLOW)
+        if starts:
+            found += 1
+            alone = Guard(sites.here.scene, nobody(sites.here.scene.future.num_steps), sites.here.stop_lines)
+            world = World(sites.here.scene, sites.here.roads, alone)
+            world.choose(world.rolled_out(starts[0], (world.roll(starts[0]),)))
+            path = world.act(starts[1])[0].path
+            assert path.shifts[-1][1] < path.exit_s - 0.5 * starts[1].size.length_m
+    assert found
 
 
 def test_slower_recorded_vehicle_is_overtaken_where_none_can_be_added(scene_of: Callable[..., Scene]) -> None:

@@ -88,7 +88,7 @@ def test_start_that_a_recorded_vehicle_would_run_into_is_rejected(scene_of: Call
 @pytest.mark.parametrize(("gap", "leader_mps"), [(6.0, 0.0), (15.0, 8.0), (30.0, 4.0), (60.0, 12.0)])
 def test_start_speed_behind_a_leader_needs_no_braking(gap: float, leader_mps: float) -> None:
     """IDM at that speed and gap: a (1 - (s* / gap)^2) is -0.8 m/s2, a lifted foot; also behind a faster one."""
-    v = speed_behind(gap, leader_mps, DRIVER)
+    v = speed_behind(gap, leader_mps, DRIVER.following)
     star = DRIVER.min_gap_m + v * DRIVER.tau_s + v * (v - leader_mps) / (2 * np.sqrt(1.6 * 2.0))
     assert DRIVER.accel_mps2 * (1.0 - (star / gap) ** 2) == pytest.approx(-0.8, abs=1e-6)
 
@@ -116,7 +116,7 @@ def test_none_begins_where_its_leader_or_follower_has_just_been(
 
 def test_nobody_begins_moving_right_behind_who_stands() -> None:
     """1.5 m of gap are less than the 2 m kept to a standing one, whatever the speed."""
-    assert speed_behind(1.5, 0.0, DRIVER) == 0.0
+    assert speed_behind(1.5, 0.0, DRIVER.following) == 0.0
 
 
 def test_starts_behind_slow_traffic_are_no_faster_than_it_allows(scene_of: Callable[..., Scene]) -> None:
