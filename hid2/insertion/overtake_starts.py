@@ -35,7 +35,7 @@ from hid2.vehicle import Start, VehicleRequest
 
 #: Not parameters, they bound the search: ways that are looked at, at once, and before it is given up where none seems
 #: to fit; leaders and drivers drawn for each, gaps for each two; wanderings of speeds; and what is rolled out.
-_WAYS, _TOGETHER, _HOPELESS, _LEADERS, _DRIVERS, _GAPS, _WANDERS, _ROLLED_OUT = 288, 16, 80, 6, 6, 6, 48, 24
+_WAYS, _TOGETHER, _HOPELESS, _LEADERS, _DRIVERS, _GAPS, _WANDERS, _ROLLED_OUT = 288, 16, 48, 6, 6, 6, 48, 24
 #: No tunables, what is drawn: an added leader drives no slower, m/s; s of the speed difference from the leader at the
 #: start, beyond the gap at standstill; one that is to overtake is in a hurry: the fastest wanderings, one of so many.
 _SLOWEST_MPS, _GAP_S, _HURRIED = 3.0, (1.0, 5.0), 3

@@ -272,7 +272,7 @@ class World:
                 over_m = part.path.shifts[-1][1] if part.path.shifts else 0.0
                 step = max(step + 1, part.step + int(np.searchsorted(part.s, over_m)))
                 continue
-            if vehicle.stage is Stage.WAITING and v < change.min_speed_mps:  # no rule takes a gap
+            if vehicle.stage is Stage.WAITING and v < change.min_speed_mps:  # its lateral motion would wait
                 vehicle.reason = Reason.TOO_SLOW
                 step += scene.steps_in(_LOOKS_S)
                 continue
