@@ -33,8 +33,8 @@ _MOST, _FULL_SHARE, _FAILED, _FAILED_STRAIGHT, _AGAIN = 400, 0.1, 4, 1, 1
 SPACING_M = 25.0
 #: Runs one simulation: starts, generated vehicles kept in rounds before, number of the round.
 Drive = Callable[[Sequence[Start], Traffic, int], list[DrivenVehicle]]
-#: Rounds in a row that add no vehicle, after which there are no more. No tunable: one may have had bad luck.
-_IDLE = 2
+#: Rounds in a row that add no vehicle, after which there are no more. No tunable: two may have had bad luck.
+_IDLE = 3
 _LOG = logging.getLogger(__name__)
 
 
