@@ -1,6 +1,5 @@
 """Starts: whether a vehicle can begin at a site, with which driver, how fast, and what a rollout says of it."""
 
-import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -42,6 +41,8 @@ _BEFORE_S = 1.5
 _LEADER_BRAKING_MPS2 = 0.8
 #: No tunable: none begins that makes one chosen before brake harder, m/s2: what turns in lets traffic pass.
 _MADE_TO_BRAKE_MPS2 = 1.2
+#: No tunable: none is to wait astride of two lanes for longer, s.
+_ASTRIDE_S = 1.0
 #: Verdicts that another driver may change.
 _ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.FOLLOWER_HEADWAY, Reason.LEAVES_TOO_EARLY})
 #: No tunable: by so much, s, SUMO may be later than a rollout at the end of an overtake.
@@ -232,9 +233,10 @@ class Starts:
         return parts
 
     def _waits_astride(self, part: Rollout) -> bool:
-        """Whether a lateral motion waits on its way across, as the vehicle is too slow for it."""
+        """Whether a lateral motion waits for long on its way across, as the vehicle is too slow for it."""
         begin, end = np.searchsorted(part.s, part.path.shifts[-1])
-        return bool(part.v[begin:end].min(initial=math.inf) < self.scene.config.lane_change.min_speed_mps)
+        slow = part.v[begin:end] < self.scene.config.lane_change.min_speed_mps
+        return bool(slow.sum() > self.scene.steps_in(_ASTRIDE_S))
 
     def _eased(self, start: Start, rolled: tuple[Rollout, ...] | Reason) -> tuple[Start, tuple[Rollout, ...] | Reason]:
         """A start that does not brake hard at once, with its rollout: as slow as what its speed falls to allows."""
