@@ -9,13 +9,14 @@ from hid2.agents import FloatArray, Policy
 from hid2.drivers.driver import free_speeds
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
-from hid2.policy.decision import Observation, Side, decide, is_due
+from hid2.policy.decision import Observation, decide, is_due
 from hid2.policy.lane_change import OPEN, Gap, LaneOption, SumoAnswer
 from hid2.policy.observation import gap_ahead_of, gaps_on, lane_options, lay_across, leader_on, returns_to
 from hid2.policy.overtake import SHIFT_RATIO, Stage
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, GapLook, Shift
+from netconvert.lane_graph import Side
 
 #: What SUMO's own model makes of a side, where that decides (`lane_change.rule = LC2013`).
 AskSumo = Callable[[Side], SumoAnswer]

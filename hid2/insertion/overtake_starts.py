@@ -26,12 +26,12 @@ from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import BoolArray
-from hid2.policy.decision import Side
 from hid2.policy.observation import admissible_neighbor
 from hid2.policy.overtake import SHIFT_RATIO, shortest_shift_s
 from hid2.reasons import Reason
 from hid2.scene import SLOW_LEADER_SHARE, clearance_box
 from hid2.vehicle import Start, VehicleRequest
+from netconvert.lane_graph import Side
 
 #: Not parameters, they bound the search: ways that are looked at, at once, and before it is given up where none seems
 #: to fit; leaders and drivers drawn for each, gaps for each two; wanderings of speeds; and what is rolled out.
@@ -133,7 +133,7 @@ class OvertakeStarts:
                 for leader in (*self._known(way), *(self._added(way, wander) if slow is not None else ()))
             ]  # fmt: skip
             for one in self._foreseen(leaders, request.trigger_s, wander):
-                if self.here.scene.config.request.sites != "any" and not self._is_free(one, request.trigger_s):
+                if scene.config.request.sites != "any" and not self._is_free(one, request.trigger_s):
                     continue
                 if one.leader not in led:
                     led[one.leader] = self._led_by(one.leader, slow)

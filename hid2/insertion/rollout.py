@@ -30,14 +30,13 @@ from hid2.occupancy.gaps import Gaps, gaps_on_path
 from hid2.occupancy.shown import LEADS_FROM_M, SHOWN_M, Shown, shown_on
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.once import once
-from hid2.policy.decision import Side
 from hid2.policy.overtake import Stage
 from hid2.policy.roads import STRAIGHT, Roads
 from hid2.policy.rules import ASSUMED_ANSWER
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start
-from netconvert.lane_graph import TurnType
+from netconvert.lane_graph import Side, TurnType
 from netconvert.net_xml import speed_limit_mps
 
 #: Not parameters, they save time: s between two looks at gaps; below this TTC, s, to a vehicle that begins ahead, one
@@ -279,7 +278,8 @@ class World:
             asked = Due(scene, vehicle, step, self.guard.fixed, _NONE)
             if vehicle.stage is Stage.PASS and (short_m := return_gap_m - asked.passed_gap_m()) > 0.0:
                 vehicle.reason = Reason.NOT_AHEAD  # what it would be told, sooner
-                step += max(1, int(min(short_m / v, _PASSING_SHARE * _LOOKS_S) / scene.step_s))
+                waits_s = _PASSING_SHARE * _LOOKS_S
+                step += max(1, int((short_m / v if short_m < v * waits_s else waits_s) / scene.step_s))
                 continue
             across = asked.decided(ask_sumo)
             if vehicle.reason is Reason.SCENE_ENDS:

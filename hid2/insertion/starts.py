@@ -17,14 +17,14 @@ from hid2.judge.findings import CURVATURE_KEPT, FOLLOWER_HEADWAY_S, LEADER_LENGT
 from hid2.measures.encounters import BRAKES_FOR_S, FOLLOWS_S, STANDS_MPS
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
-from hid2.occupancy.gaps import Gaps, gaps_from_pose, gaps_on_path, gaps_to_all
+from hid2.occupancy.along_path import PathOccupancy
+from hid2.occupancy.gaps import AllGaps, Gaps, gaps_from_pose, gaps_on_path, gaps_to_all
 from hid2.policy.behaviours import BEHAVIOURS
-from hid2.policy.decision import Side
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
 from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
-from netconvert.lane_graph import SIDES
+from netconvert.lane_graph import SIDES, Side
 
 # No tunables, how a vehicle begins: what a driver does on its way, and what saves looking in vain. A beginning at which
 # nothing is looked ahead holds if nothing is met so long, s; drivers that are drawn for a site; m from the way's begin.
@@ -120,7 +120,8 @@ class Starts:
     ) -> Start | Reason:  # fmt: skip
         """A vehicle that begins at a site, or why it cannot.
 
-        driver, speed_mps, sides: how it begins, and where it looks for a lane; drawn unless given.
+        driver, speed_mps, sides, wished: how it begins, where it looks for a lane, and its desired speeds (T,) m/s;
+        drawn unless given.
         """
         scene, config, rng = self.scene, self.scene.config, self.rng
         (offer, s, step, leader, headway_s), box = site, clearance_box(request.size, DEFAULT_SIZES[request.object_type])
@@ -168,8 +169,6 @@ class Starts:
         admitted = self._start_speed(begin, speed_mps, driver)
         if isinstance(admitted, Reason):
             return admitted
-        if self._came_through(begin, admitted):
-            return Reason.NO_SITE
         if wished is None:
             wished = desired_speeds(
                 driver, config, rng, num_steps=scene.num_steps - step, step_s=scene.step_s, at_least_mps=admitted
@@ -187,8 +186,10 @@ class Starts:
             start, rolled = self._eased(start, rolled)
         if isinstance(rolled, Reason):
             return rolled
-        if start.start_mps < admitted and self._came_through(begin, start.start_mps):
-            return Reason.NO_SITE
+        if start.start_mps < admitted:
+            known = self.world.guard.known_on(path, begin.box)
+            if _came_through(known, gaps_to_all(known, np.array([begin.start_s]), step), start.start_mps, step):
+                return Reason.NO_SITE
         usual = partial(scene.place_on, path)
         if BEHAVIOURS[request.policy].changes_lanes:  # the line of one lane is not that of the next
             usual = partial(np.full_like, fill_value=config.drivers.offset_mean_m)
@@ -340,15 +341,7 @@ class Starts:
             if room_m > 0.0 and not (stands & ~self.world.parked_on(path, box)).any():
                 return Reason.NO_SITE  # no vehicle is so slow with so much room ahead, nor waits for a parked one
             speed = 0.0
-        return speed
-
-    def _came_through(self, begin: _Begin, speed_mps: float) -> bool:
-        """Whether a vehicle that begins at a speed was inside its leader or follower shortly before, by all speeds."""
-        known, step = self.world.guard.known_on(begin.path, begin.box), begin.site.step
-        seen = gaps_to_all(known, np.array([begin.start_s]), step)
-        nearer_m = _BEFORE_S * (seen.along_mps[:, 0] - speed_mps)
-        through = (nearer_m > seen.lead_m[:, 0]) | (-nearer_m > seen.lag_m[:, 0])
-        return bool((through & known.same_direction[:, step]).any())
+        return Reason.NO_SITE if _came_through(known, seen, speed, step) else speed
 
     def _follower_is_near(self, path: DrivenPath, s: float, box: BoxSize, speed_mps: float, step: int) -> bool:
         """Whether an agent comes from behind at a step, on the lane or before the map's edge."""
@@ -361,6 +354,16 @@ class Starts:
         )  # fmt: skip
         near = (seen.aside_m < config.conflict.margin_lateral_m) & (seen.gap_m > -box.length_m)
         return bool(np.any(near & (seen.gap_m < least_m) & here.present[:, 0] & (seen.along_m < 0.0)))
+
+
+def _came_through(known: PathOccupancy, seen: AllGaps, speed_mps: float, step: int) -> bool:
+    """Whether a vehicle that begins at a speed was inside its leader or follower shortly before, by all speeds.
+
+    seen: gaps from where it begins to those known on its path (R, 1), at that step.
+    """
+    nearer_m = _BEFORE_S * (seen.along_mps[:, 0] - speed_mps)
+    through = (nearer_m > seen.lead_m[:, 0]) | (-nearer_m > seen.lag_m[:, 0])
+    return bool((through & known.same_direction[:, step]).any())
 
 
 def _is_clear(near: Gaps) -> bool:

@@ -11,8 +11,7 @@ from hid2.policy.overtake import Stage, enter_reason, return_reason
 from hid2.policy.rules import GapView, rule_reason, rule_refusals
 from hid2.reasons import Reason
 from netconvert.cells import Cell
-from netconvert.lane_graph import Side as Side
-from netconvert.lane_graph import TurnType
+from netconvert.lane_graph import Side, TurnType
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from netconvert.lane_graph import LaneSegment, turn_type
+from netconvert.lane_graph import LaneGraph, LaneSegment, turn_type
 
 
 def draw_lane(
@@ -39,13 +39,18 @@ def draw_lane(
     )
 
 
-def draw_crossing() -> tuple[LaneSegment, ...]:
-    """Lanes 1 (0 .. 60 m), 2 (the intersection, 60 .. 80 m), 3 (to 200 m) along the x axis; 4, 5, 6 cross at x = 70."""
-    return (
+def draw_crossing(*, end_m: float = 200.0, zebra: bool = False) -> LaneGraph:
+    """Lanes 1 (0 .. 60 m), 2 (the intersection, 60 .. 80 m), 3 (to end_m) along the x axis; 4, 5, 6 cross at x = 70.
+
+    zebra: a pedestrian crossing lies over lane 3 from x = 100 to 103 m.
+    """
+    lanes = (
         draw_lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
         draw_lane(2, [(60.0, 0.0), (80.0, 0.0)], successors=(3,), is_intersection=True),
-        draw_lane(3, [(80.0, 0.0), (200.0, 0.0)]),
+        draw_lane(3, [(80.0, 0.0), (end_m, 0.0)]),
         draw_lane(4, [(70.0, -90.0), (70.0, -10.0)], successors=(5,)),
         draw_lane(5, [(70.0, -10.0), (70.0, 10.0)], successors=(6,), is_intersection=True),
         draw_lane(6, [(70.0, 10.0), (70.0, 90.0)]),
     )
+    stripes = np.array([(100.0, -6.0), (100.0, 6.0), (103.0, 6.0), (103.0, -6.0)])
+    return LaneGraph({one.lane_id: one for one in lanes}, pedestrian_crossings=(stripes,) if zebra else ())

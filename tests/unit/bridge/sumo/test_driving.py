@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hand_drawn import draw_lane
+from hand_drawn import draw_crossing, draw_lane
 from inserted import CAR, DRIVER, driven, nobody, recorded, scene_on, start_on
 
 from bridge.sumo.driving import Driving
@@ -430,24 +430,10 @@ def test_bends_and_turns_limit_the_speed_and_say_so(
     assert v[inside].max() < 6.3
 
 
-def _junction() -> LaneGraph:
-    """Lanes 1, 2 (intersection, 60 .. 80 m) and 3 along the x axis; 4, 5 and 6 across at x = 70; zebra at 100 m."""
-    lanes = (
-        draw_lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
-        draw_lane(2, [(60.0, 0.0), (80.0, 0.0)], successors=(3,), is_intersection=True),
-        draw_lane(3, [(80.0, 0.0), (250.0, 0.0)]),
-        draw_lane(4, [(70.0, -90.0), (70.0, -10.0)], successors=(5,)),
-        draw_lane(5, [(70.0, -10.0), (70.0, 10.0)], successors=(6,), is_intersection=True),
-        draw_lane(6, [(70.0, 10.0), (70.0, 90.0)]),
-    )
-    zebra = np.array([(100.0, -6.0), (100.0, 6.0), (103.0, 6.0), (103.0, -6.0)])
-    return LaneGraph({one.lane_id: one for one in lanes}, pedestrian_crossings=(zebra,))
-
-
 def test_vehicle_stops_at_a_red_entrance_and_goes_on_when_it_opens(drive: Callable[..., Driving]) -> None:
     """Cross traffic at 3.5 and 4.5 s: red until 3 s after it. The line is 60 - 2.25 - 1 = 56.75 m."""
     flow = (recorded(70.0, -45.0, 10.0, heading=UP, name="a"), recorded(70.0, -35.0, 10.0, heading=UP, name="b"))
-    scene = scene_on(_junction(), *flow)
+    scene = scene_on(draw_crossing(end_m=250.0, zebra=True), *flow)
     (one,) = drive(scene, start_on(scene, (1, 2, 3), 15.0, 9.0)).fleet.vehicles
     s, v = np.array(one.s), np.array(one.v)
     assert one.limited["signal"] > 20
@@ -461,7 +447,7 @@ def test_vehicle_joins_the_recorded_queue_and_goes_with_it(drive: Callable[..., 
     steps = np.arange(110)
     x = 50.0 + np.concatenate([np.zeros(80), np.cumsum(0.1 * np.clip(0.2 * np.arange(30), 0.0, 6.0))])
     queue = Track("q", "vehicle", 2, steps, np.column_stack([x, 0.0 * x]), 0.0 * x, np.zeros((110, 2)), CAR)
-    scene = scene_on(_junction(), queue)
+    scene = scene_on(draw_crossing(end_m=250.0, zebra=True), queue)
     (one,) = drive(scene, start_on(scene, (1, 2, 3), 5.0, 9.0)).fleet.vehicles
     gap = _gaps(one, queue)
     assert gap.min() > 0.5
@@ -473,7 +459,7 @@ def test_vehicle_joins_the_recorded_queue_and_goes_with_it(drive: Callable[..., 
 def test_pedestrian_on_the_crossing_is_let_across(drive: Callable[..., Driving]) -> None:
     """The walker is on the vehicle's way (|y| < 2) from 3 to 6.2 s; at 10 m/s from 65 m the crossing comes at 3.5 s."""
     walker = recorded(101.5, -6.0, 1.3, heading=UP, kind="pedestrian", size=BoxSize(0.6, 0.6))
-    scene = scene_on(_junction(), walker)
+    scene = scene_on(draw_crossing(end_m=250.0, zebra=True), walker)
     (one,) = drive(scene, start_on(scene, (1, 2, 3), 62.0, 9.0)).fleet.vehicles
     s = np.array(one.s)
     on_the_way = np.abs(walker.position[:, 1]) < 1.5

@@ -14,7 +14,6 @@ from hid2.kernels.guard import stop_ahead
 from hid2.kernels.steering import CAUSES
 from hid2.params import Config, Signals
 from hid2.scene import Scene
-from netconvert.lane_graph import LaneGraph
 
 #: Every value that a number below is worked from; the defaults may be tuned.
 CONFIG = Config(signals=Signals(before_s=2.0, after_s=3.0))
@@ -31,9 +30,7 @@ def junction() -> Callable[..., Scene]:
     """
 
     def make(*tracks: Track) -> Scene:
-        zebra = np.array([(100.0, -6.0), (100.0, 6.0), (103.0, 6.0), (103.0, -6.0)])
-        graph = LaneGraph({one.lane_id: one for one in draw_crossing()}, pedestrian_crossings=(zebra,))
-        return scene_on(graph, *tracks, config=CONFIG)
+        return scene_on(draw_crossing(zebra=True), *tracks, config=CONFIG)
 
     return make
 

@@ -11,11 +11,15 @@ from inserted import recorded, scene_on, start_on
 from hid2.agents import Policy, Track
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import ClosedLines, StopLines
+from hid2.insertion.due import Due
 from hid2.insertion.rollout import RolledOut, Rollout, World
 from hid2.kernels.steering import CAUSES
 from hid2.occupancy.traffic import Traffic
+from hid2.policy.overtake import Stage
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
+from hid2.scene import Scene
+from hid2.vehicle import DrivenVehicle
 from netconvert.lane_graph import LaneGraph, LaneSegment
 
 
@@ -112,6 +116,26 @@ def test_a_cell_that_begins_farther_on_takes_a_vehicle_there(lane: Callable[...,
         assert onto.s[0] == pytest.approx(before.s[-1])
         driven_on.append(onto.s[-1] - onto.s[0] - 0.05 * (onto.v[1:] + onto.v[:-1]).sum())
     assert driven_on[1] - driven_on[0] == pytest.approx(2.0, abs=0.02)
+
+
+def test_vehicle_that_stands_while_it_passes_another_one_is_looked_at_again(
+    world_of: Callable[..., World], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It stands 2 m short of the way back all the time: no step is the one at which it will be past."""
+    world = world_of()
+
+    def passes(vehicle: DrivenVehicle, _scene: Scene, _step: int) -> bool:
+        vehicle.stage = Stage.PASS
+        return True
+
+    monkeypatch.setattr("hid2.insertion.rollout.advance", passes)
+    monkeypatch.setattr(Due, "passed_gap_m", lambda _: world.scene.config.overtake.return_gap_m - 2.0)
+    start = start_on(world.scene, (1,), 100.0, 0.0, policy=Policy.OVERTAKE)
+    steps = world.scene.num_steps
+    stands = Rollout(start.path, 0, np.full(steps, 100.0), np.zeros(steps), np.zeros((steps, 0)))
+    monkeypatch.setattr(World, "roll", lambda *_args, **_more: stands)
+    vehicle, parts = world.act(start)
+    assert (vehicle.reason, len(parts)) == (Reason.NOT_AHEAD, 1)
 
 
 def test_only_what_comes_near_a_lane_change_makes_it_be_rolled_out_anew(world_of: Callable[..., World]) -> None:

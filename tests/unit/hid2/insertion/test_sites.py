@@ -136,8 +136,7 @@ def test_vehicle_that_begins_at_a_red_line_stands_there() -> None:
 
     20 m before it begins to drive; a meter past what drivers keep it came on red.
     """
-    graph = LaneGraph({one.lane_id: one for one in draw_crossing()})
-    scene = scene_on(graph, recorded(70.0, -8.0, 9.0, heading=np.pi / 2))
+    scene = scene_on(draw_crossing(), recorded(70.0, -8.0, 9.0, heading=np.pi / 2))
     (offer,) = (one for one in Surroundings(scene).routes.offers(1) if one.route == (1, 2, 3))
     begun = {
         front: _sites(scene).starts.make(_request(), Site(offer, front - CAR.length_m / 2), driver=DRIVER)
@@ -152,6 +151,14 @@ def test_vehicle_that_begins_at_a_red_line_stands_there() -> None:
     assert before.start_mps > 3.0
     assert before.driver == DRIVER
     assert begun[62.6] is Reason.ENTERS_ON_RED
+
+
+def test_without_collision_checks_no_start_asks_where_others_have_been(road: Callable[..., LaneGraph]) -> None:
+    """2.5 m behind one at 14 m/s, where a start is none otherwise."""
+    config = Config(without=frozenset({"collision"}), spawn=Spawn(prior_speed_mps=9.0))
+    sites = _sites(scene_on(road(lanes=1, length_m=ROAD_M), recorded(107.0, 0.0, 14.0), config=config))
+    start = sites.starts.make(_request(), Site(sites.here.routes.offers(1)[0], 100.0), driver=DRIVER)
+    assert isinstance(start, Start), start
 
 
 @pytest.mark.parametrize(("red", "reason"), [(True, Reason.WAITS_AT_LINE), (False, Reason.SCENE_ENDED)])
