@@ -40,8 +40,8 @@ class Driving:
     """One simulation of a fleet, each vehicle from its own first step on.
 
     checked: every recorded agent is replayed at every step, and its pose in SUMO compared; else only while a vehicle is
-    to see it. Where recorded vehicles react, the fleet's scene becomes another one with
-    each that yields, and `reactions` says how late they are.
+    to see it. Where recorded vehicles react, the fleet's scene becomes another one with each that yields, and
+    `reactions` says how late they are.
     """
 
     fleet: Fleet

@@ -88,6 +88,10 @@ class Obstacles:
     lines: ClosedLines
 
 
+#: What was asked for last on a path: recorded and inserted traffic, what is known of each there, and of both.
+_Newest = tuple[Traffic, Traffic, PathOccupancy, PathOccupancy, PathOccupancy]
+
+
 @dataclass(eq=False)
 class Guard:
     """Conflict case 3 of all vehicles that are driven together.
@@ -98,7 +102,7 @@ class Guard:
     scene: Scene
     fixed: Traffic
     stop_lines: StopLines
-    _newest: dict[tuple[DrivenPath, BoxSize], tuple[PathOccupancy, ...]] = field(default_factory=dict)
+    _newest: dict[tuple[DrivenPath, BoxSize], _Newest] = field(default_factory=dict)
     # as the kernels `needed_braking` and `speed_limits` take them: how others are predicted, when a driver brakes
     predicted = _PREDICTED_JERK_MPS3, PET_MARGIN_M, _BRAKING_LASTS_S, _HARDEST_RATIO
     rules = _RULES
@@ -135,11 +139,14 @@ class Guard:
         mingle. Recorded ones come first, by rows of the scene's traffic; then inserted ones, by theirs in `fixed`.
         """
         scene, newest = self.scene, self._newest.get((path, box))
+        if newest is not None and newest[0] is scene.future and newest[1] is self.fixed:
+            return newest[-1]
         recorded = scene.kept_clear_on(path, box, scene.future)
         inserted = scene.kept_clear_on(path, box, self.fixed, at_least_s=scene.config.signals.before_s)
-        if newest is None or newest[0] is not recorded or newest[1] is not inserted:
-            newest = self._newest[path, box] = recorded, inserted, recorded.joined(inserted)
-        return newest[2]
+        is_same = newest is not None and newest[2] is recorded and newest[3] is inserted
+        known = newest[-1] if newest is not None and is_same else recorded.joined(inserted)
+        self._newest[path, box] = scene.future, self.fixed, recorded, inserted, known
+        return known
 
     @once
     def _swept_on(

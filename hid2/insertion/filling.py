@@ -203,10 +203,8 @@ class Filling:
             if failed[policy] < (_FAILED_STRAIGHT if straight else _FAILED):
                 slow = self._to_lead(request, [r for r in waiting if r.number not in used])
                 found = sites.propose(request, slow and replace(slow, policy=Policy.STRAIGHT))
-                if (
-                    straight and not found and not redrawn
-                ):  # what was full for one draw of places may not be for another
-                    redrawn = True
+                if straight and not found and not redrawn:
+                    redrawn = True  # what was full for one draw of places may not be for another
                     self._turned_down.look_anew(each_cell=self.scene.config.request.agents != "max")
                     found = sites.propose(request)
                 if slow is not None and slow.policy is not Policy.STRAIGHT and len(found) > 1:

@@ -172,7 +172,7 @@ def _reason(scene: Scene, findings: Iterable[Finding]) -> Reason | None:
     for one in findings:
         if one.quantity is Quantity.OVERLAP:
             return Reason.MEETS_RECORDED if one.other in scene.states.traffic.ids else Reason.MEETS_GENERATED
-        return one.quantity.reason
+        return one.reason
     return None
 
 
@@ -265,8 +265,7 @@ def conflicting(
     row_of = {name: row for row, name in enumerate(states.arrays.track_ids[first:])}
     found: dict[int, Reason] = {}
     for one in findings:
-        if (reason := one.quantity.reason) is not None:
-            found.setdefault(max(row_of[one.track_id], row_of.get(one.other or "", -1)), reason)
+        found.setdefault(max(row_of[one.track_id], row_of.get(one.other or "", -1)), one.reason)
     return sorted((row, reason) for row, reason in found.items() if row >= since)
 
 

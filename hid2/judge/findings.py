@@ -188,3 +188,9 @@ class Finding(NamedTuple):
     value: float
     limit: float
     other: str | None = None
+
+    @property
+    def reason(self) -> Reason:
+        """Why the vehicle is not exported, but for boxes that meet, which their agents tell apart."""
+        assert self.quantity.reason is not None, self.quantity
+        return self.quantity.reason

@@ -34,9 +34,7 @@ def stretch_m(config: Config) -> float:
     return config.overtake.d_overtake_m + shortest_shift_s(config) * config.spawn.prior_speed_mps
 
 
-def enter_reason(
-    option: LaneOption, *, leader: Gap | None, desired_mps: float, params: Overtake
-) -> Reason | None:  # fmt: skip
+def enter_reason(option: LaneOption, *, leader: Gap | None, desired_mps: float, params: Overtake) -> Reason | None:
     """Why the overtake cannot begin now; None where it can.
 
     The paper's three conditions: a free overtaking lane l', gaps ahead and behind, m * delta s >= d_overtake.

@@ -126,14 +126,12 @@ def rule_arguments(params: LaneChange) -> dict[str, float]:
     return found
 
 
-def expected_reason(
-    driver: Driver, params: LaneChange, *, speed_mps: float, side: Side = "left"
-) -> Reason | None:  # fmt: skip
+def expected_reason(driver: Driver, params: LaneChange, *, speed_mps: float, side: Side = "left") -> Reason | None:
     """Why a rule would not leave a slower leader for a free lane; None where it would.
 
-    Sites ask this before they expect a change of lanes. At the rule's least speed
-    or faster, after all the waiting that there is, behind a leader half as fast. LC2013 is SUMO's and cannot be asked
-    before SUMO drives: of it the preconditions on the map alone, speed, length of lane left and free cells.
+    Sites ask this before they expect a change of lanes. At the rule's least speed or faster, after all the waiting that
+    there is, behind a leader half as fast. LC2013 is SUMO's and cannot be asked before SUMO drives: of it the
+    preconditions on the map alone, speed, length of lane left and free cells.
     """
     v = max(speed_mps, params.min_speed_mps)
     view = replace(
