@@ -41,13 +41,11 @@ def load_config(
 ) -> Config:
     """Resolve a configuration.
 
-    toml_path: sections as tables; flags: values of the command's options by "section.key"; overrides: texts
-    "section.key=value", which come last. A function of your own as lane_change.rule is tried at once.
-    Errors: ConfigError with key, value and range.
+    toml_path: sections as tables; flags: values by "section.key"; overrides: texts "section.key=value", which come
+    last. A function of your own as lane_change.rule is tried at once. Errors: ConfigError with key, value and range.
     """
     data = read_toml(toml_path, "a configuration") if toml_path is not None else {}
-    source = str(toml_path) if toml_path is not None else "configuration"
-    config, functions = config_from_dict(data, source=source), False
+    config, functions = config_from_dict(data, source=str(toml_path or "configuration")), False
     for key, value in (flags or {}).items():
         if callable(value) and key == "lane_change.rule":
             from hid2.policy.rules import name_of_rule
@@ -80,14 +78,10 @@ def read_drivers(path: Path) -> dict[str, object]:
 
 
 def parse_behaviours(text: str) -> dict[str, float | str]:
-    """Shares "straight=.5,lane_change=.5" as flags; a behaviour that is not named gets 0.
-
-    Errors: ConfigError.
-    """
+    """Shares "straight=.5,lane_change=.5" as flags; a behaviour that is not named gets 0. Errors: ConfigError."""
     names = [policy.value for policy in Policy]
     shares: dict[str, float | str] = {f"request.{name}": 0.0 for name in names}
-    own: list[str] = []
-    given: set[str] = set()
+    own, given = list[str](), set[str]()
     for part in text.split(","):
         name, separator, value = (piece.strip() for piece in part.partition("="))
         if not separator or (name not in names and ":" not in name):
@@ -124,8 +118,7 @@ def option_name(key: str) -> str:
 def parse_events(kinds: Sequence[str], values: Mapping[str, Any], criticality: Sequence[str]) -> dict[str, Any]:
     """Events of the command line as flags, all of them with the same values and criticality.
 
-    values: by fields of `Event`, None for those not given; bands are texts. Errors: ConfigError, also where there are
-    values and no event.
+    values: by fields of `Event`, None for those not given; bands are texts. Errors: ConfigError.
     """
     given = {key: value for key, value in values.items() if value is not None}
     names = [f"--{option_name(key)}" for key in given] + ["--criticality"] * bool(criticality)
@@ -136,9 +129,7 @@ def parse_events(kinds: Sequence[str], values: Mapping[str, Any], criticality: S
         if measure not in _CRITICALITY or not separator:
             raise ConfigError(f"--criticality {text!r}: expected ttc=A:B, pet=A:B (s) or drac=A:B (m/s2)")
         if _CRITICALITY[measure] in given:
-            raise ConfigError(
-                f"--criticality {text!r}: {measure} is asked for twice, expected one band of each measure"
-            )
+            raise ConfigError(f"--criticality {text!r}: {measure} is asked for twice, expected one band of it")
         given[_CRITICALITY[measure]] = _band(band, f"criticality {measure}")
     if given and not kinds:
         raise ConfigError(f"{', '.join(names)} without --event; say which event is meant, such as --event cut_in")
@@ -189,10 +180,7 @@ def config_sha256(config: Config) -> str:
 
 
 def new_scenario_id(source_id: str, config: Config, seed: int, variant: int) -> str:
-    """UUID (version 5) of a request: the same request names the same scenario.
-
-    What comes of a corridor says so, and so does a scene in which recorded vehicles react.
-    """
+    """UUID (version 5) of a request, behind what says that it is of a corridor, or that recorded vehicles react."""
     space = uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo")
     new_id = uuid.uuid5(space, "\n".join([source_id, config_sha256(config), str(seed), str(variant)]))
     says = REACTIVE_PREFIX if config.driving.replay == "reactive" else ""
@@ -225,8 +213,7 @@ def find_in_working_folder() -> None:
 def check_function(name: str, named: Collection[str], *, where: str) -> None:
     """Raise ConfigError for a function "module:function" that is none of `named`: received files import nothing.
 
-    named: hid2's own, and those that the command line, or a configuration or study file on it, names; where: what asks
-    for the function. A name without colon is that of a built-in rule.
+    where: what asks for the function. A name without colon is that of a built-in rule.
     """
     if ":" in name and name not in named:
         raise ConfigError(
@@ -236,10 +223,7 @@ def check_function(name: str, named: Collection[str], *, where: str) -> None:
 
 
 def check_exportable(config: Config) -> None:
-    """Raise ConfigError for what no scene can be made with.
-
-    Traffic that enters and lane changes that nothing guards are for studies alone; events need vehicles as recorded.
-    """
+    """Raise ConfigError for what no scene can be made with: what is for studies alone, events where others react."""
     if config.lane_change.safety == "rule":
         raise ConfigError(
             "lane_change.safety = 'rule': nothing would guard a lane change of a data set, studies alone "
@@ -271,7 +255,7 @@ def config_to_toml(config: Config) -> str:
 def describe_config() -> list[ParameterRow]:
     """Every parameter with default, unit, range and source, by group, then in the order of the tree."""
     rows, group_of = [], {name: group for group, names in GROUPS.items() for name in names}
-    for key, field in _fields().items():
+    for key, field in parameter_fields().items():
         default = field["default"]
         text = ",".join(map(str, default)) if isinstance(default, list) else str(default)
         group = group_of.get(key) or group_of[key.partition(".")[0]]
@@ -284,13 +268,18 @@ def _schema() -> dict[str, Any]:
     return Config.model_json_schema()
 
 
+def event_fields() -> dict[str, dict[str, Any]]:
+    """Every field of an event, as JSON schema has it."""
+    return _columns(parameter_fields()["event"]["items"])
+
+
 def _columns(field: Mapping[str, Any]) -> dict[str, Any]:
     """What is said of each field of a table, by its key; empty where a field is none."""
     named: dict[str, Any] = _schema()["$defs"].get(field.get("$ref", "").rpartition("/")[2], {})
     return named.get("properties", {})  # type: ignore[no-any-return]
 
 
-def _fields() -> dict[str, dict[str, Any]]:
+def parameter_fields() -> dict[str, dict[str, Any]]:
     """Every parameter by its dotted key, in the order of the tree, as JSON schema has it."""
     found: dict[str, dict[str, Any]] = {}
     for name, field in _schema()["properties"].items():
@@ -337,19 +326,19 @@ def _parse_override(text: str) -> tuple[str, object]:
 def _put(data: dict[str, Any], key: str, value: object) -> None:
     """Set a dotted key in place; ConfigError for a key that no parameter has."""
     section, separator, name = key.partition(".")
-    if key not in _fields():
+    if key not in parameter_fields():
         if _is_fixed(section, name, value):
             return
-        raise ConfigError(_unknown(key, value, _fields()))
+        raise ConfigError(_unknown(key, value, parameter_fields()))
     data[section] = {**data.get(section, {}), name: value} if separator else value
 
 
 def _explain(error: ValidationError) -> str:
     """What is wrong first: which key, or of which event, its value and what is expected."""
     first = error.errors(include_url=False)[0]
-    keys, value, fields, where = [*map(str, first["loc"])], first["input"], _fields(), ""
+    keys, value, fields, where = [*map(str, first["loc"])], first["input"], parameter_fields(), ""
     if keys[0] == "event" and len(keys) > 1:
-        fields, where, keys = _columns(fields["event"]["items"]), f"event {int(keys[1]) + 1}: ", keys[2:]
+        fields, where, keys = event_fields(), f"event {int(keys[1]) + 1}: ", keys[2:]
     key = keys[0] if keys and keys[0] in fields else ".".join(keys[:2])
     if first["type"] == "extra_forbidden":
         return where + _unknown(key, value, fields)

@@ -1,12 +1,10 @@
-"""What a person sees of a run: progress and messages on stderr, tables on stdout.
-
-Nothing here imports what is slow to import, so that something is seen before the rest is loaded.
-"""
+"""What a person sees of a run: progress and messages on stderr, tables on stdout. It imports nothing slow."""
 
 import json
 import os
 import shutil
 import sys
+import textwrap
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -15,12 +13,10 @@ from typing import Self
 
 from bridge.files import one_line
 from bridge.interruption import tidied
-from bridge.tables import table_lines
 
 #: Seconds between two looks at what is done.
 _LOOK_S = 0.2
-#: Off a terminal: to the first line, so that it is heard soon that something runs, and to each later one, so that the
-#: log of a night is a thousand lines. No tunables.
+#: Off a terminal: to the first line, and to each later one, so that the log of a night is a thousand lines.
 FIRST_S, EVERY_S = 2.0, 30.0
 #: Of a message, behind the command's name.
 _MOST_CHARACTERS = 1990
@@ -28,6 +24,11 @@ _MOST_CHARACTERS = 1990
 _KNOWN_AFTER_S = 1.0
 #: To the beginning of a terminal's line, and clear it.
 _CLEAR = "\r\x1b[K"
+#: Between two columns, or two fields of a stacked row.
+_GAP = "  "
+_INDENT = "    "
+#: Prose is wrapped to no less than this.
+_PROSE = 16
 
 
 def say(message: str) -> None:
@@ -66,6 +67,55 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
     print(title, *table_lines(columns, rows, width=width), sep="\n")
 
 
+def table_lines(columns: Sequence[str], rows: Sequence[Sequence[object]], *, width: int | None) -> list[str]:
+    """Lines of a table with a head, at most `width` wide where no single word is wider; None: as wide as it needs.
+
+    Text of the last column is wrapped between words. What does not fit so is stacked: below the first value of a row
+    every other one with its name.
+    """
+    # floats to twelve digits, which is more than any is rounded to; a dash for none
+    texts = [[f"{cell:.12g}" if isinstance(cell, float) else str(cell) or "-" for cell in row] for row in rows]
+    numeric = [
+        bool(rows) and all(isinstance(row[k], int | float) and not isinstance(row[k], bool) for row in rows)
+        for k in range(len(columns))
+    ]
+    widths = [max(map(len, column)) for column in zip(columns, *texts, strict=True)]
+    before = sum(widths[:-1]) + len(_GAP) * (len(widths) - 1)
+    if width is not None and before + widths[-1] > width:
+        words = [columns[-1], *(word for row in texts for word in row[-1].split())]
+        widths[-1] = width - before
+        if widths[-1] < max(_PROSE, *map(len, words)):
+            return _stacked(columns, texts, width)
+    lines = []
+    for row in (columns, *texts):
+        *cells, last = (
+            text.rjust(room) if right else text.ljust(room)
+            for text, room, right in zip(row, widths, numeric, strict=True)
+        )
+        first, *more = _wrapped(last, widths[-1])
+        lines += [_GAP.join([*cells, first]).rstrip(), *(" " * before + part for part in more)]
+    lines.insert(1, "-" * (before + widths[-1]))
+    return lines
+
+
+def _wrapped(text: str, width: int) -> list[str]:
+    if len(text) <= width:
+        return [text]
+    return textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False) or [""]
+
+
+def _stacked(columns: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> list[str]:
+    """Each row as its first value and, below it, fields "name: value", as many to a line as fit."""
+    fits, wrap = width - len(_INDENT), textwrap.TextWrapper(width, break_long_words=False, break_on_hyphens=False)
+    wrap.initial_indent = wrap.subsequent_indent = _INDENT
+    lines: list[str] = []
+    for row in rows:
+        fields = [f"{name}: {text}" for name, text in zip(columns[1:], row[1:], strict=True)]
+        whole = _GAP.join(field.replace(" ", "\0") if len(field) <= fits else field for field in fields)
+        lines += [*_wrapped(row[0], width), *(line.replace("\0", " ") for line in wrap.wrap(whole))]
+    return lines
+
+
 def print_json(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
     """Print a table on stdout as a JSON list of one object a row."""
     values = [dict(zip(columns, row, strict=True)) for row in rows]
@@ -75,8 +125,7 @@ def print_json(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None
 class Activity(ExitStack):
     """What is being done, from the start: one line on a terminal, a line now and then elsewhere, none when quiet.
 
-    `doing` names the next piece of work, `show` counts within it, `result` ends it. verbose: how much a command says
-    beyond the usual, 0 to 2; clock: seconds, from any moment on.
+    verbose: how much a command says beyond the usual, 0 to 2; clock: seconds, from any moment on.
     """
 
     def __init__(self, *, quiet: bool, verbose: int = 0, clock: Callable[[], float] = time.monotonic) -> None:

@@ -1,27 +1,126 @@
-"""All commands. Each is a thin shell round functions of the package; imports wait until one is called.
+"""The command: its application, how its help looks, and what is said of an error.
 
-Exit codes: 0 all done, 1 some scene could not be done, 2 usage or configuration, 130 or 143 interrupted. Results go
-to stdout, messages to stderr.
+Each command is a thin shell round functions of the package, which are imported when it is called; it returns whether
+some scene could not be done. Exit codes: 0 all done, 1 some scene could not be done, 2 usage or configuration, 130 or
+143 interrupted. Results go to stdout, messages to stderr.
 """
 
 import os
 import re
 import sys
+from functools import partial
 from itertools import pairwise
+from typing import Annotated, Any
 
-from bridge.cli.app import COMMANDS, application
-from bridge.cli.options import SOME_FAILED, USAGE
+import typer
+from typer.core import TyperCommand, TyperOption
+from typer.exceptions import TyperException
+
+from bridge.cli import generation, measuring, scenes
+from bridge.cli.options import Command, flattened
+from bridge.cli.places import check_given
 from bridge.console import fail
 from netconvert.errors import ConfigError, Hid2Error
 
-__all__ = ["application", "run"]
+SOME_FAILED, USAGE = 1, 2
+#: Commands in the order of the help, that of the work.
+COMMANDS: dict[str, Command] = {
+    name: getattr(module, name)
+    for module, names in (
+        (generation, "generate"),
+        (scenes, "validate scan net export"),
+        (measuring, "evaluate calibrate resimulate study public make paper compose forecast"),
+        (scenes, "view render plot gui example config"),
+    )
+    for name in names.split()
+}
+
+
+class _Command(TyperCommand):
+    """A command with a help that lists options in groups, and wraps values between words instead of cutting them.
+
+    shown: parameters that are listed, all where there are none; --help-all lists all.
+    """
+
+    shown: frozenset[str] = frozenset()
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """As the parser does, which would take the last value of an option that holds one, and drop the others."""
+        for option in self.params:
+            given = sum(word.split("=")[0] in option.opts for word in args)
+            holds_one = isinstance(option, TyperOption) and not (option.multiple or option.count or option.is_flag)
+            if given > 1 and holds_one:
+                raise ConfigError(f"{option.opts[-1]} given {given} times, expected once: it holds one value")
+        return super().parse_args(ctx, args)
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        groups: dict[str, list[tuple[str, str]]] = {}
+        every = self.get_params(ctx)
+        listed = [one for one in every if not self.shown or one.name in self.shown]
+        for parameter in listed:
+            record = parameter.get_help_record(ctx)
+            if record is None:
+                continue
+            name, text = record
+            argument = parameter.param_type_name == "argument"
+            group = "Arguments" if argument else getattr(parameter, "rich_help_panel", None) or "Options"
+            name = str(parameter.metavar) if argument else re.sub(r"<list\[(.*)\]>", r"<\1>", name.strip())
+            groups.setdefault(group, []).append((name, re.sub(r"default: \((.*?)\)(?=[];])", r"default: \1", text)))
+        own = groups.pop("Options", [])
+        for group, records in {**groups, "Options": own}.items():
+            with formatter.section(group):
+                formatter.write_dl(records, col_max=28)
+        if len(listed) < len(every):
+            formatter.write_text(
+                f"{len(every) - len(listed)} more with --help-all; every parameter: hid2 config, --set."
+            )
+
+
+def application(named: str = "", *, every_option: bool = True) -> typer.Typer:
+    """The application with the command that is named, which starts sooner; else with all.
+
+    Commands of which only the first sentence is asked for have no options. every_option: in the help, else the usual.
+    """
+    app = typer.Typer(
+        name="hid2",
+        help="Dense traffic and rare manoeuvres for Argoverse 2 scenes, driven by SUMO (HiD2).",
+        epilog="Exit codes: 0 all done, 1 some scene could not be done, 2 usage or configuration, "
+        "130 or 143 interrupted.",
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    )
+    app.callback()(hid2)
+    for name in (named,) if named in COMMANDS else COMMANDS:
+        one, whole = COMMANDS[name], str(COMMANDS[name].function.__doc__)
+        check = partial(check_given, reads=one.reads, folders=one.folders, files=one.files)
+        made = (lambda: None) if named in {"-h", "--help", "--version"} else flattened(one.function, check)
+        kind = type("_Command", (_Command,), {"shown": frozenset() if every_option else frozenset(one.shown)})
+        app.command(name, cls=kind, help=whole, short_help=whole.split("\n\n")[0])(made)
+    return app
+
+
+def _version(wanted: bool) -> None:  # noqa: FBT001  # typer calls it so
+    if wanted:
+        from importlib.metadata import version
+
+        print(f"hid2 {version('hid2-sumo')}")
+        raise typer.Exit
+
+
+def hid2(
+    *,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Dense traffic and rare manoeuvres for Argoverse 2 scenes, driven by SUMO (HiD2)."""
 
 
 def run() -> int:
     """Run the command, return its exit code; an explained error is a line on stderr, never a traceback."""
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # else every installed distribution is asked for one
-    from typer.exceptions import TyperException
-
     try:
         every_option = "--help-all" in sys.argv
         arguments = ["--help" if one == "--help-all" else one for one in sys.argv[1:]]
@@ -35,7 +134,7 @@ def run() -> int:
         code = SOME_FAILED
     except OSError as error:  # a name that the system refuses, or a folder that may not be read
         code = _failed(f"{error.strerror}: {error.filename or 'the system'}", SOME_FAILED)
-    return code or 0
+    return int(code or 0)
 
 
 #: What the parser of options says, and what is said instead.

@@ -1,26 +1,31 @@
-"""`hid2 generate`."""
+"""`hid2 generate`, and what is said of a batch: a message for every scene that failed, and a table at the end."""
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
+from bridge.batch.manifest import DONE, MANIFEST_NAME
 from bridge.cli import options
-from bridge.cli.app import command
-from bridge.cli.places import check_out, check_scenes
-from bridge.cli.session import select_scenes
-from bridge.console import Activity, fail, print_json, warn
+from bridge.cli.places import check_out, check_scenes, select_scenes
+from bridge.console import Activity, fail, print_json, print_table, say, warn
+from bridge.interruption import if_interrupted
 from netconvert.errors import ConfigError
 
 if TYPE_CHECKING:
+    from bridge.batch.batch import OnRow, Progress
     from bridge.batch.manifest import ManifestRow
     from bridge.recordings.folders import Address
-    from hid2.params import Config
+    from hid2.params import Config, Request
 
+#: A batch with more runs than this is summed up instead of listed; those that failed were told one by one.
+LISTED_RUNS = 24
+#: Reasons shown in a row of the table; manifest.csv has them all.
+_REASONS = 3
 _HELP = "(see hid2 generate --help)"
 _TRIGGER_TIME = "When manoeuvres are triggered, in seconds: a time, a range to draw from, or a list to draw from."
 
 
-@command(
+@options.command(
     shown=(
         "scenes", "out", "agents", "near", "focal", "seed", "variants", "behaviours", "trigger_time", "event", "target",
         "at", "drivers", "config", "settings", "jobs", "resume", "again", "source", "repro", "help",
@@ -30,9 +35,9 @@ def generate(  # noqa: PLR0913  # one for each option
     *,
     scenes: list[Path] | None = options.argument("SCENE", "Scenario folders, split folders or data-set roots.", None),
     out: Path | None = options.output("Folder to write to (required).", None, "OUT", "-o"),
-    request: dict[str, Any] = options.FieldOptions("Request", options.request),  # type: ignore[assignment]
+    request: dict[str, Any] = options.FieldOptions("request", options.request),  # type: ignore[assignment]
     behaviours: str | None = options.request(
-        f"Shares of {', '.join(options.BEHAVIOURS)}; those not named get none.",
+        f"Shares of {options.BEHAVIOURS}; those not named get none.",
         None,
         "NAME=SHARE,...",
         show_default="straight=0.73,left_turn=0.035,right_turn=0.035,lane_change=0.15,overtake=0.05",
@@ -40,35 +45,27 @@ def generate(  # noqa: PLR0913  # one for each option
     trigger_time: str | None = options.request(
         _TRIGGER_TIME, None, "S|A:B|S,S,...", show_default="0.5 to 36 % of the scene, 4 s at most"
     ),
-    without: list[str] = options.request(
-        "Ablation: leave a component out; repeatable.", [], choices=options.COMPONENTS
+    without: list[options.ComponentName] = options.request("Ablation: leave a component out; repeatable.", []),
+    event: list[options.EventName] = options.event(
+        "An event with a recorded vehicle, searched until it comes about; repeatable, with the same options.", []
     ),
-    event: list[str] = options.event(
-        "An event with a recorded vehicle, searched until it comes about; repeatable, with the same options.",
-        [],
-        choices=options.EVENTS,
-    ),
-    events: dict[str, Any] = options.FieldOptions("Event", options.event),  # type: ignore[assignment]
+    events: dict[str, Any] = options.FieldOptions("event", options.event),  # type: ignore[assignment]
     criticality: list[str] = options.event(
         "Only events within this band of TTC or PET in seconds, or DRAC in m/s2; repeatable.",
         [],
         "ttc=A:B|pet=A:B|drac=A:B",
     ),
-    others: dict[str, Any] = options.FieldOptions("Config", options.parameter),  # type: ignore[assignment]
+    others: dict[str, Any] = options.FieldOptions("others", options.parameter),  # type: ignore[assignment]
     drivers: Path | None = options.parameter("Drivers as `hid2 calibrate` measured them.", None, "DRIVERS.toml"),
     config: Path | None = options.CONFIG,
     settings: list[str] = options.SETTINGS,
     which: options.Which,
     windows: options.Windows,
-    formats: list[str] = options.output(
-        "A format to write beside Argoverse 2's: sequences in OUT/argoverse1. Repeatable.",
-        [],
-        None,
-        "--format",
-        choices=("argoverse1",),
+    formats: list[Literal["argoverse1"]] = options.output(
+        "A format to write beside Argoverse 2's: sequences in OUT/argoverse1. Repeatable.", [], None, "--format"
     ),
-    record: list[str] = options.output(
-        "Write more beside each scene; gaps: every look at a gap, gaps_<id>.csv.gz.", [], choices=("gaps",)
+    record: list[Literal["gaps"]] = options.output(
+        "Write more beside each scene; gaps: every look at a gap, gaps_<id>.csv.gz.", []
     ),
     batch: options.Batch,
     scene_memory: int = options.running("Memory beyond which a scene is ended and quarantined.", 4000, "MB", min=500),
@@ -84,7 +81,7 @@ def generate(  # noqa: PLR0913  # one for each option
     ),
     as_json: bool = options.AS_JSON,
     activity: Activity,
-) -> int:
+) -> bool:
     """Write denser scenes: insert vehicles with the behaviours asked for among the recorded ones.
 
     The first time: hid2 generate av2/val -o out --agents 20 --jobs 4
@@ -116,10 +113,9 @@ def generate(  # noqa: PLR0913  # one for each option
     from bridge.recordings.sources import described, find_sources
     from bridge.toml import parse_value
 
-    flags: dict[str, Any] = {f"request.{key}": value for key, value in request.items() if value is not None}
+    flags: dict[str, Any] = {key: value for key, value in (request | others).items() if value is not None}
     if "request.agents" in flags:
         flags["request.agents"] = parse_value(flags["request.agents"])
-    flags |= {key: value for key, value in others.items() if value is not None}
     flags |= {"without": without} if without else {}
     flags |= read_drivers(drivers) if drivers is not None else {}
     flags |= parse_behaviours(behaviours) if behaviours is not None else {}
@@ -131,16 +127,11 @@ def generate(  # noqa: PLR0913  # one for each option
     activity.note(*described(folders))
     if formats:
         _check_sequences(folders, resolved)
-    if any(which):  # else nothing need be imported that reads scenes
-        from bridge.batch.scan import Selection
-
-        folders = select_scenes(folders, Selection(*which, resolved.request.seed), activity, jobs=batch.jobs)
-
+    folders = select_scenes(folders, which, resolved.request.seed, activity, jobs=batch.jobs)
     if loose := sum(split_of(folder) is None for folder in folders):
         activity.note(f"{loose} of {len(folders)} scenes in no folder train, val or test: no split in {out} has them")
-    from bridge.batch.batch import Options, plan, run_batch
+    from bridge.batch.batch import plan, run_batch
     from bridge.batch.requested import came_about_nowhere, check_request, check_same_request, named_behaviours
-    from bridge.cli.batch_display import LISTED_RUNS, notes_of, print_batch
 
     jobs_wanted = plan(folders, resolved)
     if not append:
@@ -148,11 +139,8 @@ def generate(  # noqa: PLR0913  # one for each option
     activity.doing("looking at the first scenes")
     named = named_behaviours(resolved.request, by_option=behaviours is not None)
     check_request(folders, resolved, named, jobs=batch.jobs)
-    how = Options(
-        jobs=batch.jobs, scheduler=batch.scheduler, timeout_s=batch.scene_timeout, resume=resume,
-        memory_mb=scene_memory, argoverse1=bool(formats),
-        gaps=bool(record), functions=functions_of(resolved),
-    )  # fmt: skip
+    beside = {"argoverse1": bool(formats), "gaps": bool(record)}
+    how = batch.options(resume=resume, memory_mb=scene_memory, functions=functions_of(resolved), **beside)
     activity.doing("generating")
     activity.show(0, sum(len(job.runs) for job in jobs_wanted))
     rows = run_batch(jobs_wanted, out, how, on_row=notes_of(activity, out, go_on="continue with --resume"))
@@ -162,38 +150,31 @@ def generate(  # noqa: PLR0913  # one for each option
     elif not activity.quiet:
         print_batch(rows, resolved.request)
         paths = [out / row.folder for row in rows if row.folder] if len(rows) <= LISTED_RUNS else []
-        activity.result(*paths, out / "manifest.csv")
-    return _ended(rows, came_about_nowhere(rows, resolved, named), out)
+        activity.result(*paths, out / MANIFEST_NAME)
+    nowhere = came_about_nowhere(rows, resolved, named)
+    if nowhere:
+        fail(f"{', '.join(nowhere)}: asked for, and came about in no scene; {out / MANIFEST_NAME} has the reasons")
+    return bool(nowhere) or any(row.status != DONE for row in rows)
 
 
 def _check_sequences(folders: Sequence["Address"], config: "Config") -> None:
     """Errors: ConfigError for what cannot be written as sequences of Argoverse 1."""
     from bridge.recordings.folders import Source
 
-    others = [folder for folder in folders if not (isinstance(folder, Source) and folder.format == "argoverse1")]
-    wrong = {
-        f": {others[0] if others else ''} is no Argoverse 1 sequence, expected these alone": bool(others),
-        " with --focal generated: its AGENT is recorded, expected one of the two": config.request.focal == "generated",
-        " with driving.replay = 'reactive': no scene of Argoverse, expected one": config.driving.replay == "reactive",
-    }
-    for said in (said for said, is_so in wrong.items() if is_so):
-        raise ConfigError(f"--format argoverse1{said}")
-
-
-def _ended(rows: Sequence["ManifestRow"], nowhere: Sequence[str], out: Path) -> int:
-    """The exit code: 1 where a scene could not be done, or where something asked for came about in no scene at all."""
-    from bridge.batch.manifest import DONE
-
-    if nowhere:
-        fail(f"{', '.join(nowhere)}: asked for, and came about in no scene; {out / 'manifest.csv'} has the reasons")
-    return options.SOME_FAILED if nowhere or any(row.status != DONE for row in rows) else options.ALL_DONE
+    for folder in folders:
+        if not (isinstance(folder, Source) and folder.format == "argoverse1"):
+            raise ConfigError(f"--format argoverse1: {folder} is no Argoverse 1 sequence, expected these alone")
+    if config.request.focal == "generated":
+        raise ConfigError("--format argoverse1 with --focal generated: its AGENT is recorded, expected one of the two")
+    if config.driving.replay == "reactive":
+        raise ConfigError("--format argoverse1 with driving.replay = 'reactive': no scene of Argoverse, expected one")
 
 
 def _make_again(
     sidecar: Path, source: Path | None, out: Path | None, map_path: Path | None, functions: Sequence[str],
     activity: Activity, *, given: bool
-) -> int:  # fmt: skip
-    """Make the scene of a sidecar again, and compare it with what lies beside the sidecar. Returns the exit code."""
+) -> bool:  # fmt: skip
+    """Make the scene of a sidecar again, and compare it with what lies beside the sidecar."""
     if not (sidecar.is_file() and sidecar.match("hid2_*.json")):
         wrong = "is no sidecar" if sidecar.exists() else "no such file"
         raise ConfigError(f"--from {sidecar}: {wrong}, expected that of a generated scene, hid2_<id>.json")
@@ -211,11 +192,11 @@ def _make_again(
     if made.compared and not made.differences:
         apart = f", but for what the sidecar says of the program: {made.program}" if made.program else ""
         activity.note(f"the same, bit for bit, as {sidecar.parent}{apart}")
-    return options.SOME_FAILED if made.differences else options.ALL_DONE
+    return bool(made.differences)
 
 
-def _reproduce(bundle_path: Path, out: Path | None, functions: Sequence[str], activity: Activity) -> int:
-    """Run a bundle; without an output folder nothing is kept. Returns the exit code."""
+def _reproduce(bundle_path: Path, out: Path | None, functions: Sequence[str], activity: Activity) -> bool:
+    """Run a bundle; without an output folder nothing is kept."""
     from zipfile import is_zipfile
 
     if not bundle_path.is_file() or not is_zipfile(bundle_path):
@@ -225,7 +206,6 @@ def _reproduce(bundle_path: Path, out: Path | None, functions: Sequence[str], ac
         check_out(out)
     activity.doing("running the scene of the bundle")
     from bridge.batch.batch import reproduce
-    from bridge.batch.manifest import DONE
 
     bundle, row = reproduce(bundle_path, out, functions=functions)
     activity.end()
@@ -234,4 +214,74 @@ def _reproduce(bundle_path: Path, out: Path | None, functions: Sequence[str], ac
     print(f"now:  {'done' if row.status == DONE else f'{row.failure}: {row.reason}'}")
     if bundle.failure.details:
         print(bundle.failure.details)
-    return options.ALL_DONE if row.status == DONE else options.SOME_FAILED
+    return row.status != DONE
+
+
+def notes_of(activity: Activity, out: Path, *, go_on: str) -> "OnRow":
+    """Tells an activity what becomes of a batch's runs; when it is verbose, of those that succeed too."""
+
+    def note(row: "ManifestRow", progress: "Progress") -> None:
+        if_interrupted(f"finished scenes are in {out / MANIFEST_NAME}; {go_on}")
+        if row.status != DONE:
+            say(
+                f"warning: {row.scenario} variant {row.variant}: {row.failure}: {row.reason}\n"
+                f"  to see it again: hid2 generate --repro {out / row.bundle}"
+            )
+        elif activity.verbose:
+            placed = f"{row.placed} of {row.asked} placed, {row.seconds:.1f} s"
+            say(f"{row.scenario} variant {row.variant}: {placed}")
+        details = f" ({progress.skipped} complete before, {progress.quarantined} quarantined)"
+        activity.show(progress.finished - progress.skipped, progress.total - progress.skipped, details)
+
+    return note
+
+
+def print_batch(rows: Sequence["ManifestRow"], request: "Request") -> None:
+    """Print what happened, run by run when there are few, and the sums."""
+    if len(rows) <= LISTED_RUNS:
+        with_events = any(row.events_requested for row in rows)
+        head = ("scene", "variant", "placed", "left", "right", "changes", "overtakes", "manoeuvres")
+        listed = (*head, *(("events",) if with_events else ()), "s", "remarks")
+        print_table("Generated scenes", listed, [_line(row, with_events=with_events) for row in rows])
+    done = [row for row in rows if row.status == DONE]
+    most = any(row.asked == "max" for row in done)
+    asked = "" if most else f" of {sum(int(row.asked) for row in done)}"
+    events = sum(row.events_requested for row in done)
+    target = f"{request.near} at the last observed step" if request.is_near_agents else "traffic"
+    print(
+        f"{len(done)} of {len(rows)} scenes done; vehicles placed: {sum(row.placed for row in done)}{asked}, "
+        f"{sum(row.near for row in done)} of them within {request.within_m:g} m of {target}; "
+        f"manoeuvres done: {sum(row.maneuvers_done for row in done)} of {sum(row.maneuvers_requested for row in done)}"
+    )
+    if events:
+        print(f"events done: {sum(row.events_done for row in done)} of {events}")
+
+
+def _line(row: "ManifestRow", *, with_events: bool) -> tuple[object, ...]:
+    if row.status != DONE:
+        blank = ("-",) * (7 if with_events else 6)
+        return (row.scenario, row.variant, *blank, row.seconds, f"{row.failure}: {row.reason}")
+    said = {"events": row.events, "not done": row.not_done}
+    if row.asked == "max" or row.placed < int(row.asked):
+        said["candidates rejected"] = row.rejected
+    remarks = "; ".join(f"{what}: {_first(reasons)}" for what, reasons in said.items() if reasons)
+    return (
+        row.scenario,
+        row.variant,
+        f"{row.placed} of {row.asked}",
+        row.left_turn,
+        row.right_turn,
+        row.lane_change,
+        row.overtake,
+        f"{row.maneuvers_done} of {row.maneuvers_requested}",
+        *((f"{row.events_done} of {row.events_requested}",) if with_events else ()),
+        round(row.seconds, 2),
+        remarks or "-",
+    )
+
+
+def _first(reasons: str) -> str:
+    """The most frequent reasons, and how many kinds more there are."""
+    each = reasons.split("; ")
+    more = f", {len(each) - _REASONS} more in manifest.csv" if len(each) > _REASONS else ""
+    return ", ".join(each[:_REASONS]) + more

@@ -1,19 +1,19 @@
-"""`hid2 evaluate`, `study`, `public` and `paper`: from scenes to figures and tables."""
+"""`hid2 evaluate`, `calibrate`, `study`, `paper`, `compose` ...: from scenes to figures, tables and data sets."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
 from bridge.cli import options
-from bridge.cli.app import command
-from bridge.cli.places import check_out, check_scenes
-from bridge.cli.session import tell_unread
-from bridge.console import Activity, counted, say
+from bridge.cli.generation import notes_of
+from bridge.cli.places import check_out, check_scenes, tell_unread
+from bridge.console import Activity, counted, print_json, say
 from bridge.files import data_folder
+from bridge.interruption import if_interrupted
 from netconvert.errors import ConfigError
 
 
-@command(reads=("out", "source", "control"), folders=("report",))
+@options.command(reads=("out", "source", "control"), folders=("report",))
 def evaluate(
     out: Path = options.argument(
         "SCENES", "Scenes to measure, generated or recorded: a scenario folder, a split folder or a root."
@@ -39,7 +39,7 @@ def evaluate(
     jobs: int = options.JOBS,
     as_json: bool = options.output("With --predictions: print the table as JSON.", False, None, "--json"),
     activity: Activity,
-) -> int:
+) -> bool:
     """Measure density, diversity, safety, kinematics and realism of any number of scenes, or score forecasts."""
     if as_json and not predictions:
         raise ConfigError("--json without --predictions: the tables of scenes are files; expected the two together")
@@ -66,10 +66,10 @@ def evaluate(
         + (f"; {left_out} not readable, left out" if left_out else "")
     )
     activity.result(report / "report.html")
-    return options.SOME_FAILED if evaluation.failures else options.ALL_DONE
+    return bool(evaluation.failures)
 
 
-@command(reads=("scenes",), files=("out",))
+@options.command(reads=("scenes",), files=("out",))
 def calibrate(
     scenes: list[Path] = options.argument("SCENE...", "Recorded scenes: scenario folders, splits or roots."),
     out: Path = options.output(
@@ -79,7 +79,7 @@ def calibrate(
     without: list[str] = options.option("Leave a scene out, such as one to generate from; repeatable.", [], "ID"),
     jobs: int = options.JOBS,
     activity: Activity,
-) -> int:
+) -> bool:
     """Measure how people drive in recorded scenes, for `hid2 generate --drivers`."""
     from bridge.evaluation.calibrate import calibrate_folder
 
@@ -87,10 +87,10 @@ def calibrate(
     failures = calibrate_folder(scenes, out, without=without, jobs=jobs, on_scene=activity.show)
     tell_unread(failures)
     activity.result(out, out.with_name(f"{out.stem}.html"))
-    return options.SOME_FAILED if failures else options.ALL_DONE
+    return bool(failures)
 
 
-@command(reads=("scenes",), folders=("out",))
+@options.command(reads=("scenes",), folders=("out",))
 def resimulate(
     scenes: list[Path] = options.argument(
         "SCENE...", "Recorded scenes, two at least: scenario folders, splits or roots."
@@ -105,7 +105,7 @@ def resimulate(
     seed: int = options.option("Seed of every random choice.", 0, "N", min=0),
     jobs: int = options.JOBS,
     activity: Activity,
-) -> int:
+) -> bool:
     """Take recorded vehicles out, drive them by SUMO, and score that as simulated agents are ("WOSAC-like")."""
     from bridge.evaluation.resimulate import Plan, resimulate_folders
 
@@ -114,10 +114,10 @@ def resimulate(
     failures = resimulate_folders(scenes, out, plan, jobs=jobs, on_scene=activity.show)
     tell_unread(failures)
     activity.result(out / "resimulation.html")
-    return options.SOME_FAILED if failures else options.ALL_DONE
+    return bool(failures)
 
 
-@command(reads=("scenes",), folders=("out",))
+@options.command(reads=("scenes",), folders=("out",))
 def study(
     file: Path = options.argument("STUDY.toml", "The study, as those in data/studies."),
     out: Path = options.OUT,
@@ -133,14 +133,12 @@ def study(
     ),
     batch: options.Batch,
     activity: Activity,
-) -> int:
+) -> bool:
     """Run a parameter study. Called again, it continues: completed runs are skipped."""
-    from bridge.batch.batch import Options
-    from bridge.cli.batch_display import notes_of
     from bridge.studies.run import run_study
     from bridge.studies.study import read_study
 
-    how = Options(jobs=batch.jobs, scheduler=batch.scheduler, timeout_s=batch.scene_timeout, resume=True)
+    how = batch.options(resume=True)
     activity.doing("reading the study and its scenes")
     found = read_study(file, scenes=scenes)
     if plan is not None:
@@ -150,28 +148,26 @@ def study(
         lines = list(plan_text(found, out, plan))
         activity.end()
         print(*lines, sep="\n")
-        return options.ALL_DONE
+        return False
     activity.doing("driving")
     activity.show(0, sum(len(job.runs) for job in found.jobs))
     report = run_study(found, out, how, trj=trj, on_row=notes_of(activity, out, go_on="the same command continues"))
     activity.result(*report.files)
-    return options.SOME_FAILED if report.failed else options.ALL_DONE
+    return bool(report.failed)
 
 
-@command(folders=("out",))
+@options.command(folders=("out",))
 def public(
     file: Path = options.argument("PAGE.toml", "Roads, published counts and rules, as data/public/ngsim.toml."),
     out: Path = options.OUT,
     *,
     batch: options.Batch,
     activity: Activity,
-) -> int:
+) -> bool:
     """Lane changes on public roads, published beside simulated, for rules untuned and tuned. Can be continued."""
-    from bridge.batch.batch import Options
-    from bridge.cli.batch_display import notes_of
     from bridge.studies.public_roads import read_public, run_public
 
-    how = Options(jobs=batch.jobs, scheduler=batch.scheduler, timeout_s=batch.scene_timeout)
+    how = batch.options()
     page = read_public(file)
     activity.doing("driving roads")
     report = run_public(page, out, how, on_row=notes_of(activity, out, go_on="the same command continues"))
@@ -179,10 +175,10 @@ def public(
         f"{counted(report.runs, 'run')} that took {report.seconds:.0f} s in all, {report.failed or 'none'} failed"
     )
     activity.result(*report.files)
-    return options.SOME_FAILED if report.failed else options.ALL_DONE
+    return bool(report.failed)
 
 
-@command(folders=("out",))
+@options.command(folders=("out",))
 def make(
     what: Literal["corridor", "arterial"] = options.argument(
         "WHAT", "corridor: a straight one-way road; arterial: two lanes with signals, data/public/arterial.toml."
@@ -213,7 +209,7 @@ def make(
     print(write_road(out, road))
 
 
-@command()
+@options.command()
 def paper(  # noqa: PLR0913  # one for each option
     experiment: options.ExperimentName = options.argument(
         "EXPERIMENT", "One of table1, ablation, density, diversity, prediction."
@@ -285,8 +281,8 @@ def _check_fits(experiment: str, prediction: Mapping[str, object], others: Mappi
 
 def _score(
     out: Path, files: list[str], bands: str, report: Path, activity: Activity, *, jobs: int, as_json: bool
-) -> int:
-    """Score forecasts, or compare those of several files; returns the exit code."""
+) -> bool:
+    """Score forecasts, or compare those of several files; returns whether some scene was left out."""
     try:
         bounds = [int(band) for band in bands.split(",")]
     except ValueError:
@@ -313,4 +309,107 @@ def _score(
         say(f"warning: not scored: {reason}")
     activity.table(title, head, rows, as_json=as_json)
     activity.result(*(() if as_json else (report / page,)))
-    return options.SOME_FAILED if left_out else options.ALL_DONE
+    return bool(left_out)
+
+
+#: Lines on what was left out that are shown without -v.
+_SHOWN = 10
+
+
+@options.command(folders=("out",))
+def compose(
+    sources: list[str] = options.argument(
+        "COMPOSITION.toml|SOURCE[:N]",
+        "A composition, or sources of scenes and how many of each: a number, a share (0.5) or all.",
+    ),
+    *,
+    out: Path | None = options.output("Data-set root to make (required).", None, "ROOT", "-o"),
+    check: bool = options.output("Make nothing: check composed roots for leaks.", False),
+    jobs: int = options.JOBS,
+    as_json: bool = options.AS_JSON,
+    activity: Activity,
+) -> bool:
+    """Make data-set roots of recorded and generated scenes for training and validation, without leaks.
+
+    With SOURCEs one root is made, split by place, a tenth for validation. A composition can make several, the control
+    experiments among them, with other splits, densities, layouts and seeds.
+    """
+    if check:
+        return _check([Path(text) for text in sources], activity, jobs=jobs, as_json=as_json)
+    if out is None:
+        raise ConfigError("missing -o/--out (see hid2 compose --help)")
+    from bridge.forecasting.compose import compose as make
+    from bridge.forecasting.composition import Composition, composition_of_sources
+    from bridge.toml import read_toml_as
+
+    if len(sources) == 1 and sources[0].endswith(".toml"):
+        found = read_toml_as(Composition, Path(sources[0]), "a composition")
+    else:
+        found = composition_of_sources(sources)
+    check_scenes([Path(place) for places in found.sources.values() for place in places])
+    made = make(found, out, jobs=jobs, on_scene=activity.step)
+    shown = len(made.left_out) if activity.verbose else _SHOWN
+    for line in made.left_out[:shown]:
+        say(f"warning: left out: {line}")
+    if len(made.left_out) > shown:
+        say(f"warning: left out: {len(made.left_out) - shown} more (-v lists them)")
+    activity.table(f"{out}: scenes", ("data set", "train", "val", "test"), made.rows(), as_json=as_json)
+    return False
+
+
+def _check(roots: list[Path], activity: Activity, *, jobs: int, as_json: bool) -> bool:
+    """Look for leaks; returns whether there are any."""
+    check_scenes(roots)
+    activity.doing("looking for leaks")
+    from bridge.forecasting.compose import check_leaks
+
+    leaks = [leak for root in roots for leak in check_leaks(root, jobs=jobs, on_scene=activity.show)]
+    activity.end()
+    if as_json:
+        print_json(("folder", "other", "why"), leaks)
+    else:
+        for leak in leaks:
+            print(leak.text())
+    activity.note(f"{', '.join(map(str, roots))}: {len(leaks) or 'no'} leak{'' if len(leaks) == 1 else 's'}")
+    return bool(leaks)
+
+
+@options.command(reads=("root", "scenes"), folders=("out",))
+def forecast(
+    root: Path = options.argument("ROOT", "A data-set root with train/ and val/, as compose makes."),
+    out: Path = options.output("Folder for checkpoint.pt and predictions.parquet.", ..., "MODEL", "-o"),
+    *,
+    scenes: Path | None = options.option("Scenes to forecast.", None, "DIR", show_default="ROOT/val"),
+    updates: int | None = options.option("Updates of the training.", None, "N", min=1, show_default="300"),
+    seed: int = options.option("Seed of weights and batches.", 0, "N", min=0),
+    resume: bool = options.running("Go on from MODEL/checkpoint.pt.", False),
+    activity: Activity,
+) -> None:
+    """Train a small forecaster and write its forecasts of the focal tracks (needs the extra `forecast`).
+
+    VectorNet with six futures: an instrument to compare data sets with, no state of the art.
+    """
+    from bridge.forecasting.small_forecaster import small_forecaster
+
+    features, network = small_forecaster()
+    from bridge.evaluation.predictions import write_forecasts
+    from bridge.recordings.folders import find_scenarios
+    from hid2.params import Forecasting
+
+    updates = updates or Forecasting().updates
+    targets = []
+    for place in (root / "train", scenes or root / "val"):
+        activity.doing(f"reading {place}")
+        found, left_out = features.features_of(find_scenarios(place), on_scene=activity.show)
+        targets.append(found)
+        for line in left_out:
+            say(f"warning: not used: {line}")
+    activity.doing("training")
+    if_interrupted("continue with --resume")
+    model = network.train(
+        targets[0], out / "checkpoint.pt", updates=updates, seed=seed, resume=resume, on_update=activity.show
+    )
+    activity.doing("forecasting")
+    path = write_forecasts(network.forecast(model, targets[1]), out / "predictions.parquet")
+    activity.end()
+    print(path)

@@ -5,53 +5,45 @@ of options) stands for all of that group, and one with `FieldOptions` as its def
 method, from which name, type, range, default and sentence come.
 """
 
+import io
+import logging
+import os
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from copy import copy
 from enum import StrEnum
 from functools import partial, wraps
 from inspect import Parameter, signature
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 import typer
+from typer.models import OptionInfo
 
-from bridge.cli.session import set_up
-from bridge.console import Activity
-from bridge.recordings.folders import SPLITS, Choices
+from bridge.console import Activity, say
+from bridge.recordings.folders import Choices
 from hid2.policies import Policy
 from netconvert.errors import ConfigError
 
-ALL_DONE, SOME_FAILED, USAGE = 0, 1, 2
+if TYPE_CHECKING:
+    from bridge.batch.batch import Options
 
 # Choices, written out because what they mirror is slow to import; tests/cli/test_options.py compares them.
-EVENTS = ("cut_in", "overtake", "lead", "follow", "merge", "cross")
-BEHAVIOURS = tuple(policy.value for policy in Policy)
-COMPONENTS = ("topology", "collision", "smoothing")
+EventName = Literal["cut_in", "overtake", "lead", "follow", "merge", "cross"]
+ComponentName = Literal["topology", "collision", "smoothing"]
+SplitName = Literal["train", "val", "test"]
 ExperimentName = Literal["table1", "ablation", "density", "diversity", "prediction"]
 LanesName = Literal["cells", "whole"]
 FormatName = Literal["openscenario", "opendrive", "commonroad", "trj", "sumo", "fcd"]
 ReadingName = Literal["recorded", "generated", "both"]
+BEHAVIOURS = ", ".join(policy.value for policy in Policy)
 
 
-class _Option(NamedTuple):
-    """An option before its parameter's name and type are known."""
-
-    says: str
-    default: Any
-    metavar: str | None
-    names: tuple[str, ...]
-    choices: Sequence[str]
-    more: Mapping[str, Any]
-
-
-def option(
-    says: str, default: Any = ..., metavar: str | None = None, *names: str, choices: Sequence[str] = (), **more: Any
-) -> Any:  # it stands for a value of any type
-    """An option, required where it has no default.
-
-    names: beside --parameter-name, or instead of it; choices: of an option that may be repeated; others: `Literal`.
-    """
-    return _Option(says, default, metavar, names, choices, more)
+def option(says: str, default: Any = ..., metavar: str | None = None, *names: str, **more: Any) -> Any:
+    """An option, required where it has no default. names: beside --parameter-name, or instead of it."""
+    shown = {"help": says, "metavar": metavar, "show_default": not isinstance(default, list)}
+    return typer.Option(default, *names, **shown | more)
 
 
 request = partial(option, rich_help_panel="What to generate")
@@ -63,64 +55,95 @@ output = partial(option, rich_help_panel="Output")
 prediction = partial(option, rich_help_panel="With prediction")
 
 
-def argument(metavar: str, says: str, default: Any = ...) -> Any:  # it stands for a value of any type
+def argument(metavar: str, says: str, default: Any = ...) -> Any:
     """An argument by its place, required where it has no default."""
     return typer.Argument(default, metavar=metavar, help=says, show_default=False)
 
 
 class FieldOptions(NamedTuple):
-    """An option for each field of a section of parameters that names a metavar: values by field, of those given.
+    """An option for each field that names a metavar, of the request, of an event, or of all other sections.
 
-    Of "Config" that is of all its sections but the request's: values by section.field.
+    Values by section.field, of an event by field; None for those not given.
     """
 
-    section: str
+    section: Literal["request", "event", "others"]
     make: Callable[..., Any]
 
     def parameters(self) -> dict[str, Parameter]:
-        """Parameters of the command by the names of the fields."""
-        from pydantic import BaseModel
+        """Parameters of the command by the keys of the fields."""
+        from bridge.config import event_fields, parameter_fields
 
-        from hid2 import params
-
-        section = getattr(params, self.section)
-        if section is params.Config:
-            parts = {name: type(one).__name__ for name, one in section() if isinstance(one, BaseModel)}
-            every = {
-                name: FieldOptions(part, self.make).parameters() for name, part in parts.items() if part != "Request"
-            }
-            return {f"{name}.{key}": one for name, found in every.items() for key, one in found.items()}
-        said = section.model_json_schema()["properties"].items()
+        every = event_fields() if self.section == "event" else parameter_fields()
         return {
-            key: self._parameter(key, section.model_fields[key].annotation, of) for key, of in said if "metavar" in of
+            key: self._parameter(key.rpartition(".")[2], field)
+            for key, field in every.items()
+            if "metavar" in field and key.startswith("request.") is (self.section == "request")
         }
 
-    def _parameter(self, key: str, kind: Any, said: Mapping[str, Any]) -> Parameter:
+    def _parameter(self, key: str, said: Mapping[str, Any]) -> Parameter:
         from bridge.config import option_name
 
         name, names = option_name(key), tuple[str, ...]()
+        kind: Any = {"integer": int, "number": float, "boolean": bool}.get(said.get("type", ""), str)
+        if "enum" in said:
+            kind = Literal[tuple(said["enum"])]
         more = {"show_default": said["shown"] or False, "min": said.get("minimum"), "max": said.get("maximum")}
         if kind is bool:
             names, more["show_default"] = (f"--{name}/--no-{name}",), name if said["default"] else f"no-{name}"
         made = self.make(f"{said['source']}.", None, said["metavar"] or None, *names, **more)
-        known = kind in (int, float, bool) or get_origin(kind) is Literal
-        return _parameter(name.replace("-", "_"), kind if known else str, made)
+        return _parameter(name.replace("-", "_"), kind, made)
 
 
-def _parameter(name: str, kind: Any, default: Any) -> Parameter:  # any type and value
+def _parameter(name: str, kind: Any, default: Any) -> Parameter:
     """A parameter as typer takes it."""
-    if isinstance(default, _Option):
-        says, value, metavar, names, choices, more = default
-        many = isinstance(value, list)
-        if choices:  # of lists typer takes enumerations alone, of texts
-            kind = list[StrEnum("Choice", {choice: choice for choice in choices})]  # type: ignore[misc]
-        if kind is bool or "count" in more:
-            metavar = ""
-        if not any(part.startswith("--") for part in names):
-            names = (*names, f"--{name.replace('_', '-')}")
-        default = typer.Option(value, *names, **{"help": says, "metavar": metavar, "show_default": not many, **more})
-        kind = kind | None if value is None else kind
+    if isinstance(default, OptionInfo):
+        default = copy(default)
+        if get_origin(kind) is list and get_origin(one := get_args(kind)[0]) is Literal:
+            kind = list[StrEnum("Choice", {name: name for name in get_args(one)})]  # type: ignore[misc]  # as typer has it
+        if kind is bool or default.count:
+            default.metavar = ""
+        if not any(part.startswith("--") for part in default.param_decls or ()):
+            default.param_decls = (*(default.param_decls or ()), f"--{name.replace('_', '-')}")
+        kind = kind | None if default.default is None else kind
     return Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+
+
+class _Handler(logging.Handler):
+    """Messages of the packages look as those of the command, and appear beside a bar, not in it."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        say(f"{record.levelname.lower()}: {record.getMessage()}")
+
+
+def _set_up(*, verbose: int = 0, quiet: bool = False) -> None:
+    """Logging as asked for; no figure opens a window, and names of any bytes can be printed."""
+    wanted = logging.ERROR if quiet else logging.WARNING
+    level = (wanted, logging.INFO, logging.DEBUG)[min(verbose, 2)]
+    logging.basicConfig(level=logging.WARNING, handlers=[_Handler()])
+    for package in ("bridge", "hid2", "netconvert"):
+        logging.getLogger(package).setLevel(level)
+    os.environ.setdefault("MPLBACKEND", "Agg")
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
+
+
+class Command(NamedTuple):
+    """A function that is a command; it returns whether some scene could not be done.
+
+    reads: its parameters that are scenes to read; folders, files: those that are written; each is checked before the
+    function is called. shown: parameters that `--help` lists, if not all.
+    """
+
+    function: Callable[..., Any]
+    reads: Sequence[str] = ()
+    folders: Sequence[str] = ()
+    files: Sequence[str] = ()
+    shown: Sequence[str] = ()
+
+
+def command(**about: Sequence[str]) -> Callable[[Callable[..., Any]], Command]:
+    """A function is a command; about: as `Command` has it."""
+    return lambda function: Command(function, **about)
 
 
 def flattened(function: Callable[..., Any], check: Callable[[Mapping[str, Any]], None]) -> Callable[..., Any]:
@@ -147,7 +170,7 @@ def flattened(function: Callable[..., Any], check: Callable[[Mapping[str, Any]],
 
     @wraps(function)
     def called(**values: Any) -> object:
-        set_up(verbose=values.get("verbose", 0), quiet=values.get("quiet", False))
+        _set_up(verbose=values.get("verbose", 0), quiet=values.get("quiet", False))
         for text in values.get("settings") or ():  # before what is behind it is taken for a scene
             if "=" not in text:
                 raise ConfigError(f"--set {text!r}: expected section.key=value")
@@ -213,9 +236,9 @@ class Which(NamedTuple):
 
     min_agents: int = selection("Only scenes with at least N recorded tracks.", 0, "N", min=0)
     city: list[str] = selection("Only scenes of this city; repeatable.", [], "CITY")
-    split: list[str] = selection("Only scenes of this split; repeatable.", [], choices=SPLITS)
+    split: list[SplitName] = selection("Only scenes of this split; repeatable.", [])
     can: list[str] = selection(
-        f"Only scenes with room for this: {', '.join(BEHAVIOURS)}, an event as cut_in:av or lead:focal, or a behaviour "
+        f"Only scenes with room for this: {BEHAVIOURS}, an event as cut_in:av or lead:focal, or a behaviour "
         "of your own as MODULE:NAME; repeatable.", [], "WHAT",
     )  # fmt: skip
     sample: int | None = selection("N of the selected scenes, drawn with the seed.", None, "N", min=1)
@@ -227,3 +250,9 @@ class Batch(NamedTuple):
     jobs: int = JOBS
     scheduler: str | None = running("A running Dask scheduler, tcp://HOST:PORT.", None, "ADDRESS")
     scene_timeout: float = running("Seconds after which a scene is ended and quarantined.", 300.0, "S", min=1)
+
+    def options(self, **more: Any) -> "Options":
+        """As `run_batch` takes it, with more of its options. Errors: ConfigError."""
+        from bridge.batch.batch import Options
+
+        return Options(jobs=self.jobs, scheduler=self.scheduler, timeout_s=self.scene_timeout, **more)

@@ -1,4 +1,4 @@
-"""Whether the paths of a command line can be what they are given as, before anything slow is loaded."""
+"""The paths of a command line: whether they can be what they are given as, and the scenes below them."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -6,10 +6,11 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from bridge.console import warn
+from bridge.cli.options import Which, Windows
+from bridge.console import Activity, say, warn
 from bridge.interruption import remove_abandoned
 from bridge.recordings.folders import SPLITS, Address, Choices, is_generated, names_in, other_data
-from bridge.recordings.sources import READERS, find_one, nothing_at
+from bridge.recordings.sources import READERS, described, find_one, find_recordings, nothing_at
 from netconvert.errors import ConfigError
 
 _ARCHIVES = (".zip", ".tar", ".gz", ".tgz", ".7z", ".zst")
@@ -44,33 +45,56 @@ def one_scene(path: Path, window: tuple[Path | None, int]) -> Address:
     return find_one(path, Choices(*window))
 
 
+def recordings(scenes: Sequence[Path], windows: Windows, activity: Activity) -> list[Address]:
+    """The recordings below paths, with a note of what they are. Errors: ConfigError."""
+    found = find_recordings(scenes, windows.choices())
+    activity.note(*described(found))
+    return found
+
+
+def tell_unread(failures: Sequence[tuple[Address, str]]) -> None:
+    """Warn of scenes that cannot be read; most reasons name the file themselves."""
+    for folder, reason in failures:
+        said = reason if reason.startswith(str(folder)) else f"{folder}: {reason}"
+        say(f"warning: {said}")
+
+
+def select_scenes(folders: list[Address], which: Which, seed: int, activity: Activity, *, jobs: int) -> list[Address]:
+    """The scenes that are wanted, all where nothing is asked; unread ones are told. Errors: ConfigError for none."""
+    if not any(which):  # nothing need be imported that reads scenes
+        return folders
+    from bridge.batch.scan import Selection, wanted
+
+    activity.doing("reading scenes for the selection")
+    chosen, unread = wanted(folders, Selection(*which, seed), jobs=jobs, on_scene=activity.show)
+    tell_unread(unread)
+    activity.note(f"{len(chosen)} of {len(folders)} scenes selected")
+    return chosen
+
+
 def check_out(out: Path) -> None:
     """What is written must not get among the sources; every command that writes asks here, or `check_out_file`.
 
-    Errors: ConfigError where it lies inside a scenario folder or a split folder of recorded scenes, or where a file is
-    in the way. Below the root of a data set, or beside a single scene, it is taken with a warning.
+    Errors: ConfigError inside a scenario folder or a split folder of recorded scenes, or where a file is in the way.
+    Below the root of a data set, or beside a single scene, it is taken with a warning.
     """
-    _check_can_be_made(out, out)
-    _check_among_sources(out)
-    remove_abandoned(out)
+    _check_written(out, out)
 
 
 def check_out_file(file: Path) -> None:
     """As `check_out` for a file. Errors: ConfigError."""
     if file.is_dir():
         raise ConfigError(f"{file}: is a folder, expected a file to write, such as {file / 'NAME'}")
-    _check_can_be_made(file.parent, file)
-    _check_among_sources(file)
-    remove_abandoned(file.parent)
+    _check_written(file.parent, file)
 
 
-def _check_can_be_made(folder: Path, out: Path) -> None:
-    for place in (folder, *folder.parents):
-        if place.is_file():
-            what = "is a file" if place == out else f"cannot be made, {place} is a file"
-            raise ConfigError(f"{out}: {what}; choose another output folder")
-        if place.exists():
-            return
+def _check_written(folder: Path, out: Path) -> None:
+    there = next((place for place in (folder, *folder.parents) if place.exists()), folder)
+    if there.is_file():
+        what = "is a file" if there == out else f"cannot be made, {there} is a file"
+        raise ConfigError(f"{out}: {what}; choose another output folder")
+    _check_among_sources(out)
+    remove_abandoned(folder)
 
 
 def _check_among_sources(out: Path) -> None:

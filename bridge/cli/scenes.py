@@ -1,19 +1,17 @@
-"""`hid2 validate`, `scan`, `net`, `export`, `example` and `config`: what scenes, maps and configurations hold."""
+"""Commands that show, check and pass on: `hid2 validate`, `scan`, `net`, `export`, `view`, `render`, `plot`, ..."""
 
 from pathlib import Path
 from shlex import quote
 from shutil import copytree, ignore_patterns
 
 from bridge.cli import options
-from bridge.cli.app import command
-from bridge.cli.places import check_out, one_scene
-from bridge.cli.session import tell_unread
-from bridge.console import Activity, counted, print_json, print_table
+from bridge.cli.places import check_out, one_scene, recordings, select_scenes, tell_unread
+from bridge.console import Activity, counted, print_json, print_table, say
 from bridge.files import data_folder, explained
 from netconvert.errors import ConfigError
 
 
-@command(reads=("out", "source"), files=("csv",))
+@options.command(reads=("out", "source"), files=("csv",))
 def validate(
     out: Path = options.argument("OUT", "Generated scenes: a scenario folder, a split folder or a root."),
     *,
@@ -26,7 +24,7 @@ def validate(
     jobs: int = options.JOBS,
     as_json: bool = options.AS_JSON,
     activity: Activity,
-) -> int:
+) -> bool:
     """Check that scenes are valid Argoverse 2 scenes, safe, driveable, and true to their claims; findings go to stdout.
 
     Ends with 1 where something is wrong; notes are told and are no faults.
@@ -52,10 +50,10 @@ def validate(
     noted = len(findings) - wrong
     notes = f", {counted(noted, 'note')}" if noted else ""
     activity.note(f"{out}: {counted(len(find_scenarios(out)), 'scene')}, {counted(wrong, 'finding')}{notes}")
-    return options.SOME_FAILED if wrong else options.ALL_DONE
+    return bool(wrong)
 
 
-@command(reads=("scenes",), files=("out",))
+@options.command(reads=("scenes",), files=("out",))
 def scan(
     scenes: list[Path] = options.SCENES,
     *,
@@ -67,17 +65,15 @@ def scan(
     jobs: int = options.JOBS,
     as_json: bool = options.AS_JSON,
     activity: Activity,
-) -> int:
+) -> bool:
     """Tabulate a data set: agents, density, lanes, neighbours, and room for each manoeuvre.
 
     What each column is: bridge/generation/README.md, Which scenes.
     """
     from bridge.batch.scan import EVENTS, SceneFacts, Selection, facts_of, select
     from bridge.files import make_folder, write_rows
-    from bridge.recordings.sources import described, find_recordings
 
-    folders = find_recordings(scenes, windows.choices())
-    activity.note(*described(folders))
+    folders = recordings(scenes, windows, activity)
     if out is not None:
         make_folder(out.parent)
     activity.doing("reading scenes")
@@ -93,10 +89,10 @@ def scan(
     else:
         title, columns = f"{len(chosen)} of {len(folders)} scenes", SceneFacts._fields[1:]  # all but the folder
         print_table(title, columns, [fact[1:] for fact in chosen])
-    return options.SOME_FAILED if failures else options.ALL_DONE
+    return bool(failures)
 
 
-@command()
+@options.command()
 def net(
     scene: Path = options.argument("SCENE", "Scenario folder, or a map."),
     out: Path = options.OUT,
@@ -126,7 +122,7 @@ def net(
         activity.table(f"{scene.name}: fidelity of the net", ("what", "value"), rows, as_json=as_json)
 
 
-@command(reads=("scenes",), folders=("out",))
+@options.command(reads=("scenes",), folders=("out",))
 def export(
     scenes: list[Path] = options.argument("SCENE", "Scenes, recorded or generated: folders of them, splits, roots."),
     out: Path = options.OUT,
@@ -142,15 +138,103 @@ def export(
     """
     activity.doing("writing scenes")
     from bridge.exports.export import export_scene
-    from bridge.recordings.sources import described, find_recordings
 
-    found = find_recordings(scenes, windows.choices())
-    activity.note(*described(found))
+    found = recordings(scenes, windows, activity)
     written = []
     for count, address in enumerate(found, start=1):
         written += export_scene(address, to, out)
         activity.show(count, len(found))
     activity.result(*written)
+
+
+STEP = options.option("Timestep of a picture.", None, "N", min=0, show_default="the last observed one")
+
+
+@options.command(reads=("scenes",), files=("out",))
+def view(
+    scenes: list[Path] = options.argument("SCENE", "Scenes, recorded or generated: folders of them, splits, roots."),
+    out: Path = options.output("Page to write: .html.", ..., "FILE", "-o"),
+    *,
+    which: options.Which,
+    seed: int = options.selection("Seed of --sample.", 0, "N", min=0),
+    windows: options.Windows,
+    activity: Activity,
+) -> None:
+    """Write scenes as one HTML file that a browser plays, without a network: what each vehicle did, and why."""
+    activity.doing("looking for scenes")
+    from bridge.pages.viewer import view_scenes
+    from bridge.pictures.figures import check_ending
+
+    check_ending(out, (".html",))
+    found = select_scenes(recordings(scenes, windows, activity), which, seed, activity, jobs=1)
+    activity.doing("packing scenes")
+    activity.result(view_scenes(found, out, on_scene=activity.show))
+
+
+@options.command(reads=("scene",), files=("out",))
+def render(
+    scene: Path = options.SCENE,
+    out: Path = options.output("Picture (.png, .jpg, .pdf, .svg) or film (.gif, .mp4) to write.", ..., "FILE", "-o"),
+    *,
+    agent: str | None = options.option("Highlight this track and show its surroundings.", None, "ID"),
+    cells: bool = options.option("Show the cells of the lanes.", False),
+    step: int | None = STEP,
+    window: options.OneWindow,
+    activity: Activity,
+) -> None:
+    """Draw a scene from above, before and after: a picture or a film."""
+    found = one_scene(scene, window)
+    from bridge.pictures.render import render_scene
+    from bridge.recordings.sources import read_recording
+
+    activity.doing("drawing")
+    recording = read_recording(found)
+    activity.result(render_scene(recording, out, agent=agent, cells=cells, step=step, on_frame=activity.show))
+
+
+@options.command(reads=("scene",), files=("out",))
+def plot(
+    scene: Path = options.SCENE,
+    out: Path = options.output("Picture to write: .png, .jpg, .pdf or .svg.", ..., "FILE", "-o"),
+    agent: str = options.option("The track, for example gen_0.", ..., "ID"),
+    *,
+    window: options.OneWindow,
+    activity: Activity,
+) -> None:
+    """Draw one track over time: speed, acceleration, jerk, lateral offset and cells, with its manoeuvres marked."""
+    found = one_scene(scene, window)
+    activity.doing("drawing")
+    from bridge.pictures.figures import check_ending, save
+    from bridge.pictures.plot import agent_figure
+    from bridge.recordings.sources import read_recording
+
+    check_ending(out)
+    save(agent_figure(read_recording(found), agent), out)
+    activity.result(out)
+
+
+@options.command(reads=("scene",), files=("screenshot",))
+def gui(
+    scene: Path = options.SCENE,
+    *,
+    speed: float = options.option("Speed of playing; 1 is real time.", 1.0, "X", min=0.01, max=100),
+    screenshot: Path | None = options.output("Take a picture, then close the window.", None, "FILE.png"),
+    step: int | None = STEP,
+    window: options.OneWindow,
+    activity: Activity,
+) -> None:
+    """Play a scene in sumo-gui, paused at the first step (needs the extra `gui` and a screen)."""
+    found = one_scene(scene, window)
+    activity.doing("starting sumo-gui")
+    from bridge.sumo.gui import play_scene
+
+    def shown() -> None:
+        activity.end()
+        if screenshot is None and not activity.quiet:
+            say("sumo-gui waits at the first step: play with Ctrl+A, stop with Ctrl+S, start again with Ctrl+R")
+
+    picture = play_scene(found, speed=speed, screenshot=screenshot, step=step, on_shown=shown)
+    activity.result(*(() if picture is None else (picture,)))
 
 
 #: What `example` writes, and the commands that it prints.
@@ -164,7 +248,7 @@ TRY = (
 )
 
 
-@command(folders=("out",))
+@options.command(folders=("out",))
 def example(out: Path = options.OUT, *, activity: Activity) -> None:
     """Write synthetic scenes with configurations, studies and notebooks to try, and print commands that do."""
     for name in EXAMPLES:
@@ -176,8 +260,8 @@ def example(out: Path = options.OUT, *, activity: Activity) -> None:
     activity.result(*(line.format(quote(str(out))) for line in TRY))
 
 
-@command("config")
-def show_config(
+@options.command()
+def config(
     *,
     config: Path | None = options.CONFIG,
     settings: list[str] = options.SETTINGS,

@@ -22,6 +22,7 @@ from bridge.config import config_to_dict, describe_config, load_config, parse_be
 from bridge.evaluation.experiments import Experiment
 from bridge.exports.export import WRITERS
 from bridge.forecasting.experiment import Reading
+from bridge.recordings.folders import SPLITS
 from hid2.insertion import requests
 from hid2.params import Config, Event, Forecasting, Request
 
@@ -37,12 +38,13 @@ def option(name: str) -> Any:
 
 def test_choices_are_those_of_the_package() -> None:
     kinds = get_args(Event.model_fields["kind"].annotation)
-    assert kinds == options.EVENTS
+    assert kinds == get_args(options.EventName)
     assert get_args(options.ExperimentName) == (*get_args(Experiment), "prediction")
     assert get_args(options.FormatName) == tuple(WRITERS)
     assert get_args(options.ReadingName) == get_args(Reading)
     components = {row.key: row.range for row in describe_config()}["without"]
-    assert components == f"any of {', '.join(options.COMPONENTS)}"
+    assert components == f"any of {', '.join(get_args(options.ComponentName))}"
+    assert get_args(options.SplitName) == SPLITS
 
 
 def test_defaults_of_the_forecaster_in_the_help_are_those_of_the_parameters() -> None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import pytest
 
 from bridge.config import ParameterRow, describe_config
-from bridge.tables import table_lines
+from bridge.console import table_lines
 
 WIDTHS = (60, 80, 120, 200, None)
 BATCH = (
