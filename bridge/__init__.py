@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from bridge.generation.generate import prepare as prepare
     from bridge.generation.scene import TrafficScene as TrafficScene
     from bridge.generation.scene import read_scene as read_scene
-    from bridge.pictures.conflicts import draw_conflicts as draw_conflicts
+    from bridge.pictures.render import draw_conflicts as draw_conflicts
     from bridge.recordings.folders import find_scenarios as find_scenarios
     from bridge.studies.run import run_study as run_study
     from bridge.studies.study import read_study as read_study
@@ -39,7 +39,7 @@ _NAMES = {
     "bridge.evaluation.scene_metrics": "evaluate_scene",
     "bridge.generation.scene": "TrafficScene read_scene",
     "bridge.generation.generate": "generate prepare",
-    "bridge.pictures.conflicts": "draw_conflicts",
+    "bridge.pictures.render": "draw_conflicts",
     "bridge.exports.export": "export_scene",
     "bridge.recordings.folders": "find_scenarios",
     "bridge.batch.validation": "validate_folder",

@@ -1,6 +1,6 @@
 """Fit the shaping functions of turns, f_left and f_right, to recorded turns: how deep their troughs are, and where.
 
-    python data/fit_turn_troughs.py PATH [PATH ...] [-o TURN.toml]
+    python data/fit_turn_troughs.py PATH [PATH ...] [> TURN.toml]
 
 PATH: scenario folders, split folders or roots of recorded data sets, as many as there are. A turn is counted where a
 clean moving vehicle follows a turning lane of the map from near its start to near its end without stopping, turns as
@@ -9,7 +9,6 @@ share alpha of the lane, on each side, and v / v_0 = f(alpha) is fitted to them 
 20 turns keeps the documented prior, which is said. The result can be given to `hid2 generate --config`.
 """
 
-import argparse
 import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,7 +24,7 @@ from hid2.measures.arrays import SceneArrays, stack
 from hid2.measures.driven_lanes import LaneView, runs_of
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from hid2.params import Turn
-from hid2.policy.turns import turn_shape
+from hid2.policy.roads import turn_shape
 from netconvert.lane_graph import TURN_RAD
 
 FloatArray = npt.NDArray[np.float64]
@@ -118,21 +117,16 @@ def report(turns: Sequence[tuple[str, FloatArray]], scenes: int, *, prior: Turn)
     return prior.model_copy(update=values), lines
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Read, fit, say what was found, write it."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("paths", nargs="+", type=Path, metavar="PATH", help="folders of recorded scenes")
-    parser.add_argument("-o", "--out", type=Path, help="write the section [turn] of a configuration")
-    chosen = parser.parse_args(arguments)
-    folders = find_sources(chosen.paths)
+def main(paths: Sequence[Path]) -> None:
+    """Read, fit, say on stderr what was found, write the section [turn] of a configuration to stdout."""
+    folders = find_sources(paths)
     turns = [one for folder in folders for one in turns_of(read_recording(folder))]
     turn, lines = report(turns, len(folders), prior=Turn())
-    section = [f"{name} = {getattr(turn, name)}" for name in ("left_trough", "right_trough", "trough_at")]
-    text = "\n".join(["[turn]", *section, ""])
-    print("\n".join(lines), text, sep="\n\n", end="")
-    if chosen.out is not None:
-        chosen.out.write_text(text)
+    print(*lines, sep="\n", file=sys.stderr)
+    print("[turn]", *(f"{name} = {value}" for name, value in turn), sep="\n")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    if len(sys.argv) == 1:
+        sys.exit(__doc__)
+    main([Path(name) for name in sys.argv[1:]])

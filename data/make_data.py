@@ -6,7 +6,7 @@ arterial      three lanes one way, some 320 m, with slow leaders and fast traffi
 intersection  four arms, no signal: straight, left and right connectors; a bus, a left turn, a right turn, a yield
 curve         two lanes one way and one the other on a curve; the right lane splits, and merges again
 
-Every byte follows from this file and the two that it is made with, plane_paths.py and synthetic_scene.py.
+Every byte follows from this file and the one that it is made with, synthetic_scene.py.
 """
 
 import sys
@@ -15,10 +15,22 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from plane_paths import FloatArray, Path2d, bend, line, sideways, smoothstep, turn
-from synthetic_scene import LANE_M, STEPS, Scene, map_json, scenario_parquet
+from synthetic_scene import (
+    LANE_M,
+    STEPS,
+    Path2d,
+    Scene,
+    bend,
+    line,
+    map_json,
+    scenario_parquet,
+    sideways,
+    smoothstep,
+    turn,
+)
 
 from bridge.recordings.scenario import STEP_S
+from hid2.agents import FloatArray
 
 
 def arterial() -> Scene:

@@ -44,10 +44,7 @@ GAP_COLUMNS: Mapping[str, str] = {
 def gap_rows(
     driven: Sequence[tuple[int, DrivenVehicle]], names: Mapping[str, str], *, step_s: float
 ) -> Iterator[dict[str, Any]]:
-    """Rows of all looks, by `GAP_COLUMNS`.
-
-    driven: round and vehicle; names: track ids of the exported ones by id; step_s: of the scene.
-    """
+    """Rows of all looks, by `GAP_COLUMNS`; driven: round and vehicle; names: track ids of exported ones by id."""
     for number, vehicle in driven:
         for look in vehicle.gaps:
             yield {

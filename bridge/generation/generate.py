@@ -40,7 +40,6 @@ from netconvert.net_xml import net_bytes
 _FOCAL_RADIUS_M = 50.0
 _LOG = logging.getLogger(__name__)
 
-
 #: No tunable, bounds memory: what vehicles find is kept for so many variants, 20 MB more from each with 20 vehicles.
 _VARIANTS_KEPT = 8
 
@@ -91,7 +90,7 @@ def prepare(source: Recording | TrafficScene, config: Config) -> PreparedScene:
 def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *, variant: int = 0) -> TrafficScene:
     """Insert vehicles into a recorded scene as `config` asks; nothing is written.
 
-    source: a scene as `read_scene` gives it or, for several variants of it, as `prepare` does; no path. Same scenario,
+    source: a scene as `read_scene` gives it or, for several variants of it, as `prepare` does. Same scenario,
     configuration and variant: the same result. Errors: MapError, NetError, SimulationError, ConfigError,
     ScenarioError where a generated focal track was asked for and no vehicle lives through the scene.
     """
@@ -110,9 +109,7 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
             filling.fill_together(rounds.drive)
             scenario = with_motion(scenario, rounds.late)
         else:
-            search = EventSearch(surroundings, seed)
-            events = search.run(rounds.drive_alone)
-            filling.take_events(events)
+            filling.take_events(EventSearch(surroundings, seed).run(rounds.drive_alone))
             filling.fill(rounds.drive)
         sumo_version = simulation.version()
     vehicles = sorted(filling.kept, key=lambda one: one.driven.start.request.number)
@@ -157,8 +154,7 @@ class _Rounds:
     def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
         """One simulation, from the scene as it was recorded; where vehicles react the filling gets it as it became.
 
-        The poses of all recorded agents are measured, where that is asked for, in the first one, or in the last one
-        where they react.
+        Poses of recorded agents are measured, where that is asked for, in the first one, or, where they react, last.
         """
         here, asked = self._filling.surroundings, self._scene.config.driving
         is_measured = number == 0 or asked.replay == "reactive"
@@ -179,12 +175,10 @@ class _Rounds:
 def _focal(scenario: Recording, vehicles: Sequence[ExportedVehicle], tracks: Sequence[Track], filling: Filling) -> str:
     """Generated focal track: lives through the scene; a manoeuvre done before none, then more neighbours before fewer.
 
-    Neighbours are the tracks within _FOCAL_RADIUS_M at the last observed step, recorded and generated: what a
-    forecaster of this track sees of the scene.
+    Neighbours are all tracks within _FOCAL_RADIUS_M at the last observed step: what a forecaster of this track sees.
     """
     last = scenario.last_observed
-    every = [track.position[track.timesteps == last] for track in (*scenario.tracks, *tracks)]
-    around = np.concatenate(every)
+    around = np.concatenate([track.position[track.timesteps == last] for track in (*scenario.tracks, *tracks)])
     done = {vehicle_id for vehicle_id, outcome in filling.outcomes.items() if outcome.done}
     through = [
         (

@@ -34,8 +34,7 @@ class TrafficScene:
     """A scene, recorded or generated, written or not; m, s, rad, city coordinates. A notebook shows it as it plays.
 
     recording: all its tracks, map, rows, sidecar; source: the recording that it was made of; vehicles: paths and motion
-    of the inserted tracks, in their order; driven: round and vehicle of all that were tried. The last three are not
-    written: a scene that was read has none.
+    of the inserted tracks; driven: round and vehicle of all that were tried. The last three are not written.
     """
 
     recording: Recording
@@ -96,9 +95,9 @@ class TrafficScene:
         return pd.DataFrame(rows, columns=columns)
 
     def conflicts(self, *, agent: str | None = None, pet_s: float = 5.0, ttc_s: float = 1.5) -> "list[TrafficConflict]":
-        """Conflicts in SSAM's terms, as `hid2 evaluate` has them: a TTC below ttc_s or a PET within pet_s.
+        """Conflicts in SSAM's terms, of all or of one track: a TTC below ttc_s or a PET within pet_s.
 
-        agent: only those of this track. Errors: ConfigError for a track that the scene does not have.
+        Errors: ConfigError for a track that the scene does not have.
         """
         from bridge.pictures.figures import find_track
         from hid2.measures.arrays import stack
@@ -175,8 +174,5 @@ class TrafficScene:
 
 
 def read_scene(address: Address | str) -> TrafficScene:
-    """The one scene at a path, recorded in any format or generated. Errors: ConfigError for none or several.
-
-    ScenarioError, MapError with file, id, value and what was expected.
-    """
+    """The one scene at a path, recorded in any format or generated. Errors: ConfigError, ScenarioError, MapError."""
     return TrafficScene(read_recording(find_one(Path(address)) if isinstance(address, str | Path) else address))

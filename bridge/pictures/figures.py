@@ -143,10 +143,7 @@ def moving_ground(scenario: Recording) -> tuple[FloatArray, FloatArray]:
 
 
 def frame(axes: Axes, low: FloatArray, high: FloatArray, *, aspect: float) -> None:
-    """Show the ground from `low` to `high` at the same scale both ways; city coordinates, m.
-
-    aspect: width over height that the shown ground is widened to.
-    """
+    """Show the ground from `low` to `high`, m, widened to an aspect, width over height, at the same scale both ways."""
     middle, half = (low + high) / 2, (high - low) / 2
     half = np.array([max(half[0], half[1] * aspect), max(half[1], half[0] / aspect)])
     axes.set_xlim(middle[0] - half[0], middle[0] + half[0])
@@ -162,7 +159,7 @@ def frame(axes: Axes, low: FloatArray, high: FloatArray, *, aspect: float) -> No
 def label_offsets(axes: Axes, points: FloatArray, texts: Sequence[str], *, size: float) -> list[tuple[float, float]]:
     """Where the lower left corner of each text is from its point (N, 2), in points, so that none overlaps another.
 
-    Beside the point, each corner in turn, then farther away. Axes must have been laid out; size: of the font.
+    Axes must have been laid out; size: of the font.
     """
     taken, found = np.zeros((0, 4)), []
     for (x, y), text in zip(axes.transData.transform(points) * 72.0 / axes.figure.dpi, texts, strict=True):

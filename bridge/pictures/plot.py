@@ -1,7 +1,7 @@
 """One agent over time: speed, acceleration, jerk, lateral offset and cells, with the moments of its manoeuvres."""
 
 from collections.abc import Mapping
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -25,11 +25,6 @@ from netconvert.geometry import arc_length
 _LABELS_APART = 0.08
 
 
-class _Moment(NamedTuple):
-    time_s: float
-    what: str
-
-
 #: Dash patterns of the four moments of a manoeuvre.
 _STYLES: Mapping[str, Literal["dotted", "dashed", "solid", "dashdot"]] = {
     "trigger": "dotted", "start": "dashed", "crossing": "solid", "end": "dashdot",
@@ -37,10 +32,9 @@ _STYLES: Mapping[str, Literal["dotted", "dashed", "solid", "dashdot"]] = {
 
 
 def agent_figure(scenario: Recording, agent_id: str) -> Figure:
-    """One track over time: where, how fast, how smoothly, in which lane and cell.
+    """One track over time: where, how fast, how smoothly, in which lane and cell. Errors: ConfigError.
 
-    Vertical lines are the trigger, start, crossing and end of its manoeuvres: the sidecar's for generated vehicles, the
-    detector's for recorded ones. Errors: ConfigError for an unknown track.
+    Vertical lines are the trigger, start, crossing and end of its manoeuvres: the sidecar's, of recorded ones as seen.
     """
     track = figures.find_track(scenario, agent_id)
     arrays = stack([track], step_s=scenario.step_s)
@@ -55,8 +49,7 @@ def agent_figure(scenario: Recording, agent_id: str) -> Figure:
     _plan(axes[0], scenario, track.position, moments, time)
     limits, moved = Limits(), motion(arrays)
     axes[1].plot(time, moved.speed_mps, color=figures.BLUE)
-    axes[1].set_ylabel("speed, m/s")
-    axes[1].set_ylim(0, max(1.0, float(moved.speed_mps.max()) * 1.15))
+    axes[1].set(ylabel="speed, m/s", ylim=(0, max(1.0, float(moved.speed_mps.max()) * 1.15)))
     accel = {"longitudinal": moved.accel_mps2, "lateral": moved.lateral_accel_mps2}
     _derivative(axes[2], time, accel, limits=(limits.accel_min_mps2, limits.accel_max_mps2), one_sided=2)
     axes[2].set_ylabel("acceleration,\nm/s²")
@@ -69,13 +62,16 @@ def agent_figure(scenario: Recording, agent_id: str) -> Figure:
     for ax in axes[1:]:
         ax.set_xlim(time[0] - 0.1, time[-1] + 0.1)
         ax.grid(visible=True, color=figures.LIGHT_GREY, linewidth=0.5)
-        for moment in moments:
-            ax.axvline(moment.time_s, color=figures.DARK_GREY, linestyle=_STYLES[moment.what], linewidth=1.0)
+        for what, time_s in moments:
+            ax.axvline(time_s, color=figures.DARK_GREY, linestyle=_STYLES[what], linewidth=1.0)
     axes[5].set_xlabel(
         "time from timestep 0, s (acceleration and jerk: without the ends, where differences are one-sided)"
     )
-    marked = [what for what in _STYLES if any(moment.what == what for moment in moments)]
-    handles = [Line2D([], [], color=figures.DARK_GREY, linestyle=_STYLES[what], label=what) for what in marked]
+    handles = [
+        Line2D([], [], color=figures.DARK_GREY, linestyle=dashes, label=what)
+        for what, dashes in _STYLES.items()
+        if what in dict(moments)
+    ]
     if handles:
         axes[1].legend(handles=handles, ncols=4, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     kind = f"{track.object_type}, {track.size.length_m:.1f} x {track.size.width_m:.1f} m"
@@ -83,16 +79,16 @@ def agent_figure(scenario: Recording, agent_id: str) -> Figure:
     return figure
 
 
-def _moments(scenario: Recording, agent_id: str, seen: list[Maneuver]) -> tuple[list[_Moment], str]:
-    """Moments to mark, and what the title says of the manoeuvres."""
+def _moments(scenario: Recording, agent_id: str, seen: list[Maneuver]) -> tuple[list[tuple[str, float]], str]:
+    """Moments to mark, each with its time, s, and what the title says of the manoeuvres."""
     agents = scenario.sidecar.agents if scenario.sidecar else ()
     record = next((agent for agent in agents if agent.track_id == agent_id), None)
-    times = [
-        (getattr(maneuver, f"{what}_s", None), what)  # what is seen has no trigger
+    moments = [
+        (what, time_s)
         for maneuver in (seen if record is None else record.maneuvers)
         for what in _STYLES
+        if (time_s := getattr(maneuver, f"{what}_s", None)) is not None  # what is seen has no trigger
     ]
-    moments = [_Moment(time_s, what) for time_s, what in times if time_s is not None]
     if record is None:
         named = ", ".join(maneuver.kind.value.replace("_", " ") for maneuver in seen)
         return moments, f"\nseen: {named}" if named else "\nno manoeuvre seen"
@@ -104,7 +100,9 @@ def _moments(scenario: Recording, agent_id: str, seen: list[Maneuver]) -> tuple[
     return moments, f"\npolicy {record.policy.value.replace('_', ' ')}" + (f": {named}" if named else "")
 
 
-def _plan(ax: Axes, scenario: Recording, position: FloatArray, moments: list[_Moment], time: FloatArray) -> None:
+def _plan(
+    ax: Axes, scenario: Recording, position: FloatArray, moments: list[tuple[str, float]], time: FloatArray
+) -> None:
     figures.draw_map(ax, scenario.graph, cells=True)
     ax.plot(position[:, 0], position[:, 1], color=figures.GENERATED, linewidth=1.6, zorder=5)
     seconds = np.flatnonzero(np.isclose(time % 1.0, 0.0, atol=1e-6) | np.isclose(time % 1.0, 1.0, atol=1e-6))
@@ -115,12 +113,9 @@ def _plan(ax: Axes, scenario: Recording, position: FloatArray, moments: list[_Mo
         ax.annotate(
             f"{time[row]:.0f} s", position[row], xytext=(3, 4), textcoords="offset points", fontsize=7, zorder=7
         )
-    for moment in moments:
-        if moment.what == "crossing":
-            row = int(np.argmin(np.abs(time - moment.time_s)))
-            ax.plot(*position[row], "D", color=figures.BLUE, markeredgecolor="black", markersize=7, zorder=8)
-    low, high = position.min(axis=0) - 10.0, position.max(axis=0) + 10.0
-    figures.frame(ax, low, high, aspect=2.6)
+    for row in [int(np.argmin(np.abs(time - time_s))) for what, time_s in moments if what == "crossing"]:
+        ax.plot(*position[row], "D", color=figures.BLUE, markeredgecolor="black", markersize=7, zorder=8)
+    figures.frame(ax, position.min(axis=0) - 10.0, position.max(axis=0) + 10.0, aspect=2.6)
     ax.set_title("position every second; diamond: crossing between lanes", fontsize=9)
 
 
@@ -129,8 +124,7 @@ def _derivative(
 ) -> None:
     """Two series, dotted lines at the longitudinal limits, and room for whatever exceeds them.
 
-    one_sided: first and last steps, which are not shown: differences there are one-sided, and jump where the motion
-    does not.
+    one_sided: first and last steps that are not shown, as differences jump there where the motion does not.
     """
     shown = [np.array(limits)]
     looks = ((figures.BLUE, "-"), (figures.VERMILION, "--"))

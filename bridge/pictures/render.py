@@ -28,12 +28,12 @@ from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import ManeuverRecord
 from hid2.agents import DEFAULT_SIZES, FOCAL_CATEGORY, FloatArray, Track
 from hid2.measures.arrays import is_generated_id
+from hid2.measures.conflicts import TrafficConflict
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.policy.behaviours import behaviour_seen
 from netconvert.errors import ConfigError, ExportError
 from netconvert.geometry import box_corners
 
-PICTURES = tuple(figures.PICTURES)
 ANIMATIONS = (".gif", ".mp4")
 #: Length of the trail behind each vehicle.
 TRAIL_S = 2.0
@@ -47,10 +47,10 @@ _LABEL_SIZE = 6.5
 #: Ground shown around one agent's path.
 AGENT_MARGIN_M = 25.0
 
+#: Marks of conflicts by their kind.
+_MARKS = {"crossing": "P", "lane_change": "X", "rear_end": "v"}
 #: Which agents are drawn above which; inserted ones above all.
 _ORDER = {"other": 3, "recorded": 4, "focal": 4, "av": 5}
-#: Edge of a box and its width.
-_EDGE, _FOCAL_EDGE = ("#333333", 0.4), (figures.BLACK, 1.6)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -73,27 +73,25 @@ def render_scene(
     step: int | None = None,
     on_frame: Callable[[int, int], None] | None = None,
 ) -> Path:
-    """Draw a scene from above into a picture (.png, .jpg, .pdf, .svg) or a film (.gif, .mp4).
+    """Draw a scene from above into a picture (.png, .jpg, .pdf, .svg) or a film (.gif, .mp4), before | after.
 
-    A generated scene is shown before | after; before are its own recorded tracks. `agent` is highlighted, with
-    surroundings. `step`: the timestep of a picture (default: the last observed one); a film shows all.
+    `agent` is highlighted, with surroundings. `step`: of a picture (default: the last observed one); a film shows all.
     on_frame(done, total) is called as the frames of a film are drawn.
     Errors: ConfigError for an unknown ending, step or track; ExportError where the file cannot be written.
     """
     suffix = out_file.suffix.lower()
-    figures.check_ending(out_file, PICTURES + ANIMATIONS)
-    if step is not None and suffix in ANIMATIONS:
-        raise ConfigError(f"{out_file}: a film shows every timestep; for one give a picture, {', '.join(PICTURES)}")
-    shown = figures.check_step(scenario, step)
-    drawing = _Drawing(scenario, agent=agent, cells=cells, whole_paths=suffix in PICTURES)
-    if suffix in PICTURES:
-        drawing.show(shown)
-        figures.save(drawing.figure, out_file)
-    else:
-        with beside(out_file) as hidden:
-            drawing.scale(longest=GIF_WIDTH if suffix == ".gif" else None)
-            frames = drawing.frames(range(scenario.num_steps), on_frame)
-            _write_animation(frames, hidden, step_s=scenario.step_s)
+    figures.check_ending(out_file, (*figures.PICTURES, *ANIMATIONS))
+    if suffix not in ANIMATIONS:
+        figures.save(scene_figure(scenario, agent=agent, cells=cells, step=step), out_file)
+        return out_file
+    if step is not None:
+        pictures = ", ".join(figures.PICTURES)
+        raise ConfigError(f"{out_file}: a film shows every timestep; for one give a picture, {pictures}")
+    drawing = _Drawing(scenario, agent=agent, cells=cells, whole_paths=False)
+    with beside(out_file) as hidden:
+        drawing.scale(longest=GIF_WIDTH if suffix == ".gif" else None)
+        frames = drawing.frames(range(scenario.num_steps), on_frame)
+        _write_animation(frames, hidden, step_s=scenario.step_s)
     return out_file
 
 
@@ -101,8 +99,9 @@ def scene_figure(
     scenario: Recording, *, agent: str | None = None, cells: bool = False, step: int | None = None
 ) -> Figure:
     """A picture as `render_scene` draws it, as a figure. Errors: ConfigError for an unknown step or track."""
+    shown = figures.check_step(scenario, step)
     drawing = _Drawing(scenario, agent=agent, cells=cells, whole_paths=True)
-    drawing.show(figures.check_step(scenario, step))
+    drawing.show(shown)
     return drawing.figure
 
 
@@ -111,9 +110,8 @@ def draw_scene(
 ) -> None:
     """Draw a scene, recorded or generated, into axes of your own: map, vehicles in the colours of their policies, ids.
 
-    step: a timestep (default: the last observed one). agent: a track to highlight with its surroundings. Axes
-    are in city coordinates, m, at the same scale both ways; more ground is shown where axes are wider or higher than
-    the scene. Errors: ConfigError for an unknown step or track.
+    step: a timestep (default: the last observed one). agent: a track to highlight with its surroundings. Axes are in
+    city coordinates, m, at the same scale both ways. Errors: ConfigError for an unknown step or track.
     """
     shown = figures.check_step(scenario, step)
     panel = _panels(scenario)[-1]
@@ -122,6 +120,22 @@ def draw_scene(
     room = axes.get_window_extent()
     figures.frame(axes, low, high, aspect=room.width / room.height)
     _put(panel, axes, shown, agent=agent, whole_paths=True)
+
+
+def draw_conflicts(axes: Axes, conflicts: Sequence[TrafficConflict]) -> None:
+    """Mark conflicts where they are, each with its text, in axes that `draw_scene` has drawn into."""
+    points = np.array([(conflict.x_m, conflict.y_m) for conflict in conflicts]).reshape(-1, 2)
+    offsets = figures.label_offsets(axes, points, [conflict.text for conflict in conflicts], size=7.5)
+    for conflict, offset in zip(conflicts, offsets, strict=True):
+        axes.plot(
+            [conflict.x_m], [conflict.y_m], marker=_MARKS[conflict.kind], markersize=12, color=figures.HIGHLIGHT,
+            markeredgecolor="black", linestyle="none", zorder=11,
+        )  # fmt: skip
+        axes.annotate(
+            conflict.text, (conflict.x_m, conflict.y_m), xytext=offset, textcoords="offset points", fontsize=7.5,
+            zorder=12, clip_on=True, annotation_clip=True,
+            path_effects=[withStroke(linewidth=2.0, foreground="white")],
+        )  # fmt: skip
 
 
 def _panels(scenario: Recording) -> list[_Panel]:
@@ -156,7 +170,7 @@ def _put(panel: _Panel, ax: Axes, step: int, *, agent: str | None, whole_paths: 
     present = [(track, int(np.searchsorted(track.timesteps, step))) for track in panel.tracks]
     present = [(t, i) for t, i in present if i < len(t.timesteps) and t.timesteps[i] == step]
     present.sort(key=lambda item: _ORDER.get(panel.kinds[item[0].track_id], 6))
-    edges = [_FOCAL_EDGE if track.category == FOCAL_CATEGORY else _EDGE for track, _ in present]
+    focal = [track.category == FOCAL_CATEGORY for track, _ in present]
     boxes = [
         box_corners(t.position[i], t.heading[i], length_m=t.size.length_m, width_m=t.size.width_m) for t, i in present
     ]
@@ -166,11 +180,14 @@ def _put(panel: _Panel, ax: Axes, step: int, *, agent: str | None, whole_paths: 
     artists: list[Collection] = [
         LineCollection(trails, colors=faces, linewidths=2.2, alpha=0.5, zorder=4),
         PolyCollection(
-            boxes, facecolors=faces, edgecolors=[color for color, _ in edges], linewidths=[wide for _, wide in edges],
+            boxes,
+            facecolors=faces,
+            edgecolors=[figures.BLACK if is_focal else "#333333" for is_focal in focal],
+            linewidths=[1.6 if is_focal else 0.4 for is_focal in focal],
             zorder=5,
         ),
         LineCollection(noses, colors="#222222", linewidths=0.6, zorder=6),
-    ]  # fmt: skip
+    ]
     if whole_paths:
         paths = [t for t in panel.tracks if is_generated_id(t.track_id)]
         colors = [figures.FACES[panel.kinds[t.track_id]] for t in paths]
@@ -234,8 +251,7 @@ def _marks(panel: _Panel, ax: Axes, until_s: float | None) -> list[Artist]:
 class _Drawing:
     """A figure with its map drawn once and its vehicles for each step, generated and focal ones with ids.
 
-    agent: id of a track to highlight; then all have their ids. whole_paths: the generated vehicles' whole paths are
-    drawn thinly, and all manoeuvres marked whatever the step.
+    agent: a track to highlight; then all have their ids. whole_paths: and all manoeuvres, whatever the step.
     """
 
     def __init__(self, scenario: Recording, *, agent: str | None, cells: bool, whole_paths: bool) -> None:
@@ -363,10 +379,7 @@ def _write_gif(frames: Iterator[npt.NDArray[np.uint8]], path: Path, *, step_s: f
 
 
 def palette_of(picture: Image.Image, colors: int) -> Image.Image:
-    """A palette of so many colours, for `quantize`: a picture's own and those that tell vehicles apart.
-
-    Vehicles cover too little ground for theirs to be kept.
-    """
+    """A palette of so many colours, for `quantize`: a picture's own, and those of vehicles, which are small."""
     faces = [*dict.fromkeys(figures.FACES.values())]
     own = np.array([to_rgb(color) for color in (*faces, figures.HIGHLIGHT, *faces)])
     own[-len(faces) :] = (own[-len(faces) :] + to_rgb(figures.MAP_COLORS["ground"])) / 2  # trails on the ground

@@ -10,7 +10,7 @@ from hid2.agents import Policy
 from hid2.conflicts.guard import ACTS_MPS2, A, S
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
-from hid2.policy.reroute import ways_at_next_split
+from hid2.policy.roads import ways_at_next_split
 from hid2.scene import Scene
 from netconvert.cells import Cell
 

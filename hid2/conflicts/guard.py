@@ -135,8 +135,8 @@ class Guard:
     def known_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
         """Intervals on a path of all agents with known motion, with margins and the critical PET.
 
-        Inserted ones that cross are kept clear of as long as cross traffic makes an entrance red: streams do not
-        mingle. Recorded ones come first, by rows of the scene's traffic; then inserted ones, by theirs in `fixed`.
+        Recorded ones by rows of the scene's traffic, then inserted ones by theirs in `fixed`; these, where they cross,
+        are kept clear of as long as cross traffic makes an entrance red: streams do not mingle.
         """
         scene, newest = self.scene, self._newest.get((path, box))
         if newest is not None and newest[0] is scene.future and newest[1] is self.fixed:
@@ -176,10 +176,7 @@ class Guard:
         self, obstacles: Obstacles, *, own: int, step: int, fleet: FloatArray, state: tuple[float, float, float],
         desired_mps: float, road: FloatArray, driver: Driver, horizon_s: float | None = None,
     ) -> Braking:  # fmt: skip
-        """Least braking from a state (s m, v m/s, a m/s2) at a step that meets no agent within the horizon.
-
-        horizon_s: another one than `conflict.horizon_s`.
-        """
+        """Least braking from a state (s m, v m/s, a m/s2) at a step that meets no agent within the horizon, s."""
         conflict, known, lines, step_s = self.scene.config.conflict, obstacles.known, obstacles.lines, self.scene.step_s
         row, hit, *_, run_into = needed_braking(
             known.low, known.high, known.along, known.same_direction, lines.stops_s(driver), lines.closed,

@@ -31,10 +31,9 @@ FollowSpeed = Callable[[int, float, float, float], float]
 def yielding(
     scene: Scene, rows: IntArray, step: int, *, xy: FloatArray, forward: FloatArray, half_m: float, speed_mps: float
 ) -> BoolArray:
-    """Which of some recorded agents (K,) come from behind a vehicle at a step and can yield to it.
+    """Which of some recorded agents (K,) come from behind a vehicle at a step, as it drives, and can yield to it.
 
-    Those that drive as it does and would have to brake with YIELDS_MPS2 at most. xy (2,) m, forward (2,):
-    centre and direction of the vehicle; half_m: half its length.
+    xy (2,) m, forward (2,): centre and direction of the vehicle; half_m: half its length.
     """
     here = scene.traffic.at(step).rows(rows.tolist())
     seen = gaps_from_pose(xy, forward, BoxSize(2.0 * half_m, 0.0), here)
@@ -70,20 +69,14 @@ class _OwnPath:
 
 
 class Reactions:
-    """The recorded vehicles of one simulation. scene: as it has become; follow_mps: their car following.
-
-    late (A,): how many steps each recorded agent is behind its recording by now.
-    """
+    """The recorded vehicles of one simulation. scene: as it has become; late (A,): steps behind the recording."""
 
     def __init__(self, scene: Scene, follow_mps: FollowSpeed) -> None:
         self.scene, self.follow_mps, self._recorded = scene, follow_mps, scene.future
         self.late, self._speed = np.zeros((2, len(scene.future.ids)))
 
     def advance(self, step: int, others: Traffic) -> bool:
-        """Let all agents get on to `step`; whether any is later than before, and so the scene another one.
-
-        others: generated vehicles where they are at the step before (one step).
-        """
+        """Let all agents get on to `step`; whether any is later. others: generated vehicles a step before (T = 1)."""
         here = self.scene.traffic.at(step - 1).joined(others) if others.ids else self.scene.traffic.at(step - 1)
         yields = [row for row in self.scene.vehicle_rows.tolist() if here.present[row, 0]]
         later = {row: late for row in yields if (late := self._late_after(row, step, here)) > self.late[row]}

@@ -44,10 +44,7 @@ class _Approach:
 
 
 class _Watched(NamedTuple):
-    """An approach over the scene: (A,) whether a vehicle comes from there; by lane, (T,) entries and waiting vehicles.
-
-    Waiting vehicles on an approach lane and on what lies behind it count for that lane.
-    """
+    """An approach over the scene: (A,) whether a vehicle comes from there; by lane, (T,) entries and waiting ones."""
 
     comes_from: BoolArray
     enters: dict[int, BoolArray]
@@ -56,10 +53,9 @@ class _Watched(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class InferredSignals:
-    """Red and green of the entrances of a scene, worked out for each lane when it is first asked for.
+    """Red and green of the entrances of a scene: of lanes of an intersection that are entered from outside of it.
 
-    Only lanes of an intersection that are entered from a lane outside of it have an entrance. states: the recorded
-    agents, of which those of SIGNALLED_TYPES count.
+    states: the recorded agents, of which those of SIGNALLED_TYPES count.
     """
 
     graph: LaneGraph
@@ -112,8 +108,7 @@ class InferredSignals:
     def _seen(self, lane_id: int, approach: _Approach) -> tuple[BoolArray, BoolArray]:
         """(T,) whether recorded vehicles enter, and whether they wait to; lanes that turn alike share a signal.
 
-        An entry into one of them makes all green; a queue makes red what it stands before, and the lanes beside if it
-        can go nowhere else.
+        A queue makes red what it stands before, and the lanes beside if it can go nowhere else.
         """
         graph, watched = self.graph, self._watch(approach)
         turn = graph.lanes[lane_id].turn

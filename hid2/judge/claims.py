@@ -44,9 +44,9 @@ class Claim(NamedTuple):
 
 
 class EventClaim(NamedTuple):
-    """An event that is told as done. ahead: whether the vehicle is ahead of its target, or crosses first.
+    """An event that is told as done; figures: what is told of it, by the names of `EventMeasures`.
 
-    figures: what is told of it, by the names of `EventMeasures`; None: no such figure.
+    ahead: whether the vehicle is ahead of its target, or crosses first.
     """
 
     kind: str
@@ -80,10 +80,7 @@ def seen(claim: Claim, among: Sequence[Maneuver]) -> Maneuver | None:
 
 
 def judge_claims(states: AgentStates, claims: Sequence[Claim], events: Sequence[EventClaim]) -> list[Finding]:
-    """Claims that the states do not show within CLAIM_S of the time claimed; inf where they show nothing like it.
-
-    Of an event that they show also figures that are not those of the states at the time claimed.
-    """
+    """Claims not shown within CLAIM_S, by how many s, inf for never; and figures of events that are not the states'."""
     found, every, step_s = [], manoeuvres(states) if claims else [], states.arrays.step_s
     for claim in claims:
         shown = seen(claim, every)
@@ -101,10 +98,7 @@ def judge_claims(states: AgentStates, claims: Sequence[Claim], events: Sequence[
 
 
 def _wrong_figures(states: AgentStates, event: EventClaim) -> list[Finding]:
-    """What is told of an event and is not what the states show: by how much, inf where the states have no figure.
-
-    TTC and PET are told wherever there is one: there alone a figure that is missing is wrong.
-    """
+    """Figures of an event that are not the states', by how much; TTC and PET are told wherever there is one."""
     own, target = (states.arrays.track_ids.index(name) for name in (event.track_id, event.target_id))
     at_step, found = round(event.at_s / states.arrays.step_s), []
     shown = measure_event(states, event.kind, own, target, at_step=at_step)
@@ -149,10 +143,8 @@ def event_step(states: AgentStates, claim: EventClaim) -> int | None:
 def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None:
     """The vehicle crosses from a lane beside the target's path into it, ahead of the target, and near to it.
 
-    Near: it leaves less than the time gap that is recommended, or than the TTC before which drivers brake; with more
-    it is an ordinary change of lanes.
-    The target is on that path since CLAIM_S at least: where it changes into the lane itself, no vehicle cuts in on it;
-    nor does one where it changes to another lane before it is there.
+    Near: within the time gap that is recommended, or the TTC before which drivers brake. The target is on that path
+    since CLAIM_S at least, and until there: where it changes lanes itself, no vehicle cuts in on it.
     """
     arrays, view, link = states.arrays, states.view, states.lanes.link
     runs, steps = runs_of(view, target), []

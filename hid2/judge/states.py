@@ -120,10 +120,7 @@ def outside_m(
     position: FloatArray, heading: FloatArray, length_m: FloatArray | float, width_m: FloatArray | float,
     graph: LaneGraph, *, tolerance_m: float,
 ) -> FloatArray:  # fmt: skip
-    """How far the outlines of boxes (N,) reach out of the drivable area, m; 0 up to tolerance_m.
-
-    Corners, and points along the sides: where the road's edge has a corner, a side reaches farther out than its ends.
-    """
+    """How far the outlines of boxes (N,), sides too, reach out of the drivable area, m; 0 up to tolerance_m."""
     corners = box_corners(position, heading, length_m=length_m, width_m=width_m)
     out = np.zeros(len(corners))
     off = np.flatnonzero(~shapely.contains(graph.drivable, shapely.polygons(corners)))
@@ -219,9 +216,8 @@ def ttc_on_driven_path(states: AgentStates, row: int, led: Leading, bounds: Boun
 def of_end(states: AgentStates, row: int, others: IntArray, bounds: Bounds) -> Iterator[Finding]:
     """Contacts after a vehicle's last step, all at the velocities stated then: too soon, or not to be avoided.
 
-    Not avoided is a contact within the horizon with an agent that the vehicle meets as it drives, and also when it
-    brakes with END_DECEL_MPS2 after END_REACTION_S. A vehicle that comes from behind brakes itself: it counts for the
-    TTC alone.
+    Not avoided: with an agent that it meets also when it brakes with END_DECEL_MPS2 after END_REACTION_S. A vehicle
+    that comes from behind brakes itself: it counts for the TTC alone.
     """
     last = states.span(row).stop - 1
     rows = np.append(row, others[states.traffic.present[others, last]])
@@ -299,10 +295,7 @@ def ttc_on_lanes(states: AgentStates, led: Leaders, bounds: Bounds) -> Iterator[
 
 
 def ttc_of_followers(states: AgentStates, inserted: IntArray, bounds: Bounds) -> Iterator[Finding]:
-    """The least TTC of each recorded follower to each inserted vehicle, on the path that the follower drives.
-
-    A vehicle that turns off ahead of it is still in its way, though on another lane.
-    """
+    """The least TTC of each recorded follower to each inserted vehicle, also of other lanes, on its driven path."""
     arrays, critical_s = states.arrays, bounds.conflict.follower_ttc_min_s
     leaders_of = states.traffic.rows(inserted.tolist())
     for follower in np.flatnonzero(arrays.vehicle & arrays.moving & ~arrays.generated).tolist():
@@ -325,7 +318,7 @@ def of_crossings(states: AgentStates, bounds: Bounds, *, since: int) -> Iterator
 def headways(states: AgentStates, led: Leaders, beyond_m: FloatArray | None = None) -> Iterator[Finding]:
     """Recorded followers that inserted leaders leave less time headway than they kept to leaders in the recording.
 
-    beyond_m (A,): by how much the boxes of the states are longer, ahead, than those that are exported.
+    beyond_m (A,): by how much boxes of the states are longer, ahead, than exported.
     """
     arrays = states.arrays
     follower = ~arrays.generated[arrays.agent] & arrays.moving[arrays.agent]
@@ -370,10 +363,7 @@ def sustained_headway(
 def _sustained_headway(
     states: AgentStates, led: Leaders, rows: BoolArray, beyond_m: FloatArray | None = None
 ) -> dict[int, tuple[float, int]]:
-    """Least time headway that lasts FOLLOWER_FOR_S, if it is too short, and its last row; by agent.
-
-    rows (N,): of followers; above FOLLOWER_MPS alone. beyond_m: as above.
-    """
+    """Least time headway of followers, rows (N,), that lasts FOLLOWER_FOR_S, if too short, and its row; by agent."""
     arrays = states.arrays
     speed = states.row_speed
     gap_m = np.where(rows & (led.agent >= 0), led.gap_m, np.inf)

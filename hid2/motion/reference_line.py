@@ -58,10 +58,7 @@ class ReferenceLine:
         return self.motion(s)[0]
 
     def motion(self, s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Position (M, 2) m, tangent (M, 2) and pace (M,) at arc lengths s (M,).
-
-        Pace: |dr/ds|, 1 up to the error of the arc-length parameter; 1 beyond the ends.
-        """
+        """Position (M, 2) m, tangent (M, 2) and pace |dr/ds| (M,), 1 but for an error of the parameter, at s (M,) m."""
         return along_spline(self.breaks, self.pieces, np.ascontiguousarray(s, dtype=np.float64))
 
 
@@ -70,9 +67,8 @@ def build_reference_line(
 ) -> ReferenceLine:
     """Smooth a polyline (N, 2) m until its curvature stays below 1 / min_radius_m or it strays max_offset_m from it.
 
-    By penalised least squares on third differences: parabolas, so constant curvature, pass unchanged.
-    Paper, Trajectory Smoothing: kappa <= 1 / R_min. The result's points keep the order and number of the resampled
-    input's, so that index i of `points` still belongs to arc length i * step of the input.
+    Paper, Trajectory Smoothing: kappa <= 1 / R_min. By penalised least squares on third differences: constant curvature
+    passes unchanged. Point i of `points` still belongs to arc length i * step of the input.
     """
     raw = resample(points, step_m=step_m)
     if len(raw) < 6:  # a spline of degree five needs six points

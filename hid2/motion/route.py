@@ -104,10 +104,7 @@ class DrivenPath:
         return of, lane_start[of] + np.clip(share, 0.0, 1.0) * (lane_end - lane_start)[of]
 
     def s_on(self, lane_id: int, lane_s: float, *, after: float) -> float | None:
-        """Arc length at arc length lane_s of the lane on which the simulation has a vehicle; None off the path.
-
-        after: where the vehicle was; of a lane that is left and entered again, the stretch there.
-        """
+        """Arc length at lane_s of the lane on which the simulation has a vehicle, after a place; None off the path."""
         for segment in self.followed:
             if segment.lane_id == lane_id and segment.end > after:
                 return segment.s_at(lane_s)
@@ -131,10 +128,7 @@ class DrivenPath:
 
 
 class Jump(NamedTuple):
-    """What SUMO jumps, m, where it puts a vehicle from a cell onto the facing one, which lies a metre before or behind.
-
-    The vehicle goes on steadily and gives it back, from one arc length on its new path to another, m.
-    """
+    """What SUMO jumps, m, where it puts a vehicle onto a facing cell; it gives that back between two places, m."""
 
     jump_m: float
     since: float
@@ -153,10 +147,7 @@ class Jump(NamedTuple):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LateralMotion:
-    """From one path to one beside, by the clock of its driver.
-
-    along_m, tau (K,): arc length on the path that is left, and the clock, at steps that were driven, then foreseen.
-    """
+    """From one path to one beside: along_m, tau (K,): arc length on the one left, the driver's clock, at steps."""
 
     source: DrivenPath
     target: DrivenPath
@@ -224,10 +215,7 @@ def _joined(own: Iterable[Segment], beside: Iterable[Segment], *, at: float) -> 
 
 
 def first_turn(graph: LaneGraph, path: DrivenPath, kind: TurnType, *, after: float) -> Segment | None:
-    """First stretch of a path on a lane of a turn type that begins behind arc length `after`, m; None if none does.
-
-    Only where the path itself turns so: a lane may do no more than undo the kink before it, which does not show.
-    """
+    """First stretch behind `after`, m, on a lane of a turn type on which the path itself turns; None if none does."""
     heading, sign = path.line.table_heading, 1.0 if kind is TurnType.LEFT else -1.0
     for segment in path.segments:
         if graph.lanes[segment.lane_id].turn is kind and segment.start > after:
@@ -249,10 +237,7 @@ def straightest_first(graph: LaneGraph, onward: Iterable[int], preferred: Contai
 
 
 def routes_from(graph: LaneGraph, lane_id: int, *, choose: Callable[[Route], Route], most: int) -> Iterator[Route]:
-    """Routes from a lane to where the map ends, depth first; `choose` orders the successors at each split.
-
-    On drivable lanes; a route stops growing beyond ROUTE_LONGEST_M; cycles are not entered twice. At most `most`.
-    """
+    """Routes of drivable lanes to where the map ends, at most `most`, depth first; `choose` orders lanes at splits."""
     found = 0
     stack: list[tuple[Route, float]] = [((lane_id,), 0.0)]
     while stack and found < most:
@@ -275,10 +260,7 @@ def routes_from(graph: LaneGraph, lane_id: int, *, choose: Callable[[Route], Rou
 
 @dataclass(frozen=True, eq=False)
 class LanePaths:
-    """Paths on the middle of the lanes of routes, each built once, from the start of the first to the end of the last.
-
-    run_on_m: so much farther straight on, off the grid (the ablation without topology, where nothing links lanes).
-    """
+    """Paths on the middle of the lanes of routes, and run_on_m farther straight on, off the grid (without topology)."""
 
     graph: LaneGraph
     limits: Limits

@@ -46,9 +46,7 @@ def smooth_motion(
     """s(t) nearest to a driven one (T,) m with a speed that has passed a Gaussian of standard deviation filter_s.
 
     end_jerk_mps3: bound on the jerk that differences of positions show at both ends; None: the ends are left as driven.
-
-    Beyond both ends the speed goes on as it changes there. s between two steps is the cubic through position, speed and
-    acceleration at both (paper: coefficients from position, speed, and acceleration by differences of speed).
+    s between two steps is the cubic through position, speed and acceleration at both (paper: by differences of speed).
     """
     v_driven = np.gradient(s_driven, step_s, edge_order=2)
     reach = math.ceil(_TRUNCATED_AT * filter_s / step_s)
@@ -67,10 +65,7 @@ def smooth_motion(
 
 
 def _with_eased_ends(v: FloatArray, jerk_mps3: float, step_s: float) -> FloatArray:
-    """Speed (T,) with an acceleration that grows from a small one at the first step, and shrinks to one at the last.
-
-    Otherwise a vehicle that brakes as its track ends shows, by one-sided differences, a jerk that it never had.
-    """
+    """Speed (T,) with an acceleration that is small at both ends, where one-sided differences show jerk."""
     a, step = np.gradient(v, step_s), np.arange(v.size)
     bound = jerk_mps3 * (_EDGE_FIFTHS * step_s / 5.0 + _EDGE_GROWTH * step_s * np.minimum(step, step[::-1]))
     change = np.clip(a, -bound, bound) - a

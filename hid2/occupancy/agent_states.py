@@ -50,10 +50,7 @@ class Leading(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class AgentStates:
-    """Agents of a scene: row by row in `arrays`, as stated, step by step in `traffic`, velocities by differences.
-
-    joined_of: the parts in their order, each of which keeps the lines of its agents.
-    """
+    """Agents of a scene: row by row in `arrays`, as stated, step by step in `traffic`; joined_of: its parts."""
 
     arrays: SceneArrays
     traffic: Traffic

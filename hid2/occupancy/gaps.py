@@ -42,11 +42,7 @@ def gaps_on_path(seen: PathOccupancy, s: FloatArray, steps: IntArray | int, *, a
 
 
 class AllGaps(NamedTuple):
-    """Every agent on a path as seen from places (N,) on it.
-
-    lead_m, lag_m (R, N) m: bumper to bumper to those ahead and to those behind, negative side by side, inf for others;
-    along_mps (R, N) m/s: speeds along the path, 0 for one that comes back.
-    """
+    """Every agent on a path as seen from places on it; (R, N) as in `Gaps`, lead_m and lag_m inf for others."""
 
     lead_m: FloatArray
     lag_m: FloatArray
@@ -80,10 +76,7 @@ class PoseGaps(NamedTuple):
 
 
 def gaps_from_poses(xy: FloatArray, forward: FloatArray, box: BoxSize, others: Traffic) -> PoseGaps:
-    """Gaps from a box at xy (T, 2) m heading along the unit vectors forward (T, 2) to agents, over their steps (A, T).
-
-    Also of a box that is elsewhere for each of them: xy, forward (A, T, 2).
-    """
+    """Gaps from a box at xy (T, 2) m along unit vectors forward (T, 2), or (A, T, 2), to agents (A, T)."""
     offset, (length_m, width_m) = others.position - xy, box
     along, mps = (one[..., 0] * forward[..., 0] + one[..., 1] * forward[..., 1] for one in (offset, others.velocity))
     aside = np.abs(offset[..., 1] * forward[..., 0] - offset[..., 0] * forward[..., 1])

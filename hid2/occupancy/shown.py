@@ -35,10 +35,7 @@ class Shown:
 
 
 def shown_on(path: DrivenPath, traffic: Traffic, seen: PathOccupancy, *, step_s: float) -> Shown:
-    """What SUMO has of agents of `traffic` on a path, seen: their intervals in the width that is driven.
-
-    It knows the speed of a vehicle's front from where that was a step before, and puts it on the lane below its front.
-    """
+    """What SUMO has of agents of `traffic` on a path, by their fronts; seen: their intervals in the driven width."""
     front, speed, known = _fronts(traffic, step_s)
     middle, leads = leading_in_sumo(
         seen.low, seen.high, seen.along, seen.same_direction, seen.crossing, seen.agents, traffic.length_m, front,

@@ -50,10 +50,7 @@ def cell_boxes(grid: CellGrid) -> CellBoxes:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OriginalOccupancy:
-    """What the recorded agents occupy, for all steps beforehand.
-
-    sigma (T, C) uint8, FREE or ORIGINAL; cell (A, T) index of the cell of each agent's centre, -1 for none.
-    """
+    """What recorded agents occupy: sigma (T, C), FREE or ORIGINAL; cell (A, T) of each centre, -1 for none."""
 
     sigma: npt.NDArray[np.uint8]
     cell: npt.NDArray[np.int64]
@@ -83,10 +80,7 @@ def is_agent_on(boxes: CellBoxes, cells: Sequence[int], traffic: Traffic, step: 
 def clear_places(
     boxes: CellBoxes, cells: npt.NDArray[np.int64], share: FloatArray, here: Traffic, *, box: BoxSize, gap_m: float
 ) -> npt.NDArray[np.bool_]:
-    """Whether a box that stands a share (N,) along each cell (N,) is clear, by a gap ahead and behind, of all agents.
-
-    here: the agents (one step).
-    """
+    """Whether a box a share (N,) along cells (N,) is clear, by a gap ahead and behind, of all agents (one step)."""
     heading = boxes.heading[cells]
     forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
     place = boxes.center[cells] + ((share - 0.5) * boxes.length_m[cells])[:, None] * forward

@@ -21,13 +21,11 @@ _BY_AGENT = (*_BY_STEP, "length_m", "width_m")
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Traffic:
-    """Oriented boxes of A agents at T steps.
+    """Oriented boxes of A agents at T steps; the arrays do not change.
 
     position (A, T, 2) m, box centres; heading (A, T) rad; velocity (A, T, 2) m/s, from the positions; present (A, T):
-    the agent has a state at that step or lies between two of its states (interpolated: it is somewhere there);
-    length_m, width_m (A,).
-    extends: its first agents, which others were joined to, so that what is known of them need not be worked out
-    again. The arrays do not change. known: intervals on paths, kept by `path_occupancy`.
+    the agent has a state at that step or lies between two of its states (interpolated); length_m, width_m (A,).
+    extends: its first agents, to which others were joined; known: intervals on paths, kept by `path_occupancy`.
     """
 
     ids: tuple[str, ...]
@@ -149,10 +147,7 @@ def are_believed(apart_mps: FloatArray) -> bool:
 
 
 def velocity_of(xy: FloatArray, step_s: float) -> FloatArray:
-    """Velocities (N, 2) m/s of positions (N, 2) m.
-
-    Difference over up to half a second around each step: trackers jitter, leaders' speeds must not.
-    """
+    """Velocities (N, 2) m/s of positions (N, 2) m, over up to _HALF_S around each step: trackers jitter."""
     count, half = len(xy), max(1, round(_HALF_S / step_s))
     index = np.arange(count)
     before, after = np.maximum(index - half, 0), np.minimum(index + half, count - 1)

@@ -110,10 +110,9 @@ def behaviour_seen(kind: ManeuverKind) -> Behaviour:
 
 
 def load_own(names: Collection[str]) -> dict[str, Policy]:
-    """Import behaviours of a user's own, "module:name" with the name of their policy, so that they can be asked for.
+    """Import behaviours of a user's own, "module:name", so that they can be asked for; their policies by these names.
 
-    Returns their policies by these names. Errors: ConfigError for what cannot be imported, is no `Behaviour`, or has
-    another name.
+    Errors: ConfigError for what cannot be imported, is no `Behaviour`, or has another name.
     """
     loaded = {}
     for name in names:

@@ -37,8 +37,7 @@ class LaneOption:
     """An adjacent lane l' that the marking lets the agent change to, as it sees it at one step.
 
     target: cell g_{l',j}; cells_free: sigma = 0 in j-1, j, j+1; gaps to the vehicles ahead and behind there, Frenet m;
-    remaining_m: length of l' left through its successors; corridor_m: its free stretch m * delta s; sumo: what SUMO
-    answers.
+    remaining_m: length of l' left through its successors; corridor_m: its free stretch m * delta s.
     """
 
     side: Side
@@ -58,10 +57,7 @@ def safe_gap_m(follower_mps: float, leader_mps: float, *, time_gap_s: float, par
 
 
 def gap_refusals(*, speed_mps: float, cells_free: bool, front: Gap, rear: Gap, params: LaneChange) -> Iterator[Reason]:
-    """Conditions of the paper that a gap on l' does not meet now; none where the change is feasible.
-
-    cells_free: sigma = 0 in cells j-1, j, j+1 of l'. Gaps are to the new leader and follower in Frenet metres.
-    """
+    """Conditions of the paper that a gap on l' (Frenet metres, cells j-1, j, j+1) does not meet; none if feasible."""
     if not cells_free:
         yield Reason.CELLS_OCCUPIED
     if front.distance_m < safe_gap_m(speed_mps, front.speed_mps, time_gap_s=params.time_gap_front_s, params=params):

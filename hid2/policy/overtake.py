@@ -27,18 +27,12 @@ def shortest_shift_s(config: Config) -> float:
 
 
 def stretch_m(config: Config) -> float:
-    """Shortest stretch of two lanes side by side for an overtake, m: the corridor for out and past, and the way back.
-
-    Back is a lateral motion, as short as it may be, at the speed of usual traffic.
-    """
+    """Shortest stretch of two lanes side by side for an overtake, m: the corridor, and a short way back."""
     return config.overtake.d_overtake_m + shortest_shift_s(config) * config.spawn.prior_speed_mps
 
 
 def enter_reason(option: LaneOption, *, leader: Gap | None, desired_mps: float, params: Overtake) -> Reason | None:
-    """Why the overtake cannot begin now; None where it can.
-
-    The paper's three conditions: a free overtaking lane l', gaps ahead and behind, m * delta s >= d_overtake.
-    """
+    """Why the overtake cannot begin now, None where it can: l' free, gaps at both ends, m * delta s >= d_overtake."""
     if leader is None or leader.distance_m > params.d_obs_m:
         return Reason.NO_LEADER
     if desired_mps - leader.speed_mps < params.speed_advantage_mps:

@@ -71,8 +71,7 @@ _BETWEEN = replace(_FREE, front=Gap(20.0, 9.0), rear=Gap(15.0, 11.0), own_front=
 def rule_refusals(view: GapView, params: LaneChange) -> tuple[Reason, ...]:
     """Every condition of the rule `lane_change.rule` that a gap does not meet, in its order; empty where it takes it.
 
-    A rule of a user's own is asked only where the lane can be changed in. Errors: ConfigError for one that cannot be
-    imported, or answers otherwise than with True, False, or these by the names of its conditions.
+    Errors: ConfigError for a user's rule that cannot be imported, or answers with no True, False, or these by name.
     """
     found = []
     if view.speed_mps < params.min_speed_mps:
@@ -129,9 +128,8 @@ def rule_arguments(params: LaneChange) -> dict[str, float]:
 def expected_reason(driver: Driver, params: LaneChange, *, speed_mps: float, side: Side = "left") -> Reason | None:
     """Why a rule would not leave a slower leader for a free lane; None where it would.
 
-    Sites ask this before they expect a change of lanes. At the rule's least speed or faster, after all the waiting that
-    there is, behind a leader half as fast. LC2013 is SUMO's and cannot be asked before SUMO drives: of it the
-    preconditions on the map alone, speed, length of lane left and free cells.
+    At the rule's least speed or faster, after all the waiting, behind a leader half as fast. Of LC2013, SUMO's own, the
+    preconditions by the map alone.
     """
     v = max(speed_mps, params.min_speed_mps)
     view = replace(
@@ -148,8 +146,7 @@ def expected_reason(driver: Driver, params: LaneChange, *, speed_mps: float, sid
 def try_rule(params: LaneChange) -> None:
     """Import the function that `lane_change.rule` names and try it with its arguments.
 
-    Errors: ConfigError with file and line where it cannot be imported, takes no `GapView` or not these arguments,
-    raises, or answers otherwise than `rule_refusals` expects.
+    Errors: ConfigError with file and line where it does not do what `rule_refusals` expects.
     """
     for view in (_FREE, _BETWEEN):
         _answer(params.rule, view, rule_arguments(params))
@@ -211,10 +208,7 @@ def place_in(error: BaseException | None, function: object, caller: str = __file
 
 
 def idm_mps2(speed_mps: float, ahead: Gap, view: GapView) -> float:
-    """Acceleration by the intelligent driver model behind a leader (Treiber, Hennecke and Helbing 2000), m/s2.
-
-    With the parameters of the driver in `view`, for others too: theirs are unknown. Desired speed at least the speed.
-    """
+    """Acceleration of the driver in `view` by the intelligent driver model (Treiber, Hennecke, Helbing 2000), m/s2."""
     desired = max(view.desired_mps, speed_mps, 0.1)
     free = 1.0 - (speed_mps / desired) ** 4
     if math.isinf(ahead.distance_m):

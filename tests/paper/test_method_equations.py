@@ -30,7 +30,7 @@ from hid2.policy.lane_change import OPEN as NO_GAP
 from hid2.policy.lane_change import Gap, LaneOption
 from hid2.policy.observation import lane_options
 from hid2.policy.overtake import Stage, enter_reason
-from hid2.policy.turns import f_left, f_right, road_speeds
+from hid2.policy.roads import f_left, f_right, road_speeds
 from hid2.reasons import Reason
 from hid2.scene import Scene, build_scene
 from netconvert.cells import Cell, build_cell_grid

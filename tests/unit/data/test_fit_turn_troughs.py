@@ -12,7 +12,7 @@ import pytest
 from bridge.config import load_config
 from hid2.agents import BoxSize, Track
 from hid2.params import Turn
-from hid2.policy.turns import turn_shape
+from hid2.policy.roads import turn_shape
 
 
 @pytest.fixture(scope="module")
@@ -57,9 +57,10 @@ def test_turns_of_the_synthetic_intersection_are_found(
     script: ModuleType, data_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """One car turns left over its whole lane; another one turns right and is seen to 0.88 of its lane only."""
+    script.main([data_root])
+    written, said = capsys.readouterr()
     out = tmp_path / "turn.toml"
-    script.main([str(data_root), "-o", str(out)])
-    said = capsys.readouterr().out
+    out.write_text(written)
     assert "3 scenes" in said
     assert "left: 1 turns" in said
     assert "right: 0 turns" in said

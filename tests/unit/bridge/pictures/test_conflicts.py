@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bridge.generation.scene import TrafficScene, read_scene
-from bridge.pictures.conflicts import draw_conflicts
+from bridge.pictures.render import draw_conflicts
 from bridge.recordings.scenario import read_scenario
 from hid2.agents import Track
 from netconvert.errors import ConfigError

@@ -19,7 +19,6 @@ from bridge.pictures.render import (
     CAR_PIXELS,
     GIF_WIDTH,
     MOST_GROUND_M,
-    PICTURES,
     _Drawing,
     draw_scene,
     render_scene,
@@ -145,7 +144,7 @@ def test_vehicle_that_is_asked_for_is_ringed_and_named(made_scene, tmp_path):
     assert pixels(render_scene(read_scenario(made_scene), tmp_path / "b.png"), figures.HIGHLIGHT) == 0
 
 
-@pytest.mark.parametrize("suffix", PICTURES)
+@pytest.mark.parametrize("suffix", figures.PICTURES)
 def test_same_scene_gives_the_same_picture(made_scene, tmp_path, suffix):
     paths = [render_scene(read_scenario(made_scene), tmp_path / f"{name}{suffix}") for name in ("a", "b")]
     assert paths[0].read_bytes() == paths[1].read_bytes()
@@ -170,7 +169,7 @@ def test_unknown_ending_step_or_agent_is_explained(data_scenes, tmp_path):
     with pytest.raises(ConfigError, match="a film shows every timestep"):
         render_scene(read_scenario(scene), tmp_path / "scene.gif", step=3)
     (tmp_path / "file").write_text("")
-    for suffix in PICTURES + ANIMATIONS:
+    for suffix in (*figures.PICTURES, *ANIMATIONS):
         with pytest.raises(ExportError, match=rf"scene{suffix}: cannot be written \(File exists\)"):
             render_scene(read_scenario(scene), tmp_path / "file" / f"scene{suffix}")
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hid2.conflicts.crossings import CrossingOnPath, PedestrianCrossings
+from hid2.conflicts.stop_lines import CrossingOnPath, PedestrianCrossings
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
 
@@ -19,7 +19,7 @@ UP = np.pi / 2
 def look(straight_path: DrivenPath, monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[CrossingOnPath]]:
     def on(*walkers: Traffic, quads: tuple[np.ndarray, ...] = (QUAD,), width_m: float = 2.0, **changed: float):
         for name, value in changed.items():
-            monkeypatch.setattr(f"hid2.conflicts.crossings.{name}", value)
+            monkeypatch.setattr(f"hid2.conflicts.stop_lines.{name}", value)
         return PedestrianCrossings(quads, walkers[0].joined(*walkers[1:]), 0.1).on(straight_path, width_m)
 
     return on

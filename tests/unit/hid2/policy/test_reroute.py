@@ -6,7 +6,7 @@ from hand_drawn import draw_lane
 from inserted import scene_on
 
 from hid2.params import Config
-from hid2.policy.reroute import ways_at_next_split
+from hid2.policy.roads import ways_at_next_split
 from hid2.scene import Scene
 from netconvert.lane_graph import LaneGraph
 

@@ -5,7 +5,7 @@ import pytest
 
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line
 from hid2.params import Limits, Turn
-from hid2.policy.turns import f_left, f_right, hard_cap, road_speeds, turn_shape
+from hid2.policy.roads import f_left, f_right, hard_cap, road_speeds, turn_shape
 from netconvert.lane_graph import TurnType
 
 #: Every value that a number below is worked from; the defaults may be tuned.
