@@ -41,10 +41,7 @@ def explained(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def beside(path: Path) -> Iterator[Path]:
-    """A hidden file beside a file, to write to: at the end it takes the file's place, and it is gone if all fails.
-
-    The folder is made. Errors: ExportError.
-    """
+    """A hidden file beside a file, whose place it takes at the end; gone if all fails. Errors: ExportError."""
     with explained(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with hidden_file(path.parent, path.suffix) as hidden:
@@ -120,10 +117,7 @@ def disk_error(error: BaseException) -> OSError | None:
 
 
 def read_regular(path: Path, *, most_mb: int) -> bytes:
-    """The bytes of a regular file of bounded size. Errors: OSError, also for a pipe or a device, which would not end.
-
-    Opened without waiting and looked at when it is open: what the name stands for may change in between.
-    """
+    """The bytes of a regular file of bounded size. Errors: OSError, also for a pipe or a device, which has no end."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
@@ -164,10 +158,7 @@ def printable(text: str) -> str:
 
 
 def one_line(text: str, *, most: int) -> str:
-    """A printable text on one line, of at most so many characters; a text that is so already stays as it is.
-
-    A longer one keeps its end as well: what is expected stands there, behind a value of any length.
-    """
+    """A printable text on one line, of at most so many characters; a longer one keeps its end: what is expected."""
     if len(text) > most or not text.isprintable():
         text = printable(" ".join(text.split()))
     end = (most - len(_SHORTENED)) // 3

@@ -1,9 +1,8 @@
 """How a command ends before it is done: at once, wherever it is, with one line and with nothing left behind.
 
-A signal does not become an exception: that would be raised anywhere, in an import, in a library's callback, amid the
-tidying, and could be lost or leave half of it. The handler itself ends all child processes, tidies what is
-registered with `tidied`, and leaves. What a process that was killed has left is found by its name and removed by the
-next one: all that is being written has a name of one form, and is locked as long as its process lives.
+A signal does not become an exception, which could be raised amid the tidying, or lost. The handler itself ends all
+child processes, tidies what is registered with `tidied`, and leaves. What a process that was killed has left the next
+one removes: all that is being written has a name of one form, and is locked as long as its process lives.
 """
 
 import atexit
@@ -31,10 +30,9 @@ _SAID = {"next": "nothing half-written is left"}
 
 
 def end_when_interrupted() -> None:
-    """From now on a signal ends the command; temporary files lie in a folder of their own, which goes with it.
+    """From now on a signal, unless ignored from the start, ends the command, and its folder of temporary files goes.
 
-    For the process of a command, with signals blocked until here. One that is ignored from the start stays so, as
-    Ctrl-C is for a command in the background of a script.
+    For the process of a command, with signals blocked until here.
     """
     for number in SIGNALS:
         if signal.getsignal(number) is not signal.SIG_IGN:

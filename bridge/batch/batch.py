@@ -38,9 +38,10 @@ from bridge.recordings.sources import source_files
 from hid2.params import Config
 from netconvert.errors import BatchError, ConfigError, DiskFullError, ExportError
 
-QUARANTINE = "quarantine"
-#: Where a study keeps what its runs have measured.
-RUNS = "runs"
+#: Folders of OUT: bundles, and what the runs of a study have measured.
+QUARANTINE, RUNS = "quarantine", "runs"
+#: All in which something half-written may be left.
+_WRITTEN_IN = (*SPLITS, RUNS, QUARANTINE, f"{QUARANTINE}/*", f"{SEQUENCES}/*", f"{SEQUENCES}/*/*")
 GENERATE = "bridge.batch.scene_work:generate_runs"
 #: Most runs on a recording that one process does before they are in the manifest: a power cut costs no more, and the
 #: runs on one recording are spread over all processes. Reading it and building its net is a small part of so many.
@@ -68,10 +69,7 @@ class SceneJob:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a recording is read and where its results are written, with what was asked for beside (see `Options`).
-
-    source_sha256: digest of what is read, "" where it cannot be.
-    """
+    """Where a recording is read and its results are written, as `Options` has it; the digest of it, "" where unread."""
 
     folder: Address
     out: Path
@@ -84,9 +82,8 @@ class Place:
 class Options(Settings):
     """How a batch, and each scene of it, runs. Errors: ConfigError.
 
-    scheduler: address of a Dask scheduler; resume: skip what is complete and unchanged; argoverse1: write sequences of
-    Argoverse 1 as well; gaps: write every look at a gap beside each scene; functions:
-    rules and behaviours of a user's own, module:name, that may be imported.
+    scheduler: address of Dask's; resume: skip what is complete and unchanged; argoverse1: write its sequences as well;
+    gaps: write every look at a gap; functions: rules and behaviours of a user's own, module:name, that may be imported.
     """
 
     jobs: int = 1
@@ -123,10 +120,7 @@ OnRow = Callable[[ManifestRow, Progress], None]
 
 
 def plan(folders: Iterable[Address], config: Config) -> list[SceneJob]:
-    """One job for every recording, with the variants that the configuration asks for.
-
-    The number of variants is taken out of each run's configuration: variant 0 is the same scene however many there are.
-    """
+    """One job for every recording, with the variants asked for; variant 0 is the same however many there are."""
     check_exportable(config)
     request = config.request.model_copy(update={"variants": 1})
     single = config.model_copy(update={"request": request})
@@ -141,8 +135,7 @@ def run_batch(
 
     on_row is called after every run, also for those found complete. When it is interrupted, or the disk is full, the
     manifest holds what is done and nothing is half-written; a later call with `resume` goes on from there.
-    Errors: BatchError, ExportError where OUT cannot be written; ConfigError where results would get in the way of
-    each other, of those of other scenes in OUT, or of the sources.
+    Errors: BatchError, ExportError where OUT cannot be written; ConfigError where results get in the way of others.
     """
     options = options or Options()
     on_row = on_row or (lambda row, progress: None)
@@ -151,7 +144,7 @@ def run_batch(
     progress = Progress(total=sum(len(job.runs) for job in jobs))
     rows: list[ManifestRow] = []
     jobs = with_own(jobs, options.functions)
-    remove = partial(_remove_half_written, out_dir)
+    remove = partial(remove_abandoned, out_dir, *_WRITTEN_IN)
     with _locked(out_dir), tidied(remove):
         remove()
         manifest = Manifest(out_dir)
@@ -189,7 +182,7 @@ def run_batch(
 
 
 def with_own(jobs: Sequence[SceneJob], functions: Collection[str]) -> Sequence[SceneJob]:
-    """Import and try each rule and behaviour of a user's own, say its file; the jobs with the digest of these files.
+    """The jobs with the digests of the files of rules and behaviours of a user's own, each imported, tried and said.
 
     functions: those that may be imported. They are looked for in the working folder last. Errors: ConfigError.
     """
@@ -197,17 +190,17 @@ def with_own(jobs: Sequence[SceneJob], functions: Collection[str]) -> Sequence[S
     named = {name: key for one in configs for name, key in functions_of(one).items()}
     for name, key in sorted(named.items()):
         check_function(name, functions, where=key)
-    files: dict[str, str] = {}
-    if configs:
-        from hid2.policy.behaviours import load_own  # only where there are any
-        from hid2.policy.rules import check_user_rule
+    if not configs:
+        return jobs
+    from hid2.policy.behaviours import load_own  # only where there are any
+    from hid2.policy.rules import check_user_rule
 
-        find_in_working_folder()
-        changes = {(one.lane_change.rule, one.lane_change.rule_with): one.lane_change for one in configs}
-        files = {rule: check_user_rule(change) for (rule, _), change in sorted(changes.items()) if rule in named}
-        own = sorted({name for one in configs for name in one.request.own_behaviours})
-        load_own(own)
-        files |= {name: str(sys.modules[name.partition(":")[0]].__file__) for name in own}
+    find_in_working_folder()
+    changes = {(one.lane_change.rule, one.lane_change.rule_with): one.lane_change for one in configs}
+    files = {rule: check_user_rule(change) for (rule, _), change in sorted(changes.items()) if rule in named}
+    own = sorted({name for one in configs for name in one.request.own_behaviours})
+    load_own(own)
+    files |= {name: str(sys.modules[name.partition(":")[0]].__file__) for name in own}
     digests = {name: hashlib.sha256(Path(file).read_bytes()).hexdigest() for name, file in files.items()}
     for name, file in files.items():
         _LOG.warning("%s = %s is imported from %s and run", named[name], name, file)
@@ -215,14 +208,11 @@ def with_own(jobs: Sequence[SceneJob], functions: Collection[str]) -> Sequence[S
     def known(run: Run) -> Run:
         return replace(run, rule_sha256=" ".join(digests[name] for name in functions_of(run.config)))
 
-    return [replace(job, runs=tuple(map(known, job.runs))) for job in jobs] if digests else jobs
+    return [replace(job, runs=tuple(map(known, job.runs))) for job in jobs]
 
 
 def _check_owners(jobs: Sequence[SceneJob], manifest: Manifest, out_dir: Path) -> None:
-    """Before the work, by the ids in the names of files: what a scene wrote is not replaced by another one of its id.
-
-    Errors: ConfigError.
-    """
+    """What a scene wrote is not replaced by another one of its id, by the names of files. Errors: ConfigError."""
     known = {(row.split, Path(row.folder).name): row for row in manifest.rows if row.folder}
     for job in jobs if known else ():
         scenario_id, split = source_id(job.folder), split_of(job.folder) or ""
@@ -257,10 +247,9 @@ def base_row(place: Place, run: Run, folder: Path | None = None) -> ManifestRow:
 
 
 def reproduce(path: Path, out_dir: Path | None, *, functions: Collection[str] = ()) -> tuple[Bundle, ManifestRow]:
-    """Run what a bundle holds again, isolated, with its own limits.
+    """Run what a bundle holds again, isolated, with its own limits; out_dir: for its scene, None: nothing is kept.
 
-    out_dir: for its scene, if it succeeds now; None: nothing is kept. functions: beyond hid2's own, that the bundle
-    may ask for. Errors: BatchError for a file that is no bundle.
+    functions: beyond hid2's own, that the bundle may ask for. Errors: BatchError for a file that is no bundle.
     """
     with TemporaryDirectory(prefix="hid2-repro-") as scratch:
         bundle = read_bundle(path, Path(scratch), functions=functions)
@@ -268,12 +257,6 @@ def reproduce(path: Path, out_dir: Path | None, *, functions: Collection[str] = 
         job = SceneJob(bundle.folder, (Run(bundle.config, bundle.variant),))
         (row,) = run_batch([job], out_dir or Path(scratch, "out"), options)
     return bundle, row
-
-
-def _remove_half_written(out_dir: Path) -> None:
-    """Remove what scene processes that have ended were writing."""
-    bundles, sequences = f"{QUARANTINE}/*", f"{SEQUENCES}/*"
-    remove_abandoned(out_dir, *SPLITS, RUNS, QUARANTINE, bundles, sequences, f"{sequences}/*")
 
 
 def _check_places(jobs: Sequence[SceneJob], out_dir: Path) -> None:
@@ -356,8 +339,8 @@ def _row(outcome: Outcome, options: Options) -> ManifestRow:
     if failure is None:
         path.unlink(missing_ok=True)
         return row
-    limits = options.timeout_s, options.function
-    write_bundle(Bundle(place.folder, run.config, run.variant, *limits, failure, row.version), path)
+    asked = run.config, run.variant, options.timeout_s, options.function
+    write_bundle(Bundle(place.folder, *asked, failure, row.version), path)
     reason, bundle = one_line(failure.message, most=MAX_TEXT), path.relative_to(place.out).as_posix()
     return row._replace(status=QUARANTINED, failure=failure.kind, reason=reason, bundle=bundle)
 

@@ -10,6 +10,7 @@ import contextlib
 import functools
 import itertools
 import logging
+import re
 import threading
 from collections.abc import Generator, Iterable, Iterator
 from concurrent.futures import CancelledError
@@ -17,8 +18,6 @@ from dataclasses import fields
 from typing import Any
 
 from distributed import Client, KilledWorker, Security, wait
-from distributed.comm.addressing import parse_address, parse_host_port
-from distributed.comm.registry import get_backend
 
 from bridge.batch.engine import AHEAD, Outcome, Task, run_task
 from bridge.batch.isolation import Failure, IsolatedProcess, Settings
@@ -104,31 +103,20 @@ def _run_on_worker(task: Task, settings: Settings) -> list[Outcome]:
 
 @contextlib.contextmanager
 def _client(scheduler: str) -> Iterator[Client]:
-    """Connect to the scheduler at an address; what Dask would log is said by errors instead."""
-    checked = _checked(scheduler)
+    """Connect to the scheduler at an address; what Dask would log is said by errors instead.
+
+    Errors: ConfigError for what is no address or has no certificates, BatchError where nothing answers there.
+    """
     for name in (*_LOGGERS, *logging.root.manager.loggerDict):  # Dask sets levels of its modules one by one
         if name.partition(".")[0] in _LOGGERS:
             logging.getLogger(name).setLevel(logging.CRITICAL)
+    if not re.fullmatch(r"(tls|tcp)://\S+:\d+", scheduler):  # before Dask makes half a client of it
+        raise ConfigError(f"scheduler {scheduler!r}: no address, expected tls://HOST:PORT or tcp://HOST:PORT")
     try:
-        client = Client(checked, timeout=_CONNECT_S, set_as_default=False)
+        if scheduler.startswith("tls") and Security().get_connection_args("client").get("ssl_context") is None:
+            raise ConfigError(f"scheduler {scheduler!r}: no certificates for it, {_TLS}")
+        client = Client(scheduler, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise BatchError(f"scheduler {scheduler}: cannot be reached ({error})") from error
     with client:
         yield client
-
-
-def _checked(scheduler: str) -> str:
-    """The address. Errors: ConfigError for what Dask would fail to read as one, half way through."""
-    try:
-        protocol, location = parse_address(scheduler)
-        get_backend(protocol)
-        parse_host_port(location)
-    except ValueError as error:
-        raise ConfigError(f"scheduler {scheduler!r}: {error}, expected tls://HOST:PORT or tcp://HOST:PORT") from error
-    try:
-        context = Security().get_connection_args("client").get("ssl_context")
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"scheduler {scheduler!r}: its certificates cannot be read ({error}), {_TLS}") from error
-    if protocol == "tls" and context is None:
-        raise ConfigError(f"scheduler {scheduler!r}: no certificates for it, {_TLS}")
-    return scheduler

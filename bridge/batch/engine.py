@@ -1,10 +1,8 @@
 """Runs tasks, each in an isolated process: on this machine, or on the workers of a Dask scheduler that is named.
 
-A task is the work on one source scene. Every worker runs it in a process of its own (`isolation`), so that a
-segfault, a kill or a hang ends that process, costs the item at hand one retry, and leaves worker and scheduler alone.
-On this machine a worker is a thread that waits for its process. The death of a Dask worker itself is no scene's fault:
-the scheduler gives its task to another worker. Where no process can begin its work, the batch ends: the next scene
-would fail no less.
+A task is the work on one source scene. A segfault, a kill or a hang ends its process, costs the item at hand one retry,
+and leaves worker and scheduler alone. On this machine a worker is a thread that waits for its process. Where no process
+can begin its work, the batch ends: the next scene would fail no less.
 """
 
 import itertools
@@ -48,10 +46,7 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of one item: a value, or a failure: of its process, or what the work yielded as one.
-
-    seconds: the time of its last attempt.
-    """
+    """What became of one item: a value, or a failure: of its process, or yielded as one; seconds: its last attempt."""
 
     task: Task
     item: Any
@@ -64,10 +59,10 @@ class Outcome:
 def execute_here(
     tasks: Iterable[Task], *, jobs: int = 1, settings: Settings | None = None
 ) -> Generator[list[Outcome], None, None]:
-    """Yield the outcomes of every task as it is done: a thread for each process hands it one task after the other.
+    """Yield the outcomes of every task as it is done; `tasks` is consumed as processes become free.
 
-    `tasks` is consumed as processes become free. When the caller goes away, by Ctrl-C or by closing the generator, the
-    processes end with what they are at. Errors: BatchError when no process can begin its work.
+    When the caller goes away, by Ctrl-C or by closing the generator, the processes end with what they are at.
+    Errors: BatchError when no process can begin its work.
     """
     settings = settings or Settings()
     processes = [IsolatedProcess(settings) for _ in range(jobs)]
@@ -115,10 +110,9 @@ def work_on_each(
 ) -> Generator[tuple[_Item, _Value | Failure], None, None]:
     """Yield every item with what a piece of work makes of it, or its failure, in the order of the items.
 
-    work: a function of a module, which gets (shared, item); chunk: most items that a process gets at a time, fewer
-    where processes share few items; timeout_s: for each item. isolated: False for work that needs no process of its
-    own, where starting one takes as long as a whole chunk: one worker works here. on_item(done, total) is called when
-    the caller is done with an item.
+    work: a function of a module, which gets (shared, item); chunk: most items that a process gets at a time;
+    timeout_s: for each item; isolated: False for work that needs no process of its own: one worker works here.
+    on_item(done, total) is called when the caller is done with an item.
     """
     size = max(1, min(chunk, len(items) // (4 * jobs))) if isolated else chunk
     chunks = [tuple(items[start : start + size]) for start in range(0, len(items), size)]
@@ -137,10 +131,7 @@ def work_on_each(
 
 
 def attempt_each(named: tuple[str, Any], items: Sequence[Any]) -> Iterator[Any]:
-    """What a function "module:name" makes of (shared, item) for each item, or its failure: one does not end the others.
-
-    It is imported before the first item; that item's time starts after the import.
-    """
+    """What a function "module:name", imported first, makes of (shared, item) for each item, or its failure."""
     return attempts(partial(resolve_name(named[0]), named[1]), items)
 
 
@@ -171,7 +162,7 @@ def sorted_out(each: Iterable[tuple[_Item, _Value | Failure]]) -> tuple[list[_Va
 def run_task(task: Task, process: IsolatedProcess, settings: Settings) -> list[Outcome]:
     """Run the items of a task; after a failed process an item is tried again in a fresh one, then given up.
 
-    Where the process was stopped, the rest of the task has no outcomes. Errors: BatchError when no process can begin.
+    Where the process was stopped, the rest has no outcomes. Errors: BatchError when no process can begin.
     """
     outcomes: list[Outcome] = []
     attempts, failed_starts, began = 1, 0, time.monotonic()

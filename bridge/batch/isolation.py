@@ -43,7 +43,6 @@ MAX_RSS_MB = 600.0
 _MB = 1_000_000
 #: Of what a process wrote last, to tell why it ended.
 _TAIL_BYTES = 8000
-
 #: Packages with messages that an isolated process passes on to its caller.
 _PACKAGES = ("netconvert", "hid2", "bridge")
 _LOG = logging.getLogger(__name__)
@@ -64,8 +63,8 @@ class Failure:
     """Why a piece of work has no result.
 
     kind: error (explained, `Hid2Error`), exception (unexpected), crashed (a signal of its own making or an exit),
-    killed (SIGKILL from outside), timeout, memory (more than a process may take), disk (nothing can be written any
-    more, which is no fault of the work). details: traceback or the end of what the process wrote to stderr.
+    killed (SIGKILL from outside), timeout, memory (more than a process may take), disk (nothing can be written).
+    details: traceback or the end of what the process wrote to stderr.
     """
 
     kind: FailureKind
@@ -75,11 +74,7 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How items are run.
-
-    timeout_s: for each item, a process that takes longer is ended; memory_mb: what it may allocate (RLIMIT_DATA),
-    several times what the largest real scene takes.
-    """
+    """How items are run. timeout_s: for each; memory_mb: what its process may allocate (RLIMIT_DATA)."""
 
     timeout_s: float = 300.0
     retries: int = 1
@@ -95,10 +90,7 @@ class StartFailedError(Exception):
 
 
 class IsolatedProcess:
-    """One child process that runs generator functions named "module:function" and passes on what they yield.
-
-    `stop` may be called by any thread, everything else by one at a time.
-    """
+    """One child process that runs generator functions "module:function"; any thread may `stop` it, one the rest."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
@@ -111,7 +103,7 @@ class IsolatedProcess:
         """Yield what `function(*arguments)` yields in the child; each value has `timeout_s` of its own.
 
         The last one is a `Failure` where the process dies or runs out of time, or the function raises. Debug messages
-        of the child are the caller's, where it has them on. Errors: StartFailedError where the work does not begin.
+        are passed on. Errors: StartFailedError where the work does not begin.
         """
         if self._process is None or self._process.poll() is not None:
             self._start()
@@ -174,10 +166,7 @@ class IsolatedProcess:
             there.close()
 
     def _receive(self, timeout_s: float) -> tuple[str, Any]:
-        """The next word of the process that is no message, with its value; messages are passed on.
-
-        Where the process ends without a word, or after its time: that it failed, and why.
-        """
+        """The next word of the process with its value, messages passed on; that it failed, and why, where it ends."""
         try:
             while self._connection.poll(timeout_s + GRACE_S):
                 kind, value = self._connection.recv()
@@ -197,7 +186,8 @@ class IsolatedProcess:
                 process.wait(timeout=GRACE_S)
         process.kill()
         code = process.wait()
-        details = self._log_tail()
+        written = os.fstat(self._stderr.fileno()).st_size
+        details = os.pread(self._stderr.fileno(), _TAIL_BYTES, max(0, written - _TAIL_BYTES)).decode(errors="replace")
         self.close()
         if code == 1 and _RAN_OUT.search(details):
             ran_out_of_s = self._settings.timeout_s
@@ -210,10 +200,6 @@ class IsolatedProcess:
         if code < 0:
             return Failure("crashed", f"the process crashed ({signal.Signals(-code).name})", details)
         return Failure("crashed", f"the process exited with status {code}", details)
-
-    def _log_tail(self) -> str:
-        length = os.fstat(self._stderr.fileno()).st_size
-        return os.pread(self._stderr.fileno(), _TAIL_BYTES, max(0, length - _TAIL_BYTES)).decode(errors="replace")
 
 
 class _ToCaller(logging.Handler):

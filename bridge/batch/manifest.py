@@ -110,7 +110,7 @@ class ManifestRow(NamedTuple):
 class Manifest:
     """The rows of an output folder, on disk after every change. Errors: ExportError where it cannot be written.
 
-    Rows of a file that are left out: lines that cannot be read, and scenes that are done but not there. Both are said.
+    Lines that cannot be read, and scenes that are done but not there, are left out, which is said.
     """
 
     def __init__(self, out_dir: Path) -> None:
@@ -150,10 +150,7 @@ class Manifest:
 
 
 def read_manifest(path: Path) -> tuple[list[ManifestRow], int]:
-    """The rows of a manifest, and the number of lines that cannot be read. No file, no rows.
-
-    Errors: BatchError where there is something else of that name, or it may not be read.
-    """
+    """The rows of a manifest, and the number of lines that cannot be read. No file, no rows. Errors: BatchError."""
     try:
         content = read_regular(path, most_mb=_MOST_MB)
     except FileNotFoundError:
@@ -206,9 +203,9 @@ def _is_sound(row: ManifestRow) -> bool:
 
 
 def files_sha256(paths: Iterable[Path]) -> str:
-    """One digest of the names and contents of regular files, whatever their order; "" where there is none.
+    """One digest of the names and contents of regular files, in any order; "" where there is none. Errors: OSError.
 
-    One that is larger than any reader takes counts by its size. Errors: OSError.
+    One that is larger than any reader takes counts by its size.
     """
     digest, found = hashlib.sha256(), False
     for path in sorted(paths, key=lambda path: path.name):

@@ -28,10 +28,8 @@ def make_again(
 ) -> MadeAgain:
     """Make a scene again into `out`; `source`: where its recording lies, map_path: the map that was chosen for it.
 
-    functions: of those the sidecar's configuration may name one as its lane-change rule.
-
-    Errors: ScenarioError for what is no sidecar; ConfigError where its configuration is not one of this version, or
-    OUT is where the scene lies; NoSceneError where the recorded scene is missing; BatchError where it cannot be made.
+    functions: of a user's own that the sidecar may name. Errors: ScenarioError for what is no sidecar; ConfigError
+    where its configuration is of another version, or OUT is where the scene lies; NoSceneError; BatchError.
     """
     sidecar = read_sidecar(sidecar_path)
     then = "made by " + ", ".join(f"{name} {version}" for name, version in sidecar.program.items())

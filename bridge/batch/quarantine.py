@@ -79,9 +79,9 @@ class Bundle:
 
 
 def write_bundle(bundle: Bundle, path: Path) -> None:
-    """Write a bundle, beside and then renamed. The same failure gives the same bytes.
+    """Write a bundle, the same bytes for the same failure. Errors: ExportError.
 
-    Files of the scene that are no regular files, or larger than a reader takes, are named instead. Errors: ExportError.
+    Files of the scene that are no regular files, or larger than a reader takes, are named instead.
     """
     files: dict[str, bytes] = {}
     left_out: list[str] = []
@@ -122,7 +122,7 @@ def write_bundle(bundle: Bundle, path: Path) -> None:
 
 
 def read_bundle(path: Path, into: Path, *, functions: Collection[str] = ()) -> Bundle:
-    """Read a bundle and unpack its scene below `into`; nothing is imported, and nothing is written elsewhere.
+    """Read a bundle and unpack its scene below `into`; nothing is imported, or written elsewhere.
 
     functions: those beyond hid2's own that the caller agrees to. Errors: BatchError.
     """

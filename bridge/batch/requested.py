@@ -34,10 +34,7 @@ def named_behaviours(request: Request, *, by_option: bool) -> tuple[Policy, ...]
 
 
 def check_request(folders: Sequence[Address], config: Config, named: Sequence[Policy], *, jobs: int) -> None:
-    """Look at the first scenes until each thing asked for can come about in one of those looked at.
-
-    Scenes that cannot be read are passed over: rows of their own say why. Errors: ConfigError for what none can meet.
-    """
+    """Look at the first scenes until each thing asked for can come about in one. Errors: ConfigError if none can."""
     request = config.request
     if request.own:
         find_in_working_folder()

@@ -88,8 +88,8 @@ def facts_of(
 ) -> tuple[list[SceneFacts], list[tuple[Address, str]]]:
     """Facts of scenes in the order of folders, and the scenes that cannot be read with the reason.
 
-    can: what `Selection` has; its events are looked for: some tenths of a second each, to seconds where there is none.
-    on_scene(done, total) is called as scenes are done. Errors: ConfigError for what can names and does not exist.
+    can: what `Selection` has; its events are looked for, which takes tenths of a second each, to seconds where none is.
+    Errors: ConfigError for what can names and does not exist.
     """
     policies = tuple(policy.value for policy in Policy)
     for name in can:
@@ -111,10 +111,7 @@ def _own_in(can: Sequence[str]) -> dict[str, Policy]:
 
 
 def describe_scene(asked: Sequence[str], folder: Address) -> SceneFacts:
-    """Read one scene and count; asked: of `EVENTS` and of behaviours of a user's own, which to look for.
-
-    Errors: ScenarioError, MapError.
-    """
+    """Read one scene and count; asked: events and behaviours of a user's own. Errors: ScenarioError, MapError."""
     own = _own_in(asked)
     config, scenario = Config(), read_recording(folder)
     here = Surroundings(scene_of(scenario, config))
@@ -176,10 +173,7 @@ def rooms(routes: Routes) -> dict[Policy, float]:
 
 
 def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts]:
-    """The scenes that are wanted, in their order; cities in any case.
-
-    Errors: ConfigError for a city that no scene is in.
-    """
+    """The scenes that are wanted, in their order; cities in any case. Errors: ConfigError for a city with no scene."""
     policies = {policy.value: policy for policy in Policy}
     there = {fact.city.casefold(): fact.city for fact in facts}
     cities = {city.casefold(): city for city in selection.cities}
@@ -212,8 +206,7 @@ def wanted(
 ) -> tuple[list[Address], list[tuple[Address, str]]]:
     """The scenes that are wanted, in the order of folders, and those that cannot be read with the reason.
 
-    Those may be wanted or not: but for a sample they are among the wanted ones, so that they are tried and found with
-    their reason among what could not be done. Errors: ConfigError where no other one is left.
+    Those are among the wanted too, but for a sample: their reasons are told. Errors: ConfigError where none is left.
     """
     facts, unread = facts_of(folders, selection.can, jobs=jobs, on_scene=on_scene)
     chosen = {fact.folder for fact in select(facts, selection)}

@@ -22,11 +22,10 @@ def validate_folder(
     jobs: int = 1,
     on_scene: OnDone = None,
 ) -> list[Finding]:
-    """Check every scenario under a data set that was generated, or mixed; source: where its recordings lie.
+    """Check every scenario under a data set that was generated, or mixed; what is wrong, and notes.
 
-    out: a scenario folder, a split folder or a data-set root; source: recordings of any format; map_path: the map that
-    was chosen for them; inserted: ids of the tracks that are judged, those that hid2 inserted unless told. Returns what
-    is wrong, and notes; nothing if all is well. A scene with a check that fails or takes too long is a finding.
+    out: a scenario folder, a split folder or a data-set root; source: where its recordings lie; map_path: the map that
+    was chosen for them; inserted: ids of the tracks that are judged, those that hid2 inserted unless told.
     Errors: ScenarioError where out or source is no folder or holds no scenario.
     """
     folders, sources = find_scenarios(out), [source] if isinstance(source, Path) else [*source]
