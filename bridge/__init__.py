@@ -1,8 +1,7 @@
 """The file side: Argoverse in and out, SUMO, batches, evaluation, pictures, the command line.
 
-The public interface, for `from bridge import ...`, is `__all__` here, with `Config` and the errors; it follows semantic
-versioning from 1.0 on: until then a minor version may change it, and CHANGELOG.md says so. All other names may change
-with any version. Names are loaded when they are first used, so that nothing slow is imported for what is not.
+The public interface is `__all__` here; until 1.0 a minor version may change it, and CHANGELOG.md says so. Other names may
+change with any version. Names are loaded when they are first used, so that nothing slow is imported for nothing.
 """
 
 from importlib import import_module

@@ -43,8 +43,7 @@ QUARANTINE, RUNS = "quarantine", "runs"
 #: All in which something half-written may be left.
 _WRITTEN_IN = (*SPLITS, RUNS, QUARANTINE, f"{QUARANTINE}/*", f"{SEQUENCES}/*", f"{SEQUENCES}/*/*")
 GENERATE = "bridge.batch.scene_work:generate_runs"
-#: Most runs on a recording that one process does before they are in the manifest: a power cut costs no more, and the
-#: runs on one recording are spread over all processes. Reading it and building its net is a small part of so many.
+#: Most runs on a recording that one process does before they are in the manifest: a power cut costs no more.
 RUNS_OF_A_TASK = 24
 
 _LOG = logging.getLogger(__name__)

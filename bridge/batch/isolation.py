@@ -1,10 +1,8 @@
 """A process of its own for work that may crash: whatever happens there, the caller lives and knows what happened.
 
-libsumo is native code and allows one simulation per process, so scenes run in such processes: a segfault, a kill or
-a hang costs the process and nothing else. The process is started once, serves many calls and is replaced when its
-memory has grown. What it may take is bounded (`memory_mb`), and what it leaves in its folder for temporary files goes
-with it. Caller and process talk over a pair of Unix sockets without a name: nothing listens, no other process can
-connect.
+libsumo is native code and allows one simulation per process. A process is started once, serves many calls and is
+replaced when its memory has grown, which is bounded (`memory_mb`); its temporary files go with it. Caller and process
+talk over a pair of Unix sockets without a name: nothing listens, no other process can connect.
 """
 
 import contextlib

@@ -1,10 +1,8 @@
 """manifest.csv: one row per scene and variant of a batch, appended as they are done and sorted at the end.
 
-The file is the working state too, with no data base beside it that could differ from it: a row is one line that ends
-with its own check sum, so that whatever is cut, merged, overwritten or edited costs the lines it touches and no other,
-which a damaged SQLite file does not promise; and it works on the network file systems that clusters share, where
-SQLite's write-ahead log does not. A line that cannot be read is left out, said, and its scene made again. What a
-manifest says is trusted no further than that: texts are bounded, and paths stay below OUT.
+The file is the working state too: a row is one line that ends with its own check sum, so that whatever is cut, merged,
+overwritten or edited costs the lines it touches and no other, also on the network file systems that clusters share. A
+line that cannot be read is left out, said, and its scene made again. Texts are bounded, and paths stay below OUT.
 """
 
 import csv

@@ -1,7 +1,7 @@
 """A bundle: one zip file that holds all it takes to run a failed scene again, and what was seen when it failed.
 
-A bundle comes from anywhere, so it is data: it names a scene, a configuration and one of hid2's own functions, each
-checked before anything is unpacked; what it holds is bounded, and unpacked by plain names into one folder.
+A bundle comes from anywhere: the scene, configuration and function of hid2 that it names are checked before anything is
+unpacked; what it holds is bounded, and unpacked by plain names into one folder.
 """
 
 import io

@@ -59,7 +59,7 @@ def check_request(folders: Sequence[Address], config: Config, named: Sequence[Po
 
 def never_in_scene(shared: tuple[Config, Sequence[Policy]], folder: Address) -> dict[str, str]:
     """What can never come about in a scene, each with the reason."""
-    from bridge.generation.recorded import scene_of
+    from bridge.generation.scene import scene_of
     from bridge.recordings.sources import read_recording
     from hid2.insertion.feasible import impossible
 

@@ -7,7 +7,7 @@ from typing import Annotated, NamedTuple, get_args
 
 from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.config import find_in_working_folder
-from bridge.generation.recorded import scene_of
+from bridge.generation.scene import scene_of
 from bridge.recordings.folders import Address
 from bridge.recordings.plausibility import figures_of
 from bridge.recordings.sources import read_recording

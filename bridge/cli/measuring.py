@@ -48,14 +48,9 @@ def evaluate(
     from bridge.evaluation.evaluate import evaluate_folder
 
     activity.doing("measuring scenes")
-
-    def show(done: int, total: int) -> None:
-        activity.show(done, total)
-        if done == total:
-            activity.doing("writing the report")
-
+    choices = windows.choices()
     evaluation = evaluate_folder(
-        out, report_dir=report, source=source, choices=windows.choices(), control=control, jobs=jobs, on_scene=show
+        out, report_dir=report, source=source, choices=choices, control=control, jobs=jobs, on_scene=activity.show
     )
     tell_unread(evaluation.failures)
     counts, left_out = evaluation.metrics["scenes"], len(evaluation.failures)
@@ -272,11 +267,10 @@ def paper(  # noqa: PLR0913  # one for each option
 
 def _check_fits(experiment: str, prediction: Mapping[str, object], others: Mapping[str, object]) -> None:
     """Errors: ConfigError for an option of another experiment."""
-    wrong = others if experiment == "prediction" else prediction
-    given = [name for name, value in wrong.items() if value is not None]
-    if given:
-        which = "the others" if experiment == "prediction" else "prediction"
-        raise ConfigError(f"{given[0]} does nothing in {experiment}, expected it with {which} only")
+    wrong, which = (others, "the others") if experiment == "prediction" else (prediction, "prediction")
+    for name, value in wrong.items():
+        if value is not None:
+            raise ConfigError(f"{name} does nothing in {experiment}, expected it with {which} only")
 
 
 def _score(

@@ -1,8 +1,7 @@
 """Options: what each says, groups that several commands share, and how a command's are made of its signature.
 
 A parameter of a command has an `option` or an `argument` as its default. One with a group as its type (a NamedTuple
-of options) stands for all of that group, and one with `FieldOptions` as its default for fields of the parameters of the
-method, from which name, type, range, default and sentence come.
+of options) stands for all of that group, and one with `FieldOptions` as its default for parameters of the method.
 """
 
 import io

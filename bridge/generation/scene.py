@@ -3,7 +3,7 @@
 import gzip
 import tempfile
 import webbrowser
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -19,7 +19,10 @@ from bridge.recordings.sources import find_one, read_recording
 from hid2.agents import Track
 from hid2.insertion.finalise import ExportedVehicle
 from hid2.measures.arrays import is_generated_id
+from hid2.params import Config
+from hid2.scene import Scene, build_scene
 from hid2.vehicle import DrivenVehicle
+from netconvert.cells import CellGrid, build_cell_grid
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -176,3 +179,22 @@ class TrafficScene:
 def read_scene(address: Address | str) -> TrafficScene:
     """The one scene at a path, recorded in any format or generated. Errors: ConfigError, ScenarioError, MapError."""
     return TrafficScene(read_recording(find_one(Path(address)) if isinstance(address, str | Path) else address))
+
+
+def grid_of(recording: Recording, config: Config) -> CellGrid:
+    """Its lanes in cells. Errors: MapError."""
+    return build_cell_grid(recording.graph, cell_m=config.grid.cell_m)
+
+
+def scene_of(
+    recording: Recording, config: Config, grid: CellGrid | None = None, *, tracks: Sequence[Track] | None = None
+) -> Scene:
+    """The scene; grid: where it is known; tracks: where recorded vehicles drive otherwise. Errors: MapError."""
+    return build_scene(
+        grid_of(recording, config) if grid is None else grid,
+        recording.tracks if tracks is None else tracks,
+        config=config,
+        num_steps=recording.num_steps,
+        step_s=recording.step_s,
+        last_observed_step=recording.last_observed,
+    )

@@ -17,7 +17,7 @@ import numpy as np
 from bridge.files import rounded
 from bridge.generation.gaps import look_row
 from bridge.generation.generate import PreparedScene
-from bridge.generation.recorded import scene_of
+from bridge.generation.scene import scene_of
 from bridge.studies.columns import REQUEST_COLUMNS
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.flow_driving import NEAR_M, FlowDriving

@@ -1,9 +1,8 @@
 """Recorded vehicles that yield in time (`driving.replay = "reactive"`), each on the path that was recorded.
 
 At every step a vehicle gets on as it did at that place of its recording, or less far where its car following has to
-brake for an agent ahead on that path. It never leaves the path, never exceeds the recorded speed, and never catches up:
-it is late. Pedestrians, cyclists and whatever else is no car and no bus stay as recorded, and so do the signals that
-are inferred from the recording.
+brake for an agent ahead on that path: it is late, and never catches up. Whatever is no car and no bus stays as
+recorded, and so do the signals that are inferred from the recording.
 """
 
 from collections.abc import Callable, Sequence

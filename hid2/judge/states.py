@@ -1,10 +1,8 @@
 """Whether the states of inserted vehicles are safe and can be driven: positions, headings, velocities, boxes, the map.
 
 `judge` takes all of a scene, as `hid2 validate` and `hid2 evaluate` do; the last word asks its parts while vehicles are
-tried: what a vehicle does by itself (`of_motion`, `of_road`), and what it does to others (all below).
-
-What leads is asked twice, of the path that an agent drives (`ttc_on_driven_path`, `ttc_of_followers`) and of the lanes
-(`ttc_on_lanes`): a path misses what is on the lane beside its box, lanes miss what has just left for another one.
+tried. What leads is asked twice, of the path that an agent drives and of the lanes (`ttc_on_lanes`): a path misses what
+is on the lane beside its box, lanes miss what has just left for another one.
 """
 
 import math

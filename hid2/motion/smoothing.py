@@ -1,8 +1,7 @@
 """Frenet smoothing: p = r(s(t)) + d(t) n with s(t) piecewise cubic between the steps (paper, Trajectory Smoothing).
 
-The filter takes out what SUMO's steps put in, not the driver: a Gaussian over the speed keeps it above zero, its
-acceleration within what was driven, and bounds the jerk. d(t) is the driver's place in the lane; that of a lane change
-is part of the path already.
+The filter takes out what SUMO's steps put in, not the driver: a Gaussian over the speed, which bounds the jerk. d(t) is
+the driver's place in the lane; that of a lane change is part of the path already.
 """
 
 import math
