@@ -1,7 +1,7 @@
 """The file side: Argoverse in and out, SUMO, batches, evaluation, pictures, the command line.
 
-The public interface is `__all__` here; until 1.0 a minor version may change it, and CHANGELOG.md says so. Other names may
-change with any version. Names are loaded when they are first used, so that nothing slow is imported for nothing.
+The public interface is `__all__` here; until 1.0 a minor version may change it, and CHANGELOG.md says so. Other names
+may change with any version. Names are loaded when they are first used, so that nothing slow is imported for nothing.
 """
 
 from importlib import import_module

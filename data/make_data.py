@@ -356,8 +356,9 @@ def _ground_of_intersection(scene: Scene, reach: float) -> None:
     parking = [(-36.0, -7.8), (-37.5, -10.2), (-82.0, -10.2), (-83.5, -7.8)]  # beside the eastbound lanes
     scene.areas.append(np.array([*corners[:-1], *parking, corners[-1]]))
     for sign in (1.0, -1.0):
-        scene.crossings.append((np.array([(-4.3, sign * 16.5), (4.3, sign * 16.5)]),
-                                np.array([(-4.3, sign * 19.5), (4.3, sign * 19.5)])))  # fmt: skip
+        scene.crossings.append(
+            (np.array([(-4.3, sign * 16.5), (4.3, sign * 16.5)]), np.array([(-4.3, sign * 19.5), (4.3, sign * 19.5)]))
+        )
 
 
 def intersection() -> Scene:

@@ -25,10 +25,12 @@ from hid2.params import Config
 from netconvert.errors import BatchError, ConfigError, NoSceneError
 
 #: Functions that a bundle may ask for: any other has to be named with `--function`.
-OWN_WORK = frozenset({
-    "bridge.batch.scene_work:generate_runs",
-    *(f"bridge.studies.study_work:measure_{what}" for what in ("runs", "runs_for_ssam", "roads")),
-})  # fmt: skip
+OWN_WORK = frozenset(
+    {
+        "bridge.batch.scene_work:generate_runs",
+        *(f"bridge.studies.study_work:measure_{what}" for what in ("runs", "runs_for_ssam", "roads")),
+    }
+)
 #: Longest time a scene may be given, s.
 MAX_TIMEOUT_S = 86_400.0
 #: A bundle: size of the file and of what it unpacks to, MB; files in it. A real one has 1 MB and five files.

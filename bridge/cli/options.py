@@ -189,8 +189,10 @@ def flattened(function: Callable[..., Any], check: Callable[[Mapping[str, Any]],
 
 MAP = selection(
     "An Argoverse 2 map, or a scene's folder with one, for Argoverse 1 sequences without their city's map.",
-    None, "MAP", "--map"
-)  # fmt: skip
+    None,
+    "MAP",
+    "--map",
+)
 STRIDE = selection("More windows of a sensor log, N sweeps from one to the next.", None, "N", min=1)
 SCENE = argument("SCENE", "Scenario folder.")
 SCENES = argument("SCENE", "Scenario folders, split folders or data-set roots.")
@@ -238,8 +240,10 @@ class Which(NamedTuple):
     split: list[SplitName] = selection("Only scenes of this split; repeatable.", [])
     can: list[str] = selection(
         f"Only scenes with room for this: {BEHAVIOURS}, an event as cut_in:av or lead:focal, or a behaviour "
-        "of your own as MODULE:NAME; repeatable.", [], "WHAT",
-    )  # fmt: skip
+        "of your own as MODULE:NAME; repeatable.",
+        [],
+        "WHAT",
+    )
     sample: int | None = selection("N of the selected scenes, drawn with the seed.", None, "N", min=1)
 
 

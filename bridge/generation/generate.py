@@ -228,8 +228,9 @@ def _sidecar(
         ),
         requested=RequestedRecord(agents=config.request.agents, behaviours=config.request.behaviours),
         placed=PlacedRecord(
-            agents=len(agents), behaviours={p: count for p in config.request.behaviours if (count := placed[p])},
-            near=records.near_count(scene, vehicles)
+            agents=len(agents),
+            behaviours={p: count for p in config.request.behaviours if (count := placed[p])},
+            near=records.near_count(scene, vehicles),
         ),
         agents=tuple(agents),
         unmet=tuple(records.unmet_records(filling.unmet[:most_unmet])),
@@ -237,4 +238,4 @@ def _sidecar(
         rejected=records.rejected_records(filling),
         replaced=tuple(records.replaced_record(one) for one in filling.rejected),
         selection=records.selection_record(scene, filling),
-    )  # fmt: skip
+    )

@@ -130,7 +130,7 @@ class TrafficScene:
 
     def render(
         self, out_file: Path | str, *, step: int | None = None, agent: str | None = None, cells: bool = False
-    ) -> Path:  # fmt: skip
+    ) -> Path:
         """Write `draw`'s picture (.png, .jpg, .pdf, .svg) or a film of all steps (.gif, .mp4); returns the file."""
         from bridge.pictures.render import render_scene
 

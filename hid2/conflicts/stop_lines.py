@@ -1,7 +1,6 @@
 """Stop lines ahead of a vehicle: entrances that are red, and pedestrian crossings that are used."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -47,21 +46,17 @@ class CrossingOnPath(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PedestrianCrossings:
-    """The pedestrian crossings of a scene, (4, 2) m each, and the recorded agents of CROSSING_TYPES, which use them."""
+    """The pedestrian crossings of a scene, (P, 4, 2) m, and the recorded agents of CROSSING_TYPES, which use them."""
 
-    polygons: Sequence[FloatArray]
+    corners: FloatArray
     traffic: Traffic
     step_s: float
-
-    @cached_property
-    def _corners(self) -> FloatArray:
-        return np.array(self.polygons, dtype=np.float64).reshape(-1, 4, 2)
 
     @cached_property
     def _at(self) -> BoolArray:
         traffic = self.traffic
         return at_crossings(
-            self._corners, traffic.position, traffic.velocity, traffic.present,
+            self.corners, traffic.position, traffic.velocity, traffic.present,
             _NEAR_M, _TOWARDS_MPS, round(_AHEAD_S / self.step_s),
         )  # fmt: skip
 
@@ -77,7 +72,7 @@ class PedestrianCrossings:
         count = min(int(path.exit_s / TABLE_STEP_M) + 1, len(line.table_xy))
         xy, heading = line.table_xy[:count], line.table_heading[:count]
         found = []
-        for crossing, first, last in crossings_swept(self._corners, xy, heading, width_m / 2).tolist():
+        for crossing, first, last in crossings_swept(self.corners, xy, heading, width_m / 2).tolist():
             middle = (first + last) // 2
             occupied = self._occupied(crossing, xy[middle], heading[middle], width_m / 2 + _STRIP_M)
             found.append(CrossingOnPath(first * TABLE_STEP_M, last * TABLE_STEP_M, occupied))
@@ -154,10 +149,10 @@ class StopLines:
 
     @cached_property
     def _crossings(self) -> PedestrianCrossings:
-        scene = self.scene
-        kinds = scene.states.arrays.object_types
+        scene, kinds = self.scene, self.scene.states.arrays.object_types
         walking = scene.traffic.rows([row for row, kind in enumerate(kinds) if kind in CROSSING_TYPES])
-        return PedestrianCrossings(scene.grid.graph.pedestrian_crossings, walking, scene.step_s)
+        corners = np.array(scene.grid.graph.pedestrian_crossings, dtype=np.float64).reshape(-1, 4, 2)
+        return PedestrianCrossings(corners, walking, scene.step_s)
 
     @once
     def on(self, path: DrivenPath, box: BoxSize) -> ClosedLines:

@@ -80,14 +80,15 @@ def measure_event(states: AgentStates, kind: str, own: int, target: int, *, at_s
     headway_s = float(later_on.headway_s[later_on.gap_m >= 0.0].min(initial=math.inf))
     least = int(course.ttc_s.argmin()) if np.isfinite(course.ttc_s).any() else None
     return EventMeasures(
-        gap_m=gap_m, speed_difference_mps=float(speed[row] - speed[there]),
+        gap_m=gap_m,
+        speed_difference_mps=float(speed[row] - speed[there]),
         min_ttc_s=None if least is None else float(course.ttc_s[least]),
         ttc_at_s=None if least is None else float(course.step[least] * arrays.step_s),
         headway_s=None if kind == "cross" or math.isinf(headway_s) else headway_s,
         pet_s=post_encroachment_of(states, own, target),
         drac_mps2=float(course.drac_mps2.max(initial=0.0)),
         brakes_mps2=float(np.max(-np.gradient(later, arrays.step_s), initial=0.0)) if later.size > 1 else 0.0,
-    )  # fmt: skip
+    )
 
 
 def post_encroachment_of(states: AgentStates, own: int, target: int) -> float | None:

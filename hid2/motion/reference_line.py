@@ -45,9 +45,11 @@ class ReferenceLine:
         """Whether no point of two lines' tables can be within a distance."""
         (low, high), (other_low, other_high) = self._corners, other._corners
         return bool(
-            low[0] > other_high[0] + reach_m or low[1] > other_high[1] + reach_m
-            or other_low[0] > high[0] + reach_m or other_low[1] > high[1] + reach_m
-        )  # fmt: skip
+            low[0] > other_high[0] + reach_m
+            or low[1] > other_high[1] + reach_m
+            or other_low[0] > high[0] + reach_m
+            or other_low[1] > high[1] + reach_m
+        )
 
     @cached_property
     def _corners(self) -> tuple[list[float], list[float]]:

@@ -94,7 +94,5 @@ def _gaussian_filter(values: FloatArray, deviation: float) -> FloatArray:
     As scipy.ndimage.gaussian_filter1d, but its import takes longer than all of a scene's smoothing.
     """
     reach = int(_TRUNCATED_AT * deviation + 0.5)
-    if reach == 0:
-        return values
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / deviation) ** 2)
     return np.convolve(np.pad(values, reach, mode="symmetric"), weights / weights.sum(), mode="valid")

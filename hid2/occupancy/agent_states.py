@@ -68,9 +68,11 @@ class AgentStates:
         )
         return AgentStates(
             SceneArrays.joined([one.arrays for one in every]),
-            self.traffic.joined(*(one.traffic for one in every[1:])), matches, self.lanes,
+            self.traffic.joined(*(one.traffic for one in every[1:])),
+            matches,
+            self.lanes,
             tuple(every),
-        )  # fmt: skip
+        )
 
     @property
     def view(self) -> LaneView:

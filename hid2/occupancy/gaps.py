@@ -81,9 +81,11 @@ def gaps_from_poses(xy: FloatArray, forward: FloatArray, box: BoxSize, others: T
     along, mps = (one[..., 0] * forward[..., 0] + one[..., 1] * forward[..., 1] for one in (offset, others.velocity))
     aside = np.abs(offset[..., 1] * forward[..., 0] - offset[..., 0] * forward[..., 1])
     return PoseGaps(
-        along, np.abs(along) - 0.5 * (others.length_m[:, None] + length_m),
-        aside - 0.5 * (others.width_m[:, None] + width_m), mps,
-    )  # fmt: skip
+        along,
+        np.abs(along) - 0.5 * (others.length_m[:, None] + length_m),
+        aside - 0.5 * (others.width_m[:, None] + width_m),
+        mps,
+    )
 
 
 def gaps_from_pose(xy: FloatArray, forward: FloatArray, box: BoxSize, here: Traffic) -> PoseGaps:

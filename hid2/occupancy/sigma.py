@@ -64,9 +64,11 @@ def original_occupancy(boxes: CellBoxes, traffic: Traffic) -> OriginalOccupancy:
     """
     by_x = np.argsort(boxes.center[:, 0])  # so that only cells near in x need to be looked at
     widest = float(np.hypot(boxes.length_m.max(), boxes.width_m.max())) / 2 if by_x.size else 0.0
-    return OriginalOccupancy(*original_cells(
-        boxes.center, boxes.heading, boxes.length_m, boxes.width_m, by_x, widest, *traffic.boxes, AGREES_RAD
-    ))  # fmt: skip
+    return OriginalOccupancy(
+        *original_cells(
+            boxes.center, boxes.heading, boxes.length_m, boxes.width_m, by_x, widest, *traffic.boxes, AGREES_RAD
+        )
+    )
 
 
 def is_agent_on(boxes: CellBoxes, cells: Sequence[int], traffic: Traffic, step: int, *, width_share: float) -> bool:

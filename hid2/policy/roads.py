@@ -53,16 +53,18 @@ def f_right(alpha: FloatArray, turn: Turn) -> FloatArray:
 
 
 def hard_cap(line: ReferenceLine, limits: Limits) -> FloatArray:
-    """(S,) m/s at the line's table: what yaw rate, yaw acceleration and lateral jerk allow any vehicle, less a bit."""
+    """(S,) m/s at a line's table: what yaw rate, yaw acceleration and lateral jerk allow any vehicle, with a margin."""
     curvature = np.maximum(np.abs(line.table_curvature), _FLAT)
     sharpness = np.maximum(np.abs(line.table_sharpness), _FLAT)
     return np.asarray(
-        np.minimum.reduce([
-            0.8 * limits.yaw_rate_radps / curvature,
-            np.sqrt(0.5 * limits.yaw_accel_radps2 / sharpness),
-            np.cbrt(0.5 * limits.jerk_mps3 / sharpness),
-        ])
-    )  # fmt: skip
+        np.minimum.reduce(
+            [
+                0.8 * limits.yaw_rate_radps / curvature,
+                np.sqrt(0.5 * limits.yaw_accel_radps2 / sharpness),
+                np.cbrt(0.5 * limits.jerk_mps3 / sharpness),
+            ]
+        )
+    )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -125,8 +127,10 @@ class Roads:
         if self._last is not None and self._last[0] is path and self._last[1] is driver:  # asked for twice at a site
             return self._last[2]
         most = self._of_any(path).desired(
-            driver.desired_mps, lateral_accel_mps2=driver.turn_lateral_mps2, accel_mps2=driver.accel_mps2,
-        )  # fmt: skip
+            driver.desired_mps,
+            lateral_accel_mps2=driver.turn_lateral_mps2,
+            accel_mps2=driver.accel_mps2,
+        )
         found = np.where(most < driver.desired_mps - 1e-6, most, np.inf)
         self._last = path, driver, found
         return found

@@ -20,7 +20,9 @@ def look(straight_path: DrivenPath, monkeypatch: pytest.MonkeyPatch) -> Callable
     def on(*walkers: Traffic, quads: tuple[np.ndarray, ...] = (QUAD,), width_m: float = 2.0, **changed: float):
         for name, value in changed.items():
             monkeypatch.setattr(f"hid2.conflicts.stop_lines.{name}", value)
-        return PedestrianCrossings(quads, walkers[0].joined(*walkers[1:]), 0.1).on(straight_path, width_m)
+        return PedestrianCrossings(np.reshape(quads, (-1, 4, 2)), walkers[0].joined(*walkers[1:]), 0.1).on(
+            straight_path, width_m
+        )
 
     return on
 
@@ -90,5 +92,5 @@ def test_whoever_is_absent_is_not_on_the_crossing(look, box) -> None:
 
 
 def test_what_is_found_is_kept(straight_path: DrivenPath, box) -> None:
-    crossings = PedestrianCrossings((QUAD,), box(101.5, 0.0, UP, 0.0), 0.1)
+    crossings = PedestrianCrossings(QUAD[None], box(101.5, 0.0, UP, 0.0), 0.1)
     assert crossings.on(straight_path, 2.0) is crossings.on(straight_path, 2.0)
