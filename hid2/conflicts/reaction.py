@@ -90,8 +90,6 @@ class Reactions:
         """How late an agent is at a step, by the agents ahead of it at the step before."""
         late, path = float(self.late[row]), self._path(row)
         place = step - 1 - late
-        if place >= path.last:
-            return late
         at = path.s_at(place)
         free_m = path.s_at(min(place + 1.0, path.last)) - at
         leader = self._leader(row, place, here) if free_m > 0.0 else None

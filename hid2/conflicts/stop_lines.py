@@ -107,8 +107,6 @@ class ClosedLines:
 
     def stops_s(self, driver: Driver) -> FloatArray:
         """(L,) m: where the centre of a driver's vehicle stands."""
-        if not self.line_s.size:
-            return self.line_s
         at_crossing_m = max(driver.line_gap_m, _CROSSING_GAP_M)
         return self.line_s - np.where(self.cause == CAUSES.index("crossing"), at_crossing_m, driver.line_gap_m)
 
