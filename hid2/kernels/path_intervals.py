@@ -174,11 +174,5 @@ def intervals_on_path(
         if hit:
             found_rows[k] = a
             count += 1
-    found = (
-        low[:count].copy(),
-        high[:count].copy(),
-        along[:count].copy(),
-        same_direction[:count].copy(),
-        crossing[:count].copy(),
-    )
-    return (found_rows[:count].copy(), *found)
+    low, high, along = low[:count].copy(), high[:count].copy(), along[:count].copy()
+    return found_rows[:count].copy(), low, high, along, same_direction[:count].copy(), crossing[:count].copy()
