@@ -16,6 +16,9 @@ What becomes of a sequence, step for step:
 - The map is cut from that of the city, 30 m around the tracks, or is the Argoverse 2 map that the user chose: both data
   sets have the same city frames.
 
+Out goes a sequence with its recorded lines text for text and inserted vehicles as OTHERS among them, where loaders of
+Argoverse 1 look for it.
+
 The constants are rules of this reader and no parameters of the method: another value would be another recording.
 """
 
@@ -24,7 +27,7 @@ import io
 import json
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from tokenize import TokenError
@@ -35,19 +38,21 @@ import numpy.typing as npt
 import pyarrow as pa
 import shapely
 
-from bridge.files import one_line, read_received
+from bridge.files import beside, one_line, read_received
 from bridge.recordings import limits
-from bridge.recordings.folders import Source, only_file
+from bridge.recordings.folders import Source, only_file, sequence_path
 from bridge.recordings.map_rules import graph_of, read_source_map
 from bridge.recordings.recording import AV_ID, Recording, velocity_of
 from bridge.recordings.scenario import recording_of, split_rows, table_of
 from hid2.agents import DEFAULT_SIZES, FOCAL_CATEGORY, FloatArray, IntArray, Track
-from netconvert.av1_map import CityLane, DrivableRaster, cut_city, drivable_raster, read_city_lanes
-from netconvert.errors import MapError, ScenarioError
+from netconvert.av1_map import CityLane, cut_city, drivable_raster, read_city_lanes
+from netconvert.errors import ExportError, MapError, ScenarioError
 from netconvert.lane_graph import LaneGraph
 
 COLUMNS = ("TIMESTAMP", "TRACK_ID", "OBJECT_TYPE", "X", "Y", "CITY_NAME")
 AV, AGENT, OTHERS = "AV", "AGENT", "OTHERS"
+#: TRACK_IDs of inserted vehicles begin so; recorded ones have 0000 before the last part.
+INSERTED = "00000000-0000-0000-0001-"
 #: Steps of a sequence, those of them that are observed (all of a test_obs sequence), seconds from one to the next.
 NUM_STEPS, OBSERVED_STEPS, STEP_S = 50, 20, 0.1
 #: Time stamps: the mean of their distances, and the largest one, s. Of 60 real sequences: 0.1 to 0.2, and 0.27.
@@ -59,12 +64,8 @@ _MARGIN_M = 30.0
 #: Share of the AGENT's positions that has to lie on the map's drivable area: on another city's map none does.
 _ON_MAP = 0.5
 _RASTERS = ("driveable_area_mat", "npyimage_to_city_se2")
-
-
 #: What numpy raises for files that are no arrays of numbers.
-_NOT_AN_ARRAY = (
-    ValueError, EOFError, TypeError, SyntaxError, OverflowError, MemoryError, KeyError, UnicodeError, TokenError,
-)  # fmt: skip
+_NOT_AN_ARRAY = (EOFError, KeyError, MemoryError, OverflowError, SyntaxError, TokenError, TypeError, ValueError)
 
 
 class SequenceRows(NamedTuple):
@@ -140,18 +141,16 @@ def check_sequence(content: bytes, name: str) -> SequenceRows:
 
 
 def _floats(texts: Sequence[str], column: str, name: str) -> FloatArray:
-    values = np.array([_float(text) for text in texts])
-    for row in np.flatnonzero(~np.isfinite(values))[:1].tolist():
-        shown = one_line(texts[row], most=60)
-        raise ScenarioError(f"{name} line {row + 2}: {column} {shown!r}, expected a finite number")
-    return values
-
-
-def _float(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
+    values = []
+    for line, text in enumerate(texts, start=2):
+        try:
+            values.append(float(text))
+        except ValueError:
+            values.append(math.nan)
+        if not math.isfinite(values[-1]):
+            shown = one_line(text, most=60)
+            raise ScenarioError(f"{name} line {line}: {column} {shown!r}, expected a finite number")
+    return np.array(values)
 
 
 def _steps(stamp: FloatArray, name: str) -> tuple[list[float], IntArray]:
@@ -222,9 +221,11 @@ def _map(path: Path, rows: SequenceRows, name: str) -> tuple[LaneGraph, bytes | 
     """Lane graph, and the document that is written for it; None for a map of Argoverse 2, which is copied."""
     if path.is_file():
         return read_source_map(path), None
-    vector, pixels, se2 = map_files(path, rows.city)
-    states = [file.stat() for file in (vector, pixels, se2)]  # by which one state of a file is told from another
-    lanes, raster = _city(vector, pixels, se2, tuple((one.st_mtime_ns, one.st_size) for one in states))
+    vector = only_file(path, f"pruned_argoverse_{rows.city}_*_vector_map.xml", MapError)
+    number = vector.name.split("_")[3]
+    pixels, se2 = (only_file(path, f"{rows.city}_{number}_{what}_*.npy", MapError) for what in _RASTERS)
+    lanes = _city_lanes(read_received(vector, MapError, wanted="the map of a city", most_mb=limits.MAX_CITY_MB), vector)
+    raster = drivable_raster(_array(pixels), _array(se2), name=str(pixels), se2_name=str(se2))
     low, high = rows.position.min(axis=0) - _MARGIN_M, rows.position.max(axis=0) + _MARGIN_M
     if not (high - low).max() <= limits.MAX_EXTENT_M:
         spread = (high - low).max() - 2 * _MARGIN_M
@@ -233,22 +234,9 @@ def _map(path: Path, rows: SequenceRows, name: str) -> tuple[LaneGraph, bytes | 
     return graph_of(document, name=str(vector)), json.dumps(document).encode()
 
 
-def map_files(folder: Path, city: str) -> tuple[Path, Path, Path]:
-    """Vector map, raster and its transformation of a city. Errors: MapError with the name that is missing."""
-    vector = only_file(folder, f"pruned_argoverse_{city}_*_vector_map.xml", MapError)
-    number = vector.name.split("_")[3]
-    pixels, se2 = (only_file(folder, f"{city}_{number}_{what}_*.npy", MapError) for what in _RASTERS)
-    return vector, pixels, se2
-
-
 @lru_cache(maxsize=2)  # a city-wide map is read once by each process
-def _city(
-    vector: Path, pixels: Path, se2: Path, stamps: tuple[tuple[int, int], ...]
-) -> tuple[dict[int, CityLane], DrivableRaster]:
-    del stamps  # part of the key
-    content = read_received(vector, MapError, wanted="the map of a city", most_mb=limits.MAX_CITY_MB)
-    raster = drivable_raster(_array(pixels), _array(se2), name=str(pixels), se2_name=str(se2))
-    return read_city_lanes(content, name=str(vector)), raster
+def _city_lanes(content: bytes, path: Path) -> dict[int, CityLane]:
+    return read_city_lanes(content, name=str(path))
 
 
 def _array(path: Path) -> npt.NDArray[np.generic]:
@@ -260,3 +248,49 @@ def _array(path: Path) -> npt.NDArray[np.generic]:
             return np.asarray(np.lib.format.read_array(content, allow_pickle=False))
     except _NOT_AN_ARRAY as error:
         raise MapError(f"{path}: not an npy file of numbers ({one_line(str(error), most=200)})") from error
+
+
+# Sequences out
+
+
+def write_sequence(scenario: Recording, generated: Sequence[Track], out_dir: Path, *, new_id: str) -> Path:
+    """Write the sequence of a scene that was made from one; returns its path. Errors: ExportError."""
+    if scenario.sequence is None:
+        raise ExportError(f"{scenario.folder}: no Argoverse 1 sequence, expected one to write one")
+    path = sequence_path(out_dir, scenario.split, new_id)
+    content = sequence_bytes(scenario.sequence, [(track.timesteps, track.position) for track in generated])
+    with beside(path) as hidden:
+        hidden.write_bytes(content)
+    return path
+
+
+def sequence_bytes(recorded: bytes, inserted: Iterable[tuple[IntArray, FloatArray]]) -> bytes:
+    """Recorded lines, and behind those of each time stamp the inserted vehicles. inserted: steps and positions, m.
+
+    Errors: ExportError where one of their TRACK_IDs is taken.
+    """
+    lines = recorded.decode("ascii").splitlines(keepends=True)
+    ending = "\r\n" if lines[0].endswith("\r\n") else "\n"
+    lines[-1] = lines[-1].rstrip("\r\n") + ending
+    rows = list(csv.reader(lines))
+    at = {column: rows[0].index(column) for column in COLUMNS}
+    stamps = [row[at["TIMESTAMP"]] for row in rows[1:]]
+    by_time = sorted({float(stamp): stamp for stamp in stamps}.items())
+    taken = {row[at["TRACK_ID"]] for row in rows[1:]}
+    added: dict[float, list[str]] = {stamp: [] for stamp, _ in by_time}
+    for number, (steps, places) in enumerate(inserted):
+        name = f"{INSERTED}{number:012d}"
+        if name in taken:
+            raise ExportError(f"TRACK_ID {name} is taken in the sequence, expected it free for gen_{number}")
+        for step, (x, y) in zip(steps.tolist(), places.tolist(), strict=True):
+            stamp, text = by_time[step]
+            values = {"TIMESTAMP": text, "TRACK_ID": name, "OBJECT_TYPE": OTHERS, "X": repr(x), "Y": repr(y)}
+            values["CITY_NAME"] = rows[1][at["CITY_NAME"]]
+            added[stamp].append(",".join(values[column] for column in rows[0]) + ending)
+    last = {float(stamp): line for line, stamp in enumerate(stamps, start=1)}
+    out = io.StringIO()
+    for number, line in enumerate(lines):
+        out.write(line)
+        if number and last[float(stamps[number - 1])] == number:
+            out.writelines(added[float(stamps[number - 1])])
+    return out.getvalue().encode("ascii")

@@ -30,16 +30,34 @@ _CENTERLINE = re.compile(rb'"centerline":\s*\[\s*\{')
 def with_generated(
     scenario: Recording, generated: Sequence[Track], sidecar: Sidecar, *, new_id: str, focal_track_id: str
 ) -> Recording:
-    """The scene that a recording becomes with generated tracks, as a reader has it. Errors: ExportError."""
-    table = scene_table(scenario, generated, new_id=new_id, focal_track_id=focal_track_id)
-    recorded = scenario.tracks
+    """The scene that a recording becomes with generated tracks, as a reader has it.
+
+    Its rows are the source's, bit for bit, and behind them those of the generated tracks, in the source's columns and
+    types. Changed in recorded ones: scenario_id, and where the focal track is another one, focal_track_id and the
+    category of the former. Errors: ExportError where the id of a generated track is taken.
+    """
+    if taken := {track.track_id for track in generated} & {track.track_id for track in scenario.tracks}:
+        raise ExportError(f"generated track {min(taken)!r}: the id is taken, expected one of its own")
+    table, recorded = scenario.table, scenario.tracks
+    ids = {"scenario_id": new_id, "focal_track_id": focal_track_id}
+    changed = {name: pa.repeat(value, table.num_rows) for name, value in ids.items()}
     if focal_track_id != scenario.focal_track_id:
+        category = table.column("object_category")
+        changed["object_category"] = pc.if_else(pc.equal(category, FOCAL_CATEGORY), SCORED_CATEGORY, category)
         recorded = tuple(replace(t, category=SCORED_CATEGORY) if t.category == FOCAL_CATEGORY else t for t in recorded)
-    ours = (replace(t, category=FOCAL_CATEGORY) if t.track_id == focal_track_id else t for t in generated)
+    for name, values in changed.items():
+        row, field = table.column_names.index(name), table.schema.field(name)
+        table = table.set_column(row, field, values.cast(field.type))
+    ours = [replace(t, category=FOCAL_CATEGORY) if t.track_id == focal_track_id else t for t in generated]
     return replace(
-        scenario, scenario_id=new_id, focal_track_id=focal_track_id, tracks=(*recorded, *ours), table=table,
-        sizes=sidecar.boxes, sidecar=sidecar,
-    )  # fmt: skip
+        scenario,
+        scenario_id=new_id,
+        focal_track_id=focal_track_id,
+        tracks=(*recorded, *ours),
+        table=_with_rows(table, ours, scenario.observed_steps),
+        sizes=sidecar.boxes,
+        sidecar=sidecar,
+    )
 
 
 def write_recording(made: Recording, out_dir: Path, *, extra: Mapping[str, bytes] | None = None) -> Path:
@@ -69,28 +87,6 @@ def check_step(scenario: Recording) -> None:
             f"{scenario.folder}: steps of {scenario.step_s:g} s, but readers of Argoverse 2 scenes take them for "
             f"{STEP_S:g} s: its reader has to give states every {STEP_S:g} s (CONTRIBUTING.md, a new format)"
         )
-
-
-def scene_table(scenario: Recording, generated: Sequence[Track], *, new_id: str, focal_track_id: str) -> pa.Table:
-    """The source's rows, bit for bit, and behind them those of the generated tracks.
-
-    Columns and types are the source's. Changed in recorded rows: scenario_id, and where the focal track is another
-    one, focal_track_id and the category of the former focal track.
-    Errors: ExportError where the id of a generated track is taken.
-    """
-    if taken := {track.track_id for track in generated} & {track.track_id for track in scenario.tracks}:
-        raise ExportError(f"generated track {min(taken)!r}: the id is taken, expected one of its own")
-    table = scenario.table
-    ids = {"scenario_id": new_id, "focal_track_id": focal_track_id}
-    changed = {name: pa.repeat(value, table.num_rows) for name, value in ids.items()}
-    if focal_track_id != scenario.focal_track_id:
-        category = table.column("object_category")
-        changed["object_category"] = pc.if_else(pc.equal(category, FOCAL_CATEGORY), SCORED_CATEGORY, category)
-    for name, values in changed.items():
-        row, field = table.column_names.index(name), table.schema.field(name)
-        table = table.set_column(row, field, values.cast(field.type))
-    marked = [replace(t, category=FOCAL_CATEGORY) if t.track_id == focal_track_id else t for t in generated]
-    return _with_rows(table, marked, scenario.observed_steps)
 
 
 def with_motion(scenario: Recording, driven: Sequence[Track]) -> Recording:

@@ -17,10 +17,9 @@ import pyarrow.compute as pc
 
 from bridge.config import config_from_dict, config_sha256, config_to_dict, is_corridor, new_scenario_id
 from bridge.files import read_received
-from bridge.recordings.argoverse1 import check_sequence
+from bridge.recordings.argoverse1 import INSERTED, check_sequence, sequence_bytes
 from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import RowArrays, row_breaches
-from bridge.recordings.sequence import INSERTED, sequence_bytes
 from bridge.recordings.sidecar import AgentRecord, Sidecar
 from hid2.agents import FOCAL_CATEGORY, SCORED_CATEGORY, VEHICLE_TYPES, FloatArray, Policy
 from hid2.judge.events import brakes_for

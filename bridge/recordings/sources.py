@@ -1,4 +1,4 @@
-"""Recordings of every format: what lies at a path, and reading it. A new format is one more entry of `READERS`."""
+"""Recordings of every format: what lies at a path, and reading it."""
 
 import logging
 from collections import Counter
@@ -21,9 +21,7 @@ from bridge.recordings.folders import (
     other_data,
     subfolders,
 )
-from bridge.recordings.readers.argoverse1 import ARGOVERSE1
-from bridge.recordings.readers.argoverse2 import ARGOVERSE2
-from bridge.recordings.readers.sensor_log import SENSOR_LOG
+from bridge.recordings.readers import ARGOVERSE2, READERS
 from netconvert.errors import ConfigError, NoSceneError
 
 if TYPE_CHECKING:
@@ -32,8 +30,6 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 #: What an output folder has beside generated Argoverse 1 sequences.
 _MANIFEST = "manifest.csv"
-#: The formats; the first one that recognises a path has it.
-READERS: tuple[Reader, ...] = (SENSOR_LOG, ARGOVERSE2, ARGOVERSE1)
 
 
 def find_recordings(paths: Sequence[Path], choices: Choices | None = None) -> list[Address]:
