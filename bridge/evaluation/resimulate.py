@@ -25,8 +25,8 @@ from bridge.recordings.sources import find_sources
 from bridge.sumo.drivers import model_parameters
 from bridge.sumo.driving import Driving
 from bridge.sumo.fleet import Fleet
-from bridge.sumo.lane_changes import Attempt
 from bridge.sumo.simulation import Simulation
+from bridge.sumo.steering import Attempt
 from hid2.agents import FloatArray, Track
 from hid2.conflicts.stop_lines import StopLines
 from hid2.evaluation import likelihood

@@ -6,13 +6,20 @@ from functools import cache
 import numpy as np
 
 from bridge.sumo.fleet import Fleet
-from bridge.sumo.lane_changes import Attempt, apply_policy, conclude
 from bridge.sumo.poses import front_arc_m
 from bridge.sumo.replay import Replay, ReplayErrors
-from bridge.sumo.routes import edges_along, take_another_way
 from bridge.sumo.shown import ever_shown, shown_at
 from bridge.sumo.simulation import Simulation
-from bridge.sumo.speed_limits import Limits, let_pass, limits_of
+from bridge.sumo.steering import (
+    Attempt,
+    Limits,
+    apply_policy,
+    conclude,
+    edges_along,
+    let_pass,
+    limits_of,
+    take_another_way,
+)
 from hid2.agents import IntArray
 from hid2.conflicts.reaction import Reactions
 from hid2.drivers.driver import OFFSET_MAX_M

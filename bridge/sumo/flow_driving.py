@@ -7,9 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bridge.sumo.driving import Driving, Limit
-from bridge.sumo.lane_changes import Attempt
 from bridge.sumo.poses import center_on_path
-from bridge.sumo.routes import edges_along
+from bridge.sumo.steering import Attempt, edges_along
 from hid2.insertion.flow import Arrival
 from hid2.occupancy.gaps import gaps_from_pose
 from hid2.occupancy.traffic import Traffic

@@ -12,9 +12,8 @@ from inserted import CAR, DRIVER, driven, nobody, recorded, scene_on, start_on
 
 from bridge.sumo.driving import Driving
 from bridge.sumo.fleet import Fleet
-from bridge.sumo.routes import edges_along
 from bridge.sumo.simulation import Simulation
-from bridge.sumo.speed_limits import limits_of
+from bridge.sumo.steering import edges_along, limits_of
 from hid2.agents import BoxSize, Policy, Track
 from hid2.conflicts.stop_lines import StopLines
 from hid2.insertion.finalise import ExportedVehicle, finalise, traffic_of_exported

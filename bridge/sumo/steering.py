@@ -1,24 +1,115 @@
-"""Algorithm 1 for a vehicle at a step: what it observes, the decision, what SUMO is asked for and what came of it."""
+"""What vehicles are told at a step: limits where SUMO is blind, another way, and Algorithm 1's lane changes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 
 from bridge.sumo.fleet import Fleet
-from bridge.sumo.routes import edges_along
 from bridge.sumo.simulation import Simulation
-from hid2.agents import Policy
-from hid2.conflicts.guard import ACROSS_S
+from hid2.agents import FloatArray, IntArray, Policy
+from hid2.conflicts.guard import ACROSS_S, ACTS_MPS2, STRIDE, A, S
+from hid2.conflicts.stop_lines import STOPS
 from hid2.insertion.due import Across, Due, advance, foreseen_speeds
+from hid2.kernels.steering import CAUSES, NO_LIMIT_MPS, speed_limits
 from hid2.motion.lane_change_path import lateral_share
-from hid2.motion.route import shifted_path
-from hid2.occupancy.traffic import Traffic
+from hid2.motion.reference_line import TABLE_STEP_M
+from hid2.motion.route import DrivenPath, shifted_path
+from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.policy.lane_change import SumoAnswer
 from hid2.policy.overtake import Stage
+from hid2.policy.reroute import ways_at_next_split
+from hid2.policy.roads import STRAIGHT
 from hid2.reasons import Reason
+from hid2.scene import Scene
+from netconvert.cells import Cell
 
+#: A vehicle that waits for a gap slows down so for those beside, m/s2, to this share of its desired speed. No tunables:
+#: what traffic behind does not notice.
+_LET_PASS_MPS2, _LET_PASS_SHARE = 0.7, 0.8
+_GAP = CAUSES.index("gap")
+#: Refusals of a gap in which waiting for those beside to go ahead helps.
+_LETS_PASS = frozenset({Reason.CELLS_OCCUPIED, Reason.FRONT_GAP})
+_FASTER_MPS = 0.05  # over the speed of the road on another way, with which it is still taken; no tunable: rounding
 _OFF_SHARE = 0.03  # no tunable: a tenth of a metre of a lane's width, before a way across is laid anew
+
+
+class Limits(NamedTuple):
+    """Of vehicles (M,) at a step, as the kernel `speed_limits` returns them."""
+
+    mps: FloatArray
+    cause: IntArray
+    policy: IntArray
+    waits_for: IntArray
+    yields: BoolArray
+    seeks: BoolArray
+
+
+def limits_of(fleet: Fleet, rows: IntArray, now: int) -> Limits:
+    """The lowest limit on the speed of the last of the vehicles that are `here` for the step after `now`.
+
+    The road's, the guard's (case 3, timing), and those of stop lines.
+    """
+    guard = fleet.guard
+    first, *along = fleet.along_ways(now)
+    return Limits(*speed_limits(
+        rows, now, fleet.state, fleet.desired_mps, fleet.drivers, fleet.yielding, STRAIGHT,
+        guard.horizon, STRIDE, fleet.scene.step_s, TABLE_STEP_M, guard.brakes,
+        guard.predicted, STOPS, guard.rules, first[-rows.size - 1 :], *along,
+    ))  # fmt: skip
+
+
+def let_pass(fleet: Fleet, row: int, now: int, limits: Limits, place: int) -> None:
+    """Where a vehicle waits for a gap, the limit at which it slows down for those beside, if that is the lowest."""
+    vehicle, step_s = fleet.vehicles[row], fleet.scene.step_s
+    if vehicle.stage is Stage.WAITING and vehicle.reason in _LETS_PASS:
+        desired, v = fleet.desired_mps[row, now], vehicle.v[-1]
+        slower = max(_LET_PASS_SHARE * desired, v - _LET_PASS_MPS2 * step_s)
+        if slower < desired - NO_LIMIT_MPS and (slower, _GAP) < (limits.mps[place], limits.cause[place]):
+            limits.mps[place], limits.cause[place] = slower, _GAP
+
+
+def edges_along(scene: Scene, path: DrivenPath, cell: Cell) -> tuple[str, ...] | None:
+    """SUMO edges from a cell on along the lanes of a path; None where the path does not use the cell's lane."""
+    lanes = [segment.lane_id for segment in path.segments]
+    if cell.lane_id not in lanes:
+        return None
+    grid, last = scene.grid, len(lanes) - 1 - lanes[::-1].index(cell.lane_id)  # an overtake comes back to its lane
+    cells = [Cell(cell.lane_id, index) for index in range(cell.index, grid.count(cell.lane_id))]
+    cells += [Cell(lane_id, index) for lane_id in lanes[last + 1 :] for index in range(grid.count(lane_id))]
+    return tuple(edge for edge, _ in groupby(map(grid.edge_id, cells)))
+
+
+def take_another_way(fleet: Fleet, simulation: Simulation, row: int, now: int) -> bool:
+    """Send a vehicle another way at the next split if no agent is met there (conflict case 3); whether it goes there.
+
+    Only one that is to go straight: another way is no longer the turn or the change of lanes that was asked for.
+    """
+    vehicle, way, scene = fleet.vehicles[row], fleet.ways[row], fleet.scene
+    if vehicle.policy is not Policy.STRAIGHT or way.reroute_tried:
+        return False
+    way.reroute_tried = True
+    s, v, a = fleet.state[row, S : A + 1].tolist()
+    cell = scene.grid.cell_of_sumo_lane.get(simulation.lane(vehicle.vehicle_id)[0])
+    if cell is None:
+        return False
+    for path in ways_at_next_split(scene, vehicle.path, s=s, from_m=s + vehicle.start.box.length_m):
+        at = path.all_to_line(vehicle.path.all_to_raw(np.array(vehicle.s)))
+        road = fleet.roads.speeds(path, vehicle.start.driver)
+        if v > road[min(int(at[-1] / TABLE_STEP_M), road.size - 1)] + _FASTER_MPS:
+            continue
+        found = fleet.braking(
+            row, path, now, state=(float(at[-1]), v, a), desired_mps=float(vehicle.start.desired[now])
+        )
+        edges = edges_along(scene, path, cell)
+        if found.conflict_s is None and found.decel_mps2 < ACTS_MPS2 and edges:
+            simulation.set_route(vehicle.vehicle_id, edges)
+            fleet.take_path(row, path, at)
+            vehicle.rerouted_at = now
+            return True
+    return False
 
 
 @dataclass(frozen=True, eq=False, slots=True)
