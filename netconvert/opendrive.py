@@ -17,11 +17,10 @@ import shapely
 from lxml import etree
 from lxml.builder import E
 
-from netconvert.geo import CityOrigin
 from netconvert.geometry import FloatArray, Polyline, wrap_angle
 from netconvert.gui_files import xml_bytes
 from netconvert.lane_graph import LaneGraph, LaneSegment
-from netconvert.net_xml import SPEED_LIMIT_MPS
+from netconvert.net_xml import SPEED_LIMIT_MPS, CityOrigin
 from netconvert.roads import Roads, Way, roads_of
 
 #: How far lines leave centrelines where they round corners, where corners are left out, and widths theirs.

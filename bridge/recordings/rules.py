@@ -26,10 +26,10 @@ from hid2.judge.events import brakes_for
 from hid2.params import Config
 from netconvert.av2_map import Breach
 from netconvert.errors import ConfigError, ScenarioError
+from netconvert.net_xml import CITY_ORIGINS
 
 #: The rule on recorded rows, which are kept as they are.
 RECORDED = "recorded"
-CITIES = frozenset({"austin", "dearborn", "miami", "palo-alto", "pittsburgh", "washington-dc"})
 #: Between central differences of positions 0.2 s apart and the velocity, m/s: 8.37 m/s3 of jerk make 0.014.
 VELOCITY_TOLERANCE_MPS = 0.05
 #: The same at the two ends of a track, where differences are one-sided: 4.05 m/s2 make 0.2.
@@ -47,8 +47,8 @@ def check_rows(rows: RowArrays, new_id: str) -> Iterator[Breach]:
     scenario_id, city = (rows.constants[column][0] for column in ("scenario_id", "city"))
     if scenario_id != new_id:
         yield "scenario-id", f"column scenario_id is {scenario_id!r}, expected {new_id!r} as the folder"
-    if city and city not in CITIES:
-        yield RECORDED, f"city {city!r} is none of {', '.join(sorted(CITIES))}"
+    if city and city not in CITY_ORIGINS:
+        yield RECORDED, f"city {city!r} is none of {', '.join(CITY_ORIGINS)}"
     for code, track_id in enumerate(rows.ids):
         own, is_generated = rows.of_track(code), _GENERATED_ID.fullmatch(track_id) is not None
         steps, category = rows.timestep[own], rows.category[own.start]

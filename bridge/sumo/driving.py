@@ -5,21 +5,12 @@ from functools import cache
 
 import numpy as np
 
+from bridge.sumo import steering
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.poses import front_arc_m
 from bridge.sumo.replay import Replay, ReplayErrors
 from bridge.sumo.shown import ever_shown, shown_at
 from bridge.sumo.simulation import Simulation
-from bridge.sumo.steering import (
-    Attempt,
-    Limits,
-    apply_policy,
-    conclude,
-    edges_along,
-    let_pass,
-    limits_of,
-    take_another_way,
-)
 from hid2.agents import IntArray
 from hid2.conflicts.reaction import Reactions
 from hid2.drivers.driver import OFFSET_MAX_M
@@ -63,7 +54,7 @@ class Driving:
         fleet, simulation, step_s = self.fleet, self.simulation, self.fleet.scene.step_s
         simulation.rewind()
         recorded = len(fleet.scene.traffic.ids) if self.checked else 0
-        replay = self._replay = Replay(simulation, self._replayed(), "r", step_s=step_s, checked=recorded)
+        replay = self._replay = Replay(simulation, self._replayed(), step_s=step_s, checked=recorded)
         for back in range(UNSEEN_STEPS, 0, -1):
             replay.warm_up(back)
             simulation.step()
@@ -81,7 +72,7 @@ class Driving:
         self.replay_errors = replay.errors
         return fleet.vehicles
 
-    def _steer(self, step: int) -> tuple[dict[int, Attempt], dict[int, Limit]]:
+    def _steer(self, step: int) -> tuple[dict[int, steering.Attempt], dict[int, Limit]]:
         """Observe, decide and act before a step; returns what SUMO was asked for, and limits of speed, by vehicle."""
         fleet, now = self.fleet, step - 1
         traffic = cache(fleet.traffic)  # put together at the first use
@@ -92,22 +83,22 @@ class Driving:
                 self._replay.take(fleet.known)
         elif "collision" not in fleet.scene.config.without and step % fleet.scene.steps_in(_STRUCK_EVERY_S) == 0:
             self._take_out_struck(now)
-        attempts: dict[int, Attempt] = {}
+        attempts: dict[int, steering.Attempt] = {}
         rows = fleet.here
         if not rows.size:
             return attempts, {}
-        limits = limits_of(fleet, rows, now)
+        limits = steering.limits_of(fleet, rows, now)
         for k, (row, may_change) in enumerate(zip(rows.tolist(), fleet.may_change[rows].tolist(), strict=True)):
             on_lane = POLICIES[limits.policy[k]]
             if may_change:
-                attempt = apply_policy(fleet, self.simulation, row, now, traffic, on_lane)
+                attempt = steering.apply_policy(fleet, self.simulation, row, now, traffic, on_lane)
                 if attempt is not None:
                     attempts[row] = attempt
-                let_pass(fleet, row, now, limits, k)
+                steering.let_pass(fleet, row, now, limits, k)
             else:  # nothing to be asked: it keeps to its lane, as `decide` says
                 fleet.vehicles[row].policies[on_lane] += 1
-            if limits.seeks[k] and take_another_way(fleet, self.simulation, row, now):
-                for found, renewed in zip(limits, limits_of(fleet, rows[k:], now), strict=True):
+            if limits.seeks[k] and steering.take_another_way(fleet, self.simulation, row, now):
+                for found, renewed in zip(limits, steering.limits_of(fleet, rows[k:], now), strict=True):
                     found[k:] = renewed  # those after it see where it goes
                 self._replay.take(fleet.known)  # others may have to be shown on this way
         fleet.yielding[rows] = limits.yields
@@ -124,12 +115,12 @@ class Driving:
             return None
 
         def follow_mps(row: int, speed_mps: float, gap_m: float, leader_mps: float) -> float:
-            name = self._replay.name(row)
+            name = self._replay.names[row]
             return self.simulation.follow_speed(name, speed_mps, gap_m=gap_m, leader_mps=leader_mps)
 
         return Reactions(self.fleet.scene, follow_mps)
 
-    def _drive(self, rows: IntArray, limits: Limits, now: int) -> dict[int, Limit]:
+    def _drive(self, rows: IntArray, limits: steering.Limits, now: int) -> dict[int, Limit]:
         """Tell SUMO how fast vehicles wish to drive and may drive at the coming step; returns the limits by vehicle."""
         fleet, told = self.fleet, {}
         for row, desired, mps, cause, leader in zip(
@@ -163,7 +154,7 @@ class Driving:
             if vehicle.objection is not None:
                 self.fleet.along_m[row] = np.nan
 
-    def _read(self, step: int, attempts: dict[int, Attempt], limits: dict[int, Limit]) -> None:
+    def _read(self, step: int, attempts: dict[int, steering.Attempt], limits: dict[int, Limit]) -> None:
         """Take down what SUMO did, what came of what it was asked for, and which of the limits decided the speed."""
         inside = self.simulation.driven()
         for row, vehicle in enumerate(self.fleet.vehicles):
@@ -183,7 +174,7 @@ class Driving:
                 if limit is not None and speed > limit[0] - _BINDS_MPS:
                     vehicle.limited[limit[1]] += 1
                 if row in attempts:
-                    conclude(self.fleet, self.simulation, attempts[row], lane)
+                    steering.conclude(self.fleet, self.simulation, attempts[row], lane)
                 self.fleet.follow(row, lane, front_m, speed)
 
     def _take_out_struck(self, step: int) -> None:
@@ -211,7 +202,7 @@ def insert(simulation: Simulation, scene: Scene, start: Start) -> Reason | None:
     segment = start.path.segment_at(front)
     lane_s = segment.lane_s(front)
     cell = scene.grid.cell_at(segment.lane_id, lane_s)
-    edges = edges_along(scene, start.path, cell)
+    edges = steering.edges_along(scene, start.path, cell)
     if edges is None:
         return Reason.NO_ROUTE
     begin = float(scene.grid.edges_s(cell.lane_id)[cell.index])

@@ -36,10 +36,9 @@ from hid2.occupancy.traffic import BoolArray
 from hid2.params import Config
 from netconvert.cells import SAVED_WITHIN_M, Cell, CellGrid, build_cell_grid
 from netconvert.errors import ScenarioError
-from netconvert.geo import CITY_ORIGINS
 from netconvert.gui_files import gui_files, xml_bytes
 from netconvert.lane_graph import TurnType
-from netconvert.net_xml import net_bytes
+from netconvert.net_xml import CITY_ORIGINS, net_bytes
 
 _LOG = logging.getLogger(__name__)
 #: Where an agent's front bumper is on the net at each of its steps: (N,) cells, metres along them, and whether it is

@@ -29,9 +29,8 @@ from hid2.agents import FOCAL_CATEGORY, FloatArray, Track
 from hid2.measures.arrays import is_generated_id
 from netconvert.cells import CellGrid, build_cell_grid
 from netconvert.errors import ExportError, SimulationError
-from netconvert.geo import CITY_ORIGINS
 from netconvert.gui_files import REAL_TIME_MS, gui_files, xml_bytes
-from netconvert.net_xml import junction_beside, junction_xml, net_bytes, shape
+from netconvert.net_xml import CITY_ORIGINS, junction_beside, junction_xml, net_bytes, shape
 
 # No tunables: how a scene is drawn in sumo-gui; nothing that is generated depends on any of these.
 #: On a stretch of constant velocity no front bumper is further than this from where it was, and no heading.

@@ -185,14 +185,14 @@ def _asked(fleet: Fleet, simulation: Simulation, row: int, now: int, across: Acr
     cell = scene.grid.cell_of_sumo_lane.get(simulation.lane(vehicle.vehicle_id)[0])
     if cell is None:
         return Reason.OFF_ITS_LANE
-    link = scene.grid.lateral(cell, across.shift.side)
-    if link is None:
+    facing = scene.grid.lateral(cell, across.shift.side)
+    if facing is None:
         return Reason.NO_ADJACENT_LANE
-    edges = edges_along(scene, across.target, link.target)
+    edges = edges_along(scene, across.target, facing)
     if edges is None:
         return Reason.TARGET_NOT_BESIDE_FRONT
-    simulation.change_lane(vehicle.vehicle_id, scene.grid.lane_index(link.target), edges=edges)
-    return Attempt(row, len(vehicle.gaps) - 1, across, scene.grid.sumo_lane_id(link.target))
+    simulation.change_lane(vehicle.vehicle_id, scene.grid.lane_index(facing), edges=edges)
+    return Attempt(row, len(vehicle.gaps) - 1, across, scene.grid.sumo_lane_id(facing))
 
 
 def conclude(fleet: Fleet, simulation: Simulation, attempt: Attempt, lane: str) -> None:
