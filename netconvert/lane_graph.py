@@ -224,7 +224,11 @@ class LaneGraph:
                 continue
             if lane_id in mine or target in theirs:
                 dropped.append(DroppedLink(f"{side}_neighbor", lane_id, target, REASON_CONTRADICTED))
-            elif _walk_reaches(mine, target, lane_id):
+                continue
+            end = target
+            while end != lane_id and end in mine:
+                end = mine[end]
+            if end == lane_id:
                 dropped.append(DroppedLink(f"{side}_neighbor", lane_id, target, REASON_RING))
             else:
                 mine[lane_id] = target
@@ -282,10 +286,3 @@ def _direction(lane: LaneSegment) -> tuple[float, float]:
 
 def _other(side: Side) -> Side:
     return "right" if side == "left" else "left"
-
-
-def _walk_reaches(links: Mapping[int, int], lane: int, goal: int) -> bool:
-    """Whether following the links from a lane arrives at the goal."""
-    while lane != goal and lane in links:
-        lane = links[lane]
-    return lane == goal

@@ -18,7 +18,7 @@ import shapely
 
 from netconvert.cells import Cell, CellGrid
 from netconvert.geometry import FloatArray, cut_at
-from netconvert.lane_graph import SIDES, LaneGraph, LaneSegment, TurnType, joined
+from netconvert.lane_graph import SIDES, LaneGraph, TurnType, joined
 
 #: Speed limit of every lane, m/s (45 mph), unless drivers desire more; the maps have none.
 SPEED_LIMIT_MPS = 20.0
@@ -100,8 +100,12 @@ def net_bytes(
 
     editable = grid.saved_within_m is not None
     text = ["<?xml version='1.0' encoding='UTF-8'?>", f'<net version="{NET_VERSION}">', location(grid.graph, origin)]
-    limit_mps = speed_limit_mps(fastest_mps)
-    templates = {lane_id: _lane_attributes(grid, lane, limit_mps) for lane_id, lane in grid.graph.lanes.items()}
+    limit_mps, custom, templates = speed_limit_mps(fastest_mps), ' customShape="1"' if editable else "", {}
+    for lane_id, lane in grid.graph.lanes.items():  # what all cells of a lane have in common
+        allowed, length_m = ALLOWED_CLASSES[lane.lane_type], lane.length_m / grid.count(lane_id)
+        classes = "" if allowed is None else f' allow="{allowed}"'
+        own = f'{classes} speed="{limit_mps:g}" length="{length_m:.6f}" width="{lane.width_m:.2f}"{custom}'
+        templates[lane_id] = own
     step_m = _MIN_SAVED_STEP_M if editable else _MIN_STEP_M
     lines = {
         lane_id: cut_at(lane.path.points, lane.path.s, grid.edges_s(lane_id), grid.borders(lane_id), farther_m=step_m)
@@ -195,15 +199,6 @@ def location(graph: LaneGraph, origin: CityOrigin | None) -> str:
         original = f"{left + east:.2f},{bottom + north:.2f},{right + east:.2f},{top + north:.2f}"
     places = f'netOffset="{offset}" convBoundary="{boundary}" origBoundary="{original}"'
     return f'  <location {places} projParameter="{projection}"/>'
-
-
-def _lane_attributes(grid: CellGrid, lane: LaneSegment, limit_mps: float) -> str:
-    """What all cells of a lane have in common, as XML attributes."""
-    allowed = ALLOWED_CLASSES[lane.lane_type]
-    classes = "" if allowed is None else f' allow="{allowed}"'
-    length_m = lane.length_m / grid.count(lane.lane_id)
-    custom = "" if grid.saved_within_m is None else ' customShape="1"'
-    return f'{classes} speed="{limit_mps:g}" length="{length_m:.6f}" width="{lane.width_m:.2f}"{custom}'
 
 
 def shape(points: FloatArray, *, digits: int = 2) -> str:

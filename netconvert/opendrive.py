@@ -214,7 +214,14 @@ def opendrive_bytes(graph: LaneGraph, name: str, *, origin: CityOrigin | None = 
         joined = [str(link.tag) for link in ends[number] if link.get("elementType") == "road"]
         lanes = dict.fromkeys(joined, range(len(road.lanes)))
         whole.append(_road_xml(graph, road, number, ends[number], lanes))
-    return xml_bytes(E.OpenDRIVE(_header(graph, name, origin), *whole, *connecting, *junctions))
+    (west, south), (east, north) = graph.bounds
+    ground = {"north": north, "south": south, "east": east, "west": west}
+    known = {"revMajor": "1", "revMinor": "7", "name": name, "version": "1.00", "vendor": "hid2-sumo"}
+    header = E.header({**known, **{side: f"{value:.3f}" for side, value in ground.items()}})
+    if origin is not None:
+        header.append(E.geoReference(etree.CDATA(origin.projection)))
+        header.append(E.offset(x=f"{origin.easting_m:.4f}", y=f"{origin.northing_m:.4f}", z="0", hdg="0"))
+    return xml_bytes(E.OpenDRIVE(header, *whole, *connecting, *junctions))
 
 
 def _drawn(graph: LaneGraph) -> tuple[Roads, list[_Road]]:
@@ -251,17 +258,6 @@ def _drawn(graph: LaneGraph) -> tuple[Roads, list[_Road]]:
                     apart.add(lane.lane_id)  # nothing leads to what is cut off
         if len(apart) == before:
             return roads, drawn
-
-
-def _header(graph: LaneGraph, name: str, origin: CityOrigin | None) -> etree._Element:
-    (west, south), (east, north) = graph.bounds
-    ground = {"north": north, "south": south, "east": east, "west": west}
-    known = {"revMajor": "1", "revMinor": "7", "name": name, "version": "1.00", "vendor": "hid2-sumo"}
-    header = E.header({**known, **{side: f"{value:.3f}" for side, value in ground.items()}})
-    if origin is not None:
-        header.append(E.geoReference(etree.CDATA(origin.projection)))
-        header.append(E.offset(x=f"{origin.easting_m:.4f}", y=f"{origin.northing_m:.4f}", z="0", hdg="0"))
-    return header
 
 
 def _link(side: str, road: int) -> etree._Element:

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from bridge.config import CORRIDOR_PREFIX
 from bridge.recordings.export import parquet_bytes, write_folder
@@ -63,7 +62,15 @@ def write_road(out_dir: Path, file: Path) -> Path:
 def _written(
     out_dir: Path, name: str, stretches: Sequence[Lane], lanes: int, steps: int, more: Mapping[str, bytes] = {}
 ) -> Path:
-    table, streets = parquet_bytes(_table(name, steps)), json.dumps(_map(stretches, lanes)).encode()
+    y, size, still = -(_LANE_M + _SHOULDER_M) / 2, DEFAULT_SIZES["vehicle"], (np.zeros(steps), np.zeros((steps, 2)))
+    tracks = [  # the two vehicles on the shoulder, at every step
+        Track(track_id, "vehicle", category, np.arange(steps), np.tile([x, y], (steps, 1)), *still, size)
+        for track_id, category, x in (("1", FOCAL_CATEGORY, 20.0), (AV_ID, 1, 30.0))
+    ]
+    same = {"scenario_id": name, "start_timestamp": 0.0, "end_timestamp": (steps - 1) * STEP_S * 1e9}
+    same |= {"num_timestamps": steps, "focal_track_id": "1", "city": "corridor"}
+    table = parquet_bytes(table_of(tracks, same, observed_steps=OBSERVED_STEPS))
+    streets = json.dumps(_map(stretches, lanes)).encode()
     files = {f"scenario_{name}.parquet": table, f"log_map_archive_{name}.json": streets, **more}
     write_folder(out_dir / name, files)
     return out_dir / name
@@ -103,15 +110,3 @@ def _map(stretches: Sequence[Lane], lanes: int) -> dict[str, Any]:
     area = [{"x": round(a, 2), "y": round(b, 2), "z": 0.0} for a, b in corners]
     areas = {"1": {"area_boundary": area, "id": 1}}
     return {"drivable_areas": areas, "lane_segments": segments, "pedestrian_crossings": {}}
-
-
-def _table(scenario_id: str, steps: int) -> pa.Table:
-    """The two vehicles on the shoulder, at every step."""
-    y, size, still = -(_LANE_M + _SHOULDER_M) / 2, DEFAULT_SIZES["vehicle"], (np.zeros(steps), np.zeros((steps, 2)))
-    tracks = [
-        Track(track_id, "vehicle", category, np.arange(steps), np.tile([x, y], (steps, 1)), *still, size)
-        for track_id, category, x in (("1", FOCAL_CATEGORY, 20.0), (AV_ID, 1, 30.0))
-    ]
-    same = {"scenario_id": scenario_id, "start_timestamp": 0.0, "end_timestamp": (steps - 1) * STEP_S * 1e9}
-    same |= {"num_timestamps": steps, "focal_track_id": "1", "city": "corridor"}
-    return table_of(tracks, same, observed_steps=OBSERVED_STEPS)

@@ -112,15 +112,7 @@ def _with_rows(table: pa.Table, tracks: Sequence[Track], observed_steps: int) ->
 
 
 def parquet_bytes(table: pa.Table) -> bytes:
-    """The file that pandas would write for it. Same rows, same bytes."""
-    sink = io.BytesIO()
-    metadata = {"pandas": json.dumps(_pandas_metadata(table))}
-    pq.write_table(table.replace_schema_metadata(metadata), sink, compression="snappy")
-    return sink.getvalue()
-
-
-def _pandas_metadata(table: pa.Table) -> dict[str, Any]:
-    """What pandas writes beside the columns, so that it reads a RangeIndex; free of the version of any library."""
+    """The file that pandas would write for it, read with a RangeIndex. Same rows, same bytes."""
 
     def told(name: str | None, pandas_type: str, numpy_type: str, metadata: object = None) -> dict[str, Any]:
         names = {"name": name, "field_name": name}
@@ -128,13 +120,17 @@ def _pandas_metadata(table: pa.Table) -> dict[str, Any]:
 
     kinds = ((field.name, get_logical_type(field.type), field.type.to_pandas_dtype()) for field in table.schema)
     columns = [told(name, kind, np.dtype(made).name) for name, kind, made in kinds]
-    return {
+    told_of_all = {
         "index_columns": [{"kind": "range", "name": None, "start": 0, "stop": table.num_rows, "step": 1}],
         "column_indexes": [told(None, "unicode", "object", {"encoding": "UTF-8"})],
         "columns": columns,
         "creator": {"library": "pyarrow", "version": pa.__version__},
         "pandas_version": "1.3.4",  # the version of the format, as in recorded files
     }
+    sink = io.BytesIO()
+    told_table = table.replace_schema_metadata({"pandas": json.dumps(told_of_all)})
+    pq.write_table(told_table, sink, compression="snappy")
+    return sink.getvalue()
 
 
 def map_bytes(scenario: Recording) -> bytes:

@@ -168,33 +168,31 @@ def check_sidecar(
     except ConfigError as error:
         yield "sidecar", f"config: {error}"
     else:
-        yield from _check_config(sidecar, config, new_id)
-    told = [*_vehicle_rules(sidecar, generated_ids & begins.keys())]
+        wanted = new_scenario_id(sidecar.source_scenario_id, config, sidecar.seed, sidecar.variant)
+        if wanted != new_id:
+            yield "scenario-id", f"{new_id}, expected {wanted} of this source, configuration, seed and variant"
+        yield from (("sidecar", said) for is_wrong, said in _config_rules(sidecar, config) if is_wrong)
+    told = [*_scene_rules(sidecar, generated_ids & begins.keys())]
     told += (rule for agent in sidecar.agents for rule in _agent_rules(agent, begins, lanes))
-    yield from (("sidecar", said) for is_wrong, said in [*told, *_event_rules(sidecar)] if is_wrong)
-
-
-def _check_config(sidecar: Sidecar, config: Config, new_id: str) -> Iterator[Breach]:
-    """What a sidecar says against its own configuration."""
-    if sidecar.config_sha256 != config_sha256(config) or config_to_dict(config) != sidecar.config:
-        yield "sidecar", f"config_sha256 {sidecar.config_sha256[:12]}..., expected that of config"
-    wanted = new_scenario_id(sidecar.source_scenario_id, config, sidecar.seed, sidecar.variant)
-    if wanted != new_id:
-        yield "scenario-id", f"{new_id}, expected {wanted} of this source, configuration, seed and variant"
-    known = config.request.behaviours
-    for policy in sorted({agent.policy for agent in sidecar.agents} - known.keys()):
-        yield "sidecar", f"policy {policy!r}, expected one of {', '.join(known)}"
-    noise = config.export.noise
-    if any((agent.clean is not None) != (noise != "none") for agent in sidecar.agents):
-        yield "sidecar", f"export.noise {noise}, expected clean states of {'no' if noise == 'none' else 'all'} agents"
+    yield from (("sidecar", said) for is_wrong, said in told if is_wrong)
 
 
 #: Whether something is wrong, and what is said then.
 _Told = Iterator[tuple[bool, str]]
 
 
-def _vehicle_rules(sidecar: Sidecar, generated_ids: Set[str]) -> _Told:
-    """The vehicles of a sidecar against its sums and against the generated tracks of the rows."""
+def _config_rules(sidecar: Sidecar, config: Config) -> _Told:
+    same = sidecar.config_sha256 == config_sha256(config) and config_to_dict(config) == sidecar.config
+    yield not same, f"config_sha256 {sidecar.config_sha256[:12]}..., expected that of config"
+    known, noise = config.request.behaviours, config.export.noise
+    for policy in sorted({agent.policy for agent in sidecar.agents}):
+        yield policy not in known, f"policy {policy!r}, expected one of {', '.join(known)}"
+    other = any((agent.clean is not None) != (noise != "none") for agent in sidecar.agents)
+    yield other, f"export.noise {noise}, expected clean states of {'no' if noise == 'none' else 'all'} agents"
+
+
+def _scene_rules(sidecar: Sidecar, generated_ids: Set[str]) -> _Told:
+    """Vehicles and events of a sidecar against its sums and against the generated tracks of the rows."""
     agents, placed = sidecar.agents, sidecar.placed
     yield placed.agents != len(agents), f"placed.agents {placed.agents}, but {len(agents)} agents"
     counts = Counter(agent.policy for agent in agents)
@@ -204,6 +202,11 @@ def _vehicle_rules(sidecar: Sidecar, generated_ids: Set[str]) -> _Told:
     listed = {agent.track_id for agent in agents}
     yield len(listed) != len(agents), "two agents have the same track_id"
     yield listed != generated_ids, f"agents and generated tracks differ: {', '.join(sorted(listed ^ generated_ids))}"
+    for number, event in enumerate(sidecar.events):
+        made = event.status != "done" and event.track_id is not None
+        yield made, f"event {number}: {event.status}, but made by {event.track_id}"
+        is_other = event.human_brakes is not None and event.human_brakes is not brakes_for(event.min_ttc_s)
+        yield is_other, f"event {number}: human_brakes {event.human_brakes}, but min_ttc_s {event.min_ttc_s}"
 
 
 def _agent_rules(agent: AgentRecord, begins: Mapping[str, int], lanes: Set[str]) -> _Told:
@@ -225,14 +228,6 @@ def _agent_rules(agent: AgentRecord, begins: Mapping[str, int], lanes: Set[str])
         yield str(lane) not in lanes, f"{name}: lane segment {lane} is not in the map"
     begin = begins.get(agent.track_id, since)
     yield begin != since, f"{name}: spawn.timestep {since}, but it begins at {begin}"
-
-
-def _event_rules(sidecar: Sidecar) -> _Told:
-    for number, event in enumerate(sidecar.events):
-        made = event.status != "done" and event.track_id is not None
-        yield made, f"event {number}: {event.status}, but made by {event.track_id}"
-        is_other = event.human_brakes is not None and event.human_brakes is not brakes_for(event.min_ttc_s)
-        yield is_other, f"event {number}: human_brakes {event.human_brakes}, but min_ttc_s {event.min_ttc_s}"
 
 
 def check_written_sequence(

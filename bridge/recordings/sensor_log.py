@@ -51,27 +51,21 @@ _SCORED_PATH_M, _SCORED_NEAR_M, _PATH_EVERY = 2.0, 35.0, 10
 _VELOCITY_SAMPLES = 7
 #: Distance of points of a centreline, and places at which boundaries are paired for it.
 _CENTERLINE_STEP_M, _LADDER = 2.0, 100
-_CITIES = {
-    "ATX": "austin", "DTW": "dearborn", "MIA": "miami", "PAO": "palo-alto", "PIT": "pittsburgh",
-    "WDC": "washington-dc",
-}  # fmt: skip
+_CITIES = {"ATX": "austin", "DTW": "dearborn", "MIA": "miami"}
+_CITIES |= {"PAO": "palo-alto", "PIT": "pittsburgh", "WDC": "washington-dc"}
 _CATEGORIES = {
-    "vehicle": (
-        "REGULAR_VEHICLE", "LARGE_VEHICLE", "BOX_TRUCK", "TRUCK", "TRUCK_CAB", "VEHICULAR_TRAILER", "RAILED_VEHICLE",
-    ),
-    "bus": ("BUS", "SCHOOL_BUS", "ARTICULATED_BUS"),
-    "pedestrian": ("PEDESTRIAN", "OFFICIAL_SIGNALER", "WHEELCHAIR"),
-    "cyclist": ("BICYCLIST", "WHEELED_RIDER"),
-    "motorcyclist": ("MOTORCYCLIST",),
-    "riderless_bicycle": ("BICYCLE",),
-    "construction": ("CONSTRUCTION_CONE", "CONSTRUCTION_BARREL"),
-    "static": (
-        "BOLLARD", "SIGN", "STOP_SIGN", "MOBILE_PEDESTRIAN_CROSSING_SIGN", "MESSAGE_BOARD_TRAILER",
-        "TRAFFIC_LIGHT_TRAILER", "MOTORCYCLE",
-    ),
-}  # fmt: skip
+    "vehicle": "REGULAR_VEHICLE LARGE_VEHICLE BOX_TRUCK TRUCK TRUCK_CAB VEHICULAR_TRAILER RAILED_VEHICLE",
+    "bus": "BUS SCHOOL_BUS ARTICULATED_BUS",
+    "pedestrian": "PEDESTRIAN OFFICIAL_SIGNALER WHEELCHAIR",
+    "cyclist": "BICYCLIST WHEELED_RIDER",
+    "motorcyclist": "MOTORCYCLIST",
+    "riderless_bicycle": "BICYCLE",
+    "construction": "CONSTRUCTION_CONE CONSTRUCTION_BARREL",
+    "static": "BOLLARD SIGN STOP_SIGN MOBILE_PEDESTRIAN_CROSSING_SIGN MOTORCYCLE MESSAGE_BOARD_TRAILER "
+    "TRAFFIC_LIGHT_TRAILER",
+}
 #: Object type by category of the annotations; any other category is "unknown".
-OBJECT_TYPES = {source: target for target, sources in _CATEGORIES.items() for source in sources}
+OBJECT_TYPES = {source: target for target, sources in _CATEGORIES.items() for source in sources.split()}
 _ROAD_USERS = ("vehicle", "bus", "pedestrian", "cyclist", "motorcyclist")
 _EGO = "EGO_VEHICLE"
 _QUATERNION = ["qx", "qy", "qz", "qw"]

@@ -58,7 +58,12 @@ class Driving:
         for back in range(UNSEEN_STEPS, 0, -1):
             replay.warm_up(back)
             simulation.step()
-        self.reactions = self._reactions()
+
+        def follow_mps(row: int, speed_mps: float, gap_m: float, leader_mps: float) -> float:
+            return simulation.follow_speed(replay.names[row], speed_mps, gap_m=gap_m, leader_mps=leader_mps)
+
+        if fleet.scene.config.driving.replay != "fixed":  # recorded vehicles react, by SUMO's car following
+            self.reactions = Reactions(fleet.scene, follow_mps)
         for step in range(fleet.scene.num_steps):
             attempts, limits = self._steer(step) if step > 0 else ({}, {})
             for row, vehicle in enumerate(fleet.vehicles):
@@ -108,17 +113,6 @@ class Driving:
         """Recorded agents and those kept, as they are put into SUMO."""
         anywhere = self.checked or self.fleet.scene.config.driving.replay != "fixed"  # as agents that react are
         return self.fleet.known if anywhere else ever_shown(self.fleet)
-
-    def _reactions(self) -> Reactions | None:
-        """The recorded vehicles as agents that react, each by SUMO's car following of its replayed vehicle."""
-        if self.fleet.scene.config.driving.replay == "fixed":
-            return None
-
-        def follow_mps(row: int, speed_mps: float, gap_m: float, leader_mps: float) -> float:
-            name = self._replay.names[row]
-            return self.simulation.follow_speed(name, speed_mps, gap_m=gap_m, leader_mps=leader_mps)
-
-        return Reactions(self.fleet.scene, follow_mps)
 
     def _drive(self, rows: IntArray, limits: steering.Limits, now: int) -> dict[int, Limit]:
         """Tell SUMO how fast vehicles wish to drive and may drive at the coming step; returns the limits by vehicle."""

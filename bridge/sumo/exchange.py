@@ -23,14 +23,14 @@ from lxml.builder import E
 from bridge.config import config_from_dict
 from bridge.pictures.figures import kinds_in
 from bridge.recordings.recording import Recording
-from bridge.recordings.sidecar import DriverRecord, Sidecar
+from bridge.recordings.sidecar import Sidecar
 from bridge.sumo.drivers import driver_attributes, model_parameters
 from bridge.sumo.playback import departure, playable_files, run_options, type_id, vehicle_type
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray
 from hid2.drivers.driver import Driver
-from hid2.measures.arrays import stack
-from hid2.measures.lane_matching import flatten_lanes, match_lanes
+from hid2.measures.lane_matching import flatten_lanes
+from hid2.occupancy.agent_states import agent_states
 from hid2.occupancy.shown import ASIDE_M
 from hid2.occupancy.traffic import BoolArray
 from hid2.params import Config
@@ -91,9 +91,9 @@ def _fcd(scenario: Recording, grid: CellGrid, placed: Mapping[str, _Placed]) -> 
 def _places(scenario: Recording, grid: CellGrid) -> dict[str, _Placed]:
     """Cells of every agent, by the lane that it is matched to, else by the nearest lane, however far."""
     tracks, graph = scenario.tracks, scenario.graph
-    arrays = stack(tracks, num_steps=scenario.num_steps, step_s=scenario.step_s)
     flat = flatten_lanes(graph)
-    matches = match_lanes(arrays, flat)
+    states = agent_states(tracks, flat, num_steps=scenario.num_steps, step_s=scenario.step_s)
+    arrays, matches = states.arrays, states.matches
     lines = [shapely.LineString(flat.lane_points(lane)) for lane in range(len(flat.lane_ids))]
     nearest = shapely.STRtree(lines).nearest(shapely.points(arrays.position))
     rows = np.where(matches.lane >= 0, matches.lane, nearest)
@@ -125,7 +125,12 @@ def _routes(
         name, (cells, pos, _) = track.track_id, placed[track.track_id]
         kind, driver, speed_mps = vehicle_type(track, faces[name]), drivers[name], float(track.speed[0])
         if driver is not None:  # car following as the vehicle was driven with
-            more = model_parameters(config) | driver_attributes(_driver(driver, name), driver.model)
+            try:
+                drives = Driver(**driver.parameters)
+            except TypeError as error:
+                known = ", ".join(driver.parameters) or "nothing"
+                raise ScenarioError(f"{name}: the driver in the sidecar has {known}, expected all of one") from error
+            more = model_parameters(config) | driver_attributes(drives, driver.model)
             kind |= {"carFollowModel": driver.model, **{key: f"{value:g}" for key, value in more.items()}}
             speed_mps = min(speed_mps, more["maxSpeed"])  # SUMO inserts no vehicle that is faster
         kinds.append(E.vType(kind))
@@ -135,14 +140,6 @@ def _routes(
         edges = _edges(cells, grid, links, name) + _onward(cells[-1], grid)
         vehicles.append(E.vehicle(vehicle, E.route(edges=" ".join(edges))))
     return xml_bytes(E.routes(*kinds, *vehicles))
-
-
-def _driver(record: DriverRecord, name: str) -> Driver:
-    try:
-        return Driver(**record.parameters)
-    except TypeError as error:
-        told = ", ".join(record.parameters) or "nothing"
-        raise ScenarioError(f"{name}: the driver in the sidecar has {told}, expected all of a driver") from error
 
 
 def _rounded_down(value: float) -> str:

@@ -44,11 +44,6 @@ class Way:
     reroute_tried: bool = False
     jump: Jump | None = None
 
-    def is_turn(self, s: float) -> bool:
-        """Whether the lane at an arc length, m, is one."""
-        at = bisect_right(self.lane_ends, s, hi=self.lane_ends.size - 1)
-        return bool(self.policies[at] != STRAIGHT)
-
 
 @dataclass(eq=False, slots=True)
 class Fleet:
@@ -125,7 +120,8 @@ class Fleet:
         vehicle.jumped_m.append(jumped_m)
         shifts, table = vehicle.path.shifts, vehicle.path.line.table_xy
         # Case 2, executing goes before pending: in a change of lanes or in a turn.
-        executing = (shifts and shifts[-1][0] < s < shifts[-1][1]) or way.is_turn(s)
+        turns = way.policies[bisect_right(way.lane_ends, s, hi=way.lane_ends.size - 1)] != STRAIGHT
+        executing = (shifts and shifts[-1][0] < s < shifts[-1][1]) or turns
         self.along_m[row], self.centre[row] = s, table[min(int(s / TABLE_STEP_M), len(table) - 1)]
         self.state[row] = s, speed_mps, (speed_mps - before) / self.scene.step_s, executing, 1.0
 
