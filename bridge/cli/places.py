@@ -9,8 +9,7 @@ from typing import Any
 from bridge.console import warn
 from bridge.interruption import remove_abandoned
 from bridge.recordings.folders import SPLITS, Address, Choices, is_generated, names_in, other_data
-from bridge.recordings.readers import READERS
-from bridge.recordings.sources import find_one, nothing_at
+from bridge.recordings.sources import READERS, find_one, nothing_at
 from netconvert.errors import ConfigError
 
 _ARCHIVES = (".zip", ".tar", ".gz", ".tgz", ".7z", ".zst")

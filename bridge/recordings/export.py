@@ -2,7 +2,6 @@
 
 import io
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,9 +21,6 @@ from bridge.recordings.scenario import SCENARIO_COLUMNS, STEP_S, track_columns
 from bridge.recordings.sidecar import RecordingRecord, Sidecar, sidecar_bytes, sidecar_path
 from hid2.agents import FOCAL_CATEGORY, SCORED_CATEGORY, Track
 from netconvert.errors import ExportError
-
-#: A lane's centreline with at least one point, in a map file.
-_CENTERLINE = re.compile(rb'"centerline":\s*\[\s*\{')
 
 
 def with_generated(
@@ -135,17 +131,13 @@ def parquet_bytes(table: pa.Table) -> bytes:
 
 def map_bytes(scenario: Recording) -> bytes:
     """The map that goes with a recording: the source's byte for byte, with centrelines where it has none."""
-    graph = scenario.graph
     raw = scenario.map_path.read_bytes() if scenario.map_json is None else scenario.map_json
-    if len(_CENTERLINE.findall(raw)) == len(graph.lanes):  # one of its points for every lane: nothing to add
-        return raw
     document = json.loads(raw)
-    lanes = document["lane_segments"].values()
-    for lane in lanes:
-        if not lane.get("centerline"):
-            points = graph.lanes[int(lane["id"])].centerline
-            lane["centerline"] = [{"x": float(x), "y": float(y), "z": 0.0} for x, y in points]
-    return json.dumps(document).encode()
+    lacking = [lane for lane in document["lane_segments"].values() if not lane.get("centerline")]
+    for lane in lacking:
+        points = scenario.graph.lanes[int(lane["id"])].centerline
+        lane["centerline"] = [{"x": x, "y": y, "z": 0.0} for x, y in points.tolist()]
+    return json.dumps(document).encode() if lacking else raw
 
 
 def write_folder(folder: Path, files: Mapping[str, bytes]) -> None:

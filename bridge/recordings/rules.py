@@ -26,6 +26,7 @@ from hid2.judge.events import brakes_for
 from hid2.params import Config
 from netconvert.av2_map import Breach
 from netconvert.errors import ConfigError, ScenarioError
+from netconvert.geometry import wrap_angle
 from netconvert.net_xml import CITY_ORIGINS
 
 #: The rule on recorded rows, which are kept as they are.
@@ -109,7 +110,7 @@ def check_generated(rows: RowArrays, track_id: str, clean: FloatArray | None = N
         worst = int(wrong[np.argmax(error[wrong])])
         yield "velocity", f"{name}, timestep {steps[worst]}: {error[worst]:.3f} m/s off the derivative of position"
     course = np.arctan2(velocity[:, 1], velocity[:, 0])
-    off = np.abs(np.mod(heading - course + np.pi, 2 * np.pi) - np.pi)
+    off = np.abs(wrap_angle(heading - course))
     off[np.hypot(*velocity.T) < HEADING_FROM_MPS] = 0
     if off.max() > HEADING_TOLERANCE_RAD:
         worst = int(np.argmax(off))

@@ -28,6 +28,7 @@ from bridge.recordings.sidecar import BoxLength, BoxWidth, RecordingRecord, Side
 from hid2.agents import DEFAULT_SIZES, FOCAL_CATEGORY, BoxSize, FloatArray, IntArray, Track
 from netconvert.av2_map import Breach
 from netconvert.errors import MapError, NoSceneError, ScenarioError
+from netconvert.geometry import wrap_angle
 from netconvert.lane_graph import LaneGraph
 
 #: A recording of this format, which generated scenes are in as well.
@@ -103,9 +104,11 @@ def _recording_record(folder: Path, sidecar: Sidecar | None) -> RecordingRecord:
     if sidecar is not None:
         return sidecar.recording
     return RecordingRecord(
-        format="argoverse2", provenance="human" if (folder / SIZES_FILE).exists() else "tracker", step_s=STEP_S,
+        format="argoverse2",
+        provenance="human" if (folder / SIZES_FILE).exists() else "tracker",
+        step_s=STEP_S,
         observed_steps=OBSERVED_STEPS,
-    )  # fmt: skip
+    )
 
 
 def read_rows(folder: Path) -> Rows:
@@ -339,9 +342,7 @@ def _focal_breaches(rows: RowArrays, focal_track_id: str) -> Iterator[Breach]:
 def tracks_of(rows: RowArrays, sizes: Mapping[str, BoxSize]) -> tuple[Track, ...]:
     """The tracks of rows that keep the rules. sizes: boxes by track id, by object type where a track has none."""
     heading = rows.motion[:, 2]
-    if np.abs(heading).max() > np.pi:
-        beyond = np.abs(heading) > np.pi
-        heading = np.where(beyond, np.pi - np.mod(np.pi - heading, 2 * np.pi), heading)
+    heading = np.where(np.abs(heading) > np.pi, wrap_angle(heading), heading)
     position, velocity = np.ascontiguousarray(rows.motion[:, :2]), np.ascontiguousarray(rows.motion[:, 3:])
     tracks = []
     for code, track_id in enumerate(rows.ids):

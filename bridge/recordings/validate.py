@@ -17,10 +17,9 @@ from bridge.recordings.folders import RAW, SPLITS, Address, sequence_path, split
 from bridge.recordings.judging import findings_of, states_of
 from bridge.recordings.map_rules import checked, read_document
 from bridge.recordings.plausibility import implausible
-from bridge.recordings.readers import ARGOVERSE2
 from bridge.recordings.scenario import RowArrays, read_scenario, read_table, row_breaches, sizes_of, tracks_of
 from bridge.recordings.sidecar import REACTIVE, Sidecar, read_sidecar, sidecar_path
-from bridge.recordings.sources import read_recording
+from bridge.recordings.sources import ARGOVERSE2, read_recording
 from hid2.agents import BoxSize
 from hid2.measures.lane_matching import flatten_lanes
 from netconvert.errors import Hid2Error, MapError, ScenarioError

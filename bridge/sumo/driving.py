@@ -17,6 +17,7 @@ from hid2.insertion.entry_sites import entry_speed
 from hid2.kernels.gaps import deep_inside
 from hid2.kernels.steering import CAUSES
 from hid2.occupancy.shown import UNSEEN_STEPS
+from hid2.policy.behaviours import BEHAVIOURS
 from hid2.policy.roads import POLICIES
 from hid2.reasons import Reason
 from hid2.scene import Scene
@@ -90,9 +91,9 @@ class Driving:
         if not rows.size:
             return attempts, {}
         limits = steering.limits_of(fleet, rows, now)
-        for k, (row, may_change) in enumerate(zip(rows.tolist(), fleet.may_change[rows].tolist(), strict=True)):
+        for k, row in enumerate(rows.tolist()):
             on_lane = POLICIES[limits.policy[k]]
-            if may_change:
+            if BEHAVIOURS[fleet.vehicles[row].start.request.policy].changes_lanes:
                 attempt = steering.apply_policy(fleet, self.simulation, row, now, traffic, on_lane)
                 if attempt is not None:
                     attempts[row] = attempt

@@ -69,9 +69,10 @@ class FlowDriving(Driving):
         """
         fleet = self.fleet
         changing = {
-            vehicle.vehicle_id for row, vehicle in enumerate(fleet.vehicles)
+            vehicle.vehicle_id
+            for row, vehicle in enumerate(fleet.vehicles)
             if row in attempts or (vehicle.path.shifts and vehicle.s and vehicle.s[-1] < vehicle.path.shifts[-1][1])
-        }  # fmt: skip
+        }
         driven = fleet.traffic()
         rows = [row for row, name in enumerate(driven.ids) if name in changing]
         return fleet.scene.traffic.at(step).joined(driven.rows(rows))

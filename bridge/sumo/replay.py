@@ -67,8 +67,9 @@ class Replay:
         rows = self._here[0]
         xy, angle = sumo_poses(
             self.traffic.position[:, 0] - back * self.step_s * self.traffic.velocity[:, 0],
-            self.traffic.heading[:, 0], self.traffic.length_m,
-        )  # fmt: skip
+            self.traffic.heading[:, 0],
+            self.traffic.length_m,
+        )
         self._add([row for row in rows if row not in self._in])
         self.simulation.place_all(
             [(self.names[row], float(xy[row, 0]), float(xy[row, 1]), float(angle[row]), None) for row in rows]

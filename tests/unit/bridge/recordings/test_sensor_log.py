@@ -13,10 +13,9 @@ from pyarrow import feather
 from recordings import LOG_ID, make_log, write_feather
 
 from bridge.recordings.folders import Choices, Source
-from bridge.recordings.readers import window_id
 from bridge.recordings.recording import Recording, velocity_of
 from bridge.recordings.scenario import read_scenario
-from bridge.recordings.sources import described, find_recordings, read_recording
+from bridge.recordings.sources import described, find_recordings, read_recording, window_id
 from netconvert.errors import Hid2Error, MapError, ScenarioError
 
 ANNOTATIONS, POSES = "annotations.feather", "city_SE3_egovehicle.feather"
