@@ -12,9 +12,7 @@ from bridge.sumo.replay import Replay, ReplayErrors
 from bridge.sumo.simulation import Simulation
 from hid2.agents import IntArray
 from hid2.conflicts.reaction import Reactions
-from hid2.drivers.driver import OFFSET_MAX_M
 from hid2.insertion.entry_sites import entry_speed
-from hid2.kernels.gaps import deep_inside
 from hid2.kernels.steering import CAUSES
 from hid2.occupancy.shown import UNSEEN_STEPS
 from hid2.policy.behaviours import BEHAVIOURS
@@ -27,9 +25,6 @@ from hid2.vehicle import DrivenVehicle, Start
 Limit = tuple[float, str]
 
 _BINDS_MPS = 0.05  # book-keeping: a limit this close to the speed driven is what decided it
-#: Not parameters, they save time: how often vehicles in a recorded agent's box are looked for, s, and how deep they
-#: must be in it, m. So deep that the last check would let none pass: smoothing moves no vehicle so far.
-_STRUCK_EVERY_S, _STRUCK_M = 0.5, 2.0
 
 
 @dataclass(eq=False, slots=True)
@@ -84,8 +79,6 @@ class Driving:
             if self.reactions.advance(step, generated):
                 fleet.look_anew(self.reactions.scene)
                 self._replay.take(fleet.known)
-        elif "collision" not in fleet.scene.config.without and step % fleet.scene.steps_in(_STRUCK_EVERY_S) == 0:
-            self._take_out_struck(now)
         attempts: dict[int, steering.Attempt] = {}
         rows = fleet.here
         if not rows.size:
@@ -162,24 +155,6 @@ class Driving:
                 if row in attempts:
                     steering.conclude(self.fleet, self.simulation, attempts[row], lane)
                 self.fleet.follow(row, lane, front_m, speed)
-
-    def _take_out_struck(self, step: int) -> None:
-        """Take out vehicles that are deep in a recorded agent's box: they will not be exported, and hinder no others.
-
-        A recorded agent mostly ran into them, as it does not brake.
-        """
-        fleet, (known, first), traffic = self.fleet, self.fleet.on_ways, self.fleet.scene.traffic
-        count = len(traffic.ids)
-        struck = deep_inside(known.low, known.high, known.agents, first, count, step, fleet.along_m, _STRUCK_M)
-        for row, agent in zip(*(column.tolist() for column in struck), strict=True):
-            vehicle = fleet.vehicles[row]
-            xy, tangent, _ = vehicle.path.line.motion(np.array([vehicle.s[-1]]))
-            (tx, ty), (dx, dy) = tangent[0], traffic.position[agent, step] - xy[0]
-            room = 0.5 * (vehicle.start.box.width_m + traffic.width_m[agent]) - OFFSET_MAX_M
-            if vehicle.running and abs(tx * dy - ty * dx) < room:  # wherever in its lane it is
-                vehicle.objection = Reason.MEETS_RECORDED
-                self.simulation.remove(vehicle.vehicle_id)
-                fleet.leave(row)
 
 
 def insert(simulation: Simulation, scene: Scene, start: Start) -> Reason | None:

@@ -59,7 +59,6 @@ class Simulation:
         self._types: set[str] = set()
         self._routes = 0
         self._beside: tempfile.TemporaryDirectory[str] | None = None
-        self._fresh = True
 
     def __enter__(self) -> Self:
         """Start SUMO."""
@@ -98,11 +97,9 @@ class Simulation:
 
     def rewind(self) -> None:
         """Back to the empty net at the start, as after a fresh start, but without loading the net again."""
-        if self._fresh or self._beside is None:
-            return
+        assert self._beside is not None
         libsumo.simulation.loadState(f"{self._beside.name}/{_START}")
         self._types.clear()
-        self._fresh = True
 
     @staticmethod
     def version() -> str:
@@ -240,7 +237,6 @@ class Simulation:
 
     def step(self) -> None:
         """One step of step_s."""
-        self._fresh = False
         libsumo.simulationStep()
 
     def driven(self) -> frozenset[str]:

@@ -122,17 +122,6 @@ def test_vehicle_that_reaches_the_end_of_the_map_has_left(drive: Callable[..., D
     assert 50 < one.left_at < 70
 
 
-@pytest.mark.parametrize(("aside_m", "is_hit"), [(0.0, True), (0.5, True), (1.7, False), (3.5, False)])
-def test_who_is_run_into_is_taken_out_unless_its_place_in_the_lane_may_save_it(
-    aside_m: float, is_hit: bool, drive: Callable[..., Driving]
-) -> None:
-    """A recorded vehicle that does not brake comes from behind at 20 m/s: on the lane, half on it, on the next one."""
-    scene = scene_on(_two_lanes(), recorded(10.0, aside_m, 20.0))
-    (one,) = drive(scene, start_on(scene, (1,), 60.0, 8.0)).fleet.vehicles
-    assert (one.objection is Reason.MEETS_RECORDED) == is_hit
-    assert (len(one.s) < 60) == is_hit
-
-
 def _forks(length_m: float = 300.0) -> LaneGraph:
     """Lane 1 along the x axis; at x = 100 lane 2 goes straight on and lane 3 bears left."""
     ring = np.array([(-20.0, -60.0), (length_m + 20.0, -60.0), (length_m + 20.0, 60.0), (-20.0, 60.0), (-20.0, -60.0)])
