@@ -11,6 +11,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -111,7 +112,7 @@ def counts() -> dict[str, int]:
 
 
 def _traced(call: Callable[..., Any], ends: type, into: list[list[tuple[str, str]]]) -> Callable[..., Any]:
-    """The same function; of calls with a result of a type the functions of `hid2/insertion` that they passed through."""
+    """The same function; of calls with a result of a type it keeps what of `hid2/insertion` they passed through."""
     room = str(ROOT / "hid2/insertion")
 
     def traced(*args: Any, **named: Any) -> Any:  # noqa: ANN401  # whatever it takes and gives
@@ -142,7 +143,7 @@ def calls() -> Iterator[str]:
     for name, each in (("a candidate", made), ("a driven vehicle", ended)):
         passed = min(each, key=lambda one: len(set(one)))
         files = [file for file, _ in passed]
-        left = [file for before, file in zip(files, files[1:], strict=False) if file != before]
+        left = [file for before, file in pairwise(files) if file != before]
         back = sum(file in [files[0], *left[:row]] for row, file in enumerate(left))
         yield f"{name}: {len(set(passed))} functions, {back} returns to a file already left"
         yield from (f"    {file} {function}" for file, function in dict.fromkeys(passed))

@@ -37,13 +37,6 @@ class Cell(NamedTuple):
     index: int  # type: ignore[assignment]  # hides tuple.index, which a cell has no use for
 
 
-class LateralLink(NamedTuple):
-    """The facing cell of the neighbour lane, and whether the marking between allows a change to it."""
-
-    target: Cell
-    allowed: bool
-
-
 @dataclass(frozen=True, eq=False)
 class CellGrid:
     """The cells of a lane graph. Made by build_cell_grid."""
@@ -88,13 +81,11 @@ class CellGrid:
         """The next cell of the same lane, None at its end."""
         return Cell(cell.lane_id, cell.index + 1) if cell.index + 1 < len(self._rows[cell.lane_id]) else None
 
-    def lateral(self, cell: Cell, side: Side) -> LateralLink | None:
+    def lateral(self, cell: Cell, side: Side) -> Cell | None:
         """The facing cell of the same-direction neighbour, None where there is none or where the row is split."""
         row = self._rows[cell.lane_id][cell.index]
         at = row.index(cell.lane_id) + (1 if side == "left" else -1)
-        if not 0 <= at < len(row):
-            return None
-        return LateralLink(Cell(row[at], cell.index), self.graph.may_change(cell.lane_id, side))
+        return Cell(row[at], cell.index) if 0 <= at < len(row) else None
 
     def following(self, cell: Cell) -> tuple[Cell, ...]:
         """The next cell of the lane; at its end the first ones of its successors (merges, splits)."""

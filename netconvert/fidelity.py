@@ -19,9 +19,8 @@ class FidelityReport(NamedTuple):
 
     lanes: segments of the map; lanes_in_net: those with a cell at least; cells: SUMO lanes; edges: SUMO edges, rows of
     facing cells; largest_distance_m: Hausdorff, of a lane's centreline and its SUMO lanes, the largest of all lanes;
-    neighbors: links to neighbours that run the same way, or that are not in the map, so that it is unknown; oncoming:
-    those to lanes that run the opposite way, which are none of the grid's; lost: every successor and same-direction
-    neighbour link that is not in the net, and why.
+    links: how many are kept, lost and, of neighbours that run the opposite way and are none of the grid's, oncoming, by
+    "successor" or "neighbor"; lost: every link that is not in the net, and why.
     """
 
     lanes: int
@@ -29,29 +28,26 @@ class FidelityReport(NamedTuple):
     cells: int
     edges: int
     largest_distance_m: float
-    successors: int
-    successors_kept: int
-    neighbors: int
-    neighbors_kept: int
-    oncoming: int
+    links: Counter[tuple[str, str]]
     lost: tuple[DroppedLink, ...]
 
     def rows(self) -> list[tuple[str, str]]:
         """The report as a table of two columns."""
+        kept = {
+            kind: f"{self.links[kind, 'kept']} of {self.links[kind, 'kept'] + self.links[kind, 'lost']}"
+            for kind in ("successor", "neighbor")
+        }
         table = [
             ("lanes in / with cells", f"{self.lanes} / {self.lanes_in_net}"),
             ("cells out (SUMO lanes)", str(self.cells)),
             ("rows out (SUMO edges)", str(self.edges)),
             ("largest distance from the centreline", f"{self.largest_distance_m:.4f} m"),
-            ("successor links kept", f"{self.successors_kept} of {self.successors}"),
-            ("same-direction neighbour links kept", f"{self.neighbors_kept} of {self.neighbors}"),
-            ("oncoming neighbours, not linked", str(self.oncoming)),
+            ("successor links kept", kept["successor"]),
+            ("same-direction neighbour links kept", kept["neighbor"]),
+            ("oncoming neighbours, not linked", str(self.links["neighbor", "oncoming"])),
         ]
-        table += [
-            (f"lost: {kind.replace('_', ' ')}", f"{count} x {reason}")
-            for (kind, reason), count in sorted(Counter((link.kind, link.reason) for link in self.lost).items())
-        ]
-        return table
+        lost = sorted(Counter((link.kind.replace("_", " "), link.reason) for link in self.lost).items())
+        return table + [(f"lost: {kind}", f"{count} x {reason}") for (kind, reason), count in lost]
 
 
 def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
@@ -67,22 +63,23 @@ def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
             points = [[float(x) for x in point.split(",")] for point in element.get("shape", "").split()]
             drawn.setdefault(lane_id, []).append(points)
         rows.update(pairwise(members))
-    found = root.findall("connection")
-    links = [tuple(f"{one.get(end)}_{one.get(f'{end}Lane')}" for end in ("from", "to")) for one in found]
-    within = [(source, target) for source, target in links if lane_of.get(source) == lane_of.get(target)]
+    ends = [
+        [f"{one.get(end)}_{one.get(f'{end}Lane')}" for end in ("from", "to")] for one in root.iterfind("connection")
+    ]
+    within = [(source, target) for source, target in ends if lane_of.get(source) == lane_of.get(target)]
     left, reached = {source for source, _ in within}, {target for _, target in within}
     joined = {  # from the last cell of a lane to the first one of another
         (lane_of.get(source), lane_of.get(target))
-        for source, target in links
+        for source, target in ends
         if source not in left and target not in reached
     }
-    pairs = [
-        (shapely.MultiLineString(lines), shapely.LineString(graph.lanes[lane_id].centerline))
+    apart_m = [
+        shapely.hausdorff_distance(shapely.MultiLineString(lines), shapely.LineString(graph.lanes[lane_id].centerline))
         for lane_id, lines in drawn.items()
     ]
     reasons = {(link.kind, link.source, link.target): link.reason for link in grid.lost_links}
     lost = []
-    counts: Counter[tuple[str, str]] = Counter()
+    links: Counter[tuple[str, str]] = Counter()
     for lane_id, lane in graph.lanes.items():
         stated = [("successor", target) for target in dict.fromkeys(lane.successors)]
         stated += [(f"{side}_neighbor", beside) for side in SIDES if (beside := lane.neighbor_id(side)) is not None]
@@ -91,19 +88,8 @@ def measure_fidelity(grid: CellGrid, net: bytes) -> FidelityReport:
             pair = (target, lane_id) if kind == "right_neighbor" else (lane_id, target)
             kept = pair in (joined if kind == "successor" else rows)
             what = "oncoming" if reason == REASON_OPPOSITE else "kept" if kept else "lost"
-            counts[kind.split("_")[-1], what] += 1
+            links[kind.split("_")[-1], what] += 1
             if what == "lost":
                 lost.append(DroppedLink(kind, lane_id, target, reason))
-    return FidelityReport(
-        lanes=len(graph.lanes),
-        lanes_in_net=len(drawn),
-        cells=len(lane_of),
-        edges=len(root.findall("edge")),
-        largest_distance_m=float(max((shapely.hausdorff_distance(*pair) for pair in pairs), default=0.0)),
-        successors=counts["successor", "kept"] + counts["successor", "lost"],
-        successors_kept=counts["successor", "kept"],
-        neighbors=counts["neighbor", "kept"] + counts["neighbor", "lost"],
-        neighbors_kept=counts["neighbor", "kept"],
-        oncoming=counts["neighbor", "oncoming"],
-        lost=tuple(lost),
-    )
+    sizes = len(graph.lanes), len(drawn), len(lane_of), len(root.findall("edge"))
+    return FidelityReport(*sizes, float(max(apart_m, default=0.0)), links, tuple(lost))

@@ -44,8 +44,16 @@ def gui_files(
     <name>.sumocfg refers to the net, the drivable area (<name>.poly.xml) and the view (<name>.view.xml) by file names,
     so that the folder can be moved; <name>.cells.csv has one row a cell.
     """
+    own = {
+        "input": {"net-file": f"{name}.net.xml", "additional-files": f"{name}.poly.xml"},
+        "time": {"step-length": f"{step_s}"},
+        "gui_only": {"gui-settings-file": f"{name}.view.xml", "delay": str(REAL_TIME_MS)},
+    }
+    more = options or {}
+    sections = {section: {**own.get(section, {}), **more.get(section, {})} for section in {**own, **more}}
+    parts = (E(section, *(E(key, value=value) for key, value in of.items())) for section, of in sections.items())
     return {
-        f"{name}.sumocfg": _configuration(name, step_s, options or {}),
+        f"{name}.sumocfg": xml_bytes(E.sumoConfiguration(*parts)),
         f"{name}.poly.xml": xml_bytes(E.additional(*_polygons(grid))),
         f"{name}.view.xml": _view(grid, shown, vehicles),
         f"{name}.cells.csv": cells_csv(grid),
@@ -72,17 +80,6 @@ def xml_bytes(root: etree._Element) -> bytes:
     """A file of SUMO's."""
     content: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
     return content
-
-
-def _configuration(name: str, step_s: float, options: Mapping[str, Mapping[str, str]]) -> bytes:
-    own = {
-        "input": {"net-file": f"{name}.net.xml", "additional-files": f"{name}.poly.xml"},
-        "time": {"step-length": f"{step_s}"},
-        "gui_only": {"gui-settings-file": f"{name}.view.xml", "delay": str(REAL_TIME_MS)},
-    }
-    sections = {section: {**own.get(section, {}), **options.get(section, {})} for section in {**own, **options}}
-    parts = (E(section, *(E(key, value=value) for key, value in of.items())) for section, of in sections.items())
-    return xml_bytes(E.sumoConfiguration(*parts))
 
 
 def _polygons(grid: CellGrid) -> list[etree._Element]:

@@ -14,6 +14,7 @@ from netconvert.geometry import FloatArray, Polyline, wrap_angle
 
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
+_OTHER: dict[Side, Side] = {"left": "right", "right": "left"}
 
 #: A segment in an intersection turns when its heading changes by more than this from end to end.
 TURN_RAD = math.radians(30.0)
@@ -214,17 +215,21 @@ class LaneGraph:
                 if reason:
                     dropped.append(DroppedLink(f"{side}_neighbor", lane_id, target, reason))
                 else:
-                    one_sided = self.lanes[target].neighbor_id(_other(side)) != lane_id
+                    one_sided = self.lanes[target].neighbor_id(_OTHER[side]) != lane_id
                     stated.append((one_sided, lane_id, side, target))
         # Links that both lanes state come first, so that a one-sided claim never displaces one of them.
         neighbors: dict[Side, dict[int, int]] = {"left": {}, "right": {}}
         for _, lane_id, side, target in sorted(stated):
-            mine, theirs = neighbors[side], neighbors[_other(side)]
+            mine, theirs = neighbors[side], neighbors[_OTHER[side]]
             if mine.get(lane_id) == target and theirs.get(target) == lane_id:
                 continue
             if lane_id in mine or target in theirs:
                 dropped.append(DroppedLink(f"{side}_neighbor", lane_id, target, REASON_CONTRADICTED))
-            elif _walk_reaches(mine, target, lane_id):
+                continue
+            end = target
+            while end != lane_id and end in mine:
+                end = mine[end]
+            if end == lane_id:
                 dropped.append(DroppedLink(f"{side}_neighbor", lane_id, target, REASON_RING))
             else:
                 mine[lane_id] = target
@@ -278,14 +283,3 @@ def _direction(lane: LaneSegment) -> tuple[float, float]:
     if math.hypot(end_x - start_x, end_y - start_y) < 1e-6:
         end_x, end_y = lane.path.point(1e-3).tolist()
     return end_x - start_x, end_y - start_y
-
-
-def _other(side: Side) -> Side:
-    return "right" if side == "left" else "left"
-
-
-def _walk_reaches(links: Mapping[int, int], lane: int, goal: int) -> bool:
-    """Whether following the links from a lane arrives at the goal."""
-    while lane != goal and lane in links:
-        lane = links[lane]
-    return lane == goal

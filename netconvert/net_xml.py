@@ -11,14 +11,14 @@ trimmed where they touch their junction:
 """
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import shapely
 
 from netconvert.cells import Cell, CellGrid
-from netconvert.geo import CityOrigin
 from netconvert.geometry import FloatArray, cut_at
-from netconvert.lane_graph import SIDES, LaneGraph, LaneSegment, TurnType, joined
+from netconvert.lane_graph import SIDES, LaneGraph, TurnType, joined
 
 #: Speed limit of every lane, m/s (45 mph), unless drivers desire more; the maps have none.
 SPEED_LIMIT_MPS = 20.0
@@ -41,6 +41,30 @@ _BESIDE_M, _DIRECTIONS = 0.3, 16
 #: How far netconvert extends lanes.
 _SEEN_M = 100.0
 _DIRECTION = {TurnType.STRAIGHT: "s", TurnType.LEFT: "l", TurnType.RIGHT: "r"}
+
+
+class CityOrigin(NamedTuple):
+    """Origin of a city frame: UTM zone on the northern half, easting and northing, m."""
+
+    zone: int
+    easting_m: float
+    northing_m: float
+
+    @property
+    def projection(self) -> str:
+        """As SUMO and PROJ write it."""
+        return f"+proj=utm +zone={self.zone} +ellps=WGS84 +datum=WGS84 +units=m +no_defs"
+
+
+#: By the names of cities in scenes: those of av2 (`av2.geometry.utm`), projected once; a test compares them.
+CITY_ORIGINS = {
+    "austin": CityOrigin(14, 621150.0275, 3349889.9996),
+    "dearborn": CityOrigin(17, 320669.9346, 4685369.9988),
+    "miami": CityOrigin(17, 580560.0088, 2850959.9999),
+    "palo-alto": CityOrigin(10, 576480.0006, 4141379.9353),
+    "pittsburgh": CityOrigin(17, 583710.0070, 4477259.9998),
+    "washington-dc": CityOrigin(18, 323459.9997, 4306469.9870),
+}
 
 
 def speed_limit_mps(fastest_mps: float) -> float:
@@ -76,8 +100,12 @@ def net_bytes(
 
     editable = grid.saved_within_m is not None
     text = ["<?xml version='1.0' encoding='UTF-8'?>", f'<net version="{NET_VERSION}">', location(grid.graph, origin)]
-    limit_mps = speed_limit_mps(fastest_mps)
-    templates = {lane_id: _lane_attributes(grid, lane, limit_mps) for lane_id, lane in grid.graph.lanes.items()}
+    limit_mps, custom, templates = speed_limit_mps(fastest_mps), ' customShape="1"' if editable else "", {}
+    for lane_id, lane in grid.graph.lanes.items():  # what all cells of a lane have in common
+        allowed, length_m = ALLOWED_CLASSES[lane.lane_type], lane.length_m / grid.count(lane_id)
+        classes = "" if allowed is None else f' allow="{allowed}"'
+        own = f'{classes} speed="{limit_mps:g}" length="{length_m:.6f}" width="{lane.width_m:.2f}"{custom}'
+        templates[lane_id] = own
     step_m = _MIN_SAVED_STEP_M if editable else _MIN_STEP_M
     lines = {
         lane_id: cut_at(lane.path.points, lane.path.s, grid.edges_s(lane_id), grid.borders(lane_id), farther_m=step_m)
@@ -171,15 +199,6 @@ def location(graph: LaneGraph, origin: CityOrigin | None) -> str:
         original = f"{left + east:.2f},{bottom + north:.2f},{right + east:.2f},{top + north:.2f}"
     places = f'netOffset="{offset}" convBoundary="{boundary}" origBoundary="{original}"'
     return f'  <location {places} projParameter="{projection}"/>'
-
-
-def _lane_attributes(grid: CellGrid, lane: LaneSegment, limit_mps: float) -> str:
-    """What all cells of a lane have in common, as XML attributes."""
-    allowed = ALLOWED_CLASSES[lane.lane_type]
-    classes = "" if allowed is None else f' allow="{allowed}"'
-    length_m = lane.length_m / grid.count(lane.lane_id)
-    custom = "" if grid.saved_within_m is None else ' customShape="1"'
-    return f'{classes} speed="{limit_mps:g}" length="{length_m:.6f}" width="{lane.width_m:.2f}"{custom}'
 
 
 def shape(points: FloatArray, *, digits: int = 2) -> str:

@@ -9,19 +9,18 @@ where all its lanes are there, and what is left of each lane belongs to its ways
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from enum import Enum
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 import shapely
 from lxml import etree
 from lxml.builder import E
 
-from netconvert.geo import CityOrigin
 from netconvert.geometry import FloatArray, Polyline, wrap_angle
 from netconvert.gui_files import xml_bytes
 from netconvert.lane_graph import LaneGraph, LaneSegment
-from netconvert.net_xml import SPEED_LIMIT_MPS
+from netconvert.net_xml import SPEED_LIMIT_MPS, CityOrigin
 from netconvert.roads import Roads, Way, roads_of
 
 #: How far lines leave centrelines where they round corners, where corners are left out, and widths theirs.
@@ -41,15 +40,10 @@ LANE_IDS = "av2.lane_segment_ids"
 #: Changes of lane over a marking, by whether its left and right lane allow them; increase is towards the left.
 _CHANGES = {(True, True): "both", (True, False): "decrease", (False, True): "increase", (False, False): "none"}
 _LANE_TYPES = {"VEHICLE": "driving", "BUS": "bus", "BIKE": "biking"}
-
-
-class _End(Enum):
-    """What is at an end of a road."""
-
-    OPEN = "the map's edge: each of its lanes is in the road as a whole"
-    JOINT = "a road with the same lanes"
-    JUNCTION = "a junction: what of its lanes is beyond the first one's end is the junction's"
-    SHORT = "a junction in which a way leads through no other lane, so that it takes a piece of the road"
+#: What is at an end of a road: the map's edge, with each of its lanes in the road as a whole; a road with the same
+#: lanes; a junction, which has what of its lanes is beyond the first one's end; or one in which a way leads through no
+#: other lane, so that it takes a piece of the road.
+_End = Literal["open", "joint", "junction", "short"]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -131,10 +125,10 @@ def _road(lanes: Sequence[LaneSegment], start: _End, end: _End) -> _Road | None:
     whole = line.samples()
     path = Polyline(line.at(whole)[0])
     starts, ends = (path.frenet([lane.centerline[k] for lane in lanes])[0] for k in (0, -1))
-    first = {_End.OPEN: min(starts.min(), 0.0), _End.JOINT: 0.0}.get(start, max(starts.max(), 0.0))
-    last = {_End.OPEN: max(ends.max(), whole[-1]), _End.JOINT: whole[-1]}.get(end, min(ends.min(), whole[-1]))
+    first = {"open": min(starts.min(), 0.0), "joint": 0.0}.get(start, max(starts.max(), 0.0))
+    last = {"open": max(ends.max(), whole[-1]), "joint": whole[-1]}.get(end, min(ends.min(), whole[-1]))
     taken = min(_TAKEN_M, _TAKEN_SHARE * (last - first))
-    first, last = first + taken * (start is _End.SHORT), last - taken * (end is _End.SHORT)
+    first, last = first + taken * (start == "short"), last - taken * (end == "short")
     if len(lanes) > 1 and last - first < _SHORTEST_M:
         return None
     line = line.between(first, last)
@@ -215,7 +209,14 @@ def opendrive_bytes(graph: LaneGraph, name: str, *, origin: CityOrigin | None = 
         joined = [str(link.tag) for link in ends[number] if link.get("elementType") == "road"]
         lanes = dict.fromkeys(joined, range(len(road.lanes)))
         whole.append(_road_xml(graph, road, number, ends[number], lanes))
-    return xml_bytes(E.OpenDRIVE(_header(graph, name, origin), *whole, *connecting, *junctions))
+    (west, south), (east, north) = graph.bounds
+    ground = {"north": north, "south": south, "east": east, "west": west}
+    known = {"revMajor": "1", "revMinor": "7", "name": name, "version": "1.00", "vendor": "hid2-sumo"}
+    header = E.header({**known, **{side: f"{value:.3f}" for side, value in ground.items()}})
+    if origin is not None:
+        header.append(E.geoReference(etree.CDATA(origin.projection)))
+        header.append(E.offset(x=f"{origin.easting_m:.4f}", y=f"{origin.northing_m:.4f}", z="0", hdg="0"))
+    return xml_bytes(E.OpenDRIVE(header, *whole, *connecting, *junctions))
 
 
 def _drawn(graph: LaneGraph) -> tuple[Roads, list[_Road]]:
@@ -224,16 +225,16 @@ def _drawn(graph: LaneGraph) -> tuple[Roads, list[_Road]]:
     while True:
         roads = roads_of(graph, apart=apart)
         left, entered = {way.source for way in roads.ways}, {way.target for way in roads.ways}
-        ends = [_End.OPEN] * len(roads.junctions)
+        ends: list[_End] = ["open"] * len(roads.junctions)
         for end, junction in enumerate(roads.junctions):
             if junction in roads.ways_of:
-                ends[end] = _End.JUNCTION if roads.joint(junction) is None else _End.JOINT
+                ends[end] = "junction" if roads.joint(junction) is None else "joint"
         merging: dict[tuple[int, int], set[int]] = {}
         for way in roads.ways:
             merging.setdefault((roads.place[way.source][0], way.target), set()).add(way.source)
             for end in (2 * roads.place[way.source][0] + 1, 2 * roads.place[way.target][0]):
-                if not way.through and ends[end] is _End.JUNCTION:
-                    ends[end] = _End.SHORT
+                if not way.through and ends[end] == "junction":
+                    ends[end] = "short"
         drawn, before = [], len(apart)
         for sources in merging.values():  # netconvert takes one link from a road to a lane
             apart.update(sorted(sources, key=lambda lane_id: roads.place[lane_id][1])[:-1])
@@ -252,17 +253,6 @@ def _drawn(graph: LaneGraph) -> tuple[Roads, list[_Road]]:
                     apart.add(lane.lane_id)  # nothing leads to what is cut off
         if len(apart) == before:
             return roads, drawn
-
-
-def _header(graph: LaneGraph, name: str, origin: CityOrigin | None) -> etree._Element:
-    (west, south), (east, north) = graph.bounds
-    ground = {"north": north, "south": south, "east": east, "west": west}
-    known = {"revMajor": "1", "revMinor": "7", "name": name, "version": "1.00", "vendor": "hid2-sumo"}
-    header = E.header({**known, **{side: f"{value:.3f}" for side, value in ground.items()}})
-    if origin is not None:
-        header.append(E.geoReference(etree.CDATA(origin.projection)))
-        header.append(E.offset(x=f"{origin.easting_m:.4f}", y=f"{origin.northing_m:.4f}", z="0", hdg="0"))
-    return header
 
 
 def _link(side: str, road: int) -> etree._Element:

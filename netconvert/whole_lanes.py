@@ -13,11 +13,10 @@ import numpy.typing as npt
 from lxml import etree
 from lxml.builder import E
 
-from netconvert.geo import CityOrigin
 from netconvert.geometry import FloatArray
 from netconvert.gui_files import xml_bytes
 from netconvert.lane_graph import LaneGraph
-from netconvert.net_xml import ALLOWED_CLASSES, WHOLE_LIMIT_MPS, junction_beside, location, shape
+from netconvert.net_xml import ALLOWED_CLASSES, WHOLE_LIMIT_MPS, CityOrigin, junction_beside, location, shape
 from netconvert.roads import Roads, Way, roads_of
 
 #: Whether a driver has to stop at the entrance of a lane of an intersection, by step; None where there is no signal.

@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 #: Where steps of a format may be written down as numbers.
-READERS = re.compile(r"bridge/recordings/(readers/.*|argoverse1|corridor|limits|scenario|sensor_log)\.py")
+READERS = re.compile(r"bridge/recordings/(argoverse1|road|limits|scenario|sensor_log)\.py")
 #: What is of Argoverse 2 alone and takes its numbers from the format's reader; it refuses or never meets others.
 OF_ARGOVERSE_2 = {
     "bridge/recordings/export.py": "writes its scenes, refuses other steps",

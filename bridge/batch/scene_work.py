@@ -24,7 +24,7 @@ if not hasattr(_FOUND, "simulation"):  # a file of that name in the way is found
 def write_all(scene: TrafficScene, place: Place) -> Path:
     """Write a scene, with what was asked for beside; returns its folder. Errors: ExportError."""
     if place.argoverse1:
-        from bridge.recordings.sequence import write_sequence
+        from bridge.recordings.argoverse1 import write_sequence
 
         assert scene.source is not None
         write_sequence(scene.source, scene.generated, place.out, new_id=scene.recording.scenario_id)

@@ -188,7 +188,7 @@ def make(
     seconds: float | None = options.option("Duration of the recording, s.", None, "S", show_default="180"),
 ) -> None:
     """Make a synthetic scene for studies; it is no scene of Argoverse, and its id says so."""
-    from bridge.recordings.corridor import write_corridor, write_road
+    from bridge.recordings.road import write_corridor, write_road
 
     road = road or (data_folder() / "public" / "arterial.toml" if what == "arterial" else None)
     asked = {"length_m": length, "lanes": lanes, "seconds": seconds}

@@ -226,7 +226,7 @@ def gui(
     """Play a scene in sumo-gui, paused at the first step (needs the extra `gui` and a screen)."""
     found = one_scene(scene, window)
     activity.doing("starting sumo-gui")
-    from bridge.sumo.gui import play_scene
+    from bridge.sumo.exchange import play_scene
 
     def shown() -> None:
         activity.end()

@@ -25,8 +25,8 @@ from bridge.recordings.sources import find_sources
 from bridge.sumo.drivers import model_parameters
 from bridge.sumo.driving import Driving
 from bridge.sumo.fleet import Fleet
-from bridge.sumo.lane_changes import Attempt
 from bridge.sumo.simulation import Simulation
+from bridge.sumo.steering import Attempt
 from hid2.agents import FloatArray, Track
 from hid2.conflicts.stop_lines import StopLines
 from hid2.evaluation import likelihood
@@ -74,14 +74,7 @@ class SceneScores(NamedTuple):
     found: dict[str, FloatArray]
 
 
-class _Resimulated(Driving):
-    """Vehicles on their own routes among recorded ones: they go on whatever they meet, which is what is scored."""
-
-    def _take_out_struck(self, step: int) -> None:
-        pass
-
-
-class _Unsteered(_Resimulated):
+class _Unsteered(Driving):
     """SUMO alone: neither guard nor turns nor stop lines."""
 
     def _steer(self, step: int) -> tuple[dict[int, Attempt], dict[int, tuple[float, str]]]:
@@ -141,7 +134,7 @@ class Resimulation:
                     way.known = _ahead(fleet.known_on_way(row), start.start_s)
                     seen = fleet.obstacles(row, start.path)
                     way.obstacles = replace(seen, known=_ahead(seen.known, start.start_s))
-                driving = (_Unsteered if model == "default" else _Resimulated)(fleet, simulation, checked=False)
+                driving = (_Unsteered if model == "default" else Driving)(fleet, simulation, checked=False)
                 driven = list(zip(driving.run(), vehicles, strict=True))
                 for vehicle, one in driven:
                     if vehicle.objection is not None:

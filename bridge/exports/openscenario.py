@@ -11,8 +11,8 @@ from lxml.builder import E
 
 from bridge.recordings.recording import AV_ID, Recording
 from hid2.agents import FloatArray, Track
-from netconvert.geo import CITY_ORIGINS
 from netconvert.gui_files import xml_bytes
+from netconvert.net_xml import CITY_ORIGINS
 from netconvert.opendrive import opendrive_bytes
 
 #: Name of the recording vehicle.

@@ -16,6 +16,9 @@ What becomes of a sequence, step for step:
 - The map is cut from that of the city, 30 m around the tracks, or is the Argoverse 2 map that the user chose: both data
   sets have the same city frames.
 
+Out goes a sequence with its recorded lines text for text and inserted vehicles as OTHERS among them, where loaders of
+Argoverse 1 look for it.
+
 The constants are rules of this reader and no parameters of the method: another value would be another recording.
 """
 
@@ -24,30 +27,33 @@ import io
 import json
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from tokenize import TokenError
-from typing import NamedTuple
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow as pa
+import pandas as pd
 import shapely
+from pydantic import FailFast, FiniteFloat, TypeAdapter, ValidationError
+from typing_extensions import TypedDict
 
-from bridge.files import one_line, read_received
+from bridge.files import beside, one_line, read_received
 from bridge.recordings import limits
-from bridge.recordings.folders import Source, only_file
+from bridge.recordings.folders import Source, only_file, sequence_path
 from bridge.recordings.map_rules import graph_of, read_source_map
 from bridge.recordings.recording import AV_ID, Recording, velocity_of
 from bridge.recordings.scenario import recording_of, split_rows, table_of
 from hid2.agents import DEFAULT_SIZES, FOCAL_CATEGORY, FloatArray, IntArray, Track
-from netconvert.av1_map import CityLane, DrivableRaster, cut_city, drivable_raster, read_city_lanes
-from netconvert.errors import MapError, ScenarioError
+from netconvert.av1_map import CityLane, cut_city, drivable_raster, read_city_lanes
+from netconvert.errors import ExportError, MapError, ScenarioError
 from netconvert.lane_graph import LaneGraph
 
-COLUMNS = ("TIMESTAMP", "TRACK_ID", "OBJECT_TYPE", "X", "Y", "CITY_NAME")
 AV, AGENT, OTHERS = "AV", "AGENT", "OTHERS"
+#: TRACK_IDs of inserted vehicles begin so; recorded ones have 0000 before the last part.
+INSERTED = "00000000-0000-0000-0001-"
 #: Steps of a sequence, those of them that are observed (all of a test_obs sequence), seconds from one to the next.
 NUM_STEPS, OBSERVED_STEPS, STEP_S = 50, 20, 0.1
 #: Time stamps: the mean of their distances, and the largest one, s. Of 60 real sequences: 0.1 to 0.2, and 0.27.
@@ -59,24 +65,21 @@ _MARGIN_M = 30.0
 #: Share of the AGENT's positions that has to lie on the map's drivable area: on another city's map none does.
 _ON_MAP = 0.5
 _RASTERS = ("driveable_area_mat", "npyimage_to_city_se2")
-
-
 #: What numpy raises for files that are no arrays of numbers.
-_NOT_AN_ARRAY = (
-    ValueError, EOFError, TypeError, SyntaxError, OverflowError, MemoryError, KeyError, UnicodeError, TokenError,
-)  # fmt: skip
+_NOT_AN_ARRAY = (EOFError, KeyError, MemoryError, OverflowError, SyntaxError, TokenError, TypeError, ValueError)
 
 
-class SequenceRows(NamedTuple):
-    """The rows of a sequence by track, in the order of first appearance; position (N, 2) m."""
+class _Row(TypedDict):
+    TIMESTAMP: FiniteFloat
+    TRACK_ID: str
+    OBJECT_TYPE: Literal["AV", "AGENT", "OTHERS"]
+    X: FiniteFloat
+    Y: FiniteFloat
+    CITY_NAME: Literal["MIA", "PIT"]
 
-    ids: list[str]
-    code: IntArray
-    timestep: IntArray
-    kinds: list[str]
-    position: FloatArray
-    stamps: list[float]
-    city: str
+
+COLUMNS = tuple(_Row.__annotations__)
+_ROWS = TypeAdapter(Annotated[list[_Row], FailFast()])
 
 
 def read(source: Source) -> Recording:
@@ -86,22 +89,32 @@ def read(source: Source) -> Recording:
     rows = check_sequence(content, name)
     assert source.map_path is not None
     graph, map_json = _map(source.map_path, rows, name)
-    agent = rows.position[rows.code == rows.kinds.index(AGENT)]
-    on_map = float(np.mean(shapely.contains_xy(graph.drivable, agent)))
+    agent, city = rows[rows.OBJECT_TYPE == AGENT], rows.CITY_NAME.iloc[0]
+    on_map = float(np.mean(shapely.contains_xy(graph.drivable, agent.X, agent.Y)))
     if on_map < _ON_MAP:
         raise MapError(
-            f"{source.map_path}: {on_map:.0%} of the AGENT of {path.name} ({rows.city}) is on its drivable area, "
+            f"{source.map_path}: {on_map:.0%} of the AGENT of {path.name} ({city}) is on its drivable area, "
             f"expected {_ON_MAP:.0%} or more: a map of the place"
         )
-    table = _table(rows, graph, source.scenario_id)
+    stamps, tracks = agent.TIMESTAMP.to_list(), []
+    for _, own in rows.groupby("code"):
+        position, steps, kind = np.column_stack([own.X, own.Y]), own.timestep.to_numpy(), own.OBJECT_TYPE.iloc[0]
+        velocity, heading = motion_of(position, steps, graph)
+        track_id = AV_ID if kind == AV else own.TRACK_ID.iloc[0]
+        category = FOCAL_CATEGORY if kind == AGENT else int(len(own) == len(stamps))
+        size = DEFAULT_SIZES["vehicle"]
+        tracks.append(Track(track_id, "vehicle", category, steps, position, heading, velocity, size))
+    same = {"scenario_id": source.scenario_id, "city": _CITIES[city], "num_timestamps": len(stamps)}
+    same |= {"start_timestamp": stamps[0] * 1e9, "end_timestamp": stamps[-1] * 1e9}
+    table = table_of(tracks, same | {"focal_track_id": agent.TRACK_ID.iloc[0]}, observed_steps=OBSERVED_STEPS)
     checked = split_rows(table, name=name, sizes={}, observed_steps=OBSERVED_STEPS)
     return recording_of(source, checked, graph, provenance="tracker", map_json=map_json, sequence=content)
 
 
-def check_sequence(content: bytes, name: str) -> SequenceRows:
-    """The rows of a CSV file, checked but for what `split_rows` asks. name: what messages call it.
+def check_sequence(content: bytes, name: str) -> pd.DataFrame:
+    """The rows of a CSV file, checked but for what `split_rows` asks, by track, in the order of first appearance.
 
-    Errors: ScenarioError.
+    Its columns, the timestep and a number by track, code. name: what messages call it. Errors: ScenarioError.
     """
     try:
         header, *lines = csv.reader(io.StringIO(content.decode("ascii"), newline=""))
@@ -115,82 +128,38 @@ def check_sequence(content: bytes, name: str) -> SequenceRows:
     for number, line in enumerate(lines, start=2):
         if len(line) != len(header):
             raise ScenarioError(f"{name} line {number}: {len(line)} values, expected {len(header)}")
-    columns = dict(zip(header, zip(*lines, strict=True), strict=True))
-    stamp, x, y = (_floats(columns[column], column, name) for column in ("TIMESTAMP", "X", "Y"))
-    stamps, timestep = _steps(stamp, name)
-    kind_of = _kinds(columns["TRACK_ID"], columns["OBJECT_TYPE"], name)
+    try:
+        rows = pd.DataFrame(_ROWS.validate_python([dict(zip(header, line, strict=True)) for line in lines]))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        (row, column), wanted = first["loc"], first["msg"].removeprefix("Input should be ")
+        said = f"{column} {one_line(first['input'], most=60)!r}, expected {wanted}"
+        raise ScenarioError(f"{name} line {int(row) + 2}: {said}") from error
+    stamps, rows["timestep"] = np.unique(rows.TIMESTAMP, return_inverse=True)
+    _check_stamps(stamps, name)
+    types, of_type = rows.groupby("TRACK_ID").OBJECT_TYPE.unique(), rows.groupby("OBJECT_TYPE").TRACK_ID
+    for track_id, kinds in types[types.map(len) > 1].items():
+        raise ScenarioError(f"{name}: track {track_id!r:.60}: OBJECT_TYPE {' and '.join(kinds)}, expected one")
     for kind in (AV, AGENT):
-        have = [track_id for track_id, found in kind_of.items() if found == kind]
-        seen = columns["OBJECT_TYPE"].count(kind)
-        if len(have) != 1:
-            count = f"{len(have)} tracks" if have else "no track"
-            raise ScenarioError(f"{name}: {count} of OBJECT_TYPE {kind}, expected exactly one")
+        count, seen = of_type.nunique().get(kind, 0), of_type.size().get(kind, 0)
+        if count != 1:
+            raise ScenarioError(f"{name}: {count or 'no'} tracks of OBJECT_TYPE {kind}, expected exactly one")
         if seen < len(stamps):
             said = f"track {kind} at {seen} of {len(stamps)} time stamps"
             raise ScenarioError(f"{name}: {said}, expected it at every one")
-    cities = list(dict.fromkeys(columns["CITY_NAME"]))
-    if len(cities) != 1 or cities[0] not in _CITIES:
-        shown = one_line(", ".join(cities), most=60)
-        raise ScenarioError(f"{name}: CITY_NAME {shown!r}, expected one of {', '.join(_CITIES)} in every row")
-    codes = {track_id: k for k, track_id in enumerate(kind_of)}
-    code = np.array([codes[track_id] for track_id in columns["TRACK_ID"]], dtype=np.int64)
-    order, ids = np.lexsort((timestep, code)), [AV_ID if kind == AV else one for one, kind in kind_of.items()]
-    position = np.column_stack([x, y])[order]
-    return SequenceRows(ids, code[order], timestep[order], list(kind_of.values()), position, stamps, cities[0])
+    if rows.CITY_NAME.nunique() > 1:
+        raise ScenarioError(f"{name}: CITY_NAME {', '.join(rows.CITY_NAME.unique())}, expected one in every row")
+    rows["code"] = pd.factorize(rows.TRACK_ID)[0]
+    return rows.sort_values(["code", "timestep"], kind="stable")
 
 
-def _floats(texts: Sequence[str], column: str, name: str) -> FloatArray:
-    values = np.array([_float(text) for text in texts])
-    for row in np.flatnonzero(~np.isfinite(values))[:1].tolist():
-        shown = one_line(texts[row], most=60)
-        raise ScenarioError(f"{name} line {row + 2}: {column} {shown!r}, expected a finite number")
-    return values
-
-
-def _float(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
-
-
-def _steps(stamp: FloatArray, name: str) -> tuple[list[float], IntArray]:
-    """The time stamps in order, and the timestep of each row."""
-    stamps = np.unique(stamp)
+def _check_stamps(stamps: FloatArray, name: str) -> None:
     if len(stamps) not in (NUM_STEPS, OBSERVED_STEPS):
         raise ScenarioError(f"{name}: {len(stamps)} time stamps, expected {NUM_STEPS} ({OBSERVED_STEPS} in test_obs)")
     apart_s = np.diff(stamps)
     if not (_MEAN_S[0] <= apart_s.mean() <= _MEAN_S[1] and apart_s.max() <= _MOST_S):
         said = f"time stamps {apart_s.mean():.3f} s apart in the mean and {apart_s.max():.3f} s at most"
         raise ScenarioError(f"{name}: {said}, expected about {STEP_S} s and at most {_MOST_S} s")
-    return stamps.tolist(), np.searchsorted(stamps, stamp).astype(np.int64)
-
-
-def _kinds(ids: Sequence[str], types: Sequence[str], name: str) -> dict[str, str]:
-    """The type of each track, in the order of first appearance."""
-    kinds: dict[str, str] = {}
-    for track_id, kind in dict.fromkeys(zip(ids, types, strict=True)):
-        where = f"{name}: track {one_line(track_id, most=60)!r}"
-        if kind not in (AV, AGENT, OTHERS):
-            raise ScenarioError(f"{where}: OBJECT_TYPE {one_line(kind, most=40)!r}, expected {AV}, {AGENT} or {OTHERS}")
-        if kinds.setdefault(track_id, kind) != kind:
-            raise ScenarioError(f"{where}: OBJECT_TYPE {kinds[track_id]} and {kind}, expected one")
-    return kinds
-
-
-def _table(rows: SequenceRows, graph: LaneGraph, scenario_id: str) -> pa.Table:
-    """The rows as Argoverse 2 has them."""
-    tracks = []
-    for k, (track_id, kind) in enumerate(zip(rows.ids, rows.kinds, strict=True)):
-        own = rows.code == k
-        velocity, heading = motion_of(rows.position[own], rows.timestep[own], graph)
-        category = FOCAL_CATEGORY if kind == AGENT else int(own.sum() == len(rows.stamps))
-        position, steps, size = rows.position[own], rows.timestep[own], DEFAULT_SIZES["vehicle"]
-        tracks.append(Track(track_id, "vehicle", category, steps, position, heading, velocity, size))
-    same = {"scenario_id": scenario_id, "city": _CITIES[rows.city], "num_timestamps": len(rows.stamps)}
-    same |= {"start_timestamp": rows.stamps[0] * 1e9, "end_timestamp": rows.stamps[-1] * 1e9}
-    same["focal_track_id"] = rows.ids[rows.kinds.index(AGENT)]
-    return table_of(tracks, same, observed_steps=OBSERVED_STEPS)
 
 
 def motion_of(position: FloatArray, timestep: IntArray, graph: LaneGraph) -> tuple[FloatArray, FloatArray]:
@@ -218,14 +187,17 @@ def _lane_heading(graph: LaneGraph, point: FloatArray) -> float:
 # Maps
 
 
-def _map(path: Path, rows: SequenceRows, name: str) -> tuple[LaneGraph, bytes | None]:
+def _map(path: Path, rows: pd.DataFrame, name: str) -> tuple[LaneGraph, bytes | None]:
     """Lane graph, and the document that is written for it; None for a map of Argoverse 2, which is copied."""
     if path.is_file():
         return read_source_map(path), None
-    vector, pixels, se2 = map_files(path, rows.city)
-    states = [file.stat() for file in (vector, pixels, se2)]  # by which one state of a file is told from another
-    lanes, raster = _city(vector, pixels, se2, tuple((one.st_mtime_ns, one.st_size) for one in states))
-    low, high = rows.position.min(axis=0) - _MARGIN_M, rows.position.max(axis=0) + _MARGIN_M
+    city, position = rows.CITY_NAME.iloc[0], rows[["X", "Y"]].to_numpy()
+    vector = only_file(path, f"pruned_argoverse_{city}_*_vector_map.xml", MapError)
+    number = vector.name.split("_")[3]
+    pixels, se2 = (only_file(path, f"{city}_{number}_{what}_*.npy", MapError) for what in _RASTERS)
+    lanes = _city_lanes(read_received(vector, MapError, wanted="the map of a city", most_mb=limits.MAX_CITY_MB), vector)
+    raster = drivable_raster(_array(pixels), _array(se2), name=str(pixels), se2_name=str(se2))
+    low, high = position.min(axis=0) - _MARGIN_M, position.max(axis=0) + _MARGIN_M
     if not (high - low).max() <= limits.MAX_EXTENT_M:
         spread = (high - low).max() - 2 * _MARGIN_M
         raise ScenarioError(f"{name}: tracks spread over {spread:.6g} m, expected at most {limits.MAX_EXTENT_M:.0f} m")
@@ -233,22 +205,9 @@ def _map(path: Path, rows: SequenceRows, name: str) -> tuple[LaneGraph, bytes | 
     return graph_of(document, name=str(vector)), json.dumps(document).encode()
 
 
-def map_files(folder: Path, city: str) -> tuple[Path, Path, Path]:
-    """Vector map, raster and its transformation of a city. Errors: MapError with the name that is missing."""
-    vector = only_file(folder, f"pruned_argoverse_{city}_*_vector_map.xml", MapError)
-    number = vector.name.split("_")[3]
-    pixels, se2 = (only_file(folder, f"{city}_{number}_{what}_*.npy", MapError) for what in _RASTERS)
-    return vector, pixels, se2
-
-
 @lru_cache(maxsize=2)  # a city-wide map is read once by each process
-def _city(
-    vector: Path, pixels: Path, se2: Path, stamps: tuple[tuple[int, int], ...]
-) -> tuple[dict[int, CityLane], DrivableRaster]:
-    del stamps  # part of the key
-    content = read_received(vector, MapError, wanted="the map of a city", most_mb=limits.MAX_CITY_MB)
-    raster = drivable_raster(_array(pixels), _array(se2), name=str(pixels), se2_name=str(se2))
-    return read_city_lanes(content, name=str(vector)), raster
+def _city_lanes(content: bytes, path: Path) -> dict[int, CityLane]:
+    return read_city_lanes(content, name=str(path))
 
 
 def _array(path: Path) -> npt.NDArray[np.generic]:
@@ -260,3 +219,49 @@ def _array(path: Path) -> npt.NDArray[np.generic]:
             return np.asarray(np.lib.format.read_array(content, allow_pickle=False))
     except _NOT_AN_ARRAY as error:
         raise MapError(f"{path}: not an npy file of numbers ({one_line(str(error), most=200)})") from error
+
+
+# Sequences out
+
+
+def write_sequence(scenario: Recording, generated: Sequence[Track], out_dir: Path, *, new_id: str) -> Path:
+    """Write the sequence of a scene that was made from one; returns its path. Errors: ExportError."""
+    if scenario.sequence is None:
+        raise ExportError(f"{scenario.folder}: no Argoverse 1 sequence, expected one to write one")
+    path = sequence_path(out_dir, scenario.split, new_id)
+    content = sequence_bytes(scenario.sequence, [(track.timesteps, track.position) for track in generated])
+    with beside(path) as hidden:
+        hidden.write_bytes(content)
+    return path
+
+
+def sequence_bytes(recorded: bytes, inserted: Iterable[tuple[IntArray, FloatArray]]) -> bytes:
+    """Recorded lines, and behind those of each time stamp the inserted vehicles. inserted: steps and positions, m.
+
+    Errors: ExportError where one of their TRACK_IDs is taken.
+    """
+    lines = recorded.decode("ascii").splitlines(keepends=True)
+    ending = "\r\n" if lines[0].endswith("\r\n") else "\n"
+    lines[-1] = lines[-1].rstrip("\r\n") + ending
+    rows = list(csv.reader(lines))
+    at = {column: rows[0].index(column) for column in COLUMNS}
+    stamps = [row[at["TIMESTAMP"]] for row in rows[1:]]
+    by_time = sorted({float(stamp): stamp for stamp in stamps}.items())
+    taken = {row[at["TRACK_ID"]] for row in rows[1:]}
+    added: dict[float, list[str]] = {stamp: [] for stamp, _ in by_time}
+    for number, (steps, places) in enumerate(inserted):
+        name = f"{INSERTED}{number:012d}"
+        if name in taken:
+            raise ExportError(f"TRACK_ID {name} is taken in the sequence, expected it free for gen_{number}")
+        for step, (x, y) in zip(steps.tolist(), places.tolist(), strict=True):
+            stamp, text = by_time[step]
+            values = {"TIMESTAMP": text, "TRACK_ID": name, "OBJECT_TYPE": OTHERS, "X": repr(x), "Y": repr(y)}
+            values["CITY_NAME"] = rows[1][at["CITY_NAME"]]
+            added[stamp].append(",".join(values[column] for column in rows[0]) + ending)
+    last = {float(stamp): line for line, stamp in enumerate(stamps, start=1)}
+    out = io.StringIO()
+    for number, line in enumerate(lines):
+        out.write(line)
+        if number and last[float(stamps[number - 1])] == number:
+            out.writelines(added[float(stamps[number - 1])])
+    return out.getvalue().encode("ascii")

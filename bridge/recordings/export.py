@@ -2,7 +2,6 @@
 
 import io
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,23 +22,38 @@ from bridge.recordings.sidecar import RecordingRecord, Sidecar, sidecar_bytes, s
 from hid2.agents import FOCAL_CATEGORY, SCORED_CATEGORY, Track
 from netconvert.errors import ExportError
 
-#: A lane's centreline with at least one point, in a map file.
-_CENTERLINE = re.compile(rb'"centerline":\s*\[\s*\{')
-
 
 def with_generated(
     scenario: Recording, generated: Sequence[Track], sidecar: Sidecar, *, new_id: str, focal_track_id: str
 ) -> Recording:
-    """The scene that a recording becomes with generated tracks, as a reader has it. Errors: ExportError."""
-    table = scene_table(scenario, generated, new_id=new_id, focal_track_id=focal_track_id)
-    recorded = scenario.tracks
+    """The scene that a recording becomes with generated tracks, as a reader has it.
+
+    Its rows are the source's, bit for bit, and behind them those of the generated tracks, in the source's columns and
+    types. Changed in recorded ones: scenario_id, and where the focal track is another one, focal_track_id and the
+    category of the former. Errors: ExportError where the id of a generated track is taken.
+    """
+    if taken := {track.track_id for track in generated} & {track.track_id for track in scenario.tracks}:
+        raise ExportError(f"generated track {min(taken)!r}: the id is taken, expected one of its own")
+    table, recorded = scenario.table, scenario.tracks
+    ids = {"scenario_id": new_id, "focal_track_id": focal_track_id}
+    changed = {name: pa.repeat(value, table.num_rows) for name, value in ids.items()}
     if focal_track_id != scenario.focal_track_id:
+        category = table.column("object_category")
+        changed["object_category"] = pc.if_else(pc.equal(category, FOCAL_CATEGORY), SCORED_CATEGORY, category)
         recorded = tuple(replace(t, category=SCORED_CATEGORY) if t.category == FOCAL_CATEGORY else t for t in recorded)
-    ours = (replace(t, category=FOCAL_CATEGORY) if t.track_id == focal_track_id else t for t in generated)
+    for name, values in changed.items():
+        row, field = table.column_names.index(name), table.schema.field(name)
+        table = table.set_column(row, field, values.cast(field.type))
+    ours = [replace(t, category=FOCAL_CATEGORY) if t.track_id == focal_track_id else t for t in generated]
     return replace(
-        scenario, scenario_id=new_id, focal_track_id=focal_track_id, tracks=(*recorded, *ours), table=table,
-        sizes=sidecar.boxes, sidecar=sidecar,
-    )  # fmt: skip
+        scenario,
+        scenario_id=new_id,
+        focal_track_id=focal_track_id,
+        tracks=(*recorded, *ours),
+        table=_with_rows(table, ours, scenario.observed_steps),
+        sizes=sidecar.boxes,
+        sidecar=sidecar,
+    )
 
 
 def write_recording(made: Recording, out_dir: Path, *, extra: Mapping[str, bytes] | None = None) -> Path:
@@ -71,28 +85,6 @@ def check_step(scenario: Recording) -> None:
         )
 
 
-def scene_table(scenario: Recording, generated: Sequence[Track], *, new_id: str, focal_track_id: str) -> pa.Table:
-    """The source's rows, bit for bit, and behind them those of the generated tracks.
-
-    Columns and types are the source's. Changed in recorded rows: scenario_id, and where the focal track is another
-    one, focal_track_id and the category of the former focal track.
-    Errors: ExportError where the id of a generated track is taken.
-    """
-    if taken := {track.track_id for track in generated} & {track.track_id for track in scenario.tracks}:
-        raise ExportError(f"generated track {min(taken)!r}: the id is taken, expected one of its own")
-    table = scenario.table
-    ids = {"scenario_id": new_id, "focal_track_id": focal_track_id}
-    changed = {name: pa.repeat(value, table.num_rows) for name, value in ids.items()}
-    if focal_track_id != scenario.focal_track_id:
-        category = table.column("object_category")
-        changed["object_category"] = pc.if_else(pc.equal(category, FOCAL_CATEGORY), SCORED_CATEGORY, category)
-    for name, values in changed.items():
-        row, field = table.column_names.index(name), table.schema.field(name)
-        table = table.set_column(row, field, values.cast(field.type))
-    marked = [replace(t, category=FOCAL_CATEGORY) if t.track_id == focal_track_id else t for t in generated]
-    return _with_rows(table, marked, scenario.observed_steps)
-
-
 def with_motion(scenario: Recording, driven: Sequence[Track]) -> Recording:
     """A recording of which some tracks were driven otherwise: their rows, behind all others, are new ones."""
     by_id = {track.track_id: track for track in driven}
@@ -116,15 +108,7 @@ def _with_rows(table: pa.Table, tracks: Sequence[Track], observed_steps: int) ->
 
 
 def parquet_bytes(table: pa.Table) -> bytes:
-    """The file that pandas would write for it. Same rows, same bytes."""
-    sink = io.BytesIO()
-    metadata = {"pandas": json.dumps(_pandas_metadata(table))}
-    pq.write_table(table.replace_schema_metadata(metadata), sink, compression="snappy")
-    return sink.getvalue()
-
-
-def _pandas_metadata(table: pa.Table) -> dict[str, Any]:
-    """What pandas writes beside the columns, so that it reads a RangeIndex; free of the version of any library."""
+    """The file that pandas would write for it, read with a RangeIndex. Same rows, same bytes."""
 
     def told(name: str | None, pandas_type: str, numpy_type: str, metadata: object = None) -> dict[str, Any]:
         names = {"name": name, "field_name": name}
@@ -132,28 +116,28 @@ def _pandas_metadata(table: pa.Table) -> dict[str, Any]:
 
     kinds = ((field.name, get_logical_type(field.type), field.type.to_pandas_dtype()) for field in table.schema)
     columns = [told(name, kind, np.dtype(made).name) for name, kind, made in kinds]
-    return {
+    told_of_all = {
         "index_columns": [{"kind": "range", "name": None, "start": 0, "stop": table.num_rows, "step": 1}],
         "column_indexes": [told(None, "unicode", "object", {"encoding": "UTF-8"})],
         "columns": columns,
         "creator": {"library": "pyarrow", "version": pa.__version__},
         "pandas_version": "1.3.4",  # the version of the format, as in recorded files
     }
+    sink = io.BytesIO()
+    told_table = table.replace_schema_metadata({"pandas": json.dumps(told_of_all)})
+    pq.write_table(told_table, sink, compression="snappy")
+    return sink.getvalue()
 
 
 def map_bytes(scenario: Recording) -> bytes:
     """The map that goes with a recording: the source's byte for byte, with centrelines where it has none."""
-    graph = scenario.graph
     raw = scenario.map_path.read_bytes() if scenario.map_json is None else scenario.map_json
-    if len(_CENTERLINE.findall(raw)) == len(graph.lanes):  # one of its points for every lane: nothing to add
-        return raw
     document = json.loads(raw)
-    lanes = document["lane_segments"].values()
-    for lane in lanes:
-        if not lane.get("centerline"):
-            points = graph.lanes[int(lane["id"])].centerline
-            lane["centerline"] = [{"x": float(x), "y": float(y), "z": 0.0} for x, y in points]
-    return json.dumps(document).encode()
+    lacking = [lane for lane in document["lane_segments"].values() if not lane.get("centerline")]
+    for lane in lacking:
+        points = scenario.graph.lanes[int(lane["id"])].centerline
+        lane["centerline"] = [{"x": x, "y": y, "z": 0.0} for x, y in points.tolist()]
+    return json.dumps(document).encode() if lacking else raw
 
 
 def write_folder(folder: Path, files: Mapping[str, bytes]) -> None:

@@ -47,10 +47,11 @@ def findings_of(states: AgentStates, graph: LaneGraph, sidecar: Sidecar | None) 
     claims, events = claims_of(sidecar)
     pairs = {(event.track_id, event.target_id) for event in events}
     found = [
-        one for one in found
+        one
+        for one in found
         if one.value < allowed.get((one.track_id, one.quantity), float("inf"))
         and not (one.quantity is Quantity.FOLLOWER_HEADWAY and (one.track_id, one.other) in pairs)
-    ]  # fmt: skip
+    ]
     return found + judge_claims(clean, claims, events)
 
 

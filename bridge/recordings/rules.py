@@ -17,20 +17,20 @@ import pyarrow.compute as pc
 
 from bridge.config import config_from_dict, config_sha256, config_to_dict, is_corridor, new_scenario_id
 from bridge.files import read_received
-from bridge.recordings.argoverse1 import check_sequence
+from bridge.recordings.argoverse1 import INSERTED, check_sequence, sequence_bytes
 from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import RowArrays, row_breaches
-from bridge.recordings.sequence import INSERTED, sequence_bytes
 from bridge.recordings.sidecar import AgentRecord, Sidecar
 from hid2.agents import FOCAL_CATEGORY, SCORED_CATEGORY, VEHICLE_TYPES, FloatArray, Policy
 from hid2.judge.events import brakes_for
 from hid2.params import Config
 from netconvert.av2_map import Breach
 from netconvert.errors import ConfigError, ScenarioError
+from netconvert.geometry import wrap_angle
+from netconvert.net_xml import CITY_ORIGINS
 
 #: The rule on recorded rows, which are kept as they are.
 RECORDED = "recorded"
-CITIES = frozenset({"austin", "dearborn", "miami", "palo-alto", "pittsburgh", "washington-dc"})
 #: Between central differences of positions 0.2 s apart and the velocity, m/s: 8.37 m/s3 of jerk make 0.014.
 VELOCITY_TOLERANCE_MPS = 0.05
 #: The same at the two ends of a track, where differences are one-sided: 4.05 m/s2 make 0.2.
@@ -48,8 +48,8 @@ def check_rows(rows: RowArrays, new_id: str) -> Iterator[Breach]:
     scenario_id, city = (rows.constants[column][0] for column in ("scenario_id", "city"))
     if scenario_id != new_id:
         yield "scenario-id", f"column scenario_id is {scenario_id!r}, expected {new_id!r} as the folder"
-    if city and city not in CITIES:
-        yield RECORDED, f"city {city!r} is none of {', '.join(sorted(CITIES))}"
+    if city and city not in CITY_ORIGINS:
+        yield RECORDED, f"city {city!r} is none of {', '.join(CITY_ORIGINS)}"
     for code, track_id in enumerate(rows.ids):
         own, is_generated = rows.of_track(code), _GENERATED_ID.fullmatch(track_id) is not None
         steps, category = rows.timestep[own], rows.category[own.start]
@@ -110,7 +110,7 @@ def check_generated(rows: RowArrays, track_id: str, clean: FloatArray | None = N
         worst = int(wrong[np.argmax(error[wrong])])
         yield "velocity", f"{name}, timestep {steps[worst]}: {error[worst]:.3f} m/s off the derivative of position"
     course = np.arctan2(velocity[:, 1], velocity[:, 0])
-    off = np.abs(np.mod(heading - course + np.pi, 2 * np.pi) - np.pi)
+    off = np.abs(wrap_angle(heading - course))
     off[np.hypot(*velocity.T) < HEADING_FROM_MPS] = 0
     if off.max() > HEADING_TOLERANCE_RAD:
         worst = int(np.argmax(off))
@@ -169,33 +169,31 @@ def check_sidecar(
     except ConfigError as error:
         yield "sidecar", f"config: {error}"
     else:
-        yield from _check_config(sidecar, config, new_id)
-    told = [*_vehicle_rules(sidecar, generated_ids & begins.keys())]
+        wanted = new_scenario_id(sidecar.source_scenario_id, config, sidecar.seed, sidecar.variant)
+        if wanted != new_id:
+            yield "scenario-id", f"{new_id}, expected {wanted} of this source, configuration, seed and variant"
+        yield from (("sidecar", said) for is_wrong, said in _config_rules(sidecar, config) if is_wrong)
+    told = [*_scene_rules(sidecar, generated_ids & begins.keys())]
     told += (rule for agent in sidecar.agents for rule in _agent_rules(agent, begins, lanes))
-    yield from (("sidecar", said) for is_wrong, said in [*told, *_event_rules(sidecar)] if is_wrong)
-
-
-def _check_config(sidecar: Sidecar, config: Config, new_id: str) -> Iterator[Breach]:
-    """What a sidecar says against its own configuration."""
-    if sidecar.config_sha256 != config_sha256(config) or config_to_dict(config) != sidecar.config:
-        yield "sidecar", f"config_sha256 {sidecar.config_sha256[:12]}..., expected that of config"
-    wanted = new_scenario_id(sidecar.source_scenario_id, config, sidecar.seed, sidecar.variant)
-    if wanted != new_id:
-        yield "scenario-id", f"{new_id}, expected {wanted} of this source, configuration, seed and variant"
-    known = config.request.behaviours
-    for policy in sorted({agent.policy for agent in sidecar.agents} - known.keys()):
-        yield "sidecar", f"policy {policy!r}, expected one of {', '.join(known)}"
-    noise = config.export.noise
-    if any((agent.clean is not None) != (noise != "none") for agent in sidecar.agents):
-        yield "sidecar", f"export.noise {noise}, expected clean states of {'no' if noise == 'none' else 'all'} agents"
+    yield from (("sidecar", said) for is_wrong, said in told if is_wrong)
 
 
 #: Whether something is wrong, and what is said then.
 _Told = Iterator[tuple[bool, str]]
 
 
-def _vehicle_rules(sidecar: Sidecar, generated_ids: Set[str]) -> _Told:
-    """The vehicles of a sidecar against its sums and against the generated tracks of the rows."""
+def _config_rules(sidecar: Sidecar, config: Config) -> _Told:
+    same = sidecar.config_sha256 == config_sha256(config) and config_to_dict(config) == sidecar.config
+    yield not same, f"config_sha256 {sidecar.config_sha256[:12]}..., expected that of config"
+    known, noise = config.request.behaviours, config.export.noise
+    for policy in sorted({agent.policy for agent in sidecar.agents}):
+        yield policy not in known, f"policy {policy!r}, expected one of {', '.join(known)}"
+    other = any((agent.clean is not None) != (noise != "none") for agent in sidecar.agents)
+    yield other, f"export.noise {noise}, expected clean states of {'no' if noise == 'none' else 'all'} agents"
+
+
+def _scene_rules(sidecar: Sidecar, generated_ids: Set[str]) -> _Told:
+    """Vehicles and events of a sidecar against its sums and against the generated tracks of the rows."""
     agents, placed = sidecar.agents, sidecar.placed
     yield placed.agents != len(agents), f"placed.agents {placed.agents}, but {len(agents)} agents"
     counts = Counter(agent.policy for agent in agents)
@@ -205,6 +203,11 @@ def _vehicle_rules(sidecar: Sidecar, generated_ids: Set[str]) -> _Told:
     listed = {agent.track_id for agent in agents}
     yield len(listed) != len(agents), "two agents have the same track_id"
     yield listed != generated_ids, f"agents and generated tracks differ: {', '.join(sorted(listed ^ generated_ids))}"
+    for number, event in enumerate(sidecar.events):
+        made = event.status != "done" and event.track_id is not None
+        yield made, f"event {number}: {event.status}, but made by {event.track_id}"
+        is_other = event.human_brakes is not None and event.human_brakes is not brakes_for(event.min_ttc_s)
+        yield is_other, f"event {number}: human_brakes {event.human_brakes}, but min_ttc_s {event.min_ttc_s}"
 
 
 def _agent_rules(agent: AgentRecord, begins: Mapping[str, int], lanes: Set[str]) -> _Told:
@@ -226,14 +229,6 @@ def _agent_rules(agent: AgentRecord, begins: Mapping[str, int], lanes: Set[str])
         yield str(lane) not in lanes, f"{name}: lane segment {lane} is not in the map"
     begin = begins.get(agent.track_id, since)
     yield begin != since, f"{name}: spawn.timestep {since}, but it begins at {begin}"
-
-
-def _event_rules(sidecar: Sidecar) -> _Told:
-    for number, event in enumerate(sidecar.events):
-        made = event.status != "done" and event.track_id is not None
-        yield made, f"event {number}: {event.status}, but made by {event.track_id}"
-        is_other = event.human_brakes is not None and event.human_brakes is not brakes_for(event.min_ttc_s)
-        yield is_other, f"event {number}: human_brakes {event.human_brakes}, but min_ttc_s {event.min_ttc_s}"
 
 
 def check_written_sequence(

@@ -20,7 +20,7 @@ from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIZES_FILE, 
 from bridge.recordings.folders import find_scenarios as find_scenarios
 from bridge.recordings.folders import source_id as source_id
 from bridge.recordings.folders import split_of as split_of
-from bridge.recordings.map_rules import read_source_map
+from bridge.recordings.map_rules import check_ground, read_source_map
 from bridge.recordings.recording import AV_ID as AV_ID
 from bridge.recordings.recording import Recording
 from bridge.recordings.recording import Rows as Rows
@@ -28,6 +28,7 @@ from bridge.recordings.sidecar import BoxLength, BoxWidth, RecordingRecord, Side
 from hid2.agents import DEFAULT_SIZES, FOCAL_CATEGORY, BoxSize, FloatArray, IntArray, Track
 from netconvert.av2_map import Breach
 from netconvert.errors import MapError, NoSceneError, ScenarioError
+from netconvert.geometry import wrap_angle
 from netconvert.lane_graph import LaneGraph
 
 #: A recording of this format, which generated scenes are in as well.
@@ -59,6 +60,8 @@ SCHEMA = pa.schema([(name, types[0]) for name, types in REQUIRED_COLUMNS.items()
 #: Columns that say the same in every row.
 SCENARIO_COLUMNS = ("scenario_id", "start_timestamp", "end_timestamp", "num_timestamps", "focal_track_id", "city")
 _BOX = TypeAdapter(tuple[BoxLength, BoxWidth])
+#: Columns that messages name a row by.
+_NAMES_A_ROW = ("track_id", "timestep", "track_uuid", "timestamp_ns")
 MOTION_COLUMNS = ("position_x", "position_y", "heading", "velocity_x", "velocity_y")
 
 
@@ -85,7 +88,7 @@ def recording_of(source: Source, rows: Rows, graph: LaneGraph, **more: Any) -> R
 
     Errors: ScenarioError.
     """
-    limits.check_ground(rows.tracks, graph, str(source.path))
+    check_ground(rows.tracks, graph, str(source.path))
     assert source.map_path is not None
     return Recording(
         **{one.name: getattr(rows, one.name) for one in fields(rows)}, **more, graph=graph, folder=source.path,
@@ -101,9 +104,11 @@ def _recording_record(folder: Path, sidecar: Sidecar | None) -> RecordingRecord:
     if sidecar is not None:
         return sidecar.recording
     return RecordingRecord(
-        format="argoverse2", provenance="human" if (folder / SIZES_FILE).exists() else "tracker", step_s=STEP_S,
+        format="argoverse2",
+        provenance="human" if (folder / SIZES_FILE).exists() else "tracker",
+        step_s=STEP_S,
         observed_steps=OBSERVED_STEPS,
-    )  # fmt: skip
+    )
 
 
 def read_rows(folder: Path) -> Rows:
@@ -158,11 +163,13 @@ def read_table(path: Path) -> pa.Table:
 
     def read(content: io.BytesIO) -> pa.Table:
         file = pq.ParquetFile(content)
-        _check_table_size(file.metadata, str(path))
+        found = file.metadata  # before anything is unpacked, what the file says of itself
+        unpacked_mb = sum(found.row_group(k).total_byte_size for k in range(found.num_row_groups)) / 1e6
+        check_size(str(path), rows=found.num_rows, columns=found.num_columns, unpacked_mb=unpacked_mb)
         return file.read(use_threads=False)
 
     table = read_arrow(path, read, kind="parquet", wanted="a scenario in parquet")
-    _check_columns(table, str(path))
+    check_columns(table, str(path), REQUIRED_COLUMNS)
     return table
 
 
@@ -174,9 +181,8 @@ def read_arrow(path: Path, read: Callable[[io.BytesIO], pa.Table], *, kind: str,
     except MemoryError:
         raise
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(
-            f"{path}: not a {kind} file ({one_line(_first_line(error), most=200)}), expected {wanted}"
-        ) from error
+        said = one_line(str(error).strip().partition("\n")[0], most=200)
+        raise ScenarioError(f"{path}: not a {kind} file ({said}), expected {wanted}") from error
     return table
 
 
@@ -188,7 +194,7 @@ def split_rows(
     name: what messages call the table; sizes: boxes by track id, by object type where a track has none.
     Errors: ScenarioError with track, timestep, value and what was expected.
     """
-    _check_columns(table, name)
+    check_columns(table, name, REQUIRED_COLUMNS)
     rows = RowArrays.of(table, observed_steps=observed_steps)
     for _, said in row_breaches(rows):
         raise ScenarioError(f"{name}: {said}")
@@ -336,9 +342,7 @@ def _focal_breaches(rows: RowArrays, focal_track_id: str) -> Iterator[Breach]:
 def tracks_of(rows: RowArrays, sizes: Mapping[str, BoxSize]) -> tuple[Track, ...]:
     """The tracks of rows that keep the rules. sizes: boxes by track id, by object type where a track has none."""
     heading = rows.motion[:, 2]
-    if np.abs(heading).max() > np.pi:
-        beyond = np.abs(heading) > np.pi
-        heading = np.where(beyond, np.pi - np.mod(np.pi - heading, 2 * np.pi), heading)
+    heading = np.where(np.abs(heading) > np.pi, wrap_angle(heading), heading)
     position, velocity = np.ascontiguousarray(rows.motion[:, :2]), np.ascontiguousarray(rows.motion[:, 3:])
     tracks = []
     for code, track_id in enumerate(rows.ids):
@@ -368,47 +372,39 @@ def sizes_of(folder: Path, sidecar: Sidecar | None) -> dict[str, BoxSize]:
                     raise ScenarioError(f"{path} line {number}: {have}, expected {wanted}") from None
                 sizes[row["track_id"]] = BoxSize(*box)
         except (KeyError, UnicodeDecodeError, csv.Error) as error:
-            raise ScenarioError(
-                f"{path}: expected columns track_id, length_m, width_m ({_first_line(error)})"
-            ) from error
+            raise ScenarioError(f"{path}: expected columns track_id, length_m, width_m ({error})") from error
     return sizes if sidecar is None else sizes | sidecar.boxes
 
 
-def _check_table_size(found: pq.FileMetaData, name: str) -> None:
-    """Before anything is unpacked, by what the file says of itself."""
-    unpacked_mb = sum(found.row_group(k).total_byte_size for k in range(found.num_row_groups)) / 1e6
+def check_size(name: str, *, rows: int, columns: int, unpacked_mb: float = 0.0) -> None:
+    """Refuse a table beyond the limits. name: what messages call it. Errors: ScenarioError."""
     for what, number, most in (
-        ("rows", found.num_rows, limits.MAX_ROWS),
-        ("columns", found.num_columns, limits.MAX_COLUMNS),
+        ("rows", rows, limits.MAX_ROWS),
+        ("columns", columns, limits.MAX_COLUMNS),
         ("MB unpacked", unpacked_mb, limits.MAX_TABLE_MB),
     ):
         if not 0 <= number <= most:
             raise ScenarioError(f"{name}: {number:g} {what}, expected at most {most}")
 
 
-def _check_columns(table: pa.Table, name: str) -> None:
-    schema = table.schema
-    names = schema.names
+def check_columns(table: pa.Table, name: str, wanted: Mapping[str, Sequence[pa.DataType]]) -> None:
+    """Refuse a table without rows, or without columns wanted, each once, of one of its types and without nulls.
+
+    name: what messages call it. Errors: ScenarioError.
+    """
+    names = table.column_names
     for column in names:
         if names.count(column) > 1:
             raise ScenarioError(f"{name}: more than one column {one_line(column, most=60)!r}, expected each once")
-    for column, types in REQUIRED_COLUMNS.items():
-        indices = schema.get_all_field_indices(column)
-        if len(indices) != 1:
+    for column, types in wanted.items():
+        if column not in names:
             raise ScenarioError(f"{name}: no column {column!r}, expected {types[0]}")
-        found = schema.field(indices[0]).type
-        if found not in types:
-            raise ScenarioError(f"{name}: column {column!r} is {found}, expected {types[0]}")
-    for column, types in REQUIRED_COLUMNS.items():
+        if table.schema.field(column).type not in types:
+            raise ScenarioError(f"{name}: column {column!r} is {table.schema.field(column).type}, expected {types[0]}")
+    for column, types in wanted.items():
         if table.column(column).null_count:  # what pandas makes of NaN
             row = int(np.flatnonzero(table.column(column).is_null().to_numpy())[0])
-            track, step = table.column("track_id")[row].as_py(), table.column("timestep")[row].as_py()
-            raise ScenarioError(
-                f"{name}: track {track!r}, timestep {step}: {column} is null or NaN, expected {types[0]}"
-            )
+            where = ", ".join(f"{key} {table.column(key)[row].as_py()!r}" for key in wanted if key in _NAMES_A_ROW)
+            raise ScenarioError(f"{name}: row {row} ({where}): {column} is null or NaN, expected {types[0]}")
     if table.num_rows == 0:
-        raise ScenarioError(f"{name}: no rows, expected at least one track")
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).strip().split("\n", 1)[0]
+        raise ScenarioError(f"{name}: no rows, expected at least one")

@@ -19,7 +19,7 @@ The constants are rules of this reader and no parameters of the method: another 
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -36,7 +36,7 @@ from bridge.recordings import limits
 from bridge.recordings.folders import ANNOTATIONS, LOG_MAP_NAME, POSES, Source, log_maps
 from bridge.recordings.map_rules import graph_of, read_document
 from bridge.recordings.recording import AV_ID, Recording, velocity_of
-from bridge.recordings.scenario import SCHEMA, read_arrow, recording_of, split_rows
+from bridge.recordings.scenario import SCHEMA, check_columns, check_size, read_arrow, recording_of, split_rows
 from hid2.agents import FOCAL_CATEGORY, BoxSize, FloatArray, IntArray
 from netconvert.errors import MapError, ScenarioError
 from netconvert.geometry import arc_length
@@ -51,32 +51,28 @@ _SCORED_PATH_M, _SCORED_NEAR_M, _PATH_EVERY = 2.0, 35.0, 10
 _VELOCITY_SAMPLES = 7
 #: Distance of points of a centreline, and places at which boundaries are paired for it.
 _CENTERLINE_STEP_M, _LADDER = 2.0, 100
-_CITIES = {
-    "ATX": "austin", "DTW": "dearborn", "MIA": "miami", "PAO": "palo-alto", "PIT": "pittsburgh",
-    "WDC": "washington-dc",
-}  # fmt: skip
+_CITIES = {"ATX": "austin", "DTW": "dearborn", "MIA": "miami"}
+_CITIES |= {"PAO": "palo-alto", "PIT": "pittsburgh", "WDC": "washington-dc"}
 _CATEGORIES = {
-    "vehicle": (
-        "REGULAR_VEHICLE", "LARGE_VEHICLE", "BOX_TRUCK", "TRUCK", "TRUCK_CAB", "VEHICULAR_TRAILER", "RAILED_VEHICLE",
-    ),
-    "bus": ("BUS", "SCHOOL_BUS", "ARTICULATED_BUS"),
-    "pedestrian": ("PEDESTRIAN", "OFFICIAL_SIGNALER", "WHEELCHAIR"),
-    "cyclist": ("BICYCLIST", "WHEELED_RIDER"),
-    "motorcyclist": ("MOTORCYCLIST",),
-    "riderless_bicycle": ("BICYCLE",),
-    "construction": ("CONSTRUCTION_CONE", "CONSTRUCTION_BARREL"),
-    "static": (
-        "BOLLARD", "SIGN", "STOP_SIGN", "MOBILE_PEDESTRIAN_CROSSING_SIGN", "MESSAGE_BOARD_TRAILER",
-        "TRAFFIC_LIGHT_TRAILER", "MOTORCYCLE",
-    ),
-}  # fmt: skip
+    "vehicle": "REGULAR_VEHICLE LARGE_VEHICLE BOX_TRUCK TRUCK TRUCK_CAB VEHICULAR_TRAILER RAILED_VEHICLE",
+    "bus": "BUS SCHOOL_BUS ARTICULATED_BUS",
+    "pedestrian": "PEDESTRIAN OFFICIAL_SIGNALER WHEELCHAIR",
+    "cyclist": "BICYCLIST WHEELED_RIDER",
+    "motorcyclist": "MOTORCYCLIST",
+    "riderless_bicycle": "BICYCLE",
+    "construction": "CONSTRUCTION_CONE CONSTRUCTION_BARREL",
+    "static": "BOLLARD SIGN STOP_SIGN MOBILE_PEDESTRIAN_CROSSING_SIGN MOTORCYCLE MESSAGE_BOARD_TRAILER "
+    "TRAFFIC_LIGHT_TRAILER",
+}
 #: Object type by category of the annotations; any other category is "unknown".
-OBJECT_TYPES = {source: target for target, sources in _CATEGORIES.items() for source in sources}
+OBJECT_TYPES = {source: target for target, sources in _CATEGORIES.items() for source in sources.split()}
 _ROAD_USERS = ("vehicle", "bus", "pedestrian", "cyclist", "motorcyclist")
 _EGO = "EGO_VEHICLE"
 _QUATERNION = ["qx", "qy", "qz", "qw"]
 _POSE = ["tx_m", "ty_m", "tz_m", *_QUATERNION]
 _SIZE = ["length_m", "width_m", "height_m"]
+_INTEGERS, _FLOATS = (pa.int64(), pa.uint64()), (pa.float64(), pa.float32(), pa.float16())
+_STRINGS = (pa.string(), pa.large_string())
 
 
 def read(source: Source) -> Recording:
@@ -108,7 +104,7 @@ def last_start(log: Path) -> int:
     if not found:
         return -1
     try:
-        return len(_table(found[0], {"timestamp_ns": "integers"}).timestamp_ns.unique()) - NUM_STEPS
+        return len(_table(found[0], {"timestamp_ns": _INTEGERS}).timestamp_ns.unique()) - NUM_STEPS
     except ScenarioError:  # reading a window says why
         return -1
 
@@ -125,39 +121,19 @@ def _map_of(log: Path) -> tuple[Path, int, str, str]:
     return found[0], int(named[3]), named[1], _CITIES[named[2]]
 
 
-_KINDS: Mapping[str, Any] = {
-    "integers": pa.types.is_integer,
-    "floats": pa.types.is_floating,
-    "strings": lambda kind: pa.types.is_string(kind) or pa.types.is_large_string(kind),
-}
-
-
-def _table(path: Path, columns: Mapping[str, str]) -> pd.DataFrame:
-    """Columns of a feather file, each of its kind (a key of `_KINDS`), finite, without nulls. Errors: ScenarioError."""
+def _table(path: Path, columns: Mapping[str, Sequence[pa.DataType]]) -> pd.DataFrame:
+    """Columns of a feather file, each of one of its types, finite, without nulls. Errors: ScenarioError."""
     read = partial(feather.read_table, use_threads=False)
     table = read_arrow(path, read, kind="feather", wanted="it in a sensor log")
-    size = table.num_rows, table.num_columns
-    if not 0 < size[0] <= limits.MAX_ROWS or size[1] > limits.MAX_COLUMNS:
-        most = f"1 to {limits.MAX_ROWS} rows and at most {limits.MAX_COLUMNS} columns"
-        raise ScenarioError(f"{path}: {size[0]} rows, {size[1]} columns, expected {most}")
-    plain = {}
-    for column, kind in columns.items():
-        count = table.schema.names.count(column)
-        if count != 1:
-            raise ScenarioError(f"{path}: {count or 'no'} column {column!r}, expected one of {kind}")
-        values = table.column(column)
-        if pa.types.is_dictionary(values.type):
-            values = values.cast(values.type.value_type)
-        if not _KINDS[kind](values.type):
-            raise ScenarioError(f"{path}: column {column!r} is {values.type}, expected {kind}")
-        bad = values.is_null().to_numpy()
-        if kind == "floats":
-            bad = bad | ~np.isfinite(values.to_numpy().astype(np.float64))
-        if bad.any():
-            row = int(np.flatnonzero(bad)[0])
-            raise ScenarioError(f"{path}: row {row}: {column} is {values[row].as_py()}, expected a value")
-        plain[column] = values.cast(pa.float64()) if kind == "floats" else values
-    frame: pd.DataFrame = pa.table(plain).to_pandas()
+    check_size(str(path), rows=table.num_rows, columns=table.num_columns)
+    plain = [field.type.value_type if pa.types.is_dictionary(field.type) else field.type for field in table.schema]
+    table = table.cast(pa.schema(list(zip(table.column_names, plain, strict=True))))
+    check_columns(table, str(path), columns)
+    frame: pd.DataFrame = table.select(columns).to_pandas()
+    for column in [column for column, types in columns.items() if types is _FLOATS]:
+        frame[column] = frame[column].astype(np.float64)
+        for row in np.flatnonzero(~np.isfinite(frame[column]))[:1].tolist():
+            raise ScenarioError(f"{path}: row {row}: {column} is {frame[column][row]}, expected a finite number")
     return frame
 
 
@@ -167,9 +143,9 @@ def _states(log: Path, start: int) -> tuple[pd.DataFrame, list[int]]:
     if not found:
         raise ScenarioError(f"{log}: no annotations.feather, expected the labelled boxes of a sensor log")
     path, pose_path = found[0], log / POSES
-    kinds = {"timestamp_ns": "integers", "track_uuid": "strings", "category": "strings"}
-    annotations = _table(path, kinds | dict.fromkeys([*_POSE, *_SIZE], "floats"))
-    poses = _table(pose_path, {"timestamp_ns": "integers"} | dict.fromkeys(_POSE, "floats"))
+    kinds = {"timestamp_ns": _INTEGERS, "track_uuid": _STRINGS, "category": _STRINGS}
+    annotations = _table(path, kinds | dict.fromkeys([*_POSE, *_SIZE], _FLOATS))
+    poses = _table(pose_path, {"timestamp_ns": _INTEGERS} | dict.fromkeys(_POSE, _FLOATS))
     poses = poses.drop_duplicates("timestamp_ns").set_index("timestamp_ns")
     sweeps = _window(np.sort(annotations.timestamp_ns.unique()), start, path)
     lacking = np.setdiff1d(sweeps, poses.index.to_numpy())
@@ -294,17 +270,17 @@ def _completed(document: dict[str, Any], *, name: str) -> dict[str, Any]:
 
 def _centerline(lane: LaneSegment, *, where: str) -> list[dict[str, float]]:
     """Midway between the boundaries, at equal steps of at most 2 m, z = 0, centimetres: as forecasting maps have it."""
-    left, right = (_resampled(side, np.linspace(0.0, 1.0, _LADDER)) for side in lane.sides)
+    left, right = (_resampled(side, _LADDER) for side in lane.sides)
     middle = (left + right) / 2
     length_m = float(arc_length(middle)[-1])
     if length_m > limits.MAX_LANE_M:
         raise MapError(f"{where}: {length_m:.0f} m long, expected at most {limits.MAX_LANE_M:.0f} m")
-    steps = max(1, math.ceil(length_m / _CENTERLINE_STEP_M))
-    points = _resampled(middle, np.linspace(0.0, 1.0, steps + 1))
+    points = _resampled(middle, max(1, math.ceil(length_m / _CENTERLINE_STEP_M)) + 1)
     return [{"x": round(x, 2), "y": round(y, 2), "z": 0.0} for x, y in points.tolist()]
 
 
-def _resampled(line: FloatArray, fractions: FloatArray) -> FloatArray:
-    """Points of a polyline at fractions of its length."""
+def _resampled(line: FloatArray, count: int) -> FloatArray:
+    """So many points at equal distances along a polyline, which may have no length."""
     s = arc_length(line)
-    return np.column_stack([np.interp(fractions * s[-1], s, axis) for axis in line.T])
+    at = np.linspace(0.0, 1.0, count) * s[-1]
+    return np.column_stack([np.interp(at, s, axis) for axis in line.T])

@@ -56,8 +56,7 @@ class RecordingRecord(_Record):
 class ReplayRecord(_Record):
     """How the recorded agents were replayed, and how exactly. late_s: agents that yielded, and how late that made them.
 
-    reactive: recorded vehicles keep their recorded path but yield in time; they do not drive as recorded. checked: the
-    pose in SUMO of every recorded agent at every step was measured, so many states; else none.
+    reactive: recorded vehicles keep their path but yield in time. checked: so many states were compared with SUMO's.
     """
 
     mode: Literal["fixed", "reactive"] = "fixed"
@@ -167,13 +166,7 @@ class StatesRecord(_Record):
 
 
 class AgentRecord(_Record):
-    """One generated vehicle; route: lane segment ids in the order driven.
-
-    clean: its states without the noise that the file has (`export.noise = tracker`); None: the file has none.
-
-    limited: share of steps in which hid2 held it below SUMO's own choice of speed, by cause; policies: share of steps
-    by the policy that Algorithm 1 returned; rerouted_s: when it took another way at the next split.
-    """
+    """One generated vehicle, with fields as README.md tells; rerouted_s: when it took another way at a split."""
 
     track_id: str
     object_type: Literal["vehicle", "bus"] = "vehicle"
@@ -240,14 +233,9 @@ class SelectionRecord(_Record):
 
 
 class EventRecord(_Record):
-    """One event that was asked for: its target, what became of it, and what it was like for its target as recorded.
+    """One event that was asked for, what became of it, and what it was like for its target as recorded.
 
-    track_id: the vehicle that made it; gap_m bumper to bumper at at_s (cross: from the target's bumper to the conflict
-    point); ttc_at_s: when the least TTC is; headway_s: least one of the target behind the vehicle from then on;
-    drac_mps2: what the target would have had to brake with; human_brakes: whether TTC came below the one before
-    which drivers brake; brakes_mps2: hardest braking of the vehicle itself from then on; ahead: whether the vehicle is
-    ahead of the target, or crosses first; tries: vehicles that were driven for it; tried: where none came about, what
-    each of them failed by or, where none was driven, each motion that was looked at.
+    README.md tells what each of the fields is.
     """
 
     kind: Literal["cut_in", "overtake", "lead", "follow", "merge", "cross"]

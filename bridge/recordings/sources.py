@@ -1,6 +1,9 @@
-"""Recordings of every format: what lies at a path, and reading it. A new format is one more entry of `READERS`."""
+"""Recordings of every format: what lies at a path, and reading it. What reads files is imported when it reads."""
 
+import fnmatch
 import logging
+import re
+import uuid
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
@@ -9,21 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bridge.files import one_line
-from bridge.recordings.folders import (
-    DEPTH,
-    SEQUENCES,
-    Address,
-    Choices,
-    Reader,
-    Source,
-    is_generated,
-    names_in,
-    other_data,
-    subfolders,
-)
-from bridge.recordings.readers.argoverse1 import ARGOVERSE1
-from bridge.recordings.readers.argoverse2 import ARGOVERSE2
-from bridge.recordings.readers.sensor_log import SENSOR_LOG
+from bridge.recordings import folders
+from bridge.recordings.folders import DEPTH, MAP_PATTERN, Address, Choices, Reader, Source, log_maps, only_file
 from netconvert.errors import ConfigError, NoSceneError
 
 if TYPE_CHECKING:
@@ -32,6 +22,129 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 #: What an output folder has beside generated Argoverse 1 sequences.
 _MANIFEST = "manifest.csv"
+_SCENE_FILES = (folders.PARQUET_PATTERN, MAP_PATTERN, folders.SIDECAR_PATTERN, folders.SIZES_FILE)
+_SEQUENCE = re.compile(r"(\d{1,15})\.csv")
+#: Split by the name of a folder above a sequence.
+_SPLITS = {"train": "train", "val": "val", "test_obs": "test", "test": "test"}
+MAP_FILES, _VECTOR_MAPS = "map_files", "pruned_argoverse_*_vector_map.xml"
+#: Folders above a sequence that are looked at for its split and its map files: ROOT/val/data/1.csv.
+_ABOVE = 4
+
+
+def _find_windows(path: Path, _: frozenset[str], choices: Choices) -> list[Address]:
+    """The window that was chosen, and with a stride all from there on that fit."""
+    starts = [choices.window]
+    if choices.stride is not None:
+        from bridge.recordings.sensor_log import last_start
+
+        starts = list(range(choices.window, max(last_start(path), choices.window) + 1, choices.stride))
+    maps, split = log_maps(path), folders.split_of(path)
+    named = folders.LOG_MAP_NAME.fullmatch(maps[0].stem) if len(maps) == 1 else None
+    log_id = path.absolute().name if named is None else named[1]
+    return [Source(path, SENSOR_LOG.name, window_id(log_id, start), split, start) for start in starts]
+
+
+def window_id(log_id: str, start: int) -> str:
+    """Scenario id of the window of a log that begins at a sweep: the log's own id for the first."""
+    if start == 0:
+        return log_id
+    try:
+        space = uuid.UUID(log_id)
+    except ValueError:
+        space = uuid.uuid5(uuid.NAMESPACE_DNS, log_id)
+    return str(uuid.uuid5(space, str(start)))
+
+
+def _log_files(source: Source) -> list[Path]:
+    return [*sorted(source.path.glob(folders.ANNOTATIONS))[:1], source.path / folders.POSES, *log_maps(source.path)]
+
+
+def _find_sequences(path: Path, names: frozenset[str], choices: Choices) -> list[Address]:
+    """By number. Errors: NoSceneError where there are no map files for them."""
+    numbers = {name: int(named[1]) for name in names if (named := _SEQUENCE.fullmatch(name))}
+    folder = path if numbers else path.parent
+    split = next((_SPLITS[place.name] for place in _above(folder) if place.name in _SPLITS), None)
+    maps = _city_maps(folder) if choices.map_path is None else _chosen_map(choices.map_path)
+    found: list[Address] = []
+    for name in sorted(numbers, key=lambda name: (numbers[name], name)) or [path.name]:
+        # Numbers come again in every split; on another map a sequence is another scene.
+        parts = ["argoverse1", *([split] if split else []), Path(name).stem]
+        parts += ["on", maps.stem.removeprefix(MAP_PATTERN.split("*")[0])] if maps.is_file() else []
+        found.append(Source(folder / name, ARGOVERSE1.name, "-".join(parts), split, 0, maps))
+    return found
+
+
+def _sequence_files(source: Source) -> list[Path]:
+    """Sequence and map; all maps of a folder, as the sequence tells its city."""
+    maps = source.map_path
+    assert maps is not None
+    return [source.path, *([maps] if maps.is_file() else sorted(maps.iterdir()))]
+
+
+def _holds_sequences(path: Path, names: frozenset[str]) -> bool:
+    return any(map(_SEQUENCE.fullmatch, [path.name] if path.is_file() else names))
+
+
+def _above(folder: Path) -> Iterator[Path]:
+    real = folder.absolute()
+    yield from (real, *real.parents[: _ABOVE - 1])
+
+
+def _city_maps(folder: Path) -> Path:
+    """The folder of map files that is nearest to a folder of sequences. Errors: NoSceneError."""
+    for place in _above(folder):
+        for maps in (place, place / MAP_FILES):
+            if any(maps.glob(_VECTOR_MAPS)):
+                return maps
+    root = list(_above(folder))[min(2, _ABOVE - 1)]
+    raise NoSceneError(
+        f"{folder}: this is Argoverse 1: its map files are missing, expected "
+        f"pruned_argoverse_<CITY>_<n>_vector_map.xml and the rasters of the drivable area in {root / MAP_FILES}; "
+        "or give --map, an Argoverse 2 map of the place"
+    )
+
+
+def _chosen_map(path: Path) -> Path:
+    """The Argoverse 2 map that a user chose, by itself or by its folder, or a folder of cities' maps.
+
+    Errors: NoSceneError.
+    """
+    if not path.exists():
+        raise NoSceneError(f"--map {path}: no such file or folder, expected one Argoverse 2 map, or the folder of one")
+    whole = (path.is_file() and path.suffix == ".json") or any(path.glob(_VECTOR_MAPS))
+    return path if whole else only_file(path, MAP_PATTERN, NoSceneError)
+
+
+#: Windows of logs. An id is the log's for the first window, of log and first sweep for any other.
+SENSOR_LOG = Reader(
+    name="sensor_log",
+    many="Windows of Argoverse 2 sensor logs",
+    sniff=lambda _, names: folders.POSES in names or bool(fnmatch.filter(names, folders.ANNOTATIONS)),
+    find=_find_windows,
+    files=_log_files,
+    lacks="Sensor logs have no focal and scored tracks and no centrelines of lanes: the longest path of a vehicle that "
+    "is seen throughout is focal, centrelines run midway between the boundaries",
+)
+#: Folders with parquet and map, which `bridge.recordings.scenario` reads. Those that hid2 writes are in this format.
+ARGOVERSE2 = Reader(
+    name="argoverse2",
+    many="Argoverse 2 scenes",
+    sniff=lambda _, names: folders.has_scenario(names),
+    find=lambda path, _, choices: [path],
+    files=lambda folder: [path for pattern in _SCENE_FILES for path in folder.glob(pattern)],
+)
+#: CSV files named by a number. Their maps are files of the whole city, or one chosen by the user.
+ARGOVERSE1 = Reader(
+    name="argoverse1",
+    many="Argoverse 1 sequences",
+    sniff=_holds_sequences,
+    find=_find_sequences,
+    files=_sequence_files,
+    lacks="Argoverse 1 tells no types, sizes and headings: every track is taken for a vehicle of 4.5 x 1.9 m, headings "
+    "and velocities come from smoothed positions, a standing vehicle keeps its heading or has that of the lane; its "
+    "maps tell no lane boundaries: lanes are 3.8 m wide",
+    is_folder=False,
+)
 #: The formats; the first one that recognises a path has it.
 READERS: tuple[Reader, ...] = (SENSOR_LOG, ARGOVERSE2, ARGOVERSE1)
 
@@ -50,7 +163,9 @@ def find_sources(paths: Sequence[Path], choices: Choices | None = None) -> list[
 
     Errors: NoSceneError where a path holds none.
     """
-    return _find(paths, choices or Choices(), lambda address: isinstance(address, Source) or not is_generated(address))
+    return _find(
+        paths, choices or Choices(), lambda address: isinstance(address, Source) or not folders.is_generated(address)
+    )
 
 
 def find_one(path: Path, choices: Choices | None = None) -> Address:
@@ -69,7 +184,10 @@ def nothing_at(path: Path) -> NoSceneError:
         said = "no such folder, expected a scenario folder, a split folder or a data-set root"
     else:
         files = "scenario_<id>.parquet (Argoverse 2), <number>.csv (Argoverse 1) or annotations.feather (sensor log)"
-        said = other_data(path, depth=DEPTH) or f"no scenario; expected {files} in it or one to three folders below"
+        said = (
+            folders.other_data(path, depth=DEPTH)
+            or f"no scenario; expected {files} in it or one to three folders below"
+        )
     return NoSceneError(f"{path}: {said}")
 
 
@@ -129,12 +247,12 @@ def _find(paths: Sequence[Path], choices: Choices, is_wanted: Callable[[Address]
 
 def _walk(path: Path, choices: Choices, depth: int) -> Iterator[Address]:
     """Recordings at a path and below; folders of a recording are not looked into."""
-    names = frozenset(names_in(path)) if path.is_dir() else frozenset()
+    names = frozenset(folders.names_in(path)) if path.is_dir() else frozenset()
     for reader in READERS:
         if reader.sniff(path, names):
             yield from reader.find(path, names, choices)
             if reader.is_folder:
                 return
-    for folder in subfolders(path, names) if depth else []:
-        if not (folder.name == SEQUENCES and _MANIFEST in names):  # what hid2 wrote for loaders of Argoverse 1
+    for folder in folders.subfolders(path, names) if depth else []:
+        if not (folder.name == folders.SEQUENCES and _MANIFEST in names):  # what hid2 wrote for loaders of Argoverse 1
             yield from _walk(folder, choices, depth - 1)

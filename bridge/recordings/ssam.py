@@ -13,14 +13,18 @@ from netconvert.geometry import differences
 #: Record types, byte order and units of the format: little-endian, metric.
 _FORMAT, _DIMENSIONS, _TIMESTEP, _VEHICLE, _LITTLE, _METRIC = 0, 1, 2, 3, ord("L"), 1
 _HEAD = np.dtype(
-    [("format", "u1"), ("endian", "u1"), ("version", "<f4"), ("dimensions", "u1"), ("units", "u1"), ("scale", "<f4"),
-     ("bounds", "<i4", 4)]
-)  # fmt: skip
+    {
+        "names": ["format", "endian", "version", "dimensions", "units", "scale", "bounds"],
+        "formats": ["u1", "u1", "<f4", "u1", "u1", "<f4", "4<i4"],
+    }
+)
 _TIME = np.dtype([("kind", "u1"), ("time_s", "<f4")])
 _ROW = np.dtype(
-    [("kind", "u1"), ("vehicle", "<i4"), ("link", "<i4"), ("lane", "u1"), ("front", "<f4", 2), ("rear", "<f4", 2),
-     ("length_m", "<f4"), ("width_m", "<f4"), ("speed_mps", "<f4"), ("accel_mps2", "<f4")]
-)  # fmt: skip
+    {
+        "names": ["kind", "vehicle", "link", "lane", "front", "rear", "length_m", "width_m", "speed_mps", "accel_mps2"],
+        "formats": ["u1", "<i4", "<i4", "u1", "2<f4", "2<f4", "<f4", "<f4", "<f4", "<f4"],
+    }
+)
 
 
 def trj_files(scene: Recording) -> dict[str, bytes]:
@@ -41,9 +45,9 @@ def trj_bytes(arrays: SceneArrays, matches: Matches) -> bytes:
     forward = np.stack([np.cos(arrays.heading[rows]), np.sin(arrays.heading[rows])], axis=1)
     half = 0.5 * arrays.length[agent][:, None] * forward
     speed = np.hypot(*arrays.velocity.T)
-    accel = np.concatenate([np.zeros(0)] + [
-        differences(speed[a:b], arrays.step_s) for a, b in pairwise(arrays.first.tolist())
-    ])  # fmt: skip
+    accel = np.concatenate(
+        [np.zeros(0)] + [differences(speed[a:b], arrays.step_s) for a, b in pairwise(arrays.first.tolist())]
+    )
     table = np.zeros(len(rows), _ROW)
     table["kind"], table["lane"], table["vehicle"], table["link"] = _VEHICLE, 1, agent + 1, matches.lane[rows] + 1
     table["front"], table["rear"] = arrays.position[rows] + half, arrays.position[rows] - half

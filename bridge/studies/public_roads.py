@@ -22,8 +22,7 @@ from bridge.batch.manifest import DONE, ManifestRow
 from bridge.config import config_sha256
 from bridge.files import write_rows, write_text
 from bridge.pages.parts import text
-from bridge.recordings.corridor import write_road
-from bridge.recordings.road import Road, RoadPart, read_road
+from bridge.recordings.road import Road, RoadPart, read_road, write_road
 from bridge.studies.gap_acceptance import troutbeck
 from bridge.studies.road_traffic import CELL_M, CELL_S
 from bridge.studies.run import RunsReport

@@ -5,22 +5,17 @@ from functools import cache
 
 import numpy as np
 
+from bridge.sumo import steering
 from bridge.sumo.fleet import Fleet
-from bridge.sumo.lane_changes import Attempt, apply_policy, conclude
 from bridge.sumo.poses import front_arc_m
 from bridge.sumo.replay import Replay, ReplayErrors
-from bridge.sumo.routes import edges_along, take_another_way
-from bridge.sumo.shown import ever_shown, shown_at
 from bridge.sumo.simulation import Simulation
-from bridge.sumo.speed_limits import Limits, let_pass, limits_of
 from hid2.agents import IntArray
 from hid2.conflicts.reaction import Reactions
-from hid2.drivers.driver import OFFSET_MAX_M
 from hid2.insertion.entry_sites import entry_speed
-from hid2.kernels.gaps import deep_inside
 from hid2.kernels.steering import CAUSES
 from hid2.occupancy.shown import UNSEEN_STEPS
-from hid2.occupancy.traffic import Traffic
+from hid2.policy.behaviours import BEHAVIOURS
 from hid2.policy.roads import POLICIES
 from hid2.reasons import Reason
 from hid2.scene import Scene
@@ -30,18 +25,14 @@ from hid2.vehicle import DrivenVehicle, Start
 Limit = tuple[float, str]
 
 _BINDS_MPS = 0.05  # book-keeping: a limit this close to the speed driven is what decided it
-#: Not parameters, they save time: how often vehicles in a recorded agent's box are looked for, s, and how deep they
-#: must be in it, m. So deep that the last check would let none pass: smoothing moves no vehicle so far.
-_STRUCK_EVERY_S, _STRUCK_M = 0.5, 2.0
 
 
 @dataclass(eq=False, slots=True)
 class Driving:
     """One simulation of a fleet, each vehicle from its own first step on.
 
-    checked: every recorded agent is replayed at every step, and its pose in SUMO compared; else only while a vehicle is
-    to see it. Where recorded vehicles react, the fleet's scene becomes another one with each that yields, and
-    `reactions` says how late they are.
+    checked: the pose in SUMO of every recorded agent is compared at every step. Where recorded vehicles react, the
+    fleet's scene becomes another one with each that yields, and `reactions` says how late they are.
     """
 
     fleet: Fleet
@@ -56,17 +47,22 @@ class Driving:
         fleet, simulation, step_s = self.fleet, self.simulation, self.fleet.scene.step_s
         simulation.rewind()
         recorded = len(fleet.scene.traffic.ids) if self.checked else 0
-        replay = self._replay = Replay(simulation, self._replayed(), "r", step_s=step_s, checked=recorded)
+        replay = self._replay = Replay(simulation, fleet.known, step_s=step_s, checked=recorded)
         for back in range(UNSEEN_STEPS, 0, -1):
             replay.warm_up(back)
             simulation.step()
-        self.reactions = self._reactions()
+
+        def follow_mps(row: int, speed_mps: float, gap_m: float, leader_mps: float) -> float:
+            return simulation.follow_speed(replay.names[row], speed_mps, gap_m=gap_m, leader_mps=leader_mps)
+
+        if fleet.scene.config.driving.replay != "fixed":  # recorded vehicles react, by SUMO's car following
+            self.reactions = Reactions(fleet.scene, follow_mps)
         for step in range(fleet.scene.num_steps):
             attempts, limits = self._steer(step) if step > 0 else ({}, {})
             for row, vehicle in enumerate(fleet.vehicles):
                 if vehicle.start.step == step:  # from now on SUMO has to be shown its leaders
                     fleet.along_m[row] = vehicle.start.start_s
-            replay.place(step, shown_at(fleet, step))
+            replay.place(step, steering.shown_at(fleet, step))
             simulation.step()
             self._enter(step)
             replay.check(step)
@@ -74,7 +70,7 @@ class Driving:
         self.replay_errors = replay.errors
         return fleet.vehicles
 
-    def _steer(self, step: int) -> tuple[dict[int, Attempt], dict[int, Limit]]:
+    def _steer(self, step: int) -> tuple[dict[int, steering.Attempt], dict[int, Limit]]:
         """Observe, decide and act before a step; returns what SUMO was asked for, and limits of speed, by vehicle."""
         fleet, now = self.fleet, step - 1
         traffic = cache(fleet.traffic)  # put together at the first use
@@ -83,46 +79,27 @@ class Driving:
             if self.reactions.advance(step, generated):
                 fleet.look_anew(self.reactions.scene)
                 self._replay.take(fleet.known)
-        elif "collision" not in fleet.scene.config.without and step % fleet.scene.steps_in(_STRUCK_EVERY_S) == 0:
-            self._take_out_struck(now)
-        attempts: dict[int, Attempt] = {}
+        attempts: dict[int, steering.Attempt] = {}
         rows = fleet.here
         if not rows.size:
             return attempts, {}
-        limits = limits_of(fleet, rows, now)
-        for k, (row, may_change) in enumerate(zip(rows.tolist(), fleet.may_change[rows].tolist(), strict=True)):
+        limits = steering.limits_of(fleet, rows, now)
+        for k, row in enumerate(rows.tolist()):
             on_lane = POLICIES[limits.policy[k]]
-            if may_change:
-                attempt = apply_policy(fleet, self.simulation, row, now, traffic, on_lane)
+            if BEHAVIOURS[fleet.vehicles[row].start.request.policy].changes_lanes:
+                attempt = steering.apply_policy(fleet, self.simulation, row, now, traffic, on_lane)
                 if attempt is not None:
                     attempts[row] = attempt
-                let_pass(fleet, row, now, limits, k)
+                steering.let_pass(fleet, row, now, limits, k)
             else:  # nothing to be asked: it keeps to its lane, as `decide` says
                 fleet.vehicles[row].policies[on_lane] += 1
-            if limits.seeks[k] and take_another_way(fleet, self.simulation, row, now):
-                for found, renewed in zip(limits, limits_of(fleet, rows[k:], now), strict=True):
+            if limits.seeks[k] and steering.take_another_way(fleet, self.simulation, row, now):
+                for found, renewed in zip(limits, steering.limits_of(fleet, rows[k:], now), strict=True):
                     found[k:] = renewed  # those after it see where it goes
-                self._replay.take(fleet.known)  # others may have to be shown on this way
         fleet.yielding[rows] = limits.yields
         return attempts, self._drive(rows, limits, now)
 
-    def _replayed(self) -> Traffic:
-        """Recorded agents and those kept, as they are put into SUMO."""
-        anywhere = self.checked or self.fleet.scene.config.driving.replay != "fixed"  # as agents that react are
-        return self.fleet.known if anywhere else ever_shown(self.fleet)
-
-    def _reactions(self) -> Reactions | None:
-        """The recorded vehicles as agents that react, each by SUMO's car following of its replayed vehicle."""
-        if self.fleet.scene.config.driving.replay == "fixed":
-            return None
-
-        def follow_mps(row: int, speed_mps: float, gap_m: float, leader_mps: float) -> float:
-            name = self._replay.name(row)
-            return self.simulation.follow_speed(name, speed_mps, gap_m=gap_m, leader_mps=leader_mps)
-
-        return Reactions(self.fleet.scene, follow_mps)
-
-    def _drive(self, rows: IntArray, limits: Limits, now: int) -> dict[int, Limit]:
+    def _drive(self, rows: IntArray, limits: steering.Limits, now: int) -> dict[int, Limit]:
         """Tell SUMO how fast vehicles wish to drive and may drive at the coming step; returns the limits by vehicle."""
         fleet, told = self.fleet, {}
         for row, desired, mps, cause, leader in zip(
@@ -156,7 +133,7 @@ class Driving:
             if vehicle.objection is not None:
                 self.fleet.along_m[row] = np.nan
 
-    def _read(self, step: int, attempts: dict[int, Attempt], limits: dict[int, Limit]) -> None:
+    def _read(self, step: int, attempts: dict[int, steering.Attempt], limits: dict[int, Limit]) -> None:
         """Take down what SUMO did, what came of what it was asked for, and which of the limits decided the speed."""
         inside = self.simulation.driven()
         for row, vehicle in enumerate(self.fleet.vehicles):
@@ -176,26 +153,8 @@ class Driving:
                 if limit is not None and speed > limit[0] - _BINDS_MPS:
                     vehicle.limited[limit[1]] += 1
                 if row in attempts:
-                    conclude(self.fleet, self.simulation, attempts[row], lane)
+                    steering.conclude(self.fleet, self.simulation, attempts[row], lane)
                 self.fleet.follow(row, lane, front_m, speed)
-
-    def _take_out_struck(self, step: int) -> None:
-        """Take out vehicles that are deep in a recorded agent's box: they will not be exported, and hinder no others.
-
-        A recorded agent mostly ran into them, as it does not brake.
-        """
-        fleet, (known, first), traffic = self.fleet, self.fleet.on_ways, self.fleet.scene.traffic
-        count = len(traffic.ids)
-        struck = deep_inside(known.low, known.high, known.agents, first, count, step, fleet.along_m, _STRUCK_M)
-        for row, agent in zip(*(column.tolist() for column in struck), strict=True):
-            vehicle = fleet.vehicles[row]
-            xy, tangent, _ = vehicle.path.line.motion(np.array([vehicle.s[-1]]))
-            (tx, ty), (dx, dy) = tangent[0], traffic.position[agent, step] - xy[0]
-            room = 0.5 * (vehicle.start.box.width_m + traffic.width_m[agent]) - OFFSET_MAX_M
-            if vehicle.running and abs(tx * dy - ty * dx) < room:  # wherever in its lane it is
-                vehicle.objection = Reason.MEETS_RECORDED
-                self.simulation.remove(vehicle.vehicle_id)
-                fleet.leave(row)
 
 
 def insert(simulation: Simulation, scene: Scene, start: Start) -> Reason | None:
@@ -204,7 +163,7 @@ def insert(simulation: Simulation, scene: Scene, start: Start) -> Reason | None:
     segment = start.path.segment_at(front)
     lane_s = segment.lane_s(front)
     cell = scene.grid.cell_at(segment.lane_id, lane_s)
-    edges = edges_along(scene, start.path, cell)
+    edges = steering.edges_along(scene, start.path, cell)
     if edges is None:
         return Reason.NO_ROUTE
     begin = float(scene.grid.edges_s(cell.lane_id)[cell.index])

@@ -19,7 +19,6 @@ from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, Jump
 from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.traffic import BoolArray, Traffic
-from hid2.policy.behaviours import BEHAVIOURS
 from hid2.policy.roads import STRAIGHT, Roads
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start
@@ -44,11 +43,6 @@ class Way:
     reroute_tried: bool = False
     jump: Jump | None = None
 
-    def is_turn(self, s: float) -> bool:
-        """Whether the lane at an arc length, m, is one."""
-        at = bisect_right(self.lane_ends, s, hi=self.lane_ends.size - 1)
-        return bool(self.policies[at] != STRAIGHT)
-
 
 @dataclass(eq=False, slots=True)
 class Fleet:
@@ -58,8 +52,7 @@ class Fleet:
     vehicles farther than this from another one on either axis do not look at it. By vehicle: state (N, 5), the guard's
     columns; along_m (N,) of the centre on the path, from its first step on, NaN for a vehicle nowhere; centre (N, 2) m,
     inf for a vehicle that is nowhere yet; length_m (N,) of the box; desired_mps (N, T); drivers (N, 4), the guard's
-    columns; yielding (N,): whether a vehicle brakes for a conflict by now; may_change (N,): whether it may leave its
-    path for that of a lane beside, wherever that goes.
+    columns; yielding (N,): whether a vehicle brakes for a conflict by now.
     """
 
     scene: Scene
@@ -77,7 +70,6 @@ class Fleet:
     desired_mps: FloatArray = field(init=False)
     drivers: FloatArray = field(init=False)
     yielding: BoolArray = field(init=False)
-    may_change: BoolArray = field(init=False)
     guard: Guard = field(init=False)
     _on_ways: tuple[PathOccupancy, IntArray] | None = field(init=False, default=None)
     _along: tuple[npt.NDArray[Any], ...] | None = field(init=False, default=None)
@@ -88,7 +80,7 @@ class Fleet:
         self.state, self.centre = np.zeros((0, 5)), np.zeros((0, 2))
         self.along_m, self.length_m = np.zeros(0), np.zeros(0)
         self.desired_mps, self.drivers = np.zeros((0, self.scene.num_steps)), np.zeros((0, 4))
-        self.yielding, self.may_change = np.zeros(0, dtype=np.bool_), np.zeros(0, dtype=np.bool_)
+        self.yielding = np.zeros(0, dtype=np.bool_)
         self.add(starts)
 
     def add(self, starts: Sequence[Start]) -> None:
@@ -106,8 +98,6 @@ class Fleet:
         self.desired_mps = np.concatenate([self.desired_mps, [one.desired[: self.scene.num_steps] for one in starts]])
         self.drivers = np.concatenate([self.drivers, [start.driver.following for start in starts]])
         self.yielding = np.concatenate([self.yielding, np.zeros(count, dtype=np.bool_)])
-        changes = [BEHAVIOURS[start.request.policy].changes_lanes for start in starts]
-        self.may_change = np.concatenate([self.may_change, changes])
         self._forget_obstacles()  # all vehicles see the new ones
 
     def begin(self, row: int) -> None:
@@ -125,7 +115,8 @@ class Fleet:
         vehicle.jumped_m.append(jumped_m)
         shifts, table = vehicle.path.shifts, vehicle.path.line.table_xy
         # Case 2, executing goes before pending: in a change of lanes or in a turn.
-        executing = (shifts and shifts[-1][0] < s < shifts[-1][1]) or way.is_turn(s)
+        turns = way.policies[bisect_right(way.lane_ends, s, hi=way.lane_ends.size - 1)] != STRAIGHT
+        executing = (shifts and shifts[-1][0] < s < shifts[-1][1]) or turns
         self.along_m[row], self.centre[row] = s, table[min(int(s / TABLE_STEP_M), len(table) - 1)]
         self.state[row] = s, speed_mps, (speed_mps - before) / self.scene.step_s, executing, 1.0
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bridge.sumo.driving import Driving, Limit
-from bridge.sumo.lane_changes import Attempt
 from bridge.sumo.poses import center_on_path
-from bridge.sumo.routes import edges_along
+from bridge.sumo.steering import Attempt, edges_along
 from hid2.insertion.flow import Arrival
 from hid2.occupancy.gaps import gaps_from_pose
 from hid2.occupancy.traffic import Traffic
@@ -37,10 +36,6 @@ class FlowDriving(Driving):
     _next: int = 0
     _held: list[Arrival] = field(default_factory=list)
     _queued: dict[str, Arrival] = field(default_factory=dict)
-
-    def _replayed(self) -> Traffic:
-        """All of them at all steps: any may be ahead of a vehicle that enters."""
-        return self.fleet.known
 
     def _steer(self, step: int) -> tuple[dict[int, Attempt], dict[int, Limit]]:
         """Those that are due are let in last, when it is known which vehicles change lanes at this step."""
@@ -74,9 +69,10 @@ class FlowDriving(Driving):
         """
         fleet = self.fleet
         changing = {
-            vehicle.vehicle_id for row, vehicle in enumerate(fleet.vehicles)
+            vehicle.vehicle_id
+            for row, vehicle in enumerate(fleet.vehicles)
             if row in attempts or (vehicle.path.shifts and vehicle.s and vehicle.s[-1] < vehicle.path.shifts[-1][1])
-        }  # fmt: skip
+        }
         driven = fleet.traffic()
         rows = [row for row, name in enumerate(driven.ids) if name in changing]
         return fleet.scene.traffic.at(step).joined(driven.rows(rows))

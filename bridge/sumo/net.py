@@ -23,10 +23,9 @@ from hid2.params import Signals
 from netconvert.cells import SAVED_WITHIN_M, build_cell_grid
 from netconvert.errors import ConfigError, MapError, NetError, NoSceneError, SimulationError
 from netconvert.fidelity import FidelityReport, measure_fidelity
-from netconvert.geo import CITY_ORIGINS
 from netconvert.gui_files import gui_files
 from netconvert.lane_graph import LaneGraph
-from netconvert.net_xml import net_bytes
+from netconvert.net_xml import CITY_ORIGINS, net_bytes
 from netconvert.whole_lanes import Red, plain_files
 
 #: No turns back where the map has none, and no two vehicles on ways that cross within a junction.

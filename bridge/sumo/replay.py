@@ -28,16 +28,15 @@ class Replay:
     """Drives the agents of a `Traffic` along their states. Call `place` before and `check` after each step.
 
     checked: of so many, the first ones, poses are compared; only a scene's first simulation does that, later ones
-    replay the same states.
+    replay the same states. names: ids in the simulation.
     """
 
     simulation: Simulation
     traffic: Traffic
-    prefix: str
     step_s: float
     checked: int = sys.maxsize
     _in: set[int] = field(default_factory=set)
-    _names: list[str] = field(init=False)
+    names: list[str] = field(init=False)
     _poses: list[tuple[list[float], list[float], list[float]]] = field(init=False)
     _here: list[list[int]] = field(init=False)
     errors: ReplayErrors = field(init=False, default=ReplayErrors())
@@ -46,7 +45,7 @@ class Replay:
 
     def __post_init__(self) -> None:
         """No agent is in the simulation yet."""
-        self._names = [f"{self.prefix}{row}" for row in range(len(self.traffic.ids))]
+        self.names = [f"r{row}" for row in range(len(self.traffic.ids))]
         self.take(self.traffic)
 
     def take(self, traffic: Traffic) -> None:
@@ -68,18 +67,19 @@ class Replay:
         rows = self._here[0]
         xy, angle = sumo_poses(
             self.traffic.position[:, 0] - back * self.step_s * self.traffic.velocity[:, 0],
-            self.traffic.heading[:, 0], self.traffic.length_m,
-        )  # fmt: skip
+            self.traffic.heading[:, 0],
+            self.traffic.length_m,
+        )
         self._add([row for row in rows if row not in self._in])
         self.simulation.place_all(
-            [(self._names[row], float(xy[row, 0]), float(xy[row, 1]), float(angle[row]), None) for row in rows]
+            [(self.names[row], float(xy[row, 0]), float(xy[row, 1]), float(angle[row]), None) for row in rows]
         )
         self._placed += 1
 
     def _add(self, rows: list[int]) -> None:
         for row in rows:
             self.simulation.add_replayed(
-                self._names[row], length_m=float(self.traffic.length_m[row]), width_m=float(self.traffic.width_m[row])
+                self.names[row], length_m=float(self.traffic.length_m[row]), width_m=float(self.traffic.width_m[row])
             )
             self._since[row] = self._placed
         self._in = set(rows) | self._in
@@ -91,7 +91,7 @@ class Replay:
         put on no lane, for to SUMO a vehicle on a lane has no width: it would brake for agents that stand beside. A
         new agent is not seen before SUMO knows its speed.
         """
-        rows, names = self._here[step], self._names
+        rows, names = self._here[step], self.names
         here = set(rows)
         if here != self._in:
             for row in sorted(self._in - here):
@@ -108,7 +108,7 @@ class Replay:
         if not self.checked:
             return
         rows, before = np.array([row for row in self._here[step] if row < self.checked], dtype=np.int64), self.errors
-        found = self.simulation.poses([self._names[row] for row in rows])
+        found = self.simulation.poses([self.names[row] for row in rows])
         there = rows[[pose is not None for pose in found]]
         poses = np.array([pose for pose in found if pose is not None]).reshape(-1, 3)
         center, heading = box_poses(poses[:, :2], poses[:, 2], self.traffic.length_m[there])
@@ -117,7 +117,3 @@ class Replay:
         most_m = float(off.max(initial=before.max_position_error_m))
         most_rad, lost = float(turned.max(initial=before.max_heading_error_rad)), rows.size - there.size
         self.errors = ReplayErrors(before.states + there.size, most_m, most_rad, before.lost + lost)
-
-    def name(self, row: int) -> str:
-        """Id in the simulation."""
-        return self._names[row]

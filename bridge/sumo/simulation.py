@@ -31,11 +31,9 @@ _NEVER_S = 1000.0  # longer than any scene
 _NET, _START, _TYPES = "scene.net.xml", "start.xml", "types.add.xml"
 _DRIVEN = "driven"
 #: What of a vehicle type libsumo sets while it runs: names, so that a file in its place is found where it is used.
-_SETTERS = {
-    "accel": "setAccel", "decel": "setDecel", "emergencyDecel": "setEmergencyDecel", "tau": "setTau",
-    "minGap": "setMinGap", "maxSpeed": "setMaxSpeed", "speedFactor": "setSpeedFactor",
-    "speedDev": "setSpeedDeviation", "sigma": "setImperfection",
-}  # fmt: skip
+_SAME = ("accel", "decel", "emergencyDecel", "tau", "minGap", "maxSpeed", "speedFactor")
+_SETTERS = {name: f"set{name[0].upper()}{name[1:]}" for name in _SAME}
+_SETTERS |= {"speedDev": "setSpeedDeviation", "sigma": "setImperfection"}
 
 
 class Simulation:
@@ -61,7 +59,6 @@ class Simulation:
         self._types: set[str] = set()
         self._routes = 0
         self._beside: tempfile.TemporaryDirectory[str] | None = None
-        self._fresh = True
 
     def __enter__(self) -> Self:
         """Start SUMO."""
@@ -100,11 +97,9 @@ class Simulation:
 
     def rewind(self) -> None:
         """Back to the empty net at the start, as after a fresh start, but without loading the net again."""
-        if self._fresh or self._beside is None:
-            return
+        assert self._beside is not None
         libsumo.simulation.loadState(f"{self._beside.name}/{_START}")
         self._types.clear()
-        self._fresh = True
 
     @staticmethod
     def version() -> str:
@@ -113,7 +108,16 @@ class Simulation:
 
     def add_replayed(self, vehicle_id: str, *, length_m: float, width_m: float) -> None:
         """Add a vehicle that is placed by hand at every step from now on."""
-        libsumo.vehicle.add(vehicle_id, "replay", typeID=self._type("replay", length_m, width_m), depart="now")
+        type_id = f"replay_{length_m:.3f}_{width_m:.3f}"
+        if type_id not in self._types:
+            libsumo.vehicletype.copy("DEFAULT_VEHTYPE", type_id)
+            libsumo.vehicletype.setLength(type_id, length_m)
+            libsumo.vehicletype.setWidth(type_id, width_m)
+            libsumo.vehicletype.setSpeedDeviation(type_id, 0.0)  # replayed agents draw no random numbers from others
+            libsumo.vehicletype.setVehicleClass(type_id, "ignoring")  # recorded agents are where they are, on any lane
+            libsumo.vehicletype.setActionStepLength(type_id, _NEVER_S)  # SUMO need not think about where they would go
+            self._types.add(type_id)
+        libsumo.vehicle.add(vehicle_id, "replay", typeID=type_id, depart="now")
 
     def place_all(self, poses: Sequence[tuple[str, float, float, float, tuple[str, int] | None]]) -> None:
         """Put replayed vehicles' front bumpers at their exact poses for the coming step.
@@ -198,7 +202,9 @@ class Simulation:
         for attribute, value in of_driver.items():
             if attribute in _SETTERS:  # others are those of the type that is copied
                 getattr(libsumo.vehicletype, _SETTERS[attribute])(type_id, value)
-        libsumo.vehicle.add(vehicle_id, self._route(edges), typeID=type_id, depart="now", **departs)
+        self._routes += 1
+        libsumo.route.add(f"route_{self._routes}", list(edges))
+        libsumo.vehicle.add(vehicle_id, f"route_{self._routes}", typeID=type_id, depart="now", **departs)
         libsumo.vehicle.setLaneChangeMode(vehicle_id, self._change_mode)
         libsumo.vehicle.setSpeedMode(vehicle_id, _SAFE_SPEED)
 
@@ -231,7 +237,6 @@ class Simulation:
 
     def step(self) -> None:
         """One step of step_s."""
-        self._fresh = False
         libsumo.simulationStep()
 
     def driven(self) -> frozenset[str]:
@@ -256,21 +261,3 @@ class Simulation:
     def lane(self, vehicle_id: str) -> tuple[str, float]:
         """SUMO lane id and position of the front bumper on it, m."""
         return libsumo.vehicle.getLaneID(vehicle_id), float(libsumo.vehicle.getLanePosition(vehicle_id))
-
-    def _route(self, edges: Sequence[str]) -> str:
-        self._routes += 1
-        route_id = f"route_{self._routes}"
-        libsumo.route.add(route_id, list(edges))
-        return route_id
-
-    def _type(self, prefix: str, length_m: float, width_m: float) -> str:
-        type_id = f"{prefix}_{length_m:.3f}_{width_m:.3f}"
-        if type_id not in self._types:
-            libsumo.vehicletype.copy("DEFAULT_VEHTYPE", type_id)
-            libsumo.vehicletype.setLength(type_id, length_m)
-            libsumo.vehicletype.setWidth(type_id, width_m)
-            libsumo.vehicletype.setSpeedDeviation(type_id, 0.0)  # replayed agents draw no random numbers from others
-            libsumo.vehicletype.setVehicleClass(type_id, "ignoring")  # recorded agents are where they are, on any lane
-            libsumo.vehicletype.setActionStepLength(type_id, _NEVER_S)  # SUMO need not think about where they would go
-            self._types.add(type_id)
-        return type_id

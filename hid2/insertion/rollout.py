@@ -300,10 +300,10 @@ class World:
         grid, front = self.scene.grid, float(onto.s[0]) + 0.5 * start.size.length_m
         segment = next((one for one in left.followed if one.end > front), left.followed[-1])
         cell = grid.cell_at(segment.lane_id, segment.lane_s(front))
-        if (link := grid.lateral(cell, side)) is None:
+        if (facing := grid.lateral(cell, side)) is None:
             return onto
-        off = grid.edges_s(link.target.lane_id)[cell.index] - grid.edges_s(cell.lane_id)[cell.index]
-        there = onto.path.s_on(link.target.lane_id, segment.lane_s(front) + float(off), after=float(onto.s[0]))
+        off = grid.edges_s(facing.lane_id)[cell.index] - grid.edges_s(cell.lane_id)[cell.index]
+        there = onto.path.s_on(facing.lane_id, segment.lane_s(front) + float(off), after=float(onto.s[0]))
         if there is None:
             return onto
         own = onto.s + (there - front)

@@ -244,24 +244,3 @@ def shown_ahead(
             size += 1
     shown = found[:size].copy()
     return shown, behind[shown], middle[shown]
-
-
-@kernel("(f8[:,::1], f8[:,::1], i8[::1], i8[::1], i8, i8, f8[::1], f8)")
-def deep_inside(
-    low: FloatArray, high: FloatArray, agents: IntArray, first: IntArray, count: int, step: int, s: FloatArray,
-    deep: float,
-) -> tuple[IntArray, IntArray]:  # fmt: skip
-    """Pairs (M,) of vehicles and those of the first `count` agents with boxes deep inside each other at a step.
-
-    low, high, agents, first: as in `shown_ahead`; s (N,) m at that step, NaN for those not there. deep: m along the
-    path to where they are clear of each other, at least.
-    """
-    vehicles, others = np.empty(agents.size, dtype=np.int64), np.empty(agents.size, dtype=np.int64)
-    size = 0
-    for vehicle in range(s.size):
-        at = s[vehicle]
-        for row in range(first[vehicle], first[vehicle + 1]):
-            if agents[row] < count and low[row, step] + deep < at < high[row, step] - deep:
-                vehicles[size], others[size] = vehicle, agents[row]
-                size += 1
-    return vehicles[:size].copy(), others[:size].copy()

@@ -26,7 +26,7 @@ from bridge.evaluation.resimulate import MODELS, Plan, Resimulation, resimulate_
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
 from bridge.sumo.poses import front_arc_m, sumo_poses
-from bridge.sumo.routes import edges_along
+from bridge.sumo.steering import edges_along
 from hid2.evaluation.likelihood import LAST, NOW, beyond_edge, features
 from hid2.evaluation.resimulated import begin, own_path
 from hid2.params import Config

@@ -15,8 +15,7 @@ from typing import Any
 import pytest
 
 from bridge.config import config_from_dict
-from bridge.recordings.corridor import write_road
-from bridge.recordings.road import read_road
+from bridge.recordings.road import read_road, write_road
 from bridge.recordings.sources import read_recording
 from bridge.studies.road_traffic import RoadTraffic
 

@@ -35,8 +35,8 @@ from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
 from bridge.sumo.poses import front_arc_m, sumo_poses
-from bridge.sumo.routes import edges_along
 from bridge.sumo.simulation import Simulation
+from bridge.sumo.steering import edges_along
 from hid2.params import Config, Request
 from hid2.scene import Scene
 

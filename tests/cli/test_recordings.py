@@ -159,7 +159,7 @@ def test_what_cannot_be_read_is_quarantined_and_its_bundle_says_the_same(
     result = hid2("generate", copy, "-o", out, "--window", 3)
     assert result.returncode == 1
     reasons = {row["reason"] for row in rows(out).values()}
-    assert any("no track of OBJECT_TYPE AGENT" in reason for reason in reasons)
+    assert any("no tracks of OBJECT_TYPE AGENT" in reason for reason in reasons)
     assert any("city_SE3_egovehicle.feather: no such file" in reason for reason in reasons)
     assert list(out.rglob("*.parquet")) == []
     for bundle, said in (("val/argoverse1-val-7", "OBJECT_TYPE AGENT"), ("test/", "no such file")):

@@ -122,9 +122,8 @@ def test_grid_topology_has_longitudinal_lateral_and_inter_lane_links() -> None:
     })  # fmt: skip
     grid = build_cell_grid(graph, cell_m=DELTA_S)
     assert grid.longitudinal(Cell(1, 0)) == Cell(1, 1)
-    link = grid.lateral(Cell(1, 1), "left")
-    assert link is not None
-    assert (link.target, link.allowed) == (Cell(2, 1), True)
+    assert grid.lateral(Cell(1, 1), "left") == Cell(2, 1)
+    assert graph.may_change(1, "left")
     assert grid.following(Cell(1, 1)) == (Cell(3, 0), Cell(4, 0))
 
 

@@ -98,14 +98,12 @@ def test_neighbours_have_equally_many_cells_that_face_each_other(real_scene: Pat
     grid = build_cell_grid(read_source_map(_map_path(real_scene)))
     for cell in grid.cells:
         for side, other in (("left", "right"), ("right", "left")):
-            link = grid.lateral(cell, side)
-            if link is None:
+            facing = grid.lateral(cell, side)
+            if facing is None:
                 assert grid.graph.neighbor(cell.lane_id, side) is None
                 continue
-            assert link.target == (grid.graph.neighbor(cell.lane_id, side), cell.index)
-            back = grid.lateral(link.target, other)
-            assert back is not None
-            assert back.target == cell
+            assert facing == (grid.graph.neighbor(cell.lane_id, side), cell.index)
+            assert grid.lateral(facing, other) == cell
 
 
 @pytest.mark.parametrize("cell_m", [4.0, 2.5])
@@ -115,7 +113,7 @@ def test_the_net_has_every_lane_on_its_centreline_and_every_link_or_its_reason(
     report = convert(real_scene, tmp_path, cell_m=cell_m)
     assert report.lanes == report.lanes_in_net > 0
     assert report.largest_distance_m <= 0.01
-    assert report.successors_kept + sum(link.kind == "successor" for link in report.lost) == report.successors
-    assert report.neighbors_kept + sum(link.kind != "successor" for link in report.lost) == report.neighbors
+    assert sum(link.kind == "successor" for link in report.lost) == report.links["successor", "lost"]
+    assert sum(link.kind != "successor" for link in report.lost) == report.links["neighbor", "lost"]
     assert UNEXPLAINED not in {link.reason for link in report.lost}
     assert {link.reason for link in report.lost} == {"the other lane is outside the map"}

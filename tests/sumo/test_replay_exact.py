@@ -16,7 +16,7 @@ def _replay(folder: Path, tmp_path: Path) -> tuple[ReplayErrors, int]:
     net.write_bytes(prepare(scenario, Config()).net(Config()))
     traffic = traffic_of(scenario.tracks, scenario.num_steps, step_s=scenario.step_s)
     with Simulation(net.read_bytes(), seed=0, step_s=scenario.step_s) as simulation:
-        replay = Replay(simulation, traffic, "r", step_s=scenario.step_s)
+        replay = Replay(simulation, traffic, step_s=scenario.step_s)
         for step in range(scenario.num_steps):
             replay.place(step, {})
             simulation.step()

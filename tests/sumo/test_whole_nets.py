@@ -14,7 +14,7 @@ from bridge.recordings.sources import read_recording
 from bridge.sumo import net as nets
 from bridge.sumo.net import convert, convert_whole, sumo_program
 from netconvert.errors import ConfigError, SimulationError
-from netconvert.geo import CITY_ORIGINS
+from netconvert.net_xml import CITY_ORIGINS
 from netconvert.roads import roads_of
 
 

@@ -7,7 +7,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from netconvert.cells import Cell, CellGrid, LateralLink, build_cell_grid
+from netconvert.cells import Cell, CellGrid, build_cell_grid
 from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
 
 Lane = Callable[..., LaneSegment]
@@ -71,9 +71,9 @@ def test_inter_lane_links_leave_from_the_last_cell(two_lanes: CellGrid) -> None:
     assert two_lanes.following(Cell(1, 3)) == ()
 
 
-def test_lateral_links_face_each_other_and_say_whether_the_marking_allows_a_change(two_lanes: CellGrid) -> None:
-    assert two_lanes.lateral(Cell(1, 2), "left") == LateralLink(Cell(2, 2), allowed=False)
-    assert two_lanes.lateral(Cell(2, 2), "right") == LateralLink(Cell(1, 2), allowed=True)
+def test_lateral_links_face_each_other(two_lanes: CellGrid) -> None:
+    assert two_lanes.lateral(Cell(1, 2), "left") == Cell(2, 2)
+    assert two_lanes.lateral(Cell(2, 2), "right") == Cell(1, 2)
     assert two_lanes.lateral(Cell(2, 2), "left") is None
     assert two_lanes.lateral(Cell(3, 0), "right") is None
 
@@ -122,7 +122,7 @@ def test_a_split_of_three_lanes_keeps_the_pair_that_is_not_skewed(lane: Lane, gr
             lane(3, [(12, 8), (32, 8)], right=2),
         )
     )
-    assert grid.lateral(Cell(1, 0), "left") == LateralLink(Cell(2, 0), allowed=True)
+    assert grid.lateral(Cell(1, 0), "left") == Cell(2, 0)
     assert grid.lateral(Cell(2, 0), "left") is None
     assert grid.sumo_lane_id(Cell(3, 0)) == "3#0_0"
 
@@ -135,7 +135,7 @@ def test_facing_cells_get_lengths_that_one_length_can_stand_for(
     lanes = graph(lane(1, [(0, 0), (12.5, 0)], left=2), lane(2, [(0, 4), (10, 4)], right=1))
     grid = build_cell_grid(lanes, saved_within_m=within_m)
     assert grid.count(1) == grid.count(2) == count
-    assert grid.lateral(Cell(1, 0), "left") == LateralLink(Cell(2, 0), allowed=True)
+    assert grid.lateral(Cell(1, 0), "left") == Cell(2, 0)
 
 
 def test_lanes_are_split_apart_where_cells_would_be_tiny(lane: Lane, graph: Graph) -> None:
@@ -148,7 +148,7 @@ def test_lanes_are_split_apart_where_cells_would_be_tiny(lane: Lane, graph: Grap
     grid = build_cell_grid(lanes, saved_within_m=0.2)
     assert grid.count(1) == 2
     assert grid.lateral(Cell(1, 0), "left") is None
-    assert grid.lateral(Cell(2, 0), "left") == LateralLink(Cell(3, 0), allowed=True)
+    assert grid.lateral(Cell(2, 0), "left") == Cell(3, 0)
     assert {link.reason for link in grid.lost_links} == {"the lanes differ too much in length for one edge"}
 
 

@@ -32,8 +32,8 @@ def test_the_report_counts_what_is_in_the_net(road: LaneGraph) -> None:
     assert (report.lanes, report.lanes_in_net) == (4, 4)
     # Lanes 1 (12.04 m) and 2 in 4 cells each, lane 3 in 3, lane 4 in 2; the first two share edges.
     assert (report.cells, report.edges) == (13, 9)
-    assert (report.successors_kept, report.successors) == (1, 2)
-    assert (report.neighbors_kept, report.neighbors, report.oncoming) == (2, 3, 2)
+    links = {("successor", "kept"): 1, ("successor", "lost"): 1, ("neighbor", "kept"): 2, ("neighbor", "lost"): 1}
+    assert report.links == links | {("neighbor", "oncoming"): 2}
     assert report.largest_distance_m <= 0.001
     assert {(link.kind, link.source, link.target, link.reason) for link in report.lost} == {
         ("successor", 1, 9, "the other lane is outside the map"),

@@ -8,8 +8,8 @@ from hand_drawn import draw_lane
 from lxml import etree
 
 from netconvert.errors import NetError
-from netconvert.geo import CITY_ORIGINS
 from netconvert.lane_graph import LaneGraph, LaneSegment
+from netconvert.net_xml import CITY_ORIGINS
 from netconvert.opendrive import opendrive_bytes
 
 _lane = partial(draw_lane, left_mark="NONE", right_mark="SOLID_WHITE")

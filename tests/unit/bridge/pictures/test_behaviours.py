@@ -8,7 +8,7 @@ from bridge.batch.manifest import ManifestRow
 from bridge.batch.scan import SceneFacts
 from bridge.pictures import figures
 from bridge.recordings.sidecar import ManeuverKind
-from bridge.sumo.playback import GUI_FACES
+from bridge.sumo.exchange import GUI_FACES
 from hid2.policy.behaviours import BEHAVIOURS
 
 

@@ -21,7 +21,7 @@ from written import write_scene
 
 from bridge.config import load_config
 from bridge.recordings import export
-from bridge.recordings.export import new_scenario_id, parquet_bytes, scene_table
+from bridge.recordings.export import new_scenario_id, parquet_bytes, with_generated
 from bridge.recordings.scenario import Scenario, read_scenario
 from netconvert.errors import ExportError
 
@@ -106,8 +106,8 @@ def test_columns_the_source_lacks_are_not_invented(
     folder = copy_scene()
     edit_rows(folder, lambda rows: rows.drop(columns=["map_id", "slice_id"]))
     scenario = read_scenario(folder)
-    tracks, _, new_id = fake_generated(scenario)
-    table = scene_table(scenario, tracks, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    tracks, sidecar, new_id = fake_generated(scenario)
+    table = with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=scenario.focal_track_id).table
     assert table.schema.names == scenario.table.schema.names
     assert "map_id" not in table.schema.names
 
@@ -118,8 +118,8 @@ def test_columns_of_the_sources_own_are_kept(
     folder = copy_scene()
     edit_rows(folder, lambda rows: rows.assign(note="seen"))
     scenario = read_scenario(folder)
-    tracks, _, new_id = fake_generated(scenario)
-    table = scene_table(scenario, tracks, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    tracks, sidecar, new_id = fake_generated(scenario)
+    table = with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=scenario.focal_track_id).table
     notes = table.column("note").to_pylist()
     assert set(notes[: scenario.table.num_rows]) == {"seen"}
     assert set(notes[scenario.table.num_rows :]) == {None}
@@ -138,8 +138,8 @@ def test_recorded_rows_are_kept_to_the_last_bit(
 
     edit_rows(folder, change)
     scenario = read_scenario(folder)
-    tracks, _, new_id = fake_generated(scenario)
-    table = scene_table(scenario, tracks, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    tracks, sidecar, new_id = fake_generated(scenario)
+    table = with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=scenario.focal_track_id).table
     for name in set(table.schema.names) - {"scenario_id"}:
         ours, source = table.column(name)[: scenario.table.num_rows], scenario.table.column(name)
         if pa.types.is_floating(ours.type):
@@ -149,8 +149,8 @@ def test_recorded_rows_are_kept_to_the_last_bit(
 
 
 def test_a_generated_focal_track_demotes_the_recorded_one(scenario: Scenario, fake_generated: Fake) -> None:
-    tracks, _, new_id = fake_generated(scenario)
-    rows = scene_table(scenario, tracks, new_id=new_id, focal_track_id="gen_1").to_pandas()
+    tracks, sidecar, new_id = fake_generated(scenario)
+    rows = with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id="gen_1").table.to_pandas()
     assert set(rows.focal_track_id) == {"gen_1"}
     assert set(rows[rows.object_category == 3].track_id) == {"gen_1"}
     assert set(rows[rows.track_id == scenario.focal_track_id].object_category) == {2}
@@ -289,18 +289,18 @@ def test_an_output_that_is_a_file_is_said(scenario: Scenario, fake_generated: Fa
 
 
 def test_a_generated_track_with_the_id_of_a_recorded_one_is_refused(scenario: Scenario, fake_generated: Fake) -> None:
-    tracks, _, new_id = fake_generated(scenario)
+    tracks, sidecar, new_id = fake_generated(scenario)
     tracks[1] = replace(tracks[1], track_id="AV")
     with pytest.raises(ExportError, match="'AV': the id is taken"):
-        scene_table(scenario, tracks, new_id=new_id, focal_track_id=scenario.focal_track_id)
+        with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=scenario.focal_track_id)
 
 
 def test_bytes_do_not_depend_on_how_the_source_was_chunked(scenario: Scenario, fake_generated: Fake) -> None:
-    tracks, _, new_id = fake_generated(scenario)
+    tracks, sidecar, new_id = fake_generated(scenario)
     half = scenario.table.num_rows // 2
     chunked = replace(scenario, table=pa.concat_tables([scenario.table[:half], scenario.table[half:]]))
     tables = [
-        scene_table(scene, tracks, new_id=new_id, focal_track_id=scenario.focal_track_id)
+        with_generated(scene, tracks, sidecar, new_id=new_id, focal_track_id=scenario.focal_track_id).table
         for scene in (scenario, chunked)
     ]
     assert parquet_bytes(tables[0]) == parquet_bytes(tables[1])

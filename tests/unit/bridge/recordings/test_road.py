@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.recordings.corridor import write_road
-from bridge.recordings.road import Road, read_road
+from bridge.recordings.road import Road, read_road, write_road
 from bridge.recordings.sources import read_recording
 from netconvert.errors import ConfigError
 

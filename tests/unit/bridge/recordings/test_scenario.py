@@ -306,10 +306,13 @@ def _scored_focal(rows: pd.DataFrame) -> pd.DataFrame:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (_set("position_x", np.nan), "track 'AV', timestep 7: position_x is null or NaN, expected double"),
+        (
+            _set("position_x", np.nan),
+            r"row \d+ \(track_id 'AV', timestep 7\): position_x is null or NaN, expected double",
+        ),
         (_set("position_y", np.inf), "track 'AV', timestep 7: position_y is inf"),
-        (_set("heading", np.nan), "track 'AV', timestep 7: heading is null or NaN"),
-        (_set("velocity_y", np.nan), "track 'AV', timestep 7: velocity_y is null or NaN"),
+        (_set("heading", np.nan), r"row \d+ \(track_id 'AV', timestep 7\): heading is null or NaN"),
+        (_set("velocity_y", np.nan), r"row \d+ \(track_id 'AV', timestep 7\): velocity_y is null or NaN"),
         (_set("timestep", 8), "track 'AV', timestep 8: more than one row, expected one"),
         (_set("timestep", 110, 109), "track 'AV', timestep 110: expected timesteps 0 to 109"),
         (_set("timestep", -1, 0), "track 'AV', timestep -1: expected timesteps 0 to 109"),

@@ -13,10 +13,10 @@ from written import write_scene
 
 from bridge.batch.validation import validate_folder
 from bridge.config import config_sha256, config_to_dict
+from bridge.recordings.argoverse1 import INSERTED, sequence_bytes, write_sequence
 from bridge.recordings.export import new_scenario_id, recording_record_of
 from bridge.recordings.folders import sequence_path
 from bridge.recordings.recording import Recording
-from bridge.recordings.sequence import INSERTED, sequence_bytes, write_sequence
 from bridge.recordings.sidecar import (
     AgentRecord,
     GeneratorRecord,

@@ -9,7 +9,7 @@ import pytest
 
 from bridge.generation.gaps import gap_rows
 from bridge.generation.generate import prepare
-from bridge.recordings.corridor import write_corridor
+from bridge.recordings.road import write_corridor
 from bridge.recordings.scenario import read_scenario
 from bridge.studies.gap_acceptance import critical_gap, gaps_of
 from bridge.studies.paired import Drawn, PairedRun, draw, drawing_config, paired_run

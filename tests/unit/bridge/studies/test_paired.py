@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bridge.generation.generate import generate, prepare
-from bridge.recordings.corridor import write_corridor
+from bridge.recordings.road import write_corridor
 from bridge.recordings.scenario import read_scenario
 from bridge.studies.paired import draw, drawing_config, paired_run
 from bridge.studies.study import Study, read_study

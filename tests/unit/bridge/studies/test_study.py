@@ -8,7 +8,7 @@ import pytest
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.config import config_sha256, load_config
 from bridge.generation.generate import generate
-from bridge.recordings.corridor import write_corridor
+from bridge.recordings.road import write_corridor
 from bridge.recordings.scenario import read_scenario
 from bridge.studies.study import RUN_FILE, read_study, tables
 from hid2.params import Flow

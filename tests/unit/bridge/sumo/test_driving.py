@@ -12,9 +12,8 @@ from inserted import CAR, DRIVER, driven, nobody, recorded, scene_on, start_on
 
 from bridge.sumo.driving import Driving
 from bridge.sumo.fleet import Fleet
-from bridge.sumo.routes import edges_along
 from bridge.sumo.simulation import Simulation
-from bridge.sumo.speed_limits import limits_of
+from bridge.sumo.steering import edges_along, limits_of
 from hid2.agents import BoxSize, Policy, Track
 from hid2.conflicts.stop_lines import StopLines
 from hid2.insertion.finalise import ExportedVehicle, finalise, traffic_of_exported
@@ -123,17 +122,6 @@ def test_vehicle_that_reaches_the_end_of_the_map_has_left(drive: Callable[..., D
     assert 50 < one.left_at < 70
 
 
-@pytest.mark.parametrize(("aside_m", "is_hit"), [(0.0, True), (0.5, True), (1.7, False), (3.5, False)])
-def test_who_is_run_into_is_taken_out_unless_its_place_in_the_lane_may_save_it(
-    aside_m: float, is_hit: bool, drive: Callable[..., Driving]
-) -> None:
-    """A recorded vehicle that does not brake comes from behind at 20 m/s: on the lane, half on it, on the next one."""
-    scene = scene_on(_two_lanes(), recorded(10.0, aside_m, 20.0))
-    (one,) = drive(scene, start_on(scene, (1,), 60.0, 8.0)).fleet.vehicles
-    assert (one.objection is Reason.MEETS_RECORDED) == is_hit
-    assert (len(one.s) < 60) == is_hit
-
-
 def _forks(length_m: float = 300.0) -> LaneGraph:
     """Lane 1 along the x axis; at x = 100 lane 2 goes straight on and lane 3 bears left."""
     ring = np.array([(-20.0, -60.0), (length_m + 20.0, -60.0), (length_m + 20.0, 60.0), (-20.0, 60.0), (-20.0, -60.0)])
@@ -201,11 +189,8 @@ def test_slower_leaders_of_all_kinds_are_followed(kind: str, drive: Callable[...
     assert np.mean(one.v[-10:]) < 5.5
 
 
-def test_who_is_not_shown_need_not_be_there(drive: Callable[..., Driving]) -> None:
-    """All recorded agents in SUMO, or only those who have to be shown: the same motion, to the last bit.
-
-    Somebody behind, somebody who parks beside, and somebody who crosses before anybody is near draw no random numbers.
-    """
+def test_motion_does_not_depend_on_whether_poses_are_compared(drive: Callable[..., Driving]) -> None:
+    """The same, to the last bit."""
     leader, behind, parked = recorded(85.0, 0.0, 6.0), recorded(5.0, 0.0, name="b"), recorded(140.0, 3.5, name="p")
     scene = scene_on(_two_lanes(), leader, behind, parked, recorded(250.0, -20.0, 10.0, heading=UP, name="c"))
     ways = [

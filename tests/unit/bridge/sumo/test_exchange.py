@@ -20,7 +20,7 @@ from bridge.recordings.sidecar import read_sidecar, sidecar_path
 from bridge.sumo.exchange import _rounded_down, sumo_files
 from bridge.sumo.poses import box_poses
 from netconvert.errors import ScenarioError
-from netconvert.geo import CITY_ORIGINS
+from netconvert.net_xml import CITY_ORIGINS
 
 _NAMES = {"austin": "ATX", "dearborn": "DTW", "miami": "MIA", "palo-alto": "PAO", "pittsburgh": "PIT"}
 _NAMES |= {"washington-dc": "WDC"}

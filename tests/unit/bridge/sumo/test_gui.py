@@ -19,7 +19,7 @@ from lxml import etree
 from bridge.exports.export import export_scene
 from bridge.pictures.figures import kinds_in
 from bridge.recordings.scenario import read_scenario
-from bridge.sumo.playback import rgb
+from bridge.sumo.exchange import rgb
 from hid2.agents import Policy
 from netconvert.errors import ConfigError, SimulationError
 
@@ -150,7 +150,7 @@ def assert_shows_the_scene(picture, folder):
 def test_gui_plays_the_scene_and_takes_a_picture(made_scene, tmp_path, screen, step):
     """Also of the last step, which stays: every vehicle that is there then is drawn."""
     picture = tmp_path / "deep" / "gui.png"
-    code = "import sys; from pathlib import Path; from bridge.sumo.gui import play_scene; "
+    code = "import sys; from pathlib import Path; from bridge.sumo.exchange import play_scene; "
     code += f"print(play_scene(Path(sys.argv[1]), screenshot=Path(sys.argv[2]), step={step}))"
     result = subprocess.run(
         [sys.executable, "-c", code, made_scene, picture], capture_output=True, text=True, timeout=300, env=screen
@@ -161,7 +161,7 @@ def test_gui_plays_the_scene_and_takes_a_picture(made_scene, tmp_path, screen, s
 
 
 def test_without_a_display_the_reason_is_said(made_scene, monkeypatch):
-    from bridge.sumo.gui import play_scene
+    from bridge.sumo.exchange import play_scene
 
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
@@ -173,7 +173,7 @@ def test_without_a_display_the_reason_is_said(made_scene, monkeypatch):
 def test_a_map_that_begins_with_a_bicycle_lane_is_played_too(real_scene, tmp_path, screen):
     """Cars cannot enter on the first edge of this map's net, in the order of its names."""
     picture = tmp_path / "gui.png"
-    code = "import sys; from pathlib import Path; from bridge.sumo.gui import play_scene; "
+    code = "import sys; from pathlib import Path; from bridge.sumo.exchange import play_scene; "
     code += "play_scene(Path(sys.argv[1]), screenshot=Path(sys.argv[2]))"
     result = subprocess.run(
         [sys.executable, "-c", code, real_scene, picture], capture_output=True, text=True, timeout=300, env=screen
@@ -215,7 +215,7 @@ def test_inserted_and_focal_vehicles_show_their_ids(playable, made_scene):
 
 
 def test_step_that_the_scene_does_not_have_is_named(made_scene, monkeypatch):
-    from bridge.sumo.gui import play_scene
+    from bridge.sumo.exchange import play_scene
 
     monkeypatch.setenv("DISPLAY", ":0")  # nothing is shown yet
     with pytest.raises(ConfigError, match=r"timestep 500 is out of range \(0-109\)"):

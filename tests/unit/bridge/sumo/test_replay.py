@@ -68,7 +68,7 @@ def _run(net: Path, *replays: Callable[[Simulation], Replay]) -> list[Replay]:
 
 
 def test_every_state_is_replayed_exactly_and_nobody_is_lost(net: Path) -> None:
-    (replay,) = _run(net, lambda sumo: Replay(sumo, _traffic(), "r", step_s=0.1))
+    (replay,) = _run(net, lambda sumo: Replay(sumo, _traffic(), step_s=0.1))
     assert replay.errors.states == 5 * STEPS
     assert replay.errors.lost == 0
     assert replay.errors.max_position_error_m < 1e-6
@@ -80,32 +80,20 @@ def test_agents_come_late_leave_early_and_come_back(net: Path) -> None:
     traffic = _traffic().rows([0, 1])
     present = np.zeros((2, STEPS), dtype=bool)
     present[0, :5] = present[0, 10:15] = present[1, -1] = True
-    (replay,) = _run(net, lambda sumo: Replay(sumo, replace(traffic, present=present), "r", step_s=0.1))
+    (replay,) = _run(net, lambda sumo: Replay(sumo, replace(traffic, present=present), step_s=0.1))
     assert (replay.errors.states, replay.errors.lost) == (11, 0)
     assert replay.errors.max_position_error_m < 1e-6
 
 
-def test_two_replays_share_a_simulation(net: Path) -> None:
-    """Recorded agents and generated ones of earlier rounds, told apart by their prefix."""
-    traffic = _traffic()
-    first, second = _run(
-        net,
-        lambda sumo: Replay(sumo, traffic.rows([0, 1]), "r", step_s=0.1),
-        lambda sumo: Replay(sumo, traffic.rows([2, 3, 4]), "f", step_s=0.1),
-    )
-    assert (first.errors.states, second.errors.states) == (2 * STEPS, 3 * STEPS)
-    assert max(first.errors.max_position_error_m, second.errors.max_position_error_m) < 1e-6
-
-
 def test_nobody_to_replay_is_no_error(net: Path) -> None:
-    (replay,) = _run(net, lambda sumo: Replay(sumo, _traffic().rows([]), "r", step_s=0.1))
+    (replay,) = _run(net, lambda sumo: Replay(sumo, _traffic().rows([]), step_s=0.1))
     assert (replay.errors.states, replay.errors.lost) == (0, 0)
 
 
 def test_deviation_is_measured(net: Path) -> None:
     """The check itself: states that were moved by 0.25 m behind its back are told as such."""
     with Simulation(net.read_bytes(), seed=0, step_s=0.1) as simulation:
-        replay = Replay(simulation, _traffic(), "r", step_s=0.1)
+        replay = Replay(simulation, _traffic(), step_s=0.1)
         replay.place(0, {})
         simulation.place_all([("r3", 70.0 + 5.5 + 0.25, 0.4, 90.0, None)])
         simulation.step()
@@ -119,7 +107,7 @@ def test_vehicle_follows_only_who_it_is_shown(net: Path, seen: bool, slowest: tu
     standing = _traffic().rows([3])
     standing.position[..., 1] = 1.9
     with Simulation(net.read_bytes(), seed=0, step_s=0.1, model="Krauss") as sumo:
-        replay = Replay(sumo, standing, "r", step_s=0.1)
+        replay = Replay(sumo, standing, step_s=0.1)
         speeds = []
         for step in range(STEPS):
             replay.place(step, {0: ("1#16", 0)} if seen else {})
@@ -143,7 +131,7 @@ def test_speed_of_a_leader_is_known_from_the_first_step_on(net: Path) -> None:
     moving = _traffic().rows([0])
     moving.velocity[..., 0] = 9.0
     with Simulation(net.read_bytes(), seed=0, step_s=0.1) as sumo:
-        replay = Replay(sumo, moving, "r", step_s=0.1)
+        replay = Replay(sumo, moving, step_s=0.1)
         for back in (2, 1):
             replay.warm_up(back)
             sumo.step()

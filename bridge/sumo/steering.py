@@ -1,0 +1,239 @@
+"""What vehicles are told at a step: limits where SUMO is blind, another way, Algorithm 1's lane changes, leaders."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import NamedTuple
+
+import numpy as np
+
+from bridge.sumo.fleet import Fleet
+from bridge.sumo.simulation import Simulation
+from hid2.agents import FloatArray, IntArray, Policy
+from hid2.conflicts.guard import ACROSS_S, ACTS_MPS2, STRIDE, A, S
+from hid2.conflicts.stop_lines import STOPS
+from hid2.insertion.due import Across, Due, advance, foreseen_speeds
+from hid2.kernels.gaps import shown_ahead
+from hid2.kernels.steering import CAUSES, NO_LIMIT_MPS, speed_limits
+from hid2.motion.lane_change_path import lateral_share
+from hid2.motion.reference_line import TABLE_STEP_M
+from hid2.motion.route import DrivenPath, shifted_path
+from hid2.occupancy.shown import LEADS_FROM_M, SHOWN_M, STANDING_MPS
+from hid2.occupancy.traffic import BoolArray, Traffic
+from hid2.policy.lane_change import SumoAnswer
+from hid2.policy.overtake import Stage
+from hid2.policy.roads import STRAIGHT, ways_at_next_split
+from hid2.reasons import Reason
+from hid2.scene import Scene
+from netconvert.cells import Cell
+
+#: A vehicle that waits for a gap slows down so for those beside, m/s2, to this share of its desired speed. No tunables:
+#: what traffic behind does not notice.
+_LET_PASS_MPS2, _LET_PASS_SHARE = 0.7, 0.8
+_GAP = CAUSES.index("gap")
+#: Refusals of a gap in which waiting for those beside to go ahead helps.
+_LETS_PASS = frozenset({Reason.CELLS_OCCUPIED, Reason.FRONT_GAP})
+_FASTER_MPS = 0.05  # over the speed of the road on another way, with which it is still taken; no tunable: rounding
+_OFF_SHARE = 0.03  # no tunable: a tenth of a metre of a lane's width, before a way across is laid anew
+
+
+class Limits(NamedTuple):
+    """Of vehicles (M,) at a step, as the kernel `speed_limits` returns them."""
+
+    mps: FloatArray
+    cause: IntArray
+    policy: IntArray
+    waits_for: IntArray
+    yields: BoolArray
+    seeks: BoolArray
+
+
+def limits_of(fleet: Fleet, rows: IntArray, now: int) -> Limits:
+    """The lowest limit on the speed of the last of the vehicles that are `here` for the step after `now`.
+
+    The road's, the guard's (case 3, timing), and those of stop lines.
+    """
+    guard = fleet.guard
+    first, *along = fleet.along_ways(now)
+    return Limits(*speed_limits(
+        rows, now, fleet.state, fleet.desired_mps, fleet.drivers, fleet.yielding, STRAIGHT,
+        guard.horizon, STRIDE, fleet.scene.step_s, TABLE_STEP_M, guard.brakes,
+        guard.predicted, STOPS, guard.rules, first[-rows.size - 1 :], *along,
+    ))  # fmt: skip
+
+
+def let_pass(fleet: Fleet, row: int, now: int, limits: Limits, place: int) -> None:
+    """Where a vehicle waits for a gap, the limit at which it slows down for those beside, if that is the lowest."""
+    vehicle, step_s = fleet.vehicles[row], fleet.scene.step_s
+    if vehicle.stage is Stage.WAITING and vehicle.reason in _LETS_PASS:
+        desired, v = fleet.desired_mps[row, now], vehicle.v[-1]
+        slower = max(_LET_PASS_SHARE * desired, v - _LET_PASS_MPS2 * step_s)
+        if slower < desired - NO_LIMIT_MPS and (slower, _GAP) < (limits.mps[place], limits.cause[place]):
+            limits.mps[place], limits.cause[place] = slower, _GAP
+
+
+def edges_along(scene: Scene, path: DrivenPath, cell: Cell) -> tuple[str, ...] | None:
+    """SUMO edges from a cell on along the lanes of a path; None where the path does not use the cell's lane."""
+    lanes = [segment.lane_id for segment in path.segments]
+    if cell.lane_id not in lanes:
+        return None
+    grid, last = scene.grid, len(lanes) - 1 - lanes[::-1].index(cell.lane_id)  # an overtake comes back to its lane
+    cells = [Cell(cell.lane_id, index) for index in range(cell.index, grid.count(cell.lane_id))]
+    cells += [Cell(lane_id, index) for lane_id in lanes[last + 1 :] for index in range(grid.count(lane_id))]
+    return tuple(edge for edge, _ in groupby(map(grid.edge_id, cells)))
+
+
+def take_another_way(fleet: Fleet, simulation: Simulation, row: int, now: int) -> bool:
+    """Send a vehicle another way at the next split if no agent is met there (conflict case 3); whether it goes there.
+
+    Only one that is to go straight: another way is no longer the turn or the change of lanes that was asked for.
+    """
+    vehicle, way, scene = fleet.vehicles[row], fleet.ways[row], fleet.scene
+    if vehicle.policy is not Policy.STRAIGHT or way.reroute_tried:
+        return False
+    way.reroute_tried = True
+    s, v, a = fleet.state[row, S : A + 1].tolist()
+    cell = scene.grid.cell_of_sumo_lane.get(simulation.lane(vehicle.vehicle_id)[0])
+    if cell is None:
+        return False
+    for path in ways_at_next_split(scene, vehicle.path, s=s, from_m=s + vehicle.start.box.length_m):
+        at = path.all_to_line(vehicle.path.all_to_raw(np.array(vehicle.s)))
+        road = fleet.roads.speeds(path, vehicle.start.driver)
+        if v > road[min(int(at[-1] / TABLE_STEP_M), road.size - 1)] + _FASTER_MPS:
+            continue
+        found = fleet.braking(
+            row, path, now, state=(float(at[-1]), v, a), desired_mps=float(vehicle.start.desired[now])
+        )
+        edges = edges_along(scene, path, cell)
+        if found.conflict_s is None and found.decel_mps2 < ACTS_MPS2 and edges:
+            simulation.set_route(vehicle.vehicle_id, edges)
+            fleet.take_path(row, path, at)
+            vehicle.rerouted_at = now
+            return True
+    return False
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Attempt:
+    """A lane change that SUMO has been asked for at a step.
+
+    row: of the fleet; look: of the vehicle's gaps; lane: SUMO's name of the lane beside.
+    """
+
+    row: int
+    look: int
+    across: Across
+    lane: str
+
+
+def apply_policy(
+    fleet: Fleet, simulation: Simulation, row: int, now: int, traffic: Callable[[], Traffic], on_lane: Policy
+) -> Attempt | None:
+    """Algorithm 1 for one vehicle that may change lanes; returns the change that SUMO is asked for, None for none.
+
+    traffic: the fleet as it is now (one step); only a vehicle with a manoeuvre due asks for it. on_lane: what
+    Algorithm 1 comes to on its lane without one.
+    """
+    vehicle = fleet.vehicles[row]
+    due = advance(vehicle, fleet.scene, now)
+    if vehicle.stage in (Stage.ENTER, Stage.RETURN):
+        _keep_time(fleet, row, now)
+    if not due:  # nothing to be asked: it keeps to its lane, as `decide` says
+        vehicle.policies[on_lane] += 1
+        return None
+    fleet_now = traffic()
+    others = fleet_now.rows([other for other, one in enumerate(fleet_now.ids) if one != vehicle.vehicle_id])
+    scene, asked = fleet.scene, Due(fleet.scene, vehicle, now, fleet.fixed, others)
+    answer = simulation.lane_change_answer
+    asks = scene.config.lane_change.rule == "LC2013"
+    across = asked.decided((lambda side: SumoAnswer(*answer(vehicle.vehicle_id, side))) if asks else None)
+    if across is None:
+        return None
+    attempt = _asked(fleet, simulation, row, now, across)
+    if isinstance(attempt, Reason):
+        asked.refuse(attempt)
+        return None
+    return attempt
+
+
+def _keep_time(fleet: Fleet, row: int, now: int) -> None:
+    """Lay the way across anew where a vehicle is farther, or less far, than its driver would be by now."""
+    vehicle, step_s = fleet.vehicles[row], fleet.scene.step_s
+    motion = vehicle.path.lateral
+    assert motion is not None
+    since = len(vehicle.s) - 1 - (now - vehicle.shifts[-1].requested_step)
+    tau = np.concatenate([[0.0], np.cumsum(motion.timing.gained(np.array(vehicle.v[since + 1 :]), step_s))])
+    share = lateral_share(tau[-1:], motion.timing.ramp)[0]
+    if tau[-1] >= 1.0 or abs(share - motion.share_at(vehicle.s[-1])) < _OFF_SHARE:
+        return
+    driven = replace(motion, along_m=np.array(vehicle.s[since:]), tau=tau)
+    foreseen = driven.foreseen(foreseen_speeds(vehicle, fleet.scene, now), step_s)
+    path = shifted_path(foreseen, limits=fleet.scene.config.limits)
+    if path is not None:
+        fleet.take_path(row, path)
+
+
+def _asked(fleet: Fleet, simulation: Simulation, row: int, now: int, across: Across) -> Attempt | Reason:
+    """Look along the way across (conflict case 3), and ask SUMO; or the reason not to."""
+    scene, vehicle = fleet.scene, fleet.vehicles[row]
+    if "collision" not in scene.config.without and scene.config.lane_change.safety != "rule":
+        meets = fleet.braking(
+            row, across.path, now, state=(vehicle.s[-1], vehicle.v[-1], 0.0),
+            desired_mps=float(vehicle.start.desired[now]), horizon_s=ACROSS_S,
+        )  # fmt: skip
+        if meets.forbids(vehicle.start.driver):  # ordinary braking does not solve it
+            return Reason.CONFLICT_PREDICTED
+    cell = scene.grid.cell_of_sumo_lane.get(simulation.lane(vehicle.vehicle_id)[0])
+    if cell is None:
+        return Reason.OFF_ITS_LANE
+    facing = scene.grid.lateral(cell, across.shift.side)
+    if facing is None:
+        return Reason.NO_ADJACENT_LANE
+    edges = edges_along(scene, across.target, facing)
+    if edges is None:
+        return Reason.TARGET_NOT_BESIDE_FRONT
+    simulation.change_lane(vehicle.vehicle_id, scene.grid.lane_index(facing), edges=edges)
+    return Attempt(row, len(vehicle.gaps) - 1, across, scene.grid.sumo_lane_id(facing))
+
+
+def conclude(fleet: Fleet, simulation: Simulation, attempt: Attempt, lane: str) -> None:
+    """Take the new path if SUMO did change lanes; else its refusal is the answer, and the route is restored.
+
+    lane: on which SUMO has the vehicle now.
+    """
+    vehicle, scene = fleet.vehicles[attempt.row], fleet.scene
+    cell = scene.grid.cell_of_sumo_lane.get(lane)
+    beside = {segment.lane_id for segment in attempt.across.target.segments}
+    own = {segment.lane_id for segment in vehicle.path.segments if segment.end > vehicle.s[-1]}
+    changed = lane == attempt.lane or (cell is not None and cell.lane_id in beside - own)
+    vehicle.gaps[attempt.look] = replace(vehicle.gaps[attempt.look], sumo=changed)
+    if changed:
+        attempt.across.taken_by(vehicle)
+        fleet.take_path(attempt.row, attempt.across.path)
+        return
+    vehicle.reason = Reason.SUMO_REFUSES
+    edges = edges_along(scene, vehicle.path, cell) if cell is not None else None
+    if edges:
+        simulation.set_route(vehicle.vehicle_id, edges)
+
+
+def shown_at(fleet: Fleet, step: int) -> dict[int, tuple[str, int]]:
+    """Agents that SUMO's car following is shown: row (recorded, then kept) -> edge and lane index of its place there.
+
+    Those that reach into the driving width on the present way of some vehicle and move along it or stand.
+    Crossing agents are the guard's business: to SUMO they would appear out of nowhere.
+    """
+    seen: dict[int, tuple[str, int]] = {}
+    scene = fleet.scene
+    if "collision" in scene.config.without:
+        return seen
+    (known, first), length_m = fleet.on_ways, np.concatenate([scene.traffic.length_m, fleet.fixed.length_m])
+    found = shown_ahead(
+        known.low, known.high, known.along, known.same_direction, known.crossing, known.agents, first,
+        length_m, scene.traffic.position, fleet.fixed.position, step, fleet.along_m, fleet.centre, fleet.length_m,
+        (STANDING_MPS, LEADS_FROM_M, SHOWN_M),
+    )  # fmt: skip
+    for agent, row, middle in zip(*(column.tolist() for column in found), strict=True):
+        cell = scene.cell_at(fleet.vehicles[row].path, middle)
+        seen[agent] = scene.grid.edge_id(cell), scene.grid.lane_index(cell)
+    return seen
