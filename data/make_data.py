@@ -119,7 +119,7 @@ def sideways(base: Path2d, offset: Callable[[FloatArray], FloatArray] | float) -
 
 
 @dataclass
-class Scene:
+class SceneDraft:
     """A scene in the making. height_m: ground height at local points (N, 2); turn and origin lead to the city frame.
 
     lanes: fields of the format by name, in local coordinates, with names of lanes for ids; agents: local.
@@ -250,7 +250,7 @@ def _uuid(name: str) -> str:
     return str(uuid.uuid5(uuid.NAMESPACE_URL, f"hid2-sumo/data/{name}"))
 
 
-def map_json(scene: Scene) -> bytes:
+def map_json(scene: SceneDraft) -> bytes:
     """log_map_archive_<id>.json."""
 
     def points(xy: FloatArray, *, flat: bool = False) -> list[dict[str, float]]:
@@ -281,7 +281,7 @@ def map_json(scene: Scene) -> bytes:
     return json.dumps(document).encode()
 
 
-def scenario_parquet(scene: Scene) -> bytes:
+def scenario_parquet(scene: SceneDraft) -> bytes:
     """scenario_<id>.parquet; the last agent is the AV, the one of category 3 is focal."""
     tracks = [
         replace(
@@ -302,9 +302,9 @@ def scenario_parquet(scene: Scene) -> bytes:
     return parquet_bytes(table)
 
 
-def arterial() -> Scene:
+def arterial() -> SceneDraft:
     """Three lanes one way (right, middle, left), two the other way, a parking strip at the right."""
-    scene = Scene("arterial", "train", "austin", 0.35, (1210.0, -640.0), slope(22.0, 0.012, -0.004), 310_100_000)
+    scene = SceneDraft("arterial", "train", "austin", 0.35, (1210.0, -640.0), slope(22.0, 0.012, -0.004), 310_100_000)
     base = bend(lambda s: 0.0012 * np.sin(s / 55.0), 322.0)
     lanes = {"r": 1.75, "m": 5.25, "l": 8.75}
     there = {name: sideways(base, offset) for name, offset in lanes.items()}
@@ -348,7 +348,7 @@ def arterial() -> Scene:
     return scene
 
 
-def _ground_of_intersection(scene: Scene, reach: float) -> None:
+def _ground_of_intersection(scene: SceneDraft, reach: float) -> None:
     """Drivable area and pedestrian crossings."""
     outline = [(-reach, 7.8), (-13.6, 7.8), (-4.3, 15.1), (-4.3, reach)]  # a quarter: arm, corner, arm
     corners = [*outline, *[(-x, y) for x, y in reversed(outline)]]
@@ -361,9 +361,11 @@ def _ground_of_intersection(scene: Scene, reach: float) -> None:
         )
 
 
-def intersection() -> Scene:
+def intersection() -> SceneDraft:
     """Two lanes each way on the east-west road, one each way on the other; no signal; stop lines at 13.5 and 15 m."""
-    scene = Scene("intersection", "val", "pittsburgh", -0.6, (2480.0, 1130.0), slope(41.0, -0.01, 0.015), 320_200_000)
+    scene = SceneDraft(
+        "intersection", "val", "pittsburgh", -0.6, (2480.0, 1130.0), slope(41.0, -0.01, 0.015), 320_200_000
+    )
     solid, dash, yellow, none = "SOLID_WHITE", "DASHED_WHITE", "DOUBLE_SOLID_YELLOW", "NONE"
     east, north, reach = 13.5, 15.0, 95.0
     half = LANE_M / 2
@@ -441,9 +443,9 @@ def intersection() -> Scene:
     return scene
 
 
-def curve() -> Scene:
+def curve() -> SceneDraft:
     """Left and right lane one way, one lane the other way; a branch leaves the right lane and comes back."""
-    scene = Scene("curve", "train", "miami", 1.9, (5230.0, 870.0), slope(-24.0, 0.004, 0.003), 330_300_000)
+    scene = SceneDraft("curve", "train", "miami", 1.9, (5230.0, 870.0), slope(-24.0, 0.004, 0.003), 330_300_000)
     base = bend(lambda s: (smoothstep(s / 50.0) - smoothstep((s - 235.0) / 50.0)) / 105.0, 302.0)
 
     def branch_offset(s: FloatArray) -> FloatArray:
@@ -510,7 +512,7 @@ def stations(base: Path2d, path: Path2d, at: Sequence[float]) -> list[float]:
 
 
 def rows(
-    scene: Scene, paths: dict[str, Path2d], base: Path2d, cuts: Sequence[float], marks: dict[str, tuple[str, str]]
+    scene: SceneDraft, paths: dict[str, Path2d], base: Path2d, cuts: Sequence[float], marks: dict[str, tuple[str, str]]
 ) -> None:
     """Cut lanes abreast of each other at the same places of the base; number i lies between cuts i and i + 1."""
     for name, path in paths.items():
@@ -535,14 +537,14 @@ def crossing(base: Path2d, at_m: float, *, left_m: float, right_m: float) -> tup
     return first, last
 
 
-def late(scene: Scene, path: Path2d, start_m: float, speed: float, *, appears: int) -> None:
+def late(scene: SceneDraft, path: Path2d, start_m: float, speed: float, *, appears: int) -> None:
     """A vehicle first seen at a later timestep, at start_m."""
     before = line(path.xy[0] - 200.0 * np.array([np.cos(path.heading[0]), np.sin(path.heading[0])]), path.xy[0])
     longer = Path2d.joined(before, path)
     scene.drive(longer, 200.0 + start_m - speed * appears * STEP_S, speed, category=0, steps=(appears, STEPS))
 
 
-def pedestrian(scene: Scene, path: Path2d, start_m: float, speed: float, *, sway: int) -> None:
+def pedestrian(scene: SceneDraft, path: Path2d, start_m: float, speed: float, *, sway: int) -> None:
     """A pedestrian along a path."""
     scene.drive(path, start_m, speed, object_type="pedestrian", sway=sway)
 

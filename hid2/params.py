@@ -116,7 +116,7 @@ class Request(_Section):
         return self.near not in ("traffic", "anywhere")
 
 
-class Source(_Section):
+class SourceChecks(_Section):
     """What is asked of a recording before anything is driven in it."""
 
     plausible: bool = _param(
@@ -426,7 +426,7 @@ class Config(_Section):
     """A whole request: what to generate and every parameter of the method."""
 
     request: Request = Request()
-    source: Source = Source()
+    source: SourceChecks = SourceChecks()
     grid: Grid = Grid()
     spawn: Spawn = Spawn()
     drivers: Drivers = Drivers()

@@ -21,7 +21,7 @@ from netconvert.geometry import FloatArray, Polyline, wrap_angle
 from netconvert.gui_files import xml_bytes
 from netconvert.lane_graph import LaneGraph, LaneSegment
 from netconvert.net_xml import SPEED_LIMIT_MPS, CityOrigin
-from netconvert.roads import Roads, Way, roads_of
+from netconvert.roads import RoadGraph, Way, roads_of
 
 #: How far lines leave centrelines where they round corners, where corners are left out, and widths theirs.
 _WITHIN_M, _CORNERS_M, _WIDTH_WITHIN_M = 0.05, 0.015, 0.01
@@ -219,7 +219,7 @@ def opendrive_bytes(graph: LaneGraph, name: str, *, origin: CityOrigin | None = 
     return xml_bytes(E.OpenDRIVE(header, *whole, *connecting, *junctions))
 
 
-def _drawn(graph: LaneGraph) -> tuple[Roads, list[_Road]]:
+def _drawn(graph: LaneGraph) -> tuple[RoadGraph, list[_Road]]:
     """Roads, and each with its line; lanes of rows that cannot be one road are roads of their own."""
     apart: set[int] = set()
     while True:

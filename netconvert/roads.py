@@ -28,7 +28,7 @@ class Way:
 
 
 @dataclass(frozen=True, eq=False)
-class Roads:
+class RoadGraph:
     """Roads, as lanes from the right; ways between lanes; the junctions at start (2 k) and end (2 k + 1) of road k."""
 
     rows: tuple[tuple[int, ...], ...]
@@ -60,7 +60,7 @@ class Roads:
         return (one, other) if same else None
 
 
-def roads_of(graph: LaneGraph, *, apart: Collection[int] = ()) -> Roads:
+def roads_of(graph: LaneGraph, *, apart: Collection[int] = ()) -> RoadGraph:
     """The roads of a graph. apart: lanes that are roads of their own. Errors: NetError for endless ways from a lane."""
     lanes = graph.lanes
     inside = {i for i, lane in lanes.items() if lane.is_intersection and graph.predecessors(i) and graph.successors(i)}
@@ -73,7 +73,7 @@ def roads_of(graph: LaneGraph, *, apart: Collection[int] = ()) -> Roads:
         back = [row for road, row in enumerate(rows) if junctions[2 * road] == junctions[2 * road + 1]]
         loops = {i for row in back for i in row if graph.predecessors(i) and graph.successors(i)}
         if not loops:
-            return Roads(rows, tuple(dict.fromkeys(ways)), junctions)
+            return RoadGraph(rows, tuple(dict.fromkeys(ways)), junctions)
         inside |= loops
 
 

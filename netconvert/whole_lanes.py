@@ -17,7 +17,7 @@ from netconvert.geometry import FloatArray
 from netconvert.gui_files import xml_bytes
 from netconvert.lane_graph import LaneGraph
 from netconvert.net_xml import ALLOWED_CLASSES, WHOLE_LIMIT_MPS, CityOrigin, junction_beside, location, shape
-from netconvert.roads import Roads, Way, roads_of
+from netconvert.roads import RoadGraph, Way, roads_of
 
 #: Whether a driver has to stop at the entrance of a lane of an intersection, by step; None where there is no signal.
 Red = Callable[[int], npt.NDArray[np.bool_] | None]
@@ -45,7 +45,7 @@ def plain_files(
 
 
 def _nodes(
-    graph: LaneGraph, roads: Roads, origin: CityOrigin | None, signals: dict[int, list[etree._Element]]
+    graph: LaneGraph, roads: RoadGraph, origin: CityOrigin | None, signals: dict[int, list[etree._Element]]
 ) -> bytes:
     touching: dict[int, list[tuple[FloatArray, int]]] = defaultdict(list)
     for end, junction in enumerate(roads.junctions):
@@ -60,7 +60,7 @@ def _nodes(
     return xml_bytes(E.nodes(etree.fromstring(location(graph, origin)), *nodes))
 
 
-def _edge(graph: LaneGraph, roads: Roads, number: int) -> etree._Element:
+def _edge(graph: LaneGraph, roads: RoadGraph, number: int) -> etree._Element:
     members = [graph.lanes[lane_id] for lane_id in roads.rows[number]]
     lanes = []
     for index, lane in enumerate(members):
@@ -76,13 +76,13 @@ def _edge(graph: LaneGraph, roads: Roads, number: int) -> etree._Element:
     return E.edge({"id": str(members[0].lane_id), **ends, **known}, *lanes)
 
 
-def _link(roads: Roads, way: Way) -> dict[str, str]:
+def _link(roads: RoadGraph, way: Way) -> dict[str, str]:
     (before, source), (behind, target) = roads.place[way.source], roads.place[way.target]
     edges = {"from": str(roads.rows[before][0]), "to": str(roads.rows[behind][0])}
     return {**edges, "fromLane": str(source), "toLane": str(target)}
 
 
-def _connections(graph: LaneGraph, roads: Roads, ways: Sequence[Way]) -> list[etree._Element]:
+def _connections(graph: LaneGraph, roads: RoadGraph, ways: Sequence[Way]) -> list[etree._Element]:
     """The ways; an edge without any is told to have none, else netconvert guesses."""
     found = []
     for way in ways:
@@ -93,7 +93,7 @@ def _connections(graph: LaneGraph, roads: Roads, ways: Sequence[Way]) -> list[et
     return found + [E.connection({"from": str(row[0])}) for k, row in enumerate(roads.rows) if k not in leaving]
 
 
-def _signals(roads: Roads, ways: Sequence[Way], red: Red, step_s: float) -> dict[int, list[etree._Element]]:
+def _signals(roads: RoadGraph, ways: Sequence[Way], red: Red, step_s: float) -> dict[int, list[etree._Element]]:
     """By junction with an entrance that was red: its program, as long as the recording, and the links it controls."""
     found = {}
     for junction, every in roads.ways_of.items():

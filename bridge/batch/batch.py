@@ -18,7 +18,7 @@ from pathlib import Path
 from platform import platform
 from tempfile import TemporaryDirectory
 
-from bridge.batch.engine import Outcome, Task, execute_here
+from bridge.batch.engine import Task, TaskResult, execute_here
 from bridge.batch.isolation import Settings
 from bridge.batch.manifest import DONE, MAX_TEXT, QUARANTINED, Manifest, ManifestRow, files_sha256, output_files
 from bridge.batch.quarantine import MAX_TIMEOUT_S, Bundle, read_bundle, write_bundle
@@ -67,7 +67,7 @@ class SceneJob:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class SceneFolders:
     """Where a recording is read and its results are written, as `Options` has it; the digest of it, "" where unread."""
 
     folder: Address
@@ -225,7 +225,7 @@ def _check_owners(jobs: Sequence[SceneJob], manifest: Manifest, out_dir: Path) -
                 )
 
 
-def base_row(place: Place, run: Run, folder: Path | None = None) -> ManifestRow:
+def base_row(place: SceneFolders, run: Run, folder: Path | None = None) -> ManifestRow:
     """What is known about a run before it starts; folder: what it has written."""
     return ManifestRow(
         scenario=_name(place.folder),
@@ -277,7 +277,7 @@ def _tasks(
     """Yield tasks for every job that has something to do; called as workers become free."""
     for job in jobs:
         folder = job.folder.absolute()
-        place = Place(folder, out_dir, options.argoverse1, options.gaps, _digest(folder))
+        place = SceneFolders(folder, out_dir, options.argoverse1, options.gaps, _digest(folder))
         wanted = []
         for run in job.runs:
             base = base_row(place, run)
@@ -305,7 +305,7 @@ def _digest(folder: Address) -> str:
         return ""
 
 
-def _is_complete(row: ManifestRow, base: ManifestRow, place: Place) -> bool:
+def _is_complete(row: ManifestRow, base: ManifestRow, place: SceneFolders) -> bool:
     """Whether all that was asked for is there, as it was written, and would be written again."""
     folder, split = place.out / row.folder, row.split or None
     return (
@@ -319,9 +319,9 @@ def _is_complete(row: ManifestRow, base: ManifestRow, place: Place) -> bool:
     )
 
 
-def _row(outcome: Outcome, options: Options) -> ManifestRow:
+def _row(outcome: TaskResult, options: Options) -> ManifestRow:
     """The manifest's row about an outcome; a failure leaves its bundle."""
-    place: Place = outcome.task.shared
+    place: SceneFolders = outcome.task.shared
     run: Run = outcome.item
     failure = outcome.failure
     if failure is not None and failure.kind == "disk":  # the next scene would fail no less

@@ -19,7 +19,7 @@ from typing import Any
 
 from distributed import Client, KilledWorker, Security, wait
 
-from bridge.batch.engine import AHEAD, Outcome, Task, run_task
+from bridge.batch.engine import AHEAD, Task, TaskResult, run_task
 from bridge.batch.isolation import Failure, IsolatedProcess, Settings
 from netconvert.errors import BatchError, ConfigError, Hid2Error
 
@@ -41,7 +41,7 @@ _LOG = logging.getLogger(__name__)
 
 def execute_on_dask(
     tasks: Iterable[Task], *, scheduler: str, settings: Settings
-) -> Generator[list[Outcome], None, None]:
+) -> Generator[list[TaskResult], None, None]:
     """Yield the outcomes of tasks as they come; never more than a few tasks a worker are with the scheduler.
 
     Errors: BatchError when the scheduler cannot be reached or is lost.
@@ -69,12 +69,12 @@ def execute_on_dask(
                 future.release()
 
 
-def _outcomes(future: Any, task: Task) -> list[Outcome]:  # noqa: ANN401  # a Future, generic or not by release
+def _outcomes(future: Any, task: Task) -> list[TaskResult]:  # noqa: ANN401  # a Future, generic or not by release
     try:
-        found: list[Outcome] = future.result()
+        found: list[TaskResult] = future.result()
     except KilledWorker as error:
         failure = Failure("killed", "its Dask worker died again and again", str(error))
-        return [Outcome(task, item, None, failure, 1, 0.0) for item in task.items]
+        return [TaskResult(task, item, None, failure, 1, 0.0) for item in task.items]
     return found
 
 
@@ -97,7 +97,7 @@ def _process(settings: Settings, _thread: int) -> IsolatedProcess:
     return found
 
 
-def _run_on_worker(task: Task, settings: Settings) -> list[Outcome]:
+def _run_on_worker(task: Task, settings: Settings) -> list[TaskResult]:
     return run_task(task, _process(settings, threading.get_ident()), settings)
 
 

@@ -45,7 +45,7 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class TaskResult:
     """What became of one item: a value, or a failure: of its process, or yielded as one; seconds: its last attempt."""
 
     task: Task
@@ -58,7 +58,7 @@ class Outcome:
 
 def execute_here(
     tasks: Iterable[Task], *, jobs: int = 1, settings: Settings | None = None
-) -> Generator[list[Outcome], None, None]:
+) -> Generator[list[TaskResult], None, None]:
     """Yield the outcomes of every task as it is done; `tasks` is consumed as processes become free.
 
     When the caller goes away, by Ctrl-C or by closing the generator, the processes end with what they are at.
@@ -67,9 +67,9 @@ def execute_here(
     settings = settings or Settings()
     processes = [IsolatedProcess(settings) for _ in range(jobs)]
     waiting, threads, idle = iter(tasks), ThreadPoolExecutor(jobs), [*processes]
-    running: set[Future[list[Outcome]]] = set()
+    running: set[Future[list[TaskResult]]] = set()
 
-    def run(task: Task) -> list[Outcome]:
+    def run(task: Task) -> list[TaskResult]:
         process = idle.pop()  # there are as many as threads
         try:
             return run_task(task, process, settings)
@@ -135,9 +135,9 @@ def attempt_each(named: tuple[str, Any], items: Sequence[Any]) -> Iterator[Any]:
     return attempts(partial(resolve_name(named[0]), named[1]), items)
 
 
-def _in_order(results: Iterable[list[Outcome]]) -> Iterator[tuple[Any, Any]]:
+def _in_order(results: Iterable[list[TaskResult]]) -> Iterator[tuple[Any, Any]]:
     """Items and values or failures of tasks with keys that count from 0."""
-    waiting: dict[int, list[Outcome]] = {}
+    waiting: dict[int, list[TaskResult]] = {}
     following = 0
     for outcomes in results:
         waiting[int(outcomes[0].task.key)] = outcomes
@@ -159,12 +159,12 @@ def sorted_out(each: Iterable[tuple[_Item, _Value | Failure]]) -> tuple[list[_Va
     return values, failures
 
 
-def run_task(task: Task, process: IsolatedProcess, settings: Settings) -> list[Outcome]:
+def run_task(task: Task, process: IsolatedProcess, settings: Settings) -> list[TaskResult]:
     """Run the items of a task; after a failed process an item is tried again in a fresh one, then given up.
 
     Where the process was stopped, the rest has no outcomes. Errors: BatchError when no process can begin.
     """
-    outcomes: list[Outcome] = []
+    outcomes: list[TaskResult] = []
     attempts, failed_starts, began = 1, 0, time.monotonic()
     while len(outcomes) < len(task.items) and not process.stopped:
         try:
@@ -174,7 +174,7 @@ def run_task(task: Task, process: IsolatedProcess, settings: Settings) -> list[O
                     attempts += 1
                 else:
                     item, seconds = task.items[len(outcomes)], time.monotonic() - began
-                    outcomes.append(Outcome(task, item, None if failure else found, failure, attempts, seconds))
+                    outcomes.append(TaskResult(task, item, None if failure else found, failure, attempts, seconds))
                     attempts = 1
                 failed_starts, began = 0, time.monotonic()
         except StartFailedError as error:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from bridge.batch.batch import Place, Run, base_row
+from bridge.batch.batch import Run, SceneFolders, base_row
 from bridge.batch.isolation import Failure, attempts
 from bridge.batch.manifest import ManifestRow
 from bridge.generation.generate import PreparedScene, generate, prepare
@@ -21,7 +21,7 @@ if not hasattr(_FOUND, "simulation"):  # a file of that name in the way is found
     raise ImportError(f"{getattr(_FOUND, '__file__', None) or _FOUND}: not SUMO's libsumo, rename it or move it away")
 
 
-def write_all(scene: TrafficScene, place: Place) -> Path:
+def write_all(scene: TrafficScene, place: SceneFolders) -> Path:
     """Write a scene, with what was asked for beside; returns its folder. Errors: ExportError."""
     if place.argoverse1:
         from bridge.recordings.argoverse1 import write_sequence
@@ -31,7 +31,7 @@ def write_all(scene: TrafficScene, place: Place) -> Path:
     return scene.write(place.out, record=("gaps",) if place.gaps else ())
 
 
-def generate_runs(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
+def generate_runs(place: SceneFolders, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
     """Read the scene and build its grid once, then generate and write each run; their grid is the same."""
     prepared: PreparedScene | None = None
 

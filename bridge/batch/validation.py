@@ -7,7 +7,7 @@ from bridge.batch.engine import OnDone, work_on_each
 from bridge.batch.isolation import Failure
 from bridge.recordings.folders import Choices, find_scenarios, source_id
 from bridge.recordings.sources import find_recordings
-from bridge.recordings.validate import Against, Finding, check_tree, validate_scene
+from bridge.recordings.validate import Against, FileBreach, check_tree, validate_scene
 
 #: Scenes that a process gets at a time; no tunable: starting one takes as long as checking so many.
 _CHUNK = 50
@@ -21,7 +21,7 @@ def validate_folder(
     inserted: Sequence[str] = (),
     jobs: int = 1,
     on_scene: OnDone = None,
-) -> list[Finding]:
+) -> list[FileBreach]:
     """Check every scenario under a data set that was generated, or mixed; what is wrong, and notes.
 
     out: a scenario folder, a split folder or a data-set root; source: where its recordings lie; map_path: the map that
@@ -39,5 +39,5 @@ def validate_folder(
         on_item=on_scene,
     )  # fmt: skip
     for folder, found in each:
-        findings += [Finding(folder, "folder", found.message)] if isinstance(found, Failure) else found
+        findings += [FileBreach(folder, "folder", found.message)] if isinstance(found, Failure) else found
     return findings

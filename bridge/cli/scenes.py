@@ -33,16 +33,16 @@ def validate(
     from bridge.batch.validation import validate_folder
     from bridge.files import write_rows
     from bridge.recordings.folders import find_scenarios
-    from bridge.recordings.validate import Finding
+    from bridge.recordings.validate import FileBreach
 
     findings = validate_folder(
         out, source=source, map_path=map_path, inserted=inserted, jobs=jobs, on_scene=activity.show
     )
     if csv is not None:
-        write_rows(csv, Finding._fields, findings)
+        write_rows(csv, FileBreach._fields, findings)
     activity.end()
     if as_json:
-        print_json(Finding._fields, findings)
+        print_json(FileBreach._fields, findings)
     else:
         for finding in findings:
             print(finding.line())

@@ -23,7 +23,7 @@ from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
 from bridge.recordings.sources import find_sources
 from bridge.sumo.drivers import model_parameters
-from bridge.sumo.driving import Driving
+from bridge.sumo.driving import FleetSimulation
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.simulation import Simulation
 from bridge.sumo.steering import Attempt
@@ -74,7 +74,7 @@ class SceneScores(NamedTuple):
     found: dict[str, FloatArray]
 
 
-class _Unsteered(Driving):
+class _Unsteered(FleetSimulation):
     """SUMO alone: neither guard nor turns nor stop lines."""
 
     def _steer(self, step: int) -> tuple[dict[int, Attempt], dict[int, tuple[float, str]]]:
@@ -134,7 +134,7 @@ class Resimulation:
                     way.known = _ahead(fleet.known_on_way(row), start.start_s)
                     seen = fleet.obstacles(row, start.path)
                     way.obstacles = replace(seen, known=_ahead(seen.known, start.start_s))
-                driving = (_Unsteered if model == "default" else Driving)(fleet, simulation, checked=False)
+                driving = (_Unsteered if model == "default" else FleetSimulation)(fleet, simulation, checked=False)
                 driven = list(zip(driving.run(), vehicles, strict=True))
                 for vehicle, one in driven:
                     if vehicle.objection is not None:

@@ -16,13 +16,13 @@ from bridge.recordings.plausibility import check_plausible
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import PlacedRecord, ReplayRecord, RequestedRecord, Sidecar, StatesRecord
 from bridge.sumo.drivers import model_parameters
-from bridge.sumo.driving import Driving
+from bridge.sumo.driving import FleetSimulation
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.replay import ReplayErrors
 from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy, Track
 from hid2.conflicts.stop_lines import StopLines
-from hid2.insertion.events import EventSearch
+from hid2.insertion.events import SceneEvents
 from hid2.insertion.filling import Filling
 from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.surroundings import Surroundings
@@ -108,7 +108,7 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
             filling.fill_together(rounds.drive)
             scenario = with_motion(scenario, rounds.late)
         else:
-            filling.take_events(EventSearch(surroundings, seed).run(rounds.drive_alone))
+            filling.take_events(SceneEvents(surroundings, seed).run(rounds.drive_alone))
             filling.fill(rounds.drive)
         sumo_version = simulation.version()
     vehicles = sorted(filling.kept, key=lambda one: one.driven.start.request.number)
@@ -146,7 +146,9 @@ class _Rounds:
     def drive_alone(self, scene: Scene, stop_lines: StopLines, start: Start, fixed: Traffic) -> DrivenVehicle:
         """One vehicle by the rules of a scene of its own, which may differ from the others': that of an event."""
         roads = self._filling.surroundings.roads
-        (vehicle,) = Driving(Fleet(scene, [start], fixed, roads, stop_lines), self._simulation, checked=False).run()
+        (vehicle,) = FleetSimulation(
+            Fleet(scene, [start], fixed, roads, stop_lines), self._simulation, checked=False
+        ).run()
         self.driven.append((0, vehicle))
         return vehicle
 
@@ -158,7 +160,7 @@ class _Rounds:
         here, asked = self._filling.surroundings, self._scene.config.driving
         is_measured = number == 0 or asked.replay == "reactive"
         fleet = Fleet(self._scene, starts, fixed, here.roads, here.stop_lines)
-        driving = Driving(fleet, self._simulation, checked=asked.check_replay and is_measured)
+        driving = FleetSimulation(fleet, self._simulation, checked=asked.check_replay and is_measured)
         vehicles = driving.run()
         self.driven += [(number, vehicle) for vehicle in vehicles]
         if is_measured:

@@ -46,7 +46,7 @@ class RoadPart(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Beside(RoadPart):
+class AuxiliaryLane(RoadPart):
     """An auxiliary lane on the right of all others, m from the section's start, with the ramps that it joins."""
 
     from_m: float = Field(ge=0)
@@ -118,7 +118,7 @@ class Road(RoadPart):
     run_out_m: float = Field(default=150.0, ge=20, le=2000)
     ramp_m: float = Field(default=100.0, ge=20, le=1000)
     drop_m: float | None = Field(default=None, gt=0)
-    beside: Beside | None = None
+    beside: AuxiliaryLane | None = None
     signal: list[Signal] = []
     trucks: _Share = 0.0
     warm_up_s: float = Field(default=180.0, ge=0, le=3600)

@@ -29,7 +29,7 @@ _Part = TypeVar("_Part")
 _OTHER = "no other parquet file anywhere under OUT: readers take every one they find"
 
 
-class Finding(NamedTuple):
+class FileBreach(NamedTuple):
     """One breach of one rule; what the judge found also as values: vehicle, step, value and limit, the other track."""
 
     file: Path
@@ -63,16 +63,16 @@ class Against:
     inserted: frozenset[str] | None = None
 
 
-def validate_scene(against: Against, folder: Path) -> list[Finding]:
+def validate_scene(against: Against, folder: Path) -> list[FileBreach]:
     """Check one scenario folder, and its sequence of Argoverse 1 below out where there is one.
 
     A scene without sidecar in which no track is a generated one was recorded: it is held to the format alone.
     """
     new_id = folder.name
-    findings: list[Finding] = []
+    findings: list[FileBreach] = []
     sidecar, rows, document, graph = _parts(folder, findings)
     if new_id.startswith(REACTIVE_PREFIX) or (sidecar is not None and sidecar.replay.mode == "reactive"):
-        return [Finding(folder, "replay", REACTIVE)]  # whatever else it is, it is no scene of Argoverse
+        return [FileBreach(folder, "replay", REACTIVE)]  # whatever else it is, it is no scene of Argoverse
     findings += _missing_sidecar(folder, rows)
     if rows is None:
         return findings
@@ -82,7 +82,7 @@ def validate_scene(against: Against, folder: Path) -> list[Finding]:
     breaches = list(rules.check_rows(rows, new_id))
     for track_id in sorted(generated_ids & set(rows.ids)):
         breaches += rules.check_generated(rows, track_id, clean=clean.get(track_id))
-    findings += [Finding(path, *breach) for breach in breaches]
+    findings += [FileBreach(path, *breach) for breach in breaches]
     if document is None:
         return findings
     if graph is not None and next(row_breaches(rows), None) is None:
@@ -91,33 +91,33 @@ def validate_scene(against: Against, folder: Path) -> list[Finding]:
         begins = dict(zip(rows.ids, rows.timestep[rows.starts].tolist(), strict=True))
         lanes = {str(lane) for lane in document["lane_segments"]}
         found_in = rules.check_sidecar(sidecar, new_id, begins, generated_ids, lanes)
-        findings += [Finding(sidecar_path(folder, new_id), *breach) for breach in found_in]
+        findings += [FileBreach(sidecar_path(folder, new_id), *breach) for breach in found_in]
         findings += _compared(folder, sidecar, rows, generated_ids, against)
     return findings
 
 
 def _parts(
-    folder: Path, findings: list[Finding]
+    folder: Path, findings: list[FileBreach]
 ) -> tuple[Sidecar | None, RowArrays | None, dict[str, Any] | None, LaneGraph | None]:
     """Sidecar, rows, map and its graph, as far as they are there; why one cannot be read is appended to `findings`."""
     parquet_path, map_path = folder / f"scenario_{folder.name}.parquet", folder / f"log_map_archive_{folder.name}.json"
-    findings += [Finding(path, "folder", "no such file") for path in (parquet_path, map_path) if not path.is_file()]
+    findings += [FileBreach(path, "folder", "no such file") for path in (parquet_path, map_path) if not path.is_file()]
 
     def read(path: Path, rule: str, reader: Callable[[Path], _Part]) -> _Part | None:
         try:
             return reader(path) if path.is_file() else None
         except (ScenarioError, MapError) as error:
-            findings.append(Finding(path, rule, str(error)))
+            findings.append(FileBreach(path, rule, str(error)))
             return None
 
     sidecar = read(sidecar_path(folder, folder.name), "sidecar", read_sidecar)
     document, graph = read(map_path, "map", read_document), None
     if document is not None:
         graph, breaches = checked(document)
-        findings += [Finding(map_path, *breach) for breach in breaches]
+        findings += [FileBreach(map_path, *breach) for breach in breaches]
         for key in [key for key, lane in document["lane_segments"].items() if not lane.get("centerline")]:
             said = f"lane segment {key}: no centerline, expected at least 2 points"  # which recorded maps may lack
-            findings.append(Finding(map_path, "boundary", said))
+            findings.append(FileBreach(map_path, "boundary", said))
     rows = read(parquet_path, "columns", lambda path: RowArrays.of(read_table(path)))
     if rows is not None and sidecar is not None:
         rows = replace(rows, observed_steps=sidecar.recording.observed_steps, step_s=sidecar.recording.step_s)
@@ -126,7 +126,7 @@ def _parts(
 
 def _compared(
     folder: Path, sidecar: Sidecar, rows: RowArrays, generated_ids: set[str], against: Against
-) -> Iterator[Finding]:
+) -> Iterator[FileBreach]:
     """A scene against its source, and its sequence of Argoverse 1 where there is one."""
     source = None
     if against.sources is not None:
@@ -136,39 +136,39 @@ def _compared(
                 raise ScenarioError(f"source scenario {wanted} is not among the {len(against.sources)} given")
             source = read_recording(against.sources[wanted])
         except Hid2Error as error:
-            yield Finding(sidecar_path(folder, folder.name), "source", str(error))
+            yield FileBreach(sidecar_path(folder, folder.name), "source", str(error))
             return
         path = folder / f"scenario_{folder.name}.parquet"
         for message in rules.compare_rows(rows.table, source.table, generated_ids):
-            yield Finding(path, "source", message)
+            yield FileBreach(path, "source", message)
         path = folder / f"log_map_archive_{folder.name}.json"
         if path.read_bytes() != map_bytes(source):
-            yield Finding(path, "source", f"not the bytes that are written for {source.map_path.name}")
+            yield FileBreach(path, "source", f"not the bytes that are written for {source.map_path.name}")
         if source.format != ARGOVERSE2.name and sidecar.recording != recording_record_of(source):
-            yield Finding(sidecar_path(folder, folder.name), "source", "recording: not that of the source")
+            yield FileBreach(sidecar_path(folder, folder.name), "source", "recording: not that of the source")
     if against.out is not None:
         path = sequence_path(against.out, split_of(folder), folder.name)
         if path.is_file():
             for breach in rules.check_written_sequence(path, rows, generated_ids, source=source):
-                yield Finding(path, *breach)
+                yield FileBreach(path, *breach)
 
 
-def _missing_sidecar(folder: Path, rows: RowArrays | None) -> list[Finding]:
+def _missing_sidecar(folder: Path, rows: RowArrays | None) -> list[FileBreach]:
     """A finding where there is no sidecar, unless none of the tracks is a generated one: then how plausible it is."""
     path = sidecar_path(folder, folder.name)
     if path.is_file():
         return []
     if rows is None or any(track_id.startswith("gen_") for track_id in rows.ids):
-        return [Finding(path, "folder", "no such file, which every generated scene has (a recorded one has none)")]
+        return [FileBreach(path, "folder", "no such file, which every generated scene has (a recorded one has none)")]
     with suppress(Hid2Error):  # which the other rules find
         said = implausible(read_scenario(folder))
-        return [Finding(folder / f"scenario_{folder.name}.parquet", rules.RECORDED, said)] if said else []
+        return [FileBreach(folder / f"scenario_{folder.name}.parquet", rules.RECORDED, said)] if said else []
     return []
 
 
 def _judged(
     path: Path, rows: RowArrays, graph: LaneGraph, sidecar: Sidecar | None, inserted: Set[str]
-) -> list[Finding]:
+) -> list[FileBreach]:
     """What the judge finds in a scene with sound rows and map."""
     sizes: Mapping[str, BoxSize] = {}
     with suppress(ScenarioError):  # sizes beside a scene are none of its files
@@ -181,18 +181,18 @@ def _judged(
         other = "" if one.other is None else f" (track {one.other!r})"
         message = f"track {one.track_id!r}, timestep {one.step}: {said}{other}, limit {one.limit:.3g}"
         value = None if math.isinf(one.value) else one.value
-        found.append(Finding(path, one.quantity.value, message, one.track_id, one.step, value, one.limit, one.other))
+        found.append(FileBreach(path, one.quantity.value, message, one.track_id, one.step, value, one.limit, one.other))
     return found
 
 
-def check_tree(out: Path, folders: Sequence[Path]) -> list[Finding]:
+def check_tree(out: Path, folders: Sequence[Path]) -> list[FileBreach]:
     """What is wrong with the places of files in a data set."""
     expected = {folder / f"scenario_{folder.name}.parquet" for folder in folders}
     others = [path for path in sorted(out.rglob("*.parquet")) if path not in expected]
-    findings = [Finding(path, "other-parquet", _OTHER) for path in others]
+    findings = [FileBreach(path, "other-parquet", _OTHER) for path in others]
     for folder in folders:
         depth = len(folder.relative_to(out).parts)
         split = folder.parent.parent.name if depth == 3 and folder.parent.name == RAW else folder.parent.name
         if depth > 1 and split not in SPLITS:
-            findings.append(Finding(folder, "folder", f"split {split!r}, expected one of {', '.join(SPLITS)}"))
+            findings.append(FileBreach(folder, "folder", f"split {split!r}, expected one of {', '.join(SPLITS)}"))
     return findings

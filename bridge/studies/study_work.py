@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bridge.batch.batch import Place, Run, base_row
+from bridge.batch.batch import Run, SceneFolders, base_row
 from bridge.batch.isolation import Failure, attempts
 from bridge.batch.manifest import ManifestRow
 from bridge.config import config_sha256
@@ -20,7 +20,7 @@ from bridge.studies.study import LOOKS_FILE, RUN_TABLES, write_run
 from hid2.params import Config
 
 
-def measure_runs(place: Place, runs: Sequence[Run], *, trj: bool = False) -> Iterator[ManifestRow | Failure]:
+def measure_runs(place: SceneFolders, runs: Sequence[Run], *, trj: bool = False) -> Iterator[ManifestRow | Failure]:
     """Drive and measure each run; what the runs share is made once. trj: write its trajectories for SSAM, too."""
     prepared: PreparedScene | None = None
     drawn: dict[str, Drawn] = {}
@@ -51,7 +51,7 @@ def measure_runs(place: Place, runs: Sequence[Run], *, trj: bool = False) -> Ite
 measure_runs_for_ssam = partial(measure_runs, trj=True)
 
 
-def measure_roads(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
+def measure_roads(place: SceneFolders, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
     """Drive and count each run on a corridor that was made of a road's file, as in a study where none enters by it."""
     recording = read_recording(place.folder)
     road = read_road(recording.folder / ROAD_FILE)
@@ -67,7 +67,7 @@ def measure_roads(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | F
 
 
 def _rows(
-    place: Place, runs: Sequence[Run], measured: Callable[[Config], tuple[Path, dict[str, Any]]]
+    place: SceneFolders, runs: Sequence[Run], measured: Callable[[Config], tuple[Path, dict[str, Any]]]
 ) -> Iterator[ManifestRow | Failure]:
     """The manifest's row of each run. measured: drives one, and returns its folder and what the row has of it."""
 

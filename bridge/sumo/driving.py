@@ -28,7 +28,7 @@ _BINDS_MPS = 0.05  # book-keeping: a limit this close to the speed driven is wha
 
 
 @dataclass(eq=False, slots=True)
-class Driving:
+class FleetSimulation:
     """One simulation of a fleet, each vehicle from its own first step on.
 
     checked: the pose in SUMO of every recorded agent is compared at every step. Where recorded vehicles react, the
@@ -99,7 +99,7 @@ class Driving:
         fleet.yielding[rows] = limits.yields
         return attempts, self._drive(rows, limits, now)
 
-    def _drive(self, rows: IntArray, limits: steering.Limits, now: int) -> dict[int, Limit]:
+    def _drive(self, rows: IntArray, limits: steering.SpeedLimits, now: int) -> dict[int, Limit]:
         """Tell SUMO how fast vehicles wish to drive and may drive at the coming step; returns the limits by vehicle."""
         fleet, told = self.fleet, {}
         for row, desired, mps, cause, leader in zip(

@@ -25,7 +25,7 @@ from hid2.vehicle import DrivenVehicle, Start
 
 
 @dataclass(eq=False, slots=True)
-class Way:
+class KnownPath:
     """What is known of a vehicle's present path; a vehicle that takes another path gets a new one.
 
     road (S,): m/s at the table of the path's line, what the road allows the driver; lane_ends: where its lanes end, m;
@@ -62,7 +62,7 @@ class Fleet:
     stop_lines: StopLines
     near_m: float = math.inf
     vehicles: list[DrivenVehicle] = field(init=False, default_factory=list)
-    ways: list[Way] = field(init=False, default_factory=list)
+    ways: list[KnownPath] = field(init=False, default_factory=list)
     state: FloatArray = field(init=False)
     along_m: FloatArray = field(init=False)
     centre: FloatArray = field(init=False)
@@ -159,8 +159,8 @@ class Fleet:
             width_m=np.array([self.vehicles[row].start.box.width_m for row in rows]),
         )  # fmt: skip
 
-    def _way(self, path: DrivenPath, driver: Driver) -> Way:
-        return Way(self.roads.speeds(path, driver), *self.roads.lanes(path))
+    def _way(self, path: DrivenPath, driver: Driver) -> KnownPath:
+        return KnownPath(self.roads.speeds(path, driver), *self.roads.lanes(path))
 
     def take_path(self, row: int, path: DrivenPath, s: FloatArray | None = None) -> None:
         """A vehicle is on another path from now on. s (T,) m: where it has been on it, None: as far as on the old."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from bridge.sumo.driving import Driving, Limit
+from bridge.sumo.driving import FleetSimulation, Limit
 from bridge.sumo.poses import center_on_path
 from bridge.sumo.steering import Attempt, edges_along
 from hid2.insertion.flow import Arrival
@@ -19,8 +19,8 @@ NEAR_M = 150.0
 
 
 @dataclass(eq=False, slots=True)
-class FlowDriving(Driving):
-    """`Driving`, and arrivals: each waits before the map for room, and is driven from then on.
+class FlowDriving(FleetSimulation):
+    """`FleetSimulation`, and arrivals: each waits before the map for room, and is driven from then on.
 
     Room is what SUMO finds on its lane, and none of the boxes that are across: a vehicle that changes lanes is on its
     new one at once in SUMO, and for seconds on both in the world.
@@ -39,7 +39,7 @@ class FlowDriving(Driving):
 
     def _steer(self, step: int) -> tuple[dict[int, Attempt], dict[int, Limit]]:
         """Those that are due are let in last, when it is known which vehicles change lanes at this step."""
-        attempts, limits = Driving._steer(self, step)
+        attempts, limits = FleetSimulation._steer(self, step)
         while self._next < len(self.arrivals) and self.arrivals[self._next].due_s <= step * self.fleet.scene.step_s:
             self._held.append(self.arrivals[self._next])
             self._next += 1
@@ -56,7 +56,7 @@ class FlowDriving(Driving):
         return attempts, limits
 
     def _enter(self, step: int) -> None:
-        Driving._enter(self, step)
+        FleetSimulation._enter(self, step)
         if self._queued:
             inside = self.simulation.driven()
             for vehicle_id in [name for name in self._queued if name in inside]:

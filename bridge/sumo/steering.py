@@ -37,7 +37,7 @@ _FASTER_MPS = 0.05  # over the speed of the road on another way, with which it i
 _OFF_SHARE = 0.03  # no tunable: a tenth of a metre of a lane's width, before a way across is laid anew
 
 
-class Limits(NamedTuple):
+class SpeedLimits(NamedTuple):
     """Of vehicles (M,) at a step, as the kernel `speed_limits` returns them."""
 
     mps: FloatArray
@@ -48,21 +48,21 @@ class Limits(NamedTuple):
     seeks: BoolArray
 
 
-def limits_of(fleet: Fleet, rows: IntArray, now: int) -> Limits:
+def limits_of(fleet: Fleet, rows: IntArray, now: int) -> SpeedLimits:
     """The lowest limit on the speed of the last of the vehicles that are `here` for the step after `now`.
 
     The road's, the guard's (case 3, timing), and those of stop lines.
     """
     guard = fleet.guard
     first, *along = fleet.along_ways(now)
-    return Limits(*speed_limits(
+    return SpeedLimits(*speed_limits(
         rows, now, fleet.state, fleet.desired_mps, fleet.drivers, fleet.yielding, STRAIGHT,
         guard.horizon, STRIDE, fleet.scene.step_s, TABLE_STEP_M, guard.brakes,
         guard.predicted, STOPS, guard.rules, first[-rows.size - 1 :], *along,
     ))  # fmt: skip
 
 
-def let_pass(fleet: Fleet, row: int, now: int, limits: Limits, place: int) -> None:
+def let_pass(fleet: Fleet, row: int, now: int, limits: SpeedLimits, place: int) -> None:
     """Where a vehicle waits for a gap, the limit at which it slows down for those beside, if that is the lowest."""
     vehicle, step_s = fleet.vehicles[row], fleet.scene.step_s
     if vehicle.stage is Stage.WAITING and vehicle.reason in _LETS_PASS:

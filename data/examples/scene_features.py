@@ -30,7 +30,7 @@ _LAST = OBSERVED_STEPS - 1
 _KIND = {"vehicle": 0, "bus": 0, "pedestrian": 1, "cyclist": 2, "motorcyclist": 2, "riderless_bicycle": 2}
 
 
-class Seen(NamedTuple):
+class TargetView(NamedTuple):
     """What the network sees of a target as arrays, float32; of several, a row each, as tensors.
 
     agents (A, T, 7) at every few observed steps to the last, agent_kinds (A, 5): the target first, then its neighbours,
@@ -45,13 +45,13 @@ class Seen(NamedTuple):
     future: Any
 
 
-class Target(NamedTuple):
+class ForecastTarget(NamedTuple):
     """One track to forecast, in its frame: origin (2,) m, heading rad."""
 
     scenario_id: str
     track_id: str
     focal: bool
-    seen: Seen
+    seen: TargetView
     origin: FloatArray
     heading: float
 
@@ -62,9 +62,9 @@ class Target(NamedTuple):
 
 def features_of(
     folders: Sequence[Path], *, on_scene: Callable[[int, int], None] | None = None
-) -> tuple[list[Target], list[str]]:
+) -> tuple[list[ForecastTarget], list[str]]:
     """Targets of scenes in the order of folders, and a line for each scene that cannot be read."""
-    found: list[Target] = []
+    found: list[ForecastTarget] = []
     left_out = []
     for done, folder in enumerate(folders, 1):
         try:
@@ -76,7 +76,7 @@ def features_of(
     return found, left_out
 
 
-def targets_of(scenario: Scenario) -> list[Target]:
+def targets_of(scenario: Scenario) -> list[ForecastTarget]:
     """The targets of a scene, in the order of its tracks.
 
     Errors: ScenarioError for a recording of another data set with other steps than Argoverse 2's.
@@ -109,7 +109,9 @@ def _turn(heading: float) -> FloatArray:
     return np.array([[cos, -sin], [sin, cos]])
 
 
-def _target(scenario: Scenario, row: int, history: FloatArray, lanes: FloatArray, lane_kinds: FloatArray) -> Target:
+def _target(
+    scenario: Scenario, row: int, history: FloatArray, lanes: FloatArray, lane_kinds: FloatArray
+) -> ForecastTarget:
     track, last = scenario.tracks[row], history[row, _LAST]
     origin, heading = last[:2], float(np.arctan2(last[3], last[2]))
     turn = _turn(heading)
@@ -137,9 +139,9 @@ def _target(scenario: Scenario, row: int, history: FloatArray, lanes: FloatArray
     ahead = track.timesteps >= OBSERVED_STEPS
     is_whole = ahead.sum() == FUTURE_STEPS and track.timesteps[-1] == MAX_STEPS - 1
     future = np.asarray((track.position[ahead] - origin) @ turn / UNIT_M, dtype=np.float32) if is_whole else None
-    seen = Seen(agents, agent_kinds, own_lanes, own_kinds, future)
+    seen = TargetView(agents, agent_kinds, own_lanes, own_kinds, future)
     is_focal = track.category == FOCAL_CATEGORY
-    return Target(scenario.scenario_id, track.track_id, is_focal, seen, origin.copy(), heading)
+    return ForecastTarget(scenario.scenario_id, track.track_id, is_focal, seen, origin.copy(), heading)
 
 
 def _lanes(scenario: Scenario) -> tuple[FloatArray, FloatArray]:

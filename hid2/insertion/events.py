@@ -94,7 +94,7 @@ def scene_for(scene: Scene, event: Event) -> Scene:
 
 
 @dataclass(slots=True)
-class EventSearch:
+class SceneEvents:
     """Searches the events of one scene, one after the other. kept: vehicles of events that came about so far."""
 
     here: Surroundings
@@ -201,7 +201,7 @@ def offered_events(here: Surroundings, names: Sequence[str]) -> tuple[str, ...]:
 
     From second 1 on to 4 s before the end, an overtake to the end.
     """
-    found, search = [], EventSearch(here, (0,))
+    found, search = [], SceneEvents(here, (0,))
     for name in names:
         kind, _, target = name.partition(":")
         until_s = here.scene.last_s - (0.0 if kind == "overtake" else 4.0)

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from bridge.batch.batch import Place, Run, base_row
+from bridge.batch.batch import Run, SceneFolders, base_row
 from bridge.batch.isolation import Failure, describe_error
 from bridge.batch.manifest import ManifestRow
 from bridge.config import config_sha256, config_to_dict
@@ -24,7 +24,7 @@ from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import GeneratorRecord, PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
 
 FAULT = "FAULT"
-Work = Callable[[Place, Sequence[Run]], Iterator[ManifestRow | Failure]]
+Work = Callable[[SceneFolders, Sequence[Run]], Iterator[ManifestRow | Failure]]
 
 #: SUMO 1.28 ends by SIGSEGV on a net without a version that has a connection to an edge it does not know.
 BAD_NET = """<net>
@@ -65,7 +65,7 @@ def leaves_files(shared: str, items: Sequence[object]) -> Iterator[str]:
         yield str(item)
 
 
-def copies(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
+def copies(place: SceneFolders, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
     """Write each scene with nothing added: quick, and independent of the simulation."""
     for run in runs:
         try:
@@ -95,13 +95,13 @@ def copies(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]
             yield describe_error(error)
 
 
-def other_version(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow]:
+def other_version(place: SceneFolders, runs: Sequence[Run]) -> Iterator[ManifestRow]:
     """What a worker with another version of the package returns."""
     for run in runs:
         yield base_row(place, run)._replace(version="0.0.1")
 
 
-def generated(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
+def generated(place: SceneFolders, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
     """Generate as the product does, after the scene's fault."""
     from bridge.batch.scene_work import (
         generate_runs,  # here, before the clock starts: libsumo is for scene processes only
@@ -110,7 +110,7 @@ def generated(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failu
     return _generated(place, runs, generate_runs)
 
 
-def _generated(place: Place, runs: Sequence[Run], generate_runs: Work) -> Iterator[ManifestRow | Failure]:
+def _generated(place: SceneFolders, runs: Sequence[Run], generate_runs: Work) -> Iterator[ManifestRow | Failure]:
     started = os.environ.get("FAULTS_STARTED")
     at_work = Path(started) / str(os.getpid()) if started else None
     for run in runs:
@@ -126,7 +126,7 @@ def _generated(place: Place, runs: Sequence[Run], generate_runs: Work) -> Iterat
             at_work.unlink()
 
 
-def meet_fault(place: Place, run: Run) -> None:
+def meet_fault(place: SceneFolders, run: Run) -> None:
     """Do what the source folder's FAULT says."""
     file = place.folder / FAULT
     if not file.exists():

@@ -34,7 +34,7 @@ from bridge.recordings.sidecar import EventRecord
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FloatArray, Track
 from hid2.insertion.event_targets import candidate_rows, target_of
-from hid2.insertion.events import EventSearch
+from hid2.insertion.events import SceneEvents
 from hid2.insertion.meetings import moving_vehicles, named_rows
 from hid2.measures.encounters import CROSSING_RAD
 from hid2.occupancy.traffic import BoolArray
@@ -71,7 +71,7 @@ class Said(logging.Handler):
 def possible(prepared: PreparedScene, config: Config) -> bool:
     """Whether any of so many rollouts, drawn anew, brings the event about: what a miss is held against."""
     many = config.event_search.model_copy(update={"candidates": ROLLED_OUT})
-    search = EventSearch(prepared.surroundings(config.model_copy(update={"event_search": many})), (ANOTHER_SEED,))
+    search = SceneEvents(prepared.surroundings(config.model_copy(update={"event_search": many})), (ANOTHER_SEED,))
     objectives = search.objectives(config.event[0], np.random.default_rng(0))
     return bool(objectives) and next(search.likely(objectives, 0, Counter()), None) is not None
 

@@ -18,7 +18,7 @@ from scene_checker import check_scene
 from bridge.generation.generate import generate
 from bridge.recordings.scenario import Scenario, table_of
 from hid2.agents import DEFAULT_SIZES, Track
-from hid2.params import Config, Driving, Request, Source
+from hid2.params import Config, Driving, Request, SourceChecks
 from netconvert.lane_graph import LaneGraph, LaneSegment, turn_type
 
 Floats = npt.NDArray[np.float64]
@@ -183,7 +183,7 @@ MIXES: tuple[dict[str, Any], ...] = (
 @given(scene=scenes(), agents=st.integers(1, 14), mix=st.sampled_from(MIXES), seed=st.integers(0, 999))
 def test_nothing_unsafe_is_ever_generated(scene: Scenario, agents: int, mix: dict[str, Any], seed: int) -> None:
     request, driving = Request(agents=agents, seed=seed, **mix), Driving(check_replay=True)
-    generated = generate(scene, Config(source=Source(plausible=False), request=request, driving=driving))
+    generated = generate(scene, Config(source=SourceChecks(plausible=False), request=request, driving=driving))
     assert len(generated.generated) == generated.sidecar.placed.agents <= agents
     assert len({track.track_id for track in generated.generated}) == len(generated.generated)
     if len(generated.generated) < agents:

@@ -13,7 +13,7 @@ import pytest
 from bridge.generation.generate import prepare, sumo_seed
 from bridge.recordings.scenario import find_scenarios, read_scenario
 from bridge.sumo.drivers import model_parameters
-from bridge.sumo.driving import Driving
+from bridge.sumo.driving import FleetSimulation
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.simulation import Simulation
 from hid2.agents import FloatArray
@@ -49,7 +49,7 @@ def apart(folder: Path) -> list[FloatArray]:
     ) as simulation:  # fmt: skip
         for start in Filling(here, seed).first_starts(ASKED):
             fleet = Fleet(scene, [start], nobody, here.roads, here.stop_lines)
-            driven = Driving(fleet, simulation, checked=False).run()[0]
+            driven = FleetSimulation(fleet, simulation, checked=False).run()[0]
             rolled = world.roll(start)
             count = min(len(driven.s), rolled.s.size)
             if driven.rerouted_at is not None:  # on another path

@@ -8,16 +8,16 @@ from fuzz import FOUND
 from scene_checker import check_scene
 
 from bridge.batch import scene_work
-from bridge.batch.batch import Place, Run
+from bridge.batch.batch import Run, SceneFolders
 from bridge.batch.isolation import Failure
 from bridge.batch.manifest import ManifestRow
 from bridge.generation.scene import TrafficScene
 
 
-def checked(place: Place, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
+def checked(place: SceneFolders, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
     """Generate and write each run; what the checker finds is put into a file beside."""
 
-    def finish(scene: TrafficScene, place: Place) -> Path:
+    def finish(scene: TrafficScene, place: SceneFolders) -> Path:
         found = check_scene(scene)
         if found:
             (place.out / FOUND).mkdir(exist_ok=True)

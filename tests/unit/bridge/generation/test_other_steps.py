@@ -7,7 +7,7 @@ import pytest
 from lxml import etree
 from separating_axes import boxes_overlap
 
-from bridge.batch.batch import Place, plan
+from bridge.batch.batch import SceneFolders, plan
 from bridge.batch.isolation import Failure
 from bridge.batch.scene_work import generate_runs
 from bridge.generation.generate import generate
@@ -172,6 +172,6 @@ def test_a_batch_refuses_it_before_anything_is_driven(recording, tmp_path, monke
     monkeypatch.setattr("bridge.batch.scene_work.read_recording", lambda _: resampled(recording, 0.2))
     monkeypatch.setattr("bridge.batch.scene_work.prepare", lambda *_: pytest.fail("made before it was refused"))
     runs = plan([recording.folder], Config())[0].runs
-    (failure,) = generate_runs(Place(recording.folder, tmp_path), runs)
+    (failure,) = generate_runs(SceneFolders(recording.folder, tmp_path), runs)
     assert isinstance(failure, Failure)
     assert "steps of 0.2 s" in failure.message

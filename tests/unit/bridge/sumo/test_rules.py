@@ -10,7 +10,7 @@ from hand_drawn import draw_lane
 from inserted import DRIVER, nobody, recorded, scene_on, start_on
 
 from bridge.sumo.drivers import model_parameters
-from bridge.sumo.driving import Driving
+from bridge.sumo.driving import FleetSimulation
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy
@@ -48,7 +48,7 @@ def change(tmp_path: Path) -> Callable[..., DrivenVehicle]:
         with Simulation(net.read_bytes(), seed=0, step_s=0.1, model="EIDM", parameters=parameters) as simulation:
             others = nobody(scene.future.num_steps)
             fleet = Fleet(scene, [replace(start)], others, Roads(scene), StopLines(scene))
-            (vehicle,) = Driving(fleet, simulation).run()
+            (vehicle,) = FleetSimulation(fleet, simulation).run()
         return vehicle
 
     return run
