@@ -242,7 +242,7 @@ def print_batch(rows: Sequence["ManifestRow"], request: "Request") -> None:
         with_events = any(row.events_requested for row in rows)
         head = ("scene", "variant", "placed", "left", "right", "changes", "overtakes", "manoeuvres")
         listed = (*head, *(("events",) if with_events else ()), "s", "remarks")
-        print_table("Generated scenes", listed, [_line(row, with_events=with_events) for row in rows])
+        print_table("Generated scenes", listed, [_line(row, request, with_events=with_events) for row in rows])
     done = [row for row in rows if row.status == DONE]
     most = any(row.asked == "max" for row in done)
     asked = "" if most else f" of {sum(int(row.asked) for row in done)}"
@@ -257,18 +257,21 @@ def print_batch(rows: Sequence["ManifestRow"], request: "Request") -> None:
         print(f"events done: {sum(row.events_done for row in done)} of {events}")
 
 
-def _line(row: "ManifestRow", *, with_events: bool) -> tuple[object, ...]:
+def _line(row: "ManifestRow", request: "Request", *, with_events: bool) -> tuple[object, ...]:
     if row.status != DONE:
         blank = ("-",) * (7 if with_events else 6)
         return (row.scenario, row.variant, *blank, row.seconds, f"{row.failure}: {row.reason}")
     said = {"events": row.events, "not done": row.not_done}
-    if row.asked == "max" or row.placed < int(row.asked):
+    placed, met = f"{row.placed} of {row.asked}", row.placed
+    if request.is_near_agents:
+        placed, met = f"{placed}, {row.near} near", row.near
+    if row.asked == "max" or met < int(row.asked):
         said["candidates rejected"] = row.rejected
     remarks = "; ".join(f"{what}: {_first(reasons)}" for what, reasons in said.items() if reasons)
     return (
         row.scenario,
         row.variant,
-        f"{row.placed} of {row.asked}",
+        placed,
         row.left_turn,
         row.right_turn,
         row.lane_change,

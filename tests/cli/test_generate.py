@@ -94,6 +94,8 @@ def test_what_only_some_scenes_can_meet_is_a_reason_in_the_others(
     assert sum(int(row["placed"]) for row in rows) > 0
     assert {entry.reason for entry in sidecar_of(tmp_path / "out", lacking[0]).rejected} == {"near_no_track"}
     assert "near_no_track" in result.stdout
+    row = next(one for one in rows if one not in lacking)
+    assert f"{row['placed']} of 2, {row['near']} near" in result.stdout
 
 
 def test_same_request_gives_the_same_bytes(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
