@@ -102,10 +102,10 @@ def resimulate(
     activity: Activity,
 ) -> bool:
     """Take recorded vehicles out, drive them by SUMO, and score that as simulated agents are ("WOSAC-like")."""
-    from bridge.evaluation.resimulate import Plan, resimulate_folders
+    from bridge.evaluation.resimulate import ResimulationPlan, resimulate_folders
 
     activity.doing("calibrating and driving")
-    plan = Plan(seeds, take_out, min(write, seeds), seed)
+    plan = ResimulationPlan(seeds, take_out, min(write, seeds), seed)
     failures = resimulate_folders(scenes, out, plan, jobs=jobs, on_scene=activity.show)
     tell_unread(failures)
     activity.result(out / "resimulation.html")
@@ -244,13 +244,13 @@ def paper(  # noqa: PLR0913  # one for each option
     check_scenes([*scenes, *([composed] if composed else [])])
     check_out(out)
     if experiment == "prediction":
-        from bridge.forecasting.experiment import Plan, run_prediction
+        from bridge.forecasting.experiment import TrainingPlan, run_prediction
         from hid2.params import Forecasting
 
         given = {"variants": variants, "val_share": val, "updates": updates}
         params = Forecasting.model_validate({name: value for name, value in given.items() if value is not None})
         page = run_prediction(
-            scenes, out, Plan(seeds=seeds or 3, agents=agents, reading=focal, params=params), jobs=jobs,
+            scenes, out, TrainingPlan(seeds=seeds or 3, agents=agents, reading=focal, params=params), jobs=jobs,
             composed=composed, predictions=predictions, on_step=activity.step
         )  # fmt: skip
     else:

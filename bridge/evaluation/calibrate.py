@@ -11,7 +11,7 @@ from bridge.files import write_text
 from bridge.pages.parts import Section, macro, page
 from bridge.recordings.scenario import read_scenario, source_id
 from bridge.recordings.sources import find_sources
-from hid2.evaluation.calibration import Quantity, SceneDriving, calibrate, drivers_of, observe
+from hid2.evaluation.calibration import CalibratedQuantity, SceneDriving, calibrate, drivers_of, observe
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.occupancy.agent_states import agent_states
 from hid2.params import Drivers
@@ -76,7 +76,7 @@ def _groups(scenes: Sequence[SceneDriving]) -> Iterator[tuple[str, list[SceneDri
         yield f"lane {name}", [scene._replace(windows=own) for scene, own in zip(scenes, kept, strict=True)]
 
 
-def drivers_toml(found: Sequence[Quantity], prior: Drivers, scenes: Sequence[SceneDriving]) -> str:
+def drivers_toml(found: Sequence[CalibratedQuantity], prior: Drivers, scenes: Sequence[SceneDriving]) -> str:
     """The section [drivers] of a configuration: what was measured, and as comments what keeps its prior."""
     measured, by_name = drivers_of(found), {quantity.name: quantity for quantity in found}
     named = ", ".join(scene.name for scene in scenes[:20]) + (" and others" if len(scenes) > 20 else "")
@@ -91,7 +91,7 @@ def drivers_toml(found: Sequence[Quantity], prior: Drivers, scenes: Sequence[Sce
     return "\n".join(lines) + "\n"
 
 
-def quantity_rows(groups: Mapping[str, Sequence[Quantity]]) -> list[dict[str, Any]]:
+def quantity_rows(groups: Mapping[str, Sequence[CalibratedQuantity]]) -> list[dict[str, Any]]:
     """A row for each parameter of each group."""
     return [
         {

@@ -43,7 +43,7 @@ class Setting(NamedTuple):
     smoothed: bool = False
 
 
-class Outcome(NamedTuple):
+class SettingRows(NamedTuple):
     """Scene rows of a setting, one per source scene and seed, those smoothed, and the scenes that failed, with why."""
 
     setting: Setting
@@ -70,9 +70,9 @@ def settings_of(name: Experiment, agents: int) -> list[Setting]:
 
 def run_settings(
     folders: Sequence[Address], settings: Sequence[Setting], *, seeds: int, jobs: int, on_scene: OnDone
-) -> list[Outcome]:
+) -> list[SettingRows]:
     """Generate and measure every setting on every scene with every seed, each scene in a process of its own."""
-    outcomes, shared = [Outcome(setting, [], [], []) for setting in settings], (tuple(settings), seeds)
+    outcomes, shared = [SettingRows(setting, [], [], []) for setting in settings], (tuple(settings), seeds)
     timeout_s = _TIMEOUT_S * seeds * len(settings)
     for folder, made in work_on_each(
         generate_and_measure, folders, shared=shared, jobs=jobs, chunk=1, timeout_s=timeout_s, on_item=on_scene

@@ -8,7 +8,7 @@ from markupsafe import Markup
 
 from bridge.batch.engine import OnDone
 from bridge.evaluation import report
-from bridge.evaluation.experiments import ADDED, Experiment, Outcome, run_settings, settings_of
+from bridge.evaluation.experiments import ADDED, Experiment, SettingRows, run_settings, settings_of
 from bridge.evaluation.scene_metrics import Row
 from bridge.evaluation.totals import Diversity, SourceSums, estimate
 from bridge.files import make_folder, write_json, write_rows, write_text
@@ -101,7 +101,7 @@ def _prose(name: str, *arguments: object) -> Markup:
     return pages.macro("paper.html.j2", name, *arguments)
 
 
-def _about(name: Experiment, outcomes: Sequence[Outcome], counts: Row, *, seeds: int, agents: int) -> Markup:
+def _about(name: Experiment, outcomes: Sequence[SettingRows], counts: Row, *, seeds: int, agents: int) -> Markup:
     placed = [f"{_placed(o)} {_NAMES.get(o.setting.name, '')}".strip() for o in outcomes if o.setting.config]
     kinds = {(row["format"], row["provenance"]) for o in outcomes for row in o.rows}
     return _prose(
@@ -113,7 +113,7 @@ def _about(name: Experiment, outcomes: Sequence[Outcome], counts: Row, *, seeds:
     )  # fmt: skip
 
 
-def _placed(outcome: Outcome) -> float:
+def _placed(outcome: SettingRows) -> float:
     """Vehicles placed in a scene, in the mean."""
     placed: int = sum(row["generated"] for row in outcome.rows)
     return round(placed / max(1, len(outcome.rows)), 1)
@@ -152,7 +152,7 @@ _ARGOVERSE1: Sequence[tuple[str, str | Mapping[str, float], bool]] = (
 _MADE_BY = {"tracker": "tracked on board", "human": "labelled by people"}
 
 
-def lines_of(name: Experiment, outcomes: Sequence[Outcome]) -> list[Line]:
+def lines_of(name: Experiment, outcomes: Sequence[SettingRows]) -> list[Line]:
     """The lines of an experiment's table, but for diversity, which has none."""
     lines: list[Line] = []
     if name == "table1":
@@ -197,7 +197,7 @@ def flat(line: Line) -> Row:
 _Points = dict[str, dict[str, list[tuple[float, Estimate]]]]
 
 
-def _density(outcomes: Sequence[Outcome]) -> _Points:
+def _density(outcomes: Sequence[SettingRows]) -> _Points:
     """Estimates by metric and group along the numbers placed."""
     series = {_placed(outcome): (SourceSums.of(outcome.rows), outcome.setting.config) for outcome in outcomes}
 
@@ -222,7 +222,7 @@ def _differing(points: _Points) -> list[str]:
 # Diversity ------------------------------------------------------------------------------------------------------------
 
 
-def _diversity(outcomes: Sequence[Outcome], parts: list[Markup]) -> dict[str, Any]:
+def _diversity(outcomes: Sequence[SettingRows], parts: list[Markup]) -> dict[str, Any]:
     """What the first setting, without generation, and all others say; the parts of the page are added."""
     before, after = outcomes[0].rows, [row for outcome in outcomes[1:] for row in outcome.rows]
     content = Diversity.of(after, before).content()

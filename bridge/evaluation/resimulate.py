@@ -55,7 +55,7 @@ _TEMPLATE, _SCENE_S = "resimulation.html.j2", 60.0  # a scene may take so long f
 _PACE_OF = 3
 
 
-class Plan(NamedTuple):
+class ResimulationPlan(NamedTuple):
     """Rollouts of each scene and vehicle, which vehicles are driven at once, rollouts to write, seed."""
 
     seeds: int = 32
@@ -194,7 +194,7 @@ def _ahead(known: PathOccupancy, start_s: float) -> PathOccupancy:
 
 
 def resimulate_folders(
-    paths: Sequence[Path], out: Path, plan: Plan, *, jobs: int = 1, on_scene: OnDone = None
+    paths: Sequence[Path], out: Path, plan: ResimulationPlan, *, jobs: int = 1, on_scene: OnDone = None
 ) -> list[tuple[Path, str]]:
     """Drive the recorded vehicles of scenes and score them: a page, two tables and `plan.write` rollouts of each scene.
 
@@ -229,7 +229,7 @@ def resimulate_folders(
     return failures
 
 
-def score_scene(shared: tuple[Plan, Mapping[Path, Mapping[str, float]], Path], folder: Path) -> SceneScores:
+def score_scene(shared: tuple[ResimulationPlan, Mapping[Path, Mapping[str, float]], Path], folder: Path) -> SceneScores:
     """Rollouts of one scene and what they are worth. Errors: ScenarioError, MapError, SimulationError, ExportError."""
     (plan, drivers, out), recording = shared, read_scenario(folder)
     if recording.num_steps <= LAST:
@@ -257,7 +257,7 @@ def score_scene(shared: tuple[Plan, Mapping[Path, Mapping[str, float]], Path], f
 
 
 def _write(
-    scenes: Sequence[SceneScores], some: Sequence[SceneScores], out: Path, plan: Plan,
+    scenes: Sequence[SceneScores], some: Sequence[SceneScores], out: Path, plan: ResimulationPlan,
     halves: Sequence[Mapping[str, float]],
 ) -> None:  # fmt: skip
     names = [*(one.name for one in FEATURES), *(f"all of {group}" for group in GROUPS), "sum"]

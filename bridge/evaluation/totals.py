@@ -12,7 +12,7 @@ from bridge.evaluation.scene_metrics import PAIR_COLUMNS, PAIR_GROUPS, PAIR_KIND
 from bridge.recordings.folders import Address
 from hid2.agents import FloatArray, Policy
 from hid2.evaluation.critics import critique
-from hid2.evaluation.metrics import GROUPS, METRICS, Metric, Section, columns
+from hid2.evaluation.metrics import GROUPS, METRICS, Metric, MetricTable, columns
 from hid2.evaluation.realism import FEATURES, GENERATED, RECORDED, TAIL_SHARES, TAILS, RealismCounts, quantiles
 from hid2.evaluation.windows import WINDOW, Windows
 from hid2.judge.findings import Quantity
@@ -90,7 +90,7 @@ def estimate(sums: SourceSums, metric: Metric, group: str) -> Estimate:
     return ratio(*sums.of_columns(f"{group}_{metric.numerator.name}", f"{group}_{metric.denominator.name}"))
 
 
-def table(sums: SourceSums, section: Section) -> dict[str, Any]:
+def table(sums: SourceSums, section: MetricTable) -> dict[str, Any]:
     """Every metric of a section with its interval for every group, ready for JSON: table[metric.key][group]."""
     own = [metric for metric in METRICS if metric.section is section]
     said = {one.key: {"label": one.label, "unit": one.unit, "sentence": one.sentence} for one in own}
@@ -308,15 +308,15 @@ class Totals:
                 "generated_scenes": counts["generated_scenes"],
                 "generated_vehicles": counts["generated"],
             },
-            "kinematics": {part.value: table(self.sums, part) for part in (Section.PAPER, Section.CLEAN)},
-            "safety": table(self.sums, Section.SAFETY)
+            "kinematics": {part.value: table(self.sums, part) for part in (MetricTable.PAPER, MetricTable.CLEAN)},
+            "safety": table(self.sums, MetricTable.SAFETY)
             | {"pairs": {kind: {g: counts[f"{kind}_{g}"] for g in PAIR_GROUPS} for kind in PAIR_KINDS}},
             "judge": {
                 quantity.value: {"findings": self._findings[quantity.value], "limit": quantity.sentence}
                 for quantity in Quantity
                 if self._findings[quantity.value]
             },
-            "encounters": table(self.sums, Section.ENCOUNTERS),
+            "encounters": table(self.sums, MetricTable.ENCOUNTERS),
             "events": {
                 kind: {status: self.event_counts[kind, status] for status in ("done", "not_feasible")}
                 for kind in sorted({kind for kind, _ in self.event_counts})

@@ -58,7 +58,7 @@ _TRAINING_MB = 32_000
 Progress = Callable[[str, int, int], None]
 
 
-class Plan(NamedTuple):
+class TrainingPlan(NamedTuple):
     """What is run: seeds of the training, vehicles added, scenes made of each recorded one, and the parameters."""
 
     seeds: int = 3
@@ -68,7 +68,7 @@ class Plan(NamedTuple):
 
 
 def run_prediction(
-    scenes: Sequence[Path], out: Path, plan: Plan, *, jobs: int = 1, composed: Path | None = None,
+    scenes: Sequence[Path], out: Path, plan: TrainingPlan, *, jobs: int = 1, composed: Path | None = None,
     predictions: Path | None = None, on_step: Progress | None = None,
 ) -> Path:  # fmt: skip
     """Run the experiment and write prediction.html, .json and _scores.csv into `out`; returns the page.
@@ -100,7 +100,7 @@ def run_prediction(
 # From recorded scenes to data sets
 
 
-def _composed(scenes: Sequence[Path], out: Path, plan: Plan, *, jobs: int, tell: Progress) -> Path:
+def _composed(scenes: Sequence[Path], out: Path, plan: TrainingPlan, *, jobs: int, tell: Progress) -> Path:
     folders = find_sources(scenes)
     other = next((folder for folder in folders if not isinstance(folder, Path)), None)
     if other is not None:
@@ -135,7 +135,7 @@ def _composed(scenes: Sequence[Path], out: Path, plan: Plan, *, jobs: int, tell:
     return root
 
 
-def _runs(plan: Plan, without: frozenset[str]) -> tuple[Run, ...]:
+def _runs(plan: TrainingPlan, without: frozenset[str]) -> tuple[Run, ...]:
     """The variants of a scene; with both readings every other one has an inserted focal track."""
     runs = []
     for variant in range(plan.params.variants):
@@ -148,7 +148,7 @@ def _runs(plan: Plan, without: frozenset[str]) -> tuple[Run, ...]:
 # From data sets to forecasts
 
 
-def _train(composed: Path, models: Path, plan: Plan, *, jobs: int, tell: Progress) -> None:
+def _train(composed: Path, models: Path, plan: TrainingPlan, *, jobs: int, tell: Progress) -> None:
     """Train on every set with every seed and forecast every validation set, each set in a process of its own."""
     validation = {name: composed / VALIDATION / name / "val" for name in (RECORDED, HID2)}
     work, seeds = "bridge.forecasting.experiment:train_and_forecast", tuple(range(plan.seeds))
@@ -254,7 +254,9 @@ _READINGS: Mapping[Reading, str] = {
 }
 
 
-def _write(runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, plan: Plan, *, brought: bool) -> Path:
+def _write(
+    runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, plan: TrainingPlan, *, brought: bool
+) -> Path:
     source_of = {**sources_of(composed / VALIDATION / HID2), **sources_of(composed / VALIDATION / RECORDED)}
     params = plan.params
     ours2 = {"recorded": RECORDED, "HiD2": HID2_ONLY}

@@ -51,7 +51,7 @@ REQUEST_COLUMNS: Mapping[str, str] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class Merit:
     """A figure of merit: its column in dose_response.csv, what it says, the table and columns that it is made of."""
 
     name: str
@@ -67,28 +67,28 @@ DECIDE = {"rule": "the rule", "cells": "taken cells", "road": "the road", "guard
 AT_LAST = ("rule", "cells", "road")
 #: What a study tells of each value of a parameter.
 OUTCOMES = (
-    Outcome("share_accepted", "share of the requests counted that got a gap", "requests", "accepted"),
-    Outcome("mean_wait_s", "mean waiting time from the trigger, up to the longest allowed, s", "requests", None),
-    Outcome("gaps_accepted", "share of the gaps looked at that the rule took", "gaps", "accepted"),
-    Outcome("gaps_taken", "share of the gaps that the rule took in which a change came about", "gaps", "taken",
+    Merit("share_accepted", "share of the requests counted that got a gap", "requests", "accepted"),
+    Merit("mean_wait_s", "mean waiting time from the trigger, up to the longest allowed, s", "requests", None),
+    Merit("gaps_accepted", "share of the gaps looked at that the rule took", "gaps", "accepted"),
+    Merit("gaps_taken", "share of the gaps that the rule took in which a change came about", "gaps", "taken",
             "accepted"),
     *(
-        Outcome(f"refused_by_{name}", f"share of the gaps that {DECIDE[name]} refused at last", "gaps",
+        Merit(f"refused_by_{name}", f"share of the gaps that {DECIDE[name]} refused at last", "gaps",
                 f"refused_by_{name}")
         for name in AT_LAST
     ),
     *(
-        Outcome(f"refused_by_{name}", f"share of the gaps that {DECIDE[name]} was asked about, to which it said no at "
+        Merit(f"refused_by_{name}", f"share of the gaps that {DECIDE[name]} was asked about, to which it said no at "
                 "some look and that were not taken", "gaps", f"refused_{name}", f"asked_{name}")
         for name in ("guard", "sumo")
     ),
-    Outcome("share_overlapping", "share of the changes in which boxes meet", "requests", "overlaps"),
-    Outcome("lag_drac_mps2", "mean of the largest DRAC of the new follower, m/s2", "requests", "lag_drac_mps2"),
-    Outcome("lag_headway_s", "mean of the least time headway of the new follower, s", "requests", "lag_headway_s"),
-    Outcome("lag_brakes_mps2", "mean of the hardest braking of the new follower, m/s2", "requests", "lag_brakes_mps2"),
-    Outcome("lateral_s", "mean duration of the lateral motion, s", "requests", "lateral_s"),
-    Outcome("lag_time_gap_s", "mean lag time gap taken (above 10 s: 10 s), s", "requests", "lag_time_gap_s"),
-    Outcome("share_ttc_below_critical", "share of the changes with a TTC below 1.5 s", "requests", "ttc_critical"),
+    Merit("share_overlapping", "share of the changes in which boxes meet", "requests", "overlaps"),
+    Merit("lag_drac_mps2", "mean of the largest DRAC of the new follower, m/s2", "requests", "lag_drac_mps2"),
+    Merit("lag_headway_s", "mean of the least time headway of the new follower, s", "requests", "lag_headway_s"),
+    Merit("lag_brakes_mps2", "mean of the hardest braking of the new follower, m/s2", "requests", "lag_brakes_mps2"),
+    Merit("lateral_s", "mean duration of the lateral motion, s", "requests", "lateral_s"),
+    Merit("lag_time_gap_s", "mean lag time gap taken (above 10 s: 10 s), s", "requests", "lag_time_gap_s"),
+    Merit("share_ttc_below_critical", "share of the changes with a TTC below 1.5 s", "requests", "ttc_critical"),
 )  # fmt: skip
 
 

@@ -63,7 +63,7 @@ class Counts(RoadPart):
     start_to_end: list[list[float]] = Field(default=[])
 
 
-class Site(RoadPart):
+class RoadSite(RoadPart):
     """A road and what was published of it, as files; set: configuration of this road alone."""
 
     file: _Named
@@ -100,13 +100,13 @@ class PublicRoads(RoadPart):
     title: str
     seeds: int = Field(default=3, ge=1, le=1000)
     config: dict[str, Any] = Field(default={})
-    road: Annotated[list[Site], Field(min_length=1)]
+    road: Annotated[list[RoadSite], Field(min_length=1)]
     rule: Annotated[list[PageRule], Field(min_length=1)]
     cause: dict[str, Changes] = Field(default={})
     densities: list[float] = Field(default=[])
     slopes_below: float = Field(default=np.inf, gt=0)
 
-    def configs(self, site: Site, rule: PageRule, changes: Changes, source: str = "a page") -> Iterator[Config]:
+    def configs(self, site: RoadSite, rule: PageRule, changes: Changes, source: str = "a page") -> Iterator[Config]:
         """The configurations of the runs, one for each seed. Errors: ConfigError."""
         for seed in range(self.seeds):
             own = {"request.agents": 0, **site.set, **rule.set, **changes, "request.seed": seed}
@@ -138,7 +138,7 @@ def read_public(path: Path) -> PublicRoads:
 class RoadResult:
     """What came of a rule on a road over its seeds. changes: of the configuration, beside the rule's own."""
 
-    site: Site
+    site: RoadSite
     rule: str
     variant: str
     changes: Changes
@@ -229,7 +229,7 @@ def run_public(page: PublicRoads, out_dir: Path, options: Options, *, on_row: On
     folders = {site.file: write_road(out_dir / "roads", site.file) for site in page.road}
     rows: dict[tuple[str, str], ManifestRow] = {}
 
-    def driven(asked: Iterable[tuple[Site, PageRule, str, Changes]]) -> list[RoadResult]:
+    def driven(asked: Iterable[tuple[RoadSite, PageRule, str, Changes]]) -> list[RoadResult]:
         wanted: list[tuple[RoadResult, list[tuple[str, str]]]] = []
         jobs: dict[tuple[str, str], SceneJob] = {}
         for site, rule, variant, changes in asked:

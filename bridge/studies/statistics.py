@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from bridge.studies.columns import AT_LAST, OUTCOMES, Outcome
+from bridge.studies.columns import AT_LAST, OUTCOMES, Merit
 from hid2.agents import FloatArray, IntArray
 from hid2.resampling import Estimate, interval, redrawn
 
@@ -78,7 +78,7 @@ def mean_wait(waited_s: FloatArray, accepted: FloatArray, weights: FloatArray, *
 
 
 def _by_value(
-    frame: pd.DataFrame, outcome: Outcome, code: IntArray, count: int, *, give_up_s: float
+    frame: pd.DataFrame, outcome: Merit, code: IntArray, count: int, *, give_up_s: float
 ) -> Callable[[FloatArray], FloatArray]:
     """An outcome by value (count,), as a function of the weights of the rows; code: the value's place of each row."""
     if outcome.above is None:

@@ -62,7 +62,7 @@ class SceneDriving(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Quantity:
+class CalibratedQuantity:
     """One parameter: its value, and, where it was measured, a 95 % interval and from how many drivers."""
 
     name: str
@@ -89,7 +89,7 @@ def observe(states: AgentStates, *, name: str, city: str, labelled: bool) -> Sce
     )  # fmt: skip
 
 
-def calibrate(scenes: Sequence[SceneDriving], *, prior: Drivers) -> list[Quantity]:
+def calibrate(scenes: Sequence[SceneDriving], *, prior: Drivers) -> list[CalibratedQuantity]:
     """Every parameter that recorded scenes can tell, in the order of `params.Drivers`."""
     seen = np.concatenate([one.windows for one in scenes])
     standing_gap_m, lane_change_s = (np.concatenate(parts) for parts in list(zip(*scenes, strict=True))[-2:])
@@ -137,14 +137,14 @@ def _usual_mps(seen: Windows) -> FloatArray:
     return usual
 
 
-def drivers_of(found: Sequence[Quantity]) -> dict[str, float]:
+def drivers_of(found: Sequence[CalibratedQuantity]) -> dict[str, float]:
     """Values of the parameters, by name, as `params.Drivers` has them; those that were measured."""
     return {quantity.name: quantity.value for quantity in found if quantity.measured}
 
 
-def _kept(name: str, what: str, prior: Drivers, drivers: int = 0) -> Quantity:
+def _kept(name: str, what: str, prior: Drivers, drivers: int = 0) -> CalibratedQuantity:
     """A parameter that keeps its prior."""
-    return Quantity(name, what, float(getattr(prior, name)), None, None, drivers, measured=False)
+    return CalibratedQuantity(name, what, float(getattr(prior, name)), None, None, drivers, measured=False)
 
 
 def _by_driver(driver: IntArray, values: FloatArray, pool: Callable[[FloatArray], float]) -> FloatArray:
@@ -167,7 +167,7 @@ def _bounded(name: str, value: float) -> float:
 
 def _normal(
     name: str, what: str, values: FloatArray, prior: Drivers, *, unit: str = "", sd_only: bool = False
-) -> list[Quantity]:
+) -> list[CalibratedQuantity]:
     """Median and robust SD of one value a driver."""
     names = [f"{name}_mean_{unit}", f"{name}_sd_{unit}".rstrip("_")]
     first = 1 if sd_only else 0
@@ -178,7 +178,7 @@ def _normal(
     return _quantities(names[first:], what, len(values), prior, found)
 
 
-def _range_of_turns(values: FloatArray, prior: Drivers) -> list[Quantity]:
+def _range_of_turns(values: FloatArray, prior: Drivers) -> list[CalibratedQuantity]:
     """Lateral acceleration in turns: uniform between the 10th and 90th percentile, widened to the whole."""
     what, names = "lateral acceleration in turns, m/s2", ("turn_lateral_min_mps2", "turn_lateral_max_mps2")
 
@@ -191,7 +191,7 @@ def _range_of_turns(values: FloatArray, prior: Drivers) -> list[Quantity]:
 
 def _quantities(
     names: Sequence[str], what: str, drivers: int, prior: Drivers, found: Callable[[IntArray], Sequence[float]]
-) -> list[Quantity]:
+) -> list[CalibratedQuantity]:
     """Parameters that are measured together, by one value a driver; of too few drivers they keep their prior.
 
     found: their values from the drivers of these numbers.
@@ -202,7 +202,7 @@ def _quantities(
     drawn = redrawn(lambda times: np.asarray(found(np.repeat(every, times.astype(np.int64)))), drivers)
     estimates = [interval(value, column) for value, column in zip(found(every), drawn.T, strict=True)]
     return [
-        Quantity(name, what, _bounded(name, one.value or 0.0), one.low, one.high, drivers, measured=True)
+        CalibratedQuantity(name, what, _bounded(name, one.value or 0.0), one.low, one.high, drivers, measured=True)
         for name, one in zip(names, estimates, strict=True)
     ]
 
@@ -275,7 +275,7 @@ def lateral_moments(time_s: float, spread: float) -> _Moments:
     return _simulated(drive)
 
 
-def _speed_wander(free: Windows, prior: Drivers) -> list[Quantity]:
+def _speed_wander(free: Windows, prior: Drivers) -> list[CalibratedQuantity]:
     """SD and time of the wandering of the desired speed, from free driving."""
     what = "wandering of the desired speed: acceleration in windows, m/s2"
     names = ("wander_sd_mps", "wander_time_s")
@@ -289,7 +289,7 @@ def _speed_wander(free: Windows, prior: Drivers) -> list[Quantity]:
     return _quantities(names, what, len(values), prior, found)
 
 
-def _lateral_wander(straight: Windows, prior: Drivers) -> list[Quantity]:
+def _lateral_wander(straight: Windows, prior: Drivers) -> list[CalibratedQuantity]:
     """SD, spread and time of the wandering about the place in the lane."""
     what = "wandering about the place in the lane: drift in windows, m/s"
     names = ("lateral_wander_sd_m", "lateral_wander_time_s", "lateral_wander_spread")

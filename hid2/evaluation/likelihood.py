@@ -21,7 +21,7 @@ from netconvert.geometry import box_corners
 from netconvert.lane_graph import LaneGraph
 
 
-class Feature(NamedTuple):
+class MetricFeature(NamedTuple):
     """A feature: range and number of bins, weight in the sum, group. of: what an indication (two bins) is made of."""
 
     name: str
@@ -36,15 +36,15 @@ class Feature(NamedTuple):
 KINEMATICS, OBJECTS, MAP = GROUPS = ("kinematics", "objects", "map")
 _NEAREST, _EDGE = "distance to the nearest object, m", "distance to the road's edge, m"
 FEATURES = (
-    Feature("speed, m/s", 0.0, 25.0, 10, 0.05, KINEMATICS),
-    Feature("acceleration, m/s²", -12.0, 12.0, 11, 0.05, KINEMATICS),
-    Feature("yaw rate, rad/s", -0.628, 0.628, 11, 0.05, KINEMATICS),
-    Feature("yaw acceleration, rad/s²", -3.14, 3.14, 11, 0.05, KINEMATICS),
-    Feature(_NEAREST, -5.0, 40.0, 10, 0.10, OBJECTS),
-    Feature("time to collision, s", 0.0, CAP_S, 10, 0.10, OBJECTS),
-    Feature(_EDGE, -20.0, 40.0, 10, 0.05, MAP),
-    Feature("collision", 0.0, 1.0, 2, 0.25, OBJECTS, of=_NEAREST),
-    Feature("off the road", 0.0, 1.0, 2, 0.25, MAP, of=_EDGE),
+    MetricFeature("speed, m/s", 0.0, 25.0, 10, 0.05, KINEMATICS),
+    MetricFeature("acceleration, m/s²", -12.0, 12.0, 11, 0.05, KINEMATICS),
+    MetricFeature("yaw rate, rad/s", -0.628, 0.628, 11, 0.05, KINEMATICS),
+    MetricFeature("yaw acceleration, rad/s²", -3.14, 3.14, 11, 0.05, KINEMATICS),
+    MetricFeature(_NEAREST, -5.0, 40.0, 10, 0.10, OBJECTS),
+    MetricFeature("time to collision, s", 0.0, CAP_S, 10, 0.10, OBJECTS),
+    MetricFeature(_EDGE, -20.0, 40.0, 10, 0.05, MAP),
+    MetricFeature("collision", 0.0, 1.0, 2, 0.25, OBJECTS, of=_NEAREST),
+    MetricFeature("off the road", 0.0, 1.0, 2, 0.25, MAP, of=_EDGE),
 )
 #: The last step of the history and the last one that is scored: 1.1 s are known, 8 s are driven. Pseudocounts of a bin,
 #: and of an indication's. No tunables: what the challenge has.
@@ -139,7 +139,7 @@ def likelihoods(recorded: Features, rollouts: Sequence[Features]) -> FloatArray:
     return found
 
 
-def _bins(feature: Feature, values: FloatArray) -> IntArray:
+def _bins(feature: MetricFeature, values: FloatArray) -> IntArray:
     """The bin of each value, that at the end for one out of range; of an indication one for all, 1 where it holds."""
     if feature.of:
         holds = (values <= 0.0) if feature.of == _NEAREST else (values > 0.0)

@@ -20,7 +20,7 @@ from hid2.measures.manoeuvres import Maneuver, whole_lane_changes
 from hid2.measures.surrogates import CAP_S
 
 
-class Feature(NamedTuple):
+class HistogramFeature(NamedTuple):
     """One quantity with the range and number of bins of its histogram; values outside count in the end bins."""
 
     name: str
@@ -32,17 +32,17 @@ class Feature(NamedTuple):
 
 
 FEATURES = (
-    Feature("speed", "speed", "m/s", 0.0, 25.0, 25),
-    Feature("longitudinal_accel", "longitudinal acceleration", "m/s²", -5.0, 5.0, 40),
-    Feature("jerk", "longitudinal jerk", "m/s³", -4.0, 4.0, 32),
-    Feature("lateral_accel", "lateral acceleration outside turns", "m/s²", -4.0, 4.0, 32),
-    Feature("yaw_rate", "yaw rate outside turns", "rad/s", -0.64, 0.64, 32),
-    Feature("turn_lateral_accel", "lateral acceleration in turns", "m/s²", -4.0, 4.0, 32),
-    Feature("offset", "offset from the lane's middle", "m", -2.0, 2.0, 32),
-    Feature("ttc", "time to collision", "s", 0.0, CAP_S, 10),
-    Feature("time_gap", "time gap to the leader", "s", 0.0, 5.0, 10),
-    Feature("pet", "post-encroachment time", "s", 0.0, CAP_S, 10),
-    Feature("lane_change_duration", "lane-change duration", "s", 0.0, 10.0, 10),
+    HistogramFeature("speed", "speed", "m/s", 0.0, 25.0, 25),
+    HistogramFeature("longitudinal_accel", "longitudinal acceleration", "m/s²", -5.0, 5.0, 40),
+    HistogramFeature("jerk", "longitudinal jerk", "m/s³", -4.0, 4.0, 32),
+    HistogramFeature("lateral_accel", "lateral acceleration outside turns", "m/s²", -4.0, 4.0, 32),
+    HistogramFeature("yaw_rate", "yaw rate outside turns", "rad/s", -0.64, 0.64, 32),
+    HistogramFeature("turn_lateral_accel", "lateral acceleration in turns", "m/s²", -4.0, 4.0, 32),
+    HistogramFeature("offset", "offset from the lane's middle", "m", -2.0, 2.0, 32),
+    HistogramFeature("ttc", "time to collision", "s", 0.0, CAP_S, 10),
+    HistogramFeature("time_gap", "time gap to the leader", "s", 0.0, 5.0, 10),
+    HistogramFeature("pet", "post-encroachment time", "s", 0.0, CAP_S, 10),
+    HistogramFeature("lane_change_duration", "lane-change duration", "s", 0.0, 10.0, 10),
 )
 #: Quantities of which the tails are compared, on both sides: too cautious is as wrong as too bold.
 TAILS = ("ttc", "pet", "time_gap", "longitudinal_accel")
@@ -57,7 +57,7 @@ _FIRST = np.cumsum([0, *(feature.bins * FINE for feature in FEATURES)]).tolist()
 GENERATED, RECORDED = 0, 1
 
 
-def histogram(feature: Feature, values: npt.ArrayLike) -> IntArray:
+def histogram(feature: HistogramFeature, values: npt.ArrayLike) -> IntArray:
     """(bins * FINE,) counts of the values, those outside the range in the end bins."""
     share = (np.asarray(values, dtype=np.float64) - feature.low) / (feature.high - feature.low)
     last = feature.bins * FINE - 1
@@ -65,7 +65,7 @@ def histogram(feature: Feature, values: npt.ArrayLike) -> IntArray:
     return np.asarray(np.bincount(place, minlength=last + 1), dtype=np.int64)
 
 
-def jensen_shannon(feature: Feature, first: IntArray, second: IntArray) -> float | None:
+def jensen_shannon(feature: HistogramFeature, first: IntArray, second: IntArray) -> float | None:
     """Jensen-Shannon distance (root of the divergence, base 2: 0 to 1) over the bins; None without samples."""
     if not first.sum() or not second.sum():
         return None
@@ -77,7 +77,7 @@ def jensen_shannon(feature: Feature, first: IntArray, second: IntArray) -> float
     return float(np.sqrt(max(divergence, 0.0)))  # unlike scipy's, a number where rounding says less than 0
 
 
-def wasserstein(feature: Feature, first: IntArray, second: IntArray) -> float | None:
+def wasserstein(feature: HistogramFeature, first: IntArray, second: IntArray) -> float | None:
     """Wasserstein-1 distance in the feature's unit, within its range; None without samples."""
     if not first.sum() or not second.sum():
         return None
@@ -110,7 +110,7 @@ class RealismCounts:
 
     counts: IntArray = field(default_factory=lambda: np.zeros((2 + SPLITS, _FIRST[-1]), dtype=np.int64))
 
-    def of(self, feature: Feature) -> IntArray:
+    def of(self, feature: HistogramFeature) -> IntArray:
         """(2 + SPLITS, bins * FINE) of one feature."""
         number = FEATURES.index(feature)
         return self.counts[:, _FIRST[number] : _FIRST[number + 1]]
@@ -180,7 +180,7 @@ def _values(
     return out
 
 
-def quantiles(feature: Feature, counts: IntArray, shares: Sequence[float]) -> list[float] | None:
+def quantiles(feature: HistogramFeature, counts: IntArray, shares: Sequence[float]) -> list[float] | None:
     """Quantiles, to a fine bin, of a histogram; None without samples."""
     total = int(counts.sum())
     if not total:

@@ -20,7 +20,7 @@ STRETCH_M = 10.0
 _SHORT_OFF_S = 1.0
 
 
-class Run(NamedTuple):
+class LaneRun(NamedTuple):
     """Rows first to last (inclusive) of one vehicle on one lane."""
 
     lane: int
@@ -74,25 +74,25 @@ def recorded_places(view: LaneView, *, within_m: float) -> dict[int, FloatArray]
     return found
 
 
-def runs_of(view: LaneView, agent: int) -> list[Run]:
+def runs_of(view: LaneView, agent: int) -> list[LaneRun]:
     """Lanes in the order driven; short times off every lane are bridged, longer ones are runs of lane -1."""
     start, stop = int(view.arrays.first[agent]), int(view.arrays.first[agent + 1])
     lane = view.matches.lane[start:stop]
     borders = np.flatnonzero(np.diff(lane)) + 1
     edges = [0, *borders.tolist(), len(lane)]
-    runs = [Run(int(lane[a]), start + a, start + b - 1) for a, b in pairwise(edges)]
+    runs = [LaneRun(int(lane[a]), start + a, start + b - 1) for a, b in pairwise(edges)]
     short = round(_SHORT_OFF_S / view.arrays.step_s)
     return [run for run in runs if run.lane >= 0 or run.last - run.first + 1 > short]
 
 
-def source_path(view: LaneView, runs: list[Run], k: int) -> tuple[Polyline, tuple[int, ...]]:
+def source_path(view: LaneView, runs: list[LaneRun], k: int) -> tuple[Polyline, tuple[int, ...]]:
     """The lane path that the vehicle leaves: its lanes so far, then those beside the lanes that it drives later."""
     chain = _chain_back(view, runs, k - 1)
     beside = {n for run in runs[k:] if run.lane >= 0 for n in _beside(view.lanes, run.lane)}
     return _path(view, chain, beside)
 
 
-def target_path(view: LaneView, runs: list[Run], k: int) -> tuple[Polyline, tuple[int, ...]]:
+def target_path(view: LaneView, runs: list[LaneRun], k: int) -> tuple[Polyline, tuple[int, ...]]:
     """The lane path that the vehicle joins: the lane and those that it drives later, begun beside its lanes so far."""
     chain = [runs[k].lane]
     beside = {n for run in runs[:k] if run.lane >= 0 for n in _beside(view.lanes, run.lane)}
@@ -106,7 +106,7 @@ def target_path(view: LaneView, runs: list[Run], k: int) -> tuple[Polyline, tupl
     return _path(view, chain, own)
 
 
-def path_driven(view: LaneView, runs: list[Run], k: int) -> tuple[Polyline, tuple[int, ...]]:
+def path_driven(view: LaneView, runs: list[LaneRun], k: int) -> tuple[Polyline, tuple[int, ...]]:
     """The lane path of run k as the vehicle has it then: lanes so far, then its own until it changes, then ahead."""
     own: set[int] = set()
     for before, after in pairwise(runs[k:]):
@@ -130,7 +130,7 @@ def points_ahead(lanes: FlatLanes, lane: int, s: float, d: float, ahead_m: float
     return along.xy(np.arange(s + beyond_m, s + min(length, ahead_m), beyond_m), d)
 
 
-def _chain_back(view: LaneView, runs: list[Run], k: int) -> list[int]:
+def _chain_back(view: LaneView, runs: list[LaneRun], k: int) -> list[int]:
     chain = [runs[k].lane]
     for run in reversed(runs[:k]):
         if run.lane < 0 or chain[0] not in view.lanes.successors[run.lane]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from hid2.agents import FloatArray
 from hid2.measures.arrays import BoolArray, SceneArrays
-from hid2.measures.driven_lanes import LaneView, Run, runs_of, source_path, target_path
+from hid2.measures.driven_lanes import LaneRun, LaneView, runs_of, source_path, target_path
 from hid2.measures.lane_matching import CHANGES_LANES, FlatLanes, Matches
 from netconvert.geometry import Polyline
 from netconvert.lane_graph import TURN_RAD
@@ -121,7 +121,7 @@ def whole_lane_changes(seen: Iterable[Maneuver]) -> list[Maneuver]:
     return [one for one in seen if one.kind is ManeuverKind.LANE_CHANGE and one.complete]
 
 
-def _lane_change(view: LaneView, agent: int, runs: list[Run], k: int) -> _Change | None:
+def _lane_change(view: LaneView, agent: int, runs: list[LaneRun], k: int) -> _Change | None:
     """Measure the change from run k - 1 to run k; None where it does not meet the definition."""
     arrays, lanes = view.arrays, view.lanes
     source, target = runs[k - 1].lane, runs[k].lane
@@ -224,7 +224,7 @@ def _edge(slope: FloatArray, known: BoolArray, at: int, direction: int, time: Fl
 # Turns
 
 
-def _turns(view: LaneView, agent: int, runs: list[Run]) -> Iterator[Maneuver]:
+def _turns(view: LaneView, agent: int, runs: list[LaneRun]) -> Iterator[Maneuver]:
     arrays, lanes = view.arrays, view.lanes
     start, stop = int(arrays.first[agent]), int(arrays.first[agent + 1])
     margin = round(TURN_MARGIN_S / arrays.step_s)

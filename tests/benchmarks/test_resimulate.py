@@ -22,7 +22,7 @@ import pytest
 from shared_data import SHARED_DATA
 from unsteered import Start, simulate_unsteered
 
-from bridge.evaluation.resimulate import MODELS, Plan, Resimulation, resimulate_folders
+from bridge.evaluation.resimulate import MODELS, Resimulation, ResimulationPlan, resimulate_folders
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
 from bridge.sumo.poses import front_arc_m, sumo_poses
@@ -79,7 +79,7 @@ def cost(folder: Path, seeds: int) -> tuple[float, float]:
 
 def scores(folders: list[Path], seeds: int, out: Path) -> dict[str, dict[str, float]]:
     """Mean scores over scenes by model and feature, cross-fitted."""
-    assert resimulate_folders(folders, out, Plan(seeds)) == []
+    assert resimulate_folders(folders, out, ResimulationPlan(seeds)) == []
     with (out / "scores.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     names = [name for name in rows[0] if name not in {"scene", "model"}]

@@ -19,7 +19,7 @@ from bridge.forecasting import experiment
 from bridge.forecasting.comparison import Difference
 from bridge.forecasting.compose import compose
 from bridge.forecasting.composition import Composition
-from bridge.forecasting.experiment import PAPER_GAIN_M, PAPER_TABLE2, PAPER_TABLE3, SETS, Plan, run_prediction
+from bridge.forecasting.experiment import PAPER_GAIN_M, PAPER_TABLE2, PAPER_TABLE3, SETS, TrainingPlan, run_prediction
 from bridge.forecasting.small_forecaster import small_forecaster
 from bridge.pages.parts import macro
 from bridge.recordings.folders import find_scenarios
@@ -70,7 +70,7 @@ def brought(composed, tmp_path):
 
 
 def test_forecasts_from_elsewhere_make_both_tables(composed, brought, tmp_path):
-    page = run_prediction([], tmp_path / "out", Plan(), composed=composed, predictions=brought)
+    page = run_prediction([], tmp_path / "out", TrainingPlan(), composed=composed, predictions=brought)
     content = json.loads((tmp_path / "out" / "prediction.json").read_text())
     for table, paper in (("table2", PAPER_TABLE2), ("table3", PAPER_TABLE3)):
         for line, (label, values) in zip(content[table], paper.items(), strict=False):
@@ -94,22 +94,22 @@ def test_forecasts_from_elsewhere_make_both_tables(composed, brought, tmp_path):
 
 def test_the_page_is_the_same_with_more_jobs(composed, brought, tmp_path):
     for name, jobs in (("one", 1), ("two", 2)):
-        run_prediction([], tmp_path / name, Plan(), composed=composed, predictions=brought, jobs=jobs)
+        run_prediction([], tmp_path / name, TrainingPlan(), composed=composed, predictions=brought, jobs=jobs)
     for file in ("prediction.html", "prediction.json", "prediction_scores.csv"):
         assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes()
 
 
 def test_what_is_missing_is_named(composed, brought, tmp_path):
     with pytest.raises(ConfigError, match="needs --composed ROOT"):
-        run_prediction([], tmp_path / "out", Plan(), predictions=brought)
+        run_prediction([], tmp_path / "out", TrainingPlan(), predictions=brought)
     with pytest.raises(ConfigError, match="no validation/recorded/val"):
-        run_prediction([], tmp_path / "out", Plan(), predictions=brought, composed=tmp_path)
+        run_prediction([], tmp_path / "out", TrainingPlan(), predictions=brought, composed=tmp_path)
     (brought / "hid2" / "1" / "hid2.parquet").unlink()
     with pytest.raises(ConfigError, match=r"hid2/1/hid2\.parquet: no such file; expected DIR/SET/SEED"):
-        run_prediction([], tmp_path / "out", Plan(), predictions=brought, composed=composed)
+        run_prediction([], tmp_path / "out", TrainingPlan(), predictions=brought, composed=composed)
     shutil.rmtree(brought / "recorded")
     with pytest.raises(ConfigError, match=r"recorded/0/recorded\.parquet: no such file"):
-        run_prediction([], tmp_path / "out", Plan(), predictions=brought, composed=composed)
+        run_prediction([], tmp_path / "out", TrainingPlan(), predictions=brought, composed=composed)
 
 
 @pytest.mark.parametrize("command", ["forecast", "paper prediction"])
@@ -177,7 +177,7 @@ def test_recordings_of_other_formats_are_refused(tmp_path, monkeypatch):
         targets_of(read_recording(address))
     monkeypatch.setattr(experiment, "check_forecaster", lambda: None)
     with pytest.raises(ConfigError, match=r"1\.csv: argoverse1, expected Argoverse 2 scenes alone"):
-        run_prediction([root / "train"], tmp_path / "out", Plan())
+        run_prediction([root / "train"], tmp_path / "out", TrainingPlan())
 
 
 @pytest.mark.parametrize(("sources", "few"), [(3, True), (999, True), (5000, False)])
@@ -260,9 +260,9 @@ def test_the_small_forecaster_learns(data_root, tmp_path):
 def test_one_command_goes_from_sources_to_both_tables(data_root, tmp_path):
     pytest.importorskip("torch", reason="the extra `forecast`: sh setup.sh forecast")
     params = Forecasting(variants=2, updates=10, val_share=0.4)
-    page = run_prediction([data_root], tmp_path / "out", Plan(seeds=2, agents=3, params=params), jobs=2)
+    page = run_prediction([data_root], tmp_path / "out", TrainingPlan(seeds=2, agents=3, params=params), jobs=2)
     assert "nothing about the claim" in page.read_text()
     first = {path: path.read_bytes() for path in (tmp_path / "out" / "models").rglob("*.parquet")}
     assert len(first) == len(SETS) * 2 * 2
-    run_prediction([data_root], tmp_path / "out", Plan(seeds=2, agents=3, params=params), jobs=1)
+    run_prediction([data_root], tmp_path / "out", TrainingPlan(seeds=2, agents=3, params=params), jobs=1)
     assert {path: path.read_bytes() for path in first} == first

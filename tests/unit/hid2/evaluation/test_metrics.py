@@ -2,7 +2,7 @@
 
 from collections import Counter
 
-from hid2.evaluation.metrics import METRICS, Section, columns
+from hid2.evaluation.metrics import METRICS, MetricTable, columns
 
 
 def test_every_metric_says_what_it_is_once() -> None:
@@ -21,7 +21,7 @@ def test_a_column_has_one_function() -> None:
 
 
 def test_every_section_is_filled() -> None:
-    assert {metric.section for metric in METRICS} == set(Section)
+    assert {metric.section for metric in METRICS} == set(MetricTable)
 
 
 def test_names_hold_the_default_parameters() -> None:
