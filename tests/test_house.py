@@ -1,4 +1,4 @@
-"""The house rules that a program can check: format, lint, types, and the direction of the imports."""
+"""The house rules that a program can check: format, lint, types, the direction of the imports, how large it is."""
 
 import shutil
 import subprocess
@@ -14,6 +14,7 @@ CHECKS = {
     "lint": ["ruff", "check", "."],
     "types": ["mypy"],
     "layers": ["lint-imports"],
+    "bounds": [sys.executable, ".ci/bounds.py"],
 }
 
 

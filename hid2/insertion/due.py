@@ -11,7 +11,7 @@ from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import Observation, decide, is_due
 from hid2.policy.lane_change import OPEN, Gap, LaneOption, SumoAnswer
-from hid2.policy.observation import gap_ahead_of, gaps_on, lane_options, lay_across, leader_on, returns_to
+from hid2.policy.observation import Inserted, gap_ahead_of, gaps_on, lane_options, lay_across, leader_on, returns_to
 from hid2.policy.overtake import SHIFT_RATIO, Stage
 from hid2.reasons import Reason
 from hid2.scene import Scene
@@ -73,6 +73,10 @@ class Due:
     fixed: Traffic
     others: Traffic
 
+    @property
+    def _inserted(self) -> Inserted:
+        return Inserted(self.now, self.fixed, self.others)
+
     def decided(self, ask_sumo: AskSumo | None = None) -> Across | None:
         """Observe and decide; the way across where the decision is a lane change. Each look at a gap is recorded."""
         vehicle, config = self.vehicle, self.scene.config
@@ -112,8 +116,8 @@ class Due:
         if vehicle.stage is Stage.PASS:
             sides = ("right",) if vehicle.shifts[-1].side == "left" else ("left",)
         found = lane_options(
-            scene, vehicle.path, start.box, s=vehicle.s[-1], step=self.now, sides=sides, fixed=self.fixed,
-            fleet=self.others, speed_mps=vehicle.v[-1], desired_mps=start.driver.desired_mps,
+            scene, vehicle.path, start.box, s=vehicle.s[-1], sides=sides, inserted=self._inserted,
+            speed_mps=vehicle.v[-1], desired_mps=start.driver.desired_mps,
         )  # fmt: skip
         if ask_sumo is not None:
             found = [(replace(option, sumo=ask_sumo(option.side)), target) for option, target in found]
@@ -147,9 +151,7 @@ class Due:
         cell = scene.cell_at(vehicle.path, vehicle.s[-1])
         own_front, own_rear = OPEN, OPEN
         if scene.config.lane_change.rule not in ("paper", "LC2013"):  # these are not told of them
-            own_front, own_rear = gaps_on(
-                scene, vehicle.path, start.box, at=vehicle.s[-1], step=self.now, fixed=self.fixed, fleet=self.others
-            )
+            own_front, own_rear = gaps_on(scene, vehicle.path, start.box, at=vehicle.s[-1], inserted=self._inserted)
         return Observation(
             time_s=self.now * scene.step_s, cell=cell, next_cell=scene.grid.longitudinal(cell),
             lane_turn=scene.grid.graph.lanes[cell.lane_id].turn, speed_mps=vehicle.v[-1],

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +28,14 @@ _TIME_SHARE, _LENGTH_SHARE, _SPARE_S = 0.95, 0.8, 0.5
 _HALF_LANE_M = 1.5  # half of the narrowest lane: what "on a lane path" means, the same for all
 
 
+class Inserted(NamedTuple):
+    """Generated vehicles at a step: fixed: kept in rounds before (T steps); fleet: driven together, now (one step)."""
+
+    step: int
+    fixed: Traffic
+    fleet: Traffic
+
+
 def admissible_neighbor(scene: Scene, lane_id: int, side: Side) -> int | None:
     """Same-direction neighbour that a vehicle may change to: of a drivable type, and the marking allows it."""
     graph = scene.grid.graph
@@ -44,16 +53,13 @@ def lane_options(
     box: BoxSize,
     *,
     s: float,
-    step: int,
     sides: Sequence[Side],
-    fixed: Traffic,
-    fleet: Traffic,
+    inserted: Inserted,
     speed_mps: float,
     desired_mps: float,
 ) -> list[tuple[LaneOption, DrivenPath]]:
     """Adjacent lanes at arc length s of a path at one step, each with the path that continues on it.
 
-    fixed: generated vehicles kept in rounds before (T steps); fleet: those driven together, as they are now (one step).
     A transition into a cell that an original agent holds, now or when the vehicle (speed_mps) gets to the next one, is
     rejected (paper, conflict case 1). The corridor m * delta s ends with l' or at a vehicle there that is slower than
     desired_mps: a faster one leaves it.
@@ -72,10 +78,10 @@ def lane_options(
         at = next(one for one in target.segments if one.lane_id == lane_id).s_at(lane_s)
         cell = scene.grid.cell_at(lane_id, lane_s)
         remaining = target.exit_s - at
-        free = _cells_free(scene, cell, step=step, fixed=fixed, fleet=fleet) and not transition_rejected(
-            _next_sigma(scene, cell, step=step, speed_mps=speed_mps)
+        free = _cells_free(scene, cell, inserted) and not transition_rejected(
+            _next_sigma(scene, cell, step=inserted.step, speed_mps=speed_mps)
         )
-        front, rear = gaps_on(scene, target, box, at=at, step=step, fixed=fixed, fleet=fleet)
+        front, rear = gaps_on(scene, target, box, at=at, inserted=inserted)
         corridor = remaining if front.speed_mps >= desired_mps else min(remaining, front.distance_m)
         option = LaneOption(
             side=side, target=cell, cells_free=free, front=front, rear=rear, remaining_m=remaining, corridor_m=corridor
@@ -89,10 +95,9 @@ def target_path(scene: Scene, path: DrivenPath, lane_id: int, *, s: float) -> Dr
     return scene.paths.beside(tuple(segment.lane_id for segment in path.segments if segment.end > s), lane_id)
 
 
-def gaps_on(
-    scene: Scene, target: DrivenPath, box: BoxSize, *, at: float, step: int, fixed: Traffic, fleet: Traffic
-) -> tuple[Gap, Gap]:
+def gaps_on(scene: Scene, target: DrivenPath, box: BoxSize, *, at: float, inserted: Inserted) -> tuple[Gap, Gap]:
     """Bumper gaps ahead and behind at arc length `at` of a path, recorded and generated alike, Frenet metres."""
+    step, fixed, fleet = inserted
     every = [(traffic, scene.met_on(target, box, traffic)) for traffic in (scene.future, fixed, fleet)]
     ids = [traffic.ids[row] for traffic, found in every for row in found.agents]
     recorded, kept, driven = (found for _, found in every)
@@ -191,9 +196,9 @@ def _next_sigma(scene: Scene, cell: Cell, *, step: int, speed_mps: float) -> int
     return int(scene.occupancy.sigma[step + steps, grid.index_of[following]])
 
 
-def _cells_free(scene: Scene, cell: Cell, *, step: int, fixed: Traffic, fleet: Traffic) -> bool:
+def _cells_free(scene: Scene, cell: Cell, inserted: Inserted) -> bool:
     """Cells j-1, j, j+1 of l' have sigma = 0 (paper, Lane Change); sigma = 2 where the simulation has the fleet now."""
-    grid = scene.grid
+    grid, (step, fixed, fleet) = scene.grid, inserted
     here = grid.index_of[cell]  # the cells of a lane follow one another
     first, last = here - min(cell.index, 1), here + min(grid.count(cell.lane_id) - 1 - cell.index, 1)
     if (scene.occupancy.sigma[step, first : last + 1] != FREE).any():

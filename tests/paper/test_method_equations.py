@@ -28,7 +28,7 @@ from hid2.params import Config, LaneChange, Limits, Overtake, Request, Turn
 from hid2.policy.decision import Observation, decide
 from hid2.policy.lane_change import OPEN as NO_GAP
 from hid2.policy.lane_change import Gap, LaneOption
-from hid2.policy.observation import lane_options
+from hid2.policy.observation import Inserted, lane_options
 from hid2.policy.overtake import Stage, enter_reason
 from hid2.policy.roads import f_left, f_right, road_speeds
 from hid2.reasons import Reason
@@ -175,8 +175,8 @@ def test_lane_change_needs_sigma_0_in_cells_j_minus_1_to_j_plus_1_of_the_target_
     """
     scene = _scene()
     (option, _), *_ = lane_options(
-        scene, scene.paths.along((1,)), CAR, s=42.0, step=0, sides=("left",),
-        fixed=_box(42.0 + DELTA_S * k, 3.5, length_m=3.0), fleet=NOBODY, speed_mps=10.0, desired_mps=10.0,
+        scene, scene.paths.along((1,)), CAR, s=42.0, sides=("left",),
+        inserted=Inserted(0, _box(42.0 + DELTA_S * k, 3.5, length_m=3.0), NOBODY), speed_mps=10.0, desired_mps=10.0,
     )  # fmt: skip
     assert option.target == Cell(2, 10)
     assert option.cells_free is (abs(k) > 1)

@@ -12,6 +12,7 @@ from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
 from hid2.policy.lane_change import OPEN as NO_GAP
 from hid2.policy.observation import (
+    Inserted,
     admissible_neighbor,
     gap_ahead_of,
     gaps_on,
@@ -72,7 +73,7 @@ def test_option_is_the_facing_cell_with_what_is_left_of_its_lane(scene_of: Calla
     """At 41 m of lane 1: cell 10 of lane 2, 159 m before its end, nobody there."""
     scene = scene_of()
     ((option, target),) = lane_options(
-        scene, scene.paths.along((1,)), CAR, s=41.0, step=0, sides=("left", "right"), fixed=NOBODY, fleet=NOBODY,
+        scene, scene.paths.along((1,)), CAR, s=41.0, sides=("left", "right"), inserted=Inserted(0, NOBODY, NOBODY),
         speed_mps=10.0, desired_mps=10.0,
     )  # fmt: skip
     assert (option.side, option.target, option.cells_free) == ("left", Cell(2, 10), True)
@@ -92,7 +93,7 @@ def test_cell_that_is_taken_when_the_vehicle_gets_there_rejects_the_transition(
 
     def is_free(speed_mps: float, step: int) -> bool:
         ((option, _),) = lane_options(
-            scene, scene.paths.along((1,)), CAR, s=41.0, step=step, sides=("left",), fixed=NOBODY, fleet=NOBODY,
+            scene, scene.paths.along((1,)), CAR, s=41.0, sides=("left",), inserted=Inserted(step, NOBODY, NOBODY),
             speed_mps=speed_mps, desired_mps=10.0,
         )  # fmt: skip
         return option.cells_free
@@ -112,7 +113,7 @@ def test_gaps_are_bumper_to_bumper_with_the_neighbours_speeds(
         |<-15.5->|    |<---25.5---->|           20 - 4.5 and 30 - 4.5, to half a metre
     """
     scene = scene_of(_drive(track, 60.0, 3.5, 9.0, "rear"), _drive(track, 110.0, 3.5, 12.0, "front"))
-    front, rear = gaps_on(scene, scene.paths.along((2,)), CAR, at=80.0, step=0, fixed=NOBODY, fleet=NOBODY)
+    front, rear = gaps_on(scene, scene.paths.along((2,)), CAR, at=80.0, inserted=Inserted(0, NOBODY, NOBODY))
     assert front.distance_m == pytest.approx(25.5, abs=0.6)
     assert rear.distance_m == pytest.approx(15.5, abs=0.6)
     assert (front.speed_mps, rear.speed_mps) == pytest.approx((12.0, 9.0))
@@ -121,7 +122,7 @@ def test_gaps_are_bumper_to_bumper_with_the_neighbours_speeds(
 def test_gaps_are_those_of_the_step(scene_of: Callable[..., Scene], track: Callable[..., Track]) -> None:
     """After 5 s the one at 60 m with 9 m/s is at 105: now ahead of 80."""
     scene = scene_of(_drive(track, 60.0, 3.5, 9.0))
-    front, rear = gaps_on(scene, scene.paths.along((2,)), CAR, at=80.0, step=50, fixed=NOBODY, fleet=NOBODY)
+    front, rear = gaps_on(scene, scene.paths.along((2,)), CAR, at=80.0, inserted=Inserted(50, NOBODY, NOBODY))
     assert front.distance_m == pytest.approx(20.5, abs=0.6)
     assert rear == NO_GAP
 
@@ -132,7 +133,7 @@ def test_kept_and_driven_vehicles_count_like_recorded_ones(
     """One kept in a round before drives at 5 m/s from 90 m on and is at 110 after 4 s; the fleet is as it is now."""
     scene = scene_of()
     fixed, fleet = box(90.0, 3.5, 0.0, 5.0), box(50.0, 3.5, 0.0, 7.0, steps=1)
-    front, rear = gaps_on(scene, scene.paths.along((2,)), CAR, at=80.0, step=40, fixed=fixed, fleet=fleet)
+    front, rear = gaps_on(scene, scene.paths.along((2,)), CAR, at=80.0, inserted=Inserted(40, fixed, fleet))
     assert front.distance_m == pytest.approx(25.5, abs=0.6)
     assert rear.distance_m == pytest.approx(25.5, abs=0.6)
     assert (front.speed_mps, rear.speed_mps) == pytest.approx((5.0, 7.0))
@@ -145,8 +146,8 @@ def test_free_corridor_ends_at_who_is_slower_than_desired(
     """At 80 m of 200, somebody at 109 m ahead on the lane beside: bumper gap 24.5 m; who drives 10 m/s leaves it."""
     scene = scene_of()
     ((option, _),) = lane_options(
-        scene, scene.paths.along((1,)), CAR, s=80.0, step=0, sides=("left",), fixed=box(109.0, 3.5, 0.0, speed),
-        fleet=NOBODY, speed_mps=10.0, desired_mps=10.0,
+        scene, scene.paths.along((1,)), CAR, s=80.0, sides=("left",),
+        inserted=Inserted(0, box(109.0, 3.5, 0.0, speed), NOBODY), speed_mps=10.0, desired_mps=10.0,
     )  # fmt: skip
     assert option.corridor_m == pytest.approx(corridor, abs=0.6)
 
@@ -165,7 +166,7 @@ def test_generated_vehicles_hold_the_cells_where_the_simulation_has_them_now(
         fixed = box(x, 3.5, length_m=3.0) if who == "kept" else NOBODY
         fleet = box(x, 3.5, steps=1, length_m=3.0) if who == "driven" else NOBODY
         ((option, _),) = lane_options(
-            scene, scene.paths.along((1,)), CAR, s=42.0, step=70, sides=("left",), fixed=fixed, fleet=fleet,
+            scene, scene.paths.along((1,)), CAR, s=42.0, sides=("left",), inserted=Inserted(70, fixed, fleet),
             speed_mps=10.0, desired_mps=10.0,
         )  # fmt: skip
         return option.cells_free
@@ -183,7 +184,7 @@ def test_recorded_vehicles_hold_the_cells_beside_and_next_to_it(
     """Cells 9 to 11, beside and next to it, are 36 .. 48 m. A car at 32 m ends at 34.25, at 52 m it begins at 49.75."""
     scene = scene_of(track(range(110), np.full(110, x), 3.5))
     ((option, _),) = lane_options(
-        scene, scene.paths.along((1,)), CAR, s=42.0, step=70, sides=("left",), fixed=NOBODY, fleet=NOBODY,
+        scene, scene.paths.along((1,)), CAR, s=42.0, sides=("left",), inserted=Inserted(70, NOBODY, NOBODY),
         speed_mps=0.0, desired_mps=10.0,
     )  # fmt: skip
     assert option.cells_free == free
@@ -191,7 +192,7 @@ def test_recorded_vehicles_hold_the_cells_beside_and_next_to_it(
 
 def test_vehicle_beside_leaves_no_gap(scene_of: Callable[..., Scene], track: Callable[..., Track]) -> None:
     scene = scene_of(_drive(track, 81.0, 3.5, 9.0))
-    front, _ = gaps_on(scene, scene.paths.along((2,)), CAR, at=80.0, step=0, fixed=NOBODY, fleet=NOBODY)
+    front, _ = gaps_on(scene, scene.paths.along((2,)), CAR, at=80.0, inserted=Inserted(0, NOBODY, NOBODY))
     assert front.distance_m < 0.0
 
 
