@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections import Counter, defaultdict
+from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, field, replace
 
@@ -191,17 +191,17 @@ class Filling:
         )  # fmt: skip
         starts, self._again = sites.starts.take(self._again), []
         used = {start.request.number for start in starts}
-        waiting = sorted(self._open, key=lambda request: (BEHAVIOURS[request.policy].site_order, request.number))
-        waiting = [request for request in waiting if request.number not in used]
+        waiting = deque(sorted(self._open, key=lambda one: (BEHAVIOURS[one.policy].site_order, one.number)))
         failed, refused, redrawn = Counter[Policy](), defaultdict[Policy, Counter[Reason]](Counter), False
-        for request in waiting:  # those with no place for their manoeuvre go straight, and come last
+        while waiting:
+            request = waiting.popleft()
             if request.number in used:
                 continue
             policy, before = request.policy, sites.starts.rejected.copy()
             straight = policy is Policy.STRAIGHT
             found: list[Start] = []
             if failed[policy] < (_FAILED_STRAIGHT if straight else _FAILED):
-                slow = self._to_lead(request, [r for r in waiting if r.number not in used])
+                slow = self._to_lead(request, [one for one in waiting if one.number not in used])
                 found = sites.propose(request, slow and replace(slow, policy=Policy.STRAIGHT))
                 if straight and not found and not redrawn:
                     redrawn = True  # what was full for one draw of places may not be for another
@@ -212,7 +212,8 @@ class Filling:
                     self._gives_up(slow)
                 failed[policy] += not found
                 refused[policy] += sites.starts.rejected - before
-            if not found and not straight:  # what became of a vehicle that was driven for it says more
+            if not found and not straight:  # it goes straight, after all others
+                # what became of a vehicle that was driven for the manoeuvre says more
                 self._last_reason.setdefault(request.number, _found_none(policy, sites, refused[policy]))
                 waiting.append(self._gives_up(request))
             used.update(start.request.number for start in found)
@@ -227,7 +228,7 @@ class Filling:
         if request.policy is not Policy.OVERTAKE or not self.scene.config.request.spawn_leaders:
             return None
         for policy in (Policy.STRAIGHT, Policy.OVERTAKE):
-            found = [one for one in others if one.policy is policy and one.number != request.number]
+            found = [one for one in others if one.policy is policy]
             if found:
                 return found[0 if policy is Policy.STRAIGHT else -1]
         return None

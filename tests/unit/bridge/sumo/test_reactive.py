@@ -22,14 +22,13 @@ from bridge.sumo.fleet import Fleet
 from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy
 from hid2.conflicts.stop_lines import StopLines
-from hid2.params import Config, LaneChange, Request
-from hid2.params import FleetSimulation as DrivingParams
+from hid2.params import Config, Driving, LaneChange, Request
 from hid2.policy.roads import Roads
 from netconvert.errors import ConfigError, ScenarioError
 from netconvert.lane_graph import LaneGraph
 from netconvert.net_xml import net_bytes
 
-REACTIVE = DrivingParams(replay="reactive")
+REACTIVE = Driving(replay="reactive")
 
 
 def _two_lanes() -> LaneGraph:
@@ -43,10 +42,10 @@ def _two_lanes() -> LaneGraph:
 
 
 @pytest.fixture
-def cut_in(tmp_path: Path) -> Callable[[DrivingParams], FleetSimulation]:
+def cut_in(tmp_path: Path) -> Callable[[Driving], FleetSimulation]:
     """A car at x = 38 m with 8 m/s is asked at 0.5 s to change in front of a recorded one 13.5 m behind with 12 m/s."""
 
-    def run(driving: DrivingParams) -> FleetSimulation:
+    def run(driving: Driving) -> FleetSimulation:
         config = Config(driving=driving, lane_change=LaneChange(time_gap_rear_s=0.2, braking_mps2=4.0))
         scene = scene_on(_two_lanes(), recorded(20.0, 3.3, 12.0, name="follower"), config=config)
         start = start_on(scene, (1,), 38.0, 8.0, policy=Policy.LANE_CHANGE, trigger_s=0.5)
@@ -63,12 +62,12 @@ def cut_in(tmp_path: Path) -> Callable[[DrivingParams], FleetSimulation]:
 
 
 def test_follower_that_is_cut_in_front_of_yields_on_its_path(
-    cut_in: Callable[[DrivingParams], FleetSimulation],
+    cut_in: Callable[[Driving], FleetSimulation],
 ) -> None:
     """As recorded it would be run into, so nobody changes; reacting, it brakes from 12 m/s to below 9, no harder than
     SUMO's 9 m/s2, stays behind, and is where SUMO has it.
     """
-    fixed, reactive = cut_in(DrivingParams()), cut_in(REACTIVE)
+    fixed, reactive = cut_in(Driving()), cut_in(REACTIVE)
     assert fixed.fleet.vehicles[0].shifts == []
     (vehicle,) = reactive.fleet.vehicles
     assert len(vehicle.shifts) == 1
@@ -85,8 +84,8 @@ def test_follower_that_is_cut_in_front_of_yields_on_its_path(
     assert reactive.replay_errors.max_position_error_m < 1e-6
 
 
-def test_fixed_scene_is_never_another_one(cut_in: Callable[[DrivingParams], FleetSimulation]) -> None:
-    fixed = cut_in(DrivingParams())
+def test_fixed_scene_is_never_another_one(cut_in: Callable[[Driving], FleetSimulation]) -> None:
+    fixed = cut_in(Driving())
     assert fixed.reactions is None
     assert fixed.fleet.scene.traffic.position[0, :, 0] == pytest.approx(20.0 + 1.2 * np.arange(110))
 
