@@ -9,12 +9,14 @@ from bridge.sumo import steering
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.poses import front_arc_m
 from bridge.sumo.replay import Replay, ReplayErrors
+from bridge.sumo.shown import ever_shown, shown_at
 from bridge.sumo.simulation import Simulation
 from hid2.agents import IntArray
 from hid2.conflicts.reaction import Reactions
 from hid2.insertion.entry_sites import entry_speed
 from hid2.kernels.steering import CAUSES
 from hid2.occupancy.shown import UNSEEN_STEPS
+from hid2.occupancy.traffic import Traffic
 from hid2.policy.behaviours import BEHAVIOURS
 from hid2.policy.roads import POLICIES
 from hid2.reasons import Reason
@@ -31,8 +33,9 @@ _BINDS_MPS = 0.05  # book-keeping: a limit this close to the speed driven is wha
 class FleetSimulation:
     """One simulation of a fleet, each vehicle from its own first step on.
 
-    checked: the pose in SUMO of every recorded agent is compared at every step. Where recorded vehicles react, the
-    fleet's scene becomes another one with each that yields, and `reactions` says how late they are.
+    checked: every recorded agent is replayed at every step, and its pose in SUMO compared; else only while a vehicle is
+    to see it. Where recorded vehicles react, the fleet's scene becomes another one with each that yields, and
+    `reactions` says how late they are.
     """
 
     fleet: Fleet
@@ -47,7 +50,7 @@ class FleetSimulation:
         fleet, simulation, step_s = self.fleet, self.simulation, self.fleet.scene.step_s
         simulation.rewind()
         recorded = len(fleet.scene.traffic.ids) if self.checked else 0
-        replay = self._replay = Replay(simulation, fleet.known, step_s=step_s, checked=recorded)
+        replay = self._replay = Replay(simulation, self._replayed(), step_s=step_s, checked=recorded)
         for back in range(UNSEEN_STEPS, 0, -1):
             replay.warm_up(back)
             simulation.step()
@@ -62,7 +65,7 @@ class FleetSimulation:
             for row, vehicle in enumerate(fleet.vehicles):
                 if vehicle.start.step == step:  # from now on SUMO has to be shown its leaders
                     fleet.along_m[row] = vehicle.start.start_s
-            replay.place(step, steering.shown_at(fleet, step))
+            replay.place(step, shown_at(fleet, step))
             simulation.step()
             self._enter(step)
             replay.check(step)
@@ -96,8 +99,14 @@ class FleetSimulation:
             if limits.seeks[k] and steering.take_another_way(fleet, self.simulation, row, now):
                 for found, renewed in zip(limits, steering.limits_of(fleet, rows[k:], now), strict=True):
                     found[k:] = renewed  # those after it see where it goes
+                self._replay.take(fleet.known)  # others may have to be shown on this way
         fleet.yielding[rows] = limits.yields
         return attempts, self._drive(rows, limits, now)
+
+    def _replayed(self) -> Traffic:
+        """Recorded agents and those kept, as they are put into SUMO."""
+        anywhere = self.checked or self.fleet.scene.config.driving.replay != "fixed"  # as agents that react are
+        return self.fleet.known if anywhere else ever_shown(self.fleet)
 
     def _drive(self, rows: IntArray, limits: steering.SpeedLimits, now: int) -> dict[int, Limit]:
         """Tell SUMO how fast vehicles wish to drive and may drive at the coming step; returns the limits by vehicle."""

@@ -37,6 +37,10 @@ class FlowDriving(FleetSimulation):
     _held: list[Arrival] = field(default_factory=list)
     _queued: dict[str, Arrival] = field(default_factory=dict)
 
+    def _replayed(self) -> Traffic:
+        """All of them at all steps: any may be ahead of a vehicle that enters."""
+        return self.fleet.known
+
     def _steer(self, step: int) -> tuple[dict[int, Attempt], dict[int, Limit]]:
         """Those that are due are let in last, when it is known which vehicles change lanes at this step."""
         attempts, limits = FleetSimulation._steer(self, step)

@@ -1,4 +1,4 @@
-"""What vehicles are told at a step: limits where SUMO is blind, another way, Algorithm 1's lane changes, leaders."""
+"""What vehicles are told at a step: limits where SUMO is blind, another way, and Algorithm 1's lane changes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,12 +13,10 @@ from hid2.agents import FloatArray, IntArray, Policy
 from hid2.conflicts.guard import ACROSS_S, ACTS_MPS2, STRIDE, A, S
 from hid2.conflicts.stop_lines import STOPS
 from hid2.insertion.due import Across, Due, advance, foreseen_speeds
-from hid2.kernels.gaps import shown_ahead
 from hid2.kernels.steering import CAUSES, NO_LIMIT_MPS, speed_limits
 from hid2.motion.lane_change_path import lateral_share
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, shifted_path
-from hid2.occupancy.shown import LEADS_FROM_M, SHOWN_M, STANDING_MPS
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.policy.lane_change import SumoAnswer
 from hid2.policy.overtake import Stage
@@ -215,25 +213,3 @@ def conclude(fleet: Fleet, simulation: Simulation, attempt: Attempt, lane: str) 
     edges = edges_along(scene, vehicle.path, cell) if cell is not None else None
     if edges:
         simulation.set_route(vehicle.vehicle_id, edges)
-
-
-def shown_at(fleet: Fleet, step: int) -> dict[int, tuple[str, int]]:
-    """Agents that SUMO's car following is shown: row (recorded, then kept) -> edge and lane index of its place there.
-
-    Those that reach into the driving width on the present way of some vehicle and move along it or stand.
-    Crossing agents are the guard's business: to SUMO they would appear out of nowhere.
-    """
-    seen: dict[int, tuple[str, int]] = {}
-    scene = fleet.scene
-    if "collision" in scene.config.without:
-        return seen
-    (known, first), length_m = fleet.on_ways, np.concatenate([scene.traffic.length_m, fleet.fixed.length_m])
-    found = shown_ahead(
-        known.low, known.high, known.along, known.same_direction, known.crossing, known.agents, first,
-        length_m, scene.traffic.position, fleet.fixed.position, step, fleet.along_m, fleet.centre, fleet.length_m,
-        (STANDING_MPS, LEADS_FROM_M, SHOWN_M),
-    )  # fmt: skip
-    for agent, row, middle in zip(*(column.tolist() for column in found), strict=True):
-        cell = scene.cell_at(fleet.vehicles[row].path, middle)
-        seen[agent] = scene.grid.edge_id(cell), scene.grid.lane_index(cell)
-    return seen

@@ -29,6 +29,13 @@ class Raster(NamedTuple):
     first: IndexTable
     last: IndexTable
 
+    def last_near(self, xy: FloatArray) -> IndexTable:
+        """(A, T) last point of the line that may be within reach_m of places (A, T, 2) m, -1 where there is none."""
+        square = np.floor((xy - (self.x0, self.y0)) / self.side_m).astype(np.int64)
+        inside = np.asarray(((square >= 0) & (square < self.last.shape)).all(axis=-1))
+        column, row = np.moveaxis(np.where(inside[..., None], square, 0), -1, 0)
+        return np.where(inside, self.last[column, row], -1)
+
 
 def raster(xy: FloatArray, *, step_m: float, reach_m: float) -> Raster:
     """Raster of a line's points xy (K, 2) m, which are at most step_m apart."""

@@ -191,8 +191,11 @@ def test_slower_leaders_of_all_kinds_are_followed(kind: str, drive: Callable[...
     assert np.mean(one.v[-10:]) < 5.5
 
 
-def test_motion_does_not_depend_on_whether_poses_are_compared(drive: Callable[..., FleetSimulation]) -> None:
-    """The same, to the last bit."""
+def test_agents_that_are_not_shown_need_not_be_there(drive: Callable[..., FleetSimulation]) -> None:
+    """All recorded agents in SUMO, or only those that have to be shown: the same motion, to the last bit.
+
+    One behind, one that parks beside, and one that crosses before any vehicle is near draw no random numbers.
+    """
     leader, behind, parked = recorded(85.0, 0.0, 6.0), recorded(5.0, 0.0, name="b"), recorded(140.0, 3.5, name="p")
     scene = scene_on(_two_lanes(), leader, behind, parked, recorded(250.0, -20.0, 10.0, heading=UP, name="c"))
     ways = [
