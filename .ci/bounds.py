@@ -40,7 +40,7 @@ BOUNDS = {
     "lines of tests": (37_300, 19_000),
     "parameters": (110, 110),
     "fmt: skip and fmt: off": (258, 40),
-    "functions above 80 lines": (1, 0),
+    "functions above 80 lines": (2, 0),
     "functions with more than 8 arguments, outside of kernels": (7, 0),
     "class names that are used twice": (0, 0),
     "persons: who, whom, whose, somebody, nobody, anybody": (40, 40),
