@@ -60,7 +60,10 @@ def brakes_for(ttc_s: float | None) -> bool:
 
 
 def measure_event(states: AgentStates, kind: str, own: int, target: int, *, at_step: int) -> EventMeasures:
-    """Measures of an event of a kind, of a vehicle and its target, two rows, both there at a step."""
+    """Measures of an event of a kind, of a vehicle and its target, two rows, at a step.
+
+    Errors: ValueError where one of the two is not there at that step.
+    """
     arrays = states.arrays
     row, there = (_row(states, agent, at_step) for agent in (own, target))
     forward = np.array([np.cos(arrays.heading[there]), np.sin(arrays.heading[there])])
