@@ -249,6 +249,7 @@ def test_click_on_a_cell_tells_its_occupancy(opened: Page, generated: list[Path]
     opened.click(x, y + opened.js("panes[0].front.getBoundingClientRect().top"))
     cell = grid.cells[number]
     assert opened.js("$('panel').querySelector('h2').textContent") == f"Cell {cell.index} of lane {cell.lane_id}"
+    opened.drawn()
     assert "σ" in opened.js("$('live').textContent")
 
 
