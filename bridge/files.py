@@ -41,7 +41,7 @@ def explained(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def beside(path: Path) -> Iterator[Path]:
-    """A hidden file beside a file, whose place it takes at the end; gone if all fails. Errors: ExportError."""
+    """A hidden file beside a file, which takes the place of that at the end; gone if all fails. Errors: ExportError."""
     with explained(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with hidden_file(path.parent, path.suffix) as hidden:

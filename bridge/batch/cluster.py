@@ -117,6 +117,7 @@ def _client(scheduler: str) -> Iterator[Client]:
             raise ConfigError(f"scheduler {scheduler!r}: no certificates for it, {_TLS}")
         client = Client(scheduler, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise BatchError(f"scheduler {scheduler}: cannot be reached ({error})") from error
+        way_out = f", {_TLS}" if scheduler.startswith("tls") else ""
+        raise BatchError(f"scheduler {scheduler}: cannot be reached ({error}){way_out}") from error
     with client:
         yield client

@@ -68,7 +68,10 @@ class _OwnPath:
 
 
 class Reactions:
-    """The recorded vehicles of one simulation. scene: as it has become; late (A,): steps behind the recording."""
+    """The recorded vehicles of one simulation. scene: as it has become; follow_mps: their car following.
+
+    late (A,): how many steps each recorded agent is behind its recording by now.
+    """
 
     def __init__(self, scene: Scene, follow_mps: FollowSpeed) -> None:
         self.scene, self.follow_mps, self._recorded = scene, follow_mps, scene.future

@@ -116,7 +116,10 @@ class ClosedLines:
         return float(gap_m[np.abs(gap_m).argmin()]) if gap_m.size else math.inf
 
     def room_m(self, s: float, step: int, driver: Driver) -> float:
-        """From a place on the path to where a driver stands before the next closed line, m; inf: none, -1: past it."""
+        """From a place on the path to where a driver stands before the next closed line, m, inf for none.
+
+        -1 past a closed line, on what that is before: a vehicle there came on red.
+        """
         ahead_m, closed = self.stops_s(driver) - s, self.closed[:, step]
         if (closed & (ahead_m < 0.0) & (s < self.end_s)).any():
             return -1.0

@@ -215,7 +215,10 @@ def _joined(own: Iterable[Segment], beside: Iterable[Segment], *, at: float) -> 
 
 
 def first_turn(graph: LaneGraph, path: DrivenPath, kind: TurnType, *, after: float) -> Segment | None:
-    """First stretch behind `after`, m, on a lane of a turn type on which the path itself turns; None if none does."""
+    """First stretch of a path on a lane of a turn type that begins behind arc length `after`, m; None if none does.
+
+    Only where the path itself turns so: a lane may do no more than undo the kink before it, which does not show.
+    """
     heading, sign = path.line.table_heading, 1.0 if kind is TurnType.LEFT else -1.0
     for segment in path.segments:
         if graph.lanes[segment.lane_id].turn is kind and segment.start > after:
@@ -237,7 +240,10 @@ def straightest_first(graph: LaneGraph, onward: Iterable[int], preferred: Contai
 
 
 def routes_from(graph: LaneGraph, lane_id: int, *, choose: Callable[[Route], Route], most: int) -> Iterator[Route]:
-    """Routes of drivable lanes to where the map ends, at most `most`, depth first; `choose` orders lanes at splits."""
+    """Routes of drivable lanes to where the map ends, at most `most`, depth first; `choose` orders lanes at splits.
+
+    A route stops growing beyond ROUTE_LONGEST_M; cycles are not entered twice.
+    """
     found = 0
     stack: list[tuple[Route, float]] = [((lane_id,), 0.0)]
     while stack and found < most:

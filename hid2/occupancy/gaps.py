@@ -42,7 +42,11 @@ def gaps_on_path(seen: PathOccupancy, s: FloatArray, steps: IntArray | int, *, a
 
 
 class AllGaps(NamedTuple):
-    """Every agent on a path as seen from places on it; (R, N) as in `Gaps`, lead_m and lag_m inf for others."""
+    """Every agent on a path as seen from places (N,) on it.
+
+    lead_m, lag_m (R, N) m: bumper to bumper to those ahead and to those behind, negative side by side, inf for others;
+    along_mps (R, N) m/s: speeds along the path, 0 for one that comes back.
+    """
 
     lead_m: FloatArray
     lag_m: FloatArray
