@@ -73,9 +73,9 @@ class Shift:
 class GapLook:
     """One look at a gap: what was seen at a step, and the answers.
 
-    own_mps: of the vehicle; refusals: conditions of the lane-change rule that said no, none for yes; guard: reason
-    found on the way across (path, conflict case 3), None for yes or where the rule said no; sumo: its answer, None
-    where it was not asked.
+    own_mps: of the vehicle; refusals: conditions of the lane-change rule that said no, none for yes; guard: why
+    there is no safe path into the gap, None for yes or where the rule said no; sumo: its answer, None where it was not
+    asked.
     """
 
     step: int

@@ -240,8 +240,8 @@ def print_batch(rows: Sequence["ManifestRow"], request: "Request") -> None:
     """Print what happened, run by run when there are few, and the sums."""
     if len(rows) <= LISTED_RUNS:
         with_events = any(row.events_requested for row in rows)
-        head = ("scene", "variant", "placed", "left", "right", "changes", "overtakes", "manoeuvres")
-        listed = (*head, *(("events",) if with_events else ()), "s", "remarks")
+        head = ("scene", "variant", "placed", "left turns", "right turns", "lane changes", "overtakes", "manoeuvres")
+        listed = (*head, *(("events",) if with_events else ()), "run time, s", "remarks")
         print_table("Generated scenes", listed, [_line(row, request, with_events=with_events) for row in rows])
     done = [row for row in rows if row.status == DONE]
     most = any(row.asked == "max" for row in done)

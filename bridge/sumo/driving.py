@@ -88,15 +88,15 @@ class FleetSimulation:
             return attempts, {}
         limits = steering.limits_of(fleet, rows, now)
         for k, row in enumerate(rows.tolist()):
-            on_lane = POLICIES[limits.policy[k]]
+            lane_policy = POLICIES[limits.policy[k]]
             if BEHAVIOURS[fleet.vehicles[row].start.request.policy].changes_lanes:
-                attempt = steering.apply_policy(fleet, self.simulation, row, now, traffic, on_lane)
+                attempt = steering.apply_policy(fleet, self.simulation, row, now, traffic, lane_policy)
                 if attempt is not None:
                     attempts[row] = attempt
                 steering.let_pass(fleet, row, now, limits, k)
             else:  # nothing to be asked: it keeps to its lane, as `decide` says
-                fleet.vehicles[row].policies[on_lane] += 1
-            if limits.seeks[k] and steering.take_another_way(fleet, self.simulation, row, now):
+                fleet.vehicles[row].policies[lane_policy] += 1
+            if limits.braking_fails[k] and steering.take_another_way(fleet, self.simulation, row, now):
                 for found, renewed in zip(limits, steering.limits_of(fleet, rows[k:], now), strict=True):
                     found[k:] = renewed  # those after it see where it goes
                 self._replay.take(fleet.known)  # others may have to be shown on this way

@@ -113,10 +113,10 @@ class Fleet:
         vehicle.s.append(s)
         vehicle.v.append(speed_mps)
         vehicle.jumped_m.append(jumped_m)
-        shifts, table = vehicle.path.shifts, vehicle.path.line.table_xy
-        # Case 2, executing goes before pending: in a change of lanes or in a turn.
+        spans, table = vehicle.path.lateral_spans, vehicle.path.line.table_xy
+        # executing goes before pending (conflict case 2): in a change of lanes or in a turn
         turns = way.policies[bisect_right(way.lane_ends, s, hi=way.lane_ends.size - 1)] != STRAIGHT
-        executing = (shifts and shifts[-1][0] < s < shifts[-1][1]) or turns
+        executing = (spans and spans[-1].begin < s < spans[-1].end) or turns
         self.along_m[row], self.centre[row] = s, table[min(int(s / TABLE_STEP_M), len(table) - 1)]
         self.state[row] = s, speed_mps, (speed_mps - before) / self.scene.step_s, executing, 1.0
 
@@ -220,7 +220,8 @@ class Fleet:
         """What is on the ways of the vehicles that are `here`, by vehicle, as the kernel `speed_limits` takes it."""
         if self._along is None or self.scene.config.driving.replay != "fixed":
             ways = [self._on_way(row, now) for row in self.here.tolist()]
-            counts = [[0] * 6, *([len(one[column]) for column in (0, 1, 3, 7, 10, 11)] for one in ways)]
+            counted = 0, 1, 3, 7, 10, 11  # of road, lanes, known agents, stop lines, others, and what they sweep
+            counts = [[0] * 6, *([len(one[column]) for column in counted] for one in ways)]
             first = np.cumsum(counts, axis=0, dtype=np.int64)  # where those of each begin, and the last ones end
             self._along = first, *(np.concatenate(column) for column in zip(*ways, strict=True))
         return self._along

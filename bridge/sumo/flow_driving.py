@@ -75,7 +75,8 @@ class FlowDriving(FleetSimulation):
         changing = {
             vehicle.vehicle_id
             for row, vehicle in enumerate(fleet.vehicles)
-            if row in attempts or (vehicle.path.shifts and vehicle.s and vehicle.s[-1] < vehicle.path.shifts[-1][1])
+            if row in attempts
+            or (vehicle.path.lateral_spans and vehicle.s and vehicle.s[-1] < vehicle.path.lateral_spans[-1].end)
         }
         driven = fleet.traffic()
         rows = [row for row, name in enumerate(driven.ids) if name in changing]

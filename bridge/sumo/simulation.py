@@ -21,7 +21,9 @@ from netconvert.errors import SimulationError
 _ONLY_ASKED_IF_SAFE = 512
 _ASKED_ANYHOW = 0  # the same, and one asked for is carried out
 _OWN_WISH = 1621  # SUMO's default: its model changes lanes as it likes
-#: TraCI speed mode: car following and the greatest acceleration hold; a limit may brake harder than is comfortable.
+#: TraCI speed mode: a speed that is set is bounded by car following (1) and the greatest acceleration (2), so that it
+#: limits what SUMO chooses; it may brake harder than is comfortable (4 is left out). 8 and 16: right of way and red
+#: lights at junctions, of which a net of hid2 has none.
 _SAFE_SPEED = 1 + 2 + 8 + 16
 #: Motives of SUMO's lane-change model, as it names them.
 _MOTIVES = frozenset({"strategic", "cooperative", "speedGain", "keepRight"})

@@ -12,8 +12,8 @@ from bridge.sumo.simulation import Simulation
 from hid2.agents import FloatArray, IntArray, Policy
 from hid2.conflicts.guard import ACROSS_S, ACTS_MPS2, STRIDE, A, S
 from hid2.conflicts.stop_lines import STOPS
-from hid2.insertion.due import Across, Due, advance, foreseen_speeds
-from hid2.kernels.steering import CAUSES, NO_LIMIT_MPS, speed_limits
+from hid2.insertion.due import Across, ManoeuvreDue, advance, foreseen_speeds
+from hid2.kernels.steering import CAUSES, LIMIT_TOLERANCE_MPS, speed_limits
 from hid2.motion.lane_change_path import lateral_share
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, shifted_path
@@ -43,20 +43,21 @@ class SpeedLimits(NamedTuple):
     policy: IntArray
     waits_for: IntArray
     yields: BoolArray
-    seeks: BoolArray
+    braking_fails: BoolArray
 
 
 def limits_of(fleet: Fleet, rows: IntArray, now: int) -> SpeedLimits:
-    """The lowest limit on the speed of the last of the vehicles that are `here` for the step after `now`.
+    """The lowest limits on the speeds of rows (M,) of the fleet for the step after `now`.
 
-    The road's, the guard's (case 3, timing), and those of stop lines.
+    The road's, the guard's (predicted conflicts), and those of stop lines. rows: all that are `here`, or the last of
+    these, where one before them has taken another way.
     """
     guard = fleet.guard
     first, *along = fleet.along_ways(now)
     return SpeedLimits(*speed_limits(
         rows, now, fleet.state, fleet.desired_mps, fleet.drivers, fleet.yielding, STRAIGHT,
         guard.horizon, STRIDE, fleet.scene.step_s, TABLE_STEP_M, guard.brakes,
-        guard.predicted, STOPS, guard.rules, first[-rows.size - 1 :], *along,
+        guard.predicted, STOPS, guard.yield_rules, first[-rows.size - 1 :], *along,
     ))  # fmt: skip
 
 
@@ -66,7 +67,7 @@ def let_pass(fleet: Fleet, row: int, now: int, limits: SpeedLimits, place: int) 
     if vehicle.stage is Stage.WAITING and vehicle.reason in _LETS_PASS:
         desired, v = fleet.desired_mps[row, now], vehicle.v[-1]
         slower = max(_LET_PASS_SHARE * desired, v - _LET_PASS_MPS2 * step_s)
-        if slower < desired - NO_LIMIT_MPS and (slower, _GAP) < (limits.mps[place], limits.cause[place]):
+        if slower < desired - LIMIT_TOLERANCE_MPS and (slower, _GAP) < (limits.mps[place], limits.cause[place]):
             limits.mps[place], limits.cause[place] = slower, _GAP
 
 
@@ -82,7 +83,7 @@ def edges_along(scene: Scene, path: DrivenPath, cell: Cell) -> tuple[str, ...] |
 
 
 def take_another_way(fleet: Fleet, simulation: Simulation, row: int, now: int) -> bool:
-    """Send a vehicle another way at the next split if no agent is met there (conflict case 3); whether it goes there.
+    """Send a vehicle another way at the next split if no agent is met there (case 3, reroute); whether it goes there.
 
     Only one that is to go straight: another way is no longer the turn or the change of lanes that was asked for.
     """
@@ -125,31 +126,31 @@ class Attempt:
 
 
 def apply_policy(
-    fleet: Fleet, simulation: Simulation, row: int, now: int, traffic: Callable[[], Traffic], on_lane: Policy
+    fleet: Fleet, simulation: Simulation, row: int, now: int, traffic: Callable[[], Traffic], lane_policy: Policy
 ) -> Attempt | None:
     """Algorithm 1 for one vehicle that may change lanes; returns the change that SUMO is asked for, None for none.
 
-    traffic: the fleet as it is now (one step); only a vehicle with a manoeuvre due asks for it. on_lane: what
-    Algorithm 1 comes to on its lane without one.
+    traffic: the fleet as it is now (one step); only a vehicle with a manoeuvre due asks for it. lane_policy: that
+    of the type of its lane, which Algorithm 1 comes to where no manoeuvre is due.
     """
     vehicle = fleet.vehicles[row]
-    due = advance(vehicle, fleet.scene, now)
+    is_due = advance(vehicle, fleet.scene, now)
     if vehicle.stage in (Stage.ENTER, Stage.RETURN):
         _keep_time(fleet, row, now)
-    if not due:  # nothing to be asked: it keeps to its lane, as `decide` says
-        vehicle.policies[on_lane] += 1
+    if not is_due:  # nothing to be asked: it keeps to its lane, as `decide` says
+        vehicle.policies[lane_policy] += 1
         return None
     fleet_now = traffic()
     others = fleet_now.rows([other for other, one in enumerate(fleet_now.ids) if one != vehicle.vehicle_id])
-    scene, asked = fleet.scene, Due(fleet.scene, vehicle, now, fleet.fixed, others)
+    scene, due = fleet.scene, ManoeuvreDue(fleet.scene, vehicle, now, fleet.fixed, others)
     answer = simulation.lane_change_answer
     asks = scene.config.lane_change.rule == "LC2013"
-    across = asked.decided((lambda side: SumoAnswer(*answer(vehicle.vehicle_id, side))) if asks else None)
+    across = due.decide((lambda side: SumoAnswer(*answer(vehicle.vehicle_id, side))) if asks else None)
     if across is None:
         return None
-    attempt = _asked(fleet, simulation, row, now, across)
+    attempt = _ask_sumo(fleet, simulation, row, now, across)
     if isinstance(attempt, Reason):
-        asked.refuse(attempt)
+        due.refuse(attempt)
         return None
     return attempt
 
@@ -171,8 +172,8 @@ def _keep_time(fleet: Fleet, row: int, now: int) -> None:
         fleet.take_path(row, path)
 
 
-def _asked(fleet: Fleet, simulation: Simulation, row: int, now: int, across: Across) -> Attempt | Reason:
-    """Look along the way across (conflict case 3), and ask SUMO; or the reason not to."""
+def _ask_sumo(fleet: Fleet, simulation: Simulation, row: int, now: int, across: Across) -> Attempt | Reason:
+    """Look along the way across for predicted conflicts, and ask SUMO for the lane change; or the reason not to."""
     scene, vehicle = fleet.scene, fleet.vehicles[row]
     if "collision" not in scene.config.without and scene.config.lane_change.safety != "rule":
         meets = fleet.braking(

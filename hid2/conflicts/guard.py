@@ -44,8 +44,8 @@ _JERK_MPS3, _LAST_BRAKE_MPS2, _LAST_BRAKE_PER_S = 3.5, 0.6, 1.8
 _SLOWS_MPS2, _BEHIND_RATIO = 0.7, 2.0
 _MARGINS_M = 10.0  # not a parameter, it saves time: more than any lateral margin
 _TURN_AHEAD_S = 4.0  # book-keeping: a limit this long before a turn lane is put down to the turn
-#: As the kernel `speed_limits` takes them.
-_RULES = (
+#: When a vehicle yields, and how its braking begins and ends, as the kernel `speed_limits` takes it.
+_YIELD_RULES = (
     _TURN_AHEAD_S, _BEHIND_RATIO, _SLOWS_MPS2, _KEEPS_YIELDING_MPS2, ACTS_MPS2, _SOON_S, _URGENT_RATIO, _JERK_MPS3,
     _LAST_BRAKE_MPS2, _LAST_BRAKE_PER_S,
 )  # fmt: skip
@@ -105,7 +105,7 @@ class Guard:
     _newest: dict[tuple[DrivenPath, BoxSize], _Newest] = field(default_factory=dict)
     # as the kernels `needed_braking` and `speed_limits` take them: how others are predicted, when a driver brakes
     predicted = _PREDICTED_JERK_MPS3, PET_MARGIN_M, _BRAKING_LASTS_S, _HARDEST_RATIO
-    rules = _RULES
+    yield_rules = _YIELD_RULES
 
     @cached_property
     def brakes(self) -> FloatArray:

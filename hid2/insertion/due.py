@@ -44,7 +44,7 @@ class Across:
 def advance(vehicle: DrivenVehicle, scene: Scene, now: int) -> bool:
     """Take a manoeuvre on to its next stage by where the vehicle is; whether Algorithm 1 is to be asked now."""
     time_s, trigger_s = now * scene.step_s, vehicle.start.request.trigger_s
-    if vehicle.stage in (Stage.ENTER, Stage.RETURN) and vehicle.s[-1] >= vehicle.path.shifts[-1][1]:
+    if vehicle.stage in (Stage.ENTER, Stage.RETURN) and vehicle.s[-1] >= vehicle.path.lateral_spans[-1].end:
         passing = vehicle.stage is Stage.ENTER and vehicle.policy is Policy.OVERTAKE
         vehicle.stage = Stage.PASS if passing else Stage.DONE
     waits_s = max(scene.config.lane_change.give_up_s, scene.step_s)  # one look at least
@@ -61,7 +61,7 @@ def foreseen_speeds(vehicle: DrivenVehicle, scene: Scene, now: int) -> FloatArra
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Due:
+class ManoeuvreDue:
     """A vehicle at a step for which a manoeuvre is due.
 
     fixed: vehicles with known motion (T steps); others: those driven with it, as they are now (one step).
@@ -77,7 +77,7 @@ class Due:
     def _inserted(self) -> Inserted:
         return Inserted(self.now, self.fixed, self.others)
 
-    def decided(self, ask_sumo: AskSumo | None = None) -> Across | None:
+    def decide(self, ask_sumo: AskSumo | None = None) -> Across | None:
         """Observe and decide; the way across where the decision is a lane change. Each look at a gap is recorded."""
         vehicle, config = self.vehicle, self.scene.config
         options = self._options(ask_sumo)
@@ -105,7 +105,7 @@ class Due:
         return Across(path, target, shift, stage, leader.track_id if overtakes and leader else vehicle.leader_id)
 
     def refuse(self, reason: Reason) -> None:
-        """The last gap that the rule took has no way into it, or one that meets an agent."""
+        """The rule took the last gap, but there is no safe path into it, for a reason of the path."""
         self.vehicle.reason = reason
         self.vehicle.gaps[-1] = replace(self.vehicle.gaps[-1], guard=reason)
 

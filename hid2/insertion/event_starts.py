@@ -39,7 +39,7 @@ class Candidate:
     cost: float
 
     def as_driven(self) -> DrivenVehicle:
-        """As if SUMO had driven it, for the last word."""
+        """As if SUMO had driven it, for the final check."""
         parts = self.rolled.parts
         whole = [one.until(later.step - 1) for one, later in pairwise(parts)] + [parts[-1]]
         s, v = np.concatenate([part.s for part in whole]).tolist(), np.concatenate([part.v for part in whole]).tolist()
@@ -150,7 +150,7 @@ class EventStarts(Starts):
         drawn = [draw_driver(config, self.rng, lane_speed_mps=flow_mps) for flow_mps in flows]
         return max(drawn, key=lambda one: one.desired_mps)
 
-    def _does(self, world: World, start: Start) -> tuple[Rollout, ...] | Reason:
+    def _performed(self, world: World, start: Start) -> tuple[Rollout, ...] | Reason:
         """The rollout of a vehicle that may bring the event about, and meets nothing; or why it does not.
 
         The moment of a lane change is one at which the vehicle would be at the place half a change later, of an

@@ -254,7 +254,7 @@ class Filling:
             self._last_reason[one.vehicle.start.request.number] = one.reason
         self._drive_again(new, gone)
         if self.rounds <= self.scene.config.spawn.reseed_rounds:
-            new = self._gone_straight(new, gone)
+            new = self._reused_as_straight(new, gone)
             self._drive_again(new, gone)
         for one in gone.values():
             self._note(one)
@@ -288,7 +288,7 @@ class Filling:
                 self.outcomes[one.driven.vehicle_id] = outcome
         return new, gone
 
-    def _gone_straight(self, new: list[ExportedVehicle], gone: dict[str, Rejection]) -> list[ExportedVehicle]:
+    def _reused_as_straight(self, new: list[ExportedVehicle], gone: dict[str, Rejection]) -> list[ExportedVehicle]:
         """Vehicles that did not do their manoeuvre, each for an open request to go straight; the others go.
 
         One that has begun to drive across stands for none that goes straight. The manoeuvre stays open. Vehicles that
@@ -305,7 +305,7 @@ class Filling:
                 continue
             del self.outcomes[driven.vehicle_id]
             said = self._last_reason[driven.start.request.number] = outcome.reason or Reason.SCENE_ENDED
-            if straight and not driven.path.shifts:
+            if straight and not driven.path.lateral_spans:
                 own = driven.start.request  # the vehicle is as large as it was driven
                 meets = replace(straight.pop(), object_type=own.object_type, size=own.size)
                 start = replace(driven.start, request=meets)

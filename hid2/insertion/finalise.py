@@ -9,7 +9,7 @@ import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Track
 from hid2.drivers.driver import LaneOffset
-from hid2.judge.findings import MOVES_M, MOVES_MPS, Finding, Quantity, last_word
+from hid2.judge.findings import MOVES_M, MOVES_MPS, Finding, Quantity, export_bounds
 from hid2.judge.states import (
     headways,
     of_boxes,
@@ -115,7 +115,7 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, kept: Sequence[ExportedVehicl
         cell_by_cell = as_exported(scene, vehicle, motion, path, np.zeros(steps))
         return _boxes(scene, others.joined(cell_by_cell.states)) or cell_by_cell
     offset = start.offset
-    for begin, finish in vehicle.path.shifts:
+    for begin, finish in vehicle.path.lateral_spans:
         offset = offset.held(begin, finish)
     verdict: ExportedVehicle | Reason = Reason.LIMIT_JERK
     tried = [(_FILTER_RATIOS[0], False), *((ratio, True) for ratio in _FILTER_RATIOS)]
@@ -182,7 +182,7 @@ def _judged(scene: Scene, vehicle: ExportedVehicle, others: AgentStates) -> Expo
     First what the choice of filter and place in the lane decides: motion, road, boxes. Then what it does to others on
     the path that it drives, and what follows its last step.
     """
-    bounds, without, row = last_word(scene.config), scene.config.without, others.arrays.num_agents
+    bounds, without, row = export_bounds(scene.config), scene.config.without, others.arrays.num_agents
     found = of_motion(vehicle.states, 0, bounds)
     if not {"collision", "topology"} & without:
         found = chain(found, of_road(vehicle.states, 0, vehicle.driven.start.size, scene.grid.graph, bounds))
@@ -191,7 +191,7 @@ def _judged(scene: Scene, vehicle: ExportedVehicle, others: AgentStates) -> Expo
     states = others.joined(vehicle.states)
     if (verdict := _boxes(scene, states)) is not None:
         return verdict
-    led = states.led_by(row, others.traffic, aside_m=bounds.spare_aside_m)
+    led = states.leaders_among(row, others.traffic, aside_m=bounds.spare_aside_m)
     found = chain(ttc_on_driven_path(states, row, led, bounds), of_end(states, row, np.arange(row), bounds))
     if "topology" not in without:
         found = chain(found, of_crossings(states, bounds, since=row))
@@ -219,7 +219,7 @@ def _boxes(scene: Scene, states: AgentStates) -> Reason | None:
     if "collision" in scene.config.without:
         return None
     row = states.arrays.num_agents - 1
-    return _reason(scene, of_boxes(states, row, np.arange(row), spare_m=last_word(scene.config).spare_box_m))
+    return _reason(scene, of_boxes(states, row, np.arange(row), spare_m=export_bounds(scene.config).spare_box_m))
 
 
 def _passes_m(vehicle: AgentStates, others: AgentStates) -> float:
@@ -244,7 +244,7 @@ def conflicting(
     since: the first row that is asked about; vehicles before it have been looked at together; target_id: of an event,
     which is about the gap that is left to it.
     """
-    config, bounds = scene.config, last_word(scene.config)
+    config, bounds = scene.config, export_bounds(scene.config)
     if len(exported) <= since or {"collision", "topology"} & config.without:
         return []
     states, first = together(scene, exported), scene.states.arrays.num_agents
@@ -259,7 +259,9 @@ def conflicting(
     findings += ttc_of_followers(states, rows[since:], bounds)
     for row in rows.tolist():
         others = rows[rows != row] if row >= first + since else rows[since:]
-        findings += ttc_on_driven_path(states, row, states.leading(row, others, aside_m=bounds.spare_aside_m), bounds)
+        findings += ttc_on_driven_path(
+            states, row, states.leaders_on_path(row, others, aside_m=bounds.spare_aside_m), bounds
+        )
         findings += of_end(states, row, others, bounds)
     findings += of_crossings(states, bounds, since=first + since)
     row_of = {name: row for row, name in enumerate(states.arrays.track_ids[first:])}

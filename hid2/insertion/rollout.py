@@ -15,8 +15,8 @@ import numpy as np
 from hid2.agents import BoxSize, FloatArray
 from hid2.conflicts.guard import ACROSS_S, STRIDE, Guard
 from hid2.conflicts.stop_lines import AMBER_S, STOPS
-from hid2.insertion.due import Due, advance
-from hid2.judge.findings import FOLLOWER_HEADWAY_S, MOVES_M, last_word
+from hid2.insertion.due import ManoeuvreDue, advance
+from hid2.judge.findings import FOLLOWER_HEADWAY_S, MOVES_M, export_bounds
 from hid2.judge.states import contacts_at_end, kept_headways, sustained_headway
 from hid2.kernels.polyline import frenet
 from hid2.kernels.rollout import CONTACT, LAG_TTC, LEAD_TTC, met_by, roll
@@ -137,7 +137,7 @@ class World:
             driven.append((part.step, trajectory(part.path.line, motion, start.offset)))
         return RolledOut(start, parts, self.scene.known_traffic(start.vehicle_id, start.box, driven))
 
-    def harries(self, candidate: RolledOut, headway_s: float = FOLLOWER_HEADWAY_S) -> Reason | None:
+    def harm_to_followers(self, candidate: RolledOut, headway_s: float = FOLLOWER_HEADWAY_S) -> Reason | None:
         """What a recorded vehicle that comes up from behind suffers, on the path that it drives itself; None: nothing.
 
         It is left with too little time to collision, or with a shorter headway, which it never kept in the recording.
@@ -156,15 +156,15 @@ class World:
         near = (gap_m > -own.length_m) & (gap_m < room_m) & (aside_m < _ASIDE_M)
         near &= own.present & recorded.present
         for row in movers[near.any(axis=1)].tolist():
-            led = scene.states.led_by(row, own)
+            led = scene.states.leaders_among(row, own)
             if led.ttc_s.min(initial=math.inf) < critical_s:
                 return Reason.TTC_RECORDED_FOLLOWER
             length_m = own.length_m[0] - candidate.start.beyond_m
-            if led.rows.size and self._tailgates(row, led.gap_m[0], length_m, headway_s):
+            if led.rows.size and self._headway_too_short(row, led.gap_m[0], length_m, headway_s):
                 return Reason.FOLLOWER_HEADWAY
         return None
 
-    def _tailgates(self, follower: int, gap_m: FloatArray, leader_m: float, least_s: float) -> bool:
+    def _headway_too_short(self, follower: int, gap_m: FloatArray, leader_m: float, least_s: float) -> bool:
         """Whether a recorded vehicle, gap_m (T,) behind one leader_m long, has a headway below that it never kept."""
         states = self.scene.states
         if states.arrays.track_ids[follower] == self.target_id:
@@ -190,9 +190,9 @@ class World:
         here = own.at(last).joined(here.rows(np.flatnonzero(here.present[:, 0]).tolist()))
         sizes = np.column_stack([here.length_m, here.width_m])
         boxes = BoxesAtStep(here.position[:, 0], here.heading[:, 0], here.velocity[:, 0], sizes)
-        return any(True for _ in contacts_at_end(boxes, last_word(self.scene.config), step_s=self.scene.step_s))
+        return any(True for _ in contacts_at_end(boxes, export_bounds(self.scene.config), step_s=self.scene.step_s))
 
-    def hindered(self, candidate: RolledOut) -> list[RolledOut]:
+    def to_roll_anew(self, candidate: RolledOut) -> list[RolledOut]:
         """Those chosen that may drive otherwise with a candidate: followers, lane changers near it, later entrants."""
         found = {
             name for name, one in self._chosen.items()
@@ -241,7 +241,7 @@ class World:
             state, start.desired, driver.following,
             scene.config.drivers.reaction_s, start.size.length_m, STRAIGHT, self.guard.horizon,
             STRIDE, scene.step_s, TABLE_STEP_M, self.guard.brakes, self.guard.predicted,
-            STOPS, self.guard.rules, self.roads.speeds(path, driver), *self.roads.lanes(path),
+            STOPS, self.guard.yield_rules, self.roads.speeds(path, driver), *self.roads.lanes(path),
             known.low, known.high, known.along, known.same_direction, lines.stops_s(driver), lines.closed, lines.cause,
             shown.middle, shown.speed, shown.leads, shown.length_m,
             (LEADS_FROM_M, SHOWN_M), *self._links_on(path),
@@ -264,28 +264,28 @@ class World:
                 break
             s, v = float(part.s[step - part.step]), float(part.v[step - part.step])
             vehicle.s, vehicle.v = [s], [v]
-            due = advance(vehicle, scene, step)
+            is_due = advance(vehicle, scene, step)
             if vehicle.stage in (Stage.DONE, Stage.ABORTED):
                 break
-            if not due:  # on its way across
-                over_m = part.path.shifts[-1][1] if part.path.shifts else 0.0
+            if not is_due:  # on its way across
+                over_m = part.path.lateral_spans[-1].end if part.path.lateral_spans else 0.0
                 step = max(step + 1, part.step + int(np.searchsorted(part.s, over_m)))
                 continue
             if vehicle.stage is Stage.WAITING and v < change.min_speed_mps:  # its lateral motion would wait
                 vehicle.reason = Reason.TOO_SLOW
                 step += scene.steps_in(_LOOKS_S)
                 continue
-            asked = Due(scene, vehicle, step, self.guard.fixed, _NONE)
-            if vehicle.stage is Stage.PASS and (short_m := return_gap_m - asked.passed_gap_m()) > 0.0:
+            due = ManoeuvreDue(scene, vehicle, step, self.guard.fixed, _NONE)
+            if vehicle.stage is Stage.PASS and (short_m := return_gap_m - due.passed_gap_m()) > 0.0:
                 vehicle.reason = Reason.NOT_AHEAD  # what it would be told, sooner
                 waits_s = _PASSING_SHARE * _LOOKS_S
                 step += max(1, int((short_m / v if short_m < v * waits_s else waits_s) / scene.step_s))
                 continue
-            across = asked.decided(ask_sumo)
+            across = due.decide(ask_sumo)
             if vehicle.reason is Reason.SCENE_ENDS:
                 break
             if across is not None and self._meets_on(vehicle, step, across.path):
-                asked.refuse(Reason.CONFLICT_PREDICTED)
+                due.refuse(Reason.CONFLICT_PREDICTED)
             elif across is not None:
                 across.taken_by(vehicle)
                 onto = self.roll(start, path=across.path, step=step, before=part, target=across.target)
@@ -321,22 +321,22 @@ class World:
     def objection(self, start: Start, parts: tuple[Rollout, ...], *, ends: bool = True) -> Reason | None:
         """Why a candidate is not taken; None for nothing.
 
-        What it meets or leaves too little time to, as the last word has it, and what no driver does: it enters on red,
-        waits for a parked vehicle, stands in an intersection.
+        What it meets or leaves too little time to, as the final check has it, and what no driver does: it enters on
+        red, waits for a parked vehicle, stands in an intersection.
         ends: whether the scene ends with the last part. Those chosen before that follow it are left out: they brake for
-        it (`hindered`).
+        it (`to_roll_anew`).
         """
         for number, part in enumerate(parts):
             found = self._objection(start, part, is_last=ends and part is parts[-1])
-            if found is None and number > 0 and self._leaves_late(start, parts[number - 1].path, part):
+            if found is None and number > 0 and self._ttc_before_crossing(start, parts[number - 1].path, part):
                 found = Reason.TTC_LANE_LEADER
             if found is not None:
                 return found
         return None
 
-    def _leaves_late(self, start: Start, left: DrivenPath, part: Rollout) -> bool:
+    def _ttc_before_crossing(self, start: Start, left: DrivenPath, part: Rollout) -> bool:
         """Whether a vehicle closes in on its leader before its centre has crossed the line, as the judge has it."""
-        crossed = int(np.searchsorted(part.s, 0.5 * sum(part.path.shifts[-1])))
+        crossed = int(np.searchsorted(part.s, 0.5 * sum(part.path.lateral_spans[-1])))
         met = self._met(start, replace(part, path=left, s=part.s[:crossed], v=part.v[:crossed]))[0]
         return bool(met[:, LEAD_TTC].min(initial=math.inf) < self.scene.config.conflict.ttc_min_s)
 
@@ -436,7 +436,7 @@ class World:
 
     def _shown_beside(self, path: DrivenPath, target: DrivenPath, box: BoxSize) -> Shown:
         """Those on the path of a lane, by the arc length of a path that leads across to it."""
-        over = path.shifts[-1][1]
+        over = path.lateral_spans[-1].end
         there = frenet(path.line.position(np.array([over])), target.raw_line.points, target.raw_line.s)[0]
         seen = self._shown_on(target, box)
         return replace(seen, middle=seen.middle - (float(target.all_to_line(there)[0]) - over))

@@ -29,13 +29,15 @@ from netconvert.lane_graph import SIDES, Side
 # No tunables, how a vehicle begins: what a driver does on its way, and what saves looking in vain. A beginning at which
 # nothing is looked ahead holds if nothing is met so long, s; drivers that are drawn for a site; m from the way's begin.
 _HOLDS_S, _DRIVERS, _FROM_EDGE_M = 3.0, 3, 0.5
+#: Of a vehicle that is taken without a rollout over the scene.
+_NOT_ROLLED_OUT: tuple[Rollout, ...] = ()
 #: Smallest bumper gap at the start, m: what drivers keep standing.
 CLEAR_GAP_M = 2.0
 #: So long after its beginning, s, a vehicle has braked so hard in the mean, m/s2, at most, as nine in ten of those
 #: recorded from step 0 on (89 of 98 in fourteen scenes). It saves time: once is enough for most, no more are tried.
 _BEGINS_S, _EASED_TO_MPS2, _EASED_AT_MOST = 1.3, 0.5, 3
-#: No tunable: so long before it begins, s, a vehicle was not where its leader or follower was, both at the speeds that
-#: they begin with (of recorded vehicles behind a leader .5 % would have been, at any step).
+#: No tunable: run back by so many s at the speeds of its beginning, a vehicle has not come through its leader or
+#: follower (of recorded vehicles behind a leader .5 % would have, at any step).
 _BEFORE_S = 1.5
 #: At its start a vehicle may brake so hard for its leader, m/s2; then it is eased.
 _LEADER_BRAKING_MPS2 = 0.8
@@ -181,7 +183,7 @@ class Starts:
             desired=np.concatenate([np.full(step, wished[0]), wished]), offset=MIDDLE, sides=begin.sides or order,
             step=step, leader=begin.site.leader,
         )  # fmt: skip
-        rolled = self._does(self.world, start)
+        rolled = self._performed(self.world, start)
         if not is_given:  # one that is to overtake begins as that is foreseen
             start, rolled = self._eased(start, rolled)
         if isinstance(rolled, Reason):
@@ -194,19 +196,20 @@ class Starts:
         if BEHAVIOURS[request.policy].changes_lanes:  # the line of one lane is not that of the next
             usual = partial(np.full_like, fill_value=config.drivers.offset_mean_m)
         start = replace(start, offset=lane_offset(driver, config, rng, length_m=path.line.length_m, usual=usual))
-        return self._hinders(start, rolled, begin.site.headway_s) or start
+        return self._harm_to_others(start, rolled, begin.site.headway_s) or start
 
-    def _does(self, world: World, start: Start) -> tuple[Rollout, ...] | Reason:
+    def _performed(self, world: World, start: Start) -> tuple[Rollout, ...] | Reason:
         """The rollout of a vehicle that does what it is asked for, and meets nothing; or why it does not.
 
-        With `request.sites = any` nothing is looked ahead, but that no vehicle begins where it is met at once.
+        With `request.sites = any` nothing is looked ahead, but that no vehicle begins where it is met at once: it is
+        not rolled out.
         """
         scene, config, policy = self.scene, self.scene.config, start.request.policy
         if "collision" in config.without:
-            return ()
+            return _NOT_ROLLED_OUT
         if config.request.sites == "any":
             soon = (world.roll(start, last=start.step + scene.steps_in(_HOLDS_S)),)
-            return world.objection(start, soon, ends=False) or ()
+            return world.objection(start, soon, ends=False) or _NOT_ROLLED_OUT
         if BEHAVIOURS[policy].changes_lanes:
             vehicle, parts = world.act(start)
             if len(vehicle.shifts) < (2 if policy is Policy.OVERTAKE else 1):
@@ -221,7 +224,7 @@ class Starts:
                 return Reason.TOO_SLOW
             spare_m = _SPARE_S * parts[-1].v[-1] if policy is Policy.OVERTAKE else 0.0
             shown_m = min(float(parts[-1].s[-1]), vehicle.path.exit_s - 0.5 * start.size.length_m)
-            if shown_m < vehicle.path.shifts[-1][1] + spare_m:
+            if shown_m < vehicle.path.lateral_spans[-1].end + spare_m:
                 return Reason.SCENE_ENDED
         if (kind := BEHAVIOURS[policy].turn) is not None:
             turn = first_turn(scene.grid.graph, start.path, kind, after=start.start_s)
@@ -235,7 +238,7 @@ class Starts:
 
     def _waits_astride(self, part: Rollout) -> bool:
         """Whether a lateral motion waits for long on its way across, as the vehicle is too slow for it."""
-        begin, end = np.searchsorted(part.s, part.path.shifts[-1])
+        begin, end = np.searchsorted(part.s, part.path.lateral_spans[-1])
         slow = part.v[begin:end] < self.scene.config.lane_change.min_speed_mps
         return bool(slow.sum() > self.scene.steps_in(_ASTRIDE_S))
 
@@ -251,27 +254,27 @@ class Starts:
             if eased_mps < SLOWEST_SHARE * start.driver.desired_mps:
                 return start, Reason.NO_SITE
             start = replace(start, start_mps=eased_mps)
-            rolled = self._does(self.world, start)
+            rolled = self._performed(self.world, start)
         return start, rolled
 
-    def _hinders(self, start: Start, parts: tuple[Rollout, ...], headway_s: float) -> Reason | None:
+    def _harm_to_others(self, start: Start, parts: tuple[Rollout, ...], headway_s: float) -> Reason | None:
         """Why others cannot go on with a candidate ahead of them: recorded ones, and those chosen before.
 
         None where these do what they are asked for all the same. What is rolled out is kept for `take`.
         """
-        if not parts:
+        if parts == _NOT_ROLLED_OUT:
             return None
         candidate = self.world.rolled_out(start, parts)
         if self.world.meets_after(candidate):
             return Reason.TTC_AT_END
-        if (harried := self.world.harries(candidate, headway_s)) is not None:
+        if (harried := self.world.harm_to_followers(candidate, headway_s)) is not None:
             return harried
         anew = [candidate]
-        for one in self.world.hindered(candidate):
+        for one in self.world.to_roll_anew(candidate):
             around = self.world.joined_by(candidate, without=one.start.vehicle_id)
             begun = one.start
             near = around.gaps_at(begun.path, begun.box, begun.start_s, begun.step)
-            still = self._does(around, begun) if _is_clear(near) else Reason.NO_SITE
+            still = self._performed(around, begun) if _is_clear(near) else Reason.NO_SITE
             if isinstance(still, Reason) or self._brakes_mps2(still) > max(
                 _MADE_TO_BRAKE_MPS2, self._brakes_mps2(one.parts)
             ):

@@ -199,5 +199,5 @@ def _leads(states: AgentStates, leader: int, follower: int, step: int) -> bool:
     """Whether one agent is ahead of another at a step, on the path that the other drives; both have a state there."""
     if states.arrays.row_of[follower, step] < 0 or states.arrays.row_of[leader, step] < 0:
         return False
-    led = states.leading(follower, np.array([leader]))
+    led = states.leaders_on_path(follower, np.array([leader]))
     return bool(led.rows.size and np.isfinite(led.gap_m[0, step]))

@@ -16,15 +16,15 @@ MOVES_MPS = 1.0
 #: An agent that moves less over the scene stands throughout, m. No tunable: what standing throughout is.
 MOVES_M = 2.0
 #: No tunables, rounding alone: m between boxes, s above the TTC at the end, and shares of tolerance and of 1 / R_min
-#: that are used, so that no reader's rounding finds what the last word did not.
+#: that are used, so that no reader's rounding finds what the final check did not.
 _SPARE_BOX_M, _SPARE_END_S, _DRIVABLE_KEPT, CURVATURE_KEPT = 0.05, 0.1, 0.9, 0.98
 #: What is claimed is seen in the states within so long of the time claimed, s.
 CLAIM_S = 0.5
 #: A figure that is claimed is that of the states, but for so much of its unit.
 FIGURE_OFF = 0.01
 #: A recorded follower keeps this time headway, s, unless it kept less to its own leader; shorter ones count above this
-#: speed, m/s, when they last so long, s. It is from front to front, of which the leader's length counts for the last at
-#: most, s: .5 s are left between bumpers (of 130 recorded followers none in its lane has less than .6 s).
+#: speed, m/s, when they last so long, s. Headway = (gap + leader's length) / speed, where the length counts for so many
+#: s at most: at least .5 s are left from bumper to bumper (130 recorded followers in their lanes have .6 s or more).
 FOLLOWER_HEADWAY_S, FOLLOWER_MPS, FOLLOWER_FOR_S, LEADER_LENGTH_S = 0.8, 3.0, 1.0, 0.3
 #: After the last step a driver brakes so hard, m/s2, after so long, s.
 END_DECEL_MPS2, END_REACTION_S = 3.0, 1.0
@@ -56,7 +56,7 @@ NOISE_BOUNDS = NoiseBounds()
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """What states are held to, and what the last word keeps beyond it; `last_word` has those of the last word.
+    """What states are held to, and what the final check keeps beyond it; `export_bounds` has those of the final check.
 
     spare_*: added to each side of a box, m; to each side of the path driven, m; to the TTC at the end, s.
     drivable_share, curvature_share: of limits.drivable_tolerance_m, and of 1 / limits.min_radius_m; end_rows: states
@@ -75,7 +75,7 @@ class Bounds:
     by_stated: bool = False
 
 
-def last_word(config: Config) -> Bounds:
+def export_bounds(config: Config) -> Bounds:
     """The bounds of what is exported: a little inside those of a reader, so that no rounding brings it beyond them."""
     conflict = config.conflict
     return Bounds(
@@ -154,7 +154,7 @@ class MotionProfile:
         return np.where(fast, np.abs(self.yaw_rate_radps) / np.where(fast, self.speed_mps, 1.0), 0.0)
 
 
-#: What of a profile must not exceed which bound, in the order in which the last word names the first that does.
+#: What of a profile must not exceed which bound, in the order in which the final check names the first that does.
 MOTION_LIMITS: Mapping[Quantity, tuple[Callable[[MotionProfile], FloatArray], Callable[[Bounds], float]]] = {
     Quantity.ACCEL: (lambda p: p.accel_mps2, lambda b: b.limits.accel_max_mps2),
     Quantity.DECEL: (lambda p: -p.accel_mps2, lambda b: -b.limits.accel_min_mps2),

@@ -1,8 +1,8 @@
 """Whether the states of inserted vehicles are safe and can be driven: positions, headings, velocities, boxes, the map.
 
-`judge` takes all of a scene, as `hid2 validate` and `hid2 evaluate` do; the last word asks its parts while vehicles are
-tried. What leads is asked twice, of the path that an agent drives and of the lanes (`ttc_on_lanes`): a path misses what
-is on the lane beside its box, lanes miss what has just left for another one.
+`judge` takes all of a scene, as `hid2 validate` and `hid2 evaluate` do; the final check asks its parts of each vehicle.
+What leads is asked twice, of the path that an agent drives and of the lanes (`ttc_on_lanes`): a path misses what is on
+the lane beside its box, lanes miss what has just left for another one.
 """
 
 import math
@@ -55,7 +55,7 @@ def judge(states: AgentStates, graph: LaneGraph, bounds: Bounds) -> list[Finding
         found += of_road(states, row, BoxSize(arrays.length[row], arrays.width[row]), graph, bounds)
         others = np.delete(np.arange(arrays.num_agents), row)
         found += of_boxes(states, row, others, spare_m=bounds.spare_box_m)
-        led_by = states.leading(row, others, aside_m=bounds.spare_aside_m)
+        led_by = states.leaders_on_path(row, others, aside_m=bounds.spare_aside_m)
         found += ttc_on_driven_path(states, row, led_by, bounds)
         found += of_end(states, row, others, bounds)
     led = leaders(arrays, states.lanes, states.matches)
@@ -297,7 +297,7 @@ def ttc_of_followers(states: AgentStates, inserted: IntArray, bounds: Bounds) ->
     arrays, critical_s = states.arrays, bounds.conflict.follower_ttc_min_s
     leaders_of = states.traffic.rows(inserted.tolist())
     for follower in np.flatnonzero(arrays.vehicle & arrays.moving & ~arrays.generated).tolist():
-        led = states.led_by(follower, leaders_of)
+        led = states.leaders_among(follower, leaders_of)
         for leader, ttc_s in zip(inserted[led.rows].tolist(), led.ttc_s, strict=True):
             step = int(np.argmin(ttc_s))
             if ttc_s[step] < critical_s:

@@ -79,7 +79,7 @@ def roll(
     driver: tuple[float, float, float, float], reaction: float, length: float, straight: int, horizon: int, stride: int,
     step_s: float, table_step: float, brakes: FloatArray, predicted: tuple[float, float, float, float],
     stops: tuple[float, float, float, float],
-    rules: tuple[float, float, float, float, float, float, float, float, float, float],
+    yield_rules: tuple[float, float, float, float, float, float, float, float, float, float],
     road: FloatArray, lane_ends: FloatArray, lane_policies: IntArray, low: FloatArray, high: FloatArray,
     along: FloatArray, same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray, causes: IntArray,
     shown_middle: FloatArray, shown_speed: FloatArray, shown_leads: BoolArray, shown_lengths: FloatArray,
@@ -115,8 +115,8 @@ def roll(
         desired = desired_mps[t]
         limit, _, _, _, yields, _ = limit_of(
             0, t, fleet, desired, driver, yields, straight, horizon, stride, step_s, table_step, brakes, predicted,
-            stops, rules, road, lane_ends, lane_policies, low, high, along, same_direction, stop_s, closed, causes,
-            others, swept,
+            stops, yield_rules, road, lane_ends, lane_policies, low, high, along, same_direction, stop_s, closed,
+            causes, others, swept,
         )  # fmt: skip
         s, v, a = fleet[0, 0], fleet[0, 1], fleet[0, 2]
         front = s + 0.5 * length
@@ -156,10 +156,10 @@ def met_by(
         from_behind = False
         for k in range(s.size):
             t = first + k
-            if low[row, t] == np.inf:
+            if low[row, t] == np.inf:  # it is not on the path
                 continue
             if low[row, t] < s[k] < high[row, t]:
-                found[row, 2 if from_behind else 0] = 0.0 if from_behind else t * step_s
+                found[row, LAG_TTC if from_behind else CONTACT] = 0.0 if from_behind else t * step_s
                 break
             if not same_direction[row, t]:
                 from_behind = False
@@ -168,6 +168,6 @@ def met_by(
             from_behind = not leads
             closing = v[k] - along[row, t] if leads else along[row, t] - v[k]
             if closing > 0.0:
-                column = 1 if leads else 2
+                column = LEAD_TTC if leads else LAG_TTC
                 found[row, column] = min(found[row, column], max(gap, 0.0) / closing)
     return found

@@ -9,7 +9,8 @@ from netconvert.geometry import BoolArray, FloatArray, IntArray
 #: What limits a speed, by its number. In alphabetical order: of two equal limits the first one is named.
 CAUSES = ("conflict", "crossing", "curve", "gap", "signal", "turn")
 _CONFLICT, _CURVE, _TURN = CAUSES.index("conflict"), CAUSES.index("curve"), CAUSES.index("turn")
-NO_LIMIT_MPS = 1e-3  # tolerance: a limit so near below the speed that is wished is none
+#: A limit so near below the speed that is wished is none.
+LIMIT_TOLERANCE_MPS = 1e-3
 
 
 @inner
@@ -24,15 +25,18 @@ def limit_of(
     is_yielding: bool,  # noqa: FBT001  # kernels have no keywords
     straight: int, horizon: int, stride: int, step_s: float, table_step: float, brakes: FloatArray,
     predicted: tuple[float, float, float, float], stops: tuple[float, float, float, float],
-    rules: tuple[float, float, float, float, float, float, float, float, float, float],
+    yield_rules: tuple[float, float, float, float, float, float, float, float, float, float],
     road: FloatArray, ends: FloatArray, lanes: IntArray, low: FloatArray, high: FloatArray, along: FloatArray,
     same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray, causes: IntArray, others: IntArray,
     swept: FloatArray,
 ) -> tuple[float, int, int, int, bool, bool]:  # fmt: skip
     """The lowest limit on the speed of vehicle i for the step after t, as `speed_limits` has it for many."""
-    turn_ahead_s, behind_ratio, slows, keeps, begins, soon_s, urgent_ratio, jerk, last_brake, last_per_s = rules
+    (
+        turn_ahead_s, behind_ratio, slows_mps2, keeps_mps2, begins_mps2, soon_s, urgent_ratio, jerk_mps3, last_mps2,
+        last_per_s,
+    ) = yield_rules  # fmt: skip
     s, v, a = fleet[i, 0], fleet[i, 1], fleet[i, 2]
-    waits_for, yields, seeks = -1, False, False
+    waits_for, yields, braking_fails = -1, False, False
     policy = lanes[_lane_at(ends, s)]
     turns = policy != straight or lanes[_lane_at(ends, s + turn_ahead_s * v)] != straight
     limit = road[min(int((s + v * step_s) / table_step), road.size - 1)]
@@ -44,22 +48,22 @@ def limit_of(
             table_step, 1.0, horizon, stride, step_s, driver, brakes, predicted, stops,
         )  # fmt: skip
         needed = brakes[row]
-        seeks = hit >= 0 or needed > decel
-        if leader >= 0 and gap < behind_ratio * (tau * v + min_gap) and a < -slows:
+        braking_fails = hit >= 0 or needed > decel
+        if leader >= 0 and gap < behind_ratio * (tau * v + min_gap) and a < -slows_mps2:
             waits_for = leader
-        act = keeps if is_yielding else begins
+        act = keeps_mps2 if is_yielding else begins_mps2
         soon = free >= 0 and free * step_s <= soon_s
         yields = needed >= act and (is_yielding or soon or needed >= urgent_ratio * act)
-        gentlest = max(min(a, 0.0) - jerk * step_s, -max(last_brake, last_per_s * v))  # no driver stops with a jerk
+        gentlest = max(min(a, 0.0) - jerk_mps3 * step_s, -max(last_mps2, last_per_s * v))  # no driver stops with a jerk
         if yields and v + max(-needed, gentlest) * step_s <= limit:
             limit, cause = v + max(-needed, gentlest) * step_s, _CONFLICT
         line, slowing = stop_ahead(stop_s, closed, s, v, t, accel, decel, stops)
         slower = v + max(slowing, gentlest) * step_s
         if line >= 0 and (slower < limit or (slower == limit and causes[line] < cause)):
             limit, cause = slower, causes[line]
-    if limit < desired_mps - NO_LIMIT_MPS:
-        return limit, cause, policy, waits_for, yields, seeks
-    return np.inf, -1, policy, waits_for, yields, seeks
+    if limit < desired_mps - LIMIT_TOLERANCE_MPS:
+        return limit, cause, policy, waits_for, yields, braking_fails
+    return np.inf, -1, policy, waits_for, yields, braking_fails
 
 
 @kernel(
@@ -71,7 +75,7 @@ def speed_limits(
     rows: IntArray, t: int, fleet: FloatArray, desired_mps: FloatArray, drivers: FloatArray, yielding: BoolArray,
     straight: int, horizon: int, stride: int, step_s: float, table_step: float, brakes: FloatArray,
     predicted: tuple[float, float, float, float], stops: tuple[float, float, float, float],
-    rules: tuple[float, float, float, float, float, float, float, float, float, float],
+    yield_rules: tuple[float, float, float, float, float, float, float, float, float, float],
     first: IntArray, road: FloatArray, lane_ends: FloatArray, lane_policies: IntArray, low: FloatArray,
     high: FloatArray, along: FloatArray, same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray,
     causes: IntArray, others: IntArray, swept: FloatArray,
@@ -83,25 +87,25 @@ def speed_limits(
     for a conflict by now. What is on a vehicle's way is from first[m] to first[m + 1] (M + 1, 6) of: road, m/s every
     table_step m; lanes (where they end, m, and their policies, of which `straight` is no turn); low ..; stop lines with
     their causes; others, rows of the fleet; and what they sweep, raveled (3, G, K) of each vehicle.
-    rules: time ahead to turns, s; of a vehicle that waits for its leader: ratio of the gap, m/s2; braking to go on
-    yielding, and to begin, m/s2; time to a conflict that is soon, s; ratio of urgent braking; how braking builds up,
-    m/s3, and ends, m/s2 and 1/s. Returns, each (M,): limits m/s, inf where a vehicle wishes to go no faster anyway;
-    numbers of their causes; policies of the lanes; rows of leaders for which a vehicle waits, -1 for none; whether it
-    yields; and whether usual braking is not enough.
+    yield_rules, as `Guard.yield_rules`: time ahead to turns, s; of a vehicle that waits for its leader: ratio of the
+    gap, m/s2; braking to go on yielding, and to begin, m/s2; time to a conflict that is soon, s; ratio of urgent
+    braking; how braking builds up, m/s3, and ends, m/s2 and 1/s. Returns, each (M,): limits m/s, inf where a vehicle
+    wishes to go no faster anyway; numbers of their causes; policies of the lanes; rows of leaders for which a vehicle
+    waits, -1 for none; whether it yields; and whether usual braking is not enough.
     """
     limits, caused = np.full(rows.size, np.inf), np.full(rows.size, -1)
     policies, waits_for = np.empty(rows.size, dtype=np.int64), np.full(rows.size, -1)
-    yields, seeks = np.zeros(rows.size, dtype=np.bool_), np.zeros(rows.size, dtype=np.bool_)
+    yields, braking_fails = np.zeros(rows.size, dtype=np.bool_), np.zeros(rows.size, dtype=np.bool_)
     for m in range(rows.size):
         i, at, to = rows[m], first[m], first[m + 1]
         tau, accel, decel, min_gap = drivers[i]
         rivals = others[at[4] : to[4]]
         reach = (to[5] - at[5]) // max(1, 3 * rivals.size)
-        limits[m], caused[m], policies[m], waits_for[m], yields[m], seeks[m] = limit_of(
+        limits[m], caused[m], policies[m], waits_for[m], yields[m], braking_fails[m] = limit_of(
             i, t, fleet, desired_mps[i, t], (tau, accel, decel, min_gap), yielding[i], straight, horizon, stride,
-            step_s, table_step, brakes, predicted, stops, rules, road[at[0] : to[0]], lane_ends[at[1] : to[1]],
+            step_s, table_step, brakes, predicted, stops, yield_rules, road[at[0] : to[0]], lane_ends[at[1] : to[1]],
             lane_policies[at[1] : to[1]], low[at[2] : to[2]], high[at[2] : to[2]], along[at[2] : to[2]],
             same_direction[at[2] : to[2]], stop_s[at[3] : to[3]], closed[at[3] : to[3]], causes[at[3] : to[3]], rivals,
             swept[at[5] : to[5]].reshape(3, rivals.size, reach),
         )  # fmt: skip
-    return limits, caused, policies, waits_for, yields, seeks
+    return limits, caused, policies, waits_for, yields, braking_fails

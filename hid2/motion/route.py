@@ -51,20 +51,27 @@ class Segment:
         return self.start + pace * (lane_s - self.lane_start)
 
 
+class LateralSpan(NamedTuple):
+    """Where a lateral motion begins and ends, m on the line of a path."""
+
+    begin: float
+    end: float
+
+
 @dataclass(frozen=True, eq=False)
 class DrivenPath:
     """Where a vehicle goes: the smoothed line, the polyline below it, and the lanes along it.
 
     raw (N, 2) m; segments: by the lane that the centre is on, which changes half way across; followed: by the lane on
-    which the simulation has the vehicle, which is in the new one at once; shifts: (start, end) of each lateral motion,
-    m on the line; lateral: the last of them; exit_s: the end of the last lane.
+    which the simulation has the vehicle, which is in the new one at once; lateral_spans: of each lateral motion;
+    lateral: the last of them; exit_s: the end of the last lane.
     """
 
     line: ReferenceLine
     raw: FloatArray
     segments: tuple[Segment, ...]
     followed: tuple[Segment, ...]
-    shifts: tuple[tuple[float, float], ...] = ()
+    lateral_spans: tuple[LateralSpan, ...] = ()
     lateral: "LateralMotion | None" = None
 
     @cached_property
@@ -137,7 +144,7 @@ class Jump(NamedTuple):
     @classmethod
     def onto(cls, path: DrivenPath, own: float, jump_m: float) -> "Jump":
         """On a path on which SUMO has the vehicle at an arc length, m: by the end of a change of lanes."""
-        end = path.shifts[-1][1] if path.shifts else own + 1.0
+        end = path.lateral_spans[-1].end if path.lateral_spans else own + 1.0
         return cls(jump_m, own, max(own + abs(jump_m) / _GIVEN_BACK, end))
 
     def left_m(self, own: FloatArray) -> FloatArray:
@@ -204,7 +211,13 @@ def shifted_path(motion: LateralMotion, *, limits: Limits) -> DrivenPath | None:
     onto = [replace(segment, start=beside(segment.start), end=beside(segment.end)) for segment in target.segments]
     segments = _joined(path.segments, onto, at=bare.to_line(blend.middle_m))
     followed = _joined(path.followed, onto, at=start)
-    return replace(bare, segments=segments, followed=followed, shifts=(*path.shifts, (start, end)), lateral=motion)
+    return replace(
+        bare,
+        segments=segments,
+        followed=followed,
+        lateral_spans=(*path.lateral_spans, LateralSpan(start, end)),
+        lateral=motion,
+    )
 
 
 def _joined(own: Iterable[Segment], beside: Iterable[Segment], *, at: float) -> tuple[Segment, ...]:

@@ -141,16 +141,16 @@ class AgentStates:
         s[self.arrays.step[rows]] = np.interp(along, chords.s, line.points_s)
         return DrivenLine(line, s)
 
-    def leading(self, row: int, others: IntArray, *, aside_m: float = 0.0) -> Leading:
+    def leaders_on_path(self, row: int, others: IntArray, *, aside_m: float = 0.0) -> Leading:
         """Which of the agents `others` lead a vehicle on the path that it drives, whatever their object type.
 
         aside_m: added to each side of the own box. An agent leads where it heads along the path, ahead of the vehicle
         by at most HORIZON_M and not beside it; one that rolls back, or that a tracker shifts back, stands.
         """
-        found = self.led_by(row, self.traffic.rows(others.tolist()), aside_m=aside_m)
+        found = self.leaders_among(row, self.traffic.rows(others.tolist()), aside_m=aside_m)
         return found._replace(rows=others[found.rows])
 
-    def led_by(self, row: int, others: Traffic, *, aside_m: float = 0.0) -> Leading:
+    def leaders_among(self, row: int, others: Traffic, *, aside_m: float = 0.0) -> Leading:
         """The same of other agents than these; rows are those of their traffic (T steps)."""
         driven, steps, traffic = self.line(row), self.arrays.num_steps, self.traffic
         if driven is None:

@@ -18,7 +18,8 @@ from netconvert.lane_graph import Side, TurnType
 class Observation:
     """What the agent knows at time t: its cell, lane type, request, leader within d_obs, and adjacent lanes.
 
-    driver: its own, None for a usual one; own_front, own_rear: gaps ahead and behind on its lane, where a rule asks.
+    options: of the sides that the request allows, in the order in which they are tried; driver: its own, None for a
+    usual one; own_front, own_rear: gaps ahead and behind on its lane, where a rule asks.
     """
 
     time_s: float

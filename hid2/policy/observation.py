@@ -129,7 +129,7 @@ def is_on_lane(lane: DrivenPath, position: FloatArray) -> bool:
 
 def returns_to(lane: DrivenPath, path: DrivenPath) -> bool:
     """Whether the last lateral motion of a path ends on a lane path (the return of an overtake)."""
-    return is_on_lane(lane, path.line.position(np.array([path.shifts[-1][1]]))[0])
+    return is_on_lane(lane, path.line.position(np.array([path.lateral_spans[-1].end]))[0])
 
 
 def gap_ahead_of(

@@ -155,7 +155,7 @@ def ways_at_next_split(scene: Scene, path: DrivenPath, *, s: float, from_m: floa
     s: driven so far, m, the same on them; from_m: no turn off before it. None after a change of lanes, which is not the
     middle of its lanes, nor where nothing links lanes (ablation).
     """
-    if path.shifts or "topology" in scene.config.without:
+    if path.lateral_spans or "topology" in scene.config.without:
         return
     graph, route = scene.grid.graph, tuple(segment.lane_id for segment in path.segments)
     straight_first = partial(straightest_first, graph)

@@ -85,7 +85,7 @@ def changing(scene: Scene, start: Start, v: npt.ArrayLike, *, to: int, at_step: 
         driver=replace(start.driver, lane_change_s=wanted_s),
     )  # fmt: skip
     assert isinstance(path, DrivenPath), path
-    side = "left" if path.line.position(np.array([path.shifts[0][1]]))[0, 1] > 0.0 else "right"
+    side = "left" if path.line.position(np.array([path.lateral_spans[0][1]]))[0, 1] > 0.0 else "right"
     vehicle.path, vehicle.stage = path, Stage.DONE
     vehicle.shifts.append(Shift(side, start.route[0], to, at_step, float("inf"), float("inf")))
     return vehicle

@@ -241,8 +241,8 @@ def test_limits_of_one_call_are_those_of_each_vehicle() -> None:
         found = fleet.braking(
             row, vehicle.path, 0, state=tuple(fleet.state[row, :3].tolist()), desired_mps=vehicle.start.desired[0]
         )
-        assert every.seeks[row] == (found.conflict_s is not None or found.decel_mps2 > DRIVER.decel_mps2)
-    assert every.seeks.tolist() == [False, True]
+        assert every.braking_fails[row] == (found.conflict_s is not None or found.decel_mps2 > DRIVER.decel_mps2)
+    assert every.braking_fails.tolist() == [False, True]
 
 
 def test_kept_vehicles_of_rounds_before_are_followed_too(drive: Callable[..., FleetSimulation]) -> None:

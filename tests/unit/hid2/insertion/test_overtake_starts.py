@@ -88,7 +88,7 @@ def test_way_back_of_an_overtake_ends_on_the_map(road: Callable[..., LaneGraph])
             world = World(sites.here.scene, sites.here.roads, alone)
             world.choose(world.rolled_out(starts[0], (world.roll(starts[0]),)))
             path = world.act(starts[1])[0].path
-            assert path.shifts[-1][1] < path.exit_s - 0.5 * starts[1].size.length_m
+            assert path.lateral_spans[-1].end < path.exit_s - 0.5 * starts[1].size.length_m
     assert found
 
 

@@ -11,7 +11,7 @@ from inserted import recorded, scene_on, start_on
 from hid2.agents import Policy, Track
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import ClosedLines, StopLines
-from hid2.insertion.due import Due
+from hid2.insertion.due import ManoeuvreDue
 from hid2.insertion.rollout import RolledOut, Rollout, World
 from hid2.kernels.steering import CAUSES
 from hid2.occupancy.traffic import Traffic
@@ -63,9 +63,9 @@ def test_recorded_follower_keeps_its_time_headway(
     """
     world = world_of(recorded(20.0, 0.0, mps))
     candidate = _steady(world, 20.0 + ahead_m, mps)
-    assert world.harries(candidate) is reason
+    assert world.harm_to_followers(candidate) is reason
     world.target_id = "r"
-    assert world.harries(candidate) is None
+    assert world.harm_to_followers(candidate) is None
 
 
 def test_follower_that_kept_as_little_in_the_recording_does_not_mind(world_of: Callable[..., World]) -> None:
@@ -78,13 +78,13 @@ def test_follower_that_kept_as_little_in_the_recording_does_not_mind(world_of: C
     start = start_on(world.scene, (1,), 57.5, 10.0, step=30)
     steps = np.arange(world.scene.num_steps - 30)
     part = Rollout(start.path, 30, 57.5 + 1.0 * steps, np.full(steps.size, 10.0), np.zeros((steps.size, 0)))
-    assert world.harries(world.rolled_out(start, (part,))) is None
+    assert world.harm_to_followers(world.rolled_out(start, (part,))) is None
 
 
 def test_follower_that_closes_in_is_named(world_of: Callable[..., World]) -> None:
     """10 m/s behind 5 m/s: the gap of 15.5 m lasts 3.1 s."""
     world = world_of(recorded(20.0, 0.0, 10.0))
-    assert world.harries(_steady(world, 40.0, 5.0)) is Reason.TTC_RECORDED_FOLLOWER
+    assert world.harm_to_followers(_steady(world, 40.0, 5.0)) is Reason.TTC_RECORDED_FOLLOWER
 
 
 def test_vehicle_is_rolled_out_anew_without_itself(world_of: Callable[..., World]) -> None:
@@ -129,7 +129,7 @@ def test_vehicle_that_stands_while_it_passes_another_one_is_looked_at_again(
         return True
 
     monkeypatch.setattr("hid2.insertion.rollout.advance", passes)
-    monkeypatch.setattr(Due, "passed_gap_m", lambda _: world.scene.config.overtake.return_gap_m - 2.0)
+    monkeypatch.setattr(ManoeuvreDue, "passed_gap_m", lambda _: world.scene.config.overtake.return_gap_m - 2.0)
     start = start_on(world.scene, (1,), 100.0, 0.0, policy=Policy.OVERTAKE)
     steps = world.scene.num_steps
     stands = Rollout(start.path, 0, np.full(steps, 100.0), np.zeros(steps), np.zeros((steps, 0)))
@@ -145,8 +145,8 @@ def test_only_what_comes_near_a_lane_change_makes_it_be_rolled_out_anew(world_of
     across = replace(changer, parts=(changer.parts[0].until(40), replace(changer.parts[0], step=41)))
     world.choose(across)
     near, far = _steady(world, 130.0, 8.0, number=1), _steady(world, 40.0, 8.0, number=2)
-    assert world.hindered(near) == [across]
-    assert world.hindered(far) == []
+    assert world.to_roll_anew(near) == [across]
+    assert world.to_roll_anew(far) == []
 
 
 @pytest.mark.parametrize(("since", "reason"), [(0, Reason.ENTERS_ON_RED), (22, Reason.ENTERS_ON_RED), (28, None)])

@@ -20,6 +20,7 @@ from hid2.insertion.sites import InsertionSites
 from hid2.insertion.spread import Spread
 from hid2.insertion.starts import Site, speed_behind
 from hid2.insertion.surroundings import Surroundings
+from hid2.motion.route import LateralSpan
 from hid2.occupancy.sigma import FREE
 from hid2.params import Config, LaneChange, Request, Spawn
 from hid2.reasons import Reason
@@ -193,7 +194,7 @@ def test_none_is_to_stop_astride_of_two_lanes(
     def slowed(world: World, start: Start) -> Any:
         vehicle, parts = act(world, start)
         s, v = parts[-1].s, np.where(np.abs(parts[-1].s - 100.0 - slow_m) < 10.0, 1.5, 9.0)
-        path = replace(parts[-1].path, shifts=((120.0, 170.0),))
+        path = replace(parts[-1].path, lateral_spans=(LateralSpan(120.0, 170.0),))
         return replace(vehicle, path=path), (*parts[:-1], replace(parts[-1], path=path, s=s, v=v))
 
     monkeypatch.setattr(World, "act", slowed)

@@ -161,7 +161,7 @@ def test_shifted_path_changes_its_lane_half_way(road: Callable[..., LaneGraph]) 
     assert path.segments[0].end == path.segments[1].start == pytest.approx(80.0, abs=1.0)
     assert path.segments[1].lane_start == pytest.approx(80.0, abs=1.0)
     assert path.segments[1].lane_end == pytest.approx(200.0)
-    assert path.shifts == (pytest.approx((60.0, 100.0), abs=1.5),)
+    assert path.lateral_spans == (pytest.approx((60.0, 100.0), abs=1.5),)
     assert path.line.position(np.array([0.0, 80.0, 150.0]))[:, 1] == pytest.approx([0.0, 1.75, 3.5], abs=0.05)
     assert path.exit_s == pytest.approx(200.2, abs=0.2)
 
@@ -194,7 +194,7 @@ def test_second_shift_leaves_the_first_as_it_is(road: Callable[..., LaneGraph]) 
     """Out at 40 and back at 110 m, as an overtake does."""
     path = _out_and_back(road())
     assert [segment.lane_id for segment in path.segments] == [1, 2, 1]
-    assert len(path.shifts) == 2
+    assert len(path.lateral_spans) == 2
     assert path.line.position(np.array([20.0, 90.0, 170.0]))[:, 1] == pytest.approx([0.0, 3.5, 0.0], abs=0.05)
 
 

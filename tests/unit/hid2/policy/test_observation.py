@@ -280,7 +280,7 @@ def test_path_across_ends_in_the_middle_of_the_other_lane(scene_of: Callable[...
         remaining_m=160.0, driver=replace(usual_driver(10.0), lane_change_s=4.0),
     )  # fmt: skip
     assert isinstance(path, DrivenPath)
-    ((start, end),) = path.shifts
+    ((start, end),) = path.lateral_spans
     assert start == pytest.approx(40.0, abs=1.01)  # it begins at a point of the path, 1 m apart
     assert (end - start) / 10.0 == pytest.approx(4.0, abs=0.15)
     assert path.line.position(np.array([end + 1.0]))[0, 1] == pytest.approx(3.5, abs=0.05)
