@@ -139,7 +139,7 @@ class Reason(StrEnum):
     TTC_LANE_LEADER = "ttc_lane_leader", "TTC to its leader on the path driven falls below the critical value."
     FOLLOWER_HEADWAY = (
         "follower_headway",
-        "A recorded follower, which does not react, would drive on its bumper: too short a time headway for a second.",
+        "A follower would drive on its leader's bumper: too short a time headway for a second, unless recorded so.",
     )
     TTC_RECORDED_FOLLOWER = (
         "ttc_recorded_follower",
@@ -151,6 +151,7 @@ class Reason(StrEnum):
         "Beyond its last step, others at constant velocity, it has a critical TTC or contact that no braking avoids.",
     )
     DID_NOT_DO_IT = "did_not_do_it", "It did not perform its manoeuvre, and was replaced by another vehicle."
+    BREAKS_EVENT = "breaks_event", "It came between the two vehicles of a lead or follow event at its moment."
     WAITED_FOR_GONE = "waited_for_gone", "It had braked for a vehicle that is not exported, and was driven again."
     STANDS_THROUGHOUT = "stands_throughout", "It stands from the first step to the last."
     ENTERS_ON_RED = "enters_on_red", "It would enter an intersection on red, or drive over a crossing that is used."

@@ -12,7 +12,7 @@ from hid2.agents import FloatArray, Track
 from hid2.insertion.event_targets import Target
 from hid2.judge.claims import EventClaim, event_step
 from hid2.judge.events import EventMeasures, crossing_steps, measure_event
-from hid2.occupancy.agent_states import agent_states
+from hid2.occupancy.agent_states import AgentStates, agent_states
 from hid2.params import Event
 from hid2.reasons import Reason
 from hid2.scene import Scene
@@ -38,11 +38,15 @@ class Seen:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Objective:
-    """What is asked for of a vehicle and a target: whether its states show it, and how near to the middle."""
+    """What is asked for of a vehicle and a target: whether its states show it, and how near to the middle.
+
+    others: recorded agents, with the target, and vehicles of events before.
+    """
 
     scene: Scene
     event: Event
     target: Target
+    others: AgentStates
 
     @property
     def _at_band_s(self) -> tuple[float, float]:
@@ -78,19 +82,22 @@ class Objective:
         scene, kind, target, near = self.scene, self.event.kind, self.target, self.likely_step(track)
         if near is None:
             return None
-        pair = agent_states(
-            [target.track, track], scene.states.lanes, num_steps=scene.num_steps, step_s=scene.step_s,
-            is_inserted=track.track_id.__eq__,
+        followed = kind in ("lead", "follow")  # by the next vehicle, of all that there are
+        states = agent_states(
+            [track] if followed else [target.track, track], scene.states.lanes, num_steps=scene.num_steps,
+            step_s=scene.step_s, is_inserted=track.track_id.__eq__,
         )  # fmt: skip
+        states = self.others.joined(states) if followed else states
+        own, there = states.arrays.num_agents - 1, states.arrays.track_ids.index(target.track.track_id)
         order = -1 if kind == "follow" else 1
         if kind == "cross":
-            crossed = crossing_steps(pair, 1, 0)
+            crossed = crossing_steps(states, own, there)
             order = 1 if crossed is not None and crossed[0] < crossed[1] else -1
         claim = EventClaim(kind, track.track_id, target.track.track_id, near * scene.step_s, ahead=order > 0)
-        at = event_step(pair, claim)
+        at = event_step(states, claim)
         if at is None or at not in target.track.timesteps or at not in track.timesteps:
             return None
-        found = measure_event(pair, kind, 1, 0, at_step=at)
+        found = measure_event(states, kind, own, there, at_step=at)
         if kind == "merge":
             row = int(np.searchsorted(track.timesteps, at))
             offset, heading = track.position[row] - target.position[at], target.heading[at]

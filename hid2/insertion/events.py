@@ -21,10 +21,11 @@ from hid2.insertion.event_objective import MOMENT_S, Objective, Seen
 from hid2.insertion.event_places import Places
 from hid2.insertion.event_starts import Candidate, EventStarts
 from hid2.insertion.event_targets import candidate_rows, target_of
-from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
+from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, together, traffic_of_exported
 from hid2.insertion.outcome import Outcome, outcome_of
 from hid2.insertion.requests import draw_size
 from hid2.insertion.surroundings import Surroundings
+from hid2.judge.claims import EventClaim, event_step
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Event
 from hid2.reasons import Reason
@@ -146,7 +147,10 @@ class SceneEvents:
         rows = candidate_rows(scene, event.target)
         if event.target == "any":
             rows = [rows[k] for k in rng.permutation(len(rows)).tolist()]
-        return [Objective(scene, event, target) for row in rows if (target := target_of(scene, row)) is not None]
+        others = together(scene, self.kept)
+        return [
+            Objective(scene, event, target, others) for row in rows if (target := target_of(scene, row)) is not None
+        ]
 
     def likely(
         self, objectives: Sequence[Objective], number: int, rejected: Counter[Reason]
@@ -194,6 +198,17 @@ class SceneEvents:
         conflicts = conflicting(objective.scene, [*self.kept, vehicle], target_id=target_id)
         own = next((reason for row, reason in conflicts if row >= len(self.kept)), None)
         return own or (vehicle, seen)
+
+
+def comes_between(scene: Scene, event: EventOutcome, vehicle: ExportedVehicle) -> bool:
+    """Whether a vehicle comes between the two of a lead or follow event at its moment."""
+    if event.vehicle is None or event.seen is None or event.event.kind not in ("lead", "follow"):
+        return False
+    pair = scene.states.traffic.ids.index(event.target_id), scene.states.arrays.num_agents
+    states = together(scene, [event.vehicle, vehicle]).rows([*pair, pair[1] + 1])
+    names = event.vehicle.driven.vehicle_id, str(event.target_id)
+    at_s = event.seen.at_step * scene.step_s
+    return event_step(states, EventClaim(event.event.kind, *names, at_s, ahead=event.seen.order > 0)) is None
 
 
 def offered_events(here: Surroundings, names: Sequence[str]) -> tuple[str, ...]:

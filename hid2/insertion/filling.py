@@ -10,7 +10,7 @@ import numpy as np
 
 from hid2.agents import Policy
 from hid2.conflicts.guard import Guard
-from hid2.insertion.events import EventOutcome
+from hid2.insertion.events import EventOutcome, comes_between
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
 from hid2.insertion.outcome import Outcome, outcome_of
 from hid2.insertion.requests import draw_requests
@@ -281,6 +281,9 @@ class Filling:
         for row, reason in conflicting(self.scene, [*self.kept, *new], since=len(self.kept)):
             driven = new[row - len(self.kept)].driven
             gone[driven.vehicle_id] = self._rejection(driven, reason)
+        for one in new:
+            if any(comes_between(self.scene, event, one) for event in self.events):
+                gone[one.driven.vehicle_id] = self._rejection(one.driven, Reason.BREAKS_EVENT)
         new = [one for one in new if one.driven.vehicle_id not in gone]
         for one in new:
             outcome = outcome_of(self.scene, one, [*self.kept, *new])

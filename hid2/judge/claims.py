@@ -196,8 +196,11 @@ def _merged(states: AgentStates, own: int, target: int) -> int | None:
 
 
 def _leads(states: AgentStates, leader: int, follower: int, step: int) -> bool:
-    """Whether one agent is ahead of another at a step, on the path that the other drives; both have a state there."""
+    """Whether one agent is the next vehicle ahead of another at a step, on the path that the other drives."""
     if states.arrays.row_of[follower, step] < 0 or states.arrays.row_of[leader, step] < 0:
         return False
-    led = states.leaders_on_path(follower, np.array([leader]))
-    return bool(led.rows.size and np.isfinite(led.gap_m[0, step]))
+    others = np.union1d(np.flatnonzero(states.arrays.vehicle), leader)
+    led = states.leaders_on_path(follower, others[others != follower])
+    if not led.rows.size or not np.isfinite(led.gap_m[:, step]).any():
+        return False
+    return bool(led.rows[led.gap_m[:, step].argmin()] == leader)

@@ -22,8 +22,8 @@ _SPARE_BOX_M, _SPARE_END_S, _DRIVABLE_KEPT, CURVATURE_KEPT = 0.05, 0.1, 0.9, 0.9
 CLAIM_S = 0.5
 #: A figure that is claimed is that of the states, but for so much of its unit.
 FIGURE_OFF = 0.01
-#: A recorded follower keeps this time headway, s, unless it kept less to its own leader; shorter ones count above this
-#: speed, m/s, when they last so long, s. Headway = (gap + leader's length) / speed, where the length counts for so many
+#: A follower keeps this time headway, s (one recorded unless it kept less to its own leader); shorter ones count above
+#: this speed, m/s, when they last so long, s. Headway = (gap + leader's length) / speed; the length counts for so many
 #: s at most: at least .5 s are left from bumper to bumper (130 recorded followers in their lanes have .6 s or more).
 FOLLOWER_HEADWAY_S, FOLLOWER_MPS, FOLLOWER_FOR_S, LEADER_LENGTH_S = 0.8, 3.0, 1.0, 0.3
 #: After the last step a driver brakes so hard, m/s2, after so long, s.
@@ -129,7 +129,7 @@ class Quantity(StrEnum):
     FOLLOWER_HEADWAY = (
         "follower_headway",
         "s",
-        "time headway that a recorded follower is left with",
+        "time headway of a follower, where it or its leader is inserted",
         Reason.FOLLOWER_HEADWAY,
     )
     NOISE = "noise", "", "exported minus clean state, over what trackers have"

@@ -314,20 +314,19 @@ def of_crossings(states: AgentStates, bounds: Bounds, *, since: int) -> Iterator
 
 
 def headways(states: AgentStates, led: Leaders, beyond_m: FloatArray | None = None) -> Iterator[Finding]:
-    """Recorded followers that inserted leaders leave less time headway than they kept to leaders in the recording.
+    """Followers of which one of the two is inserted with too short a time headway, recorded ones unless it was so.
 
     beyond_m (A,): by how much boxes of the states are longer, ahead, than exported.
     """
     arrays = states.arrays
-    follower = ~arrays.generated[arrays.agent] & arrays.moving[arrays.agent]
-    least = _sustained_headway(
-        states, led, follower & arrays.generated[np.maximum(led.agent, 0)] & (led.agent >= 0), beyond_m
-    )
+    inserted = arrays.generated[arrays.agent] | (arrays.generated[np.maximum(led.agent, 0)] & (led.agent >= 0))
+    least = _sustained_headway(states, led, inserted & arrays.moving[arrays.agent], beyond_m)
     kept = kept_headways(states) if least else {}
     for agent, (headway_s, at) in least.items():
         if kept.get(agent, math.inf) > headway_s:
             leader, step = int(led.agent[at]), int(arrays.step[at])
-            yield _finding(states, (leader, agent), step, Quantity.FOLLOWER_HEADWAY, headway_s, FOLLOWER_HEADWAY_S)
+            pair = (agent, leader) if arrays.generated[agent] else (leader, agent)
+            yield _finding(states, pair, step, Quantity.FOLLOWER_HEADWAY, headway_s, FOLLOWER_HEADWAY_S)
 
 
 def kept_headways(states: AgentStates) -> dict[int, float]:
