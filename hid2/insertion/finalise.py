@@ -11,6 +11,7 @@ from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Track
 from hid2.drivers.driver import LaneOffset
 from hid2.judge.findings import MOVES_M, MOVES_MPS, Finding, Quantity, export_bounds
 from hid2.judge.states import (
+    headway_on_driven_path,
     headways,
     of_boxes,
     of_crossings,
@@ -251,22 +252,21 @@ def conflicting(
     led = leaders(states.arrays, states.lanes, states.matches)
     beyond_m = np.zeros(states.arrays.num_agents)
     beyond_m[first:] = [one.driven.start.beyond_m for one in exported]
-    findings = [
-        *ttc_on_lanes(states, led, bounds),
-        *(one for one in headways(states, led, beyond_m) if one.other != target_id),
-    ]
+    findings = [*ttc_on_lanes(states, led, bounds), *headways(states, led, beyond_m)]
     rows = first + np.arange(len(exported))
     findings += ttc_of_followers(states, rows[since:], bounds)
     for row in rows.tolist():
         others = rows[rows != row] if row >= first + since else rows[since:]
-        findings += ttc_on_driven_path(
-            states, row, states.leaders_on_path(row, others, aside_m=bounds.spare_aside_m), bounds
-        )
+        led_by = states.leaders_on_path(row, np.append(np.arange(first), others), aside_m=bounds.spare_aside_m)
+        findings += ttc_on_driven_path(states, row, led_by, bounds)
+        findings += headway_on_driven_path(states, row, led_by, beyond_m)
         findings += of_end(states, row, others, bounds)
     findings += of_crossings(states, bounds, since=first + since)
     row_of = {name: row for row, name in enumerate(states.arrays.track_ids[first:])}
     found: dict[int, Reason] = {}
     for one in findings:
+        if one.quantity is Quantity.FOLLOWER_HEADWAY and one.other == target_id:
+            continue
         found.setdefault(max(row_of[one.track_id], row_of.get(one.other or "", -1)), one.reason)
     return sorted((row, reason) for row, reason in found.items() if row >= since)
 

@@ -57,6 +57,7 @@ def judge(states: AgentStates, graph: LaneGraph, bounds: Bounds) -> list[Finding
         found += of_boxes(states, row, others, spare_m=bounds.spare_box_m)
         led_by = states.leaders_on_path(row, others, aside_m=bounds.spare_aside_m)
         found += ttc_on_driven_path(states, row, led_by, bounds)
+        found += headway_on_driven_path(states, row, led_by)
         found += of_end(states, row, others, bounds)
     led = leaders(arrays, states.lanes, states.matches)
     found += ttc_on_lanes(states, led, bounds)
@@ -314,19 +315,37 @@ def of_crossings(states: AgentStates, bounds: Bounds, *, since: int) -> Iterator
 
 
 def headways(states: AgentStates, led: Leaders, beyond_m: FloatArray | None = None) -> Iterator[Finding]:
-    """Followers of which one of the two is inserted with too short a time headway, recorded ones unless it was so.
+    """Recorded followers that inserted leaders leave less time headway than they kept to leaders in the recording.
 
     beyond_m (A,): by how much boxes of the states are longer, ahead, than exported.
     """
     arrays = states.arrays
-    inserted = arrays.generated[arrays.agent] | (arrays.generated[np.maximum(led.agent, 0)] & (led.agent >= 0))
-    least = _sustained_headway(states, led, inserted & arrays.moving[arrays.agent], beyond_m)
+    follower = ~arrays.generated[arrays.agent] & arrays.moving[arrays.agent]
+    least = _sustained_headway(
+        states, led, follower & arrays.generated[np.maximum(led.agent, 0)] & (led.agent >= 0), beyond_m
+    )
     kept = kept_headways(states) if least else {}
     for agent, (headway_s, at) in least.items():
         if kept.get(agent, math.inf) > headway_s:
             leader, step = int(led.agent[at]), int(arrays.step[at])
-            pair = (agent, leader) if arrays.generated[agent] else (leader, agent)
-            yield _finding(states, pair, step, Quantity.FOLLOWER_HEADWAY, headway_s, FOLLOWER_HEADWAY_S)
+            yield _finding(states, (leader, agent), step, Quantity.FOLLOWER_HEADWAY, headway_s, FOLLOWER_HEADWAY_S)
+
+
+def headway_on_driven_path(
+    states: AgentStates, row: int, led: Leading, beyond_m: FloatArray | None = None
+) -> Iterator[Finding]:
+    """Too short a time headway of a vehicle to the next one of those that lead it on the path that it drives."""
+    arrays = states.arrays
+    rows = np.flatnonzero(arrays.vehicle[led.rows])
+    if not rows.size:
+        return
+    gap_m, agents, steps = led.gap_m[rows], led.rows[rows], np.arange(arrays.num_steps)
+    next_one = gap_m.argmin(axis=0)
+    leader_m = (arrays.length if beyond_m is None else arrays.length - beyond_m)[agents[next_one]]
+    headway_s, at = sustained_headway(gap_m[next_one, steps], leader_m, states.speed(row), arrays.step_s)
+    if headway_s < FOLLOWER_HEADWAY_S:
+        pair = row, int(agents[next_one[at]])
+        yield _finding(states, pair, at, Quantity.FOLLOWER_HEADWAY, headway_s, FOLLOWER_HEADWAY_S)
 
 
 def kept_headways(states: AgentStates) -> dict[int, float]:

@@ -14,12 +14,12 @@ from hid2.params import Event
 from netconvert.lane_graph import LaneGraph
 
 
-def _objective(graph: LaneGraph, **asked: object) -> Objective:
+def _objective(graph: LaneGraph, *others: Track, **asked: object) -> Objective:
     """Of a target at 8 m/s from 100 m on lane 1, which is 4.5 m long."""
-    scene = scene_on(graph, recorded(100.0, 0.0, 8.0))
+    scene = scene_on(graph, recorded(100.0, 0.0, 8.0), *others)
     target = target_of(scene, 0)
     assert target is not None
-    return Objective(scene, Event.model_validate({"kind": "lead", "target": "r", **asked}), target)
+    return Objective(scene, Event.model_validate({"kind": "lead", "target": "r", **asked}), target, scene.states)
 
 
 @pytest.fixture
@@ -38,6 +38,13 @@ def test_a_leader_is_seen_at_the_step_nearest_to_the_middle_of_what_is_asked(gra
     assert objective.cost(seen) == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.parametrize(("x", "y", "is_seen"), [(109.0, 0.0, False), (109.0, 3.5, True), (130.0, 0.0, True)])
+def test_a_leader_is_the_next_vehicle_ahead(graph: LaneGraph, x: float, y: float, is_seen: bool) -> None:
+    """14 m ahead of the target: with another one between no leader, with one beside, or farther ahead, it is one."""
+    objective = _objective(graph, recorded(x, y, 8.0, name="b"), at_s=(3.0, 3.0), gap_m=(10.0, 18.0))
+    assert (objective.seen(recorded(118.5, 0.0, 8.0, name="e")) is not None) is is_seen
+
+
 @pytest.mark.parametrize(("gap_m", "cost"), [((10.0, 18.0), 0.0), ((12.0, 20.0), 0.5), ((14.0, 22.0), 1.0)])
 def test_cost_is_the_distance_from_the_middle_over_half_of_the_band(
     graph: LaneGraph, gap_m: tuple[float, float], cost: float
@@ -46,7 +53,7 @@ def test_cost_is_the_distance_from_the_middle_over_half_of_the_band(
     objective = _objective(graph, at_s=(3.0, 3.0), gap_m=(0.0, 28.0))
     seen = objective.seen(recorded(118.5, 0.0, 8.0, name="e"))
     assert seen is not None
-    asked = Objective(objective.scene, objective.event.model_copy(update={"gap_m": gap_m}), objective.target)
+    asked = replace(objective, event=objective.event.model_copy(update={"gap_m": gap_m}))
     assert asked.cost(seen) == pytest.approx(cost, abs=1e-6)
 
 

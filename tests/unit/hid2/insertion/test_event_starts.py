@@ -43,7 +43,7 @@ def _starts(scene: Scene, **asked: object) -> EventStarts:
     guard = Guard(scene, nobody(scene.future.num_steps), here.stop_lines)
     return EventStarts(
         scene, here.roads, here.meetings, guard, np.random.default_rng(0), 0,
-        objective=Objective(scene, event, target), request=VehicleRequest(0, policy, 0.0, size=CAR),
+        objective=Objective(scene, event, target, scene.states), request=VehicleRequest(0, policy, 0.0, size=CAR),
         places=list(Places(here.routes, event, target, 4.5).all()),
     )  # fmt: skip
 

@@ -81,6 +81,23 @@ def test_follower_that_kept_as_little_in_the_recording_does_not_mind(world_of: C
     assert world.harm_to_followers(world.rolled_out(start, (part,))) is None
 
 
+@pytest.mark.parametrize(("ahead_m", "reason"), [(9.2, Reason.FOLLOWER_HEADWAY), (9.8, None)])
+def test_follower_of_a_round_before_keeps_its_time_headway(
+    world_of: Callable[..., World], ahead_m: float, reason: Reason | None
+) -> None:
+    """At 10 m/s 3 m of a leader's length count: 9.2 m from front to front are .77 s, 9.8 m .83 s; .8 s is the limit.
+
+    One chosen in the same round would brake: it is no reason.
+    """
+    world = world_of()
+    behind = _steady(world, 20.0, 10.0, number=1)
+    kept = World(world.scene, world.roads, Guard(world.scene, behind.traffic, world.guard.stop_lines))
+    candidate = _steady(kept, 20.0 + ahead_m, 10.0)
+    assert kept.objection(candidate.start, candidate.parts) is reason
+    world.choose(behind)
+    assert world.objection(candidate.start, candidate.parts) is None
+
+
 def test_follower_that_closes_in_is_named(world_of: Callable[..., World]) -> None:
     """10 m/s behind 5 m/s: the gap of 15.5 m lasts 3.1 s."""
     world = world_of(recorded(20.0, 0.0, 10.0))

@@ -295,6 +295,14 @@ def test_headway_of_a_recorded_follower(judged: Judged, gap: float, found: int) 
     assert noted == [("gen_0", Quantity.FOLLOWER_HEADWAY, "a")] * found
 
 
+@pytest.mark.parametrize("leader", ["a", "gen_1"])
+@pytest.mark.parametrize(("gap", "found"), [(3.0, 1), (6.0, 0)])
+def test_headway_of_an_inserted_follower(judged: Judged, leader: str, gap: float, found: int) -> None:
+    """The same of one inserted, behind one recorded or inserted."""
+    noted = judged(*sorted([_at("gen_0", 20.0, 10.0), _at(leader, 24.5 + gap, 10.0)], key=lambda one: one.track_id))
+    assert noted == [("gen_0", Quantity.FOLLOWER_HEADWAY, leader)] * found
+
+
 def test_follower_that_kept_as_little_in_the_recording_is_exempt(judged: Judged) -> None:
     """For 3 s it follows a recorded one at 0.7 s, which turns off; then an inserted one at 0.75 s."""
     recorded = _at("b", 27.0, 10.0, steps=30)
