@@ -130,15 +130,13 @@ def study(
     activity: Activity,
 ) -> bool:
     """Run a parameter study. Called again, it continues: completed runs are skipped."""
-    from bridge.studies.run import run_study
+    from bridge.studies.run import plan_text, run_study
     from bridge.studies.study import read_study
 
     how = batch.options(resume=True)
     activity.doing("reading the study and its scenes")
     found = read_study(file, scenes=scenes)
     if plan is not None:
-        from bridge.studies.plan import plan_text
-
         activity.doing("drawing the first run")
         lines = list(plan_text(found, out, plan))
         activity.end()
