@@ -15,11 +15,24 @@ from bridge.batch.batch import Progress as BatchProgress
 from bridge.batch.engine import Task, execute_here
 from bridge.batch.isolation import Settings
 from bridge.batch.manifest import DONE, ManifestRow
-from bridge.evaluation.predictions import BOUNDS, METRICS, Band, MetricKey, Score, score_predictions, write_forecasts
 from bridge.files import make_folder, write_json, write_rows, write_text
-from bridge.forecasting.comparison import HEAD, Difference, Runs, differences_of, mean_of, rows_of, sources_of
 from bridge.forecasting.compose import COMPOSITION, VALIDATION, compose
 from bridge.forecasting.composition import CONTROLS, HID2_ONLY, Composition, Controls, Draw, Split
+from bridge.forecasting.predictions import (
+    BOUNDS,
+    HEAD,
+    METRICS,
+    SCORE_COLUMNS,
+    Difference,
+    MetricKey,
+    Runs,
+    differences_of,
+    mean_of,
+    rows_of,
+    score_predictions,
+    sources_of,
+    write_forecasts,
+)
 from bridge.forecasting.small_forecaster import check_forecaster, small_forecaster
 from bridge.pages import parts as pages
 from bridge.recordings.folders import find_scenarios
@@ -200,10 +213,10 @@ def _scores(composed: Path, predictions: Path, *, jobs: int, tell: Progress) -> 
     for (on, name), found in files.items():
         scores = []
         for path in found:
-            scored = score_predictions(composed / VALIDATION / on / "val", predictions=path, jobs=jobs)
-            if scored.left_out:
-                raise ScenarioError(f"{path}: {len(scored.left_out)} not scored, the first: {scored.left_out[0]}")
-            scores.append(scored.scores)
+            found_scores, left_out = score_predictions(composed / VALIDATION / on / "val", predictions=path, jobs=jobs)
+            if left_out:
+                raise ScenarioError(f"{path}: {len(left_out)} not scored, the first: {left_out[0]}")
+            scores.append(found_scores)
             done += 1
             tell("scoring", done, total)
         runs[on][name] = scores
@@ -236,12 +249,12 @@ def _differences(
     runs: Mapping[str, Mapping[str, Runs]], source_of: Mapping[str, str], params: Forecasting
 ) -> list[Difference]:
     """The controls minus recorded scenes alone, and HiD2 minus its rivals, on recorded scenes; Table 2 on both."""
-    bands = {"all scenes": Band(0)} | {f"more than {bound}": Band(bound) for bound in BOUNDS}
+    in_all = {"all scenes": "agents > 0"} | {f"more than {bound}": f"agents > {bound}" for bound in BOUNDS}
     pairs = [(name, RECORDED) for name in CONTROLS if name != RECORDED]
     pairs += [("hid2", "recorded-dense"), ("hid2", "no-interaction")]
-    found = differences_of(pairs, runs[RECORDED], bands, source_of, params)
+    found = differences_of(pairs, runs[RECORDED], in_all, source_of, params)
     for on in (RECORDED, HID2):
-        whole = {f"{on} validation scenes": bands["all scenes"]}
+        whole = {f"{on} validation scenes": in_all["all scenes"]}
         found += differences_of([(HID2_ONLY, RECORDED)], runs[on], whole, source_of, params)
     return found
 
@@ -262,7 +275,7 @@ def _write(
     ours2 = {"recorded": RECORDED, "HiD2": HID2_ONLY}
     table2 = {label: [runs[on][name] for on in (RECORDED, HID2)] for label, name in ours2.items()}
     table3 = {
-        label: [[Band(bound).of(run) for run in runs[RECORDED][name]] for bound in BOUNDS]
+        label: [[run.query(f"agents > {bound}") for run in runs[RECORDED][name]] for bound in BOUNDS]
         for name, label in CONTROLS.items()
     }
     names2 = [f"{on}_{key}" for on in (RECORDED, HID2) for key in _COLUMNS]
@@ -291,9 +304,9 @@ def _write(
         for on, models in runs.items()
         for name, found in models.items()
         for number, scores in enumerate(found)
-        for score in scores
+        for score in scores.itertuples(index=False)
     )
-    write_rows(out / "prediction_scores.csv", ("validation", "trained_on", "run", *Score._fields), every)
+    write_rows(out / "prediction_scores.csv", ("validation", "trained_on", "run", *SCORE_COLUMNS), every)
     write_json(out / "prediction.json", content)
     page = out / "prediction.html"
     write_text(page, pages.page(_TITLE, [pages.macro("forecasts.html.j2", "prediction", shown)]))

@@ -1,11 +1,18 @@
 """Models compared in pairs, on scores made by hand."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from baseline_file import write_baseline
 
-from bridge.evaluation.predictions import Band, Score, write_forecasts
-from bridge.forecasting.comparison import compare_predictions, differences_of, mean_of, parse_models
+from bridge.forecasting.predictions import (
+    SCORE_COLUMNS,
+    compare_predictions,
+    differences_of,
+    mean_of,
+    parse_models,
+    write_forecasts,
+)
 from bridge.recordings.scenario import find_scenarios, read_scenario
 from hid2.params import Forecasting
 from netconvert.errors import ConfigError
@@ -14,12 +21,16 @@ PARAMS = Forecasting(resamples=4000)
 
 
 def score(scene, fde, *, agents=60, k=6):
-    return Score(scene, "1", agents, agents, k, fde / 2, fde, fde > 2, fde + 0.5)
+    return scene, "1", agents, agents, k, fde / 2, fde, fde > 2, fde + 0.5
+
+
+def tables(runs):
+    return [pd.DataFrame(run, columns=SCORE_COLUMNS) for run in runs]
 
 
 def compared(mine, theirs, source_of=None, metric="min_fde_m"):
-    runs = {"a": mine, "b": theirs}
-    found = differences_of([("a", "b")], runs, {"all": Band(0)}, source_of or {}, PARAMS)
+    runs = {"a": tables(mine), "b": tables(theirs)}
+    found = differences_of([("a", "b")], runs, {"all": "agents > 0"}, source_of or {}, PARAMS)
     return next(one for one in found if one.metric == metric)
 
 
@@ -78,9 +89,8 @@ def test_only_tracks_that_every_file_forecasts_count():
 
 
 def test_bands_and_metrics_are_taken_apart():
-    runs = [[score("a", 1.0, agents=40), score("b", 3.0, agents=80), score("b", 99.0, agents=80, k=1)]]
-    dense = [Band(50).of(run) for run in runs]
-    assert mean_of(dense, {}, "min_fde_m", PARAMS).value == 3.0
+    (run,) = runs = tables([[score("a", 1.0, agents=40), score("b", 3.0, agents=80), score("b", 99.0, agents=80, k=1)]])
+    assert mean_of([run.query("agents > 50")], {}, "min_fde_m", PARAMS).value == 3.0
     assert mean_of(runs, {}, "missed", PARAMS).value == 0.5
     assert mean_of(runs, {}, "brier_min_fde", PARAMS).value == 2.5
 

@@ -11,9 +11,10 @@ from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 from baseline_file import write_baseline
 from recordings import make_argoverse1
 
-from bridge.evaluation import predictions
-from bridge.evaluation.predictions import (
+from bridge.forecasting import predictions
+from bridge.forecasting.predictions import (
     BASELINES,
+    band_means,
     baseline,
     read_forecasts,
     score_predictions,
@@ -29,6 +30,10 @@ from netconvert.errors import ConfigError, ScenarioError
 def focal_future(scenario):
     track = scenario.track(scenario.focal_track_id)
     return track.position[track.timesteps > 49]
+
+
+def scores_of(folder, predictions):
+    return list(score_predictions(folder, predictions=predictions)[0].itertuples(index=False))
 
 
 def submission(scenario, modes, probabilities, path, track_id=None):
@@ -47,7 +52,7 @@ def test_errors_are_those_of_the_mode_that_ends_nearest(data_scenes, tmp_path):
     second = truth + np.array([0.0, 5.0])
     second[-1] = truth[-1]
     path = submission(scenario, [truth + np.array([3.0, 0.0]), second], [0.7, 0.3], tmp_path / "f.parquet")
-    scores = {s.k: s for s in score_predictions(data_scenes["arterial"], predictions=path).scores}
+    scores = {s.k: s for s in scores_of(data_scenes["arterial"], path)}
     assert (scores[1].min_ade_m, scores[1].min_fde_m, scores[1].missed) == (pytest.approx(3), pytest.approx(3), True)
     assert (scores[6].min_ade_m, scores[6].min_fde_m) == (pytest.approx(5 * 59 / 60), pytest.approx(0))
     assert not scores[6].missed
@@ -57,7 +62,7 @@ def test_probability_not_order_decides_what_counts_first(data_scenes, tmp_path):
     scenario = read_scenario(data_scenes["arterial"])
     truth = focal_future(scenario)
     path = submission(scenario, [truth + np.array([9.0, 0.0]), truth], [0.1, 0.9], tmp_path / "f.parquet")
-    scores = {s.k: s for s in score_predictions(data_scenes["arterial"], predictions=path).scores}
+    scores = {s.k: s for s in scores_of(data_scenes["arterial"], path)}
     assert scores[1].min_fde_m == pytest.approx(0.0)
 
 
@@ -67,7 +72,7 @@ def test_brier_min_fde_adds_what_the_best_modes_probability_lacks(data_scenes, t
     truth = focal_future(scenario)
     modes = [truth + np.array([3.0, 0.0]), truth + np.array([1.0, 0.0])]
     path = submission(scenario, modes, [0.7, 0.3], tmp_path / "f.parquet")
-    scores = {s.k: s for s in score_predictions(data_scenes["arterial"], predictions=path).scores}
+    scores = {s.k: s for s in scores_of(data_scenes["arterial"], path)}
     assert scores[1].brier_min_fde == pytest.approx(3.09)
     assert scores[6].brier_min_fde == pytest.approx(1.49)
 
@@ -82,7 +87,7 @@ def test_scores_of_a_challenge_submission_are_those_of_av2(data_root, tmp_path):
         modes = focal_future(scenario) + random.normal(0, 3, (6, 60, 2))
         forecasts[scenario.scenario_id] = (probabilities, {scenario.focal_track_id: modes})
     path = write_forecasts(forecasts, tmp_path / "f.parquet")
-    scores = {(s.scenario_id, s.k): s for s in score_predictions(data_root, predictions=path).scores}
+    scores = {(s.scenario_id, s.k): s for s in scores_of(data_root, path)}
     for folder in find_scenarios(data_root):
         scenario = read_scenario(folder)
         probabilities, by_track = forecasts[scenario.scenario_id]
@@ -115,8 +120,9 @@ def test_a_forecast_that_is_not_finite_is_named_and_refused(data_scenes, tmp_pat
 def test_jobs_do_not_change_the_scores(data_root, tmp_path, monkeypatch):
     monkeypatch.setattr(predictions, "_CHUNK", 2)
     path = write_baseline(data_root, tmp_path / "f.parquet", kind="constant-velocity")
-    alone = score_predictions(data_root, predictions=path, report_dir=tmp_path / "one")
-    assert score_predictions(data_root, predictions=path, report_dir=tmp_path / "two", jobs=2) == alone
+    alone, _ = score_predictions(data_root, predictions=path, report_dir=tmp_path / "one")
+    both, _ = score_predictions(data_root, predictions=path, report_dir=tmp_path / "two", jobs=2)
+    pd.testing.assert_frame_equal(alone, both)
     for name in ("predictions.csv", "predictions.html"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 
@@ -125,7 +131,7 @@ def test_a_forecast_misses_beyond_two_metres(data_scenes, tmp_path):
     scenario = read_scenario(data_scenes["arterial"])
     for off, missed in ((1.99, False), (2.01, True)):
         path = submission(scenario, [focal_future(scenario) + np.array([off, 0.0])], [1.0], tmp_path / "f.parquet")
-        assert score_predictions(data_scenes["arterial"], predictions=path).scores[0].missed is missed
+        assert scores_of(data_scenes["arterial"], path)[0].missed is missed
 
 
 def test_constant_velocity_goes_on_as_in_the_last_half_second(data_scenes):
@@ -159,14 +165,15 @@ def test_baseline_through_a_file_scores_the_same(data_root, tmp_path, kind):
         probabilities, modes = baseline(scenario, kind)
         submission[scenario.scenario_id] = probabilities, dict(modes)
     ChallengeSubmission(submission).to_parquet(path)
-    direct = score_predictions(data_root, predictions=kind)
-    assert direct.scores == score_predictions(data_root, predictions=path).scores
-    assert len(direct.scores) == 2 * len(find_scenarios(data_root))
+    direct = scores_of(data_root, kind)
+    assert direct == scores_of(data_root, path)
+    assert len(direct) == 2 * len(find_scenarios(data_root))
 
 
 def test_bands_hold_scenes_with_more_agents(data_root, tmp_path):
-    result = score_predictions(data_root, predictions="constant-velocity", report_dir=tmp_path, bounds=(5, 1000))
-    bands = {(band["band"], band["k"]): band for band in result.bands}
+    bounds = (5, 1000)
+    scores, _ = score_predictions(data_root, predictions="constant-velocity", report_dir=tmp_path, bounds=bounds)
+    bands = {(band["band"], band["k"]): band for band in band_means(scores, bounds)}
     assert bands["all scenes", 1]["tracks"] == len(find_scenarios(data_root))
     assert bands["more than 1000", 6] == {
         "band": "more than 1000", "k": 6, "tracks": 0, "min_ade_m": None, "min_fde_m": None, "missed": None,
@@ -174,14 +181,12 @@ def test_bands_hold_scenes_with_more_agents(data_root, tmp_path):
     }  # fmt: skip
     observed = "more than 5 at the observation's end"
     assert bands[observed, 6]["tracks"] == bands["more than 5", 6]["tracks"]
-    assert len(pd.read_csv(tmp_path / "predictions.csv")) == len(result.scores)
+    assert len(pd.read_csv(tmp_path / "predictions.csv")) == len(scores)
     assert "minADE" in (tmp_path / "predictions.html").read_text()
 
 
 def test_generated_focal_and_recorded_scenes_are_scored_alike(made_root):
-    assert len(score_predictions(made_root, predictions="constant-velocity").scores) == 2 * len(
-        find_scenarios(made_root)
-    )
+    assert len(scores_of(made_root, "constant-velocity")) == 2 * len(find_scenarios(made_root))
 
 
 def test_what_cannot_be_scored_is_listed_or_explained(data_scenes, data_root, tmp_path):
@@ -191,14 +196,16 @@ def test_what_cannot_be_scored_is_listed_or_explained(data_scenes, data_root, tm
     with pytest.raises(ScenarioError, match="nobody: no such track"):
         score_predictions(data_scenes["arterial"], predictions=path)
     path = submission(scenario, [truth], [1.0], tmp_path / "f.parquet")
-    result = score_predictions(data_root, predictions=path)
-    assert [reason.partition(": ")[2] for reason in result.left_out] == ["no forecast"] * 2
+    _, left_out = score_predictions(data_root, predictions=path)
+    assert [reason.partition(": ")[2] for reason in left_out] == ["no forecast"] * 2
     shutil.copytree(data_root, tmp_path / "some")
     broken = next((tmp_path / "some").glob("val/*/scenario_*.parquet"))
     broken.write_bytes(b"no")
-    result = score_predictions(tmp_path / "some", predictions="constant-velocity", report_dir=tmp_path / "report")
-    assert result.left_out[0].startswith(f"{broken}: not a parquet file (")
-    assert len({score.scenario_id for score in result.scores}) == 2
+    scores, left_out = score_predictions(
+        tmp_path / "some", predictions="constant-velocity", report_dir=tmp_path / "report"
+    )
+    assert left_out[0].startswith(f"{broken}: not a parquet file (")
+    assert scores["scenario_id"].nunique() == 2
     with pytest.raises(ConfigError, match="no such file, expected a forecast file or one of constant-velocity"):
         read_forecasts(tmp_path / "none.parquet")
     (tmp_path / "bad.parquet").write_bytes(b"no")
@@ -223,7 +230,7 @@ def test_a_baseline_forecasts_what_is_not_observed_of_a_scene_made_from_argovers
     track = scenario.track(scenario.focal_track_id)
     future = track.position[track.timesteps > 19]
     assert modes[track.track_id].shape == (6, 30, 2)
-    scored = {s.k: s for s in score_predictions(tmp_path / "out", predictions="constant-velocity").scores}
+    scored = {s.k: s for s in scores_of(tmp_path / "out", "constant-velocity")}
     errors = np.hypot(*(modes[track.track_id][0] - future).T)
     assert (scored[1].min_ade_m, scored[1].min_fde_m) == pytest.approx((errors.mean(), errors[-1]))
     assert scored[1].agents_observed == sum(19 in track.timesteps for track in scenario.tracks)
