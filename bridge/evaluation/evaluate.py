@@ -9,20 +9,36 @@ import pickle
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from bridge.batch.engine import OnDone, work_on_each
 from bridge.batch.isolation import Failure
 from bridge.evaluation.scene_metrics import TABLES, Row, SceneMeasures, measure_folder
 from bridge.evaluation.totals import Evaluation, Totals
-from bridge.files import append_rows, table_file, write_json
+from bridge.files import append_rows, table_file, write_json, write_text
+from bridge.pages.parts import Section, macro, number, page
 from bridge.recordings.folders import MAP_PATTERN, Address, Choices, find_scenarios, source_id
 from bridge.recordings.sidecar import sidecar_in
 from bridge.recordings.sources import find_recordings, source_files
+from hid2.evaluation.realism import FEATURES, GENERATED
+from hid2.reasons import Reason
 from netconvert.errors import ScenarioError
 
 _LOG = logging.getLogger(__name__)
 #: Most scenes that a process gets at a time.
 _CHUNK = 40
+#: Sections of the report, by macro of its template.
+_TITLES = {
+    "glance": "At a glance: are the generated vehicles safe?",
+    "encounters": "Encounters",
+    "realism": "Realism",
+    "events": "Events asked for",
+    "safety": "Safety",
+    "motion": "Motion",
+    "diversity": "Diversity",
+    "requests": "Asked for and delivered",
+    "words": "Words",
+}
 
 
 def evaluate_folder(
@@ -44,8 +60,6 @@ def evaluate_folder(
     on_scene(done, total) is called as scenes are done.
     Errors: ScenarioError where there is no scene; ExportError where the report cannot be written.
     """
-    from bridge.evaluation.report import write_report  # matplotlib: only this half needs it
-
     # by map, so that each is read once, and large ones first: what a process needs at most it needs from the start
     folders = sorted(find_recordings([out], choices), key=_map_size, reverse=True)
     roots = (source,) if isinstance(source, Path) else source
@@ -80,6 +94,31 @@ def evaluate_folder(
     write_table(report_dir / "realism.csv", evaluation.metrics["realism"]["distances"])
     write_report(evaluation, report_dir / "report.html")
     return evaluation
+
+
+def write_report(evaluation: Evaluation, path: Path) -> None:
+    """Write report.html, a page that needs neither the paper nor the code to be understood. Errors: OSError."""
+    from bridge.evaluation.paper import PAPER_HID2, PAPER_ORIGINAL  # matplotlib: only this half needs it
+    from bridge.pages.charts import distribution_figure, diversity_figure
+    from bridge.pictures import figures
+
+    figures.style()
+    metrics, totals = evaluation.metrics, evaluation.totals
+    shown: dict[str, Any] = {
+        "diversity": figures.data_uri(diversity_figure(metrics["diversity"])),
+        "distributions": totals.realism.of(FEATURES[0])[GENERATED].sum()
+        and figures.data_uri(distribution_figure(totals.realism)),
+        "events": totals.events,
+        "features": {feature.name: feature for feature in FEATURES},
+        "paper": {key: (number(PAPER_ORIGINAL[key]), number(PAPER_HID2[key])) for key in PAPER_ORIGINAL},
+    }
+    sections: list[Section] = []
+    for key, title in _TITLES.items():
+        # the reasons that the sections above lead to
+        shown["reasons"] = [one for one in Reason if any(f'"#reason-{one}"' in section.body for section in sections)]
+        sections.append(Section(key, title, macro("report.html.j2", key, metrics, shown)))
+    intro = macro("report.html.j2", "intro", metrics["scenes"])
+    write_text(path, page("Generated traffic scenes: evaluation", [intro], [s for s in sections if s.body]))
 
 
 def _sources_of(folders: Sequence[Address], source: Sequence[Path], choices: Choices | None) -> dict[str, Address]:

@@ -7,9 +7,9 @@ documented prior and says so.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -61,17 +61,16 @@ class SceneDriving(NamedTuple):
     lane_change_s: FloatArray
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class CalibratedQuantity:
+class CalibratedQuantity(NamedTuple):
     """One parameter: its value, and, where it was measured, a 95 % interval and from how many drivers."""
 
-    name: str
-    what: str
+    parameter: str
     value: float
     low: float | None
     high: float | None
     drivers: int
-    measured: bool
+    source: Literal["measured", "prior"]
+    what: str
 
 
 def observe(states: AgentStates, *, name: str, city: str, labelled: bool) -> SceneDriving:
@@ -139,12 +138,12 @@ def _usual_mps(seen: Windows) -> FloatArray:
 
 def drivers_of(found: Sequence[CalibratedQuantity]) -> dict[str, float]:
     """Values of the parameters, by name, as `params.Drivers` has them; those that were measured."""
-    return {quantity.name: quantity.value for quantity in found if quantity.measured}
+    return {quantity.parameter: quantity.value for quantity in found if quantity.source == "measured"}
 
 
 def _kept(name: str, what: str, prior: Drivers, drivers: int = 0) -> CalibratedQuantity:
     """A parameter that keeps its prior."""
-    return CalibratedQuantity(name, what, float(getattr(prior, name)), None, None, drivers, measured=False)
+    return CalibratedQuantity(name, float(getattr(prior, name)), None, None, drivers, "prior", what)
 
 
 def _by_driver(driver: IntArray, values: FloatArray, pool: Callable[[FloatArray], float]) -> FloatArray:
@@ -202,7 +201,7 @@ def _quantities(
     drawn = redrawn(lambda times: np.asarray(found(np.repeat(every, times.astype(np.int64)))), drivers)
     estimates = [interval(value, column) for value, column in zip(found(every), drawn.T, strict=True)]
     return [
-        CalibratedQuantity(name, what, _bounded(name, one.value or 0.0), one.low, one.high, drivers, measured=True)
+        CalibratedQuantity(name, _bounded(name, one.value or 0.0), one.low, one.high, drivers, "measured", what)
         for name, one in zip(names, estimates, strict=True)
     ]
 

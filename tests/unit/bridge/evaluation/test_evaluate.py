@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 import bridge.evaluation.totals as totals_module
-from bridge.evaluation.evaluate import evaluate_folder
-from bridge.evaluation.report import write_report
+from bridge.evaluation.evaluate import evaluate_folder, write_report
 from bridge.evaluation.scene_metrics import measure, measure_folder
 from bridge.evaluation.totals import Evaluation, SourceSums, Totals, estimate
 from bridge.recordings.scenario import find_scenarios, read_scenario
