@@ -381,7 +381,7 @@ def forecast(
 
     VectorNet with six futures: an instrument to compare data sets with, no state of the art.
     """
-    from bridge.forecasting.small_forecaster import small_forecaster
+    from bridge.forecasting.experiment import small_forecaster
 
     features, network = small_forecaster()
     from bridge.forecasting.predictions import write_forecasts

@@ -66,15 +66,14 @@ def evaluate_folder(
     sources = _sources_of(folders, roots, choices) if roots else {}
     controls = sorted(find_scenarios(control), key=_map_size, reverse=True) if control is not None else []
     known = len(folders) + len(sources)
-    evaluation = Evaluation(Totals(sources))
-    totals = evaluation.totals
+    totals, failures = Totals(sources), list[tuple[Address, str]]()
     with contextlib.ExitStack() as stack:
         tables = {name: stack.enter_context(_table(report_dir / f"{name}.csv", TABLES[name])) for name in TABLES}
         every = [*folders, *sources.values(), *controls]
         each = work_on_each(measure, every, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=120, on_item=on_scene)
         for done, (folder, packed) in enumerate(each, 1):
             if isinstance(packed, Failure):
-                evaluation.failures.append((folder, packed.message))
+                failures.append((folder, packed.message))
                 continue
             measures: SceneMeasures = pickle.loads(zlib.decompress(packed))  # noqa: S301  # our own child
             if done > known:
@@ -85,13 +84,14 @@ def evaluate_folder(
                 totals.add(measures)
                 for name, append in tables.items():
                     append(measures.tables[name])
-        if set(folders) <= {folder for folder, _ in evaluation.failures}:
-            (first, reason), many = evaluation.failures[0], len(folders)
+        if set(folders) <= {folder for folder, _ in failures}:
+            (first, reason), many = failures[0], len(folders)
             raise ScenarioError(f"{out}: none of {many} scenes can be read, expected one at least; {first}: {reason}")
-    evaluation.metrics = totals.content()
-    evaluation.metrics["scenes"]["failed"] = [{"folder": str(at), "reason": why} for at, why in evaluation.failures]
-    write_json(report_dir / "metrics.json", evaluation.metrics)
-    write_table(report_dir / "realism.csv", evaluation.metrics["realism"]["distances"])
+    metrics = totals.content()
+    metrics["scenes"]["failed"] = [{"folder": str(at), "reason": why} for at, why in failures]
+    write_json(report_dir / "metrics.json", metrics)
+    write_table(report_dir / "realism.csv", metrics["realism"]["distances"])
+    evaluation = Evaluation(totals, failures, metrics)
     write_report(evaluation, report_dir / "report.html")
     return evaluation
 

@@ -6,8 +6,12 @@ are scored and compared in pairs. Forecasts from elsewhere on a composed root ta
 """
 
 import shutil
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Literal, NamedTuple
 
 from bridge.batch.batch import Options, Run, SceneJob, run_batch
@@ -15,7 +19,7 @@ from bridge.batch.batch import Progress as BatchProgress
 from bridge.batch.engine import Task, execute_here
 from bridge.batch.isolation import Settings
 from bridge.batch.manifest import DONE, ManifestRow
-from bridge.files import make_folder, write_json, write_rows, write_text
+from bridge.files import data_folder, make_folder, write_json, write_rows, write_text
 from bridge.forecasting.compose import COMPOSITION, VALIDATION, compose
 from bridge.forecasting.composition import CONTROLS, HID2_ONLY, Composition, Controls, Draw, Split
 from bridge.forecasting.predictions import (
@@ -33,7 +37,6 @@ from bridge.forecasting.predictions import (
     sources_of,
     write_forecasts,
 )
-from bridge.forecasting.small_forecaster import check_forecaster, small_forecaster
 from bridge.pages import parts as pages
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.sources import find_sources
@@ -65,6 +68,8 @@ PAPER_TABLE3: Mapping[str, Sequence[float]] = {
 }
 #: The paper's smallest gain of minFDE, m: QCNet, more than 50 agents.
 PAPER_GAIN_M = 0.023
+#: The small forecaster, which needs the extra `forecast`.
+_SCRIPT = data_folder() / "examples" / "small_forecaster.py"
 #: Memory that a training may take: torch reserves more than it uses.
 _TRAINING_MB = 32_000
 
@@ -178,6 +183,23 @@ def _train(composed: Path, models: Path, plan: TrainingPlan, *, jobs: int, tell:
                 raise BatchError(f"training on {outcome.task.key}, seed {outcome.item}: {outcome.failure.message}")
             done += 1
         tell("training", done, total)
+
+
+def check_forecaster() -> None:
+    """Errors: ConfigError where torch is not there, with what to do; it is not imported."""
+    if find_spec("torch") is None:
+        raise ConfigError(
+            "the small forecaster needs the extra `forecast` (torch): run `sh setup.sh forecast` in the checkout, "
+            "or install torch into this environment"
+        )
+
+
+def small_forecaster() -> tuple[ModuleType, ModuleType]:
+    """Its modules: what it sees of scenes, and its network, which imports torch. Errors: ConfigError."""
+    check_forecaster()
+    if str(_SCRIPT.parent) not in sys.path:
+        sys.path.append(str(_SCRIPT.parent))
+    return import_module("scene_features"), import_module(_SCRIPT.stem)
 
 
 def train_and_forecast(shared: tuple[Path, Mapping[str, Path], Path, int], seeds: Sequence[int]) -> Iterator[int]:

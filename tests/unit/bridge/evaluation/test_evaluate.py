@@ -317,7 +317,7 @@ def test_a_metric_that_is_added_is_measured_pooled_and_shown(made_root, tmp_path
     content = totals.content()
     assert content["safety"]["left_half"]["combined"]["value"] == pytest.approx(found / rows)
     content["scenes"]["failed"] = []
-    write_report(Evaluation(totals, metrics=content), tmp_path / "report.html")
+    write_report(Evaluation(totals, [], content), tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text()
     assert "share of rows with x &lt; 0" in text
     assert extra.sentence in text

@@ -17,9 +17,16 @@ from written import write_scene
 from bridge.forecasting import experiment
 from bridge.forecasting.compose import compose
 from bridge.forecasting.composition import Composition
-from bridge.forecasting.experiment import PAPER_GAIN_M, PAPER_TABLE2, PAPER_TABLE3, SETS, TrainingPlan, run_prediction
+from bridge.forecasting.experiment import (
+    PAPER_GAIN_M,
+    PAPER_TABLE2,
+    PAPER_TABLE3,
+    SETS,
+    TrainingPlan,
+    run_prediction,
+    small_forecaster,
+)
 from bridge.forecasting.predictions import Difference, baseline, read_forecasts, score_predictions, write_forecasts
-from bridge.forecasting.small_forecaster import small_forecaster
 from bridge.pages.parts import macro
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_rows, read_scenario
