@@ -1,4 +1,4 @@
-"""Forecasts scored with av2's metrics, and the two baselines, on tracks worked by hand."""
+"""Forecasts scored with av2's metrics and the two baselines, on tracks worked by hand; models compared in pairs."""
 
 import re
 import shutil
@@ -12,18 +12,11 @@ from baseline_file import write_baseline
 from recordings import make_argoverse1
 
 from bridge.forecasting import predictions
-from bridge.forecasting.predictions import (
-    BASELINES,
-    band_means,
-    baseline,
-    read_forecasts,
-    score_predictions,
-    write_forecasts,
-)
+from bridge.forecasting.predictions import BASELINES, baseline, read_forecasts, score_predictions, write_forecasts
 from bridge.generation.generate import generate
 from bridge.recordings.scenario import find_scenarios, read_scenario
 from bridge.recordings.sources import find_recordings, read_recording
-from hid2.params import Config
+from hid2.params import Config, Forecasting
 from netconvert.errors import ConfigError, ScenarioError
 
 
@@ -32,8 +25,8 @@ def focal_future(scenario):
     return track.position[track.timesteps > 49]
 
 
-def scores_of(folder, predictions):
-    return list(score_predictions(folder, predictions=predictions)[0].itertuples(index=False))
+def scores_of(folder, forecasts):
+    return list(score_predictions(folder, predictions=forecasts)[0].itertuples(index=False))
 
 
 def submission(scenario, modes, probabilities, path, track_id=None):
@@ -173,7 +166,7 @@ def test_baseline_through_a_file_scores_the_same(data_root, tmp_path, kind):
 def test_bands_hold_scenes_with_more_agents(data_root, tmp_path):
     bounds = (5, 1000)
     scores, _ = score_predictions(data_root, predictions="constant-velocity", report_dir=tmp_path, bounds=bounds)
-    bands = {(band["band"], band["k"]): band for band in band_means(scores, bounds)}
+    bands = {(band["band"], band["k"]): band for band in predictions.band_means(scores, bounds)}
     assert bands["all scenes", 1]["tracks"] == len(find_scenarios(data_root))
     assert bands["more than 1000", 6] == {
         "band": "more than 1000", "k": 6, "tracks": 0, "min_ade_m": None, "min_fde_m": None, "missed": None,
@@ -234,3 +227,109 @@ def test_a_baseline_forecasts_what_is_not_observed_of_a_scene_made_from_argovers
     errors = np.hypot(*(modes[track.track_id][0] - future).T)
     assert (scored[1].min_ade_m, scored[1].min_fde_m) == pytest.approx((errors.mean(), errors[-1]))
     assert scored[1].agents_observed == sum(19 in track.timesteps for track in scenario.tracks)
+
+
+# Models compared in pairs, on scores made by hand
+
+PARAMS = Forecasting(resamples=4000)
+
+
+def score(scene, fde, *, agents=60, k=6):
+    return scene, "1", agents, agents, k, fde / 2, fde, fde > 2, fde + 0.5
+
+
+def tables(runs):
+    return [pd.DataFrame(run, columns=predictions.SCORE_COLUMNS) for run in runs]
+
+
+def compared(mine, theirs, source_of=None, metric="min_fde_m"):
+    runs = {"a": tables(mine), "b": tables(theirs)}
+    found = predictions.differences_of([("a", "b")], runs, {"all": "agents > 0"}, source_of or {}, PARAMS)
+    return next(one for one in found if one.metric == metric)
+
+
+def test_a_difference_is_over_pairs():
+    """Scenes differ by metres, the models by .1 m in each: the interval is that of the pairs, no wider."""
+    levels = np.linspace(0.5, 8, 40)
+    mine = [[score(f"s{n}", level - 0.1) for n, level in enumerate(levels)]]
+    theirs = [[score(f"s{n}", level) for n, level in enumerate(levels)]]
+    found = compared(mine, theirs)
+    assert found.difference == pytest.approx(-0.1)
+    assert (found.low, found.high) == (pytest.approx(-0.1), pytest.approx(-0.1))
+    assert (found.tracks, found.sources, found.seeds) == (40, 40, (1, 1))
+
+
+def test_the_standard_error_over_scenes_is_that_of_a_mean():
+    """400 pairs with a standard deviation of .8 m: .04 m, and detectable are 2.80 of these."""
+    random = np.random.default_rng(1)
+    gaps = random.normal(0, 0.8, 400)
+    gaps *= 0.8 / gaps.std()
+    mine = [[score(f"s{n}", 5 + gap) for n, gap in enumerate(gaps)]]
+    theirs = [[score(f"s{n}", 5.0) for n in range(400)]]
+    found = compared(mine, theirs)
+    assert found.se == pytest.approx(0.04, rel=0.05)
+    assert found.detectable == pytest.approx(2.8016 * found.se, rel=1e-3)
+
+
+def test_scenes_made_of_one_recorded_scene_are_drawn_together():
+    """Ten scenes of each of four sources, equal within: as good as four scenes, not as forty."""
+    values = (0.0, 1.0, 2.0, 3.0)
+    mine = [[score(f"{s}-{n}", 5 + value) for s, value in enumerate(values) for n in range(10)]]
+    theirs = [[score(f"{s}-{n}", 5.0) for s in range(4) for n in range(10)]]
+    source_of = {f"{s}-{n}": str(s) for s in range(4) for n in range(10)}
+    together, apart = compared(mine, theirs, source_of), compared(mine, theirs)
+    assert (together.sources, apart.sources) == (4, 40)
+    assert together.se == pytest.approx(np.std(values) / 2, rel=0.06)
+    assert apart.se == pytest.approx(np.std(values) / np.sqrt(40), rel=0.06)
+
+
+def test_seeds_are_drawn_too():
+    """Three seeds of a, 1 m apart, on equal scenes: all that varies is the mean of three seeds drawn."""
+    mine = [[score(f"s{n}", 5.0 + seed) for n in range(30)] for seed in range(3)]
+    theirs = [[score(f"s{n}", 5.0) for n in range(30)] for _ in range(3)]
+    found = compared(mine, theirs)
+    assert found.difference == pytest.approx(1.0)
+    assert found.se == pytest.approx(np.std([0, 1, 2]) / np.sqrt(3), rel=0.06)
+
+
+def test_only_tracks_that_every_file_forecasts_count():
+    mine = [[score("a", 1.0), score("b", 9.0)]]
+    theirs = [[score("a", 2.0), score("c", 9.0)]]
+    found = compared(mine, theirs)
+    assert (found.tracks, found.difference) == (1, -1.0)
+    assert found.low is None  # one scene has no interval
+    nothing = compared(mine, [[score("z", 1.0)]])
+    assert (nothing.tracks, nothing.difference, nothing.detectable) == (0, None, None)
+
+
+def test_bands_and_metrics_are_taken_apart():
+    (run,) = runs = tables([[score("a", 1.0, agents=40), score("b", 3.0, agents=80), score("b", 99.0, agents=80, k=1)]])
+    assert predictions.mean_of([run.query("agents > 50")], {}, "min_fde_m", PARAMS).value == 3.0
+    assert predictions.mean_of(runs, {}, "missed", PARAMS).value == 0.5
+    assert predictions.mean_of(runs, {}, "brier_min_fde", PARAMS).value == 2.5
+
+
+def test_files_are_compared_with_the_first(data_root, tmp_path):
+    """A forecast that is right ends nearer than constant velocity in every scene."""
+    right = {}
+    for folder in find_scenarios(data_root):
+        scenario = read_scenario(folder)
+        track = scenario.track(scenario.focal_track_id)
+        right[scenario.scenario_id] = (np.array([1.0]), {track.track_id: track.position[None, track.timesteps > 49]})
+    first = write_baseline(data_root, tmp_path / "cv.parquet", kind="constant-velocity")
+    second = write_forecasts(right, tmp_path / "right.parquet")
+    models = predictions.parse_models([str(first), f"oracle={second}"])
+    assert models == {"cv": [first], "oracle": [second]}
+    found, left_out = predictions.compare_predictions(data_root, models, tmp_path / "report", bounds=(22,))
+    assert left_out == []
+    whole = next(one for one in found if one.band == "all scenes" and one.metric == "min_fde_m")
+    assert (whole.model, whole.minus, whole.tracks) == ("oracle", "cv", 3)
+    assert whole.high < 0
+    assert {one.tracks for one in found if one.band == "more than 22"} == {1}
+    assert {path.name for path in (tmp_path / "report").iterdir()} == {"comparison.csv", "comparison.html"}
+    with pytest.raises(ConfigError, match="expected two or more"):
+        predictions.compare_predictions(data_root, predictions.parse_models([str(first)]), tmp_path / "report")
+    with pytest.raises(ConfigError, match="no such file"):
+        predictions.parse_models(["a=nowhere.parquet"])
+    with pytest.raises(ConfigError, match="given twice"):
+        predictions.parse_models([f"a={first}", f"a={first}"])
