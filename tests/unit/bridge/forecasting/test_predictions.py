@@ -229,8 +229,6 @@ def test_a_baseline_forecasts_what_is_not_observed_of_a_scene_made_from_argovers
     assert scored[1].agents_observed == sum(19 in track.timesteps for track in scenario.tracks)
 
 
-# Models compared in pairs, on scores made by hand
-
 PARAMS = Forecasting(resamples=4000)
 
 
