@@ -91,7 +91,7 @@ def estimate(sums: SourceSums, metric: Metric, group: str) -> Estimate:
 
 def table(sums: SourceSums, section: MetricTable) -> dict[str, Any]:
     """Every metric of a section with its interval for every group, ready for JSON: table[metric.key][group]."""
-    own = [metric for metric in METRICS if metric.section is section]
+    own = [metric for metric in METRICS if metric.section == section]
     said = {one.key: {"label": one.label, "unit": one.unit, "sentence": one.sentence} for one in own}
     return {one.key: said[one.key] | {group: estimate(sums, one, group)._asdict() for group in GROUPS} for one in own}
 
@@ -300,15 +300,15 @@ class Totals:
                 "generated_scenes": counts["generated_scenes"],
                 "generated_vehicles": counts["generated"],
             },
-            "kinematics": {part.value: table(self.sums, part) for part in (MetricTable.PAPER, MetricTable.CLEAN)},
-            "safety": table(self.sums, MetricTable.SAFETY)
+            "kinematics": {"paper": table(self.sums, "paper"), "clean": table(self.sums, "clean")},
+            "safety": table(self.sums, "safety")
             | {"pairs": {kind: {g: counts[f"{kind}_{g}"] for g in PAIR_GROUPS} for kind in PAIR_KINDS}},
             "judge": {
                 quantity.value: {"findings": self._findings[quantity.value], "limit": quantity.sentence}
                 for quantity in Quantity
                 if self._findings[quantity.value]
             },
-            "encounters": table(self.sums, MetricTable.ENCOUNTERS),
+            "encounters": table(self.sums, "encounters"),
             "events": {
                 kind: {status: self.event_counts[kind, status] for status in ("done", "not_feasible")}
                 for kind in sorted({kind for kind, _ in self.event_counts})

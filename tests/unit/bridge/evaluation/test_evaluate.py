@@ -17,7 +17,7 @@ from bridge.evaluation.totals import Evaluation, SourceSums, Totals, estimate
 from bridge.recordings.scenario import find_scenarios, read_scenario
 from hid2.agents import VEHICLE_TYPES
 from hid2.evaluation import metrics
-from hid2.evaluation.metrics import METRICS, ROWS, Column, Metric, MetricTable
+from hid2.evaluation.metrics import METRICS, ROWS, Column, Metric
 from netconvert.errors import ExportError, MapError, ScenarioError
 
 
@@ -303,7 +303,7 @@ def test_a_source_that_is_not_there_is_said_and_what_was_recorded_stands(made_ro
 def test_a_metric_that_is_added_is_measured_pooled_and_shown(made_root, tmp_path, monkeypatch):
     """Share of vehicle rows in the left half-plane: an entry of METRICS, and nothing else."""
     extra = Metric(
-        "left_half", "share of rows with x < 0", "share", MetricTable.SAFETY, "Rows of vehicles west of the origin.",
+        "left_half", "share of rows with x < 0", "share", "safety", "Rows of vehicles west of the origin.",
         Column("left_half", lambda group: int((group.arrays.position[group.rows][:, 0] < 0).sum())), ROWS,
     )  # fmt: skip
     for where in (metrics, totals_module):
