@@ -14,6 +14,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal, NamedTuple
 
+import pandas as pd
+
 from bridge.batch.batch import Options, Run, SceneJob, run_batch
 from bridge.batch.batch import Progress as BatchProgress
 from bridge.batch.engine import Task, execute_here
@@ -74,6 +76,7 @@ _SCRIPT = data_folder() / "examples" / "small_forecaster.py"
 _TRAINING_MB = 32_000
 
 Progress = Callable[[str, int, int], None]
+_Scores = dict[str, dict[str, list[pd.DataFrame]]]  # by validation set and training set, a table for each seed
 
 
 class TrainingPlan(NamedTuple):
@@ -227,21 +230,20 @@ def train_and_forecast(shared: tuple[Path, Mapping[str, Path], Path, int], seeds
 # From forecasts to tables
 
 
-def _scores(composed: Path, predictions: Path, *, jobs: int, tell: Progress) -> dict[str, dict[str, Runs]]:
-    """Scores by validation set and training set, a sequence for each seed. Errors: ConfigError for a missing file."""
+def _scores(composed: Path, predictions: Path, *, jobs: int, tell: Progress) -> _Scores:
+    """Scores by validation set and training set, a table for each seed. Errors: ConfigError for a missing file."""
     files = {(on, name): _files(predictions / name, f"{on}.parquet") for name in SETS for on in (RECORDED, HID2)}
-    runs: dict[str, dict[str, Runs]] = {RECORDED: {}, HID2: {}}
+    runs: _Scores = {RECORDED: {}, HID2: {}}
     done, total = 0, sum(map(len, files.values()))
     for (on, name), found in files.items():
-        scores = []
+        runs[on][name] = each = []
         for path in found:
-            found_scores, left_out = score_predictions(composed / VALIDATION / on / "val", predictions=path, jobs=jobs)
+            scores, left_out = score_predictions(composed / VALIDATION / on / "val", predictions=path, jobs=jobs)
             if left_out:
                 raise ScenarioError(f"{path}: {len(left_out)} not scored, the first: {left_out[0]}")
-            scores.append(found_scores)
+            each.append(scores)
             done += 1
             tell("scoring", done, total)
-        runs[on][name] = scores
     return runs
 
 
