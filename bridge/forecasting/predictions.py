@@ -288,7 +288,12 @@ def _aligned(
     models: Sequence[Runs], source_of: Mapping[str, str], metric: MetricKey
 ) -> tuple[list[FloatArray], IntArray]:
     """Values (seeds, T) of each model on the T tracks that every run forecasts, and the number (T,) of their source."""
-    found = [[run.query(f"k == {K}").set_index(["scenario_id", "track_id"])[metric] for run in runs] for runs in models]
+
+    def by_track(run: pd.DataFrame) -> "pd.Series[Any]":
+        track = ["scenario_id", "track_id"]  # the same scene may lie in several folders
+        return run.query(f"k == {K}").drop_duplicates(track, keep="last").set_index(track)[metric]
+
+    found = [[by_track(run) for run in runs] for runs in models]
     tracks = reduce(pd.MultiIndex.intersection, (run.index for runs in found for run in runs)).sort_values()
     _, source = np.unique([source_of.get(scenario, scenario) for scenario, _ in tracks], return_inverse=True)
     return [np.array([run.reindex(tracks).to_numpy(float) for run in runs]) for runs in found], source

@@ -291,7 +291,7 @@ def test_seeds_are_drawn_too():
 
 
 def test_only_tracks_that_every_file_forecasts_count():
-    mine = [[score("a", 1.0), score("b", 9.0)]]
+    mine = [[score("a", 1.0), score("b", 9.0), score("a", 1.0)]]  # one scene lies in two folders
     theirs = [[score("a", 2.0), score("c", 9.0)]]
     found = compared(mine, theirs)
     assert (found.tracks, found.difference) == (1, -1.0)
