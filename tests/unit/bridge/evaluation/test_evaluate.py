@@ -198,7 +198,7 @@ def test_every_row_of_numbers_leads_to_a_definition(report):
 def test_what_comes_from_files_is_escaped(report, tmp_path):
     evaluation, _ = report
     scenes = evaluation.metrics["scenes"] | {"failed": [{"folder": "a<b>", "reason": "<script>"}]}
-    write_report(replace(evaluation, metrics=evaluation.metrics | {"scenes": scenes}), tmp_path / "report.html")
+    write_report(evaluation._replace(metrics=evaluation.metrics | {"scenes": scenes}), tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text()
     assert "<li>a&lt;b&gt;: &lt;script&gt;</li>" in text
 
