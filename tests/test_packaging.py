@@ -212,7 +212,7 @@ def test_environment_has_neither_torch_nor_cuda() -> None:
 def test_forecasts_are_scored_without_what_av2_is_installed_without() -> None:
     """av2's metrics and submissions load none of it: the tools of the tests bring cv2 for av2's map alone."""
     gone = {"av", "cv2", "joblib", "kornia", "nox", "polars", "pyproj", "torch", "tqdm"}
-    code = f"import sys; sys.modules.update(dict.fromkeys({sorted(gone)}))\nimport bridge.evaluation.predictions"
+    code = f"import sys; sys.modules.update(dict.fromkeys({sorted(gone)}))\nimport bridge.forecasting.predictions"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 
 

@@ -19,7 +19,7 @@ OF_ARGOVERSE_2 = {
     "bridge/recordings/export.py": "writes its scenes, refuses other steps",
     "bridge/recordings/rules.py": "its rules",
     "bridge/sumo/net.py": "a map of its own, without a recording",
-    "bridge/evaluation/predictions.py": "its challenge's submissions",
+    "bridge/forecasting/predictions.py": "its challenge's submissions",
     "bridge/forecasting/compose.py": "data sets of its shape",
     "bridge/forecasting/places.py": "data sets of its shape",
 }

@@ -28,7 +28,9 @@ from netconvert.errors import BatchError, ConfigError, NoSceneError
 OWN_WORK = frozenset(
     {
         "bridge.batch.scene_work:generate_runs",
-        *(f"bridge.studies.study_work:measure_{what}" for what in ("runs", "runs_for_ssam", "roads")),
+        "bridge.studies.paired:measure_runs",
+        "bridge.studies.paired:measure_runs_for_ssam",
+        "bridge.studies.road_traffic:measure_roads",
     }
 )
 #: Longest time a scene may be given, s.

@@ -130,15 +130,13 @@ def study(
     activity: Activity,
 ) -> bool:
     """Run a parameter study. Called again, it continues: completed runs are skipped."""
-    from bridge.studies.run import run_study
+    from bridge.studies.run import plan_text, run_study
     from bridge.studies.study import read_study
 
     how = batch.options(resume=True)
     activity.doing("reading the study and its scenes")
     found = read_study(file, scenes=scenes)
     if plan is not None:
-        from bridge.studies.plan import plan_text
-
         activity.doing("drawing the first run")
         lines = list(plan_text(found, out, plan))
         activity.end()
@@ -281,24 +279,24 @@ def _score(
         bounds = [int(band) for band in bands.split(",")]
     except ValueError:
         raise ConfigError(f"--bands {bands!r}: expected numbers of agents, joined by commas") from None
-    from bridge.evaluation.predictions import TABLE_HEAD, score_predictions
+    from bridge.forecasting import predictions
 
     activity.doing("scoring forecasts")
     head: Sequence[str]
-    left_out: Sequence[str]
     if len(files) > 1:
-        from bridge.forecasting.comparison import HEAD, compare_predictions, parse_models, rows_of
-
-        models = parse_models(files)
-        found, left_out = compare_predictions(out, models, report, bounds=bounds, jobs=jobs, on_scene=activity.show)
-        title, head, rows, page = f"{len(models)} models", HEAD, rows_of(found), "comparison.html"
+        models = predictions.parse_models(files)
+        found, left_out = predictions.compare_predictions(
+            out, models, report, bounds=bounds, jobs=jobs, on_scene=activity.show
+        )
+        title, head, rows = f"{len(models)} models", predictions.HEAD, predictions.rows_of(found)
+        page = "comparison.html"
     else:
         (file,) = files
-        scored = score_predictions(
+        scores, left_out = predictions.score_predictions(
             out, predictions=file, report_dir=report, bounds=bounds, jobs=jobs, on_scene=activity.show
         )
-        left_out, title, head = scored.left_out, f"{len(scored.scores)} scores", TABLE_HEAD
-        rows, page = scored.rows(), "predictions.html"
+        title, head, rows = f"{len(scores)} scores", predictions.TABLE_HEAD, predictions.band_rows(scores, bounds)
+        page = "predictions.html"
     for reason in left_out:
         say(f"warning: not scored: {reason}")
     activity.table(title, head, rows, as_json=as_json)
@@ -383,10 +381,10 @@ def forecast(
 
     VectorNet with six futures: an instrument to compare data sets with, no state of the art.
     """
-    from bridge.forecasting.small_forecaster import small_forecaster
+    from bridge.forecasting.experiment import small_forecaster
 
     features, network = small_forecaster()
-    from bridge.evaluation.predictions import write_forecasts
+    from bridge.forecasting.predictions import write_forecasts
     from bridge.recordings.folders import find_scenarios
     from hid2.params import Forecasting
 

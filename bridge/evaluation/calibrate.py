@@ -1,9 +1,8 @@
 """`hid2 calibrate`: recorded scenes to drivers.toml, with a table of every quantity."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.evaluation.evaluate import write_table
@@ -31,9 +30,8 @@ def calibrate_folder(
     Scenes that hid2 wrote are passed over. Errors: ConfigError where no scene is left, ScenarioError where none can be
     read; ExportError where something cannot be written.
     """
-    found = [address for address in find_sources(roots) if isinstance(address, Path)]
     root = ", ".join(map(str, roots))
-    there = {source_id(folder): folder for folder in found}
+    there = {source_id(one): one for one in find_sources(roots) if isinstance(one, Path)}
     if not there:
         raise ConfigError(f"{root}: no Argoverse 2 scene, which calibration reads; expected scenario_<id>.parquet")
     unknown = sorted(set(without) - there.keys())
@@ -50,9 +48,11 @@ def calibrate_folder(
     scenes.sort(key=lambda scene: scene.name)
     prior = Drivers()
     groups = {name: calibrate(part, prior=prior) for name, part in _groups(scenes)}
-    rows = quantity_rows(groups)
+    rows = [{"group": name} | one._asdict() for name, found in groups.items() for one in found]
     write_table(out.with_name(f"{out.stem}.csv"), rows)
-    write_text(out.with_name(f"{out.stem}.html"), _page(len(scenes), rows))
+    sections = [Section("quantities", "Quantities", macro(_TEMPLATE, "quantities", rows))]
+    intro = macro(_TEMPLATE, "intro", len(scenes))
+    write_text(out.with_name(f"{out.stem}.html"), page("How people drive in these recordings", [intro], sections))
     write_text(out, drivers_toml(groups["all"], prior, scenes))
     return failures
 
@@ -78,7 +78,7 @@ def _groups(scenes: Sequence[SceneDriving]) -> Iterator[tuple[str, list[SceneDri
 
 def drivers_toml(found: Sequence[CalibratedQuantity], prior: Drivers, scenes: Sequence[SceneDriving]) -> str:
     """The section [drivers] of a configuration: what was measured, and as comments what keeps its prior."""
-    measured, by_name = drivers_of(found), {quantity.name: quantity for quantity in found}
+    measured, by_name = drivers_of(found), {quantity.parameter: quantity for quantity in found}
     named = ", ".join(scene.name for scene in scenes[:20]) + (" and others" if len(scenes) > 20 else "")
     lines = [f"# Measured by hid2 calibrate in {len(scenes)} scenes: {named}", "", "[drivers]"]
     for name in Drivers.model_fields:
@@ -89,20 +89,3 @@ def drivers_toml(found: Sequence[CalibratedQuantity], prior: Drivers, scenes: Se
             seen = f", {one.drivers} drivers are too few" if one is not None and one.drivers else ""
             lines.append(f"# {name} keeps its prior {getattr(prior, name)}{seen}")
     return "\n".join(lines) + "\n"
-
-
-def quantity_rows(groups: Mapping[str, Sequence[CalibratedQuantity]]) -> list[dict[str, Any]]:
-    """A row for each parameter of each group."""
-    return [
-        {
-            "group": group, "parameter": one.name, "value": one.value, "low": one.low, "high": one.high,
-            "drivers": one.drivers, "source": "measured" if one.measured else "prior", "what": one.what,
-        }
-        for group, found in groups.items()
-        for one in found
-    ]  # fmt: skip
-
-
-def _page(scenes: int, rows: Sequence[Mapping[str, Any]]) -> str:
-    sections = [Section("quantities", "Quantities", macro(_TEMPLATE, "quantities", rows))]
-    return page("How people drive in these recordings", [macro(_TEMPLATE, "intro", scenes)], sections)

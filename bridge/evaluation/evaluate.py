@@ -9,20 +9,36 @@ import pickle
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from bridge.batch.engine import OnDone, work_on_each
 from bridge.batch.isolation import Failure
 from bridge.evaluation.scene_metrics import TABLES, Row, SceneMeasures, measure_folder
 from bridge.evaluation.totals import Evaluation, Totals
-from bridge.files import append_rows, table_file, write_json
+from bridge.files import append_rows, table_file, write_json, write_text
+from bridge.pages.parts import Section, macro, number, page
 from bridge.recordings.folders import MAP_PATTERN, Address, Choices, find_scenarios, source_id
 from bridge.recordings.sidecar import sidecar_in
 from bridge.recordings.sources import find_recordings, source_files
+from hid2.evaluation.realism import FEATURES, GENERATED
+from hid2.reasons import Reason
 from netconvert.errors import ScenarioError
 
 _LOG = logging.getLogger(__name__)
 #: Most scenes that a process gets at a time.
 _CHUNK = 40
+#: Sections of the report, by macro of its template.
+_TITLES = {
+    "glance": "At a glance: are the generated vehicles safe?",
+    "encounters": "Encounters",
+    "realism": "Realism",
+    "events": "Events asked for",
+    "safety": "Safety",
+    "motion": "Motion",
+    "diversity": "Diversity",
+    "requests": "Asked for and delivered",
+    "words": "Words",
+}
 
 
 def evaluate_folder(
@@ -44,23 +60,20 @@ def evaluate_folder(
     on_scene(done, total) is called as scenes are done.
     Errors: ScenarioError where there is no scene; ExportError where the report cannot be written.
     """
-    from bridge.evaluation.report import write_report  # matplotlib: only this half needs it
-
     # by map, so that each is read once, and large ones first: what a process needs at most it needs from the start
     folders = sorted(find_recordings([out], choices), key=_map_size, reverse=True)
     roots = (source,) if isinstance(source, Path) else source
     sources = _sources_of(folders, roots, choices) if roots else {}
     controls = sorted(find_scenarios(control), key=_map_size, reverse=True) if control is not None else []
     known = len(folders) + len(sources)
-    evaluation = Evaluation(Totals(sources))
-    totals = evaluation.totals
+    totals, failures = Totals(sources), list[tuple[Address, str]]()
     with contextlib.ExitStack() as stack:
         tables = {name: stack.enter_context(_table(report_dir / f"{name}.csv", TABLES[name])) for name in TABLES}
         every = [*folders, *sources.values(), *controls]
         each = work_on_each(measure, every, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=120, on_item=on_scene)
         for done, (folder, packed) in enumerate(each, 1):
             if isinstance(packed, Failure):
-                evaluation.failures.append((folder, packed.message))
+                failures.append((folder, packed.message))
                 continue
             measures: SceneMeasures = pickle.loads(zlib.decompress(packed))  # noqa: S301  # our own child
             if done > known:
@@ -71,15 +84,41 @@ def evaluate_folder(
                 totals.add(measures)
                 for name, append in tables.items():
                     append(measures.tables[name])
-        if set(folders) <= {folder for folder, _ in evaluation.failures}:
-            (first, reason), many = evaluation.failures[0], len(folders)
+        if set(folders) <= {folder for folder, _ in failures}:
+            (first, reason), many = failures[0], len(folders)
             raise ScenarioError(f"{out}: none of {many} scenes can be read, expected one at least; {first}: {reason}")
-    evaluation.metrics = totals.content()
-    evaluation.metrics["scenes"]["failed"] = [{"folder": str(at), "reason": why} for at, why in evaluation.failures]
-    write_json(report_dir / "metrics.json", evaluation.metrics)
-    write_table(report_dir / "realism.csv", evaluation.metrics["realism"]["distances"])
+    metrics = totals.content()
+    metrics["scenes"]["failed"] = [{"folder": str(at), "reason": why} for at, why in failures]
+    write_json(report_dir / "metrics.json", metrics)
+    write_table(report_dir / "realism.csv", metrics["realism"]["distances"])
+    evaluation = Evaluation(totals, failures, metrics)
     write_report(evaluation, report_dir / "report.html")
     return evaluation
+
+
+def write_report(evaluation: Evaluation, path: Path) -> None:
+    """Write report.html, a page that needs neither the paper nor the code to be understood. Errors: OSError."""
+    from bridge.evaluation.paper import PAPER_HID2, PAPER_ORIGINAL  # matplotlib: only this half needs it
+    from bridge.pages.charts import distribution_figure, diversity_figure
+    from bridge.pictures import figures
+
+    figures.style()
+    metrics, totals = evaluation.metrics, evaluation.totals
+    shown: dict[str, Any] = {
+        "diversity": figures.data_uri(diversity_figure(metrics["diversity"])),
+        "distributions": totals.realism.of(FEATURES[0])[GENERATED].sum()
+        and figures.data_uri(distribution_figure(totals.realism)),
+        "events": totals.events,
+        "features": {feature.name: feature for feature in FEATURES},
+        "paper": {key: (number(PAPER_ORIGINAL[key]), number(PAPER_HID2[key])) for key in PAPER_ORIGINAL},
+    }
+    sections: list[Section] = []
+    for key, title in _TITLES.items():
+        # the reasons that the sections above lead to
+        shown["reasons"] = [one for one in Reason if any(f'"#reason-{one}"' in section.body for section in sections)]
+        sections.append(Section(key, title, macro("report.html.j2", key, metrics, shown)))
+    intro = macro("report.html.j2", "intro", metrics["scenes"])
+    write_text(path, page("Generated traffic scenes: evaluation", [intro], [s for s in sections if s.body]))
 
 
 def _sources_of(folders: Sequence[Address], source: Sequence[Path], choices: Choices | None) -> dict[str, Address]:

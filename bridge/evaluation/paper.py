@@ -1,32 +1,56 @@
-"""The pages of the paper's experiments (`experiments`): finished tables and figures beside the paper's own."""
+"""The paper's experiments that need no training: scenes of every setting, generated and measured, and their pages.
+
+table1: realism and safety with 10 vehicles added, by data set. ablation: without topology, collision checks, smoothing.
+density: 0 to 40 vehicles added. diversity: scenes by number of agents and behaviour, before and after, of the whole
+data set and of the paper's templates. Tables and figures stand beside the paper's own.
+"""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import numpy as np
 from markupsafe import Markup
+from scipy.signal import savgol_filter
 
-from bridge.batch.engine import OnDone
-from bridge.evaluation import report
-from bridge.evaluation.experiments import ADDED, Experiment, SettingRows, run_settings, settings_of
-from bridge.evaluation.scene_metrics import Row
+from bridge.batch.engine import OnDone, work_on_each
+from bridge.batch.isolation import Failure, attempts
+from bridge.evaluation.scene_metrics import Row, measure
 from bridge.evaluation.totals import Diversity, SourceSums, estimate
 from bridge.files import make_folder, write_json, write_rows, write_text
 from bridge.pages import charts
 from bridge.pages import parts as pages
 from bridge.pictures import figures
-from bridge.recordings.folders import Choices
-from bridge.recordings.sources import find_sources
+from bridge.recordings.folders import Address, Choices, Source
+from bridge.recordings.sources import find_sources, read_recording
+from hid2.agents import Track
 from hid2.evaluation.metrics import METRICS, Metric
+from hid2.params import Config, Request
 from hid2.resampling import Estimate
 
+Experiment = Literal["table1", "ablation", "density", "diversity"]
+
+#: Numbers of vehicles added in the paper's density figure.
+ADDED = (0, 5, 10, 20, 40)
+#: The paper does not say how its Argoverse 1 tracks were smoothed. With this filter (samples, degree) tracks seen at
+#: every step come to its JE, and near its LO and LA. For comparison alone: nothing that is generated depends on it.
+_SMOOTHED_FORMAT, _FILTER_SAMPLES, _FILTER_DEGREE = "argoverse1", 13, 3
+_SMOOTHED = "smoothed"
+_TIMEOUT_S = 600.0  # of a scene that is generated and measured once
+#: The mix of the diversity experiment: the paper's underrepresented behaviours.
+_RARE_MIX = {"straight": 0.2, "left_turn": 0.2, "right_turn": 0.2, "lane_change": 0.25, "overtake": 0.15}
+
+#: The paper's Table 1, Argoverse 2.
+PAPER_ORIGINAL = {"lo": 1.648, "la": 0.476, "je": 8.106, "scr": 0.072, "orr": 0.142}
+PAPER_HID2 = {"lo": 1.465, "la": 0.486, "je": 7.801, "scr": 0.051, "orr": 0.114}
 #: LO, LA, JE, SCR, ORR: what the paper reports.
-COLUMNS: tuple[Metric, ...] = tuple(metric for metric in METRICS if metric.key in report.PAPER_ORIGINAL)
+COLUMNS: tuple[Metric, ...] = tuple(metric for metric in METRICS if metric.key in PAPER_ORIGINAL)
 #: The same, and a column that the paper does not have.
 SHOWN: tuple[Metric, ...] = (*COLUMNS, *(metric for metric in METRICS if metric.key == "footprint_orr"))
 #: The paper's ablation table: component switched off, LO, LA, JE, SCR, ORR.
 PAPER_ABLATION: Mapping[str, Mapping[str, float]] = {
-    "full": report.PAPER_HID2,
+    "full": PAPER_HID2,
     "topology": {"lo": 1.491, "la": 0.483, "je": 7.842, "scr": 0.101, "orr": 0.225},
     "collision": {"lo": 1.449, "la": 0.433, "je": 7.087, "scr": 0.282, "orr": 0.125},
     "smoothing": {"lo": 2.379, "la": 1.188, "je": 9.156, "scr": 0.072, "orr": 0.141},
@@ -41,6 +65,101 @@ _NAMES |= {part: f"without {part}" for part in ("topology", "collision", "smooth
 _NAMES |= {str(number): f"where {number} were asked for" for number in ADDED}
 #: The paper's templates have more tracks than this.
 TEMPLATE_AGENTS = 40
+
+
+def settings_of(name: Experiment, agents: int) -> Mapping[str, Config | None]:
+    """The rows of an experiment by name, with the configuration that each runs (None: nothing is generated).
+
+    agents: vehicles added where it has no numbers of its own.
+    """
+    base = Config(request=Request(agents=agents))
+    if name == "ablation":
+        parts: tuple[Literal["topology", "collision", "smoothing"], ...] = ("topology", "collision", "smoothing")
+        return {"full": base} | {p: base.model_copy(update={"without": frozenset({p})}) for p in parts}
+    if name == "density":
+        return {str(n): Config(request=Request(agents=n)) if n else None for n in ADDED}
+    if name == "diversity":
+        rare = Config(request=Request.model_validate({"agents": agents, **_RARE_MIX}))
+        return {"recorded": None, "dense": base, "rare": rare}
+    return {"hid2": base}
+
+
+#: Scene rows by setting, one per source scene and seed; those of table1 that are smoothed apart.
+_Rows = Mapping[str, list[Row]]
+
+
+def run_settings(
+    name: Experiment, folders: Sequence[Address], *, agents: int, seeds: int, jobs: int, on_scene: OnDone
+) -> tuple[_Rows, list[str]]:
+    """Generate and measure every setting on every scene with every seed, each scene in a process of its own.
+
+    Returns the rows and, by setting, a line for each scene that failed.
+    """
+    settings = settings_of(name, agents)
+    rows: dict[str, list[Row]] = {setting: [] for setting in (*settings, _SMOOTHED)}
+    failures: dict[str, list[str]] = {setting: [] for setting in settings}
+    each = work_on_each(
+        generate_and_measure, folders, shared=(name, agents, seeds), jobs=jobs, chunk=1,
+        timeout_s=_TIMEOUT_S * seeds * len(settings), on_item=on_scene,
+    )  # fmt: skip
+    for folder, made in each:
+        scene = folder.name[:8]
+        every = [(one, "", made) for one in settings] if isinstance(made, Failure) else made
+        for setting, seed, found in every:
+            if isinstance(found, Failure):
+                failures[setting].append(f"{setting}, {scene}{seed}: {found.message}")
+            else:
+                for row in found:
+                    rows[row["setting"]].append(row)
+    return rows, [line for lines in failures.values() for line in lines]
+
+
+def generate_and_measure(
+    shared: tuple[Experiment, int, int], folder: Address
+) -> list[tuple[str, str, list[Row] | Failure]]:
+    """The work on a scene: setting, seed in words, and the scene's row of each; in table1 a second one, smoothed.
+
+    Recorded positions of Argoverse 1 are smoothed, of tracks seen at every step.
+    """
+    from bridge.generation.generate import generate, prepare  # libsumo: only where scenes are made
+
+    name, agents, seeds = shared
+    settings, scenario = settings_of(name, agents), read_recording(folder)
+    is_rough = name == "table1" and isinstance(folder, Source) and folder.format == _SMOOTHED_FORMAT
+    items = [(setting, seed) for setting, config in settings.items() for seed in range(seeds if config else 1)]
+    prepared = prepare(scenario, next((config for config in settings.values() if config), Config()))
+
+    def rows(item: tuple[str, int]) -> list[Row]:
+        (setting, seed), config = item, settings[item[0]]
+        recorded, inserted, sidecar = {setting: scenario.tracks}, tuple[Track, ...](), None
+        if is_rough:
+            recorded[_SMOOTHED] = smoothed(scenario.tracks, scenario.num_steps, step_s=scenario.step_s)
+        if config is not None:
+            request = config.request.model_copy(update={"seed": seed})
+            scene = generate(prepared, config.model_copy(update={"request": request}))
+            inserted, sidecar = scene.generated, scene.sidecar
+        about = {"city": scenario.city, "seed_run": seed}
+        return [
+            {"setting": one} | about | measure(scenario, (*tracks, *inserted), sidecar).scene
+            for one, tracks in recorded.items()
+        ]
+
+    found = zip(items, attempts(rows, items), strict=True)
+    return [(setting, f", seed {seed}", each) for (setting, seed), each in found]
+
+
+def smoothed(tracks: Sequence[Track], num_steps: int, *, step_s: float) -> tuple[Track, ...]:
+    """Tracks seen at every step by a Savitzky-Golay filter over their positions."""
+    found = []
+    for track in tracks:
+        if len(track.timesteps) == num_steps:
+            position = savgol_filter(track.position, _FILTER_SAMPLES, _FILTER_DEGREE, axis=0)
+            velocity = np.gradient(position, step_s, axis=0)
+            found.append(replace(track, position=position, velocity=velocity))
+    return tuple(found)
+
+
+# Pages ----------------------------------------------------------------------------------------------------------------
 
 
 def run_experiment(
@@ -63,23 +182,31 @@ def run_experiment(
     """
     folders = find_sources([scenes] if isinstance(scenes, Path) else scenes, choices)
     make_folder(out_dir)
-    outcomes = run_settings(folders, settings_of(name, agents), seeds=seeds, jobs=jobs, on_scene=on_scene)
+    rows, failures = run_settings(name, folders, agents=agents, seeds=seeds, jobs=jobs, on_scene=on_scene)
+    generating = [setting for setting, config in settings_of(name, agents).items() if config]
     figures.style()
-    _write_rows([row for one in outcomes for row in (*one.rows, *one.smoothed)], out_dir / f"{name}_scenes.csv")
-    made = [row for outcome in outcomes if outcome.setting.config for row in outcome.rows]
+    _write_rows([row for each in rows.values() for row in each], out_dir / f"{name}_scenes.csv")
+    made = [row for setting in generating for row in rows[setting]]
     counts = {"made": len(made), "sources": len(folders), "vehicles": sum(row["generated"] for row in made)}
-    parts: list[Markup] = [_about(name, outcomes, counts, seeds=seeds, agents=agents)]
+    kinds = {(row["format"], row["provenance"]) for each in rows.values() for row in each}
+    parts = [_prose(
+        "about", name, counts, f"seeds 0 to {seeds - 1}" if seeds > 1 else "seed 0",
+        "0 to 40 vehicles" if name == "density" else f"{agents} vehicles",
+        [f"{_placed(rows[setting])} {_NAMES.get(setting, '')}".strip() for setting in generating],
+        len({provenance for kind, provenance in kinds if kind != _SMOOTHED_FORMAT}) > 1,
+        any(kind == _SMOOTHED_FORMAT for kind, _ in kinds), failures,
+    )]  # fmt: skip
     content: dict[str, Any] = {"experiment": name, "seeds": seeds, "scenes": len(folders)}
     if name == "diversity":
-        content |= _diversity(outcomes, parts)
+        content |= _diversity(rows, parts)
         _write_rows(_diversity_rows(content), out_dir / f"{name}.csv")
         figures.save(charts.diversity_figure(content), out_dir / f"{name}.png")
     else:
-        content["lines"] = lines = lines_of(name, outcomes)
+        content["lines"] = lines = lines_of(name, rows, generating)
         parts.append(_prose("table_of", lines, SHOWN))
         _write_rows([flat(line) for line in lines], out_dir / f"{name}.csv")
     if name == "density":
-        points = _density(outcomes)
+        points = _density(rows, generating)
         shown = charts.density_figure(points, of=str(_prose("of", counts)))
         parts.append(_prose("density", counts, figures.data_uri(shown), _differing(points)))
         figures.save(shown, out_dir / f"{name}.png")
@@ -101,22 +228,10 @@ def _prose(name: str, *arguments: object) -> Markup:
     return pages.macro("paper.html.j2", name, *arguments)
 
 
-def _about(name: Experiment, outcomes: Sequence[SettingRows], counts: Row, *, seeds: int, agents: int) -> Markup:
-    placed = [f"{_placed(o)} {_NAMES.get(o.setting.name, '')}".strip() for o in outcomes if o.setting.config]
-    kinds = {(row["format"], row["provenance"]) for o in outcomes for row in o.rows}
-    return _prose(
-        "about", name, counts, f"seeds 0 to {seeds - 1}" if seeds > 1 else "seed 0",
-        "0 to 40 vehicles" if name == "density" else f"{agents} vehicles", placed,
-        len({provenance for kind, provenance in kinds if kind != "argoverse1"}) > 1,
-        any(kind == "argoverse1" for kind, _ in kinds),
-        [f"{o.setting.name}, {failure}" for o in outcomes for failure in o.failures],
-    )  # fmt: skip
-
-
-def _placed(outcome: SettingRows) -> float:
+def _placed(rows: Sequence[Row]) -> float:
     """Vehicles placed in a scene, in the mean."""
-    placed: int = sum(row["generated"] for row in outcome.rows)
-    return round(placed / max(1, len(outcome.rows)), 1)
+    placed: int = sum(row["generated"] for row in rows)
+    return round(placed / max(1, len(rows)), 1)
 
 
 # Tables ---------------------------------------------------------------------------------------------------------------
@@ -136,8 +251,8 @@ def _line(label: str, rows: Sequence[Row], what: str | Mapping[str, float]) -> L
 
 #: Table 1: lines with the paper's figures, or with the group that they are of; of Argoverse 1 also whether smoothed.
 _ARGOVERSE2: Sequence[tuple[str, str | Mapping[str, float]]] = (
-    ("paper: Argoverse 2", report.PAPER_ORIGINAL), ("ours: recorded scenes", "original"),
-    ("paper: HiD2", report.PAPER_HID2), ("ours: recorded and generated", "combined"),
+    ("paper: Argoverse 2", PAPER_ORIGINAL), ("ours: recorded scenes", "original"),
+    ("paper: HiD2", PAPER_HID2), ("ours: recorded and generated", "combined"),
     ("ours: generated vehicles alone", "generated"),
 )  # fmt: skip
 _ARGOVERSE1: Sequence[tuple[str, str | Mapping[str, float], bool]] = (
@@ -152,12 +267,12 @@ _ARGOVERSE1: Sequence[tuple[str, str | Mapping[str, float], bool]] = (
 _MADE_BY = {"tracker": "tracked on board", "human": "labelled by people"}
 
 
-def lines_of(name: Experiment, outcomes: Sequence[SettingRows]) -> list[Line]:
-    """The lines of an experiment's table, but for diversity, which has none."""
+def lines_of(name: Experiment, rows: _Rows, generating: Sequence[str]) -> list[Line]:
+    """The lines of an experiment's table, but for diversity, which has none. generating: settings that add vehicles."""
     lines: list[Line] = []
     if name == "table1":
         first, second = (
-            [row for row in outcomes[0].rows if (row["format"] == "argoverse1") is one] for one in (True, False)
+            [row for row in rows["hid2"] if (row["format"] == "argoverse1") is one] for one in (True, False)
         )
         for label, what in _ARGOVERSE2 if second else ():
             lines.append(_line(label, second, what))
@@ -167,19 +282,20 @@ def lines_of(name: Experiment, outcomes: Sequence[SettingRows]) -> list[Line]:
                     count = len({row["source"] for row in own})
                     lines.append(_line(f"{label}, {how} ({count} scene{'s' * (count != 1)})", own, what))
         return lines + [
-            _line(label, outcomes[0].smoothed if is_smoothed else first, what)
+            _line(label, rows[_SMOOTHED] if is_smoothed else first, what)
             for label, what, is_smoothed in _ARGOVERSE1
             if first
         ]
-    for outcome in outcomes:
-        asked, rows = outcome.setting.name, outcome.rows
+    for asked, own in rows.items():
+        if asked == _SMOOTHED:
+            continue
         said = f"{asked} asked for:"
         if name == "ablation":
             what = "everything on" if asked == "full" else f"without {asked}"
             lines, said = [*lines, _line(f"paper: {what}", (), PAPER_ABLATION[asked])], f"ours: {what},"
-        lines.append(_line(f"{said} recorded and generated", rows, "combined"))
-        if outcome.setting.config is not None:
-            lines.append(_line(f"{said} generated alone", rows, "generated"))
+        lines.append(_line(f"{said} recorded and generated", own, "combined"))
+        if asked in generating:
+            lines.append(_line(f"{said} generated alone", own, "generated"))
     return lines
 
 
@@ -197,9 +313,9 @@ def flat(line: Line) -> Row:
 _Points = dict[str, dict[str, list[tuple[float, Estimate]]]]
 
 
-def _density(outcomes: Sequence[SettingRows]) -> _Points:
+def _density(rows: _Rows, generating: Sequence[str]) -> _Points:
     """Estimates by metric and group along the numbers placed."""
-    series = {_placed(outcome): (SourceSums.of(outcome.rows), outcome.setting.config) for outcome in outcomes}
+    series = {_placed(own): (SourceSums.of(own), one in generating) for one, own in rows.items() if one != _SMOOTHED}
 
     def points(metric: Metric, group: str) -> list[tuple[float, Estimate]]:
         known = [(added, sums) for added, (sums, made) in sorted(series.items()) if made or group == "combined"]
@@ -222,14 +338,14 @@ def _differing(points: _Points) -> list[str]:
 # Diversity ------------------------------------------------------------------------------------------------------------
 
 
-def _diversity(outcomes: Sequence[SettingRows], parts: list[Markup]) -> dict[str, Any]:
-    """What the first setting, without generation, and all others say; the parts of the page are added."""
-    before, after = outcomes[0].rows, [row for outcome in outcomes[1:] for row in outcome.rows]
+def _diversity(rows: _Rows, parts: list[Markup]) -> dict[str, Any]:
+    """What recorded scenes, and those made with either mix, say; the parts of the page are added."""
+    before, after = rows["recorded"], [*rows["dense"], *rows["rare"]]
     content = Diversity.of(after, before).content()
     parts.append(_diversity_part(content))
     templates = {row["source"] for row in before if row["tracks"] > TEMPLATE_AGENTS}
     if templates and len(templates) < len(before):
-        chosen = [[row for row in rows if row["source"] in templates] for rows in (after, before)]
+        chosen = [[row for row in each if row["source"] in templates] for each in (after, before)]
         content["templates"] = Diversity.of(*chosen).content()
         parts += [_prose("templates", len(templates)), _diversity_part(content["templates"])]
     return content

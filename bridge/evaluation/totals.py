@@ -3,8 +3,7 @@
 import hashlib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -92,7 +91,7 @@ def estimate(sums: SourceSums, metric: Metric, group: str) -> Estimate:
 
 def table(sums: SourceSums, section: MetricTable) -> dict[str, Any]:
     """Every metric of a section with its interval for every group, ready for JSON: table[metric.key][group]."""
-    own = [metric for metric in METRICS if metric.section is section]
+    own = [metric for metric in METRICS if metric.section == section]
     said = {one.key: {"label": one.label, "unit": one.unit, "sentence": one.sentence} for one in own}
     return {one.key: said[one.key] | {group: estimate(sums, one, group)._asdict() for group in GROUPS} for one in own}
 
@@ -101,10 +100,8 @@ class Diversity:
     """Scenes before and after vehicles were added, and the vehicles added alone."""
 
     def __init__(self) -> None:
-        self._scenes: Counter[str] = Counter()
-        #: By moment: scenes by measure and number of agents; moving vehicles and scenes with any, manoeuvres, by kind.
-        self._density: Counter[tuple[str, str, int]] = Counter()
-        self._behaviours: Counter[tuple[str, str, str]] = Counter()
+        #: By moment and what is counted: scenes by number of agents, moving vehicles and manoeuvres by kind.
+        self._counts: Counter[tuple[str, str, int | str]] = Counter()
 
     @classmethod
     def of(cls, rows: Iterable[Row], sources: Iterable[Row]) -> "Diversity":
@@ -126,47 +123,42 @@ class Diversity:
         self._count("before", "original", row)
 
     def _count(self, when: str, group: str, row: Row) -> None:
-        self._scenes[when] += 1
+        told: dict[tuple[str, int | str], int] = {("scenes", ""): 1}
         for name in DENSITIES:
             added = row[name.replace("tracks", "generated")]
-            numbers = {"original": row[name] - added, "generated": added, "combined": row[name]}
-            self._density[when, name, numbers[group]] += 1
+            told[name, {"original": row[name] - added, "generated": added, "combined": row[name]}[group]] = 1
         for policy in Policy:
             vehicles = row[f"{group}_policy_{policy}"]
-            self._behaviours[when, "vehicles", policy] += vehicles
-            self._behaviours[when, "scenes_with", policy] += vehicles > 0
-        for kind in ManeuverKind:
-            self._behaviours[when, "maneuvers", kind] += row[f"{group}_seen_{kind}"]
+            told |= {("vehicles", policy): vehicles, ("scenes_with", policy): int(vehicles > 0)}
+        told |= {("maneuvers", kind): row[f"{group}_seen_{kind}"] for kind in ManeuverKind}
+        self._counts.update({(when, *key): count for key, count in told.items()})
 
     def content(self) -> dict[str, Any]:
         """Ready for JSON: scenes before and after, density[name] by number of agents, and behaviours."""
+        scenes = {when: self._counts[when, "scenes", ""] for when in ("before", "generated", "after")}
         names = {"vehicles": Policy, "scenes_with": Policy, "maneuvers": ManeuverKind}
         return {
-            "scenes": {when: self._scenes[when] for when in ("before", "after")},
-            "density": {name: self._density_content(name) for name in DENSITIES},
+            "scenes": {when: scenes[when] for when in ("before", "after")},
+            "density": {name: self._density(name, scenes) for name in DENSITIES},
             "behaviours": {
-                when: {what: {one.value: self._behaviours[when, what, one] for one in of} for what, of in names.items()}
-                | {"scenes": self._scenes[when]}
-                for when in ("before", "generated", "after")
+                when: {what: {one.value: self._counts[when, what, one] for one in of} for what, of in names.items()}
+                | {"scenes": count}
+                for when, count in scenes.items()
             },
         }
 
-    def _density_content(self, name: str) -> dict[str, Any]:
+    def _density(self, name: str, scenes: Mapping[str, int]) -> dict[str, Any]:
         """Scenes by number of agents, fewest first (JSON's keys are texts), means, and shares above BANDS."""
-        density = {
-            when: sorted((n, count) for (at, what, n), count in self._density.items() if (at, what) == (when, name))
-            for when in ("before", "after")
-        }
-
-        def per_scene(when: str, total: int) -> float | None:
-            return total / self._scenes[when] if self._scenes[when] else None
-
-        means = {f"mean_{when}": per_scene(when, sum(n * count for n, count in of)) for when, of in density.items()}
-        above = {
-            str(bound): {when: per_scene(when, sum(c for n, c in of if n > bound)) for when, of in density.items()}
-            for bound in BANDS
-        }
-        by_number = {when: {str(number): count for number, count in of} for when, of in density.items()}
+        by_number: dict[str, dict[str, int]] = {}
+        means: dict[str, float | None] = {}
+        above: dict[str, dict[str, float | None]] = {str(bound): {} for bound in BANDS}
+        for when in ("before", "after"):
+            of = sorted((int(n), c) for (at, what, n), c in self._counts.items() if (at, what) == (when, name))
+            every = scenes[when]
+            by_number[when] = {str(number): count for number, count in of}
+            means[f"mean_{when}"] = sum(n * count for n, count in of) / every if every else None
+            for bound in BANDS:
+                above[str(bound)][when] = sum(c for n, c in of if n > bound) / every if every else None
         return by_number | means | {"share_above": above}
 
 
@@ -308,15 +300,15 @@ class Totals:
                 "generated_scenes": counts["generated_scenes"],
                 "generated_vehicles": counts["generated"],
             },
-            "kinematics": {part.value: table(self.sums, part) for part in (MetricTable.PAPER, MetricTable.CLEAN)},
-            "safety": table(self.sums, MetricTable.SAFETY)
+            "kinematics": {"paper": table(self.sums, "paper"), "clean": table(self.sums, "clean")},
+            "safety": table(self.sums, "safety")
             | {"pairs": {kind: {g: counts[f"{kind}_{g}"] for g in PAIR_GROUPS} for kind in PAIR_KINDS}},
             "judge": {
                 quantity.value: {"findings": self._findings[quantity.value], "limit": quantity.sentence}
                 for quantity in Quantity
                 if self._findings[quantity.value]
             },
-            "encounters": table(self.sums, MetricTable.ENCOUNTERS),
+            "encounters": table(self.sums, "encounters"),
             "events": {
                 kind: {status: self.event_counts[kind, status] for status in ("done", "not_feasible")}
                 for kind in sorted({kind for kind, _ in self.event_counts})
@@ -350,16 +342,15 @@ class Totals:
         self._findings.update(row["findings"])
 
 
-@dataclass(eq=False, slots=True)
-class Evaluation:
+class Evaluation(NamedTuple):
     """What is known of a folder after the pass; `metrics` is the content of metrics.json.
 
     failures: scenes that could not be read, with the reason.
     """
 
-    totals: Totals = field(default_factory=Totals)
-    failures: list[tuple[Address, str]] = field(default_factory=list)
-    metrics: dict[str, Any] = field(default_factory=dict)
+    totals: Totals
+    failures: list[tuple[Address, str]]
+    metrics: dict[str, Any]
 
 
 def _tails(realism: RealismCounts) -> list[dict[str, Any]]:

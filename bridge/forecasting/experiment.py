@@ -6,21 +6,39 @@ are scored and compared in pairs. Forecasts from elsewhere on a composed root ta
 """
 
 import shutil
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Literal, NamedTuple
+
+import pandas as pd
 
 from bridge.batch.batch import Options, Run, SceneJob, run_batch
 from bridge.batch.batch import Progress as BatchProgress
 from bridge.batch.engine import Task, execute_here
 from bridge.batch.isolation import Settings
 from bridge.batch.manifest import DONE, ManifestRow
-from bridge.evaluation.predictions import BOUNDS, METRICS, Band, MetricKey, Score, score_predictions, write_forecasts
-from bridge.files import make_folder, write_json, write_rows, write_text
-from bridge.forecasting.comparison import HEAD, Difference, Runs, differences_of, mean_of, rows_of, sources_of
+from bridge.files import data_folder, make_folder, write_json, write_rows, write_text
 from bridge.forecasting.compose import COMPOSITION, VALIDATION, compose
 from bridge.forecasting.composition import CONTROLS, HID2_ONLY, Composition, Controls, Draw, Split
-from bridge.forecasting.small_forecaster import check_forecaster, small_forecaster
+from bridge.forecasting.predictions import (
+    BOUNDS,
+    HEAD,
+    METRICS,
+    SCORE_COLUMNS,
+    Difference,
+    MetricKey,
+    Runs,
+    differences_of,
+    mean_of,
+    rows_of,
+    score_predictions,
+    sources_of,
+    write_forecasts,
+)
 from bridge.pages import parts as pages
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.sources import find_sources
@@ -52,10 +70,13 @@ PAPER_TABLE3: Mapping[str, Sequence[float]] = {
 }
 #: The paper's smallest gain of minFDE, m: QCNet, more than 50 agents.
 PAPER_GAIN_M = 0.023
+#: The small forecaster, which needs the extra `forecast`.
+_SCRIPT = data_folder() / "examples" / "small_forecaster.py"
 #: Memory that a training may take: torch reserves more than it uses.
 _TRAINING_MB = 32_000
 
 Progress = Callable[[str, int, int], None]
+_Scores = dict[str, dict[str, list[pd.DataFrame]]]  # by validation set and training set, a table for each seed
 
 
 class TrainingPlan(NamedTuple):
@@ -167,6 +188,23 @@ def _train(composed: Path, models: Path, plan: TrainingPlan, *, jobs: int, tell:
         tell("training", done, total)
 
 
+def check_forecaster() -> None:
+    """Errors: ConfigError where torch is not there, with what to do; it is not imported."""
+    if find_spec("torch") is None:
+        raise ConfigError(
+            "the small forecaster needs the extra `forecast` (torch): run `sh setup.sh forecast` in the checkout, "
+            "or install torch into this environment"
+        )
+
+
+def small_forecaster() -> tuple[ModuleType, ModuleType]:
+    """Its modules: what it sees of scenes, and its network, which imports torch. Errors: ConfigError."""
+    check_forecaster()
+    if str(_SCRIPT.parent) not in sys.path:
+        sys.path.append(str(_SCRIPT.parent))
+    return import_module("scene_features"), import_module(_SCRIPT.stem)
+
+
 def train_and_forecast(shared: tuple[Path, Mapping[str, Path], Path, int], seeds: Sequence[int]) -> Iterator[int]:
     """The work of a process: one training for each seed, and its forecasts. Yields the seeds."""
     scenes, network = small_forecaster()
@@ -192,21 +230,20 @@ def train_and_forecast(shared: tuple[Path, Mapping[str, Path], Path, int], seeds
 # From forecasts to tables
 
 
-def _scores(composed: Path, predictions: Path, *, jobs: int, tell: Progress) -> dict[str, dict[str, Runs]]:
-    """Scores by validation set and training set, a sequence for each seed. Errors: ConfigError for a missing file."""
+def _scores(composed: Path, predictions: Path, *, jobs: int, tell: Progress) -> _Scores:
+    """Scores by validation set and training set, a table for each seed. Errors: ConfigError for a missing file."""
     files = {(on, name): _files(predictions / name, f"{on}.parquet") for name in SETS for on in (RECORDED, HID2)}
-    runs: dict[str, dict[str, Runs]] = {RECORDED: {}, HID2: {}}
+    runs: _Scores = {RECORDED: {}, HID2: {}}
     done, total = 0, sum(map(len, files.values()))
     for (on, name), found in files.items():
-        scores = []
+        runs[on][name] = each = []
         for path in found:
-            scored = score_predictions(composed / VALIDATION / on / "val", predictions=path, jobs=jobs)
-            if scored.left_out:
-                raise ScenarioError(f"{path}: {len(scored.left_out)} not scored, the first: {scored.left_out[0]}")
-            scores.append(scored.scores)
+            scores, left_out = score_predictions(composed / VALIDATION / on / "val", predictions=path, jobs=jobs)
+            if left_out:
+                raise ScenarioError(f"{path}: {len(left_out)} not scored, the first: {left_out[0]}")
+            each.append(scores)
             done += 1
             tell("scoring", done, total)
-        runs[on][name] = scores
     return runs
 
 
@@ -236,12 +273,12 @@ def _differences(
     runs: Mapping[str, Mapping[str, Runs]], source_of: Mapping[str, str], params: Forecasting
 ) -> list[Difference]:
     """The controls minus recorded scenes alone, and HiD2 minus its rivals, on recorded scenes; Table 2 on both."""
-    bands = {"all scenes": Band(0)} | {f"more than {bound}": Band(bound) for bound in BOUNDS}
+    in_all = {"all scenes": "agents > 0"} | {f"more than {bound}": f"agents > {bound}" for bound in BOUNDS}
     pairs = [(name, RECORDED) for name in CONTROLS if name != RECORDED]
     pairs += [("hid2", "recorded-dense"), ("hid2", "no-interaction")]
-    found = differences_of(pairs, runs[RECORDED], bands, source_of, params)
+    found = differences_of(pairs, runs[RECORDED], in_all, source_of, params)
     for on in (RECORDED, HID2):
-        whole = {f"{on} validation scenes": bands["all scenes"]}
+        whole = {f"{on} validation scenes": in_all["all scenes"]}
         found += differences_of([(HID2_ONLY, RECORDED)], runs[on], whole, source_of, params)
     return found
 
@@ -262,7 +299,7 @@ def _write(
     ours2 = {"recorded": RECORDED, "HiD2": HID2_ONLY}
     table2 = {label: [runs[on][name] for on in (RECORDED, HID2)] for label, name in ours2.items()}
     table3 = {
-        label: [[Band(bound).of(run) for run in runs[RECORDED][name]] for bound in BOUNDS]
+        label: [[run.query(f"agents > {bound}") for run in runs[RECORDED][name]] for bound in BOUNDS]
         for name, label in CONTROLS.items()
     }
     names2 = [f"{on}_{key}" for on in (RECORDED, HID2) for key in _COLUMNS]
@@ -291,9 +328,9 @@ def _write(
         for on, models in runs.items()
         for name, found in models.items()
         for number, scores in enumerate(found)
-        for score in scores
+        for score in scores.itertuples(index=False)
     )
-    write_rows(out / "prediction_scores.csv", ("validation", "trained_on", "run", *Score._fields), every)
+    write_rows(out / "prediction_scores.csv", ("validation", "trained_on", "run", *SCORE_COLUMNS), every)
     write_json(out / "prediction.json", content)
     page = out / "prediction.html"
     write_text(page, pages.page(_TITLE, [pages.macro("forecasts.html.j2", "prediction", shown)]))

@@ -10,20 +10,22 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.csv as pa_csv
+from matplotlib.axes import Axes
 from pandas.api.types import infer_dtype, is_numeric_dtype
 
 from bridge.batch.manifest import DONE
 from bridge.files import beside, table_cell, write_rows, write_text
 from bridge.pages.parts import text
-from bridge.studies.columns import DICTIONARY, OUTCOMES
+from bridge.pictures import figures
+from bridge.studies.columns import DECIDE, DICTIONARY, OUTCOMES
 from bridge.studies.gap_acceptance import critical_gap, gaps_of
-from bridge.studies.statistics import difference_sd, dose_response, seeds_needed
+from bridge.studies.statistics import difference_sd, dose_response, kaplan_meier, seeds_needed
 from bridge.studies.study import Study
-from bridge.studies.study_figures import draw_parameter
 from hid2.measures.conflicts import TrafficConflict
 from hid2.measures.lane_changes import LaneChangeRow
 from hid2.params import Conflict
@@ -34,6 +36,7 @@ _MOST_VALUES, _CLASSES = 12, 6
 _SIZES_TOLD = (0.02, 0.05, 0.1)
 #: Tables of more rows are compressed.
 _LONG = 50_000
+_COLORS = {"cells": figures.SKY, "rule": figures.ORANGE, "guard": figures.GREEN, "sumo": figures.VERMILION}
 _LOG = logging.getLogger(__name__)
 
 
@@ -73,7 +76,7 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
     dictionary, page = out_dir / "columns.csv", out_dir / "study.md"
     says = ((table, *said) for table, columns in DICTIONARY.items() for said in columns.items())
     write_rows(dictionary, ("table", "column", "says"), says)
-    write_text(page, page_text(study, named, keys, figures=[path.name for path in files]))
+    write_text(page, page_text(study, named, keys, drawn=[path.name for path in files]))
     return [page, *files, dictionary, *written]
 
 
@@ -106,10 +109,70 @@ def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> Path:
     return path
 
 
+# Figures --------------------------------------------------------------------------------------------------------------
+
+
+def draw_parameter(
+    path: Path, study: str, key: str, *, dose: pd.DataFrame, requests: pd.DataFrame, give_up_s: float
+) -> None:
+    """Four panels for one parameter: shares, durations and refusals by its value; waiting times. dose: its rows."""
+    figures.style()
+    values = sorted(requests[key].unique())
+    numeric = not isinstance(values[0], str)
+    at = {value: (float(value) if numeric else float(place)) for place, value in enumerate(values)}
+    figure, axes = plt.subplots(2, 2, figsize=(9, 7), layout="constrained")
+
+    by_value = (
+        ("accepted, share", {"share_accepted": ("requests that got a gap", figures.BLUE),
+                             "gaps_accepted": ("gaps that the rule took", figures.SKY)}),
+        ("mean duration, s", {"mean_wait_s": (f"waiting, up to {give_up_s:g} s", figures.BLUE),
+                              "lateral_s": ("lateral motion, once accepted", figures.ORANGE)}),
+        ("gaps refused, share, by",
+         {f"refused_by_{name}": (DECIDE[name], color) for name, color in _COLORS.items()}),
+    )  # fmt: skip
+    for panel, (panel_title, outcomes) in zip(axes.flat, by_value, strict=False):
+        for outcome, (label, color) in outcomes.items():
+            _dots(panel, dose, at, outcome, color, label)
+        top = 1.03 if "share" in panel_title else None
+        panel.set(title=panel_title, ylim=(0, top), xlabel=key)
+        if panel.get_legend_handles_labels()[0]:  # no vehicle may have looked at a gap
+            panel.legend(fontsize=8)
+        if not numeric:
+            panel.set_xticks(list(at.values()), [str(value) for value in values])
+
+    survival, counted = axes[1, 1], requests[requests["counted"]]
+    colors = plt.get_cmap("viridis")(np.linspace(0.0, 0.85, len(values)))
+    for value, color in zip(values, colors, strict=True):
+        mine = counted[counted[key] == value]
+        if len(mine):
+            curve = kaplan_meier(mine["waited_s"].to_numpy(float), mine["accepted"].to_numpy(float))
+            level = np.concatenate([[1.0], curve.surv_prob])
+            times = np.concatenate([[0.0], curve.surv_times, [give_up_s]])
+            survival.step(times, [*level, level[-1]], where="post", color=color, label=str(value))
+    survival.set(
+        title="still waiting (Kaplan-Meier)", xlabel="time from the trigger, s", xlim=(0, give_up_s), ylim=(0, 1.03)
+    )
+    survival.legend(fontsize=7, title=key, title_fontsize=7)
+    figure.suptitle(f"{study}; bars: 95 % intervals, runs drawn again", fontsize=10)
+    figures.save(figure, path)
+
+
+def _dots(axes: Axes, dose: pd.DataFrame, at: Mapping[Any, float], outcome: str, color: str, label: str) -> None:
+    """Estimates with the intervals of runs."""
+    mine = dose[(dose["outcome"] == outcome) & dose["estimate"].notna()]
+    if mine.empty:
+        return
+    x = np.array([at[value] for value in mine["value"]])
+    middle = mine["estimate"].to_numpy(float)
+    low, high = (mine[end].astype(float).fillna(mine["estimate"]).to_numpy() for end in ("low_runs", "high_runs"))
+    error = np.maximum([middle - low, high - middle], 0.0)
+    axes.errorbar(x, middle, yerr=error, color=color, marker="o", markersize=4, linewidth=1.2, capsize=2, label=label)
+
+
 # The page -------------------------------------------------------------------------------------------------------------
 
 
-def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[str], figures: Sequence[str] = ()) -> str:
+def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[str], drawn: Sequence[str] = ()) -> str:
     """What the study shows and what it does not; behind each claim the table and column that it is read from."""
     requests, runs, dose = named["requests"], named["runs"], named["dose_response"]
     if requests.empty:
@@ -143,7 +206,7 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         exported_share=None if exported.empty else float((exported == "yes").mean()),
         overlapping=int(counted["overlaps"].isin([True]).sum()),
         cut_share=float(cut_off.mean()) if len(counted) else 0.0,
-        figures=figures,
+        figures=drawn,
     )  # fmt: skip
 
 

@@ -7,18 +7,26 @@ exported is a column.
 """
 
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from bridge.batch.batch import Run, SceneFolders, base_row
+from bridge.batch.isolation import Failure, attempts
+from bridge.batch.manifest import ManifestRow
+from bridge.config import config_sha256
 from bridge.files import rounded
-from bridge.generation.gaps import look_row
-from bridge.generation.generate import PreparedScene
+from bridge.generation.gaps import gaps_bytes, look_row
+from bridge.generation.generate import PreparedScene, prepare
 from bridge.generation.scene import scene_of
+from bridge.recordings.sources import read_recording
+from bridge.recordings.ssam import trj_bytes
 from bridge.studies.columns import REQUEST_COLUMNS
+from bridge.studies.study import LOOKS_FILE, RUN_TABLES, write_run
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.flow_driving import NEAR_M, FlowDriving
 from hid2.agents import Policy, Track
@@ -72,6 +80,40 @@ class PairedRun:
     conflicts: list[dict[str, Any]]
     driven: tuple[DrivenVehicle, ...]
     states: AgentStates
+
+
+def measure_runs(place: SceneFolders, runs: Sequence[Run], *, trj: bool = False) -> Iterator[ManifestRow | Failure]:
+    """The work of a process: each run driven, measured and written; what the runs share is made once.
+
+    trj: write its trajectories for SSAM, too.
+    """
+    prepared: PreparedScene | None = None
+    drawn: dict[str, Drawn] = {}
+
+    def row(run: Run) -> ManifestRow:
+        nonlocal prepared, drawn
+        config = run.config
+        prepared = prepared or prepare(read_recording(place.folder), config)
+        drawing = drawing_config(config)
+        key, source = config_sha256(drawing), prepared.scenario
+        if key not in drawn:
+            drawn = {key: draw(prepared, drawing)}  # the last one is enough: runs come seed by seed
+        found = paired_run(prepared, drawn[key], config)
+        files = {LOOKS_FILE: gaps_bytes([(0, vehicle) for vehicle in found.driven], {}, step_s=source.step_s)}
+        if trj:
+            files["trajectories.trj"] = trj_bytes(found.states.arrays, found.states.matches)
+        folder = write_run(place.out, source, config, {name: getattr(found, name) for name in RUN_TABLES}, files)
+        return base_row(place, run, folder)._replace(
+            city=source.city, recorded=len(source.tracks), placed=len(found.driven),
+            maneuvers_requested=len(found.requests),
+            maneuvers_done=sum(one["status"] == "done" for one in found.requests),
+        )  # fmt: skip
+
+    return attempts(row, runs)
+
+
+#: The same with trajectories.
+measure_runs_for_ssam = partial(measure_runs, trj=True)
 
 
 def drawing_config(config: Config) -> Config:

@@ -35,7 +35,7 @@ from hid2.resampling import Estimate, ratio
 from netconvert.errors import ConfigError
 
 #: What drives a road.
-WORK = "bridge.studies.study_work:measure_roads"
+WORK = "bridge.studies.road_traffic:measure_roads"
 #: What a road has to reproduce before lane changes are looked at: shares of flow and speed that it may be off.
 WITHIN = {"flow_veh_per_h": 0.03, "speed_mps": 0.10}
 #: Of gaps that those of the ramp accept: shares (Bham 2008) from, below, s.

@@ -14,9 +14,15 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
+from bridge.batch.batch import Run, SceneFolders, base_row
+from bridge.batch.isolation import Failure, attempts
+from bridge.batch.manifest import ManifestRow
 from bridge.generation.generate import sumo_seed
 from bridge.recordings.recording import Recording
-from bridge.recordings.road import RAMPS, ROW, Lane, Road
+from bridge.recordings.road import RAMPS, ROAD_FILE, ROW, Lane, Road, read_road
+from bridge.recordings.sources import read_recording
+from bridge.studies.paired import measure_runs
+from bridge.studies.study import write_run
 from bridge.sumo.drivers import model_parameters
 from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize, FloatArray
@@ -63,6 +69,25 @@ class RoadVehicle:
     v: float = 0.0
     offered: dict[tuple[str | None, str | None], tuple[float, float]] = field(default_factory=dict)
     taken: tuple[float, float] | None = None
+
+
+def measure_roads(place: SceneFolders, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
+    """The work of a process: each run driven and counted on a corridor that was made of a road's file.
+
+    Where none enters by the file vehicles are asked for lane changes, as in a study.
+    """
+    recording = read_recording(place.folder)
+    road = read_road(recording.folder / ROAD_FILE)
+
+    def row(run: Run) -> ManifestRow:
+        traffic = RoadTraffic(recording, road, run.config)
+        traffic.run()
+        told = traffic.told()
+        folder = write_run(place.out, recording, run.config, told)
+        placed = told["ratios"]["changes_per_vehicle"][1]
+        return base_row(place, run, folder)._replace(city=recording.city, placed=placed)
+
+    return measure_runs(place, runs) if road.asked else attempts(row, runs)
 
 
 def arrivals(road: Road, config: Config) -> list[RoadVehicle]:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from bridge.evaluation.predictions import FUTURE_STEPS
+from bridge.forecasting.predictions import FUTURE_STEPS
 from bridge.recordings.scenario import MAX_STEPS, OBSERVED_STEPS, STEP_S, Scenario, read_scenario
 from hid2.agents import FOCAL_CATEGORY, SCORED_CATEGORY, FloatArray
 from netconvert.errors import Hid2Error, ScenarioError

@@ -21,8 +21,8 @@ import torch
 from scene_features import AGENT_FEATURES, AGENT_KINDS, LANE_FEATURES, LANE_KINDS, Seen, Target  # beside this file
 from torch import nn
 
-from bridge.evaluation.predictions import FUTURE_STEPS, Forecast
 from bridge.files import beside, explained
+from bridge.forecasting.predictions import FUTURE_STEPS, Forecast
 from bridge.recordings.scenario import STEP_S
 from netconvert.errors import ConfigError, ScenarioError
 

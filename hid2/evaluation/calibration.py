@@ -7,9 +7,9 @@ documented prior and says so.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -61,17 +61,16 @@ class SceneDriving(NamedTuple):
     lane_change_s: FloatArray
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class CalibratedQuantity:
+class CalibratedQuantity(NamedTuple):
     """One parameter: its value, and, where it was measured, a 95 % interval and from how many drivers."""
 
-    name: str
-    what: str
+    parameter: str
     value: float
     low: float | None
     high: float | None
     drivers: int
-    measured: bool
+    source: Literal["measured", "prior"]
+    what: str
 
 
 def observe(states: AgentStates, *, name: str, city: str, labelled: bool) -> SceneDriving:
@@ -111,21 +110,29 @@ def calibrate(scenes: Sequence[SceneDriving], *, prior: Drivers) -> list[Calibra
     hardest = -_by_driver(seen["agent"], seen["accel_mps2"], np.min)
     turning = _by_driver(turns["agent"], np.abs(lateral_accel_mps2(turns)), np.max)
     offsets = _by_driver(straight["agent"], straight["offset_m"], np.median)
-    found = [
-        *_normal("desired", "desired speed over the traffic's, logarithm", ratio, prior, sd_only=True),
-        *_speed_wander(free[cruising], prior),
-        *_normal("tau", "time gap in steady following, s", gaps, prior, unit="s"),
-        *_normal("accel", "strongest acceleration of a driver, m/s2", strongest[strongest > _SHOWS_MPS2], prior,
-                 unit="mps2"),
-        *_normal("decel", "hardest braking of a driver, m/s2", hardest[hardest > _SHOWS_MPS2], prior, unit="mps2"),
-        *_normal("min_gap", "gap to a standing leader, m", standing_gap_m, prior, unit="m"),
-        *_range_of_turns(turning, prior),
-        *_normal("offset", "place in the lane, m, left positive", offsets, prior, unit="m"),
-        *_lateral_wander(straight, prior),
-        *_normal("lane_change", "duration of lane changes, s", lane_change_s, prior, unit="s"),
+    cruises, positions = free[cruising], "positions do not tell it"
+    measured: list[tuple[tuple[str, ...], str, Sequence[FloatArray], Callable[..., Sequence[float]]]] = [
+        (("desired_sd",), "desired speed over the traffic's, logarithm", [ratio], lambda one: [robust_sd(one)]),
+        (("wander_sd_mps", "wander_time_s"), "wandering of the desired speed: acceleration in windows, m/s2",
+         [_rms(cruises["agent"], cruises[name]) for name in ("accel_mps2", "jerk_mps3")], _speed_wander),
+        (("tau_mean_s", "tau_sd_s"), "time gap in steady following, s", [gaps], _median_and_sd),
+        (("accel_mean_mps2", "accel_sd_mps2"), "strongest acceleration of a driver, m/s2",
+         [strongest[strongest > _SHOWS_MPS2]], _median_and_sd),
+        (("decel_mean_mps2", "decel_sd_mps2"), "hardest braking of a driver, m/s2",
+         [hardest[hardest > _SHOWS_MPS2]], _median_and_sd),
+        (("min_gap_mean_m", "min_gap_sd_m"), "gap to a standing leader, m", [standing_gap_m], _median_and_sd),
+        (("turn_lateral_min_mps2", "turn_lateral_max_mps2"), "lateral acceleration in turns, m/s2", [turning], _range),
+        (("offset_mean_m", "offset_sd_m"), "place in the lane, m, left positive", [offsets], _median_and_sd),
+        (("lateral_wander_sd_m", "lateral_wander_time_s", "lateral_wander_spread"),
+         "wandering about the place in the lane: drift in windows, m/s",
+         [_rms(straight["agent"], straight[name]) for name in ("drift_mps", "bend_mps2")], _lateral_wander),
+        (("lane_change_mean_s", "lane_change_sd_s"), "duration of lane changes, s", [lane_change_s], _median_and_sd),
     ]  # fmt: skip
-    return [*found, _kept("reaction_s", "reaction time: positions do not tell it", prior),
-            _kept("error", "perception error: positions do not tell it", prior)]  # fmt: skip
+    return [
+        *(one for quantities in measured for one in _measured(*quantities, prior)),
+        _kept("reaction_s", f"reaction time: {positions}", prior),
+        _kept("error", f"perception error: {positions}", prior),
+    ]
 
 
 def _usual_mps(seen: Windows) -> FloatArray:
@@ -139,12 +146,12 @@ def _usual_mps(seen: Windows) -> FloatArray:
 
 def drivers_of(found: Sequence[CalibratedQuantity]) -> dict[str, float]:
     """Values of the parameters, by name, as `params.Drivers` has them; those that were measured."""
-    return {quantity.name: quantity.value for quantity in found if quantity.measured}
+    return {quantity.parameter: quantity.value for quantity in found if quantity.source == "measured"}
 
 
 def _kept(name: str, what: str, prior: Drivers, drivers: int = 0) -> CalibratedQuantity:
     """A parameter that keeps its prior."""
-    return CalibratedQuantity(name, what, float(getattr(prior, name)), None, None, drivers, measured=False)
+    return CalibratedQuantity(name, float(getattr(prior, name)), None, None, drivers, "prior", what)
 
 
 def _by_driver(driver: IntArray, values: FloatArray, pool: Callable[[FloatArray], float]) -> FloatArray:
@@ -165,46 +172,40 @@ def _bounded(name: str, value: float) -> float:
     return round(float(np.clip(value, low, high)), 4)
 
 
-def _normal(
-    name: str, what: str, values: FloatArray, prior: Drivers, *, unit: str = "", sd_only: bool = False
+def _measured(
+    names: Sequence[str], what: str, values: Sequence[FloatArray], law: Callable[..., Sequence[float]], prior: Drivers
 ) -> list[CalibratedQuantity]:
-    """Median and robust SD of one value a driver."""
-    names = [f"{name}_mean_{unit}", f"{name}_sd_{unit}".rstrip("_")]
-    first = 1 if sd_only else 0
+    """Parameters that are measured together; of too few drivers they keep their prior.
 
-    def found(drivers: IntArray) -> Sequence[float]:
-        return (float(np.median(values[drivers])), robust_sd(values[drivers]))[first:]
-
-    return _quantities(names[first:], what, len(values), prior, found)
-
-
-def _range_of_turns(values: FloatArray, prior: Drivers) -> list[CalibratedQuantity]:
-    """Lateral acceleration in turns: uniform between the 10th and 90th percentile, widened to the whole."""
-    what, names = "lateral acceleration in turns, m/s2", ("turn_lateral_min_mps2", "turn_lateral_max_mps2")
-
-    def ends(drivers: IntArray) -> tuple[float, float]:
-        low, high = np.percentile(values[drivers], [10, 90])
-        return float(low - (high - low) / 8.0), float(high + (high - low) / 8.0)
-
-    return _quantities(names, what, len(values), prior, ends)
-
-
-def _quantities(
-    names: Sequence[str], what: str, drivers: int, prior: Drivers, found: Callable[[IntArray], Sequence[float]]
-) -> list[CalibratedQuantity]:
-    """Parameters that are measured together, by one value a driver; of too few drivers they keep their prior.
-
-    found: their values from the drivers of these numbers.
+    values: (D,) each, of every driver; law: the parameters by the values of some drivers.
     """
+    drivers = len(values[0])
     if drivers < LEAST:
         return [_kept(name, what, prior, drivers) for name in names]
     every = np.arange(drivers)
-    drawn = redrawn(lambda times: np.asarray(found(np.repeat(every, times.astype(np.int64)))), drivers)
-    estimates = [interval(value, column) for value, column in zip(found(every), drawn.T, strict=True)]
+
+    def of_drawn(times: FloatArray) -> FloatArray:
+        drawn = np.repeat(every, times.astype(np.int64))
+        return np.asarray(law(*(one[drawn] for one in values)))
+
+    estimates = [
+        interval(value, column) for value, column in zip(law(*values), redrawn(of_drawn, drivers).T, strict=True)
+    ]
     return [
-        CalibratedQuantity(name, what, _bounded(name, one.value or 0.0), one.low, one.high, drivers, measured=True)
+        CalibratedQuantity(name, _bounded(name, one.value or 0.0), one.low, one.high, drivers, "measured", what)
         for name, one in zip(names, estimates, strict=True)
     ]
+
+
+def _median_and_sd(values: FloatArray) -> tuple[float, float]:
+    """Median and robust SD."""
+    return float(np.median(values)), robust_sd(values)
+
+
+def _range(values: FloatArray) -> tuple[float, float]:
+    """Ends of a uniform distribution: between the 10th and 90th percentile, widened to the whole."""
+    low, high = np.percentile(values, [10, 90])
+    return float(low - (high - low) / 8.0), float(high + (high - low) / 8.0)
 
 
 _DRIVER = Driver(
@@ -275,40 +276,26 @@ def lateral_moments(time_s: float, spread: float) -> _Moments:
     return _simulated(drive)
 
 
-def _speed_wander(free: Windows, prior: Drivers) -> list[CalibratedQuantity]:
-    """SD and time of the wandering of the desired speed, from free driving."""
-    what = "wandering of the desired speed: acceleration in windows, m/s2"
-    names = ("wander_sd_mps", "wander_time_s")
-    values, changes = (_rms(free["agent"], free[name]) for name in ("accel_mps2", "jerk_mps3"))
-
-    def found(drivers: IntArray) -> tuple[float, float]:
-        table, moments = [speed_moments(time_s) for time_s in _TIMES_S], _moments(values[drivers], changes[drivers])
-        time_s = _time_of(moments.ratio, np.array([one.ratio for one in table]))
-        return moments.size / float(np.interp(time_s, _TIMES_S, [one.size / _UNIT_MPS for one in table])), time_s
-
-    return _quantities(names, what, len(values), prior, found)
+def _speed_wander(rates: FloatArray, changes: FloatArray) -> tuple[float, float]:
+    """SD and time of the wandering of the desired speed, by acceleration and jerk in free driving."""
+    table, moments = [speed_moments(time_s) for time_s in _TIMES_S], _moments(rates, changes)
+    time_s = _time_of(moments.ratio, np.array([one.ratio for one in table]))
+    return moments.size / float(np.interp(time_s, _TIMES_S, [one.size / _UNIT_MPS for one in table])), time_s
 
 
-def _lateral_wander(straight: Windows, prior: Drivers) -> list[CalibratedQuantity]:
-    """SD, spread and time of the wandering about the place in the lane."""
-    what = "wandering about the place in the lane: drift in windows, m/s"
-    names = ("lateral_wander_sd_m", "lateral_wander_time_s", "lateral_wander_spread")
-    values, changes = (_rms(straight["agent"], straight[name]) for name in ("drift_mps", "bend_mps2"))
-
-    def found(drivers: IntArray) -> tuple[float, float, float]:
-        moments = _moments(values[drivers], changes[drivers])
-        spread = 0.6
-        for _ in range(3):
-            near = min(_SPREADS, key=lambda w: abs(w - spread))
-            time_s = _time_of(moments.ratio, np.array([lateral_moments(t, near).ratio for t in _TIMES_S]))
-            nearest = min(_TIMES_S, key=lambda t: abs(t - time_s))
-            spreads = np.maximum.accumulate([lateral_moments(nearest, w).spread for w in _SPREADS])
-            spread = float(np.interp(moments.spread, spreads, _SPREADS))
+def _lateral_wander(rates: FloatArray, changes: FloatArray) -> tuple[float, float, float]:
+    """SD, time and spread of the wandering about the place in the lane, by drift and bend."""
+    moments = _moments(rates, changes)
+    spread = 0.6
+    for _ in range(3):
         near = min(_SPREADS, key=lambda w: abs(w - spread))
-        size = float(np.interp(time_s, _TIMES_S, [lateral_moments(t, near).size for t in _TIMES_S]))
-        return moments.size / size, time_s, spread
-
-    return _quantities(names, what, len(values), prior, found)
+        time_s = _time_of(moments.ratio, np.array([lateral_moments(t, near).ratio for t in _TIMES_S]))
+        nearest = min(_TIMES_S, key=lambda t: abs(t - time_s))
+        spreads = np.maximum.accumulate([lateral_moments(nearest, w).spread for w in _SPREADS])
+        spread = float(np.interp(moments.spread, spreads, _SPREADS))
+    near = min(_SPREADS, key=lambda w: abs(w - spread))
+    size = float(np.interp(time_s, _TIMES_S, [lateral_moments(t, near).size for t in _TIMES_S]))
+    return moments.size / size, time_s, spread
 
 
 def _time_of(ratio: float, ratios: FloatArray) -> float:

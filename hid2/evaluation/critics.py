@@ -9,10 +9,9 @@ windows at constant speed on the lane's middle, which a critic that is worth its
 """
 
 import logging
-from collections.abc import Sequence
-from enum import StrEnum
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -28,19 +27,9 @@ _FOLDS = 5
 _FAR_M = 60.0
 
 
-class Critic(StrEnum):
-    """Kinds of critics."""
-
-    LOGISTIC = "logistic"
-    TREES = "trees"
-
-
-class View(StrEnum):
-    """What of the driving a critic is shown."""
-
-    SPEED = "speed"
-    LATERAL = "lateral"
-    ALL = "all"
+#: Kinds of critics, and what of the driving one is shown.
+Critic = Literal["logistic", "trees"]
+View = Literal["speed", "lateral", "all"]
 
 
 class Verdict(NamedTuple):
@@ -70,10 +59,10 @@ OTHER_FEATURES = (
     "acceleration times closing speed",
 )  # fmt: skip
 FEATURE_NAMES = SPEED_FEATURES + LATERAL_FEATURES + OTHER_FEATURES
-_COLUMNS = {
-    View.SPEED: slice(0, len(SPEED_FEATURES)),
-    View.LATERAL: slice(len(SPEED_FEATURES), len(SPEED_FEATURES) + len(LATERAL_FEATURES)),
-    View.ALL: slice(0, len(FEATURE_NAMES)),
+_COLUMNS: Mapping[View, slice] = {
+    "speed": slice(0, len(SPEED_FEATURES)),
+    "lateral": slice(len(SPEED_FEATURES), len(SPEED_FEATURES) + len(LATERAL_FEATURES)),
+    "all": slice(0, len(FEATURE_NAMES)),
 }
 
 
@@ -172,7 +161,7 @@ def _scores(critic: Critic, x: FloatArray, generated: BoolArray, weights: FloatA
     from threadpoolctl import threadpool_limits
 
     found: Any = LogisticRegression(solver="newton-cholesky", tol=1e-6)
-    if critic is Critic.TREES:
+    if critic == "trees":
         found = HistGradientBoostingClassifier(
             learning_rate=0.1, max_iter=60, max_depth=3, max_bins=32, min_samples_leaf=3, l2_regularization=1.0,
             early_stopping=False,
@@ -187,7 +176,7 @@ def _scores(critic: Critic, x: FloatArray, generated: BoolArray, weights: FloatA
 
 #: What is judged, in the order of the report.
 JUDGED: Sequence[tuple[Critic, View]] = (
-    (Critic.LOGISTIC, View.ALL), (Critic.TREES, View.SPEED), (Critic.TREES, View.LATERAL), (Critic.TREES, View.ALL),
+    ("logistic", "all"), ("trees", "speed"), ("trees", "lateral"), ("trees", "all"),
 )  # fmt: skip
 #: Splits of the recorded tracks over which the negative control is averaged.
 _SPLITS = 3

@@ -6,7 +6,6 @@ numerators and denominators. To add one, add it to METRICS: tables, report and m
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -35,15 +34,8 @@ GROUPS = ("original", "generated", "combined")
 SHORT_GAP_S = 0.9
 #: Whatever a scene was made with, it is measured by the defaults.
 CRITICAL = Conflict()
-
-
-class MetricTable(StrEnum):
-    """Tables that metrics are shown in."""
-
-    PAPER = "paper"
-    CLEAN = "clean"
-    SAFETY = "safety"
-    ENCOUNTERS = "encounters"
+#: Tables that metrics are shown in.
+MetricTable = Literal["paper", "clean", "safety", "encounters"]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -143,12 +135,12 @@ def _magnitude(key: Literal["lo", "la", "je"], label: str, unit: str, what: str)
     name = label.partition(":")[0]
     return (
         Metric(
-            key, label, unit, MetricTable.PAPER,
+            key, label, unit, "paper",
             f"Magnitude of the {what}, from positions: mean over each track, then over tracks.",
             Column(f"paper_{key}", lambda g: float(getattr(g.kinematic, key)[g.tracks].sum())), TRACKS,
         ),
         Metric(
-            f"clean_{key}", f"{name}, moving vehicles without fragments", unit, MetricTable.CLEAN,
+            f"clean_{key}", f"{name}, moving vehicles without fragments", unit, "clean",
             f"{name} of moving vehicles that are no tracker fragments.",
             Column(f"clean_{key}", lambda g: float(getattr(g.kinematic, key)[g.clean_tracks].sum())), CLEAN_TRACKS,
         ),
@@ -158,7 +150,7 @@ def _magnitude(key: Literal["lo", "la", "je"], label: str, unit: str, what: str)
 def _steps(key: str, label: str, sentence: str, of: Callable[[Group], BoolArray], *, column: str = "") -> Metric:
     """Share of the steps of moving vehicles; column: where it has another name than the metric."""
     return Metric(
-        key, label, "share", MetricTable.SAFETY, sentence,
+        key, label, "share", "safety", sentence,
         Column(column or key, lambda g: int((of(g) & g.moving_rows).sum())), MOVING_ROWS,
     )  # fmt: skip
 
@@ -166,7 +158,7 @@ def _steps(key: str, label: str, sentence: str, of: Callable[[Group], BoolArray]
 def _met(name: str, label: str, sentence: str) -> Metric:
     """Share of vehicles with an encounter, by its name in `measures.encounters`."""
     column = Column(f"met_{name}", lambda g: int((g.met[name] & g.meeting).sum()))
-    return Metric(f"met_{name}", label, "share", MetricTable.ENCOUNTERS, sentence, column, MEETING)
+    return Metric(f"met_{name}", label, "share", "encounters", sentence, column, MEETING)
 
 
 def _followed(kind: Partner) -> tuple[Metric, Metric]:
@@ -193,18 +185,18 @@ METRICS: tuple[Metric, ...] = (
     *(paper for paper, _ in _MAGNITUDES),
     *(of_clean for _, of_clean in _MAGNITUDES),
     Metric(
-        "scr", "SCR: share of vehicles that collide", "share", MetricTable.SAFETY,
+        "scr", "SCR: share of vehicles that collide", "share", "safety",
         "Vehicles that overlap another one (boxes, IoU above 0.02) at any step, of the vehicles of a scene; mean over "
         "scenes.",
         Column("scr", lambda g: g.colliding / int(g.vehicles.sum()) if g.vehicles.any() else 0.0), SCENES_WITH_VEHICLES,
     ),
     Metric(
-        "orr", "ORR: share of positions off the road", "share", MetricTable.SAFETY,
+        "orr", "ORR: share of positions off the road", "share", "safety",
         "Positions of vehicles outside the drivable area of the map.",
         Column("off_road", lambda g: int(g.safe.off_road[g.rows].sum())), ROWS,
     ),
     Metric(
-        "footprint_orr", f"footprint ORR: share of boxes over {_TOLERANCE} off", "share", MetricTable.SAFETY,
+        "footprint_orr", f"footprint ORR: share of boxes over {_TOLERANCE} off", "share", "safety",
         f"Boxes of vehicles that reach more than {_TOLERANCE} out of the drivable area.",
         Column("off_footprint", lambda g: int(g.safe.off_footprint[g.rows].sum())), ROWS,
     ),
@@ -224,19 +216,19 @@ METRICS: tuple[Metric, ...] = (
         lambda g: g.safe.leaders.ttc_s < CRITICAL.ttc_min_s,
     ),
     Metric(
-        "short_gap", f"share of following, time gap below {SHORT_GAP_S:g} s", "share", MetricTable.SAFETY,
+        "short_gap", f"share of following, time gap below {SHORT_GAP_S:g} s", "share", "safety",
         "Steps behind a leader at a shorter time gap than drivers usually keep.",
         Column("short_gap", lambda g: int((g.safe.leaders.time_gap_s[g.moving_rows] < SHORT_GAP_S).sum())),
         FOLLOWING_ROWS,
     ),
     Metric(
-        "end_ttc_critical", f"share of vehicles, {_END_TTC} after the last step", "share", MetricTable.SAFETY,
+        "end_ttc_critical", f"share of vehicles, {_END_TTC} after the last step", "share", "safety",
         "Vehicles that touch another agent so soon after their last step if all keep the velocity; recorded vehicles "
         "that move, every inserted one.",
         Column("end_ttc_critical", lambda g: g.critical_ends), ENDS,
     ),
     Metric(
-        "end_scenes_critical", "share of scenes with such a vehicle", "share", MetricTable.SAFETY,
+        "end_scenes_critical", "share of scenes with such a vehicle", "share", "safety",
         f"Scenes in which some vehicle has a {_END_TTC} after its last step.",
         Column("end_scenes_critical", lambda g: int(g.critical_ends > 0)), SCENES_WITH_ENDS,
     ),

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from shared_data import SHARED_DATA
 
-from bridge.forecasting.small_forecaster import small_forecaster
+from bridge.forecasting.experiment import small_forecaster
 from bridge.generation.generate import generate, prepare
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import MAX_STEPS, read_scenario

@@ -19,7 +19,7 @@ from typer.main import get_command
 from bridge.cli import options
 from bridge.cli.commands import application
 from bridge.config import config_to_dict, describe_config, load_config, parse_behaviours
-from bridge.evaluation.experiments import Experiment
+from bridge.evaluation.paper import Experiment
 from bridge.exports.export import WRITERS
 from bridge.forecasting.experiment import Reading
 from bridge.recordings.folders import SPLITS

@@ -13,8 +13,8 @@ from baseline_file import write_baseline
 from mutations import WILD_FLOATS, WILD_INTS, WILD_TEXTS, mutate_bytes
 
 from bridge.config import load_config
-from bridge.evaluation.predictions import score_predictions
 from bridge.forecasting.composition import Composition
+from bridge.forecasting.predictions import score_predictions
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import read_sidecar
 from bridge.studies.study import read_study

@@ -8,8 +8,7 @@ import shutil
 import pytest
 from recordings import make_argoverse1, make_log
 
-from bridge.evaluation.paper import PAPER_ABLATION, PAPER_ARGOVERSE1, run_experiment
-from bridge.evaluation.report import PAPER_HID2, PAPER_ORIGINAL
+from bridge.evaluation.paper import PAPER_ABLATION, PAPER_ARGOVERSE1, PAPER_HID2, PAPER_ORIGINAL, run_experiment
 
 
 def lines(path):

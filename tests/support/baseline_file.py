@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from bridge.evaluation.predictions import Baseline, baseline, write_forecasts
+from bridge.forecasting.predictions import Baseline, baseline, write_forecasts
 from bridge.recordings.scenario import find_scenarios, read_rows
 
 

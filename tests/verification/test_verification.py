@@ -189,7 +189,7 @@ def test_calibration_finds_synthetic_drivers_again(folder):
     hits, ratios = Counter[str](), {name: [] for name in names}
     for seed in range(8):
         seen = synthetic_driving(KNOWN, drivers=120, seed=seed)
-        found = {one.name: one for one in calibrate([seen], prior=Drivers())}
+        found = {one.parameter: one for one in calibrate([seen], prior=Drivers())}
         for name in names:
             known, slack = getattr(KNOWN, name), 0.12 * getattr(KNOWN, name)
             hits[name] += found[name].low - slack <= known <= found[name].high + slack

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 
 import bridge.evaluation.totals as totals_module
-from bridge.evaluation.evaluate import evaluate_folder
-from bridge.evaluation.report import write_report
+from bridge.evaluation.evaluate import evaluate_folder, write_report
 from bridge.evaluation.scene_metrics import measure, measure_folder
 from bridge.evaluation.totals import Evaluation, SourceSums, Totals, estimate
 from bridge.recordings.scenario import find_scenarios, read_scenario
 from hid2.agents import VEHICLE_TYPES
 from hid2.evaluation import metrics
-from hid2.evaluation.metrics import METRICS, ROWS, Column, Metric, MetricTable
+from hid2.evaluation.metrics import METRICS, ROWS, Column, Metric
 from netconvert.errors import ExportError, MapError, ScenarioError
 
 
@@ -199,7 +198,7 @@ def test_every_row_of_numbers_leads_to_a_definition(report):
 def test_what_comes_from_files_is_escaped(report, tmp_path):
     evaluation, _ = report
     scenes = evaluation.metrics["scenes"] | {"failed": [{"folder": "a<b>", "reason": "<script>"}]}
-    write_report(replace(evaluation, metrics=evaluation.metrics | {"scenes": scenes}), tmp_path / "report.html")
+    write_report(evaluation._replace(metrics=evaluation.metrics | {"scenes": scenes}), tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text()
     assert "<li>a&lt;b&gt;: &lt;script&gt;</li>" in text
 
@@ -304,7 +303,7 @@ def test_a_source_that_is_not_there_is_said_and_what_was_recorded_stands(made_ro
 def test_a_metric_that_is_added_is_measured_pooled_and_shown(made_root, tmp_path, monkeypatch):
     """Share of vehicle rows in the left half-plane: an entry of METRICS, and nothing else."""
     extra = Metric(
-        "left_half", "share of rows with x < 0", "share", MetricTable.SAFETY, "Rows of vehicles west of the origin.",
+        "left_half", "share of rows with x < 0", "share", "safety", "Rows of vehicles west of the origin.",
         Column("left_half", lambda group: int((group.arrays.position[group.rows][:, 0] < 0).sum())), ROWS,
     )  # fmt: skip
     for where in (metrics, totals_module):
@@ -318,7 +317,7 @@ def test_a_metric_that_is_added_is_measured_pooled_and_shown(made_root, tmp_path
     content = totals.content()
     assert content["safety"]["left_half"]["combined"]["value"] == pytest.approx(found / rows)
     content["scenes"]["failed"] = []
-    write_report(Evaluation(totals, metrics=content), tmp_path / "report.html")
+    write_report(Evaluation(totals, [], content), tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text()
     assert "share of rows with x &lt; 0" in text
     assert extra.sentence in text

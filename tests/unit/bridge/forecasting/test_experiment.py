@@ -14,13 +14,19 @@ import pytest
 from recordings import make_argoverse1
 from written import write_scene
 
-from bridge.evaluation.predictions import baseline, read_forecasts, score_predictions, write_forecasts
 from bridge.forecasting import experiment
-from bridge.forecasting.comparison import Difference
 from bridge.forecasting.compose import compose
 from bridge.forecasting.composition import Composition
-from bridge.forecasting.experiment import PAPER_GAIN_M, PAPER_TABLE2, PAPER_TABLE3, SETS, TrainingPlan, run_prediction
-from bridge.forecasting.small_forecaster import small_forecaster
+from bridge.forecasting.experiment import (
+    PAPER_GAIN_M,
+    PAPER_TABLE2,
+    PAPER_TABLE3,
+    SETS,
+    TrainingPlan,
+    run_prediction,
+    small_forecaster,
+)
+from bridge.forecasting.predictions import Difference, baseline, read_forecasts, score_predictions, write_forecasts
 from bridge.pages.parts import macro
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_rows, read_scenario
@@ -240,13 +246,14 @@ def test_the_small_forecaster_learns(data_root, tmp_path):
     targets, _ = scenes.features_of(find_scenarios(data_root))
     model = network.train(targets, tmp_path / "a.pt", updates=150, seed=0)
     path = write_forecasts(network.forecast(model, targets), tmp_path / "f.parquet")
-    scores = [score for score in score_predictions(data_root, predictions=path).scores if score.k == 6]
-    steady = [s for s in score_predictions(data_root, predictions="constant-velocity").scores if s.k == 6]
-    assert np.mean([s.min_fde_m for s in scores]) < np.mean([s.min_fde_m for s in steady])
+    scores, steady = (
+        score_predictions(data_root, predictions=one)[0].query("k == 6") for one in (path, "constant-velocity")
+    )
+    assert scores["min_fde_m"].mean() < steady["min_fde_m"].mean()
     forecasts = read_forecasts(path)
     for folder in find_scenarios(data_root):
         scenario = read_scenario(folder)
-        (found,) = (score for score in scores if score.scenario_id == scenario.scenario_id)
+        (found,) = scores[scores["scenario_id"] == scenario.scenario_id].itertuples()
         shares, by_track = forecasts[scenario.scenario_id]
         track = scenario.track(scenario.focal_track_id)
         modes, truth = by_track[track.track_id], track.position[track.timesteps > 49]

@@ -297,7 +297,7 @@ def test_plan_says_how_many_runs_a_difference_needs_before_and_after_a_pilot(tmp
     """By chance alone the SD of a difference is sqrt(.5 / n) for n requests a run; then by that of three pilot runs."""
     import pandas as pd
 
-    from bridge.studies.plan import plan_text
+    from bridge.studies.run import plan_text
     from bridge.studies.statistics import seeds_needed
 
     study = _study(tmp_path, write_corridor(tmp_path / "roads", length_m=200.0, lanes=2, seconds=20.0))

@@ -141,9 +141,13 @@ def test_critical_gap_is_found_from_what_was_rejected_and_accepted(tmp_path: Pat
 def test_durations_are_those_of_changes_seen_from_start_to_end(tmp_path: Path) -> None:
     changes = [{"duration_s": seconds, "complete": seconds < 9.0} for seconds in (4.0, 5.0, 9.0)]
     runs = [{"lane_changes": one} for one in (changes, changes[:1], changes[:1])]
-    told = result(tmp_path, *runs, page=UNTUNED_PAGE, road=ASKED).measures
-    assert told["duration_mean_s"] == pytest.approx((17.0 / 4.0, 4.0, 4.5))  # draws of one run alone
-    assert told["duration_median_s"].value == 4.0
+    page = read_public(page_in(tmp_path, page=UNTUNED_PAGE.replace('counts = "counts.toml"\n', ""), road=ASKED))
+    one = RoadResult(page.road[0], "a rule", "as set", {}, runs)
+    assert one.measures["duration_mean_s"] == pytest.approx((17.0 / 4.0, 4.0, 4.5))  # draws of one run alone
+    assert one.measures["duration_median_s"].value == 4.0
+    lists: dict[str, Any] = {"tests": [one], "causes": [one], "tried": [], "best": {}, "within": WITHIN}
+    told = text("public.md.j2", page=page, cell_m=250.0, cell_s=60.0, long_gap_s=10.0, **lists)
+    assert "| road | a rule | as set | - | - | - |" in told
 
 
 def test_page_says_what_gaps_do_not_tell(tmp_path: Path) -> None:

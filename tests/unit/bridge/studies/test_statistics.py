@@ -9,7 +9,7 @@ import pytest
 
 from bridge.pages.parts import macro
 from bridge.studies.gap_acceptance import critical_gap, gaps_of, largest_rejected, troutbeck
-from bridge.studies.page import _classes, _told
+from bridge.studies.page import _classes, _told, draw_parameter
 from bridge.studies.statistics import (
     difference_sd,
     dose_response,
@@ -18,7 +18,6 @@ from bridge.studies.statistics import (
     mean_wait,
     seeds_needed,
 )
-from bridge.studies.study_figures import draw_parameter
 
 RUN = {"scene": "a", "city": "x", "point": 0, "seed": 0, "replay": "fixed"}
 

@@ -11,7 +11,7 @@ from hid2.params import Drivers
 @pytest.fixture(scope="module")
 def found():
     seen = synthetic_driving(KNOWN, drivers=150, seed=3)
-    return {quantity.name: quantity for quantity in calibrate([seen], prior=Drivers())}
+    return {quantity.parameter: quantity for quantity in calibrate([seen], prior=Drivers())}
 
 
 @pytest.mark.parametrize(
@@ -23,7 +23,7 @@ def found():
 def test_known_parameter_is_found_within_its_interval(found, name):
     """Draws are cut off at two deviations, which makes spreads smaller by up to 12 %: so much slack."""
     quantity, known = found[name], getattr(KNOWN, name)
-    assert quantity.measured
+    assert quantity.source == "measured"
     slack = 0.12 * abs(known)
     assert quantity.low - slack <= known <= quantity.high + slack, quantity
     assert quantity.low <= quantity.value <= quantity.high
@@ -32,7 +32,7 @@ def test_known_parameter_is_found_within_its_interval(found, name):
 def test_what_the_data_cannot_tell_keeps_its_prior(found):
     """No turns, no accelerations from rest, and no positions that show a reaction time."""
     for name in ("reaction_s", "error", "turn_lateral_min_mps2"):
-        assert not found[name].measured
+        assert found[name].source == "prior"
         assert found[name].value == getattr(Drivers(), name)
     assert not {"reaction_s", "turn_lateral_max_mps2"} & drivers_of(list(found.values())).keys()
     assert drivers_of(list(found.values()))["tau_mean_s"] == found["tau_mean_s"].value
@@ -41,7 +41,7 @@ def test_what_the_data_cannot_tell_keeps_its_prior(found):
 def test_too_few_drivers_tell_nothing():
     seen = synthetic_driving(KNOWN, drivers=LEAST - 1, seed=0)
     few = calibrate([seen._replace(standing_gap_m=np.zeros(0), lane_change_s=np.array([4.0]))], prior=Drivers())
-    assert not any(quantity.measured for quantity in few)
+    assert {quantity.source for quantity in few} == {"prior"}
 
 
 def test_robust_spread_by_hand():

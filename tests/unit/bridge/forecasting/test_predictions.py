@@ -1,4 +1,4 @@
-"""Forecasts scored with av2's metrics, and the two baselines, on tracks worked by hand."""
+"""Forecasts scored with av2's metrics and the two baselines, on tracks worked by hand; models compared in pairs."""
 
 import re
 import shutil
@@ -11,24 +11,22 @@ from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 from baseline_file import write_baseline
 from recordings import make_argoverse1
 
-from bridge.evaluation import predictions
-from bridge.evaluation.predictions import (
-    BASELINES,
-    baseline,
-    read_forecasts,
-    score_predictions,
-    write_forecasts,
-)
+from bridge.forecasting import predictions
+from bridge.forecasting.predictions import BASELINES, baseline, read_forecasts, score_predictions, write_forecasts
 from bridge.generation.generate import generate
 from bridge.recordings.scenario import find_scenarios, read_scenario
 from bridge.recordings.sources import find_recordings, read_recording
-from hid2.params import Config
+from hid2.params import Config, Forecasting
 from netconvert.errors import ConfigError, ScenarioError
 
 
 def focal_future(scenario):
     track = scenario.track(scenario.focal_track_id)
     return track.position[track.timesteps > 49]
+
+
+def scores_of(folder, forecasts):
+    return list(score_predictions(folder, predictions=forecasts)[0].itertuples(index=False))
 
 
 def submission(scenario, modes, probabilities, path, track_id=None):
@@ -47,7 +45,7 @@ def test_errors_are_those_of_the_mode_that_ends_nearest(data_scenes, tmp_path):
     second = truth + np.array([0.0, 5.0])
     second[-1] = truth[-1]
     path = submission(scenario, [truth + np.array([3.0, 0.0]), second], [0.7, 0.3], tmp_path / "f.parquet")
-    scores = {s.k: s for s in score_predictions(data_scenes["arterial"], predictions=path).scores}
+    scores = {s.k: s for s in scores_of(data_scenes["arterial"], path)}
     assert (scores[1].min_ade_m, scores[1].min_fde_m, scores[1].missed) == (pytest.approx(3), pytest.approx(3), True)
     assert (scores[6].min_ade_m, scores[6].min_fde_m) == (pytest.approx(5 * 59 / 60), pytest.approx(0))
     assert not scores[6].missed
@@ -57,7 +55,7 @@ def test_probability_not_order_decides_what_counts_first(data_scenes, tmp_path):
     scenario = read_scenario(data_scenes["arterial"])
     truth = focal_future(scenario)
     path = submission(scenario, [truth + np.array([9.0, 0.0]), truth], [0.1, 0.9], tmp_path / "f.parquet")
-    scores = {s.k: s for s in score_predictions(data_scenes["arterial"], predictions=path).scores}
+    scores = {s.k: s for s in scores_of(data_scenes["arterial"], path)}
     assert scores[1].min_fde_m == pytest.approx(0.0)
 
 
@@ -67,7 +65,7 @@ def test_brier_min_fde_adds_what_the_best_modes_probability_lacks(data_scenes, t
     truth = focal_future(scenario)
     modes = [truth + np.array([3.0, 0.0]), truth + np.array([1.0, 0.0])]
     path = submission(scenario, modes, [0.7, 0.3], tmp_path / "f.parquet")
-    scores = {s.k: s for s in score_predictions(data_scenes["arterial"], predictions=path).scores}
+    scores = {s.k: s for s in scores_of(data_scenes["arterial"], path)}
     assert scores[1].brier_min_fde == pytest.approx(3.09)
     assert scores[6].brier_min_fde == pytest.approx(1.49)
 
@@ -82,7 +80,7 @@ def test_scores_of_a_challenge_submission_are_those_of_av2(data_root, tmp_path):
         modes = focal_future(scenario) + random.normal(0, 3, (6, 60, 2))
         forecasts[scenario.scenario_id] = (probabilities, {scenario.focal_track_id: modes})
     path = write_forecasts(forecasts, tmp_path / "f.parquet")
-    scores = {(s.scenario_id, s.k): s for s in score_predictions(data_root, predictions=path).scores}
+    scores = {(s.scenario_id, s.k): s for s in scores_of(data_root, path)}
     for folder in find_scenarios(data_root):
         scenario = read_scenario(folder)
         probabilities, by_track = forecasts[scenario.scenario_id]
@@ -115,8 +113,9 @@ def test_a_forecast_that_is_not_finite_is_named_and_refused(data_scenes, tmp_pat
 def test_jobs_do_not_change_the_scores(data_root, tmp_path, monkeypatch):
     monkeypatch.setattr(predictions, "_CHUNK", 2)
     path = write_baseline(data_root, tmp_path / "f.parquet", kind="constant-velocity")
-    alone = score_predictions(data_root, predictions=path, report_dir=tmp_path / "one")
-    assert score_predictions(data_root, predictions=path, report_dir=tmp_path / "two", jobs=2) == alone
+    alone, _ = score_predictions(data_root, predictions=path, report_dir=tmp_path / "one")
+    both, _ = score_predictions(data_root, predictions=path, report_dir=tmp_path / "two", jobs=2)
+    pd.testing.assert_frame_equal(alone, both)
     for name in ("predictions.csv", "predictions.html"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 
@@ -125,7 +124,7 @@ def test_a_forecast_misses_beyond_two_metres(data_scenes, tmp_path):
     scenario = read_scenario(data_scenes["arterial"])
     for off, missed in ((1.99, False), (2.01, True)):
         path = submission(scenario, [focal_future(scenario) + np.array([off, 0.0])], [1.0], tmp_path / "f.parquet")
-        assert score_predictions(data_scenes["arterial"], predictions=path).scores[0].missed is missed
+        assert scores_of(data_scenes["arterial"], path)[0].missed is missed
 
 
 def test_constant_velocity_goes_on_as_in_the_last_half_second(data_scenes):
@@ -159,14 +158,15 @@ def test_baseline_through_a_file_scores_the_same(data_root, tmp_path, kind):
         probabilities, modes = baseline(scenario, kind)
         submission[scenario.scenario_id] = probabilities, dict(modes)
     ChallengeSubmission(submission).to_parquet(path)
-    direct = score_predictions(data_root, predictions=kind)
-    assert direct.scores == score_predictions(data_root, predictions=path).scores
-    assert len(direct.scores) == 2 * len(find_scenarios(data_root))
+    direct = scores_of(data_root, kind)
+    assert direct == scores_of(data_root, path)
+    assert len(direct) == 2 * len(find_scenarios(data_root))
 
 
 def test_bands_hold_scenes_with_more_agents(data_root, tmp_path):
-    result = score_predictions(data_root, predictions="constant-velocity", report_dir=tmp_path, bounds=(5, 1000))
-    bands = {(band["band"], band["k"]): band for band in result.bands}
+    bounds = (5, 1000)
+    scores, _ = score_predictions(data_root, predictions="constant-velocity", report_dir=tmp_path, bounds=bounds)
+    bands = {(band["band"], band["k"]): band for band in predictions.band_means(scores, bounds)}
     assert bands["all scenes", 1]["tracks"] == len(find_scenarios(data_root))
     assert bands["more than 1000", 6] == {
         "band": "more than 1000", "k": 6, "tracks": 0, "min_ade_m": None, "min_fde_m": None, "missed": None,
@@ -174,14 +174,12 @@ def test_bands_hold_scenes_with_more_agents(data_root, tmp_path):
     }  # fmt: skip
     observed = "more than 5 at the observation's end"
     assert bands[observed, 6]["tracks"] == bands["more than 5", 6]["tracks"]
-    assert len(pd.read_csv(tmp_path / "predictions.csv")) == len(result.scores)
+    assert len(pd.read_csv(tmp_path / "predictions.csv")) == len(scores)
     assert "minADE" in (tmp_path / "predictions.html").read_text()
 
 
 def test_generated_focal_and_recorded_scenes_are_scored_alike(made_root):
-    assert len(score_predictions(made_root, predictions="constant-velocity").scores) == 2 * len(
-        find_scenarios(made_root)
-    )
+    assert len(scores_of(made_root, "constant-velocity")) == 2 * len(find_scenarios(made_root))
 
 
 def test_what_cannot_be_scored_is_listed_or_explained(data_scenes, data_root, tmp_path):
@@ -191,14 +189,16 @@ def test_what_cannot_be_scored_is_listed_or_explained(data_scenes, data_root, tm
     with pytest.raises(ScenarioError, match="nobody: no such track"):
         score_predictions(data_scenes["arterial"], predictions=path)
     path = submission(scenario, [truth], [1.0], tmp_path / "f.parquet")
-    result = score_predictions(data_root, predictions=path)
-    assert [reason.partition(": ")[2] for reason in result.left_out] == ["no forecast"] * 2
+    _, left_out = score_predictions(data_root, predictions=path)
+    assert [reason.partition(": ")[2] for reason in left_out] == ["no forecast"] * 2
     shutil.copytree(data_root, tmp_path / "some")
     broken = next((tmp_path / "some").glob("val/*/scenario_*.parquet"))
     broken.write_bytes(b"no")
-    result = score_predictions(tmp_path / "some", predictions="constant-velocity", report_dir=tmp_path / "report")
-    assert result.left_out[0].startswith(f"{broken}: not a parquet file (")
-    assert len({score.scenario_id for score in result.scores}) == 2
+    scores, left_out = score_predictions(
+        tmp_path / "some", predictions="constant-velocity", report_dir=tmp_path / "report"
+    )
+    assert left_out[0].startswith(f"{broken}: not a parquet file (")
+    assert scores["scenario_id"].nunique() == 2
     with pytest.raises(ConfigError, match="no such file, expected a forecast file or one of constant-velocity"):
         read_forecasts(tmp_path / "none.parquet")
     (tmp_path / "bad.parquet").write_bytes(b"no")
@@ -223,7 +223,111 @@ def test_a_baseline_forecasts_what_is_not_observed_of_a_scene_made_from_argovers
     track = scenario.track(scenario.focal_track_id)
     future = track.position[track.timesteps > 19]
     assert modes[track.track_id].shape == (6, 30, 2)
-    scored = {s.k: s for s in score_predictions(tmp_path / "out", predictions="constant-velocity").scores}
+    scored = {s.k: s for s in scores_of(tmp_path / "out", "constant-velocity")}
     errors = np.hypot(*(modes[track.track_id][0] - future).T)
     assert (scored[1].min_ade_m, scored[1].min_fde_m) == pytest.approx((errors.mean(), errors[-1]))
     assert scored[1].agents_observed == sum(19 in track.timesteps for track in scenario.tracks)
+
+
+PARAMS = Forecasting(resamples=4000)
+
+
+def score(scene, fde, *, agents=60, k=6):
+    return scene, "1", agents, agents, k, fde / 2, fde, fde > 2, fde + 0.5
+
+
+def tables(runs):
+    return [pd.DataFrame(run, columns=predictions.SCORE_COLUMNS) for run in runs]
+
+
+def compared(mine, theirs, source_of=None, metric="min_fde_m"):
+    runs = {"a": tables(mine), "b": tables(theirs)}
+    found = predictions.differences_of([("a", "b")], runs, {"all": "agents > 0"}, source_of or {}, PARAMS)
+    return next(one for one in found if one.metric == metric)
+
+
+def test_a_difference_is_over_pairs():
+    """Scenes differ by metres, the models by .1 m in each: the interval is that of the pairs, no wider."""
+    levels = np.linspace(0.5, 8, 40)
+    mine = [[score(f"s{n}", level - 0.1) for n, level in enumerate(levels)]]
+    theirs = [[score(f"s{n}", level) for n, level in enumerate(levels)]]
+    found = compared(mine, theirs)
+    assert found.difference == pytest.approx(-0.1)
+    assert (found.low, found.high) == (pytest.approx(-0.1), pytest.approx(-0.1))
+    assert (found.tracks, found.sources, found.seeds) == (40, 40, (1, 1))
+
+
+def test_the_standard_error_over_scenes_is_that_of_a_mean():
+    """400 pairs with a standard deviation of .8 m: .04 m, and detectable are 2.80 of these."""
+    random = np.random.default_rng(1)
+    gaps = random.normal(0, 0.8, 400)
+    gaps *= 0.8 / gaps.std()
+    mine = [[score(f"s{n}", 5 + gap) for n, gap in enumerate(gaps)]]
+    theirs = [[score(f"s{n}", 5.0) for n in range(400)]]
+    found = compared(mine, theirs)
+    assert found.se == pytest.approx(0.04, rel=0.05)
+    assert found.detectable == pytest.approx(2.8016 * found.se, rel=1e-3)
+
+
+def test_scenes_made_of_one_recorded_scene_are_drawn_together():
+    """Ten scenes of each of four sources, equal within: as good as four scenes, not as forty."""
+    values = (0.0, 1.0, 2.0, 3.0)
+    mine = [[score(f"{s}-{n}", 5 + value) for s, value in enumerate(values) for n in range(10)]]
+    theirs = [[score(f"{s}-{n}", 5.0) for s in range(4) for n in range(10)]]
+    source_of = {f"{s}-{n}": str(s) for s in range(4) for n in range(10)}
+    together, apart = compared(mine, theirs, source_of), compared(mine, theirs)
+    assert (together.sources, apart.sources) == (4, 40)
+    assert together.se == pytest.approx(np.std(values) / 2, rel=0.06)
+    assert apart.se == pytest.approx(np.std(values) / np.sqrt(40), rel=0.06)
+
+
+def test_seeds_are_drawn_too():
+    """Three seeds of a, 1 m apart, on equal scenes: all that varies is the mean of three seeds drawn."""
+    mine = [[score(f"s{n}", 5.0 + seed) for n in range(30)] for seed in range(3)]
+    theirs = [[score(f"s{n}", 5.0) for n in range(30)] for _ in range(3)]
+    found = compared(mine, theirs)
+    assert found.difference == pytest.approx(1.0)
+    assert found.se == pytest.approx(np.std([0, 1, 2]) / np.sqrt(3), rel=0.06)
+
+
+def test_only_tracks_that_every_file_forecasts_count():
+    mine = [[score("a", 1.0), score("b", 9.0), score("a", 1.0)]]  # one scene lies in two folders
+    theirs = [[score("a", 2.0), score("c", 9.0)]]
+    found = compared(mine, theirs)
+    assert (found.tracks, found.difference) == (1, -1.0)
+    assert found.low is None  # one scene has no interval
+    nothing = compared(mine, [[score("z", 1.0)]])
+    assert (nothing.tracks, nothing.difference, nothing.detectable) == (0, None, None)
+
+
+def test_bands_and_metrics_are_taken_apart():
+    (run,) = runs = tables([[score("a", 1.0, agents=40), score("b", 3.0, agents=80), score("b", 99.0, agents=80, k=1)]])
+    assert predictions.mean_of([run.query("agents > 50")], {}, "min_fde_m", PARAMS).value == 3.0
+    assert predictions.mean_of(runs, {}, "missed", PARAMS).value == 0.5
+    assert predictions.mean_of(runs, {}, "brier_min_fde", PARAMS).value == 2.5
+
+
+def test_files_are_compared_with_the_first(data_root, tmp_path):
+    """A forecast that is right ends nearer than constant velocity in every scene."""
+    right = {}
+    for folder in find_scenarios(data_root):
+        scenario = read_scenario(folder)
+        track = scenario.track(scenario.focal_track_id)
+        right[scenario.scenario_id] = (np.array([1.0]), {track.track_id: track.position[None, track.timesteps > 49]})
+    first = write_baseline(data_root, tmp_path / "cv.parquet", kind="constant-velocity")
+    second = write_forecasts(right, tmp_path / "right.parquet")
+    models = predictions.parse_models([str(first), f"oracle={second}"])
+    assert models == {"cv": [first], "oracle": [second]}
+    found, left_out = predictions.compare_predictions(data_root, models, tmp_path / "report", bounds=(22,))
+    assert left_out == []
+    whole = next(one for one in found if one.band == "all scenes" and one.metric == "min_fde_m")
+    assert (whole.model, whole.minus, whole.tracks) == ("oracle", "cv", 3)
+    assert whole.high < 0
+    assert {one.tracks for one in found if one.band == "more than 22"} == {1}
+    assert {path.name for path in (tmp_path / "report").iterdir()} == {"comparison.csv", "comparison.html"}
+    with pytest.raises(ConfigError, match="expected two or more"):
+        predictions.compare_predictions(data_root, predictions.parse_models([str(first)]), tmp_path / "report")
+    with pytest.raises(ConfigError, match="no such file"):
+        predictions.parse_models(["a=nowhere.parquet"])
+    with pytest.raises(ConfigError, match="given twice"):
+        predictions.parse_models([f"a={first}", f"a={first}"])

@@ -1,0 +1,410 @@
+"""Forecasts scored with av2's own metrics, in bands of agents per scene, and compared in pairs; two baselines.
+
+minADE, minFDE, miss rate and brier-minFDE, each of the mode that ends nearest, as on av2's leaderboard. A forecast file
+is av2's challenge submission: 60 steps from timestep 50 for each mode of a track.
+
+A model that is compared is one file for each seed it was trained with. Scenes are drawn as recorded scenes, with all
+that was made of one, and seeds of each model on its own: what is left is what other scenes and another seed would give.
+"""
+
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from functools import reduce
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import pandas as pd
+from av2.datasets.motion_forecasting.eval import metrics
+from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
+
+from bridge.batch.engine import OnDone, work_on_each
+from bridge.batch.isolation import Failure
+from bridge.files import beside, make_folder, write_rows, write_text
+from bridge.forecasting.compose import origins_of
+from bridge.forecasting.places import recorded_source
+from bridge.pages import parts as pages
+from bridge.recordings.scenario import MAX_STEPS, OBSERVED_STEPS, Rows, find_scenarios, read_rows, source_id
+from hid2.agents import FloatArray, IntArray, Track
+from hid2.params import Forecasting
+from hid2.resampling import Estimate, draws, interval
+from netconvert.errors import ConfigError, ScenarioError
+
+Baseline = Literal["constant-velocity", "constant-turn-rate"]
+MetricKey = Literal["min_ade_m", "min_fde_m", "missed", "brier_min_fde"]
+BASELINES: tuple[Baseline, ...] = ("constant-velocity", "constant-turn-rate")
+#: Modes of a forecast that count, the most probable first; and in comparisons, as in the paper's tables.
+KS, K = (1, 6), 6
+#: A forecast with its end further off misses.
+MISS_M = 2.0
+#: Bands of the paper: scenes with more agents than these.
+BOUNDS = (50, 70, 90)
+FUTURE_STEPS = MAX_STEPS - OBSERVED_STEPS
+#: Speed, or turn rate, of each mode of a baseline as a share of the observed one, and how probable it is.
+_MODES = ((1.0, 0.4), (0.75, 0.15), (1.25, 0.15), (0.5, 0.1), (1.5, 0.1), (0.0, 0.1))
+#: Metrics, columns of scores, with their names: displacement errors, m, of the mode with the nearest end, whether it
+#: misses, and m plus (1 - p)^2 with the probability p of that mode.
+METRICS: Mapping[MetricKey, str] = {
+    "min_ade_m": "minADE, m", "min_fde_m": "minFDE, m", "missed": "MR", "brier_min_fde": "brier-minFDE, m",
+}  # fmt: skip
+#: Columns of scores, a row for each track and k. agents: tracks of the scene in all; agents_observed: those present at
+#: the last observed step.
+SCORE_COLUMNS = ("scenario_id", "track_id", "agents", "agents_observed", "k", *METRICS)
+#: A baseline's speed and turn rate are means over this many steps before the last observed one.
+_HISTORY = 5
+#: Normal quantiles of a two-sided test at 5 %, and of a power of 80 %.
+_Z_TEST, _Z_POWER = 1.959964, 0.841621
+
+#: Scenes per task: about as many as take the time that a process needs to begin.
+_CHUNK = 128
+
+#: Probabilities (K,) of a scene's modes, and the modes (K, 60, 2) m by track.
+Forecast = tuple[FloatArray, Mapping[str, FloatArray]]
+#: A row of scores, by SCORE_COLUMNS.
+_ScoreRow = tuple[str, str, int, int, int, float, float, bool, float]
+#: By scenario.
+Forecasts = Mapping[str, Forecast]
+#: Scores of a model, a table for each seed.
+Runs = Sequence[pd.DataFrame]
+
+
+def score_predictions(
+    out: Path,
+    *,
+    predictions: Path | str,
+    report_dir: Path | None = None,
+    bounds: Sequence[int] = BOUNDS,
+    jobs: int = 1,
+    on_scene: OnDone = None,
+) -> tuple[pd.DataFrame, list[str]]:
+    """Score forecasts of the scenes below `out`; `predictions` is a submission file or the name of a baseline.
+
+    A baseline forecasts the focal track of each scene. A scene that cannot be read is left out, with the reason. With
+    `report_dir`, predictions.csv (one row per track and k) and predictions.html are written. bounds: bands of scenes
+    with more agents than each. The same result with any number of jobs. Returns the scores, by SCORE_COLUMNS, and a
+    line for what could not be scored. Errors: ScenarioError for an unreadable file, for a forecast that is not finite,
+    or where nothing can be scored; ExportError where the report cannot be written.
+    """
+    folders = find_scenarios(out)
+    named = next((kind for kind in BASELINES if kind == predictions), None)
+    forecasts = read_forecasts(Path(predictions)) if named is None else {}
+    if report_dir is not None:
+        make_folder(report_dir)
+    items = [(folder, named or forecasts.get(source_id(folder))) for folder in folders]
+    each = work_on_each(
+        score_folder, items, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False, on_item=on_scene
+    )
+    left_out: list[str] = []
+    rows: list[_ScoreRow] = []
+    for _, found in each:
+        if isinstance(found, Failure):
+            left_out.append(found.message)
+        else:
+            rows += found[0]
+            left_out += found[1]
+    left_out += [f"{name}: no such scene" for name in sorted(set(forecasts) - set(map(source_id, folders)))]
+    if not rows:
+        raise ScenarioError(f"{out}: nothing to score, first of {len(left_out)} reasons: {left_out[0]}")
+    scores = pd.DataFrame(rows, columns=SCORE_COLUMNS)
+    if report_dir is not None:
+        parts = [pages.macro("forecasts.html.j2", "scored", TABLE_HEAD, band_rows(scores, bounds), left_out)]
+        write_rows(report_dir / "predictions.csv", SCORE_COLUMNS, rows)
+        write_text(report_dir / "predictions.html", pages.page("Forecasts, scored", parts))
+    return scores, left_out
+
+
+def score_folder(_shared: None, item: tuple[Path, Forecast | Baseline | None]) -> tuple[list[_ScoreRow], list[str]]:
+    """Scores of a scene by its forecast, and what of it cannot be scored."""
+    rows, forecast = read_rows(item[0]), item[1]
+    own = baseline(rows, forecast) if isinstance(forecast, str) else forecast
+    return ([], [f"{rows.scenario_id}: no forecast"]) if own is None else _score_scene(rows, own)
+
+
+def read_forecasts(path: Path) -> Forecasts:
+    """Read a submission file. Errors: ConfigError for another file; ScenarioError for a value that is not finite."""
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # values may be anything until they have been looked at
+            forecasts: Forecasts = ChallengeSubmission.from_parquet(path).predictions
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file, expected a forecast file or one of {', '.join(BASELINES)}") from None
+    except (ValueError, KeyError, OSError, IndexError, TypeError, AttributeError) as error:  # as av2 comes to them
+        said = str(error).split("\n")[0].split(". ")[0]  # pyarrow goes on for lines
+        raise ConfigError(f"{path}: not a forecast file of av2's submission format ({said})") from error
+    for scenario_id, (probabilities, by_track) in forecasts.items():
+        outside = ~((probabilities >= 0) & (probabilities <= 1))
+        if outside.any():
+            where = f"{path}: scenario {scenario_id}, mode {int(np.argmax(outside))}"
+            raise ScenarioError(f"{where}: probability {probabilities[outside][0]}, expected 0 to 1")
+        for track_id, modes in by_track.items():
+            for mode, step, axis in np.argwhere(~np.isfinite(modes)).tolist():
+                where = f"{path}: scenario {scenario_id}, track {track_id}, mode {mode}, step {step}"
+                raise ScenarioError(
+                    f"{where}: {'xy'[axis]} is {modes[mode, step, axis]}, expected a finite number; "
+                    "leave the track out to score the others"
+                )
+    return forecasts
+
+
+def write_forecasts(forecasts: Forecasts, path: Path) -> Path:
+    """Write a submission file. Errors: ExportError; ScenarioError for forecasts that av2 refuses."""
+    try:
+        with beside(path) as hidden:
+            ChallengeSubmission({name: (one[0], dict(one[1])) for name, one in forecasts.items()}).to_parquet(hidden)
+    except ValueError as error:
+        raise ScenarioError(f"{path}: forecasts that av2 refuses ({error})") from error
+    return path
+
+
+def baseline(scene: Rows, kind: Baseline) -> Forecast:
+    """Probabilities (6,) and modes (6, N, 2) m of the focal track, from what is observed of it.
+
+    N: steps that are not observed, 60 in scenes of 110.
+    """
+    track = next(track for track in scene.tracks if track.track_id == scene.focal_track_id)
+    modes = np.stack([_forecast(track, kind, share, scene) for share, _ in _MODES])
+    return np.array([probability for _, probability in _MODES]), {track.track_id: modes}
+
+
+def _forecast(track: Track, kind: Baseline, share: float, scene: Rows) -> FloatArray:
+    """(N, 2) m: on at the observed velocity, or at the observed speed and turn rate; `share` scales what is varied."""
+    observed = np.flatnonzero(track.timesteps <= scene.last_observed)[-_HISTORY - 1 :]
+    last = observed[-1]
+    seconds = (track.timesteps[last] - track.timesteps[observed[0]]) * scene.step_s
+    velocity = (track.position[last] - track.position[observed[0]]) / seconds if seconds > 0 else track.velocity[last]
+    ahead = np.arange(1, _future_steps(scene) + 1) * scene.step_s
+    if kind == "constant-velocity":
+        return np.asarray(track.position[last] + share * ahead[:, None] * velocity, dtype=np.float64)
+    heading = np.unwrap(track.heading[observed])
+    rate = share * float(heading[-1] - heading[0]) / seconds if seconds > 0 else 0.0
+    half = 0.5 * rate * ahead  # of the angle turned by: a chord has the direction of its middle
+    chord_m, direction = np.hypot(*velocity) * ahead * np.sinc(half / np.pi), heading[-1] + half
+    moved = np.column_stack([chord_m * np.cos(direction), chord_m * np.sin(direction)])
+    return np.asarray(track.position[last] + moved, dtype=np.float64)
+
+
+def _future_steps(scene: Rows) -> int:
+    """Steps that are forecast: what is not observed; of a scene without them those of the format."""
+    return scene.num_steps - scene.observed_steps if scene.num_steps > scene.observed_steps else FUTURE_STEPS
+
+
+def _score_scene(scene: Rows, forecast: Forecast) -> tuple[list[_ScoreRow], list[str]]:
+    probabilities, by_track = forecast
+    order = np.argsort(-np.asarray(probabilities), kind="stable")
+    tracks = {track.track_id: track for track in scene.tracks}
+    observed = sum(scene.last_observed in track.timesteps for track in scene.tracks)
+    scores, reasons = [], []
+    wanted = _future_steps(scene)
+    for track_id, modes in sorted(by_track.items()):
+        track = tracks.get(str(track_id))
+        future = np.empty((0, 2)) if track is None else track.position[track.timesteps > scene.last_observed]
+        if track is None or len(future) != wanted:
+            what = "no such track" if track is None else f"{len(future)} future steps, expected {wanted}"
+            reasons.append(f"{scene.scenario_id}, track {track_id}: {what}")
+            continue
+        for k in KS:
+            chosen = np.asarray(modes)[order[:k]]
+            fde = metrics.compute_fde(chosen, future)
+            best = int(np.argmin(fde))
+            missed = bool(np.all(metrics.compute_is_missed_prediction(chosen, future, MISS_M)))
+            brier = float(metrics.compute_brier_fde(chosen, future, probabilities[order[:k]])[best])
+            ade, of = float(metrics.compute_ade(chosen, future)[best]), (scene.scenario_id, str(track_id))
+            scores.append((*of, len(scene.tracks), observed, k, ade, float(fde[best]), missed, brier))
+    return scores, reasons
+
+
+def bands(bounds: Sequence[int]) -> dict[str, str]:
+    """Queries of scores: all scenes, those of more tracks than each bound, and of more at the observation's end."""
+    in_all = {f"more than {bound}": f"agents > {bound}" for bound in bounds}
+    observed = {f"more than {bound} at the observation's end": f"agents_observed > {bound}" for bound in bounds}
+    return {"all scenes": "agents > 0"} | in_all | observed
+
+
+def band_means(scores: pd.DataFrame, bounds: Sequence[int]) -> Iterable[dict[str, Any]]:
+    """Of each band and k the number of tracks and their mean of each metric, None where there is none."""
+    for (name, band), k in itertools.product(bands(bounds).items(), KS):
+        own = scores.query(f"{band} and k == {k}")
+        means = {key: float(own[key].to_numpy(float).mean()) if len(own) else None for key in METRICS}
+        yield {"band": name, "k": k, "tracks": len(own)} | means
+
+
+TABLE_HEAD = ("agents in the scene", "k", "tracks", *METRICS.values())
+
+
+def band_rows(scores: pd.DataFrame, bounds: Sequence[int]) -> list[tuple[str, ...]]:
+    """A table of the bands."""
+    return [
+        (band["band"], str(band["k"]), str(band["tracks"]), *(pages.number(band[name]) for name in METRICS))
+        for band in band_means(scores, bounds)
+    ]
+
+
+# Models compared in pairs
+
+
+class Difference(NamedTuple):
+    """A model minus another one, on the tracks that all of their files forecast; se: its standard error.
+
+    sources: recorded scenes behind them, which are drawn; detectable: least difference that such a comparison finds
+    four times in five (two-sided test at 5 %), None with fewer than two sources, or where all differ by the same.
+    """
+
+    model: str
+    minus: str
+    band: str
+    metric: MetricKey
+    difference: float | None
+    low: float | None
+    high: float | None
+    se: float | None
+    tracks: int
+    sources: int
+    detectable: float | None
+    seeds: tuple[int, int]
+
+
+def mean_of(runs: Runs, source_of: Mapping[str, str], metric: MetricKey, params: Forecasting) -> Estimate:
+    """Mean of a metric of one model."""
+    return _bootstrap(*_aligned([runs], source_of, metric), params)[0]
+
+
+def differences_of(
+    pairs: Iterable[tuple[str, str]], runs: Mapping[str, Runs], bands: Mapping[str, str],
+    source_of: Mapping[str, str], params: Forecasting,
+) -> list[Difference]:  # fmt: skip
+    """Each pair of models compared in every band by every metric, in pairs of the same track."""
+    found = []
+    for (name, other), (called, band), metric in itertools.product(pairs, bands.items(), METRICS):
+        mine, theirs = ([run.query(band) for run in runs[one]] for one in (name, other))
+        values, source = _aligned([mine, theirs], source_of, metric)
+        estimate, se = _bootstrap(values, source, params)
+        detectable = (_Z_TEST + _Z_POWER) * se if se else None
+        counts = len(source), len(np.unique(source))
+        seeds = len(mine), len(theirs)
+        found.append(Difference(name, other, called, metric, *estimate, se, *counts, detectable, seeds))
+    return found
+
+
+def _aligned(
+    models: Sequence[Runs], source_of: Mapping[str, str], metric: MetricKey
+) -> tuple[list[FloatArray], IntArray]:
+    """Values (seeds, T) of each model on the T tracks that every run forecasts, and the number (T,) of their source."""
+
+    def by_track(run: pd.DataFrame) -> "pd.Series[Any]":
+        track = ["scenario_id", "track_id"]  # the same scene may lie in several folders
+        return run.query(f"k == {K}").drop_duplicates(track, keep="last").set_index(track)[metric]
+
+    found = [[by_track(run) for run in runs] for runs in models]
+    tracks = reduce(pd.MultiIndex.intersection, (run.index for runs in found for run in runs)).sort_values()
+    _, source = np.unique([source_of.get(scenario, scenario) for scenario, _ in tracks], return_inverse=True)
+    return [np.array([run.reindex(tracks).to_numpy(float) for run in runs]) for runs in found], source
+
+
+def _bootstrap(values: Sequence[FloatArray], source: IntArray, params: Forecasting) -> tuple[Estimate, float | None]:
+    """Mean of the first values less that of the others, and its standard error.
+
+    Sources are drawn for all at once, seeds for each.
+    """
+    if not len(source):
+        return Estimate(None), None
+    signs = (1.0, *[-1.0] * (len(values) - 1))
+    value = sum(sign * float(each.mean()) for sign, each in zip(signs, values, strict=True))
+    counts = np.bincount(source).astype(np.float64)
+    if len(counts) < 2:
+        return Estimate(value), None
+    random = np.random.default_rng(0)
+    sums = [np.array([np.bincount(source, weights=run) for run in each]) for each in values]
+    drawn: list[FloatArray] = []
+    for weights in draws(len(counts), resamples=params.resamples, rng=random):
+        result = np.zeros(len(weights))
+        for sign, own in zip(signs, sums, strict=True):
+            seeds = random.integers(len(own), size=(len(weights), len(own)))
+            means = (weights @ own.T) / (weights @ counts)[:, None]
+            result += sign * np.take_along_axis(means, seeds, axis=1).mean(axis=1)
+        drawn.append(result)
+    every = np.concatenate(drawn)
+    return interval(value, every), float(every.std(ddof=1))
+
+
+def parse_models(texts: Sequence[str]) -> dict[str, list[Path]]:
+    """Files by model of "FILE" or "NAME=FILE", as given; a name that comes again adds a seed. Errors: ConfigError."""
+    models: dict[str, list[Path]] = {}
+    for text in texts:
+        name, separator, place = text.partition("=")
+        if not separator or Path(text).is_file():
+            name, place = (Path(text).stem if texts.count(text) == 1 else text), text
+        path = Path(place)
+        if not path.is_file():
+            wrong = "a baseline is scored alone" if text in BASELINES else "no such file"
+            raise ConfigError(f"--predictions {text}: {wrong}; expected FILE or NAME=FILE to compare")
+        if path in models.get(name, []):
+            raise ConfigError(f"--predictions {text}: given twice; give each file once")
+        models.setdefault(name, []).append(path)
+    return models
+
+
+def compare_predictions(
+    scenes: Path, models: Mapping[str, Sequence[Path]], report_dir: Path, *, bounds: Sequence[int] = BOUNDS,
+    jobs: int = 1, on_scene: OnDone = None,
+) -> tuple[list[Difference], list[str]]:  # fmt: skip
+    """Score the files of models on the scenes, and compare every model with the first one.
+
+    Writes comparison.csv and comparison.html. Returns the differences, and a line for what could not
+    be scored. Errors: as of `score_predictions`; ConfigError where there is nothing to compare.
+    """
+    if len(models) < 2:
+        raise ConfigError("one model's predictions, expected two or more to compare (NAME=FILE, each with its NAME)")
+    make_folder(report_dir)
+    runs: dict[str, list[pd.DataFrame]] = {}
+    left_out: list[str] = []
+    for name, files in models.items():
+        for file in files:
+            scores, reasons = score_predictions(scenes, predictions=file, jobs=jobs, on_scene=on_scene)
+            runs.setdefault(name, []).append(scores)
+            left_out += [f"{name}: {reason}" for reason in reasons]
+    first, *others = runs
+    pairs = [(name, first) for name in others]
+    found = differences_of(pairs, runs, bands(bounds), sources_of(scenes), Forecasting())
+    if not any(difference.tracks for difference in found):
+        raise ScenarioError(f"{scenes}: no track is forecast by every file, nothing to compare")
+    _write(found, report_dir)
+    return found, left_out
+
+
+def sources_of(scenes: Path) -> dict[str, str]:
+    """The recorded scene behind each generated one below a folder, by scenario id."""
+    found: dict[str, str] = {}
+    for folder in find_scenarios(scenes):
+        source = recorded_source(folder)
+        if source is not None:
+            found[source_id(folder)] = source
+    for root in (scenes, scenes.parent):
+        found |= {name: origin["source_id"] for name, origin in origins_of(root).items()}
+    return found
+
+
+HEAD = ("model", "minus", "agents in the scene", "metric", "difference", "95 % interval", "tracks", "recorded scenes",
+        "detectable")  # fmt: skip
+
+
+def rows_of(differences: Sequence[Difference]) -> list[tuple[str, ...]]:
+    """A table of differences with tracks."""
+    return [
+        (
+            one.model, one.minus, one.band, METRICS[one.metric], _signed(one.difference),
+            "–" if one.low is None else f"{_signed(one.low)} to {_signed(one.high)}",
+            str(one.tracks), str(one.sources), "–" if one.detectable is None else f"{one.detectable:.3f}",
+        )
+        for one in differences
+        if one.tracks
+    ]  # fmt: skip
+
+
+def _signed(value: float | None) -> str:
+    return "–" if value is None else f"{value:+.3f}"
+
+
+def _write(differences: Sequence[Difference], report_dir: Path) -> None:
+    *head, _ = Difference._fields
+    write_rows(report_dir / "comparison.csv", head, (one[:-1] for one in differences))
+    part = pages.macro("forecasts.html.j2", "differences", HEAD, rows_of(differences))
+    write_text(report_dir / "comparison.html", pages.page("Forecasts, compared", [part]))
