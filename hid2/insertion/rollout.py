@@ -349,6 +349,8 @@ class World:
             return Reason.LEAVES_TOO_EARLY
         met, known = self._met(start, rollout)
         recorded, least = self._recorded_on(rollout.path, start.box), met.min(axis=0, initial=math.inf)
+        of_before = np.arange(known.agents.size) >= recorded
+        of_before &= known.agents < len(self._kept.ids)  # kept in rounds before: they brake for none of this one
         if least[CONTACT] < np.inf:
             return Reason.MEETS_RECORDED if np.argmin(met[:, CONTACT]) < recorded else Reason.MEETS_GENERATED
         if least[LEAD_TTC] < conflict.ttc_min_s:
@@ -356,10 +358,16 @@ class World:
         if least[LAG_TTC] < max(conflict.follower_ttc_min_s, conflict.ttc_min_s):
             if met[:recorded, LAG_TTC].min(initial=math.inf) < conflict.follower_ttc_min_s:
                 return Reason.TTC_RECORDED_FOLLOWER
-            if met[recorded:, LAG_TTC][self._kept_on(known, recorded)].min(initial=math.inf) < conflict.ttc_min_s:
+            if met[of_before, LAG_TTC].min(initial=math.inf) < conflict.ttc_min_s:
                 return Reason.MEETS_GENERATED
-        if self._is_before_kept(start, rollout, known, inside):
-            return Reason.FOLLOWER_HEADWAY
+        if of_before.any():
+            seen = gaps_on_path(
+                known, rollout.s[:inside], rollout.step + np.arange(inside),
+                among=known.same_direction & of_before[:, None],
+            )  # fmt: skip
+            length_m = start.box.length_m - start.beyond_m
+            if sustained_headway(seen.lag_m, length_m, seen.lag_mps, scene.step_s)[0] < FOLLOWER_HEADWAY_S:
+                return Reason.FOLLOWER_HEADWAY
         if is_last and rollout.s[inside - 1] - start.start_s < MOVES_M:
             return Reason.STANDS_THROUGHOUT
         lines = self.guard.stop_lines.on(rollout.path, start.box)
@@ -368,21 +376,6 @@ class World:
         if self._waits_for_parked(start, rollout):
             return Reason.BEHIND_PARKED
         return Reason.STOPS_IN_INTERSECTION if self._stops_in_intersection(rollout) else None
-
-    def _kept_on(self, known: PathOccupancy, recorded: int) -> BoolArray:
-        """Which of the inserted vehicles known on a path are of rounds before, which brake for none of this round."""
-        return known.agents[recorded:] < len(self._kept.ids)
-
-    def _is_before_kept(self, start: Start, rollout: Rollout, known: PathOccupancy, inside: int) -> bool:
-        """Whether a follower that was kept in rounds before would drive on the bumper of a vehicle."""
-        among, recorded = known.same_direction.copy(), self._recorded_on(rollout.path, start.box)
-        among[:recorded], among[recorded:][~self._kept_on(known, recorded)] = False, False
-        if not among.any():
-            return False
-        steps = rollout.step + np.arange(inside)
-        seen = gaps_on_path(known, rollout.s[:inside], steps, among=among)
-        length_m = start.box.length_m - start.beyond_m
-        return sustained_headway(seen.lag_m, length_m, seen.lag_mps, self.scene.step_s)[0] < FOLLOWER_HEADWAY_S
 
     def parked_on(self, path: DrivenPath, box: BoxSize) -> BoolArray:
         """(R,) which of those known on a path are recorded agents that are parked."""

@@ -314,12 +314,13 @@ def test_who_is_aside_passes_whom_it_would_meet_from_the_middle_of_its_lane(
 ) -> None:
     """A recorded one at y = 2.0, in the next lane; the vehicle drives at y = -0.7, or in the middle.
 
-    Boxes are 1.9 m wide: from y = 0 they are 0.1 m apart, less than 0.2 m, from y = -0.7 0.8 m. It closes in at 5 m/s; or the vehicle is at 149 m at its last step, 3.5 m behind one that stands, at 10 m/s.
+    Boxes are 1.9 m wide: from y = 0 they are 0.1 m apart, less than 0.2 m, from y = -0.7 0.8 m.
+    It closes in at 5 m/s; or the vehicle is at 149 m at its last step, 3.5 m behind one that stands, at 10 m/s.
     """
     scene = scene_of(recorded(x, 2.0, speed_mps))
     aside = LaneOffset(np.array([0.0, 1000.0]), np.full(2, -0.7), np.zeros(2))
     assert isinstance(_alone(scene, np.full(110, 10.0), offset=aside), ExportedVehicle)
-    assert _alone(scene, np.full(110, 10.0)) in {Reason.MEETS_RECORDED, Reason.TTC_AT_END}
+    assert _alone(scene, np.full(110, 10.0)) in {Reason.MEETS_RECORDED, Reason.TTC_LANE_LEADER}
 
 
 def test_without_collision_checks_nobody_is_looked_at(scene_of: Callable[..., Scene]) -> None:
