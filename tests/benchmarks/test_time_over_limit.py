@@ -1,9 +1,6 @@
 """Processor time of a scene over its limit, on the fourteen real scenes.
 
-Not part of the default run: `pytest -m benchmark -s`, or as a script with a choice of scenes, counts and seeds:
-
-    export PYTHONPATH=tests/support
-    python tests/benchmarks/test_time_over_limit.py --agents 10 20 40 max --seeds 0 1 [--only 00a 3b3]
+Not part of the default run: `pytest -m benchmark -s`.
 
 All in one warm process and in processor time, which hardly changes when others use the machine:
 
@@ -16,9 +13,7 @@ All in one warm process and in processor time, which hardly changes when others 
 `done` counts manoeuvres of the sidecar, `offered` those that were asked for and that the map offers.
 """
 
-import argparse
 import gc
-import os
 import statistics
 import tempfile
 import time
@@ -27,18 +22,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from shared_data import SHARED_DATA
-from unsteered import Start, simulate_unsteered
+from unsteered import simulate_unsteered, unsteered_start
 
 from bridge.generation.generate import PreparedScene, generate, prepare
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
-from bridge.sumo.poses import front_arc_m, sumo_poses
-from bridge.sumo.simulation import Simulation
-from bridge.sumo.steering import edges_along
+from bridge.sumo.poses import sumo_poses
 from hid2.params import Config, Request
-from hid2.scene import Scene
 
 #: Time over the limit, at most, in the median over the scenes and in the worst; driven for one kept in the median.
 MOST = {10: (5.5, 12.0, 1.4), 20: (8.5, 18.0, 1.6)}
@@ -74,27 +65,12 @@ class Timing:
         return self.driven / max(1, self.placed)
 
 
-def starts_of(made: TrafficScene, scene: Scene) -> list[Start]:
-    """Where the vehicles of a generated result began, as SUMO takes it."""
-    starts = []
-    for vehicle in made.vehicles:
-        begun = vehicle.driven.start
-        front = front_arc_m(begun.start_s, begun.size.length_m)
-        segment = begun.path.segment_at(front)
-        lane_s = segment.lane_s(front)
-        cell = scene.grid.cell_at(segment.lane_id, lane_s)
-        edges = edges_along(scene, begun.path, cell)
-        assert edges is not None
-        begin = float(scene.grid.edges_s(cell.lane_id)[cell.index])
-        starts.append(Start(edges, scene.grid.lane_index(cell), max(0.0, lane_s - begin), begun.start_mps))
-    return starts
-
-
 def _limit_s(folder: Path, made: TrafficScene, config: Config, beside: Path) -> float:
     """Processor time of what every way of making a scene would need, s."""
     prepared: PreparedScene = prepare(read_scenario(folder), config)
     recorded = prepared.surroundings(config).scene
-    traffic, starts = recorded.traffic.first(recorded.num_steps), starts_of(made, recorded)
+    traffic = recorded.traffic.first(recorded.num_steps)
+    starts = [unsteered_start(recorded, vehicle.driven.start) for vehicle in made.vehicles]
     front, angle = sumo_poses(traffic.position, traffic.heading, traffic.length_m[:, None])
     began = time.process_time()
     net = beside / "scene.net.xml"
@@ -175,33 +151,3 @@ def test_scene_takes_few_times_its_limit(agents: int, shared_data: Path) -> None
     assert statistics.median(one.over for one in timings) <= median
     assert max(one.over for one in timings) <= worst
     assert statistics.median(one.driven_for_kept for one in timings) <= driven
-
-
-def main() -> None:
-    """Print the table for counts, seeds and scenes of one's choice."""
-    parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--agents", nargs="+", default=["10", "20"], help="numbers, or max")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
-    parser.add_argument("--only", nargs="+", default=[""], help="scenes whose id begins with one of these")
-    parser.add_argument("--roots", type=Path, nargs="+", help="data-set roots, by default the shared real scenes")
-    options = parser.parse_args()
-    folders = [
-        folder
-        for root in options.roots or (SHARED_DATA / "av2", SHARED_DATA / "wide")
-        for folder in find_scenarios(root)
-        if folder.name.startswith(tuple(options.only))
-    ]
-    warm_up(folders[0])
-    timings = []
-    print(_HEAD)
-    for agents in options.agents:
-        for folder in folders:
-            for seed in options.seeds:
-                timings.append(measure(folder, agents, seed))
-                print(_row(timings[-1]), flush=True)
-    print(summary(timings))
-
-
-if __name__ == "__main__":
-    print(f"SUMO {Simulation.version()}, {os.cpu_count()} cores")
-    main()
