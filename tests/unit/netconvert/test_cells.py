@@ -1,14 +1,16 @@
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import shapely
+from hand_drawn import draw_lane
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from netconvert.cells import Cell, CellGrid, build_cell_grid
-from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
+from netconvert.lane_graph import LaneGraph, LaneSegment
 
 Lane = Callable[..., LaneSegment]
 Graph = Callable[..., LaneGraph]
@@ -192,20 +194,10 @@ def test_a_cell_covers_its_part_of_the_lane_between_the_boundaries(lane: Lane, g
 
 def test_boundaries_are_cut_at_equal_fractions() -> None:
     """A lane whose left boundary starts 2 m farther ahead: the middle cut goes from (8, -2) to (9, 2)."""
-    lane = LaneSegment(
-        lane_id=1,
-        centerline=np.array([[1.0, 0.0], [16.0, 0.0]]),
+    lane = replace(
+        draw_lane(1, [(1.0, 0.0), (16.0, 0.0)], width_m=4.0),
         left_boundary=np.array([[2.0, 2.0], [16.0, 2.0]]),
         right_boundary=np.array([[0.0, -2.0], [16.0, -2.0]]),
-        lane_type="VEHICLE",
-        is_intersection=False,
-        successors=(),
-        left_neighbor_id=None,
-        right_neighbor_id=None,
-        left_mark_type="NONE",
-        right_mark_type="NONE",
-        width_m=4.0,
-        turn=TurnType.STRAIGHT,
     )
     grid = build_cell_grid(LaneGraph({1: lane}))
     assert grid.count(1) == 4
@@ -221,7 +213,7 @@ def test_boundaries_are_cut_at_equal_fractions() -> None:
 )
 def test_every_arc_length_is_in_exactly_one_cell_no_longer_than_asked(length_m: float, cell_m: float, s: float) -> None:
     points = np.array([[0.0, 0.0], [length_m / 2, 0.0], [length_m / 2, length_m / 2]])
-    lane = LaneSegment(1, points, None, None, "VEHICLE", False, (), None, None, "NONE", "NONE", 3.5, TurnType.STRAIGHT)
+    lane = draw_lane(1, points)
     grid = build_cell_grid(LaneGraph({1: lane}), cell_m=cell_m)
     assert grid.count(1) == max(1, math.ceil(lane.length_m / cell_m - 1e-9))
     assert np.diff(grid.edges_s(1)).max() <= cell_m + 1e-6

@@ -2,15 +2,15 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
+from hand_drawn import draw_lane
 
 from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize
 from hid2.drivers.driver import usual_driver
 from netconvert.cells import build_cell_grid
 from netconvert.errors import SimulationError
-from netconvert.lane_graph import LaneGraph, LaneSegment, turn_type
+from netconvert.lane_graph import LaneGraph
 from netconvert.net_xml import net_bytes
 
 EDGES = [f"1#{k}" for k in range(25)]
@@ -20,16 +20,12 @@ DRIVER = replace(usual_driver(12.0), accel_mps2=1.8, decel_mps2=2.5, tau_s=1.6, 
 
 def _road() -> LaneGraph:
     """Two lanes of 100 m along +x; edges 1#0 .. 1#24 of 4 m, lane 1 at the right (index 0), lane 2 at the left (1)."""
-    lanes = {}
-    for lane_id, y in ((1, 0.0), (2, 3.5)):
-        centerline = np.array([[0.0, y], [100.0, y]])
-        lanes[lane_id] = LaneSegment(
-            lane_id=lane_id, centerline=centerline, left_boundary=None, right_boundary=None, lane_type="VEHICLE",
-            is_intersection=False, successors=(), left_neighbor_id=2 if lane_id == 1 else None,
-            right_neighbor_id=1 if lane_id == 2 else None, left_mark_type="DASHED_WHITE",
-            right_mark_type="DASHED_WHITE", width_m=3.5, turn=turn_type(centerline, is_intersection=False),
-        )  # fmt: skip
-    return LaneGraph(lanes)
+    return LaneGraph(
+        {
+            1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], left=2),
+            2: draw_lane(2, [(0.0, 3.5), (100.0, 3.5)], right=1),
+        }
+    )
 
 
 @pytest.fixture(scope="module")
