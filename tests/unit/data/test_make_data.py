@@ -8,7 +8,6 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
-import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 import shapely
@@ -158,37 +157,11 @@ def test_arterial_has_slow_leaders_beside_free_lanes(data_scenes: dict[str, Path
     assert sum(10 <= speed <= 14.1 for speed in speeds) >= 6
 
 
-def test_intersection_has_turns_both_ways_and_straight_on(data_scenes: dict[str, Path]) -> None:
-    lanes = read_scenario(data_scenes["intersection"]).graph.lanes.values()
-    assert Counter(lane.turn.value for lane in lanes if lane.is_intersection) == {
-        "straight": 6,
-        "left_turn": 4,
-        "right_turn": 4,
-    }
-
-
-def test_curve_splits_and_merges(data_scenes: dict[str, Path]) -> None:
-    graph = read_scenario(data_scenes["curve"]).graph
-    assert sorted(len(lane.successors) for lane in graph.lanes.values()).count(2) == 1
-    assert sorted(len(graph.predecessors(lane_id)) for lane_id in graph.lanes).count(2) == 1
-
-
 def test_example_configurations_are_valid(data_root: Path) -> None:
     examples = sorted((data_root.parent / "configs").glob("*.toml"))
     assert examples
     for path in examples:
         load_config(path)
-
-
-def test_pandas_reads_the_types_of_a_recorded_file(data_scene: Path) -> None:
-    rows = pd.read_parquet(data_scene / f"scenario_{data_scene.name}.parquet")
-    assert rows.index.equals(pd.RangeIndex(len(rows)))
-    assert {name: str(rows[name].dtype) for name in ("observed", "timestep", "position_x", "map_id")} == {
-        "observed": "bool",
-        "timestep": "int64",
-        "position_x": "float64",
-        "map_id": "uint64",
-    }
 
 
 def _writer(path: Path) -> str:

@@ -213,12 +213,6 @@ def test_change_to_a_free_lane_is_expected_of_every_rule_with_an_incentive() -> 
     assert expected_reason(usual_driver(10.0), never, speed_mps=2.0) is Reason.MOBIL_NO_ADVANTAGE
 
 
-@pytest.mark.parametrize(("lead_m", "reason"), [(3.0, Reason.FRONT_GAP), (-1.0, Reason.CELLS_OCCUPIED)])
-def test_paper_rule_wants_room_to_the_new_leader(lead_m: float, reason: Reason) -> None:
-    view = replace(VIEW, speed_mps=10.0, front=Gap(lead_m, 10.0), cells_free=lead_m > 0.0)
-    assert rule_reason(view, LaneChange(rule="paper")) is reason
-
-
 def test_paper_rule_by_own_wish_wants_a_faster_leader_unless_it_must() -> None:
     """Here 8 m/s ahead; there 9 m/s (1 m/s more: too little) or 9.6 m/s, 1.6 m/s more than 8: worth it."""
     params = LaneChange(rule="paper")
