@@ -200,22 +200,6 @@ def test_folder_that_is_not_there_is_a_mistake_of_usage(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    "arguments", [("scan", "-o", "file/a.csv"), ("paper", "density", "-o", "file/a", "--scenes")], ids=" ".join
-)
-def test_result_that_cannot_be_written_is_said_at_once(
-    hid2: Run, data_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...]
-) -> None:
-    """Before the work, which takes long."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "file").touch()
-    result = hid2(*arguments, data_root)
-    assert result.returncode == 2
-    line = last_message(result)
-    assert line.startswith("hid2: error: file")
-    assert "is a file; choose another output folder" in line
-
-
 def test_corridor_is_made_and_its_range_is_said(hid2: Run, tmp_path: Path) -> None:
     result = hid2("make", "corridor", "-o", tmp_path, "--length", "300", "--lanes", "3", "--seconds", "20")
     assert result.returncode == 0

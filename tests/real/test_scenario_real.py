@@ -4,7 +4,7 @@ from pathlib import Path
 
 from as_av2 import read_as_av2
 
-from bridge.recordings.scenario import find_scenarios, read_scenario
+from bridge.recordings.scenario import read_scenario
 
 
 def test_real_scene_reads_as_av2_reads_it(real_scene: Path) -> None:
@@ -19,7 +19,3 @@ def test_sizes_of_labelled_scenes_are_used(real_scenes: list[Path]) -> None:
         labelled = (folder / "agent_sizes.csv").is_file()
         assert labelled == (folder.name[:8] in ("3b3570b4", "7fab2350"))
         assert scenario.track("AV").size == ((4.877, 2.0) if labelled else (4.5, 1.9))
-
-
-def test_all_six_are_found_from_the_root(shared_data: Path, real_scenes: list[Path]) -> None:
-    assert find_scenarios(shared_data / "av2") == sorted(real_scenes)
