@@ -164,8 +164,18 @@ def test_json_that_is_no_map_is_refused(data: Any, message: str) -> None:
         graph_of(data, name="map")
 
 
-def test_a_drivable_area_without_boundary_is_refused(lane_json: Json, map_json: Json) -> None:
-    data = map_json(lane_json(5, STRAIGHT))
-    data["drivable_areas"]["7"] = {"id": 7}
-    with pytest.raises(MapError, match="map: drivable area 7: no area_boundary"):
-        graph_of(data, name="map")
+def test_a_part_that_is_not_whole_or_not_where_its_id_says_is_refused(lane_json: Json, map_json: Json) -> None:
+    for part, key, value, said in (
+        ("drivable_areas", "7", {"id": 7}, "drivable area 7: no area_boundary"),
+        (
+            "pedestrian_crossings",
+            "77",
+            {"id": 77, "edge1": _edge((0.0, 0.0), (1.0, 0.0))},
+            "pedestrian crossing 77: no edge2, expected the",
+        ),
+        ("lane_segments", "6", lane_json(5, STRAIGHT), "lane 6: id 5, expected its key"),
+    ):
+        data = map_json(lane_json(5, STRAIGHT))
+        data[part][key] = value
+        with pytest.raises(MapError, match=f"map: {said}"):
+            graph_of(data, name="map")
