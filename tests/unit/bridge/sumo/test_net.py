@@ -51,6 +51,13 @@ def test_a_map_that_cannot_be_read_leaves_nothing_behind(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_folder_without_map_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(MapError, match=r"no log_map_archive_<id>\.json in .*; expected exactly one"):
+        convert(tmp_path, tmp_path / "out")
+    with pytest.raises(MapError, match="no such folder"):
+        convert(tmp_path / "missing", tmp_path / "out")
+
+
 def test_an_output_folder_that_is_a_file_is_refused(data_scene: Path, tmp_path: Path) -> None:
     (tmp_path / "out").write_text("here already")
     with pytest.raises(ExportError, match="out: cannot be written \\("):
