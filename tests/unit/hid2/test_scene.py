@@ -131,6 +131,16 @@ def test_vehicles_that_are_predicted_stay_as_long_as_they_must(
     assert scene_of(num_steps=steps, request=request_).first_exit_step == earliest
 
 
+def test_paths_and_recorded_intervals_are_made_once(
+    scene_of: Callable[..., Scene], track: Callable[..., Track]
+) -> None:
+    scene = scene_of(_moving(track, 10.0, 0.0, 8.0))
+    path = scene.paths.along((1,))
+    assert scene.paths.along((1,)) is path
+    recorded = (scene.met_on(path, BoxSize(4.5, 1.9), scene.future) for _ in range(2))
+    assert next(recorded) is next(recorded)
+
+
 def test_recorded_occupancy_is_known_beforehand(scene_of: Callable[..., Scene], track: Callable[..., Track]) -> None:
     """8 m/s from x = 10: after 5 s at 50 m, in cell 12 (48 .. 52), as is known from the start."""
     scene = scene_of(_moving(track, 10.0, 0.0, 8.0))
