@@ -44,10 +44,10 @@ def _option(
     scene: Scene, s: float, *, step: int = 0, fixed: Traffic = NOBODY, fleet: Traffic = NOBODY, speed_mps: float = 10.0
 ) -> LaneOption:
     """What lane 2 offers to a car on lane 1 that wants 10 m/s."""
+    path, inserted = scene.paths.along((1,)), Inserted(step, fixed, fleet)
     ((option, _),) = lane_options(
-        scene, scene.paths.along((1,)), CAR, s=s, sides=("left",), inserted=Inserted(step, fixed, fleet),
-        speed_mps=speed_mps, desired_mps=10.0,
-    )  # fmt: skip
+        scene, path, CAR, s=s, sides=("left",), inserted=inserted, speed_mps=speed_mps, desired_mps=10.0
+    )
     return option
 
 
