@@ -14,13 +14,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from browser import Page, chromium
+from written import made_up_sidecar, write_scene
 
-from bridge.config import config_sha256, config_to_dict, load_config
-from bridge.recordings.export import new_scenario_id, recording_record_of
+from bridge.config import load_config
+from bridge.recordings.export import new_scenario_id
 from bridge.recordings.scenario import Scenario
 from bridge.recordings.sidecar import (
     AgentRecord,
-    GeneratorRecord,
     ManeuverRecord,
     PlacedRecord,
     ReplayRecord,
@@ -202,15 +202,9 @@ def fake_generated() -> Callable[..., Fake]:
             )
             for track in tracks
         )
-        sidecar = Sidecar(
-            source_scenario_id=scenario.scenario_id,
-            generator=GeneratorRecord(version="0.1.0", code_sha256="0" * 64, libraries={}),
-            recording=recording_record_of(scenario),
-            sumo_version="1.28.0",
-            seed=0,
-            variant=0,
-            config=config_to_dict(config),
-            config_sha256=config_sha256(config),
+        sidecar = made_up_sidecar(
+            scenario,
+            config,
             replay=ReplayRecord(states=scenario.table.num_rows, max_position_error_m=0.0, max_heading_error_rad=0.0),
             requested=RequestedRecord(agents=count, behaviours=config.request.behaviours),
             placed=PlacedRecord(agents=count, behaviours={Policy.LANE_CHANGE: count}),
@@ -219,3 +213,15 @@ def fake_generated() -> Callable[..., Fake]:
         return tracks, sidecar, new_scenario_id(scenario.scenario_id, config, 0, 0)
 
     return make
+
+
+@pytest.fixture
+def write_fake(fake_generated: Callable[..., Fake]) -> Callable[..., Path]:
+    """write_fake(scenario, out, focal=None, count=2, category=1): such a scene, written; returns its folder."""
+
+    def write(scenario: Scenario, out: Path, *, focal: str | None = None, **made: int) -> Path:
+        tracks, sidecar, new_id = fake_generated(scenario, **made)
+        focal_track_id = focal or scenario.focal_track_id
+        return write_scene(scenario, tracks, sidecar, out, new_id=new_id, focal_track_id=focal_track_id)
+
+    return write

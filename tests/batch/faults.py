@@ -15,13 +15,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+from written import made_up_sidecar
+
 from bridge.batch.batch import Run, SceneFolders, base_row
 from bridge.batch.isolation import Failure, describe_error
 from bridge.batch.manifest import ManifestRow
-from bridge.config import config_sha256, config_to_dict
-from bridge.recordings.export import new_scenario_id, recording_record_of, with_generated, write_recording
+from bridge.recordings.export import new_scenario_id, with_generated, write_recording
 from bridge.recordings.scenario import read_scenario
-from bridge.recordings.sidecar import GeneratorRecord, PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
 
 FAULT = "FAULT"
 Work = Callable[[SceneFolders, Sequence[Run]], Iterator[ManifestRow | Failure]]
@@ -72,19 +72,7 @@ def copies(place: SceneFolders, runs: Sequence[Run]) -> Iterator[ManifestRow | F
             meet_fault(place, run)
             scenario = read_scenario(place.folder)
             request = run.config.request
-            sidecar = Sidecar(
-                source_scenario_id=scenario.scenario_id,
-                generator=GeneratorRecord(version="test", code_sha256="0" * 64, libraries={}),
-                recording=recording_record_of(scenario),
-                sumo_version="none",
-                seed=request.seed,
-                variant=run.variant,
-                config=config_to_dict(run.config),
-                config_sha256=config_sha256(run.config),
-                replay=ReplayRecord(states=0, max_position_error_m=0, max_heading_error_rad=0),
-                requested=RequestedRecord(agents=0, behaviours={}),
-                placed=PlacedRecord(agents=0, behaviours={}),
-            )
+            sidecar = made_up_sidecar(scenario, run.config, variant=run.variant)
             new_id = new_scenario_id(scenario.scenario_id, run.config, request.seed, run.variant)
             made = with_generated(scenario, [], sidecar, new_id=new_id, focal_track_id=scenario.focal_track_id)
             folder = write_recording(made, place.out)

@@ -16,7 +16,7 @@ from pathlib import Path
 import psutil
 import pytest
 from distributed import LocalCluster
-from processes import still_running
+from processes import PATH_OF_FAULTS, still_running
 
 from bridge.batch.batch import RUNS_OF_A_TASK, Options, Progress, plan, reproduce, run_batch
 from bridge.batch.manifest import (
@@ -477,7 +477,7 @@ def test_interrupted_batch_is_resumed_to_the_same_bytes(
     script = tmp_path / "run.py"
     script.write_text(RUN)
     held = {"FAULTS_SLEEP_S": "300", "FAULTS_SLEEP_FROM": "scene-005"}  # it cannot end before it is interrupted
-    environment = os.environ | held | {"PYTHONPATH": str(Path(__file__).parent)}
+    environment = os.environ | held | {"PYTHONPATH": PATH_OF_FAULTS}
     command = [sys.executable, str(script), str(folders[0].parent), str(out), str(jobs)]
     process = subprocess.Popen(command, env=environment, start_new_session=True, stderr=subprocess.PIPE, text=True)
     manifest = out / "manifest.csv"

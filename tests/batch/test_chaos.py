@@ -17,6 +17,7 @@ import dask
 import distributed  # noqa: F401  # brings its settings, which would go with those set for a while
 import psutil
 import pytest
+from processes import PATH_OF_FAULTS
 
 from bridge.batch.batch import Options, plan, run_batch
 from bridge.batch.manifest import DONE, files_sha256, output_files
@@ -121,7 +122,7 @@ Cluster = tuple[str, list[subprocess.Popen[bytes]]]
 def started_cluster(tmp_path: Path, *, protocol: str, settings: dict[str, str], workers: int) -> Iterator[Cluster]:
     """A scheduler and workers as a user starts them by bridge/batch/README.md, each by its own command line."""
     file = tmp_path / "scheduler.json"
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parent)} | settings
+    environment = os.environ | {"PYTHONPATH": PATH_OF_FAULTS} | settings
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment}
     here = ["--host", "127.0.0.1", "--dashboard-address", "127.0.0.1:0", "--protocol", protocol]
     scheduler = ["scheduler", *here, "--port", "0", "--scheduler-file", str(file)]

@@ -7,8 +7,7 @@ Targets: av, focal, any, track ids, or `moving` for every other recorded vehicle
 3 s around the moment, on a lane of the map, above 1 m/s.
 
 possible it came about, or any of 2,000 rollouts with another seed brings it about
-came     it came about, and is seen again in the exported positions by the rules below, which share nothing with the
-         search
+came     it came about, and is seen again in the exported positions by the second checker of the tests
 floors   processor time of the event alone, over that of SUMO replaying the recorded agents alone
 """
 
@@ -23,6 +22,7 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
+from second_checker import check_folder
 from shared_data import SHARED_DATA
 from unsteered import simulate_unsteered
 
@@ -30,17 +30,12 @@ from bridge.generation.generate import PreparedScene, generate, prepare
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
-from bridge.recordings.sidecar import EventRecord
 from bridge.sumo.poses import sumo_poses
-from hid2.agents import FloatArray, Track
 from hid2.insertion.event_targets import candidate_rows, target_of
 from hid2.insertion.events import SceneEvents
 from hid2.insertion.meetings import moving_vehicles, named_rows
-from hid2.measures.encounters import CROSSING_RAD
-from hid2.occupancy.traffic import BoolArray
 from hid2.params import Config, Event, Request
 from hid2.scene import Scene
-from netconvert.geometry import Polyline
 
 Bands = dict[str, tuple[float, ...]]
 KINDS = get_args(Event.model_fields["kind"].annotation)
@@ -49,11 +44,6 @@ MOMENTS_S, OVERTAKE_S = (3.0, 6.0), 9.0
 #: not there so long before and after, s.
 BEFORE_END_S, MOVES_MPS, SEEN_S = 4.0, 1.0, 1.5
 ROLLED_OUT, ANOTHER_SEED = 2000, 12345
-#: Off the target's path, m: in its lane at most, in the lane beside at least; how far over at the moment, share.
-ON_M, BESIDE_M, HALF_WAY = 1.3, 2.2, (0.2, 0.8)
-#: Out, past and half of the way back take so long: 2 x 9 m of boxes and gaps at 6 m/s more, and 1.5 + 0.75 s aside.
-OVERLAP_M = 2.0  # boxes overlap across, nearly
-MOMENT_S, SPARE_M = 0.7, 1.5
 
 
 class Said(logging.Handler):
@@ -76,85 +66,11 @@ def possible(prepared: PreparedScene, config: Config) -> bool:
     return bool(objectives) and next(search.likely(objectives, 0, Counter()), None) is not None
 
 
-# what is seen in exported positions
-
-
-def crossing(a: FloatArray, b: FloatArray) -> tuple[int, int] | None:
-    """Rows of two ways (N, 2) m at which they first cut each other steeply, oncoming ones too."""
-    u, w = np.diff(a, axis=0), np.diff(b, axis=0)
-    det = u[:, None, 0] * w[None, :, 1] - u[:, None, 1] * w[None, :, 0]
-    off = b[None, :-1] - a[:-1, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = (off[..., 0] * w[None, :, 1] - off[..., 1] * w[None, :, 0]) / det
-        r = (off[..., 0] * u[:, None, 1] - off[..., 1] * u[:, None, 0]) / det
-    lengths = np.hypot(*u.T)[:, None] * np.hypot(*w.T)[None]
-    steep = u @ w.T < np.cos(CROSSING_RAD) * lengths
-    hits = np.argwhere((t >= 0) & (t <= 1) & (r >= 0) & (r <= 1) & steep)
-    return (int(hits[0, 0]), int(hits[0, 1])) if len(hits) else None
-
-
-@dataclass(frozen=True, eq=False)
-class Pair:
-    """Own place relative to the way of the target, where both are there: s ahead, m, and d to the left, m, by step.
-
-    beyond: where the way of the target has ended, so that nothing is known of what is aside.
-    """
-
-    steps: FloatArray
-    ahead: FloatArray
-    aside: FloatArray
-    beyond: BoolArray
-
-    @staticmethod
-    def of(own: Track, target: Track) -> "Pair":
-        """The way of the target goes on straight beyond its ends."""
-        moved = np.concatenate([[True], np.hypot(*np.diff(target.position, axis=0).T) > 0.05])
-        way = target.position[moved]
-        ends = [
-            way[row] + sign * 100.0 * np.array([np.cos(target.heading[row_h]), np.sin(target.heading[row_h])])
-            for row, row_h, sign in ((0, 0, -1.0), (-1, -1, 1.0))
-        ]
-        line = Polyline(np.concatenate([ends[:1], way, ends[1:]]))
-        steps = np.intersect1d(own.timesteps, target.timesteps)
-        own_xy = own.position[np.searchsorted(own.timesteps, steps)]
-        target_xy = target.position[np.searchsorted(target.timesteps, steps)]
-        (s, d), (target_s, _) = line.frenet(own_xy), line.frenet(target_xy)
-        ended = line.length_m - 100.0
-        return Pair(steps, s - target_s, d, s > ended + 0.5)
-
-
-def seen(kind: str, own: Track, target: Track, record: EventRecord, gap_m: tuple[float, float], step_s: float) -> str:
-    """What is missing of an event in the exported positions; empty where nothing is."""
-    assert record.at_s is not None
-    at, lengths = round(record.at_s / step_s), 0.5 * (own.size.length_m + target.size.length_m)
-    if kind == "cross":
-        rows = crossing(own.position, target.position)
-        if rows is None:
-            return "paths do not cross"
-        here = abs(int(own.timesteps[rows[0]]) - at) * step_s <= MOMENT_S
-        first = own.timesteps[rows[0]] < target.timesteps[rows[1]]
-        return "" if here and first == record.ahead else f"crosses at {own.timesteps[rows[0]] * step_s:.1f} s"
-    pair = Pair.of(target, own) if kind == "follow" else Pair.of(own, target)
-    row = int(np.searchsorted(pair.steps, at))
-    if row >= len(pair.steps) or pair.steps[row] != at:
-        return "not both there"
-    gap, aside = float(pair.ahead[row]), np.abs(pair.aside)
-    before, after = aside[: row + 1], aside[row:]
-    if kind == "overtake":
-        passed = pair.ahead[0] < 0 < gap and before.max() > BESIDE_M and aside[0] < ON_M
-        return "" if passed else f"from {pair.ahead[0]:.1f} to {gap:.1f} m, {before.max():.1f} m aside"
-    if kind in ("cut_in", "lead", "follow") and gap < 0.0:
-        return f"{gap:.1f} m behind"
-    if not gap_m[0] - SPARE_M <= abs(gap) - lengths <= gap_m[1] + SPARE_M:
-        return f"gap {abs(gap) - lengths:.1f} m"
-    if kind == "cut_in":
-        over = (aside[row] - after.min()) / max(before.max() - after.min(), 1e-9)
-        done = before.max() > BESIDE_M and after.min() < ON_M and HALF_WAY[0] < over < HALF_WAY[1]
-        return "" if done else f"aside {before.max():.1f}, {aside[row]:.1f}, {after.min():.1f} m"
-    if kind == "merge":
-        done = after.min() < ON_M and before.max() > after.min() + 0.5
-        return "" if done else f"aside {before.max():.1f}, then {after.min():.1f} m"
-    return "" if aside[row] < OVERLAP_M or pair.beyond[row] else f"{aside[row]:.1f} m aside"
+def not_seen(made: TrafficScene, source: Path) -> str:
+    """What the second checker does not see of the claims of a scene; empty where it sees all."""
+    with tempfile.TemporaryDirectory() as out:
+        found = check_folder(made.write(Path(out)), source)
+    return "; ".join(f"{one.other}, {one.value:.1f} s off" for one in found if one.quantity == "claim")
 
 
 # the table
@@ -217,7 +133,6 @@ def measure(
     begun = time.process_time()
     generate(prepared, plain.model_copy(update={"request": Request(agents=0, seed=1)}))
     base_s, floor = time.process_time() - begun, floor_s(prepared, scene)
-    tracks = {track.track_id: track for track in prepared.scenario.tracks}
     rows, moving = [], moving_vehicles(scene).tolist()
     others = [scene.traffic.ids[r] for r in moving if all(r not in named_rows(scene, n) for n in ("av", "focal"))]
     named = [n for name in targets for n in (others if name == "moving" else [name])]
@@ -238,8 +153,7 @@ def measure(
         (record,) = made.sidecar.events
         missing, measures, done = "", "", record.status == "done"
         if done:
-            own = next(track for track in made.generated if track.track_id == record.track_id)
-            missing = seen(event.kind, own, tracks[str(record.target_track_id)], record, event.gap_band_m, scene.step_s)
+            missing = not_seen(made, folder)
             missing = f" NOT SEEN AGAIN: {missing}" if missing else ""
             measures = (
                 f"at {record.at_s} s, gap {record.gap_m} m, {record.speed_difference_mps} m/s, TTC {record.min_ttc_s}"

@@ -1,6 +1,6 @@
 """How inserted vehicles drive on real streets beside recorded ones, whole track by whole track. A script, no test:
 
-python tests/benchmarks/street_figures.py --variants 20 --seed 0 [--twins] [--set ...] [ROOT ...]
+python tests/benchmarks/street_figures.py --variants 20 --seed 0 [--set ...] [ROOT ...]
 
 halts        of those that enter an intersection, those that stand inside it (below .3 m/s for .5 s)
 against      entries above 3 m/s within 1 s of which a recorded vehicle passes where a lane crosses the one entered
@@ -9,7 +9,6 @@ tailgated    of the recorded vehicles that follow an inserted one for 1 s above 
 crawls       3 s below 40 % of the lane's usual speed, nothing within 3 s ahead; unbound: with no limit that hid2 set
 temper       Wasserstein-1 distances to each of two human-labelled scenes, beside that between the two
 critics      of whole tracks on the labelled scenes, and of the place on the same 10 m of lane as recorded tracks
-twins        pairs of variants with a vehicle within 2 m and 1 m/s of another's at step 0, over independent draws
 """
 
 import argparse
@@ -33,7 +32,6 @@ from bridge.generation.generate import generate, prepare
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
 from hid2.agents import FloatArray, Track
-from hid2.insertion.spread import Spread, by_weight
 from hid2.judge.findings import FOLLOWER_HEADWAY_S
 from hid2.judge.states import kept_headways, sustained_headway
 from hid2.measures.arrays import BoolArray
@@ -190,7 +188,6 @@ class Figures:
         self.counts: dict[str, dict[tuple[int, bool], list[int]]] = defaultdict(lambda: defaultdict(lambda: [0, 0]))
         self.tracks: list[tuple[int, bool, str, Whole]] = []
         self.places: list[tuple[int, bool, int, int, int, float]] = []
-        self.begins: dict[tuple[int, bool], list[FloatArray]] = defaultdict(list)
         self.labelled: list[int] = []
 
     def count(self, what: str, scene: int, inserted: bool, found: int, of: int = 1) -> None:
@@ -368,25 +365,6 @@ class Figures:
                        f"recorded {np.sqrt(np.average(x[~inserted, 0]**2, weights=weight[~inserted])):.3f}, "
                        f"{inserted.sum()} {(~inserted).sum()}")  # fmt: skip
 
-    def twins(self) -> Iterator[str]:
-        rates, pairs = defaultdict(list), []
-        for (_, independent), begins in sorted(self.begins.items()):
-            found = [twin(a, b) for a, b in itertools.combinations(begins, 2)]
-            rates[independent].append(np.mean(found))
-        if not rates[True]:
-            return
-        pairs = np.array([rates[False], rates[True]])
-        told = ratio(*pairs)
-        yield (f"twins: pairs of variants {pairs[0].mean():.3f}, independent {pairs[1].mean():.3f}, "
-               f"over them {told.value:.3f} [{told.low:.2f}, {told.high:.2f}]; by scene "
-               f"{' '.join(f'{a:.2f}/{b:.2f}' for a, b in pairs.T)}")  # fmt: skip
-
-
-def twin(one: FloatArray, other: FloatArray) -> bool:
-    """Whether vehicles (N, 3) x, y m and speed m/s of two variants have a pair within 2 m and 1 m/s."""
-    apart = np.hypot(one[:, None, 0] - other[None, :, 0], one[:, None, 1] - other[None, :, 1])
-    return bool(((apart < 2.0) & (np.abs(one[:, None, 2] - other[None, :, 2]) < 1.0)).any())
-
 
 def graph_lane(lanes: FlatLanes, lane: int):
     """The lane of a number."""
@@ -444,12 +422,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--variants", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--twins", action="store_true", help="draw as many variants independently, too")
     parser.add_argument("--set", dest="settings", action="append", default=[])
     parser.add_argument("roots", nargs="*", type=Path, default=[SHARED_DATA / "av2", SHARED_DATA / "wide"])
     asked = parser.parse_args()
     logged()
-    figures, order = Figures(), Spread.order
+    figures = Figures()
     config = load_config(None, asked.settings, {"request.seed": asked.seed})
     for number, folder in enumerate(folder for root in asked.roots for folder in find_scenarios(root)):
         recording = read_scenario(folder)
@@ -459,19 +436,13 @@ def main() -> None:
             figures.labelled.append(number)
         usual = prepared.surroundings(config).scene.usual_speed
         figures.add(number, agent_states(recording.tracks, lanes, **kept), [], usual, -1)
-        for independent in (False, True) if asked.twins else (False,):
-            Spread.order = (lambda self, weight, rng, **_: by_weight(weight, rng)) if independent else order
-            for variant in range(asked.variants):
-                scene = generate(prepared, config, variant=variant)
-                first = [one for one in scene.generated if one.timesteps[0] == 0]
-                begins = [(*one.position[0], np.hypot(*one.velocity[0])) for one in first]
-                figures.begins[number, independent].append(np.array(begins).reshape(-1, 3))
-                if not independent and scene.generated:
-                    made = [(t, v.driven.limited.steps) for t, v in zip(scene.generated, scene.vehicles, strict=True)]
-                    states = agent_states([*recording.tracks, *scene.generated], lanes, **kept)
-                    figures.add(number, states, made, usual, variant)
-        Spread.order = order
-    for line in (*figures.shares(), *figures.temper(), *figures.critics(), *figures.place(), *figures.twins()):
+        for variant in range(asked.variants):
+            scene = generate(prepared, config, variant=variant)
+            if scene.generated:
+                made = [(t, v.driven.limited.steps) for t, v in zip(scene.generated, scene.vehicles, strict=True)]
+                states = agent_states([*recording.tracks, *scene.generated], lanes, **kept)
+                figures.add(number, states, made, usual, variant)
+    for line in (*figures.shares(), *figures.temper(), *figures.critics(), *figures.place()):
         print(line, flush=True)
 
 

@@ -1,25 +1,20 @@
 """Memory and time of `hid2 evaluate` by the number of scenes, main process and measuring process apart.
 
-Not part of the default run: `pytest -m benchmark -s`, or as a script:
-
-    python tests/benchmarks/test_evaluate_memory.py --scenes 200 600 1200 --jobs 1
+Not part of the default run: `pytest -m benchmark -s`.
 
 Few scenes are generated on the real scenes and linked under many names. Growth is taken from the peaks of separate runs
 over different numbers of scenes: within a run, sizes move with the map at hand.
 """
 
-import argparse
 import json
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
-from shared_data import SHARED_DATA
 
 from bridge.batch.batch import Options, Run, SceneJob, run_batch
 from bridge.recordings.scenario import find_scenarios
@@ -42,7 +37,7 @@ def sample(done, total):
         main = max(main, me.memory_info().rss)
         child = max([child, *(process.memory_info().rss for process in me.children(recursive=True))])
 began = time.monotonic()
-evaluate_folder(Path(sys.argv[1]), report_dir=Path(sys.argv[2]), jobs=int(sys.argv[3]), on_scene=sample)
+evaluate_folder(Path(sys.argv[1]), report_dir=Path(sys.argv[2]), on_scene=sample)
 print(json.dumps([main / 1e6, child / 1e6, time.monotonic() - began]))
 """
 
@@ -63,7 +58,7 @@ def make_scenes(sources: Sequence[Path], out: Path) -> list[Path]:
     return find_scenarios(out)
 
 
-def measure_many(folders: Sequence[Path], out: Path, *, scenes: int, jobs: int = 1) -> Size:
+def measure_many(folders: Sequence[Path], out: Path, *, scenes: int) -> Size:
     """Evaluate `scenes` links to the folders."""
     for number in range(scenes):
         source = folders[number % len(folders)]
@@ -71,7 +66,7 @@ def measure_many(folders: Sequence[Path], out: Path, *, scenes: int, jobs: int =
         folder.mkdir(parents=True)
         for path in source.iterdir():
             os.link(path, folder / path.name)
-    command = [sys.executable, "-c", _MEASURE, str(out), str(out.parent / f"report-{scenes}"), str(jobs)]
+    command = [sys.executable, "-c", _MEASURE, str(out), str(out.parent / f"report-{scenes}")]
     result = subprocess.run(command, check=True, capture_output=True, text=True)
     return Size(*json.loads(result.stdout.splitlines()[-1]))
 
@@ -90,29 +85,3 @@ def test_memory_of_an_evaluation_does_not_grow_with_scenes(real_scenes: list[Pat
     print(f"\n{few} of 200 scenes, {many} of 1200: {main:.2f} and {child:.2f} kB for each further scene")
     assert main <= MOST_KB_PER_SCENE
     assert child <= MOST_KB_PER_SCENE
-
-
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--root", type=Path, default=None, help="data set (default: the real scenes)")
-    parser.add_argument("--scenes", type=int, nargs="+", default=[200, 600, 1200])
-    parser.add_argument("--jobs", type=int, default=1)
-    arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory(prefix="hid2-evaluate-") as name:
-        folders = make_scenes(find_scenarios(arguments.root or SHARED_DATA / "av2"), Path(name) / "made")
-        sizes = {}
-        for scenes in arguments.scenes:
-            size = measure_many(folders, Path(name) / str(scenes), scenes=scenes, jobs=arguments.jobs)
-            print(
-                f"{scenes} scenes: main {size.main:.1f} MB, child {size.child:.1f} MB, {size.seconds:.1f} s", flush=True
-            )
-            sizes[scenes] = size
-    few, many = min(sizes), max(sizes)
-    if many > few:
-        grown = growth_kb(sizes[few], sizes[many], scenes=many - few)
-        print(f"for each further scene: main {grown[0]:.2f} kB, child {grown[1]:.2f} kB")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,8 +1,8 @@
-"""How time grows with the vehicles inserted and with the length of the map; prints tables and draws the figure.
+"""How time grows with the vehicles inserted and with the length of the map; prints tables.
 
 Not part of the default run: `pytest -m benchmark -s`, or as a script:
 
-    python tests/benchmarks/test_growth.py --figure growth.png
+    python tests/benchmarks/test_growth.py
 
 Seconds of processor time of grid, net, sites, driving, smoothing and checking; reading and writing are left out. By
 vehicles: the real scenes, those with room for 60 vehicles and those without. By length: straight roads of three lanes
@@ -17,7 +17,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from shared_data import SHARED_DATA
@@ -109,28 +108,6 @@ def table(name: str, points: Sequence[Point]) -> str:
     return f"{name:10} " + " ".join(f"{cell:>10}" for cell in cells)
 
 
-def draw(scenes: dict[str, list[Point]], roads: list[Point], path: Path) -> None:
-    """Two panels on logarithmic axes: a straight line of slope 1 is proportional growth."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4.5), layout="constrained")
-    for mark, (name, points) in zip("osD^vP", scenes.items(), strict=False):
-        full = [p.placed < p.asked for p in points]
-        label = name + (" (full: packed)" if any(full) else "")
-        left.loglog([p.what for p in points], [p.seconds for p in points], f"{mark}-", label=label)
-    right.loglog([p.what for p in roads], [p.seconds for p in roads], "o-", label="straight road, 10 vehicles")
-    for axes, points in ((left, min(scenes.values(), key=lambda p: p[0].seconds)), (right, roads)):
-        x = np.array([p.what for p in points])
-        axes.loglog(x, points[0].seconds * x / x[0], "k--", linewidth=1, label="proportional")
-        axes.set_xticks(x, [f"{value:g}" for value in x], minor=False)
-        axes.minorticks_off()
-        axes.set_ylabel("processor time of a scene, s")
-        axes.grid(alpha=0.3)
-        axes.legend(fontsize=8)
-    left.set_xlabel("vehicles asked for")
-    right.set_xlabel("length of the lanes, km")
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
-
-
 @pytest.mark.benchmark
 @pytest.mark.timeout(900)
 def test_time_grows_at_most_twice_as_fast_as_the_vehicles_asked_for(real_scenes: list[Path]) -> None:
@@ -152,22 +129,18 @@ def test_time_grows_no_faster_than_the_map(real_scenes: list[Path]) -> None:
 
 
 def main() -> None:
-    """Print both tables and draw the figure."""
+    """Print both tables."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--figure", type=Path, default=Path("growth.png"))
     parser.add_argument("--seeds", type=int, default=SEEDS)
     parser.add_argument("root", type=Path, nargs="?", help="data-set root, by default the shared real scenes")
     options = parser.parse_args()
     folders = find_scenarios(options.root or SHARED_DATA / "av2")
-    scenes = {}
     print(f"{'scene':10} " + " ".join(f"{count:>10}" for count in VEHICLES) + "   vehicles")
     for folder in folders:
-        scenes[folder.name[:8]] = by_vehicles(folder, VEHICLES, seeds=options.seeds)
-        print(table(folder.name[:8], scenes[folder.name[:8]]), flush=True)
+        print(table(folder.name[:8], by_vehicles(folder, VEHICLES, seeds=options.seeds)), flush=True)
     roads = by_length(folders[0], LENGTHS_KM, seeds=options.seeds)
     print(f"\n{'':10} " + " ".join(f"{length:>10g}" for length in LENGTHS_KM) + "   km of lanes")
     print(table("road", roads))
-    draw(scenes, roads, options.figure)
 
 
 if __name__ == "__main__":

@@ -28,17 +28,14 @@ from pathlib import Path
 
 import pytest
 from shared_data import SHARED_DATA
-from unsteered import Start, simulate_unsteered
+from unsteered import simulate_unsteered, unsteered_start
 
 from bridge.generation.generate import PreparedScene, generate, prepare
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
-from bridge.sumo.poses import front_arc_m, sumo_poses
-from bridge.sumo.simulation import Simulation
-from bridge.sumo.steering import edges_along
+from bridge.sumo.poses import sumo_poses
 from hid2.params import Config, Request
-from hid2.scene import Scene
 
 #: Time over the limit, at most, in the median over the scenes and in the worst; driven for one kept in the median.
 MOST = {10: (5.5, 12.0, 1.4), 20: (8.5, 18.0, 1.6)}
@@ -74,27 +71,12 @@ class Timing:
         return self.driven / max(1, self.placed)
 
 
-def starts_of(made: TrafficScene, scene: Scene) -> list[Start]:
-    """Where the vehicles of a generated result began, as SUMO takes it."""
-    starts = []
-    for vehicle in made.vehicles:
-        begun = vehicle.driven.start
-        front = front_arc_m(begun.start_s, begun.size.length_m)
-        segment = begun.path.segment_at(front)
-        lane_s = segment.lane_s(front)
-        cell = scene.grid.cell_at(segment.lane_id, lane_s)
-        edges = edges_along(scene, begun.path, cell)
-        assert edges is not None
-        begin = float(scene.grid.edges_s(cell.lane_id)[cell.index])
-        starts.append(Start(edges, scene.grid.lane_index(cell), max(0.0, lane_s - begin), begun.start_mps))
-    return starts
-
-
 def _limit_s(folder: Path, made: TrafficScene, config: Config, beside: Path) -> float:
     """Processor time of what every way of making a scene would need, s."""
     prepared: PreparedScene = prepare(read_scenario(folder), config)
     recorded = prepared.surroundings(config).scene
-    traffic, starts = recorded.traffic.first(recorded.num_steps), starts_of(made, recorded)
+    traffic = recorded.traffic.first(recorded.num_steps)
+    starts = [unsteered_start(recorded, vehicle.driven.start) for vehicle in made.vehicles]
     front, angle = sumo_poses(traffic.position, traffic.heading, traffic.length_m[:, None])
     began = time.process_time()
     net = beside / "scene.net.xml"

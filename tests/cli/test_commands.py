@@ -63,16 +63,6 @@ def test_view_writes_one_page_of_several_folders(hid2: Run, generated: Path, dat
     assert (tmp_path / "one.html").read_text().count('class="packed"') == 1
 
 
-def test_view_of_nothing_or_into_another_ending_is_one_line(hid2: Run, data_root: Path, tmp_path: Path) -> None:
-    wrong = hid2("view", data_root, "-o", tmp_path / "page.pdf")
-    assert wrong.returncode == 2
-    assert last_message(wrong).endswith("page.pdf: ending '.pdf' is not supported; expected one of .html")
-    nothing = hid2("view", tmp_path, "-o", tmp_path / "page.html")
-    assert nothing.returncode == 2
-    assert "no scenario; expected" in last_message(nothing)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_net_writes_its_files_and_reports(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
     result = hid2("net", data_scenes["intersection"], "-o", tmp_path)
     assert result.returncode == 0
@@ -104,12 +94,6 @@ def test_export_writes_all_scenes_side_by_side(hid2: Run, data_scenes: dict[str,
     wrong = hid2("export", data_scenes["curve"], "--to", "vissim", "-o", out)
     assert wrong.returncode == 2
     assert "'openscenario', 'opendrive', 'commonroad', 'trj', 'sumo', 'fcd'" in last_message(wrong)
-
-
-def test_net_of_a_folder_without_map_is_one_line(hid2: Run, tmp_path: Path) -> None:
-    result = hid2("net", tmp_path, "-o", tmp_path / "out")
-    assert result.returncode == 2
-    assert "no scenario; expected scenario_<id>.parquet (Argoverse 2)" in last_message(result)
 
 
 def test_validate_names_file_and_rule(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
@@ -214,22 +198,6 @@ def test_folder_that_is_not_there_is_a_mistake_of_usage(
     line = last_message(result)
     assert line.startswith("hid2: error: nowhere: no such folder, ")
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    "arguments", [("scan", "-o", "file/a.csv"), ("paper", "density", "-o", "file/a", "--scenes")], ids=" ".join
-)
-def test_result_that_cannot_be_written_is_said_at_once(
-    hid2: Run, data_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...]
-) -> None:
-    """Before the work, which takes long."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "file").touch()
-    result = hid2(*arguments, data_root)
-    assert result.returncode == 2
-    line = last_message(result)
-    assert line.startswith("hid2: error: file")
-    assert "is a file; choose another output folder" in line
 
 
 def test_corridor_is_made_and_its_range_is_said(hid2: Run, tmp_path: Path) -> None:

@@ -2,20 +2,16 @@
 
 import shlex
 import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-HID2 = Path(sys.executable).parent / "hid2"
-
-
-def hid2(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([HID2, *arguments], cwd=cwd, capture_output=True, text=True, timeout=550, check=False)
+Run = Callable[..., subprocess.CompletedProcess[str]]
 
 
 @pytest.mark.slow
-def test_the_commands_that_it_prints_run_one_after_the_other(tmp_path: Path) -> None:
+def test_the_commands_that_it_prints_run_one_after_the_other(hid2: Run, tmp_path: Path) -> None:
     """In a folder with a space in its name, which the commands quote."""
     written = hid2("example", "-o", "to try", cwd=tmp_path)
     assert written.returncode == 0, written.stderr
@@ -28,7 +24,7 @@ def test_the_commands_that_it_prints_run_one_after_the_other(tmp_path: Path) -> 
     assert not list((tmp_path / "to try" / "studies").glob("*.png"))
 
 
-def test_what_is_there_already_is_left_alone(tmp_path: Path) -> None:
+def test_what_is_there_already_is_left_alone(hid2: Run, tmp_path: Path) -> None:
     (tmp_path / "studies").mkdir()
     refused = hid2("example", "-o", str(tmp_path), cwd=tmp_path)
     assert refused.returncode == 2

@@ -98,14 +98,6 @@ def test_what_only_some_scenes_can_meet_is_a_reason_in_the_others(
     assert f"{row['placed']} of 2, {row['near']} near" in result.stdout
 
 
-def test_same_request_gives_the_same_bytes(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        assert hid2("generate", data_scenes["curve"], "-o", tmp_path / name, "--agents", 5, "-q").returncode == 0
-    (a,), (b,) = rows_of(tmp_path / "a"), rows_of(tmp_path / "b")
-    assert a["folder"] == b["folder"]
-    assert a["output_sha256"] == b["output_sha256"]
-
-
 def test_scene_that_fails_costs_exit_code_1_and_not_the_others(
     hid2: Run, data_scenes: dict[str, Path], copy_scene: Callable[..., Path], tmp_path: Path
 ) -> None:
@@ -122,35 +114,13 @@ def test_scene_that_fails_costs_exit_code_1_and_not_the_others(
     assert "now:  error:" in again.stdout
 
 
-def test_resume_makes_nothing_twice(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
-    arguments = ("generate", data_scenes["curve"], "-o", tmp_path / "out", "--agents", 2)
-    assert hid2(*arguments).returncode == 0
-    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*.parquet")}
-    assert hid2(*arguments, "--resume").returncode == 0
-    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*.parquet")} == before
-    assert len(rows_of(tmp_path / "out")) == 1
-
-
-def test_zero_agents_is_a_scene_like_any_other(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
-    assert hid2("generate", data_scenes["curve"], "-o", tmp_path / "out", "--agents", 0).returncode == 0
-    assert hid2("validate", tmp_path / "out", "--source", data_scenes["curve"]).returncode == 0
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (["--agents", "some"], "request.agents = 'some', expected integer >= 0, <= 500, or max"),
-        (["--agents", "-1"], "request.agents = -1, expected"),
         (["--set", "lane_change.gap=1"], "unknown key 'lane_change.gap'"),
         (["--set", "limits.min_radius_m=0"], "limits.min_radius_m = 0, expected"),
-        (["--behaviours", "fly=1"], "behaviours: 'fly=1'"),
-        (["--trigger-time", "soon"], "trigger-time: 'soon'"),
         (["--focal", "nobody"], "'nobody' is not one of 'recorded', 'generated'"),
-        (["--without", "brakes"], "'brakes' is not one of 'topology'"),
-        (["--config", "missing.toml"], "missing.toml: no such file"),
-        (["--can", "fly"], "--can 'fly': expected one of straight, left_turn"),
-        (["--city", "Atlantis"], "expected one of austin, miami, pittsburgh"),
-        (["--agnts", "3"], "--agents"),
         (["--min-agents", "10000"], "none of 3 scenes is left"),
         (["--no-such-option"], "no such option"),
         (["--source", "here"], "--source without --from"),
@@ -168,12 +138,6 @@ def test_wrong_request_is_exit_code_2_and_named(
     assert words in result.stderr
     assert not (tmp_path / "out").exists()
     assert result.stdout == ""
-
-
-def test_missing_scene_is_exit_code_2(hid2: Run, tmp_path: Path) -> None:
-    result = hid2("generate", tmp_path / "nowhere", "-o", tmp_path / "out")
-    assert result.returncode == 2
-    assert result.stderr.splitlines()[-1].startswith(f"hid2: error: {tmp_path / 'nowhere'}: no such folder")
 
 
 def test_quiet_says_nothing_when_all_is_well(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:

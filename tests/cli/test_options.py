@@ -89,19 +89,15 @@ def test_version_is_that_of_the_distribution(hid2: Run) -> None:
     ("arguments", "words"),
     [
         ([], "Usage: hid2"),
-        (["genrate"], "did you mean 'generate'?"),
         (["generate"], "missing SCENE and -o/--out"),
-        (["generate", "data/av2"], "missing -o/--out"),
         (
             ["--agents", "9", "generate", "data/av2"],
             "option: --agents; an option of generate goes behind its name (see",
         ),
         (["evaluate"], "missing argument 'SCENES'"),
-        (["plot", "data/av2", "-o", "a.png"], "missing option '--agent'"),
         (["scan", "data/av2", "--jobs", "0"], "invalid value '0' for '--jobs' / '-j': expected at least 1"),
         (["gui", "data/av2", "--speed", "200"], "invalid value '200' for '--speed': expected at most 100"),
         (["scan", "data/av2", "--jobs", "two"], "invalid value 'two' for '--jobs' / '-j': expected integer (see"),
-        (["generate", "data/av2", "-o", "x", "--behaviours", "lanechange=1"], "did you mean lane_change?"),
         (["paper", "table9", "-o", "x"], "'table9' is not one of 'table1'"),
     ],
 )

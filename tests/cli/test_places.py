@@ -147,11 +147,6 @@ def test_the_only_scene_of_a_data_set_is_that_of_the_command(data_set: Path) -> 
     assert one_scene(data_set, (None, 0)) == next((data_set / "train").iterdir())
 
 
-def test_what_is_not_there_is_said_before_anything_slow_is_loaded(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="nowhere: no such folder, expected a scenario folder, a split folder or"):
-        check_scenes([tmp_path / "nowhere"])
-
-
 def test_folder_without_a_scene_is_refused_with_what_is_missing(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"no scenario; expected scenario_<id>\.parquet .* in it or"):
         one_scene(tmp_path, (None, 0))

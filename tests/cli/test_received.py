@@ -1,7 +1,6 @@
 """Files that were received are data: whatever they name, no command imports anything for them."""
 
 import hashlib
-import io
 import json
 import re
 import resource
@@ -9,18 +8,18 @@ import shutil
 import struct
 import subprocess
 import sys
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_type_hints
 
 import pytest
+from bundles import members, zipped
 from typer.main import get_command
 
 from bridge.batch.batch import plan, run_batch
 from bridge.batch.manifest import read_manifest
 from bridge.cli.commands import application, run
-from bridge.config import config_from_dict, config_sha256, config_to_dict
+from bridge.config import config_from_dict, config_sha256
 from bridge.recordings.folders import SIDECAR_PATTERN
 from hid2.params import Config, LaneChange
 from netconvert.errors import ConfigError
@@ -131,18 +130,9 @@ agents = 0
 """
 
 
-def bundle(members: dict[str, bytes] | None = None, **changes: Any) -> bytes:
-    """A bundle whose request, or whole members, are changed."""
-    request = {"format": 1, "version": "1", "python": "3", "platform": "x", "scenario": "scene", "split": "val"}
-    request |= {"variant": 0, "timeout_s": 5.0, "function": "bridge.batch.scene_work:generate_runs", "left_out": []}
-    request |= {"config": config_to_dict(Config())} | changes
-    failure = {"kind": "error", "message": "m"}
-    held = {"request.json": json.dumps(request).encode(), "failure.json": json.dumps(failure).encode()}
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, value in (held | {"details.txt": b"", "scene/x": b""} | (members or {})).items():
-            archive.writestr(name, value)
-    return content.getvalue()
+def bundle(files: dict[str, bytes] | None = None, **changes: Any) -> bytes:
+    """A bundle whose request, or whole files, are changed."""
+    return zipped(members(**changes) | (files or {}))
 
 
 def filled(line: str, root: Path, data_scenes: dict[str, Path]) -> list[str]:

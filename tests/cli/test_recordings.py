@@ -57,29 +57,6 @@ def test_implausible_scenes_are_refused_before_anything_is_driven_and_the_others
     assert len(list(out.rglob("*.parquet"))) == 1
 
 
-def test_an_implausible_scene_is_driven_where_that_is_asked_for(
-    hid2: Run, data_scenes: dict[str, Path], tmp_path: Path
-) -> None:
-    scene = plant(data_scenes["curve"], tmp_path / "in", FAULTS["end before start"][0])
-    refused = hid2("generate", scene, "-o", tmp_path / "refused", "--agents", 1)
-    assert refused.returncode == 1
-    assert not list((tmp_path / "refused").rglob("*.parquet"))
-    (line,) = (line for line in refused.stderr.splitlines() if "end_timestamp" in line)
-    (option,) = re.findall("--set ([a-z.=]+) goes on all the same", line)
-    done = hid2("generate", scene, "-o", tmp_path / "done", "--agents", 1, "--set", option)
-    assert done.returncode == 0, done.stderr
-
-
-@pytest.mark.parametrize("name", ["town.net.xml", "scene.db", "part.tfrecord", "forecasts.csv"])
-def test_files_of_other_data_sets_are_named(hid2: Run, tmp_path: Path, name: str) -> None:
-    (tmp_path / name).touch()
-    for path in (tmp_path, tmp_path / name):
-        result = hid2("generate", path, "-o", tmp_path.parent / "out", "-q")
-        assert result.returncode == 2
-        assert "which hid2 does not read; expected Argoverse 2 scenes" in result.stderr
-        assert not (tmp_path.parent / "out").exists()
-
-
 @pytest.mark.slow
 def test_a_folder_that_mixes_three_formats_is_done_whole(hid2: Run, mixed: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
@@ -131,17 +108,6 @@ def test_choices_that_do_not_fit_are_mistakes_of_usage(
     result = hid2("generate", mixed, "-o", tmp_path / "out", *arguments)
     assert result.returncode in (1, 2)
     assert said in result.stderr.replace("\n", " ")
-    assert not (tmp_path / "out").exists()
-
-
-def test_missing_map_files_are_said_before_anything_is_written(hid2: Run, mixed: Path, tmp_path: Path) -> None:
-    copy = tmp_path / "in"
-    shutil.copytree(mixed / "av1", copy)
-    shutil.rmtree(copy / "map_files")
-    result = hid2("generate", copy, "-o", tmp_path / "out")
-    assert result.returncode in (1, 2)
-    assert "this is Argoverse 1: its map files are missing" in result.stderr
-    assert "Traceback" not in result.stderr
     assert not (tmp_path / "out").exists()
 
 

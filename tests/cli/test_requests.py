@@ -1,7 +1,6 @@
 """The same mistake ends alike: one line with thing, value, what was expected and the way out, and nothing written."""
 
 import re
-import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -92,15 +91,3 @@ def test_out_with_scenes_of_another_request_takes_the_same_request_or_append(
     ((code, _, said),) = hid2_each([[*shared, "--agents", "3"]], tmp_path)
     assert code == 2
     assert "(its configuration has another digest)" in said
-
-
-def test_scene_given_twice_is_said_in_one_line_and_done_once(
-    hid2: Run, data_root: Path, data_scenes: dict[str, Path], tmp_path: Path
-) -> None:
-    shutil.copytree(data_scenes["curve"], tmp_path / "root" / "train" / "curve")
-    scene = tmp_path / "root" / "train" / "curve"
-    result = hid2("generate", scene.parent.parent, scene, "-o", tmp_path / "out", "--agents", 1)
-    assert result.returncode == 0
-    said = [line for line in result.stderr.splitlines() if "more than once" in line]
-    assert said == [f"hid2: warning: {scene}: given more than once, done once"]
-    assert "1 of 1 scenes done" in result.stdout

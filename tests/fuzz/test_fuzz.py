@@ -11,16 +11,14 @@ from pathlib import Path
 import pytest
 from fuzz import damaged
 from mutations import mutate_bytes, mutate_scene
-from written import write_scene
+from written import made_up_sidecar, write_scene
 
 from bridge.batch.isolation import Failure
 from bridge.batch.manifest import QUARANTINED, Manifest, ManifestRow, read_manifest
 from bridge.batch.quarantine import Bundle, read_bundle, write_bundle
 from bridge.batch.validation import validate_folder
-from bridge.config import config_sha256, config_to_dict
-from bridge.recordings.export import new_scenario_id, recording_record_of
+from bridge.recordings.export import new_scenario_id
 from bridge.recordings.scenario import Scenario, read_scenario
-from bridge.recordings.sidecar import GeneratorRecord, PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
 from hid2.params import Config
 from netconvert.errors import BatchError, Hid2Error
 
@@ -32,19 +30,7 @@ READ_S = 10.0
 def written(scenario: Scenario, out: Path) -> Path:
     """The scene as generate writes it, with nobody inserted."""
     config = Config()
-    sidecar = Sidecar(
-        source_scenario_id=scenario.scenario_id,
-        generator=GeneratorRecord(version="fuzz", code_sha256="0" * 64, libraries={}),
-        recording=recording_record_of(scenario),
-        sumo_version="none",
-        seed=config.request.seed,
-        variant=0,
-        config=config_to_dict(config),
-        config_sha256=config_sha256(config),
-        replay=ReplayRecord(states=0, max_position_error_m=0, max_heading_error_rad=0),
-        requested=RequestedRecord(agents=0, behaviours={}),
-        placed=PlacedRecord(agents=0, behaviours={}),
-    )
+    sidecar = made_up_sidecar(scenario, config)
     new_id = new_scenario_id(scenario.scenario_id, config, config.request.seed, 0)
     return write_scene(scenario, [], sidecar, out, new_id=new_id, focal_track_id=scenario.focal_track_id)
 

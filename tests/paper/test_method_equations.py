@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
+from inserted import nobody
 
 from hid2.agents import BoxSize, Policy, Track
 from hid2.conflicts.guard import Braking, Guard, transition_rejected
@@ -72,10 +73,7 @@ def _scene(*tracks: Track) -> Scene:
     )
 
 
-NOBODY = Traffic(
-    ids=(), position=np.zeros((0, 110, 2)), heading=np.zeros((0, 110)), velocity=np.zeros((0, 110, 2)),
-    present=np.zeros((0, 110), dtype=bool), length_m=np.zeros(0), width_m=np.zeros(0),
-)  # fmt: skip
+NOBODY = nobody()
 
 
 def _box(x: float, y: float, *, length_m: float = 4.5) -> Traffic:

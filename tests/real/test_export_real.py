@@ -11,19 +11,17 @@ import pytest
 from av2.datasets.motion_forecasting.scenario_serialization import load_argoverse_scenario_parquet
 from av2.map.map_api import ArgoverseStaticMap
 from breaches import breaches
-from written import write_scene
 
 from bridge.recordings.scenario import read_scenario
 
 
-@pytest.mark.parametrize("focal", ["recorded", "generated"])
+@pytest.mark.parametrize("focal", [None, "gen_1"])
 def test_real_scene_with_vehicles_added_is_valid(
-    real_scene: Path, tmp_path: Path, fake_generated: Callable[..., Any], focal: str, shared_data: Path
+    real_scene: Path, tmp_path: Path, write_fake: Callable[..., Path], focal: str | None, shared_data: Path
 ) -> None:
     scenario = read_scenario(real_scene)
-    tracks, sidecar, new_id = fake_generated(scenario)
-    focal_track_id = scenario.focal_track_id if focal == "recorded" else "gen_1"
-    folder = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=focal_track_id)
+    folder = write_fake(scenario, tmp_path, focal=focal)
+    new_id = folder.name
     assert [one for one in breaches(tmp_path, source=shared_data / "av2") if not one.is_note] == []
 
     table = pq.read_table(folder / f"scenario_{new_id}.parquet")
@@ -34,7 +32,7 @@ def test_real_scene_with_vehicles_added_is_valid(
         assert np.array_equal(ours[: len(theirs)], theirs)
     again = load_argoverse_scenario_parquet(folder / f"scenario_{new_id}.parquet")
     assert len(again.tracks) == len(scenario.tracks) + 2
-    assert again.focal_track_id == focal_track_id
+    assert again.focal_track_id == (focal or scenario.focal_track_id)
     path = folder / f"log_map_archive_{new_id}.json"
     assert path.read_bytes() == scenario.map_path.read_bytes()
     assert len(ArgoverseStaticMap.from_json(path).vector_lane_segments) == len(
@@ -43,12 +41,9 @@ def test_real_scene_with_vehicles_added_is_valid(
 
 
 def test_a_changed_bit_of_a_real_scene_is_found(
-    real_scene: Path, tmp_path: Path, fake_generated: Callable[..., Any], edit_rows: Callable[..., None]
+    real_scene: Path, tmp_path: Path, write_fake: Callable[..., Path], edit_rows: Callable[..., None]
 ) -> None:
-    scenario = read_scenario(real_scene)
-    tracks, sidecar, new_id = fake_generated(scenario)
-    focal = scenario.focal_track_id
-    folder = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=focal)
+    folder = write_fake(read_scenario(real_scene), tmp_path)
 
     def change(rows: Any) -> Any:
         rows.loc[7, "position_y"] = np.nextafter(rows.loc[7, "position_y"], np.inf)

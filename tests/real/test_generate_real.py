@@ -9,14 +9,16 @@ import math
 import statistics
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from maneuver_detector import seen
 from scene_checker import check_scene, with_tracks
+from second_claims import seen
+from second_scene import read_scene as read_second
 
 from bridge.generation.generate import generate, prepare
 from bridge.generation.scene import TrafficScene
@@ -50,13 +52,14 @@ def make() -> Make:
 
 
 def manoeuvres_seen(scene: TrafficScene) -> dict[str, set[str]]:
-    """Kinds that the tests' detector sees, by track id of the generated vehicles."""
-    vehicles = [track for track in (*scene.source.tracks, *scene.generated) if track.object_type in VEHICLE_TYPES]
-    return {track.track_id: seen(scene.source.graph, track, vehicles) for track in scene.generated}
+    """Kinds that the second checker sees in the scene as it is written, by track id of the generated vehicles."""
+    with tempfile.TemporaryDirectory() as out:
+        second = read_second(scene.write(Path(out)), scene.source.folder)
+    return {track.track_id: seen(second, track) for track in second.inserted}
 
 
 def disagreements(scene: TrafficScene) -> list[str]:
-    """Records of manoeuvres that say done where the detector sees none, or the other way round.
+    """Records of manoeuvres that say done where the second checker sees none, or the other way round.
 
     An overtake with a way back that has crossed the line but not come to its end is neither.
     """

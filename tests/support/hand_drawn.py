@@ -54,3 +54,13 @@ def draw_crossing(*, end_m: float = 200.0, zebra: bool = False) -> LaneGraph:
     )
     stripes = np.array([(100.0, -6.0), (100.0, 6.0), (103.0, 6.0), (103.0, -6.0)])
     return LaneGraph({one.lane_id: one for one in lanes}, pedestrian_crossings=(stripes,) if zebra else ())
+
+
+def draw_two_lanes(length_m: float = 300.0) -> LaneGraph:
+    """Lane 1 at y = 0, lane 2 to its left at y = 3.5, on drivable ground."""
+    ring = np.array([(-20.0, -3.0), (length_m + 20.0, -3.0), (length_m + 20.0, 7.0), (-20.0, 7.0), (-20.0, -3.0)])
+    lanes = {
+        1: draw_lane(1, [(0.0, 0.0), (length_m, 0.0)], left=2),
+        2: draw_lane(2, [(0.0, 3.5), (length_m, 3.5)], right=1),
+    }
+    return LaneGraph(lanes, drivable_areas=(ring,))

@@ -1,9 +1,15 @@
 """Processes that tests started and that ought to leave."""
 
+import os
 import time
 from collections.abc import Iterable
+from pathlib import Path
 
 import psutil
+
+_TESTS = Path(__file__).parents[1]
+#: PYTHONPATH of a process that imports tests/batch/faults.py.
+PATH_OF_FAULTS = os.pathsep.join(str(_TESTS / name) for name in ("batch", "support"))
 
 
 def still_running(processes: Iterable[psutil.Process], *, timeout_s: float) -> list[psutil.Process]:

@@ -28,7 +28,7 @@ import numpy as np
 import shapely
 from second_checker import PET_DEG, Finding
 from second_map import Bools, Floats, Line, line_of, turned
-from second_scene import DT_S, SecondScene, SecondTrack
+from second_scene import DRIVEN_TYPES, DT_S, SecondScene, SecondTrack
 
 CLAIM_S = 0.5
 #: Steps on each side of a crossing, and most steps during which both lanes or neither hold the centre.
@@ -308,3 +308,17 @@ EVENTS = {
     "cut_in": _event_cut_in, "overtake": _event_overtake, "lead": _event_order, "follow": _event_order,
     "merge": _event_merge, "cross": _event_cross,
 }  # fmt: skip
+
+
+def seen(scene: SecondScene, track: SecondTrack) -> set[str]:
+    """Kinds of manoeuvres that a vehicle is seen to do at some time, whatever is claimed."""
+    whole = {"start_s": 0.0, "end_s": None}
+    found = {kind for kind in ("left_turn", "right_turn") if _turn(scene, track, {**whole, "kind": kind})[0] == 0.0}
+    if crossings(scene, track):
+        found.add("lane_change")
+    for leader in scene.tracks:
+        if leader is not track and leader.object_type in DRIVEN_TYPES and leader.moves:
+            beside = _beside(scene, track, leader)
+            if beside is not None and _overtake_seen(*beside, (track.length_m + leader.length_m) / 2):
+                found.add("overtake")
+    return found

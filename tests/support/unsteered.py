@@ -7,14 +7,18 @@ from pathlib import Path
 import numpy as np
 
 import bridge.sumo.simulation  # noqa: F401  # it silences a remark of libsumo's import on stdout
+from bridge.sumo.poses import front_arc_m
+from bridge.sumo.steering import edges_along
 from hid2.agents import FloatArray
 from hid2.occupancy.traffic import Traffic
+from hid2.scene import Scene
+from hid2.vehicle import Start
 
 import libsumo  # after it  # isort: skip
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Start:
+class UnsteeredStart:
     """One unsteered vehicle: SUMO edges, lane index and position of the front bumper on the first, speed."""
 
     edges: tuple[str, ...]
@@ -23,8 +27,20 @@ class Start:
     speed_mps: float
 
 
+def unsteered_start(scene: Scene, begun: Start) -> UnsteeredStart:
+    """Where a vehicle of hid2 begins, as SUMO takes it."""
+    front = front_arc_m(begun.start_s, begun.size.length_m)
+    segment = begun.path.segment_at(front)
+    lane_s = segment.lane_s(front)
+    cell = scene.grid.cell_at(segment.lane_id, lane_s)
+    edges = edges_along(scene, begun.path, cell)
+    assert edges is not None
+    begin = float(scene.grid.edges_s(cell.lane_id)[cell.index])
+    return UnsteeredStart(edges, scene.grid.lane_index(cell), max(0.0, lane_s - begin), begun.start_mps)
+
+
 def simulate_unsteered(
-    net: Path, traffic: Traffic, front: FloatArray, angle: FloatArray, starts: Sequence[Start]
+    net: Path, traffic: Traffic, front: FloatArray, angle: FloatArray, starts: Sequence[UnsteeredStart]
 ) -> None:
     """Nothing but what SUMO itself needs, from loading the net to closing. front (A, T, 2) m, angle (A, T) degrees."""
     libsumo.start([

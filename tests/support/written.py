@@ -1,12 +1,15 @@
-"""A recording and tracks to insert, written as a generated scene."""
+"""A recording and tracks to insert, written as a generated scene, and its sidecar."""
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from bridge.recordings.export import with_generated, write_recording
+from bridge.config import config_sha256, config_to_dict
+from bridge.recordings.export import recording_record_of, with_generated, write_recording
 from bridge.recordings.recording import Recording
-from bridge.recordings.sidecar import Sidecar
+from bridge.recordings.sidecar import GeneratorRecord, PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
 from hid2.agents import Track
+from hid2.params import Config
 
 
 def write_scene(
@@ -14,3 +17,21 @@ def write_scene(
 ) -> Path:
     """Returns its folder."""
     return write_recording(with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=focal_track_id), out)
+
+
+def made_up_sidecar(scenario: Recording, config: Config, **said: Any) -> Sidecar:
+    """A sidecar of nobody inserted and nothing replayed, but for what is said."""
+    usual = {
+        "source_scenario_id": scenario.scenario_id,
+        "generator": GeneratorRecord(version="test", code_sha256="0" * 64, libraries={}),
+        "recording": recording_record_of(scenario),
+        "sumo_version": "none",
+        "seed": config.request.seed,
+        "variant": 0,
+        "config": config_to_dict(config),
+        "config_sha256": config_sha256(config),
+        "replay": ReplayRecord(states=0, max_position_error_m=0.0, max_heading_error_rad=0.0),
+        "requested": RequestedRecord(agents=0, behaviours={}),
+        "placed": PlacedRecord(agents=0, behaviours={}),
+    }
+    return Sidecar(**(usual | said))

@@ -12,6 +12,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from hand_drawn import draw_lane
 from synthetic_driving import KNOWN, synthetic_driving
 
 from bridge.generation.generate import generate, prepare
@@ -24,7 +25,7 @@ from hid2.evaluation.realism import FEATURES, histogram, quantiles
 from hid2.params import Config, Drivers, Request
 from hid2.policies import Policy
 from netconvert.cells import build_cell_grid
-from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
+from netconvert.lane_graph import LaneGraph
 from netconvert.net_xml import net_bytes
 
 pytestmark = pytest.mark.verification
@@ -124,19 +125,10 @@ def test_shares_of_policies_are_as_asked_for(generated, folder):
     assert np.abs(np.array(seen) - asked).max() < 0.12
 
 
-def road(length_m):
-    lane = LaneSegment(
-        lane_id=1, centerline=np.array([[0.0, 0.0], [length_m, 0.0]]), left_boundary=None, right_boundary=None,
-        lane_type="VEHICLE", is_intersection=False, successors=(), left_neighbor_id=None, right_neighbor_id=None,
-        left_mark_type="NONE", right_mark_type="NONE", width_m=3.5, turn=TurnType.STRAIGHT,
-    )  # fmt: skip
-    return LaneGraph({1: lane})
-
-
 def drive_alone(tmp_path, model, *, start_mps, steps):
     """Speeds (steps,) of one car of SUMO: a = 1.5 m/s2, b = 2 m/s2, desired 12 m/s, on an empty road."""
     net = tmp_path / "road.net.xml"
-    net.write_bytes(net_bytes(build_cell_grid(road(600.0))))
+    net.write_bytes(net_bytes(build_cell_grid(LaneGraph({1: draw_lane(1, [(0.0, 0.0), (600.0, 0.0)])}))))
     speeds = []
     with Simulation(net.read_bytes(), seed=0, step_s=0.1, model=model) as sumo:
         sumo.step()

@@ -4,22 +4,22 @@ import importlib
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
-import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+import second_scene
 import shapely
 from av2.datasets.motion_forecasting.scenario_serialization import load_argoverse_scenario_parquet
 from av2.map.lane_segment import LaneType
 from av2.map.map_api import ArgoverseStaticMap
-from separating_axes import boxes_overlap
+from second_checker import CHECKS, overlaps
 
 from bridge.config import load_config
 from bridge.recordings.scenario import Scenario, read_scenario
-from netconvert.geometry import box_corners
 
 Script = Callable[[str], ModuleType]
 
@@ -83,21 +83,14 @@ def test_scene_has_the_cast_that_was_asked_for(scenario: Scenario) -> None:
     assert all(track.track_id == "AV" or track.track_id.isdigit() for track in scenario.tracks)
 
 
-def test_no_box_overlaps_another(scenario: Scenario) -> None:
-    for step in range(scenario.num_steps):
-        boxes = [
-            box_corners(
-                track.position[track.timesteps == step],
-                track.heading[track.timesteps == step],
-                length_m=track.size.length_m,
-                width_m=track.size.width_m,
-            )
-            for track in scenario.tracks
-            if step in track.timesteps
-        ]
-        corners = np.concatenate(boxes)
-        overlap = boxes_overlap(corners[:, None], corners[None, :])
-        assert not np.triu(overlap, 1).any(), step
+def test_the_second_checker_finds_nothing_wrong_with_a_vehicle_and_no_boxes_that_overlap(data_scene: Path) -> None:
+    """Each vehicle as if it had been inserted; only those on their way in or out of the map leave its ground."""
+    scene = second_scene.read_scene(data_scene)
+    for track in scene.tracks:
+        alone = replace(scene, inserted_ids=[track.track_id])
+        checks = CHECKS if track.object_type in ("vehicle", "bus") else (overlaps,)
+        found = {one.quantity for check in checks for one in check(alone, track)}
+        assert found <= ({"off_road"} if len(track.steps) < 110 else set()), track.track_id
 
 
 def test_motion_is_smooth_and_possible(scenario: Scenario) -> None:
@@ -118,21 +111,12 @@ def test_motion_is_smooth_and_possible(scenario: Scenario) -> None:
         assert np.abs(np.sin((track.heading[fast] - course) / 2)).max(initial=0.0) < 0.001
 
 
-def test_vehicles_and_lanes_lie_on_drivable_ground(scenario: Scenario) -> None:
-    """But for vehicles that are on their way in or out of the map."""
+def test_lanes_lie_on_drivable_ground(scenario: Scenario) -> None:
     ground = shapely.union_all([shapely.Polygon(area) for area in scenario.graph.drivable_areas]).buffer(0.05)
     for lane in scenario.graph.lanes.values():
         assert lane.left_boundary is not None
         assert lane.right_boundary is not None
         assert ground.covers(shapely.Polygon(np.vstack([lane.left_boundary, lane.right_boundary[::-1]]))), lane.lane_id
-    for track in scenario.tracks:
-        if track.object_type in ("vehicle", "bus"):
-            whole = len(track.timesteps) == scenario.num_steps
-            corners = box_corners(
-                track.position, track.heading, length_m=track.size.length_m, width_m=track.size.width_m
-            )
-            points = corners.reshape(-1, 2) if whole else track.position
-            assert ground.covers(shapely.MultiPoint(points)), track.track_id
 
 
 def test_links_are_mutual_and_meet(scenario: Scenario) -> None:
@@ -158,37 +142,11 @@ def test_arterial_has_slow_leaders_beside_free_lanes(data_scenes: dict[str, Path
     assert sum(10 <= speed <= 14.1 for speed in speeds) >= 6
 
 
-def test_intersection_has_turns_both_ways_and_straight_on(data_scenes: dict[str, Path]) -> None:
-    lanes = read_scenario(data_scenes["intersection"]).graph.lanes.values()
-    assert Counter(lane.turn.value for lane in lanes if lane.is_intersection) == {
-        "straight": 6,
-        "left_turn": 4,
-        "right_turn": 4,
-    }
-
-
-def test_curve_splits_and_merges(data_scenes: dict[str, Path]) -> None:
-    graph = read_scenario(data_scenes["curve"]).graph
-    assert sorted(len(lane.successors) for lane in graph.lanes.values()).count(2) == 1
-    assert sorted(len(graph.predecessors(lane_id)) for lane_id in graph.lanes).count(2) == 1
-
-
 def test_example_configurations_are_valid(data_root: Path) -> None:
     examples = sorted((data_root.parent / "configs").glob("*.toml"))
     assert examples
     for path in examples:
         load_config(path)
-
-
-def test_pandas_reads_the_types_of_a_recorded_file(data_scene: Path) -> None:
-    rows = pd.read_parquet(data_scene / f"scenario_{data_scene.name}.parquet")
-    assert rows.index.equals(pd.RangeIndex(len(rows)))
-    assert {name: str(rows[name].dtype) for name in ("observed", "timestep", "position_x", "map_id")} == {
-        "observed": "bool",
-        "timestep": "int64",
-        "position_x": "float64",
-        "map_id": "uint64",
-    }
 
 
 def _writer(path: Path) -> str:

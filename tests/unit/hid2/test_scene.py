@@ -139,7 +139,6 @@ def test_paths_and_recorded_intervals_are_made_once(
     assert scene.paths.along((1,)) is path
     recorded = (scene.met_on(path, BoxSize(4.5, 1.9), scene.future) for _ in range(2))
     assert next(recorded) is next(recorded)
-    assert scene.cell_at(path, 13.0) == Cell(1, 3)
 
 
 def test_recorded_occupancy_is_known_beforehand(scene_of: Callable[..., Scene], track: Callable[..., Track]) -> None:
@@ -149,8 +148,8 @@ def test_recorded_occupancy_is_known_beforehand(scene_of: Callable[..., Scene], 
     assert (scene.occupancy.sigma[0, row], scene.occupancy.sigma[50, row]) == (0, 1)
 
 
-def test_cell_of_a_place_on_a_path(road: Callable[..., LaneGraph]) -> None:
+def test_cell_of_a_place_on_a_path(scene_of: Callable[..., Scene]) -> None:
     """200 m of lane in 50 cells of 4 m."""
-    scene = build_scene(build_cell_grid(road()), (), config=Config(), num_steps=110, last_observed_step=49, step_s=0.1)
+    scene = scene_of()
     path = scene.paths.along((1,))
     assert [scene.cell_at(path, s).index for s in (0.0, 3.9, 4.1, 198.0)] == [0, 0, 1, 49]

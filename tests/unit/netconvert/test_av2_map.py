@@ -69,18 +69,6 @@ def test_pedestrian_crossings_keep_their_corners_in_turn(
     assert corners.tolist() == [[10.0, -5.0], [10.0, 5.0], [13.0, 5.0], [13.0, -5.0]]
 
 
-def test_a_map_without_pedestrian_crossings_has_none(lane_json: Json, map_json: Json) -> None:
-    document = map_json(lane_json(5, STRAIGHT))
-    assert graph_of(document, name="map").pedestrian_crossings == ()
-
-
-def test_a_pedestrian_crossing_without_an_edge_is_refused_by_name(lane_json: Json, map_json: Json) -> None:
-    document = map_json(lane_json(5, STRAIGHT))
-    document["pedestrian_crossings"] = {"77": {"id": 77, "edge1": _edge((0.0, 0.0), (1.0, 0.0))}}
-    with pytest.raises(MapError, match="map: pedestrian crossing 77: no edge2, expected the fields"):
-        graph_of(document, name="map")
-
-
 def test_repeated_points_of_a_centerline_are_dropped(lane_json: Json, map_json: Json) -> None:
     segment = lane_json(5, [(0.0, 0.0), (0.0, 0.0), (20.0, 0.0), (20.0, 0.0), (50.0, 0.0)])
     lane = graph_of(map_json(segment), name="map").lanes[5]
@@ -156,13 +144,6 @@ def test_a_map_without_vehicle_lane_is_refused(lane_json: Json, map_json: Json) 
         graph_of(data, name="map")
 
 
-def test_an_id_that_is_not_its_key_is_refused(lane_json: Json, map_json: Json) -> None:
-    data = map_json(lane_json(5, STRAIGHT))
-    data["lane_segments"]["6"] = lane_json(5, STRAIGHT)
-    with pytest.raises(MapError, match="lane 6: id 5, expected its key"):
-        graph_of(data, name="map")
-
-
 EMPTY: dict[str, Any] = {"lane_segments": {}, "drivable_areas": {}, "pedestrian_crossings": {}}
 
 
@@ -183,8 +164,18 @@ def test_json_that_is_no_map_is_refused(data: Any, message: str) -> None:
         graph_of(data, name="map")
 
 
-def test_a_drivable_area_without_boundary_is_refused(lane_json: Json, map_json: Json) -> None:
-    data = map_json(lane_json(5, STRAIGHT))
-    data["drivable_areas"]["7"] = {"id": 7}
-    with pytest.raises(MapError, match="map: drivable area 7: no area_boundary"):
-        graph_of(data, name="map")
+def test_a_part_that_is_not_whole_or_not_where_its_id_says_is_refused(lane_json: Json, map_json: Json) -> None:
+    for part, key, value, said in (
+        ("drivable_areas", "7", {"id": 7}, "drivable area 7: no area_boundary"),
+        (
+            "pedestrian_crossings",
+            "77",
+            {"id": 77, "edge1": _edge((0.0, 0.0), (1.0, 0.0))},
+            "pedestrian crossing 77: no edge2, expected the",
+        ),
+        ("lane_segments", "6", lane_json(5, STRAIGHT), "lane 6: id 5, expected its key"),
+    ):
+        data = map_json(lane_json(5, STRAIGHT))
+        data[part][key] = value
+        with pytest.raises(MapError, match=f"map: {said}"):
+            graph_of(data, name="map")

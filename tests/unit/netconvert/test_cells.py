@@ -1,14 +1,16 @@
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import shapely
+from hand_drawn import draw_lane
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from netconvert.cells import Cell, CellGrid, build_cell_grid
-from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
+from netconvert.lane_graph import LaneGraph, LaneSegment
 
 Lane = Callable[..., LaneSegment]
 Graph = Callable[..., LaneGraph]
@@ -45,13 +47,10 @@ def test_neighbours_share_the_larger_number_of_cells(two_lanes: CellGrid) -> Non
     assert two_lanes.borders(2).tolist() == [[0.0, 4.0], [2.5, 4.0], [5.0, 4.0], [7.5, 4.0], [10.0, 4.0]]
 
 
-def test_cells_come_by_lane_and_index(two_lanes: CellGrid) -> None:
+def test_cells_come_by_lane_and_index_with_the_middles_of_their_centrelines(two_lanes: CellGrid) -> None:
     assert two_lanes.cells[3:6] == (Cell(1, 3), Cell(2, 0), Cell(2, 1))
     assert all(two_lanes.index_of[cell] == index for index, cell in enumerate(two_lanes.cells))
     assert two_lanes.centers.shape == (10, 2)
-
-
-def test_the_center_of_a_cell_is_the_middle_of_its_centreline(two_lanes: CellGrid) -> None:
     assert two_lanes.centers[two_lanes.index_of[Cell(2, 1)]].tolist() == [3.75, 4.0]
     assert two_lanes.length_m(Cell(1, 0)) == 3.125
 
@@ -60,12 +59,10 @@ def test_an_arc_length_lies_in_the_cell_between_whose_borders_it_is(two_lanes: C
     assert [two_lanes.cell_at(2, s).index for s in (-1.0, 0.0, 2.4, 2.5, 9.9, 10.0, 30.0)] == [0, 0, 0, 1, 3, 3, 3]
 
 
-def test_longitudinal_links_end_with_the_lane(two_lanes: CellGrid) -> None:
-    assert two_lanes.longitudinal(Cell(2, 2)) == Cell(2, 3)
-    assert two_lanes.longitudinal(Cell(2, 3)) is None
-
-
-def test_inter_lane_links_leave_from_the_last_cell(two_lanes: CellGrid) -> None:
+def test_longitudinal_links_end_with_the_lane_and_inter_lane_links_leave_from_its_last_cell(
+    two_lanes: CellGrid,
+) -> None:
+    assert [two_lanes.longitudinal(Cell(2, index)) for index in (2, 3)] == [Cell(2, 3), None]
     assert two_lanes.following(Cell(2, 3)) == (Cell(3, 0),)
     assert two_lanes.following(Cell(2, 2)) == (Cell(2, 3),)
     assert two_lanes.following(Cell(1, 3)) == ()
@@ -192,20 +189,10 @@ def test_a_cell_covers_its_part_of_the_lane_between_the_boundaries(lane: Lane, g
 
 def test_boundaries_are_cut_at_equal_fractions() -> None:
     """A lane whose left boundary starts 2 m farther ahead: the middle cut goes from (8, -2) to (9, 2)."""
-    lane = LaneSegment(
-        lane_id=1,
-        centerline=np.array([[1.0, 0.0], [16.0, 0.0]]),
+    lane = replace(
+        draw_lane(1, [(1.0, 0.0), (16.0, 0.0)], width_m=4.0),
         left_boundary=np.array([[2.0, 2.0], [16.0, 2.0]]),
         right_boundary=np.array([[0.0, -2.0], [16.0, -2.0]]),
-        lane_type="VEHICLE",
-        is_intersection=False,
-        successors=(),
-        left_neighbor_id=None,
-        right_neighbor_id=None,
-        left_mark_type="NONE",
-        right_mark_type="NONE",
-        width_m=4.0,
-        turn=TurnType.STRAIGHT,
     )
     grid = build_cell_grid(LaneGraph({1: lane}))
     assert grid.count(1) == 4
@@ -221,7 +208,7 @@ def test_boundaries_are_cut_at_equal_fractions() -> None:
 )
 def test_every_arc_length_is_in_exactly_one_cell_no_longer_than_asked(length_m: float, cell_m: float, s: float) -> None:
     points = np.array([[0.0, 0.0], [length_m / 2, 0.0], [length_m / 2, length_m / 2]])
-    lane = LaneSegment(1, points, None, None, "VEHICLE", False, (), None, None, "NONE", "NONE", 3.5, TurnType.STRAIGHT)
+    lane = draw_lane(1, points)
     grid = build_cell_grid(LaneGraph({1: lane}), cell_m=cell_m)
     assert grid.count(1) == max(1, math.ceil(lane.length_m / cell_m - 1e-9))
     assert np.diff(grid.edges_s(1)).max() <= cell_m + 1e-6

@@ -18,13 +18,10 @@ def test_arc_length_counts_from_the_first_point() -> None:
 
 
 def test_resampled_line_keeps_both_ends_and_never_steps_farther_than_asked() -> None:
-    """20 m in steps of at most 6 m: four of 5 m."""
+    """20 m in steps of at most 6 m: four of 5 m; of at most 5 m: no step more."""
     points = resample(BEND, step_m=6.0)
-    assert points.tolist() == [[0.0, 0.0], [5.0, 0.0], [10.0, 0.0], [10.0, 5.0], [10.0, 10.0]]
-
-
-def test_resampling_by_an_exact_divisor_adds_no_extra_point() -> None:
     assert len(resample(BEND, step_m=5.0)) == 5
+    assert points.tolist() == [[0.0, 0.0], [5.0, 0.0], [10.0, 0.0], [10.0, 5.0], [10.0, 10.0]]
 
 
 @pytest.mark.parametrize(

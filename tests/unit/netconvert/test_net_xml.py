@@ -42,11 +42,6 @@ def test_a_row_of_cells_is_an_edge_and_a_cell_is_a_lane(fork: LaneGraph) -> None
     }
 
 
-def test_a_lane_says_which_segment_it_is_part_of(fork: LaneGraph) -> None:
-    params = [lane.find("param").attrib for lane in _net(fork).iter("lane")]
-    assert params[1] == {"key": "av2.lane_segment_id", "value": "2"}
-
-
 def test_shapes_keep_the_vertices_of_the_centreline_and_join_at_the_borders(fork: LaneGraph) -> None:
     """Lane 1 is cut at 4 m; its vertex at 5 m belongs to the second cell."""
     shapes = {lane.get("id"): lane.get("shape") for lane in _net(fork).iter("lane")}
@@ -59,17 +54,13 @@ def test_a_vertex_on_a_border_appears_once_in_each_cell(lane: Lane, graph: Graph
     assert shapes == ["0.000,0.000 4.000,0.000", "4.000,0.000 8.000,0.000"]
 
 
-def test_lengths_are_arc_lengths_and_widths_those_of_the_lane(fork: LaneGraph) -> None:
-    """Lane 4 is 2 + sqrt(2) + 2 = 5.414214 m long: two cells of 2.707107 m."""
+def test_lanes_have_their_segment_arc_lengths_widths_and_bicycles(fork: LaneGraph) -> None:
+    """Lane 4 is 2 + sqrt(2) + 2 = 5.414214 m long: two cells of 2.707107 m. Lane 2 is for bicycles alone."""
     lanes = {lane.get("id"): lane for lane in _net(fork).iter("lane")}
     assert lanes["4#0_0"].get("length") == "2.707107"
-    assert lanes["1#0_1"].get("width") == "1.50"
-
-
-def test_only_bicycles_use_bicycle_lanes(fork: LaneGraph) -> None:
-    allowed = {lane.get("id"): lane.get("allow") for lane in _net(fork).iter("lane")}
-    assert allowed["1#0_1"] == "bicycle"
-    assert allowed["1#0_0"] is None
+    assert (lanes["1#0_1"].get("width"), lanes["1#0_1"].get("allow")) == ("1.50", "bicycle")
+    assert lanes["1#0_0"].get("allow") is None
+    assert lanes["1#0_1"].find("param").attrib == {"key": "av2.lane_segment_id", "value": "2"}
 
 
 def test_a_solid_line_is_crossed_by_emergency_vehicles_only(fork: LaneGraph) -> None:

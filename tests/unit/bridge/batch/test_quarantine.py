@@ -9,14 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from bundles import OWN, members, zipped
 
 from bridge.batch.isolation import Failure
 from bridge.batch.quarantine import MAX_MEMBERS, Bundle, read_bundle, write_bundle
-from bridge.config import config_to_dict
 from hid2.params import Config
 from netconvert.errors import BatchError
 
-OWN = "bridge.batch.scene_work:generate_runs"
 FAILURE = Failure("exception", "ValueError: \x1b[2J no", "Traceback\n  line\n")
 
 
@@ -56,27 +55,9 @@ def test_pipes_giants_and_hidden_files_of_a_scene_are_left_out_and_named(scene: 
     ]
 
 
-def request(**changes: Any) -> dict[str, Any]:
-    values = {"format": 1, "version": "1", "python": "3", "platform": "x", "scenario": "scene", "split": "val"}
-    values |= {"variant": 0, "timeout_s": 5.0, "function": OWN, "config": config_to_dict(Config()), "left_out": []}
-    return values | changes
-
-
-def craft(path: Path, members: dict[str, bytes], *, compression: int = zipfile.ZIP_DEFLATED) -> Path:
-    with zipfile.ZipFile(path, "w", compression) as archive:
-        for name, content in members.items():
-            archive.writestr(name, content)
+def craft(path: Path, files: dict[str, bytes], *, compression: int = zipfile.ZIP_DEFLATED) -> Path:
+    path.write_bytes(zipped(files, compression=compression))
     return path
-
-
-def members(**changes: Any) -> dict[str, bytes]:
-    failure = {"kind": "error", "message": "m"}
-    return {
-        "request.json": json.dumps(request(**changes)).encode(),
-        "failure.json": json.dumps(failure).encode(),
-        "details.txt": b"",
-        "scene/scenario_x.parquet": b"rows",
-    }
 
 
 REQUESTS: dict[str, tuple[dict[str, Any], str]] = {
@@ -130,12 +111,7 @@ def _encrypted(path: Path) -> None:
 
 
 def _bomb(path: Path) -> None:
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, content in members().items():
-            archive.writestr(name, content)
-        with archive.open("scene/zeros", "w") as file:
-            for _ in range(150):
-                file.write(bytes(1_000_000))
+    craft(path, members() | {"scene/zeros": bytes(150_000_000)})
 
 
 def _twice(path: Path) -> None:

@@ -9,10 +9,11 @@ import pytest
 from bridge.generation.scene import TrafficScene, read_scene
 from bridge.pictures.render import draw_conflicts
 from bridge.recordings.scenario import read_scenario
-from hid2.agents import Track
+from hid2.agents import BoxSize, Track
 from netconvert.errors import ConfigError
 
 STEPS = 110
+SIZE = BoxSize(4.5, 1.9)
 
 
 @pytest.fixture
@@ -25,18 +26,18 @@ def scene(data_scenes):
     return replace(scenario, tracks=()), origin, direction, np.array([-direction[1], direction[0]])
 
 
-def track(name, like, start, velocity):
+def track(name, start, velocity):
     """A car at constant velocity for 11 s."""
     times = np.arange(STEPS) * 0.1
     return Track(
         track_id=name,
         object_type="vehicle",
-        category=like.category,
+        category=1,
         timesteps=np.arange(STEPS),
         position=start + times[:, None] * velocity,
         heading=np.full(STEPS, np.arctan2(velocity[1], velocity[0])),
         velocity=np.tile(velocity, (STEPS, 1)),
-        size=like.size,
+        size=SIZE,
     )
 
 
@@ -44,7 +45,7 @@ def found(scenario, *tracks, **options):
     return TrafficScene(replace(scenario, tracks=tracks)).conflicts(**options)
 
 
-def test_crossing_has_the_pet_and_the_place(scene, data_scenes):
+def test_crossing_has_the_pet_and_the_place(scene):
     r"""
     Both at 10 m/s through one point, B half a second after the boxes of A have left it.
 
@@ -53,13 +54,12 @@ def test_crossing_has_the_pet_and_the_place(scene, data_scenes):
                 B
     """
     scenario, origin, along, across = scene
-    like = read_scenario(data_scenes["arterial"]).tracks[0]
     meeting = origin + 30 * along
-    length, width = like.size.length_m, like.size.width_m
+    length, width = SIZE.length_m, SIZE.width_m
     behind_s = (length / 2 + width / 2) / 10 * 2  # A's rear leaves B's strip; B's front reaches A's strip
     cars = (
-        track("7", like, meeting - 20 * along, 10 * along),
-        track("gen_0", like, meeting - (20 + 10 * (behind_s + 0.5)) * across, 10 * across),
+        track("7", meeting - 20 * along, 10 * along),
+        track("gen_0", meeting - (20 + 10 * (behind_s + 0.5)) * across, 10 * across),
     )
     (one,) = found(scenario, *cars, ttc_s=0.0)
     assert (one.kind, one.first_id, one.second_id, one.ttc_s) == ("crossing", "7", "gen_0", None)
@@ -69,13 +69,12 @@ def test_crossing_has_the_pet_and_the_place(scene, data_scenes):
     assert found(scenario, *cars, ttc_s=0.0, pet_s=0.2) == []
 
 
-def test_follower_that_closes_in_and_touches_is_one_conflict(scene, data_scenes):
+def test_follower_that_closes_in_and_touches_is_one_conflict(scene):
     """At 10 m/s, 20 m behind a leader at 5 m/s: TTC is below 1.5 s from 2.5 s on, the boxes touch at 4 s."""
     scenario, origin, along, _ = scene
-    like = read_scenario(data_scenes["arterial"]).tracks[0]
     cars = (
-        track("8", like, origin + 10 * along, 10 * along),
-        track("9", like, origin + 10 * along + (like.size.length_m + 20) * along, 5 * along),
+        track("8", origin + 10 * along, 10 * along),
+        track("9", origin + 10 * along + (SIZE.length_m + 20) * along, 5 * along),
     )
     (one,) = found(scenario, *cars)
     assert (one.kind, one.ttc_s) == ("rear_end", 0.0)
@@ -83,10 +82,9 @@ def test_follower_that_closes_in_and_touches_is_one_conflict(scene, data_scenes)
     assert found(scenario, *cars, ttc_s=2.5)[0].start_s == pytest.approx(1.5, abs=0.11)
 
 
-def test_only_those_of_one_track(scene, data_scenes):
+def test_only_those_of_one_track(scene):
     scenario, origin, along, across = scene
-    like = read_scenario(data_scenes["arterial"]).tracks[0]
-    cars = [track(name, like, origin + (k // 2) * 40 * across, 5 * along) for k, name in enumerate("abcd")]
+    cars = [track(name, origin + (k // 2) * 40 * across, 5 * along) for k, name in enumerate("abcd")]
     assert {(one.first_id, one.second_id) for one in found(scenario, *cars)} == {("a", "b"), ("c", "d")}
     assert {(one.first_id, one.second_id) for one in found(scenario, *cars, agent="d")} == {("c", "d")}
     with pytest.raises(ConfigError, match="no track 'e'"):
@@ -100,10 +98,9 @@ def test_generated_vehicles_touch_nothing(made_scene):
     assert all(one.ttc_s is None or one.ttc_s > 0.0 for one in met)
 
 
-def test_each_conflict_is_a_mark_and_a_text(scene, data_scenes):
+def test_each_conflict_is_a_mark_and_a_text(scene):
     scenario, origin, along, _ = scene
-    like = read_scenario(data_scenes["arterial"]).tracks[0]
-    conflicts = found(scenario, *(track(name, like, origin, 5 * along) for name in "ab"))
+    conflicts = found(scenario, *(track(name, origin, 5 * along) for name in "ab"))
     figure, axes = plt.subplots()
     draw_conflicts(axes, conflicts)
     assert len(axes.lines) == len(conflicts) == 1

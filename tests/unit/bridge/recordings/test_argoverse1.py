@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-from lxml import etree
 from recordings import make_argoverse1
 
 from bridge.recordings.argoverse1 import motion_of
@@ -48,38 +47,6 @@ def write_rows(path: Path, rows: list[list[str]]) -> None:
 
 
 # The format
-
-
-def test_the_synthetic_data_set_keeps_the_formats_rules(root: Path) -> None:
-    """Columns, 50 time stamps about 0.1 s apart and not on a grid, AV and AGENT at each, ids as in the data set."""
-    paths = sorted(root.glob("*/data/*.csv"))
-    assert {path.parent.parent.name for path in paths} == {"train", "val", "test_obs"}
-    for path in paths:
-        head, *rows = rows_of(path)
-        assert head == HEADER
-        stamps = sorted({float(row[0]) for row in rows})
-        assert len(stamps) == (20 if "test_obs" in path.parts else 50)
-        apart = np.diff(stamps)
-        assert 0.09 < apart.min() < apart.max() < 0.11
-        assert apart.std() > 1e-3
-        assert {row[2] for row in rows} == {"AV", "AGENT", "OTHERS"}
-        for kind in ("AV", "AGENT"):
-            assert len({row[1] for row in rows if row[2] == kind}) == 1
-            assert sum(row[2] == kind for row in rows) == len(stamps)
-        assert all(len(row[1]) == 36 for row in rows)
-        assert {row[5] for row in rows} <= {"MIA", "PIT"}
-    for city, number in (("MIA", 10316), ("PIT", 10314)):
-        maps = root / "map_files"
-        document = etree.parse(maps / f"pruned_argoverse_{city}_{number}_vector_map.xml").getroot()
-        assert {element.tag for element in document} == {"node", "way"}
-        for way in document.iter("way"):
-            tags = [tag.get("k") for tag in way.iter("tag")]
-            assert tags[:5] == [
-                "has_traffic_control", "turn_direction", "is_intersection", "l_neighbor_id", "r_neighbor_id"
-            ]  # fmt: skip
-            assert {way.find(f"tag[@k='{key}']").get("v") for key in (tags[0], tags[2])} <= {"True", "False"}
-        assert np.load(maps / f"{city}_{number}_driveable_area_mat_2019_05_28.npy").ndim == 2
-        assert np.load(maps / f"{city}_{number}_npyimage_to_city_se2_2019_05_28.npy").shape == (3, 3)
 
 
 def test_a_sequence_is_fifty_steps_of_which_twenty_are_observed(root: Path) -> None:

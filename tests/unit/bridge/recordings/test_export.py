@@ -20,12 +20,13 @@ from av2.map.map_api import ArgoverseStaticMap
 from written import write_scene
 
 from bridge.config import load_config
-from bridge.recordings import export
 from bridge.recordings.export import new_scenario_id, parquet_bytes, with_generated
 from bridge.recordings.scenario import Scenario, read_scenario
 from netconvert.errors import ExportError
 
 Fake = Callable[..., Any]
+Write = Callable[..., Path]
+WithFake = Callable[..., pa.Table]
 
 
 @pytest.fixture
@@ -33,10 +34,22 @@ def scenario(data_scenes: dict[str, Path]) -> Scenario:
     return read_scenario(data_scenes["arterial"])
 
 
-def test_folder_holds_three_files_that_av2_loads(scenario: Scenario, fake_generated: Fake, tmp_path: Path) -> None:
-    tracks, sidecar, new_id = fake_generated(scenario)
-    folder = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=scenario.focal_track_id)
-    assert folder == tmp_path / "train" / new_id
+@pytest.fixture
+def table_with_fake(fake_generated: Fake) -> WithFake:
+    """table_with_fake(scenario, focal=None): the rows of a scenario with those of made-up vehicles."""
+
+    def add(scenario: Scenario, *, focal: str | None = None) -> pa.Table:
+        tracks, sidecar, new_id = fake_generated(scenario)
+        focal_track_id = focal or scenario.focal_track_id
+        return with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=focal_track_id).table
+
+    return add
+
+
+def test_folder_holds_three_files_that_av2_loads(scenario: Scenario, write_fake: Write, tmp_path: Path) -> None:
+    folder = write_fake(scenario, tmp_path)
+    new_id = folder.name
+    assert folder.parent == tmp_path / "train"
     assert sorted(path.name for path in folder.iterdir()) == [
         f"hid2_{new_id}.json",
         f"log_map_archive_{new_id}.json",
@@ -51,13 +64,9 @@ def test_folder_holds_three_files_that_av2_loads(scenario: Scenario, fake_genera
     assert set(lanes) == set(scenario.graph.lanes)
 
 
-def test_a_scene_outside_a_split_is_written_to_the_root(
-    scenario: Scenario, fake_generated: Fake, tmp_path: Path
-) -> None:
-    tracks, sidecar, new_id = fake_generated(scenario)
-    alone = replace(scenario, split=None)
-    folder = write_scene(alone, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=scenario.focal_track_id)
-    assert folder == tmp_path / new_id
+def test_a_scene_outside_a_split_is_written_to_the_root(scenario: Scenario, write_fake: Write, tmp_path: Path) -> None:
+    folder = write_fake(replace(scenario, split=None), tmp_path)
+    assert folder.parent == tmp_path
 
 
 def test_what_was_written_reads_back(scenario: Scenario, fake_generated: Fake, tmp_path: Path) -> None:
@@ -75,12 +84,11 @@ def test_what_was_written_reads_back(scenario: Scenario, fake_generated: Fake, t
         assert np.array_equal(ours.velocity, track.velocity)
 
 
-def test_file_is_as_avs_own_serializer_writes_it(data_scene: Path, fake_generated: Fake, tmp_path: Path) -> None:
+def test_file_is_as_avs_own_serializer_writes_it(data_scene: Path, write_fake: Write, tmp_path: Path) -> None:
     """Columns, types and index of a scene that av2 itself loads and serializes again."""
     scenario = read_scenario(data_scene)
-    tracks, sidecar, new_id = fake_generated(scenario)
-    folder = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=scenario.focal_track_id)
-    path = folder / f"scenario_{new_id}.parquet"
+    folder = write_fake(scenario, tmp_path)
+    path = folder / f"scenario_{folder.name}.parquet"
     serialize_argoverse_scenario_parquet(tmp_path / "theirs.parquet", load_argoverse_scenario_parquet(path))
     ours, theirs = pd.read_parquet(path), pd.read_parquet(tmp_path / "theirs.parquet")
     assert list(ours.columns) == list(theirs.columns)
@@ -101,32 +109,30 @@ def test_file_is_as_avs_own_serializer_writes_it(data_scene: Path, fake_generate
 
 
 def test_columns_the_source_lacks_are_not_invented(
-    copy_scene: Callable[..., Path], edit_rows: Callable[..., None], fake_generated: Fake
+    copy_scene: Callable[..., Path], edit_rows: Callable[..., None], table_with_fake: WithFake
 ) -> None:
     folder = copy_scene()
     edit_rows(folder, lambda rows: rows.drop(columns=["map_id", "slice_id"]))
     scenario = read_scenario(folder)
-    tracks, sidecar, new_id = fake_generated(scenario)
-    table = with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=scenario.focal_track_id).table
+    table = table_with_fake(scenario)
     assert table.schema.names == scenario.table.schema.names
     assert "map_id" not in table.schema.names
 
 
 def test_columns_of_the_sources_own_are_kept(
-    copy_scene: Callable[..., Path], edit_rows: Callable[..., None], fake_generated: Fake
+    copy_scene: Callable[..., Path], edit_rows: Callable[..., None], table_with_fake: WithFake
 ) -> None:
     folder = copy_scene()
     edit_rows(folder, lambda rows: rows.assign(note="seen"))
     scenario = read_scenario(folder)
-    tracks, sidecar, new_id = fake_generated(scenario)
-    table = with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=scenario.focal_track_id).table
+    table = table_with_fake(scenario)
     notes = table.column("note").to_pylist()
     assert set(notes[: scenario.table.num_rows]) == {"seen"}
     assert set(notes[scenario.table.num_rows :]) == {None}
 
 
 def test_recorded_rows_are_kept_to_the_last_bit(
-    copy_scene: Callable[..., Path], edit_rows: Callable[..., None], fake_generated: Fake
+    copy_scene: Callable[..., Path], edit_rows: Callable[..., None], table_with_fake: WithFake
 ) -> None:
     """Negative zero and the smallest numbers too."""
     folder = copy_scene()
@@ -138,19 +144,18 @@ def test_recorded_rows_are_kept_to_the_last_bit(
 
     edit_rows(folder, change)
     scenario = read_scenario(folder)
-    tracks, sidecar, new_id = fake_generated(scenario)
-    table = with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=scenario.focal_track_id).table
+    table = table_with_fake(scenario)
     for name in set(table.schema.names) - {"scenario_id"}:
         ours, source = table.column(name)[: scenario.table.num_rows], scenario.table.column(name)
         if pa.types.is_floating(ours.type):
             assert (ours.to_numpy().view(np.int64) == source.to_numpy().view(np.int64)).all()
         assert ours.equals(source)
-    assert set(table.column("scenario_id").to_pylist()) == {new_id}
+    (new_id,) = set(table.column("scenario_id").to_pylist())
+    assert new_id != scenario.scenario_id
 
 
-def test_a_generated_focal_track_demotes_the_recorded_one(scenario: Scenario, fake_generated: Fake) -> None:
-    tracks, sidecar, new_id = fake_generated(scenario)
-    rows = with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id="gen_1").table.to_pandas()
+def test_a_generated_focal_track_demotes_the_recorded_one(scenario: Scenario, table_with_fake: WithFake) -> None:
+    rows = table_with_fake(scenario, focal="gen_1").to_pandas()
     assert set(rows.focal_track_id) == {"gen_1"}
     assert set(rows[rows.object_category == 3].track_id) == {"gen_1"}
     assert set(rows[rows.track_id == scenario.focal_track_id].object_category) == {2}
@@ -161,31 +166,28 @@ def test_a_generated_focal_track_demotes_the_recorded_one(scenario: Scenario, fa
 
 
 def test_no_generated_vehicle_gives_the_source_under_a_new_name(
-    scenario: Scenario, fake_generated: Fake, tmp_path: Path
+    scenario: Scenario, write_fake: Write, tmp_path: Path
 ) -> None:
-    tracks, sidecar, new_id = fake_generated(scenario, count=0)
-    folder = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=scenario.focal_track_id)
-    table = pq.read_table(folder / f"scenario_{new_id}.parquet")
+    folder = write_fake(scenario, tmp_path, count=0)
+    table = pq.read_table(folder / f"scenario_{folder.name}.parquet")
     assert table.drop_columns("scenario_id").equals(scenario.table.drop_columns("scenario_id"))
 
 
-def test_map_is_copied_byte_for_byte(scenario: Scenario, fake_generated: Fake, tmp_path: Path) -> None:
-    tracks, sidecar, new_id = fake_generated(scenario)
-    folder = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=scenario.focal_track_id)
-    assert (folder / f"log_map_archive_{new_id}.json").read_bytes() == scenario.map_path.read_bytes()
+def test_map_is_copied_byte_for_byte(scenario: Scenario, write_fake: Write, tmp_path: Path) -> None:
+    folder = write_fake(scenario, tmp_path)
+    assert (folder / f"log_map_archive_{folder.name}.json").read_bytes() == scenario.map_path.read_bytes()
 
 
 def test_centrelines_are_added_where_the_source_has_none(
-    copy_scene: Callable[..., Path], edit_json: Callable[..., None], fake_generated: Fake, tmp_path: Path
+    copy_scene: Callable[..., Path], edit_json: Callable[..., None], write_fake: Write, tmp_path: Path
 ) -> None:
     folder = copy_scene("curve")
     (map_path,) = folder.glob("log_map_archive_*.json")
     before = json.loads(map_path.read_text())
     edit_json(map_path, lambda document: [lane.pop("centerline") for lane in document["lane_segments"].values()])
     scenario = read_scenario(folder)
-    tracks, sidecar, new_id = fake_generated(scenario)
-    out = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=scenario.focal_track_id)
-    after = json.loads((out / f"log_map_archive_{new_id}.json").read_text())
+    out = write_fake(scenario, tmp_path)
+    after = json.loads((out / f"log_map_archive_{out.name}.json").read_text())
     for key, lane in after["lane_segments"].items():
         assert {"x", "y", "z"} == set(lane["centerline"][0])
         ends = [[lane["centerline"][i][axis] for axis in "xy"] for i in (0, -1)]
@@ -196,12 +198,8 @@ def test_centrelines_are_added_where_the_source_has_none(
         }
 
 
-def test_same_request_same_bytes_and_same_name(scenario: Scenario, fake_generated: Fake, tmp_path: Path) -> None:
-    written = []
-    for out in ("a", "b"):
-        tracks, sidecar, new_id = fake_generated(read_scenario(scenario.folder))
-        focal = scenario.focal_track_id
-        written.append(write_scene(scenario, tracks, sidecar, tmp_path / out, new_id=new_id, focal_track_id=focal))
+def test_same_request_same_bytes_and_same_name(scenario: Scenario, write_fake: Write, tmp_path: Path) -> None:
+    written = [write_fake(read_scenario(scenario.folder), tmp_path / out) for out in ("a", "b")]
     assert written[0].name == written[1].name
     for path in written[0].iterdir():
         assert path.read_bytes() == (written[1] / path.name).read_bytes()
@@ -220,32 +218,27 @@ def test_ids_are_uuids_and_differ_in_source_configuration_seed_and_variant() -> 
     assert all(str(uuid.UUID(new_id)) == new_id and uuid.UUID(new_id).version == 5 for new_id in ids)
 
 
-def test_a_folder_that_is_there_is_replaced(scenario: Scenario, fake_generated: Fake, tmp_path: Path) -> None:
-    tracks, sidecar, new_id = fake_generated(scenario)
-    focal = scenario.focal_track_id
-    folder = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=focal)
+def test_a_folder_that_is_there_is_replaced(scenario: Scenario, write_fake: Write, tmp_path: Path) -> None:
+    folder = write_fake(scenario, tmp_path)
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     (folder / "old.txt").write_text("of an earlier run")
-    (folder / f"scenario_{new_id}.parquet").write_bytes(b"spoiled")
-    write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=focal)
+    (folder / f"scenario_{folder.name}.parquet").write_bytes(b"spoiled")
+    write_fake(scenario, tmp_path)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
-    assert [path.name for path in folder.parent.iterdir()] == [new_id]
+    assert list(folder.parent.iterdir()) == [folder]
 
 
 @pytest.mark.parametrize("there_before", [False, True])
 def test_a_failure_leaves_nothing_half_written(
     scenario: Scenario,
-    fake_generated: Fake,
+    write_fake: Write,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     there_before: bool,
 ) -> None:
-    tracks, sidecar, new_id = fake_generated(scenario)
-    focal = scenario.focal_track_id
-    folder = tmp_path / "train" / new_id
+    before = {}
     if there_before:
-        write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=focal)
-    before = {path.name: path.read_bytes() for path in folder.iterdir()} if there_before else {}
+        before = {path: path.read_bytes() for path in write_fake(scenario, tmp_path).iterdir()}
     write = Path.write_bytes
 
     def full(path: Path, data: bytes) -> int:
@@ -255,18 +248,16 @@ def test_a_failure_leaves_nothing_half_written(
 
     monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(ExportError, match="No space left on device"):
-        write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=focal)
-    assert [path.name for path in (tmp_path / "train").iterdir()] == ([new_id] if there_before else [])
-    if there_before:
-        assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+        write_fake(scenario, tmp_path)
+    train = tmp_path / "train"
+    assert len(list(train.iterdir())) == there_before
+    assert {path: path.read_bytes() for path in train.rglob("*") if path.is_file()} == before
 
 
 def test_a_rename_that_fails_puts_the_old_folder_back(
-    scenario: Scenario, fake_generated: Fake, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scenario: Scenario, write_fake: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    tracks, sidecar, new_id = fake_generated(scenario)
-    focal = scenario.focal_track_id
-    folder = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=focal)
+    folder = write_fake(scenario, tmp_path)
     rename = Path.rename
 
     def refuse(path: Path, target: Path) -> Path:
@@ -276,16 +267,15 @@ def test_a_rename_that_fails_puts_the_old_folder_back(
 
     monkeypatch.setattr(Path, "rename", refuse)
     with pytest.raises(ExportError, match="Permission denied"):
-        write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=focal)
+        write_fake(scenario, tmp_path)
     assert len(list(folder.iterdir())) == 3
-    assert [path.name for path in folder.parent.iterdir()] == [new_id]
+    assert list(folder.parent.iterdir()) == [folder]
 
 
-def test_an_output_that_is_a_file_is_said(scenario: Scenario, fake_generated: Fake, tmp_path: Path) -> None:
-    tracks, sidecar, new_id = fake_generated(scenario)
+def test_an_output_that_is_a_file_is_said(scenario: Scenario, write_fake: Write, tmp_path: Path) -> None:
     (tmp_path / "out").write_text("")
     with pytest.raises(ExportError, match="cannot be written"):
-        write_scene(scenario, tracks, sidecar, tmp_path / "out", new_id=new_id, focal_track_id=scenario.focal_track_id)
+        write_fake(scenario, tmp_path / "out")
 
 
 def test_a_generated_track_with_the_id_of_a_recorded_one_is_refused(scenario: Scenario, fake_generated: Fake) -> None:
@@ -295,23 +285,8 @@ def test_a_generated_track_with_the_id_of_a_recorded_one_is_refused(scenario: Sc
         with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=scenario.focal_track_id)
 
 
-def test_bytes_do_not_depend_on_how_the_source_was_chunked(scenario: Scenario, fake_generated: Fake) -> None:
-    tracks, sidecar, new_id = fake_generated(scenario)
+def test_bytes_do_not_depend_on_how_the_source_was_chunked(scenario: Scenario, table_with_fake: WithFake) -> None:
     half = scenario.table.num_rows // 2
     chunked = replace(scenario, table=pa.concat_tables([scenario.table[:half], scenario.table[half:]]))
-    tables = [
-        with_generated(scene, tracks, sidecar, new_id=new_id, focal_track_id=scenario.focal_track_id).table
-        for scene in (scenario, chunked)
-    ]
+    tables = [table_with_fake(scene) for scene in (scenario, chunked)]
     assert parquet_bytes(tables[0]) == parquet_bytes(tables[1])
-    assert export.parquet_bytes(tables[0]) == parquet_bytes(tables[0])
-
-
-def _cut(track: Any, index: Any) -> Any:
-    return replace(
-        track,
-        timesteps=track.timesteps[index],
-        position=track.position[index],
-        heading=track.heading[index],
-        velocity=track.velocity[index],
-    )

@@ -140,14 +140,9 @@ def test_other_data_sets_are_named(tmp_path: Path, names: list[str], what: str) 
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
     for find in (find_one, lambda path: find_recordings([path])):
+        if len(names) == 1 and (path := tmp_path / names[0]).parent == tmp_path:
+            with pytest.raises(NoSceneError, match=rf"{path.name}: this is \D+, which hid2 does not read"):
+                find(path)
         with pytest.raises(NoSceneError, match=rf"this is {what}.*expected Argoverse 2 scenes") as caught:
             find(tmp_path)
         assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("name", ["town.net.xml", "forecasts.csv", "a.db", "b.tfrecord"])
-def test_a_file_of_another_data_set_is_named(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).touch()
-    for find in (find_one, lambda path: find_recordings([path])):
-        with pytest.raises(NoSceneError, match=rf"{name}: this is \D+, which hid2 does not read"):
-            find(tmp_path / name)

@@ -9,21 +9,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recordings import make_argoverse1
-from written import write_scene
+from written import made_up_sidecar, write_scene
 
 from bridge.batch.validation import validate_folder
-from bridge.config import config_sha256, config_to_dict
 from bridge.recordings.argoverse1 import INSERTED, sequence_bytes, write_sequence
-from bridge.recordings.export import new_scenario_id, recording_record_of
+from bridge.recordings.export import new_scenario_id
 from bridge.recordings.folders import sequence_path
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import (
     AgentRecord,
-    GeneratorRecord,
     PlacedRecord,
-    ReplayRecord,
     RequestedRecord,
-    Sidecar,
     SpawnRecord,
 )
 from bridge.recordings.sources import find_recordings, read_recording
@@ -73,16 +69,9 @@ def written(scenario: Recording, tmp_path: Path) -> Iterator[Path]:
         track_id="gen_0", length_m=4.0, width_m=1.8, policy=Policy.STRAIGHT, route=(lane.lane_id,),
         spawn=SpawnRecord(lane_segment_id=lane.lane_id, cell=0, speed_mps=5.0),
     )  # fmt: skip
-    sidecar = Sidecar(
-        source_scenario_id=scenario.scenario_id,
-        generator=GeneratorRecord(version="test", code_sha256="0" * 64, libraries={}),
-        recording=recording_record_of(scenario),
-        sumo_version="none",
-        seed=0,
-        variant=0,
-        config=config_to_dict(config),
-        config_sha256=config_sha256(config),
-        replay=ReplayRecord(states=0, max_position_error_m=0, max_heading_error_rad=0),
+    sidecar = made_up_sidecar(
+        scenario,
+        config,
         requested=RequestedRecord(agents=1, behaviours={}),
         placed=PlacedRecord(agents=1, behaviours={Policy.STRAIGHT: 1}),
         agents=(agent,),

@@ -11,7 +11,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from breaches import breaches
-from written import write_scene
 
 from bridge.batch.validation import validate_folder
 from bridge.config import load_config
@@ -27,12 +26,9 @@ Change = Callable[[pd.DataFrame], pd.DataFrame]
 
 
 @pytest.fixture
-def written(tmp_path: Path, data_scenes: dict[str, Path], fake_generated: Callable[..., Any]) -> Path:
+def written(tmp_path: Path, data_scenes: dict[str, Path], write_fake: Callable[..., Path]) -> Path:
     """A valid generated scene: the arterial and two made-up vehicles."""
-    scenario = read_scenario(data_scenes["arterial"])
-    tracks, sidecar, new_id = fake_generated(scenario)
-    out = tmp_path / "out"
-    return write_scene(scenario, tracks, sidecar, out, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    return write_fake(read_scenario(data_scenes["arterial"]), tmp_path / "out")
 
 
 def rules(folder: Path, **arguments: Any) -> set[str]:
@@ -56,19 +52,17 @@ def test_scored_and_focal_generated_tracks_are_valid(
     tmp_path: Path,
     data_scene: Path,
     data_root: Path,
-    fake_generated: Callable[..., Any],
+    write_fake: Callable[..., Path],
     focal: str,
     category: int,
 ) -> None:
     scenario = read_scenario(data_scene)
-    tracks, sidecar, new_id = fake_generated(scenario, category=category)
-    focal_track_id = scenario.focal_track_id if focal == "recorded" else "gen_0"
-    write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=focal_track_id)
+    write_fake(scenario, tmp_path, category=category, focal="gen_0" if focal == "generated" else None)
     assert breaches(tmp_path, source=data_root) == []
 
 
 def test_fifty_steps_and_a_single_agent_are_valid(
-    tmp_path: Path, copy_scene: Callable[..., Path], edit_rows: Callable[..., None], fake_generated: Callable[..., Any]
+    tmp_path: Path, copy_scene: Callable[..., Path], edit_rows: Callable[..., None], write_fake: Callable[..., Path]
 ) -> None:
     source = copy_scene()
 
@@ -77,9 +71,7 @@ def test_fifty_steps_and_a_single_agent_are_valid(
         return alone.assign(object_category=3, focal_track_id="AV")
 
     edit_rows(source, change)
-    scenario = read_scenario(source)
-    tracks, sidecar, new_id = fake_generated(scenario)
-    write_scene(scenario, tracks, sidecar, tmp_path / "out", new_id=new_id, focal_track_id="AV")
+    write_fake(read_scenario(source), tmp_path / "out")
     assert breaches(tmp_path / "out", source=source) == []
 
 
@@ -323,7 +315,7 @@ def test_first_column_that_differs_from_the_source_is_named(written: Path, data_
 
 
 def test_nulls_in_columns_of_the_source_are_the_same_as_nulls_alone(
-    tmp_path: Path, copy_scene: Callable[..., Path], edit_rows: Callable[..., None], fake_generated: Callable[..., Any]
+    tmp_path: Path, copy_scene: Callable[..., Path], edit_rows: Callable[..., None], write_fake: Callable[..., Path]
 ) -> None:
     """In numbers that are none, in integers and in texts that nobody asks for."""
     source = copy_scene()
@@ -333,10 +325,7 @@ def test_nulls_in_columns_of_the_source_are_the_same_as_nulls_alone(
         return rows.assign(map_id=rows.map_id.astype("Int64").mask(gone), mine=rows.heading.mask(gone), why=None)
 
     edit_rows(source, change)
-    scenario = read_scenario(source)
-    tracks, sidecar, new_id = fake_generated(scenario)
-    out = tmp_path / "out"
-    folder = write_scene(scenario, tracks, sidecar, out, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    folder = write_fake(read_scenario(source), out := tmp_path / "out")
     assert breaches(out, source=source) == []
     edit_rows(folder, lambda rows: rows.assign(mine=rows.mine.fillna(0.0)))
     assert "source" in rules(folder, source=source)
@@ -358,15 +347,12 @@ def test_a_source_that_is_not_there_is_found(written: Path, data_root: Path, tmp
 
 
 def test_added_centrelines_are_no_difference(
-    tmp_path: Path, copy_scene: Callable[..., Path], edit_json: Callable[..., None], fake_generated: Callable[..., Any]
+    tmp_path: Path, copy_scene: Callable[..., Path], edit_json: Callable[..., None], write_fake: Callable[..., Path]
 ) -> None:
     source = copy_scene()
     (map_path,) = source.glob("log_map_archive_*.json")
     edit_json(map_path, lambda document: [lane.pop("centerline") for lane in document["lane_segments"].values()])
-    scenario = read_scenario(source)
-    tracks, sidecar, new_id = fake_generated(scenario)
-    out = tmp_path / "out"
-    folder = write_scene(scenario, tracks, sidecar, out, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    folder = write_fake(read_scenario(source), out := tmp_path / "out")
     assert breaches(out, source=source) == []
     edit_json(next(folder.glob("log_map_archive_*.json")), _lane(lambda lane: lane.update(is_intersection=True)))
     assert {finding.rule for finding in breaches(out, source=source)} == {"source"}

@@ -1,67 +1,30 @@
 """Observe, decide, act, step: small roads, a few vehicles, SUMO at the wheel."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hand_drawn import draw_crossing, draw_lane
+from hand_drawn import draw_crossing, draw_lane, draw_two_lanes
 from inserted import CAR, DRIVER, driven, nobody, recorded, scene_on, start_on
+from simulated import drive
 
-from bridge.sumo.driving import FleetSimulation
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.simulation import Simulation
 from bridge.sumo.steering import edges_along, limits_of
 from hid2.agents import BoxSize, Policy, Track
 from hid2.conflicts.stop_lines import StopLines
 from hid2.insertion.finalise import ExportedVehicle, finalise, traffic_of_exported
-from hid2.occupancy.traffic import Traffic
 from hid2.params import Config, LaneChange
 from hid2.policy.overtake import Stage
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
 from hid2.scene import Scene
-from hid2.vehicle import DrivenVehicle, Start
+from hid2.vehicle import DrivenVehicle
 from netconvert.cells import Cell
 from netconvert.lane_graph import LaneGraph
-from netconvert.net_xml import net_bytes
 
 UP = np.pi / 2
-
-
-def _two_lanes(length_m: float = 300.0) -> LaneGraph:
-    """Lane 1 at y = 0, lane 2 to its left at y = 3.5."""
-    ring = np.array([(-20.0, -3.0), (length_m + 20.0, -3.0), (length_m + 20.0, 7.0), (-20.0, 7.0), (-20.0, -3.0)])
-    lanes = {
-        1: draw_lane(1, [(0.0, 0.0), (length_m, 0.0)], left=2),
-        2: draw_lane(2, [(0.0, 3.5), (length_m, 3.5)], right=1),
-    }
-    return LaneGraph(lanes, drivable_areas=(ring,))
-
-
-@pytest.fixture
-def drive(tmp_path: Path) -> Callable[..., FleetSimulation]:
-    """drive(scene, *starts, fixed=..., model="EIDM", seed=0, patch=...) -> a simulation that has been run."""
-
-    def run(
-        scene: Scene, *starts: Start, fixed: Traffic | None = None, model: str = "EIDM", seed: int = 0,
-        patch: Callable[[Simulation], None] | None = None, checked: bool = True,
-    ) -> FleetSimulation:  # fmt: skip
-        net = tmp_path / "road.net.xml"
-        net.write_bytes(net_bytes(scene.grid))
-        parameters = {"sigmaerror": 0.1, "treaction": 0.5} if model == "EIDM" else {}
-        with Simulation(net.read_bytes(), seed=seed, step_s=0.1, model=model, parameters=parameters) as simulation:
-            if patch is not None:
-                patch(simulation)
-            others = fixed or nobody(scene.future.num_steps)
-            fleet = Fleet(scene, starts, others, Roads(scene), StopLines(scene))
-            driving = FleetSimulation(fleet, simulation, checked=checked)
-            driving.run()
-        return driving
-
-    return run
 
 
 def _gaps(vehicle: DrivenVehicle, other: Track) -> np.ndarray:
@@ -72,23 +35,18 @@ def _gaps(vehicle: DrivenVehicle, other: Track) -> np.ndarray:
 # Way of a vehicle -----------------------------------------------------------------------------------------------------
 
 
-def test_vehicle_begins_at_its_start_and_moves_by_sumos_speed(drive: Callable[..., FleetSimulation]) -> None:
-    scene = scene_on(_two_lanes())
+def test_vehicle_begins_at_its_start_and_moves_by_sumos_speed() -> None:
+    scene = scene_on(draw_two_lanes())
     (one,) = drive(scene, start_on(scene, (1,), 40.0, 7.0)).fleet.vehicles
     assert (one.s[0], one.v[0], len(one.s)) == (40.0, 7.0, 110)
     assert np.diff(one.s) == pytest.approx(0.1 * np.array(one.v[1:]), abs=0.002)
     assert np.mean(one.v[-20:]) == pytest.approx(DRIVER.desired_mps, abs=0.5)
-
-
-def test_nobody_limits_sumo_on_a_free_road(drive: Callable[..., FleetSimulation]) -> None:
-    scene = scene_on(_two_lanes())
-    (one,) = drive(scene, start_on(scene, (1,), 40.0, 9.0)).fleet.vehicles
     assert dict(one.limited) == {}
 
 
-def test_algorithm_1_decides_at_every_step_for_every_vehicle(drive: Callable[..., FleetSimulation]) -> None:
+def test_algorithm_1_decides_at_every_step_for_every_vehicle() -> None:
     """109 steps to decide about behind the start, whatever is asked for."""
-    scene = scene_on(_two_lanes())
+    scene = scene_on(draw_two_lanes())
     vehicles = drive(
         scene, start_on(scene, (1,), 40.0, 9.0), start_on(scene, (2,), 80.0, 9.0, number=1),
         start_on(scene, (1,), 100.0, 9.0, number=2, policy=Policy.LANE_CHANGE, trigger_s=3.0),
@@ -98,11 +56,11 @@ def test_algorithm_1_decides_at_every_step_for_every_vehicle(drive: Callable[...
     assert vehicles[2].policies[Policy.LANE_CHANGE] >= 1
 
 
-def test_nothing_follows_a_stored_trajectory(drive: Callable[..., FleetSimulation]) -> None:
+def test_nothing_follows_a_stored_trajectory() -> None:
     """The same start behind the same leader: another car-following model drives another motion, so does another seed
     of SUMO's; the same model and seed drive the same one.
     """
-    scene = scene_on(_two_lanes(), recorded(75.0, 0.0, 6.0))
+    scene = scene_on(draw_two_lanes(), recorded(75.0, 0.0, 6.0))
 
     def speeds(**how: Any) -> np.ndarray:
         (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0), **how).fleet.vehicles
@@ -115,8 +73,8 @@ def test_nothing_follows_a_stored_trajectory(drive: Callable[..., FleetSimulatio
     assert not np.array_equal(eidm, speeds(seed=7))
 
 
-def test_vehicle_that_reaches_the_end_of_the_map_has_left(drive: Callable[..., FleetSimulation]) -> None:
-    scene = scene_on(_two_lanes(120.0))
+def test_vehicle_that_reaches_the_end_of_the_map_has_left() -> None:
+    scene = scene_on(draw_two_lanes(120.0))
     (one,) = drive(scene, start_on(scene, (1,), 60.0, 10.0)).fleet.vehicles
     assert one.left_at == len(one.s)
     assert 50 < one.left_at < 70
@@ -139,9 +97,7 @@ def _oncoming() -> Track:
     return recorded(220.0, 0.0, 10.0, heading=np.pi, first=30)
 
 
-def test_conflict_that_no_timing_solves_is_answered_by_another_way_at_the_next_split(
-    drive: Callable[..., FleetSimulation],
-) -> None:
+def test_conflict_that_no_timing_solves_is_answered_by_another_way_at_the_next_split() -> None:
     """Case 3: its own lane is taken by an oncoming one, whom braking does not avoid."""
     scene = scene_on(_forks(), _oncoming())
     (one,) = drive(scene, start_on(scene, (1, 2), 40.0, 9.0)).fleet.vehicles
@@ -152,13 +108,13 @@ def test_conflict_that_no_timing_solves_is_answered_by_another_way_at_the_next_s
     assert isinstance(finalise(scene, one, []), ExportedVehicle)
 
 
-def test_who_was_asked_for_more_than_to_go_straight_keeps_the_way(drive: Callable[..., FleetSimulation]) -> None:
+def test_who_was_asked_for_more_than_to_go_straight_keeps_the_way() -> None:
     scene = scene_on(_forks(), _oncoming())
     (one,) = drive(scene, start_on(scene, (1, 2), 40.0, 9.0, policy=Policy.LANE_CHANGE)).fleet.vehicles
     assert one.rerouted_at is None
 
 
-def test_nobody_takes_another_way_that_is_no_better(drive: Callable[..., FleetSimulation]) -> None:
+def test_nobody_takes_another_way_that_is_no_better() -> None:
     """One stands across both ways behind the split: braking solves it, and nothing else does."""
     across = recorded(112.0, 0.0, heading=UP, size=BoxSize(6.0, 2.0))
     scene = scene_on(_forks(), across, _oncoming())
@@ -169,35 +125,33 @@ def test_nobody_takes_another_way_that_is_no_better(drive: Callable[..., FleetSi
 # Whom SUMO sees -------------------------------------------------------------------------------------------------------
 
 
-def test_replayed_leader_is_followed_with_its_speed_known_from_the_first_step(
-    drive: Callable[..., FleetSimulation],
-) -> None:
+def test_replayed_leader_is_followed_with_its_speed_known_from_the_first_step() -> None:
     """Gap 17.5 m at 10 m/s behind one with 10: taken for one that stands it would be braked for at once, and hard."""
     leader = recorded(62.0, 0.0, 10.0)
-    scene = scene_on(_two_lanes(), leader)
+    scene = scene_on(draw_two_lanes(), leader)
     (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).fleet.vehicles
     assert min(one.v[:10]) > 9.6
     assert _gaps(one, leader).min() > 5.0
 
 
 @pytest.mark.parametrize("kind", ["vehicle", "bus", "cyclist", "motorcyclist"])
-def test_slower_leaders_of_all_kinds_are_followed(kind: str, drive: Callable[..., FleetSimulation]) -> None:
+def test_slower_leaders_of_all_kinds_are_followed(kind: str) -> None:
     """45 m ahead at 4 m/s: it slows to about 4 m/s and keeps behind."""
     size = {"bus": BoxSize(11.0, 2.8), "cyclist": BoxSize(1.8, 0.6), "motorcyclist": BoxSize(2.2, 0.9)}.get(kind, CAR)
     leader = recorded(85.0, 0.0, 4.0, kind=kind, size=size)
-    scene = scene_on(_two_lanes(), leader)
+    scene = scene_on(draw_two_lanes(), leader)
     (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).fleet.vehicles
     assert _gaps(one, leader).min() > 1.0
     assert np.mean(one.v[-10:]) < 5.5
 
 
-def test_agents_that_are_not_shown_need_not_be_there(drive: Callable[..., FleetSimulation]) -> None:
+def test_agents_that_are_not_shown_need_not_be_there() -> None:
     """All recorded agents in SUMO, or only those that have to be shown: the same motion, to the last bit.
 
     One behind, one that parks beside, and one that crosses before any vehicle is near draw no random numbers.
     """
     leader, behind, parked = recorded(85.0, 0.0, 6.0), recorded(5.0, 0.0, name="b"), recorded(140.0, 3.5, name="p")
-    scene = scene_on(_two_lanes(), leader, behind, parked, recorded(250.0, -20.0, 10.0, heading=UP, name="c"))
+    scene = scene_on(draw_two_lanes(), leader, behind, parked, recorded(250.0, -20.0, 10.0, heading=UP, name="c"))
     ways = [
         drive(scene, start_on(scene, (1,), 40.0, 10.0), start_on(scene, (2,), 60.0, 8.0, number=1), checked=checked)
         for checked in (True, False)
@@ -208,20 +162,18 @@ def test_agents_that_are_not_shown_need_not_be_there(drive: Callable[..., FleetS
 
 
 @pytest.mark.parametrize(("y", "is_seen"), [(2.3, False), (1.5, True), (-1.5, True)])
-def test_only_who_reaches_into_the_driving_width_is_shown(
-    y: float, is_seen: bool, drive: Callable[..., FleetSimulation]
-) -> None:
+def test_only_who_reaches_into_the_driving_width_is_shown(y: float, is_seen: bool) -> None:
     """Somebody stands at x = 95, both are 1.9 m wide: 1.5 m aside they share 0.4 m, 2.3 m aside they do not touch."""
-    scene = scene_on(_two_lanes(), recorded(95.0, y))
+    scene = scene_on(draw_two_lanes(), recorded(95.0, y))
     (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).fleet.vehicles
     assert (one.s[-1] < 95.0 - 4.5) is is_seen
     assert (min(one.v) < 0.5) is is_seen
 
 
-def test_who_crosses_is_the_guards_business_not_sumos(drive: Callable[..., FleetSimulation]) -> None:
+def test_who_crosses_is_the_guards_business_not_sumos() -> None:
     """It crosses x = 90 at 8 m/s after 5 s, as the vehicle would: timing is adjusted, the cause is told."""
     crossing = recorded(90.0, -40.0, 8.0, heading=UP)
-    scene = scene_on(_two_lanes(), crossing)
+    scene = scene_on(draw_two_lanes(), crossing)
     (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).fleet.vehicles
     assert one.limited["conflict"] > 3
     exported = finalise(scene, one, [])
@@ -230,7 +182,7 @@ def test_who_crosses_is_the_guards_business_not_sumos(drive: Callable[..., Fleet
 
 def test_limits_of_one_call_are_those_of_each_vehicle() -> None:
     """Somebody stands across x = 90: the vehicle at 76 m has to brake harder than usual, the one at 5 m not."""
-    scene = scene_on(_two_lanes(), recorded(90.0, 0.0, heading=UP))
+    scene = scene_on(draw_two_lanes(), recorded(90.0, 0.0, heading=UP))
     starts = [start_on(scene, (1,), s, 10.0, number=number) for number, s in enumerate((5.0, 76.0))]
     fleet = Fleet(scene, starts, nobody(scene.future.num_steps), Roads(scene), StopLines(scene))
     for row in (0, 1):
@@ -245,8 +197,8 @@ def test_limits_of_one_call_are_those_of_each_vehicle() -> None:
     assert every.braking_fails.tolist() == [False, True]
 
 
-def test_kept_vehicles_of_rounds_before_are_followed_too(drive: Callable[..., FleetSimulation]) -> None:
-    scene = scene_on(_two_lanes())
+def test_kept_vehicles_of_rounds_before_are_followed_too() -> None:
+    scene = scene_on(draw_two_lanes())
     ahead = finalise(scene, driven(start_on(scene, (1,), 85.0, 5.0, number=9), np.full(110, 5.0)), [])
     assert isinstance(ahead, ExportedVehicle)
     (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0), fixed=traffic_of_exported([ahead], scene)).fleet.vehicles
@@ -254,8 +206,8 @@ def test_kept_vehicles_of_rounds_before_are_followed_too(drive: Callable[..., Fl
     assert np.mean(one.v[-10:]) < 6.5
 
 
-def test_followers_slow_down_for_each_other_and_it_is_told_for_whom(drive: Callable[..., FleetSimulation]) -> None:
-    scene = scene_on(_two_lanes())
+def test_followers_slow_down_for_each_other_and_it_is_told_for_whom() -> None:
+    scene = scene_on(draw_two_lanes())
     slow = replace(DRIVER, desired_mps=5.0)
     first = start_on(scene, (1,), 75.0, 5.0, driver=slow, number=1)
     last, other = drive(scene, start_on(scene, (1,), 40.0, 10.0), first).fleet.vehicles
@@ -265,18 +217,11 @@ def test_followers_slow_down_for_each_other_and_it_is_told_for_whom(drive: Calla
     assert (np.array(other.s) - np.array(last.s) - 4.5).min() > 1.0
 
 
-def test_recorded_agents_are_replayed_exactly(drive: Callable[..., FleetSimulation]) -> None:
-    scene = scene_on(_two_lanes(), recorded(95.0, 3.5, 8.0), recorded(30.0, -8.0, 1.0, first=20, name="late"))
-    errors = drive(scene, start_on(scene, (1,), 40.0, 10.0)).replay_errors
-    assert (errors.states, errors.lost) == (110 + 90, 0)
-    assert errors.max_position_error_m < 1e-3
-
-
 # Lane changes ---------------------------------------------------------------------------------------------------------
 
 
-def test_lane_change_is_asked_for_at_the_trigger_and_carried_out(drive: Callable[..., FleetSimulation]) -> None:
-    scene = scene_on(_two_lanes())
+def test_lane_change_is_asked_for_at_the_trigger_and_carried_out() -> None:
+    scene = scene_on(draw_two_lanes())
     (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=2.0)).fleet.vehicles
     (shift,) = one.shifts
     assert (shift.requested_step, shift.side, shift.source_lane, shift.target_lane) == (20, "left", 1, 2)
@@ -285,12 +230,12 @@ def test_lane_change_is_asked_for_at_the_trigger_and_carried_out(drive: Callable
     assert one.path.line.position(np.array([one.s[-1]]))[0, 1] == pytest.approx(3.5, abs=0.1)
 
 
-def test_who_slows_down_on_the_way_across_does_not_take_longer_for_it(drive: Callable[..., FleetSimulation]) -> None:
+def test_who_slows_down_on_the_way_across_does_not_take_longer_for_it() -> None:
     """5 s as wanted are 5.5 s from end to end: half way, at 1.75 m, after 2.75 s, at 6 as at 10 m/s.
 
     By the length driven it would be a second later.
     """
-    scene = scene_on(_two_lanes())
+    scene = scene_on(draw_two_lanes())
     desired = np.where(np.arange(110) < 25, 10.0, 6.0)
     start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=2.0, desired=desired)
     (one,) = drive(scene, start).fleet.vehicles
@@ -299,7 +244,7 @@ def test_who_slows_down_on_the_way_across_does_not_take_longer_for_it(drive: Cal
     assert [y[20], y[47], y[48], y[76]] == pytest.approx([0.0, 1.7, 1.8, 3.5], abs=0.15)
 
 
-def test_vehicle_is_where_sumo_has_it_also_behind_a_lane_change(drive: Callable[..., FleetSimulation]) -> None:
+def test_vehicle_is_where_sumo_has_it_also_behind_a_lane_change() -> None:
     """Lane 2 begins 6 m before lane 1 and ends 6 m behind it: cells that face each other at 60 m are 2.4 m apart.
 
         -6 |-------------- 2 --------------| 206
@@ -336,12 +281,12 @@ EASY = Config(
 )  # fmt: skip
 
 
-def test_change_that_sumo_refuses_is_its_answer_and_is_asked_for_again(drive: Callable[..., FleetSimulation]) -> None:
+def test_change_that_sumo_refuses_is_its_answer_and_is_asked_for_again() -> None:
     """On lane 2 one comes at 14 m/s from 5.5 m behind the bumper: hid2's rule is told to allow it, SUMO does not.
 
     Once it has passed, the change comes about.
     """
-    scene = scene_on(_two_lanes(), config=EASY)
+    scene = scene_on(draw_two_lanes(), config=EASY)
     fast = start_on(scene, (2,), 30.0, 14.0, number=1, driver=replace(DRIVER, desired_mps=14.0))
     own = start_on(scene, (1,), 40.0, 9.0, policy=Policy.LANE_CHANGE, driver=replace(DRIVER, desired_mps=9.0))
     one, _ = drive(scene, own, fast).fleet.vehicles
@@ -352,13 +297,13 @@ def test_change_that_sumo_refuses_is_its_answer_and_is_asked_for_again(drive: Ca
     assert one.shifts[0].requested_step > 5
 
 
-def test_refusal_leaves_the_vehicle_on_its_way(drive: Callable[..., FleetSimulation]) -> None:
+def test_refusal_leaves_the_vehicle_on_its_way() -> None:
     """A SUMO that never changes lanes: asked again at each step until the request is given up after 6 s."""
 
     def refuse(simulation: Simulation) -> None:
         simulation.change_lane = lambda *_, **__: None  # type: ignore[method-assign]
 
-    scene = scene_on(_two_lanes())
+    scene = scene_on(draw_two_lanes())
     start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=1.0)
     (one,) = drive(scene, start, patch=refuse).fleet.vehicles
     assert one.shifts == []
@@ -370,9 +315,9 @@ def test_refusal_leaves_the_vehicle_on_its_way(drive: Callable[..., FleetSimulat
     assert len(one.s) == 110
 
 
-def test_occupied_gap_is_looked_at_and_noted_at_every_step(drive: Callable[..., FleetSimulation]) -> None:
+def test_occupied_gap_is_looked_at_and_noted_at_every_step() -> None:
     """A recorded one drives beside: each look says what is in the way, and SUMO is not asked then."""
-    scene = scene_on(_two_lanes(), recorded(41.0, 3.5, 10.0))
+    scene = scene_on(draw_two_lanes(), recorded(41.0, 3.5, 10.0))
     (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=1.0)).fleet.vehicles
     first = one.gaps[:5]
     assert [look.step for look in first] == [10, 11, 12, 13, 14]
@@ -380,9 +325,9 @@ def test_occupied_gap_is_looked_at_and_noted_at_every_step(drive: Callable[..., 
     assert all((look.rule is None) is (look.sumo is not None) for look in one.gaps)
 
 
-def test_overtake_enters_passes_and_returns(drive: Callable[..., FleetSimulation]) -> None:
+def test_overtake_enters_passes_and_returns() -> None:
     """A recorded one at 3 m/s 30 m ahead, nobody else on 400 m: out, past and back within 10.9 s at 14 m/s."""
-    scene = scene_on(_two_lanes(400.0), recorded(75.0, 0.0, 3.0, name="slow"))
+    scene = scene_on(draw_two_lanes(400.0), recorded(75.0, 0.0, 3.0, name="slow"))
     fast = replace(DRIVER, desired_mps=14.0, lane_change_s=4.0)
     start = start_on(scene, (1,), 40.0, 13.0, policy=Policy.OVERTAKE, driver=fast)
     (one,) = drive(scene, start).fleet.vehicles
@@ -407,9 +352,7 @@ def _bend(radius_m: float, *, is_intersection: bool) -> LaneGraph:
 
 
 @pytest.mark.parametrize(("is_intersection", "cause"), [(True, "turn"), (False, "curve")])
-def test_bends_and_turns_limit_the_speed_and_say_so(
-    is_intersection: bool, cause: str, drive: Callable[..., FleetSimulation]
-) -> None:
+def test_bends_and_turns_limit_the_speed_and_say_so(is_intersection: bool, cause: str) -> None:
     """Radius 15 m and 2 m/s2: sqrt(30) = 5.5 m/s at most at the sharpest place."""
     scene = scene_on(_bend(15.0, is_intersection=is_intersection))
     (one,) = drive(scene, start_on(scene, (1, 2, 3), 20.0, 10.0)).fleet.vehicles
@@ -420,7 +363,7 @@ def test_bends_and_turns_limit_the_speed_and_say_so(
     assert v[inside].max() < 6.3
 
 
-def test_vehicle_stops_at_a_red_entrance_and_goes_on_when_it_opens(drive: Callable[..., FleetSimulation]) -> None:
+def test_vehicle_stops_at_a_red_entrance_and_goes_on_when_it_opens() -> None:
     """Cross traffic at 3.5 and 4.5 s: red until 3 s after it. The line is 60 - 2.25 - 1 = 56.75 m."""
     flow = (recorded(70.0, -45.0, 10.0, heading=UP, name="a"), recorded(70.0, -35.0, 10.0, heading=UP, name="b"))
     scene = scene_on(draw_crossing(end_m=250.0, zebra=True), *flow)
@@ -432,7 +375,7 @@ def test_vehicle_stops_at_a_red_entrance_and_goes_on_when_it_opens(drive: Callab
     assert s[-1] > s[75] + 2.0
 
 
-def test_vehicle_joins_the_recorded_queue_and_goes_with_it(drive: Callable[..., FleetSimulation]) -> None:
+def test_vehicle_joins_the_recorded_queue_and_goes_with_it() -> None:
     """Somebody stands at 50 m until 8 s and then drives off at up to 6 m/s: it stops behind, and follows."""
     steps = np.arange(110)
     x = 50.0 + np.concatenate([np.zeros(80), np.cumsum(0.1 * np.clip(0.2 * np.arange(30), 0.0, 6.0))])
@@ -446,7 +389,7 @@ def test_vehicle_joins_the_recorded_queue_and_goes_with_it(drive: Callable[..., 
     assert one.v[-1] > 0.5
 
 
-def test_pedestrian_on_the_crossing_is_let_across(drive: Callable[..., FleetSimulation]) -> None:
+def test_pedestrian_on_the_crossing_is_let_across() -> None:
     """The walker is on the vehicle's way (|y| < 2) from 3 to 6.2 s; at 10 m/s from 65 m the crossing comes at 3.5 s."""
     walker = recorded(101.5, -6.0, 1.3, heading=UP, kind="pedestrian", size=BoxSize(0.6, 0.6))
     scene = scene_on(draw_crossing(end_m=250.0, zebra=True), walker)
@@ -476,15 +419,11 @@ def test_edges_go_from_the_cell_to_the_end_of_the_route() -> None:
     scene = _cut_road()
     edges = edges_along(scene, scene.paths.along((1, 3)), Cell(1, 23))
     assert edges == ("1#23", "1#24", "3#0", "3#1", "3#2", "3#3", "3#4")
-
-
-def test_lane_that_the_path_does_not_use_has_no_edges() -> None:
-    scene = _cut_road()
-    assert edges_along(scene, scene.paths.along((1,)), Cell(2, 3)) is None
+    assert edges_along(scene, scene.paths.along((1,)), Cell(2, 3)) is None  # the path does not use that lane
 
 
 @pytest.mark.parametrize("s0", [10.0, 21.75, 97.0, 99.0])
-def test_vehicle_is_inserted_with_its_box_where_it_starts(s0: float, drive: Callable[..., FleetSimulation]) -> None:
+def test_vehicle_is_inserted_with_its_box_where_it_starts(s0: float) -> None:
     """Centre at s0, so the front bumper at s0 + 2.25 m, which may already be on the next cell or lane."""
     scene = _cut_road()
     poses: list[Any] = []
@@ -508,9 +447,9 @@ def test_vehicle_is_inserted_with_its_box_where_it_starts(s0: float, drive: Call
 # Vehicles that enter during the scene ---------------------------------------------------------------------------------
 
 
-def test_vehicle_enters_at_its_step(drive: Callable[..., FleetSimulation]) -> None:
+def test_vehicle_enters_at_its_step() -> None:
     """At step 30, of 110: its first state is its start, and it is driven by SUMO from then on."""
-    scene = scene_on(_two_lanes())
+    scene = scene_on(draw_two_lanes())
     first, later = drive(
         scene, start_on(scene, (1,), 100.0, 9.0), start_on(scene, (1,), 3.0, 7.0, number=1, step=30)
     ).fleet.vehicles  # fmt: skip
@@ -523,12 +462,11 @@ def test_vehicle_enters_at_its_step(drive: Callable[..., FleetSimulation]) -> No
 
 @pytest.mark.parametrize("checked", [True, False])
 def test_vehicle_that_enters_follows_who_was_recorded_ahead_of_it(
-    drive: Callable[..., FleetSimulation],
     checked: bool,
 ) -> None:
     """A leader at 4 m/s, 15.5 m ahead of it at step 30, bumper to bumper; all are replayed, or those who matter."""
     leader = recorded(11.0, 0.0, 4.0)
-    scene = scene_on(_two_lanes(), leader)
+    scene = scene_on(draw_two_lanes(), leader)
     (one,) = drive(scene, start_on(scene, (1,), 3.0, 6.0, step=30), checked=checked).fleet.vehicles
     gaps = leader.position[30:, 0] - np.array(one.s) - CAR.length_m
     assert gaps[0] == pytest.approx(15.5)
@@ -536,19 +474,19 @@ def test_vehicle_that_enters_follows_who_was_recorded_ahead_of_it(
     assert one.v[-1] == pytest.approx(4.0, abs=0.7)
 
 
-def test_vehicle_that_enters_keeps_clear_of_who_crosses(drive: Callable[..., FleetSimulation]) -> None:
+def test_vehicle_that_enters_keeps_clear_of_who_crosses() -> None:
     """Somebody crosses x = 60 at step 80; at 10 m/s from x = 3 on it would be there at step 79 if it enters at 22."""
     crosses = recorded(60.0, -40.0, 5.0, heading=UP)
-    scene = scene_on(_two_lanes(), crosses)
+    scene = scene_on(draw_two_lanes(), crosses)
     (one,) = drive(scene, start_on(scene, (1,), 3.0, 10.0, step=22)).fleet.vehicles
     found = finalise(scene, one, [])
     assert isinstance(found, ExportedVehicle), found
     assert one.limited["conflict"] > 0
 
 
-def test_nobody_enters_where_another_one_is(drive: Callable[..., FleetSimulation]) -> None:
+def test_nobody_enters_where_another_one_is() -> None:
     """One that stands behind somebody recorded has not left the edge of the map when the next one is due."""
-    scene = scene_on(_two_lanes(), recorded(12.0, 0.0))
+    scene = scene_on(draw_two_lanes(), recorded(12.0, 0.0))
     first, later = drive(
         scene, start_on(scene, (1,), 4.0, 0.0), start_on(scene, (1,), 3.0, 7.0, number=1, step=30)
     ).fleet.vehicles  # fmt: skip
@@ -558,9 +496,9 @@ def test_nobody_enters_where_another_one_is(drive: Callable[..., FleetSimulation
     assert finalise(scene, later, []) is Reason.NO_ROOM_AT_EDGE
 
 
-def test_those_that_are_driven_see_who_has_entered(drive: Callable[..., FleetSimulation]) -> None:
+def test_those_that_are_driven_see_who_has_entered() -> None:
     """The second to enter on a lane follows the first one, which drives at 5 m/s at most."""
-    scene = scene_on(_two_lanes())
+    scene = scene_on(draw_two_lanes())
     slow = replace(DRIVER, desired_mps=5.0)
     first, later = drive(
         scene, start_on(scene, (1,), 3.0, 5.0, step=10, driver=slow),

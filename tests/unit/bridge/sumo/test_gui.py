@@ -146,17 +146,22 @@ def assert_shows_the_scene(picture, folder):
     assert sum(colored(picture, face(kind)) for kind in policies) > 20 * len(policies)
 
 
+def played(scene, picture, screen, step):
+    """What a process says that plays a scene and takes a picture of a step."""
+    code = "import sys; from pathlib import Path; from bridge.sumo.exchange import play_scene; "
+    code += f"print(play_scene(Path(sys.argv[1]), screenshot=Path(sys.argv[2]), step={step}))"
+    result = subprocess.run(
+        [sys.executable, "-c", code, scene, picture], capture_output=True, text=True, timeout=300, env=screen
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout.strip()
+
+
 @pytest.mark.parametrize("step", [49, 109])
 def test_gui_plays_the_scene_and_takes_a_picture(made_scene, tmp_path, screen, step):
     """Also of the last step, which stays: every vehicle that is there then is drawn."""
     picture = tmp_path / "deep" / "gui.png"
-    code = "import sys; from pathlib import Path; from bridge.sumo.exchange import play_scene; "
-    code += f"print(play_scene(Path(sys.argv[1]), screenshot=Path(sys.argv[2]), step={step}))"
-    result = subprocess.run(
-        [sys.executable, "-c", code, made_scene, picture], capture_output=True, text=True, timeout=300, env=screen
-    )
-    assert result.returncode == 0, result.stderr
-    assert result.stdout.strip() == str(picture)
+    assert played(made_scene, picture, screen, step) == str(picture)
     assert_shows_the_scene(picture, made_scene)
 
 
@@ -173,12 +178,7 @@ def test_without_a_display_the_reason_is_said(made_scene, monkeypatch):
 def test_a_map_that_begins_with_a_bicycle_lane_is_played_too(real_scene, tmp_path, screen):
     """Cars cannot enter on the first edge of this map's net, in the order of its names."""
     picture = tmp_path / "gui.png"
-    code = "import sys; from pathlib import Path; from bridge.sumo.exchange import play_scene; "
-    code += "play_scene(Path(sys.argv[1]), screenshot=Path(sys.argv[2]))"
-    result = subprocess.run(
-        [sys.executable, "-c", code, real_scene, picture], capture_output=True, text=True, timeout=300, env=screen
-    )
-    assert result.returncode == 0, result.stderr
+    played(real_scene, picture, screen, 49)
     assert colored(picture, LANE_GREY) > 2000
 
 

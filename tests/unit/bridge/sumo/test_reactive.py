@@ -1,15 +1,15 @@
 """Recorded vehicles that react: cut in front of, they yield on their path; scenes made so are not called recorded."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
-from hand_drawn import draw_lane
-from inserted import nobody, recorded, scene_on, start_on
+from hand_drawn import draw_two_lanes
+from inserted import recorded, scene_on, start_on
+from simulated import drive
 
 from bridge.batch.validation import validate_folder
 from bridge.evaluation.scene_metrics import measure_folder
@@ -18,52 +18,21 @@ from bridge.generation.generate import generate
 from bridge.pictures.render import _panels
 from bridge.recordings.scenario import read_scenario
 from bridge.sumo.driving import FleetSimulation
-from bridge.sumo.fleet import Fleet
-from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy
-from hid2.conflicts.stop_lines import StopLines
 from hid2.params import Config, Driving, LaneChange, Request
-from hid2.policy.roads import Roads
 from netconvert.errors import ConfigError, ScenarioError
-from netconvert.lane_graph import LaneGraph
-from netconvert.net_xml import net_bytes
 
 REACTIVE = Driving(replay="reactive")
 
 
-def _two_lanes() -> LaneGraph:
-    """Lane 1 at y = 0, lane 2 to its left at y = 3.5, 300 m."""
-    ring = np.array([(-20.0, -3.0), (320.0, -3.0), (320.0, 7.0), (-20.0, 7.0), (-20.0, -3.0)])
-    lanes = {
-        1: draw_lane(1, [(0.0, 0.0), (300.0, 0.0)], left=2),
-        2: draw_lane(2, [(0.0, 3.5), (300.0, 3.5)], right=1),
-    }
-    return LaneGraph(lanes, drivable_areas=(ring,))
-
-
-@pytest.fixture
-def cut_in(tmp_path: Path) -> Callable[[Driving], FleetSimulation]:
+def cut_in(driving: Driving) -> FleetSimulation:
     """A car at x = 38 m with 8 m/s is asked at 0.5 s to change in front of a recorded one 13.5 m behind with 12 m/s."""
-
-    def run(driving: Driving) -> FleetSimulation:
-        config = Config(driving=driving, lane_change=LaneChange(time_gap_rear_s=0.2, braking_mps2=4.0))
-        scene = scene_on(_two_lanes(), recorded(20.0, 3.3, 12.0, name="follower"), config=config)
-        start = start_on(scene, (1,), 38.0, 8.0, policy=Policy.LANE_CHANGE, trigger_s=0.5)
-        net = tmp_path / "road.net.xml"
-        net.write_bytes(net_bytes(scene.grid))
-        parameters = {"sigmaerror": 0.1, "treaction": 0.5}
-        with Simulation(net.read_bytes(), seed=0, step_s=0.1, model="EIDM", parameters=parameters) as simulation:
-            others = nobody(scene.future.num_steps)
-            found = FleetSimulation(Fleet(scene, [start], others, Roads(scene), StopLines(scene)), simulation)
-            found.run()
-        return found
-
-    return run
+    config = Config(driving=driving, lane_change=LaneChange(time_gap_rear_s=0.2, braking_mps2=4.0))
+    scene = scene_on(draw_two_lanes(), recorded(20.0, 3.3, 12.0, name="follower"), config=config)
+    return drive(scene, start_on(scene, (1,), 38.0, 8.0, policy=Policy.LANE_CHANGE, trigger_s=0.5))
 
 
-def test_follower_that_is_cut_in_front_of_yields_on_its_path(
-    cut_in: Callable[[Driving], FleetSimulation],
-) -> None:
+def test_follower_that_is_cut_in_front_of_yields_on_its_path() -> None:
     """As recorded it would be run into, so nobody changes; reacting, it brakes from 12 m/s to below 9, no harder than
     SUMO's 9 m/s2, stays behind, and is where SUMO has it.
     """
@@ -84,7 +53,7 @@ def test_follower_that_is_cut_in_front_of_yields_on_its_path(
     assert reactive.replay_errors.max_position_error_m < 1e-6
 
 
-def test_fixed_scene_is_never_another_one(cut_in: Callable[[Driving], FleetSimulation]) -> None:
+def test_fixed_scene_is_never_another_one() -> None:
     fixed = cut_in(Driving())
     assert fixed.reactions is None
     assert fixed.fleet.scene.traffic.position[0, :, 0] == pytest.approx(20.0 + 1.2 * np.arange(110))

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hand_drawn import draw_lane
 
 from bridge.sumo.replay import Replay
 from bridge.sumo.simulation import Simulation
@@ -11,7 +12,7 @@ from hid2.agents import BoxSize
 from hid2.drivers.driver import usual_driver
 from hid2.occupancy.traffic import Traffic
 from netconvert.cells import build_cell_grid
-from netconvert.lane_graph import LaneGraph, LaneSegment, turn_type
+from netconvert.lane_graph import LaneGraph
 from netconvert.net_xml import net_bytes
 
 STEPS = 40
@@ -20,12 +21,7 @@ STEPS = 40
 @pytest.fixture(scope="module")
 def net(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One lane of 100 m along +x."""
-    centerline = np.array([[0.0, 0.0], [100.0, 0.0]])
-    lane = LaneSegment(
-        lane_id=1, centerline=centerline, left_boundary=None, right_boundary=None, lane_type="VEHICLE",
-        is_intersection=False, successors=(), left_neighbor_id=None, right_neighbor_id=None, left_mark_type="NONE",
-        right_mark_type="NONE", width_m=3.5, turn=turn_type(centerline, is_intersection=False),
-    )  # fmt: skip
+    lane = draw_lane(1, [(0.0, 0.0), (100.0, 0.0)])
     path = tmp_path_factory.mktemp("net") / "road.net.xml"
     path.write_bytes(net_bytes(build_cell_grid(LaneGraph({1: lane}))))
     return path

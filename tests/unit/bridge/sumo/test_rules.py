@@ -1,70 +1,39 @@
 """Lane-change rules at the wheel: what each of them makes of the same road."""
 
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
-from hand_drawn import draw_lane
-from inserted import DRIVER, nobody, recorded, scene_on, start_on
+from hand_drawn import draw_two_lanes
+from inserted import recorded, scene_on, start_on
+from simulated import drive
 
 from bridge.sumo.drivers import model_parameters
-from bridge.sumo.driving import FleetSimulation
-from bridge.sumo.fleet import Fleet
-from bridge.sumo.simulation import Simulation
 from hid2.agents import Policy
-from hid2.conflicts.stop_lines import StopLines
 from hid2.params import Config, LaneChange
-from hid2.policy.roads import Roads
 from hid2.reasons import Reason
 from hid2.vehicle import DrivenVehicle
-from netconvert.lane_graph import LaneGraph
-from netconvert.net_xml import net_bytes
 
 
-def _road() -> LaneGraph:
-    """Lane 1 at y = 0, lane 2 to its left at y = 3.5, 300 m."""
-    ring = np.array([(-20.0, -3.0), (320.0, -3.0), (320.0, 7.0), (-20.0, 7.0), (-20.0, -3.0)])
-    lanes = {
-        1: draw_lane(1, [(0.0, 0.0), (300.0, 0.0)], left=2),
-        2: draw_lane(2, [(0.0, 3.5), (300.0, 3.5)], right=1),
-    }
-    return LaneGraph(lanes, drivable_areas=(ring,))
+def change(rule: str, leader_mps: float | None) -> DrivenVehicle:
+    """A vehicle at 10 m/s that is asked for a lane change at 1 s, 30 m behind a leader if there is one."""
+    config = Config(lane_change=LaneChange(rule=rule))
+    tracks = [] if leader_mps is None else [recorded(74.5, 0.0, leader_mps, name="slow")]
+    scene = scene_on(draw_two_lanes(), *tracks, config=config)
+    start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=1.0)
+    (vehicle,) = drive(scene, start, parameters=model_parameters(config)).fleet.vehicles
+    return vehicle
 
 
-@pytest.fixture
-def change(tmp_path: Path) -> Callable[..., DrivenVehicle]:
-    """change(rule, leader_mps) -> a vehicle at 10 m/s asked for a lane change at 1 s, 30 m behind a leader."""
-
-    def run(rule: str, leader_mps: float | None) -> DrivenVehicle:
-        config = Config(lane_change=LaneChange(rule=rule))
-        tracks = [] if leader_mps is None else [recorded(74.5, 0.0, leader_mps, name="slow")]
-        scene = scene_on(_road(), *tracks, config=config)
-        start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=1.0, driver=DRIVER)
-        net = tmp_path / "road.net.xml"
-        net.write_bytes(net_bytes(scene.grid))
-        parameters = model_parameters(config)
-        with Simulation(net.read_bytes(), seed=0, step_s=0.1, model="EIDM", parameters=parameters) as simulation:
-            others = nobody(scene.future.num_steps)
-            fleet = Fleet(scene, [replace(start)], others, Roads(scene), StopLines(scene))
-            (vehicle,) = FleetSimulation(fleet, simulation).run()
-        return vehicle
-
-    return run
+@pytest.mark.parametrize("leader_mps", [None, 4.0])
+@pytest.mark.parametrize("rule", ["paper", "MOBIL"])
+def test_paper_and_mobil_change_at_the_trigger_with_and_without_a_slow_leader(
+    rule: str, leader_mps: float | None
+) -> None:
+    """MOBIL takes its bias for a reason, and a slow leader too."""
+    assert change(rule, leader_mps).shifts[0].requested_step == 10
 
 
-def test_paper_changes_at_the_trigger_with_and_without_a_leader(change: Callable[..., DrivenVehicle]) -> None:
-    assert change("paper", None).shifts[0].requested_step == 10
-    assert change("paper", 4.0).shifts[0].requested_step == 10
-
-
-def test_mobil_takes_the_bias_for_a_reason_and_a_slow_leader_too(change: Callable[..., DrivenVehicle]) -> None:
-    assert change("MOBIL", None).shifts[0].requested_step == 10
-    assert change("MOBIL", 4.0).shifts[0].requested_step == 10
-
-
-def test_lc2013_wants_a_motive(change: Callable[..., DrivenVehicle]) -> None:
+def test_lc2013_wants_a_motive() -> None:
     """Nobody ahead: nothing to gain, never; behind one at 4 m/s the lane beside is the faster one."""
     alone, behind = change("LC2013", None), change("LC2013", 4.0)
     assert {look.rule for look in alone.gaps} == {Reason.LC2013_NO_MOTIVE}
@@ -73,9 +42,7 @@ def test_lc2013_wants_a_motive(change: Callable[..., DrivenVehicle]) -> None:
     assert (behind.gaps[-1].rule, behind.gaps[-1].sumo, len(behind.shifts)) == (None, True, 1)
 
 
-def test_own_function_decides(
-    change: Callable[..., DrivenVehicle], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_own_function_decides(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A rule that waits for 2 s: looks at 1.0, 1.1, ... 2.9 s are refused, the change is asked for at 3.0 s."""
     (tmp_path / "waiting_rule.py").write_text("def after_two(view):\n    return view.waited_s > 1.95\n")
     monkeypatch.syspath_prepend(str(tmp_path))

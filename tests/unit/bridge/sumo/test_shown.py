@@ -1,7 +1,7 @@
 """Whom SUMO may have to be shown, and when: places along one road, worked out by hand."""
 
 import numpy as np
-from hand_drawn import draw_lane
+from hand_drawn import draw_two_lanes
 from inserted import recorded, scene_on, start_on
 
 from bridge.sumo.shown import shown_when
@@ -9,17 +9,10 @@ from hid2.agents import Policy, Track
 from hid2.occupancy.along_path import path_occupancy
 from hid2.occupancy.traffic import BoolArray
 from hid2.scene import Scene
-from netconvert.lane_graph import LaneGraph
 
 
 def _scene(*tracks: Track) -> Scene:
-    """Lane 1 at y = 0, lane 2 to its left at y = 3.5, 400 m long."""
-    ring = np.array([(-20.0, -3.0), (420.0, -3.0), (420.0, 7.0), (-20.0, 7.0), (-20.0, -3.0)])
-    lanes = {
-        1: draw_lane(1, [(0.0, 0.0), (400.0, 0.0)], left=2),
-        2: draw_lane(2, [(0.0, 3.5), (400.0, 3.5)], right=1),
-    }
-    return scene_on(LaneGraph(lanes, drivable_areas=(ring,)), *tracks)
+    return scene_on(draw_two_lanes(400.0), *tracks)
 
 
 def _shown(scene: Scene, policy: Policy = Policy.STRAIGHT) -> BoolArray:

@@ -2,40 +2,26 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
+from hand_drawn import draw_two_lanes
 
 from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize
 from hid2.drivers.driver import usual_driver
 from netconvert.cells import build_cell_grid
 from netconvert.errors import SimulationError
-from netconvert.lane_graph import LaneGraph, LaneSegment, turn_type
 from netconvert.net_xml import net_bytes
 
+#: Of lanes 1 (index 0) and 2, the left one (1): 4 m each.
 EDGES = [f"1#{k}" for k in range(25)]
 CAR = BoxSize(4.5, 1.9)
 DRIVER = replace(usual_driver(12.0), accel_mps2=1.8, decel_mps2=2.5, tau_s=1.6, min_gap_m=2.5)
 
 
-def _road() -> LaneGraph:
-    """Two lanes of 100 m along +x; edges 1#0 .. 1#24 of 4 m, lane 1 at the right (index 0), lane 2 at the left (1)."""
-    lanes = {}
-    for lane_id, y in ((1, 0.0), (2, 3.5)):
-        centerline = np.array([[0.0, y], [100.0, y]])
-        lanes[lane_id] = LaneSegment(
-            lane_id=lane_id, centerline=centerline, left_boundary=None, right_boundary=None, lane_type="VEHICLE",
-            is_intersection=False, successors=(), left_neighbor_id=2 if lane_id == 1 else None,
-            right_neighbor_id=1 if lane_id == 2 else None, left_mark_type="DASHED_WHITE",
-            right_mark_type="DASHED_WHITE", width_m=3.5, turn=turn_type(centerline, is_intersection=False),
-        )  # fmt: skip
-    return LaneGraph(lanes)
-
-
 @pytest.fixture(scope="module")
 def net(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("net") / "road.net.xml"
-    path.write_bytes(net_bytes(build_cell_grid(_road())))
+    path.write_bytes(net_bytes(build_cell_grid(draw_two_lanes(100.0))))
     return path
 
 

@@ -89,8 +89,3 @@ def test_who_moves_along_the_path_does_not_cross_it(look, box) -> None:
 def test_whoever_is_absent_is_not_on_the_crossing(look, box) -> None:
     """Standing in the way, seen from step 40 on: nobody knows of it before."""
     assert _steps(look(box(101.5, 0.0, UP, 0.0, first=40))) == list(range(40, 110))
-
-
-def test_what_is_found_is_kept(straight_path: DrivenPath, box) -> None:
-    crossings = PedestrianCrossings(QUAD[None], box(101.5, 0.0, UP, 0.0), 0.1)
-    assert crossings.on(straight_path, 2.0) is crossings.on(straight_path, 2.0)

@@ -55,12 +55,6 @@ def test_none_is_drawn_beyond_what_drivers_do() -> None:
     assert min(driver.min_gap_m for driver in drivers) == 1.0
 
 
-def test_no_two_drivers_are_one() -> None:
-    rng = np.random.default_rng(0)
-    drivers = {draw_driver(CONFIG, rng, lane_speed_mps=10.0) for _ in range(50)}
-    assert len(drivers) == 50
-
-
 def _wander() -> np.ndarray:
     """(400, 110) m/s desired speeds minus the driver's own."""
     rng = np.random.default_rng(0)
@@ -127,14 +121,6 @@ def test_place_in_the_lane_is_correlated_from_knot_to_knot() -> None:
     d = np.array(knots)
     one, two = (np.corrcoef(d[:, :-lag].ravel(), d[:, lag:].ravel())[0, 1] for lag in (1, 2))
     assert [one, two, d.std()] == pytest.approx([0.37, 0.14, 0.14], abs=0.06)
-
-
-def test_place_in_the_lane_does_not_move_while_standing() -> None:
-    """D is a function of the way driven: at one s there is one d, whatever the time."""
-    offset = lane_offset(WEAVES, CONFIG, np.random.default_rng(1), length_m=200.0, usual=np.zeros_like)
-    d, slope, bend = offset.at(np.full(50, 70.0))
-    assert np.ptp(d) == np.ptp(slope) == np.ptp(bend) == 0.0
-    assert np.ptp(offset.at(np.linspace(0.0, 200.0, 50))[0]) > 0.05
 
 
 def test_place_in_the_lane_is_smooth_and_within_two_standard_deviations() -> None:

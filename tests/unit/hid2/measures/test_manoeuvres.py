@@ -218,12 +218,6 @@ def test_a_vehicle_that_stands_does_nothing(road):
     assert kinds(road(), along(np.full(110, 50.0), 0.0)) == []
 
 
-def test_everything_works_at_fifty_steps_too(road):
-    time = TIME[:50]
-    (found,) = seen(road(length_m=200), along(20 + 10 * time, shift(0.8, 3.0, time=time)))
-    assert found.kind is ManeuverKind.LANE_CHANGE
-
-
 @pytest.mark.parametrize("steps", [11, 12, 110])
 def test_lateral_speed_is_savitzkys_and_golays(steps):
     """A window of 1.1 s is 11 points at 0.1 s; at the ends the parabola of the outermost window is used."""

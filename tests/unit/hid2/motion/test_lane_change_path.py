@@ -99,12 +99,6 @@ def test_who_slows_down_is_half_way_across_farther_on() -> None:
     assert np.interp(80.0, *blend.points.T) == pytest.approx(1.75, abs=0.05)
 
 
-def test_blend_to_the_right_shifts_the_other_way() -> None:
-    blend = blend_of(LEFT, CURRENT, start_m=50.0, length_m=40.0)
-    assert blend is not None
-    assert np.all(np.diff(blend.points[:, 1]) <= 1e-9)
-
-
 def test_blend_knows_how_far_the_target_is_ahead_of_it() -> None:
     """The target begins 30 m before the current lane: its arc length is 30 m more, less a detour of 0.2 m."""
     blend = blend_of(CURRENT, LEFT - np.array([30.0, 0.0]), start_m=50.0, length_m=40.0)

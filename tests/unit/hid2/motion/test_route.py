@@ -86,11 +86,6 @@ def test_line_and_polyline_scales_are_inverse(forked: LaneGraph) -> None:
         assert path.to_line(path.to_raw(s)) == pytest.approx(s, abs=1e-6)
 
 
-def test_turns_are_told_by_stretch(forked: LaneGraph) -> None:
-    kinds = [forked.lanes[one.lane_id].turn for one in _path(forked, 1, 3, 4).segments]
-    assert kinds == [TurnType.STRAIGHT, TurnType.LEFT, TurnType.STRAIGHT]
-
-
 def _all_drivable(forked: LaneGraph) -> LaneGraph:
     """The same with lane 5 for all."""
     return LaneGraph({**forked.lanes, 5: replace(forked.lanes[5], lane_type="VEHICLE")})

@@ -28,11 +28,6 @@ def boxes(grid: CellGrid) -> CellBoxes:
     return cell_boxes(grid)
 
 
-def _cell(grid: CellGrid, boxes: CellBoxes, traffic: Traffic) -> Cell | None:
-    found = original_occupancy(boxes, traffic)
-    return grid.cells[int(found.cell[0, 0])] if found.cell[0, 0] >= 0 else None
-
-
 def test_cells_are_boxes_on_the_centreline(grid: CellGrid, boxes: CellBoxes) -> None:
     """Cell (2, 3) covers x = 12 .. 16 of lane 2: centre (14, 3.5), 4 m long, 3.5 m wide, heading 0."""
     row = grid.index_of[Cell(2, 3)]
@@ -40,63 +35,48 @@ def test_cells_are_boxes_on_the_centreline(grid: CellGrid, boxes: CellBoxes) -> 
     assert (boxes.heading[row], boxes.length_m[row], boxes.width_m[row]) == pytest.approx((0.0, 4.0, 3.5))
 
 
-def test_level_1_the_cell_that_holds_the_centre(grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]) -> None:
-    assert _cell(grid, boxes, box(13.0, 1.7, steps=1)) == Cell(1, 3)
-    assert _cell(grid, boxes, box(13.0, 1.8, steps=1)) == Cell(2, 3)
-
-
-def test_level_2_the_nearest_lane_that_agrees_up_to_half_a_metre_outside(
-    grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]
+@pytest.mark.parametrize(
+    ("pose", "cell"),
+    [
+        ((13.0, 1.7, 0.0), Cell(1, 3)),  # level 1: the cell that holds the centre
+        ((13.0, 1.8, 0.0), Cell(2, 3)),
+        ((13.0, 1.7, np.pi / 4), Cell(1, 3)),  # 45 degrees agree, and (14, 0) is no nearer
+        ((13.0, -2.2, 0.0), Cell(1, 3)),  # level 2: lane 1 reaches to y = -1.75, the centre is 0.45 m outside
+        ((13.5, 1.1, np.pi / 2), Cell(1, 3)),  # level 3: crosswise; the nearest cell centre, (14, 0), is 1.2 m away
+        ((14.0, -3.5, np.pi), Cell(1, 3)),
+        ((14.0, -6.0, 0.0), None),  # level 4: 6 m from the nearest cell; a box to everybody, but without a cell
+    ],
+)
+def test_cell_of_a_vehicle_is_told_by_four_levels(
+    pose: tuple[float, float, float], cell: Cell | None, grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]
 ) -> None:
-    """Lane 1 reaches down to y = -1.75; a centre at -2.2 is 0.45 m outside."""
-    assert _cell(grid, boxes, box(13.0, -2.2, steps=1)) == Cell(1, 3)
+    found = original_occupancy(boxes, box(*pose, steps=1)).cell[0, 0]
+    assert (grid.cells[found] if found >= 0 else None) == cell
 
 
-def test_level_3_crosswise_the_nearest_cell_within_one_cell(
-    grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]
-) -> None:
-    """A vehicle at right angles agrees with no lane: the nearest cell centre, (14, 0), is 1.2 m away."""
-    assert _cell(grid, boxes, box(13.5, 1.1, np.pi / 2, steps=1)) == Cell(1, 3)
-    assert _cell(grid, boxes, box(14.0, -3.5, np.pi, steps=1)) == Cell(1, 3)
-
-
-def test_level_4_off_the_grid(grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]) -> None:
-    """6 m from the nearest cell centre; it is still a box to everybody, but has no cell."""
-    assert _cell(grid, boxes, box(14.0, -6.0, steps=1)) is None
-
-
-def test_agreeing_lane_farther_away_beats_a_nearer_cell_that_does_not_agree(
-    grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]
-) -> None:
-    """45 degrees agrees (below 60), so the cell that holds the centre is taken although (14, 0) is no nearer."""
-    assert _cell(grid, boxes, box(13.0, 1.7, np.pi / 4, steps=1)) == Cell(1, 3)
-
-
+@pytest.mark.parametrize(
+    ("place", "length_m", "held"),
+    [
+        ((14.0, 0.0), 4.5, {Cell(1, 2), Cell(1, 3), Cell(1, 4)}),  # x = 11.75 .. 16.25, y = -0.95 .. 0.95
+        ((14.0, 1.75), 3.0, {Cell(1, 3), Cell(2, 3)}),  # between two lanes
+        ((18.0, 0.0), 11.0, {Cell(1, 3), Cell(1, 4), Cell(1, 5)}),  # a bus: 12.5 .. 23.5
+    ],
+)
 def test_vehicle_occupies_every_cell_its_box_covers(
-    grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]
+    place: tuple[float, float],
+    length_m: float,
+    held: set[Cell],
+    grid: CellGrid,
+    boxes: CellBoxes,
+    box: Callable[..., Traffic],
 ) -> None:
-    """4.5 x 1.9 m at (14, 0) covers x = 11.75 .. 16.25, y = -0.95 .. 0.95: cells 2, 3 and 4 of lane 1.
-
+    """
     8       12       16       20
     |   2  [|===3====|]  4    |
     """
-    sigma = original_occupancy(boxes, box(14.0, 0.0, steps=1)).sigma[0]
-    held = {grid.cells[row] for row in np.flatnonzero(sigma == ORIGINAL)}
-    assert held == {Cell(1, 2), Cell(1, 3), Cell(1, 4)}
+    sigma = original_occupancy(boxes, box(*place, steps=1, length_m=length_m)).sigma[0]
+    assert {grid.cells[row] for row in np.flatnonzero(sigma == ORIGINAL)} == held
     assert set(np.unique(sigma)) == {FREE, ORIGINAL}
-
-
-def test_vehicle_between_two_lanes_occupies_both(grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]) -> None:
-    sigma = original_occupancy(boxes, box(14.0, 1.75, steps=1, length_m=3.0)).sigma[0]
-    assert {grid.cells[row] for row in np.flatnonzero(sigma)} == {Cell(1, 3), Cell(2, 3)}
-
-
-def test_long_vehicle_occupies_the_cells_ahead_and_behind(
-    grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]
-) -> None:
-    """A bus of 11 m at x = 18 covers 12.5 .. 23.5: cells 3, 4, 5."""
-    sigma = original_occupancy(boxes, box(18.0, 0.0, steps=1, length_m=11.0)).sigma[0]
-    assert {grid.cells[row].index for row in np.flatnonzero(sigma)} == {3, 4, 5}
 
 
 def test_occupancy_follows_the_vehicle_and_releases_the_cells_behind(

@@ -32,48 +32,41 @@ def _decide(**changes: Any) -> Decision:
     return decide(replace(SEEN, **changes), lane_change=LaneChange(), overtake=OVERTAKE)
 
 
-def test_line_1_without_a_request_the_agent_goes_straight_to_the_next_cell() -> None:
-    assert _decide(request=Policy.STRAIGHT) == Decision(Policy.STRAIGHT, Cell(1, 6))
+STRAIGHT_ON = Decision(Policy.STRAIGHT, Cell(1, 6))
+CLOSED = replace(LEFT, cells_free=False)
 
 
-def test_line_3_before_the_trigger_the_agent_goes_on() -> None:
-    """t = 1.9 < t_trigger = 2: no reason either, since nothing is due."""
-    assert _decide(time_s=1.9) == Decision(Policy.STRAIGHT, Cell(1, 6))
-
-
-def test_lines_3_to_5_at_the_trigger_a_free_adjacent_lane_is_taken() -> None:
-    assert _decide() == Decision(Policy.LANE_CHANGE, Cell(2, 5), "left")
-
-
-def test_line_3_without_an_adjacent_lane_the_reason_says_so() -> None:
-    assert _decide(options=()) == Decision(Policy.STRAIGHT, Cell(1, 6), reason="no_adjacent_lane")
-
-
-def test_line_3_waits_while_the_rear_cell_is_occupied() -> None:
-    assert _decide(options=(replace(LEFT, cells_free=False),)).reason == "cells_occupied"
-
-
-def test_second_side_is_tried_when_the_first_is_closed() -> None:
-    assert _decide(options=(replace(LEFT, cells_free=False), RIGHT)) == Decision(
-        Policy.LANE_CHANGE, Cell(3, 5), "right"
-    )
-
-
-def test_first_side_wins_when_both_are_open() -> None:
-    assert _decide(options=(RIGHT, LEFT)).side == "right"
-
-
-@pytest.mark.parametrize("stage", [Stage.DONE, Stage.ABORTED])
-def test_request_that_is_settled_is_not_due_again(stage: Stage) -> None:
-    assert _decide(stage=stage) == Decision(Policy.STRAIGHT, Cell(1, 6))
-
-
-def test_lines_6_to_9_a_slower_leader_within_d_obs_is_overtaken() -> None:
-    assert _decide(request=Policy.OVERTAKE, leader=SLOW) == Decision(Policy.OVERTAKE, Cell(2, 5), "left")
-
-
-def test_line_6_without_a_leader_there_is_nothing_to_overtake() -> None:
-    assert _decide(request=Policy.OVERTAKE) == Decision(Policy.STRAIGHT, Cell(1, 6), reason="no_leader")
+@pytest.mark.parametrize(
+    ("changes", "decision"),
+    [
+        ({"request": Policy.STRAIGHT}, STRAIGHT_ON),
+        ({"time_s": 1.9}, STRAIGHT_ON),  # 1.9 s < t_trigger = 2 s: no reason either, since nothing is due
+        ({}, Decision(Policy.LANE_CHANGE, Cell(2, 5), "left")),
+        ({"options": ()}, replace(STRAIGHT_ON, reason="no_adjacent_lane")),
+        ({"options": (CLOSED,)}, replace(STRAIGHT_ON, reason="cells_occupied")),
+        ({"options": (CLOSED, RIGHT)}, Decision(Policy.LANE_CHANGE, Cell(3, 5), "right")),
+        ({"options": (RIGHT, LEFT)}, Decision(Policy.LANE_CHANGE, Cell(3, 5), "right")),
+        ({"stage": Stage.DONE}, STRAIGHT_ON),
+        ({"stage": Stage.ABORTED}, STRAIGHT_ON),
+        ({"request": Policy.OVERTAKE, "leader": SLOW}, Decision(Policy.OVERTAKE, Cell(2, 5), "left")),
+        ({"request": Policy.OVERTAKE}, replace(STRAIGHT_ON, reason="no_leader")),
+    ],
+    ids=[
+        "line 1: without a request the agent goes straight to the next cell",
+        "line 3: before the trigger the agent goes on",
+        "lines 3 to 5: at the trigger a free adjacent lane is taken",
+        "line 3: without an adjacent lane the reason says so",
+        "line 3: waits while the rear cell is occupied",
+        "the second side is tried when the first is closed",
+        "the first side wins when both are open",
+        "a request that is done is not due again",
+        "a request that is given up is not due again",
+        "lines 6 to 9: a slower leader within d_obs is overtaken",
+        "line 6: without a leader there is nothing to overtake",
+    ],
+)
+def test_what_algorithm_1_decides(changes: dict[str, Any], decision: Decision) -> None:
+    assert _decide(**changes) == decision
 
 
 def test_line_7_each_gap_is_checked() -> None:

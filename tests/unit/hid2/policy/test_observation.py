@@ -4,13 +4,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from inserted import CAR, nobody, scene_on
 
-from hid2.agents import BoxSize, Track
+from hid2.agents import Track
 from hid2.drivers.driver import usual_driver
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
 from hid2.policy.lane_change import OPEN as NO_GAP
+from hid2.policy.lane_change import Gap, LaneOption
 from hid2.policy.observation import (
     Inserted,
     admissible_neighbor,
@@ -21,15 +23,11 @@ from hid2.policy.observation import (
     leader_on,
     target_path,
 )
-from hid2.scene import Scene, build_scene
-from netconvert.cells import Cell, build_cell_grid
+from hid2.scene import Scene
+from netconvert.cells import Cell
 from netconvert.lane_graph import LaneGraph, LaneSegment
 
-CAR = BoxSize(4.5, 1.9)
-NOBODY = Traffic(
-    ids=(), position=np.zeros((0, 110, 2)), heading=np.zeros((0, 110)), velocity=np.zeros((0, 110, 2)),
-    present=np.zeros((0, 110), dtype=bool), length_m=np.zeros(0), width_m=np.zeros(0),
-)  # fmt: skip
+NOBODY = nobody()
 
 
 @pytest.fixture
@@ -37,10 +35,25 @@ def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
     """scene_of(*tracks, graph=None, lanes=2, ...) -> a scene on a straight road of 200 m."""
 
     def make(*tracks: Track, graph: LaneGraph | None = None, config: Config | None = None, **shape: Any) -> Scene:
-        grid = build_cell_grid(graph or road(**shape))
-        return build_scene(grid, tracks, config=config or Config(), num_steps=110, last_observed_step=49, step_s=0.1)
+        return scene_on(graph or road(**shape), *tracks, config=config)
 
     return make
+
+
+def _option(
+    scene: Scene, s: float, *, step: int = 0, fixed: Traffic = NOBODY, fleet: Traffic = NOBODY, speed_mps: float = 10.0
+) -> LaneOption:
+    """What lane 2 offers to a car on lane 1 that wants 10 m/s."""
+    path, inserted = scene.paths.along((1,)), Inserted(step, fixed, fleet)
+    ((option, _),) = lane_options(
+        scene, path, CAR, s=s, sides=("left",), inserted=inserted, speed_mps=speed_mps, desired_mps=10.0
+    )
+    return option
+
+
+def _gaps(scene: Scene, *, step: int = 0, fixed: Traffic = NOBODY, fleet: Traffic = NOBODY) -> tuple[Gap, Gap]:
+    """Gaps of a car at 80 m of lane 2."""
+    return gaps_on(scene, scene.paths.along((2,)), CAR, at=80.0, inserted=Inserted(step, fixed, fleet))
 
 
 def _drive(track: Callable[..., Track], x: float, y: float, speed: float, name: str = "t") -> Track:
@@ -91,17 +104,11 @@ def test_cell_that_is_taken_when_the_vehicle_gets_there_rejects_the_transition(
     """
     scene = scene_of(track(range(4, 60), np.full(56, 46.0), 3.5))
 
-    def is_free(speed_mps: float, step: int) -> bool:
-        ((option, _),) = lane_options(
-            scene, scene.paths.along((1,)), CAR, s=41.0, sides=("left",), inserted=Inserted(step, NOBODY, NOBODY),
-            speed_mps=speed_mps, desired_mps=10.0,
-        )  # fmt: skip
-        return option.cells_free
-
-    assert not is_free(10.0, 0)
-    assert is_free(20.0, 0)  # two steps on the cell is still free
-    assert is_free(0.0, 0)
-    assert not is_free(0.0, 4)
+    free = [
+        _option(scene, 41.0, speed_mps=speed_mps, step=step).cells_free
+        for speed_mps, step in ((10.0, 0), (20.0, 0), (0.0, 0), (0.0, 4))
+    ]
+    assert free == [False, True, True, False]  # at 20 m/s the cell is still free two steps on
 
 
 def test_gaps_are_bumper_to_bumper_with_the_neighbours_speeds(
@@ -113,7 +120,7 @@ def test_gaps_are_bumper_to_bumper_with_the_neighbours_speeds(
         |<-15.5->|    |<---25.5---->|           20 - 4.5 and 30 - 4.5, to half a metre
     """
     scene = scene_of(_drive(track, 60.0, 3.5, 9.0, "rear"), _drive(track, 110.0, 3.5, 12.0, "front"))
-    front, rear = gaps_on(scene, scene.paths.along((2,)), CAR, at=80.0, inserted=Inserted(0, NOBODY, NOBODY))
+    front, rear = _gaps(scene)
     assert front.distance_m == pytest.approx(25.5, abs=0.6)
     assert rear.distance_m == pytest.approx(15.5, abs=0.6)
     assert (front.speed_mps, rear.speed_mps) == pytest.approx((12.0, 9.0))
@@ -122,7 +129,7 @@ def test_gaps_are_bumper_to_bumper_with_the_neighbours_speeds(
 def test_gaps_are_those_of_the_step(scene_of: Callable[..., Scene], track: Callable[..., Track]) -> None:
     """After 5 s the one at 60 m with 9 m/s is at 105: now ahead of 80."""
     scene = scene_of(_drive(track, 60.0, 3.5, 9.0))
-    front, rear = gaps_on(scene, scene.paths.along((2,)), CAR, at=80.0, inserted=Inserted(50, NOBODY, NOBODY))
+    front, rear = _gaps(scene, step=50)
     assert front.distance_m == pytest.approx(20.5, abs=0.6)
     assert rear == NO_GAP
 
@@ -131,9 +138,8 @@ def test_kept_and_driven_vehicles_count_like_recorded_ones(
     scene_of: Callable[..., Scene], box: Callable[..., Traffic]
 ) -> None:
     """One kept in a round before drives at 5 m/s from 90 m on and is at 110 after 4 s; the fleet is as it is now."""
-    scene = scene_of()
     fixed, fleet = box(90.0, 3.5, 0.0, 5.0), box(50.0, 3.5, 0.0, 7.0, steps=1)
-    front, rear = gaps_on(scene, scene.paths.along((2,)), CAR, at=80.0, inserted=Inserted(40, fixed, fleet))
+    front, rear = _gaps(scene_of(), step=40, fixed=fixed, fleet=fleet)
     assert front.distance_m == pytest.approx(25.5, abs=0.6)
     assert rear.distance_m == pytest.approx(25.5, abs=0.6)
     assert (front.speed_mps, rear.speed_mps) == pytest.approx((5.0, 7.0))
@@ -144,11 +150,7 @@ def test_free_corridor_ends_at_who_is_slower_than_desired(
     speed: float, corridor: float, scene_of: Callable[..., Scene], box: Callable[..., Traffic]
 ) -> None:
     """At 80 m of 200, somebody at 109 m ahead on the lane beside: bumper gap 24.5 m; who drives 10 m/s leaves it."""
-    scene = scene_of()
-    ((option, _),) = lane_options(
-        scene, scene.paths.along((1,)), CAR, s=80.0, sides=("left",),
-        inserted=Inserted(0, box(109.0, 3.5, 0.0, speed), NOBODY), speed_mps=10.0, desired_mps=10.0,
-    )  # fmt: skip
+    option = _option(scene_of(), 80.0, fixed=box(109.0, 3.5, 0.0, speed))
     assert option.corridor_m == pytest.approx(corridor, abs=0.6)
 
 
@@ -165,16 +167,9 @@ def test_generated_vehicles_hold_the_cells_where_the_simulation_has_them_now(
     def is_free(x: float) -> bool:
         fixed = box(x, 3.5, length_m=3.0) if who == "kept" else NOBODY
         fleet = box(x, 3.5, steps=1, length_m=3.0) if who == "driven" else NOBODY
-        ((option, _),) = lane_options(
-            scene, scene.paths.along((1,)), CAR, s=42.0, sides=("left",), inserted=Inserted(70, fixed, fleet),
-            speed_mps=10.0, desired_mps=10.0,
-        )  # fmt: skip
-        return option.cells_free
+        return _option(scene, 42.0, step=70, fixed=fixed, fleet=fleet).cells_free
 
-    assert not is_free(46.0)
-    assert not is_free(38.0)
-    assert is_free(50.0)
-    assert is_free(34.0)
+    assert [is_free(x) for x in (34.0, 38.0, 46.0, 50.0)] == [True, False, False, True]
 
 
 @pytest.mark.parametrize(("x", "free"), [(32.0, True), (38.0, False), (46.0, False), (52.0, True)])
@@ -183,17 +178,12 @@ def test_recorded_vehicles_hold_the_cells_beside_and_next_to_it(
 ) -> None:
     """Cells 9 to 11, beside and next to it, are 36 .. 48 m. A car at 32 m ends at 34.25, at 52 m it begins at 49.75."""
     scene = scene_of(track(range(110), np.full(110, x), 3.5))
-    ((option, _),) = lane_options(
-        scene, scene.paths.along((1,)), CAR, s=42.0, sides=("left",), inserted=Inserted(70, NOBODY, NOBODY),
-        speed_mps=0.0, desired_mps=10.0,
-    )  # fmt: skip
-    assert option.cells_free == free
+    assert _option(scene, 42.0, step=70, speed_mps=0.0).cells_free == free
 
 
 def test_vehicle_beside_leaves_no_gap(scene_of: Callable[..., Scene], track: Callable[..., Track]) -> None:
     scene = scene_of(_drive(track, 81.0, 3.5, 9.0))
-    front, _ = gaps_on(scene, scene.paths.along((2,)), CAR, at=80.0, inserted=Inserted(0, NOBODY, NOBODY))
-    assert front.distance_m < 0.0
+    assert _gaps(scene)[0].distance_m < 0.0
 
 
 def test_target_path_reaches_back_to_who_comes_from_behind(

@@ -50,44 +50,36 @@ def test_paper_is_the_default_and_asks_for_free_cells() -> None:
     assert rule_reason(replace(VIEW, cells_free=False), LaneChange()) == Reason.CELLS_OCCUPIED
 
 
-def test_mobil_changes_for_an_advantage_only() -> None:
-    """Behind a leader at 12 m the lane beside is worth 0 - (-1) = 1 m/s2; on a free road it is worth nothing."""
-    assert _mobil(replace(VIEW, own_front=Gap(12.0, 10.0)), MOBIL) is None
-    assert _mobil(VIEW, MOBIL) == Reason.MOBIL_NO_ADVANTAGE
+AT_12_M = Gap(12.0, 10.0)
+POLITE = "mobil_politeness"
 
 
-def test_mobil_bias_takes_the_place_of_an_advantage() -> None:
-    assert _mobil(VIEW, MOBIL.model_copy(update={"mobil_bias_mps2": 0.2})) is None
-
-
-def test_mobil_keeps_the_new_follower_safe() -> None:
-    """6 m behind at 10 m/s: s* = 12, so 0 - 4 = -4 m/s2, beyond the 2 allowed."""
-    crowded = replace(VIEW, own_front=Gap(12.0, 10.0), rear=Gap(6.0, 10.0))
-    assert _mobil(crowded, MOBIL) == Reason.MOBIL_UNSAFE
-
-
-def test_mobil_politeness_weighs_the_followers_loss() -> None:
-    """Own advantage 1; the new follower, at 12 m now instead of nobody ahead, loses 1: worth it below p = 0.9."""
-    view = replace(VIEW, own_front=Gap(12.0, 10.0), rear=Gap(12.0, 10.0))
-    for politeness, reason in ((0.0, None), (0.85, None), (0.95, Reason.MOBIL_NO_ADVANTAGE)):
-        assert _mobil(view, MOBIL.model_copy(update={"mobil_politeness": politeness})) == reason
-
-
-def test_mobil_politeness_counts_what_the_old_follower_wins() -> None:
-    """Nothing to win for itself; the old follower at 12 m loses its leader and wins 1: at p = 0.2 more than 0.1."""
-    view = replace(VIEW, own_rear=Gap(12.0, 10.0))
-    assert _mobil(view, MOBIL.model_copy(update={"mobil_politeness": 0.0})) == Reason.MOBIL_NO_ADVANTAGE
-    assert _mobil(view, MOBIL.model_copy(update={"mobil_politeness": 0.2})) is None
-
-
-def test_mobil_politeness_leaves_the_old_follower_the_own_leader() -> None:
-    """Leaders at 12 m here and there: no advantage. The old follower has 12 + 4 + 12 = 28 m then, -(12 / 28)^2 = -.184.
-
-    It wins .816 m/s2: more than the threshold of .1 from p = .123 on.
-    """
-    view = replace(VIEW, own_front=Gap(12.0, 10.0), own_rear=Gap(12.0, 10.0), front=Gap(12.0, 10.0))
-    for politeness, reason in ((0.12, Reason.MOBIL_NO_ADVANTAGE), (0.125, None)):
-        assert _mobil(view, MOBIL.model_copy(update={"mobil_politeness": politeness})) == reason
+@pytest.mark.parametrize(
+    ("seen", "changed", "reason"),
+    [
+        # behind a leader at 12 m the lane beside is worth 0 - (-1) = 1 m/s2; on a free road it is worth nothing
+        ({"own_front": AT_12_M}, {}, None),
+        ({}, {}, Reason.MOBIL_NO_ADVANTAGE),
+        ({}, {"mobil_bias_mps2": 0.2}, None),  # the bias takes the place of an advantage
+        # a follower 6 m behind at 10 m/s: s* = 12, so 0 - 4 = -4 m/s2, beyond the 2 allowed
+        ({"own_front": AT_12_M, "rear": Gap(6.0, 10.0)}, {}, Reason.MOBIL_UNSAFE),
+        # own advantage 1; the new follower, at 12 m now instead of nobody ahead, loses 1: worth it below p = 0.9
+        ({"own_front": AT_12_M, "rear": AT_12_M}, {POLITE: 0.0}, None),
+        ({"own_front": AT_12_M, "rear": AT_12_M}, {POLITE: 0.85}, None),
+        ({"own_front": AT_12_M, "rear": AT_12_M}, {POLITE: 0.95}, Reason.MOBIL_NO_ADVANTAGE),
+        # nothing to win for itself; the old follower at 12 m loses its leader and wins 1: at p = 0.2 more than 0.1
+        ({"own_rear": AT_12_M}, {POLITE: 0.0}, Reason.MOBIL_NO_ADVANTAGE),
+        ({"own_rear": AT_12_M}, {POLITE: 0.2}, None),
+        # leaders at 12 m here and there: no advantage. The old follower has 12 + 4 + 12 = 28 m then, -(12 / 28)^2 =
+        # -.184: it wins .816 m/s2, more than the threshold of .1 from p = .123 on
+        ({"own_front": AT_12_M, "own_rear": AT_12_M, "front": AT_12_M}, {POLITE: 0.12}, Reason.MOBIL_NO_ADVANTAGE),
+        ({"own_front": AT_12_M, "own_rear": AT_12_M, "front": AT_12_M}, {POLITE: 0.125}, None),
+    ],
+)
+def test_mobil_weighs_advantage_safety_and_what_followers_lose_and_win(
+    seen: dict[str, Gap], changed: dict[str, float], reason: Reason | None
+) -> None:
+    assert _mobil(replace(VIEW, **seen), MOBIL.model_copy(update=changed)) == reason
 
 
 @pytest.mark.parametrize(
@@ -211,12 +203,6 @@ def test_change_to_a_free_lane_is_expected_of_every_rule_with_an_incentive() -> 
         assert expected_reason(usual_driver(10.0), LaneChange(rule=rule), speed_mps=10.0) is None
     never = LaneChange(rule="MOBIL", mobil_threshold_mps2=5.0, mobil_bias_mps2=0.0)
     assert expected_reason(usual_driver(10.0), never, speed_mps=2.0) is Reason.MOBIL_NO_ADVANTAGE
-
-
-@pytest.mark.parametrize(("lead_m", "reason"), [(3.0, Reason.FRONT_GAP), (-1.0, Reason.CELLS_OCCUPIED)])
-def test_paper_rule_wants_room_to_the_new_leader(lead_m: float, reason: Reason) -> None:
-    view = replace(VIEW, speed_mps=10.0, front=Gap(lead_m, 10.0), cells_free=lead_m > 0.0)
-    assert rule_reason(view, LaneChange(rule="paper")) is reason
 
 
 def test_paper_rule_by_own_wish_wants_a_faster_leader_unless_it_must() -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line
 from hid2.params import Limits, Turn
-from hid2.policy.roads import f_left, f_right, hard_cap, road_speeds, turn_shape
+from hid2.policy.roads import f_left, hard_cap, road_speeds, turn_shape
 from netconvert.lane_graph import TurnType
 
 #: Every value that a number below is worked from; the defaults may be tuned.
@@ -34,13 +34,6 @@ def test_shape_is_smooth_where_its_halves_meet() -> None:
     slope = np.gradient(turn_shape(np.linspace(0, 1, 10001), 0.65, 0.4), 1e-4)
     assert np.abs(slope[[1, 4000, -2]]).max() < 2e-2
     assert np.abs(np.diff(slope)).max() < 2e-3
-
-
-def test_right_turns_slow_less_than_left_ones() -> None:
-    turn = Turn()
-    left, right = f_left(ALPHA, turn), f_right(ALPHA, turn)
-    assert np.all(right[1:-1] > left[1:-1])
-    assert np.all(right <= 1.0)
 
 
 def test_cap_on_a_circle_is_the_root_of_lateral_acceleration_times_radius() -> None:
