@@ -35,6 +35,7 @@ from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
 from bridge.sumo.poses import sumo_poses
+from bridge.sumo.simulation import Simulation
 from hid2.params import Config, Request
 
 #: Time over the limit, at most, in the median over the scenes and in the worst; driven for one kept in the median.
