@@ -15,8 +15,6 @@ from netconvert.lane_graph import TurnType
 
 #: A lane that begins so near to the hull of all lanes begins at the map's edge, m. No tunable: what the edge is.
 _EDGE_M = 15.0
-
-
 #: An entry: lane, row of the route in `Routes.offers`, step; weight, near, leader: `Outlook`. One from which no agent
 #: is met has no weight where vehicles are asked for near to agents.
 _ENTRY = np.dtype([

@@ -204,11 +204,9 @@ def comes_between(scene: Scene, event: EventOutcome, vehicle: ExportedVehicle) -
     """Whether a vehicle comes between the two of a lead or follow event at its moment."""
     if event.vehicle is None or event.seen is None or event.event.kind not in ("lead", "follow"):
         return False
-    pair = scene.states.traffic.ids.index(event.target_id), scene.states.arrays.num_agents
-    states = together(scene, [event.vehicle, vehicle]).rows([*pair, pair[1] + 1])
-    names = event.vehicle.driven.vehicle_id, str(event.target_id)
-    at_s = event.seen.at_step * scene.step_s
-    return event_step(states, EventClaim(event.event.kind, *names, at_s, ahead=event.seen.order > 0)) is None
+    names, at_s = (event.vehicle.driven.vehicle_id, str(event.target_id)), event.seen.at_step * scene.step_s
+    claim = EventClaim(event.event.kind, *names, at_s, ahead=event.seen.order > 0)
+    return event_step(together(scene, [event.vehicle, vehicle]), claim) is None
 
 
 def offered_events(here: Surroundings, names: Sequence[str]) -> tuple[str, ...]:

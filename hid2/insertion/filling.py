@@ -129,9 +129,8 @@ class Filling:
         to what it has become, by which the vehicles are judged.
         """
         starts = sorted(self._starts_of(self._target()), key=lambda start: start.request.number)
-        no_other = self._fixed
         while True:
-            vehicles = drive(starts, no_other, self.rounds)
+            vehicles = drive(starts, self._fixed, self.rounds)
             self.rounds += 1
             self.kept, gone = self._judged(vehicles)
             if not gone:
@@ -298,7 +297,7 @@ class Filling:
         others need come first.
         """
         left = [one for one in new if one.driven.vehicle_id not in gone]
-        needed = set().union(*(_needs(one.driven, self._brakes_steps) for one in left))
+        needed = set().union(*(_needs(one.driven, self.scene) for one in left))
         met = {start.request.number for start in (*self._again, *(one.driven.start for one in left))}
         straight = [r for r in self._open if r.policy is Policy.STRAIGHT and r.number not in met]
         found = {one.driven.vehicle_id: one for one in new}
@@ -324,18 +323,13 @@ class Filling:
             changed = False
             for one in new:
                 driven = one.driven
-                if driven.vehicle_id in gone or not _needs(driven, self._brakes_steps) & gone.keys():
+                if driven.vehicle_id in gone or not _needs(driven, self.scene) & gone.keys():
                     continue
                 gone[driven.vehicle_id] = self._rejection(driven, Reason.WAITED_FOR_GONE)
                 changed = True
                 if self._driven_again[driven.vehicle_id] < _AGAIN:
                     self._driven_again[driven.vehicle_id] += 1
                     self._again.append(driven.start)
-
-    @property
-    def _brakes_steps(self) -> int:
-        """For how many steps a vehicle brakes that is seen to brake."""
-        return self.scene.steps_in(BRAKES_FOR_S)
 
     def _site(self, vehicle: DrivenVehicle) -> Cell:
         """Cell that a vehicle started in."""
@@ -368,7 +362,8 @@ def _found_none(policy: Policy, sites: InsertionSites, refused: Counter[Reason])
     return ranked[0] if ranked else Reason.NO_CELL_IN_REACH
 
 
-def _needs(vehicle: DrivenVehicle, least_steps: int) -> set[str]:
-    """Vehicles without which a vehicle would have driven otherwise: those it braked for so long, and overtook."""
+def _needs(vehicle: DrivenVehicle, scene: Scene) -> set[str]:
+    """Vehicles without which a vehicle would have driven otherwise: those for which it braked long, and overtook."""
+    least_steps = scene.steps_in(BRAKES_FOR_S)
     waited_for = {name for name, steps in vehicle.waited_for.items() if steps >= least_steps}
     return waited_for | ({vehicle.leader_id} if vehicle.leader_id is not None else set())

@@ -57,8 +57,7 @@ def draw_trigger(
         return float(request.trigger_list_s[int(rng.integers(len(request.trigger_list_s)))])
     low, high = request.trigger_min_s, request.trigger_max_s
     if high is None:
-        overtakes = policy is Policy.OVERTAKE
-        share = _LATEST_OVERTAKE_SHARE if overtakes else _LATEST_SHARE
+        share = _LATEST_OVERTAKE_SHARE if policy is Policy.OVERTAKE else _LATEST_SHARE
         high = min(_LATEST_S, share * duration_s)
     return low if high <= low else float(rng.uniform(low, high))
 

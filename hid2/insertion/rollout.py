@@ -105,11 +105,6 @@ class World:
         """Nothing is chosen yet."""
         self._kept = self.guard.fixed
 
-    @property
-    def at_begin(self) -> Traffic:
-        """All agents known at the scene's first step (one step)."""
-        return self.scene.traffic.at(0).joined(self.guard.fixed.at(0))
-
     def choose(self, *candidates: RolledOut) -> None:
         """Candidates after these are rolled out against them; one that was chosen before has another motion now."""
         self._chosen |= {one.start.vehicle_id: one for one in candidates}
