@@ -212,11 +212,10 @@ def find_track(scenario: Recording, track_id: str) -> Track:
 
 def check_step(scenario: Recording, step: int | None) -> int:
     """A timestep to show, the last observed one for None. Errors: ConfigError for one that the scene does not have."""
-    last = scenario.num_steps - 1
     if step is None:
         return scenario.last_observed
-    if not 0 <= step <= last:
-        raise ConfigError(f"{scenario.folder}: timestep {step} is out of range (0-{last})")
+    if not 0 <= step < scenario.num_steps:
+        raise ConfigError(f"{scenario.folder}: timestep {step}, expected 0 to {scenario.num_steps - 1}")
     return step
 
 

@@ -107,7 +107,7 @@ def _parts(
         try:
             return reader(path) if path.is_file() else None
         except (ScenarioError, MapError) as error:
-            findings.append(FileBreach(path, rule, str(error)))
+            findings.append(FileBreach(path, rule, str(error).removeprefix(f"{path}: ")))
             return None
 
     sidecar = read(sidecar_path(folder, folder.name), "sidecar", read_sidecar)

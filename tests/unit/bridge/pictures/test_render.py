@@ -162,7 +162,7 @@ def test_unknown_ending_step_or_agent_is_explained(data_scenes, tmp_path):
     scene = data_scenes["arterial"]
     with pytest.raises(ConfigError, match=r"ending '\.tif' is not supported; expected one of \.png, \.jpg, .*\.mp4"):
         render_scene(read_scenario(scene), tmp_path / "scene.tif")
-    with pytest.raises(ConfigError, match=r"timestep 110 is out of range \(0-109\)"):
+    with pytest.raises(ConfigError, match=r"timestep 110, expected 0 to 109"):
         render_scene(read_scenario(scene), tmp_path / "scene.png", step=110)
     with pytest.raises(ConfigError, match="no track 'AW' among 26; expected one of AV, "):
         render_scene(read_scenario(scene), tmp_path / "scene.png", agent="AW")

@@ -218,7 +218,7 @@ def test_step_that_the_scene_does_not_have_is_named(made_scene, monkeypatch):
     from bridge.sumo.exchange import play_scene
 
     monkeypatch.setenv("DISPLAY", ":0")  # nothing is shown yet
-    with pytest.raises(ConfigError, match=r"timestep 500 is out of range \(0-109\)"):
+    with pytest.raises(ConfigError, match=r"timestep 500, expected 0 to 109"):
         play_scene(made_scene, step=500)
 
 
