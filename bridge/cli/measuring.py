@@ -32,8 +32,8 @@ def evaluate(
         [],
         "[NAME=]FILE|constant-velocity|constant-turn-rate",
     ),
-    bands: str = options.option(
-        "With --predictions: bands of scenes with more agents than each N.", "50,70,90", "N,N,..."
+    bands: str | None = options.option(
+        "With --predictions: bands of scenes with more agents than each N.", None, "N,N,...", show_default="50,70,90"
     ),
     windows: options.Windows,
     jobs: int = options.JOBS,
@@ -41,8 +41,9 @@ def evaluate(
     activity: Activity,
 ) -> bool:
     """Measure density, diversity, safety, kinematics and realism of any number of scenes, or score forecasts."""
-    if as_json and not predictions:
-        raise ConfigError("--json without --predictions: the tables of scenes are files; expected the two together")
+    for name, given in (("--json", as_json), ("--bands", bands is not None)):
+        if given and not predictions:
+            raise ConfigError(f"{name} without --predictions does nothing, expected the two together")
     if predictions:
         return _score(out, predictions, bands, report, activity, jobs=jobs, as_json=as_json)
     from bridge.evaluation.evaluate import evaluate_folder
@@ -272,15 +273,15 @@ def _check_fits(experiment: str, prediction: Mapping[str, object], others: Mappi
 
 
 def _score(
-    out: Path, files: list[str], bands: str, report: Path, activity: Activity, *, jobs: int, as_json: bool
+    out: Path, files: list[str], bands: str | None, report: Path, activity: Activity, *, jobs: int, as_json: bool
 ) -> bool:
     """Score forecasts, or compare those of several files; returns whether some scene was left out."""
-    try:
-        bounds = [int(band) for band in bands.split(",")]
-    except ValueError:
-        raise ConfigError(f"--bands {bands!r}: expected numbers of agents, joined by commas") from None
     from bridge.forecasting import predictions
 
+    try:
+        bounds = predictions.BOUNDS if bands is None else [int(band) for band in bands.split(",")]
+    except ValueError:
+        raise ConfigError(f"--bands {bands!r}: expected numbers of agents, joined by commas") from None
     activity.doing("scoring forecasts")
     head: Sequence[str]
     if len(files) > 1:
@@ -289,17 +290,15 @@ def _score(
             out, models, report, bounds=bounds, jobs=jobs, on_scene=activity.show
         )
         title, head, rows = f"{len(models)} models", predictions.HEAD, predictions.rows_of(found)
-        page = "comparison.html"
     else:
-        (file,) = files
         scores, left_out = predictions.score_predictions(
-            out, predictions=file, report_dir=report, bounds=bounds, jobs=jobs, on_scene=activity.show
+            out, predictions=files[0], report_dir=report, bounds=bounds, jobs=jobs, on_scene=activity.show
         )
         title, head, rows = f"{len(scores)} scores", predictions.TABLE_HEAD, predictions.band_rows(scores, bounds)
-        page = "predictions.html"
     for reason in left_out:
         say(f"warning: not scored: {reason}")
     activity.table(title, head, rows, as_json=as_json)
+    page = "comparison.html" if len(files) > 1 else "predictions.html"
     activity.result(*(() if as_json else (report / page,)))
     return bool(left_out)
 

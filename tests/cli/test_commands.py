@@ -67,10 +67,8 @@ def test_net_writes_its_files_and_reports(hid2: Run, data_scenes: dict[str, Path
     result = hid2("net", data_scenes["intersection"], "-o", tmp_path)
     assert result.returncode == 0
     assert "largest distance from the centreline" in result.stdout
-    scenario_id = data_scenes["intersection"].name
-    assert {f"{scenario_id}.net.xml", f"{scenario_id}.sumocfg", f"{scenario_id}.cells.csv"} <= {
-        path.name for path in tmp_path.iterdir()
-    }
+    names = {f"{data_scenes['intersection'].name}{ending}" for ending in (".net.xml", ".sumocfg", ".cells.csv")}
+    assert names <= {path.name for path in tmp_path.iterdir()}
 
 
 def test_net_of_whole_lanes_is_one_file(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
@@ -117,10 +115,8 @@ def test_evaluate_scores_a_baseline(hid2: Run, generated: Path, tmp_path: Path) 
     assert result.returncode == 0, result.stderr
     assert "minADE, m" in result.stdout
     assert hid2("evaluate", generated, "-o", tmp_path, "--predictions", tmp_path / "none.parquet").returncode == 2
-    assert (
-        hid2("evaluate", generated, "-o", tmp_path, "--predictions", "constant-velocity", "--bands", "x").returncode
-        == 2
-    )
+    wrong = hid2("evaluate", generated, "-o", tmp_path, "--predictions", "constant-velocity", "--bands", "x")
+    assert wrong.returncode == 2
 
 
 @pytest.mark.slow
@@ -225,10 +221,11 @@ def test_study_without_scenes_says_so(hid2: Run, tmp_path: Path) -> None:
     ("arguments", "said"),
     [
         (("evaluate", ".", "-o", "r", "--json"), "--json without --predictions"),
+        (("evaluate", ".", "-o", "r", "--bands", "50,70,90"), "--bands without --predictions"),
         (("paper", "table1", "-o", "p", "--val", "0.5"), "--val does nothing in table1, expected it with prediction"),
         (("paper", "prediction", "-o", "p", "--map", "m"), "--map does nothing in prediction, expected it with the"),
     ],
-    ids=["evaluate", "paper", "prediction"],
+    ids=["evaluate", "bands", "paper", "prediction"],
 )
 def test_options_that_would_do_nothing_are_refused(
     hid2: Run, tmp_path: Path, arguments: tuple[str, ...], said: str
