@@ -8,7 +8,8 @@ from bridge.cli import options
 from bridge.cli.places import check_out, one_scene, recordings, select_scenes, tell_unread
 from bridge.console import Activity, counted, print_json, print_table, say
 from bridge.files import data_folder, explained
-from netconvert.errors import ConfigError
+from bridge.recordings.folders import Address
+from netconvert.errors import ConfigError, MapError, NetError, ScenarioError
 
 
 @options.command(reads=("out", "source"), files=("csv",))
@@ -47,8 +48,7 @@ def validate(
         for finding in findings:
             print(finding.line())
     wrong = sum(not finding.is_note for finding in findings)
-    noted = len(findings) - wrong
-    notes = f", {counted(noted, 'note')}" if noted else ""
+    notes = f", {counted(len(findings) - wrong, 'note')}" if wrong < len(findings) else ""
     activity.note(f"{out}: {counted(len(find_scenarios(out)), 'scene')}, {counted(wrong, 'finding')}{notes}")
     return bool(wrong)
 
@@ -87,8 +87,7 @@ def scan(
     elif as_json:
         print_json(SceneFacts._fields, chosen)
     else:
-        title, columns = f"{len(chosen)} of {len(folders)} scenes", SceneFacts._fields[1:]  # all but the folder
-        print_table(title, columns, [fact[1:] for fact in chosen])
+        print_table(f"{len(chosen)} of {len(folders)} scenes", SceneFacts._fields[1:], [fact[1:] for fact in chosen])
     return bool(failures)
 
 
@@ -130,7 +129,7 @@ def export(
     to: options.FormatName = options.output("Format to write.", ..., None, "--to"),
     windows: options.Windows,
     activity: Activity,
-) -> None:
+) -> bool:
     """Write scenes in the formats of others: OpenSCENARIO, OpenDRIVE, CommonRoad, SSAM's trajectories, SUMO's.
 
     Files have the scenes' ids as names and lie side by side; OpenSCENARIO brings the OpenDRIVE map that it
@@ -140,11 +139,16 @@ def export(
     from bridge.exports.export import export_scene
 
     found = recordings(scenes, windows, activity)
-    written = []
+    written, failures = list[Path](), list[tuple[Address, str]]()
     for count, address in enumerate(found, start=1):
-        written += export_scene(address, to, out)
+        try:
+            written += export_scene(address, to, out)
+        except (ScenarioError, MapError, NetError) as error:  # any other is not of this scene alone
+            failures.append((address, str(error)))
         activity.show(count, len(found))
+    tell_unread(failures)
     activity.result(*written)
+    return bool(failures)
 
 
 STEP = options.option("Timestep of a picture.", None, "N", min=0, show_default="the last observed one")

@@ -3,6 +3,7 @@
 import csv
 import re
 import resource
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -84,7 +85,8 @@ def test_net_of_whole_lanes_is_one_file(hid2: Run, data_scenes: dict[str, Path],
 
 def test_export_writes_all_scenes_side_by_side(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
     out = tmp_path / "out"
-    result = hid2("export", data_scenes["curve"].parents[1], "--to", "openscenario", "-o", out)
+    root = shutil.copytree(data_scenes["curve"].parents[1], tmp_path / "av2")
+    result = hid2("export", root, "--to", "openscenario", "-o", out)
     assert result.returncode == 0, result.stderr
     names = {f"{folder.name}.{ending}" for folder in data_scenes.values() for ending in ("xosc", "xodr")}
     assert {path.name for path in out.iterdir()} == names
@@ -92,6 +94,12 @@ def test_export_writes_all_scenes_side_by_side(hid2: Run, data_scenes: dict[str,
     wrong = hid2("export", data_scenes["curve"], "--to", "vissim", "-o", out)
     assert wrong.returncode == 2
     assert "'openscenario', 'opendrive', 'commonroad', 'trj', 'sumo', 'fcd'" in last_message(wrong)
+    next(root.rglob(f"scenario_{data_scenes['curve'].name}.parquet")).write_bytes(b"PAR1")
+    next(root.rglob(f"log_map_archive_{data_scenes['arterial'].name}.json")).unlink()
+    some = hid2("export", root, "--to", "trj", "-o", tmp_path / "some")
+    assert some.returncode == 1
+    assert some.stdout.split() == [str(tmp_path / "some" / f"{data_scenes['intersection'].name}.trj")]
+    assert {*re.findall("not a parquet|no log_map", some.stderr)} == {"not a parquet", "no log_map"}
 
 
 def test_validate_names_file_and_rule(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
