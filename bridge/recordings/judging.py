@@ -1,6 +1,7 @@
 """A scene as it lies on disk before the judge: its tracks with their boxes, its map, what its sidecar claims."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import compress
 
 import numpy as np
 
@@ -44,7 +45,7 @@ def findings_of(states: AgentStates, graph: LaneGraph, sidecar: Sidecar | None) 
         exported = [one for one in judge(states, graph, Bounds()) if one.quantity in ON_EXPORTED]
         found = [*(one for one in found if one.quantity not in ON_EXPORTED), *exported, *_noise(states, clean)]
     allowed = _allowed(sidecar)
-    claims, events = claims_of(sidecar)
+    claims, events = claims_of(sidecar, states)
     pairs = {(event.track_id, event.target_id) for event in events}
     found = [
         one
@@ -89,15 +90,15 @@ def _noise(states: AgentStates, clean: AgentStates) -> Iterator[Finding]:
             yield Finding(arrays.track_ids[row], int(arrays.step[at]), Quantity.NOISE, float(worst[at]), 1.0)
 
 
-def claims_of(sidecar: Sidecar) -> tuple[list[Claim], list[EventClaim]]:
-    """Manoeuvres and events that a sidecar tells as done."""
-    claims = []
-    for agent in sidecar.agents:
+def claims_of(sidecar: Sidecar, states: AgentStates) -> tuple[list[Claim], list[EventClaim]]:
+    """Manoeuvres and events that a sidecar tells as done, but for those of its agents that are not judged here."""
+    not_judged = set(compress(states.arrays.track_ids, ~states.arrays.generated))
+    claims, left_out = [], not_judged & {agent.track_id for agent in sidecar.agents}
+    for agent in (one for one in sidecar.agents if one.track_id not in left_out):
         for record in agent.maneuvers:
-            kind = ManeuverKind(record.kind)
             at_s = record.start_s if record.crossing_s is None else record.crossing_s
             if record.status == "done" and at_s is not None:
-                claims.append(Claim(agent.track_id, kind, at_s))
+                claims.append(Claim(agent.track_id, ManeuverKind(record.kind), at_s))
     events = [
         EventClaim(
             one.kind, one.track_id, one.target_track_id, one.at_s, bool(one.ahead),
@@ -105,6 +106,7 @@ def claims_of(sidecar: Sidecar) -> tuple[list[Claim], list[EventClaim]]:
         )
         for one in sidecar.events
         if one.status == "done" and one.track_id and one.target_track_id and one.at_s is not None
+        if one.track_id not in left_out
     ]  # fmt: skip
     return claims, events
 

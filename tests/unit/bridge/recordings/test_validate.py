@@ -18,7 +18,7 @@ from bridge.generation.generate import generate
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
 from hid2.judge.findings import Quantity
-from netconvert.errors import ScenarioError
+from netconvert.errors import ConfigError, ScenarioError
 
 #: The page that says what each rule demands.
 PAGE = Path(__file__).parents[4] / "bridge" / "recordings" / "README.md"
@@ -273,6 +273,24 @@ def test_a_spoiled_sidecar_is_found(
 ) -> None:
     edit_json(next(written.glob("hid2_*.json")), change)
     assert said in "\n".join(finding.message for finding in validate_folder(written.parents[1]))
+
+
+def test_claims_are_judged_of_tracks_that_are_judged_and_of_those_not_there(
+    written: Path, edit_json: Callable[..., None], edit_rows: Callable[..., None]
+) -> None:
+    """Both made-up vehicles drive circles and claim a lane change, the second also to lead AV."""
+
+    def claims(*inserted: str) -> list[str | None]:
+        return [one.vehicle for one in validate_folder(written, inserted=inserted) if one.rule == Quantity.CLAIM]
+
+    event = _event(status="done", track_id="gen_1", target_track_id="AV", at_s=4.0, ahead=True)
+    edit_json(next(written.glob("hid2_*.json")), event)
+    assert claims() == claims("gen_0", "gen_1") == ["gen_0", "gen_1", "gen_1"]
+    assert (claims("AV"), claims("AV", "gen_0")) == ([], ["gen_0"])
+    edit_rows(written, _without("gen_1", *range(110)))
+    assert claims("AV") == ["gen_1", "gen_1"]
+    with pytest.raises(ConfigError, match="--inserted gen_999: no scene has it, expected one of gen_0, "):
+        claims("gen_999", "AV")
 
 
 @pytest.mark.parametrize(
