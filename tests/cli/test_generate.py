@@ -72,7 +72,7 @@ def test_event_that_comes_about_in_no_scene_is_in_the_table_with_its_reason_and_
     assert (row["events_requested"], row["events_done"]) == ("1", "0")
     assert re.fullmatch(r"cut_in with av: event_[\w:]+ \(1\)", row["not_done"])
     assert row["not_done"] in result.stdout
-    assert result.stdout.splitlines()[1].split()[-3:] == ["events", "s", "remarks"]
+    assert result.stdout.splitlines()[1].split()[-5:] == ["events", "run", "time,", "s", "remarks"]
     assert "\nevents done: 0 of 1\n" in result.stdout
     wanted = f"hid2: error: cut_in with av: asked for, and came about in no scene; {out}/manifest.csv has the reasons"
     assert wanted in result.stderr.splitlines()
