@@ -115,7 +115,8 @@ def test_child_leaves_when_its_caller_is_killed(tmp_path) -> None:
         "print(p._process.pid, flush=True)\n"
         "time.sleep(60)\n"
     )
-    environment = os.environ | {"TMPDIR": str(tmp_path)}
+    support = str(Path(__file__).parents[1] / "support")  # which the child's module needs
+    environment = os.environ | {"TMPDIR": str(tmp_path), "PYTHONPATH": support}
     caller = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, env=environment)
     assert caller.stdout is not None
     child = psutil.Process(int(caller.stdout.readline()))
