@@ -31,8 +31,7 @@ def generated(out: Path, *args: object) -> list[tuple[Path, Path]]:
 def wrong(fault: PlantedFault) -> str | None:
     """What the second checker makes of a planted fault, if it is not what it should be."""
     found = check_folder(fault.folder, fault.source)
-    if fault.strength == INSIDE:  # a vehicle that is moved may come nearer to its leader than one follows
-        found = [one for one in found if one.rule in {fault.quantity} or one.rule != Quantity.FOLLOWER_HEADWAY]
+    if fault.strength == INSIDE:
         return f"{fault.name}: {found}" if found else None
     told = {one.quantity for one in found if one.vehicle == fault.vehicle}
     return None if fault.quantity in told else f"{fault.name}: no {fault.quantity} in {told}"
@@ -65,7 +64,8 @@ def misjudged(fault: PlantedFault) -> str | None:
     """
     against = Against(sources={fault.source.name: fault.source})
     found = [one for one in validate_scene(against, fault.folder) if one.rule in list(Quantity)]
-    if fault.strength == INSIDE:
+    if fault.strength == INSIDE:  # a vehicle that is moved may come nearer to its leader than one follows
+        found = [one for one in found if one.rule in (fault.quantity, *set(Quantity) - {Quantity.FOLLOWER_HEADWAY})]
         return f"{fault.name}: {found}" if found else None
     told = {one.rule for one in found if one.vehicle == fault.vehicle}
     return None if fault.quantity in told or (fault.strength == GROSS and told) else f"{fault.name}: {told}"
