@@ -147,10 +147,8 @@ class SceneEvents:
         rows = candidate_rows(scene, event.target)
         if event.target == "any":
             rows = [rows[k] for k in rng.permutation(len(rows)).tolist()]
-        others = together(scene, self.kept)
-        return [
-            Objective(scene, event, target, others) for row in rows if (target := target_of(scene, row)) is not None
-        ]
+        known = together(scene, self.kept)
+        return [Objective(scene, event, target, known) for row in rows if (target := target_of(scene, row)) is not None]
 
     def likely(
         self, objectives: Sequence[Objective], number: int, rejected: Counter[Reason]

@@ -256,8 +256,9 @@ def conflicting(
     rows = first + np.arange(len(exported))
     findings += ttc_of_followers(states, rows[since:], bounds)
     for row in rows.tolist():
-        others = rows[rows != row] if row >= first + since else rows[since:]
-        led_by = states.leaders_on_path(row, np.append(np.arange(first), others), aside_m=bounds.spare_aside_m)
+        # one that was kept has been looked at behind recorded agents
+        others, recorded = (rows[rows != row], first) if row >= first + since else (rows[since:], 0)
+        led_by = states.leaders_on_path(row, np.append(np.arange(recorded), others), aside_m=bounds.spare_aside_m)
         findings += ttc_on_driven_path(states, row, led_by, bounds)
         findings += headway_on_driven_path(states, row, led_by, beyond_m)
         findings += of_end(states, row, others, bounds)

@@ -154,7 +154,7 @@ class InsertionSites:
             starts.rejected[start] += 1
             if start is Reason.NO_SITE:
                 continue  # another vehicle of this round may be in the way
-            if start is not Reason.FOLLOWER_HEADWAY or headway_s == FOLLOWER_HEADWAY_S:  # else it is left less later
+            if start is not Reason.FOLLOWER_HEADWAY or headway_s == FOLLOWER_HEADWAY_S:  # else it is tried with less
                 self.turned_down.could_not_begin(scene, row, request.policy)
             tried += 1
             if tried == TRIES:

@@ -200,7 +200,5 @@ def _leads(states: AgentStates, leader: int, follower: int, step: int) -> bool:
     if states.arrays.row_of[follower, step] < 0 or states.arrays.row_of[leader, step] < 0:
         return False
     others = np.union1d(np.flatnonzero(states.arrays.vehicle), leader)
-    led = states.leaders_on_path(follower, others[others != follower])
-    if not led.rows.size or not np.isfinite(led.gap_m[:, step]).any():
-        return False
-    return bool(led.rows[led.gap_m[:, step].argmin()] == leader)
+    next_ones, _ = states.leaders_on_path(follower, others[others != follower]).next_ones()
+    return bool(next_ones[step] == leader)

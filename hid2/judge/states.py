@@ -336,15 +336,12 @@ def headway_on_driven_path(
 ) -> Iterator[Finding]:
     """Too short a time headway of a vehicle to the next one of those that lead it on the path that it drives."""
     arrays = states.arrays
-    rows = np.flatnonzero(arrays.vehicle[led.rows])
-    if not rows.size:
-        return
-    gap_m, agents, steps = led.gap_m[rows], led.rows[rows], np.arange(arrays.num_steps)
-    next_one = gap_m.argmin(axis=0)
-    leader_m = (arrays.length if beyond_m is None else arrays.length - beyond_m)[agents[next_one]]
-    headway_s, at = sustained_headway(gap_m[next_one, steps], leader_m, states.speed(row), arrays.step_s)
+    vehicles = arrays.vehicle[led.rows]
+    leader, gap_m = Leading(led.rows[vehicles], led.gap_m[vehicles], led.closing_mps[vehicles]).next_ones()
+    leader_m = (arrays.length if beyond_m is None else arrays.length - beyond_m)[leader]  # of none any: no gap counts
+    headway_s, at = sustained_headway(gap_m, leader_m, states.speed(row), arrays.step_s)
     if headway_s < FOLLOWER_HEADWAY_S:
-        pair = row, int(agents[next_one[at]])
+        pair = row, int(leader[at])
         yield _finding(states, pair, at, Quantity.FOLLOWER_HEADWAY, headway_s, FOLLOWER_HEADWAY_S)
 
 

@@ -41,6 +41,11 @@ class Leading(NamedTuple):
     gap_m: FloatArray
     closing_mps: FloatArray
 
+    def next_ones(self) -> tuple[IntArray, FloatArray]:
+        """(T,) which agent leads next, -1 for none, and its gap, m, inf for none."""
+        gap_m = np.vstack([np.full(self.gap_m.shape[1], np.inf), self.gap_m])  # none is first: it is where none leads
+        return np.append(-1, self.rows)[gap_m.argmin(axis=0)], gap_m.min(axis=0)
+
     @property
     def ttc_s(self) -> FloatArray:
         """(R, T) s, inf where the gap does not close."""
