@@ -88,7 +88,7 @@ def facts_of(
 ) -> tuple[list[SceneFacts], list[tuple[Address, str]]]:
     """Facts of scenes in the order of folders, and the scenes that cannot be read with the reason.
 
-    can: what `Selection` has; its events are looked for, which takes tenths of a second each, to seconds where none is.
+    can: what `Selection` has; its events are looked for, which takes tenths of a second each, or seconds where none is.
     Errors: ConfigError for what can names and does not exist.
     """
     policies = tuple(policy.value for policy in Policy)

@@ -59,7 +59,7 @@ def scan(
     *,
     out: Path | None = options.output("Write a CSV file instead of a table.", None, "FILE.csv", "-o"),
     which: options.Which,
-    events: bool = options.selection("Look for every event, not only for those of --can: seconds a scene.", False),
+    events: bool = options.selection("Look for all events with av and focal, up to a minute a scene.", False),
     seed: int = options.selection("Seed of --sample.", 0, "N", min=0),
     windows: options.Windows,
     jobs: int = options.JOBS,

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.batch.scan import SceneFacts, Selection, describe_scene, facts_of, select, wanted
+from bridge.batch.scan import EVENTS, SceneFacts, Selection, describe_scene, facts_of, select, wanted
 from netconvert.errors import ConfigError
 
 
@@ -38,6 +38,11 @@ FACTS = [
 )
 def test_selection(selection: Selection, names: str) -> None:
     assert [chosen.scenario for chosen in select(FACTS, selection)] == list(names)
+
+
+def test_events_looked_for_are_those_that_the_page_and_the_help_name() -> None:
+    assert {name.partition(":")[2] for name in EVENTS} == {"av", "focal"}
+    assert "looks for all, with av and focal" in Path("bridge/generation/README.md").read_text()
 
 
 def test_sample_is_drawn_with_the_seed() -> None:
