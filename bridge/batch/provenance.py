@@ -10,7 +10,7 @@ from bridge.batch.manifest import DONE
 from bridge.config import check_function, config_from_dict, config_sha256, functions_of
 from bridge.recordings.folders import PARQUET_PATTERN, SIDECAR_PATTERN, Choices, source_id, split_of
 from bridge.recordings.sidecar import read_sidecar
-from bridge.recordings.sources import find_recordings
+from bridge.recordings.sources import find_recordings, fitting
 from netconvert.errors import BatchError, ConfigError, NoSceneError
 
 
@@ -46,7 +46,8 @@ def make_again(
         )
     wanted = sidecar.source_scenario_id
     choices = Choices(map_path, sidecar.recording.first_step)
-    found = [place for place in find_recordings([source], choices) if source_id(place) == wanted]
+    there = fitting(find_recordings([source], choices), Choices(map_path))
+    found = [place for place in there if source_id(place) == wanted]
     if len(found) != 1:
         have = f"{len(found)} scenes {wanted}, expected one" if found else f"no recorded scene {wanted}"
         raise NoSceneError(f"{source}: {have}, of which {sidecar_path} was made; give the ROOT that it lies in")

@@ -9,7 +9,7 @@ from bridge.batch.engine import OnDone, work_on_each
 from bridge.batch.isolation import Failure
 from bridge.recordings.folders import Choices, find_scenarios, source_id
 from bridge.recordings.scenario import read_table
-from bridge.recordings.sources import find_recordings
+from bridge.recordings.sources import find_recordings, fitting
 from bridge.recordings.validate import Against, FileBreach, check_tree, validate_scene
 from netconvert.errors import ConfigError, ScenarioError
 
@@ -31,9 +31,9 @@ def validate_folder(
     """
     folders, sources = find_scenarios(out), [source] if isinstance(source, Path) else [*source]
     _check_known(inserted, folders)
-    given = find_recordings(sources, Choices(map_path, stride=1)) if sources else ()  # every window of a log
-    recorded = {source_id(one): one for one in given} if sources else None
-    against = Against(out, recorded, frozenset(inserted) or None)
+    given = find_recordings(sources, Choices(map_path, stride=1)) if sources else []  # every window of a log
+    recorded = {source_id(one): one for one in fitting(given, Choices(map_path))}
+    against = Against(out, recorded if sources else None, frozenset(inserted) or None)
     findings = check_tree(out, folders)
     each = work_on_each(
         validate_scene, folders, shared=against, jobs=jobs, timeout_s=120, isolated=jobs > 1, on_item=on_scene,

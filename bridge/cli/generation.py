@@ -110,7 +110,7 @@ def generate(  # noqa: PLR0913  # one for each option
     from bridge import load_config, parse_behaviours
     from bridge.config import functions_of, parse_events, parse_trigger_time, read_drivers
     from bridge.recordings.folders import split_of
-    from bridge.recordings.sources import described, find_sources
+    from bridge.recordings.sources import described, find_sources, fitting
     from bridge.toml import parse_value
 
     flags: dict[str, Any] = {key: value for key, value in (request | others).items() if value is not None}
@@ -123,7 +123,7 @@ def generate(  # noqa: PLR0913  # one for each option
     flags |= parse_events(event, events, criticality)
     resolved = load_config(config, settings, flags)
     activity.doing("looking for scenes")
-    folders = find_sources(scenes, windows.choices())
+    folders = fitting(find_sources(scenes, windows.choices()), windows.choices())
     activity.note(*described(folders))
     if formats:
         _check_sequences(folders, resolved)
@@ -228,8 +228,7 @@ def notes_of(activity: Activity, out: Path, *, go_on: str) -> "OnRow":
                 f"  to see it again: hid2 generate --repro {out / row.bundle}"
             )
         elif activity.verbose:
-            placed = f"{row.placed} of {row.asked} placed, {row.seconds:.1f} s"
-            say(f"{row.scenario} variant {row.variant}: {placed}")
+            say(f"{row.scenario} variant {row.variant}: {row.placed} of {row.asked} placed, {row.seconds:.1f} s")
         details = f" ({progress.skipped} complete before, {progress.quarantined} quarantined)"
         activity.show(progress.finished - progress.skipped, progress.total - progress.skipped, details)
 
@@ -244,8 +243,7 @@ def print_batch(rows: Sequence["ManifestRow"], request: "Request") -> None:
         listed = (*head, *(("events",) if with_events else ()), "run time, s", "remarks")
         print_table("Generated scenes", listed, [_line(row, request, with_events=with_events) for row in rows])
     done = [row for row in rows if row.status == DONE]
-    most = any(row.asked == "max" for row in done)
-    asked = "" if most else f" of {sum(int(row.asked) for row in done)}"
+    asked = "" if any(row.asked == "max" for row in done) else f" of {sum(int(row.asked) for row in done)}"
     events = sum(row.events_requested for row in done)
     target = f"{request.near} at the last observed step" if request.is_near_agents else "traffic"
     print(

@@ -10,7 +10,7 @@ from bridge.cli.options import Which, Windows
 from bridge.console import Activity, say, warn
 from bridge.interruption import remove_abandoned
 from bridge.recordings.folders import SPLITS, Address, Choices, is_generated, names_in, other_data
-from bridge.recordings.sources import READERS, described, find_one, find_recordings, nothing_at
+from bridge.recordings.sources import READERS, described, find_one, find_recordings, fitting, nothing_at
 from netconvert.errors import ConfigError
 
 _ARCHIVES = (".zip", ".tar", ".gz", ".tgz", ".7z", ".zst")
@@ -42,12 +42,12 @@ def check_given(values: Mapping[str, Any], reads: Iterable[str], folders: Iterab
 def one_scene(path: Path, window: tuple[Path | None, int]) -> Address:
     """The one recording at a path. window: map and first sweep. Errors: ConfigError, with what to give instead."""
     check_scenes([path])
-    return find_one(path, Choices(*window))
+    return fitting([find_one(path, Choices(*window))], Choices(*window))[0]
 
 
 def recordings(scenes: Sequence[Path], windows: Windows, activity: Activity) -> list[Address]:
     """The recordings below paths, with a note of what they are. Errors: ConfigError."""
-    found = find_recordings(scenes, windows.choices())
+    found = fitting(find_recordings(scenes, windows.choices()), windows.choices())
     activity.note(*described(found))
     return found
 
@@ -55,8 +55,7 @@ def recordings(scenes: Sequence[Path], windows: Windows, activity: Activity) -> 
 def tell_unread(failures: Sequence[tuple[Address, str]]) -> None:
     """Warn of scenes that cannot be read; most reasons name the file themselves."""
     for folder, reason in failures:
-        said = reason if reason.startswith(str(folder)) else f"{folder}: {reason}"
-        say(f"warning: {said}")
+        say(f"warning: {'' if reason.startswith(str(folder)) else f'{folder}: '}{reason}")
 
 
 def select_scenes(folders: list[Address], which: Which, seed: int, activity: Activity, *, jobs: int) -> list[Address]:

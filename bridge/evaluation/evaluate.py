@@ -19,7 +19,7 @@ from bridge.files import append_rows, table_file, write_json, write_text
 from bridge.pages.parts import Section, macro, number, page
 from bridge.recordings.folders import MAP_PATTERN, Address, Choices, find_scenarios, source_id
 from bridge.recordings.sidecar import sidecar_in
-from bridge.recordings.sources import find_recordings, source_files
+from bridge.recordings.sources import find_recordings, fitting, source_files
 from hid2.evaluation.realism import FEATURES, GENERATED
 from hid2.reasons import Reason
 from netconvert.errors import ScenarioError
@@ -64,6 +64,7 @@ def evaluate_folder(
     folders = sorted(find_recordings([out], choices), key=_map_size, reverse=True)
     roots = (source,) if isinstance(source, Path) else source
     sources = _sources_of(folders, roots, choices) if roots else {}
+    fitting([*folders, *sources.values()], choices)
     controls = sorted(find_scenarios(control), key=_map_size, reverse=True) if control is not None else []
     known = len(folders) + len(sources)
     totals, failures = Totals(sources), list[tuple[Address, str]]()

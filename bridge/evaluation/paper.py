@@ -23,7 +23,7 @@ from bridge.pages import charts
 from bridge.pages import parts as pages
 from bridge.pictures import figures
 from bridge.recordings.folders import Address, Choices, Source
-from bridge.recordings.sources import find_sources, read_recording
+from bridge.recordings.sources import find_sources, fitting, read_recording
 from hid2.agents import Track
 from hid2.evaluation.metrics import METRICS, Metric
 from hid2.params import Config, Request
@@ -180,7 +180,7 @@ def run_experiment(
     table1, ablation and diversity. on_scene(done, total) is called as generated scenes are done. Errors: ScenarioError
     where there is no scene; ExportError.
     """
-    folders = find_sources([scenes] if isinstance(scenes, Path) else scenes, choices)
+    folders = fitting(find_sources([scenes] if isinstance(scenes, Path) else scenes, choices), choices)
     make_folder(out_dir)
     rows, failures = run_settings(name, folders, agents=agents, seeds=seeds, jobs=jobs, on_scene=on_scene)
     generating = [setting for setting, config in settings_of(name, agents).items() if config]

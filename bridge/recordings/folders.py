@@ -5,7 +5,7 @@ import fnmatch
 import logging
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -63,8 +63,7 @@ class Source:
 
     def absolute(self) -> "Source":
         """The same with paths that do not depend on the working directory."""
-        map_path = None if self.map_path is None else self.map_path.absolute()
-        return Source(self.path.absolute(), self.format, self.scenario_id, self.split, self.start, map_path)
+        return replace(self, path=self.path.absolute(), map_path=self.map_path and self.map_path.absolute())
 
     def resolve(self) -> Path:
         """Where it really is."""
@@ -101,7 +100,7 @@ class Reader:
     whether a file, or a folder with these names in it, holds recordings; find: the recordings there, sorted
     (NoSceneError where something that all of them need is missing); files: those that a recording is read from, also
     where they are not there; lacks: what the format does not tell and how it is made up for, a sentence; is_folder:
-    whether a recording is a folder, which then holds nothing else.
+    whether a recording is a folder, which then holds nothing else; takes: the fields of `Choices` that it looks at.
     """
 
     name: str
@@ -111,6 +110,7 @@ class Reader:
     files: Callable[[Any], list[Path]]
     lacks: str = ""
     is_folder: bool = True
+    takes: tuple[str, ...] = ()
 
 
 def find_scenarios(path: Path | str, depth: int = DEPTH) -> list[Path]:

@@ -118,12 +118,13 @@ def _chosen_map(path: Path) -> Path:
 #: Windows of logs. An id is the log's for the first window, of log and first sweep for any other.
 SENSOR_LOG = Reader(
     name="sensor_log",
-    many="Windows of Argoverse 2 sensor logs",
+    many="windows of Argoverse 2 sensor logs",
     sniff=lambda _, names: folders.POSES in names or bool(fnmatch.filter(names, folders.ANNOTATIONS)),
     find=_find_windows,
     files=_log_files,
     lacks="Sensor logs have no focal and scored tracks and no centrelines of lanes: the longest path of a vehicle that "
     "is seen throughout is focal, centrelines run midway between the boundaries",
+    takes=("window", "stride"),
 )
 #: Folders with parquet and map, which `bridge.recordings.scenario` reads. Those that hid2 writes are in this format.
 ARGOVERSE2 = Reader(
@@ -144,6 +145,7 @@ ARGOVERSE1 = Reader(
     "and velocities come from smoothed positions, a standing vehicle keeps its heading or has that of the lane; its "
     "maps tell no lane boundaries: lanes are 3.8 m wide",
     is_folder=False,
+    takes=("map_path",),
 )
 #: The formats; the first one that recognises a path has it.
 READERS: tuple[Reader, ...] = (SENSOR_LOG, ARGOVERSE2, ARGOVERSE1)
@@ -207,15 +209,24 @@ def source_files(address: Address) -> list[Path]:
 
 
 def _reader(address: Address) -> Reader:
-    name = address.format if isinstance(address, Source) else ARGOVERSE2.name
-    return next(reader for reader in READERS if reader.name == name)
+    return next(one for one in READERS if one.name == (address.format if isinstance(address, Source) else "argoverse2"))
+
+
+def fitting(found: list[Address], choices: Choices | None) -> list[Address]:
+    """What was found. Errors: ConfigError for a choice of a user's that none of these formats looks at."""
+    taken = {name for address in found for name in _reader(address).takes}
+    for reader, name in ((one, name) for one in READERS for name in one.takes if name not in taken):
+        if (value := getattr(choices or Choices(), name)) != getattr(Choices(), name):
+            option = name.removesuffix("_path")
+            raise ConfigError(f"--{option} {value} does nothing here, expected {reader.many} among the scenes")
+    return found
 
 
 def described(found: Sequence[Address]) -> list[str]:
     """What was found that is no Argoverse 2 scene, and what these formats lack: lines for the user."""
     counts = Counter(address.format for address in found if isinstance(address, Source))
     readers = [reader for reader in READERS if reader.name in counts]
-    lines = [f"{reader.many}: {counts[reader.name]} found" for reader in readers]
+    lines = [f"{reader.many[0].upper()}{reader.many[1:]}: {counts[reader.name]} found" for reader in readers]
     return lines + [reader.lacks for reader in readers if reader.lacks]
 
 
