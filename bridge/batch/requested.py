@@ -41,20 +41,21 @@ def check_request(folders: Sequence[Address], config: Config, named: Sequence[Po
     if not request.is_near_agents and not config.event and not named and request.first_trigger_s <= _SHORTEST_S:
         return
     never: dict[str, str] | None = None
-    looked_at = 0
-    first = folders[:_LOOKED_AT]
-    each = work_on_each(never_in_scene, first, shared=(config, named), jobs=jobs, chunk=1, timeout_s=60.0)
+    seen = 0
+    each = work_on_each(
+        never_in_scene, folders[:_LOOKED_AT], shared=(config, named), jobs=jobs, chunk=1, timeout_s=60.0
+    )
     with contextlib.closing(each):
         for folder, found in each:
             if isinstance(found, Failure):
                 continue
-            looked_at += 1
-            here = {asked: f"{folder}: {why}" for asked, why in found.items()}
+            seen += 1
+            here = {asked: f"{folder}{', for one' * (len(folders) > 1)}: {why}" for asked, why in found.items()}
             never = here if never is None else {asked: why for asked, why in never.items() if asked in here}
             if not never:
                 return
     for asked, why in (never or {}).items():
-        raise ConfigError(f"{asked}: can come about in none of the scenes looked at ({looked_at}); {why}")
+        raise ConfigError(f"{asked}: can come about in none of the scenes looked at ({seen} of {len(folders)}); {why}")
 
 
 def never_in_scene(shared: tuple[Config, Sequence[Policy]], folder: Address) -> dict[str, str]:
