@@ -7,7 +7,7 @@ from pathlib import Path
 from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.evaluation.evaluate import write_table
 from bridge.files import write_text
-from bridge.pages.parts import Section, macro, page
+from bridge.pages.parts import write_page
 from bridge.recordings.scenario import read_scenario, source_id
 from bridge.recordings.sources import find_sources
 from hid2.evaluation.calibration import CalibratedQuantity, SceneDriving, calibrate, drivers_of, observe
@@ -17,7 +17,6 @@ from hid2.params import Drivers
 from netconvert.errors import ConfigError, ScenarioError
 
 _CHUNK = 20
-_TEMPLATE = "calibration.html.j2"
 
 
 def calibrate_folder(
@@ -50,9 +49,7 @@ def calibrate_folder(
     groups = {name: calibrate(part, prior=prior) for name, part in _groups(scenes)}
     rows = [{"group": name} | one._asdict() for name, found in groups.items() for one in found]
     write_table(out.with_name(f"{out.stem}.csv"), rows)
-    sections = [Section("quantities", "Quantities", macro(_TEMPLATE, "quantities", rows))]
-    intro = macro(_TEMPLATE, "intro", len(scenes))
-    write_text(out.with_name(f"{out.stem}.html"), page("How people drive in these recordings", [intro], sections))
+    write_page(out.with_name(f"{out.stem}.html"), "calibration.html.j2", scenes=len(scenes), rows=rows)
     write_text(out, drivers_toml(groups["all"], prior, scenes))
     return failures
 

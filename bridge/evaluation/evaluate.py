@@ -9,14 +9,13 @@ import pickle
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 from bridge.batch.engine import OnDone, work_on_each
 from bridge.batch.isolation import Failure
 from bridge.evaluation.scene_metrics import TABLES, Row, SceneMeasures, measure_folder
 from bridge.evaluation.totals import Evaluation, Totals
-from bridge.files import append_rows, table_file, write_json, write_text
-from bridge.pages.parts import Section, macro, number, page
+from bridge.files import append_rows, table_file, write_json
+from bridge.pages.parts import number, write_page
 from bridge.recordings.folders import MAP_PATTERN, Address, Choices, find_scenarios, source_id
 from bridge.recordings.sidecar import sidecar_in
 from bridge.recordings.sources import find_recordings, fitting, source_files
@@ -27,18 +26,6 @@ from netconvert.errors import ScenarioError
 _LOG = logging.getLogger(__name__)
 #: Most scenes that a process gets at a time.
 _CHUNK = 40
-#: Sections of the report, by macro of its template.
-_TITLES = {
-    "glance": "At a glance: are the generated vehicles safe?",
-    "encounters": "Encounters",
-    "realism": "Realism",
-    "events": "Events asked for",
-    "safety": "Safety",
-    "motion": "Motion",
-    "diversity": "Diversity",
-    "requests": "Asked for and delivered",
-    "words": "Words",
-}
 
 
 def evaluate_folder(
@@ -105,21 +92,21 @@ def write_report(evaluation: Evaluation, path: Path) -> None:
 
     figures.style()
     metrics, totals = evaluation.metrics, evaluation.totals
-    shown: dict[str, Any] = {
+    is_generated = totals.realism.of(FEATURES[0])[GENERATED].any()
+    pictures = {
         "diversity": figures.data_uri(diversity_figure(metrics["diversity"])),
-        "distributions": totals.realism.of(FEATURES[0])[GENERATED].sum()
-        and figures.data_uri(distribution_figure(totals.realism)),
-        "events": totals.events,
-        "features": {feature.name: feature for feature in FEATURES},
-        "paper": {key: (number(PAPER_ORIGINAL[key]), number(PAPER_HID2[key])) for key in PAPER_ORIGINAL},
+        "distributions": figures.data_uri(distribution_figure(totals.realism)) if is_generated else None,
     }
-    sections: list[Section] = []
-    for key, title in _TITLES.items():
-        # the reasons that the sections above lead to
-        shown["reasons"] = [one for one in Reason if any(f'"#reason-{one}"' in section.body for section in sections)]
-        sections.append(Section(key, title, macro("report.html.j2", key, metrics, shown)))
-    intro = macro("report.html.j2", "intro", metrics["scenes"])
-    write_text(path, page("Generated traffic scenes: evaluation", [intro], [s for s in sections if s.body]))
+    write_page(
+        path,
+        "report.html.j2",
+        metrics=metrics,
+        pictures=pictures,
+        events_listed=totals.events,
+        reasons=list(Reason),
+        features={feature.name: feature for feature in FEATURES},
+        paper={key: (number(PAPER_ORIGINAL[key]), number(PAPER_HID2[key])) for key in PAPER_ORIGINAL},
+    )
 
 
 def _sources_of(folders: Sequence[Address], source: Sequence[Path], choices: Choices | None) -> dict[str, Address]:

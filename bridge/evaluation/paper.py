@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from markupsafe import Markup
 from scipy.signal import savgol_filter
 
 from bridge.batch.engine import OnDone, work_on_each
 from bridge.batch.isolation import Failure, attempts
 from bridge.evaluation.scene_metrics import Row, measure
 from bridge.evaluation.totals import Diversity, SourceSums, estimate
-from bridge.files import make_folder, write_json, write_rows, write_text
+from bridge.files import make_folder, write_json, write_rows
 from bridge.pages import charts
 from bridge.pages import parts as pages
 from bridge.pictures import figures
@@ -187,45 +186,37 @@ def run_experiment(
     figures.style()
     _write_rows([row for each in rows.values() for row in each], out_dir / f"{name}_scenes.csv")
     made = [row for setting in generating for row in rows[setting]]
-    counts = {"made": len(made), "sources": len(folders), "vehicles": sum(row["generated"] for row in made)}
     kinds = {(row["format"], row["provenance"]) for each in rows.values() for row in each}
-    parts = [_prose(
-        "about", name, counts, f"seeds 0 to {seeds - 1}" if seeds > 1 else "seed 0",
-        "0 to 40 vehicles" if name == "density" else f"{agents} vehicles",
-        [f"{_placed(rows[setting])} {_NAMES.get(setting, '')}".strip() for setting in generating],
-        len({provenance for kind, provenance in kinds if kind != _SMOOTHED_FORMAT}) > 1,
-        any(kind == _SMOOTHED_FORMAT for kind, _ in kinds), failures,
-    )]  # fmt: skip
     content: dict[str, Any] = {"experiment": name, "seeds": seeds, "scenes": len(folders)}
+    shown: dict[str, Any] = {
+        "name": name, "failures": failures, "metrics": SHOWN, "lines": [], "diversities": [],
+        "counts": {"made": len(made), "sources": len(folders), "vehicles": sum(row["generated"] for row in made)},
+        "of_seeds": f"seeds 0 to {seeds - 1}" if seeds > 1 else "seed 0",
+        "asked": "0 to 40 vehicles" if name == "density" else f"{agents} vehicles",
+        "placed": [f"{_placed(rows[setting])} {_NAMES.get(setting, '')}".strip() for setting in generating],
+        "two_kinds": len({provenance for kind, provenance in kinds if kind != _SMOOTHED_FORMAT}) > 1,
+        "argoverse1": any(kind == _SMOOTHED_FORMAT for kind, _ in kinds),
+    }  # fmt: skip
     if name == "diversity":
-        content |= _diversity(rows, parts)
-        _write_rows(_diversity_rows(content), out_dir / f"{name}.csv")
+        found = _diversity(rows)
+        content |= found[0] | ({"templates": found[1]} if found[1:] else {})
+        table = _diversity_rows(content)
         figures.save(charts.diversity_figure(content), out_dir / f"{name}.png")
+        pictures = [figures.data_uri(charts.diversity_figure(each)) for each in found]
+        shown["diversities"] = list(zip(found, pictures, strict=True))
     else:
-        content["lines"] = lines = lines_of(name, rows, generating)
-        parts.append(_prose("table_of", lines, SHOWN))
-        _write_rows([flat(line) for line in lines], out_dir / f"{name}.csv")
+        content["lines"] = shown["lines"] = lines_of(name, rows, generating)
+        table = [flat(line) for line in shown["lines"]]
     if name == "density":
         points = _density(rows, generating)
-        shown = charts.density_figure(points, of=str(_prose("of", counts)))
-        parts.append(_prose("density", counts, figures.data_uri(shown), _differing(points)))
-        figures.save(shown, out_dir / f"{name}.png")
+        drawn = charts.density_figure(points, of=str(pages.macros("paper.html.j2", **shown).of()))
+        shown |= {"picture": figures.data_uri(drawn), "differs": _differing(points)}
+        figures.save(drawn, out_dir / f"{name}.png")
+    _write_rows(table, out_dir / f"{name}.csv")
     write_json(out_dir / f"{name}.json", content)
     path = out_dir / f"{name}.html"
-    write_text(path, pages.page(_TITLES[name], parts))
+    pages.write_page(path, "paper.html.j2", **shown)
     return path
-
-
-_TITLES: Mapping[str, str] = {
-    "table1": "Table 1: realism and safety of recorded and generated traffic",
-    "ablation": "Ablation: what each component is for",
-    "density": "Effect of adding different numbers of vehicles",
-    "diversity": "Diversity before and after",
-}
-
-
-def _prose(name: str, *arguments: object) -> Markup:
-    return pages.macro("paper.html.j2", name, *arguments)
 
 
 def _placed(rows: Sequence[Row]) -> float:
@@ -338,23 +329,15 @@ def _differing(points: _Points) -> list[str]:
 # Diversity ------------------------------------------------------------------------------------------------------------
 
 
-def _diversity(rows: _Rows, parts: list[Markup]) -> dict[str, Any]:
-    """What recorded scenes, and those made with either mix, say; the parts of the page are added."""
+def _diversity(rows: _Rows) -> list[dict[str, Any]]:
+    """What recorded scenes, and those made with either mix, say: all, then those of the paper's templates if apart."""
     before, after = rows["recorded"], [*rows["dense"], *rows["rare"]]
-    content = Diversity.of(after, before).content()
-    parts.append(_diversity_part(content))
     templates = {row["source"] for row in before if row["tracks"] > TEMPLATE_AGENTS}
+    found = [Diversity.of(after, before).content()]
     if templates and len(templates) < len(before):
         chosen = [[row for row in each if row["source"] in templates] for each in (after, before)]
-        content["templates"] = Diversity.of(*chosen).content()
-        parts += [_prose("templates", len(templates)), _diversity_part(content["templates"])]
-    return content
-
-
-def _diversity_part(content: Mapping[str, Any]) -> Markup:
-    """Figure and tables of scenes by density and behaviour, as the report has them."""
-    shown = {"diversity": figures.data_uri(charts.diversity_figure(content))}
-    return pages.macro("report.html.j2", "diversity", {"diversity": content}, shown)
+        found.append(Diversity.of(*chosen).content())
+    return found
 
 
 def _diversity_rows(content: Mapping[str, Any]) -> list[Row]:

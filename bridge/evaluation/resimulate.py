@@ -13,10 +13,10 @@ from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.config import config_sha256
 from bridge.evaluation.calibrate import observe_scene
 from bridge.evaluation.evaluate import write_table
-from bridge.files import explained, write_text
+from bridge.files import explained
 from bridge.generation.generate import sumo_seed
 from bridge.generation.records import generator_record
-from bridge.pages.parts import Section, macro, page
+from bridge.pages.parts import write_page
 from bridge.recordings.export import new_scenario_id, recording_record_of, with_generated, with_motion, write_recording
 from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import read_scenario
@@ -50,7 +50,7 @@ TakeOut = Literal["all", "one"]
 #: Calibrated drivers with guard, turns and stop lines; SUMO's default ones with none; none at all.
 _Model = Literal["calibrated", "default", "constant velocity"]
 MODELS = ("calibrated", "reference", "constant velocity", "default", "log")
-_TEMPLATE, _SCENE_S = "resimulation.html.j2", 60.0  # a scene may take so long for a seed
+_SCENE_S = 60.0  # a scene may take so long for a seed
 #: Where fewer vehicles move at the present the scene's pace is the prior. No tunable: what a recording tells.
 _PACE_OF = 3
 
@@ -275,14 +275,9 @@ def _write(
         {"scene": scene.name, "track_id": track_id, "driven": not why, "why_not": why}
         for scene in scenes for track_id, why in [*((one, "") for one in scene.driven), *scene.left.items()]
     ])  # fmt: skip
-    left = Counter(why for scene in scenes for why in scene.left.values()).most_common()
-    driven = sum(len(scene.driven) for scene in some)
-    sections = [
-        Section("scores", "Likelihood of what was recorded", macro(_TEMPLATE, "scores", rows, MODELS, FEATURES)),
-        Section("vehicles", "Vehicles", macro(_TEMPLATE, "vehicles", driven, left, plan.take_out)),
-        Section(
-            "differs", "What differs from the challenge", macro(_TEMPLATE, "differs", plan, [len(h) for h in halves])
-        ),
-    ]
-    intro = macro(_TEMPLATE, "intro", len(some), driven, plan.seeds)
-    write_text(out / "resimulation.html", page("Simulated agents (WOSAC-like)", [intro], sections))
+    vehicles = {
+        "driven": sum(len(scene.driven) for scene in some),
+        "left": Counter(why for scene in scenes for why in scene.left.values()).most_common(),
+    }
+    shown = {"plan": plan, "rows": rows, "models": MODELS, "features": FEATURES, "scenes": len(some)} | vehicles
+    write_page(out / "resimulation.html", "resimulation.html.j2", measured=[len(half) for half in halves], **shown)

@@ -1,7 +1,7 @@
 """What an evaluation keeps of all its scenes: sums and counts, the same size after ten scenes and after a million."""
 
 import hashlib
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -31,6 +31,10 @@ DENSITIES = ("tracks", "tracks_at_49")
 #: Most generated, and most recorded, windows that the critics look at.
 MOST_OF_A_KIND = 4000
 
+#: Scenes as they were, the vehicles added alone, and scenes as they are: the group of a scene row that each counts.
+_MOMENTS = {"before": "original", "generated": "generated", "after": "combined"}
+#: What may become of a manoeuvre that was asked for.
+_STATUSES = ("done", "aborted", "not_feasible", "not_triggered")
 #: Columns of scenes that are summed, beside those of `SourceSums`.
 _COUNTED = ("generated", "placed", *PAIR_COLUMNS)
 
@@ -108,19 +112,15 @@ class Diversity:
         """Count scene rows and those of their source scenes."""
         diversity = cls()
         for row in rows:
-            diversity.add(row)
+            diversity.add(row, "generated", "after")
         for row in sources:
-            diversity.add_source(row)
+            diversity.add(row, "before")
         return diversity
 
-    def add(self, row: Row) -> None:
-        """Count a scene as it is now."""
-        self._count("generated", "generated", row)
-        self._count("after", "combined", row)
-
-    def add_source(self, row: Row) -> None:
-        """Count what was recorded: a source scene, or a scene that stands for its own. Each source counts once."""
-        self._count("before", "original", row)
+    def add(self, row: Row, *moments: str) -> None:
+        """Count a scene: as it was, once for each source; what was added to it, and as it is."""
+        for when in moments:
+            self._count(when, _MOMENTS[when], row)
 
     def _count(self, when: str, group: str, row: Row) -> None:
         told: dict[tuple[str, int | str], int] = {("scenes", ""): 1}
@@ -135,7 +135,7 @@ class Diversity:
 
     def content(self) -> dict[str, Any]:
         """Ready for JSON: scenes before and after, density[name] by number of agents, and behaviours."""
-        scenes = {when: self._counts[when, "scenes", ""] for when in ("before", "generated", "after")}
+        scenes = {when: self._counts[when, "scenes", ""] for when in _MOMENTS}
         names = {"vehicles": Policy, "scenes_with": Policy, "maneuvers": ManeuverKind}
         return {
             "scenes": {when: scenes[when] for when in ("before", "after")},
@@ -196,37 +196,32 @@ class ManeuverCounts:
     """Manoeuvres asked for: how many of a kind came to the same, and how long after their trigger they started."""
 
     def __init__(self) -> None:
-        #: By kind, status, reason and whether it was seen.
-        self._told: Counter[tuple[str, str, str | None, bool]] = Counter()
-        #: By kind and thousandths of a second.
-        self._delays: Counter[tuple[str, int]] = Counter()
+        #: By kind: statuses, reasons, and delays in thousandths of a second.
+        self._told: defaultdict[str, tuple[Counter[str], Counter[str], Counter[int]]] = defaultdict(
+            lambda: (Counter(), Counter(), Counter())
+        )
 
     def add(self, rows: Iterable[Row]) -> None:
         """Count manoeuvre rows of generated vehicles."""
         for row in rows:
             if row["group"] != "generated" or not row["recorded"]:
                 continue
-            self._told[row["kind"], row["status"], row["reason"], row["seen"] is not None] += 1
+            statuses, reasons, delays = self._told[row["kind"]]
+            statuses[row["status"]] += 1
+            statuses["done_and_seen"] += row["status"] == "done" and row["seen"] is not None
+            reasons.update([f"{row['status']}: {row['reason']}"] if row["reason"] else [])
             if row["trigger_s"] is not None and row["start_s"] is not None:
-                self._delays[row["kind"], round((row["start_s"] - row["trigger_s"]) * _DELAY_PARTS)] += 1
+                delays[round((row["start_s"] - row["trigger_s"]) * _DELAY_PARTS)] += 1
 
     def content(self) -> dict[str, Any]:
         """Ready for JSON, by kind: statuses, reasons from the commonest on, median delay, s; None where none began."""
-        return {kind: self._of(kind) for kind in sorted({kind for kind, *_ in self._told})}
-
-    def _of(self, kind: str) -> dict[str, Any]:
-        status, reasons, seen = Counter[str](), Counter[str](), 0
-        for (one, became, reason, is_seen), count in self._told.items():
-            if one == kind:
-                status[became] += count
-                seen += count * (became == "done" and is_seen)
-                reasons.update({f"{became}: {reason}": count} if reason else {})
-        delays = [delay for (one, delay), count in self._delays.items() if one == kind for _ in range(count)]
         return {
-            **{became: status[became] for became in ("done", "aborted", "not_feasible", "not_triggered")},
-            "done_and_seen": seen,
-            "reasons": dict(reasons.most_common()),
-            "median_trigger_to_start_s": float(np.median(delays)) / _DELAY_PARTS if delays else None,
+            kind: {name: statuses[name] for name in (*_STATUSES, "done_and_seen")}
+            | {
+                "reasons": dict(reasons.most_common()),
+                "median_trigger_to_start_s": float(np.median([*delays.elements()])) / _DELAY_PARTS if delays else None,
+            }
+            for kind, (statuses, reasons, delays) in sorted(self._told.items())
         }
 
 
@@ -260,7 +255,7 @@ class Totals:
         row = measures.scene
         source = str(row["source"])
         self.sums.add(row)
-        self.diversity.add(row)
+        self.diversity.add(row, "generated", "after")
         self.maneuvers.add(measures.tables["maneuvers"])
         events = measures.tables["events"]
         self.event_counts.update((str(event["kind"]), str(event["status"])) for event in events)
@@ -269,13 +264,13 @@ class Totals:
         as_recorded = source not in self._sources and source not in self._measured_sources
         self._sources.add(source)
         if as_recorded:
-            self.diversity.add_source(row)
+            self.diversity.add(row, "before")
         self._add_driving(measures, generated=True, recorded=as_recorded)
         self._add_counts(row)
 
     def add_source(self, measures: SceneMeasures) -> None:
         """Take a source scene in: what there was before, and how recorded vehicles drive among themselves."""
-        self.diversity.add_source(measures.scene)
+        self.diversity.add(measures.scene, "before")
         self._add_driving(measures, generated=False, recorded=True)
 
     def add_control(self, measures: SceneMeasures) -> None:

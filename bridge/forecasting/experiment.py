@@ -21,7 +21,7 @@ from bridge.batch.batch import Progress as BatchProgress
 from bridge.batch.engine import Task, execute_here
 from bridge.batch.isolation import Settings
 from bridge.batch.manifest import DONE, ManifestRow
-from bridge.files import data_folder, make_folder, write_json, write_rows, write_text
+from bridge.files import data_folder, make_folder, write_json, write_rows
 from bridge.forecasting.compose import COMPOSITION, VALIDATION, compose
 from bridge.forecasting.composition import CONTROLS, HID2_ONLY, Composition, Controls, Draw, Split
 from bridge.forecasting.predictions import (
@@ -283,7 +283,6 @@ def _differences(
     return found
 
 
-_TITLE = "Tables 2 and 3: forecasters trained with generated scenes"
 _READINGS: Mapping[Reading, str] = {
     "recorded": "the recorded focal track, among more vehicles",
     "generated": "an inserted vehicle that does its manoeuvre among many neighbours",
@@ -305,7 +304,7 @@ def _write(
     names2 = [f"{on}_{key}" for on in (RECORDED, HID2) for key in _COLUMNS]
     names3 = [f"{key}_{bound}" for bound in BOUNDS for key in _COLUMNS]
     differences = _differences(runs, source_of, params)
-    power = ("hid2", RECORDED, "all scenes", "min_fde_m")  # by this the page says what its numbers can show
+    main = ("hid2", RECORDED, "all scenes", "min_fde_m")  # by this the page says what its numbers can show
     content: dict[str, Any] = {
         "experiment": "prediction",
         "seeds": {name: len(found) for name, found in runs[RECORDED].items()},
@@ -313,15 +312,6 @@ def _write(
         "table2": _table(PAPER_TABLE2, table2, names2, source_of, params),
         "table3": _table(PAPER_TABLE3, table3, names3, source_of, params),
         "differences": [one._asdict() for one in differences],
-    }
-    shown = content | {
-        "updates": None if brought else params.updates,
-        "reading": _READINGS[plan.reading],
-        "power": next(d for d in differences if d[:4] == power),
-        "gain_m": PAPER_GAIN_M,
-        "metrics": [METRICS[key] for key in _COLUMNS],
-        "head": HEAD,
-        "differences": rows_of(differences),
     }
     every = (
         (on, name, number, *score)
@@ -332,6 +322,15 @@ def _write(
     )
     write_rows(out / "prediction_scores.csv", ("validation", "trained_on", "run", *SCORE_COLUMNS), every)
     write_json(out / "prediction.json", content)
+    shown = content | {
+        "updates": None if brought else params.updates,
+        "reading": _READINGS[plan.reading],
+        "gain_m": PAPER_GAIN_M,
+        "main": next(one for one in differences if one[:4] == main),
+        "metrics": [METRICS[key] for key in _COLUMNS],
+        "head": HEAD,
+        "rows": rows_of(differences),
+    }
     page = out / "prediction.html"
-    write_text(page, pages.page(_TITLE, [pages.macro("forecasts.html.j2", "prediction", shown)]))
+    pages.write_page(page, "prediction.html.j2", **shown)
     return page

@@ -9,9 +9,8 @@ that was made of one, and seeds of each model on its own: what is left is what o
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from functools import reduce
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -20,7 +19,7 @@ from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 
 from bridge.batch.engine import OnDone, work_on_each
 from bridge.batch.isolation import Failure
-from bridge.files import beside, make_folder, write_rows, write_text
+from bridge.files import beside, make_folder, write_rows
 from bridge.forecasting.compose import origins_of
 from bridge.forecasting.places import recorded_source
 from bridge.pages import parts as pages
@@ -107,9 +106,9 @@ def score_predictions(
         raise ScenarioError(f"{out}: nothing to score, first of {len(left_out)} reasons: {left_out[0]}")
     scores = pd.DataFrame(rows, columns=SCORE_COLUMNS)
     if report_dir is not None:
-        parts = [pages.macro("forecasts.html.j2", "scored", TABLE_HEAD, band_rows(scores, bounds), left_out)]
         write_rows(report_dir / "predictions.csv", SCORE_COLUMNS, rows)
-        write_text(report_dir / "predictions.html", pages.page("Forecasts, scored", parts))
+        shown = {"head": TABLE_HEAD, "rows": band_rows(scores, bounds), "left_out": left_out}
+        pages.write_page(report_dir / "predictions.html", "scored.html.j2", **shown)
     return scores, left_out
 
 
@@ -219,23 +218,17 @@ def bands(bounds: Sequence[int]) -> dict[str, str]:
     return {"all scenes": "agents > 0"} | in_all | observed
 
 
-def band_means(scores: pd.DataFrame, bounds: Sequence[int]) -> Iterable[dict[str, Any]]:
-    """Of each band and k the number of tracks and their mean of each metric, None where there is none."""
-    for (name, band), k in itertools.product(bands(bounds).items(), KS):
-        own = scores.query(f"{band} and k == {k}")
-        means = {key: float(own[key].to_numpy(float).mean()) if len(own) else None for key in METRICS}
-        yield {"band": name, "k": k, "tracks": len(own)} | means
-
-
 TABLE_HEAD = ("agents in the scene", "k", "tracks", *METRICS.values())
 
 
 def band_rows(scores: pd.DataFrame, bounds: Sequence[int]) -> list[tuple[str, ...]]:
-    """A table of the bands."""
-    return [
-        (band["band"], str(band["k"]), str(band["tracks"]), *(pages.number(band[name]) for name in METRICS))
-        for band in band_means(scores, bounds)
-    ]
+    """A table, by TABLE_HEAD: of each band and k the number of tracks, and their mean of each metric."""
+    found = []
+    for (name, band), k in itertools.product(bands(bounds).items(), KS):
+        own = scores.query(f"{band} and k == {k}")
+        means = own[[*METRICS]].astype(float).mean() if len(own) else dict.fromkeys(METRICS)
+        found.append((name, str(k), str(len(own)), *(pages.number(means[key]) for key in METRICS)))
+    return found
 
 
 # Models compared in pairs
@@ -288,15 +281,16 @@ def _aligned(
     models: Sequence[Runs], source_of: Mapping[str, str], metric: MetricKey
 ) -> tuple[list[FloatArray], IntArray]:
     """Values (seeds, T) of each model on the T tracks that every run forecasts, and the number (T,) of their source."""
-
-    def by_track(run: pd.DataFrame) -> "pd.Series[Any]":
-        track = ["scenario_id", "track_id"]  # the same scene may lie in several folders
-        return run.query(f"k == {K}").drop_duplicates(track, keep="last").set_index(track)[metric]
-
-    found = [[by_track(run) for run in runs] for runs in models]
-    tracks = reduce(pd.MultiIndex.intersection, (run.index for runs in found for run in runs)).sort_values()
-    _, source = np.unique([source_of.get(scenario, scenario) for scenario, _ in tracks], return_inverse=True)
-    return [np.array([run.reindex(tracks).to_numpy(float) for run in runs]) for runs in found], source
+    track = ["scenario_id", "track_id"]
+    each = [
+        run.query(f"k == {K}").drop_duplicates(track, keep="last").set_index(track)[metric]  # a scene may lie twice
+        for runs in models
+        for run in runs
+    ]
+    values = pd.concat(each, axis=1, join="inner").sort_index()
+    _, source = np.unique([source_of.get(scenario, scenario) for scenario, _ in values.index], return_inverse=True)
+    seeds = np.cumsum([len(runs) for runs in models])[:-1]
+    return np.split(np.ascontiguousarray(values.to_numpy(float).T), seeds), source
 
 
 def _bootstrap(values: Sequence[FloatArray], source: IntArray, params: Forecasting) -> tuple[Estimate, float | None]:
@@ -406,5 +400,4 @@ def _signed(value: float | None) -> str:
 def _write(differences: Sequence[Difference], report_dir: Path) -> None:
     *head, _ = Difference._fields
     write_rows(report_dir / "comparison.csv", head, (one[:-1] for one in differences))
-    part = pages.macro("forecasts.html.j2", "differences", HEAD, rows_of(differences))
-    write_text(report_dir / "comparison.html", pages.page("Forecasts, compared", [part]))
+    pages.write_page(report_dir / "comparison.html", "comparison.html.j2", head=HEAD, rows=rows_of(differences))

@@ -1,32 +1,23 @@
 """Pages of the templates beside: what they are filled with, and how figures, metrics and reasons look in them."""
 
 import functools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import jinja2
 from markupsafe import Markup, escape
 
+from bridge.files import write_text
 from hid2.reasons import Reason
-
-
-class Section(NamedTuple):
-    """One entry of a page's contents: its anchor, its heading and what is below, as HTML."""
-
-    key: str
-    title: str
-    body: Markup
 
 
 @functools.cache
 def _templates() -> jinja2.Environment:
     loader = jinja2.FileSystemLoader(Path(__file__).parent / "templates")
     escaped = jinja2.select_autoescape(("html.j2",))  # all but Markdown
-    made = jinja2.Environment(
-        loader=loader, undefined=jinja2.StrictUndefined, extensions=["jinja2.ext.do"],
-        autoescape=escaped,  # noqa: S701
-    )  # fmt: skip
+    how: Any = {"undefined": jinja2.StrictUndefined, "extensions": ["jinja2.ext.do"]}
+    made = jinja2.Environment(loader=loader, autoescape=escaped, **how)  # noqa: S701
     made.filters |= {"number": number, "interval": with_interval, "linked": linked, "reason": reason}
     return made
 
@@ -36,14 +27,20 @@ def text(file: str, **values: object) -> str:
     return _templates().get_template(file).render(**values)
 
 
-def macro(file: str, name: str, *arguments: object) -> Markup:
-    """What a macro of a template makes of its arguments."""
-    return Markup(getattr(_templates().get_template(file).module, name)(*arguments))  # noqa: S704  # of our templates
+def macros(file: str, **values: object) -> Any:  # noqa: ANN401  # a module of macros and variables
+    """The macros of a template, which see values too, and its variables."""
+    return _templates().get_template(file).make_module(values)
 
 
-def page(title: str, parts: Iterable[Markup], sections: Sequence[Section] = ()) -> str:
-    """A whole HTML page without outside references: parts, then sections."""
-    return text("page.html.j2", title=title, parts=parts, sections=sections) + "\n"
+def write_page(path: Path, file: str, **values: object) -> None:
+    """Write a whole HTML page without outside references. Errors: ExportError.
+
+    Of a template with a `title`, an `intro`, and a macro for each of the `sections` that it names; no empty ones.
+    """
+    of = macros(file, **values)
+    bodies = [(key, heading, getattr(of, key)()) for key, heading in getattr(of, "sections", {}).items()]
+    sections = [section for section in bodies if section[-1]]
+    write_text(path, text("page.html.j2", title=of.title, intro=of.intro(), sections=sections) + "\n")
 
 
 def number(value: float | None, digits: int = 3) -> Markup:
@@ -65,8 +62,7 @@ def with_interval(entry: Mapping[str, float | None], digits: int = 3) -> Markup:
 
 #: Words in the names of metrics, and the definitions that they lead to; longer ones first.
 _LINKED = {
-    "footprint ORR": "footprint", "time gap": "gap", "TTC": "ttc", "PET": "pet", "SCR": "scr", "ORR": "orr",
-    "IoU": "iou", "LO": "motion", "LA": "motion", "JE": "motion", "time to collision": "ttc",
+    "time gap": "gap", "TTC": "ttc", "PET": "pet", "IoU": "iou", "time to collision": "ttc",
     "post-encroachment time": "pet", "lane-change duration": "duration", "acceleration": "smooth", "jerk": "smooth",
     "yaw rate": "smooth", "offset": "smooth", "speed": "smooth", "touch": "contact", "contact": "contact",
     "lane change": "manoeuvre", "left turn": "manoeuvre", "right turn": "manoeuvre", "overtake": "overtake",

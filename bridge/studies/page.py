@@ -16,7 +16,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.csv as pa_csv
 from matplotlib.axes import Axes
-from pandas.api.types import infer_dtype, is_numeric_dtype
+from pandas.api.types import is_numeric_dtype
 
 from bridge.batch.manifest import DONE
 from bridge.files import beside, table_cell, write_rows, write_text
@@ -93,20 +93,19 @@ def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> Path:
     """A table as CSV, compressed where it is long."""
     long = len(table) > _LONG
     path = out_dir / (f"{name}.csv.gz" if long else f"{name}.csv")
-    flags = [column for column in table if infer_dtype(table[column]) == "boolean"]
-    tidy = table.astype(dict.fromkeys(flags, "boolean"))
-    tidy = tidy.assign(**{
-        str(column): cells.map(lambda cell: str(cell).lower() if isinstance(cell, bool) else cell).astype("string")
-        for column, cells in tidy.items() if cells.dtype == object
-    })  # fmt: skip
-    texts = tidy.select_dtypes(exclude=["number", "bool"]).columns
-    safe = tidy.assign(**{column: tidy[column].map(table_cell, na_action="ignore") for column in texts})
+    texts = table.select_dtypes(exclude=["number", "bool"])
+    shown = {str(name): cells.map(_cell, na_action="ignore").astype("string") for name, cells in texts.items()}
     text = io.BytesIO()
-    shown = pa.Table.from_pandas(safe, preserve_index=False)
-    pa_csv.write_csv(shown, text, pa_csv.WriteOptions(quoting_style="needed"))
+    columns = pa.Table.from_pandas(table.assign(**shown), preserve_index=False)
+    pa_csv.write_csv(columns, text, pa_csv.WriteOptions(quoting_style="needed"))
     with beside(path) as hidden:
         hidden.write_bytes(gzip.compress(text.getvalue(), mtime=0) if long else text.getvalue())
     return path
+
+
+def _cell(cell: object) -> str:
+    """A cell of a column that is no numbers: booleans as Arrow writes them, also where some are missing."""
+    return str(cell).lower() if isinstance(cell, bool) else str(table_cell(str(cell)))
 
 
 # Figures --------------------------------------------------------------------------------------------------------------

@@ -262,7 +262,12 @@ def run_public(page: PublicRoads, out_dir: Path, options: Options, *, on_row: On
         (one.site.told.name, one.rule, one.variant, name, one.site.told.published.get(name), *ours, len(one.runs))
         for one in [*tests, *causes] for name, ours in one.measures.items()
     ])  # fmt: skip
-    values: dict[str, object] = {"tried": tried, "best": best, "tests": tests, "causes": causes, "within": WITHIN}
+    both = [
+        (one, other)
+        for one, other in itertools.product(causes, tests)
+        if (one.site, one.rule) == (other.site, other.rule) and other.variant != "untuned"
+    ]
+    values: dict[str, object] = {"tried": tried, "best": best, "tests": tests, "causes": both, "within": WITHIN}
     write_text(told, text("public.md.j2", page=page, cell_m=CELL_M, cell_s=CELL_S, long_gap_s=LONG_GAP_S, **values))
     return RunsReport.of((told, table), rows.values())
 

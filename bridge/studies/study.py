@@ -237,13 +237,13 @@ def _latin_hypercube(content: _File, path: Path) -> list[dict[str, Value]]:
             raise ConfigError(f"{path}: vary.{key} = {bounds!r}, expected [low, high] with low < high")
     unit = qmc.LatinHypercube(d=len(content.vary), rng=content.sample_seed).random(content.samples)
     points = []
-    for row in unit:
+    for row in unit.tolist():
         point: dict[str, Value] = {}
         for share, (key, (low, high)) in zip(row, content.vary.items(), strict=True):
             if isinstance(low, int) and isinstance(high, int):
                 point[key] = low + int(share * (high - low + 1))
             else:
-                point[key] = round(float(low) + float(share) * (float(high) - float(low)), 6)
+                point[key] = round(float(low) + share * (float(high) - float(low)), 6)
         points.append(point)
     return points
 

@@ -186,13 +186,13 @@ METRICS: tuple[Metric, ...] = (
     *(of_clean for _, of_clean in _MAGNITUDES),
     Metric(
         "scr", "SCR: share of vehicles that collide", "share", "safety",
-        "Vehicles that overlap another one (boxes, IoU above 0.02) at any step, of the vehicles of a scene; mean over "
-        "scenes.",
+        "Scenario collision rate: vehicles that overlap another one (boxes, IoU above 0.02) at any step, of the "
+        "vehicles of a scene; mean over scenes.",
         Column("scr", lambda g: g.colliding / int(g.vehicles.sum()) if g.vehicles.any() else 0.0), SCENES_WITH_VEHICLES,
     ),
     Metric(
         "orr", "ORR: share of positions off the road", "share", "safety",
-        "Positions of vehicles outside the drivable area of the map.",
+        "Off-road rate: positions of vehicles outside the drivable area of the map.",
         Column("off_road", lambda g: int(g.safe.off_road[g.rows].sum())), ROWS,
     ),
     Metric(

@@ -5,12 +5,14 @@ Motion is that of fits over 4 s (`windows.py`), so that tracker noise does not d
 Every distance stands beside its floor: the distance between two halves of the recorded tracks.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import rel_entr
 
 from hid2.agents import FloatArray, IntArray
 from hid2.evaluation.safety import Safety
@@ -70,11 +72,8 @@ def jensen_shannon(feature: HistogramFeature, first: IntArray, second: IntArray)
     if not first.sum() or not second.sum():
         return None
     p, q = (counts.reshape(feature.bins, FINE).sum(axis=1) / counts.sum() for counts in (first, second))
-    divergence = 0.0
-    for one in (p, q):
-        some = one > 0
-        divergence += float((one[some] * np.log2(one[some] / ((p + q) / 2)[some])).sum()) / 2
-    return float(np.sqrt(max(divergence, 0.0)))  # unlike scipy's, a number where rounding says less than 0
+    divergence = float(sum(rel_entr(one, (p + q) / 2.0).sum() for one in (p, q))) / (2.0 * math.log(2.0))
+    return math.sqrt(max(divergence, 0.0))  # unlike scipy's own, a number where rounding says less than 0
 
 
 def wasserstein(feature: HistogramFeature, first: IntArray, second: IntArray) -> float | None:

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from bridge.pages.parts import macro
+from bridge.pages.parts import macros
 from hid2.evaluation.critics import MISSING, critique
 from hid2.evaluation.windows import WINDOW
 
 
 def plain_words(critics):
     """The sentences, a line each."""
-    return [line for line in macro("report.html.j2", "plain", critics).splitlines() if line]
+    return [line for line in macros("report.html.j2").plain(critics).splitlines() if line]
 
 
 def verdict(auc, *, critic="trees", view="all", recordings="all", low=0.5, high=0.7):

@@ -76,13 +76,6 @@ def test_many_sources_are_pooled_in_groups_and_totals_stay_exact():
         assert pooled.of_columns(name)[0].tolist() == backwards.of_columns(name)[0].tolist()
 
 
-def test_groups_hold_about_the_same_number_of_sources():
-    sizes = filled(rows_of(*(f"s{k}" for k in range(3000))), most=10).of_columns("rows")[0] / 5
-    assert len(sizes) == 10
-    assert sizes.min() > 240
-    assert sizes.max() < 360
-
-
 def offer(samples, scenes):
     """Each scene: two generated and one recorded vehicle, whose vectors tell which they are."""
     for number in scenes:
@@ -91,10 +84,6 @@ def offer(samples, scenes):
         offered["generated"] = [True, True, False]
         samples.add(offered, scene=f"scene-{number}")
     return {(one["speed_mps"], one["agent"]) for one in samples.windows()}
-
-
-def test_every_vehicle_is_a_sample_as_long_as_there_is_room():
-    assert len(offer(Samples(most=40), range(20))) == 60
 
 
 def test_sample_is_of_fixed_size_fair_and_the_same_in_any_order():

@@ -27,7 +27,7 @@ from bridge.forecasting.experiment import (
     small_forecaster,
 )
 from bridge.forecasting.predictions import Difference, baseline, read_forecasts, score_predictions, write_forecasts
-from bridge.pages.parts import macro
+from bridge.pages.parts import macros
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_rows, read_scenario
 from bridge.recordings.sources import find_recordings, read_recording
@@ -96,13 +96,6 @@ def test_forecasts_from_elsewhere_make_both_tables(composed, brought, tmp_path):
     text = page.read_text()
     for words in ("nothing about the claim", "1.573", "1.219", "0.023"):
         assert words in text
-
-
-def test_the_page_is_the_same_with_more_jobs(composed, brought, tmp_path):
-    for name, jobs in (("one", 1), ("two", 2)):
-        run_prediction([], tmp_path / name, TrainingPlan(), composed=composed, predictions=brought, jobs=jobs)
-    for file in ("prediction.html", "prediction.json", "prediction_scores.csv"):
-        assert (tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes()
 
 
 def test_what_is_missing_is_named(composed, brought, tmp_path):
@@ -191,7 +184,7 @@ def test_few_scenes_show_nothing_about_the_claim(sources, few):
     """A difference of -0.5 m, -0.9 to -0.1 m."""
     figures = -0.5, -0.9, -0.1, 0.2, sources, sources, 0.57
     one = Difference("hid2", "recorded", "all scenes", "min_fde_m", *figures, (3, 3))
-    text = " ".join(macro("forecasts.html.j2", "power", one, PAPER_GAIN_M).split())
+    text = " ".join(macros("prediction.html.j2", gain_m=PAPER_GAIN_M).power(one).split())
     assert (
         f"{sources} tracks of {sources} recorded scenes are forecast, with 3 seeds. The paper’s smallest gain" in text
     )

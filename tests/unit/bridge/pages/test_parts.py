@@ -2,7 +2,7 @@
 
 from markupsafe import Markup
 
-from bridge.pages.parts import linked, macro, number, with_interval
+from bridge.pages.parts import linked, macros, number, with_interval
 
 
 def test_a_share_that_is_not_zero_does_not_look_like_it() -> None:
@@ -16,10 +16,10 @@ def test_interval_stands_below_its_value_where_there_is_one() -> None:
 
 
 def test_first_column_of_a_table_is_text_and_every_cell_has_the_name_of_its_column() -> None:
-    text = macro("parts.html.j2", "table", ("", Markup("<b>share</b>"), "why"), [("a", "1", "x")], 1)
+    text = macros("parts.html.j2").table(("", Markup("<b>share</b>"), "why"), [("a", "1", "x")], 1)
     assert '<td data-label="">a</td><td class=n data-label="share">1</td><td data-label="why">x</td>' in text
 
 
 def test_what_is_not_ours_is_escaped_in_pages() -> None:
-    assert "<li>a &lt;b&gt;</li>" in macro("forecasts.html.j2", "scored", [], [], ["a <b>"])
+    assert "<li>a &lt;b&gt;</li>" in macros("scored.html.j2", head=[], rows=[], left_out=["a <b>"]).intro()
     assert linked("share <x>") == "share &lt;x&gt;"

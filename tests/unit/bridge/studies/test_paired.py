@@ -200,17 +200,6 @@ def test_what_comes_of_a_corridor_says_so(corridor: Path, tmp_path: Path) -> Non
     assert read_scenario(folder).num_steps == 400
 
 
-def test_larger_lag_gap_asked_for_is_no_easier(corridor: Path) -> None:
-    """0.4 s against 2.5 s, the same arrivals: fewer of the same requests are accepted."""
-    accepted = []
-    for gap_s in (0.4, 2.5):
-        config = _corridor_config(time_gap_rear_s=gap_s)
-        prepared = prepare(read_scenario(corridor), config)
-        run = paired_run(prepared, draw(prepared, drawing_config(config)), config)
-        accepted.append(sum(row["accepted"] for row in run.requests))
-    assert accepted[0] > accepted[1]
-
-
 def test_rule_of_the_page_decides(
     corridor: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
 ) -> None:

@@ -145,7 +145,7 @@ def test_durations_are_those_of_changes_seen_from_start_to_end(tmp_path: Path) -
     one = RoadResult(page.road[0], "a rule", "as set", {}, runs)
     assert one.measures["duration_mean_s"] == pytest.approx((17.0 / 4.0, 4.0, 4.5))  # draws of one run alone
     assert one.measures["duration_median_s"].value == 4.0
-    lists: dict[str, Any] = {"tests": [one], "causes": [one], "tried": [], "best": {}, "within": WITHIN}
+    lists: dict[str, Any] = {"tests": [one], "causes": [(one, one)], "tried": [], "best": {}, "within": WITHIN}
     told = text("public.md.j2", page=page, cell_m=250.0, cell_s=60.0, long_gap_s=10.0, **lists)
     assert "| road | a rule | as set | - | - | - |" in told
 

@@ -7,14 +7,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from bridge.pages.parts import macro
+from bridge.pages.parts import macros
 from bridge.studies.gap_acceptance import critical_gap, gaps_of, largest_rejected, troutbeck
 from bridge.studies.page import _classes, _told, draw_parameter
 from bridge.studies.statistics import (
     difference_sd,
     dose_response,
     few_clusters_p,
-    kaplan_meier,
     mean_wait,
     seeds_needed,
 )
@@ -76,13 +75,6 @@ def test_few_clusters_cannot_be_surer_than_their_signs_allow() -> None:
     assert few_clusters_p(np.array([1.0, np.nan])) is None
 
 
-def test_few_clusters_reject_no_effect_as_often_as_they_say() -> None:
-    """Six clusters of unequal spread without an effect: p below .05 in 2 of 64 cases, below 30 of 500 by chance."""
-    rng = np.random.default_rng(4)
-    samples = rng.normal(size=(500, 6)) * np.array([0.2, 0.5, 1.0, 1.0, 3.0, 9.0])
-    assert sum((few_clusters_p(sample) or 1.0) < 0.05 for sample in samples) < 30
-
-
 def test_seeds_needed_are_those_of_the_paired_t_test() -> None:
     """A difference of one SD: 10 pairs; of half of one: 34 (Cohen 1988, table 2.4.1, for paired differences)."""
     assert [seeds_needed(1.0, 1.0), seeds_needed(1.0, 0.5), seeds_needed(0.0, 0.1)] == [10, 34, 2]
@@ -101,13 +93,6 @@ def test_driver_who_refused_a_larger_gap_is_left_out_and_counted() -> None:
     ]
     rejected, accepted, inconsistent = largest_rejected(pd.DataFrame(rows), "lag")
     assert (rejected.tolist(), accepted.tolist(), inconsistent) == ([0.0], [2.0], 1)
-
-
-def test_kaplan_meier_by_hand() -> None:
-    """Accepted after 1 and 3 s, given up after 2 s, of three: 2/3 after 1 s, then 2/3 * (1 - 1/1) = 0 after 3 s."""
-    curve = kaplan_meier(np.array([1.0, 2.0, 3.0]), np.array([1, 0, 1]))
-    assert curve.surv_times.tolist() == [1.0, 3.0]
-    assert curve.surv_prob == pytest.approx([2 / 3, 0.0])
 
 
 def test_mean_wait_by_hand() -> None:
@@ -245,7 +230,7 @@ def test_interval_that_begins_at_a_rounding_error_includes_no_effect() -> None:
         for value in (0.0, 1.0)
     ]  # fmt: skip
     ((outcome, told),) = _told(pd.DataFrame(rows))["outcomes"]
-    line = macro("study_lines.md.j2", "outcome", outcome, told, "a parameter")
+    line = macros("study_lines.md.j2").outcome(outcome, told, "a parameter")
     assert "95 % interval +0 to +0.04 (runs), which includes no effect" in line
 
 
