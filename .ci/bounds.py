@@ -26,8 +26,8 @@ PACKAGES, KINDS = ("netconvert", "hid2", "bridge", "data"), (".py", ".js", ".j2"
 PRODUCT = (*PACKAGES, ".ci")
 #: What is counted: how many there may be now, and how many there are to be in the end. What shrinks is lowered.
 BOUNDS = {
-    "lines": (38_250, 28_500),
-    "statements": (24_110, 15_000),
+    "lines": (38_230, 28_500),
+    "statements": (24_090, 15_000),
     "lines of hid2": (15_850, 8_500),
     "lines of hid2/insertion": (4_450, 2_200),
     "lines of hid2/kernels": (2_660, 1_900),
@@ -37,10 +37,10 @@ BOUNDS = {
     "lines of bridge/sumo": (1_910, 1_700),
     "lines of bridge/batch": (2_000, 1_500),
     "lines of bridge/pictures": (850, 850),
-    "lines of bridge/studies, evaluation, forecasting, pages": (7_120, 4_600),
-    "lines of tests": (36_290, 19_000),
+    "lines of bridge/studies, evaluation, forecasting, pages": (7_050, 4_600),
+    "lines of tests": (36_280, 19_000),
     "parameters": (110, 110),
-    "fmt: skip and fmt: off": (257, 40),
+    "fmt: skip and fmt: off": (256, 40),
     "functions above 80 lines": (2, 0),
     "functions with more than 8 arguments, outside of kernels": (7, 0),
     "class names that are used twice": (0, 0),

@@ -8,11 +8,10 @@ from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.evaluation.evaluate import write_table
 from bridge.files import write_text
 from bridge.pages.parts import write_page
+from bridge.recordings.judging import recording_states
 from bridge.recordings.scenario import read_scenario, source_id
 from bridge.recordings.sources import find_sources
 from hid2.evaluation.calibration import CalibratedQuantity, SceneDriving, calibrate, drivers_of, observe
-from hid2.measures.lane_matching import flatten_lanes
-from hid2.occupancy.agent_states import agent_states
 from hid2.params import Drivers
 from netconvert.errors import ConfigError, ScenarioError
 
@@ -57,9 +56,8 @@ def calibrate_folder(
 def observe_scene(_shared: None, folder: Path) -> SceneDriving:
     """What one recorded scene shows of driving. Errors: ScenarioError, MapError."""
     scene = read_scenario(folder)
-    lanes = flatten_lanes(scene.graph)
-    states = agent_states(scene.tracks, lanes, num_steps=scene.num_steps, step_s=scene.step_s)
-    return observe(states, name=scene.scenario_id, city=scene.city, labelled=scene.provenance == "human")
+    labelled = scene.provenance == "human"
+    return observe(recording_states(scene), name=scene.scenario_id, city=scene.city, labelled=labelled)
 
 
 def _groups(scenes: Sequence[SceneDriving]) -> Iterator[tuple[str, list[SceneDriving]]]:

@@ -18,6 +18,7 @@ from bridge.generation.generate import sumo_seed
 from bridge.generation.records import generator_record
 from bridge.pages.parts import write_page
 from bridge.recordings.export import new_scenario_id, recording_record_of, with_generated, with_motion, write_recording
+from bridge.recordings.judging import recording_states
 from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
@@ -34,8 +35,6 @@ from hid2.evaluation.calibration import calibrate, drivers_of
 from hid2.evaluation.likelihood import FEATURES, GROUPS, LAST, NOW, Features, features, likelihoods, scene_scores
 from hid2.evaluation.resimulated import TakenOut, begin, own_path, poses, taken_out
 from hid2.measures.arrays import BoolArray
-from hid2.measures.lane_matching import flatten_lanes
-from hid2.occupancy.agent_states import agent_states
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import Traffic, traffic_of, velocity_of
 from hid2.params import CarFollowing, Config, Drivers
@@ -85,11 +84,11 @@ class Resimulation:
     """A recording with its vehicles taken out: logged (A, T) as it was, the vehicles that are driven, those left."""
 
     def __init__(self, recording: Recording) -> None:
-        tracks, steps, step_s = recording.tracks, recording.num_steps, recording.step_s
-        states = agent_states(tracks, flatten_lanes(recording.graph), num_steps=steps, step_s=step_s)
-        self.vehicles, self.left = taken_out(states, tracks, NOW)
-        sizes = np.array(tuple(track.size for track in tracks)).T.copy()
-        self.logged = replace(traffic_of(tracks, steps, step_s=step_s), length_m=sizes[0], width_m=sizes[1])
+        tracks = recording.tracks
+        self.vehicles, self.left = taken_out(recording_states(recording), tracks, NOW)
+        length_m, width_m = np.array([track.size for track in tracks]).T.copy()
+        logged = traffic_of(tracks, recording.num_steps, step_s=recording.step_s)
+        self.logged = replace(logged, length_m=length_m, width_m=width_m)
         self.recording, self._grid = recording, build_cell_grid(recording.graph)
         self._net = net_bytes(self._grid)
 

@@ -3,14 +3,13 @@
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import Address, split_of
-from bridge.recordings.judging import findings_of, states_of
+from bridge.recordings.judging import findings_of, recording_states
 from bridge.recordings.recording import AV_ID, Recording
 from bridge.recordings.sidecar import REACTIVE, EventRecord, ManeuverRecord, Sidecar
 from bridge.recordings.sources import read_recording
@@ -25,7 +24,6 @@ from hid2.measures.arrays import SceneArrays, is_generated_id
 from hid2.measures.conflicts import TrafficConflict, conflicts
 from hid2.measures.encounters import encounters
 from hid2.measures.lane_changes import LaneChangeRow, lane_changes
-from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.measures.scene_end import ttc_after_last_step
 from hid2.measures.surrogates import Encroachment
@@ -58,10 +56,6 @@ class SceneMeasures:
     def scene(self) -> Row:
         """The row of the scene itself."""
         return self.tables["scenes"][0]
-
-
-#: Of the last graphs: scenes with one map come one after the other.
-_flat = lru_cache(maxsize=2)(flatten_lanes)
 
 
 def measure_folder(folder: Address) -> SceneMeasures:
@@ -145,9 +139,7 @@ def _number_of(own: Callable[[Group], float], name: str, group: Group) -> float:
 
 def _grouped(recording: Recording, tracks: Sequence[Track]) -> tuple[AgentStates, dict[str, Group]]:
     """States of tracks on the map of a recording, inserted ones last, and what was measured of them by group."""
-    inserted = [track.track_id for track in tracks if is_generated_id(track.track_id)]
-    lanes, steps = _flat(recording.graph), recording.num_steps
-    states = states_of(tracks, lanes, inserted, num_steps=steps, step_s=recording.step_s)
+    states = recording_states(recording, tracks)
     arrays, safe = states.arrays, safety(states.view)
     kinematic, met = kinematics(arrays, motion(arrays)), encounters(arrays, safe.leaders)
     recorded, every = ~arrays.generated, np.ones(arrays.num_agents, dtype=bool)

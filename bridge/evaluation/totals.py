@@ -1,7 +1,7 @@
 """What an evaluation keeps of all its scenes: sums and counts, the same size after ten scenes and after a million."""
 
 import hashlib
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -197,16 +197,14 @@ class ManeuverCounts:
 
     def __init__(self) -> None:
         #: By kind: statuses, reasons, and delays in thousandths of a second.
-        self._told: defaultdict[str, tuple[Counter[str], Counter[str], Counter[int]]] = defaultdict(
-            lambda: (Counter(), Counter(), Counter())
-        )
+        self._told: dict[str, tuple[Counter[str], Counter[str], Counter[int]]] = {}
 
     def add(self, rows: Iterable[Row]) -> None:
         """Count manoeuvre rows of generated vehicles."""
         for row in rows:
             if row["group"] != "generated" or not row["recorded"]:
                 continue
-            statuses, reasons, delays = self._told[row["kind"]]
+            statuses, reasons, delays = self._told.setdefault(row["kind"], (Counter(), Counter(), Counter()))
             statuses[row["status"]] += 1
             statuses["done_and_seen"] += row["status"] == "done" and row["seen"] is not None
             reasons.update([f"{row['status']}: {row['reason']}"] if row["reason"] else [])

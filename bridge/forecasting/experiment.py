@@ -22,23 +22,9 @@ from bridge.batch.engine import Task, execute_here
 from bridge.batch.isolation import Settings
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.files import data_folder, make_folder, write_json, write_rows
+from bridge.forecasting import predictions as scoring
 from bridge.forecasting.compose import COMPOSITION, VALIDATION, compose
 from bridge.forecasting.composition import CONTROLS, HID2_ONLY, Composition, Controls, Draw, Split
-from bridge.forecasting.predictions import (
-    BOUNDS,
-    HEAD,
-    METRICS,
-    SCORE_COLUMNS,
-    Difference,
-    MetricKey,
-    Runs,
-    differences_of,
-    mean_of,
-    rows_of,
-    score_predictions,
-    sources_of,
-    write_forecasts,
-)
 from bridge.pages import parts as pages
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.sources import find_sources
@@ -53,7 +39,7 @@ SETS = (*CONTROLS, HID2_ONLY)
 #: Validation sets of the tables.
 RECORDED, HID2 = "recorded", "hid2"
 #: What the paper's tables have: minADE, minFDE and MR of six futures.
-_COLUMNS: tuple[MetricKey, ...] = ("min_ade_m", "min_fde_m", "missed")
+_COLUMNS: tuple[scoring.MetricKey, ...] = ("min_ade_m", "min_fde_m", "missed")
 #: Table 2: trained on, then on Argoverse 2 and on HiD2.
 PAPER_TABLE2: Mapping[str, Sequence[float]] = {
     "paper: QCNet, Argoverse 2": (0.845, 1.573, 0.228, 0.925, 1.701, 0.254),
@@ -223,7 +209,7 @@ def train_and_forecast(shared: tuple[Path, Mapping[str, Path], Path, int], seeds
         except ConfigError:  # of other scenes or updates
             model = network.train(targets, folder / "checkpoint.pt", updates=updates, seed=seed)
         for name, found in held_out.items():
-            write_forecasts(network.forecast(model, found), folder / f"{name}.parquet")
+            scoring.write_forecasts(network.forecast(model, found), folder / f"{name}.parquet")
         yield seed
 
 
@@ -238,7 +224,9 @@ def _scores(composed: Path, predictions: Path, *, jobs: int, tell: Progress) -> 
     for (on, name), found in files.items():
         runs[on][name] = each = []
         for path in found:
-            scores, left_out = score_predictions(composed / VALIDATION / on / "val", predictions=path, jobs=jobs)
+            scores, left_out = scoring.score_predictions(
+                composed / VALIDATION / on / "val", predictions=path, jobs=jobs
+            )
             if left_out:
                 raise ScenarioError(f"{path}: {len(left_out)} not scored, the first: {left_out[0]}")
             each.append(scores)
@@ -257,29 +245,29 @@ def _files(folder: Path, name: str) -> list[Path]:
 
 
 def _table(
-    paper: Mapping[str, Sequence[float]], ours: Mapping[str, Sequence[Runs]], names: Sequence[str],
+    paper: Mapping[str, Sequence[float]], ours: Mapping[str, Sequence[scoring.Runs]], names: Sequence[str],
     source_of: Mapping[str, str], params: Forecasting,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """The paper's rows and ours, by label: every metric of each of a row's runs, by name, ready for JSON."""
     rows = [(label, [Estimate(value) for value in values]) for label, values in paper.items()]
     rows += [
-        (f"ours: {label}", [mean_of(one, source_of, metric, params) for one in runs for metric in _COLUMNS])
+        (f"ours: {label}", [scoring.mean_of(one, source_of, metric, params) for one in runs for metric in _COLUMNS])
         for label, runs in ours.items()
     ]
     return [{"row": label} | dict(zip(names, (one._asdict() for one in cells), strict=True)) for label, cells in rows]
 
 
 def _differences(
-    runs: Mapping[str, Mapping[str, Runs]], source_of: Mapping[str, str], params: Forecasting
-) -> list[Difference]:
+    runs: Mapping[str, Mapping[str, scoring.Runs]], source_of: Mapping[str, str], params: Forecasting
+) -> list[scoring.Difference]:
     """The controls minus recorded scenes alone, and HiD2 minus its rivals, on recorded scenes; Table 2 on both."""
-    in_all = {"all scenes": "agents > 0"} | {f"more than {bound}": f"agents > {bound}" for bound in BOUNDS}
+    in_all = {"all scenes": "agents > 0"} | {f"more than {bound}": f"agents > {bound}" for bound in scoring.BOUNDS}
     pairs = [(name, RECORDED) for name in CONTROLS if name != RECORDED]
     pairs += [("hid2", "recorded-dense"), ("hid2", "no-interaction")]
-    found = differences_of(pairs, runs[RECORDED], in_all, source_of, params)
+    found = scoring.differences_of(pairs, runs[RECORDED], in_all, source_of, params)
     for on in (RECORDED, HID2):
         whole = {f"{on} validation scenes": in_all["all scenes"]}
-        found += differences_of([(HID2_ONLY, RECORDED)], runs[on], whole, source_of, params)
+        found += scoring.differences_of([(HID2_ONLY, RECORDED)], runs[on], whole, source_of, params)
     return found
 
 
@@ -291,18 +279,18 @@ _READINGS: Mapping[Reading, str] = {
 
 
 def _write(
-    runs: Mapping[str, Mapping[str, Runs]], composed: Path, out: Path, plan: TrainingPlan, *, brought: bool
+    runs: Mapping[str, Mapping[str, scoring.Runs]], composed: Path, out: Path, plan: TrainingPlan, *, brought: bool
 ) -> Path:
-    source_of = {**sources_of(composed / VALIDATION / HID2), **sources_of(composed / VALIDATION / RECORDED)}
-    params = plan.params
+    validation, params = composed / VALIDATION, plan.params
+    source_of = scoring.sources_of(validation / HID2) | scoring.sources_of(validation / RECORDED)
     ours2 = {"recorded": RECORDED, "HiD2": HID2_ONLY}
     table2 = {label: [runs[on][name] for on in (RECORDED, HID2)] for label, name in ours2.items()}
     table3 = {
-        label: [[run.query(f"agents > {bound}") for run in runs[RECORDED][name]] for bound in BOUNDS]
+        label: [[run.query(f"agents > {bound}") for run in runs[RECORDED][name]] for bound in scoring.BOUNDS]
         for name, label in CONTROLS.items()
     }
     names2 = [f"{on}_{key}" for on in (RECORDED, HID2) for key in _COLUMNS]
-    names3 = [f"{key}_{bound}" for bound in BOUNDS for key in _COLUMNS]
+    names3 = [f"{key}_{bound}" for bound in scoring.BOUNDS for key in _COLUMNS]
     differences = _differences(runs, source_of, params)
     main = ("hid2", RECORDED, "all scenes", "min_fde_m")  # by this the page says what its numbers can show
     content: dict[str, Any] = {
@@ -320,16 +308,16 @@ def _write(
         for number, scores in enumerate(found)
         for score in scores.itertuples(index=False)
     )
-    write_rows(out / "prediction_scores.csv", ("validation", "trained_on", "run", *SCORE_COLUMNS), every)
+    write_rows(out / "prediction_scores.csv", ("validation", "trained_on", "run", *scoring.SCORE_COLUMNS), every)
     write_json(out / "prediction.json", content)
     shown = content | {
         "updates": None if brought else params.updates,
         "reading": _READINGS[plan.reading],
         "gain_m": PAPER_GAIN_M,
         "main": next(one for one in differences if one[:4] == main),
-        "metrics": [METRICS[key] for key in _COLUMNS],
-        "head": HEAD,
-        "rows": rows_of(differences),
+        "metrics": [scoring.METRICS[key] for key in _COLUMNS],
+        "head": scoring.HEAD,
+        "rows": scoring.rows_of(differences),
     }
     page = out / "prediction.html"
     pages.write_page(page, "prediction.html.j2", **shown)

@@ -84,11 +84,9 @@ class TrafficScene:
         """What `hid2 validate` finds in the motion of inserted tracks and in the sidecar's claims: a row each."""
         import pandas as pd
 
-        from bridge.recordings.judging import findings_of, states_of
-        from hid2.measures.lane_matching import flatten_lanes
+        from bridge.recordings.judging import findings_of, recording_states
 
-        one, ids = self.recording, {track.track_id for track in self.generated}
-        states = states_of(one.tracks, flatten_lanes(one.graph), ids, num_steps=one.num_steps, step_s=one.step_s)
+        one, states = self.recording, recording_states(self.recording)
         columns = ["track_id", "time_s", "quantity", "value", "limit", "unit", "other", "sentence"]
         rows = [
             (f.track_id, round(f.step * one.step_s, 6), f.quantity.value, f.value, f.limit, f.quantity.unit, f.other,

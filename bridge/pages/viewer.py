@@ -22,7 +22,7 @@ from bridge.files import MAX_FILE_MB, one_line, read_packed, rounded, write_text
 from bridge.pages.parts import text
 from bridge.pictures import figures
 from bridge.recordings.folders import Address
-from bridge.recordings.judging import findings_of, states_of
+from bridge.recordings.judging import findings_of, recording_states
 from bridge.recordings.recording import Recording
 from bridge.recordings.sources import read_recording
 from hid2.agents import FOCAL_CATEGORY, FloatArray
@@ -31,7 +31,6 @@ from hid2.judge.findings import Quantity
 from hid2.measures.arrays import is_generated_id
 from hid2.measures.driven_lanes import first_lane_offset
 from hid2.measures.following import leaders
-from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.occupancy.agent_states import AgentStates
 from hid2.occupancy.sigma import cell_boxes, original_occupancy
@@ -126,8 +125,7 @@ def scene_document(recording: Recording, looks: bytes | None = None) -> dict[str
     sidecar, beside = recording.sidecar, recording.folder / f"gaps_{recording.scenario_id}.csv.gz"
     said = {} if sidecar is None else sidecar.model_dump(mode="json", include=SAID)
     ids = {track.track_id for track in recording.tracks if is_generated_id(track.track_id)}
-    lanes, word = flatten_lanes(recording.graph), word_for_recorded(recording.scenario_id)
-    states = states_of(recording.tracks, lanes, ids, num_steps=recording.num_steps, step_s=recording.step_s)
+    word, states = word_for_recorded(recording.scenario_id), recording_states(recording)
     origin, found = _origin(recording.graph), findings_of(states, recording.graph, sidecar)
     return {
         "id": recording.scenario_id, "city": recording.city, "split": recording.split, "origin": origin.tolist(),

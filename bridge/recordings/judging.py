@@ -1,16 +1,19 @@
 """A scene as it lies on disk before the judge: its tracks with their boxes, its map, what its sidecar claims."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from functools import lru_cache
 from itertools import compress
 
 import numpy as np
 
+from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import Sidecar
 from hid2.agents import BoxSize, Track
 from hid2.judge.claims import FIGURES, Claim, EventClaim, judge_claims
 from hid2.judge.findings import NOISE_BOUNDS, ON_EXPORTED, Bounds, Finding, Quantity
 from hid2.judge.states import judge
-from hid2.measures.lane_matching import FlatLanes
+from hid2.measures.arrays import is_generated_id
+from hid2.measures.lane_matching import FlatLanes, flatten_lanes
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.occupancy.agent_states import AgentStates, agent_states
 from netconvert.geometry import wrap_angle
@@ -20,6 +23,16 @@ from netconvert.lane_graph import LaneGraph
 _BANDS = {"ttc_s": (Quantity.TTC_LEADER, Quantity.TTC_FOLLOWER), "pet_s": (Quantity.PET,)}
 #: Noise that is cut at its bound is beyond it by the rounding of sums.
 _ROUNDING = 1e-6
+
+
+#: Of the last maps: scenes with one map come one after the other.
+_flat = lru_cache(maxsize=2)(flatten_lanes)
+
+
+def recording_states(recording: Recording, tracks: Sequence[Track] | None = None) -> AgentStates:
+    """The states of a recording's tracks, or of others on its map, inserted ones last."""
+    ordered = sorted(recording.tracks if tracks is None else tracks, key=lambda track: is_generated_id(track.track_id))
+    return agent_states(ordered, _flat(recording.graph), num_steps=recording.num_steps, step_s=recording.step_s)
 
 
 def states_of(

@@ -4,10 +4,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from bridge.recordings.judging import recording_states
 from bridge.recordings.recording import Recording
 from hid2.measures.arrays import SceneArrays
-from hid2.measures.lane_matching import Matches, flatten_lanes
-from hid2.occupancy.agent_states import agent_states
+from hid2.measures.lane_matching import Matches
 from netconvert.geometry import differences
 
 #: Record types, byte order and units of the format: little-endian, metric.
@@ -29,8 +29,7 @@ _ROW = np.dtype(
 
 def trj_files(scene: Recording) -> dict[str, bytes]:
     """<id>.trj by file name, of a scene, recorded or generated."""
-    lanes = flatten_lanes(scene.graph)
-    states = agent_states(scene.tracks, lanes, num_steps=scene.num_steps, step_s=scene.step_s)
+    states = recording_states(scene)
     return {f"{scene.scenario_id}.trj": trj_bytes(states.arrays, states.matches)}
 
 

@@ -16,7 +16,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.csv as pa_csv
 from matplotlib.axes import Axes
-from pandas.api.types import is_numeric_dtype
+from pandas.api.types import infer_dtype, is_numeric_dtype
 
 from bridge.batch.manifest import DONE
 from bridge.files import beside, table_cell, write_rows, write_text
@@ -58,9 +58,8 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
         asked, looked = (one.assign(**{key: one[key].map(told_as)}) if len(one) else one for one in (requests, gaps))
         dose = dose_response(asked, looked, key, give_up_s=give_up_s, critical_ttc_s=Conflict().ttc_min_s)
         doses.append(dose)
-        for value in sorted(asked[key].unique()):
-            own = looked[looked[key] == value] if len(looked) else looked
-            found = [critical_gap(own, side) for side in ("lag", "lead")] if len(own) else []
+        for value, own in looked.groupby(key) if len(looked) else ():
+            found = [critical_gap(own, side) for side in ("lag", "lead")]
             critical += [{"parameter": key, "value": value, **one} for one in found if one is not None]
         files.append(out_dir / f"{study.name}_{key.replace('.', '_')}.png")
         draw_parameter(files[-1], study.name, key, dose=dose, requests=asked, give_up_s=give_up_s)
@@ -93,19 +92,20 @@ def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> Path:
     """A table as CSV, compressed where it is long."""
     long = len(table) > _LONG
     path = out_dir / (f"{name}.csv.gz" if long else f"{name}.csv")
-    texts = table.select_dtypes(exclude=["number", "bool"])
-    shown = {str(name): cells.map(_cell, na_action="ignore").astype("string") for name, cells in texts.items()}
+    flags = [column for column in table if infer_dtype(table[column]) == "boolean"]
+    tidy = table.astype(dict.fromkeys(flags, "boolean"))
+    tidy = tidy.assign(**{
+        str(column): cells.map(lambda cell: str(cell).lower() if isinstance(cell, bool) else cell).astype("string")
+        for column, cells in tidy.items() if cells.dtype == object
+    })  # fmt: skip
+    texts = tidy.select_dtypes(exclude=["number", "bool"]).columns
+    safe = tidy.assign(**{column: tidy[column].map(table_cell, na_action="ignore") for column in texts})
     text = io.BytesIO()
-    columns = pa.Table.from_pandas(table.assign(**shown), preserve_index=False)
-    pa_csv.write_csv(columns, text, pa_csv.WriteOptions(quoting_style="needed"))
+    shown = pa.Table.from_pandas(safe, preserve_index=False)
+    pa_csv.write_csv(shown, text, pa_csv.WriteOptions(quoting_style="needed"))
     with beside(path) as hidden:
         hidden.write_bytes(gzip.compress(text.getvalue(), mtime=0) if long else text.getvalue())
     return path
-
-
-def _cell(cell: object) -> str:
-    """A cell of a column that is no numbers: booleans as Arrow writes them, also where some are missing."""
-    return str(cell).lower() if isinstance(cell, bool) else str(table_cell(str(cell)))
 
 
 # Figures --------------------------------------------------------------------------------------------------------------
