@@ -28,7 +28,7 @@ REQUEST_COLUMNS: Mapping[str, str] = {
     "desired_mps": "the driver's desired speed",
     "trigger_s": "trigger time, from the scene's first step",
     "counted": "enters the statistics: it was triggered, and not in the warm-up",
-    "observed_to_s": "time of the acceptance, else until when it could have accepted: given up, left, or the end",
+    "observed_to_s": "time of the acceptance, else until when it could have accepted: given up, left, or no time left",
     "accepted_s": "time at which SUMO was asked for the change that it carried out",
     "waited_s": "observed_to_s - trigger_s; censored where not accepted",
     "accepted": "whether SUMO carried out the change; false, too, where no site was found",
@@ -62,13 +62,17 @@ class Merit:
 
 
 #: What may refuse a gap: column `gaps.refused_by`, and in words.
-DECIDE = {"rule": "the rule", "cells": "taken cells", "road": "the road", "guard": "the guard", "sumo": "SUMO"}
+DECIDE = {
+    "rule": "the rule", "cells": "taken cells", "road": "the road", "end": "the scene's end", "guard": "the guard",
+    "sumo": "SUMO",
+}  # fmt: skip
 #: Those that are asked about every gap; guard and SUMO are asked about what the rule took.
-AT_LAST = ("rule", "cells", "road")
+AT_LAST = ("rule", "cells", "road", "end")
 #: What a study tells of each value of a parameter.
 OUTCOMES = (
     Merit("share_accepted", "share of the requests counted that got a gap", "requests", "accepted"),
-    Merit("mean_wait_s", "mean waiting time from the trigger, up to the longest allowed, s", "requests", None),
+    Merit("mean_wait_s", "mean waiting time from the trigger, s, up to the shortest time observed at every value",
+            "requests", None),
     Merit("gaps_accepted", "share of the gaps looked at that the rule took", "gaps", "accepted"),
     Merit("gaps_taken", "share of the gaps that the rule took in which a change came about", "gaps", "taken",
             "accepted"),
@@ -119,7 +123,8 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "lag_id": "new follower; empty: none",
         "accepted": "whether the rule took it at some look",
         "taken": "whether SUMO carried out the change",
-        "refused_by": "what said no at the last look: cells, road, rule (too_slow, too), guard or sumo; empty: taken",
+        "refused_by": "what said no at the last look: cells, road, end (of the scene), rule (too_slow, too), guard or "
+        "sumo; empty: taken",
         "refused_guard, refused_sumo": "whether it said no at some look, and the gap was not taken",
         "asked_guard, asked_sumo": "whether at some look it came to the guard, and to SUMO; safety = rule: they agree",
         "accepted_s": "first look at which the rule took it",
@@ -147,6 +152,7 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "outcome": "; ".join(f"{outcome.name}: {outcome.says}" for outcome in OUTCOMES),
         "rows": "requests or gaps at this value that the outcome is of: those asked about, those that changed, ...",
         "estimate": "the outcome",
+        "within_s": "of mean_wait_s: the shortest time observed at every value, up to which it is the mean",
         "low_runs, high_runs": "95 % interval, runs drawn again",
         "low_scenes, high_scenes": "95 % interval, scenes drawn again; where there are at least three",
         "trend": "slope of the outcome over all values of a numeric parameter, least squares",

@@ -36,7 +36,7 @@ def gaps_of(looks: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
         refused = waits & refusals.map(lambda said, conditions=conditions: bool(said) and conditions.issuperset(said))
         frame[f"{side}_refused_s"] = frame[f"{side}_time_gap_s"].where(refused)
     by_rule = frame["rule"].map({"cells_occupied": "cells", "lane_ends": "road"}).fillna("rule")
-    after = frame["guard"].map({"yes": "sumo", "conflict_predicted": "guard"}).fillna("road")
+    after = frame["guard"].map({"yes": "sumo", "conflict_predicted": "guard", "scene_ends": "end"}).fillna("road")
     frame["refused_by"] = after.where(frame["accepted"], by_rule).mask(frame["taken"], "")
     frame["asked_guard"] = frame["guard"].isin(["yes", "conflict_predicted"])
     frame["asked_sumo"] = frame["sumo"].notna()

@@ -36,14 +36,20 @@ _MOST_VALUES, _CLASSES = 12, 6
 _SIZES_TOLD = (0.02, 0.05, 0.1)
 #: Tables of more rows are compressed.
 _LONG = 50_000
-_COLORS = {"cells": figures.SKY, "rule": figures.ORANGE, "guard": figures.GREEN, "sumo": figures.VERMILION}
+_COLORS = {
+    "cells": figures.SKY,
+    "rule": figures.ORANGE,
+    "end": figures.PURPLE,
+    "guard": figures.GREEN,
+    "sumo": figures.VERMILION,
+}
 _LOG = logging.getLogger(__name__)
 
 
 def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Path) -> list[Path]:
     """Write everything that a study says into out_dir; returns the files. Errors: ExportError."""
     keys = ["trigger_after_s" if key == "trigger_s" else key for key in study.keys]
-    give_up_s = study.configs[0][0].lane_change.give_up_s
+    give_up_s = give_up_of(study)
     requests, gaps = tables["requests"], gaps_of(tables["looks"], keys)
     if not gaps.empty and not requests.empty:
         counted = requests.loc[requests["counted"], ["scene", "point", "seed", "vehicle"]]
@@ -56,13 +62,13 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
     for key in keys if any_counted else ():
         told_as = _classes(requests[key])
         asked, looked = (one.assign(**{key: one[key].map(told_as)}) if len(one) else one for one in (requests, gaps))
-        dose = dose_response(asked, looked, key, give_up_s=give_up_s, critical_ttc_s=Conflict().ttc_min_s)
+        dose = dose_response(asked, looked, key, give_up_s=min(give_up_s), critical_ttc_s=Conflict().ttc_min_s)
         doses.append(dose)
         for value, own in looked.groupby(key) if len(looked) else ():
             found = [critical_gap(own, side) for side in ("lag", "lead")]
             critical += [{"parameter": key, "value": value, **one} for one in found if one is not None]
         files.append(out_dir / f"{study.name}_{key.replace('.', '_')}.png")
-        draw_parameter(files[-1], study.name, key, dose=dose, requests=asked, give_up_s=give_up_s)
+        draw_parameter(files[-1], study.name, key, dose=dose, requests=asked, give_up_s=max(give_up_s))
     named = {
         **tables, "gaps": gaps, "dose_response": pd.concat(doses) if doses else pd.DataFrame(),
         "critical_gaps": pd.DataFrame(critical),
@@ -77,6 +83,11 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
     write_rows(dictionary, ("table", "column", "says"), says)
     write_text(page, page_text(study, named, keys, drawn=[path.name for path in files]))
     return [page, *files, dictionary, *written]
+
+
+def give_up_of(study: Study) -> list[float]:
+    """The longest wait of each point of a study, s."""
+    return [configs[0].lane_change.give_up_s for configs in study.configs]
 
 
 def _classes(values: "pd.Series[Any]") -> dict[Any, Any]:
@@ -114,17 +125,21 @@ def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> Path:
 def draw_parameter(
     path: Path, study: str, key: str, *, dose: pd.DataFrame, requests: pd.DataFrame, give_up_s: float
 ) -> None:
-    """Four panels for one parameter: shares, durations and refusals by its value; waiting times. dose: its rows."""
+    """Four panels for one parameter: shares, durations and refusals by its value; waiting times. dose: its rows.
+
+    give_up_s: the longest wait of all.
+    """
     figures.style()
     values = sorted(requests[key].unique())
     numeric = not isinstance(values[0], str)
     at = {value: (float(value) if numeric else float(place)) for place, value in enumerate(values)}
     figure, axes = plt.subplots(2, 2, figsize=(9, 7), layout="constrained")
 
+    within_s = dose.loc[dose["outcome"] == "mean_wait_s", "within_s"].min()
     by_value = (
         ("accepted, share", {"share_accepted": ("requests that got a gap", figures.BLUE),
                              "gaps_accepted": ("gaps that the rule took", figures.SKY)}),
-        ("mean duration, s", {"mean_wait_s": (f"waiting, up to {give_up_s:g} s", figures.BLUE),
+        ("mean duration, s", {"mean_wait_s": (f"waiting, up to {within_s:g} s", figures.BLUE),
                               "lateral_s": ("lateral motion, once accepted", figures.ORANGE)}),
         ("gaps refused, share, by",
          {f"refused_by_{name}": (DECIDE[name], color) for name, color in _COLORS.items()}),
@@ -146,7 +161,7 @@ def draw_parameter(
         if len(mine):
             curve = kaplan_meier(mine["waited_s"].to_numpy(float), mine["accepted"].to_numpy(float))
             level = np.concatenate([[1.0], curve.surv_prob])
-            times = np.concatenate([[0.0], curve.surv_times, [give_up_s]])
+            times = np.concatenate([[0.0], curve.surv_times, [max(mine["waited_s"].max(), 0.01)]])
             survival.step(times, [*level, level[-1]], where="post", color=color, label=str(value))
     survival.set(
         title="still waiting (Kaplan-Meier)", xlabel="time from the trigger, s", xlim=(0, give_up_s), ylim=(0, 1.03)
@@ -179,7 +194,8 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
     counted, due = requests[requests["counted"]], requests["waited_s"].notna()
     config = study.configs[0][0]
     accepted, exported = counted["accepted"].astype(bool), counted["exported"].dropna()
-    cut_off = ~accepted & (counted["waited_s"] < config.lane_change.give_up_s - 0.05)
+    gives_up_s = counted["point"].map(dict(enumerate(give_up_of(study))))
+    cut_off = ~accepted & (counted["waited_s"] < gives_up_s - 0.05)
     return text(
         "study.md.j2",
         study=study,

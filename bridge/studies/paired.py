@@ -260,8 +260,10 @@ def _request_row(scene: Scene, vehicle: DrivenVehicle, *, first: int) -> dict[st
     last_s = (first + max(len(vehicle.s) - 1, 0)) * scene.step_s
     shift = vehicle.shifts[0] if vehicle.shifts else None
     accepted_s = None if shift is None else shift.requested_step * scene.step_s
-    # until when it could have accepted: it gave up, or it left, or the scene ended
-    until_s = min(last_s, trigger_s + scene.config.lane_change.give_up_s) if accepted_s is None else accepted_s
+    # until when it could have accepted: it gave up, or it left, or the scene had no time left for a change
+    too_late_s = next((look.step * scene.step_s for look in vehicle.gaps if look.guard is Reason.SCENE_ENDS), last_s)
+    gives_up_s = trigger_s + scene.config.lane_change.give_up_s
+    until_s = min(last_s, too_late_s, gives_up_s) if accepted_s is None else accepted_s
     row = dict.fromkeys(REQUEST_COLUMNS) | {
         "vehicle": vehicle.vehicle_id, "kind": vehicle.policy.value, "entered_s": rounded(first * scene.step_s),
         "desired_mps": rounded(start.driver.desired_mps), "trigger_s": rounded(trigger_s),

@@ -64,7 +64,7 @@ def kaplan_meier(waited_s: FloatArray, accepted: FloatArray, weights: FloatArray
 def mean_wait(waited_s: FloatArray, accepted: FloatArray, weights: FloatArray, *, within_s: float) -> float:
     """Restricted mean waiting time, s: the area below the survival curve up to within_s."""
     keep = weights > 0
-    if not keep.any():
+    if within_s <= 0.0 or not keep.any():
         return math.nan
     # equal rows count together: looks are a tenth of a second apart
     rows, place = np.unique(np.column_stack([waited_s[keep], accepted[keep]]), axis=0, return_inverse=True)
@@ -74,18 +74,32 @@ def mean_wait(waited_s: FloatArray, accepted: FloatArray, weights: FloatArray, *
     return float((np.diff(times) * level).sum())
 
 
+def observed_s(requests: pd.DataFrame, key: str, *, give_up_s: float) -> float:
+    """The shortest time that waiting was observed for at every value of a parameter, s; give_up_s at most.
+
+    At a value at which the one that waited longest accepted, all is known.
+    """
+    found = [give_up_s]
+    for _, own in requests.groupby(key):
+        accepted = own["accepted"].astype(bool)
+        censored_s, accepted_s = own.loc[~accepted, "waited_s"].max(), own.loc[accepted, "waited_s"].max()
+        if not (np.isnan(censored_s) or censored_s < accepted_s):
+            found.append(float(censored_s))
+    return min(found)
+
+
 # Per value ------------------------------------------------------------------------------------------------------------
 
 
 def _by_value(
-    frame: pd.DataFrame, outcome: Merit, code: IntArray, count: int, *, give_up_s: float
+    frame: pd.DataFrame, outcome: Merit, code: IntArray, count: int, *, within_s: float
 ) -> Callable[[FloatArray], FloatArray]:
     """An outcome by value (count,), as a function of the weights of the rows; code: the value's place of each row."""
     if outcome.above is None:
         waited, accepted = frame["waited_s"].to_numpy(float), frame["accepted"].to_numpy(float)
         mine = [code == place for place in range(count)]
         return lambda weight: np.array(
-            [mean_wait(waited[own], accepted[own], weight[own], within_s=give_up_s) for own in mine]
+            [mean_wait(waited[own], accepted[own], weight[own], within_s=within_s) for own in mine]
         )
     above = frame[outcome.above].to_numpy(float)
     below = np.ones(len(frame)) if outcome.below is None else frame[outcome.below].to_numpy(float)
@@ -102,7 +116,10 @@ def _by_value(
 def dose_response(
     requests: pd.DataFrame, gaps: pd.DataFrame, key: str, *, give_up_s: float, critical_ttc_s: float
 ) -> pd.DataFrame:
-    """For each value of a parameter each outcome with its intervals, and its difference to the first value, paired."""
+    """For each value of a parameter each outcome with its intervals, and its difference to the first value, paired.
+
+    give_up_s: the longest wait that every value allows.
+    """
     counted = requests[requests["counted"]].copy()
     started = counted["start_s"].notna()
     counted["ttc_critical"] = np.where(started, (counted["min_ttc_s"] < critical_ttc_s).astype(float), np.nan)
@@ -110,18 +127,21 @@ def dose_response(
     if not gaps.empty:
         gaps = gaps.assign(**{f"refused_by_{name}": (gaps["refused_by"] == name).astype(float) for name in AT_LAST})
     frames = {"requests": counted, "gaps": gaps}
+    within_s = observed_s(counted, key, give_up_s=give_up_s)
     rows: list[dict[str, Any]] = []
     for outcome in OUTCOMES:
         frame = frames[outcome.table]
         if frame.empty:
             continue
         values, code = np.unique(frame[key].to_numpy(), return_inverse=True)
-        statistic = _by_value(frame, outcome, code, len(values), give_up_s=give_up_s)
+        statistic = _by_value(frame, outcome, code, len(values), within_s=within_s)
         of = (frame[outcome.above or "vehicle"].notna() & frame[outcome.below or "vehicle"].ne(0.0)).to_numpy()
         own: list[dict[str, Any]] = [
             {"parameter": key, "value": value, "outcome": outcome.name, "rows": int((of & (code == place)).sum())}
             for place, value in enumerate(values.tolist())
         ]
+        for row in own if outcome.above is None else ():
+            row["within_s"] = within_s
         clusters = pd.factorize(pd.MultiIndex.from_frame(frame[[*units(frame).values()][-1]]))[0]
         alone = np.array([statistic((clusters == one).astype(np.float64)) for one in range(clusters.max() + 1)])
         for unit, columns in units(frame).items():

@@ -59,6 +59,22 @@ def test_starts_are_the_same_for_every_value_and_triggers_are_those_asked_for(da
         assert len(run.driven) == len(drawn.starts)
 
 
+def test_request_is_observed_until_the_scene_has_no_time_left_for_a_change(data_scenes: dict[str, Path]) -> None:
+    """Asked after 4 s of 11 s, any gap will do: what the scene's end refuses is at risk up to that look alone."""
+    request = CHANGES.model_copy(update={"trigger_min_s": 4.0, "trigger_max_s": 4.0})
+    change = LaneChange(time_gap_front_s=0.0, time_gap_rear_s=0.0, min_gap_m=0.0, safety="rule")
+    config = Config(request=request, lane_change=change)
+    prepared = prepare(read_scenario(data_scenes["arterial"]), config)
+    run = paired_run(prepared, draw(prepared, drawing_config(config)), config)
+    rows = {row["vehicle"]: row for row in run.requests}
+    late_s = {
+        vehicle.vehicle_id: min(0.1 * look.step for look in vehicle.gaps if look.guard == "scene_ends")
+        for vehicle in run.driven if not vehicle.shifts and any(look.guard == "scene_ends" for look in vehicle.gaps)
+    }  # fmt: skip
+    assert late_s
+    assert {name: rows[name]["observed_to_s"] for name in late_s} == pytest.approx(late_s)
+
+
 def test_run_is_the_same_again(data_scenes: dict[str, Path]) -> None:
     config = Config(request=CHANGES)
     prepared = prepare(read_scenario(data_scenes["arterial"]), config)
@@ -321,7 +337,10 @@ def test_plan_says_how_many_runs_a_difference_needs_before_and_after_a_pilot(tmp
 def test_replay_is_varied_like_any_other_parameter_and_said_everywhere(
     tmp_path: Path, data_scenes: dict[str, Path]
 ) -> None:
-    """Fixed and reactive, the same vehicles: a column in every table, folders called reactive-, a line on the page."""
+    """Fixed and reactive, the same vehicles: a column in every table, folders called reactive-, a line on the page.
+
+    Of longest waits of 6 s and 1 s means are up to the shorter one.
+    """
     import pandas as pd
 
     from bridge.batch.batch import Options
@@ -329,7 +348,8 @@ def test_replay_is_varied_like_any_other_parameter_and_said_everywhere(
 
     path = tmp_path / "replay.toml"
     path.write_text(
-        'scenes = ["x"]\nseeds = 1\n[vary]\n"driving.replay" = ["fixed", "reactive"]\n[config.request]\nagents = 8\n'
+        'scenes = ["x"]\nseeds = 1\n[vary]\n"driving.replay" = ["fixed", "reactive"]\n'
+        '"lane_change.give_up_s" = [6.0, 1.0]\n[config.request]\nagents = 8\n'
         "straight = 0.0\nleft_turn = 0.0\nright_turn = 0.0\nlane_change = 1.0\novertake = 0.0\n"
         "trigger_min_s = 1.0\ntrigger_max_s = 1.0\n[config.lane_change]\ntime_gap_rear_s = 0.4\n"
     )
@@ -337,8 +357,8 @@ def test_replay_is_varied_like_any_other_parameter_and_said_everywhere(
     assert study.paired
     out = tmp_path / "out"
     report = run_study(study, out, Options(resume=True))
-    assert (report.runs, report.failed) == (2, 0)
-    assert sum(folder.name.startswith("reactive-") for folder in (out / "runs").iterdir()) == 1
+    assert (report.runs, report.failed) == (4, 0)
+    assert sum(folder.name.startswith("reactive-") for folder in (out / "runs").iterdir()) == 2
     for table in ("runs", "requests", "looks", "gaps"):
         frame = pd.read_csv(out / f"{table}.csv")
         assert (frame["replay"] == frame["driving.replay"]).all()
@@ -347,6 +367,7 @@ def test_replay_is_varied_like_any_other_parameter_and_said_everywhere(
     by_mode = requests.groupby("replay")
     first, second = (by_mode.get_group(mode).reset_index(drop=True) for mode in ("fixed", "reactive"))
     assert first["vehicle"].tolist() == second["vehicle"].tolist()
+    assert pd.read_csv(out / "dose_response.csv")["within_s"].dropna().unique().tolist() == [1.0]
     text = (out / "study.md").read_text()
     assert "recorded vehicles drive as recorded" in text
     assert "which was not recorded [requests.replay]" in text

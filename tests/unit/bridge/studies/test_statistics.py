@@ -15,6 +15,7 @@ from bridge.studies.statistics import (
     dose_response,
     few_clusters_p,
     mean_wait,
+    observed_s,
     seeds_needed,
 )
 
@@ -100,6 +101,19 @@ def test_mean_wait_by_hand() -> None:
     waited, accepted = np.array([1.0, 2.0, 3.0]), np.array([1.0, 0.0, 1.0])
     assert mean_wait(waited, accepted, np.ones(3), within_s=2.5) == pytest.approx(2.0)
     assert mean_wait(np.zeros(4), np.ones(4), np.ones(4), within_s=10.0) == pytest.approx(0.01)
+
+
+def test_waiting_is_told_up_to_the_shortest_time_observed_at_every_value() -> None:
+    """At 0 one waits for 6 s; at 1 the scene has no time left after 2 s; at 2 both accept, and all is known."""
+    rows = [(0, 1.0, True), (0, 6.0, False), (1, 1.0, True), (1, 2.0, False), (2, 0.0, True), (2, 1.0, True)]
+    found = pd.DataFrame(rows, columns=["p", "waited_s", "accepted"])
+    assert [observed_s(found, "p", give_up_s=longest) for longest in (6.0, 1.5)] == [2.0, 1.5]
+    requests = _requests(0.0).assign(accepted=False)
+    requests.loc[requests["p"] == 1.0, "waited_s"] = 2.0
+    dose = dose_response(requests, pd.DataFrame(), "p", give_up_s=6.0, critical_ttc_s=1.5)
+    assert dose.loc[dose["outcome"] == "mean_wait_s", ["within_s", "estimate"]].to_numpy().tolist() == [[2.0, 2.0]] * 3
+    ((outcome, told),) = [one for one in _told(dose)["outcomes"] if one[0].name == "mean_wait_s"]
+    assert "at every value, here 2 s: 2 at every" in macros("study_lines.md.j2").outcome(outcome, told, "p")
 
 
 def test_mean_wait_weighs_rows_like_copies_of_them() -> None:
@@ -202,6 +216,8 @@ def test_shares_of_the_gaps_that_each_refused_by_hand() -> None:
     guard was asked about three, SUMO about two; a gap is one, however often it was looked at.
     """
     guarded = _look("v2", 1.0, "c", 2.0, None, "yes") | {"guard": "conflict_predicted"}
+    late = _look("v5", 9.0, "f", 2.0, None, "yes") | {"guard": "scene_ends"}
+    assert gaps_of(pd.DataFrame([late]), [])["refused_by"].tolist() == ["end"]
     looks = [_look("v0", 1.0, "a", 0.5, None, "cells_occupied"), _look("v1", 1.0, "b", 0.5, None, "cells_occupied")]
     looks += [_look("v1", 1.1 + 0.1 * k, "b", 0.9, None, "rear_gap") for k in range(7)]
     looks += [guarded, _look("v3", 1.0, "d", 3.0, "no", "yes"), _look("v4", 1.0, "e", 3.0, "no", "yes")]
