@@ -8,6 +8,7 @@ import gzip
 import io
 import itertools
 import json
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -104,6 +105,11 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
     Errors: ConfigError with file, key, value; also where a path holds no scene.
     """
     content = read_toml_as(_File, path, "a study")
+    given = {f"vary.{key}": values for key, values in content.vary.items()}
+    if isinstance(content.seeds, list):
+        given["seeds"] = content.seeds
+    for key, values in given.items():
+        _check_different(values, f"{path}: {key} = {values!r:.200}", "expected each value once")
     places = scenes or [path.parent / scene for scene in content.scenes]
     if not places:
         raise ConfigError(f"{path}: no key 'scenes', expected folders of recorded scenes: add it, or give --scenes")
@@ -119,6 +125,8 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
             raise ConfigError(f"{path}: can = {content.can!r}: {error}") from error
     seeds = tuple(range(content.seeds)) if isinstance(content.seeds, int) else tuple(content.seeds)
     points = tuple(grid(content.vary) if content.design == "grid" else _latin_hypercube(content, path))
+    told = [", ".join(f"{key} = {value}" for key, value in point.items()) for point in points]
+    _check_different(told, f"{path}: samples = {content.samples}", "expected fewer samples, or wider bounds")
     configs = tuple(
         tuple(configured(content.config, {**point, "request.seed": seed}, source=str(path)) for seed in seeds)
         for point in points
@@ -138,6 +146,13 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
         )
     paired = not any(key.startswith(_CHANGES_TRAFFIC) for key in content.vary)
     return Study(path.stem, content.kind, folders, points, seeds, configs, paired)
+
+
+def _check_different(values: Sequence[Value], given: str, expected: str) -> None:
+    """Errors: ConfigError for a value that is there more than once, which would count as new data."""
+    for value, times in Counter(values).items():
+        if times > 1:
+            raise ConfigError(f"{given}: {value!r:.200} is there {times} times, {expected}")
 
 
 def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> "dict[str, pd.DataFrame]":

@@ -92,6 +92,15 @@ def test_latin_hypercube_has_one_point_in_each_slice(tmp_path: Path, data_root: 
         ("colour = 1\n[vary]\ntrigger_s = [1.0]\n", "unknown key 'colour'; expected scenes, can, "),
         ('design = "latin_hypercube"\n[vary]\ntrigger_s = [1.0, 2.0]\n', "samples = 0"),
         ('design = "latin_hypercube"\nsamples = 3\n[vary]\ntrigger_s = [2.0, 1.0]\n', "low < high"),
+        (
+            "seeds = [0, 1, 0]\n[vary]\ntrigger_s = [1.0]\n",
+            "seeds = [0, 1, 0]: 0 is there 2 times, expected each value once",
+        ),
+        ("[vary]\ntrigger_s = [1, 1.0]\n", "vary.trigger_s = [1, 1.0]: 1 is there 2 times"),
+        (
+            'design = "latin_hypercube"\nsamples = 9\n[vary]\n"lane_change.give_up_s" = [1, 2]\n',
+            "expected fewer samples",
+        ),
         ("[vary\n", "not TOML"),
     ],
 )
