@@ -105,7 +105,7 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
     Errors: ConfigError with file, key, value; also where a path holds no scene.
     """
     content = read_toml_as(_File, path, "a study")
-    given = {f"vary.{key}": values for key, values in content.vary.items()}
+    given: dict[str, Sequence[Value]] = {f"vary.{key}": values for key, values in content.vary.items()}
     if isinstance(content.seeds, list):
         given["seeds"] = content.seeds
     for key, values in given.items():
