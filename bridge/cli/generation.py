@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 LISTED_RUNS = 24
 #: Reasons shown in a row of the table; manifest.csv has them all.
 _REASONS = 3
+#: What --repro and --from make use of.
+_WITH_REPRO = frozenset({"--repro", "--out", "--function", "--verbose", "--quiet"})
+_WITH_FROM = _WITH_REPRO - {"--repro"} | {"--from", "--source", "--map"}
 _HELP = "(see hid2 generate --help)"
 _TRIGGER_TIME = "When manoeuvres are triggered, in seconds: a time, a range to draw from, or a list to draw from."
 
@@ -80,6 +83,7 @@ def generate(  # noqa: PLR0913  # one for each option
         "With --repro or --from: a function of yours that the file may ask for; repeatable.", [], "MODULE:NAME"
     ),
     as_json: bool = options.AS_JSON,
+    given: options.Given,
     activity: Activity,
 ) -> bool:
     """Write denser scenes: insert vehicles with the behaviours asked for among the recorded ones.
@@ -95,10 +99,11 @@ def generate(  # noqa: PLR0913  # one for each option
     Exit code 1: a scene could not be done, or something asked for came about in no scene. 2: no scene can meet it.
     """
     if repro is not None:
+        given.check(_WITH_REPRO, "--repro, which runs the request of the bundle")
         return _reproduce(repro, out, function, activity)
     if again is not None:
-        given = bool(scenes or config or settings)
-        return _make_again(again, source, out, windows.map_path, function, activity, given=given)
+        given.check(_WITH_FROM, "--from, which makes the request of the sidecar again")
+        return _make_again(again, source, out, windows.map_path, function, activity)
     if source is not None or function:
         alone = "--function without --repro or --from" if source is None else "--source without --from"
         raise ConfigError(f"{alone}, expected the two together {_HELP}")
@@ -172,14 +177,14 @@ def _check_sequences(folders: Sequence["Address"], config: "Config") -> None:
 
 def _make_again(
     sidecar: Path, source: Path | None, out: Path | None, map_path: Path | None, functions: Sequence[str],
-    activity: Activity, *, given: bool
+    activity: Activity,
 ) -> bool:  # fmt: skip
     """Make the scene of a sidecar again, and compare it with what lies beside the sidecar."""
     if not (sidecar.is_file() and sidecar.match("hid2_*.json")):
         wrong = "is no sidecar" if sidecar.exists() else "no such file"
         raise ConfigError(f"--from {sidecar}: {wrong}, expected that of a generated scene, hid2_<id>.json")
-    if out is None or source is None or given:
-        raise ConfigError(f"--from SIDECAR takes --source ROOT and -o OUT, no SCENE, --config or --set {_HELP}")
+    if out is None or source is None:
+        raise ConfigError(f"--from SIDECAR takes --source ROOT and -o OUT {_HELP}")
     check_scenes([source])
     check_out(out)
     activity.doing("making the scene again")

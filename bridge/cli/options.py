@@ -8,7 +8,7 @@ import io
 import logging
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack
 from copy import copy
 from enum import StrEnum
@@ -57,6 +57,16 @@ prediction = partial(option, rich_help_panel="With prediction")
 def argument(metavar: str, says: str, default: Any = ...) -> Any:
     """An argument by its place, required where it has no default."""
     return typer.Argument(default, metavar=metavar, help=says, show_default=False)
+
+
+class Given(frozenset[str]):
+    """The options, and the arguments by their metavars, that are on the command line."""
+
+    def check(self, used: Collection[str], way: str) -> None:
+        """Errors: ConfigError for one that a way of the command makes no use of."""
+        if unused := ", ".join(sorted(self.difference(used))):
+            also = ", ".join(sorted(used))
+            raise ConfigError(f"{unused}: does nothing with {way}; leave it out, expected nothing but {also}")
 
 
 class FieldOptions(NamedTuple):
@@ -159,6 +169,8 @@ def flattened(function: Callable[..., Any], check: Callable[[Mapping[str, Any]],
             found = own.default.parameters()
             groups[name] = dict, {key: one.name for key, one in found.items()}
             parameters += found.values()
+        elif kind is Given:
+            parameters.append(Parameter("context", Parameter.KEYWORD_ONLY, annotation=typer.Context))
         elif kind is Activity or hasattr(kind, "_fields"):
             options = Tell if kind is Activity else kind
             groups[name] = kind, {key: key for key in options._fields}
@@ -176,6 +188,7 @@ def flattened(function: Callable[..., Any], check: Callable[[Mapping[str, Any]],
         made = {
             name: kind(**{key: values.pop(one) for key, one in keys.items()}) for name, (kind, keys) in groups.items()
         }
+        made |= {name: _given(values.pop("context")) for name, kind in hints.items() if kind is Given}
         check(values)
         with ExitStack() as stack:
             for activity in (one for one in made.values() if isinstance(one, Activity)):
@@ -185,6 +198,13 @@ def flattened(function: Callable[..., Any], check: Callable[[Mapping[str, Any]],
     called.__signature__ = signature(function).replace(parameters=parameters)  # type: ignore[attr-defined]
     called.__annotations__ = {one.name: one.annotation for one in parameters}
     return called
+
+
+def _given(context: typer.Context) -> Given:
+    """What is on the command line of a command."""
+    there = (one for one in context.command.params if one.name is not None)
+    of_user = (one for one in there if getattr(context.get_parameter_source(one.name), "name", "") == "COMMANDLINE")
+    return Given(str(one.metavar) if one.param_type_name == "argument" else max(one.opts, key=len) for one in of_user)
 
 
 MAP = selection(

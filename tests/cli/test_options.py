@@ -94,6 +94,11 @@ def test_version_is_that_of_the_distribution(hid2: Run) -> None:
             ["--agents", "9", "generate", "data/av2"],
             "option: --agents; an option of generate goes behind its name (see",
         ),
+        (
+            ["generate", "x", "--from=a.json", "--seed=0", "--no-spawn-leaders", "--event=cut_in", "-j2", "--resume"],
+            "--event, --jobs, --resume, --seed, --spawn-leaders, SCENE: does nothing with --from, which makes the",
+        ),
+        (["generate", "--repro", "a.zip", "--source", "b"], "--source: does nothing with --repro"),
         (["evaluate"], "missing argument 'SCENES'"),
         (["scan", "data/av2", "--jobs", "0"], "invalid value '0' for '--jobs' / '-j': expected at least 1"),
         (["gui", "data/av2", "--speed", "200"], "invalid value '200' for '--speed': expected at most 100"),
