@@ -35,6 +35,9 @@ from netconvert.errors import BatchError, ConfigError, ScenarioError
 TRIGGER = "trigger_s"
 #: Before the name of an argument of a rule of a user's own: what `lane_change.rule_with` has of it.
 _RULE = "rule."
+#: By what keys begin with, the rule that alone reads them; the last one stands for any of a user's own.
+_OWN_RULE = "module:function"
+_READ_BY = {"lane_change.mobil_": "MOBIL", "lane_change.lc_": "LC2013", _RULE: _OWN_RULE}
 #: Of each run, in a folder of its own below OUT/runs: what was measured, and every look at a gap.
 RUN_FILE, LOOKS_FILE = "run.json.gz", "looks.csv.gz"
 #: Tables in RUN_FILE.
@@ -124,6 +127,12 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
         except ConfigError as error:
             raise ConfigError(f"{path}: can = {content.can!r}: {error}") from error
     seeds = tuple(range(content.seeds)) if isinstance(content.seeds, int) else tuple(content.seeds)
+    if content.design == "grid" and (unused := content.model_fields_set & {"samples", "sample_seed"}):
+        key = min(unused)
+        raise ConfigError(
+            f"{path}: {key} = {getattr(content, key)} with design = 'grid', which has every combination of the values; "
+            f"expected design = 'latin_hypercube', or no {key}"
+        )
     points = tuple(grid(content.vary) if content.design == "grid" else _latin_hypercube(content, path))
     told = [", ".join(f"{key} = {value}" for key, value in point.items()) for point in points]
     _check_different(told, f"{path}: samples = {content.samples}", "expected fewer samples, or wider bounds")
@@ -131,12 +140,19 @@ def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
         tuple(configured(content.config, {**point, "request.seed": seed}, source=str(path)) for seed in seeds)
         for point in points
     )
+    rules = {_OWN_RULE if ":" in each[0].lane_change.rule else each[0].lane_change.rule for each in configs}
     for key in content.vary:
         if key != TRIGGER and not key.startswith((*(f"{section}." for section in _DECIDES), _RULE, *_CHANGES_TRAFFIC)):
             raise ConfigError(
                 f"{path}: vary.{key}: would choose other vehicles or sites, and nothing could be compared; "
                 f"expected {TRIGGER}, flow.veh_per_h_lane, rule.ARGUMENT, or a key of "
                 f"{', '.join((*_DECIDES, 'drivers'))}"
+            )
+        reader = next((rule for prefix, rule in _READ_BY.items() if key.startswith(prefix)), None)
+        if reader is not None and reader not in rules:
+            raise ConfigError(
+                f"{path}: vary.{key}: not read with lane_change.rule = {min(rules)!r}, and nothing would differ; "
+                f"expected config.lane_change.rule = '{reader}', or another key"
             )
     if any(config.request.agents == "max" for config in configs[0]):
         raise ConfigError(f"{path}: config.request.agents = 'max', expected a number of vehicles")
