@@ -106,7 +106,7 @@ def resimulate(
     from bridge.evaluation.resimulate import ResimulationPlan, resimulate_folders
 
     activity.doing("calibrating and driving")
-    plan = ResimulationPlan(seeds, take_out, min(write, seeds), seed)
+    plan = ResimulationPlan(seeds, take_out, write, seed)
     failures = resimulate_folders(scenes, out, plan, jobs=jobs, on_scene=activity.show)
     tell_unread(failures)
     activity.result(out / "resimulation.html")

@@ -25,9 +25,11 @@ def calibrate_folder(
 
     Writes `out` (TOML, the section [drivers] of a configuration) and, beside it, STEM.csv (quantities) and STEM.html
     (the same as a page). without: ids of scenes to leave out, such as those to be generated from.
-    Scenes that hid2 wrote are passed over. Errors: ConfigError where no scene is left, ScenarioError where none can be
-    read; ExportError where something cannot be written.
+    Scenes that hid2 wrote are passed over. Errors: ConfigError where no scene is left or out is no .toml,
+    ScenarioError where none can be read; ExportError where something cannot be written.
     """
+    if out.suffix != ".toml":
+        raise ConfigError(f"{out}: drivers are written in TOML, with a .csv and a .html beside; expected NAME.toml")
     root = ", ".join(map(str, roots))
     there = {source_id(one): one for one in find_sources(roots) if isinstance(one, Path)}
     if not there:

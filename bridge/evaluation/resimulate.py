@@ -202,7 +202,12 @@ def resimulate_folders(
     """
     if plan.write and plan.take_out == "one":
         raise ConfigError("--write with --take-out one: in a scene that is written all are driven; expected all")
+    if plan.write > plan.seeds:
+        raise ConfigError(f"--write {plan.write}: of {plan.seeds} rollouts (--seeds), expected as many at most")
     folders = sorted((one for one in find_sources(paths) if isinstance(one, Path)), key=lambda one: one.name)
+    if len(folders) < 2:
+        there = f"{len(folders)} scene{'s' * (not folders)}"
+        raise ConfigError(f"{paths[0]}: {there}, expected two at least: each half is driven as calibrated in the other")
     seen, failures = sorted_out(work_on_each(observe_scene, folders, shared=None, jobs=jobs, chunk=4, timeout_s=120))
     folders = [one for one in folders if one not in {failed for failed, _ in failures}]
     halves = [drivers_of(calibrate(seen[1 - half :: 2], prior=Drivers())) for half in (0, 1) if seen[1:]]

@@ -19,7 +19,7 @@ from matplotlib.axes import Axes
 from pandas.api.types import infer_dtype, is_numeric_dtype
 
 from bridge.batch.manifest import DONE
-from bridge.files import beside, table_cell, write_rows, write_text
+from bridge.files import beside, explained, table_cell, write_rows, write_text
 from bridge.pages.parts import text
 from bridge.pictures import figures
 from bridge.studies.columns import DECIDE, DICTIONARY, OUTCOMES
@@ -100,9 +100,9 @@ def _classes(values: "pd.Series[Any]") -> dict[Any, Any]:
 
 
 def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> Path:
-    """A table as CSV, compressed where it is long."""
+    """A table as CSV, compressed where it is long; of an earlier one in the other form nothing is left."""
     long = len(table) > _LONG
-    path = out_dir / (f"{name}.csv.gz" if long else f"{name}.csv")
+    path, other = (out_dir / f"{name}.{ending}" for ending in (("csv.gz", "csv") if long else ("csv", "csv.gz")))
     flags = [column for column in table if infer_dtype(table[column]) == "boolean"]
     tidy = table.astype(dict.fromkeys(flags, "boolean"))
     tidy = tidy.assign(**{
@@ -116,6 +116,8 @@ def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> Path:
     pa_csv.write_csv(shown, text, pa_csv.WriteOptions(quoting_style="needed"))
     with beside(path) as hidden:
         hidden.write_bytes(gzip.compress(text.getvalue(), mtime=0) if long else text.getvalue())
+    with explained(other):
+        other.unlink(missing_ok=True)
     return path
 
 

@@ -62,6 +62,10 @@ def test_generate_draws_from_the_drivers_of_the_file(hid2: Run, data_scenes: dic
     [
         (("--without", "nobody"), "--without nobody: no such scene in"),
         (("-o", "."), "is a folder, expected a file"),
+        (
+            ("-o", "mine.csv"),
+            "mine.csv: drivers are written in TOML, with a .csv and a .html beside; expected NAME.toml",
+        ),
     ],
 )
 def test_mistakes_are_said_in_a_line(hid2: Run, data_root: Path, tmp_path: Path, arguments: Any, said: str) -> None:

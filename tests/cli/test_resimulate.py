@@ -64,6 +64,7 @@ def test_same_request_gives_the_same_bytes_whatever_the_workers(hid2: Run, ended
     [
         (["--take-out", "one", "--write", "1"], 2, "--write with --take-out one"),
         (["--seeds", "0"], 2, "--seeds"),
+        (["--seeds", "2", "--write", "9"], 2, "--write 9: of 2 rollouts (--seeds), expected as many at most"),
     ],
 )
 def test_mistake_is_told_in_a_line(
@@ -78,6 +79,6 @@ def test_mistake_is_told_in_a_line(
 
 def test_one_scene_is_too_few(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
     result = hid2("resimulate", data_scenes["curve"], "-o", tmp_path / "out", "--seeds", 1)
-    assert result.returncode == 1
-    assert "expected two at least" in result.stderr
+    assert result.returncode == 2
+    assert ": 1 scene, expected two at least: each half is driven" in result.stderr
     assert not (tmp_path / "out").exists()

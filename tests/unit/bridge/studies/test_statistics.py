@@ -9,7 +9,7 @@ import pytest
 
 from bridge.pages.parts import macros
 from bridge.studies.gap_acceptance import critical_gap, gaps_of, largest_rejected, troutbeck
-from bridge.studies.page import _classes, _told, draw_parameter
+from bridge.studies.page import _classes, _told, _write_table, draw_parameter
 from bridge.studies.statistics import (
     difference_sd,
     dose_response,
@@ -196,6 +196,12 @@ def test_trend_is_the_slope_over_all_values_and_p_counts_the_family() -> None:
     varies = (first["p"] < 1.0) & (first.index != "share_accepted")  # a study is planned for that one
     assert (first["p_holm"].notna() == varies).all()  # what never changes is none of the family
     assert first.loc[varies, "p_holm"].tolist() == pytest.approx((varies.sum() * first.loc[varies, "p"]).tolist())
+
+
+def test_table_that_grows_long_is_there_in_one_form(tmp_path: Path) -> None:
+    for rows, names in ((50_000, ["looks.csv"]), (50_001, ["looks.csv.gz"]), (1, ["looks.csv"])):
+        _write_table(tmp_path, "looks", pd.DataFrame({"time_s": np.arange(rows)}))
+        assert [path.name for path in tmp_path.iterdir()] == names
 
 
 def test_parameter_with_which_nobody_gets_a_gap_is_drawn_too(tmp_path: Path) -> None:
