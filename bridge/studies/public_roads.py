@@ -54,13 +54,14 @@ _Named = Annotated[Path, AfterValidator(lambda path, info: info.context / path)]
 class Counts(RoadPart):
     """What was published of a road, by measure. vehicles: by start lane from the left, the ramp last, for the error.
 
-    start_to_end: vehicles by start and end lane, the ramps last.
+    start_to_end: vehicles by start and end lane, the ramps last; tendency: how changes go with densities, as published.
     """
 
     name: str
     published: dict[str, Annotated[float, Field(ge=0)]] = Field(default={})
     vehicles: list[float] = Field(default=[])
     start_to_end: list[list[float]] = Field(default=[])
+    tendency: str = ""
 
 
 class RoadSite(RoadPart):
@@ -94,7 +95,8 @@ class PageRule(RoadPart):
 class PublicRoads(RoadPart):
     """A page. cause: by what it says, what it sets on every road.
 
-    densities: borders of a ladder, veh/km of a lane; slopes_below: up to which of both lanes a slope is told.
+    densities: borders of a ladder, veh/km of a lane; slopes_below: up to which of both lanes a slope is told;
+    not_shown: of these roads and counts, beside what no page shows.
     """
 
     title: str
@@ -104,6 +106,7 @@ class PublicRoads(RoadPart):
     rule: Annotated[list[PageRule], Field(min_length=1)]
     cause: dict[str, Changes] = Field(default={})
     densities: list[float] = Field(default=[])
+    not_shown: list[str] = Field(default=[])
     slopes_below: float = Field(default=np.inf, gt=0)
 
     def configs(self, site: RoadSite, rule: PageRule, changes: Changes, source: str = "a page") -> Iterator[Config]:
@@ -124,6 +127,11 @@ def read_public(path: Path) -> PublicRoads:
         if site.tune and not (len(counts.vehicles) == len(lanes) and counts.published.keys() >= {*lanes}):
             said = f"vehicles: {len(counts.vehicles)} values on a road to tune on, expected one for each of"
             raise ConfigError(f"{site.counts}: {said} {', '.join(lanes)}, which have to be published")
+        if site.tune and site.road.asked:
+            raise ConfigError(
+                f"{path}: tune = true with {site.file}, on which no traffic enters by itself; expected one "
+                "with period.veh_per_h above 0, or no tune"
+            )
     if any(rule.vary for rule in page.rule) and not any(site.tune for site in page.road):
         raise ConfigError(f"{path}: rule.vary, and no road with tune = true; expected one to tune on")
     if page.densities != sorted(set(page.densities)) or len(page.densities) == 1:

@@ -61,7 +61,8 @@ GAPS = COUNTS[: COUNTS.index("changes_per_vehicle")] + "critical_lag_gap_mean_s 
 
 
 def page_in(tmp_path: Path, *, page: str = PAGE, counts: str = COUNTS, road: str = ROAD) -> Path:
-    for name, content in (("page.toml", page), ("counts.toml", counts), ("road.toml", road)):
+    files = {"page.toml": page, "counts.toml": counts, "road.toml": road, "asked.toml": ASKED}
+    for name, content in files.items():
         (tmp_path / name).write_text(content)
     return tmp_path / "page.toml"
 
@@ -141,13 +142,16 @@ def test_critical_gap_is_found_from_what_was_rejected_and_accepted(tmp_path: Pat
 def test_durations_are_those_of_changes_seen_from_start_to_end(tmp_path: Path) -> None:
     changes = [{"duration_s": seconds, "complete": seconds < 9.0} for seconds in (4.0, 5.0, 9.0)]
     runs = [{"lane_changes": one} for one in (changes, changes[:1], changes[:1])]
-    page = read_public(page_in(tmp_path, page=UNTUNED_PAGE.replace('counts = "counts.toml"\n', ""), road=ASKED))
+    page = read_public(page_in(tmp_path, page=UNTUNED_PAGE, road=ASKED))  # its counts publish flow and speed, too
     one = RoadResult(page.road[0], "a rule", "as set", {}, runs)
     assert one.measures["duration_mean_s"] == pytest.approx((17.0 / 4.0, 4.0, 4.5))  # draws of one run alone
     assert one.measures["duration_median_s"].value == 4.0
     lists: dict[str, Any] = {"tests": [one], "causes": [(one, one)], "tried": [], "best": {}, "within": WITHIN}
     told = text("public.md.j2", page=page, cell_m=250.0, cell_s=60.0, long_gap_s=10.0, **lists)
-    assert "| road | a rule | as set | - | - | - |" in told
+    assert "| Somewhere | a rule | as set | - | - | - |" in told
+    assert not [words for words in ("I-80", "2.4 %", "Does the road have its flow") if words in told]
+    ngsim = read_public(ROOT / "data" / "public" / "ngsim.toml").model_copy(update={"road": page.road})
+    assert "- Lane 1 of I-80 " in text("public.md.j2", page=ngsim, cell_m=250.0, cell_s=60.0, long_gap_s=10.0, **lists)
 
 
 def test_page_says_what_gaps_do_not_tell(tmp_path: Path) -> None:
@@ -185,6 +189,7 @@ def test_ngsim_tunes_on_one_road_alone_and_its_counts_add_up() -> None:
     ("page", "counts", "said"),
     [
         (PAGE.replace("tune = true", ""), COUNTS, "rule.vary, and no road with tune = true"),
+        (PAGE.replace("road.toml", "asked.toml"), COUNTS, "asked.toml, on which no traffic enters by itself; expected"),
         (PAGE.replace("lc_speed_gain", "lc_sped_gain"), COUNTS, "lc_sped_gain"),
         ("densities = [9, 3]\n" + PAGE, COUNTS, "densities = [9.0, 3.0], expected borders that rise, two or more"),
         (PAGE.replace("seeds = 2", "seeds = 0"), COUNTS, "seeds = 0, expected at least 1"),
