@@ -33,8 +33,9 @@ REQUEST_COLUMNS: Mapping[str, str] = {
     "waited_s": "observed_to_s - trigger_s; censored where not accepted",
     "accepted": "whether SUMO carried out the change; false, too, where no site was found",
     "looks": "looks at gaps",
-    "lead_gap_m": "bumper gap to the new leader at the acceptance",
-    "lag_gap_m": "bumper gap to the new follower at the acceptance",
+    "lead_gap_m": "gap to the new leader at the acceptance, between clearance boxes: some .5 m (.1 to 1.0) less than "
+    "between bumpers",
+    "lag_gap_m": "the same to the new follower",
     "lead_time_gap_s": "lead gap over the own speed",
     "lag_time_gap_s": "lag gap over the follower's speed",
     "speed_mps": "own speed at the acceptance",
