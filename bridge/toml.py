@@ -39,12 +39,21 @@ def model_of(kind: type[_Model], values: Mapping[str, Any], source: str, *, fold
     try:
         return kind.model_validate(values, context=folder)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
+        every = error.errors(include_url=False)
+        # of a number or a list, an empty list is a list
+        first = next(
+            (one for one in every if one["type"] == "too_short" and one["input"] is every[0]["input"]), every[0]
+        )
         types = ("constrained-", "int", "float", "str", "bool", "list[")  # of which type of several
         key = f"{'.'.join(part for part in map(str, first['loc']) if not part.startswith(types))!r:.200}"
         said = first["msg"].removeprefix("Input should be ").removeprefix("Value error, ")
         said = said.replace("greater than or equal to", "at least")
-        if first["type"] in ("missing", "extra_forbidden"):
+        if first["type"] == "too_short":
+            said = f"at least {first['ctx']['min_length']} value{'s' * (first['ctx']['min_length'] > 1)}"
+        if first["type"] == "list_type" and isinstance(first["input"], Mapping):
+            inner = ".".join([*map(str, first["loc"][-1:]), *first["input"]][:2])
+            said = f'{key[1:-1]}: a table, expected a list; a key with a dot has to be in quotes, as "{inner}" = [...]'
+        elif first["type"] in ("missing", "extra_forbidden"):
             there = "no key" if first["type"] == "missing" else "unknown key"
             said = f"{there} {key}; expected {', '.join(_model_at(kind, first['loc'][:-1]).model_fields)}"
         elif first["type"] == "value_error" and isinstance(first["input"], Mapping):

@@ -105,6 +105,9 @@ def test_latin_hypercube_has_one_point_in_each_slice(tmp_path: Path, data_root: 
         ('[vary]\n"lane_change.mobil_bias_mps2" = [1, 2]\n', "expected config.lane_change.rule = 'MOBIL', or another"),
         ('[vary]\n"lane_change.lc_speed_gain" = [1]\n"lane_change.rule" = ["paper", "MOBIL"]\n', "rule = 'LC2013', or"),
         ("samples = 4\n[vary]\ntrigger_s = [1.0]\n", "samples = 4 with design = 'grid', "),
+        ("[vary]\nlane_change.give_up_s = [1.0]\n", 'has to be in quotes, as "lane_change.give_up_s" = [...]'),
+        ("[vary]\ntrigger_s = []\n", "vary.trigger_s = [], expected at least 1 value"),
+        ("seeds = []\n[vary]\ntrigger_s = [1.0]\n", "seeds = [], expected at least 1 value"),
         ("[vary\n", "not TOML"),
     ],
 )
