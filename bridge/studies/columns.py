@@ -64,9 +64,13 @@ class Merit:
 
 #: What may refuse a gap: column `gaps.refused_by`, and in words.
 DECIDE = {
-    "rule": "the rule", "cells": "taken cells", "road": "the road", "end": "the scene's end", "guard": "the guard",
+    "rule": "the rule",
+    "cells": "taken cells",
+    "road": "the road",
+    "end": "the scene's end",
+    "guard": "the guard",
     "sumo": "SUMO",
-}  # fmt: skip
+}
 #: Those that are asked about every gap; guard and SUMO are asked about what the rule took.
 AT_LAST = ("rule", "cells", "road", "end")
 #: What a study tells of each value of a parameter.

@@ -67,10 +67,8 @@ def test_request_is_observed_until_the_scene_has_no_time_left_for_a_change(data_
     prepared = prepare(read_scenario(data_scenes["arterial"]), config)
     run = paired_run(prepared, draw(prepared, drawing_config(config)), config)
     rows = {row["vehicle"]: row for row in run.requests}
-    late_s = {
-        vehicle.vehicle_id: min(0.1 * look.step for look in vehicle.gaps if look.guard == "scene_ends")
-        for vehicle in run.driven if not vehicle.shifts and any(look.guard == "scene_ends" for look in vehicle.gaps)
-    }  # fmt: skip
+    looks = [(one.vehicle_id, look) for one in run.driven if not one.shifts for look in reversed(one.gaps)]
+    late_s = {name: 0.1 * look.step for name, look in looks if look.guard == "scene_ends"}  # of each the first
     assert late_s
     assert {name: rows[name]["observed_to_s"] for name in late_s} == pytest.approx(late_s)
 
