@@ -52,6 +52,7 @@ def run_study(
     trj: beside each run that is done, its trajectories for SSAM. Errors: BatchError, ExportError, ConfigError where
     out_dir holds another study.
     """
+    with_own(study.jobs, study.rules)  # before anything is written
     check_contents(out_dir, f"study {study.name}: {study.kind} by {', '.join(study.points[0])}")
     options = replace(options, function=WORK_FOR_SSAM if trj else WORK, functions=study.rules)  # in the user's own file
     rows = run_batch(study.jobs, out_dir, options, on_row=on_row)
