@@ -1,4 +1,4 @@
-"""Commands that are interrupted at moments that events name; tests/benchmarks/interruptions.py draws them at random."""
+"""Commands that are interrupted at moments that events name."""
 
 import os
 import signal
