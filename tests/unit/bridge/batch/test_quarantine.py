@@ -122,6 +122,9 @@ def _twice(path: Path) -> None:
 
 ARCHIVES: dict[str, tuple[Callable[[Path], object], str]] = {
     "a bomb": (_bomb, "unpacks to 150 MB, expected at most 128 MB"),
+    "a large request": (lambda p: craft(p, members() | {"request.json": bytes(2_000_000)}), "more than 1 MB"),
+    "large details": (lambda p: craft(p, members() | {"details.txt": bytes(5_000_000)}), "more than 4 MB"),
+    "a list without end": (lambda p: craft(p, members(left_out=["x"] * 60_000)), "at most 64 items"),
     "many files": (lambda p: craft(p, members() | {f"scene/{k}": b"" for k in range(MAX_MEMBERS)}), "68 files in it"),
     "another compression": (lambda p: craft(p, members(), compression=zipfile.ZIP_LZMA), "compression 14"),
     "encrypted": (_encrypted, "is encrypted"),
