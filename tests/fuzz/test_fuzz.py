@@ -80,9 +80,7 @@ def test_damaged_scene_is_refused_or_written_and_valid(
 
 
 @pytest.mark.slow
-def test_scene_generated_from_a_damaged_one_is_refused_or_valid(
-    data_scenes: dict[str, Path], tmp_path: Path
-) -> None:
+def test_scene_generated_from_a_damaged_one_is_refused_or_valid(data_scenes: dict[str, Path], tmp_path: Path) -> None:
     config = Config(request=Request(agents=3))
     for seed in range(1000):
         folder, said = damaged(data_scenes, seed, tmp_path)

@@ -8,6 +8,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from bridge.batch.manifest import files_sha256, output_files
 from bridge.config import config_sha256, config_to_dict
 from bridge.recordings.export import recording_record_of, with_generated, write_recording
 from bridge.recordings.recording import Recording
@@ -50,3 +51,9 @@ def copy_with_new_id(source: Path, folder: Path, new_id: str) -> Path:
     pq.write_table(table.set_column(index, "scenario_id", column), folder / f"scenario_{new_id}.parquet")
     shutil.copyfile(next(source.glob("log_map_archive_*.json")), folder / f"log_map_archive_{new_id}.json")
     return folder
+
+
+def contents(out: Path) -> dict[str, str]:
+    """Digest of every scenario folder below out, by its path."""
+    folders = {path.parent for path in out.rglob("scenario_*.parquet")}
+    return {folder.relative_to(out).as_posix(): files_sha256(output_files(folder)) for folder in folders}
