@@ -1,6 +1,7 @@
 """A generated scene as the second checker judges it once it is written."""
 
 import tempfile
+from functools import lru_cache
 from pathlib import Path
 
 from second_checker import Finding, check_scene
@@ -11,6 +12,7 @@ from second_states import check_states
 from bridge.generation.scene import TrafficScene
 
 
+@lru_cache(maxsize=1)
 def as_written(scene: TrafficScene) -> SecondScene:
     """The scene, written and read again without hid2's help."""
     with tempfile.TemporaryDirectory() as out:
