@@ -117,8 +117,6 @@ def fail(fault: str, scratch: Path) -> None:
         bytearray(10**13)
     elif fault == "full":
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(scratch / "scenario.parquet"))
-    elif fault == "long":
-        raise RuntimeError("x" * 150_000)
     elif fault == "exit":
         os._exit(3)
     elif fault == "hang":

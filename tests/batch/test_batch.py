@@ -17,11 +17,9 @@ from written import contents
 from bridge.batch.batch import RUNS_OF_A_TASK, Options, Progress, plan, reproduce, run_batch
 from bridge.batch.manifest import (
     DONE,
-    MAX_TEXT,
     QUARANTINED,
     Manifest,
     ManifestRow,
-    read_manifest,
 )
 from bridge.config import load_config
 from bridge.generation.program import code_version
@@ -185,18 +183,6 @@ class TestFullDisk:
 
         monkeypatch.setattr("bridge.batch.quarantine._add", full)
         self.check(make_data_set(3, {1: "raise"}), tmp_path / "out", monkeypatch)
-
-
-def test_reason_without_end_does_not_keep_a_batch_from_being_resumed(
-    make_data_set: MakeDataSet, tmp_path: Path
-) -> None:
-    folders, out = make_data_set(2, {1: "long"}), tmp_path / "out"
-    for resume in (False, True):
-        (_, bad) = run_batch(plan(folders, Config()), out, Options(function=COPIES, resume=resume))
-        assert len(bad.reason) == MAX_TEXT
-        assert read_manifest(out / "manifest.csv")[1] == 0
-    bundle, _ = reproduce(out / bad.bundle, tmp_path / "again", functions=[COPIES])
-    assert len(bundle.failure.details) > 100_000
 
 
 def test_folder_with_any_bytes_in_its_name_is_a_scene_like_others(make_data_set: MakeDataSet, tmp_path: Path) -> None:

@@ -1,4 +1,7 @@
-"""The equations of the paper's method, one test each, in the paper's order and with its symbols."""
+"""The equations of the paper's method, one test each, in the paper's order and with its symbols.
+
+Arc lengths, N_l, centres and links of cells, and the Frenet frame are worked by hand in tests/unit/netconvert.
+"""
 
 import math
 from dataclasses import replace
@@ -36,7 +39,6 @@ from hid2.policy.roads import f_left, f_right, road_speeds
 from hid2.reasons import Reason
 from hid2.scene import Scene, build_scene
 from netconvert.cells import Cell, build_cell_grid
-from netconvert.geometry import Polyline, arc_length
 from netconvert.lane_graph import LaneGraph, TurnType
 
 DELTA_S, DELTA = 4.0, 0.1
@@ -56,45 +58,7 @@ def _box(x: float, y: float, *, length_m: float = 4.5) -> Traffic:
     )  # fmt: skip
 
 
-# Preliminary ----------------------------------------------------------------------------------------------------------
-
-
-def test_arc_length_s_i_is_the_sum_of_the_steps_before() -> None:
-    """(0, 0), (3, 4), (3, 10): s = 0, 5, 11 = L_l."""
-    points = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 10.0]])
-    assert arc_length(points).tolist() == [0.0, 5.0, 11.0]
-    assert draw_lane(1, points).length_m == 11.0
-
-
 # Lane gridification and occupancy -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("length", "count"), [(0.25, 1), (4.0, 1), (4.01, 2), (18.0, 5), (200.0, 50)])
-def test_n_l_is_the_lane_length_over_4_m_rounded_up(length: float, count: int) -> None:
-    """N_l = ceil(L_l / 4): at least one cell; the cells of a lane are of one size, 18 / 5 = 3.6 m."""
-    grid = build_cell_grid(LaneGraph({1: draw_lane(1, [(0, 0), (length, 0)])}), cell_m=DELTA_S)
-    assert grid.count(1) == count == math.ceil(length / DELTA_S)
-    assert np.diff(grid.edges_s(1)) == pytest.approx(np.full(count, length / count))
-
-
-def test_cell_centres_stand_at_equal_arc_lengths_on_the_centreline() -> None:
-    """A lane of 6 m east and 6 m north has three cells; their centres lie at s = 2, 6, 10: (2, 0), (6, 0), (6, 4)."""
-    grid = build_cell_grid(LaneGraph({1: draw_lane(1, [(0, 0), (6, 0), (6, 6)])}), cell_m=DELTA_S)
-    assert grid.centers == pytest.approx(np.array([[2.0, 0.0], [6.0, 0.0], [6.0, 4.0]]))
-
-
-def test_grid_topology_has_longitudinal_lateral_and_inter_lane_links() -> None:
-    graph = LaneGraph({
-        1: draw_lane(1, [(0, 0), (8, 0)], left=2, successors=(3, 4)),
-        2: draw_lane(2, [(0, 3.5), (8, 3.5)], right=1),
-        3: draw_lane(3, [(8, 0), (20, 0)]),
-        4: draw_lane(4, [(8, 0), (20, 4)]),
-    })  # fmt: skip
-    grid = build_cell_grid(graph, cell_m=DELTA_S)
-    assert grid.longitudinal(Cell(1, 0)) == Cell(1, 1)
-    assert grid.lateral(Cell(1, 1), "left") == Cell(2, 1)
-    assert graph.may_change(1, "left")
-    assert grid.following(Cell(1, 1)) == (Cell(3, 0), Cell(4, 0))
 
 
 def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:
@@ -327,14 +291,6 @@ def test_conflict_3_predicted_collision_changes_the_timing() -> None:
 
 
 # Trajectory smoothing -------------------------------------------------------------------------------------------------
-
-
-def test_frenet_inverse_p_is_r_of_s_plus_d_times_the_normal() -> None:
-    """East at s = 3 with d = 2: (3, 2). North leg from (10, 0): s = 14, d = 2 is to the left, west: (8, 4)."""
-    line = Polyline(np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0]]))
-    assert line.xy(np.array([3.0, 14.0]), np.array([2.0, 2.0])) == pytest.approx(np.array([[3.0, 2.0], [8.0, 4.0]]))
-    s, d = line.frenet(np.array([[3.0, 2.0], [9.0, 6.0]]))
-    assert (s.tolist(), d.tolist()) == (pytest.approx([3.0, 16.0]), pytest.approx([2.0, 1.0]))
 
 
 def test_s_of_t_is_a_cubic_from_position_speed_and_acceleration() -> None:

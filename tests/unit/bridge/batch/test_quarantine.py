@@ -42,6 +42,12 @@ def test_bundle_comes_back(scene: Path, tmp_path: Path) -> None:
     assert read.failure.message.isprintable(), "nothing that a terminal obeys"
 
 
+def test_reason_without_end_is_shortened_and_its_details_are_kept(scene: Path, tmp_path: Path) -> None:
+    write_bundle(bundle_of(scene, failure=Failure("error", "x" * 150_000, "x" * 150_000)), tmp_path / "b.zip")
+    failure = read_bundle(tmp_path / "b.zip", tmp_path / "into").failure
+    assert len(failure.message) < 10_000 < 100_000 < len(failure.details)
+
+
 def test_pipes_giants_and_hidden_files_of_a_scene_are_left_out_and_named(scene: Path, tmp_path: Path) -> None:
     os.mkfifo(scene / "pipe")
     (scene / ".hidden").touch()
