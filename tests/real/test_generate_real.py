@@ -89,10 +89,13 @@ def test_vehicles_that_enter_a_real_scene_break_no_rule(real_scene: Path) -> Non
 
 
 def test_vehicles_that_enter_a_synthetic_scene_break_no_rule(data_scene: Path) -> None:
-    scene = generate(read_scenario(data_scene), Config(request=Request(agents=10, entering=1.0, seed=1)))
-    assert check_generated(scene) == []
-    assert any(track.timesteps[0] > 0 for track in scene.generated)
-    assert len(scene.generated) == 10
+    config = Config(request=Request(agents=10, entering=1.0, seed=1))
+    prepared = prepare(read_scenario(data_scene), config)
+    for variant in range(2):
+        scene = generate(prepared, config, variant=variant)
+        assert check_generated(scene) == []
+        assert any(track.timesteps[0] > 0 for track in scene.generated)
+        assert len(scene.generated) == 10
 
 
 def test_ten_asked_for_are_ten_placed_but_in_one_dense_scene(
