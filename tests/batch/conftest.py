@@ -1,12 +1,10 @@
 """Data sets to run batches on, and the faulty work of `faults.py`."""
 
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
+from written import copy_with_new_id
 
 from bridge.batch.batch import Options, plan, run_batch
 from bridge.recordings.scenario import find_scenarios
@@ -62,14 +60,5 @@ def finished_batch(synthetic: list[Path], tmp_path_factory: pytest.TempPathFacto
 def _copies(scenes: list[Path], root: Path, count: int) -> list[Path]:
     folders = [root / f"scene-{number:03d}" for number in range(count)]
     for number, folder in enumerate(folders):
-        _copy_with_new_id(scenes[number % len(scenes)], folder, f"{number:08d}-0000-4000-8000-000000000000")
+        copy_with_new_id(scenes[number % len(scenes)], folder, f"{number:08d}-0000-4000-8000-000000000000")
     return folders
-
-
-def _copy_with_new_id(source: Path, folder: Path, new_id: str) -> None:
-    folder.mkdir(parents=True)
-    table = pq.read_table(next(source.glob("scenario_*.parquet")))
-    index = table.schema.get_field_index("scenario_id")
-    column = pa.array([new_id] * table.num_rows, table.schema.field(index).type)
-    pq.write_table(table.set_column(index, "scenario_id", column), folder / f"scenario_{new_id}.parquet")
-    shutil.copyfile(next(source.glob("log_map_archive_*.json")), folder / f"log_map_archive_{new_id}.json")

@@ -12,7 +12,7 @@ import os
 import signal
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from written import made_up_sidecar
@@ -24,7 +24,6 @@ from bridge.recordings.export import new_scenario_id, with_generated, write_reco
 from bridge.recordings.scenario import read_scenario
 
 FAULT = "FAULT"
-Work = Callable[[SceneFolders, Sequence[Run]], Iterator[ManifestRow | Failure]]
 
 #: SUMO 1.28 ends by SIGSEGV on a net without a version that has a connection to an edge it does not know.
 BAD_NET = """<net>
@@ -89,31 +88,6 @@ def other_version(place: SceneFolders, runs: Sequence[Run]) -> Iterator[Manifest
         yield base_row(place, run)._replace(version="0.0.1")
 
 
-def generated(place: SceneFolders, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
-    """Generate as the product does, after the scene's fault."""
-    from bridge.batch.scene_work import (
-        generate_runs,  # here, before the clock starts: libsumo is for scene processes only
-    )
-
-    return _generated(place, runs, generate_runs)
-
-
-def _generated(place: SceneFolders, runs: Sequence[Run], generate_runs: Work) -> Iterator[ManifestRow | Failure]:
-    started = os.environ.get("FAULTS_STARTED")
-    at_work = Path(started) / str(os.getpid()) if started else None
-    for run in runs:
-        if at_work is not None:  # tells the test which process is at which scene
-            at_work.write_text(place.folder.name)
-        try:
-            meet_fault(place, run)
-        except Exception as error:  # noqa: BLE001  # passed on as a failure of the scene, as the product does
-            yield describe_error(error)
-        else:
-            yield from generate_runs(place, [run])
-        if at_work is not None:
-            at_work.unlink()
-
-
 def meet_fault(place: SceneFolders, run: Run) -> None:
     """Do what the source folder's FAULT says."""
     file = place.folder / FAULT
@@ -143,8 +117,6 @@ def fail(fault: str, scratch: Path) -> None:
         bytearray(10**13)
     elif fault == "full":
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(scratch / "scenario.parquet"))
-    elif fault == "long":
-        raise RuntimeError("x" * 150_000)
     elif fault == "exit":
         os._exit(3)
     elif fault == "hang":

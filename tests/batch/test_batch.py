@@ -5,29 +5,21 @@ import errno
 import gc
 import os
 import shutil
-import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import psutil
 import pytest
 from distributed import LocalCluster
-from processes import PATH_OF_FAULTS, still_running
+from written import contents
 
 from bridge.batch.batch import RUNS_OF_A_TASK, Options, Progress, plan, reproduce, run_batch
 from bridge.batch.manifest import (
     DONE,
-    MAX_TEXT,
     QUARANTINED,
     Manifest,
     ManifestRow,
-    files_sha256,
-    output_files,
-    read_manifest,
 )
 from bridge.config import load_config
 from bridge.generation.program import code_version
@@ -38,12 +30,6 @@ from netconvert.errors import BatchError, ConfigError, DiskFullError, ExportErro
 
 COPIES = "faults:copies"
 MakeDataSet = Callable[..., list[Path]]
-
-
-def contents(out: Path) -> dict[str, str]:
-    """Digest of every scenario folder below out, by its path."""
-    folders = {path.parent for path in out.rglob("scenario_*.parquet")}
-    return {folder.relative_to(out).as_posix(): files_sha256(output_files(folder)) for folder in folders}
 
 
 def statuses(rows: Sequence[ManifestRow]) -> dict[str, str]:
@@ -199,18 +185,6 @@ class TestFullDisk:
         self.check(make_data_set(3, {1: "raise"}), tmp_path / "out", monkeypatch)
 
 
-def test_reason_without_end_does_not_keep_a_batch_from_being_resumed(
-    make_data_set: MakeDataSet, tmp_path: Path
-) -> None:
-    folders, out = make_data_set(2, {1: "long"}), tmp_path / "out"
-    for resume in (False, True):
-        (_, bad) = run_batch(plan(folders, Config()), out, Options(function=COPIES, resume=resume))
-        assert len(bad.reason) == MAX_TEXT
-        assert read_manifest(out / "manifest.csv")[1] == 0
-    bundle, _ = reproduce(out / bad.bundle, tmp_path / "again", functions=[COPIES])
-    assert len(bundle.failure.details) > 100_000
-
-
 def test_folder_with_any_bytes_in_its_name_is_a_scene_like_others(make_data_set: MakeDataSet, tmp_path: Path) -> None:
     folders = make_data_set(3, {1: "raise"})
     named = [folder.rename(folder.parent / f"s{k}\udcff\n,\x1b[2J") for k, folder in enumerate(folders[:2])]
@@ -282,12 +256,6 @@ def test_bundle_reproduces_its_failure(make_data_set: MakeDataSet, tmp_path: Pat
     assert (again.failure, again.reason) == (row.failure, row.reason.replace(str(folders[0]), str(bundle.folder)))
     assert bundle.failure.kind == row.failure
     assert bundle.variant == 0
-
-
-def test_no_bundle_is_an_explained_error(tmp_path: Path) -> None:
-    (tmp_path / "x.zip").write_text("no zip")
-    with pytest.raises(BatchError, match=r"x\.zip: not a bundle"):
-        reproduce(tmp_path / "x.zip", tmp_path / "out")
 
 
 def test_workers_make_no_difference_to_the_bytes(make_data_set: MakeDataSet, tmp_path: Path) -> None:
@@ -440,64 +408,3 @@ def test_scheduler_that_gets_no_workers_is_given_up(
         with pytest.raises(BatchError, match=rf"scheduler {address}: no workers for 1 s, expected some .*dask worker"):
             run_batch(plan(make_data_set(1), Config()), tmp_path / "out", Options(scheduler=address, function=COPIES))
     assert_nothing_half_written(tmp_path / "out")
-
-
-RUN = """
-import sys
-from pathlib import Path
-from bridge.batch.batch import Options, plan, run_batch
-from bridge.recordings.scenario import find_scenarios
-from bridge.recordings.sources import find_sources
-from hid2.params import Config
-import signal
-if __name__ == "__main__":
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    folders = sorted(Path(sys.argv[1]).iterdir())
-    try:
-        run_batch(plan(folders, Config()), Path(sys.argv[2]), Options(jobs=int(sys.argv[3]), function="faults:copies"))
-    except KeyboardInterrupt:
-        sys.exit(130)
-"""
-
-
-@pytest.mark.parametrize(
-    ("jobs", "sent"),
-    [
-        pytest.param(1, signal.SIGTERM, marks=pytest.mark.slow),
-        (2, signal.SIGINT),
-        pytest.param(2, signal.SIGKILL, marks=pytest.mark.slow),
-    ],
-)
-def test_interrupted_batch_is_resumed_to_the_same_bytes(
-    make_data_set: MakeDataSet, tmp_path: Path, jobs: int, sent: signal.Signals
-) -> None:
-    folders = make_data_set(8)
-    whole, out = tmp_path / "whole", tmp_path / "out"
-    run_batch(plan(folders, Config()), whole, Options(function=COPIES))
-    script = tmp_path / "run.py"
-    script.write_text(RUN)
-    held = {"FAULTS_SLEEP_S": "300", "FAULTS_SLEEP_FROM": "scene-005"}  # it cannot end before it is interrupted
-    environment = os.environ | held | {"PYTHONPATH": PATH_OF_FAULTS}
-    command = [sys.executable, str(script), str(folders[0].parent), str(out), str(jobs)]
-    process = subprocess.Popen(command, env=environment, start_new_session=True, stderr=subprocess.PIPE, text=True)
-    manifest = out / "manifest.csv"
-    while not manifest.exists() or len(manifest.read_text().splitlines()) < 4:
-        assert process.poll() is None
-        time.sleep(0.05)
-    workers = psutil.Process(process.pid).children(recursive=True)
-    if sent == signal.SIGKILL:
-        process.kill()
-    else:
-        os.killpg(process.pid, sent)  # as a terminal does: to the whole foreground group
-    _, errors = process.communicate(timeout=120)
-    assert still_running(workers, timeout_s=60) == [], "orphans leave"
-    if sent != signal.SIGKILL:
-        assert process.returncode == 130
-        assert "Traceback" not in errors
-        assert_nothing_half_written(out)
-    finished = len(manifest.read_text().splitlines()) - 1
-    assert 3 <= finished <= 5
-    rows = run_batch(plan(folders, Config()), out, Options(jobs=jobs, resume=True, function=COPIES))
-    assert {row.status for row in rows} == {DONE}
-    assert contents(out) == contents(whole)
-    assert_nothing_half_written(out)

@@ -1,4 +1,4 @@
-"""What becomes of inserted vehicles on real scenes: counts, manoeuvres, limits, motion. A script, no test:
+"""What becomes of inserted vehicles on real scenes: counts, manoeuvres, limits. A script, no test:
 
 python tests/benchmarks/driving_figures.py --agents 10 --seeds 10 [ROOT]
 """
@@ -15,19 +15,7 @@ from bridge.generation.generate import generate, prepare
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
-from hid2.params import Config, Driving, Request
-
-STEP_S = 0.1
-WINDOW = 41  # steps of a window of 4 s
-CONSTANT = 0.05  # m/s2 and m/s3 below which a cubic fit of s(t) is constant speed
-
-
-def is_constant(s: np.ndarray) -> bool:
-    """Whether a cubic fit of s (T,) m has neither acceleration nor jerk, and the vehicle moves."""
-    time_s = STEP_S * np.arange(s.size)
-    fit = np.polyfit(time_s, s - s[0], 3)
-    accel, jerk = 2 * fit[1] + 6 * fit[0] * time_s, 6 * fit[0]
-    return bool(np.all(np.abs(accel) < CONSTANT) and abs(jerk) < CONSTANT and s[-1] - s[0] > 0.5 * time_s[-1])
+from hid2.params import Config, Request
 
 
 class Figures:
@@ -39,16 +27,9 @@ class Figures:
         self.replaced: Counter[str] = Counter()
         self.limited: Counter[str] = Counter()
         self.off_m: list[float] = []
-        self.windows: list[bool] = []
-        self.beginnings: list[bool] = []
-        self.stands: list[bool] = []
         self.steps = 0
-        self.replayed = 0
-        self.replayed_off_m = 0.0
 
     def add(self, scene: TrafficScene) -> None:
-        self.replayed += scene.sidecar.replay.states
-        self.replayed_off_m = max(self.replayed_off_m, scene.sidecar.replay.max_position_error_m)
         for record in scene.sidecar.replaced:
             self.replaced[record.reason if record.detail is None else f"{record.reason}:{record.detail}"] += 1
         for _, record in scene.sidecar.asked:
@@ -58,13 +39,9 @@ class Figures:
             if record.status != "done":
                 self.reasons[record.kind, str(record.reason)] += 1
         for vehicle in scene.vehicles:
-            s, v = vehicle.motion.s, vehicle.motion.v
             self.steps += len(vehicle.driven.s) - 1
             self.limited.update(vehicle.driven.limited)
             self.off_m.append(float(np.abs(vehicle.simulated_off_m).max()))
-            self.stands.append(int((v < 0.3).sum()) >= 5)
-            self.windows += [is_constant(s[k : k + WINDOW]) for k in range(10, s.size - WINDOW - 9, 10)]
-            self.beginnings.append(is_constant(s[:11]))
 
     def lines(self) -> list[str]:
         limited = {cause: round(count / self.steps, 3) for cause, count in sorted(self.limited.items())}
@@ -76,9 +53,6 @@ class Figures:
             f"replaced: {self.replaced.most_common(12)}",
             f"share of steps limited: {limited}, besides turns {besides:.3f}",
             f"exported minus SUMO's own s, m: median {median:.2f}, 95 % {most:.2f}, worst {worst:.2f}",
-            f"windows at constant speed {np.mean(self.windows):.3f}, first seconds {np.mean(self.beginnings):.3f}",
-            f"vehicles that stand at some time {np.mean(self.stands):.3f}",
-            f"recorded states replayed {self.replayed}, at most {1000 * self.replayed_off_m:.3f} mm off",
         ]
 
 
@@ -93,7 +67,7 @@ def main() -> None:
         prepared, began = prepare(read_scenario(folder), Config()), time.process_time()
         for seed in range(options.seeds):
             request = Request(agents=options.agents, seed=seed)
-            scene = generate(prepared, Config(request=request, driving=Driving(check_replay=True)))
+            scene = generate(prepared, Config(request=request))
             placed.append(len(scene.generated))
             figures.add(scene)
         seconds = (time.process_time() - began) / options.seeds

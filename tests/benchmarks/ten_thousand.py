@@ -1,4 +1,4 @@
-"""Ten thousand scenes in one go, with kills, a full disk and resumes in between: memory, handles, files, rate.
+"""Ten thousand scenes in one go, with kills, a full disk and resumes in between: memory, files, rate.
 
     python tests/benchmarks/ten_thousand.py --scenes 10000 --jobs 2
     python tests/benchmarks/ten_thousand.py --scenes 200 --jobs 2 --root data/av2       # a try
@@ -14,7 +14,6 @@ Prints what it finds, with an extrapolation to 55,000 scenes; exit code 1 where 
 import argparse
 import csv
 import os
-import resource
 import shutil
 import signal
 import subprocess
@@ -54,13 +53,10 @@ class Plan(NamedTuple):
 
 @dataclass(slots=True)
 class Seen:
-    """What was seen of the processes. main_mb, worker_mb, handles: for each run (seconds, value) at each look."""
+    """What was seen of the processes. main_mb, worker_mb: for each run (seconds, value) at each look."""
 
     main_mb: list[list[tuple[float, float]]] = field(default_factory=list)
     worker_mb: list[list[tuple[float, float]]] = field(default_factory=list)
-    handles: list[list[tuple[float, float]]] = field(default_factory=list)
-    scratch: int = 0
-    listening: set[str] = field(default_factory=set)
     running_s: float = 0.0
     ends: list[str] = field(default_factory=list)
     wrong: list[str] = field(default_factory=list)
@@ -75,21 +71,15 @@ def finished(out: Path) -> int:
         return 0
 
 
-def look(process: psutil.Process, seen: Seen, scratch: Path) -> None:
-    """Take note of memory, handles, temporary files and open ports of a batch and its processes."""
+def look(process: psutil.Process, seen: Seen) -> None:
+    """Take note of the memory of a batch and its processes."""
     try:
         workers = process.children(recursive=True)
         sizes = [worker.memory_info().rss / 1e6 for worker in workers]
         seen.main_mb[-1].append((seen.running_s, process.memory_info().rss / 1e6))
         seen.worker_mb[-1].append((seen.running_s, max(sizes, default=0.0)))
-        seen.handles[-1].append((seen.running_s, process.num_fds()))
-        for one in (process, *workers):
-            for connection in one.net_connections(kind="inet"):
-                if connection.status == psutil.CONN_LISTEN and not str(connection.laddr.ip).startswith(("127.", "::1")):
-                    seen.listening.add(f"{connection.laddr.ip}:{connection.laddr.port}")
     except psutil.Error:
         return
-    seen.scratch = max(seen.scratch, len(list(scratch.iterdir())))
 
 
 def run(command: list[str], seen: Seen, scratch: Path, out: Path, plans: list[Plan]) -> tuple[int, str]:
@@ -97,7 +87,7 @@ def run(command: list[str], seen: Seen, scratch: Path, out: Path, plans: list[Pl
 
     plans: those that are due are taken out; what follows one that ends the batch waits for the next run.
     """
-    for samples in (seen.main_mb, seen.worker_mb, seen.handles):
+    for samples in (seen.main_mb, seen.worker_mb):
         samples.append([])
     before = seen.running_s
     began = time.monotonic()
@@ -110,7 +100,7 @@ def run(command: list[str], seen: Seen, scratch: Path, out: Path, plans: list[Pl
         while batch.poll() is None:
             time.sleep(_EVERY_S)
             seen.running_s = before + time.monotonic() - began
-            look(process, seen, scratch)
+            look(process, seen)
             ended = did and did[-1] != _WORKER_KILLED
             if plans and not ended and batch.poll() is None and finished(out) >= plans[0].scenes:
                 did.append(plans.pop(0).act(process))
@@ -258,20 +248,14 @@ def main() -> int:
             p.info for p in psutil.process_iter(["pid", "cmdline"]) if str(out) in " ".join(p.info["cmdline"] or [])
         ]
         seen.wrong += [f"process left: {one}" for one in left if one["pid"] != os.getpid()]
-        if seen.listening:
-            seen.wrong.append(f"listens beyond this machine: {sorted(seen.listening)}")
         rate = wanted / seen.running_s
         whole_s = WHOLE / rate
         print(f"ended {len(seen.ends) - 1} times, {full_disk} times by a full disk; every time continued with --resume")
         print(f"running {seen.running_s / 60:.1f} min, {rate:.2f} scenes/s; {WHOLE:,} scenes: {whole_s / 3600:.1f} h")
         print(f"main process, MB: {extrapolated(seen.main_mb, whole_s)}")
         print(f"largest process of a scene, MB: {extrapolated(seen.worker_mb, whole_s)}")
-        print(f"open handles of the main process: {extrapolated(seen.handles, whole_s)}")
-        print(f"temporary files at once: at most {seen.scratch}; at the end {len(list(scratch.iterdir()))}")
         if mounted:
             print(f"OUT: {usage.used / 1e6:.0f} MB, {usage.used / 1e3 / wanted:.0f} kB a scene")
-        ended_mb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3
-        print(f"most memory of any process that has ended, MB: {ended_mb:.0f}")
     finally:
         if mounted:
             subprocess.run(["umount", "-l", str(out)], check=False)

@@ -1,13 +1,11 @@
-"""Scenes per second by the number of workers, and the memory of one worker over many scenes, on the real scenes.
+"""Scenes per second by the number of workers, on the real scenes; memory over many scenes is in ten_thousand.py.
 
 Not part of the default run: `pytest -m benchmark -s`, or as a script:
 
-    python tests/benchmarks/test_batch_speed.py speed --agents 10 20 40 --scenes 240
-    python tests/benchmarks/test_batch_speed.py memory --scenes 2000
+    python tests/benchmarks/test_batch_speed.py --agents 10 20 40 --scenes 240
 
 Speed counts from the first scene that is done to the last, so that starting processes and compiling is left out; it
-wants idle cores, but for the rate per second of processor time. Memory is the resident size of the scene process, which
-is not recycled here, after each scene.
+wants idle cores, but for the rate per second of processor time.
 """
 
 import argparse
@@ -17,7 +15,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 import psutil
 import pytest
 from shared_data import SHARED_DATA
@@ -27,8 +24,6 @@ from bridge.batch.manifest import ManifestRow
 from bridge.recordings.scenario import find_scenarios
 from hid2.params import Config, Request
 
-#: What a worker may take, and how much it may grow per scene once it is warm.
-MOST_MB, MOST_KB_PER_SCENE = 600.0, 20.0
 LEAST_SPEED_UP = 1.8
 
 
@@ -66,26 +61,6 @@ def scenes_per_second(folders: Sequence[Path], *, scenes: int, agents: int, work
     return Rate(*((scenes - 1 - skipped) / seconds for seconds in (ended - began, spent - spent_before)))
 
 
-def memory_of_one_worker(folders: Sequence[Path], *, scenes: int, agents: int) -> list[float]:
-    """Resident MB of the scene process after each scene."""
-    sizes: list[float] = []
-
-    def sample(row: ManifestRow, progress: Progress) -> None:
-        children = psutil.Process().children(recursive=True)
-        sizes.append(max(child.memory_info().rss for child in children) / 1e6)
-
-    with tempfile.TemporaryDirectory(prefix="hid2-memory-") as out:
-        jobs = jobs_for(folders, scenes=scenes, agents=agents)
-        run_batch(jobs, Path(out), Options(), on_row=sample)
-    return sizes
-
-
-def slope_kb(sizes: Sequence[float]) -> float:
-    """Growth per scene in kB over the last three quarters."""
-    tail = np.asarray(sizes[len(sizes) // 4 :])
-    return float(np.polyfit(np.arange(len(tail)), tail, 1)[0]) * 1e3
-
-
 @pytest.mark.benchmark
 @pytest.mark.timeout(3000)
 def test_two_workers_are_nearly_twice_as_fast(real_scenes: list[Path]) -> None:
@@ -95,30 +70,15 @@ def test_two_workers_are_nearly_twice_as_fast(real_scenes: list[Path]) -> None:
     assert two.wall / one.wall >= LEAST_SPEED_UP
 
 
-@pytest.mark.benchmark
-@pytest.mark.timeout(3000)
-def test_memory_of_a_worker_stays_flat(real_scenes: list[Path]) -> None:
-    sizes = memory_of_one_worker(real_scenes, scenes=300, agents=10)
-    print(f"\nworker: {sizes[-1]:.0f} MB after {len(sizes)} scenes, growing by {slope_kb(sizes):.1f} kB a scene")
-    assert max(sizes) <= MOST_MB
-    assert slope_kb(sizes) <= MOST_KB_PER_SCENE
-
-
 def main() -> None:
-    """Print the tables."""
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("speed", "memory"))
     parser.add_argument("--root", type=Path, default=None, help="data set (default: the real scenes)")
     parser.add_argument("--scenes", type=int, default=120)
     parser.add_argument("--agents", type=int, nargs="+", default=[10])
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
     arguments = parser.parse_args()
     folders = find_scenarios(arguments.root or SHARED_DATA / "av2")
-    if arguments.what == "memory":
-        sizes = memory_of_one_worker(folders, scenes=arguments.scenes, agents=arguments.agents[0])
-        shown = [round(size) for size in sizes[:: max(1, len(sizes) // 10)]]
-        print(f"MB along the way {shown}; largest {max(sizes):.0f} MB, slope {slope_kb(sizes):.2f} kB a scene")
-        return
     for agents in arguments.agents:
         rates = [
             scenes_per_second(folders, scenes=arguments.scenes, agents=agents, workers=workers)

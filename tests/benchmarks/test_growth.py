@@ -11,6 +11,7 @@ with nobody recorded on them, so that nothing but the map grows.
 
 import argparse
 import statistics
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,10 +22,14 @@ import numpy as np
 import pytest
 from shared_data import SHARED_DATA
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
+
+from hand_drawn import draw_lane
+
 from bridge.generation.generate import generate
 from bridge.recordings.scenario import Scenario, find_scenarios, read_scenario
 from hid2.params import Config, Request
-from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
+from netconvert.lane_graph import LaneGraph
 
 VEHICLES = (5, 10, 20, 40, 60)
 LENGTHS_KM = (1.5, 3.0, 6.0, 12.0, 24.0)
@@ -63,20 +68,12 @@ def straight_road(scenario: Scenario, length_km: float) -> Scenario:
     for piece in range(pieces):
         for row in range(LANES):
             one = LANES * piece + row + 1
-            lanes[one] = LaneSegment(
-                lane_id=one,
-                centerline=np.array([(PIECE_M * piece, 3.5 * row), (PIECE_M * (piece + 1), 3.5 * row)]),
-                left_boundary=None,
-                right_boundary=None,
-                lane_type="VEHICLE",
-                is_intersection=False,
+            lanes[one] = draw_lane(
+                one,
+                [(PIECE_M * piece, 3.5 * row), (PIECE_M * (piece + 1), 3.5 * row)],
                 successors=(one + LANES,) if piece + 1 < pieces else (),
-                left_neighbor_id=one + 1 if row + 1 < LANES else None,
-                right_neighbor_id=one - 1 if row else None,
-                left_mark_type="DASHED_WHITE",
-                right_mark_type="DASHED_WHITE",
-                width_m=3.5,
-                turn=TurnType.STRAIGHT,
+                left=one + 1 if row + 1 < LANES else None,
+                right=one - 1 if row else None,
             )
     end, top = PIECE_M * pieces, 3.5 * LANES
     ring = np.array([(-9.0, -1.75), (end + 9.0, -1.75), (end + 9.0, top), (-9.0, top), (-9.0, -1.75)])

@@ -25,9 +25,10 @@ def hid2() -> Callable[..., Result]:
 
 
 _EACH = """
-import contextlib, io, json, sys
+import contextlib, io, json, os, sys
 from bridge.cli import main
-for arguments in json.load(sys.stdin):
+for folder, *arguments in json.load(sys.stdin):
+    os.chdir(folder)
     out, err = io.StringIO(), io.StringIO()
     sys.argv = ["hid2", *arguments]
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -41,15 +42,19 @@ for arguments in json.load(sys.stdin):
 
 @pytest.fixture(scope="session")
 def hid2_each() -> Callable[..., list[tuple[int, str, str]]]:
-    """hid2_each(commands, cwd, prefix=()): run commands in one process; exit code, stdout and stderr of each.
+    """hid2_each(commands, folders, prefix=()): run commands in one process; exit code, stdout and stderr of each.
 
-    prefix: the command that starts the process, and its arguments.
+    folders: the one in which all of them run, or each its own; prefix: the command that starts the process.
     """
 
-    def run(commands: Sequence[Sequence[str]], cwd: Path, prefix: Sequence[str] = ()) -> list[tuple[int, str, str]]:
+    def run(
+        commands: Sequence[Sequence[str]], folders: Path | Sequence[Path], prefix: Sequence[str] = ()
+    ) -> list[tuple[int, str, str]]:
+        each = [folders] * len(commands) if isinstance(folders, Path) else folders
+        told = json.dumps([(str(folder), *command) for folder, command in zip(each, commands, strict=True)])
         done = subprocess.run(
-            [*prefix, sys.executable, "-c", _EACH], input=json.dumps(commands), capture_output=True, text=True, cwd=cwd,
-            timeout=300, check=False,
+            [*prefix, sys.executable, "-P", "-c", _EACH], input=told, capture_output=True, text=True, cwd=each[0],
+            timeout=600, check=False,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
         return [tuple(json.loads(line)) for line in done.stdout.splitlines()]

@@ -10,9 +10,7 @@ from typing import Any
 
 import pytest
 
-from bridge.evaluation.calibrate import calibrate_folder
 from hid2.params import Drivers
-from netconvert.errors import ConfigError
 
 Run = Callable[..., Any]
 
@@ -55,33 +53,6 @@ def test_generate_draws_from_the_drivers_of_the_file(hid2: Run, data_scenes: dic
     assert sidecar["config"]["drivers"]["tau_mean_s"] == 1.7
     gaps = [agent["driver"]["parameters"]["tau_s"] for agent in sidecar["agents"]]
     assert gaps == pytest.approx([1.7] * len(gaps))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("--without", "nobody"), "--without nobody: no such scene in"),
-        (("-o", "."), "is a folder, expected a file"),
-        (
-            ("-o", "mine.csv"),
-            "mine.csv: drivers are written in TOML, with a .csv and a .html beside; expected NAME.toml",
-        ),
-    ],
-)
-def test_mistakes_are_said_in_a_line(hid2: Run, data_root: Path, tmp_path: Path, arguments: Any, said: str) -> None:
-    result = hid2("calibrate", data_root, *arguments, cwd=tmp_path)
-    assert result.returncode == 2
-    assert said in result.stderr
-    assert not list(tmp_path.iterdir())
-
-
-def test_scenes_that_hid2_wrote_are_no_recordings(data_scenes: dict[str, Path], tmp_path: Path) -> None:
-    """Their recorded tracks are those of their sources, which would count once more for each variant."""
-    scene = tmp_path / data_scenes["curve"].name
-    shutil.copytree(data_scenes["curve"], scene)
-    (scene / "hid2_x.json").touch()
-    with pytest.raises(ConfigError, match="holds generated scenes only"):
-        calibrate_folder([tmp_path], tmp_path / "drivers.toml")
 
 
 @pytest.mark.slow

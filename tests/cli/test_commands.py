@@ -19,12 +19,6 @@ COMMANDS = (
 )  # fmt: skip
 
 
-def last_message(result: Any) -> str:
-    """The only message on stderr; progress, which a slow machine shows, is none."""
-    (line,) = [line for line in result.stderr.splitlines() if re.match("hid2: (error|warning): ", line)]
-    return str(line)
-
-
 @pytest.fixture(scope="module")
 def generated(hid2: Run, data_scenes: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A generated scene folder."""
@@ -42,11 +36,6 @@ def test_help_lists_every_command_and_is_quick(hid2: Run) -> None:
     assert result.returncode == 0
     for command in COMMANDS:
         assert command in result.stdout
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_each_command_has_help(hid2: Run, command: str) -> None:
-    assert hid2(command, "--help").returncode == 0
 
 
 def test_help_imports_neither_sumo_nor_pandas() -> None:
@@ -77,10 +66,6 @@ def test_net_of_whole_lanes_is_one_file(hid2: Run, data_scenes: dict[str, Path],
     result = hid2("net", scene, "-o", tmp_path / "out", "--lanes", "whole")
     assert result.returncode == 0, result.stderr
     assert [str(path) for path in (tmp_path / "out").iterdir()] == [result.stdout.strip()]
-    wrong = hid2("net", scene, "-o", tmp_path / "none", "--signals")
-    assert wrong.returncode == 2
-    assert last_message(wrong).endswith("--signals: expected --lanes whole with it, a net of cells has no signals")
-    assert not (tmp_path / "none").exists()
 
 
 def test_export_writes_all_scenes_side_by_side(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
@@ -91,9 +76,6 @@ def test_export_writes_all_scenes_side_by_side(hid2: Run, data_scenes: dict[str,
     names = {f"{folder.name}.{ending}" for folder in data_scenes.values() for ending in ("xosc", "xodr")}
     assert {path.name for path in out.iterdir()} == names
     assert set(result.stdout.split()) == {str(out / name) for name in names}
-    wrong = hid2("export", data_scenes["curve"], "--to", "vissim", "-o", out)
-    assert wrong.returncode == 2
-    assert "'openscenario', 'opendrive', 'commonroad', 'trj', 'sumo', 'fcd'" in last_message(wrong)
     next(root.rglob(f"scenario_{data_scenes['curve'].name}.parquet")).write_bytes(b"PAR1")
     next(root.rglob(f"log_map_archive_{data_scenes['arterial'].name}.json")).unlink()
     some = hid2("export", root, "--to", "trj", "-o", tmp_path / "some")
@@ -122,9 +104,6 @@ def test_evaluate_scores_a_baseline(hid2: Run, generated: Path, tmp_path: Path) 
     result = hid2("evaluate", generated, "-o", tmp_path, "--predictions", "constant-velocity")
     assert result.returncode == 0, result.stderr
     assert "minADE, m" in result.stdout
-    assert hid2("evaluate", generated, "-o", tmp_path, "--predictions", tmp_path / "none.parquet").returncode == 2
-    wrong = hid2("evaluate", generated, "-o", tmp_path, "--predictions", "constant-velocity", "--bands", "x")
-    assert wrong.returncode == 2
 
 
 @pytest.mark.slow
@@ -140,7 +119,6 @@ def test_render_and_plot_write_pictures(hid2: Run, generated: Path, tmp_path: Pa
     assert hid2("render", generated, "-o", tmp_path / "scene.png", "--cells").returncode == 0
     assert hid2("plot", generated, "--agent", "gen_0", "-o", tmp_path / "agent.png").returncode == 0
     assert all((tmp_path / name).read_bytes()[:4] == b"\x89PNG" for name in ("scene.png", "agent.png"))
-    assert hid2("plot", generated, "--agent", "gen_99", "-o", tmp_path / "x.png").returncode == 2
 
 
 def test_config_lists_every_parameter(hid2: Run) -> None:
@@ -165,7 +143,6 @@ def test_scan_tabulates_scenes(hid2: Run, data_root: Path, tmp_path: Path) -> No
         facts = list(csv.DictReader(file))
     assert facts
     assert all(float(fact["overtake_m"]) > 0 for fact in facts)
-    assert hid2("scan", tmp_path / "nowhere").returncode == 2
 
 
 def test_study_writes_page_tables_and_a_figure(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
@@ -183,62 +160,9 @@ def test_study_writes_page_tables_and_a_figure(hid2: Run, data_scenes: dict[str,
         assert len(list(csv.DictReader(table))) == 4
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("generate", "nowhere", "-o", "out"), ("validate", "nowhere"), ("evaluate", "nowhere", "-o", "out"),
-        ("evaluate", "nowhere", "-o", "out", "--predictions", "constant-velocity"), ("scan", "nowhere"),
-        ("render", "nowhere", "-o", "a.png"), ("plot", "nowhere", "-o", "a.png", "--agent", "gen_0"),
-        ("net", "nowhere", "-o", "out"), ("gui", "nowhere"), ("paper", "table1", "--scenes", "nowhere", "-o", "out"),
-    ],
-    ids=" ".join,
-)  # fmt: skip
-def test_folder_that_is_not_there_is_a_mistake_of_usage(
-    hid2: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    result = hid2(*arguments)
-    assert result.returncode == 2
-    line = last_message(result)
-    assert line.startswith("hid2: error: nowhere: no such folder, ")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_corridor_is_made_and_its_range_is_said(hid2: Run, tmp_path: Path) -> None:
+def test_corridor_and_a_road_with_signals_are_made(hid2: Run, tmp_path: Path) -> None:
     result = hid2("make", "corridor", "-o", tmp_path, "--length", "300", "--lanes", "3", "--seconds", "20")
     assert result.returncode == 0
     assert Path(result.stdout.strip()).name == "corridor-300m-3lanes-20s"
-    wrong = hid2("make", "corridor", "-o", tmp_path, "--lanes", "1")
-    assert wrong.returncode == 2
-    assert wrong.stderr.splitlines()[-1] == "hid2: error: --lanes 1: expected 2 to 8"  # after a warning on its place
-    its_own = hid2("make", "arterial", "-o", tmp_path, "--lanes", "3")
-    assert its_own.returncode == 2
-    assert "--lanes 3: arterial.toml has its own" in its_own.stderr
     signals = hid2("make", "arterial", "-o", tmp_path)
     assert Path(signals.stdout.strip(), "road.toml").read_text().count("[[signal]]") == 3
-
-
-def test_study_without_scenes_says_so(hid2: Run, tmp_path: Path) -> None:
-    (tmp_path / "study.toml").write_text("[vary]\ntrigger_s = [1.0]\n")
-    result = hid2("study", tmp_path / "study.toml", "-o", tmp_path / "out")
-    assert result.returncode == 2
-    assert last_message(result).startswith(f"hid2: error: {tmp_path / 'study.toml'}: no key 'scenes', expected folders")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("evaluate", ".", "-o", "r", "--json"), "--json without --predictions"),
-        (("evaluate", ".", "-o", "r", "--bands", "50,70,90"), "--bands without --predictions"),
-        (("paper", "table1", "-o", "p", "--val", "0.5"), "--val does nothing in table1, expected it with prediction"),
-        (("paper", "prediction", "-o", "p", "--map", "m"), "--map does nothing in prediction, expected it with the"),
-    ],
-    ids=["evaluate", "bands", "paper", "prediction"],
-)
-def test_options_that_would_do_nothing_are_refused(
-    hid2: Run, tmp_path: Path, arguments: tuple[str, ...], said: str
-) -> None:
-    result = hid2(*arguments, cwd=tmp_path)
-    assert result.returncode == 2
-    assert said in last_message(result)
-    assert not list(tmp_path.iterdir())

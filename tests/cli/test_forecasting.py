@@ -23,21 +23,6 @@ def test_a_root_is_composed_and_checked(hid2: Run, data_root: Path, tmp_path: Pa
     assert result.stdout == f"{root}/train/{held_out.name}: the same scene as {held_out}\n"
 
 
-def test_what_cannot_be_composed_is_one_line(hid2: Run, data_root: Path, tmp_path: Path) -> None:
-    (tmp_path / "bad.toml").write_text("[sources]\na = 3\n[sets.x]\n")
-    for arguments, words in (
-        ([f"{data_root}:many", "-o", tmp_path / "r"], "expected SOURCE or SOURCE:N"),
-        ([data_root], "missing -o/--out"),
-        ([data_root, "-o", tmp_path / "r", "--val", "0.2"], "no such option: --val; splits, densities, layout and"),
-        ([tmp_path / "bad.toml", "-o", tmp_path / "r"], "bad.toml: sources.a"),
-    ):
-        result = hid2("compose", *arguments, "-q")
-        assert (result.returncode, result.stdout) == (2, "")
-        assert result.stderr.count("\n") == 1
-        assert words in result.stderr
-    assert not (tmp_path / "r").exists()
-
-
 def test_files_of_predictions_are_compared(hid2: Run, data_root: Path, tmp_path: Path) -> None:
     files = [
         write_baseline(data_root, tmp_path / f"{kind}.parquet", kind=kind)

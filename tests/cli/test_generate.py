@@ -7,8 +7,6 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-import pytest
-
 from bridge.recordings.sidecar import Sidecar, read_sidecar
 
 Run = Callable[..., object]
@@ -112,32 +110,6 @@ def test_scene_that_fails_costs_exit_code_1_and_not_the_others(
     again = hid2("generate", "--repro", tmp_path / "out" / bad["bundle"])
     assert again.returncode == 1
     assert "now:  error:" in again.stdout
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--agents", "some"], "request.agents = 'some', expected integer >= 0, <= 500, or max"),
-        (["--set", "lane_change.gap=1"], "unknown key 'lane_change.gap'"),
-        (["--set", "limits.min_radius_m=0"], "limits.min_radius_m = 0, expected"),
-        (["--focal", "nobody"], "'nobody' is not one of 'recorded', 'generated'"),
-        (["--min-agents", "10000"], "none of 3 scenes is left"),
-        (["--no-such-option"], "no such option"),
-        (["--source", "here"], "--source without --from"),
-        (["--from", "README.md"], "--from README.md: is no sidecar, expected that of a generated scene"),
-        (["--function", "a:b"], "--function without --repro"),
-        (["--repro", "README.md"], "README.md: is no ZIP file, expected a bundle"),
-        (["--from", "none.json"], "--from none.json: no such file, expected that of a generated scene"),
-    ],
-)
-def test_wrong_request_is_exit_code_2_and_named(
-    hid2: Run, data_root: Path, tmp_path: Path, arguments: list[str], words: str
-) -> None:
-    result = hid2("generate", data_root, "-o", tmp_path / "out", *arguments)
-    assert result.returncode == 2
-    assert words in result.stderr
-    assert not (tmp_path / "out").exists()
-    assert result.stdout == ""
 
 
 def test_quiet_says_nothing_when_all_is_well(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
-"""Commands that are interrupted at moments that events name; tests/benchmarks/interruptions.py draws them at random."""
+"""Commands that are interrupted at moments that events name."""
 
+import csv
 import os
 import signal
 import subprocess
@@ -94,7 +95,7 @@ def test_command_is_interrupted_at_work_as_by_a_terminal(
 
 
 def test_batch_says_what_is_done_and_goes_on(data_scenes: dict[str, Path], tmp_path: Path) -> None:
-    arguments = ["generate", data_scenes["curve"], "-o", "out", "--agents", "1", "--variants", "30"]
+    arguments = ["generate", data_scenes["curve"], "-o", "out", "--agents", "1", "--variants", "12"]
     command = Command([*arguments, "-v"], tmp_path)
     command.wait_for(lambda: " placed, " in command.said())
     command.send(signal.SIGTERM, to_group=False)
@@ -102,7 +103,12 @@ def test_batch_says_what_is_done_and_goes_on(data_scenes: dict[str, Path], tmp_p
     assert faults(left, signal.SIGTERM, tmp_path / "out") == []
     assert left.stderr.endswith("finished scenes are in out/manifest.csv; continue with --resume\n")
     made = len((tmp_path / "out" / "manifest.csv").read_text().splitlines()) - 1
-    assert 1 <= made < 30
+    assert 1 <= made < 12
+    assert Command([*arguments, "--resume"], tmp_path).left().code == 0
+    with (tmp_path / "out" / "manifest.csv").open() as file:
+        rows = {int(row["variant"]): row for row in csv.DictReader(file)}
+    assert {variant: row["status"] for variant, row in rows.items()} == dict.fromkeys(range(12), "done")
+    assert {path.name for path in (tmp_path / "out").glob("*/*")} == {Path(row["folder"]).name for row in rows.values()}
 
 
 def test_what_a_killed_command_leaves_is_removed_by_the_next_one(data_scenes: dict[str, Path], tmp_path: Path) -> None:

@@ -85,36 +85,9 @@ def test_version_is_that_of_the_distribution(hid2: Run) -> None:
     assert (result.returncode, result.stdout) == (0, f"hid2 {version('hid2-sumo')}\n")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ([], "Usage: hid2"),
-        (["generate"], "missing SCENE and -o/--out"),
-        (
-            ["--agents", "9", "generate", "data/av2"],
-            "option: --agents; an option of generate goes behind its name (see",
-        ),
-        (
-            ["generate", "x", "--from=a.json", "--seed=0", "--no-spawn-leaders", "--event=cut_in", "-j2", "--resume"],
-            "--event, --jobs, --resume, --seed, --spawn-leaders, SCENE: does nothing with --from, which makes the",
-        ),
-        (["generate", "--repro", "a.zip", "--source", "b"], "--source: does nothing with --repro"),
-        (["evaluate"], "missing argument 'SCENES'"),
-        (["scan", "data/av2", "--jobs", "0"], "invalid value '0' for '--jobs' / '-j': expected at least 1"),
-        (["gui", "data/av2", "--speed", "200"], "invalid value '200' for '--speed': expected at most 100"),
-        (["scan", "data/av2", "--jobs", "two"], "invalid value 'two' for '--jobs' / '-j': expected integer (see"),
-        (["paper", "table9", "-o", "x"], "'table9' is not one of 'table1'"),
-    ],
-)
-def test_mistake_in_the_command_line_is_a_line_with_the_way_to_the_help(
-    hid2: Run, arguments: list[str], words: str
-) -> None:
-    result = hid2(*arguments, cwd=ROOT)
-    assert result.returncode == 2
-    assert words.lower() in result.stderr.lower()
-    if arguments:
-        assert result.stderr.startswith("hid2: error: ")
-        assert len(result.stderr.splitlines()) == 1
+def test_command_alone_says_how_it_is_used(hid2: Run) -> None:
+    result = hid2()
+    assert (result.returncode, "usage: hid2" in result.stderr.lower()) == (2, True)
 
 
 def test_completion_names_commands(hid2: Run) -> None:
@@ -125,7 +98,7 @@ def test_completion_names_commands(hid2: Run) -> None:
     assert shown.split() == ["generate"]
 
 
-@pytest.mark.parametrize("columns", [60, 80, 120, 200])
+@pytest.mark.parametrize("columns", [60, 200])
 def test_table_on_a_terminal_fits_and_crops_nothing(columns: int) -> None:
     """`hid2 config` on a terminal of that width: all words of each row are there, no line is longer."""
     leading, following = pty.openpty()

@@ -118,22 +118,6 @@ def test_file_where_a_folder_is_wanted_is_named_with_what_to_give(data_set: Path
         check_out_file(tmp_path)
 
 
-@pytest.mark.parametrize(
-    "arguments", [("render", "-o", "a.png"), ("plot", "-o", "a.png", "--agent", "AV"), ("net", "-o", "out"), ("gui",)],
-    ids=" ".join,
-)  # fmt: skip
-def test_data_set_for_a_command_of_one_scene_is_refused_with_an_example(
-    hid2: Run, data_root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    result = hid2(*arguments, data_root)
-    assert result.returncode == 2
-    assert (
-        f"hid2: error: {data_root}: holds several scenes, expected one of them, such as {data_root}/" in result.stderr
-    )
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_folder_of_sequences_for_a_command_of_one_scene_is_refused_with_an_example(tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
     for number in (7, 8):

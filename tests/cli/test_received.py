@@ -36,26 +36,26 @@ READERS: tuple[tuple[str, int | None, str], ...] = (
     ("generate --from {sidecar} --source {recorded} -o again", 2, REFUSED),
     ("generate --repro bundle.zip -o again", 1, REFUSED),
     ("generate {recorded} -o again --drivers drivers.toml", 2, "section or key lane_change, expected [drivers] alone"),
-    ("generate {recorded} -o continued --resume --agents 1 --map {received}", 0, ""),
+    ("generate {recorded} -o continued --resume --agents 1", 0, ""),
     ("generate {received} -o again --config sound.toml", 2, "holds generated scenes only"),
     ("study sound_study.toml -o . --scenes {received}", 2, "holds generated scenes only"),
     ("compose composition.toml -o composed", 2, "unknown key 'config'"),
     ("compose . {recorded} -o composed", 2, "leave one out"),
     ("compose --check .", 0, ""),
     ("config --config drivers.toml", 0, ""),
-    ("evaluate . -o report --source {recorded} --control {recorded} --map {received}", 0, ""),
+    ("evaluate . -o report --source {recorded} --control {recorded}", 0, ""),
     ("evaluate . -o report --predictions forecasts.parquet", 2, "forecasts.parquet"),
-    ("validate . --source {recorded} --map {received} --csv findings.csv", 1, ""),
+    ("validate . --source {recorded} --csv findings.csv", 1, ""),
     ("calibrate . -o measured.toml", 2, "holds generated scenes only"),
     ("resimulate . -o again", 2, "holds generated scenes only"),
-    ("scan . -o facts.csv --map {received}", 0, ""),
-    ("net {received} -o net --map {received}", 0, ""),
-    ("view {received} -o page.html --map {received}", 0, ""),
-    ("export {received} --to openscenario -o exported --map {received}", 0, ""),
-    ("render {received} -o scene.png --map {received}", 0, ""),
-    ("plot {received} -o agent.png --agent AV --map {received}", 0, ""),
-    ("gui {received} --screenshot shot.png --map {received}", None, ""),
-    ("paper table1 -o again --scenes {received} --map {received}", 2, "holds generated scenes only"),
+    ("scan . -o facts.csv", 0, ""),
+    ("net {received} -o net", 0, ""),
+    ("view {received} -o page.html", 0, ""),
+    ("export {received} --to openscenario -o exported", 0, ""),
+    ("render {received} -o scene.png", 0, ""),
+    ("plot {received} -o agent.png --agent AV", 0, ""),
+    ("gui {received} --screenshot shot.png", None, ""),
+    ("paper table1 -o again --scenes {received}", 2, "holds generated scenes only"),
     ("paper prediction -o again --scenes . --composed . --predictions .", None, ""),
     ("forecast . -o . --scenes . --resume", None, ""),
     ("public public.toml -o again", 2, "unknown key 'rule_with'"),
@@ -89,37 +89,20 @@ def made(hid2: Run, data_scenes: dict[str, Path], tmp_path_factory: pytest.TempP
     return root
 
 
-#: Runs commands one after the other, each in its own folder, which is not where Python looks for modules.
-RUNNER = """
-import contextlib, io, json, os, sys
-from bridge.cli import main
-ended = []
-for folder, arguments in json.load(sys.stdin):
-    os.chdir(folder)
-    sys.argv = ["hid2", *arguments]
-    with contextlib.redirect_stderr(io.StringIO()) as said, contextlib.redirect_stdout(io.StringIO()):
-        try:
-            main()
-        except BaseException as error:
-            code = error.code if isinstance(error, SystemExit) else repr(error)
-    ended.append((code, said.getvalue(), os.path.exists("ran")))
-json.dump(ended, sys.stdout)
-"""
 Ended = dict[str, tuple[int, str, bool]]
 
 
 @pytest.fixture(scope="module")
-def ended(made: Path, data_scenes: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Ended:
+def ended(
+    made: Path, hid2_each: Callable[..., Any], data_scenes: dict[str, Path], tmp_path_factory: pytest.TempPathFactory
+) -> Ended:
     """By reader its exit code, what it said, and whether the payload was imported; one process, as that is fast."""
     lines = [line for line, _, _ in READERS]
     copies = [shutil.copytree(made, tmp_path_factory.mktemp("reader") / "received") for _ in lines]
-    calls = [(str(copy), filled(line, copy, data_scenes)) for line, copy in zip(lines, copies, strict=True)]
-    result = subprocess.run(
-        [sys.executable, "-P", "-c", RUNNER],
-        input=json.dumps(calls), capture_output=True, text=True, cwd=made, timeout=600, check=False,
-    )  # fmt: skip
-    assert result.returncode == 0, result.stderr
-    return dict(zip(lines, json.loads(result.stdout), strict=True))
+    calls = [filled(line, copy, data_scenes) for line, copy in zip(lines, copies, strict=True)]
+    found = zip(hid2_each(calls, copies), copies, strict=True)
+    told = [(code, said, (copy / "ran").exists()) for (code, _, said), copy in found]
+    return dict(zip(lines, told, strict=True))
 
 
 STUDY = """scenes = ["x"]
@@ -148,7 +131,7 @@ def test_every_path_that_a_command_reads_is_among_the_readers() -> None:
         (command.name or command.callback.__name__, name)
         for command in application().registered_commands
         for name, hint in get_type_hints(command.callback).items()
-        if "Path" in str(hint)
+        if "Path" in str(hint) and name != "map_path"  # of Argoverse 1 sequences, which are no folders that hid2 wrote
     }
     given = set()
     for line, _, _ in READERS:
@@ -235,16 +218,10 @@ def bundle_of_entries() -> bytes:
 
 #: Bundles that are small, and large once they are unpacked.
 BOMBS: dict[str, tuple[Callable[[], bytes], str]] = {
-    "details": (lambda: bundle({"details.txt": ZEROS}), "file 'details.txt' unpacks to more than 4 MB"),
-    "request": (lambda: bundle({"request.json": ZEROS}), "file 'request.json' unpacks to more than 1 MB"),
-    "failure": (lambda: bundle({"failure.json": ZEROS}), "file 'failure.json' unpacks to more than 1 MB"),
     "scene": (lambda: bundle({"scene/x": ZEROS}), "file 'scene/x' unpacks to more than 32 MB"),
     "lying": (lying_bundle, "Bad CRC-32 for file 'details.txt'"),
     "entries": (bundle_of_entries, "more than 128 files in it, expected at most 64"),
     "texts": (lambda: bundle(platform="x" * 900_000), "platform: String should have at most 1000 characters"),
-    "names": (lambda: bundle(left_out=["x"] * 60_000), "left_out: List should have at most 64 items"),
-    "config": (lambda: bundle(config={"x" * 900_000: 1}), "unknown key 'xxxx"),
-    "values": (lambda: bundle(config={"request": {"near": "x" * 900_000}}), "request.near = 'xxxx"),
 }
 
 

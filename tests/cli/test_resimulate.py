@@ -59,24 +59,6 @@ def test_same_request_gives_the_same_bytes_whatever_the_workers(hid2: Run, ended
         assert (ended / file).read_bytes() == (again / file).read_bytes(), file
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code", "said"),
-    [
-        (["--take-out", "one", "--write", "1"], 2, "--write with --take-out one"),
-        (["--seeds", "0"], 2, "--seeds"),
-        (["--seeds", "2", "--write", "9"], 2, "--write 9: of 2 rollouts (--seeds), expected as many at most"),
-    ],
-)
-def test_mistake_is_told_in_a_line(
-    hid2: Run, data_root: Path, tmp_path: Path, arguments: list[str], code: int, said: str
-) -> None:
-    result = hid2("resimulate", data_root, "-o", tmp_path / "out", *arguments)
-    assert result.returncode == code
-    assert said in result.stderr
-    assert "Traceback" not in result.stderr
-    assert not (tmp_path / "out").exists()
-
-
 def test_one_scene_is_too_few(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
     result = hid2("resimulate", data_scenes["curve"], "-o", tmp_path / "out", "--seeds", 1)
     assert result.returncode == 2

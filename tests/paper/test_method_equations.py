@@ -1,4 +1,7 @@
-"""The equations of the paper's method, one test each, in the paper's order and with its symbols."""
+"""The equations of the paper's method, one test each, in the paper's order and with its symbols.
+
+Arc lengths, N_l, centres and links of cells, and the Frenet frame are worked by hand in tests/unit/netconvert.
+"""
 
 import math
 from dataclasses import replace
@@ -7,12 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
-from inserted import nobody
+from hand_drawn import draw_lane, draw_two_lanes
+from inserted import CAR, DRIVER, nobody, recorded, scene_on
 
-from hid2.agents import BoxSize, Policy, Track
+from hid2.agents import Policy, Track
 from hid2.conflicts.guard import Braking, Guard, transition_rejected
 from hid2.conflicts.stop_lines import StopLines
-from hid2.drivers.driver import Driver, LaneOffset
+from hid2.drivers.driver import LaneOffset
 from hid2.insertion.requests import draw_requests
 from hid2.insertion.sites import InsertionSites
 from hid2.insertion.spread import Spread
@@ -35,45 +39,15 @@ from hid2.policy.roads import f_left, f_right, road_speeds
 from hid2.reasons import Reason
 from hid2.scene import Scene, build_scene
 from netconvert.cells import Cell, build_cell_grid
-from netconvert.geometry import Polyline, arc_length
-from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType, turn_type
+from netconvert.lane_graph import LaneGraph, TurnType
 
-CAR = BoxSize(4.5, 1.9)
 DELTA_S, DELTA = 4.0, 0.1
-
-
-def _lane(lane_id: int, points: Any, **more: Any) -> LaneSegment:
-    centerline = np.array(points, dtype=np.float64)
-    return LaneSegment(**{
-        "lane_id": lane_id, "centerline": centerline, "left_boundary": None, "right_boundary": None,
-        "lane_type": "VEHICLE", "is_intersection": False, "successors": (), "left_neighbor_id": None,
-        "right_neighbor_id": None, "left_mark_type": "DASHED_WHITE", "right_mark_type": "DASHED_WHITE", "width_m": 3.5,
-        "turn": turn_type(centerline, is_intersection=False), **more,
-    })  # fmt: skip
-
-
-def _road() -> LaneGraph:
-    """Lane 1 (right, y = 0) and lane 2 (left, y = 3.5), 200 m along +x."""
-    ring = np.array([(-20.0, -1.75), (220.0, -1.75), (220.0, 5.25), (-20.0, 5.25), (-20.0, -1.75)])
-    right = _lane(1, [(0, 0), (200, 0)], left_neighbor_id=2)
-    left = _lane(2, [(0, 3.5), (200, 3.5)], right_neighbor_id=1)
-    return LaneGraph({1: right, 2: left}, drivable_areas=(ring,))
-
-
-def _track(x: float, y: float, speed: float = 0.0, *, heading: float = 0.0, length_m: float = 4.5) -> Track:
-    s = 0.1 * speed * np.arange(110)
-    position = np.column_stack([x + s * math.cos(heading), y + s * math.sin(heading)])
-    size = BoxSize(length_m, 1.9)
-    return Track("t", "vehicle", 1, np.arange(110), position, np.full(110, heading), np.zeros((110, 2)), size)
+NOBODY = nobody()
 
 
 def _scene(*tracks: Track) -> Scene:
-    return build_scene(
-        build_cell_grid(_road()), tracks, config=Config(), num_steps=110, last_observed_step=49, step_s=0.1
-    )
-
-
-NOBODY = nobody()
+    """Lane 1 (right, y = 0) and lane 2 (left, y = 3.5), 200 m along +x."""
+    return scene_on(draw_two_lanes(200.0), *tracks)
 
 
 def _box(x: float, y: float, *, length_m: float = 4.5) -> Traffic:
@@ -84,51 +58,13 @@ def _box(x: float, y: float, *, length_m: float = 4.5) -> Traffic:
     )  # fmt: skip
 
 
-# Preliminary ----------------------------------------------------------------------------------------------------------
-
-
-def test_arc_length_s_i_is_the_sum_of_the_steps_before() -> None:
-    """(0, 0), (3, 4), (3, 10): s = 0, 5, 11 = L_l."""
-    points = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 10.0]])
-    assert arc_length(points).tolist() == [0.0, 5.0, 11.0]
-    assert _lane(1, points).length_m == 11.0
-
-
 # Lane gridification and occupancy -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("length", "count"), [(0.25, 1), (4.0, 1), (4.01, 2), (18.0, 5), (200.0, 50)])
-def test_n_l_is_the_lane_length_over_4_m_rounded_up(length: float, count: int) -> None:
-    """N_l = ceil(L_l / 4): at least one cell; the cells of a lane are of one size, 18 / 5 = 3.6 m."""
-    grid = build_cell_grid(LaneGraph({1: _lane(1, [(0, 0), (length, 0)])}), cell_m=DELTA_S)
-    assert grid.count(1) == count == math.ceil(length / DELTA_S)
-    assert np.diff(grid.edges_s(1)) == pytest.approx(np.full(count, length / count))
-
-
-def test_cell_centres_stand_at_equal_arc_lengths_on_the_centreline() -> None:
-    """A lane of 6 m east and 6 m north has three cells; their centres lie at s = 2, 6, 10: (2, 0), (6, 0), (6, 4)."""
-    grid = build_cell_grid(LaneGraph({1: _lane(1, [(0, 0), (6, 0), (6, 6)])}), cell_m=DELTA_S)
-    assert grid.centers == pytest.approx(np.array([[2.0, 0.0], [6.0, 0.0], [6.0, 4.0]]))
-
-
-def test_grid_topology_has_longitudinal_lateral_and_inter_lane_links() -> None:
-    graph = LaneGraph({
-        1: _lane(1, [(0, 0), (8, 0)], left_neighbor_id=2, successors=(3, 4)),
-        2: _lane(2, [(0, 3.5), (8, 3.5)], right_neighbor_id=1),
-        3: _lane(3, [(8, 0), (20, 0)]),
-        4: _lane(4, [(8, 0), (20, 4)]),
-    })  # fmt: skip
-    grid = build_cell_grid(graph, cell_m=DELTA_S)
-    assert grid.longitudinal(Cell(1, 0)) == Cell(1, 1)
-    assert grid.lateral(Cell(1, 1), "left") == Cell(2, 1)
-    assert graph.may_change(1, "left")
-    assert grid.following(Cell(1, 1)) == (Cell(3, 0), Cell(4, 0))
 
 
 def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:
     """Originals hold their cells against generated ones: a generated vehicle is placed on sigma = 0 only."""
     assert (FREE, ORIGINAL, GENERATED) == (0, 1, 2)
-    scene = _scene(_track(60.0, 0.0), _track(100.0, 3.5))
+    scene = _scene(recorded(60.0, 0.0), recorded(100.0, 3.5))
     sigma = scene.occupancy.sigma[0]
     assert set(np.unique(sigma)) == {FREE, ORIGINAL}
     here = Surroundings(scene)
@@ -151,8 +87,8 @@ def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:
 
 def test_original_occupancy_follows_the_recorded_trajectory() -> None:
     """10 m/s from x = 2.5: in cell floor(x / 4) at every step, which is known for all steps beforehand."""
-    grid = build_cell_grid(_road())
-    found = original_occupancy(cell_boxes(grid), traffic_of([_track(2.5, 0.0, 10.0)], 110, step_s=DELTA))
+    grid = build_cell_grid(draw_two_lanes(200.0))
+    found = original_occupancy(cell_boxes(grid), traffic_of([recorded(2.5, 0.0, 10.0)], 110, step_s=DELTA))
     cells = [grid.cells[row] for row in found.cell[0]]
     assert cells == [Cell(1, int((2.5 + k) / DELTA_S)) for k in range(110)]
 
@@ -312,12 +248,6 @@ def test_conflict_1_sigma_1_rejects_the_transition() -> None:
     assert [transition_rejected(sigma) for sigma in (FREE, ORIGINAL, GENERATED)] == [False, True, False]
 
 
-DRIVER = Driver(
-    desired_mps=10.0, tau_s=1.0, accel_mps2=1.6, decel_mps2=2.0, min_gap_m=2.0, turn_lateral_mps2=2.0, offset_m=0.0,
-    lane_change_s=5.0,
-)  # fmt: skip
-
-
 def _braking(scene: Scene, path: DrivenPath, others: list[Any], fleet: Any, **more: Any) -> Braking:
     """What a vehicle in row 0 at s = 40 m and 10 m/s has to do."""
     guard = Guard(scene, NOBODY, StopLines(scene))
@@ -344,7 +274,7 @@ def test_conflict_2_executing_before_pending_closer_before_farther(
     So is the other: from 30 m at 50 / 4 = 12.5 m/s, or from 50 m at 30 / 4 = 7.5 m/s.
     """
     ring = np.array([(-20.0, -90.0), (220.0, -90.0), (220.0, 130.0), (-20.0, 130.0), (-20.0, -90.0)])
-    lanes = {1: _lane(1, [(0, 0), (200, 0)]), 2: _lane(2, [(80, -80), (80, 120)])}
+    lanes = {1: draw_lane(1, [(0, 0), (200, 0)]), 2: draw_lane(2, [(80, -80), (80, 120)])}
     grid = build_cell_grid(LaneGraph(lanes, drivable_areas=(ring,)))
     scene = build_scene(grid, (), config=Config(), num_steps=110, last_observed_step=49, step_s=0.1)
     fleet = [[40.0, 10.0, 0.0, own_executing, 1.0], [other_s, (80.0 - other_s) / 4.0, 0.0, other_executing, 1.0]]
@@ -354,21 +284,13 @@ def test_conflict_2_executing_before_pending_closer_before_farther(
 
 def test_conflict_3_predicted_collision_changes_the_timing() -> None:
     """Somebody recorded crosses x = 80 at 8 m/s and is there after 4 s, as 10 m/s from x = 40 would be."""
-    scene = _scene(_track(80.0, -32.0, 8.0, heading=math.pi / 2))
+    scene = _scene(recorded(80.0, -32.0, 8.0, heading=math.pi / 2))
     found = _braking(scene, scene.paths.along((1,)), [], [[40.0, 10.0, 0.0, 0.0, 1.0]], horizon_s=6.0)
     assert found.decel_mps2 > 0.0
     assert found.conflict_s is None
 
 
 # Trajectory smoothing -------------------------------------------------------------------------------------------------
-
-
-def test_frenet_inverse_p_is_r_of_s_plus_d_times_the_normal() -> None:
-    """East at s = 3 with d = 2: (3, 2). North leg from (10, 0): s = 14, d = 2 is to the left, west: (8, 4)."""
-    line = Polyline(np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0]]))
-    assert line.xy(np.array([3.0, 14.0]), np.array([2.0, 2.0])) == pytest.approx(np.array([[3.0, 2.0], [8.0, 4.0]]))
-    s, d = line.frenet(np.array([[3.0, 2.0], [9.0, 6.0]]))
-    assert (s.tolist(), d.tolist()) == (pytest.approx([3.0, 16.0]), pytest.approx([2.0, 1.0]))
 
 
 def test_s_of_t_is_a_cubic_from_position_speed_and_acceleration() -> None:

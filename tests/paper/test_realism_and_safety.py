@@ -22,18 +22,8 @@ def measured(track):
     return kinematics(arrays, motion(arrays))
 
 
-def test_constant_acceleration_along_the_heading_is_all_longitudinal():
-    """x = t^2 / 2 * 3: a = 3. Central differences are exact for a parabola two steps from either end."""
-    time = 0.1 * np.arange(60)
-    arrays = stack([make_track(1.5 * time**2)], step_s=0.1)
-    moved = motion(arrays)
-    np.testing.assert_allclose(moved.accel_mps2[2:-2], 3.0, atol=1e-9)
-    np.testing.assert_allclose(moved.lateral_accel_mps2, 0.0, atol=1e-12)
-    np.testing.assert_allclose(moved.jerk_mps3[3:-3], 0.0, atol=1e-7)
-
-
-def test_the_same_acceleration_seen_from_a_turned_heading():
-    """a = (3, 0) and theta = 30 degrees: LO = 3 cos 30 = 2.598, LA = |-3 sin 30| = 1.5."""
+def test_constant_acceleration_seen_from_a_turned_heading():
+    """x = 3 t^2 / 2, theta = 30 degrees: LO = 3 cos 30 = 2.598, LA = |-3 sin 30| = 1.5. Exact but near the ends."""
     time = 0.1 * np.arange(60)
     arrays = stack([make_track(1.5 * time**2, heading=np.pi / 6)], step_s=0.1)
     moved = motion(arrays)
@@ -50,13 +40,6 @@ def test_circle_has_lateral_acceleration_v_squared_over_r():
     np.testing.assert_allclose(moved.accel_mps2[2:-2], 0.0, atol=1e-9)
     np.testing.assert_allclose(moved.jerk_mps3[3:-3], 2.5, rtol=3e-3)
     np.testing.assert_allclose(moved.yaw_rate_radps, 0.5, rtol=1e-9)
-
-
-def test_cubic_has_constant_jerk():
-    """x = 2 t^3 / 6: jerk 2."""
-    time = 0.1 * np.arange(60)
-    moved = motion(stack([make_track(2 * time**3 / 6)], step_s=0.1))
-    np.testing.assert_allclose(moved.jerk_mps3[4:-4], 2.0, atol=1e-7)
 
 
 def test_headings_across_pi_are_no_turn():

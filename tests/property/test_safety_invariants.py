@@ -4,6 +4,7 @@ Maps are drawn as a trunk of one to three lanes, straight or bent, cut into segm
 and another road may cross it. Traffic drives, stands, appears late, crosses on foot, and does not care about anybody.
 """
 
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,13 +14,14 @@ import numpy.typing as npt
 import shapely
 from hypothesis import HealthCheck, Phase, assume, given, settings
 from hypothesis import strategies as st
-from scene_checker import check_scene
+from judged import check_generated
 
 from bridge.generation.generate import generate
+from bridge.recordings.map_rules import graph_of
 from bridge.recordings.scenario import Scenario, table_of
 from hid2.agents import DEFAULT_SIZES, Track
 from hid2.params import Config, Driving, Request, SourceChecks
-from netconvert.lane_graph import LaneGraph, LaneSegment, turn_type
+from netconvert.lane_graph import LaneGraph
 
 Floats = npt.NDArray[np.float64]
 LANE_M = 3.5
@@ -43,22 +45,34 @@ class Draft:
             self.crossing.add(lane_id)
         return lane_id
 
-    def graph(self) -> LaneGraph:
+    def document(self) -> dict[str, Any]:
+        """The map as Argoverse 2 has it."""
         right = {target: source for source, target in self.left.items()}
         mark = "SOLID_WHITE" if self.solid else "DASHED_WHITE"
-        lanes = {
-            lane_id: LaneSegment(
-                lane_id=lane_id, centerline=points, left_boundary=None, right_boundary=None, lane_type="VEHICLE",
-                is_intersection=lane_id in self.crossing, successors=tuple(self.successors[lane_id]),
-                left_neighbor_id=self.left.get(lane_id), right_neighbor_id=right.get(lane_id), left_mark_type=mark,
-                right_mark_type=mark, width_m=LANE_M, turn=turn_type(points, is_intersection=lane_id in self.crossing),
-            )
+        segments = {
+            str(lane_id): {
+                "id": lane_id, "lane_type": "VEHICLE", "is_intersection": lane_id in self.crossing,
+                "centerline": written(points), "left_lane_boundary": written(offset(points, LANE_M / 2)),
+                "right_lane_boundary": written(offset(points, -LANE_M / 2)), "left_lane_mark_type": mark,
+                "right_lane_mark_type": mark, "left_neighbor_id": self.left.get(lane_id),
+                "right_neighbor_id": right.get(lane_id), "successors": self.successors[lane_id],
+                "predecessors": [one for one, after in self.successors.items() if lane_id in after],
+            }
             for lane_id, points in self.points.items()
         }  # fmt: skip
-        strips = [shapely.LineString(points).buffer(LANE_M / 2 + 0.4) for points in self.points.values()]
-        ground = shapely.union_all(strips)
-        parts = ground.geoms if ground.geom_type == "MultiPolygon" else [ground]
-        return LaneGraph(lanes, drivable_areas=tuple(np.array(part.exterior.coords) for part in parts))
+        ground = shapely.union_all(
+            [shapely.LineString(points).buffer(LANE_M / 2 + 0.4) for points in self.points.values()]
+        )
+        areas = {
+            str(number): {"id": number, "area_boundary": written(np.array(part.exterior.coords))}
+            for number, part in enumerate(shapely.get_parts(ground))
+        }
+        return {"drivable_areas": areas, "lane_segments": segments, "pedestrian_crossings": {}}
+
+
+def written(points: Floats) -> list[dict[str, float]]:
+    """Points of a map's document."""
+    return [{"x": x, "y": y, "z": 0.0} for x, y in points.tolist()]
 
 
 def offset(base: Floats, by: float) -> Floats:
@@ -85,7 +99,7 @@ def branch(start: Floats, toward: Floats, length_m: float, aside_m: float) -> Fl
 
 
 @st.composite
-def maps(draw: st.DrawFn) -> LaneGraph:
+def maps(draw: st.DrawFn) -> dict[str, Any]:
     draft = Draft(solid=draw(st.booleans()))
     count = draw(st.integers(1, 3))
     length = draw(st.sampled_from([120.0, 180.0, 240.0]))
@@ -118,7 +132,7 @@ def maps(draw: st.DrawFn) -> LaneGraph:
         ahead = np.array([np.cos(angle), np.sin(angle)])
         along = np.linspace(-70.0, 70.0, 71)
         draft.add(middle + along[:, None] * ahead, crossing=True)
-    return draft.graph()
+    return draft.document()
 
 
 @st.composite
@@ -153,7 +167,8 @@ def traffic(draw: st.DrawFn, graph: LaneGraph, steps: int) -> tuple[Track, ...]:
 
 @st.composite
 def scenes(draw: st.DrawFn) -> Scenario:
-    graph = draw(maps())
+    document = draw(maps())
+    graph = graph_of(document, name="map")
     steps = draw(st.sampled_from([50, 110, 110]))
     tracks = draw(traffic(graph, steps))
     assume(tracks)  # every recording has a focal track
@@ -165,7 +180,7 @@ def scenes(draw: st.DrawFn) -> Scenario:
     return Scenario(
         scenario_id="0" * 8, city="synthetic", focal_track_id=tracks[0].track_id, num_steps=steps, tracks=tracks,
         graph=graph, table=table, folder=Path("nowhere"), map_path=Path("nowhere"), split=None,
-        observed_steps=50, step_s=0.1,
+        observed_steps=50, step_s=0.1, map_json=json.dumps(document).encode(),
     )  # fmt: skip
 
 
@@ -188,4 +203,4 @@ def test_nothing_unsafe_is_ever_generated(scene: Scenario, agents: int, mix: dic
     assert len({track.track_id for track in generated.generated}) == len(generated.generated)
     if len(generated.generated) < agents:
         assert generated.sidecar.rejected, "fewer than asked for, and no reason"
-    assert check_scene(generated) == []
+    assert check_generated(generated) == []

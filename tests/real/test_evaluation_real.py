@@ -1,129 +1,13 @@
-"""The evaluation on real scenes: against loops written from the definitions, and against what a person sees.
-
-The loops read parquet and JSON themselves and use pandas, numpy.gradient and shapely only.
-"""
-
-import json
-from itertools import combinations
-from pathlib import Path
+"""The evaluation on real scenes: against the paper's figures, and against what a person sees."""
 
 import numpy as np
-import pandas as pd
 import pytest
-import shapely
 
 from bridge.recordings.scenario import read_scenario
-from hid2.agents import DEFAULT_SIZES
 from hid2.evaluation.kinematics import kinematics, motion
-from hid2.evaluation.safety import colliding, off_footprint, off_road, overlaps
 from hid2.measures.arrays import stack
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from hid2.measures.manoeuvres import detect
-
-
-def rows_of(folder: Path) -> pd.DataFrame:
-    return pd.read_parquet(next(folder.glob("scenario_*.parquet"))).sort_values(["track_id", "timestep"])
-
-
-def sizes_of(folder: Path, rows: pd.DataFrame) -> dict[str, tuple[float, float]]:
-    found = {name: tuple(DEFAULT_SIZES[kind]) for name, kind in zip(rows.track_id, rows.object_type, strict=True)}
-    if (folder / "agent_sizes.csv").is_file():
-        table = pd.read_csv(folder / "agent_sizes.csv", dtype={"track_id": str})
-        found |= {row.track_id: (row.length_m, row.width_m) for row in table.itertuples()}
-    return found
-
-
-def drivable(folder: Path) -> shapely.Geometry:
-    document = json.loads(next(folder.glob("log_map_archive_*.json")).read_text())
-    rings = [[(p["x"], p["y"]) for p in area["area_boundary"]] for area in document["drivable_areas"].values()]
-    return shapely.union_all([shapely.make_valid(shapely.Polygon(ring)) for ring in rings])
-
-
-def corners(x, y, heading, length, width):
-    c, s = np.cos(heading), np.sin(heading)
-    signs = ((1, 1), (-1, 1), (-1, -1), (1, -1))
-    return [(x + a * length / 2 * c - b * width / 2 * s, y + a * length / 2 * s + b * width / 2 * c) for a, b in signs]
-
-
-def test_lo_la_je_equal_numpy_gradient_track_by_track(real_scene):
-    lo, la, je = [], [], []
-    for _, track in rows_of(real_scene).groupby("track_id"):
-        if len(track) < 5:
-            continue
-        time = track.timestep.to_numpy(dtype=float)  # in steps: even spacing stays exact, gaps keep their length
-        velocity = np.gradient(track[["position_x", "position_y"]].to_numpy(), time, axis=0) / 0.1
-        acceleration = np.gradient(velocity, time, axis=0) / 0.1
-        jerk = np.gradient(acceleration, time, axis=0) / 0.1
-        total = [0.0, 0.0, 0.0]
-        for (ax, ay), (jx, jy), theta in zip(acceleration, jerk, track.heading, strict=True):
-            total[0] += abs(ax * np.cos(theta) + ay * np.sin(theta))
-            total[1] += abs(-ax * np.sin(theta) + ay * np.cos(theta))
-            total[2] += np.sqrt(jx**2 + jy**2)
-        lo.append(total[0] / len(track))
-        la.append(total[1] / len(track))
-        je.append(total[2] / len(track))
-    scenario = read_scenario(real_scene)
-    arrays = stack(scenario.tracks, step_s=0.1)
-    found = kinematics(arrays, motion(arrays))
-    assert int(found.counted.sum()) == len(lo)
-    assert found.lo[found.counted].mean() == pytest.approx(np.mean(lo), abs=1e-9)
-    assert found.la[found.counted].mean() == pytest.approx(np.mean(la), abs=1e-9)
-    assert found.je[found.counted].mean() == pytest.approx(np.mean(je), abs=1e-9)
-
-
-def test_scr_equals_shapely_polygons_step_by_step(real_scene):
-    rows = rows_of(real_scene)
-    sizes = sizes_of(real_scene, rows)
-    vehicles = rows[rows.object_type.isin(["vehicle", "bus"])]
-    hit: set[str] = set()
-    largest: dict[tuple[str, str], float] = {}
-    for _, step in vehicles.groupby("timestep"):
-        boxes = {
-            row.track_id: shapely.Polygon(corners(row.position_x, row.position_y, row.heading, *sizes[row.track_id]))
-            for row in step.itertuples()
-        }
-        for a, b in combinations(sorted(boxes), 2):
-            if boxes[a].distance(boxes[b]) > 0:
-                continue
-            shared = boxes[a].intersection(boxes[b]).area
-            iou = shared / (boxes[a].area + boxes[b].area - shared)
-            if shared > 1e-9:
-                largest[a, b] = max(largest.get((a, b), 0.0), iou)
-            if iou > 0.02:
-                hit |= {a, b}
-    scenario = read_scenario(real_scene)
-    arrays = stack(scenario.tracks, step_s=0.1)
-    pairs = overlaps(arrays)
-    rate = colliding(arrays, pairs, arrays.vehicle).sum() / arrays.vehicle.sum()
-    assert rate == pytest.approx(len(hit) / vehicles.track_id.nunique(), abs=1e-9)
-    found = {
-        tuple(sorted((arrays.track_ids[p.first], arrays.track_ids[p.second]))): p.iou
-        for p in pairs
-        if arrays.vehicle[p.first] and arrays.vehicle[p.second] and p.iou > 1e-9
-    }
-    assert set(found) == {pair for pair, iou in largest.items() if iou > 1e-9}
-    for pair, iou in found.items():
-        assert iou == pytest.approx(largest[pair], abs=1e-7)  # shapely works in city coordinates of kilometres
-
-
-def test_orr_and_footprint_equal_shapely_point_by_point(real_scene):
-    rows, area = rows_of(real_scene), drivable(real_scene)
-    shapely.prepare(area)
-    sizes = sizes_of(real_scene, rows)
-    vehicles = rows[rows.object_type.isin(["vehicle", "bus"])]
-    outside = footprint = 0
-    for row in vehicles.itertuples():
-        outside += not area.intersects(shapely.Point(row.position_x, row.position_y))
-        box = corners(row.position_x, row.position_y, row.heading, *sizes[row.track_id])
-        outline = shapely.segmentize(shapely.LinearRing(box), 0.5)
-        footprint += any(not area.contains(p) and area.distance(p) > 0.3 for p in map(shapely.Point, outline.coords))
-    scenario = read_scenario(real_scene)
-    arrays = stack(scenario.tracks, step_s=0.1)
-    members = arrays.vehicle[arrays.agent]
-    rate = off_road(arrays.position, scenario.graph)[members].mean()
-    assert rate == pytest.approx(outside / len(vehicles), abs=1e-9)
-    rate = off_footprint(arrays, scenario.graph)[members].mean()
-    assert rate == pytest.approx(footprint / len(vehicles), abs=1e-9)
 
 
 def test_recorded_means_are_near_the_papers(real_scenes):

@@ -1,29 +1,26 @@
-"""What is exported on real and synthetic scenes, judged by the checker in tests/support, which shares no code with it.
+"""What is exported on real and synthetic scenes, judged by the second checker, which shares no code with it.
 
 The default run takes 10 vehicles and seeds 0 and 1; `pytest -m slow tests/real` runs
 10 and 20 vehicles and seeds 0 to 9.
 """
 
 import hashlib
-import math
 import statistics
 import subprocess
 import sys
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scene_checker import check_scene, with_tracks
-from second_claims import seen
-from second_scene import read_scene as read_second
+from judged import as_written, check_generated, manoeuvres_seen
+from second_states import check_states
 
 from bridge.generation.generate import generate, prepare
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.scenario import Scenario, read_scenario
-from hid2.agents import VEHICLE_TYPES, Policy, Track
+from hid2.agents import Policy
 from hid2.params import Config, Driving, Request
 from hid2.reasons import Reason
 
@@ -51,20 +48,12 @@ def make() -> Make:
     return once
 
 
-def manoeuvres_seen(scene: TrafficScene) -> dict[str, set[str]]:
-    """Kinds that the second checker sees in the scene as it is written, by track id of the generated vehicles."""
-    with tempfile.TemporaryDirectory() as out:
-        second = read_second(scene.write(Path(out)), scene.source.folder)
-    return {track.track_id: seen(second, track) for track in second.inserted}
-
-
-def disagreements(scene: TrafficScene) -> list[str]:
+def disagreements(scene: TrafficScene, kinds_of: Mapping[str, set[str]]) -> list[str]:
     """Records of manoeuvres that say done where the second checker sees none, or the other way round.
 
-    An overtake with a way back that has crossed the line but not come to its end is neither.
+    An overtake with a way back that has crossed the line but not come to its end is neither. kinds_of: what is seen.
     """
     found = []
-    kinds_of = manoeuvres_seen(scene)
     for agent in scene.sidecar.agents:
         for record in agent.maneuvers:
             is_seen = agent.policy.value == record.kind and record.kind in kinds_of[agent.track_id]
@@ -74,32 +63,39 @@ def disagreements(scene: TrafficScene) -> list[str]:
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_ten_vehicles_in_a_real_scene_break_no_rule(real_scene: Path, seed: int, make: Make) -> None:
-    assert check_scene(make(real_scene, 10, seed)) == []
+def test_ten_vehicles_in_a_real_scene_break_no_rule_and_do_what_their_records_say(
+    real_scene: Path, seed: int, make: Make
+) -> None:
+    scene = make(real_scene, 10, seed)
+    assert check_generated(scene) == []
+    assert disagreements(scene, manoeuvres_seen(scene)) == []
 
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_ten_vehicles_in_a_synthetic_scene_break_no_rule(data_scene: Path, seed: int, make: Make) -> None:
-    assert check_scene(make(data_scene, 10, seed)) == []
+    assert check_generated(make(data_scene, 10, seed)) == []
 
 
 def test_vehicles_that_enter_a_real_scene_break_no_rule(real_scene: Path) -> None:
     """Whoever goes straight enters if it can; somebody does, but for the dense 00a0ec58: its edges are seldom free."""
     prepared = prepare(read_scenario(real_scene), Config())
     config = Config(request=Request(agents=10, entering=1.0))
-    scenes = [generate(prepared, config, variant=variant) for variant in range(2)]
-    assert [check_scene(scene) for scene in scenes] == [[], []]
-    entered = [(agent, track) for one in scenes for agent, track in zip(one.sidecar.agents, one.generated, strict=True)
-               if agent.spawn.timestep > 0]  # fmt: skip
+    scene = generate(prepared, config)
+    assert check_generated(scene) == []
+    pairs = zip(scene.sidecar.agents, scene.generated, strict=True)
+    entered = [(agent, track) for agent, track in pairs if agent.spawn.timestep > 0]
     assert entered or real_scene.name.startswith("00a0ec58")
     assert all(agent.policy is Policy.STRAIGHT and track.category == 1 for agent, track in entered)
 
 
 def test_vehicles_that_enter_a_synthetic_scene_break_no_rule(data_scene: Path) -> None:
-    scene = generate(read_scenario(data_scene), Config(request=Request(agents=10, entering=1.0, seed=1)))
-    assert check_scene(scene) == []
-    assert any(track.timesteps[0] > 0 for track in scene.generated)
-    assert len(scene.generated) == 10
+    config = Config(request=Request(agents=10, entering=1.0, seed=1))
+    prepared = prepare(read_scenario(data_scene), config)
+    for variant in range(2):
+        scene = generate(prepared, config, variant=variant)
+        assert check_generated(scene) == []
+        assert any(track.timesteps[0] > 0 for track in scene.generated)
+        assert len(scene.generated) == 10
 
 
 def test_ten_asked_for_are_ten_placed_but_in_one_dense_scene(
@@ -119,11 +115,6 @@ def test_ten_asked_for_are_ten_placed_but_in_one_dense_scene(
     dense = {name: placed.pop(name) for name in list(placed) if name.startswith("00a0ec58")}
     assert min(dense.values()) >= 5, dense
     assert sum(placed.values()) >= 0.98 * 10 * len(placed), placed
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_records_of_manoeuvres_agree_with_what_is_seen(real_scene: Path, seed: int, make: Make) -> None:
-    assert disagreements(make(real_scene, 10, seed)) == []
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -182,7 +173,7 @@ def test_many_seeds_and_densities_break_no_rule(
         for seed in range(10):
             scene = generate(prepared, Config(request=Request(agents=agents, seed=seed)))
             placed.append(len(scene.generated))
-            broken += [f"{folder.name[:8]}, seed {seed}: {sentence}" for sentence in check_scene(scene)]
+            broken += [f"{folder.name[:8]}, seed {seed}: {sentence}" for sentence in check_generated(scene)]
     with capsys.disabled():
         print(f"\n{agents} asked for, placed {placed}, {len(broken)} violations")
     assert broken == []
@@ -201,8 +192,9 @@ def _asked(folder: Path, mix: dict[str, float], seeds: range) -> tuple[int, int,
         scene = generate(prepared, Config(request=Request(agents=10, seed=seed, **{**NOTHING, **mix})))
         asked += round(10 * mix[kind])
         policies = {agent.track_id: agent.policy.value for agent in scene.sidecar.agents}
-        done += sum(kind in kinds and policies[name] == kind for name, kinds in manoeuvres_seen(scene).items())
-        wrong += [f"seed {seed}: {sentence}" for sentence in disagreements(scene)]
+        seen = manoeuvres_seen(scene)
+        done += sum(kind in kinds and policies[name] == kind for name, kinds in seen.items())
+        wrong += [f"seed {seed}: {sentence}" for sentence in disagreements(scene, seen)]
     return asked, done, wrong
 
 
@@ -261,82 +253,21 @@ def test_second_scene_of_a_process_is_that_of_a_process_of_its_own(real_scenes: 
         assert np.array_equal(one.position, other.position)
 
 
-def test_checker_finds_what_is_wrong(data_scenes: dict[str, Path], make: Make) -> None:
-    """The checker itself: vehicles moved aside, with a leap, turned round, or doubled are found out."""
-    scene = make(data_scenes["curve"], 10, 0)
-    left = [np.column_stack([-np.sin(t.heading), np.cos(t.heading)]) for t in scene.generated]
-    aside = tuple(replace(t, position=t.position + 12.0 * n) for t, n in zip(scene.generated, left, strict=True))
-    leap = tuple(replace(t, position=t.position + 0.5 * (t.timesteps[:, None] > 20)) for t in scene.generated)
-    back = tuple(replace(t, heading=t.heading + math.pi) for t in scene.generated)
-    assert any("off road" in sentence for sentence in check_scene(with_tracks(scene, aside)))
-    assert any("limit" in sentence for sentence in check_scene(with_tracks(scene, leap)))
-    assert any("against the lane" in sentence for sentence in check_scene(with_tracks(scene, back)))
-    twice = replace(scene.generated[0], track_id="gen_1")
-    double = with_tracks(scene, (scene.generated[0], twice, *scene.generated[2:]))
-    assert any("overlap" in sentence for sentence in check_scene(double))
-
-
-def test_checker_finds_a_late_start_inside_the_map(data_scenes: dict[str, Path], make: Make) -> None:
-    """A vehicle whose first two seconds are cut off begins where no lane does, and not when its record says."""
-    scene = make(data_scenes["arterial"], 10, 0)
-    own = scene.generated[0]
-    late = Track(
-        "gen_0", own.object_type, 1, own.timesteps[20:], own.position[20:], own.heading[20:], own.velocity[20:],
-        own.size,
-    )  # fmt: skip
-    found = check_scene(with_tracks(scene, (late, *scene.generated[1:])))
-    assert [sentence for sentence in found if sentence.startswith("gen_0 begins at timestep 20 by its record at 0")]
-    assert [sentence for sentence in found if sentence.endswith("m from where lanes begin")]
-
-
-def _ahead_by(track: Track, metres: float, speed_mps: float) -> Track:
-    """A track that much ahead of another all along, stated to drive at a speed of its own."""
-    forward = np.column_stack([np.cos(track.heading), np.sin(track.heading)])
-    return replace(
-        track, track_id="gen_1", position=track.position + metres * forward, velocity=speed_mps * forward
-    )  # fmt: skip
-
-
-def test_checker_finds_a_contact_behind_the_last_step(data_scenes: dict[str, Path], make: Make) -> None:
-    """One stands 5 m of bumper gap ahead of one that drives on at its speed v: met after 5 / v, if v is above 5 m/s.
-
-    At the same speed nobody is met, though the two are as near.
-    """
-    scene = make(data_scenes["arterial"], 10, 0)
-    fastest = max(scene.generated, key=lambda track: float(np.hypot(*track.velocity[-1])))
-    own = replace(fastest, track_id="gen_0")
-    speed = float(np.hypot(*own.velocity[-1]))
-    assert speed > 6.0
-    length = own.size.length_m
-    sizes = [a.model_copy(update={"length_m": length, "width_m": 1.9}) for a in scene.sidecar.agents[:2]]
-    sidecar = scene.sidecar.model_copy(update={"agents": tuple(sizes)})
-    two = replace(scene, recording=replace(scene.recording, sidecar=sidecar))
-    for ahead_mps, is_found in ((0.0, True), (speed, False)):
-        other = _ahead_by(own, length + 5.0, ahead_mps)
-        found = check_scene(with_tracks(two, (own, other)))
-        assert any(sentence.startswith("after the end gen_0 meets vehicle gen_1") for sentence in found) is is_found
-
-
-def test_checker_looks_at_the_sides_of_a_footprint(data_scenes: dict[str, Path], make: Make) -> None:
-    """A hole of 2 m in the ground, right beside the middle of a car: no corner is over it, one side is by 0.4 m."""
-    import shapely
-    from scene_checker import Verdict, check_drivable, moving_boxes
-
-    scene = make(data_scenes["arterial"], 10, 0)
-    track = replace(
-        scene.generated[0], timesteps=np.array([0]), position=np.zeros((1, 2)), heading=np.zeros(1),
-        velocity=np.zeros((1, 2)),
-    )  # fmt: skip
-    ground = shapely.box(-20.0, -20.0, 20.0, 20.0) - shapely.box(-1.0, 0.1, 1.0, 20.0)
-    verdict = Verdict()
-    check_drivable(moving_boxes(track, 4.5, 1.0, 1), ground, verdict)
-    assert verdict.found == ["off road gen_0 by 0.4 m at timestep 0.0"]
-
-
-def test_recorded_vehicles_are_among_the_checked_ones(real_scenes: list[Path], make: Make) -> None:
-    """A generated vehicle put onto a recorded one is an overlap: recorded boxes are not left out by mistake."""
-    scene = make(real_scenes[1], 10, 0)
-    victim = next(t for t in scene.source.tracks if t.object_type in VEHICLE_TYPES and len(t.timesteps) == 110)
-    fake = replace(victim, track_id="gen_0")
-    found = check_scene(with_tracks(scene, (fake, *scene.generated[1:])))
-    assert any(sentence.startswith(f"overlap gen_0 {victim.track_id}") for sentence in found)
+def test_checker_of_states_finds_what_is_planted(data_scenes: dict[str, Path], make: Make) -> None:
+    """A vehicle without its first two seconds, with velocities of others, turned by 10 degrees, and met half way."""
+    scene = as_written(make(data_scenes["arterial"], 10, 0))
+    own = next(track for track in scene.inserted if track.moves)
+    late = {name: getattr(own, name)[20:] for name in ("steps", "xy", "heading", "velocity")}
+    there = own.xy[50:52].mean(axis=0) + np.array([[-9.0, 0.0], [9.0, 0.0]])
+    across = {"steps": np.array([50, 51]), "xy": there, "heading": np.zeros(2), "velocity": np.zeros((2, 2))}
+    for changed, told in (
+        ({}, set()),
+        (late, {"begins where no lane does", "begins when its record does not"}),
+        ({"velocity": own.velocity + 0.2}, {"velocity"}),
+        ({"heading": own.heading + 0.18}, {"slip"}),
+    ):
+        tracks = [replace(one, **changed) if one is own else one for one in scene.tracks]
+        assert {one.quantity for one in check_states(replace(scene, tracks=tracks))} == told
+    crossing = replace(own, track_id="crossing", **across)
+    found = check_states(replace(scene, tracks=[*scene.tracks, crossing]))
+    assert {(one.quantity, one.vehicle, one.other) for one in found} == {("overlap", own.track_id, "crossing")}

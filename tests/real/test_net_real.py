@@ -6,12 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import shapely
 from av2.map.map_api import ArgoverseStaticMap
 
 from bridge.recordings.map_rules import graph_of, read_source_map
 from bridge.sumo.net import convert
-from netconvert.cells import build_cell_grid
 from netconvert.fidelity import UNEXPLAINED
 from netconvert.lane_graph import SIDES, LaneGraph
 
@@ -86,24 +84,6 @@ def test_followed_links_are_the_file_s_links_within_the_map(real_scene: Path) ->
             same_way = stated in graph.lanes and float(np.dot(chord[lane_id], chord[stated])) > 0.0
             assert graph.neighbor(lane_id, side) == (stated if same_way else None)
             assert (stated is None) or same_way or (f"{side}_neighbor", lane_id, stated) in dropped
-
-
-def test_no_cell_is_longer_than_asked_and_its_middle_lies_on_its_ground(real_scene: Path) -> None:
-    grid = build_cell_grid(read_source_map(_map_path(real_scene)))
-    assert max(grid.length_m(cell) for cell in grid.cells) <= 4.0 + 1e-9
-    assert shapely.contains_xy(grid.polygons, grid.centers[:, 0], grid.centers[:, 1]).all()
-
-
-def test_neighbours_have_equally_many_cells_that_face_each_other(real_scene: Path) -> None:
-    grid = build_cell_grid(read_source_map(_map_path(real_scene)))
-    for cell in grid.cells:
-        for side, other in (("left", "right"), ("right", "left")):
-            facing = grid.lateral(cell, side)
-            if facing is None:
-                assert grid.graph.neighbor(cell.lane_id, side) is None
-                continue
-            assert facing == (grid.graph.neighbor(cell.lane_id, side), cell.index)
-            assert grid.lateral(facing, other) == cell
 
 
 @pytest.mark.parametrize("cell_m", [4.0, 2.5])

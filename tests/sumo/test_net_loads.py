@@ -2,7 +2,6 @@
 
 import importlib.util
 import json
-import shutil
 import subprocess
 import sys
 from functools import partial
@@ -15,7 +14,7 @@ from hand_drawn import draw_lane
 from lxml import etree
 
 from bridge.recordings.map_rules import read_source_map
-from bridge.sumo.net import convert
+from bridge.sumo.net import convert, sumo_program
 from netconvert.cells import SAVED_WITHIN_M, CellGrid, build_cell_grid
 from netconvert.lane_graph import LaneGraph
 from netconvert.net_xml import net_bytes
@@ -53,9 +52,7 @@ def _schema(name: str) -> etree.XMLSchema:
 
 def _messages(*arguments: str) -> str:
     """Everything that the sumo program prints about a run of one step, which must end well."""
-    sumo = shutil.which("sumo", path=str(Path(sys.executable).parent)) or shutil.which("sumo")
-    assert sumo, "sumo is not installed: use the extra gui or the dev group"
-    command = [sumo, *arguments, "--end", "1", "--no-step-log", "--xml-validation", "never"]
+    command = [sumo_program("sumo"), *arguments, "--end", "1", "--no-step-log", "--xml-validation", "never"]
     result = subprocess.run(command, capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
     return (result.stdout + result.stderr).strip()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from hand_drawn import draw_lane
-from saved_nets import check_same, driven_steps, on_lane_shares, read_net, save
+from saved_nets import check_same, on_lane_shares, read_net, save
 
 from bridge.exports.export import export_scene
 from bridge.recordings.map_rules import read_source_map
@@ -15,10 +15,10 @@ from netconvert.lane_graph import LaneGraph, LaneSegment
 from netconvert.net_xml import net_bytes
 
 
-def _check_scene(scene: Path, folder: Path) -> tuple[float, tuple[int, int, int]]:
+def _check_scene(scene: Path, folder: Path) -> None:
     """The scene's net and its map's, saved once; the map's net saved again is the same to the last bit of its lanes.
 
-    Share of steps in which a vehicle that is placed along each lane is on its cell, and those of `driven_steps`.
+    A vehicle that is placed along each lane is on its cell, but for 1 % of the steps.
     """
     export_scene(scene, "sumo", folder / "net")
     name = read_recording(scene).scenario_id
@@ -28,10 +28,7 @@ def _check_scene(scene: Path, folder: Path) -> tuple[float, tuple[int, int, int]
     played = folder / "net" / f"{name}_scene.net.xml"
     check_same(played, save(played, folder / "played.net.xml"))
     (map_path,) = scene.glob("log_map_archive_*.json")
-    graph = read_source_map(map_path)
-    placed = min(on_lane_shares(graph, [net, saved], folder))
-    assert placed >= 0.99
-    return placed, driven_steps(graph, net, saved, folder)
+    assert min(on_lane_shares(read_source_map(map_path), [net, saved], folder)) >= 0.99
 
 
 def test_the_nets_of_a_synthetic_scene_survive(data_scenes: dict[str, Path], tmp_path: Path) -> None:
@@ -51,12 +48,8 @@ def test_the_nets_of_all_real_scenes_survive(shared_data: Path, tmp_path: Path) 
         path.parent for part in ("av2", "wide") for path in shared_data.glob(f"{part}/*/*/log_map_archive_*.json")
     ]
     assert len(scenes) == 14
-    found = {scene.name[:8]: _check_scene(scene, tmp_path / scene.name) for scene in scenes}
-    steps, on_segment, on_cell = (sum(driven[k] for _, driven in found.values()) for k in range(3))
-    print(found, on_segment / steps, on_cell / steps)
-    # SUMO has one length for all lanes of an edge: beside a shorter lane one comes to the borders of its cells earlier
-    assert on_segment >= 0.99 * steps
-    assert on_cell >= 0.96 * steps
+    for scene in scenes:
+        _check_scene(scene, tmp_path / scene.name)
 
 
 _lane = partial(draw_lane, left_mark="NONE", right_mark="SOLID_WHITE")

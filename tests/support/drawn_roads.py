@@ -1,14 +1,16 @@
-"""OpenDRIVE files, read by the standard's formulas: the middle of every lane, and which lanes lead to which."""
+"""OpenDRIVE files as SUMO's netconvert reads them: the middle of every lane, and which lanes lead to which."""
 
 import importlib.metadata
 import itertools
-import math
+import subprocess
 from collections import defaultdict
+from pathlib import Path
 
 import numpy as np
 import shapely
 from lxml import etree
 
+from bridge.sumo.net import sumo_program
 from netconvert.lane_graph import LaneGraph
 
 Links = set[tuple[int, int]]
@@ -26,78 +28,57 @@ def segments(lane: etree._Element) -> list[int]:
     return [] if data is None else [int(part) for part in data.get("value").split()]
 
 
-def _value(pieces: list[etree._Element], key: str, s: float) -> float:
-    piece = [one for one in pieces if float(one.get(key)) <= s + 1e-9][-1]
-    a, b, c, d = (float(piece.get(name)) for name in "abcd")
-    ds = s - float(piece.get(key))
-    return a + ds * (b + ds * (c + ds * d))
+def _line(element: etree._Element) -> shapely.LineString:
+    return shapely.LineString([[float(part) for part in xy.split(",")[:2]] for xy in element.get("shape").split()])
 
 
-def _place(road: etree._Element, s: float) -> tuple[float, float, float]:
-    part = [one for one in road.iterfind("planView/geometry") if float(one.get("s")) <= s + 1e-9][-1]
-    s0, x, y, heading = (float(part.get(name)) for name in ("s", "x", "y", "hdg"))
-    along, arc = s - s0, part.find("arc")
-    if arc is None:
-        return x + along * math.cos(heading), y + along * math.sin(heading), heading
-    bend = float(arc.get("curvature"))
-    x += (math.sin(heading + bend * along) - math.sin(heading)) / bend
-    y -= (math.cos(heading + bend * along) - math.cos(heading)) / bend
-    return x, y, heading + bend * along
+def read_by_netconvert(file: Path, graph: LaneGraph, folder: Path) -> tuple[set[tuple[int, int]], dict[int, float]]:
+    """Links that netconvert loses, and how far each lane is from its centreline, m.
 
-
-def middles(road: etree._Element) -> dict[int, np.ndarray]:
-    """The middle of each lane of a road at every 0.2 m, (N, 2) m, by the lane's number from the left."""
-    length, sections = float(road.get("length")), road.findall("lanes/laneSection")
-    points: dict[int, list[tuple[float, float]]] = defaultdict(list)
-    for s in np.linspace(0.0, length, max(int(length / 0.2), 2)).tolist():
-        x, y, heading = _place(road, s)
-        section = [one for one in sections if float(one.get("s")) <= s + 1e-9][-1]
-        border = _value(road.findall("lanes/laneOffset"), "s", s)
-        for number, lane in enumerate(section.iterfind("right/lane")):
-            assert lane.get("id") == str(-1 - number)
-            width = _value(lane.findall("width"), "sOffset", s - float(section.get("s")))
-            assert width > 0.0
-            aside = border - width / 2.0
-            points[number].append((x - aside * math.sin(heading), y + aside * math.cos(heading)))
-            border -= width
-    return {number: np.array(line) for number, line in points.items()}
-
-
-def read_roads(content: bytes) -> tuple[dict[int, list[np.ndarray]], Links, float]:
-    """Lines by lane segment, links between lane segments, and the largest gap between lanes that follow, m.
-
-    A connecting road carries the end of the lane before it and the start of the one behind it too.
+    As netconvert writes plain files, before it cuts lanes where its junctions begin; it keeps one width for each edge.
     """
-    root = etree.fromstring(content)
-    roads = {road.get("id"): road for road in root.iter("road")}
-    lines = {number: middles(road) for number, road in roads.items()}
-    lane_of = {
-        (number, k): segments(lane)
-        for number, road in roads.items()
-        for k, lane in enumerate(road.find("lanes/laneSection").iterfind("right/lane"))
+    command = [sumo_program("netconvert"), "--opendrive", str(file), "--plain-output-prefix", str(folder / "read")]
+    command += ["--plain-output.lanes", "--precision", "4", "--output.original-names", "--opendrive.import-all-lanes"]
+    command += ["--opendrive.internal-shapes", "--offset.disable-normalization", "--opendrive.min-width", "0"]
+    command += ["--opendrive.curve-resolution", "0.25", "--geometry.min-dist", "0"]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    nodes, edges, links = (etree.parse(folder / f"read.{kind}.xml").getroot() for kind in ("nod", "edg", "con"))
+    place = {node.get("id"): [float(node.get("x")), float(node.get("y"))] for node in nodes.iter("node")}
+    of = {
+        f"{road.get('id')}_{lane.get('id')}": segments(lane)
+        for road in etree.parse(file).getroot().iter("road")
+        for lane in road.iter("lane")
     }
-    found: dict[int, list[np.ndarray]] = defaultdict(list)
-    links: Links = set()
-    gaps = [0.0]
-    for (number, k), ids in lane_of.items():
-        road, chain, own = roads[number], list(ids), lines[number][k]
-        if road.get("junction") != "-1":
-            first, last = (road.find(f"link/{side}").get("elementId") for side in ("predecessor", "successor"))
-            lane = road.find("lanes/laneSection/right/lane/link")
-            before, behind = (-1 - int(lane.find(side).get("id")) for side in ("predecessor", "successor"))
-            chain = [*lane_of[first, before], *ids, *lane_of[last, behind]]
-            gaps += [math.dist(lines[first][before][-1], own[0]), math.dist(lines[last][behind][0], own[-1])]
-        elif (after := road.find("link/successor[@elementType='road']")) is not None:
-            section = road.findall("lanes/laneSection")[-1]
-            behind = -1 - int(section.findall("right/lane")[k].find("link/successor").get("id"))
-            (target,) = lane_of[after.get("elementId"), behind]
-            links.add((ids[0], target))
-            found[ids[0]].append(lines[after.get("elementId")][behind])
-            found[target].append(own)
-        links |= set(itertools.pairwise(chain))
-        for lane_id in chain:
-            found[lane_id].append(own)
-    return found, links, max(gaps)
+    lines, lane_of = defaultdict(list), {}
+    for edge in edges.iter("edge"):
+        ends = [place[edge.get("from")], place[edge.get("to")]]
+        border, aside = _line(edge) if edge.get("shape") else shapely.LineString(ends), 0.0
+        for lane in reversed(edge.findall("lane")):
+            (lane_id,) = of[lane.find("param[@key='origId']").get("value")]
+            width = float(lane.get("width"))
+            lines[lane_id].append(border.offset_curve(-(aside + width / 2), join_style="mitre"))
+            aside += width
+            lane_of[edge.get("id"), lane.get("index")] = lane_id
+    found, joins = set(), []
+    for link in links.iter("connection"):
+        if link.get("to") is None:
+            continue
+        ends = [lane_of[link.get("from"), link.get("fromLane")], lane_of[link.get("to"), link.get("toLane")]]
+        road = link.find("param[@key='origId']")
+        chain = [ends[0], *(of[road.get("value")] if road is not None else []), ends[1]]
+        found |= set(itertools.pairwise(chain))
+        if road is None and ends[0] != ends[1]:
+            joins.append(ends)
+        for lane_id in chain if road is not None else ():
+            lines[lane_id].append(_line(link))
+    whole = {lane_id: list(parts) for lane_id, parts in lines.items()}
+    for one, other in joins:
+        lines[one] += whole[other]
+        lines[other] += whole[one]
+    lost = links_of(graph) - found
+    read = LaneGraph({lane_id: graph.lanes[lane_id] for lane_id in lines if lines[lane_id]})
+    return lost, off_m(read, lines)
 
 
 def links_of(graph: LaneGraph) -> Links:
@@ -113,3 +94,12 @@ def off_m(graph: LaneGraph, lines: dict[int, list[np.ndarray | shapely.Geometry]
         drawn = [line if isinstance(line, shapely.Geometry) else shapely.LineString(line) for line in lines[lane_id]]
         off[lane_id] = float(shapely.distance(points, shapely.union_all(drawn)).max())
     return off
+
+
+def check_roads(file: Path, graph: LaneGraph, folder: Path) -> None:
+    """The file keeps the standard's schema, with all links, and all lanes within 0.1 m of their centrelines."""
+    schema("opendrive_17_core.xsd").assertValid(etree.parse(file))
+    lost, off = read_by_netconvert(file, graph, folder)
+    assert not lost
+    assert off.keys() == graph.lanes.keys()
+    assert max(off.values()) <= 0.1

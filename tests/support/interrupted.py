@@ -23,16 +23,13 @@ from processes import still_running
 
 HID2 = str(Path(sys.executable).parent / "hid2")
 _MARK = "HID2_TEST_MARK"
-#: In the masks of /proc/PID/status. SIGTERM is nobody's before the first line of hid2.
-_TERM = 1 << (signal.SIGTERM - 1)
 
 
 class Left(NamedTuple):
-    """How a command ended. seconds: from the signal to the end."""
+    """How a command ended."""
 
     code: int
     stderr: str
-    seconds: float
     processes: list[psutil.Process]
     temporary: list[str]
 
@@ -60,12 +57,6 @@ class Command:
             assert time.monotonic() < end, f"nothing came about: {self.said()}"
             time.sleep(0.002)
 
-    def is_ours(self) -> bool:
-        """Whether the first line of hid2 has run: what Python does before is Python's."""
-        lines = Path(f"/proc/{self.process.pid}/status").read_text().splitlines()
-        masks = [int(line.split()[1], 16) for line in lines if line.startswith(("SigBlk", "SigCgt"))]
-        return any(mask & _TERM for mask in masks)
-
     def said(self) -> str:
         """What it has said on stderr so far."""
         return Path(self._stderr.name).read_text(encoding="utf-8", errors="replace")
@@ -76,15 +67,13 @@ class Command:
 
     def left(self, *, timeout_s: float = 60.0) -> Left:
         """Wait for its end, and say what is left of it."""
-        began = time.monotonic()
         code = self.process.wait(timeout=timeout_s)
-        seconds = time.monotonic() - began
         family = [process for process in psutil.process_iter() if self._is_of_it(process)]
         running = still_running(family, timeout_s=10.0)
         for process in running:
             process.kill()
         self._stderr.close()
-        return Left(code, self.said(), seconds, running, sorted(path.name for path in self.scratch.iterdir()))
+        return Left(code, self.said(), running, sorted(path.name for path in self.scratch.iterdir()))
 
     def _is_of_it(self, process: psutil.Process) -> bool:
         try:

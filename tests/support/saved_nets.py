@@ -1,10 +1,8 @@
 """Nets before and after SUMO's netconvert has saved them, as netedit does: what has become of their lanes."""
 
-import itertools
 import json
 import math
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -14,7 +12,8 @@ from pathlib import Path
 import numpy as np
 from lxml import etree
 
-from netconvert.cells import SAVED_WITHIN_M, Cell, build_cell_grid
+from bridge.sumo.net import sumo_program
+from netconvert.cells import SAVED_WITHIN_M, build_cell_grid
 from netconvert.lane_graph import LaneGraph
 
 #: Puts a vehicle to every point of each lane, a lane's points in successive steps; says on which lane SUMO has it.
@@ -39,32 +38,6 @@ for step in range(max(map(len, ways.values()))):
         libsumo.vehicle.moveToXY(name, edge, lane, x, y, angle, 6, 3.0)
     libsumo.simulationStep()
     for name in here:
-        found[name].append(libsumo.vehicle.getLaneID(name))
-libsumo.close()
-json.dump(found, open(sys.argv[3], "w"))
-"""
-#: Lets SUMO drive a vehicle along each lane segment at 8 m/s, all at once; says on which lane it has them.
-DRIVE = """
-import json, os, sys
-os.environ["LIBSUMO_AS_TRACI"] = "quiet"
-import libsumo
-ways = json.load(open(sys.argv[2]))
-libsumo.start(["sumo", "-n", sys.argv[1], "--step-length", "0.1", "--no-step-log", "--message-log", os.devnull,
-               "--no-warnings", "--collision.action", "none", "--time-to-teleport", "-1"])
-kind = "DEFAULT_VEHTYPE"
-libsumo.vehicletype.setVehicleClass(kind, "ignoring")
-libsumo.vehicletype.setLength(kind, 0.1)
-libsumo.vehicletype.setMinGap(kind, 0.0)
-for name, (edges, lane) in ways.items():
-    libsumo.route.add(name, edges)
-    libsumo.vehicle.add(name, name, departLane=str(lane), departPos="0", departSpeed="8", arrivalPos="max")
-    libsumo.vehicle.setLaneChangeMode(name, 0)
-    libsumo.vehicle.setSpeedMode(name, 0)
-    libsumo.vehicle.setSpeed(name, 8.0)
-found = {name: [] for name in ways}
-while libsumo.simulation.getMinExpectedNumber() > 0:
-    libsumo.simulationStep()
-    for name in libsumo.vehicle.getIDList():
         found[name].append(libsumo.vehicle.getLaneID(name))
 libsumo.close()
 json.dump(found, open(sys.argv[3], "w"))
@@ -104,16 +77,9 @@ def read_net(path: Path) -> Net:
     return Net(lanes, frozenset(links))
 
 
-def netconvert() -> str:
-    """SUMO's program."""
-    program = shutil.which("netconvert", path=str(Path(sys.executable).parent)) or shutil.which("netconvert")
-    assert program, "netconvert is not installed: use the extra gui or the dev group"
-    return program
-
-
 def save(net: Path, saved: Path) -> Path:
     """Let netconvert read a net and write it again."""
-    command = [netconvert(), "-s", str(net), "-o", str(saved), "--xml-validation", "never"]
+    command = [sumo_program("netconvert"), "-s", str(net), "-o", str(saved), "--xml-validation", "never"]
     result = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "PROJ_DEBUG": "0"})
     assert result.returncode == 0, result.stderr
     return saved
@@ -147,31 +113,10 @@ def on_lane_shares(graph: LaneGraph, nets: Sequence[Path], folder: Path) -> list
     (folder / "ways.json").write_text(json.dumps(ways))
     shares = []
     for path in nets:
-        found = _lanes_found(PLACE, path, folder)
+        command = [sys.executable, "-c", PLACE, str(path), str(folder / "ways.json"), str(folder / "lanes.json")]
+        result = subprocess.run(command, capture_output=True, text=True)
+        assert result.returncode == 0, result.stderr
+        found = json.loads((folder / "lanes.json").read_text())
         on = [a == b for lane_id in ways for a, b in zip(found[lane_id], wanted[lane_id], strict=True)]
         shares.append(sum(on) / len(on))
     return shares
-
-
-def driven_steps(graph: LaneGraph, net: Path, saved: Path, folder: Path) -> tuple[int, int, int]:
-    """Steps of a vehicle that SUMO drives along each lane segment, and in how many both nets have it on the same
-    segment, and on the same cell. A step in which one of them has it at the end already is one more that differs.
-    """
-    grid = build_cell_grid(graph, saved_within_m=SAVED_WITHIN_M)
-    ways = {}
-    for lane_id in graph.lanes:
-        cells = [Cell(lane_id, index) for index in range(grid.count(lane_id))]
-        ways[str(lane_id)] = [grid.edge_id(cell) for cell in cells], grid.lane_index(cells[0])
-    (folder / "ways.json").write_text(json.dumps(ways))
-    before, after = (_lanes_found(DRIVE, path, folder) for path in (net, saved))
-    pairs = [pair for name in ways for pair in itertools.zip_longest(before[name], after[name])]
-    segment = {name: cell.lane_id for name, cell in grid.cell_of_sumo_lane.items()}
-    same = sum(segment.get(one) == segment.get(other) for one, other in pairs)
-    return len(pairs), same, sum(one == other for one, other in pairs)
-
-
-def _lanes_found(script: str, net: Path, folder: Path) -> dict[str, list[str]]:
-    command = [sys.executable, "-c", script, str(net), str(folder / "ways.json"), str(folder / "lanes.json")]
-    result = subprocess.run(command, capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr
-    return json.loads((folder / "lanes.json").read_text())

@@ -6,27 +6,19 @@ sentence what it shows, into $HID2_VERIFICATION_DIR (by default the test's own f
 
 import os
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from hand_drawn import draw_lane
 from synthetic_driving import KNOWN, synthetic_driving
 
 from bridge.generation.generate import generate, prepare
 from bridge.recordings.scenario import read_scenario
-from bridge.sumo.simulation import Simulation
-from hid2.agents import BoxSize
-from hid2.drivers.driver import usual_driver
 from hid2.evaluation.calibration import calibrate
 from hid2.evaluation.realism import FEATURES, histogram, quantiles
 from hid2.params import Config, Drivers, Request
 from hid2.policies import Policy
-from netconvert.cells import build_cell_grid
-from netconvert.lane_graph import LaneGraph
-from netconvert.net_xml import net_bytes
 
 pytestmark = pytest.mark.verification
 SEEDS = 25
@@ -123,55 +115,6 @@ def test_shares_of_policies_are_as_asked_for(generated, folder):
     )  # fmt: skip
     # two spawned leaders an overtake at most, which go straight
     assert np.abs(np.array(seen) - asked).max() < 0.12
-
-
-def drive_alone(tmp_path, model, *, start_mps, steps):
-    """Speeds (steps,) of one car of SUMO: a = 1.5 m/s2, b = 2 m/s2, desired 12 m/s, on an empty road."""
-    net = tmp_path / "road.net.xml"
-    net.write_bytes(net_bytes(build_cell_grid(LaneGraph({1: draw_lane(1, [(0.0, 0.0), (600.0, 0.0)])}))))
-    speeds = []
-    with Simulation(net.read_bytes(), seed=0, step_s=0.1, model=model) as sumo:
-        sumo.step()
-        assert sumo.insert(
-            "v", edges=[f"1#{k}" for k in range(2, 150)], lane_id="1#2_0", front_m=1.0, speed_mps=start_mps,
-            driver=replace(usual_driver(12.0), accel_mps2=1.5, decel_mps2=2.0, tau_s=1.2, min_gap_m=2.0),
-            size=BoxSize(4.5, 1.9), max_speed_mps=12.0,
-        ) is None  # fmt: skip
-        for _ in range(steps):
-            sumo.drive("v", desired_mps=12.0, limit_mps=None)
-            sumo.step()
-            speeds.append(sumo.speed("v"))
-    return np.array(speeds)
-
-
-def test_krauss_accelerates_as_its_closed_form(tmp_path, folder):
-    """Krauss without imperfection: v(t) = min(v0 + a t, 12): from 3 m/s after 4 s 9 m/s, after 6 s and later 12."""
-    seen = drive_alone(tmp_path, "Krauss", start_mps=3.0, steps=100)
-    time = 0.1 * (np.arange(100) + 1)
-    wanted = np.minimum(3.0 + 1.5 * time, 12.0)
-    draw(
-        folder, "krauss", f"SUMO's Krauss and its closed form: at most {np.abs(seen - wanted).max():.2f} m/s apart.",
-        lambda ax: (ax.plot(time, seen, label="SUMO"), ax.plot(time, wanted, "--", label="closed form")),
-        x="time, s", y="speed, m/s",
-    )  # fmt: skip
-    assert seen == pytest.approx(wanted, abs=0.2)
-
-
-def test_idm_accelerates_as_its_closed_form(tmp_path, folder):
-    """IDM on a free road: dv/dt = a (1 - (v / v0)^4), integrated in steps of a millisecond."""
-    seen = drive_alone(tmp_path, "IDM", start_mps=3.0, steps=120)
-    v, wanted = 3.0, []
-    for step in range(12000):
-        v += 0.001 * 1.5 * (1.0 - (v / 12.0) ** 4)
-        if step % 100 == 99:
-            wanted.append(v)
-    time = 0.1 * (np.arange(120) + 1)
-    draw(
-        folder, "idm", f"SUMO's IDM against its closed form: at most {np.abs(seen - wanted).max():.2f} m/s apart.",
-        lambda ax: (ax.plot(time, seen, label="SUMO"), ax.plot(time, wanted, "--", label="closed form")),
-        x="time, s", y="speed, m/s",
-    )  # fmt: skip
-    assert seen == pytest.approx(np.array(wanted), abs=0.35)
 
 
 def test_calibration_finds_synthetic_drivers_again(folder):

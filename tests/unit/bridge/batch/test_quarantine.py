@@ -42,6 +42,12 @@ def test_bundle_comes_back(scene: Path, tmp_path: Path) -> None:
     assert read.failure.message.isprintable(), "nothing that a terminal obeys"
 
 
+def test_reason_without_end_is_shortened_and_its_details_are_kept(scene: Path, tmp_path: Path) -> None:
+    write_bundle(bundle_of(scene, failure=Failure("error", "x" * 150_000, "x" * 150_000)), tmp_path / "b.zip")
+    failure = read_bundle(tmp_path / "b.zip", tmp_path / "into").failure
+    assert len(failure.message) < 10_000 < 100_000 < len(failure.details)
+
+
 def test_pipes_giants_and_hidden_files_of_a_scene_are_left_out_and_named(scene: Path, tmp_path: Path) -> None:
     os.mkfifo(scene / "pipe")
     (scene / ".hidden").touch()
@@ -122,6 +128,9 @@ def _twice(path: Path) -> None:
 
 ARCHIVES: dict[str, tuple[Callable[[Path], object], str]] = {
     "a bomb": (_bomb, "unpacks to 150 MB, expected at most 128 MB"),
+    "a large request": (lambda p: craft(p, members() | {"request.json": bytes(2_000_000)}), "more than 1 MB"),
+    "large details": (lambda p: craft(p, members() | {"details.txt": bytes(5_000_000)}), "more than 4 MB"),
+    "a list without end": (lambda p: craft(p, members(left_out=["x"] * 60_000)), "at most 64 items"),
     "many files": (lambda p: craft(p, members() | {f"scene/{k}": b"" for k in range(MAX_MEMBERS)}), "68 files in it"),
     "another compression": (lambda p: craft(p, members(), compression=zipfile.ZIP_LZMA), "compression 14"),
     "encrypted": (_encrypted, "is encrypted"),

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drawn_roads import links_of, off_m, read_roads, schema
+from drawn_roads import schema
 from lxml import etree
 
 from bridge.exports.export import export_scene
@@ -67,17 +67,11 @@ def test_a_generated_scene_is_valid_and_every_agent_is_on_its_track(made_scene: 
     }
 
 
-def test_a_real_scene_and_its_roads(real_scene: Path, tmp_path: Path) -> None:
-    """Agents that come, go, and stand; every lane of its map within 0.1 m of its centreline."""
+def test_a_real_scene_has_every_agent_on_its_track(real_scene: Path, tmp_path: Path) -> None:
+    """Agents that come, go, and stand. Its roads are read in tests/sumo/test_opendrive_read.py."""
     scene = read_recording(real_scene)
     export_scene(real_scene, "openscenario", tmp_path)
     _check(scene, tmp_path)
-    content = (tmp_path / f"{scene.scenario_id}.xodr").read_bytes()
-    schema("opendrive_17_core.xsd").assertValid(etree.fromstring(content))
-    lines, links, gap_m = read_roads(content)
-    assert links == links_of(scene.graph)
-    assert max(off_m(scene.graph, lines).values()) <= 0.1
-    assert gap_m <= 0.1
 
 
 @pytest.mark.slow
@@ -85,4 +79,4 @@ def test_all_real_scenes(shared_data: Path, tmp_path: Path) -> None:
     scenes = [path.parent for part in ("av2", "wide") for path in shared_data.glob(f"{part}/*/*/scenario_*.parquet")]
     assert len(scenes) == 14
     for folder in scenes:
-        test_a_real_scene_and_its_roads(folder, tmp_path)
+        test_a_real_scene_has_every_agent_on_its_track(folder, tmp_path)

@@ -73,11 +73,9 @@ def _swapped(document: Document) -> None:
 
 
 MAPS: dict[str, tuple[Callable[[Document], Any], str]] = {
-    "10,000 times as large": (_scale(1e4), "expected at most"),
     "without end": (_scale(1e300), "expected at most"),
     "far away": (_scale(1.0, 1e8), "a coordinate of 1.*e\\+08 m"),
     "a lane of 100 km": (_long_lane(1e5), "lane .*: length, m: 100000, expected at most 5000"),
-    "a lane of 1e8 m": (_long_lane(1e8), "length, m: .*, expected at most 5000"),
     "too many lanes": (_many_lanes, r"lane segments: 30\d\d, expected at most 3000"),
     "an id beyond 64 bit": (_first_lane(lambda lane: lane["successors"].append(2**64)), "an integer of 64 bit"),
     "an id of 4,000 digits": (_first_lane(lambda lane: lane.update(left_neighbor_id=int("9" * 4000))), "64 bit"),
@@ -131,8 +129,6 @@ def _times(column: str, factor: float) -> Callable[[pd.DataFrame], pd.DataFrame]
 
 TABLES: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
     "num_timestamps 50": (lambda rows: rows.assign(num_timestamps=50), "num_timestamps 50, expected 110, .* to 110"),
-    "num_timestamps 200": (lambda rows: rows.assign(num_timestamps=200), "num_timestamps 200"),
-    "num_timestamps -1": (lambda rows: rows.assign(num_timestamps=-1), "num_timestamps -1"),
     "no city": (lambda rows: rows.assign(city=""), "city '': expected 1 to 200 characters"),
     "a city without end": (lambda rows: rows.assign(city="x" * 150_000), "city 'x*.* expected 1 to 200 characters"),
     "another id than its file": (lambda rows: rows.assign(scenario_id="x"), "scenario_id 'x', expected the id in"),

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 from breaches import breaches
 
@@ -165,6 +166,9 @@ def test_an_index_that_is_no_range_from_zero_is_found(written: Path) -> None:
     rows = pd.read_parquet(path)
     rows.index = rows.index[::-1]
     rows.to_parquet(path)
+    assert "columns" in rules(written)
+    table = pq.read_table(path)
+    pq.write_table(table.replace_schema_metadata({b"pandas": b"{"}), path)
     assert "columns" in rules(written)
 
 

@@ -125,15 +125,6 @@ def test_nobody_takes_another_way_that_is_no_better() -> None:
 # Whom SUMO sees -------------------------------------------------------------------------------------------------------
 
 
-def test_replayed_leader_is_followed_with_its_speed_known_from_the_first_step() -> None:
-    """Gap 17.5 m at 10 m/s behind one with 10: taken for one that stands it would be braked for at once, and hard."""
-    leader = recorded(62.0, 0.0, 10.0)
-    scene = scene_on(draw_two_lanes(), leader)
-    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0)).fleet.vehicles
-    assert min(one.v[:10]) > 9.6
-    assert _gaps(one, leader).min() > 5.0
-
-
 @pytest.mark.parametrize("kind", ["vehicle", "bus", "cyclist", "motorcyclist"])
 def test_slower_leaders_of_all_kinds_are_followed(kind: str) -> None:
     """45 m ahead at 4 m/s: it slows to about 4 m/s and keeps behind."""
@@ -494,16 +485,3 @@ def test_nobody_enters_where_another_one_is() -> None:
     assert later.s == []
     assert len(first.s) == 110
     assert finalise(scene, later, []) is Reason.NO_ROOM_AT_EDGE
-
-
-def test_those_that_are_driven_see_who_has_entered() -> None:
-    """The second to enter on a lane follows the first one, which drives at 5 m/s at most."""
-    scene = scene_on(draw_two_lanes())
-    slow = replace(DRIVER, desired_mps=5.0)
-    first, later = drive(
-        scene, start_on(scene, (1,), 3.0, 5.0, step=10, driver=slow),
-        start_on(scene, (1,), 3.0, 8.0, number=1, step=40),
-    ).fleet.vehicles  # fmt: skip
-    gaps = np.array(first.s)[30:] - np.array(later.s) - CAR.length_m
-    assert gaps.min() > 1.5
-    assert later.v[-1] == pytest.approx(5.0, abs=1.0)

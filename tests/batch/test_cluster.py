@@ -1,13 +1,11 @@
-"""A night in which everything goes wrong, with real generation; and a cluster that others have started."""
+"""A cluster that others have started."""
 
 import contextlib
 import json
 import os
-import random
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -18,101 +16,16 @@ import distributed  # noqa: F401  # brings its settings, which would go with tho
 import psutil
 import pytest
 from processes import PATH_OF_FAULTS
+from written import contents
 
 from bridge.batch.batch import Options, plan, run_batch
-from bridge.batch.manifest import DONE, files_sha256, output_files
-from bridge.batch.validation import validate_folder
+from bridge.batch.manifest import DONE
 from bridge.config import load_config
 from netconvert.errors import BatchError, ConfigError
 
 MakeDataSet = Callable[..., list[Path]]
 BIN = Path(sys.executable).parent
 CONFIG = load_config(flags={"request.agents": 5})
-
-
-def contents(out: Path) -> dict[str, str]:
-    folders = {path.parent for path in out.rglob("scenario_*.parquet")}
-    return {folder.relative_to(out).as_posix(): files_sha256(output_files(folder)) for folder in folders}
-
-
-class Killer:
-    """Sends SIGKILL to scene processes at random, for each scene at most once."""
-
-    def __init__(self, started: Path, *, kills: int, seed: int) -> None:
-        self.started, self.kills, self.random = started, kills, random.Random(seed)
-        self.hit: list[str] = []
-        self.stop = threading.Event()
-        self.thread = threading.Thread(target=self._run)
-
-    def __enter__(self) -> "Killer":
-        self.thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop.set()
-        self.thread.join()
-
-    def _run(self) -> None:
-        while len(self.hit) < self.kills and not self.stop.wait(self.random.uniform(0.1, 0.4)):
-            target = self._choose()
-            if target is not None:
-                with contextlib.suppress(psutil.NoSuchProcess, OSError):
-                    self._kill(target)
-
-    def _kill(self, process: psutil.Process) -> None:
-        """Held while it is looked at: a scene takes less time than that, and none is to lose its only retry."""
-        process.suspend()
-        path = self.started / str(process.pid)
-        name = path.read_text() if path.is_file() else None
-        if name is None or name in self.hit:
-            process.resume()
-            return
-        self.hit.append(name)
-        process.kill()
-
-    def _choose(self) -> psutil.Process | None:
-        workers = []
-        for process in psutil.Process().children(recursive=True):
-            with contextlib.suppress(psutil.Error, OSError):
-                command = " ".join(process.cmdline())
-                if "bridge.batch.isolation" in command:
-                    scene = (self.started / str(process.pid)).read_text()
-                    if scene not in self.hit:
-                        workers.append(process)
-        return self.random.choice(workers) if workers else None
-
-
-@pytest.mark.slow
-def test_chaos(make_data_set: MakeDataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Workers are killed, one net makes libsumo segfault, one scene hangs, one is cut off, one raises.
-
-    Every other scene is complete, valid and the same as on a quiet day; the bad ones leave bundles; nothing is left.
-    """
-    started = tmp_path / "started"
-    started.mkdir()
-    monkeypatch.setenv("FAULTS_STARTED", str(started))
-    bad = {1: ("sumo", "crashed"), 4: ("wait", "timeout"), 7: ("corrupt", "error"), 10: ("raise", "exception")}
-    folders = make_data_set(15, {number: fault for number, (fault, _) in bad.items()})
-    quiet, out = tmp_path / "quiet", tmp_path / "out"
-    good = [folder for number, folder in enumerate(folders) if number not in bad]
-    options = Options(jobs=2, timeout_s=12, function="faults:generated")
-    assert {row.status for row in run_batch(plan(good, CONFIG), quiet, options)} == {DONE}
-
-    with Killer(started, kills=6, seed=int(os.environ.get("CHAOS_SEED", "0"))) as killer:
-        rows = run_batch(plan(folders, CONFIG), out, options)
-    assert len(killer.hit) >= 3, f"the killer hit only {killer.hit}"
-
-    wanted = {folders[number].name: kind for number, (_, kind) in bad.items()}
-    found = {row.scenario: row.failure for row in rows if row.status != DONE}
-    for name in wanted.keys() & set(killer.hit):
-        if found.get(name) == "killed":  # hit at its second and last attempt: what it would have done is not known
-            found[name] = wanted[name]
-    assert found == wanted, f"killed: {killer.hit}"
-    assert contents(out) == contents(quiet)
-    assert validate_folder(out / "val", source=folders[0].parent) == []
-    assert all((out / row.bundle).is_file() for row in rows if row.status != DONE)
-    time.sleep(0.5)
-    assert [path for path in out.rglob(".*") if path.name != ".hid2.lock"] == [], "nothing is half-written"
 
 
 Cluster = tuple[str, list[subprocess.Popen[bytes]]]
