@@ -143,23 +143,23 @@ class _Rounds:
         self.late: list[Track] = []
         self.late_s: Mapping[str, float] = {}
 
-    def drive_alone(self, scene: Scene, stop_lines: StopLines, start: Start, fixed: Traffic) -> DrivenVehicle:
+    def drive_alone(self, scene: Scene, stop_lines: StopLines, start: Start, kept: Traffic) -> DrivenVehicle:
         """One vehicle by the rules of a scene of its own, which may differ from the others': that of an event."""
         roads = self._filling.surroundings.roads
         (vehicle,) = FleetSimulation(
-            Fleet(scene, [start], fixed, roads, stop_lines), self._simulation, checked=False
+            Fleet(scene, [start], kept, roads, stop_lines), self._simulation, checked=False
         ).run()
         self.driven.append((0, vehicle))
         return vehicle
 
-    def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
+    def drive(self, starts: Sequence[Start], kept: Traffic, number: int) -> list[DrivenVehicle]:
         """One simulation, from the scene as it was recorded; where vehicles react the filling gets it as it became.
 
         Poses of recorded agents are measured, where that is asked for, in the first one, or, where they react, last.
         """
         here, asked = self._filling.surroundings, self._scene.config.driving
         is_measured = number == 0 or asked.replay == "reactive"
-        fleet = Fleet(self._scene, starts, fixed, here.roads, here.stop_lines)
+        fleet = Fleet(self._scene, starts, kept, here.roads, here.stop_lines)
         driving = FleetSimulation(fleet, self._simulation, checked=asked.check_replay and is_measured)
         vehicles = driving.run()
         self.driven += [(number, vehicle) for vehicle in vehicles]

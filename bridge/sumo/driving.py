@@ -78,7 +78,7 @@ class FleetSimulation:
         fleet, now = self.fleet, step - 1
         traffic = cache(fleet.traffic)  # put together at the first use
         if self.reactions is not None:
-            generated = fleet.fixed.at(now).joined(traffic()) if fleet.fixed.ids else traffic()
+            generated = fleet.kept.at(now).joined(traffic()) if fleet.kept.ids else traffic()
             if self.reactions.advance(step, generated):
                 fleet.look_anew(self.reactions.scene)
                 self._replay.take(fleet.known)

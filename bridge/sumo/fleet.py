@@ -46,7 +46,7 @@ class KnownPath:
 
 @dataclass(eq=False, slots=True)
 class Fleet:
-    """Vehicles that are driven together among recorded ones and those kept in rounds before, `fixed`.
+    """Vehicles that are driven together among recorded ones and those kept in rounds before.
 
     scene: where recorded vehicles react, each that yields is elsewhere in a scene to come (`look_anew`); near_m:
     vehicles farther than this from another one on either axis do not look at it. By vehicle: state (N, 5), the guard's
@@ -57,7 +57,7 @@ class Fleet:
 
     scene: Scene
     starts: InitVar[Sequence[Start]]
-    fixed: Traffic
+    kept: Traffic
     roads: Roads
     stop_lines: StopLines
     near_m: float = math.inf
@@ -76,7 +76,7 @@ class Fleet:
 
     def __post_init__(self, starts: Sequence[Start]) -> None:
         """No vehicle has moved yet."""
-        self.guard = Guard(self.scene, self.fixed, self.stop_lines)
+        self.guard = Guard(self.scene, self.kept, self.stop_lines)
         self.state, self.centre = np.zeros((0, 5)), np.zeros((0, 2))
         self.along_m, self.length_m = np.zeros(0), np.zeros(0)
         self.desired_mps, self.drivers = np.zeros((0, self.scene.num_steps)), np.zeros((0, 4))
@@ -187,14 +187,14 @@ class Fleet:
     @property
     def known(self) -> Traffic:
         """All agents with a known future, recorded, then kept, up to the scene's end."""
-        return self.scene.traffic.joined(self.fixed.first(self.scene.num_steps))
+        return self.scene.traffic.joined(self.kept.first(self.scene.num_steps))
 
     def known_on_way(self, row: int) -> PathOccupancy:
         """Intervals of all agents with a known future on a vehicle's path, with rows (recorded, then kept)."""
         way = self.ways[row]
         if way.known is None:
             path, box = self.vehicles[row].path, self.vehicles[row].start.box
-            kept = look_along(path.line, self.fixed, box.length_m, box.width_m)
+            kept = look_along(path.line, self.kept, box.length_m, box.width_m)
             kept = kept._replace(agents=kept.agents + len(self.scene.traffic.ids))
             way.known = self.scene.in_driving_width(path, box).joined(kept)
         return way.known

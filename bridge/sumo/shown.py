@@ -31,10 +31,10 @@ def shown_at(fleet: Fleet, step: int) -> dict[int, tuple[str, int]]:
     scene = fleet.scene
     if "collision" in scene.config.without:
         return seen
-    (known, first), length_m = fleet.on_ways, np.concatenate([scene.traffic.length_m, fleet.fixed.length_m])
+    (known, first), length_m = fleet.on_ways, np.concatenate([scene.traffic.length_m, fleet.kept.length_m])
     found = shown_ahead(
         known.low, known.high, known.along, known.same_direction, known.crossing, known.agents, first,
-        length_m, scene.traffic.position, fleet.fixed.position, step, fleet.along_m, fleet.centre, fleet.length_m,
+        length_m, scene.traffic.position, fleet.kept.position, step, fleet.along_m, fleet.centre, fleet.length_m,
         (STANDING_MPS, LEADS_FROM_M, SHOWN_M),
     )  # fmt: skip
     for agent, row, middle in zip(*(column.tolist() for column in found), strict=True):

@@ -12,8 +12,8 @@ from bridge.sumo.simulation import Simulation
 from hid2.agents import FloatArray, IntArray, Policy
 from hid2.conflicts.guard import ACROSS_S, ACTS_MPS2, STRIDE, A, S
 from hid2.conflicts.stop_lines import STOPS
-from hid2.insertion.due import Across, ManoeuvreDue, advance, foreseen_speeds
 from hid2.kernels.steering import CAUSES, LIMIT_TOLERANCE_MPS, speed_limits
+from hid2.manoeuvre import Across, ManoeuvreDue, advance, foreseen_speeds
 from hid2.motion.lane_change_path import lateral_share
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, shifted_path
@@ -142,10 +142,10 @@ def apply_policy(
         return None
     fleet_now = traffic()
     others = fleet_now.rows([other for other, one in enumerate(fleet_now.ids) if one != vehicle.vehicle_id])
-    scene, due = fleet.scene, ManoeuvreDue(fleet.scene, vehicle, now, fleet.fixed, others)
+    scene, due = fleet.scene, ManoeuvreDue(fleet.scene, vehicle, now, fleet.kept, others)
     answer = simulation.lane_change_answer
     asks = scene.config.lane_change.rule == "LC2013"
-    across = due.decide((lambda side: SumoAnswer(*answer(vehicle.vehicle_id, side))) if asks else None)
+    across = due.observe_and_decide((lambda side: SumoAnswer(*answer(vehicle.vehicle_id, side))) if asks else None)
     if across is None:
         return None
     attempt = _ask_sumo(fleet, simulation, row, now, across)

@@ -96,11 +96,11 @@ _Newest = tuple[Traffic, Traffic, PathOccupancy, PathOccupancy, PathOccupancy]
 class Guard:
     """Conflict case 3 of all vehicles that are driven together.
 
-    fixed: generated vehicles with known motion, those kept in rounds before; in rollouts also those chosen in this one.
+    inserted_known: vehicles with known motion, those kept in rounds before; in rollouts also those chosen in this one.
     """
 
     scene: Scene
-    fixed: Traffic
+    inserted_known: Traffic
     stop_lines: StopLines
     _newest: dict[tuple[DrivenPath, BoxSize], _Newest] = field(default_factory=dict)
     # as the kernels `needed_braking` and `speed_limits` take them: how others are predicted, when a driver brakes
@@ -139,13 +139,13 @@ class Guard:
         are kept clear of as long as cross traffic makes an entrance red: streams do not mingle.
         """
         scene, newest = self.scene, self._newest.get((path, box))
-        if newest is not None and newest[0] is scene.future and newest[1] is self.fixed:
+        if newest is not None and newest[0] is scene.future and newest[1] is self.inserted_known:
             return newest[-1]
         recorded = scene.kept_clear_on(path, box, scene.future)
-        inserted = scene.kept_clear_on(path, box, self.fixed, at_least_s=scene.config.signals.before_s)
+        inserted = scene.kept_clear_on(path, box, self.inserted_known, at_least_s=scene.config.signals.before_s)
         is_same = newest is not None and newest[2] is recorded and newest[3] is inserted
         known = newest[-1] if newest is not None and is_same else recorded.joined(inserted)
-        self._newest[path, box] = scene.future, self.fixed, recorded, inserted, known
+        self._newest[path, box] = scene.future, self.inserted_known, recorded, inserted, known
         return known
 
     @once

@@ -115,7 +115,7 @@ class SceneEvents:
 
     def search(self, event: Event, number: int, drive: DriveAlone) -> EventOutcome:
         """One event; its reason where none of the tries brought it about."""
-        tried, rejected, fixed = Counter[Reason](), Counter[Reason](), traffic_of_exported(self.kept, self.here.scene)
+        tried, rejected, kept = Counter[Reason](), Counter[Reason](), traffic_of_exported(self.kept, self.here.scene)
         objectives = self.objectives(event, np.random.default_rng([*self.seed, 0x7A26E7, number]))
         if not objectives:
             return EventOutcome(event, Reason.EVENT_NO_TARGET)
@@ -123,7 +123,7 @@ class SceneEvents:
             if tried.total() >= starts.scene.config.event_search.tries:
                 break
             start = replace(candidate.rolled.start, vehicle_id=f"e{number}_{tried.total()}")
-            judged = self._judged(starts.objective, drive(starts.scene, starts.guard.stop_lines, start, fixed))
+            judged = self._judged(starts.objective, drive(starts.scene, starts.guard.stop_lines, start, kept))
             if not isinstance(judged, Reason):
                 vehicle, seen = judged
                 return EventOutcome(

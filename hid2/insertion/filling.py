@@ -79,13 +79,13 @@ class Filling:
     _driven_again: Counter[str] = field(default_factory=Counter)
     _last_reason: dict[int, Reason] = field(default_factory=dict)
     _turned_down: TurnedDown = field(default_factory=TurnedDown)
-    _fixed: Traffic = field(init=False)
+    _kept_traffic: Traffic = field(init=False)
     """Those kept: what is known of those of a round goes on being known in the rounds after."""
 
     def __post_init__(self) -> None:
         """Recorded vehicles are where they were; those that react may be elsewhere later."""
         self.scene = self.surroundings.scene
-        self._fixed = traffic_of_exported([], self.scene)
+        self._kept_traffic = traffic_of_exported([], self.scene)
 
     def take_events(self, found: Sequence[EventOutcome]) -> None:
         """Vehicles of events are kept before all others, which have to do with them; they count among the vehicles."""
@@ -95,7 +95,7 @@ class Filling:
                 self.kept.append(one.vehicle)
                 if one.outcome is not None:
                     self.outcomes[one.vehicle.driven.vehicle_id] = one.outcome
-        self._fixed = traffic_of_exported(self.kept, self.scene)
+        self._kept_traffic = traffic_of_exported(self.kept, self.scene)
 
     def fill(self, drive: Drive) -> None:
         """All rounds. The count is a wish: a full road ends with fewer, and says so."""
@@ -107,7 +107,7 @@ class Filling:
             starts, before = self._starts(number), len(self.kept)
             if starts or number == 0:
                 self.rounds = number + 1
-                self._keep(drive(starts, self._fixed, number))
+                self._keep(drive(starts, self._kept_traffic, number))
             if not self._open:
                 break
             added = len(self.kept) - before
@@ -130,7 +130,7 @@ class Filling:
         """
         starts = sorted(self._starts_of(self._target()), key=lambda start: start.request.number)
         while True:
-            vehicles = drive(starts, self._fixed, self.rounds)
+            vehicles = drive(starts, self._kept_traffic, self.rounds)
             self.rounds += 1
             self.kept, gone = self._judged(vehicles)
             if not gone:
@@ -183,7 +183,7 @@ class Filling:
         """Starts of a round: those driven again, then open requests, each of which keeps clear of those before it."""
         rng = np.random.default_rng([*self.seed, 1 + number])
         here = self.surroundings
-        guard = Guard(self.scene, self._fixed, here.stop_lines)
+        guard = Guard(self.scene, self._kept_traffic, here.stop_lines)
         sites = InsertionSites(
             here, guard, rng, number, Spread.of(self.seed), self._turned_down, [one.driven.start for one in self.kept],
             asked=Counter(r.policy for r in self._open),
@@ -263,7 +263,7 @@ class Filling:
             became = None if outcome is None else " ".join(filter(None, (outcome.status, outcome.reason)))
             self._tell(vehicle.driven, self._site(vehicle.driven), "kept", became)
         self.kept += kept_now
-        self._fixed = self._fixed.joined(traffic_of_exported(kept_now, self.scene))
+        self._kept_traffic = self._kept_traffic.joined(traffic_of_exported(kept_now, self.scene))
         met = {one.driven.start.request.number for one in kept_now}
         self._open = [request for request in self._open if request.number not in met]
 

@@ -15,11 +15,11 @@ import numpy as np
 from hid2.agents import BoxSize, FloatArray
 from hid2.conflicts.guard import ACROSS_S, STRIDE, Guard
 from hid2.conflicts.stop_lines import AMBER_S, STOPS
-from hid2.insertion.due import ManoeuvreDue, advance
 from hid2.judge.findings import FOLLOWER_HEADWAY_S, MOVES_M, export_bounds
 from hid2.judge.states import contacts_at_end, kept_headways, sustained_headway
 from hid2.kernels.polyline import frenet
 from hid2.kernels.rollout import CONTACT, LAG_TTC, LEAD_TTC, met_by, roll
+from hid2.manoeuvre import ManoeuvreDue, advance
 from hid2.measures.encounters import STANDS_FOR_S, STANDS_MPS
 from hid2.measures.scene_end import BoxesAtStep
 from hid2.motion.reference_line import TABLE_STEP_M
@@ -103,17 +103,17 @@ class World:
 
     def __post_init__(self) -> None:
         """Nothing is chosen yet."""
-        self._kept = self.guard.fixed
+        self._kept = self.guard.inserted_known
 
     def choose(self, *candidates: RolledOut) -> None:
         """Candidates after these are rolled out against them; one that was chosen before has another motion now."""
         self._chosen |= {one.start.vehicle_id: one for one in candidates}
-        fixed = self._kept
+        known = self._kept
         for one in self._chosen.values():  # one after the other: what is known of those before stays known
-            if (fixed, one) not in self._joined:
-                self._joined[fixed, one] = fixed.joined(one.traffic)
-            fixed = self._joined[fixed, one]
-        self.guard.fixed = fixed
+            if (known, one) not in self._joined:
+                self._joined[known, one] = known.joined(one.traffic)
+            known = self._joined[known, one]
+        self.guard.inserted_known = known
 
     def joined_by(self, *candidates: RolledOut, without: str | None = None) -> "World":
         """The same with candidates chosen, which need not be taken in the end; without: one that is rolled out anew."""
@@ -181,7 +181,7 @@ class World:
         """Whether a candidate has a critical contact after its last step, all at constant velocity."""
         own = candidate.traffic
         last = int(np.flatnonzero(own.present[0, : self.scene.num_steps])[-1])
-        here = self.scene.traffic.at(last).joined(self.guard.fixed.at(last))
+        here = self.scene.traffic.at(last).joined(self.guard.inserted_known.at(last))
         here = own.at(last).joined(here.rows(np.flatnonzero(here.present[:, 0]).tolist()))
         sizes = np.column_stack([here.length_m, here.width_m])
         boxes = BoxesAtStep(here.position[:, 0], here.heading[:, 0], here.velocity[:, 0], sizes)
@@ -197,7 +197,7 @@ class World:
             met, known = self._met(candidate.start, part)
             recorded = self._recorded_on(part.path, candidate.start.box)
             rows = np.flatnonzero(met[:, LAG_TTC] < _HINDERED_S)
-            found |= {self.guard.fixed.ids[known.agents[row]] for row in rows.tolist() if row >= recorded}
+            found |= {self.guard.inserted_known.ids[known.agents[row]] for row in rows.tolist() if row >= recorded}
         return [one for name, one in self._chosen.items() if name in found]
 
     def _may_be_in_gap(self, candidate: RolledOut, changer: RolledOut) -> bool:
@@ -270,13 +270,13 @@ class World:
                 vehicle.reason = Reason.TOO_SLOW
                 step += scene.steps_in(_LOOKS_S)
                 continue
-            due = ManoeuvreDue(scene, vehicle, step, self.guard.fixed, _NONE)
+            due = ManoeuvreDue(scene, vehicle, step, self.guard.inserted_known, _NONE)
             if vehicle.stage is Stage.PASS and (short_m := return_gap_m - due.passed_gap_m()) > 0.0:
                 vehicle.reason = Reason.NOT_AHEAD  # what it would be told, sooner
                 waits_s = _PASSING_SHARE * _LOOKS_S
                 step += max(1, int((short_m / v if short_m < v * waits_s else waits_s) / scene.step_s))
                 continue
-            across = due.decide(ask_sumo)
+            across = due.observe_and_decide(ask_sumo)
             if vehicle.reason is Reason.SCENE_ENDS:
                 break
             if across is not None and self._meets_on(vehicle, step, across.path):
@@ -427,15 +427,15 @@ class World:
         return ends, paces, np.array(most_mps)
 
     def _shown_on(self, path: DrivenPath, box: BoxSize) -> Shown:
-        scene, fixed, newest = self.scene, self.guard.fixed, self._newest.get((path, box))
-        if newest is not None and newest[0] is fixed:
+        scene, known, newest = self.scene, self.guard.inserted_known, self._newest.get((path, box))
+        if newest is not None and newest[0] is known:
             return newest[2]
-        found, inserted = scene.shown_on(path, box), scene.met_on(path, box, fixed)
+        found, inserted = scene.shown_on(path, box), scene.met_on(path, box, known)
         if newest is not None and newest[1] is inserted:
             found = newest[2]
         elif inserted.agents.size:
-            found = found.joined(shown_on(path, fixed, inserted, step_s=scene.step_s))
-        self._newest[path, box] = fixed, inserted, found
+            found = found.joined(shown_on(path, known, inserted, step_s=scene.step_s))
+        self._newest[path, box] = known, inserted, found
         return found
 
     def _shown_beside(self, path: DrivenPath, target: DrivenPath, box: BoxSize) -> Shown:

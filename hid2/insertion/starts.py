@@ -348,8 +348,8 @@ class Starts:
 
     def _follower_is_near(self, path: DrivenPath, s: float, box: BoxSize, speed_mps: float, step: int) -> bool:
         """Whether an agent comes from behind at a step, on the lane or before the map's edge."""
-        config, fixed = self.scene.config, self.world.guard.fixed
-        here = self.scene.traffic.at(step).joined(fixed.at(step))
+        config = self.scene.config
+        here = self.scene.traffic.at(step).joined(self.world.guard.inserted_known.at(step))
         xy, forward, _ = path.line.motion(np.array([s]))
         seen = gaps_from_pose(xy, forward, box, here)
         least_m = np.maximum(

@@ -1,5 +1,6 @@
 """Algorithm 1 of the paper: the decision of one generated agent at one step. Values in, a value out."""
 
+import math
 from dataclasses import dataclass, field
 
 from hid2.agents import Policy
@@ -19,7 +20,8 @@ class Observation:
     """What the agent knows at time t: its cell, lane type, request, leader within d_obs, and adjacent lanes.
 
     options: of the sides that the request allows, in the order in which they are tried; driver: its own, None for a
-    usual one; own_front, own_rear: gaps ahead and behind on its lane, where a rule asks.
+    usual one; own_front, own_rear: gaps ahead and behind on its lane, where a rule asks; passed_gap_m: from its rear
+    bumper to the vehicle that it overtakes, -inf unless passed.
     """
 
     time_s: float
@@ -33,7 +35,7 @@ class Observation:
     stage: Stage
     leader: Gap | None
     options: tuple[LaneOption, ...]
-    passed_gap_m: float = -1.0
+    passed_gap_m: float = -math.inf
     length_m: float = 4.5
     driver: Driver | None = None
     own_front: Gap = OPEN
@@ -80,7 +82,7 @@ def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) ->
         reason = Reason.NO_ADJACENT_LANE
         for option in seen.options:
             if seen.stage is Stage.PASS:
-                reason = return_reason(option, lead_gap_m=seen.passed_gap_m, params=overtake)
+                reason = return_reason(option, passed_gap_m=seen.passed_gap_m, params=overtake)
             else:
                 reason = enter_reason(option, leader=seen.leader, desired_mps=seen.desired_mps, params=overtake)
                 if reason is None and lane_change.rule != "paper":  # its gaps are the conditions above

@@ -29,11 +29,11 @@ _HALF_LANE_M = 1.5  # half of the narrowest lane: what "on a lane path" means, t
 
 
 class Inserted(NamedTuple):
-    """Generated vehicles at a step: fixed: kept in rounds before (T steps); fleet: driven together, now (one step)."""
+    """Inserted vehicles at a step. known: with known motion (T steps); driven: with this one, now (one step)."""
 
     step: int
-    fixed: Traffic
-    fleet: Traffic
+    known: Traffic
+    driven: Traffic
 
 
 def admissible_neighbor(scene: Scene, lane_id: int, side: Side) -> int | None:
@@ -97,11 +97,11 @@ def target_path(scene: Scene, path: DrivenPath, lane_id: int, *, s: float) -> Dr
 
 def gaps_on(scene: Scene, target: DrivenPath, box: BoxSize, *, at: float, inserted: Inserted) -> tuple[Gap, Gap]:
     """Bumper gaps ahead and behind at arc length `at` of a path, recorded and generated alike, Frenet metres."""
-    step, fixed, fleet = inserted
-    every = [(traffic, scene.met_on(target, box, traffic)) for traffic in (scene.future, fixed, fleet)]
-    ids = [traffic.ids[row] for traffic, found in every for row in found.agents]
-    recorded, kept, driven = (found for _, found in every)
-    found = gaps_on_path(recorded.at(step).joined(kept.at(step), driven.at(0)), np.array([at]), 0)
+    parts = (scene.future, inserted.step), (inserted.known, inserted.step), (inserted.driven, 0)
+    every = [(traffic.ids, scene.met_on(target, box, traffic).at(step)) for traffic, step in parts]
+    ids = [names[row] for names, seen in every for row in seen.agents]
+    recorded, *others = (seen for _, seen in every)
+    found = gaps_on_path(recorded.joined(*others), np.array([at]), 0)
     front, rear = int(found.leader[0]), int(found.follower[0])
     return (
         Gap(float(found.lead_m[0]), float(found.lead_mps[0]), ids[front]) if front >= 0 else OPEN,
@@ -132,7 +132,7 @@ def returns_to(lane: DrivenPath, path: DrivenPath) -> bool:
     return is_on_lane(lane, path.line.position(np.array([path.lateral_spans[-1].end]))[0])
 
 
-def gap_ahead_of(
+def gap_to_passed(
     path: DrivenPath, size: BoxSize, *, s: float, lane: DrivenPath, passed_id: str, here: Traffic
 ) -> float:
     """Own rear bumper to the passed vehicle's front now, m, along the own heading; s m on the path.
@@ -197,8 +197,8 @@ def _next_sigma(scene: Scene, cell: Cell, *, step: int, speed_mps: float) -> int
 
 
 def _cells_free(scene: Scene, cell: Cell, inserted: Inserted) -> bool:
-    """Cells j-1, j, j+1 of l' have sigma = 0 (paper, Lane Change); sigma = 2 where the simulation has the fleet now."""
-    grid, (step, fixed, fleet) = scene.grid, inserted
+    """Cells j-1, j, j+1 of l' have sigma = 0 (paper, Lane Change); sigma = 2 where inserted ones are now."""
+    grid, step = scene.grid, inserted.step
     here = grid.index_of[cell]  # the cells of a lane follow one another
     first, last = here - min(cell.index, 1), here + min(grid.count(cell.lane_id) - 1 - cell.index, 1)
     if (scene.occupancy.sigma[step, first : last + 1] != FREE).any():
@@ -206,6 +206,6 @@ def _cells_free(scene: Scene, cell: Cell, inserted: Inserted) -> bool:
     wanted = range(first, last + 1)
     return not any(
         is_agent_on(scene.boxes, wanted, traffic, column, width_share=UNDER_SHARE)
-        for traffic, column in ((fixed, step), (fleet, 0))
+        for traffic, column in ((inserted.known, step), (inserted.driven, 0))
         if traffic.ids
     )

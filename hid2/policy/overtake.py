@@ -48,9 +48,9 @@ def enter_reason(option: LaneOption, *, leader: Gap | None, desired_mps: float, 
     return None
 
 
-def return_reason(option: LaneOption, *, lead_gap_m: float, params: Overtake) -> Reason | None:
-    """Why the return cannot begin now: lead_gap_m is the bumper gap to the passed vehicle, negative beside it."""
-    if lead_gap_m < params.return_gap_m:
+def return_reason(option: LaneOption, *, passed_gap_m: float, params: Overtake) -> Reason | None:
+    """Why the return cannot begin now. passed_gap_m: bumper to bumper to the passed vehicle, negative beside it."""
+    if passed_gap_m < params.return_gap_m:
         return Reason.NOT_AHEAD
     if not option.cells_free:
         return Reason.NO_LANE

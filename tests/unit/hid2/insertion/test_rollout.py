@@ -11,9 +11,9 @@ from inserted import recorded, scene_on, start_on
 from hid2.agents import Policy, Track
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import ClosedLines, StopLines
-from hid2.insertion.due import ManoeuvreDue
 from hid2.insertion.rollout import RolledOut, Rollout, World
 from hid2.kernels.steering import CAUSES
+from hid2.manoeuvre import ManoeuvreDue
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.overtake import Stage
 from hid2.policy.roads import Roads
@@ -115,8 +115,8 @@ def test_vehicle_is_rolled_out_anew_without_itself(world_of: Callable[..., World
     path, box = first.start.path, first.start.box
     seen, wanted = around.guard.known_on(path, box), plain.guard.known_on(path, box)
     assert seen.low == pytest.approx(wanted.low)
-    assert around.guard.fixed.ids == ("v0_0", "v2_0")
-    assert world.guard.fixed.ids == ("v0_0", "v1_0")  # nothing is chosen by asking
+    assert around.guard.inserted_known.ids == ("v0_0", "v2_0")
+    assert world.guard.inserted_known.ids == ("v0_0", "v1_0")  # nothing is chosen by asking
 
 
 def test_a_cell_that_begins_farther_on_takes_a_vehicle_there(lane: Callable[..., LaneSegment]) -> None:
