@@ -107,6 +107,15 @@ class Scene:
             clear_margin_m=PET_MARGIN_M,
         )  # fmt: skip
 
+    @property
+    def num_recorded(self) -> int:
+        """How many agents are recorded: rows of recorded and inserted ones together begin with theirs."""
+        return len(self.traffic.ids)
+
+    def with_inserted(self, recorded: PathOccupancy, inserted: PathOccupancy) -> PathOccupancy:
+        """Intervals of both on one path, recorded ones first; rows of inserted ones are counted on from those."""
+        return recorded.joined(inserted._replace(agents=inserted.agents + self.num_recorded))
+
     @once
     def in_driving_width(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
         """Intervals of the recorded agents with boxes that reach into the width driven, without margins."""

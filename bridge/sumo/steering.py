@@ -53,11 +53,11 @@ def limits_of(fleet: Fleet, rows: IntArray, now: int) -> SpeedLimits:
     these, where one before them has taken another way.
     """
     guard = fleet.guard
-    first, *along = fleet.along_ways(now)
+    first, inputs = fleet.limit_inputs(now)
     return SpeedLimits(*speed_limits(
         rows, now, fleet.state, fleet.desired_mps, fleet.drivers, fleet.yielding, STRAIGHT,
         guard.horizon, STRIDE, fleet.scene.step_s, TABLE_STEP_M, guard.brakes,
-        guard.predicted, STOPS, guard.yield_rules, first[-rows.size - 1 :], *along,
+        guard.predicted, STOPS, guard.yield_rules, first[-rows.size - 1 :], *inputs,
     ))  # fmt: skip
 
 
@@ -87,10 +87,10 @@ def take_another_way(fleet: Fleet, simulation: Simulation, row: int, now: int) -
 
     Only one that is to go straight: another way is no longer the turn or the change of lanes that was asked for.
     """
-    vehicle, way, scene = fleet.vehicles[row], fleet.ways[row], fleet.scene
-    if vehicle.policy is not Policy.STRAIGHT or way.reroute_tried:
+    vehicle, context, scene = fleet.vehicles[row], fleet.contexts[row], fleet.scene
+    if vehicle.policy is not Policy.STRAIGHT or context.reroute_tried:
         return False
-    way.reroute_tried = True
+    context.reroute_tried = True
     s, v, a = fleet.state[row, S : A + 1].tolist()
     cell = scene.grid.cell_of_sumo_lane.get(simulation.lane(vehicle.vehicle_id)[0])
     if cell is None:

@@ -135,8 +135,8 @@ class Guard:
     def known_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
         """Intervals on a path of all agents with known motion, with margins and the critical PET.
 
-        Recorded ones by rows of the scene's traffic, then inserted ones by theirs in `fixed`; these, where they cross,
-        are kept clear of as long as cross traffic makes an entrance red: streams do not mingle.
+        Rows as in `Scene.with_inserted`. Inserted ones, where they cross, are kept clear of as long as cross traffic
+        makes an entrance red: streams do not mingle.
         """
         scene, newest = self.scene, self._newest.get((path, box))
         if newest is not None and newest[0] is scene.future and newest[1] is self.inserted_known:
@@ -144,7 +144,7 @@ class Guard:
         recorded = scene.kept_clear_on(path, box, scene.future)
         inserted = scene.kept_clear_on(path, box, self.inserted_known, at_least_s=scene.config.signals.before_s)
         is_same = newest is not None and newest[2] is recorded and newest[3] is inserted
-        known = newest[-1] if newest is not None and is_same else recorded.joined(inserted)
+        known = newest[-1] if newest is not None and is_same else scene.with_inserted(recorded, inserted)
         self._newest[path, box] = scene.future, self.inserted_known, recorded, inserted, known
         return known
 

@@ -168,8 +168,7 @@ class OvertakeStarts:
     def _known(self, way: _Way) -> Iterator[_Leader]:
         """Recorded cars and buses, and inserted vehicles, that drive ahead on a way all the time."""
         scene, known = self.here.scene, self._on(way.path)
-        recorded = scene.kept_clear_on(way.path, _BOX, scene.future).agents.size
-        usable = np.isin(known.agents, scene.vehicle_rows) | (np.arange(known.agents.size) >= recorded)
+        usable = np.isin(known.agents, scene.vehicle_rows) | (known.agents >= scene.num_recorded)
         usable &= known.same_direction[:, 0] & (known.along[:, 0] > PARKED_MPS) & (known.low[:, 0] > way.first)
         steps = slice(scene.num_steps)
         for row in np.flatnonzero(usable & np.isfinite(known.low[:, steps]).all(axis=1)).tolist():

@@ -195,9 +195,8 @@ class World:
         }  # fmt: skip
         for part in candidate.parts:
             met, known = self._met(candidate.start, part)
-            recorded = self._recorded_on(part.path, candidate.start.box)
-            rows = np.flatnonzero(met[:, LAG_TTC] < _HINDERED_S)
-            found |= {self.guard.inserted_known.ids[known.agents[row]] for row in rows.tolist() if row >= recorded}
+            followers = known.agents[met[:, LAG_TTC] < _HINDERED_S] - self.scene.num_recorded
+            found |= {self.guard.inserted_known.ids[row] for row in followers[followers >= 0].tolist()}
         return [one for name, one in self._chosen.items() if name in found]
 
     def _may_be_in_gap(self, candidate: RolledOut, changer: RolledOut) -> bool:
@@ -343,22 +342,22 @@ class World:
         ):
             return Reason.LEAVES_TOO_EARLY
         met, known = self._met(start, rollout)
-        recorded, least = self._recorded_on(rollout.path, start.box), met.min(axis=0, initial=math.inf)
-        of_before = np.arange(known.agents.size) >= recorded
-        of_before &= known.agents < len(self._kept.ids)  # kept in rounds before: they brake for none of this one
+        is_recorded = known.agents < scene.num_recorded
+        is_kept = ~is_recorded & (known.agents < scene.num_recorded + len(self._kept.ids))  # they brake for no new one
+        least = met.min(axis=0, initial=math.inf)
         if least[CONTACT] < np.inf:
-            return Reason.MEETS_RECORDED if np.argmin(met[:, CONTACT]) < recorded else Reason.MEETS_GENERATED
+            return Reason.MEETS_RECORDED if is_recorded[np.argmin(met[:, CONTACT])] else Reason.MEETS_GENERATED
         if least[LEAD_TTC] < conflict.ttc_min_s:
             return Reason.TTC_LANE_LEADER
         if least[LAG_TTC] < max(conflict.follower_ttc_min_s, conflict.ttc_min_s):
-            if met[:recorded, LAG_TTC].min(initial=math.inf) < conflict.follower_ttc_min_s:
+            if met[is_recorded, LAG_TTC].min(initial=math.inf) < conflict.follower_ttc_min_s:
                 return Reason.TTC_RECORDED_FOLLOWER
-            if met[of_before, LAG_TTC].min(initial=math.inf) < conflict.ttc_min_s:
+            if met[is_kept, LAG_TTC].min(initial=math.inf) < conflict.ttc_min_s:
                 return Reason.MEETS_GENERATED
-        if of_before.any():
+        if is_kept.any():
             seen = gaps_on_path(
                 known, rollout.s[:inside], rollout.step + np.arange(inside),
-                among=known.same_direction & of_before[:, None],
+                among=known.same_direction & is_kept[:, None],
             )  # fmt: skip
             length_m = start.box.length_m - start.beyond_m
             if sustained_headway(seen.lag_m, length_m, seen.lag_mps, scene.step_s)[0] < FOLLOWER_HEADWAY_S:
@@ -374,9 +373,9 @@ class World:
 
     def parked_on(self, path: DrivenPath, box: BoxSize) -> BoolArray:
         """(R,) which of those known on a path are recorded agents that are parked."""
-        known, recorded = self.guard.known_on(path, box), self._recorded_on(path, box)
-        found = np.zeros(known.agents.size, dtype=np.bool_)
-        found[:recorded] = self.scene.parked[known.agents[:recorded]]
+        agents = self.guard.known_on(path, box).agents
+        found = agents < self.scene.num_recorded
+        found[found] = self.scene.parked[agents[found]]
         return found
 
     def _waits_for_parked(self, start: Start, rollout: Rollout) -> bool:
@@ -410,11 +409,6 @@ class World:
             rollout.s[:inside], rollout.v[:inside], rollout.step, known.low, known.high, known.along,
             known.same_direction, self.scene.step_s,
         ), known  # fmt: skip
-
-    @once
-    def _recorded_on(self, path: DrivenPath, box: BoxSize) -> int:
-        """How many of those known on a path are recorded; they come first."""
-        return self.scene.kept_clear_on(path, box, self.scene.future).agents.size
 
     @once
     def _links_on(self, path: DrivenPath) -> tuple[FloatArray, FloatArray, FloatArray]:

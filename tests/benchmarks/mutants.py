@@ -59,7 +59,8 @@ MUTANTS = {
     "sigma: kept vehicles hold no cell": Mutant(
         "hid2/policy/observation.py",
         "for traffic, column in ((inserted.known, step), (inserted.driven, 0))\n        if traffic.ids\n",
-        "for traffic, column in ((inserted.driven, 0),)\n        if traffic.ids\n", (f"{UNIT}/policy/test_observation.py",),
+        "for traffic, column in ((inserted.driven, 0),)\n        if traffic.ids\n",
+        (f"{UNIT}/policy/test_observation.py",),
     ),
     "conflict case 2: the farther one goes first": Mutant(
         "hid2/kernels/guard.py", "return bool(theirs < mine)", "return bool(theirs > mine)",
