@@ -55,7 +55,7 @@ def advance(vehicle: DrivenVehicle, scene: Scene, now: int) -> bool:
 
 
 def foreseen_speeds(vehicle: DrivenVehicle, scene: Scene, now: int) -> FloatArray:
-    """(M,) m/s of a vehicle at the steps to come: up to its wish on a free road."""
+    """(M,) m/s of a vehicle at the steps to come: up to its desired speed on a free road."""
     start = vehicle.start
     free = free_speeds(start.driver, start.desired[now:], speed_mps=vehicle.v[-1], step_s=scene.step_s)
     return np.maximum(free, scene.config.lane_change.min_speed_mps)

@@ -77,7 +77,7 @@ def draw_driver(config: Config, rng: np.random.Generator, *, lane_speed_mps: flo
     turn_lateral_mps2 = float(rng.uniform(law.turn_lateral_min_mps2, law.turn_lateral_max_mps2))
     offset, lane_change, wander = draws(3)
     desired_mps = lane_speed_mps * (1.0 + law.desired_sd * desired)
-    if desired_mps < spawn.min_speed_mps:  # they do not all wish the same
+    if desired_mps < spawn.min_speed_mps:  # they do not all desire the same
         desired_mps = spawn.min_speed_mps * (1.0 + law.desired_sd * abs(desired))
     return Driver(
         desired_mps=min(desired_mps, spawn.max_speed_mps),
@@ -103,10 +103,10 @@ def desired_speeds(
     at_least_mps: what the vehicle begins with; at the first step it is not above the desired speed.
     """
     wander = wandering(config, rng, num_steps=num_steps, step_s=step_s, at_least_mps=at_least_mps - driver.desired_mps)
-    return wished_speeds(driver.desired_mps, wander)
+    return with_wander(driver.desired_mps, wander)
 
 
-def wished_speeds(desired_mps: FloatArray | float, wander_mps: FloatArray) -> FloatArray:
+def with_wander(desired_mps: FloatArray | float, wander_mps: FloatArray) -> FloatArray:
     """Desired speeds with their wandering, m/s."""
     return np.maximum(desired_mps + wander_mps, _WANDERS_TO * desired_mps)
 
@@ -128,11 +128,11 @@ def wandering(
     return np.array(wander)
 
 
-def free_speeds(driver: Driver, wished_mps: FloatArray, *, speed_mps: float, step_s: float) -> FloatArray:
-    """(M,) m/s at the steps to come from a speed towards wished ones (M,) with no leader, as the IDM has it."""
+def free_speeds(driver: Driver, desired_mps: FloatArray, *, speed_mps: float, step_s: float) -> FloatArray:
+    """(M,) m/s at the steps to come from a speed towards desired ones (M,) with no leader, as the IDM has it."""
     found = []
-    for wished in wished_mps.tolist():
-        gained = driver.accel_mps2 * max(1.0 - (speed_mps / wished) ** 4, -1.0) * step_s
+    for desired in desired_mps.tolist():
+        gained = driver.accel_mps2 * max(1.0 - (speed_mps / desired) ** 4, -1.0) * step_s
         speed_mps = max(speed_mps + gained, 0.0)
         found.append(speed_mps)
     return np.array(found, dtype=np.float64)

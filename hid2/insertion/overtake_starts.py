@@ -14,7 +14,7 @@ import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, FloatArray, IntArray
 from hid2.conflicts.stop_lines import AMBER_S
-from hid2.drivers.driver import Driver, draw_driver, wandering, wished_speeds
+from hid2.drivers.driver import Driver, draw_driver, wandering, with_wander
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.starts import CLEAR_GAP_M, Site, Starts, speed_behind
 from hid2.insertion.surroundings import Surroundings
@@ -68,7 +68,7 @@ class _Way:
 class _Leader:
     """One to overtake: it is touched from low to high (T,) m on the path, and drives at mps (T,) m/s.
 
-    driver: of one that would be added, which wishes for that speed; None for one that is known.
+    driver: of one that would be added, which desires that speed; None for one that is known.
     """
 
     way: _Way
@@ -79,25 +79,25 @@ class _Leader:
 
 
 class _Foreseen(NamedTuple):
-    """An overtake, roughly: s m, v m/s and wished m/s (T,), and steps at which it is half across, and turns back."""
+    """An overtake, roughly: s m, v m/s and desired m/s (T,), and steps at which it is half across, and turns back."""
 
     leader: _Leader
     driver: Driver
     s: FloatArray
     v: FloatArray
-    wished: FloatArray
+    desired: FloatArray
     crossed: int
     back: int
 
 
 class _Drawn(NamedTuple):
-    """What begins behind leaders, by the rows of these and of drivers (N,): s m, v m/s, and wished (N, T) m/s."""
+    """What begins behind leaders, by the rows of these and of drivers (N,): s m, v m/s, and desired (N, T) m/s."""
 
     leader: IntArray
     driver: IntArray
     s: FloatArray
     v: FloatArray
-    wished: FloatArray
+    desired: FloatArray
 
 
 #: Places are looked for with a usual vehicle.
@@ -183,7 +183,7 @@ class OvertakeStarts:
         latest = max(min(way.last, way.end - _LASTS * scene.last_s * usual_mps), way.first)
         for _ in range(_LEADERS):
             mps = rng.uniform(slowest_mps, fastest_mps)
-            v = np.maximum(wished_speeds(mps, wander[int(rng.integers(len(wander)))]), slowest_mps)
+            v = np.maximum(with_wander(mps, wander[int(rng.integers(len(wander)))]), slowest_mps)
             start = rng.uniform(way.first, latest) + length_m + rng.uniform(*_GAP_S) * (usual_mps - mps)
             s = start + scene.step_s * (np.cumsum(v) - v)
             one = replace(driver, desired_mps=mps)
@@ -221,7 +221,7 @@ class OvertakeStarts:
             leader, (_, driver) = leaders[drawn.leader[n]], drivers[drawn.driver[n]]
             places, speeds = (np.interp(steps, looks, one[:, n]) for one in (s, v))
             crossed, back = (int(looks[(one[:, n] > done).argmax()]) for one, done in ((across, _CROSSED), (over, 0.0)))
-            yield _Foreseen(leader, driver, places, speeds, drawn.wished[n], crossed, back)
+            yield _Foreseen(leader, driver, places, speeds, drawn.desired[n], crossed, back)
 
     def _drawn(self, leaders: list[_Leader], drivers: list[tuple[_Way, Driver]], wander: FloatArray) -> _Drawn:
         """Gaps behind leaders for the drivers on their ways, where there is room to begin."""
@@ -231,18 +231,18 @@ class OvertakeStarts:
         leader, driver, _ = (one.ravel() for one in np.indices(gap_s.shape))
         driver = driver + _DRIVERS * way_of[leader]
         low, mps = np.array([(one.low[0], one.mps[0]) for one in leaders]).T[:, leader]
-        desired = np.array([one.desired_mps for _, one in drivers])[driver]
+        desired_mps = np.array([one.desired_mps for _, one in drivers])[driver]
         following = tuple(np.array([one.following for _, one in drivers]).T[:, driver])
-        gap_m = following[-1] + gap_s.ravel() * (desired - mps)
+        gap_m = following[-1] + gap_s.ravel() * (desired_mps - mps)
         s, v = low - gap_m, speed_behind(gap_m, mps, following)
-        fits = (mps < desired - self.here.scene.config.overtake.speed_advantage_mps) & (mps < v)
+        fits = (mps < desired_mps - self.here.scene.config.overtake.speed_advantage_mps) & (mps < v)
         for n, way in enumerate(ways):
             known, rows = self._on(way.path).at(0), np.flatnonzero(way_of[leader] == n)
             touched = (known.low - CLEAR_GAP_M < s[rows]) & (s[rows] < known.high + CLEAR_GAP_M)
             fits[rows] &= (way.first < s[rows]) & (s[rows] < way.last) & ~touched.any(axis=0)
         hurried = wander[np.argsort(-wander.mean(axis=1), kind="stable")[: len(wander) // _HURRIED]]
-        wished = wished_speeds(desired[fits, None], hurried[rng.integers(len(hurried), size=fits.sum())])
-        return _Drawn(leader[fits], driver[fits], s[fits], np.minimum(v[fits], wished[:, 0]), wished)
+        desired = with_wander(desired_mps[fits, None], hurried[rng.integers(len(hurried), size=fits.sum())])
+        return _Drawn(leader[fits], driver[fits], s[fits], np.minimum(v[fits], desired[:, 0]), desired)
 
     def _driven(
         self, leaders: list[_Leader], drivers: list[tuple[_Way, Driver]], drawn: _Drawn, looks: IntArray,
@@ -279,7 +279,7 @@ class OvertakeStarts:
                 break
             star = min_gap + np.maximum(0.0, v * tau + 0.5 * v * (v - mps[:, now]) / np.sqrt(accel * decel))
             follows, is_out = (star / np.maximum(low[:, now] - s, CLEAR_GAP_M)) ** 2, now * scene.step_s >= trigger_s
-            wanted = accel * (1.0 - (v / drawn.wished[:, now]) ** 4 - (0.0 if is_out else follows))
+            wanted = accel * (1.0 - (v / drawn.desired[:, now]) ** 4 - (0.0 if is_out else follows))
             faster = np.maximum(v + step_s * np.maximum(wanted, -_BRAKES_MPS2), 0.0)
             if is_out:
                 cell = np.minimum((s + shift_m) / TABLE_STEP_M, road.shape[1] - 1.0).astype(np.int64)
@@ -311,7 +311,7 @@ class OvertakeStarts:
         if leader.driver is None or slow is None:
             return []
         site = Site(leader.way.offer, leader.way.path.to_raw(float(leader.low[0]) + _BOX.length_m))
-        found = self.starts.make(slow, site, driver=leader.driver, speed_mps=float(leader.mps[0]), wished=leader.mps)
+        found = self.starts.make(slow, site, driver=leader.driver, speed_mps=float(leader.mps[0]), desired=leader.mps)
         if isinstance(found, Start):
             return [found]
         self.starts.rejected[found] += 1
@@ -323,7 +323,7 @@ class OvertakeStarts:
         starts.world = world.joined_by(*(rolled for start in before for rolled in starts.rolled(start)))
         found = starts.make(
             request, Site(way.offer, way.path.to_raw(float(one.s[0]))), driver=one.driver, speed_mps=float(one.v[0]),
-            sides=(way.side,), wished=one.wished,
+            sides=(way.side,), desired=one.desired,
         )  # fmt: skip
         starts.world = world
         if isinstance(found, Start):

@@ -118,11 +118,11 @@ class Starts:
 
     def make(
         self, request: VehicleRequest, site: Site, *, driver: Driver | None = None, speed_mps: float | None = None,
-        sides: tuple[Side, ...] | None = None, wished: FloatArray | None = None,
+        sides: tuple[Side, ...] | None = None, desired: FloatArray | None = None,
     ) -> Start | Reason:  # fmt: skip
         """A vehicle that begins at a site, or why it cannot.
 
-        driver, speed_mps, sides, wished: how it begins, where it looks for a lane, and its desired speeds (T,) m/s;
+        driver, speed_mps, sides, desired: how it begins, where it looks for a lane, and its desired speeds (T,) m/s;
         drawn unless given.
         """
         scene, config, rng = self.scene, self.scene.config, self.rng
@@ -152,13 +152,13 @@ class Starts:
         for _ in range(1 if driver is not None else _DRIVERS):
             # a driver goes with the flow of its leader and follower, or would not be there
             pace_mps = max(scene.lane_speed(lane_id, rng), flow_mps)
-            made = self._begun(begin, driver or draw_driver(config, rng, lane_speed_mps=pace_mps), speed_mps, wished)
+            made = self._begun(begin, driver or draw_driver(config, rng, lane_speed_mps=pace_mps), speed_mps, desired)
             if made not in _ANOTHER_DRIVER:
                 break
         return made
 
     def _begun(
-        self, begin: _Begin, driver: Driver, speed_mps: float | None, wished: FloatArray | None
+        self, begin: _Begin, driver: Driver, speed_mps: float | None, desired: FloatArray | None
     ) -> Start | Reason:
         """The start of a driver at a site, at about its desired speed unless told; or what speaks against it."""
         scene, config, rng, request, path = self.scene, self.scene.config, self.rng, begin.request, begin.path
@@ -171,8 +171,8 @@ class Starts:
         admitted = self._start_speed(begin, speed_mps, driver)
         if isinstance(admitted, Reason):
             return admitted
-        if wished is None:
-            wished = desired_speeds(
+        if desired is None:
+            desired = desired_speeds(
                 driver, config, rng, num_steps=scene.num_steps - step, step_s=scene.step_s, at_least_mps=admitted
             )
         sides = BEHAVIOURS[request.policy].sides or SIDES
@@ -180,7 +180,7 @@ class Starts:
         start = Start(
             vehicle_id=f"v{request.number}_{self.round_number}", request=request, box=begin.box,
             route=begin.site.offer.route, path=path, start_s=begin.start_s, start_mps=admitted, driver=driver,
-            desired=np.concatenate([np.full(step, wished[0]), wished]), offset=MIDDLE, sides=begin.sides or order,
+            desired=np.concatenate([np.full(step, desired[0]), desired]), offset=MIDDLE, sides=begin.sides or order,
             step=step, leader=begin.site.leader,
         )  # fmt: skip
         rolled = self._performed(self.world, start)
@@ -323,10 +323,11 @@ class Starts:
     def _admitted_speed(
         self, path: DrivenPath, box: BoxSize, s: float, speed: float, driver: Driver, step: int
     ) -> float | Reason:
-        """Speed that leaders allow, m/s, at most the one wished for; or why nothing can begin there."""
+        """Speed that leaders allow, m/s, at most the one told; or why nothing can begin there."""
         conflict = self.scene.config.conflict
         known = self.world.guard.known_on(path, box)
-        seen, wished = gaps_to_all(known, np.array([s]), step), speed
+        seen = gaps_to_all(known, np.array([s]), step)
+        alone_mps = speed  # how fast it would begin without leaders
         leads = np.isfinite(seen.lead_m)
         speed = float(speed_behind(seen.lead_m[leads], seen.along_mps[leads], driver.following).min(initial=speed))
         closing = seen.along_mps[:, 0] - speed
@@ -339,7 +340,7 @@ class Starts:
         speed = min(speed, lines.towards_mps(driver, room_m))
         if step > 0 and (speed < STANDS_MPS or self._follower_is_near(path, s, box, speed, step)):
             return Reason.NO_SITE
-        if speed < max(STANDS_MPS, SLOWEST_SHARE * wished):
+        if speed < max(STANDS_MPS, SLOWEST_SHARE * alone_mps):
             stands = (seen.lead_m[:, 0] < QUEUE_M) & (seen.along_mps[:, 0] < STANDS_MPS)
             if room_m > 0.0 and not (stands & ~self.world.parked_on(path, box)).any():
                 return Reason.NO_SITE  # no vehicle is so slow with so much room ahead, nor waits for a parked one
