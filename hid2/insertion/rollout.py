@@ -16,7 +16,7 @@ from hid2.agents import BoxSize, FloatArray
 from hid2.conflicts.guard import ACROSS_S, STRIDE, Guard
 from hid2.conflicts.stop_lines import AMBER_S, STOPS
 from hid2.judge.findings import FOLLOWER_HEADWAY_S, MOVES_M, export_bounds
-from hid2.judge.states import contacts_at_end, kept_headways, sustained_headway
+from hid2.judge.states import contacts_at_end, recorded_headways, sustained_headway
 from hid2.kernels.polyline import frenet
 from hid2.kernels.rollout import CONTACT, LAG_TTC, LEAD_TTC, met_by, roll
 from hid2.manoeuvre import ManoeuvreDue, advance
@@ -39,20 +39,24 @@ from hid2.vehicle import DrivenVehicle, Start
 from netconvert.lane_graph import Side, TurnType
 from netconvert.net_xml import speed_limit_mps
 
-#: Not parameters, they save time: s between two looks at gaps; below this TTC, s, to a vehicle that begins ahead, one
-#: chosen before is rolled out anew.
-_LOOKS_S, _HINDERED_S = 1.0, 4.0
+#: Not a parameter, it saves time: s between two looks of a vehicle that waits for a gap.
+_LOOKS_S = 1.0
+#: The same while it passes another one, which is short, while waiting for a gap is long.
+_PASSING_LOOKS_S = 0.3
+#: Not a parameter, it saves time: below this TTC, s, to a vehicle that begins ahead, one chosen before is rolled out
+#: anew.
+_HINDERED_S = 4.0
 _NONE = Traffic.none(1)
-#: Not parameters, they save time: no follower has a critical TTC on the path that it drives if it has so much
-#: more room ahead, or is so far aside.
-_FOLLOWS_M, _ASIDE_M = 3.0, 12.0
+#: Not a parameter, it saves time: with so much more room ahead, m, no follower has a critical TTC on its path.
+_FOLLOWS_M = 3.0
+#: Not a parameter, it saves time: nor has one that is so far aside, m.
+_ASIDE_M = 12.0
 #: Not a parameter, it saves time: beyond it, on either axis, an agent is in none of the gaps that a vehicle looks at.
 _NEAR_GAPS_M = 40.0
-#: No tunables: no vehicle is slower than this share of its desired speed, but for what is ahead of it; one that stands
-#: counts as queuing where its leader is nearer than so much, m.
-SLOWEST_SHARE, QUEUE_M = 0.25, 8.0
-#: No tunable: of the time between two looks of a vehicle that waits for a gap, while it passes another one.
-_PASSING_SHARE = 0.3
+#: No tunable: no vehicle is slower than this share of its desired speed, but for what is ahead of it.
+SLOWEST_SHARE = 0.25
+#: No tunable: a vehicle that stands counts as queuing where its leader is nearer than this, m.
+QUEUE_M = 8.0
 #: Desired speeds, m/s, that SUMO's EIDM has at most for a link of the net that turns; for others the lanes' limit.
 _TURN_MPS = {TurnType.LEFT: 8.0, TurnType.RIGHT: 6.0}
 
@@ -138,7 +142,8 @@ class World:
         It is left with too little time to collision, or with a shorter headway, which it never kept in the recording.
         """
         scene, own = self.scene, candidate.traffic.first(self.scene.num_steps)
-        (movers, recorded, forward), critical_s = scene.movers, scene.config.conflict.follower_ttc_min_s
+        movers, recorded, forward = scene.movers
+        critical_s = scene.config.conflict.follower_ttc_min_s
         offset = own.position - recorded.position
         ahead_m, closing = (
             one[..., 0] * forward[..., 0] + one[..., 1] * forward[..., 1]
@@ -155,7 +160,7 @@ class World:
             if led.ttc_s.min(initial=math.inf) < critical_s:
                 return Reason.TTC_RECORDED_FOLLOWER
             length_m = own.length_m[0] - candidate.start.beyond_m
-            if led.rows.size and self._headway_too_short(row, led.gap_m[0], length_m, headway_s):
+            if led.agents.size and self._headway_too_short(row, led.gap_m[0], length_m, headway_s):
                 return Reason.FOLLOWER_HEADWAY
         return None
 
@@ -167,11 +172,11 @@ class World:
         headway_s, _ = sustained_headway(gap_m, leader_m, states.speed(follower), self.scene.step_s)
         if headway_s >= least_s:
             return False
-        return self._kept_headways_s.get(follower, math.inf) > headway_s
+        return self._recorded_headways_s.get(follower, math.inf) > headway_s
 
     @cached_property
-    def _kept_headways_s(self) -> dict[int, float]:
-        return kept_headways(self.scene.states)
+    def _recorded_headways_s(self) -> dict[int, float]:
+        return recorded_headways(self.scene.states)
 
     def gaps_at(self, path: DrivenPath, box: BoxSize, s: float, step: int) -> Gaps:
         """Of a vehicle that begins at an arc length, m, of a path at a step, to those next to it."""
@@ -248,16 +253,16 @@ class World:
 
         A part of the motion ends with each lane change, and the next one begins with the state that it ended in.
         """
-        scene, change, return_gap_m = self.scene, self.scene.config.lane_change, self.scene.config.overtake.return_gap_m
+        scene, change = self.scene, self.scene.config.lane_change
         vehicle, parts = DrivenVehicle(start, start.path), [self.roll(start)]
         step = max(start.step, math.ceil(start.request.trigger_s / scene.step_s))
         ask_sumo = (lambda _: ASSUMED_ANSWER) if change.rule == "LC2013" else None
         while step < scene.num_steps:
-            part = parts[-1]
-            if step - part.step >= part.s.size or part.s[step - part.step] > part.path.exit_s:  # met, or off the map
+            part, k = parts[-1], step - parts[-1].step
+            if k >= part.s.size or part.s[k] > part.path.exit_s:  # met, or off the map
                 break
-            s, v = float(part.s[step - part.step]), float(part.v[step - part.step])
-            vehicle.s, vehicle.v = [s], [v]
+            _drive_on(vehicle, part, step)
+            v = vehicle.v[-1]
             is_due = advance(vehicle, scene, step)
             if vehicle.stage in (Stage.DONE, Stage.ABORTED):
                 break
@@ -270,11 +275,15 @@ class World:
                 step += scene.steps_in(_LOOKS_S)
                 continue
             due = ManoeuvreDue(scene, vehicle, step, self.guard.inserted_known, _NONE)
-            if vehicle.stage is Stage.PASS and (short_m := return_gap_m - due.passed_gap_m()) > 0.0:
-                vehicle.reason = Reason.NOT_AHEAD  # what it would be told, sooner
-                waits_s = _PASSING_SHARE * _LOOKS_S
-                step += max(1, int((short_m / v if short_m < v * waits_s else waits_s) / scene.step_s))
-                continue
+            if vehicle.stage is Stage.PASS:
+                short_m = scene.config.overtake.return_gap_m - due.passed_gap_m()
+                if short_m > 0.0:
+                    vehicle.reason = Reason.NOT_AHEAD  # what it would be told, sooner
+                    waits_s = _PASSING_LOOKS_S
+                    if short_m < v * waits_s:
+                        waits_s = short_m / v
+                    step += max(1, int(waits_s / scene.step_s))
+                    continue
             across = due.observe_and_decide(ask_sumo)
             if vehicle.reason is Reason.SCENE_ENDS:
                 break
@@ -285,8 +294,7 @@ class World:
                 onto = self.roll(start, path=across.path, step=step, before=part, target=across.target)
                 parts[-1:] = part.until(step), self._jumped(start, vehicle.path, onto, across.shift.side)
                 vehicle.path = across.path
-            # passing is short, waiting for a gap long
-            step += scene.steps_in(_PASSING_SHARE * _LOOKS_S if vehicle.stage is Stage.PASS else _LOOKS_S)
+            step += scene.steps_in(_PASSING_LOOKS_S if vehicle.stage is Stage.PASS else _LOOKS_S)
         return vehicle, tuple(parts)
 
     def _jumped(self, start: Start, left: DrivenPath, onto: Rollout, side: Side) -> Rollout:
@@ -294,7 +302,8 @@ class World:
         grid, front = self.scene.grid, float(onto.s[0]) + 0.5 * start.size.length_m
         segment = next((one for one in left.followed if one.end > front), left.followed[-1])
         cell = grid.cell_at(segment.lane_id, segment.lane_s(front))
-        if (facing := grid.lateral(cell, side)) is None:
+        facing = grid.lateral(cell, side)
+        if facing is None:
             return onto
         off = grid.edges_s(facing.lane_id)[cell.index] - grid.edges_s(cell.lane_id)[cell.index]
         there = onto.path.s_on(facing.lane_id, segment.lane_s(front) + float(off), after=float(onto.s[0]))
@@ -337,9 +346,9 @@ class World:
     def _objection(self, start: Start, rollout: Rollout, *, is_last: bool) -> Reason | None:
         scene, conflict = self.scene, self.scene.config.conflict
         inside = self._inside(start, rollout)
-        if not inside or (
-            is_last and inside < rollout.s.size and rollout.step + inside < start.step + scene.steps_to_stay(start.step)
-        ):
+        stays_until = start.step + scene.steps_to_stay(start.step)
+        leaves = is_last and inside < rollout.s.size and rollout.step + inside < stays_until
+        if leaves or not inside:
             return Reason.LEAVES_TOO_EARLY
         met, known = self._met(start, rollout)
         is_recorded = known.agents < scene.num_recorded
@@ -438,3 +447,11 @@ class World:
         there = frenet(path.line.position(np.array([over])), target.raw_line.points, target.raw_line.s)[0]
         seen = self._shown_on(target, box)
         return replace(seen, middle=seen.middle - (float(target.all_to_line(there)[0]) - over))
+
+
+def _drive_on(vehicle: DrivenVehicle, part: Rollout, step: int) -> None:
+    """A vehicle has driven the part of its motion up to a step."""
+    since = vehicle.start.step + len(vehicle.s)
+    driven = slice(since - part.step, step - part.step + 1)
+    vehicle.s += part.s[driven].tolist()
+    vehicle.v += part.v[driven].tolist()

@@ -8,7 +8,7 @@ import numpy as np
 
 from hid2.agents import FloatArray
 from hid2.measures.arrays import BoolArray, SceneArrays
-from hid2.measures.following import Leaders
+from hid2.measures.following import LaneLeaders
 from hid2.measures.surrogates import encroachments
 from netconvert.geometry import arc_length
 
@@ -33,7 +33,7 @@ class Partner(StrEnum):
     CYCLIST = "cyclist"
 
 
-def encounters(arrays: SceneArrays, led: Leaders) -> dict[str, BoolArray]:
+def encounters(arrays: SceneArrays, led: LaneLeaders) -> dict[str, BoolArray]:
     """Which agents (A,) meet what, by name: `far`, `stands`, and `follows_`, `brakes_`, `crosses_` a `Partner`.
 
     led: `measures.following.leaders` of the same rows. Only vehicles follow, brake, cross or stand.
