@@ -123,7 +123,7 @@ class SceneEvents:
             if tried.total() >= starts.scene.config.event_search.tries:
                 break
             start = replace(candidate.rolled.start, vehicle_id=f"e{number}_{tried.total()}")
-            judged = self._judged(starts.objective, drive(starts.scene, starts.guard.stop_lines, start, kept))
+            judged = self._judged(starts.objective, drive(starts.scene, starts.world.guard.stop_lines, start, kept))
             if not isinstance(judged, Reason):
                 vehicle, seen = judged
                 return EventOutcome(

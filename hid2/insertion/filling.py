@@ -25,10 +25,17 @@ from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 from netconvert.cells import Cell
 
-#: Not parameters, they bound the search: most that `agents = max` asks for; a round of it that adds a smaller share
-#: is the last; requests without a site, for a manoeuvre or to go straight, after which a round looks for no more; and
-#: how often a vehicle that had waited for one that is gone is driven again.
-_MOST, _FULL_SHARE, _FAILED, _FAILED_STRAIGHT, _AGAIN = 400, 0.1, 4, 1, 1
+# Not parameters, the next five: they bound the search.
+#: `agents = max` asks for so many at most.
+_MOST = 400
+#: A round of `agents = max` that adds a smaller share of those kept is the last.
+_FULL_SHARE = 0.1
+#: After so many requests for a manoeuvre without a site a round looks for no more of that policy.
+_FAILED = 4
+#: The same of requests to go straight.
+_FAILED_STRAIGHT = 1
+#: A vehicle that had waited for one that is gone is driven again so often.
+_AGAIN = 1
 #: Lane that a vehicle takes on a full road, m: what `agents = max` means, no tunable.
 SPACING_M = 25.0
 #: Runs one simulation: starts, generated vehicles kept in rounds before, number of the round.
@@ -112,15 +119,19 @@ class Filling:
                 break
             added = len(self.kept) - before
             idle = 0 if added else idle + 1
-            manoeuvres_are_over = number >= config.spawn.reseed_rounds
-            if manoeuvres_are_over and config.request.agents == "max" and added <= _FULL_SHARE * len(self.kept):
+            is_over = self._manoeuvres_are_over(number)
+            if is_over and config.request.agents == "max" and added <= _FULL_SHARE * len(self.kept):
                 break
             driven_again = {start.request.number for start in self._again}
-            if (manoeuvres_are_over or idle == _IDLE) and self._give_up_manoeuvres(driven_again):
+            if (is_over or idle == _IDLE) and self._give_up_manoeuvres(driven_again):
                 idle = 0  # a vehicle that goes straight may find a place
             if idle == _IDLE:
                 break
         self._give_up_manoeuvres()
+
+    def _manoeuvres_are_over(self, number: int) -> bool:
+        """Whether manoeuvres that did not come about by a round are given up, and what is driven is kept as it is."""
+        return number >= self.scene.config.spawn.reseed_rounds
 
     def fill_together(self, drive: Drive) -> None:
         """All in one round, again without those that are not kept until all are: where recorded vehicles react.
@@ -188,10 +199,12 @@ class Filling:
             here, guard, rng, number, Spread.of(self.seed), self._turned_down, [one.driven.start for one in self.kept],
             asked=Counter(r.policy for r in self._open),
         )  # fmt: skip
-        starts, self._again = sites.starts.take(self._again), []
+        starts = sites.starts.take(self._again)
+        self._again = []
         used = {start.request.number for start in starts}
         waiting = deque(sorted(self._open, key=lambda one: (BEHAVIOURS[one.policy].site_order, one.number)))
-        failed, refused, redrawn = Counter[Policy](), defaultdict[Policy, Counter[Reason]](Counter), False
+        failed, refused = Counter[Policy](), defaultdict[Policy, Counter[Reason]](Counter)
+        redrawn = False
         while waiting:
             request = waiting.popleft()
             if request.number in used:
@@ -201,7 +214,7 @@ class Filling:
             found: list[Start] = []
             if failed[policy] < (_FAILED_STRAIGHT if straight else _FAILED):
                 slow = self._to_lead(request, [one for one in waiting if one.number not in used])
-                found = sites.propose(request, slow and replace(slow, policy=Policy.STRAIGHT))
+                found = sites.propose(request, None if slow is None else replace(slow, policy=Policy.STRAIGHT))
                 if straight and not found and not redrawn:
                     redrawn = True  # what was full for one draw of places may not be for another
                     self._turned_down.look_anew(each_cell=self.scene.config.request.agents != "max")
@@ -209,7 +222,8 @@ class Filling:
                 if slow is not None and slow.policy is not Policy.STRAIGHT and len(found) > 1:
                     self._last_reason[slow.number] = Reason.LEADS_AN_OVERTAKE
                     self._gives_up(slow)
-                failed[policy] += not found
+                if not found:
+                    failed[policy] += 1
                 refused[policy] += sites.starts.rejected - before
             if not found and not straight:  # it goes straight, after all others
                 # what became of a vehicle that was driven for the manoeuvre says more
@@ -252,7 +266,7 @@ class Filling:
         for one in gone.values():
             self._last_reason[one.vehicle.start.request.number] = one.reason
         self._drive_again(new, gone)
-        if self.rounds <= self.scene.config.spawn.reseed_rounds:
+        if not self._manoeuvres_are_over(self.rounds - 1):
             new = self._reused_as_straight(new, gone)
             self._drive_again(new, gone)
         for one in gone.values():

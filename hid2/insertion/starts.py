@@ -1,7 +1,7 @@
 """Starts: whether a vehicle can begin at a site, with which driver, how fast, and what a rollout says of it."""
 
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import InitVar, dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -26,16 +26,32 @@ from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.lane_graph import SIDES, Side
 
-# No tunables, how a vehicle begins: what a driver does on its way, and what saves looking in vain. A beginning at which
-# nothing is looked ahead holds if nothing is met so long, s; drivers that are drawn for a site; m from the way's begin.
-_HOLDS_S, _DRIVERS, _FROM_EDGE_M = 3.0, 3, 0.5
+# No tunables, here and below, how a vehicle begins: what a driver does on its way, and what saves looking in vain.
+#: With `request.sites = any` a beginning holds if nothing is met for so long, s.
+_HOLDS_S = 3.0
+#: Drivers that are drawn for a site, before it is given up.
+_DRIVERS = 3
+#: A rear bumper is so far from the begin of a route at least, m.
+_FROM_EDGE_M = 0.5
+#: A front bumper is so far from the end of a route at least, m.
+_TO_EDGE_M = 1.0
+#: A vehicle is taken to keep this share of the speed that it begins with, to be on the map long enough.
+_KEPT_SHARE = 0.95
+#: A route is looked along for sharp curves so far ahead, s: a scene lasts 11.
+_AHEAD_S = 12.0
+#: A turn is seen when its lane is left by so much, m.
+_TURNED_M = 1.0
 #: Of a vehicle that is taken without a rollout over the scene.
 _NOT_ROLLED_OUT: tuple[Rollout, ...] = ()
 #: Smallest bumper gap at the start, m: what drivers keep standing.
 CLEAR_GAP_M = 2.0
-#: So long after its beginning, s, a vehicle has braked so hard in the mean, m/s2, at most, as nine in ten of those
-#: recorded from step 0 on (89 of 98 in fourteen scenes). It saves time: once is enough for most, no more are tried.
-_BEGINS_S, _EASED_TO_MPS2, _EASED_AT_MOST = 1.3, 0.5, 3
+#: The beginning of a vehicle, over which it does not brake hard, lasts so long, s.
+_BEGINS_S = 1.3
+#: It brakes there by so much in the mean at most, m/s2, as nine in ten of those recorded from step 0 on (89 of 98 in
+#: fourteen scenes).
+_EASED_TO_MPS2 = 0.5
+#: A start is made slower so often at most, until it does: once is enough for most.
+_EASED_AT_MOST = 3
 #: No tunable: run back by so many s at the speeds of its beginning, a vehicle has not come through its leader or
 #: follower (of recorded vehicles behind a leader .5 % would have, at any step).
 _BEFORE_S = 1.5
@@ -85,13 +101,13 @@ class _Begin(NamedTuple):
 class Starts:
     """Starts of one round; each keeps clear of those that were taken before it.
 
-    guard: with the vehicles kept in rounds before; those taken are added to it by their rollouts.
+    guard: with the vehicles kept in rounds before; `world` adds those taken to it by their rollouts.
     """
 
     scene: Scene
     roads: Roads
     meetings: Meetings
-    guard: Guard
+    guard: InitVar[Guard]
     rng: np.random.Generator
     round_number: int
     taken: list[Start] = field(default_factory=list)
@@ -99,9 +115,9 @@ class Starts:
     world: World = field(init=False)
     _rolled: dict[Start, tuple[RolledOut, ...]] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, guard: Guard) -> None:
         """Nothing is chosen yet."""
-        self.world = World(self.scene, self.roads, self.guard)
+        self.world = World(self.scene, self.roads, guard)
 
     def take(self, starts: list[Start]) -> list[Start]:
         """The same starts; those after them keep clear of them."""
@@ -126,12 +142,13 @@ class Starts:
         drawn unless given.
         """
         scene, config, rng = self.scene, self.scene.config, self.rng
-        (offer, s, step, leader, headway_s), box = site, clearance_box(request.size, DEFAULT_SIZES[request.object_type])
+        offer, s, step, leader, headway_s = site
+        box = clearance_box(request.size, DEFAULT_SIZES[request.object_type])
         half_m, run_on = box.length_m / 2, "topology" in config.without
         first_m = half_m + _FROM_EDGE_M
         if s is None:  # it has come over the edge since the step before
             s = first_m + float(rng.random()) * scene.usual_speed(offer.route[0]) * scene.step_s
-        if s < first_m or (s + half_m > offer.length_m - 1.0 and not run_on):
+        if s < first_m or (s + half_m > offer.length_m - _TO_EDGE_M and not run_on):
             return Reason.NO_SITE
         path = scene.paths.along(offer.route)
         start_s = path.to_line(s)
@@ -141,12 +158,13 @@ class Starts:
                 return Reason.NO_SITE
             if near.lag_m[0] < (headway_s - LEADER_LENGTH_S) * near.lag_mps[0]:
                 return Reason.FOLLOWER_HEADWAY
-        flow_mps, lane_id = 0.0, path.segment_at(start_s).lane_id
+        lane_id = path.segment_at(start_s).lane_id
+        flow_mps = 0.0
         if step == 0:
             leader = self.meetings.leader_of(scene.cell_at(path, start_s), offer.route)
         if config.request.sites == "promising" and driver is None:
             flow_mps = max(self.meetings.pace_of(leader), self._follower_mps(path, box, start_s, step))
-        line_gap_m = self.guard.stop_lines.on(path, box).gap_m(start_s, step)
+        line_gap_m = self.world.guard.stop_lines.on(path, box).gap_m(start_s, step)
         begin = _Begin(request, site._replace(leader=leader), path, box, s, start_s, line_gap_m, sides)
         made: Start | Reason = Reason.NO_SITE
         for _ in range(1 if driver is not None else _DRIVERS):
@@ -226,13 +244,14 @@ class Starts:
             shown_m = min(float(parts[-1].s[-1]), vehicle.path.exit_s - 0.5 * start.size.length_m)
             if shown_m < vehicle.path.lateral_spans[-1].end + spare_m:
                 return Reason.SCENE_ENDED
-        if (kind := BEHAVIOURS[policy].turn) is not None:
+        kind = BEHAVIOURS[policy].turn
+        if kind is not None:
             turn = first_turn(scene.grid.graph, start.path, kind, after=start.start_s)
             if turn is None:
                 return Reason.TURN_NOT_SEEN
             last_s, last = float(parts[-1].s[-1]), scene.num_steps - 1
-            if last_s < turn.end + 1.0:
-                room_m = self.guard.stop_lines.on(start.path, start.box).room_m(last_s, last, start.driver)
+            if last_s < turn.end + _TURNED_M:
+                room_m = self.world.guard.stop_lines.on(start.path, start.box).room_m(last_s, last, start.driver)
                 return Reason.WAITS_AT_LINE if room_m < turn.end - last_s else Reason.SCENE_ENDED
         return parts
 
@@ -267,20 +286,21 @@ class Starts:
         candidate = self.world.rolled_out(start, parts)
         if self.world.meets_after(candidate):
             return Reason.TTC_AT_END
-        if (harried := self.world.harm_to_followers(candidate, headway_s)) is not None:
-            return harried
+        harm = self.world.harm_to_followers(candidate, headway_s)
+        if harm is not None:
+            return harm
         anew = [candidate]
         for one in self.world.to_roll_anew(candidate):
-            around = self.world.joined_by(candidate, without=one.start.vehicle_id)
-            begun = one.start
-            near = around.gaps_at(begun.path, begun.box, begun.start_s, begun.step)
-            still = self._performed(around, begun) if _is_clear(near) else Reason.NO_SITE
-            if isinstance(still, Reason) or self._brakes_mps2(still) > max(
-                _MADE_TO_BRAKE_MPS2, self._brakes_mps2(one.parts)
-            ):
+            around, begun = self.world.joined_by(candidate, without=one.start.vehicle_id), one.start
+            if not _is_clear(around.gaps_at(begun.path, begun.box, begun.start_s, begun.step)):
+                return Reason.MEETS_GENERATED
+            still = self._performed(around, begun)
+            if isinstance(still, Reason):
+                return Reason.MEETS_GENERATED
+            if self._brakes_mps2(still) > max(_MADE_TO_BRAKE_MPS2, self._brakes_mps2(one.parts)):
                 return Reason.MEETS_GENERATED
             if still:
-                anew.append(around.rolled_out(one.start, still))
+                anew.append(around.rolled_out(begun, still))
         self._rolled[start] = tuple(anew)
         return None
 
@@ -303,9 +323,9 @@ class Starts:
         """Speed at which a driver that would drive at `speed` begins, m/s; or why it cannot begin there."""
         path, box, start_s, step = begin.path, begin.box, begin.start_s, begin.site.step
         limits = self.scene.config.limits
-        if self.leaves_early(begin.site.offer, begin.s + box.length_m / 2, 0.95 * speed, step):
+        if self.leaves_early(begin.site.offer, begin.s + box.length_m / 2, _KEPT_SHARE * speed, step):
             return Reason.LEAVES_TOO_EARLY
-        reach = slice(int(start_s / TABLE_STEP_M), int((start_s + 12.0 * speed) / TABLE_STEP_M) + 2)
+        reach = slice(int(start_s / TABLE_STEP_M), int((start_s + _AHEAD_S * speed) / TABLE_STEP_M) + 2)
         if np.abs(path.line.table_curvature[reach]).max(initial=0.0) > CURVATURE_KEPT / limits.min_radius_m:
             return Reason.LIMIT_CURVATURE
         road = self.roads.speeds(path, driver)
@@ -333,7 +353,7 @@ class Starts:
         closing = seen.along_mps[:, 0] - speed
         if (known.same_direction[:, step] & (seen.lag_m[:, 0] < conflict.follower_ttc_min_s * closing)).any():
             return Reason.TTC_RECORDED_FOLLOWER
-        lines = self.guard.stop_lines.on(path, box)
+        lines = self.world.guard.stop_lines.on(path, box)
         room_m = lines.room_m(s, step, driver)
         if room_m < 0.0:
             return Reason.ENTERS_ON_RED
@@ -353,9 +373,7 @@ class Starts:
         here = self.scene.traffic.at(step).joined(self.world.guard.inserted_known.at(step))
         xy, forward, _ = path.line.motion(np.array([s]))
         seen = gaps_from_pose(xy, forward, box, here)
-        least_m = np.maximum(
-            CLEAR_GAP_M, config.conflict.follower_ttc_min_s * (seen.along_mps - speed_mps)
-        )  # fmt: skip
+        least_m = np.maximum(CLEAR_GAP_M, config.conflict.follower_ttc_min_s * (seen.along_mps - speed_mps))
         near = (seen.aside_m < config.conflict.margin_lateral_m) & (seen.gap_m > -box.length_m)
         return bool(np.any(near & (seen.gap_m < least_m) & here.present[:, 0] & (seen.along_m < 0.0)))
 
