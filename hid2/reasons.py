@@ -92,7 +92,7 @@ class Reason(StrEnum):
     # overtake
     NO_LEADER = "no_leader", "No leader within the observation horizon."
     LEADER_NOT_SLOWER = "leader_not_slower", "The leader is not slower than the desired speed by enough."
-    NO_LANE = "no_lane", "The lane beside is not free."
+    NO_LANE = "no_lane", "No free lane to overtake on, or to return to: cells j-1, j, j+1 are not free."
     CORRIDOR_SHORT = "corridor_short", "The free corridor m * 4 m is shorter than d_overtake."
     NOT_AHEAD = "not_ahead", "The overtaken vehicle is not far enough behind for the return."
     LANES_PART = "lanes_part", "The two lanes part before the return."

@@ -25,9 +25,10 @@ from hid2.reasons import Reason
 from hid2.scene import Scene
 from netconvert.cells import Cell
 
-#: A vehicle that waits for a gap slows down so for those beside, m/s2, to this share of its desired speed. No tunables:
-#: what traffic behind does not notice.
-_LET_PASS_MPS2, _LET_PASS_SHARE = 0.7, 0.8
+#: A vehicle that waits for a gap slows down so for those beside, m/s2. No tunable: traffic behind does not notice it.
+_LET_PASS_MPS2 = 0.7
+#: It slows down to this share of its desired speed. No tunable, likewise.
+_LET_PASS_SHARE = 0.8
 _GAP = CAUSES.index("gap")
 #: Refusals of a gap in which waiting for those beside to go ahead helps.
 _LETS_PASS = frozenset({Reason.CELLS_OCCUPIED, Reason.FRONT_GAP})

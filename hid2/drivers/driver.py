@@ -9,10 +9,17 @@ import numpy as np
 from hid2.agents import FloatArray
 from hid2.params import Config, Drivers
 
-#: No tunables, the shape of the distributions: draws are cut off so many SD from the mean; the wandering of the speed
-#: is eased over so long, s, as feet do not jump, and ends at this share of the desired speed, as none crawls without a
-#: cause; two places in the lane are so far apart at least, and none is farther from its middle, m: a car is no bicycle.
-TRUNCATED_AT, _EASED_S, _WANDERS_TO, _OFFSET_SPACING_M, OFFSET_MAX_M = 2.0, 0.8, 0.8, 6.0, 0.9
+# No tunables, the next five: the shape of the distributions.
+#: Draws are cut off so many SD from the mean.
+TRUNCATED_AT = 2.0
+#: The wandering of the speed is eased over so long, s, as feet do not jump.
+_EASED_S = 0.8
+#: It ends at this share of the desired speed, as none crawls without a cause.
+_WANDERS_TO = 0.8
+#: Two places in the lane are so far apart at least, m.
+_OFFSET_SPACING_M = 6.0
+#: None is farther from the middle of the lane, m: a car is no bicycle.
+OFFSET_MAX_M = 0.9
 #: No tunable: m from the front to the line, between which drivers stand, negative past it; of 21 recorded ones that
 #: stand first before an intersection 19 do at -3.2 to 3.6 m (fourteen scenes), farther past it cross traffic is near.
 LINE_GAP_M = -1.5, 3.0

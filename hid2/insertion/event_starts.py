@@ -24,9 +24,13 @@ from hid2.scene import clearance_box
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 
 _BRAKES_S = 2.5  # braking that is asked for lasts so long; no tunable: until about 20 km/h slower than before
-#: Of each driver so many beginnings are looked at, and the first that is free is taken; a place is left out where so
-#: many drivers in a row cannot begin; of so many the fastest is to overtake, the quickest to cut in. No tunables.
-_DRAWS, _NOT_BEGUN, _ASKED = 32, 20, 10
+# No tunables, the next three: they bound the search.
+#: Of each driver so many beginnings are looked at, and the first that is free is taken.
+_DRAWS = 32
+#: A place is left out where so many drivers in a row cannot begin.
+_NOT_BEGUN = 20
+#: Of so many drivers the fastest is to overtake, the quickest to cut in.
+_ASKED = 10
 #: The best of this many that bring an event about are taken before more are drawn. Not a parameter, it saves time.
 _ENOUGH = 8
 _CREEPS_MPS = 0.2  # to stand is to desire to roll on so slowly; no tunable: SUMO takes no desired speed of 0

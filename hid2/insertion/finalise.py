@@ -183,19 +183,21 @@ def _judged(scene: Scene, vehicle: ExportedVehicle, others: AgentStates) -> Expo
     First what the choice of filter and place in the lane decides: motion, road, boxes. Then what it does to others on
     the path that it drives, and what follows its last step.
     """
-    bounds, without, row = export_bounds(scene.config), scene.config.without, others.arrays.num_agents
+    bounds, without, own = export_bounds(scene.config), scene.config.without, others.arrays.num_agents
     found = of_motion(vehicle.states, 0, bounds)
     if not {"collision", "topology"} & without:
         found = chain(found, of_road(vehicle.states, 0, vehicle.driven.start.size, scene.grid.graph, bounds))
-    if (verdict := _reason(scene, found)) is not None or "collision" in without:
+    verdict = _reason(scene, found)
+    if verdict is not None or "collision" in without:
         return verdict or vehicle
     states = others.joined(vehicle.states)
-    if (verdict := _boxes(scene, states)) is not None:
+    verdict = _boxes(scene, states)
+    if verdict is not None:
         return verdict
-    led = states.leaders_among(row, others.traffic, aside_m=bounds.spare_aside_m)
-    found = chain(ttc_on_driven_path(states, row, led, bounds), of_end(states, row, np.arange(row), bounds))
+    led = states.leaders_among(own, others.traffic, aside_m=bounds.spare_aside_m)
+    found = chain(ttc_on_driven_path(states, own, led, bounds), of_end(states, own, np.arange(own), bounds))
     if "topology" not in without:
-        found = chain(found, of_crossings(states, bounds, since=row))
+        found = chain(found, of_crossings(states, bounds, since=own))
     return _reason(scene, found) or replace(vehicle, min_ttc_s=float(led.ttc_s.min(initial=np.inf)))
 
 
@@ -219,8 +221,8 @@ def _boxes(scene: Scene, states: AgentStates) -> Reason | None:
     """Whether the box of the last vehicle meets another one."""
     if "collision" in scene.config.without:
         return None
-    row = states.arrays.num_agents - 1
-    return _reason(scene, of_boxes(states, row, np.arange(row), spare_m=export_bounds(scene.config).spare_box_m))
+    own = states.arrays.num_agents - 1
+    return _reason(scene, of_boxes(states, own, np.arange(own), spare_m=export_bounds(scene.config).spare_box_m))
 
 
 def _passes_m(vehicle: AgentStates, others: AgentStates) -> float:

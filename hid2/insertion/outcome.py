@@ -46,7 +46,8 @@ class Outcome:
 def outcome_of(scene: Scene, vehicle: ExportedVehicle, kept: Iterable[ExportedVehicle]) -> Outcome | None:
     """Outcome of a vehicle's request beside what is recorded and kept; None for one that goes straight."""
     policy = vehicle.driven.policy
-    if (kind := BEHAVIOURS[policy].turn) is not None:
+    kind = BEHAVIOURS[policy].turn
+    if kind is not None:
         return _turn(scene, vehicle, kind)
     if BEHAVIOURS[policy].sides:
         return _lane_change(vehicle)

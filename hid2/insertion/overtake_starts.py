@@ -33,16 +33,43 @@ from hid2.scene import SLOW_LEADER_SHARE, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.lane_graph import Side
 
-#: Not parameters, they bound the search: ways that are looked at, at once, and before it is given up where none seems
-#: to fit; leaders and drivers drawn for each, gaps for each two; wanderings of speeds; and what is rolled out.
-_WAYS, _TOGETHER, _HOPELESS, _LEADERS, _DRIVERS, _GAPS, _WANDERS, _ROLLED_OUT = 288, 16, 48, 6, 6, 6, 48, 24
-#: No tunables, what is drawn: an added leader drives no slower, m/s; s of the speed difference from the leader at the
-#: start, beyond the gap at standstill; one that is to overtake is in a hurry: the fastest wanderings, one of so many.
-_SLOWEST_MPS, _GAP_S, _HURRIED = 3.0, (1.0, 5.0), 3
-#: Not parameters, they save rollouts: s between two looks; share of a lateral motion at which the centre has crossed
-#: the line; s kept above a TTC; of the way back how much is driven by the end, as a rollout wants some time left; m/s2
-#: that a driver brakes at most; and share of the scene that an overtake takes up to the end of its stretch.
-_LOOKS_S, _CROSSED, _SPARE_S, _BACK, _BRAKES_MPS2, _LASTS = 0.2, 0.5, 0.1, 1.05, 3.0, 0.75
+# Not parameters, the next eight: they bound the search.
+#: Ways that are looked at.
+_WAYS = 288
+#: Ways that are looked at at once.
+_TOGETHER = 16
+#: Ways after which the search is given up where none seems to fit.
+_HOPELESS = 48
+#: Leaders drawn for each way.
+_LEADERS = 6
+#: Drivers drawn for each way.
+_DRIVERS = 6
+#: Gaps drawn for each leader and driver.
+_GAPS = 6
+#: Wanderings of speeds that are drawn.
+_WANDERS = 48
+#: Overtakes that are rolled out.
+_ROLLED_OUT = 24
+# No tunables, the next three: what is drawn.
+#: An added leader drives no slower, m/s.
+_SLOWEST_MPS = 3.0
+#: s of the speed difference from the leader at the start, beyond the gap at standstill.
+_GAP_S = (1.0, 5.0)
+#: A vehicle that is to overtake is in a hurry: it has one of the fastest wanderings, of so many one.
+_HURRIED = 3
+# Not parameters, the rest: they save rollouts.
+#: s between two looks.
+_LOOKS_S = 0.2
+#: Share of a lateral motion at which the centre has crossed the line.
+_CROSSED = 0.5
+#: s kept above a TTC.
+_SPARE_S = 0.1
+#: Of the way back so much is driven by the end, as a rollout wants some time left.
+_BACK = 1.05
+#: A driver brakes by so much at most, m/s2.
+_BRAKES_MPS2 = 3.0
+#: Share of the scene that an overtake takes up to the end of its stretch.
+_LASTS = 0.75
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -22,9 +22,13 @@ from hid2.scene import Scene
 from netconvert.cells import Cell
 from netconvert.lane_graph import Side
 
-#: No tunables, room for what a driver does otherwise: shares of the time and of the length of l' left that a lateral
-#: motion may take, and s of that time left after it.
-_TIME_SHARE, _LENGTH_SHARE, _SPARE_S = 0.95, 0.8, 0.5
+# No tunables, the next three: room for what a driver does otherwise.
+#: A lateral motion may take this share of the time left in the scene.
+_TIME_SHARE = 0.95
+#: Of that time so much is left after it, s.
+_SPARE_S = 0.5
+#: It may take this share of the length of l' left.
+_LENGTH_SHARE = 0.8
 _HALF_LANE_M = 1.5  # half of the narrowest lane: what "on a lane path" means, the same for all
 
 

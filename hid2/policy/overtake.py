@@ -32,7 +32,10 @@ def stretch_m(config: Config) -> float:
 
 
 def enter_reason(option: LaneOption, *, leader: Gap | None, desired_mps: float, params: Overtake) -> Reason | None:
-    """Why the overtake cannot begin now, None where it can: l' free, gaps at both ends, m * delta s >= d_overtake."""
+    """Why the overtake cannot begin now, None where it can: l' free, gaps at both ends, m * delta s >= d_overtake.
+
+    NO_LANE is the paper's condition 1, apart from CELLS_OCCUPIED of a lane change, for which a vehicle slows down.
+    """
     if leader is None or leader.distance_m > params.d_obs_m:
         return Reason.NO_LEADER
     if desired_mps - leader.speed_mps < params.speed_advantage_mps:
