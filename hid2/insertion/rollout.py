@@ -224,11 +224,9 @@ class World:
         scene, box, driver = self.scene, start.box, start.driver
         path = path or start.path
         first = start.step if step is None else step
-        known, lines, shown = (
-            self.guard.known_on(path, box),
-            self.guard.stop_lines.on(path, box),
-            self._shown_on(path, box) if target is None else self._shown_beside(path, target, box),
-        )
+        last = scene.num_steps - 1 if last is None else min(last, scene.num_steps - 1)
+        known, lines = self.guard.known_on(path, box), self.guard.stop_lines.on(path, box)
+        shown = self._shown_on(path, box) if target is None else self._shown_beside(path, target, box)
         state, memory = (start.start_s, start.start_mps, 0.0), np.zeros(0)
         if before is not None:
             k = first - before.step
@@ -236,8 +234,7 @@ class World:
             state = float(before.s[k]), float(before.v[k]), gained_mps / scene.step_s
             memory = before.memory[k].copy()
         s, v, memories = roll(
-            (first, scene.num_steps - 1 if last is None else min(last, scene.num_steps - 1)),
-            state, start.desired, driver.following,
+            (first, last), state, start.desired, driver.following,
             scene.config.drivers.reaction_s, start.size.length_m, STRAIGHT, self.guard.horizon,
             STRIDE, scene.step_s, TABLE_STEP_M, self.guard.brakes, self.guard.predicted,
             STOPS, self.guard.yield_rules, self.roads.speeds(path, driver), *self.roads.lanes(path),
@@ -292,7 +289,8 @@ class World:
             elif across is not None:
                 across.taken_by(vehicle)
                 onto = self.roll(start, path=across.path, step=step, before=part, target=across.target)
-                parts[-1:] = part.until(step), self._jumped(start, vehicle.path, onto, across.shift.side)
+                parts[-1] = part.until(step)
+                parts.append(self._jumped(start, vehicle.path, onto, across.shift.side))
                 vehicle.path = across.path
             step += scene.steps_in(_PASSING_LOOKS_S if vehicle.stage is Stage.PASS else _LOOKS_S)
         return vehicle, tuple(parts)

@@ -29,7 +29,7 @@ from netconvert.lane_graph import SIDES, Side
 # No tunables, here and below, how a vehicle begins: what a driver does on its way, and what saves looking in vain.
 #: With `request.sites = any` a beginning holds if nothing is met for so long, s.
 _HOLDS_S = 3.0
-#: Drivers that are drawn for a site, before it is given up.
+#: Drivers that are drawn for a site, at most.
 _DRIVERS = 3
 #: A rear bumper is so far from the begin of a route at least, m.
 _FROM_EDGE_M = 0.5
@@ -68,7 +68,7 @@ _SPARE_S = 0.2
 
 
 class Site(NamedTuple):
-    """Where a vehicle may begin: s along the route's lanes, m, at a step; None: at their beginning, all of it on them.
+    """Where a vehicle may begin, and at which step. s: m along the route's lanes; None: it has just come over the edge.
 
     leader: what it would follow where it enters later, as `Meetings` numbers them; headway_s: that recorded followers
     are left with, as `sustained_headway` has it.
@@ -124,8 +124,10 @@ class Starts:
         self.taken += starts
         if "collision" not in self.scene.config.without:
             for start in starts:
-                rolled = self._rolled.pop(start, None)
-                self.world.choose(*(rolled or (self.world.rolled_out(start, (self.world.roll(start),)),)))
+                rolled = self._rolled.pop(start, ())
+                if not rolled:
+                    rolled = (self.world.rolled_out(start, (self.world.roll(start),)),)
+                self.world.choose(*rolled)
         return starts
 
     def rolled(self, start: Start) -> tuple[RolledOut, ...]:
