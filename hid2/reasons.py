@@ -99,6 +99,7 @@ class Reason(StrEnum):
     # conflicts and what SUMO says to a change
     CONFLICT_PREDICTED = "conflict_predicted", "Predicted boxes meet on the way across (conflict case 3)."
     LANES_NOT_SIDE_BY_SIDE = "lanes_not_side_by_side", "The two lanes are not side by side all the way across."
+    SOLID_LINE = "solid_line", "The line to the other lane may not be crossed where the vehicle would cross it."
     OFF_ITS_LANE = "off_its_lane", "SUMO has the vehicle on no lane of the grid."
     TARGET_NOT_BESIDE_FRONT = "target_not_beside_front", "The target lane is not beside the front bumper."
     SUMO_REFUSES = "sumo_refuses", "SUMO refused the lane change as unsafe (lane-change mode 512)."
@@ -140,6 +141,10 @@ class Reason(StrEnum):
     FOLLOWER_HEADWAY = (
         "follower_headway",
         "A follower would drive on its leader's bumper: too short a time headway for a second, unless recorded so.",
+    )
+    FOLLOWER_BRAKING = (
+        "follower_braking",
+        "A recorded vehicle that comes up from behind would have to brake harder than it does.",
     )
     TTC_RECORDED_FOLLOWER = (
         "ttc_recorded_follower",

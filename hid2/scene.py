@@ -80,6 +80,13 @@ class Scene:
     scene_speeds: list[float]
 
     @cached_property
+    def states_as_written(self) -> AgentStates:
+        """The recorded agents as a reader has them, with the boxes that they have."""
+        return agent_states(
+            self.tracks, self.states.lanes, num_steps=self.num_steps, step_s=self.step_s, is_inserted=lambda _: False
+        )
+
+    @cached_property
     def movers(self) -> tuple[IntArray, Traffic, FloatArray]:
         """Rows (M,) of the recorded vehicles that ever move, these alone, at most as fast, and directions (M, T, 2)."""
         rows = np.flatnonzero(self.states.arrays.moving_vehicles)

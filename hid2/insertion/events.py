@@ -21,7 +21,7 @@ from hid2.insertion.event_objective import MOMENT_S, Objective, Seen
 from hid2.insertion.event_places import Places
 from hid2.insertion.event_starts import Candidate, EventStarts
 from hid2.insertion.event_targets import candidate_rows, target_of
-from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, together, traffic_of_exported
+from hid2.insertion.finalise import ExportedVehicle, as_written, conflicting, finalise, traffic_of_exported
 from hid2.insertion.outcome import Outcome, outcome_of
 from hid2.insertion.requests import draw_size
 from hid2.insertion.surroundings import Surroundings
@@ -147,7 +147,7 @@ class SceneEvents:
         rows = candidate_rows(scene, event.target)
         if event.target == "any":
             rows = [rows[k] for k in rng.permutation(len(rows)).tolist()]
-        known = together(scene, self.kept)
+        known = as_written(scene, self.kept)
         return [Objective(scene, event, target, known) for row in rows if (target := target_of(scene, row)) is not None]
 
     def likely(
@@ -204,7 +204,7 @@ def comes_between(scene: Scene, event: EventOutcome, vehicle: ExportedVehicle) -
         return False
     names, at_s = (event.vehicle.driven.vehicle_id, str(event.target_id)), event.seen.at_step * scene.step_s
     claim = EventClaim(event.event.kind, *names, at_s, ahead=event.seen.order > 0)
-    return event_step(together(scene, [event.vehicle, vehicle]), claim) is None
+    return event_step(as_written(scene, [event.vehicle, vehicle]), claim) is None
 
 
 def offered_events(here: Surroundings, names: Sequence[str]) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Track
 from hid2.drivers.driver import LaneOffset
-from hid2.judge.findings import MOVES_M, MOVES_MPS, Finding, Quantity, export_bounds
+from hid2.judge.findings import LEFT_TO_TARGET, MOVES_M, MOVES_MPS, Finding, Quantity, export_bounds
 from hid2.judge.states import (
     headway_on_driven_path,
     headways,
@@ -17,8 +17,8 @@ from hid2.judge.states import (
     of_crossings,
     of_end,
     of_motion,
+    of_recorded_followers,
     of_road,
-    ttc_of_followers,
     ttc_on_driven_path,
     ttc_on_lanes,
 )
@@ -168,6 +168,18 @@ def together(scene: Scene, vehicles: Iterable[ExportedVehicle]) -> AgentStates:
     return scene.states.joined(*(one.states for one in vehicles))
 
 
+def as_written(scene: Scene, vehicles: Iterable[ExportedVehicle]) -> AgentStates:
+    """The same with the boxes that they have: what is claimed of them is measured by a reader, who has no others."""
+    tracks = [one.track(one.driven.vehicle_id, 1) for one in vehicles]
+    each = [
+        agent_states(
+            [track], scene.states.lanes, num_steps=scene.num_steps, step_s=scene.step_s, is_inserted=lambda _: True
+        )
+        for track in tracks
+    ]
+    return scene.states_as_written.joined(*each)
+
+
 def _reason(scene: Scene, findings: Iterable[Finding]) -> Reason | None:
     """Reason of the first finding; boxes that meet are told apart by their agents."""
     for one in findings:
@@ -256,7 +268,7 @@ def conflicting(
     beyond_m[first:] = [one.driven.start.beyond_m for one in exported]
     findings = [*ttc_on_lanes(states, led, bounds), *headways(states, led, beyond_m)]
     rows = first + np.arange(len(exported))
-    findings += ttc_of_followers(states, rows[since:], bounds)
+    findings += of_recorded_followers(states, rows[since:], bounds)
     for row in rows.tolist():
         # one that was kept has been looked at behind recorded agents
         others, recorded = (rows[rows != row], first) if row >= first + since else (rows[since:], 0)
@@ -268,7 +280,7 @@ def conflicting(
     row_of = {name: row for row, name in enumerate(states.arrays.track_ids[first:])}
     found: dict[int, Reason] = {}
     for one in findings:
-        if one.quantity is Quantity.FOLLOWER_HEADWAY and one.other == target_id:
+        if one.quantity in LEFT_TO_TARGET and one.other == target_id:
             continue
         found.setdefault(max(row_of[one.track_id], row_of.get(one.other or "", -1)), one.reason)
     return sorted((row, reason) for row, reason in found.items() if row >= since)

@@ -15,8 +15,8 @@ import numpy as np
 from hid2.agents import BoxSize, FloatArray
 from hid2.conflicts.guard import ACROSS_S, STRIDE, Guard
 from hid2.conflicts.stop_lines import AMBER_S, STOPS
-from hid2.judge.findings import FOLLOWER_HEADWAY_S, MOVES_M, export_bounds
-from hid2.judge.states import contacts_at_end, recorded_headways, sustained_headway
+from hid2.judge.findings import FOLLOWER_HEADWAY_S, FOLLOWER_LACKS_MPS2, MOVES_M, export_bounds
+from hid2.judge.states import contacts_at_end, lacked_braking, recorded_headways, sustained_headway
 from hid2.kernels.polyline import frenet
 from hid2.kernels.rollout import CONTACT, LAG_TTC, LEAD_TTC, met_by, roll
 from hid2.manoeuvre import ManoeuvreDue, advance
@@ -139,7 +139,8 @@ class World:
     def harm_to_followers(self, candidate: RolledOut, headway_s: float = FOLLOWER_HEADWAY_S) -> Reason | None:
         """What a recorded vehicle that comes up from behind suffers, on the path that it drives itself; None: nothing.
 
-        It is left with too little time to collision, or with a shorter headway, which it never kept in the recording.
+        It is left with too little time to collision, would have to brake harder than it does, or has a shorter headway,
+        which it never kept in the recording.
         """
         scene, own = self.scene, candidate.traffic.first(self.scene.num_steps)
         movers, recorded, forward = scene.movers
@@ -153,12 +154,17 @@ class World:
         aside_m = np.abs(offset[..., 1] * forward[..., 0] - offset[..., 0] * forward[..., 1])
         speed = np.hypot(recorded.velocity[..., 0], recorded.velocity[..., 1])
         room_m = np.maximum(_FOLLOWS_M + critical_s * closing, headway_s * speed)
+        room_m = np.maximum(room_m, _FOLLOWS_M + np.maximum(closing, 0.0) ** 2 / (2.0 * FOLLOWER_LACKS_MPS2))
         near = (gap_m > -own.length_m) & (gap_m < room_m) & (aside_m < _ASIDE_M)
         near &= own.present & recorded.present
         for row in movers[near.any(axis=1)].tolist():
             led = scene.states.leaders_among(row, own)
             if led.ttc_s.min(initial=math.inf) < critical_s:
                 return Reason.TTC_RECORDED_FOLLOWER
+            if scene.states.arrays.track_ids[row] == self.target_id:
+                continue
+            if lacked_braking(scene.states, row, led)[0].max(initial=0.0) > FOLLOWER_LACKS_MPS2:
+                return Reason.FOLLOWER_BRAKING
             length_m = own.length_m[0] - candidate.start.beyond_m
             if led.agents.size and self._headway_too_short(row, led.gap_m[0], length_m, headway_s):
                 return Reason.FOLLOWER_HEADWAY
@@ -166,10 +172,7 @@ class World:
 
     def _headway_too_short(self, follower: int, gap_m: FloatArray, leader_m: float, least_s: float) -> bool:
         """Whether a recorded vehicle, gap_m (T,) behind one leader_m long, has a headway below that it never kept."""
-        states = self.scene.states
-        if states.arrays.track_ids[follower] == self.target_id:
-            return False
-        headway_s, _ = sustained_headway(gap_m, leader_m, states.speed(follower), self.scene.step_s)
+        headway_s, _ = sustained_headway(gap_m, leader_m, self.scene.states.speed(follower), self.scene.step_s)
         if headway_s >= least_s:
             return False
         return self._recorded_headways_s.get(follower, math.inf) > headway_s

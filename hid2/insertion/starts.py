@@ -62,7 +62,9 @@ _MADE_TO_BRAKE_MPS2 = 1.2
 #: No tunable: none is to wait astride of two lanes for longer, s.
 _ASTRIDE_S = 1.0
 #: Verdicts that another driver may change.
-_ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.FOLLOWER_HEADWAY, Reason.LEAVES_TOO_EARLY})
+_ANOTHER_DRIVER = frozenset({
+    Reason.TTC_RECORDED_FOLLOWER, Reason.FOLLOWER_BRAKING, Reason.FOLLOWER_HEADWAY, Reason.LEAVES_TOO_EARLY,
+})  # fmt: skip
 #: No tunable: by so much, s, SUMO may be later than a rollout at the end of an overtake.
 _SPARE_S = 0.2
 
@@ -272,7 +274,7 @@ class Starts:
             eased_mps = float(v[step]) + _EASED_TO_MPS2 * step * self.scene.step_s
             if eased_mps >= start.start_mps:
                 break
-            if eased_mps < SLOWEST_SHARE * start.driver.desired_mps:
+            if eased_mps < SLOWEST_SHARE * start.driver.desired_mps <= start.start_mps:
                 return start, Reason.NO_SITE
             start = replace(start, start_mps=eased_mps)
             rolled = self._performed(self.world, start)
@@ -363,10 +365,12 @@ class Starts:
         if step > 0 and (speed < STANDS_MPS or self._follower_is_near(path, s, box, speed, step)):
             return Reason.NO_SITE
         if speed < max(STANDS_MPS, SLOWEST_SHARE * alone_mps):
-            stands = (seen.lead_m[:, 0] < QUEUE_M) & (seen.along_mps[:, 0] < STANDS_MPS)
-            if room_m > 0.0 and not (stands & ~self.world.parked_on(path, box)).any():
+            near = (seen.lead_m[:, 0] < QUEUE_M) & ~self.world.parked_on(path, box)
+            queues = near & (seen.along_mps[:, 0] < SLOWEST_SHARE * alone_mps)
+            if room_m > 0.0 and not queues.any():
                 return Reason.NO_SITE  # no vehicle is so slow with so much room ahead, nor waits for a parked one
-            speed = 0.0
+            if not queues.any() or seen.along_mps[queues, 0].min() < STANDS_MPS:  # else the queue moves
+                speed = 0.0
         return Reason.NO_SITE if _came_through(known, seen, speed, step) else speed
 
     def _follower_is_near(self, path: DrivenPath, s: float, box: BoxSize, speed_mps: float, step: int) -> bool:

@@ -35,6 +35,13 @@ FOLLOWER_HEADWAY_S = 0.8
 FOLLOWER_MPS = 3.0
 #: A shorter headway counts when it lasts so long, s.
 FOLLOWER_FOR_S = 1.0
+#: A recorded follower lacks at most so much braking behind an inserted leader, m/s2: of 332 recorded ones behind
+#: recorded leaders none that does not overlap with its leader lacks more.
+FOLLOWER_LACKS_MPS2 = 1.5
+#: It lacks it for so long, s.
+LACKS_FOR_S = 0.5
+#: It has so long to brake, s: what it brakes then in the mean is no lack.
+BRAKES_WITHIN_S = 1.0
 #: Headway = (gap + leader's length) / speed, but the length counts for so many s at most: at least .5 s are left from
 #: bumper to bumper (130 recorded followers in their lanes have .6 s or more).
 LEADER_LENGTH_S = 0.3
@@ -148,6 +155,12 @@ class Quantity(StrEnum):
         "time headway of a follower, where it or its leader is inserted",
         Reason.FOLLOWER_HEADWAY,
     )
+    FOLLOWER_BRAKING = (
+        "follower_braking",
+        "m/s2",
+        "braking that a recorded follower would need, and does not do",
+        Reason.FOLLOWER_BRAKING,
+    )
     NOISE = "noise", "", "exported minus clean state, over what trackers have"
 
 
@@ -183,6 +196,9 @@ MOTION_LIMITS: Mapping[Quantity, tuple[Callable[[MotionProfile], FloatArray], Ca
 }
 #: Judged on exported states also where these have a tracker's noise; all others on the clean ones.
 ON_EXPORTED = frozenset({Quantity.OVERLAP, Quantity.OFF_ROAD, Quantity.END_TTC, Quantity.END_CONTACT})
+
+#: What an event leaves to its target is what the event is about.
+LEFT_TO_TARGET = frozenset({Quantity.FOLLOWER_HEADWAY, Quantity.FOLLOWER_BRAKING})
 
 #: Quantities with a least value as their limit.
 LEAST = frozenset({

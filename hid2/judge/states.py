@@ -14,12 +14,15 @@ import shapely
 
 from hid2.agents import BoxSize, FloatArray, IntArray
 from hid2.judge.findings import (
+    BRAKES_WITHIN_S,
     END_DECEL_MPS2,
     END_REACTION_S,
     FOLLOWER_FOR_S,
     FOLLOWER_HEADWAY_S,
+    FOLLOWER_LACKS_MPS2,
     FOLLOWER_MPS,
     INTERSECTION_DEG,
+    LACKS_FOR_S,
     LANE_DEG,
     LEADER_LENGTH_S,
     LEAST,
@@ -61,7 +64,7 @@ def judge(states: AgentStates, graph: LaneGraph, bounds: Bounds) -> list[Finding
         found += of_end(states, agent, others, bounds)
     led = leaders(arrays, states.lanes, states.matches)
     found += ttc_on_lanes(states, led, bounds)
-    found += ttc_of_followers(states, inserted, bounds)
+    found += of_recorded_followers(states, inserted, bounds)
     found += of_crossings(states, bounds, since=int(inserted[0]) if inserted.size else arrays.num_agents)
     found += headways(states, led)
     # the worst of each comes last: of times the shortest
@@ -294,8 +297,8 @@ def ttc_on_lanes(states: AgentStates, led: LaneLeaders, bounds: Bounds) -> Itera
             yield _finding(states, (own, other), int(arrays.step[at]), quantity, float(led.ttc_s[at]), critical_s)
 
 
-def ttc_of_followers(states: AgentStates, inserted: IntArray, bounds: Bounds) -> Iterator[Finding]:
-    """The least TTC of each recorded follower to each inserted vehicle, also of other lanes, on its driven path."""
+def of_recorded_followers(states: AgentStates, inserted: IntArray, bounds: Bounds) -> Iterator[Finding]:
+    """Of each recorded follower to each inserted vehicle, also of other lanes, on its driven path: TTC and braking."""
     arrays, critical_s = states.arrays, bounds.conflict.follower_ttc_min_s
     leaders_of = states.traffic.rows(inserted.tolist())
     for follower in np.flatnonzero(arrays.vehicle & arrays.moving & ~arrays.generated).tolist():
@@ -305,6 +308,27 @@ def ttc_of_followers(states: AgentStates, inserted: IntArray, bounds: Bounds) ->
             if ttc_s[step] < critical_s:
                 pair = leader, follower
                 yield _finding(states, pair, step, Quantity.TTC_FOLLOWER, float(ttc_s[step]), critical_s)
+        lacks_mps2, at = lacked_braking(states, follower, led)
+        for row in np.flatnonzero(lacks_mps2 > FOLLOWER_LACKS_MPS2).tolist():
+            pair, value = (int(inserted[led.agents[row]]), follower), float(lacks_mps2[row])
+            yield _finding(states, pair, int(at[row]), Quantity.FOLLOWER_BRAKING, value, FOLLOWER_LACKS_MPS2)
+
+
+def lacked_braking(states: AgentStates, follower: int, led: PathLeaders) -> tuple[FloatArray, IntArray]:
+    """Braking, m/s2, that a follower lacks for LACKS_FOR_S behind each of its leaders (R,), and the last step of it.
+
+    What it lacks: the constant braking that would do (DRAC), less what it brakes in the mean within BRAKES_WITHIN_S.
+    """
+    span, step_s = states.span(follower), states.arrays.step_s
+    speed, lasts = states.speed(follower)[span], round(LACKS_FOR_S / step_s)
+    within = min(round(BRAKES_WITHIN_S / step_s), speed.size - 1)
+    if speed.size < lasts or within < 1:
+        return np.zeros(led.agents.size), np.zeros(led.agents.size, dtype=np.int64)
+    brakes_mps2 = (speed[:-within] - speed[within:]) / (within * step_s)
+    brakes_mps2 = np.append(brakes_mps2, np.full(within, brakes_mps2[-1]))  # to its end as shortly before
+    lacks_mps2 = led.drac_mps2[:, span] - np.maximum(brakes_mps2, 0.0)
+    lasting = np.lib.stride_tricks.sliding_window_view(lacks_mps2, lasts, axis=1).min(axis=2)
+    return lasting.max(axis=1), span.start + lasting.argmax(axis=1) + lasts - 1
 
 
 def of_crossings(states: AgentStates, bounds: Bounds, *, since: int) -> Iterator[Finding]:

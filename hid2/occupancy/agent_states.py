@@ -22,6 +22,8 @@ from netconvert.geometry import Polyline, arc_length, differences
 
 #: Boxes that overlap along a path by more than this are side by side, m: neither leads the other.
 SIDE_BY_SIDE_M = 1.0
+#: Smallest gap that braking is worked out for, m. No tunable: a smaller one is a contact, which the judge forbids.
+_TOUCHES_M = 0.1
 #: No tunables, the shape of a driven line: its points are so far apart, m, its curves have at least this radius, m, and
 #: it stays this near to the positions, m.
 _POINTS_M, _RADIUS_M, _STRAYS_M = 1.0, 3.0, 0.2
@@ -51,6 +53,12 @@ class PathLeaders(NamedTuple):
         """(R, T) s, inf where the gap does not close."""
         closes = np.isfinite(self.gap_m) & (self.closing_mps > 1e-3)
         return np.where(closes, np.maximum(self.gap_m, 0.0) / np.where(closes, self.closing_mps, 1.0), np.inf)
+
+    @property
+    def drac_mps2(self) -> FloatArray:
+        """(R, T) m/s2, deceleration rate to avoid a crash: constant, until the gap closes no more; 0 for no need."""
+        closing_mps = np.where(np.isfinite(self.gap_m), np.maximum(self.closing_mps, 0.0), 0.0)
+        return np.asarray(closing_mps**2 / (2.0 * np.maximum(self.gap_m, _TOUCHES_M)))
 
 
 @dataclass(frozen=True, eq=False)

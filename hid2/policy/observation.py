@@ -20,7 +20,7 @@ from hid2.policy.lane_change import OPEN, Gap, LaneOption
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from netconvert.cells import Cell
-from netconvert.lane_graph import Side
+from netconvert.lane_graph import Side, crossable
 
 # No tunables, the next three: room for what a driver does otherwise.
 #: A lateral motion may take this share of the time left in the scene.
@@ -181,9 +181,24 @@ def lay_across(
         motion = LateralMotion(path, target, timing, np.array([s]), np.zeros(1)).foreseen(speeds, step_s)
         along_m = motion.along_m
     assert motion is not None
+    if not _may_cross(scene, motion):
+        return Reason.SOLID_LINE
     if motion.tau.size - 1 > scene.num_steps - 2 - step:
         return Reason.SCENE_ENDS
     return shifted_path(motion, limits=scene.config.limits) or Reason.LANES_NOT_SIDE_BY_SIDE
+
+
+def _may_cross(scene: Scene, motion: LateralMotion) -> bool:
+    """Whether no marking forbids to leave the lanes along which a lateral motion lies until it is half way across."""
+    if "topology" in scene.config.without:
+        return True
+    path, lanes = motion.source, scene.grid.graph.lanes
+    half_m = float(np.interp(0.5, motion.tau, motion.along_m))
+    begin = path.line.position(motion.along_m[:1])
+    is_right_of_it = frenet(begin, motion.target.raw_line.points, motion.target.raw_line.s)[1][0] < 0.0
+    side: Side = "left" if is_right_of_it else "right"
+    along = (one for one in path.segments if one.end > motion.along_m[0] and one.start < half_m)
+    return all(crossable(lanes[one.lane_id].mark_type(side)) for one in along)
 
 
 def _next_sigma(scene: Scene, cell: Cell, *, step: int, speed_mps: float) -> int:
