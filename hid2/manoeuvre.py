@@ -10,7 +10,7 @@ from hid2.agents import FloatArray, Policy
 from hid2.drivers.driver import free_speeds
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
-from hid2.policy.decision import Observation, decide, is_due
+from hid2.policy.decision import Observation, decide, gap_view, is_due
 from hid2.policy.lane_change import OPEN, Gap, LaneOption, SumoAnswer
 from hid2.policy.observation import Inserted, gap_to_passed, gaps_on, lane_options, lay_across, leader_on, returns_to
 from hid2.policy.overtake import SHIFT_RATIO, Stage
@@ -25,13 +25,12 @@ AskSumo = Callable[[Side], SumoAnswer]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Across:
-    """A lane change that is decided. path: the way across; target: that of the lane beside.
+    """A lane change that is decided. path: the way across.
 
     shift, stage: what becomes of the vehicle if it is carried out; leader_id: what it then overtakes.
     """
 
     path: DrivenPath
-    target: DrivenPath
     shift: Shift
     stage: Stage
     leader_id: str | None
@@ -98,12 +97,11 @@ class ManoeuvreDue:
             return None
         shift = Shift(
             side=option.side, source_lane=vehicle.path.segment_at(vehicle.s[-1]).lane_id,
-            target_lane=option.target.lane_id, requested_step=self.now, gap_front_m=option.front.distance_m,
-            gap_rear_m=option.rear.distance_m,
+            target_lane=option.target.lane_id, requested_step=self.now, target=target, view=gap_view(seen, option),
         )  # fmt: skip
         if vehicle.stage is Stage.PASS:
-            return Across(path, target, shift, Stage.RETURN, vehicle.leader_id)
-        return Across(path, target, shift, Stage.ENTER, None if leader is None else leader.track_id)
+            return Across(path, shift, Stage.RETURN, vehicle.leader_id)
+        return Across(path, shift, Stage.ENTER, None if leader is None else leader.track_id)
 
     def refuse(self, reason: Reason) -> None:
         """The rule took the last gap, but there is no safe path into it, for a reason of the path."""

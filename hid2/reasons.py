@@ -157,6 +157,10 @@ class Reason(StrEnum):
     )
     DID_NOT_DO_IT = "did_not_do_it", "It did not perform its manoeuvre, and was replaced by another vehicle."
     BREAKS_EVENT = "breaks_event", "It came between the two vehicles of a lead or follow event at its moment."
+    TAKES_GAP = (
+        "takes_gap",
+        "It would be in a gap into which a vehicle kept before changes lanes, too near for the rule.",
+    )
     WAITED_FOR_GONE = "waited_for_gone", "It had braked for a vehicle that is not exported, and was driven again."
     STANDS_THROUGHOUT = "stands_throughout", "It stands from the first step to the last."
     ENTERS_ON_RED = "enters_on_red", "It would enter an intersection on red, or drive over a crossing that is used."

@@ -24,7 +24,7 @@ from hid2.agents import Policy, Track
 from hid2.conflicts.stop_lines import StopLines
 from hid2.insertion.events import SceneEvents
 from hid2.insertion.filling import Filling
-from hid2.insertion.finalise import ExportedVehicle
+from hid2.insertion.finalise import ExportedVehicle, traffic_of_exported
 from hid2.insertion.surroundings import Surroundings
 from hid2.insertion.tracker_noise import with_noise
 from hid2.occupancy.traffic import Traffic
@@ -204,7 +204,13 @@ def _sidecar(
 ) -> Sidecar:  # fmt: skip
     config = scene.config
     names = {one.driven.vehicle_id: f"gen_{row}" for row, one in enumerate(vehicles)}
-    agents = [records.agent_record(scene, one, filling.outcomes.get(one.driven.vehicle_id), names) for one in vehicles]
+    every = traffic_of_exported(vehicles, scene)
+    agents = [
+        records.agent_record(
+            scene, one, filling.outcomes.get(one.driven.vehicle_id), names,
+            every.rows([other for other in range(len(vehicles)) if other != row]),
+        ) for row, one in enumerate(vehicles)
+    ]  # fmt: skip
     if clean:
         told = [StatesRecord.of(track) for track in clean]
         agents = [agent.model_copy(update={"clean": states}) for agent, states in zip(agents, told, strict=True)]

@@ -189,7 +189,7 @@ def _ask_sumo(fleet: Fleet, simulation: Simulation, row: int, now: int, across: 
     facing = scene.grid.lateral(cell, across.shift.side)
     if facing is None:
         return Reason.NO_ADJACENT_LANE
-    edges = edges_along(scene, across.target, facing)
+    edges = edges_along(scene, across.shift.target, facing)
     if edges is None:
         return Reason.TARGET_NOT_BESIDE_FRONT
     simulation.change_lane(vehicle.vehicle_id, scene.grid.lane_index(facing), edges=edges)
@@ -203,7 +203,7 @@ def conclude(fleet: Fleet, simulation: Simulation, attempt: Attempt, lane: str) 
     """
     vehicle, scene = fleet.vehicles[attempt.row], fleet.scene
     cell = scene.grid.cell_of_sumo_lane.get(lane)
-    beside = {segment.lane_id for segment in attempt.across.target.segments}
+    beside = {segment.lane_id for segment in attempt.across.shift.target.segments}
     own = {segment.lane_id for segment in vehicle.path.segments if segment.end > vehicle.s[-1]}
     changed = lane == attempt.lane or (cell is not None and cell.lane_id in beside - own)
     vehicle.gaps[attempt.look] = replace(vehicle.gaps[attempt.look], sumo=changed)

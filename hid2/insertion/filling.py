@@ -12,7 +12,7 @@ from hid2.agents import Policy
 from hid2.conflicts.guard import Guard
 from hid2.insertion.events import EventOutcome, comes_between
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
-from hid2.insertion.outcome import Outcome, outcome_of
+from hid2.insertion.outcome import Outcome, outcome_of, takes_gap
 from hid2.insertion.requests import draw_requests
 from hid2.insertion.sites import InsertionSites, TurnedDown
 from hid2.insertion.spread import Spread
@@ -297,6 +297,8 @@ class Filling:
         for one in new:
             if any(comes_between(self.scene, event, one) for event in self.events):
                 gone[one.driven.vehicle_id] = self._rejection(one.driven, Reason.BREAKS_EVENT)
+            elif any(takes_gap(self.scene, before, one) for before in self.kept):
+                gone[one.driven.vehicle_id] = self._rejection(one.driven, Reason.TAKES_GAP)
         new = [one for one in new if one.driven.vehicle_id not in gone]
         for one in new:
             outcome = outcome_of(self.scene, one, [*self.kept, *new])

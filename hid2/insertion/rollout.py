@@ -291,7 +291,7 @@ class World:
                 due.refuse(Reason.CONFLICT_PREDICTED)
             elif across is not None:
                 across.taken_by(vehicle)
-                onto = self.roll(start, path=across.path, step=step, before=part, target=across.target)
+                onto = self.roll(start, path=across.path, step=step, before=part, target=across.shift.target)
                 parts[-1] = part.until(step)
                 parts.append(self._jumped(start, vehicle.path, onto, across.shift.side))
                 vehicle.path = across.path
