@@ -196,7 +196,7 @@ class Filling:
         here = self.surroundings
         guard = Guard(self.scene, self._kept_traffic, here.stop_lines)
         sites = InsertionSites(
-            here, guard, rng, number, Spread.of(self.seed), self._turned_down, [one.driven.start for one in self.kept],
+            here, guard, rng, number, Spread.of(self.seed), self._turned_down, self.kept,
             asked=Counter(r.policy for r in self._open),
         )  # fmt: skip
         starts = sites.starts.take(self._again)
@@ -297,7 +297,7 @@ class Filling:
         for one in new:
             if any(comes_between(self.scene, event, one) for event in self.events):
                 gone[one.driven.vehicle_id] = self._rejection(one.driven, Reason.BREAKS_EVENT)
-            elif any(takes_gap(self.scene, before, one) for before in self.kept):
+            elif any(takes_gap(self.scene, before, traffic_of_exported([one], self.scene)) for before in self.kept):
                 gone[one.driven.vehicle_id] = self._rejection(one.driven, Reason.TAKES_GAP)
         new = [one for one in new if one.driven.vehicle_id not in gone]
         for one in new:

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from hid2.agents import Policy
-from hid2.insertion.finalise import ExportedVehicle, together, traffic_of_exported
+from hid2.insertion.finalise import ExportedVehicle, together
 from hid2.judge.claims import manoeuvres, overtake_of
 from hid2.kernels.polyline import frenet
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind
@@ -62,9 +62,9 @@ def outcome_of(scene: Scene, vehicle: ExportedVehicle, kept: Iterable[ExportedVe
     return None
 
 
-def takes_gap(scene: Scene, kept: ExportedVehicle, vehicle: ExportedVehicle) -> bool:
-    """Whether a vehicle is in a gap that one kept before took, at that step, so that the rule would refuse it now."""
-    params, inserted = scene.config.lane_change, traffic_of_exported([vehicle], scene)
+def takes_gap(scene: Scene, kept: ExportedVehicle, inserted: Traffic) -> bool:
+    """Whether others (A, T + E) are in a gap that a vehicle kept before took, so that the rule would refuse it now."""
+    params = scene.config.lane_change
     for shift in kept.driven.shifts:
         seen = shift.view
         front, rear = gaps_at_request(scene, kept, shift, inserted)

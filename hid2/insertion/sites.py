@@ -11,6 +11,7 @@ from hid2.agents import DEFAULT_SIZES, FloatArray, IntArray, Policy
 from hid2.conflicts.guard import Guard
 from hid2.drivers.driver import usual_driver
 from hid2.insertion.entry_sites import TRIES, EntrySites
+from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.meetings import LEADER_WEIGHT, PACE_SHARE
 from hid2.insertion.overtake_starts import OvertakeStarts
 from hid2.insertion.routes import RouteOffer
@@ -96,7 +97,7 @@ def _around(scene: Scene, row: int) -> range:
 class InsertionSites:
     """Sites of one scene for the requests of a round; what was proposed in this round is kept clear of.
 
-    asked: how many vehicles of each policy the scene is asked for, which share its sites; kept: starts of vehicles of
+    asked: how many vehicles of each policy the scene is asked for, which share its sites; kept: vehicles of
     rounds before; turned_down: what was found out in rounds before, and in this one.
     """
 
@@ -106,7 +107,7 @@ class InsertionSites:
     round_number: int
     spread: Spread
     turned_down: TurnedDown = field(default_factory=TurnedDown)
-    kept: Sequence[Start] = ()
+    kept: Sequence[ExportedVehicle] = ()
     asked: Counter[Policy] = field(default_factory=Counter)
     starts: Starts = field(init=False)
     overtakes: OvertakeStarts = field(init=False)
@@ -116,7 +117,10 @@ class InsertionSites:
     def __post_init__(self) -> None:
         """Sites of all kinds share the starts of the round."""
         here = self.here
-        self.starts = Starts(here.scene, here.roads, here.meetings, self.guard, self.rng, self.round_number)
+        self.starts = Starts(
+            here.scene, here.roads, here.meetings, self.guard, self.rng, self.round_number,
+            changers=[one for one in self.kept if one.driven.shifts],
+        )  # fmt: skip
         self.overtakes = OvertakeStarts(here, self.starts)
         self.entering = EntrySites(here, self.starts, self.spread, self.asked[Policy.STRAIGHT])
 
@@ -250,7 +254,7 @@ class InsertionSites:
 
     def _followed(self) -> list[int]:
         """Leaders of those kept and taken, as `Meetings` numbers them; -1 none."""
-        return [start.leader for start in (*self.kept, *self.starts.taken)]
+        return [start.leader for start in (*(one.driven.start for one in self.kept), *self.starts.taken)]
 
     def _promises(
         self, request: VehicleRequest, offer: RouteOffer, s: float, speed_mps: float, *, strict: bool

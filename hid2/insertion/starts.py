@@ -1,6 +1,7 @@
 """Starts: whether a vehicle can begin at a site, with which driver, how fast, and what a rollout says of it."""
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
@@ -10,7 +11,9 @@ import numpy as np
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy
 from hid2.conflicts.guard import Guard
 from hid2.drivers.driver import LINE_GAP_M, MIDDLE, Driver, desired_speeds, draw_driver, lane_offset
+from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.meetings import Meetings
+from hid2.insertion.outcome import takes_gap
 from hid2.insertion.rollout import QUEUE_M, SLOWEST_SHARE, RolledOut, Rollout, World
 from hid2.insertion.routes import RouteOffer
 from hid2.judge.findings import CURVATURE_KEPT, FOLLOWER_HEADWAY_S, LEADER_LENGTH_S
@@ -103,7 +106,8 @@ class _Begin(NamedTuple):
 class Starts:
     """Starts of one round; each keeps clear of those that were taken before it.
 
-    guard: with the vehicles kept in rounds before; `world` adds those taken to it by their rollouts.
+    guard: with the vehicles kept in rounds before; `world` adds those taken to it by their rollouts; changers: of those
+    kept, the ones that change lanes.
     """
 
     scene: Scene
@@ -112,6 +116,7 @@ class Starts:
     guard: InitVar[Guard]
     rng: np.random.Generator
     round_number: int
+    changers: Sequence[ExportedVehicle] = ()
     taken: list[Start] = field(default_factory=list)
     rejected: Counter[Reason] = field(default_factory=Counter)
     world: World = field(init=False)
@@ -293,6 +298,8 @@ class Starts:
         harm = self.world.harm_to_followers(candidate, headway_s)
         if harm is not None:
             return harm
+        if any(takes_gap(self.scene, one, candidate.traffic) for one in self.changers):
+            return Reason.TAKES_GAP
         anew = [candidate]
         for one in self.world.to_roll_anew(candidate):
             around, begun = self.world.joined_by(candidate, without=one.start.vehicle_id), one.start
