@@ -23,6 +23,7 @@ from hid2.policy.observation import (
     leader_on,
     target_path,
 )
+from hid2.reasons import Reason
 from hid2.scene import Scene
 from netconvert.cells import Cell
 from netconvert.lane_graph import LaneGraph, LaneSegment
@@ -274,6 +275,26 @@ def test_path_across_ends_in_the_middle_of_the_other_lane(scene_of: Callable[...
     assert start == pytest.approx(40.0, abs=1.01)  # it begins at a point of the path, 1 m apart
     assert (end - start) / 10.0 == pytest.approx(4.0, abs=0.15)
     assert path.line.position(np.array([end + 1.0]))[0, 1] == pytest.approx(3.5, abs=0.05)
+
+
+@pytest.mark.parametrize(("joint", "is_laid"), [(55.0, False), (65.0, True)])
+def test_no_path_across_a_line_that_is_solid_where_it_is_crossed(
+    scene_of: Callable[..., Scene], lane: Callable[..., LaneSegment], joint: float, is_laid: bool
+) -> None:
+    """From 40 m on at 10 m/s in 4 s: half way across at 60 m."""
+    graph = LaneGraph({
+        1: lane(1, [(0.0, 0.0), (joint, 0.0)], left=2, successors=(3,)),
+        2: lane(2, [(0.0, 3.5), (joint, 3.5)], right=1, successors=(4,)),
+        3: lane(3, [(joint, 0.0), (200.0, 0.0)], left=4, left_mark="SOLID_WHITE"),
+        4: lane(4, [(joint, 3.5), (200.0, 3.5)], right=3, right_mark="SOLID_WHITE"),
+    })  # fmt: skip
+    scene = scene_of(graph=graph)
+    path = lay_across(
+        scene, scene.paths.along((1, 3)), scene.paths.along((2, 4)), s=40.0, step=10, speed_mps=np.array([10.0]),
+        remaining_m=160.0, driver=replace(usual_driver(10.0), lane_change_s=4.0),
+    )  # fmt: skip
+    assert isinstance(path, DrivenPath) is is_laid
+    assert is_laid or path is Reason.SOLID_LINE
 
 
 def test_no_path_across_to_a_lane_that_ends(scene_of: Callable[..., Scene], lane: Callable[..., LaneSegment]) -> None:
