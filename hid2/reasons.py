@@ -92,13 +92,14 @@ class Reason(StrEnum):
     # overtake
     NO_LEADER = "no_leader", "No leader within the observation horizon."
     LEADER_NOT_SLOWER = "leader_not_slower", "The leader is not slower than the desired speed by enough."
-    NO_LANE = "no_lane", "The lane beside is not free."
+    NO_LANE = "no_lane", "No free lane to overtake on, or to return to: cells j-1, j, j+1 are not free."
     CORRIDOR_SHORT = "corridor_short", "The free corridor m * 4 m is shorter than d_overtake."
     NOT_AHEAD = "not_ahead", "The overtaken vehicle is not far enough behind for the return."
     LANES_PART = "lanes_part", "The two lanes part before the return."
     # conflicts and what SUMO says to a change
     CONFLICT_PREDICTED = "conflict_predicted", "Predicted boxes meet on the way across (conflict case 3)."
     LANES_NOT_SIDE_BY_SIDE = "lanes_not_side_by_side", "The two lanes are not side by side all the way across."
+    SOLID_LINE = "solid_line", "The line to the other lane may not be crossed where the vehicle would cross it."
     OFF_ITS_LANE = "off_its_lane", "SUMO has the vehicle on no lane of the grid."
     TARGET_NOT_BESIDE_FRONT = "target_not_beside_front", "The target lane is not beside the front bumper."
     SUMO_REFUSES = "sumo_refuses", "SUMO refused the lane change as unsafe (lane-change mode 512)."
@@ -141,6 +142,10 @@ class Reason(StrEnum):
         "follower_headway",
         "A follower would drive on its leader's bumper: too short a time headway for a second, unless recorded so.",
     )
+    FOLLOWER_BRAKING = (
+        "follower_braking",
+        "A recorded vehicle that comes up from behind would have to brake harder than it does.",
+    )
     TTC_RECORDED_FOLLOWER = (
         "ttc_recorded_follower",
         "A recorded vehicle closes in on it from behind below the critical TTC.",
@@ -152,6 +157,10 @@ class Reason(StrEnum):
     )
     DID_NOT_DO_IT = "did_not_do_it", "It did not perform its manoeuvre, and was replaced by another vehicle."
     BREAKS_EVENT = "breaks_event", "It came between the two vehicles of a lead or follow event at its moment."
+    TAKES_GAP = (
+        "takes_gap",
+        "It would be in a gap into which a vehicle kept before changes lanes, too near for the rule.",
+    )
     WAITED_FOR_GONE = "waited_for_gone", "It had braked for a vehicle that is not exported, and was driven again."
     STANDS_THROUGHOUT = "stands_throughout", "It stands from the first step to the last."
     ENTERS_ON_RED = "enters_on_red", "It would enter an intersection on red, or drive over a crossing that is used."

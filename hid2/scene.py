@@ -80,6 +80,13 @@ class Scene:
     scene_speeds: list[float]
 
     @cached_property
+    def states_as_written(self) -> AgentStates:
+        """The recorded agents as a reader has them, with the boxes that they have."""
+        return agent_states(
+            self.tracks, self.states.lanes, num_steps=self.num_steps, step_s=self.step_s, is_inserted=lambda _: False
+        )
+
+    @cached_property
     def movers(self) -> tuple[IntArray, Traffic, FloatArray]:
         """Rows (M,) of the recorded vehicles that ever move, these alone, at most as fast, and directions (M, T, 2)."""
         rows = np.flatnonzero(self.states.arrays.moving_vehicles)
@@ -106,6 +113,15 @@ class Scene:
             clear_steps=max(math.ceil(self.config.conflict.pet_min_s / self.step_s) + 1, self.steps_in(at_least_s)),
             clear_margin_m=PET_MARGIN_M,
         )  # fmt: skip
+
+    @property
+    def num_recorded(self) -> int:
+        """How many agents are recorded: rows of recorded and inserted ones together begin with theirs."""
+        return len(self.traffic.ids)
+
+    def with_inserted(self, recorded: PathOccupancy, inserted: PathOccupancy) -> PathOccupancy:
+        """Intervals of both on one path, recorded ones first; rows of inserted ones are counted on from those."""
+        return recorded.joined(inserted._replace(agents=inserted.agents + self.num_recorded))
 
     @once
     def in_driving_width(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:

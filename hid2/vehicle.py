@@ -8,6 +8,7 @@ from hid2.drivers.driver import Driver, LaneOffset
 from hid2.motion.route import DrivenPath, Route
 from hid2.policy.lane_change import LaneOption
 from hid2.policy.overtake import Stage
+from hid2.policy.rules import GapView
 from hid2.reasons import Reason
 from netconvert.lane_graph import Side
 
@@ -59,14 +60,14 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Shift:
-    """A change of lanes that SUMO carried out."""
+    """A change of lanes that SUMO carried out. target: path of the lane changed to; view: what the rule was told."""
 
     side: Side
     source_lane: int
     target_lane: int
     requested_step: int
-    gap_front_m: float
-    gap_rear_m: float
+    target: DrivenPath
+    view: GapView
 
 
 @dataclass(frozen=True, slots=True)

@@ -92,6 +92,11 @@ class LaneSegment:
         """The neighbour on a side as the source map names it, in whatever direction it runs."""
         return self.left_neighbor_id if side == "left" else self.right_neighbor_id
 
+    @property
+    def is_center_turn_lane(self) -> bool:
+        """Whether it is the middle lane of a road that vehicles of both ways enter to turn left, not to drive on."""
+        return self.left_mark_type == self.right_mark_type == "DASH_SOLID_YELLOW"
+
     def mark_type(self, side: Side) -> str:
         """The marking of the boundary on a side, as this lane sees it (its own side first in DASH_SOLID)."""
         return self.left_mark_type if side == "left" else self.right_mark_type

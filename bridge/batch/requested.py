@@ -50,7 +50,8 @@ def check_request(folders: Sequence[Address], config: Config, named: Sequence[Po
             if isinstance(found, Failure):
                 continue
             seen += 1
-            here = {asked: f"{folder}{', for one' * (len(folders) > 1)}: {why}" for asked, why in found.items()}
+            where = f"{folder}, for one" if len(folders) > 1 else f"{folder}"
+            here = {asked: f"{where}: {why}" for asked, why in found.items()}
             never = here if never is None else {asked: why for asked, why in never.items() if asked in here}
             if not never:
                 return

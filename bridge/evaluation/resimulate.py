@@ -128,11 +128,11 @@ class Resimulation:
                     for number, (one, path) in enumerate(zip(vehicles, paths, strict=True))
                 ]
                 fleet = Fleet(scene, starts, Traffic.none(scene.future.num_steps), roads, stop_lines)
-                for row, (way, start) in enumerate(zip(fleet.ways, starts, strict=True)):
-                    way.reroute_tried = True  # its route is its own
-                    way.known = _ahead(fleet.known_on_way(row), start.start_s)
+                for row, (context, start) in enumerate(zip(fleet.contexts, starts, strict=True)):
+                    context.reroute_tried = True  # its route is its own
+                    context.in_width = _ahead(fleet.in_width(row), start.start_s)
                     seen = fleet.obstacles(row, start.path)
-                    way.obstacles = replace(seen, known=_ahead(seen.known, start.start_s))
+                    context.obstacles = replace(seen, known=_ahead(seen.known, start.start_s))
                 driving = (_Unsteered if model == "default" else FleetSimulation)(fleet, simulation, checked=False)
                 driven = list(zip(driving.run(), vehicles, strict=True))
                 for vehicle, one in driven:

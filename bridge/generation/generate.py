@@ -24,7 +24,7 @@ from hid2.agents import Policy, Track
 from hid2.conflicts.stop_lines import StopLines
 from hid2.insertion.events import SceneEvents
 from hid2.insertion.filling import Filling
-from hid2.insertion.finalise import ExportedVehicle
+from hid2.insertion.finalise import ExportedVehicle, traffic_of_exported
 from hid2.insertion.surroundings import Surroundings
 from hid2.insertion.tracker_noise import with_noise
 from hid2.occupancy.traffic import Traffic
@@ -143,23 +143,23 @@ class _Rounds:
         self.late: list[Track] = []
         self.late_s: Mapping[str, float] = {}
 
-    def drive_alone(self, scene: Scene, stop_lines: StopLines, start: Start, fixed: Traffic) -> DrivenVehicle:
+    def drive_alone(self, scene: Scene, stop_lines: StopLines, start: Start, kept: Traffic) -> DrivenVehicle:
         """One vehicle by the rules of a scene of its own, which may differ from the others': that of an event."""
         roads = self._filling.surroundings.roads
         (vehicle,) = FleetSimulation(
-            Fleet(scene, [start], fixed, roads, stop_lines), self._simulation, checked=False
+            Fleet(scene, [start], kept, roads, stop_lines), self._simulation, checked=False
         ).run()
         self.driven.append((0, vehicle))
         return vehicle
 
-    def drive(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
+    def drive(self, starts: Sequence[Start], kept: Traffic, number: int) -> list[DrivenVehicle]:
         """One simulation, from the scene as it was recorded; where vehicles react the filling gets it as it became.
 
         Poses of recorded agents are measured, where that is asked for, in the first one, or, where they react, last.
         """
         here, asked = self._filling.surroundings, self._scene.config.driving
         is_measured = number == 0 or asked.replay == "reactive"
-        fleet = Fleet(self._scene, starts, fixed, here.roads, here.stop_lines)
+        fleet = Fleet(self._scene, starts, kept, here.roads, here.stop_lines)
         driving = FleetSimulation(fleet, self._simulation, checked=asked.check_replay and is_measured)
         vehicles = driving.run()
         self.driven += [(number, vehicle) for vehicle in vehicles]
@@ -204,7 +204,13 @@ def _sidecar(
 ) -> Sidecar:  # fmt: skip
     config = scene.config
     names = {one.driven.vehicle_id: f"gen_{row}" for row, one in enumerate(vehicles)}
-    agents = [records.agent_record(scene, one, filling.outcomes.get(one.driven.vehicle_id), names) for one in vehicles]
+    every = traffic_of_exported(vehicles, scene)
+    agents = [
+        records.agent_record(
+            scene, one, filling.outcomes.get(one.driven.vehicle_id), names,
+            every.rows([other for other in range(len(vehicles)) if other != row]),
+        ) for row, one in enumerate(vehicles)
+    ]  # fmt: skip
     if clean:
         told = [StatesRecord.of(track) for track in clean]
         agents = [agent.model_copy(update={"clean": states}) for agent, states in zip(agents, told, strict=True)]

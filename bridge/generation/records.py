@@ -16,9 +16,11 @@ from hid2.insertion.events import EventOutcome
 from hid2.insertion.filling import Filling, Rejection, Unmet
 from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.meetings import moving_vehicles, target_rows
-from hid2.insertion.outcome import Outcome
+from hid2.insertion.outcome import Outcome, gaps_at_request
 from hid2.measures.selection import drives
+from hid2.occupancy.traffic import Traffic
 from hid2.policy.behaviours import BEHAVIOURS
+from hid2.policy.lane_change import OPEN
 from hid2.reasons import Reason
 from hid2.scene import Scene
 
@@ -33,9 +35,12 @@ def _kind(policy: Policy) -> sidecar.ManeuverKind:
 
 
 def agent_record(
-    scene: Scene, vehicle: ExportedVehicle, outcome: Outcome | None, names: Mapping[str, str]
+    scene: Scene, vehicle: ExportedVehicle, outcome: Outcome | None, names: Mapping[str, str], others: Traffic
 ) -> sidecar.AgentRecord:
-    """Record of one exported vehicle; names: track ids of the generated vehicles by their ids in the simulation."""
+    """Record of one exported vehicle.
+
+    names: track ids of the generated vehicles by their ids in the simulation; others: these, but for this one.
+    """
     driven = vehicle.driven
     start, driver = driven.start, driven.start.driver
     cell, end_s = scene.cell_at(start.path, start.start_s), float(vehicle.motion.s[-1])
@@ -51,7 +56,7 @@ def agent_record(
             lane_segment_id=cell.lane_id, cell=cell.index, speed_mps=round(start.start_mps, 6), timestep=start.step
         ),
         route=tuple(route),
-        maneuvers=() if outcome is None else (maneuver_record(vehicle, outcome, names),),
+        maneuvers=() if outcome is None else (maneuver_record(scene, vehicle, outcome, names, others),),
         driver=sidecar.DriverRecord(
             model=scene.config.car_following.model,
             parameters={name: round(value, 6) for name, value in asdict(driver).items()},
@@ -69,11 +74,15 @@ def agent_record(
     )
 
 
-def maneuver_record(vehicle: ExportedVehicle, outcome: Outcome, names: Mapping[str, str]) -> sidecar.ManeuverRecord:
-    """Record of one manoeuvre; times are those of the exported motion."""
+def maneuver_record(
+    scene: Scene, vehicle: ExportedVehicle, outcome: Outcome, names: Mapping[str, str], others: Traffic
+) -> sidecar.ManeuverRecord:
+    """Record of one manoeuvre; times and gaps are those of the exported motion."""
     driven = vehicle.driven
     is_turn = BEHAVIOURS[outcome.policy].turn is not None
-    shift = driven.shifts[0] if driven.shifts else None
+    shift, front, rear = driven.shifts[0] if driven.shifts else None, OPEN, OPEN
+    if shift is not None:
+        front, rear = gaps_at_request(scene, vehicle, shift, others, among_recorded=True)
     requested_s = None if shift is None else round(shift.requested_step * vehicle.motion.step_s, 6)
     leader = outcome.leader_id
     return sidecar.ManeuverRecord(
@@ -88,8 +97,8 @@ def maneuver_record(vehicle: ExportedVehicle, outcome: Outcome, names: Mapping[s
         source_lane=outcome.source_lane,
         target_lane=outcome.target_lane,
         leader_track_id=None if leader is None else names.get(leader, leader),
-        gap_front_m=None if shift is None else rounded(shift.gap_front_m, 6),
-        gap_rear_m=None if shift is None else rounded(shift.gap_rear_m, 6),
+        gap_front_m=rounded(front.distance_m, 6),
+        gap_rear_m=rounded(rear.distance_m, 6),
         min_ttc_s=rounded(vehicle.min_ttc_s, 6),
     )
 

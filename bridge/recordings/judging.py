@@ -10,7 +10,7 @@ from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import Sidecar
 from hid2.agents import BoxSize, Track
 from hid2.judge.claims import FIGURES, Claim, EventClaim, judge_claims
-from hid2.judge.findings import NOISE_BOUNDS, ON_EXPORTED, Bounds, Finding, Quantity
+from hid2.judge.findings import LEFT_TO_TARGET, NOISE_BOUNDS, ON_EXPORTED, Bounds, Finding, Quantity
 from hid2.judge.states import judge
 from hid2.measures.arrays import is_generated_id
 from hid2.measures.lane_matching import FlatLanes, flatten_lanes
@@ -46,9 +46,10 @@ def states_of(
 def findings_of(states: AgentStates, graph: LaneGraph, sidecar: Sidecar | None) -> list[Finding]:
     """What the judge finds in a scene and in what its sidecar claims, by the limits that hold for every scene.
 
-    A criticality that was asked for is no finding: of the vehicle of an event with its band, and the headway that it
-    leaves to its target: that gap is what the event is about. With a tracker's noise boxes, road and the scene's end
-    are of the states exported, motion and claims of the clean ones, and the two are as near as a tracker's are.
+    A criticality that was asked for is no finding: of the vehicle of an event with its band, and the headway and the
+    braking that it leaves to its target: that gap is what the event is about. With a tracker's noise boxes, road and
+    the scene's end are of the states exported, motion and claims of the clean ones, and the two are as near as a
+    tracker's are.
     """
     if sidecar is None:
         return judge(states, graph, Bounds())
@@ -64,7 +65,7 @@ def findings_of(states: AgentStates, graph: LaneGraph, sidecar: Sidecar | None) 
         one
         for one in found
         if one.value < allowed.get((one.track_id, one.quantity), float("inf"))
-        and not (one.quantity is Quantity.FOLLOWER_HEADWAY and (one.track_id, one.other) in pairs)
+        and not (one.quantity in LEFT_TO_TARGET and (one.track_id, one.other) in pairs)
     ]
     return found + judge_claims(clean, claims, events)
 

@@ -49,7 +49,7 @@ class FleetSimulation:
         """All steps of the scene; a vehicle's first state is its start."""
         fleet, simulation, step_s = self.fleet, self.simulation, self.fleet.scene.step_s
         simulation.rewind()
-        recorded = len(fleet.scene.traffic.ids) if self.checked else 0
+        recorded = fleet.scene.num_recorded if self.checked else 0
         replay = self._replay = Replay(simulation, self._replayed(), step_s=step_s, checked=recorded)
         for back in range(UNSEEN_STEPS, 0, -1):
             replay.warm_up(back)
@@ -78,7 +78,7 @@ class FleetSimulation:
         fleet, now = self.fleet, step - 1
         traffic = cache(fleet.traffic)  # put together at the first use
         if self.reactions is not None:
-            generated = fleet.fixed.at(now).joined(traffic()) if fleet.fixed.ids else traffic()
+            generated = fleet.kept.at(now).joined(traffic()) if fleet.kept.ids else traffic()
             if self.reactions.advance(step, generated):
                 fleet.look_anew(self.reactions.scene)
                 self._replay.take(fleet.known)
@@ -111,10 +111,8 @@ class FleetSimulation:
     def _drive(self, rows: IntArray, limits: steering.SpeedLimits, now: int) -> dict[int, Limit]:
         """Tell SUMO how fast vehicles wish to drive and may drive at the coming step; returns the limits by vehicle."""
         fleet, told = self.fleet, {}
-        for row, desired, mps, cause, leader in zip(
-            *(column.tolist() for column in (rows, fleet.desired_mps[rows, now], *limits[:2], limits.waits_for)),
-            strict=True,
-        ):
+        columns = rows, fleet.desired_mps[rows, now], limits.mps, limits.cause, limits.waits_for
+        for row, desired, mps, cause, leader in zip(*(column.tolist() for column in columns), strict=True):
             vehicle, limit_mps = fleet.vehicles[row], None
             if cause >= 0:
                 told[row] = mps, CAUSES[cause]

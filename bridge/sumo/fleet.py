@@ -1,13 +1,12 @@
-"""The vehicles driven together: where they are, the ways they are on, and which agents they will meet there."""
+"""The vehicles driven together: where they are, the paths they are on, and which agents they will meet there."""
 
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field, replace
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from bridge.sumo.poses import center_on_path
 from hid2.agents import BoxSize, FloatArray, IntArray
@@ -25,28 +24,49 @@ from hid2.vehicle import DrivenVehicle, Start
 
 
 @dataclass(eq=False, slots=True)
-class KnownPath:
-    """What is known of a vehicle's present path; a vehicle that takes another path gets a new one.
+class PathContext:
+    """What a vehicle's present path is to it; a vehicle that takes another path gets a new one.
 
     road (S,): m/s at the table of the path's line, what the road allows the driver; lane_ends: where its lanes end, m;
-    policies: numbers of what Algorithm 1 comes to on each of them without a manoeuvre; known: intervals of all agents
-    with a known future, with rows (recorded, then kept), None until first asked for; obstacles: the guard's,
-    likewise; reroute_tried: whether another way has been looked for; jump: SUMO's where the vehicle comes on the path,
-    None before.
+    policies: numbers of what Algorithm 1 comes to on each of them without a manoeuvre; in_width: as `Fleet.in_width`
+    has it, None until first asked for; obstacles: the guard's, likewise; reroute_tried: whether another way has been
+    looked for; jump: SUMO's where the vehicle comes on the path, None before.
     """
 
     road: FloatArray
     lane_ends: FloatArray
     policies: IntArray
-    known: PathOccupancy | None = None
+    in_width: PathOccupancy | None = None
     obstacles: Obstacles | None = None
     reroute_tried: bool = False
     jump: Jump | None = None
 
 
+class LimitInputs(NamedTuple):
+    """What limits a vehicle's speed on its path, or of several one after another, as `speed_limits` takes it."""
+
+    road: FloatArray
+    lane_ends: FloatArray
+    lane_policies: IntArray
+    low: FloatArray
+    high: FloatArray
+    along: FloatArray
+    same_direction: BoolArray
+    stop_s: FloatArray
+    closed: BoolArray
+    causes: IntArray
+    others: IntArray
+    swept: FloatArray
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """How many entries of the road's table, lanes, known agents, stop lines, others, and what these sweep."""
+        return tuple(len(one) for one in (self.road, self.lane_ends, self.low, self.stop_s, self.others, self.swept))
+
+
 @dataclass(eq=False, slots=True)
 class Fleet:
-    """Vehicles that are driven together among recorded ones and those kept in rounds before, `fixed`.
+    """Vehicles that are driven together among recorded ones and those kept in rounds before.
 
     scene: where recorded vehicles react, each that yields is elsewhere in a scene to come (`look_anew`); near_m:
     vehicles farther than this from another one on either axis do not look at it. By vehicle: state (N, 5), the guard's
@@ -57,12 +77,12 @@ class Fleet:
 
     scene: Scene
     starts: InitVar[Sequence[Start]]
-    fixed: Traffic
+    kept: Traffic
     roads: Roads
     stop_lines: StopLines
     near_m: float = math.inf
     vehicles: list[DrivenVehicle] = field(init=False, default_factory=list)
-    ways: list[KnownPath] = field(init=False, default_factory=list)
+    contexts: list[PathContext] = field(init=False, default_factory=list)
     state: FloatArray = field(init=False)
     along_m: FloatArray = field(init=False)
     centre: FloatArray = field(init=False)
@@ -71,12 +91,12 @@ class Fleet:
     drivers: FloatArray = field(init=False)
     yielding: BoolArray = field(init=False)
     guard: Guard = field(init=False)
-    _on_ways: tuple[PathOccupancy, IntArray] | None = field(init=False, default=None)
-    _along: tuple[npt.NDArray[Any], ...] | None = field(init=False, default=None)
+    _all_in_width: tuple[PathOccupancy, IntArray] | None = field(init=False, default=None)
+    _limit_inputs: tuple[IntArray, LimitInputs] | None = field(init=False, default=None)
 
     def __post_init__(self, starts: Sequence[Start]) -> None:
         """No vehicle has moved yet."""
-        self.guard = Guard(self.scene, self.fixed, self.stop_lines)
+        self.guard = Guard(self.scene, self.kept, self.stop_lines)
         self.state, self.centre = np.zeros((0, 5)), np.zeros((0, 2))
         self.along_m, self.length_m = np.zeros(0), np.zeros(0)
         self.desired_mps, self.drivers = np.zeros((0, self.scene.num_steps)), np.zeros((0, 4))
@@ -89,7 +109,7 @@ class Fleet:
             return
         count = len(starts)
         self.vehicles += [DrivenVehicle(start=start, path=start.path) for start in starts]
-        self.ways += [self._way(start.path, start.driver) for start in starts]
+        self.contexts += [self._context(start.path, start.driver) for start in starts]
         self.state = np.concatenate([self.state, np.zeros((count, 5))])
         self.centre = np.concatenate([self.centre, np.full((count, 2), np.inf)])
         at_m = [np.nan if start.step > 0 else start.start_s for start in starts]
@@ -104,18 +124,19 @@ class Fleet:
         """A vehicle is at its start now."""
         start = self.vehicles[row].start
         self.move(row, start.start_s, start.start_mps)
-        self._along = None
+        self._limit_inputs = None
 
     def move(self, row: int, s: float, speed_mps: float, *, jumped_m: float = 0.0) -> None:
         """A vehicle is at an arc length, m, of its path now, so far ahead of where SUMO has it."""
-        vehicle, way = self.vehicles[row], self.ways[row]
+        vehicle, context = self.vehicles[row], self.contexts[row]
         before = vehicle.v[-1] if vehicle.v else speed_mps
         vehicle.s.append(s)
         vehicle.v.append(speed_mps)
         vehicle.jumped_m.append(jumped_m)
         spans, table = vehicle.path.lateral_spans, vehicle.path.line.table_xy
         # executing goes before pending (conflict case 2): in a change of lanes or in a turn
-        turns = way.policies[bisect_right(way.lane_ends, s, hi=way.lane_ends.size - 1)] != STRAIGHT
+        lane = bisect_right(context.lane_ends, s, hi=context.lane_ends.size - 1)
+        turns = context.policies[lane] != STRAIGHT
         executing = (spans and spans[-1].begin < s < spans[-1].end) or turns
         self.along_m[row], self.centre[row] = s, table[min(int(s / TABLE_STEP_M), len(table) - 1)]
         self.state[row] = s, speed_mps, (speed_mps - before) / self.scene.step_s, executing, 1.0
@@ -126,7 +147,7 @@ class Fleet:
         On each new path it goes on steadily from where it was, and gives back on the way what SUMO has jumped (`Jump`).
         Where SUMO has it on no lane of the path, as at a split that it takes otherwise, it goes on as it was.
         """
-        vehicle, way = self.vehicles[row], self.ways[row]
+        vehicle, context = self.vehicles[row], self.contexts[row]
         # as SUMO's ballistic step; where it replays no agent its steps are Euler's, by the new speed: millimetres
         steady = vehicle.s[-1] + 0.5 * (vehicle.v[-1] + speed_mps) * self.scene.step_s
         own = center_on_path(
@@ -134,15 +155,15 @@ class Fleet:
         )
         if own is None:
             own = steady - vehicle.jumped_m[-1]
-        if way.jump is None:
-            way.jump = Jump.onto(vehicle.path, own, steady - own)
-        jumped = float(way.jump.left_m(np.array(own)))
+        if context.jump is None:
+            context.jump = Jump.onto(vehicle.path, own, steady - own)
+        jumped = float(context.jump.left_m(np.array(own)))
         self.move(row, own + jumped, speed_mps, jumped_m=jumped)
 
     def leave(self, row: int) -> None:
         """A vehicle is nowhere any more."""
         self.state[row, PRESENT], self.centre[row], self.along_m[row] = 0.0, np.inf, np.nan
-        self._along = None
+        self._limit_inputs = None
 
     def traffic(self) -> Traffic:
         """The vehicles that are driven, where the simulation has them now (one step)."""
@@ -159,13 +180,13 @@ class Fleet:
             width_m=np.array([self.vehicles[row].start.box.width_m for row in rows]),
         )  # fmt: skip
 
-    def _way(self, path: DrivenPath, driver: Driver) -> KnownPath:
-        return KnownPath(self.roads.speeds(path, driver), *self.roads.lanes(path))
+    def _context(self, path: DrivenPath, driver: Driver) -> PathContext:
+        return PathContext(self.roads.speeds(path, driver), *self.roads.lanes(path))
 
     def take_path(self, row: int, path: DrivenPath, s: FloatArray | None = None) -> None:
         """A vehicle is on another path from now on. s (T,) m: where it has been on it, None: as far as on the old."""
         vehicle = self.vehicles[row]
-        vehicle.path, self.ways[row] = path, self._way(path, vehicle.start.driver)
+        vehicle.path, self.contexts[row] = path, self._context(path, vehicle.start.driver)
         if s is not None:
             vehicle.s[:] = s.tolist()
             self.state[row, S] = self.along_m[row] = s[-1]
@@ -174,64 +195,58 @@ class Fleet:
     def look_anew(self, scene: Scene) -> None:
         """Recorded vehicles will be elsewhere than was known: nothing that was worked out of it holds any more."""
         self.scene = self.guard.scene = scene
-        for way in self.ways:
-            way.known = None
+        for context in self.contexts:
+            context.in_width = None
         self._forget_obstacles()
 
     def _forget_obstacles(self) -> None:
-        """What is on the ways is worked out anew at the next use."""
-        self._on_ways = self._along = None
-        for way in self.ways:
-            way.obstacles = None
+        """What is on the paths is worked out anew at the next use."""
+        self._all_in_width = self._limit_inputs = None
+        for context in self.contexts:
+            context.obstacles = None
 
     @property
     def known(self) -> Traffic:
         """All agents with a known future, recorded, then kept, up to the scene's end."""
-        return self.scene.traffic.joined(self.fixed.first(self.scene.num_steps))
+        return self.scene.traffic.joined(self.kept.first(self.scene.num_steps))
 
-    def known_on_way(self, row: int) -> PathOccupancy:
-        """Intervals of all agents with a known future on a vehicle's path, with rows (recorded, then kept)."""
-        way = self.ways[row]
-        if way.known is None:
+    def in_width(self, row: int) -> PathOccupancy:
+        """Intervals of the `known` agents that reach into the width that a vehicle drives on its path, no margins."""
+        context = self.contexts[row]
+        if context.in_width is None:
             path, box = self.vehicles[row].path, self.vehicles[row].start.box
-            kept = look_along(path.line, self.fixed, box.length_m, box.width_m)
-            kept = kept._replace(agents=kept.agents + len(self.scene.traffic.ids))
-            way.known = self.scene.in_driving_width(path, box).joined(kept)
-        return way.known
+            kept = look_along(path.line, self.kept, box.length_m, box.width_m)
+            context.in_width = self.scene.with_inserted(self.scene.in_driving_width(path, box), kept)
+        return context.in_width
 
     @property
-    def on_ways(self) -> tuple[PathOccupancy, IntArray]:
-        """Intervals of all known agents, recorded, then kept, on the present ways of all vehicles, one after another.
-
-        And their rows by vehicle, (N + 1,).
-        """
-        if self._on_ways is None:
-            known = [self.known_on_way(row) for row in range(len(self.vehicles))]
-            every = PathOccupancy.none(self.scene.future.num_steps).joined(*known)
-            self._on_ways = every, np.cumsum([0, *(found.agents.size for found in known)])
-        return self._on_ways
+    def all_in_width(self) -> tuple[PathOccupancy, IntArray]:
+        """The same of all vehicles, one after another, and where those of each begin, (N + 1,)."""
+        if self._all_in_width is None:
+            each = [self.in_width(row) for row in range(len(self.vehicles))]
+            every = PathOccupancy.none(self.scene.future.num_steps).joined(*each)
+            self._all_in_width = every, np.cumsum([0, *(found.agents.size for found in each)])
+        return self._all_in_width
 
     @property
     def here(self) -> IntArray:
         """Rows of the vehicles that have a place on the road now."""
         return np.flatnonzero(self.state[:, PRESENT])
 
-    def along_ways(self, now: int) -> tuple[npt.NDArray[Any], ...]:
-        """What is on the ways of the vehicles that are `here`, by vehicle, as the kernel `speed_limits` takes it."""
-        if self._along is None or self.scene.config.driving.replay != "fixed":
-            ways = [self._on_way(row, now) for row in self.here.tolist()]
-            counted = 0, 1, 3, 7, 10, 11  # of road, lanes, known agents, stop lines, others, and what they sweep
-            counts = [[0] * 6, *([len(one[column]) for column in counted] for one in ways)]
-            first = np.cumsum(counts, axis=0, dtype=np.int64)  # where those of each begin, and the last ones end
-            self._along = first, *(np.concatenate(column) for column in zip(*ways, strict=True))
-        return self._along
+    def limit_inputs(self, now: int) -> tuple[IntArray, LimitInputs]:
+        """Where the `counts` of each vehicle that is `here` begin, (M + 1, 6), and their inputs, one after another."""
+        if self._limit_inputs is None or self.scene.config.driving.replay != "fixed":
+            each = [self._limit_inputs_of(row, now) for row in self.here.tolist()]
+            first = np.cumsum([[0] * 6, *(one.counts for one in each)], axis=0, dtype=np.int64)
+            self._limit_inputs = first, LimitInputs(*(np.concatenate(column) for column in zip(*each, strict=True)))
+        return self._limit_inputs
 
-    def _on_way(self, row: int, now: int) -> tuple[npt.NDArray[Any], ...]:
-        way, path = self.ways[row], self.vehicles[row].path
+    def _limit_inputs_of(self, row: int, now: int) -> LimitInputs:
+        context, path = self.contexts[row], self.vehicles[row].path
         seen = self._without_those_that_yield(self.obstacles(row, path), row, path, now)
         known, lines = seen.known, seen.lines
-        return (
-            way.road, way.lane_ends, way.policies, known.low, known.high, known.along, known.same_direction,
+        return LimitInputs(
+            context.road, context.lane_ends, context.policies, known.low, known.high, known.along, known.same_direction,
             lines.stops_s(self.vehicles[row].start.driver), lines.closed, lines.cause, seen.rows, seen.swept.ravel(),
         )  # fmt: skip
 
@@ -245,7 +260,7 @@ class Fleet:
         """
         driver = self.vehicles[row].start.driver
         obstacles = self._without_those_that_yield(self.obstacles(row, path), row, path, now)
-        road = self.ways[row].road if path is self.vehicles[row].path else self.roads.speeds(path, driver)
+        road = self.contexts[row].road if path is self.vehicles[row].path else self.roads.speeds(path, driver)
         return self.guard.braking(
             obstacles, own=row, step=now, fleet=self.state, state=state, desired_mps=desired_mps, road=road,
             driver=driver, horizon_s=horizon_s,
@@ -253,12 +268,12 @@ class Fleet:
 
     def obstacles(self, row: int, path: DrivenPath) -> Obstacles:
         """All agents on a path for a vehicle; what is on its own one is worked out once."""
-        way, own = self.ways[row], path is self.vehicles[row].path
-        if own and way.obstacles is not None:
-            return way.obstacles
+        context, own = self.contexts[row], path is self.vehicles[row].path
+        if own and context.obstacles is not None:
+            return context.obstacles
         found = self.guard.obstacles(path, self.vehicles[row].start.box, self._others(row))
         if own:
-            way.obstacles = found
+            context.obstacles = found
         return found
 
     def _others(self, row: int) -> list[tuple[int, DrivenPath, BoxSize]]:

@@ -24,17 +24,17 @@ _PACE_MOST = 1.1
 def shown_at(fleet: Fleet, step: int) -> dict[int, tuple[str, int]]:
     """Agents that SUMO's car following is shown: row (recorded, then kept) -> edge and lane index of its place there.
 
-    Those that reach into the driving width on the present way of some vehicle and move along it or stand.
+    Those that reach into the driving width on the present path of some vehicle and move along it or stand.
     Crossing agents are the guard's business: to SUMO they would appear out of nowhere.
     """
     seen: dict[int, tuple[str, int]] = {}
     scene = fleet.scene
     if "collision" in scene.config.without:
         return seen
-    (known, first), length_m = fleet.on_ways, np.concatenate([scene.traffic.length_m, fleet.fixed.length_m])
+    (known, first), length_m = fleet.all_in_width, np.concatenate([scene.traffic.length_m, fleet.kept.length_m])
     found = shown_ahead(
         known.low, known.high, known.along, known.same_direction, known.crossing, known.agents, first,
-        length_m, scene.traffic.position, fleet.fixed.position, step, fleet.along_m, fleet.centre, fleet.length_m,
+        length_m, scene.traffic.position, fleet.kept.position, step, fleet.along_m, fleet.centre, fleet.length_m,
         (STANDING_MPS, LEADS_FROM_M, SHOWN_M),
     )  # fmt: skip
     for agent, row, middle in zip(*(column.tolist() for column in found), strict=True):
@@ -45,13 +45,11 @@ def shown_at(fleet: Fleet, step: int) -> dict[int, tuple[str, int]]:
 
 def ever_shown(fleet: Fleet) -> Traffic:
     """Recorded agents and those kept, present only while SUMO may have to be shown them to a fleet before its start."""
-    traffic, count, starts = fleet.known, len(fleet.scene.traffic.ids), [vehicle.start for vehicle in fleet.vehicles]
-    on_ways = [fleet.known_on_way(row) for row in range(len(starts))]
-    present = shown_when(traffic, starts, on_ways, step_s=fleet.scene.step_s)
-    if any(
-        BEHAVIOURS[start.request.policy].changes_lanes for start in starts
-    ):  # kept ones are few, any may come to lead
-        present[count:] = traffic.present[count:]
+    traffic, count, starts = fleet.known, fleet.scene.num_recorded, [vehicle.start for vehicle in fleet.vehicles]
+    in_widths = [fleet.in_width(row) for row in range(len(starts))]
+    present = shown_when(traffic, starts, in_widths, step_s=fleet.scene.step_s)
+    if any(BEHAVIOURS[start.request.policy].changes_lanes for start in starts):
+        present[count:] = traffic.present[count:]  # kept ones are few, any may come to lead
     return replace(traffic, present=present)
 
 

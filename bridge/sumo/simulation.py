@@ -55,7 +55,9 @@ class Simulation:
     ) -> None:  # fmt: skip
         self._net = net
         self._model, self._parameters = model, dict(parameters or {})
-        self._change_mode = _OWN_WISH if own_wish else _ONLY_ASKED_IF_SAFE if checks_gaps else _ASKED_ANYHOW
+        self._change_mode = _ONLY_ASKED_IF_SAFE if checks_gaps else _ASKED_ANYHOW
+        if own_wish:
+            self._change_mode = _OWN_WISH
         self._seed = seed
         self._step_s = step_s
         self._types: set[str] = set()

@@ -12,8 +12,8 @@ from bridge.sumo.simulation import Simulation
 from hid2.agents import FloatArray, IntArray, Policy
 from hid2.conflicts.guard import ACROSS_S, ACTS_MPS2, STRIDE, A, S
 from hid2.conflicts.stop_lines import STOPS
-from hid2.insertion.due import Across, ManoeuvreDue, advance, foreseen_speeds
 from hid2.kernels.steering import CAUSES, LIMIT_TOLERANCE_MPS, speed_limits
+from hid2.manoeuvre import Across, ManoeuvreDue, advance, foreseen_speeds
 from hid2.motion.lane_change_path import lateral_share
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, shifted_path
@@ -25,9 +25,10 @@ from hid2.reasons import Reason
 from hid2.scene import Scene
 from netconvert.cells import Cell
 
-#: A vehicle that waits for a gap slows down so for those beside, m/s2, to this share of its desired speed. No tunables:
-#: what traffic behind does not notice.
-_LET_PASS_MPS2, _LET_PASS_SHARE = 0.7, 0.8
+#: A vehicle that waits for a gap slows down so for those beside, m/s2. No tunable: traffic behind does not notice it.
+_LET_PASS_MPS2 = 0.7
+#: It slows down to this share of its desired speed. No tunable, likewise.
+_LET_PASS_SHARE = 0.8
 _GAP = CAUSES.index("gap")
 #: Refusals of a gap in which waiting for those beside to go ahead helps.
 _LETS_PASS = frozenset({Reason.CELLS_OCCUPIED, Reason.FRONT_GAP})
@@ -53,11 +54,11 @@ def limits_of(fleet: Fleet, rows: IntArray, now: int) -> SpeedLimits:
     these, where one before them has taken another way.
     """
     guard = fleet.guard
-    first, *along = fleet.along_ways(now)
+    first, inputs = fleet.limit_inputs(now)
     return SpeedLimits(*speed_limits(
         rows, now, fleet.state, fleet.desired_mps, fleet.drivers, fleet.yielding, STRAIGHT,
         guard.horizon, STRIDE, fleet.scene.step_s, TABLE_STEP_M, guard.brakes,
-        guard.predicted, STOPS, guard.yield_rules, first[-rows.size - 1 :], *along,
+        guard.predicted, STOPS, guard.yield_rules, first[-rows.size - 1 :], *inputs,
     ))  # fmt: skip
 
 
@@ -87,10 +88,10 @@ def take_another_way(fleet: Fleet, simulation: Simulation, row: int, now: int) -
 
     Only one that is to go straight: another way is no longer the turn or the change of lanes that was asked for.
     """
-    vehicle, way, scene = fleet.vehicles[row], fleet.ways[row], fleet.scene
-    if vehicle.policy is not Policy.STRAIGHT or way.reroute_tried:
+    vehicle, context, scene = fleet.vehicles[row], fleet.contexts[row], fleet.scene
+    if vehicle.policy is not Policy.STRAIGHT or context.reroute_tried:
         return False
-    way.reroute_tried = True
+    context.reroute_tried = True
     s, v, a = fleet.state[row, S : A + 1].tolist()
     cell = scene.grid.cell_of_sumo_lane.get(simulation.lane(vehicle.vehicle_id)[0])
     if cell is None:
@@ -142,10 +143,10 @@ def apply_policy(
         return None
     fleet_now = traffic()
     others = fleet_now.rows([other for other, one in enumerate(fleet_now.ids) if one != vehicle.vehicle_id])
-    scene, due = fleet.scene, ManoeuvreDue(fleet.scene, vehicle, now, fleet.fixed, others)
+    scene, due = fleet.scene, ManoeuvreDue(fleet.scene, vehicle, now, fleet.kept, others)
     answer = simulation.lane_change_answer
     asks = scene.config.lane_change.rule == "LC2013"
-    across = due.decide((lambda side: SumoAnswer(*answer(vehicle.vehicle_id, side))) if asks else None)
+    across = due.observe_and_decide((lambda side: SumoAnswer(*answer(vehicle.vehicle_id, side))) if asks else None)
     if across is None:
         return None
     attempt = _ask_sumo(fleet, simulation, row, now, across)
@@ -188,7 +189,7 @@ def _ask_sumo(fleet: Fleet, simulation: Simulation, row: int, now: int, across: 
     facing = scene.grid.lateral(cell, across.shift.side)
     if facing is None:
         return Reason.NO_ADJACENT_LANE
-    edges = edges_along(scene, across.target, facing)
+    edges = edges_along(scene, across.shift.target, facing)
     if edges is None:
         return Reason.TARGET_NOT_BESIDE_FRONT
     simulation.change_lane(vehicle.vehicle_id, scene.grid.lane_index(facing), edges=edges)
@@ -202,7 +203,7 @@ def conclude(fleet: Fleet, simulation: Simulation, attempt: Attempt, lane: str) 
     """
     vehicle, scene = fleet.vehicles[attempt.row], fleet.scene
     cell = scene.grid.cell_of_sumo_lane.get(lane)
-    beside = {segment.lane_id for segment in attempt.across.target.segments}
+    beside = {segment.lane_id for segment in attempt.across.shift.target.segments}
     own = {segment.lane_id for segment in vehicle.path.segments if segment.end > vehicle.s[-1]}
     changed = lane == attempt.lane or (cell is not None and cell.lane_id in beside - own)
     vehicle.gaps[attempt.look] = replace(vehicle.gaps[attempt.look], sumo=changed)

@@ -26,22 +26,37 @@ from hid2.once import once
 from hid2.scene import PET_MARGIN_M, Scene
 
 # No tunables, here and below: they are how a driver brakes for what SUMO does not see, chosen on the scenes of
-# tests/real; `conflict` has the margins that it keeps. Decelerations tried, m/s2, least first, up to
-# conflict.brake_max_mps2.
+# tests/real; `conflict` has the margins that it keeps.
+#: Decelerations tried, m/s2, least first, up to conflict.brake_max_mps2.
 _BRAKES_MPS2 = (0.0, 0.5, 0.8, 1.1, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
-#: Predicted braking builds up at this rate, m/s3; a generated vehicle that brakes is predicted to brake on so long, s;
-#: hardest braking for an agent that appears ahead, over the driver's; steps between two looks at the predicted motion.
-_PREDICTED_JERK_MPS3, _BRAKING_LASTS_S, _HARDEST_RATIO, STRIDE = 4.0, 1.0, 1.4, 2
+#: Predicted braking builds up at this rate, m/s3.
+_PREDICTED_JERK_MPS3 = 4.0
+#: An inserted vehicle that brakes is predicted to brake on so long, s.
+_BRAKING_LASTS_S = 1.0
+#: Hardest braking for an agent that appears ahead, over the driver's.
+_HARDEST_RATIO = 1.4
+#: Steps between two looks at the predicted motion.
+STRIDE = 2
 #: Agents from behind on the way across are looked for so far ahead, s: as long as a lane change takes, and some.
 ACROSS_S = 8.0
-#: A deceleration that a conflict must ask for before the timing is changed, m/s2, and for which one that yields goes
-#: on; hard braking over the first, below which none brakes for a conflict that is later than so many s.
-ACTS_MPS2, _KEEPS_YIELDING_MPS2, _URGENT_RATIO, _SOON_S = 1.1, 0.3, 3.0, 2.5
-#: Such braking builds up so, m/s3, and is at most so hard just before standing still, m/s2, and harder by the speed,
-#: 1/s.
-_JERK_MPS3, _LAST_BRAKE_MPS2, _LAST_BRAKE_PER_S = 3.5, 0.6, 1.8
-#: A vehicle that slows down more, m/s2, nearer to a leader than this times its time gap and jam gap, has waited for it.
-_SLOWS_MPS2, _BEHIND_RATIO = 0.7, 2.0
+#: A conflict must ask for this deceleration before the timing is changed, m/s2.
+ACTS_MPS2 = 1.1
+#: A vehicle that yields goes on with that down to this deceleration, m/s2.
+_KEEPS_YIELDING_MPS2 = 0.3
+#: Braking harder than this times the one to act for, or to keep on for, is urgent: a vehicle yields at once.
+_URGENT_RATIO = 3.0
+#: For less than that it yields only if the conflict is no later than this, s.
+_SOON_S = 2.5
+#: Braking for a conflict builds up at this rate, m/s3.
+_JERK_MPS3 = 3.5
+#: It is at most so hard just before standing still, m/s2.
+_LAST_BRAKE_MPS2 = 0.6
+#: It may be harder at a speed by so much, 1/s.
+_LAST_BRAKE_PER_S = 1.8
+#: A vehicle that slows down more than this behind a leader, m/s2, may have waited for it.
+_SLOWS_MPS2 = 0.7
+#: It has if it is nearer to the leader than this times its time gap and jam gap.
+_BEHIND_RATIO = 2.0
 _MARGINS_M = 10.0  # not a parameter, it saves time: more than any lateral margin
 _TURN_AHEAD_S = 4.0  # book-keeping: a limit this long before a turn lane is put down to the turn
 #: When a vehicle yields, and how its braking begins and ends, as the kernel `speed_limits` takes it.
@@ -96,11 +111,11 @@ _Newest = tuple[Traffic, Traffic, PathOccupancy, PathOccupancy, PathOccupancy]
 class Guard:
     """Conflict case 3 of all vehicles that are driven together.
 
-    fixed: generated vehicles with known motion, those kept in rounds before; in rollouts also those chosen in this one.
+    inserted_known: vehicles with known motion, those kept in rounds before; in rollouts also those chosen in this one.
     """
 
     scene: Scene
-    fixed: Traffic
+    inserted_known: Traffic
     stop_lines: StopLines
     _newest: dict[tuple[DrivenPath, BoxSize], _Newest] = field(default_factory=dict)
     # as the kernels `needed_braking` and `speed_limits` take them: how others are predicted, when a driver brakes
@@ -135,17 +150,17 @@ class Guard:
     def known_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
         """Intervals on a path of all agents with known motion, with margins and the critical PET.
 
-        Recorded ones by rows of the scene's traffic, then inserted ones by theirs in `fixed`; these, where they cross,
-        are kept clear of as long as cross traffic makes an entrance red: streams do not mingle.
+        Rows as in `Scene.with_inserted`. Inserted ones, where they cross, are kept clear of as long as cross traffic
+        makes an entrance red: streams do not mingle.
         """
         scene, newest = self.scene, self._newest.get((path, box))
-        if newest is not None and newest[0] is scene.future and newest[1] is self.fixed:
+        if newest is not None and newest[0] is scene.future and newest[1] is self.inserted_known:
             return newest[-1]
         recorded = scene.kept_clear_on(path, box, scene.future)
-        inserted = scene.kept_clear_on(path, box, self.fixed, at_least_s=scene.config.signals.before_s)
+        inserted = scene.kept_clear_on(path, box, self.inserted_known, at_least_s=scene.config.signals.before_s)
         is_same = newest is not None and newest[2] is recorded and newest[3] is inserted
-        known = newest[-1] if newest is not None and is_same else recorded.joined(inserted)
-        self._newest[path, box] = scene.future, self.fixed, recorded, inserted, known
+        known = newest[-1] if newest is not None and is_same else scene.with_inserted(recorded, inserted)
+        self._newest[path, box] = scene.future, self.inserted_known, recorded, inserted, known
         return known
 
     @once

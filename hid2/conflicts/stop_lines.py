@@ -19,19 +19,31 @@ from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.once import once
 from hid2.scene import Scene
 
-#: No tunables, how a driver stops: closed lines farther ahead matter to none yet, m; share of its deceleration with
-#: which it rolls up, s in which it takes up the speed for that, and over its deceleration the braking beyond which it
-#: crosses, as at amber. So far, m, it keeps at least to where pedestrians cross, and so far past where it would stand
-#: it has passed the line.
-STOPS, _CROSSING_GAP_M, _PASSED_M = (60.0, 0.6, 0.5, 1.3), 0.5, 1.0
+# No tunables, the next six: how a driver stops.
+#: It rolls up to a line with this share of its deceleration.
+_ROLLS_UP_SHARE = 0.6
+#: As the kernels take it: closed lines farther ahead matter to none yet, m; that share; s in which it takes up the
+#: speed for that; and over its deceleration the braking beyond which it crosses, as at amber.
+STOPS = (60.0, _ROLLS_UP_SHARE, 0.5, 1.3)
+#: So far, m, it keeps at least to where pedestrians cross.
+_CROSSING_GAP_M = 0.5
+#: So far past where it would stand, m, it has passed the line.
+_PASSED_M = 1.0
 #: No tunable: s for which a light is amber about, in which one passes that can no longer stop.
 AMBER_S = 1.5
-# No tunables, here and below: when an agent walks over a crossing. It counts so near to it, m, if it comes towards it
-# this fast, m/s, or is on it within so long, s.
-_NEAR_M, _TOWARDS_MPS, _AHEAD_S = 1.0, 0.3, 1.5
-#: No agent may be within the strip to each side of the swept width, m, within so long, s, while a vehicle passes; one
-#: that moves along the path within CROSSING_RAD does not cross it, and slower ones have no direction, m/s.
-_STRIP_M, _STRIP_S, _DIRECTED_MPS = 1.0, 3.0, 0.5
+# No tunables, the next six: when an agent walks over a crossing.
+#: It counts so near to the crossing, m, if it comes towards it.
+_NEAR_M = 1.0
+#: It comes towards it when it is at least this fast, m/s.
+_TOWARDS_MPS = 0.3
+#: It counts if it is on the crossing within so long, s.
+_AHEAD_S = 1.5
+#: While a vehicle passes, no agent may be within a strip of this width to each side of the swept width, m.
+_STRIP_M = 1.0
+#: Nor come into it within so long, s.
+_STRIP_S = 3.0
+#: An agent that moves along the path within CROSSING_RAD does not cross it; slower ones have no direction, m/s.
+_DIRECTED_MPS = 0.5
 #: Recorded object types that use crossings.
 CROSSING_TYPES = frozenset({"pedestrian", "cyclist", "riderless_bicycle"})
 
@@ -127,7 +139,7 @@ class ClosedLines:
 
     def towards_mps(self, driver: Driver, room_m: float) -> float:
         """Fastest speed, m/s, from which a driver brakes as usual to stand at a line."""
-        return math.sqrt(2.0 * STOPS[1] * driver.decel_mps2 * room_m)
+        return math.sqrt(2.0 * _ROLLS_UP_SHARE * driver.decel_mps2 * room_m)
 
     def is_passed(self, s: FloatArray, driver: Driver, *, first: int, closed_steps: int) -> bool:
         """Whether a driver's motion (K,) m from a step on passes a line that has been closed for so many steps."""

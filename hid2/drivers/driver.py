@@ -9,10 +9,17 @@ import numpy as np
 from hid2.agents import FloatArray
 from hid2.params import Config, Drivers
 
-#: No tunables, the shape of the distributions: draws are cut off so many SD from the mean; the wandering of the speed
-#: is eased over so long, s, as feet do not jump, and ends at this share of the desired speed, as none crawls without a
-#: cause; two places in the lane are so far apart at least, and none is farther from its middle, m: a car is no bicycle.
-TRUNCATED_AT, _EASED_S, _WANDERS_TO, _OFFSET_SPACING_M, OFFSET_MAX_M = 2.0, 0.8, 0.8, 6.0, 0.9
+# No tunables, the next five: the shape of the distributions.
+#: Draws are cut off so many SD from the mean.
+TRUNCATED_AT = 2.0
+#: The wandering of the speed is eased over so long, s, as feet do not jump.
+_EASED_S = 0.8
+#: It ends at this share of the desired speed, as none crawls without a cause.
+_WANDERS_TO = 0.8
+#: Two places in the lane are so far apart at least, m.
+_OFFSET_SPACING_M = 6.0
+#: None is farther from the middle of the lane, m: a car is no bicycle.
+OFFSET_MAX_M = 0.9
 #: No tunable: m from the front to the line, between which drivers stand, negative past it; of 21 recorded ones that
 #: stand first before an intersection 19 do at -3.2 to 3.6 m (fourteen scenes), farther past it cross traffic is near.
 LINE_GAP_M = -1.5, 3.0
@@ -77,7 +84,7 @@ def draw_driver(config: Config, rng: np.random.Generator, *, lane_speed_mps: flo
     turn_lateral_mps2 = float(rng.uniform(law.turn_lateral_min_mps2, law.turn_lateral_max_mps2))
     offset, lane_change, wander = draws(3)
     desired_mps = lane_speed_mps * (1.0 + law.desired_sd * desired)
-    if desired_mps < spawn.min_speed_mps:  # they do not all wish the same
+    if desired_mps < spawn.min_speed_mps:  # they do not all desire the same
         desired_mps = spawn.min_speed_mps * (1.0 + law.desired_sd * abs(desired))
     return Driver(
         desired_mps=min(desired_mps, spawn.max_speed_mps),
@@ -103,10 +110,10 @@ def desired_speeds(
     at_least_mps: what the vehicle begins with; at the first step it is not above the desired speed.
     """
     wander = wandering(config, rng, num_steps=num_steps, step_s=step_s, at_least_mps=at_least_mps - driver.desired_mps)
-    return wished_speeds(driver.desired_mps, wander)
+    return with_wander(driver.desired_mps, wander)
 
 
-def wished_speeds(desired_mps: FloatArray | float, wander_mps: FloatArray) -> FloatArray:
+def with_wander(desired_mps: FloatArray | float, wander_mps: FloatArray) -> FloatArray:
     """Desired speeds with their wandering, m/s."""
     return np.maximum(desired_mps + wander_mps, _WANDERS_TO * desired_mps)
 
@@ -128,11 +135,11 @@ def wandering(
     return np.array(wander)
 
 
-def free_speeds(driver: Driver, wished_mps: FloatArray, *, speed_mps: float, step_s: float) -> FloatArray:
-    """(M,) m/s at the steps to come from a speed towards wished ones (M,) with no leader, as the IDM has it."""
+def free_speeds(driver: Driver, desired_mps: FloatArray, *, speed_mps: float, step_s: float) -> FloatArray:
+    """(M,) m/s at the steps to come from a speed towards desired ones (M,) with no leader, as the IDM has it."""
     found = []
-    for wished in wished_mps.tolist():
-        gained = driver.accel_mps2 * max(1.0 - (speed_mps / wished) ** 4, -1.0) * step_s
+    for desired in desired_mps.tolist():
+        gained = driver.accel_mps2 * max(1.0 - (speed_mps / desired) ** 4, -1.0) * step_s
         speed_mps = max(speed_mps + gained, 0.0)
         found.append(speed_mps)
     return np.array(found, dtype=np.float64)

@@ -15,7 +15,7 @@ from hid2.judge.findings import MOVES_MPS
 from hid2.judge.states import against_lane_deg, outside_m
 from hid2.measures.arrays import BoolArray, SceneArrays
 from hid2.measures.driven_lanes import LaneView
-from hid2.measures.following import Leaders, leaders
+from hid2.measures.following import LaneLeaders, leaders
 from hid2.measures.surrogates import CAP_S, Encroachment, encroachments, time_to_collision
 from hid2.params import Limits
 from netconvert.geometry import box_corners
@@ -51,7 +51,7 @@ class Safety:
     off_footprint: BoolArray
     against_lane: BoolArray
     ttc_s: FloatArray
-    leaders: Leaders
+    leaders: LaneLeaders
 
 
 def overlaps(arrays: SceneArrays) -> tuple[Overlap, ...]:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from hid2.agents import FloatArray, IntArray
 from hid2.measures.arrays import BoolArray, SceneArrays
 from hid2.measures.driven_lanes import LaneView
-from hid2.measures.following import Leaders
+from hid2.measures.following import LaneLeaders
 
 #: Length of a window, what is left out at both ends of a track, and the distance of two windows' middles, s.
 WINDOW_S, TRIMMED_S, STRIDE_S = 4.0, 1.0, 0.5
@@ -65,7 +65,7 @@ def lateral_accel_mps2(found: Windows) -> FloatArray:
     return np.asarray(found["speed_mps"] * found["yaw_radps"], dtype=np.float64)
 
 
-def windows(view: LaneView, led: Leaders, *, scene: str, labelled: bool) -> Windows:
+def windows(view: LaneView, led: LaneLeaders, *, scene: str, labelled: bool) -> Windows:
     """Windows of the vehicles `compared`, in the order of agents and time. led: leaders of the same rows."""
     arrays = view.arrays
     size = round(WINDOW_S / arrays.step_s) + 1
@@ -90,7 +90,7 @@ def polynomial_fit(time: FloatArray, degree: int) -> FloatArray:
     return np.asarray(np.linalg.pinv(np.vander(time, degree + 1, increasing=True)), dtype=np.float64)
 
 
-def _of_track(view: LaneView, led: Leaders, rows: IntArray, time: FloatArray) -> Windows:
+def _of_track(view: LaneView, led: LaneLeaders, rows: IntArray, time: FloatArray) -> Windows:
     """Windows of one vehicle; rows (M, T): those of each."""
     arrays, matches, parabola, cubic = view.arrays, view.matches, polynomial_fit(time, 2), polynomial_fit(time, 3)
     middle = len(time) // 2

@@ -40,7 +40,7 @@ class Seen:
 class Objective:
     """What is asked for of a vehicle and a target: whether its states show it, and how near to the middle.
 
-    others: recorded agents, with the target, and vehicles of events before.
+    others: recorded agents, with the target, and vehicles of events before, with the boxes that they have.
     """
 
     scene: Scene

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy, Track
+from hid2.conflicts.guard import Guard
 from hid2.drivers.driver import Driver, draw_driver
 from hid2.insertion.event_objective import MOMENT_S, Objective
 from hid2.insertion.event_places import ABOUT_M, Place
@@ -23,12 +24,16 @@ from hid2.scene import clearance_box
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 
 _BRAKES_S = 2.5  # braking that is asked for lasts so long; no tunable: until about 20 km/h slower than before
-#: Of each driver so many beginnings are looked at, and the first that is free is taken; a place is left out where so
-#: many drivers in a row cannot begin; of so many the fastest is to overtake, the quickest to cut in. No tunables.
-_DRAWS, _NOT_BEGUN, _ASKED = 32, 20, 10
+# No tunables, the next three: they bound the search.
+#: Of each driver so many beginnings are looked at, and the first that is free is taken.
+_DRAWS = 32
+#: A place is left out where so many drivers in a row cannot begin.
+_NOT_BEGUN = 20
+#: Of so many drivers the fastest is to overtake, the quickest to cut in.
+_ASKED = 10
 #: The best of this many that bring an event about are taken before more are drawn. Not a parameter, it saves time.
 _ENOUGH = 8
-_CREEPS_MPS = 0.2  # a wish to stand is one to roll on so slowly; no tunable: SUMO takes no wish of 0
+_CREEPS_MPS = 0.2  # to stand is to desire to roll on so slowly; no tunable: SUMO takes no desired speed of 0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -65,9 +70,9 @@ class EventStarts(Starts):
     _made: Start = field(init=False)
     _best: tuple[float, Place, Driver, float] | None = None
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, guard: Guard) -> None:
         """Nothing is rolled out yet."""
-        Starts.__post_init__(self)
+        Starts.__post_init__(self, guard)
         self.world.target_id = self.objective.target.track.track_id
         self._box = clearance_box(self.request.size, DEFAULT_SIZES["vehicle"])
 
@@ -75,11 +80,10 @@ class EventStarts(Starts):
         """Those of so many rolled out that bring the event about, the best first; no more than `_ENOUGH`."""
         found: list[Candidate] = []
         until = self.rolls + count
-        while (
-            self.rolls < until
-            and len(found) < _ENOUGH
-            and (places := [n for n in range(len(self.places)) if self._not_begun[n] < _NOT_BEGUN])
-        ):
+        while self.rolls < until and len(found) < _ENOUGH:
+            places = [n for n in range(len(self.places)) if self._not_begun[n] < _NOT_BEGUN]
+            if not places:
+                break
             number, before = places[int(self.rng.integers(len(places)))], self.rolls
             made = self._drawn(self.places[number])
             self._not_begun[number] = self._not_begun[number] + 1 if self.rolls == before else 0
@@ -199,14 +203,14 @@ class EventStarts(Starts):
     def _braking(self, start: Start, step: int, speed_mps: float) -> Start:
         """A driver with a desired speed that falls from a step on, as fast as it is to brake, then is as before.
 
-        SUMO takes a wish for the most that a vehicle may drive, and brakes for one that falls.
+        SUMO takes a desired speed for the most that a vehicle may drive, and brakes for one that falls.
         """
         brakes_mps2 = self.objective.event.brakes_mps2
         since_s = self.scene.step_s * np.arange(start.desired.size - step)
         falling = np.maximum(speed_mps - brakes_mps2 * since_s, _CREEPS_MPS)
-        wish = np.where(since_s < _BRAKES_S, falling, start.desired[step:])
+        desired = np.where(since_s < _BRAKES_S, falling, start.desired[step:])
         driver = replace(start.driver, decel_mps2=max(start.driver.decel_mps2, brakes_mps2))
-        return replace(start, desired=np.concatenate([start.desired[:step], wish]), driver=driver)
+        return replace(start, desired=np.concatenate([start.desired[:step], desired]), driver=driver)
 
 
 def track_of(rolled: RolledOut) -> Track:

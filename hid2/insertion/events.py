@@ -21,7 +21,7 @@ from hid2.insertion.event_objective import MOMENT_S, Objective, Seen
 from hid2.insertion.event_places import Places
 from hid2.insertion.event_starts import Candidate, EventStarts
 from hid2.insertion.event_targets import candidate_rows, target_of
-from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, together, traffic_of_exported
+from hid2.insertion.finalise import ExportedVehicle, as_written, conflicting, finalise, traffic_of_exported
 from hid2.insertion.outcome import Outcome, outcome_of
 from hid2.insertion.requests import draw_size
 from hid2.insertion.surroundings import Surroundings
@@ -115,7 +115,7 @@ class SceneEvents:
 
     def search(self, event: Event, number: int, drive: DriveAlone) -> EventOutcome:
         """One event; its reason where none of the tries brought it about."""
-        tried, rejected, fixed = Counter[Reason](), Counter[Reason](), traffic_of_exported(self.kept, self.here.scene)
+        tried, rejected, kept = Counter[Reason](), Counter[Reason](), traffic_of_exported(self.kept, self.here.scene)
         objectives = self.objectives(event, np.random.default_rng([*self.seed, 0x7A26E7, number]))
         if not objectives:
             return EventOutcome(event, Reason.EVENT_NO_TARGET)
@@ -123,7 +123,7 @@ class SceneEvents:
             if tried.total() >= starts.scene.config.event_search.tries:
                 break
             start = replace(candidate.rolled.start, vehicle_id=f"e{number}_{tried.total()}")
-            judged = self._judged(starts.objective, drive(starts.scene, starts.guard.stop_lines, start, fixed))
+            judged = self._judged(starts.objective, drive(starts.scene, starts.world.guard.stop_lines, start, kept))
             if not isinstance(judged, Reason):
                 vehicle, seen = judged
                 return EventOutcome(
@@ -147,7 +147,7 @@ class SceneEvents:
         rows = candidate_rows(scene, event.target)
         if event.target == "any":
             rows = [rows[k] for k in rng.permutation(len(rows)).tolist()]
-        known = together(scene, self.kept)
+        known = as_written(scene, self.kept)
         return [Objective(scene, event, target, known) for row in rows if (target := target_of(scene, row)) is not None]
 
     def likely(
@@ -204,7 +204,7 @@ def comes_between(scene: Scene, event: EventOutcome, vehicle: ExportedVehicle) -
         return False
     names, at_s = (event.vehicle.driven.vehicle_id, str(event.target_id)), event.seen.at_step * scene.step_s
     claim = EventClaim(event.event.kind, *names, at_s, ahead=event.seen.order > 0)
-    return event_step(together(scene, [event.vehicle, vehicle]), claim) is None
+    return event_step(as_written(scene, [event.vehicle, vehicle]), claim) is None
 
 
 def offered_events(here: Surroundings, names: Sequence[str]) -> tuple[str, ...]:

@@ -32,7 +32,9 @@ def impossible(scene: Scene, named: Collection[Policy]) -> dict[str, str]:
     for event in scene.config.event:
         (low_s, high_s), share = event.at_band_s, _LEFT_SHARE.get(event.kind, 0.0)
         if low_s - MOMENT_S > scene.last_s - share * scene.config.lane_change.min_duration_s:
-            found[f"event {event.kind} at {low_s:g}:{high_s:g} s"] = ends + ", to be across by then" * (share > 0.0)
+            found[f"event {event.kind} at {low_s:g}:{high_s:g} s"] = (
+                ends if share == 0.0 else f"{ends}, to be across by then"
+            )
         if all(target_of(scene, row) is None for row in candidate_rows(scene, event.target)):
             meant = [ids[row] for row in candidate_rows(scene, "any") if target_of(scene, row) is not None]
             no_target = "not moving, on no lane, no vehicle, a tracker fragment, or its box points backwards"
@@ -49,4 +51,5 @@ def impossible(scene: Scene, named: Collection[Policy]) -> dict[str, str]:
 
 
 def _few(ids: Collection[str]) -> str:
-    return ", ".join([*ids][:_IDS]) + ", ..." * (len(ids) > _IDS)
+    named = [*ids][:_IDS]
+    return ", ".join(named if len(ids) <= _IDS else [*named, "..."])

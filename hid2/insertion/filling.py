@@ -12,7 +12,7 @@ from hid2.agents import Policy
 from hid2.conflicts.guard import Guard
 from hid2.insertion.events import EventOutcome, comes_between
 from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traffic_of_exported
-from hid2.insertion.outcome import Outcome, outcome_of
+from hid2.insertion.outcome import Outcome, outcome_of, takes_gap
 from hid2.insertion.requests import draw_requests
 from hid2.insertion.sites import InsertionSites, TurnedDown
 from hid2.insertion.spread import Spread
@@ -25,10 +25,17 @@ from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 from netconvert.cells import Cell
 
-#: Not parameters, they bound the search: most that `agents = max` asks for; a round of it that adds a smaller share
-#: is the last; requests without a site, for a manoeuvre or to go straight, after which a round looks for no more; and
-#: how often a vehicle that had waited for one that is gone is driven again.
-_MOST, _FULL_SHARE, _FAILED, _FAILED_STRAIGHT, _AGAIN = 400, 0.1, 4, 1, 1
+# Not parameters, the next five: they bound the search.
+#: `agents = max` asks for so many at most.
+_MOST = 400
+#: A round of `agents = max` that adds a smaller share of those kept is the last.
+_FULL_SHARE = 0.1
+#: After so many requests for a manoeuvre without a site a round looks for no more of that policy.
+_FAILED = 4
+#: The same of requests to go straight.
+_FAILED_STRAIGHT = 1
+#: A vehicle that had waited for one that is gone is driven again so often.
+_AGAIN = 1
 #: Lane that a vehicle takes on a full road, m: what `agents = max` means, no tunable.
 SPACING_M = 25.0
 #: Runs one simulation: starts, generated vehicles kept in rounds before, number of the round.
@@ -79,13 +86,13 @@ class Filling:
     _driven_again: Counter[str] = field(default_factory=Counter)
     _last_reason: dict[int, Reason] = field(default_factory=dict)
     _turned_down: TurnedDown = field(default_factory=TurnedDown)
-    _fixed: Traffic = field(init=False)
+    _kept_traffic: Traffic = field(init=False)
     """Those kept: what is known of those of a round goes on being known in the rounds after."""
 
     def __post_init__(self) -> None:
         """Recorded vehicles are where they were; those that react may be elsewhere later."""
         self.scene = self.surroundings.scene
-        self._fixed = traffic_of_exported([], self.scene)
+        self._kept_traffic = traffic_of_exported([], self.scene)
 
     def take_events(self, found: Sequence[EventOutcome]) -> None:
         """Vehicles of events are kept before all others, which have to do with them; they count among the vehicles."""
@@ -95,7 +102,7 @@ class Filling:
                 self.kept.append(one.vehicle)
                 if one.outcome is not None:
                     self.outcomes[one.vehicle.driven.vehicle_id] = one.outcome
-        self._fixed = traffic_of_exported(self.kept, self.scene)
+        self._kept_traffic = traffic_of_exported(self.kept, self.scene)
 
     def fill(self, drive: Drive) -> None:
         """All rounds. The count is a wish: a full road ends with fewer, and says so."""
@@ -107,20 +114,24 @@ class Filling:
             starts, before = self._starts(number), len(self.kept)
             if starts or number == 0:
                 self.rounds = number + 1
-                self._keep(drive(starts, self._fixed, number))
+                self._keep(drive(starts, self._kept_traffic, number))
             if not self._open:
                 break
             added = len(self.kept) - before
             idle = 0 if added else idle + 1
-            manoeuvres_are_over = number >= config.spawn.reseed_rounds
-            if manoeuvres_are_over and config.request.agents == "max" and added <= _FULL_SHARE * len(self.kept):
+            is_over = self._manoeuvres_are_over(number)
+            if is_over and config.request.agents == "max" and added <= _FULL_SHARE * len(self.kept):
                 break
             driven_again = {start.request.number for start in self._again}
-            if (manoeuvres_are_over or idle == _IDLE) and self._give_up_manoeuvres(driven_again):
+            if (is_over or idle == _IDLE) and self._give_up_manoeuvres(driven_again):
                 idle = 0  # a vehicle that goes straight may find a place
             if idle == _IDLE:
                 break
         self._give_up_manoeuvres()
+
+    def _manoeuvres_are_over(self, number: int) -> bool:
+        """Whether manoeuvres that did not come about by a round are given up, and what is driven is kept as it is."""
+        return number >= self.scene.config.spawn.reseed_rounds
 
     def fill_together(self, drive: Drive) -> None:
         """All in one round, again without those that are not kept until all are: where recorded vehicles react.
@@ -130,7 +141,7 @@ class Filling:
         """
         starts = sorted(self._starts_of(self._target()), key=lambda start: start.request.number)
         while True:
-            vehicles = drive(starts, self._fixed, self.rounds)
+            vehicles = drive(starts, self._kept_traffic, self.rounds)
             self.rounds += 1
             self.kept, gone = self._judged(vehicles)
             if not gone:
@@ -183,15 +194,17 @@ class Filling:
         """Starts of a round: those driven again, then open requests, each of which keeps clear of those before it."""
         rng = np.random.default_rng([*self.seed, 1 + number])
         here = self.surroundings
-        guard = Guard(self.scene, self._fixed, here.stop_lines)
+        guard = Guard(self.scene, self._kept_traffic, here.stop_lines)
         sites = InsertionSites(
-            here, guard, rng, number, Spread.of(self.seed), self._turned_down, [one.driven.start for one in self.kept],
+            here, guard, rng, number, Spread.of(self.seed), self._turned_down, self.kept,
             asked=Counter(r.policy for r in self._open),
         )  # fmt: skip
-        starts, self._again = sites.starts.take(self._again), []
+        starts = sites.starts.take(self._again)
+        self._again = []
         used = {start.request.number for start in starts}
         waiting = deque(sorted(self._open, key=lambda one: (BEHAVIOURS[one.policy].site_order, one.number)))
-        failed, refused, redrawn = Counter[Policy](), defaultdict[Policy, Counter[Reason]](Counter), False
+        failed, refused = Counter[Policy](), defaultdict[Policy, Counter[Reason]](Counter)
+        redrawn = False
         while waiting:
             request = waiting.popleft()
             if request.number in used:
@@ -201,7 +214,7 @@ class Filling:
             found: list[Start] = []
             if failed[policy] < (_FAILED_STRAIGHT if straight else _FAILED):
                 slow = self._to_lead(request, [one for one in waiting if one.number not in used])
-                found = sites.propose(request, slow and replace(slow, policy=Policy.STRAIGHT))
+                found = sites.propose(request, None if slow is None else replace(slow, policy=Policy.STRAIGHT))
                 if straight and not found and not redrawn:
                     redrawn = True  # what was full for one draw of places may not be for another
                     self._turned_down.look_anew(each_cell=self.scene.config.request.agents != "max")
@@ -209,7 +222,8 @@ class Filling:
                 if slow is not None and slow.policy is not Policy.STRAIGHT and len(found) > 1:
                     self._last_reason[slow.number] = Reason.LEADS_AN_OVERTAKE
                     self._gives_up(slow)
-                failed[policy] += not found
+                if not found:
+                    failed[policy] += 1
                 refused[policy] += sites.starts.rejected - before
             if not found and not straight:  # it goes straight, after all others
                 # what became of a vehicle that was driven for the manoeuvre says more
@@ -252,7 +266,7 @@ class Filling:
         for one in gone.values():
             self._last_reason[one.vehicle.start.request.number] = one.reason
         self._drive_again(new, gone)
-        if self.rounds <= self.scene.config.spawn.reseed_rounds:
+        if not self._manoeuvres_are_over(self.rounds - 1):
             new = self._reused_as_straight(new, gone)
             self._drive_again(new, gone)
         for one in gone.values():
@@ -263,7 +277,7 @@ class Filling:
             became = None if outcome is None else " ".join(filter(None, (outcome.status, outcome.reason)))
             self._tell(vehicle.driven, self._site(vehicle.driven), "kept", became)
         self.kept += kept_now
-        self._fixed = self._fixed.joined(traffic_of_exported(kept_now, self.scene))
+        self._kept_traffic = self._kept_traffic.joined(traffic_of_exported(kept_now, self.scene))
         met = {one.driven.start.request.number for one in kept_now}
         self._open = [request for request in self._open if request.number not in met]
 
@@ -283,6 +297,8 @@ class Filling:
         for one in new:
             if any(comes_between(self.scene, event, one) for event in self.events):
                 gone[one.driven.vehicle_id] = self._rejection(one.driven, Reason.BREAKS_EVENT)
+            elif any(takes_gap(self.scene, before, traffic_of_exported([one], self.scene)) for before in self.kept):
+                gone[one.driven.vehicle_id] = self._rejection(one.driven, Reason.TAKES_GAP)
         new = [one for one in new if one.driven.vehicle_id not in gone]
         for one in new:
             outcome = outcome_of(self.scene, one, [*self.kept, *new])

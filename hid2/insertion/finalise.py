@@ -9,7 +9,7 @@ import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Track
 from hid2.drivers.driver import LaneOffset
-from hid2.judge.findings import MOVES_M, MOVES_MPS, Finding, Quantity, export_bounds
+from hid2.judge.findings import LEFT_TO_TARGET, MOVES_M, MOVES_MPS, Finding, Quantity, export_bounds
 from hid2.judge.states import (
     headway_on_driven_path,
     headways,
@@ -17,8 +17,8 @@ from hid2.judge.states import (
     of_crossings,
     of_end,
     of_motion,
+    of_recorded_followers,
     of_road,
-    ttc_of_followers,
     ttc_on_driven_path,
     ttc_on_lanes,
 )
@@ -168,6 +168,18 @@ def together(scene: Scene, vehicles: Iterable[ExportedVehicle]) -> AgentStates:
     return scene.states.joined(*(one.states for one in vehicles))
 
 
+def as_written(scene: Scene, vehicles: Iterable[ExportedVehicle]) -> AgentStates:
+    """The same with the boxes that they have: what is claimed of them is measured by a reader, who has no others."""
+    tracks = [one.track(one.driven.vehicle_id, 1) for one in vehicles]
+    each = [
+        agent_states(
+            [track], scene.states.lanes, num_steps=scene.num_steps, step_s=scene.step_s, is_inserted=lambda _: True
+        )
+        for track in tracks
+    ]
+    return scene.states_as_written.joined(*each)
+
+
 def _reason(scene: Scene, findings: Iterable[Finding]) -> Reason | None:
     """Reason of the first finding; boxes that meet are told apart by their agents."""
     for one in findings:
@@ -183,19 +195,21 @@ def _judged(scene: Scene, vehicle: ExportedVehicle, others: AgentStates) -> Expo
     First what the choice of filter and place in the lane decides: motion, road, boxes. Then what it does to others on
     the path that it drives, and what follows its last step.
     """
-    bounds, without, row = export_bounds(scene.config), scene.config.without, others.arrays.num_agents
+    bounds, without, own = export_bounds(scene.config), scene.config.without, others.arrays.num_agents
     found = of_motion(vehicle.states, 0, bounds)
     if not {"collision", "topology"} & without:
         found = chain(found, of_road(vehicle.states, 0, vehicle.driven.start.size, scene.grid.graph, bounds))
-    if (verdict := _reason(scene, found)) is not None or "collision" in without:
+    verdict = _reason(scene, found)
+    if verdict is not None or "collision" in without:
         return verdict or vehicle
     states = others.joined(vehicle.states)
-    if (verdict := _boxes(scene, states)) is not None:
+    verdict = _boxes(scene, states)
+    if verdict is not None:
         return verdict
-    led = states.leaders_among(row, others.traffic, aside_m=bounds.spare_aside_m)
-    found = chain(ttc_on_driven_path(states, row, led, bounds), of_end(states, row, np.arange(row), bounds))
+    led = states.leaders_among(own, others.traffic, aside_m=bounds.spare_aside_m)
+    found = chain(ttc_on_driven_path(states, own, led, bounds), of_end(states, own, np.arange(own), bounds))
     if "topology" not in without:
-        found = chain(found, of_crossings(states, bounds, since=row))
+        found = chain(found, of_crossings(states, bounds, since=own))
     return _reason(scene, found) or replace(vehicle, min_ttc_s=float(led.ttc_s.min(initial=np.inf)))
 
 
@@ -219,8 +233,8 @@ def _boxes(scene: Scene, states: AgentStates) -> Reason | None:
     """Whether the box of the last vehicle meets another one."""
     if "collision" in scene.config.without:
         return None
-    row = states.arrays.num_agents - 1
-    return _reason(scene, of_boxes(states, row, np.arange(row), spare_m=export_bounds(scene.config).spare_box_m))
+    own = states.arrays.num_agents - 1
+    return _reason(scene, of_boxes(states, own, np.arange(own), spare_m=export_bounds(scene.config).spare_box_m))
 
 
 def _passes_m(vehicle: AgentStates, others: AgentStates) -> float:
@@ -254,7 +268,7 @@ def conflicting(
     beyond_m[first:] = [one.driven.start.beyond_m for one in exported]
     findings = [*ttc_on_lanes(states, led, bounds), *headways(states, led, beyond_m)]
     rows = first + np.arange(len(exported))
-    findings += ttc_of_followers(states, rows[since:], bounds)
+    findings += of_recorded_followers(states, rows[since:], bounds)
     for row in rows.tolist():
         # one that was kept has been looked at behind recorded agents
         others, recorded = (rows[rows != row], first) if row >= first + since else (rows[since:], 0)
@@ -266,7 +280,7 @@ def conflicting(
     row_of = {name: row for row, name in enumerate(states.arrays.track_ids[first:])}
     found: dict[int, Reason] = {}
     for one in findings:
-        if one.quantity is Quantity.FOLLOWER_HEADWAY and one.other == target_id:
+        if one.quantity in LEFT_TO_TARGET and one.other == target_id:
             continue
         found.setdefault(max(row_of[one.track_id], row_of.get(one.other or "", -1)), one.reason)
     return sorted((row, reason) for row, reason in found.items() if row >= since)

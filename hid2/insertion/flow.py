@@ -75,13 +75,13 @@ def arrivals(scene: Scene, routes: Routes, seed: Sequence[int]) -> list[Arrival]
             sides: tuple[Side, ...] = ("left", "right") if rng.random() < 0.5 else ("right", "left")
             object_type, size = draw_size(request, rng)
             driver = draw_driver(config, rng, lane_speed_mps=scene.lane_speed(lane_id, rng))
-            wished = desired_speeds(
+            desired = desired_speeds(
                 driver, config, rng, num_steps=scene.num_steps, step_s=scene.step_s, at_least_mps=driver.desired_mps
             )
             start = Start(
                 vehicle_id=f"f{lane_id}_{number}", request=VehicleRequest(number, policy, 0.0, object_type, size),
                 box=clearance_box(size, DEFAULT_SIZES[object_type]), route=offer.route,
-                path=scene.paths.along(offer.route), start_s=0.0, start_mps=0.0, driver=driver, desired=wished,
+                path=scene.paths.along(offer.route), start_s=0.0, start_mps=0.0, driver=driver, desired=desired,
                 offset=MIDDLE, sides=sides,
             )  # fmt: skip
             found.append(Arrival(lane_id, due_s, start))

@@ -21,22 +21,36 @@ from hid2.scene import Scene, cruising_mps
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
 
-#: Weights of sites, over that of any other: near to agents that request.near asks for; from which a recorded vehicle
-#: would be followed; from which recorded traffic would be crossed; at a red line; where a recorded follower would run
-#: into the vehicle, as most of these fail. No tunables: `request.near`, `within_m` and `sites` say what is wanted.
-NEAR_WEIGHT, LEADER_WEIGHT, _CROSSING_WEIGHT, _WAITS_WEIGHT, _RUN_INTO_WEIGHT = 8.0, 6.0, 3.0, 6.0, 0.2
-#: No tunables, how roughly a vehicle is foreseen here; a rollout follows. It drives at a share of the usual speed, as
-#: it brakes now and then; agents within a share of request.within_m are near; it begins with at least this share of
-#: the way left; routes with the same turns of which the mean is taken; and s between centres where a path is crossed:
-#: boxes take about .8 s less, which leaves a PET from the critical 1 s to 3 s.
-_PACE_SHARE, _NEAR_SHARE, _LEAVES_SHARE, _ROUTES, _CROSSING_APART_S = 0.9, 0.7, 0.8, 4, (1.8, 3.8)
+# Weights of sites, over that of any other. No tunables: `request.near`, `within_m` and `sites` say what is wanted.
+#: Near to agents that request.near asks for.
+NEAR_WEIGHT = 8.0
+#: From which a recorded vehicle would be followed.
+LEADER_WEIGHT = 6.0
+#: From which recorded traffic would be crossed.
+_CROSSING_WEIGHT = 3.0
+#: At a red line.
+_WAITS_WEIGHT = 6.0
+#: Where a recorded follower would run into the vehicle, as most of these fail.
+_RUN_INTO_WEIGHT = 0.2
+# No tunables, how roughly a vehicle is foreseen; a rollout follows.
+#: It drives at this share of the usual speed, as it brakes now and then.
+PACE_SHARE = 0.9
+#: Agents within this share of request.within_m are near.
+_NEAR_SHARE = 0.7
+#: It begins with at least this share of the way left that it would drive at the usual speed.
+_LEAVES_SHARE = 0.8
+#: The mean is taken over so many routes with the same turns.
+_ROUTES = 4
+#: s between centres where a path is crossed: boxes take about .8 s less, which leaves a PET from the critical 1 to 3 s.
+_CROSSING_APART_S = (1.8, 3.8)
 #: Time between looks at recorded traffic, s. Not a parameter, it saves time: estimates of positions need no more.
 _EVERY_S = 0.5
 #: Centres this near to the middle of a cell are on it, m: half a lane and a little. No tunable: what on a cell means.
 _ON_CELL_M = 3.0
-#: A leader leads from this gap between centres on, m, if it does for so many looks. No tunables: what following is by
-#: `measures/encounters.py`, and a box ahead of a box.
-_LEADS_FROM_M, _LEADS_LOOKS = 6.0, 1 + round(FOLLOWS_FOR_S / _EVERY_S)
+#: A leader leads from this gap between centres on, m. No tunable: a box ahead of a box.
+_LEADS_FROM_M = 6.0
+#: It leads if it does for so many looks. No tunable: what following is by `measures/encounters.py`.
+_LEADS_LOOKS = 1 + round(FOLLOWS_FOR_S / _EVERY_S)
 _LEAST = 1e-3  # weight of a route that is not worth trying; no tunable: not 0, so that one is drawn where no other is
 
 
@@ -194,7 +208,7 @@ class Meetings:
         scene, config = self.scene, self.scene.config
         request = config.request
         cells, middle = self._cells(lane_id, offer)
-        count, pace = count or scene.grid.count(lane_id), _PACE_SHARE * speed_mps
+        count, pace = count or scene.grid.count(lane_id), PACE_SHARE * speed_mps
         start, since, step = middle[:count], slice(look, None), int(self.looks[look])
         time_s = np.asarray((self.looks[since] - step) * scene.step_s, dtype=np.float64)
         last = int(np.searchsorted(self.looks, min(scene.first_exit_step, scene.num_steps) - 1, side="right")) - 1

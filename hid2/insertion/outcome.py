@@ -9,16 +9,22 @@ import numpy as np
 from hid2.agents import Policy
 from hid2.insertion.finalise import ExportedVehicle, together
 from hid2.judge.claims import manoeuvres, overtake_of
+from hid2.kernels.polyline import frenet
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind
 from hid2.motion.route import first_turn
 from hid2.occupancy.agent_states import AgentStates
+from hid2.occupancy.traffic import Traffic
 from hid2.policy.behaviours import BEHAVIOURS
-from hid2.policy.observation import returns_to
+from hid2.policy.lane_change import Gap
+from hid2.policy.observation import Inserted, gaps_on, returns_to
 from hid2.policy.overtake import Stage
+from hid2.policy.rules import rule_refusals
 from hid2.reasons import Reason
 from hid2.scene import Scene
+from hid2.vehicle import Shift
 from netconvert.lane_graph import TurnType
 
+_NONE = Traffic.none(1)
 Status = Literal["done", "aborted", "not_feasible", "not_triggered"]
 
 
@@ -46,13 +52,46 @@ class Outcome:
 def outcome_of(scene: Scene, vehicle: ExportedVehicle, kept: Iterable[ExportedVehicle]) -> Outcome | None:
     """Outcome of a vehicle's request beside what is recorded and kept; None for one that goes straight."""
     policy = vehicle.driven.policy
-    if (kind := BEHAVIOURS[policy].turn) is not None:
+    kind = BEHAVIOURS[policy].turn
+    if kind is not None:
         return _turn(scene, vehicle, kind)
     if BEHAVIOURS[policy].sides:
         return _lane_change(vehicle)
     if policy is Policy.OVERTAKE:
         return _overtake(scene, vehicle, together(scene, (one for one in kept if one is not vehicle)))
     return None
+
+
+def takes_gap(scene: Scene, kept: ExportedVehicle, inserted: Traffic) -> bool:
+    """Whether others (A, T + E) are in a gap that a vehicle kept before took, so that the rule would refuse it now."""
+    params = scene.config.lane_change
+    for shift in kept.driven.shifts:
+        seen = shift.view
+        front, rear = gaps_at_request(scene, kept, shift, inserted)
+        now = replace(
+            seen, front=min(front, seen.front, key=_distance_m), rear=min(rear, seen.rear, key=_distance_m)
+        )  # fmt: skip
+        if set(rule_refusals(now, params)) - set(rule_refusals(seen, params)):
+            return True
+    return False
+
+
+def gaps_at_request(
+    scene: Scene, vehicle: ExportedVehicle, shift: Shift, inserted: Traffic, *, among_recorded: bool = False
+) -> tuple[Gap, Gap]:
+    """Gaps of an exported vehicle ahead and behind on the lane that it changes to, when it decided to.
+
+    inserted: others (A, T + E); among_recorded: to recorded agents, too.
+    """
+    step = shift.requested_step
+    own, target = vehicle.trajectory.position[step - vehicle.span.start], shift.target
+    beside = frenet(own[None], target.raw_line.points, target.raw_line.s)[0]
+    at, box = float(target.all_to_line(beside)[0]), vehicle.driven.start.box
+    return gaps_on(scene, target, box, at=at, inserted=Inserted(step, inserted, _NONE), among_recorded=among_recorded)
+
+
+def _distance_m(gap: Gap) -> float:
+    return gap.distance_m
 
 
 def _done(vehicle: ExportedVehicle, seen: Maneuver, **more: object) -> Outcome:

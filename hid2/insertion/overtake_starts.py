@@ -14,7 +14,7 @@ import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, FloatArray, IntArray
 from hid2.conflicts.stop_lines import AMBER_S
-from hid2.drivers.driver import Driver, draw_driver, wandering, wished_speeds
+from hid2.drivers.driver import Driver, draw_driver, wandering, with_wander
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.starts import CLEAR_GAP_M, Site, Starts, speed_behind
 from hid2.insertion.surroundings import Surroundings
@@ -33,16 +33,43 @@ from hid2.scene import SLOW_LEADER_SHARE, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.lane_graph import Side
 
-#: Not parameters, they bound the search: ways that are looked at, at once, and before it is given up where none seems
-#: to fit; leaders and drivers drawn for each, gaps for each two; wanderings of speeds; and what is rolled out.
-_WAYS, _TOGETHER, _HOPELESS, _LEADERS, _DRIVERS, _GAPS, _WANDERS, _ROLLED_OUT = 288, 16, 48, 6, 6, 6, 48, 24
-#: No tunables, what is drawn: an added leader drives no slower, m/s; s of the speed difference from the leader at the
-#: start, beyond the gap at standstill; one that is to overtake is in a hurry: the fastest wanderings, one of so many.
-_SLOWEST_MPS, _GAP_S, _HURRIED = 3.0, (1.0, 5.0), 3
-#: Not parameters, they save rollouts: s between two looks; share of a lateral motion at which the centre has crossed
-#: the line; s kept above a TTC; of the way back how much is driven by the end, as a rollout wants some time left; m/s2
-#: that a driver brakes at most; and share of the scene that an overtake takes up to the end of its stretch.
-_LOOKS_S, _CROSSED, _SPARE_S, _BACK, _BRAKES_MPS2, _LASTS = 0.2, 0.5, 0.1, 1.05, 3.0, 0.75
+# Not parameters, the next eight: they bound the search.
+#: Ways that are looked at.
+_WAYS = 288
+#: Ways that are looked at at once.
+_TOGETHER = 16
+#: Ways after which the search is given up where none seems to fit.
+_HOPELESS = 48
+#: Leaders drawn for each way.
+_LEADERS = 6
+#: Drivers drawn for each way.
+_DRIVERS = 6
+#: Gaps drawn for each leader and driver.
+_GAPS = 6
+#: Wanderings of speeds that are drawn.
+_WANDERS = 48
+#: Overtakes that are rolled out.
+_ROLLED_OUT = 24
+# No tunables, the next three: what is drawn.
+#: An added leader drives no slower, m/s.
+_SLOWEST_MPS = 3.0
+#: s of the speed difference from the leader at the start, beyond the gap at standstill.
+_GAP_S = (1.0, 5.0)
+#: A vehicle that is to overtake is in a hurry: it has one of the fastest wanderings, of so many one.
+_HURRIED = 3
+# Not parameters, the rest: they save rollouts.
+#: s between two looks.
+_LOOKS_S = 0.2
+#: Share of a lateral motion at which the centre has crossed the line.
+_CROSSED = 0.5
+#: s kept above a TTC.
+_SPARE_S = 0.1
+#: Of the way back so much is driven by the end, as a rollout wants some time left.
+_BACK = 1.05
+#: A driver brakes by so much at most, m/s2.
+_BRAKES_MPS2 = 3.0
+#: Share of the scene that an overtake takes up to the end of its stretch.
+_LASTS = 0.75
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -68,7 +95,7 @@ class _Way:
 class _Leader:
     """One to overtake: it is touched from low to high (T,) m on the path, and drives at mps (T,) m/s.
 
-    driver: of one that would be added, which wishes for that speed; None for one that is known.
+    driver: of one that would be added, which desires that speed; None for one that is known.
     """
 
     way: _Way
@@ -79,25 +106,25 @@ class _Leader:
 
 
 class _Foreseen(NamedTuple):
-    """An overtake, roughly: s m, v m/s and wished m/s (T,), and steps at which it is half across, and turns back."""
+    """An overtake, roughly: s m, v m/s and desired m/s (T,), and steps at which it is half across, and turns back."""
 
     leader: _Leader
     driver: Driver
     s: FloatArray
     v: FloatArray
-    wished: FloatArray
+    desired: FloatArray
     crossed: int
     back: int
 
 
 class _Drawn(NamedTuple):
-    """What begins behind leaders, by the rows of these and of drivers (N,): s m, v m/s, and wished (N, T) m/s."""
+    """What begins behind leaders, by the rows of these and of drivers (N,): s m, v m/s, and desired (N, T) m/s."""
 
     leader: IntArray
     driver: IntArray
     s: FloatArray
     v: FloatArray
-    wished: FloatArray
+    desired: FloatArray
 
 
 #: Places are looked for with a usual vehicle.
@@ -168,8 +195,7 @@ class OvertakeStarts:
     def _known(self, way: _Way) -> Iterator[_Leader]:
         """Recorded cars and buses, and inserted vehicles, that drive ahead on a way all the time."""
         scene, known = self.here.scene, self._on(way.path)
-        recorded = scene.kept_clear_on(way.path, _BOX, scene.future).agents.size
-        usable = np.isin(known.agents, scene.vehicle_rows) | (np.arange(known.agents.size) >= recorded)
+        usable = np.isin(known.agents, scene.vehicle_rows) | (known.agents >= scene.num_recorded)
         usable &= known.same_direction[:, 0] & (known.along[:, 0] > PARKED_MPS) & (known.low[:, 0] > way.first)
         steps = slice(scene.num_steps)
         for row in np.flatnonzero(usable & np.isfinite(known.low[:, steps]).all(axis=1)).tolist():
@@ -184,7 +210,7 @@ class OvertakeStarts:
         latest = max(min(way.last, way.end - _LASTS * scene.last_s * usual_mps), way.first)
         for _ in range(_LEADERS):
             mps = rng.uniform(slowest_mps, fastest_mps)
-            v = np.maximum(wished_speeds(mps, wander[int(rng.integers(len(wander)))]), slowest_mps)
+            v = np.maximum(with_wander(mps, wander[int(rng.integers(len(wander)))]), slowest_mps)
             start = rng.uniform(way.first, latest) + length_m + rng.uniform(*_GAP_S) * (usual_mps - mps)
             s = start + scene.step_s * (np.cumsum(v) - v)
             one = replace(driver, desired_mps=mps)
@@ -222,7 +248,7 @@ class OvertakeStarts:
             leader, (_, driver) = leaders[drawn.leader[n]], drivers[drawn.driver[n]]
             places, speeds = (np.interp(steps, looks, one[:, n]) for one in (s, v))
             crossed, back = (int(looks[(one[:, n] > done).argmax()]) for one, done in ((across, _CROSSED), (over, 0.0)))
-            yield _Foreseen(leader, driver, places, speeds, drawn.wished[n], crossed, back)
+            yield _Foreseen(leader, driver, places, speeds, drawn.desired[n], crossed, back)
 
     def _drawn(self, leaders: list[_Leader], drivers: list[tuple[_Way, Driver]], wander: FloatArray) -> _Drawn:
         """Gaps behind leaders for the drivers on their ways, where there is room to begin."""
@@ -232,18 +258,18 @@ class OvertakeStarts:
         leader, driver, _ = (one.ravel() for one in np.indices(gap_s.shape))
         driver = driver + _DRIVERS * way_of[leader]
         low, mps = np.array([(one.low[0], one.mps[0]) for one in leaders]).T[:, leader]
-        desired = np.array([one.desired_mps for _, one in drivers])[driver]
+        desired_mps = np.array([one.desired_mps for _, one in drivers])[driver]
         following = tuple(np.array([one.following for _, one in drivers]).T[:, driver])
-        gap_m = following[-1] + gap_s.ravel() * (desired - mps)
+        gap_m = following[-1] + gap_s.ravel() * (desired_mps - mps)
         s, v = low - gap_m, speed_behind(gap_m, mps, following)
-        fits = (mps < desired - self.here.scene.config.overtake.speed_advantage_mps) & (mps < v)
+        fits = (mps < desired_mps - self.here.scene.config.overtake.speed_advantage_mps) & (mps < v)
         for n, way in enumerate(ways):
             known, rows = self._on(way.path).at(0), np.flatnonzero(way_of[leader] == n)
             touched = (known.low - CLEAR_GAP_M < s[rows]) & (s[rows] < known.high + CLEAR_GAP_M)
             fits[rows] &= (way.first < s[rows]) & (s[rows] < way.last) & ~touched.any(axis=0)
         hurried = wander[np.argsort(-wander.mean(axis=1), kind="stable")[: len(wander) // _HURRIED]]
-        wished = wished_speeds(desired[fits, None], hurried[rng.integers(len(hurried), size=fits.sum())])
-        return _Drawn(leader[fits], driver[fits], s[fits], np.minimum(v[fits], wished[:, 0]), wished)
+        desired = with_wander(desired_mps[fits, None], hurried[rng.integers(len(hurried), size=fits.sum())])
+        return _Drawn(leader[fits], driver[fits], s[fits], np.minimum(v[fits], desired[:, 0]), desired)
 
     def _driven(
         self, leaders: list[_Leader], drivers: list[tuple[_Way, Driver]], drawn: _Drawn, looks: IntArray,
@@ -280,7 +306,7 @@ class OvertakeStarts:
                 break
             star = min_gap + np.maximum(0.0, v * tau + 0.5 * v * (v - mps[:, now]) / np.sqrt(accel * decel))
             follows, is_out = (star / np.maximum(low[:, now] - s, CLEAR_GAP_M)) ** 2, now * scene.step_s >= trigger_s
-            wanted = accel * (1.0 - (v / drawn.wished[:, now]) ** 4 - (0.0 if is_out else follows))
+            wanted = accel * (1.0 - (v / drawn.desired[:, now]) ** 4 - (0.0 if is_out else follows))
             faster = np.maximum(v + step_s * np.maximum(wanted, -_BRAKES_MPS2), 0.0)
             if is_out:
                 cell = np.minimum((s + shift_m) / TABLE_STEP_M, road.shape[1] - 1.0).astype(np.int64)
@@ -312,7 +338,7 @@ class OvertakeStarts:
         if leader.driver is None or slow is None:
             return []
         site = Site(leader.way.offer, leader.way.path.to_raw(float(leader.low[0]) + _BOX.length_m))
-        found = self.starts.make(slow, site, driver=leader.driver, speed_mps=float(leader.mps[0]), wished=leader.mps)
+        found = self.starts.make(slow, site, driver=leader.driver, speed_mps=float(leader.mps[0]), desired=leader.mps)
         if isinstance(found, Start):
             return [found]
         self.starts.rejected[found] += 1
@@ -324,7 +350,7 @@ class OvertakeStarts:
         starts.world = world.joined_by(*(rolled for start in before for rolled in starts.rolled(start)))
         found = starts.make(
             request, Site(way.offer, way.path.to_raw(float(one.s[0]))), driver=one.driver, speed_mps=float(one.v[0]),
-            sides=(way.side,), wished=one.wished,
+            sides=(way.side,), desired=one.desired,
         )  # fmt: skip
         starts.world = world
         if isinstance(found, Start):

@@ -8,9 +8,13 @@ from hid2.agents import BoxSize, Policy
 from hid2.params import Config, Request
 from hid2.vehicle import VehicleRequest
 
-#: Where no trigger_max_s is asked for, triggers are drawn up to so many seconds, and to this share of the scene; of
-#: overtakes, which take 8 s and more, to the other. No tunables: `request.trigger_max_s` is.
-_LATEST_S, _LATEST_SHARE, _LATEST_OVERTAKE_SHARE = 4.0, 0.36, 0.14
+# No tunables, the next three, where no trigger_max_s is asked for: `request.trigger_max_s` is.
+#: Triggers are drawn up to so many seconds.
+_LATEST_S = 4.0
+#: They are drawn up to this share of the scene.
+_LATEST_SHARE = 0.36
+#: Those of overtakes, which take 8 s and more, up to this one.
+_LATEST_OVERTAKE_SHARE = 0.14
 _Table = tuple[tuple[float, float, float], ...]
 #: (share, length m, width m) of cars, box trucks and buses: quantiles of labelled Argoverse 2 boxes (human labels of
 #: sensor logs). No tunables: measured; shares of buses and trucks are.

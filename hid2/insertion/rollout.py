@@ -15,11 +15,11 @@ import numpy as np
 from hid2.agents import BoxSize, FloatArray
 from hid2.conflicts.guard import ACROSS_S, STRIDE, Guard
 from hid2.conflicts.stop_lines import AMBER_S, STOPS
-from hid2.insertion.due import ManoeuvreDue, advance
-from hid2.judge.findings import FOLLOWER_HEADWAY_S, MOVES_M, export_bounds
-from hid2.judge.states import contacts_at_end, kept_headways, sustained_headway
+from hid2.judge.findings import FOLLOWER_HEADWAY_S, FOLLOWER_LACKS_MPS2, MOVES_M, export_bounds
+from hid2.judge.states import contacts_at_end, lacked_braking, recorded_headways, sustained_headway
 from hid2.kernels.polyline import frenet
 from hid2.kernels.rollout import CONTACT, LAG_TTC, LEAD_TTC, met_by, roll
+from hid2.manoeuvre import ManoeuvreDue, advance
 from hid2.measures.encounters import STANDS_FOR_S, STANDS_MPS
 from hid2.measures.scene_end import BoxesAtStep
 from hid2.motion.reference_line import TABLE_STEP_M
@@ -39,20 +39,24 @@ from hid2.vehicle import DrivenVehicle, Start
 from netconvert.lane_graph import Side, TurnType
 from netconvert.net_xml import speed_limit_mps
 
-#: Not parameters, they save time: s between two looks at gaps; below this TTC, s, to a vehicle that begins ahead, one
-#: chosen before is rolled out anew.
-_LOOKS_S, _HINDERED_S = 1.0, 4.0
+#: Not a parameter, it saves time: s between two looks of a vehicle that waits for a gap.
+_LOOKS_S = 1.0
+#: The same while it passes another one, which is short, while waiting for a gap is long.
+_PASSING_LOOKS_S = 0.3
+#: Not a parameter, it saves time: below this TTC, s, to a vehicle that begins ahead, one chosen before is rolled out
+#: anew.
+_HINDERED_S = 4.0
 _NONE = Traffic.none(1)
-#: Not parameters, they save time: no follower has a critical TTC on the path that it drives if it has so much
-#: more room ahead, or is so far aside.
-_FOLLOWS_M, _ASIDE_M = 3.0, 12.0
+#: Not a parameter, it saves time: with so much more room ahead, m, no follower has a critical TTC on its path.
+_FOLLOWS_M = 3.0
+#: Not a parameter, it saves time: nor has one that is so far aside, m.
+_ASIDE_M = 12.0
 #: Not a parameter, it saves time: beyond it, on either axis, an agent is in none of the gaps that a vehicle looks at.
 _NEAR_GAPS_M = 40.0
-#: No tunables: no vehicle is slower than this share of its desired speed, but for what is ahead of it; one that stands
-#: counts as queuing where its leader is nearer than so much, m.
-SLOWEST_SHARE, QUEUE_M = 0.25, 8.0
-#: No tunable: of the time between two looks of a vehicle that waits for a gap, while it passes another one.
-_PASSING_SHARE = 0.3
+#: No tunable: no vehicle is slower than this share of its desired speed, but for what is ahead of it.
+SLOWEST_SHARE = 0.25
+#: No tunable: a vehicle that stands counts as queuing where its leader is nearer than this, m.
+QUEUE_M = 8.0
 #: Desired speeds, m/s, that SUMO's EIDM has at most for a link of the net that turns; for others the lanes' limit.
 _TURN_MPS = {TurnType.LEFT: 8.0, TurnType.RIGHT: 6.0}
 
@@ -103,17 +107,17 @@ class World:
 
     def __post_init__(self) -> None:
         """Nothing is chosen yet."""
-        self._kept = self.guard.fixed
+        self._kept = self.guard.inserted_known
 
     def choose(self, *candidates: RolledOut) -> None:
         """Candidates after these are rolled out against them; one that was chosen before has another motion now."""
         self._chosen |= {one.start.vehicle_id: one for one in candidates}
-        fixed = self._kept
+        known = self._kept
         for one in self._chosen.values():  # one after the other: what is known of those before stays known
-            if (fixed, one) not in self._joined:
-                self._joined[fixed, one] = fixed.joined(one.traffic)
-            fixed = self._joined[fixed, one]
-        self.guard.fixed = fixed
+            if (known, one) not in self._joined:
+                self._joined[known, one] = known.joined(one.traffic)
+            known = self._joined[known, one]
+        self.guard.inserted_known = known
 
     def joined_by(self, *candidates: RolledOut, without: str | None = None) -> "World":
         """The same with candidates chosen, which need not be taken in the end; without: one that is rolled out anew."""
@@ -135,10 +139,12 @@ class World:
     def harm_to_followers(self, candidate: RolledOut, headway_s: float = FOLLOWER_HEADWAY_S) -> Reason | None:
         """What a recorded vehicle that comes up from behind suffers, on the path that it drives itself; None: nothing.
 
-        It is left with too little time to collision, or with a shorter headway, which it never kept in the recording.
+        It is left with too little time to collision, would have to brake harder than it does, or has a shorter headway,
+        which it never kept in the recording.
         """
         scene, own = self.scene, candidate.traffic.first(self.scene.num_steps)
-        (movers, recorded, forward), critical_s = scene.movers, scene.config.conflict.follower_ttc_min_s
+        movers, recorded, forward = scene.movers
+        critical_s = scene.config.conflict.follower_ttc_min_s
         offset = own.position - recorded.position
         ahead_m, closing = (
             one[..., 0] * forward[..., 0] + one[..., 1] * forward[..., 1]
@@ -148,30 +154,32 @@ class World:
         aside_m = np.abs(offset[..., 1] * forward[..., 0] - offset[..., 0] * forward[..., 1])
         speed = np.hypot(recorded.velocity[..., 0], recorded.velocity[..., 1])
         room_m = np.maximum(_FOLLOWS_M + critical_s * closing, headway_s * speed)
+        room_m = np.maximum(room_m, _FOLLOWS_M + np.maximum(closing, 0.0) ** 2 / (2.0 * FOLLOWER_LACKS_MPS2))
         near = (gap_m > -own.length_m) & (gap_m < room_m) & (aside_m < _ASIDE_M)
         near &= own.present & recorded.present
         for row in movers[near.any(axis=1)].tolist():
             led = scene.states.leaders_among(row, own)
             if led.ttc_s.min(initial=math.inf) < critical_s:
                 return Reason.TTC_RECORDED_FOLLOWER
+            if scene.states.arrays.track_ids[row] == self.target_id:
+                continue
+            if lacked_braking(scene.states, row, led)[0].max(initial=0.0) > FOLLOWER_LACKS_MPS2:
+                return Reason.FOLLOWER_BRAKING
             length_m = own.length_m[0] - candidate.start.beyond_m
-            if led.rows.size and self._headway_too_short(row, led.gap_m[0], length_m, headway_s):
+            if led.agents.size and self._headway_too_short(row, led.gap_m[0], length_m, headway_s):
                 return Reason.FOLLOWER_HEADWAY
         return None
 
     def _headway_too_short(self, follower: int, gap_m: FloatArray, leader_m: float, least_s: float) -> bool:
         """Whether a recorded vehicle, gap_m (T,) behind one leader_m long, has a headway below that it never kept."""
-        states = self.scene.states
-        if states.arrays.track_ids[follower] == self.target_id:
-            return False
-        headway_s, _ = sustained_headway(gap_m, leader_m, states.speed(follower), self.scene.step_s)
+        headway_s, _ = sustained_headway(gap_m, leader_m, self.scene.states.speed(follower), self.scene.step_s)
         if headway_s >= least_s:
             return False
-        return self._kept_headways_s.get(follower, math.inf) > headway_s
+        return self._recorded_headways_s.get(follower, math.inf) > headway_s
 
     @cached_property
-    def _kept_headways_s(self) -> dict[int, float]:
-        return kept_headways(self.scene.states)
+    def _recorded_headways_s(self) -> dict[int, float]:
+        return recorded_headways(self.scene.states)
 
     def gaps_at(self, path: DrivenPath, box: BoxSize, s: float, step: int) -> Gaps:
         """Of a vehicle that begins at an arc length, m, of a path at a step, to those next to it."""
@@ -181,7 +189,7 @@ class World:
         """Whether a candidate has a critical contact after its last step, all at constant velocity."""
         own = candidate.traffic
         last = int(np.flatnonzero(own.present[0, : self.scene.num_steps])[-1])
-        here = self.scene.traffic.at(last).joined(self.guard.fixed.at(last))
+        here = self.scene.traffic.at(last).joined(self.guard.inserted_known.at(last))
         here = own.at(last).joined(here.rows(np.flatnonzero(here.present[:, 0]).tolist()))
         sizes = np.column_stack([here.length_m, here.width_m])
         boxes = BoxesAtStep(here.position[:, 0], here.heading[:, 0], here.velocity[:, 0], sizes)
@@ -195,9 +203,8 @@ class World:
         }  # fmt: skip
         for part in candidate.parts:
             met, known = self._met(candidate.start, part)
-            recorded = self._recorded_on(part.path, candidate.start.box)
-            rows = np.flatnonzero(met[:, LAG_TTC] < _HINDERED_S)
-            found |= {self.guard.fixed.ids[known.agents[row]] for row in rows.tolist() if row >= recorded}
+            followers = known.agents[met[:, LAG_TTC] < _HINDERED_S] - self.scene.num_recorded
+            found |= {self.guard.inserted_known.ids[row] for row in followers[followers >= 0].tolist()}
         return [one for name, one in self._chosen.items() if name in found]
 
     def _may_be_in_gap(self, candidate: RolledOut, changer: RolledOut) -> bool:
@@ -220,11 +227,9 @@ class World:
         scene, box, driver = self.scene, start.box, start.driver
         path = path or start.path
         first = start.step if step is None else step
-        known, lines, shown = (
-            self.guard.known_on(path, box),
-            self.guard.stop_lines.on(path, box),
-            self._shown_on(path, box) if target is None else self._shown_beside(path, target, box),
-        )
+        last = scene.num_steps - 1 if last is None else min(last, scene.num_steps - 1)
+        known, lines = self.guard.known_on(path, box), self.guard.stop_lines.on(path, box)
+        shown = self._shown_on(path, box) if target is None else self._shown_beside(path, target, box)
         state, memory = (start.start_s, start.start_mps, 0.0), np.zeros(0)
         if before is not None:
             k = first - before.step
@@ -232,8 +237,7 @@ class World:
             state = float(before.s[k]), float(before.v[k]), gained_mps / scene.step_s
             memory = before.memory[k].copy()
         s, v, memories = roll(
-            (first, scene.num_steps - 1 if last is None else min(last, scene.num_steps - 1)),
-            state, start.desired, driver.following,
+            (first, last), state, start.desired, driver.following,
             scene.config.drivers.reaction_s, start.size.length_m, STRAIGHT, self.guard.horizon,
             STRIDE, scene.step_s, TABLE_STEP_M, self.guard.brakes, self.guard.predicted,
             STOPS, self.guard.yield_rules, self.roads.speeds(path, driver), *self.roads.lanes(path),
@@ -249,16 +253,16 @@ class World:
 
         A part of the motion ends with each lane change, and the next one begins with the state that it ended in.
         """
-        scene, change, return_gap_m = self.scene, self.scene.config.lane_change, self.scene.config.overtake.return_gap_m
+        scene, change = self.scene, self.scene.config.lane_change
         vehicle, parts = DrivenVehicle(start, start.path), [self.roll(start)]
         step = max(start.step, math.ceil(start.request.trigger_s / scene.step_s))
         ask_sumo = (lambda _: ASSUMED_ANSWER) if change.rule == "LC2013" else None
         while step < scene.num_steps:
-            part = parts[-1]
-            if step - part.step >= part.s.size or part.s[step - part.step] > part.path.exit_s:  # met, or off the map
+            part, k = parts[-1], step - parts[-1].step
+            if k >= part.s.size or part.s[k] > part.path.exit_s:  # met, or off the map
                 break
-            s, v = float(part.s[step - part.step]), float(part.v[step - part.step])
-            vehicle.s, vehicle.v = [s], [v]
+            _drive_on(vehicle, part, step)
+            v = vehicle.v[-1]
             is_due = advance(vehicle, scene, step)
             if vehicle.stage in (Stage.DONE, Stage.ABORTED):
                 break
@@ -270,24 +274,28 @@ class World:
                 vehicle.reason = Reason.TOO_SLOW
                 step += scene.steps_in(_LOOKS_S)
                 continue
-            due = ManoeuvreDue(scene, vehicle, step, self.guard.fixed, _NONE)
-            if vehicle.stage is Stage.PASS and (short_m := return_gap_m - due.passed_gap_m()) > 0.0:
-                vehicle.reason = Reason.NOT_AHEAD  # what it would be told, sooner
-                waits_s = _PASSING_SHARE * _LOOKS_S
-                step += max(1, int((short_m / v if short_m < v * waits_s else waits_s) / scene.step_s))
-                continue
-            across = due.decide(ask_sumo)
+            due = ManoeuvreDue(scene, vehicle, step, self.guard.inserted_known, _NONE)
+            if vehicle.stage is Stage.PASS:
+                short_m = scene.config.overtake.return_gap_m - due.passed_gap_m()
+                if short_m > 0.0:
+                    vehicle.reason = Reason.NOT_AHEAD  # what it would be told, sooner
+                    waits_s = _PASSING_LOOKS_S
+                    if short_m < v * waits_s:
+                        waits_s = short_m / v
+                    step += max(1, int(waits_s / scene.step_s))
+                    continue
+            across = due.observe_and_decide(ask_sumo)
             if vehicle.reason is Reason.SCENE_ENDS:
                 break
             if across is not None and self._meets_on(vehicle, step, across.path):
                 due.refuse(Reason.CONFLICT_PREDICTED)
             elif across is not None:
                 across.taken_by(vehicle)
-                onto = self.roll(start, path=across.path, step=step, before=part, target=across.target)
-                parts[-1:] = part.until(step), self._jumped(start, vehicle.path, onto, across.shift.side)
+                onto = self.roll(start, path=across.path, step=step, before=part, target=across.shift.target)
+                parts[-1] = part.until(step)
+                parts.append(self._jumped(start, vehicle.path, onto, across.shift.side))
                 vehicle.path = across.path
-            # passing is short, waiting for a gap long
-            step += scene.steps_in(_PASSING_SHARE * _LOOKS_S if vehicle.stage is Stage.PASS else _LOOKS_S)
+            step += scene.steps_in(_PASSING_LOOKS_S if vehicle.stage is Stage.PASS else _LOOKS_S)
         return vehicle, tuple(parts)
 
     def _jumped(self, start: Start, left: DrivenPath, onto: Rollout, side: Side) -> Rollout:
@@ -295,7 +303,8 @@ class World:
         grid, front = self.scene.grid, float(onto.s[0]) + 0.5 * start.size.length_m
         segment = next((one for one in left.followed if one.end > front), left.followed[-1])
         cell = grid.cell_at(segment.lane_id, segment.lane_s(front))
-        if (facing := grid.lateral(cell, side)) is None:
+        facing = grid.lateral(cell, side)
+        if facing is None:
             return onto
         off = grid.edges_s(facing.lane_id)[cell.index] - grid.edges_s(cell.lane_id)[cell.index]
         there = onto.path.s_on(facing.lane_id, segment.lane_s(front) + float(off), after=float(onto.s[0]))
@@ -338,27 +347,27 @@ class World:
     def _objection(self, start: Start, rollout: Rollout, *, is_last: bool) -> Reason | None:
         scene, conflict = self.scene, self.scene.config.conflict
         inside = self._inside(start, rollout)
-        if not inside or (
-            is_last and inside < rollout.s.size and rollout.step + inside < start.step + scene.steps_to_stay(start.step)
-        ):
+        stays_until = start.step + scene.steps_to_stay(start.step)
+        leaves = is_last and inside < rollout.s.size and rollout.step + inside < stays_until
+        if leaves or not inside:
             return Reason.LEAVES_TOO_EARLY
         met, known = self._met(start, rollout)
-        recorded, least = self._recorded_on(rollout.path, start.box), met.min(axis=0, initial=math.inf)
-        of_before = np.arange(known.agents.size) >= recorded
-        of_before &= known.agents < len(self._kept.ids)  # kept in rounds before: they brake for none of this one
+        is_recorded = known.agents < scene.num_recorded
+        is_kept = ~is_recorded & (known.agents < scene.num_recorded + len(self._kept.ids))  # they brake for no new one
+        least = met.min(axis=0, initial=math.inf)
         if least[CONTACT] < np.inf:
-            return Reason.MEETS_RECORDED if np.argmin(met[:, CONTACT]) < recorded else Reason.MEETS_GENERATED
+            return Reason.MEETS_RECORDED if is_recorded[np.argmin(met[:, CONTACT])] else Reason.MEETS_GENERATED
         if least[LEAD_TTC] < conflict.ttc_min_s:
             return Reason.TTC_LANE_LEADER
         if least[LAG_TTC] < max(conflict.follower_ttc_min_s, conflict.ttc_min_s):
-            if met[:recorded, LAG_TTC].min(initial=math.inf) < conflict.follower_ttc_min_s:
+            if met[is_recorded, LAG_TTC].min(initial=math.inf) < conflict.follower_ttc_min_s:
                 return Reason.TTC_RECORDED_FOLLOWER
-            if met[of_before, LAG_TTC].min(initial=math.inf) < conflict.ttc_min_s:
+            if met[is_kept, LAG_TTC].min(initial=math.inf) < conflict.ttc_min_s:
                 return Reason.MEETS_GENERATED
-        if of_before.any():
+        if is_kept.any():
             seen = gaps_on_path(
                 known, rollout.s[:inside], rollout.step + np.arange(inside),
-                among=known.same_direction & of_before[:, None],
+                among=known.same_direction & is_kept[:, None],
             )  # fmt: skip
             length_m = start.box.length_m - start.beyond_m
             if sustained_headway(seen.lag_m, length_m, seen.lag_mps, scene.step_s)[0] < FOLLOWER_HEADWAY_S:
@@ -374,9 +383,9 @@ class World:
 
     def parked_on(self, path: DrivenPath, box: BoxSize) -> BoolArray:
         """(R,) which of those known on a path are recorded agents that are parked."""
-        known, recorded = self.guard.known_on(path, box), self._recorded_on(path, box)
-        found = np.zeros(known.agents.size, dtype=np.bool_)
-        found[:recorded] = self.scene.parked[known.agents[:recorded]]
+        agents = self.guard.known_on(path, box).agents
+        found = agents < self.scene.num_recorded
+        found[found] = self.scene.parked[agents[found]]
         return found
 
     def _waits_for_parked(self, start: Start, rollout: Rollout) -> bool:
@@ -412,11 +421,6 @@ class World:
         ), known  # fmt: skip
 
     @once
-    def _recorded_on(self, path: DrivenPath, box: BoxSize) -> int:
-        """How many of those known on a path are recorded; they come first."""
-        return self.scene.kept_clear_on(path, box, self.scene.future).agents.size
-
-    @once
     def _links_on(self, path: DrivenPath) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Of the lanes that SUMO has along a path: ends m, metres on the path for one on the lane, m/s for turns."""
         lanes, along = self.scene.grid.graph.lanes, path.followed
@@ -427,15 +431,15 @@ class World:
         return ends, paces, np.array(most_mps)
 
     def _shown_on(self, path: DrivenPath, box: BoxSize) -> Shown:
-        scene, fixed, newest = self.scene, self.guard.fixed, self._newest.get((path, box))
-        if newest is not None and newest[0] is fixed:
+        scene, known, newest = self.scene, self.guard.inserted_known, self._newest.get((path, box))
+        if newest is not None and newest[0] is known:
             return newest[2]
-        found, inserted = scene.shown_on(path, box), scene.met_on(path, box, fixed)
+        found, inserted = scene.shown_on(path, box), scene.met_on(path, box, known)
         if newest is not None and newest[1] is inserted:
             found = newest[2]
         elif inserted.agents.size:
-            found = found.joined(shown_on(path, fixed, inserted, step_s=scene.step_s))
-        self._newest[path, box] = fixed, inserted, found
+            found = found.joined(shown_on(path, known, inserted, step_s=scene.step_s))
+        self._newest[path, box] = known, inserted, found
         return found
 
     def _shown_beside(self, path: DrivenPath, target: DrivenPath, box: BoxSize) -> Shown:
@@ -444,3 +448,11 @@ class World:
         there = frenet(path.line.position(np.array([over])), target.raw_line.points, target.raw_line.s)[0]
         seen = self._shown_on(target, box)
         return replace(seen, middle=seen.middle - (float(target.all_to_line(there)[0]) - over))
+
+
+def _drive_on(vehicle: DrivenVehicle, part: Rollout, step: int) -> None:
+    """A vehicle has driven the part of its motion up to a step."""
+    since = vehicle.start.step + len(vehicle.s)
+    driven = slice(since - part.step, step - part.step + 1)
+    vehicle.s += part.s[driven].tolist()
+    vehicle.v += part.v[driven].tolist()

@@ -17,8 +17,10 @@ from hid2.policy.overtake import stretch_m
 from hid2.scene import Scene
 from netconvert.lane_graph import SIDES, Side, TurnType
 
-#: Not parameters, they save time: routes known from a lane, and m of a route before it, where followers are seen.
-_MOST, _RUN_UP_M = 16, 40.0
+#: Routes known from a lane. Not a parameter, it saves time.
+_MOST = 16
+#: So much of a route is before its lane, m, where followers are seen. Not a parameter, it saves time.
+_RUN_UP_M = 40.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +78,8 @@ class Routes:
         """Whether some route from a lane has a place for a policy."""
         if policy is Policy.STRAIGHT:
             return True
-        if (kind := BEHAVIOURS[policy].turn) is not None:
+        kind = BEHAVIOURS[policy].turn
+        if kind is not None:
             return any(offer.turns and offer.turns[0][0] is kind for offer in self.offers(lane_id))
         if policy is Policy.OVERTAKE:
             return any(self.together(offer, side) is not None for offer in self.offers(lane_id) for side in SIDES)

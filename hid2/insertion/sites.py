@@ -11,7 +11,8 @@ from hid2.agents import DEFAULT_SIZES, FloatArray, IntArray, Policy
 from hid2.conflicts.guard import Guard
 from hid2.drivers.driver import usual_driver
 from hid2.insertion.entry_sites import TRIES, EntrySites
-from hid2.insertion.meetings import LEADER_WEIGHT
+from hid2.insertion.finalise import ExportedVehicle
+from hid2.insertion.meetings import LEADER_WEIGHT, PACE_SHARE
 from hid2.insertion.overtake_starts import OvertakeStarts
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.spread import Spread, by_weight
@@ -35,10 +36,25 @@ USUAL_HEADWAY_S = 1.3
 BRAKING_WEIGHT = 3.0
 #: Not a parameter, it saves time: at this share of the usual speed a vehicle would not leave the map too early.
 _STAYS_SHARE = 0.8
-#: No tunables, how a turn is foreseen, roughly: a vehicle begins so far before it, m, comes to it at this share of
-#: the usual speed and passes it at so many m/s, and so much of the scene is left then, s. SUMO and the judge say what
-#: comes.
-_BEFORE_TURN_M, _APPROACH_SHARE, _TURN_MPS, _TURN_SPARE_S = 5.0, 0.75, 5.0, 2.0
+# No tunables, the rest: how a manoeuvre is foreseen, roughly; a rollout, SUMO and the judge say what comes.
+#: A vehicle begins so far before its turn, m.
+_BEFORE_TURN_M = 5.0
+#: It comes to the turn at this share of the usual speed.
+_APPROACH_SHARE = 0.75
+#: It passes the turn at this speed, m/s.
+_TURN_MPS = 5.0
+#: So much of the scene is left after the turn, s.
+_TURN_SPARE_S = 2.0
+#: So much of the lane beside is left after a lane change, s at the usual speed: drivers are not all as fast as usual.
+_CHANGE_SPARE_S = 0.3
+#: The same of sites that more speaks for.
+_STRICT_SPARE_S = 0.5
+#: There a vehicle may come farther by its trigger than at the usual speed, by this share.
+_FARTHER_SHARE = 0.3
+#: There a lane change takes this ratio of the shortest duration.
+_CHANGE_RATIO = 1.3
+#: A lane beside begins, or ends, by so much sooner or later, m: it is looked at by cells and a usual speed.
+_BESIDE_M = 1.0
 
 
 @dataclass(slots=True)
@@ -81,7 +97,7 @@ def _around(scene: Scene, row: int) -> range:
 class InsertionSites:
     """Sites of one scene for the requests of a round; what was proposed in this round is kept clear of.
 
-    asked: how many vehicles of each policy the scene is asked for, which share its sites; kept: starts of vehicles of
+    asked: how many vehicles of each policy the scene is asked for, which share its sites; kept: vehicles of
     rounds before; turned_down: what was found out in rounds before, and in this one.
     """
 
@@ -91,7 +107,7 @@ class InsertionSites:
     round_number: int
     spread: Spread
     turned_down: TurnedDown = field(default_factory=TurnedDown)
-    kept: Sequence[Start] = ()
+    kept: Sequence[ExportedVehicle] = ()
     asked: Counter[Policy] = field(default_factory=Counter)
     starts: Starts = field(init=False)
     overtakes: OvertakeStarts = field(init=False)
@@ -101,7 +117,10 @@ class InsertionSites:
     def __post_init__(self) -> None:
         """Sites of all kinds share the starts of the round."""
         here = self.here
-        self.starts = Starts(here.scene, here.roads, here.meetings, self.guard, self.rng, self.round_number)
+        self.starts = Starts(
+            here.scene, here.roads, here.meetings, self.guard, self.rng, self.round_number,
+            changers=[one for one in self.kept if one.driven.shifts],
+        )  # fmt: skip
         self.overtakes = OvertakeStarts(here, self.starts)
         self.entering = EntrySites(here, self.starts, self.spread, self.asked[Policy.STRAIGHT])
 
@@ -201,7 +220,7 @@ class InsertionSites:
         clear = np.ones(rows.size, dtype=np.bool_)
         if "collision" not in scene.config.without:  # most places of a full road; what is left is looked at on its path
             usual, gap_m = DEFAULT_SIZES["vehicle"], CLEAR_GAP_M
-            at_begin = scene.traffic.at(0).joined(self.starts.world.guard.fixed.at(0))
+            at_begin = scene.traffic.at(0).joined(self.starts.world.guard.inserted_known.at(0))
             clear = clear_places(scene.boxes, rows, share, at_begin, box=usual, gap_m=gap_m)
         order = order[np.lexsort((tier[order], inside[order]))]
         if promising and not inside.all():
@@ -235,7 +254,7 @@ class InsertionSites:
 
     def _followed(self) -> list[int]:
         """Leaders of those kept and taken, as `Meetings` numbers them; -1 none."""
-        return [start.leader for start in (*self.kept, *self.starts.taken)]
+        return [start.leader for start in (*(one.driven.start for one in self.kept), *self.starts.taken)]
 
     def _promises(
         self, request: VehicleRequest, offer: RouteOffer, s: float, speed_mps: float, *, strict: bool
@@ -244,7 +263,8 @@ class InsertionSites:
         duration = self.here.scene.last_s
         reach = s + speed_mps * duration
         ahead = [one for one in offer.turns if one[2] > s]
-        if (turn := BEHAVIOURS[request.policy].turn) is not None:
+        turn = BEHAVIOURS[request.policy].turn
+        if turn is not None:
             if not ahead or ahead[0][0] is not turn:
                 return False
             _, begin, end = ahead[0]
@@ -253,7 +273,7 @@ class InsertionSites:
             to_turn_s = (begin - s) / (_APPROACH_SHARE * speed_mps)
             needs_s = to_turn_s + (end - begin) / _TURN_MPS + _TURN_SPARE_S
             return begin - s > _BEFORE_TURN_M and needs_s < duration
-        at = s + 0.9 * speed_mps * request.trigger_s
+        at = s + PACE_SHARE * speed_mps * request.trigger_s
         if BEHAVIOURS[request.policy].sides:
             return self._offers_change(request, offer, at, speed_mps, strict=strict)
         return not strict or all(begin >= reach for _, begin, _ in ahead)
@@ -267,10 +287,11 @@ class InsertionSites:
         """
         change, drivers = self.here.scene.config.lane_change, self.here.scene.config.drivers
         waits_m = change.give_up_s * speed_mps
-        needed = change.min_remaining_m + 0.3 * speed_mps
+        needed = change.min_remaining_m + _CHANGE_SPARE_S * speed_mps
         if strict:  # it may be faster than usual
-            slack_m = 0.3 * speed_mps * request.trigger_s
-            needed = max(change.min_remaining_m, 1.3 * change.min_duration_s * speed_mps) + 0.5 * speed_mps + slack_m
+            farther_m = _FARTHER_SHARE * speed_mps * request.trigger_s
+            across_m = _CHANGE_RATIO * change.min_duration_s * speed_mps
+            needed = max(change.min_remaining_m, across_m) + _STRICT_SPARE_S * speed_mps + farther_m
             if self._meets_junction(offer, at, at + drivers.lane_change_mean_s * speed_mps):
                 return False  # lane changes outside intersections first
         over = at + change.min_duration_s * speed_mps
@@ -279,7 +300,7 @@ class InsertionSites:
         sides = {
             beside.side for beside in offer.beside
             if beside.side in BEHAVIOURS[request.policy].sides
-            and beside.start <= at + waits_m + 1.0 and beside.end > at + 1.0
+            and beside.start <= at + waits_m + _BESIDE_M and beside.end > at + _BESIDE_M
             and not (strict and beside.in_intersection)
             and beside.remaining_m - max(0.0, at - beside.start) > needed
         }  # fmt: skip

@@ -1,7 +1,8 @@
 """Starts: whether a vehicle can begin at a site, with which driver, how fast, and what a rollout says of it."""
 
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import InitVar, dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -10,7 +11,9 @@ import numpy as np
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Policy
 from hid2.conflicts.guard import Guard
 from hid2.drivers.driver import LINE_GAP_M, MIDDLE, Driver, desired_speeds, draw_driver, lane_offset
+from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.meetings import Meetings
+from hid2.insertion.outcome import takes_gap
 from hid2.insertion.rollout import QUEUE_M, SLOWEST_SHARE, RolledOut, Rollout, World
 from hid2.insertion.routes import RouteOffer
 from hid2.judge.findings import CURVATURE_KEPT, FOLLOWER_HEADWAY_S, LEADER_LENGTH_S
@@ -26,16 +29,32 @@ from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.lane_graph import SIDES, Side
 
-# No tunables, how a vehicle begins: what a driver does on its way, and what saves looking in vain. A beginning at which
-# nothing is looked ahead holds if nothing is met so long, s; drivers that are drawn for a site; m from the way's begin.
-_HOLDS_S, _DRIVERS, _FROM_EDGE_M = 3.0, 3, 0.5
+# No tunables, here and below, how a vehicle begins: what a driver does on its way, and what saves looking in vain.
+#: With `request.sites = any` a beginning holds if nothing is met for so long, s.
+_HOLDS_S = 3.0
+#: Drivers that are drawn for a site, at most.
+_DRIVERS = 3
+#: A rear bumper is so far from the begin of a route at least, m.
+_FROM_EDGE_M = 0.5
+#: A front bumper is so far from the end of a route at least, m.
+_TO_EDGE_M = 1.0
+#: A vehicle is taken to keep this share of the speed that it begins with, to be on the map long enough.
+_KEPT_SHARE = 0.95
+#: A route is looked along for sharp curves so far ahead, s: a scene lasts 11.
+_AHEAD_S = 12.0
+#: A turn is seen when its lane is left by so much, m.
+_TURNED_M = 1.0
 #: Of a vehicle that is taken without a rollout over the scene.
 _NOT_ROLLED_OUT: tuple[Rollout, ...] = ()
 #: Smallest bumper gap at the start, m: what drivers keep standing.
 CLEAR_GAP_M = 2.0
-#: So long after its beginning, s, a vehicle has braked so hard in the mean, m/s2, at most, as nine in ten of those
-#: recorded from step 0 on (89 of 98 in fourteen scenes). It saves time: once is enough for most, no more are tried.
-_BEGINS_S, _EASED_TO_MPS2, _EASED_AT_MOST = 1.3, 0.5, 3
+#: The beginning of a vehicle, over which it does not brake hard, lasts so long, s.
+_BEGINS_S = 1.3
+#: It brakes there by so much in the mean at most, m/s2, as nine in ten of those recorded from step 0 on (89 of 98 in
+#: fourteen scenes).
+_EASED_TO_MPS2 = 0.5
+#: A start is made slower so often at most, until it does: once is enough for most.
+_EASED_AT_MOST = 3
 #: No tunable: run back by so many s at the speeds of its beginning, a vehicle has not come through its leader or
 #: follower (of recorded vehicles behind a leader .5 % would have, at any step).
 _BEFORE_S = 1.5
@@ -46,13 +65,15 @@ _MADE_TO_BRAKE_MPS2 = 1.2
 #: No tunable: none is to wait astride of two lanes for longer, s.
 _ASTRIDE_S = 1.0
 #: Verdicts that another driver may change.
-_ANOTHER_DRIVER = frozenset({Reason.TTC_RECORDED_FOLLOWER, Reason.FOLLOWER_HEADWAY, Reason.LEAVES_TOO_EARLY})
+_ANOTHER_DRIVER = frozenset({
+    Reason.TTC_RECORDED_FOLLOWER, Reason.FOLLOWER_BRAKING, Reason.FOLLOWER_HEADWAY, Reason.LEAVES_TOO_EARLY,
+})  # fmt: skip
 #: No tunable: by so much, s, SUMO may be later than a rollout at the end of an overtake.
 _SPARE_S = 0.2
 
 
 class Site(NamedTuple):
-    """Where a vehicle may begin: s along the route's lanes, m, at a step; None: at their beginning, all of it on them.
+    """Where a vehicle may begin, and at which step. s: m along the route's lanes; None: it has just come over the edge.
 
     leader: what it would follow where it enters later, as `Meetings` numbers them; headway_s: that recorded followers
     are left with, as `sustained_headway` has it.
@@ -85,31 +106,35 @@ class _Begin(NamedTuple):
 class Starts:
     """Starts of one round; each keeps clear of those that were taken before it.
 
-    guard: with the vehicles kept in rounds before; those taken are added to it by their rollouts.
+    guard: with the vehicles kept in rounds before; `world` adds those taken to it by their rollouts; changers: of those
+    kept, the ones that change lanes.
     """
 
     scene: Scene
     roads: Roads
     meetings: Meetings
-    guard: Guard
+    guard: InitVar[Guard]
     rng: np.random.Generator
     round_number: int
+    changers: Sequence[ExportedVehicle] = ()
     taken: list[Start] = field(default_factory=list)
     rejected: Counter[Reason] = field(default_factory=Counter)
     world: World = field(init=False)
     _rolled: dict[Start, tuple[RolledOut, ...]] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, guard: Guard) -> None:
         """Nothing is chosen yet."""
-        self.world = World(self.scene, self.roads, self.guard)
+        self.world = World(self.scene, self.roads, guard)
 
     def take(self, starts: list[Start]) -> list[Start]:
         """The same starts; those after them keep clear of them."""
         self.taken += starts
         if "collision" not in self.scene.config.without:
             for start in starts:
-                rolled = self._rolled.pop(start, None)
-                self.world.choose(*(rolled or (self.world.rolled_out(start, (self.world.roll(start),)),)))
+                rolled = self._rolled.pop(start, ())
+                if not rolled:
+                    rolled = (self.world.rolled_out(start, (self.world.roll(start),)),)
+                self.world.choose(*rolled)
         return starts
 
     def rolled(self, start: Start) -> tuple[RolledOut, ...]:
@@ -118,20 +143,21 @@ class Starts:
 
     def make(
         self, request: VehicleRequest, site: Site, *, driver: Driver | None = None, speed_mps: float | None = None,
-        sides: tuple[Side, ...] | None = None, wished: FloatArray | None = None,
+        sides: tuple[Side, ...] | None = None, desired: FloatArray | None = None,
     ) -> Start | Reason:  # fmt: skip
         """A vehicle that begins at a site, or why it cannot.
 
-        driver, speed_mps, sides, wished: how it begins, where it looks for a lane, and its desired speeds (T,) m/s;
+        driver, speed_mps, sides, desired: how it begins, where it looks for a lane, and its desired speeds (T,) m/s;
         drawn unless given.
         """
         scene, config, rng = self.scene, self.scene.config, self.rng
-        (offer, s, step, leader, headway_s), box = site, clearance_box(request.size, DEFAULT_SIZES[request.object_type])
+        offer, s, step, leader, headway_s = site
+        box = clearance_box(request.size, DEFAULT_SIZES[request.object_type])
         half_m, run_on = box.length_m / 2, "topology" in config.without
         first_m = half_m + _FROM_EDGE_M
         if s is None:  # it has come over the edge since the step before
             s = first_m + float(rng.random()) * scene.usual_speed(offer.route[0]) * scene.step_s
-        if s < first_m or (s + half_m > offer.length_m - 1.0 and not run_on):
+        if s < first_m or (s + half_m > offer.length_m - _TO_EDGE_M and not run_on):
             return Reason.NO_SITE
         path = scene.paths.along(offer.route)
         start_s = path.to_line(s)
@@ -141,24 +167,25 @@ class Starts:
                 return Reason.NO_SITE
             if near.lag_m[0] < (headway_s - LEADER_LENGTH_S) * near.lag_mps[0]:
                 return Reason.FOLLOWER_HEADWAY
-        flow_mps, lane_id = 0.0, path.segment_at(start_s).lane_id
+        lane_id = path.segment_at(start_s).lane_id
+        flow_mps = 0.0
         if step == 0:
             leader = self.meetings.leader_of(scene.cell_at(path, start_s), offer.route)
         if config.request.sites == "promising" and driver is None:
             flow_mps = max(self.meetings.pace_of(leader), self._follower_mps(path, box, start_s, step))
-        line_gap_m = self.guard.stop_lines.on(path, box).gap_m(start_s, step)
+        line_gap_m = self.world.guard.stop_lines.on(path, box).gap_m(start_s, step)
         begin = _Begin(request, site._replace(leader=leader), path, box, s, start_s, line_gap_m, sides)
         made: Start | Reason = Reason.NO_SITE
         for _ in range(1 if driver is not None else _DRIVERS):
             # a driver goes with the flow of its leader and follower, or would not be there
             pace_mps = max(scene.lane_speed(lane_id, rng), flow_mps)
-            made = self._begun(begin, driver or draw_driver(config, rng, lane_speed_mps=pace_mps), speed_mps, wished)
+            made = self._begun(begin, driver or draw_driver(config, rng, lane_speed_mps=pace_mps), speed_mps, desired)
             if made not in _ANOTHER_DRIVER:
                 break
         return made
 
     def _begun(
-        self, begin: _Begin, driver: Driver, speed_mps: float | None, wished: FloatArray | None
+        self, begin: _Begin, driver: Driver, speed_mps: float | None, desired: FloatArray | None
     ) -> Start | Reason:
         """The start of a driver at a site, at about its desired speed unless told; or what speaks against it."""
         scene, config, rng, request, path = self.scene, self.scene.config, self.rng, begin.request, begin.path
@@ -171,8 +198,8 @@ class Starts:
         admitted = self._start_speed(begin, speed_mps, driver)
         if isinstance(admitted, Reason):
             return admitted
-        if wished is None:
-            wished = desired_speeds(
+        if desired is None:
+            desired = desired_speeds(
                 driver, config, rng, num_steps=scene.num_steps - step, step_s=scene.step_s, at_least_mps=admitted
             )
         sides = BEHAVIOURS[request.policy].sides or SIDES
@@ -180,7 +207,7 @@ class Starts:
         start = Start(
             vehicle_id=f"v{request.number}_{self.round_number}", request=request, box=begin.box,
             route=begin.site.offer.route, path=path, start_s=begin.start_s, start_mps=admitted, driver=driver,
-            desired=np.concatenate([np.full(step, wished[0]), wished]), offset=MIDDLE, sides=begin.sides or order,
+            desired=np.concatenate([np.full(step, desired[0]), desired]), offset=MIDDLE, sides=begin.sides or order,
             step=step, leader=begin.site.leader,
         )  # fmt: skip
         rolled = self._performed(self.world, start)
@@ -226,13 +253,14 @@ class Starts:
             shown_m = min(float(parts[-1].s[-1]), vehicle.path.exit_s - 0.5 * start.size.length_m)
             if shown_m < vehicle.path.lateral_spans[-1].end + spare_m:
                 return Reason.SCENE_ENDED
-        if (kind := BEHAVIOURS[policy].turn) is not None:
+        kind = BEHAVIOURS[policy].turn
+        if kind is not None:
             turn = first_turn(scene.grid.graph, start.path, kind, after=start.start_s)
             if turn is None:
                 return Reason.TURN_NOT_SEEN
             last_s, last = float(parts[-1].s[-1]), scene.num_steps - 1
-            if last_s < turn.end + 1.0:
-                room_m = self.guard.stop_lines.on(start.path, start.box).room_m(last_s, last, start.driver)
+            if last_s < turn.end + _TURNED_M:
+                room_m = self.world.guard.stop_lines.on(start.path, start.box).room_m(last_s, last, start.driver)
                 return Reason.WAITS_AT_LINE if room_m < turn.end - last_s else Reason.SCENE_ENDED
         return parts
 
@@ -251,7 +279,7 @@ class Starts:
             eased_mps = float(v[step]) + _EASED_TO_MPS2 * step * self.scene.step_s
             if eased_mps >= start.start_mps:
                 break
-            if eased_mps < SLOWEST_SHARE * start.driver.desired_mps:
+            if eased_mps < SLOWEST_SHARE * start.driver.desired_mps <= start.start_mps:
                 return start, Reason.NO_SITE
             start = replace(start, start_mps=eased_mps)
             rolled = self._performed(self.world, start)
@@ -267,20 +295,23 @@ class Starts:
         candidate = self.world.rolled_out(start, parts)
         if self.world.meets_after(candidate):
             return Reason.TTC_AT_END
-        if (harried := self.world.harm_to_followers(candidate, headway_s)) is not None:
-            return harried
+        harm = self.world.harm_to_followers(candidate, headway_s)
+        if harm is not None:
+            return harm
+        if any(takes_gap(self.scene, one, candidate.traffic) for one in self.changers):
+            return Reason.TAKES_GAP
         anew = [candidate]
         for one in self.world.to_roll_anew(candidate):
-            around = self.world.joined_by(candidate, without=one.start.vehicle_id)
-            begun = one.start
-            near = around.gaps_at(begun.path, begun.box, begun.start_s, begun.step)
-            still = self._performed(around, begun) if _is_clear(near) else Reason.NO_SITE
-            if isinstance(still, Reason) or self._brakes_mps2(still) > max(
-                _MADE_TO_BRAKE_MPS2, self._brakes_mps2(one.parts)
-            ):
+            around, begun = self.world.joined_by(candidate, without=one.start.vehicle_id), one.start
+            if not _is_clear(around.gaps_at(begun.path, begun.box, begun.start_s, begun.step)):
+                return Reason.MEETS_GENERATED
+            still = self._performed(around, begun)
+            if isinstance(still, Reason):
+                return Reason.MEETS_GENERATED
+            if self._brakes_mps2(still) > max(_MADE_TO_BRAKE_MPS2, self._brakes_mps2(one.parts)):
                 return Reason.MEETS_GENERATED
             if still:
-                anew.append(around.rolled_out(one.start, still))
+                anew.append(around.rolled_out(begun, still))
         self._rolled[start] = tuple(anew)
         return None
 
@@ -303,9 +334,9 @@ class Starts:
         """Speed at which a driver that would drive at `speed` begins, m/s; or why it cannot begin there."""
         path, box, start_s, step = begin.path, begin.box, begin.start_s, begin.site.step
         limits = self.scene.config.limits
-        if self.leaves_early(begin.site.offer, begin.s + box.length_m / 2, 0.95 * speed, step):
+        if self.leaves_early(begin.site.offer, begin.s + box.length_m / 2, _KEPT_SHARE * speed, step):
             return Reason.LEAVES_TOO_EARLY
-        reach = slice(int(start_s / TABLE_STEP_M), int((start_s + 12.0 * speed) / TABLE_STEP_M) + 2)
+        reach = slice(int(start_s / TABLE_STEP_M), int((start_s + _AHEAD_S * speed) / TABLE_STEP_M) + 2)
         if np.abs(path.line.table_curvature[reach]).max(initial=0.0) > CURVATURE_KEPT / limits.min_radius_m:
             return Reason.LIMIT_CURVATURE
         road = self.roads.speeds(path, driver)
@@ -323,38 +354,39 @@ class Starts:
     def _admitted_speed(
         self, path: DrivenPath, box: BoxSize, s: float, speed: float, driver: Driver, step: int
     ) -> float | Reason:
-        """Speed that leaders allow, m/s, at most the one wished for; or why nothing can begin there."""
+        """Speed that leaders allow, m/s, at most the one told; or why nothing can begin there."""
         conflict = self.scene.config.conflict
         known = self.world.guard.known_on(path, box)
-        seen, wished = gaps_to_all(known, np.array([s]), step), speed
+        seen = gaps_to_all(known, np.array([s]), step)
+        alone_mps = speed  # how fast it would begin without leaders
         leads = np.isfinite(seen.lead_m)
         speed = float(speed_behind(seen.lead_m[leads], seen.along_mps[leads], driver.following).min(initial=speed))
         closing = seen.along_mps[:, 0] - speed
         if (known.same_direction[:, step] & (seen.lag_m[:, 0] < conflict.follower_ttc_min_s * closing)).any():
             return Reason.TTC_RECORDED_FOLLOWER
-        lines = self.guard.stop_lines.on(path, box)
+        lines = self.world.guard.stop_lines.on(path, box)
         room_m = lines.room_m(s, step, driver)
         if room_m < 0.0:
             return Reason.ENTERS_ON_RED
         speed = min(speed, lines.towards_mps(driver, room_m))
         if step > 0 and (speed < STANDS_MPS or self._follower_is_near(path, s, box, speed, step)):
             return Reason.NO_SITE
-        if speed < max(STANDS_MPS, SLOWEST_SHARE * wished):
-            stands = (seen.lead_m[:, 0] < QUEUE_M) & (seen.along_mps[:, 0] < STANDS_MPS)
-            if room_m > 0.0 and not (stands & ~self.world.parked_on(path, box)).any():
+        if speed < max(STANDS_MPS, SLOWEST_SHARE * alone_mps):
+            near = (seen.lead_m[:, 0] < QUEUE_M) & ~self.world.parked_on(path, box)
+            queues = near & (seen.along_mps[:, 0] < SLOWEST_SHARE * alone_mps)
+            if room_m > 0.0 and not queues.any():
                 return Reason.NO_SITE  # no vehicle is so slow with so much room ahead, nor waits for a parked one
-            speed = 0.0
+            if not queues.any() or seen.along_mps[queues, 0].min() < STANDS_MPS:  # else the queue moves
+                speed = 0.0
         return Reason.NO_SITE if _came_through(known, seen, speed, step) else speed
 
     def _follower_is_near(self, path: DrivenPath, s: float, box: BoxSize, speed_mps: float, step: int) -> bool:
         """Whether an agent comes from behind at a step, on the lane or before the map's edge."""
-        config, fixed = self.scene.config, self.world.guard.fixed
-        here = self.scene.traffic.at(step).joined(fixed.at(step))
+        config = self.scene.config
+        here = self.scene.traffic.at(step).joined(self.world.guard.inserted_known.at(step))
         xy, forward, _ = path.line.motion(np.array([s]))
         seen = gaps_from_pose(xy, forward, box, here)
-        least_m = np.maximum(
-            CLEAR_GAP_M, config.conflict.follower_ttc_min_s * (seen.along_mps - speed_mps)
-        )  # fmt: skip
+        least_m = np.maximum(CLEAR_GAP_M, config.conflict.follower_ttc_min_s * (seen.along_mps - speed_mps))
         near = (seen.aside_m < config.conflict.margin_lateral_m) & (seen.gap_m > -box.length_m)
         return bool(np.any(near & (seen.gap_m < least_m) & here.present[:, 0] & (seen.along_m < 0.0)))
 

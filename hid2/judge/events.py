@@ -19,10 +19,11 @@ CAP_S = 10.0
 HUMAN_BRAKES_S = 4.7
 #: A cut-in leaves its target less than this, s: the time gap that is recommended.
 CUT_IN_S = 1.8
-#: No tunables: what an event is like for its target is looked for until so long after the moment, s, as the target
-#: does not react and may run into whatever is ahead of it later; of a cut-in from when the vehicle is about half way
-#: over, s before the moment.
-AFTER_S, _ARRIVES_S = 3.0, 1.5
+#: No tunable: what an event is like for its target is looked for until so long after the moment, s, as the target does
+#: not react and may run into whatever is ahead of it later.
+AFTER_S = 3.0
+#: No tunable: of a cut-in it is looked for since so long before the moment, s, when the vehicle is about half way over.
+_ARRIVES_S = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +71,8 @@ def measure_event(states: AgentStates, kind: str, own: int, target: int, *, at_s
     box, here = BoxSize(arrays.length[target], arrays.width[target]), states.traffic.rows([own]).at(at_step)
     seen, speed = gaps_from_pose(arrays.position[there], forward, box, here), np.hypot(*arrays.velocity.T)
     gap_m = float(seen.gap_m[0])
-    if kind == "cross" and (crossed := crossing_steps(states, own, target)) is not None:
+    crossed = crossing_steps(states, own, target) if kind == "cross" else None
+    if crossed is not None:
         first, last = sorted(_row(states, target, step) for step in crossed)
         way_m = np.hypot(*np.diff(arrays.position[first : last + 1], axis=0).T).sum()
         gap_m = float(way_m) - 0.5 * box.length_m

@@ -18,23 +18,43 @@ MOVES_M = 2.0
 #: No tunable: an exported box keeps so far from every other one, m. Of 333 recorded pairs of moving vehicles none is .1
 #: to .3 m apart at the nearest (some overlap, by boxes of usual size).
 _SPARE_BOX_M = 0.2
-#: No tunables, rounding alone: s above the TTC at the end, and shares of tolerance and of 1 / R_min that are used, so
-#: that no reader's rounding finds what the final check did not.
-_SPARE_END_S, _DRIVABLE_KEPT, CURVATURE_KEPT = 0.1, 0.9, 0.98
+# No tunables, the next three: rounding alone, so that no reader's rounding finds what the final check did not.
+#: The final check keeps so much above the TTC at the end, s.
+_SPARE_END_S = 0.1
+#: The final check uses this share of the tolerance of the drivable area.
+_DRIVABLE_KEPT = 0.9
+#: The final check, and starts, use this share of 1 / R_min.
+CURVATURE_KEPT = 0.98
 #: What is claimed is seen in the states within so long of the time claimed, s.
 CLAIM_S = 0.5
 #: A figure that is claimed is that of the states, but for so much of its unit.
 FIGURE_OFF = 0.01
-#: A follower keeps this time headway, s (one recorded unless it kept less to its own leader); shorter ones count above
-#: this speed, m/s, when they last so long, s. Headway = (gap + leader's length) / speed; the length counts for so many
-#: s at most: at least .5 s are left from bumper to bumper (130 recorded followers in their lanes have .6 s or more).
-FOLLOWER_HEADWAY_S, FOLLOWER_MPS, FOLLOWER_FOR_S, LEADER_LENGTH_S = 0.8, 3.0, 1.0, 0.3
-#: After the last step a driver brakes so hard, m/s2, after so long, s.
-END_DECEL_MPS2, END_REACTION_S = 3.0, 1.0
+#: A follower keeps this time headway, s (one recorded unless it kept less to its own leader).
+FOLLOWER_HEADWAY_S = 0.8
+#: A shorter headway counts above this speed, m/s.
+FOLLOWER_MPS = 3.0
+#: A shorter headway counts when it lasts so long, s.
+FOLLOWER_FOR_S = 1.0
+#: A recorded follower lacks at most so much braking behind an inserted leader, m/s2: of 332 recorded ones behind
+#: recorded leaders none that does not overlap with its leader lacks more.
+FOLLOWER_LACKS_MPS2 = 1.5
+#: It lacks it for so long, s.
+LACKS_FOR_S = 0.5
+#: It has so long to brake, s: what it brakes then in the mean is no lack.
+BRAKES_WITHIN_S = 1.0
+#: Headway = (gap + leader's length) / speed, but the length counts for so many s at most: at least .5 s are left from
+#: bumper to bumper (130 recorded followers in their lanes have .6 s or more).
+LEADER_LENGTH_S = 0.3
+#: After the last step a driver brakes so hard, m/s2.
+END_DECEL_MPS2 = 3.0
+#: It begins to brake so long after the last step, s.
+END_REACTION_S = 1.0
 #: Share of 1 / R_min above which a curve cannot be driven.
 CURVATURE_SHARE = 1.1
-#: Largest angle between a vehicle and the lane below it, degrees: outside of intersections, and in them.
-LANE_DEG, INTERSECTION_DEG = 60.0, 90.0
+#: Largest angle between a vehicle and the lane below it outside of intersections, degrees.
+LANE_DEG = 60.0
+#: The same in intersections.
+INTERSECTION_DEG = 90.0
 
 
 class NoiseBounds(NamedTuple):
@@ -135,6 +155,12 @@ class Quantity(StrEnum):
         "time headway of a follower, where it or its leader is inserted",
         Reason.FOLLOWER_HEADWAY,
     )
+    FOLLOWER_BRAKING = (
+        "follower_braking",
+        "m/s2",
+        "braking that a recorded follower would need, and does not do",
+        Reason.FOLLOWER_BRAKING,
+    )
     NOISE = "noise", "", "exported minus clean state, over what trackers have"
 
 
@@ -170,6 +196,9 @@ MOTION_LIMITS: Mapping[Quantity, tuple[Callable[[MotionProfile], FloatArray], Ca
 }
 #: Judged on exported states also where these have a tracker's noise; all others on the clean ones.
 ON_EXPORTED = frozenset({Quantity.OVERLAP, Quantity.OFF_ROAD, Quantity.END_TTC, Quantity.END_CONTACT})
+
+#: What an event leaves to its target is what the event is about.
+LEFT_TO_TARGET = frozenset({Quantity.FOLLOWER_HEADWAY, Quantity.FOLLOWER_BRAKING})
 
 #: Quantities with a least value as their limit.
 LEAST = frozenset({

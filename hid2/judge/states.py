@@ -14,12 +14,15 @@ import shapely
 
 from hid2.agents import BoxSize, FloatArray, IntArray
 from hid2.judge.findings import (
+    BRAKES_WITHIN_S,
     END_DECEL_MPS2,
     END_REACTION_S,
     FOLLOWER_FOR_S,
     FOLLOWER_HEADWAY_S,
+    FOLLOWER_LACKS_MPS2,
     FOLLOWER_MPS,
     INTERSECTION_DEG,
+    LACKS_FOR_S,
     LANE_DEG,
     LEADER_LENGTH_S,
     LEAST,
@@ -34,10 +37,10 @@ from hid2.kernels.path_intervals import SAME_WAY
 from hid2.kernels.trajectory import derivatives_of_motion, first_overlapping
 from hid2.measures.arrays import BoolArray
 from hid2.measures.driven_lanes import LaneView
-from hid2.measures.following import Leaders, leaders
+from hid2.measures.following import LaneLeaders, leaders
 from hid2.measures.scene_end import END_HORIZON_S, BoxesAtStep, first_contact
 from hid2.measures.surrogates import encroachments
-from hid2.occupancy.agent_states import AgentStates, Leading
+from hid2.occupancy.agent_states import AgentStates, PathLeaders
 from hid2.occupancy.traffic import Traffic
 from netconvert.geometry import box_corners, differences, wrap_angle
 from netconvert.lane_graph import LaneGraph
@@ -50,18 +53,18 @@ def judge(states: AgentStates, graph: LaneGraph, bounds: Bounds) -> list[Finding
     arrays = states.arrays
     inserted = np.flatnonzero(arrays.generated)
     found: list[Finding] = []
-    for row in inserted.tolist():
-        found += of_motion(states, row, bounds)
-        found += of_road(states, row, BoxSize(arrays.length[row], arrays.width[row]), graph, bounds)
-        others = np.delete(np.arange(arrays.num_agents), row)
-        found += of_boxes(states, row, others, spare_m=bounds.spare_box_m)
-        led_by = states.leaders_on_path(row, others, aside_m=bounds.spare_aside_m)
-        found += ttc_on_driven_path(states, row, led_by, bounds)
-        found += headway_on_driven_path(states, row, led_by)
-        found += of_end(states, row, others, bounds)
+    for agent in inserted.tolist():
+        found += of_motion(states, agent, bounds)
+        found += of_road(states, agent, BoxSize(arrays.length[agent], arrays.width[agent]), graph, bounds)
+        others = np.delete(np.arange(arrays.num_agents), agent)
+        found += of_boxes(states, agent, others, spare_m=bounds.spare_box_m)
+        led_by = states.leaders_on_path(agent, others, aside_m=bounds.spare_aside_m)
+        found += ttc_on_driven_path(states, agent, led_by, bounds)
+        found += headway_on_driven_path(states, agent, led_by)
+        found += of_end(states, agent, others, bounds)
     led = leaders(arrays, states.lanes, states.matches)
     found += ttc_on_lanes(states, led, bounds)
-    found += ttc_of_followers(states, inserted, bounds)
+    found += of_recorded_followers(states, inserted, bounds)
     found += of_crossings(states, bounds, since=int(inserted[0]) if inserted.size else arrays.num_agents)
     found += headways(states, led)
     # the worst of each comes last: of times the shortest
@@ -73,16 +76,16 @@ def judge(states: AgentStates, graph: LaneGraph, bounds: Bounds) -> list[Finding
 # what a vehicle does by itself
 
 
-def of_motion(states: AgentStates, row: int, bounds: Bounds) -> Iterator[Finding]:
+def of_motion(states: AgentStates, agent: int, bounds: Bounds) -> Iterator[Finding]:
     """Limits of motion, by central differences of position and heading, each at its worst step."""
-    arrays, rows = states.arrays, states.row_span(row)
+    arrays, rows = states.arrays, states.row_span(agent)
     moved = differences(arrays.position[rows], arrays.step_s)
     for velocity in (moved, arrays.velocity[rows])[: 1 + bounds.by_stated]:
-        yield from _of_velocity(states, row, velocity, bounds)
+        yield from _of_velocity(states, agent, velocity, bounds)
 
 
-def _of_velocity(states: AgentStates, row: int, velocity: FloatArray, bounds: Bounds) -> Iterator[Finding]:
-    step_s, heading = states.arrays.step_s, np.ascontiguousarray(states.arrays.heading[states.row_span(row)])
+def _of_velocity(states: AgentStates, agent: int, velocity: FloatArray, bounds: Bounds) -> Iterator[Finding]:
+    step_s, heading = states.arrays.step_s, np.ascontiguousarray(states.arrays.heading[states.row_span(agent)])
     profile = MotionProfile(*derivatives_of_motion(np.ascontiguousarray(velocity), heading, step_s))
     inside = slice(bounds.end_rows, len(heading) - bounds.end_rows)
     for quantity, (value_of, bound_of) in MOTION_LIMITS.items():
@@ -90,29 +93,29 @@ def _of_velocity(states: AgentStates, row: int, velocity: FloatArray, bounds: Bo
         beyond = values[inside]
         if beyond.size and beyond.max() > bound:
             worst = int(np.argmax(beyond)) + bounds.end_rows
-            yield _of_one(states, row, worst, quantity, float(values[worst]), bound)
+            yield _of_one(states, agent, worst, quantity, float(values[worst]), bound)
 
 
-def of_road(states: AgentStates, row: int, size: BoxSize, graph: LaneGraph, bounds: Bounds) -> Iterator[Finding]:
+def of_road(states: AgentStates, agent: int, size: BoxSize, graph: LaneGraph, bounds: Bounds) -> Iterator[Finding]:
     """The footprint of a vehicle of a size on the drivable area, its heading with the lane."""
-    rows = states.row_span(row)
+    rows = states.row_span(agent)
     tolerance_m = bounds.drivable_share * bounds.limits.drivable_tolerance_m
     position, heading = states.arrays.position[rows], states.arrays.heading[rows]
     outside = outside_m(position, heading, *size, graph, tolerance_m=tolerance_m)
     if outside.max(initial=0.0) > tolerance_m:
         worst = int(np.argmax(outside))
-        yield _of_one(states, row, worst, Quantity.OFF_ROAD, float(outside[worst]), tolerance_m)
+        yield _of_one(states, agent, worst, Quantity.OFF_ROAD, float(outside[worst]), tolerance_m)
     angle, limit = against_lane_deg(states.view, np.arange(rows.start, rows.stop), graph)
     over = angle - limit
     if over.max(initial=0.0) > 0.0:
         worst = int(np.argmax(over))
-        yield _of_one(states, row, worst, Quantity.AGAINST_LANE, float(angle[worst]), float(limit[worst]))
+        yield _of_one(states, agent, worst, Quantity.AGAINST_LANE, float(angle[worst]), float(limit[worst]))
 
 
-def _of_one(states: AgentStates, row: int, at: int, quantity: Quantity, value: float, limit: float) -> Finding:
-    """A finding on one row of states alone, at a place among its own."""
-    step = int(states.arrays.step[states.arrays.first[row] + at])
-    return Finding(states.arrays.track_ids[row], step, quantity, value, limit)
+def _of_one(states: AgentStates, agent: int, at: int, quantity: Quantity, value: float, limit: float) -> Finding:
+    """A finding on one agent alone, at a place among its rows."""
+    step = int(states.arrays.step[states.arrays.first[agent] + at])
+    return Finding(states.arrays.track_ids[agent], step, quantity, value, limit)
 
 
 def outside_m(
@@ -173,26 +176,27 @@ def against_lane_deg(view: LaneView, rows: IntArray, graph: LaneGraph) -> tuple[
 # what a vehicle does to others
 
 
-def of_boxes(states: AgentStates, row: int, others: IntArray, *, spare_m: float) -> Iterator[Finding]:
+def of_boxes(states: AgentStates, agent: int, others: IntArray, *, spare_m: float) -> Iterator[Finding]:
     """Every other box that a vehicle's own meets, at the steps and halfway between them, at the first time."""
-    traffic, span, left = states.traffic, states.span(row), others
-    own, heading = traffic.position[row, span], traffic.heading[row, span]
-    length, width = traffic.length_m[row] + 2 * spare_m, traffic.width_m[row] + 2 * spare_m
+    traffic, span, left = states.traffic, states.span(agent), others
+    own, heading = traffic.position[agent, span], traffic.heading[agent, span]
+    length, width = traffic.length_m[agent] + 2 * spare_m, traffic.width_m[agent] + 2 * spare_m
     while left.size:
-        agent, step = first_overlapping(own, heading, length, width, *traffic.rows(left.tolist()).span(span).boxes)
-        if agent < 0:
+        k, step = first_overlapping(own, heading, length, width, *traffic.rows(left.tolist()).span(span).boxes)
+        if k < 0:
             return
-        other = int(left[agent])
-        boxes = [row, other], [length, traffic.length_m[other]], [width, traffic.width_m[other]]
+        other = int(left[k])
+        boxes = [agent, other], [length, traffic.length_m[other]], [width, traffic.width_m[other]]
         shared_m2 = _shared_m2(traffic, *boxes, step=span.start + step)
-        yield _finding(states, (row, other), span.start + step, Quantity.OVERLAP, shared_m2, 0.0)
-        left = np.delete(left, agent)
+        yield _finding(states, (agent, other), span.start + step, Quantity.OVERLAP, shared_m2, 0.0)
+        left = np.delete(left, k)
 
 
-def _shared_m2(traffic: Traffic, rows: list[int], length_m: list[float], width_m: list[float], *, step: int) -> float:
+def _shared_m2(traffic: Traffic, agents: list[int], length_m: list[float], width_m: list[float], *, step: int) -> float:
     """Ground that the boxes of two agents share at a step or halfway to the next, m2."""
-    position, heading, following = traffic.position[rows], traffic.heading[rows], min(step + 1, traffic.num_steps - 1)
-    there = traffic.present[rows, following]
+    position, heading = traffic.position[agents], traffic.heading[agents]
+    following = min(step + 1, traffic.num_steps - 1)
+    there = traffic.present[agents, following]
     way = np.where(there[:, None], position[:, following] - position[:, step], 0.0)
     turn = np.where(there, wrap_angle(heading[:, following] - heading[:, step]), 0.0)
     most = 0.0
@@ -203,33 +207,33 @@ def _shared_m2(traffic: Traffic, rows: list[int], length_m: list[float], width_m
     return most
 
 
-def ttc_on_driven_path(states: AgentStates, row: int, led: Leading, bounds: Bounds) -> Iterator[Finding]:
+def ttc_on_driven_path(states: AgentStates, agent: int, led: PathLeaders, bounds: Bounds) -> Iterator[Finding]:
     """The least TTC of a vehicle to anything that leads on the path that it drives."""
     ttc_s, critical_s = led.ttc_s, bounds.conflict.ttc_min_s
     if ttc_s.min(initial=np.inf) < critical_s:
-        agent, step = np.unravel_index(int(np.argmin(ttc_s)), ttc_s.shape)
-        other = int(led.rows[agent])
-        yield _finding(states, (row, other), int(step), Quantity.TTC_LEADER, float(ttc_s[agent, step]), critical_s)
+        k, step = np.unravel_index(int(np.argmin(ttc_s)), ttc_s.shape)
+        other = int(led.agents[k])
+        yield _finding(states, (agent, other), int(step), Quantity.TTC_LEADER, float(ttc_s[k, step]), critical_s)
 
 
-def of_end(states: AgentStates, row: int, others: IntArray, bounds: Bounds) -> Iterator[Finding]:
+def of_end(states: AgentStates, agent: int, others: IntArray, bounds: Bounds) -> Iterator[Finding]:
     """Contacts after a vehicle's last step, all at the velocities stated then: too soon, or not to be avoided.
 
     Not avoided: with an agent that it meets also when it brakes with END_DECEL_MPS2 after END_REACTION_S. A vehicle
     that comes from behind brakes itself: it counts for the TTC alone.
     """
-    last = states.span(row).stop - 1
-    rows = np.append(row, others[states.traffic.present[others, last]])
-    found = contacts_at_end(_boxes_at(states, rows, last), bounds, step_s=states.arrays.step_s)
+    last = states.span(agent).stop - 1
+    agents = np.append(agent, others[states.traffic.present[others, last]])
+    found = contacts_at_end(_boxes_at(states, agents, last), bounds, step_s=states.arrays.step_s)
     for quantity, other, ttc_s in found:
         limit = (
             END_HORIZON_S if quantity is Quantity.END_CONTACT else bounds.conflict.end_ttc_min_s + bounds.spare_end_s
         )
-        yield _finding(states, (row, int(rows[other])), last, quantity, ttc_s, limit)
+        yield _finding(states, (agent, int(agents[other])), last, quantity, ttc_s, limit)
 
 
 def contacts_at_end(boxes: BoxesAtStep, bounds: Bounds, *, step_s: float) -> Iterator[tuple[Quantity, int, float]]:
-    """What follows the last step of the first of some boxes, as `of_end` has it: quantity, row of the other, s."""
+    """What follows the last step of the first of some boxes, as `of_end` has it: quantity, the other box's place, s."""
     contact = first_contact(0, boxes, horizon_s=END_HORIZON_S)
     if contact is None:
         return
@@ -247,12 +251,12 @@ def contacts_at_end(boxes: BoxesAtStep, bounds: Bounds, *, step_s: float) -> Ite
             yield Quantity.END_CONTACT, other, contact.ttc_s
 
 
-def _boxes_at(states: AgentStates, rows: IntArray, step: int) -> BoxesAtStep:
+def _boxes_at(states: AgentStates, agents: IntArray, step: int) -> BoxesAtStep:
     """Boxes at a step with the velocities stated there; those of the positions where a track has no state."""
-    traffic, at = states.traffic, states.arrays.row_of[rows, step]
-    velocity = np.where((at >= 0)[:, None], states.arrays.velocity[at], traffic.velocity[rows, step])
-    sizes = np.column_stack([traffic.length_m[rows], traffic.width_m[rows]])
-    return BoxesAtStep(traffic.position[rows, step], traffic.heading[rows, step], velocity, sizes)
+    traffic, at = states.traffic, states.arrays.row_of[agents, step]
+    velocity = np.where((at >= 0)[:, None], states.arrays.velocity[at], traffic.velocity[agents, step])
+    sizes = np.column_stack([traffic.length_m[agents], traffic.width_m[agents]])
+    return BoxesAtStep(traffic.position[agents, step], traffic.heading[agents, step], velocity, sizes)
 
 
 def _meets_braking(boxes: BoxesAtStep, horizon_s: float, step_s: float) -> bool:
@@ -264,18 +268,18 @@ def _meets_braking(boxes: BoxesAtStep, horizon_s: float, step_s: float) -> bool:
     own = boxes.position[0] + rolling_s[:, None] * boxes.velocity[0]
     others = boxes.position[1:, None] + time_s[:, None] * boxes.velocity[1:, None]
     headings = np.repeat(boxes.heading[:, None], time_s.size, axis=1)
-    agent, _ = first_overlapping(
+    met, _ = first_overlapping(
         own, headings[0], boxes.size[0, 0], boxes.size[0, 1], others, headings[1:],
         np.ones(others.shape[:2], dtype=np.bool_),
         np.ascontiguousarray(boxes.size[1:, 0]), np.ascontiguousarray(boxes.size[1:, 1]),
     )  # fmt: skip
-    return bool(agent >= 0)
+    return bool(met >= 0)
 
 
 # what lanes and crossing paths show of all
 
 
-def ttc_on_lanes(states: AgentStates, led: Leaders, bounds: Bounds) -> Iterator[Finding]:
+def ttc_on_lanes(states: AgentStates, led: LaneLeaders, bounds: Bounds) -> Iterator[Finding]:
     """TTC on the lane path: of inserted vehicles to their leaders, of recorded followers to inserted leaders."""
     arrays, conflict = states.arrays, bounds.conflict
     inserted = arrays.generated[arrays.agent]
@@ -293,65 +297,86 @@ def ttc_on_lanes(states: AgentStates, led: Leaders, bounds: Bounds) -> Iterator[
             yield _finding(states, (own, other), int(arrays.step[at]), quantity, float(led.ttc_s[at]), critical_s)
 
 
-def ttc_of_followers(states: AgentStates, inserted: IntArray, bounds: Bounds) -> Iterator[Finding]:
-    """The least TTC of each recorded follower to each inserted vehicle, also of other lanes, on its driven path."""
+def of_recorded_followers(states: AgentStates, inserted: IntArray, bounds: Bounds) -> Iterator[Finding]:
+    """Of each recorded follower to each inserted vehicle, also of other lanes, on its driven path: TTC and braking."""
     arrays, critical_s = states.arrays, bounds.conflict.follower_ttc_min_s
     leaders_of = states.traffic.rows(inserted.tolist())
     for follower in np.flatnonzero(arrays.vehicle & arrays.moving & ~arrays.generated).tolist():
         led = states.leaders_among(follower, leaders_of)
-        for leader, ttc_s in zip(inserted[led.rows].tolist(), led.ttc_s, strict=True):
+        for leader, ttc_s in zip(inserted[led.agents].tolist(), led.ttc_s, strict=True):
             step = int(np.argmin(ttc_s))
             if ttc_s[step] < critical_s:
                 pair = leader, follower
                 yield _finding(states, pair, step, Quantity.TTC_FOLLOWER, float(ttc_s[step]), critical_s)
+        lacks_mps2, at = lacked_braking(states, follower, led)
+        for row in np.flatnonzero(lacks_mps2 > FOLLOWER_LACKS_MPS2).tolist():
+            pair, value = (int(inserted[led.agents[row]]), follower), float(lacks_mps2[row])
+            yield _finding(states, pair, int(at[row]), Quantity.FOLLOWER_BRAKING, value, FOLLOWER_LACKS_MPS2)
+
+
+def lacked_braking(states: AgentStates, follower: int, led: PathLeaders) -> tuple[FloatArray, IntArray]:
+    """Braking, m/s2, that a follower lacks for LACKS_FOR_S behind each of its leaders (R,), and the last step of it.
+
+    What it lacks: the constant braking that would do (DRAC), less what it brakes in the mean within BRAKES_WITHIN_S.
+    """
+    span, step_s = states.span(follower), states.arrays.step_s
+    speed, lasts = states.speed(follower)[span], round(LACKS_FOR_S / step_s)
+    within = min(round(BRAKES_WITHIN_S / step_s), speed.size - 1)
+    if speed.size < lasts or within < 1:
+        return np.zeros(led.agents.size), np.zeros(led.agents.size, dtype=np.int64)
+    brakes_mps2 = (speed[:-within] - speed[within:]) / (within * step_s)
+    brakes_mps2 = np.append(brakes_mps2, np.full(within, brakes_mps2[-1]))  # to its end as shortly before
+    lacks_mps2 = led.drac_mps2[:, span] - np.maximum(brakes_mps2, 0.0)
+    lasting = np.lib.stride_tricks.sliding_window_view(lacks_mps2, lasts, axis=1).min(axis=2)
+    return lasting.max(axis=1), span.start + lasting.argmax(axis=1) + lasts - 1
 
 
 def of_crossings(states: AgentStates, bounds: Bounds, *, since: int) -> Iterator[Finding]:
-    """PET of moving vehicles with crossing swept paths, of pairs of which one has the row `since` or a higher one."""
+    """PET of moving vehicles with crossing swept paths, of pairs of which one agent is `since` or a later one."""
     arrays, critical_s = states.arrays, bounds.conflict.pet_min_s
     for first, second, pet_s, passed in encroachments(arrays, since=since, cap_s=critical_s):
         if pet_s < critical_s - 1e-9:
             yield _finding(states, (second, first), passed[1], Quantity.PET, pet_s, critical_s)
 
 
-def headways(states: AgentStates, led: Leaders, beyond_m: FloatArray | None = None) -> Iterator[Finding]:
+def headways(states: AgentStates, led: LaneLeaders, beyond_m: FloatArray | None = None) -> Iterator[Finding]:
     """Recorded followers that inserted leaders leave less time headway than they kept to leaders in the recording.
 
     beyond_m (A,): by how much boxes of the states are longer, ahead, than exported.
     """
     arrays = states.arrays
     follower = ~arrays.generated[arrays.agent] & arrays.moving[arrays.agent]
-    least = _sustained_headway(
+    least = _too_short_headways(
         states, led, follower & arrays.generated[np.maximum(led.agent, 0)] & (led.agent >= 0), beyond_m
     )
-    kept = kept_headways(states) if least else {}
+    recorded = recorded_headways(states) if least else {}
     for agent, (headway_s, at) in least.items():
-        if kept.get(agent, math.inf) > headway_s:
+        if recorded.get(agent, math.inf) > headway_s:
             leader, step = int(led.agent[at]), int(arrays.step[at])
             yield _finding(states, (leader, agent), step, Quantity.FOLLOWER_HEADWAY, headway_s, FOLLOWER_HEADWAY_S)
 
 
 def headway_on_driven_path(
-    states: AgentStates, row: int, led: Leading, beyond_m: FloatArray | None = None
+    states: AgentStates, agent: int, led: PathLeaders, beyond_m: FloatArray | None = None
 ) -> Iterator[Finding]:
     """Too short a time headway of a vehicle to the next one of those that lead it on the path that it drives."""
     arrays = states.arrays
-    vehicles = arrays.vehicle[led.rows]
-    leader, gap_m = Leading(led.rows[vehicles], led.gap_m[vehicles], led.closing_mps[vehicles]).next_ones()
+    vehicles = arrays.vehicle[led.agents]
+    leader, gap_m = PathLeaders(led.agents[vehicles], led.gap_m[vehicles], led.closing_mps[vehicles]).next_ones()
     leader_m = (arrays.length if beyond_m is None else arrays.length - beyond_m)[leader]  # of none any: no gap counts
-    headway_s, at = sustained_headway(gap_m, leader_m, states.speed(row), arrays.step_s)
+    headway_s, at = sustained_headway(gap_m, leader_m, states.speed(agent), arrays.step_s)
     if headway_s < FOLLOWER_HEADWAY_S:
-        pair = row, int(leader[at])
+        pair = agent, int(leader[at])
         yield _finding(states, pair, at, Quantity.FOLLOWER_HEADWAY, headway_s, FOLLOWER_HEADWAY_S)
 
 
-def kept_headways(states: AgentStates) -> dict[int, float]:
+def recorded_headways(states: AgentStates) -> dict[int, float]:
     """Time headways, s, below the limit that recorded followers kept to leaders in the recording, by agent."""
     arrays = states.arrays
     follower = ~arrays.generated[arrays.agent] & arrays.moving[arrays.agent]
     alone = replace(states.matches, lane=np.where(arrays.generated[arrays.agent], -1, states.matches.lane))
-    kept = _sustained_headway(states, leaders(arrays, states.lanes, alone), follower)
-    return {agent: headway_s for agent, (headway_s, _) in kept.items()}
+    found = _too_short_headways(states, leaders(arrays, states.lanes, alone), follower)
+    return {agent: headway_s for agent, (headway_s, _) in found.items()}
 
 
 def sustained_headway(
@@ -373,10 +398,10 @@ def sustained_headway(
     return float(longest[at]), at + lasts - 1
 
 
-def _sustained_headway(
-    states: AgentStates, led: Leaders, rows: BoolArray, beyond_m: FloatArray | None = None
+def _too_short_headways(
+    states: AgentStates, led: LaneLeaders, rows: BoolArray, beyond_m: FloatArray | None = None
 ) -> dict[int, tuple[float, int]]:
-    """Least time headway of followers, rows (N,), that lasts FOLLOWER_FOR_S, if too short, and its row; by agent."""
+    """By agent the sustained headway of a follower, rows (N,), to its lane leader, if too short, and its row."""
     arrays = states.arrays
     speed = states.row_speed
     gap_m = np.where(rows & (led.agent >= 0), led.gap_m, np.inf)
@@ -393,6 +418,6 @@ def _sustained_headway(
 def _finding(
     states: AgentStates, pair: tuple[int, int], step: int, quantity: Quantity, value: float, limit: float
 ) -> Finding:
-    """A finding on the first of a pair of rows, about the second."""
+    """A finding on the first of a pair of agents, about the second."""
     ids = states.arrays.track_ids
     return Finding(ids[pair[0]], step, quantity, value, limit, ids[pair[1]])

@@ -1,6 +1,6 @@
 """SUMO's car-following law without its noise: EIDM, the Extended Intelligent Driver Model (Salles et al. 2020).
 
-    v_next = what SUMO 1.28 makes of a speed, a wish, a leader and a limit that is set for the step
+    v_next = what SUMO 1.28 makes of a speed, a desired speed, a leader and a limit that is set for the step
 
 IIDM (Treiber, Kesting) with coolness, action points (the driver looks anew each `reaction`, and at once before hard
 braking), a desired speed that is taken up within seconds, and a slow start. The constants are SUMO's defaults, the
@@ -17,7 +17,7 @@ from netconvert.geometry import FloatArray
 #: wanted then, m/s2, the least it would want by now, what it did, and the leader; the desired speed it is at and the
 #: one it left, m/s; when it drove off, s. Within a step: the least that is wanted, what is done, and the leader's part.
 (
-    _SINCE, _SEEN_V, _SEEN_LEAD_V, _SEEN_GAP, _WANTED, _WOULD, _DID, _LEAD_DID, _WISH, _WISH_LEFT, _OFF_S, _WANTS,
+    _SINCE, _SEEN_V, _SEEN_LEAD_V, _SEEN_GAP, _WANTED, _WOULD, _DID, _LEAD_DID, _TAKEN_UP, _TAKEN_FROM, _OFF_S, _WANTS,
     _DOES, _LEAD_DOES,
 ) = range(14)  # fmt: skip
 DRIVER_STATE = 14  # their number
@@ -37,7 +37,7 @@ _OFF_S_LONG, _OFF_FLAT, _OFF_BEGINS, _OFF_AGAIN_S, _OFF_BELOW_MPS = 1.2, 2.0, 0.
 def new_driver(state: FloatArray, desired_mps: float) -> None:
     """Set the state of a driver that has just come."""
     state[:] = 0.0
-    state[_WISH] = state[_WISH_LEFT] = max(desired_mps, _EPS)
+    state[_TAKEN_UP] = state[_TAKEN_FROM] = max(desired_mps, _EPS)
     state[_WOULD] = state[_WANTS] = state[_DOES] = state[_LEAD_DOES] = _NOTHING
     state[_OFF_S] = -10.0
 
@@ -95,10 +95,10 @@ def _response(
     star = max(0.0, seen_v * tau + seen_v * (seen_v - seen_lead_v) / root) + standing
     if seen_gap < min_gap + (step_s * 10.0 + 1.0) * _GAP_MORE_M and seen_v < _SLOW_MPS:  # no creeping
         star = max(star, seen_gap * np.sqrt(1.0 + 2.0 * _GAP_MORE_M / accel))
-    a = _iidm(seen_v, state[_WISH], star, seen_gap, accel, decel)
+    a = _iidm(seen_v, state[_TAKEN_UP], star, seen_gap, accel, decel)
     wants = (max(0.0, seen_v + a * step_s) - seen_v) / step_s
     star_now = max(0.0, v * tau + v * (v - lead_v) / root) + standing
-    would = _iidm(v, state[_WISH], star_now, gap, accel, decel)
+    would = _iidm(v, state[_TAKEN_UP], star_now, gap, accel, decel)
     state[_WOULD] = min(state[_WOULD], (max(0.0, v + would * step_s) - v) / step_s)
     decides, follows = state[_WANTS] > wants - _EPS, _EPS
     if decides:
@@ -125,8 +125,8 @@ def _gap_for_limit(
     tau, accel, decel, _ = driver
     seen = v + (state[_SEEN_V] - v + state[_DID] * state[_SINCE] * step_s if state[_SINCE] > 0.0 else 0.0)
     ratio = 1.0 + (v - limit) / (accel * max(0.5 * reaction, step_s))
-    if seen > state[_WISH]:
-        ratio -= decel * (1.0 - (state[_WISH] / seen) ** (4.0 * accel / decel)) / accel
+    if seen > state[_TAKEN_UP]:
+        ratio -= decel * (1.0 - (state[_TAKEN_UP] / seen) ** (4.0 * accel / decel)) / accel
     star = max(0.0, seen * tau + seen * seen / (2.0 * np.sqrt(accel * decel)))
     gap: float = star / np.sqrt(max(ratio, 1.0))
     return gap
@@ -135,19 +135,19 @@ def _gap_for_limit(
 @inner
 def _take_up(state: FloatArray, desired: float, step_s: float) -> None:
     """The desired speed that a driver is at comes nearer to the one it has, m/s."""
-    wish, left = state[_WISH], state[_WISH_LEFT]
-    if abs(left - desired) < _EPS and abs(left - wish) < _EPS:
+    taken, left = state[_TAKEN_UP], state[_TAKEN_FROM]
+    if abs(left - desired) < _EPS and abs(left - taken) < _EPS:
         return
-    fell = wish < left + _EPS and wish < desired + _EPS and left > desired - _EPS
-    rose = wish > left - _EPS and wish > desired - _EPS and left < desired + _EPS
+    fell = taken < left + _EPS and taken < desired + _EPS and left > desired - _EPS
+    rose = taken > left - _EPS and taken > desired - _EPS and left < desired + _EPS
     if fell or rose:  # it went beyond and turns round
-        state[_WISH_LEFT] = wish
+        state[_TAKEN_FROM] = taken
     else:
-        eased = wish - (left - desired) * step_s / PREVIEW_S
-        wish = max(desired, eased) if wish >= desired - _EPS else min(desired, eased)
-    state[_WISH] = wish
-    if abs(wish - desired) < _EPS:
-        state[_WISH] = state[_WISH_LEFT] = desired
+        eased = taken - (left - desired) * step_s / PREVIEW_S
+        taken = max(desired, eased) if taken >= desired - _EPS else min(desired, eased)
+    state[_TAKEN_UP] = taken
+    if abs(taken - desired) < _EPS:
+        state[_TAKEN_UP] = state[_TAKEN_FROM] = desired
 
 
 @inner

@@ -48,7 +48,7 @@ def _looks_m(v: float, length: float, driver: tuple[float, float, float, float])
 
 
 @inner
-def _wished(desired: float, v: float, front: float, lane: int, ends: FloatArray, turns: FloatArray) -> float:
+def _desired_ahead(desired: float, v: float, front: float, lane: int, ends: FloatArray, turns: FloatArray) -> float:
     """Desired speed that SUMO's driver takes up, m/s: for the links of turns ahead a lower one."""
     for link in range(lane, ends.size - 1):
         if ends[link] - front >= max(PREVIEW_S * v, 0.5 * PREVIEW_S * desired):
@@ -126,9 +126,9 @@ def roll(
         )
         if gap > _looks_m(v, length, in_sumo):
             gap = np.inf
-        wished = _wished(desired, v, front, lane, link_s, turns)
+        ahead = _desired_ahead(desired, v, front, lane, link_s, turns)
         v_next = eidm_speed(
-            state, v, a, (desired, wished), (gap, lead_v, lead_a), max(limit, 0.0), in_sumo, reaction, step_s,
+            state, v, a, (desired, ahead), (gap, lead_v, lead_a), max(limit, 0.0), in_sumo, reaction, step_s,
             t * step_s,
         )  # fmt: skip
         before_s = s

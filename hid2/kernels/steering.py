@@ -9,7 +9,7 @@ from netconvert.geometry import BoolArray, FloatArray, IntArray
 #: What limits a speed, by its number. In alphabetical order: of two equal limits the first one is named.
 CAUSES = ("conflict", "crossing", "curve", "gap", "signal", "turn")
 _CONFLICT, _CURVE, _TURN = CAUSES.index("conflict"), CAUSES.index("curve"), CAUSES.index("turn")
-#: A limit so near below the speed that is wished is none.
+#: A limit so near below the desired speed is none.
 LIMIT_TOLERANCE_MPS = 1e-3
 
 
@@ -90,7 +90,7 @@ def speed_limits(
     yield_rules, as `Guard.yield_rules`: time ahead to turns, s; of a vehicle that waits for its leader: ratio of the
     gap, m/s2; braking to go on yielding, and to begin, m/s2; time to a conflict that is soon, s; ratio of urgent
     braking; how braking builds up, m/s3, and ends, m/s2 and 1/s. Returns, each (M,): limits m/s, inf where a vehicle
-    wishes to go no faster anyway; numbers of their causes; policies of the lanes; rows of leaders for which a vehicle
+    desires to go no faster anyway; numbers of their causes; policies of the lanes; rows of leaders for which a vehicle
     waits, -1 for none; whether it yields; and whether usual braking is not enough.
     """
     limits, caused = np.full(rows.size, np.inf), np.full(rows.size, -1)

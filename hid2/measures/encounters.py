@@ -8,20 +8,32 @@ import numpy as np
 
 from hid2.agents import FloatArray
 from hid2.measures.arrays import BoolArray, SceneArrays
-from hid2.measures.following import Leaders
+from hid2.measures.following import LaneLeaders
 from hid2.measures.surrogates import encroachments
 from netconvert.geometry import arc_length
 
 #: A vehicle with a centre that never comes this near to that of a moving recorded one meets no traffic, m.
 NEAR_M = 30.0
-#: A leader nearer than this time gap is followed, once it is for so long, s.
-FOLLOWS_S, FOLLOWS_FOR_S = 3.0, 1.0
-#: Braking for a leader: below this, m/s2, for so long, s, behind one nearer than this, m and s.
-BRAKES_MPS2, BRAKES_FOR_S, BRAKES_NEAR_M, BRAKES_NEAR_S = -0.7, 0.5, 40.0, 4.0
-#: Crossing within this time of each other is an encounter, s; smaller angles than this are no crossings.
-WITHIN_S, CROSSING_RAD = 3.0, math.radians(40.0)
-#: Standing: below this, m/s, for so long, s.
-STANDS_MPS, STANDS_FOR_S = 0.3, 0.5
+#: A leader nearer than this time gap is followed, s.
+FOLLOWS_S = 3.0
+#: It is followed once it is so near for so long, s.
+FOLLOWS_FOR_S = 1.0
+#: Braking for a leader: acceleration below this, m/s2.
+BRAKES_MPS2 = -0.7
+#: Braking lasts so long, s.
+BRAKES_FOR_S = 0.5
+#: The leader is nearer than this, m.
+BRAKES_NEAR_M = 40.0
+#: The leader is nearer than this time gap, s.
+BRAKES_NEAR_S = 4.0
+#: Crossing within this time of each other is an encounter, s.
+WITHIN_S = 3.0
+#: Smaller angles than this are no crossings.
+CROSSING_RAD = math.radians(40.0)
+#: Standing: below this speed, m/s.
+STANDS_MPS = 0.3
+#: Standing lasts so long, s.
+STANDS_FOR_S = 0.5
 
 
 class Partner(StrEnum):
@@ -33,7 +45,7 @@ class Partner(StrEnum):
     CYCLIST = "cyclist"
 
 
-def encounters(arrays: SceneArrays, led: Leaders) -> dict[str, BoolArray]:
+def encounters(arrays: SceneArrays, led: LaneLeaders) -> dict[str, BoolArray]:
     """Which agents (A,) meet what, by name: `far`, `stands`, and `follows_`, `brakes_`, `crosses_` a `Partner`.
 
     led: `measures.following.leaders` of the same rows. Only vehicles follow, brake, cross or stand.

@@ -16,7 +16,7 @@ MIN_SPEED_MPS = 1.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Leaders:
+class LaneLeaders:
     """The next vehicle ahead on each row's lane path (N,); rows without one have agent -1 and infinite values.
 
     gap_m bumper to bumper; time_gap_s = gap / follower's speed; ttc_s, inf if not closing.
@@ -28,7 +28,7 @@ class Leaders:
     ttc_s: FloatArray
 
 
-def leaders(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> Leaders:
+def leaders(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> LaneLeaders:
     """Leader of every vehicle row on its lane path: lane, the lanes it drives next, then the straightest successors.
 
     A vehicle ahead leads where the two boxes overlap across the lane.
@@ -47,7 +47,7 @@ def leaders(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> Leaders:
     moving = led & (speed > MIN_SPEED_MPS)
     divisor = np.where(moving, speed, 1.0)
     positive = led & (closing > 1e-9)
-    return Leaders(
+    return LaneLeaders(
         agent=agent,
         gap_m=gap,
         time_gap_s=np.where(moving, gap / divisor, np.inf),

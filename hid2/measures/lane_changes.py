@@ -8,7 +8,7 @@ import numpy as np
 
 from hid2.measures.conflicts import pair_course
 from hid2.measures.driven_lanes import LaneView
-from hid2.measures.following import Leaders
+from hid2.measures.following import LaneLeaders
 from hid2.measures.lane_matching import CHANGES_LANES
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind
 
@@ -42,7 +42,7 @@ class LaneChangeRow:
     lag_headway_s: Annotated[float | None, "its least time headway, front to front"] = None
 
 
-def lane_changes(view: LaneView, led: Leaders, seen: Iterable[Maneuver]) -> Iterator[LaneChangeRow]:
+def lane_changes(view: LaneView, led: LaneLeaders, seen: Iterable[Maneuver]) -> Iterator[LaneChangeRow]:
     """The lane changes among manoeuvres seen. led: leaders of the same rows."""
     arrays = view.arrays
     numbers = {track_id: number for number, track_id in enumerate(arrays.track_ids)}
@@ -65,7 +65,7 @@ def lane_changes(view: LaneView, led: Leaders, seen: Iterable[Maneuver]) -> Iter
 
 
 def _neighbours(
-    view: LaneView, led: Leaders, own: int, step: int
+    view: LaneView, led: LaneLeaders, own: int, step: int
 ) -> tuple[int | None, float | None, int | None, float | None]:
     """Leader and follower of a vehicle at a step on the lane path, each with its gap, m; none on a lane beside."""
     arrays, lane = view.arrays, view.matches.lane

@@ -243,8 +243,9 @@ def first_turn(graph: LaneGraph, path: DrivenPath, kind: TurnType, *, after: flo
 
 
 def is_drivable(graph: LaneGraph, lane_id: int) -> bool:
-    """Whether a lane is open to general motor traffic."""
-    return graph.lanes[lane_id].lane_type in DRIVABLE_TYPES
+    """Whether a lane is open to general motor traffic, along it."""
+    lane = graph.lanes[lane_id]
+    return lane.lane_type in DRIVABLE_TYPES and not lane.is_center_turn_lane
 
 
 def straightest_first(graph: LaneGraph, onward: Iterable[int], preferred: Container[int] = ()) -> Route:

@@ -22,6 +22,8 @@ from netconvert.geometry import Polyline, arc_length, differences
 
 #: Boxes that overlap along a path by more than this are side by side, m: neither leads the other.
 SIDE_BY_SIDE_M = 1.0
+#: Smallest gap that braking is worked out for, m. No tunable: a smaller one is a contact, which the judge forbids.
+_TOUCHES_M = 0.1
 #: No tunables, the shape of a driven line: its points are so far apart, m, its curves have at least this radius, m, and
 #: it stays this near to the positions, m.
 _POINTS_M, _RADIUS_M, _STRAYS_M = 1.0, 3.0, 0.2
@@ -34,23 +36,29 @@ class DrivenLine(NamedTuple):
     s: FloatArray
 
 
-class Leading(NamedTuple):
-    """Agents that lead on a driven path: rows (R,); gap (R, T) m, inf where one does not lead; closing (R, T) m/s."""
+class PathLeaders(NamedTuple):
+    """Agents that lead on a driven path, agents (R,); gap (R, T) m, inf where one does not lead; closing (R, T) m/s."""
 
-    rows: IntArray
+    agents: IntArray
     gap_m: FloatArray
     closing_mps: FloatArray
 
     def next_ones(self) -> tuple[IntArray, FloatArray]:
         """(T,) which agent leads next, -1 for none, and its gap, m, inf for none."""
         gap_m = np.vstack([np.full(self.gap_m.shape[1], np.inf), self.gap_m])  # none is first: it is where none leads
-        return np.append(-1, self.rows)[gap_m.argmin(axis=0)], gap_m.min(axis=0)
+        return np.append(-1, self.agents)[gap_m.argmin(axis=0)], gap_m.min(axis=0)
 
     @property
     def ttc_s(self) -> FloatArray:
         """(R, T) s, inf where the gap does not close."""
         closes = np.isfinite(self.gap_m) & (self.closing_mps > 1e-3)
         return np.where(closes, np.maximum(self.gap_m, 0.0) / np.where(closes, self.closing_mps, 1.0), np.inf)
+
+    @property
+    def drac_mps2(self) -> FloatArray:
+        """(R, T) m/s2, deceleration rate to avoid a crash: constant, until the gap closes no more; 0 for no need."""
+        closing_mps = np.where(np.isfinite(self.gap_m), np.maximum(self.closing_mps, 0.0), 0.0)
+        return np.asarray(closing_mps**2 / (2.0 * np.maximum(self.gap_m, _TOUCHES_M)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,29 +113,29 @@ class AgentStates:
         stated, by_positions = self.arrays.velocity, self.traffic.velocity[self.arrays.agent, self.arrays.step]
         return [np.hypot(*one.T) for one in (by_positions, stated, stated - by_positions)]
 
-    def speed(self, row: int) -> FloatArray:
+    def speed(self, agent: int) -> FloatArray:
         """(T,) how fast an agent is at most, m/s, at the steps of the scene."""
-        rows, found = self.row_span(row), np.hypot(*self.traffic.velocity[row].T)
+        rows, found = self.row_span(agent), np.hypot(*self.traffic.velocity[agent].T)
         found[self.arrays.step[rows]] = self.row_speed[rows]
         return np.asarray(found)
 
-    def span(self, row: int) -> slice:
+    def span(self, agent: int) -> slice:
         """The steps of an agent, from its first to its last."""
-        steps = self.arrays.step[self.row_span(row)]
+        steps = self.arrays.step[self.row_span(agent)]
         return slice(int(steps[0]), int(steps[-1]) + 1)
 
-    def row_span(self, row: int) -> slice:
+    def row_span(self, agent: int) -> slice:
         """The rows of an agent in `arrays`."""
-        return slice(int(self.arrays.first[row]), int(self.arrays.first[row + 1]))
+        return slice(int(self.arrays.first[agent]), int(self.arrays.first[agent + 1]))
 
     @once
-    def line(self, row: int) -> DrivenLine | None:
+    def line(self, agent: int) -> DrivenLine | None:
         """The path that a vehicle drives and, behind its last position, its lane; None where it has neither."""
         for part in self.joined_of:
-            if row < part.arrays.num_agents:
-                return part.line(row)
-            row -= part.arrays.num_agents
-        rows = self.row_span(row)
+            if agent < part.arrays.num_agents:
+                return part.line(agent)
+            agent -= part.arrays.num_agents
+        rows = self.row_span(agent)
         position, last = self.arrays.position[rows], rows.stop - 1
         place = np.floor(arc_length(position) / _POINTS_M)
         points = position[np.flatnonzero(np.diff(place, prepend=-1.0) > 0)]
@@ -146,25 +154,25 @@ class AgentStates:
         s[self.arrays.step[rows]] = np.interp(along, chords.s, line.points_s)
         return DrivenLine(line, s)
 
-    def leaders_on_path(self, row: int, others: IntArray, *, aside_m: float = 0.0) -> Leading:
+    def leaders_on_path(self, agent: int, others: IntArray, *, aside_m: float = 0.0) -> PathLeaders:
         """Which of the agents `others` lead a vehicle on the path that it drives, whatever their object type.
 
         aside_m: added to each side of the own box. An agent leads where it heads along the path, ahead of the vehicle
         by at most HORIZON_M and not beside it; one that rolls back, or that a tracker shifts back, stands.
         """
-        found = self.leaders_among(row, self.traffic.rows(others.tolist()), aside_m=aside_m)
-        return found._replace(rows=others[found.rows])
+        found = self.leaders_among(agent, self.traffic.rows(others.tolist()), aside_m=aside_m)
+        return found._replace(agents=others[found.agents])
 
-    def leaders_among(self, row: int, others: Traffic, *, aside_m: float = 0.0) -> Leading:
-        """The same of other agents than these; rows are those of their traffic (T steps)."""
-        driven, steps, traffic = self.line(row), self.arrays.num_steps, self.traffic
+    def leaders_among(self, agent: int, others: Traffic, *, aside_m: float = 0.0) -> PathLeaders:
+        """The same of other agents than these, by the rows of their traffic (T steps)."""
+        driven, steps, traffic = self.line(agent), self.arrays.num_steps, self.traffic
         if driven is None:
-            return Leading(np.zeros(0, dtype=np.int64), *np.zeros((2, 0, steps)))
-        length_m, width_m = float(traffic.length_m[row]), float(traffic.width_m[row]) + 2 * aside_m
+            return PathLeaders(np.zeros(0, dtype=np.int64), *np.zeros((2, 0, steps)))
+        length_m, width_m = float(traffic.length_m[agent]), float(traffic.width_m[agent]) + 2 * aside_m
         seen = look_along(driven.line, others, length_m, width_m)
         found = gaps_to_all(seen, driven.s, np.arange(steps))
         leads = seen.same_direction & (found.lead_m > -SIDE_BY_SIDE_M) & (found.lead_m < HORIZON_M)
-        return Leading(seen.agents, np.where(leads, found.lead_m, np.inf), self.speed(row) - found.along_mps)
+        return PathLeaders(seen.agents, np.where(leads, found.lead_m, np.inf), self.speed(agent) - found.along_mps)
 
 
 def agent_states(

@@ -11,9 +11,13 @@ from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import BoolArray, Traffic
 
-#: No tunables, which agents SUMO is shown: slower ones stand and are shown in any direction, m/s; one leads from this
-#: gap on, m, nearer it is beside; and up to so far ahead, m, farther than any driver brakes for.
-STANDING_MPS, LEADS_FROM_M, SHOWN_M = 0.5, 0.3, 120.0
+# No tunables, the next three: which agents SUMO is shown.
+#: Slower ones stand and are shown in any direction, m/s.
+STANDING_MPS = 0.5
+#: One leads from this gap on, m; nearer it is beside.
+LEADS_FROM_M = 0.3
+#: Up to so far ahead, m, farther than any driver brakes for.
+SHOWN_M = 120.0
 #: Steps after which SUMO knows speed and acceleration of a vehicle that is new to it: until then it is seen by none.
 UNSEEN_STEPS = 3
 #: Not a parameter, half a lane and a little: an agent with its front farther aside is ahead of none.

@@ -1,5 +1,6 @@
 """Algorithm 1 of the paper: the decision of one generated agent at one step. Values in, a value out."""
 
+import math
 from dataclasses import dataclass, field
 
 from hid2.agents import Policy
@@ -19,7 +20,8 @@ class Observation:
     """What the agent knows at time t: its cell, lane type, request, leader within d_obs, and adjacent lanes.
 
     options: of the sides that the request allows, in the order in which they are tried; driver: its own, None for a
-    usual one; own_front, own_rear: gaps ahead and behind on its lane, where a rule asks.
+    usual one; own_front, own_rear: gaps ahead and behind on its lane, where a rule asks; passed_gap_m: from its rear
+    bumper to the vehicle that it overtakes, -inf unless passed.
     """
 
     time_s: float
@@ -33,7 +35,7 @@ class Observation:
     stage: Stage
     leader: Gap | None
     options: tuple[LaneOption, ...]
-    passed_gap_m: float = -1.0
+    passed_gap_m: float = -math.inf
     length_m: float = 4.5
     driver: Driver | None = None
     own_front: Gap = OPEN
@@ -72,7 +74,7 @@ def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) ->
     if due and BEHAVIOURS[seen.request].sides:
         reason = Reason.NO_ADJACENT_LANE
         for option in seen.options:
-            answers.append(rule_refusals(_view(seen, option), lane_change))
+            answers.append(rule_refusals(gap_view(seen, option), lane_change))
             reason = next(iter(answers[-1]), None)
             if reason is None:
                 return Decision(seen.request, option.target, option.side, answers=tuple(answers))
@@ -80,11 +82,11 @@ def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) ->
         reason = Reason.NO_ADJACENT_LANE
         for option in seen.options:
             if seen.stage is Stage.PASS:
-                reason = return_reason(option, lead_gap_m=seen.passed_gap_m, params=overtake)
+                reason = return_reason(option, passed_gap_m=seen.passed_gap_m, params=overtake)
             else:
                 reason = enter_reason(option, leader=seen.leader, desired_mps=seen.desired_mps, params=overtake)
                 if reason is None and lane_change.rule != "paper":  # its gaps are the conditions above
-                    reason = rule_reason(_view(seen, option), lane_change)
+                    reason = rule_reason(gap_view(seen, option), lane_change)
             answers.append(() if reason is None else (reason,))
             if reason is None:
                 return Decision(Policy.OVERTAKE, option.target, option.side, answers=tuple(answers))
@@ -96,7 +98,7 @@ def policy_on(lane_turn: TurnType) -> Policy:
     return POLICY_OF_TURN.get(lane_turn, Policy.STRAIGHT)
 
 
-def _view(seen: Observation, option: LaneOption) -> GapView:
+def gap_view(seen: Observation, option: LaneOption) -> GapView:
     """What a rule is told of one adjacent lane."""
     driver = seen.driver or usual_driver(seen.desired_mps)
     return GapView(

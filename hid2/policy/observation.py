@@ -20,20 +20,24 @@ from hid2.policy.lane_change import OPEN, Gap, LaneOption
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from netconvert.cells import Cell
-from netconvert.lane_graph import Side
+from netconvert.lane_graph import Side, crossable
 
-#: No tunables, room for what a driver does otherwise: shares of the time and of the length of l' left that a lateral
-#: motion may take, and s of that time left after it.
-_TIME_SHARE, _LENGTH_SHARE, _SPARE_S = 0.95, 0.8, 0.5
+# No tunables, the next three: room for what a driver does otherwise.
+#: A lateral motion may take this share of the time left in the scene.
+_TIME_SHARE = 0.95
+#: Of that time so much is left after it, s.
+_SPARE_S = 0.5
+#: It may take this share of the length of l' left.
+_LENGTH_SHARE = 0.8
 _HALF_LANE_M = 1.5  # half of the narrowest lane: what "on a lane path" means, the same for all
 
 
 class Inserted(NamedTuple):
-    """Generated vehicles at a step: fixed: kept in rounds before (T steps); fleet: driven together, now (one step)."""
+    """Inserted vehicles at a step. known: with known motion (T steps); driven: with this one, now (one step)."""
 
     step: int
-    fixed: Traffic
-    fleet: Traffic
+    known: Traffic
+    driven: Traffic
 
 
 def admissible_neighbor(scene: Scene, lane_id: int, side: Side) -> int | None:
@@ -95,13 +99,19 @@ def target_path(scene: Scene, path: DrivenPath, lane_id: int, *, s: float) -> Dr
     return scene.paths.beside(tuple(segment.lane_id for segment in path.segments if segment.end > s), lane_id)
 
 
-def gaps_on(scene: Scene, target: DrivenPath, box: BoxSize, *, at: float, inserted: Inserted) -> tuple[Gap, Gap]:
-    """Bumper gaps ahead and behind at arc length `at` of a path, recorded and generated alike, Frenet metres."""
-    step, fixed, fleet = inserted
-    every = [(traffic, scene.met_on(target, box, traffic)) for traffic in (scene.future, fixed, fleet)]
-    ids = [traffic.ids[row] for traffic, found in every for row in found.agents]
-    recorded, kept, driven = (found for _, found in every)
-    found = gaps_on_path(recorded.at(step).joined(kept.at(step), driven.at(0)), np.array([at]), 0)
+def gaps_on(
+    scene: Scene, target: DrivenPath, box: BoxSize, *, at: float, inserted: Inserted, among_recorded: bool = True
+) -> tuple[Gap, Gap]:
+    """Bumper gaps ahead and behind at arc length `at` of a path, recorded and generated alike, Frenet metres.
+
+    among_recorded: whether recorded agents count.
+    """
+    recorded = scene.future if among_recorded else Traffic.none(scene.future.num_steps)
+    parts = (recorded, inserted.step), (inserted.known, inserted.step), (inserted.driven, 0)
+    every = [(traffic.ids, scene.met_on(target, box, traffic).at(step)) for traffic, step in parts]
+    ids = [names[row] for names, seen in every for row in seen.agents]
+    first, *others = (seen for _, seen in every)
+    found = gaps_on_path(first.joined(*others), np.array([at]), 0)
     front, rear = int(found.leader[0]), int(found.follower[0])
     return (
         Gap(float(found.lead_m[0]), float(found.lead_mps[0]), ids[front]) if front >= 0 else OPEN,
@@ -132,7 +142,7 @@ def returns_to(lane: DrivenPath, path: DrivenPath) -> bool:
     return is_on_lane(lane, path.line.position(np.array([path.lateral_spans[-1].end]))[0])
 
 
-def gap_ahead_of(
+def gap_to_passed(
     path: DrivenPath, size: BoxSize, *, s: float, lane: DrivenPath, passed_id: str, here: Traffic
 ) -> float:
     """Own rear bumper to the passed vehicle's front now, m, along the own heading; s m on the path.
@@ -177,9 +187,24 @@ def lay_across(
         motion = LateralMotion(path, target, timing, np.array([s]), np.zeros(1)).foreseen(speeds, step_s)
         along_m = motion.along_m
     assert motion is not None
+    if not _may_cross(scene, motion):
+        return Reason.SOLID_LINE
     if motion.tau.size - 1 > scene.num_steps - 2 - step:
         return Reason.SCENE_ENDS
     return shifted_path(motion, limits=scene.config.limits) or Reason.LANES_NOT_SIDE_BY_SIDE
+
+
+def _may_cross(scene: Scene, motion: LateralMotion) -> bool:
+    """Whether no marking forbids to leave the lanes along which a lateral motion lies until it is half way across."""
+    if "topology" in scene.config.without:
+        return True
+    path, lanes = motion.source, scene.grid.graph.lanes
+    half_m = float(np.interp(0.5, motion.tau, motion.along_m))
+    begin = path.line.position(motion.along_m[:1])
+    is_right_of_it = frenet(begin, motion.target.raw_line.points, motion.target.raw_line.s)[1][0] < 0.0
+    side: Side = "left" if is_right_of_it else "right"
+    along = (one for one in path.segments if one.end > motion.along_m[0] and one.start < half_m)
+    return all(crossable(lanes[one.lane_id].mark_type(side)) for one in along)
 
 
 def _next_sigma(scene: Scene, cell: Cell, *, step: int, speed_mps: float) -> int:
@@ -197,8 +222,8 @@ def _next_sigma(scene: Scene, cell: Cell, *, step: int, speed_mps: float) -> int
 
 
 def _cells_free(scene: Scene, cell: Cell, inserted: Inserted) -> bool:
-    """Cells j-1, j, j+1 of l' have sigma = 0 (paper, Lane Change); sigma = 2 where the simulation has the fleet now."""
-    grid, (step, fixed, fleet) = scene.grid, inserted
+    """Cells j-1, j, j+1 of l' have sigma = 0 (paper, Lane Change); sigma = 2 where inserted ones are now."""
+    grid, step = scene.grid, inserted.step
     here = grid.index_of[cell]  # the cells of a lane follow one another
     first, last = here - min(cell.index, 1), here + min(grid.count(cell.lane_id) - 1 - cell.index, 1)
     if (scene.occupancy.sigma[step, first : last + 1] != FREE).any():
@@ -206,6 +231,6 @@ def _cells_free(scene: Scene, cell: Cell, inserted: Inserted) -> bool:
     wanted = range(first, last + 1)
     return not any(
         is_agent_on(scene.boxes, wanted, traffic, column, width_share=UNDER_SHARE)
-        for traffic, column in ((fixed, step), (fleet, 0))
+        for traffic, column in ((inserted.known, step), (inserted.driven, 0))
         if traffic.ids
     )

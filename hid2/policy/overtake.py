@@ -32,7 +32,10 @@ def stretch_m(config: Config) -> float:
 
 
 def enter_reason(option: LaneOption, *, leader: Gap | None, desired_mps: float, params: Overtake) -> Reason | None:
-    """Why the overtake cannot begin now, None where it can: l' free, gaps at both ends, m * delta s >= d_overtake."""
+    """Why the overtake cannot begin now, None where it can: l' free, gaps at both ends, m * delta s >= d_overtake.
+
+    NO_LANE is the paper's condition 1, apart from CELLS_OCCUPIED of a lane change, for which a vehicle slows down.
+    """
     if leader is None or leader.distance_m > params.d_obs_m:
         return Reason.NO_LEADER
     if desired_mps - leader.speed_mps < params.speed_advantage_mps:
@@ -48,9 +51,9 @@ def enter_reason(option: LaneOption, *, leader: Gap | None, desired_mps: float, 
     return None
 
 
-def return_reason(option: LaneOption, *, lead_gap_m: float, params: Overtake) -> Reason | None:
-    """Why the return cannot begin now: lead_gap_m is the bumper gap to the passed vehicle, negative beside it."""
-    if lead_gap_m < params.return_gap_m:
+def return_reason(option: LaneOption, *, passed_gap_m: float, params: Overtake) -> Reason | None:
+    """Why the return cannot begin now. passed_gap_m: bumper to bumper to the passed vehicle, negative beside it."""
+    if passed_gap_m < params.return_gap_m:
         return Reason.NOT_AHEAD
     if not option.cells_free:
         return Reason.NO_LANE

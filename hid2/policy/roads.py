@@ -24,7 +24,8 @@ from netconvert.lane_graph import TurnType
 #: Policies by their numbers in arrays.
 POLICIES = tuple(Policy)
 STRAIGHT = POLICIES.index(Policy.STRAIGHT)
-_SAME_M, _EVERY_M = 0.02, 2.0  # book-keeping: how far two paths with the same first lanes may differ, and where we look
+_SAME_M = 0.02  # book-keeping: two paths with the same first lanes may differ by so much
+_EVERY_M = 2.0  # book-keeping: they are compared so far apart
 #: Slowing before a turn's entrance, m/s2. No tunable: softer than behind a leader, of which drivers differ.
 _APPROACH_DECEL_MPS2 = 1.5
 #: A line that bends, or changes its curvature, by less than this is straight, 1/m and 1/m2.

@@ -57,8 +57,10 @@ MUTANTS = {
         (f"{UNIT}/policy/test_lane_change.py",),
     ),
     "sigma: kept vehicles hold no cell": Mutant(
-        "hid2/policy/observation.py", "for traffic, column in ((fixed, step), (fleet, 0))\n        if traffic.ids\n",
-        "for traffic, column in ((fleet, 0),)\n        if traffic.ids\n", (f"{UNIT}/policy/test_observation.py",),
+        "hid2/policy/observation.py",
+        "for traffic, column in ((inserted.known, step), (inserted.driven, 0))\n        if traffic.ids\n",
+        "for traffic, column in ((inserted.driven, 0),)\n        if traffic.ids\n",
+        (f"{UNIT}/policy/test_observation.py",),
     ),
     "conflict case 2: the farther one goes first": Mutant(
         "hid2/kernels/guard.py", "return bool(theirs < mine)", "return bool(theirs > mine)",

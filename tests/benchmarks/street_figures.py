@@ -33,11 +33,11 @@ from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
 from hid2.agents import FloatArray, Track
 from hid2.judge.findings import FOLLOWER_HEADWAY_S
-from hid2.judge.states import kept_headways, sustained_headway
+from hid2.judge.states import recorded_headways, sustained_headway
 from hid2.measures.arrays import BoolArray
 from hid2.measures.driven_lanes import runs_of
 from hid2.measures.encounters import CROSSING_RAD, STANDS_FOR_S, STANDS_MPS
-from hid2.measures.following import Leaders, leaders
+from hid2.measures.following import LaneLeaders, leaders
 from hid2.measures.lane_matching import FlatLanes, flatten_lanes
 from hid2.occupancy.agent_states import AgentStates, agent_states
 from hid2.resampling import ratio
@@ -249,10 +249,10 @@ class Figures:
         if entered:
             self.count("halts, of those that enter while seen", scene, inserted, halts)
 
-    def _tailgated(self, scene: int, states: AgentStates, led: Leaders) -> None:
+    def _tailgated(self, scene: int, states: AgentStates, led: LaneLeaders) -> None:
         arrays = states.arrays
         speed = np.hypot(*arrays.velocity.T)
-        kept = kept_headways(states)
+        kept = recorded_headways(states)
         for agent in np.flatnonzero(arrays.vehicle & arrays.moving & ~arrays.fragment & ~arrays.generated).tolist():
             rows = states.row_span(agent)
             follows = (led.agent[rows] >= 0) & arrays.generated[np.maximum(led.agent[rows], 0)]
@@ -400,7 +400,7 @@ def crossing_then(states: AgentStates, places: list[tuple[int, float]], step: in
     return False
 
 
-def crawling(states: AgentStates, agent: int, led: Leaders, usual) -> FloatArray:
+def crawling(states: AgentStates, agent: int, led: LaneLeaders, usual) -> FloatArray:
     """(R,) rows below 40 % of the lane's usual speed, with nothing within 3 s ahead."""
     arrays, rows = states.arrays, states.row_span(agent)
     position, heading, lane = arrays.position[rows], arrays.heading[rows], states.matches.lane[rows]

@@ -136,7 +136,7 @@ ORDER = [
     ("render s/made --step 3 -o a.gif", r"a\.gif", "every timestep", r"\.png"),
     ("generate av2 -o out --source here", "--source", "without", "--from"),
     ("generate av2 -o out --function a:b", "--function", "without", "--repro"),
-    ("generate x --from=a.json --no-spawn-leaders -j2 --resume", "--jobs, --resume, --spawn-leaders", "SCENE", "--from"),
+    ("generate x --from=a.json --no-spawn-leaders -j2 --resume", "--jobs, --resume, --spawn", "SCENE", "--from"),
     ("generate --repro a.zip --source b", "--source", "does nothing", "--repro"),
     ("resimulate av2 -o out --seeds 2 --write 9", "--write 9", "of 2 rollouts", "as many at most"),
     ("--agents 9 generate av2 -o out", "option", "--agents", "behind its name"),

@@ -21,19 +21,19 @@ PARAMETERS = {"sigmaerror": 0.1, "treaction": 0.5}
 def drive(
     scene: Scene,
     *starts: Start,
-    fixed: Traffic | None = None,
+    kept: Traffic | None = None,
     model: str = "EIDM",
     parameters: Mapping[str, float] = PARAMETERS,
     seed: int = 0,
     patch: Callable[[Simulation], None] | None = None,
     checked: bool = True,
 ) -> FleetSimulation:
-    """A simulation that has been run. patch: changes SUMO before; fixed: vehicles of earlier rounds."""
+    """A simulation that has been run. patch: changes SUMO before; kept: vehicles of earlier rounds."""
     given = parameters if model == "EIDM" else {}
     with Simulation(net_bytes(scene.grid), seed=seed, step_s=0.1, model=model, parameters=given) as simulation:
         if patch is not None:
             patch(simulation)
-        others = fixed or nobody(scene.future.num_steps)
+        others = kept or nobody(scene.future.num_steps)
         driving = FleetSimulation(
             Fleet(scene, starts, others, Roads(scene), StopLines(scene)), simulation, checked=checked
         )

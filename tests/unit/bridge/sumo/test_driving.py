@@ -192,7 +192,7 @@ def test_kept_vehicles_of_rounds_before_are_followed_too() -> None:
     scene = scene_on(draw_two_lanes())
     ahead = finalise(scene, driven(start_on(scene, (1,), 85.0, 5.0, number=9), np.full(110, 5.0)), [])
     assert isinstance(ahead, ExportedVehicle)
-    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0), fixed=traffic_of_exported([ahead], scene)).fleet.vehicles
+    (one,) = drive(scene, start_on(scene, (1,), 40.0, 10.0), kept=traffic_of_exported([ahead], scene)).fleet.vehicles
     assert (ahead.motion.s - np.array(one.s) - 4.5).min() > 1.0
     assert np.mean(one.v[-10:]) < 6.5
 

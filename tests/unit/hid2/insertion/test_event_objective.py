@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from inserted import recorded, scene_on
 
-from hid2.agents import Track
+from hid2.agents import BoxSize, Track
 from hid2.insertion.event_objective import Objective
 from hid2.insertion.event_targets import target_of
+from hid2.insertion.finalise import as_written
 from hid2.params import Event
 from netconvert.lane_graph import LaneGraph
 
@@ -43,6 +44,17 @@ def test_a_leader_is_the_next_vehicle_ahead(graph: LaneGraph, x: float, y: float
     """14 m ahead of the target: with another one between no leader, with one beside, or farther ahead, it is one."""
     objective = _objective(graph, recorded(x, y, 8.0, name="b"), at_s=(3.0, 3.0), gap_m=(10.0, 18.0))
     assert (objective.seen(recorded(118.5, 0.0, 8.0, name="e")) is not None) is is_seen
+
+
+def test_gap_is_that_to_the_box_that_the_target_has(graph: LaneGraph) -> None:
+    """18.5 m from centre to centre, 2.25 m and 2 m of them boxes; what keeps clear of the target takes it for 4.5 m."""
+    scene = scene_on(graph, recorded(100.0, 0.0, 8.0, size=BoxSize(4.0, 1.8)))
+    target = target_of(scene, 0)
+    assert target is not None
+    event = Event.model_validate({"kind": "lead", "target": "r", "at_s": (3.0, 3.0), "gap_m": (10.0, 18.0)})
+    seen = Objective(scene, event, target, as_written(scene, [])).seen(recorded(118.5, 0.0, 8.0, name="e"))
+    assert seen is not None
+    assert seen.measures.gap_m == pytest.approx(14.25)
 
 
 @pytest.mark.parametrize(("gap_m", "cost"), [((10.0, 18.0), 0.0), ((12.0, 20.0), 0.5), ((14.0, 22.0), 1.0)])

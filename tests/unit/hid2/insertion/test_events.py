@@ -37,4 +37,5 @@ def test_vehicle_that_comes_between_a_leader_and_its_follower_breaks_the_event(
 
 
 def _vehicle(scene: Scene, track: Track) -> Any:
-    return SimpleNamespace(states=states_of_inserted(scene, track), driven=SimpleNamespace(vehicle_id=track.track_id))
+    driven = SimpleNamespace(vehicle_id=track.track_id)
+    return SimpleNamespace(track=lambda *_: track, states=states_of_inserted(scene, track), driven=driven)

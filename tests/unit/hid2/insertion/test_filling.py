@@ -36,10 +36,10 @@ class Road:
     rounds: list[list[Start]] = field(default_factory=list)
     kept_before: list[int] = field(default_factory=list)
 
-    def __call__(self, starts: Sequence[Start], fixed: Traffic, number: int) -> list[DrivenVehicle]:
+    def __call__(self, starts: Sequence[Start], kept: Traffic, number: int) -> list[DrivenVehicle]:
         assert number >= len(self.rounds)  # a round without a start is not driven
         self.rounds.append(list(starts))
-        self.kept_before.append(len(fixed.ids))
+        self.kept_before.append(len(kept.ids))
         return [self.spoil(driven(start, np.full(110 - start.step, 8.0)), number) for start in starts]
 
 

@@ -8,8 +8,8 @@ import pytest
 from inserted import changing, driven, scene_on, start_on
 
 from hid2.agents import Policy
-from hid2.insertion.finalise import ExportedVehicle, finalise
-from hid2.insertion.outcome import Outcome, outcome_of
+from hid2.insertion.finalise import ExportedVehicle, finalise, traffic_of_exported
+from hid2.insertion.outcome import Outcome, gaps_at_request, outcome_of, takes_gap
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle
@@ -52,6 +52,19 @@ def test_lane_change_is_done_with_its_times(scene: Scene) -> None:
         pytest.approx(2.1, abs=0.21), pytest.approx(4.0, abs=0.05), pytest.approx(5.9, abs=0.21),
     )  # fmt: skip
     assert (found.source_lane, found.target_lane) == (1, 2)
+
+
+@pytest.mark.parametrize(("behind_m", "is_taken"), [(6.5, True), (35.0, False)])
+def test_gap_that_a_lane_change_takes_is_left_to_it(scene: Scene, behind_m: float, is_taken: bool) -> None:
+    """All at 10 m/s, boxes 4.5 m long: 2 m from bumper to bumper are less than the rule asks for, 30.5 m are not."""
+    start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=2.0)
+    kept = _exported(scene, changing(scene, start, np.full(110, 10.0), to=2, at_step=20, wanted_s=4.0))
+    later = _exported(scene, driven(start_on(scene, (2,), 40.0 - behind_m, 10.0, number=1), np.full(110, 10.0)))
+    inserted = traffic_of_exported([later], scene)
+    assert takes_gap(scene, kept, inserted) is is_taken
+    front, rear = gaps_at_request(scene, kept, kept.driven.shifts[0], inserted, among_recorded=True)
+    assert np.isinf(front.distance_m)
+    assert rear.distance_m == pytest.approx(behind_m - 4.5, abs=0.6)
 
 
 def test_lane_change_starts_with_its_decision_at_the_earliest(scene: Scene) -> None:

@@ -11,9 +11,9 @@ from inserted import recorded, scene_on, start_on
 from hid2.agents import Policy, Track
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import ClosedLines, StopLines
-from hid2.insertion.due import ManoeuvreDue
 from hid2.insertion.rollout import RolledOut, Rollout, World
 from hid2.kernels.steering import CAUSES
+from hid2.manoeuvre import ManoeuvreDue
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.overtake import Stage
 from hid2.policy.roads import Roads
@@ -104,6 +104,25 @@ def test_follower_that_closes_in_is_named(world_of: Callable[..., World]) -> Non
     assert world.harm_to_followers(_steady(world, 40.0, 5.0)) is Reason.TTC_RECORDED_FOLLOWER
 
 
+@pytest.mark.parametrize(("gap_m", "reason"), [(48.0, Reason.FOLLOWER_BRAKING), (75.0, None)])
+def test_recorded_follower_is_not_to_brake_harder_than_it_does(
+    world_of: Callable[..., World], gap_m: float, reason: Reason | None
+) -> None:
+    """It keeps 15 m/s; the vehicle slows to 5 m/s in 4 s, for which the gap loses 20 m, and speeds up again.
+
+    10^2 / (2 * 28) = 1.8 m/s2 would do, and .8 s later, at 7 m/s, still 1.5; of a gap 27 m longer 100 / 110 = .9 m/s2.
+    Least TTC is 2.8 s.
+    """
+    world = world_of(recorded(20.0, 0.0, 15.0))
+    v = 15.0 - 2.5 * np.clip(0.1 * np.arange(110) - 1.0, 0.0, 4.0) + 2.5 * np.clip(0.1 * np.arange(110) - 5.0, 0.0, 4.0)
+    s = 24.5 + gap_m + np.cumsum(0.1 * v)
+    start = start_on(world.scene, (1,), s[0], 15.0)
+    candidate = world.rolled_out(start, (Rollout(start.path, 0, s, v, np.zeros((v.size, 0))),))
+    assert world.harm_to_followers(candidate) is reason
+    world.target_id = "r"
+    assert world.harm_to_followers(candidate) is None
+
+
 def test_vehicle_is_rolled_out_anew_without_itself(world_of: Callable[..., World]) -> None:
     """What is known on the path is the others, as in a world that it was never chosen in."""
     world, plain = world_of(recorded(200.0, 0.0, 8.0)), world_of(recorded(200.0, 0.0, 8.0))
@@ -115,8 +134,8 @@ def test_vehicle_is_rolled_out_anew_without_itself(world_of: Callable[..., World
     path, box = first.start.path, first.start.box
     seen, wanted = around.guard.known_on(path, box), plain.guard.known_on(path, box)
     assert seen.low == pytest.approx(wanted.low)
-    assert around.guard.fixed.ids == ("v0_0", "v2_0")
-    assert world.guard.fixed.ids == ("v0_0", "v1_0")  # nothing is chosen by asking
+    assert around.guard.inserted_known.ids == ("v0_0", "v2_0")
+    assert world.guard.inserted_known.ids == ("v0_0", "v1_0")  # nothing is chosen by asking
 
 
 def test_a_cell_that_begins_farther_on_takes_a_vehicle_there(lane: Callable[..., LaneSegment]) -> None:

@@ -303,6 +303,13 @@ def test_headway_of_an_inserted_follower(judged: Judged, leader: str, gap: float
     assert noted == [("gen_0", Quantity.FOLLOWER_HEADWAY, leader)] * found
 
 
+@pytest.mark.parametrize(("gap", "found"), [(40.0, 1), (60.0, 0)])
+def test_recorded_follower_that_would_have_to_brake_and_does_not(judged: Judged, gap: float, found: int) -> None:
+    """15 m/s behind 5 m/s for 1.9 s: 10^2 / (2 * 21) = 2.4 m/s2 would do at the end; of 60 m 10^2 / (2 * 41) = 1.2."""
+    noted = judged(_at("a", 20.0, 15.0, steps=20), _at("gen_0", 24.5 + gap, 5.0, steps=20))
+    assert noted == [("gen_0", Quantity.FOLLOWER_BRAKING, "a")] * found
+
+
 def test_follower_that_kept_as_little_in_the_recording_is_exempt(judged: Judged) -> None:
     """For 3 s it follows a recorded one at 0.7 s, which turns off; then an inserted one at 0.75 s."""
     recorded = _at("b", 27.0, 10.0, steps=30)

@@ -11,6 +11,7 @@ from hid2.motion.route import (
     LateralMotion,
     Segment,
     first_turn,
+    is_drivable,
     route_points,
     routes_from,
     shifted_path,
@@ -241,3 +242,13 @@ def test_lane_that_undoes_the_kink_before_it_is_no_turn(lane: Callable[..., Lane
     })  # fmt: skip
     assert graph.lanes[2].turn is TurnType.LEFT
     assert first_turn(graph, _path(graph, 1, 2, 3), TurnType.LEFT, after=10.0) is None
+
+
+def test_no_vehicle_drives_along_a_center_turn_lane(lane: Callable[..., LaneSegment]) -> None:
+    """Its line is dashed on its own side, left and right: one of the two alone is the edge of an ordinary lane."""
+    dashed = {"left_mark": "DASH_SOLID_YELLOW"}
+    graph = LaneGraph({
+        1: lane(1, [(0.0, 0.0), (50.0, 0.0)], right_mark="DASH_SOLID_YELLOW", **dashed),
+        2: lane(2, [(0.0, -3.5), (50.0, -3.5)], **dashed),
+    })  # fmt: skip
+    assert [is_drivable(graph, lane_id) for lane_id in (1, 2)] == [False, True]

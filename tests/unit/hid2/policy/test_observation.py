@@ -16,13 +16,14 @@ from hid2.policy.lane_change import Gap, LaneOption
 from hid2.policy.observation import (
     Inserted,
     admissible_neighbor,
-    gap_ahead_of,
+    gap_to_passed,
     gaps_on,
     lane_options,
     lay_across,
     leader_on,
     target_path,
 )
+from hid2.reasons import Reason
 from hid2.scene import Scene
 from netconvert.cells import Cell
 from netconvert.lane_graph import LaneGraph, LaneSegment
@@ -41,19 +42,19 @@ def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
 
 
 def _option(
-    scene: Scene, s: float, *, step: int = 0, fixed: Traffic = NOBODY, fleet: Traffic = NOBODY, speed_mps: float = 10.0
+    scene: Scene, s: float, *, step: int = 0, known: Traffic = NOBODY, driven: Traffic = NOBODY, speed_mps: float = 10.0
 ) -> LaneOption:
     """What lane 2 offers to a car on lane 1 that wants 10 m/s."""
-    path, inserted = scene.paths.along((1,)), Inserted(step, fixed, fleet)
+    path, inserted = scene.paths.along((1,)), Inserted(step, known, driven)
     ((option, _),) = lane_options(
         scene, path, CAR, s=s, sides=("left",), inserted=inserted, speed_mps=speed_mps, desired_mps=10.0
     )
     return option
 
 
-def _gaps(scene: Scene, *, step: int = 0, fixed: Traffic = NOBODY, fleet: Traffic = NOBODY) -> tuple[Gap, Gap]:
+def _gaps(scene: Scene, *, step: int = 0, known: Traffic = NOBODY, driven: Traffic = NOBODY) -> tuple[Gap, Gap]:
     """Gaps of a car at 80 m of lane 2."""
-    return gaps_on(scene, scene.paths.along((2,)), CAR, at=80.0, inserted=Inserted(step, fixed, fleet))
+    return gaps_on(scene, scene.paths.along((2,)), CAR, at=80.0, inserted=Inserted(step, known, driven))
 
 
 def _drive(track: Callable[..., Track], x: float, y: float, speed: float, name: str = "t") -> Track:
@@ -138,8 +139,8 @@ def test_kept_and_driven_vehicles_count_like_recorded_ones(
     scene_of: Callable[..., Scene], box: Callable[..., Traffic]
 ) -> None:
     """One kept in a round before drives at 5 m/s from 90 m on and is at 110 after 4 s; the fleet is as it is now."""
-    fixed, fleet = box(90.0, 3.5, 0.0, 5.0), box(50.0, 3.5, 0.0, 7.0, steps=1)
-    front, rear = _gaps(scene_of(), step=40, fixed=fixed, fleet=fleet)
+    known, driven = box(90.0, 3.5, 0.0, 5.0), box(50.0, 3.5, 0.0, 7.0, steps=1)
+    front, rear = _gaps(scene_of(), step=40, known=known, driven=driven)
     assert front.distance_m == pytest.approx(25.5, abs=0.6)
     assert rear.distance_m == pytest.approx(25.5, abs=0.6)
     assert (front.speed_mps, rear.speed_mps) == pytest.approx((5.0, 7.0))
@@ -150,7 +151,7 @@ def test_free_corridor_ends_at_who_is_slower_than_desired(
     speed: float, corridor: float, scene_of: Callable[..., Scene], box: Callable[..., Traffic]
 ) -> None:
     """At 80 m of 200, somebody at 109 m ahead on the lane beside: bumper gap 24.5 m; who drives 10 m/s leaves it."""
-    option = _option(scene_of(), 80.0, fixed=box(109.0, 3.5, 0.0, speed))
+    option = _option(scene_of(), 80.0, known=box(109.0, 3.5, 0.0, speed))
     assert option.corridor_m == pytest.approx(corridor, abs=0.6)
 
 
@@ -165,9 +166,9 @@ def test_generated_vehicles_hold_the_cells_where_the_simulation_has_them_now(
     scene = scene_of()
 
     def is_free(x: float) -> bool:
-        fixed = box(x, 3.5, length_m=3.0) if who == "kept" else NOBODY
-        fleet = box(x, 3.5, steps=1, length_m=3.0) if who == "driven" else NOBODY
-        return _option(scene, 42.0, step=70, fixed=fixed, fleet=fleet).cells_free
+        known = box(x, 3.5, length_m=3.0) if who == "kept" else NOBODY
+        driven = box(x, 3.5, steps=1, length_m=3.0) if who == "driven" else NOBODY
+        return _option(scene, 42.0, step=70, known=known, driven=driven).cells_free
 
     assert [is_free(x) for x in (34.0, 38.0, 46.0, 50.0)] == [True, False, False, True]
 
@@ -238,12 +239,12 @@ def gap_to(straight_path: DrivenPath) -> Callable[..., float]:
     """Gap to a passed vehicle "p" at a step, driving at 10 m/s from s = 50 m on at step 0."""
 
     def find(passed: Traffic, step: int) -> float:
-        return gap_ahead_of(straight_path, CAR, s=50.0 + step, lane=straight_path, passed_id="p", here=passed.at(step))
+        return gap_to_passed(straight_path, CAR, s=50.0 + step, lane=straight_path, passed_id="p", here=passed.at(step))
 
     return find
 
 
-def test_gap_ahead_of_the_passed_vehicle_begins_when_it_is_behind(
+def test_gap_to_the_passed_vehicle_begins_when_it_is_behind(
     gap_to: Callable[..., float], box: Callable[..., Traffic]
 ) -> None:
     """It stands at 51, ahead; two steps of 1 m later it is 3.5 m short of clear, ten later 9 - 4.5 = 4.5 m behind."""
@@ -274,6 +275,26 @@ def test_path_across_ends_in_the_middle_of_the_other_lane(scene_of: Callable[...
     assert start == pytest.approx(40.0, abs=1.01)  # it begins at a point of the path, 1 m apart
     assert (end - start) / 10.0 == pytest.approx(4.0, abs=0.15)
     assert path.line.position(np.array([end + 1.0]))[0, 1] == pytest.approx(3.5, abs=0.05)
+
+
+@pytest.mark.parametrize(("joint", "is_laid"), [(55.0, False), (65.0, True)])
+def test_no_path_across_a_line_that_is_solid_where_it_is_crossed(
+    scene_of: Callable[..., Scene], lane: Callable[..., LaneSegment], joint: float, is_laid: bool
+) -> None:
+    """From 40 m on at 10 m/s in 4 s: half way across at 60 m."""
+    graph = LaneGraph({
+        1: lane(1, [(0.0, 0.0), (joint, 0.0)], left=2, successors=(3,)),
+        2: lane(2, [(0.0, 3.5), (joint, 3.5)], right=1, successors=(4,)),
+        3: lane(3, [(joint, 0.0), (200.0, 0.0)], left=4, left_mark="SOLID_WHITE"),
+        4: lane(4, [(joint, 3.5), (200.0, 3.5)], right=3, right_mark="SOLID_WHITE"),
+    })  # fmt: skip
+    scene = scene_of(graph=graph)
+    path = lay_across(
+        scene, scene.paths.along((1, 3)), scene.paths.along((2, 4)), s=40.0, step=10, speed_mps=np.array([10.0]),
+        remaining_m=160.0, driver=replace(usual_driver(10.0), lane_change_s=4.0),
+    )  # fmt: skip
+    assert isinstance(path, DrivenPath) is is_laid
+    assert is_laid or path is Reason.SOLID_LINE
 
 
 def test_no_path_across_to_a_lane_that_ends(scene_of: Callable[..., Scene], lane: Callable[..., LaneSegment]) -> None:

@@ -54,8 +54,8 @@ def test_overtake_waits_for_the_first_condition_that_fails(changed: dict[str, An
 
 def test_return_waits_until_the_leader_is_behind() -> None:
     """return_gap 5 m: at 4.9 m ahead of it not yet, beside it (-3 m) neither."""
-    assert return_reason(OPEN, lead_gap_m=-3.0, params=PARAMS) == "not_ahead"
-    assert return_reason(OPEN, lead_gap_m=4.9, params=PARAMS) == "not_ahead"
-    assert return_reason(OPEN, lead_gap_m=5.0, params=PARAMS) is None
-    assert return_reason(replace(OPEN, cells_free=False), lead_gap_m=9.0, params=PARAMS) == "no_lane"
-    assert return_reason(replace(OPEN, front=Gap(5.9, 0.0)), lead_gap_m=9.0, params=PARAMS) == "front_gap"
+    assert return_reason(OPEN, passed_gap_m=-3.0, params=PARAMS) == "not_ahead"
+    assert return_reason(OPEN, passed_gap_m=4.9, params=PARAMS) == "not_ahead"
+    assert return_reason(OPEN, passed_gap_m=5.0, params=PARAMS) is None
+    assert return_reason(replace(OPEN, cells_free=False), passed_gap_m=9.0, params=PARAMS) == "no_lane"
+    assert return_reason(replace(OPEN, front=Gap(5.9, 0.0)), passed_gap_m=9.0, params=PARAMS) == "front_gap"

@@ -1,5 +1,6 @@
 """Algorithm 1 for a vehicle at a step: what it observes, what it decides, and its path across; live and in rollouts."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -9,9 +10,9 @@ from hid2.agents import FloatArray, Policy
 from hid2.drivers.driver import free_speeds
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
-from hid2.policy.decision import Observation, decide, is_due
+from hid2.policy.decision import Observation, decide, gap_view, is_due
 from hid2.policy.lane_change import OPEN, Gap, LaneOption, SumoAnswer
-from hid2.policy.observation import Inserted, gap_ahead_of, gaps_on, lane_options, lay_across, leader_on, returns_to
+from hid2.policy.observation import Inserted, gap_to_passed, gaps_on, lane_options, lay_across, leader_on, returns_to
 from hid2.policy.overtake import SHIFT_RATIO, Stage
 from hid2.reasons import Reason
 from hid2.scene import Scene
@@ -24,13 +25,12 @@ AskSumo = Callable[[Side], SumoAnswer]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Across:
-    """A lane change that is decided. path: the way across; target: that of the lane beside.
+    """A lane change that is decided. path: the way across.
 
     shift, stage: what becomes of the vehicle if it is carried out; leader_id: what it then overtakes.
     """
 
     path: DrivenPath
-    target: DrivenPath
     shift: Shift
     stage: Stage
     leader_id: str | None
@@ -54,7 +54,7 @@ def advance(vehicle: DrivenVehicle, scene: Scene, now: int) -> bool:
 
 
 def foreseen_speeds(vehicle: DrivenVehicle, scene: Scene, now: int) -> FloatArray:
-    """(M,) m/s of a vehicle at the steps to come: up to its wish on a free road."""
+    """(M,) m/s of a vehicle at the steps to come: up to its desired speed on a free road."""
     start = vehicle.start
     free = free_speeds(start.driver, start.desired[now:], speed_mps=vehicle.v[-1], step_s=scene.step_s)
     return np.maximum(free, scene.config.lane_change.min_speed_mps)
@@ -64,21 +64,21 @@ def foreseen_speeds(vehicle: DrivenVehicle, scene: Scene, now: int) -> FloatArra
 class ManoeuvreDue:
     """A vehicle at a step for which a manoeuvre is due.
 
-    fixed: vehicles with known motion (T steps); others: those driven with it, as they are now (one step).
+    inserted_known: vehicles with known motion (T steps); others: those driven with it, as they are now (one step).
     """
 
     scene: Scene
     vehicle: DrivenVehicle
     now: int
-    fixed: Traffic
+    inserted_known: Traffic
     others: Traffic
 
     @property
     def _inserted(self) -> Inserted:
-        return Inserted(self.now, self.fixed, self.others)
+        return Inserted(self.now, self.inserted_known, self.others)
 
-    def decide(self, ask_sumo: AskSumo | None = None) -> Across | None:
-        """Observe and decide; the way across where the decision is a lane change. Each look at a gap is recorded."""
+    def observe_and_decide(self, ask_sumo: AskSumo | None = None) -> Across | None:
+        """Algorithm 1; the way across where the decision is a lane change. Each look at a gap is recorded."""
         vehicle, config = self.vehicle, self.scene.config
         options = self._options(ask_sumo)
         leader = self._leader() if options else None
@@ -97,12 +97,11 @@ class ManoeuvreDue:
             return None
         shift = Shift(
             side=option.side, source_lane=vehicle.path.segment_at(vehicle.s[-1]).lane_id,
-            target_lane=option.target.lane_id, requested_step=self.now, gap_front_m=option.front.distance_m,
-            gap_rear_m=option.rear.distance_m,
+            target_lane=option.target.lane_id, requested_step=self.now, target=target, view=gap_view(seen, option),
         )  # fmt: skip
-        stage = Stage.RETURN if vehicle.stage is Stage.PASS else Stage.ENTER
-        overtakes = leader is not None and stage is Stage.ENTER
-        return Across(path, target, shift, stage, leader.track_id if overtakes and leader else vehicle.leader_id)
+        if vehicle.stage is Stage.PASS:
+            return Across(path, shift, Stage.RETURN, vehicle.leader_id)
+        return Across(path, shift, Stage.ENTER, None if leader is None else leader.track_id)
 
     def refuse(self, reason: Reason) -> None:
         """The rule took the last gap, but there is no safe path into it, for a reason of the path."""
@@ -132,11 +131,11 @@ class ManoeuvreDue:
         return leader_on(path, box, s=s, d_obs_m=d_obs_m, here=self._vehicles())
 
     def passed_gap_m(self) -> float:
-        """How far the overtaken vehicle is behind, m; -1 where there is none."""
+        """From the rear bumper to the overtaken vehicle behind, m; -inf unless it is passed."""
         vehicle = self.vehicle
         if vehicle.stage is not Stage.PASS or vehicle.leader_id is None:
-            return -1.0
-        return gap_ahead_of(
+            return -math.inf
+        return gap_to_passed(
             vehicle.path, vehicle.start.box, s=vehicle.s[-1], lane=vehicle.start.path, passed_id=vehicle.leader_id,
             here=self._vehicles(),
         )  # fmt: skip
@@ -144,7 +143,7 @@ class ManoeuvreDue:
     def _vehicles(self) -> Traffic:
         """Vehicles that can be overtaken, as they are now (one step)."""
         recorded = self.scene.traffic.at(self.now).rows(self.scene.vehicle_rows.tolist())
-        return recorded.joined(self.fixed.at(self.now), self.others)
+        return recorded.joined(self.inserted_known.at(self.now), self.others)
 
     def _observation(self, options: tuple[LaneOption, ...], leader: Gap | None) -> Observation:
         vehicle, start, scene = self.vehicle, self.vehicle.start, self.scene
