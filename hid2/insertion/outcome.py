@@ -68,9 +68,8 @@ def takes_gap(scene: Scene, kept: ExportedVehicle, inserted: Traffic) -> bool:
     for shift in kept.driven.shifts:
         seen = shift.view
         front, rear = gaps_at_request(scene, kept, shift, inserted)
-        now = replace(
-            seen, front=min(front, seen.front, key=_distance_m), rear=min(rear, seen.rear, key=_distance_m)
-        )  # fmt: skip
+        front, rear = min(front, seen.front, key=_distance_m), min(rear, seen.rear, key=_distance_m)
+        now = replace(seen, front=front, rear=rear)
         if set(rule_refusals(now, params)) - set(rule_refusals(seen, params)):
             return True
     return False

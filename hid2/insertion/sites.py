@@ -116,11 +116,8 @@ class InsertionSites:
 
     def __post_init__(self) -> None:
         """Sites of all kinds share the starts of the round."""
-        here = self.here
-        self.starts = Starts(
-            here.scene, here.roads, here.meetings, self.guard, self.rng, self.round_number,
-            changers=[one for one in self.kept if one.driven.shifts],
-        )  # fmt: skip
+        here, changers = self.here, [one for one in self.kept if one.driven.shifts]
+        self.starts = Starts(here.scene, here.roads, here.meetings, self.guard, self.rng, self.round_number, changers)
         self.overtakes = OvertakeStarts(here, self.starts)
         self.entering = EntrySites(here, self.starts, self.spread, self.asked[Policy.STRAIGHT])
 

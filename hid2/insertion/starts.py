@@ -65,9 +65,9 @@ _MADE_TO_BRAKE_MPS2 = 1.2
 #: No tunable: none is to wait astride of two lanes for longer, s.
 _ASTRIDE_S = 1.0
 #: Verdicts that another driver may change.
-_ANOTHER_DRIVER = frozenset({
-    Reason.TTC_RECORDED_FOLLOWER, Reason.FOLLOWER_BRAKING, Reason.FOLLOWER_HEADWAY, Reason.LEAVES_TOO_EARLY,
-})  # fmt: skip
+_ANOTHER_DRIVER = frozenset(
+    {Reason.TTC_RECORDED_FOLLOWER, Reason.FOLLOWER_BRAKING, Reason.FOLLOWER_HEADWAY, Reason.LEAVES_TOO_EARLY}
+)
 #: No tunable: by so much, s, SUMO may be later than a rollout at the end of an overtake.
 _SPARE_S = 0.2
 
