@@ -82,7 +82,8 @@ class Options(Settings):
     """How a batch, and each scene of it, runs. Errors: ConfigError.
 
     scheduler: address of Dask's; resume: skip what is complete and unchanged; argoverse1: write its sequences as well;
-    gaps: write every look at a gap; functions: rules and behaviours of a user's own, module:name, that may be imported.
+    gaps: write every look at a gap; functions: rules and behaviours of a user's own, module:name, that may be imported;
+    contents: what OUT holds of a study or a page, which alone goes on there.
     """
 
     jobs: int = 1
@@ -92,6 +93,7 @@ class Options(Settings):
     argoverse1: bool = False
     gaps: bool = False
     functions: Collection[str] = ()
+    contents: str = ""
 
     def __post_init__(self) -> None:
         """Refuse a time that would never come."""
@@ -148,6 +150,8 @@ def run_batch(
         remove()
         manifest = Manifest(out_dir)
         _check_owners(jobs, manifest, out_dir)
+        if options.contents:
+            manifest.name_contents(options.contents)
         tasks = _tasks(jobs, out_dir, options, manifest, lambda row: note(row, skipped=True))
 
         def note(row: ManifestRow, *, skipped: bool = False) -> None:

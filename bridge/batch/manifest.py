@@ -16,11 +16,11 @@ from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
-from bridge.files import MAX_FILE_MB, append_rows, explained, one_line, read_regular, table_file, untabled
+from bridge.files import MAX_FILE_MB, append_rows, explained, one_line, read_regular, table_file, untabled, write_text
 from bridge.recordings.folders import SPLITS
-from netconvert.errors import BatchError
+from netconvert.errors import BatchError, ConfigError
 
-MANIFEST_NAME = "manifest.csv"
+MANIFEST_NAME, CONTENTS_NAME = "manifest.csv", "contents.txt"
 #: Last column: CRC-32 of the line up to it.
 CHECK = "check"
 #: Longest text in a row, characters; the bundle of a scene has all of its reason.
@@ -133,6 +133,15 @@ class Manifest:
     def get(self, key: tuple[str, str, str, int]) -> ManifestRow | None:
         """The row about a scene, configuration and variant."""
         return self._rows.get(key)
+
+    def name_contents(self, contents: str) -> None:
+        """Write down beside it what the rows are of. Errors: ConfigError where they are of anything else."""
+        path = self.path.with_name(CONTENTS_NAME)
+        known = path.read_text(encoding="utf-8", errors="replace").strip() if path.is_file() else ""
+        if self._rows and known != contents:
+            held = f"{path}: {one_line(known, most=300)!r}" if known else f"{self.path}: runs of another command"
+            raise ConfigError(f"{held} is there, expected {contents!r}, or nothing: please take another OUT")
+        write_text(path, f"{contents}\n")
 
     def add(self, row: ManifestRow) -> None:
         """Append a row to the file."""

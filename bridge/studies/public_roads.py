@@ -25,7 +25,7 @@ from bridge.pages.parts import text
 from bridge.recordings.road import Road, RoadPart, read_road, write_road
 from bridge.studies.gap_acceptance import troutbeck
 from bridge.studies.road_traffic import CELL_M, CELL_S
-from bridge.studies.run import RunsReport, check_contents
+from bridge.studies.run import RunsReport
 from bridge.studies.statistics import LONG_GAP_S, estimates
 from bridge.studies.study import Value, configured, grid, read_run
 from bridge.toml import read_toml_as
@@ -233,8 +233,9 @@ class RoadResult:
 def run_public(page: PublicRoads, out_dir: Path, options: Options, *, on_row: OnRow | None = None) -> RunsReport:
     """Tune each rule, test it, try the causes, and write the page. Errors: BatchError, ConfigError, ExportError."""
     names = {next(page.configs(page.road[0], rule, {})).lane_change.rule for rule in page.rule}  # the user's own file
-    how = replace(options, function=WORK, functions=names, resume=True)
-    check_contents(out_dir, f"page of public roads: {one_line(page.title, most=200)}")
+    contents = f"page of public roads: {one_line(page.title, most=200)}"
+    how = replace(options, function=WORK, functions=names, resume=True, contents=contents)
+    run_batch([], out_dir, how)  # refuses the folder of another page before a road is written
     folders = {site.file: write_road(out_dir / "roads", site.file) for site in page.road}
     rows: dict[tuple[str, str], ManifestRow] = {}
 

@@ -7,27 +7,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bridge.batch.batch import OnRow, Options, run_batch, with_own
-from bridge.batch.manifest import DONE, MANIFEST_NAME, ManifestRow, read_manifest
-from bridge.files import one_line, write_text
+from bridge.batch.manifest import DONE, ManifestRow
+from bridge.files import one_line
 from bridge.studies.study import Study, tables
 from netconvert.errors import ConfigError
 
 #: What does the runs, and what also writes their trajectories for SSAM.
 WORK, WORK_FOR_SSAM = "bridge.studies.paired:measure_runs", "bridge.studies.paired:measure_runs_for_ssam"
-
-
-#: In OUT: what its runs are of.
-CONTENTS_FILE = "contents.txt"
-
-
-def check_contents(out: Path, contents: str) -> None:
-    """Write down what a folder's runs are of. Errors: ConfigError where it holds runs of anything else; ExportError."""
-    path = out / CONTENTS_FILE
-    known = path.read_text(encoding="utf-8", errors="replace").strip() if path.is_file() else ""
-    if known != contents and read_manifest(out / MANIFEST_NAME)[0]:
-        held = f"{path}: {one_line(known, most=300)!r}" if known else f"{out / MANIFEST_NAME}: runs of another command"
-        raise ConfigError(f"{held} is there, expected {contents!r}, or nothing: please take another OUT")
-    write_text(path, f"{contents}\n")
 
 
 class RunsReport(NamedTuple):
@@ -52,9 +38,9 @@ def run_study(
     trj: beside each run that is done, its trajectories for SSAM. Errors: BatchError, ExportError, ConfigError where
     out_dir holds another study.
     """
-    with_own(study.jobs, study.rules)  # before anything is written
-    check_contents(out_dir, f"study {study.name}: {study.kind} by {', '.join(study.points[0])}")
-    options = replace(options, function=WORK_FOR_SSAM if trj else WORK, functions=study.rules)  # in the user's own file
+    contents = f"study {study.name}: {study.kind} by {', '.join(study.points[0])}"
+    functions = study.rules  # in the user's own file
+    options = replace(options, function=WORK_FOR_SSAM if trj else WORK, functions=functions, contents=contents)
     rows = run_batch(study.jobs, out_dir, options, on_row=on_row)
     from bridge.studies.page import write_results  # pandas, statsmodels, matplotlib: at the end
 
