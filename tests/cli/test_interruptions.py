@@ -95,7 +95,7 @@ def test_command_is_interrupted_at_work_as_by_a_terminal(
 
 
 def test_batch_says_what_is_done_and_goes_on(data_scenes: dict[str, Path], tmp_path: Path) -> None:
-    arguments = ["generate", data_scenes["curve"], "-o", "out", "--agents", "1", "--variants", "12"]
+    arguments = ["generate", data_scenes["curve"], "-o", "out", "--agents", "1", "--variants", "30"]
     command = Command([*arguments, "-v"], tmp_path)
     command.wait_for(lambda: " placed, " in command.said())
     command.send(signal.SIGTERM, to_group=False)
@@ -103,11 +103,11 @@ def test_batch_says_what_is_done_and_goes_on(data_scenes: dict[str, Path], tmp_p
     assert faults(left, signal.SIGTERM, tmp_path / "out") == []
     assert left.stderr.endswith("finished scenes are in out/manifest.csv; continue with --resume\n")
     made = len((tmp_path / "out" / "manifest.csv").read_text().splitlines()) - 1
-    assert 1 <= made < 12
+    assert 1 <= made < 30
     assert Command([*arguments, "--resume"], tmp_path).left().code == 0
     with (tmp_path / "out" / "manifest.csv").open() as file:
         rows = {int(row["variant"]): row for row in csv.DictReader(file)}
-    assert {variant: row["status"] for variant, row in rows.items()} == dict.fromkeys(range(12), "done")
+    assert {variant: row["status"] for variant, row in rows.items()} == dict.fromkeys(range(30), "done")
     assert {path.name for path in (tmp_path / "out").glob("*/*")} == {Path(row["folder"]).name for row in rows.values()}
 
 

@@ -154,7 +154,7 @@ def test_leader_who_is_followed_by_a_kept_vehicle_speaks_for_no_other_site(scene
     free, _ = sites._weights(Policy.STRAIGHT, rows)
     kept = sites.starts.make(_request(), Site(meetings.routes.offers(1)[0], 80.0))
     assert isinstance(kept, Start)
-    sites.kept = [kept]
+    sites.kept = [SimpleNamespace(driven=SimpleNamespace(start=kept))]
     taken, _ = sites._weights(Policy.STRAIGHT, rows)
     assert free[0] == pytest.approx(LEADER_WEIGHT * taken[0])
 
