@@ -35,6 +35,9 @@ SLOW_LEADER_SHARE = 0.5, 0.7
 #: of a bumper's length, a time is what PET and TTC keep.
 PET_MARGIN_M = 0.5
 _RUN_ON_M = 250.0  # no tunable: without topology a vehicle runs straight on, farther than any scene lasts
+#: Before their first state and after their last, s, recorded agents are kept clear of, as if they drove on. No tunable:
+#: what is nearer in time than that is seen to drive through another one.
+_UNSEEN_S = 0.5
 #: Recorded vehicles that drive slower than this do not move, m/s.
 MOVES_MPS = 1.0
 #: Clearance boxes are rounded up to these, m, so that vehicles of about one size share what is known of a path.
@@ -113,6 +116,11 @@ class Scene:
             clear_steps=max(math.ceil(self.config.conflict.pet_min_s / self.step_s) + 1, self.steps_in(at_least_s)),
             clear_margin_m=PET_MARGIN_M,
         )  # fmt: skip
+
+    @cached_property
+    def lasting(self) -> Traffic:
+        """`future`, with each agent there a little before it is seen and after, too: it comes from somewhere."""
+        return self.future.lasting(self.steps_in(_UNSEEN_S), step_s=self.step_s)
 
     @property
     def num_recorded(self) -> int:

@@ -156,7 +156,7 @@ class Guard:
         scene, newest = self.scene, self._newest.get((path, box))
         if newest is not None and newest[0] is scene.future and newest[1] is self.inserted_known:
             return newest[-1]
-        recorded = scene.kept_clear_on(path, box, scene.future)
+        recorded = scene.kept_clear_on(path, box, scene.lasting)
         inserted = scene.kept_clear_on(path, box, self.inserted_known, at_least_s=scene.config.signals.before_s)
         is_same = newest is not None and newest[2] is recorded and newest[3] is inserted
         known = newest[-1] if newest is not None and is_same else scene.with_inserted(recorded, inserted)

@@ -1,7 +1,7 @@
 """Boxes of many agents over time, as dense arrays: what is known, or predicted, of other agents."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -80,6 +80,18 @@ class Traffic:
         on["position"] = self.position[:, last:] + ahead * self.velocity[:, last:]
         on = {name: np.concatenate([getattr(self, name), then], axis=1) for name, then in on.items()}
         return Traffic(self.ids, length_m=self.length_m, width_m=self.width_m, **on)
+
+    def lasting(self, steps: int, *, step_s: float) -> "Traffic":
+        """The same, and before the first and behind the last state of an agent so many more at constant velocity."""
+        found: dict[str, Any] = {name: getattr(self, name).copy() for name in _BY_STEP}
+        for row, there in enumerate(self.present):
+            at = np.flatnonzero(there)
+            for end, more in ((at[0], np.arange(at[0] - steps, at[0])), (at[-1], at[-1] + 1 + np.arange(steps))):
+                more = more[(more >= 0) & (more < self.num_steps)]
+                for name in _BY_STEP:
+                    found[name][row, more] = getattr(self, name)[row, end]
+                found["position"][row, more] += step_s * (more - end)[:, None] * self.velocity[row, end]
+        return replace(self, **found)
 
     def joined(self, *others: "Traffic") -> "Traffic":
         """Agents of all, self first."""

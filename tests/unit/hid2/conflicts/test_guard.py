@@ -123,7 +123,7 @@ def test_leader_that_a_driver_copes_with_is_not_the_guards_business(look: Callab
     assert look(recorded(75.0, 0.0, 8.0)).decel_mps2 == 0.0
 
 
-@pytest.mark.parametrize(("first", "brakes"), [(0, False), (5, True)], ids=["in sight", "appears in 0.5 s"])
+@pytest.mark.parametrize(("first", "brakes"), [(0, False), (10, True)], ids=["in sight", "appears in 1 s"])
 def test_leader_in_sight_is_left_to_sumo_up_to_the_hardest_braking(
     look: Callable[..., Braking], first: int, brakes: bool
 ) -> None:

@@ -19,6 +19,15 @@ def test_gap_inside_a_track_is_filled_on_the_straight_between(track: Callable[..
     assert traffic.position[0, 1:4, 0].tolist() == [0.0, 2.0, 4.0]
 
 
+def test_agent_is_there_a_little_before_it_is_seen_and_after(track: Callable[..., Track]) -> None:
+    """Seen at steps 3 to 5, 1 m apart: two steps more on each side, those within the scene."""
+    seen = traffic_of([track([3, 4, 5], [3.0, 4.0, 5.0])], 7, step_s=0.1)
+    found = seen.lasting(2, step_s=0.1)
+    assert found.present[0].tolist() == [False, *[True] * 6]
+    assert found.position[0, 1:, 0] == pytest.approx([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    assert seen.present[0].sum() == 3
+
+
 def test_heading_in_a_gap_turns_the_short_way_round(track: Callable[..., Track]) -> None:
     """From 170 to -170 degrees through 180, not through 0."""
     heading = np.radians([170.0, -170.0])
