@@ -10,7 +10,7 @@ from hid2.agents import FloatArray, Policy
 from hid2.drivers.driver import free_speeds
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
-from hid2.policy.decision import Observation, decide, gap_view, is_due
+from hid2.policy.decision import Observation, decide, is_due
 from hid2.policy.lane_change import OPEN, Gap, LaneOption, SumoAnswer
 from hid2.policy.observation import Inserted, gap_to_passed, gaps_on, lane_options, lay_across, leader_on, returns_to
 from hid2.policy.overtake import SHIFT_RATIO, Stage
@@ -97,7 +97,7 @@ class ManoeuvreDue:
             return None
         shift = Shift(
             side=option.side, source_lane=vehicle.path.segment_at(vehicle.s[-1]).lane_id,
-            target_lane=option.target.lane_id, requested_step=self.now, target=target, view=gap_view(seen, option),
+            target_lane=option.target.lane_id, requested_step=self.now, target=target,
         )  # fmt: skip
         if vehicle.stage is Stage.PASS:
             return Across(path, shift, Stage.RETURN, vehicle.leader_id)

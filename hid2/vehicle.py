@@ -8,7 +8,6 @@ from hid2.drivers.driver import Driver, LaneOffset
 from hid2.motion.route import DrivenPath, Route
 from hid2.policy.lane_change import LaneOption
 from hid2.policy.overtake import Stage
-from hid2.policy.rules import GapView
 from hid2.reasons import Reason
 from netconvert.lane_graph import Side
 
@@ -60,14 +59,13 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Shift:
-    """A change of lanes that SUMO carried out. target: path of the lane changed to; view: what the rule was told."""
+    """A change of lanes that SUMO carried out. target: path of the lane changed to."""
 
     side: Side
     source_lane: int
     target_lane: int
     requested_step: int
     target: DrivenPath
-    view: GapView
 
 
 @dataclass(frozen=True, slots=True)

@@ -136,11 +136,15 @@ class Manifest:
 
     def name_contents(self, contents: str) -> None:
         """Write down beside it what the rows are of. Errors: ConfigError where they are of anything else."""
-        path = self.path.with_name(CONTENTS_NAME)
-        known = path.read_text(encoding="utf-8", errors="replace").strip() if path.is_file() else ""
+        path, contents, known = self.path.with_name(CONTENTS_NAME), contents.strip(), ""
+        if path.is_file():
+            with explained(path):
+                known = path.read_text(encoding="utf-8", errors="replace").strip()
         if self._rows and known != contents:
-            held = f"{path}: {one_line(known, most=300)!r}" if known else f"{self.path}: runs of another command"
-            raise ConfigError(f"{held} is there, expected {contents!r}, or nothing: please take another OUT")
+            held = repr(one_line(known, most=300)) if known else "no such file, but runs beside it"
+            raise ConfigError(
+                f"{path}: {held}, expected {contents!r}: take another OUT, or write that line into it if it is so"
+            )
         write_text(path, f"{contents}\n")
 
     def add(self, row: ManifestRow) -> None:

@@ -120,7 +120,9 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
     if config.request.focal == "generated":
         focal = _focal(scenario, vehicles, tracks, filling)
         tracks = [replace(t, category=3) if t.track_id == focal else t for t in tracks]
-    sidecar = _sidecar(prepared, scene, filling, vehicles, clean, rounds, variant=variant, sumo_version=sumo_version)
+    sidecar = _sidecar(
+        prepared, filling.scene, filling, vehicles, clean, rounds, variant=variant, sumo_version=sumo_version
+    )
     made = with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=focal)
     return TrafficScene(made, scenario, tuple(vehicles), tuple(rounds.driven))
 
@@ -208,7 +210,7 @@ def _sidecar(
     agents = [
         records.agent_record(
             scene, one, filling.outcomes.get(one.driven.vehicle_id), names,
-            every.rows([other for other in range(len(vehicles)) if other != row]),
+            every.rows([other for other in range(len(vehicles)) if other != row and one.driven.shifts]),
         ) for row, one in enumerate(vehicles)
     ]  # fmt: skip
     if clean:

@@ -82,7 +82,7 @@ def maneuver_record(
     is_turn = BEHAVIOURS[outcome.policy].turn is not None
     shift, front, rear = driven.shifts[0] if driven.shifts else None, OPEN, OPEN
     if shift is not None:
-        front, rear = gaps_at_request(scene, vehicle, shift, others, among_recorded=True)
+        front, rear = gaps_at_request(scene, vehicle, shift, others)
     requested_s = None if shift is None else round(shift.requested_step * vehicle.motion.step_s, 6)
     leader = outcome.leader_id
     return sidecar.ManeuverRecord(

@@ -288,16 +288,15 @@ class Fleet:
         """Where recorded vehicles react: without those behind a vehicle that can yield to it."""
         if self.scene.config.driving.replay == "fixed":
             return obstacles
-        vehicle = self.vehicles[row]
-        rows = self.scene.met_on(path, vehicle.start.box, self.scene.future).agents
+        vehicle, known = self.vehicles[row], obstacles.known
+        recorded = np.flatnonzero(known.agents < self.scene.num_recorded)
         xy, tangent, _ = vehicle.path.line.motion(np.array([vehicle.s[-1]]))
         yields = yielding(
-            self.scene, rows, now, xy=xy[0], forward=tangent[0], half_m=0.5 * vehicle.start.box.length_m,
-            speed_mps=vehicle.v[-1],
+            self.scene, known.agents[recorded], now, xy=xy[0], forward=tangent[0],
+            half_m=0.5 * vehicle.start.box.length_m, speed_mps=vehicle.v[-1],
         )  # fmt: skip
-        known = obstacles.known
         low = known.low.copy()
-        low[: rows.size][yields] = np.inf
+        low[recorded[yields]] = np.inf
         return replace(obstacles, known=known._replace(low=low))
 
 

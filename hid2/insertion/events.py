@@ -161,13 +161,14 @@ class SceneEvents:
         _, size = draw_size(scene.config.request.model_copy(update={"bus_share": 0.0}), rng)
         policy = _POLICY.get(event.kind, Policy.STRAIGHT)
         request = VehicleRequest(FIRST_NUMBER + number, policy, 0.0, size=size)
+        changers = [one for one in self.kept if one.driven.shifts]
         waiting: list[Objective | EventStarts] = list(objectives)
         while left > 0 and waiting:
             starts = waiting.pop(0)
             if isinstance(starts, Objective):
                 lengths_m = 0.5 * (size.length_m + starts.target.track.size.length_m)
                 starts = EventStarts(
-                    scene, self.here.roads, self.here.meetings, guard, rng, 0, rejected=rejected,
+                    scene, self.here.roads, self.here.meetings, guard, rng, 0, rejected=rejected, changers=changers,
                     objective=starts, request=request,
                     places=list(Places(self.here.routes, event, starts.target, lengths_m).all()),
                 )  # fmt: skip

@@ -294,11 +294,13 @@ class Filling:
         for row, reason in conflicting(self.scene, [*self.kept, *new], since=len(self.kept)):
             driven = new[row - len(self.kept)].driven
             gone[driven.vehicle_id] = self._rejection(driven, reason)
+        changers = [] if "collision" in self.scene.config.without else [one for one in self.kept if one.driven.shifts]
         for one in new:
             if any(comes_between(self.scene, event, one) for event in self.events):
                 gone[one.driven.vehicle_id] = self._rejection(one.driven, Reason.BREAKS_EVENT)
-            elif any(takes_gap(self.scene, before, traffic_of_exported([one], self.scene)) for before in self.kept):
-                gone[one.driven.vehicle_id] = self._rejection(one.driven, Reason.TAKES_GAP)
+            alone = traffic_of_exported([one], self.scene)
+            if any(takes_gap(self.scene, before, alone) for before in changers):
+                gone.setdefault(one.driven.vehicle_id, self._rejection(one.driven, Reason.TAKES_GAP))
         new = [one for one in new if one.driven.vehicle_id not in gone]
         for one in new:
             outcome = outcome_of(self.scene, one, [*self.kept, *new])

@@ -15,10 +15,9 @@ from hid2.motion.route import first_turn
 from hid2.occupancy.agent_states import AgentStates
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.behaviours import BEHAVIOURS
-from hid2.policy.lane_change import Gap
+from hid2.policy.lane_change import OPEN, Gap, gap_refusals
 from hid2.policy.observation import Inserted, gaps_on, returns_to
 from hid2.policy.overtake import Stage
-from hid2.policy.rules import rule_refusals
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import Shift
@@ -63,34 +62,30 @@ def outcome_of(scene: Scene, vehicle: ExportedVehicle, kept: Iterable[ExportedVe
 
 
 def takes_gap(scene: Scene, kept: ExportedVehicle, inserted: Traffic) -> bool:
-    """Whether others (A, T + E) are in a gap that a vehicle kept before took, so that the rule would refuse it now."""
-    params = scene.config.lane_change
+    """Whether others (A, T + E) are in a gap that a vehicle kept before took, nearer than the paper's rule allows."""
     for shift in kept.driven.shifts:
-        seen = shift.view
-        front, rear = gaps_at_request(scene, kept, shift, inserted)
-        front, rear = min(front, seen.front, key=_distance_m), min(rear, seen.rear, key=_distance_m)
-        now = replace(seen, front=front, rear=rear)
-        if set(rule_refusals(now, params)) - set(rule_refusals(seen, params)):
+        step = shift.requested_step
+        if not inserted.present[:, step].any():
+            continue
+        front, rear = (
+            one if one.track_id in inserted.ids else OPEN for one in gaps_at_request(scene, kept, shift, inserted)
+        )
+        speed_mps, params = float(kept.motion.v[step - kept.span.start]), scene.config.lane_change
+        if any(gap_refusals(speed_mps=speed_mps, cells_free=True, front=front, rear=rear, params=params)):
             return True
     return False
 
 
-def gaps_at_request(
-    scene: Scene, vehicle: ExportedVehicle, shift: Shift, inserted: Traffic, *, among_recorded: bool = False
-) -> tuple[Gap, Gap]:
+def gaps_at_request(scene: Scene, vehicle: ExportedVehicle, shift: Shift, inserted: Traffic) -> tuple[Gap, Gap]:
     """Gaps of an exported vehicle ahead and behind on the lane that it changes to, when it decided to.
 
-    inserted: others (A, T + E); among_recorded: to recorded agents, too.
+    inserted: others (A, T + E), beside recorded agents.
     """
     step = shift.requested_step
     own, target = vehicle.trajectory.position[step - vehicle.span.start], shift.target
     beside = frenet(own[None], target.raw_line.points, target.raw_line.s)[0]
     at, box = float(target.all_to_line(beside)[0]), vehicle.driven.start.box
-    return gaps_on(scene, target, box, at=at, inserted=Inserted(step, inserted, _NONE), among_recorded=among_recorded)
-
-
-def _distance_m(gap: Gap) -> float:
-    return gap.distance_m
+    return gaps_on(scene, target, box, at=at, inserted=Inserted(step, inserted, _NONE))
 
 
 def _done(vehicle: ExportedVehicle, seen: Maneuver, **more: object) -> Outcome:

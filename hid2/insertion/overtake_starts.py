@@ -196,6 +196,8 @@ class OvertakeStarts:
         """Recorded cars and buses, and inserted vehicles, that drive ahead on a way all the time."""
         scene, known = self.here.scene, self._on(way.path)
         usable = np.isin(known.agents, scene.vehicle_rows) | (known.agents >= scene.num_recorded)
+        recorded = known.agents < scene.num_recorded
+        usable[recorded] &= scene.traffic.present[known.agents[recorded]].all(axis=1)
         usable &= known.same_direction[:, 0] & (known.along[:, 0] > PARKED_MPS) & (known.low[:, 0] > way.first)
         steps = slice(scene.num_steps)
         for row in np.flatnonzero(usable & np.isfinite(known.low[:, steps]).all(axis=1)).tolist():

@@ -86,6 +86,8 @@ class Traffic:
         found: dict[str, Any] = {name: getattr(self, name).copy() for name in _BY_STEP}
         for row, there in enumerate(self.present):
             at = np.flatnonzero(there)
+            if not at.size:
+                continue
             for end, more in ((at[0], np.arange(at[0] - steps, at[0])), (at[-1], at[-1] + 1 + np.arange(steps))):
                 more = more[(more >= 0) & (more < self.num_steps)]
                 for name in _BY_STEP:

@@ -74,7 +74,7 @@ def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) ->
     if due and BEHAVIOURS[seen.request].sides:
         reason = Reason.NO_ADJACENT_LANE
         for option in seen.options:
-            answers.append(rule_refusals(gap_view(seen, option), lane_change))
+            answers.append(rule_refusals(_view(seen, option), lane_change))
             reason = next(iter(answers[-1]), None)
             if reason is None:
                 return Decision(seen.request, option.target, option.side, answers=tuple(answers))
@@ -86,7 +86,7 @@ def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) ->
             else:
                 reason = enter_reason(option, leader=seen.leader, desired_mps=seen.desired_mps, params=overtake)
                 if reason is None and lane_change.rule != "paper":  # its gaps are the conditions above
-                    reason = rule_reason(gap_view(seen, option), lane_change)
+                    reason = rule_reason(_view(seen, option), lane_change)
             answers.append(() if reason is None else (reason,))
             if reason is None:
                 return Decision(Policy.OVERTAKE, option.target, option.side, answers=tuple(answers))
@@ -98,7 +98,7 @@ def policy_on(lane_turn: TurnType) -> Policy:
     return POLICY_OF_TURN.get(lane_turn, Policy.STRAIGHT)
 
 
-def gap_view(seen: Observation, option: LaneOption) -> GapView:
+def _view(seen: Observation, option: LaneOption) -> GapView:
     """What a rule is told of one adjacent lane."""
     driver = seen.driver or usual_driver(seen.desired_mps)
     return GapView(

@@ -99,19 +99,13 @@ def target_path(scene: Scene, path: DrivenPath, lane_id: int, *, s: float) -> Dr
     return scene.paths.beside(tuple(segment.lane_id for segment in path.segments if segment.end > s), lane_id)
 
 
-def gaps_on(
-    scene: Scene, target: DrivenPath, box: BoxSize, *, at: float, inserted: Inserted, among_recorded: bool = True
-) -> tuple[Gap, Gap]:
-    """Bumper gaps ahead and behind at arc length `at` of a path, recorded and generated alike, Frenet metres.
-
-    among_recorded: whether recorded agents count.
-    """
-    recorded = scene.future if among_recorded else Traffic.none(scene.future.num_steps)
-    parts = (recorded, inserted.step), (inserted.known, inserted.step), (inserted.driven, 0)
+def gaps_on(scene: Scene, target: DrivenPath, box: BoxSize, *, at: float, inserted: Inserted) -> tuple[Gap, Gap]:
+    """Bumper gaps ahead and behind at arc length `at` of a path, recorded and generated alike, Frenet metres."""
+    parts = (scene.future, inserted.step), (inserted.known, inserted.step), (inserted.driven, 0)
     every = [(traffic.ids, scene.met_on(target, box, traffic).at(step)) for traffic, step in parts]
     ids = [names[row] for names, seen in every for row in seen.agents]
-    first, *others = (seen for _, seen in every)
-    found = gaps_on_path(first.joined(*others), np.array([at]), 0)
+    recorded, *others = (seen for _, seen in every)
+    found = gaps_on_path(recorded.joined(*others), np.array([at]), 0)
     front, rear = int(found.leader[0]), int(found.follower[0])
     return (
         Gap(float(found.lead_m[0]), float(found.lead_mps[0]), ids[front]) if front >= 0 else OPEN,
@@ -187,10 +181,10 @@ def lay_across(
         motion = LateralMotion(path, target, timing, np.array([s]), np.zeros(1)).foreseen(speeds, step_s)
         along_m = motion.along_m
     assert motion is not None
-    if not _may_cross(scene, motion):
-        return Reason.SOLID_LINE
     if motion.tau.size - 1 > scene.num_steps - 2 - step:
         return Reason.SCENE_ENDS
+    if not _may_cross(scene, motion):
+        return Reason.SOLID_LINE
     return shifted_path(motion, limits=scene.config.limits) or Reason.LANES_NOT_SIDE_BY_SIDE
 
 

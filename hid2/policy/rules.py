@@ -60,14 +60,12 @@ class GapView:
 
 
 #: What a user's rule is tried with before any scene is driven: a free road, and a gap between two vehicles.
-FREE_ROAD = GapView(
+_FREE = GapView(
     time_s=2.0, waited_s=0.5, side="left", speed_mps=10.0, desired_mps=12.0, length_m=4.5, tau_s=1.2, accel_mps2=1.5,
     decel_mps2=2.0, min_gap_m=2.0, cells_free=True, front=OPEN, rear=OPEN, own_front=OPEN, own_rear=OPEN,
     remaining_m=150.0,
 )  # fmt: skip
-_BETWEEN = replace(
-    FREE_ROAD, front=Gap(20.0, 9.0), rear=Gap(15.0, 11.0), own_front=Gap(12.0, 8.0), own_rear=Gap(9.0, 10.0)
-)
+_BETWEEN = replace(_FREE, front=Gap(20.0, 9.0), rear=Gap(15.0, 11.0), own_front=Gap(12.0, 8.0), own_rear=Gap(9.0, 10.0))
 
 
 def rule_refusals(view: GapView, params: LaneChange) -> tuple[Reason, ...]:
@@ -135,10 +133,10 @@ def expected_reason(driver: Driver, params: LaneChange, *, speed_mps: float, sid
     """
     v = max(speed_mps, params.min_speed_mps)
     view = replace(
-        FREE_ROAD, side=side, time_s=params.give_up_s, waited_s=params.give_up_s, speed_mps=v,
+        _FREE, side=side, time_s=params.give_up_s, waited_s=params.give_up_s, speed_mps=v,
         desired_mps=max(v, driver.desired_mps), tau_s=driver.tau_s, accel_mps2=driver.accel_mps2,
         decel_mps2=driver.decel_mps2, min_gap_m=driver.min_gap_m,
-        remaining_m=params.min_remaining_m + FREE_ROAD.remaining_m,
+        remaining_m=params.min_remaining_m + _FREE.remaining_m,
         own_front=Gap(driver.min_gap_m + driver.tau_s * v, 0.5 * v),
         sumo=ASSUMED_ANSWER if params.rule == "LC2013" else None,
     )  # fmt: skip
@@ -150,7 +148,7 @@ def try_rule(params: LaneChange) -> None:
 
     Errors: ConfigError with file and line where it does not do what `rule_refusals` expects.
     """
-    for view in (FREE_ROAD, _BETWEEN):
+    for view in (_FREE, _BETWEEN):
         _answer(params.rule, view, rule_arguments(params))
 
 

@@ -13,7 +13,6 @@ from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
 from hid2.policy.observation import lay_across, target_path
 from hid2.policy.overtake import Stage
-from hid2.policy.rules import FREE_ROAD
 from hid2.scene import Scene, build_scene
 from hid2.vehicle import DrivenVehicle, Shift, Start, VehicleRequest
 from netconvert.cells import build_cell_grid
@@ -89,5 +88,5 @@ def changing(scene: Scene, start: Start, v: npt.ArrayLike, *, to: int, at_step: 
     side = "left" if path.line.position(np.array([path.lateral_spans[0][1]]))[0, 1] > 0.0 else "right"
     vehicle.path, vehicle.stage = path, Stage.DONE
     target = target_path(scene, start.path, to, s=s)
-    vehicle.shifts.append(Shift(side, start.route[0], to, at_step, target, FREE_ROAD))
+    vehicle.shifts.append(Shift(side, start.route[0], to, at_step, target))
     return vehicle

@@ -279,10 +279,10 @@ def test_study_is_resumed_and_writes_what_its_dictionary_says(tmp_path: Path) ->
     first = {path.name: path.read_bytes() for path in report.files}
     again = run_study(study, out, Options(resume=True), on_row=lambda row, progress: seen.append(progress.skipped))
     assert seen[-1] == 6
-    with pytest.raises(ConfigError, match=r"contents\.txt: 'study small: .*' is there, expected 'study other: "):
+    with pytest.raises(ConfigError, match=r"contents\.txt: 'study small: .*', expected 'study other: "):
         run_study(replace(study, name="other"), out, Options(resume=True))
     (out / "contents.txt").unlink()
-    with pytest.raises(ConfigError, match=r"manifest\.csv: runs of another command is there, expected 'study small"):
+    with pytest.raises(ConfigError, match=r"contents\.txt: no such file, but runs beside it, expected 'study small"):
         run_study(study, out, Options(resume=True))
     assert {path.name: path.read_bytes() for path in again.files} == first
     for table in ("runs", "requests", "looks", "gaps", "flow", "dose_response", "lane_changes"):

@@ -241,7 +241,7 @@ def test_page_goes_on_after_a_kill_with_the_same_bytes_and_refuses_runs_that_are
         "With one speed changes per vehicle come",
     ):
         assert said in told
-    with pytest.raises(ConfigError, match=r"contents\.txt: 'page of public roads: A page' is there, expected 'page of"):
+    with pytest.raises(ConfigError, match=r"contents\.txt: 'page of public roads: A page', expected 'page of"):
         run_public(page.model_copy(update={"title": "Another"}), tmp_path / "whole", Options())
     for run in (tmp_path / "whole" / "runs").iterdir():
         (run / "run.json.gz").unlink()

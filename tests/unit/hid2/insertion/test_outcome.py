@@ -62,7 +62,7 @@ def test_gap_that_a_lane_change_takes_is_left_to_it(scene: Scene, behind_m: floa
     later = _exported(scene, driven(start_on(scene, (2,), 40.0 - behind_m, 10.0, number=1), np.full(110, 10.0)))
     inserted = traffic_of_exported([later], scene)
     assert takes_gap(scene, kept, inserted) is is_taken
-    front, rear = gaps_at_request(scene, kept, kept.driven.shifts[0], inserted, among_recorded=True)
+    front, rear = gaps_at_request(scene, kept, kept.driven.shifts[0], inserted)
     assert np.isinf(front.distance_m)
     assert rear.distance_m == pytest.approx(behind_m - 4.5, abs=0.6)
 
