@@ -159,7 +159,7 @@ class Reason(StrEnum):
     BREAKS_EVENT = "breaks_event", "It came between the two vehicles of a lead or follow event at its moment."
     TAKES_GAP = (
         "takes_gap",
-        "It would be in a gap into which a vehicle kept before changes lanes, too near for the rule.",
+        "It would be in a gap that a vehicle kept before takes, nearer than the paper's rule allows.",
     )
     WAITED_FOR_GONE = "waited_for_gone", "It had braked for a vehicle that is not exported, and was driven again."
     STANDS_THROUGHOUT = "stands_throughout", "It stands from the first step to the last."

@@ -31,8 +31,9 @@ _flat = lru_cache(maxsize=2)(flatten_lanes)
 
 def recording_states(recording: Recording, tracks: Sequence[Track] | None = None) -> AgentStates:
     """The states of a recording's tracks, or of others on its map, inserted ones last."""
-    ordered = sorted(recording.tracks if tracks is None else tracks, key=lambda track: is_generated_id(track.track_id))
-    return agent_states(ordered, _flat(recording.graph), num_steps=recording.num_steps, step_s=recording.step_s)
+    every = recording.tracks if tracks is None else tracks
+    inserted = {one.track_id for one in every if is_generated_id(one.track_id)}
+    return states_of(every, _flat(recording.graph), inserted, num_steps=recording.num_steps, step_s=recording.step_s)
 
 
 def states_of(

@@ -298,6 +298,7 @@ class Filling:
         for one in new:
             if any(comes_between(self.scene, event, one) for event in self.events):
                 gone[one.driven.vehicle_id] = self._rejection(one.driven, Reason.BREAKS_EVENT)
+        for one in new if changers else ():
             alone = traffic_of_exported([one], self.scene)
             if any(takes_gap(self.scene, before, alone) for before in changers):
                 gone.setdefault(one.driven.vehicle_id, self._rejection(one.driven, Reason.TAKES_GAP))

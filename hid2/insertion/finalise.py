@@ -169,14 +169,8 @@ def together(scene: Scene, vehicles: Iterable[ExportedVehicle]) -> AgentStates:
 
 
 def as_written(scene: Scene, vehicles: Iterable[ExportedVehicle]) -> AgentStates:
-    """The same with the boxes that they have: what is claimed of them is measured by a reader, who has no others."""
-    tracks = [one.track(one.driven.vehicle_id, 1) for one in vehicles]
-    each = [
-        agent_states(
-            [track], scene.states.lanes, num_steps=scene.num_steps, step_s=scene.step_s, is_inserted=lambda _: True
-        )
-        for track in tracks
-    ]
+    """The same with the boxes that they have: a reader has no others to measure what is claimed of them."""
+    each = (_inserted(scene, one.track(one.driven.vehicle_id, 1)) for one in vehicles)
     return scene.states_as_written.joined(*each)
 
 
@@ -223,9 +217,12 @@ def as_exported(
 
 def states_of_inserted(scene: Scene, track: Track) -> AgentStates:
     """The states of an inserted track as the last word sees them, with its clearance box."""
-    boxed = replace(track, size=clearance_box(track.size, DEFAULT_SIZES[track.object_type]))
+    return _inserted(scene, replace(track, size=clearance_box(track.size, DEFAULT_SIZES[track.object_type])))
+
+
+def _inserted(scene: Scene, track: Track) -> AgentStates:
     return agent_states(
-        [boxed], scene.states.lanes, num_steps=scene.num_steps, step_s=scene.step_s, is_inserted=lambda _: True
+        [track], scene.states.lanes, num_steps=scene.num_steps, step_s=scene.step_s, is_inserted=lambda _: True
     )
 
 
