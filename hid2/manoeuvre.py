@@ -164,7 +164,7 @@ class ManoeuvreDue:
         """The path across to a lane beside; or why there is none."""
         vehicle, scene, start = self.vehicle, self.scene, self.vehicle.start
         path = lay_across(
-            scene, vehicle.path, target, s=vehicle.s[-1], step=self.now,
+            scene, vehicle.path, target, side=option.side, s=vehicle.s[-1], step=self.now,
             speed_mps=foreseen_speeds(vehicle, scene, self.now), remaining_m=option.remaining_m, driver=start.driver,
             ratio=SHIFT_RATIO if vehicle.policy is Policy.OVERTAKE else 1.0,
         )  # fmt: skip

@@ -9,7 +9,6 @@ import numpy as np
 from hid2.agents import Policy
 from hid2.insertion.finalise import ExportedVehicle, together
 from hid2.judge.claims import manoeuvres, overtake_of
-from hid2.kernels.polyline import frenet
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind
 from hid2.motion.route import first_turn
 from hid2.occupancy.agent_states import AgentStates
@@ -83,9 +82,8 @@ def gaps_at_request(scene: Scene, vehicle: ExportedVehicle, shift: Shift, insert
     """
     step = shift.requested_step
     own, target = vehicle.trajectory.position[step - vehicle.span.start], shift.target
-    beside = frenet(own[None], target.raw_line.points, target.raw_line.s)[0]
-    at, box = float(target.all_to_line(beside)[0]), vehicle.driven.start.box
-    return gaps_on(scene, target, box, at=at, inserted=Inserted(step, inserted, _NONE))
+    at, _ = target.frenet(own[None])
+    return gaps_on(scene, target, vehicle.driven.start.box, at=float(at[0]), inserted=Inserted(step, inserted, _NONE))
 
 
 def _done(vehicle: ExportedVehicle, seen: Maneuver, **more: object) -> Outcome:

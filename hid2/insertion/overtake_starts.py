@@ -18,7 +18,6 @@ from hid2.drivers.driver import Driver, draw_driver, wandering, with_wander
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.starts import CLEAR_GAP_M, Site, Starts, speed_behind
 from hid2.insertion.surroundings import Surroundings
-from hid2.kernels.polyline import frenet
 from hid2.kernels.rollout import met_by
 from hid2.measures.manoeuvres import PARKED_MPS
 from hid2.motion.lane_change_path import LateralTiming
@@ -188,8 +187,8 @@ class OvertakeStarts:
         first, last = path.to_line(max(offer.start_m, stretch[0] - reach_m)), path.to_line(lane_end)
         end = min(path.to_line(stretch[1]), path.exit_s - _BOX.length_m)
         here_s = np.array([max(first, path.to_line(stretch[0]))])
-        there, aside = frenet(path.line.position(here_s), beside.raw_line.points, beside.raw_line.s)
-        shift_m = float((beside.all_to_line(there) - here_s)[0])
+        there, aside = beside.frenet(path.line.position(here_s))
+        shift_m = float((there - here_s)[0])
         return _Way(offer, lane_id, side, path, beside, first, last, end, abs(float(aside[0])), shift_m)
 
     def _known(self, way: _Way) -> Iterator[_Leader]:

@@ -17,7 +17,6 @@ from hid2.conflicts.guard import ACROSS_S, STRIDE, Guard
 from hid2.conflicts.stop_lines import AMBER_S, STOPS
 from hid2.judge.findings import FOLLOWER_HEADWAY_S, FOLLOWER_LACKS_MPS2, MOVES_M, export_bounds
 from hid2.judge.states import contacts_at_end, lacked_braking, recorded_headways, sustained_headway
-from hid2.kernels.polyline import frenet
 from hid2.kernels.rollout import CONTACT, LAG_TTC, LEAD_TTC, met_by, roll
 from hid2.manoeuvre import ManoeuvreDue, advance
 from hid2.measures.encounters import STANDS_FOR_S, STANDS_MPS
@@ -445,9 +444,9 @@ class World:
     def _shown_beside(self, path: DrivenPath, target: DrivenPath, box: BoxSize) -> Shown:
         """Those on the path of a lane, by the arc length of a path that leads across to it."""
         over = path.lateral_spans[-1].end
-        there = frenet(path.line.position(np.array([over])), target.raw_line.points, target.raw_line.s)[0]
+        there, _ = target.frenet(path.line.position(np.array([over])))
         seen = self._shown_on(target, box)
-        return replace(seen, middle=seen.middle - (float(target.all_to_line(there)[0]) - over))
+        return replace(seen, middle=seen.middle - (float(there[0]) - over))
 
 
 def _drive_on(vehicle: DrivenVehicle, part: Rollout, step: int) -> None:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hid2.agents import FloatArray, IntArray
+from hid2.kernels.polyline import frenet
 from hid2.motion.lane_change_path import LateralTiming, blend_paths, lateral_share
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line
 from hid2.once import once
@@ -124,6 +125,11 @@ class DrivenPath:
     def all_to_line(self, raw_s: FloatArray) -> FloatArray:
         """The same for many, (M,) m."""
         return np.interp(raw_s, self.raw_s, self.line.points_s)
+
+    def frenet(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Of points (M, 2) m: arc lengths on the line and offsets from the raw polyline, left positive, (M,) m each."""
+        raw_s, offset = frenet(xy, self.raw_line.points, self.raw_line.s)
+        return self.all_to_line(raw_s), offset
 
     def to_raw(self, s: float) -> float:
         """Arc length on the raw polyline of an arc length on the line."""

@@ -155,10 +155,10 @@ def gap_to_passed(
 
 
 def lay_across(
-    scene: Scene, path: DrivenPath, target: DrivenPath, *, s: float, step: int, speed_mps: FloatArray,
+    scene: Scene, path: DrivenPath, target: DrivenPath, *, side: Side, s: float, step: int, speed_mps: FloatArray,
     remaining_m: float, driver: Driver, ratio: float = 1.0,
 ) -> DrivenPath | Reason:  # fmt: skip
-    """Path that shifts to `target` from arc length s on, in the driver's time; or why there is none.
+    """Path that shifts to `target`, on a side, from arc length s on, in the driver's time; or why there is none.
 
     speed_mps (M,): foreseen at the steps to come, of which the last one goes on; ratio: of the usual durations. The
     motion is no longer than the lane and the scene have room for, and no shorter than the shortest duration.
@@ -171,7 +171,7 @@ def lay_across(
     time_left_s = _TIME_SHARE * (scene.num_steps - 1 - step) * step_s - _SPARE_S
     motion, apart_m, along_m = None, 0.0, np.array([s])
     for _ in range(2):  # lanes may part: it is as far to the other one as it gets on the way
-        aside_m = frenet(path.line.position(along_m), target.raw_line.points, target.raw_line.s)[1]
+        _, aside_m = target.frenet(path.line.position(along_m))
         apart_m = max(apart_m, float(np.abs(aside_m).max()))
         timing = LateralTiming.of(ratio * driver.lane_change_s, apart_m, change)
         over_s = timing.lasting_s - min(time_left_s, room_s)
@@ -183,20 +183,17 @@ def lay_across(
     assert motion is not None
     if motion.tau.size - 1 > scene.num_steps - 2 - step:
         return Reason.SCENE_ENDS
-    if not _may_cross(scene, motion):
+    if not _may_cross(scene, motion, side):
         return Reason.SOLID_LINE
     return shifted_path(motion, limits=scene.config.limits) or Reason.LANES_NOT_SIDE_BY_SIDE
 
 
-def _may_cross(scene: Scene, motion: LateralMotion) -> bool:
-    """Whether no marking forbids to leave the lanes along which a lateral motion lies until it is half way across."""
+def _may_cross(scene: Scene, motion: LateralMotion, side: Side) -> bool:
+    """Whether no marking on a side forbids to leave the lanes along which a motion lies until it is half way across."""
     if "topology" in scene.config.without:
         return True
     path, lanes = motion.source, scene.grid.graph.lanes
     half_m = float(np.interp(0.5, motion.tau, motion.along_m))
-    begin = path.line.position(motion.along_m[:1])
-    is_right_of_it = frenet(begin, motion.target.raw_line.points, motion.target.raw_line.s)[1][0] < 0.0
-    side: Side = "left" if is_right_of_it else "right"
     along = (one for one in path.segments if one.end > motion.along_m[0] and one.start < half_m)
     return all(crossable(lanes[one.lane_id].mark_type(side)) for one in along)
 

@@ -101,7 +101,7 @@ def test_vehicles_that_enter_a_synthetic_scene_break_no_rule(data_scene: Path) -
 def test_ten_asked_for_are_ten_placed_but_in_one_dense_scene(
     real_scenes: list[Path], data_scenes: dict[str, Path], make: Make
 ) -> None:
-    """Nine scenes, two seeds: ten each, but in 00a0ec58, which is dense and small: four or five, as its followers come close.
+    """Nine scenes, two seeds: ten each, but in 00a0ec58, dense and small: four or five, as its followers come close.
 
     A scene with fewer than asked for says why.
     """

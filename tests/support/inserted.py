@@ -16,7 +16,7 @@ from hid2.policy.overtake import Stage
 from hid2.scene import Scene, build_scene
 from hid2.vehicle import DrivenVehicle, Shift, Start, VehicleRequest
 from netconvert.cells import build_cell_grid
-from netconvert.lane_graph import LaneGraph
+from netconvert.lane_graph import LaneGraph, Side
 
 CAR = BoxSize(4.5, 1.9)
 #: Round numbers, from which the tests work theirs.
@@ -79,14 +79,14 @@ def changing(scene: Scene, start: Start, v: npt.ArrayLike, *, to: int, at_step: 
     """The same, changing to a lane beside from a step on, as SUMO carried it out."""
     vehicle = driven(start, v)
     s = vehicle.s[at_step]
+    target = target_path(scene, start.path, to, s=s)
+    side: Side = "left" if target.line.position(np.array([s]))[0, 1] > 0.0 else "right"
     path = lay_across(
-        scene, start.path, target_path(scene, start.path, to, s=s), s=s, step=at_step,
+        scene, start.path, target, side=side, s=s, step=at_step,
         speed_mps=np.array([vehicle.v[at_step]]), remaining_m=200.0,
         driver=replace(start.driver, lane_change_s=wanted_s),
     )  # fmt: skip
     assert isinstance(path, DrivenPath), path
-    side = "left" if path.line.position(np.array([path.lateral_spans[0][1]]))[0, 1] > 0.0 else "right"
     vehicle.path, vehicle.stage = path, Stage.DONE
-    target = target_path(scene, start.path, to, s=s)
     vehicle.shifts.append(Shift(side, start.route[0], to, at_step, target))
     return vehicle

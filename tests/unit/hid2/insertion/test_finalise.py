@@ -357,8 +357,8 @@ def test_who_is_started_ahead_of_a_kept_vehicle_that_comes_into_its_lane_is_no_l
     scene = scene_of()
     start = start_on(scene, (1,), 40.0, 10.0)
     across = lay_across(
-        scene, scene.paths.along((1,)), scene.paths.along((2,)), s=60.0, step=20, speed_mps=np.array([10.0]),
-        remaining_m=200.0, driver=start.driver,
+        scene, scene.paths.along((1,)), scene.paths.along((2,)), side="left", s=60.0, step=20,
+        speed_mps=np.array([10.0]), remaining_m=200.0, driver=start.driver,
     )  # fmt: skip
     assert isinstance(across, DrivenPath)
     changer = finalise(scene, replace(driven(start, np.full(110, 10.0)), path=across), [])

@@ -267,8 +267,8 @@ def test_who_has_left_the_map_is_passed_for_good(gap_to: Callable[..., float], b
 def test_path_across_ends_in_the_middle_of_the_other_lane(scene_of: Callable[..., Scene]) -> None:
     scene = scene_of()
     path = lay_across(
-        scene, scene.paths.along((1,)), scene.paths.along((2,)), s=40.0, step=10, speed_mps=np.array([10.0]),
-        remaining_m=160.0, driver=replace(usual_driver(10.0), lane_change_s=4.0),
+        scene, scene.paths.along((1,)), scene.paths.along((2,)), side="left", s=40.0, step=10,
+        speed_mps=np.array([10.0]), remaining_m=160.0, driver=replace(usual_driver(10.0), lane_change_s=4.0),
     )  # fmt: skip
     assert isinstance(path, DrivenPath)
     ((start, end),) = path.lateral_spans
@@ -290,8 +290,8 @@ def test_no_path_across_a_line_that_is_solid_where_it_is_crossed(
     })  # fmt: skip
     scene = scene_of(graph=graph)
     path = lay_across(
-        scene, scene.paths.along((1, 3)), scene.paths.along((2, 4)), s=40.0, step=10, speed_mps=np.array([10.0]),
-        remaining_m=160.0, driver=replace(usual_driver(10.0), lane_change_s=4.0),
+        scene, scene.paths.along((1, 3)), scene.paths.along((2, 4)), side="left", s=40.0, step=10,
+        speed_mps=np.array([10.0]), remaining_m=160.0, driver=replace(usual_driver(10.0), lane_change_s=4.0),
     )  # fmt: skip
     assert isinstance(path, DrivenPath) is is_laid
     assert is_laid or path is Reason.SOLID_LINE
@@ -304,7 +304,7 @@ def test_no_path_across_to_a_lane_that_ends(scene_of: Callable[..., Scene], lane
     })  # fmt: skip
     scene = scene_of(graph=graph)
     path = lay_across(
-        scene, scene.paths.along((1,)), scene.paths.along((2,)), s=50.0, step=10, speed_mps=np.array([10.0]),
-        remaining_m=10.0, driver=usual_driver(10.0),
+        scene, scene.paths.along((1,)), scene.paths.along((2,)), side="left", s=50.0, step=10,
+        speed_mps=np.array([10.0]), remaining_m=10.0, driver=usual_driver(10.0),
     )  # fmt: skip
     assert isinstance(path, str)
