@@ -35,8 +35,8 @@ FOLLOWER_HEADWAY_S = 0.8
 FOLLOWER_MPS = 3.0
 #: A shorter headway counts when it lasts so long, s.
 FOLLOWER_FOR_S = 1.0
-#: A recorded follower lacks at most so much braking behind an inserted leader, m/s2: of 332 recorded ones behind
-#: recorded leaders none that does not overlap with its leader lacks more.
+#: A recorded follower lacks at most so much braking behind an inserted leader, m/s2: behind recorded leaders 6 of 112
+#: lack more (fourteen scenes), 4 of them with boxes that touch.
 FOLLOWER_LACKS_MPS2 = 1.5
 #: It lacks it for so long, s.
 LACKS_FOR_S = 0.5
