@@ -252,16 +252,15 @@ class World:
 
         A part of the motion ends with each lane change, and the next one begins with the state that it ended in.
         """
-        scene, change = self.scene, self.scene.config.lane_change
+        scene = self.scene
         vehicle, parts = DrivenVehicle(start, start.path), [self.roll(start)]
         step = max(start.step, math.ceil(start.request.trigger_s / scene.step_s))
-        ask_sumo = (lambda _: ASSUMED_ANSWER) if change.rule == "LC2013" else None
+        ask_sumo = (lambda _: ASSUMED_ANSWER) if scene.config.lane_change.rule == "LC2013" else None
         while step < scene.num_steps:
             part, k = parts[-1], step - parts[-1].step
             if k >= part.s.size or part.s[k] > part.path.exit_s:  # met, or off the map
                 break
             _drive_on(vehicle, part, step)
-            v = vehicle.v[-1]
             is_due = advance(vehicle, scene, step)
             if vehicle.stage in (Stage.DONE, Stage.ABORTED):
                 break
@@ -269,18 +268,14 @@ class World:
                 over_m = part.path.lateral_spans[-1].end if part.path.lateral_spans else 0.0
                 step = max(step + 1, part.step + int(np.searchsorted(part.s, over_m)))
                 continue
-            if vehicle.stage is Stage.WAITING and v < change.min_speed_mps:  # its lateral motion would wait
-                vehicle.reason = Reason.TOO_SLOW
-                step += scene.steps_in(_LOOKS_S)
-                continue
             due = ManoeuvreDue(scene, vehicle, step, self.guard.inserted_known, _NONE)
             if vehicle.stage is Stage.PASS:
                 short_m = scene.config.overtake.return_gap_m - due.passed_gap_m()
                 if short_m > 0.0:
                     vehicle.reason = Reason.NOT_AHEAD  # what it would be told, sooner
                     waits_s = _PASSING_LOOKS_S
-                    if short_m < v * waits_s:
-                        waits_s = short_m / v
+                    if short_m < vehicle.v[-1] * waits_s:
+                        waits_s = short_m / vehicle.v[-1]
                     step += max(1, int(waits_s / scene.step_s))
                     continue
             across = due.observe_and_decide(ask_sumo)

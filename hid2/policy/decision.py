@@ -1,7 +1,7 @@
 """Algorithm 1 of the paper: the decision of one generated agent at one step. Values in, a value out."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from hid2.agents import Policy
 from hid2.drivers.driver import Driver, usual_driver
@@ -85,8 +85,11 @@ def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) ->
                 reason = return_reason(option, passed_gap_m=seen.passed_gap_m, params=overtake)
             else:
                 reason = enter_reason(option, leader=seen.leader, desired_mps=seen.desired_mps, params=overtake)
-                if reason is None and lane_change.rule != "paper":  # its gaps are the conditions above
-                    reason = rule_reason(_view(seen, option), lane_change)
+                if reason is None:
+                    view = _view(seen, option)
+                    if lane_change.rule == "paper":  # its gaps are the conditions above
+                        view = replace(view, front=OPEN, rear=OPEN)
+                    reason = rule_reason(view, lane_change)
             answers.append(() if reason is None else (reason,))
             if reason is None:
                 return Decision(Policy.OVERTAKE, option.target, option.side, answers=tuple(answers))

@@ -114,13 +114,13 @@ def gaps_on(scene: Scene, target: DrivenPath, box: BoxSize, *, at: float, insert
 
 
 def leader_on(path: DrivenPath, size: BoxSize, *, s: float, d_obs_m: float, here: Traffic) -> Gap | None:
-    """Next vehicle on the lane path within d_obs; here: vehicles at this step (one step)."""
+    """Next vehicle on the lane path, of those that may be within d_obs; here: vehicles at this step (one step)."""
     own = path.line.position(np.array([s]))[0]
     near = here.present[:, 0] & (np.abs(here.position[:, 0] - own).max(axis=1) < d_obs_m + 15.0)
     here = here.rows(np.flatnonzero(near).tolist())
     seen = look_along(path.line, here, size.length_m, size.width_m)
     found = gaps_on_path(seen, np.array([s]), 0, among=seen.same_direction)
-    if not found.lead_m[0] < d_obs_m:
+    if found.leader[0] < 0:
         return None
     return Gap(float(found.lead_m[0]), float(found.lead_mps[0]), here.ids[seen.agents[found.leader[0]]])
 

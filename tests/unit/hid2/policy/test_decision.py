@@ -50,6 +50,7 @@ CLOSED = replace(LEFT, cells_free=False)
         ({"stage": Stage.ABORTED}, STRAIGHT_ON),
         ({"request": Policy.OVERTAKE, "leader": SLOW}, Decision(Policy.OVERTAKE, Cell(2, 5), "left")),
         ({"request": Policy.OVERTAKE}, replace(STRAIGHT_ON, reason="no_leader")),
+        ({"request": Policy.OVERTAKE, "leader": SLOW, "speed_mps": 1.9}, replace(STRAIGHT_ON, reason="too_slow")),
     ],
     ids=[
         "line 1: without a request the agent goes straight to the next cell",
@@ -63,6 +64,7 @@ CLOSED = replace(LEFT, cells_free=False)
         "a request that is given up is not due again",
         "lines 6 to 9: a slower leader within d_obs is overtaken",
         "line 6: without a leader there is nothing to overtake",
+        "line 7: what is too slow to change lanes is too slow to overtake",
     ],
 )
 def test_what_algorithm_1_decides(changes: dict[str, Any], decision: Decision) -> None:

@@ -227,10 +227,10 @@ def test_leader_is_the_next_one_on_the_path_within_d_obs(
     assert leader.speed_mps == pytest.approx(6.0)
 
 
-def test_nobody_is_a_leader_behind_beyond_d_obs_or_across(
+def test_nobody_is_a_leader_behind_far_beyond_d_obs_or_across(
     straight_path: DrivenPath, box: Callable[..., Traffic]
 ) -> None:
-    for other in (box(10.0, 0.0), box(80.0, 0.0), box(50.0, 0.0, np.pi / 2)):
+    for other in (box(10.0, 0.0), box(90.0, 0.0), box(50.0, 0.0, np.pi / 2)):
         assert leader_on(straight_path, CAR, s=30.0, d_obs_m=40.0, here=other.at(0)) is None
 
 
