@@ -154,9 +154,9 @@ class ManoeuvreDue:
         return Observation(
             time_s=self.now * scene.step_s, cell=cell, next_cell=scene.grid.longitudinal(cell),
             lane_turn=scene.grid.graph.lanes[cell.lane_id].turn, speed_mps=vehicle.v[-1],
-            desired_mps=start.driver.desired_mps, request=vehicle.policy, trigger_s=start.request.trigger_s,
+            driver=start.driver, request=vehicle.policy, trigger_s=start.request.trigger_s,
             stage=vehicle.stage, leader=leader, options=options, passed_gap_m=self.passed_gap_m(),
-            length_m=start.box.length_m, driver=start.driver, own_front=own_front, own_rear=own_rear,
+            length_m=start.box.length_m, own_front=own_front, own_rear=own_rear,
             vehicle_id=vehicle.vehicle_id,
         )  # fmt: skip
 

@@ -112,8 +112,7 @@ class Fleet:
         self.contexts += [self._context(start.path, start.driver) for start in starts]
         self.state = np.concatenate([self.state, np.zeros((count, 5))])
         self.centre = np.concatenate([self.centre, np.full((count, 2), np.inf)])
-        at_m = [np.nan if start.step > 0 else start.start_s for start in starts]
-        self.along_m = np.concatenate([self.along_m, at_m])
+        self.along_m = np.concatenate([self.along_m, np.full(count, np.nan)])
         self.length_m = np.concatenate([self.length_m, [start.box.length_m for start in starts]])
         self.desired_mps = np.concatenate([self.desired_mps, [one.desired[: self.scene.num_steps] for one in starts]])
         self.drivers = np.concatenate([self.drivers, [start.driver.following for start in starts]])
@@ -133,12 +132,12 @@ class Fleet:
         vehicle.s.append(s)
         vehicle.v.append(speed_mps)
         vehicle.jumped_m.append(jumped_m)
-        spans, table = vehicle.path.lateral_spans, vehicle.path.line.table_xy
+        spans = vehicle.path.lateral_spans
         # executing goes before pending (conflict case 2): in a change of lanes or in a turn
         lane = bisect_right(context.lane_ends, s, hi=context.lane_ends.size - 1)
         turns = context.policies[lane] != STRAIGHT
         executing = (spans and spans[-1].begin < s < spans[-1].end) or turns
-        self.along_m[row], self.centre[row] = s, table[min(int(s / TABLE_STEP_M), len(table) - 1)]
+        self.along_m[row], self.centre[row] = s, _xy(vehicle)
         self.state[row] = s, speed_mps, (speed_mps - before) / self.scene.step_s, executing, 1.0
 
     def follow(self, row: int, lane: str, front_m: float, speed_mps: float) -> None:

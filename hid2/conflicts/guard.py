@@ -4,7 +4,8 @@
 2. Generated against generated: executing before pending, then closer before farther (metres to the cell that both
    want), then the lower id; in the compiled loop.
 3. Future conflicts: predicted boxes over the horizon, recorded agents by their true future, generated ones by their
-   state and intention at this step (`Guard.braking`): adjust timing, else a manoeuvre not yet begun is given up.
+   state and intention at this step (`Guard.braking`): adjust timing, else another way at the next split; a manoeuvre
+   does not begin meanwhile.
 """
 
 from dataclasses import dataclass, field
@@ -16,7 +17,7 @@ import numpy as np
 from hid2.agents import BoxSize, FloatArray, IntArray
 from hid2.conflicts.stop_lines import STOPS, ClosedLines, StopLines
 from hid2.drivers.driver import Driver
-from hid2.kernels.guard import needed_braking
+from hid2.kernels.guard import SWEPT_STEP_M, needed_braking
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy, look_along
@@ -177,7 +178,7 @@ class Guard:
     @once
     def _alone(self, path: DrivenPath, box: BoxSize) -> Traffic:
         """A vehicle at each place along its own path, as steps."""
-        every = slice(None, None, round(1.0 / TABLE_STEP_M))
+        every = slice(None, None, round(SWEPT_STEP_M / TABLE_STEP_M))
         xy = np.ascontiguousarray(path.line.table_xy[every])
         heading = np.ascontiguousarray(path.line.table_heading[every])
         forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
@@ -192,11 +193,11 @@ class Guard:
         desired_mps: float, road: FloatArray, driver: Driver, horizon_s: float | None = None,
     ) -> Braking:  # fmt: skip
         """Least braking from a state (s m, v m/s, a m/s2) at a step that meets no agent within the horizon, s."""
-        conflict, known, lines, step_s = self.scene.config.conflict, obstacles.known, obstacles.lines, self.scene.step_s
+        scene, known, lines = self.scene, obstacles.known, obstacles.lines
         row, hit, *_, run_into = needed_braking(
             known.low, known.high, known.along, known.same_direction, lines.stops_s(driver), lines.closed,
-            obstacles.swept, obstacles.rows, fleet, own, step, state, desired_mps, road, TABLE_STEP_M, 1.0,
-            round((conflict.horizon_s if horizon_s is None else horizon_s) / step_s), STRIDE, step_s,
+            obstacles.swept, obstacles.rows, fleet, own, step, state, desired_mps, road, TABLE_STEP_M,
+            self.horizon if horizon_s is None else scene.steps_in(horizon_s), STRIDE, scene.step_s,
             driver.following, self.brakes, self.predicted, STOPS,
         )  # fmt: skip
-        return Braking(float(self.brakes[row]), None if hit < 0 else hit * step_s, bool(run_into))
+        return Braking(float(self.brakes[row]), None if hit < 0 else hit * scene.step_s, bool(run_into))

@@ -74,15 +74,6 @@ def edge_lanes(scene: Scene, routes: Routes) -> list[int]:
     """
     graph = scene.grid.graph
     hull = shapely.convex_hull(shapely.multipoints(np.concatenate([lane.centerline for lane in graph.lanes.values()])))
-    found = []
-    for lane_id in entry_lanes(scene, routes):
-        row, waiting = {lane_id}, [lane_id]
-        while waiting:
-            here = waiting.pop()
-            beside = {graph.neighbor(here, "left"), graph.neighbor(here, "right")} - row - {None}
-            row |= beside  # type: ignore[arg-type]
-            waiting += sorted(beside)  # type: ignore[arg-type]
-        begins = shapely.points(graph.lanes[lane_id].centerline[0])
-        if not any(graph.predecessors(n) for n in row) and shapely.distance(hull.boundary, begins) <= _EDGE_M:
-            found.append(lane_id)
-    return found
+    begin = {lane_id for row in graph.rows() if not any(map(graph.predecessors, row)) for lane_id in row}
+    starts = {lane_id: shapely.points(graph.lanes[lane_id].centerline[0]) for lane_id in entry_lanes(scene, routes)}
+    return [n for n, at in starts.items() if n in begin and shapely.distance(hull.boundary, at) <= _EDGE_M]

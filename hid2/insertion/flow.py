@@ -39,9 +39,8 @@ class Arrival:
 
 def entry_lanes(scene: Scene, routes: Routes) -> list[int]:
     """Lanes for general motor traffic that no other lane leads to, in order of their ids."""
-    lanes = scene.grid.graph.lanes
-    led_to = {successor for lane in lanes.values() for successor in lane.successors}
-    return sorted(n for n in routes.lanes if n not in led_to and not lanes[n].is_intersection)
+    graph = scene.grid.graph
+    return sorted(n for n in routes.lanes if not graph.predecessors(n) and not graph.lanes[n].is_intersection)
 
 
 def headway_s(veh_per_h: float, flow: Flow, rng: np.random.Generator) -> float:

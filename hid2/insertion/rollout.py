@@ -25,7 +25,7 @@ from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, Jump
 from hid2.motion.smoothing import Motion, trajectory
 from hid2.occupancy.along_path import PathOccupancy
-from hid2.occupancy.gaps import Gaps, gaps_on_path
+from hid2.occupancy.gaps import Gaps, gaps_from_poses, gaps_on_path
 from hid2.occupancy.shown import LEADS_FROM_M, SHOWN_M, Shown, shown_on
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.once import once
@@ -144,17 +144,13 @@ class World:
         scene, own = self.scene, candidate.traffic.first(self.scene.num_steps)
         movers, recorded, forward = scene.movers
         critical_s = scene.config.conflict.follower_ttc_min_s
-        offset = own.position - recorded.position
-        ahead_m, closing = (
-            one[..., 0] * forward[..., 0] + one[..., 1] * forward[..., 1]
-            for one in (offset, recorded.velocity - own.velocity)
-        )
-        gap_m = ahead_m - 0.5 * (own.length_m + recorded.length_m)[:, None]
-        aside_m = np.abs(offset[..., 1] * forward[..., 0] - offset[..., 0] * forward[..., 1])
+        boxes = recorded.length_m[:, None], recorded.width_m[:, None]
+        seen = gaps_from_poses(recorded.position, forward, boxes, own)
         speed = np.hypot(recorded.velocity[..., 0], recorded.velocity[..., 1])
+        closing = speed - seen.along_mps
         room_m = np.maximum(_FOLLOWS_M + critical_s * closing, headway_s * speed)
         room_m = np.maximum(room_m, _FOLLOWS_M + np.maximum(closing, 0.0) ** 2 / (2.0 * FOLLOWER_LACKS_MPS2))
-        near = (gap_m > -own.length_m) & (gap_m < room_m) & (aside_m < _ASIDE_M)
+        near = (seen.along_m > -own.length_m) & (seen.gap_m < room_m) & (seen.aside_m < _ASIDE_M)
         near &= own.present & recorded.present
         for row in movers[near.any(axis=1)].tolist():
             led = scene.states.leaders_among(row, own)

@@ -234,7 +234,7 @@ def of_end(states: AgentStates, agent: int, others: IntArray, bounds: Bounds) ->
 
 def contacts_at_end(boxes: BoxesAtStep, bounds: Bounds, *, step_s: float) -> Iterator[tuple[Quantity, int, float]]:
     """What follows the last step of the first of some boxes, as `of_end` has it: quantity, the other box's place, s."""
-    contact = first_contact(0, boxes, horizon_s=END_HORIZON_S)
+    contact = first_contact(0, boxes)
     if contact is None:
         return
     if contact.ttc_s < bounds.conflict.end_ttc_min_s + bounds.spare_end_s:
@@ -242,12 +242,12 @@ def contacts_at_end(boxes: BoxesAtStep, bounds: Bounds, *, step_s: float) -> Ite
     forward = np.array([math.cos(boxes.heading[0]), math.sin(boxes.heading[0])])
     behind = (boxes.position - boxes.position[0]) @ forward < 0.0
     no_followers = np.flatnonzero(~(behind & (np.cos(boxes.heading - boxes.heading[0]) > SAME_WAY)))  # 0 is the own box
-    if not _meets_braking(boxes.rows(no_followers), END_HORIZON_S, step_s):
+    if not _meets_braking(boxes.rows(no_followers), step_s):
         return
     for other in no_followers[1:].tolist():  # each by itself: an agent that it would pass sees it brake
         pair = boxes.rows(np.array([0, other]))
-        contact = first_contact(0, pair, horizon_s=END_HORIZON_S)
-        if contact is not None and _meets_braking(pair, END_HORIZON_S, step_s):
+        contact = first_contact(0, pair)
+        if contact is not None and _meets_braking(pair, step_s):
             yield Quantity.END_CONTACT, other, contact.ttc_s
 
 
@@ -259,9 +259,9 @@ def _boxes_at(states: AgentStates, agents: IntArray, step: int) -> BoxesAtStep:
     return BoxesAtStep(traffic.position[agents, step], traffic.heading[agents, step], velocity, sizes)
 
 
-def _meets_braking(boxes: BoxesAtStep, horizon_s: float, step_s: float) -> bool:
+def _meets_braking(boxes: BoxesAtStep, step_s: float) -> bool:
     """Whether the first of some boxes, which brakes after a while, meets another one that keeps its velocity."""
-    time_s = step_s * np.arange(1, round(horizon_s / step_s) + 1)
+    time_s = step_s * np.arange(1, round(END_HORIZON_S / step_s) + 1)
     speed = math.hypot(*boxes.velocity[0])
     braking_s = np.minimum(np.maximum(time_s - END_REACTION_S, 0.0), speed / END_DECEL_MPS2)
     rolling_s = np.minimum(time_s, END_REACTION_S) + braking_s - 0.5 * END_DECEL_MPS2 * braking_s**2 / max(speed, 1e-9)

@@ -7,6 +7,8 @@ from hid2.kernels.gaps import gap_to
 from hid2.kernels.path_intervals import SAME_WAY
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
+#: What generated vehicles sweep is known at places so far apart along their ways, m.
+SWEPT_STEP_M = 1.0
 _PASSED_M = 0.3  # tolerance: a vehicle so far beyond a stop line has passed it
 #: No driver stops at a constant deceleration: braking builds up and eases. At a line it begins where this share of
 #: usual braking would do, and brakes by this share of what would; by so much more for each usual braking that is
@@ -80,26 +82,24 @@ def stop_ahead(
 
 
 @inner
-def _goes_first(
-    known: IntArray, g: int, low: FloatArray, fleet: FloatArray, j: int, own: int, own_s: float, step_m: float
-) -> bool:
+def _goes_first(known: IntArray, g: int, low: FloatArray, fleet: FloatArray, j: int, own: int, own_s: float) -> bool:
     """`_has_priority` of vehicle j, row g of those seen; known (G,): what was found before, -1 for not yet."""
     if known[g] < 0:
-        known[g] = _has_priority(low, fleet, j, own, own_s, step_m)
+        known[g] = _has_priority(low, fleet, j, own, own_s)
     return bool(known[g] > 0)
 
 
 @inner
-def _has_priority(low: FloatArray, fleet: FloatArray, j: int, own: int, own_s: float, step_m: float) -> bool:
+def _has_priority(low: FloatArray, fleet: FloatArray, j: int, own: int, own_s: float) -> bool:
     """Whether generated vehicle j goes first (case 2), metres to the cell that both want; low (K,) on its way."""
     s = fleet[j, 0]
     executing: bool = fleet[j, 3] > 0.0
     own_executing: bool = fleet[own, 3] > 0.0
-    first = int(s / step_m)
+    first = int(s / SWEPT_STEP_M)
     for k in range(max(first, 0), low.size):
         if low[k] != np.inf:
-            theirs, mine = k * step_m - s, low[k] - own_s
-            if theirs <= step_m:
+            theirs, mine = k * SWEPT_STEP_M - s, low[k] - own_s
+            if theirs <= SWEPT_STEP_M:
                 return True  # it is there
             if mine <= 0.0:
                 return False
@@ -112,9 +112,9 @@ def _has_priority(low: FloatArray, fleet: FloatArray, j: int, own: int, own_s: f
 
 
 @inner
-def _is_on(low: FloatArray, cosine: FloatArray, s: float, step_m: float) -> bool:
+def _is_on(low: FloatArray, cosine: FloatArray, s: float) -> bool:
     """Whether a generated vehicle is on the way that it shares, so that SUMO's car following sees it."""
-    at = int(s / step_m)
+    at = int(s / SWEPT_STEP_M)
     return bool(0 <= at < low.size and low[at] != np.inf and cosine[at] > SAME_WAY)
 
 
@@ -136,12 +136,12 @@ def _ahead_within(low: FloatArray, high: FloatArray, s: float, begin: int, end: 
 
 @kernel(
     "(f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[::1], b1[:,::1], f8[:,:,::1], i8[::1], f8[:,::1], i8, i8,"
-    " UniTuple(f8, 3), f8, f8[::1], f8, f8, i8, i8, f8, UniTuple(f8, 4), f8[::1], UniTuple(f8, 4), UniTuple(f8, 4))"
+    " UniTuple(f8, 3), f8, f8[::1], f8, i8, i8, f8, UniTuple(f8, 4), f8[::1], UniTuple(f8, 4), UniTuple(f8, 4))"
 )
 def needed_braking(
     low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, stop_s: FloatArray,
     closed: BoolArray, swept: FloatArray, rows: IntArray, fleet: FloatArray, own: int, t: int,
-    start: tuple[float, float, float], desired_mps: float, road: FloatArray, road_step: float, table_step: float,
+    start: tuple[float, float, float], desired_mps: float, road: FloatArray, table_step: float,
     horizon: int, stride: int, step_s: float, driver: tuple[float, float, float, float], brakes: FloatArray,
     predicted: tuple[float, float, float, float], stops: tuple[float, float, float, float],
 ) -> tuple[int, int, int, int, float, bool]:  # fmt: skip
@@ -194,7 +194,7 @@ def needed_braking(
                     j = rows[g]
                     if fleet[j, 4] == 0.0:
                         continue
-                    at = int(predicted_s(fleet[j, 0], fleet[j, 1], fleet[j, 2], ahead_s, lasts) / table_step)
+                    at = int(predicted_s(fleet[j, 0], fleet[j, 1], fleet[j, 2], ahead_s, lasts) / SWEPT_STEP_M)
                     if at < 0 or at >= g_low.shape[1] or g_low[g, at] == np.inf:
                         continue
                     lo, hi = g_low[g, at], g_high[g, at]
@@ -202,22 +202,18 @@ def needed_braking(
                         gap, leads = gap_to(lo, hi, s)
                         if not leads:
                             continue  # it follows: its driver's business
-                        if gap < gap_least and _goes_first(first, g, g_low[g], fleet, j, own, s0, table_step):
+                        if gap < gap_least and _goes_first(first, g, g_low[g], fleet, j, own, s0):
                             gap_least, closing = gap, v - fleet[j, 1] * g_cos[g, at]
-                            seen = _is_on(g_low[g], g_cos[g], fleet[j, 0], table_step)
+                            seen = _is_on(g_low[g], g_cos[g], fleet[j, 0])
                             if k == 0 and row == 0:
                                 leader, leader_gap = j, gap
-                    elif (
-                        lo - margin < s < hi + margin
-                        and k > 0
-                        and _goes_first(first, g, g_low[g], fleet, j, own, s0, table_step)
-                    ):
+                    elif lo - margin < s < hi + margin and k > 0 and _goes_first(first, g, g_low[g], fleet, j, own, s0):
                         met = True
                         break
             if met:
                 hit = k * stride
                 break
-            wanted = min(desired_mps, road[min(int(s / road_step), road.size - 1)])
+            wanted = min(desired_mps, road[min(int(s / table_step), road.size - 1)])
             a_next = max(-decel, accel * (1.0 - (v / max(wanted, 0.1)) ** 4))
             if gap_least < 1e3:
                 star = min_gap + max(0.0, v * tau + v * closing / (2.0 * np.sqrt(accel * decel)))

@@ -45,7 +45,7 @@ def limit_of(
         tau, accel, decel, min_gap = driver
         row, hit, free, leader, gap, _ = needed_braking(
             low, high, along, same_direction, stop_s, closed, swept, others, fleet, i, t, (s, v, a), desired_mps, road,
-            table_step, 1.0, horizon, stride, step_s, driver, brakes, predicted, stops,
+            table_step, horizon, stride, step_s, driver, brakes, predicted, stops,
         )  # fmt: skip
         needed = brakes[row]
         braking_fails = hit >= 0 or needed > decel

@@ -40,12 +40,12 @@ class BoxesAtStep:
         return BoxesAtStep(self.position[rows], self.heading[rows], self.velocity[rows], self.size[rows])
 
 
-def first_contact(own: int, boxes: BoxesAtStep, *, horizon_s: float) -> Contact | None:
-    """The other box that row `own` touches first within the horizon, all at constant velocity; None if none.
+def first_contact(own: int, boxes: BoxesAtStep) -> Contact | None:
+    """The other box that row `own` touches first within END_HORIZON_S, all at constant velocity; None if none.
 
     Two-dimensional: leaders, followers, oncoming and crossing ones alike. A TTC of 0 is an overlap at the step.
     """
-    ttc_s, other = earliest_contact(own, boxes.position, boxes.heading, boxes.velocity, boxes.size, horizon_s)
+    ttc_s, other = earliest_contact(own, boxes.position, boxes.heading, boxes.velocity, boxes.size, END_HORIZON_S)
     return None if other < 0 else Contact(float(ttc_s), int(other))
 
 
@@ -60,6 +60,6 @@ def ttc_after_last_step(arrays: SceneArrays, members: BoolArray, among: BoolArra
         agents = np.union1d(np.flatnonzero((arrays.row_of[:, step] >= 0) & among), agent)
         rows, sizes = arrays.row_of[agents, step], np.column_stack([arrays.length[agents], arrays.width[agents]])
         boxes = BoxesAtStep(arrays.position[rows], arrays.heading[rows], arrays.velocity[rows], sizes)
-        contact = first_contact(int(np.searchsorted(agents, agent)), boxes, horizon_s=END_HORIZON_S)
+        contact = first_contact(int(np.searchsorted(agents, agent)), boxes)
         found[agent] = np.inf if contact is None else contact.ttc_s
     return found

@@ -79,8 +79,13 @@ class PoseGaps(NamedTuple):
     along_mps: FloatArray
 
 
-def gaps_from_poses(xy: FloatArray, forward: FloatArray, box: BoxSize, others: Traffic) -> PoseGaps:
-    """Gaps from a box at xy (T, 2) m along unit vectors forward (T, 2), or (A, T, 2), to agents (A, T)."""
+def gaps_from_poses(
+    xy: FloatArray, forward: FloatArray, box: tuple[FloatArray | float, FloatArray | float], others: Traffic
+) -> PoseGaps:
+    """Gaps from a box at xy (T, 2) m along unit vectors forward (T, 2), or (A, T, 2), to agents (A, T).
+
+    Or from boxes (A, 1) at xy (A, T, 2), to one agent (1, T).
+    """
     offset, (length_m, width_m) = others.position - xy, box
     along, mps = (one[..., 0] * forward[..., 0] + one[..., 1] * forward[..., 1] for one in (offset, others.velocity))
     aside = np.abs(offset[..., 1] * forward[..., 0] - offset[..., 0] * forward[..., 1])

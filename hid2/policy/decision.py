@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field, replace
 
 from hid2.agents import Policy
-from hid2.drivers.driver import Driver, usual_driver
+from hid2.drivers.driver import Driver
 from hid2.params import LaneChange, Overtake
 from hid2.policy.behaviours import BEHAVIOURS, POLICY_OF_TURN
 from hid2.policy.lane_change import OPEN, Gap, LaneOption
@@ -19,9 +19,9 @@ from netconvert.lane_graph import Side, TurnType
 class Observation:
     """What the agent knows at time t: its cell, lane type, request, leader within d_obs, and adjacent lanes.
 
-    options: of the sides that the request allows, in the order in which they are tried; driver: its own, None for a
-    usual one; own_front, own_rear: gaps ahead and behind on its lane, where a rule asks; passed_gap_m: from its rear
-    bumper to the vehicle that it overtakes, -inf unless passed.
+    options: of the sides that the request allows, in the order in which they are tried; own_front, own_rear: gaps ahead
+    and behind on its lane, where a rule asks; passed_gap_m: from its rear bumper to the vehicle that it overtakes, -inf
+    unless passed.
     """
 
     time_s: float
@@ -29,7 +29,7 @@ class Observation:
     next_cell: Cell | None
     lane_turn: TurnType
     speed_mps: float
-    desired_mps: float
+    driver: Driver
     request: Policy
     trigger_s: float
     stage: Stage
@@ -37,7 +37,6 @@ class Observation:
     options: tuple[LaneOption, ...]
     passed_gap_m: float = -math.inf
     length_m: float = 4.5
-    driver: Driver | None = None
     own_front: Gap = OPEN
     own_rear: Gap = OPEN
     vehicle_id: str = ""
@@ -84,7 +83,7 @@ def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) ->
             if seen.stage is Stage.PASS:
                 reason = return_reason(option, passed_gap_m=seen.passed_gap_m, params=overtake)
             else:
-                reason = enter_reason(option, leader=seen.leader, desired_mps=seen.desired_mps, params=overtake)
+                reason = enter_reason(option, leader=seen.leader, desired_mps=seen.driver.desired_mps, params=overtake)
                 if reason is None:
                     view = _view(seen, option)
                     if lane_change.rule == "paper":  # its gaps are the conditions above
@@ -103,7 +102,7 @@ def policy_on(lane_turn: TurnType) -> Policy:
 
 def _view(seen: Observation, option: LaneOption) -> GapView:
     """What a rule is told of one adjacent lane."""
-    driver = seen.driver or usual_driver(seen.desired_mps)
+    driver = seen.driver
     return GapView(
         time_s=seen.time_s, waited_s=max(0.0, seen.time_s - seen.trigger_s), side=option.side, speed_mps=seen.speed_mps,
         desired_mps=driver.desired_mps, length_m=seen.length_m, tau_s=driver.tau_s, accel_mps2=driver.accel_mps2,

@@ -204,9 +204,7 @@ def _next_sigma(scene: Scene, cell: Cell, *, step: int, speed_mps: float) -> int
     following = grid.longitudinal(cell)
     if following is None:
         return FREE
-    borders = grid.edges_s(cell.lane_id)
-    cell_m = float(borders[cell.index + 1] - borders[cell.index])
-    steps = dwell_steps(cell_m=cell_m, speed_mps=speed_mps, step_s=scene.step_s)
+    steps = dwell_steps(cell_m=grid.length_m(cell), speed_mps=speed_mps, step_s=scene.step_s)
     if steps is None or step + steps >= scene.num_steps:
         return FREE
     return int(scene.occupancy.sigma[step + steps, grid.index_of[following]])

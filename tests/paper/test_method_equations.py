@@ -16,7 +16,7 @@ from inserted import CAR, DRIVER, nobody, recorded, scene_on
 from hid2.agents import Policy, Track
 from hid2.conflicts.guard import Braking, Guard, transition_rejected
 from hid2.conflicts.stop_lines import StopLines
-from hid2.drivers.driver import LaneOffset
+from hid2.drivers.driver import LaneOffset, usual_driver
 from hid2.insertion.requests import draw_requests
 from hid2.insertion.sites import InsertionSites
 from hid2.insertion.spread import Spread
@@ -119,8 +119,8 @@ def test_lane_change_needs_sigma_0_in_cells_j_minus_1_to_j_plus_1_of_the_target_
 OPTION = LaneOption("left", Cell(2, 10), True, NO_GAP, NO_GAP, 150.0, 150.0)
 SEEN: dict[str, Any] = {
     "time_s": 2.0, "cell": Cell(1, 10), "next_cell": Cell(1, 11), "lane_turn": TurnType.STRAIGHT, "speed_mps": 10.0,
-    "desired_mps": 10.0, "request": Policy.LANE_CHANGE, "trigger_s": 2.0, "stage": Stage.WAITING, "leader": None,
-    "options": (OPTION,),
+    "driver": usual_driver(10.0), "request": Policy.LANE_CHANGE, "trigger_s": 2.0, "stage": Stage.WAITING,
+    "leader": None, "options": (OPTION,),
 }  # fmt: skip
 
 
@@ -183,7 +183,7 @@ def test_overtake_needs_a_corridor_of_m_cells() -> None:
 def test_overtake_enters_passes_and_returns_ahead_of_where_it_left() -> None:
     """Enter at g_{l',j}; pass; return at g_{l,j+k'} once the leader is behind, k' > k."""
     leader = Gap(20.0, 5.0, "1")
-    enter = _decide(request=Policy.OVERTAKE, leader=leader, desired_mps=12.0)
+    enter = _decide(request=Policy.OVERTAKE, leader=leader, driver=usual_driver(12.0))
     assert (enter.policy, enter.target) == (Policy.OVERTAKE, Cell(2, 10))
     back = LaneOption("right", Cell(1, 25), True, NO_GAP, NO_GAP, 100.0, 100.0)
     passing = {"request": Policy.OVERTAKE, "stage": Stage.PASS, "options": (back,), "cell": Cell(2, 25)}

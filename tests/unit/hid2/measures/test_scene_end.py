@@ -9,7 +9,6 @@ from hid2.agents import BoxSize, Track
 from hid2.measures.arrays import SceneArrays, stack
 from hid2.measures.scene_end import BoxesAtStep, first_contact, ttc_after_last_step
 
-HORIZON_S = 3.0
 Box = tuple[float, float, float, float]
 
 
@@ -34,7 +33,7 @@ def boxes(*rows: Box) -> BoxesAtStep:
     ],
 )
 def test_time_to_the_first_contact_is_that_of_the_boxes(other: Box, ttc_s: float) -> None:
-    contact = first_contact(0, boxes((0, 0, 0, 10), other), horizon_s=HORIZON_S)
+    contact = first_contact(0, boxes((0, 0, 0, 10), other))
     assert contact is not None
     assert contact.other == 1
     assert contact.ttc_s == pytest.approx(ttc_s)
@@ -50,13 +49,13 @@ def test_time_to_the_first_contact_is_that_of_the_boxes(other: Box, ttc_s: float
     ],
 )
 def test_no_contact_within_the_horizon_is_none(other: Box) -> None:
-    assert first_contact(0, boxes((0, 0, 0, 10), other), horizon_s=HORIZON_S) is None
+    assert first_contact(0, boxes((0, 0, 0, 10), other)) is None
 
 
 def test_the_first_of_several_contacts_counts_for_each_vehicle() -> None:
     """The eastward car meets the oncoming one (20 m at 20 m/s) before the standing one; the fourth is far away."""
     scene = boxes((0, 0, 0, 10), (34, 0, 0, 0), (24, 0, 180, 10), (0, 500, 0, 10))
-    found = [first_contact(own, scene, horizon_s=HORIZON_S) for own in range(4)]
+    found = [first_contact(own, scene) for own in range(4)]
     assert [contact and (contact.other, round(contact.ttc_s, 9)) for contact in found] == [
         (2, 1.0),
         (0, 3.0),
@@ -101,7 +100,7 @@ def test_others_can_be_kept_to_a_group(rear_end: SceneArrays) -> None:
 def test_contact_is_the_same_from_any_place_and_direction(rotated: Callable[[BoxesAtStep], BoxesAtStep]) -> None:
     scene = boxes((0, 0, 0, 10), (6, -5, 90, 5), (24, 0, 180, 10))
     first, second = (
-        [contact and contact.ttc_s for own in range(3) for contact in [first_contact(own, each, horizon_s=HORIZON_S)]]
+        [contact and contact.ttc_s for own in range(3) for contact in [first_contact(own, each)]]
         for each in (scene, rotated(scene))
     )
     assert first == pytest.approx(second, abs=1e-6)

@@ -6,6 +6,7 @@ from typing import Any
 import pytest
 
 from hid2.agents import Policy
+from hid2.drivers.driver import usual_driver
 from hid2.params import LaneChange, Overtake
 from hid2.policy.decision import Decision, Observation, decide
 from hid2.policy.lane_change import OPEN, Gap, LaneOption
@@ -19,8 +20,9 @@ LEFT = LaneOption(
 )  # fmt: skip
 RIGHT = replace(LEFT, side="right", target=Cell(3, 5))
 SEEN = Observation(
-    time_s=2.0, cell=Cell(1, 5), next_cell=Cell(1, 6), lane_turn=TurnType.STRAIGHT, speed_mps=10.0, desired_mps=10.0,
-    request=Policy.LANE_CHANGE, trigger_s=2.0, stage=Stage.WAITING, leader=None, options=(LEFT,),
+    time_s=2.0, cell=Cell(1, 5), next_cell=Cell(1, 6), lane_turn=TurnType.STRAIGHT, speed_mps=10.0,
+    driver=usual_driver(10.0), request=Policy.LANE_CHANGE, trigger_s=2.0, stage=Stage.WAITING, leader=None,
+    options=(LEFT,),
 )  # fmt: skip
 OVERTAKE = Overtake(
     d_obs_m=40.0, d_overtake_m=40.0, speed_advantage_mps=1.5, safe_front_m=6.0, safe_rear_m=8.0, return_gap_m=5.0
