@@ -17,7 +17,6 @@ from hid2.motion.route import line_along, route_points
 from hid2.occupancy.agent_states import AgentStates, parked
 from hid2.occupancy.along_path import look_along
 from hid2.occupancy.shown import STANDING_MPS
-from hid2.occupancy.sigma import UNDER_SHARE
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.once import once
 from hid2.params import Limits, Signals
@@ -26,6 +25,7 @@ from netconvert.lane_graph import SIDES, LaneGraph, TurnType
 # No tunables, here and below: what recorded traffic tells of a phase. A queue that stands so near to the entrance
 # makes it red, m, with centres up to so far beyond it.
 _QUEUE_M, _BEYOND_M = 20.0, 3.0
+_UNDER_SHARE = 0.8  # of a lane's width: what only grazes it does not cross it
 _FLOW_MPS = 1.0  # faster recorded vehicles are cross traffic, m/s
 #: Green so long before and after a recorded vehicle enters, s, but not this close to cross traffic (critical PET).
 _ENTRY_BEFORE_S, _ENTRY_AFTER_S, _CROSSING_S = 1.0, 2.0, 1.0
@@ -157,7 +157,7 @@ class InferredSignals:
 
     def _crossed(self, lane_id: int, others: BoolArray) -> BoolArray:
         """(T,) whether a recorded vehicle that comes from another approach crosses the lane's ground."""
-        (rows, flowing), width_m = self._flowing, UNDER_SHARE * self.graph.lanes[lane_id].width_m
+        (rows, flowing), width_m = self._flowing, _UNDER_SHARE * self.graph.lanes[lane_id].width_m
         line = line_along(route_points(self.graph, tuple(_through(self.graph, lane_id))), Limits())
         seen = look_along(line, flowing, 0.0, width_m)
         agents = rows[seen.agents]

@@ -72,16 +72,16 @@ def original_cells(
     return sigma, found
 
 
-@kernel("(f8[:,::1], f8[::1], f8[::1], f8[::1], i8[::1], i8, f8, f8[:,:,::1], f8[:,::1], b1[:,::1], f8[::1], f8[::1])")
+@kernel("(f8[:,::1], f8[::1], f8[::1], f8[::1], i8[::1], i8, f8[:,:,::1], f8[:,::1], b1[:,::1], f8[::1], f8[::1])")
 def agent_on(
     center: FloatArray, c_heading: FloatArray, c_length: FloatArray, c_width: FloatArray, cells: IntArray, step: int,
-    share: float, position: FloatArray, heading: FloatArray, present: BoolArray, length: FloatArray, width: FloatArray,
+    position: FloatArray, heading: FloatArray, present: BoolArray, length: FloatArray, width: FloatArray,
 ) -> bool:  # fmt: skip
-    """Whether any agent's box, of a share of its width, covers any of the cells at a step."""
+    """Whether any agent's box covers any of the cells at a step."""
     for a in range(present.shape[0]):
         if not present[a, step]:
             continue
-        x, y, half_l, half_w = position[a, step, 0], position[a, step, 1], length[a] / 2, share * width[a] / 2
+        x, y, half_l, half_w = position[a, step, 0], position[a, step, 1], length[a] / 2, width[a] / 2
         co, si = np.cos(heading[a, step]), np.sin(heading[a, step])
         for c in cells:
             if is_on(center, c_heading, c_length, c_width, c, x, y, co, si, half_l, half_w):

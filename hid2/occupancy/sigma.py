@@ -14,8 +14,6 @@ from hid2.kernels.cells import agent_on, original_cells
 from hid2.occupancy.traffic import Traffic
 from netconvert.cells import CellGrid
 
-#: Of a box's width: cells that it only grazes are not taken.
-UNDER_SHARE: Final = 0.8
 FREE: Final = 0
 ORIGINAL: Final = 1
 GENERATED: Final = 2
@@ -71,12 +69,10 @@ def original_occupancy(boxes: CellBoxes, traffic: Traffic) -> OriginalOccupancy:
     )
 
 
-def is_agent_on(boxes: CellBoxes, cells: Sequence[int], traffic: Traffic, step: int, *, width_share: float) -> bool:
-    """Whether an agent is on any of some cells at a step; boxes count with a share of their width."""
-    held = agent_on(
-        boxes.center, boxes.heading, boxes.length_m, boxes.width_m, np.asarray(cells), step, width_share, *traffic.boxes
-    )
-    return bool(held)
+def is_agent_on(boxes: CellBoxes, cells: Sequence[int], traffic: Traffic, step: int) -> bool:
+    """Whether the box of an agent covers any of some cells at a step."""
+    rows = np.asarray(cells)
+    return bool(agent_on(boxes.center, boxes.heading, boxes.length_m, boxes.width_m, rows, step, *traffic.boxes))
 
 
 def clear_places(

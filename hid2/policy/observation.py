@@ -14,7 +14,7 @@ from hid2.motion.lane_change_path import LateralTiming
 from hid2.motion.route import DrivenPath, LateralMotion, is_drivable, shifted_path
 from hid2.occupancy.along_path import look_along
 from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path
-from hid2.occupancy.sigma import FREE, UNDER_SHARE, dwell_steps, is_agent_on
+from hid2.occupancy.sigma import FREE, dwell_steps, is_agent_on
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.lane_change import OPEN, Gap, LaneOption
 from hid2.reasons import Reason
@@ -219,7 +219,7 @@ def _cells_free(scene: Scene, cell: Cell, inserted: Inserted) -> bool:
         return False
     wanted = range(first, last + 1)
     return not any(
-        is_agent_on(scene.boxes, wanted, traffic, column, width_share=UNDER_SHARE)
+        is_agent_on(scene.boxes, wanted, traffic, column)
         for traffic, column in ((inserted.known, step), (inserted.driven, 0))
         if traffic.ids
     )

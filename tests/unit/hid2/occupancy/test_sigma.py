@@ -119,9 +119,9 @@ def test_somebody_on_some_of_the_cells(grid: CellGrid, boxes: CellBoxes, box: Ca
     one, four, beside = (grid.index_of[cell] for cell in (Cell(1, 1), Cell(1, 4), Cell(2, 1)))
 
     def is_on(cells: list[int], step: int) -> bool:
-        return is_agent_on(boxes, cells, someone, step, width_share=0.8)
+        return is_agent_on(boxes, cells, someone, step)
 
     assert (is_on([one], 0), is_on([four], 0), is_on([four, one], 0)) == (True, False, True)
     assert (is_on([one], 10), is_on([four], 10)) == (False, True)
     assert not is_on([beside], 0)
-    assert not is_agent_on(boxes, [one], box(6.0, 0.0, steps=4, first=2), 0, width_share=0.8)
+    assert not is_agent_on(boxes, [one], box(6.0, 0.0, steps=4, first=2), 0)
