@@ -5,12 +5,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from hid2.policies import Policy as Policy
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from netconvert.geometry import FloatArray as FloatArray
+from netconvert.geometry import IntArray as IntArray
 
 
 class BoxSize(NamedTuple):

@@ -10,7 +10,7 @@ import numpy as np
 
 from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, IntArray, Track
 from hid2.drivers.driver import OFFSET_MAX_M, place_of_lane
-from hid2.measures.arrays import MOVING_EXTENT_M, MOVING_S
+from hid2.measures.arrays import MOVES_MPS, MOVING_EXTENT_M, MOVING_S
 from hid2.measures.driven_lanes import STRETCH_M, recorded_places
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.scene_end import END_HORIZON_S
@@ -38,8 +38,6 @@ _RUN_ON_M = 250.0  # no tunable: without topology a vehicle runs straight on, fa
 #: Before their first state and after their last, s, recorded agents are kept clear of, as if they drove on. No tunable:
 #: what is nearer in time than that is seen to drive through another one.
 _UNSEEN_S = 0.5
-#: Recorded vehicles that drive slower than this do not move, m/s.
-MOVES_MPS = 1.0
 #: Clearance boxes are rounded up to these, m, so that vehicles of about one size share what is known of a path.
 #: Not parameters, they save time: a box that is larger by less than this is clear of a little more.
 _LENGTH_STEP_M, _WIDTH_STEP_M = 0.5, 0.1

@@ -34,13 +34,13 @@ from hid2.evaluation import likelihood
 from hid2.evaluation.calibration import calibrate, drivers_of
 from hid2.evaluation.likelihood import FEATURES, GROUPS, LAST, NOW, Features, features, likelihoods, scene_scores
 from hid2.evaluation.resimulated import TakenOut, begin, own_path, poses, taken_out
-from hid2.measures.arrays import BoolArray
+from hid2.measures.arrays import MOVES_MPS, BoolArray
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import Traffic, traffic_of, velocity_of
 from hid2.params import CarFollowing, Config, Drivers
 from hid2.policy.roads import Roads
 from hid2.resampling import ratio
-from hid2.scene import MOVES_MPS, build_scene
+from hid2.scene import build_scene
 from netconvert.cells import build_cell_grid
 from netconvert.errors import ConfigError, ScenarioError, SimulationError
 from netconvert.net_xml import net_bytes

@@ -142,7 +142,7 @@ class FleetSimulation:
 
     def _read(self, step: int, attempts: dict[int, steering.Attempt], limits: dict[int, Limit]) -> None:
         """Take down what SUMO did, what came of what it was asked for, and which of the limits decided the speed."""
-        inside = self.simulation.driven()
+        inside = self.simulation.vehicle_ids()
         for row, vehicle in enumerate(self.fleet.vehicles):
             if not vehicle.running or step < vehicle.start.step:
                 continue

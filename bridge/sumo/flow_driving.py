@@ -62,7 +62,7 @@ class FlowDriving(FleetSimulation):
     def _enter(self, step: int) -> None:
         FleetSimulation._enter(self, step)
         if self._queued:
-            inside = self.simulation.driven()
+            inside = self.simulation.vehicle_ids()
             for vehicle_id in [name for name in self._queued if name in inside]:
                 self._appear(self._queued.pop(vehicle_id), step)
 

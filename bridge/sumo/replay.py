@@ -27,8 +27,7 @@ class ReplayErrors:
 class Replay:
     """Drives the agents of a `Traffic` along their states. Call `place` before and `check` after each step.
 
-    checked: of so many, the first ones, poses are compared; only a scene's first simulation does that, later ones
-    replay the same states. names: ids in the simulation.
+    checked: of so many, the first ones, poses are compared. names: ids in the simulation.
     """
 
     simulation: Simulation

@@ -243,7 +243,7 @@ class Simulation:
         """One step of step_s."""
         libsumo.simulationStep()
 
-    def driven(self) -> frozenset[str]:
+    def vehicle_ids(self) -> frozenset[str]:
         """Ids of all vehicles in the net."""
         return frozenset(libsumo.vehicle.getIDList())
 

@@ -2,7 +2,7 @@
 
 1. A transition into a cell with sigma = 1 is rejected, now and at the predicted time (`transition_rejected`).
 2. Generated against generated: executing before pending, then closer before farther (metres to the cell that both
-   want), then the lower id; in the compiled loop.
+   want), then the one whose site was chosen first; in the compiled loop.
 3. Future conflicts: predicted boxes over the horizon, recorded agents by their true future, generated ones by their
    state and intention at this step (`Guard.braking`): adjust timing, else another way at the next split; a manoeuvre
    does not begin meanwhile.

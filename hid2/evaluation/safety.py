@@ -11,9 +11,8 @@ import numpy as np
 import shapely
 
 from hid2.agents import FloatArray
-from hid2.judge.findings import MOVES_MPS
 from hid2.judge.states import against_lane_deg, outside_m
-from hid2.measures.arrays import BoolArray, SceneArrays
+from hid2.measures.arrays import MOVES_MPS, BoolArray, SceneArrays
 from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import LaneLeaders, leaders
 from hid2.measures.surrogates import CAP_S, Encroachment, encroachments, time_to_collision

@@ -13,7 +13,7 @@ from hid2.drivers.driver import Driver, draw_driver
 from hid2.insertion.event_objective import MOMENT_S, Objective
 from hid2.insertion.event_places import ABOUT_M, Place
 from hid2.insertion.rollout import RolledOut, Rollout, World
-from hid2.insertion.starts import CLEAR_GAP_M, Site, Starts
+from hid2.insertion.starts import Site, Starts, are_clear
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.gaps import gaps_on_path
 from hid2.occupancy.traffic import BoolArray
@@ -129,8 +129,7 @@ class EventStarts(Starts):
         cells = np.arange(time_s.size) * TABLE_STEP_M
         freely = np.where(rng.random(_DRAWS) < 0.5, 1.0, rng.random(_DRAWS))  # share of the time in which it is held up
         begin_s = np.interp(np.interp(s, cells, time_s) - freely * at * scene.step_s, time_s, cells, left=-1.0)
-        near = gaps_on_path(self.world.guard.known_on(place.path, self._box), begin_s, 0)
-        clear = np.minimum(near.lead_m, near.lag_m) >= CLEAR_GAP_M
+        clear = are_clear(gaps_on_path(self.world.guard.known_on(place.path, self._box), begin_s, 0))
         clear &= (begin_s > 0.5 * self._box.length_m) & (s < place.path.exit_s)
         return (driver, float(begin_s[np.argmax(clear)])) if clear.any() else None
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Track
 from hid2.drivers.driver import LaneOffset
-from hid2.judge.findings import LEFT_TO_TARGET, MOVES_M, MOVES_MPS, Finding, Quantity, export_bounds
+from hid2.judge.findings import LEFT_TO_TARGET, MOVES_M, Finding, Quantity, export_bounds
 from hid2.judge.states import (
     headway_on_driven_path,
     headways,
@@ -23,6 +23,7 @@ from hid2.judge.states import (
     ttc_on_lanes,
 )
 from hid2.kernels.path_intervals import SAME_WAY
+from hid2.measures.arrays import MOVES_MPS
 from hid2.measures.following import leaders
 from hid2.motion.smoothing import Motion, Trajectory, smooth_motion, trajectory
 from hid2.occupancy.agent_states import AgentStates, agent_states

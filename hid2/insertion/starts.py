@@ -22,6 +22,7 @@ from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.gaps import AllGaps, Gaps, gaps_from_pose, gaps_on_path, gaps_to_all
+from hid2.occupancy.traffic import BoolArray
 from hid2.policy.behaviours import BEHAVIOURS
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
@@ -163,7 +164,7 @@ class Starts:
         start_s = path.to_line(s)
         if "collision" not in config.without:
             near = self.world.gaps_at(path, box, start_s, step)
-            if not _is_clear(near):
+            if not are_clear(near).all():
                 return Reason.NO_SITE
             if near.lag_m[0] < (headway_s - LEADER_LENGTH_S) * near.lag_mps[0]:
                 return Reason.FOLLOWER_HEADWAY
@@ -228,8 +229,7 @@ class Starts:
     def _performed(self, world: World, start: Start) -> tuple[Rollout, ...] | Reason:
         """The rollout of a vehicle that does what it is asked for, and meets nothing; or why it does not.
 
-        With `request.sites = any` nothing is looked ahead, but that no vehicle begins where it is met at once: it is
-        not rolled out.
+        With `request.sites = any` it is rolled out for _HOLDS_S alone: no vehicle begins where it is met at once.
         """
         scene, config, policy = self.scene, self.scene.config, start.request.policy
         if "collision" in config.without:
@@ -303,7 +303,7 @@ class Starts:
         anew = [candidate]
         for one in self.world.to_roll_anew(candidate):
             around, begun = self.world.joined_by(candidate, without=one.start.vehicle_id), one.start
-            if not _is_clear(around.gaps_at(begun.path, begun.box, begun.start_s, begun.step)):
+            if not are_clear(around.gaps_at(begun.path, begun.box, begun.start_s, begun.step)).all():
                 return Reason.MEETS_GENERATED
             still = self._performed(around, begun)
             if isinstance(still, Reason):
@@ -401,9 +401,9 @@ def _came_through(known: PathOccupancy, seen: AllGaps, speed_mps: float, step: i
     return bool((through & known.same_direction[:, step]).any())
 
 
-def _is_clear(near: Gaps) -> bool:
-    """Whether a vehicle may begin between those next to it, for where they are."""
-    return bool(min(near.lead_m[0], near.lag_m[0]) >= CLEAR_GAP_M)
+def are_clear(near: Gaps) -> BoolArray:
+    """(N,) whether vehicles may begin between those next to them, for where these are."""
+    return np.minimum(near.lead_m, near.lag_m) >= CLEAR_GAP_M
 
 
 def speed_behind(

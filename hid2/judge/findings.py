@@ -8,11 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hid2.agents import FloatArray
+from hid2.measures.arrays import MOVES_MPS
 from hid2.params import Config, Conflict, Limits
 from hid2.reasons import Reason
 
-#: Slower vehicles have neither a curvature nor a direction of motion, m/s.
-MOVES_MPS = 1.0
 #: An agent that moves less over the scene stands throughout, m. No tunable: what standing throughout is.
 MOVES_M = 2.0
 #: No tunable: an exported box keeps so far from every other one, m. Of 333 recorded pairs of moving vehicles none is .1

@@ -84,7 +84,10 @@ def agent_on(
         x, y, half_l, half_w = position[a, step, 0], position[a, step, 1], length[a] / 2, width[a] / 2
         co, si = np.cos(heading[a, step]), np.sin(heading[a, step])
         for c in cells:
-            if is_on(center, c_heading, c_length, c_width, c, x, y, co, si, half_l, half_w):
+            if overlap(
+                x, y, co, si, half_l, half_w,
+                center[c, 0], center[c, 1], np.cos(c_heading[c]), np.sin(c_heading[c]), c_length[c] / 2, c_width[c] / 2,
+            ):  # fmt: skip
                 return True
     return False
 
@@ -121,18 +124,3 @@ def _first_from(center: FloatArray, by_x: IntArray, x: float) -> int:
         else:
             high = middle
     return low
-
-
-@inner
-def is_on(
-    center: FloatArray, c_heading: FloatArray, c_length: FloatArray, c_width: FloatArray, c: int,
-    x: float, y: float, co: float, si: float, half_l: float, half_w: float,
-) -> bool:  # fmt: skip
-    """Whether a box covers any of cell c."""
-    reach = half_l + half_w + c_length[c] + c_width[c]
-    if abs(x - center[c, 0]) > reach or abs(y - center[c, 1]) > reach:
-        return False
-    return overlap(
-        x, y, co, si, half_l, half_w,
-        center[c, 0], center[c, 1], np.cos(c_heading[c]), np.sin(c_heading[c]), c_length[c] / 2, c_width[c] / 2,
-    )  # fmt: skip

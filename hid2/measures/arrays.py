@@ -5,14 +5,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hid2.agents import VEHICLE_TYPES, FloatArray, IntArray, Track
-
-BoolArray = npt.NDArray[np.bool_]
+from netconvert.geometry import BoolArray as BoolArray
 
 #: A vehicle counts as moving above this extent of its path, m, seen for longer than this, s.
 MOVING_EXTENT_M, MOVING_S = 5.0, 1.0
+#: Slower agents do not move at a step, m/s: they have neither a direction of motion nor a curvature.
+MOVES_MPS = 1.0
 #: Tracker fragments (AV2's TRACK_FRAGMENT).
 FRAGMENT = 0
 

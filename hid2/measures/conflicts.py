@@ -11,13 +11,13 @@ import numpy as np
 
 from hid2.agents import FloatArray, IntArray
 from hid2.measures.arrays import SceneArrays
-from hid2.measures.surrogates import CAP_S, Encroachment, encroachments, time_to_collision
+from hid2.measures.surrogates import CAP_S, REAR_END_DEG, Encroachment, encroachments, time_to_collision
 from netconvert.geometry import differences, wrap_angle
 
 #: A conflict has a TTC below the first, or paths that cross within the second, s (SSAM's thresholds).
 CONFLICT_TTC_S, CONFLICT_PET_S = 1.5, 5.0
-#: Angles between the two headings below the first are rear-end, above the second crossing conflicts (SSAM's, deg).
-REAR_END_DEG, CROSSING_DEG = 30.0, 80.0
+#: Angles between the two headings above this are crossing conflicts, below REAR_END_DEG rear-end (SSAM's, deg).
+CROSSING_DEG = 80.0
 #: Slower than this no gap closes, m/s, and no follower has a headway. No tunable, against rounding.
 _CLOSES_MPS = 0.05
 

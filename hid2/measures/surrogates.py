@@ -11,8 +11,9 @@ from hid2.measures.arrays import SceneArrays
 
 #: TTC and PET above this are not told apart.
 CAP_S = 5.0
-#: Paths that meet at less than this follow each other; they do not cross (SSAM's rear-end bound).
-CROSSING_RAD = math.radians(30)
+#: Paths that meet at less than this follow each other; they do not cross (SSAM's rear-end bound, deg).
+REAR_END_DEG = 30.0
+_REAR_END_RAD = math.radians(REAR_END_DEG)
 
 
 def time_to_collision(arrays: SceneArrays, *, cap_s: float) -> tuple[FloatArray, FloatArray]:
@@ -36,7 +37,7 @@ class Encroachment(NamedTuple):
 
 def encroachments(
     arrays: SceneArrays, *, since: int = 0, cap_s: float = CAP_S, agents: IntArray | None = None,
-    crossing_rad: float = CROSSING_RAD,
+    crossing_rad: float = _REAR_END_RAD,
 ) -> tuple[Encroachment, ...]:  # fmt: skip
     """PET of every pair of moving vehicles with swept paths that cross within cap_s of each other.
 

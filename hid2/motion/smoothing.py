@@ -45,7 +45,8 @@ def smooth_motion(
     """s(t) nearest to a driven one (T,) m with a speed that has passed a Gaussian of standard deviation filter_s.
 
     end_jerk_mps3: bound on the jerk that differences of positions show at both ends; None: the ends are left as driven.
-    s between two steps is the cubic through position, speed and acceleration at both (paper: by differences of speed).
+    The way of a step is the mean of those of two cubics s(t), by position, speed and acceleration (of differences of
+    speed, as in the paper) at one of its ends and the speed at the other.
     """
     v_driven = np.gradient(s_driven, step_s, edge_order=2)
     reach = math.ceil(_TRUNCATED_AT * filter_s / step_s)

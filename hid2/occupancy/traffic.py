@@ -5,11 +5,10 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Track
+from netconvert.geometry import BoolArray as BoolArray
 
-BoolArray = npt.NDArray[np.bool_]
 #: Velocity is the difference of positions over this long either side, s. No tunable: what a tracker's velocity is.
 _HALF_S = 0.2
 #: Stated velocities that are mostly farther off those by the positions, m/s, are not believed: no tracker is so bad.

@@ -249,13 +249,13 @@ def test_vehicle_is_where_sumo_has_it_also_behind_a_lane_change() -> None:
     scene, fronts = scene_on(LaneGraph({1: right, 2: left}, drivable_areas=(ring,))), []
 
     def watch(simulation: Simulation) -> None:
-        read = simulation.driven
+        read = simulation.vehicle_ids
 
         def and_note() -> frozenset[str]:
             fronts.append(simulation.poses(["v0_0"])[0])
             return read()
 
-        simulation.driven = and_note  # type: ignore[method-assign]
+        simulation.vehicle_ids = and_note  # type: ignore[method-assign]
 
     start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=2.0)
     (one,) = drive(scene, start, patch=watch).fleet.vehicles
@@ -420,14 +420,14 @@ def test_vehicle_is_inserted_with_its_box_where_it_starts(s0: float) -> None:
     poses: list[Any] = []
 
     def watch(simulation: Simulation) -> None:
-        read = simulation.driven
+        read = simulation.vehicle_ids
 
         def first() -> frozenset[str]:
             if not poses:
                 poses.append((simulation.poses(["v0_0"])[0], simulation.speed("v0_0")))
             return read()
 
-        simulation.driven = first  # type: ignore[method-assign]
+        simulation.vehicle_ids = first  # type: ignore[method-assign]
 
     drive(scene, start_on(scene, (1, 3), s0, 7.0), patch=watch)
     pose, speed = poses[0]

@@ -86,7 +86,7 @@ def test_rewound_simulation_is_as_good_as_a_fresh_one(net: Path) -> None:
         for _ in range(30):
             sumo.step()
         sumo.rewind()
-        assert sumo.driven() == frozenset()
+        assert sumo.vehicle_ids() == frozenset()
         assert drive(sumo) == wanted
     assert min(wanted) < 9.0
 
@@ -112,7 +112,7 @@ def test_vehicle_is_inserted_close_behind_another_if_it_was_planned_so(sumo: Sim
     assert _insert(sumo, "v1", 40.0, 8.0) is None
     assert _insert(sumo, "v2", 31.0, 8.0) is None
     sumo.step()
-    assert {"v1", "v2"} <= sumo.driven()
+    assert {"v1", "v2"} <= sumo.vehicle_ids()
 
 
 def test_vehicle_that_is_taken_from_the_queue_may_queue_again(sumo: Simulation) -> None:
@@ -123,7 +123,7 @@ def test_vehicle_that_is_taken_from_the_queue_may_queue_again(sumo: Simulation) 
     for _ in range(2):
         sumo.queue("v2", edges=EDGES, lane_index=0, driver=DRIVER, size=CAR)
         sumo.step()
-        assert sumo.driven() == {"v1"}
+        assert sumo.vehicle_ids() == {"v1"}
         sumo.remove("v2")
         sumo.step()
     sumo.queue("v2", edges=EDGES, lane_index=0, driver=DRIVER, size=CAR)
@@ -191,10 +191,10 @@ def test_lane_that_the_net_does_not_have_is_an_objection_not_an_error(sumo: Simu
 def test_vehicle_leaves_at_the_end_of_its_route(sumo: Simulation) -> None:
     _insert(sumo, "v1", 95.0, 10.0)
     sumo.step()
-    assert "v1" in sumo.driven()
+    assert "v1" in sumo.vehicle_ids()
     for _ in range(10):
         sumo.step()
-    assert "v1" not in sumo.driven()
+    assert "v1" not in sumo.vehicle_ids()
 
 
 def test_replayed_vehicle_stays_where_it_is_put_and_goes_when_removed(sumo: Simulation) -> None:
@@ -206,7 +206,7 @@ def test_replayed_vehicle_stays_where_it_is_put_and_goes_when_removed(sumo: Simu
         assert sumo.poses(["r0"])[0] == pytest.approx(pose)
     sumo.remove("r0")
     sumo.step()
-    assert "r0" not in sumo.driven()
+    assert "r0" not in sumo.vehicle_ids()
 
 
 def test_hundred_starts_in_one_process_are_fine(net: Path) -> None:
