@@ -123,8 +123,8 @@ class ManoeuvreDue:
         return {option.side: (option, target) for option, target in found}
 
     def _leader(self) -> Gap | None:
-        """For an overtake the leader within d_obs."""
-        if self.vehicle.policy is not Policy.OVERTAKE:
+        """For an overtake that may begin: the next vehicle ahead, if it may be within d_obs."""
+        if self.vehicle.policy is not Policy.OVERTAKE or self.vehicle.stage is Stage.PASS:
             return None
         d_obs_m = self.scene.config.overtake.d_obs_m
         path, box, s = self.vehicle.path, self.vehicle.start.box, self.vehicle.s[-1]

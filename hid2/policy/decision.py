@@ -17,11 +17,11 @@ from netconvert.lane_graph import Side, TurnType
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What the agent knows at time t: its cell, lane type, request, leader within d_obs, and adjacent lanes.
+    """What the agent knows at time t: its cell, lane type, request, leader, and adjacent lanes.
 
-    options: of the sides that the request allows, in the order in which they are tried; own_front, own_rear: gaps ahead
-    and behind on its lane, where a rule asks; passed_gap_m: from its rear bumper to the vehicle that it overtakes, -inf
-    unless passed.
+    leader: the next vehicle on its lane, where one may be overtaken; options: of the sides that the request allows, in
+    the order in which they are tried; own_front, own_rear: gaps ahead and behind on its lane, where a rule asks;
+    passed_gap_m: from its rear bumper to the vehicle that it overtakes, -inf unless passed.
     """
 
     time_s: float
