@@ -154,7 +154,7 @@ class RoadTraffic:
             behind = [name for name, lane in self._named.items() if lane.start_m >= road.length_m]
             every = max(1, round(ASK_S / road.step_s))
             steps = round((road.seconds + CLEAR_S) / road.step_s)
-            red = [(one.at_m, one.red(steps, road.step_s)) for one in road.signal]
+            red = [(one.at_m, one.shown(road.step_s, steps) != "G") for one in road.signal]
             for step in range(steps):
                 now_s = step * road.step_s
                 while parts and parts[0][0] <= now_s:
