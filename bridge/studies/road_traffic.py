@@ -209,7 +209,7 @@ class RoadTraffic:
             if one.start <= last or one.leaves or one.taken or one.lane.lane_id in RAMPS:
                 continue
             front, rear = self._around(one, last)
-            gaps = _time_gap_s(rear, rear.speed_mps), _time_gap_s(front, one.v)
+            gaps = rear.time_gap_s(rear.speed_mps), front.time_gap_s(one.v)
             between = front.track_id, rear.track_id
             if one.lane.number == last:
                 one.taken = gaps
@@ -320,8 +320,3 @@ class RoadTraffic:
                 if max(number, other) <= self.road.lanes and other > 0:
                     there, changes = density.get((*place, other), 0.0), moved.get((*place, number, other), 0)
                     yield density[*place, number], there, changes, driven_m / 1000.0
-
-
-def _time_gap_s(gap: Gap, follower_mps: float) -> float:
-    """Of a follower that stands, or of none: inf."""
-    return gap.distance_m / follower_mps if follower_mps > 0.1 else np.inf
