@@ -222,6 +222,7 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         flow=named["flow"],
         reasons=counted.loc[~accepted, "reason"].value_counts()[:6].to_dict(),
         exported_share=None if exported.empty else float((exported == "yes").mean()),
+        crossed=len(study.points) == math.prod(len({point[key] for point in study.points}) for key in study.keys),
         overlapping=int(counted["overlaps"].isin([True]).sum()),
         cut_share=float(cut_off.mean()) if len(counted) else 0.0,
         figures=drawn,
