@@ -24,7 +24,7 @@ _DISK = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
 MAX_FILE_MB = 32
 _SHORTENED = " ...(shortened)... "
 #: A text that a spreadsheet runs as a formula, behind apostrophes or not; a number is none, nor is a sign alone.
-_FORMULA = re.compile(r"'*(?:[=@\t\r]|[+-](?!(?:\d*\.?\d+(?:e[+-]?\d+)?|inf|nan)$)).", re.DOTALL | re.IGNORECASE)
+_FORMULA = re.compile(r"\A'*(?:[=@\t\r]|[+-](?!(?:\d*\.?\d+(?:e[+-]?\d+)?|inf|nan)$)).", re.DOTALL | re.IGNORECASE)
 
 
 @contextlib.contextmanager
@@ -92,8 +92,8 @@ def append_rows(stream: IO[str], rows: Iterable[Iterable[object]]) -> None:
 
 
 def table_cell(value: object) -> object:
-    """A value as a CSV table has it: a text that would be run as a formula goes behind an apostrophe."""
-    return f"'{value}" if isinstance(value, str) and _FORMULA.match(value) else value
+    """A value as a CSV table has it: a text or path that would be run as a formula goes behind an apostrophe."""
+    return printable(_FORMULA.sub(r"'\g<0>", str(value))) if isinstance(value, str | Path) else value
 
 
 def rounded(value: float | None, digits: int = 4) -> float | None:

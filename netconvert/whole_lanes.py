@@ -19,21 +19,21 @@ from netconvert.lane_graph import LaneGraph
 from netconvert.net_xml import ALLOWED_CLASSES, WHOLE_LIMIT_MPS, CityOrigin, junction_beside, location, shape
 from netconvert.roads import RoadGraph, Way, roads_of
 
-#: Whether a driver has to stop at the entrance of a lane of an intersection, by step; None where there is no signal.
-Red = Callable[[int], npt.NDArray[np.bool_] | None]
+#: SUMO's letter at the entrance of a lane of an intersection, by step; None where there is no signal.
+Shown = Callable[[int], npt.NDArray[np.str_] | None]
 
 
 def plain_files(
-    graph: LaneGraph, *, origin: CityOrigin | None = None, red: Red | None = None, step_s: float
+    graph: LaneGraph, *, origin: CityOrigin | None = None, shown: Shown | None = None, step_s: float
 ) -> dict[str, bytes]:
-    """Nodes, edges, connections, and with `red` signals, by netconvert's option for each file.
+    """Nodes, edges, connections, and with `shown` signals, by netconvert's option for each file.
 
     Equal graphs give equal bytes. Errors: NetError for endless ways through an intersection.
     """
     roads = roads_of(graph)
     links = {(way.source, way.target): way for way in reversed(roads.ways)}  # SUMO has one from lane to lane
     ways = tuple(way for way in roads.ways if links[way.source, way.target] is way)
-    signals = {} if red is None else _signals(roads, ways, red, step_s)
+    signals = {} if shown is None else _signals(roads, ways, shown, step_s)
     files = {
         "node-files": _nodes(graph, roads, origin, signals),
         "edge-files": xml_bytes(E.edges(*(_edge(graph, roads, number) for number in range(len(roads.rows))))),
@@ -93,19 +93,18 @@ def _connections(graph: LaneGraph, roads: RoadGraph, ways: Sequence[Way]) -> lis
     return found + [E.connection({"from": str(row[0])}) for k, row in enumerate(roads.rows) if k not in leaving]
 
 
-def _signals(roads: RoadGraph, ways: Sequence[Way], red: Red, step_s: float) -> dict[int, list[etree._Element]]:
-    """By junction with an entrance that was red: its program, as long as the recording, and the links it controls."""
+def _signals(roads: RoadGraph, ways: Sequence[Way], shown: Shown, step_s: float) -> dict[int, list[etree._Element]]:
+    """By junction with an entrance that was red: its program, as long as what is shown, and the links it controls."""
     found = {}
     for junction, every in roads.ways_of.items():
         through = [way for way in every if way in ways]
-        shown = [red(way.through[0]) if way.through else None for way in through]
-        if not any(steps is not None and steps.any() for steps in shown):
+        each = [shown(way.through[0]) if way.through else None for way in through]
+        always = "g" * len(next((letters for letters in each if letters is not None), ()))
+        states = ["".join(now) for now in zip(*(always if one is None else one for one in each), strict=True)]
+        if not any(state.strip("Gg") for state in states):
             continue
-        count = max(len(steps) for steps in shown if steps is not None)
-        states = ["".join("r" if steps is not None and steps[k] else "g" for steps in shown) for k in range(count)]
         phases = [E.phase(duration=f"{len(list(same)) * step_s:g}", state=state) for state, same in groupby(states)]
-        name = f"J{junction}"
+        name, controlled = f"J{junction}", (_link(roads, way) | {"linkIndex": str(k)} for k, way in enumerate(through))
         program = E.tlLogic(*phases, id=name, type="static", programID="recorded", offset="0")
-        links = (E.connection(_link(roads, way), tl=name, linkIndex=str(k)) for k, way in enumerate(through))
-        found[junction] = [program, *links]
+        found[junction] = [program, *(E.connection(link, tl=name) for link in controlled)]
     return found

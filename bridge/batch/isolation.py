@@ -280,9 +280,9 @@ def attempts(work: Callable[[_Item], _Value], items: Iterable[_Item]) -> Iterato
 def describe_error(error: Exception) -> Failure:
     """Return an exception as a failure: a `Hid2Error` explains itself, anything else shows where it came from."""
     details = "".join(traceback.format_exception(error))
-    full = disk_error(error)
-    if full is not None:
-        return Failure("disk", f"{full.filename or 'the scene'}: cannot be written ({full.strerror})", details)
+    if (full := disk_error(error)) is not None:
+        said = f"{full.filename or 'the scene'}: cannot be written ({full.strerror})"
+        return Failure("disk", str(error) if isinstance(error, Hid2Error) else said, details)
     if isinstance(error, MemoryError):
         bound = resource.getrlimit(resource.RLIMIT_DATA)[0]
         return Failure("memory", _too_much(bound // _MB if bound != resource.RLIM_INFINITY else None), details)

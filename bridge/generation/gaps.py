@@ -26,12 +26,12 @@ GAP_COLUMNS: Mapping[str, str] = {
     "lead_id": "new leader",
     "lead_gap_m": "gap to the new leader, between clearance boxes: some .5 m (.1 to 1.0) less than between bumpers",
     "lead_speed_mps": "its speed",
-    "lead_time_gap_s": "lead gap over the own speed",
+    "lead_time_gap_s": "lead gap over the own speed; empty: it stands",
     "lead_ttc_s": "time to collision with the new leader at constant speeds; empty: not closing in",
     "lag_id": "new follower",
     "lag_gap_m": "the same to the new follower",
     "lag_speed_mps": "its speed",
-    "lag_time_gap_s": "lag gap over the follower's speed",
+    "lag_time_gap_s": "lag gap over the follower's speed; empty: it stands",
     "lag_ttc_s": "time to collision of the new follower at constant speeds; empty: not closing in",
     "remaining_m": "length of the lane left, through its successors",
     "rule": "answer of the lane-change rule: yes, or a reason",
@@ -85,7 +85,7 @@ def _neighbour(name: str, gap: Gap, *, follower_mps: float, leader_mps: float) -
         f"{name}_id": gap.track_id if there else None,
         f"{name}_gap_m": rounded(gap_m),
         f"{name}_speed_mps": rounded(gap.speed_mps) if there else None,
-        f"{name}_time_gap_s": rounded(gap_m / follower_mps) if there and follower_mps > 0.0 else None,
+        f"{name}_time_gap_s": rounded(gap.time_gap_s(follower_mps)),
         f"{name}_ttc_s": rounded(max(gap_m, 0.0) / closing) if there and closing > 0.0 else None,
     }
 

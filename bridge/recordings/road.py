@@ -69,17 +69,17 @@ class Signal(RoadPart):
         """Seconds and SUMO's letter of each."""
         return (self.green_s, "G"), (self.yellow_s, "y"), (self.red_s, "r")
 
-    def red(self, steps: int, step_s: float) -> npt.NDArray[np.bool_]:
-        """(T,) whether it is not green."""
-        since_s = (np.arange(steps) * step_s - self.offset_s) % sum(seconds for seconds, _ in self.phases)
-        return np.asarray(since_s >= self.green_s)
+    def shown(self, step_s: float, steps: int | None = None) -> npt.NDArray[np.str_]:
+        """(T,) SUMO's letter of each step: of so many, or of one cycle."""
+        ends_s, letters = np.cumsum([self.green_s, self.yellow_s, self.red_s]), np.array([*"Gyr"])
+        at_s = np.arange(round(ends_s[-1] / step_s) if steps is None else steps) * step_s - self.offset_s
+        return np.asarray(letters[np.searchsorted(ends_s, at_s % ends_s[-1], side="right") % 3])
 
 
 class Period(RoadPart):
     """Traffic until a time: veh/h that enter by lane, counted from the left, the on-ramp last.
 
-    end_mps: speed limit behind the section from the period on, by lane: what lies downstream, without which no
-    congestion arises; none: as it was.
+    end_mps: speed limit behind the section from then on, by lane, without which none is congested; none: as it was.
     """
 
     until_s: float = Field(gt=0)
@@ -263,8 +263,7 @@ def _written(
     same |= {"num_timestamps": steps, "focal_track_id": "1", "city": "corridor"}
     table = parquet_bytes(table_of(tracks, same, observed_steps=OBSERVED_STEPS))
     streets = json.dumps(_map(stretches, lanes)).encode()
-    files = {f"scenario_{name}.parquet": table, f"log_map_archive_{name}.json": streets, **more}
-    write_folder(out_dir / name, files)
+    write_folder(out_dir / name, {f"scenario_{name}.parquet": table, f"log_map_archive_{name}.json": streets, **more})
     return out_dir / name
 
 
@@ -299,6 +298,5 @@ def _map(stretches: Sequence[Lane], lanes: int) -> dict[str, Any]:
     low, high = (lowest - 0.5) * _LANE_M - _SHOULDER_M, (lanes - 0.5) * _LANE_M + 1.0
     first, last = min(lane.start_m for lane in stretches), max(lane.end_m for lane in stretches)
     corners = [(first - 30.0, low), (last + 30.0, low), (last + 30.0, high), (first - 30.0, high)]
-    area = [{"x": round(a, 2), "y": round(b, 2), "z": 0.0} for a, b in corners]
-    areas = {"1": {"area_boundary": area, "id": 1}}
-    return {"drivable_areas": areas, "lane_segments": segments, "pedestrian_crossings": {}}
+    ground = {"1": {"area_boundary": [{"x": round(a, 2), "y": round(b, 2), "z": 0.0} for a, b in corners], "id": 1}}
+    return {"drivable_areas": ground, "lane_segments": segments, "pedestrian_crossings": {}}

@@ -39,6 +39,7 @@ _LONG = 50_000
 _COLORS = {
     "cells": figures.SKY,
     "rule": figures.ORANGE,
+    "road": figures.GREY,
     "end": figures.PURPLE,
     "guard": figures.GREEN,
     "sumo": figures.VERMILION,
@@ -144,7 +145,7 @@ def draw_parameter(
         ("mean duration, s", {"mean_wait_s": (f"waiting, up to {within_s:g} s", figures.BLUE),
                               "lateral_s": ("lateral motion, once accepted", figures.ORANGE)}),
         ("gaps refused, share, by",
-         {f"refused_by_{name}": (DECIDE[name], color) for name, color in _COLORS.items()}),
+         {f"refused_by_{name}": (said, _COLORS[name]) for name, said in DECIDE.items()}),
     )  # fmt: skip
     for panel, (panel_title, outcomes) in zip(axes.flat, by_value, strict=False):
         for outcome, (label, color) in outcomes.items():
@@ -221,6 +222,7 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         flow=named["flow"],
         reasons=counted.loc[~accepted, "reason"].value_counts()[:6].to_dict(),
         exported_share=None if exported.empty else float((exported == "yes").mean()),
+        crossed=len(study.points) == math.prod(len({point[key] for point in study.points}) for key in study.keys),
         overlapping=int(counted["overlaps"].isin([True]).sum()),
         cut_share=float(cut_off.mean()) if len(counted) else 0.0,
         figures=drawn,

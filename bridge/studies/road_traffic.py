@@ -154,7 +154,7 @@ class RoadTraffic:
             behind = [name for name, lane in self._named.items() if lane.start_m >= road.length_m]
             every = max(1, round(ASK_S / road.step_s))
             steps = round((road.seconds + CLEAR_S) / road.step_s)
-            red = [(one.at_m, one.red(steps, road.step_s)) for one in road.signal]
+            red = [(one.at_m, one.shown(road.step_s, steps) != "G") for one in road.signal]
             for step in range(steps):
                 now_s = step * road.step_s
                 while parts and parts[0][0] <= now_s:
@@ -209,7 +209,7 @@ class RoadTraffic:
             if one.start <= last or one.leaves or one.taken or one.lane.lane_id in RAMPS:
                 continue
             front, rear = self._around(one, last)
-            gaps = _time_gap_s(rear, rear.speed_mps), _time_gap_s(front, one.v)
+            gaps = rear.time_gap_s(rear.speed_mps), front.time_gap_s(one.v)
             between = front.track_id, rear.track_id
             if one.lane.number == last:
                 one.taken = gaps
@@ -320,8 +320,3 @@ class RoadTraffic:
                 if max(number, other) <= self.road.lanes and other > 0:
                     there, changes = density.get((*place, other), 0.0), moved.get((*place, number, other), 0)
                     yield density[*place, number], there, changes, driven_m / 1000.0
-
-
-def _time_gap_s(gap: Gap, follower_mps: float) -> float:
-    """Of a follower that stands, or of none: inf."""
-    return gap.distance_m / follower_mps if follower_mps > 0.1 else np.inf

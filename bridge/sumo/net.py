@@ -26,7 +26,7 @@ from netconvert.fidelity import FidelityReport, measure_fidelity
 from netconvert.gui_files import gui_files
 from netconvert.lane_graph import LaneGraph
 from netconvert.net_xml import CITY_ORIGINS, net_bytes
-from netconvert.whole_lanes import Red, plain_files
+from netconvert.whole_lanes import Shown, plain_files
 
 #: No turns back where the map has none, and no two vehicles on ways that cross within a junction.
 _WHOLE_OPTIONS = ["--no-turnarounds", "true", "--check-lane-foes.all", "true", "--xml-validation", "never"]
@@ -51,29 +51,28 @@ def convert(scene: Address, out_dir: Path, *, cell_m: float = 4.0) -> FidelityRe
 def convert_whole(scene: Address, out_dir: Path, *, signals: bool = False) -> Path:
     """Write <id>.whole.net.xml into out_dir: one SUMO lane for each lane, by SUMO's netconvert; returns the file.
 
-    signals: with programs of the signals, as long as the scene: a road's own, else inferred from the recorded traffic.
+    signals: with programs of the signals: a road's own, else inferred from the recorded traffic, as long as the scene.
     Errors: ScenarioError, MapError; SimulationError without netconvert, NetError where it makes no net; ConfigError for
     signals of a map alone.
     """
     name, graph, recording = _map_of(scene)
-    red: Red | None = None
+    shown: Shown | None = None
     if signals:
         if recording is None:
             raise ConfigError(f"{scene}: a map alone, expected a scene: signals are inferred from its traffic")
-        road = recording.folder / ROAD_FILE
-        if road.is_file():
+        if (road := recording.folder / ROAD_FILE).is_file():
             own = read_road(road).signals
-            red = {lane_id: one.red(recording.num_steps, recording.step_s) for lane_id, one in own.items()}.get
+            shown = {lane_id: one.shown(recording.step_s) for lane_id, one in own.items()}.get
         else:
             lanes = flatten_lanes(graph)
             states = states_of(recording.tracks, lanes, set(), num_steps=recording.num_steps, step_s=recording.step_s)
-            red = InferredSignals(graph, states, Signals()).red
+            shown = InferredSignals(graph, states, Signals()).shown
     step_s = STEP_S if recording is None else recording.step_s
     origin = None if recording is None else CITY_ORIGINS.get(recording.city)
     with tempfile.TemporaryDirectory(prefix="hid2-net-") as folder:
         net = Path(folder, "net.xml")
         command = [sumo_program("netconvert"), *_WHOLE_OPTIONS, "--output-file", str(net)]
-        for option, content in plain_files(graph, origin=origin, red=red, step_s=step_s).items():
+        for option, content in plain_files(graph, origin=origin, shown=shown, step_s=step_s).items():
             Path(folder, option).write_bytes(content)
             command += [f"--{option}", str(Path(folder, option))]
         result = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hid2.agents import FloatArray, IntArray
 from hid2.measures.encounters import CROSSING_RAD
@@ -29,6 +30,8 @@ _UNDER_SHARE = 0.8  # of a lane's width: what only grazes it does not cross it
 _FLOW_MPS = 1.0  # faster recorded vehicles are cross traffic, m/s
 #: Green so long before and after a recorded vehicle enters, s, but not this close to cross traffic (critical PET).
 _ENTRY_BEFORE_S, _ENTRY_AFTER_S, _CROSSING_S = 1.0, 2.0, 1.0
+#: No tunable: s for which a light is amber about, in which one passes that can no longer stop.
+AMBER_S = 1.5
 #: An opposite approach begins so near to where a lane of the intersection ends, m, at most this cosine to its heading.
 _OPPOSITE_M, _OPPOSITE = 25.0, -0.94
 #: Recorded object types that obey signals.
@@ -105,6 +108,13 @@ class InferredSignals:
             queued |= stand & ~_spread(go, *self._steps(_ENTRY_BEFORE_S, _ENTRY_AFTER_S))
         return self._reds(self._crossed(lane_id, ~watched.comes_from), entered, queued)
 
+    def shown(self, lane_id: int) -> NDArray[np.str_] | None:
+        """(T,) SUMO's letter of `red`, which is yellow at first, also where the scene as a program begins again."""
+        if (red := self.red(lane_id)) is None:
+            return None
+        after_green = _spread(np.tile(~red, 2), 0, *self._steps(AMBER_S))[red.size :]
+        return np.where(red, np.where(after_green, "y", "r"), "g")
+
     def _seen(self, lane_id: int, approach: _Approach) -> tuple[BoolArray, BoolArray]:
         """(T,) whether recorded vehicles enter, and whether they wait to; lanes that turn alike share a signal.
 
@@ -162,8 +172,9 @@ class InferredSignals:
         seen = look_along(line, flowing, 0.0, width_m)
         agents = rows[seen.agents]
         across = np.abs(seen.along) <= math.cos(CROSSING_RAD) * self._speed[agents]
-        across &= self._flows[agents] & others[agents, None]
-        return np.asarray((across & (seen.low < line.length_m)).any(axis=0))
+        return np.asarray(
+            (across & self._flows[agents] & others[agents, None] & (seen.low < line.length_m)).any(axis=0)
+        )
 
     @once
     def _watch(self, approach: _Approach) -> _Watched:

@@ -29,8 +29,6 @@ STOPS = (60.0, _ROLLS_UP_SHARE, 0.5, 1.3)
 _CROSSING_GAP_M = 0.5
 #: So far past where it would stand, m, it has passed the line.
 _PASSED_M = 1.0
-#: No tunable: s for which a light is amber about, in which one passes that can no longer stop.
-AMBER_S = 1.5
 # No tunables, the next six: when an agent walks over a crossing.
 #: It counts so near to the crossing, m, if it comes towards it.
 _NEAR_M = 1.0

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, FloatArray, IntArray
-from hid2.conflicts.stop_lines import AMBER_S
+from hid2.conflicts.signals import AMBER_S
 from hid2.drivers.driver import Driver, draw_driver, wandering, with_wander
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.starts import CLEAR_GAP_M, Site, Starts, speed_behind

@@ -14,7 +14,8 @@ import numpy as np
 
 from hid2.agents import BoxSize, FloatArray
 from hid2.conflicts.guard import ACROSS_S, STRIDE, Guard
-from hid2.conflicts.stop_lines import AMBER_S, STOPS
+from hid2.conflicts.signals import AMBER_S
+from hid2.conflicts.stop_lines import STOPS
 from hid2.judge.findings import FOLLOWER_HEADWAY_S, FOLLOWER_LACKS_MPS2, MOVES_M, export_bounds
 from hid2.judge.states import contacts_at_end, lacked_braking, recorded_headways, sustained_headway
 from hid2.kernels.rollout import CONTACT, LAG_TTC, LEAD_TTC, met_by, roll

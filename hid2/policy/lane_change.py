@@ -18,6 +18,10 @@ class Gap:
     speed_mps: float
     track_id: str | None = field(default=None, compare=False)
 
+    def time_gap_s(self, follower_mps: float) -> float:
+        """Of a follower that stands (0.1 m/s or less), or of none: inf."""
+        return self.distance_m / follower_mps if follower_mps > 0.1 else math.inf
+
 
 #: That to no neighbour: any lane change fits in.
 OPEN = Gap(math.inf, 0.0)

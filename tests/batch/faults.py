@@ -20,6 +20,7 @@ from written import made_up_sidecar
 from bridge.batch.batch import Run, SceneFolders, base_row
 from bridge.batch.isolation import Failure, describe_error
 from bridge.batch.manifest import ManifestRow
+from bridge.files import explained
 from bridge.recordings.export import new_scenario_id, with_generated, write_recording
 from bridge.recordings.scenario import read_scenario
 
@@ -116,7 +117,8 @@ def fail(fault: str, scratch: Path) -> None:
     elif fault == "memory":
         bytearray(10**13)
     elif fault == "full":
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(scratch / "scenario.parquet"))
+        with explained(scratch / "scenario.parquet"):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))  # as `write` says it: of no file
     elif fault == "exit":
         os._exit(3)
     elif fault == "hang":

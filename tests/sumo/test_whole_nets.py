@@ -96,7 +96,9 @@ def test_the_same_map_gives_the_same_bytes_on_the_globe(data_scene: Path, tmp_pa
 
 def test_signals_are_in_the_net(real_scenes: list[Path], tmp_path: Path) -> None:
     (scene,) = (scene for scene in real_scenes if scene.name.startswith("0a0af725"))
-    programs = etree.parse(convert_whole(scene, tmp_path, signals=True)).findall("tlLogic")
+    net = convert_whole(scene, tmp_path, signals=True)
+    assert "yellow" not in subprocess.run([sumo_program("sumo"), "-n", net], capture_output=True, text=True).stderr
+    programs = etree.parse(net).findall("tlLogic")
     assert programs
     for program in programs:
         duration = sum(float(phase.get("duration")) for phase in program.iterfind("phase"))

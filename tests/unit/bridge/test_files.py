@@ -107,6 +107,14 @@ def test_numbers_and_other_texts_stay_as_they_are(value: object) -> None:
     assert untabled(cell) == cell
 
 
+@pytest.mark.parametrize(
+    ("name", "cell"), [(b"a/\xff\x1b[1m", r"a/\udcff\x1b[1m"), (b"=cmd", "'=cmd"), (b"a b", "a b")]
+)
+def test_path_is_text_that_any_table_takes(name: bytes, cell: str, tmp_path: Path) -> None:
+    write_rows(tmp_path / "table.csv", ("path",), [[Path(os.fsdecode(name))]])
+    assert (tmp_path / "table.csv").read_text().splitlines() == ["path", cell]
+
+
 def test_table_without_rows_has_its_header(tmp_path: Path) -> None:
     write_rows(tmp_path / "table.csv", ("a", "=b"), [])
     assert (tmp_path / "table.csv").read_text() == "a,'=b\n"

@@ -74,8 +74,7 @@ def test_files_have_the_lanes_and_their_ways() -> None:
 
 def test_signals_are_a_program_as_long_as_the_recording() -> None:
     """Lane 4 is red for 2 of 5 steps of 0.5 s, lane 3 has a signal that is never red: two phases of 1.0 and 1.5 s."""
-    red = {4: np.array([True, True, False, False, False]), 3: np.zeros(5, dtype=bool)}
-    files = plain_files(graph_of(*CROSSING), red=red.get, step_s=0.5)
+    files = plain_files(graph_of(*CROSSING), shown={4: np.array([*"rrggg"]), 3: np.array([*"ggggg"])}.get, step_s=0.5)
     program = etree.fromstring(files["tllogic-files"]).find("tlLogic")
     links = {link.get("fromLane"): int(link.get("linkIndex")) for link in program.itersiblings("connection")}
     phases = [(float(phase.get("duration")), phase.get("state")) for phase in program.iterfind("phase")]
@@ -86,6 +85,6 @@ def test_signals_are_a_program_as_long_as_the_recording() -> None:
     assert [node.get("id") for node in nodes.iterfind("node[@type='traffic_light']")] == [program.get("id")]
 
 
-@pytest.mark.parametrize("shown", [None, np.zeros(5, dtype=bool)])
+@pytest.mark.parametrize("shown", [None, np.array([*"ggggg"])])
 def test_where_nothing_is_ever_red_there_are_no_signals(shown: np.ndarray | None) -> None:
-    assert "tllogic-files" not in plain_files(graph_of(*CROSSING), red=lambda _: shown, step_s=0.1)
+    assert "tllogic-files" not in plain_files(graph_of(*CROSSING), shown=lambda _: shown, step_s=0.1)

@@ -49,10 +49,11 @@ def test_row_by_hand() -> None:
 def test_what_is_not_asked_has_no_answer(
     refusals: tuple[Reason, ...], guard: Reason | None, answers: tuple[str | None, ...]
 ) -> None:
-    look = GapLook(20, LaneOption("right", Cell(7, 3), True, OPEN, OPEN, 80.0, 80.0), 10.0, refusals, guard)
+    stands = Gap(9.0, 1e-14, "b")  # as recorded: never quite 0
+    look = GapLook(20, LaneOption("right", Cell(7, 3), True, OPEN, stands, 80.0, 80.0), 10.0, refusals, guard)
     (row,) = gap_rows([(0, _vehicle(look))], {}, step_s=0.1)
     assert (row["rule"], row["guard"], row["sumo"]) == answers
-    assert row["lead_gap_m"] is row["lead_id"] is row["lag_ttc_s"] is row["track_id"] is None
+    assert row["lead_gap_m"] is row["lead_id"] is row["lag_ttc_s"] is row["lag_time_gap_s"] is row["track_id"] is None
 
 
 def test_file_is_beside_the_scene_and_agrees_with_the_sidecar(data_scenes: dict[str, Path], tmp_path: Path) -> None:

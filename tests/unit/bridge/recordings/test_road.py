@@ -46,8 +46,8 @@ def test_lane_that_is_dropped_leads_nowhere(tmp_path: Path) -> None:
     assert [lane.lane_id for lane in lanes if not lane.successors] == [103, 301, 302]
 
 
-def test_signal_begins_a_crossing_on_which_lanes_are_kept_and_is_red_when_it_is_not_green(tmp_path: Path) -> None:
-    """Green from 5 s on for 10 s, yellow 3 s, red 7 s, and again: closed before 5, from 15 to 25, from 35 s on."""
+def test_signal_begins_a_crossing_on_which_lanes_are_kept_and_shows_its_phases(tmp_path: Path) -> None:
+    """Green from 5 s on for 10 s, yellow 3 s, red 7 s, and again."""
     signal = "\n[[signal]]\nat_m = 100.0\ngreen_s = 10.0\nred_s = 7.0\noffset_s = 5.0\n"
     road = road_of(tmp_path, "length_m = 300.0\nlanes = 2\n", FLOW + signal)
     crossing = [lane for lane in road.stretches() if lane.crossing]
@@ -55,8 +55,8 @@ def test_signal_begins_a_crossing_on_which_lanes_are_kept_and_is_red_when_it_is_
         (201, 100.0, 120.0, True), (202, 100.0, 120.0, True)
     ]  # fmt: skip
     assert sorted(road.signals) == [201, 202]
-    red = road.signals[201].red(40, 1.0)
-    assert [k for k in range(40) if red[k]] == [*range(5), *range(15, 25), *range(35, 40)]
+    cycle = "r" * 5 + "G" * 10 + "y" * 3 + "r" * 2
+    assert ["".join(road.signals[201].shown(1.0, steps)) for steps in (None, 40)] == [cycle, 2 * cycle]
 
 
 def test_corridor_of_a_road_is_read_like_a_recording_and_named_by_its_content(tmp_path: Path) -> None:

@@ -374,3 +374,6 @@ def test_replay_is_varied_like_any_other_parameter_and_said_everywhere(
     text = (out / "study.md").read_text()
     assert "recorded vehicles drive as recorded" in text
     assert "which was not recorded [requests.replay]" in text
+    assert "What one parameter does alone" not in text
+    run_study(replace(study, points=study.points[1:3], configs=study.configs[1:3]), tmp_path / "half", Options())
+    assert "What one parameter does alone" in (tmp_path / "half" / "study.md").read_text()

@@ -84,6 +84,7 @@ def test_cross_traffic_makes_red_two_seconds_before_and_three_after(signals, box
     """
     scene = signals(box(10.0, -50.0, np.pi / 2, 10.0))
     assert _steps(scene.red(2)) == list(range(27, 84))
+    assert "".join(scene.shown(2)) == "g" * 27 + "y" * 15 + "r" * 42 + "g" * (STEPS - 84)
     assert _steps(scene.red(5)) == []
     assert _steps(entries(scene, 5)) == [41]  # the first centre above y = -10
 
