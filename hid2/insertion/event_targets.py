@@ -58,10 +58,11 @@ def target_of(scene: Scene, row: int) -> Target | None:
     runs = [run for run in runs_of(alone.view, 0) if run.lane >= 0]
     if not runs:
         return None
-    moved, heading = np.diff(traffic.position[row], axis=0), traffic.heading[row, 1:]
+    moved, stated = np.diff(traffic.position[row], axis=0), traffic.heading[row].copy()
+    stated[arrays.step] = arrays.heading  # in traffic it points along the motion
     moved[~(traffic.present[row, 1:] & traffic.present[row, :-1])] = 0.0
     step = np.hypot(*moved.T)
-    if (moved[:, 0] * np.cos(heading) + moved[:, 1] * np.sin(heading)).sum() < 0.5 * step.sum():
+    if (moved[:, 0] * np.cos(stated[1:]) + moved[:, 1] * np.sin(stated[1:])).sum() < 0.5 * step.sum():
         return None
     return Target(
         track=scene.tracks[row], present=traffic.present[row], position=traffic.position[row],

@@ -135,7 +135,7 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, kept: Sequence[ExportedVehicl
 #: Verdicts that another place in the lane, or a wider filter, may change.
 _LATERAL = frozenset({
     Reason.OFF_ROAD, Reason.MEETS_RECORDED, Reason.MEETS_GENERATED, Reason.LIMIT_JERK, Reason.LIMIT_YAW_ACCEL,
-    Reason.LIMIT_YAW_RATE, Reason.TTC_LANE_LEADER, Reason.TTC_AT_END, Reason.PET,
+    Reason.LIMIT_YAW_RATE, Reason.TTC_LANE_LEADER, Reason.TTC_AT_END, Reason.PET, Reason.SOLID_LINE,
 })  # fmt: skip
 _STEEP = frozenset({
     Reason.LIMIT_ACCEL, Reason.LIMIT_DECEL, Reason.LIMIT_LONGITUDINAL_JERK, Reason.LIMIT_JERK, Reason.LIMIT_YAW_ACCEL,

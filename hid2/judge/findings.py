@@ -130,6 +130,7 @@ class Quantity(StrEnum):
     YAW_ACCEL = "yaw_accel", "rad/s2", "change of the yaw rate", Reason.LIMIT_YAW_ACCEL
     CURVATURE = "curvature", "1/m", "yaw rate over speed", Reason.LIMIT_CURVATURE
     AGAINST_LANE = "against_lane", "deg", "angle to every lane below the centre", Reason.AGAINST_LANE
+    SOLID_LINE = "solid_line", "line", "lines that are solid where lanes are changed across them", Reason.SOLID_LINE
     OFF_ROAD = "off_road", "m", "distance of the box's outline from the drivable area", Reason.OFF_ROAD
     OVERLAP = "overlap", "m2", "ground shared with another box"
     TTC_LEADER = "ttc_leader", "s", "time to collision with what leads on the path driven", Reason.TTC_LANE_LEADER

@@ -38,12 +38,13 @@ from hid2.kernels.trajectory import derivatives_of_motion, first_overlapping
 from hid2.measures.arrays import BoolArray
 from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import LaneLeaders, leaders
+from hid2.measures.manoeuvres import ManeuverKind, detect
 from hid2.measures.scene_end import END_HORIZON_S, BoxesAtStep, first_contact
 from hid2.measures.surrogates import encroachments
 from hid2.occupancy.agent_states import AgentStates, PathLeaders
 from hid2.occupancy.traffic import Traffic
 from netconvert.geometry import box_corners, differences, wrap_angle
-from netconvert.lane_graph import LaneGraph
+from netconvert.lane_graph import LaneGraph, crossable
 
 _OUTLINE_STEP_M = 0.5  # no tunable: between two points a side leaves the road by less than the tolerance spares
 
@@ -97,7 +98,7 @@ def _of_velocity(states: AgentStates, agent: int, velocity: FloatArray, bounds: 
 
 
 def of_road(states: AgentStates, agent: int, size: BoxSize, graph: LaneGraph, bounds: Bounds) -> Iterator[Finding]:
-    """The footprint of a vehicle of a size on the drivable area, its heading with the lane."""
+    """The footprint of a vehicle of a size on the drivable area, its heading with the lane, the lines it crosses."""
     rows = states.row_span(agent)
     tolerance_m = bounds.drivable_share * bounds.limits.drivable_tolerance_m
     position, heading = states.arrays.position[rows], states.arrays.heading[rows]
@@ -110,6 +111,13 @@ def of_road(states: AgentStates, agent: int, size: BoxSize, graph: LaneGraph, bo
     if over.max(initial=0.0) > 0.0:
         worst = int(np.argmax(over))
         yield _of_one(states, agent, worst, Quantity.AGAINST_LANE, float(angle[worst]), float(limit[worst]))
+    among = np.arange(states.arrays.num_agents) == agent
+    yield from (
+        Finding(one.track_id, round(one.crossing_s / states.arrays.step_s), Quantity.SOLID_LINE, 1.0, 0.0)
+        for one in detect(states.arrays, states.lanes, states.matches, among=among)
+        if one.kind is ManeuverKind.LANE_CHANGE
+        and not crossable(graph.lanes[one.source_lane].mark_type("left" if one.side > 0 else "right"))
+    )
 
 
 def _of_one(states: AgentStates, agent: int, at: int, quantity: Quantity, value: float, limit: float) -> Finding:

@@ -168,10 +168,10 @@ def lanes_near(
     )  # fmt: skip
 
 
-def directions_of_motion(arrays: SceneArrays) -> FloatArray:
+def directions_of_motion(position: FloatArray, heading: FloatArray, first: IntArray, *, step_s: float) -> FloatArray:
     """(N,) rad, of the displacement from HALF_WINDOW_S before a row to as long after it, where that is long enough."""
-    half = max(1, round(HALF_WINDOW_S / arrays.step_s))
-    return motion_directions(arrays.position, arrays.heading, arrays.first, half, MIN_CHORD_M)
+    half = max(1, round(HALF_WINDOW_S / step_s))
+    return motion_directions(np.ascontiguousarray(position), np.ascontiguousarray(heading), first, half, MIN_CHORD_M)
 
 
 def lane_along(lanes: FlatLanes, position: FloatArray, direction: float) -> tuple[int, float, float]:
@@ -190,7 +190,7 @@ def lane_along(lanes: FlatLanes, position: FloatArray, direction: float) -> tupl
 
 def match_lanes(arrays: SceneArrays, lanes: FlatLanes) -> Matches:
     """Lanes of every vehicle's rows; those of other agents have lane -1."""
-    direction = directions_of_motion(arrays)
+    direction = directions_of_motion(arrays.position, arrays.heading, arrays.first, step_s=arrays.step_s)
     wanted = arrays.vehicle[arrays.agent] if arrays.num_agents else np.zeros(0, dtype=bool)
     lane, s, d, cost, count = lanes_near(lanes, arrays.position, direction, wanted)
     chosen = likeliest_lanes(np.flatnonzero(arrays.vehicle), arrays.first, lane, s, cost, count, lanes.link)

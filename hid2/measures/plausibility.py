@@ -47,7 +47,7 @@ class Plausibility(NamedTuple):
 def plausibility(arrays: SceneArrays, graph: LaneGraph, lanes: FlatLanes) -> Plausibility:
     """The figures of a recorded scene. lanes: those of `graph`."""
     agents = np.flatnonzero(arrays.moving_vehicles)
-    direction = directions_of_motion(arrays)
+    direction = directions_of_motion(arrays.position, arrays.heading, arrays.first, step_s=arrays.step_s)
     off = np.abs(wrap_angle(arrays.heading - direction)) > np.pi / 4
     spread = np.linspace(0.0, 1.0, min(_POINTS_EACH, max(2, _POINTS // max(1, len(agents)))))
     first, last = arrays.first[agents, None], arrays.first[agents + 1, None] - 1

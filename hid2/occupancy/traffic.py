@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 
 from hid2.agents import DEFAULT_SIZES, BoxSize, FloatArray, Track
+from hid2.measures.lane_matching import directions_of_motion
 from netconvert.geometry import BoolArray as BoolArray
+from netconvert.geometry import wrap_angle
 
 #: Velocity is the difference of positions over this long either side, s. No tunable: what a tracker's velocity is.
 _HALF_S = 0.2
@@ -83,10 +85,8 @@ class Traffic:
     def lasting(self, steps: int, *, step_s: float) -> "Traffic":
         """The same, and before the first and behind the last state of an agent so many more at constant velocity."""
         found: dict[str, Any] = {name: getattr(self, name).copy() for name in _BY_STEP}
-        for row, there in enumerate(self.present):
-            at = np.flatnonzero(there)
-            if not at.size:
-                continue
+        for row in np.flatnonzero(self.present.any(axis=1)):
+            at = np.flatnonzero(self.present[row])
             for end, more in ((at[0], np.arange(at[0] - steps, at[0])), (at[-1], at[-1] + 1 + np.arange(steps))):
                 more = more[(more >= 0) & (more < self.num_steps)]
                 for name in _BY_STEP:
@@ -110,6 +110,7 @@ def traffic_of(
 ) -> Traffic:  # fmt: skip
     """Dense arrays of recorded tracks; gaps inside a track are interpolated, headings the short way round.
 
+    A box that points against its motion, as trackers turn some round, is turned back: it is the same box.
     velocity_by: velocities (N, 2) m/s of positions (N, 2) m so many s apart; unless given by them or as stated, if that
     is believed, whichever is slower: leaders are taken to be no faster. At both ends of a track trackers smooth
     positions, and show a third less. Followers are taken to be no slower (`Scene.movers`).
@@ -129,7 +130,8 @@ def traffic_of(
             angle = np.interp(steps, track.timesteps, np.unwrap(track.heading))
             moved = np.stack([np.interp(steps, track.timesteps, track.velocity[:, axis]) for axis in (0, 1)], axis=1)
         position[row, first : last + 1] = xy
-        heading[row, first : last + 1] = angle
+        ahead = directions_of_motion(xy, angle, np.array([0, len(xy)]), step_s=step_s)
+        heading[row, first : last + 1] = np.where(np.cos(angle - ahead) < 0.0, wrap_angle(angle + np.pi), angle)
         present[row, first : last + 1] = True
         velocity[row, first : last + 1] = velocity_of(xy, step_s) if velocity_by is None else velocity_by(xy, step_s)
         stated[row, first : last + 1] = moved
@@ -161,8 +163,7 @@ def are_believed(apart_mps: FloatArray) -> bool:
 
 def velocity_of(xy: FloatArray, step_s: float) -> FloatArray:
     """Velocities (N, 2) m/s of positions (N, 2) m, over up to _HALF_S around each step: trackers jitter."""
-    count, half = len(xy), max(1, round(_HALF_S / step_s))
-    index = np.arange(count)
-    before, after = np.maximum(index - half, 0), np.minimum(index + half, count - 1)
+    index, half = np.arange(len(xy)), max(1, round(_HALF_S / step_s))
+    before, after = np.maximum(index - half, 0), np.minimum(index + half, len(xy) - 1)
     span = np.maximum(after - before, 1) * step_s
     return np.asarray((xy[after] - xy[before]) / span[:, None], dtype=np.float64)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hand_drawn import draw_lane
-from inserted import CAR, driven, recorded, scene_on, start_on
+from inserted import CAR, changing, driven, recorded, scene_on, start_on
 
 from hid2.agents import BoxSize, Track
 from hid2.drivers.driver import LaneOffset
@@ -84,6 +84,14 @@ def test_scored_vehicles_stay_to_the_end(scene_of: Callable[..., Scene]) -> None
 
 def test_who_stands_throughout_is_not_exported(scene_of: Callable[..., Scene]) -> None:
     assert _alone(scene_of(), np.zeros(110)) is Reason.STANDS_THROUGHOUT
+
+
+@pytest.mark.parametrize("mark", ["DASHED_WHITE", "SOLID_WHITE"])
+def test_vehicle_that_crosses_a_solid_line_is_not_exported(road: Callable[..., LaneGraph], mark: str) -> None:
+    foreseen, scene = (scene_on(road(length_m=300.0, mark=line)) for line in ("DASHED_WHITE", mark))
+    start, v = start_on(foreseen, (1,), 40.0, 10.0), np.full(110, 10.0)
+    found = finalise(scene, changing(foreseen, start, v, to=2, at_step=20, wanted_s=4.0), [])
+    assert (found is Reason.SOLID_LINE) is (mark == "SOLID_WHITE")
 
 
 @pytest.mark.parametrize(
