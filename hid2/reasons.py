@@ -41,6 +41,10 @@ class Reason(StrEnum):
         "no_site",
         "Every admissible start site was taken, or the recorded traffic would have run into a vehicle there.",
     )
+    OTHER_SITUATION = (
+        "other_situation",
+        "A place was passed over, as a vehicle there would meet nothing of what recorded vehicles meet more often.",
+    )
     NO_CELL_IN_REACH = (
         "no_cell_in_reach",
         "From no free cell does a vehicle reach such a lane or turn at the time asked for, with room and time left.",

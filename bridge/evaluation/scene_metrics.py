@@ -191,12 +191,13 @@ def _pair_row(safe: Safety, arrays: SceneArrays) -> Row:
 
 def _request_row(sidecar: Sidecar | None) -> Row:
     if sidecar is None:
-        return {"requested": None, "placed": 0} | dict.fromkeys(("rejected", "selection", "seed", "variant"))
+        return {"requested": None, "placed": 0} | dict.fromkeys(("rejected", "selection", "wanted", "seed", "variant"))
     asked = sidecar.requested.agents
     return {
         "requested": asked if isinstance(asked, int) else None,
         "placed": sidecar.placed.agents,
         "rejected": {item.reason: item.count for item in sidecar.rejected},
+        "wanted": dict(sidecar.wanted),
         "selection": None if sidecar.selection is None else sidecar.selection.model_dump(),
         "seed": sidecar.seed,
         "variant": sidecar.variant,

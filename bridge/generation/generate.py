@@ -248,4 +248,5 @@ def _sidecar(
         rejected=records.rejected_records(filling),
         replaced=tuple(records.replaced_record(one) for one in filling.rejected),
         selection=records.selection_record(scene, filling),
+        wanted={name: round(share, 3) for name, share in filling.surroundings.shares.items()},
     )

@@ -263,6 +263,7 @@ class Sidecar(_Record):
     """The whole file. Nothing in it depends on the clock or the machine: same request, same bytes.
 
     unmet: manoeuvres that were asked for and that no vehicle does; in place of most of them one goes straight.
+    wanted: shares of the inserted vehicles that were to meet something, by what the scene's recorded vehicles meet.
     """
 
     schema_version: Literal["2"] = "2"
@@ -283,6 +284,7 @@ class Sidecar(_Record):
     rejected: Listed[RejectedRecord] = ()
     replaced: Listed[ReplacedRecord] = ()
     selection: SelectionRecord | None = None
+    wanted: Mapping[str, float] = {}
 
     def __repr__(self) -> str:
         """Of what it was made, how much of what was asked for is in it."""

@@ -8,18 +8,15 @@ import numpy.typing as npt
 import shapely
 
 from hid2.insertion.flow import entry_lanes
-from hid2.insertion.meetings import NEAR_WEIGHT, Meetings
+from hid2.insertion.meetings import NEAR_WEIGHT, Meetings, Outlook
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.scene import ENTRY_STAYS_S, Scene
 from netconvert.lane_graph import TurnType
 
 #: A lane that begins so near to the hull of all lanes begins at the map's edge, m. No tunable: what the edge is.
 _EDGE_M = 15.0
-#: An entry: lane, row of the route in `Routes.offers`, step; weight, near, leader: `Outlook`. One from which no agent
-#: is met has no weight where vehicles are asked for near to agents.
-_ENTRY = np.dtype([
-    ("lane", "i8"), ("offer", "i8"), ("step", "i8"), ("weight", "f8"), ("near", "?"), ("leader", "i8")
-])  # fmt: skip
+#: An entry: lane, row of the route in `Routes.offers`, step.
+_ENTRY = np.dtype([("lane", "i8"), ("offer", "i8"), ("step", "i8")])
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +36,21 @@ class Entries:
         first = int(self.table["step"][row])
         return int(rng.integers(first, min(first + self._between - 1, self._last) + 1))
 
-    @cached_property
+    @property
     def table(self) -> npt.NDArray[np.void]:
         """All of them, (N,) of _ENTRY, at every look of `Meetings` after the first, up to the last observed step."""
+        return self._looked[0]
+
+    @property
+    def outlook(self) -> Outlook:
+        """Of all of them. From where no agent is met there is no weight if vehicles are asked for near to agents."""
+        return self._looked[1]
+
+    @cached_property
+    def _looked(self) -> tuple[npt.NDArray[np.void], Outlook]:
         scene = self.scene
-        rows: list[tuple[int, int, int, float, bool, int]] = []
+        rows: list[tuple[int, int, int]] = []
+        found = [Outlook.none(0)]
         looks = [(look, step) for look, step in enumerate(self.meetings.looks.tolist()) if 0 < step <= self._last]
         for lane_id in edge_lanes(scene, self.routes):
             offers = self.meetings.offers_towards(lane_id, TurnType.STRAIGHT)
@@ -51,9 +58,9 @@ class Entries:
                 for look, step in looks:
                     met = self.meetings.from_edge(lane_id, offer, look)
                     weighs = scene.config.request.near == "anywhere" or met.weight[0] >= NEAR_WEIGHT
-                    weight = float(met.weight[0]) / len(offers) if weighs else 0.0
-                    rows.append((lane_id, offer, step, weight, bool(met.near[0]), int(met.leader[0])))
-        return np.array(rows, dtype=_ENTRY)
+                    found.append(met._replace(weight=met.weight * weighs / len(offers)))
+                    rows.append((lane_id, offer, step))
+        return np.array(rows, dtype=_ENTRY), Outlook.joined(found)
 
     @property
     def _between(self) -> int:

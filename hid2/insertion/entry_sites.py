@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hid2.agents import Policy
-from hid2.insertion.meetings import LEADER_WEIGHT
 from hid2.insertion.rollout import SLOWEST_SHARE
+from hid2.insertion.situations import Situation
 from hid2.insertion.spread import Spread
 from hid2.insertion.starts import CLEAR_GAP_M, Site, Starts, speed_behind
 from hid2.insertion.surroundings import Surroundings
@@ -40,18 +40,19 @@ class EntrySites:
             return False
         return bool(self.starts.rng.random() < asked.entering)
 
-    def starts_of(self, request: VehicleRequest, followed: list[int]) -> Iterator[Start]:
-        """Starts at the map's edge during the scene: lane, route and step in the order of `Spread`."""
+    def starts_of(self, request: VehicleRequest, followed: list[int], wants: frozenset[Situation]) -> Iterator[Start]:
+        """Starts at the map's edge during the scene: wanted ones first, in the order of `Spread`."""
         scene, entries, rng = self.here.scene, self.here.entries, self.starts.rng
-        leader, weight = entries.table["leader"], entries.table["weight"].copy()
-        weight[np.isin(leader, followed) & (leader >= 0)] /= LEADER_WEIGHT
+        leader, weight = entries.outlook.leader, entries.outlook.weight.copy()
         if scene.config.request.is_near_agents:
-            weight[~entries.table["near"]] = 0.0
+            weight[~entries.outlook.near] = 0.0
         order = self.spread.order(
             weight, rng, number=self._looked, kind=len(Policy), round_number=self.starts.round_number,
             of=round(scene.config.request.entering * self.asked),
         )  # fmt: skip
         self._looked += 1
+        if wants:
+            order = order[np.argsort(~entries.outlook.meets_any(wants, followed)[order], kind="stable")]
         for row in order[:TRIES].tolist():
             site = Site(entries.offer(row), None, entries.step(row, rng), int(leader[row]))
             start = self.starts.make(request, site)

@@ -15,6 +15,7 @@ from hid2.insertion.finalise import ExportedVehicle, conflicting, finalise, traf
 from hid2.insertion.outcome import Outcome, outcome_of, takes_gap
 from hid2.insertion.requests import draw_requests
 from hid2.insertion.sites import InsertionSites, TurnedDown
+from hid2.insertion.situations import Wanted
 from hid2.insertion.spread import Spread
 from hid2.insertion.surroundings import Surroundings
 from hid2.measures.encounters import BRAKES_FOR_S
@@ -42,6 +43,8 @@ SPACING_M = 25.0
 Drive = Callable[[Sequence[Start], Traffic, int], list[DrivenVehicle]]
 #: Rounds in a row that add no vehicle, after which there are no more. No tunable: two may have had bad luck.
 _IDLE = 3
+#: A stream of random numbers, apart from those of the rounds. No tunable: a name.
+_ROUNDING = (0, 79)
 _LOG = logging.getLogger(__name__)
 
 
@@ -86,6 +89,7 @@ class Filling:
     _driven_again: Counter[str] = field(default_factory=Counter)
     _last_reason: dict[int, Reason] = field(default_factory=dict)
     _turned_down: TurnedDown = field(default_factory=TurnedDown)
+    _wanted: Wanted = field(init=False)
     _kept_traffic: Traffic = field(init=False)
     """Those kept: what is known of those of a round goes on being known in the rounds after."""
 
@@ -93,6 +97,7 @@ class Filling:
         """Recorded vehicles are where they were; those that react may be elsewhere later."""
         self.scene = self.surroundings.scene
         self._kept_traffic = traffic_of_exported([], self.scene)
+        self._wanted = Wanted.of(self.surroundings.shares, np.random.default_rng([*self.seed, *_ROUNDING]))
 
     def take_events(self, found: Sequence[EventOutcome]) -> None:
         """Vehicles of events are kept before all others, which have to do with them; they count among the vehicles."""
@@ -196,7 +201,7 @@ class Filling:
         here = self.surroundings
         guard = Guard(self.scene, self._kept_traffic, here.stop_lines)
         sites = InsertionSites(
-            here, guard, rng, number, Spread.of(self.seed), self._turned_down, self.kept,
+            here, guard, rng, number, Spread.of(self.seed), self._wanted, self._turned_down, self.kept,
             asked=Counter(r.policy for r in self._open),
         )  # fmt: skip
         starts = sites.starts.take(self._again)

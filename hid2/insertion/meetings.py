@@ -1,7 +1,7 @@
 """What can be met from a start site: recorded traffic nearby, a leader to follow, a path to cross; weights of sites."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from itertools import accumulate
 from typing import NamedTuple
 
@@ -11,8 +11,9 @@ from hid2.agents import AV_ID, DEFAULT_SIZES, FOCAL_CATEGORY, SCORED_CATEGORY, F
 from hid2.conflicts.signals import InferredSignals
 from hid2.drivers.driver import LINE_GAP_M
 from hid2.insertion.routes import RouteOffer, Routes
+from hid2.insertion.situations import Situation
 from hid2.kernels.meetings import met_on_route
-from hid2.measures.encounters import BRAKES_MPS2, CROSSING_RAD, FOLLOWS_FOR_S, FOLLOWS_S
+from hid2.measures.encounters import BRAKES_MPS2, CROSSING_RAD, FOLLOWS_FOR_S, FOLLOWS_S, STANDS_MPS
 from hid2.motion.route import Route
 from hid2.occupancy.traffic import BoolArray
 from hid2.once import once
@@ -23,13 +24,7 @@ from netconvert.lane_graph import TurnType
 
 # Weights of sites, over that of any other. No tunables: `request.near`, `within_m` and `sites` say what is wanted.
 #: Near to agents that request.near asks for.
-NEAR_WEIGHT = 8.0
-#: From which a recorded vehicle would be followed.
-LEADER_WEIGHT = 6.0
-#: From which recorded traffic would be crossed.
-_CROSSING_WEIGHT = 3.0
-#: At a red line.
-_WAITS_WEIGHT = 6.0
+NEAR_WEIGHT = 20.0
 #: Where a recorded follower would run into the vehicle, as most of these fail.
 _RUN_INTO_WEIGHT = 0.2
 # No tunables, how roughly a vehicle is foreseen; a rollout follows.
@@ -77,15 +72,38 @@ class Outlook(NamedTuple):
     """What vehicles that start on cells would meet at usual speed, in the order of the grid, or of a lane.
 
     weight (C,): of each cell, 0 where a vehicle would leave the map before the last observed step, and on lanes that
-    cars do not drive on; leader (C,): the leader of a vehicle from there, a number of its own, -1 for none; near
-    (C,): whether it would be near to a named target at the last observed step; stays (C,): whether it would be on the
-    map until the scene ends, as recorded vehicles are.
+    cars do not drive on; near (C,): whether a named target would be near at the last observed step; leader (C,): the
+    leader of a vehicle from there, a number of its own, -1 for none; stays (C,): whether it would be on the map until
+    the scene ends, as recorded vehicles are; meets: whether it would meet each `Situation` (C,).
     """
 
     weight: FloatArray
     near: BoolArray
     leader: IntArray
     stays: BoolArray
+    meets: dict[Situation, BoolArray]
+
+    @classmethod
+    def none(cls, count: int) -> "Outlook":
+        """Of so many cells from which no vehicle drives."""
+        never = np.zeros(count, dtype=np.bool_)
+        return cls(
+            np.zeros(count), never, np.full(count, -1, dtype=np.int64), never.copy(),
+            {one: np.zeros(count, dtype=np.bool_) for one in Situation},
+        )  # fmt: skip
+
+    @classmethod
+    def joined(cls, each: Sequence["Outlook"]) -> "Outlook":
+        """Of the cells of all, in this order."""
+        weight, near, leader, stays = (np.concatenate([one[k] for one in each]) for k in range(4))
+        meets = {name: np.concatenate([one.meets[name] for one in each]) for name in Situation}
+        return cls(weight, near, leader, stays, meets)
+
+    def meets_any(self, wants: Collection[Situation], followed: Collection[int]) -> BoolArray:
+        """(C,) whether something that is wanted is met on a route; a leader that is followed already does not count."""
+        free = ~np.isin(self.leader, list(followed))
+        alone = Situation.CROSSES, Situation.STANDS
+        return np.asarray(np.any([self.meets[one] & (free | (one in alone)) for one in wants], axis=0))
 
 
 class Meetings:
@@ -112,7 +130,9 @@ class Meetings:
         slows = np.diff(speed, axis=1) < BRAKES_MPS2 * np.diff(self.looks) * scene.step_s
         there = traffic.present[moving][:, self.looks]
         slows &= there[:, 1:] & there[:, :-1]
-        self._brakes = np.append(slows.any(axis=1), False)  # the last for no leader, -1
+        # of leaders, by their numbers; the last for none, -1
+        self._brakes = np.append(slows.any(axis=1), False)
+        self._stands = np.append(((speed < STANDS_MPS) & there).any(axis=1), False)
 
     @property
     def is_target_missing(self) -> bool:
@@ -147,8 +167,7 @@ class Meetings:
     @once
     def _towards(self, turn: TurnType) -> Outlook:
         grid = self.scene.grid
-        none = np.zeros(len(grid.cells), dtype=np.bool_)
-        found = Outlook(np.zeros(none.size), none, np.full(none.size, -1, dtype=np.int64), none.copy())
+        found = Outlook.none(len(grid.cells))
         for lane_id in self.routes.lanes:
             looked = [self._of_offer(lane_id, row) for row in self.offers_towards(lane_id, turn)]
             if not looked:
@@ -158,17 +177,26 @@ class Meetings:
             found.weight[cells] = weights.mean(axis=0)
             found.near[cells] = np.any([one.near for one in looked], axis=0)
             found.stays[cells] = np.any([one.stays for one in looked], axis=0)
-            best = weights.argmax(axis=0)  # the leader on the best of its routes
+            for one, met in found.meets.items():
+                met[cells] = np.any([each.meets[one] for each in looked], axis=0)
+            # the leader on the best of its routes
+            best = (weights * (1.0 + np.array([one.leader >= 0 for one in looked]))).argmax(axis=0)
             found.leader[cells] = np.array([one.leader for one in looked])[best, np.arange(best.size)]
         return found
 
     @once
-    def offer_weights(self, cell: Cell, policy: Policy) -> FloatArray:
-        """Weight of each of the routes from a cell, in the order of `Routes.offers`; the mean where none is known."""
+    def offer_weights(self, cell: Cell, policy: Policy, wants: frozenset[Situation]) -> FloatArray:
+        """Weight of each of the routes from a cell, in the order of `Routes.offers`; the mean where none is known.
+
+        0 where nothing is met that is wanted.
+        """
         rows = self.offers_towards(cell.lane_id, _turn_of(policy))
-        known = {row: float(self._of_offer(cell.lane_id, row).weight[cell.index]) for row in rows}
-        mean = sum(known.values()) / max(1, len(known))
-        return np.array([max(_LEAST, known.get(row, mean)) for row in range(len(self.routes.offers(cell.lane_id)))])
+        looked = {row: self._of_offer(cell.lane_id, row) for row in rows}
+        if wants:
+            looked = {row: one for row, one in looked.items() if any(one.meets[each][cell.index] for each in wants)}
+        known = {row: max(_LEAST, float(one.weight[cell.index])) for row, one in looked.items()}
+        other = 0.0 if wants else max(_LEAST, sum(known.values()) / max(1, len(known)))
+        return np.array([known.get(row, other) for row in range(len(self.routes.offers(cell.lane_id)))])
 
     def from_edge(self, lane_id: int, row: int, look: int) -> Outlook:
         """Of the first cell of a lane on one of its routes, for a vehicle that is there from a look on."""
@@ -180,10 +208,6 @@ class Meetings:
             if offer.route == route:
                 return int(self._of_offer(cell.lane_id, row).leader[cell.index])
         return -1
-
-    def brakes(self, leader: IntArray) -> BoolArray:
-        """Whether each of some leaders (N,), numbers of its own, brakes in the recording; false for none, -1."""
-        return self._brakes[leader]
 
     def pace_of(self, leader: int) -> float:
         """How fast a leader drives while it moves, m/s, as `Scene.lane_speed` has it; 0 for none."""
@@ -216,8 +240,7 @@ class Meetings:
         target_there = np.ascontiguousarray(self._target_there[:, since])
         lane_cell = np.ascontiguousarray(self._lane_cell[:, since])
         stop_at, red = self._red(lane_id, offer, look)
-        waits = np.abs(start - stop_at[red[:, 0], None]) < 0.5 * (LINE_GAP_M[1] - LINE_GAP_M[0])
-        near, near_last, leader, is_run_into, crosses = met_on_route(
+        near, near_last, leader, is_run_into, crosses, is_held = met_on_route(
             scene.grid.centers, cells, middle, count, time_s, pace, target_xy, target_there,
             _NEAR_SHARE * request.within_m, lane_cell, self._number, _LEADS_FROM_M,
             FOLLOWS_S * speed_mps + _LEADS_FROM_M, _LEADS_LOOKS, self._crossed_from,
@@ -229,14 +252,17 @@ class Meetings:
         else:
             weight[is_run_into] *= _RUN_INTO_WEIGHT
             weight[near] *= NEAR_WEIGHT
-            weight[leader >= 0] *= LEADER_WEIGHT
-            weight[crosses] *= _CROSSING_WEIGHT
-            weight[waits.any(axis=0)] *= _WAITS_WEIGHT
+        meets = {
+            Situation.FOLLOWS: leader >= 0,
+            Situation.BRAKES: self._brakes[leader],
+            Situation.CROSSES: crosses,
+            Situation.STANDS: is_held | self._stands[leader],
+        }
         left_m, usual_m = middle[-1] - start, _LEAVES_SHARE * speed_mps * scene.step_s
         if "topology" not in scene.config.without:
             weight[left_m < usual_m * scene.steps_to_stay(step)] = 0.0
         stays = left_m >= speed_mps * scene.step_s * (scene.num_steps - step)
-        return Outlook(weight, near_last, leader, stays)
+        return Outlook(weight, near_last, leader, stays, meets)
 
     def _red(self, lane_id: int, offer: RouteOffer, look: int) -> tuple[FloatArray, BoolArray]:
         """Where a vehicle on a route stops at signals, (L,) m from a lane on, and whether they are red (L, looks)."""

@@ -1,20 +1,21 @@
 """Start sites: where on the map a request may be met, in which order they are looked at."""
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 
-from hid2.agents import DEFAULT_SIZES, FloatArray, IntArray, Policy
+from hid2.agents import DEFAULT_SIZES, Policy
 from hid2.conflicts.guard import Guard
 from hid2.drivers.driver import usual_driver
 from hid2.insertion.entry_sites import TRIES, EntrySites
 from hid2.insertion.finalise import ExportedVehicle
-from hid2.insertion.meetings import LEADER_WEIGHT, PACE_SHARE
+from hid2.insertion.meetings import PACE_SHARE
 from hid2.insertion.overtake_starts import OvertakeStarts
 from hid2.insertion.routes import RouteOffer
+from hid2.insertion.situations import NONE_WANTED, Situation, Wanted
 from hid2.insertion.spread import Spread, by_weight
 from hid2.insertion.starts import CLEAR_GAP_M, Site, Starts
 from hid2.insertion.surroundings import Surroundings
@@ -32,8 +33,13 @@ _AVOIDED_M = 8.0
 #: Time headway, s, that recorded followers are left with where there is a place for it: most keep it among themselves
 #: (36 of 39 in fourteen scenes). No tunable: `request.sites = any` draws without it.
 USUAL_HEADWAY_S = 1.3
-#: Weight of sites behind a leader that brakes. No tunable: `request.sites = any` draws without weights.
-BRAKING_WEIGHT = 3.0
+#: Sites looked at in full for one from which a vehicle meets what is wanted. Not a parameter, it saves time: the rest
+#: are seldom better.
+_WANTED_TRIES = 12
+#: After so many vehicles of a policy that found none a round looks for no more of that situation.
+_IN_VAIN = 4
+#: Behind what brakes or stands there is no speed for a lane change.
+_SLOWS = frozenset({Situation.BRAKES, Situation.STANDS})
 #: Not a parameter, it saves time: at this share of the usual speed a vehicle would not leave the map too early.
 _STAYS_SHARE = 0.8
 # No tunables, the rest: how a manoeuvre is foreseen, roughly; a rollout, SUMO and the judge say what comes.
@@ -98,7 +104,7 @@ class InsertionSites:
     """Sites of one scene for the requests of a round; what was proposed in this round is kept clear of.
 
     asked: how many vehicles of each policy the scene is asked for, which share its sites; kept: vehicles of
-    rounds before; turned_down: what was found out in rounds before, and in this one.
+    rounds before; wanted: what vehicles are to meet; turned_down: what was found out in rounds before, and in this one.
     """
 
     here: Surroundings
@@ -106,6 +112,7 @@ class InsertionSites:
     rng: np.random.Generator
     round_number: int
     spread: Spread
+    wanted: Wanted = NONE_WANTED
     turned_down: TurnedDown = field(default_factory=TurnedDown)
     kept: Sequence[ExportedVehicle] = ()
     asked: Counter[Policy] = field(default_factory=Counter)
@@ -113,6 +120,7 @@ class InsertionSites:
     overtakes: OvertakeStarts = field(init=False)
     entering: EntrySites = field(init=False)
     _looked: Counter[Policy] = field(default_factory=Counter)
+    _in_vain: Counter[tuple[Policy, Situation]] = field(default_factory=Counter)
 
     def __post_init__(self) -> None:
         """Sites of all kinds share the starts of the round."""
@@ -135,63 +143,83 @@ class InsertionSites:
         return [] if found is None else self.starts.take([found])
 
     def _start_for(self, request: VehicleRequest) -> Start | None:
-        """A start at one of the sites in weighted random order; first where more speaks for them.
+        """A start at one of the sites in weighted random order; first where it meets what is wanted, then strict ones.
 
         Strict: the lane beside is not in an intersection; a turn is driven through in the time of the scene; a vehicle
         that is to go straight comes to no turn in that time.
         """
+        wants = self._wants(request.policy)
         if self.entering.is_to_enter(request):
-            entry = next(self.entering.starts_of(request, self._followed()), None)
+            entry = next(self.entering.starts_of(request, self._followed(), wants), None)
             if entry is not None:
                 return entry
         if self.here.scene.config.request.sites == "any":
             return self._start_where(request, lambda *_: True, FOLLOWER_HEADWAY_S)
-        return self._start_where(
-            request, partial(self._promises, request, strict=True), USUAL_HEADWAY_S
-        ) or self._start_where(request, partial(self._promises, request, strict=False), FOLLOWER_HEADWAY_S)
+        strict = partial(self._promises, request, strict=True)
+        for one in sorted(wants, key=lambda one: (self.wanted.shares[one], one)):  # the rarest first
+            found = self._start_where(request, strict, USUAL_HEADWAY_S, frozenset({one}))
+            if found is not None:
+                return found
+            self._in_vain[request.policy, one] += 1
+        return self._start_where(request, strict, USUAL_HEADWAY_S) or self._start_where(
+            request, partial(self._promises, request, strict=False), FOLLOWER_HEADWAY_S
+        )
+
+    def _wants(self, policy: Policy) -> frozenset[Situation]:
+        """What a vehicle is to meet, so that as many do as recorded ones."""
+        lacking = self.wanted.lacking(self._there())
+        lacking -= {one for one in lacking if self._in_vain[policy, one] == _IN_VAIN}
+        return lacking - _SLOWS if BEHAVIOURS[policy].changes_lanes else lacking
 
     def _start_where(
-        self, request: VehicleRequest, promises: Callable[[RouteOffer, float, float], bool], headway_s: float
-    ) -> Start | None:
-        """A start at the first site from which one can begin, each on the first route that promises what is asked."""
+        self, request: VehicleRequest, promises: Callable[[RouteOffer, float, float], bool], headway_s: float,
+        wants: frozenset[Situation] = frozenset(),
+    ) -> Start | None:  # fmt: skip
+        """A start at the first site from which one can begin, each on the first route that promises what is asked.
+
+        wants: sites are those from which something of it would be met; what goes straight meets it by its rollout.
+        """
         scene, starts, tried = self.here.scene, self.starts, 0
-        for row, lane_id, lane_s in self._places(request):
+        tries = _WANTED_TRIES if wants else TRIES
+        for row, lane_id, lane_s in self._places(request, wants):
             usual_mps = scene.usual_speed(lane_id)
             offer = next((
-                one for one in self._order(request, scene.grid.cell_at(lane_id, lane_s))
+                one for one in self._order(request, scene.grid.cell_at(lane_id, lane_s), wants)
                 if not starts.leaves_early(one, one.start_m + lane_s, _STAYS_SHARE * usual_mps)
                 and promises(one, one.start_m + lane_s, usual_mps)
             ), None)  # fmt: skip
             if offer is None:
                 continue
-            start = starts.make(request, Site(offer, offer.start_m + lane_s, headway_s=headway_s))
+            site = Site(offer, offer.start_m + lane_s, headway_s=headway_s)
+            start = starts.make(request, site, wants=wants if request.policy is Policy.STRAIGHT else frozenset())
             if isinstance(start, Start):
                 return start
             starts.rejected[start] += 1
             if start is Reason.NO_SITE:
                 continue  # another vehicle of this round may be in the way
-            if start is not Reason.FOLLOWER_HEADWAY or headway_s == FOLLOWER_HEADWAY_S:  # else it is tried with less
+            with_less = start is Reason.FOLLOWER_HEADWAY and headway_s > FOLLOWER_HEADWAY_S  # it is tried again
+            if not wants and not with_less:
                 self.turned_down.could_not_begin(scene, row, request.policy)
             tried += 1
-            if tried == TRIES:
+            if tried == tries:
                 break
         return None
 
-    def _order(self, request: VehicleRequest, cell: Cell) -> list[RouteOffer]:
+    def _order(self, request: VehicleRequest, cell: Cell, wants: frozenset[Situation]) -> list[RouteOffer]:
         """Routes from a cell in weighted random order; those that go straight on first unless a turn is asked for."""
         offers = self.here.routes.offers(cell.lane_id)
-        key = self.rng.exponential(size=len(offers))
-        if len(offers) == 1:  # drawn all the same
-            return list(offers)
+        weight = np.ones(len(offers))
         if self.here.scene.config.request.sites == "promising":
-            key /= self.here.meetings.offer_weights(cell, request.policy)
-        order = [offers[row] for row in np.argsort(key, kind="stable").tolist()]
+            weight = self.here.meetings.offer_weights(cell, request.policy, wants)
+        order = [offers[row] for row in by_weight(weight, self.rng).tolist()]
         if BEHAVIOURS[request.policy].turn is not None:
             return order
         return sorted(order, key=lambda offer: bool(offer.turns))
 
-    def _places(self, request: VehicleRequest) -> Iterator[tuple[int, int, float]]:
-        """Row, lane and arc length, m, of free cells at step 0; first where more is met, intersections last or never.
+    def _places(self, request: VehicleRequest, wants: Set[Situation]) -> Iterator[tuple[int, int, float]]:
+        """Row, lane and arc length, m, of free cells at step 0 from which something wanted is met, if anything is.
+
+        Intersections are last or never.
 
         The order is that of `Spread`, by the number of this vehicle among those of its policy.
         """
@@ -202,7 +230,14 @@ class InsertionSites:
             return
         weight, tier = np.ones(rows.size), np.zeros(rows.size, dtype=np.int64)
         if promising:
-            weight, tier = self._weights(policy, rows)
+            seen = self.here.meetings.outlook(policy)
+            weight = seen.weight[rows]
+            if wants:
+                weight = weight * seen.meets_any(wants, self._followed())[rows]
+            # last are those from which a named target is not met, before them those that leave the map before the end
+            tier = np.where(seen.stays[rows], 0, 1)
+            if scene.config.request.is_near_agents:
+                tier += np.where(seen.near[rows], 0, 2)
         if promising and policy is Policy.STRAIGHT:  # behind a recorded vehicle it goes through with that
             inside = inside & (self.here.meetings.outlook(policy).leader[rows] < 0)
         share = self.rng.random(rows.size)
@@ -231,27 +266,13 @@ class InsertionSites:
             begin, end = grid.edges_s(cell.lane_id)[cell.index : cell.index + 2]
             yield row, cell.lane_id, float(begin + share[place] * (end - begin))
 
-    def _weights(self, policy: Policy, rows: IntArray) -> tuple[FloatArray, IntArray]:
-        """Weights of cells, rows (N,) of the grid; and which of them come later, the higher the later, from 0 on.
-
-        Last are those from which a named target is not met, before them those that leave the map before the end.
-        A leader that a vehicle follows already, of this round or of one before, speaks for no other site. One that
-        brakes speaks for straight requests alone: behind it there is no speed for a lane change.
-        """
-        meetings, seen = self.here.meetings, self.here.meetings.outlook(policy)
-        leader, weight = seen.leader[rows], seen.weight[rows].copy()
-        if policy is Policy.STRAIGHT:
-            weight[meetings.brakes(leader)] *= BRAKING_WEIGHT
-        followed = self._followed()
-        weight[np.isin(leader, followed) & (leader >= 0)] /= LEADER_WEIGHT
-        tier = np.where(seen.stays[rows], 0, 1)
-        if self.here.scene.config.request.is_near_agents:
-            tier += np.where(seen.near[rows], 0, 2)
-        return weight, tier
+    def _there(self) -> list[Start]:
+        """Those kept and taken."""
+        return [*(one.driven.start for one in self.kept), *self.starts.taken]
 
     def _followed(self) -> list[int]:
-        """Leaders of those kept and taken, as `Meetings` numbers them; -1 none."""
-        return [start.leader for start in (*(one.driven.start for one in self.kept), *self.starts.taken)]
+        """Leaders of those kept and taken, as `Meetings` numbers them."""
+        return [start.leader for start in self._there() if start.leader >= 0]
 
     def _promises(
         self, request: VehicleRequest, offer: RouteOffer, s: float, speed_mps: float, *, strict: bool

@@ -1,7 +1,7 @@
 """Starts: whether a vehicle can begin at a site, with which driver, how fast, and what a rollout says of it."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import InitVar, dataclass, field, replace
 from functools import partial
 from typing import NamedTuple
@@ -16,6 +16,7 @@ from hid2.insertion.meetings import Meetings
 from hid2.insertion.outcome import takes_gap
 from hid2.insertion.rollout import QUEUE_M, SLOWEST_SHARE, RolledOut, Rollout, World
 from hid2.insertion.routes import RouteOffer
+from hid2.insertion.situations import Situation, foreseen
 from hid2.judge.findings import CURVATURE_KEPT, FOLLOWER_HEADWAY_S, LEADER_LENGTH_S
 from hid2.measures.encounters import BRAKES_FOR_S, FOLLOWS_S, STANDS_MPS
 from hid2.motion.reference_line import TABLE_STEP_M
@@ -90,7 +91,7 @@ class Site(NamedTuple):
 class _Begin(NamedTuple):
     """What is known of a beginning before its driver: s, start_s: along the route's lanes and on the path, m.
 
-    line_gap_m: from its front to the nearest closed line.
+    line_gap_m: from its front to the nearest closed line; wants: something of which it is to meet.
     """
 
     request: VehicleRequest
@@ -101,6 +102,7 @@ class _Begin(NamedTuple):
     start_s: float
     line_gap_m: float
     sides: tuple[Side, ...] | None
+    wants: Set[Situation]
 
 
 @dataclass(slots=True)
@@ -145,11 +147,12 @@ class Starts:
     def make(
         self, request: VehicleRequest, site: Site, *, driver: Driver | None = None, speed_mps: float | None = None,
         sides: tuple[Side, ...] | None = None, desired: FloatArray | None = None,
+        wants: Set[Situation] = frozenset(),
     ) -> Start | Reason:  # fmt: skip
         """A vehicle that begins at a site, or why it cannot.
 
         driver, speed_mps, sides, desired: how it begins, where it looks for a lane, and its desired speeds (T,) m/s;
-        drawn unless given.
+        drawn unless given; wants: something of which it is to meet, if anything.
         """
         scene, config, rng = self.scene, self.scene.config, self.rng
         offer, s, step, leader, headway_s = site
@@ -175,7 +178,7 @@ class Starts:
         if config.request.sites == "promising" and driver is None:
             flow_mps = max(self.meetings.pace_of(leader), self._follower_mps(path, box, start_s, step))
         line_gap_m = self.world.guard.stop_lines.on(path, box).gap_m(start_s, step)
-        begin = _Begin(request, site._replace(leader=leader), path, box, s, start_s, line_gap_m, sides)
+        begin = _Begin(request, site._replace(leader=leader), path, box, s, start_s, line_gap_m, sides, wants)
         made: Start | Reason = Reason.NO_SITE
         for _ in range(1 if driver is not None else _DRIVERS):
             # a driver goes with the flow of its leader and follower, or would not be there
@@ -220,6 +223,9 @@ class Starts:
             known = self.world.guard.known_on(path, begin.box)
             if _came_through(known, gaps_to_all(known, np.array([begin.start_s]), step), start.start_mps, step):
                 return Reason.NO_SITE
+        start = replace(start, meets=foreseen(self.world, start, rolled))
+        if begin.wants and not begin.wants & start.meets:
+            return Reason.OTHER_SITUATION
         usual = partial(scene.place_on, path)
         if BEHAVIOURS[request.policy].changes_lanes:  # the line of one lane is not that of the next
             usual = partial(np.full_like, fill_value=config.drivers.offset_mean_m)

@@ -1,9 +1,12 @@
 """What vehicles of every seed and variant find in a scene: worked out once."""
 
+from functools import cached_property
+
 from hid2.conflicts.stop_lines import StopLines
 from hid2.insertion.entries import Entries
 from hid2.insertion.meetings import Meetings
 from hid2.insertion.routes import Routes
+from hid2.insertion.situations import Situation, recorded_shares
 from hid2.policy.behaviours import load_own
 from hid2.policy.roads import Roads
 from hid2.scene import Scene
@@ -21,3 +24,9 @@ class Surroundings:
         self.roads, self.routes, self.stop_lines = Roads(scene), Routes(scene), StopLines(scene)
         self.meetings = Meetings(scene, self.routes, self.stop_lines.signals)
         self.entries = Entries(scene, self.routes, self.meetings)
+
+    @cached_property
+    def shares(self) -> dict[Situation, float]:
+        """Shares of vehicles that are to meet something; none where the configuration does not ask for traffic."""
+        request = self.scene.config.request
+        return {} if request.sites == "any" or request.near == "anywhere" else recorded_shares(self.scene)

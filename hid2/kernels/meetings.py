@@ -85,11 +85,11 @@ def met_on_route(
     targets: FloatArray, there: BoolArray, within: float, lane_cell: IntArray, number: IntArray, leads_from: float,
     leads_to: float, looks: int, crossed_from: IntArray, crossed_s: FloatArray, crossed_after: float,
     crossed_within: float, last: int, stop_at: FloatArray, closed: BoolArray,
-) -> tuple[BoolArray, BoolArray, IntArray, BoolArray, BoolArray]:  # fmt: skip
+) -> tuple[BoolArray, BoolArray, IntArray, BoolArray, BoolArray, BoolArray]:  # fmt: skip
     """What vehicles from the first `count` cells of a route meet: targets, a leader, agents crossed or running into it.
 
     Returns whether a target is near at some look, and at look `last`; number of the leader, -1 for none; whether
-    any agent runs into it from behind; whether any is crossed.
+    any agent runs into it from behind; whether any is crossed; whether it comes to a stop line that is closed.
     cells, middle (K,): of the route, rows of centers (C, 2) m, and m along it; time_s (T,) of the looks; pace m/s.
     targets (A, T, 2) m, there (A, T): near within a distance, m. lane_cell (M, T): cells of the others, -1 for none,
     which lead at leads_from to leads_to m ahead for so many looks if number (M,) is not -1. crossed_s: times at which
@@ -99,12 +99,13 @@ def met_on_route(
     """
     near, near_last = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
     leader, crosses = np.full(count, -1, dtype=np.int64), np.zeros(count, dtype=np.bool_)
-    is_run_into = np.zeros(count, dtype=np.bool_)
+    is_run_into, is_held = np.zeros(count, dtype=np.bool_), np.zeros(count, dtype=np.bool_)
     at = np.full(centers.shape[0], np.nan)
     at[cells] = middle
     end = middle[middle.size - 1]
     for n in range(count):
         place, held_s = 0, _held(middle[n], pace, time_s, stop_at, closed)
+        is_held[n] = held_s < np.inf
         for look in range(time_s.size):
             way = middle[n] + pace * time_s[look]
             if way > end:
@@ -125,4 +126,4 @@ def met_on_route(
                 begin, stop = crossed_from[cells[place]], crossed_from[cells[place] + 1]
                 apart = _least_apart(arrives, crossed_s[begin:stop])
                 crosses[n] = crosses[n] or crossed_after < apart < crossed_within
-    return near, near_last, leader, is_run_into, crosses
+    return near, near_last, leader, is_run_into, crosses, is_held

@@ -6,9 +6,9 @@ from itertools import permutations
 
 import numpy as np
 
-from hid2.agents import FloatArray
+from hid2.agents import FloatArray, IntArray
 from hid2.measures.arrays import BoolArray, SceneArrays
-from hid2.measures.following import LaneLeaders
+from hid2.measures.following import LaneLeaders, time_gaps
 from hid2.measures.surrogates import encroachments
 from netconvert.geometry import arc_length
 
@@ -34,6 +34,8 @@ CROSSING_RAD = math.radians(40.0)
 STANDS_MPS = 0.3
 #: Standing lasts so long, s.
 STANDS_FOR_S = 0.5
+#: How long what a vehicle meets at a step lasts for it to count, s, by the names of `meets_at`.
+LASTS_S = {"follows": FOLLOWS_FOR_S, "brakes": BRAKES_FOR_S, "stands": STANDS_FOR_S}
 
 
 class Partner(StrEnum):
@@ -51,18 +53,16 @@ def encounters(arrays: SceneArrays, led: LaneLeaders) -> dict[str, BoolArray]:
     led: `measures.following.leaders` of the same rows. Only vehicles follow, brake, cross or stand.
     """
     masks = partners(arrays)
-    speed = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1])
+    speed, slope = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1]), _acceleration(arrays)
     has = led.agent >= 0
     leader = np.where(has, led.agent, 0)
-    follows = has & (led.time_gap_s < FOLLOWS_S)
-    near = has & (led.gap_m < BRAKES_NEAR_M) & (led.time_gap_s < BRAKES_NEAR_S)
-    brakes = near & (_acceleration(arrays) < BRAKES_MPS2)
     found = {f"crosses_{kind}": crossing for kind, crossing in _crosses(arrays, masks).items()}
     for kind in (Partner.RECORDED, Partner.INSERTED):
-        found[f"follows_{kind}"] = _lasts(arrays, follows & masks[kind][leader], FOLLOWS_FOR_S)
-        found[f"brakes_{kind}"] = _lasts(arrays, brakes & masks[kind][leader], BRAKES_FOR_S)
+        at = meets_at(speed, slope, np.where(has & masks[kind][leader], led.gap_m, np.inf))
+        for name in ("follows", "brakes"):
+            found[f"{name}_{kind}"] = _lasts(arrays, at[name], LASTS_S[name])
+        found["stands"] = _lasts(arrays, at["stands"], LASTS_S["stands"]) & arrays.vehicle
     found["far"] = _distance_to_moving(arrays, masks[Partner.RECORDED]) > NEAR_M
-    found["stands"] = _lasts(arrays, speed < STANDS_MPS, STANDS_FOR_S) & arrays.vehicle
     return found
 
 
@@ -77,22 +77,40 @@ def partners(arrays: SceneArrays) -> dict[Partner, BoolArray]:
     }
 
 
+def meets_at(speed_mps: FloatArray, accel_mps2: FloatArray, gap_m: FloatArray) -> dict[str, BoolArray]:
+    """At which steps (N,) a vehicle follows or brakes for its leader, gap_m ahead, inf for none; or stands."""
+    time_gap_s = time_gaps(gap_m, speed_mps)
+    near = (gap_m < BRAKES_NEAR_M) & (time_gap_s < BRAKES_NEAR_S)
+    return {
+        "follows": time_gap_s < FOLLOWS_S,
+        "brakes": near & (accel_mps2 < BRAKES_MPS2),
+        "stands": speed_mps < STANDS_MPS,
+    }
+
+
 def _acceleration(arrays: SceneArrays) -> FloatArray:
     """(N,) m/s2 along the motion: slope of the way driven, over up to half a second each side of a row."""
-    half, out = max(1, round(0.5 / arrays.step_s)), np.zeros(len(arrays.step))
+    out = np.zeros(len(arrays.step))
     for agent in np.flatnonzero(arrays.vehicle).tolist():
         rows = slice(int(arrays.first[agent]), int(arrays.first[agent + 1]))
         steps, xy = arrays.step[rows], arrays.position[rows]
         if len(steps) < 3:
             continue
-        way = arc_length(xy)
-        index = np.arange(len(steps))
-        before, after = np.maximum(index - half, 0), np.minimum(index + half, len(steps) - 1)
-        first_s, last_s = (steps - steps[before]) * arrays.step_s, (steps[after] - steps) * arrays.step_s
-        with np.errstate(divide="ignore", invalid="ignore"):
-            found = 2.0 * ((way[after] - way) / last_s - (way - way[before]) / first_s) / (first_s + last_s)
-        out[rows] = np.where((first_s > 0) & (last_s > 0), found, 0.0)
+        out[rows] = acceleration(arc_length(xy), steps, arrays.step_s)
     return out
+
+
+def acceleration(way_m: FloatArray, steps: IntArray, step_s: float) -> FloatArray:
+    """Slope (N,) m/s2 of the speed along a way (N,) m that is driven at steps (N,): over up to half a second each side.
+
+    0 at the ends, where there is one side alone.
+    """
+    half, index = max(1, round(0.5 / step_s)), np.arange(len(steps))
+    before, after = np.maximum(index - half, 0), np.minimum(index + half, len(steps) - 1)
+    first_s, last_s = (steps - steps[before]) * step_s, (steps[after] - steps) * step_s
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = 2.0 * ((way_m[after] - way_m) / last_s - (way_m - way_m[before]) / first_s) / (first_s + last_s)
+    return np.asarray(np.where((first_s > 0) & (last_s > 0), found, 0.0))
 
 
 def _lasts(arrays: SceneArrays, rows: BoolArray, for_s: float) -> BoolArray:

@@ -44,15 +44,18 @@ def leaders(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> LaneLead
     led = agent >= 0
     leader_row = np.where(led, arrays.row_of[np.where(led, agent, 0), arrays.step], 0) if len(agent) else agent
     closing = np.where(led, speed - speed[leader_row], 0.0) if len(agent) else gap
-    moving = led & (speed > MIN_SPEED_MPS)
-    divisor = np.where(moving, speed, 1.0)
     positive = led & (closing > 1e-9)
     return LaneLeaders(
         agent=agent,
         gap_m=gap,
-        time_gap_s=np.where(moving, gap / divisor, np.inf),
+        time_gap_s=time_gaps(np.where(led, gap, np.inf), speed),
         ttc_s=np.where(positive, np.maximum(gap, 0.0) / np.where(positive, closing, 1.0), np.inf),
     )
+
+
+def time_gaps(gap_m: FloatArray, speed_mps: FloatArray) -> FloatArray:
+    """Time gaps (N,) s to leaders so far ahead (N,), inf for none; inf for followers that hardly move."""
+    return np.asarray(np.where(speed_mps > MIN_SPEED_MPS, gap_m / np.maximum(speed_mps, MIN_SPEED_MPS), np.inf))
 
 
 def _next_lane_row(arrays: SceneArrays, matches: Matches) -> IntArray:

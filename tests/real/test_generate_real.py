@@ -8,6 +8,7 @@ import hashlib
 import statistics
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -19,8 +20,12 @@ from second_states import check_states
 
 from bridge.generation.generate import generate, prepare
 from bridge.generation.scene import TrafficScene
+from bridge.recordings.judging import recording_states
 from bridge.recordings.scenario import Scenario, read_scenario
 from hid2.agents import Policy
+from hid2.insertion.situations import Situation
+from hid2.measures.encounters import encounters
+from hid2.measures.following import leaders
 from hid2.params import Config, Driving, Request
 from hid2.reasons import Reason
 
@@ -222,6 +227,9 @@ import sys
 from pathlib import Path
 from bridge.generation.generate import generate
 from bridge.recordings.scenario import read_scenario
+from hid2.insertion.situations import Situation
+from hid2.measures.encounters import encounters
+from hid2.measures.following import leaders
 from hid2.params import Config, Request
 generate(read_scenario(Path(sys.argv[1])), Config(request=Request(agents=10, seed=3))).write(Path(sys.argv[2]))
 """
@@ -271,3 +279,25 @@ def test_checker_of_states_finds_what_is_planted(data_scenes: dict[str, Path], m
     crossing = replace(own, track_id="crossing", **across)
     found = check_states(replace(scene, tracks=[*scene.tracks, crossing]))
     assert {(one.quantity, one.vehicle, one.other) for one in found} == {("overlap", own.track_id, "crossing")}
+
+
+def test_what_a_rollout_foresees_comes_about(real_scenes: list[Path], make: Make) -> None:
+    """Of vehicles foreseen to follow, brake for or stand, and of those that do: at least 85, 60 and 85 % are the same.
+
+    Found with six seeds of fourteen scenes: 185 of 196 foreseen and 191 seen, 109 of 139 and 119, 172 of 173 and 174.
+    """
+    foreseen, seen, both = Counter[Situation](), Counter[Situation](), Counter[Situation]()
+    for folder in real_scenes:
+        for seed in (0, 1):
+            scene = make(folder, 10, seed)
+            states = recording_states(scene.recording, scene.recording.tracks)
+            met = encounters(states.arrays, leaders(states.arrays, states.lanes, states.matches))
+            for vehicle, track in zip(scene.vehicles, scene.generated, strict=True):
+                row, start = states.arrays.track_ids.index(track.track_id), vehicle.driven.start
+                for one in Situation:
+                    foreseen[one] += one in start.meets
+                    seen[one] += bool(met[one][row])
+                    both[one] += one in start.meets and bool(met[one][row])
+    for one, least in ((Situation.FOLLOWS, 0.85), (Situation.BRAKES, 0.6), (Situation.STANDS, 0.85)):
+        assert seen[one] >= 5
+        assert both[one] >= least * max(foreseen[one], seen[one]), (one, foreseen[one], seen[one], both[one])

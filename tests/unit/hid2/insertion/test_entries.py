@@ -38,7 +38,7 @@ def _sites(scene: Scene, seed: int = 0) -> InsertionSites:
 
 
 def _entering(scene: Scene, *, count: int = 20, seed: int = 0) -> list[Start]:
-    return list(islice(_sites(scene, seed).entering.starts_of(STRAIGHT, []), count))
+    return list(islice(_sites(scene, seed).entering.starts_of(STRAIGHT, [], frozenset()), count))
 
 
 def _pocket() -> LaneGraph:
@@ -61,10 +61,11 @@ def test_turn_pockets_and_driveways_are_no_edge() -> None:
 
 
 def test_entries_are_at_observed_steps_after_the_first(road: Callable[..., LaneGraph]) -> None:
-    table = Surroundings(_scene(road(length_m=300.0))).entries.table
+    entries = Surroundings(_scene(road(length_m=300.0))).entries
+    table = entries.table
     assert sorted(set(table["step"].tolist())) == list(range(5, 50, 5))
     assert set(table["lane"].tolist()) == {1, 2}
-    assert (table["weight"] > 0.0).all()
+    assert (entries.outlook.weight > 0.0).all()
 
 
 def test_nobody_enters_just_before_the_scene_ends(road: Callable[..., LaneGraph]) -> None:
@@ -76,12 +77,15 @@ def test_nobody_enters_just_before_the_scene_ends(road: Callable[..., LaneGraph]
 
 def test_entries_from_which_nobody_is_met_have_no_weight(road: Callable[..., LaneGraph]) -> None:
     """One at 9 m/s on lane 1, 25 m ahead at step 5 and 47 m at step 30, where .7 * 30 m are near."""
-    met = Surroundings(_scene(road(length_m=300.0), recorded(20.0, 0.0, 9.0), near="traffic")).entries.table
-    alone = Surroundings(_scene(road(length_m=300.0), near="traffic")).entries.table
-    assert met["weight"][(met["lane"] == 1) & (met["step"] == 5)].min() > 0.0
-    assert met["weight"][met["step"] >= 30].max() == 0.0
-    assert (met["leader"][(met["lane"] == 1) & (met["step"] == 5)] >= 0).all()
-    assert alone["weight"].max() == 0.0
+    met, alone = (
+        Surroundings(_scene(road(length_m=300.0), *tracks, near="traffic")).entries
+        for tracks in ((recorded(20.0, 0.0, 9.0),), ())
+    )
+    first = (met.table["lane"] == 1) & (met.table["step"] == 5)
+    assert met.outlook.weight[first].min() > 0.0
+    assert met.outlook.weight[met.table["step"] >= 30].max() == 0.0
+    assert (met.outlook.leader[first] >= 0).all()
+    assert alone.outlook.weight.max() == 0.0
 
 
 def test_who_enters_is_just_inside_the_map_at_the_speed_of_its_traffic(road: Callable[..., LaneGraph]) -> None:

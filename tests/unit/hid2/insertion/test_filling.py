@@ -5,6 +5,7 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
@@ -220,9 +221,9 @@ def test_reason_of_a_manoeuvre_without_a_site_is_what_turns_most_down_rather_tha
     """Two places in three are taken, and from the others lane changes are too slow: all of them name that."""
     make, count = Starts.make, itertools.count()
 
-    def too_slow(starts: Starts, request: VehicleRequest, site: Site) -> Start | Reason:
+    def too_slow(starts: Starts, request: VehicleRequest, site: Site, **wants: Any) -> Start | Reason:
         if request.policy is not Policy.LANE_CHANGE:
-            return make(starts, request, site)
+            return make(starts, request, site, **wants)
         return Reason.TOO_SLOW if next(count) % 3 == 0 else Reason.NO_SITE
 
     monkeypatch.setattr(Starts, "make", too_slow)
@@ -240,12 +241,12 @@ def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(
     """
     make, looked, anew, before = Starts.make, Counter[tuple[int, int, int]](), [0], TurnedDown.look_anew
 
-    def only_lane_2(starts: Starts, request: VehicleRequest, site: Site) -> Start | Reason:
+    def only_lane_2(starts: Starts, request: VehicleRequest, site: Site, **wants: Any) -> Start | Reason:
         assert site.s is not None
         path = starts.scene.paths.along(site.offer.route)
         cell = starts.scene.cell_at(path, path.to_line(site.s))
         if cell.lane_id == 2:
-            return make(starts, request, site)
+            return make(starts, request, site, **wants)
         looked[anew[0], cell.lane_id, cell.index] += 1
         return Reason.CONFLICT_PREDICTED
 

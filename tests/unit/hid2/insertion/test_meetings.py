@@ -12,9 +12,10 @@ from inserted import nobody, recorded, scene_on
 from hid2.agents import Policy
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
-from hid2.insertion.meetings import LEADER_WEIGHT, Meetings
+from hid2.insertion.meetings import Meetings
 from hid2.insertion.routes import Routes
-from hid2.insertion.sites import BRAKING_WEIGHT, InsertionSites
+from hid2.insertion.sites import InsertionSites
+from hid2.insertion.situations import Situation, Wanted
 from hid2.insertion.spread import Spread
 from hid2.insertion.starts import Site
 from hid2.insertion.surroundings import Surroundings
@@ -64,25 +65,25 @@ def test_leader_is_next_ahead_on_the_same_lane_within_three_seconds(scene_of: Ca
     assert _leader(meetings, scene, 1, 40.0) == -1
     assert _leader(meetings, scene, 1, 120.0) == -1
     assert _leader(meetings, scene, 2, 82.0) == -1
-    assert _weight(meetings, scene, 1, 82.0) == pytest.approx(LEADER_WEIGHT * _weight(meetings, scene, 2, 82.0))
+    met = meetings.outlook(Policy.STRAIGHT).meets[Situation.FOLLOWS]
+    rows = [scene.grid.index_of[scene.grid.cell_at(lane, 82.0)] for lane in (1, 2)]
+    assert met[rows].tolist() == [True, False]
 
 
-@pytest.mark.parametrize(("policy", "more"), [(Policy.STRAIGHT, BRAKING_WEIGHT), (Policy.LANE_CHANGE, 1.0)])
-def test_leader_that_brakes_speaks_more_for_a_site_to_go_straight_from(
-    scene_of: Callable[..., Scene], policy: Policy, more: float
-) -> None:
-    """From 9 m/s by 1 m/s2 from 6 s on; behind it there is no speed for a lane change."""
+def test_a_leader_that_brakes_is_told_from_one_that_does_not(scene_of: Callable[..., Scene]) -> None:
+    """From 9 m/s by 1 m/s2 from 6 s on; a vehicle that changes lanes is to meet none: there is no speed for it."""
     steady = recorded(100.0, 0.0, 9.0)
     time_s = 0.1 * np.arange(110)
     x = 100.0 + 9.0 * time_s - 0.5 * np.maximum(time_s - 6.0, 0.0) ** 2
     xy = np.column_stack([x, np.zeros(110)])
     braking = replace(steady, position=xy, velocity=np.gradient(xy, 0.1, axis=0))
-    rows = [scene.grid.index_of[scene.grid.cell_at(1, 82.0)] for scene in map(scene_of, (steady, braking))]
-    kept, slowed = (
-        _sites(scene_of(one), 0)._weights(policy, np.array([row]))[0][0]
-        for one, row in zip((steady, braking), rows, strict=True)
-    )
-    assert slowed == pytest.approx(more * kept)
+    for track, expected in ((steady, False), (braking, True)):
+        scene = scene_of(track)
+        met = _meetings(scene).outlook(Policy.STRAIGHT).meets[Situation.BRAKES]
+        assert met[scene.grid.index_of[scene.grid.cell_at(1, 82.0)]] == expected
+    sites = _sites(scene, 0, Situation.BRAKES)
+    assert sites._wants(Policy.STRAIGHT) == {Situation.BRAKES}
+    assert sites._wants(Policy.LANE_CHANGE) == set()
 
 
 def test_nobody_leads_past_somebody_between(scene_of: Callable[..., Scene]) -> None:
@@ -109,19 +110,19 @@ def test_nobody_is_followed_beyond_a_red_light(is_red: bool, expected: int, monk
     assert _leader(meetings, scene, 1, 50.0) == expected
 
 
-def test_site_at_a_red_light_weighs_six_times_as_much() -> None:
-    """Drivers stand with the front 1.5 m past the line to 3 m before it: the middles of cells from 94.75 to 99.25 m."""
+def test_vehicle_that_comes_to_a_red_light_stands() -> None:
+    """A light at 100 m that is red throughout: from all cells before the place where a centre stands, at 97 m."""
     lanes = {
         1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(2,)),
         2: draw_lane(2, [(100.0, 0.0), (400.0, 0.0)]),
     }
     scene = scene_on(LaneGraph(lanes, drivable_areas=()))
-    weight = {}
     for is_red in (False, True):
         meetings = _meetings(scene)
         meetings.signals = SimpleNamespace(red={2: np.full(scene.num_steps, is_red)}.get)
-        weight[is_red] = meetings.outlook(Policy.STRAIGHT).weight[:25]
-    assert (weight[True] / weight[False]).tolist() == pytest.approx([1.0] * 24 + [6.0])
+        met = meetings.outlook(Policy.STRAIGHT).meets[Situation.STANDS]
+        assert met[5:24].tolist() == [is_red] * 19
+        assert not met[25:].any()
 
 
 def test_site_at_which_somebody_recorded_would_run_into_a_vehicle_weighs_a_fifth(
@@ -140,7 +141,7 @@ def test_who_follows_drives_as_fast_as_the_leader_at_least(scene_of: Callable[..
     crawling = recorded(300.0, 0.0, 4.0, name="c")
     scene = scene_of(recorded(60.0, 0.0, 12.0), crawling)
     meetings = _meetings(scene)
-    starts = [start for seed in range(60) for start in _sites(scene, seed).propose(_request())]
+    starts = [start for seed in range(60) for start in _sites(scene, seed, Situation.FOLLOWS).propose(_request())]
     led = [one for one in starts if _leader(meetings, scene, one.route[0], one.start_s) == 0]
     assert len(led) >= 5
     assert all(one.driver.desired_mps == pytest.approx(12.0) for one in led)
@@ -148,15 +149,17 @@ def test_who_follows_drives_as_fast_as_the_leader_at_least(scene_of: Callable[..
 
 def test_leader_who_is_followed_by_a_kept_vehicle_speaks_for_no_other_site(scene_of: Callable[..., Scene]) -> None:
     scene = scene_of(recorded(100.0, 0.0, 9.0))
-    meetings = _meetings(scene)
-    sites = _sites(scene, 0)
-    rows = np.array([scene.grid.index_of[scene.grid.cell_at(1, 82.0)]])
-    free, _ = sites._weights(Policy.STRAIGHT, rows)
-    kept = sites.starts.make(_request(), Site(meetings.routes.offers(1)[0], 80.0))
+    sites = _sites(scene, 0, Situation.FOLLOWS)
+    cell = scene.grid.index_of[scene.grid.cell_at(1, 82.0)]
+
+    def rows() -> list[int]:
+        return [row for row, *_ in sites._places(_request(), {Situation.FOLLOWS})]
+
+    assert cell in rows()
+    kept = sites.starts.make(_request(), Site(sites.here.routes.offers(1)[0], 80.0))
     assert isinstance(kept, Start)
     sites.kept = [SimpleNamespace(driven=SimpleNamespace(start=kept))]
-    taken, _ = sites._weights(Policy.STRAIGHT, rows)
-    assert free[0] == pytest.approx(LEADER_WEIGHT * taken[0])
+    assert rows() == []
 
 
 def test_pace_of_a_leader_is_what_it_drives_while_it_moves(scene_of: Callable[..., Scene]) -> None:
@@ -170,17 +173,19 @@ def test_weight_of_a_route_is_that_of_its_cell(scene_of: Callable[..., Scene]) -
     scene = scene_of(recorded(100.0, 0.0, 9.0))
     meetings = _meetings(scene)
     cell = scene.grid.cell_at(1, 82.0)
-    assert meetings.offer_weights(cell, Policy.STRAIGHT) == pytest.approx([_weight(meetings, scene, 1, 82.0)])
+    weight = _weight(meetings, scene, 1, 82.0)
+    for wants, expected in ((set(), weight), ({Situation.FOLLOWS}, weight), ({Situation.CROSSES}, 0.0)):
+        assert meetings.offer_weights(cell, Policy.STRAIGHT, frozenset(wants)) == pytest.approx([expected])
 
 
 def _request() -> VehicleRequest:
     return VehicleRequest(0, Policy.STRAIGHT, 0.0)
 
 
-def _sites(scene: Scene, seed: int) -> InsertionSites:
-    here = Surroundings(scene)
+def _sites(scene: Scene, seed: int, *wants: Situation) -> InsertionSites:
+    here, wanted = Surroundings(scene), Wanted(dict.fromkeys(wants, 1.0), dict.fromkeys(wants, 0.0))
     guard = Guard(scene, nobody(scene.future.num_steps), here.stop_lines)
-    return InsertionSites(here, guard, np.random.default_rng(seed), 0, Spread.of((seed, 0)))
+    return InsertionSites(here, guard, np.random.default_rng(seed), 0, Spread.of((seed, 0)), wanted)
 
 
 def test_leader_does_not_depend_on_what_was_looked_at_before(scene_of: Callable[..., Scene]) -> None:

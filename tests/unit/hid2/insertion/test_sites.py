@@ -17,6 +17,7 @@ from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import ClosedLines, StopLines
 from hid2.insertion.rollout import World
 from hid2.insertion.sites import InsertionSites
+from hid2.insertion.situations import Situation, Wanted
 from hid2.insertion.spread import Spread
 from hid2.insertion.starts import Site, speed_behind
 from hid2.insertion.surroundings import Surroundings
@@ -346,25 +347,17 @@ def test_starts_of_a_round_keep_clear_of_each_other(scene_of: Callable[..., Scen
                 assert gap > 2.5 - 0.01
 
 
-def test_leader_who_is_followed_already_speaks_for_no_other_site(
-    scene_of: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One leader on each of two lanes, of one speed: with a weight of 100 for such sites the second follows the other.
-
-    Where the first begins behind a leader, the sites behind that one count as little as those with nobody ahead.
-    """
+def test_a_second_vehicle_that_is_to_follow_takes_the_other_leader(scene_of: Callable[..., Scene]) -> None:
+    """One leader on each of two lanes, of one speed, and all are to follow one."""
     scene = scene_of(recorded(150.0, 0.0, 9.0, name="a"), recorded(150.0, 3.5, 9.0, name="b"))
-    for room in ("meetings", "sites"):
-        monkeypatch.setattr(f"hid2.insertion.{room}.LEADER_WEIGHT", 100.0)
-    same = other = 0
-    for seed in range(60):
+    other = 0
+    for seed in range(20):
         sites = _sites(scene, seed)
+        sites.wanted = Wanted({Situation.FOLLOWS: 1.0}, {Situation.FOLLOWS: 0.0})
         found = [start for number in (0, 1) for start in sites.propose(_request(number))]
-        lanes = [start.path.segments[0].lane_id for start in found if start.start_s < 150.0]
-        if len(lanes) == 2:
-            same, other = same + (lanes[0] == lanes[1]), other + (lanes[0] != lanes[1])
-    assert other > 30
-    assert same <= 3
+        assert all(Situation.FOLLOWS in start.meets for start in found)
+        other += len({start.leader for start in found}) == 2
+    assert other == 20
 
 
 def test_route_that_ends_too_early_is_no_site(scene_of: Callable[..., Scene]) -> None:
@@ -436,7 +429,7 @@ def test_cell_that_was_turned_down_is_left_alone_in_a_round(
     """
     tried: Counter[tuple[int, int]] = Counter()
 
-    def turn_down(_starts: object, _request: object, site: Site) -> Reason:
+    def turn_down(_starts: object, _request: object, site: Site, **_: object) -> Reason:
         assert site.s is not None
         tried[site.offer.route[0], int((site.s - site.offer.start_m) / 4.0)] += 1
         return Reason.MEETS_RECORDED  # NO_SITE: another vehicle of the round may be in the way, not the place's fault

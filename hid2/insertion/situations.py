@@ -1,0 +1,102 @@
+"""Situations: what recorded vehicles meet of each other, and which of it a vehicle is to meet, so that as many do."""
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from hid2.agents import BoxSize
+from hid2.insertion.rollout import Rollout, World
+from hid2.measures.encounters import LASTS_S, WITHIN_S, acceleration, encounters, meets_at
+from hid2.measures.following import leaders
+from hid2.occupancy.gaps import gaps_on_path
+from hid2.occupancy.traffic import BoolArray
+from hid2.scene import Scene
+from hid2.vehicle import Start
+
+
+class Situation(StrEnum):
+    """What a vehicle meets at some time, by the names and definitions of `measures/encounters.py`."""
+
+    FOLLOWS = "follows_recorded"
+    BRAKES = "brakes_recorded"
+    CROSSES = "crosses_recorded"
+    STANDS = "stands"
+
+
+#: Those that a vehicle's own motion and its leader tell, by the names of `meets_at`.
+_BY_ITSELF = {Situation.FOLLOWS: "follows", Situation.BRAKES: "brakes", Situation.STANDS: "stands"}
+#: Shares of recorded vehicles, those of fourteen scenes (86 vehicles). No tunables: a scene's own count for more.
+_PRIOR = {Situation.FOLLOWS: 0.28, Situation.BRAKES: 0.23, Situation.CROSSES: 0.05, Situation.STANDS: 0.31}
+#: They count as much as so many vehicles of the scene itself: as many as one has in the mean.
+_PRIOR_VEHICLES = 6
+
+
+def recorded_shares(scene: Scene) -> dict[Situation, float]:
+    """Share of the driven vehicles of a recording that meet something; a small recording is told by others too."""
+    arrays = scene.states.arrays
+    seen = encounters(arrays, leaders(arrays, scene.states.lanes, scene.states.matches))
+    driven = arrays.vehicle & arrays.clean
+    count = int(driven.sum()) + _PRIOR_VEHICLES
+    return {one: (int(seen[one][driven].sum()) + _PRIOR_VEHICLES * share) / count for one, share in _PRIOR.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """Shares of the inserted vehicles that are to meet something; over: what rounds the numbers, each from [0, 1)."""
+
+    shares: Mapping[Situation, float]
+    over: Mapping[Situation, float]
+
+    @classmethod
+    def of(cls, shares: Mapping[Situation, float], rng: np.random.Generator) -> "Wanted":
+        """Rounded at random: in the mean over seeds the shares hold for few vehicles too."""
+        return cls(shares, {one: float(rng.random()) for one in shares})
+
+    def lacking(self, vehicles: Collection[Start]) -> frozenset[Situation]:
+        """What one more vehicle is to meet, as too few of those that are there do."""
+        count = len(vehicles) + 1
+        return frozenset(
+            one for one, share in self.shares.items()
+            if sum(one in each.meets for each in vehicles) < int(share * count + self.over[one])
+        )  # fmt: skip
+
+
+NONE_WANTED = Wanted({}, {})
+
+
+def foreseen(world: World, start: Start, parts: tuple[Rollout, ...]) -> frozenset[Situation]:
+    """What a vehicle meets by its rollout."""
+    found = set[Situation]()
+    for part in parts:
+        inside = int((part.s <= part.path.exit_s).sum())
+        found.update(_foreseen(world, start.box, replace(part, s=part.s[:inside], v=part.v[:inside])))
+    return frozenset(found)
+
+
+def _foreseen(world: World, box: BoxSize, part: Rollout) -> Iterator[Situation]:
+    scene, arrays = world.scene, world.scene.states.arrays
+    steps = part.step + np.arange(part.s.size)
+    counts = np.append(arrays.vehicle & ~arrays.fragment, False)  # the last for none, and for inserted ones
+    known = world.guard.known_on(part.path, box)
+    seen = gaps_on_path(known, part.s, steps, among=known.same_direction)
+    leader = np.append(np.minimum(known.agents, scene.num_recorded), scene.num_recorded)[seen.leader]
+    gap_m = np.where(counts[leader], seen.lead_m, np.inf)
+    at = meets_at(part.v, acceleration(part.s, steps, scene.step_s), gap_m)
+    for one, name in _BY_ITSELF.items():
+        if _lasts(at[name], scene.steps_in(LASTS_S[name])):
+            yield one
+    met = scene.met_on(part.path, box, scene.future)
+    crossing = met.crossing[:, : scene.num_steps] & counts[met.agents, None]
+    # one that comes onto the path, or leaves it, crosses none
+    for row in np.flatnonzero(crossing.any(axis=1) & ~met.same_direction.any(axis=1)).tolist():
+        then = np.flatnonzero(crossing[row])
+        on = (met.low[row, then, None] < part.s) & (part.s < met.high[row, then, None])
+        if np.abs(then[:, None] - steps)[on].min(initial=scene.num_steps) < scene.steps_in(WITHIN_S):
+            yield Situation.CROSSES
+
+
+def _lasts(mask: BoolArray, steps: int) -> bool:
+    """Whether something holds (N,) for so many steps on end."""
+    return mask.size >= steps and bool(np.lib.stride_tricks.sliding_window_view(mask, steps).all(axis=1).any())
