@@ -26,10 +26,10 @@ PACKAGES, KINDS = ("netconvert", "hid2", "bridge", "data"), (".py", ".js", ".j2"
 PRODUCT = (*PACKAGES, ".ci")
 #: What is counted: how many there may be now, and how many there are to be in the end. What shrinks is lowered.
 BOUNDS = {
-    "lines": (38_800, 28_500),
-    "statements": (24_450, 15_000),
-    "lines of hid2": (16_220, 8_500),
-    "lines of hid2/insertion": (4_470, 2_200),
+    "lines": (39_000, 28_500),
+    "statements": (24_570, 15_000),
+    "lines of hid2": (16_400, 8_500),
+    "lines of hid2/insertion": (4_620, 2_200),
     "lines of hid2/kernels": (2_630, 1_900),
     "lines of netconvert": (2_130, 1_500),
     "lines of bridge/cli": (1_660, 1_000),
@@ -37,10 +37,10 @@ BOUNDS = {
     "lines of bridge/sumo": (1_930, 1_700),
     "lines of bridge/batch": (2_020, 1_500),
     "lines of bridge/pictures": (810, 850),
-    "lines of bridge/studies, evaluation, forecasting, pages": (7_160, 4_600),
-    "lines of tests": (33_930, 19_000),
+    "lines of bridge/studies, evaluation, forecasting, pages": (7_170, 4_600),
+    "lines of tests": (34_080, 19_000),
     "parameters": (110, 110),
-    "fmt: skip and fmt: off": (256, 40),
+    "fmt: skip and fmt: off": (257, 40),
     "functions above 80 lines": (2, 0),
     "functions with more than 8 arguments, outside of kernels": (7, 0),
     "class names that are used twice": (0, 0),
