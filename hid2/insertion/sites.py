@@ -166,8 +166,8 @@ class InsertionSites:
         )
 
     def _wants(self, policy: Policy) -> frozenset[Situation]:
-        """What a vehicle is to meet, so that as many do as recorded ones."""
-        lacking = self.wanted.lacking(self._there())
+        """What a vehicle is to meet, so that as many do as recorded ones; later rounds fill up with what there is."""
+        lacking = self.wanted.lacking(self._there()) if self.round_number == 0 else frozenset[Situation]()
         lacking -= {one for one in lacking if self._in_vain[policy, one] == _IN_VAIN}
         return lacking - _SLOWS if BEHAVIOURS[policy].changes_lanes else lacking
 
@@ -181,10 +181,10 @@ class InsertionSites:
         """
         scene, starts, tried = self.here.scene, self.starts, 0
         tries = _WANTED_TRIES if wants else TRIES
-        for row, lane_id, lane_s in self._places(request, wants):
-            usual_mps = scene.usual_speed(lane_id)
+        for cell, lane_s in self._places(request, wants):
+            usual_mps = scene.usual_speed(cell.lane_id)
             offer = next((
-                one for one in self._order(request, scene.grid.cell_at(lane_id, lane_s), wants)
+                one for one in self._order(request, cell, wants)
                 if not starts.leaves_early(one, one.start_m + lane_s, _STAYS_SHARE * usual_mps)
                 and promises(one, one.start_m + lane_s, usual_mps)
             ), None)  # fmt: skip
@@ -199,7 +199,7 @@ class InsertionSites:
                 continue  # another vehicle of this round may be in the way
             with_less = start is Reason.FOLLOWER_HEADWAY and headway_s > FOLLOWER_HEADWAY_S  # it is tried again
             if not wants and not with_less:
-                self.turned_down.could_not_begin(scene, row, request.policy)
+                self.turned_down.could_not_begin(scene, scene.grid.index_of[cell], request.policy)
             tried += 1
             if tried == tries:
                 break
@@ -211,17 +211,18 @@ class InsertionSites:
         weight = np.ones(len(offers))
         if self.here.scene.config.request.sites == "promising":
             weight = self.here.meetings.offer_weights(cell, request.policy, wants)
+        if len(offers) == 1:
+            return [one for one in offers if weight[0] > 0.0]
         order = [offers[row] for row in by_weight(weight, self.rng).tolist()]
         if BEHAVIOURS[request.policy].turn is not None:
             return order
         return sorted(order, key=lambda offer: bool(offer.turns))
 
-    def _places(self, request: VehicleRequest, wants: Set[Situation]) -> Iterator[tuple[int, int, float]]:
-        """Row, lane and arc length, m, of free cells at step 0 from which something wanted is met, if anything is.
+    def _places(self, request: VehicleRequest, wants: Set[Situation]) -> Iterator[tuple[Cell, float]]:
+        """Free cells at step 0 and arc lengths, m, on their lanes, from which something wanted would be met, if any is.
 
-        Intersections are last or never.
-
-        The order is that of `Spread`, by the number of this vehicle among those of its policy.
+        Intersections are last or never. The order is that of `Spread`, by the number of this vehicle among those of its
+        policy.
         """
         scene, policy = self.here.scene, request.policy
         grid, promising = scene.grid, scene.config.request.sites == "promising"
@@ -264,7 +265,7 @@ class InsertionSites:
                 continue
             cell = grid.cells[row]
             begin, end = grid.edges_s(cell.lane_id)[cell.index : cell.index + 2]
-            yield row, cell.lane_id, float(begin + share[place] * (end - begin))
+            yield cell, float(begin + share[place] * (end - begin))
 
     def _there(self) -> list[Start]:
         """Those kept and taken."""

@@ -153,7 +153,7 @@ def test_leader_who_is_followed_by_a_kept_vehicle_speaks_for_no_other_site(scene
     cell = scene.grid.index_of[scene.grid.cell_at(1, 82.0)]
 
     def rows() -> list[int]:
-        return [row for row, *_ in sites._places(_request(), {Situation.FOLLOWS})]
+        return [scene.grid.index_of[one] for one, _ in sites._places(_request(), {Situation.FOLLOWS})]
 
     assert cell in rows()
     kept = sites.starts.make(_request(), Site(sites.here.routes.offers(1)[0], 80.0))

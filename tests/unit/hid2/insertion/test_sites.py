@@ -216,7 +216,7 @@ def test_vehicle_does_not_begin_with_braking(scene_of: Callable[..., Scene]) -> 
         leader, position=np.column_stack([x, np.zeros(110)]), velocity=np.column_stack([speed, np.zeros(110)])
     )
     scene = scene_of(leader, lanes=1)
-    behind = [start for seed in range(60) for start in _sites(scene, seed).propose(_request()) if start.leader == 0]
+    behind = [start for seed in range(90) for start in _sites(scene, seed).propose(_request()) if start.leader == 0]
     world = World(scene, Surroundings(scene).roads, Guard(scene, nobody(110), StopLines(scene)))
     loses = np.array([v[0] - v[13] for v in (world.roll(start).v for start in behind)]) / 1.3
     assert (np.abs(loses - 0.5) < 0.02).sum() > 5
