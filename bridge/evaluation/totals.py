@@ -246,7 +246,7 @@ class Totals:
         self._counts: Counter[str] = Counter()
         self._rejected: Counter[str] = Counter()
         self._selection: dict[str, Counter[str]] = {}
-        self._wanted: dict[str, list[float]] = {}
+        self._wanted: Counter[str] = Counter()
         self._findings: Counter[str] = Counter()
 
     def add(self, measures: SceneMeasures) -> None:
@@ -320,7 +320,7 @@ class Totals:
                 "placed": counts["placed"],
                 "placed_of_requested": counts["placed_of_requested"],
                 "rejected": dict(self._rejected.most_common()),
-                "wanted": {name: float(np.mean(shares)) for name, shares in self._wanted.items()},
+                "wanted": {name: total / counts["wanted"] for name, total in self._wanted.items()},
                 "selection": {name: dict(counts) for name, counts in self._selection.items()},
                 "maneuvers": self.maneuvers.content(),
             },
@@ -334,8 +334,9 @@ class Totals:
         self._rejected.update(row["rejected"] or {})
         for name, told in (row["selection"] or {}).items():
             self._selection.setdefault(name, Counter()).update(told)
-        for name, share in (row["wanted"] or {}).items():
-            self._wanted.setdefault(name, []).append(share)
+        if row["wanted"]:
+            self._counts["wanted"] += 1
+            self._wanted.update(row["wanted"])
         self._findings.update(row["findings"])
 
 

@@ -393,12 +393,15 @@ def _approach(bench: Bench, site: Site, strength: str) -> Planting | None:
     target = {GROSS: 0.3, BEYOND: 1.2, INSIDE: 1.8}[strength]
     closing = np.maximum(own - led[1], 1e-6)
     reach = (bench.own.length_m + site.other.length_m) / 2  # type: ignore[union-attr]
+
+    def ttc_from(start: float) -> float:
+        return float(np.where(own - led[1] > 0.05, (led[0] - start - s - reach) / closing, math.inf).min())
+
     low, high = -60.0, 60.0
     for _ in range(40):
         middle = (low + high) / 2
-        ttc = np.where(own - led[1] > 0.05, (led[0] - middle - s - reach) / closing, math.inf).min()
-        low, high = (middle, high) if ttc > target else (low, middle)
-    if low < 0.5 or low + s[-1] > site.stretch.length_m - 1.0:
+        low, high = (middle, high) if ttc_from(middle) > target else (low, middle)
+    if low < 0.5 or low + s[-1] > site.stretch.length_m - 1.0 or ttc_from(low) > target + 0.1:  # it may not come near
         return None
     return Planting(bench.track(replace(site, start_s=0.0), Motion(low + s, np.zeros(STEPS), np.zeros(STEPS))))
 
