@@ -37,10 +37,10 @@ def test_heading_in_a_gap_turns_the_short_way_round(track: Callable[..., Track])
 
 def test_box_that_a_tracker_has_turned_round_points_along_its_motion(track: Callable[..., Track]) -> None:
     heading = np.radians([10.0, 10.0, -170.0, -170.0])
-    moves, stands = (track(range(4), x * np.arange(4), 0.0, heading) for x in (1.0, 0.0))
-    traffic = traffic_of([moves, stands], 4, step_s=0.1)
+    tracks = [track(range(4), x * np.arange(4), 0.0, heading) for x in (2.0, 1.0, 0.0)]  # by 6 m, 3 m, none
+    traffic = traffic_of(tracks, 4, step_s=0.1)
     assert np.degrees(traffic.heading[0]) == pytest.approx([10.0] * 4)
-    assert traffic.heading[1].tolist() == heading.tolist()
+    assert traffic.heading[1].tolist() == traffic.heading[2].tolist() == heading.tolist()
 
 
 def test_velocity_is_that_of_the_positions_over_up_to_half_a_second(track: Callable[..., Track]) -> None:
