@@ -227,9 +227,6 @@ import sys
 from pathlib import Path
 from bridge.generation.generate import generate
 from bridge.recordings.scenario import read_scenario
-from hid2.insertion.situations import Situation
-from hid2.measures.encounters import encounters
-from hid2.measures.following import leaders
 from hid2.params import Config, Request
 generate(read_scenario(Path(sys.argv[1])), Config(request=Request(agents=10, seed=3))).write(Path(sys.argv[2]))
 """
