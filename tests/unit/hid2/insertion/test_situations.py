@@ -61,15 +61,12 @@ def test_as_many_are_to_meet_something_as_the_shares_say() -> None:
 
 @pytest.mark.parametrize(
     ("leader_m", "leader_mps", "expected"),
-    [
-        (90.0, 9.0, {Situation.FOLLOWS}),  # 1.6 s ahead
-        (200.0, 9.0, set()),
-        (130.0, 1.0, {Situation.FOLLOWS, Situation.BRAKES}),
-    ],
+    [(90.0, 9.0, {Situation.FOLLOWS}), (200.0, 9.0, set()), (130.0, 1.0, {Situation.FOLLOWS, Situation.BRAKES})],
 )
 def test_rollout_tells_what_a_vehicle_meets(
     scene_of: Callable[..., Scene], leader_m: float, leader_mps: float, expected: set[Situation]
 ) -> None:
+    """Of one that begins at 70 m with 9 m/s: bumpers are 1.7 s, 14 s, 6 s apart."""
     start = _started(scene_of(recorded(leader_m, 0.0, leader_mps)), 70.0)
     assert isinstance(start, Start)
     assert start.meets == expected
