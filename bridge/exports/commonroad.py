@@ -37,7 +37,7 @@ def commonroad_files(scene: Recording) -> dict[str, bytes]:
     west, south = scene.graph.bounds[0] - _WEST_M
     for row, track in enumerate(scene.tracks):
         steps = np.flatnonzero(traffic.present[row])
-        heading, speed = traffic.heading[row, steps], np.interp(steps, track.timesteps, track.speed)
+        heading, speed = (np.interp(steps, track.timesteps, one) for one in (np.unwrap(track.heading), track.speed))
         states = np.column_stack([steps, traffic.position[row, steps], heading, speed])
         if track.track_id == AV_ID:
             problem.append(_problem(next(ids), states))

@@ -83,7 +83,7 @@ def features(traffic: Traffic, rows: IntArray, beyond: BeyondEdge, *, step_s: fl
     present = traffic.present[rows]
     velocity, moved = _central(traffic.position[rows], present, step_s)
     acceleration, changed = _central(np.hypot(velocity[..., 0], velocity[..., 1]), moved, step_s)
-    yaw, _ = _central(np.unwrap(traffic.heading[rows], axis=1), present, step_s)
+    yaw, _ = _central(np.unwrap(traffic.heading[rows], axis=1, period=np.pi), present, step_s)
     yaw_acceleration, _ = _central(yaw, moved, step_s)
     corners = box_corners(
         traffic.position, traffic.heading, length_m=traffic.length_m[:, None], width_m=traffic.width_m[:, None]

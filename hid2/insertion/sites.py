@@ -180,7 +180,6 @@ class InsertionSites:
         wants: sites are those from which something of it would be met; what goes straight meets it by its rollout.
         """
         scene, starts, tried = self.here.scene, self.starts, 0
-        tries = _WANTED_TRIES if wants else TRIES
         for cell, lane_s in self._places(request, wants):
             usual_mps = scene.usual_speed(cell.lane_id)
             offer = next((
@@ -201,7 +200,7 @@ class InsertionSites:
             if not wants and not with_less:
                 self.turned_down.could_not_begin(scene, scene.grid.index_of[cell], request.policy)
             tried += 1
-            if tried == tries:
+            if tried == (_WANTED_TRIES if wants else TRIES):
                 break
         return None
 

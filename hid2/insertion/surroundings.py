@@ -27,6 +27,7 @@ class Surroundings:
 
     @cached_property
     def shares(self) -> dict[Situation, float]:
-        """Shares of vehicles that are to meet something; none where the configuration does not ask for traffic."""
-        request = self.scene.config.request
-        return {} if request.sites == "any" or request.near == "anywhere" else recorded_shares(self.scene)
+        """Shares of vehicles that are to meet something; none where no traffic is asked for, or none is foreseen."""
+        request, is_foreseen = self.scene.config.request, "collision" not in self.scene.config.without
+        is_asked = request.sites == "promising" and request.near != "anywhere"
+        return recorded_shares(self.scene) if is_asked and is_foreseen else {}

@@ -206,7 +206,7 @@ def _shared_m2(traffic: Traffic, agents: list[int], length_m: list[float], width
     following = min(step + 1, traffic.num_steps - 1)
     there = traffic.present[agents, following]
     way = np.where(there[:, None], position[:, following] - position[:, step], 0.0)
-    turn = np.where(there, wrap_angle(heading[:, following] - heading[:, step]), 0.0)
+    turn = np.where(there, 0.5 * wrap_angle(2.0 * (heading[:, following] - heading[:, step])), 0.0)  # of a box
     most = 0.0
     for share in (0.0, 0.5):
         at, angle = position[:, step] + share * way, heading[:, step] + share * turn

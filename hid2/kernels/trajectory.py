@@ -16,7 +16,7 @@ def derivatives_of_motion(
     cosine, sine = np.cos(heading), np.sin(heading)
     unwrapped = heading.copy()
     for t in range(1, count):
-        unwrapped[t] = unwrapped[t - 1] + _turn(heading[t] - heading[t - 1])
+        unwrapped[t] = unwrapped[t - 1] + _turn(heading[t] - heading[t - 1], 2 * np.pi)
     accel_x, accel_y = slopes(velocity[:, 0], step), slopes(velocity[:, 1], step)
     jerk_x, jerk_y = slopes(accel_x, step), slopes(accel_y, step)
     along = accel_x * cosine + accel_y * sine
@@ -52,9 +52,9 @@ def first_overlapping(
                     if t + 1 >= steps or not present[a, t + 1]:
                         continue
                     x, y = (x + xy[t + 1, 0]) / 2, (y + xy[t + 1, 1]) / 2
-                    angle += _turn(heading[t + 1] - angle) / 2
+                    angle += _turn(heading[t + 1] - angle, np.pi) / 2
                     ox, oy = (ox + position[a, t + 1, 0]) / 2, (oy + position[a, t + 1, 1]) / 2
-                    o_angle += _turn(other[a, t + 1] - o_angle) / 2
+                    o_angle += _turn(other[a, t + 1] - o_angle, np.pi) / 2
                 if np.hypot(ox - x, oy - y) > reach:
                     continue
                 if overlap(
@@ -66,9 +66,9 @@ def first_overlapping(
 
 
 @inner
-def _turn(angle: float) -> float:
-    """The short way round."""
-    return (angle + np.pi) % (2 * np.pi) - np.pi
+def _turn(angle: float, period: float) -> float:
+    """The short way round; period: by so much it is the same, a box by half a turn."""
+    return (angle + period / 2) % period - period / 2
 
 
 @inner

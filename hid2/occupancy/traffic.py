@@ -111,8 +111,8 @@ def traffic_of(
 ) -> Traffic:  # fmt: skip
     """Dense arrays of recorded tracks; gaps inside a track are interpolated, headings the short way round.
 
-    A box that points against its motion, as trackers turn some round, is turned back: it is the same box. Of one that
-    stands, and whose place jitters, the heading tells more.
+    A box that points against its motion over MOVING_EXTENT_M, as trackers turn some round, is turned back: it is the
+    same box. What stands they move by a metre or two, to any side.
     velocity_by: velocities (N, 2) m/s of positions (N, 2) m so many s apart; unless given by them or as stated, if that
     is believed, whichever is slower: leaders are taken to be no faster. At both ends of a track trackers smooth
     positions, and show a third less. Followers are taken to be no slower (`Scene.movers`).
@@ -132,8 +132,9 @@ def traffic_of(
             angle = np.interp(steps, track.timesteps, np.unwrap(track.heading))
             moved = np.stack([np.interp(steps, track.timesteps, track.velocity[:, axis]) for axis in (0, 1)], axis=1)
         position[row, first : last + 1] = xy
-        ahead = directions_of_motion(xy, angle, np.array([0, len(xy)]), step_s=step_s)
-        turned = (np.cos(angle - ahead) < 0.0) & (np.hypot(*np.ptp(xy, axis=0)) > MOVING_EXTENT_M)
+        turned = np.cos(angle - directions_of_motion(xy, angle, np.array([0, len(xy)]), step_s=step_s)) < 0.0
+        for at in np.split(np.arange(turned.size), np.flatnonzero(np.diff(turned)) + 1):
+            turned[at] &= np.hypot(*(xy[at[-1]] - xy[at[0]])) > MOVING_EXTENT_M
         heading[row, first : last + 1] = np.where(turned, wrap_angle(angle + np.pi), angle)
         present[row, first : last + 1] = True
         velocity[row, first : last + 1] = velocity_of(xy, step_s) if velocity_by is None else velocity_by(xy, step_s)

@@ -170,9 +170,9 @@ def test_every_link_of_the_report_leads_somewhere_and_every_section_is_in_the_co
 def test_selection_is_told_as_the_sidecars_tell_it(report, made_root):
     """Sums over the two scenes, and the share that was kept in the report; a sidecar of an older version has none."""
     evaluation, folder = report
-    told = evaluation.metrics["requests"]["selection"]
-    sidecars = [json.loads(path.read_text()) for path in made_root.rglob("hid2_*.json")]
-    assert len(sidecars) == 2
+    told, wanted = (evaluation.metrics["requests"][name] for name in ("selection", "wanted"))
+    first, second = sidecars = [json.loads(path.read_text()) for path in made_root.rglob("hid2_*.json")]
+    assert wanted == {one: (share + second["wanted"][one]) / 2 for one, share in first["wanted"].items()}
     for group in ("kept", "dropped", "recorded"):
         for name in ("vehicles", "braking", "standing", "steps", "limited"):
             assert told[group][name] == sum(sidecar["selection"][group][name] for sidecar in sidecars)
@@ -180,6 +180,7 @@ def test_selection_is_told_as_the_sidecars_tell_it(report, made_root):
     assert kept == sum(len(sidecar["agents"]) for sidecar in sidecars)
     assert dropped == sum(len(sidecar["replaced"]) for sidecar in sidecars)
     text = (folder / "report.html").read_text()
+    assert f"stands at some time {wanted['stands']:.2f}.</p>" in text
     assert f"of {kept + dropped} vehicles that were driven {kept} were kept" in text
 
 

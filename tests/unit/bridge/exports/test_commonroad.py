@@ -26,7 +26,7 @@ def _states(obstacle: etree._Element) -> dict[int, list[float]]:
 def scene(request: pytest.FixtureRequest) -> Path:
     if request.param == "generated":
         return request.getfixturevalue("made_scene")
-    return request.getfixturevalue("real_scenes")[0]
+    return next((request.getfixturevalue("shared_data") / "wide").glob("*/01844147-*"))  # with a box turned round
 
 
 def test_lanelets_and_agents_are_those_of_the_scene(scene: Path, tmp_path: Path) -> None:

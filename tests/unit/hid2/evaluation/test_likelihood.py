@@ -72,6 +72,7 @@ def test_features_of_two_cars_by_hand(box, road):
     At step 10 the centres are 20 m apart, 15.5 m between the bumpers, 1.55 s. At step 26 they touch.
     """
     traffic = box(20.0, 0.0, speed=10.0, name="follower").joined(box(50.0, 0.0, name="leader"))
+    traffic.heading[0, :10] = np.pi  # a tracker has turned it round
     values, known = features(traffic, np.array([0]), beyond_edge(road(lanes=1)), step_s=0.1)
     speed, acceleration, yaw, _, nearest, ttc, edge = values[:, 0]
     assert speed[10] == pytest.approx(10.0)

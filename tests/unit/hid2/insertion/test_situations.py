@@ -10,10 +10,10 @@ from inserted import nobody, recorded, scene_on
 
 from hid2.agents import Policy
 from hid2.conflicts.guard import Guard
-from hid2.insertion.situations import _PRIOR, Situation, Wanted, recorded_shares
+from hid2.insertion.situations import _PRIOR, Situation, Wanted
 from hid2.insertion.starts import Site, Starts
 from hid2.insertion.surroundings import Surroundings
-from hid2.params import Config, Drivers
+from hid2.params import Config, Drivers, Request
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
@@ -41,9 +41,11 @@ def _started(scene: Scene, at_m: float, *wants: Situation, mps: float = 9.0) -> 
 
 def test_shares_are_those_of_the_scene_and_of_six_vehicles_of_others(scene_of: Callable[..., Scene]) -> None:
     """Of two recorded vehicles one follows the other, 2 s behind; none brakes, crosses or stands."""
-    shares = recorded_shares(scene_of(recorded(100.0, 0.0, 9.0), recorded(77.0, 0.0, 9.0, name="b")))
-    met = {one: one is Situation.FOLLOWS for one in Situation}
-    assert shares == {one: pytest.approx((met[one] + 6.0 * share) / 8.0) for one, share in _PRIOR.items()}
+    scene = scene_of(recorded(100.0, 0.0, 9.0), recorded(77.0, 0.0, 9.0, name="b"))
+    expected = {one: pytest.approx(((one is Situation.FOLLOWS) + 6.0 * _PRIOR[one]) / 8.0) for one in Situation}
+    assert Surroundings(scene).shares == expected
+    for config in (Config(request=Request(near="anywhere")), Config(without={"collision"})):  # the latter foresees none
+        assert Surroundings(replace(scene, config=config)).shares == {}
 
 
 def test_as_many_are_to_meet_something_as_the_shares_say() -> None:
@@ -59,15 +61,12 @@ def test_as_many_are_to_meet_something_as_the_shares_say() -> None:
 
 @pytest.mark.parametrize(
     ("leader_m", "leader_mps", "expected"),
-    [
-        (90.0, 9.0, {Situation.FOLLOWS}),  # 1.6 s ahead
-        (200.0, 9.0, set()),
-        (130.0, 1.0, {Situation.FOLLOWS, Situation.BRAKES}),
-    ],
+    [(90.0, 9.0, {Situation.FOLLOWS}), (200.0, 9.0, set()), (130.0, 1.0, {Situation.FOLLOWS, Situation.BRAKES})],
 )
 def test_rollout_tells_what_a_vehicle_meets(
     scene_of: Callable[..., Scene], leader_m: float, leader_mps: float, expected: set[Situation]
 ) -> None:
+    """Of one that begins at 70 m with 9 m/s: bumpers are 1.7 s, 14 s, 6 s apart."""
     start = _started(scene_of(recorded(leader_m, 0.0, leader_mps)), 70.0)
     assert isinstance(start, Start)
     assert start.meets == expected
@@ -84,9 +83,7 @@ def test_path_of_a_vehicle_that_crosses_in_three_seconds_is_crossed(
     scene_of: Callable[..., Scene], from_m: float, crosses: bool
 ) -> None:
     """At 10 m/s across the lane at 150 m, there at 6.5 or 10 s; a vehicle from 110 m on is there after some 4.5 s."""
-    y = 10.0 * 0.1 * np.arange(110) - from_m
-    xy = np.column_stack([np.full(110, 150.0), y])
-    velocity = np.tile([0.0, 10.0], (110, 1))
+    xy, velocity = np.column_stack([np.full(110, 150.0), np.arange(110) - from_m]), np.tile([0.0, 10.0], (110, 1))
     across = replace(recorded(150.0, 0.0), position=xy, heading=np.full(110, np.pi / 2), velocity=velocity)
     start = _started(scene_of(across), 110.0)
     assert isinstance(start, Start)

@@ -182,6 +182,10 @@ def test_overlap_between_two_steps_is_found(road: Callable[..., LaneGraph], stat
     assert [one.step for one in of_boxes(states, 1, np.array([0]), spare_m=0.0)] == [0]
     gone = states_on(road(), _at("a", 20.0, 0.0, steps=1), leap)
     assert list(of_boxes(gone, 1, np.array([0]), spare_m=0.0)) == []
+    turned = replace(_at("a", 20.0, 0.0, steps=2), heading=np.array([0.0, np.pi]))  # round within a step: never across
+    for y, shared_m2 in ((3.0, []), (1.8, [0.45])):  # 1.1 m apart, or 0.1 m of each other; across 0.2 or 1.4 m
+        states = states_on(road(), turned, _at("gen_0", 20.0, 0.0, y=y, steps=2))
+        assert [one.value for one in of_boxes(states, 1, np.array([0]), spare_m=0.0)] == pytest.approx(shared_m2)
 
 
 def test_spare_widens_the_own_box(road: Callable[..., LaneGraph], states_on: Any) -> None:
