@@ -38,7 +38,7 @@ BOUNDS = {
     "lines of bridge/batch": (2_020, 1_500),
     "lines of bridge/pictures": (810, 850),
     "lines of bridge/studies, evaluation, forecasting, pages": (7_170, 4_600),
-    "lines of tests": (34_080, 19_000),
+    "lines of tests": (34_090, 19_000),
     "parameters": (110, 110),
     "fmt: skip and fmt: off": (257, 40),
     "functions above 80 lines": (2, 0),
