@@ -173,7 +173,7 @@ class Drivers(_Section):
     turn_lateral_min_mps2: float = _param(
         1.5, "m/s2", "lateral acceleration in turns, uniform from here", gt=0, le=4.89
     )
-    turn_lateral_max_mps2: float = _param(3.0, "m/s2", "to here (comfort ends at 3)", gt=0, le=4.89)
+    turn_lateral_max_mps2: float = _param(3.5, "m/s2", "to here; measured over 1.1 s: 1.4 to 3.0", gt=0, le=4.89)
     offset_mean_m: float = _param(0.1, "m", "mean place in the lane, left positive; measured", ge=-1, le=1)
     offset_sd_m: float = _param(0.39, "m", "SD between vehicles of the place in the lane; measured", ge=0, le=1)
     offset_lane_share: float = _param(
@@ -246,9 +246,9 @@ class Overtake(_Section):
 class Turn(_Section):
     """Paper, Straight, Left Turn and Right Turn."""
 
-    left_trough: float = _param(0.65, "ratio", "min of f_left(alpha)", gt=0, le=1)
-    right_trough: float = _param(0.75, "ratio", "min of f_right(alpha), above left_trough", gt=0, le=1)
-    trough_at: float = _param(0.4, "share", "alpha of the trough, early to mid-turn", ge=0.1, le=0.9)
+    left_trough: float = _param(0.77, "ratio", "min of f_left(alpha); measured: 0.73 to 0.83", gt=0, le=1)
+    right_trough: float = _param(0.79, "ratio", "the same of f_right, above left_trough; 0.70 to 0.83", gt=0, le=1)
+    trough_at: float = _param(0.5, "share", "alpha of the trough, early to mid-turn; measured", ge=0.1, le=0.9)
 
     @model_validator(mode="after")
     def _check(self) -> "Turn":
