@@ -246,7 +246,7 @@ class Totals:
         self._counts: Counter[str] = Counter()
         self._rejected: Counter[str] = Counter()
         self._selection: dict[str, Counter[str]] = {}
-        self._wanted: dict[str, list[float]] = {}
+        self._wanted: dict[str, float] = {}
         self._findings: Counter[str] = Counter()
 
     def add(self, measures: SceneMeasures) -> None:
@@ -320,7 +320,7 @@ class Totals:
                 "placed": counts["placed"],
                 "placed_of_requested": counts["placed_of_requested"],
                 "rejected": dict(self._rejected.most_common()),
-                "wanted": {name: float(np.mean(shares)) for name, shares in self._wanted.items()},
+                "wanted": {name: total / counts["wanted"] for name, total in self._wanted.items()},
                 "selection": {name: dict(counts) for name, counts in self._selection.items()},
                 "maneuvers": self.maneuvers.content(),
             },
@@ -328,14 +328,14 @@ class Totals:
 
     def _add_counts(self, row: Row) -> None:
         self._counts.update({name: row[name] for name in _COUNTED})
-        self._counts.update(scenes=1, generated_scenes=row["generated"] > 0)
+        self._counts.update(scenes=1, generated_scenes=row["generated"] > 0, wanted=bool(row["wanted"]))
         if row["requested"] is not None:
             self._counts.update(requested=row["requested"], placed_of_requested=row["placed"])
         self._rejected.update(row["rejected"] or {})
         for name, told in (row["selection"] or {}).items():
             self._selection.setdefault(name, Counter()).update(told)
         for name, share in (row["wanted"] or {}).items():
-            self._wanted.setdefault(name, []).append(share)
+            self._wanted[name] = self._wanted.get(name, 0.0) + share
         self._findings.update(row["findings"])
 
 
