@@ -36,15 +36,15 @@ class SceneFacts(NamedTuple):
 
     folder: Annotated[Address, "where the scene is; in the file and with `--json` alone"]
     scenario: Annotated[str, "its id"]
-    split: Annotated[str, "`train`, `val` or `test`, by the folder that it lies in; empty: none of them"]
+    split: Annotated[str, "`train`, `val` or `test`, by its folder; empty: none"]
     city: Annotated[str, "its city"]
     steps: Annotated[int, "timesteps of 0.1 s"]
-    tracks: Annotated[int, "recorded tracks in all, of any type"]
-    at_49: Annotated[int, "of them those present at the last observed timestep, which is 49 in Argoverse 2"]
+    tracks: Annotated[int, "recorded tracks, of any type"]
+    at_49: Annotated[int, "of them present at the last observed timestep, 49 in Argoverse 2"]
     vehicles: Annotated[int, "tracks of type vehicle or bus"]
     moving: Annotated[int, "vehicles with a path over 5 m, seen for more than 1 s"]
     lanes: Annotated[int, "lane segments of the map"]
-    vehicle_lanes: Annotated[int, "of them those of type VEHICLE"]
+    vehicle_lanes: Annotated[int, "of them of type VEHICLE"]
     same_direction: Annotated[int, "neighbours of the same direction, counted over the two sides of all VEHICLE lanes"]
     straight_m: Annotated[float, "length of all VEHICLE lanes, m"]
     lane_change_m: Annotated[float, "room for a lane change: m of VEHICLE lane from which one has the length it needs"]
@@ -53,10 +53,10 @@ class SceneFacts(NamedTuple):
     right_turns: Annotated[int, "the same to the right"]
     events: Annotated[
         str,
-        "of the events looked for what a rolled-out vehicle brings about, as `cut_in:av lead:focal`, and of behaviours "
+        "events looked for that a rolled-out vehicle brings about, as `cut_in:av lead:focal`, and of behaviours "
         "of your own what the map offers, as `mine:keep_right`",
     ]
-    shift_m: Annotated[float, "by how much the tracks lie beside the lanes, m; what `source.plausible` looks at"]
+    shift_m: Annotated[float, "how far tracks lie beside the lanes, m; `source.plausible` looks at it"]
 
     def room(self, policy: Policy) -> float:
         """Room for a policy: metres or lanes, 0 where there is none."""

@@ -194,7 +194,7 @@ def _request_row(sidecar: Sidecar | None) -> Row:
         return {"requested": None, "placed": 0} | dict.fromkeys(("rejected", "selection", "wanted", "seed", "variant"))
     asked = sidecar.requested.agents
     return {
-        "requested": asked if isinstance(asked, int) else None,
+        "requested": max(asked, len(sidecar.events)) if isinstance(asked, int) else None,
         "placed": sidecar.placed.agents,
         "rejected": {item.reason: item.count for item in sidecar.rejected},
         "wanted": dict(sidecar.wanted),

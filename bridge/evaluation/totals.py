@@ -246,7 +246,7 @@ class Totals:
         self._counts: Counter[str] = Counter()
         self._rejected: Counter[str] = Counter()
         self._selection: dict[str, Counter[str]] = {}
-        self._wanted: Counter[str] = Counter()
+        self._wanted: dict[str, float] = {}
         self._findings: Counter[str] = Counter()
 
     def add(self, measures: SceneMeasures) -> None:
@@ -328,15 +328,14 @@ class Totals:
 
     def _add_counts(self, row: Row) -> None:
         self._counts.update({name: row[name] for name in _COUNTED})
-        self._counts.update(scenes=1, generated_scenes=row["generated"] > 0)
+        self._counts.update(scenes=1, generated_scenes=row["generated"] > 0, wanted=bool(row["wanted"]))
         if row["requested"] is not None:
             self._counts.update(requested=row["requested"], placed_of_requested=row["placed"])
         self._rejected.update(row["rejected"] or {})
         for name, told in (row["selection"] or {}).items():
             self._selection.setdefault(name, Counter()).update(told)
-        if row["wanted"]:
-            self._counts["wanted"] += 1
-            self._wanted.update(row["wanted"])
+        for name, share in (row["wanted"] or {}).items():
+            self._wanted[name] = self._wanted.get(name, 0.0) + share
         self._findings.update(row["findings"])
 
 

@@ -132,6 +132,8 @@ class _Pool:
                 self.left_out.append(
                     f"{fact.folder}: {fact.steps} of {MAX_STEPS} steps, no future to learn or to score"
                 )
+            elif fact.kind == "generated" and not fact.inserted:
+                self.left_out.append(f"{fact.folder}: no vehicle was inserted, it is {fact.source_id} once more")
             else:
                 usable.append(fact)
         if not usable:

@@ -17,7 +17,7 @@ from bridge.config import word_for_recorded
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, only_file, source_id
 from bridge.recordings.map_rules import read_document
 from bridge.recordings.scenario import OBSERVED_STEPS, read_table
-from bridge.recordings.sidecar import REACTIVE, sidecar_in
+from bridge.recordings.sidecar import REACTIVE, Sidecar, sidecar_in
 from hid2.params import Forecasting
 from netconvert.errors import MapError, ScenarioError
 from netconvert.lane_graph import joined
@@ -33,8 +33,8 @@ class SourceScene(NamedTuple):
     """What a composition needs to know of a scene.
 
     source_id: the recorded scenario that it was made from, its own where it was recorded; log: drive that it was cut
-    from, "" where no file tells; tracks, observed: tracks in all, and at the last observed step; cells: squares of
-    ground that its lanes pass, as numbers within the city, sorted, int64; block: square of its middle.
+    from, "" where no file tells; tracks, observed, inserted: tracks in all, at the last observed step, of ours; cells:
+    squares of ground that its lanes pass, as numbers within the city, sorted, int64; block: square of its middle.
     """
 
     folder: Path
@@ -47,6 +47,7 @@ class SourceScene(NamedTuple):
     log: str
     cells: bytes
     block: tuple[int, int]
+    inserted: int = 0
 
     @property
     def kind(self) -> str:
@@ -88,11 +89,11 @@ def describe(params: Forecasting, folder: Path) -> SourceScene:
         raise ScenarioError(f"{parquet}: scenario_id {scenario_id!r}, expected the id in the file's name")
     track, timestep = table.column("track_id"), table.column("timestep")
     at_end = track.filter(pc.equal(timestep, OBSERVED_STEPS - 1))
-    cells, block = _ground(map_path, params)
+    sidecar, (cells, block) = generated_sidecar(folder), _ground(map_path, params)
     return SourceScene(
         folder=folder,
         scenario_id=scenario_id,
-        source_id=recorded_source(folder) or scenario_id,
+        source_id=scenario_id if sidecar is None else sidecar.source_scenario_id,
         city=str(table.column("city")[0]),
         steps=int(pc.max(timestep).as_py()) + 1,
         tracks=int(pc.count_distinct(track).as_py()),
@@ -100,15 +101,15 @@ def describe(params: Forecasting, folder: Path) -> SourceScene:
         log=str(table.column(_SLICE)[0].as_py() or "") if _SLICE in table.column_names else "",
         cells=cells,
         block=block,
+        inserted=0 if sidecar is None else len(sidecar.agents),
     )
 
 
-def recorded_source(folder: Path) -> str | None:
-    """The source of a generated scene, by its sidecar; None for a recorded one. Errors: ScenarioError."""
+def generated_sidecar(folder: Path) -> Sidecar | None:
+    """The sidecar of a generated scene; None for a recorded one. Errors: ScenarioError."""
     if word_for_recorded(folder.name) != "recorded":
         raise ScenarioError(f"{folder}: {REACTIVE}")
-    sidecar = sidecar_in(folder, source_id(folder))
-    return None if sidecar is None else sidecar.source_scenario_id
+    return sidecar_in(folder, source_id(folder))
 
 
 def _ground(path: Path, params: Forecasting) -> tuple[bytes, tuple[int, int]]:

@@ -21,7 +21,7 @@ from bridge.batch.engine import OnDone, work_on_each
 from bridge.batch.isolation import Failure
 from bridge.files import beside, make_folder, write_rows
 from bridge.forecasting.compose import origins_of
-from bridge.forecasting.places import recorded_source
+from bridge.forecasting.places import generated_sidecar
 from bridge.pages import parts as pages
 from bridge.recordings.scenario import MAX_STEPS, OBSERVED_STEPS, Rows, find_scenarios, read_rows, source_id
 from hid2.agents import FloatArray, IntArray, Track
@@ -368,9 +368,9 @@ def sources_of(scenes: Path) -> dict[str, str]:
     """The recorded scene behind each generated one below a folder, by scenario id."""
     found: dict[str, str] = {}
     for folder in find_scenarios(scenes):
-        source = recorded_source(folder)
-        if source is not None:
-            found[source_id(folder)] = source
+        sidecar = generated_sidecar(folder)
+        if sidecar is not None:
+            found[source_id(folder)] = sidecar.source_scenario_id
     for root in (scenes, scenes.parent):
         found |= {name: origin["source_id"] for name, origin in origins_of(root).items()}
     return found

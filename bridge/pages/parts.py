@@ -79,10 +79,9 @@ def linked(label: str) -> Markup:
 
 
 def reason(text: str) -> Markup:
-    """A reason of a sidecar in words, as HTML that leads to its sentence."""
-    words = text.replace("_", " ")
-    known = next((one for one in Reason if one.value in text.split(": ")), None)
-    return escape(words) if known is None else _link(f"reason-{known}", words)
+    """A reason of a sidecar in words, and what stands after its colon, as HTML that leads to their sentences."""
+    words = {one: one.replace("_", " ") for one in map(str.strip, text.split(":"))}
+    return Markup(": ").join(_link(f"reason-{one}", words[one]) if one in [*Reason] else words[one] for one in words)
 
 
 def _link(anchor: str, words: str) -> Markup:

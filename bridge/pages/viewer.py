@@ -104,12 +104,14 @@ def facts_of(document: Mapping[str, Any]) -> dict[str, Any]:
     said, inserted = document["said"], sum(is_generated_id(track["id"]) for track in document["tracks"])
     maneuvers = [one for agent in said.get("agents", ()) for one in agent["maneuvers"]] + said.get("unmet", [])
     events, rejected = said.get("events", []), said.get("rejected", [])
+    asked = said.get("requested", {}).get("agents")
     return {
         **{key: document[key] for key in ("id", "city", "split", "word")},
         "inserted": inserted, "recorded": len(document["tracks"]) - inserted,
         "seconds": round((document["steps"] - 1) * document["step_s"], 6),
         "findings": len(document["findings"]),
-        "source": said.get("source_scenario_id", document["id"]), "asked": said.get("requested", {}).get("agents"),
+        "source": said.get("source_scenario_id", document["id"]),
+        "asked": max(asked, len(events)) if isinstance(asked, int) else asked,
         "behaviours": said.get("placed", {}).get("behaviours", {}),
         "reasons": sorted({one["reason"] for one in (*maneuvers, *events, *rejected) if one["reason"]}),
         "events": [[one["kind"], one["status"]] for one in events],

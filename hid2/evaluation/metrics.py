@@ -207,7 +207,7 @@ METRICS: tuple[Metric, ...] = (
     ),
     _steps(
         "ttc_critical", f"share of driving, {_TTC} to anything",
-        "Steps at which a moving vehicle would touch another one so soon if both kept their velocity.",
+        "Steps at which a moving vehicle would touch another agent so soon if both kept their velocity.",
         lambda g: g.safe.ttc_s < CRITICAL.ttc_min_s,
     ),
     _steps(

@@ -22,8 +22,8 @@ CUT_IN_S = 1.8
 #: No tunable: what an event is like for its target is looked for until so long after the moment, s, as the target does
 #: not react and may run into whatever is ahead of it later.
 AFTER_S = 3.0
-#: No tunable: of a cut-in it is looked for since so long before the moment, s, when the vehicle is about half way over.
-_ARRIVES_S = 1.5
+#: No tunable: of a cut-in since so long before, s, as it comes across; once over the line it may head past the target.
+_BEFORE_S = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +32,8 @@ class EventMeasures:
 
     gap_m: bumper to bumper along the target's heading at the moment of the event, whichever is ahead; of a crossing
     from the bumper to where the paths cross; speed_difference_mps: speed of the vehicle minus that of the target
-    then; min_ttc_s: smallest two-dimensional TTC from then on for AFTER_S, of a cut-in since the vehicle is half way
-    over, of a crossing of all steps, None where it is never below CAP_S; ttc_at_s: when that is; headway_s: smallest
+    then; min_ttc_s: smallest two-dimensional TTC from then on for AFTER_S, of a cut-in from _BEFORE_S before, of a
+    crossing of all steps, None where it is never below CAP_S; ttc_at_s: when that is; headway_s: smallest
     time headway of the target behind the vehicle in AFTER_S from the moment on, front to front, None where it is never
     behind it; pet_s: where the paths cross; drac_mps2: largest deceleration that the target would have needed, in the
     time of min_ttc_s, 0 where it never closes in; brakes_mps2: hardest braking of the vehicle itself in AFTER_S from
@@ -79,7 +79,7 @@ def measure_event(states: AgentStates, kind: str, own: int, target: int, *, at_s
     steps = round(AFTER_S / arrays.step_s)
     until_step, later = at_step + steps, speed[row : min(row + steps + 1, states.row_span(own).stop)]
     whole = pair_course(arrays, target, own, cap_s=CAP_S)
-    since_step = at_step - round(_ARRIVES_S / arrays.step_s) if kind == "cut_in" else at_step
+    since_step = at_step - round(_BEFORE_S / arrays.step_s) if kind == "cut_in" else at_step
     course = whole if kind == "cross" else whole.during(since_step, until_step)
     later_on = course.during(at_step, until_step)
     headway_s = float(later_on.headway_s[later_on.gap_m >= 0.0].min(initial=math.inf))

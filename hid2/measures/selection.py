@@ -8,7 +8,8 @@ import numpy as np
 from hid2.agents import FloatArray
 from hid2.measures.encounters import STANDS_FOR_S, STANDS_MPS
 
-#: Harder braking than this, m/s2, in the mean over this time, s: a tracker's noise is shorter.
+#: Harder braking than this, m/s2, in the mean over this time, s: a tracker's noise is shorter. Not so near to the ends
+#: of a track: there trackers show a third less speed than there is.
 HARD_BRAKING_MPS2, BRAKING_FOR_S = 3.0, 0.5
 
 
@@ -32,6 +33,7 @@ def drives(speeds: Iterable[FloatArray], *, step_s: float, limited: int = 0) -> 
     vehicles = braking = standing = steps = 0
     for speed in speeds:
         vehicles, steps = vehicles + 1, steps + max(0, len(speed) - 1)
-        braking += bool(np.any(speed[:-brake] - speed[brake:] > HARD_BRAKING_MPS2 * brake * step_s))
+        inner = speed[brake:-brake]
+        braking += bool(np.any(inner[:-brake] - inner[brake:] > HARD_BRAKING_MPS2 * brake * step_s))
         standing += int((speed < STANDS_MPS).sum()) >= stand
     return Drives(vehicles, braking, standing, steps, limited)

@@ -9,15 +9,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from written import made_up_sidecar
 
 import bridge.evaluation.totals as totals_module
 from bridge.evaluation.evaluate import evaluate_folder, write_report
 from bridge.evaluation.scene_metrics import measure, measure_folder
 from bridge.evaluation.totals import Evaluation, SourceSums, Totals, estimate
 from bridge.recordings.scenario import find_scenarios, read_scenario
+from bridge.recordings.sidecar import EventRecord
 from hid2.agents import VEHICLE_TYPES
 from hid2.evaluation import metrics
 from hid2.evaluation.metrics import METRICS, ROWS, Column, Metric
+from hid2.params import Config
 from netconvert.errors import ExportError, MapError, ScenarioError
 
 
@@ -34,18 +37,9 @@ def read_csv(path):
 
 def test_report_has_every_file_and_json_reads_back(report):
     evaluation, folder = report
-    names = {path.name for path in folder.iterdir()}
-    assert names == {
-        "metrics.json",
-        "scenes.csv",
-        "tracks.csv",
-        "maneuvers.csv",
-        "events.csv",
-        "lane_changes.csv",
-        "conflicts.csv",
-        "realism.csv",
-        "report.html",
-    }
+    tables = ("conflicts", "events", "lane_changes", "maneuvers", "realism", "scenes", "tracks")
+    expected = {"metrics.json", "report.html", *(f"{name}.csv" for name in tables)}
+    assert {path.name for path in folder.iterdir()} == expected
     assert json.loads((folder / "metrics.json").read_text()) == evaluation.metrics
 
 
@@ -60,6 +54,13 @@ def test_tables_have_one_row_per_scene_track_and_maneuver(report, made_root):
     requested = json.loads((folder / "metrics.json").read_text())["requests"]["maneuvers"]
     statuses = ("done", "aborted", "not_feasible", "not_triggered")
     assert len(recorded) == sum(entry[status] for entry in requested.values() for status in statuses)
+
+
+def test_vehicles_of_events_count_among_those_asked_for(data_root):
+    scene = read_scenario(find_scenarios(data_root)[0])
+    missed = EventRecord(kind="cross", target="av", status="not_feasible", reason="event_no_place", tries=0)
+    sidecar = made_up_sidecar(scene, Config(), events=(missed,) * 3)
+    assert measure(scene, scene.tracks, sidecar).scene["requested"] == 3
 
 
 def test_maneuvers_tell_how_far_from_the_focal_track_and_the_recording_vehicle_they_are(report, made_root):

@@ -8,6 +8,7 @@ import shutil
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pytest
 from breaches import breaches
 from written import write_scene
@@ -196,6 +197,13 @@ def test_a_planted_copy_under_another_id_is_found_by_its_place(data_root, genera
     assert "lies where there is" in leak.why
 
 
+def test_a_generated_scene_without_an_inserted_vehicle_is_left_out(data_root, generated, fake_generated, tmp_path):
+    scenario = read_scenario(find_scenarios(data_root)[0])
+    tracks, sidecar, new_id = fake_generated(scenario, count=0)
+    write_scene(scenario, tracks, sidecar, generated, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    assert scenario.scenario_id in " ".join(composed(mixed(data_root, generated), tmp_path / "root").left_out)
+
+
 def test_min_agents_counts_in_all_or_at_the_observations_end(data_root, tmp_path):
     """The arterial has 26 tracks, 25 of them at the observation's end; the others have 22 and 21, and 21 and 20."""
     for counted, bound, expected in (("all", 26, 1), ("observed", 26, 0), ("observed", 25, 1), ("all", 22, 2)):
@@ -209,20 +217,14 @@ def test_min_agents_counts_in_all_or_at_the_observations_end(data_root, tmp_path
 
 
 def test_splits_by_folder_keep_the_official_ones(data_root, tmp_path):
-    values = {
-        "sources": {"data": (str(data_root),)},
-        "split": {"by": "folder"},
-        "sets": {"all": {"take": {"data": "all"}}},
-        "validation": {"all": {"take": {"data": "all"}}},
-    }
+    every = {"all": {"take": {"data": "all"}}}
+    values = {"sources": {"data": (str(data_root),)}, "split": {"by": "folder"}, "sets": every, "validation": every}
     root = composed(values, tmp_path / "root").root
     assert ids(root / "train") == ids(data_root / "train")
     assert ids(root / "val") == ids(data_root / "val")
 
 
 def fact(name, *, source=None, city="miami", tracks=20, cells=(1,), block=(0, 0), log=""):
-    import numpy as np
-
     return SourceScene(
         Path(name), name, source or name, city, 110, tracks, tracks, log,
         np.array(cells, dtype=np.int64).tobytes(), block,

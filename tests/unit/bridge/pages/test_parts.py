@@ -2,7 +2,7 @@
 
 from markupsafe import Markup
 
-from bridge.pages.parts import linked, macros, number, with_interval
+from bridge.pages.parts import linked, macros, number, reason, with_interval
 
 
 def test_a_share_that_is_not_zero_does_not_look_like_it() -> None:
@@ -23,3 +23,8 @@ def test_first_column_of_a_table_is_text_and_every_cell_has_the_name_of_its_colu
 def test_what_is_not_ours_is_escaped_in_pages() -> None:
     assert "<li>a &lt;b&gt;</li>" in macros("scored.html.j2", head=[], rows=[], left_out=["a <b>"]).intro()
     assert linked("share <x>") == "share &lt;x&gt;"
+
+
+def test_both_parts_of_a_reason_lead_to_their_sentences() -> None:
+    shown = reason("event_not_foreseen:no_site")
+    assert shown == '<a href="#reason-event_not_foreseen">event not foreseen</a>: <a href="#reason-no_site">no site</a>'

@@ -371,21 +371,15 @@ def test_names_of_received_files_are_text_and_nothing_else(
     """A city and a track that are HTML: shown as they are, run never."""
     folder = copy_scene(folder=generated[0])
     hostile = '</script><img src=x onerror="window.run=1">'
-    edit_rows(
-        folder,
-        lambda rows: rows.assign(city=hostile, track_id=rows["track_id"].replace({"gen_1": hostile})),
-    )
+    edit_rows(folder, lambda rows: rows.assign(city=hostile, track_id=rows["track_id"].replace({"gen_1": hostile})))
     file = view_scenes([folder, folder], tmp_path / "hostile.html")
     page.errors.clear()
     page.open(file)
     page.until("$('cards').children.length === 2")
     page.js("show(0)")
     page.js(f"choose({json.dumps(hostile)})")
-    assert page.js("[$('panel').querySelector('h2').textContent, window.run ?? null, document.images.length]") == [
-        hostile,
-        None,
-        0,
-    ]
+    seen = page.js("[$('panel').querySelector('h2').textContent, window.run ?? null, document.images.length]")
+    assert seen == [hostile, None, 0]
     assert hostile in page.js("$('title').textContent")
     assert page.errors == []
 
@@ -394,6 +388,8 @@ def test_index_counts_every_manoeuvre_that_was_asked_for(data_scenes: dict[str, 
     """Those that no vehicle does, too: the intersection has no room for all of these."""
     request = Request(agents=6, straight=0.0, left_turn=0.0, right_turn=0.0, lane_change=0.5, overtake=0.5)
     scene = generate(read_recording(data_scenes["intersection"]), Config(request=request))
-    facts = facts_of(scene_document(scene.recording))
+    facts = facts_of(document := scene_document(scene.recording))
+    told = {"requested": {"agents": 0}, "events": [{"kind": "lead", "status": "not_feasible", "reason": None}]}
+    assert [facts["asked"], facts_of(document | {"said": told})["asked"]] == [6, 1]
     assert len(scene.sidecar.unmet) > 0
     assert facts["maneuvers"] == [[one.kind, one.status] for _, one in scene.sidecar.asked]

@@ -13,7 +13,7 @@ from simulated import drive
 
 from bridge.batch.validation import validate_folder
 from bridge.evaluation.scene_metrics import measure_folder
-from bridge.forecasting.places import recorded_source
+from bridge.forecasting.places import generated_sidecar
 from bridge.generation.generate import generate
 from bridge.pictures.render import _panels
 from bridge.recordings.scenario import read_scenario
@@ -103,7 +103,7 @@ def test_scene_in_which_recorded_vehicles_react_is_called_so_and_refused(reactiv
     (finding,) = validate_folder(reactive_scene)
     assert finding.rule == "replay"
     assert "do not drive as recorded" in finding.message
-    for refuses in (lambda: measure_folder(reactive_scene), lambda: recorded_source(reactive_scene)):
+    for refuses in (lambda: measure_folder(reactive_scene), lambda: generated_sidecar(reactive_scene)):
         with pytest.raises(ScenarioError, match=r"reactive-.*do not drive as recorded"):
             refuses()
 

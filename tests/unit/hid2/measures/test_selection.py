@@ -19,10 +19,11 @@ def test_vehicles_that_brake_hard_and_that_stand_are_counted() -> None:
 
 @pytest.mark.parametrize(("decel", "expected"), [(2.9, 0), (3.1, 1)])
 def test_hard_braking_is_harder_than_three(decel: float, expected: int) -> None:
-    """Half a second of it, at steps of 0.1 s and of 0.25 s."""
-    for step_s in (0.1, 0.25):
-        speed = np.concatenate([[12.0, 12.0], 12.0 - decel * step_s * np.arange(1, 1 + round(0.5 / step_s))])
-        assert drives([speed], step_s=step_s).braking == expected
+    """Half a second of it, at steps of 0.1 s and of 0.25 s; at the end of a track it is a tracker's."""
+    for step_s, half in ((0.1, 5), (0.25, 2)):
+        speed = 12.0 - decel * step_s * np.clip(np.arange(3 * half + 1) - half, 0, half)
+        found = [drives([speed[:end]], step_s=step_s).braking for end in (None, 2 * half + 1)]
+        assert found == [expected, 0]
 
 
 def test_no_vehicle_drives_at_all() -> None:
