@@ -27,7 +27,7 @@ PRODUCT = (*PACKAGES, ".ci")
 #: What is counted: how many there may be now, and how many there are to be in the end. What shrinks is lowered.
 BOUNDS = {
     "lines": (39_000, 28_500),
-    "statements": (24_570, 15_000),
+    "statements": (24_580, 15_000),
     "lines of hid2": (16_400, 8_500),
     "lines of hid2/insertion": (4_620, 2_200),
     "lines of hid2/kernels": (2_630, 1_900),
