@@ -163,7 +163,7 @@ def label_offsets(axes: Axes, points: FloatArray, texts: Sequence[str], *, size:
     """
     taken, found = np.zeros((0, 4)), []
     for (x, y), text in zip(axes.transData.transform(points) * 72.0 / axes.figure.dpi, texts, strict=True):
-        wide, high = 0.62 * size * max(map(len, text.split("\n"))), 1.25 * size * (text.count("\n") + 1)
+        wide, high = 0.68 * size * max(map(len, text.split("\n"))), 1.25 * size * (text.count("\n") + 1)
         beside = [
             (dx, dy)
             for far in np.arange(4.0, 200.0, 4.0)

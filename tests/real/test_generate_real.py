@@ -275,7 +275,8 @@ def test_checker_of_states_finds_what_is_planted(data_scenes: dict[str, Path], m
         assert {one.quantity for one in check_states(replace(scene, tracks=tracks))} == told
     crossing = replace(own, track_id="crossing", **across)
     found = check_states(replace(scene, tracks=[*scene.tracks, crossing]))
-    assert {(one.quantity, one.vehicle, one.other) for one in found} == {("overlap", own.track_id, "crossing")}
+    assert {(one.quantity, one.other) for one in found} == {("overlap", "crossing")}
+    assert own.track_id in {one.vehicle for one in found}  # another one may be there too
 
 
 def test_what_a_rollout_foresees_comes_about(real_scenes: list[Path], make: Make) -> None:
