@@ -192,6 +192,11 @@ def is_corridor(scenario_id: str) -> bool:
     return scenario_id.removeprefix(REACTIVE_PREFIX).startswith(CORRIDOR_PREFIX)
 
 
+def asked_for(agents: int | str | None, events: int) -> int | str | None:
+    """Vehicles asked for, or `max`, with those of events: these count among them, and may be more."""
+    return max(agents, events) if isinstance(agents, int) else agents
+
+
 def word_for_recorded(scenario_id: str) -> str:
     """What the tracks of a scene are called that are no generated ones: recorded, unless they react."""
     return "reacting" if scenario_id.startswith(REACTIVE_PREFIX) else "recorded"

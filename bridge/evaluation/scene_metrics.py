@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bridge.config import asked_for
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import Address, split_of
 from bridge.recordings.judging import findings_of, recording_states
@@ -192,9 +193,9 @@ def _pair_row(safe: Safety, arrays: SceneArrays) -> Row:
 def _request_row(sidecar: Sidecar | None) -> Row:
     if sidecar is None:
         return {"requested": None, "placed": 0} | dict.fromkeys(("rejected", "selection", "wanted", "seed", "variant"))
-    asked = sidecar.requested.agents
+    asked = asked_for(sidecar.requested.agents, len(sidecar.events))
     return {
-        "requested": max(asked, len(sidecar.events)) if isinstance(asked, int) else None,
+        "requested": asked if isinstance(asked, int) else None,
         "placed": sidecar.placed.agents,
         "rejected": {item.reason: item.count for item in sidecar.rejected},
         "wanted": dict(sidecar.wanted),

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from bridge.config import word_for_recorded
+from bridge.config import asked_for, word_for_recorded
 from bridge.files import MAX_FILE_MB, one_line, read_packed, rounded, write_text
 from bridge.pages.parts import text
 from bridge.pictures import figures
@@ -104,14 +104,13 @@ def facts_of(document: Mapping[str, Any]) -> dict[str, Any]:
     said, inserted = document["said"], sum(is_generated_id(track["id"]) for track in document["tracks"])
     maneuvers = [one for agent in said.get("agents", ()) for one in agent["maneuvers"]] + said.get("unmet", [])
     events, rejected = said.get("events", []), said.get("rejected", [])
-    asked = said.get("requested", {}).get("agents")
     return {
         **{key: document[key] for key in ("id", "city", "split", "word")},
         "inserted": inserted, "recorded": len(document["tracks"]) - inserted,
         "seconds": round((document["steps"] - 1) * document["step_s"], 6),
         "findings": len(document["findings"]),
         "source": said.get("source_scenario_id", document["id"]),
-        "asked": max(asked, len(events)) if isinstance(asked, int) else asked,
+        "asked": asked_for(said.get("requested", {}).get("agents"), len(events)),
         "behaviours": said.get("placed", {}).get("behaviours", {}),
         "reasons": sorted({one["reason"] for one in (*maneuvers, *events, *rejected) if one["reason"]}),
         "events": [[one["kind"], one["status"]] for one in events],

@@ -172,9 +172,8 @@ class InferredSignals:
         seen = look_along(line, flowing, 0.0, width_m)
         agents = rows[seen.agents]
         across = np.abs(seen.along) <= math.cos(CROSSING_RAD) * self._speed[agents]
-        return np.asarray(
-            (across & self._flows[agents] & others[agents, None] & (seen.low < line.length_m)).any(axis=0)
-        )
+        across &= self._flows[agents] & others[agents, None]
+        return np.asarray((across & (seen.low < line.length_m)).any(axis=0))
 
     @once
     def _watch(self, approach: _Approach) -> _Watched:

@@ -79,6 +79,11 @@ class Rollout:
         count = step - self.step + 1
         return replace(self, s=self.s[:count], v=self.v[:count], memory=self.memory[:count])
 
+    @property
+    def on_path(self) -> "Rollout":
+        """The same as long as the centre has not left the map."""
+        return self.until(self.step + int((self.s <= self.path.exit_s).sum()) - 1)
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class RolledOut:
@@ -131,8 +136,8 @@ class World:
         """A candidate with its motion."""
         driven = []
         for part in parts:
-            inside = int((part.s <= part.path.exit_s).sum())
-            motion = Motion(part.s[:inside], part.v[:inside], np.zeros(inside), self.scene.step_s)
+            inside = part.on_path
+            motion = Motion(inside.s, inside.v, np.zeros(inside.s.size), self.scene.step_s)
             driven.append((part.step, trajectory(part.path.line, motion, start.offset)))
         return RolledOut(start, parts, self.scene.known_traffic(start.vehicle_id, start.box, driven))
 

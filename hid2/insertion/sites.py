@@ -238,8 +238,8 @@ class InsertionSites:
             tier = np.where(seen.stays[rows], 0, 1)
             if scene.config.request.is_near_agents:
                 tier += np.where(seen.near[rows], 0, 2)
-        if promising and policy is Policy.STRAIGHT:  # behind a recorded vehicle it goes through with that
-            inside = inside & (self.here.meetings.outlook(policy).leader[rows] < 0)
+            if policy is Policy.STRAIGHT:  # behind a recorded vehicle it goes through with that
+                inside = inside & (seen.leader[rows] < 0)
         share = self.rng.random(rows.size)
         if not promising:
             order = by_weight(weight, self.rng)

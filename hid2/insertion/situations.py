@@ -1,17 +1,16 @@
 """Situations: what recorded vehicles meet of each other, and which of it a vehicle is to meet, so that as many do."""
 
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 
 from hid2.agents import BoxSize
 from hid2.insertion.rollout import Rollout, World
-from hid2.measures.encounters import LASTS_S, WITHIN_S, acceleration, encounters, meets_at
+from hid2.measures.encounters import LASTS_S, WITHIN_S, acceleration, encounters, lasts, meets_at
 from hid2.measures.following import leaders
 from hid2.occupancy.gaps import gaps_on_path
-from hid2.occupancy.traffic import BoolArray
 from hid2.scene import Scene
 from hid2.vehicle import Start
 
@@ -37,7 +36,7 @@ def recorded_shares(scene: Scene) -> dict[Situation, float]:
     """Share of the driven vehicles of a recording that meet something; a small recording is told by others too."""
     arrays = scene.states.arrays
     seen = encounters(arrays, leaders(arrays, scene.states.lanes, scene.states.matches))
-    driven = arrays.vehicle & arrays.clean
+    driven = arrays.clean
     count = int(driven.sum()) + _PRIOR_VEHICLES
     return {one: (int(seen[one][driven].sum()) + _PRIOR_VEHICLES * share) / count for one, share in _PRIOR.items()}
 
@@ -68,24 +67,20 @@ NONE_WANTED = Wanted({}, {})
 
 def foreseen(world: World, start: Start, parts: tuple[Rollout, ...]) -> frozenset[Situation]:
     """What a vehicle meets by its rollout."""
-    found = set[Situation]()
-    for part in parts:
-        inside = int((part.s <= part.path.exit_s).sum())
-        found.update(_foreseen(world, start.box, replace(part, s=part.s[:inside], v=part.v[:inside])))
-    return frozenset(found)
+    return frozenset(one for part in parts for one in _foreseen(world, start.box, part.on_path))
 
 
 def _foreseen(world: World, box: BoxSize, part: Rollout) -> Iterator[Situation]:
-    scene, arrays = world.scene, world.scene.states.arrays
+    scene = world.scene
     steps = part.step + np.arange(part.s.size)
-    counts = np.append(arrays.vehicle & ~arrays.fragment, False)  # the last for none, and for inserted ones
+    counts = np.append(scene.states.arrays.whole_vehicles, False)  # the last for none, and for inserted ones
     known = world.guard.known_on(part.path, box)
     seen = gaps_on_path(known, part.s, steps, among=known.same_direction)
     leader = np.append(np.minimum(known.agents, scene.num_recorded), scene.num_recorded)[seen.leader]
     gap_m = np.where(counts[leader], seen.lead_m, np.inf)
     at = meets_at(part.v, acceleration(part.s, steps, scene.step_s), gap_m)
     for one, name in _BY_ITSELF.items():
-        if _lasts(at[name], scene.steps_in(LASTS_S[name])):
+        if lasts(at[name], LASTS_S[name], scene.step_s, np.zeros_like(steps), 1)[0]:
             yield one
     met = scene.met_on(part.path, box, scene.future)
     crossing = met.crossing[:, : scene.num_steps] & counts[met.agents, None]
@@ -95,8 +90,3 @@ def _foreseen(world: World, box: BoxSize, part: Rollout) -> Iterator[Situation]:
         on = (met.low[row, then, None] < part.s) & (part.s < met.high[row, then, None])
         if np.abs(then[:, None] - steps)[on].min(initial=scene.num_steps) < scene.steps_in(WITHIN_S):
             yield Situation.CROSSES
-
-
-def _lasts(mask: BoolArray, steps: int) -> bool:
-    """Whether something holds (N,) for so many steps on end."""
-    return mask.size >= steps and bool(np.lib.stride_tricks.sliding_window_view(mask, steps).all(axis=1).any())

@@ -72,7 +72,12 @@ class SceneArrays:
     @property
     def clean(self) -> BoolArray:
         """(A,) moving vehicles that are no tracker fragments."""
-        return np.asarray(self.moving_vehicles & ~self.fragment)
+        return np.asarray(self.moving & self.whole_vehicles)
+
+    @property
+    def whole_vehicles(self) -> BoolArray:
+        """(A,) vehicles that are no tracker fragments."""
+        return np.asarray(self.vehicle & ~self.fragment)
 
     @property
     def rows_per_agent(self) -> IntArray:

@@ -60,15 +60,16 @@ def encounters(arrays: SceneArrays, led: LaneLeaders) -> dict[str, BoolArray]:
     for kind in (Partner.RECORDED, Partner.INSERTED):
         at = meets_at(speed, slope, np.where(has & masks[kind][leader], led.gap_m, np.inf))
         for name in ("follows", "brakes"):
-            found[f"{name}_{kind}"] = _lasts(arrays, at[name], LASTS_S[name])
-        found["stands"] = _lasts(arrays, at["stands"], LASTS_S["stands"]) & arrays.vehicle
+            found[f"{name}_{kind}"] = lasts(at[name], LASTS_S[name], arrays.step_s, arrays.agent, arrays.num_agents)
+    stands = lasts(at["stands"], LASTS_S["stands"], arrays.step_s, arrays.agent, arrays.num_agents)
+    found["stands"] = stands & arrays.vehicle
     found["far"] = _distance_to_moving(arrays, masks[Partner.RECORDED]) > NEAR_M
     return found
 
 
 def partners(arrays: SceneArrays) -> dict[Partner, BoolArray]:
     """(A,) agents of each kind that can be met; recorded and inserted: vehicles, without tracker fragments."""
-    vehicle = arrays.vehicle & ~arrays.fragment
+    vehicle = arrays.whole_vehicles
     return {
         Partner.RECORDED: np.asarray(vehicle & ~arrays.generated),
         Partner.INSERTED: np.asarray(vehicle & arrays.generated),
@@ -111,12 +112,12 @@ def acceleration(way_m: FloatArray, steps: IntArray, step_s: float) -> FloatArra
     return out
 
 
-def _lasts(arrays: SceneArrays, rows: BoolArray, for_s: float) -> BoolArray:
-    """(A,) agents of which some rows hold for so long."""
-    out, count = np.zeros(arrays.num_agents, dtype=bool), max(1, round(for_s / arrays.step_s))
-    before = np.concatenate([[0], np.cumsum(rows)])
-    agent = arrays.agent[: max(0, len(rows) - count + 1)]
-    out[agent[(before[count:] - before[:-count] == count) & (agent == arrays.agent[count - 1 :])]] = True
+def lasts(holds: BoolArray, for_s: float, step_s: float, agent: IntArray, num_agents: int) -> BoolArray:
+    """(A,) agents for which something holds for so long; agent (N,): that of each row, in order."""
+    out, count = np.zeros(num_agents, dtype=bool), max(1, round(for_s / step_s))
+    before = np.concatenate([[0], np.cumsum(holds)])
+    first = agent[: max(0, len(holds) - count + 1)]
+    out[first[(before[count:] - before[:-count] == count) & (first == agent[count - 1 :])]] = True
     return out
 
 
