@@ -134,18 +134,19 @@ class LaneGraph:
         return self._predecessors[lane_id]
 
     def straightest_successor(self, lane_id: int) -> int | None:
-        """The successor with a chord that turns least from the lane's end, the lower id of equals; None without one.
+        """The successor that turns least, the lower id of equals; None without one.
 
         Of a lane of MOTOR_TYPES only successors of these types count: motor vehicles do not go on into a bicycle lane.
         """
-        lane = self.lanes[lane_id]
-        (x0, y0), (x1, y1) = lane.centerline[-2:].tolist()
-        end, turned = math.atan2(y1 - y0, x1 - x0), []
-        for target in self.successors(lane_id):
-            if lane.lane_type not in MOTOR_TYPES or self.lanes[target].lane_type in MOTOR_TYPES:
-                x, y = _direction(self.lanes[target])
-                turned.append((abs(math.remainder(math.atan2(y, x) - end, math.tau)), target))
-        return min(turned)[1] if turned else None
+        any_type = self.lanes[lane_id].lane_type not in MOTOR_TYPES
+        onward = [n for n in self.successors(lane_id) if any_type or self.lanes[n].lane_type in MOTOR_TYPES]
+        return min(onward, key=lambda n: (self.turned_rad(lane_id, n), n), default=None)
+
+    def turned_rad(self, lane_id: int, successor: int) -> float:
+        """How far the chord of a successor turns from the end of a lane, rad, at least 0."""
+        (x0, y0), (x1, y1) = self.lanes[lane_id].centerline[-2:].tolist()
+        x, y = _direction(self.lanes[successor])
+        return abs(math.remainder(math.atan2(y, x) - math.atan2(y1 - y0, x1 - x0), math.tau))
 
     def neighbor(self, lane_id: int, side: Side) -> int | None:
         """The lane beside this one that runs the same way, of whatever type."""

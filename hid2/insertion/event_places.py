@@ -222,7 +222,8 @@ class Places:
         def beyond(way: Route) -> Route:
             if sum(graph.lanes[n].length_m for n in way[1:]) > longest_m:
                 return ()
-            return straightest_first(graph, (n for n in onto(way[-1]) if is_drivable(graph, n) and n not in way), known)
+            others = (n for n in onto(way[-1]) if is_drivable(graph, n) and n not in way)
+            return straightest_first(graph, way[-1], others, known)
 
         def goes_on(way: Route) -> Route:
             while options := beyond(way):

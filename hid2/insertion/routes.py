@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from hid2.agents import IntArray, Policy
-from hid2.motion.route import Route, is_drivable, routes_from
+from hid2.motion.route import Route, is_drivable, routes_from, straightest_first
 from hid2.occupancy.sigma import FREE
 from hid2.occupancy.traffic import BoolArray
 from hid2.once import once
@@ -66,7 +66,7 @@ class Routes:
         if "topology" in self.scene.config.without:
             return (self.offer_of((lane_id,)),)
         before, graph = self._run_up(lane_id), self.scene.grid.graph
-        found = routes_from(graph, lane_id, choose=lambda onward: tuple(sorted(onward)), most=_MOST)
+        found = routes_from(graph, lane_id, choose=lambda _, onward: tuple(sorted(onward)), most=_MOST)
         return tuple(self.offer_of(route, tuple(n for n in before if n not in route)) for route in found)
 
     @once
@@ -172,7 +172,7 @@ class Routes:
             onto = [p for p in graph.predecessors(here) if is_drivable(graph, p) and p not in (lane_id, *before)]
             if not onto:
                 break
-            first = min(onto, key=lambda p: (graph.straightest_successor(p) != here, p))
+            first = straightest_first(graph, here, onto)[0]
             before = (first, *before)
             length += graph.lanes[first].length_m
         return before

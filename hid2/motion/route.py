@@ -254,13 +254,20 @@ def is_drivable(graph: LaneGraph, lane_id: int) -> bool:
     return lane.lane_type in DRIVABLE_TYPES and not lane.is_center_turn_lane
 
 
-def straightest_first(graph: LaneGraph, onward: Iterable[int], preferred: Container[int] = ()) -> Route:
-    """Lanes to go on along: those preferred, then those that go straight on."""
-    return tuple(sorted(onward, key=lambda n: (n not in preferred, graph.lanes[n].turn is not TurnType.STRAIGHT, n)))
+def straightest_first(graph: LaneGraph, lane_id: int, onward: Iterable[int], preferred: Container[int] = ()) -> Route:
+    """Lanes to go on along from a lane, or to come from: those preferred, then those that turn least."""
+    after = graph.successors(lane_id)
+
+    def turned_rad(other: int) -> float:
+        return graph.turned_rad(lane_id, other) if other in after else graph.turned_rad(other, lane_id)
+
+    return tuple(sorted(onward, key=lambda n: (n not in preferred, turned_rad(n), n)))
 
 
-def routes_from(graph: LaneGraph, lane_id: int, *, choose: Callable[[Route], Route], most: int) -> Iterator[Route]:
-    """Routes of drivable lanes to where the map ends, at most `most`, depth first; `choose` orders lanes at splits.
+def routes_from(graph: LaneGraph, lane_id: int, *, choose: Callable[[int, Route], Route], most: int) -> Iterator[Route]:
+    """Routes of drivable lanes to where the map ends, at most `most`, depth first.
+
+    choose: orders the lanes onward from the lane before a split.
 
     A route stops growing beyond ROUTE_LONGEST_M; cycles are not entered twice.
     """
@@ -281,7 +288,7 @@ def routes_from(graph: LaneGraph, lane_id: int, *, choose: Callable[[Route], Rou
             found += 1
             yield route
             continue
-        stack.extend(((*route, n), length) for n in reversed(choose(onward)))
+        stack.extend(((*route, n), length) for n in reversed(choose(route[-1], onward)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,7 +325,8 @@ class LanePaths:
         route = next(routes_from(graph, lane_id, choose=choose, most=1), (lane_id,))
         behind_m = 0.0
         while behind_m < _LOOK_BACK_M:
-            before = sorted(p for p in graph.predecessors(route[0]) if is_drivable(graph, p) and p not in route)
+            onto = (p for p in graph.predecessors(route[0]) if is_drivable(graph, p) and p not in route)
+            before = straightest_first(graph, route[0], onto)
             if not before:
                 break
             behind_m += graph.lanes[before[0]].length_m

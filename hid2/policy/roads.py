@@ -164,7 +164,7 @@ def ways_at_next_split(scene: Scene, path: DrivenPath, *, s: float, from_m: floa
         others = tuple(n for n in graph.successors(segment.lane_id) if n not in route and is_drivable(graph, n))
         if segment.end < from_m or not others:
             continue
-        for lane_id in straight_first(others):
+        for lane_id in straight_first(segment.lane_id, others):
             for rest in routes_from(graph, lane_id, choose=straight_first, most=1):
                 other = scene.paths.along((*route[: row + 1], *rest))
                 if not set(rest) & set(route[: row + 1]) and _is_the_same_until(path, other, s):

@@ -15,6 +15,7 @@ from hid2.motion.route import (
     route_points,
     routes_from,
     shifted_path,
+    straightest_first,
 )
 from hid2.params import Limits
 from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
@@ -93,23 +94,38 @@ def _all_drivable(forked: LaneGraph) -> LaneGraph:
 
 
 def test_routes_follow_the_order_chosen_at_a_split(forked: LaneGraph) -> None:
-    def routes(choose: Callable[[tuple[int, ...]], tuple[int, ...]]) -> list[tuple[int, ...]]:
+    def routes(choose: Callable[[int, tuple[int, ...]], tuple[int, ...]]) -> list[tuple[int, ...]]:
         return list(routes_from(_all_drivable(forked), 1, choose=choose, most=9))
 
-    assert routes(lambda onward: onward) == [(1, 2, 5), (1, 3, 4)]
-    assert routes(lambda onward: onward[::-1]) == [(1, 3, 4), (1, 2, 5)]
+    assert routes(lambda _, onward: onward) == [(1, 2, 5), (1, 3, 4)]
+    assert routes(lambda _, onward: onward[::-1]) == [(1, 3, 4), (1, 2, 5)]
+
+
+def test_straightest_lane_at_a_split_is_the_one_that_turns_least_either_way(lane: Callable[..., LaneSegment]) -> None:
+    """Both lanes go straight on by their own shape: 2 bears off by 11 degrees, 3 by 3; so do those that they meet."""
+    made = LaneGraph({
+        1: lane(1, [(0.0, 0.0), (20.0, 0.0)], successors=(2, 3)),
+        2: lane(2, [(20.0, 0.0), (40.0, 4.0)], successors=(4,)),
+        3: lane(3, [(20.0, 0.0), (40.0, 1.0)], successors=(4,)),
+        4: lane(4, [(40.0, 2.0), (60.0, 2.0)]),
+    })  # fmt: skip
+    assert straightest_first(made, 1, (2, 3)) == (3, 2)
+    assert straightest_first(made, 1, (2, 3))[0] == made.straightest_successor(1)
+    assert straightest_first(made, 1, (2, 3), preferred={2}) == (2, 3)
+    assert straightest_first(made, 4, (2, 3)) == (3, 2)
+    assert LanePaths(made, Limits()).route_beside((1,), 4) == (1, 3, 4)
 
 
 def test_route_never_ends_before_a_lane_that_may_not_be_used(forked: LaneGraph) -> None:
     """Lane 2 leads only onto the bus lane: a route that stopped there would stop in the middle of the road."""
-    found = routes_from(forked, 1, choose=lambda onward: onward, most=9)
+    found = routes_from(forked, 1, choose=lambda _, onward: onward, most=9)
     assert list(found) == [(1, 3, 4)]
 
 
 def test_routes_are_cut_when_long_enough_and_counted(forked: LaneGraph, monkeypatch: pytest.MonkeyPatch) -> None:
     def routes(most: int, longest_m: float) -> list[tuple[int, ...]]:
         monkeypatch.setattr("hid2.motion.route.ROUTE_LONGEST_M", longest_m)
-        return list(routes_from(_all_drivable(forked), 1, choose=lambda onward: onward, most=most))
+        return list(routes_from(_all_drivable(forked), 1, choose=lambda _, onward: onward, most=most))
 
     assert routes(1, 500.0) == [(1, 2, 5)]
     assert routes(9, 60.0) == [(1, 2), (1, 3)]
@@ -135,7 +151,7 @@ def test_circle_of_lanes_is_driven_once(lane: Callable[..., LaneSegment]) -> Non
         1: lane(1, half, successors=(2,)),
         2: lane(2, [0.0, 40.0] - half, successors=(1,)),
     })  # fmt: skip
-    routes = list(routes_from(ring, 1, choose=lambda onward: onward, most=5))
+    routes = list(routes_from(ring, 1, choose=lambda _, onward: onward, most=5))
     assert routes == [(1, 2)]
 
 
