@@ -125,7 +125,7 @@ def _turn(scene: SecondScene, track: SecondTrack, one: dict[str, Any]) -> tuple[
 def _beside(scene: SecondScene, track: SecondTrack, leader: SecondTrack) -> tuple[Floats, Floats, Floats] | None:
     """Times (P,) s at which both are there, and how far the track is ahead of its leader and left of its path, m."""
     steps, own, theirs = np.intersect1d(track.steps, leader.steps, assume_unique=True, return_indices=True)
-    path = _whole_path(scene, leader)
+    path = _whole_path(scene, leader, track)
     if not len(steps) or path is None:
         return None
     s, d = path.project(track.xy[own])
@@ -133,10 +133,14 @@ def _beside(scene: SecondScene, track: SecondTrack, leader: SecondTrack) -> tupl
     return np.asarray(steps * DT_S, dtype=np.float64), s - leader_s, d
 
 
-def _whole_path(scene: SecondScene, track: SecondTrack) -> Line | None:
-    """The path of a track, with the lanes before its first and after its last step, 100 m or so each way."""
+def _whole_path(scene: SecondScene, track: SecondTrack, follower: SecondTrack) -> Line | None:
+    """The path of a track, with the lanes before its first and after its last step, 100 m or so each way.
+
+    follower: where the track may be on several lanes, or have come from them, those that the follower drives on count.
+    """
     ahead = scene.driven_line(track)
-    lanes = scene.ground.agreeing(track.xy[:1], track.heading[:1])[0]
+    driven = set().union(*scene.ground.agreeing(follower.xy, follower.heading))
+    lanes = sorted(scene.ground.agreeing(track.xy[:1], track.heading[:1])[0], key=lambda n: n not in driven)
     before: list[Floats] = []
     if lanes:
         lane_id, left_m, seen = lanes[0], 100.0, set()
@@ -149,7 +153,9 @@ def _whole_path(scene: SecondScene, track: SecondTrack) -> Line | None:
             xy, direction = line.at(np.arange(0.0, max(until, 0.0), 1.0))
             before.insert(0, xy + d[0] * np.column_stack([-np.sin(direction), np.cos(direction)]))
             left_m -= line.length_m
-            ways = sorted(scene.ground.predecessors[lane_id], key=lambda n: abs(scene.ground.lanes[n].turn_deg))
+            ways = sorted(
+                scene.ground.predecessors[lane_id], key=lambda n: (n not in driven, abs(scene.ground.lanes[n].turn_deg))
+            )
             if not ways:
                 break
             lane_id, until = ways[0], math.inf
