@@ -35,9 +35,9 @@ _AVOIDED_M = 8.0
 USUAL_HEADWAY_S = 1.3
 #: Sites looked at in full for one from which a vehicle meets what is wanted. Not a parameter, it saves time: the rest
 #: are seldom better.
-_WANTED_TRIES = 12
+_WANTED_TRIES = 8
 #: After so many vehicles of a policy that found none a round looks for no more of that situation.
-_IN_VAIN = 4
+_IN_VAIN = 2
 #: Behind what brakes or stands there is no speed for a lane change.
 _SLOWS = frozenset({Situation.BRAKES, Situation.STANDS})
 #: Not a parameter, it saves time: at this share of the usual speed a vehicle would not leave the map too early.
