@@ -101,7 +101,7 @@ DAMAGES: dict[str, Callable[[bytes], bytes]] = {
     "a header twice": lambda raw: raw[: raw.index(b"\n") + 1] + raw,
     "something else": lambda raw: os.urandom(5000),
     "nothing": lambda raw: b"",
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", DAMAGES)

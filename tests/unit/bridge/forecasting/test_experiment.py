@@ -36,7 +36,9 @@ from hid2.params import Forecasting
 from netconvert.errors import ConfigError, ScenarioError
 
 ROOT = Path(__file__).parents[4]
-targets_of = runpy.run_path(str(ROOT / "data" / "examples" / "scene_features.py"))["targets_of"]
+EXAMPLES = ROOT / "data" / "examples"
+features = runpy.run_path(str(EXAMPLES / "scene_features.py"))
+targets_of = features["targets_of"]
 
 
 @pytest.fixture
@@ -141,6 +143,13 @@ def test_nothing_but_the_example_imports_torch():
         names += [str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)]
         importing += [path.relative_to(ROOT).as_posix()] if "torch" in names else []
     assert importing == ["data/examples/small_forecaster.py"]
+
+
+def test_forecaster_imports_names_that_the_features_have():
+    """Told from its text, so that it is found where torch is not installed."""
+    nodes = ast.walk(ast.parse((EXAMPLES / "small_forecaster.py").read_text(encoding="utf-8")))
+    (taken,) = [node for node in nodes if isinstance(node, ast.ImportFrom) and node.module == "scene_features"]
+    assert {alias.name for alias in taken.names} <= features.keys()
 
 
 def test_features_are_in_the_targets_own_frame(data_scenes):

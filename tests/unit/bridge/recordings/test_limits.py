@@ -91,7 +91,7 @@ MAPS: dict[str, tuple[Callable[[Document], Any], str]] = {
     "no z": (_first_lane(lambda lane: lane["centerline"][1].pop("z")), r"no centerline\[1\].z, expected the fields"),
     "a lane that is a number": (lambda document: document["lane_segments"].update({"1": 1}), "lane 1"),
     "an area that is a list": (lambda document: document["drivable_areas"].update({"1": []}), "drivable area 1"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", MAPS)

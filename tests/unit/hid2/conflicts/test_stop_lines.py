@@ -39,7 +39,7 @@ def _braking(lines: ClosedLines, *, s: float, v: float, step: int) -> tuple[floa
     """Acceleration, m/s2, that stops a driver at the next closed line, and its cause; None for none."""
     row, accel = stop_ahead(
         lines.stops_s(DRIVER), lines.closed, s, v, step, DRIVER.accel_mps2, DRIVER.decel_mps2, STOPS
-    )  # fmt: skip
+    )
     return None if row < 0 else (float(accel), CAUSES[lines.cause[row]])
 
 

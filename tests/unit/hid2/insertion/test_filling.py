@@ -54,9 +54,7 @@ def scene_for(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
 
     def make(*, agents: int | str = 4, rounds: int = 6, reseeds: int = 2, **request: object) -> Scene:
         mix = {**NOTHING, "straight": 1.0, **request}
-        config = Config(
-            request=Request(agents=agents, **mix), spawn=Spawn(rounds=rounds, reseed_rounds=reseeds)
-        )  # fmt: skip
+        config = Config(request=Request(agents=agents, **mix), spawn=Spawn(rounds=rounds, reseed_rounds=reseeds))
         return scene_on(road(length_m=500.0), config=config)
 
     return make
@@ -397,9 +395,7 @@ def test_count_is_never_exceeded_nor_a_request_met_twice(seed: int, scene_for: C
             vehicle.objection = Reason.SUMO_REFUSES_INSERTION
         elif vehicle.policy is Policy.LANE_CHANGE and number > 0:
             (own,) = {segment.lane_id for segment in vehicle.path.segments}
-            vehicle = changing(
-                scene, vehicle.start, vehicle.v, to={1: 2, 2: 1}[own], at_step=10, wanted_s=4.0
-            )  # fmt: skip
+            vehicle = changing(scene, vehicle.start, vehicle.v, to={1: 2, 2: 1}[own], at_step=10, wanted_s=4.0)
         if rng.random() < 0.3:
             needed = f"v{int(rng.integers(6))}_{number}"
             vehicle.waited_for = Counter({needed: BRAKES} if needed != vehicle.vehicle_id else {})

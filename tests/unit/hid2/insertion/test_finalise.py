@@ -306,9 +306,7 @@ def test_the_same_with_a_recorded_one_aside_in_the_next_lane(
     scene = scene_of(recorded(60.0, y, 5.0))
     aside = LaneOffset(np.array([0.0, 1000.0]), np.full(2, aside_m), np.zeros(2))
     v = np.concatenate([np.full(18, 10.0), np.linspace(10.0, 5.0, 20), np.full(72, 5.0)])
-    found = finalise(
-        scene, driven(start_on(scene, (1,), 40.0, 10.0, offset=aside), v), []
-    )  # fmt: skip
+    found = finalise(scene, driven(start_on(scene, (1,), 40.0, 10.0, offset=aside), v), [])
     if kept_m is None:
         assert found is Reason.TTC_LANE_LEADER
     else:

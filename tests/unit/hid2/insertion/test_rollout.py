@@ -71,9 +71,9 @@ def test_recorded_follower_keeps_its_time_headway(
 def test_follower_that_kept_as_little_in_the_recording_does_not_mind(world_of: Callable[..., World]) -> None:
     """It follows a recorded one at .7 s for 3 s, which is gone then; afterwards an inserted one at .75 s."""
     leader = recorded(27.0, 0.0, 10.0, name="b")
-    gone = replace(leader, **{
-        name: getattr(leader, name)[:30] for name in ("timesteps", "position", "heading", "velocity")
-    })  # fmt: skip
+    gone = replace(
+        leader, **{name: getattr(leader, name)[:30] for name in ("timesteps", "position", "heading", "velocity")}
+    )
     world = world_of(recorded(20.0, 0.0, 10.0, name="a"), gone)
     start = start_on(world.scene, (1,), 57.5, 10.0, step=30)
     steps = np.arange(world.scene.num_steps - 30)
@@ -230,9 +230,9 @@ def test_none_is_to_stop_in_an_intersection(stops_m: float, stands: int, reason:
     assert world.objection(start, (part,)) is reason
 
 
-@pytest.mark.parametrize(("aside_m", "stops_m", "reason"), [
-    (1.0, 92.0, Reason.BEHIND_PARKED), (1.0, 85.5, None), (0.0, 92.0, None),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("aside_m", "stops_m", "reason"), [(1.0, 92.0, Reason.BEHIND_PARKED), (1.0, 85.5, None), (0.0, 92.0, None)]
+)
 def test_none_is_to_wait_behind_a_parked_vehicle(
     world_of: Callable[..., World], aside_m: float, stops_m: float, reason: Reason | None
 ) -> None:

@@ -95,9 +95,9 @@ def test_start_speed_behind_a_leader_needs_no_braking(gap: float, leader_mps: fl
     assert DRIVER.accel_mps2 * (1.0 - (star / gap) ** 2) == pytest.approx(-0.8, abs=1e-6)
 
 
-@pytest.mark.parametrize(("gap_m", "other_mps", "begins"), [
-    (2.5, 14.0, False), (8.0, 14.0, True), (-4.0, 4.0, False), (-12.0, 4.0, True),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("gap_m", "other_mps", "begins"), [(2.5, 14.0, False), (8.0, 14.0, True), (-4.0, 4.0, False), (-12.0, 4.0, True)]
+)
 def test_none_begins_where_its_leader_or_follower_has_just_been(
     scene_of: Callable[..., Scene], gap_m: float, other_mps: float, begins: bool
 ) -> None:
@@ -392,9 +392,9 @@ def test_none_queues_behind_a_parked_vehicle(scene_of: Callable[..., Scene], asi
     assert start is (Reason.STANDS_THROUGHOUT if stands else Reason.NO_SITE)
 
 
-@pytest.mark.parametrize(("behind_m", "headway_s", "begins"), [
-    (12.0, 0.8, False), (16.0, 0.8, True), (16.0, 1.3, False), (22.0, 1.3, True),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("behind_m", "headway_s", "begins"), [(12.0, 0.8, False), (16.0, 0.8, True), (16.0, 1.3, False), (22.0, 1.3, True)]
+)
 def test_none_begins_nearer_ahead_of_a_recorded_follower_than_drivers_follow(
     scene_of: Callable[..., Scene], behind_m: float, headway_s: float, begins: bool
 ) -> None:

@@ -127,7 +127,5 @@ def test_no_vehicle_ends_with_a_contact_by_the_noise_of_one_ahead(scene_of: Call
     follower, leader = _moving("gen_0"), _moving("gen_1", x=34.5)
     for seed in range(12):
         noisy = _noise(scene, follower, leader, seed=seed)
-        states = agent_states(
-            noisy, scene.states.lanes, num_steps=110, step_s=0.1, is_inserted=lambda _: True
-        )  # fmt: skip
+        states = agent_states(noisy, scene.states.lanes, num_steps=110, step_s=0.1, is_inserted=lambda _: True)
         assert not [*of_end(states, 0, np.array([1]), Bounds()), *of_end(states, 1, np.array([0]), Bounds())], seed

@@ -198,7 +198,7 @@ def test_what_is_known_of_some_holds_for_all_that_join_them(
     def along(traffic: Traffic, clear_steps: int):
         return path_occupancy(
             straight_line, traffic, BoxSize(4.5, 1.9), margin_m=0.2, clear_steps=clear_steps, clear_margin_m=0.2
-        )  # fmt: skip
+        )
 
     def parts() -> list[Traffic]:
         return [box(50.0, -20.0, np.pi / 2, 10.0), box(90.0, 40.0), box(120.0, 0.0, 0.0, 5.0), box(20.0, 0.0)]

@@ -11,7 +11,7 @@ from hid2.occupancy.sigma import (
     dwell_steps,
     is_agent_on,
     original_occupancy,
-)  # fmt: skip
+)
 from hid2.occupancy.traffic import Traffic
 from netconvert.cells import Cell, CellGrid, build_cell_grid
 from netconvert.lane_graph import LaneGraph

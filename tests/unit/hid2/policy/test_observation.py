@@ -298,10 +298,7 @@ def test_no_path_across_a_line_that_is_solid_where_it_is_crossed(
 
 
 def test_no_path_across_to_a_lane_that_ends(scene_of: Callable[..., Scene], lane: Callable[..., LaneSegment]) -> None:
-    graph = LaneGraph({
-        1: lane(1, [(0.0, 0.0), (200.0, 0.0)], left=2),
-        2: lane(2, [(0.0, 3.5), (60.0, 3.5)], right=1),
-    })  # fmt: skip
+    graph = LaneGraph({1: lane(1, [(0.0, 0.0), (200.0, 0.0)], left=2), 2: lane(2, [(0.0, 3.5), (60.0, 3.5)], right=1)})
     scene = scene_of(graph=graph)
     path = lay_across(
         scene, scene.paths.along((1,)), scene.paths.along((2,)), side="left", s=50.0, step=10,
