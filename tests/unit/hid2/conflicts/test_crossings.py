@@ -52,19 +52,19 @@ def test_a_map_without_crossings_has_none_on_a_path(look, box) -> None:
     assert look(box(0.0, 0.0), quads=()) == []
 
 
-def test_a_pedestrian_holds_up_from_three_seconds_before_the_strip_until_it_has_left_it(look, box) -> None:
-    """y = -10.05 + 0.2 step. The strip, 1 + 1 m to each side, is walked on from step 41 to 60: held up from 11 on."""
-    assert _steps(look(box(101.5, -10.05, UP, 2.0))) == list(range(11, 61))
-
-
-def test_who_will_be_on_the_crossing_soon_counts_before(look, box) -> None:
-    """On it, |y| < 6, from step 21 to 80; 1.5 s before that, from step 6."""
-    assert _steps(look(box(101.5, -10.05, UP, 2.0), **WIDE)) == list(range(6, 81))
-
-
-def test_who_is_near_and_walks_towards_the_crossing_counts(look, box) -> None:
-    """Without the look ahead: within 1 m of it, y > -7, from step 16; behind it, at step 81, it walks away."""
-    assert _steps(look(box(101.5, -10.05, UP, 2.0), **WIDE, _AHEAD_S=0.0)) == list(range(16, 81))
+@pytest.mark.parametrize(
+    ("changed", "first", "last"),
+    [
+        ({}, 11, 60),  # 3 s before the strip, 1 + 1 m to each side, which is walked on from step 41 to 60
+        (WIDE, 6, 80),  # 1.5 s before the crossing, |y| < 6, which is walked on from step 21 to 80
+        ({**WIDE, "_AHEAD_S": 0.0}, 16, 80),  # within 1 m of it, y > -7; behind it, at step 81, it walks away
+    ],
+)
+def test_a_pedestrian_holds_up_from_before_it_is_in_the_way_until_it_has_left(
+    look, box, changed: dict[str, float], first: int, last: int
+) -> None:
+    """y = -10.05 + 0.2 step."""
+    assert _steps(look(box(101.5, -10.05, UP, 2.0), **changed)) == list(range(first, last + 1))
 
 
 def test_who_turns_back_or_stands_beside_is_not_waited_for(look, box) -> None:

@@ -205,15 +205,6 @@ def test_crossing_below_the_critical_pet_is_named(
     assert (_alone(scene_of(crossing), np.full(110, 10.0)) is Reason.PET) is is_critical
 
 
-def test_end_of_the_scene_is_no_cliff(scene_of: Callable[..., Scene]) -> None:
-    """After 10.9 s it is at 149 m with 10 m/s; somebody stands at 160 m from step 109 on only: contact in 0.65 s."""
-    late = Track(
-        "late", "vehicle", 2, np.array([108, 109]), np.tile([160.0, 0.0], (2, 1)), np.full(2, np.pi / 2),
-        np.zeros((2, 2)), CAR,
-    )  # fmt: skip
-    assert _alone(scene_of(late), np.full(110, 10.0)) is Reason.TTC_AT_END
-
-
 def test_oncoming_pair_at_the_end_is_looked_at(scene_of: Callable[..., Scene]) -> None:
     """Head on at 160 + 4.5 m: 11 m of gap close at 20 m/s after the last step, in 0.55 s."""
     steps = np.arange(100, 110)

@@ -125,23 +125,19 @@ def test_turn_is_done_once_its_lane_is_behind(bend: Callable[[float], Scene]) ->
     assert (found.source_lane, found.target_lane) == (1, 2)
 
 
-def test_turn_that_the_scene_cuts_off_is_aborted(bend: Callable[[float], Scene]) -> None:
-    """From 20 m at 6 m/s: 85.4 m at the end, in the middle of the arc (60 to 91.4 m)."""
-    scene = bend(90.0)
-    start = start_on(scene, (1, 2, 3), 20.0, 6.0, policy=Policy.LEFT_TURN)
-    found = _outcome(scene, driven(start, np.full(110, 6.0)))
-    assert (found.status, found.reason) == ("aborted", Reason.SCENE_ENDED)
-
-
-def test_turn_that_is_not_reached_is_not_feasible(bend: Callable[[float], Scene]) -> None:
-    scene = bend(90.0)
-    start = start_on(scene, (1, 2, 3), 20.0, 3.0, policy=Policy.LEFT_TURN)
-    found = _outcome(scene, driven(start, np.full(110, 3.0)))
-    assert (found.status, found.reason, found.start_s) == ("not_feasible", Reason.SCENE_ENDED, None)
-
-
-def test_bend_of_less_than_30_degrees_is_no_turn_that_anybody_sees(bend: Callable[[float], Scene]) -> None:
-    scene = bend(25.0)
-    start = start_on(scene, (1, 2, 3), 20.0, 8.0, policy=Policy.LEFT_TURN)
-    found = _outcome(scene, driven(start, np.full(110, 8.0)))
-    assert (found.status, found.reason) == ("not_feasible", Reason.TURN_NOT_SEEN)
+@pytest.mark.parametrize(
+    ("degrees", "speed", "status", "reason"),
+    [
+        (90.0, 6.0, "aborted", Reason.SCENE_ENDED),  # 85.4 m at the end, in the middle of the arc (60 to 91.4 m)
+        (90.0, 3.0, "not_feasible", Reason.SCENE_ENDED),  # not reached
+        (25.0, 8.0, "not_feasible", Reason.TURN_NOT_SEEN),  # a bend of less than 30 degrees is no turn to be seen
+    ],
+)
+def test_turn_that_is_not_done_has_a_reason(
+    bend: Callable[[float], Scene], degrees: float, speed: float, status: str, reason: Reason
+) -> None:
+    """From 20 m on."""
+    scene = bend(degrees)
+    start = start_on(scene, (1, 2, 3), 20.0, speed, policy=Policy.LEFT_TURN)
+    found = _outcome(scene, driven(start, np.full(110, speed)))
+    assert (found.status, found.reason, found.start_s is None) == (status, reason, status == "not_feasible")
