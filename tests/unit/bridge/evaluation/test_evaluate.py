@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from written import made_up_sidecar
+from written import edit_json, made_up_sidecar
 
 import bridge.evaluation.totals as totals_module
 from bridge.evaluation.evaluate import evaluate_folder, write_report
@@ -325,7 +325,7 @@ def test_a_metric_that_is_added_is_measured_pooled_and_shown(made_root, tmp_path
     assert extra.sentence in text
 
 
-def test_a_map_is_read_as_that_of_a_source_is(copy_scene, edit_json, tmp_path):
+def test_a_map_is_read_as_that_of_a_source_is(copy_scene, tmp_path):
     """What generate refuses is left out here too, with the same words, and the other scenes are measured."""
     spoilt, _ = copy_scene("curve"), copy_scene("arterial")
     edit_json(next(spoilt.glob("log_map_archive_*.json")), lambda document: document["drivable_areas"].clear())

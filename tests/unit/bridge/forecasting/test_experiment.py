@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recordings import make_argoverse1
-from written import write_scene
+from written import write_fake
 
 from bridge.forecasting import experiment
 from bridge.forecasting.compose import compose
@@ -42,15 +42,12 @@ targets_of = features["targets_of"]
 
 
 @pytest.fixture
-def composed(tmp_path, data_root, fake_generated):
+def composed(tmp_path, data_root):
     """The controls of the three synthetic scenes and two scenes made of each, the second for no-interaction."""
     for folder in find_scenarios(data_root):
         scenario = read_scenario(folder)
         for name, count in (("hid2", 2), ("plain", 3)):
-            tracks, sidecar, new_id = fake_generated(scenario, count=count)
-            write_scene(
-                scenario, tracks, sidecar, tmp_path / name, new_id=new_id, focal_track_id=scenario.focal_track_id
-            )
+            write_fake(scenario, tmp_path / name, count=count)
     sources = {"recorded": data_root, "hid2": tmp_path / "hid2", "plain": tmp_path / "plain"}
     values = {
         "sources": {name: (str(place),) for name, place in sources.items()},

@@ -11,13 +11,12 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from as_av2 import read_as_av2
+from written import edit_rows
 
 from bridge.recordings.scenario import find_scenarios, read_scenario, source_id, split_of
 from bridge.recordings.sources import find_sources
 from hid2.agents import DEFAULT_SIZES
 from netconvert.errors import MapError, ScenarioError
-
-Edit = Callable[[Path, Callable[[pd.DataFrame], pd.DataFrame]], None]
 
 
 def test_scene_reads_as_av2_reads_it_and_its_map_is_left_alone(data_scene: Path) -> None:
@@ -34,7 +33,7 @@ def test_split_is_the_parent_folder_and_steps_are_counted(data_scenes: dict[str,
     assert scenario.table.num_rows == sum(len(track.timesteps) for track in scenario.tracks)
 
 
-def test_tracks_keep_the_order_of_their_first_rows(copy_scene: Callable[..., Path], edit_rows: Edit) -> None:
+def test_tracks_keep_the_order_of_their_first_rows(copy_scene: Callable[..., Path]) -> None:
     folder = copy_scene()
     before = read_scenario(folder).tracks
     edit_rows(folder, lambda rows: rows.iloc[::-1])
@@ -44,7 +43,7 @@ def test_tracks_keep_the_order_of_their_first_rows(copy_scene: Callable[..., Pat
         assert np.array_equal(same.position, track.position)
 
 
-def test_headings_are_wrapped_only_where_they_need_it(copy_scene: Callable[..., Path], edit_rows: Edit) -> None:
+def test_headings_are_wrapped_only_where_they_need_it(copy_scene: Callable[..., Path]) -> None:
     folder = copy_scene()
     before = read_scenario(folder).track("AV").heading
     edit_rows(
@@ -212,9 +211,7 @@ COLUMNS = [
 
 
 @pytest.mark.parametrize("column", COLUMNS)
-def test_a_missing_column_and_a_wrong_dtype_are_named(
-    copy_scene: Callable[..., Path], edit_rows: Edit, column: str
-) -> None:
+def test_a_missing_column_and_a_wrong_dtype_are_named(copy_scene: Callable[..., Path], column: str) -> None:
     folder = copy_scene()
     edit_rows(folder, lambda rows: rows.assign(**{column: np.arange(len(rows), dtype=np.int16)}))
     with pytest.raises(ScenarioError, match=f"column '{column}' is int16, expected"):
@@ -286,7 +283,7 @@ def _scored_focal(rows: pd.DataFrame) -> pd.DataFrame:
     ],
 )
 def test_a_bad_row_is_named(
-    copy_scene: Callable[..., Path], edit_rows: Edit, change: Callable[[pd.DataFrame], pd.DataFrame], said: str
+    copy_scene: Callable[..., Path], change: Callable[[pd.DataFrame], pd.DataFrame], said: str
 ) -> None:
     folder = copy_scene()
     edit_rows(folder, change)

@@ -53,16 +53,12 @@ def _circle(name: str, radius: float, speed: float) -> Track:
     )  # fmt: skip
 
 
-@pytest.fixture
-def states_on() -> Callable[..., AgentStates]:
-    def make(graph: LaneGraph, *tracks: Track) -> AgentStates:
-        return agent_states(tracks, flatten_lanes(graph), num_steps=STEPS, step_s=0.1)
-
-    return make
+def states_on(graph: LaneGraph, *tracks: Track) -> AgentStates:
+    return agent_states(tracks, flatten_lanes(graph), num_steps=STEPS, step_s=0.1)
 
 
 @pytest.fixture
-def judged(road: Callable[..., LaneGraph], states_on: Callable[..., AgentStates]) -> Judged:
+def judged(road: Callable[..., LaneGraph]) -> Judged:
     """judged(tracks...) -> (track, quantity, other) of each finding on two lanes of 300 m at y = 0 and y = 3.5."""
     graph = road()
 
@@ -99,7 +95,7 @@ def test_acceleration_along_the_heading(judged: Judged, accel: float, found: lis
         (4.0, 3.0, {"curvature"}),  # 2.25 m/s2 across, .75 rad/s, 0.25 1/m
     ],
 )
-def test_curves(states_on: Callable[..., AgentStates], radius: float, speed: float, found: set[str]) -> None:
+def test_curves(radius: float, speed: float, found: set[str]) -> None:
     """Motion alone: the map is far away, and ground everywhere. Jerk on a circle: v w^2, at most 4.7 m/s3 here."""
     ring = np.array([(-500.0, -500.0), (500.0, -500.0), (500.0, 500.0), (-500.0, 500.0), (-500.0, -500.0)])
     graph = LaneGraph({}, drivable_areas=(ring,))
@@ -115,7 +111,7 @@ def test_leap_of_the_positions_is_found_though_the_velocity_does_not_show_it(jud
 
 
 @pytest.mark.parametrize(("y", "found"), [(-7.4, []), (-7.6, ["off_road"])])
-def test_footprint_beyond_the_edge(road: Callable[..., LaneGraph], states_on: Any, y: float, found: list[str]) -> None:
+def test_footprint_beyond_the_edge(road: Callable[..., LaneGraph], y: float, found: list[str]) -> None:
     """The ground ends at y = -8.25 (6 m of asphalt beside the lane): 0.95 m of box reach 0.1 and 0.3 m over it.
 
     At y = -7.6 it is 0.3 m and what is lost to rounding: 0.02 m more, at the judge's limit.
@@ -129,9 +125,7 @@ def test_footprint_beyond_the_edge(road: Callable[..., LaneGraph], states_on: An
 @pytest.mark.parametrize(
     ("degrees", "inside", "found"), [(50, False, 0), (70, False, 1), (70, True, 0), (100, True, 1)]
 )
-def test_heading_against_the_lane(
-    lane: Callable[..., LaneSegment], states_on: Any, degrees: float, inside: bool, found: int
-) -> None:
+def test_heading_against_the_lane(lane: Callable[..., LaneSegment], degrees: float, inside: bool, found: int) -> None:
     """A box that stands across its lane: 60 degrees are the limit outside of intersections, 90 in them."""
     ring = np.array([(-50.0, -50.0), (350.0, -50.0), (350.0, 50.0), (-50.0, 50.0), (-50.0, -50.0)])
     graph = LaneGraph({1: lane(1, [(0.0, 0.0), (300.0, 0.0)], is_intersection=inside)}, drivable_areas=(ring,))
@@ -141,7 +135,7 @@ def test_heading_against_the_lane(
     assert all(one.value == pytest.approx(degrees) for one in seen)
 
 
-def test_heading_against_a_lane_that_leads_up_the_map(lane: Callable[..., LaneSegment], states_on: Any) -> None:
+def test_heading_against_a_lane_that_leads_up_the_map(lane: Callable[..., LaneSegment]) -> None:
     """The lane at 90 degrees, the box that stands on it at 20: 70 degrees between them."""
     ring = np.array([(-50.0, -50.0), (150.0, -50.0), (150.0, 350.0), (-50.0, 350.0), (-50.0, -50.0)])
     graph = LaneGraph({1: lane(1, [(50.0, -40.0), (50.0, 300.0)])}, drivable_areas=(ring,))
@@ -169,7 +163,7 @@ def test_every_box_that_is_met_is_told_and_recorded_ones_among_themselves_are_no
     assert {one[0] for one in through} == {"gen_0"}
 
 
-def test_overlap_between_two_steps_is_found(road: Callable[..., LaneGraph], states_on: Any) -> None:
+def test_overlap_between_two_steps_is_found(road: Callable[..., LaneGraph]) -> None:
     """A box of 0.6 m leaps over a standing car within a step: from y = -2 to +2, and at y = 0 half way.
 
     step 0   x         y = -2       half the car is 0.95 m wide, half the box 0.3 m: clear at both steps
@@ -188,7 +182,7 @@ def test_overlap_between_two_steps_is_found(road: Callable[..., LaneGraph], stat
         assert [one.value for one in of_boxes(states, 1, np.array([0]), spare_m=0.0)] == pytest.approx(shared_m2)
 
 
-def test_spare_widens_the_own_box(road: Callable[..., LaneGraph], states_on: Any) -> None:
+def test_spare_widens_the_own_box(road: Callable[..., LaneGraph]) -> None:
     """1.95 m apart sideways, 1.9 m wide both: 0.05 m between; 0.06 m more closes it."""
     states = states_on(road(), _at("a", 20.0, 0.0), _at("gen_0", 20.0, 0.0, y=1.95))
     assert list(of_boxes(states, 1, np.array([0]), spare_m=0.04)) == []
