@@ -39,6 +39,24 @@ def draw_lane(
     )
 
 
+def draw_road(*, lanes: int = 2, length_m: float = 200.0, mark: str = "DASHED_WHITE") -> LaneGraph:
+    """Lanes 1, 2, ... along +x from the right, 3.5 m apart, lane 1 at y = 0, on drivable ground."""
+    row = [
+        draw_lane(
+            i + 1,
+            [(0.0, 3.5 * i), (length_m, 3.5 * i)],
+            left=i + 2 if i + 1 < lanes else None,
+            right=i if i else None,
+            left_mark=mark,
+            right_mark=mark,
+        )
+        for i in range(lanes)
+    ]
+    top = 3.5 * lanes - 1.75
+    ring = np.array([(-20.0, -1.75), (length_m + 20.0, -1.75), (length_m + 20.0, top), (-20.0, top), (-20.0, -1.75)])
+    return LaneGraph({one.lane_id: one for one in row}, drivable_areas=(ring,))
+
+
 def draw_crossing(*, end_m: float = 200.0, zebra: bool = False) -> LaneGraph:
     """Lanes 1 (0 .. 60 m), 2 (the intersection, 60 .. 80 m), 3 (to end_m) along the x axis; 4, 5, 6 cross at x = 70.
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
-from hand_drawn import draw_lane
+from hand_drawn import draw_lane, draw_road
 
 from hid2.agents import BoxSize, Track
 from hid2.motion.reference_line import ReferenceLine, build_reference_line
@@ -21,28 +21,9 @@ def lane() -> Callable[..., LaneSegment]:
 
 
 @pytest.fixture(scope="session")
-def road(lane: Callable[..., LaneSegment]) -> Callable[..., LaneGraph]:
+def road() -> Callable[..., LaneGraph]:
     """road(lanes=2, length_m=200) -> lanes 1, 2, ... along +x from the right, 3.5 m apart, lane 1 at y = 0."""
-
-    def make(*, lanes: int = 2, length_m: float = 200.0, mark: str = "DASHED_WHITE") -> LaneGraph:
-        row = [
-            lane(
-                i + 1,
-                [(0.0, 3.5 * i), (length_m, 3.5 * i)],
-                left=i + 2 if i + 1 < lanes else None,
-                right=i if i else None,
-                left_mark=mark,
-                right_mark=mark,
-            )
-            for i in range(lanes)
-        ]
-        top = 3.5 * lanes - 1.75
-        ring = np.array(
-            [(-20.0, -1.75), (length_m + 20.0, -1.75), (length_m + 20.0, top), (-20.0, top), (-20.0, -1.75)]
-        )
-        return LaneGraph({one.lane_id: one for one in row}, drivable_areas=(ring,))
-
-    return make
+    return draw_road
 
 
 @pytest.fixture(scope="session")
