@@ -27,12 +27,6 @@ def log(data_scenes: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) 
     return make_log(data_scenes["intersection"], tmp_path_factory.mktemp("sensor") / "val")
 
 
-@pytest.fixture
-def copy(log: Path, tmp_path: Path) -> Path:
-    shutil.copytree(log, tmp_path / log.name)
-    return tmp_path / log.name
-
-
 def window(log: Path, start: int = 0) -> Recording:
     (address,) = find_recordings([log], Choices(window=start))
     return read_recording(address)
@@ -181,7 +175,8 @@ WRONG: dict[str, tuple[Change, str]] = {
 
 
 @pytest.mark.parametrize(("change", "said"), WRONG.values(), ids=WRONG)
-def test_a_wrong_log_is_refused_in_one_line(copy: Path, change: Change, said: str) -> None:
+def test_a_wrong_log_is_refused_in_one_line(log: Path, tmp_path: Path, change: Change, said: str) -> None:
+    copy = shutil.copytree(log, tmp_path / log.name)
     change(copy)
     with pytest.raises(Hid2Error, match=said) as caught:
         window(copy)
