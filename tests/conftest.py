@@ -2,33 +2,14 @@
 spoil, and hand-made generated tracks, so that export and validation are tested without a simulation.
 """
 
-import json
 import os
 import shutil
 import signal
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-import pandas as pd
 import pytest
 from browser import Page, chromium
-from written import made_up_sidecar, write_scene
-
-from bridge.config import load_config
-from bridge.recordings.export import new_scenario_id
-from bridge.recordings.scenario import Scenario
-from bridge.recordings.sidecar import (
-    AgentRecord,
-    ManeuverRecord,
-    PlacedRecord,
-    ReplayRecord,
-    RequestedRecord,
-    Sidecar,
-    SpawnRecord,
-)
-from hid2.agents import BoxSize, Policy, Track
 
 ROOT = Path(__file__).parents[1]
 #: A shell that puts a command in the background has it ignore Ctrl-C, and so all that it starts: tests send Ctrl-C.
@@ -130,98 +111,3 @@ def copy_scene(tmp_path: Path, data_scenes: dict[str, Path]) -> Callable[..., Pa
         return target
 
     return copy
-
-
-@pytest.fixture
-def edit_rows() -> Callable[[Path, Callable[[pd.DataFrame], pd.DataFrame]], None]:
-    """edit_rows(folder, change): rewrite the parquet of a scenario folder."""
-
-    def edit(folder: Path, change: Callable[[pd.DataFrame], pd.DataFrame]) -> None:
-        (path,) = folder.glob("scenario_*.parquet")
-        change(pd.read_parquet(path)).reset_index(drop=True).to_parquet(path)
-
-    return edit
-
-
-@pytest.fixture
-def edit_json() -> Callable[[Path, Callable[[dict[str, Any]], None]], None]:
-    """edit_json(path, change): change a JSON file in place."""
-
-    def edit(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
-        document = json.loads(path.read_text())
-        change(document)
-        path.write_text(json.dumps(document))
-
-    return edit
-
-
-Fake = tuple[list[Track], Sidecar, str]
-
-
-@pytest.fixture
-def fake_generated() -> Callable[..., Fake]:
-    """fake_generated(scenario, count=2, category=1): tracks that drive circles of 50 m, a sidecar for them, an id.
-
-    On a circle of radius 50 m at 10 m/s the angle grows by 0.2 rad/s: position 50 (cos a, sin a), heading a + pi/2,
-    velocity 10 (-sin a, cos a).
-    """
-
-    def make(scenario: Scenario, *, count: int = 2, category: int = 1) -> Fake:
-        config = load_config(None, [f"request.agents={count}"])
-        steps = np.arange(scenario.num_steps)
-        tracks = []
-        for i in range(count):
-            angle = 0.2 * 0.1 * steps + i
-            circle = np.column_stack([np.cos(angle), np.sin(angle)])
-            ahead = np.column_stack([-np.sin(angle), np.cos(angle)])
-            heading = np.arctan2(ahead[:, 1], ahead[:, 0])
-            tracks.append(
-                Track(f"gen_{i}", "vehicle", category, steps, 50 * circle, heading, 10 * ahead, BoxSize(4.5, 1.9))
-            )
-        lane_id = min(scenario.graph.lanes)
-        agents = tuple(
-            AgentRecord(
-                track_id=track.track_id,
-                length_m=4.5,
-                width_m=1.9,
-                policy=Policy.LANE_CHANGE,
-                spawn=SpawnRecord(lane_segment_id=lane_id, cell=0, speed_mps=10.0),
-                route=(lane_id,),
-                maneuvers=(
-                    ManeuverRecord(
-                        kind="lane_change",
-                        status="done",
-                        trigger_s=1.0,
-                        start_s=1.5,
-                        crossing_s=3.0,
-                        end_s=4.5,
-                        source_lane=lane_id,
-                        target_lane=lane_id,
-                    ),
-                ),
-            )
-            for track in tracks
-        )
-        sidecar = made_up_sidecar(
-            scenario,
-            config,
-            replay=ReplayRecord(states=scenario.table.num_rows, max_position_error_m=0.0, max_heading_error_rad=0.0),
-            requested=RequestedRecord(agents=count, behaviours=config.request.behaviours),
-            placed=PlacedRecord(agents=count, behaviours={Policy.LANE_CHANGE: count}),
-            agents=agents,
-        )
-        return tracks, sidecar, new_scenario_id(scenario.scenario_id, config, 0, 0)
-
-    return make
-
-
-@pytest.fixture
-def write_fake(fake_generated: Callable[..., Fake]) -> Callable[..., Path]:
-    """write_fake(scenario, out, focal=None, count=2, category=1): such a scene, written; returns its folder."""
-
-    def write(scenario: Scenario, out: Path, *, focal: str | None = None, **made: int) -> Path:
-        tracks, sidecar, new_id = fake_generated(scenario, **made)
-        focal_track_id = focal or scenario.focal_track_id
-        return write_scene(scenario, tracks, sidecar, out, new_id=new_id, focal_track_id=focal_track_id)
-
-    return write

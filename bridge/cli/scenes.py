@@ -260,7 +260,7 @@ def example(out: Path = options.OUT, *, activity: Activity) -> None:
             raise ConfigError(f"{out / name}: is there already, expected a folder without it: choose another one")
     for name in EXAMPLES:
         with explained(out / name):
-            copytree(data_folder() / name, out / name, ignore=ignore_patterns("__pycache__", "*.png"))
+            copytree(data_folder() / name, out / name, ignore=ignore_patterns("__pycache__", ".*", "*.png"))
     activity.result(*(line.format(quote(str(out))) for line in TRY))
 
 

@@ -167,7 +167,7 @@ class Resimulation:
         late_s, seed = {track.track_id: 0.0 for track in tracks}, config.request.seed
         replay = ReplayRecord(
             mode="reactive", late_s=late_s, checked=False, states=0, max_position_error_m=0.0, max_heading_error_rad=0.0
-        )  # fmt: skip
+        )
         sidecar = Sidecar(
             source_scenario_id=recording.scenario_id, recording=recording_record_of(recording), seed=seed,
             generator=generator_record(), sumo_version=Simulation.version(), variant=number, replay=replay,

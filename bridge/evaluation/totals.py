@@ -120,18 +120,16 @@ class Diversity:
     def add(self, row: Row, *moments: str) -> None:
         """Count a scene: as it was, once for each source; what was added to it, and as it is."""
         for when in moments:
-            self._count(when, _MOMENTS[when], row)
-
-    def _count(self, when: str, group: str, row: Row) -> None:
-        told: dict[tuple[str, int | str], int] = {("scenes", ""): 1}
-        for name in DENSITIES:
-            added = row[name.replace("tracks", "generated")]
-            told[name, {"original": row[name] - added, "generated": added, "combined": row[name]}[group]] = 1
-        for policy in Policy:
-            vehicles = row[f"{group}_policy_{policy}"]
-            told |= {("vehicles", policy): vehicles, ("scenes_with", policy): int(vehicles > 0)}
-        told |= {("maneuvers", kind): row[f"{group}_seen_{kind}"] for kind in ManeuverKind}
-        self._counts.update({(when, *key): count for key, count in told.items()})
+            group = _MOMENTS[when]
+            told: dict[tuple[str, int | str], int] = {("scenes", ""): 1}
+            for name in DENSITIES:
+                added = row[name.replace("tracks", "generated")]
+                told[name, {"original": row[name] - added, "generated": added, "combined": row[name]}[group]] = 1
+            for policy in Policy:
+                vehicles = row[f"{group}_policy_{policy}"]
+                told |= {("vehicles", policy): vehicles, ("scenes_with", policy): int(vehicles > 0)}
+            told |= {("maneuvers", kind): row[f"{group}_seen_{kind}"] for kind in ManeuverKind}
+            self._counts.update({(when, *key): count for key, count in told.items()})
 
     def content(self) -> dict[str, Any]:
         """Ready for JSON: scenes before and after, density[name] by number of agents, and behaviours."""

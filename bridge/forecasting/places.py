@@ -72,9 +72,8 @@ def facts_of_scenes(
 ) -> tuple[list[SourceScene], list[str]]:
     """Facts in the order of folders, and a line for each scene that cannot be read."""
     each = work_on_each(
-        describe, folders, shared=Forecasting(), jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False,
-        on_item=on_scene,
-    )  # fmt: skip
+        describe, folders, shared=Forecasting(), jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False, on_item=on_scene
+    )
     facts, unread = sorted_out(each)
     by_folder = {fact.folder: fact for fact in facts}  # a folder that comes twice is one scene
     return [by_folder[folder] for folder in folders if folder in by_folder], [reason for _, reason in unread]

@@ -243,9 +243,8 @@ def _measured(
     led = leaders(arrays, lanes, states.matches)
     changes = lane_changes(states.view, led, detect(arrays, lanes, states.matches))
     return PairedRun(
-        rows, _detectors(scene, driving, states), _told(changes, since_s), _told(met, since_s),
-        tuple(vehicles), states,
-    )  # fmt: skip
+        rows, _detectors(scene, driving, states), _told(changes, since_s), _told(met, since_s), tuple(vehicles), states
+    )
 
 
 def _told(found: Iterable[LaneChangeRow | TrafficConflict], since_s: float) -> list[dict[str, Any]]:

@@ -20,7 +20,6 @@ class ReplayErrors:
     states: int = 0
     max_position_error_m: float = 0.0
     max_heading_error_rad: float = 0.0
-    lost: int = 0
 
 
 @dataclass(slots=True)
@@ -114,5 +113,5 @@ class Replay:
         off = np.hypot(*(center - self.traffic.position[there, step]).T)
         turned = np.abs(wrap_angle(heading - self.traffic.heading[there, step]))
         most_m = float(off.max(initial=before.max_position_error_m))
-        most_rad, lost = float(turned.max(initial=before.max_heading_error_rad)), rows.size - there.size
-        self.errors = ReplayErrors(before.states + there.size, most_m, most_rad, before.lost + lost)
+        most_rad = float(turned.max(initial=before.max_heading_error_rad))
+        self.errors = ReplayErrors(before.states + there.size, most_m, most_rad)

@@ -18,7 +18,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from scene_features import AGENT_FEATURES, AGENT_KINDS, LANE_FEATURES, LANE_KINDS, Seen, Target  # beside this file
+from scene_features import (  # beside this file
+    AGENT_FEATURES,
+    AGENT_KINDS,
+    LANE_FEATURES,
+    LANE_KINDS,
+    ForecastTarget,
+    TargetView,
+)
 from torch import nn
 
 from bridge.files import beside, explained
@@ -61,7 +68,7 @@ class VectorNet(nn.Module):
         self.futures = nn.Linear(2 * HIDDEN, MODES * FUTURE_STEPS * 2)
         self.scores = nn.Linear(2 * HIDDEN, MODES)
 
-    def forward(self, batch: Seen) -> tuple[torch.Tensor, torch.Tensor]:
+    def forward(self, batch: TargetView) -> tuple[torch.Tensor, torch.Tensor]:
         """Futures and logits of a batch."""
         count, steps = batch.agents.shape[0], batch.agents.shape[2]
         time = torch.linspace(-1.0, 0.0, steps, device=batch.agents.device).view(1, 1, steps, 1)
@@ -86,7 +93,7 @@ def _loss(futures: torch.Tensor, logits: torch.Tensor, truth: torch.Tensor) -> t
 
 
 def train(
-    targets: Sequence[Target], checkpoint: Path, *, updates: int, seed: int, resume: bool = False,
+    targets: Sequence[ForecastTarget], checkpoint: Path, *, updates: int, seed: int, resume: bool = False,
     on_update: Callable[[int, int], None] | None = None,
 ) -> VectorNet:  # fmt: skip
     """Train on the targets that have a future; a checkpoint is left every CHECKPOINT_EVERY updates.
@@ -126,7 +133,7 @@ def train(
         epoch, number = divmod(update, per_epoch)
         order = np.random.default_rng([seed, epoch]).permutation(len(data))
         rows = torch.from_numpy(order[number * BATCH : (number + 1) * BATCH]).to(_device())
-        batch = Seen._make(values[rows] for values in everything)
+        batch = TargetView._make(values[rows] for values in everything)
         loss = _loss(*model(batch), batch.future)
         if not torch.isfinite(loss):
             raise ScenarioError(f"update {update}: the loss is {float(loss)}, expected a finite number")
@@ -143,7 +150,7 @@ def train(
     return model
 
 
-def forecast(model: VectorNet, targets: Sequence[Target]) -> dict[str, Forecast]:
+def forecast(model: VectorNet, targets: Sequence[ForecastTarget]) -> dict[str, Forecast]:
     """Forecasts of the focal tracks by scenario: probabilities (K,) and modes (K, 60, 2), m, in the city."""
     focal = [target for target in targets if target.focal]
     found: dict[str, Forecast] = {}
@@ -162,10 +169,10 @@ def _device() -> torch.device:
     return torch.device("cuda" if torch.cuda.is_available() else "cpu")
 
 
-def _batch(targets: Sequence[Target]) -> Seen:
+def _batch(targets: Sequence[ForecastTarget]) -> TargetView:
     """The targets' arrays as tensors; None where one of them lacks it, as futures of forecasts may be."""
     columns = zip(*(target.seen for target in targets), strict=True)
-    return Seen._make(
+    return TargetView._make(
         None if any(values is None for values in column) else torch.from_numpy(np.stack(column)).to(_device())
         for column in columns
     )

@@ -14,7 +14,7 @@ try:
 finally:
     print(json.dumps([name for name in {heavy!r} if name in sys.modules]))
 """
-HEAVY = ["libsumo", "matplotlib", "numba", "numpy", "pandas", "pyarrow", "rich", "scipy", "shapely"]
+HEAVY = ["distributed", "libsumo", "matplotlib", "numba", "numpy", "pandas", "pyarrow", "rich", "scipy", "shapely"]
 
 
 def test_command_leaves_what_is_slow_to_import_to_the_scene_process(

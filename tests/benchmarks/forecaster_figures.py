@@ -88,9 +88,9 @@ def main() -> None:
         print(f"{name}: {len(scenes)} scenes, {sum(map(len, each))} targets", flush=True)
     judged = [(number, one) for number, found in enumerate(targets["recorded"]) for one in found]
     scene_of, focal = np.array([number for number, _ in judged]), np.array([one.focal for _, one in judged])
-    moves = np.array([
-        np.hypot(*np.diff(one.seen.future, axis=0).T).sum() * scenes_of.UNIT_M > 5.0 for _, one in judged
-    ])  # fmt: skip
+    moves = np.array(
+        [np.hypot(*np.diff(one.seen.future, axis=0).T).sum() * scenes_of.UNIT_M > 5.0 for _, one in judged]
+    )
     scores: dict[str, list[FloatArray]] = {name: [] for name in SETS}
     with tempfile.TemporaryDirectory() as place:
         for seed in asked.seeds:

@@ -114,7 +114,7 @@ def main() -> None:
         medians = [
             np.mean([np.median(features[(inserted == kind) & (scene_of == number)], axis=0) for number in both], axis=0)
             for kind in (False, True)
-        ]  # fmt: skip
+        ]
         for row, name in enumerate(NAMES):
             auc = told_apart(features[:, [row]], inserted, scene_of)
             print(f"    {name:14s} recorded {medians[0][row]:.4f} inserted {medians[1][row]:.4f} alone {auc:.2f}")

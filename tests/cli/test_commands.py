@@ -4,8 +4,6 @@ import csv
 import re
 import resource
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -36,12 +34,6 @@ def test_help_lists_every_command_and_is_quick(hid2: Run) -> None:
     assert result.returncode == 0
     for command in COMMANDS:
         assert command in result.stdout
-
-
-def test_help_imports_neither_sumo_nor_pandas() -> None:
-    heavy = ("libsumo", "pandas", "pyarrow", "distributed", "numpy", "rich", "matplotlib")
-    code = f"import sys, bridge.cli.commands; sys.exit(any(name in sys.modules for name in {heavy}))"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 def test_view_writes_one_page_of_several_folders(hid2: Run, generated: Path, data_root: Path, tmp_path: Path) -> None:

@@ -168,9 +168,7 @@ PERMISSIONS = [
     ("generate av2 -o out --config closed.toml", r"closed\.toml", "[Pp]ermission denied", "--config"),
     ("study closed.toml -o out", r"closed\.toml", "[Pp]ermission denied|not readable", "study"),
 ]
-KINDS = {
-    "names": NAMES, "units": UNITS, "paths": PATHS, "formats": FORMATS, "order": ORDER, "permissions": PERMISSIONS,
-}  # fmt: skip
+KINDS = {"names": NAMES, "units": UNITS, "paths": PATHS, "formats": FORMATS, "order": ORDER, "permissions": PERMISSIONS}
 
 
 @pytest.fixture(scope="module")

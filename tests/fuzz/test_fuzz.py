@@ -11,7 +11,7 @@ import pytest
 from baseline_file import write_baseline
 from mutations import damage, mutate_bytes, mutate_scene
 from recordings import LOG_ID, make_argoverse1, make_log
-from written import copy_with_new_id, made_up_sidecar, write_scene
+from written import copy_with_new_id, fake_generated, made_up_sidecar, write_scene
 
 from bridge.batch.isolation import Failure
 from bridge.batch.manifest import QUARANTINED, Manifest, ManifestRow, read_manifest
@@ -186,10 +186,7 @@ READERS: dict[str, Callable[[Path], object]] = {
 
 
 @pytest.fixture
-def sound(
-    request: pytest.FixtureRequest, data_root: Path, data_scenes: dict[str, Path], tmp_path: Path,
-    fake_generated: Callable[..., tuple[object, object, str]],
-) -> Path:  # fmt: skip
+def sound(request: pytest.FixtureRequest, data_root: Path, data_scenes: dict[str, Path], tmp_path: Path) -> Path:
     """A sound file of a kind, or a folder: one sequence on the map of its city, one log."""
     name, scene = request.param, data_scenes["curve"]
     path = tmp_path / name

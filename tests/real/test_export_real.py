@@ -1,7 +1,6 @@
 """Real scenes written with vehicles added: av2 loads them, validation passes, every recorded bit is kept."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +9,14 @@ import pytest
 from av2.datasets.motion_forecasting.scenario_serialization import load_argoverse_scenario_parquet
 from av2.map.map_api import ArgoverseStaticMap
 from breaches import breaches
+from written import write_fake
 
 from bridge.recordings.scenario import read_scenario
 
 
 @pytest.mark.parametrize("focal", [None, "gen_1"])
 def test_real_scene_with_vehicles_added_is_valid(
-    real_scene: Path, tmp_path: Path, write_fake: Callable[..., Path], focal: str | None, shared_data: Path
+    real_scene: Path, tmp_path: Path, focal: str | None, shared_data: Path
 ) -> None:
     scenario = read_scenario(real_scene)
     folder = write_fake(scenario, tmp_path, focal=focal)

@@ -9,8 +9,9 @@ import statistics
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from second_states import check_states
 from bridge.generation.generate import generate, prepare
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.judging import recording_states
-from bridge.recordings.scenario import Scenario, read_scenario
+from bridge.recordings.scenario import read_scenario
 from hid2.agents import Policy
 from hid2.insertion.situations import Situation
 from hid2.measures.encounters import encounters
@@ -29,28 +30,16 @@ from hid2.measures.following import leaders
 from hid2.params import Config, Driving, Request
 from hid2.reasons import Reason
 
-Make = Callable[[Path, int, int], TrafficScene]
-
 #: Reasons that a record, a rejection or a replacement may name: `hid2.reasons` and nothing else.
 REASONS = {reason.value for reason in Reason}
+read_once = cache(read_scenario)
 
 
-@pytest.fixture(scope="module")
-def make() -> Make:
-    """make(folder, agents, seed): generated once for all tests of this file."""
-    scenarios: dict[Path, Scenario] = {}
-    scenes: dict[tuple[Path, int, int], TrafficScene] = {}
-
-    def once(folder: Path, agents: int, seed: int) -> TrafficScene:
-        key = (folder, agents, seed)
-        if key not in scenes:
-            if folder not in scenarios:
-                scenarios[folder] = read_scenario(folder)
-            config = Config(request=Request(agents=agents, seed=seed), driving=Driving(check_replay=True))
-            scenes[key] = generate(scenarios[folder], config)
-        return scenes[key]
-
-    return once
+@cache
+def make(folder: Path, agents: int, seed: int) -> TrafficScene:
+    """Generated once for all tests of this file."""
+    config = Config(request=Request(agents=agents, seed=seed), driving=Driving(check_replay=True))
+    return generate(read_once(folder), config)
 
 
 def disagreements(scene: TrafficScene, kinds_of: Mapping[str, set[str]]) -> list[str]:
@@ -68,16 +57,14 @@ def disagreements(scene: TrafficScene, kinds_of: Mapping[str, set[str]]) -> list
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_ten_vehicles_in_a_real_scene_break_no_rule_and_do_what_their_records_say(
-    real_scene: Path, seed: int, make: Make
-) -> None:
+def test_ten_vehicles_in_a_real_scene_break_no_rule_and_do_what_their_records_say(real_scene: Path, seed: int) -> None:
     scene = make(real_scene, 10, seed)
     assert check_generated(scene) == []
     assert disagreements(scene, manoeuvres_seen(scene)) == []
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_ten_vehicles_in_a_synthetic_scene_break_no_rule(data_scene: Path, seed: int, make: Make) -> None:
+def test_ten_vehicles_in_a_synthetic_scene_break_no_rule(data_scene: Path, seed: int) -> None:
     assert check_generated(make(data_scene, 10, seed)) == []
 
 
@@ -104,7 +91,7 @@ def test_vehicles_that_enter_a_synthetic_scene_break_no_rule(data_scene: Path) -
 
 
 def test_ten_asked_for_are_ten_placed_but_in_one_dense_scene(
-    real_scenes: list[Path], data_scenes: dict[str, Path], make: Make
+    real_scenes: list[Path], data_scenes: dict[str, Path]
 ) -> None:
     """Nine scenes, two seeds: ten each, but in 00a0ec58, dense and small: four or five, as its followers come close.
 
@@ -123,9 +110,7 @@ def test_ten_asked_for_are_ten_placed_but_in_one_dense_scene(
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_every_reason_is_one_of_the_list_and_every_request_has_its_record(
-    real_scene: Path, seed: int, make: Make
-) -> None:
+def test_every_reason_is_one_of_the_list_and_every_request_has_its_record(real_scene: Path, seed: int) -> None:
     """What is asked for beside going straight is done, or has a record that says why not; so is who was replaced."""
     sidecar = make(real_scene, 10, seed).sidecar
     named = {record.reason for record in sidecar.rejected} | {one.reason for one in sidecar.replaced}
@@ -139,7 +124,7 @@ def test_every_reason_is_one_of_the_list_and_every_request_has_its_record(
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_algorithm_1_decides_at_every_step_of_every_vehicle(real_scene: Path, seed: int, make: Make) -> None:
+def test_algorithm_1_decides_at_every_step_of_every_vehicle(real_scene: Path, seed: int) -> None:
     """Shares of the steps by policy add up to 1: nobody drives a step that was not decided.
 
     A vehicle that leaves the map is decided for until SUMO takes it out, up to half its length farther on.
@@ -151,7 +136,7 @@ def test_algorithm_1_decides_at_every_step_of_every_vehicle(real_scene: Path, se
         assert decided == pytest.approx(1.0, abs=rounded) if agent.end_reason is None else decided >= 1.0 - rounded
 
 
-def test_exported_way_is_the_simulated_one(real_scenes: list[Path], make: Make) -> None:
+def test_exported_way_is_the_simulated_one(real_scenes: list[Path]) -> None:
     """Exported s(t) within 0.3 m of SUMO's in the median vehicle, 0.8 m at the 95th percentile, 2 m in all."""
     off = [
         float(np.abs(vehicle.simulated_off_m).max())
@@ -247,7 +232,7 @@ def test_same_request_in_two_processes_gives_the_same_bytes(real_scenes: list[Pa
     assert digests[0] == digests[1]
 
 
-def test_second_scene_of_a_process_is_that_of_a_process_of_its_own(real_scenes: list[Path], make: Make) -> None:
+def test_second_scene_of_a_process_is_that_of_a_process_of_its_own(real_scenes: list[Path]) -> None:
     """Nothing of a scene is left behind for the next one: the same vehicles whatever was generated before."""
     first = make(real_scenes[1], 10, 0)
     generate(read_scenario(real_scenes[5]), Config(request=Request(agents=3)))
@@ -258,7 +243,7 @@ def test_second_scene_of_a_process_is_that_of_a_process_of_its_own(real_scenes: 
         assert np.array_equal(one.position, other.position)
 
 
-def test_checker_of_states_finds_what_is_planted(data_scenes: dict[str, Path], make: Make) -> None:
+def test_checker_of_states_finds_what_is_planted(data_scenes: dict[str, Path]) -> None:
     """A vehicle without its first two seconds, with velocities of others, turned by 10 degrees, and met half way."""
     scene = as_written(make(data_scenes["arterial"], 10, 0))
     own = next(track for track in scene.inserted if track.moves)
@@ -279,7 +264,7 @@ def test_checker_of_states_finds_what_is_planted(data_scenes: dict[str, Path], m
     assert own.track_id in {one.vehicle for one in found}  # another one may be there too
 
 
-def test_what_a_rollout_foresees_comes_about(real_scenes: list[Path], make: Make) -> None:
+def test_what_a_rollout_foresees_comes_about(real_scenes: list[Path]) -> None:
     """Of vehicles foreseen to follow, brake for or stand, and of those that do: at least 75, 60 and 75 % are the same.
 
     Found with six seeds of fourteen scenes: 198 of 210 foreseen and 201 seen, 104 of 134 and 113, 172 of 178 and 177.

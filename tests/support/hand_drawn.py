@@ -1,9 +1,11 @@
-"""Lanes drawn by hand, for tests that need a road and no map."""
+"""Lanes, boxes and tracks drawn by hand, for tests that need a road and no map: in metres, along +x unless bent."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
+from hid2.agents import BoxSize, Track
+from hid2.occupancy.traffic import Traffic
 from netconvert.lane_graph import LaneGraph, LaneSegment, turn_type
 
 
@@ -36,6 +38,75 @@ def draw_lane(
         right_mark_type=right_mark,
         width_m=width_m,
         turn=turn_type(centerline, is_intersection=is_intersection),
+    )
+
+
+def draw_road(*, lanes: int = 2, length_m: float = 200.0, mark: str = "DASHED_WHITE") -> LaneGraph:
+    """Lanes 1, 2, ... along +x from the right, 3.5 m apart, lane 1 at y = 0, on drivable ground."""
+    row = [
+        draw_lane(
+            i + 1,
+            [(0.0, 3.5 * i), (length_m, 3.5 * i)],
+            left=i + 2 if i + 1 < lanes else None,
+            right=i if i else None,
+            left_mark=mark,
+            right_mark=mark,
+        )
+        for i in range(lanes)
+    ]
+    top = 3.5 * lanes - 1.75
+    ring = np.array([(-20.0, -1.75), (length_m + 20.0, -1.75), (length_m + 20.0, top), (-20.0, top), (-20.0, -1.75)])
+    return LaneGraph({one.lane_id: one for one in row}, drivable_areas=(ring,))
+
+
+def draw_box(
+    x: float,
+    y: float,
+    heading: float = 0.0,
+    speed: float = 0.0,
+    *,
+    steps: int = 110,
+    first: int = 0,
+    length_m: float = 4.5,
+    width_m: float = 1.9,
+    name: str = "a",
+) -> Traffic:
+    """One box that moves straight ahead at constant speed."""
+    time = 0.1 * np.arange(steps)
+    ahead = np.array([np.cos(heading), np.sin(heading)])
+    return Traffic(
+        ids=(name,),
+        position=(np.array([x, y]) + speed * time[:, None] * ahead)[None],
+        heading=np.full((1, steps), heading),
+        velocity=np.broadcast_to(speed * ahead, (1, steps, 2)).copy(),
+        present=(np.arange(steps) >= first)[None],
+        length_m=np.array([length_m]),
+        width_m=np.array([width_m]),
+    )
+
+
+def draw_track(
+    timesteps: Sequence[int],
+    x: Sequence[float],
+    y: Sequence[float] | float = 0.0,
+    heading: Sequence[float] | float = 0.0,
+    *,
+    track_id: str = "t",
+    object_type: str = "vehicle",
+    category: int = 1,
+    size: BoxSize | None = None,
+) -> Track:
+    """Track of a vehicle; velocity is not that of the positions."""
+    count = len(timesteps)
+    return Track(
+        track_id=track_id,
+        object_type=object_type,
+        category=category,
+        timesteps=np.array(timesteps, dtype=np.int64),
+        position=np.column_stack([np.array(x, dtype=np.float64), np.broadcast_to(y, count)]),
+        heading=np.broadcast_to(np.asarray(heading, dtype=np.float64), count).copy(),
+        velocity=np.full((count, 2), 99.0),
+        size=size or BoxSize(4.5, 1.9),
     )
 
 

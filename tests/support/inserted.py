@@ -50,7 +50,7 @@ def scene_on(graph: LaneGraph, *tracks: Track, config: Config | None = None) -> 
     """A scene of 110 steps on a road."""
     return build_scene(
         build_cell_grid(graph), tracks, config=config or Config(), num_steps=110, last_observed_step=49, step_s=0.1
-    )  # fmt: skip
+    )
 
 
 def start_on(scene: Scene, route: Route, s: float, speed: float, **changes: Any) -> Start:

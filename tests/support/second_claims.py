@@ -284,7 +284,7 @@ def _driven_lanes(scene: SecondScene, track: SecondTrack) -> Counter[int]:
             lane: abs(float(scene.ground.lanes[lane].line.project(here)[1][0]))
             + 5.0 * math.radians(float(scene.ground.off_lane_deg(lane, here, heading)[0]))
             for lane in lanes
-        }  # fmt: skip
+        }
         if off:
             driven[min(off, key=lambda lane: off[lane])] += 1
     return driven

@@ -1,19 +1,31 @@
-"""A recording and tracks to insert, written as a generated scene, and its sidecar; a scene with another id."""
+"""A recording and tracks to insert, written as a generated scene, and its sidecar; scenes changed by hand."""
 
+import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from bridge.batch.manifest import files_sha256, output_files
-from bridge.config import config_sha256, config_to_dict
-from bridge.recordings.export import recording_record_of, with_generated, write_recording
+from bridge.config import config_sha256, config_to_dict, load_config
+from bridge.recordings.export import new_scenario_id, recording_record_of, with_generated, write_recording
 from bridge.recordings.recording import Recording
-from bridge.recordings.sidecar import GeneratorRecord, PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
-from hid2.agents import Track
+from bridge.recordings.sidecar import (
+    AgentRecord,
+    GeneratorRecord,
+    ManeuverRecord,
+    PlacedRecord,
+    ReplayRecord,
+    RequestedRecord,
+    Sidecar,
+    SpawnRecord,
+)
+from hid2.agents import BoxSize, Policy, Track
 from hid2.params import Config
 
 
@@ -40,6 +52,77 @@ def made_up_sidecar(scenario: Recording, config: Config, **said: Any) -> Sidecar
         "placed": PlacedRecord(agents=0, behaviours={}),
     }
     return Sidecar(**(usual | said))
+
+
+def fake_generated(scenario: Recording, *, count: int = 2, category: int = 1) -> tuple[list[Track], Sidecar, str]:
+    """Tracks that drive circles of 50 m, a sidecar for them, an id.
+
+    On a circle of radius 50 m at 10 m/s the angle grows by 0.2 rad/s: position 50 (cos a, sin a), heading a + pi/2,
+    velocity 10 (-sin a, cos a).
+    """
+    config = load_config(None, [f"request.agents={count}"])
+    steps = np.arange(scenario.num_steps)
+    tracks = []
+    for i in range(count):
+        angle = 0.2 * 0.1 * steps + i
+        circle = np.column_stack([np.cos(angle), np.sin(angle)])
+        ahead = np.column_stack([-np.sin(angle), np.cos(angle)])
+        heading = np.arctan2(ahead[:, 1], ahead[:, 0])
+        tracks.append(
+            Track(f"gen_{i}", "vehicle", category, steps, 50 * circle, heading, 10 * ahead, BoxSize(4.5, 1.9))
+        )
+    lane_id = min(scenario.graph.lanes)
+    agents = tuple(
+        AgentRecord(
+            track_id=track.track_id,
+            length_m=4.5,
+            width_m=1.9,
+            policy=Policy.LANE_CHANGE,
+            spawn=SpawnRecord(lane_segment_id=lane_id, cell=0, speed_mps=10.0),
+            route=(lane_id,),
+            maneuvers=(
+                ManeuverRecord(
+                    kind="lane_change",
+                    status="done",
+                    trigger_s=1.0,
+                    start_s=1.5,
+                    crossing_s=3.0,
+                    end_s=4.5,
+                    source_lane=lane_id,
+                    target_lane=lane_id,
+                ),
+            ),
+        )
+        for track in tracks
+    )
+    sidecar = made_up_sidecar(
+        scenario,
+        config,
+        replay=ReplayRecord(states=scenario.table.num_rows, max_position_error_m=0.0, max_heading_error_rad=0.0),
+        requested=RequestedRecord(agents=count, behaviours=config.request.behaviours),
+        placed=PlacedRecord(agents=count, behaviours={Policy.LANE_CHANGE: count}),
+        agents=agents,
+    )
+    return tracks, sidecar, new_scenario_id(scenario.scenario_id, config, 0, 0)
+
+
+def write_fake(scenario: Recording, out: Path, *, focal: str | None = None, **made: int) -> Path:
+    """Such a scene, written; returns its folder. made: count, category."""
+    tracks, sidecar, new_id = fake_generated(scenario, **made)
+    return write_scene(scenario, tracks, sidecar, out, new_id=new_id, focal_track_id=focal or scenario.focal_track_id)
+
+
+def edit_rows(folder: Path, change: Callable[[pd.DataFrame], pd.DataFrame]) -> None:
+    """Rewrite the parquet of a scenario folder."""
+    (path,) = folder.glob("scenario_*.parquet")
+    change(pd.read_parquet(path)).reset_index(drop=True).to_parquet(path)
+
+
+def edit_json(path: Path, change: Callable[[dict[str, Any]], Any]) -> None:
+    """Change a JSON file in place."""
+    document = json.loads(path.read_text())
+    change(document)
+    path.write_text(json.dumps(document))
 
 
 def copy_with_new_id(source: Path, folder: Path, new_id: str) -> Path:

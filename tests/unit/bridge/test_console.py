@@ -37,15 +37,16 @@ def test_in_a_pipe_a_first_line_comes_soon_and_then_one_every_half_minute(capsys
     assert console.FIRST_S + 2.0 + 0.2 < 5.0
 
 
-def test_counted_work_says_how_much_is_done_and_left(capsys: pytest.CaptureFixture[str]) -> None:
-    """3 of 12 in 6 s, half a scene a second: 18 s left."""
+@pytest.mark.parametrize(("done", "left"), [(3, ", 18 s left"), (0, "")])
+def test_counted_work_says_how_much_is_done_and_left(capsys: pytest.CaptureFixture[str], done: int, left: str) -> None:
+    """3 of 12 in 6 s, half a scene a second: 18 s left; nothing done yet tells no time."""
     clock = Clock()
     activity = Activity(quiet=False, clock=clock)
     activity.doing("generating")
     clock.now_s += 6.0
-    activity.show(3, 12, " (1 quarantined)")
+    activity.show(done, 12, " (1 quarantined)")
     looked_at(activity, clock, 30.0)
-    assert capsys.readouterr().err == "hid2: generating: 3 of 12 (1 quarantined), 18 s left\n"
+    assert capsys.readouterr().err == f"hid2: generating: {done} of 12 (1 quarantined){left}\n"
 
 
 def test_terminal_has_one_line_that_is_written_anew_and_cleared_for_messages_and_in_the_end(
@@ -63,15 +64,6 @@ def test_terminal_has_one_line_that_is_written_anew_and_cleared_for_messages_and
     *lines, end = capsys.readouterr().err.split("\r\x1b[K")
     assert set(lines) == {"", "generating: 1 of 2 ", "hid2: a message\n"}
     assert end == ""
-
-
-def test_nothing_done_yet_tells_no_time_left(capsys: pytest.CaptureFixture[str]) -> None:
-    clock = Clock()
-    activity = Activity(quiet=False, clock=clock)
-    activity.doing("generating")
-    activity.show(0, 3)
-    looked_at(activity, clock, 3.0)
-    assert capsys.readouterr().err == "hid2: generating: 0 of 3\n"
 
 
 def test_quiet_says_messages_only(capsys: pytest.CaptureFixture[str]) -> None:

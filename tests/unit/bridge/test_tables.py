@@ -25,7 +25,7 @@ NOT_DONE = "not done: left_turn: map_offers_no_left_turn (1), right_turn: map_of
 RUNS = [
     ("2112b63e-58e4-5604-a86c-b243689827da", 0, "0 of 14", 0, 0, 2, 0, "2 of 4", 65.21, NOT_DONE),
     ("bf8c5e9d-76de-5c6f-a44b-69cc2c9a318a", 10, "10 of 10", 1, 1, 2, 0, "4 of 4", -4.05, "-"),
-]  # fmt: skip
+]
 
 
 def words(lines: Sequence[str]) -> str:

@@ -1,43 +1,35 @@
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from hand_drawn import draw_road, draw_track
 
 from hid2.agents import BoxSize, Track
 from hid2.drivers.driver import place_of_lane
 from hid2.params import Config, Request, Spawn
 from hid2.scene import Scene, build_scene, clearance_box
 from netconvert.cells import Cell, build_cell_grid
-from netconvert.lane_graph import LaneGraph
 
 
-@pytest.fixture
-def scene_of(road: Callable[..., LaneGraph], track: Callable[..., Track]) -> Callable[..., Scene]:
-    """scene_of(tracks, request={...}, ...) -> a scene on a two-lane road of 200 m."""
-
-    def make(*tracks: Track, num_steps: int = 110, request: dict[str, Any] | None = None, **sections: Any) -> Scene:
-        config = Config(request=Request(**(request or {})), **sections)
-        return build_scene(
-            build_cell_grid(road()),
-            tracks,
-            config=config,
-            num_steps=num_steps,
-            last_observed_step=min(49, num_steps - 1),
-            step_s=0.1,
-        )
-
-    return make
+def scene_of(*tracks: Track, num_steps: int = 110, request: dict[str, Any] | None = None, **sections: Any) -> Scene:
+    """A scene on a two-lane road of 200 m."""
+    config = Config(request=Request(**(request or {})), **sections)
+    return build_scene(
+        build_cell_grid(draw_road()),
+        tracks,
+        config=config,
+        num_steps=num_steps,
+        last_observed_step=min(49, num_steps - 1),
+        step_s=0.1,
+    )
 
 
-def _moving(track: Callable[..., Track], x0: float, y: float, speed: float, **more: Any) -> Track:
-    return track(range(60), x0 + 0.1 * speed * np.arange(60), y, **more)
+def _moving(x0: float, y: float, speed: float, **more: Any) -> Track:
+    return draw_track(range(60), x0 + 0.1 * speed * np.arange(60), y, **more)
 
 
-def test_speeds_of_a_lane_are_those_of_its_recorded_traffic(
-    scene_of: Callable[..., Scene], track: Callable[..., Track]
-) -> None:
-    scene = scene_of(_moving(track, 10.0, 0.0, 8.0), _moving(track, 10.0, 3.5, 14.0, track_id="u"))
+def test_speeds_of_a_lane_are_those_of_its_recorded_traffic() -> None:
+    scene = scene_of(_moving(10.0, 0.0, 8.0), _moving(10.0, 3.5, 14.0, track_id="u"))
     assert scene.lane_speeds[1] == pytest.approx([8.0])
     assert scene.lane_speeds[2] == pytest.approx([14.0])
     assert sorted(scene.scene_speeds) == pytest.approx([8.0, 14.0])
@@ -48,64 +40,52 @@ def test_speeds_of_a_lane_are_those_of_its_recorded_traffic(
     [{"category": 0}, {"object_type": "pedestrian"}, {"object_type": "cyclist"}],
     ids=["fragment", "pedestrian", "cyclist"],
 )
-def test_fragments_and_other_road_users_set_no_speed(
-    more: dict[str, Any], scene_of: Callable[..., Scene], track: Callable[..., Track]
-) -> None:
-    scene = scene_of(_moving(track, 10.0, 0.0, 8.0, **more))
+def test_fragments_and_other_road_users_set_no_speed(more: dict[str, Any]) -> None:
+    scene = scene_of(_moving(10.0, 0.0, 8.0, **more))
     assert not scene.scene_speeds
     assert not scene.lane_speeds
 
 
-def test_parked_vehicle_sets_no_speed(scene_of: Callable[..., Scene], track: Callable[..., Track]) -> None:
-    assert not scene_of(_moving(track, 10.0, 0.0, 0.0)).scene_speeds
+def test_parked_vehicle_sets_no_speed() -> None:
+    assert not scene_of(_moving(10.0, 0.0, 0.0)).scene_speeds
 
 
-def test_who_drives_too_short_a_way_or_time_sets_no_speed(
-    scene_of: Callable[..., Scene], track: Callable[..., Track], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_who_drives_too_short_a_way_or_time_sets_no_speed(monkeypatch: pytest.MonkeyPatch) -> None:
     """8 m/s for 5.9 s are 47.2 m in 60 steps."""
-    one = _moving(track, 10.0, 0.0, 8.0)
+    one = _moving(10.0, 0.0, 8.0)
     for from_m, from_s, counts in ((47.0, 6.0, True), (48.0, 6.0, False), (47.0, 6.1, False)):
         monkeypatch.setattr("hid2.scene.MOVING_EXTENT_M", from_m)
         monkeypatch.setattr("hid2.scene.MOVING_S", from_s)
         assert bool(scene_of(one).scene_speeds) is counts
 
 
-def test_speed_of_a_lane_is_drawn_there_else_from_the_scene_else_it_is_the_prior(
-    scene_of: Callable[..., Scene], track: Callable[..., Track]
-) -> None:
+def test_speed_of_a_lane_is_drawn_there_else_from_the_scene_else_it_is_the_prior() -> None:
     """Lane 1 has 8 m/s alone, lane 2 nobody, so that the scene's 8 count; an empty scene has the prior of 9 m/s."""
     rng = np.random.default_rng(0)
-    scene = scene_of(_moving(track, 10.0, 0.0, 8.0))
+    scene = scene_of(_moving(10.0, 0.0, 8.0))
     assert [scene.lane_speed(lane_id, rng) for lane_id in (1, 2)] == pytest.approx([8.0, 8.0])
     assert scene_of(spawn=Spawn(prior_speed_mps=9.0)).lane_speed(1, rng) == 9.0
 
 
-def test_lane_without_traffic_is_driven_as_the_nearest_of_its_street(
-    scene_of: Callable[..., Scene], track: Callable[..., Track]
-) -> None:
+def test_lane_without_traffic_is_driven_as_the_nearest_of_its_street() -> None:
     """Lane 1 has 12 m/s, lane 2 beside it none: 12, though the scene has one of 9 m/s, off all lanes, as well."""
     rng = np.random.default_rng(0)
-    scene = scene_of(_moving(track, 10.0, 0.0, 12.0), _moving(track, 10.0, 60.0, 9.0, track_id="b"))
+    scene = scene_of(_moving(10.0, 0.0, 12.0), _moving(10.0, 60.0, 9.0, track_id="b"))
     assert sorted(scene.scene_speeds) == pytest.approx([9.0, 12.0])
     assert {round(scene.lane_speed(2, rng), 6) for _ in range(40)} == {12.0}
 
 
-def test_no_vehicle_of_a_lane_crawls_where_its_traffic_drives(
-    scene_of: Callable[..., Scene], track: Callable[..., Track]
-) -> None:
+def test_no_vehicle_of_a_lane_crawls_where_its_traffic_drives() -> None:
     """Two at 12 m/s and one at 2: .7 of the median, 8.4 m/s, is the least that is drawn."""
-    tracks = (_moving(track, 10.0, 0.0, 12.0, track_id="a"), _moving(track, 60.0, 0.0, 12.0, track_id="b"))
-    scene, rng = scene_of(*tracks, _moving(track, 150.0, 0.0, 2.0, track_id="c")), np.random.default_rng(0)
+    tracks = (_moving(10.0, 0.0, 12.0, track_id="a"), _moving(60.0, 0.0, 12.0, track_id="b"))
+    scene, rng = scene_of(*tracks, _moving(150.0, 0.0, 2.0, track_id="c")), np.random.default_rng(0)
     assert scene.usual_speed(1) == pytest.approx(12.0)
     assert {round(scene.lane_speed(1, rng), 6) for _ in range(60)} == {8.4, 12.0}
 
 
-def test_place_on_a_lane_is_that_of_recorded_vehicles_within_10_m_else_one_of_the_lane(
-    scene_of: Callable[..., Scene], track: Callable[..., Track]
-) -> None:
+def test_place_on_a_lane_is_that_of_recorded_vehicles_within_10_m_else_one_of_the_lane() -> None:
     """One at .4 m to the left from 50 to 150 m: there .4, elsewhere, and on the lane beside, what the lane is given."""
-    scene = scene_of(_moving(track, 50.0, 0.4, 100.0 / 5.9))
+    scene = scene_of(_moving(50.0, 0.4, 100.0 / 5.9))
     here, beside = (scene.place_on(scene.paths.along((lane,)), np.array([20.0, 105.0, 190.0])) for lane in (1, 2))
     law = scene.config.drivers
     assert here == pytest.approx([place_of_lane(law, 1), 0.4, place_of_lane(law, 1)])
@@ -125,30 +105,28 @@ def test_clearance_box_covers_both_and_is_rounded_up() -> None:
     [({}, 110, 50), ({"focal": "generated"}, 110, 110), ({"generated_category": 2}, 110, 110), ({}, 50, 50)],
 )
 def test_vehicles_that_are_predicted_stay_as_long_as_they_must(
-    request_: dict[str, Any], steps: int, earliest: int, scene_of: Callable[..., Scene]
+    request_: dict[str, Any], steps: int, earliest: int
 ) -> None:
     """Context vehicles to timestep 49 at least, scored and focal ones through the whole scene."""
     assert scene_of(num_steps=steps, request=request_).first_exit_step == earliest
 
 
-def test_paths_and_recorded_intervals_are_made_once(
-    scene_of: Callable[..., Scene], track: Callable[..., Track]
-) -> None:
-    scene = scene_of(_moving(track, 10.0, 0.0, 8.0))
+def test_paths_and_recorded_intervals_are_made_once() -> None:
+    scene = scene_of(_moving(10.0, 0.0, 8.0))
     path = scene.paths.along((1,))
     assert scene.paths.along((1,)) is path
     recorded = (scene.met_on(path, BoxSize(4.5, 1.9), scene.future) for _ in range(2))
     assert next(recorded) is next(recorded)
 
 
-def test_recorded_occupancy_is_known_beforehand(scene_of: Callable[..., Scene], track: Callable[..., Track]) -> None:
+def test_recorded_occupancy_is_known_beforehand() -> None:
     """8 m/s from x = 10: after 5 s at 50 m, in cell 12 (48 .. 52), as is known from the start."""
-    scene = scene_of(_moving(track, 10.0, 0.0, 8.0))
+    scene = scene_of(_moving(10.0, 0.0, 8.0))
     row = scene.grid.index_of[Cell(1, 12)]
     assert (scene.occupancy.sigma[0, row], scene.occupancy.sigma[50, row]) == (0, 1)
 
 
-def test_cell_of_a_place_on_a_path(scene_of: Callable[..., Scene]) -> None:
+def test_cell_of_a_place_on_a_path() -> None:
     """200 m of lane in 50 cells of 4 m."""
     scene = scene_of()
     path = scene.paths.along((1,))

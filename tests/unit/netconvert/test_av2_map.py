@@ -1,5 +1,5 @@
 import json
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +11,43 @@ from bridge.recordings.map_rules import graph_of
 from netconvert.errors import MapError
 from netconvert.lane_graph import TurnType
 
-Json = Callable[..., dict[str, Any]]
 STRAIGHT = [(0.0, 0.0), (50.0, 0.0)]
 
 
-def test_a_lane_segment_keeps_what_the_file_says(lane_json: Json, map_json: Json) -> None:
+def _json_points(points: Any) -> list[dict[str, float]]:
+    return [{"x": float(x), "y": float(y), "z": 0.0} for x, y in points]
+
+
+def lane_json(lane_id: int, points: Sequence[tuple[float, float]], **fields: Any) -> dict[str, Any]:
+    """One lane segment as Argoverse 2 writes it, 4 m wide along +x."""
+    return {
+        "id": lane_id,
+        "centerline": _json_points(points),
+        "is_intersection": False,
+        "lane_type": "VEHICLE",
+        "left_lane_boundary": _json_points([(x, y + 2.0) for x, y in points]),
+        "right_lane_boundary": _json_points([(x, y - 2.0) for x, y in points]),
+        "left_lane_mark_type": "DASHED_WHITE",
+        "right_lane_mark_type": "SOLID_WHITE",
+        "left_neighbor_id": None,
+        "right_neighbor_id": None,
+        "predecessors": [],
+        "successors": [],
+        **fields,
+    }
+
+
+def map_json(*segments: dict[str, Any]) -> dict[str, Any]:
+    """A map with one drivable area of 100 m x 20 m."""
+    corners = [(0.0, -10.0), (100.0, -10.0), (100.0, 10.0), (0.0, 10.0)]
+    return {
+        "lane_segments": {str(segment["id"]): segment for segment in segments},
+        "drivable_areas": {"7": {"id": 7, "area_boundary": _json_points(corners)}},
+        "pedestrian_crossings": {},
+    }
+
+
+def test_a_lane_segment_keeps_what_the_file_says() -> None:
     segment = lane_json(5, STRAIGHT, left_neighbor_id=8, successors=[6], is_intersection=True, lane_type="BUS")
     other = lane_json(6, [(50.0, 0.0), (60.0, 0.0)])
     graph = graph_of(map_json(segment, other), name="map")
@@ -31,7 +63,7 @@ def test_a_lane_segment_keeps_what_the_file_says(lane_json: Json, map_json: Json
     assert (graph.drivable_areas[0][0] == graph.drivable_areas[0][-1]).all()
 
 
-def test_a_missing_centerline_is_the_mid_line_that_av2_derives(tmp_path: Path, lane_json: Json, map_json: Json) -> None:
+def test_a_missing_centerline_is_the_mid_line_that_av2_derives(tmp_path: Path) -> None:
     """Boundaries with different numbers of points and different heights: av2 spaces its ten rungs in space."""
     rng = np.random.default_rng(3)
     segments = []
@@ -53,29 +85,23 @@ def test_a_missing_centerline_is_the_mid_line_that_av2_derives(tmp_path: Path, l
         assert np.abs(lane.centerline - expected).max() < 1e-9
 
 
-def _edge(*points: tuple[float, float]) -> list[dict[str, float]]:
-    return [{"x": x, "y": y, "z": 0.0} for x, y in points]
-
-
 @pytest.mark.parametrize("second", [[(13.0, -5.0), (13.0, 5.0)], [(13.0, 5.0), (13.0, -5.0)]])
-def test_pedestrian_crossings_keep_their_corners_in_turn(
-    lane_json: Json, map_json: Json, second: list[tuple[float, float]]
-) -> None:
+def test_pedestrian_crossings_keep_their_corners_in_turn(second: list[tuple[float, float]]) -> None:
     """Two edges of 10 m, 3 m apart, whichever way the second one runs."""
     document = map_json(lane_json(5, STRAIGHT))
-    crossing = {"id": 1, "edge1": _edge((10.0, -5.0), (10.0, 5.0)), "edge2": _edge(*second)}
+    crossing = {"id": 1, "edge1": _json_points([(10.0, -5.0), (10.0, 5.0)]), "edge2": _json_points(second)}
     document["pedestrian_crossings"] = {"1": crossing}
     (corners,) = graph_of(document, name="map").pedestrian_crossings
     assert corners.tolist() == [[10.0, -5.0], [10.0, 5.0], [13.0, 5.0], [13.0, -5.0]]
 
 
-def test_repeated_points_of_a_centerline_are_dropped(lane_json: Json, map_json: Json) -> None:
+def test_repeated_points_of_a_centerline_are_dropped() -> None:
     segment = lane_json(5, [(0.0, 0.0), (0.0, 0.0), (20.0, 0.0), (20.0, 0.0), (50.0, 0.0)])
     lane = graph_of(map_json(segment), name="map").lanes[5]
     assert lane.centerline.tolist() == [[0.0, 0.0], [20.0, 0.0], [50.0, 0.0]]
 
 
-def test_links_that_lead_nowhere_do_not_stop_the_map(lane_json: Json, map_json: Json) -> None:
+def test_links_that_lead_nowhere_do_not_stop_the_map() -> None:
     """A successor outside the map, a neighbour that is the lane itself, one that is missing, a cycle of two."""
     graph = graph_of(
         map_json(
@@ -124,21 +150,21 @@ BAD_LANES = {
 
 
 @pytest.mark.parametrize("case", BAD_LANES)
-def test_a_broken_lane_is_refused_with_its_id_and_value(case: str, lane_json: Json, map_json: Json) -> None:
+def test_a_broken_lane_is_refused_with_its_id_and_value(case: str) -> None:
     change, message = BAD_LANES[case]
     data = map_json(lane_json(5, STRAIGHT) | change)
     with pytest.raises(MapError, match=f"^the/map.json: {message}"):
         graph_of(data, name="the/map.json")
 
 
-def test_a_missing_field_is_named(lane_json: Json, map_json: Json) -> None:
+def test_a_missing_field_is_named() -> None:
     segment = lane_json(5, STRAIGHT)
     del segment["successors"], segment["lane_type"]
     with pytest.raises(MapError, match="map: lane 5: no lane_type, expected"):
         graph_of(map_json(segment), name="map")
 
 
-def test_a_map_without_vehicle_lane_is_refused(lane_json: Json, map_json: Json) -> None:
+def test_a_map_without_vehicle_lane_is_refused() -> None:
     data = map_json(lane_json(5, STRAIGHT, lane_type="BIKE"), lane_json(6, STRAIGHT, lane_type="BUS"))
     with pytest.raises(MapError, match="map: no lane of type VEHICLE among 2 lane segments, expected at least one"):
         graph_of(data, name="map")
@@ -164,13 +190,13 @@ def test_json_that_is_no_map_is_refused(data: Any, message: str) -> None:
         graph_of(data, name="map")
 
 
-def test_a_part_that_is_not_whole_or_not_where_its_id_says_is_refused(lane_json: Json, map_json: Json) -> None:
+def test_a_part_that_is_not_whole_or_not_where_its_id_says_is_refused() -> None:
     for part, key, value, said in (
         ("drivable_areas", "7", {"id": 7}, "drivable area 7: no area_boundary"),
         (
             "pedestrian_crossings",
             "77",
-            {"id": 77, "edge1": _edge((0.0, 0.0), (1.0, 0.0))},
+            {"id": 77, "edge1": _json_points([(0.0, 0.0), (1.0, 0.0)])},
             "pedestrian crossing 77: no edge2, expected the",
         ),
         ("lane_segments", "6", lane_json(5, STRAIGHT), "lane 6: id 5, expected its key"),

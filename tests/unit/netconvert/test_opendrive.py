@@ -55,11 +55,9 @@ ROADS = {
         _lane(3, [(0, 0), (10, 4), (16, 4)], is_intersection=True, successors=(2,)),
         _lane(4, [(-20, 0), (0, 0)], successors=(3,)),
     ),
-    "a sharp turn": (
-        _lane(1, [(0, 0), (20, 0), (21, 0.4), (21.6, 1.4), (21.6, 20)]),
-    ),
+    "a sharp turn": (_lane(1, [(0, 0), (20, 0), (21, 0.4), (21.6, 1.4), (21.6, 20)]),),
     "the shortest lane": (_lane(1, [(0, 0), (0.05, 0)]),),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", ROADS)

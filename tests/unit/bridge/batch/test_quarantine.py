@@ -87,7 +87,7 @@ REQUESTS: dict[str, tuple[dict[str, Any], str]] = {
     "a parameter of NaN": ({"config": {"limits": {"min_radius_m": float("nan")}}}, "limits|JSON"),
     "another format": ({"format": 2}, "format"),
     "a field more": ({"run": "me"}, "run"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", REQUESTS)
@@ -146,7 +146,7 @@ ARCHIVES: dict[str, tuple[Callable[[Path], object], str]] = {
     "cut": (lambda p: p.write_bytes(craft(p, members()).read_bytes()[:-30]), "not a zip file"),
     "a pipe": (os.mkfifo, "not a regular file"),
     "a folder": (lambda p: p.mkdir(), "not a regular file"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", ARCHIVES)

@@ -30,7 +30,7 @@ def row(**values: object) -> ManifestRow:
         ([row(status=QUARANTINED, placed=0)], []),
         ([], []),
     ],
-)  # fmt: skip
+)
 def test_what_came_about_in_none_of_the_scenes_is_named(rows: list[ManifestRow], nowhere: list[str]) -> None:
     assert came_about_nowhere(rows, EVENTS, NAMED) == nowhere
 

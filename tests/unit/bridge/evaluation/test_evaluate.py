@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from written import made_up_sidecar
+from written import edit_json, made_up_sidecar
 
 import bridge.evaluation.totals as totals_module
 from bridge.evaluation.evaluate import evaluate_folder, write_report
@@ -325,28 +325,12 @@ def test_a_metric_that_is_added_is_measured_pooled_and_shown(made_root, tmp_path
     assert extra.sentence in text
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda document: document["drivable_areas"].clear(), "no drivable area, expected at least one"),
-        (lambda document: _stretch(document, 1e4), "expected at most"),
-        (lambda document: document.pop("pedestrian_crossings"), "no object 'pedestrian_crossings'"),
-    ],
-    ids=["no drivable area", "beyond the limits", "lacks a part"],
-)
-def test_a_map_is_read_as_that_of_a_source_is(copy_scene, edit_json, tmp_path, change, said):
+def test_a_map_is_read_as_that_of_a_source_is(copy_scene, tmp_path):
     """What generate refuses is left out here too, with the same words, and the other scenes are measured."""
     spoilt, _ = copy_scene("curve"), copy_scene("arterial")
-    edit_json(next(spoilt.glob("log_map_archive_*.json")), change)
-    with pytest.raises((MapError, ScenarioError)) as refused:
+    edit_json(next(spoilt.glob("log_map_archive_*.json")), lambda document: document["drivable_areas"].clear())
+    with pytest.raises(MapError, match="no drivable area, expected at least one") as refused:
         read_scenario(spoilt)
     evaluation = evaluate_folder(spoilt.parent, report_dir=tmp_path / "report")
-    assert [(folder, reason) for folder, reason in evaluation.failures] == [(spoilt, str(refused.value))]
-    assert said in str(refused.value)
+    assert evaluation.failures == [(spoilt, str(refused.value))]
     assert evaluation.metrics["scenes"]["scenes"] == 1
-
-
-def _stretch(document, factor):
-    for lane in document["lane_segments"].values():
-        for point in (*lane["left_lane_boundary"], *lane["right_lane_boundary"], *lane["centerline"]):
-            point.update(x=point["x"] * factor, y=point["y"] * factor)

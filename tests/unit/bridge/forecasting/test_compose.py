@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from breaches import breaches
-from written import write_scene
+from written import write_fake
 
 from bridge.forecasting.compose import check_leaks, compose
 from bridge.forecasting.composition import (
@@ -28,12 +28,10 @@ from netconvert.errors import ConfigError, NoSceneError
 
 
 @pytest.fixture
-def generated(tmp_path, data_root, fake_generated):
+def generated(tmp_path, data_root):
     """A root with one scene made of each of the three recorded ones, with 2 vehicles more."""
     for folder in find_scenarios(data_root):
-        scenario = read_scenario(folder)
-        tracks, sidecar, new_id = fake_generated(scenario)
-        write_scene(scenario, tracks, sidecar, tmp_path / "made", new_id=new_id, focal_track_id=scenario.focal_track_id)
+        write_fake(read_scenario(folder), tmp_path / "made")
     return tmp_path / "made"
 
 
@@ -197,10 +195,9 @@ def test_a_planted_copy_under_another_id_is_found_by_its_place(data_root, genera
     assert "lies where there is" in leak.why
 
 
-def test_a_generated_scene_without_an_inserted_vehicle_is_left_out(data_root, generated, fake_generated, tmp_path):
+def test_a_generated_scene_without_an_inserted_vehicle_is_left_out(data_root, generated, tmp_path):
     scenario = read_scenario(find_scenarios(data_root)[0])
-    tracks, sidecar, new_id = fake_generated(scenario, count=0)
-    write_scene(scenario, tracks, sidecar, generated, new_id=new_id, focal_track_id=scenario.focal_track_id)
+    write_fake(scenario, generated, count=0)
     assert scenario.scenario_id in " ".join(composed(mixed(data_root, generated), tmp_path / "root").left_out)
 
 

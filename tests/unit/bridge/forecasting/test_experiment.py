@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recordings import make_argoverse1
-from written import write_scene
+from written import write_fake
 
 from bridge.forecasting import experiment
 from bridge.forecasting.compose import compose
@@ -36,19 +36,18 @@ from hid2.params import Forecasting
 from netconvert.errors import ConfigError, ScenarioError
 
 ROOT = Path(__file__).parents[4]
-targets_of = runpy.run_path(str(ROOT / "data" / "examples" / "scene_features.py"))["targets_of"]
+EXAMPLES = ROOT / "data" / "examples"
+features = runpy.run_path(str(EXAMPLES / "scene_features.py"))
+targets_of = features["targets_of"]
 
 
 @pytest.fixture
-def composed(tmp_path, data_root, fake_generated):
+def composed(tmp_path, data_root):
     """The controls of the three synthetic scenes and two scenes made of each, the second for no-interaction."""
     for folder in find_scenarios(data_root):
         scenario = read_scenario(folder)
         for name, count in (("hid2", 2), ("plain", 3)):
-            tracks, sidecar, new_id = fake_generated(scenario, count=count)
-            write_scene(
-                scenario, tracks, sidecar, tmp_path / name, new_id=new_id, focal_track_id=scenario.focal_track_id
-            )
+            write_fake(scenario, tmp_path / name, count=count)
     sources = {"recorded": data_root, "hid2": tmp_path / "hid2", "plain": tmp_path / "plain"}
     values = {
         "sources": {name: (str(place),) for name, place in sources.items()},
@@ -141,6 +140,13 @@ def test_nothing_but_the_example_imports_torch():
         names += [str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)]
         importing += [path.relative_to(ROOT).as_posix()] if "torch" in names else []
     assert importing == ["data/examples/small_forecaster.py"]
+
+
+def test_forecaster_imports_names_that_the_features_have():
+    """Told from its text, so that it is found where torch is not installed."""
+    nodes = ast.walk(ast.parse((EXAMPLES / "small_forecaster.py").read_text(encoding="utf-8")))
+    (taken,) = [node for node in nodes if isinstance(node, ast.ImportFrom) and node.module == "scene_features"]
+    assert {alias.name for alias in taken.names} <= features.keys()
 
 
 def test_features_are_in_the_targets_own_frame(data_scenes):

@@ -36,38 +36,21 @@ def submission(scenario, modes, probabilities, path, track_id=None):
 
 
 def test_errors_are_those_of_the_mode_that_ends_nearest(data_scenes, tmp_path):
-    """Mode 0 (most probable) is 3 m off throughout; mode 1 is 5 m off, but right at its end.
+    """Mode 1 (p = .7) is 3 m off throughout; mode 0 (p = .3) is 5 m off, but right at its end.
 
-    k = 1: ADE 3, FDE 3, a miss. k = 6: the mode that ends nearest: FDE 0, ADE 59/60 * 5, no miss.
+    k = 1, by probability, not by order: ADE 3, FDE 3, a miss, Brier 3 + .3^2. k = 6, the mode that ends nearest: FDE 0,
+    ADE 59/60 * 5, no miss, Brier .7^2.
     """
     scenario = read_scenario(data_scenes["arterial"])
     truth = focal_future(scenario)
     second = truth + np.array([0.0, 5.0])
     second[-1] = truth[-1]
-    path = submission(scenario, [truth + np.array([3.0, 0.0]), second], [0.7, 0.3], tmp_path / "f.parquet")
+    path = submission(scenario, [second, truth + np.array([3.0, 0.0])], [0.3, 0.7], tmp_path / "f.parquet")
     scores = {s.k: s for s in scores_of(data_scenes["arterial"], path)}
     assert (scores[1].min_ade_m, scores[1].min_fde_m, scores[1].missed) == (pytest.approx(3), pytest.approx(3), True)
     assert (scores[6].min_ade_m, scores[6].min_fde_m) == (pytest.approx(5 * 59 / 60), pytest.approx(0))
     assert not scores[6].missed
-
-
-def test_probability_not_order_decides_what_counts_first(data_scenes, tmp_path):
-    scenario = read_scenario(data_scenes["arterial"])
-    truth = focal_future(scenario)
-    path = submission(scenario, [truth + np.array([9.0, 0.0]), truth], [0.1, 0.9], tmp_path / "f.parquet")
-    scores = {s.k: s for s in scores_of(data_scenes["arterial"], path)}
-    assert scores[1].min_fde_m == pytest.approx(0.0)
-
-
-def test_brier_min_fde_adds_what_the_best_modes_probability_lacks(data_scenes, tmp_path):
-    """Mode 0 (p = .7) ends 3 m off: 3 + .3^2. Of both, mode 1 (p = .3) ends nearest, 1 m off: 1 + .7^2."""
-    scenario = read_scenario(data_scenes["arterial"])
-    truth = focal_future(scenario)
-    modes = [truth + np.array([3.0, 0.0]), truth + np.array([1.0, 0.0])]
-    path = submission(scenario, modes, [0.7, 0.3], tmp_path / "f.parquet")
-    scores = {s.k: s for s in scores_of(data_scenes["arterial"], path)}
-    assert scores[1].brier_min_fde == pytest.approx(3.09)
-    assert scores[6].brier_min_fde == pytest.approx(1.49)
+    assert (scores[1].brier_min_fde, scores[6].brier_min_fde) == (pytest.approx(3.09), pytest.approx(0.49))
 
 
 def test_scores_of_a_challenge_submission_are_those_of_av2(data_root, tmp_path):

@@ -13,7 +13,7 @@ from browser import Page
 from matplotlib.figure import Figure
 from PIL import Image
 from viewed import differences
-from written import write_scene
+from written import edit_rows, write_fake
 
 from bridge.config import load_config
 from bridge.generation.generate import generate
@@ -292,16 +292,13 @@ def test_what_was_zoomed_into_stays_when_a_second_picture_comes(opened: Page) ->
     assert opened.js("view.fitted === looksAt()") is True
 
 
-def test_sidecars_that_tell_less_are_shown(page: Page, data_scenes, fake_generated, tmp_path: Path) -> None:
+def test_sidecars_that_tell_less_are_shown(page: Page, data_scenes, tmp_path: Path) -> None:
     """No limits, looks or reasons, as in older ones; inserted vehicles that drive off the road."""
     scenario = read_scenario(data_scenes["curve"])
-    tracks, sidecar, new_id = fake_generated(scenario)
-    focal = scenario.focal_track_id
-    folder = write_scene(scenario, tracks, sidecar, tmp_path, new_id=new_id, focal_track_id=focal)
     page.errors.clear()
-    page.open(view_scenes([folder], tmp_path / "page.html"))
+    page.open(view_scenes([write_fake(scenario, tmp_path)], tmp_path / "page.html"))
     page.until("now.scene && now.frames > 0")
-    for name in (*(track.track_id for track in tracks), focal, "AV"):
+    for name in ("gen_0", "gen_1", scenario.focal_track_id, "AV"):
         page.js(f"choose('{name}')")
         page.drawn()
         assert page.js("$('panel').querySelector('h2').textContent") == name
@@ -365,9 +362,7 @@ def test_index_filters_by_what_was_asked_and_done(page: Page, file: Path) -> Non
     assert page.errors == []
 
 
-def test_names_of_received_files_are_text_and_nothing_else(
-    page: Page, generated, edit_rows, copy_scene, tmp_path
-) -> None:
+def test_names_of_received_files_are_text_and_nothing_else(page: Page, generated, copy_scene, tmp_path) -> None:
     """A city and a track that are HTML: shown as they are, run never."""
     folder = copy_scene(folder=generated[0])
     hostile = '</script><img src=x onerror="window.run=1">'

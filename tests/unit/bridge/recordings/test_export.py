@@ -5,7 +5,6 @@ import uuid
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,16 +16,12 @@ from av2.datasets.motion_forecasting.scenario_serialization import (
     serialize_argoverse_scenario_parquet,
 )
 from av2.map.map_api import ArgoverseStaticMap
-from written import write_scene
+from written import edit_json, edit_rows, fake_generated, write_fake, write_scene
 
 from bridge.config import load_config
 from bridge.recordings.export import new_scenario_id, parquet_bytes, with_generated
 from bridge.recordings.scenario import Scenario, read_scenario
 from netconvert.errors import ExportError
-
-Fake = Callable[..., Any]
-Write = Callable[..., Path]
-WithFake = Callable[..., pa.Table]
 
 
 @pytest.fixture
@@ -34,19 +29,14 @@ def scenario(data_scenes: dict[str, Path]) -> Scenario:
     return read_scenario(data_scenes["arterial"])
 
 
-@pytest.fixture
-def table_with_fake(fake_generated: Fake) -> WithFake:
-    """table_with_fake(scenario, focal=None): the rows of a scenario with those of made-up vehicles."""
-
-    def add(scenario: Scenario, *, focal: str | None = None) -> pa.Table:
-        tracks, sidecar, new_id = fake_generated(scenario)
-        focal_track_id = focal or scenario.focal_track_id
-        return with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=focal_track_id).table
-
-    return add
+def table_with_fake(scenario: Scenario, *, focal: str | None = None) -> pa.Table:
+    """The rows of a scenario with those of made-up vehicles."""
+    tracks, sidecar, new_id = fake_generated(scenario)
+    focal_track_id = focal or scenario.focal_track_id
+    return with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=focal_track_id).table
 
 
-def test_folder_holds_three_files_that_av2_loads(scenario: Scenario, write_fake: Write, tmp_path: Path) -> None:
+def test_folder_holds_three_files_that_av2_loads(scenario: Scenario, tmp_path: Path) -> None:
     folder = write_fake(scenario, tmp_path)
     new_id = folder.name
     assert folder.parent == tmp_path / "train"
@@ -64,12 +54,12 @@ def test_folder_holds_three_files_that_av2_loads(scenario: Scenario, write_fake:
     assert set(lanes) == set(scenario.graph.lanes)
 
 
-def test_a_scene_outside_a_split_is_written_to_the_root(scenario: Scenario, write_fake: Write, tmp_path: Path) -> None:
+def test_a_scene_outside_a_split_is_written_to_the_root(scenario: Scenario, tmp_path: Path) -> None:
     folder = write_fake(replace(scenario, split=None), tmp_path)
     assert folder.parent == tmp_path
 
 
-def test_what_was_written_reads_back(scenario: Scenario, fake_generated: Fake, tmp_path: Path) -> None:
+def test_what_was_written_reads_back(scenario: Scenario, tmp_path: Path) -> None:
     tracks, sidecar, new_id = fake_generated(scenario)
     tracks[1] = replace(tracks[1], size=type(tracks[1].size)(11.0, 2.8))
     agents = (sidecar.agents[0], sidecar.agents[1].model_copy(update={"length_m": 11.0, "width_m": 2.8}))
@@ -84,7 +74,7 @@ def test_what_was_written_reads_back(scenario: Scenario, fake_generated: Fake, t
         assert np.array_equal(ours.velocity, track.velocity)
 
 
-def test_file_is_as_avs_own_serializer_writes_it(data_scene: Path, write_fake: Write, tmp_path: Path) -> None:
+def test_file_is_as_avs_own_serializer_writes_it(data_scene: Path, tmp_path: Path) -> None:
     """Columns, types and index of a scene that av2 itself loads and serializes again."""
     scenario = read_scenario(data_scene)
     folder = write_fake(scenario, tmp_path)
@@ -108,32 +98,20 @@ def test_file_is_as_avs_own_serializer_writes_it(data_scene: Path, write_fake: W
     ]  # fmt: skip
 
 
-def test_columns_the_source_lacks_are_not_invented(
-    copy_scene: Callable[..., Path], edit_rows: Callable[..., None], table_with_fake: WithFake
-) -> None:
+def test_columns_are_those_of_the_source(copy_scene: Callable[..., Path]) -> None:
+    """What it lacks is not invented; what is its own is kept, and null for those inserted."""
     folder = copy_scene()
-    edit_rows(folder, lambda rows: rows.drop(columns=["map_id", "slice_id"]))
+    edit_rows(folder, lambda rows: rows.drop(columns=["map_id", "slice_id"]).assign(note="seen"))
     scenario = read_scenario(folder)
     table = table_with_fake(scenario)
     assert table.schema.names == scenario.table.schema.names
     assert "map_id" not in table.schema.names
-
-
-def test_columns_of_the_sources_own_are_kept(
-    copy_scene: Callable[..., Path], edit_rows: Callable[..., None], table_with_fake: WithFake
-) -> None:
-    folder = copy_scene()
-    edit_rows(folder, lambda rows: rows.assign(note="seen"))
-    scenario = read_scenario(folder)
-    table = table_with_fake(scenario)
     notes = table.column("note").to_pylist()
     assert set(notes[: scenario.table.num_rows]) == {"seen"}
     assert set(notes[scenario.table.num_rows :]) == {None}
 
 
-def test_recorded_rows_are_kept_to_the_last_bit(
-    copy_scene: Callable[..., Path], edit_rows: Callable[..., None], table_with_fake: WithFake
-) -> None:
+def test_recorded_rows_are_kept_to_the_last_bit(copy_scene: Callable[..., Path]) -> None:
     """Negative zero and the smallest numbers too."""
     folder = copy_scene()
 
@@ -154,7 +132,7 @@ def test_recorded_rows_are_kept_to_the_last_bit(
     assert new_id != scenario.scenario_id
 
 
-def test_a_generated_focal_track_demotes_the_recorded_one(scenario: Scenario, table_with_fake: WithFake) -> None:
+def test_a_generated_focal_track_demotes_the_recorded_one(scenario: Scenario) -> None:
     rows = table_with_fake(scenario, focal="gen_1").to_pandas()
     assert set(rows.focal_track_id) == {"gen_1"}
     assert set(rows[rows.object_category == 3].track_id) == {"gen_1"}
@@ -165,22 +143,18 @@ def test_a_generated_focal_track_demotes_the_recorded_one(scenario: Scenario, ta
     assert (recorded.object_category.to_numpy() == before.object_category.to_numpy())[others].all()
 
 
-def test_no_generated_vehicle_gives_the_source_under_a_new_name(
-    scenario: Scenario, write_fake: Write, tmp_path: Path
-) -> None:
+def test_no_generated_vehicle_gives_the_source_under_a_new_name(scenario: Scenario, tmp_path: Path) -> None:
     folder = write_fake(scenario, tmp_path, count=0)
     table = pq.read_table(folder / f"scenario_{folder.name}.parquet")
     assert table.drop_columns("scenario_id").equals(scenario.table.drop_columns("scenario_id"))
 
 
-def test_map_is_copied_byte_for_byte(scenario: Scenario, write_fake: Write, tmp_path: Path) -> None:
+def test_map_is_copied_byte_for_byte(scenario: Scenario, tmp_path: Path) -> None:
     folder = write_fake(scenario, tmp_path)
     assert (folder / f"log_map_archive_{folder.name}.json").read_bytes() == scenario.map_path.read_bytes()
 
 
-def test_centrelines_are_added_where_the_source_has_none(
-    copy_scene: Callable[..., Path], edit_json: Callable[..., None], write_fake: Write, tmp_path: Path
-) -> None:
+def test_centrelines_are_added_where_the_source_has_none(copy_scene: Callable[..., Path], tmp_path: Path) -> None:
     folder = copy_scene("curve")
     (map_path,) = folder.glob("log_map_archive_*.json")
     before = json.loads(map_path.read_text())
@@ -198,7 +172,7 @@ def test_centrelines_are_added_where_the_source_has_none(
         }
 
 
-def test_same_request_same_bytes_and_same_name(scenario: Scenario, write_fake: Write, tmp_path: Path) -> None:
+def test_same_request_same_bytes_and_same_name(scenario: Scenario, tmp_path: Path) -> None:
     written = [write_fake(read_scenario(scenario.folder), tmp_path / out) for out in ("a", "b")]
     assert written[0].name == written[1].name
     for path in written[0].iterdir():
@@ -218,7 +192,7 @@ def test_ids_are_uuids_and_differ_in_source_configuration_seed_and_variant() -> 
     assert all(str(uuid.UUID(new_id)) == new_id and uuid.UUID(new_id).version == 5 for new_id in ids)
 
 
-def test_a_folder_that_is_there_is_replaced(scenario: Scenario, write_fake: Write, tmp_path: Path) -> None:
+def test_a_folder_that_is_there_is_replaced(scenario: Scenario, tmp_path: Path) -> None:
     folder = write_fake(scenario, tmp_path)
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     (folder / "old.txt").write_text("of an earlier run")
@@ -230,11 +204,7 @@ def test_a_folder_that_is_there_is_replaced(scenario: Scenario, write_fake: Writ
 
 @pytest.mark.parametrize("there_before", [False, True])
 def test_a_failure_leaves_nothing_half_written(
-    scenario: Scenario,
-    write_fake: Write,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    there_before: bool,
+    scenario: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there_before: bool
 ) -> None:
     before = {}
     if there_before:
@@ -255,7 +225,7 @@ def test_a_failure_leaves_nothing_half_written(
 
 
 def test_a_rename_that_fails_puts_the_old_folder_back(
-    scenario: Scenario, write_fake: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scenario: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = write_fake(scenario, tmp_path)
     rename = Path.rename
@@ -272,20 +242,20 @@ def test_a_rename_that_fails_puts_the_old_folder_back(
     assert list(folder.parent.iterdir()) == [folder]
 
 
-def test_an_output_that_is_a_file_is_said(scenario: Scenario, write_fake: Write, tmp_path: Path) -> None:
+def test_an_output_that_is_a_file_is_said(scenario: Scenario, tmp_path: Path) -> None:
     (tmp_path / "out").write_text("")
     with pytest.raises(ExportError, match="cannot be written"):
         write_fake(scenario, tmp_path / "out")
 
 
-def test_a_generated_track_with_the_id_of_a_recorded_one_is_refused(scenario: Scenario, fake_generated: Fake) -> None:
+def test_a_generated_track_with_the_id_of_a_recorded_one_is_refused(scenario: Scenario) -> None:
     tracks, sidecar, new_id = fake_generated(scenario)
     tracks[1] = replace(tracks[1], track_id="AV")
     with pytest.raises(ExportError, match="'AV': the id is taken"):
         with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=scenario.focal_track_id)
 
 
-def test_bytes_do_not_depend_on_how_the_source_was_chunked(scenario: Scenario, table_with_fake: WithFake) -> None:
+def test_bytes_do_not_depend_on_how_the_source_was_chunked(scenario: Scenario) -> None:
     half = scenario.table.num_rows // 2
     chunked = replace(scenario, table=pa.concat_tables([scenario.table[:half], scenario.table[half:]]))
     tables = [table_with_fake(scene) for scene in (scenario, chunked)]

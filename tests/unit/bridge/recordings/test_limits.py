@@ -10,6 +10,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from written import edit_json, edit_rows
 
 from bridge.recordings import limits
 from bridge.recordings.map_rules import read_source_map
@@ -91,11 +92,11 @@ MAPS: dict[str, tuple[Callable[[Document], Any], str]] = {
     "no z": (_first_lane(lambda lane: lane["centerline"][1].pop("z")), r"no centerline\[1\].z, expected the fields"),
     "a lane that is a number": (lambda document: document["lane_segments"].update({"1": 1}), "lane 1"),
     "an area that is a list": (lambda document: document["drivable_areas"].update({"1": []}), "drivable area 1"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", MAPS)
-def test_map_is_refused(copy_scene: Callable[..., Path], edit_json: Callable[..., None], name: str) -> None:
+def test_map_is_refused(copy_scene: Callable[..., Path], name: str) -> None:
     change, said = MAPS[name]
     folder = copy_scene("curve")
     edit_json(next(folder.glob("log_map_archive_*.json")), change)
@@ -147,7 +148,7 @@ TABLES: dict[str, tuple[Callable[[pd.DataFrame], pd.DataFrame], str]] = {
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_table_is_refused(copy_scene: Callable[..., Path], edit_rows: Callable[..., None], name: str) -> None:
+def test_table_is_refused(copy_scene: Callable[..., Path], name: str) -> None:
     change, said = TABLES[name]
     folder = copy_scene("curve")
     edit_rows(folder, change)

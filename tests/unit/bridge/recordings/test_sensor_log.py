@@ -27,12 +27,6 @@ def log(data_scenes: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) 
     return make_log(data_scenes["intersection"], tmp_path_factory.mktemp("sensor") / "val")
 
 
-@pytest.fixture
-def copy(log: Path, tmp_path: Path) -> Path:
-    shutil.copytree(log, tmp_path / log.name)
-    return tmp_path / log.name
-
-
 def window(log: Path, start: int = 0) -> Recording:
     (address,) = find_recordings([log], Choices(window=start))
     return read_recording(address)
@@ -146,15 +140,11 @@ WRONG: dict[str, tuple[Change, str]] = {
     "no-annotations": (lambda log: (log / ANNOTATIONS).unlink(), "no annotations.feather"),
     "no-poses": (lambda log: (log / POSES).unlink(), "city_SE3_egovehicle.feather: no such file"),
     "no-map": (lambda log: shutil.rmtree(log / "map"), "no log_map_archive_<log>"),
-    "two-maps": (
-        lambda log: shutil.copyfile(log / MAP, log / MAP.replace("PIT", "MIA")), "2 log_map_archive_<log>"
-    ),
+    "two-maps": (lambda log: shutil.copyfile(log / MAP, log / MAP.replace("PIT", "MIA")), "2 log_map_archive_<log>"),
     "map-of-no-city": (lambda log: (log / MAP).rename(log / MAP.replace("PIT", "NYC")), "CITY one of ATX"),
     "map-name": (lambda log: (log / MAP).rename(log / "map" / "log_map_archive_x.json"), "expected a name"),
     "not-feather": (lambda log: (log / ANNOTATIONS).write_text("boxes"), "not a feather file"),
-    "cut-off": (
-        lambda log: (log / POSES).write_bytes((log / POSES).read_bytes()[:1000]), "not a feather file"
-    ),
+    "cut-off": (lambda log: (log / POSES).write_bytes((log / POSES).read_bytes()[:1000]), "not a feather file"),
     "missing-column": (_table(ANNOTATIONS, lambda frame: frame.drop(columns="qw")), "no column 'qw'"),
     "column-is-text": (_table(POSES, lambda frame: frame.assign(tx_m="far")), "'tx_m' is .*expected double"),
     "nan": (_cell(ANNOTATIONS, "tx_m", np.nan), r"row 3 \(.*\): tx_m is null or NaN|row 3: tx_m is nan"),
@@ -181,11 +171,12 @@ WRONG: dict[str, tuple[Change, str]] = {
     ),
     "lane-type": (_map(lambda document: _first_lane(document).update(lane_type="TRAM")), "TRAM"),
     "no-drivable-area": (_map(lambda document: document.update(drivable_areas={})), "no drivable area"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize(("change", "said"), WRONG.values(), ids=WRONG)
-def test_a_wrong_log_is_refused_in_one_line(copy: Path, change: Change, said: str) -> None:
+def test_a_wrong_log_is_refused_in_one_line(log: Path, tmp_path: Path, change: Change, said: str) -> None:
+    copy = shutil.copytree(log, tmp_path / log.name)
     change(copy)
     with pytest.raises(Hid2Error, match=said) as caught:
         window(copy)

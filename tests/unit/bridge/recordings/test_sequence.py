@@ -148,7 +148,7 @@ def _first(text: str, old: str, new: str) -> str:
         (lambda text: "", "sequence", "columns"),
     ],
     ids=["renamed", "no-agent", "cut", "city", "one-digit", "empty"],
-)  # fmt: skip
+)
 def test_a_sequence_that_was_changed_is_found(
     written: Path, root: Path, change: Callable[[str], str], rule: str, said: str
 ) -> None:

@@ -5,13 +5,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from written import edit_json, fake_generated
 
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import read_sidecar, sidecar_bytes, sidecar_path
 from netconvert.errors import ScenarioError
 
 
-def test_sidecar_and_back(tmp_path: Path, data_scenes: dict[str, Path], fake_generated: Callable[..., Any]) -> None:
+def test_sidecar_and_back(tmp_path: Path, data_scenes: dict[str, Path]) -> None:
     _, sidecar, _ = fake_generated(read_scenario(data_scenes["arterial"]))
     path = sidecar_path(tmp_path, "x")
     path.write_bytes(sidecar_bytes(sidecar))
@@ -35,12 +36,7 @@ def test_sidecar_and_back(tmp_path: Path, data_scenes: dict[str, Path], fake_gen
     ],
 )
 def test_a_field_that_is_wrong_is_named(
-    tmp_path: Path,
-    data_scenes: dict[str, Path],
-    fake_generated: Callable[..., Any],
-    edit_json: Callable[..., None],
-    change: Callable[[dict[str, Any]], Any],
-    said: str,
+    tmp_path: Path, data_scenes: dict[str, Path], change: Callable[[dict[str, Any]], Any], said: str
 ) -> None:
     _, sidecar, _ = fake_generated(read_scenario(data_scenes["arterial"]))
     path = sidecar_path(tmp_path, "x")

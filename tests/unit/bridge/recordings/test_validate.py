@@ -12,6 +12,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from breaches import breaches
+from written import edit_json, edit_rows, write_fake
 
 from bridge.batch.validation import validate_folder
 from bridge.config import load_config
@@ -27,7 +28,7 @@ Change = Callable[[pd.DataFrame], pd.DataFrame]
 
 
 @pytest.fixture
-def written(tmp_path: Path, data_scenes: dict[str, Path], write_fake: Callable[..., Path]) -> Path:
+def written(tmp_path: Path, data_scenes: dict[str, Path]) -> Path:
     """A valid generated scene: the arterial and two made-up vehicles."""
     return write_fake(read_scenario(data_scenes["arterial"]), tmp_path / "out")
 
@@ -50,16 +51,14 @@ def test_a_good_data_set_has_no_findings(written: Path, data_root: Path) -> None
 @pytest.mark.parametrize("category", [1, 2])
 @pytest.mark.parametrize("focal", ["recorded", "generated"])
 def test_scored_and_focal_generated_tracks_are_valid(
-    tmp_path: Path, data_scene: Path, data_root: Path, write_fake: Callable[..., Path], focal: str, category: int
+    tmp_path: Path, data_scene: Path, data_root: Path, focal: str, category: int
 ) -> None:
     scenario = read_scenario(data_scene)
     write_fake(scenario, tmp_path, category=category, focal="gen_0" if focal == "generated" else None)
     assert breaches(tmp_path, source=data_root) == []
 
 
-def test_fifty_steps_and_a_single_agent_are_valid(
-    tmp_path: Path, copy_scene: Callable[..., Path], edit_rows: Callable[..., None], write_fake: Callable[..., Path]
-) -> None:
+def test_fifty_steps_and_a_single_agent_are_valid(tmp_path: Path, copy_scene: Callable[..., Path]) -> None:
     source = copy_scene()
 
     def change(rows: pd.DataFrame) -> pd.DataFrame:
@@ -103,28 +102,19 @@ FOCAL, SCORED = "310100", "310107"
     [
         (_again, "duplicate"),
         (_track(SCORED, "object_category", 3), "focal"),
-        (_track(FOCAL, "object_category", 2), "focal"),
-        (lambda rows: rows.assign(focal_track_id=SCORED), "focal"),
         (_without(FOCAL, *range(100, 110)), "recorded"),
-        (_without(FOCAL, 49), "focal"),
-        (_without(SCORED, 49), "recorded"),
         (lambda rows: _without("gen_1", 49)(_track("gen_1", "object_category", 2)(rows)), "scored"),
         (lambda rows: rows.assign(city=""), "city"),
         (lambda rows: rows.assign(city="atlantis"), "recorded"),
         (_at("AV", 3, "city", "miami"), "constant"),
         (_at("AV", 3, "observed", False), "observed"),
-        (_at("AV", 80, "observed", True), "observed"),
-        (_at("AV", 80, "timestep", 110), "timestep"),
-        (lambda rows: rows.assign(num_timestamps=50), "timestep"),
         (lambda rows: rows.assign(num_timestamps=120), "timestep"),
         (lambda rows: rows[rows.track_id != "AV"], "av"),
         (_track("AV", "object_type", "spaceship"), "object-type"),
-        (_at("AV", 3, "object_type", "bus"), "constant"),
-        (_at("AV", 3, "object_category", 0), "constant"),
         (_track("AV", "object_category", 5), "category"),
         (lambda rows: rows.assign(scenario_id="other"), "scenario-id"),
-        (lambda rows: rows.drop(columns="heading"), "columns"),
-        (lambda rows: rows.assign(timestep=rows.timestep.astype("int32")), "columns"),
+        (_at("AV", 3, "heading", np.inf), "finite"),
+        (_at("AV", 3, "heading", np.nan), "columns"),  # pandas writes null
         (lambda rows: rows.assign(object_category=rows.object_category.astype(float)), "columns"),
         (_track("gen_1", "track_id", "gen_x"), "generated"),
         (_track("gen_1", "object_type", "pedestrian"), "generated"),
@@ -141,21 +131,12 @@ FOCAL, SCORED = "310100", "310107"
         (lambda rows: _without("gen_1", 0)(_track("gen_1", "object_category", 2)(rows)), "generated"),
     ],
 )
-def test_a_spoiled_row_is_found(written: Path, edit_rows: Callable[..., None], change: Change, rule: str) -> None:
+def test_a_spoiled_row_is_found(written: Path, change: Change, rule: str) -> None:
     edit_rows(written, change)
     assert rule in rules(written)
 
 
-@pytest.mark.parametrize("column", ["position_x", "position_y", "heading", "velocity_x", "velocity_y"])
-def test_nan_is_found_however_it_was_written(written: Path, edit_rows: Callable[..., None], column: str) -> None:
-    """pandas writes NaN as null (columns); infinities stay (finite)."""
-    edit_rows(written, _at("AV", 3, column, np.inf))
-    assert "finite" in rules(written)
-    edit_rows(written, _at("AV", 3, column, np.nan))
-    assert "columns" in rules(written)
-
-
-def test_a_context_track_may_end_early(written: Path, edit_rows: Callable[..., None]) -> None:
+def test_a_context_track_may_end_early(written: Path) -> None:
     edit_rows(written, _without("gen_1", *range(90, 110)))
     assert rules(written) <= {"velocity"}  # the made-up track is cut in its middle, its new end is one-sided
     assert "generated" not in rules(written)
@@ -213,9 +194,6 @@ def _lane(change: Callable[[dict[str, Any]], Any]) -> Callable[[dict[str, Any]],
     ("change", "rule"),
     [
         (lambda document: document.pop("drivable_areas"), "map"),
-        (lambda document: document["drivable_areas"].clear(), "map"),
-        (lambda document: document.pop("pedestrian_crossings"), "map"),
-        (_lane(lambda lane: lane["centerline"][1].pop("z")), "map"),
         (_lane(lambda lane: lane["left_lane_boundary"][1].update(x=None)), "map"),
         (_lane(lambda lane: lane["left_lane_boundary"][1].update(y=float("nan"))), "map"),
         (_lane(lambda lane: lane.pop("successors")), "map"),
@@ -227,9 +205,7 @@ def _lane(change: Callable[[dict[str, Any]], Any]) -> Callable[[dict[str, Any]],
         (_lane(lambda lane: lane.pop("centerline")), "boundary"),
     ],
 )
-def test_a_spoiled_map_is_found(
-    written: Path, edit_json: Callable[..., None], change: Callable[[dict[str, Any]], Any], rule: str
-) -> None:
+def test_a_spoiled_map_is_found(written: Path, change: Callable[[dict[str, Any]], Any], rule: str) -> None:
     edit_json(next(written.glob("log_map_archive_*.json")), change)
     assert rule in rules(written)
 
@@ -272,16 +248,12 @@ def _event(**told: Any) -> Callable[[dict[str, Any]], Any]:
         (_event(status="done", human_brakes=True), "event 0: human_brakes True, but min_ttc_s None"),
     ],
 )
-def test_a_spoiled_sidecar_is_found(
-    written: Path, edit_json: Callable[..., None], change: Callable[[dict[str, Any]], Any], said: str
-) -> None:
+def test_a_spoiled_sidecar_is_found(written: Path, change: Callable[[dict[str, Any]], Any], said: str) -> None:
     edit_json(next(written.glob("hid2_*.json")), change)
     assert said in "\n".join(finding.message for finding in validate_folder(written.parents[1]))
 
 
-def test_claims_are_judged_of_tracks_that_are_judged_and_of_those_not_there(
-    written: Path, edit_json: Callable[..., None], edit_rows: Callable[..., None]
-) -> None:
+def test_claims_are_judged_of_tracks_that_are_judged_and_of_those_not_there(written: Path) -> None:
     """Both made-up vehicles drive circles and claim a lane change, the second also to lead AV."""
 
     def claims(*inserted: str) -> list[str | None]:
@@ -311,9 +283,7 @@ def test_claims_are_judged_of_tracks_that_are_judged_and_of_those_not_there(
         lambda rows: rows.assign(start_timestamp=rows.start_timestamp + 64),
     ],
 )
-def test_recorded_rows_are_compared_bit_for_bit(
-    written: Path, data_root: Path, edit_rows: Callable[..., None], change: Change
-) -> None:
+def test_recorded_rows_are_compared_bit_for_bit(written: Path, data_root: Path, change: Change) -> None:
     edit_rows(written, change)
     assert "source" in rules(written, source=data_root)
 
@@ -330,7 +300,7 @@ def test_first_column_that_differs_from_the_source_is_named(written: Path, data_
 
 
 def test_nulls_in_columns_of_the_source_are_the_same_as_nulls_alone(
-    tmp_path: Path, copy_scene: Callable[..., Path], edit_rows: Callable[..., None], write_fake: Callable[..., Path]
+    tmp_path: Path, copy_scene: Callable[..., Path]
 ) -> None:
     """In numbers that are none, in integers and in texts that nobody asks for."""
     source = copy_scene()
@@ -346,9 +316,7 @@ def test_nulls_in_columns_of_the_source_are_the_same_as_nulls_alone(
     assert "source" in rules(folder, source=source)
 
 
-def test_a_map_that_differs_from_the_source_is_found(
-    written: Path, data_root: Path, edit_json: Callable[..., None]
-) -> None:
+def test_a_map_that_differs_from_the_source_is_found(written: Path, data_root: Path) -> None:
     edit_json(next(written.glob("log_map_archive_*.json")), lambda document: document)
     path = next(written.glob("log_map_archive_*.json"))
     path.write_bytes(path.read_bytes() + b"\n")
@@ -361,9 +329,7 @@ def test_a_source_that_is_not_there_is_found(written: Path, data_root: Path, tmp
         validate_folder(written, source=tmp_path / "nowhere")
 
 
-def test_added_centrelines_are_no_difference(
-    tmp_path: Path, copy_scene: Callable[..., Path], edit_json: Callable[..., None], write_fake: Callable[..., Path]
-) -> None:
+def test_added_centrelines_are_no_difference(tmp_path: Path, copy_scene: Callable[..., Path]) -> None:
     source = copy_scene()
     (map_path,) = source.glob("log_map_archive_*.json")
     edit_json(map_path, lambda document: [lane.pop("centerline") for lane in document["lane_segments"].values()])

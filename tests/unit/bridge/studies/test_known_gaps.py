@@ -56,7 +56,7 @@ def rules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 def _config(
     seed: int, *, changing: float, flow: Flow, change: LaneChange, trigger_s: tuple[float, float], drivers: Drivers
-) -> Config:  # fmt: skip
+) -> Config:
     request = Request(
         agents=0, straight=1.0 - changing, left_turn=0.0, right_turn=0.0, lane_change=changing, overtake=0.0,
         trigger_min_s=trigger_s[0], trigger_max_s=trigger_s[1], bus_share=0.0, truck_share=0.0, seed=seed,

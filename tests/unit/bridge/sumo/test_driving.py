@@ -267,9 +267,7 @@ def test_vehicle_is_where_sumo_has_it_also_behind_a_lane_change() -> None:
     assert one.path.line.position(own + 2.25)[:, 0] == pytest.approx(seen, abs=0.2)
 
 
-EASY = Config(
-    lane_change=LaneChange(time_gap_front_s=0.0, time_gap_rear_s=0.0, min_gap_m=0.0, braking_mps2=9.0)
-)  # fmt: skip
+EASY = Config(lane_change=LaneChange(time_gap_front_s=0.0, time_gap_rear_s=0.0, min_gap_m=0.0, braking_mps2=9.0))
 
 
 def test_change_that_sumo_refuses_is_its_answer_and_is_asked_for_again() -> None:
@@ -443,7 +441,7 @@ def test_vehicle_enters_at_its_step() -> None:
     scene = scene_on(draw_two_lanes())
     first, later = drive(
         scene, start_on(scene, (1,), 100.0, 9.0), start_on(scene, (1,), 3.0, 7.0, number=1, step=30)
-    ).fleet.vehicles  # fmt: skip
+    ).fleet.vehicles
     assert (len(first.s), len(later.s)) == (110, 80)
     assert (later.s[0], later.v[0]) == (3.0, 7.0)
     assert np.diff(later.s) == pytest.approx(0.1 * np.array(later.v[1:]), abs=0.002)
@@ -480,7 +478,7 @@ def test_nobody_enters_where_another_one_is() -> None:
     scene = scene_on(draw_two_lanes(), recorded(12.0, 0.0))
     first, later = drive(
         scene, start_on(scene, (1,), 4.0, 0.0), start_on(scene, (1,), 3.0, 7.0, number=1, step=30)
-    ).fleet.vehicles  # fmt: skip
+    ).fleet.vehicles
     assert later.objection is Reason.NO_ROOM_AT_EDGE
     assert later.s == []
     assert len(first.s) == 110

@@ -3,12 +3,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from written import edit_json
 
 from bridge.sumo.net import convert
 from netconvert.errors import ExportError, MapError
 from netconvert.fidelity import UNEXPLAINED
-
-EditJson = Callable[[Path, Callable[[dict[str, Any]], None]], None]
 
 
 def _names(folder: Path) -> set[str]:
@@ -37,9 +36,7 @@ def test_two_runs_write_the_same_bytes(data_scene: Path, tmp_path: Path) -> None
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
 
 
-def test_a_map_that_cannot_be_read_leaves_nothing_behind(
-    copy_scene: Callable[..., Path], edit_json: EditJson, tmp_path: Path
-) -> None:
+def test_a_map_that_cannot_be_read_leaves_nothing_behind(copy_scene: Callable[..., Path], tmp_path: Path) -> None:
     def spoil(data: dict[str, Any]) -> None:
         next(iter(data["lane_segments"].values()))["lane_type"] = "TRAM"
 

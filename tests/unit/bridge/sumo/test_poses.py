@@ -34,7 +34,7 @@ def test_front_bumper_and_angle_of_a_box_of_four_metres(
 @settings(derandomize=True, deadline=None)
 @given(
     x=st.floats(-1e4, 1e4), y=st.floats(-1e4, 1e4), heading=st.floats(-3.14159, 3.14159), length=st.floats(0.3, 20.0)
-)  # fmt: skip
+)
 def test_round_trip_gives_the_box_back(x: float, y: float, heading: float, length: float) -> None:
     front, angle = sumo_poses(np.array([[x, y]]), np.array([heading]), np.array([length]))
     assert 0.0 <= angle[0] < 360.0 or angle[0] == pytest.approx(360.0)

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hand_drawn import draw_box
 
 from hid2.conflicts.stop_lines import CrossingOnPath, PedestrianCrossings
 from hid2.motion.route import DrivenPath
@@ -32,9 +33,9 @@ def _steps(found: list[CrossingOnPath]) -> list[int]:
     return np.flatnonzero(one.occupied).tolist()
 
 
-def test_crossings_of_a_path_are_known_by_arc_length(look, box) -> None:
+def test_crossings_of_a_path_are_known_by_arc_length(look) -> None:
     """Points of the path every 0.5 m: the first on the crossing is at 100, the last at 103. In the order of driving."""
-    nobody = box(0.0, 0.0).rows([])
+    nobody = draw_box(0.0, 0.0).rows([])
     second = QUAD - np.array([50.0, 0.0])
     found = look(nobody, quads=(QUAD, second))
     assert [(one.entry_s, one.exit_s) for one in found] == [(50.0, 53.0), (100.0, 103.0)]
@@ -43,49 +44,49 @@ def test_crossings_of_a_path_are_known_by_arc_length(look, box) -> None:
 
 
 @pytest.mark.parametrize(("width_m", "count"), [(2.0, 1), (1.6, 0)])
-def test_only_crossings_that_the_swept_width_touches_count(look, box, width_m: float, count: int) -> None:
+def test_only_crossings_that_the_swept_width_touches_count(look, width_m: float, count: int) -> None:
     """A crossing that ends 0.9 m beside the path: half of 2 m reaches it, half of 1.6 m does not."""
-    assert len(look(box(0.0, 0.0), quads=(QUAD + np.array([0.0, 6.9]),), width_m=width_m)) == count
+    assert len(look(draw_box(0.0, 0.0), quads=(QUAD + np.array([0.0, 6.9]),), width_m=width_m)) == count
 
 
-def test_a_map_without_crossings_has_none_on_a_path(look, box) -> None:
-    assert look(box(0.0, 0.0), quads=()) == []
+def test_a_map_without_crossings_has_none_on_a_path(look) -> None:
+    assert look(draw_box(0.0, 0.0), quads=()) == []
 
 
-def test_a_pedestrian_holds_up_from_three_seconds_before_the_strip_until_it_has_left_it(look, box) -> None:
-    """y = -10.05 + 0.2 step. The strip, 1 + 1 m to each side, is walked on from step 41 to 60: held up from 11 on."""
-    assert _steps(look(box(101.5, -10.05, UP, 2.0))) == list(range(11, 61))
+@pytest.mark.parametrize(
+    ("changed", "first", "last"),
+    [
+        ({}, 11, 60),  # 3 s before the strip, 1 + 1 m to each side, which is walked on from step 41 to 60
+        (WIDE, 6, 80),  # 1.5 s before the crossing, |y| < 6, which is walked on from step 21 to 80
+        ({**WIDE, "_AHEAD_S": 0.0}, 16, 80),  # within 1 m of it, y > -7; behind it, at step 81, it walks away
+    ],
+)
+def test_a_pedestrian_holds_up_from_before_it_is_in_the_way_until_it_has_left(
+    look, changed: dict[str, float], first: int, last: int
+) -> None:
+    """y = -10.05 + 0.2 step."""
+    assert _steps(look(draw_box(101.5, -10.05, UP, 2.0), **changed)) == list(range(first, last + 1))
 
 
-def test_who_will_be_on_the_crossing_soon_counts_before(look, box) -> None:
-    """On it, |y| < 6, from step 21 to 80; 1.5 s before that, from step 6."""
-    assert _steps(look(box(101.5, -10.05, UP, 2.0), **WIDE)) == list(range(6, 81))
-
-
-def test_who_is_near_and_walks_towards_the_crossing_counts(look, box) -> None:
-    """Without the look ahead: within 1 m of it, y > -7, from step 16; behind it, at step 81, it walks away."""
-    assert _steps(look(box(101.5, -10.05, UP, 2.0), **WIDE, _AHEAD_S=0.0)) == list(range(16, 81))
-
-
-def test_who_turns_back_or_stands_beside_is_not_waited_for(look, box) -> None:
+def test_who_turns_back_or_stands_beside_is_not_waited_for(look) -> None:
     """0.5 m beside the end of the crossing: standing, or walking away from it."""
-    assert _steps(look(box(101.5, -6.5, UP, 0.0), **WIDE)) == []
-    assert _steps(look(box(101.5, -6.5, -UP, 1.0), **WIDE)) == []
+    assert _steps(look(draw_box(101.5, -6.5, UP, 0.0), **WIDE)) == []
+    assert _steps(look(draw_box(101.5, -6.5, -UP, 1.0), **WIDE)) == []
 
 
 @pytest.mark.parametrize(("y", "steps"), [(1.9, list(range(110))), (2.1, [])])
-def test_who_stands_on_the_crossing_is_waited_for_where_the_vehicle_passes(look, box, y: float, steps: list) -> None:
+def test_who_stands_on_the_crossing_is_waited_for_where_the_vehicle_passes(look, y: float, steps: list) -> None:
     """The strip reaches 1 m beyond the vehicle's side: to y = 2."""
-    assert _steps(look(box(101.5, y, UP, 0.0))) == steps
+    assert _steps(look(draw_box(101.5, y, UP, 0.0))) == steps
 
 
-def test_who_moves_along_the_path_does_not_cross_it(look, box) -> None:
+def test_who_moves_along_the_path_does_not_cross_it(look) -> None:
     """A cyclist that rides ahead over the crossing at 5 m/s, or comes the other way; one at 50 degrees crosses."""
-    assert _steps(look(box(90.0, 0.0, 0.0, 5.0))) == []
-    assert _steps(look(box(110.0, 0.0, np.pi, 5.0))) == []
-    assert _steps(look(box(99.0, -3.0, np.radians(50.0), 5.0))) != []
+    assert _steps(look(draw_box(90.0, 0.0, 0.0, 5.0))) == []
+    assert _steps(look(draw_box(110.0, 0.0, np.pi, 5.0))) == []
+    assert _steps(look(draw_box(99.0, -3.0, np.radians(50.0), 5.0))) != []
 
 
-def test_whoever_is_absent_is_not_on_the_crossing(look, box) -> None:
+def test_whoever_is_absent_is_not_on_the_crossing(look) -> None:
     """Standing in the way, seen from step 40 on: nobody knows of it before."""
-    assert _steps(look(box(101.5, 0.0, UP, 0.0, first=40))) == list(range(40, 110))
+    assert _steps(look(draw_box(101.5, 0.0, UP, 0.0, first=40))) == list(range(40, 110))

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hand_drawn import draw_road
 from inserted import CAR, DRIVER, nobody, recorded, scene_on
 
 from hid2.agents import BoxSize, Track
@@ -22,15 +23,10 @@ UP = np.pi / 2
 State = tuple[float, float]
 
 
-@pytest.fixture
-def look(road: Callable[..., LaneGraph]) -> Callable[..., Braking]:
-    """look(*recorded, s=40, v=10, step=0) -> what a vehicle on lane 1 (y = 0) has to do."""
-
-    def on(*tracks: Track, s: float = 40.0, v: float = 10.0, step: int = 0, **more: Any) -> Braking:
-        scene = scene_on(road(), *tracks, config=CONFIG)
-        return _braking(scene, 1, [(s, v, 0.0, 0.0)], step=step, **more)
-
-    return on
+def look(*tracks: Track, s: float = 40.0, v: float = 10.0, step: int = 0, **more: Any) -> Braking:
+    """What a vehicle on lane 1 (y = 0) has to do."""
+    scene = scene_on(draw_road(), *tracks, config=CONFIG)
+    return _braking(scene, 1, [(s, v, 0.0, 0.0)], step=step, **more)
 
 
 def _braking(
@@ -66,18 +62,18 @@ def test_margin_widens_a_box_on_each_side_against_those_driven_with_it(
     assert (guard.obstacles(scene.paths.along((1,)), CAR, [(1, scene.paths.along((2,)), CAR)]).rows.size > 0) is is_met
 
 
-def test_nobody_brakes_on_a_free_road(look: Callable[..., Braking]) -> None:
+def test_nobody_brakes_on_a_free_road() -> None:
     for v in (0.0, 5.0, 12.0):
         found = look(v=v)
         assert (found.decel_mps2, found.conflict_s, found.run_into) == (0.0, None, False)
 
 
-def test_nobody_brakes_for_who_drives_beside_or_oncoming_on_the_next_lane(look: Callable[..., Braking]) -> None:
+def test_nobody_brakes_for_who_drives_beside_or_oncoming_on_the_next_lane() -> None:
     assert look(recorded(45.0, 3.5, 10.0)).decel_mps2 == 0.0
     assert look(recorded(90.0, 3.5, 10.0, heading=np.pi)).decel_mps2 == 0.0
 
 
-def test_timing_is_adjusted_to_a_crossing_whose_recorded_future_meets(look: Callable[..., Braking]) -> None:
+def test_timing_is_adjusted_to_a_crossing_whose_recorded_future_meets() -> None:
     """At 10 m/s the vehicle is at x = 70 in 3 s; so is somebody who crosses from y = -24 at 8 m/s.
 
     Braking so that x stays below 70 - 3.2 - .5 (bumper, half a width, margin) = 66.3 until it has passed.
@@ -88,20 +84,20 @@ def test_timing_is_adjusted_to_a_crossing_whose_recorded_future_meets(look: Call
     assert not found.run_into
 
 
-def test_who_has_crossed_by_then_or_comes_later_is_no_conflict(look: Callable[..., Braking]) -> None:
+def test_who_has_crossed_by_then_or_comes_later_is_no_conflict() -> None:
     """The place is taken for 1.1 s before and after (PET): 3 s earlier or later nobody brakes."""
     assert look(recorded(70.0, 6.0, 8.0, heading=UP)).decel_mps2 == 0.0
     assert look(recorded(70.0, -60.0, 8.0, heading=UP)).decel_mps2 == 0.0
 
 
-def test_nobody_stops_on_an_open_road_for_who_appears_5_s_later(look: Callable[..., Braking]) -> None:
+def test_nobody_stops_on_an_open_road_for_who_appears_5_s_later() -> None:
     """A car stands at x = 90, on the way, and has a state only from step 50 on; H is 4 s: looked at when it is near."""
     later = recorded(90.0, 0.0, heading=UP, first=50)
     assert look(later).decel_mps2 == 0.0
     assert look(later, s=60.0, step=30).decel_mps2 > 0.0
 
 
-def test_standing_obstacle_that_sumo_does_not_see_is_braked_for(look: Callable[..., Braking]) -> None:
+def test_standing_obstacle_that_sumo_does_not_see_is_braked_for() -> None:
     """A car crosswise at x = 75 takes 71.8 to 78.2 of the centre's way, from a sample of 0.5 m and a margin of 0.5 m
     before: about 31 m from s = 40. Within H = 4 s, 10 m/s less b come 40 - 8 b m (and 1 m or so until b is reached):
     b = 1.1 comes too far, 1.5 or 2 do.
@@ -111,22 +107,20 @@ def test_standing_obstacle_that_sumo_does_not_see_is_braked_for(look: Callable[.
     assert found.conflict_s is None
 
 
-def test_who_is_too_near_is_braked_for_as_hard_as_can_be(look: Callable[..., Braking]) -> None:
+def test_who_is_too_near_is_braked_for_as_hard_as_can_be() -> None:
     """16 m before it at 10 m/s 3.2 m/s2 would be needed at once, and braking builds up: a conflict remains."""
     found = look(recorded(60.0, 0.0, heading=UP))
     assert found.conflict_s is not None
     assert found.decel_mps2 >= 2.5
 
 
-def test_leader_that_a_driver_copes_with_is_not_the_guards_business(look: Callable[..., Braking]) -> None:
+def test_leader_that_a_driver_copes_with_is_not_the_guards_business() -> None:
     """At 8 m/s, 30 m ahead: car following will do."""
     assert look(recorded(75.0, 0.0, 8.0)).decel_mps2 == 0.0
 
 
 @pytest.mark.parametrize(("first", "brakes"), [(0, False), (10, True)], ids=["in sight", "appears in 1 s"])
-def test_leader_in_sight_is_left_to_sumo_up_to_the_hardest_braking(
-    look: Callable[..., Braking], first: int, brakes: bool
-) -> None:
+def test_leader_in_sight_is_left_to_sumo_up_to_the_hardest_braking(first: int, brakes: bool) -> None:
     """A car stands 23 m ahead, for which IDM asks 3.2 m/s2: more than 1.4 b = 2.8, less than 3.5 m/s2.
 
     SUMO sees it and brakes by itself; of who is not there yet it knows nothing.
@@ -134,20 +128,20 @@ def test_leader_in_sight_is_left_to_sumo_up_to_the_hardest_braking(
     assert (look(recorded(67.5, 0.0, first=first)).decel_mps2 > 0.0) is brakes
 
 
-def test_who_stands_close_behind_a_leader_in_sight_needs_no_limit(look: Callable[..., Braking]) -> None:
+def test_who_stands_close_behind_a_leader_in_sight_needs_no_limit() -> None:
     """1 m behind, half the jam gap: it stays where it is by itself."""
     found = look(recorded(45.5, 0.0), v=0.0)
     assert (found.decel_mps2, found.conflict_s) == (0.0, None)
 
 
-def test_who_follows_is_ignored_but_told_of(look: Callable[..., Braking]) -> None:
+def test_who_follows_is_ignored_but_told_of() -> None:
     """Recorded, from 20 m at 14 m/s: it reaches 40 + 10 t - 4.5 after 3.9 s. Braking would make it worse."""
     found = look(recorded(20.0, 0.0, 14.0))
     assert found.decel_mps2 == 0.0
     assert found.run_into
 
 
-def test_recorded_one_that_keeps_its_distance_behind_runs_into_nobody(look: Callable[..., Braking]) -> None:
+def test_recorded_one_that_keeps_its_distance_behind_runs_into_nobody() -> None:
     assert not look(recorded(20.0, 0.0, 10.0)).run_into
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
+from hand_drawn import draw_box
 from signal_entries import entries
 
 from hid2.agents import BoxSize, Track
@@ -77,12 +78,12 @@ def _steps(red: np.ndarray | None) -> list[int]:
     return np.flatnonzero(red).tolist()
 
 
-def test_cross_traffic_makes_red_two_seconds_before_and_three_after(signals, box) -> None:
+def test_cross_traffic_makes_red_two_seconds_before_and_three_after(signals) -> None:
     """From (10, -50) at 1 m a step: y = step - 50. Lane 2's ground counts with 0.8 of its width, 1.4 m to each side.
 
     The box covers it while |y| < 1.4 + 2.25 = 3.65: steps 47 to 53. Red from 47 - 20 to 53 + 30.
     """
-    scene = signals(box(10.0, -50.0, np.pi / 2, 10.0))
+    scene = signals(draw_box(10.0, -50.0, np.pi / 2, 10.0))
     assert _steps(scene.red(2)) == list(range(27, 84))
     assert "".join(scene.shown(2)) == "g" * 27 + "y" * 15 + "r" * 42 + "g" * (STEPS - 84)
     assert _steps(scene.red(5)) == []
@@ -90,17 +91,17 @@ def test_cross_traffic_makes_red_two_seconds_before_and_three_after(signals, box
 
 
 @pytest.mark.parametrize(("degrees", "red"), [(35, False), (50, True), (130, True), (150, False)])
-def test_only_ways_that_cross_at_a_wide_angle_are_cross_traffic(signals, box, degrees: float, red: bool) -> None:
+def test_only_ways_that_cross_at_a_wide_angle_are_cross_traffic(signals, degrees: float, red: bool) -> None:
     """Through (10, 0) at step 50: a merge at 35 degrees, an oncoming vehicle at 150."""
     angle = np.radians(degrees)
-    scene = signals(box(10 - 50 * np.cos(angle), -50 * np.sin(angle), angle, 10.0))
+    scene = signals(draw_box(10 - 50 * np.cos(angle), -50 * np.sin(angle), angle, 10.0))
     assert bool(scene.red(2).any()) is red
 
 
-def test_slow_or_parked_boxes_are_no_cross_traffic(signals, box) -> None:
+def test_slow_or_parked_boxes_are_no_cross_traffic(signals) -> None:
     """0.9 m/s across the lane is no flow; a box that stands on the crossing's ground is none either."""
-    assert not signals(box(10.0, -5.0, np.pi / 2, 0.9)).red(2).any()
-    assert not signals(box(10.0, -2.0, np.pi / 2, 0.0)).red(2).any()
+    assert not signals(draw_box(10.0, -5.0, np.pi / 2, 0.9)).red(2).any()
+    assert not signals(draw_box(10.0, -2.0, np.pi / 2, 0.0)).red(2).any()
 
 
 def test_who_turns_off_from_the_same_approach_does_not_cross(signals) -> None:
@@ -117,9 +118,9 @@ def test_who_turns_off_from_the_same_approach_does_not_cross(signals) -> None:
         (3.5, 0.0, False),
     ],
 )  # fmt: skip
-def test_a_queue_stands_in_the_middle_third_near_the_entrance(signals, box, x: float, y: float, red: bool) -> None:
+def test_a_queue_stands_in_the_middle_third_near_the_entrance(signals, x: float, y: float, red: bool) -> None:
     """A third of 3.5 m: 0.58 m to each side. Beyond it, who never moves is parked. 20 m before, 3 m behind."""
-    scene = signals(box(x, y, 0.0, 0.0))
+    scene = signals(draw_box(x, y, 0.0, 0.0))
     assert _steps(scene.red(2)) == (list(range(STEPS)) if red else [])
 
 
@@ -138,9 +139,9 @@ def test_vehicle_that_is_inside_at_its_last_state_alone_has_entered(signals) -> 
     assert _steps(entries(signals(_along("a", [(-108.5, 0.0), (40.0, 0.0)])), 2)) == [109]
 
 
-def test_an_entry_makes_green_for_the_queue_behind_it(signals, box) -> None:
+def test_an_entry_makes_green_for_the_queue_behind_it(signals) -> None:
     """The first enters at step 36, the second stands on at x = -12: red but for 36 - 10 to 36 + 20."""
-    scene = signals(_along("a", [(-5.0, 0.0), (40.0, 0.0)], wait_steps=30), box(-12.0, 0.0, name="b"))
+    scene = signals(_along("a", [(-5.0, 0.0), (40.0, 0.0)], wait_steps=30), draw_box(-12.0, 0.0, name="b"))
     assert _steps(entries(scene, 2)) == [36]
     assert _steps(scene.red(2)) == [*range(26), *range(57, STEPS)]
 
@@ -165,31 +166,31 @@ def test_straight_on_is_red_while_the_opposite_queue_stands(
     assert _steps(scene.red(7)) == []
 
 
-def test_an_entry_makes_no_green_within_a_second_of_cross_traffic(signals, box) -> None:
+def test_an_entry_makes_no_green_within_a_second_of_cross_traffic(signals) -> None:
     """Cross traffic on the lane from 47 to 53, red from 27 to 83. An entry at 61 clears 51 to 81, not below 53 + 10."""
-    scene = signals(box(10.0, -50.0, np.pi / 2, 10.0), _along("b", [(-50.0, 0.0), (70.0, 0.0)], wait_steps=10))
+    scene = signals(draw_box(10.0, -50.0, np.pi / 2, 10.0), _along("b", [(-50.0, 0.0), (70.0, 0.0)], wait_steps=10))
     assert _steps(entries(scene, 2)) == [61]
     assert _steps(scene.red(2)) == [*range(27, 64), 82, 83]
 
 
-def test_an_entry_makes_no_green_after_it_for_cross_traffic_to_come(signals, box) -> None:
+def test_an_entry_makes_no_green_after_it_for_cross_traffic_to_come(signals) -> None:
     """Cross traffic from 47 to 53. One waits for 25 steps, red to 20, and enters at 31: it is red again from 32 on."""
-    scene = signals(box(10.0, -50.0, np.pi / 2, 10.0), _along("b", [(-5.0, 0.0), (40.0, 0.0)], wait_steps=25))
+    scene = signals(draw_box(10.0, -50.0, np.pi / 2, 10.0), _along("b", [(-5.0, 0.0), (40.0, 0.0)], wait_steps=25))
     assert _steps(entries(scene, 2)) == [31]
     assert _steps(scene.red(2)) == [*range(21), *range(32, 84)]
 
 
-def test_a_right_turn_says_nothing_of_the_way_straight_on(signals, box) -> None:
+def test_a_right_turn_says_nothing_of_the_way_straight_on(signals) -> None:
     """What turns right enters lane 7 alone; the queue in the shared lane stays red for lane 2."""
     turning = _along("a", [(-5.0, 0.0), (0.0, 0.0), (3.0, -0.8), (5.2, -3.0), (6.0, -6.0), (6.0, -40.0)], wait_steps=30)
-    scene = signals(turning, box(-12.0, 0.0, name="b"))
+    scene = signals(turning, draw_box(-12.0, 0.0, name="b"))
     assert _steps(entries(scene, 7)) == [35]
     assert _steps(entries(scene, 2)) == []
     assert _steps(scene.red(2)) == list(range(STEPS))
     assert _steps(scene.red(7)) == [*range(25), *range(56, STEPS)]
 
 
-def test_only_lanes_that_are_entered_from_outside_have_an_entrance(lane, box) -> None:
+def test_only_lanes_that_are_entered_from_outside_have_an_entrance(lane) -> None:
     """Lane 2 is cut in two: 9 begins inside. Its cross traffic counts at the entrance, which is that of lane 2."""
     lanes = [
         lane(1, [(-50, 0), (0, 0)], successors=(2,)),
@@ -197,7 +198,7 @@ def test_only_lanes_that_are_entered_from_outside_have_an_entrance(lane, box) ->
         lane(9, [(8, 0), (30, 0)], is_intersection=True),
         lane(11, [(0, 40), (8, 40)], is_intersection=True),
     ]
-    scene = _inferred(LaneGraph({one.lane_id: one for one in lanes}), box(20.0, -50.0, np.pi / 2, 10.0))
+    scene = _inferred(LaneGraph({one.lane_id: one for one in lanes}), draw_box(20.0, -50.0, np.pi / 2, 10.0))
     assert _steps(scene.red(2)) == list(range(27, 84))
     assert scene.red(1) is None
     assert scene.red(9) is None
@@ -205,6 +206,6 @@ def test_only_lanes_that_are_entered_from_outside_have_an_entrance(lane, box) ->
     assert entries(scene, 11) is None
 
 
-def test_an_empty_road_is_green(signals, box) -> None:
-    nobody = box(0.0, 0.0).rows([])
+def test_an_empty_road_is_green(signals) -> None:
+    nobody = draw_box(0.0, 0.0).rows([])
     assert _steps(signals(nobody).red(2)) == []

@@ -1,6 +1,5 @@
 """Stop lines: entrances that are red, and pedestrian crossings that are used."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -22,36 +21,26 @@ UP = np.pi / 2
 STOP_S = 56.75
 
 
-@pytest.fixture
-def junction() -> Callable[..., Scene]:
-    """junction(*recorded) -> lanes 1 (0 .. 60 m), 2 (the intersection, 60 .. 80 m) and 3 along the x axis.
+def junction(*recorded: Track) -> Scene:
+    """Lanes 1 (0 .. 60 m), 2 (the intersection, 60 .. 80 m) and 3 along the x axis.
 
     Lanes 4, 5 and 6 cross it at x = 70, and a pedestrian crossing lies over lane 3 from x = 100 to 103 m.
     """
-
-    def make(*tracks: Track) -> Scene:
-        return scene_on(draw_crossing(zebra=True), *tracks, config=CONFIG)
-
-    return make
+    return scene_on(draw_crossing(zebra=True), *recorded, config=CONFIG)
 
 
 def _braking(lines: ClosedLines, *, s: float, v: float, step: int) -> tuple[float, str] | None:
     """Acceleration, m/s2, that stops a driver at the next closed line, and its cause; None for none."""
     row, accel = stop_ahead(
         lines.stops_s(DRIVER), lines.closed, s, v, step, DRIVER.accel_mps2, DRIVER.decel_mps2, STOPS
-    )  # fmt: skip
+    )
     return None if row < 0 else (float(accel), CAUSES[lines.cause[row]])
 
 
-@pytest.fixture
-def brake(junction: Callable[..., Scene]) -> Callable[..., tuple[float, str] | None]:
-    """brake(*recorded, s=..., v=..., step=...) -> acceleration and cause."""
-
-    def at(*tracks: Track, s: float, v: float, step: int) -> tuple[float, str] | None:
-        scene = junction(*tracks)
-        return _braking(StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR), s=s, v=v, step=step)
-
-    return at
+def brake(*recorded: Track, s: float, v: float, step: int) -> tuple[float, str] | None:
+    """Acceleration and cause."""
+    scene = junction(*recorded)
+    return _braking(StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR), s=s, v=v, step=step)
 
 
 #: Crosses lane 2 at 10 m/s, its centre at y = 0 after 5 s: on lane 2's ground from about 4.6 to 5.4 s.
@@ -64,7 +53,7 @@ def _closed(lines: ClosedLines, cause: str) -> tuple[float, int, int]:
     return float(lines.stops_s(DRIVER)[row]), int(steps[0]), int(steps[-1])
 
 
-def test_entrance_is_closed_while_recorded_traffic_flows_across(junction: Callable[..., Scene]) -> None:
+def test_entrance_is_closed_while_recorded_traffic_flows_across() -> None:
     """From 2 s before the crossing to 3 s after it; nothing is closed where nobody crosses."""
     scene = junction(CROSSING)
     stop_s, first, last = _closed(StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR), "signal")
@@ -74,14 +63,14 @@ def test_entrance_is_closed_while_recorded_traffic_flows_across(junction: Callab
     assert StopLines(empty).on(empty.paths.along((1, 2, 3)), CAR).line_s.size == 0
 
 
-def test_longer_vehicles_stand_farther_back(junction: Callable[..., Scene]) -> None:
+def test_longer_vehicles_stand_farther_back() -> None:
     """A bus of 12 m: 60 - 6 - 1 = 53 m."""
     scene = junction(CROSSING)
     lines = StopLines(scene).on(scene.paths.along((1, 2, 3)), BoxSize(12.0, 2.9))
     assert lines.stops_s(DRIVER).tolist() == pytest.approx([53.0])
 
 
-def test_driver_brakes_as_the_red_line_asks_for(brake: Callable[..., tuple[float, str] | None]) -> None:
+def test_driver_brakes_as_the_red_line_asks_for() -> None:
     """From 26.75 m before it at 10 m/s 10^2 / (2 * 26.75) = 1.87 m/s2 would do, less than 1.3 times the comfortable 2.
 
     As that is more than usual, 1.3 times as much; 40 m before it at 9 m/s, where 1.01 m/s2 would do, .87 times as much.
@@ -107,29 +96,29 @@ def test_braking_for_a_line_builds_up_and_eases(speed_mps: float) -> None:
     assert max(harder[0], harder[-1]) < 0.95 * harder.max() < 0.95 * 1.3 * STOPS[1] * DRIVER.decel_mps2
 
 
-def test_driver_does_not_begin_far_before(brake: Callable[..., tuple[float, str] | None]) -> None:
+def test_driver_does_not_begin_far_before() -> None:
     """50 m before it at 5 m/s: comfortable braking (1.2 m/s2) would do from 11 m/s: no braking yet."""
     found = brake(CROSSING, s=6.75, v=5.0, step=40)
     assert found is None or found[0] > 0.0
 
 
-def test_who_can_no_longer_stop_drives_across(brake: Callable[..., tuple[float, str] | None]) -> None:
+def test_who_can_no_longer_stop_drives_across() -> None:
     """10 m before it at 10 m/s: 5 m/s2, more than 1.3 * 2: as at an amber light."""
     assert brake(CROSSING, s=46.75, v=10.0, step=40) is None
 
 
-def test_who_has_passed_the_line_drives_on(brake: Callable[..., tuple[float, str] | None]) -> None:
+def test_who_has_passed_the_line_drives_on() -> None:
     assert brake(CROSSING, s=58.0, v=3.0, step=40) is None
 
 
-def test_who_stands_at_the_line_stays_until_it_opens(brake: Callable[..., tuple[float, str] | None]) -> None:
+def test_who_stands_at_the_line_stays_until_it_opens() -> None:
     found = brake(CROSSING, s=STOP_S, v=0.0, step=60)
     assert found is not None
     assert found[0] < 0.0
     assert brake(CROSSING, s=STOP_S, v=0.0, step=100) is None
 
 
-def test_braking_as_asked_for_ends_at_the_line(junction: Callable[..., Scene]) -> None:
+def test_braking_as_asked_for_ends_at_the_line() -> None:
     """Step by step from 11.75 m before it at 6 m/s, 1.5 m/s2 for 4 s: it stands within 0.5 m of the line."""
     scene = junction(CROSSING)
     lines = StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR)
@@ -143,7 +132,7 @@ def test_braking_as_asked_for_ends_at_the_line(junction: Callable[..., Scene]) -
     assert s == pytest.approx(STOP_S, abs=0.5)
 
 
-def test_recorded_queue_keeps_the_entrance_closed(junction: Callable[..., Scene]) -> None:
+def test_recorded_queue_keeps_the_entrance_closed() -> None:
     """Somebody came from behind and stands at the entrance from step 40 on: red, though nobody crosses."""
     steps = np.arange(110)
     x = np.minimum(20.0 + 0.9 * steps, 56.0)
@@ -153,9 +142,7 @@ def test_recorded_queue_keeps_the_entrance_closed(junction: Callable[..., Scene]
     assert (stop_s, last) == (pytest.approx(STOP_S), 109)
 
 
-def test_pedestrian_on_a_crossing_is_yielded_to(
-    junction: Callable[..., Scene], brake: Callable[..., tuple[float, str] | None]
-) -> None:
+def test_pedestrian_on_a_crossing_is_yielded_to() -> None:
     """A walker at 1.3 m/s goes over the crossing at x = 101.5 from y = -6 on; the line is 100 - 2.25 - 1 = 96.75 m.
 
     20 m before it at 8 m/s 8^2 / 40 = 1.6 m/s2 would do: 1.3 times that. Once the walker is across, none waits.
@@ -171,7 +158,7 @@ def test_pedestrian_on_a_crossing_is_yielded_to(
     assert brake(walker, s=76.75, v=8.0, step=100) is None
 
 
-def test_drivers_stand_where_they_like_but_short_of_pedestrians(junction: Callable[..., Scene]) -> None:
+def test_drivers_stand_where_they_like_but_short_of_pedestrians() -> None:
     """One that stands 1.2 m past the line, front at 61.2 m, has 2.2 m more room; at a crossing it keeps .5 m."""
     bold = replace(DRIVER, line_gap_m=-1.2)
     walker = recorded(101.5, -6.0, 1.3, heading=UP, kind="pedestrian", size=BoxSize(0.6, 0.6))
@@ -185,7 +172,7 @@ def test_drivers_stand_where_they_like_but_short_of_pedestrians(junction: Callab
     assert lines.is_passed(past, DRIVER, first=0, closed_steps=0)
 
 
-def test_room_before_a_closed_line_and_none_on_what_it_is_before(junction: Callable[..., Scene]) -> None:
+def test_room_before_a_closed_line_and_none_on_what_it_is_before() -> None:
     """Red at step 40: 20 m before the line there are 20 m; past it, up to 80 m on lane 2, a vehicle came on red.
 
     Towards it a driver brakes with .6 of its deceleration: v = sqrt(2 x .6 x b x 20 m).

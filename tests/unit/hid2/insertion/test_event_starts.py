@@ -1,12 +1,12 @@
 """Candidates for events: rolled out on a road, and as the judge finds them in their rollouts."""
 
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hand_drawn import draw_road
 from inserted import CAR, nobody, recorded, scene_on
 
 from hid2.agents import Policy, Track
@@ -21,17 +21,11 @@ from hid2.params import Config, Drivers, Event, LaneChange
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import VehicleRequest
-from netconvert.lane_graph import LaneGraph
 
 
-@pytest.fixture
-def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
-    """scene_of(*recorded) -> two lanes of 400 m: lane 1 at y = 0, lane 2 at y = 3.5 m."""
-
-    def make(*tracks: Track, **drivers: float) -> Scene:
-        return scene_on(road(lanes=2, length_m=400.0), *tracks, config=Config(drivers=Drivers(**drivers)))
-
-    return make
+def scene_of(*tracks: Track, **drivers: float) -> Scene:
+    """Two lanes of 400 m: lane 1 at y = 0, lane 2 at y = 3.5 m."""
+    return scene_on(draw_road(lanes=2, length_m=400.0), *tracks, config=Config(drivers=Drivers(**drivers)))
 
 
 def _starts(scene: Scene, **asked: object) -> EventStarts:
@@ -49,9 +43,7 @@ def _starts(scene: Scene, **asked: object) -> EventStarts:
 
 
 @pytest.mark.parametrize(("kind", "sign"), [("lead", 1.0), ("follow", -1.0)])
-def test_candidates_have_the_gap_asked_for_in_their_rollouts(
-    scene_of: Callable[..., Scene], kind: str, sign: float
-) -> None:
+def test_candidates_have_the_gap_asked_for_in_their_rollouts(kind: str, sign: float) -> None:
     """A target at 8 m/s from 150 m: about 4 s they are 6 to 14 m away, bumper to bumper; the best come first."""
     found = _starts(scene_of(recorded(150.0, 0.0, 8.0)), kind=kind, gap_m=(6.0, 14.0)).draw(60)
     assert found
@@ -65,7 +57,7 @@ def test_candidates_have_the_gap_asked_for_in_their_rollouts(
     assert [one.cost for one in found] == sorted(one.cost for one in found)
 
 
-def test_a_narrow_band_is_come_to_from_the_nearest_that_is_found(scene_of: Callable[..., Scene]) -> None:
+def test_a_narrow_band_is_come_to_from_the_nearest_that_is_found() -> None:
     """Behind a target at 10 m/s: of 119 in 150 that come about at random 2 have a TTC below 10 s, 8.5 and 9.2 s.
 
     Of 600 with four seeds 19 are in the band, most of them near to one another.
@@ -78,7 +70,7 @@ def test_a_narrow_band_is_come_to_from_the_nearest_that_is_found(scene_of: Calla
     assert len(found) >= 12
 
 
-def test_cut_ins_change_to_the_lane_of_the_target_and_are_told_when(scene_of: Callable[..., Scene]) -> None:
+def test_cut_ins_change_to_the_lane_of_the_target_and_are_told_when() -> None:
     """From lane 2 to the right; over the line, at y = 1.75 m, at 4 s more or less, and the trigger before that."""
     found = _starts(scene_of(recorded(100.0, 0.0, 8.0)), kind="cut_in").draw(60)
     assert found
@@ -90,7 +82,7 @@ def test_cut_ins_change_to_the_lane_of_the_target_and_are_told_when(scene_of: Ca
         assert 1.0 <= crossing_s - one.rolled.start.request.trigger_s <= 4.0
 
 
-def test_a_motion_of_two_paths_is_one_for_the_last_word(scene_of: Callable[..., Scene]) -> None:
+def test_a_motion_of_two_paths_is_one_for_the_last_word() -> None:
     """One state a step, over the change of lanes, and no jump."""
     candidate = _starts(scene_of(recorded(100.0, 0.0, 8.0)), kind="cut_in").draw(60)[0]
     driven = candidate.as_driven()
@@ -98,7 +90,7 @@ def test_a_motion_of_two_paths_is_one_for_the_last_word(scene_of: Callable[..., 
     assert np.diff(driven.s) == pytest.approx(0.1 * np.array(driven.v[1:]), abs=0.1)
 
 
-def test_a_leader_that_is_to_brake_wishes_less_from_the_moment_on(scene_of: Callable[..., Scene]) -> None:
+def test_a_leader_that_is_to_brake_wishes_less_from_the_moment_on() -> None:
     """A target at 6 m/s, 2 m/s2 from about 4 s on: within a fifth in the rollout, and not before: it is steady."""
     scene = scene_of(recorded(100.0, 0.0, 6.0), wander_sd_mps=0.0)
     found = _starts(scene, brakes_mps2=2.0, gap_m=(4.0, 40.0), speed_difference_mps=(-6.0, 10.0)).draw(200)
@@ -111,7 +103,7 @@ def test_a_leader_that_is_to_brake_wishes_less_from_the_moment_on(scene_of: Call
 
 @pytest.mark.parametrize(("kind", "left"), [("cut_in", False), ("lead", True)])
 def test_no_candidate_changes_lanes_where_the_configured_rule_never_does(
-    scene_of: Callable[..., Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, left: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str, left: bool
 ) -> None:
     """By the paper's rule each kind has candidates beside a target at 5 m/s; those that change no lane are left."""
     (tmp_path / "refusing_rule.py").write_text("def never(view):\n    return False\n")
@@ -123,7 +115,7 @@ def test_no_candidate_changes_lanes_where_the_configured_rule_never_does(
     assert (starts.rejected[Reason.RULE_REFUSES] == 0) == left
 
 
-def test_none_begins_where_others_stand_and_the_reason_is_counted(scene_of: Callable[..., Scene]) -> None:
+def test_none_begins_where_others_stand_and_the_reason_is_counted() -> None:
     """Ahead of a target there are others all the way, 8 m apart: no box with 2 m to both sides fits between."""
     row = [recorded(60.0 + 8.0 * number, 0.0, 8.0, name=f"o{number}") for number in range(42)]
     starts = _starts(scene_of(recorded(52.0, 0.0, 8.0), *row))

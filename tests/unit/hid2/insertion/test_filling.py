@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hand_drawn import draw_road
 from inserted import changing, driven, scene_on
 
 from hid2.agents import Policy
@@ -22,7 +23,6 @@ from hid2.params import Config, Request, Spawn
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
-from netconvert.lane_graph import LaneGraph
 
 NOTHING = {"straight": 0.0, "left_turn": 0.0, "right_turn": 0.0, "lane_change": 0.0, "overtake": 0.0}
 Spoil = Callable[[DrivenVehicle, int], DrivenVehicle]
@@ -48,18 +48,11 @@ def _as_driven(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
     return vehicle
 
 
-@pytest.fixture
-def scene_for(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
-    """scene_for(agents=4, **request) -> two empty lanes of 500 m; everybody goes straight unless told."""
-
-    def make(*, agents: int | str = 4, rounds: int = 6, reseeds: int = 2, **request: object) -> Scene:
-        mix = {**NOTHING, "straight": 1.0, **request}
-        config = Config(
-            request=Request(agents=agents, **mix), spawn=Spawn(rounds=rounds, reseed_rounds=reseeds)
-        )  # fmt: skip
-        return scene_on(road(length_m=500.0), config=config)
-
-    return make
+def scene_for(*, agents: int | str = 4, rounds: int = 6, reseeds: int = 2, **request: object) -> Scene:
+    """Two empty lanes of 500 m; everybody goes straight unless told."""
+    mix = {**NOTHING, "straight": 1.0, **request}
+    config = Config(request=Request(agents=agents, **mix), spawn=Spawn(rounds=rounds, reseed_rounds=reseeds))
+    return scene_on(draw_road(length_m=500.0), config=config)
 
 
 def _fill(scene: Scene, spoil: Spoil = _as_driven, *, seed: int = 0) -> tuple[Filling, Road]:
@@ -68,7 +61,7 @@ def _fill(scene: Scene, spoil: Spoil = _as_driven, *, seed: int = 0) -> tuple[Fi
     return filling, drive
 
 
-def test_count_is_reached_in_one_round_and_no_vehicle_is_driven_beyond_it(scene_for: Callable[..., Scene]) -> None:
+def test_count_is_reached_in_one_round_and_no_vehicle_is_driven_beyond_it() -> None:
     filling, drive = _fill(scene_for())
     assert len(filling.kept) == 4
     assert filling.rounds == len(drive.rounds) == 1
@@ -77,7 +70,7 @@ def test_count_is_reached_in_one_round_and_no_vehicle_is_driven_beyond_it(scene_
     assert filling.unmet == []
 
 
-def test_failed_vehicle_is_replaced_elsewhere_and_counted_with_its_reason(scene_for: Callable[..., Scene]) -> None:
+def test_failed_vehicle_is_replaced_elsewhere_and_counted_with_its_reason() -> None:
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
         if number == 0 and vehicle.vehicle_id in ("v0_0", "v1_0"):
             vehicle.objection = Reason.SUMO_REFUSES_INSERTION
@@ -93,7 +86,7 @@ def test_failed_vehicle_is_replaced_elsewhere_and_counted_with_its_reason(scene_
     assert drive.rounds[1][0].start_s != drive.rounds[0][0].start_s
 
 
-def test_who_cannot_enter_is_replaced_and_its_lane_stays_open(scene_for: Callable[..., Scene]) -> None:
+def test_who_cannot_enter_is_replaced_and_its_lane_stays_open() -> None:
     """Everybody who would enter finds somebody at the edge in round 0: the next round tries the same two lanes."""
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
@@ -111,9 +104,7 @@ def test_who_cannot_enter_is_replaced_and_its_lane_stays_open(scene_for: Callabl
     assert [one.span.stop for one in filling.kept] == [110, 110]
 
 
-def test_places_that_failed_are_tried_again_where_no_other_is_left(
-    scene_for: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_places_that_failed_are_tried_again_where_no_other_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
     """All vehicles of the first round fail, perhaps because of each other: as no other place is left, all are open."""
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
@@ -129,7 +120,7 @@ def test_places_that_failed_are_tried_again_where_no_other_is_left(
     assert filling.rounds == 2
 
 
-def test_rounds_come_to_an_end_with_fewer_than_asked_for(scene_for: Callable[..., Scene]) -> None:
+def test_rounds_come_to_an_end_with_fewer_than_asked_for() -> None:
     def refuse(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
         vehicle.objection = Reason.SUMO_REFUSES_INSERTION
         return vehicle
@@ -140,9 +131,7 @@ def test_rounds_come_to_an_end_with_fewer_than_asked_for(scene_for: Callable[...
     assert {one.reason for one in filling.rejected} == {Reason.SUMO_REFUSES_INSERTION}
 
 
-def test_safe_vehicle_whose_manoeuvre_did_not_come_about_takes_an_open_request_to_go_straight(
-    scene_for: Callable[..., Scene],
-) -> None:
+def test_safe_vehicle_whose_manoeuvre_did_not_come_about_takes_an_open_request_to_go_straight() -> None:
     """Two lane changes, v2 and v3, do not come about; v0, which was to go straight, is refused. One of the two takes
     its place and has no record of a manoeuvre; the other one goes. Both lane changes stay open for round 1.
     """
@@ -165,7 +154,7 @@ def test_safe_vehicle_whose_manoeuvre_did_not_come_about_takes_an_open_request_t
     assert {start.vehicle_id for start in drive.rounds[1]} == {"v2_1", "v3_1"}
 
 
-def test_vehicle_that_is_on_its_way_across_does_not_go_straight(scene_for: Callable[..., Scene]) -> None:
+def test_vehicle_that_is_on_its_way_across_does_not_go_straight() -> None:
     """As above, and both lane changes are under way when the map ends: neither takes the place of v0."""
     scene = scene_for(straight=0.5, lane_change=0.5, trigger_min_s=1.0, trigger_max_s=1.0)
 
@@ -184,7 +173,7 @@ def test_vehicle_that_is_on_its_way_across_does_not_go_straight(scene_for: Calla
     assert gone.get("v2_0") is gone.get("v3_0") is Reason.DID_NOT_DO_IT
 
 
-def test_vehicle_that_another_one_needs_stays_before_one_that_none_needs(scene_for: Callable[..., Scene]) -> None:
+def test_vehicle_that_another_one_needs_stays_before_one_that_none_needs() -> None:
     """As above, and v1 had braked for v3."""
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
@@ -202,7 +191,7 @@ def test_vehicle_that_another_one_needs_stays_before_one_that_none_needs(scene_f
         assert not {"v2_0", "v3_0"} - {needed} & kept
 
 
-def test_three_rounds_that_add_no_vehicle_are_the_last(scene_for: Callable[..., Scene]) -> None:
+def test_three_rounds_that_add_no_vehicle_are_the_last() -> None:
     """Round 0 keeps v0 to v2; v3 fails in this one and in all that follow, which are three instead of eleven."""
 
     def spoil(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
@@ -216,7 +205,7 @@ def test_three_rounds_that_add_no_vehicle_are_the_last(scene_for: Callable[..., 
 
 
 def test_reason_of_a_manoeuvre_without_a_site_is_what_turns_most_down_rather_than_that_places_are_taken(
-    scene_for: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Two places in three are taken, and from the others lane changes are too slow: all of them name that."""
     make, count = Starts.make, itertools.count()
@@ -233,9 +222,7 @@ def test_reason_of_a_manoeuvre_without_a_site_is_what_turns_most_down_rather_tha
     assert set(lane_changes) == {Reason.TOO_SLOW}
 
 
-def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(
-    scene_for: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(monkeypatch: pytest.MonkeyPatch) -> None:
     """Cells of lane 1 admit no start. Each round adds three vehicles of twelve, and in none is a cell looked at once
     more that was turned down in those before, there or near to it, unless all are looked at anew.
     """
@@ -268,7 +255,7 @@ def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(
     assert len(filling.kept) == 12
 
 
-def test_vehicle_whose_manoeuvre_nobody_else_may_try_is_kept_with_its_record(scene_for: Callable[..., Scene]) -> None:
+def test_vehicle_whose_manoeuvre_nobody_else_may_try_is_kept_with_its_record() -> None:
     """No lane change comes about, and spawn.reseed_rounds is 0: those who were to do one stay."""
     scene = scene_for(agents=3, straight=0.0, lane_change=1.0, trigger_min_s=1.0, trigger_max_s=1.0, reseeds=0)
     filling, drive = _fill(scene)
@@ -278,7 +265,7 @@ def test_vehicle_whose_manoeuvre_nobody_else_may_try_is_kept_with_its_record(sce
     assert [outcome.done for outcome in filling.outcomes.values()] == [False] * 3
 
 
-def test_request_keeps_its_trigger_when_its_vehicle_is_replaced(scene_for: Callable[..., Scene]) -> None:
+def test_request_keeps_its_trigger_when_its_vehicle_is_replaced() -> None:
     """Lane changes at 1 to 8 s, of which none comes about: three rounds try each, with one trigger."""
     scene = scene_for(agents=3, straight=0.0, lane_change=1.0, trigger_min_s=1.0, trigger_max_s=8.0)
     filling, drive = _fill(scene)
@@ -293,9 +280,7 @@ def test_request_keeps_its_trigger_when_its_vehicle_is_replaced(scene_for: Calla
     }
 
 
-def test_unmet_manoeuvres_are_told_with_their_last_reason_and_the_count_is_reached(
-    scene_for: Callable[..., Scene],
-) -> None:
+def test_unmet_manoeuvres_are_told_with_their_last_reason_and_the_count_is_reached() -> None:
     """Vehicles that are to change lanes are not safe. After three rounds straight ones take the places; each request is
     told of.
     """
@@ -314,7 +299,7 @@ def test_unmet_manoeuvres_are_told_with_their_last_reason_and_the_count_is_reach
     assert {one.driven.policy for one in filling.kept} == {Policy.STRAIGHT}
 
 
-def test_vehicle_that_tries_a_manoeuvre_last_stays_with_its_reason(scene_for: Callable[..., Scene]) -> None:
+def test_vehicle_that_tries_a_manoeuvre_last_stays_with_its_reason() -> None:
     """No lane change comes about: three rounds try, and the vehicles of the last one are in the scene."""
 
     def refuse(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
@@ -331,7 +316,7 @@ def test_vehicle_that_tries_a_manoeuvre_last_stays_with_its_reason(scene_for: Ca
     ] * 2
 
 
-def test_what_the_map_or_the_scene_does_not_offer_is_told_at_once(scene_for: Callable[..., Scene]) -> None:
+def test_what_the_map_or_the_scene_does_not_offer_is_told_at_once() -> None:
     """No turn on a straight road; a trigger at 11 s is behind the last step at 10.9 s."""
     turns, _ = _fill(scene_for(straight=0.5, left_turn=0.5))
     assert [one.reason for one in turns.unmet] == [Reason.MAP_OFFERS_NO_LEFT_TURN] * 2
@@ -341,7 +326,7 @@ def test_what_the_map_or_the_scene_does_not_offer_is_told_at_once(scene_for: Cal
     assert len(turns.kept) == len(late.kept) == 4
 
 
-def test_who_braked_for_a_vehicle_that_is_gone_is_driven_again(scene_for: Callable[..., Scene]) -> None:
+def test_who_braked_for_a_vehicle_that_is_gone_is_driven_again() -> None:
     """V0 fails; v1 had braked for it, v2 for v1: both start again where they were, with the same drivers. v3 stays."""
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
@@ -365,7 +350,7 @@ def test_who_braked_for_a_vehicle_that_is_gone_is_driven_again(scene_for: Callab
     assert len(filling.kept) == 4
 
 
-def test_nobody_is_driven_again_twice(scene_for: Callable[..., Scene]) -> None:
+def test_nobody_is_driven_again_twice() -> None:
     """In both rounds somebody for whom v1 had braked goes: the second time v1 goes for good, and another takes over."""
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
@@ -384,7 +369,7 @@ def test_nobody_is_driven_again_twice(scene_for: Callable[..., Scene]) -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_count_is_never_exceeded_nor_a_request_met_twice(seed: int, scene_for: Callable[..., Scene]) -> None:
+def test_count_is_never_exceeded_nor_a_request_met_twice(seed: int) -> None:
     """Half lane changes, which succeed only in the second round, beside spare ones that are there in the first.
 
     A third of all fails, and some had waited for others.
@@ -397,9 +382,7 @@ def test_count_is_never_exceeded_nor_a_request_met_twice(seed: int, scene_for: C
             vehicle.objection = Reason.SUMO_REFUSES_INSERTION
         elif vehicle.policy is Policy.LANE_CHANGE and number > 0:
             (own,) = {segment.lane_id for segment in vehicle.path.segments}
-            vehicle = changing(
-                scene, vehicle.start, vehicle.v, to={1: 2, 2: 1}[own], at_step=10, wanted_s=4.0
-            )  # fmt: skip
+            vehicle = changing(scene, vehicle.start, vehicle.v, to={1: 2, 2: 1}[own], at_step=10, wanted_s=4.0)
         if rng.random() < 0.3:
             needed = f"v{int(rng.integers(6))}_{number}"
             vehicle.waited_for = Counter({needed: BRAKES} if needed != vehicle.vehicle_id else {})
@@ -413,7 +396,7 @@ def test_count_is_never_exceeded_nor_a_request_met_twice(seed: int, scene_for: C
     assert len(manoeuvres) + len(filling.unmet) == 3
 
 
-def test_two_runs_are_one(scene_for: Callable[..., Scene]) -> None:
+def test_two_runs_are_one() -> None:
     def starts(seed: int) -> list[tuple[str, float, float]]:
         _, drive = _fill(scene_for(), seed=seed)
         return [(one.vehicle_id, one.start_s, one.start_mps) for one in drive.rounds[0]]
@@ -422,16 +405,14 @@ def test_two_runs_are_one(scene_for: Callable[..., Scene]) -> None:
     assert starts(1) != starts(2)
 
 
-def test_nobody_asked_for_is_one_empty_simulation(scene_for: Callable[..., Scene]) -> None:
+def test_nobody_asked_for_is_one_empty_simulation() -> None:
     """It replays the recorded agents, which the sidecar tells of."""
     filling, drive = _fill(scene_for(agents=0))
     assert filling.kept == []
     assert [len(starts) for starts in drive.rounds] == [0]
 
 
-def test_debug_log_tells_what_became_of_every_vehicle_that_was_tried(
-    scene_for: Callable[..., Scene], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_debug_log_tells_what_became_of_every_vehicle_that_was_tried(caplog: pytest.LogCaptureFixture) -> None:
     """V0 is refused and replaced in round 1; the lane change of the other request never comes about."""
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
@@ -456,7 +437,7 @@ def test_debug_log_tells_what_became_of_every_vehicle_that_was_tried(
 
 
 def test_vehicle_that_conflicts_with_others_together_is_replaced_and_kept_ones_stay(
-    scene_for: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Row 0 is said to conflict while it is new, in the first round; in the second only those since row 3 are asked."""
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hand_drawn import draw_lane
+from hand_drawn import draw_lane, draw_road
 from inserted import CAR, changing, driven, recorded, scene_on, start_on
 
 from hid2.agents import BoxSize, Track
@@ -23,14 +23,9 @@ from netconvert.lane_graph import LaneGraph
 T = 0.1 * np.arange(110)
 
 
-@pytest.fixture
-def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
-    """scene_of(*recorded) -> two lanes of 300 m, 6 m of asphalt beyond each side."""
-
-    def make(*tracks: Track, length_m: float = 300.0, config: Config | None = None) -> Scene:
-        return scene_on(road(length_m=length_m), *tracks, config=config)
-
-    return make
+def scene_of(*tracks: Track, length_m: float = 300.0, config: Config | None = None) -> Scene:
+    """Two lanes of 300 m, 6 m of asphalt beyond each side."""
+    return scene_on(draw_road(length_m=length_m), *tracks, config=config)
 
 
 def _alone(scene: Scene, v: Any, s: float = 40.0, **changes: Any) -> ExportedVehicle | Reason:
@@ -45,7 +40,7 @@ def _kept(scene: Scene, v: Any, s: float = 40.0, *, lane: int = 1, number: int =
     return found
 
 
-def test_vehicle_alone_is_exported_as_it_was_driven(scene_of: Callable[..., Scene]) -> None:
+def test_vehicle_alone_is_exported_as_it_was_driven() -> None:
     """10 m/s for 10.9 s from x = 40 on."""
     found = _alone(scene_of(), np.full(110, 10.0))
     assert isinstance(found, ExportedVehicle)
@@ -57,32 +52,32 @@ def test_vehicle_alone_is_exported_as_it_was_driven(scene_of: Callable[..., Scen
     assert found.min_ttc_s == np.inf
 
 
-def test_what_sumo_objected_to_is_the_reason(scene_of: Callable[..., Scene]) -> None:
+def test_what_sumo_objected_to_is_the_reason() -> None:
     scene = scene_of()
     vehicle = DrivenVehicle(start=start_on(scene, (1,), 40.0, 9.0), path=scene.paths.along((1,)))
     vehicle.objection = Reason.SUMO_REFUSES_INSERTION
     assert finalise(scene, vehicle, []) is Reason.SUMO_REFUSES_INSERTION
 
 
-def test_track_ends_where_the_rear_of_the_map_is_not_left_behind(scene_of: Callable[..., Scene]) -> None:
+def test_track_ends_where_the_rear_of_the_map_is_not_left_behind() -> None:
     """150 m of lane, 10 m/s from 80: the box is whole on the map up to 150 - 2.25 = 147.75 m, after 6.7 s."""
     found = _alone(scene_of(length_m=150.0), np.full(110, 10.0), 80.0)
     assert isinstance(found, ExportedVehicle)
     assert found.num_steps == 68
 
 
-def test_who_leaves_before_the_last_observed_step_is_not_exported(scene_of: Callable[..., Scene]) -> None:
+def test_who_leaves_before_the_last_observed_step_is_not_exported() -> None:
     """From 110 m on it leaves after 3.7 s; 50 steps are observed."""
     assert _alone(scene_of(length_m=150.0), np.full(110, 10.0), 110.0) is Reason.LEAVES_TOO_EARLY
 
 
-def test_scored_vehicles_stay_to_the_end(scene_of: Callable[..., Scene]) -> None:
+def test_scored_vehicles_stay_to_the_end() -> None:
     scored = Config(request=Request(generated_category=2))
     scene = scene_of(length_m=150.0, config=scored)
     assert _alone(scene, np.full(110, 10.0), 80.0) is Reason.LEAVES_TOO_EARLY
 
 
-def test_who_stands_throughout_is_not_exported(scene_of: Callable[..., Scene]) -> None:
+def test_who_stands_throughout_is_not_exported() -> None:
     assert _alone(scene_of(), np.zeros(110)) is Reason.STANDS_THROUGHOUT
 
 
@@ -102,18 +97,18 @@ def test_vehicle_that_crosses_a_solid_line_is_not_exported(road: Callable[..., L
     ],
     ids=["4 m/s2 for 2 s", "-7 m/s2 for 2 s"],
 )
-def test_limits_of_motion_are_named(v: np.ndarray, reason: Reason, scene_of: Callable[..., Scene]) -> None:
+def test_limits_of_motion_are_named(v: np.ndarray, reason: Reason) -> None:
     assert _alone(scene_of(), v) is reason
 
 
-def test_jerk_that_a_wider_filter_takes_out_is_exported_without_it(scene_of: Callable[..., Scene]) -> None:
+def test_jerk_that_a_wider_filter_takes_out_is_exported_without_it() -> None:
     """1.5 sin(2.5 t) m/s: a jerk of 9.4 m/s3, 4.13 are allowed; the speed is smoothed until it is."""
     found = _alone(scene_of(), 10.0 + 1.5 * np.sin(2.5 * T))
     assert isinstance(found, ExportedVehicle)
     assert np.abs(np.gradient(found.motion.a, 0.1)).max() <= 4.13 + 0.05
 
 
-def test_footprint_beside_the_road_is_off_road(scene_of: Callable[..., Scene]) -> None:
+def test_footprint_beside_the_road_is_off_road() -> None:
     """The ground ends at y = -1.75: 0.95 + 1.2 = 2.15 m reach 0.4 m over it. In the middle of the lane it would fit.
 
     A share of the driver's place in the lane is tried, and 0 of it: the vehicle is exported, but not out there.
@@ -130,12 +125,12 @@ def test_road_too_narrow_for_it_is_off_road(lane: Callable[..., Any]) -> None:
     assert _alone(scene_on(graph), np.full(110, 10.0)) is Reason.OFF_ROAD
 
 
-def test_box_of_a_recorded_agent_is_met(scene_of: Callable[..., Scene]) -> None:
+def test_box_of_a_recorded_agent_is_met() -> None:
     """Somebody stands at 100 m across both lanes, where the vehicle comes after 5 s."""
     assert _alone(scene_of(recorded(100.0, 0.0, heading=np.pi / 2)), np.full(110, 10.0)) is Reason.MEETS_RECORDED
 
 
-def test_box_of_another_inserted_vehicle_is_met(scene_of: Callable[..., Scene]) -> None:
+def test_box_of_another_inserted_vehicle_is_met() -> None:
     """Both on lane 1: one at 60 m with 5 m/s, one at 40 with 10 m/s; after 3.1 s the gap of 15.5 m is gone."""
     scene = scene_of()
     slow = _kept(scene, np.full(110, 5.0), 60.0)
@@ -143,7 +138,7 @@ def test_box_of_another_inserted_vehicle_is_met(scene_of: Callable[..., Scene]) 
     assert finalise(scene, driven(start, np.full(110, 10.0)), [slow]) is Reason.MEETS_GENERATED
 
 
-def test_ttc_to_the_leader_may_not_be_critical(scene_of: Callable[..., Scene]) -> None:
+def test_ttc_to_the_leader_may_not_be_critical() -> None:
     """A recorded leader at 62 m drives 4 m/s; the vehicle comes from 40 m at 10 and slows to 4 m/s late, at 3 m/s2.
 
     At 1.5 s the gap is 17.5 - 6 * 1.5 = 8.5 m and closes at 6 m/s: 1.4 s, and it begins to brake only then.
@@ -152,14 +147,14 @@ def test_ttc_to_the_leader_may_not_be_critical(scene_of: Callable[..., Scene]) -
     assert _alone(scene_of(recorded(62.0, 0.0, 4.0)), v) in (Reason.TTC_LANE_LEADER, Reason.MEETS_RECORDED)
 
 
-def test_ttc_to_the_leader_is_taken_down(scene_of: Callable[..., Scene]) -> None:
+def test_ttc_to_the_leader_is_taken_down() -> None:
     """From 40 m at 8 m/s behind one at 100 m with 6: the gap of 55.5 m closes at 2 m/s to 33.7 m, 16.8 s."""
     found = _alone(scene_of(recorded(100.0, 0.0, 6.0)), np.full(110, 8.0))
     assert isinstance(found, ExportedVehicle)
     assert found.min_ttc_s == pytest.approx(16.8, abs=0.4)
 
 
-def test_recorded_follower_may_not_close_in_critically(scene_of: Callable[..., Scene]) -> None:
+def test_recorded_follower_may_not_close_in_critically() -> None:
     """A recorded one 12.5 m behind keeps 10 m/s, whatever happens; the vehicle slows to 5 m/s and speeds up again.
 
     It loses 5 m while it slows (2.5 m/s2, 2 s) and 6.25 m until it is as fast (2 m/s2): nobody is touched. But 1 s
@@ -173,7 +168,7 @@ def test_recorded_follower_may_not_close_in_critically(scene_of: Callable[..., S
     assert conflicting(scene, [found]) == [(0, Reason.TTC_RECORDED_FOLLOWER)]
 
 
-def test_recorded_follower_keeps_its_time_headway(scene_of: Callable[..., Scene]) -> None:
+def test_recorded_follower_keeps_its_time_headway() -> None:
     """7.5 m from front to front at 10 m/s are .75 s. The target of an event bears the gap that the event is about."""
     scene = scene_of(recorded(32.5, 0.0, 10.0))
     found = _alone(scene, np.full(110, 10.0))
@@ -183,9 +178,7 @@ def test_recorded_follower_keeps_its_time_headway(scene_of: Callable[..., Scene]
 
 
 @pytest.mark.parametrize(("length_m", "found"), [(3.9, [(0, Reason.FOLLOWER_HEADWAY)]), (4.5, [])])
-def test_headway_is_that_to_the_box_that_is_exported(
-    length_m: float, found: list[tuple[int, Reason]], scene_of: Callable[..., Scene]
-) -> None:
+def test_headway_is_that_to_the_box_that_is_exported(length_m: float, found: list[tuple[int, Reason]]) -> None:
     """12.9 m between the centres at 16 m/s; .3 m less to the front of a car of 3.9 m with a clearance 4.5 m long."""
     scene = scene_of(recorded(27.1, 0.0, 16.0))
     vehicle = _alone(scene, np.full(110, 16.0), size=BoxSize(length_m, 1.8))
@@ -194,9 +187,7 @@ def test_headway_is_that_to_the_box_that_is_exported(
 
 
 @pytest.mark.parametrize(("at_s", "is_critical"), [(5.8, True), (6.1, True), (6.6, False)])
-def test_crossing_below_the_critical_pet_is_named(
-    at_s: float, is_critical: bool, scene_of: Callable[..., Scene]
-) -> None:
+def test_crossing_below_the_critical_pet_is_named(at_s: float, is_critical: bool) -> None:
     """The vehicle leaves x = 90.95 after 5.3 s; a recorded one crosses it 0.1 s after at_s (y = -0.95).
 
     PETs of 0.6, 0.9 and 1.4 s; 1 s is critical.
@@ -205,16 +196,7 @@ def test_crossing_below_the_critical_pet_is_named(
     assert (_alone(scene_of(crossing), np.full(110, 10.0)) is Reason.PET) is is_critical
 
 
-def test_end_of_the_scene_is_no_cliff(scene_of: Callable[..., Scene]) -> None:
-    """After 10.9 s it is at 149 m with 10 m/s; somebody stands at 160 m from step 109 on only: contact in 0.65 s."""
-    late = Track(
-        "late", "vehicle", 2, np.array([108, 109]), np.tile([160.0, 0.0], (2, 1)), np.full(2, np.pi / 2),
-        np.zeros((2, 2)), CAR,
-    )  # fmt: skip
-    assert _alone(scene_of(late), np.full(110, 10.0)) is Reason.TTC_AT_END
-
-
-def test_oncoming_pair_at_the_end_is_looked_at(scene_of: Callable[..., Scene]) -> None:
+def test_oncoming_pair_at_the_end_is_looked_at() -> None:
     """Head on at 160 + 4.5 m: 11 m of gap close at 20 m/s after the last step, in 0.55 s."""
     steps = np.arange(100, 110)
     x = 165.0 + 10.0 * 0.1 * (109 - steps)
@@ -233,9 +215,7 @@ def test_lane_of_a_damaged_map_that_turns_back_on_itself_is_not_driven() -> None
 
 
 @pytest.mark.parametrize(("gap_m", "avoids"), [(20.0, False), (30.0, True)])
-def test_contact_after_the_end_can_be_avoided_by_its_driver(
-    gap_m: float, avoids: bool, scene_of: Callable[..., Scene]
-) -> None:
+def test_contact_after_the_end_can_be_avoided_by_its_driver(gap_m: float, avoids: bool) -> None:
     """Somebody stands across the lane at the end, 2 or 3 s ahead at 10 m/s. Its driver brakes with 2 m/s2: 25 m."""
     x = 149.0 + 0.5 * CAR.length_m + gap_m + 0.5 * CAR.width_m
     late = Track(
@@ -247,7 +227,7 @@ def test_contact_after_the_end_can_be_avoided_by_its_driver(
     assert avoids or verdict is Reason.TTC_AT_END
 
 
-def test_velocity_at_the_end_is_the_one_that_the_file_states(scene_of: Callable[..., Scene]) -> None:
+def test_velocity_at_the_end_is_the_one_that_the_file_states() -> None:
     """A leader ends 30 m of gap ahead, at 10 m/s by its positions. Stated are -25 m/s: 30 m close at 35 m/s, 0.86 s.
 
     Trackers' velocities are not the differences of their positions; readers of the file know no others.
@@ -258,7 +238,7 @@ def test_velocity_at_the_end_is_the_one_that_the_file_states(scene_of: Callable[
     assert _alone(scene_of(other), np.full(110, 10.0)) is Reason.TTC_AT_END
 
 
-def test_kept_ones_go_on_at_constant_velocity_beyond_the_scene(scene_of: Callable[..., Scene]) -> None:
+def test_kept_ones_go_on_at_constant_velocity_beyond_the_scene() -> None:
     scene = scene_of()
     kept = traffic_of_exported([_kept(scene, np.full(110, 10.0))], scene)
     assert kept.num_steps == scene.future.num_steps > 110
@@ -266,7 +246,7 @@ def test_kept_ones_go_on_at_constant_velocity_beyond_the_scene(scene_of: Callabl
     assert kept.present.all()
 
 
-def test_of_two_that_come_too_near_together_the_later_one_goes(scene_of: Callable[..., Scene]) -> None:
+def test_of_two_that_come_too_near_together_the_later_one_goes() -> None:
     """Each of the two is exported alone: at 40 m with 10, at 60 m with 5 m/s. Together their TTC falls below 1.5 s."""
     scene = scene_of()
     slow, fast = _kept(scene, np.full(110, 5.0), 60.0), _kept(scene, np.full(110, 10.0), 40.0, number=1)
@@ -277,9 +257,7 @@ def test_of_two_that_come_too_near_together_the_later_one_goes(scene_of: Callabl
 
 
 @pytest.mark.parametrize(("aside_m", "rows"), [(0.7, [1]), (0.0, [])], ids=["towards it", "in the middle"])
-def test_who_drives_aside_in_its_lane_closes_in_on_who_is_aside_ahead(
-    scene_of: Callable[..., Scene], aside_m: float, rows: list[int]
-) -> None:
+def test_who_drives_aside_in_its_lane_closes_in_on_who_is_aside_ahead(aside_m: float, rows: list[int]) -> None:
     """Lanes 3.5 m apart; the slow one drives 1 m to the right in lane 2, at y = 2.5. Boxes are 1.9 m wide: who is at
     y = 0.7 would touch it, who is at y = 0 passes 0.6 m beside it.
     """
@@ -295,9 +273,7 @@ def test_who_drives_aside_in_its_lane_closes_in_on_who_is_aside_ahead(
 
 
 @pytest.mark.parametrize(("y", "aside_m", "kept_m"), [(2.5, 0.7, 0.35), (2.5, 0.0, 0.0), (1.5, 0.7, None)])
-def test_the_same_with_a_recorded_one_aside_in_the_next_lane(
-    scene_of: Callable[..., Scene], y: float, aside_m: float, kept_m: float | None
-) -> None:
+def test_the_same_with_a_recorded_one_aside_in_the_next_lane(y: float, aside_m: float, kept_m: float | None) -> None:
     """At y, 5 m/s, from 60 m on; the vehicle comes from 40 m with 10 m/s and brakes 7 m behind it: 1.4 s.
 
     Boxes are 1.9 m wide with .1 m to the side. At y = 2.5 half of the place in the lane leaves .2 m between them, and
@@ -306,9 +282,7 @@ def test_the_same_with_a_recorded_one_aside_in_the_next_lane(
     scene = scene_of(recorded(60.0, y, 5.0))
     aside = LaneOffset(np.array([0.0, 1000.0]), np.full(2, aside_m), np.zeros(2))
     v = np.concatenate([np.full(18, 10.0), np.linspace(10.0, 5.0, 20), np.full(72, 5.0)])
-    found = finalise(
-        scene, driven(start_on(scene, (1,), 40.0, 10.0, offset=aside), v), []
-    )  # fmt: skip
+    found = finalise(scene, driven(start_on(scene, (1,), 40.0, 10.0, offset=aside), v), [])
     if kept_m is None:
         assert found is Reason.TTC_LANE_LEADER
     else:
@@ -317,9 +291,7 @@ def test_the_same_with_a_recorded_one_aside_in_the_next_lane(
 
 
 @pytest.mark.parametrize(("x", "speed_mps"), [(60.0, 5.0), (157.0, 0.0)], ids=["closing in", "beyond the last step"])
-def test_who_is_aside_passes_whom_it_would_meet_from_the_middle_of_its_lane(
-    x: float, speed_mps: float, scene_of: Callable[..., Scene]
-) -> None:
+def test_who_is_aside_passes_whom_it_would_meet_from_the_middle_of_its_lane(x: float, speed_mps: float) -> None:
     """A recorded one at y = 2.0, in the next lane; the vehicle drives at y = -0.7, or in the middle.
 
     Boxes are 1.9 m wide: from y = 0 they are 0.1 m apart, less than 0.2 m, from y = -0.7 0.8 m.
@@ -331,7 +303,7 @@ def test_who_is_aside_passes_whom_it_would_meet_from_the_middle_of_its_lane(
     assert _alone(scene, np.full(110, 10.0)) in {Reason.MEETS_RECORDED, Reason.TTC_LANE_LEADER}
 
 
-def test_without_collision_checks_nobody_is_looked_at(scene_of: Callable[..., Scene]) -> None:
+def test_without_collision_checks_nobody_is_looked_at() -> None:
     scene = scene_of(recorded(100.0, 0.0), config=Config(without=frozenset({"collision"})))
     assert isinstance(_alone(scene, np.full(110, 10.0)), ExportedVehicle)
 
@@ -358,9 +330,7 @@ def test_without_smoothing_the_grid_path_is_exported(lane: Callable[..., Any]) -
     assert np.any(turn > 0.1)
 
 
-def test_who_is_started_ahead_of_a_kept_vehicle_that_comes_into_its_lane_is_no_leader_too_slow_for_it(
-    scene_of: Callable[..., Scene],
-) -> None:
+def test_who_is_started_ahead_of_a_kept_vehicle_that_comes_into_its_lane_is_no_leader_too_slow_for_it() -> None:
     """From lane 1 to lane 2 at 10 m/s, 149 m after 10.9 s; ahead there 6 m/s from 93 m on: 4.9 m apart, 1.2 s."""
     scene = scene_of()
     start = start_on(scene, (1,), 40.0, 10.0)
@@ -379,7 +349,7 @@ def test_who_is_started_ahead_of_a_kept_vehicle_that_comes_into_its_lane_is_no_l
 # Vehicles that enter during the scene ---------------------------------------------------------------------------------
 
 
-def test_vehicle_that_enters_has_the_steps_since_then(scene_of: Callable[..., Scene]) -> None:
+def test_vehicle_that_enters_has_the_steps_since_then() -> None:
     scene = scene_of()
     found = _alone(scene, np.full(80, 10.0), 3.0, step=30)
     assert isinstance(found, ExportedVehicle)
@@ -395,7 +365,7 @@ def test_vehicle_that_enters_has_the_steps_since_then(scene_of: Callable[..., Sc
 @pytest.mark.parametrize(
     ("steps", "met_by"), [(range(51), 0), (range(60, 110), 30)], ids=["there until step 50", "there from step 60 on"]
 )
-def test_who_is_met_depends_on_when_a_vehicle_enters(scene_of: Callable[..., Scene], steps: range, met_by: int) -> None:
+def test_who_is_met_depends_on_when_a_vehicle_enters(steps: range, met_by: int) -> None:
     """Somebody stands across the lane at x = 60. From x = 20 on at 10 m/s that is reached after 3.7 s, and left after
     4.3 s: from step 0 on at steps 37 to 43, from step 30 on at steps 67 to 73.
     """
@@ -412,7 +382,7 @@ def test_who_is_met_depends_on_when_a_vehicle_enters(scene_of: Callable[..., Sce
         assert isinstance(found, ExportedVehicle) is (step != met_by)
 
 
-def test_ttc_to_a_leader_is_that_of_the_steps_driven(scene_of: Callable[..., Scene]) -> None:
+def test_ttc_to_a_leader_is_that_of_the_steps_driven() -> None:
     """A leader at 5 m/s, at x = 20 at step 0, slows nobody down who comes in at step 40, 20 m behind it, at 5 m/s; from
     step 0 on, 12.5 m behind it bumper to bumper at 10 m/s, it is reached after 2.5 s.
     """
@@ -423,7 +393,7 @@ def test_ttc_to_a_leader_is_that_of_the_steps_driven(scene_of: Callable[..., Sce
 
 @pytest.mark.parametrize(("step", "found"), [(0, Reason.LEAVES_TOO_EARLY), (20, None), (45, Reason.LEAVES_TOO_EARLY)])
 def test_who_enters_stays_until_it_has_been_observed_and_a_while(
-    scene_of: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch, step: int, found: Reason | None
+    monkeypatch: pytest.MonkeyPatch, step: int, found: Reason | None
 ) -> None:
     """From x = 110 of 150 m on it leaves after 3.7 s, less than 4.9: from step 0 on at step 37, from step 20 on at step
     57, after the last observed one; who enters at step 45 is to be there for 4 s.
@@ -437,9 +407,7 @@ def test_who_enters_stays_until_it_has_been_observed_and_a_while(
 @pytest.mark.parametrize(("comes", "y", "kept_m"), [
     (True, 2.6, 0.0), (True, 2.8, 0.25), (True, 3.6, 0.5), (True, 2.3, 0.0), (False, 2.8, 0.25), (False, 3.6, 0.5),
 ])  # fmt: skip
-def test_traffic_beside_is_passed_with_room(
-    scene_of: Callable[..., Scene], comes: bool, y: float, kept_m: float
-) -> None:
+def test_traffic_beside_is_passed_with_room(comes: bool, y: float, kept_m: float) -> None:
     """One comes at y, or goes the same way; the vehicle's place is .5 m towards it, half of it or none leave .5 m.
 
     Boxes are 1.9 m wide and the vehicle's own a little wider: .5 m aside take y = 2.9 m and more, the middle 2.4 m; at

@@ -1,12 +1,11 @@
 """Whom vehicles meet from a start site: leaders on their route, who would run into them, and what came of it."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hand_drawn import draw_lane
+from hand_drawn import draw_lane, draw_road
 from inserted import nobody, recorded, scene_on
 
 from hid2.agents import Policy
@@ -27,15 +26,10 @@ from netconvert.lane_graph import LaneGraph
 ROAD_M = 400.0
 
 
-@pytest.fixture
-def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
-    """scene_of(*recorded) -> two lanes of 400 m in cells of 4 m: lane 1 at y = 0, lane 2 at y = 3.5 m."""
-
-    def make(*tracks: object, **spawn: float) -> Scene:
-        config = Config(spawn=Spawn(prior_speed_mps=9.0, **spawn), drivers=Drivers(desired_sd=0.0))
-        return scene_on(road(lanes=2, length_m=ROAD_M), *tracks, config=config)
-
-    return make
+def scene_of(*tracks: object, **spawn: float) -> Scene:
+    """Two lanes of 400 m in cells of 4 m: lane 1 at y = 0, lane 2 at y = 3.5 m."""
+    config = Config(spawn=Spawn(prior_speed_mps=9.0, **spawn), drivers=Drivers(desired_sd=0.0))
+    return scene_on(draw_road(lanes=2, length_m=ROAD_M), *tracks, config=config)
 
 
 def _meetings(scene: Scene) -> Meetings:
@@ -54,7 +48,7 @@ def _weight(meetings: Meetings, scene: Scene, lane_id: int, at_m: float) -> floa
     return float(meetings.outlook(Policy.STRAIGHT).weight[scene.grid.index_of[cell]])
 
 
-def test_leader_is_next_ahead_on_the_same_lane_within_three_seconds(scene_of: Callable[..., Scene]) -> None:
+def test_leader_is_next_ahead_on_the_same_lane_within_three_seconds() -> None:
     """One at 9 m/s from 100 m on: within 3 s, 27 m, of it a vehicle that starts at 82 m follows it, on its lane only.
 
     At 0.9 of its speed the one from 82 m falls behind by 0.9 m/s and is within 3 s for more than three looks.
@@ -70,7 +64,7 @@ def test_leader_is_next_ahead_on_the_same_lane_within_three_seconds(scene_of: Ca
     assert met[rows].tolist() == [True, False]
 
 
-def test_a_leader_that_brakes_is_told_from_one_that_does_not(scene_of: Callable[..., Scene]) -> None:
+def test_a_leader_that_brakes_is_told_from_one_that_does_not() -> None:
     """From 9 m/s by 1 m/s2 from 6 s on; a vehicle that changes lanes is to meet none: there is no speed for it."""
     steady = recorded(100.0, 0.0, 9.0)
     time_s = 0.1 * np.arange(110)
@@ -86,7 +80,7 @@ def test_a_leader_that_brakes_is_told_from_one_that_does_not(scene_of: Callable[
     assert sites._wants(Policy.LANE_CHANGE) == set()
 
 
-def test_nobody_leads_past_somebody_between(scene_of: Callable[..., Scene]) -> None:
+def test_nobody_leads_past_somebody_between() -> None:
     """The same with another one at 9 m/s at 91 m, between them: that one leads."""
     scene = scene_of(recorded(100.0, 0.0, 9.0, name="far"), recorded(91.0, 0.0, 9.0, name="next"))
     meetings = _meetings(scene)
@@ -126,7 +120,7 @@ def test_vehicle_that_comes_to_a_red_light_stands() -> None:
 
 
 def test_site_at_which_somebody_recorded_would_run_into_a_vehicle_weighs_a_fifth(
-    scene_of: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """On lane 1 one at 20 m/s from 20 m on drives 218 m: past who starts at 60 m, not past who starts behind it."""
     scene = scene_of(recorded(20.0, 0.0, 20.0), recorded(20.0, 3.5, 9.0, name="other"), max_speed_mps=12.0)
@@ -136,7 +130,7 @@ def test_site_at_which_somebody_recorded_would_run_into_a_vehicle_weighs_a_fifth
     assert ahead == pytest.approx(0.2 * behind)
 
 
-def test_who_follows_drives_as_fast_as_the_leader_at_least(scene_of: Callable[..., Scene]) -> None:
+def test_who_follows_drives_as_fast_as_the_leader_at_least() -> None:
     """Half the traffic of the lane crawls at 4 m/s, far ahead; who starts behind the one at 12 m/s wants 12, not 4."""
     crawling = recorded(300.0, 0.0, 4.0, name="c")
     scene = scene_of(recorded(60.0, 0.0, 12.0), crawling)
@@ -147,7 +141,7 @@ def test_who_follows_drives_as_fast_as_the_leader_at_least(scene_of: Callable[..
     assert all(one.driver.desired_mps == pytest.approx(12.0) for one in led)
 
 
-def test_leader_who_is_followed_by_a_kept_vehicle_speaks_for_no_other_site(scene_of: Callable[..., Scene]) -> None:
+def test_leader_who_is_followed_by_a_kept_vehicle_speaks_for_no_other_site() -> None:
     scene = scene_of(recorded(100.0, 0.0, 9.0))
     sites = _sites(scene, 0, Situation.FOLLOWS)
     cell = scene.grid.index_of[scene.grid.cell_at(1, 82.0)]
@@ -162,14 +156,14 @@ def test_leader_who_is_followed_by_a_kept_vehicle_speaks_for_no_other_site(scene
     assert rows() == []
 
 
-def test_pace_of_a_leader_is_what_it_drives_while_it_moves(scene_of: Callable[..., Scene]) -> None:
+def test_pace_of_a_leader_is_what_it_drives_while_it_moves() -> None:
     scene = scene_of(recorded(100.0, 0.0, 9.0))
     meetings = _meetings(scene)
     assert meetings.pace_of(0) == pytest.approx(9.0)
     assert meetings.pace_of(-1) == 0.0
 
 
-def test_weight_of_a_route_is_that_of_its_cell(scene_of: Callable[..., Scene]) -> None:
+def test_weight_of_a_route_is_that_of_its_cell() -> None:
     scene = scene_of(recorded(100.0, 0.0, 9.0))
     meetings = _meetings(scene)
     cell = scene.grid.cell_at(1, 82.0)
@@ -188,7 +182,7 @@ def _sites(scene: Scene, seed: int, *wants: Situation) -> InsertionSites:
     return InsertionSites(here, guard, np.random.default_rng(seed), 0, Spread.of((seed, 0)), wanted)
 
 
-def test_leader_does_not_depend_on_what_was_looked_at_before(scene_of: Callable[..., Scene]) -> None:
+def test_leader_does_not_depend_on_what_was_looked_at_before() -> None:
     """Variants share what they find: a site asked for first is answered as one asked for after all others."""
     scene = scene_of(recorded(100.0, 0.0, 9.0))
     fresh, used = _meetings(scene), _meetings(scene)

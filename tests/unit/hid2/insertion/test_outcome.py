@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hand_drawn import draw_lane
 from inserted import changing, driven, scene_on, start_on
 
 from hid2.agents import Policy
@@ -13,7 +14,7 @@ from hid2.insertion.outcome import Outcome, gaps_at_request, outcome_of, takes_g
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle
-from netconvert.lane_graph import LaneGraph, LaneSegment
+from netconvert.lane_graph import LaneGraph
 
 
 @pytest.fixture
@@ -95,27 +96,22 @@ def test_trigger_behind_the_end_of_the_track_is_not_triggered(scene: Scene) -> N
     assert (found.status, found.reason) == ("not_triggered", Reason.SCENE_ENDED)
 
 
-@pytest.fixture
-def bend(lane: Callable[..., LaneSegment]) -> Callable[[float], Scene]:
-    """bend(degrees): 60 m straight, a left turn of a radius of 20 m by so much in an intersection, 200 m on."""
-
-    def make(degrees: float) -> Scene:
-        angle = np.linspace(0.0, np.radians(degrees), 30)
-        arc = np.array([60.0, 0.0]) + 20.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
-        ahead = np.array([np.cos(angle[-1]), np.sin(angle[-1])])
-        on = arc[-1] + np.linspace(0.0, 200.0, 50)[:, None] * ahead
-        ring = np.array([(-50.0, -50.0), (350.0, -50.0), (350.0, 350.0), (-50.0, 350.0), (-50.0, -50.0)])
-        lanes = {
-            1: lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
-            2: lane(2, arc, successors=(3,), is_intersection=True),
-            3: lane(3, on),
-        }
-        return scene_on(LaneGraph(lanes, drivable_areas=(ring,)))
-
-    return make
+def bend(degrees: float) -> Scene:
+    """60 m straight, a left turn of a radius of 20 m by so much in an intersection, 200 m on."""
+    angle = np.linspace(0.0, np.radians(degrees), 30)
+    arc = np.array([60.0, 0.0]) + 20.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    ahead = np.array([np.cos(angle[-1]), np.sin(angle[-1])])
+    on = arc[-1] + np.linspace(0.0, 200.0, 50)[:, None] * ahead
+    ring = np.array([(-50.0, -50.0), (350.0, -50.0), (350.0, 350.0), (-50.0, 350.0), (-50.0, -50.0)])
+    lanes = {
+        1: draw_lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
+        2: draw_lane(2, arc, successors=(3,), is_intersection=True),
+        3: draw_lane(3, on),
+    }
+    return scene_on(LaneGraph(lanes, drivable_areas=(ring,)))
 
 
-def test_turn_is_done_once_its_lane_is_behind(bend: Callable[[float], Scene]) -> None:
+def test_turn_is_done_once_its_lane_is_behind() -> None:
     """From 30 m at 6 m/s: the entrance (60 m) after 5 s, the arc of 31.4 m left after 10.2 s."""
     scene = bend(90.0)
     start = start_on(scene, (1, 2, 3), 30.0, 6.0, policy=Policy.LEFT_TURN)
@@ -125,23 +121,17 @@ def test_turn_is_done_once_its_lane_is_behind(bend: Callable[[float], Scene]) ->
     assert (found.source_lane, found.target_lane) == (1, 2)
 
 
-def test_turn_that_the_scene_cuts_off_is_aborted(bend: Callable[[float], Scene]) -> None:
-    """From 20 m at 6 m/s: 85.4 m at the end, in the middle of the arc (60 to 91.4 m)."""
-    scene = bend(90.0)
-    start = start_on(scene, (1, 2, 3), 20.0, 6.0, policy=Policy.LEFT_TURN)
-    found = _outcome(scene, driven(start, np.full(110, 6.0)))
-    assert (found.status, found.reason) == ("aborted", Reason.SCENE_ENDED)
-
-
-def test_turn_that_is_not_reached_is_not_feasible(bend: Callable[[float], Scene]) -> None:
-    scene = bend(90.0)
-    start = start_on(scene, (1, 2, 3), 20.0, 3.0, policy=Policy.LEFT_TURN)
-    found = _outcome(scene, driven(start, np.full(110, 3.0)))
-    assert (found.status, found.reason, found.start_s) == ("not_feasible", Reason.SCENE_ENDED, None)
-
-
-def test_bend_of_less_than_30_degrees_is_no_turn_that_anybody_sees(bend: Callable[[float], Scene]) -> None:
-    scene = bend(25.0)
-    start = start_on(scene, (1, 2, 3), 20.0, 8.0, policy=Policy.LEFT_TURN)
-    found = _outcome(scene, driven(start, np.full(110, 8.0)))
-    assert (found.status, found.reason) == ("not_feasible", Reason.TURN_NOT_SEEN)
+@pytest.mark.parametrize(
+    ("degrees", "speed", "status", "reason"),
+    [
+        (90.0, 6.0, "aborted", Reason.SCENE_ENDED),  # 85.4 m at the end, in the middle of the arc (60 to 91.4 m)
+        (90.0, 3.0, "not_feasible", Reason.SCENE_ENDED),  # not reached
+        (25.0, 8.0, "not_feasible", Reason.TURN_NOT_SEEN),  # a bend of less than 30 degrees is no turn to be seen
+    ],
+)
+def test_turn_that_is_not_done_has_a_reason(degrees: float, speed: float, status: str, reason: Reason) -> None:
+    """From 20 m on."""
+    scene = bend(degrees)
+    start = start_on(scene, (1, 2, 3), 20.0, speed, policy=Policy.LEFT_TURN)
+    found = _outcome(scene, driven(start, np.full(110, speed)))
+    assert (found.status, found.reason, found.start_s is None) == (status, reason, status == "not_feasible")

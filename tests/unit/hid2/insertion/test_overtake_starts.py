@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import pytest
+from hand_drawn import draw_road
 from inserted import nobody, recorded, scene_on
 
 from hid2.agents import Policy, Track
@@ -26,15 +26,10 @@ OVERTAKE, SLOW = VehicleRequest(0, Policy.OVERTAKE, 1.0), VehicleRequest(1, Poli
 ALONE = {"straight": 0.0, "left_turn": 0.0, "right_turn": 0.0, "lane_change": 0.0, "overtake": 1.0}
 
 
-@pytest.fixture
-def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
-    """scene_of(*recorded, **request) -> two lanes of 500 m that run the same way, usual speed 9 m/s."""
-
-    def make(*tracks: Track, **request: Any) -> Scene:
-        config = Config(request=Request(near="anywhere", **request), spawn=Spawn(prior_speed_mps=9.0))
-        return scene_on(road(lanes=2, length_m=500.0), *tracks, config=config)
-
-    return make
+def scene_of(*tracks: Track, **request: Any) -> Scene:
+    """Two lanes of 500 m that run the same way, usual speed 9 m/s."""
+    config = Config(request=Request(near="anywhere", **request), spawn=Spawn(prior_speed_mps=9.0))
+    return scene_on(draw_road(lanes=2, length_m=500.0), *tracks, config=config)
 
 
 def _sites(scene: Scene, seed: int = 0) -> InsertionSites:
@@ -43,7 +38,7 @@ def _sites(scene: Scene, seed: int = 0) -> InsertionSites:
     return InsertionSites(here, guard, np.random.default_rng(seed), 0, Spread.of((seed, 0)))
 
 
-def test_overtaker_without_a_slower_leader_gets_one(scene_of: Callable[..., Scene]) -> None:
+def test_overtaker_without_a_slower_leader_gets_one() -> None:
     """The leader is a straight request's, ahead on the same lane, and wants 50 to 70 % of 9 m/s: 4.5 to 6.3.
 
     Its wish wanders, and never below 4.5 m/s.
@@ -58,7 +53,7 @@ def test_overtaker_without_a_slower_leader_gets_one(scene_of: Callable[..., Scen
         assert leader.start_mps < overtaker.start_mps
 
 
-def test_rollout_of_an_overtaker_is_out_past_and_back_in_time(scene_of: Callable[..., Scene]) -> None:
+def test_rollout_of_an_overtaker_is_out_past_and_back_in_time() -> None:
     """Out at 1.0 s or later, and back before 10.9 s: two lateral motions of 2.5 s at least, 5 m ahead of the leader."""
     sites = _sites(scene_of())
     leader, overtaker = sites.propose(OVERTAKE, SLOW)
@@ -92,7 +87,7 @@ def test_way_back_of_an_overtake_ends_on_the_map(road: Callable[..., LaneGraph])
     assert found
 
 
-def test_slower_recorded_vehicle_is_overtaken_where_none_can_be_added(scene_of: Callable[..., Scene]) -> None:
+def test_slower_recorded_vehicle_is_overtaken_where_none_can_be_added() -> None:
     """It drives at 4 m/s from x = 150 m on lane 1, where another one far ahead tells 10 m/s as a usual speed too."""
     scene = scene_of(recorded(150.0, 0.0, 4.0), recorded(350.0, 0.0, 10.0, name="usual"))
     found = [start for seed in range(6) for start in _sites(scene, seed).propose(OVERTAKE, None)]
@@ -102,26 +97,26 @@ def test_slower_recorded_vehicle_is_overtaken_where_none_can_be_added(scene_of: 
         assert 150.0 - 60.0 < start.start_s < 150.0 - 4.5
 
 
-def test_no_leader_and_no_request_for_one_is_the_reason(scene_of: Callable[..., Scene]) -> None:
+def test_no_leader_and_no_request_for_one_is_the_reason() -> None:
     sites = _sites(scene_of())
     assert sites.propose(OVERTAKE, None) == []
     assert sites.overtakes.found_none is Reason.NO_SLOW_LEADER
 
 
-def test_later_trigger_leaves_no_time(scene_of: Callable[..., Scene]) -> None:
+def test_later_trigger_leaves_no_time() -> None:
     """From 6.5 s on 4.4 s are left, and out and back alone take 5.0 s."""
     sites = _sites(scene_of())
     assert sites.propose(VehicleRequest(0, Policy.OVERTAKE, 6.5), SLOW) == []
     assert sites.overtakes.found_none is Reason.NO_OVERTAKE_FORESEEN
 
 
-def test_queue_on_the_lane_beside_leaves_no_way_past(scene_of: Callable[..., Scene]) -> None:
+def test_queue_on_the_lane_beside_leaves_no_way_past() -> None:
     """Parked ones every 15 m on lane 2 block it from lane 1, and on lane 2 itself nothing moves."""
     queue = [recorded(10.0 + 15.0 * number, 3.5, 0.0, name=f"q{number}") for number in range(32)]
     assert _sites(scene_of(*queue)).propose(OVERTAKE, SLOW) == []
 
 
-def test_what_begins_later_leaves_a_chosen_overtake_as_it_is(scene_of: Callable[..., Scene]) -> None:
+def test_what_begins_later_leaves_a_chosen_overtake_as_it_is() -> None:
     """Twelve more on 1,000 m of lane: with all of them there the overtaker still comes out, past and back."""
     for seed in range(3):
         scene = scene_of()
@@ -138,7 +133,7 @@ def test_what_begins_later_leaves_a_chosen_overtake_as_it_is(scene_of: Callable[
         assert world.act(overtaker)[0].stage is Stage.DONE
 
 
-def test_overtakes_asked_for_alone_lead_each_other(scene_of: Callable[..., Scene]) -> None:
+def test_overtakes_asked_for_alone_lead_each_other() -> None:
     """Of six requests the last ones become slow leaders, with that reason; each overtake has its leader ahead."""
     scene = scene_of(agents=6, **ALONE)
     filling = Filling(Surroundings(scene), (0, 0))
@@ -156,14 +151,14 @@ def test_overtakes_asked_for_alone_lead_each_other(scene_of: Callable[..., Scene
     assert next(one.request.number for one in filling.unmet if one.reason is Reason.LEADS_AN_OVERTAKE) == 5
 
 
-def test_single_overtake_says_that_there_is_none_to_lead(scene_of: Callable[..., Scene]) -> None:
+def test_single_overtake_says_that_there_is_none_to_lead() -> None:
     filling = Filling(Surroundings(scene_of(agents=1, **ALONE)), (0, 0))
     (start,) = filling.first_starts(1)
     assert start.request.policy is Policy.STRAIGHT
     assert [unmet.reason for unmet in filling.unmet] == [Reason.NO_SLOW_LEADER]
 
 
-def test_motion_continued_from_a_step_is_the_same_motion(scene_of: Callable[..., Scene]) -> None:
+def test_motion_continued_from_a_step_is_the_same_motion() -> None:
     """What the driver keeps in mind goes on: cut at 2.0 s, the rest is driven as without the cut."""
     sites = _sites(scene_of())
     leader, _ = sites.propose(OVERTAKE, SLOW)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_drawn import draw_lane
+from hand_drawn import draw_lane, draw_road
 from inserted import recorded, scene_on, start_on
 
 from hid2.agents import Policy, Track
@@ -23,16 +23,11 @@ from hid2.vehicle import DrivenVehicle
 from netconvert.lane_graph import LaneGraph, LaneSegment
 
 
-@pytest.fixture
-def world_of(road: Callable[..., LaneGraph]) -> Callable[..., World]:
-    """world_of(*recorded) -> two lanes of 300 m with nothing inserted."""
-
-    def make(*tracks: Track) -> World:
-        scene = scene_on(road(length_m=300.0), *tracks)
-        nobody = Traffic.none(scene.future.num_steps)
-        return World(scene, Roads(scene), Guard(scene, nobody, StopLines(scene)))
-
-    return make
+def world_of(*tracks: Track) -> World:
+    """Two lanes of 300 m with nothing inserted."""
+    scene = scene_on(draw_road(length_m=300.0), *tracks)
+    nobody = Traffic.none(scene.future.num_steps)
+    return World(scene, Roads(scene), Guard(scene, nobody, StopLines(scene)))
 
 
 def _steady(
@@ -54,9 +49,7 @@ def _steady(
         (6.0, 7.7, None),
     ],
 )
-def test_recorded_follower_keeps_its_time_headway(
-    world_of: Callable[..., World], mps: float, ahead_m: float, reason: Reason | None
-) -> None:
+def test_recorded_follower_keeps_its_time_headway(mps: float, ahead_m: float, reason: Reason | None) -> None:
     """At 16 m/s 12.5 m from front to front are .78 s, 13.1 m .82 s; .8 s is the limit. An event's target bears it.
 
     At 6 m/s 1.8 m of a leader 4.5 m long count: 7.3 m from front to front are 2.8 m between bumpers, .77 s in all.
@@ -68,12 +61,12 @@ def test_recorded_follower_keeps_its_time_headway(
     assert world.harm_to_followers(candidate) is None
 
 
-def test_follower_that_kept_as_little_in_the_recording_does_not_mind(world_of: Callable[..., World]) -> None:
+def test_follower_that_kept_as_little_in_the_recording_does_not_mind() -> None:
     """It follows a recorded one at .7 s for 3 s, which is gone then; afterwards an inserted one at .75 s."""
     leader = recorded(27.0, 0.0, 10.0, name="b")
-    gone = replace(leader, **{
-        name: getattr(leader, name)[:30] for name in ("timesteps", "position", "heading", "velocity")
-    })  # fmt: skip
+    gone = replace(
+        leader, **{name: getattr(leader, name)[:30] for name in ("timesteps", "position", "heading", "velocity")}
+    )
     world = world_of(recorded(20.0, 0.0, 10.0, name="a"), gone)
     start = start_on(world.scene, (1,), 57.5, 10.0, step=30)
     steps = np.arange(world.scene.num_steps - 30)
@@ -82,9 +75,7 @@ def test_follower_that_kept_as_little_in_the_recording_does_not_mind(world_of: C
 
 
 @pytest.mark.parametrize(("ahead_m", "reason"), [(9.2, Reason.FOLLOWER_HEADWAY), (9.8, None)])
-def test_follower_of_a_round_before_keeps_its_time_headway(
-    world_of: Callable[..., World], ahead_m: float, reason: Reason | None
-) -> None:
+def test_follower_of_a_round_before_keeps_its_time_headway(ahead_m: float, reason: Reason | None) -> None:
     """At 10 m/s 3 m of a leader's length count: 9.2 m from front to front are .77 s, 9.8 m .83 s; .8 s is the limit.
 
     One chosen in the same round would brake: it is no reason.
@@ -98,16 +89,14 @@ def test_follower_of_a_round_before_keeps_its_time_headway(
     assert world.objection(candidate.start, candidate.parts) is None
 
 
-def test_follower_that_closes_in_is_named(world_of: Callable[..., World]) -> None:
+def test_follower_that_closes_in_is_named() -> None:
     """10 m/s behind 5 m/s: the gap of 15.5 m lasts 3.1 s."""
     world = world_of(recorded(20.0, 0.0, 10.0))
     assert world.harm_to_followers(_steady(world, 40.0, 5.0)) is Reason.TTC_RECORDED_FOLLOWER
 
 
 @pytest.mark.parametrize(("gap_m", "reason"), [(48.0, Reason.FOLLOWER_BRAKING), (75.0, None)])
-def test_recorded_follower_is_not_to_brake_harder_than_it_does(
-    world_of: Callable[..., World], gap_m: float, reason: Reason | None
-) -> None:
+def test_recorded_follower_is_not_to_brake_harder_than_it_does(gap_m: float, reason: Reason | None) -> None:
     """It keeps 15 m/s; the vehicle slows to 5 m/s in 4 s, for which the gap loses 20 m, and speeds up again.
 
     10^2 / (2 * 28) = 1.8 m/s2 would do, and .8 s later, at 7 m/s, still 1.5; of a gap 27 m longer 100 / 110 = .9 m/s2.
@@ -123,7 +112,7 @@ def test_recorded_follower_is_not_to_brake_harder_than_it_does(
     assert world.harm_to_followers(candidate) is None
 
 
-def test_vehicle_is_rolled_out_anew_without_itself(world_of: Callable[..., World]) -> None:
+def test_vehicle_is_rolled_out_anew_without_itself() -> None:
     """What is known on the path is the others, as in a world that it was never chosen in."""
     world, plain = world_of(recorded(200.0, 0.0, 8.0)), world_of(recorded(200.0, 0.0, 8.0))
     first, second, third = (_steady(world, s, 8.0, number=n) for n, s in enumerate((20.0, 60.0, 100.0)))
@@ -154,9 +143,7 @@ def test_a_cell_that_begins_farther_on_takes_a_vehicle_there(lane: Callable[...,
     assert driven_on[1] - driven_on[0] == pytest.approx(2.0, abs=0.02)
 
 
-def test_vehicle_that_stands_while_it_passes_another_one_is_looked_at_again(
-    world_of: Callable[..., World], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_vehicle_that_stands_while_it_passes_another_one_is_looked_at_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """It stands 2 m short of the way back all the time: no step is the one at which it will be past."""
     world = world_of()
 
@@ -174,7 +161,7 @@ def test_vehicle_that_stands_while_it_passes_another_one_is_looked_at_again(
     assert (vehicle.reason, len(parts)) == (Reason.NOT_AHEAD, 1)
 
 
-def test_only_what_comes_near_a_lane_change_makes_it_be_rolled_out_anew(world_of: Callable[..., World]) -> None:
+def test_only_what_comes_near_a_lane_change_makes_it_be_rolled_out_anew() -> None:
     """Beside 20 m behind it does; 100 m behind, or where it is never there at the same time, it does not."""
     world = world_of()
     changer = _steady(world, 150.0, 8.0, policy=Policy.LANE_CHANGE)
@@ -230,12 +217,10 @@ def test_none_is_to_stop_in_an_intersection(stops_m: float, stands: int, reason:
     assert world.objection(start, (part,)) is reason
 
 
-@pytest.mark.parametrize(("aside_m", "stops_m", "reason"), [
-    (1.0, 92.0, Reason.BEHIND_PARKED), (1.0, 85.5, None), (0.0, 92.0, None),
-])  # fmt: skip
-def test_none_is_to_wait_behind_a_parked_vehicle(
-    world_of: Callable[..., World], aside_m: float, stops_m: float, reason: Reason | None
-) -> None:
+@pytest.mark.parametrize(
+    ("aside_m", "stops_m", "reason"), [(1.0, 92.0, Reason.BEHIND_PARKED), (1.0, 85.5, None), (0.0, 92.0, None)]
+)
+def test_none_is_to_wait_behind_a_parked_vehicle(aside_m: float, stops_m: float, reason: Reason | None) -> None:
     """A car stands at 100 m throughout, 1 m off the middle of its lane: parked; in the middle it is a queue."""
     world = world_of(recorded(100.0, aside_m))
     start, time_s = start_on(world.scene, (1,), 60.0, 10.0), 0.1 * np.arange(world.scene.num_steps)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hand_drawn import draw_crossing, draw_lane
+from hand_drawn import draw_crossing, draw_lane, draw_road
 from inserted import CAR, DRIVER, nobody, recorded, scene_on
 from scipy.stats import chisquare
 
@@ -42,15 +42,10 @@ def _request(number: int = 0, policy: Policy = Policy.STRAIGHT, trigger_s: float
     return VehicleRequest(number, policy, trigger_s, size=CAR)
 
 
-@pytest.fixture
-def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
-    """scene_of(*recorded, sites="promising") -> two lanes of 300 m."""
-
-    def make(*tracks: Track, sites: str = "promising", lanes: int = 2, length_m: float = ROAD_M, **spawn: Any) -> Scene:
-        config = Config(request=Request(sites=sites), spawn=Spawn(prior_speed_mps=9.0, **spawn))
-        return scene_on(road(lanes=lanes, length_m=length_m), *tracks, config=config)
-
-    return make
+def scene_of(*tracks: Track, sites: str = "promising", lanes: int = 2, length_m: float = ROAD_M, **spawn: Any) -> Scene:
+    """Two lanes of 300 m."""
+    config = Config(request=Request(sites=sites), spawn=Spawn(prior_speed_mps=9.0, **spawn))
+    return scene_on(draw_road(lanes=lanes, length_m=length_m), *tracks, config=config)
 
 
 def _many(scene: Scene, count: int, **request: Any) -> list[Start]:
@@ -58,7 +53,7 @@ def _many(scene: Scene, count: int, **request: Any) -> list[Start]:
     return [start for seed in range(count) for start in _sites(scene, seed).propose(_request(**request))]
 
 
-def test_site_is_never_on_an_occupied_cell_nor_near_a_box(scene_of: Callable[..., Scene]) -> None:
+def test_site_is_never_on_an_occupied_cell_nor_near_a_box() -> None:
     """Parked ones at 60 and 130 m of lane 1, one at 9 m/s on lane 2 at 100 m: CLEAR_GAP_M of 2 m to all."""
     others = [recorded(60.0, 0.0, name="a"), recorded(130.0, 0.0, name="b"), recorded(100.0, 3.5, 9.0, name="c")]
     scene = scene_of(*others)
@@ -73,7 +68,7 @@ def test_site_is_never_on_an_occupied_cell_nor_near_a_box(scene_of: Callable[...
                 assert abs(one.position[0, 0] - x) - 0.5 * (start.size.length_m + 4.5) >= 2.0 - 0.01
 
 
-def test_start_that_a_recorded_vehicle_would_run_into_is_rejected(scene_of: Callable[..., Scene]) -> None:
+def test_start_that_a_recorded_vehicle_would_run_into_is_rejected() -> None:
     """On one lane somebody comes from x = 0 at 18 m/s, whom nobody can make brake: no slower one begins ahead of it.
 
     In 10.9 s it drives 196 m; a vehicle with 9 m/s would have to begin at 196 - 98 = 98 m or farther.
@@ -95,12 +90,10 @@ def test_start_speed_behind_a_leader_needs_no_braking(gap: float, leader_mps: fl
     assert DRIVER.accel_mps2 * (1.0 - (star / gap) ** 2) == pytest.approx(-0.8, abs=1e-6)
 
 
-@pytest.mark.parametrize(("gap_m", "other_mps", "begins"), [
-    (2.5, 14.0, False), (8.0, 14.0, True), (-4.0, 4.0, False), (-12.0, 4.0, True),
-])  # fmt: skip
-def test_none_begins_where_its_leader_or_follower_has_just_been(
-    scene_of: Callable[..., Scene], gap_m: float, other_mps: float, begins: bool
-) -> None:
+@pytest.mark.parametrize(
+    ("gap_m", "other_mps", "begins"), [(2.5, 14.0, False), (8.0, 14.0, True), (-4.0, 4.0, False), (-12.0, 4.0, True)]
+)
+def test_none_begins_where_its_leader_or_follower_has_just_been(gap_m: float, other_mps: float, begins: bool) -> None:
     """Behind one at 14 m/s, 2.5 m of gap are as much as .2 s ago there was none; 8 m allow 10.7 m/s at the start.
 
     Ahead of one at 4 m/s a vehicle at some 10 m/s was inside it .7 s ago if there are 4 m between them, not 12.
@@ -121,7 +114,7 @@ def test_nobody_begins_moving_right_behind_who_stands() -> None:
     assert speed_behind(1.5, 0.0, DRIVER.following) == 0.0
 
 
-def test_starts_behind_slow_traffic_are_no_faster_than_it_allows(scene_of: Callable[..., Scene]) -> None:
+def test_starts_behind_slow_traffic_are_no_faster_than_it_allows() -> None:
     """A platoon at 5 m/s every 40 m on one lane: the desired speeds are of about 5 m/s, and so are the starts.
 
     At most 2 SD of the desired speed, .12, and of its wandering, 1.2 m/s, above that.
@@ -185,9 +178,7 @@ def test_turn_behind_a_red_line_says_that_the_vehicle_waits(
 
 
 @pytest.mark.parametrize(("slow_m", "refused"), [(40.0, True), (85.0, False)])
-def test_none_is_to_stop_astride_of_two_lanes(
-    scene_of: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch, slow_m: float, refused: bool
-) -> None:
+def test_none_is_to_stop_astride_of_two_lanes(monkeypatch: pytest.MonkeyPatch, slow_m: float, refused: bool) -> None:
     """Across from 120 to 170 m: at 1.5 m/s for 20 m, too slow to shift, 40 m after the start at 100 m, or past it."""
     scene = scene_of()
     starts, act = _sites(scene).starts, World.act
@@ -207,7 +198,7 @@ def test_none_is_to_stop_astride_of_two_lanes(
     assert (made is Reason.TOO_SLOW) is refused
 
 
-def test_vehicle_does_not_begin_with_braking(scene_of: Callable[..., Scene]) -> None:
+def test_vehicle_does_not_begin_with_braking() -> None:
     """Behind one that slows down from 9 m/s by 1.2 m/s2 a driver begins slower: it loses .5 m/s2 in 1.3 s at most."""
     speed = np.maximum(9.0 - 0.12 * np.arange(110), 0.0)
     x = 150.0 + 0.1 * np.concatenate([[0.0], np.cumsum(speed[:-1])])
@@ -223,7 +214,7 @@ def test_vehicle_does_not_begin_with_braking(scene_of: Callable[..., Scene]) -> 
     assert loses.max() < 0.52
 
 
-def test_any_site_is_drawn_uniformly_over_all_that_are_admissible(scene_of: Callable[..., Scene]) -> None:
+def test_any_site_is_drawn_uniformly_over_all_that_are_admissible() -> None:
     """sites = "any" on an empty lane of 300 m: admissible is where nobody leaves before 5 s, and all of that alike.
 
     Six stretches of 30 m from 20 to 200 m, 240 seeds: chi-square against the same count in each.
@@ -235,13 +226,13 @@ def test_any_site_is_drawn_uniformly_over_all_that_are_admissible(scene_of: Call
     assert chisquare(counts).pvalue > 0.01
 
 
-def test_any_site_asks_for_no_promise(scene_of: Callable[..., Scene]) -> None:
+def test_any_site_asks_for_no_promise() -> None:
     """A lane change on a road of one lane: promising sites have none; any site is taken, and the map says no later."""
     assert _many(scene_of(lanes=1), 5, policy=Policy.LANE_CHANGE) == []
     assert len(_many(scene_of(lanes=1, sites="any"), 5, policy=Policy.LANE_CHANGE)) == 5
 
 
-def test_promising_sites_are_nearer_to_moving_traffic(scene_of: Callable[..., Scene]) -> None:
+def test_promising_sites_are_nearer_to_moving_traffic() -> None:
     """Cells within 30 m of somebody who moves weigh four times as much; parked ones draw nobody."""
 
     def near(speed: float) -> float:
@@ -279,7 +270,7 @@ def refusing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
 @pytest.mark.parametrize(("policy", "slow_leader"), [(Policy.LANE_CHANGE, None), (Policy.OVERTAKE, 1)])
 def test_no_site_is_proposed_for_a_manoeuvre_that_the_configured_rule_never_begins(
-    scene_of: Callable[..., Scene], refusing: str, policy: Policy, slow_leader: int | None
+    refusing: str, policy: Policy, slow_leader: int | None
 ) -> None:
     """By the paper's, MOBIL's and SUMO's rules sites are found on two empty lanes; `any` asks no rule."""
     usual = scene_of(length_m=500.0)
@@ -312,9 +303,7 @@ def test_rule_that_takes_one_side_alone_finds_its_sites(
     assert {scene.cell_at(start.path, start.start_s).lane_id for start in starts} == {lane_id}
 
 
-def test_gap_beside_is_foreseen_by_the_configured_rule(
-    scene_of: Callable[..., Scene], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_gap_beside_is_foreseen_by_the_configured_rule(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A rule that leaves slow leaders alone: behind one at 5 m/s no gap is foreseen, by the paper's rule one is.
 
     A driver who wishes 10 m/s is behind it when the trigger comes.
@@ -335,7 +324,7 @@ def test_gap_beside_is_foreseen_by_the_configured_rule(
     assert not begins("patient_rule:follows")
 
 
-def test_starts_of_a_round_keep_clear_of_each_other(scene_of: Callable[..., Scene]) -> None:
+def test_starts_of_a_round_keep_clear_of_each_other() -> None:
     """Twelve on 2 x 300 m: 2.5 m at least from bumper to bumper on one lane."""
     sites = _sites(scene_of())
     starts = [start for number in range(12) for start in sites.propose(_request(number))]
@@ -347,7 +336,7 @@ def test_starts_of_a_round_keep_clear_of_each_other(scene_of: Callable[..., Scen
                 assert gap > 2.5 - 0.01
 
 
-def test_a_second_vehicle_that_is_to_follow_takes_the_other_leader(scene_of: Callable[..., Scene]) -> None:
+def test_a_second_vehicle_that_is_to_follow_takes_the_other_leader() -> None:
     """One leader on each of two lanes, of one speed, and all are to follow one."""
     scene = scene_of(recorded(150.0, 0.0, 9.0, name="a"), recorded(150.0, 3.5, 9.0, name="b"))
     other = 0
@@ -360,12 +349,12 @@ def test_a_second_vehicle_that_is_to_follow_takes_the_other_leader(scene_of: Cal
     assert other == 20
 
 
-def test_route_that_ends_too_early_is_no_site(scene_of: Callable[..., Scene]) -> None:
+def test_route_that_ends_too_early_is_no_site() -> None:
     """On 60 m of road nobody stays for 5 s at 9 m/s but from its first metres; at 20 m/s nobody does."""
     assert _many(scene_of(recorded(200.0, 30.0, 20.0), length_m=60.0, min_speed_mps=18.0), 10) == []
 
 
-def test_who_begins_close_behind_a_standing_one_stands(scene_of: Callable[..., Scene]) -> None:
+def test_who_begins_close_behind_a_standing_one_stands() -> None:
     """Some 3 m from bumper to bumper behind one that stands at 100 m; at 2 m/s it would have to brake at once.
 
     The leader drives off after 3 s, at 1 m/s2: a vehicle that stands throughout is no start.
@@ -381,7 +370,7 @@ def test_who_begins_close_behind_a_standing_one_stands(scene_of: Callable[..., S
 
 
 @pytest.mark.parametrize(("aside_m", "stands"), [(0.0, True), (1.0, False)])
-def test_none_queues_behind_a_parked_vehicle(scene_of: Callable[..., Scene], aside_m: float, stands: bool) -> None:
+def test_none_queues_behind_a_parked_vehicle(aside_m: float, stands: bool) -> None:
     """Two cars that never move: in the middle of the lane they are a queue, 1 m aside they are parked.
 
     Some 3 m behind there is no speed to begin with; behind a queue a vehicle begins standing, for what a look tells.
@@ -392,11 +381,11 @@ def test_none_queues_behind_a_parked_vehicle(scene_of: Callable[..., Scene], asi
     assert start is (Reason.STANDS_THROUGHOUT if stands else Reason.NO_SITE)
 
 
-@pytest.mark.parametrize(("behind_m", "headway_s", "begins"), [
-    (12.0, 0.8, False), (16.0, 0.8, True), (16.0, 1.3, False), (22.0, 1.3, True),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("behind_m", "headway_s", "begins"), [(12.0, 0.8, False), (16.0, 0.8, True), (16.0, 1.3, False), (22.0, 1.3, True)]
+)
 def test_none_begins_nearer_ahead_of_a_recorded_follower_than_drivers_follow(
-    scene_of: Callable[..., Scene], behind_m: float, headway_s: float, begins: bool
+    behind_m: float, headway_s: float, begins: bool
 ) -> None:
     """At 16 m/s behind centres 12, 16 and 22 m ahead, between bumpers .47, .72 and 1.09 s: .3 s less are asked for."""
     scene = scene_of(recorded(60.0 - behind_m, 0.0, 16.0), lanes=1)
@@ -421,7 +410,7 @@ def test_nobody_begins_in_an_intersection_where_there_is_anything_else() -> None
 
 @pytest.mark.parametrize(("sites", "least", "most"), [("promising", 1, 1), ("any", 20, 30)])
 def test_cell_that_was_turned_down_is_left_alone_in_a_round(
-    scene_of: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch, sites: str, least: int, most: int
+    monkeypatch: pytest.MonkeyPatch, sites: str, least: int, most: int
 ) -> None:
     """Two lanes of cells on which nobody can begin. Drawn from all that is admissible, a cell is tried again and again:
 
@@ -440,9 +429,7 @@ def test_cell_that_was_turned_down_is_left_alone_in_a_round(
     assert least <= max(tried.values()) <= most
 
 
-def test_rear_bumper_is_at_least_so_far_from_the_beginning_of_the_way(
-    scene_of: Callable[..., Scene], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rear_bumper_is_at_least_so_far_from_the_beginning_of_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
     """A car begins no nearer to the edge than half its kept length and _FROM_EDGE_M."""
     scene = scene_of(length_m=60.0)
     monkeypatch.setattr("hid2.insertion.starts._FROM_EDGE_M", 6.0)

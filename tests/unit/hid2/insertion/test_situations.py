@@ -1,11 +1,11 @@
 """What recorded vehicles meet, how many inserted ones are to meet the same, and what a rollout foresees of it."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hand_drawn import draw_road
 from inserted import nobody, recorded, scene_on
 
 from hid2.agents import Policy
@@ -17,19 +17,13 @@ from hid2.params import Config, Drivers, Request
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
-from netconvert.lane_graph import LaneGraph
 
 STRAIGHT = VehicleRequest(0, Policy.STRAIGHT, 0.0)
 
 
-@pytest.fixture
-def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
-    """scene_of(*recorded) -> a lane of 400 m at y = 0."""
-
-    def make(*tracks: object) -> Scene:
-        return scene_on(road(lanes=1, length_m=400.0), *tracks, config=Config(drivers=Drivers(desired_sd=0.0)))
-
-    return make
+def scene_of(*tracks: object) -> Scene:
+    """A lane of 400 m at y = 0."""
+    return scene_on(draw_road(lanes=1, length_m=400.0), *tracks, config=Config(drivers=Drivers(desired_sd=0.0)))
 
 
 def _started(scene: Scene, at_m: float, *wants: Situation, mps: float = 9.0) -> Start | Reason:
@@ -39,7 +33,7 @@ def _started(scene: Scene, at_m: float, *wants: Situation, mps: float = 9.0) -> 
     return starts.make(STRAIGHT, Site(here.routes.offers(1)[0], at_m), speed_mps=mps, wants=frozenset(wants))
 
 
-def test_shares_are_those_of_the_scene_and_of_six_vehicles_of_others(scene_of: Callable[..., Scene]) -> None:
+def test_shares_are_those_of_the_scene_and_of_six_vehicles_of_others() -> None:
     """Of two recorded vehicles one follows the other, 2 s behind; none brakes, crosses or stands."""
     scene = scene_of(recorded(100.0, 0.0, 9.0), recorded(77.0, 0.0, 9.0, name="b"))
     expected = {one: pytest.approx(((one is Situation.FOLLOWS) + 6.0 * _PRIOR[one]) / 8.0) for one in Situation}
@@ -63,25 +57,21 @@ def test_as_many_are_to_meet_something_as_the_shares_say() -> None:
     ("leader_m", "leader_mps", "expected"),
     [(90.0, 9.0, {Situation.FOLLOWS}), (200.0, 9.0, set()), (130.0, 1.0, {Situation.FOLLOWS, Situation.BRAKES})],
 )
-def test_rollout_tells_what_a_vehicle_meets(
-    scene_of: Callable[..., Scene], leader_m: float, leader_mps: float, expected: set[Situation]
-) -> None:
+def test_rollout_tells_what_a_vehicle_meets(leader_m: float, leader_mps: float, expected: set[Situation]) -> None:
     """Of one that begins at 70 m with 9 m/s: bumpers are 1.7 s, 14 s, 6 s apart."""
     start = _started(scene_of(recorded(leader_m, 0.0, leader_mps)), 70.0)
     assert isinstance(start, Start)
     assert start.meets == expected
 
 
-def test_start_that_meets_nothing_that_is_wanted_is_passed_over(scene_of: Callable[..., Scene]) -> None:
+def test_start_that_meets_nothing_that_is_wanted_is_passed_over() -> None:
     scene = scene_of(recorded(90.0, 0.0, 9.0))
     assert _started(scene, 70.0, Situation.CROSSES) is Reason.OTHER_SITUATION
     assert isinstance(_started(scene, 70.0, Situation.CROSSES, Situation.FOLLOWS), Start)
 
 
 @pytest.mark.parametrize(("from_m", "crosses"), [(65.0, True), (100.0, False)])
-def test_path_of_a_vehicle_that_crosses_in_three_seconds_is_crossed(
-    scene_of: Callable[..., Scene], from_m: float, crosses: bool
-) -> None:
+def test_path_of_a_vehicle_that_crosses_in_three_seconds_is_crossed(from_m: float, crosses: bool) -> None:
     """At 10 m/s across the lane at 150 m, there at 6.5 or 10 s; a vehicle from 110 m on is there after some 4.5 s."""
     xy, velocity = np.column_stack([np.full(110, 150.0), np.arange(110) - from_m]), np.tile([0.0, 10.0], (110, 1))
     across = replace(recorded(150.0, 0.0), position=xy, heading=np.full(110, np.pi / 2), velocity=velocity)

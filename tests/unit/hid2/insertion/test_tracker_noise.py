@@ -1,10 +1,10 @@
 """A tracker's noise on inserted tracks: that of the scene's recorded vehicles, as far as it leaves all others clear."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hand_drawn import draw_road
 from inserted import recorded, scene_on
 from scipy.signal import savgol_filter
 
@@ -14,7 +14,6 @@ from hid2.judge.findings import NOISE_BOUNDS, Bounds
 from hid2.judge.states import of_end
 from hid2.occupancy.agent_states import agent_states
 from hid2.scene import Scene
-from netconvert.lane_graph import LaneGraph
 
 T = 0.1 * np.arange(110)
 CAR = BoxSize(4.5, 1.9)
@@ -39,10 +38,9 @@ def _tracked(track: Track, *, faster: float = 0.0, turned: float = 0.0) -> Track
     return replace(track, velocity=velocity, heading=track.heading + turned)
 
 
-@pytest.fixture
-def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
-    """scene_of(*recorded) -> two lanes of 300 m."""
-    return lambda *tracks: scene_on(road(length_m=300.0), *tracks)
+def scene_of(*tracks: Track) -> Scene:
+    """Two lanes of 300 m."""
+    return scene_on(draw_road(length_m=300.0), *tracks)
 
 
 def _noise(scene: Scene, *tracks: Track, seed: int = 0) -> list[Track]:
@@ -75,9 +73,7 @@ def test_track_that_a_tracker_turns_round_tells_no_errors() -> None:
     assert tracker_errors([turned], step_s=0.1).of_vehicles == ()
 
 
-def test_inserted_vehicle_begins_slowly_and_states_its_speed_as_recorded_ones_do(
-    scene_of: Callable[..., Scene],
-) -> None:
+def test_inserted_vehicle_begins_slowly_and_states_its_speed_as_recorded_ones_do() -> None:
     """The stated speed stays at 8 m/s, positions make .56 of it at first; far from the ends they are the clean ones."""
     scene = scene_of(_smoothed(_moving("1", y=3.5)), _smoothed(_moving("2", y=3.5, x=60.0)))
     clean = _moving("gen_0", 8.0, x=20.0)
@@ -88,7 +84,7 @@ def test_inserted_vehicle_begins_slowly_and_states_its_speed_as_recorded_ones_do
     assert np.hypot(*noisy.velocity.T) == pytest.approx(8.0, abs=0.05)
 
 
-def test_errors_are_as_large_as_recorded_ones_and_none_at_a_standstill(scene_of: Callable[..., Scene]) -> None:
+def test_errors_are_as_large_as_recorded_ones_and_none_at_a_standstill() -> None:
     scene = scene_of(_tracked(_moving("1", y=3.5), faster=0.5, turned=0.02))
     drives, stands = _moving("gen_0", 8.0), _moving("gen_1", 0.0, x=250.0)
     noisy, standing = _noise(scene, drives, stands)
@@ -98,7 +94,7 @@ def test_errors_are_as_large_as_recorded_ones_and_none_at_a_standstill(scene_of:
     assert np.abs(standing.velocity).max() == 0.0
 
 
-def test_noise_is_cut_where_boxes_would_touch_and_stays_within_its_bounds(scene_of: Callable[..., Scene]) -> None:
+def test_noise_is_cut_where_boxes_would_touch_and_stays_within_its_bounds() -> None:
     """One stands 1.9 m beside another's path: a heading off by .02 rad would turn a corner of 2.25 m into it."""
     loud = _tracked(_moving("1", y=3.5), faster=9.0, turned=0.3)
     beside = recorded(60.0, -1.92, name="2")
@@ -109,7 +105,7 @@ def test_noise_is_cut_where_boxes_would_touch_and_stays_within_its_bounds(scene_
     assert np.hypot(*(free.velocity - clean.velocity).T).max() <= NOISE_BOUNDS.velocity_mps + 1e-9
 
 
-def test_noise_depends_on_seed_and_vehicle_alone(scene_of: Callable[..., Scene]) -> None:
+def test_noise_depends_on_seed_and_vehicle_alone() -> None:
     scene = scene_of(_tracked(_moving("1", y=3.5), faster=0.5), _tracked(_moving("2", y=3.5, x=60.0), turned=0.02))
     clean = _moving("gen_0", 8.0)
     first, again, other = _noise(scene, clean)[0], _noise(scene, clean)[0], _noise(scene, clean, seed=1)[0]
@@ -117,7 +113,7 @@ def test_noise_depends_on_seed_and_vehicle_alone(scene_of: Callable[..., Scene])
     assert (first.velocity != other.velocity).any()
 
 
-def test_no_vehicle_ends_with_a_contact_by_the_noise_of_one_ahead(scene_of: Callable[..., Scene]) -> None:
+def test_no_vehicle_ends_with_a_contact_by_the_noise_of_one_ahead() -> None:
     """Both drive 10 m/s, 10 m apart. Ends the leader at a stated 3.5 m/s, its follower meets it though it brakes.
 
     Within 1.54 s, of which it reacts for 1; then 3.5 m are left, and 3 m/s2 take 6.5^2 / 6 = 7 m.
@@ -127,7 +123,5 @@ def test_no_vehicle_ends_with_a_contact_by_the_noise_of_one_ahead(scene_of: Call
     follower, leader = _moving("gen_0"), _moving("gen_1", x=34.5)
     for seed in range(12):
         noisy = _noise(scene, follower, leader, seed=seed)
-        states = agent_states(
-            noisy, scene.states.lanes, num_steps=110, step_s=0.1, is_inserted=lambda _: True
-        )  # fmt: skip
+        states = agent_states(noisy, scene.states.lanes, num_steps=110, step_s=0.1, is_inserted=lambda _: True)
         assert not [*of_end(states, 0, np.array([1]), Bounds()), *of_end(states, 1, np.array([0]), Bounds())], seed

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hand_drawn import draw_road
 
 from hid2.agents import BoxSize, Track
 from hid2.judge.claims import FIGURES, Claim, EventClaim, event_step, judge_claims, manoeuvres
@@ -37,15 +38,13 @@ def _across(at_s: float, *, start: float = 0.0, to: float = 3.5, lasting_s: floa
     return start + (to - start) * (3 * share**2 - 2 * share**3)
 
 
-@pytest.fixture
-def states(road: Callable[..., LaneGraph]) -> Callable[..., AgentStates]:
-    """Two lanes of 300 m at y = 0 (lane 1) and y = 3.5 (lane 2)."""
-    lanes = flatten_lanes(road())
-    return lambda *tracks: agent_states(tracks, lanes, num_steps=STEPS, step_s=0.1)
+def states(*tracks: Track) -> AgentStates:
+    """Two lanes of 200 m at y = 0 (lane 1) and y = 3.5 (lane 2)."""
+    return agent_states(tracks, flatten_lanes(draw_road()), num_steps=STEPS, step_s=0.1)
 
 
 @pytest.mark.parametrize(("at_s", "found"), [(5.0, 0), (5.4, 0), (5.6, 1), (2.0, 1)])
-def test_lane_change_is_claimed_at_its_crossing(states: Callable[..., AgentStates], at_s: float, found: int) -> None:
+def test_lane_change_is_claimed_at_its_crossing(at_s: float, found: int) -> None:
     """The centre is between the lanes, at y = 1.75, after 5 s; half a second is allowed."""
     scene = states(_drive("gen_0", 20.0, 10.0, _across(5.0)))
     seen = judge_claims(scene, [Claim("gen_0", ManeuverKind.LANE_CHANGE, at_s)], [])
@@ -53,13 +52,13 @@ def test_lane_change_is_claimed_at_its_crossing(states: Callable[..., AgentState
     assert all(one.value == pytest.approx(abs(at_s - 5.0), abs=0.02) for one in seen)
 
 
-def test_manoeuvre_of_another_kind_or_of_none_is_not_seen(states: Callable[..., AgentStates]) -> None:
+def test_manoeuvre_of_another_kind_or_of_none_is_not_seen() -> None:
     scene = states(_drive("gen_0", 20.0, 10.0))
     (one,) = judge_claims(scene, [Claim("gen_0", ManeuverKind.LANE_CHANGE, 5.0)], [])
     assert (one.track_id, one.step, one.value, one.limit) == ("gen_0", 50, math.inf, 0.5)
 
 
-def test_manoeuvres_are_those_of_inserted_vehicles(states: Callable[..., AgentStates]) -> None:
+def test_manoeuvres_are_those_of_inserted_vehicles() -> None:
     changing = _across(5.0)
     scene = states(_drive("a", 120.0, 10.0, changing), _drive("gen_0", 20.0, 10.0, changing))
     assert [one.track_id for one in manoeuvres(scene)] == ["gen_0"]
@@ -73,13 +72,13 @@ def _cut_in(target_y: np.ndarray | float, own_y: np.ndarray | float, *, ahead_m:
     )
 
 
-def test_cut_in_comes_from_beside_into_the_lane_of_the_target_ahead_of_it(states: Callable[..., AgentStates]) -> None:
+def test_cut_in_comes_from_beside_into_the_lane_of_the_target_ahead_of_it() -> None:
     target, own, claim = _cut_in(0.0, _across(5.0, start=3.5, to=0.0))
     assert event_step(states(target, own), claim) == pytest.approx(50, abs=1)
     assert judge_claims(states(target, own), [], [claim]) == []
 
 
-def test_figures_that_are_told_are_those_of_the_states(states: Callable[..., AgentStates]) -> None:
+def test_figures_that_are_told_are_those_of_the_states() -> None:
     """15 m between centres at 10 m/s along the road: the gap that is told is off by 2 m, and there is no TTC."""
     target, own, claim = _cut_in(0.0, _across(5.0, start=3.5, to=0.0))
     scene, gap_m = states(target, own), 15.0 - own.size.length_m
@@ -97,7 +96,7 @@ def test_figures_that_are_told_are_those_of_the_states(states: Callable[..., Age
     assert (ttc.quantity, ttc.value, ttc.other) == (Quantity.CLAIMED_TTC, math.inf, "t")
 
 
-def test_vehicle_that_is_in_the_lane_all_the_time_cuts_into_nothing(states: Callable[..., AgentStates]) -> None:
+def test_vehicle_that_is_in_the_lane_all_the_time_cuts_into_nothing() -> None:
     """The target comes into the vehicle's lane; or the vehicle changes to a lane that the target comes to later."""
     for target_y, own_y in ((_across(5.0, start=3.5, to=0.0), 0.0), (_across(8.0), _across(3.0))):
         target, own, claim = _cut_in(target_y, own_y)
@@ -105,14 +104,14 @@ def test_vehicle_that_is_in_the_lane_all_the_time_cuts_into_nothing(states: Call
         assert (found.track_id, found.other, found.value) == ("gen_0", "t", math.inf)
 
 
-def test_change_behind_the_target_or_out_of_its_lane_is_no_cut_in(states: Callable[..., AgentStates]) -> None:
+def test_change_behind_the_target_or_out_of_its_lane_is_no_cut_in() -> None:
     target, own, claim = _cut_in(0.0, _across(5.0, start=3.5, to=0.0), ahead_m=-15.0)
     assert event_step(states(target, own), claim) is None
     target, own, claim = _cut_in(0.0, _across(5.0))
     assert event_step(states(target, own), claim) is None
 
 
-def test_change_of_lanes_far_ahead_of_the_target_is_no_cut_in(states: Callable[..., AgentStates]) -> None:
+def test_change_of_lanes_far_ahead_of_the_target_is_no_cut_in() -> None:
     """At 10 m/s 1.8 s are 18 m: 22 m between centres leave 17.5 m, 23 m leave 18.5 m.
 
     Behind a vehicle at 4 m/s along the road 4.7 s are 28 m: 60 and 64 m ahead at first leave 25.5 and 29.5 m at 5 s.
@@ -125,7 +124,7 @@ def test_change_of_lanes_far_ahead_of_the_target_is_no_cut_in(states: Callable[.
         assert (event_step(states(_drive("t", 20.0, 10.0), slow), claim) is not None) is is_seen
 
 
-def test_target_that_changes_itself_is_cut_in_where_it_is_at_that_moment(states: Callable[..., AgentStates]) -> None:
+def test_target_that_changes_itself_is_cut_in_where_it_is_at_that_moment() -> None:
     """The vehicle comes in at 3 s, 15 m ahead. A target that leaves that lane at 8 s was there, one at 4 s was not."""
     target, own, claim = _cut_in(_across(8.0), _across(3.0, start=3.5, to=0.0))
     assert event_step(states(target, own), claim) == pytest.approx(30, abs=1)
@@ -133,7 +132,7 @@ def test_target_that_changes_itself_is_cut_in_where_it_is_at_that_moment(states:
     assert event_step(states(target, own), claim) is None
 
 
-def test_overtake_is_seen_from_its_way_back(states: Callable[..., AgentStates]) -> None:
+def test_overtake_is_seen_from_its_way_back() -> None:
     """At 16 m/s past one at 4 m/s: out at 2 s, level after 30 / 12 = 2.5 s, back at 7 s."""
     y = _across(2.0, lasting_s=3.0) + _across(7.0, to=-3.5, lasting_s=3.0)
     slow, own = _drive("t", 50.0, 4.0), _drive("gen_0", 20.0, 16.0, y)
@@ -144,9 +143,7 @@ def test_overtake_is_seen_from_its_way_back(states: Callable[..., AgentStates]) 
 
 
 @pytest.mark.parametrize(("kind", "ahead"), [("lead", True), ("follow", False)])
-def test_lead_and_follow_are_seen_on_the_path_that_the_rear_one_drives(
-    states: Callable[..., AgentStates], kind: str, ahead: bool
-) -> None:
+def test_lead_and_follow_are_seen_on_the_path_that_the_rear_one_drives(kind: str, ahead: bool) -> None:
     claim = EventClaim(kind, "gen_0", "t", 4.0, ahead=ahead)
     x = 40.0 if ahead else 5.0
     target = _drive("t", 20.0, 10.0)
@@ -155,7 +152,7 @@ def test_lead_and_follow_are_seen_on_the_path_that_the_rear_one_drives(
     assert event_step(states(target, _drive("gen_0", 45.0 - x, 10.0)), claim) is None
 
 
-def test_crossing_is_seen_in_the_order_that_is_claimed(states: Callable[..., AgentStates]) -> None:
+def test_crossing_is_seen_in_the_order_that_is_claimed() -> None:
     """From the south, 20 m before the crossing at 10 m/s: there at step 20. From the west, 40 m before: at step 40."""
     south = replace(_drive("gen_0", -20.0, 10.0, heading=math.pi / 2), track_id="gen_0")
     south = replace(south, position=south.position + np.array([60.0, 0.0]))
@@ -185,12 +182,12 @@ def test_paths_that_cut_each_other_where_they_join_are_a_merge(lane: Callable[..
     assert event_step(scene, EventClaim("merge", "gen_0", "t", 4.0, ahead=True)) == pytest.approx(40, abs=2)
 
 
-def test_paths_side_by_side_do_not_cross(states: Callable[..., AgentStates]) -> None:
+def test_paths_side_by_side_do_not_cross() -> None:
     scene = states(_drive("t", 20.0, 10.0), _drive("gen_0", 20.0, 10.0, 3.5))
     assert crossing_steps(scene, 1, 0) is None
 
 
-def test_event_with_a_track_that_is_not_there_is_not_seen(states: Callable[..., AgentStates]) -> None:
+def test_event_with_a_track_that_is_not_there_is_not_seen() -> None:
     scene = states(_drive("gen_0", 20.0, 10.0))
     (found,) = judge_claims(scene, [], [EventClaim("lead", "gen_0", "t", 4.0, ahead=True)])
     assert found.value == math.inf
@@ -198,9 +195,7 @@ def test_event_with_a_track_that_is_not_there_is_not_seen(states: Callable[..., 
 
 @pytest.mark.parametrize(("kind", "ahead"), [("lead", True), ("follow", False)])
 @pytest.mark.parametrize("lacks", ["t", "gen_0"])
-def test_event_in_a_gap_of_a_track_is_not_seen(
-    states: Callable[..., AgentStates], kind: str, ahead: bool, lacks: str
-) -> None:
+def test_event_in_a_gap_of_a_track_is_not_seen(kind: str, ahead: bool, lacks: str) -> None:
     """Without states from 3.5 to 4.5 s there is none to measure at 4 s, though its place is interpolated."""
     seen = np.abs(TIME - 4.0) > 0.55
     every = [_drive("t", 20.0, 10.0), _drive("gen_0", 40.0 if ahead else 5.0, 10.0)]

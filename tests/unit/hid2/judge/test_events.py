@@ -1,16 +1,15 @@
 """Measures of an event between a vehicle and its target: gap, TTC, DRAC, PET."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hand_drawn import draw_road
 
 from hid2.agents import BoxSize, Track
 from hid2.judge.events import crossing_steps, measure_event, post_encroachment_of
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.occupancy.agent_states import AgentStates, agent_states
-from netconvert.lane_graph import LaneGraph
 
 CAR = BoxSize(4.0, 2.0)
 
@@ -25,14 +24,12 @@ def _drive(x_m: float, y_m: float, speed_mps: float, *, heading: float = 0.0, st
     )  # fmt: skip
 
 
-@pytest.fixture
-def pair(road: Callable[..., LaneGraph]) -> Callable[..., AgentStates]:
+def pair(*tracks: Track) -> AgentStates:
     """A vehicle and its target."""
-    lanes = flatten_lanes(road())
-    return lambda *tracks: agent_states(tracks, lanes, num_steps=80, step_s=0.1)
+    return agent_states(tracks, flatten_lanes(draw_road()), num_steps=80, step_s=0.1)
 
 
-def test_target_that_closes_in_has_gap_ttc_and_drac(pair: Callable[..., AgentStates]) -> None:
+def test_target_that_closes_in_has_gap_ttc_and_drac() -> None:
     """Target at 10 m/s, vehicle 20 m ahead (16 m bumper to bumper) at 8 m/s: 2 m/s closing, TTC 8 s at step 0.
 
     A step later the gap is 0.2 m less. At step 30 it is 10 m: TTC 5 s, DRAC 2 * 2 / (2 * 10) = 0.2 m/s2. Up to step 59
@@ -48,7 +45,7 @@ def test_target_that_closes_in_has_gap_ttc_and_drac(pair: Callable[..., AgentSta
     assert found.pet_s is None
 
 
-def test_what_comes_more_than_three_seconds_later_is_not_the_event(pair: Callable[..., AgentStates]) -> None:
+def test_what_comes_more_than_three_seconds_later_is_not_the_event() -> None:
     """From step 20 to 50: the gap falls to 6 m at 2 m/s, and to 4.2 m only later."""
     found = measure_event(pair(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0)), "lead", 0, 1, at_step=20)
     assert (found.min_ttc_s, found.ttc_at_s) == (pytest.approx(3.0, abs=1e-6), pytest.approx(5.0))
@@ -56,14 +53,14 @@ def test_what_comes_more_than_three_seconds_later_is_not_the_event(pair: Callabl
     assert found.drac_mps2 == pytest.approx(4.0 / 12.0, rel=1e-6)
 
 
-def test_target_that_falls_back_needs_no_braking(pair: Callable[..., AgentStates]) -> None:
+def test_target_that_falls_back_needs_no_braking() -> None:
     """The vehicle ahead is faster: never closing in, no TTC, DRAC 0, and nobody brakes."""
     found = measure_event(pair(_drive(20.0, 0.0, 12.0), _drive(0.0, 0.0, 10.0)), "lead", 0, 1, at_step=10)
     assert (found.min_ttc_s, found.ttc_at_s, found.drac_mps2, found.human_brakes) == (None, None, 0.0, False)
     assert found.headway_s == pytest.approx(2.2)  # 20 m front to front at step 0, 22 m at the moment
 
 
-def test_cut_in_counts_since_the_vehicle_is_half_way_over(pair: Callable[..., AgentStates]) -> None:
+def test_cut_in_counts_since_the_vehicle_is_half_way_over() -> None:
     """The target is slower from step 30 on: at step 40 it closes in no more, 1.5 s before it does, 2 m/s over 2.2 m."""
     speed = np.where(np.arange(60) < 30, 10.0, 8.0)
     way = np.concatenate([[0.0], np.cumsum(0.1 * speed[:-1])])
@@ -77,20 +74,20 @@ def test_cut_in_counts_since_the_vehicle_is_half_way_over(pair: Callable[..., Ag
     assert (found.min_ttc_s, found.ttc_at_s) == (pytest.approx(1.1), pytest.approx(2.9))
 
 
-def test_gap_of_a_crossing_is_from_the_bumper_to_where_the_paths_cross(pair: Callable[..., AgentStates]) -> None:
+def test_gap_of_a_crossing_is_from_the_bumper_to_where_the_paths_cross() -> None:
     """The vehicle passes the point at step 20, when the target has 20 m to it, half a length of 2 m less."""
     states = pair(_drive(0.0, -20.0, 10.0, heading=np.pi / 2), _drive(-40.0, 0.0, 10.0))
     found = measure_event(states, "cross", 0, 1, at_step=20)
     assert (found.gap_m, found.headway_s) == (pytest.approx(18.0, abs=1.0), None)
 
 
-def test_paths_may_cross_where_one_begins(pair: Callable[..., AgentStates]) -> None:
+def test_paths_may_cross_where_one_begins() -> None:
     """The vehicle begins 0.2 m before the point, there at step 0; the target comes 40 m at 1 m a step: step 40."""
     states = pair(_drive(0.0, -0.2, 10.0, heading=np.pi / 2), _drive(-40.2, 0.0, 10.0))
     assert crossing_steps(states, 0, 1) == (0, 40)
 
 
-def test_crossing_has_a_pet(pair: Callable[..., AgentStates]) -> None:
+def test_crossing_has_a_pet() -> None:
     """From the south at 10 m/s, 20 m before the crossing: there at step 20. From the west, 40 m before: at step 40.
 
     Between the rear bumper of the first, 2 m + 1 m (half the other's width) behind the point, and the front of the
@@ -101,12 +98,12 @@ def test_crossing_has_a_pet(pair: Callable[..., AgentStates]) -> None:
     assert post_encroachment_of(pair(first, second), 0, 1) == pytest.approx(1.4, abs=0.21)
 
 
-def test_paths_that_do_not_meet_have_no_crossing(pair: Callable[..., AgentStates]) -> None:
+def test_paths_that_do_not_meet_have_no_crossing() -> None:
     """Two cars side by side."""
     assert post_encroachment_of(pair(_drive(0.0, 0.0, 10.0), _drive(0.0, 4.0, 10.0)), 0, 1) is None
 
 
-def test_moment_without_a_state_is_an_error(pair: Callable[..., AgentStates]) -> None:
+def test_moment_without_a_state_is_an_error() -> None:
     """Step 70 of a track of 60 steps."""
     with pytest.raises(ValueError, match="no state at step 70"):
         measure_event(pair(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0)), "lead", 0, 1, at_step=70)

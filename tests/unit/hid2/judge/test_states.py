@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hand_drawn import draw_road
 
 from hid2.agents import BoxSize, Track
 from hid2.judge.findings import Bounds, Quantity
@@ -17,7 +18,6 @@ from netconvert.lane_graph import LaneGraph, LaneSegment
 
 CAR = BoxSize(4.5, 1.9)
 STEPS = 60
-Judged = Callable[..., list[tuple[str, Quantity, str | None]]]
 
 
 def _along(
@@ -53,26 +53,17 @@ def _circle(name: str, radius: float, speed: float) -> Track:
     )  # fmt: skip
 
 
-@pytest.fixture
-def states_on() -> Callable[..., AgentStates]:
-    def make(graph: LaneGraph, *tracks: Track) -> AgentStates:
-        return agent_states(tracks, flatten_lanes(graph), num_steps=STEPS, step_s=0.1)
-
-    return make
+def states_on(graph: LaneGraph, *tracks: Track) -> AgentStates:
+    return agent_states(tracks, flatten_lanes(graph), num_steps=STEPS, step_s=0.1)
 
 
-@pytest.fixture
-def judged(road: Callable[..., LaneGraph], states_on: Callable[..., AgentStates]) -> Judged:
-    """judged(tracks...) -> (track, quantity, other) of each finding on two lanes of 300 m at y = 0 and y = 3.5."""
-    graph = road()
-
-    def judge_them(*tracks: Track) -> list[tuple[str, Quantity, str | None]]:
-        return [(one.track_id, one.quantity, one.other) for one in judge(states_on(graph, *tracks), graph, Bounds())]
-
-    return judge_them
+def judged(*tracks: Track) -> list[tuple[str, Quantity, str | None]]:
+    """(track, quantity, other) of each finding on two lanes of 200 m at y = 0 and y = 3.5."""
+    graph = draw_road()
+    return [(one.track_id, one.quantity, one.other) for one in judge(states_on(graph, *tracks), graph, Bounds())]
 
 
-def test_quiet_driving_has_no_finding(judged: Judged) -> None:
+def test_quiet_driving_has_no_finding() -> None:
     assert judged(_at("a", 60.0, 10.0), _at("gen_0", 20.0, 10.0), _at("gen_1", 10.0, 12.0, y=3.5)) == []
 
 
@@ -82,7 +73,7 @@ def _speeds(v: Any, x: float = 20.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("accel", "found"), [(2.0, []), (2.8, ["accel"]), (-3.5, []), (-4.8, ["decel"])])
-def test_acceleration_along_the_heading(judged: Judged, accel: float, found: list[str]) -> None:
+def test_acceleration_along_the_heading(accel: float, found: list[str]) -> None:
     """From 10 m/s over 2 s, built up at 3 m/s3; 2.4 and -4.05 m/s2 are the limits."""
     time = 0.1 * np.arange(STEPS)
     a = np.sign(accel) * np.clip(3.0 * np.minimum(time - 1.0, 4.5 - time), 0.0, abs(accel))
@@ -98,8 +89,8 @@ def test_acceleration_along_the_heading(judged: Judged, accel: float, found: lis
         (5.0, 4.9, {"yaw_rate"}),  # 4.8 m/s2 across, .98 rad/s; a curvature of 0.2, which 10 % more would break
         (4.0, 3.0, {"curvature"}),  # 2.25 m/s2 across, .75 rad/s, 0.25 1/m
     ],
-)  # fmt: skip
-def test_curves(states_on: Callable[..., AgentStates], radius: float, speed: float, found: set[str]) -> None:
+)
+def test_curves(radius: float, speed: float, found: set[str]) -> None:
     """Motion alone: the map is far away, and ground everywhere. Jerk on a circle: v w^2, at most 4.7 m/s3 here."""
     ring = np.array([(-500.0, -500.0), (500.0, -500.0), (500.0, 500.0), (-500.0, 500.0), (-500.0, -500.0)])
     graph = LaneGraph({}, drivable_areas=(ring,))
@@ -107,7 +98,7 @@ def test_curves(states_on: Callable[..., AgentStates], radius: float, speed: flo
     assert {one.quantity.value for one in seen} == found
 
 
-def test_leap_of_the_positions_is_found_though_the_velocity_does_not_show_it(judged: Judged) -> None:
+def test_leap_of_the_positions_is_found_though_the_velocity_does_not_show_it() -> None:
     x = 20.0 + 10.0 * 0.1 * np.arange(STEPS)
     quiet = _along("gen_0", x)
     leap = replace(quiet, position=quiet.position + np.where(np.arange(STEPS) > 30, 0.5, 0.0)[:, None] * [1.0, 0.0])
@@ -115,7 +106,7 @@ def test_leap_of_the_positions_is_found_though_the_velocity_does_not_show_it(jud
 
 
 @pytest.mark.parametrize(("y", "found"), [(-7.4, []), (-7.6, ["off_road"])])
-def test_footprint_beyond_the_edge(road: Callable[..., LaneGraph], states_on: Any, y: float, found: list[str]) -> None:
+def test_footprint_beyond_the_edge(road: Callable[..., LaneGraph], y: float, found: list[str]) -> None:
     """The ground ends at y = -8.25 (6 m of asphalt beside the lane): 0.95 m of box reach 0.1 and 0.3 m over it.
 
     At y = -7.6 it is 0.3 m and what is lost to rounding: 0.02 m more, at the judge's limit.
@@ -129,9 +120,7 @@ def test_footprint_beyond_the_edge(road: Callable[..., LaneGraph], states_on: An
 @pytest.mark.parametrize(
     ("degrees", "inside", "found"), [(50, False, 0), (70, False, 1), (70, True, 0), (100, True, 1)]
 )
-def test_heading_against_the_lane(
-    lane: Callable[..., LaneSegment], states_on: Any, degrees: float, inside: bool, found: int
-) -> None:
+def test_heading_against_the_lane(lane: Callable[..., LaneSegment], degrees: float, inside: bool, found: int) -> None:
     """A box that stands across its lane: 60 degrees are the limit outside of intersections, 90 in them."""
     ring = np.array([(-50.0, -50.0), (350.0, -50.0), (350.0, 50.0), (-50.0, 50.0), (-50.0, -50.0)])
     graph = LaneGraph({1: lane(1, [(0.0, 0.0), (300.0, 0.0)], is_intersection=inside)}, drivable_areas=(ring,))
@@ -141,7 +130,7 @@ def test_heading_against_the_lane(
     assert all(one.value == pytest.approx(degrees) for one in seen)
 
 
-def test_heading_against_a_lane_that_leads_up_the_map(lane: Callable[..., LaneSegment], states_on: Any) -> None:
+def test_heading_against_a_lane_that_leads_up_the_map(lane: Callable[..., LaneSegment]) -> None:
     """The lane at 90 degrees, the box that stands on it at 20: 70 degrees between them."""
     ring = np.array([(-50.0, -50.0), (150.0, -50.0), (150.0, 350.0), (-50.0, 350.0), (-50.0, -50.0)])
     graph = LaneGraph({1: lane(1, [(50.0, -40.0), (50.0, 300.0)])}, drivable_areas=(ring,))
@@ -149,7 +138,7 @@ def test_heading_against_a_lane_that_leads_up_the_map(lane: Callable[..., LaneSe
     assert (seen.quantity, seen.value) == (Quantity.AGAINST_LANE, pytest.approx(70.0))
 
 
-def test_driving_against_the_lane_is_found(judged: Judged) -> None:
+def test_driving_against_the_lane_is_found() -> None:
     """Turned round, and in reverse."""
     for heading in (np.pi, 0.0):
         seen = judged(_at("gen_0", 200.0, -10.0, heading=heading))
@@ -157,19 +146,19 @@ def test_driving_against_the_lane_is_found(judged: Judged) -> None:
 
 
 @pytest.mark.parametrize(("aside", "found"), [(1.95, 0), (1.85, 1)])
-def test_boxes_that_share_ground(judged: Judged, aside: float, found: int) -> None:
+def test_boxes_that_share_ground(aside: float, found: int) -> None:
     """Side by side, 1.9 m wide both: 0.05 m between them, and 0.05 m of each other."""
     seen = judged(_at("a", 20.0, 10.0), _at("gen_0", 20.0, 10.0, y=aside))
     assert seen.count(("gen_0", Quantity.OVERLAP, "a")) == found
 
 
-def test_every_box_that_is_met_is_told_and_recorded_ones_among_themselves_are_not(judged: Judged) -> None:
+def test_every_box_that_is_met_is_told_and_recorded_ones_among_themselves_are_not() -> None:
     through = judged(_at("a", 40.0, 0.0), _at("b", 40.5, 0.0), _at("c", 55.0, 0.0), _at("gen_0", 20.0, 10.0))
     assert {one[2] for one in through if one[1] is Quantity.OVERLAP} == {"a", "b", "c"}
     assert {one[0] for one in through} == {"gen_0"}
 
 
-def test_overlap_between_two_steps_is_found(road: Callable[..., LaneGraph], states_on: Any) -> None:
+def test_overlap_between_two_steps_is_found(road: Callable[..., LaneGraph]) -> None:
     """A box of 0.6 m leaps over a standing car within a step: from y = -2 to +2, and at y = 0 half way.
 
     step 0   x         y = -2       half the car is 0.95 m wide, half the box 0.3 m: clear at both steps
@@ -188,7 +177,7 @@ def test_overlap_between_two_steps_is_found(road: Callable[..., LaneGraph], stat
         assert [one.value for one in of_boxes(states, 1, np.array([0]), spare_m=0.0)] == pytest.approx(shared_m2)
 
 
-def test_spare_widens_the_own_box(road: Callable[..., LaneGraph], states_on: Any) -> None:
+def test_spare_widens_the_own_box(road: Callable[..., LaneGraph]) -> None:
     """1.95 m apart sideways, 1.9 m wide both: 0.05 m between; 0.06 m more closes it."""
     states = states_on(road(), _at("a", 20.0, 0.0), _at("gen_0", 20.0, 0.0, y=1.95))
     assert list(of_boxes(states, 1, np.array([0]), spare_m=0.04)) == []
@@ -197,7 +186,7 @@ def test_spare_widens_the_own_box(road: Callable[..., LaneGraph], states_on: Any
 
 @pytest.mark.parametrize("kind", ["vehicle", "cyclist"])
 @pytest.mark.parametrize(("gap", "found"), [(15.6, 0), (14.6, 1)])
-def test_time_to_collision_with_a_leader_of_any_type(judged: Judged, kind: str, gap: float, found: int) -> None:
+def test_time_to_collision_with_a_leader_of_any_type(kind: str, gap: float, found: int) -> None:
     """2 m/s faster than what is ahead, for 5.9 s: 11.8 m of the gap go, 3.8 m are left, 1.9 s, or 2.8 m, 1.4 s.
 
     Places along a path are looked at every half a metre: a gap is told too small by as much at most.
@@ -207,7 +196,7 @@ def test_time_to_collision_with_a_leader_of_any_type(judged: Judged, kind: str, 
     assert len([one for one in seen if one[1] is Quantity.TTC_LEADER]) == found
 
 
-def test_leader_in_the_lane_that_is_left_counts_until_it_is_left(judged: Judged) -> None:
+def test_leader_in_the_lane_that_is_left_counts_until_it_is_left() -> None:
     """A car at 10 m/s moves out at 1 m/s behind one that stands 30 m ahead.
 
     Boxes overlap across the lane until it is 1.9 m aside, at 1.9 s; by then the gap is 30 - 4.5 - 19 = 6.5 m: 0.65 s.
@@ -218,18 +207,18 @@ def test_leader_in_the_lane_that_is_left_counts_until_it_is_left(judged: Judged)
     assert ("gen_0", Quantity.TTC_LEADER, "a") not in judged(_at("a", 85.0, 0.0), leaves)
 
 
-def test_what_stands_in_the_next_lane_leads_nothing(judged: Judged) -> None:
+def test_what_stands_in_the_next_lane_leads_nothing() -> None:
     assert judged(_at("a", 40.0, 0.0, y=3.5), _at("gen_0", 10.0, 10.0)) == []
 
 
-def test_leader_that_rolls_back_is_met_as_if_it_stood(judged: Judged) -> None:
+def test_leader_that_rolls_back_is_met_as_if_it_stood() -> None:
     """10 m/s towards a car 50 m ahead that comes back at 0.5 m/s all the time, for 3.9 s: 4.5 m of the gap are left."""
     seen = judged(_at("a", 50.0, -0.5, heading=0.0, steps=40), _at("gen_0", 0.0, 10.0, steps=40))
     assert ("gen_0", Quantity.TTC_LEADER, "a") in seen
 
 
 @pytest.mark.parametrize(("ahead", "found"), [(45.7, 1), (70.0, 0)])
-def test_recorded_follower_that_will_not_brake(judged: Judged, ahead: float, found: int) -> None:
+def test_recorded_follower_that_will_not_brake(ahead: float, found: int) -> None:
     """A recorded car at 10 m/s comes up behind one at 2 m/s, for 3.9 s: 45.7 - 4.5 - 31.2 = 10 m, 1.25 s."""
     follows = _at("a", 0.0, 10.0, steps=40)
     seen = judged(follows, _at("gen_0", ahead, 2.0, steps=40))
@@ -245,7 +234,7 @@ def _crosses(name: str, y: float) -> Track:
 
 
 @pytest.mark.parametrize(("y", "found"), [(-33.2, 1), (-37.2, 0)])
-def test_crossing_too_soon_behind_another_one(judged: Judged, y: float, found: int) -> None:
+def test_crossing_too_soon_behind_another_one(y: float, found: int) -> None:
     """One that drives along y = 0 at 10 m/s from x = 20 leaves x = 40.95 with its rear after 2.32 s. One that starts at
     y = -33.2 reaches y = -0.95 with its front after 3.0 s: PET 0.7 s. From y = -37.2 it is 0.4 s more.
     """
@@ -256,14 +245,14 @@ def test_crossing_too_soon_behind_another_one(judged: Judged, y: float, found: i
 
 
 @pytest.mark.parametrize(("ahead", "found"), [(24.0, ["end_contact", "end_ttc"]), (30.0, ["end_contact"]), (90.0, [])])
-def test_oncoming_vehicle_after_the_last_step(judged: Judged, ahead: float, found: list[str]) -> None:
+def test_oncoming_vehicle_after_the_last_step(ahead: float, found: list[str]) -> None:
     """Both at 10 m/s, 4.5 m long: (24 - 4.5) m / 20 m/s = 0.975 s, then 1.275 s, which braking does not avoid."""
     own = _at("gen_0", 20.0, 10.0)
     comes = _at("a", own.position[-1, 0] + ahead + 59.0, -10.0)
     assert sorted(one[1].value for one in judged(comes, own) if one[1].startswith("end")) == found
 
 
-def test_contact_after_the_end_that_braking_avoids_is_no_finding(judged: Judged) -> None:
+def test_contact_after_the_end_that_braking_avoids_is_no_finding() -> None:
     """10 m/s towards something that stands across the lane: in 3 s 10 + 20 - 3 * 2^2 / 2 = 24 m are driven.
 
     From centre to centre 2.25 m + 0.95 m more: 27.2 m.
@@ -293,7 +282,7 @@ def test_headway_counts_above_three_metres_a_second() -> None:
 
 
 @pytest.mark.parametrize(("gap", "found"), [(3.0, 1), (6.0, 0)])
-def test_headway_of_a_recorded_follower(judged: Judged, gap: float, found: int) -> None:
+def test_headway_of_a_recorded_follower(gap: float, found: int) -> None:
     """At 10 m/s, front to front 4.5 m + 3 m is 0.75 s, 4.5 m + 6 m is 1.05 s; 0.8 s is the limit."""
     noted = judged(_at("a", 20.0, 10.0), _at("gen_0", 24.5 + gap, 10.0))
     assert noted == [("gen_0", Quantity.FOLLOWER_HEADWAY, "a")] * found
@@ -301,20 +290,20 @@ def test_headway_of_a_recorded_follower(judged: Judged, gap: float, found: int) 
 
 @pytest.mark.parametrize("leader", ["a", "gen_1"])
 @pytest.mark.parametrize(("gap", "found"), [(3.0, 1), (6.0, 0)])
-def test_headway_of_an_inserted_follower(judged: Judged, leader: str, gap: float, found: int) -> None:
+def test_headway_of_an_inserted_follower(leader: str, gap: float, found: int) -> None:
     """The same of one inserted, behind one recorded or inserted."""
     noted = judged(*sorted([_at("gen_0", 20.0, 10.0), _at(leader, 24.5 + gap, 10.0)], key=lambda one: one.track_id))
     assert noted == [("gen_0", Quantity.FOLLOWER_HEADWAY, leader)] * found
 
 
 @pytest.mark.parametrize(("gap", "found"), [(40.0, 1), (60.0, 0)])
-def test_recorded_follower_that_would_have_to_brake_and_does_not(judged: Judged, gap: float, found: int) -> None:
+def test_recorded_follower_that_would_have_to_brake_and_does_not(gap: float, found: int) -> None:
     """15 m/s behind 5 m/s for 1.9 s: 10^2 / (2 * 21) = 2.4 m/s2 would do at the end; of 60 m 10^2 / (2 * 41) = 1.2."""
     noted = judged(_at("a", 20.0, 15.0, steps=20), _at("gen_0", 24.5 + gap, 5.0, steps=20))
     assert noted == [("gen_0", Quantity.FOLLOWER_BRAKING, "a")] * found
 
 
-def test_follower_that_kept_as_little_in_the_recording_is_exempt(judged: Judged) -> None:
+def test_follower_that_kept_as_little_in_the_recording_is_exempt() -> None:
     """For 3 s it follows a recorded one at 0.7 s, which turns off; then an inserted one at 0.75 s."""
     recorded = _at("b", 27.0, 10.0, steps=30)
     later = _at("gen_0", 27.5 + 30.0, 10.0, steps=30, first=30)

@@ -6,15 +6,11 @@ import pytest
 from hid2.kernels.raster import raster
 
 
-@pytest.fixture
-def loop() -> np.ndarray:
-    """A figure of eight that comes back to where it was, (K, 2) m, points at most 0.65 m apart."""
-    angle = np.linspace(0.0, 2 * np.pi, 900)
-    return np.column_stack([60.0 * np.sin(angle), 30.0 * np.sin(2 * angle)])
-
-
 @pytest.mark.parametrize("reach_m", [1.0, 6.0, 11.0])
-def test_range_of_a_square_holds_every_point_within_reach(loop: np.ndarray, reach_m: float) -> None:
+def test_range_of_a_square_holds_every_point_within_reach(reach_m: float) -> None:
+    """Of a figure of eight that comes back to where it was, points at most 0.65 m apart."""
+    angle = np.linspace(0.0, 2 * np.pi, 900)
+    loop = np.column_stack([60.0 * np.sin(angle), 30.0 * np.sin(2 * angle)])
     assert np.hypot(*np.diff(loop, axis=0).T).max() <= 0.65
     table = raster(loop, step_m=0.65, reach_m=reach_m)
     rng = np.random.default_rng(0)

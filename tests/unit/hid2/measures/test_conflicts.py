@@ -101,9 +101,7 @@ def test_two_conflicts_of_a_pair_more_than_five_seconds_apart_are_two() -> None:
 
 
 def test_pair_that_is_not_closing_in_needs_no_braking() -> None:
-    course = pair_course(
-        stack([_straight("a", (0, 0), 8.0, 0), _straight("b", (20, 0), 10.0, 0)], step_s=0.1), 0, 1
-    )  # fmt: skip
+    course = pair_course(stack([_straight("a", (0, 0), 8.0, 0), _straight("b", (20, 0), 10.0, 0)], step_s=0.1), 0, 1)
     assert (course.drac_mps2.max(), course.ttc_s.min()) == (0.0, np.inf)
     assert course.gap_m[0] == pytest.approx(16.0)
     assert course.headway_s[0] == pytest.approx(20.0 / 8.0)
@@ -111,9 +109,7 @@ def test_pair_that_is_not_closing_in_needs_no_braking() -> None:
 
 def test_follower_of_a_vehicle_that_comes_from_beside_has_a_drac_though_the_boxes_would_pass() -> None:
     """12 m/s behind 10 m/s, 16 m between the bumpers, 3 m beside: 2^2 / (2 * 16) at first; boxes of 2 m never touch."""
-    course = pair_course(
-        stack([_straight("a", (0, 0), 12.0, 0), _straight("b", (20, 3), 10.0, 0)], step_s=0.1), 0, 1
-    )  # fmt: skip
+    course = pair_course(stack([_straight("a", (0, 0), 12.0, 0), _straight("b", (20, 3), 10.0, 0)], step_s=0.1), 0, 1)
     assert (course.drac_mps2.max(), course.ttc_s.min()) == (0.0, np.inf)
     assert course.follower_drac_mps2[0] == pytest.approx(4.0 / 32.0, rel=1e-3)
 

@@ -1,7 +1,5 @@
 """Contacts after the last step, worked by hand: cars of 4 x 2 m along x, across it, and standing."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -97,7 +95,7 @@ def test_others_can_be_kept_to_a_group(rear_end: SceneArrays) -> None:
     assert np.isinf(found).all()
 
 
-def test_contact_is_the_same_from_any_place_and_direction(rotated: Callable[[BoxesAtStep], BoxesAtStep]) -> None:
+def test_contact_is_the_same_from_any_place_and_direction() -> None:
     scene = boxes((0, 0, 0, 10), (6, -5, 90, 5), (24, 0, 180, 10))
     first, second = (
         [contact and contact.ttc_s for own in range(3) for contact in [first_contact(own, each)]]
@@ -106,15 +104,10 @@ def test_contact_is_the_same_from_any_place_and_direction(rotated: Callable[[Box
     assert first == pytest.approx(second, abs=1e-6)
 
 
-@pytest.fixture
-def rotated() -> Callable[[BoxesAtStep], BoxesAtStep]:
+def rotated(scene: BoxesAtStep) -> BoxesAtStep:
     """Turned by 2 rad and moved by kilometres, as city frames are."""
-
-    def turn(scene: BoxesAtStep) -> BoxesAtStep:
-        c, s = np.cos(2.0), np.sin(2.0)
-        matrix = np.array([[c, s], [-s, c]])
-        return BoxesAtStep(
-            scene.position @ matrix + [4000.0, -3000.0], scene.heading + 2.0, scene.velocity @ matrix, scene.size
-        )
-
-    return turn
+    c, s = np.cos(2.0), np.sin(2.0)
+    matrix = np.array([[c, s], [-s, c]])
+    return BoxesAtStep(
+        scene.position @ matrix + [4000.0, -3000.0], scene.heading + 2.0, scene.velocity @ matrix, scene.size
+    )

@@ -147,10 +147,7 @@ def test_lane_beside_is_known_so_far_back_as_is_asked_for(
 def test_circle_of_lanes_is_driven_once(lane: Callable[..., LaneSegment]) -> None:
     angle = np.linspace(0.0, np.pi, 30)
     half = 20.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
-    ring = LaneGraph({
-        1: lane(1, half, successors=(2,)),
-        2: lane(2, [0.0, 40.0] - half, successors=(1,)),
-    })  # fmt: skip
+    ring = LaneGraph({1: lane(1, half, successors=(2,)), 2: lane(2, [0.0, 40.0] - half, successors=(1,))})
     routes = list(routes_from(ring, 1, choose=lambda _, onward: onward, most=5))
     assert routes == [(1, 2)]
 

@@ -1,7 +1,6 @@
-from collections.abc import Callable
-
 import numpy as np
 import pytest
+from hand_drawn import draw_box
 from views import SIZE, occupancy_of
 
 from hid2.agents import BoxSize
@@ -10,71 +9,63 @@ from hid2.occupancy.along_path import PathOccupancy, path_occupancy
 from hid2.occupancy.traffic import Traffic
 
 
-def test_box_across_the_path_forbids_half_its_width_and_half_the_own_length(
-    straight_line: ReferenceLine, box: Callable[..., Traffic]
-) -> None:
+def test_box_across_the_path_forbids_half_its_width_and_half_the_own_length(straight_line: ReferenceLine) -> None:
     """A box of 4 x 2 crosswise at x = 50; the own one is 4 m long: centres from 50 - 1 - 2 = 47 to 53 touch it.
 
               ||                 sampled every 0.5 m and widened by one sample: 46.5 .. 53.5 at the most
     [own]---->||
               47   53
     """
-    found = occupancy_of(straight_line, box(50.0, 0.0, np.pi / 2, steps=3, **SIZE._asdict()))
+    found = occupancy_of(straight_line, draw_box(50.0, 0.0, np.pi / 2, steps=3, **SIZE._asdict()))
     assert found.low.shape == (1, 3)
     assert 46.5 - 1e-9 <= found.low[0, 0] <= 47.0
     assert 53.0 <= found.high[0, 0] <= 53.5 + 1e-9
     assert not found.same_direction.any()
 
 
-def test_box_ahead_forbids_from_bumper_to_bumper(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
+def test_box_ahead_forbids_from_bumper_to_bumper(straight_line: ReferenceLine) -> None:
     """Both 4 m long: 50 - 4 = 46 to 54. It drives at 6 m/s along the path."""
-    found = occupancy_of(straight_line, box(50.0, 0.0, 0.0, 6.0, steps=3, **SIZE._asdict()))
+    found = occupancy_of(straight_line, draw_box(50.0, 0.0, 0.0, 6.0, steps=3, **SIZE._asdict()))
     assert found.low[0, 0] == pytest.approx(46.0, abs=0.51)
     assert found.high[0, 0] == pytest.approx(54.0, abs=0.51)
     assert found.along[0, 0] == pytest.approx(6.0)
     assert found.same_direction.all()
 
 
-def test_oncoming_box_is_not_aligned_and_moves_against_the_path(
-    straight_line: ReferenceLine, box: Callable[..., Traffic]
-) -> None:
-    found = occupancy_of(straight_line, box(50.0, 0.0, np.pi, 6.0, steps=3, **SIZE._asdict()))
+def test_oncoming_box_is_not_aligned_and_moves_against_the_path(straight_line: ReferenceLine) -> None:
+    found = occupancy_of(straight_line, draw_box(50.0, 0.0, np.pi, 6.0, steps=3, **SIZE._asdict()))
     assert found.along[0, 0] == pytest.approx(-6.0)
     assert not found.same_direction.any()
 
 
-def test_lateral_margin_counts_a_box_beside_the_path(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
+def test_lateral_margin_counts_a_box_beside_the_path(straight_line: ReferenceLine) -> None:
     """At y = 2.2 half widths 1 + 1 leave 0.2 m between; a margin of 0.25 m closes it."""
-    beside = box(50.0, 2.2, steps=1, **SIZE._asdict())
+    beside = draw_box(50.0, 2.2, steps=1, **SIZE._asdict())
     assert occupancy_of(straight_line, beside).low.shape[0] == 0
     assert occupancy_of(straight_line, beside, margin_m=0.25).low.shape[0] == 1
 
 
-def test_agents_that_never_touch_the_path_are_left_out(
-    straight_line: ReferenceLine, box: Callable[..., Traffic]
-) -> None:
-    both = box(50.0, 10.0).joined(box(80.0, 0.0))
+def test_agents_that_never_touch_the_path_are_left_out(straight_line: ReferenceLine) -> None:
+    both = draw_box(50.0, 10.0).joined(draw_box(80.0, 0.0))
     assert occupancy_of(straight_line, both).low.shape[0] == 1
 
 
-def test_absent_steps_are_free(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
-    found = occupancy_of(straight_line, box(50.0, 0.0, steps=4, first=2, **SIZE._asdict()))
+def test_absent_steps_are_free(straight_line: ReferenceLine) -> None:
+    found = occupancy_of(straight_line, draw_box(50.0, 0.0, steps=4, first=2, **SIZE._asdict()))
     assert np.isinf(found.low[0, :2]).all()
     assert np.isfinite(found.low[0, 2:]).all()
 
 
-def test_small_box_between_two_samples_is_not_jumped_over(
-    straight_line: ReferenceLine, box: Callable[..., Traffic]
-) -> None:
+def test_small_box_between_two_samples_is_not_jumped_over(straight_line: ReferenceLine) -> None:
     """A pedestrian of 0.6 m right at the start, or far along, is found: the march slows before it reaches anybody."""
     for x in (0.0, 3.3, 119.77, 199.9):
-        found = occupancy_of(straight_line, box(x, 0.5, steps=1, length_m=0.6, width_m=0.6))
+        found = occupancy_of(straight_line, draw_box(x, 0.5, steps=1, length_m=0.6, width_m=0.6))
         assert found.low.shape[0] == 1, x
         assert found.low[0, 0] <= max(x - 2.3, 0.0)
         assert found.high[0, 0] >= min(x + 2.3, 200.0) - 0.5
 
 
-def test_intervals_hold_every_arc_length_that_really_touches(box: Callable[..., Traffic]) -> None:
+def test_intervals_hold_every_arc_length_that_really_touches() -> None:
     """On a bend, against boxes at every angle: what touches when tested box by box lies inside the interval."""
     from separating_axes import boxes_overlap
 
@@ -87,7 +78,7 @@ def test_intervals_hold_every_arc_length_that_really_touches(box: Callable[..., 
     xy, tangent, _ = line.motion(s)
     own = box_corners(xy, np.arctan2(tangent[:, 1], tangent[:, 0]), **SIZE._asdict())
     for heading in np.linspace(0, np.pi, 7):
-        one = box(20.0, 9.0, heading, steps=1)
+        one = draw_box(20.0, 9.0, heading, steps=1)
         other = box_corners(one.position[0, 0], heading, length_m=4.5, width_m=1.9)
         touching = s[boxes_overlap(own, other)]
         found = occupancy_of(line, one)
@@ -96,16 +87,14 @@ def test_intervals_hold_every_arc_length_that_really_touches(box: Callable[..., 
             assert found.high[0, 0] >= touching[-1] - 1e-9
 
 
-def test_place_of_who_crosses_is_kept_clear_before_and_after(
-    straight_line: ReferenceLine, box: Callable[..., Traffic]
-) -> None:
+def test_place_of_who_crosses_is_kept_clear_before_and_after(straight_line: ReferenceLine) -> None:
     """A car crosses at x = 50 from the right at 10 m/s, on the line's middle at 2.0 s.
 
     Its box (4.5 m) and the own one (1.9 m wide) touch while |y| <= 2.25 + 0.95 = 3.2 m: from 1.68 to 2.32 s, steps
     17 to 23. With 10 steps of PET that place is taken from 0.7 to 3.3 s, 0.2 m narrower on both sides where a margin is
     added later; at the steps of the crossing itself nothing changes.
     """
-    crossing = box(50.0, -20.0, np.pi / 2, 10.0)
+    crossing = draw_box(50.0, -20.0, np.pi / 2, 10.0)
     found = path_occupancy(straight_line, crossing, BoxSize(4.5, 1.9))
     clear = found.kept_clear(10, margin_m=0.2)
     there, kept = np.flatnonzero(np.isfinite(found.low[0])), np.flatnonzero(np.isfinite(clear.low[0]))
@@ -131,8 +120,8 @@ def test_way_of_one_that_turns_across_is_kept_clear_from_its_first_touch_on() ->
     assert (clear.low[0, 10], clear.high[0, 10]) == (44.5, 51.5)
 
 
-def test_leader_holds_no_more_than_where_it_is(straight_line: ReferenceLine, box: Callable[..., Traffic]) -> None:
-    found = path_occupancy(straight_line, box(50.0, 0.0, 0.0, 10.0), BoxSize(4.5, 1.9))
+def test_leader_holds_no_more_than_where_it_is(straight_line: ReferenceLine) -> None:
+    found = path_occupancy(straight_line, draw_box(50.0, 0.0, 0.0, 10.0), BoxSize(4.5, 1.9))
     clear = found.kept_clear(10, margin_m=0.2)
     assert np.array_equal(clear.low, found.low)
     assert np.array_equal(clear.high, found.high)
@@ -190,18 +179,21 @@ def test_intervals_are_those_of_every_box_against_every_point(seed: int, own: tu
     assert np.array_equal(found.high, high[touched])
 
 
-def test_what_is_known_of_some_holds_for_all_that_join_them(
-    straight_line: ReferenceLine, box: Callable[..., Traffic]
-) -> None:
+def test_what_is_known_of_some_holds_for_all_that_join_them(straight_line: ReferenceLine) -> None:
     """Looked along one by one or all at once, in the order in which they joined, kept clear alike."""
 
     def along(traffic: Traffic, clear_steps: int):
         return path_occupancy(
             straight_line, traffic, BoxSize(4.5, 1.9), margin_m=0.2, clear_steps=clear_steps, clear_margin_m=0.2
-        )  # fmt: skip
+        )
 
     def parts() -> list[Traffic]:
-        return [box(50.0, -20.0, np.pi / 2, 10.0), box(90.0, 40.0), box(120.0, 0.0, 0.0, 5.0), box(20.0, 0.0)]
+        return [
+            draw_box(50.0, -20.0, np.pi / 2, 10.0),
+            draw_box(90.0, 40.0),
+            draw_box(120.0, 0.0, 0.0, 5.0),
+            draw_box(20.0, 0.0),
+        ]
 
     for clear_steps in (0, 10):
         first, *others = parts()

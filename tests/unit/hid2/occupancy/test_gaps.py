@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hand_drawn import draw_box
 from inserted import CAR
 
 from hid2.motion.route import DrivenPath
@@ -15,10 +16,12 @@ BoxOf = Callable[..., Traffic]
 
 
 @pytest.fixture
-def seen(straight_path: DrivenPath, box: BoxOf) -> PathOccupancy:
+def seen(straight_path: DrivenPath) -> PathOccupancy:
     """Four cars of 4.5 m along x, at 20 (9 m/s), 60 (6 m/s) and 90 m (5 m/s) at step 0; one stands across at 75 m."""
-    cars = box(20.0, 0.0, 0.0, 9.0, name="a").joined(
-        box(60.0, 0.0, 0.0, 6.0, name="b"), box(90.0, 0.0, 0.0, 5.0, name="c"), box(75.0, 0.0, np.pi / 2, name="x")
+    cars = draw_box(20.0, 0.0, 0.0, 9.0, name="a").joined(
+        draw_box(60.0, 0.0, 0.0, 6.0, name="b"),
+        draw_box(90.0, 0.0, 0.0, 5.0, name="c"),
+        draw_box(75.0, 0.0, np.pi / 2, name="x"),
     )
     return look_along(straight_path.line, cars, CAR.length_m, CAR.width_m)
 
@@ -59,8 +62,8 @@ def test_side_by_side_is_a_negative_gap_to_the_one_whose_middle_is_ahead(seen: P
     assert (found.lead_m[0], found.lag_m[1]) == pytest.approx((-3.5, -3.5), abs=0.6)
 
 
-def test_one_that_comes_back_along_the_path_has_no_speed_along_it(straight_path: DrivenPath, box: BoxOf) -> None:
-    oncoming = look_along(straight_path.line, box(80.0, 0.0, np.pi, 5.0), CAR.length_m, CAR.width_m)
+def test_one_that_comes_back_along_the_path_has_no_speed_along_it(straight_path: DrivenPath) -> None:
+    oncoming = look_along(straight_path.line, draw_box(80.0, 0.0, np.pi, 5.0), CAR.length_m, CAR.width_m)
     assert gaps_on_path(oncoming, np.array([40.0]), 0).lead_mps[0] == 0.0
 
 
@@ -76,9 +79,11 @@ def test_gaps_to_all_have_the_next_ones_and_those_beyond(seen: PathOccupancy) ->
     assert later.along_mps[0] == pytest.approx([9.0, 9.0])
 
 
-def test_gaps_from_a_pose_need_no_path(box: BoxOf) -> None:
+def test_gaps_from_a_pose_need_no_path() -> None:
     """Heading up from (0, 0): 10 m ahead and 3 m aside at 4 m/s, and 20 m behind; cars of 4.5 x 1.9 m."""
-    here = box(3.0, 10.0, np.pi / 2, 4.0, name="ahead").joined(box(0.0, -20.0, np.pi / 2, name="behind")).at(0)
+    here = (
+        draw_box(3.0, 10.0, np.pi / 2, 4.0, name="ahead").joined(draw_box(0.0, -20.0, np.pi / 2, name="behind")).at(0)
+    )
     found = gaps_from_pose(np.zeros(2), np.array([0.0, 1.0]), CAR, here)
     assert found.along_m == pytest.approx([10.0, -20.0])
     assert found.gap_m == pytest.approx([5.5, 15.5])

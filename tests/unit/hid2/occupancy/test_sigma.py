@@ -2,6 +2,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hand_drawn import draw_box
 
 from hid2.occupancy.sigma import (
     FREE,
@@ -11,8 +12,7 @@ from hid2.occupancy.sigma import (
     dwell_steps,
     is_agent_on,
     original_occupancy,
-)  # fmt: skip
-from hid2.occupancy.traffic import Traffic
+)
 from netconvert.cells import Cell, CellGrid, build_cell_grid
 from netconvert.lane_graph import LaneGraph
 
@@ -48,9 +48,9 @@ def test_cells_are_boxes_on_the_centreline(grid: CellGrid, boxes: CellBoxes) -> 
     ],
 )
 def test_cell_of_a_vehicle_is_told_by_four_levels(
-    pose: tuple[float, float, float], cell: Cell | None, grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]
+    pose: tuple[float, float, float], cell: Cell | None, grid: CellGrid, boxes: CellBoxes
 ) -> None:
-    found = original_occupancy(boxes, box(*pose, steps=1)).cell[0, 0]
+    found = original_occupancy(boxes, draw_box(*pose, steps=1)).cell[0, 0]
     assert (grid.cells[found] if found >= 0 else None) == cell
 
 
@@ -63,42 +63,33 @@ def test_cell_of_a_vehicle_is_told_by_four_levels(
     ],
 )
 def test_vehicle_occupies_every_cell_its_box_covers(
-    place: tuple[float, float],
-    length_m: float,
-    held: set[Cell],
-    grid: CellGrid,
-    boxes: CellBoxes,
-    box: Callable[..., Traffic],
+    place: tuple[float, float], length_m: float, held: set[Cell], grid: CellGrid, boxes: CellBoxes
 ) -> None:
     """
     8       12       16       20
     |   2  [|===3====|]  4    |
     """
-    sigma = original_occupancy(boxes, box(*place, steps=1, length_m=length_m)).sigma[0]
+    sigma = original_occupancy(boxes, draw_box(*place, steps=1, length_m=length_m)).sigma[0]
     assert {grid.cells[row] for row in np.flatnonzero(sigma == ORIGINAL)} == held
     assert set(np.unique(sigma)) == {FREE, ORIGINAL}
 
 
-def test_occupancy_follows_the_vehicle_and_releases_the_cells_behind(
-    grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]
-) -> None:
+def test_occupancy_follows_the_vehicle_and_releases_the_cells_behind(grid: CellGrid, boxes: CellBoxes) -> None:
     """10 m/s from x = 6: after 1 s at 16. Cell 1 (4 .. 8) is free again, cell 4 (16 .. 20) is held."""
-    sigma = original_occupancy(boxes, box(6.0, 0.0, 0.0, 10.0, steps=11)).sigma
+    sigma = original_occupancy(boxes, draw_box(6.0, 0.0, 0.0, 10.0, steps=11)).sigma
     one, four = grid.index_of[Cell(1, 1)], grid.index_of[Cell(1, 4)]
     assert sigma[0, [one, four]].tolist() == [ORIGINAL, FREE]
     assert sigma[10, [one, four]].tolist() == [FREE, ORIGINAL]
 
 
-def test_standing_vehicle_keeps_its_cell_at_every_step(
-    grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]
-) -> None:
-    found = original_occupancy(boxes, box(14.0, 0.0, steps=5))
+def test_standing_vehicle_keeps_its_cell_at_every_step(grid: CellGrid, boxes: CellBoxes) -> None:
+    found = original_occupancy(boxes, draw_box(14.0, 0.0, steps=5))
     assert set(found.cell[0].tolist()) == {grid.index_of[Cell(1, 3)]}
     assert np.ptp(found.sigma, axis=0).max() == 0
 
 
-def test_absent_agent_occupies_nothing(boxes: CellBoxes, box: Callable[..., Traffic]) -> None:
-    found = original_occupancy(boxes, box(14.0, 0.0, steps=4, first=2))
+def test_absent_agent_occupies_nothing(boxes: CellBoxes) -> None:
+    found = original_occupancy(boxes, draw_box(14.0, 0.0, steps=4, first=2))
     assert not found.sigma[:2].any()
     assert (found.cell[0] >= 0).tolist() == [False, False, True, True]
 
@@ -113,9 +104,9 @@ def test_standing_vehicle_never_leaves_its_cell() -> None:
     assert dwell_steps(cell_m=4.0, speed_mps=0.0, step_s=0.1) is None
 
 
-def test_somebody_on_some_of_the_cells(grid: CellGrid, boxes: CellBoxes, box: Callable[..., Traffic]) -> None:
+def test_somebody_on_some_of_the_cells(grid: CellGrid, boxes: CellBoxes) -> None:
     """10 m/s from x = 6 in lane 1: on cell 1 at first, after 1 s on cell 4; never on lane 2."""
-    someone = box(6.0, 0.0, 0.0, 10.0, steps=11)
+    someone = draw_box(6.0, 0.0, 0.0, 10.0, steps=11)
     one, four, beside = (grid.index_of[cell] for cell in (Cell(1, 1), Cell(1, 4), Cell(2, 1)))
 
     def is_on(cells: list[int], step: int) -> bool:
@@ -124,4 +115,4 @@ def test_somebody_on_some_of_the_cells(grid: CellGrid, boxes: CellBoxes, box: Ca
     assert (is_on([one], 0), is_on([four], 0), is_on([four, one], 0)) == (True, False, True)
     assert (is_on([one], 10), is_on([four], 10)) == (False, True)
     assert not is_on([beside], 0)
-    assert not is_agent_on(boxes, [one], box(6.0, 0.0, steps=4, first=2), 0)
+    assert not is_agent_on(boxes, [one], draw_box(6.0, 0.0, steps=4, first=2), 0)

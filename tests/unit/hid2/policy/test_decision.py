@@ -15,9 +15,8 @@ from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
 
 LEFT = LaneOption(
-    side="left", target=Cell(2, 5), cells_free=True, front=OPEN, rear=OPEN,
-    remaining_m=100.0, corridor_m=100.0,
-)  # fmt: skip
+    side="left", target=Cell(2, 5), cells_free=True, front=OPEN, rear=OPEN, remaining_m=100.0, corridor_m=100.0
+)
 RIGHT = replace(LEFT, side="right", target=Cell(3, 5))
 SEEN = Observation(
     time_s=2.0, cell=Cell(1, 5), next_cell=Cell(1, 6), lane_turn=TurnType.STRAIGHT, speed_mps=10.0,

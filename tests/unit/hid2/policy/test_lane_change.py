@@ -8,9 +8,7 @@ from hid2.policy.lane_change import Gap, gap_refusals, safe_gap_m
 from hid2.reasons import Reason
 
 #: Every value that a number below is worked from; the defaults may be tuned.
-PARAMS = LaneChange(
-    time_gap_front_s=0.6, time_gap_rear_s=0.8, min_gap_m=2.5, braking_mps2=2.0
-)  # fmt: skip
+PARAMS = LaneChange(time_gap_front_s=0.6, time_gap_rear_s=0.8, min_gap_m=2.5, braking_mps2=2.0)
 #: A situation in which the change is feasible.
 OPEN: dict[str, Any] = {
     "speed_mps": 10.0,

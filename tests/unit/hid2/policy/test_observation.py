@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hand_drawn import draw_box, draw_road, draw_track
 from inserted import CAR, nobody, scene_on
 
 from hid2.agents import Track
@@ -31,14 +32,9 @@ from netconvert.lane_graph import LaneGraph, LaneSegment
 NOBODY = nobody()
 
 
-@pytest.fixture
-def scene_of(road: Callable[..., LaneGraph]) -> Callable[..., Scene]:
-    """scene_of(*tracks, graph=None, lanes=2, ...) -> a scene on a straight road of 200 m."""
-
-    def make(*tracks: Track, graph: LaneGraph | None = None, config: Config | None = None, **shape: Any) -> Scene:
-        return scene_on(graph or road(**shape), *tracks, config=config)
-
-    return make
+def scene_of(*tracks: Track, graph: LaneGraph | None = None, config: Config | None = None, **shape: Any) -> Scene:
+    """A scene on a straight road of 200 m."""
+    return scene_on(graph or draw_road(**shape), *tracks, config=config)
 
 
 def _option(
@@ -57,21 +53,21 @@ def _gaps(scene: Scene, *, step: int = 0, known: Traffic = NOBODY, driven: Traff
     return gaps_on(scene, scene.paths.along((2,)), CAR, at=80.0, inserted=Inserted(step, known, driven))
 
 
-def _drive(track: Callable[..., Track], x: float, y: float, speed: float, name: str = "t") -> Track:
-    return track(range(110), x + 0.1 * speed * np.arange(110), y, track_id=name)
+def _drive(x: float, y: float, speed: float, name: str = "t") -> Track:
+    return draw_track(range(110), x + 0.1 * speed * np.arange(110), y, track_id=name)
 
 
-def test_neighbour_across_a_dashed_line_is_admissible(scene_of: Callable[..., Scene]) -> None:
+def test_neighbour_across_a_dashed_line_is_admissible() -> None:
     scene = scene_of(lanes=3)
     assert [admissible_neighbor(scene, 2, side) for side in ("left", "right")] == [3, 1]
     assert admissible_neighbor(scene, 3, "left") is None
 
 
-def test_neighbour_across_a_solid_line_is_not(scene_of: Callable[..., Scene]) -> None:
+def test_neighbour_across_a_solid_line_is_not() -> None:
     assert admissible_neighbor(scene_of(mark="SOLID_WHITE"), 1, "left") is None
 
 
-def test_bicycle_lane_is_no_lane_to_change_to(scene_of: Callable[..., Scene], lane: Callable[..., LaneSegment]) -> None:
+def test_bicycle_lane_is_no_lane_to_change_to(lane: Callable[..., LaneSegment]) -> None:
     graph = LaneGraph({
         1: lane(1, [(0.0, 0.0), (200.0, 0.0)], left=2),
         2: lane(2, [(0.0, 3.5), (200.0, 3.5)], right=1, lane_type="BIKE"),
@@ -79,11 +75,11 @@ def test_bicycle_lane_is_no_lane_to_change_to(scene_of: Callable[..., Scene], la
     assert admissible_neighbor(scene_of(graph=graph), 1, "left") is None
 
 
-def test_without_topology_nobody_knows_of_a_neighbour(scene_of: Callable[..., Scene]) -> None:
+def test_without_topology_nobody_knows_of_a_neighbour() -> None:
     assert admissible_neighbor(scene_of(config=Config(without=frozenset({"topology"}))), 1, "left") is None
 
 
-def test_option_is_the_facing_cell_with_what_is_left_of_its_lane(scene_of: Callable[..., Scene]) -> None:
+def test_option_is_the_facing_cell_with_what_is_left_of_its_lane() -> None:
     """At 41 m of lane 1: cell 10 of lane 2, 159 m before its end, nobody there."""
     scene = scene_of()
     ((option, target),) = lane_options(
@@ -96,14 +92,12 @@ def test_option_is_the_facing_cell_with_what_is_left_of_its_lane(scene_of: Calla
     assert [segment.lane_id for segment in target.segments] == [2]
 
 
-def test_cell_that_is_taken_when_the_vehicle_gets_there_rejects_the_transition(
-    scene_of: Callable[..., Scene], track: Callable[..., Track]
-) -> None:
+def test_cell_that_is_taken_when_the_vehicle_gets_there_rejects_the_transition() -> None:
     """Conflict case 1, at the predicted time: at 10 m/s the next cell is reached after ceil(4 / 10 / 0.1) = 4 steps.
 
     Somebody appears on cell 11 of lane 2 (44 to 48 m) at step 4, far enough from cells 9 to 11 at step 0.
     """
-    scene = scene_of(track(range(4, 60), np.full(56, 46.0), 3.5))
+    scene = scene_of(draw_track(range(4, 60), np.full(56, 46.0), 3.5))
 
     free = [
         _option(scene, 41.0, speed_mps=speed_mps, step=step).cells_free
@@ -112,34 +106,30 @@ def test_cell_that_is_taken_when_the_vehicle_gets_there_rejects_the_transition(
     assert free == [False, True, True, False]  # at 20 m/s the cell is still free two steps on
 
 
-def test_gaps_are_bumper_to_bumper_with_the_neighbours_speeds(
-    scene_of: Callable[..., Scene], track: Callable[..., Track]
-) -> None:
+def test_gaps_are_bumper_to_bumper_with_the_neighbours_speeds() -> None:
     """Own centre at 80 on the target lane; centres at 60 (9 m/s) and 110 (12 m/s), all 4.5 m long.
 
     [60]          (80)               [110]
         |<-15.5->|    |<---25.5---->|           20 - 4.5 and 30 - 4.5, to half a metre
     """
-    scene = scene_of(_drive(track, 60.0, 3.5, 9.0, "rear"), _drive(track, 110.0, 3.5, 12.0, "front"))
+    scene = scene_of(_drive(60.0, 3.5, 9.0, "rear"), _drive(110.0, 3.5, 12.0, "front"))
     front, rear = _gaps(scene)
     assert front.distance_m == pytest.approx(25.5, abs=0.6)
     assert rear.distance_m == pytest.approx(15.5, abs=0.6)
     assert (front.speed_mps, rear.speed_mps) == pytest.approx((12.0, 9.0))
 
 
-def test_gaps_are_those_of_the_step(scene_of: Callable[..., Scene], track: Callable[..., Track]) -> None:
+def test_gaps_are_those_of_the_step() -> None:
     """After 5 s the one at 60 m with 9 m/s is at 105: now ahead of 80."""
-    scene = scene_of(_drive(track, 60.0, 3.5, 9.0))
+    scene = scene_of(_drive(60.0, 3.5, 9.0))
     front, rear = _gaps(scene, step=50)
     assert front.distance_m == pytest.approx(20.5, abs=0.6)
     assert rear == NO_GAP
 
 
-def test_kept_and_driven_vehicles_count_like_recorded_ones(
-    scene_of: Callable[..., Scene], box: Callable[..., Traffic]
-) -> None:
+def test_kept_and_driven_vehicles_count_like_recorded_ones() -> None:
     """One kept in a round before drives at 5 m/s from 90 m on and is at 110 after 4 s; the fleet is as it is now."""
-    known, driven = box(90.0, 3.5, 0.0, 5.0), box(50.0, 3.5, 0.0, 7.0, steps=1)
+    known, driven = draw_box(90.0, 3.5, 0.0, 5.0), draw_box(50.0, 3.5, 0.0, 7.0, steps=1)
     front, rear = _gaps(scene_of(), step=40, known=known, driven=driven)
     assert front.distance_m == pytest.approx(25.5, abs=0.6)
     assert rear.distance_m == pytest.approx(25.5, abs=0.6)
@@ -147,18 +137,14 @@ def test_kept_and_driven_vehicles_count_like_recorded_ones(
 
 
 @pytest.mark.parametrize(("speed", "corridor"), [(5.0, 24.5), (10.0, 120.0), (12.0, 120.0)])
-def test_free_corridor_ends_at_who_is_slower_than_desired(
-    speed: float, corridor: float, scene_of: Callable[..., Scene], box: Callable[..., Traffic]
-) -> None:
+def test_free_corridor_ends_at_who_is_slower_than_desired(speed: float, corridor: float) -> None:
     """At 80 m of 200, somebody at 109 m ahead on the lane beside: bumper gap 24.5 m; who drives 10 m/s leaves it."""
-    option = _option(scene_of(), 80.0, known=box(109.0, 3.5, 0.0, speed))
+    option = _option(scene_of(), 80.0, known=draw_box(109.0, 3.5, 0.0, speed))
     assert option.corridor_m == pytest.approx(corridor, abs=0.6)
 
 
 @pytest.mark.parametrize("who", ["driven", "kept"])
-def test_generated_vehicles_hold_the_cells_where_the_simulation_has_them_now(
-    who: str, scene_of: Callable[..., Scene], box: Callable[..., Traffic]
-) -> None:
+def test_generated_vehicles_hold_the_cells_where_the_simulation_has_them_now(who: str) -> None:
     """Sigma = 2: somebody driven, or kept in a round before, stands in cell 11 (44 .. 48 m) of lane 2, next to cell 10.
 
     Cell 9 is next to it, too; cells 8 and 12, two away, do not count.
@@ -166,30 +152,26 @@ def test_generated_vehicles_hold_the_cells_where_the_simulation_has_them_now(
     scene = scene_of()
 
     def is_free(x: float) -> bool:
-        known = box(x, 3.5, length_m=3.0) if who == "kept" else NOBODY
-        driven = box(x, 3.5, steps=1, length_m=3.0) if who == "driven" else NOBODY
+        known = draw_box(x, 3.5, length_m=3.0) if who == "kept" else NOBODY
+        driven = draw_box(x, 3.5, steps=1, length_m=3.0) if who == "driven" else NOBODY
         return _option(scene, 42.0, step=70, known=known, driven=driven).cells_free
 
     assert [is_free(x) for x in (34.0, 38.0, 46.0, 50.0)] == [True, False, False, True]
 
 
 @pytest.mark.parametrize(("x", "free"), [(32.0, True), (38.0, False), (46.0, False), (52.0, True)])
-def test_recorded_vehicles_hold_the_cells_beside_and_next_to_it(
-    x: float, free: bool, scene_of: Callable[..., Scene], track: Callable[..., Track]
-) -> None:
+def test_recorded_vehicles_hold_the_cells_beside_and_next_to_it(x: float, free: bool) -> None:
     """Cells 9 to 11, beside and next to it, are 36 .. 48 m. A car at 32 m ends at 34.25, at 52 m it begins at 49.75."""
-    scene = scene_of(track(range(110), np.full(110, x), 3.5))
+    scene = scene_of(draw_track(range(110), np.full(110, x), 3.5))
     assert _option(scene, 42.0, step=70, speed_mps=0.0).cells_free == free
 
 
-def test_vehicle_beside_leaves_no_gap(scene_of: Callable[..., Scene], track: Callable[..., Track]) -> None:
-    scene = scene_of(_drive(track, 81.0, 3.5, 9.0))
+def test_vehicle_beside_leaves_no_gap() -> None:
+    scene = scene_of(_drive(81.0, 3.5, 9.0))
     assert _gaps(scene)[0].distance_m < 0.0
 
 
-def test_target_path_reaches_back_to_who_comes_from_behind(
-    scene_of: Callable[..., Scene], lane: Callable[..., LaneSegment]
-) -> None:
+def test_target_path_reaches_back_to_who_comes_from_behind(lane: Callable[..., LaneSegment]) -> None:
     """Lane 4 leads into lane 2: a follower there is a follower of who changes to the start of lane 2."""
     graph = LaneGraph({
         1: lane(1, [(0.0, 0.0), (100.0, 0.0)], left=2),
@@ -200,9 +182,7 @@ def test_target_path_reaches_back_to_who_comes_from_behind(
     assert [segment.lane_id for segment in target_path(scene, scene.paths.along((1,)), 2, s=5.0).segments] == [4, 2]
 
 
-def test_target_path_goes_on_beside_the_own_route(
-    scene_of: Callable[..., Scene], lane: Callable[..., LaneSegment]
-) -> None:
+def test_target_path_goes_on_beside_the_own_route(lane: Callable[..., LaneSegment]) -> None:
     """Lane 2 splits into 5, which leaves, and 6, which runs on beside lane 3 of the own route."""
     graph = LaneGraph({
         1: lane(1, [(0.0, 0.0), (100.0, 0.0)], left=2, successors=(3,)),
@@ -215,11 +195,13 @@ def test_target_path_goes_on_beside_the_own_route(
     assert [segment.lane_id for segment in target_path(scene, scene.paths.along((1, 3)), 2, s=5.0).segments] == [2, 6]
 
 
-def test_leader_is_the_next_one_on_the_path_within_d_obs(
-    straight_path: DrivenPath, box: Callable[..., Traffic]
-) -> None:
+def test_leader_is_the_next_one_on_the_path_within_d_obs(straight_path: DrivenPath) -> None:
     """At 50 and 70 m on the own lane, at 45 m on the next lane; own centre at 30: the one at 50, gap 20 - 4.5 m."""
-    vehicles = box(70.0, 0.0, name="far").joined(box(50.0, 0.0, 0.0, 6.0, name="near")).joined(box(45.0, 3.5, name="x"))
+    vehicles = (
+        draw_box(70.0, 0.0, name="far")
+        .joined(draw_box(50.0, 0.0, 0.0, 6.0, name="near"))
+        .joined(draw_box(45.0, 3.5, name="x"))
+    )
     leader = leader_on(straight_path, CAR, s=30.0, d_obs_m=40.0, here=vehicles.at(0))
     assert leader is not None
     assert leader.track_id == "near"
@@ -227,10 +209,8 @@ def test_leader_is_the_next_one_on_the_path_within_d_obs(
     assert leader.speed_mps == pytest.approx(6.0)
 
 
-def test_nobody_is_a_leader_behind_far_beyond_d_obs_or_across(
-    straight_path: DrivenPath, box: Callable[..., Traffic]
-) -> None:
-    for other in (box(10.0, 0.0), box(90.0, 0.0), box(50.0, 0.0, np.pi / 2)):
+def test_nobody_is_a_leader_behind_far_beyond_d_obs_or_across(straight_path: DrivenPath) -> None:
+    for other in (draw_box(10.0, 0.0), draw_box(90.0, 0.0), draw_box(50.0, 0.0, np.pi / 2)):
         assert leader_on(straight_path, CAR, s=30.0, d_obs_m=40.0, here=other.at(0)) is None
 
 
@@ -244,27 +224,25 @@ def gap_to(straight_path: DrivenPath) -> Callable[..., float]:
     return find
 
 
-def test_gap_to_the_passed_vehicle_begins_when_it_is_behind(
-    gap_to: Callable[..., float], box: Callable[..., Traffic]
-) -> None:
+def test_gap_to_the_passed_vehicle_begins_when_it_is_behind(gap_to: Callable[..., float]) -> None:
     """It stands at 51, ahead; two steps of 1 m later it is 3.5 m short of clear, ten later 9 - 4.5 = 4.5 m behind."""
-    passed = box(51.0, 0.0, name="p")
+    passed = draw_box(51.0, 0.0, name="p")
     assert gap_to(passed, 0) == -np.inf
     assert gap_to(passed, 2) == pytest.approx(-3.5, abs=0.01)
     assert gap_to(passed, 10) == pytest.approx(4.5, abs=0.01)
 
 
-def test_who_turned_off_is_never_passed(gap_to: Callable[..., float], box: Callable[..., Traffic]) -> None:
-    assert gap_to(box(50.0, 3.5, name="p"), 10) == -np.inf
+def test_who_turned_off_is_never_passed(gap_to: Callable[..., float]) -> None:
+    assert gap_to(draw_box(50.0, 3.5, name="p"), 10) == -np.inf
 
 
-def test_who_has_left_the_map_is_passed_for_good(gap_to: Callable[..., float], box: Callable[..., Traffic]) -> None:
-    stood = box(50.0, 0.0, name="p")
+def test_who_has_left_the_map_is_passed_for_good(gap_to: Callable[..., float]) -> None:
+    stood = draw_box(50.0, 0.0, name="p")
     until = np.arange(stood.num_steps)[None, :] <= 3
     assert gap_to(replace(stood, present=stood.present & until), 20) == np.inf
 
 
-def test_path_across_ends_in_the_middle_of_the_other_lane(scene_of: Callable[..., Scene]) -> None:
+def test_path_across_ends_in_the_middle_of_the_other_lane() -> None:
     scene = scene_of()
     path = lay_across(
         scene, scene.paths.along((1,)), scene.paths.along((2,)), side="left", s=40.0, step=10,
@@ -279,7 +257,7 @@ def test_path_across_ends_in_the_middle_of_the_other_lane(scene_of: Callable[...
 
 @pytest.mark.parametrize(("joint", "is_laid"), [(55.0, False), (65.0, True)])
 def test_no_path_across_a_line_that_is_solid_where_it_is_crossed(
-    scene_of: Callable[..., Scene], lane: Callable[..., LaneSegment], joint: float, is_laid: bool
+    lane: Callable[..., LaneSegment], joint: float, is_laid: bool
 ) -> None:
     """From 40 m on at 10 m/s in 4 s: half way across at 60 m."""
     graph = LaneGraph({
@@ -297,11 +275,8 @@ def test_no_path_across_a_line_that_is_solid_where_it_is_crossed(
     assert is_laid or path is Reason.SOLID_LINE
 
 
-def test_no_path_across_to_a_lane_that_ends(scene_of: Callable[..., Scene], lane: Callable[..., LaneSegment]) -> None:
-    graph = LaneGraph({
-        1: lane(1, [(0.0, 0.0), (200.0, 0.0)], left=2),
-        2: lane(2, [(0.0, 3.5), (60.0, 3.5)], right=1),
-    })  # fmt: skip
+def test_no_path_across_to_a_lane_that_ends(lane: Callable[..., LaneSegment]) -> None:
+    graph = LaneGraph({1: lane(1, [(0.0, 0.0), (200.0, 0.0)], left=2), 2: lane(2, [(0.0, 3.5), (60.0, 3.5)], right=1)})
     scene = scene_of(graph=graph)
     path = lay_across(
         scene, scene.paths.along((1,)), scene.paths.along((2,)), side="left", s=50.0, step=10,
