@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from hid2.kernels.compiled import inner, kernel
+from hid2.kernels.spline import TABLE_STEP_M
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
 
@@ -131,12 +132,12 @@ def lane_leaders(
 
 @kernel(
     "(f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], b1[:,::1], i8[::1], f8[::1], f8[:,:,::1], b1[:,::1], f8[:,::1],"
-    " f8[::1], f8, f8, f8, f8)"
+    " f8[::1], f8, f8, f8)"
 )
 def leading_in_sumo(
     low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, crossing: BoolArray,
     agents: IntArray, lengths: FloatArray, front: FloatArray, known: BoolArray, table_xy: FloatArray,
-    table_heading: FloatArray, table_step: float, exit_s: float, standing: float, aside: float,
+    table_heading: FloatArray, exit_s: float, standing: float, aside: float,
 ) -> tuple[FloatArray, BoolArray]:  # fmt: skip
     """Middles of agents that lead on a path (R, T), m, 0 for others, and whether SUMO has their fronts on its lanes.
 
@@ -150,7 +151,7 @@ def leading_in_sumo(
             if low[row, t] < np.inf and moves and known[agent, t]:
                 middle[row, t] = 0.5 * (low[row, t] + high[row, t])
                 front_s = middle[row, t] + 0.5 * lengths[agent]
-                at = min(max(int(front_s / table_step), 0), table_heading.size - 1)
+                at = min(max(int(front_s / TABLE_STEP_M), 0), table_heading.size - 1)
                 dx, dy = front[agent, t, 0] - table_xy[at, 0], front[agent, t, 1] - table_xy[at, 1]
                 off = abs(np.cos(table_heading[at]) * dy - np.sin(table_heading[at]) * dx)
                 leads[row, t] = off < aside and front_s < exit_s

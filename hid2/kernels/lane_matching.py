@@ -100,28 +100,17 @@ def lane_candidates(
 
 
 @inner
-def _viterbi(
-    start: int,
-    end: int,
-    lane: IntArray,
-    at_s: FloatArray,
-    cost: FloatArray,
-    count: IntArray,
-    link: IntArray,
-    chosen: IntArray,
-) -> None:
-    """Fill chosen[start:end] with the slot of the likeliest lane of each row, -1 for none."""
-    most = lane.shape[1]
-    rows = end - start
+def _viterbi(lane: IntArray, at_s: FloatArray, cost: FloatArray, count: IntArray, link: IntArray) -> IntArray:
+    """Slot (R,) of the likeliest lane of each row of an agent, -1 for none."""
+    rows, most = lane.shape
     total = np.full((rows, most + 1), math.inf)
     back = np.zeros((rows, most + 1), dtype=np.int64)
-    for r in range(rows):
-        i = start + r
+    for i in range(rows):
         for c in range(count[i] + 1):
             is_off = c == count[i]
             here = _OFF_LANE if is_off else cost[i, c]
             slot = most if is_off else c
-            if r == 0:
+            if i == 0:
                 total[0, slot] = here
                 continue
             best, best_from = math.inf, 0
@@ -138,28 +127,25 @@ def _viterbi(
                     # the same lane backwards by metres is no driving
                     if lane[i - 1, p] == lane[i, c] and at_s[i, c] < at_s[i - 1, p] - 5.0:
                         move = _JUMP
-                if total[r - 1, from_slot] + move < best:
-                    best, best_from = total[r - 1, from_slot] + move, from_slot
-            total[r, slot] = best + here
-            back[r, slot] = best_from
-    slot = int(np.argmin(total[rows - 1]))
-    for r in range(rows - 1, -1, -1):
-        chosen[start + r] = -1 if slot == most else slot
-        slot = back[r, slot]
+                if total[i - 1, from_slot] + move < best:
+                    best, best_from = total[i - 1, from_slot] + move, from_slot
+            total[i, slot] = best + here
+            back[i, slot] = best_from
+    chosen, slot = np.empty(rows, dtype=np.int64), int(np.argmin(total[rows - 1]))
+    for i in range(rows - 1, -1, -1):
+        chosen[i] = -1 if slot == most else slot
+        slot = back[i, slot]
+    return chosen
 
 
 @kernel("(i8[::1], i8[::1], i8[:,::1], f8[:,::1], f8[:,::1], i8[::1], i8[:,::1],)")
 def likeliest_lanes(
-    agents: IntArray,
-    first: IntArray,
-    lane: IntArray,
-    at_s: FloatArray,
-    cost: FloatArray,
-    count: IntArray,
+    agents: IntArray, first: IntArray, lane: IntArray, at_s: FloatArray, cost: FloatArray, count: IntArray,
     link: IntArray,
-) -> IntArray:
+) -> IntArray:  # fmt: skip
     """Slot (N,) of the likeliest lane of every row of the agents, -1 for none; link: as of `FlatLanes`."""
     chosen = np.full(len(lane), -1, dtype=np.int64)
     for a in agents:
-        _viterbi(first[a], first[a + 1], lane, at_s, cost, count, link, chosen)
+        own = slice(first[a], first[a + 1])
+        chosen[own] = _viterbi(lane[own], at_s[own], cost[own], count[own], link)
     return chosen

@@ -69,21 +69,18 @@ def _is_met(low: FloatArray, high: FloatArray, same_direction: BoolArray, t: int
 
 
 @kernel(
-    "(UniTuple(i8, 2), UniTuple(f8, 3), f8[::1], UniTuple(f8, 4), f8, f8, i8, i8, i8, f8, f8, f8[::1],"
-    " UniTuple(f8, 4), UniTuple(f8, 4), UniTuple(f8, 10), f8[::1], f8[::1], i8[::1], f8[:,::1], f8[:,::1],"
-    " f8[:,::1], b1[:,::1], f8[::1], b1[:,::1], i8[::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[::1],"
-    " UniTuple(f8, 2), f8[::1], f8[::1], f8[::1], f8[::1])"
+    "(UniTuple(i8, 2), UniTuple(f8, 3), f8[::1], UniTuple(f8, 4), f8, f8, i8, f8, f8[::1], f8[::1], f8[::1], i8[::1],"
+    " f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[::1], b1[:,::1], i8[::1], f8[:,::1], f8[:,::1], b1[:,::1],"
+    " f8[::1], UniTuple(f8, 2), f8[::1], f8[::1], f8[::1], f8[::1])"
 )
 def roll(
     span: tuple[int, int], start: tuple[float, float, float], desired_mps: FloatArray,
-    driver: tuple[float, float, float, float], reaction: float, length: float, straight: int, horizon: int, stride: int,
-    step_s: float, table_step: float, brakes: FloatArray, predicted: tuple[float, float, float, float],
-    stops: tuple[float, float, float, float],
-    yield_rules: tuple[float, float, float, float, float, float, float, float, float, float],
-    road: FloatArray, lane_ends: FloatArray, lane_policies: IntArray, low: FloatArray, high: FloatArray,
-    along: FloatArray, same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray, causes: IntArray,
-    shown_middle: FloatArray, shown_speed: FloatArray, shown_leads: BoolArray, shown_lengths: FloatArray,
-    gap_bounds: tuple[float, float], link_s: FloatArray, paces: FloatArray, turns: FloatArray, memory: FloatArray,
+    driver: tuple[float, float, float, float], reaction: float, length: float, horizon: int, step_s: float,
+    brakes: FloatArray, road: FloatArray, lane_ends: FloatArray, lane_policies: IntArray, low: FloatArray,
+    high: FloatArray, along: FloatArray, same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray,
+    causes: IntArray, shown_middle: FloatArray, shown_speed: FloatArray, shown_leads: BoolArray,
+    shown_lengths: FloatArray, gap_bounds: tuple[float, float], link_s: FloatArray, paces: FloatArray,
+    turns: FloatArray, memory: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Place s and speed v at the steps of a span, first to last, (K,) each, from a start s m, v m/s, a m/s2.
 
@@ -114,9 +111,8 @@ def roll(
         t = first + k - 1
         desired = desired_mps[t]
         limit, _, _, _, yields, _ = limit_of(
-            0, t, fleet, desired, driver, yields, straight, horizon, stride, step_s, table_step, brakes, predicted,
-            stops, yield_rules, road, lane_ends, lane_policies, low, high, along, same_direction, stop_s, closed,
-            causes, others, swept,
+            0, t, fleet, desired, driver, yields, horizon, step_s, brakes, road, lane_ends, lane_policies, low, high,
+            along, same_direction, stop_s, closed, causes, others, swept,
         )  # fmt: skip
         s, v, a = fleet[0, 0], fleet[0, 1], fleet[0, 2]
         front = s + 0.5 * length

@@ -6,7 +6,6 @@ import numpy as np
 
 from hid2.agents import FloatArray
 from hid2.kernels.gaps import leading_in_sumo
-from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import BoolArray, Traffic
@@ -43,7 +42,7 @@ def shown_on(path: DrivenPath, traffic: Traffic, seen: PathOccupancy, *, step_s:
     front, speed, known = _fronts(traffic, step_s)
     middle, leads = leading_in_sumo(
         seen.low, seen.high, seen.along, seen.same_direction, seen.crossing, seen.agents, traffic.length_m, front,
-        known, path.line.table_xy, path.line.table_heading, TABLE_STEP_M, path.exit_s, STANDING_MPS, ASIDE_M,
+        known, path.line.table_xy, path.line.table_heading, path.exit_s, STANDING_MPS, ASIDE_M,
     )  # fmt: skip
     return Shown(middle, speed[seen.agents], leads, traffic.length_m[seen.agents])
 

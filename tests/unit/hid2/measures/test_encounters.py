@@ -7,6 +7,7 @@ import pytest
 
 from hid2.agents import BoxSize, Track
 from hid2.measures.arrays import stack
+from hid2.measures.driven_lanes import LaneView
 from hid2.measures.encounters import encounters
 from hid2.measures.following import leaders
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
@@ -36,8 +37,7 @@ def met(road: Callable[..., LaneGraph]) -> Met:
     def measure(*tracks: Track) -> dict[str, np.ndarray]:
         lanes = flatten_lanes(road(lanes=2, length_m=300.0))
         arrays = stack(tracks, num_steps=STEPS, step_s=0.1)
-        matches = match_lanes(arrays, lanes)
-        return encounters(arrays, leaders(arrays, lanes, matches))
+        return encounters(arrays, leaders(LaneView(arrays, lanes, match_lanes(arrays, lanes))))
 
     return measure
 
