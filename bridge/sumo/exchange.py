@@ -43,10 +43,10 @@ from bridge.sumo.net import sumo_program
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FOCAL_CATEGORY, FloatArray, Track
 from hid2.drivers.driver import Driver
+from hid2.kernels.gaps import ASIDE_M
 from hid2.measures.arrays import is_generated_id
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.occupancy.agent_states import agent_states
-from hid2.occupancy.shown import ASIDE_M
 from hid2.occupancy.traffic import BoolArray
 from hid2.params import Config
 from netconvert.cells import SAVED_WITHIN_M, Cell, CellGrid, build_cell_grid

@@ -24,7 +24,7 @@ from hid2.motion.route import DrivenPath, Jump
 from hid2.motion.smoothing import Motion, trajectory
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.gaps import Gaps, gaps_from_poses, gaps_on_path
-from hid2.occupancy.shown import LEADS_FROM_M, SHOWN_M, Shown, shown_on
+from hid2.occupancy.shown import Shown, shown_on
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.once import once
 from hid2.policy.overtake import Stage
@@ -233,12 +233,11 @@ class World:
             state = float(before.s[k]), float(before.v[k]), gained_mps / scene.step_s
             memory = before.memory[k].copy()
         s, v, memories = roll(
-            (first, last), state, start.desired, driver.following, scene.config.drivers.reaction_s,
-            start.size.length_m, self.guard.horizon, scene.step_s, self.guard.brakes,
-            self.roads.speeds(path, driver), *self.roads.lanes(path),
-            known.low, known.high, known.along, known.same_direction, lines.stops_s(driver), lines.closed, lines.cause,
-            shown.middle, shown.speed, shown.leads, shown.length_m,
-            (LEADS_FROM_M, SHOWN_M), *self._links_on(path), memory,
+            (first, last), state, start.desired, driver.following, scene.config.drivers.reaction_s, start.size.length_m,
+            self.guard.horizon, scene.step_s, self.guard.brakes, self.roads.speeds(path, driver),
+            *self.roads.lanes(path), known.low, known.high, known.along, known.same_direction, lines.stops_s(driver),
+            lines.closed, lines.cause, shown.middle, shown.speed, shown.leads, shown.length_m, *self._links_on(path),
+            memory,
         )  # fmt: skip
         return Rollout(path, first, s, v, memories)
 

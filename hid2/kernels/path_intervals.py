@@ -78,14 +78,6 @@ def _touched(gaps: FloatArray) -> tuple[int, int]:
 
 
 @inner
-def _least(gaps: FloatArray, least: float) -> float:
-    for gap in gaps:
-        if gap < least:
-            least = gap
-    return least
-
-
-@inner
 def _nearest(points: FloatArray, begin: int, end: int, x: float, y: float) -> int:
     """Of points `begin` to `end` the one nearest to a place."""
     nearest, least = begin, np.inf
@@ -167,7 +159,7 @@ def intervals_on_path(
             if first < 0:
                 nearest = -1
                 if jitters:
-                    spare, last_x, last_y, last_angle = _least(near, _WIDER_M) - 1e-6, x, y, angle
+                    spare, last_x, last_y, last_angle = min(near.min(), _WIDER_M) - 1e-6, x, y, angle
                 continue
             nearest = _nearest(points, begin, end, x, y)
             low[k, t], high[k, t] = (begin + first - 1) * TABLE_STEP_M, (begin + last + 1) * TABLE_STEP_M
