@@ -152,7 +152,7 @@ class ManoeuvreDue:
         if scene.config.lane_change.rule not in ("paper", "LC2013"):  # these are not told of them
             own_front, own_rear = gaps_on(scene, vehicle.path, start.box, at=vehicle.s[-1], inserted=self._inserted)
         return Observation(
-            time_s=self.now * scene.step_s, cell=cell, next_cell=scene.grid.longitudinal(cell),
+            time_s=self.now * scene.step_s, next_cell=scene.grid.longitudinal(cell),
             lane_turn=scene.grid.graph.lanes[cell.lane_id].turn, speed_mps=vehicle.v[-1],
             driver=start.driver, request=vehicle.policy, trigger_s=start.request.trigger_s,
             stage=vehicle.stage, leader=leader, options=options, passed_gap_m=self.passed_gap_m(),

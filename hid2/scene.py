@@ -10,10 +10,10 @@ import numpy as np
 
 from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, IntArray, Track
 from hid2.drivers.driver import OFFSET_MAX_M, place_of_lane
+from hid2.kernels.box_pairs import END_HORIZON_S
 from hid2.measures.arrays import MOVES_MPS, MOVING_EXTENT_M, MOVING_S
 from hid2.measures.driven_lanes import STRETCH_M, recorded_places
 from hid2.measures.lane_matching import flatten_lanes
-from hid2.measures.scene_end import END_HORIZON_S
 from hid2.motion.route import DrivenPath, LanePaths
 from hid2.motion.smoothing import Trajectory
 from hid2.occupancy.agent_states import AgentStates, agent_states, parked
@@ -31,9 +31,6 @@ ENTRY_STAYS_S = 3.0
 #: Desired speed of an added leader over the usual one of its lane, uniform between. No tunable: never a crawl on a free
 #: road, and no leader that is not worth an overtake.
 SLOW_LEADER_SHARE = 0.5, 0.7
-#: By how much the place of a crossing agent is smaller on both sides before it is there and after, m. No tunable: half
-#: of a bumper's length, a time is what PET and TTC keep.
-PET_MARGIN_M = 0.5
 _RUN_ON_M = 250.0  # no tunable: without topology a vehicle runs straight on, farther than any scene lasts
 #: Before their first state and after their last, s, recorded agents are kept clear of, as if they drove on. No tunable:
 #: what is nearer in time than that is seen to drive through another one.
@@ -109,11 +106,9 @@ class Scene:
         self, path: DrivenPath, box: BoxSize, traffic: Traffic, *, at_least_s: float = 0.0
     ) -> PathOccupancy:
         """The same, with the place of crossing agents taken for the critical PET before and after, or longer."""
-        return path_occupancy(
-            path.line, traffic, box, margin_m=self.config.conflict.margin_lateral_m,
-            clear_steps=max(math.ceil(self.config.conflict.pet_min_s / self.step_s) + 1, self.steps_in(at_least_s)),
-            clear_margin_m=PET_MARGIN_M,
-        )  # fmt: skip
+        steps = max(math.ceil(self.config.conflict.pet_min_s / self.step_s) + 1, self.steps_in(at_least_s))
+        margin_m = self.config.conflict.margin_lateral_m
+        return path_occupancy(path.line, traffic, box, margin_m=margin_m, clear_steps=steps)
 
     @cached_property
     def lasting(self) -> Traffic:
@@ -173,7 +168,7 @@ class Scene:
 
     @cached_property
     def _places(self) -> dict[int, FloatArray]:
-        return recorded_places(self.states.view, within_m=OFFSET_MAX_M)
+        return recorded_places(self.states, within_m=OFFSET_MAX_M)
 
     def place_on(self, path: DrivenPath, s: FloatArray) -> FloatArray:
         """Usual place in the lane, d m, of vehicles at arc lengths (N,) m of a path, left positive.

@@ -50,8 +50,10 @@ class CellGrid:
     """Links of the source map that the grid does not have."""
     saved_within_m: float | None
     """How far lengths of cells may be off once an editor of SUMO's has saved the net; None: it is not to be edited."""
-    _edges_s: dict[int, FloatArray] = field(repr=False)
-    _borders: dict[int, FloatArray] = field(repr=False)
+    edges_s: Mapping[int, FloatArray] = field(repr=False)
+    """Arc lengths at which the cells of each lane begin and end; (N + 1,) m."""
+    borders: Mapping[int, FloatArray] = field(repr=False)
+    """Points of the centreline at which the cells of each lane begin and end; (N + 1, 2) m."""
     _rows: dict[int, tuple[tuple[int, ...], ...]] = field(repr=False)
     """For each lane and cell index, the lanes with cells that face each other, from the right."""
 
@@ -59,23 +61,15 @@ class CellGrid:
         """Number of cells of a lane: N_l of the paper, at least."""
         return len(self._rows[lane_id])
 
-    def edges_s(self, lane_id: int) -> FloatArray:
-        """Arc lengths at which a lane's cells begin and end; (N + 1,) m."""
-        return self._edges_s[lane_id]
-
-    def borders(self, lane_id: int) -> FloatArray:
-        """Points of the centreline at which a lane's cells begin and end; (N + 1, 2) m."""
-        return self._borders[lane_id]
-
     def cell_at(self, lane_id: int, s: float) -> Cell:
         """The cell that holds arc length s of a lane; the first or last one where s lies before or past the lane."""
         count = len(self._rows[lane_id])
-        length_m = float(self._edges_s[lane_id][-1])
+        length_m = float(self.edges_s[lane_id][-1])
         return Cell(lane_id, min(max(int(s / length_m * count), 0), count - 1))
 
     def length_m(self, cell: Cell) -> float:
         """Length of the cell's centreline."""
-        return float(self._edges_s[cell.lane_id][-1]) / len(self._rows[cell.lane_id])
+        return float(self.edges_s[cell.lane_id][-1]) / len(self._rows[cell.lane_id])
 
     def longitudinal(self, cell: Cell) -> Cell | None:
         """The next cell of the same lane, None at its end."""
@@ -195,8 +189,8 @@ def build_cell_grid(
         cells=tuple(Cell(lane_id, index) for lane_id in graph.lanes for index in range(len(rows[lane_id]))),
         centers=np.concatenate([centers[lane_id] for lane_id in graph.lanes]),
         lost_links=tuple(lost),
-        _edges_s=edges_s,
-        _borders=borders,
+        edges_s=edges_s,
+        borders=borders,
         _rows={lane_id: rows[lane_id] for lane_id in graph.lanes},
     )
 

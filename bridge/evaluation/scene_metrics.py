@@ -18,7 +18,7 @@ from hid2.agents import FloatArray, Policy, Track
 from hid2.evaluation.kinematics import kinematics, motion
 from hid2.evaluation.metrics import CRITICAL, METRICS, Group, columns, driven, policies
 from hid2.evaluation.realism import RealismCounts, count_scene
-from hid2.evaluation.safety import IOU_THRESHOLD, Overlap, Safety, safety
+from hid2.evaluation.safety import IOU_THRESHOLD, Overlap, Safety, safety, ttc_after_last_step
 from hid2.evaluation.windows import Windows, windows
 from hid2.judge.findings import Finding
 from hid2.measures.arrays import SceneArrays, is_generated_id
@@ -26,7 +26,6 @@ from hid2.measures.conflicts import TrafficConflict, conflicts
 from hid2.measures.encounters import encounters
 from hid2.measures.lane_changes import LaneChangeRow, lane_changes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
-from hid2.measures.scene_end import ttc_after_last_step
 from hid2.measures.surrogates import Encroachment
 from hid2.occupancy.agent_states import AgentStates
 from hid2.policy.rules import place_in
@@ -78,7 +77,7 @@ def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | No
     source = sidecar.source_scenario_id if sidecar else recording.scenario_id
     states, groups = _grouped(recording, tracks)
     arrays, safe, last_observed = states.arrays, groups["combined"].safe, recording.last_observed
-    maneuvers = detect(arrays, states.lanes, states.matches)
+    maneuvers = detect(states)
     findings = findings_of(states, recording.graph, sidecar)
     policy_of = policies(arrays, maneuvers)
     scene: Row = {
@@ -95,7 +94,7 @@ def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | No
     for name, group in groups.items():
         scene |= {f"{name}_{key}": value for key, value in _group_row(group, maneuvers, policy_of).items()}
     scene |= _pair_row(safe, arrays) | _request_row(sidecar)
-    driving = windows(states.view, safe.leaders, scene=source, labelled=recording.provenance == "human")
+    driving = windows(states, safe.leaders, scene=source, labelled=recording.provenance == "human")
     tables = {
         "scenes": [scene],
         "tracks": _track_rows(groups, findings, policy_of, sidecar),
@@ -103,7 +102,7 @@ def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | No
             row | _apart(row, arrays, recording.focal_track_id) for row in _maneuver_rows(maneuvers, sidecar)
         ],
         "events": [event.model_dump(mode="json") for event in sidecar.events] if sidecar else [],
-        "lane_changes": [asdict(row) for row in lane_changes(states.view, safe.leaders, maneuvers)],
+        "lane_changes": [asdict(row) for row in lane_changes(states, safe.leaders, maneuvers)],
         "conflicts": [asdict(row) for row in conflicts(arrays)],
     }
     return SceneMeasures(tables, count_scene(arrays, safe, driving, maneuvers, scene=source), driving)
@@ -141,7 +140,7 @@ def _number_of(own: Callable[[Group], float], name: str, group: Group) -> float:
 def _grouped(recording: Recording, tracks: Sequence[Track]) -> tuple[AgentStates, dict[str, Group]]:
     """States of tracks on the map of a recording, inserted ones last, and what was measured of them by group."""
     states = recording_states(recording, tracks)
-    arrays, safe = states.arrays, safety(states.view)
+    arrays, safe = states.arrays, safety(states)
     kinematic, met = kinematics(arrays, motion(arrays)), encounters(arrays, safe.leaders)
     recorded, every = ~arrays.generated, np.ones(arrays.num_agents, dtype=bool)
     groups = {}

@@ -182,7 +182,7 @@ def _map(graph: LaneGraph, origin: FloatArray) -> dict[str, Any]:
 def _tracks(recording: Recording, states: AgentStates, origin: FloatArray) -> list[dict[str, Any]]:
     """Each agent with its states and what is derived of them: acceleration, lateral offset, leader and gap."""
     arrays, moved = states.arrays, motion(states.arrays)
-    ahead = leaders(arrays, states.lanes, states.matches)
+    ahead = leaders(states)
     lane_ids = list(recording.graph.lanes)  # lanes by their place in the map, none for those that match none, -1
     lane_of = np.array([*(lane_ids.index(one) for one in states.lanes.lane_ids), np.nan])
     tracks, kinds = {track.track_id: track for track in recording.tracks}, figures.kinds_in(recording)
@@ -202,7 +202,7 @@ def _tracks(recording: Recording, states: AgentStates, origin: FloatArray) -> li
             "speed": coded(np.hypot(*arrays.velocity[span].T), quantum=METRE),
             **({} if not arrays.vehicle[row] else {
                 "accel": coded(moved.accel_mps2[span], quantum=METRE),
-                "offset": coded(first_lane_offset(alone.view), quantum=METRE),
+                "offset": coded(first_lane_offset(alone), quantum=METRE),
                 "gap": coded(ahead.gap_m[span], quantum=METRE),
                 "leader": coded(ahead.agent[span]),
                 "lane": coded(lane_of[states.matches.lane[span]]),

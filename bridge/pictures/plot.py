@@ -40,7 +40,8 @@ def agent_figure(scenario: Recording, agent_id: str) -> Figure:
     arrays = stack([track], step_s=scenario.step_s)
     lanes = flatten_lanes(scenario.graph)
     matches = match_lanes(arrays, lanes)
-    seen = detect(arrays, lanes, matches)
+    view = LaneView(arrays, lanes, matches)
+    seen = detect(view)
     moments, note = _moments(scenario, agent_id, seen)
     time = np.asarray(track.timesteps * scenario.step_s, dtype=np.float64)
     figures.style()
@@ -57,7 +58,7 @@ def agent_figure(scenario: Recording, agent_id: str) -> Figure:
     most = limits.longitudinal_jerk_mps3
     _derivative(axes[3], time, jerk, limits=(-most, most), one_sided=3)
     axes[3].set_ylabel("jerk, m/s³")
-    _offset(axes[4], time, LaneView(arrays, lanes, matches))
+    _offset(axes[4], time, view)
     _cells(axes[5], time, scenario, lanes, matches)
     for ax in axes[1:]:
         ax.set_xlim(time[0] - 0.1, time[-1] + 0.1)

@@ -173,7 +173,7 @@ def insert(simulation: Simulation, scene: Scene, start: Start) -> Reason | None:
     edges = steering.edges_along(scene, start.path, cell)
     if edges is None:
         return Reason.NO_ROUTE
-    begin = float(scene.grid.edges_s(cell.lane_id)[cell.index])
+    begin = float(scene.grid.edges_s[cell.lane_id][cell.index])
     objection = simulation.insert(
         start.vehicle_id, edges=edges, lane_id=scene.grid.sumo_lane_id(cell), front_m=max(0.0, lane_s - begin),
         speed_mps=start.start_mps, driver=start.driver, size=start.size,

@@ -43,10 +43,10 @@ from bridge.sumo.net import sumo_program
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FOCAL_CATEGORY, FloatArray, Track
 from hid2.drivers.driver import Driver
+from hid2.kernels.gaps import ASIDE_M
 from hid2.measures.arrays import is_generated_id
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.occupancy.agent_states import agent_states
-from hid2.occupancy.shown import ASIDE_M
 from hid2.occupancy.traffic import BoolArray
 from hid2.params import Config
 from netconvert.cells import SAVED_WITHIN_M, Cell, CellGrid, build_cell_grid
@@ -148,7 +148,7 @@ def _places(scenario: Recording, grid: CellGrid) -> dict[str, _Placed]:
         here = lane_ids == lane_id
         along[here] = graph.lanes[lane_id].path.frenet(front[here])[0]
     cells = [grid.cell_at(lane_id, s) for lane_id, s in zip(lane_ids.tolist(), along.tolist(), strict=True)]
-    begin = np.array([grid.edges_s(cell.lane_id)[cell.index] for cell in cells])
+    begin = np.array([grid.edges_s[cell.lane_id][cell.index] for cell in cells])
     pos = np.clip(along - begin, 0.0, [grid.length_m(cell) for cell in cells])
     bounds = zip(arrays.track_ids, pairwise(arrays.first.tolist()), strict=True)
     return {track_id: (cells[start:stop], pos[start:stop], on[start:stop]) for track_id, (start, stop) in bounds}

@@ -14,11 +14,12 @@ from hid2.conflicts.guard import PRESENT, Braking, Guard, Obstacles, S
 from hid2.conflicts.reaction import yielding
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver
+from hid2.kernels.steering import STRAIGHT
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, Jump
 from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.traffic import BoolArray, Traffic
-from hid2.policy.roads import STRAIGHT, Roads
+from hid2.policy.roads import Roads
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start
 
@@ -207,7 +208,7 @@ class Fleet:
     @property
     def known(self) -> Traffic:
         """All agents with a known future, recorded, then kept, up to the scene's end."""
-        return self.scene.traffic.joined(self.kept.first(self.scene.num_steps))
+        return self.scene.traffic.joined(self.kept.span(slice(self.scene.num_steps)))
 
     def in_width(self, row: int) -> PathOccupancy:
         """Intervals of the `known` agents that reach into the width that a vehicle drives on its path, no margins."""

@@ -40,5 +40,5 @@ def center_on_path(
     cell = grid.cell_of_sumo_lane.get(lane)
     if cell is None:
         return None
-    front = path.s_on(cell.lane_id, float(grid.edges_s(cell.lane_id)[cell.index]) + front_m, after=after)
+    front = path.s_on(cell.lane_id, float(grid.edges_s[cell.lane_id][cell.index]) + front_m, after=after)
     return None if front is None else front - 0.5 * length_m

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from bridge.sumo.fleet import Fleet
-from hid2.kernels.gaps import shown_ahead
+from hid2.kernels.gaps import SHOWN_M, shown_ahead
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.along_path import PathOccupancy
-from hid2.occupancy.shown import LEADS_FROM_M, SHOWN_M, STANDING_MPS, UNSEEN_STEPS
+from hid2.occupancy.shown import UNSEEN_STEPS
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.policy.behaviours import BEHAVIOURS
 from hid2.vehicle import Start
@@ -35,7 +35,6 @@ def shown_at(fleet: Fleet, step: int) -> dict[int, tuple[str, int]]:
     found = shown_ahead(
         known.low, known.high, known.along, known.same_direction, known.crossing, known.agents, first,
         length_m, scene.traffic.position, fleet.kept.position, step, fleet.along_m, fleet.centre, fleet.length_m,
-        (STANDING_MPS, LEADS_FROM_M, SHOWN_M),
     )  # fmt: skip
     for agent, row, middle in zip(*(column.tolist() for column in found), strict=True):
         cell = scene.cell_at(fleet.vehicles[row].path, middle)

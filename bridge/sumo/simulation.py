@@ -14,7 +14,7 @@ import libsumo
 from bridge.sumo.drivers import driver_attributes
 from hid2.agents import BoxSize
 from hid2.drivers.driver import Driver
-from hid2.occupancy.shown import ASIDE_M
+from hid2.kernels.gaps import ASIDE_M
 from netconvert.errors import SimulationError
 
 #: TraCI lane-change mode: no change of SUMO's own; one asked for is refused where speeds and brake gaps forbid it.

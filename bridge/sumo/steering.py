@@ -10,9 +10,8 @@ import numpy as np
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.simulation import Simulation
 from hid2.agents import FloatArray, IntArray, Policy
-from hid2.conflicts.guard import ACROSS_S, ACTS_MPS2, STRIDE, A, S
-from hid2.conflicts.stop_lines import STOPS
-from hid2.kernels.steering import CAUSES, LIMIT_TOLERANCE_MPS, speed_limits
+from hid2.conflicts.guard import ACROSS_S, A, S
+from hid2.kernels.steering import ACTS_MPS2, CAUSES, LIMIT_TOLERANCE_MPS, speed_limits
 from hid2.manoeuvre import Across, ManoeuvreDue, advance, foreseen_speeds
 from hid2.motion.lane_change_path import lateral_share
 from hid2.motion.reference_line import TABLE_STEP_M
@@ -20,7 +19,7 @@ from hid2.motion.route import DrivenPath, shifted_path
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.policy.lane_change import SumoAnswer
 from hid2.policy.overtake import Stage
-from hid2.policy.roads import STRAIGHT, ways_at_next_split
+from hid2.policy.roads import ways_at_next_split
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from netconvert.cells import Cell
@@ -56,9 +55,8 @@ def limits_of(fleet: Fleet, rows: IntArray, now: int) -> SpeedLimits:
     guard = fleet.guard
     first, inputs = fleet.limit_inputs(now)
     return SpeedLimits(*speed_limits(
-        rows, now, fleet.state, fleet.desired_mps, fleet.drivers, fleet.yielding, STRAIGHT,
-        guard.horizon, STRIDE, fleet.scene.step_s, TABLE_STEP_M, guard.brakes,
-        guard.predicted, STOPS, guard.yield_rules, first[-rows.size - 1 :], *inputs,
+        rows, now, fleet.state, fleet.desired_mps, fleet.drivers, fleet.yielding,
+        guard.horizon, fleet.scene.step_s, guard.brakes, first[-rows.size - 1 :], *inputs,
     ))  # fmt: skip
 
 

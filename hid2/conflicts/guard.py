@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hid2.agents import BoxSize, FloatArray, IntArray
-from hid2.conflicts.stop_lines import STOPS, ClosedLines, StopLines
+from hid2.conflicts.stop_lines import ClosedLines, StopLines
 from hid2.drivers.driver import Driver
 from hid2.kernels.guard import SWEPT_STEP_M, needed_braking
 from hid2.motion.reference_line import TABLE_STEP_M
@@ -24,47 +24,14 @@ from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.sigma import ORIGINAL
 from hid2.occupancy.traffic import Traffic
 from hid2.once import once
-from hid2.scene import PET_MARGIN_M, Scene
+from hid2.scene import Scene
 
-# No tunables, here and below: they are how a driver brakes for what SUMO does not see, chosen on the scenes of
-# tests/real; `conflict` has the margins that it keeps.
+# No tunables, here and below: `conflict` has the margins that a driver keeps, `kernels/guard.py` how it brakes.
 #: Decelerations tried, m/s2, least first, up to conflict.brake_max_mps2.
 _BRAKES_MPS2 = (0.0, 0.5, 0.8, 1.1, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
-#: Predicted braking builds up at this rate, m/s3.
-_PREDICTED_JERK_MPS3 = 4.0
-#: An inserted vehicle that brakes is predicted to brake on so long, s.
-_BRAKING_LASTS_S = 1.0
-#: Hardest braking for an agent that appears ahead, over the driver's.
-_HARDEST_RATIO = 1.4
-#: Steps between two looks at the predicted motion.
-STRIDE = 2
 #: Agents from behind on the way across are looked for so far ahead, s: as long as a lane change takes, and some.
 ACROSS_S = 8.0
-#: A conflict must ask for this deceleration before the timing is changed, m/s2.
-ACTS_MPS2 = 1.1
-#: A vehicle that yields goes on with that down to this deceleration, m/s2.
-_KEEPS_YIELDING_MPS2 = 0.3
-#: Braking harder than this times the one to act for, or to keep on for, is urgent: a vehicle yields at once.
-_URGENT_RATIO = 3.0
-#: For less than that it yields only if the conflict is no later than this, s.
-_SOON_S = 2.5
-#: Braking for a conflict builds up at this rate, m/s3.
-_JERK_MPS3 = 3.5
-#: It is at most so hard just before standing still, m/s2.
-_LAST_BRAKE_MPS2 = 0.6
-#: It may be harder at a speed by so much, 1/s.
-_LAST_BRAKE_PER_S = 1.8
-#: A vehicle that slows down more than this behind a leader, m/s2, may have waited for it.
-_SLOWS_MPS2 = 0.7
-#: It has if it is nearer to the leader than this times its time gap and jam gap.
-_BEHIND_RATIO = 2.0
 _MARGINS_M = 10.0  # not a parameter, it saves time: more than any lateral margin
-_TURN_AHEAD_S = 4.0  # book-keeping: a limit this long before a turn lane is put down to the turn
-#: When a vehicle yields, and how its braking begins and ends, as the kernel `speed_limits` takes it.
-_YIELD_RULES = (
-    _TURN_AHEAD_S, _BEHIND_RATIO, _SLOWS_MPS2, _KEEPS_YIELDING_MPS2, ACTS_MPS2, _SOON_S, _URGENT_RATIO, _JERK_MPS3,
-    _LAST_BRAKE_MPS2, _LAST_BRAKE_PER_S,
-)  # fmt: skip
 #: Columns of the fleet's state.
 S, V, A, EXECUTING, PRESENT = range(5)
 
@@ -119,9 +86,6 @@ class Guard:
     inserted_known: Traffic
     stop_lines: StopLines
     _newest: dict[tuple[DrivenPath, BoxSize], _Newest] = field(default_factory=dict)
-    # as the kernels `needed_braking` and `speed_limits` take them: how others are predicted, when a driver brakes
-    predicted = _PREDICTED_JERK_MPS3, PET_MARGIN_M, _BRAKING_LASTS_S, _HARDEST_RATIO
-    yield_rules = _YIELD_RULES
 
     @cached_property
     def brakes(self) -> FloatArray:
@@ -196,8 +160,8 @@ class Guard:
         scene, known, lines = self.scene, obstacles.known, obstacles.lines
         row, hit, *_, run_into = needed_braking(
             known.low, known.high, known.along, known.same_direction, lines.stops_s(driver), lines.closed,
-            obstacles.swept, obstacles.rows, fleet, own, step, state, desired_mps, road, TABLE_STEP_M,
-            self.horizon if horizon_s is None else scene.steps_in(horizon_s), STRIDE, scene.step_s,
-            driver.following, self.brakes, self.predicted, STOPS,
+            obstacles.swept, obstacles.rows, fleet, own, step, state, desired_mps, road,
+            self.horizon if horizon_s is None else scene.steps_in(horizon_s), scene.step_s,
+            driver.following, self.brakes,
         )  # fmt: skip
         return Braking(float(self.brakes[row]), None if hit < 0 else hit * scene.step_s, bool(run_into))

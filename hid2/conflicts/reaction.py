@@ -151,7 +151,7 @@ class Reactions:
             present[row, ahead] = True
             velocity[row, present[row]] = velocity_of(position[row, present[row]], scene.step_s)
         future = replace(scene.future, position=position, heading=heading, velocity=velocity, present=present)
-        traffic = future.first(scene.num_steps)
+        traffic = future.span(slice(scene.num_steps))
         occupancy = original_occupancy(scene.boxes, traffic)
         self.scene = replace(scene, traffic=traffic, future=future, occupancy=occupancy)
 

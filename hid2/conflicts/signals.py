@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hid2.agents import FloatArray, IntArray
+from hid2.kernels.gaps import STANDING_MPS
 from hid2.measures.encounters import CROSSING_RAD
 from hid2.motion.route import line_along, route_points
 from hid2.occupancy.agent_states import AgentStates, parked
 from hid2.occupancy.along_path import look_along
-from hid2.occupancy.shown import STANDING_MPS
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.once import once
 from hid2.params import Limits, Signals

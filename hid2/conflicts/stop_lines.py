@@ -11,6 +11,7 @@ from hid2.agents import BoxSize, FloatArray, IntArray
 from hid2.conflicts.signals import InferredSignals
 from hid2.drivers.driver import Driver
 from hid2.kernels.crossings import at_crossings, crossings_swept
+from hid2.kernels.guard import ROLLS_UP_SHARE
 from hid2.kernels.steering import CAUSES
 from hid2.measures.encounters import CROSSING_RAD
 from hid2.motion.reference_line import TABLE_STEP_M
@@ -19,12 +20,7 @@ from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.once import once
 from hid2.scene import Scene
 
-# No tunables, the next six: how a driver stops.
-#: It rolls up to a line with this share of its deceleration.
-_ROLLS_UP_SHARE = 0.6
-#: As the kernels take it: closed lines farther ahead matter to none yet, m; that share; s in which it takes up the
-#: speed for that; and over its deceleration the braking beyond which it crosses, as at amber.
-STOPS = (60.0, _ROLLS_UP_SHARE, 0.5, 1.3)
+# No tunables, the next two: where a driver stops.
 #: So far, m, it keeps at least to where pedestrians cross.
 _CROSSING_GAP_M = 0.5
 #: So far past where it would stand, m, it has passed the line.
@@ -137,7 +133,7 @@ class ClosedLines:
 
     def towards_mps(self, driver: Driver, room_m: float) -> float:
         """Fastest speed, m/s, from which a driver brakes as usual to stand at a line."""
-        return math.sqrt(2.0 * _ROLLS_UP_SHARE * driver.decel_mps2 * room_m)
+        return math.sqrt(2.0 * ROLLS_UP_SHARE * driver.decel_mps2 * room_m)
 
     def is_passed(self, s: FloatArray, driver: Driver, *, first: int, closed_steps: int) -> bool:
         """Whether a driver's motion (K,) m from a step on passes a line that has been closed for so many steps."""

@@ -156,8 +156,8 @@ class LaneOffset:
     offset_m: FloatArray
     slope: FloatArray
 
-    def at(self, s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """D m, d' and d'' 1/m at arc lengths s (T,) m; straight on beyond the knots."""
+    def at(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """D m and d' at arc lengths s (T,) m; straight on beyond the knots."""
         inside = np.clip(s, self.knots_m[0], self.knots_m[-1])
         row = np.clip(np.searchsorted(self.knots_m, inside, side="right") - 1, 0, self.knots_m.size - 2)
         width = self.knots_m[row + 1] - self.knots_m[row]
@@ -169,7 +169,6 @@ class LaneOffset:
         return (
             np.asarray(y0 + u * (m0 + u * (rise + u * fall))),
             np.asarray((m0 + u * (2.0 * rise + 3.0 * u * fall)) / width),
-            np.asarray((2.0 * rise + 6.0 * u * fall) / (width * width)),
         )
 
     def scaled(self, share: float) -> "LaneOffset":

@@ -70,7 +70,7 @@ class TakenOut:
 def taken_out(states: AgentStates, tracks: Sequence[Track], now: int) -> tuple[list[TakenOut], dict[str, Left]]:
     """The vehicles of a recording that are driven again from step `now` on, and why each of the others is not."""
     arrays, step_s = states.arrays, states.arrays.step_s
-    gap_m = leaders(arrays, states.lanes, states.matches).gap_m
+    gap_m = leaders(states).gap_m
     before, after = now - round(_BEFORE_S / step_s), now + round(_AFTER_S / step_s)
     found, left = list[TakenOut](), dict[str, Left]()
     for row in np.flatnonzero(arrays.vehicle).tolist():
@@ -82,7 +82,7 @@ def taken_out(states: AgentStates, tracks: Sequence[Track], now: int) -> tuple[l
         elif states.matches.lane[there[now]] < 0:
             why = Left.OFF_LANES
         else:
-            why, route = Left.NO_ROUTE, _route(states.view, row, int(there[now]))
+            why, route = Left.NO_ROUTE, _route(states, row, int(there[now]))
         if route is None:
             left[arrays.track_ids[row]] = why
             continue

@@ -12,6 +12,7 @@ import shapely
 
 from hid2.agents import FloatArray
 from hid2.judge.states import against_lane_deg, outside_m
+from hid2.kernels.box_pairs import earliest_contact
 from hid2.measures.arrays import MOVES_MPS, BoolArray, SceneArrays
 from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import LaneLeaders, leaders
@@ -95,6 +96,22 @@ def off_footprint(arrays: SceneArrays, graph: LaneGraph) -> BoolArray:
     return np.asarray(outside > 0.0)
 
 
+def ttc_after_last_step(arrays: SceneArrays, members: BoolArray, among: BoolArray) -> FloatArray:
+    """(A,) s from the last step of each member (A,) to its first contact within END_HORIZON_S; inf for all else.
+
+    Nothing is recorded beyond the last step: nothing else would tell that a track ends a moment before a collision.
+    among: the agents (A,) that count as others; of these those present at that very step.
+    """
+    found, size = np.full(arrays.num_agents, np.inf), np.column_stack([arrays.length, arrays.width])
+    for agent in np.flatnonzero(members).tolist():
+        step = int(arrays.step[arrays.first[agent + 1] - 1])
+        agents = np.union1d(np.flatnonzero((arrays.row_of[:, step] >= 0) & among), agent)
+        rows, own = arrays.row_of[agents, step], int(np.searchsorted(agents, agent))
+        boxes = arrays.position[rows], arrays.heading[rows], arrays.velocity[rows], size[agents]
+        found[agent], _ = earliest_contact(own, *boxes)
+    return found
+
+
 def _against_lane(view: LaneView) -> BoolArray:
     """Rows (N,) of moving vehicles that drive against their lanes, as the judge sees it."""
     arrays = view.arrays
@@ -116,5 +133,5 @@ def safety(view: LaneView) -> Safety:
         off_footprint=off_footprint(arrays, graph),
         against_lane=_against_lane(view),
         ttc_s=time_to_collision(arrays, cap_s=CAP_S)[0],
-        leaders=leaders(arrays, view.lanes, view.matches),
+        leaders=leaders(view),
     )

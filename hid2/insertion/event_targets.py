@@ -55,7 +55,7 @@ def target_of(scene: Scene, row: int) -> Target | None:
     if not alone.arrays.vehicle[0]:
         return None
     arrays, lanes = alone.arrays, alone.lanes
-    runs = [run for run in runs_of(alone.view, 0) if run.lane >= 0]
+    runs = [run for run in runs_of(alone, 0) if run.lane >= 0]
     if not runs:
         return None
     moved, stated = np.diff(traffic.position[row], axis=0), traffic.heading[row].copy()

@@ -261,7 +261,7 @@ def conflicting(
     if len(exported) <= since or {"collision", "topology"} & config.without:
         return []
     states, first = together(scene, exported), scene.states.arrays.num_agents
-    led = leaders(states.arrays, states.lanes, states.matches)
+    led = leaders(states)
     beyond_m = np.zeros(states.arrays.num_agents)
     beyond_m[first:] = [one.driven.start.beyond_m for one in exported]
     findings = [*ttc_on_lanes(states, led, bounds), *headways(states, led, beyond_m)]
@@ -293,7 +293,7 @@ def _grid_path(scene: Scene, vehicle: DrivenVehicle, s: FloatArray, v: FloatArra
     for segment in vehicle.path.segments:
         if segment.end < s[0] - 10.0 or segment.start > s[-1] + 10.0:
             continue
-        borders = scene.grid.edges_s(segment.lane_id)
+        borders = scene.grid.edges_s[segment.lane_id]
         middles = 0.5 * (borders[1:] + borders[:-1])
         inside = middles[(middles >= segment.lane_start) & (middles <= segment.lane_end)]
         knots += [segment.s_at(middle) for middle in inside.tolist()]

@@ -13,25 +13,22 @@ from functools import cached_property
 import numpy as np
 
 from hid2.agents import BoxSize, FloatArray
-from hid2.conflicts.guard import ACROSS_S, STRIDE, Guard
+from hid2.conflicts.guard import ACROSS_S, Guard
 from hid2.conflicts.signals import AMBER_S
-from hid2.conflicts.stop_lines import STOPS
 from hid2.judge.findings import FOLLOWER_HEADWAY_S, FOLLOWER_LACKS_MPS2, MOVES_M, export_bounds
 from hid2.judge.states import contacts_at_end, lacked_braking, recorded_headways, sustained_headway
 from hid2.kernels.rollout import CONTACT, LAG_TTC, LEAD_TTC, met_by, roll
 from hid2.manoeuvre import ManoeuvreDue, advance
 from hid2.measures.encounters import STANDS_FOR_S, STANDS_MPS
-from hid2.measures.scene_end import BoxesAtStep
-from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, Jump
 from hid2.motion.smoothing import Motion, trajectory
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.gaps import Gaps, gaps_from_poses, gaps_on_path
-from hid2.occupancy.shown import LEADS_FROM_M, SHOWN_M, Shown, shown_on
+from hid2.occupancy.shown import Shown, shown_on
 from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.once import once
 from hid2.policy.overtake import Stage
-from hid2.policy.roads import STRAIGHT, Roads
+from hid2.policy.roads import Roads
 from hid2.policy.rules import ASSUMED_ANSWER
 from hid2.reasons import Reason
 from hid2.scene import Scene
@@ -147,7 +144,7 @@ class World:
         It is left with too little time to collision, would have to brake harder than it does, or has a shorter headway,
         which it never kept in the recording.
         """
-        scene, own = self.scene, candidate.traffic.first(self.scene.num_steps)
+        scene, own = self.scene, candidate.traffic.span(slice(self.scene.num_steps))
         movers, recorded, forward = scene.movers
         critical_s = scene.config.conflict.follower_ttc_min_s
         boxes = recorded.length_m[:, None], recorded.width_m[:, None]
@@ -192,9 +189,7 @@ class World:
         last = int(np.flatnonzero(own.present[0, : self.scene.num_steps])[-1])
         here = self.scene.traffic.at(last).joined(self.guard.inserted_known.at(last))
         here = own.at(last).joined(here.rows(np.flatnonzero(here.present[:, 0]).tolist()))
-        sizes = np.column_stack([here.length_m, here.width_m])
-        boxes = BoxesAtStep(here.position[:, 0], here.heading[:, 0], here.velocity[:, 0], sizes)
-        return any(True for _ in contacts_at_end(boxes, export_bounds(self.scene.config), step_s=self.scene.step_s))
+        return any(True for _ in contacts_at_end(here, export_bounds(self.scene.config), step_s=self.scene.step_s))
 
     def to_roll_anew(self, candidate: RolledOut) -> list[RolledOut]:
         """Those chosen that may drive otherwise with a candidate: followers, lane changers near it, later entrants."""
@@ -238,13 +233,10 @@ class World:
             state = float(before.s[k]), float(before.v[k]), gained_mps / scene.step_s
             memory = before.memory[k].copy()
         s, v, memories = roll(
-            (first, last), state, start.desired, driver.following,
-            scene.config.drivers.reaction_s, start.size.length_m, STRAIGHT, self.guard.horizon,
-            STRIDE, scene.step_s, TABLE_STEP_M, self.guard.brakes, self.guard.predicted,
-            STOPS, self.guard.yield_rules, self.roads.speeds(path, driver), *self.roads.lanes(path),
-            known.low, known.high, known.along, known.same_direction, lines.stops_s(driver), lines.closed, lines.cause,
-            shown.middle, shown.speed, shown.leads, shown.length_m,
-            (LEADS_FROM_M, SHOWN_M), *self._links_on(path),
+            (first, last), state, start.desired, driver.following, scene.config.drivers.reaction_s, start.size.length_m,
+            self.guard.horizon, scene.step_s, self.guard.brakes, self.roads.speeds(path, driver),
+            *self.roads.lanes(path), known.low, known.high, known.along, known.same_direction, lines.stops_s(driver),
+            lines.closed, lines.cause, shown.middle, shown.speed, shown.leads, shown.length_m, *self._links_on(path),
             memory,
         )  # fmt: skip
         return Rollout(path, first, s, v, memories)
@@ -302,7 +294,7 @@ class World:
         facing = grid.lateral(cell, side)
         if facing is None:
             return onto
-        off = grid.edges_s(facing.lane_id)[cell.index] - grid.edges_s(cell.lane_id)[cell.index]
+        off = grid.edges_s[facing.lane_id][cell.index] - grid.edges_s[cell.lane_id][cell.index]
         there = onto.path.s_on(facing.lane_id, segment.lane_s(front) + float(off), after=float(onto.s[0]))
         if there is None:
             return onto

@@ -263,7 +263,7 @@ class InsertionSites:
             if row in turned_down:
                 continue
             cell = grid.cells[row]
-            begin, end = grid.edges_s(cell.lane_id)[cell.index : cell.index + 2]
+            begin, end = grid.edges_s[cell.lane_id][cell.index : cell.index + 2]
             yield cell, float(begin + share[place] * (end - begin))
 
     def _there(self) -> list[Start]:

@@ -35,7 +35,7 @@ _PRIOR_VEHICLES = 6
 def recorded_shares(scene: Scene) -> dict[Situation, float]:
     """Share of the driven vehicles of a recording that meet something; a small recording is told by others too."""
     arrays = scene.states.arrays
-    seen = encounters(arrays, leaders(arrays, scene.states.lanes, scene.states.matches))
+    seen = encounters(arrays, leaders(scene.states))
     driven = arrays.clean
     count = int(driven.sum()) + _PRIOR_VEHICLES
     return {one: (int(seen[one][driven].sum()) + _PRIOR_VEHICLES * share) / count for one, share in _PRIOR.items()}

@@ -61,7 +61,7 @@ def manoeuvres(states: AgentStates, agent: int | None = None) -> list[Maneuver]:
     """All manoeuvres of the inserted vehicles of a scene, or of one agent."""
     arrays = states.arrays
     among = arrays.generated if agent is None else np.arange(arrays.num_agents) == agent
-    return detect(arrays, states.lanes, states.matches, among=among)
+    return detect(states, among=among)
 
 
 def moment_s(maneuver: Maneuver) -> float:
@@ -146,15 +146,15 @@ def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None
     Near: within the time gap that is recommended, or the TTC before which drivers brake. The target is on that path
     since CLAIM_S at least, and until there: where it changes lanes itself, no vehicle cuts in on it.
     """
-    arrays, view, link = states.arrays, states.view, states.lanes.link
-    runs, steps = runs_of(view, target), []
+    arrays, link = states.arrays, states.lanes.link
+    runs, steps = runs_of(states, target), []
     for change in (one for one in manoeuvres(states, own) if one.kind is ManeuverKind.LANE_CHANGE):
         step = round(change.crossing_s / arrays.step_s)
         row, there = arrays.row_of[own, step], arrays.row_of[target, step]
         k = next((k for k, run in enumerate(runs) if run.first <= there <= run.last), None)
         if there < 0 or k is None or runs[k].lane < 0:
             continue
-        path, lanes = path_driven(view, runs, k)
+        path, lanes = path_driven(states, runs, k)
         before = max(there - round(CLAIM_S / arrays.step_s), int(arrays.first[target]))
         if states.matches.lane[before] not in lanes:
             continue
@@ -184,10 +184,8 @@ def overtake_of(states: AgentStates, own: int, other: int) -> tuple[Maneuver, Ma
 
 def _merged(states: AgentStates, own: int, target: int) -> int | None:
     """The vehicle comes onto a lane that the target drives too, from a lane that the target does not drive."""
-    view = states.view
-    common = {run.lane for run in runs_of(view, target) if run.lane >= 0}
-    runs = runs_of(view, own)
-    for before, after in pairwise(runs):
+    common = {run.lane for run in runs_of(states, target) if run.lane >= 0}
+    for before, after in pairwise(runs_of(states, own)):
         if after.lane in common and before.lane not in common and before.lane >= 0:
             if states.lanes.link[before.lane, after.lane] != GOES_ON:
                 continue

@@ -30,30 +30,14 @@ CLAIM_S = 0.5
 FIGURE_OFF = 0.01
 #: A follower keeps this time headway, s (one recorded unless it kept less to its own leader).
 FOLLOWER_HEADWAY_S = 0.8
-#: A shorter headway counts above this speed, m/s.
-FOLLOWER_MPS = 3.0
-#: A shorter headway counts when it lasts so long, s.
-FOLLOWER_FOR_S = 1.0
 #: A recorded follower lacks at most so much braking behind an inserted leader, m/s2: behind recorded leaders 6 of 112
 #: lack more (fourteen scenes), 4 of them with boxes that touch.
 FOLLOWER_LACKS_MPS2 = 1.5
-#: It lacks it for so long, s.
-LACKS_FOR_S = 0.5
-#: It has so long to brake, s: what it brakes then in the mean is no lack.
-BRAKES_WITHIN_S = 1.0
 #: Headway = (gap + leader's length) / speed, but the length counts for so many s at most: at least .5 s are left from
 #: bumper to bumper (130 recorded followers in their lanes have .6 s or more).
 LEADER_LENGTH_S = 0.3
-#: After the last step a driver brakes so hard, m/s2.
-END_DECEL_MPS2 = 3.0
-#: It begins to brake so long after the last step, s.
-END_REACTION_S = 1.0
 #: Share of 1 / R_min above which a curve cannot be driven.
 CURVATURE_SHARE = 1.1
-#: Largest angle between a vehicle and the lane below it outside of intersections, degrees.
-LANE_DEG = 60.0
-#: The same in intersections.
-INTERSECTION_DEG = 90.0
 
 
 class NoiseBounds(NamedTuple):

@@ -14,16 +14,8 @@ import shapely
 
 from hid2.agents import BoxSize, FloatArray, IntArray
 from hid2.judge.findings import (
-    BRAKES_WITHIN_S,
-    END_DECEL_MPS2,
-    END_REACTION_S,
-    FOLLOWER_FOR_S,
     FOLLOWER_HEADWAY_S,
     FOLLOWER_LACKS_MPS2,
-    FOLLOWER_MPS,
-    INTERSECTION_DEG,
-    LACKS_FOR_S,
-    LANE_DEG,
     LEADER_LENGTH_S,
     LEAST,
     MOTION_LIMITS,
@@ -32,6 +24,7 @@ from hid2.judge.findings import (
     MotionProfile,
     Quantity,
 )
+from hid2.kernels.box_pairs import END_HORIZON_S, earliest_contact
 from hid2.kernels.lane_matching import SLIVER_M
 from hid2.kernels.path_intervals import SAME_WAY
 from hid2.kernels.trajectory import derivatives_of_motion, first_overlapping
@@ -39,13 +32,29 @@ from hid2.measures.arrays import BoolArray
 from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import LaneLeaders, leaders
 from hid2.measures.manoeuvres import ManeuverKind, detect
-from hid2.measures.scene_end import END_HORIZON_S, BoxesAtStep, first_contact
 from hid2.measures.surrogates import encroachments
 from hid2.occupancy.agent_states import AgentStates, PathLeaders
 from hid2.occupancy.traffic import Traffic
 from netconvert.geometry import box_corners, differences, wrap_angle
 from netconvert.lane_graph import LaneGraph, crossable
 
+# No tunables, here and below: with `findings.py` what states are held to.
+#: A shorter headway counts above this speed, m/s.
+_FOLLOWER_MPS = 3.0
+#: A shorter headway counts when it lasts so long, s.
+_FOLLOWER_FOR_S = 1.0
+#: It lacks it for so long, s.
+_LACKS_FOR_S = 0.5
+#: It has so long to brake, s: what it brakes then in the mean is no lack.
+_BRAKES_WITHIN_S = 1.0
+#: After the last step a driver brakes so hard, m/s2.
+_END_DECEL_MPS2 = 3.0
+#: It begins to brake so long after the last step, s.
+_END_REACTION_S = 1.0
+#: Largest angle between a vehicle and the lane below it outside of intersections, degrees.
+_LANE_DEG = 60.0
+#: The same in intersections.
+_INTERSECTION_DEG = 90.0
 _OUTLINE_STEP_M = 0.5  # no tunable: between two points a side leaves the road by less than the tolerance spares
 
 
@@ -63,7 +72,7 @@ def judge(states: AgentStates, graph: LaneGraph, bounds: Bounds) -> list[Finding
         found += ttc_on_driven_path(states, agent, led_by, bounds)
         found += headway_on_driven_path(states, agent, led_by)
         found += of_end(states, agent, others, bounds)
-    led = leaders(arrays, states.lanes, states.matches)
+    led = leaders(states)
     found += ttc_on_lanes(states, led, bounds)
     found += of_recorded_followers(states, inserted, bounds)
     found += of_crossings(states, bounds, since=int(inserted[0]) if inserted.size else arrays.num_agents)
@@ -106,7 +115,7 @@ def of_road(states: AgentStates, agent: int, size: BoxSize, graph: LaneGraph, bo
     if outside.max(initial=0.0) > tolerance_m:
         worst = int(np.argmax(outside))
         yield _of_one(states, agent, worst, Quantity.OFF_ROAD, float(outside[worst]), tolerance_m)
-    angle, limit = against_lane_deg(states.view, np.arange(rows.start, rows.stop), graph)
+    angle, limit = against_lane_deg(states, np.arange(rows.start, rows.stop), graph)
     over = angle - limit
     if over.max(initial=0.0) > 0.0:
         worst = int(np.argmax(over))
@@ -114,7 +123,7 @@ def of_road(states: AgentStates, agent: int, size: BoxSize, graph: LaneGraph, bo
     among = np.arange(states.arrays.num_agents) == agent
     yield from (
         Finding(one.track_id, round(one.crossing_s / states.arrays.step_s), Quantity.SOLID_LINE, 1.0, 0.0)
-        for one in detect(states.arrays, states.lanes, states.matches, among=among)
+        for one in detect(states, among=among)
         if one.kind is ManeuverKind.LANE_CHANGE
         and not crossable(graph.lanes[one.source_lane].mark_type("left" if one.side > 0 else "right"))
     )
@@ -154,11 +163,11 @@ def against_lane_deg(view: LaneView, rows: IntArray, graph: LaneGraph) -> tuple[
     """
     arrays, lanes, matches = view.arrays, view.lanes, view.matches
     if not lanes.lane_ids.size:
-        return np.zeros(len(rows)), np.full(len(rows), LANE_DEG)
+        return np.zeros(len(rows)), np.full(len(rows), _LANE_DEG)
     lane, position, heading = matches.lane[rows], arrays.position[rows], arrays.heading[rows]
     turned = np.degrees(np.abs(wrap_angle(heading - lanes.heading(lane, matches.s[rows]))))
-    keeps = (lane >= 0) & (np.abs(matches.d[rows]) <= lanes.half_width[lane] + SLIVER_M) & (turned <= LANE_DEG)
-    angle, limit = np.where(keeps, turned, 0.0), np.full(len(rows), LANE_DEG)
+    keeps = (lane >= 0) & (np.abs(matches.d[rows]) <= lanes.half_width[lane] + SLIVER_M) & (turned <= _LANE_DEG)
+    angle, limit = np.where(keeps, turned, 0.0), np.full(len(rows), _LANE_DEG)
     doubtful = np.flatnonzero(~keeps)
     if not doubtful.size:
         return angle, limit
@@ -176,7 +185,7 @@ def against_lane_deg(view: LaneView, rows: IntArray, graph: LaneGraph) -> tuple[
         least[beside] = np.minimum(least[beside], turned[beside])
         held |= inside
         if one.is_intersection:
-            limit[doubtful[inside]] = INTERSECTION_DEG
+            limit[doubtful[inside]] = _INTERSECTION_DEG
     angle[doubtful] = np.where(held, least, 0.0)
     return angle, limit
 
@@ -227,59 +236,60 @@ def ttc_on_driven_path(states: AgentStates, agent: int, led: PathLeaders, bounds
 def of_end(states: AgentStates, agent: int, others: IntArray, bounds: Bounds) -> Iterator[Finding]:
     """Contacts after a vehicle's last step, all at the velocities stated then: too soon, or not to be avoided.
 
-    Not avoided: with an agent that it meets also when it brakes with END_DECEL_MPS2 after END_REACTION_S. A vehicle
+    Not avoided: with an agent that it meets also when it brakes with _END_DECEL_MPS2 after _END_REACTION_S. A vehicle
     that comes from behind brakes itself: it counts for the TTC alone.
     """
     last = states.span(agent).stop - 1
     agents = np.append(agent, others[states.traffic.present[others, last]])
-    found = contacts_at_end(_boxes_at(states, agents, last), bounds, step_s=states.arrays.step_s)
-    for quantity, other, ttc_s in found:
+    here, at = states.traffic.at(last).rows(agents.tolist()), states.arrays.row_of[agents, last]
+    stated = np.where((at >= 0)[:, None], states.arrays.velocity[at], here.velocity[:, 0])
+    here = replace(here, velocity=stated[:, None])
+    for quantity, other, ttc_s in contacts_at_end(here, bounds, step_s=states.arrays.step_s):
         limit = (
             END_HORIZON_S if quantity is Quantity.END_CONTACT else bounds.conflict.end_ttc_min_s + bounds.spare_end_s
         )
         yield _finding(states, (agent, int(agents[other])), last, quantity, ttc_s, limit)
 
 
-def contacts_at_end(boxes: BoxesAtStep, bounds: Bounds, *, step_s: float) -> Iterator[tuple[Quantity, int, float]]:
-    """What follows the last step of the first of some boxes, as `of_end` has it: quantity, the other box's place, s."""
-    contact = first_contact(0, boxes)
-    if contact is None:
+def contacts_at_end(here: Traffic, bounds: Bounds, *, step_s: float) -> Iterator[tuple[Quantity, int, float]]:
+    """What follows the last step of the first of some agents (one step), as `of_end` has it: quantity, other row, s."""
+    ttc_s, other = _first_contact(here)
+    if other < 0:
         return
-    if contact.ttc_s < bounds.conflict.end_ttc_min_s + bounds.spare_end_s:
-        yield Quantity.END_TTC, contact.other, contact.ttc_s
-    forward = np.array([math.cos(boxes.heading[0]), math.sin(boxes.heading[0])])
-    behind = (boxes.position - boxes.position[0]) @ forward < 0.0
-    no_followers = np.flatnonzero(~(behind & (np.cos(boxes.heading - boxes.heading[0]) > SAME_WAY)))  # 0 is the own box
-    if not _meets_braking(boxes.rows(no_followers), step_s):
+    if ttc_s < bounds.conflict.end_ttc_min_s + bounds.spare_end_s:
+        yield Quantity.END_TTC, other, ttc_s
+    position, heading = here.position[:, 0], here.heading[:, 0]
+    behind = (position - position[0]) @ np.array([math.cos(heading[0]), math.sin(heading[0])]) < 0.0
+    no_followers = np.flatnonzero(~(behind & (np.cos(heading - heading[0]) > SAME_WAY)))  # 0 is the own box
+    if not _meets_braking(here.rows(no_followers.tolist()), step_s):
         return
     for other in no_followers[1:].tolist():  # each by itself: an agent that it would pass sees it brake
-        pair = boxes.rows(np.array([0, other]))
-        contact = first_contact(0, pair)
-        if contact is not None and _meets_braking(pair, step_s):
-            yield Quantity.END_CONTACT, other, contact.ttc_s
+        pair = here.rows([0, other])
+        ttc_s, met = _first_contact(pair)
+        if met > 0 and _meets_braking(pair, step_s):
+            yield Quantity.END_CONTACT, other, ttc_s
 
 
-def _boxes_at(states: AgentStates, agents: IntArray, step: int) -> BoxesAtStep:
-    """Boxes at a step with the velocities stated there; those of the positions where a track has no state."""
-    traffic, at = states.traffic, states.arrays.row_of[agents, step]
-    velocity = np.where((at >= 0)[:, None], states.arrays.velocity[at], traffic.velocity[agents, step])
-    sizes = np.column_stack([traffic.length_m[agents], traffic.width_m[agents]])
-    return BoxesAtStep(traffic.position[agents, step], traffic.heading[agents, step], velocity, sizes)
+def _first_contact(here: Traffic) -> tuple[float, int]:
+    """As `earliest_contact`, of the first of some agents (one step)."""
+    size = np.column_stack([here.length_m, here.width_m])
+    return earliest_contact(0, here.position[:, 0], here.heading[:, 0], here.velocity[:, 0], size)
 
 
-def _meets_braking(boxes: BoxesAtStep, step_s: float) -> bool:
-    """Whether the first of some boxes, which brakes after a while, meets another one that keeps its velocity."""
+def _meets_braking(here: Traffic, step_s: float) -> bool:
+    """Whether the first of some agents (one step), which brakes after a while, meets one that keeps its velocity."""
     time_s = step_s * np.arange(1, round(END_HORIZON_S / step_s) + 1)
-    speed = math.hypot(*boxes.velocity[0])
-    braking_s = np.minimum(np.maximum(time_s - END_REACTION_S, 0.0), speed / END_DECEL_MPS2)
-    rolling_s = np.minimum(time_s, END_REACTION_S) + braking_s - 0.5 * END_DECEL_MPS2 * braking_s**2 / max(speed, 1e-9)
-    own = boxes.position[0] + rolling_s[:, None] * boxes.velocity[0]
-    others = boxes.position[1:, None] + time_s[:, None] * boxes.velocity[1:, None]
-    headings = np.repeat(boxes.heading[:, None], time_s.size, axis=1)
+    speed = math.hypot(*here.velocity[0, 0])
+    braking_s = np.minimum(np.maximum(time_s - _END_REACTION_S, 0.0), speed / _END_DECEL_MPS2)
+    rolling_s = (
+        np.minimum(time_s, _END_REACTION_S) + braking_s - 0.5 * _END_DECEL_MPS2 * braking_s**2 / max(speed, 1e-9)
+    )
+    own = here.position[0] + rolling_s[:, None] * here.velocity[0]
+    others = here.position[1:] + time_s[:, None] * here.velocity[1:]
+    headings = np.repeat(here.heading, time_s.size, axis=1)
     met, _ = first_overlapping(
-        own, headings[0], boxes.size[0, 0], boxes.size[0, 1], others, headings[1:],
-        np.ones(others.shape[:2], dtype=np.bool_),
-        np.ascontiguousarray(boxes.size[1:, 0]), np.ascontiguousarray(boxes.size[1:, 1]),
+        own, headings[0], here.length_m[0], here.width_m[0], others, headings[1:],
+        np.ones(others.shape[:2], dtype=np.bool_), here.length_m[1:], here.width_m[1:],
     )  # fmt: skip
     return bool(met >= 0)
 
@@ -323,13 +333,13 @@ def of_recorded_followers(states: AgentStates, inserted: IntArray, bounds: Bound
 
 
 def lacked_braking(states: AgentStates, follower: int, led: PathLeaders) -> tuple[FloatArray, IntArray]:
-    """Braking, m/s2, that a follower lacks for LACKS_FOR_S behind each of its leaders (R,), and the last step of it.
+    """Braking, m/s2, that a follower lacks for _LACKS_FOR_S behind each of its leaders (R,), and the last step of it.
 
-    What it lacks: the constant braking that would do (DRAC), less what it brakes in the mean within BRAKES_WITHIN_S.
+    What it lacks: the constant braking that would do (DRAC), less what it brakes in the mean within _BRAKES_WITHIN_S.
     """
     span, step_s = states.span(follower), states.arrays.step_s
-    speed, lasts = states.speed(follower)[span], round(LACKS_FOR_S / step_s)
-    within = min(round(BRAKES_WITHIN_S / step_s), speed.size - 1)
+    speed, lasts = states.speed(follower)[span], round(_LACKS_FOR_S / step_s)
+    within = min(round(_BRAKES_WITHIN_S / step_s), speed.size - 1)
     if speed.size < lasts or within < 1:
         return np.zeros(led.agents.size), np.zeros(led.agents.size, dtype=np.int64)
     brakes_mps2 = (speed[:-within] - speed[within:]) / (within * step_s)
@@ -383,24 +393,24 @@ def recorded_headways(states: AgentStates) -> dict[int, float]:
     arrays = states.arrays
     follower = ~arrays.generated[arrays.agent] & arrays.moving[arrays.agent]
     alone = replace(states.matches, lane=np.where(arrays.generated[arrays.agent], -1, states.matches.lane))
-    found = _too_short_headways(states, leaders(arrays, states.lanes, alone), follower)
+    found = _too_short_headways(states, leaders(replace(states, matches=alone)), follower)
     return {agent: headway_s for agent, (headway_s, _) in found.items()}
 
 
 def sustained_headway(
     gap_m: FloatArray, leader_m: FloatArray | float, speed_mps: FloatArray, step_s: float
 ) -> tuple[float, int]:
-    """Least time headway that a follower has for FOLLOWER_FOR_S, s, and the last step of it; inf where never.
+    """Least time headway that a follower has for _FOLLOWER_FOR_S, s, and the last step of it; inf where never.
 
     From front to front, but of the leader's length at most LEADER_LENGTH_S of the way counts: at 6 m/s a car's length
     alone would be a headway of .8 s. gap_m (T,): between bumpers, inf where it follows nothing; leader_m: the leader's
-    length; speed_mps (T,): its own, above FOLLOWER_MPS alone.
+    length; speed_mps (T,): its own, above _FOLLOWER_MPS alone.
     """
-    lasts = round(FOLLOWER_FOR_S / step_s)
+    lasts = round(_FOLLOWER_FOR_S / step_s)
     if gap_m.size < lasts:
         return math.inf, 0
     front_m = gap_m + np.minimum(leader_m, LEADER_LENGTH_S * speed_mps)
-    headway_s = np.where(speed_mps > FOLLOWER_MPS, front_m / np.maximum(speed_mps, FOLLOWER_MPS), np.inf)
+    headway_s = np.where(speed_mps > _FOLLOWER_MPS, front_m / np.maximum(speed_mps, _FOLLOWER_MPS), np.inf)
     longest = np.lib.stride_tricks.sliding_window_view(headway_s, lasts).max(axis=1)
     at = int(np.argmin(longest))
     return float(longest[at]), at + lasts - 1

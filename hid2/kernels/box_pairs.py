@@ -14,18 +14,8 @@ from netconvert.geometry import FloatArray, IntArray
 
 #: No tunable: between two steps a position that moves less, m, is noise, which has no course.
 _COURSE_M = 0.1
-
-
-@inner
-def _spans(row_of: IntArray) -> tuple[IntArray, IntArray]:
-    """First step (A,) of each agent and the one behind its last; none for an agent that is never there."""
-    agents, steps = row_of.shape
-    since, until = np.full(agents, steps, dtype=np.int64), np.zeros(agents, dtype=np.int64)
-    for a in range(agents):
-        for t in range(steps):
-            if row_of[a, t] >= 0:
-                since[a], until[a] = min(since[a], t), t + 1
-    return since, until
+#: Boxes are looked at so long, s: beyond its last step a vehicle is. No tunable: what generator and judge look at.
+END_HORIZON_S = 3.0
 
 
 @inner
@@ -64,7 +54,6 @@ def time_to_collision(
 ) -> tuple[FloatArray, FloatArray]:
     """Smallest TTC, at most `cap_s`, of every row to any other agent there (N,) and of each pair a, b > a (A, A)."""
     agents, rows = len(row_of), len(position)
-    since, until = _spans(row_of)
     extent, fastest = _extents(position, velocity, row_of)
     ttc, least = np.full(rows, cap_s), np.full((agents, agents), cap_s)
     for a in range(agents):
@@ -73,7 +62,7 @@ def time_to_collision(
             reach = radius_a + math.hypot(length[b], width[b]) / 2
             if _never_nearer(extent[a], extent[b]) > reach + (fastest[a] + fastest[b]) * cap_s + 1e-6:
                 continue
-            for t in range(max(since[a], since[b]), min(until[a], until[b])):
+            for t in range(row_of.shape[1]):
                 i, j = row_of[a, t], row_of[b, t]
                 if i < 0 or j < 0:
                     continue
@@ -98,6 +87,35 @@ def time_to_collision(
                 ttc[i], ttc[j] = min(ttc[i], seconds), min(ttc[j], seconds)
                 least[a, b] = min(least[a, b], seconds)
     return ttc, least
+
+
+@kernel("(i8, f8[:,::1], f8[::1], f8[:,::1], f8[:,::1])")
+def earliest_contact(
+    own: int, position: FloatArray, heading: FloatArray, velocity: FloatArray, size: FloatArray
+) -> tuple[float, int]:
+    """Time until box `own` of many touches another one, and which; (inf, -1) where none within END_HORIZON_S.
+
+    Leaders, followers, oncoming and crossing ones alike; 0 s where they overlap. position, velocity, size (A, 2): m,
+    m/s, and length and width in m; heading (A,) rad.
+    """
+    earliest, other = math.inf, -1
+    radius = math.hypot(size[own, 0], size[own, 1]) / 2
+    for k in range(len(heading)):
+        if k == own:
+            continue
+        dx, dy = position[k, 0] - position[own, 0], position[k, 1] - position[own, 1]
+        vx, vy = velocity[k, 0] - velocity[own, 0], velocity[k, 1] - velocity[own, 1]
+        reach = radius + math.hypot(size[k, 0], size[k, 1]) / 2
+        if math.hypot(dx, dy) - reach > math.hypot(vx, vy) * END_HORIZON_S:
+            continue
+        seconds = contact_time(
+            dx, dy, vx, vy,
+            math.cos(heading[own]), math.sin(heading[own]), size[own, 0] / 2, size[own, 1] / 2,
+            math.cos(heading[k]), math.sin(heading[k]), size[k, 0] / 2, size[k, 1] / 2,
+        )  # fmt: skip
+        if seconds <= END_HORIZON_S and seconds < earliest:
+            earliest, other = seconds, k
+    return earliest, other
 
 
 @kernel("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8)")

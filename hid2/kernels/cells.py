@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hid2.kernels.boxes import overlap
-from hid2.kernels.compiled import inner, kernel
+from hid2.kernels.compiled import kernel
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
 
@@ -22,7 +22,7 @@ def original_cells(
     cells = center.shape[0]
     sigma = np.zeros((steps, cells), dtype=np.uint8)
     found = np.full((agents, steps), -1, dtype=np.int64)
-    cosine, sine = np.cos(c_heading), np.sin(c_heading)
+    cosine, sine, left_of = np.cos(c_heading), np.sin(c_heading), center[by_x, 0]
     cos_agrees = np.cos(agrees)
     for a in range(agents):
         half_l, half_w = lengths[a] / 2, widths[a] / 2
@@ -40,7 +40,7 @@ def original_cells(
             )
             co, si = np.cos(angle), np.sin(angle)
             best_level, best_distance, best = 4, np.inf, -1
-            for k in range(_first_from(center, by_x, x - reach), cells):
+            for k in range(np.searchsorted(left_of, x - reach), cells):
                 c = by_x[k]
                 dx, dy = x - center[c, 0], y - center[c, 1]
                 if dx < -reach:
@@ -72,55 +72,25 @@ def original_cells(
     return sigma, found
 
 
-@kernel("(f8[:,::1], f8[::1], f8[::1], f8[::1], i8[::1], i8, f8[:,:,::1], f8[:,::1], b1[:,::1], f8[::1], f8[::1])")
-def agent_on(
-    center: FloatArray, c_heading: FloatArray, c_length: FloatArray, c_width: FloatArray, cells: IntArray, step: int,
-    position: FloatArray, heading: FloatArray, present: BoolArray, length: FloatArray, width: FloatArray,
-) -> bool:  # fmt: skip
-    """Whether any agent's box covers any of the cells at a step."""
-    for a in range(present.shape[0]):
-        if not present[a, step]:
-            continue
-        x, y, half_l, half_w = position[a, step, 0], position[a, step, 1], length[a] / 2, width[a] / 2
-        co, si = np.cos(heading[a, step]), np.sin(heading[a, step])
-        for c in cells:
-            if overlap(
-                x, y, co, si, half_l, half_w,
-                center[c, 0], center[c, 1], np.cos(c_heading[c]), np.sin(c_heading[c]), c_length[c] / 2, c_width[c] / 2,
-            ):  # fmt: skip
-                return True
-    return False
-
-
-@kernel("(f8[:,::1], f8[::1], f8, f8, f8[:,:,::1], f8[:,::1], b1[:,::1], f8[::1], f8[::1])")
+@kernel("(f8[:,::1], f8[::1], f8[::1], f8[::1], i8, f8[:,:,::1], f8[:,::1], b1[:,::1], f8[::1], f8[::1])")
 def clear_places(
-    point: FloatArray, angle: FloatArray, half_l: float, half_w: float, position: FloatArray, heading: FloatArray,
-    present: BoolArray, length: FloatArray, width: FloatArray,
+    point: FloatArray, angle: FloatArray, half_l: FloatArray, half_w: FloatArray, step: int, position: FloatArray,
+    heading: FloatArray, present: BoolArray, length: FloatArray, width: FloatArray,
 ) -> BoolArray:  # fmt: skip
-    """Whether a box at each of some places (N, 2) m, at an angle (N,) rad, meets no agent's of the first step."""
+    """Whether a box at each of some places (N, 2) m, at an angle (N,) rad, meets no agent's at a step.
+
+    half_l, half_w (N,) m: half the length and width of each box.
+    """
     found = np.ones(angle.size, dtype=np.bool_)
     for n in range(angle.size):
         co, si = np.cos(angle[n]), np.sin(angle[n])
         for a in range(length.size):
-            x, y, bl, bw = position[a, 0, 0], position[a, 0, 1], length[a] / 2, width[a] / 2
-            reach = half_l + half_w + bl + bw
-            if not present[a, 0] or abs(x - point[n, 0]) > reach or abs(y - point[n, 1]) > reach:
+            x, y, bl, bw = position[a, step, 0], position[a, step, 1], length[a] / 2, width[a] / 2
+            reach = half_l[n] + half_w[n] + bl + bw
+            if not present[a, step] or abs(x - point[n, 0]) > reach or abs(y - point[n, 1]) > reach:
                 continue
-            bc, bs = np.cos(heading[a, 0]), np.sin(heading[a, 0])
-            if overlap(point[n, 0], point[n, 1], co, si, half_l, half_w, x, y, bc, bs, bl, bw):
+            bc, bs = np.cos(heading[a, step]), np.sin(heading[a, step])
+            if overlap(point[n, 0], point[n, 1], co, si, half_l[n], half_w[n], x, y, bc, bs, bl, bw):
                 found[n] = False
                 break
     return found
-
-
-@inner
-def _first_from(center: FloatArray, by_x: IntArray, x: float) -> int:
-    """Place in by_x of the first cell that is not left of x, by bisection."""
-    low, high = 0, by_x.size
-    while low < high:
-        middle = (low + high) // 2
-        if center[by_x[middle], 0] < x:
-            low = middle + 1
-        else:
-            high = middle
-    return low

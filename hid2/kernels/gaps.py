@@ -9,7 +9,18 @@ import math
 import numpy as np
 
 from hid2.kernels.compiled import inner, kernel
+from hid2.kernels.spline import TABLE_STEP_M
 from netconvert.geometry import BoolArray, FloatArray, IntArray
+
+# No tunables, the next three: which agents SUMO is shown.
+#: Slower ones stand and are shown in any direction, m/s.
+STANDING_MPS = 0.5
+#: One leads from this gap on, m; nearer it is beside.
+LEADS_FROM_M = 0.3
+#: Up to so far ahead, m, farther than any driver brakes for.
+SHOWN_M = 120.0
+#: Not a parameter, half a lane and a little: an agent with its front farther aside is ahead of none.
+ASIDE_M = 2.0
 
 
 @inner
@@ -131,29 +142,29 @@ def lane_leaders(
 
 @kernel(
     "(f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], b1[:,::1], i8[::1], f8[::1], f8[:,:,::1], b1[:,::1], f8[:,::1],"
-    " f8[::1], f8, f8, f8, f8)"
+    " f8[::1], f8)"
 )
 def leading_in_sumo(
     low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, crossing: BoolArray,
     agents: IntArray, lengths: FloatArray, front: FloatArray, known: BoolArray, table_xy: FloatArray,
-    table_heading: FloatArray, table_step: float, exit_s: float, standing: float, aside: float,
+    table_heading: FloatArray, exit_s: float,
 ) -> tuple[FloatArray, BoolArray]:  # fmt: skip
     """Middles of agents that lead on a path (R, T), m, 0 for others, and whether SUMO has their fronts on its lanes.
 
     As in `PathOccupancy`; front (A, T, 2) m; known (A, T): whether SUMO knows its speed; table_*: of the path's line,
-    which ends at exit_s m; standing m/s: slower agents lead in any direction; aside m: farther off no front leads.
+    which ends at exit_s m. Agents slower than STANDING_MPS lead in any direction.
     """
     middle, leads = np.zeros(low.shape), np.zeros(low.shape, dtype=np.bool_)
     for row, agent in enumerate(agents):
         for t in range(low.shape[1]):
-            moves = same_direction[row, t] or (not crossing[row, t] and abs(along[row, t]) < standing)
+            moves = same_direction[row, t] or (not crossing[row, t] and abs(along[row, t]) < STANDING_MPS)
             if low[row, t] < np.inf and moves and known[agent, t]:
                 middle[row, t] = 0.5 * (low[row, t] + high[row, t])
                 front_s = middle[row, t] + 0.5 * lengths[agent]
-                at = min(max(int(front_s / table_step), 0), table_heading.size - 1)
+                at = min(max(int(front_s / TABLE_STEP_M), 0), table_heading.size - 1)
                 dx, dy = front[agent, t, 0] - table_xy[at, 0], front[agent, t, 1] - table_xy[at, 1]
                 off = abs(np.cos(table_heading[at]) * dy - np.sin(table_heading[at]) * dx)
-                leads[row, t] = off < aside and front_s < exit_s
+                leads[row, t] = off < ASIDE_M and front_s < exit_s
     return middle, leads
 
 
@@ -161,24 +172,22 @@ def leading_in_sumo(
 def _next_two_ahead(
     low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, crossing: BoolArray,
     agents: IntArray, lengths: FloatArray, rows: tuple[int, int], step: int, s: float, length: float,
-    bounds: tuple[float, float, float],
 ) -> tuple[int, float, float, int, float, float]:  # fmt: skip
     """Of agents that move along a path or stand on it at a step, the next two ahead of s m: agent, gap m, middle m.
 
     An agent of -1 for none. The gap is the one that SUMO will see: it has the agent's length along the path from the
     middle on, at whatever angle the agent is.
     """
-    standing, nearest, farthest = bounds
     first, second = -1, -1
     first_gap, second_gap, first_at, second_at = np.inf, np.inf, 0.0, 0.0
     for row in range(rows[0], rows[1]):
         if low[row, step] == np.inf:
             continue
-        if not same_direction[row, step] and (crossing[row, step] or abs(along[row, step]) >= standing):
+        if not same_direction[row, step] and (crossing[row, step] or abs(along[row, step]) >= STANDING_MPS):
             continue
         middle = 0.5 * (low[row, step] + high[row, step])
         gap = middle - s - 0.5 * (length + lengths[agents[row]])
-        if gap <= nearest or gap >= farthest or gap >= second_gap:
+        if gap <= LEADS_FROM_M or gap >= SHOWN_M or gap >= second_gap:
             continue
         if gap < first_gap:
             second, second_gap, second_at = first, first_gap, first_at
@@ -201,19 +210,19 @@ def _is_beside(x: float, y: float, length: float, centre: FloatArray, own_length
 
 @kernel(
     "(f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], b1[:,::1], i8[::1], i8[::1], f8[::1], f8[:,:,::1], f8[:,:,::1], i8,"
-    " f8[::1], f8[:,::1], f8[::1], UniTuple(f8, 3))"
+    " f8[::1], f8[:,::1], f8[::1])"
 )
 def shown_ahead(
     low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, crossing: BoolArray,
     agents: IntArray, first: IntArray, lengths: FloatArray, recorded: FloatArray, kept: FloatArray, step: int,
-    s: FloatArray, centre: FloatArray, own_lengths: FloatArray, bounds: tuple[float, float, float],
+    s: FloatArray, centre: FloatArray, own_lengths: FloatArray,
 ) -> tuple[IntArray, IntArray, FloatArray]:  # fmt: skip
     """Agents that vehicles (N,) have ahead of them at a step, two each at most, and none beside any of them.
 
     Returns agents (M,), the vehicle nearest behind each, and where the agent's middle is on its path, m.
     low .. crossing (R, T): as in `PathOccupancy`, of agents (R,) on the paths; those of vehicle i are the rows from
     first[i] to first[i + 1]. lengths (A,) m, of recorded (., T, 2) m, then kept ones. s (N,) m, NaN for those not
-    there; centre (N, 2) m; own_lengths (N,) m; bounds: speed below which an agent stands, m/s, and of the gap, m.
+    there; centre (N, 2) m; own_lengths (N,) m.
     """
     count = recorded.shape[0]
     nearest = np.full(lengths.size, np.inf)
@@ -224,7 +233,7 @@ def shown_ahead(
             continue
         one, gap, at, other, other_gap, other_at = _next_two_ahead(
             low, high, along, same_direction, crossing, agents, lengths, (first[vehicle], first[vehicle + 1]), step,
-            s[vehicle], own_lengths[vehicle], bounds,
+            s[vehicle], own_lengths[vehicle],
         )  # fmt: skip
         if one >= 0 and gap < nearest[one]:
             nearest[one], behind[one], middle[one] = gap, vehicle, at

@@ -4,9 +4,25 @@ import numpy as np
 
 from hid2.kernels.compiled import inner, kernel
 from hid2.kernels.gaps import gap_to
-from hid2.kernels.path_intervals import SAME_WAY
+from hid2.kernels.path_intervals import PET_MARGIN_M, SAME_WAY
+from hid2.kernels.spline import TABLE_STEP_M
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
+# No tunables, here and below: how a driver brakes for what SUMO does not see, chosen on the scenes of tests/real.
+#: Steps between two looks at the predicted motion.
+STRIDE = 2
+#: Predicted braking builds up at this rate, m/s3.
+_JERK_MPS3 = 4.0
+#: An inserted vehicle that brakes is predicted to brake on so long, s.
+_BRAKING_LASTS_S = 1.0
+#: Hardest braking for an agent that appears ahead, over the driver's.
+_HARDEST_RATIO = 1.4
+#: Closed lines farther ahead matter to no driver yet, m.
+_LINES_WITHIN_M = 60.0
+#: A driver rolls up to a line with this share of its deceleration, and takes up the speed for that in so many s.
+ROLLS_UP_SHARE, _TAKES_UP_S = 0.6, 0.5
+#: It crosses, as at amber, where it would have to brake harder than this times its deceleration.
+_AMBER_RATIO = 1.3
 #: What generated vehicles sweep is known at places so far apart along their ways, m.
 SWEPT_STEP_M = 1.0
 _PASSED_M = 0.3  # tolerance: a vehicle so far beyond a stop line has passed it
@@ -17,49 +33,44 @@ _BEGINS, _BUILDS_UP, _AT_MOST, _EASES, _EASES_BELOW_MPS = 0.7, 1.2, 1.3, 0.4, 5.
 
 
 @inner
-def predicted_s(s: float, v: float, a: float, ahead_s: float, lasts_s: float) -> float:
-    """Arc length of a vehicle ahead_s from now: constant speed, or braking on for lasts_s and then constant speed."""
+def predicted_s(s: float, v: float, a: float, ahead_s: float) -> float:
+    """Arc length of a vehicle ahead_s from now: constant speed, or braking on for a while and then constant speed."""
     if a >= 0.0:
         return s + v * ahead_s
-    braking = min(ahead_s, lasts_s, v / -a)
-    slower = max(0.0, v + a * min(ahead_s, lasts_s))
+    braking = min(ahead_s, _BRAKING_LASTS_S, v / -a)
+    slower = max(0.0, v + a * min(ahead_s, _BRAKING_LASTS_S))
     return s + v * braking + 0.5 * a * braking * braking + slower * (ahead_s - braking)
 
 
 @inner
-def _accel_towards_stop(
-    ahead_m: float, speed_mps: float, accel_mps2: float, decel_mps2: float, stops: tuple[float, float, float, float]
-) -> float:
-    """Acceleration of a driver that comes to stand ahead_m from here, m/s2; stops: as in `stop_ahead`.
+def _accel_towards_stop(ahead_m: float, speed_mps: float, accel_mps2: float, decel_mps2: float) -> float:
+    """Acceleration of a driver that comes to stand ahead_m from here, m/s2.
 
     Kinematic rather than IDM: a driver lets the car roll up to a line, and does not begin far before it.
     """
     if ahead_m <= 0.1:
         return -decel_mps2
     needed = speed_mps * speed_mps / (2.0 * ahead_m)
-    usual = stops[1] * decel_mps2
+    usual = ROLLS_UP_SHARE * decel_mps2
     if needed < _BEGINS * usual:
         reach: float = np.sqrt(2.0 * _BEGINS * usual * ahead_m)  # from which so little braking ends at the line
-        return min(accel_mps2, (reach - speed_mps) / stops[2])
+        return min(accel_mps2, (reach - speed_mps) / _TAKES_UP_S)
     builds_up = min(_BEGINS + _BUILDS_UP * (needed / usual - _BEGINS), _AT_MOST)
     return -needed * (builds_up + _EASES * max(0.0, 1.0 - speed_mps / _EASES_BELOW_MPS))
 
 
 @inner
-def _line_ahead(
-    stop_s: FloatArray, closed: BoolArray, s: float, v: float, step: int, decel_mps2: float,
-    stops: tuple[float, float, float, float],
-) -> int:  # fmt: skip
+def _line_ahead(stop_s: FloatArray, closed: BoolArray, s: float, v: float, step: int, decel_mps2: float) -> int:
     """Row of the next stop line that is closed at a step and at which the driver can stop, -1 for none.
 
     A line at which the driver can no longer stop without braking hard is driven across, as an amber light is.
     """
-    hardest = stops[3] * decel_mps2
+    hardest = _AMBER_RATIO * decel_mps2
     for row in range(stop_s.size):
         ahead = stop_s[row] - s
         if ahead < -_PASSED_M or not closed[row, min(step, closed.shape[1] - 1)]:
             continue
-        if ahead > stops[0]:
+        if ahead > _LINES_WITHIN_M:
             return -1
         if v * v > 2.0 * hardest * max(ahead, 0.05) and v > 1.0:
             continue
@@ -67,18 +78,13 @@ def _line_ahead(
     return -1
 
 
-@kernel("(f8[::1], b1[:,::1], f8, f8, i8, f8, f8, UniTuple(f8, 4))")
+@kernel("(f8[::1], b1[:,::1], f8, f8, i8, f8, f8)")
 def stop_ahead(
-    stop_s: FloatArray, closed: BoolArray, s: float, v: float, step: int, accel_mps2: float, decel_mps2: float,
-    stops: tuple[float, float, float, float],
-) -> tuple[int, float]:  # fmt: skip
-    """Row of the next closed stop line ahead at which a driver can stop, -1 for none, and the acceleration, m/s2.
-
-    stops: how far ahead lines are looked at, m; usual braking over the driver's deceleration; time in which it takes
-    up the speed from which that ends at the line, s; hardest braking over its deceleration.
-    """
-    row = _line_ahead(stop_s, closed, s, v, step, decel_mps2, stops)
-    return row, _accel_towards_stop(stop_s[row] - s, v, accel_mps2, decel_mps2, stops) if row >= 0 else 0.0
+    stop_s: FloatArray, closed: BoolArray, s: float, v: float, step: int, accel_mps2: float, decel_mps2: float
+) -> tuple[int, float]:
+    """Row of the next closed stop line ahead at which a driver can stop, -1 for none, and the acceleration, m/s2."""
+    row = _line_ahead(stop_s, closed, s, v, step, decel_mps2)
+    return row, _accel_towards_stop(stop_s[row] - s, v, accel_mps2, decel_mps2) if row >= 0 else 0.0
 
 
 @inner
@@ -136,14 +142,13 @@ def _ahead_within(low: FloatArray, high: FloatArray, s: float, begin: int, end: 
 
 @kernel(
     "(f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[::1], b1[:,::1], f8[:,:,::1], i8[::1], f8[:,::1], i8, i8,"
-    " UniTuple(f8, 3), f8, f8[::1], f8, i8, i8, f8, UniTuple(f8, 4), f8[::1], UniTuple(f8, 4), UniTuple(f8, 4))"
+    " UniTuple(f8, 3), f8, f8[::1], i8, f8, UniTuple(f8, 4), f8[::1])"
 )
 def needed_braking(
     low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, stop_s: FloatArray,
     closed: BoolArray, swept: FloatArray, rows: IntArray, fleet: FloatArray, own: int, t: int,
-    start: tuple[float, float, float], desired_mps: float, road: FloatArray, table_step: float,
-    horizon: int, stride: int, step_s: float, driver: tuple[float, float, float, float], brakes: FloatArray,
-    predicted: tuple[float, float, float, float], stops: tuple[float, float, float, float],
+    start: tuple[float, float, float], desired_mps: float, road: FloatArray, horizon: int, step_s: float,
+    driver: tuple[float, float, float, float], brakes: FloatArray,
 ) -> tuple[int, int, int, int, float, bool]:  # fmt: skip
     """Smallest constant braking (one of `brakes`, m/s2, ascending from 0) with which predicted motion meets no agent.
 
@@ -151,27 +156,25 @@ def needed_braking(
     low, high, along, same_direction (A, T): agents with a known future, as in `PathOccupancy`. stop_s (L,) m, closed
     (L, T): stop lines. swept (3, G, K): low, high, cosine of generated vehicles by their own arc length, of rows (G,)
     of fleet (N, 5): s, v, a, executing, present. start: own s, v, a; driver: tau s, acceleration, deceleration m/s2,
-    gap at standstill m; predicted: rate at which braking builds up, m/s3, margin to boxes ahead, m, time for which a
-    vehicle that brakes brakes on, s, hardest braking for one that appears ahead over the deceleration; stops: as in
-    `stop_ahead`. Returns (row of brakes, step of its first conflict or -1, step of the first conflict without braking
-    or -1, fleet row of the nearest generated leader or -1, gap to it m, whether some known agent comes up from behind).
+    gap at standstill m. Returns (row of brakes, step of its first conflict or -1, step of the first conflict without
+    braking or -1, fleet row of the nearest generated leader or -1, gap to it m, whether some known agent comes up from
+    behind).
     """
     g_low, g_high, g_cos = swept
     s0, v0, a0 = start
     tau, accel, decel, min_gap = driver
-    jerk, margin, lasts, hardest_ratio = predicted
-    hardest = hardest_ratio * decel
+    margin, hardest = PET_MARGIN_M, _HARDEST_RATIO * decel
     steps = low.shape[1]
     best, best_step, free_step = 0, 0, -1
     leader, leader_gap, run_into = -1, np.inf, False
-    last = horizon // stride
-    agents = _ahead_within(low, high, s0, min(t, steps - 1), min(t + last * stride, steps - 1) + 1)
+    last = horizon // STRIDE
+    agents = _ahead_within(low, high, s0, min(t, steps - 1), min(t + last * STRIDE, steps - 1) + 1)
     first = np.full(rows.size, -1, dtype=np.int64)  # priority is the same for every braking
     for row in range(brakes.size):
         s, v, a_cmd, hit, behind_leader, struck = s0, v0, a0, -1, False, False
         for k in range(last + 1):
-            now = min(t + k * stride, steps - 1)
-            ahead_s = k * stride * step_s
+            now = min(t + k * STRIDE, steps - 1)
+            ahead_s = k * STRIDE * step_s
             gap_least, closing, met, seen = np.inf, 0.0, False, False
             for a in agents:
                 lo = low[a, now]
@@ -194,7 +197,7 @@ def needed_braking(
                     j = rows[g]
                     if fleet[j, 4] == 0.0:
                         continue
-                    at = int(predicted_s(fleet[j, 0], fleet[j, 1], fleet[j, 2], ahead_s, lasts) / SWEPT_STEP_M)
+                    at = int(predicted_s(fleet[j, 0], fleet[j, 1], fleet[j, 2], ahead_s) / SWEPT_STEP_M)
                     if at < 0 or at >= g_low.shape[1] or g_low[g, at] == np.inf:
                         continue
                     lo, hi = g_low[g, at], g_high[g, at]
@@ -211,9 +214,9 @@ def needed_braking(
                         met = True
                         break
             if met:
-                hit = k * stride
+                hit = k * STRIDE
                 break
-            wanted = min(desired_mps, road[min(int(s / table_step), road.size - 1)])
+            wanted = min(desired_mps, road[min(int(s / TABLE_STEP_M), road.size - 1)])
             a_next = max(-decel, accel * (1.0 - (v / max(wanted, 0.1)) ** 4))
             if gap_least < 1e3:
                 star = min_gap + max(0.0, v * tau + v * closing / (2.0 * np.sqrt(accel * decel)))
@@ -221,17 +224,17 @@ def needed_braking(
                 # for a leader that it sees SUMO brakes by itself, in time
                 most = max(hardest, brakes[-1]) if seen else hardest
                 if a_next < -most and k > 0 and not (seen and v0 < 0.1):
-                    hit = k * stride  # a vehicle that appears ahead, or stands, asks for more than a driver would brake
+                    hit = k * STRIDE  # a vehicle that appears ahead, or stands, asks for more than a driver would brake
                     behind_leader = True
                     break
                 a_next = max(a_next, -most)
-            line = _line_ahead(stop_s, closed, s, v, now, decel, stops)
+            line = _line_ahead(stop_s, closed, s, v, now, decel)
             if line >= 0:
-                a_next = min(a_next, _accel_towards_stop(stop_s[line] - s, v, accel, decel, stops))
+                a_next = min(a_next, _accel_towards_stop(stop_s[line] - s, v, accel, decel))
             if row > 0:
-                a_cmd = max(min(a_cmd, 0.0) - jerk * stride * step_s, -brakes[row])
+                a_cmd = max(min(a_cmd, 0.0) - _JERK_MPS3 * STRIDE * step_s, -brakes[row])
                 a_next = min(a_next, a_cmd)
-            dt = stride * step_s
+            dt = STRIDE * step_s
             v_next = max(0.0, v + a_next * dt)
             s += 0.5 * (v + v_next) * dt
             v = v_next
@@ -239,6 +242,6 @@ def needed_braking(
             free_step = hit
         if hit < 0:
             return row, -1, free_step, leader, leader_gap, struck
-        if row == 0 or hit > best_step + stride or (hit >= best_step and behind_leader):
+        if row == 0 or hit > best_step + STRIDE or (hit >= best_step and behind_leader):
             best, best_step, run_into = row, hit, struck
     return best, best_step, free_step, leader, leader_gap, run_into

@@ -11,6 +11,12 @@ from netconvert.geometry import BoolArray, FloatArray, IntArray
 # No tunables: the one rule by which generator and judge tell lanes; with numbers of their own they would differ.
 #: Lanes of varying width leave slivers of ground between them that no lane holds, for each counts with one width.
 SLIVER_M = 0.3
+#: A lane agrees with the direction of motion below this angle.
+_AGREE_RAD = math.radians(60)
+#: Nearest lanes that are looked at.
+_MOST = 10
+#: Shorter displacements tell no direction of motion, m.
+_MIN_CHORD_M = 1.0
 _OFFSET_SIGMA_M = 1.0
 _HEADING_SIGMA_RAD = 0.35
 #: Costs (negative log likelihoods, up to a constant) of the Viterbi pass.
@@ -20,13 +26,11 @@ _JUMP = 12.0
 _TO_OFF_LANE = 2.0
 
 
-@kernel("(f8[:,::1], f8[::1], i8[::1], i8, f8,)")
-def motion_directions(
-    position: FloatArray, heading: FloatArray, first: IntArray, half: int, min_chord: float
-) -> FloatArray:
+@kernel("(f8[:,::1], f8[::1], i8[::1], i8)")
+def motion_directions(position: FloatArray, heading: FloatArray, first: IntArray, half: int) -> FloatArray:
     """Direction of motion (N,) rad from the chord `half` steps either side.
 
-    Rows first[a]:first[a + 1] are agent a's. Chords shorter than min_chord m take the direction before them; an agent
+    Rows first[a]:first[a + 1] are agent a's. Chords shorter than _MIN_CHORD_M take the direction before them; an agent
     that stands has its heading.
     """
     out = np.empty(len(position))
@@ -36,7 +40,7 @@ def motion_directions(
         for i in range(start, end + 1):
             j, k = max(start, i - half), min(end, i + half)
             dx, dy = position[k, 0] - position[j, 0], position[k, 1] - position[j, 1]
-            if dx * dx + dy * dy >= min_chord * min_chord:
+            if dx * dx + dy * dy >= _MIN_CHORD_M * _MIN_CHORD_M:
                 out[i] = math.atan2(dy, dx)
                 if last < 0:
                     for m in range(start, i):
@@ -49,7 +53,7 @@ def motion_directions(
     return out
 
 
-@kernel("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8[::1], f8[::1], f8[:,::1], b1[::1], f8, f8, i8,)")
+@kernel("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], i8[::1], f8[::1], f8[:,::1], b1[::1], f8)")
 def lane_candidates(
     position: FloatArray,
     direction: FloatArray,
@@ -60,18 +64,16 @@ def lane_candidates(
     box: FloatArray,
     wanted: BoolArray,
     beyond_m: float,
-    agree: float,
-    most: int,
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, IntArray]:
-    """Lane, s, d, cost (N, most) of the lanes near each wanted row, and their number (N,).
+    """Lane, s, d, cost (N, _MOST) of the lanes near each wanted row, and their number (N,).
 
-    points, s, first, half_width, box: as of `FlatLanes`. agree: largest angle to the direction of motion, rad.
+    points, s, first, half_width, box: as of `FlatLanes`.
     """
     rows = len(position)
-    lane = np.full((rows, most), -1, dtype=np.int64)
-    at_s = np.zeros((rows, most))
-    at_d = np.zeros((rows, most))
-    cost = np.full((rows, most), math.inf)
+    lane = np.full((rows, _MOST), -1, dtype=np.int64)
+    at_s = np.zeros((rows, _MOST))
+    at_d = np.zeros((rows, _MOST))
+    cost = np.full((rows, _MOST), math.inf)
     count = np.zeros(rows, dtype=np.int64)
     for i in range(rows):
         if not wanted[i]:
@@ -85,11 +87,11 @@ def lane_candidates(
                 continue
             turn = abs(direction[i] - angle) % (2 * math.pi)
             turn = min(turn, 2 * math.pi - turn)
-            if turn > agree:
+            if turn > _AGREE_RAD:
                 continue
             value = 0.5 * (distance / _OFFSET_SIGMA_M) ** 2 + 0.5 * (turn / _HEADING_SIGMA_RAD) ** 2
             slot = count[i]
-            if slot == most:
+            if slot == _MOST:
                 slot = int(np.argmax(cost[i]))
                 if cost[i, slot] <= value:
                     continue
@@ -100,28 +102,17 @@ def lane_candidates(
 
 
 @inner
-def _viterbi(
-    start: int,
-    end: int,
-    lane: IntArray,
-    at_s: FloatArray,
-    cost: FloatArray,
-    count: IntArray,
-    link: IntArray,
-    chosen: IntArray,
-) -> None:
-    """Fill chosen[start:end] with the slot of the likeliest lane of each row, -1 for none."""
-    most = lane.shape[1]
-    rows = end - start
+def _viterbi(lane: IntArray, at_s: FloatArray, cost: FloatArray, count: IntArray, link: IntArray) -> IntArray:
+    """Slot (R,) of the likeliest lane of each row of an agent, -1 for none."""
+    rows, most = lane.shape
     total = np.full((rows, most + 1), math.inf)
     back = np.zeros((rows, most + 1), dtype=np.int64)
-    for r in range(rows):
-        i = start + r
+    for i in range(rows):
         for c in range(count[i] + 1):
             is_off = c == count[i]
             here = _OFF_LANE if is_off else cost[i, c]
             slot = most if is_off else c
-            if r == 0:
+            if i == 0:
                 total[0, slot] = here
                 continue
             best, best_from = math.inf, 0
@@ -138,28 +129,25 @@ def _viterbi(
                     # the same lane backwards by metres is no driving
                     if lane[i - 1, p] == lane[i, c] and at_s[i, c] < at_s[i - 1, p] - 5.0:
                         move = _JUMP
-                if total[r - 1, from_slot] + move < best:
-                    best, best_from = total[r - 1, from_slot] + move, from_slot
-            total[r, slot] = best + here
-            back[r, slot] = best_from
-    slot = int(np.argmin(total[rows - 1]))
-    for r in range(rows - 1, -1, -1):
-        chosen[start + r] = -1 if slot == most else slot
-        slot = back[r, slot]
+                if total[i - 1, from_slot] + move < best:
+                    best, best_from = total[i - 1, from_slot] + move, from_slot
+            total[i, slot] = best + here
+            back[i, slot] = best_from
+    chosen, slot = np.empty(rows, dtype=np.int64), int(np.argmin(total[rows - 1]))
+    for i in range(rows - 1, -1, -1):
+        chosen[i] = -1 if slot == most else slot
+        slot = back[i, slot]
+    return chosen
 
 
 @kernel("(i8[::1], i8[::1], i8[:,::1], f8[:,::1], f8[:,::1], i8[::1], i8[:,::1],)")
 def likeliest_lanes(
-    agents: IntArray,
-    first: IntArray,
-    lane: IntArray,
-    at_s: FloatArray,
-    cost: FloatArray,
-    count: IntArray,
+    agents: IntArray, first: IntArray, lane: IntArray, at_s: FloatArray, cost: FloatArray, count: IntArray,
     link: IntArray,
-) -> IntArray:
+) -> IntArray:  # fmt: skip
     """Slot (N,) of the likeliest lane of every row of the agents, -1 for none; link: as of `FlatLanes`."""
     chosen = np.full(len(lane), -1, dtype=np.int64)
     for a in agents:
-        _viterbi(first[a], first[a + 1], lane, at_s, cost, count, link, chosen)
+        own = slice(first[a], first[a + 1])
+        chosen[own] = _viterbi(lane[own], at_s[own], cost[own], count[own], link)
     return chosen

@@ -5,19 +5,23 @@ import numpy as np
 from hid2.kernels.boxes import apart
 from hid2.kernels.compiled import inner, kernel
 from hid2.kernels.raster import IndexTable
+from hid2.kernels.spline import TABLE_STEP_M
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
 #: Standing agents are measured this much more widely, m, so that they need not be looked at again when a tracker
 #: jitters. Not a parameter: it only saves time.
 _WIDER_M = 1.0
+#: By how much the place of a crossing agent is smaller on both sides before it is there and after, m. No tunable: half
+#: of a bumper's length, a time is what PET and TTC keep.
+PET_MARGIN_M = 0.5
 #: Cosines of the largest angle (45 degrees) to a path of an agent that moves with it, and of the smallest (30) of one
 #: that crosses it. Not parameters: what the words mean. Between the two an agent does both.
 SAME_WAY, _CROSSES = 0.7, 0.87
 
 
-@kernel("(f8[:,::1], f8[:,::1], b1[:,::1], b1[:,::1], i8, f8)")
+@kernel("(f8[:,::1], f8[:,::1], b1[:,::1], b1[:,::1], i8)")
 def crossings_kept_clear(
-    low: FloatArray, high: FloatArray, same_direction: BoolArray, crossing: BoolArray, steps: int, margin: float
+    low: FloatArray, high: FloatArray, same_direction: BoolArray, crossing: BoolArray, steps: int
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """An agent that crosses also holds the path where it does so, `steps` before and after.
 
@@ -39,10 +43,10 @@ def crossings_kept_clear(
             for k in range(max(0, t - steps), min(last, t + steps + 1)):
                 if low[a, k] != np.inf and same_direction[a, k]:
                     continue
-                if high[a, t] - low[a, t] <= 2 * margin or k == t:
+                if high[a, t] - low[a, t] <= 2 * PET_MARGIN_M or k == t:
                     continue
-                wide_low[a, k] = min(wide_low[a, k], low[a, t] + margin)
-                wide_high[a, k] = max(wide_high[a, k], high[a, t] - margin)
+                wide_low[a, k] = min(wide_low[a, k], low[a, t] + PET_MARGIN_M)
+                wide_high[a, k] = max(wide_high[a, k], high[a, t] - PET_MARGIN_M)
     return wide_low, wide_high, leads
 
 
@@ -74,14 +78,6 @@ def _touched(gaps: FloatArray) -> tuple[int, int]:
 
 
 @inner
-def _least(gaps: FloatArray, least: float) -> float:
-    for gap in gaps:
-        if gap < least:
-            least = gap
-    return least
-
-
-@inner
 def _nearest(points: FloatArray, begin: int, end: int, x: float, y: float) -> int:
     """Of points `begin` to `end` the one nearest to a place."""
     nearest, least = begin, np.inf
@@ -93,19 +89,19 @@ def _nearest(points: FloatArray, begin: int, end: int, x: float, y: float) -> in
 
 
 @kernel(
-    "(f8[:,::1], f8[::1], f8, f8, f8, f8, f8, i4[:,::1], i4[:,::1], f8, f8, "
+    "(f8[:,::1], f8[::1], f8, f8, f8, f8, i4[:,::1], i4[:,::1], f8, f8, "
     "f8[:,:,::1], f8[:,::1], f8[:,:,::1], b1[:,::1], f8[::1], f8[::1], i8)"
 )
 def intervals_on_path(
-    points: FloatArray, heading: FloatArray, step: float,
-    x0: float, y0: float, side: float, raster_reach: float, first_point: IndexTable, last_point: IndexTable,
-    length: float, width: float, position: FloatArray, other_heading: FloatArray, velocity: FloatArray,
-    present: BoolArray, lengths: FloatArray, widths: FloatArray, since: int,
+    points: FloatArray, heading: FloatArray, x0: float, y0: float, side: float, raster_reach: float,
+    first_point: IndexTable, last_point: IndexTable, length: float, width: float, position: FloatArray,
+    other_heading: FloatArray, velocity: FloatArray, present: BoolArray, lengths: FloatArray, widths: FloatArray,
+    since: int,
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray, BoolArray, BoolArray]:  # fmt: skip
     """Rows of those that touch the path, and their intervals: box against box at every point of it near the agent.
 
-    points (4, K): x, y, cosine and sine, step m apart, and their raster (see `Raster`). length, width: of the own box.
-    since: the first agent looked at.
+    points (4, K): x, y, cosine and sine, TABLE_STEP_M apart, and their raster (see `Raster`). length, width: of the own
+    box. since: the first agent looked at.
     An agent that stands, or jitters as trackers do, is not looked at again before it can have come to touch the path.
     """
     agents, steps = present.shape
@@ -153,9 +149,9 @@ def intervals_on_path(
             # between an end of the range and the first point within reach nothing needs to be looked at
             jitters = t > 0 and abs(x - position[a, t - 1, 0]) + abs(y - position[a, t - 1, 1]) < 0.1
             far = reach if jitters else reach - _WIDER_M
-            leap = int((np.sqrt((x - points[0, begin]) ** 2 + (y - points[1, begin]) ** 2) - far) / step)
+            leap = int((np.sqrt((x - points[0, begin]) ** 2 + (y - points[1, begin]) ** 2) - far) / TABLE_STEP_M)
             begin += min(max(leap, 0), end - begin - 1)
-            leap = int((np.sqrt((x - points[0, end - 1]) ** 2 + (y - points[1, end - 1]) ** 2) - far) / step)
+            leap = int((np.sqrt((x - points[0, end - 1]) ** 2 + (y - points[1, end - 1]) ** 2) - far) / TABLE_STEP_M)
             end -= min(max(leap, 0), end - begin - 1)
             near = gaps[: end - begin]
             _gaps(near, points, begin, end, x, y, np.cos(angle), np.sin(angle), own_l, own_w, half_l, half_w)
@@ -163,10 +159,10 @@ def intervals_on_path(
             if first < 0:
                 nearest = -1
                 if jitters:
-                    spare, last_x, last_y, last_angle = _least(near, _WIDER_M) - 1e-6, x, y, angle
+                    spare, last_x, last_y, last_angle = min(near.min(), _WIDER_M) - 1e-6, x, y, angle
                 continue
             nearest = _nearest(points, begin, end, x, y)
-            low[k, t], high[k, t] = (begin + first - 1) * step, (begin + last + 1) * step
+            low[k, t], high[k, t] = (begin + first - 1) * TABLE_STEP_M, (begin + last + 1) * TABLE_STEP_M
             along[k, t] = velocity[a, t, 0] * points[2, nearest] + velocity[a, t, 1] * points[3, nearest]
             turned = np.cos(angle - heading[nearest])
             same_direction[k, t], crossing[k, t] = turned > SAME_WAY, abs(turned) <= _CROSSES

@@ -9,7 +9,7 @@ import numpy as np
 
 from hid2.kernels.car_following import DRIVER_STATE, PREVIEW_S, eidm_speed, new_driver
 from hid2.kernels.compiled import inner, kernel
-from hid2.kernels.gaps import gap_to
+from hid2.kernels.gaps import LEADS_FROM_M, SHOWN_M, gap_to
 from hid2.kernels.steering import limit_of
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
@@ -21,19 +21,18 @@ _CELL_M = 4.0  # about the length of one of SUMO's lanes
 @inner
 def _leader(
     middle: FloatArray, speed: FloatArray, leads: BoolArray, lengths: FloatArray, t: int, s: float, moved: float,
-    length: float, bounds: tuple[float, float], step_s: float,
+    length: float, step_s: float,
 ) -> tuple[float, float, float]:  # fmt: skip
     """Gap, m, speed, m/s, and acceleration, m/s2, of the next agent ahead that SUMO is shown; inf, 0, inf for none.
 
     moved m: since the step before; the agents shown are chosen by the place at that step.
     """
-    nearest, farthest = bounds
     least, lead_v, lead_a = np.inf, 0.0, np.inf
     for row in range(lengths.size):
         if not leads[row, t]:
             continue
         gap = middle[row, t] - s - 0.5 * (length + lengths[row])
-        if nearest < gap + moved < farthest and gap < least:
+        if LEADS_FROM_M < gap + moved < SHOWN_M and gap < least:
             least, lead_v, lead_a = gap, speed[row, t], 0.0
             if t > 0:
                 lead_a = (speed[row, t] - speed[row, t - 1]) / step_s
@@ -69,21 +68,17 @@ def _is_met(low: FloatArray, high: FloatArray, same_direction: BoolArray, t: int
 
 
 @kernel(
-    "(UniTuple(i8, 2), UniTuple(f8, 3), f8[::1], UniTuple(f8, 4), f8, f8, i8, i8, i8, f8, f8, f8[::1],"
-    " UniTuple(f8, 4), UniTuple(f8, 4), UniTuple(f8, 10), f8[::1], f8[::1], i8[::1], f8[:,::1], f8[:,::1],"
-    " f8[:,::1], b1[:,::1], f8[::1], b1[:,::1], i8[::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[::1],"
-    " UniTuple(f8, 2), f8[::1], f8[::1], f8[::1], f8[::1])"
+    "(UniTuple(i8, 2), UniTuple(f8, 3), f8[::1], UniTuple(f8, 4), f8, f8, i8, f8, f8[::1], f8[::1], f8[::1], i8[::1],"
+    " f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[::1], b1[:,::1], i8[::1], f8[:,::1], f8[:,::1], b1[:,::1],"
+    " f8[::1], f8[::1], f8[::1], f8[::1], f8[::1])"
 )
 def roll(
     span: tuple[int, int], start: tuple[float, float, float], desired_mps: FloatArray,
-    driver: tuple[float, float, float, float], reaction: float, length: float, straight: int, horizon: int, stride: int,
-    step_s: float, table_step: float, brakes: FloatArray, predicted: tuple[float, float, float, float],
-    stops: tuple[float, float, float, float],
-    yield_rules: tuple[float, float, float, float, float, float, float, float, float, float],
-    road: FloatArray, lane_ends: FloatArray, lane_policies: IntArray, low: FloatArray, high: FloatArray,
-    along: FloatArray, same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray, causes: IntArray,
-    shown_middle: FloatArray, shown_speed: FloatArray, shown_leads: BoolArray, shown_lengths: FloatArray,
-    gap_bounds: tuple[float, float], link_s: FloatArray, paces: FloatArray, turns: FloatArray, memory: FloatArray,
+    driver: tuple[float, float, float, float], reaction: float, length: float, horizon: int, step_s: float,
+    brakes: FloatArray, road: FloatArray, lane_ends: FloatArray, lane_policies: IntArray, low: FloatArray,
+    high: FloatArray, along: FloatArray, same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray,
+    causes: IntArray, shown_middle: FloatArray, shown_speed: FloatArray, shown_leads: BoolArray,
+    shown_lengths: FloatArray, link_s: FloatArray, paces: FloatArray, turns: FloatArray, memory: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Place s and speed v at the steps of a span, first to last, (K,) each, from a start s m, v m/s, a m/s2.
 
@@ -91,8 +86,7 @@ def roll(
     each step (K, M); memory (M,): at the first one, none for a driver that has just come.
 
     desired_mps (T,) by the scene's steps; driver .. causes: as in `speed_limits`, of one vehicle; reaction s; length m:
-    own, of the box that SUMO has. shown_* (R, T): the agents that SUMO is shown, as in `Shown`; gap_bounds: gaps, m,
-    between which an agent ahead is shown.
+    own, of the box that SUMO has. shown_* (R, T): the agents that SUMO is shown, as in `Shown`.
     Of SUMO's lanes along the path (L,): link_s m, where they end; paces, metres on the path for one on the lane; turns
     m/s, at most desired for the link to each.
     """
@@ -114,15 +108,14 @@ def roll(
         t = first + k - 1
         desired = desired_mps[t]
         limit, _, _, _, yields, _ = limit_of(
-            0, t, fleet, desired, driver, yields, straight, horizon, stride, step_s, table_step, brakes, predicted,
-            stops, yield_rules, road, lane_ends, lane_policies, low, high, along, same_direction, stop_s, closed,
-            causes, others, swept,
+            0, t, fleet, desired, driver, yields, horizon, step_s, brakes, road, lane_ends, lane_policies, low, high,
+            along, same_direction, stop_s, closed, causes, others, swept,
         )  # fmt: skip
         s, v, a = fleet[0, 0], fleet[0, 1], fleet[0, 2]
         front = s + 0.5 * length
         lane = min(int(np.searchsorted(link_s, front, side="right")), link_s.size - 1)
         gap, lead_v, lead_a = _leader(
-            shown_middle, shown_speed, shown_leads, shown_lengths, t, s, s - before_s, length, gap_bounds, step_s
+            shown_middle, shown_speed, shown_leads, shown_lengths, t, s, s - before_s, length, step_s
         )
         if gap > _looks_m(v, length, in_sumo):
             gap = np.inf

@@ -2,9 +2,11 @@
 
 import numpy as np
 
-from hid2.kernels.compiled import inner, kernel
+from hid2.kernels.compiled import kernel
 from netconvert.geometry import FloatArray
 
+#: Spacing of the tables of pose and curvature along a line, m.
+TABLE_STEP_M = 0.5
 _DEGREE = 5  # no tunable: the curvature of a quintic is smooth
 
 
@@ -17,7 +19,7 @@ def along_spline(breaks: FloatArray, pieces: FloatArray, s: FloatArray) -> tuple
     for i in range(count):
         inside = min(max(s[i], 0.0), breaks[last + 1])
         if not breaks[p] <= inside <= breaks[p + 1]:
-            p = _piece_at(breaks, inside)
+            p = min(np.searchsorted(breaks, inside, side="right") - 1, last)
         u = inside - breaks[p]
         for axis in range(2):
             value, slope = pieces[p, 5, axis], 0.0
@@ -145,18 +147,18 @@ def quintic_spline(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArr
     return x, breaks, pieces
 
 
-@kernel("(f8[::1], f8[:,:,::1], i8, f8)")
+@kernel("(f8[::1], f8[:,:,::1], i8)")
 def spline_table(
-    breaks: FloatArray, pieces: FloatArray, count: int, step: float
+    breaks: FloatArray, pieces: FloatArray, count: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Position, unwrapped heading, curvature and sharpness every `step` m; straight on behind the end."""
+    """Position, unwrapped heading, curvature and sharpness every TABLE_STEP_M; straight on behind the end."""
     xy, heading, curvature, sharpness = np.empty((count, 2)), np.empty(count), np.zeros(count), np.zeros(count)
     last = breaks.size - 2
     length = breaks[last + 1]
     d = np.empty((4, 2))
     p = 0
     for i in range(count):
-        s = min(i * step, length)
+        s = min(i * TABLE_STEP_M, length)
         while p < last and s >= breaks[p + 1]:
             p += 1
         u = s - breaks[p]
@@ -167,7 +169,7 @@ def spline_table(
                     d[order, axis] = d[order, axis] * u + order * d[order - 1, axis]
                 d[0, axis] = d[0, axis] * u + pieces[p, power, axis]
         norm = np.hypot(d[1, 0], d[1, 1])
-        over = i * step - s
+        over = i * TABLE_STEP_M - s
         xy[i, 0], xy[i, 1] = d[0, 0] + over * d[1, 0] / norm, d[0, 1] + over * d[1, 1] / norm
         angle = np.arctan2(d[1, 1], d[1, 0])
         if i > 0:
@@ -178,16 +180,3 @@ def spline_table(
             curvature[i] = (d[1, 0] * d[2, 1] - d[1, 1] * d[2, 0]) / norm**3
             sharpness[i] = (d[1, 0] * d[3, 1] - d[1, 1] * d[3, 0]) / norm**4
     return xy, heading, curvature, sharpness
-
-
-@inner
-def _piece_at(breaks: FloatArray, s: float) -> int:
-    """The piece that holds an arc length, of the one ahead where two meet; by bisection."""
-    low, high = 0, breaks.size - 2
-    while low < high:
-        middle = (low + high + 1) // 2
-        if breaks[middle] <= s:
-            low = middle
-        else:
-            high = middle - 1
-    return low

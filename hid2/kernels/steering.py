@@ -4,6 +4,7 @@ import numpy as np
 
 from hid2.kernels.compiled import inner, kernel
 from hid2.kernels.guard import needed_braking, stop_ahead
+from hid2.kernels.spline import TABLE_STEP_M
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
 #: What limits a speed, by its number. In alphabetical order: of two equal limits the first one is named.
@@ -11,6 +12,28 @@ CAUSES = ("conflict", "crossing", "curve", "gap", "signal", "turn")
 _CONFLICT, _CURVE, _TURN = CAUSES.index("conflict"), CAUSES.index("curve"), CAUSES.index("turn")
 #: A limit so near below the desired speed is none.
 LIMIT_TOLERANCE_MPS = 1e-3
+#: Number of the policy of lanes that do not turn, as in `policy/roads.py`.
+STRAIGHT = 0
+# No tunables, the rest: when a driver yields, chosen on the scenes of tests/real.
+#: A conflict must ask for this deceleration before the timing is changed, m/s2.
+ACTS_MPS2 = 1.1
+#: A vehicle that yields goes on with that down to this deceleration, m/s2.
+_KEEPS_YIELDING_MPS2 = 0.3
+#: Braking harder than this times the one to act for, or to keep on for, is urgent: a vehicle yields at once.
+_URGENT_RATIO = 3.0
+#: For less than that it yields only if the conflict is no later than this, s.
+_SOON_S = 2.5
+#: Braking for a conflict builds up at this rate, m/s3.
+_JERK_MPS3 = 3.5
+#: It is at most so hard just before standing still, m/s2.
+_LAST_BRAKE_MPS2 = 0.6
+#: It may be harder at a speed by so much, 1/s.
+_LAST_BRAKE_PER_S = 1.8
+#: A vehicle that slows down more than this behind a leader, m/s2, may have waited for it.
+_SLOWS_MPS2 = 0.7
+#: It has if it is nearer to the leader than this times its time gap and jam gap.
+_BEHIND_RATIO = 2.0
+_TURN_AHEAD_S = 4.0  # book-keeping: a limit this long before a turn lane is put down to the turn
 
 
 @inner
@@ -23,41 +46,35 @@ def _lane_at(ends: FloatArray, s: float) -> int:
 def limit_of(
     i: int, t: int, fleet: FloatArray, desired_mps: float, driver: tuple[float, float, float, float],
     is_yielding: bool,  # noqa: FBT001  # kernels have no keywords
-    straight: int, horizon: int, stride: int, step_s: float, table_step: float, brakes: FloatArray,
-    predicted: tuple[float, float, float, float], stops: tuple[float, float, float, float],
-    yield_rules: tuple[float, float, float, float, float, float, float, float, float, float],
-    road: FloatArray, ends: FloatArray, lanes: IntArray, low: FloatArray, high: FloatArray, along: FloatArray,
-    same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray, causes: IntArray, others: IntArray,
-    swept: FloatArray,
+    horizon: int, step_s: float, brakes: FloatArray, road: FloatArray, ends: FloatArray, lanes: IntArray,
+    low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, stop_s: FloatArray,
+    closed: BoolArray, causes: IntArray, others: IntArray, swept: FloatArray,
 ) -> tuple[float, int, int, int, bool, bool]:  # fmt: skip
     """The lowest limit on the speed of vehicle i for the step after t, as `speed_limits` has it for many."""
-    (
-        turn_ahead_s, behind_ratio, slows_mps2, keeps_mps2, begins_mps2, soon_s, urgent_ratio, jerk_mps3, last_mps2,
-        last_per_s,
-    ) = yield_rules  # fmt: skip
     s, v, a = fleet[i, 0], fleet[i, 1], fleet[i, 2]
     waits_for, yields, braking_fails = -1, False, False
     policy = lanes[_lane_at(ends, s)]
-    turns = policy != straight or lanes[_lane_at(ends, s + turn_ahead_s * v)] != straight
-    limit = road[min(int((s + v * step_s) / table_step), road.size - 1)]
+    turns = policy != STRAIGHT or lanes[_lane_at(ends, s + _TURN_AHEAD_S * v)] != STRAIGHT
+    limit = road[min(int((s + v * step_s) / TABLE_STEP_M), road.size - 1)]
     cause = _TURN if turns else _CURVE
     if horizon > 0:
         tau, accel, decel, min_gap = driver
         row, hit, free, leader, gap, _ = needed_braking(
             low, high, along, same_direction, stop_s, closed, swept, others, fleet, i, t, (s, v, a), desired_mps, road,
-            table_step, horizon, stride, step_s, driver, brakes, predicted, stops,
+            horizon, step_s, driver, brakes,
         )  # fmt: skip
         needed = brakes[row]
         braking_fails = hit >= 0 or needed > decel
-        if leader >= 0 and gap < behind_ratio * (tau * v + min_gap) and a < -slows_mps2:
+        if leader >= 0 and gap < _BEHIND_RATIO * (tau * v + min_gap) and a < -_SLOWS_MPS2:
             waits_for = leader
-        act = keeps_mps2 if is_yielding else begins_mps2
-        soon = free >= 0 and free * step_s <= soon_s
-        yields = needed >= act and (is_yielding or soon or needed >= urgent_ratio * act)
-        gentlest = max(min(a, 0.0) - jerk_mps3 * step_s, -max(last_mps2, last_per_s * v))  # no driver stops with a jerk
+        act = _KEEPS_YIELDING_MPS2 if is_yielding else ACTS_MPS2
+        soon = free >= 0 and free * step_s <= _SOON_S
+        yields = needed >= act and (is_yielding or soon or needed >= _URGENT_RATIO * act)
+        softly = max(_LAST_BRAKE_MPS2, _LAST_BRAKE_PER_S * v)  # no driver stops with a jerk
+        gentlest = max(min(a, 0.0) - _JERK_MPS3 * step_s, -softly)
         if yields and v + max(-needed, gentlest) * step_s <= limit:
             limit, cause = v + max(-needed, gentlest) * step_s, _CONFLICT
-        line, slowing = stop_ahead(stop_s, closed, s, v, t, accel, decel, stops)
+        line, slowing = stop_ahead(stop_s, closed, s, v, t, accel, decel)
         slower = v + max(slowing, gentlest) * step_s
         if line >= 0 and (slower < limit or (slower == limit and causes[line] < cause)):
             limit, cause = slower, causes[line]
@@ -67,29 +84,23 @@ def limit_of(
 
 
 @kernel(
-    "(i8[::1], i8, f8[:,::1], f8[:,::1], f8[:,::1], b1[::1], i8, i8, i8, f8, f8, f8[::1], UniTuple(f8, 4),"
-    " UniTuple(f8, 4), UniTuple(f8, 10), i8[:,::1], f8[::1], f8[::1], i8[::1], f8[:,::1], f8[:,::1], f8[:,::1],"
-    " b1[:,::1], f8[::1], b1[:,::1], i8[::1], i8[::1], f8[::1])"
+    "(i8[::1], i8, f8[:,::1], f8[:,::1], f8[:,::1], b1[::1], i8, f8, f8[::1], i8[:,::1], f8[::1], f8[::1], i8[::1],"
+    " f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[::1], b1[:,::1], i8[::1], i8[::1], f8[::1])"
 )
 def speed_limits(
     rows: IntArray, t: int, fleet: FloatArray, desired_mps: FloatArray, drivers: FloatArray, yielding: BoolArray,
-    straight: int, horizon: int, stride: int, step_s: float, table_step: float, brakes: FloatArray,
-    predicted: tuple[float, float, float, float], stops: tuple[float, float, float, float],
-    yield_rules: tuple[float, float, float, float, float, float, float, float, float, float],
-    first: IntArray, road: FloatArray, lane_ends: FloatArray, lane_policies: IntArray, low: FloatArray,
-    high: FloatArray, along: FloatArray, same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray,
-    causes: IntArray, others: IntArray, swept: FloatArray,
+    horizon: int, step_s: float, brakes: FloatArray, first: IntArray, road: FloatArray, lane_ends: FloatArray,
+    lane_policies: IntArray, low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray,
+    stop_s: FloatArray, closed: BoolArray, causes: IntArray, others: IntArray, swept: FloatArray,
 ) -> tuple[FloatArray, IntArray, IntArray, IntArray, BoolArray, BoolArray]:  # fmt: skip
     """The lowest limits on the speeds of rows (M,) of fleet (N, 5) for the step after t, and what else is found.
 
-    As in `needed_braking`: fleet, low .. closed, stride, brakes, predicted, stops, and horizon, which is 0 where
-    conflicts and stop lines do not count. desired_mps (N, T); drivers (N, 4); yielding (N,): whether a vehicle brakes
+    As in `needed_braking`: fleet, low .. closed, brakes, and horizon, which is 0 where conflicts and stop lines do not
+    count. desired_mps (N, T); drivers (N, 4); yielding (N,): whether a vehicle brakes
     for a conflict by now. What is on a vehicle's way is from first[m] to first[m + 1] (M + 1, 6) of: road, m/s every
-    table_step m; lanes (where they end, m, and their policies, of which `straight` is no turn); low ..; stop lines with
+    TABLE_STEP_M; lanes (where they end, m, and their policies, of which STRAIGHT is no turn); low ..; stop lines with
     their causes; others, rows of the fleet; and what they sweep, raveled (3, G, K) of each vehicle.
-    yield_rules, as `Guard.yield_rules`: time ahead to turns, s; of a vehicle that waits for its leader: ratio of the
-    gap, m/s2; braking to go on yielding, and to begin, m/s2; time to a conflict that is soon, s; ratio of urgent
-    braking; how braking builds up, m/s3, and ends, m/s2 and 1/s. Returns, each (M,): limits m/s, inf where a vehicle
+    Returns, each (M,): limits m/s, inf where a vehicle
     desires to go no faster anyway; numbers of their causes; policies of the lanes; rows of leaders for which a vehicle
     waits, -1 for none; whether it yields; and whether usual braking is not enough.
     """
@@ -102,10 +113,9 @@ def speed_limits(
         rivals = others[at[4] : to[4]]
         reach = (to[5] - at[5]) // max(1, 3 * rivals.size)
         limits[m], caused[m], policies[m], waits_for[m], yields[m], braking_fails[m] = limit_of(
-            i, t, fleet, desired_mps[i, t], (tau, accel, decel, min_gap), yielding[i], straight, horizon, stride,
-            step_s, table_step, brakes, predicted, stops, yield_rules, road[at[0] : to[0]], lane_ends[at[1] : to[1]],
-            lane_policies[at[1] : to[1]], low[at[2] : to[2]], high[at[2] : to[2]], along[at[2] : to[2]],
-            same_direction[at[2] : to[2]], stop_s[at[3] : to[3]], closed[at[3] : to[3]], causes[at[3] : to[3]], rivals,
-            swept[at[5] : to[5]].reshape(3, rivals.size, reach),
+            i, t, fleet, desired_mps[i, t], (tau, accel, decel, min_gap), yielding[i], horizon, step_s, brakes,
+            road[at[0] : to[0]], lane_ends[at[1] : to[1]], lane_policies[at[1] : to[1]], low[at[2] : to[2]],
+            high[at[2] : to[2]], along[at[2] : to[2]], same_direction[at[2] : to[2]], stop_s[at[3] : to[3]],
+            closed[at[3] : to[3]], causes[at[3] : to[3]], rivals, swept[at[5] : to[5]].reshape(3, rivals.size, reach),
         )  # fmt: skip
     return limits, caused, policies, waits_for, yields, braking_fails

@@ -30,7 +30,7 @@ class LaneRun(NamedTuple):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LaneView:
-    """Everything the detectors read."""
+    """Agents row by row, the lanes of their map, and the lane of each row: everything that detectors read."""
 
     arrays: SceneArrays
     lanes: FlatLanes

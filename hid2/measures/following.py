@@ -7,7 +7,8 @@ import numpy as np
 from hid2.agents import FloatArray, IntArray
 from hid2.kernels.gaps import lane_leaders
 from hid2.measures.arrays import SceneArrays
-from hid2.measures.lane_matching import FlatLanes, Matches
+from hid2.measures.driven_lanes import LaneView
+from hid2.measures.lane_matching import Matches
 
 #: Agents further ahead on a path are no leaders, m.
 HORIZON_M = 100.0
@@ -28,11 +29,12 @@ class LaneLeaders:
     ttc_s: FloatArray
 
 
-def leaders(arrays: SceneArrays, lanes: FlatLanes, matches: Matches) -> LaneLeaders:
+def leaders(view: LaneView) -> LaneLeaders:
     """Leader of every vehicle row on its lane path: lane, the lanes it drives next, then the straightest successors.
 
     A vehicle ahead leads where the two boxes overlap across the lane.
     """
+    arrays, lanes, matches = view.arrays, view.lanes, view.matches
     successors = np.full((len(lanes.successors), max([1, *map(len, lanes.successors)])), -1, dtype=np.int64)
     for k, targets in enumerate(lanes.successors):
         successors[k, : len(targets)] = targets

@@ -4,7 +4,6 @@ For every row the lanes near it that agree with the direction of motion are cand
 picks the sequence that is near the centrelines and follows the map's links (Newson and Krumm 2009, on lanes).
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,12 +16,8 @@ from netconvert.lane_graph import MOTOR_TYPES, SIDES, LaneGraph, TurnType
 
 #: Candidates are lanes at most this far beyond their own edge.
 BEYOND_EDGE_M = 1.0
-#: A lane agrees with the direction of motion below this angle.
-AGREE_RAD = math.radians(60)
-#: Direction of motion: displacement over this long either side, s, where it is at least MIN_CHORD_M.
+#: Direction of motion: displacement over this long either side, s.
 HALF_WINDOW_S = 0.5
-MIN_CHORD_M = 1.0
-_CANDIDATES = 10  # nearest lanes looked at; no tunable: as in `kernels/lane_matching.py`, the one rule of lanes
 #: What lanes are to a lane: the same or a successor; a neighbour or the successor of one; anything else is neither.
 GOES_ON, CHANGES_LANES, _NEITHER = range(3)
 #: Lanes shorter than this may be passed between two steps. No tunable, for the same reason.
@@ -163,15 +158,14 @@ def lanes_near(
     """
     box = lanes.box + (beyond_m - BEYOND_EDGE_M) * np.array([-1.0, -1.0, 1.0, 1.0])
     return lane_candidates(
-        position, direction, lanes.points, lanes.s, lanes.first, lanes.half_width, box, wanted, beyond_m, AGREE_RAD,
-        _CANDIDATES,
-    )  # fmt: skip
+        position, direction, lanes.points, lanes.s, lanes.first, lanes.half_width, box, wanted, beyond_m
+    )
 
 
 def directions_of_motion(position: FloatArray, heading: FloatArray, first: IntArray, *, step_s: float) -> FloatArray:
     """(N,) rad, of the displacement from HALF_WINDOW_S before a row to as long after it, where that is long enough."""
     half = max(1, round(HALF_WINDOW_S / step_s))
-    return motion_directions(np.ascontiguousarray(position), np.ascontiguousarray(heading), first, half, MIN_CHORD_M)
+    return motion_directions(np.ascontiguousarray(position), np.ascontiguousarray(heading), first, half)
 
 
 def lane_along(lanes: FlatLanes, position: FloatArray, direction: float) -> tuple[int, float, float]:

@@ -16,9 +16,9 @@ from itertools import groupby, pairwise
 import numpy as np
 
 from hid2.agents import FloatArray
-from hid2.measures.arrays import BoolArray, SceneArrays
+from hid2.measures.arrays import BoolArray
 from hid2.measures.driven_lanes import LaneRun, LaneView, runs_of, source_path, target_path
-from hid2.measures.lane_matching import CHANGES_LANES, FlatLanes, Matches
+from hid2.measures.lane_matching import CHANGES_LANES
 from netconvert.geometry import Polyline
 from netconvert.lane_graph import TURN_RAD
 
@@ -91,21 +91,19 @@ class _Change:
     path_lanes: tuple[int, ...]
 
 
-def detect(
-    arrays: SceneArrays, lanes: FlatLanes, matches: Matches, *, among: BoolArray | None = None
-) -> list[Maneuver]:
+def detect(view: LaneView, *, among: BoolArray | None = None) -> list[Maneuver]:
     """Every manoeuvre of every moving vehicle, in the order of the tracks and of their start.
 
     among (A,): the vehicles that are looked at, all unless told.
     """
-    view = LaneView(arrays, lanes, matches)
+    arrays, link = view.arrays, view.lanes.link
     found: list[Maneuver] = []
     for agent in np.flatnonzero(arrays.moving_vehicles if among is None else arrays.moving_vehicles & among):
         runs = runs_of(view, int(agent))
         tried = (
             _lane_change(view, int(agent), runs, k)
             for k, (before, after) in enumerate(pairwise(runs), 1)
-            if min(before.lane, after.lane) >= 0 and lanes.link[before.lane, after.lane] == CHANGES_LANES
+            if min(before.lane, after.lane) >= 0 and link[before.lane, after.lane] == CHANGES_LANES
         )
         overtakes, changes = _overtakes(view, int(agent), [one for one in tried if one is not None])
         seen = [change.maneuver for change in changes] + overtakes + list(_turns(view, int(agent), runs))

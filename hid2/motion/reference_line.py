@@ -7,12 +7,11 @@ import numpy as np
 
 from hid2.agents import FloatArray
 from hid2.kernels.raster import Raster, raster
+from hid2.kernels.spline import TABLE_STEP_M as TABLE_STEP_M
 from hid2.kernels.spline import along_spline, quintic_spline, smooth_polyline, spline_table
 from hid2.once import once
 from netconvert.geometry import arc_length, resample
 
-#: Spacing of the tables of pose and curvature along a line, m.
-TABLE_STEP_M = 0.5
 _BEYOND_M = 40.0  # not a parameter: its tables go on straight so far behind its end, for vehicles that leave it
 
 
@@ -90,5 +89,5 @@ def _line_through(points: FloatArray) -> ReferenceLine:
     parameter, breaks, pieces = quintic_spline(points)
     length_m = float(parameter[-1])
     count = int(length_m / TABLE_STEP_M) + 2 + int(_BEYOND_M / TABLE_STEP_M)
-    tables = spline_table(breaks, pieces, count, TABLE_STEP_M)
+    tables = spline_table(breaks, pieces, count)
     return ReferenceLine(breaks, pieces, length_m, *tables, points, points_s=parameter)

@@ -76,7 +76,7 @@ def _with_eased_ends(v: FloatArray, jerk_mps3: float, step_s: float) -> FloatArr
 def trajectory(line: ReferenceLine, motion: Motion, offset: LaneOffset) -> Trajectory:
     """Pose p = r(s) + d(s) n(s) at every step; heading from the path's tangent, velocity its time derivative."""
     centre, tangent, pace = line.motion(motion.s)
-    d, slope, _ = offset.at(motion.s)
+    d, slope = offset.at(motion.s)
     at = motion.s / TABLE_STEP_M
     curvature = np.interp(at, np.arange(line.table_curvature.size), line.table_curvature)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)

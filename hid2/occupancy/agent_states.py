@@ -62,13 +62,10 @@ class PathLeaders(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class AgentStates:
+class AgentStates(LaneView):
     """Agents of a scene: row by row in `arrays`, as stated, step by step in `traffic`; joined_of: its parts."""
 
-    arrays: SceneArrays
     traffic: Traffic
-    matches: Matches
-    lanes: FlatLanes
     joined_of: tuple["AgentStates", ...] = field(default=(), repr=False)
 
     def joined(self, *others: "AgentStates") -> "AgentStates":
@@ -79,25 +76,15 @@ class AgentStates:
         matches = Matches(
             *(np.concatenate([getattr(one.matches, part.name) for one in every]) for part in fields(Matches))
         )
-        return AgentStates(
-            SceneArrays.joined([one.arrays for one in every]),
-            self.traffic.joined(*(one.traffic for one in every[1:])),
-            matches,
-            self.lanes,
-            tuple(every),
-        )
-
-    @property
-    def view(self) -> LaneView:
-        """What lanes are measured by."""
-        return LaneView(self.arrays, self.lanes, self.matches)
+        arrays, traffic = SceneArrays.joined([one.arrays for one in every]), (one.traffic for one in every[1:])
+        return AgentStates(arrays, self.lanes, matches, self.traffic.joined(*traffic), tuple(every))
 
     def rows(self, agents: Sequence[int]) -> "AgentStates":
         """Some of the agents, in the order given."""
         arrays, matches = self.arrays, self.matches
         index = np.concatenate([np.arange(arrays.first[agent], arrays.first[agent + 1]) for agent in agents])
         chosen = Matches(*(getattr(matches, part.name)[index] for part in fields(Matches)))
-        return AgentStates(arrays.agents(agents), self.traffic.rows(agents), chosen, self.lanes)
+        return AgentStates(arrays.agents(agents), self.lanes, chosen, self.traffic.rows(agents))
 
     @cached_property
     def row_speed(self) -> FloatArray:
@@ -184,7 +171,7 @@ def agent_states(
     present = [track for track in tracks if track.timesteps.size]
     traffic = traffic_of(present, arrays.num_steps, step_s=step_s, velocity_by=differences)
     traffic = replace(traffic, length_m=arrays.length, width_m=arrays.width)
-    return AgentStates(arrays, traffic, match_lanes(arrays, lanes), lanes)
+    return AgentStates(arrays, lanes, match_lanes(arrays, lanes), traffic)
 
 
 def parked(states: AgentStates) -> BoolArray:

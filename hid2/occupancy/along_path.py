@@ -10,7 +10,7 @@ import numpy as np
 
 from hid2.agents import BoxSize, FloatArray, IntArray
 from hid2.kernels.path_intervals import crossings_kept_clear, intervals_on_path
-from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
+from hid2.motion.reference_line import ReferenceLine
 from hid2.occupancy.traffic import BoolArray, Traffic
 
 #: Half the diagonals of a large car and of a bus, or of a car that keeps room for a lane change, and that. Not a
@@ -48,17 +48,15 @@ class PathOccupancy(NamedTuple):
         """The same agents at one step, T = 1."""
         return PathOccupancy._make((self.agents, *(one[:, step : step + 1] for one in self[1:])))
 
-    def kept_clear(self, steps: int, *, margin_m: float) -> "PathOccupancy":
+    def kept_clear(self, steps: int) -> "PathOccupancy":
         """The same, with the place of crossing agents taken so many steps before and after: PET is kept at crossings.
 
-        margin_m: what is kept to a box that is there needs not be kept to one that was or will be: the place is
-        smaller by so much on both sides then.
+        What is kept to a box that is there needs not be kept to one that was or will be: the place is smaller by
+        PET_MARGIN_M on both sides then.
         """
         if not self.crossing.any():
             return self
-        low, high, same_direction = crossings_kept_clear(
-            self.low, self.high, self.same_direction, self.crossing, steps, margin_m
-        )
+        low, high, same_direction = crossings_kept_clear(self.low, self.high, self.same_direction, self.crossing, steps)
         return self._replace(low=low, high=high, same_direction=same_direction)
 
     def joined(self, *others: "PathOccupancy") -> "PathOccupancy":
@@ -70,20 +68,14 @@ class PathOccupancy(NamedTuple):
 
 
 def path_occupancy(
-    line: ReferenceLine,
-    traffic: Traffic,
-    box: BoxSize,
-    *,
-    margin_m: float = 0.0,
-    clear_steps: int = 0,
-    clear_margin_m: float = 0.0,
+    line: ReferenceLine, traffic: Traffic, box: BoxSize, *, margin_m: float = 0.0, clear_steps: int = 0
 ) -> PathOccupancy:
     """Intervals of every agent of `traffic` on `line` for a box with a lateral margin. Only agents that ever touch it.
 
-    clear_steps, clear_margin_m: as in `PathOccupancy.kept_clear`, unless 0. What is found is kept with the traffic, for
-    what is joined to it, too: many vehicles look along the same few paths.
+    clear_steps: as in `PathOccupancy.kept_clear`, unless 0. What is found is kept with the traffic, for what is joined
+    to it, too: many vehicles look along the same few paths.
     """
-    key = line, box, margin_m, clear_steps, clear_margin_m
+    key = line, box, margin_m, clear_steps
     known: PathOccupancy | None = traffic.known.get(key)
     if known is not None:
         return known
@@ -96,7 +88,7 @@ def path_occupancy(
     if clear_steps > 0:
         plain = path_occupancy(line, traffic, box, margin_m=margin_m)
         new = plain.rows(slice(0 if known_before is None else known_before.agents.size, None))
-        found = new.kept_clear(clear_steps, margin_m=clear_margin_m)
+        found = new.kept_clear(clear_steps)
     else:
         since = 0 if before is None else len(before.ids)
         found = look_along(line, traffic, box.length_m, box.width_m + 2 * margin_m, since)
@@ -112,5 +104,5 @@ def look_along(line: ReferenceLine, traffic: Traffic, length_m: float, width_m: 
     others = (
         traffic.position, traffic.heading, traffic.velocity, traffic.present, traffic.length_m, traffic.width_m,
     )  # fmt: skip
-    found = intervals_on_path(points, line.table_heading, TABLE_STEP_M, *near, length_m, width_m, *others, since)
+    found = intervals_on_path(points, line.table_heading, *near, length_m, width_m, *others, since)
     return PathOccupancy(*found)

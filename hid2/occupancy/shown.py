@@ -6,22 +6,12 @@ import numpy as np
 
 from hid2.agents import FloatArray
 from hid2.kernels.gaps import leading_in_sumo
-from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import BoolArray, Traffic
 
-# No tunables, the next three: which agents SUMO is shown.
-#: Slower ones stand and are shown in any direction, m/s.
-STANDING_MPS = 0.5
-#: One leads from this gap on, m; nearer it is beside.
-LEADS_FROM_M = 0.3
-#: Up to so far ahead, m, farther than any driver brakes for.
-SHOWN_M = 120.0
 #: Steps after which SUMO knows speed and acceleration of a vehicle that is new to it: until then it is seen by none.
 UNSEEN_STEPS = 3
-#: Not a parameter, half a lane and a little: an agent with its front farther aside is ahead of none.
-ASIDE_M = 2.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -43,7 +33,7 @@ def shown_on(path: DrivenPath, traffic: Traffic, seen: PathOccupancy, *, step_s:
     front, speed, known = _fronts(traffic, step_s)
     middle, leads = leading_in_sumo(
         seen.low, seen.high, seen.along, seen.same_direction, seen.crossing, seen.agents, traffic.length_m, front,
-        known, path.line.table_xy, path.line.table_heading, TABLE_STEP_M, path.exit_s, STANDING_MPS, ASIDE_M,
+        known, path.line.table_xy, path.line.table_heading, path.exit_s,
     )  # fmt: skip
     return Shown(middle, speed[seen.agents], leads, traffic.length_m[seen.agents])
 

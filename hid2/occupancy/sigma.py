@@ -1,7 +1,6 @@
 """Occupancy sigma of the cells (paper, Lane Gridification and Occupancy): 0 free, 1 original, 2 generated."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -10,7 +9,6 @@ import numpy.typing as npt
 
 from hid2.agents import BoxSize, FloatArray
 from hid2.kernels import cells as kernels
-from hid2.kernels.cells import agent_on, original_cells
 from hid2.occupancy.traffic import Traffic
 from netconvert.cells import CellGrid
 
@@ -35,7 +33,7 @@ class CellBoxes:
 def cell_boxes(grid: CellGrid) -> CellBoxes:
     """Boxes of all cells: chord of the stretch of centreline, and the lane's width."""
     lanes = grid.graph.lanes
-    borders = [grid.borders(lane_id) for lane_id in lanes]
+    borders = [grid.borders[lane_id] for lane_id in lanes]
     start, end = np.concatenate([b[:-1] for b in borders]), np.concatenate([b[1:] for b in borders])
     chord = end - start
     return CellBoxes(
@@ -63,16 +61,17 @@ def original_occupancy(boxes: CellBoxes, traffic: Traffic) -> OriginalOccupancy:
     by_x = np.argsort(boxes.center[:, 0])  # so that only cells near in x need to be looked at
     widest = float(np.hypot(boxes.length_m.max(), boxes.width_m.max())) / 2 if by_x.size else 0.0
     return OriginalOccupancy(
-        *original_cells(
+        *kernels.original_cells(
             boxes.center, boxes.heading, boxes.length_m, boxes.width_m, by_x, widest, *traffic.boxes, AGREES_RAD
         )
     )
 
 
-def is_agent_on(boxes: CellBoxes, cells: Sequence[int], traffic: Traffic, step: int) -> bool:
+def is_agent_on(boxes: CellBoxes, cells: slice, traffic: Traffic, step: int) -> bool:
     """Whether the box of an agent covers any of some cells at a step."""
-    rows = np.asarray(cells)
-    return bool(agent_on(boxes.center, boxes.heading, boxes.length_m, boxes.width_m, rows, step, *traffic.boxes))
+    half_l, half_w = 0.5 * boxes.length_m[cells], 0.5 * boxes.width_m[cells]
+    place, heading = boxes.center[cells], boxes.heading[cells]
+    return not kernels.clear_places(place, heading, half_l, half_w, step, *traffic.boxes).all()
 
 
 def clear_places(
@@ -82,7 +81,8 @@ def clear_places(
     heading = boxes.heading[cells]
     forward = np.stack([np.cos(heading), np.sin(heading)], axis=1)
     place = boxes.center[cells] + ((share - 0.5) * boxes.length_m[cells])[:, None] * forward
-    return np.asarray(kernels.clear_places(place, heading, 0.5 * box.length_m + gap_m, 0.5 * box.width_m, *here.boxes))
+    half_l, half_w = (np.full(heading.size, 0.5 * size) for size in (box.length_m + 2.0 * gap_m, box.width_m))
+    return np.asarray(kernels.clear_places(place, heading, half_l, half_w, 0, *here.boxes))
 
 
 def dwell_steps(*, cell_m: float, speed_mps: float, step_s: float) -> int | None:

@@ -70,10 +70,6 @@ class Traffic:
         index = np.asarray(rows, dtype=np.int64)
         return Traffic(tuple(self.ids[row] for row in rows), **{one: getattr(self, one)[index] for one in _BY_AGENT})
 
-    def first(self, steps: int) -> "Traffic":
-        """The same agents up to a step, T = steps."""
-        return self.span(slice(0, steps))
-
     def extended(self, steps: int, *, step_s: float) -> "Traffic":
         """The same, and beyond the last step so many more at constant velocity, of those that are there then."""
         ahead = step_s * np.arange(1, steps + 1)[None, :, None]

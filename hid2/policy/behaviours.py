@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from hid2.agents import Policy
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind
 from hid2.occupancy.agent_states import AgentStates
-from hid2.params import Config
-from hid2.policy.overtake import stretch_m
 from hid2.reasons import Reason
 from netconvert.errors import ConfigError
 from netconvert.lane_graph import SIDES, Side, TurnType
@@ -19,7 +17,7 @@ from netconvert.lane_graph import SIDES, Side, TurnType
 
 @dataclass(frozen=True, slots=True)
 class Behaviour:
-    """One behaviour. turn, beside_m: what the map must offer beyond a lane; both None: nothing."""
+    """One behaviour."""
 
     policy: Policy
     label: str
@@ -36,8 +34,6 @@ class Behaviour:
     """Matplotlib's marker of the place where it was done; none: nothing to mark."""
     turn: TurnType | None = None
     """The map must offer a lane that turns so."""
-    beside_m: Callable[[Config], float] | None = None
-    """The map must offer a same-direction lane beside, that may be changed to, for so many metres."""
     sides: tuple[Side, ...] = ()
     """It changes lanes once, to one of these sides; none: it does not, or comes back."""
     is_shown: Callable[[AgentStates, Maneuver], bool] = lambda states, seen: True
@@ -46,7 +42,7 @@ class Behaviour:
     @property
     def changes_lanes(self) -> bool:
         """Whether a vehicle that does it leaves its lane for one beside."""
-        return self.beside_m is not None
+        return bool(self.sides) or self.policy is Policy.OVERTAKE
 
 
 #: By policy, the commonest first: of several that a vehicle shows, the last one counts.
@@ -82,7 +78,6 @@ BEHAVIOURS: dict[Policy, Behaviour] = {
             Reason.MAP_OFFERS_NO_LANE_CHANGE,
             4,
             mark="D",
-            beside_m=lambda config: config.lane_change.min_remaining_m,
             sides=SIDES,
         ),
         Behaviour(
@@ -93,7 +88,6 @@ BEHAVIOURS: dict[Policy, Behaviour] = {
             Reason.MAP_OFFERS_NO_OVERTAKE,
             1,
             mark="*",
-            beside_m=stretch_m,
         ),
     )
 }

@@ -17,7 +17,7 @@ from netconvert.lane_graph import Side, TurnType
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What the agent knows at time t: its cell, lane type, request, leader, and adjacent lanes.
+    """What the agent knows at time t: the cell ahead, lane type, request, leader, and adjacent lanes.
 
     leader: the next vehicle on its lane, where one may be overtaken; options: of the sides that the request allows, in
     the order in which they are tried; own_front, own_rear: gaps ahead and behind on its lane, where a rule asks;
@@ -25,7 +25,6 @@ class Observation:
     """
 
     time_s: float
-    cell: Cell
     next_cell: Cell | None
     lane_turn: TurnType
     speed_mps: float

@@ -214,10 +214,9 @@ def _cells_free(scene: Scene, cell: Cell, inserted: Inserted) -> bool:
     """Cells j-1, j, j+1 of l' have sigma = 0 (paper, Lane Change); sigma = 2 where inserted ones are now."""
     grid, step = scene.grid, inserted.step
     here = grid.index_of[cell]  # the cells of a lane follow one another
-    first, last = here - min(cell.index, 1), here + min(grid.count(cell.lane_id) - 1 - cell.index, 1)
-    if (scene.occupancy.sigma[step, first : last + 1] != FREE).any():
+    wanted = slice(here - min(cell.index, 1), here + min(grid.count(cell.lane_id) - 1 - cell.index, 1) + 1)
+    if (scene.occupancy.sigma[step, wanted] != FREE).any():
         return False
-    wanted = range(first, last + 1)
     return not any(
         is_agent_on(scene.boxes, wanted, traffic, column)
         for traffic, column in ((inserted.known, step), (inserted.driven, 0))

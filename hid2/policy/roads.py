@@ -13,6 +13,7 @@ import numpy as np
 from hid2.agents import FloatArray, IntArray, Policy
 from hid2.drivers.driver import Driver
 from hid2.kernels.speed_profile import reachable
+from hid2.kernels.steering import STRAIGHT
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
 from hid2.motion.route import DrivenPath, is_drivable, routes_from, straightest_first
 from hid2.once import once
@@ -21,9 +22,9 @@ from hid2.policy.decision import policy_on
 from hid2.scene import Scene
 from netconvert.lane_graph import TurnType
 
-#: Policies by their numbers in arrays.
+#: Policies by their numbers in arrays; `kernels/steering.py` knows that of going straight.
 POLICIES = tuple(Policy)
-STRAIGHT = POLICIES.index(Policy.STRAIGHT)
+assert POLICIES[STRAIGHT] is Policy.STRAIGHT
 _SAME_M = 0.02  # book-keeping: two paths with the same first lanes may differ by so much
 _EVERY_M = 2.0  # book-keeping: they are compared so far apart
 #: Slowing before a turn's entrance, m/s2. No tunable: softer than behind a leader, of which drivers differ.
@@ -92,7 +93,7 @@ class RoadSpeeds:
         allows. Slowing begins before the entrance at _APPROACH_DECEL_MPS2; speeding up after the trough at accel_mps2.
         """
         cap = self.cap(lateral_accel_mps2)
-        return reachable(cap, self.shape, desired_mps, TABLE_STEP_M, _APPROACH_DECEL_MPS2, accel_mps2)
+        return reachable(cap, self.shape, desired_mps, _APPROACH_DECEL_MPS2, accel_mps2)
 
 
 def road_speeds(

@@ -197,7 +197,7 @@ class Figures:
     def add(self, scene: int, states: AgentStates, made: list[tuple[Track, list[int]]], usual, variant: int) -> None:
         """Take in inserted tracks, with the steps in which they were limited; recorded ones where none were made."""
         arrays = states.arrays
-        led = leaders(arrays, states.lanes, states.matches)
+        led = leaders(states)
         inserted, bound = bool(made), {track.track_id: steps for track, steps in made}
         members = arrays.vehicle & arrays.moving & ~arrays.fragment & (arrays.generated == inserted)
         crossing = crossings_of(states.lanes)
@@ -232,7 +232,7 @@ class Figures:
         speed = savgol_filter(speed, 5, 1) if speed.size >= 5 else speed
         first_row, entered, halts = states.row_span(agent).start, False, False
         inside = np.zeros(speed.size, dtype=bool)
-        for before, run in itertools.pairwise([None, *runs_of(states.view, agent)]):
+        for before, run in itertools.pairwise([None, *runs_of(states, agent)]):
             if run.lane < 0 or not graph_lane(states.lanes, run.lane).is_intersection:
                 continue
             inside[run.first - first_row : run.last + 1 - first_row] = True

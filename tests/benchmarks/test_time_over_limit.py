@@ -76,7 +76,7 @@ def _limit_s(folder: Path, made: TrafficScene, config: Config, beside: Path) -> 
     """Processor time of what every way of making a scene would need, s."""
     prepared: PreparedScene = prepare(read_scenario(folder), config)
     recorded = prepared.surroundings(config).scene
-    traffic = recorded.traffic.first(recorded.num_steps)
+    traffic = recorded.traffic.span(slice(recorded.num_steps))
     starts = [unsteered_start(recorded, vehicle.driven.start) for vehicle in made.vehicles]
     front, angle = sumo_poses(traffic.position, traffic.heading, traffic.length_m[:, None])
     began = time.process_time()

@@ -118,7 +118,7 @@ def test_lane_change_needs_sigma_0_in_cells_j_minus_1_to_j_plus_1_of_the_target_
 
 OPTION = LaneOption("left", Cell(2, 10), True, NO_GAP, NO_GAP, 150.0, 150.0)
 SEEN: dict[str, Any] = {
-    "time_s": 2.0, "cell": Cell(1, 10), "next_cell": Cell(1, 11), "lane_turn": TurnType.STRAIGHT, "speed_mps": 10.0,
+    "time_s": 2.0, "next_cell": Cell(1, 11), "lane_turn": TurnType.STRAIGHT, "speed_mps": 10.0,
     "driver": usual_driver(10.0), "request": Policy.LANE_CHANGE, "trigger_s": 2.0, "stage": Stage.WAITING,
     "leader": None, "options": (OPTION,),
 }  # fmt: skip
@@ -186,7 +186,7 @@ def test_overtake_enters_passes_and_returns_ahead_of_where_it_left() -> None:
     enter = _decide(request=Policy.OVERTAKE, leader=leader, driver=usual_driver(12.0))
     assert (enter.policy, enter.target) == (Policy.OVERTAKE, Cell(2, 10))
     back = LaneOption("right", Cell(1, 25), True, NO_GAP, NO_GAP, 100.0, 100.0)
-    passing = {"request": Policy.OVERTAKE, "stage": Stage.PASS, "options": (back,), "cell": Cell(2, 25)}
+    passing = {"request": Policy.OVERTAKE, "stage": Stage.PASS, "options": (back,)}
     assert _decide(**passing, passed_gap_m=-2.0).policy is Policy.STRAIGHT
     assert _decide(**passing, passed_gap_m=6.0).target == Cell(1, 25)
 

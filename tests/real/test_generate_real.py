@@ -274,7 +274,7 @@ def test_what_a_rollout_foresees_comes_about(real_scenes: list[Path]) -> None:
         for seed in (0, 1):
             scene = make(folder, 10, seed)
             states = recording_states(scene.recording, scene.recording.tracks)
-            met = encounters(states.arrays, leaders(states.arrays, states.lanes, states.matches))
+            met = encounters(states.arrays, leaders(states))
             for vehicle, track in zip(scene.vehicles, scene.generated, strict=True):
                 row, start = states.arrays.track_ids.index(track.track_id), vehicle.driven.start
                 for one in Situation:

@@ -35,7 +35,7 @@ def unsteered_start(scene: Scene, begun: Start) -> UnsteeredStart:
     cell = scene.grid.cell_at(segment.lane_id, lane_s)
     edges = edges_along(scene, begun.path, cell)
     assert edges is not None
-    begin = float(scene.grid.edges_s(cell.lane_id)[cell.index])
+    begin = float(scene.grid.edges_s[cell.lane_id][cell.index])
     return UnsteeredStart(edges, scene.grid.lane_index(cell), max(0.0, lane_s - begin), begun.start_mps)
 
 

@@ -8,8 +8,8 @@ from hand_drawn import draw_crossing
 from inserted import CAR, DRIVER, recorded, scene_on
 
 from hid2.agents import BoxSize, Track
-from hid2.conflicts.stop_lines import STOPS, ClosedLines, StopLines
-from hid2.kernels.guard import stop_ahead
+from hid2.conflicts.stop_lines import ClosedLines, StopLines
+from hid2.kernels.guard import ROLLS_UP_SHARE, stop_ahead
 from hid2.kernels.steering import CAUSES
 from hid2.params import Config, Signals
 from hid2.scene import Scene
@@ -31,9 +31,7 @@ def junction(*recorded: Track) -> Scene:
 
 def _braking(lines: ClosedLines, *, s: float, v: float, step: int) -> tuple[float, str] | None:
     """Acceleration, m/s2, that stops a driver at the next closed line, and its cause; None for none."""
-    row, accel = stop_ahead(
-        lines.stops_s(DRIVER), lines.closed, s, v, step, DRIVER.accel_mps2, DRIVER.decel_mps2, STOPS
-    )
+    row, accel = stop_ahead(lines.stops_s(DRIVER), lines.closed, s, v, step, DRIVER.accel_mps2, DRIVER.decel_mps2)
     return None if row < 0 else (float(accel), CAUSES[lines.cause[row]])
 
 
@@ -87,13 +85,13 @@ def test_braking_for_a_line_builds_up_and_eases(speed_mps: float) -> None:
     line_s, closed, s, v = np.array([60.0]), np.ones((1, 1), dtype=np.bool_), 0.0, speed_mps
     braked = []
     while v > 0.5:
-        _, accel = stop_ahead(line_s, closed, s, v, 0, DRIVER.accel_mps2, DRIVER.decel_mps2, STOPS)
+        _, accel = stop_ahead(line_s, closed, s, v, 0, DRIVER.accel_mps2, DRIVER.decel_mps2)
         s, v = s + 0.1 * v, v + 0.1 * min(accel, 0.0)
         braked.append(-accel)
     harder = np.array(braked)[np.array(braked) > 0.1]
     assert s == pytest.approx(60.0, abs=0.5)
     assert 0.2 * harder.size < harder.argmax() < 0.95 * harder.size
-    assert max(harder[0], harder[-1]) < 0.95 * harder.max() < 0.95 * 1.3 * STOPS[1] * DRIVER.decel_mps2
+    assert max(harder[0], harder[-1]) < 0.95 * harder.max() < 0.95 * 1.3 * ROLLS_UP_SHARE * DRIVER.decel_mps2
 
 
 def test_driver_does_not_begin_far_before() -> None:
@@ -183,6 +181,5 @@ def test_room_before_a_closed_line_and_none_on_what_it_is_before() -> None:
     assert lines.room_m(36.75, 40, DRIVER) == pytest.approx(20.0)
     assert [lines.room_m(s, 40, DRIVER) for s in (58.0, 79.0)] == [-1.0, -1.0]
     assert [lines.room_m(s, step, DRIVER) for s, step in ((81.0, 40), (58.0, 0), (36.75, 0))] == [np.inf] * 3
-    usual = STOPS[1]
-    assert lines.towards_mps(DRIVER, 20.0) == pytest.approx(np.sqrt(2.0 * usual * DRIVER.decel_mps2 * 20.0))
+    assert lines.towards_mps(DRIVER, 20.0) == pytest.approx(np.sqrt(2.0 * ROLLS_UP_SHARE * DRIVER.decel_mps2 * 20.0))
     assert lines.towards_mps(DRIVER, np.inf) == np.inf

@@ -118,7 +118,7 @@ def drive(speed, accel, offset, *, steps=80, rng=None, track_id="r1"):
 def windows_of(tracks, road):
     arrays, lanes = stack(tracks, step_s=0.1), flatten_lanes(road(length_m=250))
     view = LaneView(arrays, lanes, match_lanes(arrays, lanes))
-    return windows(view, leaders(arrays, lanes, view.matches), scene="s", labelled=True)
+    return windows(view, leaders(view), scene="s", labelled=True)
 
 
 def test_windows_find_speed_acceleration_and_place_through_the_noise_of_a_tracker(road):

@@ -10,7 +10,7 @@ from shapely.affinity import rotate, translate
 from shapely.geometry import box as rectangle
 
 from hid2.agents import BoxSize, Track
-from hid2.evaluation.safety import FOOTPRINT_TOLERANCE_M, off_footprint, overlaps, safety
+from hid2.evaluation.safety import FOOTPRINT_TOLERANCE_M, off_footprint, overlaps, safety, ttc_after_last_step
 from hid2.kernels.boxes import contact_time
 from hid2.measures.arrays import SceneArrays, stack
 from hid2.measures.driven_lanes import LaneView
@@ -178,8 +178,7 @@ def test_leader_gap_time_gap_headway_and_ttc(road):
     ]
     arrays = stack(tracks, step_s=0.1)
     lanes = flatten_lanes(road())
-    matches = match_lanes(arrays, lanes)
-    found = leaders(arrays, lanes, matches)
+    found = leaders(LaneView(arrays, lanes, match_lanes(arrays, lanes)))
     assert found.agent[0] == 1
     assert found.agent[20] == found.agent[40] == -1
     assert found.gap_m[0] == pytest.approx(20.0)
@@ -212,8 +211,7 @@ def test_leader_is_found_through_successors_and_on_the_way_driven(lane):
     tracks = [a, drive(*end, 0.6, steps=80, name="b"), drive(62, 0, steps=80, name="c")]
     arrays = stack(tracks, step_s=0.1)
     lanes = flatten_lanes(graph)
-    matches = match_lanes(arrays, lanes)
-    assert leaders(arrays, lanes, matches).agent[20] == 1
+    assert leaders(LaneView(arrays, lanes, match_lanes(arrays, lanes))).agent[20] == 1
 
 
 def test_driving_against_the_lane_is_seen_and_parking_across_it_is_not(road):
@@ -285,3 +283,28 @@ def test_scene_with_one_more_track_is_the_scene_of_all_tracks():
         assert getattr(got, "dtype", None) == getattr(wanted, "dtype", None), name
     for name in SceneArrays.__dataclass_fields__:
         assert np.array_equal(getattr(whole.agents([0, 1]), name), getattr(parts[0], name)), name
+
+
+@pytest.fixture
+def rear_end():
+    """gen_0 ends at step 20 at x = 20, 10 m/s; "wall" stands at x = 34, "late" at x = 29 from step 21 on."""
+    return stack(
+        [
+            drive(0.0, speed=10.0, steps=21, name="gen_0"),
+            drive(34.0, steps=110, name="wall"),
+            drive(29.0, steps=89, first=21, name="late"),
+        ],
+        step_s=0.1,
+    )
+
+
+def test_a_track_is_looked_at_from_its_own_last_step_among_those_present_then(rear_end: SceneArrays) -> None:
+    """Step 20: front at 22, the wall's rear at 32: 1 s. "late" is not there yet; step 109 knows no gen_0."""
+    found = ttc_after_last_step(rear_end, rear_end.generated, np.ones(rear_end.num_agents, dtype=bool))
+    assert found == pytest.approx([1.0, np.inf, np.inf])
+
+
+def test_others_can_be_kept_to_a_group(rear_end: SceneArrays) -> None:
+    everybody = np.ones(rear_end.num_agents, dtype=bool)
+    found = ttc_after_last_step(rear_end, everybody, rear_end.generated)
+    assert np.isinf(found).all()

@@ -12,8 +12,8 @@ from hid2.agents import BoxSize, Track
 from hid2.judge.findings import Bounds, Quantity
 from hid2.judge.states import contacts_at_end, judge, of_boxes, sustained_headway
 from hid2.measures.lane_matching import flatten_lanes
-from hid2.measures.scene_end import BoxesAtStep
 from hid2.occupancy.agent_states import AgentStates, agent_states
+from hid2.occupancy.traffic import Traffic
 from netconvert.lane_graph import LaneGraph, LaneSegment
 
 CAR = BoxSize(4.5, 1.9)
@@ -267,11 +267,12 @@ def test_contact_after_the_end_that_braking_avoids_is_no_finding() -> None:
 def test_vehicle_that_comes_from_behind_after_the_end_brakes_itself(degrees: float) -> None:
     """10 m behind a car of 4.5 m at 10 m/s comes one at 14 m/s: 5.5 m / 4 m/s = 1.375 s, whichever way they head."""
     forward = np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
-    boxes = BoxesAtStep(
-        np.array([0.0 * forward, -10.0 * forward]), np.full(2, np.radians(degrees)),
-        np.array([10.0 * forward, 14.0 * forward]), np.array([[4.5, 1.9], [4.5, 1.9]]),
+    here = Traffic(
+        ("own", "behind"), np.array([[0.0 * forward], [-10.0 * forward]]), np.full((2, 1), np.radians(degrees)),
+        np.array([[10.0 * forward], [14.0 * forward]]), np.ones((2, 1), dtype=np.bool_), np.full(2, 4.5),
+        np.full(2, 1.9),
     )  # fmt: skip
-    assert list(contacts_at_end(boxes, Bounds(), step_s=0.1)) == []
+    assert list(contacts_at_end(here, Bounds(), step_s=0.1)) == []
 
 
 def test_headway_counts_above_three_metres_a_second() -> None:

@@ -8,6 +8,7 @@ from hand_drawn import draw_road
 
 from hid2.agents import BoxSize, Track
 from hid2.measures.arrays import stack
+from hid2.measures.driven_lanes import LaneView
 from hid2.measures.encounters import encounters
 from hid2.measures.following import leaders
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
@@ -33,8 +34,7 @@ def met(*tracks: Track) -> dict[str, np.ndarray]:
     """Encounters on a road of two lanes, 300 m; tracks named gen_... are inserted."""
     lanes = flatten_lanes(draw_road(lanes=2, length_m=300.0))
     arrays = stack(tracks, num_steps=STEPS, step_s=0.1)
-    matches = match_lanes(arrays, lanes)
-    return encounters(arrays, leaders(arrays, lanes, matches))
+    return encounters(arrays, leaders(LaneView(arrays, lanes, match_lanes(arrays, lanes))))
 
 
 @pytest.mark.parametrize(("apart_m", "far"), [(29.9, False), (30.1, True)])

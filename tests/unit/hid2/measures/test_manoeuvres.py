@@ -12,6 +12,7 @@ from scipy.signal import savgol_filter
 from hid2.agents import BoxSize, Policy, Track
 from hid2.evaluation.metrics import policies
 from hid2.measures.arrays import stack
+from hid2.measures.driven_lanes import LaneView
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from hid2.measures.manoeuvres import ManeuverKind, detect, lateral_speed
 from netconvert.lane_graph import LaneGraph
@@ -36,8 +37,7 @@ def shift(start, duration, *, width=3.5, time=TIME):
 def seen(graph, *tracks):
     arrays = stack(tracks, step_s=0.1)
     lanes = flatten_lanes(graph)
-    matches = match_lanes(arrays, lanes)
-    return detect(arrays, lanes, matches)
+    return detect(LaneView(arrays, lanes, match_lanes(arrays, lanes)))
 
 
 def kinds(graph, *tracks, of="a"):

@@ -91,18 +91,18 @@ def test_place_of_who_crosses_is_kept_clear_before_and_after(straight_line: Refe
     """A car crosses at x = 50 from the right at 10 m/s, on the line's middle at 2.0 s.
 
     Its box (4.5 m) and the own one (1.9 m wide) touch while |y| <= 2.25 + 0.95 = 3.2 m: from 1.68 to 2.32 s, steps
-    17 to 23. With 10 steps of PET that place is taken from 0.7 to 3.3 s, 0.2 m narrower on both sides where a margin is
-    added later; at the steps of the crossing itself nothing changes.
+    17 to 23. With 10 steps of PET that place is taken from 0.7 to 3.3 s, 0.5 m narrower on both sides; at the steps of
+    the crossing itself nothing changes.
     """
     crossing = draw_box(50.0, -20.0, np.pi / 2, 10.0)
     found = path_occupancy(straight_line, crossing, BoxSize(4.5, 1.9))
-    clear = found.kept_clear(10, margin_m=0.2)
+    clear = found.kept_clear(10)
     there, kept = np.flatnonzero(np.isfinite(found.low[0])), np.flatnonzero(np.isfinite(clear.low[0]))
     assert (there[0], there[-1]) == (17, 23)
     assert (kept[0], kept[-1]) == (7, 33)
     assert clear.low[0, 20] == found.low[0, 20]
-    assert clear.low[0, 10] == pytest.approx(found.low[0, 17] + 0.2)
-    assert clear.high[0, 30] == pytest.approx(found.high[0, 23] - 0.2)
+    assert clear.low[0, 10] == pytest.approx(found.low[0, 17] + 0.5)
+    assert clear.high[0, 30] == pytest.approx(found.high[0, 23] - 0.5)
     assert not clear.same_direction.any()
 
 
@@ -114,7 +114,7 @@ def test_way_of_one_that_turns_across_is_kept_clear_from_its_first_touch_on() ->
     crossing = never.copy()
     crossing[0, 7:9] = True
     found = PathOccupancy(np.array([0]), low, high, np.zeros((1, 12)), never, crossing)
-    clear = found.kept_clear(2, margin_m=0.5)
+    clear = found.kept_clear(2)
     assert np.flatnonzero(np.isfinite(clear.low[0])).tolist() == list(range(3, 11))
     assert (clear.low[0, 3], clear.high[0, 3]) == (50.5, 57.5)
     assert (clear.low[0, 10], clear.high[0, 10]) == (44.5, 51.5)
@@ -122,7 +122,7 @@ def test_way_of_one_that_turns_across_is_kept_clear_from_its_first_touch_on() ->
 
 def test_leader_holds_no_more_than_where_it_is(straight_line: ReferenceLine) -> None:
     found = path_occupancy(straight_line, draw_box(50.0, 0.0, 0.0, 10.0), BoxSize(4.5, 1.9))
-    clear = found.kept_clear(10, margin_m=0.2)
+    clear = found.kept_clear(10)
     assert np.array_equal(clear.low, found.low)
     assert np.array_equal(clear.high, found.high)
 
@@ -183,9 +183,7 @@ def test_what_is_known_of_some_holds_for_all_that_join_them(straight_line: Refer
     """Looked along one by one or all at once, in the order in which they joined, kept clear alike."""
 
     def along(traffic: Traffic, clear_steps: int):
-        return path_occupancy(
-            straight_line, traffic, BoxSize(4.5, 1.9), margin_m=0.2, clear_steps=clear_steps, clear_margin_m=0.2
-        )
+        return path_occupancy(straight_line, traffic, BoxSize(4.5, 1.9), margin_m=0.2, clear_steps=clear_steps)
 
     def parts() -> list[Traffic]:
         return [

@@ -107,12 +107,12 @@ def test_standing_vehicle_never_leaves_its_cell() -> None:
 def test_somebody_on_some_of_the_cells(grid: CellGrid, boxes: CellBoxes) -> None:
     """10 m/s from x = 6 in lane 1: on cell 1 at first, after 1 s on cell 4; never on lane 2."""
     someone = draw_box(6.0, 0.0, 0.0, 10.0, steps=11)
-    one, four, beside = (grid.index_of[cell] for cell in (Cell(1, 1), Cell(1, 4), Cell(2, 1)))
+    first, second = grid.index_of[Cell(1, 0)], grid.index_of[Cell(2, 0)]
 
-    def is_on(cells: list[int], step: int) -> bool:
-        return is_agent_on(boxes, cells, someone, step)
+    def is_on(cell: int, step: int, *, until: int | None = None) -> bool:
+        return is_agent_on(boxes, slice(cell, (cell if until is None else until) + 1), someone, step)
 
-    assert (is_on([one], 0), is_on([four], 0), is_on([four, one], 0)) == (True, False, True)
-    assert (is_on([one], 10), is_on([four], 10)) == (False, True)
-    assert not is_on([beside], 0)
-    assert not is_agent_on(boxes, [one], draw_box(6.0, 0.0, steps=4, first=2), 0)
+    assert (is_on(first + 1, 0), is_on(first + 4, 0), is_on(first + 1, 0, until=first + 4)) == (True, False, True)
+    assert (is_on(first + 1, 10), is_on(first + 4, 10)) == (False, True)
+    assert not is_on(second + 1, 0)
+    assert not is_agent_on(boxes, slice(first, first + 3), draw_box(6.0, 0.0, steps=4, first=2), 0)

@@ -4,9 +4,8 @@ from collections import Counter
 
 from hid2.agents import Policy
 from hid2.measures.manoeuvres import TURNS, ManeuverKind
-from hid2.params import Config, Request
+from hid2.params import Request
 from hid2.policy.behaviours import BEHAVIOURS, behaviour_seen
-from hid2.policy.overtake import SHIFT_RATIO
 from netconvert.lane_graph import TurnType
 
 
@@ -30,13 +29,3 @@ def test_every_turn_of_a_map_is_a_behaviour_that_is_detected() -> None:
     turning = [behaviour.turn for behaviour in BEHAVIOURS.values() if behaviour.turn is not None]
     assert Counter(turning) == Counter(turn for turn in TurnType if turn is not TurnType.STRAIGHT)
     assert {behaviour_seen(kind).turn for kind in TURNS.values()} == {TurnType.LEFT, TurnType.RIGHT}
-
-
-def test_what_the_map_must_offer_beside_follows_the_parameters() -> None:
-    config = Config()
-    needed = {policy: b.beside_m(config) for policy, b in BEHAVIOURS.items() if b.beside_m is not None}
-    assert needed == {
-        Policy.LANE_CHANGE: config.lane_change.min_remaining_m,
-        Policy.OVERTAKE: config.overtake.d_overtake_m
-        + SHIFT_RATIO * config.lane_change.min_duration_s * config.spawn.prior_speed_mps,  # and back
-    }

@@ -19,7 +19,7 @@ LEFT = LaneOption(
 )
 RIGHT = replace(LEFT, side="right", target=Cell(3, 5))
 SEEN = Observation(
-    time_s=2.0, cell=Cell(1, 5), next_cell=Cell(1, 6), lane_turn=TurnType.STRAIGHT, speed_mps=10.0,
+    time_s=2.0, next_cell=Cell(1, 6), lane_turn=TurnType.STRAIGHT, speed_mps=10.0,
     driver=usual_driver(10.0), request=Policy.LANE_CHANGE, trigger_s=2.0, stage=Stage.WAITING, leader=None,
     options=(LEFT,),
 )  # fmt: skip

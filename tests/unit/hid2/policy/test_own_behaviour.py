@@ -24,11 +24,11 @@ from hid2.reasons import Reason
 
 keep_right = Behaviour(
     Policy("keep_right"), "keep right", "KR", (ManeuverKind.LANE_CHANGE,), Reason.MAP_OFFERS_NO_LANE_CHANGE,
-    site_order=4, beside_m=lambda config: config.lane_change.min_remaining_m, sides=("right",),
+    site_order=4, sides=("right",),
 )
 late = Behaviour(
     Policy("late"), "late lane change", "LL", (ManeuverKind.LANE_CHANGE,), Reason.MAP_OFFERS_NO_LANE_CHANGE, 4,
-    beside_m=lambda config: config.lane_change.min_remaining_m, sides=("right", "left"),
+    sides=("right", "left"),
     is_shown=lambda states, seen: seen.crossing_s > 4.0 and seen.track_id in states.arrays.track_ids,
 )
 nothing = Behaviour(Policy("nothing"), "nothing", "NO", (), Reason.MAP_OFFERS_NO_LANE, 5)
