@@ -82,9 +82,9 @@ def measure_event(states: AgentStates, kind: str, own: int, target: int, *, at_s
     ahead_m = ahead_on_lanes(states, own, target, later_on.step)
     if crossed is None:
         gap_m = abs(float(ahead_m[0])) - apart_m
-    follows = (ahead_m >= apart_m) & (speed[later_on.rows] > CLOSES_MPS)
-    fronts_m = ahead_m + float(arrays.length[own]) - apart_m
-    headway_s = float((fronts_m / speed[later_on.rows])[follows].min(initial=math.inf))
+    speed_mps, fronts_m = speed[later_on.rows], ahead_m + float(arrays.length[own]) - apart_m
+    follows = (ahead_m >= apart_m) & (speed_mps > CLOSES_MPS)
+    headway_s = float((fronts_m[follows] / speed_mps[follows]).min(initial=math.inf))
     least = int(course.ttc_s.argmin()) if np.isfinite(course.ttc_s).any() else None
     return EventMeasures(
         gap_m=gap_m,
