@@ -11,7 +11,7 @@ import numpy as np
 from hid2.agents import FloatArray, Track
 from hid2.insertion.event_targets import Target
 from hid2.judge.claims import EventClaim, event_step
-from hid2.judge.events import EventMeasures, crossing_steps, measure_event
+from hid2.judge.events import EventMeasures, ahead_on_lanes, crossing_steps, measure_event
 from hid2.occupancy.agent_states import AgentStates, agent_states
 from hid2.params import Event
 from hid2.reasons import Reason
@@ -63,11 +63,11 @@ class Objective:
         ahead = (offset * forward).sum(axis=1)
         gap_m = np.abs(ahead) - 0.5 * (track.size.length_m + target.track.size.length_m)
         bands = [(np.asarray(at * self.scene.step_s, dtype=np.float64), self._at_band_s)]
-        if event.kind != "cross":  # its gap is the target's to the conflict point
-            bands += [
-                (gap_m, event.gap_band_m),
-                (np.asarray(track.speed - target.speed[at], dtype=np.float64), event.difference_band_mps),
-            ]
+        if event.kind != "cross":
+            faster_mps = np.asarray(track.speed - target.speed[at], dtype=np.float64)
+            bands.append((faster_mps, event.difference_band_mps))
+            if event.kind != "merge":  # the gaps of these are not along the target's heading
+                bands.append((gap_m, event.gap_band_m))
         if event.kind in ("cut_in", "overtake"):
             bands.append((ahead, (0.0, math.inf)))
         if event.kind in ("lead", "follow"):
@@ -99,9 +99,7 @@ class Objective:
             return None
         found = measure_event(states, kind, own, there, at_step=at)
         if kind == "merge":
-            row = int(np.searchsorted(track.timesteps, at))
-            offset, heading = track.position[row] - target.position[at], target.heading[at]
-            order = 1 if offset @ np.array([np.cos(heading), np.sin(heading)]) > 0.0 else -1
+            order = 1 if ahead_on_lanes(states, own, there, np.array([at]))[0] > 0.0 else -1
         return Seen(at, order, found)
 
     def cost(self, seen: Seen) -> float:

@@ -125,9 +125,7 @@ class Places:
                 for route in self._over(other, (lane, *target.lanes_from(entered))):
                     begin = next((one.start for one in self._path(route).segments if one.lane_id == lane), None)
                     if begin is not None:
-                        offset = self._path(route).line.position(np.array([begin])) - target.position
-                        forward = np.stack([np.cos(target.heading), np.sin(target.heading)], axis=1)
-                        yield self._fixed(route, begin, np.abs((offset * forward).sum(axis=1)) - self.lengths_m)
+                        yield self._fixed(route, begin, np.abs(target.way - target.way[entered]) - self.lengths_m)
 
     def _crossing(self) -> Iterator[Place]:
         target, scene = self.target, self.routes.scene

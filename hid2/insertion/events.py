@@ -96,22 +96,23 @@ def scene_for(scene: Scene, event: Event) -> Scene:
 
 @dataclass(slots=True)
 class SceneEvents:
-    """Searches the events of one scene, one after the other. kept: vehicles of events that came about so far."""
+    """Searches the events of one scene, one after the other. found: what became of those so far."""
 
     here: Surroundings
     seed: Sequence[int]
-    kept: list[ExportedVehicle] = field(default_factory=list)
+    found: list[EventOutcome] = field(default_factory=list)
+
+    @property
+    def kept(self) -> list[ExportedVehicle]:
+        """Vehicles of the events that came about."""
+        return [one.vehicle for one in self.found if one.vehicle is not None]
 
     def run(self, drive: DriveAlone) -> list[EventOutcome]:
         """All events of the configuration, in order."""
-        found: list[EventOutcome] = []
         for event in self.here.scene.config.event:
             for _ in range(event.count):
-                outcome = self.search(event, len(found), drive)
-                if outcome.vehicle is not None:
-                    self.kept.append(outcome.vehicle)
-                found.append(outcome)
-        return found
+                self.found.append(self.search(event, len(self.found), drive))
+        return self.found
 
     def search(self, event: Event, number: int, drive: DriveAlone) -> EventOutcome:
         """One event; its reason where none of the tries brought it about."""
@@ -185,7 +186,8 @@ class SceneEvents:
 
     def _judged(self, objective: Objective, driven: DrivenVehicle) -> tuple[ExportedVehicle, Seen] | Reason:
         """A vehicle that is exported and brings the event about as asked, beside those kept; or why it is not."""
-        vehicle = finalise(objective.scene, driven, self.kept)
+        kept = self.kept
+        vehicle = finalise(objective.scene, driven, kept)
         if isinstance(vehicle, Reason):
             return vehicle
         seen = objective.seen(vehicle.track(driven.vehicle_id, 1))
@@ -194,8 +196,10 @@ class SceneEvents:
         if missed is not None:
             return missed
         target_id = objective.target.track.track_id
-        conflicts = conflicting(objective.scene, [*self.kept, vehicle], target_id=target_id)
-        own = next((reason for row, reason in conflicts if row >= len(self.kept)), None)
+        conflicts = conflicting(objective.scene, [*kept, vehicle], target_id=target_id)
+        own = next((reason for row, reason in conflicts if row >= len(kept)), None)
+        if own is None and any(comes_between(objective.scene, event, vehicle) for event in self.found):
+            own = Reason.BREAKS_EVENT
         return own or (vehicle, seen)
 
 

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hid2.agents import BoxSize
+from hid2.agents import FloatArray, IntArray
 from hid2.kernels.box_pairs import paths_cross
-from hid2.measures.conflicts import pair_course
+from hid2.measures.conflicts import CLOSES_MPS, pair_course
+from hid2.measures.driven_lanes import path_at
 from hid2.measures.encounters import CROSSING_RAD
 from hid2.measures.surrogates import encroachments
 from hid2.occupancy.agent_states import AgentStates
-from hid2.occupancy.gaps import gaps_from_pose
 
 #: TTC and PET above this are not told apart, s.
 CAP_S = 10.0
@@ -30,8 +30,8 @@ _BEFORE_S = 1.5
 class EventMeasures:
     """What an event was like for its target, which is recorded and does not react.
 
-    gap_m: bumper to bumper along the target's heading at the moment of the event, whichever is ahead; of a crossing
-    from the bumper to where the paths cross; speed_difference_mps: speed of the vehicle minus that of the target
+    gap_m: bumper to bumper along the lanes driven at the moment of the event, whichever is ahead; of a crossing from
+    the bumper to where the paths cross; speed_difference_mps: speed of the vehicle minus that of the target
     then; min_ttc_s: smallest two-dimensional TTC from then on for AFTER_S, of a cut-in from _BEFORE_S before, of a
     crossing of all steps, None where it is never below CAP_S; ttc_at_s: when that is; headway_s: smallest
     time headway of the target behind the vehicle in AFTER_S from the moment on, front to front, None where it is never
@@ -67,22 +67,24 @@ def measure_event(states: AgentStates, kind: str, own: int, target: int, *, at_s
     """
     arrays = states.arrays
     row, there = (_row(states, agent, at_step) for agent in (own, target))
-    forward = np.array([np.cos(arrays.heading[there]), np.sin(arrays.heading[there])])
-    box, here = BoxSize(arrays.length[target], arrays.width[target]), states.traffic.rows([own]).at(at_step)
-    seen, speed = gaps_from_pose(arrays.position[there], forward, box, here), np.hypot(*arrays.velocity.T)
-    gap_m = float(seen.gap_m[0])
+    speed, apart_m = np.hypot(*arrays.velocity.T), 0.5 * float(arrays.length[own] + arrays.length[target])
     crossed = crossing_steps(states, own, target) if kind == "cross" else None
     if crossed is not None:
         first, last = sorted(_row(states, target, step) for step in crossed)
         way_m = np.hypot(*np.diff(arrays.position[first : last + 1], axis=0).T).sum()
-        gap_m = float(way_m) - 0.5 * box.length_m
+        gap_m = float(way_m) - 0.5 * float(arrays.length[target])
     steps = round(AFTER_S / arrays.step_s)
     until_step, later = at_step + steps, speed[row : min(row + steps + 1, states.row_span(own).stop)]
     whole = pair_course(arrays, target, own, cap_s=CAP_S)
     since_step = at_step - round(_BEFORE_S / arrays.step_s) if kind == "cut_in" else at_step
     course = whole if kind == "cross" else whole.during(since_step, until_step)
     later_on = course.during(at_step, until_step)
-    headway_s = float(later_on.headway_s[later_on.gap_m >= 0.0].min(initial=math.inf))
+    ahead_m = ahead_on_lanes(states, own, target, later_on.step)
+    if crossed is None:
+        gap_m = abs(float(ahead_m[0])) - apart_m
+    speed_mps, fronts_m = speed[later_on.rows], ahead_m + float(arrays.length[own]) - apart_m
+    follows = (ahead_m >= apart_m) & (speed_mps > CLOSES_MPS)
+    headway_s = float((fronts_m[follows] / speed_mps[follows]).min(initial=math.inf))
     least = int(course.ttc_s.argmin()) if np.isfinite(course.ttc_s).any() else None
     return EventMeasures(
         gap_m=gap_m,
@@ -94,6 +96,23 @@ def measure_event(states: AgentStates, kind: str, own: int, target: int, *, at_s
         drac_mps2=float(course.drac_mps2.max(initial=0.0)),
         brakes_mps2=float(np.max(-np.gradient(later, arrays.step_s), initial=0.0)) if later.size > 1 else 0.0,
     )
+
+
+def ahead_on_lanes(states: AgentStates, own: int, target: int, steps: IntArray) -> FloatArray:
+    """How far (K,) m a vehicle's centre is ahead of its target's, along the lanes of the one behind at the first step.
+
+    Off every lane, along the target's heading at each step.
+    """
+    arrays = states.arrays
+    rows = arrays.row_of[[target, own]][:, steps]
+    for behind, order in ((target, 1), (own, -1)):
+        path = path_at(states, behind, int(rows[::order][0, 0]))
+        if path is not None:
+            its, others = (path.frenet(arrays.position[one])[0] for one in rows[::order])
+            if others[0] > its[0]:
+                return np.asarray(order * (others - its))
+    heading, offset = arrays.heading[rows[0]], arrays.position[rows[1]] - arrays.position[rows[0]]
+    return np.asarray(offset[:, 0] * np.cos(heading) + offset[:, 1] * np.sin(heading))
 
 
 def post_encroachment_of(states: AgentStates, own: int, target: int) -> float | None:

@@ -19,7 +19,7 @@ CONFLICT_TTC_S, CONFLICT_PET_S = 1.5, 5.0
 #: Angles between the two headings above this are crossing conflicts, below REAR_END_DEG rear-end (SSAM's, deg).
 CROSSING_DEG = 80.0
 #: Slower than this no gap closes, m/s, and no follower has a headway. No tunable, against rounding.
-_CLOSES_MPS = 0.05
+CLOSES_MPS = 0.05
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -69,9 +69,9 @@ def pair_course(arrays: SceneArrays, follower: int, other: int, *, cap_s: float 
     ahead_m = np.sum((pair.position[its] - pair.position[own]) * forward, axis=1)
     closing = np.sum((pair.velocity[own] - pair.velocity[its]) * forward, axis=1)
     speed = np.sum(pair.velocity[own] * forward, axis=1)
-    drac = np.where(known & (closing > _CLOSES_MPS), closing / (2.0 * np.maximum(ttc_s, arrays.step_s)), 0.0)
+    drac = np.where(known & (closing > CLOSES_MPS), closing / (2.0 * np.maximum(ttc_s, arrays.step_s)), 0.0)
     gap_m = ahead_m - 0.5 * (pair.length[0] + pair.length[1])
-    closes = (closing > _CLOSES_MPS) & (gap_m > 0.0)
+    closes = (closing > CLOSES_MPS) & (gap_m > 0.0)
     room_m = np.where(closes, np.maximum(gap_m, closing * arrays.step_s), 1.0)
     front_m = ahead_m + 0.5 * (pair.length[1] - pair.length[0])
     slows = -differences(np.hypot(*pair.velocity[own].T), arrays.step_s)
@@ -79,7 +79,7 @@ def pair_course(arrays: SceneArrays, follower: int, other: int, *, cap_s: float 
         step=steps, rows=arrays.row_of[follower, steps], other=arrays.row_of[other, steps],
         ttc_s=np.where(known, ttc_s, np.inf), gap_m=gap_m, drac_mps2=drac,
         follower_drac_mps2=np.where(closes, closing**2 / (2.0 * room_m), 0.0), brakes_mps2=np.maximum(slows, 0.0),
-        headway_s=np.where(speed > _CLOSES_MPS, front_m / np.maximum(speed, _CLOSES_MPS), np.inf),
+        headway_s=np.where(speed > CLOSES_MPS, front_m / np.maximum(speed, CLOSES_MPS), np.inf),
     )  # fmt: skip
 
 

@@ -95,3 +95,15 @@ def test_what_the_tries_failed_by_is_told_for_each_event(data_root: Path) -> Non
     assert (first.status, first.tries) == ("not_feasible", 0)
     assert first.reason == f"event_not_foreseen:{next(iter(first.tried))}"
     assert (second.reason, second.tried) == ("event_no_target", {})
+
+
+def test_no_vehicle_of_an_event_comes_between_those_of_one_before(data_root: Path) -> None:
+    """One leads by 23 m at 6 s; another would lead by 5 m at 3 s, and still be between the two at 6 s."""
+    folder = next(one for one in find_scenarios(data_root) if one.name.startswith(ARTERIAL))
+    asked = (
+        Event(kind="lead", target="av", at_s=(6.0, 6.0), gap_m=(15.0, 30.0)),
+        Event(kind="lead", target="av", at_s=(3.0, 3.0), gap_m=(4.0, 10.0)),
+    )
+    scene = generate(prepare(read_scene(folder), Config()), Config(request=Request(agents=0), event=asked))
+    assert [one.status for one in scene.sidecar.events] == ["done", "not_feasible"]
+    assert scene.judge().empty

@@ -1,6 +1,7 @@
 """Places of events: on which routes, and where on them a vehicle has to be at which step."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -68,6 +69,25 @@ def test_ways_meet_where_the_common_lane_begins(lane: Callable[..., LaneSegment]
     assert np.unique(place.along[np.isfinite(place.along)]).tolist() == [begin]
     nearer = _places(graph, recorded(60.0, 0.0, 10.0), kind="merge", at_s=(2.0, 2.0), gap_m=(0.0, 10.0))
     assert nearer == []
+
+
+def test_target_comes_to_where_ways_meet_by_its_own_way(lane: Callable[..., LaneSegment]) -> None:
+    """It comes from the north at 10 m/s, turns left at x = 80 m and is 20 m later where lane 2 from the west ends, too.
+
+    At 2 s it has 10 m to its turn: 30 m to go, 10 m of them along its heading.
+    """
+    lanes = [
+        lane(1, [(80.0, 100.0), (80.0, 0.0), (100.0, 0.0)], successors=(3,)),
+        lane(2, [(0.0, -9.0), (100.0, 0.0)], successors=(3,)), lane(3, [(100.0, 0.0), (300.0, 0.0)]),
+    ]  # fmt: skip
+    way = np.arange(110) - 30.0
+    xy = np.column_stack([80.0 + np.maximum(way, 0.0), np.maximum(-way, 0.0)])
+    turns = replace(recorded(60.0, 0.0, 10.0), position=xy, heading=np.where(way < 0.0, -np.pi / 2, 0.0))
+    graph = LaneGraph({one.lane_id: one for one in lanes})
+    (place,) = _places(graph, turns, kind="merge", at_s=(2.0, 2.0), gap_m=(15.0, 35.0))
+    assert place.offer.route == (2, 3)
+    assert np.isfinite(place.along[20])
+    assert _places(graph, turns, kind="merge", at_s=(2.0, 2.0), gap_m=(0.0, 15.0)) == []
 
 
 def test_a_path_is_crossed_apart_from_the_target_by_the_critical_pet(lane: Callable[..., LaneSegment]) -> None:

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_drawn import draw_road
+from hand_drawn import draw_lane, draw_road
 
 from hid2.agents import BoxSize, Track
 from hid2.judge.events import crossing_steps, measure_event, post_encroachment_of
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.occupancy.agent_states import AgentStates, agent_states
+from netconvert.lane_graph import LaneGraph
 
 CAR = BoxSize(4.0, 2.0)
 
@@ -72,6 +73,32 @@ def test_cut_in_counts_since_the_vehicle_is_half_way_over() -> None:
     assert measure_event(states, "lead", 0, 1, at_step=40).min_ttc_s is None
     found = measure_event(states, "cut_in", 0, 1, at_step=40)
     assert (found.min_ttc_s, found.ttc_at_s) == (pytest.approx(1.1), pytest.approx(2.9))
+
+
+def test_gap_of_a_merge_is_along_the_lanes_that_both_come_by() -> None:
+    """Lanes 1 from the north and 2 from the west lead to 3. At step 30 one is 10 m past that, its target 15 m before.
+
+    Centres are 25 m apart along the lanes, of which 15 m are along the target's heading; its time headway at 5 m/s is
+    5 s. With the parts changed the vehicle is behind.
+    """
+    each = [
+        draw_lane(1, [(0.0, 60.0), (0.0, 0.0)], successors=(3,)),
+        draw_lane(2, [(-60.0, 0.0), (0.0, 0.0)], successors=(3,)),
+        draw_lane(3, [(0.0, 0.0), (200.0, 0.0)]),
+    ]
+    lanes = flatten_lanes(LaneGraph({one.lane_id: one for one in each}))
+    tracks = _drive(-20.0, 0.0, 10.0), _drive(0.0, 30.0, 5.0, heading=-np.pi / 2)
+    states = agent_states(tracks, lanes, num_steps=80, step_s=0.1)
+    found = measure_event(states, "merge", 0, 1, at_step=30)
+    assert (found.gap_m, found.headway_s) == (pytest.approx(21.0), pytest.approx(5.0))
+    behind = measure_event(states, "merge", 1, 0, at_step=30)
+    assert (behind.gap_m, behind.headway_s) == (pytest.approx(21.0), None)
+
+
+def test_gap_off_every_lane_is_along_the_heading_of_the_target() -> None:
+    """20 m ahead and 5 m aside, 50 m from the road."""
+    found = measure_event(pair(_drive(20.0, 55.0, 8.0), _drive(0.0, 50.0, 8.0)), "lead", 0, 1, at_step=0)
+    assert found.gap_m == pytest.approx(16.0)
 
 
 def test_gap_of_a_crossing_is_from_the_bumper_to_where_the_paths_cross() -> None:
