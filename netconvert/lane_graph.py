@@ -142,10 +142,11 @@ class LaneGraph:
         onward = [n for n in self.successors(lane_id) if any_type or self.lanes[n].lane_type in MOTOR_TYPES]
         return min(onward, key=lambda n: (self.turned_rad(lane_id, n), n), default=None)
 
-    def turned_rad(self, lane_id: int, successor: int) -> float:
-        """How far the chord of a successor turns from the end of a lane, rad, at least 0."""
-        (x0, y0), (x1, y1) = self.lanes[lane_id].centerline[-2:].tolist()
-        x, y = _direction(self.lanes[successor])
+    def turned_rad(self, lane_id: int, other: int) -> float:
+        """How far a successor's chord turns from a lane's end, or a predecessor's from its start; rad, at least 0."""
+        end = slice(-2, None) if other in self.successors(lane_id) else slice(2)
+        (x0, y0), (x1, y1) = self.lanes[lane_id].centerline[end].tolist()
+        x, y = _direction(self.lanes[other])
         return abs(math.remainder(math.atan2(y, x) - math.atan2(y1 - y0, x1 - x0), math.tau))
 
     def neighbor(self, lane_id: int, side: Side) -> int | None:

@@ -14,7 +14,7 @@ from hid2.agents import FloatArray
 from hid2.evaluation.kinematics import motion
 from hid2.measures.arrays import stack
 from hid2.measures.driven_lanes import LaneView, first_lane_offset
-from hid2.measures.lane_matching import FlatLanes, Matches, flatten_lanes, match_lanes
+from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
 from hid2.params import Limits
 from hid2.policy.behaviours import behaviour_seen
@@ -39,10 +39,8 @@ def agent_figure(scenario: Recording, agent_id: str) -> Figure:
     track = figures.find_track(scenario, agent_id)
     arrays = stack([track], step_s=scenario.step_s)
     lanes = flatten_lanes(scenario.graph)
-    matches = match_lanes(arrays, lanes)
-    view = LaneView(arrays, lanes, matches)
-    seen = detect(view)
-    moments, note = _moments(scenario, agent_id, seen)
+    view = LaneView(arrays, lanes, match_lanes(arrays, lanes))
+    moments, note = _moments(scenario, agent_id, detect(view))
     time = np.asarray(track.timesteps * scenario.step_s, dtype=np.float64)
     figures.style()
     figure = figures.ShownFigure(figsize=(9.5, 11.5), layout="constrained")
@@ -59,7 +57,7 @@ def agent_figure(scenario: Recording, agent_id: str) -> Figure:
     _derivative(axes[3], time, jerk, limits=(-most, most), one_sided=3)
     axes[3].set_ylabel("jerk, m/s³")
     _offset(axes[4], time, view)
-    _cells(axes[5], time, scenario, lanes, matches)
+    _cells(axes[5], time, scenario, view)
     for ax in axes[1:]:
         ax.set_xlim(time[0] - 0.1, time[-1] + 0.1)
         ax.grid(visible=True, color=figures.LIGHT_GREY, linewidth=0.5)
@@ -159,19 +157,19 @@ def _offset(ax: Axes, time: FloatArray, view: LaneView) -> None:
     ax.set_ylim(low, high + 0.25 * (high - low))
 
 
-def _cells(ax: Axes, time: FloatArray, scenario: Recording, lanes: FlatLanes, matches: Matches) -> None:
+def _cells(ax: Axes, time: FloatArray, scenario: Recording, view: LaneView) -> None:
     """Cell index within its lane, in another colour where the lane changes."""
     grid = build_cell_grid(scenario.graph)
     ax.set_prop_cycle(
         color=[figures.BLUE, figures.VERMILION, figures.GREEN, figures.PURPLE, figures.SKY, figures.ORANGE]
     )
-    borders = np.flatnonzero(np.diff(matches.lane)) + 1
+    borders = np.flatnonzero(np.diff(view.matches.lane)) + 1
     for rows in np.split(np.arange(len(time)), borders):
-        lane = int(matches.lane[rows[0]])
+        lane = int(view.matches.lane[rows[0]])
         if lane < 0:
             continue
-        lane_id = int(lanes.lane_ids[lane])
-        index = [grid.cell_at(lane_id, float(s)).index for s in matches.s[rows]]
+        lane_id = int(view.lanes.lane_ids[lane])
+        index = [grid.cell_at(lane_id, float(s)).index for s in view.matches.s[rows]]
         # up to the next lane: one that is crossed in a single step shows too
         after = time[rows[-1] + 1] if rows[-1] + 1 < len(time) else time[rows[-1]]
         ax.step([*time[rows], after], [*index, index[-1]], where="post", label=str(lane_id))

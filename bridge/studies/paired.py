@@ -240,8 +240,7 @@ def _measured(
         for missed in drawn.unmet if missed.request.policy is not Policy.STRAIGHT
     ]  # fmt: skip
     since_s = scene.config.flow.counted_from_s
-    led = leaders(states)
-    changes = lane_changes(states, led, detect(states))
+    changes = lane_changes(states, leaders(states), detect(states))
     return PairedRun(
         rows, _detectors(scene, driving, states), _told(changes, since_s), _told(met, since_s), tuple(vehicles), states
     )

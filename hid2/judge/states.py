@@ -244,10 +244,9 @@ def of_end(states: AgentStates, agent: int, others: IntArray, bounds: Bounds) ->
     here, at = states.traffic.at(last).rows(agents.tolist()), states.arrays.row_of[agents, last]
     stated = np.where((at >= 0)[:, None], states.arrays.velocity[at], here.velocity[:, 0])
     here = replace(here, velocity=stated[:, None])
+    least_s = bounds.conflict.end_ttc_min_s + bounds.spare_end_s
     for quantity, other, ttc_s in contacts_at_end(here, bounds, step_s=states.arrays.step_s):
-        limit = (
-            END_HORIZON_S if quantity is Quantity.END_CONTACT else bounds.conflict.end_ttc_min_s + bounds.spare_end_s
-        )
+        limit = END_HORIZON_S if quantity is Quantity.END_CONTACT else least_s
         yield _finding(states, (agent, int(agents[other])), last, quantity, ttc_s, limit)
 
 
@@ -281,9 +280,8 @@ def _meets_braking(here: Traffic, step_s: float) -> bool:
     time_s = step_s * np.arange(1, round(END_HORIZON_S / step_s) + 1)
     speed = math.hypot(*here.velocity[0, 0])
     braking_s = np.minimum(np.maximum(time_s - _END_REACTION_S, 0.0), speed / _END_DECEL_MPS2)
-    rolling_s = (
-        np.minimum(time_s, _END_REACTION_S) + braking_s - 0.5 * _END_DECEL_MPS2 * braking_s**2 / max(speed, 1e-9)
-    )
+    lost_s = 0.5 * _END_DECEL_MPS2 * braking_s**2 / max(speed, 1e-9)
+    rolling_s = np.minimum(time_s, _END_REACTION_S) + braking_s - lost_s
     own = here.position[0] + rolling_s[:, None] * here.velocity[0]
     others = here.position[1:] + time_s[:, None] * here.velocity[1:]
     headings = np.repeat(here.heading, time_s.size, axis=1)

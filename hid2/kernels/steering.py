@@ -96,11 +96,10 @@ def speed_limits(
     """The lowest limits on the speeds of rows (M,) of fleet (N, 5) for the step after t, and what else is found.
 
     As in `needed_braking`: fleet, low .. closed, brakes, and horizon, which is 0 where conflicts and stop lines do not
-    count. desired_mps (N, T); drivers (N, 4); yielding (N,): whether a vehicle brakes
-    for a conflict by now. What is on a vehicle's way is from first[m] to first[m + 1] (M + 1, 6) of: road, m/s every
-    TABLE_STEP_M; lanes (where they end, m, and their policies, of which STRAIGHT is no turn); low ..; stop lines with
-    their causes; others, rows of the fleet; and what they sweep, raveled (3, G, K) of each vehicle.
-    Returns, each (M,): limits m/s, inf where a vehicle
+    count. desired_mps (N, T); drivers (N, 4); yielding (N,): whether a vehicle brakes for a conflict by now. What is on
+    a vehicle's way is from first[m] to first[m + 1] (M + 1, 6) of: road, m/s every TABLE_STEP_M; lanes (where they end,
+    m, and their policies, of which STRAIGHT is no turn); low ..; stop lines with their causes; others, rows of the
+    fleet; and what they sweep, raveled (3, G, K) of each vehicle. Returns, each (M,): limits m/s, inf where a vehicle
     desires to go no faster anyway; numbers of their causes; policies of the lanes; rows of leaders for which a vehicle
     waits, -1 for none; whether it yields; and whether usual braking is not enough.
     """

@@ -255,21 +255,15 @@ def is_drivable(graph: LaneGraph, lane_id: int) -> bool:
 
 
 def straightest_first(graph: LaneGraph, lane_id: int, onward: Iterable[int], preferred: Container[int] = ()) -> Route:
-    """Lanes to go on along from a lane, or to come from: those preferred, then those that turn least."""
-    after = graph.successors(lane_id)
-
-    def turned_rad(other: int) -> float:
-        return graph.turned_rad(lane_id, other) if other in after else graph.turned_rad(other, lane_id)
-
-    return tuple(sorted(onward, key=lambda n: (n not in preferred, turned_rad(n), n)))
+    """Lanes that follow a lane, or come before it: those preferred, then those that turn least."""
+    return tuple(sorted(onward, key=lambda n: (n not in preferred, graph.turned_rad(lane_id, n), n)))
 
 
 def routes_from(graph: LaneGraph, lane_id: int, *, choose: Callable[[int, Route], Route], most: int) -> Iterator[Route]:
     """Routes of drivable lanes to where the map ends, at most `most`, depth first.
 
-    choose: orders the lanes onward from the lane before a split.
-
-    A route stops growing beyond ROUTE_LONGEST_M; cycles are not entered twice.
+    choose: orders the lanes onward from the lane before a split. A route stops growing beyond ROUTE_LONGEST_M; cycles
+    are not entered twice.
     """
     found = 0
     stack: list[tuple[Route, float]] = [((lane_id,), 0.0)]

@@ -71,8 +71,8 @@ MUTANTS = {
         (f"{UNIT}/policy/test_decision.py",),
     ),
     "end of the scene: half the time is enough": Mutant(
-        "hid2/judge/states.py", "contact.ttc_s < bounds.conflict.end_ttc_min_s + bounds.spare_end_s",
-        "contact.ttc_s < 0.5 * bounds.conflict.end_ttc_min_s", (f"{UNIT}/judge/test_states.py",),
+        "hid2/judge/states.py", "ttc_s < bounds.conflict.end_ttc_min_s + bounds.spare_end_s:",
+        "ttc_s < 0.5 * bounds.conflict.end_ttc_min_s:", (f"{UNIT}/judge/test_states.py",),
     ),
     "critical TTC: four fifths are enough": Mutant(
         "hid2/judge/states.py", "ttc_s, critical_s = led.ttc_s, bounds.conflict.ttc_min_s",

@@ -103,6 +103,7 @@ FOCAL, SCORED = "310100", "310107"
         (_again, "duplicate"),
         (_track(SCORED, "object_category", 3), "focal"),
         (_without(FOCAL, *range(100, 110)), "recorded"),
+        (_without(SCORED, 49), "recorded"),
         (lambda rows: _without("gen_1", 49)(_track("gen_1", "object_category", 2)(rows)), "scored"),
         (lambda rows: rows.assign(city=""), "city"),
         (lambda rows: rows.assign(city="atlantis"), "recorded"),

@@ -116,6 +116,20 @@ def test_straightest_lane_at_a_split_is_the_one_that_turns_least_either_way(lane
     assert LanePaths(made, Limits()).route_beside((1,), 4) == (1, 3, 4)
 
 
+def test_lane_before_that_goes_straight_on_comes_before_one_that_turns_onto_it(
+    lane: Callable[..., LaneSegment],
+) -> None:
+    """Lane 1 turns left by 90 degrees and ends along x, as lane 3 begins; lane 2 comes by 1.4 degrees aside."""
+    angle = np.linspace(0.0, np.pi / 2, 60)
+    made = LaneGraph({
+        1: lane(1, np.array([40.0, 20.0]) - 20.0 * np.column_stack([np.cos(angle), np.sin(angle)]), successors=(3,)),
+        2: lane(2, [(0.0, -1.0), (40.0, 0.0)], successors=(3,)),
+        3: lane(3, [(40.0, 0.0), (80.0, 0.0)]),
+    })  # fmt: skip
+    assert straightest_first(made, 3, (1, 2)) == (2, 1)
+    assert LanePaths(made, Limits()).route_beside((1,), 3) == (2, 3)
+
+
 def test_route_never_ends_before_a_lane_that_may_not_be_used(forked: LaneGraph) -> None:
     """Lane 2 leads only onto the bus lane: a route that stopped there would stop in the middle of the road."""
     found = routes_from(forked, 1, choose=lambda _, onward: onward, most=9)
