@@ -240,7 +240,7 @@ def paper(  # noqa: PLR0913  # one for each option
     theirs = {"--variants": variants, "--val": val, "--updates": updates, "--composed": composed}
     others = {"--map": windows.map_path, "--stride": windows.stride}
     _check_fits(experiment, {**theirs, "--predictions": predictions}, others)
-    check_scenes([*scenes, *([composed] if composed else [])])
+    check_scenes([composed] if composed else scenes)
     check_out(out)
     if experiment == "prediction":
         from bridge.forecasting.experiment import TrainingPlan, run_prediction

@@ -34,6 +34,7 @@ from bridge.forecasting.predictions import Difference, baseline, read_forecasts,
 from bridge.pages.parts import macros
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_rows, read_scenario
+from bridge.recordings.sidecar import sidecar_in
 from bridge.recordings.sources import find_recordings, read_recording
 from bridge.toml import model_of
 from hid2.params import Forecasting
@@ -99,6 +100,27 @@ def test_forecasts_from_elsewhere_make_both_tables(composed, brought, tmp_path):
     text = page.read_text()
     for words in ("nothing about the claim", "1.573", "1.219", "0.023"):
         assert words in text
+
+
+def test_seeds_of_an_earlier_call_stay_aside(composed, brought, tmp_path, monkeypatch):
+    """Two seeds were trained; asked for one, of other updates perhaps, the tables are of one."""
+    shutil.copytree(brought, tmp_path / "out" / "models")
+    monkeypatch.setattr(experiment, "check_forecaster", lambda: None)
+    monkeypatch.setattr(experiment, "_train", lambda *_, **__: None)
+    run_prediction([], tmp_path / "out", TrainingPlan(seeds=1), composed=composed)
+    assert json.loads((tmp_path / "out" / "prediction.json").read_text())["seeds"] == dict.fromkeys(SETS, 1)
+
+
+def test_scenes_of_an_earlier_request_stay_aside(data_root, tmp_path):
+    """First two vehicles a scene, then one, and another share for validation: none has two."""
+
+    def generated(agents, val):
+        plan = TrainingPlan(agents=agents, reading="recorded", params=Forecasting(variants=1, val_share=val))
+        return experiment._composed([data_root], tmp_path, plan, jobs=1, tell=lambda *_: None)
+
+    for agents, val in ((2, 0.4), (1, 0.5)):
+        found = find_scenarios(generated(agents, val) / "hid2-only" / "train")
+        assert {len(sidecar_in(folder, folder.name).agents) for folder in found} == {agents}
 
 
 def test_what_is_missing_is_named(composed, brought, tmp_path):
