@@ -10,7 +10,7 @@ from bridge.cli.places import check_out, check_scenes, tell_unread
 from bridge.console import Activity, counted, print_json, say
 from bridge.files import data_folder
 from bridge.interruption import if_interrupted
-from netconvert.errors import ConfigError
+from netconvert.errors import ConfigError, ScenarioError
 
 
 @options.command(reads=("out", "source", "control"), folders=("report",))
@@ -240,7 +240,7 @@ def paper(  # noqa: PLR0913  # one for each option
     theirs = {"--variants": variants, "--val": val, "--updates": updates, "--composed": composed}
     others = {"--map": windows.map_path, "--stride": windows.stride}
     _check_fits(experiment, {**theirs, "--predictions": predictions}, others)
-    check_scenes([*scenes, *([composed] if composed else [])])
+    check_scenes([composed] if composed else scenes)
     check_out(out)
     if experiment == "prediction":
         from bridge.forecasting.experiment import TrainingPlan, run_prediction
@@ -395,6 +395,8 @@ def forecast(
         targets.append(found)
         for line in left_out:
             say(f"warning: not used: {line}")
+    if not any(target.focal for target in targets[1]):
+        raise ScenarioError(f"{place}: no focal track to forecast")
     activity.doing("training")
     if_interrupted("continue with --resume")
     model = network.train(

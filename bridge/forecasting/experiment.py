@@ -7,6 +7,7 @@ are scored and compared in pairs. Forecasts from elsewhere on a composed root ta
 
 import shutil
 import sys
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import import_module
 from importlib.util import find_spec
@@ -97,11 +98,13 @@ def run_prediction(
     lacking = [name for name in (RECORDED, HID2) if not (composed / VALIDATION / name / "val").is_dir()]
     if lacking:
         raise ConfigError(f"{composed}: no {VALIDATION}/{lacking[0]}/val, expected a root that `hid2 compose` made")
+    brought = predictions is not None
     if predictions is None:
         predictions = out / "models"
         _train(composed, predictions, plan, jobs=jobs, tell=tell)
-    runs = _scores(composed, predictions, jobs=jobs, tell=tell)
-    return _write(runs, composed, out, plan, brought=predictions != out / "models")
+    seeds = None if brought else range(plan.seeds)  # those of an earlier call with more stay aside
+    runs = _scores(composed, predictions, seeds, jobs=jobs, tell=tell)
+    return _write(runs, composed, out, plan, brought=brought)
 
 
 # From recorded scenes to data sets
@@ -119,8 +122,11 @@ def _composed(scenes: Sequence[Path], out: Path, plan: TrainingPlan, *, jobs: in
         made[name] = progress.done
         tell(f"generating {name}", progress.finished, progress.total)
 
+    # what another request made, or of other folders, lies elsewhere: a source is all that its folder holds
+    asked = *map(str, scenes), plan.agents, plan.reading, plan.params.variants
+    generated = out / "generated" / f"{zlib.crc32(repr(asked).encode()):08x}"
     for name, without in (("hid2", frozenset[str]()), ("no-interaction", frozenset({"collision"}))):
-        places[name] = out / "generated" / name
+        places[name] = generated / name
         work = [SceneJob(folder, _runs(plan, without)) for folder in folders]
         tell(f"generating {name}", 0, sum(len(job.runs) for job in work))
         rows = run_batch(work, places[name], Options(jobs=jobs, resume=True, timeout_s=600), on_row=count)
@@ -134,9 +140,9 @@ def _composed(scenes: Sequence[Path], out: Path, plan: TrainingPlan, *, jobs: in
     )
     root = out / "composed"
     text = composition.model_dump_json(indent=1) + "\n"
-    same = (root / COMPOSITION).is_file() and (root / COMPOSITION).read_text(encoding="utf-8") == text
-    if not same or any(made.values()):
-        if same:  # of scenes that have been made anew since
+    there = (root / COMPOSITION).is_file()
+    if not there or any(made.values()) or (root / COMPOSITION).read_text(encoding="utf-8") != text:
+        if there:  # of another composition, or of scenes that have been made anew since
             shutil.rmtree(root)
         compose(composition, root, jobs=jobs, on_scene=tell)
     return root
@@ -216,9 +222,9 @@ def train_and_forecast(shared: tuple[Path, Mapping[str, Path], Path, int], seeds
 # From forecasts to tables
 
 
-def _scores(composed: Path, predictions: Path, *, jobs: int, tell: Progress) -> _Scores:
+def _scores(composed: Path, predictions: Path, seeds: Sequence[int] | None, *, jobs: int, tell: Progress) -> _Scores:
     """Scores by validation set and training set, a table for each seed. Errors: ConfigError for a missing file."""
-    files = {(on, name): _files(predictions / name, f"{on}.parquet") for name in SETS for on in (RECORDED, HID2)}
+    files = {(on, name): _files(predictions / name, f"{on}.parquet", seeds) for name in SETS for on in (RECORDED, HID2)}
     runs: _Scores = {RECORDED: {}, HID2: {}}
     done, total = 0, sum(map(len, files.values()))
     for (on, name), found in files.items():
@@ -235,9 +241,10 @@ def _scores(composed: Path, predictions: Path, *, jobs: int, tell: Progress) -> 
     return runs
 
 
-def _files(folder: Path, name: str) -> list[Path]:
+def _files(folder: Path, name: str, seeds: Sequence[int] | None) -> list[Path]:
     """The forecasts of a training set on a validation set, one file a seed. Errors: ConfigError for a missing one."""
-    found = [seed / name for seed in sorted(folder.glob("*")) if seed.is_dir()]
+    runs = sorted(folder.glob("*")) if seeds is None else [folder / str(seed) for seed in seeds]
+    found = [seed / name for seed in runs if seed.is_dir()]
     missing = next((path for path in found or [folder / "0" / name] if not path.is_file()), None)
     if missing is not None:
         raise ConfigError(f"{missing}: no such file; expected DIR/SET/SEED/VALIDATION.parquet of every set and seed")

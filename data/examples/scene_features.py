@@ -4,6 +4,7 @@ The frame of a target has its last observed position as origin and its heading t
 of category 2 and 3 (scored and focal) that are present at the observation's end; those of training have a whole future.
 """
 
+import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -74,6 +75,15 @@ def features_of(
         if on_scene is not None:
             on_scene(done, len(folders))
     return found, left_out
+
+
+def checksum(targets: Sequence[ForecastTarget]) -> int:
+    """Of all that is learned from: another one where a track, its surroundings or its future differ."""
+    found = 0
+    for one in targets:
+        for part in (f"{one.scenario_id} {one.track_id}".encode(), *(array.tobytes() for array in one.seen)):
+            found = zlib.crc32(part, found)
+    return found
 
 
 def targets_of(scenario: Scenario) -> list[ForecastTarget]:

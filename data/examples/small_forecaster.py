@@ -12,7 +12,6 @@ bits may differ.
 """
 
 import os
-import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from scene_features import (  # beside this file
     LANE_KINDS,
     ForecastTarget,
     TargetView,
+    checksum,
 )
 from torch import nn
 
@@ -111,21 +111,18 @@ def train(
     model = VectorNet().to(_device())
     optimiser = torch.optim.AdamW(model.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, updates)
-    digest = zlib.crc32(
-        b"".join(f"{one.scenario_id} {one.track_id}".encode() + one.seen.agents.tobytes() for one in data)
-    )
-    identity, parts = {"seed": seed, "updates": updates, "targets": digest}, (model, optimiser, schedule)
+    identity, parts = {"seed": seed, "updates": updates, "targets": checksum(data)}, (model, optimiser, schedule)
     done = 0
     if resume and checkpoint.is_file():
         try:
             of, states, done = torch.load(checkpoint, map_location=_device(), weights_only=True)
             differs = [name for name, value in identity.items() if of[name] != value]
-        except Exception as error:  # torch raises whatever its unpickler meets
+            for part, state in zip(parts, states, strict=True):
+                part.load_state_dict(state)
+        except Exception as error:  # torch raises whatever its unpickler meets, or another network's sizes
             raise ConfigError(f"{checkpoint}: no checkpoint of hid2 ({error!r:.100}); remove it") from error
         if differs:
             raise ConfigError(f"{checkpoint}: of another training ({', '.join(differs)} differ); choose another folder")
-        for part, state in zip(parts, states, strict=True):
-            part.load_state_dict(state)
     everything = _batch(data)
     per_epoch = -(-len(data) // BATCH)
     model.train()

@@ -1,6 +1,6 @@
 """What inserted vehicles without and with `export.noise` teach the small forecaster, on recorded tracks. A script:
 
-python tests/benchmarks/forecaster_figures.py --variants 6 --updates 300 --seeds 0 1 2 3 4 [ROOT ...]    # needs torch
+python tests/benchmarks/forecaster_figures.py [ROOT ...] --variants 6 --updates 300 --seeds 0 1 2 3 4    # needs torch
 
 Trained on recorded scenes alone; with as many variants of each in which inserted tracks are scored ones and have no
 noise; the same with a tracker's. Each forecasts the scored and focal tracks of the recorded scenes of a part that it

@@ -1,6 +1,6 @@
 """How well a critic tells inserted tracks by the noise of their columns, without and with `export.noise`. A script:
 
-python tests/benchmarks/noise_figures.py --seeds 0 1 2 [--labelled] [ROOT ...]
+python tests/benchmarks/noise_figures.py [ROOT ...] --seeds 0 1 2 [--labelled]
 
 Windows of 4 s of moving vehicles; a critic (gradient-boosted trees) judges a scene that it was not trained on. It sees
 what smooth motion leaves over: of headings and velocities, of positions, or of all. Inserted and recorded windows weigh

@@ -92,6 +92,7 @@ PATHS = [
     ("evaluate nowhere -o out --predictions constant-velocity", "nowhere", "no such folder", "scenario"),
     ("evaluate s/curve -o out --predictions no.parquet", r"no\.parquet", "no such file", "forecast file"),
     ("paper table1 --scenes nowhere -o out", "nowhere", "no such folder", "scenario"),
+    ("paper prediction --composed none -o out", "none", "no such folder", "scenario"),
     ("render av2 -o a.png", "av2", "several scenes", "one of them, such as av2/"),
     ("net av2 -o out", "av2", "several scenes", "one of them, such as av2/"),
     ("gui av2", "av2", "several scenes", "one of them, such as av2/"),

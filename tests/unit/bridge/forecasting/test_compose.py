@@ -221,6 +221,21 @@ def test_splits_by_folder_keep_the_official_ones(data_root, tmp_path):
     assert ids(root / "val") == ids(data_root / "val")
 
 
+def test_splits_by_folder_share_ground(data_root, tmp_path):
+    """A second recording of the validation scene's place in train stays there: the official split has such."""
+    root = tmp_path / "official"
+    shutil.copytree(data_root, root)
+    (held_out,) = find_scenarios(root / "val")
+    target = root / "train" / "11111111-1111-5111-8111-111111111111"
+    target.mkdir()
+    table = read_scenario(held_out).table.to_pandas().drop(columns="slice_id").assign(scenario_id=target.name)
+    table.to_parquet(target / f"scenario_{target.name}.parquet")
+    shutil.copy(next(held_out.glob("log_map*")), target / f"log_map_archive_{target.name}.json")
+    every = {"all": {"take": {"data": "all"}}}
+    values = {"sources": {"data": (str(root),)}, "split": {"by": "folder"}, "sets": every, "validation": every}
+    assert ids(composed(values, tmp_path / "root").root / "train") == ids(root / "train")
+
+
 def fact(name, *, source=None, city="miami", tracks=20, cells=(1,), block=(0, 0), log=""):
     return SourceScene(
         Path(name), name, source or name, city, 110, tracks, tracks, log,

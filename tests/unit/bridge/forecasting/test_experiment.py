@@ -7,13 +7,17 @@ import runpy
 import shutil
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from recordings import make_argoverse1
 from written import write_fake
 
+from bridge.cli.measuring import forecast
+from bridge.console import Activity
 from bridge.forecasting import experiment
 from bridge.forecasting.compose import compose
 from bridge.forecasting.composition import Composition
@@ -30,6 +34,7 @@ from bridge.forecasting.predictions import Difference, baseline, read_forecasts,
 from bridge.pages.parts import macros
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_rows, read_scenario
+from bridge.recordings.sidecar import sidecar_in
 from bridge.recordings.sources import find_recordings, read_recording
 from bridge.toml import model_of
 from hid2.params import Forecasting
@@ -97,6 +102,27 @@ def test_forecasts_from_elsewhere_make_both_tables(composed, brought, tmp_path):
         assert words in text
 
 
+def test_seeds_of_an_earlier_call_stay_aside(composed, brought, tmp_path, monkeypatch):
+    """Two seeds were trained; asked for one, of other updates perhaps, the tables are of one."""
+    shutil.copytree(brought, tmp_path / "out" / "models")
+    monkeypatch.setattr(experiment, "check_forecaster", lambda: None)
+    monkeypatch.setattr(experiment, "_train", lambda *_, **__: None)
+    run_prediction([], tmp_path / "out", TrainingPlan(seeds=1), composed=composed)
+    assert json.loads((tmp_path / "out" / "prediction.json").read_text())["seeds"] == dict.fromkeys(SETS, 1)
+
+
+def test_scenes_of_an_earlier_request_stay_aside(data_root, tmp_path):
+    """First two vehicles a scene, then one, and another share for validation: none has two."""
+
+    def generated(agents, val):
+        plan = TrainingPlan(agents=agents, reading="recorded", params=Forecasting(variants=1, val_share=val))
+        return experiment._composed([data_root], tmp_path, plan, jobs=1, tell=lambda *_: None)
+
+    for agents, val in ((2, 0.4), (1, 0.5)):
+        found = find_scenarios(generated(agents, val) / "hid2-only" / "train")
+        assert {len(sidecar_in(folder, folder.name).agents) for folder in found} == {agents}
+
+
 def test_what_is_missing_is_named(composed, brought, tmp_path):
     with pytest.raises(ConfigError, match="needs --composed ROOT"):
         run_prediction([], tmp_path / "out", TrainingPlan(), predictions=brought)
@@ -142,11 +168,20 @@ def test_nothing_but_the_example_imports_torch():
     assert importing == ["data/examples/small_forecaster.py"]
 
 
-def test_forecaster_imports_names_that_the_features_have():
+@pytest.mark.parametrize("path", ["data/examples/small_forecaster.py", "tests/benchmarks/forecaster_figures.py"])
+def test_what_needs_torch_imports_names_that_are_there(path, monkeypatch):
     """Told from its text, so that it is found where torch is not installed."""
-    nodes = ast.walk(ast.parse((EXAMPLES / "small_forecaster.py").read_text(encoding="utf-8")))
-    (taken,) = [node for node in nodes if isinstance(node, ast.ImportFrom) and node.module == "scene_features"]
-    assert {alias.name for alias in taken.names} <= features.keys()
+    monkeypatch.syspath_prepend(EXAMPLES)
+    nodes = ast.walk(ast.parse((ROOT / path).read_text(encoding="utf-8")))
+    taken = [node for node in nodes if isinstance(node, ast.ImportFrom) and node.module != "torch"]
+    lacking = [
+        f"{node.module}.{alias.name}"
+        for node in taken
+        for alias in node.names
+        if not hasattr(import_module(node.module), alias.name)
+    ]
+    assert taken
+    assert lacking == []
 
 
 def test_features_are_in_the_targets_own_frame(data_scenes):
@@ -172,6 +207,28 @@ def test_lanes_of_the_features_lie_beside_the_target(data_scenes):
     across = np.abs(points[:, 1]) < 0.2
     assert across.any()
     assert points[across, 2].max() > 0.9
+
+
+@pytest.mark.parametrize("part", range(5))
+def test_checksum_tells_every_part_that_is_learned_from(data_scenes, part):
+    """A scene made anew may differ after the observation's end alone: a checkpoint of the other future is not its."""
+    targets = targets_of(read_scenario(data_scenes["arterial"]))
+    seen = list(targets[0].seen)
+    seen[part] = seen[part] + 1
+    changed = [targets[0]._replace(seen=type(targets[0].seen)(*seen)), *targets[1:]]
+    checksum = features["checksum"]
+    assert checksum(changed) != checksum(targets) == checksum(targets_of(read_scenario(data_scenes["arterial"])))
+
+
+def test_nothing_to_forecast_is_said_before_the_training(data_root, tmp_path, monkeypatch):
+    """Of folders with a map alone, as of a sensor log, no scene can be read: no file without forecasts is written."""
+    monkeypatch.setattr(experiment, "small_forecaster", lambda: (SimpleNamespace(**features), None))
+    (tmp_path / "log").mkdir()
+    shutil.copy(next(data_root.glob("val/*/log_map_archive_*.json")), tmp_path / "log")
+    with pytest.raises(ScenarioError, match="log: no focal track to forecast"):
+        forecast.function(
+            data_root, tmp_path / "out", scenes=tmp_path / "log", updates=None, activity=Activity(quiet=True)
+        )
 
 
 def test_recordings_of_other_formats_are_refused(tmp_path, monkeypatch):
@@ -233,6 +290,9 @@ def test_the_small_forecaster_is_deterministic_and_resumes(data_root, tmp_path, 
             assert np.abs(modes - another[name][1][track]).max() > 0
     with pytest.raises(ConfigError, match="of another training"):
         train(targets, tmp_path / "b.pt", updates=updates, seed=5, resume=True)
+    monkeypatch.setattr(network, "MODES", 3)
+    with pytest.raises(ConfigError, match="no checkpoint of hid2"):
+        train(targets, tmp_path / "b.pt", updates=updates, seed=1, resume=True)
 
 
 @pytest.mark.slow
