@@ -13,7 +13,7 @@ import numpy as np
 
 from hid2.judge.events import CUT_IN_S, HUMAN_BRAKES_S, crossing_steps, measure_event
 from hid2.judge.findings import CLAIM_S, FIGURE_OFF, Finding, Quantity
-from hid2.measures.driven_lanes import path_driven, runs_of
+from hid2.measures.driven_lanes import path_driven, run_at, runs_of
 from hid2.measures.lane_matching import CHANGES_LANES, GOES_ON
 from hid2.measures.manoeuvres import TURNS, Maneuver, ManeuverKind, detect
 from hid2.occupancy.agent_states import AgentStates
@@ -151,8 +151,8 @@ def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None
     for change in (one for one in manoeuvres(states, own) if one.kind is ManeuverKind.LANE_CHANGE):
         step = round(change.crossing_s / arrays.step_s)
         row, there = arrays.row_of[own, step], arrays.row_of[target, step]
-        k = next((k for k, run in enumerate(runs) if run.first <= there <= run.last), None)
-        if there < 0 or k is None or runs[k].lane < 0:
+        k = run_at(runs, int(there))
+        if k is None:
             continue
         path, lanes = path_driven(states, runs, k)
         before = max(there - round(CLAIM_S / arrays.step_s), int(arrays.first[target]))

@@ -8,7 +8,7 @@ import numpy as np
 from hid2.agents import FloatArray, IntArray
 from hid2.kernels.box_pairs import paths_cross
 from hid2.measures.conflicts import CLOSES_MPS, pair_course
-from hid2.measures.driven_lanes import path_at
+from hid2.measures.driven_lanes import path_driven, run_at, runs_of
 from hid2.measures.encounters import CROSSING_RAD
 from hid2.measures.surrogates import encroachments
 from hid2.occupancy.agent_states import AgentStates
@@ -68,11 +68,6 @@ def measure_event(states: AgentStates, kind: str, own: int, target: int, *, at_s
     arrays = states.arrays
     row, there = (_row(states, agent, at_step) for agent in (own, target))
     speed, apart_m = np.hypot(*arrays.velocity.T), 0.5 * float(arrays.length[own] + arrays.length[target])
-    crossed = crossing_steps(states, own, target) if kind == "cross" else None
-    if crossed is not None:
-        first, last = sorted(_row(states, target, step) for step in crossed)
-        way_m = np.hypot(*np.diff(arrays.position[first : last + 1], axis=0).T).sum()
-        gap_m = float(way_m) - 0.5 * float(arrays.length[target])
     steps = round(AFTER_S / arrays.step_s)
     until_step, later = at_step + steps, speed[row : min(row + steps + 1, states.row_span(own).stop)]
     whole = pair_course(arrays, target, own, cap_s=CAP_S)
@@ -80,8 +75,13 @@ def measure_event(states: AgentStates, kind: str, own: int, target: int, *, at_s
     course = whole if kind == "cross" else whole.during(since_step, until_step)
     later_on = course.during(at_step, until_step)
     ahead_m = ahead_on_lanes(states, own, target, later_on.step)
+    crossed = crossing_steps(states, own, target) if kind == "cross" else None
     if crossed is None:
         gap_m = abs(float(ahead_m[0])) - apart_m
+    else:
+        first, last = sorted(_row(states, target, step) for step in crossed)
+        way_m = np.hypot(*np.diff(arrays.position[first : last + 1], axis=0).T).sum()
+        gap_m = float(way_m) - 0.5 * float(arrays.length[target])
     speed_mps, fronts_m = speed[later_on.rows], ahead_m + float(arrays.length[own]) - apart_m
     follows = (ahead_m >= apart_m) & (speed_mps > CLOSES_MPS)
     headway_s = float((fronts_m[follows] / speed_mps[follows]).min(initial=math.inf))
@@ -106,8 +106,10 @@ def ahead_on_lanes(states: AgentStates, own: int, target: int, steps: IntArray) 
     arrays = states.arrays
     rows = arrays.row_of[[target, own]][:, steps]
     for behind, order in ((target, 1), (own, -1)):
-        path = path_at(states, behind, int(rows[::order][0, 0]))
-        if path is not None:
+        runs = runs_of(states, behind)
+        k = run_at(runs, int(rows[::order][0, 0]))
+        if k is not None:
+            path, _ = path_driven(states, runs, k)
             its, others = (path.frenet(arrays.position[one])[0] for one in rows[::order])
             if others[0] > its[0]:
                 return np.asarray(order * (others - its))

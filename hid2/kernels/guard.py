@@ -12,7 +12,7 @@ from netconvert.geometry import BoolArray, FloatArray, IntArray
 #: Steps between two looks at the predicted motion.
 STRIDE = 2
 #: Predicted braking builds up at this rate, m/s3.
-_JERK_MPS3 = 4.0
+_PREDICTED_JERK_MPS3 = 4.0
 #: An inserted vehicle that brakes is predicted to brake on so long, s.
 _BRAKING_LASTS_S = 1.0
 #: Hardest braking for an agent that appears ahead, over the driver's.
@@ -232,7 +232,7 @@ def needed_braking(
             if line >= 0:
                 a_next = min(a_next, _accel_towards_stop(stop_s[line] - s, v, accel, decel))
             if row > 0:
-                a_cmd = max(min(a_cmd, 0.0) - _JERK_MPS3 * STRIDE * step_s, -brakes[row])
+                a_cmd = max(min(a_cmd, 0.0) - _PREDICTED_JERK_MPS3 * STRIDE * step_s, -brakes[row])
                 a_next = min(a_next, a_cmd)
             dt = STRIDE * step_s
             v_next = max(0.0, v + a_next * dt)

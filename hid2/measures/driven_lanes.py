@@ -116,11 +116,9 @@ def path_driven(view: LaneView, runs: list[LaneRun], k: int) -> tuple[Polyline, 
     return _path(view, _chain_back(view, runs, k), own)
 
 
-def path_at(view: LaneView, agent: int, row: int) -> Polyline | None:
-    """The lane path of a vehicle as it has it at a row, as `path_driven`; None off every lane."""
-    runs = runs_of(view, agent)
-    k = next((k for k, run in enumerate(runs) if run.first <= row <= run.last), -1)
-    return path_driven(view, runs, k)[0] if k >= 0 and runs[k].lane >= 0 else None
+def run_at(runs: list[LaneRun], row: int) -> int | None:
+    """Which run along a lane holds a row; None off every lane."""
+    return next((k for k, run in enumerate(runs) if run.first <= row <= run.last and run.lane >= 0), None)
 
 
 def points_ahead(lanes: FlatLanes, lane: int, s: float, d: float, ahead_m: float, *, beyond_m: float) -> FloatArray:
