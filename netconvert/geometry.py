@@ -174,7 +174,8 @@ def slopes(values: FloatArray, window: int, step: float) -> FloatArray:
     """
     half = window // 2
     at = step * np.arange(-half, half + 1)
-    inner = np.lib.stride_tricks.sliding_window_view(values, window, axis=0) @ (at / (at @ at))
+    with np.errstate(invalid="ignore"):  # of damaged values: these are refused where they are read
+        inner = np.lib.stride_tricks.sliding_window_view(values, window, axis=0) @ (at / (at @ at))
     (a, b, _), (c, d, _) = (np.polyfit(at, part, 2) for part in (values[:window], values[-window:]))
     return np.concatenate(
         [2.0 * np.multiply.outer(at[:half], a) + b, inner, 2.0 * np.multiply.outer(at[-half:], c) + d]
