@@ -164,3 +164,19 @@ class Polyline:
     def _segment(self, s: FloatArray) -> npt.NDArray[np.int64]:
         """Index of the segment that holds each s, of the one ahead where two meet."""
         return np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.points) - 2)
+
+
+def slopes(values: FloatArray, window: int, step: float) -> FloatArray:
+    """Slopes (N, ...) of values a step apart: of parabolas fitted over an odd window, 3 or more.
+
+    As scipy.signal.savgol_filter(values, window, 2, deriv=1, delta=step, axis=0), but its import takes longer than a
+    scene. Within half a window of the ends they are those of the first or last parabola.
+    """
+    half = window // 2
+    at = step * np.arange(-half, half + 1)
+    with np.errstate(invalid="ignore"):  # of damaged values: these are refused where they are read
+        inner = np.lib.stride_tricks.sliding_window_view(values, window, axis=0) @ (at / (at @ at))
+    (a, b, _), (c, d, _) = (np.polyfit(at, part, 2) for part in (values[:window], values[-window:]))
+    return np.concatenate(
+        [2.0 * np.multiply.outer(at[:half], a) + b, inner, 2.0 * np.multiply.outer(at[-half:], c) + d]
+    )

@@ -12,6 +12,7 @@ from bridge.recordings.sidecar import Sidecar
 from hid2.agents import AV_ID as AV_ID
 from hid2.agents import BoxSize, FloatArray, Track
 from netconvert.errors import ScenarioError
+from netconvert.geometry import slopes
 from netconvert.lane_graph import LaneGraph
 
 
@@ -74,14 +75,11 @@ class Recording(Rows):
 
 
 def velocity_of(position: FloatArray, samples: int, *, step_s: float, shortest: int = 3) -> FloatArray:
-    """(N, 2) m/s: derivative of a Savitzky-Golay filter of degree 2 over an unbroken run of positions (N, 2) m.
+    """(N, 2) m/s: slopes of parabolas fitted over an unbroken run of positions (N, 2) m.
 
     A run of fewer samples takes the longest odd window, one shorter than the shortest its mean.
     """
     count = len(position)
     if count < shortest:
         return np.repeat((position[-1:] - position[:1]) / (step_s * max(count - 1, 1)), count, axis=0)
-    from scipy.signal import savgol_filter  # a third of a scene process's start
-
-    window = min(samples, count - (count + 1) % 2)
-    return np.asarray(savgol_filter(position, window, 2, deriv=1, delta=step_s, axis=0), dtype=np.float64)
+    return slopes(position, min(samples, count - (count + 1) % 2), step_s)

@@ -19,7 +19,7 @@ from hid2.agents import FloatArray
 from hid2.measures.arrays import BoolArray
 from hid2.measures.driven_lanes import LaneRun, LaneView, runs_of, source_path, target_path
 from hid2.measures.lane_matching import CHANGES_LANES
-from netconvert.geometry import Polyline
+from netconvert.geometry import Polyline, slopes
 from netconvert.lane_graph import TURN_RAD
 
 #: A lane change keeps to each side of the marking for this long.
@@ -195,14 +195,12 @@ def _crossing(toward: FloatArray, known: BoolArray, time: FloatArray, switch: in
 
 
 def lateral_speed(values: FloatArray, time: FloatArray) -> FloatArray:
-    """Slope of an offset (T,) m, m/s: of a parabola fitted over LATERAL_WINDOW_S (Savitzky and Golay 1964)."""
-    from scipy.signal import savgol_filter  # slow to import
-
+    """Slope of an offset (T,) m, m/s: of a parabola fitted over LATERAL_WINDOW_S."""
     step = float(np.median(np.diff(time)))
     window = round(LATERAL_WINDOW_S / step) | 1
     if len(values) < window:
         return np.gradient(values, time)
-    return np.asarray(savgol_filter(values, window, 2, deriv=1, delta=step))
+    return slopes(values, window, step)
 
 
 def _edge(slope: FloatArray, known: BoolArray, at: int, direction: int, time: FloatArray) -> tuple[int, bool]:

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import savgol_filter
 
-from netconvert.geometry import Polyline, arc_length, box_corners, resample, wrap_angle
+from netconvert.geometry import Polyline, arc_length, box_corners, resample, slopes, wrap_angle
 
 # An L: 10 m east, then 10 m north.
 #        |
@@ -126,3 +127,12 @@ def test_box_sizes_broadcast_over_centers() -> None:
     corners = box_corners(np.zeros((3, 5, 2)), np.zeros((3, 5)), length_m=np.array([[2.0], [4.0], [6.0]]), width_m=1.0)
     assert corners.shape == (3, 5, 4, 2)
     assert corners[:, 0, 0, 0].tolist() == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize(("count", "window"), [(3, 3), (40, 11), (11, 11)])
+def test_slopes_of_parabolas_are_those_of_scipy(count: int, window: int) -> None:
+    values = np.random.default_rng(7).normal(size=(count, 2))
+    for columns in (values, values[:, 0]):
+        assert np.allclose(
+            slopes(columns, window, 0.1), savgol_filter(columns, window, 2, deriv=1, delta=0.1, axis=0), atol=1e-9
+        )
