@@ -175,8 +175,8 @@ class Scene:
 
         That of recorded vehicles within `STRETCH_M`; elsewhere one drawn for the lane, the same for all that drive it.
         """
-        (of, lane_s), (places, first) = path.all_lane_s(s), self._places_along(path)
-        return places[np.minimum(first[of] + (lane_s / STRETCH_M).astype(np.int64), first[of + 1] - 1)]
+        (of, lane_m), (places, first) = path.all_lane_m(s), self._places_along(path)
+        return places[np.minimum(first[of] + (lane_m / STRETCH_M).astype(np.int64), first[of + 1] - 1)]
 
     @once
     def _places_along(self, path: DrivenPath) -> tuple[FloatArray, IntArray]:
@@ -194,7 +194,7 @@ class Scene:
     def cell_at(self, path: DrivenPath, s: float) -> Cell:
         """Cell of a path's lane at arc length s."""
         segment = path.segment_at(s)
-        return self.grid.cell_at(segment.lane_id, segment.lane_s(s))
+        return self.grid.cell_at(segment.lane_id, segment.lane_m(s))
 
     @once
     def _speeds_on(self, lane_id: int) -> list[float]:

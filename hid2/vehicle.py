@@ -27,7 +27,7 @@ class VehicleRequest:
 class Start:
     """A request with a site and a driver: everything that decides how a vehicle begins.
 
-    start_s m, of the box centre on the path; start_mps m/s; box: what is kept clear; desired (T,) m/s, by the scene's
+    start_m m, of the box centre on the path; start_mps m/s; box: what is kept clear; desired (T,) m/s, by the scene's
     steps; sides: where it looks for a lane, in this order; step: at which it is first there, later than 0 where it
     enters at the map's edge; leader: the recorded vehicle that it would follow, as `Meetings` numbers them; -1 none;
     meets: what it meets by its rollout, as `insertion/situations.py` has it.
@@ -38,7 +38,7 @@ class Start:
     box: BoxSize
     route: Route
     path: DrivenPath
-    start_s: float
+    start_m: float
     start_mps: float
     driver: Driver
     desired: FloatArray

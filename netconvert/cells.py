@@ -50,7 +50,7 @@ class CellGrid:
     """Links of the source map that the grid does not have."""
     saved_within_m: float | None
     """How far lengths of cells may be off once an editor of SUMO's has saved the net; None: it is not to be edited."""
-    edges_s: Mapping[int, FloatArray] = field(repr=False)
+    edges_m: Mapping[int, FloatArray] = field(repr=False)
     """Arc lengths at which the cells of each lane begin and end; (N + 1,) m."""
     borders: Mapping[int, FloatArray] = field(repr=False)
     """Points of the centreline at which the cells of each lane begin and end; (N + 1, 2) m."""
@@ -64,12 +64,12 @@ class CellGrid:
     def cell_at(self, lane_id: int, s: float) -> Cell:
         """The cell that holds arc length s of a lane; the first or last one where s lies before or past the lane."""
         count = len(self._rows[lane_id])
-        length_m = float(self.edges_s[lane_id][-1])
+        length_m = float(self.edges_m[lane_id][-1])
         return Cell(lane_id, min(max(int(s / length_m * count), 0), count - 1))
 
     def length_m(self, cell: Cell) -> float:
         """Length of the cell's centreline."""
-        return float(self.edges_s[cell.lane_id][-1]) / len(self._rows[cell.lane_id])
+        return float(self.edges_m[cell.lane_id][-1]) / len(self._rows[cell.lane_id])
 
     def longitudinal(self, cell: Cell) -> Cell | None:
         """The next cell of the same lane, None at its end."""
@@ -148,7 +148,7 @@ def build_cell_grid(
     They open a lane that ends and must not be left, so that its last cell is in no row.
     """
     rows: dict[int, tuple[tuple[int, ...], ...]] = {}
-    edges_s: dict[int, FloatArray] = {}
+    edges_m: dict[int, FloatArray] = {}
     borders: dict[int, FloatArray] = {}
     centers: dict[int, FloatArray] = {}
     lost = list(graph.dropped)
@@ -156,10 +156,10 @@ def build_cell_grid(
         lanes = [graph.lanes[lane_id] for lane_id in members]
         count, apart_m = _cell_count(lanes, cell_m, saved_within_m)
         for lane in lanes:
-            halves_s = np.arange(2 * count + 1, dtype=np.float64) * (lane.length_m / (2 * count))
-            halves_s[-1] = lane.length_m
-            halves = lane.path.point(halves_s)
-            edges_s[lane.lane_id], borders[lane.lane_id] = halves_s[::2], halves[::2]
+            halves_m = np.arange(2 * count + 1, dtype=np.float64) * (lane.length_m / (2 * count))
+            halves_m[-1] = lane.length_m
+            halves = lane.path.point(halves_m)
+            edges_m[lane.lane_id], borders[lane.lane_id] = halves_m[::2], halves[::2]
             centers[lane.lane_id] = halves[1::2]
         split = np.zeros((len(lanes), count), dtype=np.bool_)
         reasons = [""] * len(lanes)
@@ -189,7 +189,7 @@ def build_cell_grid(
         cells=tuple(Cell(lane_id, index) for lane_id in graph.lanes for index in range(len(rows[lane_id]))),
         centers=np.concatenate([centers[lane_id] for lane_id in graph.lanes]),
         lost_links=tuple(lost),
-        edges_s=edges_s,
+        edges_m=edges_m,
         borders=borders,
         _rows={lane_id: rows[lane_id] for lane_id in graph.lanes},
     )

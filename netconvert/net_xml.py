@@ -108,7 +108,7 @@ def net_bytes(
         templates[lane_id] = own
     step_m = _MIN_SAVED_STEP_M if editable else _MIN_STEP_M
     lines = {
-        lane_id: cut_at(lane.path.points, lane.path.s, grid.edges_s[lane_id], grid.borders[lane_id], farther_m=step_m)
+        lane_id: cut_at(lane.path.points, lane.path.s, grid.edges_m[lane_id], grid.borders[lane_id], farther_m=step_m)
         for lane_id, lane in grid.graph.lanes.items()
     }
     for edge, (edge_id, row) in enumerate(zip(edge_ids, rows, strict=True)):
@@ -121,7 +121,7 @@ def net_bytes(
             beside = zip(SIDES[::-1], (index > 0, index + 1 < len(row)), strict=True)
             closed = (side for side, there in beside if there and not grid.graph.may_change(lane_id, side))
             crossing = "".join(f' change{side.capitalize()}="{_MAY_ALWAYS_CROSS}"' for side in closed)
-            line = shape(lines[lane_id][cell_index], digits=3 if grid.edges_s[lane_id][1] > _FINER_M else 6)
+            line = shape(lines[lane_id][cell_index], digits=3 if grid.edges_m[lane_id][1] > _FINER_M else 6)
             text.append(
                 f'    <lane id="{edge_id}_{index}" index="{index}"{templates[lane_id]} shape="{line}"{crossing}>'
                 f'\n      <param key="av2.lane_segment_id" value="{lane_id}"/>\n    </lane>'

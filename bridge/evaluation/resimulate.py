@@ -130,9 +130,9 @@ class Resimulation:
                 fleet = Fleet(scene, starts, Traffic.none(scene.future.num_steps), roads, stop_lines)
                 for row, (context, start) in enumerate(zip(fleet.contexts, starts, strict=True)):
                     context.reroute_tried = True  # its route is its own
-                    context.in_width = _ahead(fleet.in_width(row), start.start_s)
+                    context.in_width = _ahead(fleet.in_width(row), start.start_m)
                     seen = fleet.obstacles(row, start.path)
-                    context.obstacles = replace(seen, known=_ahead(seen.known, start.start_s))
+                    context.obstacles = replace(seen, known=_ahead(seen.known, start.start_m))
                 driving = (_Unsteered if model == "default" else FleetSimulation)(fleet, simulation, checked=False)
                 driven = list(zip(driving.run(), vehicles, strict=True))
                 for vehicle, one in driven:
@@ -187,9 +187,9 @@ def _some(track: Track, there: BoolArray) -> Track:
     )  # fmt: skip
 
 
-def _ahead(known: PathOccupancy, start_s: float) -> PathOccupancy:
+def _ahead(known: PathOccupancy, start_m: float) -> PathOccupancy:
     """Without those that a vehicle was recorded beside: they left it room, whatever the boxes say."""
-    return known.rows(~((known.low[:, 0] < start_s) & (start_s < known.high[:, 0])))
+    return known.rows(~((known.low[:, 0] < start_m) & (start_m < known.high[:, 0])))
 
 
 def resimulate_folders(

@@ -43,8 +43,8 @@ def agent_record(
     """
     driven = vehicle.driven
     start, driver = driven.start, driven.start.driver
-    cell, end_s = scene.cell_at(start.path, start.start_s), float(vehicle.motion.s[-1])
-    route = [one.lane_id for one in driven.path.segments if start.start_s < one.end and one.start <= end_s]
+    cell, end_m = scene.cell_at(start.path, start.start_m), float(vehicle.motion.s[-1])
+    route = [one.lane_id for one in driven.path.segments if start.start_m < one.end and one.start <= end_m]
     steps = max(len(driven.s) - 1, 1)
     return sidecar.AgentRecord(
         track_id=names[driven.vehicle_id],

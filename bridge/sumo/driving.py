@@ -64,7 +64,7 @@ class FleetSimulation:
             attempts, limits = self._steer(step) if step > 0 else ({}, {})
             for row, vehicle in enumerate(fleet.vehicles):
                 if vehicle.start.step == step:  # from now on SUMO has to be shown its leaders
-                    fleet.along_m[row] = vehicle.start.start_s
+                    fleet.along_m[row] = vehicle.start.start_m
             replay.place(step, shown_at(fleet, step))
             simulation.step()
             self._enter(step)
@@ -166,16 +166,16 @@ class FleetSimulation:
 
 def insert(simulation: Simulation, scene: Scene, start: Start) -> Reason | None:
     """Insert a vehicle at its cell, position and speed, with its driver. Returns SUMO's objection, None if accepted."""
-    front = front_arc_m(start.start_s, start.size.length_m)
+    front = front_arc_m(start.start_m, start.size.length_m)
     segment = start.path.segment_at(front)
-    lane_s = segment.lane_s(front)
-    cell = scene.grid.cell_at(segment.lane_id, lane_s)
+    lane_m = segment.lane_m(front)
+    cell = scene.grid.cell_at(segment.lane_id, lane_m)
     edges = steering.edges_along(scene, start.path, cell)
     if edges is None:
         return Reason.NO_ROUTE
-    begin = float(scene.grid.edges_s[cell.lane_id][cell.index])
+    begin = float(scene.grid.edges_m[cell.lane_id][cell.index])
     objection = simulation.insert(
-        start.vehicle_id, edges=edges, lane_id=scene.grid.sumo_lane_id(cell), front_m=max(0.0, lane_s - begin),
+        start.vehicle_id, edges=edges, lane_id=scene.grid.sumo_lane_id(cell), front_m=max(0.0, lane_m - begin),
         speed_mps=start.start_mps, driver=start.driver, size=start.size,
         max_speed_mps=float(max(start.desired[0], start.start_mps)),
     )  # fmt: skip

@@ -148,7 +148,7 @@ def _places(scenario: Recording, grid: CellGrid) -> dict[str, _Placed]:
         here = lane_ids == lane_id
         along[here] = graph.lanes[lane_id].path.frenet(front[here])[0]
     cells = [grid.cell_at(lane_id, s) for lane_id, s in zip(lane_ids.tolist(), along.tolist(), strict=True)]
-    begin = np.array([grid.edges_s[cell.lane_id][cell.index] for cell in cells])
+    begin = np.array([grid.edges_m[cell.lane_id][cell.index] for cell in cells])
     pos = np.clip(along - begin, 0.0, [grid.length_m(cell) for cell in cells])
     bounds = zip(arrays.track_ids, pairwise(arrays.first.tolist()), strict=True)
     return {track_id: (cells[start:stop], pos[start:stop], on[start:stop]) for track_id, (start, stop) in bounds}

@@ -53,7 +53,7 @@ class LimitInputs(NamedTuple):
     high: FloatArray
     along: FloatArray
     same_direction: BoolArray
-    stop_s: FloatArray
+    stop_m: FloatArray
     closed: BoolArray
     causes: IntArray
     others: IntArray
@@ -62,7 +62,7 @@ class LimitInputs(NamedTuple):
     @property
     def counts(self) -> tuple[int, ...]:
         """How many entries of the road's table, lanes, known agents, stop lines, others, and what these sweep."""
-        return tuple(len(one) for one in (self.road, self.lane_ends, self.low, self.stop_s, self.others, self.swept))
+        return tuple(len(one) for one in (self.road, self.lane_ends, self.low, self.stop_m, self.others, self.swept))
 
 
 @dataclass(eq=False, slots=True)
@@ -123,7 +123,7 @@ class Fleet:
     def begin(self, row: int) -> None:
         """A vehicle is at its start now."""
         start = self.vehicles[row].start
-        self.move(row, start.start_s, start.start_mps)
+        self.move(row, start.start_m, start.start_mps)
         self._limit_inputs = None
 
     def move(self, row: int, s: float, speed_mps: float, *, jumped_m: float = 0.0) -> None:
@@ -247,7 +247,7 @@ class Fleet:
         known, lines = seen.known, seen.lines
         return LimitInputs(
             context.road, context.lane_ends, context.policies, known.low, known.high, known.along, known.same_direction,
-            lines.stops_s(self.vehicles[row].start.driver), lines.closed, lines.cause, seen.rows, seen.swept.ravel(),
+            lines.stops_m(self.vehicles[row].start.driver), lines.closed, lines.cause, seen.rows, seen.swept.ravel(),
         )  # fmt: skip
 
     def braking(
@@ -302,6 +302,6 @@ class Fleet:
 
 def _xy(vehicle: DrivenVehicle) -> FloatArray:
     """Where a vehicle is, or starts, (2,) m."""
-    s = vehicle.s[-1] if vehicle.s else vehicle.start.start_s
+    s = vehicle.s[-1] if vehicle.s else vehicle.start.start_m
     table = vehicle.path.line.table_xy
     return np.asarray(table[min(max(int(s / TABLE_STEP_M), 0), len(table) - 1)])

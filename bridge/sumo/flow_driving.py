@@ -107,10 +107,10 @@ class FlowDriving(FleetSimulation):
         """It is in the net: from now on one of those that are driven."""
         simulation, scene, start = self.simulation, self.fleet.scene, arrival.start
         lane, front_m = simulation.lane(start.vehicle_id)
-        start_s = center_on_path(scene.grid, start.path, lane, front_m, length_m=start.size.length_m, after=-math.inf)
-        assert start_s is not None  # it begins on its route
+        start_m = center_on_path(scene.grid, start.path, lane, front_m, length_m=start.size.length_m, after=-math.inf)
+        assert start_m is not None  # it begins on its route
         request = replace(start.request, trigger_s=step * scene.step_s + self.trigger_after_s(arrival))
         self.entered[start.vehicle_id] = step
         self.waiting_s[start.vehicle_id] = step * scene.step_s - arrival.due_s
         start_mps = simulation.speed(start.vehicle_id)
-        self.fleet.add([replace(start, request=request, start_s=start_s, start_mps=start_mps)])
+        self.fleet.add([replace(start, request=request, start_m=start_m, start_mps=start_mps)])

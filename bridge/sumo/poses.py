@@ -25,9 +25,9 @@ def box_poses(front: FloatArray, angle_deg: FloatArray, length_m: FloatArray) ->
     return front - 0.5 * np.asarray(length_m)[..., None] * direction, heading
 
 
-def front_arc_m(center_s: float, length_m: float) -> float:
-    """Arc length of the front bumper of a box with its centre at center_s, m."""
-    return center_s + 0.5 * length_m
+def front_arc_m(center_m: float, length_m: float) -> float:
+    """Arc length of the front bumper of a box with its centre at center_m, m."""
+    return center_m + 0.5 * length_m
 
 
 def center_on_path(
@@ -40,5 +40,5 @@ def center_on_path(
     cell = grid.cell_of_sumo_lane.get(lane)
     if cell is None:
         return None
-    front = path.s_on(cell.lane_id, float(grid.edges_s[cell.lane_id][cell.index]) + front_m, after=after)
+    front = path.s_on(cell.lane_id, float(grid.edges_m[cell.lane_id][cell.index]) + front_m, after=after)
     return None if front is None else front - 0.5 * length_m

@@ -64,14 +64,14 @@ def shown_when(
     needed = np.zeros((len(traffic.ids), num_steps), dtype=np.bool_)
     for start, found in zip(starts, known, strict=True):
         if BEHAVIOURS[start.request.policy].changes_lanes:
-            ahead = max(0, int((start.start_s - _NEAR_M) / TABLE_STEP_M))
+            ahead = max(0, int((start.start_m - _NEAR_M) / TABLE_STEP_M))
             needed |= start.path.line.near(_NEAR_M)[0].last_near(traffic.position) >= ahead
             continue
         fastest_mps = _PACE_MOST * max(float(start.desired.max()), start.start_mps)
         lasting_s = step_s * (np.arange(num_steps) - start.step)
-        reach_m = start.start_s + start.box.length_m + SHOWN_M + fastest_mps * lasting_s
+        reach_m = start.start_m + start.box.length_m + SHOWN_M + fastest_mps * lasting_s
         low, high = found.low[:, :num_steps], found.high[:, :num_steps]
-        needed[found.agents] |= np.isfinite(low) & (high > start.start_s) & (low < reach_m) & (lasting_s >= 0.0)
+        needed[found.agents] |= np.isfinite(low) & (high > start.start_m) & (low < reach_m) & (lasting_s >= 0.0)
     needed &= traffic.present
     steps = np.arange(num_steps)
     first = needed.argmax(axis=1) - UNSEEN_STEPS - 1

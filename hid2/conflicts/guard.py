@@ -159,7 +159,7 @@ class Guard:
         """Least braking from a state (s m, v m/s, a m/s2) at a step that meets no agent within the horizon, s."""
         scene, known, lines = self.scene, obstacles.known, obstacles.lines
         row, hit, *_, run_into = needed_braking(
-            known.low, known.high, known.along, known.same_direction, lines.stops_s(driver), lines.closed,
+            known.low, known.high, known.along, known.same_direction, lines.stops_m(driver), lines.closed,
             obstacles.swept, obstacles.rows, fleet, own, step, state, desired_mps, road,
             self.horizon if horizon_s is None else scene.steps_in(horizon_s), scene.step_s,
             driver.following, self.brakes,

@@ -43,10 +43,10 @@ CROSSING_TYPES = frozenset({"pedestrian", "cyclist", "riderless_bicycle"})
 
 
 class CrossingOnPath(NamedTuple):
-    """A crossing that a swept width touches from entry_s to exit_s, m; occupied (T,): see `PedestrianCrossings.on`."""
+    """A crossing that a swept width touches from entry_m to exit_m, m; occupied (T,): see `PedestrianCrossings.on`."""
 
-    entry_s: float
-    exit_s: float
+    entry_m: float
+    exit_m: float
     occupied: BoolArray
 
 
@@ -75,14 +75,14 @@ class PedestrianCrossings:
         agents that have passed, nor for those that move along the path, as cyclists on the road do.
         """
         line = path.line
-        count = min(int(path.exit_s / TABLE_STEP_M) + 1, len(line.table_xy))
+        count = min(int(path.exit_m / TABLE_STEP_M) + 1, len(line.table_xy))
         xy, heading = line.table_xy[:count], line.table_heading[:count]
         found = []
         for crossing, first, last in crossings_swept(self.corners, xy, heading, width_m / 2).tolist():
             middle = (first + last) // 2
             occupied = self._occupied(crossing, xy[middle], heading[middle], width_m / 2 + _STRIP_M)
             found.append(CrossingOnPath(first * TABLE_STEP_M, last * TABLE_STEP_M, occupied))
-        return sorted(found, key=lambda one: one.entry_s)
+        return sorted(found, key=lambda one: one.entry_m)
 
     def _occupied(self, crossing: int, xy: FloatArray, heading: float, aside_m: float) -> BoolArray:
         """(T,) as `on` has it, where the path's middle is at xy (2,) m; aside_m: half of the width and the strip."""
@@ -102,23 +102,23 @@ class PedestrianCrossings:
 class ClosedLines:
     """The lines along a path that are closed at some step, in the order in which a vehicle comes to them.
 
-    line_s (L,) m: where its centre is with its front at the line; end_s (L,) m: of what the line is before; closed
+    line_m (L,) m: where its centre is with its front at the line; end_m (L,) m: of what the line is before; closed
     (L, T); cause (L,): numbers of CAUSES.
     """
 
-    line_s: FloatArray
-    end_s: FloatArray
+    line_m: FloatArray
+    end_m: FloatArray
     closed: BoolArray
     cause: IntArray
 
-    def stops_s(self, driver: Driver) -> FloatArray:
+    def stops_m(self, driver: Driver) -> FloatArray:
         """(L,) m: where the centre of a driver's vehicle stands."""
         at_crossing_m = max(driver.line_gap_m, _CROSSING_GAP_M)
-        return self.line_s - np.where(self.cause == CAUSES.index("crossing"), at_crossing_m, driver.line_gap_m)
+        return self.line_m - np.where(self.cause == CAUSES.index("crossing"), at_crossing_m, driver.line_gap_m)
 
     def gap_m(self, s: float, step: int) -> float:
         """From the front of a vehicle on the path to the nearest closed line, m, negative past it; inf for none."""
-        gap_m = (self.line_s - s)[self.closed[:, step]]
+        gap_m = (self.line_m - s)[self.closed[:, step]]
         return float(gap_m[np.abs(gap_m).argmin()]) if gap_m.size else math.inf
 
     def room_m(self, s: float, step: int, driver: Driver) -> float:
@@ -126,8 +126,8 @@ class ClosedLines:
 
         -1 past a closed line, on what that is before: a vehicle there came on red.
         """
-        ahead_m, closed = self.stops_s(driver) - s, self.closed[:, step]
-        if (closed & (ahead_m < 0.0) & (s < self.end_s)).any():
+        ahead_m, closed = self.stops_m(driver) - s, self.closed[:, step]
+        if (closed & (ahead_m < 0.0) & (s < self.end_m)).any():
             return -1.0
         return float(ahead_m[closed & (ahead_m >= 0.0)].min(initial=math.inf))
 
@@ -137,7 +137,7 @@ class ClosedLines:
 
     def is_passed(self, s: FloatArray, driver: Driver, *, first: int, closed_steps: int) -> bool:
         """Whether a driver's motion (K,) m from a step on passes a line that has been closed for so many steps."""
-        for closed, at in zip(self.closed, np.searchsorted(s, self.stops_s(driver) + _PASSED_M).tolist(), strict=True):
+        for closed, at in zip(self.closed, np.searchsorted(s, self.stops_m(driver) + _PASSED_M).tolist(), strict=True):
             if 0 < at < s.size and closed[max(0, first + at - closed_steps) : first + at + 1].all():
                 return True
         return False
@@ -171,14 +171,14 @@ class StopLines:
             if red is not None and red.any():
                 found.append((segment.start - before, segment.end, red, "signal"))
         found += [
-            (crossing.entry_s - before, crossing.exit_s, crossing.occupied, "crossing")
+            (crossing.entry_m - before, crossing.exit_m, crossing.occupied, "crossing")
             for crossing in self._crossings.on(path, box.width_m)
             if crossing.occupied.any()
         ]
         found.sort(key=lambda line: line[0])
         return ClosedLines(
-            np.array([line_s for line_s, _, _, _ in found], dtype=np.float64),
-            np.array([end_s for _, end_s, _, _ in found], dtype=np.float64),
+            np.array([line_m for line_m, _, _, _ in found], dtype=np.float64),
+            np.array([end_m for _, end_m, _, _ in found], dtype=np.float64),
             np.array([closed for _, _, closed, _ in found], dtype=np.bool_).reshape(-1, self.scene.num_steps),
             np.array([CAUSES.index(cause) for _, _, _, cause in found], dtype=np.int64),
         )

@@ -106,9 +106,9 @@ def _route(view: LaneView, row: int, first: int) -> Route | None:
 def own_path(scene: Scene, one: TakenOut) -> DrivenPath:
     """Path of a vehicle along its lanes: as far aside as at the present, and back to the usual place."""
     middle, usual_m = scene.paths.along(one.route), scene.config.drivers.offset_mean_m
-    start_s, d_m = _on(middle, one.position)
+    start_m, d_m = _on(middle, one.position)
     s = np.arange(0.0, middle.line.length_m, _POINTS_M)
-    aside = usual_m + (d_m - usual_m) * np.exp(-((np.maximum(s - start_s, 0.0) / _BACK_OVER_M) ** 2))
+    aside = usual_m + (d_m - usual_m) * np.exp(-((np.maximum(s - start_m, 0.0) / _BACK_OVER_M) ** 2))
     xy, tangent, _ = middle.line.motion(s)
     points = xy + aside[:, None] * np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
     line, length_m = line_along(points, scene.config.limits), arc_length(points)
@@ -122,7 +122,7 @@ def _on(path: DrivenPath, position: FloatArray) -> tuple[float, float]:
     """Arc length and offset, m, of a place (2,) m on the line of a path."""
     points = path.line.points
     (s,), (d,) = Polyline(points).frenet(position[None])
-    return float(np.interp(s, arc_length(points), path.line.points_s)), float(d)
+    return float(np.interp(s, arc_length(points), path.line.points_m)), float(d)
 
 
 def begin(
@@ -133,25 +133,25 @@ def begin(
 
     usual_mps: of the scene's moving vehicles at the present; None: SUMO's default driver.
     """
-    size, (start_s, d_m) = one.track.size, _on(path, one.position)
+    size, (start_m, d_m) = one.track.size, _on(path, one.position)
     if usual_mps is None:
         factor = float(np.clip(1.0 + _DEFAULT_SD * rng.standard_normal(), 0.5, 1.5))
         driver = replace(_DEFAULT, desired_mps=factor * _DEFAULT.desired_mps)
         desired = np.full(scene.num_steps, driver.desired_mps)
     else:
         driver = _as_come(draw_driver(scene.config, rng, lane_speed_mps=max(usual_mps, one.speed_mps)), one)
-        at = min(int(start_s / TABLE_STEP_M), len(path.line.table_xy) - 1)
+        at = min(int(start_m / TABLE_STEP_M), len(path.line.table_xy) - 1)
         while roads.speeds(path, driver)[at] < one.speed_mps and driver.turn_lateral_mps2 < _MOST_MPS2:
             driver = replace(driver, turn_lateral_mps2=_FASTER * driver.turn_lateral_mps2)
         desired = desired_speeds(
             driver, scene.config, rng, num_steps=scene.num_steps, step_s=scene.step_s, at_least_mps=one.speed_mps
         )
     offset = lane_offset(driver, scene.config, rng, length_m=path.line.length_m, usual=np.zeros_like)
-    knots = start_s + offset.knots_m - offset.knots_m[0]  # the first one where the vehicle is
-    place = offset.offset_m + (d_m - offset.offset_m[0]) * np.exp(-(knots - start_s) / _WANDERS_OVER_M)
+    knots = start_m + offset.knots_m - offset.knots_m[0]  # the first one where the vehicle is
+    place = offset.offset_m + (d_m - offset.offset_m[0]) * np.exp(-(knots - start_m) / _WANDERS_OVER_M)
     return Start(
         vehicle_id=f"v{number}", request=VehicleRequest(number, Policy.STRAIGHT, 0.0, one.track.object_type, size),
-        box=clearance_box(size, size), route=one.route, path=path, start_s=start_s,
+        box=clearance_box(size, size), route=one.route, path=path, start_m=start_m,
         start_mps=one.speed_mps, driver=driver, desired=desired, sides=("left", "right"),
         offset=LaneOffset(knots, place, np.gradient(place, knots)),
     )  # fmt: skip

@@ -69,7 +69,7 @@ def entry_speed(start: Start, fleet: Traffic, config: Config, *, step_s: float) 
     """
     if not fleet.ids:
         return start.start_mps
-    xy, tangent, _ = start.path.line.motion(np.array([start.start_s]))
+    xy, tangent, _ = start.path.line.motion(np.array([start.start_m]))
     later = replace(fleet, position=fleet.position + step_s * fleet.velocity)
     seen, speed = gaps_from_pose(xy[0], tangent[0], start.box, later), start.start_mps
     for row in np.flatnonzero((seen.aside_m < config.conflict.margin_lateral_m) & fleet.present[:, 0]).tolist():

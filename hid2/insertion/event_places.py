@@ -130,12 +130,12 @@ class Places:
     def _crossing(self) -> Iterator[Place]:
         target, scene = self.target, self.routes.scene
         least_s, most_s = self.event.pet_s or (scene.config.conflict.pet_min_s, _APART_S)
-        for lane, lane_s, crossed in self._crossed_lanes():
+        for lane, lane_m, crossed in self._crossed_lanes():
             apart_s = np.abs(np.arange(target.present.size) - crossed) * scene.step_s
             gap = np.abs(target.way - target.way[crossed]) - 0.5 * target.track.size.length_m
             gap[(apart_s < least_s) | (apart_s > most_s + _BOXES_S)] = np.inf
             for route in self._over(lane):
-                point = next(one for one in self._path(route).segments if one.lane_id == lane).s_at(lane_s)
+                point = next(one for one in self._path(route).segments if one.lane_id == lane).s_at(lane_m)
                 yield self._fixed(route, point, gap)
 
     def _gaps(self) -> tuple[float, float]:

@@ -128,10 +128,10 @@ class EventStarts(Starts):
         time_s = np.concatenate([[0.0], np.cumsum(TABLE_STEP_M / np.maximum(pace, _CREEPS_MPS))])
         cells = np.arange(time_s.size) * TABLE_STEP_M
         freely = np.where(rng.random(_DRAWS) < 0.5, 1.0, rng.random(_DRAWS))  # share of the time in which it is held up
-        begin_s = np.interp(np.interp(s, cells, time_s) - freely * at * scene.step_s, time_s, cells, left=-1.0)
-        clear = are_clear(gaps_on_path(self.world.guard.known_on(place.path, self._box), begin_s, 0))
-        clear &= (begin_s > 0.5 * self._box.length_m) & (s < place.path.exit_s)
-        return (driver, float(begin_s[np.argmax(clear)])) if clear.any() else None
+        begin_m = np.interp(np.interp(s, cells, time_s) - freely * at * scene.step_s, time_s, cells, left=-1.0)
+        clear = are_clear(gaps_on_path(self.world.guard.known_on(place.path, self._box), begin_m, 0))
+        clear &= (begin_m > 0.5 * self._box.length_m) & (s < place.path.exit_m)
+        return (driver, float(begin_m[np.argmax(clear)])) if clear.any() else None
 
     def _driver(self, place: Place, at: int, s: float) -> Driver:
         """A driver that goes with the traffic of its lane, with the target as it is then, or at its fastest.

@@ -358,7 +358,7 @@ class Filling:
 
     def _site(self, vehicle: DrivenVehicle) -> Cell:
         """Cell that a vehicle started in."""
-        return self.scene.cell_at(vehicle.start.path, vehicle.start.start_s)
+        return self.scene.cell_at(vehicle.start.path, vehicle.start.start_m)
 
     def _rejection(self, vehicle: DrivenVehicle, reason: Reason, detail: str | None = None) -> Rejection:
         return Rejection(vehicle, reason, self.rounds - 1, self._site(vehicle), detail)

@@ -102,7 +102,7 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, kept: Sequence[ExportedVehicl
     if "topology" in config.without and missing > 0:  # off the grid it goes on as it was
         s = np.concatenate([s, s[-1] + v[-1] * scene.step_s * np.arange(1, missing + 1)])
         v, own = np.concatenate([v, np.full(missing, v[-1])]), s
-    end = vehicle.path.exit_s - start.size.length_m / 2
+    end = vehicle.path.exit_m - start.size.length_m / 2
     steps = int((s <= end).sum())
     if steps < scene.steps_to_stay(start.step):
         return Reason.LEAVES_TOO_EARLY
@@ -293,7 +293,7 @@ def _grid_path(scene: Scene, vehicle: DrivenVehicle, s: FloatArray, v: FloatArra
     for segment in vehicle.path.segments:
         if segment.end < s[0] - 10.0 or segment.start > s[-1] + 10.0:
             continue
-        borders = scene.grid.edges_s[segment.lane_id]
+        borders = scene.grid.edges_m[segment.lane_id]
         middles = 0.5 * (borders[1:] + borders[:-1])
         inside = middles[(middles >= segment.lane_start) & (middles <= segment.lane_end)]
         knots += [segment.s_at(middle) for middle in inside.tolist()]

@@ -80,7 +80,7 @@ def arrivals(scene: Scene, routes: Routes, seed: Sequence[int]) -> list[Arrival]
             start = Start(
                 vehicle_id=f"f{lane_id}_{number}", request=VehicleRequest(number, policy, 0.0, object_type, size),
                 box=clearance_box(size, DEFAULT_SIZES[object_type]), route=offer.route,
-                path=scene.paths.along(offer.route), start_s=0.0, start_mps=0.0, driver=driver, desired=desired,
+                path=scene.paths.along(offer.route), start_m=0.0, start_mps=0.0, driver=driver, desired=desired,
                 offset=MIDDLE, sides=sides,
             )  # fmt: skip
             found.append(Arrival(lane_id, due_s, start))

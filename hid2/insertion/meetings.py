@@ -286,7 +286,7 @@ class Meetings:
     def _of_lane(self, lane_id: int) -> tuple[IntArray, FloatArray]:
         """Cells of a lane, rows of the grid, and their middles on it, m."""
         grid = self.scene.grid
-        first, borders = grid.index_of[Cell(lane_id, 0)], grid.edges_s[lane_id]
+        first, borders = grid.index_of[Cell(lane_id, 0)], grid.edges_m[lane_id]
         return np.arange(first, first + grid.count(lane_id)), 0.5 * (borders[1:] + borders[:-1])
 
 

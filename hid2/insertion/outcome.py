@@ -103,7 +103,7 @@ def _turn(scene: Scene, vehicle: ExportedVehicle, kind: TurnType) -> Outcome:
     driven, s = vehicle.driven, vehicle.motion.s
     wanted = BEHAVIOURS[driven.policy].seen_as[0]
     seen = next((one for one in manoeuvres(vehicle.states) if one.kind is wanted and one.complete), None)
-    turn = first_turn(scene.grid.graph, driven.path, kind, after=driven.start.start_s)
+    turn = first_turn(scene.grid.graph, driven.path, kind, after=driven.start.start_m)
     before = driven.path.segments.index(turn) - 1 if turn is not None else -1
     if seen is not None:
         source = driven.path.segments[before].lane_id if before >= 0 else None

@@ -185,10 +185,10 @@ class OvertakeStarts:
             return None
         path, beside = scene.paths.along(offer.route), scene.paths.beside(offer.route[row:], neighbor)
         first, last = path.to_line(max(offer.start_m, stretch[0] - reach_m)), path.to_line(lane_end)
-        end = min(path.to_line(stretch[1]), path.exit_s - _BOX.length_m)
-        here_s = np.array([max(first, path.to_line(stretch[0]))])
-        there, aside = beside.frenet(path.line.position(here_s))
-        shift_m = float((there - here_s)[0])
+        end = min(path.to_line(stretch[1]), path.exit_m - _BOX.length_m)
+        here_m = np.array([max(first, path.to_line(stretch[0]))])
+        there, aside = beside.frenet(path.line.position(here_m))
+        shift_m = float((there - here_m)[0])
         return _Way(offer, lane_id, side, path, beside, first, last, end, abs(float(aside[0])), shift_m)
 
     def _known(self, way: _Way) -> Iterator[_Leader]:
@@ -215,7 +215,7 @@ class OvertakeStarts:
             start = rng.uniform(way.first, latest) + length_m + rng.uniform(*_GAP_S) * (usual_mps - mps)
             s = start + scene.step_s * (np.cumsum(v) - v)
             one = replace(driver, desired_mps=mps)
-            if s[-1] < way.path.exit_s and not self._is_met(way.path, one, s, v, 0):
+            if s[-1] < way.path.exit_m and not self._is_met(way.path, one, s, v, 0):
                 yield _Leader(way, s - length_m, s + length_m, v, one)
 
     def _on(self, path: DrivenPath) -> PathOccupancy:

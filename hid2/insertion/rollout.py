@@ -79,7 +79,7 @@ class Rollout:
     @property
     def on_path(self) -> "Rollout":
         """The same as long as the centre has not left the map."""
-        return self.until(self.step + int((self.s <= self.path.exit_s).sum()) - 1)
+        return self.until(self.step + int((self.s <= self.path.exit_m).sum()) - 1)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -226,7 +226,7 @@ class World:
         last = scene.num_steps - 1 if last is None else min(last, scene.num_steps - 1)
         known, lines = self.guard.known_on(path, box), self.guard.stop_lines.on(path, box)
         shown = self._shown_on(path, box) if target is None else self._shown_beside(path, target, box)
-        state, memory = (start.start_s, start.start_mps, 0.0), np.zeros(0)
+        state, memory = (start.start_m, start.start_mps, 0.0), np.zeros(0)
         if before is not None:
             k = first - before.step
             gained_mps = float(before.v[k] - before.v[max(k - 1, 0)])
@@ -235,7 +235,7 @@ class World:
         s, v, memories = roll(
             (first, last), state, start.desired, driver.following, scene.config.drivers.reaction_s, start.size.length_m,
             self.guard.horizon, scene.step_s, self.guard.brakes, self.roads.speeds(path, driver),
-            *self.roads.lanes(path), known.low, known.high, known.along, known.same_direction, lines.stops_s(driver),
+            *self.roads.lanes(path), known.low, known.high, known.along, known.same_direction, lines.stops_m(driver),
             lines.closed, lines.cause, shown.middle, shown.speed, shown.leads, shown.length_m, *self._links_on(path),
             memory,
         )  # fmt: skip
@@ -252,7 +252,7 @@ class World:
         ask_sumo = (lambda _: ASSUMED_ANSWER) if scene.config.lane_change.rule == "LC2013" else None
         while step < scene.num_steps:
             part, k = parts[-1], step - parts[-1].step
-            if k >= part.s.size or part.s[k] > part.path.exit_s:  # met, or off the map
+            if k >= part.s.size or part.s[k] > part.path.exit_m:  # met, or off the map
                 break
             _drive_on(vehicle, part, step)
             is_due = advance(vehicle, scene, step)
@@ -290,12 +290,12 @@ class World:
         """The motion onto another lane, with what SUMO jumps to the facing cell given back on the way (`Jump`)."""
         grid, front = self.scene.grid, float(onto.s[0]) + 0.5 * start.size.length_m
         segment = next((one for one in left.followed if one.end > front), left.followed[-1])
-        cell = grid.cell_at(segment.lane_id, segment.lane_s(front))
+        cell = grid.cell_at(segment.lane_id, segment.lane_m(front))
         facing = grid.lateral(cell, side)
         if facing is None:
             return onto
-        off = grid.edges_s[facing.lane_id][cell.index] - grid.edges_s[cell.lane_id][cell.index]
-        there = onto.path.s_on(facing.lane_id, segment.lane_s(front) + float(off), after=float(onto.s[0]))
+        off = grid.edges_m[facing.lane_id][cell.index] - grid.edges_m[cell.lane_id][cell.index]
+        there = onto.path.s_on(facing.lane_id, segment.lane_m(front) + float(off), after=float(onto.s[0]))
         if there is None:
             return onto
         own = onto.s + (there - front)
@@ -360,7 +360,7 @@ class World:
             length_m = start.box.length_m - start.beyond_m
             if sustained_headway(seen.lag_m, length_m, seen.lag_mps, scene.step_s)[0] < FOLLOWER_HEADWAY_S:
                 return Reason.FOLLOWER_HEADWAY
-        if is_last and rollout.s[inside - 1] - start.start_s < MOVES_M:
+        if is_last and rollout.s[inside - 1] - start.start_m < MOVES_M:
             return Reason.STANDS_THROUGHOUT
         lines = self.guard.stop_lines.on(rollout.path, start.box)
         if lines.is_passed(rollout.s, start.driver, first=rollout.step, closed_steps=scene.steps_in(AMBER_S)):
@@ -398,7 +398,7 @@ class World:
 
     def _inside(self, start: Start, rollout: Rollout) -> int:
         """Steps of a motion before it leaves the map."""
-        return int(np.searchsorted(rollout.s, rollout.path.exit_s - 0.5 * start.size.length_m, side="right"))
+        return int(np.searchsorted(rollout.s, rollout.path.exit_m - 0.5 * start.size.length_m, side="right"))
 
     def _met(self, start: Start, rollout: Rollout) -> tuple[FloatArray, PathOccupancy]:
         """What each agent known on its path is to a motion (R, 3), as the kernel `met_by` has it, and those agents."""

@@ -180,16 +180,16 @@ class InsertionSites:
         wants: sites are those from which something of it would be met; what goes straight meets it by its rollout.
         """
         scene, starts, tried = self.here.scene, self.starts, 0
-        for cell, lane_s in self._places(request, wants):
+        for cell, lane_m in self._places(request, wants):
             usual_mps = scene.usual_speed(cell.lane_id)
             offer = next((
                 one for one in self._order(request, cell, wants)
-                if not starts.leaves_early(one, one.start_m + lane_s, _STAYS_SHARE * usual_mps)
-                and promises(one, one.start_m + lane_s, usual_mps)
+                if not starts.leaves_early(one, one.start_m + lane_m, _STAYS_SHARE * usual_mps)
+                and promises(one, one.start_m + lane_m, usual_mps)
             ), None)  # fmt: skip
             if offer is None:
                 continue
-            site = Site(offer, offer.start_m + lane_s, headway_s=headway_s)
+            site = Site(offer, offer.start_m + lane_m, headway_s=headway_s)
             start = starts.make(request, site, wants=wants if request.policy is Policy.STRAIGHT else frozenset())
             if isinstance(start, Start):
                 return start
@@ -263,7 +263,7 @@ class InsertionSites:
             if row in turned_down:
                 continue
             cell = grid.cells[row]
-            begin, end = grid.edges_s[cell.lane_id][cell.index : cell.index + 2]
+            begin, end = grid.edges_m[cell.lane_id][cell.index : cell.index + 2]
             yield cell, float(begin + share[place] * (end - begin))
 
     def _there(self) -> list[Start]:

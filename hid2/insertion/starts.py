@@ -89,7 +89,7 @@ class Site(NamedTuple):
 
 
 class _Begin(NamedTuple):
-    """What is known of a beginning before its driver: s, start_s: along the route's lanes and on the path, m.
+    """What is known of a beginning before its driver: s, start_m: along the route's lanes and on the path, m.
 
     line_gap_m: from its front to the nearest closed line; wants: something of which it is to meet.
     """
@@ -99,7 +99,7 @@ class _Begin(NamedTuple):
     path: DrivenPath
     box: BoxSize
     s: float
-    start_s: float
+    start_m: float
     line_gap_m: float
     sides: tuple[Side, ...] | None
     wants: Set[Situation]
@@ -164,21 +164,21 @@ class Starts:
         if s < first_m or (s + half_m > offer.length_m - _TO_EDGE_M and not run_on):
             return Reason.NO_SITE
         path = scene.paths.along(offer.route)
-        start_s = path.to_line(s)
+        start_m = path.to_line(s)
         if "collision" not in config.without:
-            near = self.world.gaps_at(path, box, start_s, step)
+            near = self.world.gaps_at(path, box, start_m, step)
             if not are_clear(near).all():
                 return Reason.NO_SITE
             if near.lag_m[0] < (headway_s - LEADER_LENGTH_S) * near.lag_mps[0]:
                 return Reason.FOLLOWER_HEADWAY
-        lane_id = path.segment_at(start_s).lane_id
+        lane_id = path.segment_at(start_m).lane_id
         flow_mps = 0.0
         if step == 0:
-            leader = self.meetings.leader_of(scene.cell_at(path, start_s), offer.route)
+            leader = self.meetings.leader_of(scene.cell_at(path, start_m), offer.route)
         if config.request.sites == "promising" and driver is None:
-            flow_mps = max(self.meetings.pace_of(leader), self._follower_mps(path, box, start_s, step))
-        line_gap_m = self.world.guard.stop_lines.on(path, box).gap_m(start_s, step)
-        begin = _Begin(request, site._replace(leader=leader), path, box, s, start_s, line_gap_m, sides, wants)
+            flow_mps = max(self.meetings.pace_of(leader), self._follower_mps(path, box, start_m, step))
+        line_gap_m = self.world.guard.stop_lines.on(path, box).gap_m(start_m, step)
+        begin = _Begin(request, site._replace(leader=leader), path, box, s, start_m, line_gap_m, sides, wants)
         made: Start | Reason = Reason.NO_SITE
         for _ in range(1 if driver is not None else _DRIVERS):
             # a driver goes with the flow of its leader and follower, or would not be there
@@ -210,7 +210,7 @@ class Starts:
         order = sides if rng.random() < 0.5 else sides[::-1]
         start = Start(
             vehicle_id=f"v{request.number}_{self.round_number}", request=request, box=begin.box,
-            route=begin.site.offer.route, path=path, start_s=begin.start_s, start_mps=admitted, driver=driver,
+            route=begin.site.offer.route, path=path, start_m=begin.start_m, start_mps=admitted, driver=driver,
             desired=np.concatenate([np.full(step, desired[0]), desired]), offset=MIDDLE, sides=begin.sides or order,
             step=step, leader=begin.site.leader,
         )  # fmt: skip
@@ -221,7 +221,7 @@ class Starts:
             return rolled
         if start.start_mps < admitted:
             known = self.world.guard.known_on(path, begin.box)
-            if _came_through(known, gaps_to_all(known, np.array([begin.start_s]), step), start.start_mps, step):
+            if _came_through(known, gaps_to_all(known, np.array([begin.start_m]), step), start.start_mps, step):
                 return Reason.NO_SITE
         start = replace(start, meets=foreseen(self.world, start, rolled))
         if begin.wants and not begin.wants & start.meets:
@@ -256,12 +256,12 @@ class Starts:
             if self._waits_astride(parts[-1]):
                 return Reason.TOO_SLOW
             spare_m = _SPARE_S * parts[-1].v[-1] if policy is Policy.OVERTAKE else 0.0
-            shown_m = min(float(parts[-1].s[-1]), vehicle.path.exit_s - 0.5 * start.size.length_m)
+            shown_m = min(float(parts[-1].s[-1]), vehicle.path.exit_m - 0.5 * start.size.length_m)
             if shown_m < vehicle.path.lateral_spans[-1].end + spare_m:
                 return Reason.SCENE_ENDED
         kind = BEHAVIOURS[policy].turn
         if kind is not None:
-            turn = first_turn(scene.grid.graph, start.path, kind, after=start.start_s)
+            turn = first_turn(scene.grid.graph, start.path, kind, after=start.start_m)
             if turn is None:
                 return Reason.TURN_NOT_SEEN
             last_s, last = float(parts[-1].s[-1]), scene.num_steps - 1
@@ -309,7 +309,7 @@ class Starts:
         anew = [candidate]
         for one in self.world.to_roll_anew(candidate):
             around, begun = self.world.joined_by(candidate, without=one.start.vehicle_id), one.start
-            if not are_clear(around.gaps_at(begun.path, begun.box, begun.start_s, begun.step)).all():
+            if not are_clear(around.gaps_at(begun.path, begun.box, begun.start_m, begun.step)).all():
                 return Reason.MEETS_GENERATED
             still = self._performed(around, begun)
             if isinstance(still, Reason):
@@ -338,18 +338,18 @@ class Starts:
 
     def _start_speed(self, begin: _Begin, speed: float, driver: Driver) -> float | Reason:
         """Speed at which a driver that would drive at `speed` begins, m/s; or why it cannot begin there."""
-        path, box, start_s, step = begin.path, begin.box, begin.start_s, begin.site.step
+        path, box, start_m, step = begin.path, begin.box, begin.start_m, begin.site.step
         limits = self.scene.config.limits
         if self.leaves_early(begin.site.offer, begin.s + box.length_m / 2, _KEPT_SHARE * speed, step):
             return Reason.LEAVES_TOO_EARLY
-        reach = slice(int(start_s / TABLE_STEP_M), int((start_s + _AHEAD_S * speed) / TABLE_STEP_M) + 2)
+        reach = slice(int(start_m / TABLE_STEP_M), int((start_m + _AHEAD_S * speed) / TABLE_STEP_M) + 2)
         if np.abs(path.line.table_curvature[reach]).max(initial=0.0) > CURVATURE_KEPT / limits.min_radius_m:
             return Reason.LIMIT_CURVATURE
         road = self.roads.speeds(path, driver)
-        speed = min(speed, float(road[min(int(start_s / TABLE_STEP_M), road.size - 1)]))
+        speed = min(speed, float(road[min(int(start_m / TABLE_STEP_M), road.size - 1)]))
         if "collision" in self.scene.config.without:
             return speed
-        return self._admitted_speed(path, box, start_s, speed, driver, step)
+        return self._admitted_speed(path, box, start_m, speed, driver, step)
 
     def leaves_early(self, offer: RouteOffer, s: float, speed_mps: float, step: int = 0) -> bool:
         """Whether the map ends before the last observed step at a speed."""

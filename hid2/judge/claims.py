@@ -162,12 +162,12 @@ def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None
         if change.target_lane not in on_path or change.source_lane in on_path:
             continue
         left = next((n for n in range(k, len(runs) - 1) if link[runs[n].lane, runs[n + 1].lane] == CHANGES_LANES), None)
-        (own_s, target_s, left_s), _ = path.frenet(
+        (own_m, target_m, left_m), _ = path.frenet(
             arrays.position[[row, there, row if left is None else runs[left].last]]
         )
-        gap_m = own_s - target_s - (arrays.length[own] + arrays.length[target]) / 2
+        gap_m = own_m - target_m - (arrays.length[own] + arrays.length[target]) / 2
         own_mps, target_mps = np.hypot(*arrays.velocity[[row, there]].T)
-        if left_s >= own_s and 0.0 < gap_m < max(CUT_IN_S * target_mps, HUMAN_BRAKES_S * (target_mps - own_mps)):
+        if left_m >= own_m and 0.0 < gap_m < max(CUT_IN_S * target_mps, HUMAN_BRAKES_S * (target_mps - own_mps)):
             steps.append(step)
     return min(steps, key=lambda step: abs(step - near), default=None)
 

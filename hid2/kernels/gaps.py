@@ -147,12 +147,12 @@ def lane_leaders(
 def leading_in_sumo(
     low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, crossing: BoolArray,
     agents: IntArray, lengths: FloatArray, front: FloatArray, known: BoolArray, table_xy: FloatArray,
-    table_heading: FloatArray, exit_s: float,
+    table_heading: FloatArray, exit_m: float,
 ) -> tuple[FloatArray, BoolArray]:  # fmt: skip
     """Middles of agents that lead on a path (R, T), m, 0 for others, and whether SUMO has their fronts on its lanes.
 
     As in `PathOccupancy`; front (A, T, 2) m; known (A, T): whether SUMO knows its speed; table_*: of the path's line,
-    which ends at exit_s m. Agents slower than STANDING_MPS lead in any direction.
+    which ends at exit_m m. Agents slower than STANDING_MPS lead in any direction.
     """
     middle, leads = np.zeros(low.shape), np.zeros(low.shape, dtype=np.bool_)
     for row, agent in enumerate(agents):
@@ -160,11 +160,11 @@ def leading_in_sumo(
             moves = same_direction[row, t] or (not crossing[row, t] and abs(along[row, t]) < STANDING_MPS)
             if low[row, t] < np.inf and moves and known[agent, t]:
                 middle[row, t] = 0.5 * (low[row, t] + high[row, t])
-                front_s = middle[row, t] + 0.5 * lengths[agent]
-                at = min(max(int(front_s / TABLE_STEP_M), 0), table_heading.size - 1)
+                front_m = middle[row, t] + 0.5 * lengths[agent]
+                at = min(max(int(front_m / TABLE_STEP_M), 0), table_heading.size - 1)
                 dx, dy = front[agent, t, 0] - table_xy[at, 0], front[agent, t, 1] - table_xy[at, 1]
                 off = abs(np.cos(table_heading[at]) * dy - np.sin(table_heading[at]) * dx)
-                leads[row, t] = off < ASIDE_M and front_s < exit_s
+                leads[row, t] = off < ASIDE_M and front_m < exit_m
     return middle, leads
 
 

@@ -60,14 +60,14 @@ def _accel_towards_stop(ahead_m: float, speed_mps: float, accel_mps2: float, dec
 
 
 @inner
-def _line_ahead(stop_s: FloatArray, closed: BoolArray, s: float, v: float, step: int, decel_mps2: float) -> int:
+def _line_ahead(stop_m: FloatArray, closed: BoolArray, s: float, v: float, step: int, decel_mps2: float) -> int:
     """Row of the next stop line that is closed at a step and at which the driver can stop, -1 for none.
 
     A line at which the driver can no longer stop without braking hard is driven across, as an amber light is.
     """
     hardest = _AMBER_RATIO * decel_mps2
-    for row in range(stop_s.size):
-        ahead = stop_s[row] - s
+    for row in range(stop_m.size):
+        ahead = stop_m[row] - s
         if ahead < -_PASSED_M or not closed[row, min(step, closed.shape[1] - 1)]:
             continue
         if ahead > _LINES_WITHIN_M:
@@ -80,23 +80,23 @@ def _line_ahead(stop_s: FloatArray, closed: BoolArray, s: float, v: float, step:
 
 @kernel("(f8[::1], b1[:,::1], f8, f8, i8, f8, f8)")
 def stop_ahead(
-    stop_s: FloatArray, closed: BoolArray, s: float, v: float, step: int, accel_mps2: float, decel_mps2: float
+    stop_m: FloatArray, closed: BoolArray, s: float, v: float, step: int, accel_mps2: float, decel_mps2: float
 ) -> tuple[int, float]:
     """Row of the next closed stop line ahead at which a driver can stop, -1 for none, and the acceleration, m/s2."""
-    row = _line_ahead(stop_s, closed, s, v, step, decel_mps2)
-    return row, _accel_towards_stop(stop_s[row] - s, v, accel_mps2, decel_mps2) if row >= 0 else 0.0
+    row = _line_ahead(stop_m, closed, s, v, step, decel_mps2)
+    return row, _accel_towards_stop(stop_m[row] - s, v, accel_mps2, decel_mps2) if row >= 0 else 0.0
 
 
 @inner
-def _goes_first(known: IntArray, g: int, low: FloatArray, fleet: FloatArray, j: int, own: int, own_s: float) -> bool:
+def _goes_first(known: IntArray, g: int, low: FloatArray, fleet: FloatArray, j: int, own: int, own_m: float) -> bool:
     """`_has_priority` of vehicle j, row g of those seen; known (G,): what was found before, -1 for not yet."""
     if known[g] < 0:
-        known[g] = _has_priority(low, fleet, j, own, own_s)
+        known[g] = _has_priority(low, fleet, j, own, own_m)
     return bool(known[g] > 0)
 
 
 @inner
-def _has_priority(low: FloatArray, fleet: FloatArray, j: int, own: int, own_s: float) -> bool:
+def _has_priority(low: FloatArray, fleet: FloatArray, j: int, own: int, own_m: float) -> bool:
     """Whether generated vehicle j goes first (case 2), metres to the cell that both want; low (K,) on its way."""
     s = fleet[j, 0]
     executing: bool = fleet[j, 3] > 0.0
@@ -104,7 +104,7 @@ def _has_priority(low: FloatArray, fleet: FloatArray, j: int, own: int, own_s: f
     first = int(s / SWEPT_STEP_M)
     for k in range(max(first, 0), low.size):
         if low[k] != np.inf:
-            theirs, mine = k * SWEPT_STEP_M - s, low[k] - own_s
+            theirs, mine = k * SWEPT_STEP_M - s, low[k] - own_m
             if theirs <= SWEPT_STEP_M:
                 return True  # it is there
             if mine <= 0.0:
@@ -145,7 +145,7 @@ def _ahead_within(low: FloatArray, high: FloatArray, s: float, begin: int, end: 
     " UniTuple(f8, 3), f8, f8[::1], i8, f8, UniTuple(f8, 4), f8[::1])"
 )
 def needed_braking(
-    low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, stop_s: FloatArray,
+    low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, stop_m: FloatArray,
     closed: BoolArray, swept: FloatArray, rows: IntArray, fleet: FloatArray, own: int, t: int,
     start: tuple[float, float, float], desired_mps: float, road: FloatArray, horizon: int, step_s: float,
     driver: tuple[float, float, float, float], brakes: FloatArray,
@@ -153,7 +153,7 @@ def needed_braking(
     """Smallest constant braking (one of `brakes`, m/s2, ascending from 0) with which predicted motion meets no agent.
 
     One long loop: in functions of its own, which numba does not inline, a rollout takes 1.9 times as long.
-    low, high, along, same_direction (A, T): agents with a known future, as in `PathOccupancy`. stop_s (L,) m, closed
+    low, high, along, same_direction (A, T): agents with a known future, as in `PathOccupancy`. stop_m (L,) m, closed
     (L, T): stop lines. swept (3, G, K): low, high, cosine of generated vehicles by their own arc length, of rows (G,)
     of fleet (N, 5): s, v, a, executing, present. start: own s, v, a; driver: tau s, acceleration, deceleration m/s2,
     gap at standstill m. Returns (row of brakes, step of its first conflict or -1, step of the first conflict without
@@ -228,9 +228,9 @@ def needed_braking(
                     behind_leader = True
                     break
                 a_next = max(a_next, -most)
-            line = _line_ahead(stop_s, closed, s, v, now, decel)
+            line = _line_ahead(stop_m, closed, s, v, now, decel)
             if line >= 0:
-                a_next = min(a_next, _accel_towards_stop(stop_s[line] - s, v, accel, decel))
+                a_next = min(a_next, _accel_towards_stop(stop_m[line] - s, v, accel, decel))
             if row > 0:
                 a_cmd = max(min(a_cmd, 0.0) - _PREDICTED_JERK_MPS3 * STRIDE * step_s, -brakes[row])
                 a_next = min(a_next, a_cmd)

@@ -71,7 +71,7 @@ def lane_candidates(
     """
     rows = len(position)
     lane = np.full((rows, _MOST), -1, dtype=np.int64)
-    at_s = np.zeros((rows, _MOST))
+    at_m = np.zeros((rows, _MOST))
     at_d = np.zeros((rows, _MOST))
     cost = np.full((rows, _MOST), math.inf)
     count = np.zeros(rows, dtype=np.int64)
@@ -97,12 +97,12 @@ def lane_candidates(
                     continue
             else:
                 count[i] += 1
-            lane[i, slot], at_s[i, slot], at_d[i, slot], cost[i, slot] = k, along, offset, value
-    return lane, at_s, at_d, cost, count
+            lane[i, slot], at_m[i, slot], at_d[i, slot], cost[i, slot] = k, along, offset, value
+    return lane, at_m, at_d, cost, count
 
 
 @inner
-def _viterbi(lane: IntArray, at_s: FloatArray, cost: FloatArray, count: IntArray, link: IntArray) -> IntArray:
+def _viterbi(lane: IntArray, at_m: FloatArray, cost: FloatArray, count: IntArray, link: IntArray) -> IntArray:
     """Slot (R,) of the likeliest lane of each row of an agent, -1 for none."""
     rows, most = lane.shape
     total = np.full((rows, most + 1), math.inf)
@@ -127,7 +127,7 @@ def _viterbi(lane: IntArray, at_s: FloatArray, cost: FloatArray, count: IntArray
                     kind = link[lane[i - 1, p], lane[i, c]]
                     move = 0.0 if kind == 0 else _CHANGE if kind == 1 else _JUMP
                     # the same lane backwards by metres is no driving
-                    if lane[i - 1, p] == lane[i, c] and at_s[i, c] < at_s[i - 1, p] - 5.0:
+                    if lane[i - 1, p] == lane[i, c] and at_m[i, c] < at_m[i - 1, p] - 5.0:
                         move = _JUMP
                 if total[i - 1, from_slot] + move < best:
                     best, best_from = total[i - 1, from_slot] + move, from_slot
@@ -142,12 +142,12 @@ def _viterbi(lane: IntArray, at_s: FloatArray, cost: FloatArray, count: IntArray
 
 @kernel("(i8[::1], i8[::1], i8[:,::1], f8[:,::1], f8[:,::1], i8[::1], i8[:,::1],)")
 def likeliest_lanes(
-    agents: IntArray, first: IntArray, lane: IntArray, at_s: FloatArray, cost: FloatArray, count: IntArray,
+    agents: IntArray, first: IntArray, lane: IntArray, at_m: FloatArray, cost: FloatArray, count: IntArray,
     link: IntArray,
 ) -> IntArray:  # fmt: skip
     """Slot (N,) of the likeliest lane of every row of the agents, -1 for none; link: as of `FlatLanes`."""
     chosen = np.full(len(lane), -1, dtype=np.int64)
     for a in agents:
         own = slice(first[a], first[a + 1])
-        chosen[own] = _viterbi(lane[own], at_s[own], cost[own], count[own], link)
+        chosen[own] = _viterbi(lane[own], at_m[own], cost[own], count[own], link)
     return chosen

@@ -76,9 +76,9 @@ def roll(
     span: tuple[int, int], start: tuple[float, float, float], desired_mps: FloatArray,
     driver: tuple[float, float, float, float], reaction: float, length: float, horizon: int, step_s: float,
     brakes: FloatArray, road: FloatArray, lane_ends: FloatArray, lane_policies: IntArray, low: FloatArray,
-    high: FloatArray, along: FloatArray, same_direction: BoolArray, stop_s: FloatArray, closed: BoolArray,
+    high: FloatArray, along: FloatArray, same_direction: BoolArray, stop_m: FloatArray, closed: BoolArray,
     causes: IntArray, shown_middle: FloatArray, shown_speed: FloatArray, shown_leads: BoolArray,
-    shown_lengths: FloatArray, link_s: FloatArray, paces: FloatArray, turns: FloatArray, memory: FloatArray,
+    shown_lengths: FloatArray, link_m: FloatArray, paces: FloatArray, turns: FloatArray, memory: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Place s and speed v at the steps of a span, first to last, (K,) each, from a start s m, v m/s, a m/s2.
 
@@ -87,7 +87,7 @@ def roll(
 
     desired_mps (T,) by the scene's steps; driver .. causes: as in `speed_limits`, of one vehicle; reaction s; length m:
     own, of the box that SUMO has. shown_* (R, T): the agents that SUMO is shown, as in `Shown`.
-    Of SUMO's lanes along the path (L,): link_s m, where they end; paces, metres on the path for one on the lane; turns
+    Of SUMO's lanes along the path (L,): link_m m, where they end; paces, metres on the path for one on the lane; turns
     m/s, at most desired for the link to each.
     """
     first, last = span
@@ -109,17 +109,17 @@ def roll(
         desired = desired_mps[t]
         limit, _, _, _, yields, _ = limit_of(
             0, t, fleet, desired, driver, yields, horizon, step_s, brakes, road, lane_ends, lane_policies, low, high,
-            along, same_direction, stop_s, closed, causes, others, swept,
+            along, same_direction, stop_m, closed, causes, others, swept,
         )  # fmt: skip
         s, v, a = fleet[0, 0], fleet[0, 1], fleet[0, 2]
         front = s + 0.5 * length
-        lane = min(int(np.searchsorted(link_s, front, side="right")), link_s.size - 1)
+        lane = min(int(np.searchsorted(link_m, front, side="right")), link_m.size - 1)
         gap, lead_v, lead_a = _leader(
             shown_middle, shown_speed, shown_leads, shown_lengths, t, s, s - before_s, length, step_s
         )
         if gap > _looks_m(v, length, in_sumo):
             gap = np.inf
-        ahead = _desired_ahead(desired, v, front, lane, link_s, turns)
+        ahead = _desired_ahead(desired, v, front, lane, link_m, turns)
         v_next = eidm_speed(
             state, v, a, (desired, ahead), (gap, lead_v, lead_a), max(limit, 0.0), in_sumo, reaction, step_s,
             t * step_s,

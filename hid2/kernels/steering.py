@@ -47,7 +47,7 @@ def limit_of(
     i: int, t: int, fleet: FloatArray, desired_mps: float, driver: tuple[float, float, float, float],
     is_yielding: bool,  # noqa: FBT001  # kernels have no keywords
     horizon: int, step_s: float, brakes: FloatArray, road: FloatArray, ends: FloatArray, lanes: IntArray,
-    low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, stop_s: FloatArray,
+    low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, stop_m: FloatArray,
     closed: BoolArray, causes: IntArray, others: IntArray, swept: FloatArray,
 ) -> tuple[float, int, int, int, bool, bool]:  # fmt: skip
     """The lowest limit on the speed of vehicle i for the step after t, as `speed_limits` has it for many."""
@@ -60,7 +60,7 @@ def limit_of(
     if horizon > 0:
         tau, accel, decel, min_gap = driver
         row, hit, free, leader, gap, _ = needed_braking(
-            low, high, along, same_direction, stop_s, closed, swept, others, fleet, i, t, (s, v, a), desired_mps, road,
+            low, high, along, same_direction, stop_m, closed, swept, others, fleet, i, t, (s, v, a), desired_mps, road,
             horizon, step_s, driver, brakes,
         )  # fmt: skip
         needed = brakes[row]
@@ -74,7 +74,7 @@ def limit_of(
         gentlest = max(min(a, 0.0) - _JERK_MPS3 * step_s, -softly)
         if yields and v + max(-needed, gentlest) * step_s <= limit:
             limit, cause = v + max(-needed, gentlest) * step_s, _CONFLICT
-        line, slowing = stop_ahead(stop_s, closed, s, v, t, accel, decel)
+        line, slowing = stop_ahead(stop_m, closed, s, v, t, accel, decel)
         slower = v + max(slowing, gentlest) * step_s
         if line >= 0 and (slower < limit or (slower == limit and causes[line] < cause)):
             limit, cause = slower, causes[line]
@@ -91,7 +91,7 @@ def speed_limits(
     rows: IntArray, t: int, fleet: FloatArray, desired_mps: FloatArray, drivers: FloatArray, yielding: BoolArray,
     horizon: int, step_s: float, brakes: FloatArray, first: IntArray, road: FloatArray, lane_ends: FloatArray,
     lane_policies: IntArray, low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray,
-    stop_s: FloatArray, closed: BoolArray, causes: IntArray, others: IntArray, swept: FloatArray,
+    stop_m: FloatArray, closed: BoolArray, causes: IntArray, others: IntArray, swept: FloatArray,
 ) -> tuple[FloatArray, IntArray, IntArray, IntArray, BoolArray, BoolArray]:  # fmt: skip
     """The lowest limits on the speeds of rows (M,) of fleet (N, 5) for the step after t, and what else is found.
 
@@ -114,7 +114,7 @@ def speed_limits(
         limits[m], caused[m], policies[m], waits_for[m], yields[m], braking_fails[m] = limit_of(
             i, t, fleet, desired_mps[i, t], (tau, accel, decel, min_gap), yielding[i], horizon, step_s, brakes,
             road[at[0] : to[0]], lane_ends[at[1] : to[1]], lane_policies[at[1] : to[1]], low[at[2] : to[2]],
-            high[at[2] : to[2]], along[at[2] : to[2]], same_direction[at[2] : to[2]], stop_s[at[3] : to[3]],
+            high[at[2] : to[2]], along[at[2] : to[2]], same_direction[at[2] : to[2]], stop_m[at[3] : to[3]],
             closed[at[3] : to[3]], causes[at[3] : to[3]], rivals, swept[at[5] : to[5]].reshape(3, rivals.size, reach),
         )  # fmt: skip
     return limits, caused, policies, waits_for, yields, braking_fails

@@ -99,8 +99,8 @@ def blend_paths(
         return None
     across = lateral_share(np.interp(s[moving], along_m, tau), ramp)
     shifted = source[moving] * (1.0 - across[:, None]) + aim.point(along) * across[:, None]
-    rest_s = np.arange(along[-1] + step_m, aim.length_m, step_m)
-    rest = np.concatenate([aim.point(rest_s), aim.point(np.array([aim.length_m]))])
+    rest_m = np.arange(along[-1] + step_m, aim.length_m, step_m)
+    rest = np.concatenate([aim.point(rest_m), aim.point(np.array([aim.length_m]))])
     points = np.concatenate([source[s <= start_m], shifted, rest])
     driven = arc_length(points)
     first = int((s <= start_m).sum())

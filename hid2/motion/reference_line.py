@@ -32,7 +32,7 @@ class ReferenceLine:
     table_curvature: FloatArray
     table_sharpness: FloatArray
     points: FloatArray
-    points_s: FloatArray
+    points_m: FloatArray
 
     @once
     def near(self, reach_m: float) -> tuple[Raster, FloatArray]:
@@ -90,4 +90,4 @@ def _line_through(points: FloatArray) -> ReferenceLine:
     length_m = float(parameter[-1])
     count = int(length_m / TABLE_STEP_M) + 2 + int(_BEYOND_M / TABLE_STEP_M)
     tables = spline_table(breaks, pieces, count)
-    return ReferenceLine(breaks, pieces, length_m, *tables, points, points_s=parameter)
+    return ReferenceLine(breaks, pieces, length_m, *tables, points, points_m=parameter)

@@ -33,7 +33,7 @@ Route = tuple[int, ...]
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """Stretch of a path on one lane: start, end in arc length of the path, m; lane_s at its start and end, m."""
+    """Stretch of a path on one lane: start, end in arc length of the path, m; lane_m at its start and end, m."""
 
     lane_id: int
     start: float
@@ -41,15 +41,15 @@ class Segment:
     lane_start: float
     lane_end: float
 
-    def lane_s(self, s: float) -> float:
+    def lane_m(self, s: float) -> float:
         """Arc length on the lane at arc length s of the path."""
         share = (s - self.start) / max(self.end - self.start, 1e-9)
         return self.lane_start + min(max(share, 0.0), 1.0) * (self.lane_end - self.lane_start)
 
-    def s_at(self, lane_s: float) -> float:
+    def s_at(self, lane_m: float) -> float:
         """Arc length on the path at an arc length of the lane; also beyond the stretch."""
         pace = (self.end - self.start) / max(self.lane_end - self.lane_start, 1e-9)
-        return self.start + pace * (lane_s - self.lane_start)
+        return self.start + pace * (lane_m - self.lane_start)
 
 
 class LateralSpan(NamedTuple):
@@ -65,7 +65,7 @@ class DrivenPath:
 
     raw (N, 2) m; segments: by the lane that the centre is on, which changes half way across; followed: by the lane on
     which the simulation has the vehicle, which is in the new one at once; lateral_spans: of each lateral motion;
-    lateral: the last of them; exit_s: the end of the last lane.
+    lateral: the last of them; exit_m: the end of the last lane.
     """
 
     line: ReferenceLine
@@ -76,9 +76,9 @@ class DrivenPath:
     lateral: "LateralMotion | None" = None
 
     @cached_property
-    def raw_s(self) -> FloatArray:
+    def raw_m(self) -> FloatArray:
         """Arc length on raw of each of the line's points, m."""
-        return np.linspace(0.0, float(arc_length(self.raw)[-1]), self.line.points_s.size)
+        return np.linspace(0.0, float(arc_length(self.raw)[-1]), self.line.points_m.size)
 
     @cached_property
     def raw_line(self) -> Polyline:
@@ -92,7 +92,7 @@ class DrivenPath:
         return points, arc_length(points)
 
     @property
-    def exit_s(self) -> float:
+    def exit_m(self) -> float:
         """Arc length where the last lane ends, m."""
         return self.line.length_m
 
@@ -103,7 +103,7 @@ class DrivenPath:
                 return segment
         return self.segments[-1]
 
-    def all_lane_s(self, s: FloatArray) -> tuple[IntArray, FloatArray]:
+    def all_lane_m(self, s: FloatArray) -> tuple[IntArray, FloatArray]:
         """Segments at arc lengths (M,) m, the last one beyond the end, and arc lengths on their lanes, m."""
         every = [(one.start, one.end, one.lane_start, one.lane_end) for one in self.segments]
         start, end, lane_start, lane_end = np.array(every).T
@@ -111,25 +111,25 @@ class DrivenPath:
         share = (s - start[of]) / np.maximum(end - start, 1e-9)[of]
         return of, lane_start[of] + np.clip(share, 0.0, 1.0) * (lane_end - lane_start)[of]
 
-    def s_on(self, lane_id: int, lane_s: float, *, after: float) -> float | None:
-        """Arc length at lane_s of the lane on which the simulation has a vehicle, after a place; None off the path."""
+    def s_on(self, lane_id: int, lane_m: float, *, after: float) -> float | None:
+        """Arc length at lane_m of the lane on which the simulation has a vehicle, after a place; None off the path."""
         for segment in self.followed:
             if segment.lane_id == lane_id and segment.end > after:
-                return segment.s_at(lane_s)
+                return segment.s_at(lane_m)
         return None
 
-    def to_line(self, raw_s: float) -> float:
+    def to_line(self, raw_m: float) -> float:
         """Arc length on the line of an arc length on the raw polyline."""
-        return float(np.interp(raw_s, self.raw_s, self.line.points_s))
+        return float(np.interp(raw_m, self.raw_m, self.line.points_m))
 
-    def all_to_line(self, raw_s: FloatArray) -> FloatArray:
+    def all_to_line(self, raw_m: FloatArray) -> FloatArray:
         """The same for many, (M,) m."""
-        return np.interp(raw_s, self.raw_s, self.line.points_s)
+        return np.interp(raw_m, self.raw_m, self.line.points_m)
 
     def frenet(self, xy: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Of points (M, 2) m: arc lengths on the line and offsets from the raw polyline, left positive, (M,) m each."""
-        raw_s, offset = frenet(xy, self.raw_line.points, self.raw_line.s)
-        return self.all_to_line(raw_s), offset
+        raw_m, offset = frenet(xy, self.raw_line.points, self.raw_line.s)
+        return self.all_to_line(raw_m), offset
 
     def to_raw(self, s: float) -> float:
         """Arc length on the raw polyline of an arc length on the line."""
@@ -137,7 +137,7 @@ class DrivenPath:
 
     def all_to_raw(self, s: FloatArray) -> FloatArray:
         """The same for many, (M,) m."""
-        return np.interp(s, self.line.points_s, self.raw_s)
+        return np.interp(s, self.line.points_m, self.raw_m)
 
 
 class Jump(NamedTuple):
@@ -228,8 +228,8 @@ def shifted_path(motion: LateralMotion, *, limits: Limits) -> DrivenPath | None:
 
 def _joined(own: Iterable[Segment], beside: Iterable[Segment], *, at: float) -> tuple[Segment, ...]:
     """Stretches of a path up to an arc length, m, and those of another one from there on."""
-    before = [replace(one, end=min(one.end, at), lane_end=one.lane_s(at)) for one in own if one.start < at]
-    behind = [replace(one, start=max(one.start, at), lane_start=one.lane_s(at)) for one in beside if one.end > at]
+    before = [replace(one, end=min(one.end, at), lane_end=one.lane_m(at)) for one in own if one.start < at]
+    behind = [replace(one, start=max(one.start, at), lane_start=one.lane_m(at)) for one in beside if one.end > at]
     return (*before, *behind)
 
 

@@ -138,7 +138,7 @@ class AgentStates(LaneView):
         chords = Polyline(line.points)
         s = np.full(self.arrays.num_steps, np.nan)
         along, _ = frenet(np.ascontiguousarray(position), chords.points, chords.s)
-        s[self.arrays.step[rows]] = np.interp(along, chords.s, line.points_s)
+        s[self.arrays.step[rows]] = np.interp(along, chords.s, line.points_m)
         return DrivenLine(line, s)
 
     def leaders_on_path(self, agent: int, others: IntArray, *, aside_m: float = 0.0) -> PathLeaders:

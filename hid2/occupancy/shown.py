@@ -33,7 +33,7 @@ def shown_on(path: DrivenPath, traffic: Traffic, seen: PathOccupancy, *, step_s:
     front, speed, known = _fronts(traffic, step_s)
     middle, leads = leading_in_sumo(
         seen.low, seen.high, seen.along, seen.same_direction, seen.crossing, seen.agents, traffic.length_m, front,
-        known, path.line.table_xy, path.line.table_heading, path.exit_s,
+        known, path.line.table_xy, path.line.table_heading, path.exit_m,
     )  # fmt: skip
     return Shown(middle, speed[seen.agents], leads, traffic.length_m[seen.agents])
 

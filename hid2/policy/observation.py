@@ -76,12 +76,12 @@ def lane_options(
         if lane_id is None:
             continue
         lane = graph.lanes[lane_id].path
-        lane_s = float(frenet(xy, lane.points, lane.s)[0][0])
-        lane_s = min(max(lane_s, 0.0), graph.lanes[lane_id].length_m)
+        lane_m = float(frenet(xy, lane.points, lane.s)[0][0])
+        lane_m = min(max(lane_m, 0.0), graph.lanes[lane_id].length_m)
         target = target_path(scene, path, lane_id, s=s)
-        at = next(one for one in target.segments if one.lane_id == lane_id).s_at(lane_s)
-        cell = scene.grid.cell_at(lane_id, lane_s)
-        remaining = target.exit_s - at
+        at = next(one for one in target.segments if one.lane_id == lane_id).s_at(lane_m)
+        cell = scene.grid.cell_at(lane_id, lane_m)
+        remaining = target.exit_m - at
         free = _cells_free(scene, cell, inserted) and not transition_rejected(
             _next_sigma(scene, cell, step=inserted.step, speed_mps=speed_mps)
         )

@@ -76,7 +76,7 @@ def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:
     assert len(placed) >= 3
     taken: set[int] = set()
     for start in placed:
-        x, y = start.path.line.position(np.array([start.start_s]))[0].tolist()
+        x, y = start.path.line.position(np.array([start.start_m]))[0].tolist()
         half_l, half_w = start.size.length_m / 2, 0.4 * start.size.width_m
         box = shapely.box(x - half_l, y - half_w, x + half_l, y + half_w)
         under = np.flatnonzero(shapely.intersects(scene.grid.polygons, box))

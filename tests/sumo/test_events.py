@@ -35,10 +35,10 @@ def test_cut_in_comes_over_before_the_target_at_the_time_asked_for(data_root: Pa
     way = Polyline(target.position)
     at = round(event.at_s * 10)
     rows = [at - 17, at, at + 17]
-    (own_s, own_d), (target_s, _) = way.frenet(own.position[rows]), way.frenet(target.position[rows])
+    (own_m, own_d), (target_m, _) = way.frenet(own.position[rows]), way.frenet(target.position[rows])
     assert abs(own_d[0]) > 2.2
     assert abs(own_d[2]) < 1.3
-    gap = own_s - target_s - 0.5 * (own.size.length_m + target.size.length_m)
+    gap = own_m - target_m - 0.5 * (own.size.length_m + target.size.length_m)
     assert np.all((gap > 3.5) & (gap < 30.5))
 
 
@@ -60,12 +60,12 @@ def test_overtake_passes_the_target_and_comes_back_before_it(data_root: Path) ->
     own = scene.generated[0]
     target = next(track for track in scene.source.tracks if track.track_id == event.target_track_id)
     way = Polyline(np.concatenate([target.position, own.position[-1:]]))
-    (own_s, own_d), (target_s, _) = way.frenet(own.position), way.frenet(target.position)
+    (own_m, own_d), (target_m, _) = way.frenet(own.position), way.frenet(target.position)
     at, lengths_m = round(event.at_s * 10), 0.5 * (own.size.length_m + target.size.length_m)
-    assert own_s[0] < target_s[0] - lengths_m
+    assert own_m[0] < target_m[0] - lengths_m
     assert np.max(np.abs(own_d[:at])) > 2.2
-    assert own_s[at] - target_s[at] - lengths_m == pytest.approx(event.gap_m, abs=1.0)
-    assert np.all(own_s[at:] - target_s[at:] > lengths_m)
+    assert own_m[at] - target_m[at] - lengths_m == pytest.approx(event.gap_m, abs=1.0)
+    assert np.all(own_m[at:] - target_m[at:] > lengths_m)
 
 
 @pytest.mark.parametrize("asked_mps2", [2.0, 4.0])

@@ -61,7 +61,7 @@ def start_on(scene: Scene, route: Route, s: float, speed: float, **changes: Any)
     driver = changes.get("driver", DRIVER)
     return Start(**{
         "vehicle_id": f"v{number}_0", "request": request, "box": CAR,
-        "route": route, "path": scene.paths.along(route), "start_s": s, "start_mps": speed, "driver": driver,
+        "route": route, "path": scene.paths.along(route), "start_m": s, "start_mps": speed, "driver": driver,
         "desired": np.full(scene.num_steps, driver.desired_mps), "offset": MIDDLE, "sides": ("left", "right"),
         **changes,
     })  # fmt: skip
@@ -70,7 +70,7 @@ def start_on(scene: Scene, route: Route, s: float, speed: float, **changes: Any)
 def driven(start: Start, v: npt.ArrayLike, **changes: Any) -> DrivenVehicle:
     """A vehicle with the speeds v (T,) m/s, as SUMO moves it: by the new speed of every step."""
     speed = np.asarray(v, dtype=np.float64)
-    s = start.start_s + np.concatenate([[0.0], np.cumsum(0.1 * speed[1:])])
+    s = start.start_m + np.concatenate([[0.0], np.cumsum(0.1 * speed[1:])])
     where = {"s": s.tolist(), "v": speed.tolist(), "jumped_m": [0.0] * s.size}
     return DrivenVehicle(**{"start": start, "path": start.path, **where, **changes})
 

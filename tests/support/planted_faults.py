@@ -107,7 +107,7 @@ class Site:
     """A stretch, a place on it and, where the fault needs one, a recorded agent."""
 
     stretch: Stretch
-    start_s: float
+    start_m: float
     other: SecondTrack | None = None
 
 
@@ -134,7 +134,7 @@ class Bench:
 
     def track(self, site: Site, motion: Motion) -> SecondTrack:
         """The vehicle with another motion, from step 0 on."""
-        xy, heading = site.stretch.pose(site.start_s + motion.s, motion.d)
+        xy, heading = site.stretch.pose(site.start_m + motion.s, motion.d)
         return self.with_states(xy, heading + motion.turn)
 
     def with_states(self, xy: Floats, heading: Floats) -> SecondTrack:
@@ -403,7 +403,7 @@ def _approach(bench: Bench, site: Site, strength: str) -> Planting | None:
         low, high = (middle, high) if ttc_from(middle) > target else (low, middle)
     if low < 0.5 or low + s[-1] > site.stretch.length_m - 1.0 or ttc_from(low) > target + 0.1:  # it may not come near
         return None
-    return Planting(bench.track(replace(site, start_s=0.0), Motion(low + s, np.zeros(STEPS), np.zeros(STEPS))))
+    return Planting(bench.track(replace(site, start_m=0.0), Motion(low + s, np.zeros(STEPS), np.zeros(STEPS))))
 
 
 def _before_end(gap_m: dict[str, float], faster_mps: float) -> Build:
@@ -419,15 +419,15 @@ def _before_end(gap_m: dict[str, float], faster_mps: float) -> Build:
         start = float(led[0][-1]) - gap - float(s[-1])
         if start < 0.5 or start + s[-1] > site.stretch.length_m - 1.0:
             return None
-        return Planting(bench.track(replace(site, start_s=start), Motion(s, np.zeros(STEPS), np.zeros(STEPS))))
+        return Planting(bench.track(replace(site, start_m=start), Motion(s, np.zeros(STEPS), np.zeros(STEPS))))
 
     return build
 
 
-def _pet(bench: Bench, site: Site, start_s: float) -> tuple[float, SecondTrack, Floats, Floats, Floats]:
+def _pet(bench: Bench, site: Site, start_m: float) -> tuple[float, SecondTrack, Floats, Floats, Floats]:
     """PET (0 if none is first everywhere, inf if they do not meet) of a drive at 7 m/s, and where they meet when."""
     assert site.other is not None
-    track = bench.track(replace(site, start_s=start_s), Motion(driving(7.0), np.zeros(STEPS), np.zeros(STEPS)))
+    track = bench.track(replace(site, start_m=start_m), Motion(driving(7.0), np.zeros(STEPS), np.zeros(STEPS)))
     own, theirs = shapely.STRtree(site.other.boxes).query(track.boxes, predicate="intersects")
     apart = (track.steps[own] - site.other.steps[theirs]) * DT_S
     pet = math.inf if not len(apart) else float(np.abs(apart).min()) if apart.min() * apart.max() > 0.0 else 0.0
@@ -512,7 +512,7 @@ def _claimed_cut_in(bench: Bench, site: Site, strength: str) -> Planting | None:
         if led is None:
             return None
         s = driving(float(led[1].mean()))
-        ahead = replace(site, start_s=float(led[0][0]) + 15.0)
+        ahead = replace(site, start_m=float(led[0][0]) + 15.0)
         track = bench.track(ahead, Motion(s, np.zeros(STEPS), np.zeros(STEPS)))
         return Planting(track, (), (_event("cut_in", bench.vehicle, site.other.track_id, 3.5),))
     for side in (1.0, -1.0):
@@ -522,7 +522,7 @@ def _claimed_cut_in(bench: Bench, site: Site, strength: str) -> Planting | None:
         d = side * 3.5 / 2 * (1 + np.cos(np.pi * np.clip((T - 1.0) / 5.0, 0.0, 1.0)))
         s = driving(float(led[1].mean()))
         turn = np.arctan2(np.gradient(d, DT_S), np.gradient(s, DT_S))
-        ahead = replace(site, start_s=float(led[0][0]) + 18.0)
+        ahead = replace(site, start_m=float(led[0][0]) + 18.0)
         track = bench.track(ahead, Motion(s, d, turn))
         found = crossings(bench.scene, track)
         if len({round(one[0], 1) for one in found}) == 1:

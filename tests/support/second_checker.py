@@ -229,7 +229,7 @@ def _ahead(
     width = np.array([t.width_m for t in scene.tracks])[scene.owner[rows]]
     across = (np.abs(np.sin(off)) * length + np.abs(np.cos(off)) * width + track.width_m) / 2
     reach = (np.abs(np.cos(off)) * length + np.abs(np.sin(off)) * width + track.length_m) / 2
-    ahead_m = s - path.own_s[own[rows]]
+    ahead_m = s - path.own_m[own[rows]]
     leads = (np.abs(off) <= ALIKE_RAD) & (np.abs(d) < across) & (ahead_m > 1.0) & (ahead_m - reach < LEADER_M)
     velocity = scene.velocity_all[rows]
     along = velocity[:, 0] * np.cos(direction) + velocity[:, 1] * np.sin(direction)
@@ -277,7 +277,7 @@ def _least_ttc(scene: SecondScene, track: SecondTrack) -> dict[int, tuple[float,
 def _room(path: DrivenLine, track: SecondTrack, row: int, other: shapely.Geometry, *, most_m: float) -> float:
     """How far the own box can be pushed along its path until it touches the other, m, to 5 cm; inf beyond most_m."""
     pushed = np.arange(0.0, most_m + 0.05, 0.05)
-    centre, heading = path.line.at(path.own_s[row] + pushed)
+    centre, heading = path.line.at(path.own_m[row] + pushed)
     touches = shapely.intersects(shapely.polygons(box_corners(centre, heading, track.length_m, track.width_m)), other)
     return float(pushed[np.argmax(touches)]) if touches.any() else math.inf
 

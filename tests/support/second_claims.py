@@ -271,7 +271,7 @@ def _event_order(
     if path is None or not len(steps):
         return math.inf
     s, d = path.line.project(front.xy[theirs])
-    follows = (np.abs(d) < within_m) & (s > path.own_s[own])
+    follows = (np.abs(d) < within_m) & (s > path.own_m[own])
     return float(np.abs(steps[follows] * DT_S - float(one["at_s"])).min()) if follows.any() else math.inf
 
 

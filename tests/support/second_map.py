@@ -39,12 +39,12 @@ class Line:
         return np.hypot(*self.steps.T)
 
     @cached_property
-    def start_s(self) -> Floats:
+    def start_m(self) -> Floats:
         return np.concatenate([[0.0], np.cumsum(self.lengths)])
 
     @property
     def length_m(self) -> float:
-        return float(self.start_s[-1])
+        return float(self.start_m[-1])
 
     def project(self, points: Floats) -> tuple[Floats, Floats]:
         """Arc length and offset to the left (P,) of the nearest points; beyond the ends s goes on straight."""
@@ -63,14 +63,14 @@ class Line:
         t = np.where(last & (along[rows, nearest] > high[nearest]), along[rows, nearest], t)
         near = away[rows, nearest] - t[:, None] * unit[nearest]
         cross = unit[nearest, 0] * away[rows, nearest, 1] - unit[nearest, 1] * away[rows, nearest, 0]
-        return self.start_s[nearest] + t, np.copysign(np.hypot(*near.T), cross)
+        return self.start_m[nearest] + t, np.copysign(np.hypot(*near.T), cross)
 
     def at(self, s: npt.ArrayLike) -> tuple[Floats, Floats]:
         """Points (P, 2) and headings (P,) at arc lengths; straight on beyond the ends."""
         where = np.atleast_1d(np.asarray(s, dtype=np.float64))
-        segment = np.clip(np.searchsorted(self.start_s, where, side="right") - 1, 0, len(self.lengths) - 1)
+        segment = np.clip(np.searchsorted(self.start_m, where, side="right") - 1, 0, len(self.lengths) - 1)
         unit = self.steps[segment] / self.lengths[segment][:, None]
-        points = self.xy[segment] + (where - self.start_s[segment])[:, None] * unit
+        points = self.xy[segment] + (where - self.start_m[segment])[:, None] * unit
         return points, np.arctan2(unit[:, 1], unit[:, 0])
 
 

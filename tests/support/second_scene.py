@@ -92,10 +92,10 @@ class SecondTrack:
 
 @dataclass(frozen=True, eq=False)
 class DrivenLine:
-    """The path that a track drives and, beyond its last step, the lanes ahead. own_s: (T,) m, its place on it."""
+    """The path that a track drives and, beyond its last step, the lanes ahead. own_m: (T,) m, its place on it."""
 
     line: Line
-    own_s: Floats
+    own_m: Floats
     driven_m: float
 
 

@@ -29,14 +29,14 @@ class UnsteeredStart:
 
 def unsteered_start(scene: Scene, begun: Start) -> UnsteeredStart:
     """Where a vehicle of hid2 begins, as SUMO takes it."""
-    front = front_arc_m(begun.start_s, begun.size.length_m)
+    front = front_arc_m(begun.start_m, begun.size.length_m)
     segment = begun.path.segment_at(front)
-    lane_s = segment.lane_s(front)
-    cell = scene.grid.cell_at(segment.lane_id, lane_s)
+    lane_m = segment.lane_m(front)
+    cell = scene.grid.cell_at(segment.lane_id, lane_m)
     edges = edges_along(scene, begun.path, cell)
     assert edges is not None
-    begin = float(scene.grid.edges_s[cell.lane_id][cell.index])
-    return UnsteeredStart(edges, scene.grid.lane_index(cell), max(0.0, lane_s - begin), begun.start_mps)
+    begin = float(scene.grid.edges_m[cell.lane_id][cell.index])
+    return UnsteeredStart(edges, scene.grid.lane_index(cell), max(0.0, lane_m - begin), begun.start_mps)
 
 
 def simulate_unsteered(

@@ -42,8 +42,8 @@ def test_a_lane_has_as_many_cells_as_the_paper_says(lane: Lane, graph: Graph, le
 
 def test_neighbours_share_the_larger_number_of_cells(two_lanes: CellGrid) -> None:
     assert [two_lanes.count(lane_id) for lane_id in (1, 2, 3)] == [4, 4, 2]
-    assert two_lanes.edges_s[1].tolist() == [0.0, 3.125, 6.25, 9.375, 12.5]
-    assert two_lanes.edges_s[2].tolist() == [0.0, 2.5, 5.0, 7.5, 10.0]
+    assert two_lanes.edges_m[1].tolist() == [0.0, 3.125, 6.25, 9.375, 12.5]
+    assert two_lanes.edges_m[2].tolist() == [0.0, 2.5, 5.0, 7.5, 10.0]
     assert two_lanes.borders[2].tolist() == [[0.0, 4.0], [2.5, 4.0], [5.0, 4.0], [7.5, 4.0], [10.0, 4.0]]
 
 
@@ -211,7 +211,7 @@ def test_every_arc_length_is_in_exactly_one_cell_no_longer_than_asked(length_m: 
     lane = draw_lane(1, points)
     grid = build_cell_grid(LaneGraph({1: lane}), cell_m=cell_m)
     assert grid.count(1) == max(1, math.ceil(lane.length_m / cell_m - 1e-9))
-    assert np.diff(grid.edges_s[1]).max() <= cell_m + 1e-6
-    assert grid.edges_s[1][-1] == lane.length_m
+    assert np.diff(grid.edges_m[1]).max() <= cell_m + 1e-6
+    assert grid.edges_m[1][-1] == lane.length_m
     index = grid.cell_at(1, s * lane.length_m).index
-    assert grid.edges_s[1][index] - 1e-9 <= s * lane.length_m <= grid.edges_s[1][index + 1] + 1e-9
+    assert grid.edges_m[1][index] - 1e-9 <= s * lane.length_m <= grid.edges_m[1][index + 1] + 1e-9

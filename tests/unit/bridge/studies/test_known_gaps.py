@@ -79,7 +79,7 @@ def _entered_s(drawn: Drawn, run: PairedRun, config: Config) -> dict[str, float]
     after_s = {
         one.vehicle_id: trigger_after_s(one, config.request, drawn.seed, drawn.scene.last_s) for one in drawn.arrivals
     }
-    return {name: one.request.trigger_s - after_s[name] - one.start_s / MPS for name, one in starts.items()}
+    return {name: one.request.trigger_s - after_s[name] - one.start_m / MPS for name, one in starts.items()}
 
 
 def _by_hand(drawn: Drawn, entered_s: dict[str, float], lead_s: float, lag_s: float) -> dict[str, bool]:

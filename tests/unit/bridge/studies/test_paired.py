@@ -49,8 +49,8 @@ def test_starts_are_the_same_for_every_value_and_triggers_are_those_asked_for(da
         drawn = draw(prepared, drawing_config(config))
         runs.append((drawn, paired_run(prepared, drawn, config), trigger_s))
     (first, _, _), (second, _, _) = runs
-    assert [(one.vehicle_id, one.start_s, one.start_mps, one.driver) for one in first.starts] == [
-        (one.vehicle_id, one.start_s, one.start_mps, one.driver) for one in second.starts
+    assert [(one.vehicle_id, one.start_m, one.start_mps, one.driver) for one in first.starts] == [
+        (one.vehicle_id, one.start_m, one.start_mps, one.driver) for one in second.starts
     ]
     assert len(first.starts) > 0
     for drawn, run, trigger_s in runs:

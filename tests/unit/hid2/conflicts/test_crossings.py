@@ -38,7 +38,7 @@ def test_crossings_of_a_path_are_known_by_arc_length(look) -> None:
     nobody = draw_box(0.0, 0.0).rows([])
     second = QUAD - np.array([50.0, 0.0])
     found = look(nobody, quads=(QUAD, second))
-    assert [(one.entry_s, one.exit_s) for one in found] == [(50.0, 53.0), (100.0, 103.0)]
+    assert [(one.entry_m, one.exit_m) for one in found] == [(50.0, 53.0), (100.0, 103.0)]
     assert not found[0].occupied.any()
     assert found[0].occupied.shape == (110,)
 

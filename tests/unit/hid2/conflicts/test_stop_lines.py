@@ -31,7 +31,7 @@ def junction(*recorded: Track) -> Scene:
 
 def _braking(lines: ClosedLines, *, s: float, v: float, step: int) -> tuple[float, str] | None:
     """Acceleration, m/s2, that stops a driver at the next closed line, and its cause; None for none."""
-    row, accel = stop_ahead(lines.stops_s(DRIVER), lines.closed, s, v, step, DRIVER.accel_mps2, DRIVER.decel_mps2)
+    row, accel = stop_ahead(lines.stops_m(DRIVER), lines.closed, s, v, step, DRIVER.accel_mps2, DRIVER.decel_mps2)
     return None if row < 0 else (float(accel), CAUSES[lines.cause[row]])
 
 
@@ -48,24 +48,24 @@ CROSSING = recorded(70.0, -50.0, 10.0, heading=UP)
 def _closed(lines: ClosedLines, cause: str) -> tuple[float, int, int]:
     (row,) = np.flatnonzero(lines.cause == CAUSES.index(cause))
     steps = np.flatnonzero(lines.closed[row])
-    return float(lines.stops_s(DRIVER)[row]), int(steps[0]), int(steps[-1])
+    return float(lines.stops_m(DRIVER)[row]), int(steps[0]), int(steps[-1])
 
 
 def test_entrance_is_closed_while_recorded_traffic_flows_across() -> None:
     """From 2 s before the crossing to 3 s after it; nothing is closed where nobody crosses."""
     scene = junction(CROSSING)
-    stop_s, first, last = _closed(StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR), "signal")
-    assert stop_s == pytest.approx(STOP_S)
+    stop_m, first, last = _closed(StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR), "signal")
+    assert stop_m == pytest.approx(STOP_S)
     assert (first, last) == (pytest.approx(26, abs=3), pytest.approx(84, abs=3))
     empty = junction()
-    assert StopLines(empty).on(empty.paths.along((1, 2, 3)), CAR).line_s.size == 0
+    assert StopLines(empty).on(empty.paths.along((1, 2, 3)), CAR).line_m.size == 0
 
 
 def test_longer_vehicles_stand_farther_back() -> None:
     """A bus of 12 m: 60 - 6 - 1 = 53 m."""
     scene = junction(CROSSING)
     lines = StopLines(scene).on(scene.paths.along((1, 2, 3)), BoxSize(12.0, 2.9))
-    assert lines.stops_s(DRIVER).tolist() == pytest.approx([53.0])
+    assert lines.stops_m(DRIVER).tolist() == pytest.approx([53.0])
 
 
 def test_driver_brakes_as_the_red_line_asks_for() -> None:
@@ -82,10 +82,10 @@ def test_driver_brakes_as_the_red_line_asks_for() -> None:
 @pytest.mark.parametrize("speed_mps", [6.0, 9.0])
 def test_braking_for_a_line_builds_up_and_eases(speed_mps: float) -> None:
     """From 60 m before it: gentle at first, hardest in between, gentle as it comes to stand, at the line."""
-    line_s, closed, s, v = np.array([60.0]), np.ones((1, 1), dtype=np.bool_), 0.0, speed_mps
+    line_m, closed, s, v = np.array([60.0]), np.ones((1, 1), dtype=np.bool_), 0.0, speed_mps
     braked = []
     while v > 0.5:
-        _, accel = stop_ahead(line_s, closed, s, v, 0, DRIVER.accel_mps2, DRIVER.decel_mps2)
+        _, accel = stop_ahead(line_m, closed, s, v, 0, DRIVER.accel_mps2, DRIVER.decel_mps2)
         s, v = s + 0.1 * v, v + 0.1 * min(accel, 0.0)
         braked.append(-accel)
     harder = np.array(braked)[np.array(braked) > 0.1]
@@ -136,8 +136,8 @@ def test_recorded_queue_keeps_the_entrance_closed() -> None:
     x = np.minimum(20.0 + 0.9 * steps, 56.0)
     arrives = Track("q", "vehicle", 2, steps, np.column_stack([x, 0.0 * x]), 0.0 * x, np.zeros((110, 2)), CAR)
     scene = junction(arrives)
-    stop_s, _, last = _closed(StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR), "signal")
-    assert (stop_s, last) == (pytest.approx(STOP_S), 109)
+    stop_m, _, last = _closed(StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR), "signal")
+    assert (stop_m, last) == (pytest.approx(STOP_S), 109)
 
 
 def test_pedestrian_on_a_crossing_is_yielded_to() -> None:
@@ -147,8 +147,8 @@ def test_pedestrian_on_a_crossing_is_yielded_to() -> None:
     """
     walker = recorded(101.5, -6.0, 1.3, heading=UP, kind="pedestrian", size=BoxSize(0.6, 0.6))
     scene = junction(walker)
-    stop_s, first, last = _closed(StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR), "crossing")
-    assert stop_s == pytest.approx(96.75, abs=0.5)
+    stop_m, first, last = _closed(StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR), "crossing")
+    assert stop_m == pytest.approx(96.75, abs=0.5)
     assert first < 40
     assert last < 75
     found = brake(walker, s=76.75, v=8.0, step=40)
@@ -162,7 +162,7 @@ def test_drivers_stand_where_they_like_but_short_of_pedestrians() -> None:
     walker = recorded(101.5, -6.0, 1.3, heading=UP, kind="pedestrian", size=BoxSize(0.6, 0.6))
     scene = junction(CROSSING, walker)
     lines = StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR)
-    usual, its = lines.stops_s(DRIVER), lines.stops_s(bold)
+    usual, its = lines.stops_m(DRIVER), lines.stops_m(bold)
     assert (its - usual).tolist() == pytest.approx([2.2, 0.5])
     assert its[0] + CAR.length_m / 2 == pytest.approx(61.2)
     past = np.linspace(its[0] - 5.0, its[0] + 0.9, 60)

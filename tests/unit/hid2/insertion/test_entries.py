@@ -94,7 +94,7 @@ def test_who_enters_is_just_inside_the_map_at_the_speed_of_its_traffic(road: Cal
     assert len(starts) > 10
     assert {start.step for start in starts} <= set(range(5, 50))
     assert len({start.step for start in starts}) > 5
-    rear = np.array([start.start_s - 0.5 * start.box.length_m for start in starts])
+    rear = np.array([start.start_m - 0.5 * start.box.length_m for start in starts])
     assert rear.min() >= 0.5 - 1e-6
     assert rear.max() <= 0.5 + 0.9 + 1e-6
     assert min(start.start_mps for start in starts) > 5.0
@@ -107,7 +107,7 @@ def test_room_is_kept_to_who_is_at_the_edge_at_that_very_step(road: Callable[...
     scene = _scene(road(length_m=300.0), recorded(10.0, 0.0, 0.0), recorded(3.0, 3.5, 9.0, name="q"))
     starts = _entering(scene)
     assert {start.route[0] for start in starts} == {2}
-    gaps = [3.0 + 0.9 * start.step - start.start_s - 4.5 for start in starts]
+    gaps = [3.0 + 0.9 * start.step - start.start_m - 4.5 for start in starts]
     assert min(gaps) > 2.0
 
 
@@ -115,7 +115,7 @@ def test_nobody_enters_before_who_comes_from_outside_the_map(road: Callable[...,
     """At 14 m/s from x = -60 on: the edge is passed at step 43; until then it closes in, from 1.5 s before too fast."""
     scene = _scene(road(lanes=1, length_m=300.0), recorded(-60.0, 0.0, 14.0))
     for start in _entering(scene):
-        gap_m = start.start_s - 0.5 * 4.5 - (-60.0 + 1.4 * start.step + 0.5 * 4.5)
+        gap_m = start.start_m - 0.5 * 4.5 - (-60.0 + 1.4 * start.step + 0.5 * 4.5)
         assert gap_m < 0.0 or gap_m > max(2.0, 1.5 * (14.0 - start.start_mps))
 
 

@@ -83,7 +83,7 @@ def test_failed_vehicle_is_replaced_elsewhere_and_counted_with_its_reason() -> N
     ]  # fmt: skip
     assert [start.vehicle_id for start in drive.rounds[1]] == ["v0_1", "v1_1"]
     assert drive.kept_before == [0, 2]
-    assert drive.rounds[1][0].start_s != drive.rounds[0][0].start_s
+    assert drive.rounds[1][0].start_m != drive.rounds[0][0].start_m
 
 
 def test_who_cannot_enter_is_replaced_and_its_lane_stays_open() -> None:
@@ -399,7 +399,7 @@ def test_count_is_never_exceeded_nor_a_request_met_twice(seed: int) -> None:
 def test_two_runs_are_one() -> None:
     def starts(seed: int) -> list[tuple[str, float, float]]:
         _, drive = _fill(scene_for(), seed=seed)
-        return [(one.vehicle_id, one.start_s, one.start_mps) for one in drive.rounds[0]]
+        return [(one.vehicle_id, one.start_m, one.start_mps) for one in drive.rounds[0]]
 
     assert starts(1) == starts(1)
     assert starts(1) != starts(2)

@@ -136,7 +136,7 @@ def test_who_follows_drives_as_fast_as_the_leader_at_least() -> None:
     scene = scene_of(recorded(60.0, 0.0, 12.0), crawling)
     meetings = _meetings(scene)
     starts = [start for seed in range(60) for start in _sites(scene, seed, Situation.FOLLOWS).propose(_request())]
-    led = [one for one in starts if _leader(meetings, scene, one.route[0], one.start_s) == 0]
+    led = [one for one in starts if _leader(meetings, scene, one.route[0], one.start_m) == 0]
     assert len(led) >= 5
     assert all(one.driver.desired_mps == pytest.approx(12.0) for one in led)
 

@@ -47,7 +47,7 @@ def test_overtaker_without_a_slower_leader_gets_one() -> None:
         leader, overtaker = _sites(scene_of(), seed).propose(OVERTAKE, SLOW)
         assert (leader.request, overtaker.request) == (SLOW, OVERTAKE)
         assert leader.route == overtaker.route
-        assert leader.start_s - overtaker.start_s > leader.box.length_m
+        assert leader.start_m - overtaker.start_m > leader.box.length_m
         assert 4.5 <= leader.driver.desired_mps <= 6.3
         assert leader.desired.min() >= 4.5
         assert leader.start_mps < overtaker.start_mps
@@ -83,7 +83,7 @@ def test_way_back_of_an_overtake_ends_on_the_map(road: Callable[..., LaneGraph])
             world = World(sites.here.scene, sites.here.roads, alone)
             world.choose(world.rolled_out(starts[0], (world.roll(starts[0]),)))
             path = world.act(starts[1])[0].path
-            assert path.lateral_spans[-1].end < path.exit_s - 0.5 * starts[1].size.length_m
+            assert path.lateral_spans[-1].end < path.exit_m - 0.5 * starts[1].size.length_m
     assert found
 
 
@@ -94,7 +94,7 @@ def test_slower_recorded_vehicle_is_overtaken_where_none_can_be_added() -> None:
     assert found
     for start in found:
         assert start.path.segments[0].lane_id == 1
-        assert 150.0 - 60.0 < start.start_s < 150.0 - 4.5
+        assert 150.0 - 60.0 < start.start_m < 150.0 - 4.5
 
 
 def test_no_leader_and_no_request_for_one_is_the_reason() -> None:

@@ -60,9 +60,9 @@ def test_site_is_never_on_an_occupied_cell_nor_near_a_box() -> None:
     starts = _many(scene, 120)
     assert len(starts) > 60
     for start in starts:
-        cell = scene.cell_at(start.path, start.start_s)
+        cell = scene.cell_at(start.path, start.start_m)
         assert scene.occupancy.sigma[0, scene.grid.index_of[cell]] == FREE
-        x, y = start.path.line.position(np.array([start.start_s]))[0]
+        x, y = start.path.line.position(np.array([start.start_m]))[0]
         for one in others:
             if abs(one.position[0, 1] - y) < 1.5:
                 assert abs(one.position[0, 0] - x) - 0.5 * (start.size.length_m + 4.5) >= 2.0 - 0.01
@@ -76,7 +76,7 @@ def test_start_that_a_recorded_vehicle_would_run_into_is_rejected() -> None:
     scene = scene_of(recorded(2.3, 0.0, 18.0), lanes=1, max_speed_mps=10.0)
     sites = _sites(scene)
     starts = [start for seed in range(60) for start in _sites(scene, seed).propose(_request())]
-    assert all(start.start_s > 75.0 for start in starts)
+    assert all(start.start_m > 75.0 for start in starts)
     for number in range(10):
         sites.propose(_request(number))
     assert sites.starts.rejected[Reason.TTC_RECORDED_FOLLOWER] > 0
@@ -220,7 +220,7 @@ def test_any_site_is_drawn_uniformly_over_all_that_are_admissible() -> None:
     Six stretches of 30 m from 20 to 200 m, 240 seeds: chi-square against the same count in each.
     """
     scene = scene_of(sites="any", lanes=1)
-    s = np.array([start.start_s for start in _many(scene, 240)])
+    s = np.array([start.start_m for start in _many(scene, 240)])
     counts, _ = np.histogram(s, bins=np.linspace(20.0, 200.0, 7))
     assert counts.sum() > 120
     assert chisquare(counts).pvalue > 0.01
@@ -237,11 +237,11 @@ def test_promising_sites_are_nearer_to_moving_traffic() -> None:
 
     def near(speed: float) -> float:
         starts = _many(scene_of(recorded(150.0, 3.5, speed), recorded(150.0, -20.0, 9.0)), 80)
-        return float(np.mean([abs(start.start_s - 150.0) < 30.0 for start in starts]))
+        return float(np.mean([abs(start.start_m - 150.0) < 30.0 for start in starts]))
 
     assert near(9.0) > 0.2
     alone = _many(scene_of(recorded(150.0, -8.0, 0.0)), 80)
-    assert near(9.0) > np.mean([abs(start.start_s - 150.0) < 30.0 for start in alone])
+    assert near(9.0) > np.mean([abs(start.start_m - 150.0) < 30.0 for start in alone])
 
 
 def test_lane_changes_start_where_a_lane_is_beside_at_the_trigger(lane: Callable[..., LaneSegment]) -> None:
@@ -257,7 +257,7 @@ def test_lane_changes_start_where_a_lane_is_beside_at_the_trigger(lane: Callable
     scene = scene_on(graph, config=Config(spawn=Spawn(prior_speed_mps=9.0)))
     own = [s for s in _many(scene, 60, policy=Policy.LANE_CHANGE, trigger_s=4.0) if s.path.segment_at(5.0).lane_id == 1]
     assert own
-    assert max(start.start_s for start in own) < 56.0
+    assert max(start.start_m for start in own) < 56.0
 
 
 @pytest.fixture
@@ -300,7 +300,7 @@ def test_rule_that_takes_one_side_alone_finds_its_sites(
     config = Config(lane_change=LaneChange(rule=f"only_{side}:accept"))
     scene = scene_on(road(length_m=ROAD_M), config=config)
     starts = _many(scene, 4, policy=Policy.LANE_CHANGE, trigger_s=1.0)
-    assert {scene.cell_at(start.path, start.start_s).lane_id for start in starts} == {lane_id}
+    assert {scene.cell_at(start.path, start.start_m).lane_id for start in starts} == {lane_id}
 
 
 def test_gap_beside_is_foreseen_by_the_configured_rule(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -332,7 +332,7 @@ def test_starts_of_a_round_keep_clear_of_each_other() -> None:
     for row, one in enumerate(starts):
         for other in starts[:row]:
             if one.route == other.route:
-                gap = abs(one.start_s - other.start_s) - 0.5 * (one.size.length_m + other.size.length_m)
+                gap = abs(one.start_m - other.start_m) - 0.5 * (one.size.length_m + other.size.length_m)
                 assert gap > 2.5 - 0.01
 
 
@@ -403,7 +403,7 @@ def test_nobody_begins_in_an_intersection_where_there_is_anything_else() -> None
     }
     config = Config(request=Request(near="anywhere"), spawn=Spawn(prior_speed_mps=9.0))
     scene = scene_on(LaneGraph(lanes, drivable_areas=()), config=config)
-    begun = Counter(one.path.segment_at(one.start_s).lane_id for one in _many(scene, 60))
+    begun = Counter(one.path.segment_at(one.start_m).lane_id for one in _many(scene, 60))
     assert begun.total() == 60
     assert begun[2] == 0
 

@@ -57,14 +57,14 @@ def test_segments_meet_and_cover_the_path(forked: LaneGraph) -> None:
     ends = [segment.end for segment in path.segments]
     assert ends == pytest.approx([50.0, 73.6, 133.6], abs=0.2)
     assert [segment.start for segment in path.segments] == pytest.approx([0.0, *ends[:-1]])
-    assert path.exit_s == pytest.approx(ends[-1])
+    assert path.exit_m == pytest.approx(ends[-1])
 
 
 def test_place_on_the_path_is_a_place_on_a_lane(forked: LaneGraph) -> None:
     path = _path(forked, 1, 2)
     segment = path.segment_at(70.0)
     assert segment.lane_id == 2
-    assert segment.lane_s(70.0) == pytest.approx(20.0, abs=0.01)
+    assert segment.lane_m(70.0) == pytest.approx(20.0, abs=0.01)
     assert path.segment_at(1e3).lane_id == 2
     assert path.segment_at(0.0).lane_id == 1
 
@@ -73,13 +73,13 @@ def test_place_on_a_lane_is_a_place_on_the_path(forked: LaneGraph) -> None:
     path = _path(forked, 1, 3, 4)
     for s in (0.0, 20.0, 60.0, 90.0, 130.0):
         segment = path.segment_at(s)
-        assert path.s_on(segment.lane_id, segment.lane_s(s), after=s - 1.0) == pytest.approx(s)
+        assert path.s_on(segment.lane_id, segment.lane_m(s), after=s - 1.0) == pytest.approx(s)
     assert path.s_on(2, 10.0, after=0.0) is None
 
 
 def test_lane_position_outside_a_segment_is_its_nearer_end() -> None:
     segment = Segment(lane_id=1, start=10.0, end=30.0, lane_start=5.0, lane_end=25.0)
-    assert [segment.lane_s(s) for s in (0.0, 10.0, 20.0, 30.0, 99.0)] == [5.0, 5.0, 15.0, 25.0, 25.0]
+    assert [segment.lane_m(s) for s in (0.0, 10.0, 20.0, 30.0, 99.0)] == [5.0, 5.0, 15.0, 25.0, 25.0]
 
 
 def test_line_and_polyline_scales_are_inverse(forked: LaneGraph) -> None:
@@ -186,7 +186,7 @@ def test_shifted_path_changes_its_lane_half_way(road: Callable[..., LaneGraph]) 
     assert path.segments[1].lane_end == pytest.approx(200.0)
     assert path.lateral_spans == (pytest.approx((60.0, 100.0), abs=1.5),)
     assert path.line.position(np.array([0.0, 80.0, 150.0]))[:, 1] == pytest.approx([0.0, 1.75, 3.5], abs=0.05)
-    assert path.exit_s == pytest.approx(200.2, abs=0.2)
+    assert path.exit_m == pytest.approx(200.2, abs=0.2)
 
 
 def test_steps_to_come_are_foreseen_up_to_the_end_of_the_motion(road: Callable[..., LaneGraph]) -> None:
