@@ -27,18 +27,18 @@ AskSumo = Callable[[Side], SumoAnswer]
 class Across:
     """A lane change that is decided. path: the way across.
 
-    shift, stage: what becomes of the vehicle if it is carried out; leader_id: what it then overtakes.
+    shift, stage: what becomes of the vehicle if it is carried out; overtaken_id: what it then overtakes.
     """
 
     path: DrivenPath
     shift: Shift
     stage: Stage
-    leader_id: str | None
+    overtaken_id: str | None
 
     def taken_by(self, vehicle: DrivenVehicle) -> None:
         """The vehicle changes lanes."""
         vehicle.shifts.append(self.shift)
-        vehicle.stage, vehicle.reason, vehicle.leader_id = self.stage, None, self.leader_id
+        vehicle.stage, vehicle.reason, vehicle.overtaken_id = self.stage, None, self.overtaken_id
 
 
 def advance(vehicle: DrivenVehicle, scene: Scene, now: int) -> bool:
@@ -100,7 +100,7 @@ class ManoeuvreDue:
             target_lane=option.target.lane_id, requested_step=self.now, target=target,
         )  # fmt: skip
         if vehicle.stage is Stage.PASS:
-            return Across(path, shift, Stage.RETURN, vehicle.leader_id)
+            return Across(path, shift, Stage.RETURN, vehicle.overtaken_id)
         return Across(path, shift, Stage.ENTER, None if leader is None else leader.track_id)
 
     def refuse(self, reason: Reason) -> None:
@@ -133,10 +133,10 @@ class ManoeuvreDue:
     def passed_gap_m(self) -> float:
         """From the rear bumper to the overtaken vehicle behind, m; -inf unless it is passed."""
         vehicle = self.vehicle
-        if vehicle.stage is not Stage.PASS or vehicle.leader_id is None:
+        if vehicle.stage is not Stage.PASS or vehicle.overtaken_id is None:
             return -math.inf
         return gap_to_passed(
-            vehicle.path, vehicle.start.box, s=vehicle.s[-1], lane=vehicle.start.path, passed_id=vehicle.leader_id,
+            vehicle.path, vehicle.start.box, s=vehicle.s[-1], lane=vehicle.start.path, passed_id=vehicle.overtaken_id,
             here=self._vehicles(),
         )  # fmt: skip
 

@@ -30,7 +30,7 @@ class Start:
     start_m m, of the box centre on the path; start_mps m/s; box: what is kept clear; desired (T,) m/s, by the scene's
     steps; sides: where it looks for a lane, in this order; step: at which it is first there, later than 0 where it
     enters at the map's edge; leader: the recorded vehicle that it would follow, as `Meetings` numbers them; -1 none;
-    meets: what it meets by its rollout, as `insertion/situations.py` has it.
+    situations: what it situations by its rollout, as `insertion/situations.py` has it.
     """
 
     vehicle_id: str
@@ -46,7 +46,7 @@ class Start:
     sides: tuple[Side, ...]
     step: int = 0
     leader: int = -1
-    meets: frozenset[str] = frozenset()
+    situations: frozenset[str] = frozenset()
 
     @property
     def size(self) -> BoxSize:
@@ -96,7 +96,9 @@ class GapLook:
 class DrivenVehicle:
     """A vehicle that SUMO drives: s (T,) m, v (T,) m/s on its path since its start, and what became of its request.
 
-    jumped_m (T,): how far SUMO has it behind s, which does not jump where SUMO changes lanes;
+    jumped_m (T,): how far SUMO has it behind s, which does not jump where SUMO changes lanes; reason: of the last
+    refusal of its manoeuvre; not_inserted: why SUMO does not have it, None where it has; left_at: step at which it left
+    the map; overtaken_id: what it passes, or has passed;
     limited: steps in which hid2 held it below SUMO's own choice of speed, by cause; policies: steps by the policy that
     Algorithm 1 returned; rerouted_at: step at which it took another way at the next split; waited_for: steps in which
     it braked for a vehicle of the same run that it followed or yielded to.
@@ -109,12 +111,12 @@ class DrivenVehicle:
     jumped_m: list[float] = field(default_factory=list)
     stage: Stage = Stage.WAITING
     reason: Reason | None = None
-    objection: Reason | None = None
+    not_inserted: Reason | None = None
     left_at: int | None = None
     rerouted_at: int | None = None
     shifts: list[Shift] = field(default_factory=list)
     gaps: list[GapLook] = field(default_factory=list)
-    leader_id: str | None = None
+    overtaken_id: str | None = None
     limited: Counter[str] = field(default_factory=Counter)
     policies: Counter[Policy] = field(default_factory=Counter)
     waited_for: Counter[str] = field(default_factory=Counter)
@@ -137,4 +139,4 @@ class DrivenVehicle:
     @property
     def running(self) -> bool:
         """Whether SUMO has it, or will have it."""
-        return self.objection is None and self.left_at is None
+        return self.not_inserted is None and self.left_at is None

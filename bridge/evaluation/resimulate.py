@@ -136,9 +136,9 @@ class Resimulation:
                 driving = (_Unsteered if model == "default" else FleetSimulation)(fleet, simulation, checked=False)
                 driven = list(zip(driving.run(), vehicles, strict=True))
                 for vehicle, one in driven:
-                    if vehicle.objection is not None:
+                    if vehicle.not_inserted is not None:
                         raise SimulationError(
-                            f"{recording.folder}: track {one.track.track_id}: {vehicle.objection.text}"
+                            f"{recording.folder}: track {one.track.track_id}: {vehicle.not_inserted.text}"
                         )
                 yield self._with(vehicles, [poses(scene, vehicle, one) for vehicle, one in driven])
 

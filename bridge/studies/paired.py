@@ -273,7 +273,7 @@ def _request_row(scene: Scene, vehicle: DrivenVehicle, *, first: int) -> dict[st
     if took is not None:
         row |= {name: told for name, told in look_row(took).items() if name in REQUEST_COLUMNS}
     row["status"] = "not_triggered" if trigger_s > last_s else "not_feasible"
-    row["reason"] = str(vehicle.objection or vehicle.reason or Reason.SCENE_ENDED)
+    row["reason"] = str(vehicle.not_inserted or vehicle.reason or Reason.SCENE_ENDED)
     return row
 
 

@@ -31,7 +31,7 @@ from hid2.insertion.flow import headway_s
 from hid2.insertion.requests import draw_size
 from hid2.params import Config
 from hid2.policy.lane_change import OPEN, Gap
-from hid2.policy.rules import GapView, by_own_wish, rule_arguments
+from hid2.policy.rules import GapView, accepts_unasked, rule_arguments
 from netconvert.cells import Cell, build_cell_grid
 from netconvert.net_xml import net_bytes
 
@@ -238,7 +238,7 @@ class RoadTraffic:
                 front=front, rear=rear, own_front=own_front, own_rear=own_rear,
                 remaining_m=self._end_m[target.number] - one.x, vehicle_id=one.name,
             )  # fmt: skip
-            if by_own_wish(view, self._change, must=wanted is not None):
+            if accepts_unasked(view, self._change, mandatory=wanted is not None):
                 simulation.change_lane(one.name, self._grid.lane_index(Cell(target.lane_id, 0)))
                 break
 

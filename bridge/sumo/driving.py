@@ -46,7 +46,12 @@ class FleetSimulation:
     _replay: Replay = field(init=False)
 
     def run(self) -> list[DrivenVehicle]:
-        """All steps of the scene; a vehicle's first state is its start."""
+        """All steps of the scene; a vehicle's first state is its start.
+
+        before step t   by the states of t - 1: Algorithm 1, limits; SUMO is told, recorded agents are put where they
+                        are at t
+        SUMO steps      then vehicles that start at t are inserted, and the states of t are read
+        """
         fleet, simulation, step_s = self.fleet, self.simulation, self.fleet.scene.step_s
         simulation.rewind()
         recorded = fleet.scene.num_recorded if self.checked else 0
@@ -63,7 +68,7 @@ class FleetSimulation:
         for step in range(fleet.scene.num_steps):
             attempts, limits = self._steer(step) if step > 0 else ({}, {})
             for row, vehicle in enumerate(fleet.vehicles):
-                if vehicle.start.step == step:  # from now on SUMO has to be shown its leaders
+                if vehicle.start.step == step:  # `shown_at` shows SUMO its leaders before it is inserted
                     fleet.along_m[row] = vehicle.start.start_m
             replay.place(step, shown_at(fleet, step))
             simulation.step()
@@ -74,7 +79,11 @@ class FleetSimulation:
         return fleet.vehicles
 
     def _steer(self, step: int) -> tuple[dict[int, steering.Attempt], dict[int, Limit]]:
-        """Observe, decide and act before a step; returns what SUMO was asked for, and limits of speed, by vehicle."""
+        """Observe, decide and act before a step, by the states of the step before (`now`).
+
+        Returns the lane changes that SUMO was asked for, and limits of speed, by vehicle. Recorded vehicles that react
+        take their next step; a vehicle that braking does not help may take another way.
+        """
         fleet, now = self.fleet, step - 1
         traffic = cache(fleet.traffic)  # put together at the first use
         if self.reactions is not None:
@@ -94,7 +103,7 @@ class FleetSimulation:
                 if attempt is not None:
                     attempts[row] = attempt
                 steering.let_pass(fleet, row, now, limits, k)
-            else:  # nothing to be asked: it keeps to its lane, as `decide` says
+            else:  # `decide` has nothing to choose: it would return this policy
                 fleet.vehicles[row].policies[lane_policy] += 1
             if limits.braking_fails[k] and steering.take_another_way(fleet, self.simulation, row, now):
                 for found, renewed in zip(limits, steering.limits_of(fleet, rows[k:], now), strict=True):
@@ -133,11 +142,11 @@ class FleetSimulation:
             if step > 0 and "collision" not in scene.config.without:
                 speed = entry_speed(start, self.fleet.traffic(), scene.config, step_s=scene.step_s)
             if speed is None:
-                vehicle.objection = Reason.NO_ROOM_AT_EDGE
+                vehicle.not_inserted = Reason.NO_ROOM_AT_EDGE
             else:
                 vehicle.start = replace(start, start_mps=speed)
-                vehicle.objection = insert(self.simulation, scene, vehicle.start)
-            if vehicle.objection is not None:
+                vehicle.not_inserted = insert(self.simulation, scene, vehicle.start)
+            if vehicle.not_inserted is not None:
                 self.fleet.along_m[row] = np.nan
 
     def _read(self, step: int, attempts: dict[int, steering.Attempt], limits: dict[int, Limit]) -> None:
@@ -148,7 +157,7 @@ class FleetSimulation:
                 continue
             if vehicle.vehicle_id not in inside:
                 if not vehicle.s:
-                    vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+                    vehicle.not_inserted = Reason.SUMO_REFUSES_INSERTION
                 else:
                     vehicle.left_at = step
                 self.fleet.leave(row)
@@ -161,11 +170,11 @@ class FleetSimulation:
                     vehicle.limited[limit[1]] += 1
                 if row in attempts:
                     steering.conclude(self.fleet, self.simulation, attempts[row], lane)
-                self.fleet.follow(row, lane, front_m, speed)
+                self.fleet.update_from_sumo(row, lane, front_m, speed)
 
 
 def insert(simulation: Simulation, scene: Scene, start: Start) -> Reason | None:
-    """Insert a vehicle at its cell, position and speed, with its driver. Returns SUMO's objection, None if accepted."""
+    """Insert a vehicle at its cell, position and speed, with its driver. Returns why it was not; None where it was."""
     front = front_arc_m(start.start_m, start.size.length_m)
     segment = start.path.segment_at(front)
     lane_m = segment.lane_m(front)
@@ -174,11 +183,11 @@ def insert(simulation: Simulation, scene: Scene, start: Start) -> Reason | None:
     if edges is None:
         return Reason.NO_ROUTE
     begin = float(scene.grid.edges_m[cell.lane_id][cell.index])
-    objection = simulation.insert(
+    message = simulation.insert(
         start.vehicle_id, edges=edges, lane_id=scene.grid.sumo_lane_id(cell), front_m=max(0.0, lane_m - begin),
         speed_mps=start.start_mps, driver=start.driver, size=start.size,
         max_speed_mps=float(max(start.desired[0], start.start_mps)),
     )  # fmt: skip
-    if objection is None and "collision" in scene.config.without:
+    if message is None and "collision" in scene.config.without:
         simulation.disregard_others(start.vehicle_id)
-    return None if objection is None else Reason.SUMO_REFUSES_INSERTION
+    return None if message is None else Reason.SUMO_REFUSES_INSERTION

@@ -26,12 +26,12 @@ from hid2.vehicle import DrivenVehicle, Start
 
 @dataclass(eq=False, slots=True)
 class PathContext:
-    """What a vehicle's present path is to it; a vehicle that takes another path gets a new one.
+    """What is worked out once of a vehicle's present path; a vehicle that takes another path gets a new one.
 
     road (S,): m/s at the table of the path's line, what the road allows the driver; lane_ends: where its lanes end, m;
-    policies: numbers of what Algorithm 1 comes to on each of them without a manoeuvre; in_width: as `Fleet.in_width`
-    has it, None until first asked for; obstacles: the guard's, likewise; reroute_tried: whether another way has been
-    looked for; jump: SUMO's where the vehicle comes on the path, None before.
+    policies: rows of `POLICIES`, what Algorithm 1 comes to on each of them without a manoeuvre; in_width: as
+    `Fleet.in_width` has it, None until first asked for; obstacles: the guard's, likewise; reroute_tried: whether
+    another way has been looked for; jump: SUMO's as the vehicle comes on the path, None before.
     """
 
     road: FloatArray
@@ -44,7 +44,10 @@ class PathContext:
 
 
 class LimitInputs(NamedTuple):
-    """What limits a vehicle's speed on its path, or of several one after another, as `speed_limits` takes it."""
+    """What limits a vehicle's speed on its path, or of several one after another, as `speed_limits` takes it.
+
+    Metres along its path, of its centre; low, high: where the boxes of an agent and it meet, as in `PathOccupancy`.
+    """
 
     road: FloatArray
     lane_ends: FloatArray
@@ -70,10 +73,11 @@ class Fleet:
     """Vehicles that are driven together among recorded ones and those kept in rounds before.
 
     scene: where recorded vehicles react, each that yields is elsewhere in a scene to come (`look_anew`); near_m:
-    vehicles farther than this from another one on either axis do not look at it. By vehicle: state (N, 5), the guard's
-    columns; along_m (N,) of the centre on the path, from its first step on, NaN for a vehicle nowhere; centre (N, 2) m,
-    inf for a vehicle that is nowhere yet; length_m (N,) of the box; desired_mps (N, T); drivers (N, 4), the guard's
-    columns; yielding (N,): whether a vehicle brakes for a conflict by now.
+    vehicles farther than this from another one on either axis do not look at it. By vehicle: state (N, 5): s m, v m/s,
+    a m/s2, whether it executes a manoeuvre, whether it is there; along_m (N,) of the centre on the path, from its first
+    step on, NaN for a vehicle nowhere; centre (N, 2) m, inf for a vehicle that is nowhere yet; length_m (N,) of the
+    box; desired_mps (N, T); drivers (N, 4): as `Driver.following`; yielding (N,): whether a vehicle brakes for a
+    conflict by now.
     """
 
     scene: Scene
@@ -127,7 +131,7 @@ class Fleet:
         self._limit_inputs = None
 
     def move(self, row: int, s: float, speed_mps: float, *, jumped_m: float = 0.0) -> None:
-        """A vehicle is at an arc length, m, of its path now, so far ahead of where SUMO has it."""
+        """Add a state: s of its centre on its path, m, which is jumped_m ahead of SUMO's own place."""
         vehicle, context = self.vehicles[row], self.contexts[row]
         before = vehicle.v[-1] if vehicle.v else speed_mps
         vehicle.s.append(s)
@@ -141,14 +145,15 @@ class Fleet:
         self.along_m[row], self.centre[row] = s, _xy(vehicle)
         self.state[row] = s, speed_mps, (speed_mps - before) / self.scene.step_s, executing, 1.0
 
-    def follow(self, row: int, lane: str, front_m: float, speed_mps: float) -> None:
-        """A vehicle is where SUMO has it now: its front bumper front_m along a lane, at a speed.
+    def update_from_sumo(self, row: int, lane: str, front_m: float, speed_mps: float) -> None:
+        """Add the state that SUMO has now: the front bumper front_m along a lane, at a speed.
 
-        On each new path it goes on steadily from where it was, and gives back on the way what SUMO has jumped (`Jump`).
-        Where SUMO has it on no lane of the path, as at a split that it takes otherwise, it goes on as it was.
+        SUMO puts a vehicle that changes lanes into the cell beside, as far along: the arc length jumps. On its new path
+        it goes on from where it was, and the jump is given back on the way (`Jump`). Where SUMO has it on no lane of
+        the path, as at a split that it takes otherwise, it goes on as it was.
         """
         vehicle, context = self.vehicles[row], self.contexts[row]
-        # as SUMO's ballistic step; where it replays no agent its steps are Euler's, by the new speed: millimetres
+        # by the mean speed, as SUMO's ballistic step; its Euler step, where no agent is replayed, is millimetres off
         steady = vehicle.s[-1] + 0.5 * (vehicle.v[-1] + speed_mps) * self.scene.step_s
         own = center_on_path(
             self.scene.grid, vehicle.path, lane, front_m, length_m=vehicle.start.size.length_m, after=vehicle.s[-1]
@@ -184,7 +189,7 @@ class Fleet:
         return PathContext(self.roads.speeds(path, driver), *self.roads.lanes(path))
 
     def take_path(self, row: int, path: DrivenPath, s: FloatArray | None = None) -> None:
-        """A vehicle is on another path from now on. s (T,) m: where it has been on it, None: as far as on the old."""
+        """A vehicle takes another path now. s (K,) m: where it has been on it since its start; None: as before."""
         vehicle = self.vehicles[row]
         vehicle.path, self.contexts[row] = path, self._context(path, vehicle.start.driver)
         if s is not None:
@@ -285,7 +290,7 @@ class Fleet:
         return [(other, one.path, one.start.box) for other, one in found]
 
     def _without_those_that_yield(self, obstacles: Obstacles, row: int, path: DrivenPath, now: int) -> Obstacles:
-        """Where recorded vehicles react: without those behind a vehicle that can yield to it."""
+        """Where recorded vehicles react: without recorded followers that can yield to the vehicle."""
         if self.scene.config.driving.replay == "fixed":
             return obstacles
         vehicle, known = self.vehicles[row], obstacles.known

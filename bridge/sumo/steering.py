@@ -36,7 +36,7 @@ _OFF_SHARE = 0.03  # no tunable: a tenth of a metre of a lane's width, before a 
 
 
 class SpeedLimits(NamedTuple):
-    """Of vehicles (M,) at a step, as the kernel `speed_limits` returns them."""
+    """Of vehicles (M,) at a step, as the kernel `speed_limits` returns them; `let_pass` lowers mps in place."""
 
     mps: FloatArray
     cause: IntArray
@@ -61,7 +61,7 @@ def limits_of(fleet: Fleet, rows: IntArray, now: int) -> SpeedLimits:
 
 
 def let_pass(fleet: Fleet, row: int, now: int, limits: SpeedLimits, place: int) -> None:
-    """Where a vehicle waits for a gap, the limit at which it slows down for those beside, if that is the lowest."""
+    """Lower the limit of a vehicle that waits for a gap, so that those beside can go ahead; place: its row there."""
     vehicle, step_s = fleet.vehicles[row], fleet.scene.step_s
     if vehicle.stage is Stage.WAITING and vehicle.reason in _LETS_PASS:
         desired, v = fleet.desired_mps[row, now], vehicle.v[-1]

@@ -59,7 +59,7 @@ class EntrySites:
             if isinstance(start, Start):
                 yield start
             else:
-                self.starts.rejected[start] += 1
+                self.starts.refusals[start] += 1
 
 
 def entry_speed(start: Start, fleet: Traffic, config: Config, *, step_s: float) -> float | None:

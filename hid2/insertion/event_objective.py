@@ -106,7 +106,7 @@ class Objective:
         """How far from the middle of what is asked, over half of each band; above 1 where it is not as asked."""
         return max(self._off_place(seen), self._off_criticality(seen))
 
-    def objection(self, seen: Seen) -> Reason | None:
+    def missed_by(self, seen: Seen) -> Reason | None:
         """Why what is seen is not what is asked: where and when, or how critical; None where it is."""
         if self._off_place(seen) > 1.0:
             return Reason.EVENT_NOT_THERE

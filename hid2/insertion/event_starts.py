@@ -88,7 +88,7 @@ class EventStarts(Starts):
             made = self._drawn(self.places[number])
             self._not_begun[number] = self._not_begun[number] + 1 if self.rolls == before else 0
             if isinstance(made, Reason):
-                self.rejected[made] += 1
+                self.refusals[made] += 1
             else:
                 found.append(made)
         return sorted(found, key=lambda one: one.cost)
@@ -116,7 +116,7 @@ class EventStarts(Starts):
         cost = self.objective.cost(seen)
         if cost < (math.inf if self._best is None else self._best[0]):
             self._best = cost, place, driver, first
-        return self.objective.objection(seen) or Candidate(rolled, cost)
+        return self.objective.missed_by(seen) or Candidate(rolled, cost)
 
     def _begins(self, place: Place) -> tuple[Driver, float] | None:
         """A driver and where it begins, m along the path; None where that is not free."""
@@ -173,7 +173,7 @@ class EventStarts(Starts):
         if place.side is not None:
             step = int(self.rng.choice(np.flatnonzero(there)))
             request = replace(start.request, trigger_s=step * self.scene.step_s)
-            vehicle, parts = world.act(replace(start, request=request, sides=(place.side,)))
+            vehicle, parts = world.roll_manoeuvre(replace(start, request=request, sides=(place.side,)))
             if not vehicle.shifts or (start.request.policy is Policy.OVERTAKE and vehicle.stage is not Stage.DONE):
                 return vehicle.reason or Reason.SCENE_ENDED
             request = replace(request, trigger_s=vehicle.shifts[0].requested_step * self.scene.step_s)
@@ -187,7 +187,7 @@ class EventStarts(Starts):
             seen_at = self.objective.likely_step(track_of(world.rolled_out(start, parts)))
             if seen_at is None or abs(seen_at - moment) > self.scene.steps_in(MOMENT_S):
                 return Reason.EVENT_NOT_THERE  # it would be seen to brake before
-        found = world.objection(self._made, parts)
+        found = world.rejection_reason(self._made, parts)
         if found is Reason.TTC_LANE_LEADER and place.side is not None:
             found = None  # one that stands aside on the lane left counts there: the judge tells before any is driven
         return found or parts

@@ -169,7 +169,7 @@ class SceneEvents:
             if isinstance(starts, Objective):
                 lengths_m = 0.5 * (size.length_m + starts.target.track.size.length_m)
                 starts = EventStarts(
-                    scene, self.here.roads, self.here.meetings, guard, rng, 0, rejected=rejected, changers=changers,
+                    scene, self.here.roads, self.here.meetings, guard, rng, 0, refusals=rejected, changers=changers,
                     objective=starts, request=request,
                     places=list(Places(self.here.routes, event, starts.target, lengths_m).all()),
                 )  # fmt: skip
@@ -191,7 +191,7 @@ class SceneEvents:
         if isinstance(vehicle, Reason):
             return vehicle
         seen = objective.seen(vehicle.track(driven.vehicle_id, 1))
-        if seen is None or (missed := objective.objection(seen)) is Reason.EVENT_NOT_THERE:
+        if seen is None or (missed := objective.missed_by(seen)) is Reason.EVENT_NOT_THERE:
             return driven.reason or Reason.EVENT_NOT_THERE
         if missed is not None:
             return missed

@@ -31,19 +31,19 @@ from netconvert.cells import Cell
 _MOST = 400
 #: A round of `agents = max` that adds a smaller share of those kept is the last.
 _FULL_SHARE = 0.1
-#: After so many requests for a manoeuvre without a site a round looks for no more of that policy.
-_FAILED = 4
-#: The same of requests to go straight.
-_FAILED_STRAIGHT = 1
-#: A vehicle that had waited for one that is gone is driven again so often.
-_AGAIN = 1
+#: After so many requests of a policy without a site a round looks for no more sites of that policy.
+_MOST_FAILURES = 4
+#: The same of requests to go straight, which all manoeuvres without a site become at once.
+_MOST_FAILURES_STRAIGHT = 1
+#: A vehicle that had waited for one that is rejected is driven again so many times at most.
+_MOST_REDRIVES = 1
 #: Lane that a vehicle takes on a full road, m: what `agents = max` means, no tunable.
 SPACING_M = 25.0
 #: Runs one simulation: starts, generated vehicles kept in rounds before, number of the round.
 Drive = Callable[[Sequence[Start], Traffic, int], list[DrivenVehicle]]
 #: Rounds in a row that add no vehicle, after which there are no more. No tunable: one may have had bad luck; a third
 #: finds four vehicles in a thousand for a tenth of the search.
-_IDLE = 2
+_MOST_IDLE = 2
 #: A stream of random numbers, apart from those of the rounds. No tunable: a name.
 _ROUNDING = (0, 79)
 _LOG = logging.getLogger(__name__)
@@ -92,7 +92,7 @@ class Filling:
     _turned_down: TurnedDown = field(default_factory=TurnedDown)
     _wanted: Wanted = field(init=False)
     _kept_traffic: Traffic = field(init=False)
-    """Those kept: what is known of those of a round goes on being known in the rounds after."""
+    """Those kept; each round joins its own to it, so that intervals worked out before still hold."""
 
     def __post_init__(self) -> None:
         """Recorded vehicles are where they were; those that react may be elsewhere later."""
@@ -101,7 +101,7 @@ class Filling:
         self._wanted = Wanted.of(self.surroundings.shares, np.random.default_rng([*self.seed, *_ROUNDING]))
 
     def take_events(self, found: Sequence[EventOutcome]) -> None:
-        """Vehicles of events are kept before all others, which have to do with them; they count among the vehicles."""
+        """Keep the vehicles of events first: all others are driven among them. They count among those asked for."""
         self.events = list(found)
         for one in found:
             if one.vehicle is not None:
@@ -129,9 +129,9 @@ class Filling:
             if is_over and config.request.agents == "max" and added <= _FULL_SHARE * len(self.kept):
                 break
             driven_again = {start.request.number for start in self._again}
-            if (is_over or idle == _IDLE) and self._give_up_manoeuvres(driven_again):
+            if (is_over or idle == _MOST_IDLE) and self._give_up_manoeuvres(driven_again):
                 idle = 0  # a vehicle that goes straight may find a place
-            if idle == _IDLE:
+            if idle == _MOST_IDLE:
                 break
         self._give_up_manoeuvres()
 
@@ -140,23 +140,23 @@ class Filling:
         return number >= self.scene.config.spawn.reseed_rounds
 
     def fill_together(self, drive: Drive) -> None:
-        """All in one round, again without those that are not kept until all are: where recorded vehicles react.
+        """Where recorded vehicles react: drive all starts together, again without those that fail, until none fails.
 
-        No recorded vehicle has reacted then to a vehicle that is not there, and none is replaced. `drive` sets `scene`
-        to what it has become, by which the vehicles are judged.
+        So no recorded vehicle has reacted to one that is not exported. None is replaced. Each `drive` sets `scene` to
+        what it has become, by which the vehicles are judged.
         """
         starts = sorted(self._starts_of(self._target()), key=lambda start: start.request.number)
         while True:
             vehicles = drive(starts, self._kept_traffic, self.rounds)
             self.rounds += 1
-            self.kept, gone = self._judged(vehicles)
-            if not gone:
+            self.kept, rejections = self._checked_round(vehicles)
+            if not rejections:
                 break
             self.kept = []
-            for one in gone.values():
+            for one in rejections.values():
                 self._note(one)
                 self._last_reason[one.vehicle.start.request.number] = one.reason
-            starts = [vehicle.start for vehicle in vehicles if vehicle.vehicle_id not in gone]
+            starts = [vehicle.start for vehicle in vehicles if vehicle.vehicle_id not in rejections]
         self._give_up_manoeuvres({one.driven.start.request.number for one in self.kept})
 
     def _starts_of(self, count: int) -> list[Start]:
@@ -197,7 +197,10 @@ class Filling:
         return found
 
     def _starts(self, number: int) -> list[Start]:
-        """Starts of a round: those driven again, then open requests, each of which keeps clear of those before it."""
+        """Starts of a round: those driven again, then open requests, each of which keeps clear of those before it.
+
+        A manoeuvre that finds no site is given up: its request goes straight, after all others.
+        """
         rng = np.random.default_rng([*self.seed, 1 + number])
         here = self.surroundings
         guard = Guard(self.scene, self._kept_traffic, here.stop_lines)
@@ -215,10 +218,10 @@ class Filling:
             request = waiting.popleft()
             if request.number in used:
                 continue
-            policy, before = request.policy, sites.starts.rejected.copy()
+            policy, before = request.policy, sites.starts.refusals.copy()
             straight = policy is Policy.STRAIGHT
             found: list[Start] = []
-            if failed[policy] < (_FAILED_STRAIGHT if straight else _FAILED):
+            if failed[policy] < (_MOST_FAILURES_STRAIGHT if straight else _MOST_FAILURES):
                 slow = self._to_lead(request, [one for one in waiting if one.number not in used])
                 found = sites.propose(request, None if slow is None else replace(slow, policy=Policy.STRAIGHT))
                 if straight and not found and not redrawn:
@@ -230,15 +233,15 @@ class Filling:
                     self._gives_up(slow)
                 if not found:
                     failed[policy] += 1
-                refused[policy] += sites.starts.rejected - before
+                refused[policy] += sites.starts.refusals - before
             if not found and not straight:  # it goes straight, after all others
                 # what became of a vehicle that was driven for the manoeuvre says more
                 self._last_reason.setdefault(request.number, _found_none(policy, sites, refused[policy]))
                 waiting.append(self._gives_up(request))
             used.update(start.request.number for start in found)
             starts += found
-        self.no_site.update(sites.starts.rejected)
-        turned_down = ", ".join(f"{reason} {count}" for reason, count in sites.starts.rejected.most_common())
+        self.no_site.update(sites.starts.refusals)
+        turned_down = ", ".join(f"{reason} {count}" for reason, count in sites.starts.refusals.most_common())
         _LOG.debug("round %d: %d starts; sites turned down: %s", number, len(starts), turned_down or "none")
         return starts
 
@@ -267,17 +270,17 @@ class Filling:
         return bool(left)
 
     def _keep(self, vehicles: list[DrivenVehicle]) -> None:
-        """Keep what holds; what does not goes with its reason, and its request stays open."""
-        new, gone = self._judged(vehicles)
-        for one in gone.values():
+        """Keep what passes the final check; the others are rejected with a reason, and their requests stay open."""
+        new, rejections = self._checked_round(vehicles)
+        for one in rejections.values():
             self._last_reason[one.vehicle.start.request.number] = one.reason
-        self._drive_again(new, gone)
+        self._drive_again(new, rejections)
         if not self._manoeuvres_are_over(self.rounds - 1):
-            new = self._reused_as_straight(new, gone)
-            self._drive_again(new, gone)
-        for one in gone.values():
+            new = self._reused_as_straight(new, rejections)
+            self._drive_again(new, rejections)
+        for one in rejections.values():
             self._note(one)
-        kept_now = [vehicle for vehicle in new if vehicle.driven.vehicle_id not in gone]
+        kept_now = [vehicle for vehicle in new if vehicle.driven.vehicle_id not in rejections]
         for vehicle in kept_now:
             outcome = self.outcomes.get(vehicle.driven.vehicle_id)
             became = None if outcome is None else " ".join(filter(None, (outcome.status, outcome.reason)))
@@ -287,41 +290,42 @@ class Filling:
         met = {one.driven.start.request.number for one in kept_now}
         self._open = [request for request in self._open if request.number not in met]
 
-    def _judged(self, vehicles: list[DrivenVehicle]) -> tuple[list[ExportedVehicle], dict[str, Rejection]]:
-        """Those driven that pass the last check beside those that are kept, with outcomes; all others, by id."""
+    def _checked_round(self, vehicles: list[DrivenVehicle]) -> tuple[list[ExportedVehicle], dict[str, Rejection]]:
+        """Those driven that pass the final check beside those kept, with outcomes; rejections of the others, by id."""
         new: list[ExportedVehicle] = []
-        gone: dict[str, Rejection] = {}
+        rejections: dict[str, Rejection] = {}
         for vehicle in vehicles:
             found = finalise(self.scene, vehicle, [*self.kept, *new])
             if isinstance(found, ExportedVehicle):
                 new.append(found)
             else:
-                gone[vehicle.vehicle_id] = self._rejection(vehicle, found)
-        for row, reason in conflicting(self.scene, [*self.kept, *new], since=len(self.kept)):
+                rejections[vehicle.vehicle_id] = self._rejection(vehicle, found)
+        for row, reason in conflicting(self.scene, [*self.kept, *new], first_row=len(self.kept)):
             driven = new[row - len(self.kept)].driven
-            gone[driven.vehicle_id] = self._rejection(driven, reason)
+            rejections[driven.vehicle_id] = self._rejection(driven, reason)
         changers = [] if "collision" in self.scene.config.without else [one for one in self.kept if one.driven.shifts]
-        for one in new:
+        for one in new:  # whatever else speaks against it
             if any(comes_between(self.scene, event, one) for event in self.events):
-                gone[one.driven.vehicle_id] = self._rejection(one.driven, Reason.BREAKS_EVENT)
+                rejections[one.driven.vehicle_id] = self._rejection(one.driven, Reason.BREAKS_EVENT)
         for one in new if changers else ():
             alone = traffic_of_exported([one], self.scene)
             if any(takes_gap(self.scene, before, alone) for before in changers):
-                gone.setdefault(one.driven.vehicle_id, self._rejection(one.driven, Reason.TAKES_GAP))
-        new = [one for one in new if one.driven.vehicle_id not in gone]
+                rejections.setdefault(one.driven.vehicle_id, self._rejection(one.driven, Reason.TAKES_GAP))
+        new = [one for one in new if one.driven.vehicle_id not in rejections]
         for one in new:
             outcome = outcome_of(self.scene, one, [*self.kept, *new])
             if outcome is not None:
                 self.outcomes[one.driven.vehicle_id] = outcome
-        return new, gone
+        return new, rejections
 
-    def _reused_as_straight(self, new: list[ExportedVehicle], gone: dict[str, Rejection]) -> list[ExportedVehicle]:
-        """Vehicles that did not do their manoeuvre, each for an open request to go straight; the others go.
+    def _reused_as_straight(
+        self, new: list[ExportedVehicle], rejections: dict[str, Rejection]
+    ) -> list[ExportedVehicle]:
+        """Vehicles that did not do their manoeuvre each meet an open request to go straight; the others are rejected.
 
-        One that has begun to drive across stands for none that goes straight. The manoeuvre stays open. Vehicles that
-        others need come first.
+        One that has begun to drive across cannot. The manoeuvre stays open. Vehicles that others need come first.
         """
-        left = [one for one in new if one.driven.vehicle_id not in gone]
+        left = [one for one in new if one.driven.vehicle_id not in rejections]
         needed = set().union(*(_needs(one.driven, self.scene) for one in left))
         met = {start.request.number for start in (*self._again, *(one.driven.start for one in left))}
         straight = [r for r in self._open if r.policy is Policy.STRAIGHT and r.number not in met]
@@ -334,25 +338,25 @@ class Filling:
             said = self._last_reason[driven.start.request.number] = outcome.reason or Reason.SCENE_ENDED
             if straight and not driven.path.lateral_spans:
                 own = driven.start.request  # the vehicle is as large as it was driven
-                meets = replace(straight.pop(), object_type=own.object_type, size=own.size)
-                start = replace(driven.start, request=meets)
+                other = replace(straight.pop(), object_type=own.object_type, size=own.size)
+                start = replace(driven.start, request=other)
                 found[driven.vehicle_id] = replace(one, driven=replace(driven, start=start))
             else:
-                gone[driven.vehicle_id] = self._rejection(driven, Reason.DID_NOT_DO_IT, said)
+                rejections[driven.vehicle_id] = self._rejection(driven, Reason.DID_NOT_DO_IT, said)
         return list(found.values())
 
-    def _drive_again(self, new: list[ExportedVehicle], gone: dict[str, Rejection]) -> None:
-        """A vehicle that braked for one that is gone, or overtook it, is driven again without it, or goes too."""
+    def _drive_again(self, new: list[ExportedVehicle], rejections: dict[str, Rejection]) -> None:
+        """Reject a vehicle that braked for one that is rejected, or overtook it; the next round drives it once more."""
         changed = True
         while changed:
             changed = False
             for one in new:
                 driven = one.driven
-                if driven.vehicle_id in gone or not _needs(driven, self.scene) & gone.keys():
+                if driven.vehicle_id in rejections or not _needs(driven, self.scene) & rejections.keys():
                     continue
-                gone[driven.vehicle_id] = self._rejection(driven, Reason.WAITED_FOR_GONE)
+                rejections[driven.vehicle_id] = self._rejection(driven, Reason.WAITED_FOR_GONE)
                 changed = True
-                if self._driven_again[driven.vehicle_id] < _AGAIN:
+                if self._driven_again[driven.vehicle_id] < _MOST_REDRIVES:
                     self._driven_again[driven.vehicle_id] += 1
                     self._again.append(driven.start)
 
@@ -391,4 +395,4 @@ def _needs(vehicle: DrivenVehicle, scene: Scene) -> set[str]:
     """Vehicles without which a vehicle would have driven otherwise: those for which it braked long, and overtook."""
     least_steps = scene.steps_in(BRAKES_FOR_S)
     waited_for = {name for name, steps in vehicle.waited_for.items() if steps >= least_steps}
-    return waited_for | ({vehicle.leader_id} if vehicle.leader_id is not None else set())
+    return waited_for | ({vehicle.overtaken_id} if vehicle.overtaken_id is not None else set())

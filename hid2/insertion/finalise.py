@@ -1,4 +1,7 @@
-"""From driven to exported: smooth, and ask the judge whether it is exported at all."""
+"""From driven to exported: smoothing, and the final check: of each vehicle by itself, then of a round together.
+
+Both ask the functions of `judge/states.py`, with stricter bounds (`export_bounds`) than those that `judge` has.
+"""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -94,8 +97,8 @@ def traffic_of_exported(vehicles: Sequence[ExportedVehicle], scene: Scene) -> Tr
 
 def finalise(scene: Scene, vehicle: DrivenVehicle, kept: Sequence[ExportedVehicle]) -> ExportedVehicle | Reason:
     """Smooth a driven vehicle and judge it beside everything recorded and those kept; or why it is not exported."""
-    if vehicle.objection is not None:
-        return vehicle.objection
+    if vehicle.not_inserted is not None:
+        return vehicle.not_inserted
     start, config = vehicle.start, scene.config
     s, v, own = np.array(vehicle.s), np.array(vehicle.v), np.array(vehicle.s) - np.array(vehicle.jumped_m)
     missing = scene.num_steps - start.step - s.size
@@ -119,7 +122,7 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, kept: Sequence[ExportedVehicl
     offset = start.offset
     for begin, finish in vehicle.path.lateral_spans:
         offset = offset.held(begin, finish)
-    verdict: ExportedVehicle | Reason = Reason.LIMIT_JERK
+    verdict: ExportedVehicle | Reason = Reason.LIMIT_JERK  # each of what is tried has its own
     tried = [(_FILTER_RATIOS[0], False), *((ratio, True) for ratio in _FILTER_RATIOS)]
     for ratio, eased in tried:  # ends are eased where they must be
         motion = smooth_motion(
@@ -132,11 +135,12 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, kept: Sequence[ExportedVehicl
     return verdict
 
 
-#: Verdicts that another place in the lane, or a wider filter, may change.
+#: Verdicts that another place in the lane may change.
 _LATERAL = frozenset({
     Reason.OFF_ROAD, Reason.MEETS_RECORDED, Reason.MEETS_GENERATED, Reason.LIMIT_JERK, Reason.LIMIT_YAW_ACCEL,
     Reason.LIMIT_YAW_RATE, Reason.TTC_LANE_LEADER, Reason.TTC_AT_END, Reason.PET, Reason.SOLID_LINE,
 })  # fmt: skip
+#: Verdicts that a wider filter may change.
 _STEEP = frozenset({
     Reason.LIMIT_ACCEL, Reason.LIMIT_DECEL, Reason.LIMIT_LONGITUDINAL_JERK, Reason.LIMIT_JERK, Reason.LIMIT_YAW_ACCEL,
 })  # fmt: skip
@@ -146,11 +150,11 @@ def _placed(
     scene: Scene, vehicle: DrivenVehicle, motion: Motion, offset: LaneOffset, off_m: FloatArray, others: AgentStates
 ) -> ExportedVehicle | Reason:
     """At the first place in the lane that leaves room to traffic beside, else the most; or why it is not exported."""
-    verdict: ExportedVehicle | Reason = Reason.LIMIT_JERK
+    verdict: ExportedVehicle | Reason = Reason.LIMIT_JERK  # each of what is tried has its own
     most_m = -math.inf
     for share in _OFFSET_SHARES:
         path = trajectory(vehicle.path.line, motion, offset.scaled(share))
-        judged = _judged(scene, as_exported(scene, vehicle, motion, path, off_m), others)
+        judged = _checked_alone(scene, as_exported(scene, vehicle, motion, path, off_m), others)
         if not isinstance(judged, Reason):
             room_m = _passes_m(judged.states, others)
             if room_m > most_m:
@@ -184,7 +188,7 @@ def _reason(scene: Scene, findings: Iterable[Finding]) -> Reason | None:
     return None
 
 
-def _judged(scene: Scene, vehicle: ExportedVehicle, others: AgentStates) -> ExportedVehicle | Reason:
+def _checked_alone(scene: Scene, vehicle: ExportedVehicle, others: AgentStates) -> ExportedVehicle | Reason:
     """A vehicle that the judge has nothing against, with its least TTC; or the reason of its first finding.
 
     First what the choice of filter and place in the lane decides: motion, road, boxes. Then what it does to others on
@@ -204,7 +208,7 @@ def _judged(scene: Scene, vehicle: ExportedVehicle, others: AgentStates) -> Expo
     led = states.leaders_among(own, others.traffic, aside_m=bounds.spare_aside_m)
     found = chain(ttc_on_driven_path(states, own, led, bounds), of_end(states, own, np.arange(own), bounds))
     if "topology" not in without:
-        found = chain(found, of_crossings(states, bounds, since=own))
+        found = chain(found, of_crossings(states, bounds, first_row=own))
     return _reason(scene, found) or replace(vehicle, min_ttc_s=float(led.ttc_s.min(initial=np.inf)))
 
 
@@ -217,7 +221,7 @@ def as_exported(
 
 
 def states_of_inserted(scene: Scene, track: Track) -> AgentStates:
-    """The states of an inserted track as the last word sees them, with its clearance box."""
+    """The states of an inserted track as the final check sees them, with its clearance box."""
     return _inserted(scene, replace(track, size=clearance_box(track.size, DEFAULT_SIZES[track.object_type])))
 
 
@@ -249,16 +253,16 @@ def _passes_m(vehicle: AgentStates, others: AgentStates) -> float:
 
 
 def conflicting(
-    scene: Scene, exported: Sequence[ExportedVehicle], *, since: int = 0, target_id: str | None = None
+    scene: Scene, exported: Sequence[ExportedVehicle], *, first_row: int = 0, target_id: str | None = None
 ) -> list[tuple[int, Reason]]:
     """Rows of exported vehicles that are in conflict with others when all are looked at together, with the reason.
 
     Of two exported vehicles the later row: one that was kept before another one was driven did not react to that one.
-    since: the first row that is asked about; vehicles before it have been looked at together; target_id: of an event,
+    first_row: the first that is asked about; those before it have been looked at together; target_id: of an event,
     which is about the gap that is left to it.
     """
     config, bounds = scene.config, export_bounds(scene.config)
-    if len(exported) <= since or {"collision", "topology"} & config.without:
+    if len(exported) <= first_row or {"collision", "topology"} & config.without:
         return []
     states, first = together(scene, exported), scene.states.arrays.num_agents
     led = leaders(states)
@@ -266,22 +270,22 @@ def conflicting(
     beyond_m[first:] = [one.driven.start.beyond_m for one in exported]
     findings = [*ttc_on_lanes(states, led, bounds), *headways(states, led, beyond_m)]
     rows = first + np.arange(len(exported))
-    findings += of_recorded_followers(states, rows[since:], bounds)
+    findings += of_recorded_followers(states, rows[first_row:], bounds)
     for row in rows.tolist():
         # one that was kept has been looked at behind recorded agents
-        others, recorded = (rows[rows != row], first) if row >= first + since else (rows[since:], 0)
+        others, recorded = (rows[rows != row], first) if row >= first + first_row else (rows[first_row:], 0)
         led_by = states.leaders_on_path(row, np.append(np.arange(recorded), others), aside_m=bounds.spare_aside_m)
         findings += ttc_on_driven_path(states, row, led_by, bounds)
         findings += headway_on_driven_path(states, row, led_by, beyond_m)
         findings += of_end(states, row, others, bounds)
-    findings += of_crossings(states, bounds, since=first + since)
+    findings += of_crossings(states, bounds, first_row=first + first_row)
     row_of = {name: row for row, name in enumerate(states.arrays.track_ids[first:])}
     found: dict[int, Reason] = {}
     for one in findings:
         if one.quantity in LEFT_TO_TARGET and one.other == target_id:
             continue
         found.setdefault(max(row_of[one.track_id], row_of.get(one.other or "", -1)), one.reason)
-    return sorted((row, reason) for row, reason in found.items() if row >= since)
+    return sorted((row, reason) for row, reason in found.items() if row >= first_row)
 
 
 def _grid_path(scene: Scene, vehicle: DrivenVehicle, s: FloatArray, v: FloatArray) -> Trajectory | None:

@@ -156,7 +156,7 @@ def _overtake(scene: Scene, vehicle: ExportedVehicle, others: AgentStates) -> Ou
     if not driven.shifts:
         return _missed(vehicle)
     ids = others.arrays.track_ids
-    leader_id = driven.leader_id if driven.leader_id in ids else None
+    leader_id = driven.overtaken_id if driven.overtaken_id in ids else None
     changes, begun = _changes(vehicle), {"leader_id": leader_id}
     if leader_id is None:
         return _begun(vehicle, Reason.LEADER_NOT_KEPT, **begun)

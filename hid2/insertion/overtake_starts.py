@@ -342,7 +342,7 @@ class OvertakeStarts:
         found = self.starts.make(slow, site, driver=leader.driver, speed_mps=float(leader.mps[0]), desired=leader.mps)
         if isinstance(found, Start):
             return [found]
-        self.starts.rejected[found] += 1
+        self.starts.refusals[found] += 1
         return None
 
     def _starts(self, request: VehicleRequest, one: _Foreseen, before: list[Start]) -> list[Start]:
@@ -356,5 +356,5 @@ class OvertakeStarts:
         starts.world = world
         if isinstance(found, Start):
             return starts.take([*before, found])
-        starts.rejected[found] += 1
+        starts.refusals[found] += 1
         return []

@@ -2,8 +2,9 @@
 
     known: recorded agents by their true future, vehicles kept in rounds before, candidates chosen so far by rollouts
 
-The loop is compiled (`kernels/rollout.py`) and is what SUMO, the guard and the road make of a driver, by the EIDM
-whatever `car_following.model` is, without noise. It chooses among candidates and decides nothing that happens.
+The loop is compiled (`kernels/rollout.py`): no SUMO in it, but SUMO's EIDM without its noise (whatever
+`car_following.model` is), the guard and the road. Other than in the simulation Algorithm 1 is asked once a second, and
+no vehicle slows down for a gap or takes another way. Rollouts say which candidates start; what is exported is SUMO's.
 """
 
 import math
@@ -123,7 +124,8 @@ class World:
 
     def joined_by(self, *candidates: RolledOut, without: str | None = None) -> "World":
         """The same with candidates chosen, which need not be taken in the end; without: one that is rolled out anew."""
-        found = World(self.scene, self.roads, Guard(self.scene, self._kept, self.guard.stop_lines))
+        guard = Guard(self.scene, self._kept, self.guard.stop_lines)
+        found = World(self.scene, self.roads, guard, self.target_id)
         found._chosen = {name: one for name, one in self._chosen.items() if name != without}
         found._joined = self._joined
         found.choose(*candidates)
@@ -141,8 +143,8 @@ class World:
     def harm_to_followers(self, candidate: RolledOut, headway_s: float = FOLLOWER_HEADWAY_S) -> Reason | None:
         """What a recorded vehicle that comes up from behind suffers, on the path that it drives itself; None: nothing.
 
-        It is left with too little time to collision, would have to brake harder than it does, or has a shorter headway,
-        which it never kept in the recording.
+        Too little time to collision, harder braking than it does, or a headway below headway_s that is also below the
+        least that it kept in the recording.
         """
         scene, own = self.scene, candidate.traffic.span(slice(self.scene.num_steps))
         movers, recorded, forward = scene.movers
@@ -169,7 +171,7 @@ class World:
         return None
 
     def _headway_too_short(self, follower: int, gap_m: FloatArray, leader_m: float, least_s: float) -> bool:
-        """Whether a recorded vehicle, gap_m (T,) behind one leader_m long, has a headway below that it never kept."""
+        """Whether the headway of a recorded vehicle, gap_m (T,) behind a leader, is below least_s and its own least."""
         headway_s, _ = sustained_headway(gap_m, leader_m, self.scene.states.speed(follower), self.scene.step_s)
         if headway_s >= least_s:
             return False
@@ -241,7 +243,7 @@ class World:
         )  # fmt: skip
         return Rollout(path, first, s, v, memories)
 
-    def act(self, start: Start) -> tuple[DrivenVehicle, tuple[Rollout, ...]]:
+    def roll_manoeuvre(self, start: Start) -> tuple[DrivenVehicle, tuple[Rollout, ...]]:
         """How a vehicle drives on with Algorithm 1, by the configured rule: what becomes of it, and its motion.
 
         A part of the motion ends with each lane change, and the next one begins with the state that it ended in.
@@ -310,16 +312,16 @@ class World:
             driver=start.driver, horizon_s=ACROSS_S,
         ).forbids(start.driver)  # fmt: skip
 
-    def objection(self, start: Start, parts: tuple[Rollout, ...], *, ends: bool = True) -> Reason | None:
+    def rejection_reason(self, start: Start, parts: tuple[Rollout, ...], *, ends: bool = True) -> Reason | None:
         """Why a candidate is not taken; None for nothing.
 
         What it meets or leaves too little time to, as the final check has it, and what no driver does: it enters on
-        red, waits for a parked vehicle, stands in an intersection.
-        ends: whether the scene ends with the last part. Those chosen before that follow it are left out: they brake for
-        it (`to_roll_anew`).
+        red, waits for a parked vehicle, stands in an intersection. Followers chosen before it are not asked: they are
+        rolled out anew and brake for it (`to_roll_anew`).
+        ends: whether the scene ends with the last part.
         """
         for number, part in enumerate(parts):
-            found = self._objection(start, part, is_last=ends and part is parts[-1])
+            found = self._part_rejection(start, part, is_last=ends and part is parts[-1])
             if found is None and number > 0 and self._ttc_before_crossing(start, parts[number - 1].path, part):
                 found = Reason.TTC_LANE_LEADER
             if found is not None:
@@ -332,9 +334,9 @@ class World:
         met = self._met(start, replace(part, path=left, s=part.s[:crossed], v=part.v[:crossed]))[0]
         return bool(met[:, LEAD_TTC].min(initial=math.inf) < self.scene.config.conflict.ttc_min_s)
 
-    def _objection(self, start: Start, rollout: Rollout, *, is_last: bool) -> Reason | None:
+    def _part_rejection(self, start: Start, rollout: Rollout, *, is_last: bool) -> Reason | None:
         scene, conflict = self.scene, self.scene.config.conflict
-        inside = self._inside(start, rollout)
+        inside = self._steps_on_map(start, rollout)
         stays_until = start.step + scene.steps_to_stay(start.step)
         leaves = is_last and inside < rollout.s.size and rollout.step + inside < stays_until
         if leaves or not inside:
@@ -396,13 +398,13 @@ class World:
         runs = np.split(at[blocks], np.flatnonzero(np.diff(at[blocks]) > 1) + 1)
         return max(run.size for run in runs) >= self.scene.steps_in(STANDS_FOR_S)
 
-    def _inside(self, start: Start, rollout: Rollout) -> int:
-        """Steps of a motion before it leaves the map."""
+    def _steps_on_map(self, start: Start, rollout: Rollout) -> int:
+        """Steps of a motion before its front bumper leaves the map."""
         return int(np.searchsorted(rollout.s, rollout.path.exit_m - 0.5 * start.size.length_m, side="right"))
 
     def _met(self, start: Start, rollout: Rollout) -> tuple[FloatArray, PathOccupancy]:
         """What each agent known on its path is to a motion (R, 3), as the kernel `met_by` has it, and those agents."""
-        known, inside = self.guard.known_on(rollout.path, start.box), self._inside(start, rollout)
+        known, inside = self.guard.known_on(rollout.path, start.box), self._steps_on_map(start, rollout)
         return met_by(
             rollout.s[:inside], rollout.v[:inside], rollout.step, known.low, known.high, known.along,
             known.same_direction, self.scene.step_s,

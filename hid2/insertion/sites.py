@@ -22,7 +22,7 @@ from hid2.insertion.surroundings import Surroundings
 from hid2.judge.findings import FOLLOWER_HEADWAY_S
 from hid2.occupancy.sigma import clear_places
 from hid2.policy.behaviours import BEHAVIOURS
-from hid2.policy.rules import expected_reason
+from hid2.policy.rules import refusal_of_free_lane
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
@@ -135,7 +135,7 @@ class InsertionSites:
         slow_leader: the request that such a leader would meet.
         """
         if self.here.meetings.is_target_missing:
-            self.starts.rejected[Reason.NEAR_NO_TRACK] += 1
+            self.starts.refusals[Reason.NEAR_NO_TRACK] += 1
             return []
         if request.policy is Policy.OVERTAKE:
             return self.overtakes.propose(request, slow_leader)
@@ -193,7 +193,7 @@ class InsertionSites:
             start = starts.make(request, site, wants=wants if request.policy is Policy.STRAIGHT else frozenset())
             if isinstance(start, Start):
                 return start
-            starts.rejected[start] += 1
+            starts.refusals[start] += 1
             if start is Reason.NO_SITE:
                 continue  # another vehicle of this round may be in the way
             with_less = start is Reason.FOLLOWER_HEADWAY and headway_s > FOLLOWER_HEADWAY_S  # it is tried again
@@ -323,7 +323,9 @@ class InsertionSites:
             and beside.remaining_m - max(0.0, at - beside.start) > needed
         }  # fmt: skip
         driver = usual_driver(speed_mps)
-        return any(expected_reason(driver, change, speed_mps=speed_mps, side=side) is None for side in sorted(sides))
+        return any(
+            refusal_of_free_lane(driver, change, speed_mps=speed_mps, side=side) is None for side in sorted(sides)
+        )
 
     def _meets_junction(self, offer: RouteOffer, begin: float, end: float) -> bool:
         """Whether a stretch of a route, m along its lanes, touches an intersection."""

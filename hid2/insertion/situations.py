@@ -58,7 +58,7 @@ class Wanted:
         count = len(vehicles) + 1
         return frozenset(
             one for one, share in self.shares.items()
-            if sum(one in each.meets for each in vehicles) < int(share * count + self.over[one])
+            if sum(one in each.situations for each in vehicles) < int(share * count + self.over[one])
         )  # fmt: skip
 
 

@@ -121,7 +121,7 @@ class Starts:
     round_number: int
     changers: Sequence[ExportedVehicle] = ()
     taken: list[Start] = field(default_factory=list)
-    rejected: Counter[Reason] = field(default_factory=Counter)
+    refusals: Counter[Reason] = field(default_factory=Counter)
     world: World = field(init=False)
     _rolled: dict[Start, tuple[RolledOut, ...]] = field(default_factory=dict)
 
@@ -223,8 +223,8 @@ class Starts:
             known = self.world.guard.known_on(path, begin.box)
             if _came_through(known, gaps_to_all(known, np.array([begin.start_m]), step), start.start_mps, step):
                 return Reason.NO_SITE
-        start = replace(start, meets=foreseen(self.world, start, rolled))
-        if begin.wants and not begin.wants & start.meets:
+        start = replace(start, situations=foreseen(self.world, start, rolled))
+        if begin.wants and not begin.wants & start.situations:
             return Reason.OTHER_SITUATION
         usual = partial(scene.place_on, path)
         if BEHAVIOURS[request.policy].changes_lanes:  # the line of one lane is not that of the next
@@ -242,14 +242,14 @@ class Starts:
             return _NOT_ROLLED_OUT
         if config.request.sites == "any":
             soon = (world.roll(start, last=start.step + scene.steps_in(_HOLDS_S)),)
-            return world.objection(start, soon, ends=False) or _NOT_ROLLED_OUT
+            return world.rejection_reason(start, soon, ends=False) or _NOT_ROLLED_OUT
         if BEHAVIOURS[policy].changes_lanes:
-            vehicle, parts = world.act(start)
+            vehicle, parts = world.roll_manoeuvre(start)
             if len(vehicle.shifts) < (2 if policy is Policy.OVERTAKE else 1):
                 return vehicle.reason or Reason.SCENE_ENDED
         else:
             vehicle, parts = None, (world.roll(start),)
-        found = world.objection(start, parts)
+        found = world.rejection_reason(start, parts)
         if found is not None:
             return found
         if vehicle is not None:
@@ -264,10 +264,10 @@ class Starts:
             turn = first_turn(scene.grid.graph, start.path, kind, after=start.start_m)
             if turn is None:
                 return Reason.TURN_NOT_SEEN
-            last_s, last = float(parts[-1].s[-1]), scene.num_steps - 1
-            if last_s < turn.end + _TURNED_M:
-                room_m = self.world.guard.stop_lines.on(start.path, start.box).room_m(last_s, last, start.driver)
-                return Reason.WAITS_AT_LINE if room_m < turn.end - last_s else Reason.SCENE_ENDED
+            last_m, last = float(parts[-1].s[-1]), scene.num_steps - 1
+            if last_m < turn.end + _TURNED_M:
+                room_m = self.world.guard.stop_lines.on(start.path, start.box).room_m(last_m, last, start.driver)
+                return Reason.WAITS_AT_LINE if room_m < turn.end - last_m else Reason.SCENE_ENDED
         return parts
 
     def _waits_astride(self, part: Rollout) -> bool:

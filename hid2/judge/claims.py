@@ -69,7 +69,7 @@ def moment_s(maneuver: Maneuver) -> float:
     return maneuver.start_s if maneuver.kind in TURNS.values() else maneuver.crossing_s
 
 
-def seen(claim: Claim, among: Sequence[Maneuver]) -> Maneuver | None:
+def matching(claim: Claim, among: Sequence[Maneuver]) -> Maneuver | None:
     """The manoeuvre of that kind and track that is nearest to the time claimed; None where there is none."""
     own = [one for one in among if one.track_id == claim.track_id]
     if claim.kind is ManeuverKind.OVERTAKE:
@@ -83,7 +83,7 @@ def judge_claims(states: AgentStates, claims: Sequence[Claim], events: Sequence[
     """Claims not shown within CLAIM_S, by how many s, inf for never; and figures of events that are not the states'."""
     found, every, step_s = [], manoeuvres(states) if claims else [], states.arrays.step_s
     for claim in claims:
-        shown = seen(claim, every)
+        shown = matching(claim, every)
         off_s = math.inf if shown is None else abs(moment_s(shown) - claim.at_s)
         if off_s > CLAIM_S:
             found.append(Finding(claim.track_id, round(claim.at_s / step_s), Quantity.CLAIM, off_s, CLAIM_S))
@@ -141,7 +141,7 @@ def event_step(states: AgentStates, claim: EventClaim) -> int | None:
 
 
 def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None:
-    """The vehicle crosses from a lane beside the target's path into it, ahead of the target, and near to it.
+    """Step at which it crosses from a lane beside the target's path into it, ahead of the target, and near; None: none.
 
     Near: within the time gap that is recommended, or the TTC before which drivers brake. The target is on that path
     since CLAIM_S at least, and until there: where it changes lanes itself, no vehicle cuts in on it.
@@ -183,7 +183,7 @@ def overtake_of(states: AgentStates, own: int, other: int) -> tuple[Maneuver, Ma
 
 
 def _merged(states: AgentStates, own: int, target: int) -> int | None:
-    """The vehicle comes onto a lane that the target drives too, from a lane that the target does not drive."""
+    """Step at which it comes onto a lane that the target drives too, from one that it does not; None where none."""
     common = {run.lane for run in runs_of(states, target) if run.lane >= 0}
     for before, after in pairwise(runs_of(states, own)):
         if after.lane in common and before.lane not in common and before.lane >= 0:

@@ -26,15 +26,15 @@ _DRIVABLE_KEPT = 0.9
 CURVATURE_KEPT = 0.98
 #: What is claimed is seen in the states within so long of the time claimed, s.
 CLAIM_S = 0.5
-#: A figure that is claimed is that of the states, but for so much of its unit.
+#: A figure that is claimed may differ from that of the states by so much, in its unit.
 FIGURE_OFF = 0.01
 #: A follower keeps this time headway, s (one recorded unless it kept less to its own leader).
 FOLLOWER_HEADWAY_S = 0.8
 #: A recorded follower lacks at most so much braking behind an inserted leader, m/s2: behind recorded leaders 6 of 112
 #: lack more (fourteen scenes), 4 of them with boxes that touch.
 FOLLOWER_LACKS_MPS2 = 1.5
-#: Headway = (gap + leader's length) / speed, but the length counts for so many s at most: at least .5 s are left from
-#: bumper to bumper (130 recorded followers in their lanes have .6 s or more).
+#: Headway = (gap + leader's length) / speed, but the length counts for so many s at most (`sustained_headway`): at
+#: least .5 s are left from bumper to bumper (130 recorded followers in their lanes have .6 s or more).
 LEADER_LENGTH_S = 0.3
 #: Share of 1 / R_min above which a curve cannot be driven.
 CURVATURE_SHARE = 1.1
@@ -181,7 +181,7 @@ MOTION_LIMITS: Mapping[Quantity, tuple[Callable[[MotionProfile], FloatArray], Ca
 #: Judged on exported states also where these have a tracker's noise; all others on the clean ones.
 ON_EXPORTED = frozenset({Quantity.OVERLAP, Quantity.OFF_ROAD, Quantity.END_TTC, Quantity.END_CONTACT})
 
-#: What an event leaves to its target is what the event is about.
+#: Not asked of an event's vehicle and its target: the gap that is left to it is what the event is about.
 LEFT_TO_TARGET = frozenset({Quantity.FOLLOWER_HEADWAY, Quantity.FOLLOWER_BRAKING})
 
 #: Quantities with a least value as their limit.
@@ -192,7 +192,7 @@ LEAST = frozenset({
 
 
 class Finding(NamedTuple):
-    """One breach: track and step, the value and its limit, and the other track it is about.
+    """One breach: the inserted track and the step, the value and its limit, and the other track it is about.
 
     step: of the worst value; of an overlap the first one, of a headway the last of the time for which it lasts, of a
     claim the one claimed.

@@ -1,6 +1,7 @@
 """Whether the states of inserted vehicles are safe and can be driven: positions, headings, velocities, boxes, the map.
 
-`judge` takes all of a scene, as `hid2 validate` and `hid2 evaluate` do; the final check asks its parts of each vehicle.
+`judge` takes all of a scene, as `hid2 validate` and `hid2 evaluate` do; the final check (`insertion/finalise.py`) asks
+the same functions of each vehicle.
 What leads is asked twice, of the path that an agent drives and of the lanes (`ttc_on_lanes`): a path misses what is on
 the lane beside its box, lanes miss what has just left for another one.
 """
@@ -39,13 +40,13 @@ from netconvert.geometry import box_corners, differences, wrap_angle
 from netconvert.lane_graph import LaneGraph, crossable
 
 # No tunables, here and below: with `findings.py` what states are held to.
-#: A shorter headway counts above this speed, m/s.
+#: FOLLOWER_HEADWAY_S is asked of followers above this speed, m/s.
 _FOLLOWER_MPS = 3.0
-#: A shorter headway counts when it lasts so long, s.
+#: A headway below it counts when it lasts so long, s.
 _FOLLOWER_FOR_S = 1.0
-#: It lacks it for so long, s.
+#: Braking that a follower lacks counts when it lasts so long, s.
 _LACKS_FOR_S = 0.5
-#: It has so long to brake, s: what it brakes then in the mean is no lack.
+#: A follower has so long to brake, s: what it brakes then in the mean is no lack.
 _BRAKES_WITHIN_S = 1.0
 #: After the last step a driver brakes so hard, m/s2.
 _END_DECEL_MPS2 = 3.0
@@ -59,7 +60,7 @@ _OUTLINE_STEP_M = 0.5  # no tunable: between two points a side leaves the road b
 
 
 def judge(states: AgentStates, graph: LaneGraph, bounds: Bounds) -> list[Finding]:
-    """Findings on the inserted vehicles of a scene, which come last: the worst of each quantity and other agent."""
+    """Worst findings on inserted vehicles, by quantity and other agent. Inserted ones are the last agents of states."""
     arrays = states.arrays
     inserted = np.flatnonzero(arrays.generated)
     found: list[Finding] = []
@@ -75,7 +76,7 @@ def judge(states: AgentStates, graph: LaneGraph, bounds: Bounds) -> list[Finding
     led = leaders(states)
     found += ttc_on_lanes(states, led, bounds)
     found += of_recorded_followers(states, inserted, bounds)
-    found += of_crossings(states, bounds, since=int(inserted[0]) if inserted.size else arrays.num_agents)
+    found += of_crossings(states, bounds, first_row=int(inserted[0]) if inserted.size else arrays.num_agents)
     found += headways(states, led)
     # the worst of each comes last: of times the shortest
     found.sort(key=lambda one: -one.value if one.quantity in LEAST else one.value)
@@ -87,11 +88,11 @@ def judge(states: AgentStates, graph: LaneGraph, bounds: Bounds) -> list[Finding
 
 
 def of_motion(states: AgentStates, agent: int, bounds: Bounds) -> Iterator[Finding]:
-    """Limits of motion, by central differences of position and heading, each at its worst step."""
+    """Limits of motion, by central differences of position and heading, each at its worst step; also by velocities."""
     arrays, rows = states.arrays, states.row_span(agent)
-    moved = differences(arrays.position[rows], arrays.step_s)
-    for velocity in (moved, arrays.velocity[rows])[: 1 + bounds.by_stated]:
-        yield from _of_velocity(states, agent, velocity, bounds)
+    yield from _of_velocity(states, agent, differences(arrays.position[rows], arrays.step_s), bounds)
+    if bounds.by_stated:
+        yield from _of_velocity(states, agent, arrays.velocity[rows], bounds)
 
 
 def _of_velocity(states: AgentStates, agent: int, velocity: FloatArray, bounds: Bounds) -> Iterator[Finding]:
@@ -251,7 +252,10 @@ def of_end(states: AgentStates, agent: int, others: IntArray, bounds: Bounds) ->
 
 
 def contacts_at_end(here: Traffic, bounds: Bounds, *, step_s: float) -> Iterator[tuple[Quantity, int, float]]:
-    """What follows the last step of the first of some agents (one step), as `of_end` has it: quantity, other row, s."""
+    """Contacts to come of the first of some agents, all from one step on at constant velocity: quantity, row, s.
+
+    Of a contact that braking does not avoid, as `of_end` has it, the agent is the next one that it would meet.
+    """
     ttc_s, other = _first_contact(here)
     if other < 0:
         return
@@ -347,10 +351,10 @@ def lacked_braking(states: AgentStates, follower: int, led: PathLeaders) -> tupl
     return lasting.max(axis=1), span.start + lasting.argmax(axis=1) + lasts - 1
 
 
-def of_crossings(states: AgentStates, bounds: Bounds, *, since: int) -> Iterator[Finding]:
-    """PET of moving vehicles with crossing swept paths, of pairs of which one agent is `since` or a later one."""
+def of_crossings(states: AgentStates, bounds: Bounds, *, first_row: int) -> Iterator[Finding]:
+    """PET of moving vehicles with crossing swept paths, of pairs whose second agent is `first_row` or a later one."""
     arrays, critical_s = states.arrays, bounds.conflict.pet_min_s
-    for first, second, pet_s, passed in encroachments(arrays, since=since, cap_s=critical_s):
+    for first, second, pet_s, passed in encroachments(arrays, first_row=first_row, cap_s=critical_s):
         if pet_s < critical_s - 1e-9:
             yield _finding(states, (second, first), passed[1], Quantity.PET, pet_s, critical_s)
 
@@ -398,11 +402,11 @@ def recorded_headways(states: AgentStates) -> dict[int, float]:
 def sustained_headway(
     gap_m: FloatArray, leader_m: FloatArray | float, speed_mps: FloatArray, step_s: float
 ) -> tuple[float, int]:
-    """Least time headway that a follower has for _FOLLOWER_FOR_S, s, and the last step of it; inf where never.
+    """Least headway, s, at or below which a follower stays for _FOLLOWER_FOR_S, and the last step of that; inf: never.
 
-    From front to front, but of the leader's length at most LEADER_LENGTH_S of the way counts: at 6 m/s a car's length
-    alone would be a headway of .8 s. gap_m (T,): between bumpers, inf where it follows nothing; leader_m: the leader's
-    length; speed_mps (T,): its own, above _FOLLOWER_MPS alone.
+    Headway = (gap + min(leader's length, LEADER_LENGTH_S v)) / v: at 6 m/s a car's length alone would be .8 s.
+    gap_m (T,): between bumpers, inf where it follows nothing; leader_m: the leader's length; speed_mps (T,): its own,
+    above _FOLLOWER_MPS alone.
     """
     lasts = round(_FOLLOWER_FOR_S / step_s)
     if gap_m.size < lasts:

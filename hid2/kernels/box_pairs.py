@@ -249,12 +249,12 @@ def post_encroachment(
     step: IntArray,
     cap_steps: int,
     min_angle: float,
-    since: int = 0,
+    first_row: int = 0,
 ) -> tuple[IntArray, IntArray]:
     """PET in steps for every pair of `agents` (K, K), upper triangle, -1 where their paths do not cross in time.
 
     Beside it rows of the two tracks before which their paths cut each other (K, K, 2). Only pairs with their second one
-    among agents[since:].
+    among agents[first_row:].
 
     Paths cross where the centres' paths, with the bumpers at their ends, cut each other at `min_angle` at least
     (and at most pi - min_angle: meeting head-on is no crossing). PET is then the smallest |t1 - t2| at which the
@@ -271,7 +271,7 @@ def post_encroachment(
     for p in range(count):
         a = agents[p]
         of_a = slice(first[a], first[a + 1])
-        for q in range(max(p + 1, since), count):
+        for q in range(max(p + 1, first_row), count):
             if _never_nearer(bounds[p], bounds[q]) > 0.0:
                 continue
             b = agents[q]

@@ -1,6 +1,6 @@
 """The rollout: how a vehicle would drive on by SUMO's car following and the guard, and what it would meet.
 
-Each step is that of the simulation, but that none slows down for a gap or takes another way: limits of speed as
+Each step is that of the simulation, but for slowing down for a gap and taking another way: limits of speed as
 `steering` has them, the car-following law without its noise, the same ballistic step. What it meets is told by the
 intervals of agents with known motion.
 """
@@ -15,7 +15,7 @@ from netconvert.geometry import BoolArray, FloatArray, IntArray
 
 #: Columns of what is met by each agent (`met_by`).
 CONTACT, LEAD_TTC, LAG_TTC = range(3)
-_CELL_M = 4.0  # about the length of one of SUMO's lanes
+_CELL_M = 4.0  # about the length of a cell, which is one lane in SUMO
 
 
 @inner
@@ -57,11 +57,11 @@ def _desired_ahead(desired: float, v: float, front: float, lane: int, ends: Floa
 
 
 @inner
-def _is_met(low: FloatArray, high: FloatArray, same_direction: BoolArray, t: int, s: float, before_s: float) -> bool:
+def _is_met(low: FloatArray, high: FloatArray, same_direction: BoolArray, t: int, s: float, before_m: float) -> bool:
     """Whether boxes meet at the step after t, but for an agent that runs in from behind."""
     for row in range(low.shape[0]):
         if low[row, t + 1] < s < high[row, t + 1]:
-            behind = same_direction[row, t] and not gap_to(low[row, t], high[row, t], before_s)[1]
+            behind = same_direction[row, t] and not gap_to(low[row, t], high[row, t], before_m)[1]
             if low[row, t] == np.inf or not behind:
                 return True
     return False
@@ -83,12 +83,12 @@ def roll(
     """Place s and speed v at the steps of a span, first to last, (K,) each, from a start s m, v m/s, a m/s2.
 
     No further than to where the boxes of the vehicle and another agent meet. Third, what the driver keeps in mind at
-    each step (K, M); memory (M,): at the first one, none for a driver that has just come.
+    each step (K, M); memory (M,): at the first one, empty for a driver that has just come.
 
     desired_mps (T,) by the scene's steps; driver .. causes: as in `speed_limits`, of one vehicle; reaction s; length m:
     own, of the box that SUMO has. shown_* (R, T): the agents that SUMO is shown, as in `Shown`.
-    Of SUMO's lanes along the path (L,): link_m m, where they end; paces, metres on the path for one on the lane; turns
-    m/s, at most desired for the link to each.
+    Of the map's lanes along the path as SUMO has it (L,): link_m, where they end; paces, metres on the path for one on
+    the lane; turns m/s, at most desired for the link to each.
     """
     first, last = span
     s_at, v_at = np.empty(last - first + 1), np.empty(last - first + 1)
@@ -100,7 +100,7 @@ def roll(
     new_driver(state, desired_mps[first])
     if memory.size:
         state[:] = memory
-    before_s, memories = start[0], np.empty((last - first + 1, DRIVER_STATE))
+    before_m, memories = start[0], np.empty((last - first + 1, DRIVER_STATE))
     memories[0] = state
     tau, accel, decel, min_gap = driver
     in_sumo = round(tau, 2), round(accel, 2), round(decel, 2), min_gap  # it keeps two digits of these
@@ -115,7 +115,7 @@ def roll(
         front = s + 0.5 * length
         lane = min(int(np.searchsorted(link_m, front, side="right")), link_m.size - 1)
         gap, lead_v, lead_a = _leader(
-            shown_middle, shown_speed, shown_leads, shown_lengths, t, s, s - before_s, length, step_s
+            shown_middle, shown_speed, shown_leads, shown_lengths, t, s, s - before_m, length, step_s
         )
         if gap > _looks_m(v, length, in_sumo):
             gap = np.inf
@@ -124,11 +124,11 @@ def roll(
             state, v, a, (desired, ahead), (gap, lead_v, lead_a), max(limit, 0.0), in_sumo, reaction, step_s,
             t * step_s,
         )  # fmt: skip
-        before_s = s
+        before_m = s
         s += 0.5 * (v + v_next) * step_s * paces[lane]
         fleet[0, 0], fleet[0, 1], fleet[0, 2] = s, v_next, (v_next - v) / step_s
         s_at[k], v_at[k], memories[k] = s, v_next, state
-        if _is_met(low, high, same_direction, t, s, before_s):
+        if _is_met(low, high, same_direction, t, s, before_m):
             return s_at[: k + 1].copy(), v_at[: k + 1].copy(), memories[: k + 1].copy()
     return s_at, v_at, memories
 
@@ -140,7 +140,7 @@ def met_by(
 ) -> FloatArray:  # fmt: skip
     """What each of R agents is to a motion (K,) from a step on, (R, 3): contact, TTC ahead and behind; inf for none.
 
-    CONTACT: s from the scene's begin to the first step at which the boxes meet; LEAD_TTC: least TTC, s, to it as a
+    CONTACT: time of the first step at which the boxes meet, seconds; LEAD_TTC: least TTC, seconds, to it as a
     leader; LAG_TTC: of it as a follower, 0 where it runs in from behind. low .. same_direction (R, T): as in
     `PathOccupancy`.
     """

@@ -36,18 +36,18 @@ class Encroachment(NamedTuple):
 
 
 def encroachments(
-    arrays: SceneArrays, *, since: int = 0, cap_s: float = CAP_S, agents: IntArray | None = None,
+    arrays: SceneArrays, *, first_row: int = 0, cap_s: float = CAP_S, agents: IntArray | None = None,
     crossing_rad: float = _REAR_END_RAD,
 ) -> tuple[Encroachment, ...]:  # fmt: skip
     """PET of every pair of moving vehicles with swept paths that cross within cap_s of each other.
 
-    since: only pairs with this agent or a later one as the second; agents (K,), ascending: those that are looked at,
+    first_row: of pairs with this agent or a later one as the second alone; agents (K,), ascending: those looked at,
     instead of moving vehicles; crossing_rad: paths that meet at less do not cross.
     """
     moving = np.flatnonzero(arrays.moving_vehicles) if agents is None else agents
     steps, crossed = box_pairs.post_encroachment(
         moving, arrays.position, arrays.heading, arrays.length, arrays.width, arrays.first, arrays.step,
-        round(cap_s / arrays.step_s), crossing_rad, int(np.searchsorted(moving, since)),
+        round(cap_s / arrays.step_s), crossing_rad, int(np.searchsorted(moving, first_row)),
     )  # fmt: skip
     found = []
     for p, q in np.argwhere(steps >= 0):

@@ -19,9 +19,10 @@ from netconvert.lane_graph import Side, TurnType
 class Observation:
     """What the agent knows at time t: the cell ahead, lane type, request, leader, and adjacent lanes.
 
-    leader: the next vehicle on its lane, where one may be overtaken; options: of the sides that the request allows, in
-    the order in which they are tried; own_front, own_rear: gaps ahead and behind on its lane, where a rule asks;
-    passed_gap_m: from its rear bumper to the vehicle that it overtakes, -inf unless passed.
+    leader: gap to the next vehicle on its lane, None where none is near or no overtake may begin; options: the lanes of
+    the sides that the request allows, in the order in which they are tried; own_front, own_rear: gaps ahead and behind
+    on its lane, OPEN also where no rule asks; passed_gap_m: as `gap_to_passed` has it; next_cell: of its lane, None at
+    the lane's end.
     """
 
     time_s: float
@@ -43,10 +44,11 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """policy_i and g_i^{t+1}. reason: why the last lane looked at was not taken; None where one is, or none is due.
+    """policy_i and g_i^{t+1}.
 
-    answers: to each adjacent lane that was looked at, in order: the conditions that said no (of an overtake the first),
-    none for yes.
+    reason: why the last lane looked at, if any, was not taken; None where one is, or no manoeuvre is due; target:
+    g_i^{t+1}, as the listing returns it; what is carried out is a change of lanes to `side`. answers: of each adjacent
+    lane looked at, in order, the conditions that refuse it (of an overtake one), empty where it is taken.
     """
 
     policy: Policy
@@ -62,21 +64,21 @@ def is_due(stage: Stage, time_s: float, trigger_s: float) -> bool:
 
 
 def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) -> Decision:
-    """Algorithm 1 (Agent Decision) for the manoeuvre that is requested, of an overtake too from the trigger on.
+    """Algorithm 1 (Agent Decision), of overtakes too from the trigger time on, which its listing asks of lane changes.
 
-    Into g_{l',j}, as the paper's text has it (its listing enters j+1). "Not feasible" is a reason, no exception.
+    The target is g_{l',j}, as in the paper's text (its listing has j+1). "Not feasible" is a reason, no exception.
     """
     reason: Reason | None = None
     answers: list[tuple[Reason, ...]] = []
-    due = is_due(seen.stage, seen.time_s, seen.trigger_s)
-    if due and BEHAVIOURS[seen.request].sides:
+    may_begin = is_due(seen.stage, seen.time_s, seen.trigger_s)
+    if may_begin and BEHAVIOURS[seen.request].sides:
         reason = Reason.NO_ADJACENT_LANE
         for option in seen.options:
             answers.append(rule_refusals(_view(seen, option), lane_change))
             reason = next(iter(answers[-1]), None)
             if reason is None:
                 return Decision(seen.request, option.target, option.side, answers=tuple(answers))
-    elif due and seen.request is Policy.OVERTAKE:
+    elif may_begin and seen.request is Policy.OVERTAKE:
         reason = Reason.NO_ADJACENT_LANE
         for option in seen.options:
             if seen.stage is Stage.PASS:

@@ -23,9 +23,8 @@ from netconvert.cells import Cell
 from netconvert.lane_graph import Side, crossable
 
 # No tunables, the next three: room for what a driver does otherwise.
-#: A lateral motion may take this share of the time left in the scene.
+#: A lateral motion may take this share of the time left in the scene, less _SPARE_S.
 _TIME_SHARE = 0.95
-#: Of that time so much is left after it, s.
 _SPARE_S = 0.5
 #: It may take this share of the length of l' left.
 _LENGTH_SHARE = 0.8
@@ -141,8 +140,8 @@ def gap_to_passed(
 ) -> float:
     """Own rear bumper to the passed vehicle's front now, m, along the own heading; s m on the path.
 
-    lane: the lane path that both were on. inf where it has left the map; -inf where it is not passed: it is not behind,
-    or not on that lane path any more, as it turned off.
+    Negative while the boxes are side by side with its centre behind; inf: it has left the scene; -inf: it is not
+    behind, or has turned off the lane path `lane`, that both were on.
     """
     row = here.ids.index(passed_id) if passed_id in here.ids else -1
     if row < 0 or not here.present[row, 0]:

@@ -18,8 +18,8 @@ from hid2.reasons import Reason
 from netconvert.errors import ConfigError
 from netconvert.lane_graph import Side
 
-#: Of the paper's rule where a vehicle changes lanes by its own wish, unless `rule_with` says otherwise: as the leader
-#: that is worth an overtake (`overtake.speed_advantage_mps`).
+#: Least gain of speed, m/s, for a discretionary lane change by the paper's rule, unless `rule_with` says otherwise: as
+#: of a leader that is worth an overtake (`overtake.speed_advantage_mps`).
 INCENTIVE_MPS = 1.5
 #: What SUMO is taken to answer before it drives: it wants the lane, and finds it free.
 ASSUMED_ANSWER = SumoAnswer(frozenset({"foreseen"}), blocked_ahead=False, blocked_behind=False)
@@ -96,13 +96,13 @@ def rule_reason(view: GapView, params: LaneChange) -> Reason | None:
     return next(iter(rule_refusals(view, params)), None)
 
 
-def by_own_wish(view: GapView, params: LaneChange, *, must: bool) -> bool:
-    """Whether a vehicle without a request changes lanes into a gap. must: its route leads there, whatever it gains.
+def accepts_unasked(view: GapView, params: LaneChange, *, mandatory: bool) -> bool:
+    """Whether a vehicle without a request changes lanes into a gap. mandatory: its route leads there.
 
-    The paper's rule has no wish of its own: it gets one where the leader there (none: the desired speed) is faster than
+    The paper's rule has no incentive: it gets one where the leader there (none: the desired speed) is faster than
     the one here by `incentive` of `lane_change.rule_with`, m/s. MOBIL has its incentive, a user's rule decides alone.
     """
-    if params.rule == "paper" and not must:
+    if params.rule == "paper" and not mandatory:
         there, here = (
             view.desired_mps if math.isinf(one.distance_m) else min(one.speed_mps, view.desired_mps)
             for one in (view.front, view.own_front)
@@ -110,7 +110,7 @@ def by_own_wish(view: GapView, params: LaneChange, *, must: bool) -> bool:
         if there - here <= rule_arguments(params).get("incentive", INCENTIVE_MPS):
             return False
     refusals = rule_refusals(view, params)
-    return not refusals or (must and set(refusals) == {Reason.MOBIL_NO_ADVANTAGE})
+    return not refusals or (mandatory and set(refusals) == {Reason.MOBIL_NO_ADVANTAGE})
 
 
 def rule_arguments(params: LaneChange) -> dict[str, float]:
@@ -125,11 +125,11 @@ def rule_arguments(params: LaneChange) -> dict[str, float]:
     return found
 
 
-def expected_reason(driver: Driver, params: LaneChange, *, speed_mps: float, side: Side = "left") -> Reason | None:
+def refusal_of_free_lane(driver: Driver, params: LaneChange, *, speed_mps: float, side: Side = "left") -> Reason | None:
     """Why a rule would not leave a slower leader for a free lane; None where it would.
 
-    At the rule's least speed or faster, after all the waiting, behind a leader half as fast. Of LC2013, SUMO's own, the
-    preconditions by the map alone.
+    It is asked at the rule's least speed or faster, at the end of its patience (`give_up_s`), behind a leader half as
+    fast. SUMO, which LC2013 asks, is taken to agree.
     """
     v = max(speed_mps, params.min_speed_mps)
     view = replace(
@@ -225,7 +225,7 @@ def mobil_refusals(view: GapView, params: LaneChange) -> Iterator[Reason]:
 
     a_c' - a_c + p (a_n' - a_n + a_o' - a_o) > threshold - bias, by the intelligent driver model.
     """
-    if view.front.distance_m <= 0.0 or view.rear.distance_m <= 0.0:
+    if view.front.distance_m <= 0.0 or view.rear.distance_m <= 0.0:  # an agent is beside
         yield Reason.CELLS_OCCUPIED
     own = Gap(view.rear.distance_m, view.speed_mps)
     follower_after = idm_mps2(view.rear.speed_mps, own, view)

@@ -278,9 +278,9 @@ def test_what_a_rollout_foresees_comes_about(real_scenes: list[Path]) -> None:
             for vehicle, track in zip(scene.vehicles, scene.generated, strict=True):
                 row, start = states.arrays.track_ids.index(track.track_id), vehicle.driven.start
                 for one in Situation:
-                    foreseen[one] += one in start.meets
+                    foreseen[one] += one in start.situations
                     seen[one] += bool(met[one][row])
-                    both[one] += one in start.meets and bool(met[one][row])
+                    both[one] += one in start.situations and bool(met[one][row])
     for one, least in ((Situation.FOLLOWS, 0.75), (Situation.BRAKES, 0.6), (Situation.STANDS, 0.75)):
         assert seen[one] >= 5
         assert both[one] >= least * max(foreseen[one], seen[one]), (one, foreseen[one], seen[one], both[one])

@@ -479,7 +479,7 @@ def test_nobody_enters_where_another_one_is() -> None:
     first, later = drive(
         scene, start_on(scene, (1,), 4.0, 0.0), start_on(scene, (1,), 3.0, 7.0, number=1, step=30)
     ).fleet.vehicles
-    assert later.objection is Reason.NO_ROOM_AT_EDGE
+    assert later.not_inserted is Reason.NO_ROOM_AT_EDGE
     assert later.s == []
     assert len(first.s) == 110
     assert finalise(scene, later, []) is Reason.NO_ROOM_AT_EDGE

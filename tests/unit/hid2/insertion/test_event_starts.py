@@ -112,7 +112,7 @@ def test_no_candidate_changes_lanes_where_the_configured_rule_never_does(
     rule = LaneChange(rule="refusing_rule:never")
     starts = _starts(replace(usual, config=usual.config.model_copy(update={"lane_change": rule})), kind=kind)
     assert bool(starts.draw(30)) == left
-    assert (starts.rejected[Reason.RULE_REFUSES] == 0) == left
+    assert (starts.refusals[Reason.RULE_REFUSES] == 0) == left
 
 
 def test_none_begins_where_others_stand_and_the_reason_is_counted() -> None:
@@ -120,4 +120,4 @@ def test_none_begins_where_others_stand_and_the_reason_is_counted() -> None:
     row = [recorded(60.0 + 8.0 * number, 0.0, 8.0, name=f"o{number}") for number in range(42)]
     starts = _starts(scene_of(recorded(52.0, 0.0, 8.0), *row))
     assert starts.draw(30) == []
-    assert (starts.rolls, starts.rejected) == (0, Counter({Reason.NO_SITE: 20}))
+    assert (starts.rolls, starts.refusals) == (0, Counter({Reason.NO_SITE: 20}))

@@ -73,7 +73,7 @@ def test_count_is_reached_in_one_round_and_no_vehicle_is_driven_beyond_it() -> N
 def test_failed_vehicle_is_replaced_elsewhere_and_counted_with_its_reason() -> None:
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
         if number == 0 and vehicle.vehicle_id in ("v0_0", "v1_0"):
-            vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+            vehicle.not_inserted = Reason.SUMO_REFUSES_INSERTION
         return vehicle
 
     filling, drive = _fill(scene_for(), spoil, seed=1)
@@ -91,7 +91,7 @@ def test_who_cannot_enter_is_replaced_and_its_lane_stays_open() -> None:
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
         if number == 0 and vehicle.start.step > 0:
-            vehicle.objection, vehicle.s[:], vehicle.v[:] = Reason.NO_ROOM_AT_EDGE, [], []
+            vehicle.not_inserted, vehicle.s[:], vehicle.v[:] = Reason.NO_ROOM_AT_EDGE, [], []
         return vehicle
 
     filling, drive = _fill(scene_for(agents=2, entering=1.0, near="anywhere"), spoil)
@@ -109,7 +109,7 @@ def test_places_that_failed_are_tried_again_where_no_other_is_left(monkeypatch: 
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
         if number == 0:
-            vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+            vehicle.not_inserted = Reason.SUMO_REFUSES_INSERTION
         return vehicle
 
     scene = scene_for(agents=4)
@@ -122,7 +122,7 @@ def test_places_that_failed_are_tried_again_where_no_other_is_left(monkeypatch: 
 
 def test_rounds_come_to_an_end_with_fewer_than_asked_for() -> None:
     def refuse(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
-        vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+        vehicle.not_inserted = Reason.SUMO_REFUSES_INSERTION
         return vehicle
 
     filling, drive = _fill(scene_for(rounds=1), refuse)
@@ -138,7 +138,7 @@ def test_safe_vehicle_whose_manoeuvre_did_not_come_about_takes_an_open_request_t
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
         if vehicle.vehicle_id == "v0_0":
-            vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+            vehicle.not_inserted = Reason.SUMO_REFUSES_INSERTION
         return vehicle
 
     scene = scene_for(straight=0.5, lane_change=0.5, trigger_min_s=1.0, trigger_max_s=1.0)
@@ -160,7 +160,7 @@ def test_vehicle_that_is_on_its_way_across_does_not_go_straight() -> None:
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
         if vehicle.vehicle_id == "v0_0":
-            vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+            vehicle.not_inserted = Reason.SUMO_REFUSES_INSERTION
         if number == 0 and vehicle.policy is Policy.LANE_CHANGE:
             to, mps = 3 - vehicle.start.route[0], 7.0  # at other speeds they meet
             vehicle = changing(scene, vehicle.start, np.full(110, mps), to=to, at_step=20, wanted_s=5.0)
@@ -178,7 +178,7 @@ def test_vehicle_that_another_one_needs_stays_before_one_that_none_needs() -> No
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
         if vehicle.vehicle_id == "v0_0":
-            vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+            vehicle.not_inserted = Reason.SUMO_REFUSES_INSERTION
         if vehicle.vehicle_id == "v1_0":
             vehicle.waited_for[needed] = BRAKES
         return vehicle
@@ -196,7 +196,7 @@ def test_two_rounds_that_add_no_vehicle_are_the_last() -> None:
 
     def spoil(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
         if vehicle.start.request.number == 3:
-            vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+            vehicle.not_inserted = Reason.SUMO_REFUSES_INSERTION
         return vehicle
 
     filling, drive = _fill(scene_for(rounds=12), spoil)
@@ -243,7 +243,7 @@ def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(monkeypatc
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
         if vehicle.start.request.number >= 3 * (number + 1):
-            vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+            vehicle.not_inserted = Reason.SUMO_REFUSES_INSERTION
         return vehicle
 
     monkeypatch.setattr("hid2.insertion.starts.Starts.make", only_lane_2)
@@ -287,7 +287,7 @@ def test_unmet_manoeuvres_are_told_with_their_last_reason_and_the_count_is_reach
 
     def refuse(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
         if vehicle.policy is Policy.LANE_CHANGE:
-            vehicle.objection = Reason.MEETS_RECORDED
+            vehicle.not_inserted = Reason.MEETS_RECORDED
         return vehicle
 
     scene = scene_for(agents=4, straight=0.5, lane_change=0.5, trigger_min_s=1.0, trigger_max_s=1.0)
@@ -332,7 +332,7 @@ def test_who_braked_for_a_vehicle_that_is_gone_is_driven_again() -> None:
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
         if number == 0:
             if vehicle.vehicle_id == "v0_0":
-                vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+                vehicle.not_inserted = Reason.SUMO_REFUSES_INSERTION
             needed = {"v1_0": "v0_0", "v2_0": "v1_0"}.get(vehicle.vehicle_id, "")
             vehicle.waited_for[needed] = BRAKES
         return vehicle
@@ -356,7 +356,7 @@ def test_nobody_is_driven_again_twice() -> None:
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
         if number <= 1:
             if vehicle.vehicle_id == f"v0_{number}":
-                vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+                vehicle.not_inserted = Reason.SUMO_REFUSES_INSERTION
             if vehicle.vehicle_id == "v1_0":
                 vehicle.waited_for = Counter({f"v0_{number}": BRAKES})
         return vehicle
@@ -379,7 +379,7 @@ def test_count_is_never_exceeded_nor_a_request_met_twice(seed: int) -> None:
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
         if rng.random() < 0.3:
-            vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+            vehicle.not_inserted = Reason.SUMO_REFUSES_INSERTION
         elif vehicle.policy is Policy.LANE_CHANGE and number > 0:
             (own,) = {segment.lane_id for segment in vehicle.path.segments}
             vehicle = changing(scene, vehicle.start, vehicle.v, to={1: 2, 2: 1}[own], at_step=10, wanted_s=4.0)
@@ -417,7 +417,7 @@ def test_debug_log_tells_what_became_of_every_vehicle_that_was_tried(caplog: pyt
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
         if number == 0 and vehicle.policy is Policy.STRAIGHT:
-            vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+            vehicle.not_inserted = Reason.SUMO_REFUSES_INSERTION
         vehicle.reason = Reason.SUMO_REFUSES
         return vehicle
 

@@ -55,7 +55,7 @@ def test_vehicle_alone_is_exported_as_it_was_driven() -> None:
 def test_what_sumo_objected_to_is_the_reason() -> None:
     scene = scene_of()
     vehicle = DrivenVehicle(start=start_on(scene, (1,), 40.0, 9.0), path=scene.paths.along((1,)))
-    vehicle.objection = Reason.SUMO_REFUSES_INSERTION
+    vehicle.not_inserted = Reason.SUMO_REFUSES_INSERTION
     assert finalise(scene, vehicle, []) is Reason.SUMO_REFUSES_INSERTION
 
 
@@ -251,8 +251,8 @@ def test_of_two_that_come_too_near_together_the_later_one_goes() -> None:
     scene = scene_of()
     slow, fast = _kept(scene, np.full(110, 5.0), 60.0), _kept(scene, np.full(110, 10.0), 40.0, number=1)
     assert [row for row, _ in conflicting(scene, [slow, fast])] == [1]
-    assert [row for row, _ in conflicting(scene, [slow, fast], since=1)] == [1]
-    assert conflicting(scene, [slow, fast], since=2) == []
+    assert [row for row, _ in conflicting(scene, [slow, fast], first_row=1)] == [1]
+    assert conflicting(scene, [slow, fast], first_row=2) == []
     assert conflicting(scene, [slow, _kept(scene, np.full(110, 10.0), 40.0, lane=2, number=1)]) == []
 
 

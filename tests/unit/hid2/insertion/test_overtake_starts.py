@@ -61,9 +61,9 @@ def test_rollout_of_an_overtaker_is_out_past_and_back_in_time() -> None:
     world = World(sites.here.scene, sites.here.roads, alone)
     slow = world.roll(leader)
     world.choose(world.rolled_out(leader, (slow,)))
-    vehicle, parts = world.act(overtaker)
+    vehicle, parts = world.roll_manoeuvre(overtaker)
     assert vehicle.stage is Stage.DONE
-    assert vehicle.leader_id == leader.vehicle_id
+    assert vehicle.overtaken_id == leader.vehicle_id
     out, back = (shift.requested_step for shift in vehicle.shifts)
     assert 10 <= out <= back - 25
     assert back + 25 <= 109
@@ -82,7 +82,7 @@ def test_way_back_of_an_overtake_ends_on_the_map(road: Callable[..., LaneGraph])
             alone = Guard(sites.here.scene, nobody(sites.here.scene.future.num_steps), sites.here.stop_lines)
             world = World(sites.here.scene, sites.here.roads, alone)
             world.choose(world.rolled_out(starts[0], (world.roll(starts[0]),)))
-            path = world.act(starts[1])[0].path
+            path = world.roll_manoeuvre(starts[1])[0].path
             assert path.lateral_spans[-1].end < path.exit_m - 0.5 * starts[1].size.length_m
     assert found
 
@@ -130,7 +130,7 @@ def test_what_begins_later_leaves_a_chosen_overtake_as_it_is() -> None:
         world = World(scene, sites.here.roads, guard)
         for start in (leader, *others):
             world.choose(world.rolled_out(start, (world.roll(start),)))
-        assert world.act(overtaker)[0].stage is Stage.DONE
+        assert world.roll_manoeuvre(overtaker)[0].stage is Stage.DONE
 
 
 def test_overtakes_asked_for_alone_lead_each_other() -> None:

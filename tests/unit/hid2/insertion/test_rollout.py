@@ -84,9 +84,9 @@ def test_follower_of_a_round_before_keeps_its_time_headway(ahead_m: float, reaso
     behind = _steady(world, 20.0, 10.0, number=1)
     kept = World(world.scene, world.roads, Guard(world.scene, behind.traffic, world.guard.stop_lines))
     candidate = _steady(kept, 20.0 + ahead_m, 10.0)
-    assert kept.objection(candidate.start, candidate.parts) is reason
+    assert kept.rejection_reason(candidate.start, candidate.parts) is reason
     world.choose(behind)
-    assert world.objection(candidate.start, candidate.parts) is None
+    assert world.rejection_reason(candidate.start, candidate.parts) is None
 
 
 def test_follower_that_closes_in_is_named() -> None:
@@ -137,7 +137,7 @@ def test_a_cell_that_begins_farther_on_takes_a_vehicle_there(lane: Callable[...,
         ]
         scene = scene_on(LaneGraph({one.lane_id: one for one in lanes}))
         world = World(scene, Roads(scene), Guard(scene, Traffic.none(scene.future.num_steps), StopLines(scene)))
-        before, onto = world.act(start_on(scene, (1,), 50.0, 10.0, policy=Policy.LANE_CHANGE))[1]
+        before, onto = world.roll_manoeuvre(start_on(scene, (1,), 50.0, 10.0, policy=Policy.LANE_CHANGE))[1]
         assert onto.s[0] == pytest.approx(before.s[-1])
         driven_on.append(onto.s[-1] - onto.s[0] - 0.05 * (onto.v[1:] + onto.v[:-1]).sum())
     assert driven_on[1] - driven_on[0] == pytest.approx(2.0, abs=0.02)
@@ -157,7 +157,7 @@ def test_vehicle_that_stands_while_it_passes_another_one_is_looked_at_again(monk
     steps = world.scene.num_steps
     stands = Rollout(start.path, 0, np.full(steps, 100.0), np.zeros(steps), np.zeros((steps, 0)))
     monkeypatch.setattr(World, "roll", lambda *_args, **_more: stands)
-    vehicle, parts = world.act(start)
+    vehicle, parts = world.roll_manoeuvre(start)
     assert (vehicle.reason, len(parts)) == (Reason.NOT_AHEAD, 1)
 
 
@@ -188,7 +188,7 @@ def test_none_is_to_enter_where_it_has_been_red_for_long(
     world = World(scene, Roads(scene), Guard(scene, Traffic.none(scene.future.num_steps), StopLines(scene)))
     start, steps = start_on(scene, (1, 2), 60.0, 10.0), np.arange(scene.num_steps)
     part = Rollout(start.path, 0, 60.0 + 1.0 * steps, np.full(steps.size, 10.0), np.zeros((steps.size, 0)))
-    assert world.objection(start, (part,)) is reason
+    assert world.rejection_reason(start, (part,)) is reason
 
 
 @pytest.mark.parametrize(("stops_m", "stands", "reason"), [
@@ -214,7 +214,7 @@ def test_none_is_to_stop_in_an_intersection(stops_m: float, stands: int, reason:
     v[2] = 29.9
     s = 60.0 + np.concatenate([[0.0], np.cumsum(0.1 * v[:-1])])
     part = Rollout(start.path, 0, s, v, np.zeros((v.size, 0)))
-    assert world.objection(start, (part,)) is reason
+    assert world.rejection_reason(start, (part,)) is reason
 
 
 @pytest.mark.parametrize(
@@ -227,4 +227,4 @@ def test_none_is_to_wait_behind_a_parked_vehicle(aside_m: float, stops_m: float,
     v = np.clip(10.0 - 2.0 * (time_s - (stops_m - 85.0) / 10.0), 0.0, 10.0)  # 25 m of braking
     s = 60.0 + np.concatenate([[0.0], np.cumsum(0.05 * (v[1:] + v[:-1]))])
     part = Rollout(start.path, 0, s, v, np.zeros((v.size, 0)))
-    assert world.objection(start, (part,)) is reason
+    assert world.rejection_reason(start, (part,)) is reason

@@ -79,7 +79,7 @@ def test_start_that_a_recorded_vehicle_would_run_into_is_rejected() -> None:
     assert all(start.start_m > 75.0 for start in starts)
     for number in range(10):
         sites.propose(_request(number))
-    assert sites.starts.rejected[Reason.TTC_RECORDED_FOLLOWER] > 0
+    assert sites.starts.refusals[Reason.TTC_RECORDED_FOLLOWER] > 0
 
 
 @pytest.mark.parametrize(("gap", "leader_mps"), [(6.0, 0.0), (15.0, 8.0), (30.0, 4.0), (60.0, 12.0)])
@@ -190,7 +190,7 @@ def test_none_is_to_stop_astride_of_two_lanes(monkeypatch: pytest.MonkeyPatch, s
         return replace(vehicle, path=path), (*parts[:-1], replace(parts[-1], path=path, s=s, v=v))
 
     monkeypatch.setattr(World, "act", slowed)
-    monkeypatch.setattr(World, "objection", lambda *_args, **_more: None)
+    monkeypatch.setattr(World, "rejection_reason", lambda *_args, **_more: None)
     request = _request(0, Policy.LANE_CHANGE, 1.0)
     made = starts.make(
         request, Site(Surroundings(scene).routes.offers(1)[0], 100.0), driver=replace(DRIVER, desired_mps=10.0)
@@ -344,7 +344,7 @@ def test_a_second_vehicle_that_is_to_follow_takes_the_other_leader() -> None:
         sites = _sites(scene, seed)
         sites.wanted = Wanted({Situation.FOLLOWS: 1.0}, {Situation.FOLLOWS: 0.0})
         found = [start for number in (0, 1) for start in sites.propose(_request(number))]
-        assert all(Situation.FOLLOWS in start.meets for start in found)
+        assert all(Situation.FOLLOWS in start.situations for start in found)
         other += len({start.leader for start in found}) == 2
     assert other == 20
 

@@ -49,7 +49,7 @@ def test_as_many_are_to_meet_something_as_the_shares_say() -> None:
         for _ in range(3):
             lacking = wanted.lacking(there)
             lacks.append(lacking == {Situation.STANDS})
-            there.append(SimpleNamespace(meets=lacking))
+            there.append(SimpleNamespace(situations=lacking))
         assert lacks == expected
 
 
@@ -61,7 +61,7 @@ def test_rollout_tells_what_a_vehicle_meets(leader_m: float, leader_mps: float, 
     """Of one that begins at 70 m with 9 m/s: bumpers are 1.7 s, 14 s, 6 s apart."""
     start = _started(scene_of(recorded(leader_m, 0.0, leader_mps)), 70.0)
     assert isinstance(start, Start)
-    assert start.meets == expected
+    assert start.situations == expected
 
 
 def test_start_that_meets_nothing_that_is_wanted_is_passed_over() -> None:
@@ -77,4 +77,4 @@ def test_path_of_a_vehicle_that_crosses_in_three_seconds_is_crossed(from_m: floa
     across = replace(recorded(150.0, 0.0), position=xy, heading=np.full(110, np.pi / 2), velocity=velocity)
     start = _started(scene_of(across), 110.0)
     assert isinstance(start, Start)
-    assert (Situation.CROSSES in start.meets) == crosses
+    assert (Situation.CROSSES in start.situations) == crosses

@@ -10,11 +10,11 @@ from hid2.params import LaneChange
 from hid2.policy.lane_change import OPEN, Gap, SumoAnswer
 from hid2.policy.rules import (
     GapView,
-    by_own_wish,
+    accepts_unasked,
     check_user_rule,
-    expected_reason,
     idm_mps2,
     mobil_refusals,
+    refusal_of_free_lane,
     rule_arguments,
     rule_reason,
     rule_refusals,
@@ -200,26 +200,26 @@ def test_change_to_a_free_lane_is_expected_of_every_rule_with_an_incentive() -> 
     By the IDM it gains 1.85 (2.2 + 2.3 + .5)^2 / 4.5^2 = 2.3 m/s2.
     """
     for rule in ("paper", "LC2013", "MOBIL"):
-        assert expected_reason(usual_driver(10.0), LaneChange(rule=rule), speed_mps=10.0) is None
+        assert refusal_of_free_lane(usual_driver(10.0), LaneChange(rule=rule), speed_mps=10.0) is None
     never = LaneChange(rule="MOBIL", mobil_threshold_mps2=5.0, mobil_bias_mps2=0.0)
-    assert expected_reason(usual_driver(10.0), never, speed_mps=2.0) is Reason.MOBIL_NO_ADVANTAGE
+    assert refusal_of_free_lane(usual_driver(10.0), never, speed_mps=2.0) is Reason.MOBIL_NO_ADVANTAGE
 
 
 def test_paper_rule_by_own_wish_wants_a_faster_leader_unless_it_must() -> None:
     """Here 8 m/s ahead; there 9 m/s (1 m/s more: too little) or 9.6 m/s, 1.6 m/s more than 8: worth it."""
     params = LaneChange(rule="paper")
     slow = replace(VIEW, own_front=Gap(20.0, 8.0), front=Gap(60.0, 9.0))
-    assert not by_own_wish(slow, params, must=False)
-    assert by_own_wish(slow, params, must=True)
+    assert not accepts_unasked(slow, params, mandatory=False)
+    assert accepts_unasked(slow, params, mandatory=True)
     fast = replace(slow, front=Gap(60.0, 9.6))
-    assert by_own_wish(fast, params, must=False)
-    assert not by_own_wish(fast, params.model_copy(update={"rule_with": "incentive=2.0"}), must=False)
-    assert by_own_wish(replace(slow, front=OPEN), params, must=False)  # 10 m/s wished for
-    assert not by_own_wish(replace(fast, cells_free=False), params, must=True)
+    assert accepts_unasked(fast, params, mandatory=False)
+    assert not accepts_unasked(fast, params.model_copy(update={"rule_with": "incentive=2.0"}), mandatory=False)
+    assert accepts_unasked(replace(slow, front=OPEN), params, mandatory=False)  # 10 m/s wished for
+    assert not accepts_unasked(replace(fast, cells_free=False), params, mandatory=True)
 
 
 def test_mobil_that_must_asks_for_safety_alone() -> None:
     behind = replace(VIEW, own_front=OPEN, front=Gap(15.0, 8.0))  # slower there: nothing to gain
-    assert not by_own_wish(behind, MOBIL, must=False)
-    assert by_own_wish(behind, MOBIL, must=True)
-    assert not by_own_wish(replace(behind, rear=Gap(1.0, 14.0)), MOBIL, must=True)
+    assert not accepts_unasked(behind, MOBIL, mandatory=False)
+    assert accepts_unasked(behind, MOBIL, mandatory=True)
+    assert not accepts_unasked(replace(behind, rear=Gap(1.0, 14.0)), MOBIL, mandatory=True)
