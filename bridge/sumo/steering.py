@@ -36,7 +36,7 @@ _OFF_SHARE = 0.03  # no tunable: a tenth of a metre of a lane's width, before a 
 
 
 class SpeedLimits(NamedTuple):
-    """Of vehicles (M,) at a step, as the kernel `speed_limits` returns them; `let_pass` lowers mps in place."""
+    """Of vehicles (M,) at a step, as the kernel `speed_limits` returns them; two functions change them in place."""
 
     mps: FloatArray
     cause: IntArray
@@ -44,6 +44,11 @@ class SpeedLimits(NamedTuple):
     waits_for: IntArray
     yields: BoolArray
     braking_fails: BoolArray
+
+    def renew_from(self, place: int, renewed: "SpeedLimits") -> None:
+        """In place: those of vehicles from a place on are others now."""
+        for found, later in zip(self, renewed, strict=True):
+            found[place:] = later
 
 
 def limits_of(fleet: Fleet, rows: IntArray, now: int) -> SpeedLimits:
@@ -61,7 +66,7 @@ def limits_of(fleet: Fleet, rows: IntArray, now: int) -> SpeedLimits:
 
 
 def let_pass(fleet: Fleet, row: int, now: int, limits: SpeedLimits, place: int) -> None:
-    """Lower the limit of a vehicle that waits for a gap, so that those beside can go ahead; place: its row there."""
+    """In place: lower the limit of a vehicle that waits for a gap, so that those beside can go ahead."""
     vehicle, step_s = fleet.vehicles[row], fleet.scene.step_s
     if vehicle.stage is Stage.WAITING and vehicle.reason in _LETS_PASS:
         desired, v = fleet.desired_mps[row, now], vehicle.v[-1]

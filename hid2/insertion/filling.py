@@ -222,15 +222,11 @@ class Filling:
             straight = policy is Policy.STRAIGHT
             found: list[Start] = []
             if failed[policy] < (_MOST_FAILURES_STRAIGHT if straight else _MOST_FAILURES):
-                slow = self._to_lead(request, [one for one in waiting if one.number not in used])
-                found = sites.propose(request, None if slow is None else replace(slow, policy=Policy.STRAIGHT))
+                found = self._proposed(sites, request, [one for one in waiting if one.number not in used])
                 if straight and not found and not redrawn:
                     redrawn = True  # what was full for one draw of places may not be for another
                     self._turned_down.look_anew(each_cell=self.scene.config.request.agents != "max")
                     found = sites.propose(request)
-                if slow is not None and slow.policy is not Policy.STRAIGHT and len(found) > 1:
-                    self._last_reason[slow.number] = Reason.LEADS_AN_OVERTAKE
-                    self._gives_up(slow)
                 if not found:
                     failed[policy] += 1
                 refused[policy] += sites.starts.refusals - before
@@ -245,15 +241,21 @@ class Filling:
         _LOG.debug("round %d: %d starts; sites turned down: %s", number, len(starts), turned_down or "none")
         return starts
 
-    def _to_lead(self, request: VehicleRequest, others: list[VehicleRequest]) -> VehicleRequest | None:
-        """The request that a slow leader of an overtake would meet: one to go straight, else another overtake."""
+    def _proposed(self, sites: InsertionSites, request: VehicleRequest, others: list[VehicleRequest]) -> list[Start]:
+        """A start for a request, after that of its slow leader where one is added for an overtake; empty: no site.
+
+        Such a leader meets another request: one to go straight, else the last overtake, which is given up.
+        """
         if request.policy is not Policy.OVERTAKE or not self.scene.config.request.spawn_leaders:
-            return None
-        for policy in (Policy.STRAIGHT, Policy.OVERTAKE):
-            found = [one for one in others if one.policy is policy]
-            if found:
-                return found[0 if policy is Policy.STRAIGHT else -1]
-        return None
+            return sites.propose(request)
+        straight = [one for one in others if one.policy is Policy.STRAIGHT]
+        overtakes = [one for one in others if one.policy is Policy.OVERTAKE]
+        slow = next(iter(straight + overtakes[::-1]), None)
+        found = sites.propose(request, None if slow is None else replace(slow, policy=Policy.STRAIGHT))
+        if slow is not None and slow.policy is Policy.OVERTAKE and len(found) > 1:
+            self._last_reason[slow.number] = Reason.LEADS_AN_OVERTAKE
+            self._gives_up(slow)
+        return found
 
     def _gives_up(self, request: VehicleRequest) -> VehicleRequest:
         """A request to go straight in place of one for a manoeuvre, which is given up with its reason."""
