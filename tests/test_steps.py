@@ -11,9 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from bridge.recordings.sources import READERS as FORMATS
+
 ROOT = Path(__file__).parents[1]
 #: Where steps of a format may be written down as numbers.
-READERS = re.compile(r"bridge/recordings/(argoverse1|road|limits|scenario|sensor_log)\.py")
+READERS = re.compile(rf"bridge/recordings/({'|'.join(one.name for one in FORMATS)}|road|limits|scenario)\.py")
 #: What is of Argoverse 2 alone and takes its numbers from the format's reader; it refuses or never meets others.
 OF_ARGOVERSE_2 = {
     "bridge/recordings/export.py": "writes its scenes, refuses other steps",

@@ -23,16 +23,12 @@ from bridge.console import fail
 from netconvert.errors import ConfigError, Hid2Error
 
 SOME_FAILED, USAGE = 1, 2
-#: Commands in the order of the help, that of the work.
+#: Commands in the order of the help, that of the work: as they stand in their modules.
 COMMANDS: dict[str, Command] = {
-    name: getattr(module, name)
-    for module, names in (
-        (generation, "generate"),
-        (scenes, "validate scan net export"),
-        (measuring, "evaluate calibrate resimulate study public make paper compose forecast"),
-        (scenes, "view render plot gui example config"),
-    )
-    for name in names.split()
+    name: one
+    for module in (generation, measuring, scenes)
+    for name, one in vars(module).items()
+    if isinstance(one, Command)
 }
 
 

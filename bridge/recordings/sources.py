@@ -215,10 +215,10 @@ def _reader(address: Address) -> Reader:
 def fitting(found: list[Address], choices: Choices | None) -> list[Address]:
     """What was found. Errors: ConfigError for a choice of a user's that none of these formats looks at."""
     taken = {name for address in found for name in _reader(address).takes}
-    for reader, name in ((one, name) for one in READERS for name in one.takes if name not in taken):
+    for name in dict.fromkeys(name for one in READERS for name in one.takes if name not in taken):
         if (value := getattr(choices or Choices(), name)) != getattr(Choices(), name):
-            option = name.removesuffix("_path")
-            raise ConfigError(f"--{option} {value} does nothing here, expected {reader.many} among the scenes")
+            option, many = name.removesuffix("_path"), " or ".join(one.many for one in READERS if name in one.takes)
+            raise ConfigError(f"--{option} {value} does nothing here, expected {many} among the scenes")
     return found
 
 

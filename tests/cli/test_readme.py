@@ -6,21 +6,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-from bridge import find_scenarios, load_config
-from bridge.config import new_scenario_id
-
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 PYTHON = (ROOT / "bridge" / "PYTHON.md").read_text()
-
-
-def test_scene_shown_is_one_that_the_first_command_makes() -> None:
-    config = load_config(flags={"request.agents": 10})
-    made = {
-        f"out/{folder.parent.name}/{new_scenario_id(folder.name, config, 0, 0)}"
-        for folder in find_scenarios(ROOT / "data" / "av2")
-    }
-    assert set(re.findall(r"^out/(?:train|val|test)/\S+$", README, re.MULTILINE)) <= made
 
 
 def test_python_example_runs(tmp_path: Path) -> None:

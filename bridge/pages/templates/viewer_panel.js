@@ -6,7 +6,7 @@ const html = (parts, ...values) => new Markup(parts.reduce((text, part, k) => te
 const count = (number, what) => `${number} ${what}${number === 1 ? "" : "s"}`;
 const why = (reason) => SHARED.reasons[String(reason).split(":")[0]] ?? "";
 const reasonOf = (text) => html`<span title="${why(text)}">${words(text)}</span>`;
-const chip = (kind) => html`<i class="chip" style="background:${SHARED.faces[kind]}"></i>`;
+const chip = (kind) => html`<i class="chip" style="background:${SHARED.faces[kind] ?? SHARED.faces.generated}"></i>`;
 const linked = (scene, id) => (scene.byId.has(id) ? html`<button class="to" data-agent="${id}">${id}</button>` : id ?? "–");
 const table = (head, rows) => html`<table><tr>${head.map((one) => html`<th>${one}</th>`)}</tr>
 ${rows.map((row) => (row instanceof Markup ? row : html`<tr>${row.map((one) => html`<td class="${typeof one === "number" ? "n" : ""}">${one ?? "–"}</td>`)}</tr>`))}</table>`;
@@ -25,7 +25,7 @@ function scenePanel(scene) {
     one.at_s === null ? "–" : `${fixed(one.at_s)} s`, one.status === "done" ? "done" : reasonOf(one.reason ?? one.status)]);
   return [head, section("Asked for and placed", html`<p>${agents} asked for, ${said.placed.agents} placed; seed ${said.seed}, variant ${said.variant}</p>
 ${table(["behaviour", "share asked", "placed"], Object.entries(behaviours).map(([kind, share]) =>
-    [html`${chip(kind)}${SHARED.label[kind]}`, fixed(share, 2), said.placed.behaviours[kind] ?? 0]))}`),
+    [html`${chip(kind)}${SHARED.label[kind] ?? words(kind)}`, fixed(share, 2), said.placed.behaviours[kind] ?? 0]))}`),
   events.length ? section("Events", table(["event", "with", "by", "at", "what came of it"], events)) : "",
   scene.findings.length ? section("What the judge finds", findings(scene, scene.findings)) : "",
   maneuvers.length ? section("Manoeuvres", table(["vehicle", "manoeuvre", "status", "reason"], maneuvers)) : "",
@@ -130,7 +130,7 @@ const CARD = (one, k) => {
   const kinds = [...new Set(one.events.map(([kind]) => words(kind)))].join(", ");
   return html`<button class="card" data-scene="${k}"><canvas width="460" height="300"></canvas><strong>${one.city} ${short(one.id)}${one.split ? html` · ${one.split}` : ""}</strong>
 <span>${one.recorded} ${one.word}${one.asked === null ? "" : `, ${one.inserted} of ${one.asked} inserted`}, ${fixed(one.seconds)}\u00a0s</span>
-<span>${Object.entries(one.behaviours).map(([kind, number]) => html`<label>${chip(kind)}${number} ${SHARED.label[kind]}</label> `)}</span>
+<span>${Object.entries(one.behaviours).map(([kind, number]) => html`<label>${chip(kind)}${number} ${SHARED.label[kind] ?? words(kind)}</label> `)}</span>
 ${one.events.length ? html`<span>events (${kinds}): ${done(one.events)}</span>` : ""}
 ${one.maneuvers.length ? html`<span>manoeuvres: ${done(one.maneuvers)}</span>` : ""}${one.findings ? html`<span class="bad">${count(one.findings, "finding")}</span>` : ""}</button>`;
 };

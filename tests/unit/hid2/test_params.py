@@ -7,20 +7,6 @@ from hid2.agents import Policy
 from hid2.params import Config, LaneChange, Request, Turn
 
 
-def test_every_tunable_states_its_unit_and_source() -> None:
-    """A table of parameters that leaves a unit or a source blank is of no use to who has to choose a value."""
-    missing = []
-    for section, field in Config.model_fields.items():
-        kind = field.annotation
-        if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
-            continue
-        for name, inner in kind.model_fields.items():
-            extra = inner.json_schema_extra
-            if not (isinstance(extra, dict) and extra.get("unit") and extra.get("source")):
-                missing.append(f"{section}.{name}")
-    assert not missing
-
-
 @pytest.mark.parametrize(
     ("section", "values", "named"),
     [

@@ -356,6 +356,7 @@ def test_index_filters_by_what_was_asked_and_done(page: Page, file: Path) -> Non
         expected = fits or page.js(f"FACTS.map((one) => '{value}' in one.behaviours)")
         assert page.js(seen) == expected
         page.js(f"($('of-{name}').value = '', filter())")
+    assert "2 keep right<" in page.js("CARD({...FACTS[0], behaviours: {keep_right: 2}}, 0).text")  # of one's own
     page.until(f"{INK} > 20")  # a thumbnail is drawn when it is seen
     page.js("$('cards').children[1].click()")
     page.until("now.scene && now.scene.number === 1")

@@ -3,6 +3,7 @@
 import csv
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,13 +11,14 @@ import pytest
 import shapely
 from recordings import make_argoverse1
 
+from bridge.recordings import sources
 from bridge.recordings.argoverse1 import motion_of
 from bridge.recordings.folders import Choices, Source
 from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import read_scenario
-from bridge.recordings.sources import described, find_recordings, find_sources, read_recording
+from bridge.recordings.sources import described, find_recordings, find_sources, fitting, read_recording
 from netconvert.av1_map import LANE_WIDTH_M, boundaries, cut_city, drivable_raster, read_city_lanes
-from netconvert.errors import Hid2Error, MapError, NoSceneError, ScenarioError
+from netconvert.errors import ConfigError, Hid2Error, MapError, NoSceneError, ScenarioError
 
 Change = Callable[[list[list[str]]], object]
 HEADER = ["TIMESTAMP", "TRACK_ID", "OBJECT_TYPE", "X", "Y", "CITY_NAME"]
@@ -351,6 +353,13 @@ def test_map_files_that_are_not_there_are_said_with_the_way_out(copy: Path) -> N
         NoSceneError, match=r"this is Argoverse 1: its map files are missing, .*map_files; or give --map"
     ):
         find_recordings([copy])
+
+
+def test_a_choice_that_two_formats_look_at_is_refused_with_both(monkeypatch: pytest.MonkeyPatch) -> None:
+    both = sources.ARGOVERSE1, replace(sources.ARGOVERSE1, name="csv", many="tables")
+    monkeypatch.setattr(sources, "READERS", (sources.ARGOVERSE2, *both))
+    with pytest.raises(ConfigError, match="expected Argoverse 1 sequences or tables among"):
+        fitting([Path("scene")], Choices(map_path=Path("m.json")))
 
 
 def test_a_chosen_map_of_another_place_is_refused(root: Path, data_scenes: dict[str, Path]) -> None:
