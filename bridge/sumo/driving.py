@@ -90,7 +90,7 @@ class FleetSimulation:
             generated = fleet.kept.at(now).joined(traffic()) if fleet.kept.ids else traffic()
             if self.reactions.advance(step, generated):
                 fleet.look_anew(self.reactions.scene)
-                self._replay.take(fleet.known)
+                self._replay.take(fleet.recorded_and_kept)
         attempts: dict[int, steering.Attempt] = {}
         rows = fleet.here
         if not rows.size:
@@ -107,14 +107,14 @@ class FleetSimulation:
                 fleet.vehicles[row].policies[lane_policy] += 1
             if limits.braking_fails[k] and steering.take_another_way(fleet, self.simulation, row, now):
                 limits.renew_from(k, steering.limits_of(fleet, rows[k:], now))  # those after it see where it goes
-                self._replay.take(fleet.known)  # others may have to be shown on this way
+                self._replay.take(fleet.recorded_and_kept)  # others may have to be shown on this way
         fleet.yielding[rows] = limits.yields
         return attempts, self._drive(rows, limits, now)
 
     def _replayed(self) -> Traffic:
         """Recorded agents and those kept, as they are put into SUMO."""
         anywhere = self.checked or self.fleet.scene.config.driving.replay != "fixed"  # as agents that react are
-        return self.fleet.known if anywhere else ever_shown(self.fleet)
+        return self.fleet.recorded_and_kept if anywhere else ever_shown(self.fleet)
 
     def _drive(self, rows: IntArray, limits: steering.SpeedLimits, now: int) -> dict[int, Limit]:
         """Tell SUMO how fast vehicles wish to drive and may drive at the coming step; returns the limits by vehicle."""

@@ -211,12 +211,12 @@ class Fleet:
             context.obstacles = None
 
     @property
-    def known(self) -> Traffic:
+    def recorded_and_kept(self) -> Traffic:
         """All agents with a known future, recorded, then kept, up to the scene's end."""
         return self.scene.traffic.joined(self.kept.span(slice(self.scene.num_steps)))
 
     def in_width(self, row: int) -> PathOccupancy:
-        """Intervals of the `known` agents that reach into the width that a vehicle drives on its path, no margins."""
+        """Intervals of agents with a known future that reach into the width that a vehicle drives on its path, no margins."""
         context = self.contexts[row]
         if context.in_width is None:
             path, box = self.vehicles[row].path, self.vehicles[row].start.box

@@ -39,7 +39,7 @@ class FlowDriving(FleetSimulation):
 
     def _replayed(self) -> Traffic:
         """All of them at all steps: any may be ahead of a vehicle that enters."""
-        return self.fleet.known
+        return self.fleet.recorded_and_kept
 
     def _steer(self, step: int) -> tuple[dict[int, Attempt], dict[int, Limit]]:
         """Those that are due are let in last, when it is known which vehicles change lanes at this step."""

@@ -88,11 +88,11 @@ def stop_ahead(
 
 
 @inner
-def _goes_first(known: IntArray, g: int, low: FloatArray, fleet: FloatArray, j: int, own: int, own_m: float) -> bool:
-    """`_has_priority` of vehicle j, row g of those seen; known (G,): what was found before, -1 for not yet."""
-    if known[g] < 0:
-        known[g] = _has_priority(low, fleet, j, own, own_m)
-    return bool(known[g] > 0)
+def _goes_first(found: IntArray, g: int, low: FloatArray, fleet: FloatArray, j: int, own: int, own_m: float) -> bool:
+    """`_has_priority` of vehicle j, row g of those seen; found (G,): what was found before, -1 for not yet."""
+    if found[g] < 0:
+        found[g] = _has_priority(low, fleet, j, own, own_m)
+    return bool(found[g] > 0)
 
 
 @inner

@@ -17,11 +17,11 @@ STRAIGHT = 0
 # No tunables, the rest: when a driver yields, chosen on the scenes of tests/real.
 #: A conflict must ask for this deceleration before the timing is changed, m/s2.
 ACTS_MPS2 = 1.1
-#: A vehicle that yields goes on with that down to this deceleration, m/s2.
+#: A vehicle that is yielding keeps on down to this deceleration, m/s2.
 _KEEPS_YIELDING_MPS2 = 0.3
-#: Braking harder than this times the one to act for, or to keep on for, is urgent: a vehicle yields at once.
+#: At so many times the deceleration to act for (or to keep on for) a vehicle yields at once.
 _URGENT_RATIO = 3.0
-#: For less than that it yields only if the conflict is no later than this, s.
+#: At less it begins to yield only where the conflict is no later than this, s.
 _SOON_S = 2.5
 #: Braking for a conflict builds up at this rate, m/s3.
 _JERK_MPS3 = 3.5
@@ -50,7 +50,11 @@ def limit_of(
     low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, stop_m: FloatArray,
     closed: BoolArray, causes: IntArray, others: IntArray, swept: FloatArray,
 ) -> tuple[float, int, int, int, bool, bool]:  # fmt: skip
-    """The lowest limit on the speed of vehicle i for the step after t, as `speed_limits` has it for many."""
+    """The lowest limit on the speed of vehicle i for the step after t, and what else is found, as in `speed_limits`.
+
+    m/s, inf for none; its cause, -1 for none; policy of the lane; row of the leader waited for, -1 for none; whether it
+    yields; whether usual braking is not enough.
+    """
     s, v, a = fleet[i, 0], fleet[i, 1], fleet[i, 2]
     waits_for, yields, braking_fails = -1, False, False
     policy = lanes[_lane_at(ends, s)]
@@ -59,7 +63,7 @@ def limit_of(
     cause = _TURN if turns else _CURVE
     if horizon > 0:
         tau, accel, decel, min_gap = driver
-        row, hit, free, leader, gap, _ = needed_braking(
+        row, hit, unbraked_hit, leader, gap, _ = needed_braking(
             low, high, along, same_direction, stop_m, closed, swept, others, fleet, i, t, (s, v, a), desired_mps, road,
             horizon, step_s, driver, brakes,
         )  # fmt: skip
@@ -68,7 +72,7 @@ def limit_of(
         if leader >= 0 and gap < _BEHIND_RATIO * (tau * v + min_gap) and a < -_SLOWS_MPS2:
             waits_for = leader
         act = _KEEPS_YIELDING_MPS2 if is_yielding else ACTS_MPS2
-        soon = free >= 0 and free * step_s <= _SOON_S
+        soon = unbraked_hit >= 0 and unbraked_hit * step_s <= _SOON_S
         yields = needed >= act and (is_yielding or soon or needed >= _URGENT_RATIO * act)
         softly = max(_LAST_BRAKE_MPS2, _LAST_BRAKE_PER_S * v)  # no driver stops with a jerk
         gentlest = max(min(a, 0.0) - _JERK_MPS3 * step_s, -softly)
@@ -100,7 +104,7 @@ def speed_limits(
     a vehicle's way is from first[m] to first[m + 1] (M + 1, 6) of: road, m/s every TABLE_STEP_M; lanes (where they end,
     m, and their policies, of which STRAIGHT is no turn); low ..; stop lines with their causes; others, rows of the
     fleet; and what they sweep, raveled (3, G, K) of each vehicle. Returns, each (M,): limits m/s, inf where a vehicle
-    desires to go no faster anyway; numbers of their causes; policies of the lanes; rows of leaders for which a vehicle
+    desires to go no faster anyway; numbers of their causes, -1 for none; policies of the lanes; rows of leaders for which a vehicle
     waits, -1 for none; whether it yields; and whether usual braking is not enough.
     """
     limits, caused = np.full(rows.size, np.inf), np.full(rows.size, -1)

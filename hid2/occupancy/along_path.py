@@ -76,25 +76,25 @@ def path_occupancy(
     to it, too: many vehicles look along the same few paths.
     """
     key = line, box, margin_m, clear_steps
-    known: PathOccupancy | None = traffic.known.get(key)
-    if known is not None:
-        return known
+    kept: PathOccupancy | None = traffic.memo.get(key)
+    if kept is not None:
+        return kept
     if not traffic.ids:
         return PathOccupancy.none(traffic.num_steps)
     before = traffic.extends
-    while before is not None and key not in before.known:
+    while before is not None and key not in before.memo:
         before = before.extends
-    known_before = None if before is None else before.known[key]
+    kept_before = None if before is None else before.memo[key]
     if clear_steps > 0:
         plain = path_occupancy(line, traffic, box, margin_m=margin_m)
-        new = plain.rows(slice(0 if known_before is None else known_before.agents.size, None))
+        new = plain.rows(slice(0 if kept_before is None else kept_before.agents.size, None))
         found = new.kept_clear(clear_steps)
     else:
         since = 0 if before is None else len(before.ids)
         found = look_along(line, traffic, box.length_m, box.width_m + 2 * margin_m, since)
-    if known_before is not None:
-        found = known_before.joined(found)
-    traffic.known[key] = found
+    if kept_before is not None:
+        found = kept_before.joined(found)
+    traffic.memo[key] = found
     return found
 
 

@@ -30,10 +30,10 @@ class Shown:
 
 def shown_on(path: DrivenPath, traffic: Traffic, seen: PathOccupancy, *, step_s: float) -> Shown:
     """What SUMO has of agents of `traffic` on a path, by their fronts; seen: their intervals in the driven width."""
-    front, speed, known = _fronts(traffic, step_s)
+    front, speed, has_speed = _fronts(traffic, step_s)
     middle, leads = leading_in_sumo(
         seen.low, seen.high, seen.along, seen.same_direction, seen.crossing, seen.agents, traffic.length_m, front,
-        known, path.line.table_xy, path.line.table_heading, path.exit_m,
+        has_speed, path.line.table_xy, path.line.table_heading, path.exit_m,
     )  # fmt: skip
     return Shown(middle, speed[seen.agents], leads, traffic.length_m[seen.agents])
 
@@ -41,13 +41,13 @@ def shown_on(path: DrivenPath, traffic: Traffic, seen: PathOccupancy, *, step_s:
 def _fronts(traffic: Traffic, step_s: float) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Fronts (A, T, 2) m, their speeds (A, T) m/s, and whether SUMO knows these (A, T); kept with the traffic."""
     key = _fronts, step_s
-    if key not in traffic.known:
+    if key not in traffic.memo:
         ahead = np.stack([np.cos(traffic.heading), np.sin(traffic.heading)], axis=-1)
         front = traffic.position + 0.5 * traffic.length_m[:, None, None] * ahead
         speed = np.hypot(traffic.velocity[..., 0], traffic.velocity[..., 1])
         moved = np.diff(front, axis=1)
         speed[:, 1:] = np.hypot(moved[..., 0], moved[..., 1]) / step_s
         first = np.maximum(np.arange(traffic.num_steps) - UNSEEN_STEPS, 0)  # those of step 0 come in before it
-        traffic.known[key] = front, speed, traffic.present & traffic.present[:, first]
-    found: tuple[FloatArray, FloatArray, BoolArray] = traffic.known[key]
+        traffic.memo[key] = front, speed, traffic.present & traffic.present[:, first]
+    found: tuple[FloatArray, FloatArray, BoolArray] = traffic.memo[key]
     return found

@@ -27,7 +27,7 @@ class Traffic:
 
     position (A, T, 2) m, box centres; heading (A, T) rad; velocity (A, T, 2) m/s, from the positions; present (A, T):
     the agent has a state at that step or lies between two of its states (interpolated); length_m, width_m (A,).
-    extends: its first agents, to which others were joined; known: intervals on paths, kept by `path_occupancy`.
+    extends: its first agents, to which others were joined; memo: what `path_occupancy` and `shown_on` worked out.
     """
 
     ids: tuple[str, ...]
@@ -38,7 +38,7 @@ class Traffic:
     length_m: FloatArray
     width_m: FloatArray
     extends: "Traffic | None" = None
-    known: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
+    memo: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def none(cls, steps: int) -> "Traffic":
