@@ -216,7 +216,7 @@ class Fleet:
         return self.scene.traffic.joined(self.kept.span(slice(self.scene.num_steps)))
 
     def in_width(self, row: int) -> PathOccupancy:
-        """Intervals of agents with a known future that reach into the width that a vehicle drives on its path, no margins."""
+        """Intervals of known agents that reach into the width that a vehicle drives on its path, no margins."""
         context = self.contexts[row]
         if context.in_width is None:
             path, box = self.vehicles[row].path, self.vehicles[row].start.box

@@ -50,11 +50,7 @@ def limit_of(
     low: FloatArray, high: FloatArray, along: FloatArray, same_direction: BoolArray, stop_m: FloatArray,
     closed: BoolArray, causes: IntArray, others: IntArray, swept: FloatArray,
 ) -> tuple[float, int, int, int, bool, bool]:  # fmt: skip
-    """The lowest limit on the speed of vehicle i for the step after t, and what else is found, as in `speed_limits`.
-
-    m/s, inf for none; its cause, -1 for none; policy of the lane; row of the leader waited for, -1 for none; whether it
-    yields; whether usual braking is not enough.
-    """
+    """The lowest limit on the speed of vehicle i for the step after t, and the other results of `speed_limits`."""
     s, v, a = fleet[i, 0], fleet[i, 1], fleet[i, 2]
     waits_for, yields, braking_fails = -1, False, False
     policy = lanes[_lane_at(ends, s)]
@@ -104,8 +100,8 @@ def speed_limits(
     a vehicle's way is from first[m] to first[m + 1] (M + 1, 6) of: road, m/s every TABLE_STEP_M; lanes (where they end,
     m, and their policies, of which STRAIGHT is no turn); low ..; stop lines with their causes; others, rows of the
     fleet; and what they sweep, raveled (3, G, K) of each vehicle. Returns, each (M,): limits m/s, inf where a vehicle
-    desires to go no faster anyway; numbers of their causes, -1 for none; policies of the lanes; rows of leaders for which a vehicle
-    waits, -1 for none; whether it yields; and whether usual braking is not enough.
+    desires to go no faster anyway; numbers of their causes, -1 for none; policies of the lanes; rows of leaders that a
+    vehicle waits for, -1 for none; whether it yields; and whether usual braking is not enough.
     """
     limits, caused = np.full(rows.size, np.inf), np.full(rows.size, -1)
     policies, waits_for = np.empty(rows.size, dtype=np.int64), np.full(rows.size, -1)
