@@ -52,10 +52,7 @@ class TrackerErrors:
     of_vehicles: tuple[FloatArray, ...]
 
     def drawn(self, rng: np.random.Generator, count: int) -> FloatArray:
-        """(4, count) of one vehicle, round and round from a step on, of either sign; none where no vehicle tells any.
-
-        Never backwards, which would make velocities early; a ramp over all steps joins the last one to the first.
-        """
+        """(4, count) of one vehicle from a step on, of either sign, forwards; none where no vehicle tells any."""
         if not self.of_vehicles:
             return np.zeros((4, count))
         steps = np.array([errors.shape[1] for errors in self.of_vehicles])
@@ -84,10 +81,7 @@ def tracker_errors(tracks: Sequence[Track], *, step_s: float) -> TrackerErrors:
 
 
 def _errors_of(track: Track, step_s: float) -> FloatArray | None:
-    """(4, N) of a track while it moves, without its ends, which are smoothed otherwise; None of a short one.
-
-    Nor where the tracker has turned the box round.
-    """
+    """(4, N) of a track while it moves, its ends and boxes that are turned round left out; None of a short one."""
     end, most = _odd(_FILTER_S / step_s) // 2 + 1, _odd(_WINDOW_S / step_s)
     inside = slice(end, track.timesteps.size - end)
     position, heading = track.position[inside], np.unwrap(track.heading[inside])
@@ -99,9 +93,11 @@ def _errors_of(track: Track, step_s: float) -> FloatArray | None:
     speed, course = np.hypot(*velocity.T), np.unwrap(np.arctan2(*velocity.T[::-1]))
     off = wrap_angle(heading - _late(course, _HEADING_LATE_S, step_s))
     slip = wrap_angle(np.arctan2(*track.velocity[inside].T[::-1]) - _late(heading, _VELOCITY_LATE_S, step_s))
-    turned = heading - _fitted(heading, window) + _direction(off, step_s)
-    turned_round = np.maximum(np.abs(turned), np.abs(slip)) > NOISE_BOUNDS.heading_rad
-    tells = np.flatnonzero((speed > _MOVES_MPS) & ~turned_round)
+    slow_window = min(_odd(_HEADING_S / step_s), _odd(len(off) - 1))
+    turned = heading - _fitted(heading, window) + _fitted(np.unwrap(off), slow_window, _FILTER_DEGREE)
+    tells = np.flatnonzero(
+        (speed > _MOVES_MPS) & (np.maximum(np.abs(turned), np.abs(slip)) <= NOISE_BOUNDS.heading_rad)
+    )
     longest = max(np.split(tells, np.flatnonzero(np.diff(tells) > 1) + 1), key=len)
     if longest.size < window:
         return None
@@ -113,8 +109,7 @@ def _errors_of(track: Track, step_s: float) -> FloatArray | None:
 
 def _late(values: FloatArray, by_s: float, step_s: float) -> FloatArray:
     """Values (N,) as they were so many s before each step; before the first step they do not change."""
-    time_s = step_s * np.arange(len(values))
-    return np.asarray(np.interp(time_s - by_s, time_s, values), dtype=np.float64)
+    return np.asarray(np.interp(np.arange(len(values)) - by_s / step_s, np.arange(len(values)), values))
 
 
 def _fitted(
@@ -124,12 +119,6 @@ def _fitted(
     from scipy.signal import savgol_filter  # its import takes longer than a scene without noise
 
     return np.asarray(savgol_filter(values, window, degree, axis=0, mode=ends), dtype=np.float64)
-
-
-def _direction(course: FloatArray, step_s: float) -> FloatArray:
-    """What changes slowly of directions (N,) rad."""
-    window = min(_odd(_HEADING_S / step_s), _odd(len(course) - 1))
-    return _fitted(np.unwrap(course), window, _FILTER_DEGREE) if window > _FILTER_DEGREE else course
 
 
 def _odd(steps: float) -> int:
@@ -187,10 +176,10 @@ def _noisy(
         position = _fitted(position, window, _FILTER_DEGREE, ends="nearest")
     heading = _late(np.unwrap(course), _HEADING_LATE_S, step_s) + turned
     moves_to = _late(heading, _VELOCITY_LATE_S, step_s) + slips
-    stated = np.maximum(_late(speed, _SPEED_LATE_S, step_s) + faster, 0.0)
     return replace(
         track, position=position + along[:, None] * np.stack([np.cos(track.heading), np.sin(track.heading)], axis=1),
-        heading=wrap_angle(heading), velocity=stated[:, None] * np.stack([np.cos(moves_to), np.sin(moves_to)], axis=1),
+        heading=wrap_angle(heading), velocity=np.maximum(_late(speed, _SPEED_LATE_S, step_s) + faster, 0.0)[:, None]
+        * np.stack([np.cos(moves_to), np.sin(moves_to)], axis=1),
     )  # fmt: skip
 
 
