@@ -1,7 +1,8 @@
 """What a tracker adds to exported states (`export.noise = tracker`), as recorded vehicles of the same scene have it.
 
 Argoverse 2 has smoothed the positions of its trackers up to the ends of tracks, where they stay back: vehicles begin
-and end at half their speed. Beside that each inserted vehicle has the errors of a recorded one, around smooth motion.
+and end at half their speed. What trackers state follows motion late: headings trail in turns, speeds while braking.
+Beside that each inserted vehicle has the errors of a recorded one, around smooth motion that is late by as much.
 """
 
 from collections.abc import Sequence
@@ -27,8 +28,11 @@ _FILTER_S, _FILTER_DEGREE = 1.9, 2
 _STAYS_BACK = 0.8
 #: What errors are measured around: a polynomial of this degree over so many s. No tunables: it follows drivers alone.
 _WINDOW_S, _DEGREE = 3.1, 4
-#: The direction of a recorded path is fitted over so many s: it follows turns, and not the swaying in a lane.
+#: What is left of headings is fitted over so many s: recorded paths sway in a lane faster than that, headings less.
 _HEADING_S = 5.1
+#: How late stated speeds and headings follow positions, and directions of velocities the headings, s. No tunables but
+#: found: with them the errors of 38 recorded tracks are least (any scene left out: .20 to .30, .30 to .55, .10).
+_SPEED_LATE_S, _HEADING_LATE_S, _VELOCITY_LATE_S = 0.25, 0.5, 0.1
 #: Slower vehicles tell no errors, m/s, and have smaller ones, down to none at a standstill.
 _MOVES_MPS = 2.0
 #: Shares of its errors that are tried for a vehicle: with all of them it may touch what it passes closely.
@@ -41,21 +45,21 @@ class TrackerErrors:
     """Those of a recording. is_smoothed: its positions are, up to the ends of tracks.
 
     of_vehicles: of each recorded one that moves, (4, N): of place along the course, m, speed, m/s, heading, and the
-    direction of the velocity beside that, rad.
+    direction of the velocity beside that, both as what is driven to the side by it, m/s: slow vehicles turn by more.
     """
 
     is_smoothed: bool
     of_vehicles: tuple[FloatArray, ...]
 
     def drawn(self, rng: np.random.Generator, count: int) -> FloatArray:
-        """(4, count) of one vehicle, there and back from a step on, of either sign; none where no vehicle tells any."""
+        """(4, count) of one vehicle from a step on, of either sign, forwards; none where no vehicle tells any."""
         if not self.of_vehicles:
             return np.zeros((4, count))
         steps = np.array([errors.shape[1] for errors in self.of_vehicles])
         errors = self.of_vehicles[int(rng.choice(steps.size, p=steps / steps.sum()))]
-        there_and_back = np.concatenate([errors, errors[:, ::-1]], axis=1)
-        first, sign = int(rng.integers(there_and_back.shape[1])), rng.choice((-1.0, 1.0))
-        return np.asarray(sign * np.take(there_and_back, np.arange(first, first + count), axis=1, mode="wrap"))
+        joined = errors - np.linspace(-0.5, 0.5, errors.shape[1]) * (errors[:, -1:] - errors[:, :1])
+        first, sign = int(rng.integers(errors.shape[1])), rng.choice((-1.0, 1.0))
+        return np.asarray(sign * np.take(joined, np.arange(first, first + count), axis=1, mode="wrap"))
 
 
 def tracker_errors(tracks: Sequence[Track], *, step_s: float) -> TrackerErrors:
@@ -77,10 +81,7 @@ def tracker_errors(tracks: Sequence[Track], *, step_s: float) -> TrackerErrors:
 
 
 def _errors_of(track: Track, step_s: float) -> FloatArray | None:
-    """(4, N) of a track while it moves, without its ends, which are smoothed otherwise; None of a short one.
-
-    Nor of one with a box that the tracker has turned round.
-    """
+    """(4, N) of a track while it moves, its ends and boxes that are turned round left out; None of a short one."""
     end, most = _odd(_FILTER_S / step_s) // 2 + 1, _odd(_WINDOW_S / step_s)
     inside = slice(end, track.timesteps.size - end)
     position, heading = track.position[inside], np.unwrap(track.heading[inside])
@@ -90,20 +91,25 @@ def _errors_of(track: Track, step_s: float) -> FloatArray | None:
     smooth = _fitted(position, window)
     velocity = np.gradient(smooth, step_s, axis=0)
     speed, course = np.hypot(*velocity.T), np.unwrap(np.arctan2(*velocity.T[::-1]))
-    way = _direction(course, step_s)
-    moving = np.flatnonzero(speed > _MOVES_MPS)
-    longest = max(np.split(moving, np.flatnonzero(np.diff(moving) > 1) + 1), key=len)
+    off = wrap_angle(heading - _late(course, _HEADING_LATE_S, step_s))
+    slip = wrap_angle(np.arctan2(*track.velocity[inside].T[::-1]) - _late(heading, _VELOCITY_LATE_S, step_s))
+    slow_window = min(_odd(_HEADING_S / step_s), _odd(len(off) - 1))
+    turned = heading - _fitted(heading, window) + _fitted(np.unwrap(off), slow_window, _FILTER_DEGREE)
+    tells = np.flatnonzero(
+        (speed > _MOVES_MPS) & (np.maximum(np.abs(turned), np.abs(slip)) <= NOISE_BOUNDS.heading_rad)
+    )
+    longest = max(np.split(tells, np.flatnonzero(np.diff(tells) > 1) + 1), key=len)
     if longest.size < window:
         return None
-    number = np.arange(len(heading))  # a heading is off by what hardly changes, and by what is left over of it
-    slow = np.polyval(np.polyfit(number, wrap_angle(heading - way), 1), number)
-    errors = np.stack([
+    return np.stack([
         ((position - smooth) * velocity).sum(axis=1) / np.maximum(speed, _MOVES_MPS),
-        np.hypot(*track.velocity[inside].T) - speed, heading - _fitted(heading, window) + slow,
-        wrap_angle(np.arctan2(*track.velocity[inside].T[::-1]) - heading),
+        np.hypot(*track.velocity[inside].T) - _late(speed, _SPEED_LATE_S, step_s), turned * speed, slip * speed,
     ])[:, longest]  # fmt: skip
-    turned_round = np.abs(errors[2:]).max() > NOISE_BOUNDS.heading_rad
-    return None if turned_round else errors
+
+
+def _late(values: FloatArray, by_s: float, step_s: float) -> FloatArray:
+    """Values (N,) as they were so many s before each step; before the first step they do not change."""
+    return np.asarray(np.interp(np.arange(len(values)) - by_s / step_s, np.arange(len(values)), values))
 
 
 def _fitted(
@@ -113,12 +119,6 @@ def _fitted(
     from scipy.signal import savgol_filter  # its import takes longer than a scene without noise
 
     return np.asarray(savgol_filter(values, window, degree, axis=0, mode=ends), dtype=np.float64)
-
-
-def _direction(course: FloatArray, step_s: float) -> FloatArray:
-    """Direction (N,) rad of a path that is driven in a direction (N,) which sways."""
-    window = min(_odd(_HEADING_S / step_s), _odd(len(course) - 1))
-    return _fitted(np.unwrap(course), window, _FILTER_DEGREE) if window > _FILTER_DEGREE else course
 
 
 def _odd(steps: float) -> int:
@@ -169,15 +169,17 @@ def _noisy(
 ) -> Track:
     """A track with the errors of a tracker."""
     speed, window = np.hypot(*track.velocity.T), _odd(_FILTER_S / step_s)
-    along, faster, turned, slips = np.minimum(speed / _MOVES_MPS, 1.0) * errors.drawn(rng, speed.size)
+    along, faster, *aside = np.minimum(speed / _MOVES_MPS, 1.0) * errors.drawn(rng, speed.size)
+    turned, slips = aside / np.maximum(speed, _MOVES_MPS)
     position = track.position
     if errors.is_smoothed and speed.size >= window:
         position = _fitted(position, window, _FILTER_DEGREE, ends="nearest")
-    heading = wrap_angle(_direction(course, step_s) + turned)
-    stated, moves_to = np.maximum(speed + faster, 0.0), heading + slips
+    heading = _late(np.unwrap(course), _HEADING_LATE_S, step_s) + turned
+    moves_to = _late(heading, _VELOCITY_LATE_S, step_s) + slips
     return replace(
         track, position=position + along[:, None] * np.stack([np.cos(track.heading), np.sin(track.heading)], axis=1),
-        heading=heading, velocity=stated[:, None] * np.stack([np.cos(moves_to), np.sin(moves_to)], axis=1),
+        heading=wrap_angle(heading), velocity=np.maximum(_late(speed, _SPEED_LATE_S, step_s) + faster, 0.0)[:, None]
+        * np.stack([np.cos(moves_to), np.sin(moves_to)], axis=1),
     )  # fmt: skip
 
 
