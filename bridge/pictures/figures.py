@@ -51,9 +51,9 @@ POLICY_COLORS = {
     Policy.LANE_CHANGE: BLUE,
     Policy.OVERTAKE: ORANGE,
 }
-#: Faces of agents by `kinds_in`.
+#: Faces of agents by `kinds_in`; generated: of a behaviour of one's own, or unknown.
 FACES: Mapping[str, str] = {
-    "recorded": "#B4B4B4", "focal": DARK_GREY, "av": SKY, "other": "#B9A7C4", "generated": GENERATED,
+    "recorded": "#B4B4B4", "focal": DARK_GREY, "av": SKY, "other": "#B9A7C4", "generated": "#7A5C2E",
     **{policy.value: color for policy, color in POLICY_COLORS.items()},
 }  # fmt: skip
 #: What moves further than this is shown, with so much ground around it.
