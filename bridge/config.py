@@ -19,9 +19,9 @@ from hid2.params import GROUPS, Config
 from hid2.policies import Policy
 from netconvert.errors import ConfigError
 
-#: Ids of synthetic corridors, which are no scenes of Argoverse and may be longer.
+#: Prefix of ids of synthetic corridors, which are no scenes of Argoverse and may be longer.
 CORRIDOR_PREFIX = "corridor-"
-#: Ids of scenes in which recorded vehicles react: these are no scenes of Argoverse either: they were not driven so.
+#: Prefix of ids of scenes in which recorded vehicles react: no scenes of Argoverse either, as they were not driven so.
 REACTIVE_PREFIX = "reactive-"
 
 

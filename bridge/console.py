@@ -16,18 +16,18 @@ from bridge.interruption import tidied
 
 #: Seconds between two looks at what is done.
 _LOOK_S = 0.2
-#: Off a terminal: to the first line, and to each later one, so that the log of a night is a thousand lines.
+#: Seconds to the first line off a terminal, and to each later one, so that the log of a night is a thousand lines.
 FIRST_S, EVERY_S = 2.0, 30.0
-#: Of a message, behind the command's name.
+#: Most characters of a message, behind the command's name.
 _MOST_CHARACTERS = 1990
-#: Nothing is said of the time left before.
+#: Seconds before which nothing is said of the time left.
 _KNOWN_AFTER_S = 1.0
-#: To the beginning of a terminal's line, and clear it.
+#: Control characters to the beginning of a terminal's line, and to clear it.
 _CLEAR = "\r\x1b[K"
-#: Between two columns, or two fields of a stacked row.
+#: Text between two columns, or two fields of a stacked row.
 _GAP = "  "
 _INDENT = "    "
-#: Prose is wrapped to no less than this.
+#: Least width that prose is wrapped to, characters.
 _PROSE = 16
 
 

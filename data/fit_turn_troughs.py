@@ -31,15 +31,15 @@ FloatArray = npt.NDArray[np.float64]
 
 #: Shares of a turning lane at which speeds are compared.
 ALPHA = np.linspace(0.0, 1.0, 21)
-#: Fewer turns of a side say nothing.
+#: Least turns of a side that a fit is made of.
 LEAST_TURNS = 20
 SIDES = {1: "left", -1: "right"}
 
-_WINDOW, _DEGREE = 11, 2  # of the filter that speeds are derived with: 1.1 s
-_FROM, _TO = 0.1, 0.9  # of the lane, that a turn is seen over at least
+_WINDOW, _DEGREE = 11, 2  # samples (1.1 s) and degree of the filter that speeds are derived with
+_FROM, _TO = 0.1, 0.9  # shares of the lane between which a turn is seen at least
 _STANDS_MPS = 1.0
-_ACCEL_MPS2 = 5.0  # no driver's: a tracker's
-_PLACES = np.round(np.arange(0.1, 0.6001, 0.01), 2)  # early to mid-turn
+_ACCEL_MPS2 = 5.0  # above it a change of speed is a tracker's, no driver's
+_PLACES = np.round(np.arange(0.1, 0.6001, 0.01), 2)  # shares of the lane tried for the trough: early to mid-turn
 
 
 def fit(profiles: Mapping[str, FloatArray]) -> dict[str, tuple[float, float, float]]:

@@ -24,15 +24,15 @@ from hid2.params import Config, Event, Request
 
 DATA = Path(__file__).parent
 PAGE, EVENTS, PICTURES = DATA / "EVENTS.md", DATA / "events", DATA / "pictures"
-#: Widest picture, pixels.
+#: Longest side of a picture, pixels.
 WIDTH = 1200
 KINDS: tuple[str, ...] = get_args(Event.model_fields["kind"].annotation)
 SEEDS = 4
-#: When: an overtake takes longer than all others.
+#: Range of the time of an event, by kind, s: an overtake takes longer than all others.
 AT_S = dict.fromkeys(KINDS, (1.5, 6.0)) | {"overtake": (6.0, 10.0)}
-#: Half of the ground shown, m.
+#: Ground shown to each side of the inserted vehicle, m.
 GROUND_M = 30.0
-#: Shown so long before the moment of an event, at it, and so long after it, s.
+#: Time before and after the moment of an event at which it is shown too, s.
 AROUND_S = 2.0
 _HEAD = """# Events
 

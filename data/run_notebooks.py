@@ -16,7 +16,7 @@ from make_pictures import write_small  # beside this file
 from nbclient import NotebookClient
 
 EXAMPLES = Path(__file__).parent / "examples"
-#: Colours and pixels that a figure is reduced to.
+#: Colours, and pixels of the longest side, that a figure is reduced to.
 _COLORS, _WIDTH = 64, 800
 
 

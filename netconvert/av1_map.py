@@ -17,13 +17,13 @@ from lxml import etree
 from netconvert.errors import MapError
 from netconvert.geometry import FloatArray
 
-#: The data set's convention.
+#: Width of every lane, m: the data set's convention.
 LANE_WIDTH_M = 3.8
-#: A boundary point is moved no farther than this from the centreline in sharp bends, as a multiple of half the width.
+#: Largest distance of a boundary point from the centreline in bends, as a multiple of half the width.
 _MITRE = 2.0
 #: Limits of what is read: elements of the XML, nodes of a lane, pixels of the raster. Real: 170,000, 12 and 6 million.
 MAX_ELEMENTS, MAX_NODES, MAX_PIXELS = 5_000_000, 5_000, 100_000_000
-#: Farthest coordinate, m.
+#: Largest coordinate that is read, m.
 _MOST_M = 1e7
 
 

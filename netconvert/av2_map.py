@@ -11,15 +11,15 @@ from netconvert.errors import MapError
 from netconvert.geometry import FloatArray, arc_length
 from netconvert.lane_graph import LANE_TYPES, LaneGraph, LaneSegment, turn_type
 
-#: Points of a derived centreline, as in av2.geometry.interpolate.NUM_CENTERLINE_INTERP_PTS.
+#: Number of points of a derived centreline, as in av2.geometry.interpolate.NUM_CENTERLINE_INTERP_PTS.
 CENTERLINE_POINTS = 10
-#: A lane shorter than this has no direction: the format's coordinates are in centimetres.
+#: Least length of a lane with a direction, m: the format's coordinates are in centimetres.
 MIN_LENGTH_M = 0.001
 _LINES = ("DASHED", "SOLID", "DASH_SOLID", "SOLID_DASH", "DOUBLE_DASH", "DOUBLE_SOLID")
 MARK_TYPES = frozenset(
     {f"{line}_{color}" for line in _LINES for color in ("WHITE", "YELLOW")} | {"SOLID_BLUE", "NONE", "UNKNOWN"}
 )
-#: The parts of a map, and how what is in them is called.
+#: Parts of a map, and the name of an element of each.
 _PARTS = {"lane_segments": "lane", "drivable_areas": "drivable area", "pedestrian_crossings": "pedestrian crossing"}
 #: A rule of the format that is broken, by its name, and what is said of it.
 Breach = tuple[str, str]

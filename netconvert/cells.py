@@ -21,9 +21,9 @@ import shapely
 from netconvert.geometry import FloatArray, arc_length, cut_at
 from netconvert.lane_graph import SIDES, DroppedLink, LaneGraph, LaneSegment, Side
 
-#: How far the length of a cell may be off in a net that an editor of SUMO's has saved, m.
+#: Tolerance of the length of a cell in a net that an editor of SUMO's has saved, m.
 SAVED_WITHIN_M = 0.2
-#: Cells are not made shorter than this to be equally long, m.
+#: Least length of a cell to which cells are shortened to be equally long, m.
 SHORTEST_EQUAL_M = 0.25
 
 REASON_LENGTHS = "the lanes differ too much in length for one edge"

@@ -10,7 +10,7 @@ from lxml import etree
 from netconvert.cells import CellGrid
 from netconvert.lane_graph import REASON_OPPOSITE, SIDES, DroppedLink
 
-#: The reason of a link that is missing although nothing stood against it: a defect of the conversion.
+#: Reason of a link that is missing although nothing stood against it: a defect of the conversion.
 UNEXPLAINED = "no reason known"
 
 

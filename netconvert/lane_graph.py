@@ -16,9 +16,9 @@ Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
 _OTHER: dict[Side, Side] = {"left": "right", "right": "left"}
 
-#: A segment in an intersection turns when its heading changes by more than this from end to end.
+#: Change of heading from end to end above which a segment in an intersection turns.
 TURN_RAD = math.radians(30.0)
-#: A successor that starts farther than this from the end of a lane cannot be driven to. Real maps: 0.
+#: Largest distance of a successor's start from the end of a lane at which it can be driven to, m. Real maps: 0.
 MAX_SUCCESSOR_GAP_M = 2.0
 LANE_TYPES = frozenset({"VEHICLE", "BIKE", "BUS"})
 #: Lane types that motor vehicles drive on; a bicycle lane is no lane to them.

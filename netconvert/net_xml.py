@@ -22,7 +22,7 @@ from netconvert.lane_graph import SIDES, LaneGraph, TurnType, joined
 
 #: Speed limit of every lane, m/s (45 mph), unless drivers desire more; the maps have none.
 SPEED_LIMIT_MPS = 20.0
-#: The same of nets for traffic of SUMO's own, which drives as fast as it may (50 km/h).
+#: Speed limit of every lane in nets for traffic of SUMO's own, which drives as fast as it may, m/s (50 km/h).
 WHOLE_LIMIT_MPS = 13.89
 #: Classes that may use a lane, by lane type; None is every class.
 ALLOWED_CLASSES: dict[str, str | None] = {"VEHICLE": None, "BUS": None, "BIKE": "bicycle"}
@@ -30,15 +30,15 @@ ALLOWED_CLASSES: dict[str, str | None] = {"VEHICLE": None, "BUS": None, "BIKE": 
 _MAY_ALWAYS_CROSS = "emergency"
 #: The net format that SUMO 1.28 writes. Without it a broken reference crashes SUMO instead of raising.
 NET_VERSION = "1.20"
-#: Vertices of a lane closer than this to a border of its cell are left out of the cell's shape.
+#: Distance to a border of its cell within which a vertex of a lane is left out of the cell's shape, m.
 _MIN_STEP_M = 1e-3
-#: The same in a net that may be saved by netconvert, which loses the ends of lanes that have points within 0.01 m.
+#: _MIN_STEP_M of a net that may be saved by netconvert, which loses the ends of lanes that have points within 0.01 m.
 _MIN_SAVED_STEP_M = 0.015
-#: Cells shorter than this have shapes finer than a millimetre.
+#: Length up to which cells have shapes finer than a millimetre, m.
 _FINER_M = 0.05
-#: Such a net's junctions lie so far beside the end of a lane, in the freest of so many directions.
+#: Distance of a junction from the end of a lane where netconvert may save the net, m; directions, the freest is taken.
 _BESIDE_M, _DIRECTIONS = 0.3, 16
-#: How far netconvert extends lanes.
+#: Length by which netconvert extends lanes, m.
 _SEEN_M = 100.0
 _DIRECTION = {TurnType.STRAIGHT: "s", TurnType.LEFT: "l", TurnType.RIGHT: "r"}
 
@@ -56,7 +56,7 @@ class CityOrigin(NamedTuple):
         return f"+proj=utm +zone={self.zone} +ellps=WGS84 +datum=WGS84 +units=m +no_defs"
 
 
-#: By the names of cities in scenes: those of av2 (`av2.geometry.utm`), projected once; a test compares them.
+#: Origins by the names of cities in scenes: those of av2 (`av2.geometry.utm`), projected once; a test compares them.
 CITY_ORIGINS = {
     "austin": CityOrigin(14, 621150.0275, 3349889.9996),
     "dearborn": CityOrigin(17, 320669.9346, 4685369.9988),

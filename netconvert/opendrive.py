@@ -23,15 +23,15 @@ from netconvert.lane_graph import LaneGraph, LaneSegment
 from netconvert.net_xml import SPEED_LIMIT_MPS, CityOrigin
 from netconvert.roads import RoadGraph, Way, roads_of
 
-#: How far lines leave centrelines where they round corners, where corners are left out, and widths theirs.
+#: Tolerances of lines where they round corners, where corners are left out, and of widths.
 _WITHIN_M, _CORNERS_M, _WIDTH_WITHIN_M = 0.05, 0.015, 0.01
-#: Lanes of one road are at most so far off their centrelines; rows with lanes farther off are roads apart.
+#: Tolerance of a row's lanes off their centrelines, or cut off at an end: beyond it they are roads apart.
 _ROW_WITHIN_M = 0.05
-#: Lanes of one section are so wide as at its start, by what that puts their middles off: what SUMO takes them for.
+#: Largest shift of the middles by taking a section's lanes to be as wide as at its start, which SUMO does.
 _SECTION_WITHIN_M = 0.02
-#: Offsets of lanes are measured so far apart along a road, and of lanes drawn on so far beyond their ends.
+#: Spacing along a road at which offsets of lanes are measured, and length that lanes are drawn on by beyond their ends.
 _EVERY_M, _BEYOND_M = 0.25, 10.0
-#: Ways that lead through no lane of an intersection take so much of the lanes, and no more than this share of a road.
+#: Length of the lanes that ways which lead through no lane of an intersection take, and its largest share of a road.
 _TAKEN_M, _TAKEN_SHARE = 1.0, 0.25
 _NARROWEST_M, _SHORTEST_M, _NEAR_M = 0.3, 0.1, 0.1
 _SIDES = ("predecessor", "successor")
@@ -40,9 +40,9 @@ LANE_IDS = "av2.lane_segment_ids"
 #: Changes of lane over a marking, by whether its left and right lane allow them; increase is towards the left.
 _CHANGES = {(True, True): "both", (True, False): "decrease", (False, True): "increase", (False, False): "none"}
 _LANE_TYPES = {"VEHICLE": "driving", "BUS": "bus", "BIKE": "biking"}
-#: What is at an end of a road: the map's edge, with each of its lanes in the road as a whole; a road with the same
-#: lanes; a junction, which has what of its lanes is beyond the first one's end; or one in which a way leads through no
-#: other lane, so that it takes a piece of the road.
+#: Kinds of ends of a road. Open: at the map's edge, each lane is in the road as a whole; joint: at a road with the same
+#: lanes; junction: at one that has what of the lanes is beyond the first one's end; short: at a junction in which a way
+#: leads through no lane, so that it takes a piece of the road.
 _End = Literal["open", "joint", "junction", "short"]
 
 

@@ -14,7 +14,7 @@ import shapely
 from netconvert.errors import NetError
 from netconvert.lane_graph import LaneGraph, joined
 
-#: Ways from one lane through an intersection. Real maps: 6 at most.
+#: Most ways from one lane through an intersection. Real maps: 6.
 _MOST_WAYS = 200
 
 

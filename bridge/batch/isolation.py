@@ -35,11 +35,11 @@ from netconvert.errors import Hid2Error
 START_TIMEOUT_S = 600.0
 #: Seconds that a process which ran out of time has to end itself before it is killed.
 GRACE_S = 3.0
-#: A process larger than this at the end of a call is replaced before the next one.
+#: Memory of a process at the end of a call, MB, above which it is replaced before the next one.
 MAX_RSS_MB = 600.0
 
 _MB = 1_000_000
-#: Of what a process wrote last, to tell why it ended.
+#: Bytes that are read of what a process wrote last, to tell why it ended.
 _TAIL_BYTES = 8000
 #: Packages with messages that an isolated process passes on to its caller.
 _PACKAGES = ("netconvert", "hid2", "bridge")

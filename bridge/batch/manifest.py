@@ -25,7 +25,7 @@ MANIFEST_NAME, CONTENTS_NAME = "manifest.csv", "contents.txt"
 CHECK = "check"
 #: Longest text in a row, characters; the bundle of a scene has all of its reason.
 MAX_TEXT = 2_000
-#: Of a manifest: a row has 1 kB, a data set 250,000 scenes.
+#: Size of a manifest, MB, at most: a row has 1 kB, a data set 250,000 scenes.
 _MOST_MB = 2_000
 _DIGEST = re.compile(r"([0-9a-f]{64})?")
 _LOG = logging.getLogger(__name__)

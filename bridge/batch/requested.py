@@ -17,9 +17,9 @@ from hid2.params import Config, Request
 from hid2.policies import Policy
 from netconvert.errors import ConfigError, Hid2Error
 
-#: Scenes that are looked at for one that can meet what is asked for.
+#: Most scenes that are looked at for one that can meet what is asked for.
 _LOOKED_AT = 100
-#: No scene is looked at for a trigger before this time, s: the shortest recordings last longer.
+#: Trigger time up to which no scene is looked at, s: the shortest recordings last longer.
 _SHORTEST_S = 4.9
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from bridge.recordings.folders import Address
     from hid2.params import Config, Request
 
-#: A batch with more runs than this is summed up instead of listed; those that failed were told one by one.
+#: Most runs of a batch that are listed; more are summed up: those that failed were told one by one.
 LISTED_RUNS = 24
 #: Reasons shown in a row of the table; manifest.csv has them all.
 _REASONS = 3

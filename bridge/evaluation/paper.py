@@ -62,7 +62,7 @@ PAPER_RISES = ("scr", "orr")
 _NAMES = {"full": "with everything on", "dense": "with the default mix", "rare": "with a mix of rare behaviours"}
 _NAMES |= {part: f"without {part}" for part in ("topology", "collision", "smoothing")}
 _NAMES |= {str(number): f"where {number} were asked for" for number in ADDED}
-#: The paper's templates have more tracks than this.
+#: Number of tracks above which a scene is one of the paper's templates.
 TEMPLATE_AGENTS = 40
 
 

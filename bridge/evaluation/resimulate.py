@@ -49,8 +49,8 @@ TakeOut = Literal["all", "one"]
 #: Calibrated drivers with guard, turns and stop lines; SUMO's default ones with none; none at all.
 _Model = Literal["calibrated", "default", "constant velocity"]
 MODELS = ("calibrated", "reference", "constant velocity", "default", "log")
-_SCENE_S = 60.0  # a scene may take so long for a seed
-#: Where fewer vehicles move at the present the scene's pace is the prior. No tunable: what a recording tells.
+_SCENE_S = 60.0  # longest time that a scene may take for a seed
+#: Least vehicles moving at the present for a scene's pace that is not the prior. No tunable: what a recording tells.
 _PACE_OF = 3
 
 

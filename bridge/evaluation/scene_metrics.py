@@ -34,7 +34,7 @@ from netconvert.errors import ConfigError, ScenarioError
 if TYPE_CHECKING:
     import pandas as pd
 
-#: A manoeuvre seen belongs to a record of its kind with a crossing (or start) at most this far away.
+#: Tolerance around a manoeuvre seen, s, within which a record that it belongs to has its crossing, or else its start.
 SAME_MANEUVER_S = 2.0
 
 PAIR_GROUPS = ("original_original", "generated_original", "generated_generated")

@@ -18,11 +18,11 @@ from hid2.judge.findings import Quantity
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.resampling import Estimate, ratio
 
-#: Sums are kept of at most this many source scenes; of more, they are kept of this many groups of sources.
+#: Most source scenes of which sums are kept; of more, sums are kept of as many groups of sources.
 MOST_SOURCES = 1000
-#: Events are listed in the report up to this many; events.csv has all.
+#: Most events listed in the report; events.csv has all.
 MOST_EVENTS = 40
-#: Delays are counted to this part of a second.
+#: Parts of a second to which delays are counted.
 _DELAY_PARTS = 1000
 #: Bounds of the agent-count bands of the paper.
 BANDS = (40, 50, 70, 90)

@@ -22,9 +22,9 @@ from netconvert.net_xml import SPEED_LIMIT_MPS
 _OBSTACLES = {"vehicle": "car", "bus": "bus", "motorcyclist": "motorcycle", "cyclist": "bicycle"}
 _OBSTACLES |= {"riderless_bicycle": "bicycle", "pedestrian": "pedestrian"}
 _LANELETS = {"VEHICLE": "urban", "BUS": "busLane", "BIKE": "bicycleLane"}
-#: A planner has to come so near to where the recording vehicle was at last, m and rad.
+#: Tolerances within which a planner has to come to where the recording vehicle was at last, m and rad.
 _GOAL_M, _GOAL_RAD = 5.0, 0.5
-#: Obstacles that come later wait so far west of all lanes, so far from each other.
+#: Distance west of all lanes at which obstacles that come later wait, and distance between them, m.
 _WEST_M, _APART_M = 100.0, 10.0
 
 

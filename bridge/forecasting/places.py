@@ -25,7 +25,7 @@ from netconvert.lane_graph import joined
 #: Scenes per task.
 _CHUNK = 256
 _SLICE = "slice_id"
-#: Cells in a city are numbered in a square of this many a side.
+#: Cells a side of the square in which the cells of a city are numbered.
 _SIDE = 1 << 20
 
 

@@ -32,11 +32,11 @@ from netconvert.errors import ConfigError, ScenarioError
 Baseline = Literal["constant-velocity", "constant-turn-rate"]
 MetricKey = Literal["min_ade_m", "min_fde_m", "missed", "brier_min_fde"]
 BASELINES: tuple[Baseline, ...] = ("constant-velocity", "constant-turn-rate")
-#: Modes of a forecast that count, the most probable first; and in comparisons, as in the paper's tables.
+#: Numbers of modes of a forecast that count, the most probable first; that in comparisons, as in the paper's tables.
 KS, K = (1, 6), 6
-#: A forecast with its end further off misses.
+#: Distance of a forecast's end from the recorded one above which it misses, m.
 MISS_M = 2.0
-#: Bands of the paper: scenes with more agents than these.
+#: Numbers of agents above which scenes are in the bands of the paper.
 BOUNDS = (50, 70, 90)
 FUTURE_STEPS = MAX_STEPS - OBSERVED_STEPS
 #: Speed, or turn rate, of each mode of a baseline as a share of the observed one, and how probable it is.
@@ -49,7 +49,7 @@ METRICS: Mapping[MetricKey, str] = {
 #: Columns of scores, a row for each track and k. agents: tracks of the scene in all; agents_observed: those present at
 #: the last observed step.
 SCORE_COLUMNS = ("scenario_id", "track_id", "agents", "agents_observed", "k", *METRICS)
-#: A baseline's speed and turn rate are means over this many steps before the last observed one.
+#: Steps before the last observed one over which a baseline's speed and turn rate are means.
 _HISTORY = 5
 #: Normal quantiles of a two-sided test at 5 %, and of a power of 80 %.
 _Z_TEST, _Z_POWER = 1.959964, 0.841621

@@ -35,11 +35,11 @@ from netconvert.cells import CellGrid
 from netconvert.errors import ConfigError, ScenarioError
 from netconvert.net_xml import net_bytes
 
-#: Neighbours of a generated focal track are within this, m. No tunable: what a focal track is.
+#: Radius around a generated focal track in which tracks are its neighbours, m. No tunable: what a focal track is.
 _FOCAL_RADIUS_M = 50.0
 _LOG = logging.getLogger(__name__)
 
-#: No tunable, bounds memory: what vehicles find is kept for so many variants, 20 MB more from each with 20 vehicles.
+#: Variants that what vehicles find is kept for. No tunable, bounds memory: 20 MB more from each with 20 vehicles.
 _VARIANTS_KEPT = 8
 
 

@@ -56,7 +56,7 @@ FACES: Mapping[str, str] = {
     "recorded": "#B4B4B4", "focal": DARK_GREY, "av": SKY, "other": "#B9A7C4", "generated": "#7A5C2E",
     **{policy.value: color for policy, color in POLICY_COLORS.items()},
 }  # fmt: skip
-#: What moves further than this is shown, with so much ground around it.
+#: Extent of a path above which what moves is shown, and ground shown around it, m.
 MOVES_M, MARGIN_M = 5.0, 15.0
 #: The map, by what is drawn of it.
 MAP_COLORS: Mapping[str, str] = {

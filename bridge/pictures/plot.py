@@ -21,7 +21,7 @@ from hid2.policy.behaviours import behaviour_seen
 from netconvert.cells import build_cell_grid
 from netconvert.geometry import arc_length
 
-#: Distance of times on the plan, as a share of the path.
+#: Distance of times on the plan, as a share of the path's extent.
 _LABELS_APART = 0.08
 
 

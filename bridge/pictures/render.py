@@ -35,16 +35,16 @@ from netconvert.errors import ConfigError, ExportError
 from netconvert.geometry import box_corners
 
 ANIMATIONS = (".gif", ".mp4")
-#: Length of the trail behind each vehicle.
+#: Length of the trail behind each vehicle, s.
 TRAIL_S = 2.0
 #: Longest side of a GIF, pixels, where cars are large enough then.
 GIF_WIDTH = 1100
 _GIF_COLORS = 128
-#: Length of a car in a film, pixels, at least; so much ground that a frame stays below 30 MB.
+#: Least length of a car in a film, pixels, and most ground a side, m: a frame stays below 30 MB.
 CAR_PIXELS = 14
 MOST_GROUND_M = 400.0
 _LABEL_SIZE = 6.5
-#: Ground shown around one agent's path.
+#: Ground shown around one agent's path, m.
 AGENT_MARGIN_M = 25.0
 
 #: Marks of conflicts by their kind.

@@ -52,11 +52,11 @@ from netconvert.errors import ExportError, MapError, ScenarioError
 from netconvert.lane_graph import LaneGraph
 
 AV, AGENT, OTHERS = "AV", "AGENT", "OTHERS"
-#: TRACK_IDs of inserted vehicles begin so; recorded ones have 0000 before the last part.
+#: Beginning of inserted vehicles' TRACK_IDs; recorded ones have 0000 before the last part.
 INSERTED = "00000000-0000-0000-0001-"
 #: Steps of a sequence, those of them that are observed (all of a test_obs sequence), seconds from one to the next.
 NUM_STEPS, OBSERVED_STEPS, STEP_S = 50, 20, 0.1
-#: Time stamps: the mean of their distances, and the largest one, s. Of 60 real sequences: 0.1 to 0.2, and 0.27.
+#: Range of the mean distance of time stamps, and largest distance, s. Of 60 real sequences: 0.1 to 0.2, and 0.27.
 _MEAN_S, _MOST_S = (0.05, 0.3), 0.6
 _CITIES = {"MIA": "miami", "PIT": "pittsburgh"}
 _SAMPLES = 11

@@ -21,7 +21,7 @@ from netconvert.lane_graph import LaneGraph
 
 #: What a band of criticality that was asked for allows: the quantities that it is about.
 _BANDS = {"ttc_s": (Quantity.TTC_LEADER, Quantity.TTC_FOLLOWER), "pet_s": (Quantity.PET,)}
-#: Noise that is cut at its bound is beyond it by the rounding of sums.
+#: Tolerance of noise over its bound, as a share: noise that is cut there is beyond it by the rounding of sums.
 _ROUNDING = 1e-6
 
 

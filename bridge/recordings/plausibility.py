@@ -10,17 +10,17 @@ from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.plausibility import Plausibility, plausibility
 from netconvert.errors import ScenarioError
 
-#: One or two vehicles may reverse, leave a car park or be tracked badly: fewer than this tell nothing.
+#: Least vehicles that tell something: one or two may reverse, leave a car park or be tracked badly.
 LEAST_VEHICLES = 3
-#: The way by the velocities over the displacement: 1 where they agree, 0 without velocity, 2 where tracks were halved.
+#: Range of the way by velocities over the displacement: 1 where they agree, 0 without velocity, 2 for halved tracks.
 STATED = (0.5, 1.5)
-#: Of the moving vehicles that come within the map, points on drivable ground: chance has about a quarter.
+#: Least share of points on drivable ground, of moving vehicles that come within the map: chance has about a quarter.
 LEAST_GROUND = 0.75
-#: Of the moving vehicles, those within the map: where it ends early many are not, elsewhere none is.
+#: Least share of the moving vehicles within the map: where it ends early many are not, elsewhere none is.
 LEAST_MAPPED = 0.25
-#: Of the moving vehicles, those with a heading mostly off their motion: a heading at random is so for 3 of 4.
+#: Most of the moving vehicles, as a share, with a heading mostly off their motion: at random 3 of 4 are.
 MOST_TURNED = 0.5
-#: Of the moving vehicles, those that fit a lane only after a shift beyond half a lane; and how many of them at least.
+#: Bound of the share of moving vehicles that fit a lane only after a shift beyond half a lane; least of them that tell.
 MOST_GAIN, LEAST_GAINING = 0.15, 2
 
 

@@ -26,12 +26,12 @@ from netconvert.errors import ConfigError
 
 #: Name of the file in the folder of a corridor that is made of one.
 ROAD_FILE = "road.toml"
-#: Most lanes, and how ids of lanes are made: row times this, and the lane, counted from the left.
+#: Most lanes; factor of the row in the id of a lane, to which the lane's number from the left is added.
 MOST_LANES, ROW = 8, 100
 RAMPS = _FEEDER, _OFF = 98, 99
 #: Length of what lies between a stop line and the other side of the crossing, m.
 CROSSING_M = 20.0
-#: A motorway's usual widths, m, the shortest road on which vehicles meet, and points as far apart as on real maps.
+#: Usual widths of a motorway, least length of a road on which vehicles meet, spacing of points as on real maps, m.
 _LANE_M, _SHOULDER_M, _LEAST_M, _POINT_EVERY_M = 3.5, 4.0, 100.0, 10.0
 
 _Share = Annotated[float, Field(ge=0, le=1)]

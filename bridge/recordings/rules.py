@@ -31,12 +31,12 @@ from netconvert.net_xml import CITY_ORIGINS
 
 #: The rule on recorded rows, which are kept as they are.
 RECORDED = "recorded"
-#: Between central differences of positions 0.2 s apart and the velocity, m/s: 8.37 m/s3 of jerk make 0.014.
+#: Tolerance between central differences of positions 0.2 s apart and velocity, m/s: 8.37 m/s3 of jerk make 0.014.
 VELOCITY_TOLERANCE_MPS = 0.05
-#: The same at the two ends of a track, where differences are one-sided: 4.05 m/s2 make 0.2.
+#: Tolerance of the velocity at the two ends of a track, m/s, where differences are one-sided: 4.05 m/s2 make 0.2.
 END_VELOCITY_TOLERANCE_MPS = 0.3
 HEADING_TOLERANCE_RAD = 0.1
-#: Slower vehicles have no direction of motion to speak of, m/s.
+#: Speed below which a vehicle has no direction of motion to speak of, m/s.
 HEADING_FROM_MPS = 0.5
 _GENERATED_ID = re.compile(r"gen_(0|[1-9][0-9]*)")
 

@@ -42,7 +42,7 @@ from netconvert.errors import MapError, ScenarioError
 from netconvert.geometry import arc_length
 from netconvert.lane_graph import LaneSegment
 
-#: Steps of a window, those of them that are observed, seconds from one to the next, and how far sweeps may be off that.
+#: Steps of a window, those of them that are observed, seconds from one to the next, and tolerance of that in sweeps.
 NUM_STEPS, OBSERVED_STEPS, STEP_S, _OFF_S = 110, 50, 0.1, 0.01
 _MIN_STEPS, _AV_AHEAD_M, _FIRST_ID = 5, 1.4, 10_000
 #: Length, width, height of the egovehicle where a log does not tell, m.

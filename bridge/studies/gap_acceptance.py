@@ -10,7 +10,7 @@ import pandas as pd
 from hid2.agents import FloatArray
 from hid2.resampling import Estimate, interval
 
-_FEWEST = 8  # drivers: below, no critical gap is fitted
+_FEWEST = 8  # least number of drivers for which a critical gap is fitted
 #: Columns of a gap's sizes; conditions of rules that are about one side of it.
 _SIZES = ["lag_time_gap_s", "lead_time_gap_s"]
 _CONDITIONS = {"lag": {"rear_gap", "mobil_unsafe", "rule_refuses"}, "lead": {"front_gap"}}

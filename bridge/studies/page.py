@@ -30,11 +30,11 @@ from hid2.measures.conflicts import TrafficConflict
 from hid2.measures.lane_changes import LaneChangeRow
 from hid2.params import Conflict
 
-#: A parameter with more values than this, as those of a hypercube, is told in so many classes of neighbouring values.
+#: Most values of a parameter told one by one, and number of classes of neighbouring values of more, as of a hypercube.
 _MOST_VALUES, _CLASSES = 12, 6
 #: Differences of shares for which the page says how many seeds they need.
 _SIZES_TOLD = (0.02, 0.05, 0.1)
-#: Tables of more rows are compressed.
+#: Rows above which a table is compressed.
 _LONG = 50_000
 _COLORS = {
     "cells": figures.SKY,

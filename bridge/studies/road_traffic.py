@@ -37,11 +37,11 @@ from netconvert.net_xml import net_bytes
 
 #: Seconds between two moments at which a vehicle asks its rule, no tunable: what a driver takes to look and decide.
 ASK_S = 1.0
-#: Long enough for every lane of a road to be one lane of SUMO's.
+#: Bound of the length of cells, m, at which every lane of a road is one lane of SUMO's.
 _WHOLE_M = 1e6
-#: After traffic has entered, so long for those counted to leave, s; so near to the ramp's nose, m, an exit is missed.
+#: Time for the vehicles counted to leave after traffic has entered, s; distance to the ramp's nose of a missed exit, m.
 CLEAR_S, _MISSED_M = 240.0, 25.0
-#: Over which length, m, and time, s, density is counted by lane, and changes from and to it.
+#: Length, m, and time, s, over which density is counted by lane, and changes from and to it.
 CELL_M, CELL_S = 250.0, 60.0
 _STREAM = 79  # of random numbers: a name
 #: Of each vehicle in the net at each step; inside: 1 in the section, 0 before and behind it, and on ramps.

@@ -16,9 +16,9 @@ from bridge.studies.columns import AT_LAST, OUTCOMES, Merit
 from hid2.agents import FloatArray, IntArray
 from hid2.resampling import Estimate, interval, redrawn
 
-_SCENES_LEAST, _UNITS_LEAST = 3, 3  # fewer scenes, or units at all, are not drawn again
-_SAME = 1e-9  # values that differ by less of themselves differ by rounding
-#: Longer time gaps count as this, s: behind a leader that hardly moves they grow without end.
+_SCENES_LEAST, _UNITS_LEAST = 3, 3  # least scenes, and units at all, that are drawn again
+_SAME = 1e-9  # size of differences, and their SD, up to which they are rounding
+#: Cap of time gaps, s: behind a leader that hardly moves they grow without end.
 LONG_GAP_S = 10.0
 
 

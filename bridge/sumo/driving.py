@@ -23,10 +23,10 @@ from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start
 
-#: m/s, and its cause.
+#: A limit on a vehicle's speed, m/s, and its cause.
 Limit = tuple[float, str]
 
-_BINDS_MPS = 0.05  # book-keeping: a limit this close to the speed driven is what decided it
+_BINDS_MPS = 0.05  # tolerance within which a limit is what decided the speed driven: book-keeping
 
 
 @dataclass(eq=False, slots=True)

@@ -60,15 +60,15 @@ _LOG = logging.getLogger(__name__)
 #: near enough to its lane to be on it.
 _Placed = tuple[list[Cell], FloatArray, BoolArray]
 # No tunables: how a scene is drawn in sumo-gui; nothing that is generated depends on any of these.
-#: On a stretch of constant velocity no front bumper is further than this from where it was, and no heading.
+#: Tolerances of front bumpers and headings on a stretch of constant velocity.
 _WITHIN_M, _WITHIN_RAD = 0.05, 0.05
-#: SUMO takes a shape that is shorter to be as long.
+#: Least length of a shape, m: SUMO takes a shorter one to be as long.
 _LEAST_SHAPE_M = 0.1
-#: Lanes of a trace are no wider than this: they must not show.
+#: Width of the lanes of a trace, m: they must not show.
 _TRACE_WIDTH_M = 0.01
-#: What a vehicle drives in a step beyond its length: no step ends near the end of a lane.
+#: Way beyond its length that a vehicle drives in a step, m: no step ends near the end of a lane.
 _CLEAR_M = 1.0
-#: Junctions that a lane of a trace joins are no nearer to each other: netedit takes no edge between two in one place.
+#: Least distance of the junctions that a lane of a trace joins, m: netedit takes no edge between two in one place.
 _JUNCTIONS_APART_M = 0.05
 #: Lanes for this class of vehicle are transparent in the view settings (`gui_files`); no map has any.
 _UNSEEN = "ship"

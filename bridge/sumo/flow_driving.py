@@ -13,8 +13,8 @@ from hid2.insertion.flow import Arrival
 from hid2.occupancy.gaps import gaps_from_pose
 from hid2.occupancy.traffic import Traffic
 
-#: `Fleet.near_m` of a fleet that others join: at every entry all vehicles look anew at those near, as none farther
-#: away gets there within the horizon.
+#: `Fleet.near_m` of a fleet that others join, m: at every entry all vehicles look anew at those near, as none farther
+#: away gets near within the horizon.
 NEAR_M = 150.0
 
 

@@ -14,10 +14,10 @@ from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.policy.behaviours import BEHAVIOURS
 from hid2.vehicle import Start
 
-#: Agents farther than this from the way of a vehicle that may change lanes need not be shown. Not a parameter,
+#: Distance from the way of a vehicle that may change lanes beyond which agents need not be shown, m. Not a parameter,
 #: it saves time: lanes beside are nearer, and SUMO brakes for no agent farther aside.
 _NEAR_M = 12.0
-#: No vehicle is faster than its desired speed by more than this ratio: no tunable, a bound that spares time.
+#: Largest ratio of a vehicle's speed to its desired speed: no tunable, a bound that spares time.
 _PACE_MOST = 1.1
 
 

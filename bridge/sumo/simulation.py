@@ -19,8 +19,8 @@ from netconvert.errors import SimulationError
 
 #: TraCI lane-change mode: no change of SUMO's own; one asked for is refused where speeds and brake gaps forbid it.
 _ONLY_ASKED_IF_SAFE = 512
-_ASKED_ANYHOW = 0  # the same, and one asked for is carried out
-_OWN_WISH = 1621  # SUMO's default: its model changes lanes as it likes
+_ASKED_ANYHOW = 0  # TraCI lane-change mode: no change of SUMO's own; one asked for is carried out
+_OWN_WISH = 1621  # TraCI lane-change mode, SUMO's default: its model changes lanes as it likes
 #: TraCI speed mode: a speed that is set is bounded by car following (1) and the greatest acceleration (2), so that it
 #: limits what SUMO chooses; it may brake harder than is comfortable (4 is left out). 8 and 16: right of way and red
 #: lights at junctions, of which a net of hid2 has none.
@@ -28,8 +28,8 @@ _SAFE_SPEED = 1 + 2 + 8 + 16
 #: Motives of SUMO's lane-change model, as it names them.
 _MOTIVES = frozenset({"strategic", "cooperative", "speedGain", "keepRight"})
 _REPLAY_KEEP_ROUTE = 6  # TraCI moveToXY: exactly there, on a road or off it
-_ASIDE_MATCH_M = 1e-9  # no tunable: so little that it is on no lane
-_NEVER_S = 1000.0  # longer than any scene
+_ASIDE_MATCH_M = 1e-9  # distance up to which a place is matched to a lane; no tunable: too little for any lane
+_NEVER_S = 1000.0  # action step of recorded agents, longer than any scene
 _NET, _START, _TYPES = "scene.net.xml", "start.xml", "types.add.xml"
 _DRIVEN = "driven"
 #: What of a vehicle type libsumo sets while it runs: names, so that a file in its place is found where it is used.

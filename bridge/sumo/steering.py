@@ -24,15 +24,15 @@ from hid2.reasons import Reason
 from hid2.scene import Scene
 from netconvert.cells import Cell
 
-#: A vehicle that waits for a gap slows down so for those beside, m/s2. No tunable: traffic behind does not notice it.
+#: Deceleration of a vehicle that waits for a gap for those beside, m/s2. No tunable: traffic behind does not notice it.
 _LET_PASS_MPS2 = 0.7
-#: It slows down to this share of its desired speed. No tunable, likewise.
+#: Share of its desired speed to which such a vehicle slows down. No tunable: traffic behind does not notice it.
 _LET_PASS_SHARE = 0.8
 _GAP = CAUSES.index("gap")
-#: Refusals of a gap in which waiting for those beside to go ahead helps.
+#: Reasons to refuse a gap for which it helps to let those beside go ahead.
 _LETS_PASS = frozenset({Reason.CELLS_OCCUPIED, Reason.FRONT_GAP})
-_FASTER_MPS = 0.05  # over the speed of the road on another way, with which it is still taken; no tunable: rounding
-_OFF_SHARE = 0.03  # no tunable: a tenth of a metre of a lane's width, before a way across is laid anew
+_FASTER_MPS = 0.05  # tolerance of the speed over the road's on another way that is taken; no tunable: rounding
+_OFF_SHARE = 0.03  # tolerance of the share across before the way is laid anew; no tunable: .1 m of a lane's width
 
 
 class SpeedLimits(NamedTuple):

@@ -23,26 +23,25 @@ from hid2.occupancy.agent_states import AgentStates
 from hid2.params import Config, Drivers
 from hid2.resampling import interval, redrawn
 
-# No tunables of a scene: which windows tell what, and how finely laws are compared. The sources in `params.Drivers` are
-# figures made so, which other numbers here would not match.
-#: Fewer drivers than this tell nothing: the prior stays.
+# Which windows tell what, which moments are measured, and how finely laws are compared: no tunables. Calibrations with
+# other numbers differ, and would not match the sources in `params.Drivers`, which are figures made with these.
+#: Least number of drivers that tell something: with fewer the prior stays. No tunable.
 LEAST = 12
-# No tunables, here and below: they say which moments are measured and how finely, and calibrations with others differ.
-#: Steady following: closing slower, m/s, accelerating less, m/s2, faster than, m/s, nearer than, s and m.
+#: Steady following: most closing speed, m/s, and acceleration, m/s2; least speed, m/s; most time gap, s. No tunables.
 _STEADY_MPS, _STEADY_MPS2, _FOLLOWS_MPS, _FOLLOWS_S = 1.0, 0.5, 3.0, 3.0
-#: Gap to a leader in a queue, m.
+#: Gap below which a leader that stands is in the same queue, m. No tunable.
 _QUEUE_M = 8.0
-#: A driver that accelerates or brakes by more than this in some window shows how: m/s2.
+#: Acceleration or deceleration in some window above which a driver shows how it drives, m/s2. No tunable.
 _SHOWS_MPS2 = 0.7
-#: Drivers simulated for a moment, half of a window, s, and intervals in it: finer ones change no fit.
+#: Drivers simulated for a moment; half of a window, s, and its intervals: finer ones change no fit. No tunables.
 _SIMULATED, _HALF_S, _HALF = 250, 2.0, 20
 _EVERY_S = _HALF_S / _HALF
 _TIME_S = np.asarray(_EVERY_S * np.arange(2 * _HALF + 1) - _HALF_S, dtype=np.float64)
-#: Wandering at which the moments of the speed are simulated, m/s: so small that no bound matters.
+#: SD of the wandering at which moments of the speed are simulated, m/s: too small for bounds to matter. No tunable.
 _UNIT_MPS = 0.3
-#: Cruising: at least this share of the usual speed, and a smaller acceleration, m/s2: no signal decides.
+#: Cruising: least share of the usual speed, and bound of the acceleration, m/s2: no signal decides. No tunables.
 _CRUISES, _CRUISES_MPS2 = 0.7, 1.0
-#: What is tried for the time constants, s, and for the spread of the lateral wandering.
+#: Candidates for the time constants, s, and for the spread of the lateral wandering. No tunables.
 _TIMES_S = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0)
 _SPREADS = (0.0, 0.3, 0.6, 0.9, 1.2)
 

@@ -20,14 +20,14 @@ from hid2.evaluation.windows import WINDOW_S, Windows
 from hid2.measures.arrays import BoolArray
 from hid2.resampling import ratio
 
-# No tunables, here and below: they are what the critics are, and with others no two figures could be compared.
-#: Strata with fewer windows of either kind are left out; bounds of the bands of speed, m/s.
+# What the critics are, no tunables: with other numbers no two figures could be compared.
+#: Least windows of either kind in a stratum that counts; bounds of the bands of speed, m/s. No tunables.
 _LEAST, _BANDS = 2, (2.0, 5.0, 8.0, 11.0)
 _FOLDS = 5
 _FAR_M = 60.0
 
 
-#: Kinds of critics, and what of the driving one is shown.
+#: Kinds of critics, and what of the driving a critic is shown.
 Critic = Literal["logistic", "trees"]
 View = Literal["speed", "lateral", "all"]
 
@@ -174,15 +174,15 @@ def _scores(critic: Critic, x: FloatArray, generated: BoolArray, weights: FloatA
         return np.asarray(found.decision_function((new - mean) / spread), dtype=np.float64)
 
 
-#: What is judged, in the order of the report.
+#: Critics and views that are judged, in the order of the report.
 JUDGED: Sequence[tuple[Critic, View]] = (
     ("logistic", "all"), ("trees", "speed"), ("trees", "lateral"), ("trees", "all"),
 )  # fmt: skip
-#: Splits of the recorded tracks over which the negative control is averaged.
+#: Number of splits of the recorded tracks over which the negative control is averaged. No tunable.
 _SPLITS = 3
-#: Features named in the report.
+#: Number of features named in the report, those that betray most first. No tunable.
 _NAMED = 6
-#: Said in the report and on stderr.
+#: Message in the report and on stderr where the critics are not computed.
 MISSING = (
     "the critics are not computed: scikit-learn, the extra `critics`, is not installed; install it "
     "(`pip install scikit-learn`, in a clone `sh setup.sh`) and evaluate again"

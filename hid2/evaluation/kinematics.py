@@ -13,7 +13,7 @@ from hid2.agents import FloatArray
 from hid2.judge.findings import MotionProfile
 from hid2.measures.arrays import BoolArray, SceneArrays
 
-#: Tracks shorter than this are left out of LO, LA and JE: the third derivative needs five samples.
+#: Least steps of a track that counts in LO, LA and JE: the third derivative needs five samples.
 MIN_STEPS = 5
 
 

@@ -46,12 +46,12 @@ FEATURES = (
     MetricFeature("collision", 0.0, 1.0, 2, 0.25, OBJECTS, of=_NEAREST),
     MetricFeature("off the road", 0.0, 1.0, 2, 0.25, MAP, of=_EDGE),
 )
-#: The last step of the history and the last one that is scored: 1.1 s are known, 8 s are driven. Pseudocounts of a bin,
-#: and of an indication's. No tunables: what the challenge has.
+#: Last step of the history and last one that is scored: 1.1 s are known, 8 s are driven. Pseudocounts of a bin, and of
+#: a bin of an indication. No tunables: what the challenge has.
 NOW, LAST, _PSEUDO, _PSEUDO_INDICATION = 10, 90, 0.1, 0.001
-#: Points of the road's edge are so far apart, m, no tunable: bins are 6 m wide.
+#: Largest spacing of points of the road's edge, m. No tunable: bins are 6 m wide.
 _EDGE_STEP_M = 0.5
-#: Corners (..., 4, 2) m to how far the farthest one out is beyond the road's edge (...), m; below 0 inside.
+#: Distance beyond the road's edge (...), m, of the farthest of corners (..., 4, 2), m; below 0 inside.
 BeyondEdge = Callable[[FloatArray], FloatArray]
 
 

@@ -30,9 +30,9 @@ from hid2.policy.behaviours import BEHAVIOURS, behaviour_seen
 
 #: The three groups that are never mixed.
 GROUPS = ("original", "generated", "combined")
-#: A shorter time gap to the leader counts as short.
+#: Time gap to the leader below which it counts as short, s.
 SHORT_GAP_S = 0.9
-#: Whatever a scene was made with, it is measured by the defaults.
+#: Bounds of critical TTC and PET: the defaults, whatever a scene was made with.
 CRITICAL = Conflict()
 #: Tables that metrics are shown in.
 MetricTable = Literal["paper", "clean", "safety", "encounters"]

@@ -53,7 +53,7 @@ TAIL_SHARES = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 #: Fine bins within each bin: Wasserstein distances are exact to a fine bin.
 FINE = 40
 
-#: First fine bin of each feature, and after the last one their number: histograms lie one after the other.
+#: First fine bin of each feature, and last the number of all fine bins: histograms lie one after the other.
 _FIRST = np.cumsum([0, *(feature.bins * FINE for feature in FEATURES)]).tolist()
 #: Rows of `RealismCounts.counts`; behind them those of the halves.
 GENERATED, RECORDED = 0, 1

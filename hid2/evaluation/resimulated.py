@@ -23,15 +23,16 @@ from hid2.scene import Scene, clearance_box
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 from netconvert.geometry import Polyline, arc_length, wrap_angle
 
-# No tunables, here and below: figures with others are of other vehicles or of other starts.
-#: A vehicle is there so many s before the present and after it.
+# Figures with other numbers than these, no tunables, are of other vehicles or of other starts.
+#: Time before and after the present for which a vehicle that is driven again must be there, s. No tunables.
 _BEFORE_S, _AFTER_S = 0.5, 1.0
-#: A driver comes from its place in the lane at the present to the usual one over this, m, to its own wandering, and its
-#: heading to its path's; points of a path are so far apart.
+#: Distances over which a vehicle comes from its place in the lane at the present to the usual one and to its driver's
+#: own wandering, and from its heading to its path's, m; spacing of the points of a path, m. No tunables.
 _BACK_OVER_M, _WANDERS_OVER_M, _STRAIGHT_OVER_M, _POINTS_M = 50.0, 20.0, 5.0, 1.0
-#: Least time and jam gap that a present gap is taken for, s and m; a bend is taken so much faster in a try.
+#: Least time gap, s, and jam gap, m, that the present gap is taken for; factor of the lateral acceleration in turns for
+#: each try until the present speed fits a bend, and bound up to which it is tried, m/s2. No tunables.
 _LEAST_TAU_S, _LEAST_GAP_M, _FASTER, _MOST_MPS2 = 0.5, 0.5, 1.25, 20.0
-#: SUMO's default passenger car (vType of 1.28, Krauss) on its default edge; SD of the speed factor.
+#: SUMO's default passenger car (vType of 1.28, Krauss) on its default edge; SD of the speed factor. No tunables.
 _DEFAULT = replace(usual_driver(13.89), tau_s=1.0, accel_mps2=2.6, decel_mps2=4.5, min_gap_m=2.5)
 _DEFAULT_SD = 0.1
 

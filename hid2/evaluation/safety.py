@@ -21,11 +21,11 @@ from hid2.params import Limits
 from netconvert.geometry import box_corners
 from netconvert.lane_graph import LaneGraph
 
-#: Boxes overlapping by more than this collide ("a small IoU threshold" in the paper).
+#: IoU above which boxes collide ("a small IoU threshold" in the paper).
 IOU_THRESHOLD = 0.02
-#: A corner further outside than this is off the road.
+#: Tolerance of a corner outside the drivable area, m: farther out it is off the road.
 FOOTPRINT_TOLERANCE_M = Limits().drivable_tolerance_m
-_TOUCHES_M2 = 1e-9  # no tunable: boxes that share no more only touch
+_TOUCHES_M2 = 1e-9  # area up to which boxes that share it only touch; no tunable
 
 
 class Overlap(NamedTuple):

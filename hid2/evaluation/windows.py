@@ -17,18 +17,18 @@ from hid2.measures.arrays import BoolArray, SceneArrays
 from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import LaneLeaders
 
-#: Length of a window, what is left out at both ends of a track, and the distance of two windows' middles, s.
+#: Length of a window, time left out at both ends of a track, and time between two windows' middles, s.
 WINDOW_S, TRIMMED_S, STRIDE_S = 4.0, 1.0, 0.5
-#: Windows slower than this on average are those of standing vehicles: noise, no driving.
+#: Mean speed up to which a window is one of a standing vehicle, m/s: noise, no driving.
 MIN_SPEED_MPS = 1.0
-#: Random splits of the recorded tracks into halves, by which floors and the negative control are measured.
+#: Number of random splits of the recorded tracks into halves, for floors and the negative control.
 SPLITS = 16
-# No tunables: what a window is, the same for recorded and generated vehicles and for every configuration.
-#: Between two steps the lateral offset jumps by more than this where the lane is changed, m.
+# What a window is, the same for recorded and generated vehicles and for every configuration: no tunables.
+#: Jump of the lateral offset between two steps from which the lane is changed, m. No tunable.
 _JUMP_M = 1.5
-#: A leader is the same one over this share of the window and nearer than this at its middle, m.
+#: Least share of a window with the same leader, and bound of the gap to it at the middle, m. No tunables.
 _LED_SHARE, _LED_M = 0.8, 60.0
-#: A window turns where the path's direction changes by more than this, rad.
+#: Range of the path's direction above which a window turns, rad. No tunable.
 _TURNS_RAD = 0.35
 
 #: A window: the recorded scene that it is of, the number of its vehicle there, whether that is generated, whether

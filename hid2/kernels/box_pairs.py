@@ -12,9 +12,9 @@ from hid2.kernels.boxes import contact_time, overlap
 from hid2.kernels.compiled import inner, kernel
 from netconvert.geometry import FloatArray, IntArray
 
-#: No tunable: between two steps a position that moves less, m, is noise, which has no course.
+#: Least displacement between two steps that has a course, m. No tunable: a smaller one is noise.
 _COURSE_M = 0.1
-#: Boxes are looked at so long, s: beyond its last step a vehicle is. No tunable: what generator and judge look at.
+#: Time beyond a vehicle's last step in which contacts are sought, s. No tunable: what generator and judge look at.
 END_HORIZON_S = 3.0
 
 

@@ -13,23 +13,23 @@ import numpy as np
 from hid2.kernels.compiled import inner
 from netconvert.geometry import FloatArray
 
-#: What a driver keeps from step to step: steps since its last look; speed, leader's speed and gap seen then; what it
-#: wanted then, m/s2, the least it would want by now, what it did, and the leader; the desired speed it is at and the
-#: one it left, m/s; when it drove off, s. Within a step: the least that is wanted, what is done, and the leader's part.
+#: Columns of a driver's state: steps since its last look; own speed, leader's speed and gap seen at that look;
+#: acceleration wanted at that look, least one wanted since, own and the leader's, m/s2; desired speed taken up so far
+#: and the one left, m/s; time of driving off, s. Within a step: least acceleration wanted, own and the leader's.
 (
     _SINCE, _SEEN_V, _SEEN_LEAD_V, _SEEN_GAP, _WANTED, _WOULD, _DID, _LEAD_DID, _TAKEN_UP, _TAKEN_FROM, _OFF_S, _WANTS,
     _DOES, _LEAD_DOES,
 ) = range(14)  # fmt: skip
-DRIVER_STATE = 14  # their number
+DRIVER_STATE = 14  # number of these columns
 _EPS = 0.001  # tolerance of numbers, whatever their unit
-_NOTHING = 100.0  # m/s2, wanted so far
+_NOTHING = 100.0  # m/s2, above every acceleration: none is wanted yet
 _COOLNESS = 0.99
-_SUDDEN_MPS2 = 1.0  # a driver that would want so much less looks anew
-PREVIEW_S = 4.0  # in which a desired speed is taken up
-_FREE_GAP_M = 500.0  # to the leader that a free road is taken for
+_SUDDEN_MPS2 = 1.0  # drop of the acceleration wanted, since the last look, above which a driver looks anew
+PREVIEW_S = 4.0  # time over which a desired speed is taken up
+_FREE_GAP_M = 500.0  # gap to a leader at the desired speed, which a free road is taken for
 _EMERGENCY_MPS2 = 9.0
 _HALTING_MPS, _SLOW_MPS = 0.1, 3.0
-_GAP_MORE_M, _GAP_LESS_M = 0.05, 0.25  # what the gap at standstill is more, and less
+_GAP_MORE_M, _GAP_LESS_M = 0.05, 0.25  # added to the gap at standstill that is desired, taken off the one that is seen
 _OFF_S_LONG, _OFF_FLAT, _OFF_BEGINS, _OFF_AGAIN_S, _OFF_BELOW_MPS = 1.2, 2.0, 0.7, 4.0, 0.5
 
 

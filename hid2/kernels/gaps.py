@@ -12,14 +12,13 @@ from hid2.kernels.compiled import inner, kernel
 from hid2.kernels.spline import TABLE_STEP_M
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
-# No tunables, the next three: which agents SUMO is shown.
-#: Slower ones stand and are shown in any direction, m/s.
+#: Speed along a path below which an agent stands, m/s: SUMO is shown it unless it heads across. No tunable.
 STANDING_MPS = 0.5
-#: One leads from this gap on, m; nearer it is beside.
+#: Least gap at which an agent that SUMO is shown leads, m; nearer it is beside. No tunable.
 LEADS_FROM_M = 0.3
-#: Up to so far ahead, m, farther than any driver brakes for.
+#: Look-ahead for agents that SUMO is shown, m: farther than any driver brakes for. No tunable.
 SHOWN_M = 120.0
-#: Not a parameter, half a lane and a little: an agent with its front farther aside is ahead of none.
+#: Lateral offset of its front from which an agent leads on no path, m. Not a parameter: half a lane and a little.
 ASIDE_M = 2.0
 
 

@@ -8,27 +8,27 @@ from hid2.kernels.path_intervals import PET_MARGIN_M, SAME_WAY
 from hid2.kernels.spline import TABLE_STEP_M
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
-# No tunables, here and below: how a driver brakes for what SUMO does not see, chosen on the scenes of tests/real.
-#: Steps between two looks at the predicted motion.
+# How a driver brakes for what SUMO does not see; constants marked no tunable are chosen on the scenes of tests/real.
+#: Steps from one look at the predicted motion to the next. No tunable.
 STRIDE = 2
-#: Predicted braking builds up at this rate, m/s3.
+#: Rate at which predicted braking builds up, m/s3. No tunable.
 _PREDICTED_JERK_MPS3 = 4.0
-#: An inserted vehicle that brakes is predicted to brake on so long, s.
+#: Time for which an inserted vehicle that brakes is predicted to brake on, s. No tunable.
 _BRAKING_LASTS_S = 1.0
-#: Hardest braking for an agent that appears ahead, over the driver's.
+#: Hardest braking for an agent that appears ahead, over the driver's deceleration. No tunable.
 _HARDEST_RATIO = 1.4
-#: Closed lines farther ahead matter to no driver yet, m.
+#: Look-ahead for closed stop lines, m: those farther off matter to no driver yet. No tunable.
 _LINES_WITHIN_M = 60.0
-#: A driver rolls up to a line with this share of its deceleration, and takes up the speed for that in so many s.
+#: Share of its deceleration at which a driver rolls up to a line; time to take up the speed for that, s. No tunables.
 ROLLS_UP_SHARE, _TAKES_UP_S = 0.6, 0.5
-#: It crosses, as at amber, where it would have to brake harder than this times its deceleration.
+#: Braking, over the driver's deceleration, above which a closed line is crossed, as at amber. No tunable.
 _AMBER_RATIO = 1.3
-#: What generated vehicles sweep is known at places so far apart along their ways, m.
+#: Spacing of the places along generated vehicles' ways at which what they sweep is known, m. No tunable.
 SWEPT_STEP_M = 1.0
-_PASSED_M = 0.3  # tolerance: a vehicle so far beyond a stop line has passed it
-#: No driver stops at a constant deceleration: braking builds up and eases. At a line it begins where this share of
-#: usual braking would do, and brakes by this share of what would; by so much more for each usual braking that is
-#: needed, up to a bound; and by so much more, below a speed, m/s, as it comes to stand.
+_PASSED_M = 0.3  # tolerance: distance beyond a stop line above which it is passed; no tunable
+#: Stopping at a line, never at a constant deceleration: it builds up and eases. Ratio of needed to usual braking at
+#: which a driver begins, and of its own braking to the needed one then; rise of the second ratio for each usual braking
+#: needed, its bound, and what is added to it at standstill, growing from 0 at a speed, m/s. No tunables.
 _BEGINS, _BUILDS_UP, _AT_MOST, _EASES, _EASES_BELOW_MPS = 0.7, 1.2, 1.3, 0.4, 5.0
 
 

@@ -8,14 +8,14 @@ from hid2.kernels.compiled import inner, kernel
 from hid2.kernels.polyline import project_on_polyline
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
-# No tunables: the one rule by which generator and judge tell lanes; with numbers of their own they would differ.
-#: Lanes of varying width leave slivers of ground between them that no lane holds, for each counts with one width.
+# The one rule by which generator and judge tell lanes: no tunables, with numbers of their own the two would differ.
+#: Tolerance beyond a lane's edge, m: as each counts with one width, lanes of varying width leave slivers between them.
 SLIVER_M = 0.3
-#: A lane agrees with the direction of motion below this angle.
+#: Largest angle between a lane and the direction of motion at which they agree.
 _AGREE_RAD = math.radians(60)
-#: Nearest lanes that are looked at.
+#: Candidates of a place, at most: those of least cost, by distance and angle.
 _MOST = 10
-#: Shorter displacements tell no direction of motion, m.
+#: Least displacement that tells a direction of motion, m.
 _MIN_CHORD_M = 1.0
 _OFFSET_SIGMA_M = 1.0
 _HEADING_SIGMA_RAD = 0.35

@@ -8,14 +8,14 @@ from hid2.kernels.raster import IndexTable
 from hid2.kernels.spline import TABLE_STEP_M
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
-#: Standing agents are measured this much more widely, m, so that they need not be looked at again when a tracker
-#: jitters. Not a parameter: it only saves time.
+#: Margin by which agents that stand are measured more widely, m, so that they need not be looked at again when a
+#: tracker jitters. Not a parameter, it saves time.
 _WIDER_M = 1.0
-#: By how much the place of a crossing agent is smaller on both sides before it is there and after, m. No tunable: half
-#: of a bumper's length, a time is what PET and TTC keep.
+#: Length taken off both ends of a crossing agent's interval on a path for the times before and after it is there, m. No
+#: tunable: half of a bumper's length; what PET and TTC keep is a time.
 PET_MARGIN_M = 0.5
-#: Cosines of the largest angle (45 degrees) to a path of an agent that moves with it, and of the smallest (30) of one
-#: that crosses it. Not parameters: what the words mean. Between the two an agent does both.
+#: Cosines of the largest angle to a path of an agent that moves with it (45 degrees), and of the smallest of one that
+#: crosses it (30); between the two an agent does both. No tunables: what moving with a path and crossing it mean.
 SAME_WAY, _CROSSES = 0.7, 0.87
 
 

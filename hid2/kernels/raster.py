@@ -7,9 +7,9 @@ import numpy as np
 from hid2.kernels.compiled import kernel
 from netconvert.geometry import FloatArray
 
-# Not parameters, they save time: the raster says where to look, what is found there is measured.
+#: Side of a square, m. Not a parameter, it saves time: the raster says where to look, what is found there is measured.
 _SQUARE_M = 3.0
-_EVERY = 4  # points of the line between two that are entered, which are entered so much more widely
+_EVERY = 4  # spacing, in points of the line, of those entered, each as much more widely; not a parameter, it saves time
 
 
 IndexTable = np.ndarray[tuple[int, int], np.dtype[np.int32]]

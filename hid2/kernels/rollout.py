@@ -13,9 +13,9 @@ from hid2.kernels.gaps import LEADS_FROM_M, SHOWN_M, gap_to
 from hid2.kernels.steering import limit_of
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
-#: Columns of what is met by each agent (`met_by`).
+#: Columns of the table that `met_by` returns.
 CONTACT, LEAD_TTC, LAG_TTC = range(3)
-_CELL_M = 4.0  # about the length of a cell, which is one lane in SUMO
+_CELL_M = 4.0  # length of a cell, about, which is one lane in SUMO
 
 
 @inner

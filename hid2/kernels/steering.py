@@ -7,33 +7,33 @@ from hid2.kernels.guard import needed_braking, stop_ahead
 from hid2.kernels.spline import TABLE_STEP_M
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
-#: What limits a speed, by its number. In alphabetical order: of two equal limits the first one is named.
+#: Causes of limits on a speed, by number. In alphabetical order: of two equal limits the first one is named.
 CAUSES = ("conflict", "crossing", "curve", "gap", "signal", "turn")
 _CONFLICT, _CURVE, _TURN = CAUSES.index("conflict"), CAUSES.index("curve"), CAUSES.index("turn")
-#: A limit so near below the desired speed is none.
+#: Tolerance of the desired speed, m/s: a limit less than this below it is none.
 LIMIT_TOLERANCE_MPS = 1e-3
 #: Number of the policy of lanes that do not turn, as in `policy/roads.py`.
 STRAIGHT = 0
-# No tunables, the rest: when a driver yields, chosen on the scenes of tests/real.
-#: A conflict must ask for this deceleration before the timing is changed, m/s2.
+# When a driver yields; the constants marked no tunable are chosen on the scenes of tests/real.
+#: Least deceleration needed for a conflict at which a vehicle begins to yield, m/s2. No tunable.
 ACTS_MPS2 = 1.1
-#: A vehicle that is yielding keeps on down to this deceleration, m/s2.
+#: Least deceleration needed for a conflict at which a vehicle that yields keeps on yielding, m/s2. No tunable.
 _KEEPS_YIELDING_MPS2 = 0.3
-#: At so many times the deceleration to act for (or to keep on for) a vehicle yields at once.
+#: Ratio of deceleration needed to ACTS_MPS2 at which a vehicle yields at once, however late the conflict. No tunable.
 _URGENT_RATIO = 3.0
-#: At less it begins to yield only where the conflict is no later than this, s.
+#: Time to a conflict up to which a vehicle begins to yield where less deceleration is needed, s. No tunable.
 _SOON_S = 2.5
-#: Braking for a conflict builds up at this rate, m/s3.
+#: Rate at which braking for a conflict or a stop line builds up, m/s3. No tunable.
 _JERK_MPS3 = 3.5
-#: It is at most so hard just before standing still, m/s2.
+#: Bound of braking for a conflict or a stop line just before standing still, m/s2. No tunable.
 _LAST_BRAKE_MPS2 = 0.6
-#: It may be harder at a speed by so much, 1/s.
+#: Bound of braking for a conflict or a stop line over the speed, 1/s, where that allows more. No tunable.
 _LAST_BRAKE_PER_S = 1.8
-#: A vehicle that slows down more than this behind a leader, m/s2, may have waited for it.
+#: Deceleration behind a leader above which a vehicle may be waiting for it, m/s2. No tunable.
 _SLOWS_MPS2 = 0.7
-#: It has if it is nearer to the leader than this times its time gap and jam gap.
+#: Ratio of the gap to a leader to that of time gap and jam gap below which a vehicle may be waiting for it. No tunable.
 _BEHIND_RATIO = 2.0
-_TURN_AHEAD_S = 4.0  # book-keeping: a limit this long before a turn lane is put down to the turn
+_TURN_AHEAD_S = 4.0  # look-ahead for a turn lane that a limit is put down to; no tunable: book-keeping
 
 
 @inner

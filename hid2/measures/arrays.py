@@ -9,11 +9,11 @@ import numpy as np
 from hid2.agents import VEHICLE_TYPES, FloatArray, IntArray, Track
 from netconvert.geometry import BoolArray as BoolArray
 
-#: A vehicle counts as moving above this extent of its path, m, seen for longer than this, s.
+#: Extent of its path, m, and time seen, s, above which a vehicle counts as moving.
 MOVING_EXTENT_M, MOVING_S = 5.0, 1.0
-#: Slower agents do not move at a step, m/s: they have neither a direction of motion nor a curvature.
+#: Speed below which an agent does not move at a step, m/s: it has neither a direction of motion nor a curvature.
 MOVES_MPS = 1.0
-#: Tracker fragments (AV2's TRACK_FRAGMENT).
+#: Category of tracker fragments (AV2's TRACK_FRAGMENT).
 FRAGMENT = 0
 
 

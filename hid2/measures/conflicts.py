@@ -14,11 +14,11 @@ from hid2.measures.arrays import SceneArrays
 from hid2.measures.surrogates import CAP_S, REAR_END_DEG, Encroachment, encroachments, time_to_collision
 from netconvert.geometry import differences, wrap_angle
 
-#: A conflict has a TTC below the first, or paths that cross within the second, s (SSAM's thresholds).
+#: Thresholds of a conflict, s: TTC, and PET of paths that cross (SSAM's).
 CONFLICT_TTC_S, CONFLICT_PET_S = 1.5, 5.0
-#: Angles between the two headings above this are crossing conflicts, below REAR_END_DEG rear-end (SSAM's, deg).
+#: Angle between the two headings above which a conflict is crossing, deg (SSAM's); rear-end below REAR_END_DEG.
 CROSSING_DEG = 80.0
-#: Slower than this no gap closes, m/s, and no follower has a headway. No tunable, against rounding.
+#: Speed below which no gap closes and no follower has a headway, m/s. No tunable, against rounding.
 CLOSES_MPS = 0.05
 
 

@@ -11,12 +11,12 @@ from hid2.measures.arrays import SceneArrays
 from hid2.measures.lane_matching import GOES_ON, FlatLanes, Matches
 from netconvert.geometry import Polyline
 
-# No tunables: what a manoeuvre is, to method and evaluation, whatever the configuration.
-#: Lane paths are laid out this far beyond the lane of a change.
+# What a manoeuvre is, to method and evaluation, whatever the configuration: no tunables.
+#: Length of lane paths beyond the lane of a change, m. No tunable.
 _PATH_AHEAD_M = 150.0
-#: Stretches of a lane, m, on which vehicles are compared with each other.
+#: Length of the stretches of a lane on which vehicles are compared with each other, m. No tunable.
 STRETCH_M = 10.0
-#: Times off every lane shorter than this do not end a run on a lane.
+#: Longest time off every lane that does not end a run on a lane, s. No tunable.
 _SHORT_OFF_S = 1.0
 
 

@@ -12,29 +12,29 @@ from hid2.measures.following import LaneLeaders, time_gaps
 from hid2.measures.surrogates import encroachments
 from netconvert.geometry import arc_length
 
-#: A vehicle with a centre that never comes this near to that of a moving recorded one meets no traffic, m.
+#: Distance between centres, to every moving recorded vehicle, above which a vehicle meets no traffic, m.
 NEAR_M = 30.0
-#: A leader nearer than this time gap is followed, s.
+#: Time gap below which a leader is followed, s.
 FOLLOWS_S = 3.0
-#: It is followed once it is so near for so long, s.
+#: Least time below FOLLOWS_S for a leader to count as followed, s.
 FOLLOWS_FOR_S = 1.0
-#: Braking for a leader: acceleration below this, m/s2.
+#: Acceleration below which a vehicle brakes for a leader, m/s2.
 BRAKES_MPS2 = -0.7
-#: Braking lasts so long, s.
+#: Least duration of braking for a leader, s.
 BRAKES_FOR_S = 0.5
-#: The leader is nearer than this, m.
+#: Gap below which a vehicle brakes for a leader, m.
 BRAKES_NEAR_M = 40.0
-#: The leader is nearer than this time gap, s.
+#: Time gap below which a vehicle brakes for a leader, s.
 BRAKES_NEAR_S = 4.0
-#: Crossing within this time of each other is an encounter, s.
+#: PET below which crossing paths are an encounter, s.
 WITHIN_S = 3.0
-#: Smaller angles than this are no crossings.
+#: Least angle at which paths cross.
 CROSSING_RAD = math.radians(40.0)
-#: Standing: below this speed, m/s.
+#: Speed below which a vehicle stands, m/s.
 STANDS_MPS = 0.3
-#: Standing lasts so long, s.
+#: Least duration of standing, s.
 STANDS_FOR_S = 0.5
-#: How long what a vehicle meets at a step lasts for it to count, s, by the names of `meets_at`.
+#: Least duration of what a vehicle meets, s, by the names of `meets_at`.
 LASTS_S = {"follows": FOLLOWS_FOR_S, "brakes": BRAKES_FOR_S, "stands": STANDS_FOR_S}
 
 

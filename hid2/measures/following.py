@@ -10,9 +10,9 @@ from hid2.measures.arrays import SceneArrays
 from hid2.measures.driven_lanes import LaneView
 from hid2.measures.lane_matching import Matches
 
-#: Agents further ahead on a path are no leaders, m.
+#: Look-ahead on a path for leaders, m.
 HORIZON_M = 100.0
-#: Slower followers have no time gap.
+#: Speed below which a follower has no time gap, m/s.
 MIN_SPEED_MPS = 1.0
 
 

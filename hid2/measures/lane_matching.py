@@ -14,13 +14,13 @@ from hid2.measures.arrays import BoolArray, SceneArrays
 from netconvert.geometry import wrap_angle
 from netconvert.lane_graph import MOTOR_TYPES, SIDES, LaneGraph, TurnType
 
-#: Candidates are lanes at most this far beyond their own edge.
+#: Largest distance beyond its own edge at which a lane is a candidate, m.
 BEYOND_EDGE_M = 1.0
-#: Direction of motion: displacement over this long either side, s.
+#: Time before and after a step between which the displacement is the direction of motion, s.
 HALF_WINDOW_S = 0.5
-#: What lanes are to a lane: the same or a successor; a neighbour or the successor of one; anything else is neither.
+#: What a lane is to another: the same or a successor; a neighbour, or one's successor; anything else is neither.
 GOES_ON, CHANGES_LANES, _NEITHER = range(3)
-#: Lanes shorter than this may be passed between two steps. No tunable, for the same reason.
+#: Length of lanes in a row that may be passed between two steps, m. No tunable, as in `kernels/lane_matching.py`.
 _SHORT_M = 6.0
 
 

@@ -22,19 +22,19 @@ from hid2.measures.lane_matching import CHANGES_LANES
 from netconvert.geometry import Polyline, slopes
 from netconvert.lane_graph import TURN_RAD
 
-#: A lane change keeps to each side of the marking for this long.
+#: Least time on each side of the marking before and after a lane change's crossing, s.
 STAY_S = 0.5
-#: A lane change starts and ends where the lateral speed passes this.
+#: Lateral speed at which a lane change starts and ends, m/s.
 LATERAL_SPEED_MPS = 0.1
-#: Lateral speed is the slope of a parabola fitted over this time: recorded positions jitter by centimetres.
+#: Time over which a parabola is fitted, whose slope is the lateral speed, s: recorded positions jitter by centimetres.
 LATERAL_WINDOW_S = 1.1
-#: No lane change is sought further than this from its crossing.
+#: Longest time from a lane change's crossing in which its start and end are sought, s.
 LONGEST_HALF_S = 6.0
-#: The direction of a turn is measured from this long before the turning lane to this long after it.
+#: Time before and after the turning lane from which, and to which, a turn's change of direction is measured, s.
 TURN_MARGIN_S = 1.0
-#: A vehicle overtaken is at most this far ahead when the change begins.
+#: Largest distance ahead, at the crossing of the lane change, of a vehicle that is overtaken, m.
 OVERTAKE_REACH_M = 60.0
-#: A vehicle that never moves faster while it is passed is an obstacle.
+#: Speed, m/s, below which a vehicle is an obstacle if it stays so all the while it is passed.
 PARKED_MPS = 0.5
 
 

@@ -12,15 +12,15 @@ from hid2.measures.lane_matching import FlatLanes, directions_of_motion, lanes_n
 from netconvert.geometry import wrap_angle
 from netconvert.lane_graph import LaneGraph
 
-#: Half a lane: a point fits a lane fully at its centreline, and not at all from here on, m.
+#: Distance from a lane's centreline from which a point does not fit the lane, m: half a lane. On it, it fits fully.
 _HALF_LANE_M = 1.75
-#: Shifts that are tried: so far each way, so far from one to the next, m.
+#: Longest shift that is tried, any way, and spacing of the shifts, m.
 _SHIFTS_TO_M, _SHIFT_STEP_M = 6.0, 0.5
-#: The smallest shift with this share of the best one's gain is told: the rest may come from along the road.
+#: Share of the best shift's gain from which a smaller shift is told instead: the rest may come from along the road.
 _SHARE_OF_GAIN = 0.9
-#: A shift that gains less, of the vehicles, is none: some fit another lane by chance.
+#: Least gain of a shift, as a share of the vehicles: some fit another lane by chance.
 _LEAST_GAIN = 0.1
-#: Points of a vehicle, and in all where there are many vehicles: they bound the time.
+#: Most points of a vehicle, and of all where there are many vehicles: they bound the time.
 _POINTS_EACH, _POINTS = 8, 240
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from hid2.agents import FloatArray
 from hid2.measures.encounters import STANDS_FOR_S, STANDS_MPS
 
-#: Harder braking than this, m/s2, in the mean over this time, s: a tracker's noise is shorter. Not so near to the ends
-#: of a track: there trackers show a third less speed than there is.
+#: Deceleration above which braking is hard, m/s2, in the mean over a time, s: a tracker's noise is shorter. As near as
+#: that time to the ends of a track none counts: there trackers show a third less speed than there is.
 HARD_BRAKING_MPS2, BRAKING_FOR_S = 3.0, 0.5
 
 

@@ -9,9 +9,9 @@ from hid2.agents import FloatArray, IntArray
 from hid2.kernels import box_pairs
 from hid2.measures.arrays import SceneArrays
 
-#: TTC and PET above this are not told apart.
+#: Cap of TTC and PET, s: larger ones are not told apart.
 CAP_S = 5.0
-#: Paths that meet at less than this follow each other; they do not cross (SSAM's rear-end bound, deg).
+#: Angle below which paths that meet follow each other and do not cross, deg (SSAM's rear-end bound).
 REAR_END_DEG = 30.0
 _REAR_END_RAD = math.radians(REAR_END_DEG)
 

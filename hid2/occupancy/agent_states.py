@@ -20,12 +20,12 @@ from hid2.occupancy.traffic import Traffic, are_believed, traffic_of
 from hid2.once import once
 from netconvert.geometry import Polyline, arc_length, differences
 
-#: Boxes that overlap along a path by more than this are side by side, m: neither leads the other.
+#: Overlap along a path above which boxes are side by side, m: neither leads the other.
 SIDE_BY_SIDE_M = 1.0
 #: Smallest gap that braking is worked out for, m. No tunable: a smaller one is a contact, which the judge forbids.
 _TOUCHES_M = 0.1
-#: No tunables, the shape of a driven line: its points are so far apart, m, its curves have at least this radius, m, and
-#: it stays this near to the positions, m.
+#: Spacing of the points of a driven line, least radius of its curves, and its largest distance from the positions, m.
+#: No tunables: the shape of a driven line.
 _POINTS_M, _RADIUS_M, _STRAYS_M = 1.0, 3.0, 0.2
 
 

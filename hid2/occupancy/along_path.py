@@ -13,8 +13,8 @@ from hid2.kernels.path_intervals import crossings_kept_clear, intervals_on_path
 from hid2.motion.reference_line import ReferenceLine
 from hid2.occupancy.traffic import BoolArray, Traffic
 
-#: Half the diagonals of a large car and of a bus, or of a car that keeps room for a lane change, and that. Not a
-#: parameter: a bound that saves time.
+#: Reach of the raster of points near an agent, m: half the diagonals of a large car and of a bus, or of a car that has
+#: room for a lane change, and that room. Not a parameter, it saves time: for more reach all points are looked at.
 _NEAR_M = 11.0
 
 

@@ -10,7 +10,7 @@ from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy
 from hid2.occupancy.traffic import BoolArray, Traffic
 
-#: Steps after which SUMO knows speed and acceleration of a vehicle that is new to it: until then it is seen by none.
+#: Steps until SUMO knows speed and acceleration of a vehicle that is new to it; before, no other vehicle sees it.
 UNSEEN_STEPS = 3
 
 

@@ -16,7 +16,7 @@ FREE: Final = 0
 ORIGINAL: Final = 1
 GENERATED: Final = 2
 
-#: A lane agrees with a vehicle's heading within this angle of its own, rad.
+#: Largest angle between a lane and a vehicle's heading at which they agree, rad.
 AGREES_RAD: Final = np.pi / 3
 
 

@@ -12,9 +12,9 @@ from hid2.measures.lane_matching import directions_of_motion
 from netconvert.geometry import BoolArray as BoolArray
 from netconvert.geometry import wrap_angle
 
-#: Velocity is the difference of positions over this long either side, s. No tunable: what a tracker's velocity is.
+#: Time before and after a step between which displacement is velocity, s. No tunable: what a tracker's velocity is.
 _HALF_S = 0.2
-#: Stated velocities that are mostly farther off those by the positions, m/s, are not believed: no tracker is so bad.
+#: Median difference from velocities by positions at which stated ones are not believed, m/s: no tracker is so bad.
 _BELIEVED_MPS = 2.0
 #: Arrays of `Traffic`, in their order: by agent and step, and all that have a row for each agent.
 _BY_STEP = ("position", "heading", "velocity", "present")
