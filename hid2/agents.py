@@ -20,7 +20,7 @@ class BoxSize(NamedTuple):
 
 #: Track id of the recording vehicle (Argoverse 2).
 AV_ID = "AV"
-#: Sizes for tracks that carry none (medians of labelled boxes, rounded; cars a little generous to be safe).
+#: Box of a track without one, by object type: medians of labelled boxes, rounded; cars a little larger to be safe.
 DEFAULT_SIZES: Mapping[str, BoxSize] = {
     "vehicle": BoxSize(4.5, 1.9),
     "bus": BoxSize(11.0, 2.8),
@@ -34,7 +34,7 @@ DEFAULT_SIZES: Mapping[str, BoxSize] = {
     "unknown": BoxSize(0.8, 0.8),
 }
 
-#: Categories of the tracks that forecasts are scored on, and of the one among them that matters most (Argoverse 2).
+#: Categories (Argoverse 2) of tracks that forecasts are scored on, and of the focal track, which matters most of these.
 SCORED_CATEGORY, FOCAL_CATEGORY = 2, 3
 #: Object types that drive on lanes.
 VEHICLE_TYPES = frozenset({"vehicle", "bus"})

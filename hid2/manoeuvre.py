@@ -19,7 +19,7 @@ from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, GapLook, Shift
 from netconvert.lane_graph import Side
 
-#: What SUMO's own model makes of a side, where that decides (`lane_change.rule = LC2013`).
+#: Answer of SUMO's own lane-change model for a side; that model decides with `lane_change.rule = LC2013` alone.
 AskSumo = Callable[[Side], SumoAnswer]
 
 

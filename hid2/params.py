@@ -452,7 +452,7 @@ class Config(_Section):
     )
 
 
-#: `hid2 config` lists parameters by their use: by section, or by key where a section is for several.
+#: Sections of parameters by use, as `hid2 config` lists them; single keys of a section that has several uses.
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "request": ("request", "event", "export", "without"),
     "paper": ("grid", "lane_change", "overtake", "turn", "conflict.horizon_s", "conflict.brake_max_mps2", "smoothing"),

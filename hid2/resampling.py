@@ -11,9 +11,9 @@ import numpy as np
 
 from hid2.agents import FloatArray
 
-#: Draws, no tunable: intervals of other numbers of draws differ by chance alone.
+#: Draws of a bootstrap. No tunable: intervals of other numbers of draws differ by chance alone.
 RESAMPLES = 1000
-#: Weights drawn at a time: the memory does not grow with the units.
+#: Weights drawn at a time, draws times units, so that memory does not grow with the number of units.
 _BLOCK = 4_000_000
 
 

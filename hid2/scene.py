@@ -26,17 +26,17 @@ from hid2.params import Config
 from netconvert.cells import Cell, CellGrid
 from netconvert.lane_graph import TurnType
 
-#: A vehicle that enters at the map's edge stays at least so long, s. No tunable: shorter tracks tell no behaviour.
+#: Least stay of a vehicle that enters at the map's edge, s. No tunable: shorter tracks tell no behaviour.
 ENTRY_STAYS_S = 3.0
-#: Desired speed of an added leader over the usual one of its lane, uniform between. No tunable: never a crawl on a free
-#: road, and no leader that is not worth an overtake.
+#: Desired speed of an added leader over the usual speed of its lane, least and largest of a uniform draw. No tunable:
+#: never a crawl on a free road, and no leader that is not worth an overtake.
 SLOW_LEADER_SHARE = 0.5, 0.7
-_RUN_ON_M = 250.0  # no tunable: without topology a vehicle runs straight on, farther than any scene lasts
-#: Before their first state and after their last, s, recorded agents are kept clear of, as if they drove on. No tunable:
-#: what is nearer in time than that is seen to drive through another one.
+_RUN_ON_M = 250.0  # path straight on behind its last lane, without topology; no tunable: farther than any scene lasts
+#: Time before its first state and after its last for which a recorded agent is kept clear of, as if it drove on, s.
+#: No tunable: a vehicle that is nearer in time is seen to drive through the agent.
 _UNSEEN_S = 0.5
-#: Clearance boxes are rounded up to these, m, so that vehicles of about one size share what is known of a path.
-#: Not parameters, they save time: a box that is larger by less than this is clear of a little more.
+#: Steps to which length and width of a clearance box are rounded up, m: vehicles of about one size share what is known
+#: of a path. Not parameters, they save time: a box that is larger by less than a step is clear of a little more.
 _LENGTH_STEP_M, _WIDTH_STEP_M = 0.5, 0.1
 
 

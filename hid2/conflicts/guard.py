@@ -26,12 +26,12 @@ from hid2.occupancy.traffic import Traffic
 from hid2.once import once
 from hid2.scene import Scene
 
-# No tunables, here and below: `conflict` has the margins that a driver keeps, `kernels/guard.py` how it brakes.
-#: Decelerations tried, m/s2, least first, up to conflict.brake_max_mps2.
+#: Decelerations tried, least first, up to `conflict.brake_max_mps2`, m/s2. No tunables: `conflict` has the margins that
+#: a driver keeps, `kernels/guard.py` how it brakes.
 _BRAKES_MPS2 = (0.0, 0.5, 0.8, 1.1, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
-#: Agents from behind on the way across are looked for so far ahead, s: as long as a lane change takes, and some.
+#: Look-ahead for agents on the way across, also from behind, s. No tunable: as long as a lane change takes, and some.
 ACROSS_S = 8.0
-_MARGINS_M = 10.0  # not a parameter, it saves time: more than any lateral margin
+_MARGINS_M = 10.0  # added to two boxes; not a parameter, it saves time: more than any lateral margin
 #: Columns of the fleet's state.
 S, V, A, EXECUTING, PRESENT = range(5)
 
@@ -71,7 +71,7 @@ class Obstacles:
     lines: ClosedLines
 
 
-#: What was asked for last on a path: recorded and inserted traffic, what is known of each there, and of both.
+#: Last answer of `Guard.known_on` on a path: recorded and inserted traffic, the intervals of each there, and of both.
 _Newest = tuple[Traffic, Traffic, PathOccupancy, PathOccupancy, PathOccupancy]
 
 

@@ -20,8 +20,8 @@ from hid2.once import once
 from hid2.scene import Scene
 from netconvert.geometry import arc_length, wrap_angle
 
-#: A follower that would have to brake harder is not expected to yield, m/s2: SUMO's decel; leaders farther away are not
-#: followed, m. No tunables: how the recorded drive on is for the car-following model to say.
+#: Largest deceleration with which a follower is expected to yield, SUMO's decel, m/s2; largest distance of a leader
+#: that is followed, m. No tunables: how recorded vehicles drive on is for the car-following model to say.
 YIELDS_MPS2, AHEAD_M = 4.5, 80.0
 #: Car following: row of the recorded agent, its speed m/s, bumper gap m and speed of its leader m/s -> speed, m/s.
 FollowSpeed = Callable[[int, float, float, float], float]

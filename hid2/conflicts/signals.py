@@ -23,16 +23,18 @@ from hid2.once import once
 from hid2.params import Limits, Signals
 from netconvert.lane_graph import SIDES, LaneGraph, TurnType
 
-# No tunables, here and below: what recorded traffic tells of a phase. A queue that stands so near to the entrance
-# makes it red, m, with centres up to so far beyond it.
+#: Largest distance before an entrance of a standing queue that makes it red, and of centres beyond the entrance, m.
+#: No tunables: what recorded traffic tells of a phase.
 _QUEUE_M, _BEYOND_M = 20.0, 3.0
-_UNDER_SHARE = 0.8  # of a lane's width: what only grazes it does not cross it
-_FLOW_MPS = 1.0  # faster recorded vehicles are cross traffic, m/s
-#: Green so long before and after a recorded vehicle enters, s, but not this close to cross traffic (critical PET).
+_UNDER_SHARE = 0.8  # share of a lane's width that traffic crosses; no tunable: what only grazes it does not cross it
+_FLOW_MPS = 1.0  # speed above which recorded vehicles are cross traffic; no tunable
+#: Green time before and after a recorded entry, s, and time before and after cross traffic at which the entrance is red
+#: even so, s (the critical PET). No tunables: what recorded traffic tells of a phase.
 _ENTRY_BEFORE_S, _ENTRY_AFTER_S, _CROSSING_S = 1.0, 2.0, 1.0
-#: No tunable: s for which a light is amber about, in which one passes that can no longer stop.
+#: Duration of amber, about, s: a vehicle passes that can no longer stop. No tunable.
 AMBER_S = 1.5
-#: An opposite approach begins so near to where a lane of the intersection ends, m, at most this cosine to its heading.
+#: Largest distance of an opposite approach to where a lane of the intersection ends, m, and largest cosine of the angle
+#: between the two. No tunables.
 _OPPOSITE_M, _OPPOSITE = 25.0, -0.94
 #: Recorded object types that obey signals.
 SIGNALLED_TYPES = frozenset({"vehicle", "bus", "motorcyclist", "cyclist"})

@@ -20,23 +20,21 @@ from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.once import once
 from hid2.scene import Scene
 
-# No tunables, the next two: where a driver stops.
-#: So far, m, it keeps at least to where pedestrians cross.
+#: Least gap from a standing vehicle's front to where pedestrians cross, m. No tunable: where a driver stops.
 _CROSSING_GAP_M = 0.5
-#: So far past where it would stand, m, it has passed the line.
+#: Distance past its place to stand at which a vehicle has passed the line, m. No tunable: where a driver stops.
 _PASSED_M = 1.0
-# No tunables, the next six: when an agent walks over a crossing.
-#: It counts so near to the crossing, m, if it comes towards it.
+#: Distance to a crossing up to which an agent that comes towards it counts, m. No tunable: what crossing is.
 _NEAR_M = 1.0
-#: It comes towards it when it is at least this fast, m/s.
+#: Least speed of an agent that comes towards a crossing, m/s. No tunable: what crossing is.
 _TOWARDS_MPS = 0.3
-#: It counts if it is on the crossing within so long, s.
+#: Time before an agent is on the crossing from which on it counts, s. No tunable: what crossing is.
 _AHEAD_S = 1.5
-#: While a vehicle passes, no agent may be within a strip of this width to each side of the swept width, m.
+#: Width of a strip on each side of the swept width without agents as a vehicle passes, m. No tunable: what crossing is.
 _STRIP_M = 1.0
-#: Nor come into it within so long, s.
+#: Time within which no agent comes into the strip as a vehicle passes, s. No tunable: what crossing is.
 _STRIP_S = 3.0
-#: An agent that moves along the path within CROSSING_RAD does not cross it; slower ones have no direction, m/s.
+#: Speed below which an agent has no direction, m/s; one along the path (CROSSING_RAD) does not cross. No tunable.
 _DIRECTED_MPS = 0.5
 #: Recorded object types that use crossings.
 CROSSING_TYPES = frozenset({"pedestrian", "cyclist", "riderless_bicycle"})

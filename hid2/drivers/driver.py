@@ -9,18 +9,17 @@ import numpy as np
 from hid2.agents import FloatArray
 from hid2.params import Config, Drivers
 
-# No tunables, the next five: the shape of the distributions.
-#: Draws are cut off so many SD from the mean.
+#: SD from the mean at which draws are cut off. No tunable: shape of a distribution.
 TRUNCATED_AT = 2.0
-#: The wandering of the speed is eased over so long, s, as feet do not jump.
+#: Time constant that eases the wandering of the speed, s, as feet do not jump. No tunable: shape of a distribution.
 _EASED_S = 0.8
-#: It ends at this share of the desired speed, as none crawls without a cause.
+#: Least share of the desired speed as it wanders, as none crawls without a cause. No tunable: shape of a distribution.
 _WANDERS_TO = 0.8
-#: Two places in the lane are so far apart at least, m.
+#: Least distance along the way between two knots of the lateral offset, m. No tunable: shape of a distribution.
 _OFFSET_SPACING_M = 6.0
-#: None is farther from the middle of the lane, m: a car is no bicycle.
+#: Largest lateral offset from the middle of the lane, m: a car is no bicycle. No tunable: shape of a distribution.
 OFFSET_MAX_M = 0.9
-#: No tunable: m from the front to the line, between which drivers stand, negative past it; of 21 recorded ones that
+#: Least and largest gap from a driver's front to the line, m, negative past it. No tunable: of 21 recorded ones that
 #: stand first before an intersection 19 do at -3.2 to 3.6 m (fourteen scenes), farther past it cross traffic is near.
 LINE_GAP_M = -1.5, 3.0
 

@@ -13,7 +13,7 @@ from hid2.insertion.routes import RouteOffer, Routes
 from hid2.scene import ENTRY_STAYS_S, Scene
 from netconvert.lane_graph import TurnType
 
-#: A lane that begins so near to the hull of all lanes begins at the map's edge, m. No tunable: what the edge is.
+#: Largest distance of a lane that begins at the map's edge to the hull of all lanes, m. No tunable: what the edge is.
 _EDGE_M = 15.0
 #: An entry: lane, row of the route in `Routes.offers`, step.
 _ENTRY = np.dtype([("lane", "i8"), ("offer", "i8"), ("step", "i8")])

@@ -17,9 +17,9 @@ from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
 from hid2.vehicle import Start, VehicleRequest
 
-#: Sites looked at in full for a request in a round. Not a parameter, it saves time: `spawn.rounds` bounds the search.
+#: Sites that a round looks at in full for a request. Not a parameter, it saves time: `spawn.rounds` bounds the search.
 TRIES = 80
-#: None enters less than this ahead of another inserted vehicle, s. No tunable: shorter headways are no driver's.
+#: Least time gap that an entering vehicle leaves to an inserted follower, s. No tunable: no driver keeps a shorter one.
 _ENTRY_GAP_S = 1.0
 
 

@@ -17,10 +17,10 @@ from hid2.params import Event
 from hid2.reasons import Reason
 from hid2.scene import Scene
 
-#: An event counts so much before or after the time asked for, s, and where so large a share of the braking asked for is
-#: seen. No tunables: jerk is bounded and positions are smoothed, so that nothing driven meets a number exactly.
+#: Tolerance of an event's time, before and after that asked for, s; least share of the braking asked for (the largest
+#: is as far above 1). No tunables: jerk is bounded and positions are smoothed: nothing driven meets a number exactly.
 MOMENT_S, _BRAKES_SHARE = 0.5, 0.8
-#: A leader is no farther than this beside the target, m. Not a parameter, it saves time: the judge looks again.
+#: Largest lateral offset to the target in lead and follow, m. Not a parameter, it saves time: the judge looks again.
 _ASIDE_M = 2.5
 
 

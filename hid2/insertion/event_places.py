@@ -24,20 +24,20 @@ from hid2.occupancy.traffic import BoolArray
 from hid2.params import Event
 from netconvert.lane_graph import Side
 
-#: Other ways onto a lane, and on from it. Not a parameter, it saves time: a path takes as long as twenty rollouts.
+#: Other ways onto a lane, and on from it, at most. Not a parameter, it saves time: a path takes as long as 20 rollouts.
 _OTHER_WAYS = 2
-#: A target is beside a path up to this distance, m, and this cosine of the angle to it; a path that it crosses comes
-#: this near to its positions, m. No tunables: a lane and a half, 37 degrees, more than a car drives in a step.
+#: Largest distance, m, and least cosine of the angle of a path to a target beside it; largest distance of a crossed
+#: lane to the target's next position, m. No tunables: a lane and a half, 37 degrees, more than a car drives in a step.
 _BESIDE_M, _ALONG, _NEAR_M = 6.0, 0.8, 3.0
-#: An overtake begins so long before the vehicle is back, s; behind the target by so much, m. No tunables: bounds of
-#: what is drawn.
+#: Time from the beginning of an overtake until the vehicle is back, s, and distance behind the target at the beginning,
+#: m, least and largest. No tunables: bounds of what is drawn.
 _OVERTAKES_S, _BEHIND_M = (4.0, 10.0), (3.0, 30.0)
-#: Paths cross with so much between the centres at most, s, unless a PET is asked for; boxes take so much of it at most.
-#: No tunables: bounds of what is drawn.
+#: Largest PET of a crossing where none is asked for, s; largest time that the boxes add to a PET, to make the time
+#: between the centres, s. No tunables: bounds of what is drawn.
 _APART_S, _BOXES_S = 5.0, 2.0
-#: Not a parameter, it saves time: a motion that is farther off a place brings no event about.
+#: Tolerance of a place, and of the best beginning, m. Not a parameter, it saves time: farther off no event comes about.
 ABOUT_M = 2.0
-#: Of the time by which an event may be earlier or later. No tunable: SUMO's vehicle is not where its rollout is.
+#: Share of MOMENT_S by which places may be earlier or later. No tunable: SUMO's vehicle is not where its rollout is.
 _SPARE_SHARE = 0.8
 _SIDES: tuple[tuple[Side, Side], ...] = (("left", "right"), ("right", "left"))
 

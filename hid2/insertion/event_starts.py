@@ -23,17 +23,16 @@ from hid2.reasons import Reason
 from hid2.scene import clearance_box
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 
-_BRAKES_S = 2.5  # braking that is asked for lasts so long; no tunable: until about 20 km/h slower than before
-# No tunables, the next three: they bound the search.
-#: Of each driver so many beginnings are looked at, and the first that is free is taken.
+_BRAKES_S = 2.5  # duration of the braking asked for; no tunable: until about 20 km/h slower than before
+#: Beginnings drawn for a driver, of which the first free one is taken. No tunable: bounds the search.
 _DRAWS = 32
-#: A place is left out where so many drivers in a row cannot begin.
+#: Drivers in a row that cannot begin at a place, after which the place is left out. No tunable: bounds the search.
 _NOT_BEGUN = 20
-#: Of so many drivers the fastest is to overtake, the quickest to cut in.
+#: Drivers drawn, of which the fastest is to overtake, or the quickest across to cut in. No tunable: bounds the search.
 _ASKED = 10
-#: The best of this many that bring an event about are taken before more are drawn. Not a parameter, it saves time.
+#: Candidates that bring an event about, tried best first before more are drawn. Not a parameter, it saves time.
 _ENOUGH = 8
-_CREEPS_MPS = 0.2  # to stand is to desire to roll on so slowly; no tunable: SUMO takes no desired speed of 0
+_CREEPS_MPS = 0.2  # desired speed of a vehicle that is to stand; no tunable: SUMO takes no desired speed of 0
 
 
 @dataclass(frozen=True, eq=False, slots=True)

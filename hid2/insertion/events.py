@@ -32,11 +32,11 @@ from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 
-#: lane_change.time_gap_front_s of a cut-in, s. No tunable: the band that is asked for counts, on the other side.
+#: Time gap to the leader (`lane_change.time_gap_front_s`) in a cut-in, s. No tunable: the gap asked for is behind.
 _CUT_IN_GAP_S = 0.3
 #: Drives one vehicle alone among the recorded and the kept ones: scene, stop lines, start, kept ones.
 DriveAlone = Callable[[Scene, StopLines, Start, Traffic], DrivenVehicle]
-#: Vehicles of events are numbered from here on, behind all others: bookkeeping.
+#: First number of the vehicles of events, behind the numbers of all others: bookkeeping.
 FIRST_NUMBER = 10_000
 _POLICY = {"cut_in": Policy.LANE_CHANGE, "overtake": Policy.OVERTAKE}
 _MEETS_CROSSING = frozenset({"cross", "merge"})

@@ -11,8 +11,8 @@ from hid2.policy.behaviours import BEHAVIOURS, load_own
 from hid2.policy.overtake import SHIFT_RATIO
 from hid2.scene import Scene
 
-_IDS = 5  # named in a sentence; no tunable
-#: Of the shortest lane change so much is left at least when the centre crosses. No tunable: .3 off both lanes' middles.
+_IDS = 5  # ids named in a sentence, at most; no tunable
+#: Least share of the shortest lane change left as the centre crosses, by event. No tunable: .3 off both lanes' middles.
 _LEFT_SHARE = {"cut_in": 0.25, "overtake": 0.25 * SHIFT_RATIO}
 
 

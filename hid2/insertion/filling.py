@@ -26,25 +26,25 @@ from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 from netconvert.cells import Cell
 
-# Not parameters, the next five: they bound the search.
-#: `agents = max` asks for so many at most.
+#: Vehicles that `agents = max` asks for, at most. No tunable: bounds the search.
 _MOST = 400
-#: A round of `agents = max` that adds a smaller share of those kept is the last.
+#: Share of the vehicles kept that the last round of `agents = max` adds, at most. No tunable: bounds the search.
 _FULL_SHARE = 0.1
-#: After so many requests of a policy without a site a round looks for no more sites of that policy.
+#: Requests of a policy without a site, after which a round looks for no more such sites. No tunable: bounds the search.
 _MOST_FAILURES = 4
-#: The same of requests to go straight, which all manoeuvres without a site become at once.
+#: Requests to go straight without a site, after which a round looks for no more such sites: all manoeuvres without a
+#: site become requests to go straight at once. No tunable: bounds the search.
 _MOST_FAILURES_STRAIGHT = 1
-#: A vehicle that had waited for one that is rejected is driven again so many times at most.
+#: Redrives, at most, of a vehicle that waited for a rejected one or overtook it. No tunable: bounds the search.
 _MOST_REDRIVES = 1
-#: Lane that a vehicle takes on a full road, m: what `agents = max` means, no tunable.
+#: Length of lane per vehicle on a full road, m. No tunable: what `agents = max` means.
 SPACING_M = 25.0
 #: Runs one simulation: starts, generated vehicles kept in rounds before, number of the round.
 Drive = Callable[[Sequence[Start], Traffic, int], list[DrivenVehicle]]
-#: Rounds in a row that add no vehicle, after which there are no more. No tunable: one may have had bad luck; a third
+#: Rounds in a row without a new vehicle, after which the search ends. No tunable: one round may have bad luck; a third
 #: finds four vehicles in a thousand for a tenth of the search.
 _MOST_IDLE = 2
-#: A stream of random numbers, apart from those of the rounds. No tunable: a name.
+#: Random stream that rounds the numbers of `Wanted`, apart from those of the rounds. No tunable: a name.
 _ROUNDING = (0, 79)
 _LOG = logging.getLogger(__name__)
 

@@ -36,13 +36,13 @@ from hid2.reasons import Reason
 from hid2.scene import Scene, clearance_box
 from hid2.vehicle import DrivenVehicle
 
-#: No tunables: widths of the filter, over smoothing.filter_s, and shares of the driver's place in the lane that are
-#: tried in turn, the usual ones first: what no limit asks for is not changed.
+#: Widths of the filter over `smoothing.filter_s`, and shares of the driver's lateral offset, tried in turn, the usual
+#: ones first. No tunables: what no limit asks for is not changed.
 _FILTER_RATIOS, _OFFSET_SHARES = (1.0, 1.6, 2.5), (1.0, 0.5, 0.0)
-#: Traffic beside, of either way, is passed with so much room to the side, m, if another place in the lane gives it. No
-#: tunable: 5 of 150 recorded vehicles have less.
+#: Least lateral clearance to traffic passed, of either direction, m, if some lateral offset gives it. No tunable: 5 of
+#: 150 recorded vehicles have less.
 _PASSES_M = 0.5
-_PASSES_NEAR_M = 20.0  # not a parameter, it saves time: so far apart on an axis, agents have more room than that
+_PASSES_NEAR_M = 20.0  # distance on an axis; not a parameter, it saves time: farther agents have a larger clearance
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -135,7 +135,7 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, kept: Sequence[ExportedVehicl
     return verdict
 
 
-#: Verdicts that another place in the lane may change.
+#: Verdicts that another lateral offset may change.
 _LATERAL = frozenset({
     Reason.OFF_ROAD, Reason.MEETS_RECORDED, Reason.MEETS_GENERATED, Reason.LIMIT_JERK, Reason.LIMIT_YAW_ACCEL,
     Reason.LIMIT_YAW_RATE, Reason.TTC_LANE_LEADER, Reason.TTC_AT_END, Reason.PET, Reason.SOLID_LINE,

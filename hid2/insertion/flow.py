@@ -17,7 +17,7 @@ from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.lane_graph import Side
 
-_STREAM, _TRIGGERS = 77, 78  # of random numbers, apart from those of the rounds: names, no tunables
+_STREAM, _TRIGGERS = 77, 78  # random streams, apart from those of the rounds; no tunables: names
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -22,31 +22,31 @@ from hid2.scene import Scene, cruising_mps
 from netconvert.cells import Cell
 from netconvert.lane_graph import TurnType
 
-# Weights of sites, over that of any other. No tunables: `request.near`, `within_m` and `sites` say what is wanted.
-#: Near to agents that request.near asks for.
+#: Weight of a site near to agents that `request.near` asks for, over that of any other site. No tunable:
+#: `request.near`, `within_m` and `sites` say what is wanted.
 NEAR_WEIGHT = 20.0
-#: Where a recorded follower would run into the vehicle, as most of these fail.
+#: Weight of a site where a recorded follower would run into the vehicle: most of them fail. No tunable, as NEAR_WEIGHT.
 _RUN_INTO_WEIGHT = 0.2
-# No tunables, how roughly a vehicle is foreseen; a rollout follows.
-#: It drives at this share of the usual speed, as it brakes now and then.
+#: Foreseen over usual speed of a vehicle, which brakes now and then. No tunable: foreseen roughly, a rollout follows.
 PACE_SHARE = 0.9
-#: Agents within this share of request.within_m are near.
+#: Share of `request.within_m` up to which agents are near. No tunable: foreseen roughly, a rollout follows.
 _NEAR_SHARE = 0.7
-#: It begins with at least this share of the way left that it would drive at the usual speed.
+#: Least way left at a site over the way at the usual speed. No tunable: foreseen roughly, a rollout follows.
 _LEAVES_SHARE = 0.8
-#: The mean is taken over so many routes with the same turns.
+#: Routes with the same first turn that a mean is taken over, at most. No tunable: foreseen roughly, a rollout follows.
 _ROUTES = 4
-#: s between centres where a path is crossed: boxes take about .8 s less, which leaves a PET from the critical 1 to 3 s.
+#: Least and largest time between centres where a path is crossed, s: boxes take about .8 s of it, which leaves a PET
+#: from the critical 1 to 3 s. No tunable: foreseen roughly, a rollout follows.
 _CROSSING_APART_S = (1.8, 3.8)
 #: Time between looks at recorded traffic, s. Not a parameter, it saves time: estimates of positions need no more.
 _EVERY_S = 0.5
-#: Centres this near to the middle of a cell are on it, m: half a lane and a little. No tunable: what on a cell means.
+#: Largest distance of a centre on a cell to its middle, m: half a lane and a little. No tunable: what on a cell means.
 _ON_CELL_M = 3.0
-#: A leader leads from this gap between centres on, m. No tunable: a box ahead of a box.
+#: Least distance from the centre of a follower to that of its leader, m. No tunable: a box ahead of a box.
 _LEADS_FROM_M = 6.0
-#: It leads if it does for so many looks. No tunable: what following is by `measures/encounters.py`.
+#: Least number of looks at which a leader is ahead. No tunable: what following is by `measures/encounters.py`.
 _LEADS_LOOKS = 1 + round(FOLLOWS_FOR_S / _EVERY_S)
-_LEAST = 1e-3  # weight of a route that is not worth trying; no tunable: not 0, so that one is drawn where no other is
+_LEAST = 1e-3  # weight of a route that is not worth trying; no tunable: above 0, to be drawn where no other route is
 
 
 def target_rows(scene: Scene) -> IntArray:

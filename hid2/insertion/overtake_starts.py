@@ -32,42 +32,40 @@ from hid2.scene import SLOW_LEADER_SHARE, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.lane_graph import Side
 
-# Not parameters, the next eight: they bound the search.
-#: Ways that are looked at.
+#: Ways looked at for a request, at most. No tunable: bounds the search.
 _WAYS = 288
-#: Ways that are looked at at once.
+#: Ways looked at in one batch. No tunable: bounds the search.
 _TOGETHER = 16
-#: Ways after which the search is given up where none seems to fit.
+#: Ways after which the search is given up where no overtake seems to fit. No tunable: bounds the search.
 _HOPELESS = 48
-#: Leaders drawn for each way.
+#: Added leaders drawn for each way. No tunable: bounds the search.
 _LEADERS = 6
-#: Drivers drawn for each way.
+#: Drivers drawn for each way. No tunable: bounds the search.
 _DRIVERS = 6
-#: Gaps drawn for each leader and driver.
+#: Gaps drawn for each pair of leader and driver. No tunable: bounds the search.
 _GAPS = 6
-#: Wanderings of speeds that are drawn.
+#: Wanderings of the desired speed drawn for a request. No tunable: bounds the search.
 _WANDERS = 48
-#: Overtakes that are rolled out.
+#: Overtakes rolled out for a request, at most. No tunable: bounds the search.
 _ROLLED_OUT = 24
-# No tunables, the next three: what is drawn.
-#: An added leader drives no slower, m/s.
+#: Least speed of an added leader, m/s. No tunable: a bound of what is drawn.
 _SLOWEST_MPS = 3.0
-#: s of the speed difference from the leader at the start, beyond the gap at standstill.
+#: Start gap to the leader beyond that at standstill, over the speed difference, s. No tunable: bounds of what is drawn.
 _GAP_S = (1.0, 5.0)
-#: A vehicle that is to overtake is in a hurry: it has one of the fastest wanderings, of so many one.
+#: Inverse share of the fastest wanderings, of which an overtaker, in a hurry, has one. No tunable: what is drawn.
 _HURRIED = 3
-# Not parameters, the rest: they save rollouts.
-#: s between two looks.
+# Not parameters, from _LOOKS_S to _LASTS: they save rollouts.
+#: Time between two looks at the rough motion, s.
 _LOOKS_S = 0.2
 #: Share of a lateral motion at which the centre has crossed the line.
 _CROSSED = 0.5
-#: s kept above a TTC.
+#: Spare above the critical TTC to the leader, s.
 _SPARE_S = 0.1
-#: Of the way back so much is driven by the end, as a rollout wants some time left.
+#: Least share of the way back that is done by the scene's end: above 1, as a rollout wants some time left.
 _BACK = 1.05
-#: A driver brakes by so much at most, m/s2.
+#: Largest deceleration of a driver, m/s2.
 _BRAKES_MPS2 = 3.0
-#: Share of the scene that an overtake takes up to the end of its stretch.
+#: Share of the scene's duration that an overtake takes up to the end of its stretch.
 _LASTS = 0.75
 
 
@@ -126,7 +124,7 @@ class _Drawn(NamedTuple):
     desired: FloatArray
 
 
-#: Places are looked for with a usual vehicle.
+#: Clearance box of a usual vehicle, with which places are looked for.
 _BOX = clearance_box(DEFAULT_SIZES["vehicle"], DEFAULT_SIZES["vehicle"])
 
 

@@ -8,12 +8,11 @@ from hid2.agents import BoxSize, Policy
 from hid2.params import Config, Request
 from hid2.vehicle import VehicleRequest
 
-# No tunables, the next three, where no trigger_max_s is asked for: `request.trigger_max_s` is.
-#: Triggers are drawn up to so many seconds.
+#: Latest trigger where no `request.trigger_max_s` is asked for, s. No tunable: `request.trigger_max_s` is.
 _LATEST_S = 4.0
-#: They are drawn up to this share of the scene.
+#: Latest trigger over the scene's duration, without `request.trigger_max_s`. No tunable: `request.trigger_max_s` is.
 _LATEST_SHARE = 0.36
-#: Those of overtakes, which take 8 s and more, up to this one.
+#: Latest trigger of overtakes, which take 8 s and more, over the scene's duration. No tunable: `trigger_max_s` is.
 _LATEST_OVERTAKE_SHARE = 0.14
 _Table = tuple[tuple[float, float, float], ...]
 #: (share, length m, width m) of cars, box trucks and buses: quantiles of labelled Argoverse 2 boxes (human labels of

@@ -37,25 +37,24 @@ from hid2.vehicle import DrivenVehicle, Start
 from netconvert.lane_graph import Side, TurnType
 from netconvert.net_xml import speed_limit_mps
 
-#: Not a parameter, it saves time: s between two looks of a vehicle that waits for a gap.
+#: Time between two looks of a vehicle that waits for a gap, s. Not a parameter, it saves time.
 _LOOKS_S = 1.0
-#: The same while it passes another one, which is short, while waiting for a gap is long.
+#: Time between two looks of a vehicle that passes, s: passing is short, waiting long. Not a parameter, it saves time.
 _PASSING_LOOKS_S = 0.3
-#: Not a parameter, it saves time: below this TTC, s, to a vehicle that begins ahead, one chosen before is rolled out
-#: anew.
+#: TTC to a new candidate below which a follower chosen before is rolled out anew, s. Not a parameter, it saves time.
 _HINDERED_S = 4.0
 _NONE = Traffic.none(1)
-#: Not a parameter, it saves time: with so much more room ahead, m, no follower has a critical TTC on its path.
+#: Spare gap with which no follower has a critical TTC to its leader on its path, m. Not a parameter, it saves time.
 _FOLLOWS_M = 3.0
-#: Not a parameter, it saves time: nor has one that is so far aside, m.
+#: Lateral distance at which no follower has a critical TTC on its path, m. Not a parameter, it saves time.
 _ASIDE_M = 12.0
-#: Not a parameter, it saves time: beyond it, on either axis, an agent is in none of the gaps that a vehicle looks at.
+#: Distance on an axis beyond which an agent is in no gap that a vehicle looks at, m. Not a parameter, it saves time.
 _NEAR_GAPS_M = 40.0
-#: No tunable: no vehicle is slower than this share of its desired speed, but for what is ahead of it.
+#: Least share of its desired speed that a vehicle drives at, but for what is ahead of it. No tunable.
 SLOWEST_SHARE = 0.25
-#: No tunable: a vehicle that stands counts as queuing where its leader is nearer than this, m.
+#: Gap to the leader below which a vehicle that stands counts as queuing, m. No tunable.
 QUEUE_M = 8.0
-#: Desired speeds, m/s, that SUMO's EIDM has at most for a link of the net that turns; for others the lanes' limit.
+#: Largest desired speed of SUMO's EIDM on a link of the net that turns, m/s; on other links it is the lane's limit.
 _TURN_MPS = {TurnType.LEFT: 8.0, TurnType.RIGHT: 6.0}
 
 

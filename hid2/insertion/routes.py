@@ -17,9 +17,9 @@ from hid2.policy.overtake import stretch_m
 from hid2.scene import Scene
 from netconvert.lane_graph import SIDES, Side, TurnType
 
-#: Routes known from a lane. Not a parameter, it saves time.
+#: Routes known from a lane, at most. Not a parameter, it saves time.
 _MOST = 16
-#: So much of a route is before its lane, m, where followers are seen. Not a parameter, it saves time.
+#: Length of a route's run-up to its lane, on which followers are seen, m. Not a parameter, it saves time.
 _RUN_UP_M = 40.0
 
 

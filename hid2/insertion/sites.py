@@ -28,38 +28,38 @@ from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.cells import Cell
 
-#: Not a parameter, it saves time: so near to a vehicle that could not begin, or be kept, none other is tried, m.
+#: Distance up to which none is tried near a vehicle that could not begin or be kept, m. Not a parameter, it saves time.
 _AVOIDED_M = 8.0
-#: Time headway, s, that recorded followers are left with where there is a place for it: most keep it among themselves
-#: (36 of 39 in fourteen scenes). No tunable: `request.sites = any` draws without it.
+#: Time headway left to recorded followers at sites tried first, s: most keep it among themselves (36 of 39 in fourteen
+#: scenes). No tunable: `request.sites = any` draws without it.
 USUAL_HEADWAY_S = 1.3
-#: Sites looked at in full for one from which a vehicle meets what is wanted. Not a parameter, it saves time: the rest
-#: are seldom better.
+#: Sites looked at in full for a start that meets a wanted situation. Not a parameter, it saves time: the rest are
+#: seldom better.
 _WANTED_TRIES = 8
-#: After so many vehicles of a policy that found none a round looks for no more of that situation.
+#: Vehicles of a policy without a site for a situation, after which a round looks for that situation no more.
 _IN_VAIN = 2
-#: Behind what brakes or stands there is no speed for a lane change.
+#: Situations without the speed for a lane change: behind what brakes or stands.
 _SLOWS = frozenset({Situation.BRAKES, Situation.STANDS})
-#: Not a parameter, it saves time: at this share of the usual speed a vehicle would not leave the map too early.
+#: Share of the usual speed at which a vehicle must not leave the map too early. Not a parameter, it saves time.
 _STAYS_SHARE = 0.8
-# No tunables, the rest: how a manoeuvre is foreseen, roughly; a rollout, SUMO and the judge say what comes.
-#: A vehicle begins so far before its turn, m.
+# No tunables, from _BEFORE_TURN_M to _BESIDE_M: manoeuvres are foreseen roughly; a rollout, SUMO and the judge follow.
+#: Least distance from a start to its turn at a strict site, m (strict: `InsertionSites._start_for`).
 _BEFORE_TURN_M = 5.0
-#: It comes to the turn at this share of the usual speed.
+#: Speed on the way to a turn over the usual speed.
 _APPROACH_SHARE = 0.75
-#: It passes the turn at this speed, m/s.
+#: Speed in a turn, m/s.
 _TURN_MPS = 5.0
-#: So much of the scene is left after the turn, s.
+#: Least time left in the scene after a turn at a strict site, s.
 _TURN_SPARE_S = 2.0
-#: So much of the lane beside is left after a lane change, s at the usual speed: drivers are not all as fast as usual.
+#: Spare length of the lane beside, s at the usual speed: drivers are not all as fast as usual.
 _CHANGE_SPARE_S = 0.3
-#: The same of sites that more speaks for.
+#: Spare length of the lane beside at a strict site, s at the usual speed.
 _STRICT_SPARE_S = 0.5
-#: There a vehicle may come farther by its trigger than at the usual speed, by this share.
+#: Share of its way at the usual speed by which a vehicle may come farther by its trigger, at a strict site.
 _FARTHER_SHARE = 0.3
-#: There a lane change takes this ratio of the shortest duration.
+#: Duration of a lane change over the shortest one, at a strict site.
 _CHANGE_RATIO = 1.3
-#: A lane beside begins, or ends, by so much sooner or later, m: it is looked at by cells and a usual speed.
+#: Tolerance of where a lane beside begins and ends, m: places come from cells and a usual speed.
 _BESIDE_M = 1.0
 
 

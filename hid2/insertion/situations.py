@@ -24,11 +24,11 @@ class Situation(StrEnum):
     STANDS = "stands"
 
 
-#: Those that a vehicle's own motion and its leader tell, by the names of `meets_at`.
+#: Situations that a vehicle's own motion and its leader tell, with their names in `meets_at`.
 _BY_ITSELF = {Situation.FOLLOWS: "follows", Situation.BRAKES: "brakes", Situation.STANDS: "stands"}
-#: Shares of recorded vehicles, 86 of fourteen scenes. No tunables: a scene's own count for more.
+#: Shares of recorded vehicles, 86 of fourteen scenes, that meet a situation. No tunables: a scene's own count for more.
 _PRIOR = {Situation.FOLLOWS: 0.29, Situation.BRAKES: 0.19, Situation.CROSSES: 0.05, Situation.STANDS: 0.31}
-#: They count as much as so many vehicles of the scene itself: as many as one has in the mean.
+#: Weight of _PRIOR, in vehicles of the scene itself: as many as a scene has in the mean.
 _PRIOR_VEHICLES = 6
 
 

@@ -16,7 +16,7 @@ from hid2.agents import FloatArray, IntArray
 #: Steps of the recurrences: from variant to variant, seed to seed, kind to kind. No tunables: any numbers that are far
 #: from every fraction do (the golden ratio, roots of 2 and 3, the plastic number).
 _VARIANT, _SEED, _KIND = 0.6180339887498949, 0.4142135623730951, 0.7320508075688773
-#: A round later, and for those beyond the count, the first place is shifted by this.
+#: Shift of the first place with each round, and each lap beyond the count. No tunable: far from every fraction too.
 _LAP = 0.3247179572447460
 
 

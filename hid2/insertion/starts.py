@@ -31,46 +31,45 @@ from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.lane_graph import SIDES, Side
 
-# No tunables, here and below, how a vehicle begins: what a driver does on its way, and what saves looking in vain.
-#: With `request.sites = any` a beginning holds if nothing is met for so long, s.
+#: Time over which a start with `request.sites = any` must meet nothing, s. No tunable: how vehicles begin.
 _HOLDS_S = 3.0
-#: Drivers that are drawn for a site, at most.
+#: Drivers drawn for a site, at most. No tunable: saves looking in vain.
 _DRIVERS = 3
-#: A rear bumper is so far from the begin of a route at least, m.
+#: Least distance from the begin of a route to a rear bumper, m. No tunable: how vehicles begin.
 _FROM_EDGE_M = 0.5
-#: A front bumper is so far from the end of a route at least, m.
+#: Least distance from a front bumper to the end of a route, m. No tunable: how vehicles begin.
 _TO_EDGE_M = 1.0
-#: A vehicle is taken to keep this share of the speed that it begins with, to be on the map long enough.
+#: Share of its start speed with which a vehicle must be on the map long enough. No tunable: saves looking in vain.
 _KEPT_SHARE = 0.95
-#: A route is looked along for sharp curves so far ahead, s: a scene lasts 11.
+#: Look-ahead along a route for sharp curves, s: a scene lasts 11. No tunable: saves looking in vain.
 _AHEAD_S = 12.0
-#: A turn is seen when its lane is left by so much, m.
+#: Distance behind a turn's lane at which the turn is seen, m. No tunable: saves looking in vain.
 _TURNED_M = 1.0
-#: Of a vehicle that is taken without a rollout over the scene.
+#: Parts of the motion of a vehicle that is taken without a rollout over the scene: none.
 _NOT_ROLLED_OUT: tuple[Rollout, ...] = ()
-#: Smallest bumper gap at the start, m: what drivers keep standing.
+#: Least bumper gap at the start, m. No tunable: what drivers keep standing.
 CLEAR_GAP_M = 2.0
-#: The beginning of a vehicle, over which it does not brake hard, lasts so long, s.
+#: Duration of the beginning of a vehicle, over which it does not brake hard, s. No tunable: how vehicles begin.
 _BEGINS_S = 1.3
-#: It brakes there by so much in the mean at most, m/s2, as nine in ten of those recorded from step 0 on (89 of 98 in
-#: fourteen scenes).
+#: Largest mean deceleration over _BEGINS_S, m/s2. No tunable: as of nine in ten vehicles recorded from step 0 on (89 of
+#: 98 in fourteen scenes).
 _EASED_TO_MPS2 = 0.5
-#: A start is made slower so often at most, until it does: once is enough for most.
+#: Times that a start is made slower, at most; once is enough for most. No tunable: saves looking in vain.
 _EASED_AT_MOST = 3
-#: No tunable: run back by so many s at the speeds of its beginning, a vehicle has not come through its leader or
-#: follower (of recorded vehicles behind a leader .5 % would have, at any step).
+#: Time before a start in which, at the speeds of the start, a vehicle has not come through its leader or follower, s.
+#: No tunable: of recorded vehicles behind a leader .5 % would have, at any step.
 _BEFORE_S = 1.5
-#: At its start a vehicle may brake so hard for its leader, m/s2; then it is eased.
+#: Largest deceleration for a leader at a start, m/s2, before a rollout eases the start. No tunable: how vehicles begin.
 _LEADER_BRAKING_MPS2 = 0.8
-#: No tunable: none begins that makes one chosen before brake harder, m/s2: what turns in lets traffic pass.
+#: Largest braking that a start may cause in a vehicle chosen before, m/s2. No tunable: what turns in lets traffic pass.
 _MADE_TO_BRAKE_MPS2 = 1.2
-#: No tunable: none is to wait astride of two lanes for longer, s.
+#: Longest time that a vehicle waits astride of two lanes, s. No tunable.
 _ASTRIDE_S = 1.0
 #: Verdicts that another driver may change.
 _ANOTHER_DRIVER = frozenset(
     {Reason.TTC_RECORDED_FOLLOWER, Reason.FOLLOWER_BRAKING, Reason.FOLLOWER_HEADWAY, Reason.LEAVES_TOO_EARLY}
 )
-#: No tunable: by so much, s, SUMO may be later than a rollout at the end of an overtake.
+#: Largest delay of SUMO behind a rollout at the end of an overtake, s. No tunable.
 _SPARE_S = 0.2
 
 

@@ -21,23 +21,23 @@ from hid2.occupancy.agent_states import AgentStates
 from hid2.scene import Scene
 from netconvert.geometry import wrap_angle
 
-#: Of Argoverse 2's own smoothing: s and degree of a Savitzky-Golay filter. No tunables but found: with it the speed of
+#: Window, s, and degree of Argoverse 2's own Savitzky-Golay smoothing. No tunables but found: with these the speed of
 #: positions over the stated one is that of 28 recorded tracks at each of the first 13 steps, within .02.
 _FILTER_S, _FILTER_DEGREE = 1.9, 2
-#: Recorded positions that make less than this share of the stated speed at their first step have been smoothed so.
+#: Speed of positions over the stated one at the first step (median of tracks) below which positions are smoothed so.
 _STAYS_BACK = 0.8
-#: What errors are measured around: a polynomial of this degree over so many s. No tunables: it follows drivers alone.
+#: Window, s, and degree of the polynomial that errors are measured around. No tunables: it follows drivers alone.
 _WINDOW_S, _DEGREE = 3.1, 4
-#: What is left of headings is fitted over so many s: recorded paths sway in a lane faster than that, headings less.
+#: Window of the fit to what is left of headings, s: recorded paths sway in a lane faster, headings less.
 _HEADING_S = 5.1
-#: How late stated speeds and headings follow positions, and directions of velocities the headings, s. No tunables but
-#: found: with them the errors of 38 recorded tracks are least (any scene left out: .20 to .30, .30 to .55, .10).
+#: Delays of stated speeds and headings behind positions, and of velocity directions behind headings, s. No tunables but
+#: found: with these the errors of 38 recorded tracks are least (any scene left out: .20 to .30, .30 to .55, .10).
 _SPEED_LATE_S, _HEADING_LATE_S, _VELOCITY_LATE_S = 0.25, 0.5, 0.1
-#: Slower vehicles tell no errors, m/s, and have smaller ones, down to none at a standstill.
+#: Speed below which a vehicle tells no errors, and has smaller ones, down to none at a standstill, m/s.
 _MOVES_MPS = 2.0
-#: Shares of its errors that are tried for a vehicle: with all of them it may touch what it passes closely.
+#: Shares of its errors tried for a vehicle, in turn: with all errors it may touch what it passes closely.
 _SHARES = (1.0, 0.5, 0.25, 0.0)
-_STREAM = 83  # of random numbers: a name
+_STREAM = 83  # random stream: a name
 
 
 @dataclass(frozen=True, eq=False, slots=True)

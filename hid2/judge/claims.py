@@ -18,7 +18,7 @@ from hid2.measures.lane_matching import CHANGES_LANES, GOES_ON
 from hid2.measures.manoeuvres import TURNS, Maneuver, ManeuverKind, detect
 from hid2.occupancy.agent_states import AgentStates
 
-#: What counts as an overtake: to pass a vehicle that stands does too, and has a reason.
+#: Kinds that count as an overtake: passing a vehicle that stands does too, with a reason of its own.
 _PASSED = (ManeuverKind.OVERTAKE, ManeuverKind.OBSTACLE_AVOIDANCE)
 
 

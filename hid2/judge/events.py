@@ -13,16 +13,16 @@ from hid2.measures.encounters import CROSSING_RAD
 from hid2.measures.surrogates import encroachments
 from hid2.occupancy.agent_states import AgentStates
 
-#: TTC and PET above this are not told apart, s.
+#: Cap of TTC and PET, above which values are not told apart, s.
 CAP_S = 10.0
-#: Drivers brake before this TTC, s: 90 % of the followers of lane changes.
+#: TTC before which drivers brake, s: 90 % of the followers of lane changes do.
 HUMAN_BRAKES_S = 4.7
-#: A cut-in leaves its target less than this, s: the time gap that is recommended.
+#: Time gap to the target below which a lane change is a cut-in, s: the recommended one.
 CUT_IN_S = 1.8
-#: No tunable: what an event is like for its target is looked for until so long after the moment, s, as the target does
-#: not react and may run into whatever is ahead of it later.
+#: Time after its moment up to which an event is measured for its target, s. No tunable: the target does not react and
+#: may later run into whatever is ahead of it.
 AFTER_S = 3.0
-#: No tunable: of a cut-in since so long before, s, as it comes across; once over the line it may head past the target.
+#: Time before a cut-in from which on it is measured, s. No tunable: it comes across, and then may head past the target.
 _BEFORE_S = 1.5
 
 

@@ -12,28 +12,28 @@ from hid2.measures.arrays import MOVES_MPS
 from hid2.params import Config, Conflict, Limits
 from hid2.reasons import Reason
 
-#: An agent that moves less over the scene stands throughout, m. No tunable: what standing throughout is.
+#: Way over the scene below which an agent stands throughout, m. No tunable: what standing throughout is.
 MOVES_M = 2.0
-#: No tunable: an exported box keeps so far from every other one, m. Of 333 recorded pairs of moving vehicles none is .1
-#: to .3 m apart at the nearest (some overlap, by boxes of usual size).
+#: Least clearance between an exported box and any other, m. No tunable: of 333 recorded pairs of moving vehicles none
+#: is .1 to .3 m apart at the nearest (some overlap, by boxes of usual size).
 _SPARE_BOX_M = 0.2
-# No tunables, the next three: rounding alone, so that no reader's rounding finds what the final check did not.
-#: The final check keeps so much above the TTC at the end, s.
+#: Spare that the final check keeps above the TTC at the end, s. No tunable: rounding alone, so that no reader's
+#: rounding finds what the final check did not.
 _SPARE_END_S = 0.1
-#: The final check uses this share of the tolerance of the drivable area.
+#: Share of the drivable area's tolerance that the final check uses. No tunable: rounding alone, as _SPARE_END_S.
 _DRIVABLE_KEPT = 0.9
-#: The final check, and starts, use this share of 1 / R_min.
+#: Share of 1 / R_min that the final check, and starts, use. No tunable: rounding alone, as _SPARE_END_S.
 CURVATURE_KEPT = 0.98
-#: What is claimed is seen in the states within so long of the time claimed, s.
+#: Tolerance of the time of a claim, s, and least time before a cut-in that its target has been on its path.
 CLAIM_S = 0.5
-#: A figure that is claimed may differ from that of the states by so much, in its unit.
+#: Tolerance of a claimed figure against that of the states, in its unit.
 FIGURE_OFF = 0.01
-#: A follower keeps this time headway, s (one recorded unless it kept less to its own leader).
+#: Least time headway of a follower, s (of a recorded one unless it kept less to its own leader).
 FOLLOWER_HEADWAY_S = 0.8
-#: A recorded follower lacks at most so much braking behind an inserted leader, m/s2: behind recorded leaders 6 of 112
-#: lack more (fourteen scenes), 4 of them with boxes that touch.
+#: Largest braking that a recorded follower lacks behind an inserted leader, m/s2: behind recorded leaders 6 of 112 lack
+#: more (fourteen scenes), 4 of them with boxes that touch.
 FOLLOWER_LACKS_MPS2 = 1.5
-#: Headway = (gap + leader's length) / speed, but the length counts for so many s at most (`sustained_headway`): at
+#: Largest part of a headway, (gap + leader's length) / speed, that the length counts for (`sustained_headway`), s: at
 #: least .5 s are left from bumper to bumper (130 recorded followers in their lanes have .6 s or more).
 LEADER_LENGTH_S = 0.3
 #: Share of 1 / R_min above which a curve cannot be driven.
@@ -167,7 +167,7 @@ class MotionProfile:
         return np.where(fast, np.abs(self.yaw_rate_radps) / np.where(fast, self.speed_mps, 1.0), 0.0)
 
 
-#: What of a profile must not exceed which bound, in the order in which the final check names the first that does.
+#: Value of a profile and the bound that it must not exceed, in the order in which the final check names a first breach.
 MOTION_LIMITS: Mapping[Quantity, tuple[Callable[[MotionProfile], FloatArray], Callable[[Bounds], float]]] = {
     Quantity.ACCEL: (lambda p: p.accel_mps2, lambda b: b.limits.accel_max_mps2),
     Quantity.DECEL: (lambda p: -p.accel_mps2, lambda b: -b.limits.accel_min_mps2),
@@ -178,10 +178,10 @@ MOTION_LIMITS: Mapping[Quantity, tuple[Callable[[MotionProfile], FloatArray], Ca
     Quantity.YAW_ACCEL: (lambda p: np.abs(p.yaw_accel_radps2), lambda b: b.limits.yaw_accel_radps2),
     Quantity.CURVATURE: (lambda p: p.curvature_1pm, lambda b: b.curvature_share / b.limits.min_radius_m),
 }
-#: Judged on exported states also where these have a tracker's noise; all others on the clean ones.
+#: Quantities judged on exported states also where these have a tracker's noise; all others on the clean states.
 ON_EXPORTED = frozenset({Quantity.OVERLAP, Quantity.OFF_ROAD, Quantity.END_TTC, Quantity.END_CONTACT})
 
-#: Not asked of an event's vehicle and its target: the gap that is left to it is what the event is about.
+#: Quantities not asked of an event's vehicle and its target: the gap left to the target is what the event is about.
 LEFT_TO_TARGET = frozenset({Quantity.FOLLOWER_HEADWAY, Quantity.FOLLOWER_BRAKING})
 
 #: Quantities with a least value as their limit.

@@ -39,24 +39,23 @@ from hid2.occupancy.traffic import Traffic
 from netconvert.geometry import box_corners, differences, wrap_angle
 from netconvert.lane_graph import LaneGraph, crossable
 
-# No tunables, here and below: with `findings.py` what states are held to.
-#: FOLLOWER_HEADWAY_S is asked of followers above this speed, m/s.
+#: Speed above which FOLLOWER_HEADWAY_S is asked of a follower, m/s. No tunable: what states are held to.
 _FOLLOWER_MPS = 3.0
-#: A headway below it counts when it lasts so long, s.
+#: Least duration of a headway below FOLLOWER_HEADWAY_S that counts, s. No tunable: what states are held to.
 _FOLLOWER_FOR_S = 1.0
-#: Braking that a follower lacks counts when it lasts so long, s.
+#: Least duration of a follower's lack of braking that counts, s. No tunable: what states are held to.
 _LACKS_FOR_S = 0.5
-#: A follower has so long to brake, s: what it brakes then in the mean is no lack.
+#: Time that a follower has to brake, s: its mean braking in that time is no lack. No tunable: what states are held to.
 _BRAKES_WITHIN_S = 1.0
-#: After the last step a driver brakes so hard, m/s2.
+#: Deceleration of a driver after the last step, m/s2. No tunable: what states are held to.
 _END_DECEL_MPS2 = 3.0
-#: It begins to brake so long after the last step, s.
+#: Time from the last step until a driver brakes, s. No tunable: what states are held to.
 _END_REACTION_S = 1.0
-#: Largest angle between a vehicle and the lane below it outside of intersections, degrees.
+#: Largest angle of a vehicle to the lane below it outside intersections, degrees. No tunable: what states are held to.
 _LANE_DEG = 60.0
-#: The same in intersections.
+#: Largest angle of a vehicle to the lane below it in intersections, degrees. No tunable: what states are held to.
 _INTERSECTION_DEG = 90.0
-_OUTLINE_STEP_M = 0.5  # no tunable: between two points a side leaves the road by less than the tolerance spares
+_OUTLINE_STEP_M = 0.5  # point spacing; no tunable: between two a side leaves the road by less than the tolerance spares
 
 
 def judge(states: AgentStates, graph: LaneGraph, bounds: Bounds) -> list[Finding]:

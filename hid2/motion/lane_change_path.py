@@ -11,7 +11,7 @@ from hid2.measures.manoeuvres import LATERAL_SPEED_MPS, LATERAL_WINDOW_S
 from hid2.params import LaneChange
 from netconvert.geometry import Polyline, arc_length
 
-#: Share of its time in which the lateral speed rises, and falls. No tunable: measured, recorded ones peak at .87 m/s.
+#: Share of a lateral motion in which its speed rises, and falls. No tunable: measured, recorded ones peak at .87 m/s.
 _RAMP_SHARE = 0.27
 
 

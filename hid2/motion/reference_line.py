@@ -12,7 +12,7 @@ from hid2.kernels.spline import along_spline, quintic_spline, smooth_polyline, s
 from hid2.once import once
 from netconvert.geometry import arc_length, resample
 
-_BEYOND_M = 40.0  # not a parameter: its tables go on straight so far behind its end, for vehicles that leave it
+_BEYOND_M = 40.0  # length of tables straight on behind a line's end; not a parameter: for vehicles that leave it
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,16 +17,16 @@ from hid2.params import Limits
 from netconvert.geometry import Polyline, arc_length, resample
 from netconvert.lane_graph import SIDES, TURN_RAD, LaneGraph, TurnType
 
-#: Spacing of a reference line's points, m, no tunable: its table is as fine. It stays so close to the centrelines, m,
-#: no tunable: half a lane less half a car. Middles of lanes farther apart are not side by side, m. Lanes before l'
-#: are seen so far back, m, no tunable: with no follower farther does a gap end.
+#: Spacing of a reference line's points, m, no tunable: its table is as fine. Largest offset of the line from
+#: centrelines, m, no tunable: half a lane less half a car. Largest distance between the middles of lanes side by side,
+#: m. Length of lanes seen before l', m, no tunable: no gap ends with a follower farther back.
 PATH_STEP_M, MAX_OFFSET_M, _MAX_SHIFT_M, _LOOK_BACK_M = 1.0, 0.9, 5.5, 50.0
-#: A route that is no shorter than this stops growing.
+#: Length beyond which a route stops growing, m.
 ROUTE_LONGEST_M = 260.0
 #: Lane types open to general motor traffic.
 DRIVABLE_TYPES = frozenset({"VEHICLE"})
-_GIVEN_BACK = 0.05  # no tunable, not seen: share of its speed by which a vehicle gives back at most what SUMO jumped
-_BESIDE_TURN_M = 5.0  # before a turning lane and behind it its heading is compared; no tunable: what a turn is
+_GIVEN_BACK = 0.05  # largest share of its speed by which a vehicle gives back what SUMO jumped; no tunable: not seen
+_BESIDE_TURN_M = 5.0  # before and behind a turning lane, to compare its headings there; no tunable: what a turn is
 
 Route = tuple[int, ...]
 

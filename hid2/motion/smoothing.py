@@ -13,10 +13,10 @@ from hid2.agents import FloatArray
 from hid2.drivers.driver import LaneOffset
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
 
-_TRUNCATED_AT = 3.0  # standard deviations of the filter; no tunable: 0.3 % of its weight is beyond
-#: Acceleration at the first and last step over the jerk limit, fifths of a step, and how fast it may grow from there:
-#: derived, not tuned. Positions differentiated three times, one-sided at the ends, give there a jerk of a quarter
-#: of the acceleration for each step, plus .8 times the jerk.
+_TRUNCATED_AT = 3.0  # reach of the filter, standard deviations; no tunable: 0.3 % of its weight is beyond
+#: Largest acceleration at the first and last step over the jerk limit, fifths of a step, and its growth over the jerk
+#: limit from step to step, steps: derived, not tuned. Positions differentiated three times, one-sided at the ends, give
+#: there a jerk of a quarter of the acceleration for each step, plus .8 times the jerk.
 _EDGE_FIFTHS, _EDGE_GROWTH = 7.0, 0.7
 
 

@@ -45,7 +45,7 @@ class Behaviour:
         return bool(self.sides) or self.policy is Policy.OVERTAKE
 
 
-#: By policy, the commonest first: of several that a vehicle shows, the last one counts.
+#: Behaviours by policy, the commonest first: of several that a vehicle shows, the last one counts.
 BEHAVIOURS: dict[Policy, Behaviour] = {
     behaviour.policy: behaviour
     for behaviour in (

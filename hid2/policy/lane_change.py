@@ -23,7 +23,7 @@ class Gap:
         return self.distance_m / follower_mps if follower_mps > 0.1 else math.inf
 
 
-#: That to no neighbour: any lane change fits in.
+#: Gap to no neighbour: any lane change fits in.
 OPEN = Gap(math.inf, 0.0)
 
 

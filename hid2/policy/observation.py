@@ -22,13 +22,13 @@ from hid2.scene import Scene
 from netconvert.cells import Cell
 from netconvert.lane_graph import Side, crossable
 
-# No tunables, the next three: room for what a driver does otherwise.
-#: A lateral motion may take this share of the time left in the scene, less _SPARE_S.
+#: Share of the time left in the scene that a lateral motion may take, less _SPARE_S. No tunables: room for what a
+#: driver does otherwise.
 _TIME_SHARE = 0.95
 _SPARE_S = 0.5
-#: It may take this share of the length of l' left.
+#: Share of the length of l' left that a lateral motion may take. No tunable: room for what a driver does otherwise.
 _LENGTH_SHARE = 0.8
-_HALF_LANE_M = 1.5  # half of the narrowest lane: what "on a lane path" means, the same for all
+_HALF_LANE_M = 1.5  # largest distance of a centre on a lane path: half of the narrowest lane, the same for all
 
 
 class Inserted(NamedTuple):

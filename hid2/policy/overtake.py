@@ -6,7 +6,7 @@ from hid2.params import Config, Overtake
 from hid2.policy.lane_change import Gap, LaneOption
 from hid2.reasons import Reason
 
-#: Duration of an overtake's lane changes over usual ones, the shortest too. No tunable: `lane_change_mean_s` is.
+#: Duration of an overtake's lane changes over a usual one's, the shortest too. No tunable: `lane_change_mean_s` is.
 SHIFT_RATIO = 0.68
 
 

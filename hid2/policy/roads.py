@@ -22,15 +22,14 @@ from hid2.policy.decision import policy_on
 from hid2.scene import Scene
 from netconvert.lane_graph import TurnType
 
-#: Policies by their numbers in arrays; `kernels/steering.py` knows that of going straight.
+#: Policies by their numbers in arrays; `kernels/steering.py` knows the number of going straight.
 POLICIES = tuple(Policy)
 assert POLICIES[STRAIGHT] is Policy.STRAIGHT
-_SAME_M = 0.02  # book-keeping: two paths with the same first lanes may differ by so much
-_EVERY_M = 2.0  # book-keeping: they are compared so far apart
-#: Slowing before a turn's entrance, m/s2. No tunable: softer than behind a leader, of which drivers differ.
+_SAME_M = 0.02  # book-keeping: tolerance between two paths with the same first lanes
+_EVERY_M = 2.0  # book-keeping: spacing of the points at which two such paths are compared
+#: Deceleration before a turn's entrance, m/s2. No tunable: softer than behind a leader, where drivers differ.
 _APPROACH_DECEL_MPS2 = 1.5
-#: A line that bends, or changes its curvature, by less than this is straight, 1/m and 1/m2.
-#: No tunable: against division by 0.
+#: Curvature, 1/m, and its change, 1/m2, below which a line is straight. No tunable: against division by 0.
 _FLAT = 1e-6
 
 

@@ -18,14 +18,14 @@ from hid2.reasons import Reason
 from netconvert.errors import ConfigError
 from netconvert.lane_graph import Side
 
-#: Least gain of speed, m/s, for a discretionary lane change by the paper's rule, unless `rule_with` says otherwise: as
-#: of a leader that is worth an overtake (`overtake.speed_advantage_mps`).
+#: Least gain of speed for a discretionary lane change by the paper's rule, unless `rule_with` says otherwise, m/s: as
+#: over a leader that is worth an overtake (`overtake.speed_advantage_mps`).
 INCENTIVE_MPS = 1.5
-#: What SUMO is taken to answer before it drives: it wants the lane, and finds it free.
+#: Answer that is assumed of SUMO before SUMO drives: the lane is wanted, and free.
 ASSUMED_ANSWER = SumoAnswer(frozenset({"foreseen"}), blocked_ahead=False, blocked_behind=False)
 
 
-#: Names of conditions that the rule of a user's own may answer to one by one; others are its own.
+#: Reasons by the names of conditions that a user's rule may answer one by one; names beside these are the rule's own.
 _CONDITIONS = {"lead": Reason.FRONT_GAP, "lag": Reason.REAR_GAP, "cells": Reason.CELLS_OCCUPIED}
 
 
@@ -59,7 +59,7 @@ class GapView:
     vehicle_id: str = ""
 
 
-#: What a user's rule is tried with before any scene is driven: a free road, and a gap between two vehicles.
+#: Views that a user's rule is tried with before any scene is driven: a free road, and a gap between two vehicles.
 _FREE = GapView(
     time_s=2.0, waited_s=0.5, side="left", speed_mps=10.0, desired_mps=12.0, length_m=4.5, tau_s=1.2, accel_mps2=1.5,
     decel_mps2=2.0, min_gap_m=2.0, cells_free=True, front=OPEN, rear=OPEN, own_front=OPEN, own_rear=OPEN,
