@@ -34,7 +34,7 @@ _BESIDE_M, _ALONG, _NEAR_M = 6.0, 0.8, 3.0
 _OVERTAKES_S, _BEHIND_M = (4.0, 10.0), (3.0, 30.0)
 #: Largest PET of a crossing where none is asked for, s; largest time that the boxes add to a PET, to make the time
 #: between the centres, s. No tunables: bounds of what is drawn.
-_APART_S, _BOXES_S = 5.0, 2.0
+_LARGEST_PET_S, _BOXES_S = 5.0, 2.0
 #: Tolerance of a place, and of the best beginning, m. Not a parameter, it saves time: farther off no event comes about.
 ABOUT_M = 2.0
 #: Share of MOMENT_S by which places may be earlier or later. No tunable: SUMO's vehicle is not where its rollout is.
@@ -129,7 +129,7 @@ class Places:
 
     def _crossing(self) -> Iterator[Place]:
         target, scene = self.target, self.routes.scene
-        least_s, most_s = self.event.pet_s or (scene.config.conflict.pet_min_s, _APART_S)
+        least_s, most_s = self.event.pet_s or (scene.config.conflict.pet_min_s, _LARGEST_PET_S)
         for lane, lane_m, crossed in self._crossed_lanes():
             apart_s = np.abs(np.arange(target.present.size) - crossed) * scene.step_s
             gap = np.abs(target.way - target.way[crossed]) - 0.5 * target.track.size.length_m

@@ -151,7 +151,7 @@ def leading_in_sumo(
     """Middles of agents that lead on a path (R, T), m, 0 for others, and whether SUMO has their fronts on its lanes.
 
     As in `PathOccupancy`; front (A, T, 2) m; known (A, T): whether SUMO knows its speed; table_*: of the path's line,
-    which ends at exit_m m. Agents slower than STANDING_MPS lead in any direction.
+    which ends at exit_m m. Agents slower than STANDING_MPS lead unless they head across.
     """
     middle, leads = np.zeros(low.shape), np.zeros(low.shape, dtype=np.bool_)
     for row, agent in enumerate(agents):
