@@ -30,7 +30,7 @@ class Start:
     start_m m, of the box centre on the path; start_mps m/s; box: what is kept clear; desired (T,) m/s, by the scene's
     steps; sides: where it looks for a lane, in this order; step: at which it is first there, later than 0 where it
     enters at the map's edge; leader: the recorded vehicle that it would follow, as `Meetings` numbers them; -1 none;
-    situations: what it situations by its rollout, as `insertion/situations.py` has it.
+    situations: what it meets by its rollout, as `insertion/situations.py` has it.
     """
 
     vehicle_id: str

@@ -31,7 +31,7 @@ _ROW_WITHIN_M = 0.05
 _SECTION_WITHIN_M = 0.02
 #: Spacing along a road at which offsets of lanes are measured, and length that lanes are drawn on by beyond their ends.
 _EVERY_M, _BEYOND_M = 0.25, 10.0
-#: Length of the lanes that ways which lead through no lane of an intersection take, and its largest share of a road.
+#: Length that ways through no lane of an intersection take of the lanes at their ends, m, at most this share of a road.
 _TAKEN_M, _TAKEN_SHARE = 1.0, 0.25
 _NARROWEST_M, _SHORTEST_M, _NEAR_M = 0.3, 0.1, 0.1
 _SIDES = ("predecessor", "successor")

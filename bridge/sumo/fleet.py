@@ -29,9 +29,9 @@ class PathContext:
     """What is worked out once of a vehicle's present path; a vehicle that takes another path gets a new one.
 
     road (S,): m/s at the table of the path's line, what the road allows the driver; lane_ends: where its lanes end, m;
-    policies: rows of `POLICIES`, what Algorithm 1 comes to on each of them without a manoeuvre; in_width: as
+    policies: by lane, rows of `POLICIES`, what Algorithm 1 comes to there without a manoeuvre; in_width: as
     `Fleet.in_width` has it, None until first asked for; obstacles: the guard's, likewise; reroute_tried: whether
-    another way has been looked for; jump: SUMO's as the vehicle comes on the path, None before.
+    another way has been looked for; jump: what SUMO jumped as the vehicle came onto the path, None before.
     """
 
     road: FloatArray

@@ -175,7 +175,7 @@ class Simulation:
         size: BoxSize,
         max_speed_mps: float,
     ) -> str | None:
-        """Put a vehicle that SUMO drives on a lane of the first edge, now. Returns SUMO's objection, None if accepted.
+        """Put a vehicle that SUMO drives on a lane of the first edge, now. Returns SUMO's message, None if accepted.
 
         SUMO's own insertion check is not asked: it knows neither crossing lanes nor what agents will do next, and the
         place was chosen with both.

@@ -32,7 +32,7 @@ _GAP = CAUSES.index("gap")
 #: Reasons to refuse a gap for which it helps to let those beside go ahead.
 _LETS_PASS = frozenset({Reason.CELLS_OCCUPIED, Reason.FRONT_GAP})
 _FASTER_MPS = 0.05  # tolerance of the speed over the road's on another way that is taken; no tunable: rounding
-_OFF_SHARE = 0.03  # tolerance of the share across before the way is laid anew; no tunable: .1 m of a lane's width
+_OFF_SHARE = 0.03  # of the share across, from which the way is laid anew; no tunable: .1 m of a lane
 
 
 class SpeedLimits(NamedTuple):

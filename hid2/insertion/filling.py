@@ -32,8 +32,8 @@ _MOST = 400
 _FULL_SHARE = 0.1
 #: Requests of a policy without a site, after which a round looks for no more such sites. No tunable: bounds the search.
 _MOST_FAILURES = 4
-#: Requests to go straight without a site, after which a round looks for no more such sites: all manoeuvres without a
-#: site become requests to go straight at once. No tunable: bounds the search.
+#: Requests to go straight without a site, after which a round looks for no more such sites: the first that fails is
+#: looked for once more, with all cells open again. No tunable: bounds the search.
 _MOST_FAILURES_STRAIGHT = 1
 #: Redrives, at most, of a vehicle that waited for a rejected one or overtook it. No tunable: bounds the search.
 _MOST_REDRIVES = 1

@@ -122,7 +122,7 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, kept: Sequence[ExportedVehicl
     offset = start.offset
     for begin, finish in vehicle.path.lateral_spans:
         offset = offset.held(begin, finish)
-    verdict: ExportedVehicle | Reason = Reason.LIMIT_JERK  # each of what is tried has its own
+    verdict: ExportedVehicle | Reason = Reason.LIMIT_JERK  # replaced by that of the first try
     tried = [(_FILTER_RATIOS[0], False), *((ratio, True) for ratio in _FILTER_RATIOS)]
     for ratio, eased in tried:  # ends are eased where they must be
         motion = smooth_motion(
@@ -150,7 +150,7 @@ def _placed(
     scene: Scene, vehicle: DrivenVehicle, motion: Motion, offset: LaneOffset, off_m: FloatArray, others: AgentStates
 ) -> ExportedVehicle | Reason:
     """At the first place in the lane that leaves room to traffic beside, else the most; or why it is not exported."""
-    verdict: ExportedVehicle | Reason = Reason.LIMIT_JERK  # each of what is tried has its own
+    verdict: ExportedVehicle | Reason = Reason.LIMIT_JERK  # replaced by that of the first try
     most_m = -math.inf
     for share in _OFFSET_SHARES:
         path = trajectory(vehicle.path.line, motion, offset.scaled(share))

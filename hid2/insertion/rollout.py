@@ -3,8 +3,9 @@
     known: recorded agents by their true future, vehicles kept in rounds before, candidates chosen so far by rollouts
 
 The loop is compiled (`kernels/rollout.py`): no SUMO in it, but SUMO's EIDM without its noise (whatever
-`car_following.model` is), the guard and the road. Other than in the simulation Algorithm 1 is asked once a second, and
-no vehicle slows down for a gap or takes another way. Rollouts say which candidates start; what is exported is SUMO's.
+`car_following.model` is), the guard and the road. Unlike in the simulation Algorithm 1 is asked once a second, while
+passing every .3 s, and no vehicle slows down for a gap or takes another way. Rollouts say which candidates start; what
+is exported is SUMO's.
 """
 
 import math

@@ -28,7 +28,7 @@ _FILTER_S, _FILTER_DEGREE = 1.9, 2
 _STAYS_BACK = 0.8
 #: Window, s, and degree of the polynomial that errors are measured around. No tunables: it follows drivers alone.
 _WINDOW_S, _DEGREE = 3.1, 4
-#: Window of the fit to what is left of headings, s: recorded paths sway in a lane faster, headings less.
+#: Window of the fit to headings less the late course, s: within it paths sway in the lane, headings hardly do.
 _HEADING_S = 5.1
 #: Delays of stated speeds and headings behind positions, and of velocity directions behind headings, s. No tunables but
 #: found: with these the errors of 38 recorded tracks are least (any scene left out: .20 to .30, .30 to .55, .10).

@@ -18,7 +18,7 @@ from hid2.scene import Scene
 CONFIG = Config(signals=Signals(before_s=2.0, after_s=3.0))
 UP = np.pi / 2
 #: The line of the entrance at 60 m: half a car and the margin before it, 60 - 2.25 - 1.
-STOP_S = 56.75
+STOP_M = 56.75
 
 
 def junction(*recorded: Track) -> Scene:
@@ -55,7 +55,7 @@ def test_entrance_is_closed_while_recorded_traffic_flows_across() -> None:
     """From 2 s before the crossing to 3 s after it; nothing is closed where nobody crosses."""
     scene = junction(CROSSING)
     stop_m, first, last = _closed(StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR), "signal")
-    assert stop_m == pytest.approx(STOP_S)
+    assert stop_m == pytest.approx(STOP_M)
     assert (first, last) == (pytest.approx(26, abs=3), pytest.approx(84, abs=3))
     empty = junction()
     assert StopLines(empty).on(empty.paths.along((1, 2, 3)), CAR).line_m.size == 0
@@ -110,10 +110,10 @@ def test_who_has_passed_the_line_drives_on() -> None:
 
 
 def test_who_stands_at_the_line_stays_until_it_opens() -> None:
-    found = brake(CROSSING, s=STOP_S, v=0.0, step=60)
+    found = brake(CROSSING, s=STOP_M, v=0.0, step=60)
     assert found is not None
     assert found[0] < 0.0
-    assert brake(CROSSING, s=STOP_S, v=0.0, step=100) is None
+    assert brake(CROSSING, s=STOP_M, v=0.0, step=100) is None
 
 
 def test_braking_as_asked_for_ends_at_the_line() -> None:
@@ -127,7 +127,7 @@ def test_braking_as_asked_for_ends_at_the_line() -> None:
         v = max(0.0, v + 0.1 * found[0])
         s += 0.1 * v
     assert v == pytest.approx(0.0, abs=0.15)
-    assert s == pytest.approx(STOP_S, abs=0.5)
+    assert s == pytest.approx(STOP_M, abs=0.5)
 
 
 def test_recorded_queue_keeps_the_entrance_closed() -> None:
@@ -137,7 +137,7 @@ def test_recorded_queue_keeps_the_entrance_closed() -> None:
     arrives = Track("q", "vehicle", 2, steps, np.column_stack([x, 0.0 * x]), 0.0 * x, np.zeros((110, 2)), CAR)
     scene = junction(arrives)
     stop_m, _, last = _closed(StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR), "signal")
-    assert (stop_m, last) == (pytest.approx(STOP_S), 109)
+    assert (stop_m, last) == (pytest.approx(STOP_M), 109)
 
 
 def test_pedestrian_on_a_crossing_is_yielded_to() -> None:

@@ -205,7 +205,7 @@ def test_change_to_a_free_lane_is_expected_of_every_rule_with_an_incentive() -> 
     assert refusal_of_free_lane(usual_driver(10.0), never, speed_mps=2.0) is Reason.MOBIL_NO_ADVANTAGE
 
 
-def test_paper_rule_by_own_wish_wants_a_faster_leader_unless_it_must() -> None:
+def test_paper_rule_unasked_wants_a_faster_leader_unless_mandatory() -> None:
     """Here 8 m/s ahead; there 9 m/s (1 m/s more: too little) or 9.6 m/s, 1.6 m/s more than 8: worth it."""
     params = LaneChange(rule="paper")
     slow = replace(VIEW, own_front=Gap(20.0, 8.0), front=Gap(60.0, 9.0))
