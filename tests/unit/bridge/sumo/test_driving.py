@@ -321,7 +321,7 @@ def test_overtake_enters_passes_and_returns() -> None:
     start = start_on(scene, (1,), 40.0, 13.0, policy=Policy.OVERTAKE, driver=fast)
     (one,) = drive(scene, start).fleet.vehicles
     assert [shift.side for shift in one.shifts] == ["left", "right"]
-    assert one.leader_id == "slow"
+    assert one.overtaken_id == "slow"
     assert one.policies[Policy.OVERTAKE] >= 2
 
 

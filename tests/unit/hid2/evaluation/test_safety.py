@@ -267,8 +267,8 @@ def test_crossings_of_the_last_agents_alone():
     b = drive(-50, 0, 0.0, speed=10.0, name="b")
     scene = stack([a, b, later], step_s=0.1)
     assert {(c.first, c.second) for c in encroachments(scene)} == {(0, 1), (1, 2)}
-    assert {(c.first, c.second) for c in encroachments(scene, since=2)} == {(1, 2)}
-    assert encroachments(scene, since=2, cap_s=0.5) == ()
+    assert {(c.first, c.second) for c in encroachments(scene, first_row=2)} == {(1, 2)}
+    assert encroachments(scene, first_row=2, cap_s=0.5) == ()
 
 
 def test_scene_with_one_more_track_is_the_scene_of_all_tracks():

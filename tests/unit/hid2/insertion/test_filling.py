@@ -439,10 +439,10 @@ def test_debug_log_tells_what_became_of_every_vehicle_that_was_tried(caplog: pyt
 def test_vehicle_that_conflicts_with_others_together_is_replaced_and_kept_ones_stay(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Row 0 is said to conflict while it is new, in the first round; in the second only those since row 3 are asked."""
+    """Row 0 is said to conflict while it is new, in the first round; in the second those from row 3 on are asked."""
 
-    def said(_scene: Scene, exported: Sequence[ExportedVehicle], *, since: int) -> list[tuple[int, Reason]]:
-        return [(0, Reason.PET)] if since == 0 else []
+    def said(_scene: Scene, exported: Sequence[ExportedVehicle], *, first_row: int) -> list[tuple[int, Reason]]:
+        return [(0, Reason.PET)] if first_row == 0 else []
 
     monkeypatch.setattr("hid2.insertion.filling.conflicting", said)
     filling, drive = _fill(scene_for())

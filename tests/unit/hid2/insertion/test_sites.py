@@ -181,7 +181,7 @@ def test_turn_behind_a_red_line_says_that_the_vehicle_waits(
 def test_none_is_to_stop_astride_of_two_lanes(monkeypatch: pytest.MonkeyPatch, slow_m: float, refused: bool) -> None:
     """Across from 120 to 170 m: at 1.5 m/s for 20 m, too slow to shift, 40 m after the start at 100 m, or past it."""
     scene = scene_of()
-    starts, act = _sites(scene).starts, World.act
+    starts, act = _sites(scene).starts, World.roll_manoeuvre
 
     def slowed(world: World, start: Start) -> Any:
         vehicle, parts = act(world, start)
@@ -189,7 +189,7 @@ def test_none_is_to_stop_astride_of_two_lanes(monkeypatch: pytest.MonkeyPatch, s
         path = replace(parts[-1].path, lateral_spans=(LateralSpan(120.0, 170.0),))
         return replace(vehicle, path=path), (*parts[:-1], replace(parts[-1], path=path, s=s, v=v))
 
-    monkeypatch.setattr(World, "act", slowed)
+    monkeypatch.setattr(World, "roll_manoeuvre", slowed)
     monkeypatch.setattr(World, "rejection_reason", lambda *_args, **_more: None)
     request = _request(0, Policy.LANE_CHANGE, 1.0)
     made = starts.make(
