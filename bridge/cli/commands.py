@@ -16,7 +16,7 @@ import typer
 from typer.core import TyperCommand, TyperOption
 from typer.exceptions import TyperException
 
-from bridge.cli import generation, measuring, scenes
+from bridge.cli import generation, measuring, scenes, showing
 from bridge.cli.options import Command, flattened
 from bridge.cli.places import check_given
 from bridge.console import fail
@@ -26,7 +26,7 @@ SOME_FAILED, USAGE = 1, 2
 #: Commands in the order of the help, that of the work: as they stand in their modules.
 COMMANDS: dict[str, Command] = {
     name: one
-    for module in (generation, measuring, scenes)
+    for module in (generation, scenes, measuring, showing)
     for name, one in vars(module).items()
     if isinstance(one, Command)
 }

@@ -26,7 +26,7 @@ from netconvert.lane_graph import TURN_RAD
 STAY_S = 0.5
 #: Lateral speed at which a lane change starts and ends, m/s.
 LATERAL_SPEED_MPS = 0.1
-#: Time over which a parabola is fitted, whose slope is the lateral speed, s: recorded positions jitter by centimetres.
+#: Time over which a parabola is fitted for its slope, the lateral speed, s: recorded positions jitter by centimetres.
 LATERAL_WINDOW_S = 1.1
 #: Longest time from a lane change's crossing in which its start and end are sought, s.
 LONGEST_HALF_S = 6.0
