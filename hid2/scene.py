@@ -13,6 +13,7 @@ from hid2.drivers.driver import OFFSET_MAX_M, place_of_lane
 from hid2.kernels.box_pairs import END_HORIZON_S
 from hid2.measures.arrays import MOVES_MPS, MOVING_EXTENT_M, MOVING_S
 from hid2.measures.driven_lanes import STRETCH_M, recorded_places
+from hid2.measures.encounters import STANDS_MPS
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.motion.route import DrivenPath, LanePaths
 from hid2.motion.smoothing import Trajectory
@@ -35,6 +36,9 @@ _RUN_ON_M = 250.0  # path straight on behind its last lane, without topology; no
 #: Time before its first state and after its last for which a recorded agent is kept clear of, as if it drove on, s.
 #: No tunable: a vehicle that is nearer in time is seen to drive through the agent.
 _UNSEEN_S = 0.5
+#: Least time for which a vehicle that stands is seen to be there unseen too, s. No tunable: what trackers see for less
+#: may not be there.
+_STANDS_FOR_S = 1.0
 #: Steps to which length and width of a clearance box are rounded up, m: vehicles of about one size share what is known
 #: of a path. Not parameters, they save time: a box that is larger by less than a step is clear of a little more.
 _LENGTH_STEP_M, _WIDTH_STEP_M = 0.5, 0.1
@@ -114,6 +118,20 @@ class Scene:
     def lasting(self) -> Traffic:
         """`future`, with each agent there a little before it is seen and after, too: it comes from somewhere."""
         return self.future.lasting(self.steps_in(_UNSEEN_S), step_s=self.step_s)
+
+    @cached_property
+    def unseen(self) -> Traffic:
+        """Recorded vehicles that never move, at the steps at which they are not seen: they stand there all the same."""
+        arrays, speed = self.states.arrays, np.hypot(self.traffic.velocity[..., 0], self.traffic.velocity[..., 1])
+        stand = ~(self.traffic.present & (speed > STANDS_MPS)).any(axis=1)
+        stand &= arrays.vehicle & (np.diff(arrays.first) >= self.steps_in(_STANDS_FOR_S))
+        seen = self.traffic.rows(np.flatnonzero(stand).tolist())
+        return replace(seen.lasting(self.num_steps, step_s=0.0), present=~seen.present)
+
+    @once
+    def unseen_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
+        """Intervals of those on the width driven on a path."""
+        return look_along(path.line, self.unseen, box.length_m, box.width_m)
 
     @property
     def num_recorded(self) -> int:

@@ -347,6 +347,10 @@ class World:
         least = met.min(axis=0, initial=math.inf)
         if least[CONTACT] < np.inf:
             return Reason.MEETS_RECORDED if is_recorded[np.argmin(met[:, CONTACT])] else Reason.MEETS_GENERATED
+        unseen = scene.unseen_on(rollout.path, start.box)
+        steps = rollout.step + np.arange(inside)
+        if ((unseen.low[:, steps] < rollout.s[:inside]) & (rollout.s[:inside] < unseen.high[:, steps])).any():
+            return Reason.MEETS_RECORDED
         if least[LEAD_TTC] < conflict.ttc_min_s:
             return Reason.TTC_LANE_LEADER
         if least[LAG_TTC] < max(conflict.follower_ttc_min_s, conflict.ttc_min_s):
@@ -355,10 +359,7 @@ class World:
             if met[is_kept, LAG_TTC].min(initial=math.inf) < conflict.ttc_min_s:
                 return Reason.MEETS_GENERATED
         if is_kept.any():
-            seen = gaps_on_path(
-                known, rollout.s[:inside], rollout.step + np.arange(inside),
-                among=known.same_direction & is_kept[:, None],
-            )  # fmt: skip
+            seen = gaps_on_path(known, rollout.s[:inside], steps, among=known.same_direction & is_kept[:, None])
             length_m = start.box.length_m - start.beyond_m
             if sustained_headway(seen.lag_m, length_m, seen.lag_mps, scene.step_s)[0] < FOLLOWER_HEADWAY_S:
                 return Reason.FOLLOWER_HEADWAY

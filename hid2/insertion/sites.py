@@ -81,7 +81,7 @@ class TurnedDown:
     def could_not_begin(self, scene: Scene, row: int, policy: Policy) -> None:
         """A vehicle could not begin on a cell, by its row: what speaks against one mostly speaks against those near.
 
-        Whether a manoeuvre comes about is a matter of metres: one that does not speaks for its cell alone.
+        Whether a turn comes about is a matter of metres: one that does not speaks for its cell alone.
         """
         self.rows[policy].update(_around(scene, row) if policy is Policy.STRAIGHT and not self.each_cell else (row,))
 
@@ -197,7 +197,8 @@ class InsertionSites:
             if start is Reason.NO_SITE:
                 continue  # another vehicle of this round may be in the way
             with_less = start is Reason.FOLLOWER_HEADWAY and headway_s > FOLLOWER_HEADWAY_S  # it is tried again
-            if not wants and not with_less:
+            by_driver = BEHAVIOURS[request.policy].changes_lanes  # another driver may change lanes where one does not
+            if not (wants or with_less or by_driver):
                 self.turned_down.could_not_begin(scene, scene.grid.index_of[cell], request.policy)
             tried += 1
             if tried == (_WANTED_TRIES if wants else TRIES):

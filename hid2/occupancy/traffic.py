@@ -80,7 +80,10 @@ class Traffic:
         return Traffic(self.ids, length_m=self.length_m, width_m=self.width_m, **on)
 
     def lasting(self, steps: int, *, step_s: float) -> "Traffic":
-        """The same, and before the first and behind the last state of an agent so many more at constant velocity."""
+        """The same, and before the first and behind the last state of an agent so many more at constant velocity.
+
+        step_s 0: at the place of that state.
+        """
         found: dict[str, Any] = {name: getattr(self, name).copy() for name in _BY_STEP}
         for row in np.flatnonzero(self.present.any(axis=1)):
             at = np.flatnonzero(self.present[row])

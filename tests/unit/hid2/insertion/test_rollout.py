@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_drawn import draw_lane, draw_road
+from hand_drawn import draw_lane, draw_road, draw_track
 from inserted import recorded, scene_on, start_on
 
 from hid2.agents import Policy, Track
@@ -87,6 +87,26 @@ def test_follower_of_a_round_before_keeps_its_time_headway(ahead_m: float, reaso
     assert kept.rejection_reason(candidate.start, candidate.parts) is reason
     world.choose(behind)
     assert world.rejection_reason(candidate.start, candidate.parts) is None
+
+
+@pytest.mark.parametrize(
+    ("seen", "mps", "kind", "reason"),
+    [
+        (range(20, 40), 0.0, "vehicle", Reason.MEETS_RECORDED),
+        (range(85, 109), 0.0, "vehicle", Reason.MEETS_RECORDED),
+        (range(35, 40), 0.0, "vehicle", None),
+        (range(20, 40), 0.5, "vehicle", None),
+        (range(20, 40), 0.0, "pedestrian", None),
+    ],
+    ids=["is lost before", "is found later", "is seen for half a second", "creeps", "a pedestrian"],
+)
+def test_none_drives_through_a_vehicle_that_stands_where_it_is_not_seen(
+    seen: range, mps: float, kind: str, reason: Reason | None
+) -> None:
+    """At 10 m/s from 10 m on, it is where the other stands, at 80 m, from step 65 to step 75."""
+    world = world_of(draw_track(seen, 80.0 + 0.1 * mps * np.arange(len(seen)), object_type=kind))
+    candidate = _steady(world, 10.0, 10.0)
+    assert world.rejection_reason(candidate.start, candidate.parts) is reason
 
 
 def test_follower_that_closes_in_is_named() -> None:

@@ -408,13 +408,16 @@ def test_nobody_begins_in_an_intersection_where_there_is_anything_else() -> None
     assert begun[2] == 0
 
 
-@pytest.mark.parametrize(("sites", "least", "most"), [("promising", 1, 1), ("any", 20, 30)])
+@pytest.mark.parametrize(
+    ("sites", "policy", "least", "most"),
+    [("promising", "straight", 1, 1), ("promising", "lane_change", 20, 60), ("any", "straight", 20, 30)],
+)
 def test_cell_that_was_turned_down_is_left_alone_in_a_round(
-    monkeypatch: pytest.MonkeyPatch, sites: str, least: int, most: int
+    monkeypatch: pytest.MonkeyPatch, sites: str, policy: str, least: int, most: int
 ) -> None:
-    """Two lanes of cells on which nobody can begin. Drawn from all that is admissible, a cell is tried again and again:
+    """Two lanes of cells on which no vehicle can begin: for a lane change, or drawn from all that is admissible, a cell
 
-    80 of 150 cells for each of 30.
+    is tried again and again: 80 of 150 cells for each of 30.
     """
     tried: Counter[tuple[int, int]] = Counter()
 
@@ -425,7 +428,7 @@ def test_cell_that_was_turned_down_is_left_alone_in_a_round(
 
     monkeypatch.setattr("hid2.insertion.starts.Starts.make", turn_down)
     here = _sites(scene_of(recorded(200.0, 30.0, 20.0), sites=sites))
-    assert [here.propose(_request(number)) for number in range(30)] == [[]] * 30
+    assert [here.propose(_request(number, Policy(policy))) for number in range(30)] == [[]] * 30
     assert least <= max(tried.values()) <= most
 
 
