@@ -88,7 +88,8 @@ class ManoeuvreDue:
         for (option, _), answer in zip(options.values(), decision.answers, strict=False):  # those not looked at: none
             vehicle.gaps.append(GapLook(self.now, option, vehicle.v[-1], answer))
         if decision.side is None:
-            vehicle.reason = decision.reason
+            if options or vehicle.reason is None:  # what spoke against a lane says more than that it has ended since
+                vehicle.reason = decision.reason
             return None
         option, target = options[decision.side]
         path = self._lay(option, target)

@@ -163,6 +163,26 @@ def test_a_cell_that_begins_farther_on_takes_a_vehicle_there(lane: Callable[...,
     assert driven_on[1] - driven_on[0] == pytest.approx(2.0, abs=0.02)
 
 
+@pytest.mark.parametrize(("beside_m", "reason"), [(60.0, Reason.CELLS_OCCUPIED), (None, Reason.NO_ADJACENT_LANE)])
+def test_lane_change_that_a_lane_refused_is_not_said_to_have_had_no_lane(
+    lane: Callable[..., LaneSegment], beside_m: float | None, reason: Reason
+) -> None:
+    """The lane beside ends as one at 100 m, after 4 s; a car drives there beside the vehicle. Or there is none."""
+    has = beside_m is not None
+    lanes = [
+        lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(3,), left=2 if has else None),
+        lane(2, [(0.0, 3.5), (100.0, 3.5)], successors=(4,), right=1 if has else None),
+        lane(3, [(100.0, 0.0), (300.0, 0.0)]),
+        lane(4, [(100.0, 3.5), (300.0, 3.5)]),
+    ]
+    beside = [recorded(beside_m, 3.5, 10.0)] if beside_m is not None else []
+    scene = scene_on(LaneGraph({one.lane_id: one for one in lanes}), *beside)
+    world = World(scene, Roads(scene), Guard(scene, Traffic.none(scene.future.num_steps), StopLines(scene)))
+    vehicle, _ = world.roll_manoeuvre(start_on(scene, (1, 3), 60.0, 10.0, policy=Policy.LANE_CHANGE))
+    assert vehicle.stage is Stage.ABORTED
+    assert vehicle.reason is reason
+
+
 def test_vehicle_that_stands_while_it_passes_another_one_is_looked_at_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """It stands 2 m short of the way back all the time: no step is the one at which it will be past."""
     world = world_of()
