@@ -99,7 +99,7 @@ class SpawnRecord(_Record):
 
 
 class ManeuverRecord(_Record):
-    """One manoeuvre that was asked for; times in seconds from timestep 0, None for what did not come about."""
+    """One manoeuvre asked for; s from timestep 0, None for what did not come about; lanes: where the centre crosses."""
 
     kind: ManeuverKind
     status: ManeuverStatus
