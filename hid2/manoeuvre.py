@@ -50,6 +50,8 @@ def advance(vehicle: DrivenVehicle, scene: Scene, now: int) -> bool:
     waits_s = max(scene.config.lane_change.give_up_s, scene.step_s)  # one look at least
     if vehicle.stage is Stage.WAITING and time_s > trigger_s + waits_s:
         vehicle.stage = Stage.ABORTED
+        if vehicle.reason is Reason.NO_ADJACENT_LANE and vehicle.gaps:  # why not while there was a lane says more
+            vehicle.reason = vehicle.gaps[-1].rule or vehicle.gaps[-1].guard
     return is_due(vehicle.stage, time_s, trigger_s)
 
 
@@ -88,8 +90,7 @@ class ManoeuvreDue:
         for (option, _), answer in zip(options.values(), decision.answers, strict=False):  # those not looked at: none
             vehicle.gaps.append(GapLook(self.now, option, vehicle.v[-1], answer))
         if decision.side is None:
-            if options or vehicle.reason is None:  # what spoke against a lane says more than that it has ended since
-                vehicle.reason = decision.reason
+            vehicle.reason = decision.reason
             return None
         option, target = options[decision.side]
         path = self._lay(option, target)

@@ -130,7 +130,7 @@ class Reason(StrEnum):
     # why a driven vehicle was not exported
     LEAVES_TOO_EARLY = "leaves_too_early", "The vehicle leaves the map before the last observed timestep."
     OFF_ROAD = "off_road", "Its footprint leaves the drivable area."
-    MEETS_RECORDED = "meets_recorded", "Its box meets that of a recorded agent."
+    MEETS_RECORDED = "meets_recorded", "Its box meets that of a recorded agent, or of one that stands there unseen."
     MEETS_GENERATED = "meets_generated", "Its box meets that of another inserted vehicle."
     LIMIT_CURVATURE = "limit_curvature", "Its path is sharper than 1 / R_min."
     LIMIT_ACCEL = "limit_accel", "It exceeds the longitudinal acceleration allowed."

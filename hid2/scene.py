@@ -121,10 +121,10 @@ class Scene:
 
     @cached_property
     def unseen(self) -> Traffic:
-        """Recorded vehicles that never move, at the steps at which they are not seen: they stand there all the same."""
+        """Recorded vehicles that stand whenever they are seen, at the other steps: as if they stood there all along."""
         arrays, speed = self.states.arrays, np.hypot(self.traffic.velocity[..., 0], self.traffic.velocity[..., 1])
         stand = ~(self.traffic.present & (speed > STANDS_MPS)).any(axis=1)
-        stand &= arrays.vehicle & (np.diff(arrays.first) >= self.steps_in(_STANDS_FOR_S))
+        stand &= arrays.vehicle & (arrays.rows_per_agent >= self.steps_in(_STANDS_FOR_S))
         seen = self.traffic.rows(np.flatnonzero(stand).tolist())
         return replace(seen.lasting(self.num_steps, step_s=0.0), present=~seen.present)
 

@@ -99,7 +99,7 @@ class SpawnRecord(_Record):
 
 
 class ManeuverRecord(_Record):
-    """One manoeuvre asked for; s from timestep 0, None for what did not come about; lanes: where the centre crosses."""
+    """One manoeuvre asked for; s from timestep 0, None for what did not come about; lanes: by which it is seen."""
 
     kind: ManeuverKind
     status: ManeuverStatus

@@ -197,8 +197,8 @@ class InsertionSites:
             if start is Reason.NO_SITE:
                 continue  # another vehicle of this round may be in the way
             with_less = start is Reason.FOLLOWER_HEADWAY and headway_s > FOLLOWER_HEADWAY_S  # it is tried again
-            by_driver = BEHAVIOURS[request.policy].changes_lanes  # another driver may change lanes where one does not
-            if not (wants or with_less or by_driver):
+            changes = BEHAVIOURS[request.policy].changes_lanes  # with another driver it may come about on the same cell
+            if not (wants or with_less or changes):
                 self.turned_down.could_not_begin(scene, scene.grid.index_of[cell], request.policy)
             tried += 1
             if tried == (_WANTED_TRIES if wants else TRIES):

@@ -56,7 +56,7 @@ def disagreements(scene: TrafficScene, kinds_of: Mapping[str, set[str]]) -> list
     return found
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_ten_vehicles_in_a_real_scene_break_no_rule_and_do_what_their_records_say(real_scene: Path, seed: int) -> None:
     scene = make(real_scene, 10, seed)
     assert check_generated(scene) == []
