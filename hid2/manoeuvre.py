@@ -51,7 +51,7 @@ def advance(vehicle: DrivenVehicle, scene: Scene, now: int) -> bool:
     if vehicle.stage is Stage.WAITING and time_s > trigger_s + waits_s:
         vehicle.stage = Stage.ABORTED
         if vehicle.reason is Reason.NO_ADJACENT_LANE and vehicle.gaps:  # why not while there was a lane says more
-            vehicle.reason = vehicle.gaps[-1].rule or vehicle.gaps[-1].guard
+            vehicle.reason = vehicle.gaps[-1].rule or vehicle.gaps[-1].guard or Reason.SUMO_REFUSES
     return is_due(vehicle.stage, time_s, trigger_s)
 
 

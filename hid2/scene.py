@@ -38,7 +38,7 @@ _RUN_ON_M = 250.0  # path straight on behind its last lane, without topology; no
 _UNSEEN_S = 0.5
 #: Least time for which a vehicle that stands is seen to be there unseen too, s. No tunable: what trackers see for less
 #: may not be there.
-_STANDS_FOR_S = 1.0
+_SEEN_STANDING_S = 1.0
 #: Steps to which length and width of a clearance box are rounded up, m: vehicles of about one size share what is known
 #: of a path. Not parameters, they save time: a box that is larger by less than a step is clear of a little more.
 _LENGTH_STEP_M, _WIDTH_STEP_M = 0.5, 0.1
@@ -124,7 +124,7 @@ class Scene:
         """Recorded vehicles that stand whenever they are seen, at the other steps: as if they stood there all along."""
         arrays, speed = self.states.arrays, np.hypot(self.traffic.velocity[..., 0], self.traffic.velocity[..., 1])
         stand = ~(self.traffic.present & (speed > STANDS_MPS)).any(axis=1)
-        stand &= arrays.vehicle & (arrays.rows_per_agent >= self.steps_in(_STANDS_FOR_S))
+        stand &= arrays.vehicle & (arrays.rows_per_agent >= self.steps_in(_SEEN_STANDING_S))
         seen = self.traffic.rows(np.flatnonzero(stand).tolist())
         return replace(seen.lasting(self.num_steps, step_s=0.0), present=~seen.present)
 
