@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 from inserted import DRIVER
 
-from hid2.drivers.driver import LaneOffset, desired_speeds, draw_driver, free_speeds, lane_offset, place_of_lane
+from hid2.agents import FloatArray
+from hid2.drivers.driver import (
+    LaneOffset,
+    desired_speeds,
+    draw_driver,
+    free_speeds,
+    lane_offset,
+    place_of_lane,
+    start_speed,
+)
 from hid2.params import Config, Drivers, Limits, Spawn
 
 #: Every value that a number below is worked from; the defaults may be tuned.
@@ -86,6 +95,22 @@ def test_wandering_is_slow() -> None:
     rate = np.diff(wander, axis=1) / 0.1
     assert rate[:, 60:].std() == pytest.approx(0.34, abs=0.05)
     assert (np.abs(rate[:, 0]) > 0.05).mean() > 0.9
+
+
+def test_a_share_of_the_vehicles_begins_while_it_gains_speed() -> None:
+    """DRIVER wants 10 m/s, SD of the wandering .6: 2 SD about it or, a share, 1 to 6 SD below it, from .3 of it on."""
+    rng = np.random.default_rng(0)
+    even, wild = (CONFIG.model_copy(update={"drivers": Drivers(wander_sd_mps=sd)}) for sd in (0.0, 3.0))
+
+    def speeds(config: Config, share: float) -> FloatArray:
+        found = [start_speed(DRIVER, config, rng, gaining_share=share) for _ in range(1000)]
+        return np.array(found, dtype=np.float64)
+
+    assert (speeds(CONFIG, 0.0).min(), speeds(CONFIG, 0.0).max()) == pytest.approx((8.8, 11.2), abs=0.02)
+    assert (speeds(CONFIG, 1.0).min(), speeds(CONFIG, 1.0).max()) == pytest.approx((6.4, 9.4), abs=0.02)
+    assert (speeds(CONFIG, 0.5) < 8.8 - 1e-9).mean() == pytest.approx(0.5 * 0.8, abs=0.04)
+    assert set(speeds(even, 1.0)) == {10.0}
+    assert speeds(wild, 1.0).min() == pytest.approx(3.0)
 
 
 def test_nobody_begins_above_the_desired_speed() -> None:

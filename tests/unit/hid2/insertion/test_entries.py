@@ -139,12 +139,12 @@ def test_where_nobody_can_enter_a_vehicle_begins_elsewhere(road: Callable[..., L
 
 
 def test_two_that_enter_on_one_lane_keep_their_distance(road: Callable[..., LaneGraph]) -> None:
-    """Everybody at about 9 m/s: of two on one lane the later one is as far behind as its driver begins at most."""
+    """At 9 m/s, at most 11.4: of two on one lane the later one leaves 2 m, the first one drives 6.5 m in 6 steps."""
     sites = _sites(_scene(road(lanes=1, length_m=300.0)))
     starts = [start for k in range(6) for start in sites.propose(VehicleRequest(k, Policy.STRAIGHT, 0.0))]
     steps = sorted(start.step for start in starts if start.step > 0)
     assert len(steps) >= 2
-    assert np.diff(steps).min() >= 8
+    assert np.diff(steps).min() >= 6
 
 
 def _fleet(x: float, speed: float, y: float = 0.0) -> Traffic:

@@ -84,10 +84,10 @@ def test_start_that_a_recorded_vehicle_would_run_into_is_rejected() -> None:
 
 @pytest.mark.parametrize(("gap", "leader_mps"), [(6.0, 0.0), (15.0, 8.0), (30.0, 4.0), (60.0, 12.0)])
 def test_start_speed_behind_a_leader_needs_no_braking(gap: float, leader_mps: float) -> None:
-    """IDM at that speed and gap: a (1 - (s* / gap)^2) is -0.8 m/s2, a lifted foot; also behind a faster one."""
+    """IDM at that speed and gap: a (1 - (s* / gap)^2) is -0.3 m/s2, a lifted foot; also behind a faster one."""
     v = speed_behind(gap, leader_mps, DRIVER.following)
     star = DRIVER.min_gap_m + v * DRIVER.tau_s + v * (v - leader_mps) / (2 * np.sqrt(1.6 * 2.0))
-    assert DRIVER.accel_mps2 * (1.0 - (star / gap) ** 2) == pytest.approx(-0.8, abs=1e-6)
+    assert DRIVER.accel_mps2 * (1.0 - (star / gap) ** 2) == pytest.approx(-0.3, abs=1e-6)
 
 
 @pytest.mark.parametrize(
