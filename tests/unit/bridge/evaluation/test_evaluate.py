@@ -26,8 +26,13 @@ from netconvert.errors import ExportError, MapError, ScenarioError
 
 @pytest.fixture(scope="module")
 def report(made_root, data_root, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("report")
-    return evaluate_folder(made_root, report_dir=folder, source=[data_root]), folder
+    """The evaluation of the made scenes, of which every one is told, and its folder."""
+    folder, told = tmp_path_factory.mktemp("report"), []
+    evaluation = evaluate_folder(
+        made_root, report_dir=folder, source=[data_root], on_scene=lambda done, total: told.append((done, total))
+    )
+    assert told == [(number, 4) for number in (1, 2, 3, 4)], "two scenes and their sources"
+    return evaluation, folder
 
 
 def read_csv(path):
@@ -54,6 +59,9 @@ def test_tables_have_one_row_per_scene_track_and_maneuver(report, made_root):
     requested = json.loads((folder / "metrics.json").read_text())["requests"]["maneuvers"]
     statuses = ("done", "aborted", "not_feasible", "not_triggered")
     assert len(recorded) == sum(entry[status] for entry in requested.values() for status in statuses)
+    done = [row for row in recorded if row["status"] == "done"]
+    assert done
+    assert all(row["seen"] for row in done), "what was done is seen in the positions"
 
 
 def test_vehicles_of_events_count_among_those_asked_for(data_root):
@@ -138,19 +146,8 @@ def test_report_stands_alone_and_says_what_a_newcomer_needs(report):
     _, folder = report
     text = (folder / "report.html").read_text()
     assert not re.search(r'(src|href)="(?!data:|#)', text)
-    for word in (
-        "SCR",
-        "ORR",
-        "TTC",
-        "PET",
-        "Words",
-        "Jensen-Shannon",
-        "floor",
-        "generated",
-        "original",
-        "combined",
-        "m/s²",
-    ):
+    words = "SCR ORR TTC PET Words Jensen-Shannon floor generated original combined m/s²"
+    for word in words.split():
         assert word in text
     assert text.count("data:image/png;base64,") == 2
 
@@ -197,14 +194,6 @@ def test_every_row_of_numbers_leads_to_a_definition(report):
             assert not lacking, (key, lacking[0])
 
 
-def test_what_comes_from_files_is_escaped(report, tmp_path):
-    evaluation, _ = report
-    scenes = evaluation.metrics["scenes"] | {"failed": [{"folder": "a<b>", "reason": "<script>"}]}
-    write_report(evaluation._replace(metrics=evaluation.metrics | {"scenes": scenes}), tmp_path / "report.html")
-    text = (tmp_path / "report.html").read_text()
-    assert "<li>a&lt;b&gt;: &lt;script&gt;</li>" in text
-
-
 def test_result_does_not_depend_on_jobs(report, made_root, data_root, tmp_path):
     _, folder = report
     evaluate_folder(made_root, report_dir=tmp_path, source=[data_root], jobs=2)
@@ -212,23 +201,38 @@ def test_result_does_not_depend_on_jobs(report, made_root, data_root, tmp_path):
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
 
 
-def test_recorded_scenes_alone_are_evaluated(data_root, tmp_path):
-    evaluation = evaluate_folder(data_root, report_dir=tmp_path)
-    assert evaluation.metrics["scenes"]["generated_vehicles"] == 0
+def test_recorded_scenes_alone_are_evaluated_and_their_maps_read_as_those_of_a_source_are(copy_scene, tmp_path):
+    """What generate refuses is left out here too, with the same words, and the other scenes are measured."""
+    spoilt, _ = copy_scene("curve"), copy_scene("arterial")
+    edit_json(next(spoilt.glob("log_map_archive_*.json")), lambda document: document["drivable_areas"].clear())
+    with pytest.raises(MapError, match="no drivable area, expected at least one") as refused:
+        read_scenario(spoilt)
+    evaluation = evaluate_folder(spoilt.parent, report_dir=tmp_path / "report")
+    assert evaluation.failures == [(spoilt, str(refused.value))]
+    assert (evaluation.metrics["scenes"]["scenes"], evaluation.metrics["scenes"]["generated_vehicles"]) == (1, 0)
     assert evaluation.metrics["kinematics"]["paper"]["lo"]["generated"]["value"] is None
-    assert (tmp_path / "events.csv").read_text().startswith("scenario_id,folder,kind,target,status,reason,")
-    assert "At a glance" not in (tmp_path / "report.html").read_text()
+    events = (tmp_path / "report" / "events.csv").read_text()
+    assert events.startswith("scenario_id,folder,kind,target,status,reason,")
+    assert "At a glance" not in (tmp_path / "report" / "report.html").read_text()
 
 
-def test_a_scene_that_cannot_be_read_is_listed_and_the_rest_measured(made_root, tmp_path):
-    root = tmp_path / "root"
-    shutil.copytree(made_root, root)
-    broken = find_scenarios(root)[0]
+def test_what_is_there_of_recorded_and_generated_scenes_is_measured(
+    made_scene, data_scenes, copy_scene, tmp_path, caplog
+):
+    """A scene made of one whose source is not there, a recorded one, and one that cannot be read."""
+    broken = copy_scene("curve")
+    root = copy_scene(folder=made_scene).parents[1]
+    shutil.copytree(data_scenes["intersection"], root / "val" / "recorded")
     next(broken.glob("scenario_*.parquet")).write_bytes(b"no parquet")
-    evaluation = evaluate_folder(root, report_dir=tmp_path / "report")
+    evaluation = evaluate_folder(root, report_dir=tmp_path / "report", source=[data_scenes["intersection"]])
     assert [path for path, _ in evaluation.failures] == [broken]
-    assert evaluation.metrics["scenes"]["scenes"] == len(find_scenarios(root)) - 1
     assert "not a parquet file" in (tmp_path / "report" / "report.html").read_text()
+    rows = read_csv(tmp_path / "report" / "scenes.csv")
+    scenes = evaluation.metrics["scenes"]
+    assert (len(rows), scenes["scenes"], scenes["generated_scenes"]) == (2, 2, 1)
+    assert [row["seed"] != "" for row in rows].count(True) == 1
+    assert evaluation.metrics["diversity"]["scenes"] == {"before": 2, "after": 2}
+    assert "source scenes are not there" in caplog.text
 
 
 def test_scenes_of_which_none_can_be_read_give_no_report(made_scene, tmp_path):
@@ -247,12 +251,6 @@ def test_nothing_to_evaluate_and_nowhere_to_write_are_explained(made_root, tmp_p
         evaluate_folder(made_root, report_dir=tmp_path / "file")
 
 
-def test_progress_is_told(made_root, tmp_path):
-    told = []
-    evaluate_folder(made_root, report_dir=tmp_path, on_scene=lambda done, total: told.append((done, total)))
-    assert told == [(1, 2), (2, 2)]
-
-
 def test_pooled_ratio_is_of_sums_and_the_interval_holds_it():
     """Sources with 1 of 10 and 3 of 10: 4 of 20, not the mean over anything else; two sources give 0.1 to 0.3."""
     sums = SourceSums(("original_paper_lo", "original_paper_tracks"))
@@ -264,14 +262,6 @@ def test_pooled_ratio_is_of_sums_and_the_interval_holds_it():
         sums.add(row)
     found = estimate(sums, METRICS[0], "original")
     assert found == pytest.approx((0.2, 0.1, 0.3))
-
-
-def test_maneuvers_of_the_sidecar_are_found_again(made_scene):
-    """What was done is seen in the positions: every done record has a manoeuvre seen beside it."""
-    rows = measure_folder(made_scene).tables["maneuvers"]
-    done = [row for row in rows if row["status"] == "done"]
-    assert done
-    assert all(row["seen"] is not None for row in done)
 
 
 def test_a_scene_in_which_nothing_moves_is_measured(made_scene):
@@ -286,51 +276,23 @@ def test_a_scene_in_which_nothing_moves_is_measured(made_scene):
     assert measures.scene["combined_moving"] == 0
 
 
-def test_recorded_and_generated_scenes_together_have_the_same_columns(made_root, data_root, tmp_path):
-    for root in (data_root, made_root):
-        for path in find_scenarios(root):
-            shutil.copytree(path, tmp_path / "both" / "train" / path.name)
-    evaluation = evaluate_folder(tmp_path / "both", report_dir=tmp_path / "report")
-    rows = read_csv(tmp_path / "report" / "scenes.csv")
-    scenes = evaluation.metrics["scenes"]
-    assert len(rows) == scenes["scenes"] > scenes["generated_scenes"] == sum(row["seed"] != "" for row in rows)
-
-
-def test_a_source_that_is_not_there_is_said_and_what_was_recorded_stands(made_root, data_scenes, tmp_path, caplog):
-    evaluation = evaluate_folder(made_root, report_dir=tmp_path, source=[data_scenes["curve"].parents[1] / "val"])
-    assert evaluation.metrics["diversity"]["scenes"] == {"before": 2, "after": 2}
-    assert "source scenes are not there" in caplog.text
-
-
-def test_a_metric_that_is_added_is_measured_pooled_and_shown(made_root, tmp_path, monkeypatch):
-    """Share of vehicle rows in the left half-plane: an entry of METRICS, and nothing else."""
+def test_a_metric_that_is_added_is_measured_pooled_and_shown(made_scene, tmp_path, monkeypatch):
+    """Share of vehicle rows in the left half-plane: an entry of METRICS, and nothing else; files' words are escaped."""
     extra = Metric(
         "left_half", "share of rows with x < 0", "share", "safety", "Rows of vehicles west of the origin.",
         Column("left_half", lambda group: int((group.arrays.position[group.rows][:, 0] < 0).sum())), ROWS,
     )  # fmt: skip
     for where in (metrics, totals_module):
         monkeypatch.setattr(where, "METRICS", (*METRICS, extra))
-    totals, found, rows = Totals(), 0, 0
-    for folder in find_scenarios(made_root):
-        totals.add(measure_folder(folder))
-        for track in read_scenario(folder).tracks:
-            if track.object_type in VEHICLE_TYPES:
-                found, rows = found + int((track.position[:, 0] < 0).sum()), rows + len(track.timesteps)
+    totals = Totals()
+    totals.add(measure_folder(made_scene))
+    tracks = [track for track in read_scenario(made_scene).tracks if track.object_type in VEHICLE_TYPES]
+    x = np.concatenate([track.position[:, 0] for track in tracks])
     content = totals.content()
-    assert content["safety"]["left_half"]["combined"]["value"] == pytest.approx(found / rows)
-    content["scenes"]["failed"] = []
+    assert content["safety"]["left_half"]["combined"]["value"] == pytest.approx((x < 0).mean())
+    content["scenes"]["failed"] = [{"folder": "a<b>", "reason": "<script>"}]
     write_report(Evaluation(totals, [], content), tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text()
     assert "share of rows with x &lt; 0" in text
     assert extra.sentence in text
-
-
-def test_a_map_is_read_as_that_of_a_source_is(copy_scene, tmp_path):
-    """What generate refuses is left out here too, with the same words, and the other scenes are measured."""
-    spoilt, _ = copy_scene("curve"), copy_scene("arterial")
-    edit_json(next(spoilt.glob("log_map_archive_*.json")), lambda document: document["drivable_areas"].clear())
-    with pytest.raises(MapError, match="no drivable area, expected at least one") as refused:
-        read_scenario(spoilt)
-    evaluation = evaluate_folder(spoilt.parent, report_dir=tmp_path / "report")
-    assert evaluation.failures == [(spoilt, str(refused.value))]
-    assert evaluation.metrics["scenes"]["scenes"] == 1
+    assert "<li>a&lt;b&gt;: &lt;script&gt;</li>" in text
