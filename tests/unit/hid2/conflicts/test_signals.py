@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
-from hand_drawn import draw_box
+from hand_drawn import draw_box, draw_lane
 from signal_entries import entries
 
 from hid2.agents import BoxSize, Track
@@ -20,23 +20,23 @@ from hid2.measures.lane_matching import flatten_lanes
 from hid2.occupancy.agent_states import agent_states
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Signals
-from netconvert.lane_graph import LaneGraph, LaneSegment
+from netconvert.lane_graph import LaneGraph
 
 STEPS = 110
 PARAMS = Signals(before_s=2.0, after_s=3.0)
 
 
 @pytest.fixture(scope="module")
-def crossing(lane: Callable[..., LaneSegment]) -> LaneGraph:
+def crossing() -> LaneGraph:
     lanes = [
-        lane(1, [(-50, 0), (0, 0)], successors=(2, 7)),
-        lane(2, [(0, 0), (20, 0)], successors=(3,), is_intersection=True),
-        lane(3, [(20, 0), (70, 0)]),
-        lane(4, [(10, -50), (10, -10)], successors=(5,)),
-        lane(5, [(10, -10), (10, 10)], successors=(6,), is_intersection=True),
-        lane(6, [(10, 10), (10, 50)]),
-        lane(7, [(0, 0), (3, -0.8), (5.2, -3), (6, -6), (6, -10)], successors=(8,), is_intersection=True),
-        lane(8, [(6, -10), (6, -50)]),
+        draw_lane(1, [(-50, 0), (0, 0)], successors=(2, 7)),
+        draw_lane(2, [(0, 0), (20, 0)], successors=(3,), is_intersection=True),
+        draw_lane(3, [(20, 0), (70, 0)]),
+        draw_lane(4, [(10, -50), (10, -10)], successors=(5,)),
+        draw_lane(5, [(10, -10), (10, 10)], successors=(6,), is_intersection=True),
+        draw_lane(6, [(10, 10), (10, 50)]),
+        draw_lane(7, [(0, 0), (3, -0.8), (5.2, -3), (6, -6), (6, -10)], successors=(8,), is_intersection=True),
+        draw_lane(8, [(6, -10), (6, -50)]),
     ]
     return LaneGraph({one.lane_id: one for one in lanes})
 
@@ -147,17 +147,15 @@ def test_an_entry_makes_green_for_the_queue_behind_it(signals) -> None:
 
 
 @pytest.mark.parametrize(("y", "red"), [(4.0, 26), (30.0, 0)])
-def test_straight_on_is_red_while_the_opposite_queue_stands(
-    crossing: LaneGraph, lane: Callable[..., LaneSegment], y: float, red: int
-) -> None:
+def test_straight_on_is_red_while_the_opposite_queue_stands(crossing: LaneGraph, y: float, red: int) -> None:
     """It waits 5 m before the opposite entrance for 30 steps and enters at step 36: both are green from 26 on.
 
     The right turn of lane 7 has a phase of its own. A street 30 m aside is not the opposite one.
     """
     west = [
-        lane(11, [(70, y), (20, y)], successors=(12,)),
-        lane(12, [(20, y), (0, y)], successors=(13,), is_intersection=True),
-        lane(13, [(0, y), (-50, y)]),
+        draw_lane(11, [(70, y), (20, y)], successors=(12,)),
+        draw_lane(12, [(20, y), (0, y)], successors=(13,), is_intersection=True),
+        draw_lane(13, [(0, y), (-50, y)]),
     ]
     graph = LaneGraph({**crossing.lanes, **{one.lane_id: one for one in west}})
     scene = _inferred(graph, _along("a", [(25.0, y), (-50.0, y)], wait_steps=30))
@@ -190,13 +188,13 @@ def test_a_right_turn_says_nothing_of_the_way_straight_on(signals) -> None:
     assert _steps(scene.red(7)) == [*range(25), *range(56, STEPS)]
 
 
-def test_only_lanes_that_are_entered_from_outside_have_an_entrance(lane) -> None:
+def test_only_lanes_that_are_entered_from_outside_have_an_entrance() -> None:
     """Lane 2 is cut in two: 9 begins inside. Its cross traffic counts at the entrance, which is that of lane 2."""
     lanes = [
-        lane(1, [(-50, 0), (0, 0)], successors=(2,)),
-        lane(2, [(0, 0), (8, 0)], successors=(9,), is_intersection=True),
-        lane(9, [(8, 0), (30, 0)], is_intersection=True),
-        lane(11, [(0, 40), (8, 40)], is_intersection=True),
+        draw_lane(1, [(-50, 0), (0, 0)], successors=(2,)),
+        draw_lane(2, [(0, 0), (8, 0)], successors=(9,), is_intersection=True),
+        draw_lane(9, [(8, 0), (30, 0)], is_intersection=True),
+        draw_lane(11, [(0, 40), (8, 40)], is_intersection=True),
     ]
     scene = _inferred(LaneGraph({one.lane_id: one for one in lanes}), draw_box(20.0, -50.0, np.pi / 2, 10.0))
     assert _steps(scene.red(2)) == list(range(27, 84))

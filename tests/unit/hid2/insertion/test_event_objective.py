@@ -1,10 +1,10 @@
 """The objective of an event: what the judge sees of it in states, and how far that is from the middle."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hand_drawn import draw_road
 from inserted import recorded, scene_on
 
 from hid2.agents import BoxSize, Track
@@ -24,8 +24,8 @@ def _objective(graph: LaneGraph, *others: Track, **asked: object) -> Objective:
 
 
 @pytest.fixture
-def graph(road: Callable[..., LaneGraph]) -> LaneGraph:
-    return road(lanes=2, length_m=400.0)
+def graph() -> LaneGraph:
+    return draw_road(lanes=2, length_m=400.0)
 
 
 def test_a_leader_is_seen_at_the_step_nearest_to_the_middle_of_what_is_asked(graph: LaneGraph) -> None:
@@ -94,7 +94,7 @@ def test_a_leader_that_does_not_brake_as_asked_costs_more_than_one_that_does(gra
         assert objective.cost(asked) == pytest.approx(cost, abs=1e-6)
 
 
-def test_who_crosses_first_is_told(lane: Callable[..., object], graph: LaneGraph) -> None:
+def test_who_crosses_first_is_told(graph: LaneGraph) -> None:
     """The target is at x = 150 at 6.25 s; one along +y at 10 m/s from y = -40.5 is at y = 0 after 4 s, before it."""
     across = recorded(150.0, -40.5, 10.0, heading=np.pi / 2, name="e")
     seen = _objective(graph, kind="cross", at_s=(4.0, 4.0)).seen(across)

@@ -146,13 +146,6 @@ def test_slow_driver_enters_a_wide_turn_at_the_cruising_speed() -> None:
     assert speed[0] == pytest.approx(6.0)
 
 
-def test_bend_of_a_straight_lane_keeps_the_cap_of_its_curvature() -> None:
-    """On a circle of 6 m no lane turns: sqrt(2.5 * 6) = 3.87 m/s, and no shape."""
-    line = _circle(6.0)
-    speed = _desired(line, [(0.0, line.length_m, TurnType.STRAIGHT)])
-    assert np.median(speed[_inside(line)]) == pytest.approx(math.sqrt(15.0), rel=0.03)
-
-
 def test_hard_limits_have_the_last_word_in_a_turn() -> None:
     line, segments = _corner(6.0)
     limits = Limits(yaw_rate_radps=0.3)
