@@ -117,7 +117,7 @@ def test_errors_of_a_recorded_vehicle_run_on_as_recorded() -> None:
     """A saw that rises slowly and falls at once, four times in 8 s, is drawn so or mirrored, not backwards."""
     saw = np.tile(np.linspace(-1.0, 1.0, 20), (4, 4))
     errors = TrackerErrors(is_smoothed=False, of_vehicles=(saw,))
-    for seed in range(12):
+    for seed in range(6):
         steps = np.diff(errors.drawn(np.random.default_rng(seed), 160)[1])
         assert min((steps > 0.0).sum(), (steps < 0.0).sum()) <= 8, seed
 
@@ -149,7 +149,7 @@ def test_no_vehicle_ends_with_a_contact_by_the_noise_of_one_ahead() -> None:
     loud = _tracked(_moving("1", y=3.5), faster=6.4)
     scene = scene_of(loud)
     follower, leader = _moving("gen_0"), _moving("gen_1", x=34.5)
-    for seed in range(12):
+    for seed in range(6):
         noisy = _noise(scene, follower, leader, seed=seed)
         states = agent_states(noisy, scene.states.lanes, num_steps=110, step_s=0.1, is_inserted=lambda _: True)
         assert not [*of_end(states, 0, np.array([1]), Bounds()), *of_end(states, 1, np.array([0]), Bounds())], seed

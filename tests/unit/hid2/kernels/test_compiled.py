@@ -91,8 +91,7 @@ def test_kernels_run_where_nothing_can_be_written(room: Path) -> None:
     nothing = room.parents[1] / "nothing"
     nothing.write_text("")
     places = {"HOME": str(nothing), "XDG_CACHE_HOME": str(nothing)}
-    for _ in range(2):
-        assert run(room, **places).stdout.split() == ["2.0", "0"]
+    assert run(room, **places).stdout.split() == ["2.0", "0"]
     run(room, "-m", "hid2.kernels.compile", **places)
 
 
