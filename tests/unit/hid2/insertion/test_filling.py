@@ -237,16 +237,6 @@ def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(monkeypatc
     assert len(filling.kept) == 12
 
 
-def test_vehicle_whose_manoeuvre_nobody_else_may_try_is_kept_with_its_record() -> None:
-    """No lane change comes about, and spawn.reseed_rounds is 0: those who were to do one stay."""
-    scene = scene_for(agents=3, straight=0.0, lane_change=1.0, trigger_min_s=1.0, trigger_max_s=1.0, reseeds=0)
-    filling, drive = _fill(scene)
-    assert len(drive.rounds) == 1
-    assert filling.rejected == []
-    assert [one.driven.policy for one in filling.kept] == [Policy.LANE_CHANGE] * 3
-    assert [outcome.done for outcome in filling.outcomes.values()] == [False] * 3
-
-
 def test_request_keeps_its_trigger_when_its_vehicle_is_replaced() -> None:
     """Lane changes at 1 to 8 s, of which none comes about: three rounds try each, with one trigger."""
     scene = scene_for(agents=3, straight=0.0, lane_change=1.0, trigger_min_s=1.0, trigger_max_s=8.0)
@@ -280,20 +270,21 @@ def test_unmet_manoeuvres_are_told_with_their_last_reason_and_the_count_is_reach
     assert {one.driven.policy for one in filling.kept} == {Policy.STRAIGHT}
 
 
-def test_vehicle_that_tries_a_manoeuvre_last_stays_with_its_reason() -> None:
-    """No lane change comes about: three rounds try, and the vehicles of the last one are in the scene."""
+@pytest.mark.parametrize("reseeds", [0, 2])
+def test_vehicle_that_tries_a_manoeuvre_last_stays_with_its_reason(reseeds: int) -> None:
+    """No lane change comes about: each is tried anew in spawn.reseed_rounds, and vehicles of the last one stay."""
 
     def refuse(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
         vehicle.reason = Reason.SUMO_REFUSES
         return vehicle
 
-    filling, drive = _fill(scene_for(**HALF), refuse)
-    assert len(drive.rounds) == 3
+    filling, drive = _fill(scene_for(reseeds=reseeds, **HALF), refuse)
+    assert len(drive.rounds) == 1 + reseeds
+    assert len(filling.rejected) == 2 * reseeds
     assert len(filling.kept) == 4
     assert filling.unmet == []
-    assert [(one.status, one.reason) for one in filling.outcomes.values()] == [
-        ("not_feasible", Reason.SUMO_REFUSES)
-    ] * 2
+    told = [(one.status, one.reason) for one in filling.outcomes.values()]
+    assert told == [("not_feasible", Reason.SUMO_REFUSES)] * 2
 
 
 def test_what_the_map_or_the_scene_does_not_offer_is_told_at_once() -> None:

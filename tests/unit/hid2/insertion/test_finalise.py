@@ -36,8 +36,8 @@ def _alone(scene: Scene, v: Any, s: float = 40.0, **changes: Any) -> ExportedVeh
     return finalise(scene, driven(start, v), [])
 
 
-def _kept(scene: Scene, v: Any, s: float = 40.0, *, lane: int = 1, number: int = 0) -> ExportedVehicle:
-    start = start_on(scene, (lane,), s, float(np.asarray(v)[0]), number=number)
+def _kept(scene: Scene, v: Any, s: float = 40.0, *, lane: int = 1, **changes: Any) -> ExportedVehicle:
+    start = start_on(scene, (lane,), s, float(np.asarray(v)[0]), **changes)
     found = finalise(scene, driven(start, v), [])
     assert isinstance(found, ExportedVehicle), found
     return found
@@ -45,8 +45,7 @@ def _kept(scene: Scene, v: Any, s: float = 40.0, *, lane: int = 1, number: int =
 
 def test_vehicle_alone_is_exported_as_it_was_driven() -> None:
     """10 m/s for 10.9 s from x = 40 on."""
-    found = _alone(scene_of(), np.full(110, 10.0))
-    assert isinstance(found, ExportedVehicle)
+    found = _kept(scene_of(), np.full(110, 10.0))
     track = found.track("gen_0", 1)
     assert track.timesteps.tolist() == list(range(110))
     assert track.position == pytest.approx(np.column_stack([40.0 + 10.0 * T, np.zeros(110)]), abs=1e-6)
@@ -64,8 +63,7 @@ def test_what_sumo_objected_to_is_the_reason() -> None:
 
 def test_track_ends_where_the_rear_of_the_map_is_not_left_behind() -> None:
     """150 m of lane, 10 m/s from 80: the box is whole on the map up to 150 - 2.25 = 147.75 m, after 6.7 s."""
-    found = _alone(scene_of(length_m=150.0), np.full(110, 10.0), 80.0)
-    assert isinstance(found, ExportedVehicle)
+    found = _kept(scene_of(length_m=150.0), np.full(110, 10.0), 80.0)
     assert found.num_steps == 68
 
 
@@ -101,8 +99,7 @@ def test_limits_of_motion_are_named(v: np.ndarray, reason: Reason) -> None:
 
 def test_jerk_that_a_wider_filter_takes_out_is_exported_without_it() -> None:
     """1.5 sin(2.5 t) m/s: a jerk of 9.4 m/s3, 4.13 are allowed; the speed is smoothed until it is."""
-    found = _alone(scene_of(), 10.0 + 1.5 * np.sin(2.5 * T))
-    assert isinstance(found, ExportedVehicle)
+    found = _kept(scene_of(), 10.0 + 1.5 * np.sin(2.5 * T))
     assert np.abs(np.gradient(found.motion.a, 0.1)).max() <= 4.13 + 0.05
 
 
@@ -111,8 +108,7 @@ def test_footprint_beside_the_road_is_off_road() -> None:
 
     A share of the driver's place in the lane is tried, and 0 of it: the vehicle is exported, but not out there.
     """
-    found = _alone(scene_of(), np.full(110, 10.0), offset=_aside(-1.2))
-    assert isinstance(found, ExportedVehicle)
+    found = _kept(scene_of(), np.full(110, 10.0), offset=_aside(-1.2))
     assert found.trajectory.position[:, 1] == pytest.approx(np.full(110, -0.6))
 
 
@@ -137,8 +133,7 @@ def test_box_of_another_inserted_vehicle_is_met() -> None:
 
 def test_ttc_to_the_leader_is_taken_down() -> None:
     """From 40 m at 8 m/s behind one at 100 m with 6: the gap of 55.5 m closes at 2 m/s to 33.7 m, 16.8 s."""
-    found = _alone(scene_of(recorded(100.0, 0.0, 6.0)), np.full(110, 8.0))
-    assert isinstance(found, ExportedVehicle)
+    found = _kept(scene_of(recorded(100.0, 0.0, 6.0)), np.full(110, 8.0))
     assert found.min_ttc_s == pytest.approx(16.8, abs=0.4)
 
 
@@ -151,8 +146,7 @@ def test_recorded_follower_may_not_close_in_critically() -> None:
     slows = 10.0 - 2.5 * np.clip(T - 2.0, 0.0, 2.0)
     v = np.minimum(slows + 2.0 * np.clip(T - 4.0, 0.0, None), np.where(T < 4.0, slows, 12.0))
     scene = scene_of(recorded(23.0, 0.0, 10.0))
-    found = _alone(scene, v)
-    assert isinstance(found, ExportedVehicle)
+    found = _kept(scene, v)
     assert conflicting(scene, [found]) == [(0, Reason.TTC_RECORDED_FOLLOWER)]
 
 
@@ -163,8 +157,7 @@ def test_headway_is_that_to_the_box_that_is_exported(length_m: float, found: lis
     The target of an event bears the gap that the event is about.
     """
     scene = scene_of(recorded(27.1, 0.0, 16.0))
-    vehicle = _alone(scene, np.full(110, 16.0), size=BoxSize(length_m, 1.8))
-    assert isinstance(vehicle, ExportedVehicle)
+    vehicle = _kept(scene, np.full(110, 16.0), size=BoxSize(length_m, 1.8))
     assert conflicting(scene, [vehicle]) == found
     assert conflicting(scene, [vehicle], target_id="r") == []
 
@@ -226,12 +219,9 @@ def test_who_drives_aside_in_its_lane_closes_in_on_who_is_aside_ahead(aside_m: f
     y = 0.7 would touch it, who is at y = 0 passes 0.6 m beside it.
     """
     scene = scene_of()
-    slow = driven(start_on(scene, (2,), 60.0, 5.0, offset=_aside(-1.0)), np.full(110, 5.0))
-    fast = driven(start_on(scene, (1,), 40.0, 10.0, offset=_aside(aside_m), number=1), np.full(110, 10.0))
-    found = [finalise(scene, one, []) for one in (slow, fast)]
-    both = [one for one in found if isinstance(one, ExportedVehicle)]
-    assert len(both) == 2, found
-    assert [row for row, _ in conflicting(scene, both)] == rows
+    slow = _kept(scene, np.full(110, 5.0), 60.0, lane=2, offset=_aside(-1.0))
+    fast = _kept(scene, np.full(110, 10.0), 40.0, offset=_aside(aside_m), number=1)
+    assert [row for row, _ in conflicting(scene, [slow, fast])] == rows
 
 
 @pytest.mark.parametrize(("y", "aside_m", "kept_m"), [(2.5, 0.7, 0.35), (2.5, 0.0, 0.0), (1.5, 0.7, None)])
@@ -268,8 +258,7 @@ def test_without_smoothing_the_grid_path_is_exported() -> None:
     ring = np.concatenate([outer, [[0.0, 30.0]], outer[:1]])
     graph = LaneGraph({1: draw_lane(1, bend)}, drivable_areas=(ring,))
     scene = scene_on(graph, config=Config(without=frozenset({"smoothing"})))
-    found = _alone(scene, np.full(110, 6.0), 10.0)
-    assert isinstance(found, ExportedVehicle)
+    found = _kept(scene, np.full(110, 6.0), 10.0)
     radius = np.hypot(*(found.trajectory.position - [0.0, 30.0]).T)
     assert radius.max() <= 30.0 + 0.01
     assert 30.0 - radius.min() == pytest.approx(0.067, abs=0.02)
@@ -299,8 +288,7 @@ def test_who_is_started_ahead_of_a_kept_vehicle_that_comes_into_its_lane_is_no_l
 
 def test_vehicle_that_enters_has_the_steps_since_then() -> None:
     scene = scene_of()
-    found = _alone(scene, np.full(80, 10.0), 3.0, step=30)
-    assert isinstance(found, ExportedVehicle)
+    found = _kept(scene, np.full(80, 10.0), 3.0, step=30)
     track = found.track("gen_0", 1)
     assert track.timesteps.tolist() == list(range(30, 110))
     assert track.position[0] == pytest.approx([3.0, 0.0], abs=1e-6)
@@ -365,6 +353,5 @@ def test_traffic_beside_is_passed_with_room(comes: bool, y: float, kept_m: float
     """
     x, heading = (200.0, np.pi) if comes else (60.0, 0.0)
     scene = scene_of(recorded(x, y, 8.0, heading=heading))
-    found = _alone(scene, np.full(110, 10.0), offset=_aside(0.5))
-    assert isinstance(found, ExportedVehicle), found
+    found = _kept(scene, np.full(110, 10.0), offset=_aside(0.5))
     assert found.trajectory.position[:, 1] == pytest.approx(kept_m, abs=0.01)

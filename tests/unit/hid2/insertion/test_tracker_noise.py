@@ -8,7 +8,7 @@ from hand_drawn import draw_road
 from inserted import recorded, scene_on
 from scipy.signal import savgol_filter
 
-from hid2.agents import BoxSize, Track
+from hid2.agents import Track
 from hid2.insertion.tracker_noise import TrackerErrors, tracker_errors, with_noise
 from hid2.judge.findings import NOISE_BOUNDS, Bounds
 from hid2.judge.states import of_end
@@ -16,14 +16,11 @@ from hid2.occupancy.agent_states import agent_states
 from hid2.scene import Scene
 
 T = 0.1 * np.arange(110)
-CAR = BoxSize(4.5, 1.9)
 
 
 def _moving(track_id: str, speed: float = 10.0, *, y: float = 0.0, x: float = 20.0) -> Track:
     """A car along x."""
-    position = np.column_stack([x + speed * T, np.full(110, y)])
-    velocity = np.column_stack([np.full(110, speed), np.zeros(110)])
-    return Track(track_id, "vehicle", 1, np.arange(110), position, np.zeros(110), velocity, CAR)
+    return recorded(x, y, speed, name=track_id)
 
 
 def _smoothed(track: Track) -> Track:

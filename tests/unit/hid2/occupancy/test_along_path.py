@@ -11,20 +11,6 @@ from hid2.occupancy.traffic import Traffic
 from netconvert.geometry import box_corners
 
 
-def test_box_across_the_path_forbids_half_its_width_and_half_the_own_length(straight_line: ReferenceLine) -> None:
-    """A box of 4 x 2 crosswise at x = 50; the own one is 4 m long: centres from 50 - 1 - 2 = 47 to 53 touch it.
-
-              ||                 sampled every 0.5 m and widened by one sample: 46.5 .. 53.5 at the most
-    [own]---->||
-              47   53
-    """
-    found = occupancy_of(straight_line, draw_box(50.0, 0.0, np.pi / 2, steps=3, **SIZE._asdict()))
-    assert found.low.shape == (1, 3)
-    assert 46.5 - 1e-9 <= found.low[0, 0] <= 47.0
-    assert 53.0 <= found.high[0, 0] <= 53.5 + 1e-9
-    assert not found.same_direction.any()
-
-
 def test_box_ahead_forbids_from_bumper_to_bumper(straight_line: ReferenceLine) -> None:
     """Both 4 m long: 50 - 4 = 46 to 54. It drives at 6 m/s along the path."""
     found = occupancy_of(straight_line, draw_box(50.0, 0.0, 0.0, 6.0, steps=3, **SIZE._asdict()))
