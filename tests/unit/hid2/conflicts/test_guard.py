@@ -138,10 +138,7 @@ def test_who_follows_is_ignored_but_told_of() -> None:
     found = look(recorded(20.0, 0.0, 14.0))
     assert found.decel_mps2 == 0.0
     assert found.run_into
-
-
-def test_recorded_one_that_keeps_its_distance_behind_runs_into_nobody() -> None:
-    assert not look(recorded(20.0, 0.0, 10.0)).run_into
+    assert not look(recorded(20.0, 0.0, 10.0)).run_into  # it keeps its distance
 
 
 @pytest.fixture

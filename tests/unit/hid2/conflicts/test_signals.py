@@ -202,8 +202,3 @@ def test_only_lanes_that_are_entered_from_outside_have_an_entrance() -> None:
     assert scene.red(9) is None
     assert scene.red(11) is None
     assert entries(scene, 11) is None
-
-
-def test_an_empty_road_is_green(signals) -> None:
-    nobody = draw_box(0.0, 0.0).rows([])
-    assert _steps(signals(nobody).red(2)) == []

@@ -205,10 +205,6 @@ def test_leader_in_the_lane_that_is_left_counts_until_it_is_left() -> None:
     assert ("gen_0", Quantity.TTC_LEADER, "a") not in judged(_at("a", 85.0, 0.0), leaves)
 
 
-def test_what_stands_in_the_next_lane_leads_nothing() -> None:
-    assert judged(_at("a", 40.0, 0.0, y=3.5), _at("gen_0", 10.0, 10.0)) == []
-
-
 def test_leader_that_rolls_back_is_met_as_if_it_stood() -> None:
     """10 m/s towards a car 50 m ahead that comes back at 0.5 m/s all the time, for 3.9 s: 4.5 m of the gap are left."""
     seen = judged(_at("a", 50.0, -0.5, heading=0.0, steps=40), _at("gen_0", 0.0, 10.0, steps=40))

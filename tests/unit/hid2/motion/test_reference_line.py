@@ -26,6 +26,10 @@ def test_straight_line_stays_as_it_is(straight_line: ReferenceLine) -> None:
     assert straight_line.length_m == pytest.approx(200.0)
     assert straight_line.position(s) == pytest.approx(np.column_stack([s, np.zeros(3)]), abs=1e-6)
     assert np.abs(straight_line.table_curvature).max() < 1e-9
+    rows = _inside(straight_line)
+    at = np.arange(straight_line.table_xy.shape[0])[rows] * TABLE_STEP_M
+    assert straight_line.table_xy[rows] == pytest.approx(straight_line.position(at), abs=1e-6)
+    assert straight_line.table_heading[rows] == pytest.approx(np.zeros(at.size), abs=1e-6)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
@@ -78,13 +82,6 @@ def test_parameter_is_arc_length() -> None:
     x = np.arange(0.0, 120.0, 2.0)
     line = _line(np.column_stack([x, 4.0 * np.sin(x / 12.0)]))
     assert np.abs(line.motion(np.linspace(0.0, line.length_m, 400))[2] - 1.0).max() < 5e-3
-
-
-def test_tables_stand_at_equal_steps_on_the_line(straight_line: ReferenceLine) -> None:
-    rows = _inside(straight_line)
-    s = np.arange(straight_line.table_xy.shape[0])[rows] * TABLE_STEP_M
-    assert straight_line.table_xy[rows] == pytest.approx(straight_line.position(s), abs=1e-6)
-    assert straight_line.table_heading[rows] == pytest.approx(np.zeros(s.size), abs=1e-6)
 
 
 def test_line_goes_straight_on_past_its_ends(straight_line: ReferenceLine) -> None:

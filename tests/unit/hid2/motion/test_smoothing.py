@@ -20,12 +20,6 @@ def _smooth(v: np.ndarray, filter_s: float = 0.3, s0: float = 40.0) -> Motion:
     return smooth_motion(_driven(v, s0), filter_s=filter_s, step_s=DT)
 
 
-def test_uniform_motion_stays_as_it_is() -> None:
-    motion = _smooth(np.full(110, 9.0))
-    assert motion.s == pytest.approx(40.0 + 0.9 * np.arange(110))
-    assert motion.a == pytest.approx(np.zeros(110), abs=1e-9)
-
-
 def test_steps_of_the_acceleration_are_taken_out() -> None:
     """SUMO goes from 0 to -2 m/s2 from one step to the next: jerk -20 m/s3. A Gaussian of 0.3 s spreads it.
 

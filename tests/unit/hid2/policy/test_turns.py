@@ -1,5 +1,3 @@
-import math
-
 import numpy as np
 import pytest
 
@@ -108,15 +106,6 @@ def _corner(radius: float, *, before_m: float = 60.0) -> tuple[ReferenceLine, li
     return line, [(0.0, start, TurnType.STRAIGHT), (start, end, TurnType.LEFT), (end, line.length_m, TurnType.STRAIGHT)]
 
 
-def test_a_driver_slows_to_an_entry_speed_that_keeps_the_whole_turn_within_his_lateral_acceleration() -> None:
-    """Circle of 12 m all along the lane: v_0 = sqrt(1.6 * 12) = 4.38 m/s at both ends, 0.65 of it at the trough."""
-    line = _circle(12.0)
-    speed = road_speeds(line, [(0.0, line.length_m, TurnType.LEFT)], turn=TURN, limits=Limits()).cap(1.6)
-    inside = speed[_inside(line)][:-1]
-    assert inside.max() == pytest.approx(math.sqrt(1.6 * 12.0), rel=0.04)
-    assert inside.min() / inside[0] == pytest.approx(0.65, rel=0.01)
-
-
 def test_shape_and_lateral_acceleration_meet_at_one_point_of_a_corner() -> None:
     """R = 10 m: v^2 kappa is 2 m/s2 at most, at one point; v / v_0 is f(alpha) on the whole lane."""
     line, segments = _corner(10.0)
@@ -129,13 +118,6 @@ def test_shape_and_lateral_acceleration_meet_at_one_point_of_a_corner() -> None:
     lateral = v**2 * np.abs(line.table_curvature[rows])
     assert lateral.max() == pytest.approx(2.0)
     assert np.sum(lateral > 0.999 * 2.0) == 1
-
-
-def test_entry_speed_grows_with_the_root_of_the_drivers_lateral_acceleration() -> None:
-    line, segments = _corner(15.0)
-    road = road_speeds(line, segments, turn=TURN, limits=Limits(jerk_mps3=30.0, yaw_accel_radps2=5.0))
-    row = int(segments[1][0] / TABLE_STEP_M) + 1
-    assert road.cap(2.0)[row] / road.cap(0.5)[row] == pytest.approx(2.0)
 
 
 def test_slow_driver_enters_a_wide_turn_at_the_cruising_speed() -> None:
