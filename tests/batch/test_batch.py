@@ -12,15 +12,11 @@ from pathlib import Path
 
 import pytest
 from distributed import LocalCluster
+from served import Here
 from written import contents
 
 from bridge.batch.batch import RUNS_OF_A_TASK, Options, Progress, plan, reproduce, run_batch
-from bridge.batch.manifest import (
-    DONE,
-    QUARANTINED,
-    Manifest,
-    ManifestRow,
-)
+from bridge.batch.manifest import DONE, QUARANTINED, Manifest, ManifestRow
 from bridge.config import load_config
 from bridge.generation.program import code_version
 from bridge.recordings.scenario import find_scenarios
@@ -30,6 +26,18 @@ from netconvert.errors import BatchError, ConfigError, DiskFullError, ExportErro
 
 COPIES = "faults:copies"
 MakeDataSet = Callable[..., list[Path]]
+
+
+@pytest.fixture(autouse=True)
+def here(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scenes are made in this process, which takes a tenth of the time, unless a test asks for isolated ones."""
+    if "isolated" not in request.fixturenames:
+        monkeypatch.setattr("bridge.batch.engine.IsolatedProcess", Here)
+
+
+@pytest.fixture
+def isolated() -> None:
+    """Scenes are made in processes of their own."""
 
 
 def statuses(rows: Sequence[ManifestRow]) -> dict[str, str]:
@@ -144,20 +152,19 @@ def test_time_that_never_comes_is_refused(timeout_s: float) -> None:
 class TestFullDisk:
     """Nothing more can be written: one line, nothing half-written, and the batch goes on when there is room."""
 
-    def check(self, folders: list[Path], out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        with pytest.raises(
-            DiskFullError, match=r"cannot be written \(No space left on device\); finished scenes are in "
-        ):
+    def check(self, folders: list[Path], out: Path, patched: pytest.MonkeyPatch) -> None:
+        said = r"cannot be written \(No space left on device\); finished scenes are in "
+        with pytest.raises(DiskFullError, match=said):
             run_batch(plan(folders, Config()), out, Options(function=COPIES))
-        monkeypatch.undo()
+        patched.undo()
         assert_nothing_half_written(out)
         assert [path for path in (out / "quarantine").rglob("*") if not path.is_dir()] == []
         rows = run_batch(plan(folders, Config()), out, Options(function=COPIES, resume=True))
         assert {row.status for row in rows} <= {DONE, QUARANTINED}
         assert len(rows) == len(folders)
 
-    def test_in_a_scene(self, make_data_set: MakeDataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.check(make_data_set(3, {1: "full once"}), tmp_path / "out", monkeypatch)
+    def test_in_a_scene(self, make_data_set: MakeDataSet, tmp_path: Path) -> None:
+        self.check(make_data_set(3, {1: "full once"}), tmp_path / "out", pytest.MonkeyPatch())
 
     @pytest.mark.parametrize("what", ["add", "save"])
     def test_in_the_manifest(
@@ -173,16 +180,18 @@ class TestFullDisk:
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             return opened(path, *arguments, **named)  # type: ignore[call-overload]
 
-        monkeypatch.setattr(Path, "open", full)
-        self.check(make_data_set(3), tmp_path / "out", monkeypatch)
+        with monkeypatch.context() as patched:
+            patched.setattr(Path, "open", full)
+            self.check(make_data_set(3), tmp_path / "out", patched)
         assert len(calls) > 1
 
     def test_in_a_bundle(self, make_data_set: MakeDataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         def full(*_: object) -> None:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-        monkeypatch.setattr("bridge.batch.quarantine._add", full)
-        self.check(make_data_set(3, {1: "raise"}), tmp_path / "out", monkeypatch)
+        with monkeypatch.context() as patched:
+            patched.setattr("bridge.batch.quarantine._add", full)
+            self.check(make_data_set(3, {1: "raise"}), tmp_path / "out", patched)
 
 
 def test_folder_with_any_bytes_in_its_name_is_a_scene_like_others(make_data_set: MakeDataSet, tmp_path: Path) -> None:
@@ -194,9 +203,8 @@ def test_folder_with_any_bytes_in_its_name_is_a_scene_like_others(make_data_set:
         assert [row.failure or row.status for row in rows] == [DONE, "exception", DONE]
         assert sorted(row.scenario for row in rows) == ["s0\\udcff ,\\x1b[2J", "s1\\udcff ,\\x1b[2J", "scene-002"]
     assert rows[1].bundle
-    assert (
-        reproduce(tmp_path / "out" / rows[1].bundle, tmp_path / "again", functions=[COPIES])[1].failure == "exception"
-    )
+    _, again = reproduce(tmp_path / "out" / rows[1].bundle, tmp_path / "again", functions=[COPIES])
+    assert again.failure == "exception"
 
 
 def test_pipes_and_folders_in_the_place_of_files_do_not_hold_a_batch_up(
@@ -221,33 +229,24 @@ def test_lock_that_is_a_link_is_not_written_through(make_data_set: MakeDataSet, 
     assert (tmp_path / "mine").read_text() == "mine"
 
 
+@pytest.mark.usefixtures("isolated")
 def test_bad_scenes_are_quarantined_and_good_ones_complete(make_data_set: MakeDataSet, tmp_path: Path) -> None:
-    faults = {1: "sumo", 2: "wait", 3: "corrupt", 4: "raise", 5: "killed", 6: "segfault once", 7: "wait once"}
-    folders = make_data_set(9, faults)
-    rows = run_batch(plan(folders, Config()), tmp_path / "out", Options(jobs=2, timeout_s=8, function=COPIES))
-    assert statuses(rows) == {
-        "scene-000": DONE,
-        "scene-001": "crashed",
-        "scene-002": "timeout",
-        "scene-003": "error",
-        "scene-004": "exception",
-        "scene-005": "killed",
-        "scene-006": DONE,
-        "scene-007": DONE,
-        "scene-008": DONE,
-    }
-    attempts = {row.scenario: row.attempts for row in rows}
-    assert [attempts[f"scene-{number:03d}"] for number in (0, 1, 2, 3, 5, 6, 7)] == [1, 2, 2, 1, 2, 2, 2]
-    assert_nothing_half_written(tmp_path / "out")
-    assert len(contents(tmp_path / "out")) == 4
+    faults = {1: "sumo", 2: "wait", 3: "corrupt", 4: "raise", 5: "killed", 6: "segfault once"}
+    folders, out = make_data_set(8, faults), tmp_path / "out"
+    rows = run_batch(plan(folders, Config()), out, Options(jobs=2, timeout_s=8, function=COPIES))
+    ended = [DONE, "crashed", "timeout", "error", "exception", "killed", DONE, DONE]
+    assert statuses(rows) == {f"scene-{number:03d}": how for number, how in enumerate(ended)}
+    assert [row.attempts for row in rows] == [1, 2, 2, 1, 1, 2, 2, 1]
+    assert_nothing_half_written(out)
+    assert len(contents(out)) == 3
     for row in rows:
         assert bool(row.bundle) == (row.status == QUARANTINED)
-    assert list((tmp_path / "out").rglob("*.parquet")) == [
-        path for path in (tmp_path / "out").rglob("*.parquet") if path.name.startswith("scenario_")
-    ], "readers take every parquet file they find: a bundle shows none"
+    found = list(out.rglob("*.parquet"))
+    assert found == [path for path in found if path.name.startswith("scenario_")], "a bundle shows readers no parquet"
 
 
-@pytest.mark.parametrize("fault", ["sumo", "corrupt", "raise"])
+@pytest.mark.usefixtures("isolated")
+@pytest.mark.parametrize("fault", ["sumo", "corrupt"])
 def test_bundle_reproduces_its_failure(make_data_set: MakeDataSet, tmp_path: Path, fault: str) -> None:
     folders = make_data_set(1, {0: fault})
     (row,) = run_batch(plan(folders, Config()), tmp_path / "out", Options(timeout_s=20, function=COPIES))
@@ -258,11 +257,15 @@ def test_bundle_reproduces_its_failure(make_data_set: MakeDataSet, tmp_path: Pat
     assert bundle.variant == 0
 
 
-def test_workers_make_no_difference_to_the_bytes(make_data_set: MakeDataSet, tmp_path: Path) -> None:
-    jobs = plan(make_data_set(8), load_config(flags={"request.variants": 2}))
-    run_batch(jobs, tmp_path / "one", Options(function=COPIES))
+@pytest.mark.usefixtures("isolated")
+def test_workers_make_no_difference_to_the_bytes(
+    make_data_set: MakeDataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jobs = plan(make_data_set(4), load_config(flags={"request.variants": 2}))
     run_batch(jobs, tmp_path / "two", Options(jobs=2, function=COPIES))
-    assert len(contents(tmp_path / "one")) == 16
+    monkeypatch.setattr("bridge.batch.engine.IsolatedProcess", Here)
+    run_batch(jobs, tmp_path / "one", Options(function=COPIES))
+    assert len(contents(tmp_path / "one")) == 8
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
 
 
@@ -305,8 +308,12 @@ class TestResume:
         run_batch(plan(folders, config or Config()), out, Options(resume=True, function=COPIES), on_row=note)
         return made
 
-    def test_complete_scenes_are_skipped(self, first: tuple[list[Path], Path]) -> None:
+    def test_complete_scenes_are_skipped_and_half_written_folders_removed(self, first: tuple[list[Path], Path]) -> None:
+        half = first[1] / "val" / ".hid2-0123456789abcdef"
+        half.mkdir()
+        (half / "scenario.parquet").write_bytes(b"half")
         assert self.redone(*first) == []
+        assert not half.exists()
 
     def test_changed_source_is_redone(self, first: tuple[list[Path], Path]) -> None:
         folders, out = first
@@ -314,13 +321,12 @@ class TestResume:
         map_path.write_bytes(map_path.read_bytes() + b"\n")
         assert self.redone(folders, out) == ["scene-001"]
 
-    def test_changed_configuration_is_redone(self, first: tuple[list[Path], Path]) -> None:
+    def test_changed_configuration_is_redone_and_more_variants_keep_the_first(
+        self, first: tuple[list[Path], Path]
+    ) -> None:
         folders, out = first
         assert len(self.redone(folders, out, load_config(flags={"request.seed": 1}))) == 3
         assert self.redone(folders, out) == [], "the scenes of the first configuration are still there"
-
-    def test_more_variants_keep_the_first(self, first: tuple[list[Path], Path]) -> None:
-        folders, out = first
         assert len(self.redone(folders, out, load_config(flags={"request.variants": 2}))) == 3
 
     def test_damaged_output_is_redone(self, first: tuple[list[Path], Path]) -> None:
@@ -346,14 +352,6 @@ class TestResume:
         (out / "manifest.csv").write_text("".join(lines[:-1]) + lines[-1][:40])  # cut within a line
         assert self.redone(folders, out) == ["scene-002"]
 
-    def test_half_written_folder_is_removed(self, first: tuple[list[Path], Path]) -> None:
-        folders, out = first
-        half = out / "val" / ".hid2-0123456789abcdef"
-        half.mkdir()
-        (half / "scenario.parquet").write_bytes(b"half")
-        assert self.redone(folders, out) == []
-        assert not half.exists()
-
     def test_quarantined_scene_is_tried_again(self, make_data_set: MakeDataSet, tmp_path: Path) -> None:
         folders, out = make_data_set(2, {1: "raise"}), tmp_path / "out"
         (_, bad) = run_batch(plan(folders, Config()), out, Options(function=COPIES))
@@ -372,7 +370,7 @@ def test_what_is_asked_for_beside_a_scene_is_written_with_all_else(synthetic: li
 
 
 def test_second_batch_on_the_same_folder_is_refused(make_data_set: MakeDataSet, tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setenv("FAULTS_SLEEP_S", "1")
+    monkeypatch.setenv("FAULTS_SLEEP_S", "0.5")
     jobs = plan(make_data_set(2), Config())
     thread = threading.Thread(target=run_batch, args=(jobs, tmp_path / "out", Options(function=COPIES)))
     thread.start()
