@@ -131,6 +131,15 @@ def test_box_of_another_inserted_vehicle_is_met() -> None:
     assert finalise(scene, driven(start, np.full(110, 10.0)), [slow]) is Reason.MEETS_GENERATED
 
 
+def test_ttc_to_the_leader_may_not_be_critical() -> None:
+    """A recorded leader at 62 m drives 4 m/s; the vehicle comes from 40 m at 10 and slows to 4 m/s late, at 3 m/s2.
+
+    At 1.5 s the gap is 17.5 - 6 * 1.5 = 8.5 m and closes at 6 m/s: 1.4 s, and it begins to brake only then.
+    """
+    v = np.clip(10.0 - 3.0 * np.clip(T - 1.5, 0.0, None), 4.0, None)
+    assert _alone(scene_of(recorded(62.0, 0.0, 4.0)), v) is Reason.TTC_LANE_LEADER
+
+
 def test_ttc_to_the_leader_is_taken_down() -> None:
     """From 40 m at 8 m/s behind one at 100 m with 6: the gap of 55.5 m closes at 2 m/s to 33.7 m, 16.8 s."""
     found = _kept(scene_of(recorded(100.0, 0.0, 6.0)), np.full(110, 8.0))
