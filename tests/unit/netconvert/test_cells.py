@@ -166,11 +166,7 @@ def test_boundaries_are_cut_at_equal_fractions() -> None:
 
 
 @settings(deadline=None)
-@given(
-    length_m=st.floats(0.01, 300.0),
-    cell_m=st.floats(1.0, 20.0),
-    s=st.floats(0.0, 1.0),
-)
+@given(length_m=st.floats(0.01, 300.0), cell_m=st.floats(1.0, 20.0), s=st.floats(0.0, 1.0))
 def test_every_arc_length_is_in_exactly_one_cell_no_longer_than_asked(length_m: float, cell_m: float, s: float) -> None:
     points = np.array([[0.0, 0.0], [length_m / 2, 0.0], [length_m / 2, length_m / 2]])
     lane = draw_lane(1, points)

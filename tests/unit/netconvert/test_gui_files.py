@@ -32,16 +32,6 @@ def test_the_cell_table_has_a_row_for_every_cell(grid: CellGrid) -> None:
     assert len(rows) == 3
 
 
-def test_the_configuration_names_files_beside_it(grid: CellGrid) -> None:
-    files = gui_files(grid, "scene", step_s=0.1)
-    configuration = etree.fromstring(files["scene.sumocfg"])
-    named = {
-        element.get("value") for element in configuration.iter("net-file", "additional-files", "gui-settings-file")
-    }
-    assert named == {"scene.net.xml", "scene.poly.xml", "scene.view.xml"}
-    assert set(files) == {"scene.sumocfg", "scene.poly.xml", "scene.view.xml", "scene.cells.csv"}
-
-
 def test_the_drivable_area_lies_under_the_lanes_and_every_cell_is_outlined_above_its_lane(grid: CellGrid) -> None:
     """sumo-gui draws lanes on layer 100."""
     polygons = etree.fromstring(gui_files(grid, "scene", step_s=0.1)["scene.poly.xml"])

@@ -30,11 +30,7 @@ def test_predecessors_are_the_lanes_that_name_the_lane_as_successor(lane: Lane, 
 
 @pytest.mark.parametrize(
     ("target", "reason"),
-    [
-        (99, "the other lane is outside the map"),
-        (1, "the lane names itself"),
-        (2, "the other lane starts elsewhere"),
-    ],
+    [(99, "the other lane is outside the map"), (1, "the lane names itself"), (2, "the other lane starts elsewhere")],
 )
 def test_a_link_that_cannot_be_is_dropped_with_its_reason(lane: Lane, graph: Graph, target: int, reason: str) -> None:
     """A lane that starts elsewhere may well be beside."""
@@ -69,19 +65,14 @@ def test_the_neighbour_that_runs_the_opposite_way_is_no_neighbour(lane: Lane, gr
 
 def test_direction_is_that_of_the_whole_lane_not_of_its_start(lane: Lane, graph: Graph) -> None:
     """Two lanes of a bend whose first metres point back: their chords agree."""
-    made = graph(
-        lane(1, [(0, 0), (-1, 1), (10, 10)], left=2),
-        lane(2, [(0, 4), (9, 14)], right=1),
-    )
+    made = graph(lane(1, [(0, 0), (-1, 1), (10, 10)], left=2), lane(2, [(0, 4), (9, 14)], right=1))
     assert made.neighbor(1, "left") == 2
 
 
 def test_two_lanes_cannot_have_the_same_lane_on_their_left(lane: Lane, graph: Graph) -> None:
     """Lane 2 names lane 3 as its right neighbour, so lane 1's claim to be beside it falls."""
     made = graph(
-        lane(1, [(0, 0), (10, 0)], left=2),
-        lane(2, [(0, 4), (10, 4)], right=3),
-        lane(3, [(0, 0.5), (10, 0.5)], left=2),
+        lane(1, [(0, 0), (10, 0)], left=2), lane(2, [(0, 4), (10, 4)], right=3), lane(3, [(0, 0.5), (10, 0.5)], left=2)
     )
     assert made.neighbor(3, "left") == 2
     assert made.neighbor(1, "left") is None
