@@ -46,10 +46,6 @@ class Road:
         return [self.spoil(driven(start, np.full(110 - start.step, 8.0)), number) for start in starts]
 
 
-def _as_driven(vehicle: DrivenVehicle, _number: int) -> DrivenVehicle:
-    return vehicle
-
-
 def _refusing(*vehicle_ids: str, requests: frozenset[int] = frozenset()) -> Spoil:
     """SUMO does not insert these vehicles, nor those of these requests."""
 
@@ -59,6 +55,9 @@ def _refusing(*vehicle_ids: str, requests: frozenset[int] = frozenset()) -> Spoi
         return vehicle
 
     return spoil
+
+
+_as_driven = _refusing()
 
 
 def scene_for(*, agents: int | str = 4, rounds: int = 6, reseeds: int = 2, **request: object) -> Scene:
