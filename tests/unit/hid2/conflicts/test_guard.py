@@ -19,7 +19,6 @@ from netconvert.lane_graph import LaneGraph
 #: Every value that a number below is worked from; the defaults may be tuned.
 CONFIG = Config(conflict=Conflict(horizon_s=4.0, brake_max_mps2=3.5, margin_lateral_m=0.1))
 UP = np.pi / 2
-State = tuple[float, float]
 
 
 def look(*tracks: Track, s: float = 40.0, v: float = 10.0, step: int = 0, **more: Any) -> Braking:

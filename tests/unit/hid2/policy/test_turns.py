@@ -8,7 +8,6 @@ from netconvert.lane_graph import TurnType
 
 #: Every value that a number below is worked from; the defaults may be tuned.
 TURN = Turn(left_trough=0.65, right_trough=0.75, trough_at=0.4)
-ALPHA = np.linspace(0.0, 1.0, 101)
 
 
 def _circle(radius: float, degrees: float = 180.0) -> ReferenceLine:
