@@ -14,10 +14,11 @@ from written import write_fake
 from bridge.recordings.scenario import read_scenario
 
 
-@pytest.mark.parametrize("focal", [None, "gen_1"])
+@pytest.mark.parametrize(("number", "focal"), [(0, None), (1, "gen_1")])
 def test_real_scene_with_vehicles_added_is_valid(
-    real_scene: Path, tmp_path: Path, focal: str | None, shared_data: Path
+    real_scenes: list[Path], tmp_path: Path, number: int, focal: str | None, shared_data: Path
 ) -> None:
+    real_scene = real_scenes[number]
     scenario = read_scenario(real_scene)
     folder = write_fake(scenario, tmp_path, focal=focal)
     new_id = folder.name
