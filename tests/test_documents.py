@@ -65,15 +65,6 @@ def test_every_room_is_in_the_readme_of_its_package(package: str) -> None:
     assert {name for name in rooms | files if f"`{name}`" not in text} == set()
 
 
-def test_every_symbol_of_the_paper_tables_is_in_the_table() -> None:
-    """What the paper names and a reader looks for."""
-    text = (ROOT / "hid2" / "README.md").read_text(encoding="utf-8")
-    wanted = ("N_l", "type_l", "sigma", "t_trigger", "Algorithm 1", "d_obs", "d_safe^front", "d_overtake", "f_left",
-              "f_right", "n_i", "case 1", "case 2", "case 3", "R_min", "a_y,max", "LO, LA, JE", "SCR", "ORR",
-              "ablations")  # fmt: skip
-    assert [symbol for symbol in wanted if symbol not in text] == []
-
-
 def test_table_of_reasons_is_made_of_the_reasons() -> None:
     page = REASONS.read_text(encoding="utf-8")
     assert page == with_reasons(page), "write it anew: .venv/bin/python -m bridge.cli.reference"

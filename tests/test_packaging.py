@@ -327,13 +327,6 @@ def test_packages_to_install_by_hand_are_all_that_is_declared() -> None:
     assert wanted - named == {"numpy"}
 
 
-def test_quick_start_is_two_commands_of_one_line() -> None:
-    section = README.split("## Quick start")[1].split("\n## ")[0]
-    commands = [line.strip() for line in section.splitlines() if line.startswith("    ")]
-    assert len(commands) == 2
-    assert all(command.startswith("sh setup.sh") for command in commands)
-
-
 def test_ci_calls_the_test_command_of_the_readme() -> None:
     """.ci/run takes the line from the README; this is the same pattern, so that a change of either shows here."""
     assert len(re.findall(r"^    (sh setup\.sh tests .*pytest)$", README, re.MULTILINE)) == 1

@@ -30,9 +30,9 @@ from hid2.params import Config, Event, Forecasting, Request
 Run = Callable[..., Any]
 
 
-def option(name: str) -> Any:
-    commands = get_command(application("generate")).commands  # type: ignore[attr-defined]
-    (found,) = [parameter for parameter in commands["generate"].params if name in parameter.opts]
+def option(name: str, command: str = "generate") -> Any:
+    commands = get_command(application()).commands  # type: ignore[attr-defined]
+    (found,) = [parameter for parameter in commands[command].params if name in parameter.opts]
     return found
 
 
@@ -47,15 +47,6 @@ def test_choices_are_those_of_the_package() -> None:
     assert get_args(options.SplitName) == SPLITS
 
 
-def test_defaults_of_the_forecaster_in_the_help_are_those_of_the_parameters() -> None:
-    for command, names in (("forecast", ("updates",)), ("paper", ("updates", "variants", "val"))):
-        found = get_command(application()).commands[command].params  # type: ignore[attr-defined]
-        shown = {p.name: p.show_default for p in found if p.name in names}
-        params = Forecasting()
-        wanted = {"updates": params.updates, "variants": params.variants, "val": params.val_share}
-        assert shown == {name: str(wanted[name]) for name in names}
-
-
 def test_defaults_in_the_help_are_those_of_the_configuration() -> None:
     shown = {name: option(f"--{name}").show_default for name in ("agents", "variants", "focal", "seed")}
     request = config_to_dict(Config())["request"]
@@ -64,6 +55,10 @@ def test_defaults_in_the_help_are_those_of_the_configuration() -> None:
     assert option("--trigger-time").show_default == f"{request['trigger_min_s']:g} to 36 % of the scene, 4 s at most"
     assert (Request().trigger_max_s, requests._LATEST_SHARE, requests._LATEST_S) == (None, 0.36, 4.0)
     assert Request().spawn_leaders is True
+    params = Forecasting()
+    for name, value in (("updates", params.updates), ("variants", params.variants), ("val", params.val_share)):
+        assert option(f"--{name}", "paper").show_default == str(value)
+    assert option("--updates", "forecast").show_default == str(params.updates)
 
 
 def test_the_help_of_generate_shows_the_usual_options_and_help_all_every_one(hid2: Run) -> None:
