@@ -1,7 +1,9 @@
 """Work on this machine: every task once, faults cost their item, and no process is left behind."""
 
 import contextlib
+import json
 import os
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -132,3 +134,25 @@ def test_only_failures_that_may_pass_are_tried_again(kind: FailureKind, calls: i
     outcomes = run_task(Task("a", "faults:numbers", "", (1,)), process, Settings(retries=2))  # type: ignore[arg-type]
     assert process.calls == calls
     assert [(one.failure.kind, one.attempts) for one in outcomes if one.failure] == [(kind, calls)]
+
+
+_GENERATE = """
+import json, sys
+from bridge.cli import main
+sys.argv = ["hid2", "generate", {folder!r}, "--agents", "1", "-o", {out!r}, "-q"]
+try:
+    main()
+finally:
+    print(json.dumps([name for name in {heavy!r} if name in sys.modules]))
+"""
+#: What only scene processes need, and is slow to import.
+_HEAVY = ["distributed", "libsumo", "matplotlib", "numba", "numpy", "pandas", "pyarrow", "rich", "scipy", "shapely"]
+
+
+def test_command_leaves_what_is_slow_to_import_to_the_scene_process(
+    data_scenes: dict[str, Path], tmp_path: Path
+) -> None:
+    script = _GENERATE.format(folder=str(data_scenes["curve"]), out=str(tmp_path / "out"), heavy=_HEAVY)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == []

@@ -14,6 +14,7 @@ from interrupted import Command, damaged, faults, leftovers
 
 from bridge.interruption import hidden_file, hidden_folder, remove_abandoned, tidied
 
+Script = Callable[[str], subprocess.Popen[str]]
 #: Stops every Python process of a command where it imports a module, and says so by a file.
 HOOK = """
 import os, sys, time
@@ -119,7 +120,7 @@ end_when_interrupted()
 
 
 @pytest.fixture
-def script(tmp_path: Path) -> Iterator[Callable[[str], subprocess.Popen[str]]]:
+def script(tmp_path: Path) -> Iterator[Script]:
     """script(text): a process that has written its first line."""
     started: list[subprocess.Popen[str]] = []
     (tmp_path / "tmp").mkdir()
@@ -139,7 +140,7 @@ def script(tmp_path: Path) -> Iterator[Callable[[str], subprocess.Popen[str]]]:
         process.communicate()
 
 
-def test_second_signal_ends_at_once(tmp_path: Path, script: Callable[[str], subprocess.Popen[str]]) -> None:
+def test_second_signal_ends_at_once(tmp_path: Path, script: Script) -> None:
     process = script(
         "with tidied(lambda: (print('tidying', flush=True), time.sleep(600))):\n print('ready', flush=True)\n"
         " time.sleep(600)"
@@ -153,9 +154,7 @@ def test_second_signal_ends_at_once(tmp_path: Path, script: Callable[[str], subp
     assert len(list((tmp_path / "tmp").iterdir())) == 1, "nothing more was tidied"
 
 
-def test_lock_that_the_interrupted_code_holds_stops_nothing(
-    tmp_path: Path, script: Callable[[str], subprocess.Popen[str]]
-) -> None:
+def test_lock_that_the_interrupted_code_holds_stops_nothing(tmp_path: Path, script: Script) -> None:
     process = script(
         "import bridge.interruption\nbridge.interruption._STUCK_S = 0.2\n"
         "lock = threading.Lock()\nwith hidden_folder(Path('.')), tidied(lock.acquire), lock:\n"
@@ -167,7 +166,7 @@ def test_lock_that_the_interrupted_code_holds_stops_nothing(
     assert [*(tmp_path / "tmp").iterdir(), *tmp_path.glob(".*")] == []
 
 
-def test_signal_that_does_not_wake_the_main_thread_is_not_lost(script: Callable[[str], subprocess.Popen[str]]) -> None:
+def test_signal_that_does_not_wake_the_main_thread_is_not_lost(script: Script) -> None:
     """Another thread gets it, as if it had come just before the main one began to wait."""
     process = script(
         "threading.Thread(target=time.sleep, args=(600,), daemon=True).start()\n"
@@ -178,7 +177,7 @@ def test_signal_that_does_not_wake_the_main_thread_is_not_lost(script: Callable[
     assert process.returncode == 130
 
 
-def test_children_end_with_the_command_whatever_started_them(script: Callable[[str], subprocess.Popen[str]]) -> None:
+def test_children_end_with_the_command_whatever_started_them(script: Script) -> None:
     process = script(
         "import subprocess\n"
         "child = subprocess.Popen([sys.executable, '-c', \"print('ready', flush=True); input()\"],"
@@ -190,9 +189,7 @@ def test_children_end_with_the_command_whatever_started_them(script: Callable[[s
     assert not child.is_running()
 
 
-def test_what_is_being_written_is_removed_only_when_its_process_is_gone(
-    tmp_path: Path, script: Callable[[str], subprocess.Popen[str]]
-) -> None:
+def test_what_is_being_written_is_removed_only_when_its_process_is_gone(tmp_path: Path, script: Script) -> None:
     (tmp_path / "below").mkdir()
     process = script(
         "with hidden_folder(Path('.')), hidden_file(Path('below'), '.csv'):\n print('ready', flush=True)\n"
