@@ -107,6 +107,7 @@ def test_damage_costs_the_lines_it_touches_and_makes_none_up(
     "values",
     [
         {"status": DONE, "folder": "../elsewhere"},
+        {"status": DONE, "folder": "/etc"},
         {"bundle": "quarantine/../../x.zip"},
         {"status": "finished"},
         {"split": "../val"},

@@ -75,6 +75,7 @@ REQUESTS: dict[str, tuple[dict[str, Any], str]] = {
     "a function that is no text": ({"function": ["os"]}, "function"),
     "a time-out of NaN": ({"timeout_s": float("nan")}, "timeout_s"),
     "a time-out without end": ({"timeout_s": 1e300}, "timeout_s"),
+    "a time-out of nothing": ({"timeout_s": -1}, "timeout_s"),
     "a variant below 0": ({"variant": -1}, "variant"),
     "a configuration that is a list": ({"config": []}, "config: .* have \\[\\]"),
     "an unknown parameter": ({"config": {"no": 1}}, "unknown key 'no'"),

@@ -244,6 +244,8 @@ WRONG_SEQUENCES: dict[str, tuple[Change, str]] = {
     "stamp-is-infinite": (_set(3, "TIMESTAMP", "inf"), "TIMESTAMP 'inf'"),
     "unknown-type": (_set(4, "OBJECT_TYPE", "CAR"), "OBJECT_TYPE 'CAR'"),
     "unknown-city": (_all("CITY_NAME", "NYC"), "CITY_NAME 'NYC', expected 'MIA' or 'PIT'"),
+    "two-cities": (_set(4, "CITY_NAME", "PIT"), "CITY_NAME"),
+    "no-rows": (lambda rows: rows.__delitem__(slice(1, None)), "0 rows"),
     "wrong-city": (_all("CITY_NAME", "PIT"), "no lane within .* the map of their city"),
     "track-id-does-not-print": (_set(4, "TRACK_ID", "\x1b[2J"), "characters that can be printed"),
     "too-fast": (_set(9, "X", "1e9"), "spread over|velocity|no lane"),
@@ -292,6 +294,7 @@ WRONG_MAPS: dict[str, tuple[Callable[[Path], object], str]] = {
         _replace(VECTOR, "<ArgoverseVectorMap>", '<!DOCTYPE a [<!ENTITY e "x">]><ArgoverseVectorMap>'), "document type"
     ),
     "node-missing": (_replace(VECTOR, '<node id="0"', '<node id="987654"'), "node 0 is not in the file"),
+    "node-is-text": (_replace(VECTOR, '<nd ref="0"', '<nd ref="first"'), "'first', expected an integer"),
     "coordinate-is-text": (_replace(VECTOR, ' x="', ' x="w'), "expected metres"),
     "boolean-is-a-number": (
         _replace(VECTOR, 'k="is_intersection" v="False"', 'k="is_intersection" v="0"'), "expected True or False"
@@ -306,6 +309,7 @@ WRONG_MAPS: dict[str, tuple[Callable[[Path], object], str]] = {
     "raster-is-flat": (_save(RASTER, np.ones(9)), "pixels of shape"),
     "raster-is-empty": (_save(RASTER, np.zeros((50, 50))), "no drivable area within"),
     "transformation-is-small": (_save(SE2, np.eye(2)), "se2.*expected numbers \\(3, 3\\)"),
+    "transformation-is-nan": (_save(SE2, np.full((3, 3), np.nan)), "se2.*expected a rotation"),
     "transformation-scales": (_save(SE2, np.diag([2.0, 2.0, 1.0])), "se2.*expected a rotation"),
 }  # fmt: skip
 

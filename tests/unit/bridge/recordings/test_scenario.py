@@ -242,6 +242,7 @@ def _scored_focal(rows: pd.DataFrame) -> pd.DataFrame:
         (_set("timestep", 8), "track 'AV', timestep 8: more than one row, expected one"),
         (_set("timestep", 110, 109), "track 'AV', timestep 110: expected timesteps 0 to 109"),
         (_set("observed", False), "track 'AV', timestep 7: observed is False, expected True"),
+        (_set("object_category", 4), "track 'AV', timestep 7: object_category 4, expected 0, 1, 2 or 3"),
         (_set("object_category", 2), "track 'AV', timestep 7: object_category changes within the track"),
         (_set("object_type", "spaceship"), "object_type 'spaceship', expected one of vehicle, bus"),
         (_set("city", "miami"), r"column 'city' has 2 values \['austin', 'miami'\], expected one"),

@@ -56,13 +56,8 @@ def test_a_scored_and_focal_generated_track_is_valid(
 
 
 def test_fifty_steps_and_a_single_agent_are_valid(tmp_path: Path, copy_scene: Callable[..., Path]) -> None:
-    source = copy_scene()
-    edit_rows(
-        source,
-        lambda rows: rows[(rows.track_id == "AV") & (rows.timestep < 50)].assign(
-            object_category=3, focal_track_id="AV"
-        ),
-    )
+    source, alone = copy_scene(), {"object_category": 3, "focal_track_id": "AV"}
+    edit_rows(source, lambda rows: rows[(rows.track_id == "AV") & (rows.timestep < 50)].assign(**alone))
     write_fake(read_scenario(source), tmp_path / "out")
     assert breaches(tmp_path / "out", source=source) == []
 
@@ -101,6 +96,7 @@ FOCAL, SCORED = "310100", "310107"
         (_track(SCORED, "object_category", 3), "focal"),
         (_without(FOCAL, *range(100, 110)), "recorded"),
         (lambda rows: _without("gen_1", 49)(_track("gen_1", "object_category", 2)(rows)), "scored"),
+        (lambda rows: rows.assign(city=""), "city"),
         (lambda rows: rows.assign(city="atlantis"), "recorded"),
         (_at("AV", 3, "city", "miami"), "constant"),
         (_at("AV", 3, "observed", False), "observed"),
@@ -114,7 +110,9 @@ FOCAL, SCORED = "310100", "310107"
         (lambda rows: rows.assign(object_category=rows.object_category.astype(float)), "columns"),
         (_track("gen_1", "track_id", "gen_x"), "generated"),
         (_track("gen_1", "object_type", "pedestrian"), "generated"),
+        (_track("gen_1", "object_category", 0), "generated"),
         (_without("gen_1", 30), "generated"),
+        (_without("gen_1", *range(49, 110)), "generated"),
         (lambda rows: _without("gen_1", 109)(_track("gen_1", "object_category", 2)(rows)), "generated"),
         (_track("gen_1", "velocity_x", 3.0), "velocity"),
         (_at("gen_1", 60, "position_x", 0.0), "velocity"),
@@ -148,7 +146,7 @@ def test_any_other_parquet_is_found(written: Path) -> None:
     assert sorted(found) == ["scenario_2.parquet", "x.parquet", "y.parquet"]
 
 
-@pytest.mark.parametrize("pattern", ["scenario_*.parquet", "log_map_archive_*.json", "hid2_*.json"])
+@pytest.mark.parametrize("pattern", ["scenario_*.parquet", "log_map_archive_*.json"])
 def test_a_missing_file_is_found(written: Path, pattern: str) -> None:
     next(written.glob(pattern)).unlink()
     assert "folder" in rules(written)
@@ -215,6 +213,7 @@ def _event(**told: Any) -> Callable[[dict[str, Any]], Any]:
         (lambda document: document.update(config_sha256="0" * 64), "expected that of config"),
         (lambda document: document["config"]["request"].update(agents=-1), "request.agents = -1"),
         (lambda document: document.update(variant=1), "of this source, configuration, seed and variant"),
+        (_agent(lambda agent: agent.update(track_id="gen_7")), "gen_0, gen_7"),
         (_agent(lambda agent: agent.update(track_id="gen_1")), "two agents have the same track_id"),
         (_agent(lambda agent: agent.update(route=[1])), "lane segment 1 is not in the map"),
         (_agent(lambda agent: agent.update(maneuvers=[])), "policy lane_change, but no record of it"),
@@ -252,6 +251,7 @@ def test_claims_are_judged_of_tracks_that_are_judged_and_of_those_not_there(writ
         lambda rows: rows.assign(position_x=rows.position_x.mask(rows.index == 17, np.nextafter(rows.position_x, 9e9))),
         lambda rows: rows.assign(velocity_y=rows.velocity_y.where(rows.velocity_y != 0, -0.0)),
         _track(SCORED, "object_category", 1),
+        lambda rows: rows.iloc[1:],
         lambda rows: rows.iloc[::-1],
         lambda rows: rows.drop(columns="map_id"),
         lambda rows: rows.assign(start_timestamp=rows.start_timestamp + 64),

@@ -143,7 +143,7 @@ def test_who_crosses_is_the_guards_business_not_sumos() -> None:
 
 @pytest.mark.parametrize("kept", [True, False])
 def test_other_inserted_vehicles_are_followed_too_and_it_is_told_for_whom(kept: bool) -> None:
-    """Those of rounds before, which nobody can drive again, and those of the same round, which are told."""
+    """Those of rounds before, which drive as they drove, and those of the same round, which are told."""
     scene = scene_on(draw_two_lanes())
     first = start_on(scene, (1,), 80.0, 5.0, driver=replace(DRIVER, desired_mps=5.0), number=1)
     ahead = finalise(scene, driven(first, np.full(110, 5.0)), [])
