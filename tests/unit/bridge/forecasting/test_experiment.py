@@ -42,30 +42,33 @@ from netconvert.errors import ConfigError, ScenarioError
 
 ROOT = Path(__file__).parents[4]
 EXAMPLES = ROOT / "data" / "examples"
+FEW_DRAWS = Forecasting(resamples=100)
 features = runpy.run_path(str(EXAMPLES / "scene_features.py"))
 targets_of = features["targets_of"]
 
 
-@pytest.fixture
-def composed(tmp_path, data_root):
+@pytest.fixture(scope="module")
+def composed(tmp_path_factory, data_root):
     """The controls of the three synthetic scenes and two scenes made of each, the second for no-interaction."""
+    out = tmp_path_factory.mktemp("composed")
     for folder in find_scenarios(data_root):
         scenario = read_scenario(folder)
         for name, count in (("hid2", 2), ("plain", 3)):
-            write_fake(scenario, tmp_path / name, count=count)
-    sources = {"recorded": data_root, "hid2": tmp_path / "hid2", "plain": tmp_path / "plain"}
+            write_fake(scenario, out / name, count=count)
+    sources = {"recorded": data_root, "hid2": out / "hid2", "plain": out / "plain"}
     values = {
         "sources": {name: (str(place),) for name, place in sources.items()},
         "split": {"val": 0.5},
         "controls": {"recorded": "recorded", "generated": "hid2", "without_interaction": "plain"},
         "validation": {"recorded": {"take": {"recorded": "all"}}, "hid2": {"take": {"hid2": "all"}}},
     }
-    return compose(model_of(Composition, values, "test"), tmp_path / "composed").root
+    return compose(model_of(Composition, values, "test"), out / "root").root
 
 
-@pytest.fixture
-def brought(composed, tmp_path):
+@pytest.fixture(scope="module")
+def brought(composed, tmp_path_factory):
     """Forecasts of every set with two seeds: constant velocity, its modes shifted by half a metre more a set."""
+    out = tmp_path_factory.mktemp("brought")
     for shift, name in enumerate(SETS):
         for seed in range(2):
             for validation in ("recorded", "hid2"):
@@ -75,12 +78,12 @@ def brought(composed, tmp_path):
                     probabilities, by_track = baseline(rows, "constant-velocity")
                     moved = {track: modes + 0.5 * shift + 0.01 * seed for track, modes in by_track.items()}
                     forecasts[rows.scenario_id] = (probabilities, moved)
-                write_forecasts(forecasts, tmp_path / "brought" / name / str(seed) / f"{validation}.parquet")
-    return tmp_path / "brought"
+                write_forecasts(forecasts, out / name / str(seed) / f"{validation}.parquet")
+    return out
 
 
 def test_forecasts_from_elsewhere_make_both_tables(composed, brought, tmp_path):
-    page = run_prediction([], tmp_path / "out", TrainingPlan(), composed=composed, predictions=brought)
+    page = run_prediction([], tmp_path / "out", TrainingPlan(params=FEW_DRAWS), composed=composed, predictions=brought)
     content = json.loads((tmp_path / "out" / "prediction.json").read_text())
     for table, paper in (("table2", PAPER_TABLE2), ("table3", PAPER_TABLE3)):
         for line, (label, values) in zip(content[table], paper.items(), strict=False):
@@ -106,7 +109,7 @@ def test_seeds_of_an_earlier_call_stay_aside(composed, brought, tmp_path, monkey
     shutil.copytree(brought, tmp_path / "out" / "models")
     monkeypatch.setattr(experiment, "check_forecaster", lambda: None)
     monkeypatch.setattr(experiment, "_train", lambda *_, **__: None)
-    run_prediction([], tmp_path / "out", TrainingPlan(seeds=1), composed=composed)
+    run_prediction([], tmp_path / "out", TrainingPlan(seeds=1, params=FEW_DRAWS), composed=composed)
     assert json.loads((tmp_path / "out" / "prediction.json").read_text())["seeds"] == dict.fromkeys(SETS, 1)
 
 
@@ -133,6 +136,7 @@ def test_scenes_of_an_earlier_request_stay_aside(copy_scene, tmp_path, monkeypat
 
 
 def test_what_is_missing_is_named(composed, brought, tmp_path):
+    brought = shutil.copytree(brought, tmp_path / "brought")
     with pytest.raises(ConfigError, match="needs --composed ROOT"):
         run_prediction([], tmp_path / "out", TrainingPlan(), predictions=brought)
     with pytest.raises(ConfigError, match="no validation/recorded/val"):
