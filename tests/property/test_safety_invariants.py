@@ -193,7 +193,7 @@ MIXES: tuple[dict[str, Any], ...] = (
 
 
 USUAL = settings(
-    derandomize=True, database=None, deadline=None, max_examples=20, print_blob=True,
+    derandomize=True, database=None, deadline=None, max_examples=15, print_blob=True,
     phases=[Phase.explicit, Phase.generate], suppress_health_check=list(HealthCheck),
 )  # fmt: skip
 ANY_REQUEST = given(scene=scenes(), agents=st.integers(1, 14), mix=st.sampled_from(MIXES), seed=st.integers(0, 999))
