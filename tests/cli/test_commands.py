@@ -98,10 +98,11 @@ def test_evaluate_scores_a_baseline_and_compares_files(
     result = hid2("evaluate", generated, "-o", tmp_path, "--predictions", "constant-velocity")
     assert result.returncode == 0, result.stderr
     assert "minADE, m" in result.stdout
-    given = []
-    for name, kind in (("a", "constant-velocity"), ("b", "constant-turn-rate")):
-        file = write_baseline(data_root, tmp_path / f"{name}.parquet", kind=kind)
-        given += ["--predictions", f"{name}={file}"]
+    files = (
+        write_baseline(data_root, tmp_path / "a.parquet", kind="constant-velocity"),
+        write_baseline(data_root, tmp_path / "b.parquet", kind="constant-turn-rate"),
+    )
+    given = [part for name, file in zip("ab", files, strict=True) for part in ("--predictions", f"{name}={file}")]
     result = hid2("evaluate", data_root, "-o", tmp_path / "report", *given, "--json", "-q")
     assert result.returncode == 0, result.stderr
     assert {(row["model"], row["minus"]) for row in json.loads(result.stdout)} == {("b", "a")}

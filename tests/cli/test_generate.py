@@ -5,11 +5,12 @@ import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import Sidecar, read_sidecar
 
-Run = Callable[..., object]
+Run = Callable[..., Any]
 
 
 def rows_of(out: Path) -> list[dict[str, str]]:

@@ -128,11 +128,12 @@ def script(tmp_path: Path) -> Iterator[Script]:
     def start(text: str) -> subprocess.Popen[str]:
         environment = os.environ | {"TMPDIR": str(tmp_path / "tmp")}
         command = [sys.executable, "-c", SCRIPT.format(text)]
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        started.append(subprocess.Popen(command, **pipes, text=True, cwd=tmp_path, env=environment))
-        assert started[-1].stdout is not None
-        assert started[-1].stdout.readline() == "ready\n"
-        return started[-1]
+        pipe = subprocess.PIPE
+        process = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, cwd=tmp_path, env=environment)
+        started.append(process)
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        return process
 
     yield start
     for process in started:

@@ -46,12 +46,12 @@ class Served:
 
     def __call__(self, *arguments: object, cwd: Path | None = None) -> Result:
         if self._process is None or self._process.poll() is not None:
-            pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-            self._process = subprocess.Popen(self._command, **pipes, text=True)
+            self._process = subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         told, answers = self._process.stdin, self._process.stdout
         assert told is not None
         assert answers is not None
-        print(json.dumps([str(cwd or Path.cwd()), *map(str, arguments)]), file=told, flush=True)
+        command = [str(one) for one in arguments]
+        print(json.dumps([str(cwd or Path.cwd()), *command]), file=told, flush=True)
         try:
             answer = answers.readline()
         except BaseException:  # the test ran out of time: the answer is not that to the next command
@@ -59,8 +59,8 @@ class Served:
             raise
         if not answer:
             self._process.wait()
-            raise AssertionError(f"hid2 {arguments}: an error that it does not explain, on stderr of this test")
-        result = Result(arguments, *json.loads(answer))
+            raise AssertionError(f"hid2 {command}: an error that it does not explain, on stderr of this test")
+        result = Result(command, *json.loads(answer))
         assert "Traceback" not in result.stderr, result.stderr
         return result
 
@@ -89,5 +89,5 @@ def serve() -> None:
 
 if __name__ == "__main__":
     if sys.argv[1:] != ["isolated"]:
-        bridge.batch.engine.IsolatedProcess = Here  # type: ignore[misc]
+        bridge.batch.engine.IsolatedProcess = Here  # type: ignore[attr-defined]
     serve()
