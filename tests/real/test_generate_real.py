@@ -103,7 +103,8 @@ def test_ten_asked_for_are_ten_placed_but_in_one_dense_scene(scenes: list[Traffi
 
     A scene with fewer than asked for says why.
     """
-    placed, dense = [], []
+    placed: list[int] = []
+    dense: list[int] = []
     for scene in scenes:
         count = len(scene.generated)
         assert scene.sidecar.placed.agents == count <= 10
