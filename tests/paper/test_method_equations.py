@@ -4,6 +4,8 @@ Cells, occupancy and dwell times are in netconvert/test_cells.py and hid2/occupa
 manoeuvres in hid2/policy; the three conflicts in hid2/conflicts/test_guard.py; s(t), d(t) and curvature in hid2/motion.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
@@ -19,9 +21,12 @@ from hid2.judge.findings import MotionProfile
 from hid2.kernels.trajectory import derivatives_of_motion
 from hid2.motion.smoothing import smooth_motion
 from hid2.occupancy.sigma import FREE, GENERATED, ORIGINAL
-from hid2.params import Config, Limits, Request, Turn
+from hid2.params import Config, LaneChange, Limits, Request, Turn
 from hid2.policies import Policy
+from hid2.policy.lane_change import OPEN
 from hid2.policy.roads import f_left, f_right
+from hid2.policy.rules import GapView, rule_reason
+from hid2.reasons import Reason
 
 DELTA = 0.1
 
@@ -52,6 +57,31 @@ def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:
         assert np.all(sigma[under] == FREE)
         assert not taken & set(under.tolist())
         taken |= set(under.tolist())
+
+
+def test_remaining_length_of_the_target_lane_is_not_below_a_threshold() -> None:
+    """25 m are asked for by the paper's rule: 24 m are too few."""
+    view = GapView(
+        time_s=3.0,
+        waited_s=1.0,
+        side="left",
+        speed_mps=10.0,
+        desired_mps=10.0,
+        length_m=4.0,
+        tau_s=1.0,
+        accel_mps2=1.0,
+        decel_mps2=1.0,
+        min_gap_m=2.0,
+        cells_free=True,
+        front=OPEN,
+        rear=OPEN,
+        own_front=OPEN,
+        own_rear=OPEN,
+        remaining_m=25.0,
+    )
+    params = LaneChange(rule="paper", min_remaining_m=25.0)
+    assert rule_reason(view, params) is None
+    assert rule_reason(replace(view, remaining_m=24.0), params) == Reason.LANE_ENDS
 
 
 def test_f_left_is_below_f_right_is_at_most_1_with_its_trough_early_to_mid_turn() -> None:
