@@ -40,22 +40,18 @@ def project_files() -> list[Path]:
     return [path for name in sorted(filter(None, result.stdout.split("\0"))) if (path := ROOT / name).is_file()]
 
 
-def test_no_file_names_a_package_registry() -> None:
-    """Neither a lock file that records download addresses nor anything else; hosts below those listed count too."""
+def test_no_file_names_a_package_registry_and_none_is_a_lock_file() -> None:
+    """Such a file records download addresses; hosts below those listed count too."""
     host = "|".join(rf"{name}\.{top}" for name, top in REGISTRIES)
     pattern = re.compile(rf"\b({host})\b".encode())
     files = project_files()
     assert ROOT / "pyproject.toml" in files
+    assert not {path.name for path in files} & {"uv.lock", "poetry.lock", "pdm.lock", "Pipfile.lock", "pylock.toml"}
     assert pattern.search(b"see https://deb." + b".".join(part.encode() for part in REGISTRIES[5]))
     found = [
         f"{path.relative_to(ROOT)}: {hit[0].decode()}" for path in files for hit in pattern.finditer(path.read_bytes())
     ]
     assert found == []
-
-
-def test_there_is_no_lock_file() -> None:
-    tracked = {path.relative_to(ROOT).as_posix() for path in project_files()}
-    assert not tracked & {"uv.lock", "poetry.lock", "pdm.lock", "Pipfile.lock", "pylock.toml"}
 
 
 @pytest.fixture(scope="module")
@@ -127,13 +123,6 @@ def declared() -> list[Requirement]:
     return [Requirement(line) for line in (*lines, *extras["gui"], *extras["site"])]
 
 
-def test_the_extra_forecast_is_pinned_and_nothing_else_brings_torch() -> None:
-    (torch,) = (Requirement(line) for line in PROJECT["project"]["optional-dependencies"]["forecast"])
-    assert torch.name == "torch"
-    assert torch.specifier.contains(pins()["torch"])
-    assert "torch" not in {requirement.name for requirement in declared()}
-
-
 def pins() -> dict[str, str]:
     """Version by canonical name, of the pins that apply here."""
     found = {}
@@ -167,14 +156,13 @@ def test_every_pin_but_torch_has_a_hash_and_none_an_address() -> None:
     assert "://" not in REQUIREMENTS
 
 
-def test_what_builds_the_package_is_pinned() -> None:
-    for builds in (Requirement(line) for line in PROJECT["build-system"]["requires"]):
-        assert builds.specifier.contains(pins()[builds.name])
-
-
 def test_pins_are_within_the_declared_ranges() -> None:
+    """Also of what builds the package, and of torch, which nothing else brings."""
     pinned = pins()
-    for requirement in declared():
+    (torch,) = (Requirement(line) for line in PROJECT["project"]["optional-dependencies"]["forecast"])
+    assert torch.name == "torch"
+    assert "torch" not in {requirement.name for requirement in declared()}
+    for requirement in (*declared(), torch, *map(Requirement, PROJECT["build-system"]["requires"])):
         version = pinned.get(canonicalize_name(requirement.name))
         assert version is not None, f"{requirement}: no pin; run .ci/renew_pins.py"
         assert requirement.specifier.contains(version), f"{requirement}: pinned at {version}"
@@ -251,7 +239,7 @@ def set_up(tmp_path: Path) -> Setup:
 
 def at_a_terminal(folder: Path, answer: str, *, is_container: bool, **more: str) -> str:
     """What setup.sh says on a terminal on which that answer is typed, with the commands that set_up made there."""
-    script = (folder / "setup.sh").read_text()
+    script = (ROOT / "setup.sh").read_text()
     (folder / "setup.sh").write_text(script.replace("/.dockerenv", str(ROOT if is_container else folder / "none")))
     ours, theirs = pty.openpty()
     os.write(ours, answer.encode())
@@ -269,35 +257,26 @@ def at_a_terminal(folder: Path, answer: str, *, is_container: bool, **more: str)
     return said.decode()
 
 
+QUESTION = "apt-get install libgl1? [y/N]"
+REFUSED = "please install, then call this again (Debian's names)"
+INSTALLED = "pip could not install uv"
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="Debian's packages are asked for on Linux only")
-class TestRootIsAskedBeforePackagesAreInstalled:
-    """The fake pip installs nothing, so that each run ends: after apt-get, or where it would have been called."""
-
-    QUESTION = "apt-get install libgl1? [y/N]"
-    REFUSED = "please install, then call this again (Debian's names)"
-    INSTALLED = "pip could not install uv"
-
-    @pytest.fixture
-    def folder(self, set_up: Setup, tmp_path: Path) -> Path:
-        """A folder in which setup.sh finds libgl1 missing, and without a terminal installs it unasked."""
-        result = set_up(python3=python(missing="libgl1"), id="echo 0", apt_get="exit 0")
-        assert "[y/N]" not in result.stderr
-        assert self.INSTALLED in result.stderr
-        return tmp_path
-
-    @pytest.mark.parametrize(("answer", "ends"), [("y\n", INSTALLED), ("n\n", REFUSED), ("\n", REFUSED)])
-    def test_at_a_terminal(self, folder: Path, answer: str, ends: str) -> None:
-        said = at_a_terminal(folder, answer, is_container=False)
-        assert self.QUESTION in said
+def test_root_is_asked_before_packages_are_installed(set_up: Setup, tmp_path: Path) -> None:
+    """At a terminal, in no container and no run of CI. The fake pip installs nothing, so that each run ends there."""
+    result = set_up(python3=python(missing="libgl1"), id="echo 0", apt_get="exit 0")
+    assert "[y/N]" not in result.stderr
+    assert INSTALLED in result.stderr
+    for answer, ends in (("y\n", INSTALLED), ("n\n", REFUSED), ("\n", REFUSED)):
+        said = at_a_terminal(tmp_path, answer, is_container=False)
+        assert QUESTION in said
         assert ends in said
-
-    def test_but_in_no_container_and_no_run_of_ci(self, folder: Path) -> None:
-        for more in ({"container": "podman"}, {"KUBERNETES_SERVICE_HOST": "10.0.0.1"}, {"CI": "true"}):
-            said = at_a_terminal(folder, "", is_container=False, **more)
-            (folder / "setup.sh").write_text((ROOT / "setup.sh").read_text())
-            assert (self.QUESTION in said, self.INSTALLED in said) == (False, True), more
-        said = at_a_terminal(folder, "", is_container=True)
-        assert (self.QUESTION in said, self.INSTALLED in said) == (False, True)
+    for more in ({"container": "podman"}, {"KUBERNETES_SERVICE_HOST": "10.0.0.1"}, {"CI": "true"}):
+        said = at_a_terminal(tmp_path, "", is_container=False, **more)
+        assert (QUESTION in said, INSTALLED in said) == (False, True), more
+    said = at_a_terminal(tmp_path, "", is_container=True)
+    assert (QUESTION in said, INSTALLED in said) == (False, True)
 
 
 @pytest.mark.parametrize(
@@ -346,16 +325,6 @@ def test_packages_to_install_by_hand_are_all_that_is_declared() -> None:
     named = {canonicalize_name(word.split("==")[0]) for word in line.replace('"', " ").split()}
     wanted = {canonicalize_name(Requirement(text).name) for text in PROJECT["project"]["dependencies"]}
     assert wanted - named == {"numpy"}
-
-
-# --- the README's two commands ----------------------------------------------------------------------------------------
-
-
-def test_quick_start_is_two_commands_of_one_line() -> None:
-    section = README.split("## Quick start")[1].split("\n## ")[0]
-    commands = [line.strip() for line in section.splitlines() if line.startswith("    ")]
-    assert len(commands) == 2
-    assert all(command.startswith("sh setup.sh") for command in commands)
 
 
 def test_ci_calls_the_test_command_of_the_readme() -> None:

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from served import Here
 from written import copy_with_new_id
 
 from bridge.batch.batch import Options, plan, run_batch
@@ -53,7 +54,9 @@ def finished_batch(synthetic: list[Path], tmp_path_factory: pytest.TempPathFacto
     """A folder with a data set of three scenes in source/val and the finished batch of them in out."""
     place = tmp_path_factory.mktemp("finished")
     folders = _copies(synthetic, place / "source" / "val", 3)
-    run_batch(plan(folders, Config()), place / "out", Options(function="faults:copies"))
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setattr("bridge.batch.engine.IsolatedProcess", Here)
+        run_batch(plan(folders, Config()), place / "out", Options(function="faults:copies"))
     return place
 
 

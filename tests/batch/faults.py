@@ -15,14 +15,10 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from written import made_up_sidecar
-
 from bridge.batch.batch import Run, SceneFolders, base_row
-from bridge.batch.isolation import Failure, describe_error
+from bridge.batch.isolation import Failure, attempts
 from bridge.batch.manifest import ManifestRow
 from bridge.files import explained
-from bridge.recordings.export import new_scenario_id, with_generated, write_recording
-from bridge.recordings.scenario import read_scenario
 
 FAULT = "FAULT"
 
@@ -67,20 +63,22 @@ def leaves_files(shared: str, items: Sequence[object]) -> Iterator[str]:
 
 def copies(place: SceneFolders, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
     """Write each scene with nothing added: quick, and independent of the simulation."""
-    for run in runs:
-        try:
-            meet_fault(place, run)
-            scenario = read_scenario(place.folder)
-            request = run.config.request
-            sidecar = made_up_sidecar(scenario, run.config, variant=run.variant)
-            new_id = new_scenario_id(scenario.scenario_id, run.config, request.seed, run.variant)
-            made = with_generated(scenario, [], sidecar, new_id=new_id, focal_track_id=scenario.focal_track_id)
-            folder = write_recording(made, place.out)
-            if place.folder.name >= os.environ.get("FAULTS_SLEEP_FROM", ""):
-                time.sleep(float(os.environ.get("FAULTS_SLEEP_S", "0")))
-            yield base_row(place, run, folder)
-        except Exception as error:  # noqa: BLE001  # passed on as a failure of the scene, as the product does
-            yield describe_error(error)
+    from written import made_up_sidecar  # slow to import, as the next two: other work here starts without
+
+    from bridge.recordings.export import new_scenario_id, with_generated, write_recording
+    from bridge.recordings.scenario import read_scenario
+
+    def copied(run: Run) -> ManifestRow:
+        meet_fault(place, run)
+        scenario = read_scenario(place.folder)
+        sidecar = made_up_sidecar(scenario, run.config, variant=run.variant)
+        new_id = new_scenario_id(scenario.scenario_id, run.config, run.config.request.seed, run.variant)
+        made = with_generated(scenario, [], sidecar, new_id=new_id, focal_track_id=scenario.focal_track_id)
+        folder = write_recording(made, place.out)
+        time.sleep(float(os.environ.get("FAULTS_SLEEP_S", "0")))
+        return base_row(place, run, folder)
+
+    return attempts(copied, runs)
 
 
 def other_version(place: SceneFolders, runs: Sequence[Run]) -> Iterator[ManifestRow]:
@@ -140,6 +138,7 @@ def talkative(shared: str, items: tuple[object, ...]) -> Iterator[object]:
 
 def compiles(shared: str, items: Sequence[object]) -> Iterator[object]:
     """Work in a process for which no kernels have been compiled: what it would say, without compiling any."""
+    importlib.import_module("hid2.kernels.compiled")
     compile_room = importlib.import_module("hid2.kernels.compile")
     compile_room.make_ready = lambda say: say("compiling 42 functions, which takes a minute")
     return iter(items)

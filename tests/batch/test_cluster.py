@@ -85,15 +85,6 @@ def test_cluster_that_others_started(make_data_set: MakeDataSet, tmp_path: Path,
 
 
 @pytest.mark.slow
-def test_scheduler_that_is_not_there_is_explained(make_data_set: MakeDataSet, tmp_path: Path) -> None:
-    command = [str(BIN / "hid2"), "generate", str(make_data_set(1)[0]), "-o", str(tmp_path / "out"), "-q"]
-    result = subprocess.run([*command, "--scheduler", "tcp://127.0.0.1:9"], capture_output=True, text=True, timeout=300)
-    assert result.returncode == 1
-    assert "Traceback" not in result.stderr
-    assert result.stderr.startswith("hid2: error: scheduler tcp://127.0.0.1:9: cannot be reached")
-
-
-@pytest.mark.slow
 def test_scheduler_that_dies_is_one_line(make_data_set: MakeDataSet, tmp_path: Path, cluster: Cluster) -> None:
     """Also where Dask has much to say about it."""
     address, processes = cluster

@@ -1,7 +1,9 @@
 """Work on this machine: every task once, faults cost their item, and no process is left behind."""
 
 import contextlib
+import json
 import os
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -26,15 +28,11 @@ def values(results: object) -> dict[str, list[object]]:
     }
 
 
-def test_two_processes_do_every_task_once_as_one_does() -> None:
-    expected = {task.key: list(task.items) for task in TASKS}
-    assert values(execute_here(TASKS, jobs=1)) == expected
-    assert values(execute_here(TASKS, jobs=2)) == expected
-
-
-def test_a_crash_costs_its_item_only() -> None:
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_every_task_is_done_once_and_a_crash_costs_its_item_only(jobs: int) -> None:
     tasks = [*TASKS, Task("bad", "faults:numbers", "", (1, "segfault", 2))]
-    assert values(execute_here(tasks, jobs=2))["bad"] == [1, "crashed", 2]
+    done = {task.key: list(task.items) for task in TASKS}
+    assert values(execute_here(tasks, jobs=jobs)) == done | {"bad": [1, "crashed", 2]}
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -58,44 +56,39 @@ def test_work_that_needs_no_process_is_done_here_unless_several_share_it(jobs: i
     assert list(work_on_each(number, [], shared="s", jobs=jobs, chunk=4, timeout_s=30)) == []
 
 
-def test_processes_end_when_the_results_are_not_wanted_any_more() -> None:
+def test_processes_listen_to_nothing_and_end_when_the_results_are_not_wanted_any_more() -> None:
+    """They talk over pairs of sockets that have no name."""
     before = set(psutil.Process().children(recursive=True))  # other tests leave a resource tracker running
+    heard = set(psutil.Process().net_connections(kind="inet"))
     tasks = [TASKS[0], *(Task(f"hang{k}", "faults:numbers", "", ("hang", 1)) for k in range(4))]
     with contextlib.closing(execute_here(tasks, jobs=2, settings=Settings(timeout_s=60.0))) as results:
         assert next(results)[0].task.key == "t0"
         children = [child for child in psutil.Process().children(recursive=True) if child not in before]
         assert len(children) == 2
+        family = [psutil.Process(), *children]
+        assert [c for process in family for c in process.net_connections(kind="inet") if c not in heard] == []
     assert still_running(children, timeout_s=10) == []
 
 
-def test_work_that_cannot_be_imported_ends_the_batch_with_its_cause_at_once() -> None:
-    """The first reply of a process says so: it is no time-out, and no fault of the first scene."""
-    began = time.monotonic()
-    with pytest.raises(
-        BatchError, match=r"no scene process can begin .*ModuleNotFoundError: No module named 'nowhere'"
-    ):
-        list(execute_here([Task("t", "nowhere:work", "", (1, 2))]))
-    assert time.monotonic() - began < 60
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_a_file_in_the_place_of_libsumo_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, jobs: int) -> None:
-    (tmp_path / "libsumo.py").write_text("TraCIException = FatalTraCIError = Exception\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    with pytest.raises(BatchError, match=r"libsumo\.py: not SUMO's libsumo, rename it or move it away"):
-        list(execute_here([Task("t", GENERATE, "", (1,))], jobs=jobs))
-
-
-def test_work_that_ends_its_process_on_import_is_told_by_its_last_words(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("module", "text", "said"),
+    [
+        ("nowhere", None, r".*ModuleNotFoundError: No module named 'nowhere'"),
+        ("broken", "import os, sys\nprint('no f', file=sys.stderr)\nos._exit(127)", r".*status 127: no f\)"),
+        ("libsumo", "TraCIException = FatalTraCIError = Exception", ".*not SUMO's libsumo, rename it or move it away"),
+    ],
+)
+def test_work_that_cannot_be_imported_ends_the_batch_with_its_cause_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, text: str | None, said: str
 ) -> None:
-    """As a broken native library does."""
-    (tmp_path / "broken_library.py").write_text(
-        "import sys, os\nprint('undefined symbol: f', file=sys.stderr)\nos._exit(127)"
-    )
+    """A module that is not there, one that ends its process as a broken native library does, one in SUMO's place."""
+    if text is not None:
+        (tmp_path / f"{module}.py").write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path))
-    with pytest.raises(BatchError, match=r"no scene process can begin .*status 127: undefined symbol: f\)"):
-        list(execute_here([Task("t", "broken_library:work", "", (1,))]))
+    function, began = GENERATE if module == "libsumo" else f"{module}:work", time.monotonic()
+    with pytest.raises(BatchError, match=f"no scene process can begin {said}"):
+        list(execute_here([Task("t", function, "", (1, 2))], jobs=2))
+    assert time.monotonic() - began < 60, "it is no time-out"
 
 
 @pytest.mark.parametrize(
@@ -105,16 +98,6 @@ def test_process_that_does_not_start_ends_the_batch(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(sys, "executable", program)
     with pytest.raises(BatchError, match=f"no scene process can begin .*{said}"):
         list(execute_here(TASKS))
-
-
-def test_nothing_listens_for_local_work() -> None:
-    """Neither this process nor its children: they talk over pairs of sockets that have no name."""
-    with contextlib.closing(execute_here([*TASKS, Task("t", "faults:numbers", "", ("hang",))], jobs=2)) as results:
-        next(results)
-        family = [psutil.Process(), *psutil.Process().children(recursive=True)]
-        assert len(family) >= 3
-        before = set(psutil.Process().net_connections(kind="inet"))
-        assert [c for process in family for c in process.net_connections(kind="inet") if c not in before] == []
 
 
 def test_temporary_files_of_a_process_go_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -151,3 +134,25 @@ def test_only_failures_that_may_pass_are_tried_again(kind: FailureKind, calls: i
     outcomes = run_task(Task("a", "faults:numbers", "", (1,)), process, Settings(retries=2))  # type: ignore[arg-type]
     assert process.calls == calls
     assert [(one.failure.kind, one.attempts) for one in outcomes if one.failure] == [(kind, calls)]
+
+
+_GENERATE = """
+import json, sys
+from bridge.cli import main
+sys.argv = ["hid2", "generate", {folder!r}, "--agents", "1", "-o", {out!r}, "-q"]
+try:
+    main()
+finally:
+    print(json.dumps([name for name in {heavy!r} if name in sys.modules]))
+"""
+#: What only scene processes need, and is slow to import.
+_HEAVY = ["distributed", "libsumo", "matplotlib", "numba", "numpy", "pandas", "pyarrow", "rich", "scipy", "shapely"]
+
+
+def test_command_leaves_what_is_slow_to_import_to_the_scene_process(
+    data_scenes: dict[str, Path], tmp_path: Path
+) -> None:
+    script = _GENERATE.format(folder=str(data_scenes["curve"]), out=str(tmp_path / "out"), heavy=_HEAVY)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == []

@@ -1,23 +1,28 @@
 """An isolated process survives nothing and endangers nobody."""
 
+import contextlib
 import logging
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import psutil
 import pytest
-from processes import still_running
+from processes import PATH_OF_FAULTS, still_running
 
 from bridge.batch.isolation import IsolatedProcess, Settings
 
 
-@pytest.fixture
-def process() -> Iterator[IsolatedProcess]:
-    made = IsolatedProcess(Settings(timeout_s=2.0))
-    yield made
-    made.close()
+@pytest.fixture(scope="module")
+def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[IsolatedProcess]:
+    """One for all tests, which starts again where one has ended it; it works in a folder of its own."""
+    with (
+        contextlib.chdir(tmp_path_factory.mktemp("isolated")),
+        contextlib.closing(IsolatedProcess(Settings(timeout_s=2.0))) as made,
+    ):
+        yield made
 
 
 def pid_of(process: IsolatedProcess) -> int:
@@ -51,19 +56,14 @@ def test_collector_leaves_out_what_is_imported_and_nothing_that_calls_leave(proc
         ("full", "disk", "scenario.parquet: cannot be written (No space left on device)"),
     ],
 )
-def test_failure_says_how_the_process_ended(
-    process: IsolatedProcess, fault: str, kind: str, words: str, tmp_path, monkeypatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_failure_says_how_the_process_ended(process: IsolatedProcess, fault: str, kind: str, words: str) -> None:
     first, failure = process.stream("faults:numbers", "", (1, fault, 2))
     assert first[1] == 1
     assert failure.kind == kind
     assert words in failure.message
-    if kind not in ("killed",) and fault != "exit":
+    if fault not in ("killed", "exit"):
         assert "faults.py" in failure.details, "the traceback of the child is kept"
-    assert [value[1] for value in process.stream("faults:numbers", "", (4,))] == [4], (
-        "the next call has a process again"
-    )
+    assert [one for _, one, _ in process.stream("faults:numbers", "", (4,))] == [4], "the next call has a process again"
 
 
 def test_what_is_done_before_the_work_begins_is_told(
@@ -94,20 +94,15 @@ def test_stopped_process_is_killed_after_its_time(process: IsolatedProcess) -> N
 
 
 def test_child_leaves_when_its_caller_is_killed(tmp_path) -> None:
-    import subprocess
-    import sys
-
     script = (
-        "import sys, time\n"
-        f"sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        "import time\n"
         "from bridge.batch.isolation import IsolatedProcess, Settings\n"
         "p = IsolatedProcess(Settings(timeout_s=60))\n"
         "list(p.stream('faults:numbers', '', (1,)))\n"
         "print(p._process.pid, flush=True)\n"
         "time.sleep(60)\n"
     )
-    support = str(Path(__file__).parents[1] / "support")  # which the child's module needs
-    environment = os.environ | {"TMPDIR": str(tmp_path), "PYTHONPATH": support}
+    environment = os.environ | {"TMPDIR": str(tmp_path), "PYTHONPATH": PATH_OF_FAULTS}
     caller = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True, env=environment)
     assert caller.stdout is not None
     child = psutil.Process(int(caller.stdout.readline()))
@@ -117,10 +112,11 @@ def test_child_leaves_when_its_caller_is_killed(tmp_path) -> None:
     assert list(tmp_path.iterdir()) == [], "it takes its temporary files along"
 
 
-@pytest.mark.parametrize(("level", "heard"), [(logging.DEBUG, ["scene: 1", "scene: 2"]), (logging.INFO, [])])
 def test_debug_messages_of_the_child_are_the_callers_where_it_wants_them(
-    process: IsolatedProcess, caplog: pytest.LogCaptureFixture, level: int, heard: list[str]
+    process: IsolatedProcess, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with caplog.at_level(level, logger="bridge"), caplog.at_level(logging.DEBUG, logger="hid2"):
-        assert list(process.stream("faults:talkative", "scene", (1, 2))) == [1, 2]
-    assert [record.getMessage() for record in caplog.records if record.name == "hid2.insertion.filling"] == heard
+    for level in (logging.DEBUG, logging.INFO):
+        with caplog.at_level(level, logger="bridge"), caplog.at_level(logging.DEBUG, logger="hid2"):
+            assert list(process.stream("faults:talkative", "scene", (1, 2))) == [1, 2]
+        heard = [record.getMessage() for record in caplog.records if record.name == "hid2.insertion.filling"]
+        assert heard == ["scene: 1", "scene: 2"], "nothing at the second level"

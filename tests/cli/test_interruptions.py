@@ -14,6 +14,7 @@ from interrupted import Command, damaged, faults, leftovers
 
 from bridge.interruption import hidden_file, hidden_folder, remove_abandoned, tidied
 
+Script = Callable[[str], subprocess.Popen[str]]
 #: Stops every Python process of a command where it imports a module, and says so by a file.
 HOOK = """
 import os, sys, time
@@ -27,42 +28,25 @@ sys.meta_path.insert(0, Stop)
 """
 
 
-@pytest.fixture
-def stopping(tmp_path: Path) -> Callable[[str], tuple[dict[str, str], Callable[[], bool]]]:
-    """stopping(module): the environment that stops a command there, and whether it has been stopped."""
-    (tmp_path / "hook").mkdir()
-    (tmp_path / "hook" / "sitecustomize.py").write_text(HOOK)
-    stopped = tmp_path / "stopped"
-
-    def at(module: str) -> tuple[dict[str, str], Callable[[], bool]]:
-        environment = {"PYTHONPATH": str(tmp_path / "hook"), "STOP_AT": module, "STOPPED": str(stopped)}
-        return environment, stopped.exists
-
-    return at
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize(
-    ("module", "arguments"),
+    ("number", "module", "arguments"),
     [
-        ("bridge.cli.commands", ["--version"]),
-        ("typer", ["config"]),
-        ("numpy", ["net", "SCENE", "-o", "out"]),
-        ("bridge.batch.scene_work", ["generate", "SCENE", "-o", "out", "-j", "2"]),  # in the process of a scene
+        (signal.SIGINT, "bridge.cli.commands", ["--version"]),
+        (signal.SIGTERM, "typer", ["config"]),
+        (signal.SIGINT, "numpy", ["net", "SCENE", "-o", "out"]),
+        (signal.SIGINT, "bridge.batch.scene_work", ["generate", "SCENE", "-o", "out", "-j", "2"]),  # of the scene
+        (signal.SIGTERM, "bridge.batch.scene_work", ["generate", "SCENE", "-o", "out"]),
     ],
 )
 def test_command_is_interrupted_in_an_import(
-    data_scenes: dict[str, Path],
-    tmp_path: Path,
-    stopping: Callable[[str], tuple[dict[str, str], Callable[[], bool]]],
-    module: str,
-    arguments: list[str],
-    number: signal.Signals,
+    data_scenes: dict[str, Path], tmp_path: Path, number: signal.Signals, module: str, arguments: list[str]
 ) -> None:
-    environment, stopped = stopping(module)
-    scene = str(data_scenes["curve"])
+    (tmp_path / "hook").mkdir()
+    (tmp_path / "hook" / "sitecustomize.py").write_text(HOOK)
+    stopped, scene = tmp_path / "stopped", str(data_scenes["curve"])
+    environment = {"PYTHONPATH": str(tmp_path / "hook"), "STOP_AT": module, "STOPPED": str(stopped)}
     command = Command([scene if word == "SCENE" else word for word in arguments], tmp_path, environment)
-    command.wait_for(stopped)
+    command.wait_for(stopped.exists)
     command.send(number, to_group=number == signal.SIGINT)
     assert faults(command.left(), number, tmp_path / "out") == []
 
@@ -95,7 +79,9 @@ def test_command_is_interrupted_at_work_as_by_a_terminal(
 
 
 def test_batch_says_what_is_done_and_goes_on(data_scenes: dict[str, Path], tmp_path: Path) -> None:
-    arguments = ["generate", data_scenes["curve"], "-o", "out", "--agents", "1", "--variants", "30"]
+    """Interrupted when the variants of one scene are done, and in the manifest, and those of the other are not."""
+    scenes = data_scenes["curve"], data_scenes["intersection"]
+    arguments = ["generate", *scenes, "-o", "out", "--agents", "1", "--variants", "6"]
     command = Command([*arguments, "-v"], tmp_path)
     command.wait_for(lambda: " placed, " in command.said())
     command.send(signal.SIGTERM, to_group=False)
@@ -103,12 +89,12 @@ def test_batch_says_what_is_done_and_goes_on(data_scenes: dict[str, Path], tmp_p
     assert faults(left, signal.SIGTERM, tmp_path / "out") == []
     assert left.stderr.endswith("finished scenes are in out/manifest.csv; continue with --resume\n")
     made = len((tmp_path / "out" / "manifest.csv").read_text().splitlines()) - 1
-    assert 1 <= made < 30
+    assert 1 <= made < 12
     assert Command([*arguments, "--resume"], tmp_path).left().code == 0
     with (tmp_path / "out" / "manifest.csv").open() as file:
-        rows = {int(row["variant"]): row for row in csv.DictReader(file)}
-    assert {variant: row["status"] for variant, row in rows.items()} == dict.fromkeys(range(30), "done")
-    assert {path.name for path in (tmp_path / "out").glob("*/*")} == {Path(row["folder"]).name for row in rows.values()}
+        rows = list(csv.DictReader(file))
+    assert [row["status"] for row in rows] == ["done"] * 12
+    assert {path.name for path in (tmp_path / "out").glob("*/*")} == {Path(row["folder"]).name for row in rows}
 
 
 def test_what_a_killed_command_leaves_is_removed_by_the_next_one(data_scenes: dict[str, Path], tmp_path: Path) -> None:
@@ -134,7 +120,7 @@ end_when_interrupted()
 
 
 @pytest.fixture
-def script(tmp_path: Path) -> Iterator[Callable[[str], subprocess.Popen[str]]]:
+def script(tmp_path: Path) -> Iterator[Script]:
     """script(text): a process that has written its first line."""
     started: list[subprocess.Popen[str]] = []
     (tmp_path / "tmp").mkdir()
@@ -142,11 +128,12 @@ def script(tmp_path: Path) -> Iterator[Callable[[str], subprocess.Popen[str]]]:
     def start(text: str) -> subprocess.Popen[str]:
         environment = os.environ | {"TMPDIR": str(tmp_path / "tmp")}
         command = [sys.executable, "-c", SCRIPT.format(text)]
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        started.append(subprocess.Popen(command, **pipes, text=True, cwd=tmp_path, env=environment))
-        assert started[-1].stdout is not None
-        assert started[-1].stdout.readline() == "ready\n"
-        return started[-1]
+        pipe = subprocess.PIPE
+        process = subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, cwd=tmp_path, env=environment)
+        started.append(process)
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        return process
 
     yield start
     for process in started:
@@ -154,7 +141,7 @@ def script(tmp_path: Path) -> Iterator[Callable[[str], subprocess.Popen[str]]]:
         process.communicate()
 
 
-def test_second_signal_ends_at_once(tmp_path: Path, script: Callable[[str], subprocess.Popen[str]]) -> None:
+def test_second_signal_ends_at_once(tmp_path: Path, script: Script) -> None:
     process = script(
         "with tidied(lambda: (print('tidying', flush=True), time.sleep(600))):\n print('ready', flush=True)\n"
         " time.sleep(600)"
@@ -168,9 +155,7 @@ def test_second_signal_ends_at_once(tmp_path: Path, script: Callable[[str], subp
     assert len(list((tmp_path / "tmp").iterdir())) == 1, "nothing more was tidied"
 
 
-def test_lock_that_the_interrupted_code_holds_stops_nothing(
-    tmp_path: Path, script: Callable[[str], subprocess.Popen[str]]
-) -> None:
+def test_lock_that_the_interrupted_code_holds_stops_nothing(tmp_path: Path, script: Script) -> None:
     process = script(
         "import bridge.interruption\nbridge.interruption._STUCK_S = 0.2\n"
         "lock = threading.Lock()\nwith hidden_folder(Path('.')), tidied(lock.acquire), lock:\n"
@@ -182,7 +167,7 @@ def test_lock_that_the_interrupted_code_holds_stops_nothing(
     assert [*(tmp_path / "tmp").iterdir(), *tmp_path.glob(".*")] == []
 
 
-def test_signal_that_does_not_wake_the_main_thread_is_not_lost(script: Callable[[str], subprocess.Popen[str]]) -> None:
+def test_signal_that_does_not_wake_the_main_thread_is_not_lost(script: Script) -> None:
     """Another thread gets it, as if it had come just before the main one began to wait."""
     process = script(
         "threading.Thread(target=time.sleep, args=(600,), daemon=True).start()\n"
@@ -193,7 +178,7 @@ def test_signal_that_does_not_wake_the_main_thread_is_not_lost(script: Callable[
     assert process.returncode == 130
 
 
-def test_children_end_with_the_command_whatever_started_them(script: Callable[[str], subprocess.Popen[str]]) -> None:
+def test_children_end_with_the_command_whatever_started_them(script: Script) -> None:
     process = script(
         "import subprocess\n"
         "child = subprocess.Popen([sys.executable, '-c', \"print('ready', flush=True); input()\"],"
@@ -205,9 +190,7 @@ def test_children_end_with_the_command_whatever_started_them(script: Callable[[s
     assert not child.is_running()
 
 
-def test_what_is_being_written_is_removed_only_when_its_process_is_gone(
-    tmp_path: Path, script: Callable[[str], subprocess.Popen[str]]
-) -> None:
+def test_what_is_being_written_is_removed_only_when_its_process_is_gone(tmp_path: Path, script: Script) -> None:
     (tmp_path / "below").mkdir()
     process = script(
         "with hidden_folder(Path('.')), hidden_file(Path('below'), '.csv'):\n print('ready', flush=True)\n"

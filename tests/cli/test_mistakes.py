@@ -7,66 +7,45 @@ as in "expected one of ...". A mistake that another test would run the command f
 import os
 import re
 import shutil
-from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pandas as pd
 import pytest
+from served import Served
 
 from bridge.config import load_config
 from bridge.generation.generate import generate
 from bridge.generation.scene import read_scene
 
-Each = Callable[..., list[tuple[int, str, str]]]
 #: How a line says what to do.
 WAY_OUT = r"expected|choose|give|did you mean|see |use |add |set |say which|continue|make it|free|unpack|convert|leave"
 
 #: Command, then what its line names: the thing, its value, what was expected.
 NAMES = [
     ("genrate av2 -o out", "command", "genrate", "generate"),
-    ("generate av2 -o out --behaviours lanechange=1", "behaviours", "lanechange", "lane_change"),
-    ("generate av2 -o out --behaviour lane_change=1", "option", "--behaviour", "--behaviours"),
     ("generate av2 -o out --set request.agnts=3", "key", "request.agnts", "request.agents"),
-    ("generate av2 -o out --set lanechange.rule=MOBIL", "key", "lanechange.rule", "lane_change"),
-    ("generate av2 -o out --set lane_change.rule=mobil", "lane_change.rule", "mobil", "MOBIL"),
     ("generate av2 -o out --event cutin --target focal", "--event", "cutin", "cut_in"),
     ("generate av2 -o out --near ego", "near", "ego", "av"),
-    ("generate av2 -o out --without smothing", "--without", "smothing", "smoothing"),
     ("scan av2 --city Miamii", "city", "Miamii", "miami"),
-    ("scan av2 --split validation", "--split", "validation", "val"),
     ("scan av2 --can u_turn", "--can", "u_turn", "left_turn"),
-    ("plot s/made --agent gen_99 -o a.png", "track", "gen_99", "gen_0"),
     ("render s/made --agent gen0 -o a.png", "track", "gen0", "gen_0"),
     ("make coridor -o roads", "coridor", "coridor", "corridor"),
     ("generate av2 -o out --focal nobody", "--focal", "nobody", "generated"),
     ("paper table9 -o out", "EXPERIMENT", "table9", "table1"),
+    ("example -o has_studies", "studies", "is there already", "a folder without it"),
     ("calibrate av2 -o a.toml --without nobody", "--without", "nobody", "no such scene"),
     ("export s/curve --to vissim -o out", "--to", "vissim", "'opendrive', 'commonroad', 'trj', 'sumo', 'fcd'"),
 ]
 UNITS = [
-    ("generate av2 -o out --trigger-time 2s", "trigger-time", "2s", "seconds"),
-    ("generate av2 -o out --trigger-time 2000", "trigger", "2000", "<= 60|10.9 s"),
     ("generate av2 -o out --event cut_in --at 2000:6000", "cut_in", "2000", "10.9 s"),
     ("generate av2 -o out --agents 10.5", "agents", "10.5", "max"),
-    ("generate av2 -o out --agents -3", "agents", "-3", "0"),
-    ("generate av2 -o out --within 50m", "--within", "50m", "float|number"),
     ("generate av2 -o out --behaviours lane_change=50%", "lane_change", "50%", "0 to 1"),
-    ("generate av2 -o out --behaviours lane_change=50", "lane_change", "50", "1"),
-    ("generate av2 -o out --entering 30", "--entering", "30", "1"),
-    ("generate av2 -o out --set limits.accel_min_mps2=4", "limits.accel_min_mps2", "4", "< 0|<= 0|-"),
-    ("generate av2 -o out --set grid.cell_m=400", "grid.cell_m", "400", "<= "),
-    ("generate av2 -o out --set lane_change.time_gap_front_s=800", "time_gap_front_s", "800", "<= "),
-    ("generate av2 -o out --scene-timeout 5min", "--scene-timeout", "5min", "float|number"),
-    ("render s/made --step 4.9 -o a.png", "--step", "4.9", "integer"),
     ("make corridor -o roads --length 0.5", "--length", "0.5", "100 to 5000 m"),
     ("generate av2 -o out --min-agents 10000", "none of 3 scenes", "selection", "hid2 scan"),
     ("scan av2 --jobs 0", "--jobs", "0", "at least 1"),
-    ("scan av2 --jobs two", "--jobs", "two", "integer"),
     ("gui av2 --speed 200", "--speed", "200", "at most 100"),
     ("make corridor -o roads --lanes 1", "--lanes", "1", "2 to 8"),
     ("make arterial -o roads --lanes 3", "--lanes", "3", r"arterial\.toml has its own"),
-    ("resimulate av2 -o out --seeds 0", "--seeds", "0", "at least 1"),
-    ("generate av2 -o out --stride 0", "--stride", "0", "at least 1"),
 ]
 PATHS = [
     ("generate nowhere -o out", "nowhere", "no such folder", "scenario folder"),
@@ -76,32 +55,19 @@ PATHS = [
     ("generate av2 -o av2/train/out", "av2/train/out", "split folder", "outside"),
     ("generate s/curve -o s/curve/out", "curve/out", "inside the scene", "outside"),
     ("generate s/made -o out", "made", "generated scenes only", "recorded"),
-    ("plot av2 --agent AV -o a.png", "av2", "several scenes", "one"),
-    ("validate nowhere", "nowhere", "no such folder", "scenario"),
     ("evaluate empty -o report", "empty", "no scenario", r"scenario_<id>\.parquet"),
     ("generate av2 -o out --config no.toml", r"no\.toml", "no such file", "TOML"),
-    ("study no.toml -o out", r"no\.toml", "no such file", "TOML"),
     ("view s/curve -o empty", "empty", "is a folder", "file"),
     ("generate --from s/made --source av2 -o again", "made", "no sidecar", r"hid2_<id>\.json"),
     ("generate --repro no.zip", r"no\.zip", "no such file", "bundle"),
     ("generate --from no.json --source av2 -o out", r"no\.json", "no such file", "generated scene"),
-    ("scan nowhere", "nowhere", "no such folder", "scenario"),
-    ("net nowhere -o out", "nowhere", "no such folder", "scenario"),
-    ("gui nowhere", "nowhere", "no such folder", "scenario"),
-    ("render nowhere -o a.png", "nowhere", "no such folder", "scenario"),
-    ("evaluate nowhere -o out --predictions constant-velocity", "nowhere", "no such folder", "scenario"),
     ("evaluate s/curve -o out --predictions no.parquet", r"no\.parquet", "no such file", "forecast file"),
-    ("paper table1 --scenes nowhere -o out", "nowhere", "no such folder", "scenario"),
     ("paper prediction --composed none -o out", "none", "no such folder", "scenario"),
     ("render av2 -o a.png", "av2", "several scenes", "one of them, such as av2/"),
-    ("net av2 -o out", "av2", "several scenes", "one of them, such as av2/"),
-    ("gui av2", "av2", "several scenes", "one of them, such as av2/"),
-    ("calibrate av2 -o empty", "empty", "is a folder", "file"),
 ]
 FORMATS = [
     ("view s/curve -o scenes.pdf", r"scenes\.pdf", r"\.pdf", r"\.html"),
     ("render s/curve -o scene.tiff", r"scene\.tiff", r"\.tiff", r"\.png"),
-    ("plot s/curve --agent AV -o plot", "plot", "no ending", r"\.png"),
     ("gui s/curve --screenshot a.txt", r"a\.txt", r"\.txt", r"\.png"),
     ("plot s/no_parquet --agent AV -o a.png", r"scenario_.*\.parquet", "not a parquet", "scenario|expected"),
     ("plot s/no_map --agent AV -o a.png", r"log_map_archive_.*\.json", "not JSON", "map"),
@@ -112,7 +78,6 @@ FORMATS = [
     ("study bad.toml -o out", r"bad\.toml", "not TOML", "study"),
     ("generate waymo -o out", "waymo", "tfrecord", "Argoverse"),
     ("generate scenes.zip -o out", r"scenes\.zip", "is a file|archive", "unpack"),
-    ("generate table.csv -o out", r"table\.csv", "table", "Argoverse"),
     ("calibrate av2 -o mine.csv", r"mine\.csv", "TOML", r"NAME\.toml"),
     ("generate av2 -o out --format argoverse1", "--format", "argoverse1", "Argoverse 1"),
     ("generate --repro table.csv", r"table\.csv", "no ZIP file", "bundle"),
@@ -120,46 +85,35 @@ FORMATS = [
     ("compose sources.toml -o out", r"sources\.toml", "sources.a", "expected"),
 ]
 ORDER = [
-    ("generate", "SCENE", "missing", "-o"),
     ("generate av2", "-o", "missing", "generate --help"),
-    ("generate av2 out", "-o", "missing", "generate --help"),
     ("av2 generate -o out", "command", "av2", "hid2 --help"),
-    ("plot s/made -o a.png", "--agent", "missing", "plot --help"),
     ("generate av2 -o", "-o", "requires an argument", "generate --help"),
     ("generate av2 -o out --at 2:6", "--at", "without", "--event"),
     ("generate av2 -o out --event merge --at 6:2", "at", "6", "least|earlier|first"),
-    ("generate av2 -o out --trigger-time 4:1", "trigger-time", "4:1", "earlier"),
-    ("generate av2 -o out --behaviours straight", "behaviours", "straight", "name=share"),
-    ("generate av2 -o out --behaviours straight=1,straight=0.5", "behaviours", "straight", "once"),
-    ("generate av2 -o out --set request.agents 3", "--set", "request.agents", "key=value"),
-    ("generate av2 -o out --set agents=3", "key", "agents", "request"),
     ("generate --from SIDECAR -o again", "--from", "--source", "--source"),
     ("render s/made --step 3 -o a.gif", r"a\.gif", "every timestep", r"\.png"),
     ("generate av2 -o out --source here", "--source", "without", "--from"),
-    ("generate av2 -o out --function a:b", "--function", "without", "--repro"),
     ("generate x --from=a.json --no-spawn-leaders -j2 --resume", "--jobs, --resume, --spawn", "SCENE", "--from"),
-    ("generate --repro a.zip --source b", "--source", "does nothing", "--repro"),
     ("resimulate av2 -o out --seeds 2 --write 9", "--write 9", "of 2 rollouts", "as many at most"),
     ("--agents 9 generate av2 -o out", "option", "--agents", "behind its name"),
-    ("evaluate", "SCENES", "missing", "evaluate --help"),
     ("evaluate s/made -o out --json", "--json", "without", "--predictions"),
-    ("evaluate s/made -o out --bands 50,70,90", "--bands", "without", "--predictions"),
     ("paper table1 -o out --val 0.5", "--val", "does nothing in table1", "prediction"),
     ("paper prediction -o out --map m", "--map", "does nothing in prediction", "expected it with"),
     ("resimulate av2 -o out --take-out one --write 1", "--write", "--take-out one", "all"),
     ("compose av2:many -o out", "av2:many", "SOURCE", "SOURCE:N"),
-    ("compose av2", "-o/--out", "missing", "compose --help"),
     ("compose av2 -o out --val 0.2", "option", "--val", "composition|file|layout"),
+    ("generate av2 -o out --event cross --target av --target=focal", "--target", "given 2 times", "it holds one value"),
+    ("resimulate s/curve -o out --seeds 1", ": 1 scene", "two at least", "each half is driven"),
     ("net s/curve -o out --signals", "--signals", "cells", "--lanes whole"),
 ]
 PERMISSIONS = [
     ("generate av2 -o locked/out --agents 1", "locked/out", "[Pp]ermission denied", "folder"),
-    ("make corridor -o locked/roads", "locked/roads", "[Pp]ermission denied", "folder"),
     ("view s/curve -o locked/a.html", r"locked/a\.html", "[Pp]ermission denied", "folder"),
     ("render s/curve -o locked/a.png", r"locked/a\.png", "[Pp]ermission denied", "folder"),
-    ("plot s/curve --agent AV -o locked/a.png", r"locked/a\.png", "[Pp]ermission denied", "folder"),
     ("net s/curve -o locked/net", "locked/net", "[Pp]ermission denied", "folder"),
     ("evaluate s/made -o locked/report", "locked/report", "[Pp]ermission denied", "folder"),
+    ("make corridor -o locked/roads", "locked/roads", "[Pp]ermission denied", "folder"),
+    ("plot s/curve --agent AV -o locked/a.png", r"locked/a\.png", "[Pp]ermission denied", "folder"),
     ("calibrate av2 -o locked/drivers.toml", "locked/drivers", "[Pp]ermission denied", "folder"),
     ("study study.toml -o locked/study", "locked/study", "[Pp]ermission denied", "folder"),
     ("generate s/closed -o out", "closed", "[Pp]ermission denied|not readable", "read"),
@@ -167,9 +121,8 @@ PERMISSIONS = [
     ("plot s/closed_map --agent AV -o a.png", r"log_map_archive_.*\.json", "[Pp]ermission denied", "read|map"),
     ("plot s/closed_sidecar --agent gen_0 -o a.png", r"hid2_.*\.json", "[Pp]ermission denied", "read|sidecar"),
     ("generate av2 -o out --config closed.toml", r"closed\.toml", "[Pp]ermission denied", "--config"),
-    ("study closed.toml -o out", r"closed\.toml", "[Pp]ermission denied|not readable", "study"),
 ]
-KINDS = {"names": NAMES, "units": UNITS, "paths": PATHS, "formats": FORMATS, "order": ORDER, "permissions": PERMISSIONS}
+MISTAKES = [*NAMES, *UNITS, *PATHS, *FORMATS, *ORDER, *PERMISSIONS]
 
 
 @pytest.fixture(scope="module")
@@ -200,6 +153,7 @@ def place(tmp_path_factory: pytest.TempPathFactory, data_root: Path, data_scenes
     (root / "no_scenes.toml").write_text("[vary]\ntrigger_s = [1.0]\n")
     (root / "sources.toml").write_text("[sources]\na = 3\n[sets.x]\n")
     (root / "empty").mkdir()
+    (root / "has_studies" / "studies").mkdir(parents=True)
     closed = [
         *scenes.glob("closed_rows/*.parquet"),
         *scenes.glob("closed_map/log*"),
@@ -212,22 +166,19 @@ def place(tmp_path_factory: pytest.TempPathFactory, data_root: Path, data_scenes
     return root
 
 
-def test_mistakes_are_answered_by_one_line_that_helps(place: Path, hid2_each: Each) -> None:
+def test_mistakes_are_answered_by_one_line_that_helps(place: Path) -> None:
     """What is there before is there afterwards, and nothing else."""
     before = {path for path in place.rglob("*") if "closed/" not in str(path)}
     (sidecar,) = (path.relative_to(place) for path in place.glob("s/made/hid2_*.json"))
-    table = [(kind, *one) for kind, mistakes in KINDS.items() for one in mistakes]
-    commands = [command.replace("SIDECAR", str(sidecar)).split() for _, command, *_ in table]
-    prefix: Sequence[str] = ()
-    if os.geteuid() == 0:  # to whom everything is permitted
-        prefix = ["setpriv", "--bounding-set=-dac_override,-dac_read_search", "--"]
-    found = hid2_each(commands, place, prefix)
-    poor = []
-    for (kind, command, *wanted), (code, _, said) in zip(table, found, strict=True):
-        assert "Traceback" not in said, f"{command}: {said}"
-        lines = [line for line in said.splitlines() if not re.search(r" so far$|: \d+ of \d+", line)]  # progress
+    is_root = os.geteuid() == 0  # to whom everything is permitted
+    prefix = ("setpriv", "--bounding-set=-dac_override,-dac_read_search", "--") if is_root else ()
+    hid2, poor = Served(prefix=prefix), []
+    for command, *wanted in MISTAKES:
+        result = hid2(*command.replace("SIDECAR", str(sidecar)).split(), cwd=place)
+        lines = [line for line in result.stderr.splitlines() if not re.search(r" so far$|: \d+ of \d+", line)]
         missing = [words for words in (*wanted, WAY_OUT) if not re.search(words, lines[-1] if lines else "")]
-        if code == 0 or len(lines) != 1 or not lines[0].startswith("hid2: error: ") or missing:
-            poor.append(f"{kind}: hid2 {command} (exit {code}, lacks {missing}):\n  {said[:600]}")
+        if result.returncode == 0 or len(lines) != 1 or not lines[0].startswith("hid2: error: ") or missing:
+            poor.append(f"hid2 {command} (exit {result.returncode}, lacks {missing}):\n  {result.stderr[:600]}")
+    hid2.close()
     assert poor == [], "\n".join(poor)
     assert {path for path in place.rglob("*") if "closed/" not in str(path)} == before

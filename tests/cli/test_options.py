@@ -18,6 +18,7 @@ from typer.main import get_command
 
 from bridge.cli import options
 from bridge.cli.commands import application
+from bridge.cli.reference import PAGE, reference
 from bridge.config import config_to_dict, describe_config, load_config, parse_behaviours
 from bridge.evaluation.paper import Experiment
 from bridge.exports.export import WRITERS
@@ -26,13 +27,12 @@ from bridge.recordings.folders import SPLITS
 from hid2.insertion import requests
 from hid2.params import Config, Event, Forecasting, Request
 
-ROOT = Path(__file__).parents[2]
 Run = Callable[..., Any]
 
 
-def option(name: str) -> Any:
-    commands = get_command(application("generate")).commands  # type: ignore[attr-defined]
-    (found,) = [parameter for parameter in commands["generate"].params if name in parameter.opts]
+def option(name: str, command: str = "generate") -> Any:
+    commands = get_command(application()).commands  # type: ignore[attr-defined]
+    (found,) = [parameter for parameter in commands[command].params if name in parameter.opts]
     return found
 
 
@@ -47,15 +47,6 @@ def test_choices_are_those_of_the_package() -> None:
     assert get_args(options.SplitName) == SPLITS
 
 
-def test_defaults_of_the_forecaster_in_the_help_are_those_of_the_parameters() -> None:
-    for command, names in (("forecast", ("updates",)), ("paper", ("updates", "variants", "val"))):
-        found = get_command(application()).commands[command].params  # type: ignore[attr-defined]
-        shown = {p.name: p.show_default for p in found if p.name in names}
-        params = Forecasting()
-        wanted = {"updates": params.updates, "variants": params.variants, "val": params.val_share}
-        assert shown == {name: str(wanted[name]) for name in names}
-
-
 def test_defaults_in_the_help_are_those_of_the_configuration() -> None:
     shown = {name: option(f"--{name}").show_default for name in ("agents", "variants", "focal", "seed")}
     request = config_to_dict(Config())["request"]
@@ -64,33 +55,31 @@ def test_defaults_in_the_help_are_those_of_the_configuration() -> None:
     assert option("--trigger-time").show_default == f"{request['trigger_min_s']:g} to 36 % of the scene, 4 s at most"
     assert (Request().trigger_max_s, requests._LATEST_SHARE, requests._LATEST_S) == (None, 0.36, 4.0)
     assert Request().spawn_leaders is True
+    params = Forecasting()
+    for name, value in (("updates", params.updates), ("variants", params.variants), ("val", params.val_share)):
+        assert option(f"--{name}", "paper").show_default == str(value)
+    assert option("--updates", "forecast").show_default == str(params.updates)
 
 
 def test_the_help_of_generate_shows_the_usual_options_and_help_all_every_one(hid2: Run) -> None:
     """Twenty of them; each way to begin, repeat and go on has its example."""
-    counts = {}
-    for asked in ("--help", "--help-all"):
-        text = hid2("generate", asked).stdout
-        counts[asked] = len(re.findall(r"^  (?:-\w, )?--\w", text, re.MULTILINE))
-        assert all(
-            words in text for words in ("-o out --agents 20", "--resume, which", "--from out/val", "--repro out/q")
-        )
-    assert counts["--help"] <= 20
-    assert counts["--help-all"] > 40
-    assert f"{counts['--help-all'] - counts['--help']} more with --help-all" in hid2("generate", "--help").stdout
+    texts = [hid2("generate", asked).stdout for asked in ("--help", "--help-all")]
+    for words in ("-o out --agents 20", "--resume, which", "--from out/val", "--repro out/q"):
+        assert all(words in text for text in texts)
+    usual, every = (len(re.findall(r"^  (?:-\w, )?--\w", text, re.MULTILINE)) for text in texts)
+    assert usual <= 20
+    assert every > 40
+    assert f"{every - usual} more with --help-all" in texts[0]
 
 
-def test_version_is_that_of_the_distribution(hid2: Run) -> None:
+def test_command_alone_says_how_it_is_used_and_its_version_is_that_of_the_distribution(hid2: Run) -> None:
+    result = hid2()
+    assert (result.returncode, "usage: hid2" in result.stderr.lower()) == (2, True)
     result = hid2("--version")
     assert (result.returncode, result.stdout) == (0, f"hid2 {version('hid2-sumo')}\n")
 
 
-def test_command_alone_says_how_it_is_used(hid2: Run) -> None:
-    result = hid2()
-    assert (result.returncode, "usage: hid2" in result.stderr.lower()) == (2, True)
-
-
-def test_completion_names_commands(hid2: Run) -> None:
+def test_completion_names_commands() -> None:
     shown = subprocess.run(
         [Path(sys.executable).parent / "hid2"], capture_output=True, text=True, timeout=60, check=False,
         env=os.environ | {"_HID2_COMPLETE": "complete_bash", "COMP_WORDS": "hid2 gen", "COMP_CWORD": "1"},
@@ -123,11 +112,10 @@ def test_table_on_a_terminal_fits_and_crops_nothing(columns: int) -> None:
     assert missing == []
 
 
-def test_option_that_holds_one_value_and_is_given_twice_is_a_mistake(
-    hid2: Run, data_root: Path, tmp_path: Path
-) -> None:
-    """The parser would take the last one, and drop the first without a word."""
-    asked = ("generate", data_root, "-o", tmp_path / "out", "--event", "lead", "--event", "follow")
-    result = hid2(*asked, "--target", "av", "--target=focal")
-    assert (result.returncode, (tmp_path / "out").exists()) == (2, False)
-    assert result.stderr == "hid2: error: --target given 2 times, expected once: it holds one value\n"
+def test_page_of_the_commands_says_what_the_help_says() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert text == reference(), "write it anew: python -m bridge.cli.reference"
+    for name, command in get_command(application()).commands.items():  # type: ignore[attr-defined]
+        section = text.split(f"## hid2 {name}\n")[1].split("\n## ")[0]
+        names = [option for parameter in command.params for option in parameter.opts if option.startswith("-")]
+        assert [option for option in names if option not in section] == []

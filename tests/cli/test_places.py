@@ -1,16 +1,16 @@
 """Paths of the command line that cannot be what they are given as, and results that would lie among the sources."""
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from bridge.cli.places import check_out, check_out_file, check_scenes, one_scene
 from netconvert.errors import ConfigError
 
-Run = Callable[..., object]
-Each = Callable[[Sequence[Sequence[str]], Path], list[tuple[int, str, str]]]
+Run = Callable[..., Any]
 
 
 @pytest.fixture
@@ -21,21 +21,20 @@ def data_set(tmp_path: Path, data_scenes: dict[str, Path]) -> Path:
     return root
 
 
-@pytest.mark.parametrize("below", ["", "deep/er"])
-def test_out_in_a_scene_or_a_split_folder_is_refused(data_set: Path, below: str) -> None:
+def test_out_in_a_scene_or_a_split_folder_is_refused(data_set: Path, tmp_path: Path) -> None:
+    """Also deeper in it, for a file, and through a link."""
     scene = next((data_set / "train").iterdir())
-    with pytest.raises(ConfigError, match="inside the scene"):
-        check_out(scene / below)
+    (tmp_path / "link").symlink_to(data_set / "train")
+    for out in (scene, scene / "deep" / "er"):
+        with pytest.raises(ConfigError, match="inside the scene"):
+            check_out(out)
+        with pytest.raises(ConfigError, match="inside the scene"):
+            check_out_file(out / "picture.png")
+    for out in (data_set / "train" / "out", data_set / "train" / "deep" / "er", tmp_path / "link" / "out"):
+        with pytest.raises(ConfigError, match="inside the split folder"):
+            check_out(out)
     with pytest.raises(ConfigError, match="inside the split folder"):
-        check_out(data_set / "train" / (below or "out"))
-    with pytest.raises(ConfigError, match="inside the scene"):
-        check_out_file(scene / "picture.png")
-
-
-def test_out_below_a_data_set_is_taken_with_a_warning(data_set: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    check_out(data_set / "out")
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"hid2: warning: {data_set / 'out'} lies inside the data set {data_set}")
+        check_out_file(data_set / "train" / "picture.png")
 
 
 def test_a_folder_with_a_single_scene_may_be_that_of_the_user(
@@ -51,32 +50,18 @@ def test_a_folder_with_a_single_scene_may_be_that_of_the_user(
         check_out(tmp_path / "out")
 
 
-def test_a_file_is_refused_where_a_folder_is(data_set: Path) -> None:
-    scene = next((data_set / "train").iterdir())
-    with pytest.raises(ConfigError, match="inside the split folder"):
-        check_out_file(data_set / "train" / "picture.png")
-    with pytest.raises(ConfigError, match="inside the scene"):
-        check_out_file(scene / "pictures" / "picture.png")
-    (data_set / "file").touch()
-    with pytest.raises(ConfigError, match="cannot be made"):
-        check_out_file(data_set / "file" / "picture.png")
-
-
 def test_out_elsewhere_or_of_an_earlier_run_is_taken_silently(
     data_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Scenes with a sidecar were generated: more may be written beside them, and reports too."""
+    """Scenes with a sidecar were generated: more may be written beside them. Else out in a data set is warned of."""
+    check_out(data_set / "out")
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"hid2: warning: {data_set / 'out'} lies inside the data set {data_set}")
     scene = next((data_set / "train").iterdir())
     (scene / "hid2_x.json").touch()
     for out in (tmp_path / "out", data_set, data_set / "report", data_set / "train" / "report"):
         check_out(out)
     assert capsys.readouterr().err == ""
-
-
-def test_out_that_is_a_link_into_a_split_is_refused(data_set: Path, tmp_path: Path) -> None:
-    (tmp_path / "link").symlink_to(data_set / "train")
-    with pytest.raises(ConfigError, match="inside the split folder"):
-        check_out(tmp_path / "link" / "out")
 
 
 WRITING = (
@@ -89,17 +74,16 @@ WRITING = (
 )  # fmt: skip
 
 
-def test_no_command_writes_into_a_scene_or_beside_recorded_ones(
-    hid2_each: Each, data_set: Path, tmp_path: Path
-) -> None:
+def test_no_command_writes_into_a_scene_or_beside_recorded_ones(hid2: Run, data_set: Path, tmp_path: Path) -> None:
     scene = next((data_set / "train").iterdir())
     before = sorted(data_set.rglob("*"))
     places = {data_set / "train" / "out": "inside the split folder", scene / "out": "inside the scene"}
-    commands = [(command.format(scene=scene, out=out).split(), out) for command in WRITING for out in places]
-    for (code, _, said), (command, out) in zip(hid2_each([c for c, _ in commands], tmp_path), commands, strict=True):
-        assert (code, len(said.splitlines())) == (2, 1), command
-        assert said.startswith(f"hid2: error: {out}"), command
-        assert places[out] in said, command
+    for command in WRITING:
+        for out, words in places.items():
+            result = hid2(*command.format(scene=scene, out=out).split(), cwd=tmp_path)
+            assert (result.returncode, len(result.stderr.splitlines())) == (2, 1), command
+            assert result.stderr.startswith(f"hid2: error: {out}"), command
+            assert words in result.stderr, command
     assert sorted(data_set.rglob("*")) == before
     assert [path.name for path in tmp_path.iterdir()] == ["root"]
 
@@ -114,23 +98,21 @@ def test_file_where_a_folder_is_wanted_is_named_with_what_to_give(data_set: Path
             check_scenes([tmp_path / name])
     with pytest.raises(ConfigError, match="is a file; choose another output folder"):
         check_out(tmp_path / "a.txt")
+    with pytest.raises(ConfigError, match="cannot be made"):
+        check_out_file(tmp_path / "a.txt" / "picture.png")
     with pytest.raises(ConfigError, match="expected a file to write"):
         check_out_file(tmp_path)
 
 
-def test_folder_of_sequences_for_a_command_of_one_scene_is_refused_with_an_example(tmp_path: Path) -> None:
-    (tmp_path / "data").mkdir()
-    for number in (7, 8):
-        (tmp_path / "data" / f"{number}.csv").touch()
-    (tmp_path / "map.json").touch()
-    with pytest.raises(ConfigError, match=r"holds several scenes, expected one of them, such as .*data/7\.csv"):
-        one_scene(tmp_path, (tmp_path / "map.json", 0))
-
-
-def test_the_only_scene_of_a_data_set_is_that_of_the_command(data_set: Path) -> None:
+def test_command_of_one_scene_gets_the_only_one_of_a_data_set(data_set: Path, tmp_path: Path) -> None:
+    """Else a line says what is missing, or gives an example, here of sequences."""
     assert one_scene(data_set, (None, 0)) == next((data_set / "train").iterdir())
-
-
-def test_folder_without_a_scene_is_refused_with_what_is_missing(tmp_path: Path) -> None:
+    empty, sequences, city = (tmp_path / name for name in ("empty", "data", "map.json"))
+    empty.mkdir()
     with pytest.raises(ConfigError, match=r"no scenario; expected scenario_<id>\.parquet .* in it or"):
-        one_scene(tmp_path, (None, 0))
+        one_scene(empty, (None, 0))
+    sequences.mkdir()
+    for path in (sequences / "7.csv", sequences / "8.csv", city):
+        path.touch()
+    with pytest.raises(ConfigError, match=r"holds several scenes, expected one of them, such as .*data/7\.csv"):
+        one_scene(sequences, (city, 0))

@@ -8,17 +8,18 @@ import shutil
 import struct
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, get_type_hints
 
 import pytest
 from bundles import members, zipped
+from served import Served
 from typer.main import get_command
 
 from bridge.batch.batch import plan, run_batch
-from bridge.batch.manifest import read_manifest
-from bridge.cli.commands import application, run
+from bridge.batch.manifest import ManifestRow, read_manifest
+from bridge.cli.commands import application
 from bridge.config import config_from_dict, config_sha256
 from bridge.recordings.folders import SIDECAR_PATTERN
 from hid2.params import Config, LaneChange
@@ -89,22 +90,6 @@ def made(hid2: Run, data_scenes: dict[str, Path], tmp_path_factory: pytest.TempP
     return root
 
 
-Ended = dict[str, tuple[int, str, bool]]
-
-
-@pytest.fixture(scope="module")
-def ended(
-    made: Path, hid2_each: Callable[..., Any], data_scenes: dict[str, Path], tmp_path_factory: pytest.TempPathFactory
-) -> Ended:
-    """By reader its exit code, what it said, and whether the payload was imported; one process, as that is fast."""
-    lines = [line for line, _, _ in READERS]
-    copies = [shutil.copytree(made, tmp_path_factory.mktemp("reader") / "received") for _ in lines]
-    calls = [filled(line, copy, data_scenes) for line, copy in zip(lines, copies, strict=True)]
-    found = zip(hid2_each(calls, copies), copies, strict=True)
-    told = [(code, said, (copy / "ran").exists()) for (code, _, said), copy in found]
-    return dict(zip(lines, told, strict=True))
-
-
 STUDY = """scenes = ["x"]
 [vary]
 "lane_change.give_up_s" = [5.0]
@@ -141,53 +126,75 @@ def test_every_path_that_a_command_reads_is_among_the_readers() -> None:
     assert paths - given == set()
 
 
-@pytest.mark.parametrize(("line", "code", "said"), READERS, ids=[line for line, _, _ in READERS])
-def test_received_file_imports_nothing(ended: Ended, line: str, code: int | None, said: str) -> None:
-    ended_with, errors, ran = ended[line]
-    assert not ran, "the payload was imported"
-    assert said in errors
-    assert code in (None, ended_with), errors
+def test_received_file_imports_nothing(made: Path, data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    """Neither in the process of the command nor in those of its scenes."""
+    hid2, wrong = Served(isolated=True), []
+    for number, (line, code, said) in enumerate(READERS):
+        copy = shutil.copytree(made, tmp_path / str(number))
+        result = hid2(*filled(line, copy, data_scenes), cwd=copy)
+        if (copy / "ran").exists() or said not in result.stderr or code not in (None, result.returncode):
+            wrong.append((line, (copy / "ran").exists(), result.returncode, result.stderr))
+    hid2.close()
+    assert wrong == []
 
 
-@pytest.mark.parametrize("named", ["--set", "--config", "--function"])
+@pytest.fixture(scope="module")
+def importing() -> Iterator[Run]:
+    """The command in a process that no other tests share, as modules that it has imported stay."""
+    served = Served()
+    yield served
+    served.close()
+
+
+def kept_rule(out: Path, text: str) -> ManifestRow:
+    """The only row of a manifest, which has the digest of the file of a rule."""
+    ((row,), unread) = read_manifest(out / "manifest.csv")
+    assert (row.rule_sha256, unread) == (hashlib.sha256(text.encode()).hexdigest(), 0)
+    return row
+
+
+@pytest.mark.parametrize("named", ["--config", "--function"])
 def test_rule_that_the_command_line_names_is_run_and_its_file_is_said_and_kept(
-    hid2: Run, made: Path, data_scenes: dict[str, Path], tmp_path: Path, named: str
+    importing: Run, made: Path, data_scenes: dict[str, Path], tmp_path: Path, named: str
 ) -> None:
-    """The same function, found in the working folder; the manifest has the digest of its file."""
-    (tmp_path / "owned.py").write_text(PAYLOAD)
-    (tmp_path / "own.toml").write_text(f'[lane_change]\nrule = "{RULE}"\n')
-    scene = "generate {recorded} -o out --agents 0 "
+    """Found in the working folder; the manifest has the digest of its file."""
+    rule = RULE if named == "--function" else "owned_by_config:accept"
+    file = tmp_path / f"{rule.partition(':')[0]}.py"
+    file.write_text(PAYLOAD)
+    (tmp_path / "own.toml").write_text(f'[lane_change]\nrule = "{rule}"\n')
     line = {
-        "--set": scene + f"--set lane_change.rule={RULE}",
-        "--config": scene + "--config own.toml",
-        "--function": f"generate --from {{sidecar}} --source {{recorded}} -o out --function {RULE}",
+        "--config": "generate {recorded} -o out --agents 0 --config own.toml",
+        "--function": f"generate --from {{sidecar}} --source {{recorded}} -o out --function {rule}",
     }[named]
-    result = hid2(*filled(line, made, data_scenes), cwd=tmp_path)
+    result = importing(*filled(line, made, data_scenes), cwd=tmp_path)
     assert (tmp_path / "ran").exists()
-    assert f"lane_change.rule = {RULE} is imported from {tmp_path / 'owned.py'} and run" in result.stderr
-    ((row,), unread) = read_manifest(tmp_path / "out" / "manifest.csv")
-    assert (row.rule_sha256, unread) == (hashlib.sha256(PAYLOAD.encode()).hexdigest(), 0)
+    assert f"lane_change.rule = {rule} is imported from {file} and run" in result.stderr
+    kept_rule(tmp_path / "out", PAYLOAD)
 
 
-def test_rule_of_a_study_is_tried_before_its_first_run(hid2: Run, data_scenes: dict[str, Path], tmp_path: Path) -> None:
+def test_rule_of_a_study_is_tried_before_its_first_run(
+    importing: Run, data_scenes: dict[str, Path], tmp_path: Path
+) -> None:
     """It is imported, as the study on the command line names it, and answers what no rule may: nothing is written."""
-    (tmp_path / "owned.py").write_text("def accept(view):\n    return 1\n")
-    (tmp_path / "own.toml").write_text(f'{STUDY}[config.lane_change]\nrule = "{RULE}"\n')
-    result = hid2("study", "own.toml", "-o", "out", "--scenes", data_scenes["curve"], cwd=tmp_path)
-    assert (result.returncode, "owned.py:1: it answered 1, expected True or False" in result.stderr) == (2, True)
+    (tmp_path / "tried.py").write_text("def accept(view):\n    return 1\n")
+    (tmp_path / "own.toml").write_text(f'{STUDY}[config.lane_change]\nrule = "tried:accept"\n')
+    result = importing("study", "own.toml", "-o", "out", "--scenes", data_scenes["curve"], cwd=tmp_path)
+    assert (result.returncode, "tried.py:1: it answered 1, expected True or False" in result.stderr) == (2, True)
     assert not (tmp_path / "out").exists()
 
 
 def test_rule_that_raises_in_a_scene_only_is_the_error_of_that_scene(
-    hid2: Run, data_scenes: dict[str, Path], tmp_path: Path
+    new_hid2: Run, data_scenes: dict[str, Path], tmp_path: Path
 ) -> None:
     """It is sound when it is tried, at 2 s, and raises at any other time."""
-    (tmp_path / "owned.py").write_text("def accept(view):\n    return view.time_s == 2.0 or bool(1 / 0)\n")
+    text, file = "def accept(view):\n    return view.time_s == 2.0 or bool(1 / 0)\n", tmp_path / "owned.py"
+    file.write_text(text)
     command = ["-o", "out", "--agents", 6, "--behaviours", "lane_change=1", "--set", f"lane_change.rule={RULE}"]
-    result = hid2("generate", data_scenes["arterial"], *command, cwd=tmp_path)
-    ((row,), _) = read_manifest(tmp_path / "out" / "manifest.csv")
+    result = new_hid2("generate", data_scenes["arterial"], *command, cwd=tmp_path)
+    assert f"lane_change.rule = {RULE} is imported from {file} and run" in result.stderr
+    row = kept_rule(tmp_path / "out", text)
     assert (result.returncode, row.failure) == (1, "error")
-    assert f"{tmp_path / 'owned.py'}:2: ZeroDivisionError: division by zero" in row.reason
+    assert f"{file}:2: ZeroDivisionError: division by zero" in row.reason
 
 
 def test_batch_imports_no_rule_that_its_options_do_not_name(data_scenes: dict[str, Path], tmp_path: Path) -> None:
@@ -216,25 +223,28 @@ def bundle_of_entries() -> bytes:
     return many + struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, 65535, 65535, len(many), 0, 0)
 
 
-#: Bundles that are small, and large once they are unpacked.
-BOMBS: dict[str, tuple[Callable[[], bytes], str]] = {
-    "scene": (lambda: bundle({"scene/x": ZEROS}), "file 'scene/x' unpacks to more than 32 MB"),
-    "lying": (lying_bundle, "Bad CRC-32 for file 'details.txt'"),
-    "entries": (bundle_of_entries, "more than 128 files in it, expected at most 64"),
-    "texts": (lambda: bundle(platform="x" * 900_000), "platform: String should have at most 1000 characters"),
-}
-
-
-@pytest.mark.parametrize("name", BOMBS)
-def test_bundle_that_unpacks_to_much_is_refused_within_bounds(tmp_path: Path, name: str) -> None:
-    make, said = BOMBS[name]
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: bundle({"scene/x": ZEROS}), "file 'scene/x' unpacks to more than 32 MB"),
+        (lying_bundle, "Bad CRC-32 for file 'details.txt'"),
+        (bundle_of_entries, "more than 128 files in it, expected at most 64"),
+    ],
+)
+def test_bundle_that_unpacks_to_much_is_refused_within_bounds(
+    tmp_path: Path, make: Callable[[], bytes], said: str
+) -> None:
     (tmp_path / "b.zip").write_bytes(make())
-    line = said_within_bounds(["generate", "--repro", "b.zip"], tmp_path, memory_mb=700)
-    assert said in line
+    assert said in said_within_bounds(["generate", "--repro", "b.zip"], tmp_path, memory_mb=700)
 
 
 @pytest.mark.parametrize(
-    "content", ['{"agents":[' + "{}," * 660_000 + "{}]}", '{"config":{"a":[' + "[]," * 660_000 + "1]}}"]
+    "content",
+    [
+        '{"agents":[' + "{}," * 660_000 + "{}]}",
+        pytest.param('{"config":{"a":[' + "[]," * 660_000 + "1]}}", marks=pytest.mark.slow),
+    ],
+    ids=["agents", "config"],
 )
 def test_sidecar_of_many_wrong_entries_is_refused_within_bounds(
     data_scenes: dict[str, Path], tmp_path: Path, content: str
@@ -264,15 +274,15 @@ def said_within_bounds(command: list[str], folder: Path, *, memory_mb: int) -> s
 
 #: The readers that read TOML, with a file that a test writes.
 TOML_READERS = [re.sub(r"(?<!-o )\b\w+\.toml", "x.toml", line) for line, _, _ in READERS if ".toml" in line]
-WILD = {
-    "brackets": ("a = " + "[" * 5000 + "]" * 5000, "nested too deeply"),
-    "tables": ("a = " + "{a=" * 5000 + "1" + "}" * 5000, "nested too deeply"),
-    "dots": (".".join("a" * 5000) + " = 1", "a key of more than 20 parts"),
-    "digits": ("a = 0x" + "f" * 100_000, "an integer of more than 64 bit"),
-    "text": (f'a = "{"x" * 100_000}"', "expected"),
-    "key": (f"{'x' * 100_000} = 1", "expected"),
-    "giant": ("#" + "x" * 2_000_000, "larger than 1 MB"),
-}
+WILD = (
+    ("a = " + "[" * 5000 + "]" * 5000, "nested too deeply"),
+    ("a = " + "{a=" * 5000 + "1" + "}" * 5000, "nested too deeply"),
+    (".".join("a" * 5000) + " = 1", "a key of more than 20 parts"),
+    ("a = 0x" + "f" * 100_000, "an integer of more than 64 bit"),
+    (f'a = "{"x" * 100_000}"', "expected"),
+    (f"{'x' * 100_000} = 1", "expected"),
+    ("#" + "x" * 2_000_000, "larger than 1 MB"),
+)
 
 
 def test_toml_is_read_in_one_place() -> None:
@@ -281,17 +291,17 @@ def test_toml_is_read_in_one_place() -> None:
     assert [path.name for path in product if "tomllib.load" in path.read_text()] == ["toml.py"]
 
 
-@pytest.mark.parametrize("line", [line for line in TOML_READERS if "x.toml" in line])
 def test_wild_toml_is_one_line_that_says_what_is_expected(
-    made: Path, data_scenes: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str], line: str,
-) -> None:  # fmt: skip
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["hid2", *filled(line, made, data_scenes)])
-    for name, (text, words) in WILD.items():
-        (tmp_path / "x.toml").write_text(text)
-        code = run()  # not main(), which takes the signals of this process
-        (said,) = [line for line in capsys.readouterr().err.splitlines() if "so far" not in line]
-        assert (code, said.startswith("hid2: error: x.toml: "), words in said) == (2, True, True), name
-        assert len(said) < 2100
-        assert [path.name for path in tmp_path.iterdir()] == ["x.toml"]
+    hid2: Run, made: Path, data_scenes: dict[str, Path], tmp_path: Path
+) -> None:
+    """All of it in one command, the last three in every one that reads TOML."""
+    lines = [line for line in TOML_READERS if "x.toml" in line]
+    assert len(lines) > 5
+    for number, line in enumerate(lines):
+        for text, words in WILD[4 if number else 0 :]:
+            (tmp_path / "x.toml").write_text(text)
+            result = hid2(*filled(line, made, data_scenes), cwd=tmp_path)
+            (said,) = [line for line in result.stderr.splitlines() if "so far" not in line]
+            assert (result.returncode, said[:20], words in said) == (2, "hid2: error: x.toml:", True), (line, text[:99])
+            assert len(said) < 2100
+            assert [path.name for path in tmp_path.iterdir()] == ["x.toml"]

@@ -5,7 +5,7 @@ import json
 import re
 import shutil
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,7 +13,6 @@ from implausible import FAULTS, plant
 from recordings import LOG_ID, make_argoverse1, make_log
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
-Each = Callable[[Sequence[Sequence[str]], Path], list[tuple[int, str, str]]]
 
 
 @pytest.fixture(scope="module")
@@ -87,18 +86,21 @@ def test_single_scene_commands_take_a_sequence_and_a_window(hid2: Run, mixed: Pa
 
 
 def test_choice_that_no_format_there_looks_at_is_refused(
-    hid2_each: Each, data_scenes: dict[str, Path], mixed: Path, tmp_path: Path
+    hid2: Run, data_scenes: dict[str, Path], mixed: Path, tmp_path: Path
 ) -> None:
-    scene, logs = str(data_scenes["curve"]), str(mixed / "logs")
-    asked = [(f"generate {scene} -o out", option) for option in ("--stride 5", "--window 30", f"--map {scene}")]
-    asked += [(f"scan {logs}", f"--map {scene}"), (f"validate {scene}", f"--map {scene}")]
-    asked += [(f"render {scene} -o out.png", "--window 3"), (f"evaluate {scene} -o out", "--stride 5")]
-    asked += [(f"paper table1 -o out --scenes {scene}", "--stride 5"), (f"scan {mixed}", "--stride 50 --map nowhere")]
-    *found, allowed = hid2_each([[*command.split(), *option.split(), "-q"] for command, option in asked], tmp_path)
-    for (code, _, said), (_, option) in zip(found, asked, strict=False):
-        expected = "Argoverse 1 sequences" if "--map" in option else "windows of Argoverse 2 sensor logs"
-        assert (code, said) == (2, f"hid2: error: {option} does nothing here, expected {expected} among the scenes\n")
-    assert "--map nowhere: no such file" in allowed[2]
+    scene, logs = data_scenes["curve"], mixed / "logs"
+    for command, option in (
+        (f"generate {scene} -o out", "--stride 5"), (f"generate {scene} -o out", "--window 30"),
+        (f"generate {scene} -o out", f"--map {scene}"), (f"scan {logs}", f"--map {scene}"),
+        (f"validate {scene}", f"--map {scene}"), (f"render {scene} -o out.png", "--window 3"),
+        (f"evaluate {scene} -o out", "--stride 5"), (f"paper table1 -o out --scenes {scene}", "--stride 5"),
+    ):  # fmt: skip
+        result = hid2(*command.split(), *option.split(), "-q", cwd=tmp_path)
+        there = "Argoverse 1 sequences" if "--map" in option else "windows of Argoverse 2 sensor logs"
+        said = f"hid2: error: {option} does nothing here, expected {there} among the scenes\n"
+        assert (result.returncode, result.stderr) == (2, said)
+    allowed = hid2("scan", mixed, "--stride", 50, "--map", "nowhere", "-q", cwd=tmp_path)
+    assert "--map nowhere: no such file" in allowed.stderr
     assert list(tmp_path.iterdir()) == []
 
 

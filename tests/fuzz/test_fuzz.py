@@ -33,7 +33,7 @@ from netconvert.errors import Hid2Error
 
 #: Longest that reading a damaged file may take, s of processor time; it takes 0.05 on an idle machine.
 READ_S = 10.0
-SCENES, SEEDS_A_TEST, SEEDS = 240, 40, 80
+SCENES, SEEDS_A_TEST, SEEDS = 240, 40, 40
 
 
 def refused(read: Callable[[], object], what: str) -> bool:
@@ -66,7 +66,9 @@ def damaged(scenes: dict[str, Path], seed: int, root: Path) -> tuple[Path, str]:
     return folder, f"seed {seed} ({mutate_scene(folder, seed)})"
 
 
-@pytest.mark.parametrize("first", range(0, SCENES, SEEDS_A_TEST))
+@pytest.mark.parametrize(
+    "first", [0, 40, *(pytest.param(first, marks=pytest.mark.slow) for first in range(80, SCENES, SEEDS_A_TEST))]
+)
 def test_damaged_scene_is_refused_or_written_and_valid(
     data_scenes: dict[str, Path], tmp_path: Path, first: int
 ) -> None:
@@ -94,14 +96,14 @@ def test_damaged_output_is_judged_and_not_stumbled_over(data_scenes: dict[str, P
     """validate reads what others made."""
     folder = written(read_scenario(data_scenes["curve"]), tmp_path / "whole")
     found = 0
-    for seed in range(60):
+    for seed in range(30):
         copy = shutil.copytree(folder, tmp_path / str(seed) / folder.name)
         said = mutate_scene(copy, seed)
         try:
             found += bool(validate_folder(copy.parent))
         except Exception as error:
             raise AssertionError(f"seed {seed} ({said}): {type(error).__name__}: {error}") from error
-    assert found > 30
+    assert found > 15
 
 
 def test_damaged_bundle_is_refused_or_read(data_scenes: dict[str, Path], tmp_path: Path) -> None:
@@ -115,11 +117,11 @@ def test_damaged_bundle_is_refused_or_read(data_scenes: dict[str, Path], tmp_pat
         assert read_bundle(path, path.with_suffix("")).folder.is_relative_to(path.with_suffix(""))
 
     count = 0
-    for seed in range(200):
+    for seed in range(100):
         path = tmp_path / f"{seed}.zip"
         path.write_bytes(mutate_bytes(raw, random.Random(seed)))
         count += refused(lambda path=path: read(path), f"seed {seed}")
-    assert count > 50
+    assert count > 25
 
 
 def test_damaged_manifest_gives_rows_that_were_written_and_no_others(tmp_path: Path) -> None:
@@ -130,12 +132,12 @@ def test_damaged_manifest_gives_rows_that_were_written_and_no_others(tmp_path: P
         )
     raw, whole = manifest.path.read_bytes(), set(manifest.rows)
     lost = 0
-    for seed in range(400):
+    for seed in range(200):
         manifest.path.write_bytes(mutate_bytes(raw, random.Random(seed)))
         rows, unread = read_manifest(manifest.path)
         assert set(rows) <= whole, f"seed {seed}"
         lost += unread
-    assert lost > 100
+    assert lost > 50
 
 
 CONFIG = """[request]

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 import shapely
 from hypothesis import HealthCheck, Phase, assume, given, settings
 from hypothesis import strategies as st
@@ -191,12 +192,14 @@ MIXES: tuple[dict[str, Any], ...] = (
 )
 
 
-@settings(
-    derandomize=True, database=None, deadline=None, max_examples=60, print_blob=True,
+USUAL = settings(
+    derandomize=True, database=None, deadline=None, max_examples=15, print_blob=True,
     phases=[Phase.explicit, Phase.generate], suppress_health_check=list(HealthCheck),
 )  # fmt: skip
-@given(scene=scenes(), agents=st.integers(1, 14), mix=st.sampled_from(MIXES), seed=st.integers(0, 999))
-def test_nothing_unsafe_is_ever_generated(scene: Scenario, agents: int, mix: dict[str, Any], seed: int) -> None:
+ANY_REQUEST = given(scene=scenes(), agents=st.integers(1, 14), mix=st.sampled_from(MIXES), seed=st.integers(0, 999))
+
+
+def check(scene: Scenario, agents: int, mix: dict[str, Any], seed: int) -> None:
     request, driving = Request(agents=agents, seed=seed, **mix), Driving(check_replay=True)
     generated = generate(scene, Config(source=SourceChecks(plausible=False), request=request, driving=driving))
     assert len(generated.generated) == generated.sidecar.placed.agents <= agents
@@ -204,3 +207,16 @@ def test_nothing_unsafe_is_ever_generated(scene: Scenario, agents: int, mix: dic
     if len(generated.generated) < agents:
         assert generated.sidecar.rejected, "fewer than asked for, and no reason"
     assert check_generated(generated) == []
+
+
+@USUAL
+@ANY_REQUEST
+def test_nothing_unsafe_is_ever_generated(scene: Scenario, agents: int, mix: dict[str, Any], seed: int) -> None:
+    check(scene, agents, mix, seed)
+
+
+@pytest.mark.slow
+@settings(USUAL, max_examples=200)
+@ANY_REQUEST
+def test_nothing_unsafe_is_generated_in_many(scene: Scenario, agents: int, mix: dict[str, Any], seed: int) -> None:
+    check(scene, agents, mix, seed)

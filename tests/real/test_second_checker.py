@@ -1,8 +1,8 @@
 """The second checker finds nothing in scenes that hid2 writes, and every fault that is planted into them."""
 
-import json
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -10,22 +10,23 @@ from planted_faults import GROSS, INSIDE, KINDS, PlantedFault, planted, planted_
 from second_checker import check_folder
 from second_scene import read_scene
 
+from bridge.config import config_from_dict
+from bridge.generation.generate import generate
+from bridge.recordings.scenario import find_scenarios, read_scenario
 from bridge.recordings.validate import Against, validate_scene
 from hid2.judge.findings import Quantity
 
 ROOT = Path(__file__).parents[2]
 #: Kinds that a real scene with a straight road has room for, most of the time.
 LEAST_KINDS = 10
+TWO_STRAIGHT = {"agents": 2, "straight": 1, "lane_change": 0, "overtake": 0, "left_turn": 0, "right_turn": 0}
 
 
-def generated(out: Path, *args: object) -> list[tuple[Path, Path]]:
-    """Scenes written by the command, each with the folder of its recording."""
-    command = [sys.executable, "-m", "bridge.cli", "generate", *map(str, args), "-o", str(out)]
-    subprocess.run(command, check=True, capture_output=True, cwd=ROOT)
-    roots = [Path(str(arg)) for arg in args if Path(str(arg)).is_dir()]
-    sources = {folder.name: folder for root in roots for folder in (root, *root.glob("*/*")) if folder.is_dir()}
-    sidecars = sorted(out.glob("**/hid2_*.json"))
-    return [(path.parent, sources[json.loads(path.read_text())["source_scenario_id"]]) for path in sidecars]
+def generated(out: Path, roots: Iterable[Path], **request: object) -> list[tuple[Path, Path]]:
+    """Scenes written, each with the folder of its recording."""
+    config = config_from_dict({"request": request})
+    folders = [folder for root in roots for folder in find_scenarios(root)]
+    return [(generate(read_scenario(folder), config).write(out), folder) for folder in folders]
 
 
 def wrong(fault: PlantedFault) -> str | None:
@@ -41,7 +42,7 @@ def wrong(fault: PlantedFault) -> str | None:
 def quiet_scenes(tmp_path_factory: pytest.TempPathFactory, data_root: Path) -> list[tuple[Path, Path]]:
     """The synthetic scenes with two vehicles that go straight: there is room for faults."""
     out = tmp_path_factory.mktemp("quiet")
-    return generated(out, data_root, "--agents", 2, "--behaviours", "straight=1")
+    return generated(out, [data_root], **TWO_STRAIGHT)
 
 
 def test_the_second_checker_imports_nothing_of_the_product() -> None:
@@ -100,7 +101,7 @@ def test_without_a_sidecar_the_tracks_gen_are_the_inserted_ones(
 
 @pytest.mark.slow
 def test_real_scenes_as_written_have_no_error(shared_data: Path, tmp_path: Path) -> None:
-    scenes = generated(tmp_path / "out", shared_data / "av2", shared_data / "wide", "--agents", 10)
+    scenes = generated(tmp_path / "out", [shared_data / "av2", shared_data / "wide"], agents=10)
     assert len(scenes) == 14
     assert [one for folder, source in scenes for one in check_folder(folder, source)] == []
 
@@ -108,10 +109,9 @@ def test_real_scenes_as_written_have_no_error(shared_data: Path, tmp_path: Path)
 @pytest.mark.slow
 def test_faults_planted_into_real_scenes_are_found(shared_data: Path, tmp_path: Path) -> None:
     """Real scenes have room for some kinds each; over all of them for ten at least."""
-    args = ("--agents", 2, "--behaviours", "straight=1")
     kinds = set()
     bad = []
-    for scene in generated(tmp_path / "out", shared_data / "av2", *args):
+    for scene in generated(tmp_path / "out", [shared_data / "av2"], **TWO_STRAIGHT):
         if check_folder(*scene):  # what is wrong before a fault is planted is for the test above
             continue
         for fault in planted(*scene, tmp_path / "planted", tries=10):

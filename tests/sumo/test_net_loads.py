@@ -4,6 +4,7 @@ import importlib.util
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -93,12 +94,15 @@ def _check_scene(scene: Path, folder: Path) -> None:
     _check_libsumo_sees_the_grid(grid, _dump(net, folder))
 
 
-def test_sumo_loads_the_net_of_a_real_scene_without_a_word(real_scene: Path, tmp_path: Path) -> None:
-    _check_scene(real_scene, tmp_path)
+@pytest.mark.parametrize("number", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 6))])
+def test_sumo_loads_the_net_of_a_real_scene_without_a_word(
+    real_scenes: list[Path], tmp_path: Path, number: int
+) -> None:
+    _check_scene(real_scenes[number], tmp_path)
 
 
-def test_sumo_loads_the_net_of_a_synthetic_scene_without_a_word(data_scene: Path, tmp_path: Path) -> None:
-    _check_scene(data_scene, tmp_path)
+def test_sumo_loads_the_net_of_a_synthetic_scene_without_a_word(data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    _check_scene(data_scenes["intersection"], tmp_path)
 
 
 _lane = partial(draw_lane, left_mark="NONE", right_mark="SOLID_WHITE")
@@ -106,6 +110,10 @@ _lane = partial(draw_lane, left_mark="NONE", right_mark="SOLID_WHITE")
 
 # Maps that are legal but odd; each has been a problem for some reader of maps.
 ODD_MAPS = {
+    "negative ids and far coordinates": [
+        _lane(-5, [(-123456.78, 987654.32), (-123446.78, 987654.32)], successors=(-4,)),
+        _lane(-4, [(-123446.78, 987654.32), (-123440.0, 987650.0)]),
+    ],
     "cycle of three": [
         _lane(1, [(0, 0), (10, 0)], successors=(2,)),
         _lane(2, [(10, 0), (5, 8)], successors=(3,)),
@@ -138,17 +146,26 @@ ODD_MAPS = {
         _lane(3, [(12, 8), (32, 8)]),
     ],
     "a hairpin": [_lane(1, [(0, 0), (9, 0), (9, 0.2), (0, 0.2)])],
-    "negative ids and far coordinates": [
-        _lane(-5, [(-123456.78, 987654.32), (-123446.78, 987654.32)], successors=(-4,)),
-        _lane(-4, [(-123446.78, 987654.32), (-123440.0, 987650.0)]),
-    ],
     "no way between the lanes": [_lane(1, [(0, 0), (10, 0)]), _lane(2, [(50, 0), (60, 0)])],
 }
 
 
-@pytest.mark.parametrize("name", ODD_MAPS)
-def test_sumo_loads_an_odd_map_without_a_word(name: str, tmp_path: Path) -> None:
-    grid = build_cell_grid(LaneGraph({lane.lane_id: lane for lane in ODD_MAPS[name]}), max_skew_m=4.0)
+def _all_in_one() -> LaneGraph:
+    """All odd maps a kilometre apart, with ids of their own: the first one as it is, with its negative ids."""
+    lanes = {}
+    for number, odd in enumerate(ODD_MAPS.values()):
+        for lane in odd:
+            lane_id, beside = lane.lane_id + 10 * number, lane.left_neighbor_id
+            lanes[lane_id] = replace(
+                lane, lane_id=lane_id, centerline=lane.centerline + np.array([0.0, 1000.0 * number]),
+                successors=tuple(target + 10 * number for target in lane.successors),
+                left_neighbor_id=None if beside is None else beside + 10 * number,
+            )  # fmt: skip
+    return LaneGraph(lanes)
+
+
+def test_sumo_loads_odd_maps_without_a_word(tmp_path: Path) -> None:
+    grid = build_cell_grid(_all_in_one(), max_skew_m=4.0)
     net = tmp_path / "odd.net.xml"
     net.write_bytes(net_bytes(grid))
     schema = _schema("net_file.xsd")

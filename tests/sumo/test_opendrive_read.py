@@ -14,13 +14,9 @@ def check(scene: Path, folder: Path) -> None:
     check_roads(file, read_recording(scene).graph, folder)
 
 
-def test_netconvert_reads_a_synthetic_map_whole(data_scenes: dict[str, Path], tmp_path: Path) -> None:
-    check(data_scenes["intersection"], tmp_path)
-
-
-def test_netconvert_reads_a_real_map_whole(real_scene: Path, tmp_path: Path) -> None:
-    """In the first one bicycle lanes and lanes beside them lead to one lane."""
-    check(real_scene, tmp_path)
+def test_netconvert_reads_a_real_map_whole(real_scenes: list[Path], tmp_path: Path) -> None:
+    """Bicycle lanes and lanes beside them lead to one lane."""
+    check(real_scenes[0], tmp_path)
 
 
 @pytest.mark.slow

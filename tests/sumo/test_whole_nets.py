@@ -67,12 +67,8 @@ def check(scene: Path, folder: Path, most: float) -> int:
     return vehicles
 
 
-def test_traffic_drives_on_synthetic_and_real_maps(
-    data_scenes: dict[str, Path], real_scenes: list[Path], tmp_path: Path
-) -> None:
-    most = on_a_grid(tmp_path)
-    for scene in (data_scenes["intersection"], real_scenes[0]):
-        check(scene, tmp_path, most)
+def test_traffic_drives_on_a_real_map(real_scenes: list[Path], tmp_path: Path) -> None:
+    check(real_scenes[0], tmp_path, on_a_grid(tmp_path))
 
 
 @pytest.mark.slow
@@ -83,7 +79,8 @@ def test_traffic_drives_on_fourteen_real_maps(shared_data: Path, tmp_path: Path)
     print(most, {scene.name[:8]: check(scene, tmp_path, most) for scene in scenes})
 
 
-def test_the_same_map_gives_the_same_bytes_on_the_globe(data_scene: Path, tmp_path: Path) -> None:
+def test_the_same_map_gives_the_same_bytes_on_the_globe(data_scenes: dict[str, Path], tmp_path: Path) -> None:
+    data_scene = data_scenes["curve"]
     one, other = (convert_whole(data_scene, tmp_path / name) for name in ("one", "other"))
     assert one.read_bytes() == other.read_bytes()
     location = etree.parse(one).find("location")
@@ -105,8 +102,10 @@ def test_signals_are_in_the_net(real_scenes: list[Path], tmp_path: Path) -> None
         assert duration == pytest.approx(read_recording(scene).num_steps * 0.1)
 
 
-def test_what_cannot_be_is_said_in_one_line(data_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (path,) = data_scene.glob("log_map_archive_*.json")
+def test_what_cannot_be_is_said_in_one_line(
+    data_scenes: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (path,) = data_scenes["curve"].glob("log_map_archive_*.json")
     with pytest.raises(ConfigError, match="a map alone, expected a scene: signals"):
         convert_whole(path, tmp_path / "out", signals=True)
     monkeypatch.setattr(nets, "import_module", lambda _: SimpleNamespace(SUMO_HOME=tmp_path))

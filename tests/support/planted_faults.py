@@ -440,7 +440,8 @@ def _crossing(bench: Bench, site: Site, strength: str) -> Planting | None:
     assert other is not None
     wanted = {GROSS: 0.2, BEYOND: 0.8, INSIDE: 1.2}[strength]
     line = shapely.LineString(site.stretch.pose(np.arange(0.0, site.stretch.length_m, 0.5), np.zeros(1))[0])
-    if not shapely.intersects(line, shapely.LineString(other.xy)):
+    steepest = np.abs(np.sin(other.heading - site.stretch.heading)).max()
+    if steepest < 0.5 or not shapely.intersects(line, shapely.LineString(other.xy)):
         return None
     s = driving(7.0)
     last = max(site.stretch.length_m - float(s[-1]), 0.0)

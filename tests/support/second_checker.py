@@ -256,7 +256,13 @@ def follower_ttc(scene: SecondScene, track: SecondTrack) -> Iterator[Finding]:
 
 
 def _least_ttc(scene: SecondScene, track: SecondTrack) -> dict[int, tuple[float, int]]:
-    """TTC and step by the number of the agent that leads, below the limit."""
+    """TTC and step by the number of the agent that leads, below the limit; kept, as each inserted one asks for it."""
+    if track not in scene.least_ttc:
+        scene.least_ttc[track] = _found_ttc(scene, track)
+    return scene.least_ttc[track]
+
+
+def _found_ttc(scene: SecondScene, track: SecondTrack) -> dict[int, tuple[float, int]]:
     path = scene.driven_line(track)
     if path is None:
         return {}

@@ -139,7 +139,7 @@ def _whole_path(scene: SecondScene, track: SecondTrack, follower: SecondTrack) -
     follower: where the track may be on several lanes, or have come from them, those that the follower drives on count.
     """
     ahead = scene.driven_line(track)
-    driven = set().union(*scene.ground.agreeing(follower.xy, follower.heading))
+    driven = scene.lanes_of(follower)
     lanes = sorted(scene.ground.agreeing(track.xy[:1], track.heading[:1])[0], key=lambda n: n not in driven)
     before: list[Floats] = []
     if lanes:

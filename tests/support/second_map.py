@@ -49,21 +49,18 @@ class Line:
     def project(self, points: Floats) -> tuple[Floats, Floats]:
         """Arc length and offset to the left (P,) of the nearest points; beyond the ends s goes on straight."""
         points = np.atleast_2d(points)
-        unit = self.steps / self.lengths[:, None]
-        away = points[:, None, :] - self.xy[None, :-1, :]
-        along = np.einsum("pnk,nk->pn", away, unit)
-        low = np.zeros_like(self.lengths)
-        high = self.lengths.copy()
-        inside = np.clip(along, low, high)
-        nearest = np.argmin(np.sum((away - inside[..., None] * unit) ** 2, axis=2), axis=1)
-        rows = np.arange(len(points))
-        t = inside[rows, nearest]
-        first, last = nearest == 0, nearest == len(unit) - 1
-        t = np.where(first & (along[rows, nearest] < 0.0), along[rows, nearest], t)
-        t = np.where(last & (along[rows, nearest] > high[nearest]), along[rows, nearest], t)
-        near = away[rows, nearest] - t[:, None] * unit[nearest]
-        cross = unit[nearest, 0] * away[rows, nearest, 1] - unit[nearest, 1] * away[rows, nearest, 0]
-        return self.start_m[nearest] + t, np.copysign(np.hypot(*near.T), cross)
+        unit_x, unit_y = (self.steps / self.lengths[:, None]).T
+        away_x, away_y = (points[:, None, axis] - self.xy[None, :-1, axis] for axis in (0, 1))
+        along = away_x * unit_x + away_y * unit_y
+        inside = np.clip(along, 0.0, self.lengths)
+        nearest = np.argmin((away_x - inside * unit_x) ** 2 + (away_y - inside * unit_y) ** 2, axis=1)
+        rows, last = np.arange(len(points)), len(self.lengths) - 1
+        free, t = along[rows, nearest], inside[rows, nearest]
+        beyond = ((nearest == 0) & (free < 0.0)) | ((nearest == last) & (free > self.lengths[nearest]))
+        t = np.where(beyond, free, t)
+        x, y, unit_x, unit_y = away_x[rows, nearest], away_y[rows, nearest], unit_x[nearest], unit_y[nearest]
+        off = np.hypot(x - t * unit_x, y - t * unit_y)
+        return self.start_m[nearest] + t, np.copysign(off, unit_x * y - unit_y * x)
 
     def at(self, s: npt.ArrayLike) -> tuple[Floats, Floats]:
         """Points (P, 2) and headings (P,) at arc lengths; straight on beyond the ends."""
@@ -76,6 +73,8 @@ class Line:
 
 def line_of(points: Floats, *, least_m: float = 1e-3) -> Line | None:
     """A polyline through points that lie at least so far apart; None where nothing of it is left."""
+    if (np.hypot(*np.diff(points, axis=0).T) >= least_m).all():
+        return Line(np.array(points)) if len(points) > 1 else None
     kept = [points[0]]
     for point in points[1:]:
         if math.hypot(*(point - kept[-1])) >= least_m:
@@ -143,13 +142,15 @@ class SecondMap:
 
     def agreeing(self, points: Floats, headings: Floats, *, within_deg: float = 60.0) -> list[list[int]]:
         """For each point the lanes that it lies on and whose direction agrees with the heading."""
-        return [
-            [
-                lane_id for lane_id in lanes
-                if self.off_lane_deg(lane_id, points[k : k + 1], headings[k : k + 1])[0] <= within_deg
-            ]
-            for k, lanes in enumerate(self.holding(points))
-        ]  # fmt: skip
+        rows, lanes = self.tree.query(shapely.points(points), predicate="intersects")
+        off = np.zeros(len(rows))
+        for lane in np.unique(lanes):
+            mine = lanes == lane
+            off[mine] = self.off_lane_deg(self.ids[lane], points[rows[mine]], headings[rows[mine]])
+        found: list[list[int]] = [[] for _ in points]
+        for row, lane in zip(rows[off <= within_deg], lanes[off <= within_deg], strict=True):
+            found[row].append(self.ids[lane])
+        return found
 
     def chain(self, lane_ids: Iterable[int], *, hops: int = 4) -> set[int]:
         """The lanes and those before and after them, so many joints away."""

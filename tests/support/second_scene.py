@@ -109,6 +109,8 @@ class SecondScene:
     ground: SecondMap
     sidecar: dict[str, Any]
     _lines: dict[str, DrivenLine | None] = field(default_factory=dict)
+    _lanes: dict[SecondTrack, set[int]] = field(default_factory=dict)
+    least_ttc: dict[SecondTrack, dict[int, tuple[float, int]]] = field(default_factory=dict)
 
     @cached_property
     def by_id(self) -> dict[str, SecondTrack]:
@@ -156,6 +158,12 @@ class SecondScene:
     @cached_property
     def moving_all(self) -> Bools:
         return np.array([track.moves for track in self.tracks])[self.owner]
+
+    def lanes_of(self, track: SecondTrack) -> set[int]:
+        """All lanes that a track is on at some time, with its heading."""
+        if track not in self._lanes:
+            self._lanes[track] = set().union(*self.ground.agreeing(track.xy, track.heading))
+        return self._lanes[track]
 
     def driven_line(self, track: SecondTrack) -> DrivenLine | None:
         """The path of a track and 100 m of lane beyond; None for one that stands where no lane goes on."""

@@ -16,7 +16,6 @@ from synthetic_driving import KNOWN, synthetic_driving
 from bridge.generation.generate import generate, prepare
 from bridge.recordings.scenario import read_scenario
 from hid2.evaluation.calibration import calibrate
-from hid2.evaluation.realism import FEATURES, histogram, quantiles
 from hid2.params import Config, Drivers, Request
 from hid2.policies import Policy
 
@@ -135,16 +134,3 @@ def test_calibration_finds_synthetic_drivers_again(folder):
         x="", y="found over known",
     )  # fmt: skip
     assert all(count >= 7 for count in hits.values()), hits
-
-
-def test_quantiles_of_histograms_are_those_of_the_values(folder):
-    """The tails of the report come from histograms: on 20,000 draws they are right to a fine bin."""
-    feature = FEATURES[1]
-    values = np.random.default_rng(0).normal(0.0, 0.9, 20000)
-    shares = np.linspace(0.01, 0.99, 50)
-    found, wanted = quantiles(feature, histogram(feature, values), shares), np.quantile(values, shares)
-    draw(
-        folder, "quantiles", "Quantiles from histograms lie on those of the values themselves.",
-        lambda ax: (ax.plot(wanted, found, "."), ax.plot([-3, 3], [-3, 3], "--")), x="of values", y="of histogram",
-    )  # fmt: skip
-    assert found == pytest.approx(wanted, abs=2 * (feature.high - feature.low) / feature.bins / 40)

@@ -4,13 +4,16 @@ import os
 import shutil
 import subprocess
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
+from recordings import make_argoverse1
 
 from bridge.config import load_config
 from bridge.generation.generate import generate
 from bridge.recordings.scenario import read_scenario
+from hid2 import resampling
 
 
 @pytest.fixture(scope="session")
@@ -29,6 +32,18 @@ def made_scene(made_root: Path) -> Path:
     """The generated arterial scene: the one with the most lane changes."""
     folders = sorted(path.parent for path in made_root.rglob("scenario_*.parquet"))
     return max(folders, key=lambda folder: next(folder.glob("hid2_*.json")).read_text().count('"lane_change"'))
+
+
+@pytest.fixture(scope="session")
+def argoverse1(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of Argoverse 1, which no test may change."""
+    return make_argoverse1(tmp_path_factory.mktemp("argoverse1") / "made")
+
+
+@pytest.fixture
+def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Intervals by a tenth of the usual draws, for tests that do not look at how sure they are."""
+    monkeypatch.setattr(resampling, "draws", partial(resampling.draws, resamples=resampling.RESAMPLES // 10))
 
 
 @pytest.fixture(scope="session")

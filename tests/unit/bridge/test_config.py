@@ -25,10 +25,6 @@ from netconvert.errors import ConfigError
 REMOVED = Path(__file__).parents[3] / "bridge/removed.toml"
 
 
-def test_defaults_are_those_of_the_parameters() -> None:
-    assert load_config() == Config()
-
-
 def test_set_overrides_options_and_options_override_the_file(tmp_path: Path) -> None:
     path = tmp_path / "c.toml"
     path.write_text("[request]\nagents = 3\nseed = 3\nvariants = 3\n")
@@ -37,17 +33,17 @@ def test_set_overrides_options_and_options_override_the_file(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize(
-    ("override", "section", "name", "value"),
+    ("override", "value"),
     [
-        ("request.agents=max", "request", "agents", "max"),
-        ("request.agents = 12", "request", "agents", 12),
-        ("request.focal=generated", "request", "focal", "generated"),
-        ('request.focal="generated"', "request", "focal", "generated"),
-        ("request.spawn_leaders=false", "request", "spawn_leaders", False),
-        ("limits.accel_min_mps2=-3", "limits", "accel_min_mps2", -3.0),
+        ("request.agents=max", "max"),
+        ("request.agents = 12", 12),
+        ('request.focal="generated"', "generated"),
+        ("request.spawn_leaders=false", False),
+        ("limits.accel_min_mps2=-3", -3.0),
     ],
 )
-def test_set_takes_values_of_every_type(override: str, section: str, name: str, value: object) -> None:
+def test_set_takes_values_of_every_type(override: str, value: object) -> None:
+    section, _, name = override.partition("=")[0].strip().partition(".")
     assert getattr(getattr(load_config(None, [override]), section), name) == value
 
 
@@ -61,22 +57,15 @@ def test_ablations_are_a_list() -> None:
     [
         ("request.agents=-3", "request.agents = -3, expected integer >= 0, <= 500, or max"),
         ("request.agents=many", "request.agents = 'many', expected integer"),
-        ("request.agents=2.5", "request.agents = 2.5, expected integer"),
         ("request.agent=3", "unknown key 'request.agent' .* did you mean request.agents"),
         ("reqest.agents=3", "unknown key 'reqest.agents' .* did you mean request.agents"),
-        ("request=3", "unknown key 'request'"),
         ("request.agents", "expected section.key=value"),
-        ("turn.trough_at=0.95", "turn.trough_at = 0.95, expected number >= 0.1, <= 0.9"),
         ("turn.trough_at=nan", "turn.trough_at = nan, expected number >= 0.1"),
-        (
-            "sites.standing_mps=0.4",
-            "sites.standing_mps = 0.4: no parameter any more, the method has 0.3; leave it out$",
-        ),
+        ("sites.standing_mps=0.4", "standing_mps = 0.4: no parameter any more, the method has 0.3; leave it out$"),
         ("export.filter_ratios=[]", "no parameter any more, .*; leave it out, or set smoothing.filter_s"),
         ("request.trigger_max_s=0.1", "trigger_max_s 0.1 is below trigger_min_s 0.5"),
         ("spawn.prior_speed_mps=30", "prior_speed_mps 30 is above max_speed_mps 20"),
         ("request.spawn_leaders=1", "request.spawn_leaders = 1, expected true, false"),
-        ("request.focal=nobody", "request.focal = 'nobody', expected recorded, generated"),
         ("without=brakes", "without = .*brakes.*, expected any of topology, collision, smoothing"),
     ],
 )
@@ -130,11 +119,9 @@ def test_behaviours_that_are_given_replace_all_shares() -> None:
     [
         ("lane_chnge=1", "'lane_chnge=1', expected name=share of straight, left_turn"),
         ("lane_change", "expected name=share"),
-        ("", "expected name=share"),
         ("straight=a", "straight: 'a', expected a share"),
         ("straight=1,straight=0", "'straight' is given twice"),
         ("straight=2", "request.straight = 2.0, expected number >= 0, <= 1"),
-        ("straight=-1", "request.straight = -1.0, expected number >= 0"),
         ("straight=nan", "request.straight = nan"),
         ("straight=0", "the behaviour shares sum to 0"),
     ],
@@ -144,29 +131,20 @@ def test_behaviours_that_are_wrong_are_named(text: str, said: str) -> None:
         load_config(None, [], parse_behaviours(text))
 
 
-def test_trigger_time_is_a_list() -> None:
+@pytest.mark.parametrize(("text", "low", "high"), [("2", 2, 2), ("0.5:4", 0.5, 4), (" 1 : 2 ", 1, 2)])
+def test_trigger_time_is_a_time_a_range_or_a_list(text: str, low: float, high: float) -> None:
+    request = load_config(None, [], parse_trigger_time(text)).request
+    assert (request.trigger_min_s, request.trigger_max_s) == (low, high)
     assert load_config(None, [], parse_trigger_time("2, 4,6")).request.trigger_list_s == (2.0, 4.0, 6.0)
 
 
-@pytest.mark.parametrize(("text", "low", "high"), [("2", 2, 2), ("0.5:4", 0.5, 4), (" 1 : 2 ", 1, 2)])
-def test_trigger_time_is_a_time_or_a_range(text: str, low: float, high: float) -> None:
-    request = load_config(None, [], parse_trigger_time(text)).request
-    assert (request.trigger_min_s, request.trigger_max_s) == (low, high)
-
-
-@pytest.mark.parametrize("text", ["", "a", "1:", ":1", "1:2:3", "4:1", "-1", "inf"])
+@pytest.mark.parametrize("text", ["", "a", "1:", "1:2:3", "4:1", "-1", "inf"])
 def test_a_trigger_time_that_is_wrong_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match=r"trigger"):
         load_config(None, [], parse_trigger_time(text))
 
 
-CHANGED = [
-    "request.agents=max",
-    "without=topology,collision",
-    "turn.trough_at=0.3",
-    "request.seed=7",
-    "request.trigger_list_s=[1, 2.5]",
-]
+CHANGED = ["request.agents=max", "without=topology,collision", "turn.trough_at=0.3", "request.trigger_list_s=[1, 2.5]"]
 
 
 @pytest.mark.parametrize("overrides", [[], CHANGED])
@@ -183,13 +161,11 @@ def test_digest_names_the_configuration_whatever_the_hash_seed() -> None:
         "from bridge.config import *; "
         "c = load_config(None, ['without=topology,collision,smoothing']); print(config_sha256(c), config_to_dict(c))"
     )
-    outputs = {
-        subprocess.run(
-            [sys.executable, "-c", code], env={"PYTHONHASHSEED": seed}, capture_output=True, text=True, check=True
-        ).stdout
-        for seed in ("1", "2", "3")
-    }
-    assert len(outputs) == 1
+    command = [sys.executable, "-c", code]
+    first, second = (
+        subprocess.run(command, env={"PYTHONHASHSEED": seed}, capture_output=True, check=True).stdout for seed in "12"
+    )
+    assert first == second
     assert config_sha256(load_config()) != config_sha256(load_config(None, ["request.seed=1"]))
 
 
@@ -242,7 +218,6 @@ def test_a_file_of_drivers_that_is_wrong_is_refused(tmp_path: Path, text: str, s
     [
         ([], {"target": "av", "gap_m": "2:3"}, ["ttc=1:2"], "--target, --gap, --criticality without --event; say"),
         (["cut_in"], {"gap_m": "wide"}, [], "--gap 'wide': expected A:B"),
-        (["cut_in"], {"gap_m": "5"}, [], "--gap '5': expected A:B"),
         (["cut_in"], {"at_s": "late"}, [], "--at: 'late', expected A or A:B"),
         (["cut_in"], {}, ["ttc=1:2", "ttc=2:3"], "--criticality 'ttc=2:3': ttc is asked for twice"),
         (["cut_in"], {}, ["thw=1:2"], "--criticality 'thw=1:2': expected ttc=A:B"),

@@ -1,11 +1,14 @@
-"""Progress and messages: something is said every few seconds, and nothing when quiet."""
+"""Progress, messages and tables: something is said every few seconds, and nothing when quiet."""
 
+import re
 import time
+from collections.abc import Sequence
 
 import pytest
 
 from bridge import console
-from bridge.console import Activity, duration, fail, print_json, say, warn
+from bridge.config import ParameterRow, describe_config
+from bridge.console import Activity, duration, fail, print_json, say, table_lines, warn
 
 
 class Clock:
@@ -66,7 +69,9 @@ def test_terminal_has_one_line_that_is_written_anew_and_cleared_for_messages_and
     assert end == ""
 
 
-def test_quiet_says_messages_only(capsys: pytest.CaptureFixture[str]) -> None:
+def test_quiet_says_messages_only_and_short_work_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    with Activity(quiet=False) as short:
+        short.show(1, 1)
     with Activity(quiet=True) as activity:
         activity.show(1, 2)
         activity.note("not needed")
@@ -85,12 +90,6 @@ def test_message_is_one_bounded_line_whatever_a_file_says(tell, capsys: pytest.C
     assert len(line) <= 2000
 
 
-def test_short_work_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    with Activity(quiet=False) as activity:
-        activity.show(1, 1)
-    assert capsys.readouterr().err == ""
-
-
 def test_json_has_an_object_a_row(capsys: pytest.CaptureFixture[str]) -> None:
     print_json(("name", "n"), [("a", 1)])
     assert capsys.readouterr().out == '[\n {\n  "name": "a",\n  "n": 1\n }\n]\n'
@@ -99,3 +98,77 @@ def test_json_has_an_object_a_row(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(("seconds", "text"), [(59.4, "59 s"), (61, "1 min 01 s"), (3660, "1 h 01 min")])
 def test_durations(seconds: float, text: str) -> None:
     assert duration(seconds) == text
+
+
+# Tables: whatever the width, every value is there whole ---------------------------------------------------------------
+
+WIDTHS = (60, 120, None)
+BATCH = (
+    "scene",
+    "variant",
+    "placed",
+    "left_turn",
+    "right_turn",
+    "lane_change",
+    "overtake",
+    "manoeuvres",
+    "s",
+    "remarks",
+)
+NOT_DONE = "not done: left_turn: map_offers_no_left_turn (1), right_turn: map_offers_no_right_turn (1)"
+RUNS = [
+    ("2112b63e-58e4-5604-a86c-b243689827da", 0, "0 of 14", 0, 0, 2, 0, "2 of 4", 65.21, NOT_DONE),
+    ("bf8c5e9d-76de-5c6f-a44b-69cc2c9a318a", 10, "10 of 10", 1, 1, 2, 0, "4 of 4", -4.05, "-"),
+]
+
+
+def words(lines: Sequence[str]) -> str:
+    return " ".join(" ".join(lines).split())
+
+
+def shown(lines: Sequence[str], text: str) -> bool:
+    """Whether all words of a value are there, unbroken; they may be on several lines."""
+    there = re.split(r"\s+", " ".join(lines))
+    return all(word in there for word in text.split())
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize(
+    ("columns", "rows"), [(BATCH, RUNS), (ParameterRow._fields, describe_config())], ids=["batch", "config"]
+)
+def test_no_value_is_cropped_and_no_line_is_too_long(
+    columns: Sequence[str], rows: Sequence[Sequence[object]], width: int | None
+) -> None:
+    lines = table_lines(columns, rows, width=width)
+    for row in rows:
+        for cell in row:
+            assert shown(lines, str(cell)), cell
+    if width is not None:
+        assert max(map(len, lines)) <= width
+
+
+def test_a_pipe_gets_one_line_a_row() -> None:
+    lines = table_lines(BATCH, RUNS, width=None)
+    assert len(lines) == 2 + len(RUNS)
+    assert lines[2].endswith(str(RUNS[0][-1]))
+
+
+def test_numbers_are_aligned_right_and_words_left() -> None:
+    """Head, rule, two rows: the numbers 5 and 125 end at the same place."""
+    assert table_lines(("name", "n"), [("a", 5), ("long", 125)], width=80) == [
+        "name    n",
+        "---------",
+        "a       5",
+        "long  125",
+    ]
+
+
+def test_rows_are_stacked_where_columns_do_not_fit() -> None:
+    lines = table_lines(("scene", "first_long_name", "second_long_name"), [("x" * 20, 1, 2.5)], width=36)
+    assert lines == ["x" * 20, "    first_long_name: 1", "    second_long_name: 2.5"]
+
+
+def test_floats_keep_their_digits() -> None:
+    """-4.05 and 0.65 once came out as -4. and 0.6, and 123456.7 as 123457."""
+    lines = table_lines(("a", "b", "c"), [(-4.05, 0.65, 123456.7)], width=25)
+    assert words(lines).endswith("-4.05 0.65 123456.7")

@@ -14,14 +14,9 @@ from netconvert.cells import Cell, build_cell_grid
 def scene_of(*tracks: Track, num_steps: int = 110, request: dict[str, Any] | None = None, **sections: Any) -> Scene:
     """A scene on a two-lane road of 200 m."""
     config = Config(request=Request(**(request or {})), **sections)
-    return build_scene(
-        build_cell_grid(draw_road()),
-        tracks,
-        config=config,
-        num_steps=num_steps,
-        last_observed_step=min(49, num_steps - 1),
-        step_s=0.1,
-    )
+    last = min(49, num_steps - 1)
+    grid = build_cell_grid(draw_road())
+    return build_scene(grid, tracks, config=config, num_steps=num_steps, last_observed_step=last, step_s=0.1)
 
 
 def _moving(x0: float, y: float, speed: float, **more: Any) -> Track:
@@ -37,17 +32,13 @@ def test_speeds_of_a_lane_are_those_of_its_recorded_traffic() -> None:
 
 @pytest.mark.parametrize(
     "more",
-    [{"category": 0}, {"object_type": "pedestrian"}, {"object_type": "cyclist"}],
-    ids=["fragment", "pedestrian", "cyclist"],
+    [{"category": 0}, {"object_type": "pedestrian"}, {"object_type": "cyclist"}, {"speed": 0.0}],
+    ids=["fragment", "pedestrian", "cyclist", "parked"],
 )
-def test_fragments_and_other_road_users_set_no_speed(more: dict[str, Any]) -> None:
-    scene = scene_of(_moving(10.0, 0.0, 8.0, **more))
+def test_fragments_other_road_users_and_parked_vehicles_set_no_speed(more: dict[str, Any]) -> None:
+    scene = scene_of(_moving(**{"x0": 10.0, "y": 0.0, "speed": 8.0, **more}))
     assert not scene.scene_speeds
     assert not scene.lane_speeds
-
-
-def test_parked_vehicle_sets_no_speed() -> None:
-    assert not scene_of(_moving(10.0, 0.0, 0.0)).scene_speeds
 
 
 def test_who_drives_too_short_a_way_or_time_sets_no_speed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -109,14 +100,6 @@ def test_vehicles_that_are_predicted_stay_as_long_as_they_must(
 ) -> None:
     """Context vehicles to timestep 49 at least, scored and focal ones through the whole scene."""
     assert scene_of(num_steps=steps, request=request_).first_exit_step == earliest
-
-
-def test_paths_and_recorded_intervals_are_made_once() -> None:
-    scene = scene_of(_moving(10.0, 0.0, 8.0))
-    path = scene.paths.along((1,))
-    assert scene.paths.along((1,)) is path
-    recorded = (scene.met_on(path, BoxSize(4.5, 1.9), scene.future) for _ in range(2))
-    assert next(recorded) is next(recorded)
 
 
 def test_recorded_occupancy_is_known_beforehand() -> None:

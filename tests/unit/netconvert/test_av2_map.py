@@ -177,8 +177,6 @@ EMPTY: dict[str, Any] = {"lane_segments": {}, "drivable_areas": {}, "pedestrian_
     ("data", "message"),
     [
         ([], "no object 'lane_segments'"),
-        ({}, "no object 'lane_segments'"),
-        ({"lane_segments": []}, "no object 'lane_segments'"),
         ({"lane_segments": {}}, "no object 'drivable_areas'"),
         ({"lane_segments": {}, "drivable_areas": {}}, "no object 'pedestrian_crossings'"),
         (EMPTY, "no lane of type VEHICLE among 0 lane segments"),

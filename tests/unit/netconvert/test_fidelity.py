@@ -39,6 +39,9 @@ def test_the_report_counts_what_is_in_the_net(road: LaneGraph) -> None:
         ("successor", 1, 9, "the other lane is outside the map"),
         ("right_neighbor", 1, 8, "the other lane is outside the map"),
     }
+    rows = dict(report.rows())
+    assert (rows["lanes in / with cells"], rows["successor links kept"]) == ("4 / 4", "1 of 2")
+    assert rows["lost: successor"] == "1 x the other lane is outside the map"
 
 
 def test_the_report_is_measured_on_the_net_not_on_the_grid(road: LaneGraph) -> None:
@@ -49,11 +52,3 @@ def test_the_report_is_measured_on_the_net_not_on_the_grid(road: LaneGraph) -> N
     report = measure_fidelity(grid, net)
     assert report.largest_distance_m == pytest.approx(0.3, abs=0.01)
     assert ("successor", 2, 4, UNEXPLAINED) in report.lost
-
-
-def test_the_rows_of_the_report_name_every_reason(road: LaneGraph) -> None:
-    grid = build_cell_grid(road)
-    rows = dict(measure_fidelity(grid, net_bytes(grid)).rows())
-    assert rows["lanes in / with cells"] == "4 / 4"
-    assert rows["successor links kept"] == "1 of 2"
-    assert rows["lost: successor"] == "1 x the other lane is outside the map"

@@ -32,27 +32,13 @@ def test_the_cell_table_has_a_row_for_every_cell(grid: CellGrid) -> None:
     assert len(rows) == 3
 
 
-def test_the_configuration_names_files_beside_it(grid: CellGrid) -> None:
-    files = gui_files(grid, "scene", step_s=0.1)
-    configuration = etree.fromstring(files["scene.sumocfg"])
-    named = {
-        element.get("value") for element in configuration.iter("net-file", "additional-files", "gui-settings-file")
-    }
-    assert named == {"scene.net.xml", "scene.poly.xml", "scene.view.xml"}
-    assert set(files) == {"scene.sumocfg", "scene.poly.xml", "scene.view.xml", "scene.cells.csv"}
-
-
-def test_the_drivable_area_lies_under_the_lanes(grid: CellGrid) -> None:
-    (area,) = etree.fromstring(gui_files(grid, "scene", step_s=0.1)["scene.poly.xml"]).iterfind(
-        "poly[@type='drivable_area']"
-    )
+def test_the_drivable_area_lies_under_the_lanes_and_every_cell_is_outlined_above_its_lane(grid: CellGrid) -> None:
+    """sumo-gui draws lanes on layer 100."""
+    polygons = etree.fromstring(gui_files(grid, "scene", step_s=0.1)["scene.poly.xml"])
+    (area,) = polygons.iterfind("poly[@type='drivable_area']")
     assert area.get("shape") == "0.00,-5.00 20.00,-5.00 20.00,5.00 0.00,-5.00"
     assert float(area.get("layer")) < 0
-
-
-def test_every_cell_is_outlined_above_its_lane(grid: CellGrid) -> None:
-    """sumo-gui draws lanes on layer 100."""
-    cells = etree.fromstring(gui_files(grid, "scene", step_s=0.1)["scene.poly.xml"]).findall("poly[@type='cell']")
+    cells = polygons.findall("poly[@type='cell']")
     assert [cell.get("id") for cell in cells] == ["cell_5_0", "cell_5_1", "cell_5_2"]
     assert all(float(cell.get("layer")) > 100 and cell.get("fill") == "0" for cell in cells)
 
@@ -61,13 +47,6 @@ def test_the_view_can_be_closer(grid: CellGrid) -> None:
     """The area is 20 m by 10 m, which 20 m of width show; half of it is seen twice as large."""
     shown = np.array([0.0, -2.0]), np.array([10.0, 2.0])
     whole = np.array([0.0, -5.0]), np.array([20.0, 5.0])
-    zooms = [
-        float(etree.fromstring(gui_files(grid, "s", shown=part, step_s=0.1)["s.view.xml"]).find("viewport").get("zoom"))
-        for part in (whole, shown)
-    ]
+    views = [etree.fromstring(gui_files(grid, "s", shown=part, step_s=0.1)["s.view.xml"]) for part in (whole, shown)]
+    zooms = [float(view.find("viewport").get("zoom")) for view in views]
     assert zooms[1] == pytest.approx(2 * zooms[0], rel=0.01)
-
-
-def test_the_view_looks_at_the_middle_of_the_lanes(grid: CellGrid) -> None:
-    view = etree.fromstring(gui_files(grid, "scene", step_s=0.1)["scene.view.xml"]).find("viewport")
-    assert (view.get("x"), view.get("y")) == ("5.00", "0.00")

@@ -49,11 +49,6 @@ def test_shapes_keep_the_vertices_of_the_centreline_and_join_at_the_borders(fork
     assert shapes["1#1_0"] == "4.000,0.000 5.000,0.000 8.000,0.000"
 
 
-def test_a_vertex_on_a_border_appears_once_in_each_cell(lane: Lane, graph: Graph) -> None:
-    shapes = [lane.get("shape") for lane in _net(graph(lane(1, [(0, 0), (4, 0), (8, 0)]))).iter("lane")]
-    assert shapes == ["0.000,0.000 4.000,0.000", "4.000,0.000 8.000,0.000"]
-
-
 def test_lanes_have_their_segment_arc_lengths_widths_and_bicycles(fork: LaneGraph) -> None:
     """Lane 4 is 2 + sqrt(2) + 2 = 5.414214 m long: two cells of 2.707107 m. Lane 2 is for bicycles alone."""
     lanes = {lane.get("id"): lane for lane in _net(fork).iter("lane")}
@@ -102,10 +97,6 @@ def test_the_net_has_a_version_and_no_offset(fork: LaneGraph) -> None:
     assert net.get("version") == "1.20"
     assert net.find("location").get("netOffset") == "0.00,0.00"
     assert net.find("location").get("convBoundary") == "0.00,-3.00,12.00,3.00"
-
-
-def test_equal_grids_give_equal_bytes(fork: LaneGraph) -> None:
-    assert net_bytes(build_cell_grid(fork)) == net_bytes(build_cell_grid(LaneGraph(fork.lanes)))
 
 
 def test_a_net_to_be_saved_has_one_length_an_edge_and_junctions_beside_the_lanes(fork: LaneGraph) -> None:

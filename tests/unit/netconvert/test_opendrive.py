@@ -78,20 +78,6 @@ def test_lanes_of_a_row_are_one_road_cut_where_the_shorter_lane_ends() -> None:
     assert road.find("link/successor").get("elementType") == "junction"
 
 
-def test_a_lane_of_a_curved_row_has_the_width_that_keeps_it_there() -> None:
-    """Two lanes 6 m apart that end 3 m apart: the middle of both is kept, so widths go from 6 m to 3 m."""
-    (road,) = etree.fromstring(opendrive_bytes(graph_of(*ROADS["lanes that come nearer to each other"]), "t")).iter(
-        "road"
-    )
-    sections = road.findall("lanes/laneSection")
-    first, last = (
-        sum(float(lane.find("width").get("a")) for lane in section.iterfind("right/lane")) / 2
-        for section in (sections[0], sections[-1])
-    )
-    assert first == pytest.approx(6.0, abs=0.1)
-    assert last == pytest.approx(3.0, abs=0.4)
-
-
 @pytest.mark.parametrize(
     ("mark", "kind", "color", "change"),
     [

@@ -5,22 +5,28 @@ import shutil
 from pathlib import Path
 
 import pytest
-from recordings import make_argoverse1
 
 from bridge.batch.batch import Options, plan, run_batch
 from bridge.batch.provenance import make_again
 from bridge.config import load_config
+from bridge.generation.generate import generate
+from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import read_sidecar
 from bridge.recordings.sources import find_sources
 from netconvert.errors import ConfigError, NoSceneError, ScenarioError
 
 
+@pytest.fixture(scope="module")
+def made(data_scenes: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The curve with two vehicles, in a split folder."""
+    scene = generate(read_scenario(data_scenes["curve"]), load_config(None, ["request.agents=2"]))
+    return scene.write(tmp_path_factory.mktemp("made"))
+
+
 @pytest.fixture
-def scene(made_root: Path, tmp_path: Path) -> Path:
-    """A copy of a generated scene of the arterial, in a split folder."""
-    (folder,) = (made_root / "train").iterdir()
-    shutil.copytree(folder, tmp_path / "first" / "train" / folder.name)
-    return tmp_path / "first" / "train" / folder.name
+def scene(made: Path, tmp_path: Path) -> Path:
+    """A copy of it that a test may spoil."""
+    return shutil.copytree(made, tmp_path / "first" / "train" / made.name)
 
 
 def sidecar_of(folder: Path) -> Path:
@@ -34,12 +40,11 @@ def test_a_scene_is_made_again_bit_for_bit(scene: Path, data_root: Path, tmp_pat
         assert (made.folder / path.name).read_bytes() == path.read_bytes()
 
 
-def test_a_scene_of_another_format_is_made_again(tmp_path: Path) -> None:
-    root = make_argoverse1(tmp_path / "recorded")
-    found = find_sources([root / "train" / "data" / "1.csv"])
+def test_a_scene_of_another_format_is_made_again(argoverse1: Path, tmp_path: Path) -> None:
+    found = find_sources([argoverse1 / "train" / "data" / "1.csv"])
     (row,) = run_batch(plan(found, load_config(None, ["request.agents=1"])), tmp_path / "first", Options())
     folder = tmp_path / "first" / row.folder
-    made = make_again(sidecar_of(folder), root / "train", tmp_path / "again")
+    made = make_again(sidecar_of(folder), argoverse1 / "train", tmp_path / "again")
     assert (made.folder.name, made.differences, made.compared) == (folder.name, (), True)
 
 
@@ -53,15 +58,19 @@ def edited(folder: Path, **values: object) -> str:
 def test_what_another_program_made_is_compared_but_for_the_program(
     scene: Path, data_root: Path, tmp_path: Path
 ) -> None:
-    """What differs is said; the scene itself is compared as ever."""
+    """What differs is said, of every file; the scene itself is compared as ever."""
     here = read_sidecar(sidecar_of(scene)).program
     generator = json.loads(sidecar_of(scene).read_text())["generator"]
     edited(scene, generator=generator | {"code_sha256": "0" * 64})
     made = make_again(sidecar_of(scene), data_root, tmp_path / "other-code")
     assert (made.differences, made.program) == ((), f"code {'0' * 12} then and {here['code']} now")
     edited(scene, rejected=[{"reason": "spare", "count": 999}])
-    (line,) = make_again(sidecar_of(scene), data_root, tmp_path / "other-scene").differences
-    assert line.endswith(f"differs from {sidecar_of(scene)}; {made.program}")
+    (scene / f"scenario_{scene.name}.parquet").write_bytes(b"other")
+    found = make_again(sidecar_of(scene), data_root, tmp_path / "other-scene")
+    assert found.differences == tuple(
+        f"{found.folder / name}: differs from {scene / name}; {made.program}"
+        for name in (f"hid2_{scene.name}.json", f"scenario_{scene.name}.parquet")
+    )
 
 
 def test_configuration_of_another_program_is_an_error_that_names_it(
@@ -75,19 +84,11 @@ def test_configuration_of_another_program_is_an_error_that_names_it(
         make_again(sidecar_of(scene), data_root, tmp_path / "again")
 
 
-def test_a_file_that_differs_is_named(scene: Path, data_root: Path, tmp_path: Path) -> None:
-    parquet = scene / f"scenario_{scene.name}.parquet"
-    parquet.write_bytes(b"other")
-    made = make_again(sidecar_of(scene), data_root, tmp_path / "again")
-    (line,) = made.differences
-    assert line.startswith(f"{made.folder / parquet.name}: differs from {parquet}")
-
-
 def test_what_cannot_be_made_again_is_explained(scene: Path, data_root: Path, data_scenes, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="holds the scene of"):
         make_again(sidecar_of(scene), data_root, scene.parents[1])
     with pytest.raises(NoSceneError, match=r"no recorded scene .*, of which .* was made; give the ROOT"):
-        make_again(sidecar_of(scene), data_scenes["curve"], tmp_path / "again")
+        make_again(sidecar_of(scene), data_scenes["arterial"], tmp_path / "again")
     with pytest.raises(ScenarioError, match="no such file, expected a sidecar"):
         make_again(scene / "hid2_x.json", data_root, tmp_path / "again")
     (tmp_path / "text.json").write_text("no JSON")

@@ -68,21 +68,16 @@ def craft(path: Path, files: dict[str, bytes], *, compression: int = zipfile.ZIP
 
 REQUESTS: dict[str, tuple[dict[str, Any], str]] = {
     "split upwards": ({"split": "../../outside"}, "split"),
-    "split absolute": ({"split": "/tmp/outside"}, "split"),
     "scenario upwards": ({"scenario": "../../outside"}, "name '../../outside'"),
-    "scenario of dots": ({"scenario": ".."}, "name '..'"),
     "scenario empty": ({"scenario": ""}, "name ''"),
     "scenario with a zero": ({"scenario": "a\0b"}, "name"),
     "another function": ({"function": "os:system"}, r"'os:system', which is none of hid2's: .* --function os:system"),
-    "a function that is none": ({"function": "../x"}, "function"),
     "a function that is no text": ({"function": ["os"]}, "function"),
     "a time-out of NaN": ({"timeout_s": float("nan")}, "timeout_s"),
     "a time-out without end": ({"timeout_s": 1e300}, "timeout_s"),
     "a time-out of nothing": ({"timeout_s": -1}, "timeout_s"),
     "a variant below 0": ({"variant": -1}, "variant"),
-    "a variant of text": ({"variant": "1"}, "variant"),
     "a configuration that is a list": ({"config": []}, "config: .* have \\[\\]"),
-    "a configuration that is nothing": ({"config": None}, "config"),
     "an unknown parameter": ({"config": {"no": 1}}, "unknown key 'no'"),
     "a parameter of NaN": ({"config": {"limits": {"min_radius_m": float("nan")}}}, "limits|JSON"),
     "another format": ({"format": 2}, "format"),
@@ -117,7 +112,7 @@ def _encrypted(path: Path) -> None:
 
 
 def _bomb(path: Path) -> None:
-    craft(path, members() | {"scene/zeros": bytes(150_000_000)})
+    craft(path, members() | {"scene/zeros": bytes(130_000_000)})
 
 
 def _twice(path: Path) -> None:
@@ -127,7 +122,7 @@ def _twice(path: Path) -> None:
 
 
 ARCHIVES: dict[str, tuple[Callable[[Path], object], str]] = {
-    "a bomb": (_bomb, "unpacks to 150 MB, expected at most 128 MB"),
+    "a bomb": (_bomb, "unpacks to 130 MB, expected at most 128 MB"),
     "a large request": (lambda p: craft(p, members() | {"request.json": bytes(2_000_000)}), "more than 1 MB"),
     "large details": (lambda p: craft(p, members() | {"details.txt": bytes(5_000_000)}), "more than 4 MB"),
     "a list without end": (lambda p: craft(p, members(left_out=["x"] * 60_000)), "at most 64 items"),
@@ -142,10 +137,8 @@ ARCHIVES: dict[str, tuple[Callable[[Path], object], str]] = {
     "no failure": (lambda p: craft(p, {"request.json": members()["request.json"]}), "no 'failure.json'"),
     "deep JSON": (lambda p: craft(p, members() | {"request.json": b"[" * 100_000}), "the file: Invalid JSON"),
     "details that are no text": (lambda p: craft(p, members() | {"details.txt": b"\xff"}), "invalid start byte"),
-    "no archive": (lambda p: p.write_bytes(b"no"), "not a zip file"),
     "cut": (lambda p: p.write_bytes(craft(p, members()).read_bytes()[:-30]), "not a zip file"),
     "a pipe": (os.mkfifo, "not a regular file"),
-    "a folder": (lambda p: p.mkdir(), "not a regular file"),
 }
 
 
@@ -156,17 +149,15 @@ def test_crafted_archive_is_refused_in_one_line(tmp_path: Path, name: str) -> No
     refused(tmp_path / "b.zip", said)
 
 
-def test_own_function_is_agreed_to_by_name(tmp_path: Path) -> None:
-    path = craft(tmp_path / "b.zip", members(function="mine:work"))
-    refused(path, "--function mine:work")
-    assert read_bundle(path, tmp_path / "again", functions={"mine:work"}).function == "mine:work"
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [({"function": "mine:work"}, "mine:work"), ({"config": {"lane_change": {"rule": "mine:accept"}}}, "mine:accept")],
+)
+def test_own_function_is_agreed_to_by_name(tmp_path: Path, changes: dict[str, Any], name: str) -> None:
+    """Nothing of a bundle, nor of its configuration, is imported without a word of who runs it."""
+    path = craft(tmp_path / "b.zip", members(**changes))
+    refused(path, f"--function {name}")
+    agreed = read_bundle(path, tmp_path / "again", functions={name})
+    assert name in (agreed.function, agreed.config.lane_change.rule)
     with pytest.raises(BatchError):
         read_bundle(path, tmp_path / "third", functions={"mine:other"})
-
-
-def test_rule_of_a_configuration_is_agreed_to_by_name(tmp_path: Path) -> None:
-    """A configuration may name a function too: nothing of a bundle is imported without a word of who runs it."""
-    path = craft(tmp_path / "b.zip", members(config={"lane_change": {"rule": "mine:accept"}}))
-    refused(path, "--function mine:accept")
-    agreed = read_bundle(path, tmp_path / "again", functions={"mine:accept"})
-    assert agreed.config.lane_change.rule == "mine:accept"

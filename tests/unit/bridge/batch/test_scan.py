@@ -1,9 +1,11 @@
 """Facts of scenes, and the choice among them."""
 
+import csv
 from pathlib import Path
 
 import pytest
 
+from bridge.batch import scan
 from bridge.batch.scan import EVENTS, SceneFacts, Selection, describe_scene, facts_of, select, wanted
 from netconvert.errors import ConfigError
 
@@ -67,49 +69,41 @@ def test_unknown_manoeuvre_is_named() -> None:
         facts_of([], ("fly",))
 
 
-def test_scene_that_cannot_be_read_is_tried_with_those_selected(data_scenes: dict[str, Path], tmp_path: Path) -> None:
+def test_scene_that_cannot_be_read_is_tried_with_those_selected(monkeypatch: pytest.MonkeyPatch) -> None:
     """It may be wanted, and its reason is then where those of others are; it is in no sample, and not enough alone."""
-    folders = [data_scenes["arterial"], tmp_path, data_scenes["curve"]]
-    turns, unread = Selection(can=("left_turn",)), [tmp_path]
-    chosen, failed = wanted([*folders, data_scenes["intersection"]], turns)
-    assert (chosen, [folder for folder, _ in failed]) == ([tmp_path, data_scenes["intersection"]], unread)
-    assert wanted(folders, Selection(sample=2))[0] == [data_scenes["arterial"], data_scenes["curve"]]
+    unread = [(Path("d"), "no map")]
+    monkeypatch.setattr(scan, "facts_of", lambda at, *_, **__: ([one for one in FACTS if one.folder in at], unread))
+    folders = [Path(name) for name in "dabc"]
+    assert wanted(folders, Selection(min_agents=60)) == ([Path("d"), Path("c")], unread)
+    assert wanted(folders, Selection(sample=3)) == (folders[1:], unread)
     with pytest.raises(ConfigError, match=r"none of 2 scenes is left by the selection"):
-        wanted(folders[1:], turns)
+        wanted(folders[:2], Selection(min_agents=60))
 
 
 def test_synthetic_maps_offer_what_they_were_made_for(data_scenes: dict[str, Path]) -> None:
+    """On the arterial a vehicle can drive ahead of the focal track; events that are not asked for are not told."""
     facts = {name: describe_scene((), folder) for name, folder in data_scenes.items()}
     assert facts["arterial"].lane_change_m > 500
     assert facts["arterial"].overtake_m > 500
     assert facts["intersection"].left_turns >= 4
     assert facts["intersection"].right_turns >= 4
     assert facts["curve"].lane_change_m > 0
+    assert describe_scene(("lead:focal",), data_scenes["arterial"]).events == "lead:focal"
+    assert {found.events for found in facts.values()} == {""}
     assert all(found.at_49 <= found.tracks and found.moving <= found.vehicles for found in facts.values())
 
 
-def test_only_events_that_are_asked_for_are_looked_for(data_scenes: dict[str, Path]) -> None:
-    """On the arterial a vehicle can drive ahead of the focal track; what is not asked for is not told."""
-    ((alone,), _), ((asked,), _) = (facts_of([data_scenes["arterial"]], events) for events in ((), ("lead:focal",)))
-    assert (alone.events, asked.events) == ("", "lead:focal")
-
-
-def test_real_scenes_have_the_figures_of_their_list(real_scenes: list[Path], shared_data: Path) -> None:
+def test_real_scenes_have_the_figures_of_their_list_and_one_that_cannot_be_read_is_listed(
+    real_scenes: list[Path], shared_data: Path, tmp_path: Path
+) -> None:
     """Compared with av2_scenarios.csv, which was made by other means."""
-    import csv
-
     with (shared_data / "av2_scenarios.csv").open() as file:
         listed = {next(iter(row.values())): row for row in csv.DictReader(file)}
-    facts, failures = facts_of(real_scenes)
-    assert failures == []
+    facts, failures = facts_of([real_scenes[0], tmp_path, real_scenes[3]])
+    assert [folder for folder, _ in failures] == [tmp_path]
+    assert len(facts) == 2
     for found in facts:
         (row,) = [row for key, row in listed.items() if found.scenario.startswith(key[:8])]
         assert found.city == row["city"]
         assert found.tracks == int(row["tracks"])
         assert found.lanes == int(row["lanes"])
-
-
-def test_scene_that_cannot_be_read_is_listed(data_scenes: dict[str, Path], tmp_path: Path) -> None:
-    facts, failures = facts_of([data_scenes["curve"], tmp_path])
-    assert [found.folder for found in facts] == [data_scenes["curve"]]
-    assert failures[0][0] == tmp_path

@@ -14,13 +14,8 @@ from breaches import breaches
 from written import write_fake
 
 from bridge.forecasting.compose import check_leaks, compose
-from bridge.forecasting.composition import (
-    CONTROLS,
-    HID2_ONLY,
-    Composition,
-    composition_of_sources,
-)
-from bridge.forecasting.places import SourceScene, groups_of, leaks_between, split_by_place
+from bridge.forecasting.composition import CONTROLS, HID2_ONLY, Composition, composition_of_sources
+from bridge.forecasting.places import SourceScene, groups_of, split_by_place
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
 from bridge.toml import model_of, read_toml_as
@@ -77,20 +72,17 @@ def test_a_mix_is_split_by_place_and_readers_find_it(data_root, generated, tmp_p
     assert [finding for finding in breaches(root, source=data_root) if not finding.is_note] == []
 
 
-def test_folders_are_real_and_files_are_links(data_root, generated, tmp_path):
-    root = composed(mixed(data_root, generated), tmp_path / "root").root
-    parquet = next(root.glob("val/*/scenario_*.parquet"))
-    assert not parquet.parent.is_symlink()
-    assert not parquet.is_symlink()
-    assert parquet.stat().st_nlink > 1
-    assert list(root.rglob("scenario_*.parquet"))
-
-
-def test_without_links_files_are_copied(data_root, generated, tmp_path, monkeypatch):
+def test_files_are_links_in_real_folders_and_copies_where_there_can_be_none(
+    data_root, generated, tmp_path, monkeypatch
+):
     def refuse(*_):
         raise OSError(errno.EXDEV, "another file system")
 
-    linked = tree(composed(mixed(data_root, generated), tmp_path / "linked").root)
+    root = composed(mixed(data_root, generated), tmp_path / "linked").root
+    linked, parquet = tree(root), next(root.glob("val/*/scenario_*.parquet"))
+    assert not parquet.parent.is_symlink()
+    assert not parquet.is_symlink()
+    assert parquet.stat().st_nlink > 1
     monkeypatch.setattr(os, "link", refuse)
     copied = composed(mixed(data_root, generated), tmp_path / "copied").root
     assert tree(copied) == linked
@@ -180,16 +172,20 @@ def test_a_planted_variant_of_a_validation_scene_is_found_and_named(data_root, g
     assert f"made of the same recorded scene {held_out}" in leak.text()
 
 
-def test_a_planted_copy_under_another_id_is_found_by_its_place(data_root, generated, tmp_path, copy_scene):
-    root = composed(mixed(data_root, generated), tmp_path / "root").root
-    (held_out,) = find_scenarios(root / "val")
+def second_recording(held_out, root):
+    """The place of a validation scene recorded again, in train, without a word of the log."""
     target = root / "train" / "11111111-1111-5111-8111-111111111111"
     target.mkdir()
-    table = read_scenario(held_out).table.to_pandas()
-    table["scenario_id"] = target.name
-    del table["slice_id"]  # which tells the log
+    table = read_scenario(held_out).table.to_pandas().drop(columns="slice_id").assign(scenario_id=target.name)
     table.to_parquet(target / f"scenario_{target.name}.parquet")
     shutil.copy(next(held_out.glob("log_map*")), target / f"log_map_archive_{target.name}.json")
+    return target
+
+
+def test_a_planted_copy_under_another_id_is_found_by_its_place(data_root, generated, tmp_path):
+    root = composed(mixed(data_root, generated), tmp_path / "root").root
+    (held_out,) = find_scenarios(root / "val")
+    target = second_recording(held_out, root)
     (leak,) = check_leaks(root)
     assert (leak.folder, leak.other) == (target, held_out)
     assert "lies where there is" in leak.why
@@ -213,27 +209,15 @@ def test_min_agents_counts_in_all_or_at_the_observations_end(data_root, tmp_path
         assert made.counts[""]["train"] == expected, (counted, bound)
 
 
-def test_splits_by_folder_keep_the_official_ones(data_root, tmp_path):
-    every = {"all": {"take": {"data": "all"}}}
-    values = {"sources": {"data": (str(data_root),)}, "split": {"by": "folder"}, "sets": every, "validation": every}
-    root = composed(values, tmp_path / "root").root
-    assert ids(root / "train") == ids(data_root / "train")
-    assert ids(root / "val") == ids(data_root / "val")
-
-
-def test_splits_by_folder_share_ground(data_root, tmp_path):
-    """A second recording of the validation scene's place in train stays there: the official split has such."""
+def test_splits_by_folder_keep_the_official_ones_which_share_ground(data_root, tmp_path):
     root = tmp_path / "official"
     shutil.copytree(data_root, root)
-    (held_out,) = find_scenarios(root / "val")
-    target = root / "train" / "11111111-1111-5111-8111-111111111111"
-    target.mkdir()
-    table = read_scenario(held_out).table.to_pandas().drop(columns="slice_id").assign(scenario_id=target.name)
-    table.to_parquet(target / f"scenario_{target.name}.parquet")
-    shutil.copy(next(held_out.glob("log_map*")), target / f"log_map_archive_{target.name}.json")
+    second_recording(find_scenarios(root / "val")[0], root)
     every = {"all": {"take": {"data": "all"}}}
     values = {"sources": {"data": (str(root),)}, "split": {"by": "folder"}, "sets": every, "validation": every}
-    assert ids(composed(values, tmp_path / "root").root / "train") == ids(root / "train")
+    made = composed(values, tmp_path / "root").root
+    for split in ("train", "val"):
+        assert ids(made / split) == ids(root / split)
 
 
 def fact(name, *, source=None, city="miami", tracks=20, cells=(1,), block=(0, 0), log=""):
@@ -250,12 +234,6 @@ def test_groups_join_blocks_sources_and_logs():
         fact("e", block=(2, 0), log="x"), fact("f", city="austin"),
     ]  # fmt: skip
     assert groups_of(facts) == [[0, 1, 2], [3, 4], [5]]
-
-
-def test_ground_is_of_a_city():
-    facts = [fact("a", cells=(1, 2)), fact("b", cells=(2, 3)), fact("c", cells=(2,), city="austin")]
-    (leak,) = leaks_between(facts, [0, 2], [1])
-    assert (leak.folder, leak.other, leak.why) == (Path("a"), Path("b"), "lies where there is")
 
 
 def test_cities_and_densities_are_on_both_sides_in_proportion():
@@ -276,11 +254,7 @@ def test_cities_and_densities_are_on_both_sides_in_proportion():
 
 def test_a_share_of_a_source_is_drawn(data_root, tmp_path):
     """Two of three scenes: 0.5 of three is 1.5, which is 2; the same on the command line."""
-    values = {
-        "sources": {"data": (str(data_root),)},
-        "sets": {"a": {"take": {"data": 0.5}}},
-        "split": {"val": 0.0},
-    }
+    values = {"sources": {"data": (str(data_root),)}, "sets": {"a": {"take": {"data": 0.5}}}, "split": {"val": 0.0}}
     assert composed(values, tmp_path / "root").counts == {"": {"train": 2, "val": 0, "test": 0}}
     made = composition_of_sources(["here:0.5", "there:7", "all"])
     assert list(made.sets["all"].take.values()) == [0.5, 6, "all"]
@@ -317,11 +291,9 @@ def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
         composed(values | {"sources": {"data": ("nowhere",)}}, tmp_path / "root")
     with pytest.raises(ConfigError, match="no such file, expected a composition"):
         read_toml_as(Composition, tmp_path / "none.toml", "a composition")
-    twice = {"sources": source | {"same": source["data"]}, "sets": {"a": {"take": {"data": 1, "same": "all"}}}}
+    twice = {"sources": source | {"same": source["data"]}, "sets": {"a": {"take": {"data": "all", "same": "all"}}}}
     with pytest.raises(ConfigError, match="is in two of the sources"):
-        composed(
-            twice | {"split": {"val": 0.0}, "sets": {"a": {"take": {"data": "all", "same": "all"}}}}, tmp_path / "r"
-        )
+        composed(twice | {"split": {"val": 0.0}}, tmp_path / "r")
 
 
 def test_a_file_and_the_command_line_say_the_same(data_root, tmp_path):

@@ -9,14 +9,14 @@ import pytest
 from av2.datasets.motion_forecasting.eval import metrics
 from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 from baseline_file import write_baseline
-from recordings import make_argoverse1
 
+from bridge.config import load_config
 from bridge.forecasting import predictions
 from bridge.forecasting.predictions import baseline, read_forecasts, score_predictions, write_forecasts
 from bridge.generation.generate import generate
 from bridge.recordings.scenario import find_scenarios, read_scenario
 from bridge.recordings.sources import find_recordings, read_recording
-from hid2.params import Config, Forecasting
+from hid2.params import Forecasting
 from netconvert.errors import ConfigError, ScenarioError
 
 
@@ -35,7 +35,7 @@ def submission(scenario, modes, probabilities, path, track_id=None):
     return path
 
 
-def test_errors_are_those_of_the_mode_that_ends_nearest(data_scenes, tmp_path):
+def test_errors_are_those_of_the_mode_that_ends_nearest_and_it_misses_beyond_two_metres(data_scenes, tmp_path):
     """Mode 1 (p = .7) is 3 m off throughout; mode 0 (p = .3) is 5 m off, but right at its end.
 
     k = 1, by probability, not by order: ADE 3, FDE 3, a miss, Brier 3 + .3^2. k = 6, the mode that ends nearest: FDE 0,
@@ -51,6 +51,9 @@ def test_errors_are_those_of_the_mode_that_ends_nearest(data_scenes, tmp_path):
     assert (scores[6].min_ade_m, scores[6].min_fde_m) == (pytest.approx(5 * 59 / 60), pytest.approx(0))
     assert not scores[6].missed
     assert (scores[1].brier_min_fde, scores[6].brier_min_fde) == (pytest.approx(3.09), pytest.approx(0.49))
+    for off, missed in ((1.99, False), (2.01, True)):
+        path = submission(scenario, [truth + np.array([off, 0.0])], [1.0], tmp_path / "f.parquet")
+        assert scores_of(data_scenes["arterial"], path)[0].missed is missed
 
 
 def test_scores_of_a_challenge_submission_are_those_of_av2(data_root, tmp_path):
@@ -81,14 +84,13 @@ def test_scores_of_a_challenge_submission_are_those_of_av2(data_root, tmp_path):
         )  # fmt: skip
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_a_forecast_that_is_not_finite_is_named_and_refused(data_scenes, tmp_path, value):
+def test_a_forecast_that_is_not_finite_is_named_and_refused(data_scenes, tmp_path):
     scenario = read_scenario(data_scenes["arterial"])
     truth = focal_future(scenario)
     broken = truth.copy()
-    broken[12, 1] = value
+    broken[12, 1] = np.inf
     path = submission(scenario, [truth, broken], [0.7, 0.3], tmp_path / "f.parquet")
-    where = f"scenario {scenario.scenario_id}, track {scenario.focal_track_id}, mode 1, step 12: y is {value}"
+    where = f"scenario {scenario.scenario_id}, track {scenario.focal_track_id}, mode 1, step 12: y is inf"
     with pytest.raises(ScenarioError, match=re.escape(where)):
         score_predictions(data_scenes["arterial"], predictions=path)
 
@@ -101,13 +103,6 @@ def test_jobs_do_not_change_the_scores(data_root, tmp_path, monkeypatch):
     pd.testing.assert_frame_equal(alone, both)
     for name in ("predictions.csv", "predictions.html"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
-
-
-def test_a_forecast_misses_beyond_two_metres(data_scenes, tmp_path):
-    scenario = read_scenario(data_scenes["arterial"])
-    for off, missed in ((1.99, False), (2.01, True)):
-        path = submission(scenario, [focal_future(scenario) + np.array([off, 0.0])], [1.0], tmp_path / "f.parquet")
-        assert scores_of(data_scenes["arterial"], path)[0].missed is missed
 
 
 def test_constant_velocity_goes_on_as_in_the_last_half_second(data_scenes):
@@ -175,11 +170,10 @@ def test_what_cannot_be_scored_is_listed_or_explained(data_scenes, data_root, tm
     assert not (tmp_path / "new").exists()
 
 
-def test_a_baseline_forecasts_what_is_not_observed_of_a_scene_made_from_argoverse_1(tmp_path):
+def test_a_baseline_forecasts_what_is_not_observed_of_a_scene_made_from_argoverse_1(argoverse1, tmp_path):
     """20 of 50 steps are observed: the 30 others are forecast, in steps of 0.1 s, from step 19 on."""
-    root = make_argoverse1(tmp_path / "recorded")
-    (address,) = find_recordings([root / "train" / "data" / "1.csv"])
-    folder = generate(read_recording(address), Config()).write(tmp_path / "out")
+    (address,) = find_recordings([argoverse1 / "train" / "data" / "1.csv"])
+    folder = generate(read_recording(address), load_config(None, ["request.agents=1"])).write(tmp_path / "out")
     scenario = read_scenario(folder)
     _, modes = baseline(scenario, "constant-velocity")
     track = scenario.track(scenario.focal_track_id)
@@ -260,13 +254,6 @@ def test_only_tracks_that_every_file_forecasts_count():
     assert found.low is None  # one scene has no interval
     nothing = compared(mine, [[score("z", 1.0)]])
     assert (nothing.tracks, nothing.difference, nothing.detectable) == (0, None, None)
-
-
-def test_bands_and_metrics_are_taken_apart():
-    (run,) = runs = tables([[score("a", 1.0, agents=40), score("b", 3.0, agents=80), score("b", 99.0, agents=80, k=1)]])
-    assert predictions.mean_of([run.query("agents > 50")], {}, "min_fde_m", PARAMS).value == 3.0
-    assert predictions.mean_of(runs, {}, "missed", PARAMS).value == 0.5
-    assert predictions.mean_of(runs, {}, "brier_min_fde", PARAMS).value == 2.5
 
 
 def test_files_are_compared_with_the_first(data_root, tmp_path):

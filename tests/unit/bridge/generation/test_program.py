@@ -1,14 +1,10 @@
 """What a scene's bytes depend on beside its request, as sidecars and manifests say it."""
 
-import platform
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-import numba
-import numpy as np
 import pytest
-import shapely
 
 import bridge
 import hid2
@@ -52,14 +48,3 @@ def test_digest_of_the_code_does_not_tell_places_line_ends_and_what_was_compiled
     shutil.move(code / "hid2", code.parent / "elsewhere")
     monkeypatch.setattr(hid2, "__path__", [str(code.parent / "elsewhere")])
     assert digest() == before
-
-
-def test_libraries_are_those_that_compute() -> None:
-    geos = ".".join(map(str, shapely.geos_version))
-    assert program.libraries() == {"numpy": np.__version__, "numba": numba.__version__, "geos": geos}
-
-
-def test_processor_has_a_name() -> None:
-    assert program.processor().strip() == program.processor() != ""
-    if platform.system() == "Linux" and platform.machine() == "x86_64":
-        assert program.processor() in Path("/proc/cpuinfo").read_text()

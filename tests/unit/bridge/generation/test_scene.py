@@ -16,10 +16,9 @@ from bridge.config import load_config
 from bridge.evaluation.scene_metrics import evaluate_scene
 from bridge.generation.generate import generate, prepare
 from bridge.generation.scene import TrafficScene, read_scene
-from bridge.recordings.folders import find_scenarios
 from bridge.recordings.sidecar import EventRecord
 from hid2.policy.rules import GapView
-from netconvert.errors import ConfigError, ExportError, NoSceneError
+from netconvert.errors import ConfigError, ExportError
 
 CHANGES = ["request.agents=6", "request.straight=0.3", "request.lane_change=0.7", "request.trigger_max_s=3"]
 
@@ -84,6 +83,20 @@ def test_events_are_a_table_with_the_keys_of_the_sidecar(made: TrafficScene) -> 
     assert table.loc[1, "reason"] == "event_no_place"
 
 
+def test_the_inserted_focal_track_does_its_manoeuvre_and_has_the_most_neighbours(made: TrafficScene) -> None:
+    """Within 50 m, among the vehicles that live through the scene and have a manoeuvre that is done."""
+    done = {agent.track_id for agent in made.sidecar.agents if any(m.status == "done" for m in agent.maneuvers)}
+    there = [t.position[t.timesteps == 49][0] for t in (*made.source.tracks, *made.generated) if 49 in t.timesteps]
+    counts = {
+        track.track_id: int((np.hypot(*(np.array(there) - track.position[49]).T) <= 50.0).sum())
+        for track in made.generated
+        if len(track.timesteps) == 110 and track.track_id in done
+    }
+    assert counts[made.recording.focal_track_id] == max(counts.values())
+    assert len(counts) > 1
+    assert [track.track_id for track in made.generated if track.category == 3] == [made.recording.focal_track_id]
+
+
 def test_judge_tells_what_is_wrong_with_a_vehicle(made: TrafficScene) -> None:
     """A vehicle that is shifted by 40 m is off the road."""
     off = dataclasses.replace(made.generated[0], position=made.generated[0].position + 40.0)
@@ -98,15 +111,14 @@ def test_reprs_are_one_short_line(made: TrafficScene) -> None:
         assert re.fullmatch(rf"{type(one).__name__}\([^\n]{{,150}}\)", repr(one)), repr(one)
 
 
-def test_pictures_are_figures_that_nobody_has_to_close(made: TrafficScene, tmp_path: Path) -> None:
+def test_pictures_are_figures_that_nobody_has_to_close(made: TrafficScene) -> None:
     figure, axes = plt.subplots()
     plots = [made.draw(), made.plot(made.generated[0].track_id), made.draw(axes, step=3)]
     assert plots[2] is figure
     assert plt.get_fignums() == [figure.number]
     assert [len(one.axes) for one in plots] == [2, 6, 1]
-    assert all(one._repr_png_().startswith(b"\x89PNG") for one in plots[:2])  # what a notebook shows
+    assert plots[1]._repr_png_().startswith(b"\x89PNG")  # what a notebook shows
     plt.close(figure)
-    assert made.render(tmp_path / "close.png", agent="gen_0").stat().st_size > 10_000
     with pytest.raises(ConfigError, match="no track 'gen_99'"):
         made.plot("gen_99")
 
@@ -139,14 +151,6 @@ def test_view_without_a_name_opens_a_browser(made: TrafficScene, tmp_path: Path,
     assert len(opened) == 1
 
 
-def test_scene_to_read_is_told_in_one_line(tmp_path: Path, data_root: Path) -> None:
-    with pytest.raises(NoSceneError, match="no such folder"):
-        read_scene(tmp_path / "nowhere")
-    with pytest.raises(ConfigError, match="holds several scenes"):
-        read_scene(data_root)
-    assert len(find_scenarios(str(data_root))) == 3
-
-
 @pytest.mark.parametrize("function", [generate, prepare])
 def test_a_path_instead_of_a_scene_is_told_in_one_line(function: Callable[..., object]) -> None:
     with pytest.raises(ConfigError, match=r"source 'data/av2': expected a scene, as read_scene\(path\) gives it"):
@@ -176,7 +180,7 @@ def test_rule_of_ones_own_is_a_function(data_scenes: dict[str, Path]) -> None:
     config = load_config(None, CHANGES, {"lane_change.rule": takes_all})
     assert config.lane_change.rule == f"{__name__}:takes_all"
     scene = generate(read_scene(data_scenes["arterial"]), config)
-    assert {reason for reason in scene.maneuvers["reason"] if reason} & {"front_gap", "rear_gap"} == set()
+    assert not {*scene.maneuvers["reason"]} & {"front_gap", "rear_gap"}
     named = load_config(None, [], {"lane_change.rule": two_arguments, "lane_change.rule_with": "other=3"})
     assert named.lane_change.rule.endswith(":two_arguments")
 

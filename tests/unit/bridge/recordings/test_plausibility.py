@@ -13,13 +13,7 @@ from bridge.batch.validation import validate_folder
 from bridge.config import load_config
 from bridge.generation.generate import prepare
 from bridge.recordings.folders import Choices
-from bridge.recordings.plausibility import (
-    LEAST_GAINING,
-    LEAST_VEHICLES,
-    check_plausible,
-    figures_of,
-    implausible,
-)
+from bridge.recordings.plausibility import LEAST_GAINING, LEAST_VEHICLES, check_plausible, figures_of, implausible
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sources import find_one, find_recordings, read_recording
 from hid2.measures.arrays import stack
@@ -31,8 +25,8 @@ _MIRRORED = moved(((-1.0, 0.0), (0.0, 1.0)))
 
 @pytest.fixture(scope="session")
 def spoiled_scenes(data_scenes: dict[str, Path], real_scenes: list[Path]) -> list[Path]:
-    """The curve of data/, a recorded scene and one that was derived from a sensor log."""
-    return [data_scenes["curve"], *(path for path in real_scenes if path.name[:4] in {"00a0", "3b35"})]
+    """The curve of data/, and a recorded scene that was derived from a sensor log."""
+    return [data_scenes["curve"], *(path for path in real_scenes if path.name[:4] == "3b35")]
 
 
 @pytest.mark.parametrize("name", FAULTS)
@@ -76,7 +70,7 @@ def test_a_map_shifted_by_a_metre_is_told_and_taken(spoiled_scenes: list[Path], 
         assert figures_of(recording).shift_m == pytest.approx(1.0, abs=0.3)
 
 
-@pytest.mark.parametrize("name", sorted(FAULTS.keys() - {"end before start"}))
+@pytest.mark.parametrize("name", ["degrees", "swapped", "3 m", "1 km", "halved"])
 def test_too_few_moving_vehicles_tell_nothing(spoiled_scenes: list[Path], tmp_path: Path, name: str) -> None:
     """Two moving vehicles are below every least number: LEAST_VEHICLES, and as many that fit fully elsewhere."""
     assert LEAST_VEHICLES > LEAST_GAINING
@@ -87,15 +81,6 @@ def test_too_few_moving_vehicles_tell_nothing(spoiled_scenes: list[Path], tmp_pa
     tracks = tuple(track for track in recording.tracks if track.track_id not in few or track.track_id in kept)
     assert implausible(replace(recording, tracks=tracks)) == ""
     assert implausible(replace(recording, tracks=())) == ""
-
-
-def test_stated_way_is_the_mean_velocity_times_the_time(data_scenes: dict[str, Path]) -> None:
-    """Velocities of a third make a third of every displacement, and 0.33 is below the bound of 0.5."""
-    recording = read_scenario(data_scenes["curve"])
-    tracks = tuple(replace(track, velocity=track.velocity / 3) for track in recording.tracks)
-    (x, _), (y, _) = figures_of(replace(recording, tracks=tracks)).stated
-    assert (x, y) == (pytest.approx(1 / 3, abs=0.001), pytest.approx(1 / 3, abs=0.001))
-    assert implausible(replace(recording, tracks=tracks)).startswith("velocity_x makes 0.33 of the displacement")
 
 
 def test_a_reversing_vehicle_is_no_reason(data_scenes: dict[str, Path]) -> None:
@@ -111,26 +96,20 @@ def test_a_reversing_vehicle_is_no_reason(data_scenes: dict[str, Path]) -> None:
 
 def test_the_switch_lets_it_through(spoiled_scenes: list[Path], tmp_path: Path) -> None:
     recording = read_scenario(plant(spoiled_scenes[0], tmp_path, FAULTS["no velocity_x"][0]))
-    with pytest.raises(ScenarioError, match="velocity_x makes"):
+    with pytest.raises(ScenarioError, match=r"velocity_x makes 0\.00 of the displacement"):
         prepare(recording, load_config())
     assert prepare(recording, load_config(None, ["source.plausible=false"])).scenario is recording
-
-
-def test_validate_notes_a_recorded_scene_that_would_be_refused(spoiled_scenes: list[Path], tmp_path: Path) -> None:
-    plant(spoiled_scenes[0], tmp_path / "val", FAULTS["degrees"][0])
-    notes = [finding for finding in validate_folder(tmp_path) if "headings of" in finding.message]
-    assert [note.is_note for note in notes] == [True]
+    notes = [finding.is_note for finding in validate_folder(tmp_path) if "velocity_x makes" in finding.message]
+    assert notes == [True]  # of a recorded scene
 
 
 @pytest.mark.parametrize(
     ("names", "what"),
     [
         (["v1.0-mini/sample.json", "v1.0-mini/scene.json"], r"a nuScenes data set \(it has 'v1.0-mini/sample.json'\)"),
-        (["training/uncompressed_scenario_training.tfrecord-00000-of-01000"], "Waymo data"),
         (["segment-1_with_camera_labels.tfrecord"], "Waymo data"),
         (["nuplan-v1.1/splits/mini/2021.05.12.22.00.38_veh-35.db"], "nuPlan data"),
         (["2011_09_26/calib_cam_to_cam.txt"], "a KITTI data set"),
-        (["training/label_02/0000.txt"], "a KITTI data set"),
         (["town.net.xml"], "a SUMO net"),
         (["forecasts.csv"], "a table, such as of forecasts"),
     ],

@@ -13,7 +13,7 @@ import pytest
 from as_av2 import read_as_av2
 from written import edit_rows
 
-from bridge.recordings.scenario import find_scenarios, read_scenario, source_id, split_of
+from bridge.recordings.scenario import find_scenarios, read_scenario, split_of
 from bridge.recordings.sources import find_sources
 from hid2.agents import DEFAULT_SIZES
 from netconvert.errors import MapError, ScenarioError
@@ -25,12 +25,6 @@ def test_scene_reads_as_av2_reads_it_and_its_map_is_left_alone(data_scene: Path)
     scenario = read_as_av2(data_scene)
     assert map_path.read_bytes() == before
     assert set(json.loads(before)["lane_segments"]) == {str(lane) for lane in scenario.graph.lanes}
-
-
-def test_split_is_the_parent_folder_and_steps_are_counted(data_scenes: dict[str, Path]) -> None:
-    scenario = read_scenario(data_scenes["intersection"])
-    assert (scenario.split, scenario.num_steps) == ("val", 110)
-    assert scenario.table.num_rows == sum(len(track.timesteps) for track in scenario.tracks)
 
 
 def test_tracks_keep_the_order_of_their_first_rows(copy_scene: Callable[..., Path]) -> None:
@@ -69,7 +63,6 @@ def test_sizes_come_from_the_file_beside_and_else_from_the_type(copy_scene: Call
         ("track_id,length_m\nAV,4.9\n", "width_m"),
         ("track_id,length_m,width_m\nAV,long,2.0\n", "line 2: length_m 'long'"),
         ("track_id,length_m,width_m\nAV,-4.9,2.0\n", "line 2: length_m .-4.9., width_m .2.0., expected metres above 0"),
-        ("track_id,length_m,width_m\nAV,nan,2.0\n", "line 2: length_m .nan."),
     ],
 )
 def test_bad_sizes_are_named(copy_scene: Callable[..., Path], text: str, said: str) -> None:
@@ -129,13 +122,6 @@ def test_split_is_that_of_the_name_also_behind_links(
     assert split_of(Path(scene.name)) is None
 
 
-def test_id_is_told_by_the_names_of_files(data_scenes: dict[str, Path], tmp_path: Path) -> None:
-    shutil.copytree(data_scenes["curve"], tmp_path / "copy")
-    assert source_id(tmp_path / "copy") == source_id(data_scenes["curve"]) == data_scenes["curve"].name
-    (tmp_path / "empty").mkdir()
-    assert source_id(tmp_path / "empty") == "empty"
-
-
 def test_a_folder_that_may_not_be_read_does_not_hide_the_scenes_beside_it(
     data_root: Path, data_scenes: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
@@ -174,33 +160,24 @@ def test_missing_map_and_missing_or_second_parquet_are_said(copy_scene: Callable
         read_scenario(folder)
 
 
-@pytest.mark.parametrize("raw", [b"", b"{", b"not parquet at all", b"PAR1" + bytes(100) + b"PAR1"])
-def test_a_file_that_is_not_parquet_is_said(copy_scene: Callable[..., Path], raw: bytes) -> None:
-    folder = copy_scene()
-    (path,) = folder.glob("scenario_*.parquet")
-    path.write_bytes(raw)
-    with pytest.raises(ScenarioError, match="not a parquet file") as caught:
-        read_scenario(folder)
-    assert str(path) in str(caught.value)
+@pytest.mark.parametrize(
+    "spoil",
+    [lambda raw: b"", lambda raw: raw[: len(raw) // 2], lambda raw: raw[:200] + b"\xff" * 20_000 + raw[20_200:]],
+    ids=["empty", "cut off", "damaged"],
+)
+def test_a_file_that_is_not_parquet_is_said(copy_scene: Callable[..., Path], spoil: Callable[[bytes], bytes]) -> None:
+    (path,) = copy_scene().glob("scenario_*.parquet")
+    path.write_bytes(spoil(path.read_bytes()))
+    with pytest.raises(ScenarioError, match=path.name):
+        read_scenario(path.parent)
 
 
-def test_a_truncated_or_damaged_parquet_is_said(copy_scene: Callable[..., Path]) -> None:
-    folder = copy_scene()
-    (path,) = folder.glob("scenario_*.parquet")
-    raw = path.read_bytes()
-    for spoiled in (raw[: len(raw) // 2], raw[:200] + b"\xff" * 20_000 + raw[20_200:]):
-        path.write_bytes(spoiled)
-        with pytest.raises(ScenarioError, match=path.name):
-            read_scenario(folder)
-
-
-@pytest.mark.parametrize("raw", [b"", b"{", b"\xff\xfe", b"[]", b"null", b'{"lane_segments": 3}'])
+@pytest.mark.parametrize("raw", [b"", b"\xff\xfe", b"null"])
 def test_a_map_that_is_not_one_is_said(copy_scene: Callable[..., Path], raw: bytes) -> None:
-    folder = copy_scene()
-    (path,) = folder.glob("log_map_archive_*.json")
+    (path,) = copy_scene().glob("log_map_archive_*.json")
     path.write_bytes(raw)
     with pytest.raises(MapError, match=path.name):
-        read_scenario(folder)
+        read_scenario(path.parent)
 
 
 COLUMNS = [
@@ -210,36 +187,36 @@ COLUMNS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("column", COLUMNS)
-def test_a_missing_column_and_a_wrong_dtype_are_named(copy_scene: Callable[..., Path], column: str) -> None:
+def test_a_missing_column_and_a_wrong_dtype_are_named(copy_scene: Callable[..., Path]) -> None:
     folder = copy_scene()
-    edit_rows(folder, lambda rows: rows.assign(**{column: np.arange(len(rows), dtype=np.int16)}))
-    with pytest.raises(ScenarioError, match=f"column '{column}' is int16, expected"):
-        read_scenario(folder)
-    edit_rows(folder, lambda rows: rows.drop(columns=column))
-    with pytest.raises(ScenarioError, match=f"no column '{column}', expected"):
-        read_scenario(folder)
+    (path,) = folder.glob("scenario_*.parquet")
+    whole = pd.read_parquet(path)
+    for column in COLUMNS:
+        whole.assign(**{column: np.arange(len(whole), dtype=np.int16)}).to_parquet(path)
+        with pytest.raises(ScenarioError, match=f"column '{column}' is int16, expected"):
+            read_scenario(folder)
+        whole.drop(columns=column).to_parquet(path)
+        with pytest.raises(ScenarioError, match=f"no column '{column}', expected"):
+            read_scenario(folder)
 
 
 @pytest.mark.parametrize(
     ("column", "value", "said"),
     [
         ("track_id", None, "track_id is null or NaN, expected"),
-        ("timestep", None, "timestep is null or NaN, expected"),
         # pandas writes NaN as null, other writers as NaN
         ("position_x", np.nan, "track '310100', timestep 5: position_x is nan, expected a finite number"),
     ],
 )
 def test_nulls_and_nan_are_named(copy_scene: Callable[..., Path], column: str, value: float | None, said: str) -> None:
-    folder = copy_scene()
-    (path,) = folder.glob("scenario_*.parquet")
+    (path,) = copy_scene().glob("scenario_*.parquet")
     table = pq.read_table(path)
     index = table.schema.get_field_index(column)
     values = table.column(index).to_pylist()
     values[5] = value
     pq.write_table(table.set_column(index, table.schema.field(index), [values]), path)
     with pytest.raises(ScenarioError, match=said):
-        read_scenario(folder)
+        read_scenario(path.parent)
 
 
 def _set(column: str, value: Any, timestep: int = 7) -> Callable[[pd.DataFrame], pd.DataFrame]:
@@ -264,19 +241,13 @@ def _scored_focal(rows: pd.DataFrame) -> pd.DataFrame:
         (_set("position_y", np.inf), "track 'AV', timestep 7: position_y is inf"),
         (_set("timestep", 8), "track 'AV', timestep 8: more than one row, expected one"),
         (_set("timestep", 110, 109), "track 'AV', timestep 110: expected timesteps 0 to 109"),
-        (_set("timestep", -1, 0), "track 'AV', timestep -1: expected timesteps 0 to 109"),
         (_set("observed", False), "track 'AV', timestep 7: observed is False, expected True"),
-        (_set("observed", True, 50), "track 'AV', timestep 50: observed is True, expected False"),
-        (_set("object_category", 2), "track 'AV', timestep 7: object_category changes within the track"),
         (_set("object_category", 4), "track 'AV', timestep 7: object_category 4, expected 0, 1, 2 or 3"),
-        (_set("object_type", "bus"), "track 'AV', timestep 7: object_type changes within the track"),
+        (_set("object_category", 2), "track 'AV', timestep 7: object_category changes within the track"),
         (_set("object_type", "spaceship"), "object_type 'spaceship', expected one of vehicle, bus"),
         (_set("city", "miami"), r"column 'city' has 2 values \['austin', 'miami'\], expected one"),
         (_scored_focal, "tracks of category 3: none, expected focal_track_id '310100' alone"),
-        (
-            lambda rows: rows.assign(focal_track_id="x"),
-            "tracks of category 3: '310100', expected focal_track_id 'x' alone",
-        ),
+        (lambda rows: rows.assign(focal_track_id="x"), "category 3: '310100', expected focal_track_id 'x' alone"),
         (lambda rows: rows[(rows.track_id != "310100") | (rows.timestep < 49)], "0 to 48, expected it present at 49"),
         (lambda rows: rows[rows.track_id != "AV"], "no track 'AV' among 25"),
         (lambda rows: rows.iloc[:0], "no rows"),
@@ -290,8 +261,3 @@ def test_a_bad_row_is_named(
     with pytest.raises(ScenarioError, match=said) as caught:
         read_scenario(folder)
     assert "scenario_" in str(caught.value)
-
-
-def test_a_track_that_is_not_there_is_said(data_scenes: dict[str, Path]) -> None:
-    with pytest.raises(ScenarioError, match="no track 'nobody'"):
-        read_scenario(data_scenes["curve"]).track("nobody")

@@ -48,24 +48,16 @@ def test_a_good_data_set_has_no_findings(written: Path, data_root: Path) -> None
     assert breaches(written) == []
 
 
-@pytest.mark.parametrize("category", [1, 2])
-@pytest.mark.parametrize("focal", ["recorded", "generated"])
-def test_scored_and_focal_generated_tracks_are_valid(
-    tmp_path: Path, data_scene: Path, data_root: Path, focal: str, category: int
+def test_a_scored_and_focal_generated_track_is_valid(
+    tmp_path: Path, data_scenes: dict[str, Path], data_root: Path
 ) -> None:
-    scenario = read_scenario(data_scene)
-    write_fake(scenario, tmp_path, category=category, focal="gen_0" if focal == "generated" else None)
+    write_fake(read_scenario(data_scenes["curve"]), tmp_path, category=2, focal="gen_0")
     assert breaches(tmp_path, source=data_root) == []
 
 
 def test_fifty_steps_and_a_single_agent_are_valid(tmp_path: Path, copy_scene: Callable[..., Path]) -> None:
-    source = copy_scene()
-
-    def change(rows: pd.DataFrame) -> pd.DataFrame:
-        alone = rows[(rows.track_id == "AV") & (rows.timestep < 50)]
-        return alone.assign(object_category=3, focal_track_id="AV")
-
-    edit_rows(source, change)
+    source, alone = copy_scene(), {"object_category": 3, "focal_track_id": "AV"}
+    edit_rows(source, lambda rows: rows[(rows.track_id == "AV") & (rows.timestep < 50)].assign(**alone))
     write_fake(read_scenario(source), tmp_path / "out")
     assert breaches(tmp_path / "out", source=source) == []
 
@@ -103,7 +95,6 @@ FOCAL, SCORED = "310100", "310107"
         (_again, "duplicate"),
         (_track(SCORED, "object_category", 3), "focal"),
         (_without(FOCAL, *range(100, 110)), "recorded"),
-        (_without(SCORED, 49), "recorded"),
         (lambda rows: _without("gen_1", 49)(_track("gen_1", "object_category", 2)(rows)), "scored"),
         (lambda rows: rows.assign(city=""), "city"),
         (lambda rows: rows.assign(city="atlantis"), "recorded"),
@@ -125,22 +116,14 @@ FOCAL, SCORED = "310100", "310107"
         (lambda rows: _without("gen_1", 109)(_track("gen_1", "object_category", 2)(rows)), "generated"),
         (_track("gen_1", "velocity_x", 3.0), "velocity"),
         (_at("gen_1", 60, "position_x", 0.0), "velocity"),
-        (_track("gen_1", "heading", 0.5), "heading"),
         (_at("gen_1", 60, "heading", 4.0), "heading"),
         (_without("gen_1", *range(110)), "sidecar"),
-        (_without("gen_1", 0), "sidecar"),
         (lambda rows: _without("gen_1", 0)(_track("gen_1", "object_category", 2)(rows)), "generated"),
     ],
 )
 def test_a_spoiled_row_is_found(written: Path, change: Change, rule: str) -> None:
     edit_rows(written, change)
     assert rule in rules(written)
-
-
-def test_a_context_track_may_end_early(written: Path) -> None:
-    edit_rows(written, _without("gen_1", *range(90, 110)))
-    assert rules(written) <= {"velocity"}  # the made-up track is cut in its middle, its new end is one-sided
-    assert "generated" not in rules(written)
 
 
 def test_an_index_that_is_no_range_from_zero_is_found(written: Path) -> None:
@@ -163,7 +146,7 @@ def test_any_other_parquet_is_found(written: Path) -> None:
     assert sorted(found) == ["scenario_2.parquet", "x.parquet", "y.parquet"]
 
 
-@pytest.mark.parametrize("pattern", ["scenario_*.parquet", "log_map_archive_*.json", "hid2_*.json"])
+@pytest.mark.parametrize("pattern", ["scenario_*.parquet", "log_map_archive_*.json"])
 def test_a_missing_file_is_found(written: Path, pattern: str) -> None:
     next(written.glob(pattern)).unlink()
     assert "folder" in rules(written)
@@ -177,14 +160,12 @@ def test_a_recorded_scene_is_told_from_a_generated_one(data_scenes: dict[str, Pa
     assert messages == ["no such file, which every generated scene has (a recorded one has none)"]
 
 
-def test_a_renamed_folder_is_found(written: Path) -> None:
-    written.rename(written.with_name("renamed"))
-    assert {"folder", "other-parquet"} <= rules(written)
-
-
-def test_a_split_of_another_name_is_found(written: Path) -> None:
-    written.parent.rename(written.parents[1] / "training")
-    assert rules(written) == {"folder"}
+def test_a_renamed_folder_or_split_is_found(written: Path) -> None:
+    renamed = written.rename(written.with_name("renamed"))
+    assert {"folder", "other-parquet"} <= rules(renamed)
+    shutil.move(renamed, written)
+    split = written.parent.rename(written.parents[1] / "training")
+    assert rules(split / written.name) == {"folder"}
 
 
 def _lane(change: Callable[[dict[str, Any]], Any]) -> Callable[[dict[str, Any]], Any]:
@@ -195,11 +176,7 @@ def _lane(change: Callable[[dict[str, Any]], Any]) -> Callable[[dict[str, Any]],
     ("change", "rule"),
     [
         (lambda document: document.pop("drivable_areas"), "map"),
-        (_lane(lambda lane: lane["left_lane_boundary"][1].update(x=None)), "map"),
         (_lane(lambda lane: lane["left_lane_boundary"][1].update(y=float("nan"))), "map"),
-        (_lane(lambda lane: lane.pop("successors")), "map"),
-        (_lane(lambda lane: lane.update(id=7)), "map"),
-        (_lane(lambda lane: lane.update(left_lane_mark_type=None)), "mark-type"),
         (_lane(lambda lane: lane.update(right_lane_mark_type="CHALK")), "mark-type"),
         (_lane(lambda lane: lane.update(lane_type="TRAM")), "lane-type"),
         (_lane(lambda lane: lane.update(right_lane_boundary=lane["right_lane_boundary"][:1])), "boundary"),
@@ -233,10 +210,8 @@ def _event(**told: Any) -> Callable[[dict[str, Any]], Any]:
         (lambda document: document.pop("replay"), "replay: Field required"),
         (lambda document: document["placed"].update(agents=3), "placed.agents 3, but 2 agents"),
         (lambda document: document["placed"]["behaviours"].update(straight=1), "placed.behaviours.straight 1, but 0"),
-        (lambda document: document["agents"].pop(), "placed.agents 2, but 1 agents"),
         (lambda document: document.update(config_sha256="0" * 64), "expected that of config"),
         (lambda document: document["config"]["request"].update(agents=-1), "request.agents = -1"),
-        (lambda document: document.update(seed=1), "of this source, configuration, seed and variant"),
         (lambda document: document.update(variant=1), "of this source, configuration, seed and variant"),
         (_agent(lambda agent: agent.update(track_id="gen_7")), "gen_0, gen_7"),
         (_agent(lambda agent: agent.update(track_id="gen_1")), "two agents have the same track_id"),
@@ -276,11 +251,9 @@ def test_claims_are_judged_of_tracks_that_are_judged_and_of_those_not_there(writ
         lambda rows: rows.assign(position_x=rows.position_x.mask(rows.index == 17, np.nextafter(rows.position_x, 9e9))),
         lambda rows: rows.assign(velocity_y=rows.velocity_y.where(rows.velocity_y != 0, -0.0)),
         _track(SCORED, "object_category", 1),
-        _track("AV", "object_type", "bus"),
         lambda rows: rows.iloc[1:],
         lambda rows: rows.iloc[::-1],
         lambda rows: rows.drop(columns="map_id"),
-        lambda rows: rows.assign(city="miami"),
         lambda rows: rows.assign(start_timestamp=rows.start_timestamp + 64),
     ],
 )
@@ -340,11 +313,6 @@ def test_added_centrelines_are_no_difference(tmp_path: Path, copy_scene: Callabl
     assert {finding.rule for finding in breaches(out, source=source)} == {"source"}
 
 
-def test_an_empty_output_is_said(tmp_path: Path) -> None:
-    with pytest.raises(ScenarioError, match="no scenario; expected"):
-        validate_folder(tmp_path)
-
-
 @pytest.fixture(scope="module")
 def noisy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A scene that is generated with a tracker's noise."""
@@ -360,33 +328,23 @@ def _with_clean(folder: Path, out: Path, change: Callable[[dict[str, Any]], None
     document = json.loads(path.read_text())
     change(document["agents"][0])
     path.write_text(json.dumps(document))
-    return {one.rule for one in validate_folder(out)}
-
-
-def test_motion_of_a_scene_with_noise_is_judged_on_its_clean_states(noisy: Path, tmp_path: Path) -> None:
-    """As exported the stated velocities are not the derivative of positions, which are smoothed up to their ends."""
-    copied = shutil.copytree(noisy, tmp_path / "train" / noisy.name)
-    assert not [one for one in validate_folder(tmp_path) if not one.is_note]
-    document = json.loads((copied / f"hid2_{noisy.name}.json").read_text())
-    assert all(len(agent["clean"]["x"]) == 110 for agent in document["agents"])
+    return {one.rule for one in validate_folder(out) if not one.is_note}
 
 
 @pytest.mark.parametrize(
-    ("change", "rule"),
+    ("change", "broken"),
     [
-        (lambda agent: agent.update(clean=None), "sidecar"),
-        (lambda agent: agent["clean"].update({name: of[:-1] for name, of in agent["clean"].items()}), "generated"),
-        (lambda agent: agent["clean"].update(x=[x + 3.0 for x in agent["clean"]["x"]]), "noise"),
-        (lambda agent: agent["clean"].update(vx=[5.0 + vx for vx in agent["clean"]["vx"]]), "velocity"),
+        (lambda agent: None, set()),  # as exported velocities are not the derivative of positions, which are smoothed
+        (lambda agent: agent.update(clean=None), {"sidecar"}),
+        (lambda agent: agent["clean"].update({name: of[:-1] for name, of in agent["clean"].items()}), {"generated"}),
+        (lambda agent: agent["clean"].update(x=[x + 3.0 for x in agent["clean"]["x"]]), {"noise"}),
+        (lambda agent: agent["clean"].update(vx=[5.0 + vx for vx in agent["clean"]["vx"]]), {"velocity"}),
     ],
-    ids=["none", "too short", "too far off", "no derivative"],
+    ids=["whole", "none", "too short", "too far off", "no derivative"],
 )
-def test_clean_states_are_those_of_the_vehicle(
-    noisy: Path, tmp_path: Path, change: Callable[[dict[str, Any]], None], rule: str
+def test_motion_of_a_scene_with_noise_is_judged_on_clean_states_which_are_those_of_the_vehicle(
+    noisy: Path, tmp_path: Path, change: Callable[[dict[str, Any]], None], broken: set[str]
 ) -> None:
-    assert rule in _with_clean(noisy, tmp_path, change)
-
-
-def test_clean_states_without_noise_are_a_finding(written: Path, tmp_path: Path) -> None:
-    one = {name: [0.0] * 110 for name in ("x", "y", "heading", "vx", "vy")}
-    assert "sidecar" in _with_clean(written, tmp_path / "copied", lambda agent: agent.update(clean=one))
+    found = _with_clean(noisy, tmp_path, change)
+    assert broken <= found
+    assert broken or not found

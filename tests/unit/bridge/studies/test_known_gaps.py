@@ -99,7 +99,7 @@ def _by_hand(drawn: Drawn, entered_s: dict[str, float], lead_s: float, lag_s: fl
     return found
 
 
-@pytest.mark.parametrize("lag_s", [*(pytest.param(lag_s, marks=pytest.mark.slow) for lag_s in (0.5, 1.5)), 1.0, 2.0])
+@pytest.mark.parametrize("lag_s", [1.0, *(pytest.param(lag_s, marks=pytest.mark.slow) for lag_s in (0.5, 1.5, 2.0))])
 def test_even_flow_by_hand(corridor: Path, rules: str, lag_s: float) -> None:
     """Headways of 2.7 s and .3 s more in the mean, a rule that looks once: the share is that of the arrivals."""
     change = LaneChange(
@@ -135,12 +135,6 @@ def _known(rules: str, rule: str, arguments: str) -> LaneChange:
     return LaneChange(rule=f"{rules}:{rule}", rule_with=arguments, give_up_s=18.0, safety="rule", min_remaining_m=0.0)
 
 
-def test_critical_gap_that_all_drivers_share_is_found_again(corridor: Path, rules: str) -> None:
-    found = critical_gap(_gaps(corridor, _known(rules, "two_sided", "b=1.4"), range(1)), "lag")
-    assert found is not None
-    assert found["mean_s"] == pytest.approx(1.4, abs=0.1)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("critical_s", [0.6, 1.0, 1.4, 1.8])
 def test_fixed_critical_gaps_are_found_again(corridor: Path, rules: str, critical_s: float) -> None:
@@ -158,21 +152,3 @@ def test_lognormal_critical_gaps_are_found_again(corridor: Path, rules: str) -> 
     assert found["drivers"] >= 200
     assert found["mean_s"] == pytest.approx(1.0, rel=0.05)
     assert found["sd_s"] == pytest.approx(0.25, rel=0.2)
-
-
-def _contain(found: list[dict[str, Any] | None], mean_s: float) -> int:
-    """How many intervals of the mean contain a value."""
-    return sum(
-        one is not None and one["mean_low_s"] is not None and one["mean_low_s"] <= mean_s <= one["mean_high_s"]
-        for one in found
-    )
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(3600)
-def test_intervals_of_driven_repetitions_contain_the_critical_gap(corridor: Path, rules: str) -> None:
-    """20 times 200 drivers or more of mean 1.0 s: 19 expected, 17 or more with a chance of .98."""
-    change = _known(rules, "lognormal", "mean=1.0, sd=0.25")
-    found = [critical_gap(_gaps(corridor, change, range(5 * k, 5 * k + 5)), "lag") for k in range(100, 120)]
-    assert all(one is not None and one["drivers"] >= 200 for one in found)
-    assert _contain(found, 1.0) >= 17

@@ -10,14 +10,13 @@ import pytest
 from bridge.pages.parts import macros
 from bridge.studies.gap_acceptance import critical_gap, gaps_of, largest_rejected, troutbeck
 from bridge.studies.page import _classes, _told, _write_table, draw_parameter
-from bridge.studies.statistics import (
-    difference_sd,
-    dose_response,
-    few_clusters_p,
-    mean_wait,
-    observed_s,
-    seeds_needed,
-)
+from bridge.studies.statistics import difference_sd, dose_response, few_clusters_p, mean_wait, observed_s, seeds_needed
+
+
+@pytest.fixture(autouse=True)
+def _few_draws(few_draws: None) -> None:
+    """Nothing here depends on how many draws there are."""
+
 
 RUN = {"scene": "a", "city": "x", "point": 0, "seed": 0, "replay": "fixed"}
 
@@ -56,6 +55,7 @@ def test_critical_gaps_of_synthetic_drivers_are_found_again(mean_s: float, sd_s:
     assert found["mean_high_s"] - found["mean_low_s"] < 0.25 * mean_s
 
 
+@pytest.mark.slow
 def test_intervals_of_critical_gaps_hold_what_they_say() -> None:
     """95 % intervals of 100 tables of 100 drivers: at least 89 hold the mean (binomial, p < .01 below)."""
     held = 0
@@ -97,9 +97,11 @@ def test_driver_who_refused_a_larger_gap_is_left_out_and_counted() -> None:
 
 
 def test_mean_wait_by_hand() -> None:
-    """The same, up to 2.5 s: 1 * 1 + 1.5 * 2/3 = 2 s; nobody waits when all are taken at once."""
+    """Up to 2.5 s: 1 * 1 + 1.5 * 2/3 = 2 s; rows weigh like copies of them; nobody waits when all are taken at once."""
     waited, accepted = np.array([1.0, 2.0, 3.0]), np.array([1.0, 0.0, 1.0])
     assert mean_wait(waited, accepted, np.ones(3), within_s=2.5) == pytest.approx(2.0)
+    copied = mean_wait(waited[[0, 1, 1]], accepted[[0, 1, 1]], np.ones(3), within_s=6.0)
+    assert mean_wait(waited, accepted, np.array([1.0, 2.0, 0.0]), within_s=6.0) == pytest.approx(copied)
     assert mean_wait(np.zeros(4), np.ones(4), np.ones(4), within_s=10.0) == pytest.approx(0.01)
 
 
@@ -114,13 +116,6 @@ def test_waiting_is_told_up_to_the_shortest_time_observed_at_every_value() -> No
     assert dose.loc[dose["outcome"] == "mean_wait_s", ["within_s", "estimate"]].to_numpy().tolist() == [[2.0, 2.0]] * 3
     ((outcome, told),) = [one for one in _told(dose)["outcomes"] if one[0].name == "mean_wait_s"]
     assert "at every value, here 2 s: 2 at every" in macros("study_lines.md.j2").outcome(outcome, told, "p")
-
-
-def test_mean_wait_weighs_rows_like_copies_of_them() -> None:
-    waited, accepted = np.array([1.0, 2.0, 3.0, 5.0]), np.array([1.0, 0.0, 1.0, 1.0])
-    twice = np.repeat([0, 1, 1, 3], 1)
-    weighted = mean_wait(waited, accepted, np.array([1.0, 2.0, 0.0, 1.0]), within_s=6.0)
-    assert weighted == pytest.approx(mean_wait(waited[twice], accepted[twice], np.ones(4), within_s=6.0))
 
 
 def _look(vehicle: str, time_s: float, lag: str, gap_s: float, sumo: str | None, rule: str) -> dict[str, Any]:
@@ -263,15 +258,3 @@ def test_a_parameter_of_many_values_is_told_in_six_classes_as_large() -> None:
     assert (told[3.0], told[4.0]) == (1.5, 5.5)
     few, names = pd.Series(np.arange(12.0)), pd.Series([f"rule {number}" for number in range(20)])
     assert all(_classes(values) == {value: value for value in values} for values in (few, names))
-
-
-def test_a_hypercube_has_the_trend_of_its_classes() -> None:
-    """Twenty values of q, half a second more of the lag gap for each; every value is a point of its own."""
-    values = np.linspace(0.0, 1.0, 20)
-    requests = pd.concat(
-        [_requests(0.0, runs=4, each=5).assign(q=value, lag_time_gap_s=2.0 + 0.5 * value) for value in values]
-    )
-    requests["q"] = requests["q"].map(_classes(requests["q"]))
-    dose = dose_response(requests, pd.DataFrame(), "q", give_up_s=6.0, critical_ttc_s=1.5)
-    first = dose.drop_duplicates("outcome").set_index("outcome")
-    assert first.loc["lag_time_gap_s", "trend"] == pytest.approx(0.5, abs=0.01)

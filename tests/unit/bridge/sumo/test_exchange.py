@@ -17,7 +17,7 @@ from lxml import etree
 from bridge.exports.export import export_scene
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import read_sidecar, sidecar_path
-from bridge.sumo.exchange import _rounded_down, sumo_files
+from bridge.sumo.exchange import sumo_files
 from bridge.sumo.poses import box_poses
 from netconvert.errors import ScenarioError
 from netconvert.net_xml import CITY_ORIGINS
@@ -139,11 +139,6 @@ def test_sumo_drives_the_inserted_vehicles_without_a_warning(driven: Path, made_
     assert driven.read_text() == ""
 
 
-@pytest.mark.parametrize(("place_m", "told"), [(3.676541, "3.67"), (3.999, "3.99"), (0.0, "0.00")])
-def test_no_place_on_a_lane_is_rounded_beyond_its_end(place_m: float, told: str) -> None:
-    assert _rounded_down(place_m) == told
-
-
 def test_a_driver_that_is_not_whole_is_refused_by_name(made_scene: Path, tmp_path: Path) -> None:
     scenario = read_scenario(made_scene)
     folder = tmp_path / made_scene.name
@@ -152,19 +147,18 @@ def test_a_driver_that_is_not_whole_is_refused_by_name(made_scene: Path, tmp_pat
     content = json.loads(path.read_text())
     del content["agents"][0]["driver"]["parameters"]["tau_s"]
     path.write_text(json.dumps(content))
-    with pytest.raises(
-        ScenarioError,
-        match=r"gen_0: the driver in the sidecar has desired_mps, .*expected",
-    ):
+    with pytest.raises(ScenarioError, match=r"gen_0: the driver in the sidecar has desired_mps, .*expected"):
         sumo_files(read_scenario(folder))
 
 
-def test_agents_off_every_lane_have_none(data_scene: Path) -> None:
+def test_agents_off_every_lane_have_none(data_scenes: dict[str, Path]) -> None:
     """A lane is told within 2 m of a front bumper, or below the centre of an agent that moves along it, which may be
     half a bus behind the front; some stand on the pavement.
     """
-    scenario = read_scenario(data_scene)
+    scenario = read_scenario(data_scenes["intersection"])
     files = sumo_files(scenario)
+    names = {name.removeprefix(scenario.scenario_id) for name in files if "_scene" not in name}
+    assert names == {".net.xml", ".poly.xml", ".view.xml", ".cells.csv", ".fcd.xml"}, "it has no routes and all else"
     lanes = {}
     for lane in etree.fromstring(files[f"{scenario.scenario_id}.net.xml"]).iter("lane"):
         points = [tuple(map(float, xy.split(","))) for xy in lane.get("shape").split()]
@@ -179,14 +173,6 @@ def test_agents_off_every_lane_have_none(data_scene: Path) -> None:
         else:
             assert front.distance(lanes[lane]) < 8.0
     assert min(told.values()) > 0
-
-
-def test_a_recorded_scene_has_no_routes_and_all_else(data_scene: Path) -> None:
-    scenario = read_scenario(data_scene)
-    names = {name.removeprefix(scenario.scenario_id) for name in sumo_files(scenario)}
-    assert {name for name in names if not name.startswith("_scene")} == {
-        ".net.xml", ".poly.xml", ".view.xml", ".cells.csv", ".fcd.xml"
-    }  # fmt: skip
 
 
 def test_the_net_lies_on_a_map(written: Path, made_scene: Path) -> None:

@@ -19,7 +19,7 @@ from lxml import etree
 from bridge.exports.export import export_scene
 from bridge.pictures.figures import kinds_in
 from bridge.recordings.scenario import read_scenario
-from bridge.sumo.exchange import rgb
+from bridge.sumo.exchange import play_scene, rgb
 from hid2.agents import Policy
 from netconvert.errors import ConfigError, SimulationError
 
@@ -71,15 +71,23 @@ def test_sumo_plays_a_generated_scene_from_files_as_the_fcd_file_beside_says(pla
     check(playable, tmp_path / "fcd.xml", has_gaps=False)
 
 
-def test_sumo_plays_real_scenes_from_files_as_the_fcd_file_beside_says(real_scene, tmp_path):
-    check(exported(real_scene, tmp_path / "play"), tmp_path / "fcd.xml", has_gaps=True)
-
-
-def test_no_lane_of_a_trace_joins_junctions_in_one_place(real_scene, tmp_path):
-    """netedit saves no net with such an edge before its user has dealt with it."""
-    net = etree.parse(exported(real_scene, tmp_path).with_suffix(".net.xml")).getroot()
+def check_real(scene, out):
+    """Nor does a lane of a trace join junctions in one place: netedit saves no such net at once."""
+    config = exported(scene, out / scene.name)
+    check(config, out / f"{scene.name}.xml", has_gaps=True)
+    net = etree.parse(config.with_suffix(".net.xml")).getroot()
     place = {each.get("id"): (float(each.get("x")), float(each.get("y"))) for each in net.iterfind("junction")}
     assert min(math.dist(place[edge.get("from")], place[edge.get("to")]) for edge in net.iterfind("edge")) >= 0.049
+
+
+def test_sumo_plays_a_real_scene_from_files_as_the_fcd_file_beside_says(real_scenes, tmp_path):
+    check_real(real_scenes[0], tmp_path)
+
+
+@pytest.mark.slow
+def test_sumo_plays_all_real_scenes(real_scenes, tmp_path):
+    for scene in real_scenes:
+        check_real(scene, tmp_path)
 
 
 def test_a_gap_in_a_track_is_driven_through_evenly(copy_scene, tmp_path):
@@ -97,12 +105,15 @@ def test_a_gap_in_a_track_is_driven_through_evenly(copy_scene, tmp_path):
     check(config, tmp_path / "again.xml", has_gaps=True)
 
 
-def test_vehicles_carry_the_colour_of_their_policy(playable, made_scene):
-    kinds = kinds_in(read_scenario(made_scene))
+def test_vehicles_carry_the_colour_of_their_policy_and_inserted_and_focal_ones_their_ids(playable, made_scene):
+    scenario = read_scenario(made_scene)
+    kinds = kinds_in(scenario)
     routes = etree.parse(str(playable).replace(".sumocfg", ".rou.xml"))
     assert {v.get("id"): v.get("color") for v in routes.iter("vehicle")} == {k: rgb(kind) for k, kind in kinds.items()}
     assert {policy.value for policy in Policy} & {*kinds.values()}
     assert "recorded" in kinds.values()
+    shown = {param.get("value") for param in routes.iter("param")}
+    assert shown == {t.track_id for t in scenario.tracks if t.track_id.startswith("gen_") or t.category == 3}
 
 
 def test_files_are_valid_and_hold_the_lanes_of_the_map(playable, made_scene):
@@ -137,15 +148,6 @@ def face(kind):
 LANE_GREY, CELL_LINE = (96, 99, 104), (150, 154, 160)
 
 
-def assert_shows_the_scene(picture, folder):
-    """Road, recorded and generated vehicles are there in their colours."""
-    assert colored(picture, LANE_GREY) > 2000
-    assert colored(picture, CELL_LINE) > 200
-    assert colored(picture, face("recorded")) > 20
-    policies = {policy.value for policy in Policy} & {*kinds_in(read_scenario(folder)).values()}
-    assert sum(colored(picture, face(kind)) for kind in policies) > 20 * len(policies)
-
-
 def played(scene, picture, screen, step):
     """What a process says that plays a scene and takes a picture of a step."""
     code = "import sys; from pathlib import Path; from bridge.sumo.exchange import play_scene; "
@@ -157,21 +159,25 @@ def played(scene, picture, screen, step):
     return result.stdout.strip()
 
 
-@pytest.mark.parametrize("step", [49, 109])
-def test_gui_plays_the_scene_and_takes_a_picture(made_scene, tmp_path, screen, step):
-    """Also of the last step, which stays: every vehicle that is there then is drawn."""
+def test_gui_plays_the_scene_and_takes_a_picture(made_scene, tmp_path, screen):
+    """Of the last step, which stays: every vehicle that is there then is drawn."""
     picture = tmp_path / "deep" / "gui.png"
-    assert played(made_scene, picture, screen, step) == str(picture)
-    assert_shows_the_scene(picture, made_scene)
+    assert played(made_scene, picture, screen, 109) == str(picture)
+    assert colored(picture, LANE_GREY) > 2000
+    assert colored(picture, CELL_LINE) > 200
+    assert colored(picture, face("recorded")) > 20
+    policies = {policy.value for policy in Policy} & {*kinds_in(read_scenario(made_scene)).values()}
+    assert sum(colored(picture, face(kind)) for kind in policies) > 20 * len(policies)
 
 
-def test_without_a_display_the_reason_is_said(made_scene, monkeypatch):
-    from bridge.sumo.exchange import play_scene
-
+def test_without_a_display_or_the_step_the_reason_is_said(made_scene, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(SimulationError, match="no display"):
         play_scene(made_scene)
+    monkeypatch.setenv("DISPLAY", ":0")  # nothing is shown yet
+    with pytest.raises(ConfigError, match=r"timestep 500, expected 0 to 109"):
+        play_scene(made_scene, step=500)
 
 
 @pytest.mark.parametrize("real_scene", ["0a1e6f0a-1817-4a98-b02e-db8c9327d151"], indirect=True)
@@ -199,27 +205,9 @@ def test_sumo_gui_waits_for_its_user_and_would_else_play_to_the_end(playable, sc
 
 
 def test_files_play_in_real_time(playable):
-    configuration = etree.parse(playable)
-    assert configuration.find("gui_only/delay").get("value") == "1000"  # milliseconds for a simulated second
-    assert [configuration.find(f"gui_only/{key}").get("value") for key in ("start", "breakpoints")] == [
-        "true",
-        "0.00,10.90",
-    ]
-
-
-def test_inserted_and_focal_vehicles_show_their_ids(playable, made_scene):
-    routes = etree.parse(str(playable).replace(".sumocfg", ".rou.xml"))
-    shown = {param.get("value") for param in routes.iter("param")}
-    tracks = read_scenario(made_scene).tracks
-    assert shown == {t.track_id for t in tracks if t.track_id.startswith("gen_") or t.category == 3}
-
-
-def test_step_that_the_scene_does_not_have_is_named(made_scene, monkeypatch):
-    from bridge.sumo.exchange import play_scene
-
-    monkeypatch.setenv("DISPLAY", ":0")  # nothing is shown yet
-    with pytest.raises(ConfigError, match=r"timestep 500, expected 0 to 109"):
-        play_scene(made_scene, step=500)
+    only = etree.parse(playable).find("gui_only")
+    assert only.find("delay").get("value") == "1000"  # milliseconds for a simulated second
+    assert [only.find(key).get("value") for key in ("start", "breakpoints")] == ["true", "0.00,10.90"]
 
 
 @pytest.mark.parametrize("closes", ["the window", "the command"])

@@ -10,30 +10,24 @@ from netconvert.errors import ExportError, MapError
 from netconvert.fidelity import UNEXPLAINED
 
 
-def _names(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir()}
-
-
 def test_convert_writes_the_net_and_everything_that_opens_it(data_scene: Path, tmp_path: Path) -> None:
     report = convert(data_scene, tmp_path / "deep" / "out")
     suffixes = ("net.xml", "sumocfg", "poly.xml", "view.xml", "cells.csv")
-    assert _names(tmp_path / "deep" / "out") == {f"{data_scene.name}.{suffix}" for suffix in suffixes}
+    written = {path.name for path in (tmp_path / "deep" / "out").iterdir()}
+    assert written == {f"{data_scene.name}.{suffix}" for suffix in suffixes}
     assert report.lanes == report.lanes_in_net
     assert report.largest_distance_m <= 0.01
     assert UNEXPLAINED not in {link.reason for link in report.lost}
 
 
-def test_convert_takes_the_map_file_as_well(data_scene: Path, tmp_path: Path) -> None:
-    (path,) = data_scene.glob("log_map_archive_*.json")
-    assert convert(path, tmp_path).lanes_in_net > 0
-    assert f"{data_scene.name}.net.xml" in _names(tmp_path)
-
-
-def test_two_runs_write_the_same_bytes(data_scene: Path, tmp_path: Path) -> None:
+def test_two_runs_write_the_same_bytes(data_scenes: dict[str, Path], tmp_path: Path) -> None:
     for run in ("a", "b", "b"):
-        convert(data_scene, tmp_path / run)
+        convert(data_scenes["curve"], tmp_path / run)
     for path in (tmp_path / "a").iterdir():
         assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()
+    (path,) = data_scenes["curve"].glob("log_map_archive_*.json")
+    assert convert(path, tmp_path / "map").lanes_in_net > 0  # the file alone
+    assert {path.name for path in (tmp_path / "map").iterdir()} == {path.name for path in (tmp_path / "a").iterdir()}
 
 
 def test_a_map_that_cannot_be_read_leaves_nothing_behind(copy_scene: Callable[..., Path], tmp_path: Path) -> None:
@@ -55,7 +49,7 @@ def test_a_folder_without_map_is_refused(tmp_path: Path) -> None:
         convert(tmp_path / "missing", tmp_path / "out")
 
 
-def test_an_output_folder_that_is_a_file_is_refused(data_scene: Path, tmp_path: Path) -> None:
+def test_an_output_folder_that_is_a_file_is_refused(data_scenes: dict[str, Path], tmp_path: Path) -> None:
     (tmp_path / "out").write_text("here already")
     with pytest.raises(ExportError, match="out: cannot be written \\("):
-        convert(data_scene, tmp_path / "out")
+        convert(data_scenes["curve"], tmp_path / "out")

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bridge.sumo.poses import box_poses, front_arc_m, sumo_poses
+from bridge.sumo.poses import box_poses, sumo_poses
 
 
 @pytest.mark.parametrize(
@@ -41,15 +41,3 @@ def test_round_trip_gives_the_box_back(x: float, y: float, heading: float, lengt
     center, back = box_poses(front, angle, np.array([length]))
     assert center[0] == pytest.approx([x, y], abs=1e-8)
     assert math.remainder(float(back[0]) - heading, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
-
-
-def test_many_poses_at_once_keep_their_shape() -> None:
-    """(A, T, 2) with lengths (A, 1), as the replay turns them."""
-    front, angle = sumo_poses(np.zeros((3, 5, 2)), np.zeros((3, 5)), np.array([[2.0], [4.0], [6.0]]))
-    assert front.shape == (3, 5, 2)
-    assert angle.shape == (3, 5)
-    assert front[:, 0, 0] == pytest.approx([1.0, 2.0, 3.0])
-
-
-def test_front_of_a_box_on_its_path_is_half_a_length_ahead() -> None:
-    assert front_arc_m(20.0, 4.5) == pytest.approx(22.25)

@@ -1,4 +1,3 @@
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,8 +7,6 @@ from hand_drawn import draw_lane
 
 from bridge.sumo.replay import Replay
 from bridge.sumo.simulation import Simulation
-from hid2.agents import BoxSize
-from hid2.drivers.driver import usual_driver
 from hid2.occupancy.traffic import Traffic
 from netconvert.cells import build_cell_grid
 from netconvert.lane_graph import LaneGraph
@@ -51,20 +48,18 @@ def _traffic() -> Traffic:
     )
 
 
-def _run(net: Path, *replays: Callable[[Simulation], Replay]) -> list[Replay]:
+def _run(net: Path, traffic: Traffic) -> Replay:
     with Simulation(net.read_bytes(), seed=0, step_s=0.1) as simulation:
-        made = [make(simulation) for make in replays]
+        replay = Replay(simulation, traffic, step_s=0.1)
         for step in range(STEPS):
-            for replay in made:
-                replay.place(step, {})
+            replay.place(step, {})
             simulation.step()
-            for replay in made:
-                replay.check(step)
-    return made
+            replay.check(step)
+    return replay
 
 
 def test_every_state_is_replayed_exactly_and_nobody_is_lost(net: Path) -> None:
-    (replay,) = _run(net, lambda sumo: Replay(sumo, _traffic(), step_s=0.1))
+    replay = _run(net, _traffic())
     assert replay.errors.states == 5 * STEPS
     assert replay.errors.max_position_error_m < 1e-6
     assert replay.errors.max_heading_error_rad < 1e-6
@@ -75,14 +70,9 @@ def test_agents_come_late_leave_early_and_come_back(net: Path) -> None:
     traffic = _traffic().rows([0, 1])
     present = np.zeros((2, STEPS), dtype=bool)
     present[0, :5] = present[0, 10:15] = present[1, -1] = True
-    (replay,) = _run(net, lambda sumo: Replay(sumo, replace(traffic, present=present), step_s=0.1))
+    replay = _run(net, replace(traffic, present=present))
     assert replay.errors.states == 11
     assert replay.errors.max_position_error_m < 1e-6
-
-
-def test_nobody_to_replay_is_no_error(net: Path) -> None:
-    (replay,) = _run(net, lambda sumo: Replay(sumo, _traffic().rows([]), step_s=0.1))
-    assert replay.errors.states == 0
 
 
 def test_deviation_is_measured(net: Path) -> None:
@@ -94,31 +84,6 @@ def test_deviation_is_measured(net: Path) -> None:
         simulation.step()
         replay.check(0)
     assert replay.errors.max_position_error_m == pytest.approx(0.25)
-
-
-@pytest.mark.parametrize(("seen", "slowest"), [(True, (0.0, 2.0)), (False, (8.5, 9.5))])
-def test_vehicle_follows_only_who_it_is_shown(net: Path, seen: bool, slowest: tuple[float, float]) -> None:
-    """One parked 1.9 m aside of the lane's middle, within SUMO's reach of the lane: its pose is exact all the same."""
-    standing = _traffic().rows([3])
-    standing.position[..., 1] = 1.9
-    with Simulation(net.read_bytes(), seed=0, step_s=0.1, model="Krauss") as sumo:
-        replay = Replay(sumo, standing, step_s=0.1)
-        speeds = []
-        for step in range(STEPS):
-            replay.place(step, {0: ("1#16", 0)} if seen else {})
-            sumo.step()
-            replay.check(step)
-            if step == 0:
-                sumo.insert(
-                    "v1", edges=[f"1#{k}" for k in range(9, 25)], lane_id="1#9_0", front_m=0.0, speed_mps=9.0,
-                    driver=replace(usual_driver(9.0), accel_mps2=1.8, decel_mps2=4.0, tau_s=1.0, min_gap_m=1.5),
-                    size=BoxSize(4.5, 1.9), max_speed_mps=9.0,
-                )  # fmt: skip
-            else:
-                speeds.append(sumo.speed("v1"))
-    assert slowest[0] <= min(speeds) <= slowest[1]
-    assert replay.errors.states == STEPS
-    assert replay.errors.max_position_error_m < 1e-6
 
 
 def test_speed_of_a_leader_is_known_from_the_first_step_on(net: Path) -> None:

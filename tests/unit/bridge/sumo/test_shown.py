@@ -43,12 +43,6 @@ def test_who_is_far_ahead_is_shown_once_it_may_be_near() -> None:
     assert shown[63:].all()
 
 
-def test_nobody_is_shown_at_steps_without_a_state() -> None:
-    """Present from step 30 on."""
-    shown = _shown(_scene(recorded(60.0, 0.0, first=30)))[0]
-    assert np.flatnonzero(shown).tolist() == list(range(30, 110))
-
-
 def test_who_crosses_is_shown_around_its_time_on_the_road_only() -> None:
     """From y = -60 upwards with 10 m/s: on the road at 5.5 to 6.5 s, half lengths and half widths 3.2 m."""
     shown = np.flatnonzero(_shown(_scene(recorded(100.0, -60.0, 10.0, heading=np.pi / 2)))[0])

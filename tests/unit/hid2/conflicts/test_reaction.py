@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hand_drawn import draw_lane
+from hand_drawn import draw_box, draw_lane
 from inserted import CAR, nobody, recorded, scene_on
 
 from hid2.agents import Track
@@ -21,14 +21,21 @@ def _scene(*tracks: Track) -> Scene:
 
 def _ahead(x: float, y: float = 0.0, speed: float = 0.0) -> Traffic:
     """One generated car at a step, heading along x."""
-    return Traffic(
-        ids=("v",), position=np.array([[[x, y]]]), heading=np.zeros((1, 1)), velocity=np.array([[[speed, 0.0]]]),
-        present=np.ones((1, 1), dtype=bool), length_m=np.array([CAR.length_m]), width_m=np.array([CAR.width_m]),
-    )  # fmt: skip
+    return draw_box(x, y, 0.0, speed, steps=1, name="v")
 
 
 def _at(speed_mps: float) -> Callable[[int, float, float, float], float]:
     return lambda row, speed, gap, leader: speed_mps
+
+
+def _asking(asked: list[tuple[int, float, float, float]], *, share: float = 1.0) -> Callable[..., float]:
+    """Notes what is asked: row, speed, gap and the leader's speed; answers a share of the speed."""
+
+    def follow(row: int, speed: float, gap: float, leader: float) -> float:
+        asked.append((row, speed, gap, leader))
+        return share * speed
+
+    return follow
 
 
 def _unasked(row: int, speed: float, gap: float, leader: float) -> float:
@@ -47,34 +54,14 @@ def test_vehicle_without_anybody_ahead_drives_as_recorded_to_the_last_bit() -> N
     assert reactions.late_s == {}
 
 
-def test_leader_is_told_with_its_gap_and_its_speed() -> None:
-    """Centres 30 m apart, both 4.5 m long: 25.5 m bumper to bumper, to half a metre."""
-    asked = []
-
-    def follow(row: int, speed: float, gap: float, leader: float) -> float:
-        asked.append((row, speed, gap, leader))
-        return speed
-
-    Reactions(_scene(recorded(50.0, 0.0, 10.0)), follow).advance(1, _ahead(80.0, speed=6.0))
-    ((row, speed, gap, leader),) = asked
-    assert (row, leader) == (0, 6.0)
-    assert speed == pytest.approx(10.0)
-    assert gap == pytest.approx(25.5, abs=0.6)
-
-
-def test_leader_farther_away_than_is_looked_is_none() -> None:
-    """Centres 80 m apart at most: at 79 m it is asked what to do, at 81 m not."""
-    asked = []
-
-    def follow(row: int, speed: float, gap: float, leader: float) -> float:
-        asked.append(gap)
-        return speed
-
-    scene = _scene(recorded(50.0, 0.0, 10.0))
-    Reactions(scene, follow).advance(1, _ahead(131.0))
-    assert asked == []
-    Reactions(scene, follow).advance(1, _ahead(129.0))
-    assert asked == [pytest.approx(74.5, abs=0.6)]
+def test_leader_is_told_with_its_gap_and_its_speed_unless_it_is_farther_than_80_m() -> None:
+    """Centres 30 m apart, both 4.5 m long: 25.5 m bumper to bumper, to half a metre. 79 m are asked about, 81 not."""
+    asked: list[tuple[int, float, float, float]] = []
+    for x in (80.0, 131.0, 129.0):
+        Reactions(_scene(recorded(50.0, 0.0, 10.0)), _asking(asked)).advance(1, _ahead(x, speed=6.0))
+    ((row, speed, gap, leader), (_, _, far, _)) = asked
+    assert (row, leader, speed) == (0, 6.0, pytest.approx(10.0))
+    assert (gap, far) == pytest.approx((25.5, 74.5), abs=0.6)
 
 
 def test_half_the_speed_is_half_a_step_later_and_all_that_follows_so_much_later() -> None:
@@ -109,20 +96,15 @@ def test_nobody_catches_up_or_exceeds_the_recorded_speed_of_a_place() -> None:
 def test_who_is_late_yields_to_everybody_and_others_to_those_who_are_late() -> None:
     """Two recorded ones 20 m apart: they are each other's business only once the one ahead is late."""
     pair = recorded(50.0, 0.0, 10.0, name="behind"), recorded(70.0, 0.0, 10.0, name="ahead")
-    asked: list[int] = []
-
-    def follow(row: int, speed: float, gap: float, leader: float) -> float:
-        asked.append(row)
-        return 0.5 * speed
-
-    reactions = Reactions(_scene(*pair), follow)
+    asked: list[tuple[int, float, float, float]] = []
+    reactions = Reactions(_scene(*pair), _asking(asked, share=0.5))
     reactions.advance(1, nobody(1))
     assert asked == []
     reactions.advance(2, _ahead(95.0))
-    assert asked == [0, 1]  # both have the generated one ahead
+    assert [one[0] for one in asked] == [0, 1]  # both have the generated one ahead
     asked.clear()
     reactions.advance(3, nobody(1))
-    assert asked == [0, 1]
+    assert [one[0] for one in asked] == [0, 1]
     assert set(reactions.late_s) == {"behind", "ahead"}
 
 

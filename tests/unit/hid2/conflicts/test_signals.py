@@ -7,11 +7,11 @@
             4              7: from 1 to 8, a right turn down to (6, -10)
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from hand_drawn import draw_box
+from hand_drawn import draw_box, draw_lane
 from signal_entries import entries
 
 from hid2.agents import BoxSize, Track
@@ -26,30 +26,20 @@ STEPS = 110
 PARAMS = Signals(before_s=2.0, after_s=3.0)
 
 
-@pytest.fixture(scope="module")
-def crossing(lane: Callable[..., LaneSegment]) -> LaneGraph:
-    lanes = [
-        lane(1, [(-50, 0), (0, 0)], successors=(2, 7)),
-        lane(2, [(0, 0), (20, 0)], successors=(3,), is_intersection=True),
-        lane(3, [(20, 0), (70, 0)]),
-        lane(4, [(10, -50), (10, -10)], successors=(5,)),
-        lane(5, [(10, -10), (10, 10)], successors=(6,), is_intersection=True),
-        lane(6, [(10, 10), (10, 50)]),
-        lane(7, [(0, 0), (3, -0.8), (5.2, -3), (6, -6), (6, -10)], successors=(8,), is_intersection=True),
-        lane(8, [(6, -10), (6, -50)]),
-    ]
-    return LaneGraph({one.lane_id: one for one in lanes})
+LANES = (
+    draw_lane(1, [(-50, 0), (0, 0)], successors=(2, 7)),
+    draw_lane(2, [(0, 0), (20, 0)], successors=(3,), is_intersection=True),
+    draw_lane(3, [(20, 0), (70, 0)]),
+    draw_lane(4, [(10, -50), (10, -10)], successors=(5,)),
+    draw_lane(5, [(10, -10), (10, 10)], successors=(6,), is_intersection=True),
+    draw_lane(6, [(10, 10), (10, 50)]),
+    draw_lane(7, [(0, 0), (3, -0.8), (5.2, -3), (6, -6), (6, -10)], successors=(8,), is_intersection=True),
+    draw_lane(8, [(6, -10), (6, -50)]),
+)
 
 
-@pytest.fixture
-def signals(crossing: LaneGraph) -> Callable[..., InferredSignals]:
-    def make(*vehicles: Traffic) -> InferredSignals:
-        return _inferred(crossing, *vehicles)
-
-    return make
-
-
-def _inferred(graph: LaneGraph, *vehicles: Traffic) -> InferredSignals:
+def signals(*vehicles: Traffic, lanes: Sequence[LaneSegment] = LANES) -> InferredSignals:
+    graph = LaneGraph({one.lane_id: one for one in lanes})
     tracks = [
         Track(name, "vehicle", 1, np.arange(STEPS), one.position[row], one.heading[row], one.velocity[row],
               BoxSize(float(one.length_m[row]), float(one.width_m[row])))
@@ -78,7 +68,7 @@ def _steps(red: np.ndarray | None) -> list[int]:
     return np.flatnonzero(red).tolist()
 
 
-def test_cross_traffic_makes_red_two_seconds_before_and_three_after(signals) -> None:
+def test_cross_traffic_makes_red_two_seconds_before_and_three_after() -> None:
     """From (10, -50) at 1 m a step: y = step - 50. Lane 2's ground counts with 0.8 of its width, 1.4 m to each side.
 
     The box covers it while |y| < 1.4 + 2.25 = 3.65: steps 47 to 53. Red from 47 - 20 to 53 + 30.
@@ -91,20 +81,20 @@ def test_cross_traffic_makes_red_two_seconds_before_and_three_after(signals) -> 
 
 
 @pytest.mark.parametrize(("degrees", "red"), [(35, False), (50, True), (130, True), (150, False)])
-def test_only_ways_that_cross_at_a_wide_angle_are_cross_traffic(signals, degrees: float, red: bool) -> None:
+def test_only_ways_that_cross_at_a_wide_angle_are_cross_traffic(degrees: float, red: bool) -> None:
     """Through (10, 0) at step 50: a merge at 35 degrees, an oncoming vehicle at 150."""
     angle = np.radians(degrees)
     scene = signals(draw_box(10 - 50 * np.cos(angle), -50 * np.sin(angle), angle, 10.0))
     assert bool(scene.red(2).any()) is red
 
 
-def test_slow_or_parked_boxes_are_no_cross_traffic(signals) -> None:
+def test_slow_or_parked_boxes_are_no_cross_traffic() -> None:
     """0.9 m/s across the lane is no flow; a box that stands on the crossing's ground is none either."""
     assert not signals(draw_box(10.0, -5.0, np.pi / 2, 0.9)).red(2).any()
     assert not signals(draw_box(10.0, -2.0, np.pi / 2, 0.0)).red(2).any()
 
 
-def test_who_turns_off_from_the_same_approach_does_not_cross(signals) -> None:
+def test_who_turns_off_from_the_same_approach_does_not_cross() -> None:
     """Right out of lane 1, at 90 degrees over lane 2's ground for a while; from elsewhere it is a crossing."""
     turn = [(0.0, 0.0), (6.0, 0.0), (6.0, -40.0)]
     assert not signals(_along("a", [(-50.0, 0.0), *turn])).red(2).any()
@@ -118,13 +108,13 @@ def test_who_turns_off_from_the_same_approach_does_not_cross(signals) -> None:
         (3.5, 0.0, False),
     ],
 )  # fmt: skip
-def test_a_queue_stands_in_the_middle_third_near_the_entrance(signals, x: float, y: float, red: bool) -> None:
+def test_a_queue_stands_in_the_middle_third_near_the_entrance(x: float, y: float, red: bool) -> None:
     """A third of 3.5 m: 0.58 m to each side. Beyond it, who never moves is parked. 20 m before, 3 m behind."""
     scene = signals(draw_box(x, y, 0.0, 0.0))
     assert _steps(scene.red(2)) == (list(range(STEPS)) if red else [])
 
 
-def test_who_moves_later_queues_at_the_side_of_its_lane_too(signals) -> None:
+def test_who_moves_later_queues_at_the_side_of_its_lane_too() -> None:
     """At y = 1 until step 80, then on: the front of a queue, green a second before it enters.
 
     It passes x = 0 at step 85 and is inside at 86: green from step 76. It stands, by central differences, to step 79.
@@ -134,12 +124,12 @@ def test_who_moves_later_queues_at_the_side_of_its_lane_too(signals) -> None:
     assert _steps(scene.red(2)) == list(range(76))
 
 
-def test_vehicle_that_is_inside_at_its_last_state_alone_has_entered(signals) -> None:
+def test_vehicle_that_is_inside_at_its_last_state_alone_has_entered() -> None:
     """From (-108.5, 0) at 1 m a step: at x = 0.5 at step 109, the last one."""
     assert _steps(entries(signals(_along("a", [(-108.5, 0.0), (40.0, 0.0)])), 2)) == [109]
 
 
-def test_an_entry_makes_green_for_the_queue_behind_it(signals) -> None:
+def test_an_entry_makes_green_for_the_queue_behind_it() -> None:
     """The first enters at step 36, the second stands on at x = -12: red but for 36 - 10 to 36 + 20."""
     scene = signals(_along("a", [(-5.0, 0.0), (40.0, 0.0)], wait_steps=30), draw_box(-12.0, 0.0, name="b"))
     assert _steps(entries(scene, 2)) == [36]
@@ -147,40 +137,37 @@ def test_an_entry_makes_green_for_the_queue_behind_it(signals) -> None:
 
 
 @pytest.mark.parametrize(("y", "red"), [(4.0, 26), (30.0, 0)])
-def test_straight_on_is_red_while_the_opposite_queue_stands(
-    crossing: LaneGraph, lane: Callable[..., LaneSegment], y: float, red: int
-) -> None:
+def test_straight_on_is_red_while_the_opposite_queue_stands(y: float, red: int) -> None:
     """It waits 5 m before the opposite entrance for 30 steps and enters at step 36: both are green from 26 on.
 
     The right turn of lane 7 has a phase of its own. A street 30 m aside is not the opposite one.
     """
     west = [
-        lane(11, [(70, y), (20, y)], successors=(12,)),
-        lane(12, [(20, y), (0, y)], successors=(13,), is_intersection=True),
-        lane(13, [(0, y), (-50, y)]),
+        draw_lane(11, [(70, y), (20, y)], successors=(12,)),
+        draw_lane(12, [(20, y), (0, y)], successors=(13,), is_intersection=True),
+        draw_lane(13, [(0, y), (-50, y)]),
     ]
-    graph = LaneGraph({**crossing.lanes, **{one.lane_id: one for one in west}})
-    scene = _inferred(graph, _along("a", [(25.0, y), (-50.0, y)], wait_steps=30))
+    scene = signals(_along("a", [(25.0, y), (-50.0, y)], wait_steps=30), lanes=(*LANES, *west))
     assert _steps(scene.red(12)) == list(range(26))
     assert _steps(scene.red(2)) == list(range(red))
     assert _steps(scene.red(7)) == []
 
 
-def test_an_entry_makes_no_green_within_a_second_of_cross_traffic(signals) -> None:
+def test_an_entry_makes_no_green_within_a_second_of_cross_traffic() -> None:
     """Cross traffic on the lane from 47 to 53, red from 27 to 83. An entry at 61 clears 51 to 81, not below 53 + 10."""
     scene = signals(draw_box(10.0, -50.0, np.pi / 2, 10.0), _along("b", [(-50.0, 0.0), (70.0, 0.0)], wait_steps=10))
     assert _steps(entries(scene, 2)) == [61]
     assert _steps(scene.red(2)) == [*range(27, 64), 82, 83]
 
 
-def test_an_entry_makes_no_green_after_it_for_cross_traffic_to_come(signals) -> None:
+def test_an_entry_makes_no_green_after_it_for_cross_traffic_to_come() -> None:
     """Cross traffic from 47 to 53. One waits for 25 steps, red to 20, and enters at 31: it is red again from 32 on."""
     scene = signals(draw_box(10.0, -50.0, np.pi / 2, 10.0), _along("b", [(-5.0, 0.0), (40.0, 0.0)], wait_steps=25))
     assert _steps(entries(scene, 2)) == [31]
     assert _steps(scene.red(2)) == [*range(21), *range(32, 84)]
 
 
-def test_a_right_turn_says_nothing_of_the_way_straight_on(signals) -> None:
+def test_a_right_turn_says_nothing_of_the_way_straight_on() -> None:
     """What turns right enters lane 7 alone; the queue in the shared lane stays red for lane 2."""
     turning = _along("a", [(-5.0, 0.0), (0.0, 0.0), (3.0, -0.8), (5.2, -3.0), (6.0, -6.0), (6.0, -40.0)], wait_steps=30)
     scene = signals(turning, draw_box(-12.0, 0.0, name="b"))
@@ -190,22 +177,17 @@ def test_a_right_turn_says_nothing_of_the_way_straight_on(signals) -> None:
     assert _steps(scene.red(7)) == [*range(25), *range(56, STEPS)]
 
 
-def test_only_lanes_that_are_entered_from_outside_have_an_entrance(lane) -> None:
+def test_only_lanes_that_are_entered_from_outside_have_an_entrance() -> None:
     """Lane 2 is cut in two: 9 begins inside. Its cross traffic counts at the entrance, which is that of lane 2."""
     lanes = [
-        lane(1, [(-50, 0), (0, 0)], successors=(2,)),
-        lane(2, [(0, 0), (8, 0)], successors=(9,), is_intersection=True),
-        lane(9, [(8, 0), (30, 0)], is_intersection=True),
-        lane(11, [(0, 40), (8, 40)], is_intersection=True),
+        draw_lane(1, [(-50, 0), (0, 0)], successors=(2,)),
+        draw_lane(2, [(0, 0), (8, 0)], successors=(9,), is_intersection=True),
+        draw_lane(9, [(8, 0), (30, 0)], is_intersection=True),
+        draw_lane(11, [(0, 40), (8, 40)], is_intersection=True),
     ]
-    scene = _inferred(LaneGraph({one.lane_id: one for one in lanes}), draw_box(20.0, -50.0, np.pi / 2, 10.0))
+    scene = signals(draw_box(20.0, -50.0, np.pi / 2, 10.0), lanes=lanes)
     assert _steps(scene.red(2)) == list(range(27, 84))
     assert scene.red(1) is None
     assert scene.red(9) is None
     assert scene.red(11) is None
     assert entries(scene, 11) is None
-
-
-def test_an_empty_road_is_green(signals) -> None:
-    nobody = draw_box(0.0, 0.0).rows([])
-    assert _steps(signals(nobody).red(2)) == []

@@ -29,16 +29,17 @@ def junction(*recorded: Track) -> Scene:
     return scene_on(draw_crossing(zebra=True), *recorded, config=CONFIG)
 
 
-def _braking(lines: ClosedLines, *, s: float, v: float, step: int) -> tuple[float, str] | None:
-    """Acceleration, m/s2, that stops a driver at the next closed line, and its cause; None for none."""
-    row, accel = stop_ahead(lines.stops_m(DRIVER), lines.closed, s, v, step, DRIVER.accel_mps2, DRIVER.decel_mps2)
-    return None if row < 0 else (float(accel), CAUSES[lines.cause[row]])
+def lines_of(*recorded: Track, box: BoxSize = CAR) -> ClosedLines:
+    """Of the path along the x axis."""
+    scene = junction(*recorded)
+    return StopLines(scene).on(scene.paths.along((1, 2, 3)), box)
 
 
 def brake(*recorded: Track, s: float, v: float, step: int) -> tuple[float, str] | None:
-    """Acceleration and cause."""
-    scene = junction(*recorded)
-    return _braking(StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR), s=s, v=v, step=step)
+    """Acceleration, m/s2, that stops a driver at the next closed line, and its cause; None for none."""
+    lines = lines_of(*recorded)
+    row, accel = stop_ahead(lines.stops_m(DRIVER), lines.closed, s, v, step, DRIVER.accel_mps2, DRIVER.decel_mps2)
+    return None if row < 0 else (float(accel), CAUSES[lines.cause[row]])
 
 
 #: Crosses lane 2 at 10 m/s, its centre at y = 0 after 5 s: on lane 2's ground from about 4.6 to 5.4 s.
@@ -52,20 +53,15 @@ def _closed(lines: ClosedLines, cause: str) -> tuple[float, int, int]:
 
 
 def test_entrance_is_closed_while_recorded_traffic_flows_across() -> None:
-    """From 2 s before the crossing to 3 s after it; nothing is closed where nobody crosses."""
-    scene = junction(CROSSING)
-    stop_m, first, last = _closed(StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR), "signal")
+    """From 2 s before the crossing to 3 s after it; nothing is closed where nobody crosses.
+
+    A bus of 12 m stands farther back: 60 - 6 - 1 = 53 m.
+    """
+    stop_m, first, last = _closed(lines_of(CROSSING), "signal")
     assert stop_m == pytest.approx(STOP_M)
     assert (first, last) == (pytest.approx(26, abs=3), pytest.approx(84, abs=3))
-    empty = junction()
-    assert StopLines(empty).on(empty.paths.along((1, 2, 3)), CAR).line_m.size == 0
-
-
-def test_longer_vehicles_stand_farther_back() -> None:
-    """A bus of 12 m: 60 - 6 - 1 = 53 m."""
-    scene = junction(CROSSING)
-    lines = StopLines(scene).on(scene.paths.along((1, 2, 3)), BoxSize(12.0, 2.9))
-    assert lines.stops_m(DRIVER).tolist() == pytest.approx([53.0])
+    assert lines_of().line_m.size == 0
+    assert lines_of(CROSSING, box=BoxSize(12.0, 2.9)).stops_m(DRIVER).tolist() == pytest.approx([53.0])
 
 
 def test_driver_brakes_as_the_red_line_asks_for() -> None:
@@ -100,12 +96,9 @@ def test_driver_does_not_begin_far_before() -> None:
     assert found is None or found[0] > 0.0
 
 
-def test_who_can_no_longer_stop_drives_across() -> None:
+def test_who_can_no_longer_stop_or_has_passed_the_line_drives_across() -> None:
     """10 m before it at 10 m/s: 5 m/s2, more than 1.3 * 2: as at an amber light."""
     assert brake(CROSSING, s=46.75, v=10.0, step=40) is None
-
-
-def test_who_has_passed_the_line_drives_on() -> None:
     assert brake(CROSSING, s=58.0, v=3.0, step=40) is None
 
 
@@ -116,27 +109,12 @@ def test_who_stands_at_the_line_stays_until_it_opens() -> None:
     assert brake(CROSSING, s=STOP_M, v=0.0, step=100) is None
 
 
-def test_braking_as_asked_for_ends_at_the_line() -> None:
-    """Step by step from 11.75 m before it at 6 m/s, 1.5 m/s2 for 4 s: it stands within 0.5 m of the line."""
-    scene = junction(CROSSING)
-    lines = StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR)
-    s, v = 45.0, 6.0
-    for step in range(32, 80):
-        found = _braking(lines, s=s, v=v, step=step)
-        assert found is not None
-        v = max(0.0, v + 0.1 * found[0])
-        s += 0.1 * v
-    assert v == pytest.approx(0.0, abs=0.15)
-    assert s == pytest.approx(STOP_M, abs=0.5)
-
-
 def test_recorded_queue_keeps_the_entrance_closed() -> None:
     """Somebody came from behind and stands at the entrance from step 40 on: red, though nobody crosses."""
     steps = np.arange(110)
     x = np.minimum(20.0 + 0.9 * steps, 56.0)
     arrives = Track("q", "vehicle", 2, steps, np.column_stack([x, 0.0 * x]), 0.0 * x, np.zeros((110, 2)), CAR)
-    scene = junction(arrives)
-    stop_m, _, last = _closed(StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR), "signal")
+    stop_m, _, last = _closed(lines_of(arrives), "signal")
     assert (stop_m, last) == (pytest.approx(STOP_M), 109)
 
 
@@ -146,8 +124,7 @@ def test_pedestrian_on_a_crossing_is_yielded_to() -> None:
     20 m before it at 8 m/s 8^2 / 40 = 1.6 m/s2 would do: 1.3 times that. Once the walker is across, none waits.
     """
     walker = recorded(101.5, -6.0, 1.3, heading=UP, kind="pedestrian", size=BoxSize(0.6, 0.6))
-    scene = junction(walker)
-    stop_m, first, last = _closed(StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR), "crossing")
+    stop_m, first, last = _closed(lines_of(walker), "crossing")
     assert stop_m == pytest.approx(96.75, abs=0.5)
     assert first < 40
     assert last < 75
@@ -160,8 +137,7 @@ def test_drivers_stand_where_they_like_but_short_of_pedestrians() -> None:
     """One that stands 1.2 m past the line, front at 61.2 m, has 2.2 m more room; at a crossing it keeps .5 m."""
     bold = replace(DRIVER, line_gap_m=-1.2)
     walker = recorded(101.5, -6.0, 1.3, heading=UP, kind="pedestrian", size=BoxSize(0.6, 0.6))
-    scene = junction(CROSSING, walker)
-    lines = StopLines(scene).on(scene.paths.along((1, 2, 3)), CAR)
+    lines = lines_of(CROSSING, walker)
     usual, its = lines.stops_m(DRIVER), lines.stops_m(bold)
     assert (its - usual).tolist() == pytest.approx([2.2, 0.5])
     assert its[0] + CAR.length_m / 2 == pytest.approx(61.2)
@@ -175,9 +151,7 @@ def test_room_before_a_closed_line_and_none_on_what_it_is_before() -> None:
 
     Towards it a driver brakes with .6 of its deceleration: v = sqrt(2 x .6 x b x 20 m).
     """
-    scene = junction(CROSSING)
-    stop_lines = StopLines(scene)
-    lines = stop_lines.on(scene.paths.along((1, 2, 3)), CAR)
+    lines = lines_of(CROSSING)
     assert lines.room_m(36.75, 40, DRIVER) == pytest.approx(20.0)
     assert [lines.room_m(s, 40, DRIVER) for s in (58.0, 79.0)] == [-1.0, -1.0]
     assert [lines.room_m(s, step, DRIVER) for s, step in ((81.0, 40), (58.0, 0), (36.75, 0))] == [np.inf] * 3

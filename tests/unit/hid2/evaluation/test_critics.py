@@ -1,7 +1,10 @@
 """Critics: matching, AUC, and that they tell what differs, do not tell what does not, and see no scene twice."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hand_drawn import draw_road
 
 from hid2.agents import BoxSize, Track
 from hid2.evaluation.critics import (
@@ -115,15 +118,15 @@ def drive(speed, accel, offset, *, steps=80, rng=None, track_id="r1"):
     return Track(track_id, "vehicle", 1, np.arange(steps), position, np.zeros(steps), velocity, BoxSize(4, 2))
 
 
-def windows_of(tracks, road):
-    arrays, lanes = stack(tracks, step_s=0.1), flatten_lanes(road(length_m=250))
+def windows_of(tracks):
+    arrays, lanes = stack(tracks, step_s=0.1), flatten_lanes(draw_road(length_m=250))
     view = LaneView(arrays, lanes, match_lanes(arrays, lanes))
     return windows(view, leaders(view), scene="s", labelled=True)
 
 
-def test_windows_find_speed_acceleration_and_place_through_the_noise_of_a_tracker(road):
+def test_windows_find_speed_acceleration_and_place_through_the_noise_of_a_tracker():
     """6 m/s at 0 s, 0.8 m/s2, 0.4 m left of the middle, noise of 5 cm; the first window's middle is at 3 s: 8.4 m/s."""
-    found = windows_of([drive(6.0, 0.8, 0.4, rng=np.random.default_rng(0))], road)
+    found = windows_of([drive(6.0, 0.8, 0.4, rng=np.random.default_rng(0))])
     assert len(found) == 4
     assert found["speed_mps"][0] == pytest.approx(8.4, abs=0.05)
     assert found["accel_mps2"] == pytest.approx(0.8, abs=0.05)
@@ -132,20 +135,11 @@ def test_windows_find_speed_acceleration_and_place_through_the_noise_of_a_tracke
     assert not found["led"].any()
 
 
-def test_windows_know_the_leader(road):
+def test_windows_know_the_leader():
     """A leader 20 m ahead, boxes of 4 m, that drives 1 m/s slower: at 3 s a gap of 16 - 3 = 13 m."""
     ahead = drive(7.0, 0.0, 0.0, track_id="r2")
-    ahead = Track(
-        "r2",
-        "vehicle",
-        1,
-        ahead.timesteps,
-        ahead.position + np.array([20.0, 0.0]),
-        ahead.heading,
-        ahead.velocity,
-        ahead.size,
-    )
-    found = windows_of([drive(8.0, 0.0, 0.0), ahead], road)
+    ahead = replace(ahead, position=ahead.position + np.array([20.0, 0.0]))
+    found = windows_of([drive(8.0, 0.0, 0.0), ahead])
     own = found[found["agent"] == 0]
     assert own["led"].all()
     assert own["gap_m"][0] == pytest.approx(13.0, abs=0.1)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hand_drawn import draw_box
+from hand_drawn import draw_box, draw_road
 
 from hid2.evaluation.likelihood import FEATURES, Features, beyond_edge, features, likelihoods, scene_scores
 
@@ -65,7 +65,7 @@ def test_sum_is_weighted_as_in_the_challenge():
     assert every == pytest.approx(1.0 - 0.5 * 0.25 / 0.95)
 
 
-def test_features_of_two_cars_by_hand(road):
+def test_features_of_two_cars_by_hand():
     """The follower at 10 m/s, the leader standing 30 m ahead of it at first; cars of 4.5 x 1.9 m, a road to y = -1.75.
 
         [F >]   30 m between centres   [L]
@@ -74,7 +74,7 @@ def test_features_of_two_cars_by_hand(road):
     """
     traffic = draw_box(20.0, 0.0, speed=10.0, name="follower").joined(draw_box(50.0, 0.0, name="leader"))
     traffic.heading[0, :10] = np.pi  # a tracker has turned it round
-    values, known = features(traffic, np.array([0]), beyond_edge(road(lanes=1)), step_s=0.1)
+    values, known = features(traffic, np.array([0]), beyond_edge(draw_road(lanes=1)), step_s=0.1)
     speed, acceleration, yaw, _, nearest, ttc, edge = values[:, 0]
     assert speed[10] == pytest.approx(10.0)
     assert (acceleration[10], yaw[10]) == pytest.approx((0.0, 0.0))
@@ -85,7 +85,7 @@ def test_features_of_two_cars_by_hand(road):
     assert known[SPEED, 0].sum() == 108
 
 
-def test_box_beyond_the_road_is_so_far_out(road):
+def test_box_beyond_the_road_is_so_far_out():
     """Half of 1.9 m beyond y = -2: 2.95 m against the edge at 1.75 m."""
-    values, _ = features(draw_box(50.0, -2.0), np.array([0]), beyond_edge(road(lanes=1)), step_s=0.1)
+    values, _ = features(draw_box(50.0, -2.0), np.array([0]), beyond_edge(draw_road(lanes=1)), step_s=0.1)
     assert values[6, 0, 10] == pytest.approx(1.2, abs=0.05)

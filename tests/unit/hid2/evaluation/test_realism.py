@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from hand_drawn import draw_road
 from scipy.spatial.distance import jensenshannon
 from scipy.stats import wasserstein_distance
 
@@ -90,17 +91,17 @@ def _lanes_full(rng, prefix, speeds):
     return tracks
 
 
-def test_distance_of_a_faster_generator_is_above_the_floor_and_of_an_equal_one_near_it(road):
+def test_distance_of_a_faster_generator_is_above_the_floor_and_of_an_equal_one_near_it():
     """Recorded 5 to 12 m/s; one generator draws the same, one 12 to 19 m/s."""
     rng = np.random.default_rng(0)
     found = {}
     for name, low in (("equal", 5.0), ("faster", 12.0)):
         total = RealismCounts()
-        for scene in range(30):
+        for scene in range(12):
             recorded = _lanes_full(rng, "r", rng.uniform(5, 12, 8))
             generated = _lanes_full(rng, "gen_", rng.uniform(low, low + 7, 8))
             arrays = stack([*recorded, *generated], step_s=0.1)
-            lanes = flatten_lanes(road(length_m=200))
+            lanes = flatten_lanes(draw_road(length_m=200))
             view = LaneView(arrays, lanes, match_lanes(arrays, lanes))
             safe = safety(view)
             driving = windows(view, safe.leaders, scene=f"s{scene}", labelled=True)
@@ -113,9 +114,9 @@ def test_distance_of_a_faster_generator_is_above_the_floor_and_of_an_equal_one_n
     assert found["equal"]["speed"].jensen_shannon < 2 * found["equal"]["speed"].jensen_shannon_floor
     assert found["faster"]["speed"].jensen_shannon > 4 * found["faster"]["speed"].jensen_shannon_floor
     assert found["faster"]["speed"].wasserstein == pytest.approx(7.0, abs=0.5)
-    assert found["equal"]["lane_change_duration"].generated_samples == 30
+    assert found["equal"]["lane_change_duration"].generated_samples == 12
     # windows of 41 steps within 70, a second less at both ends, every half second
-    assert found["equal"]["speed"].recorded_samples == 30 * 8 * 2
+    assert found["equal"]["speed"].recorded_samples == 12 * 8 * 2
 
 
 def test_scene_without_tracks_has_derivatives_without_rows():

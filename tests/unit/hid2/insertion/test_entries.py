@@ -1,12 +1,11 @@
 """Who enters at the map's edge: at which lanes and steps, where, how fast, and with room to whom."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import islice
 
 import numpy as np
 import pytest
-from hand_drawn import draw_lane
+from hand_drawn import draw_box, draw_lane, draw_road
 from inserted import nobody, recorded, scene_on, start_on
 
 from hid2.agents import Policy, Track
@@ -17,7 +16,6 @@ from hid2.insertion.filling import Filling
 from hid2.insertion.sites import InsertionSites
 from hid2.insertion.spread import Spread
 from hid2.insertion.surroundings import Surroundings
-from hid2.occupancy.traffic import Traffic
 from hid2.params import Config, Request, Spawn
 from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
@@ -60,25 +58,21 @@ def test_turn_pockets_and_driveways_are_no_edge() -> None:
     assert edge_lanes(scene, Surroundings(scene).routes) == [1, 5]
 
 
-def test_entries_are_at_observed_steps_after_the_first(road: Callable[..., LaneGraph]) -> None:
-    entries = Surroundings(_scene(road(length_m=300.0))).entries
+def test_entries_are_at_observed_steps_after_the_first_with_three_seconds_left() -> None:
+    """Of a scene with 50 steps, all of them observed, in steps 1 to 20."""
+    entries = Surroundings(_scene(draw_road(length_m=300.0))).entries
     table = entries.table
     assert sorted(set(table["step"].tolist())) == list(range(5, 50, 5))
     assert set(table["lane"].tolist()) == {1, 2}
     assert (entries.outlook.weight > 0.0).all()
+    short = replace(_scene(draw_road(length_m=300.0)), num_steps=50)
+    assert sorted(set(Surroundings(short).entries.table["step"].tolist())) == [5, 10, 15, 20]
 
 
-def test_nobody_enters_just_before_the_scene_ends(road: Callable[..., LaneGraph]) -> None:
-    """Of a scene with 50 steps, all of them observed, 3 s have to be left: steps 1 to 20."""
-    scene = replace(_scene(road(length_m=300.0)), num_steps=50)
-    table = Surroundings(scene).entries.table
-    assert sorted(set(table["step"].tolist())) == [5, 10, 15, 20]
-
-
-def test_entries_from_which_nobody_is_met_have_no_weight(road: Callable[..., LaneGraph]) -> None:
+def test_entries_from_which_nobody_is_met_have_no_weight() -> None:
     """One at 9 m/s on lane 1, 25 m ahead at step 5 and 47 m at step 30, where .7 * 30 m are near."""
     met, alone = (
-        Surroundings(_scene(road(length_m=300.0), *tracks, near="traffic")).entries
+        Surroundings(_scene(draw_road(length_m=300.0), *tracks, near="traffic")).entries
         for tracks in ((recorded(20.0, 0.0, 9.0),), ())
     )
     first = (met.table["lane"] == 1) & (met.table["step"] == 5)
@@ -88,9 +82,9 @@ def test_entries_from_which_nobody_is_met_have_no_weight(road: Callable[..., Lan
     assert alone.outlook.weight.max() == 0.0
 
 
-def test_who_enters_is_just_inside_the_map_at_the_speed_of_its_traffic(road: Callable[..., LaneGraph]) -> None:
+def test_who_enters_is_just_inside_the_map_at_the_speed_of_its_traffic() -> None:
     """Rear bumpers 0.5 m from the edge and what is driven in a step, 0.9 m; speeds about 9 m/s."""
-    starts = _entering(_scene(road(length_m=300.0)))
+    starts = _entering(_scene(draw_road(length_m=300.0)))
     assert len(starts) > 10
     assert {start.step for start in starts} <= set(range(5, 50))
     assert len({start.step for start in starts}) > 5
@@ -102,18 +96,18 @@ def test_who_enters_is_just_inside_the_map_at_the_speed_of_its_traffic(road: Cal
     assert all(start.desired.shape == (110,) and start.desired[start.step] >= start.start_mps for start in starts)
 
 
-def test_room_is_kept_to_who_is_at_the_edge_at_that_very_step(road: Callable[..., LaneGraph]) -> None:
+def test_room_is_kept_to_who_is_at_the_edge_at_that_very_step() -> None:
     """One stands at x = 10 on lane 1 from the first step on; another one on lane 2 has left the edge at 9 m/s."""
-    scene = _scene(road(length_m=300.0), recorded(10.0, 0.0, 0.0), recorded(3.0, 3.5, 9.0, name="q"))
+    scene = _scene(draw_road(length_m=300.0), recorded(10.0, 0.0, 0.0), recorded(3.0, 3.5, 9.0, name="q"))
     starts = _entering(scene)
     assert {start.route[0] for start in starts} == {2}
     gaps = [3.0 + 0.9 * start.step - start.start_m - 4.5 for start in starts]
     assert min(gaps) > 2.0
 
 
-def test_nobody_enters_before_who_comes_from_outside_the_map(road: Callable[..., LaneGraph]) -> None:
+def test_nobody_enters_before_who_comes_from_outside_the_map() -> None:
     """At 14 m/s from x = -60 on: the edge is passed at step 43; until then it closes in, from 1.5 s before too fast."""
-    scene = _scene(road(lanes=1, length_m=300.0), recorded(-60.0, 0.0, 14.0))
+    scene = _scene(draw_road(lanes=1, length_m=300.0), recorded(-60.0, 0.0, 14.0))
     for start in _entering(scene):
         gap_m = start.start_m - 0.5 * 4.5 - (-60.0 + 1.4 * start.step + 0.5 * 4.5)
         assert gap_m < 0.0 or gap_m > max(2.0, 1.5 * (14.0 - start.start_mps))
@@ -124,36 +118,27 @@ def test_nobody_enters_before_who_comes_from_outside_the_map(road: Callable[...,
     [({"entering": 0.0}, Policy.STRAIGHT), ({"generated_category": 2}, Policy.STRAIGHT), ({}, Policy.LANE_CHANGE)],
 )
 def test_who_is_scored_or_changes_lanes_is_there_from_the_first_step(
-    road: Callable[..., LaneGraph], request_: dict[str, object], policy: Policy
+    request_: dict[str, object], policy: Policy
 ) -> None:
-    scene = _scene(road(length_m=300.0), **request_)
+    scene = _scene(draw_road(length_m=300.0), **request_)
     starts = _sites(scene).propose(VehicleRequest(0, policy, 1.0))
     assert [start.step for start in starts] == [0]
 
 
-def test_where_nobody_can_enter_a_vehicle_begins_elsewhere(road: Callable[..., LaneGraph]) -> None:
+def test_where_nobody_can_enter_a_vehicle_begins_elsewhere() -> None:
     """Standing vehicles at x = 5 on both lanes."""
-    scene = _scene(road(length_m=300.0), recorded(5.0, 0.0), recorded(5.0, 3.5, name="q"))
+    scene = _scene(draw_road(length_m=300.0), recorded(5.0, 0.0), recorded(5.0, 3.5, name="q"))
     (start,) = _sites(scene).propose(STRAIGHT)
     assert start.step == 0
 
 
-def test_two_that_enter_on_one_lane_keep_their_distance(road: Callable[..., LaneGraph]) -> None:
+def test_two_that_enter_on_one_lane_keep_their_distance() -> None:
     """At 9 m/s, at most 11.4: of two on one lane the later one leaves 2 m, the first one drives 6.5 m in 6 steps."""
-    sites = _sites(_scene(road(lanes=1, length_m=300.0)))
+    sites = _sites(_scene(draw_road(lanes=1, length_m=300.0)))
     starts = [start for k in range(6) for start in sites.propose(VehicleRequest(k, Policy.STRAIGHT, 0.0))]
     steps = sorted(start.step for start in starts if start.step > 0)
     assert len(steps) >= 2
     assert np.diff(steps).min() >= 6
-
-
-def _fleet(x: float, speed: float, y: float = 0.0) -> Traffic:
-    """One driven vehicle, 4.5 m long, where it was 0.1 s before x."""
-    return Traffic(
-        ids=("v",), position=np.array([[[x - 0.1 * speed, y]]]), heading=np.zeros((1, 1)),
-        velocity=np.array([[[speed, 0.0]]]), present=np.ones((1, 1), dtype=bool), length_m=np.array([4.5]),
-        width_m=np.array([1.9]),
-    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -164,30 +149,21 @@ def _fleet(x: float, speed: float, y: float = 0.0) -> Traffic:
         (8.0, 10.0, 3.5, 10.0),
         (-10.0, 10.0, 0.0, None),  # 8.5 m behind: less than 1 s
         (-15.0, 10.0, 0.0, 10.0),
+        (16.0, 5.0, 0.0, pytest.approx(6.5, abs=2.5)),  # 8.5 m behind a slower one
     ],
 )
-def test_room_at_the_edge_among_those_that_are_driven(
-    road: Callable[..., LaneGraph], x: float, speed: float, y: float, found: float | None
-) -> None:
+def test_room_at_the_edge_among_those_that_are_driven(x: float, speed: float, y: float, found: float | None) -> None:
     """Enters with its centre at x = 3 at 10 m/s."""
-    scene = _scene(road(length_m=300.0))
+    scene = _scene(draw_road(length_m=300.0))
     start = start_on(scene, (1,), 3.0, 10.0, step=20)
-    assert entry_speed(start, _fleet(x, speed, y), scene.config, step_s=0.1) == found
+    fleet = draw_box(x - 0.1 * speed, y, 0.0, speed, steps=1)  # where it was a step before
+    assert entry_speed(start, fleet, scene.config, step_s=0.1) == found
 
 
-def test_who_enters_behind_a_slower_one_enters_more_slowly(road: Callable[..., LaneGraph]) -> None:
-    """8.5 m behind one at 5 m/s."""
-    scene = _scene(road(length_m=300.0))
-    start = start_on(scene, (1,), 3.0, 10.0, step=20)
-    speed = entry_speed(start, _fleet(16.0, 5.0), scene.config, step_s=0.1)
-    assert speed is not None
-    assert 4.0 < speed < 9.0
-
-
-def test_share_of_those_that_go_straight_enters(road: Callable[..., LaneGraph]) -> None:
+def test_share_of_those_that_go_straight_enters() -> None:
     """A share of .5 of four on each of 20 seeds: 40 of 80, give or take three standard deviations (4.5)."""
     others = {"left_turn": 0.0, "right_turn": 0.0, "lane_change": 0.0, "overtake": 0.0}
-    scene = _scene(road(lanes=3, length_m=500.0), agents=4, straight=1.0, entering=0.5, **others)
+    scene = _scene(draw_road(lanes=3, length_m=500.0), agents=4, straight=1.0, entering=0.5, **others)
     here = Surroundings(scene)
     late = [start.step > 0 for seed in range(20) for start in Filling(here, [seed, 0, 1]).first_starts(4)]
     assert len(late) == 80

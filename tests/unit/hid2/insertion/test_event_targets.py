@@ -1,21 +1,21 @@
 """Targets of events: which lanes a recorded vehicle drives."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hand_drawn import draw_lane
 from inserted import recorded, scene_on
 
 from hid2.insertion.event_targets import Target, target_of
 from hid2.scene import Scene
-from netconvert.lane_graph import LaneGraph, LaneSegment
+from netconvert.lane_graph import LaneGraph
 
 
 @pytest.fixture
-def scene(lane: Callable[..., LaneSegment]) -> Scene:
+def scene() -> Scene:
     """Lane 1 along +x over 300 m, lane 9 across it along +y at x = 150; one at 10 m/s on lane 1 from 50.5 m on."""
-    lanes = lane(1, [(0.0, 0.0), (300.0, 0.0)]), lane(9, [(150.0, -60.0), (150.0, 60.0)])
+    lanes = draw_lane(1, [(0.0, 0.0), (300.0, 0.0)]), draw_lane(9, [(150.0, -60.0), (150.0, 60.0)])
     return scene_on(LaneGraph({one.lane_id: one for one in lanes}), recorded(50.5, 0.0, 10.0))
 
 

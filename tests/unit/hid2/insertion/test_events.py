@@ -1,10 +1,10 @@
 """Events and the vehicles that are inserted after them."""
 
-from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from hand_drawn import draw_road
 from inserted import recorded, scene_on
 
 from hid2.agents import Track
@@ -14,7 +14,6 @@ from hid2.insertion.finalise import states_of_inserted
 from hid2.judge.events import EventMeasures
 from hid2.params import Event
 from hid2.scene import Scene
-from netconvert.lane_graph import LaneGraph
 
 
 @pytest.mark.parametrize(("kind", "own", "x", "y", "between"), [
@@ -25,10 +24,10 @@ from netconvert.lane_graph import LaneGraph
     ("merge", 120.0, 110.0, 0.0, False),
 ])  # fmt: skip
 def test_vehicle_that_comes_between_a_leader_and_its_follower_breaks_the_event(
-    road: Callable[..., LaneGraph], kind: str, own: float, x: float, y: float, between: bool
+    kind: str, own: float, x: float, y: float, between: bool
 ) -> None:
     """The target is at 100 m, all at 8 m/s: one that is beside, or ahead of both, is in the way of none."""
-    scene = scene_on(road(lanes=2, length_m=400.0), recorded(100.0, 0.0, 8.0))
+    scene = scene_on(draw_road(lanes=2, length_m=400.0), recorded(100.0, 0.0, 8.0))
     measures = EventMeasures(15.5, 0.0, None, None, None, None, 0.0, 0.0)
     seen = Seen(30, -1 if kind == "follow" else 1, measures)
     event = Event.model_validate({"kind": kind, "target": "r", "at_s": (3.0, 3.0)})

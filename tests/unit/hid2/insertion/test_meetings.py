@@ -24,6 +24,10 @@ from hid2.vehicle import Start, VehicleRequest
 from netconvert.lane_graph import LaneGraph
 
 ROAD_M = 400.0
+#: A lane with a light at its end, 100 m, and the one beyond.
+LIT = LaneGraph({
+    1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(2,)), 2: draw_lane(2, [(100.0, 0.0), (400.0, 0.0)]),
+}, drivable_areas=())  # fmt: skip
 
 
 def scene_of(*tracks: object, **spawn: float) -> Scene:
@@ -59,9 +63,12 @@ def test_leader_is_next_ahead_on_the_same_lane_within_three_seconds() -> None:
     assert _leader(meetings, scene, 1, 40.0) == -1
     assert _leader(meetings, scene, 1, 120.0) == -1
     assert _leader(meetings, scene, 2, 82.0) == -1
+    assert (meetings.pace_of(0), meetings.pace_of(-1)) == (pytest.approx(9.0), 0.0)
     met = meetings.outlook(Policy.STRAIGHT).meets[Situation.FOLLOWS]
     rows = [scene.grid.index_of[scene.grid.cell_at(lane, 82.0)] for lane in (1, 2)]
     assert met[rows].tolist() == [True, False]
+    scene = scene_of(recorded(100.0, 0.0, 9.0, name="far"), recorded(91.0, 0.0, 9.0, name="between"))
+    assert _leader(_meetings(scene), scene, 1, 80.0) == 1
 
 
 def test_a_leader_that_brakes_is_told_from_one_that_does_not() -> None:
@@ -80,23 +87,12 @@ def test_a_leader_that_brakes_is_told_from_one_that_does_not() -> None:
     assert sites._wants(Policy.LANE_CHANGE) == set()
 
 
-def test_nobody_leads_past_somebody_between() -> None:
-    """The same with another one at 9 m/s at 91 m, between them: that one leads."""
-    scene = scene_of(recorded(100.0, 0.0, 9.0, name="far"), recorded(91.0, 0.0, 9.0, name="next"))
-    meetings = _meetings(scene)
-    assert _leader(meetings, scene, 1, 80.0) == 1
-
-
 @pytest.mark.parametrize(("is_red", "expected"), [(False, 0), (True, -1)])
 def test_nobody_is_followed_beyond_a_red_light(is_red: bool, expected: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """One at 3 m/s from 130 m on: at 8.1 m/s who starts at 50 m is within 33 m of it from 9.2 s on, the light at 100 m
     behind it.
     """
-    lanes = {
-        1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(2,)),
-        2: draw_lane(2, [(100.0, 0.0), (400.0, 0.0)]),
-    }
-    scene = scene_on(LaneGraph(lanes, drivable_areas=()), recorded(130.0, 0.0, 3.0))
+    scene = scene_on(LIT, recorded(130.0, 0.0, 3.0))
     meetings = _meetings(scene)
     red = {2: np.full(scene.num_steps, is_red)}
     meetings.signals = SimpleNamespace(red=red.get)
@@ -106,11 +102,7 @@ def test_nobody_is_followed_beyond_a_red_light(is_red: bool, expected: int, monk
 
 def test_vehicle_that_comes_to_a_red_light_stands() -> None:
     """A light at 100 m that is red throughout: from all cells before the place where a centre stands, at 97 m."""
-    lanes = {
-        1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(2,)),
-        2: draw_lane(2, [(100.0, 0.0), (400.0, 0.0)]),
-    }
-    scene = scene_on(LaneGraph(lanes, drivable_areas=()))
+    scene = scene_on(LIT)
     for is_red in (False, True):
         meetings = _meetings(scene)
         meetings.signals = SimpleNamespace(red={2: np.full(scene.num_steps, is_red)}.get)
@@ -154,13 +146,6 @@ def test_leader_who_is_followed_by_a_kept_vehicle_speaks_for_no_other_site() -> 
     assert isinstance(kept, Start)
     sites.kept = [SimpleNamespace(driven=SimpleNamespace(start=kept))]
     assert rows() == []
-
-
-def test_pace_of_a_leader_is_what_it_drives_while_it_moves() -> None:
-    scene = scene_of(recorded(100.0, 0.0, 9.0))
-    meetings = _meetings(scene)
-    assert meetings.pace_of(0) == pytest.approx(9.0)
-    assert meetings.pace_of(-1) == 0.0
 
 
 def test_weight_of_a_route_is_that_of_its_cell() -> None:

@@ -1,11 +1,10 @@
 """What became of a manoeuvre, by the exported motion."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_drawn import draw_lane
+from hand_drawn import draw_lane, draw_road
 from inserted import changing, driven, scene_on, start_on
 
 from hid2.agents import Policy
@@ -18,8 +17,8 @@ from netconvert.lane_graph import LaneGraph
 
 
 @pytest.fixture
-def scene(road: Callable[..., LaneGraph]) -> Scene:
-    return scene_on(road(length_m=400.0))
+def scene() -> Scene:
+    return scene_on(draw_road(length_m=400.0))
 
 
 def _exported(scene: Scene, vehicle: DrivenVehicle) -> ExportedVehicle:

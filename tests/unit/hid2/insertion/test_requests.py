@@ -49,23 +49,24 @@ def test_fixed_trigger_is_exactly_that() -> None:
     assert _triggers(50, trigger_min_s=6.0, trigger_max_s=6.0) == [6.0] * 50
 
 
-@pytest.mark.parametrize(("low", "high"), [(6.0, 8.0), (1.0, 8.0)])
-def test_range_of_triggers_is_uniform_to_its_end(low: float, high: float) -> None:
-    """200 requests; nothing is cut at a share of the scene: some come in the last tenth."""
-    drawn = _triggers(200, trigger_min_s=low, trigger_max_s=high)
+@pytest.mark.parametrize(
+    ("asked", "duration_s", "low", "high"),
+    [
+        ({"trigger_min_s": 6.0, "trigger_max_s": 8.0}, 10.9, 6.0, 8.0),
+        ({"trigger_min_s": 1.0, "trigger_max_s": 8.0}, 10.9, 1.0, 8.0),
+        ({"trigger_max_s": 8.0}, 4.9, 0.5, 8.0),  # what was asked for is kept in a short scene
+        ({}, 10.9, 0.5, 0.36 * 10.9),
+        ({}, 4.9, 0.5, 0.36 * 4.9),
+        ({}, 300.0, 0.5, 4.0),
+    ],
+)
+def test_range_of_triggers_is_uniform_to_its_end(
+    asked: dict[str, float], duration_s: float, low: float, high: float
+) -> None:
+    """200 requests, some of them in the last tenth; a range that nobody asked for ends early in a short scene."""
+    drawn = _triggers(200, duration_s=duration_s, **asked)
     assert kstest(drawn, "uniform", args=(low, high - low)).pvalue > 0.05
     assert max(drawn) > high - 0.1 * (high - low)
-
-
-@pytest.mark.parametrize(("duration_s", "latest_s"), [(10.9, 0.36 * 10.9), (4.9, 0.36 * 4.9), (300.0, 4.0)])
-def test_range_that_nobody_asked_for_ends_early_in_a_short_scene(duration_s: float, latest_s: float) -> None:
-    drawn = _triggers(200, duration_s=duration_s)
-    assert kstest(drawn, "uniform", (0.5, latest_s - 0.5)).pvalue > 0.05
-
-
-def test_range_that_was_asked_for_is_kept_in_a_short_scene() -> None:
-    drawn = _triggers(200, duration_s=4.9, trigger_max_s=8.0)
-    assert kstest(drawn, "uniform", (0.5, 7.5)).pvalue > 0.05
 
 
 def test_list_of_triggers_is_drawn_from_alike() -> None:

@@ -1,6 +1,5 @@
 """The world that candidates are rolled out in: what a motion does to others, and what is known without one of them."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +7,7 @@ import pytest
 from hand_drawn import draw_lane, draw_road, draw_track
 from inserted import recorded, scene_on, start_on
 
-from hid2.agents import Policy, Track
+from hid2.agents import FloatArray, Policy, Track
 from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import ClosedLines, StopLines
 from hid2.insertion.rollout import RolledOut, Rollout, World
@@ -19,15 +18,22 @@ from hid2.policy.overtake import Stage
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
 from hid2.scene import Scene
-from hid2.vehicle import DrivenVehicle
-from netconvert.lane_graph import LaneGraph, LaneSegment
+from hid2.vehicle import DrivenVehicle, Start
+from netconvert.lane_graph import LaneGraph
 
 
 def world_of(*tracks: Track) -> World:
     """Two lanes of 300 m with nothing inserted."""
-    scene = scene_on(draw_road(length_m=300.0), *tracks)
-    nobody = Traffic.none(scene.future.num_steps)
-    return World(scene, Roads(scene), Guard(scene, nobody, StopLines(scene)))
+    return world_on(scene_on(draw_road(length_m=300.0), *tracks))
+
+
+def world_on(scene: Scene) -> World:
+    return World(scene, Roads(scene), Guard(scene, Traffic.none(scene.future.num_steps), StopLines(scene)))
+
+
+def _part(start: Start, s: FloatArray, v: FloatArray) -> Rollout:
+    """All of a motion along the path of a start."""
+    return Rollout(start.path, start.step, s, v, np.zeros((s.size, 0)))
 
 
 def _steady(
@@ -36,18 +42,13 @@ def _steady(
     """A vehicle that keeps its speed, m/s, from s m on."""
     start = start_on(world.scene, (lane,), s, mps, number=number, policy=policy)
     steps = np.arange(world.scene.num_steps)
-    part = Rollout(start.path, 0, s + 0.1 * mps * steps, np.full(steps.size, mps), np.zeros((steps.size, 0)))
+    part = _part(start, s + 0.1 * mps * steps, np.full(steps.size, mps))
     return world.rolled_out(start, (part,))
 
 
 @pytest.mark.parametrize(
     ("mps", "ahead_m", "reason"),
-    [
-        (16.0, 12.5, Reason.FOLLOWER_HEADWAY),
-        (16.0, 13.1, None),
-        (6.0, 7.3, Reason.FOLLOWER_HEADWAY),
-        (6.0, 7.7, None),
-    ],
+    [(16.0, 12.5, Reason.FOLLOWER_HEADWAY), (16.0, 13.1, None), (6.0, 7.3, Reason.FOLLOWER_HEADWAY), (6.0, 7.7, None)],
 )
 def test_recorded_follower_keeps_its_time_headway(mps: float, ahead_m: float, reason: Reason | None) -> None:
     """At 16 m/s 12.5 m from front to front are .78 s, 13.1 m .82 s; .8 s is the limit. An event's target bears it.
@@ -63,14 +64,11 @@ def test_recorded_follower_keeps_its_time_headway(mps: float, ahead_m: float, re
 
 def test_follower_that_kept_as_little_in_the_recording_does_not_mind() -> None:
     """It follows a recorded one at .7 s for 3 s, which is gone then; afterwards an inserted one at .75 s."""
-    leader = recorded(27.0, 0.0, 10.0, name="b")
-    gone = replace(
-        leader, **{name: getattr(leader, name)[:30] for name in ("timesteps", "position", "heading", "velocity")}
-    )
+    gone = draw_track(range(30), 27.0 + np.arange(30), track_id="b")
     world = world_of(recorded(20.0, 0.0, 10.0, name="a"), gone)
     start = start_on(world.scene, (1,), 57.5, 10.0, step=30)
     steps = np.arange(world.scene.num_steps - 30)
-    part = Rollout(start.path, 30, 57.5 + 1.0 * steps, np.full(steps.size, 10.0), np.zeros((steps.size, 0)))
+    part = _part(start, 57.5 + 1.0 * steps, np.full(steps.size, 10.0))
     assert world.harm_to_followers(world.rolled_out(start, (part,))) is None
 
 
@@ -126,7 +124,7 @@ def test_recorded_follower_is_not_to_brake_harder_than_it_does(gap_m: float, rea
     v = 15.0 - 2.5 * np.clip(0.1 * np.arange(110) - 1.0, 0.0, 4.0) + 2.5 * np.clip(0.1 * np.arange(110) - 5.0, 0.0, 4.0)
     s = 24.5 + gap_m + np.cumsum(0.1 * v)
     start = start_on(world.scene, (1,), s[0], 15.0)
-    candidate = world.rolled_out(start, (Rollout(start.path, 0, s, v, np.zeros((v.size, 0))),))
+    candidate = world.rolled_out(start, (_part(start, s, v),))
     assert world.harm_to_followers(candidate) is reason
     world.target_id = "r"
     assert world.harm_to_followers(candidate) is None
@@ -147,16 +145,16 @@ def test_vehicle_is_rolled_out_anew_without_itself() -> None:
     assert world.guard.inserted_known.ids == ("v0_0", "v1_0")  # nothing is chosen by asking
 
 
-def test_a_cell_that_begins_farther_on_takes_a_vehicle_there(lane: Callable[..., LaneSegment]) -> None:
+def test_a_cell_that_begins_farther_on_takes_a_vehicle_there() -> None:
     """SUMO puts a vehicle as far into the facing cell as into its own: 2 m on where the lane beside begins 2 m on."""
     driven_on = []
     for begin_m in (0.0, 2.0):
         lanes = [
-            lane(1, [(0.0, 0.0), (300.0, 0.0)], left=2),
-            lane(2, [(begin_m, 3.5), (300.0 + begin_m, 3.5)], right=1),
+            draw_lane(1, [(0.0, 0.0), (300.0, 0.0)], left=2),
+            draw_lane(2, [(begin_m, 3.5), (300.0 + begin_m, 3.5)], right=1),
         ]
         scene = scene_on(LaneGraph({one.lane_id: one for one in lanes}))
-        world = World(scene, Roads(scene), Guard(scene, Traffic.none(scene.future.num_steps), StopLines(scene)))
+        world = world_on(scene)
         before, onto = world.roll_manoeuvre(start_on(scene, (1,), 50.0, 10.0, policy=Policy.LANE_CHANGE))[1]
         assert onto.s[0] == pytest.approx(before.s[-1])
         driven_on.append(onto.s[-1] - onto.s[0] - 0.05 * (onto.v[1:] + onto.v[:-1]).sum())
@@ -165,19 +163,19 @@ def test_a_cell_that_begins_farther_on_takes_a_vehicle_there(lane: Callable[...,
 
 @pytest.mark.parametrize(("beside_m", "reason"), [(60.0, Reason.CELLS_OCCUPIED), (None, Reason.NO_ADJACENT_LANE)])
 def test_lane_change_that_a_lane_refused_is_not_said_to_have_had_no_lane(
-    lane: Callable[..., LaneSegment], beside_m: float | None, reason: Reason
+    beside_m: float | None, reason: Reason
 ) -> None:
     """The lane beside ends as one at 100 m, after 4 s; a car drives there beside the vehicle. Or there is none."""
     has = beside_m is not None
     lanes = [
-        lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(3,), left=2 if has else None),
-        lane(2, [(0.0, 3.5), (100.0, 3.5)], successors=(4,), right=1 if has else None),
-        lane(3, [(100.0, 0.0), (300.0, 0.0)]),
-        lane(4, [(100.0, 3.5), (300.0, 3.5)]),
+        draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(3,), left=2 if has else None),
+        draw_lane(2, [(0.0, 3.5), (100.0, 3.5)], successors=(4,), right=1 if has else None),
+        draw_lane(3, [(100.0, 0.0), (300.0, 0.0)]),
+        draw_lane(4, [(100.0, 3.5), (300.0, 3.5)]),
     ]
     beside = [recorded(beside_m, 3.5, 10.0)] if beside_m is not None else []
     scene = scene_on(LaneGraph({one.lane_id: one for one in lanes}), *beside)
-    world = World(scene, Roads(scene), Guard(scene, Traffic.none(scene.future.num_steps), StopLines(scene)))
+    world = world_on(scene)
     vehicle, _ = world.roll_manoeuvre(start_on(scene, (1, 3), 60.0, 10.0, policy=Policy.LANE_CHANGE))
     assert vehicle.stage is Stage.ABORTED
     assert vehicle.reason is reason
@@ -195,7 +193,7 @@ def test_vehicle_that_stands_while_it_passes_another_one_is_looked_at_again(monk
     monkeypatch.setattr(ManoeuvreDue, "passed_gap_m", lambda _: world.scene.config.overtake.return_gap_m - 2.0)
     start = start_on(world.scene, (1,), 100.0, 0.0, policy=Policy.OVERTAKE)
     steps = world.scene.num_steps
-    stands = Rollout(start.path, 0, np.full(steps, 100.0), np.zeros(steps), np.zeros((steps, 0)))
+    stands = _part(start, np.full(steps, 100.0), np.zeros(steps))
     monkeypatch.setattr(World, "roll", lambda *_args, **_more: stands)
     vehicle, parts = world.roll_manoeuvre(start)
     assert (vehicle.reason, len(parts)) == (Reason.NOT_AHEAD, 1)
@@ -225,9 +223,9 @@ def test_none_is_to_enter_where_it_has_been_red_for_long(
     closed = np.arange(scene.num_steps)[None] >= since
     line = ClosedLines(np.array([97.0]), np.array([120.0]), closed, np.array([CAUSES.index("signal")]))
     monkeypatch.setattr(StopLines, "on", lambda *_: line)
-    world = World(scene, Roads(scene), Guard(scene, Traffic.none(scene.future.num_steps), StopLines(scene)))
+    world = world_on(scene)
     start, steps = start_on(scene, (1, 2), 60.0, 10.0), np.arange(scene.num_steps)
-    part = Rollout(start.path, 0, 60.0 + 1.0 * steps, np.full(steps.size, 10.0), np.zeros((steps.size, 0)))
+    part = _part(start, 60.0 + 1.0 * steps, np.full(steps.size, 10.0))
     assert world.rejection_reason(start, (part,)) is reason
 
 
@@ -245,7 +243,7 @@ def test_none_is_to_stop_in_an_intersection(stops_m: float, stands: int, reason:
         3: draw_lane(3, [(125.0, 0.0), (300.0, 0.0)]),
     }, drivable_areas=())  # fmt: skip
     scene = scene_on(graph)
-    world = World(scene, Roads(scene), Guard(scene, Traffic.none(scene.future.num_steps), StopLines(scene)))
+    world = world_on(scene)
     start = start_on(scene, (1, 2, 3), 60.0, 10.0)
     v = np.full(scene.num_steps, 10.0)
     stopped = int((stops_m - 60.0) / 1.0)
@@ -253,7 +251,7 @@ def test_none_is_to_stop_in_an_intersection(stops_m: float, stands: int, reason:
     v[:2] = [0.0, 0.1]
     v[2] = 29.9
     s = 60.0 + np.concatenate([[0.0], np.cumsum(0.1 * v[:-1])])
-    part = Rollout(start.path, 0, s, v, np.zeros((v.size, 0)))
+    part = _part(start, s, v)
     assert world.rejection_reason(start, (part,)) is reason
 
 
@@ -266,5 +264,5 @@ def test_none_is_to_wait_behind_a_parked_vehicle(aside_m: float, stops_m: float,
     start, time_s = start_on(world.scene, (1,), 60.0, 10.0), 0.1 * np.arange(world.scene.num_steps)
     v = np.clip(10.0 - 2.0 * (time_s - (stops_m - 85.0) / 10.0), 0.0, 10.0)  # 25 m of braking
     s = 60.0 + np.concatenate([[0.0], np.cumsum(0.05 * (v[1:] + v[:-1]))])
-    part = Rollout(start.path, 0, s, v, np.zeros((v.size, 0)))
+    part = _part(start, s, v)
     assert world.rejection_reason(start, (part,)) is reason

@@ -1,7 +1,6 @@
 """Start sites: where a request may be met, and whether a vehicle can begin there."""
 
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ from hid2.params import Config, LaneChange, Request, Spawn
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
-from netconvert.lane_graph import LaneGraph, LaneSegment
+from netconvert.lane_graph import LaneGraph
 
 ROAD_M = 300.0
 
@@ -57,8 +56,8 @@ def test_site_is_never_on_an_occupied_cell_nor_near_a_box() -> None:
     """Parked ones at 60 and 130 m of lane 1, one at 9 m/s on lane 2 at 100 m: CLEAR_GAP_M of 2 m to all."""
     others = [recorded(60.0, 0.0, name="a"), recorded(130.0, 0.0, name="b"), recorded(100.0, 3.5, 9.0, name="c")]
     scene = scene_of(*others)
-    starts = _many(scene, 120)
-    assert len(starts) > 60
+    starts = _many(scene, 60)
+    assert len(starts) > 30
     for start in starts:
         cell = scene.cell_at(start.path, start.start_m)
         assert scene.occupancy.sigma[0, scene.grid.index_of[cell]] == FREE
@@ -75,8 +74,7 @@ def test_start_that_a_recorded_vehicle_would_run_into_is_rejected() -> None:
     """
     scene = scene_of(recorded(2.3, 0.0, 18.0), lanes=1, max_speed_mps=10.0)
     sites = _sites(scene)
-    starts = [start for seed in range(60) for start in _sites(scene, seed).propose(_request())]
-    assert all(start.start_m > 75.0 for start in starts)
+    assert all(start.start_m > 75.0 for start in _many(scene, 25))
     for number in range(10):
         sites.propose(_request(number))
     assert sites.starts.refusals[Reason.TTC_RECORDED_FOLLOWER] > 0
@@ -88,6 +86,7 @@ def test_start_speed_behind_a_leader_needs_no_braking(gap: float, leader_mps: fl
     v = speed_behind(gap, leader_mps, DRIVER.following)
     star = DRIVER.min_gap_m + v * DRIVER.tau_s + v * (v - leader_mps) / (2 * np.sqrt(1.6 * 2.0))
     assert DRIVER.accel_mps2 * (1.0 - (star / gap) ** 2) == pytest.approx(-0.3, abs=1e-6)
+    assert speed_behind(1.5, 0.0, DRIVER.following) == 0.0  # less than the 2 m kept to a standing one
 
 
 @pytest.mark.parametrize(
@@ -107,23 +106,6 @@ def test_none_begins_where_its_leader_or_follower_has_just_been(gap_m: float, ot
         assert 1.5 * abs(other_mps - start.start_mps) <= abs(gap_m) + 0.3
     else:
         assert start is Reason.NO_SITE
-
-
-def test_nobody_begins_moving_right_behind_who_stands() -> None:
-    """1.5 m of gap are less than the 2 m kept to a standing one, whatever the speed."""
-    assert speed_behind(1.5, 0.0, DRIVER.following) == 0.0
-
-
-def test_starts_behind_slow_traffic_are_no_faster_than_it_allows() -> None:
-    """A platoon at 5 m/s every 40 m on one lane: the desired speeds are of about 5 m/s, and so are the starts.
-
-    At most 2 SD of the desired speed, .12, and of its wandering, 1.2 m/s, above that.
-    """
-    platoon = [recorded(20.0 + 40.0 * k, 0.0, 5.0, name=f"p{k}") for k in range(6)]
-    starts = _many(scene_of(*platoon, lanes=1), 80)
-    assert starts
-    assert all(start.start_mps <= 5.0 * 1.24 + 2.4 for start in starts)
-    assert all(0.0 < start.start_mps <= start.desired[0] + 1e-9 for start in starts)
 
 
 def test_vehicle_that_begins_at_a_red_line_stands_there() -> None:
@@ -148,10 +130,10 @@ def test_vehicle_that_begins_at_a_red_line_stands_there() -> None:
     assert begun[62.6] is Reason.ENTERS_ON_RED
 
 
-def test_without_collision_checks_no_start_asks_where_others_have_been(road: Callable[..., LaneGraph]) -> None:
+def test_without_collision_checks_no_start_asks_where_others_have_been() -> None:
     """2.5 m behind one at 14 m/s, where a start is none otherwise."""
     config = Config(without=frozenset({"collision"}), spawn=Spawn(prior_speed_mps=9.0))
-    sites = _sites(scene_on(road(lanes=1, length_m=ROAD_M), recorded(107.0, 0.0, 14.0), config=config))
+    sites = _sites(scene_on(draw_road(lanes=1, length_m=ROAD_M), recorded(107.0, 0.0, 14.0), config=config))
     start = sites.starts.make(_request(), Site(sites.here.routes.offers(1)[0], 100.0), driver=DRIVER)
     assert isinstance(start, Start), start
 
@@ -235,27 +217,24 @@ def test_any_site_asks_for_no_promise() -> None:
 def test_promising_sites_are_nearer_to_moving_traffic() -> None:
     """Cells within 30 m of somebody who moves weigh four times as much; parked ones draw nobody."""
 
-    def near(speed: float) -> float:
-        starts = _many(scene_of(recorded(150.0, 3.5, speed), recorded(150.0, -20.0, 9.0)), 80)
-        return float(np.mean([abs(start.start_m - 150.0) < 30.0 for start in starts]))
+    def near(*tracks: Track) -> float:
+        return float(np.mean([abs(start.start_m - 150.0) < 30.0 for start in _many(scene_of(*tracks), 60)]))
 
-    assert near(9.0) > 0.2
-    alone = _many(scene_of(recorded(150.0, -8.0, 0.0)), 80)
-    assert near(9.0) > np.mean([abs(start.start_m - 150.0) < 30.0 for start in alone])
+    assert near(recorded(150.0, 3.5, 9.0), recorded(150.0, -20.0, 9.0)) > max(0.2, near(recorded(150.0, -8.0, 0.0)))
 
 
-def test_lane_changes_start_where_a_lane_is_beside_at_the_trigger(lane: Callable[..., LaneSegment]) -> None:
+def test_lane_changes_start_where_a_lane_is_beside_at_the_trigger() -> None:
     """Lane 2 lies beside lane 1 up to x = 120 m only. At a trigger of 4 s and 9 m/s, 0.9 * 36 = 32 m on, it must
 
     last for 1.3 * 2.5 s and half a second more: from about 120 - 34 = 86 m at the latest, so starts before 55 m.
     """
     graph = LaneGraph({
-        1: lane(1, [(0.0, 0.0), (120.0, 0.0)], left=2, successors=(3,)),
-        2: lane(2, [(0.0, 3.5), (120.0, 3.5)], right=1),
-        3: lane(3, [(120.0, 0.0), (300.0, 0.0)]),
+        1: draw_lane(1, [(0.0, 0.0), (120.0, 0.0)], left=2, successors=(3,)),
+        2: draw_lane(2, [(0.0, 3.5), (120.0, 3.5)], right=1),
+        3: draw_lane(3, [(120.0, 0.0), (300.0, 0.0)]),
     })  # fmt: skip
     scene = scene_on(graph, config=Config(spawn=Spawn(prior_speed_mps=9.0)))
-    own = [s for s in _many(scene, 60, policy=Policy.LANE_CHANGE, trigger_s=4.0) if s.path.segment_at(5.0).lane_id == 1]
+    own = [s for s in _many(scene, 30, policy=Policy.LANE_CHANGE, trigger_s=4.0) if s.path.segment_at(5.0).lane_id == 1]
     assert own
     assert max(start.start_m for start in own) < 56.0
 
@@ -283,7 +262,7 @@ def test_no_site_is_proposed_for_a_manoeuvre_that_the_configured_rule_never_begi
         )  # fmt: skip
         slow = None if slow_leader is None else _request(slow_leader)
         scene = replace(usual, config=config)
-        return sum(bool(_sites(scene, seed).propose(_request(0, policy, 1.0), slow)) for seed in range(4))
+        return sum(bool(_sites(scene, seed).propose(_request(0, policy, 1.0), slow)) for seed in range(2))
 
     assert min(found(rule) for rule in ("paper", "MOBIL", "LC2013")) > 0
     assert found(refusing) == 0
@@ -292,13 +271,13 @@ def test_no_site_is_proposed_for_a_manoeuvre_that_the_configured_rule_never_begi
 
 @pytest.mark.parametrize(("side", "lane_id"), [("left", 1), ("right", 2)])
 def test_rule_that_takes_one_side_alone_finds_its_sites(
-    side: str, lane_id: int, road: Callable[..., LaneGraph], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    side: str, lane_id: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two lanes, 1 to the right of 2: who is to change to the left begins on 1, to the right on 2."""
     (tmp_path / f"only_{side}.py").write_text(f"def accept(view):\n    return view.side == {side!r}\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     config = Config(lane_change=LaneChange(rule=f"only_{side}:accept"))
-    scene = scene_on(road(length_m=ROAD_M), config=config)
+    scene = scene_on(draw_road(length_m=ROAD_M), config=config)
     starts = _many(scene, 4, policy=Policy.LANE_CHANGE, trigger_s=1.0)
     assert {scene.cell_at(start.path, start.start_m).lane_id for start in starts} == {lane_id}
 
@@ -339,14 +318,12 @@ def test_starts_of_a_round_keep_clear_of_each_other() -> None:
 def test_a_second_vehicle_that_is_to_follow_takes_the_other_leader() -> None:
     """One leader on each of two lanes, of one speed, and all are to follow one."""
     scene = scene_of(recorded(150.0, 0.0, 9.0, name="a"), recorded(150.0, 3.5, 9.0, name="b"))
-    other = 0
-    for seed in range(20):
+    for seed in range(8):
         sites = _sites(scene, seed)
         sites.wanted = Wanted({Situation.FOLLOWS: 1.0}, {Situation.FOLLOWS: 0.0})
         found = [start for number in (0, 1) for start in sites.propose(_request(number))]
         assert all(Situation.FOLLOWS in start.situations for start in found)
-        other += len({start.leader for start in found}) == 2
-    assert other == 20
+        assert len({start.leader for start in found}) == 2
 
 
 def test_route_that_ends_too_early_is_no_site() -> None:
@@ -403,8 +380,8 @@ def test_nobody_begins_in_an_intersection_where_there_is_anything_else() -> None
     }
     config = Config(request=Request(near="anywhere"), spawn=Spawn(prior_speed_mps=9.0))
     scene = scene_on(LaneGraph(lanes, drivable_areas=()), config=config)
-    begun = Counter(one.path.segment_at(one.start_m).lane_id for one in _many(scene, 60))
-    assert begun.total() == 60
+    begun = Counter(one.path.segment_at(one.start_m).lane_id for one in _many(scene, 30))
+    assert begun.total() == 30
     assert begun[2] == 0
 
 
@@ -433,12 +410,8 @@ def test_rear_bumper_is_at_least_so_far_from_the_beginning_of_the_way(monkeypatc
     """A car begins no nearer to the edge than half its kept length and _FROM_EDGE_M."""
     scene = scene_of(length_m=60.0)
     monkeypatch.setattr("hid2.insertion.starts._FROM_EDGE_M", 6.0)
-    here = Surroundings(scene)
-    sites = InsertionSites(
-        here, Guard(here.scene, nobody(scene.future.num_steps), here.stop_lines), np.random.default_rng(0), 0,
-        Spread.of((0, 0)),
-    )  # fmt: skip
-    offer = here.routes.offers(1)[0]
+    sites = _sites(scene)
+    offer = sites.here.routes.offers(1)[0]
     for s, begins in ((0.5, False), (8.0, False), (9.5, True)):
         found = sites.starts.make(_request(), Site(offer, s))
         assert isinstance(found, Start) == begins, s

@@ -8,7 +8,7 @@ from hand_drawn import draw_road
 from inserted import recorded, scene_on
 from scipy.signal import savgol_filter
 
-from hid2.agents import BoxSize, Track
+from hid2.agents import Track
 from hid2.insertion.tracker_noise import TrackerErrors, tracker_errors, with_noise
 from hid2.judge.findings import NOISE_BOUNDS, Bounds
 from hid2.judge.states import of_end
@@ -16,14 +16,11 @@ from hid2.occupancy.agent_states import agent_states
 from hid2.scene import Scene
 
 T = 0.1 * np.arange(110)
-CAR = BoxSize(4.5, 1.9)
 
 
 def _moving(track_id: str, speed: float = 10.0, *, y: float = 0.0, x: float = 20.0) -> Track:
     """A car along x."""
-    position = np.column_stack([x + speed * T, np.full(110, y)])
-    velocity = np.column_stack([np.full(110, speed), np.zeros(110)])
-    return Track(track_id, "vehicle", 1, np.arange(110), position, np.zeros(110), velocity, CAR)
+    return recorded(x, y, speed, name=track_id)
 
 
 def _smoothed(track: Track) -> Track:
@@ -117,7 +114,7 @@ def test_errors_of_a_recorded_vehicle_run_on_as_recorded() -> None:
     """A saw that rises slowly and falls at once, four times in 8 s, is drawn so or mirrored, not backwards."""
     saw = np.tile(np.linspace(-1.0, 1.0, 20), (4, 4))
     errors = TrackerErrors(is_smoothed=False, of_vehicles=(saw,))
-    for seed in range(12):
+    for seed in range(6):
         steps = np.diff(errors.drawn(np.random.default_rng(seed), 160)[1])
         assert min((steps > 0.0).sum(), (steps < 0.0).sum()) <= 8, seed
 
@@ -149,7 +146,7 @@ def test_no_vehicle_ends_with_a_contact_by_the_noise_of_one_ahead() -> None:
     loud = _tracked(_moving("1", y=3.5), faster=6.4)
     scene = scene_of(loud)
     follower, leader = _moving("gen_0"), _moving("gen_1", x=34.5)
-    for seed in range(12):
+    for seed in range(6):
         noisy = _noise(scene, follower, leader, seed=seed)
         states = agent_states(noisy, scene.states.lanes, num_steps=110, step_s=0.1, is_inserted=lambda _: True)
         assert not [*of_end(states, 0, np.array([1]), Bounds()), *of_end(states, 1, np.array([0]), Bounds())], seed

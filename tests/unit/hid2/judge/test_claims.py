@@ -1,12 +1,11 @@
 """Claims: what is told of a vehicle is seen in its states at the time told, or it is a finding."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_drawn import draw_road
+from hand_drawn import draw_lane, draw_road
 
 from hid2.agents import BoxSize, Track
 from hid2.judge.claims import FIGURES, Claim, EventClaim, event_step, judge_claims, manoeuvres
@@ -15,7 +14,7 @@ from hid2.judge.findings import Quantity
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.occupancy.agent_states import AgentStates, agent_states
-from netconvert.lane_graph import LaneGraph, LaneSegment
+from netconvert.lane_graph import LaneGraph
 
 STEPS = 110
 TIME = 0.1 * np.arange(STEPS)
@@ -163,14 +162,15 @@ def test_crossing_is_seen_in_the_order_that_is_claimed() -> None:
     assert event_step(scene, EventClaim("cross", "gen_0", "t", 2.0, ahead=False)) is None
 
 
-def test_paths_that_cut_each_other_where_they_join_are_a_merge(lane: Callable[..., LaneSegment]) -> None:
+def test_paths_that_cut_each_other_where_they_join_are_a_merge() -> None:
     """Lanes 1 from the west and 2 from the south lead to 3. The vehicle comes to y = .5 m, then drives on along it.
 
     It is at the beginning of lane 3 at 4 s, the target at 8 s.
     """
     graph = [
-        lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(3,)), lane(2, [(100.0, -60.0), (100.0, 0.0)], successors=(3,)),
-        lane(3, [(100.0, 0.0), (300.0, 0.0)]),
+        draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], successors=(3,)),
+        draw_lane(2, [(100.0, -60.0), (100.0, 0.0)], successors=(3,)),
+        draw_lane(3, [(100.0, 0.0), (300.0, 0.0)]),
     ]  # fmt: skip
     way = 10.0 * TIME - 40.0
     xy = np.column_stack([100.0 + np.maximum(way - 0.5, 0.0), np.minimum(way, 0.5)])
@@ -180,11 +180,6 @@ def test_paths_that_cut_each_other_where_they_join_are_a_merge(lane: Callable[..
     assert crossing_steps(scene, 1, 0) == (pytest.approx(40, abs=1), pytest.approx(80, abs=1))
     assert event_step(scene, EventClaim("cross", "gen_0", "t", 4.0, ahead=True)) is None
     assert event_step(scene, EventClaim("merge", "gen_0", "t", 4.0, ahead=True)) == pytest.approx(40, abs=2)
-
-
-def test_paths_side_by_side_do_not_cross() -> None:
-    scene = states(_drive("t", 20.0, 10.0), _drive("gen_0", 20.0, 10.0, 3.5))
-    assert crossing_steps(scene, 1, 0) is None
 
 
 def test_event_with_a_track_that_is_not_there_is_not_seen() -> None:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_drawn import draw_lane, draw_road
+from hand_drawn import draw_box, draw_lane, draw_road
 
 from hid2.agents import BoxSize, Track
 from hid2.judge.events import crossing_steps, measure_event, post_encroachment_of
@@ -15,14 +15,10 @@ from netconvert.lane_graph import LaneGraph
 CAR = BoxSize(4.0, 2.0)
 
 
-def _drive(x_m: float, y_m: float, speed_mps: float, *, heading: float = 0.0, steps: int = 60) -> Track:
-    """A car of 4 m by 2 m that drives straight on from a point."""
-    way = 0.1 * speed_mps * np.arange(steps)
-    forward = np.array([np.cos(heading), np.sin(heading)])
-    return Track(
-        "car", "vehicle", 1, np.arange(steps), np.array([x_m, y_m]) + way[:, None] * forward,
-        np.full(steps, heading), np.tile(speed_mps * forward, (steps, 1)), CAR,
-    )  # fmt: skip
+def _drive(x_m: float, y_m: float, speed_mps: float, *, heading: float = 0.0) -> Track:
+    """A car of 4 m by 2 m that drives straight on from a point for 60 steps."""
+    box = draw_box(x_m, y_m, heading, speed_mps, steps=60)
+    return Track("car", "vehicle", 1, np.arange(60), box.position[0], box.heading[0], box.velocity[0], CAR)
 
 
 def pair(*tracks: Track) -> AgentStates:

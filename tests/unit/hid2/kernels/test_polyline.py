@@ -7,7 +7,7 @@ from hid2.kernels.polyline import frenet, project_on_polyline
 from netconvert.geometry import Polyline
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_compiled_projection_agrees_with_polyline_frenet_on_random_polylines(seed: int) -> None:
     """Points beside segments, outside and inside of bends, and past both ends, where the compiled s stays."""
     rng = np.random.default_rng(seed)

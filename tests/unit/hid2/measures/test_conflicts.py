@@ -1,10 +1,10 @@
 """Conflicts in SSAM's terms and rows of lane changes, by hand. All cars are 4 m by 2 m, steps 0.1 s."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hand_drawn import draw_road
 
 from hid2.agents import BoxSize, FloatArray, Track
 from hid2.measures.arrays import stack
@@ -15,7 +15,6 @@ from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.manoeuvres import detect
 from hid2.measures.surrogates import encroachments
 from hid2.occupancy.agent_states import agent_states
-from netconvert.lane_graph import LaneGraph
 
 
 def _car(name: str, position: FloatArray) -> Track:
@@ -114,7 +113,7 @@ def test_follower_of_a_vehicle_that_comes_from_beside_has_a_drac_though_the_boxe
     assert course.follower_drac_mps2[0] == pytest.approx(4.0 / 32.0, rel=1e-3)
 
 
-def test_lane_change_has_its_gaps_and_what_its_follower_had_to_do(road: Callable[..., LaneGraph]) -> None:
+def test_lane_change_has_its_gaps_and_what_its_follower_had_to_do() -> None:
     """From lane 1 to lane 2, 3.5 m in 4 s, at 10 m/s. 20 m ahead on lane 1 another of 10 m/s: 16 m bumper to bumper.
 
     On lane 2 one of 9 m/s begins 30 m behind and brakes with 1 m/s2 from 3 to 5 s.
@@ -126,7 +125,7 @@ def test_lane_change_has_its_gaps_and_what_its_follower_had_to_do(road: Callable
     speed = 9.0 - np.clip(time - 3.0, 0.0, 2.0)
     lag = _car("lag", np.stack([10.0 + 0.1 * np.concatenate([[0.0], np.cumsum(speed)[:-1]]), np.full(80, 3.5)], axis=1))
     lead = _straight("lead", (60, 0), 10.0, 0, steps=80)
-    lanes = flatten_lanes(road(lanes=2, length_m=200.0))
+    lanes = flatten_lanes(draw_road(lanes=2, length_m=200.0))
     states = agent_states([own, lag, lead], lanes, num_steps=80, step_s=0.1)
     led = leaders(states)
     (row,) = lane_changes(states, led, detect(states))

@@ -1,7 +1,5 @@
 """Whom vehicles meet, worked by hand on a straight road of two lanes, 3.5 m apart."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from hand_drawn import draw_road
@@ -14,7 +12,6 @@ from hid2.measures.following import leaders
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
 
 STEPS = 60
-Met = Callable[..., dict[str, np.ndarray]]
 
 
 def _track(name: str, x: np.ndarray, y: np.ndarray | float, *, kind: str = "vehicle") -> Track:

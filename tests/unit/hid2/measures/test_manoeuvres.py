@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from hand_drawn import draw_lane, draw_road
 from scipy.signal import savgol_filter
 
 from hid2.agents import BoxSize, Policy, Track
@@ -44,12 +45,12 @@ def kinds(graph, *tracks, of="a"):
     return [maneuver.kind.value for maneuver in seen(graph, *tracks) if maneuver.track_id == of]
 
 
-def test_lane_change_is_found_with_its_crossing_in_the_middle(road):
+def test_lane_change_is_found_with_its_crossing_in_the_middle():
     """10 m/s, change of 4 s from 3.0 s: crosses the marking half-way, at 5.0 s. |d'| passes 0.1 m/s a little inside.
 
     d' = 3.5 / 4 * 30 r^2 (1 - r)^2 = 0.1 at r = 0.0657: 3.26 s and 6.74 s; the fitted slope blurs by half a window.
     """
-    (found,) = seen(road(length_m=200), along(20 + 10 * TIME, shift(3.0, 4.0)))
+    (found,) = seen(draw_road(length_m=200), along(20 + 10 * TIME, shift(3.0, 4.0)))
     assert found.kind is ManeuverKind.LANE_CHANGE
     assert found.crossing_s == pytest.approx(5.0, abs=0.01)
     assert found.start_s == pytest.approx(3.26, abs=0.35)
@@ -57,31 +58,34 @@ def test_lane_change_is_found_with_its_crossing_in_the_middle(road):
     assert (found.source_lane, found.target_lane, found.side, found.complete) == (1, 2, 1, True)
 
 
-def test_crossing_is_at_the_line_between_lanes_of_different_widths(lane):
+def test_crossing_is_at_the_line_between_lanes_of_different_widths():
     """Lanes of 3 and 5 m, centrelines 4 m apart: the line is at y = 1.5, not at 2.
 
     d = 4 (10 r^3 - 15 r^4 + 6 r^5) = 1.5 at r = 0.4325: 3.0 + 0.4325 * 6 = 5.60 s; it would be at 2 m at 6.0 s.
     """
     graph = LaneGraph(
-        {1: lane(1, [(0, 0), (200, 0)], left=2, width_m=3.0), 2: lane(2, [(0, 4), (200, 4)], right=1, width_m=5.0)}
+        {
+            1: draw_lane(1, [(0, 0), (200, 0)], left=2, width_m=3.0),
+            2: draw_lane(2, [(0, 4), (200, 4)], right=1, width_m=5.0),
+        }
     )
     (found,) = seen(graph, along(20 + 10 * TIME, shift(3.0, 6.0, width=4.0)))
     assert found.crossing_s == pytest.approx(5.60, abs=0.02)
 
 
-def test_lane_change_to_the_right(road):
-    (found,) = seen(road(length_m=200), along(20 + 10 * TIME, 3.5 - shift(3.0, 3.0)))
+def test_lane_change_to_the_right():
+    (found,) = seen(draw_road(length_m=200), along(20 + 10 * TIME, 3.5 - shift(3.0, 3.0)))
     assert (found.kind, found.side, found.source_lane, found.target_lane) == (ManeuverKind.LANE_CHANGE, -1, 2, 1)
 
 
-def test_lane_change_over_the_joint_of_two_segments(lane):
+def test_lane_change_over_the_joint_of_two_segments():
     """Lanes 1 -> 3 and 2 -> 4 meet at x = 60, which is where the vehicle crosses."""
     graph = LaneGraph(
         {
-            1: lane(1, [(0, 0), (60, 0)], successors=(3,), left=2),
-            2: lane(2, [(0, 3.5), (60, 3.5)], successors=(4,), right=1),
-            3: lane(3, [(60, 0), (200, 0)], left=4),
-            4: lane(4, [(60, 3.5), (200, 3.5)], right=3),
+            1: draw_lane(1, [(0, 0), (60, 0)], successors=(3,), left=2),
+            2: draw_lane(2, [(0, 3.5), (60, 3.5)], successors=(4,), right=1),
+            3: draw_lane(3, [(60, 0), (200, 0)], left=4),
+            4: draw_lane(4, [(60, 3.5), (200, 3.5)], right=3),
         }
     )
     (found,) = seen(graph, along(10 + 10 * TIME, shift(3.0, 4.0)))
@@ -89,67 +93,64 @@ def test_lane_change_over_the_joint_of_two_segments(lane):
     assert found.crossing_s == pytest.approx(5.0, abs=0.02)
 
 
-def test_drifting_to_the_marking_and_back_is_no_lane_change(road):
-    wander = 1.6 * np.exp(-(((TIME - 5) / 1.5) ** 2))
-    assert kinds(road(length_m=200), along(20 + 10 * TIME, wander)) == []
+@pytest.mark.parametrize(
+    "y",
+    [
+        1.6 * np.exp(-(((TIME - 5) / 1.5) ** 2)),
+        2.1 * np.exp(-(((TIME - 5) / 0.4) ** 2)),  # beyond the marking for 2 * 0.4 * sqrt(ln(2.1 / 1.75)) = 0.34 s
+        1.0 + shift(3.0, 3.0, width=1.4),  # 1.4 m of 3.5 m
+    ],
+    ids=["to the marking and back", "beyond it for less than half a second", "over it by less than half a lane"],
+)
+def test_what_is_no_lane_change(y):
+    assert kinds(draw_road(length_m=200), along(20 + 10 * TIME, y)) == []
 
 
-def test_touching_the_next_lane_for_less_than_half_a_second_is_no_lane_change(road):
-    """A bump of 2.1 m is beyond the marking at 1.75 m for 2 * 0.4 * sqrt(ln(2.1 / 1.75)) = 0.34 s."""
-    bump = 2.1 * np.exp(-(((TIME - 5) / 0.4) ** 2))
-    assert kinds(road(length_m=200), along(20 + 10 * TIME, bump)) == []
-
-
-def test_crossing_the_marking_by_less_than_half_a_lane_in_all_is_no_lane_change(road):
-    """From y = 1.0 to y = 2.4: 1.4 m of 3.5 m."""
-    assert kinds(road(length_m=200), along(20 + 10 * TIME, 1.0 + shift(3.0, 3.0, width=1.4))) == []
-
-
-def test_a_change_cut_off_by_the_end_of_the_track_is_incomplete(road):
+def test_a_change_cut_off_by_the_end_of_the_track_is_incomplete():
     """Crossing at 10.0 s, so 0.9 s are left beyond it: seen, without its end."""
-    (found,) = seen(road(length_m=200), along(20 + 10 * TIME, shift(8.0, 4.0)))
+    (found,) = seen(draw_road(length_m=200), along(20 + 10 * TIME, shift(8.0, 4.0)))
     assert found.kind is ManeuverKind.LANE_CHANGE
     assert not found.complete
 
 
-def test_noise_of_a_tracker_makes_no_lane_changes(road):
+def test_noise_of_a_tracker_makes_no_lane_changes():
     rng = np.random.default_rng(1)
     noisy = along(20 + 10 * TIME + rng.normal(0, 0.1, 110), 0.6 + rng.normal(0, 0.15, 110))
-    assert kinds(road(length_m=200), noisy) == []
+    assert kinds(draw_road(length_m=200), noisy) == []
 
 
-def test_a_lane_change_stays_visible_through_noise(road):
+def test_a_lane_change_stays_visible_through_noise():
     rng = np.random.default_rng(1)
     noisy = along(20 + 10 * TIME + rng.normal(0, 0.05, 110), shift(3.0, 4.0) + rng.normal(0, 0.05, 110))
-    (found,) = seen(road(length_m=200), noisy)
+    (found,) = seen(draw_road(length_m=200), noisy)
     assert found.crossing_s == pytest.approx(5.0, abs=0.2)
 
 
-def test_following_a_merge_or_a_fork_is_no_lane_change(lane):
+def test_following_a_merge_or_a_fork_is_no_lane_change():
     """Lane 1 ends in lane 3 together with lane 2: who comes along 1 merges, but changes no lane."""
     graph = LaneGraph(
         {
-            1: lane(1, [(0, -4), (50, -1), (60, 0)], successors=(3,)),
-            2: lane(2, [(0, 0), (60, 0)], successors=(3,)),
-            3: lane(3, [(60, 0), (200, 0)]),
+            1: draw_lane(1, [(0, -4), (50, -1), (60, 0)], successors=(3,)),
+            2: draw_lane(2, [(0, 0), (60, 0)], successors=(3,)),
+            3: draw_lane(3, [(60, 0), (200, 0)]),
         }
     )
     x = 10 * TIME
     assert kinds(graph, along(x, np.interp(x, [0, 50, 60, 200], [-4, -1, 0, 0]))) == []
 
 
-def crossroads(lane):
+def crossroads():
     """Lane 1 comes from the left, 2 turns left over a quarter circle of 10 m, 3 goes on up; 4, 5 likewise right."""
     quarter = np.linspace(0, math.pi / 2, 12)
     left = [(50 + 10 * math.sin(a), 10 - 10 * math.cos(a)) for a in quarter]
     right = [(x, -y) for x, y in left]
     return LaneGraph(
         {
-            1: lane(1, [(0, 0), (50, 0)], successors=(2, 4)),
-            2: lane(2, left, successors=(3,), is_intersection=True),
-            3: lane(3, [(60, 10), (60, 80)]),
-            4: lane(4, right, successors=(5,), is_intersection=True),
-            5: lane(5, [(60, -10), (60, -80)]),
+            1: draw_lane(1, [(0, 0), (50, 0)], successors=(2, 4)),
+            2: draw_lane(2, left, successors=(3,), is_intersection=True),
+            3: draw_lane(3, [(60, 10), (60, 80)]),
+            4: draw_lane(4, right, successors=(5,), is_intersection=True),
+            5: draw_lane(5, [(60, -10), (60, -80)]),
         }
     )
 
@@ -162,18 +163,18 @@ def turning(sign, speed=7.0, start=0.0):
 
 
 @pytest.mark.parametrize(("sign", "kind"), [(1, ManeuverKind.LEFT_TURN), (-1, ManeuverKind.RIGHT_TURN)])
-def test_turns_are_found_by_lane_and_heading(lane, sign, kind):
+def test_turns_are_found_by_lane_and_heading(sign, kind):
     """50 m at 7 m/s: in the turn from 7.1 to 9.4 s."""
-    (found,) = seen(crossroads(lane), turning(sign))
+    (found,) = seen(crossroads(), turning(sign))
     assert (found.kind, found.side, found.complete) == (kind, sign, True)
     assert found.start_s == pytest.approx(7.1, abs=0.3)
     assert found.end_s == pytest.approx(9.4, abs=0.3)
 
 
-def test_a_turn_that_the_scene_cuts_off_early_is_none_and_later_is_incomplete(lane):
+def test_a_turn_that_the_scene_cuts_off_early_is_none_and_later_is_incomplete():
     """76 m are driven. From -27 m the turn is never reached; from -18 m 8.3 m of it are driven, 48 degrees."""
-    assert kinds(crossroads(lane), turning(1, start=-27.0)) == []
-    (found,) = seen(crossroads(lane), turning(1, start=-18.0))
+    assert kinds(crossroads(), turning(1, start=-27.0)) == []
+    (found,) = seen(crossroads(), turning(1, start=-18.0))
     assert (found.kind, found.complete) == (ManeuverKind.LEFT_TURN, False)
 
 
@@ -181,10 +182,10 @@ def out_and_back():
     return shift(1.5, 2.5) - shift(6.5, 2.5)
 
 
-def test_overtake_is_out_past_and_back(road):
+def test_overtake_is_out_past_and_back():
     """a at 14 m/s, b 15 m ahead at 8 m/s in lane 1: level after 2.5 s, 25 m clear when a is back."""
     a, b = along(20 + 14 * TIME, out_and_back()), along(35 + 8 * TIME, 0.0, name="b")
-    found = seen(road(length_m=250), a, b)
+    found = seen(draw_road(length_m=250), a, b)
     overtake = next(m for m in found if m.kind is ManeuverKind.OVERTAKE)
     assert overtake.other_track_id == "b"
     assert overtake.crossing_s == pytest.approx(2.5, abs=0.11)
@@ -193,29 +194,23 @@ def test_overtake_is_out_past_and_back(road):
     assert policies(stack([a, b], step_s=0.1), found) == {"a": Policy.OVERTAKE, "b": Policy.STRAIGHT}
 
 
-def test_without_the_return_it_is_a_pass(road):
-    a, b = along(20 + 14 * TIME, shift(1.5, 2.5)), along(35 + 8 * TIME, 0.0, name="b")
-    assert sorted(kinds(road(length_m=250), a, b)) == ["lane_change", "pass"]
+@pytest.mark.parametrize(
+    ("a", "b", "found"),
+    [
+        (along(20 + 14 * TIME, shift(1.5, 2.5)), 35 + 8 * TIME, ["lane_change", "pass"]),
+        (along(20 + 9 * TIME, out_and_back()), 65 + 0 * TIME, ["lane_change", "lane_change", "obstacle_avoidance"]),
+        (along(20 + 10 * TIME, out_and_back()), 45 + 10 * TIME, ["lane_change", "lane_change"]),
+        # from lane 2 past b it moves in ahead of it: it never was behind b in b's lane
+        (along(20 + 14 * TIME, 3.5 - shift(5.0, 3.0)), 35 + 8 * TIME, ["lane_change"]),
+    ],
+    ids=["without the return", "round a parked vehicle", "behind the other", "in front of a slower one"],
+)
+def test_what_is_no_overtake(a, b, found):
+    assert sorted(kinds(draw_road(length_m=250), a, along(b, 0.0, name="b"))) == found
 
 
-def test_round_a_parked_vehicle_it_is_obstacle_avoidance(road):
-    a, b = along(20 + 9 * TIME, out_and_back()), along(np.full(110, 65.0), 0.0, name="b")
-    assert sorted(kinds(road(length_m=250), a, b)) == ["lane_change", "lane_change", "obstacle_avoidance"]
-
-
-def test_out_and_back_behind_the_other_is_no_overtake(road):
-    a, b = along(20 + 10 * TIME, out_and_back()), along(45 + 10 * TIME, 0.0, name="b")
-    assert kinds(road(length_m=250), a, b) == ["lane_change", "lane_change"]
-
-
-def test_a_change_in_front_of_a_slower_vehicle_of_the_other_lane_is_no_overtake(road):
-    """a comes from lane 2 past b in lane 1 and moves in ahead of it: it never was behind b in b's lane."""
-    a, b = along(20 + 14 * TIME, 3.5 - shift(5.0, 3.0)), along(35 + 8 * TIME, 0.0, name="b")
-    assert kinds(road(length_m=250), a, b) == ["lane_change"]
-
-
-def test_a_vehicle_that_stands_does_nothing(road):
-    assert kinds(road(), along(np.full(110, 50.0), 0.0)) == []
+def test_a_vehicle_that_stands_does_nothing():
+    assert kinds(draw_road(), along(np.full(110, 50.0), 0.0)) == []
 
 
 @pytest.mark.parametrize("steps", [11, 12, 110])

@@ -16,6 +16,7 @@ def test_lateral_share_rises_evenly_between_two_ramps() -> None:
     """
     knots = np.array([0, 1 / 8, 1 / 4, 0.5, 3 / 4, 7 / 8, 1.0])
     assert lateral_share(knots, 0.25) == pytest.approx([0, 1 / 36, 1 / 6, 0.5, 5 / 6, 35 / 36, 1])
+    assert lateral_share(np.array([-1.0, 2.0]), 0.25).tolist() == [0.0, 1.0]  # it rests outside
     h = 1e-3
     d = lateral_share(np.arange(0.0, 1.0 + h / 2, h), 0.25)
     jerk = np.diff(d, 3) / h**3
@@ -25,10 +26,6 @@ def test_lateral_share_rises_evenly_between_two_ramps() -> None:
     speed, acceleration = np.gradient(d, h), np.gradient(np.gradient(d, h), h)
     assert speed.max() == pytest.approx(4 / 3, abs=1e-3)
     assert np.abs(acceleration).max() == pytest.approx(32 / 3, abs=0.1)
-
-
-def test_lateral_share_rests_outside_its_window() -> None:
-    assert lateral_share(np.array([-1.0, 0.0, 1.0, 2.0]), 0.25).tolist() == [0.0, 0.0, 1.0, 1.0]
 
 
 def test_motion_lasts_as_wanted_between_the_moments_at_which_the_lateral_speed_passes_a_tenth() -> None:

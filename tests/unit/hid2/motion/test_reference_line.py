@@ -3,7 +3,6 @@ import math
 import numpy as np
 import pytest
 
-from hid2.kernels.spline import smooth_polyline
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine, build_reference_line
 from netconvert.geometry import Polyline, resample
 
@@ -27,25 +26,27 @@ def test_straight_line_stays_as_it_is(straight_line: ReferenceLine) -> None:
     assert straight_line.length_m == pytest.approx(200.0)
     assert straight_line.position(s) == pytest.approx(np.column_stack([s, np.zeros(3)]), abs=1e-6)
     assert np.abs(straight_line.table_curvature).max() < 1e-9
+    rows = _inside(straight_line)
+    at = np.arange(straight_line.table_xy.shape[0])[rows] * TABLE_STEP_M
+    assert straight_line.table_xy[rows] == pytest.approx(straight_line.position(at), abs=1e-6)
+    assert straight_line.table_heading[rows] == pytest.approx(np.zeros(at.size), abs=1e-6)
 
 
-def test_circle_keeps_its_curvature_and_length() -> None:
-    """A quarter circle of 20 m: curvature 1 / 20 = 0.05, length 20 pi / 2 = 31.42 m, left so positive.
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
+def test_circle_keeps_its_curvature_length_and_ends(side: float) -> None:
+    """A quarter circle of 20 m: curvature 1 / 20 = 0.05, positive to the left, length 20 pi / 2 = 31.42 m.
 
     Its points stand 3 degrees apart, where the chord is 0.7 cm off the arc.
     """
-    line = _line(_arc(20.0, 90.0))
+    line = _line(_arc(20.0, 90.0) * [1.0, side])
     inner = line.table_curvature[_inside(line)][8:-8]
-    assert inner == pytest.approx(np.full(inner.size, 0.05), rel=0.05)
+    assert inner == pytest.approx(np.full(inner.size, 0.05 * side), rel=0.05)
+    assert line.table_heading[-1] == pytest.approx(side * math.pi / 2, abs=0.05)
+    ends = np.array([[0.0, 0.0], [20.0, side * 20.0]])
+    assert line.position(np.array([0.0, line.length_m])) == pytest.approx(ends, abs=1e-3)
     assert line.length_m == pytest.approx(20 * math.pi / 2, abs=0.02)
-    radius = np.hypot(*(line.table_xy[_inside(line)] - [0.0, 20.0]).T)
+    radius = np.hypot(*(line.table_xy[_inside(line)] - [0.0, side * 20.0]).T)
     assert np.abs(radius - 20.0).max() < 0.02
-
-
-def test_right_circle_has_negative_curvature_and_falling_heading() -> None:
-    line = _line(_arc(20.0, 90.0) * [1.0, -1.0])
-    assert line.table_curvature[_inside(line)][8:-8].max() < -0.045
-    assert line.table_heading[-1] == pytest.approx(-math.pi / 2, abs=0.05)
 
 
 def test_corner_is_rounded_but_not_cut() -> None:
@@ -83,38 +84,11 @@ def test_parameter_is_arc_length() -> None:
     assert np.abs(line.motion(np.linspace(0.0, line.length_m, 400))[2] - 1.0).max() < 5e-3
 
 
-def test_tables_stand_at_equal_steps_on_the_line(straight_line: ReferenceLine) -> None:
-    rows = _inside(straight_line)
-    s = np.arange(straight_line.table_xy.shape[0])[rows] * TABLE_STEP_M
-    assert straight_line.table_xy[rows] == pytest.approx(straight_line.position(s), abs=1e-6)
-    assert straight_line.table_heading[rows] == pytest.approx(np.zeros(s.size), abs=1e-6)
-
-
 def test_line_goes_straight_on_past_its_ends(straight_line: ReferenceLine) -> None:
     assert straight_line.position(np.array([-3.0, 205.0])) == pytest.approx(
         np.array([[-3.0, 0.0], [205.0, 0.0]]), abs=1e-6
     )
     assert straight_line.motion(np.array([-3.0, 205.0]))[2].tolist() == [1.0, 1.0]
-
-
-def test_ends_stay_where_they_are() -> None:
-    line = _line(_arc(20.0, 90.0))
-    assert line.position(np.array([0.0, line.length_m])) == pytest.approx(
-        np.array([[0.0, 0.0], [20.0, 20.0]]), abs=1e-3
-    )
-
-
-def test_parabola_passes_the_smoothing_unchanged() -> None:
-    """Third differences of a parabola are zero: whatever the strength, it is its own smoothest neighbour."""
-    x = np.arange(30.0)
-    parabola = np.column_stack([x, 0.01 * x**2])
-    assert smooth_polyline(parabola, 1e5, 1e4) == pytest.approx(parabola, abs=1e-6)
-
-
-def test_smoothing_draws_in_a_spike() -> None:
-    points = np.column_stack([np.arange(21.0), np.zeros(21)])
-    points[10, 1] = 1.0
-    assert smooth_polyline(points, 300.0, 1e4)[10, 1] < 0.4
 
 
 @pytest.mark.parametrize("length", [0.25, 1.0, 4.0])

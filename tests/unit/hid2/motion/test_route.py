@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hand_drawn import draw_lane, draw_road
 
 from hid2.motion.lane_change_path import LateralTiming
 from hid2.motion.route import (
@@ -18,11 +19,11 @@ from hid2.motion.route import (
     straightest_first,
 )
 from hid2.params import Limits
-from netconvert.lane_graph import LaneGraph, LaneSegment, TurnType
+from netconvert.lane_graph import LaneGraph, TurnType
 
 
 @pytest.fixture(scope="module")
-def forked(lane: Callable[..., LaneSegment]) -> LaneGraph:
+def forked() -> LaneGraph:
     """A lane that splits, straight on and to the left; the left branch turns by 90 degrees.
 
                      4 |
@@ -34,11 +35,11 @@ def forked(lane: Callable[..., LaneSegment]) -> LaneGraph:
     angle = np.linspace(0.0, np.pi / 2, 20)
     bend = np.array([50.0, 0.0]) + 15.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
     return LaneGraph({
-        1: lane(1, [(0.0, 0.0), (50.0, 0.0)], successors=(2, 3)),
-        2: lane(2, [(50.0, 0.0), (100.0, 0.0)], successors=(5,), is_intersection=True),
-        3: lane(3, bend, successors=(4,), is_intersection=True),
-        4: lane(4, [bend[-1], bend[-1] + [0.0, 60.0]]),
-        5: lane(5, [(100.0, 0.0), (150.0, 0.0)], lane_type="BUS"),
+        1: draw_lane(1, [(0.0, 0.0), (50.0, 0.0)], successors=(2, 3)),
+        2: draw_lane(2, [(50.0, 0.0), (100.0, 0.0)], successors=(5,), is_intersection=True),
+        3: draw_lane(3, bend, successors=(4,), is_intersection=True),
+        4: draw_lane(4, [bend[-1], bend[-1] + [0.0, 60.0]]),
+        5: draw_lane(5, [(100.0, 0.0), (150.0, 0.0)], lane_type="BUS"),
     })  # fmt: skip
 
 
@@ -60,32 +61,23 @@ def test_segments_meet_and_cover_the_path(forked: LaneGraph) -> None:
     assert path.exit_m == pytest.approx(ends[-1])
 
 
-def test_place_on_the_path_is_a_place_on_a_lane(forked: LaneGraph) -> None:
+def test_place_on_the_path_is_a_place_on_a_lane_and_back(forked: LaneGraph) -> None:
+    """70 m on 1 and 2 are 20 m on lane 2; along the arc the scales of the line and its polyline differ."""
     path = _path(forked, 1, 2)
     segment = path.segment_at(70.0)
-    assert segment.lane_id == 2
-    assert segment.lane_m(70.0) == pytest.approx(20.0, abs=0.01)
-    assert path.segment_at(1e3).lane_id == 2
-    assert path.segment_at(0.0).lane_id == 1
-
-
-def test_place_on_a_lane_is_a_place_on_the_path(forked: LaneGraph) -> None:
+    assert (segment.lane_id, segment.lane_m(70.0)) == (2, pytest.approx(20.0, abs=0.01))
+    assert (path.segment_at(0.0).lane_id, path.segment_at(1e3).lane_id) == (1, 2)
     path = _path(forked, 1, 3, 4)
     for s in (0.0, 20.0, 60.0, 90.0, 130.0):
         segment = path.segment_at(s)
         assert path.s_on(segment.lane_id, segment.lane_m(s), after=s - 1.0) == pytest.approx(s)
+        assert path.to_line(path.to_raw(s)) == pytest.approx(s, abs=1e-6)
     assert path.s_on(2, 10.0, after=0.0) is None
 
 
 def test_lane_position_outside_a_segment_is_its_nearer_end() -> None:
     segment = Segment(lane_id=1, start=10.0, end=30.0, lane_start=5.0, lane_end=25.0)
     assert [segment.lane_m(s) for s in (0.0, 10.0, 20.0, 30.0, 99.0)] == [5.0, 5.0, 15.0, 25.0, 25.0]
-
-
-def test_line_and_polyline_scales_are_inverse(forked: LaneGraph) -> None:
-    path = _path(forked, 1, 3, 4)
-    for s in (0.0, 20.0, 60.0, 90.0, 130.0):
-        assert path.to_line(path.to_raw(s)) == pytest.approx(s, abs=1e-6)
 
 
 def _all_drivable(forked: LaneGraph) -> LaneGraph:
@@ -101,13 +93,13 @@ def test_routes_follow_the_order_chosen_at_a_split(forked: LaneGraph) -> None:
     assert routes(lambda _, onward: onward[::-1]) == [(1, 3, 4), (1, 2, 5)]
 
 
-def test_straightest_lane_at_a_split_is_the_one_that_turns_least_either_way(lane: Callable[..., LaneSegment]) -> None:
+def test_straightest_lane_at_a_split_is_the_one_that_turns_least_either_way() -> None:
     """Both lanes go straight on by their own shape: 2 bears off by 11 degrees, 3 by 3; so do those that they meet."""
     made = LaneGraph({
-        1: lane(1, [(0.0, 0.0), (20.0, 0.0)], successors=(2, 3)),
-        2: lane(2, [(20.0, 0.0), (40.0, 4.0)], successors=(4,)),
-        3: lane(3, [(20.0, 0.0), (40.0, 1.0)], successors=(4,)),
-        4: lane(4, [(40.0, 2.0), (60.0, 2.0)]),
+        1: draw_lane(1, [(0.0, 0.0), (20.0, 0.0)], successors=(2, 3)),
+        2: draw_lane(2, [(20.0, 0.0), (40.0, 4.0)], successors=(4,)),
+        3: draw_lane(3, [(20.0, 0.0), (40.0, 1.0)], successors=(4,)),
+        4: draw_lane(4, [(40.0, 2.0), (60.0, 2.0)]),
     })  # fmt: skip
     assert straightest_first(made, 1, (2, 3)) == (3, 2)
     assert straightest_first(made, 1, (2, 3))[0] == made.straightest_successor(1)
@@ -116,15 +108,14 @@ def test_straightest_lane_at_a_split_is_the_one_that_turns_least_either_way(lane
     assert LanePaths(made, Limits()).route_beside((1,), 4) == (1, 3, 4)
 
 
-def test_lane_before_that_goes_straight_on_comes_before_one_that_turns_onto_it(
-    lane: Callable[..., LaneSegment],
-) -> None:
+def test_lane_before_that_goes_straight_on_comes_before_one_that_turns_onto_it() -> None:
     """Lane 1 turns left by 90 degrees and ends along x, as lane 3 begins; lane 2 comes by 1.4 degrees aside."""
     angle = np.linspace(0.0, np.pi / 2, 60)
+    bend = np.array([40.0, 20.0]) - 20.0 * np.column_stack([np.cos(angle), np.sin(angle)])
     made = LaneGraph({
-        1: lane(1, np.array([40.0, 20.0]) - 20.0 * np.column_stack([np.cos(angle), np.sin(angle)]), successors=(3,)),
-        2: lane(2, [(0.0, -1.0), (40.0, 0.0)], successors=(3,)),
-        3: lane(3, [(40.0, 0.0), (80.0, 0.0)]),
+        1: draw_lane(1, bend, successors=(3,)),
+        2: draw_lane(2, [(0.0, -1.0), (40.0, 0.0)], successors=(3,)),
+        3: draw_lane(3, [(40.0, 0.0), (80.0, 0.0)]),
     })  # fmt: skip
     assert straightest_first(made, 3, (1, 2)) == (2, 1)
     assert LanePaths(made, Limits()).route_beside((1,), 3) == (2, 3)
@@ -147,21 +138,21 @@ def test_routes_are_cut_when_long_enough_and_counted(forked: LaneGraph, monkeypa
 
 @pytest.mark.parametrize(("look_back_m", "route"), [(0.0, (5,)), (30.0, (4, 5)), (50.0, (3, 4, 5)), (500.0, (3, 4, 5))])
 def test_lane_beside_is_known_so_far_back_as_is_asked_for(
-    lane: Callable[..., LaneSegment], monkeypatch: pytest.MonkeyPatch, look_back_m: float, route: tuple[int, ...]
+    monkeypatch: pytest.MonkeyPatch, look_back_m: float, route: tuple[int, ...]
 ) -> None:
     """Lanes 3, 4, 5 of 40 m each, one after the other, and lane 6 beside lane 5: whoever comes from behind on them."""
     monkeypatch.setattr("hid2.motion.route._LOOK_BACK_M", look_back_m)
     graph = LaneGraph({
-        n: lane(n, [(40.0 * place, 3.5), (40.0 * (place + 1), 3.5)], successors=onward)
+        n: draw_lane(n, [(40.0 * place, 3.5), (40.0 * (place + 1), 3.5)], successors=onward)
         for place, (n, onward) in enumerate(((3, (4,)), (4, (5,)), (5, ())))
-    } | {6: lane(6, [(80.0, 0.0), (120.0, 0.0)])})  # fmt: skip
+    } | {6: draw_lane(6, [(80.0, 0.0), (120.0, 0.0)])})  # fmt: skip
     assert LanePaths(graph, Limits()).route_beside((6,), 5) == route
 
 
-def test_circle_of_lanes_is_driven_once(lane: Callable[..., LaneSegment]) -> None:
+def test_circle_of_lanes_is_driven_once() -> None:
     angle = np.linspace(0.0, np.pi, 30)
     half = 20.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
-    ring = LaneGraph({1: lane(1, half, successors=(2,)), 2: lane(2, [0.0, 40.0] - half, successors=(1,))})
+    ring = LaneGraph({1: draw_lane(1, half, successors=(2,)), 2: draw_lane(2, [0.0, 40.0] - half, successors=(1,))})
     routes = list(routes_from(ring, 1, choose=lambda _, onward: onward, most=5))
     assert routes == [(1, 2)]
 
@@ -175,9 +166,9 @@ def _shifted(own: DrivenPath, target: DrivenPath, *, start_m: float, length_m: f
     return path
 
 
-def test_shifted_path_changes_its_lane_half_way(road: Callable[..., LaneGraph]) -> None:
+def test_shifted_path_changes_its_lane_half_way() -> None:
     """From lane 1 to lane 2 between 60 and 100 m: lane 1 up to 80, lane 2 from there; it ends with lane 2."""
-    graph = road()
+    graph = draw_road()
     own, target = _path(graph, 1), _path(graph, 2)
     path = _shifted(own, target, start_m=60.0, length_m=40.0)
     assert [segment.lane_id for segment in path.segments] == [1, 2]
@@ -189,12 +180,12 @@ def test_shifted_path_changes_its_lane_half_way(road: Callable[..., LaneGraph]) 
     assert path.exit_m == pytest.approx(200.2, abs=0.2)
 
 
-def test_steps_to_come_are_foreseen_up_to_the_end_of_the_motion(road: Callable[..., LaneGraph]) -> None:
+def test_steps_to_come_are_foreseen_up_to_the_end_of_the_motion() -> None:
     """4 s: .5 s are over, at 8 m/s; then .2 s at 4 m/s, slower than 5 m/s and so worth .16 s, and at 10 m/s the rest.
 
     Left: 3.34 s, 34 steps; all in all 4 + 4 * .2 + 34 = 38.8 m.
     """
-    graph = road()
+    graph = draw_road()
     timing = LateralTiming(lasting_s=4.0, ramp=0.27, slow_mps=5.0)
     begun = LateralMotion(_path(graph, 1), _path(graph, 2), timing, np.array([60.0, 64.0]), np.array([0.0, 0.125]))
     motion = begun.foreseen(np.array([4.0, 4.0, 10.0]), 0.1)
@@ -206,24 +197,14 @@ def test_steps_to_come_are_foreseen_up_to_the_end_of_the_motion(road: Callable[.
     assert motion.share_at(99.0) == 1.0
 
 
-def _out_and_back(graph: LaneGraph) -> DrivenPath:
-    """Out of lane 1 at 40 m and back at 110 m, as an overtake does."""
+def test_second_shift_leaves_the_first_as_it_is_and_each_lane_is_followed_from_its_beginning_on() -> None:
+    """Out at 40 and back at 110 m, as an overtake does; places on lane 1 are those before 40 m or behind 110 m."""
+    graph = draw_road()
     right = _path(graph, 1)
-    entered = _shifted(right, _path(graph, 2), start_m=40.0, length_m=30.0)
-    return _shifted(entered, right, start_m=110.0, length_m=30.0)
-
-
-def test_second_shift_leaves_the_first_as_it_is(road: Callable[..., LaneGraph]) -> None:
-    """Out at 40 and back at 110 m, as an overtake does."""
-    path = _out_and_back(road())
+    path = _shifted(_shifted(right, _path(graph, 2), start_m=40.0, length_m=30.0), right, start_m=110.0, length_m=30.0)
     assert [segment.lane_id for segment in path.segments] == [1, 2, 1]
     assert len(path.lateral_spans) == 2
     assert path.line.position(np.array([20.0, 90.0, 170.0]))[:, 1] == pytest.approx([0.0, 3.5, 0.0], abs=0.05)
-
-
-def test_lane_that_is_followed_is_the_new_one_from_the_beginning_of_a_shift_on(road: Callable[..., LaneGraph]) -> None:
-    """Out at 40 and back at 110 m: places on lane 1 are those before 40 m or behind 110 m, by where the vehicle is."""
-    path = _out_and_back(road())
     assert [segment.lane_id for segment in path.followed] == [1, 2, 1]
     assert [segment.end for segment in path.followed[:2]] == pytest.approx([40.0, 110.4], abs=1.0)
     assert path.s_on(1, 30.0, after=25.0) == pytest.approx(30.0, abs=0.01)
@@ -241,21 +222,21 @@ def test_first_turn_is_one_that_the_path_makes(forked: LaneGraph) -> None:
     assert first_turn(forked, _path(forked, 3, 4), TurnType.LEFT, after=0.0) is None  # it is on it from the beginning
 
 
-def test_turn_is_told_by_how_far_the_path_turns_wherever_it_heads(lane: Callable[..., LaneSegment]) -> None:
+def test_turn_is_told_by_how_far_the_path_turns_wherever_it_heads() -> None:
     """Down the map, -90 degrees, then to the left along it, 0: it turns by 0 - (-90) = 90 degrees."""
     angle = np.linspace(np.pi, 1.5 * np.pi, 20)
     bend = np.array([15.0, 0.0]) + 15.0 * np.column_stack([np.cos(angle), np.sin(angle)])
     graph = LaneGraph({
-        1: lane(1, [(0.0, 50.0), (0.0, 0.0)], successors=(2,)),
-        2: lane(2, bend, successors=(3,), is_intersection=True),
-        3: lane(3, [bend[-1], bend[-1] + [60.0, 0.0]]),
+        1: draw_lane(1, [(0.0, 50.0), (0.0, 0.0)], successors=(2,)),
+        2: draw_lane(2, bend, successors=(3,), is_intersection=True),
+        3: draw_lane(3, [bend[-1], bend[-1] + [60.0, 0.0]]),
     })  # fmt: skip
     turn = first_turn(graph, _path(graph, 1, 2, 3), TurnType.LEFT, after=10.0)
     assert turn is not None
     assert turn.lane_id == 2
 
 
-def test_lane_that_undoes_the_kink_before_it_is_no_turn(lane: Callable[..., LaneSegment]) -> None:
+def test_lane_that_undoes_the_kink_before_it_is_no_turn() -> None:
     """Lane 2 is drawn with a bend of 40 degrees to the left, where lane 1 leads to a kink of 40 degrees to the right:
 
     -------- 1 -----\\__ 2 ---- 3 --------
@@ -263,19 +244,19 @@ def test_lane_that_undoes_the_kink_before_it_is_no_turn(lane: Callable[..., Lane
     """
     dip = np.array([[60.0, 0.0], [62.3, -1.93], [66.0, -1.93]])
     graph = LaneGraph({
-        1: lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
-        2: lane(2, dip, successors=(3,), is_intersection=True),
-        3: lane(3, [dip[-1], dip[-1] + [60.0, 0.0]]),
+        1: draw_lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)),
+        2: draw_lane(2, dip, successors=(3,), is_intersection=True),
+        3: draw_lane(3, [dip[-1], dip[-1] + [60.0, 0.0]]),
     })  # fmt: skip
     assert graph.lanes[2].turn is TurnType.LEFT
     assert first_turn(graph, _path(graph, 1, 2, 3), TurnType.LEFT, after=10.0) is None
 
 
-def test_no_vehicle_drives_along_a_center_turn_lane(lane: Callable[..., LaneSegment]) -> None:
+def test_no_vehicle_drives_along_a_center_turn_lane() -> None:
     """Its line is dashed on its own side, left and right: one of the two alone is the edge of an ordinary lane."""
     dashed = {"left_mark": "DASH_SOLID_YELLOW"}
     graph = LaneGraph({
-        1: lane(1, [(0.0, 0.0), (50.0, 0.0)], right_mark="DASH_SOLID_YELLOW", **dashed),
-        2: lane(2, [(0.0, -3.5), (50.0, -3.5)], **dashed),
+        1: draw_lane(1, [(0.0, 0.0), (50.0, 0.0)], right_mark="DASH_SOLID_YELLOW", **dashed),
+        2: draw_lane(2, [(0.0, -3.5), (50.0, -3.5)], **dashed),
     })  # fmt: skip
     assert [is_drivable(graph, lane_id) for lane_id in (1, 2)] == [False, True]

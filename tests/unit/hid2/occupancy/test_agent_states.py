@@ -1,22 +1,21 @@
 """The states of agents, and the lines that they drive."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_drawn import draw_track
+from hand_drawn import draw_lane, draw_track
 
 from hid2.agents import Track
 from hid2.measures.lane_matching import FlatLanes, flatten_lanes
 from hid2.occupancy.agent_states import AgentStates, agent_states
-from netconvert.lane_graph import LaneGraph, LaneSegment
+from netconvert.lane_graph import LaneGraph
 
 
 @pytest.fixture
-def lanes(lane: Callable[..., LaneSegment]) -> FlatLanes:
+def lanes() -> FlatLanes:
     """Lane 1 along y = 0, lane 2 up the map along x = 100."""
-    row = lane(1, [(0.0, 0.0), (200.0, 0.0)]), lane(2, [(100.0, -50.0), (100.0, 150.0)])
+    row = draw_lane(1, [(0.0, 0.0), (200.0, 0.0)]), draw_lane(2, [(100.0, -50.0), (100.0, 150.0)])
     return flatten_lanes(LaneGraph({one.lane_id: one for one in row}))
 
 

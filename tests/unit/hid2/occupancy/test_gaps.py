@@ -1,7 +1,5 @@
 """The gap function: who is next ahead and behind on a path, how far bumper to bumper, how fast."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from hand_drawn import draw_box
@@ -10,9 +8,6 @@ from inserted import CAR
 from hid2.motion.route import DrivenPath
 from hid2.occupancy.along_path import PathOccupancy, look_along
 from hid2.occupancy.gaps import gaps_from_pose, gaps_on_path, gaps_to_all
-from hid2.occupancy.traffic import Traffic
-
-BoxOf = Callable[..., Traffic]
 
 
 @pytest.fixture

@@ -1,26 +1,15 @@
-from collections.abc import Callable
-
 import numpy as np
 import pytest
-from hand_drawn import draw_box
+from hand_drawn import draw_box, draw_road
 
-from hid2.occupancy.sigma import (
-    FREE,
-    ORIGINAL,
-    CellBoxes,
-    cell_boxes,
-    dwell_steps,
-    is_agent_on,
-    original_occupancy,
-)
+from hid2.occupancy.sigma import FREE, ORIGINAL, CellBoxes, cell_boxes, dwell_steps, is_agent_on, original_occupancy
 from netconvert.cells import Cell, CellGrid, build_cell_grid
-from netconvert.lane_graph import LaneGraph
 
 
 @pytest.fixture(scope="module")
-def grid(road: Callable[..., LaneGraph]) -> CellGrid:
+def grid() -> CellGrid:
     """Two lanes of 40 m, ten cells of 4 m each: lane 1 at y = 0, lane 2 at y = 3.5, both 3.5 m wide, along +x."""
-    return build_cell_grid(road(lanes=2, length_m=40.0))
+    return build_cell_grid(draw_road(lanes=2, length_m=40.0))
 
 
 @pytest.fixture(scope="module")
@@ -82,12 +71,6 @@ def test_occupancy_follows_the_vehicle_and_releases_the_cells_behind(grid: CellG
     assert sigma[10, [one, four]].tolist() == [FREE, ORIGINAL]
 
 
-def test_standing_vehicle_keeps_its_cell_at_every_step(grid: CellGrid, boxes: CellBoxes) -> None:
-    found = original_occupancy(boxes, draw_box(14.0, 0.0, steps=5))
-    assert set(found.cell[0].tolist()) == {grid.index_of[Cell(1, 3)]}
-    assert np.ptp(found.sigma, axis=0).max() == 0
-
-
 def test_absent_agent_occupies_nothing(boxes: CellBoxes) -> None:
     found = original_occupancy(boxes, draw_box(14.0, 0.0, steps=4, first=2))
     assert not found.sigma[:2].any()
@@ -98,10 +81,7 @@ def test_dwell_time_is_rounded_up_to_whole_steps() -> None:
     """4 m at 9 m/s are 0.444 s: 5 steps of 0.1 s. At 10 m/s 0.4 s: 4 steps exactly."""
     assert dwell_steps(cell_m=4.0, speed_mps=9.0, step_s=0.1) == 5
     assert dwell_steps(cell_m=4.0, speed_mps=10.0, step_s=0.1) == 4
-
-
-def test_standing_vehicle_never_leaves_its_cell() -> None:
-    assert dwell_steps(cell_m=4.0, speed_mps=0.0, step_s=0.1) is None
+    assert dwell_steps(cell_m=4.0, speed_mps=0.0, step_s=0.1) is None  # it stands
 
 
 def test_somebody_on_some_of_the_cells(grid: CellGrid, boxes: CellBoxes) -> None:

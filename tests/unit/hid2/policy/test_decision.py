@@ -52,6 +52,9 @@ CLOSED = replace(LEFT, cells_free=False)
         ({"request": Policy.OVERTAKE, "leader": SLOW}, Decision(Policy.OVERTAKE, Cell(2, 5), "left")),
         ({"request": Policy.OVERTAKE}, replace(STRAIGHT_ON, reason="no_leader")),
         ({"request": Policy.OVERTAKE, "leader": SLOW, "speed_mps": 1.9}, replace(STRAIGHT_ON, reason="too_slow")),
+        ({"request": Policy.STRAIGHT, "lane_turn": TurnType.LEFT}, Decision(Policy.LEFT_TURN, Cell(1, 6))),
+        ({"request": Policy.STRAIGHT, "lane_turn": TurnType.RIGHT}, Decision(Policy.RIGHT_TURN, Cell(1, 6))),
+        ({"request": Policy.STRAIGHT, "next_cell": None}, Decision(Policy.STRAIGHT, None)),
     ],
     ids=[
         "line 1: without a request the agent goes straight to the next cell",
@@ -66,6 +69,9 @@ CLOSED = replace(LEFT, cells_free=False)
         "lines 6 to 9: a slower leader within d_obs is overtaken",
         "line 6: without a leader there is nothing to overtake",
         "line 7: what is too slow to change lanes is too slow to overtake",
+        "lines 12 to 20: on a left turn that is the policy",
+        "lines 12 to 20: on a right turn that is the policy",
+        "the last cell of a lane has no next one",
     ],
 )
 def test_what_algorithm_1_decides(changes: dict[str, Any], decision: Decision) -> None:
@@ -82,28 +88,7 @@ def test_line_7_each_gap_is_checked() -> None:
     assert reasons == ["front_gap", "rear_gap", "corridor_short"]
 
 
-def test_line_10_an_overtake_that_is_not_feasible_goes_straight_on() -> None:
-    blocked = _decide(request=Policy.OVERTAKE, leader=SLOW, options=(replace(LEFT, cells_free=False),))
-    assert (blocked.policy, blocked.target, blocked.side) == (Policy.STRAIGHT, Cell(1, 6), None)
-
-
 def test_return_stage_waits_until_the_leader_is_passed() -> None:
     beside: dict[str, Any] = {"request": Policy.OVERTAKE, "stage": Stage.PASS, "options": (RIGHT,)}
     assert _decide(**beside, passed_gap_m=2.0).reason == "not_ahead"
     assert _decide(**beside, passed_gap_m=6.0) == Decision(Policy.OVERTAKE, Cell(3, 5), "right")
-
-
-@pytest.mark.parametrize(
-    ("turn", "policy"),
-    [
-        (TurnType.STRAIGHT, Policy.STRAIGHT),
-        (TurnType.LEFT, Policy.LEFT_TURN),
-        (TurnType.RIGHT, Policy.RIGHT_TURN),
-    ],
-)
-def test_lines_12_to_20_otherwise_the_lane_type_is_the_policy(turn: TurnType, policy: Policy) -> None:
-    assert _decide(request=Policy.STRAIGHT, lane_turn=turn) == Decision(policy, Cell(1, 6))
-
-
-def test_last_cell_of_a_lane_has_no_next_one() -> None:
-    assert _decide(request=Policy.STRAIGHT, next_cell=None).target is None

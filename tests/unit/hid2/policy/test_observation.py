@@ -1,15 +1,14 @@
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from hand_drawn import draw_box, draw_road, draw_track
+from hand_drawn import draw_box, draw_lane, draw_road, draw_track
 from inserted import CAR, nobody, scene_on
 
 from hid2.agents import Track
 from hid2.drivers.driver import usual_driver
-from hid2.motion.route import DrivenPath
+from hid2.motion.route import DrivenPath, Route
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
 from hid2.policy.lane_change import OPEN as NO_GAP
@@ -27,7 +26,7 @@ from hid2.policy.observation import (
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from netconvert.cells import Cell
-from netconvert.lane_graph import LaneGraph, LaneSegment
+from netconvert.lane_graph import LaneGraph
 
 NOBODY = nobody()
 
@@ -63,20 +62,14 @@ def test_neighbour_across_a_dashed_line_is_admissible() -> None:
     assert admissible_neighbor(scene, 3, "left") is None
 
 
-def test_neighbour_across_a_solid_line_is_not() -> None:
-    assert admissible_neighbor(scene_of(mark="SOLID_WHITE"), 1, "left") is None
-
-
-def test_bicycle_lane_is_no_lane_to_change_to(lane: Callable[..., LaneSegment]) -> None:
-    graph = LaneGraph({
-        1: lane(1, [(0.0, 0.0), (200.0, 0.0)], left=2),
-        2: lane(2, [(0.0, 3.5), (200.0, 3.5)], right=1, lane_type="BIKE"),
+def test_neighbour_across_a_solid_line_a_bicycle_lane_and_all_without_topology_are_not() -> None:
+    bikes = LaneGraph({
+        1: draw_lane(1, [(0.0, 0.0), (200.0, 0.0)], left=2),
+        2: draw_lane(2, [(0.0, 3.5), (200.0, 3.5)], right=1, lane_type="BIKE"),
     })  # fmt: skip
-    assert admissible_neighbor(scene_of(graph=graph), 1, "left") is None
-
-
-def test_without_topology_nobody_knows_of_a_neighbour() -> None:
-    assert admissible_neighbor(scene_of(config=Config(without=frozenset({"topology"}))), 1, "left") is None
+    unlinked = Config(without=frozenset({"topology"}))
+    for scene in (scene_of(mark="SOLID_WHITE"), scene_of(graph=bikes), scene_of(config=unlinked)):
+        assert admissible_neighbor(scene, 1, "left") is None
 
 
 def test_option_is_the_facing_cell_with_what_is_left_of_its_lane() -> None:
@@ -117,14 +110,8 @@ def test_gaps_are_bumper_to_bumper_with_the_neighbours_speeds() -> None:
     assert front.distance_m == pytest.approx(25.5, abs=0.6)
     assert rear.distance_m == pytest.approx(15.5, abs=0.6)
     assert (front.speed_mps, rear.speed_mps) == pytest.approx((12.0, 9.0))
-
-
-def test_gaps_are_those_of_the_step() -> None:
-    """After 5 s the one at 60 m with 9 m/s is at 105: now ahead of 80."""
-    scene = scene_of(_drive(60.0, 3.5, 9.0))
-    front, rear = _gaps(scene, step=50)
-    assert front.distance_m == pytest.approx(20.5, abs=0.6)
-    assert rear == NO_GAP
+    front, rear = _gaps(scene, step=50)  # the one from 60 m is at 105 m
+    assert (front.distance_m, rear) == (pytest.approx(20.5, abs=0.6), NO_GAP)
 
 
 def test_kept_and_driven_vehicles_count_like_recorded_ones() -> None:
@@ -166,30 +153,25 @@ def test_recorded_vehicles_hold_the_cells_beside_and_next_to_it(x: float, free: 
     assert _option(scene, 42.0, step=70, speed_mps=0.0).cells_free == free
 
 
-def test_vehicle_beside_leaves_no_gap() -> None:
-    scene = scene_of(_drive(81.0, 3.5, 9.0))
-    assert _gaps(scene)[0].distance_m < 0.0
-
-
-def test_target_path_reaches_back_to_who_comes_from_behind(lane: Callable[..., LaneSegment]) -> None:
+def test_target_path_reaches_back_to_who_comes_from_behind() -> None:
     """Lane 4 leads into lane 2: a follower there is a follower of who changes to the start of lane 2."""
     graph = LaneGraph({
-        1: lane(1, [(0.0, 0.0), (100.0, 0.0)], left=2),
-        2: lane(2, [(0.0, 3.5), (100.0, 3.5)], right=1),
-        4: lane(4, [(-60.0, 3.5), (0.0, 3.5)], successors=(2,)),
+        1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], left=2),
+        2: draw_lane(2, [(0.0, 3.5), (100.0, 3.5)], right=1),
+        4: draw_lane(4, [(-60.0, 3.5), (0.0, 3.5)], successors=(2,)),
     })  # fmt: skip
     scene = scene_of(graph=graph)
     assert [segment.lane_id for segment in target_path(scene, scene.paths.along((1,)), 2, s=5.0).segments] == [4, 2]
 
 
-def test_target_path_goes_on_beside_the_own_route(lane: Callable[..., LaneSegment]) -> None:
+def test_target_path_goes_on_beside_the_own_route() -> None:
     """Lane 2 splits into 5, which leaves, and 6, which runs on beside lane 3 of the own route."""
     graph = LaneGraph({
-        1: lane(1, [(0.0, 0.0), (100.0, 0.0)], left=2, successors=(3,)),
-        2: lane(2, [(0.0, 3.5), (100.0, 3.5)], right=1, successors=(5, 6)),
-        3: lane(3, [(100.0, 0.0), (200.0, 0.0)], left=6),
-        5: lane(5, [(100.0, 3.5), (200.0, 40.0)]),
-        6: lane(6, [(100.0, 3.5), (200.0, 3.5)], right=3),
+        1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], left=2, successors=(3,)),
+        2: draw_lane(2, [(0.0, 3.5), (100.0, 3.5)], right=1, successors=(5, 6)),
+        3: draw_lane(3, [(100.0, 0.0), (200.0, 0.0)], left=6),
+        5: draw_lane(5, [(100.0, 3.5), (200.0, 40.0)]),
+        6: draw_lane(6, [(100.0, 3.5), (200.0, 3.5)], right=3),
     })  # fmt: skip
     scene = scene_of(graph=graph)
     assert [segment.lane_id for segment in target_path(scene, scene.paths.along((1, 3)), 2, s=5.0).segments] == [2, 6]
@@ -214,40 +196,31 @@ def test_nobody_is_a_leader_behind_far_beyond_d_obs_or_across(straight_path: Dri
         assert leader_on(straight_path, CAR, s=30.0, d_obs_m=40.0, here=other.at(0)) is None
 
 
-@pytest.fixture
-def gap_to(straight_path: DrivenPath) -> Callable[..., float]:
-    """Gap to a passed vehicle "p" at a step, driving at 10 m/s from s = 50 m on at step 0."""
+def test_gap_to_a_passed_vehicle_is_one_behind_on_the_same_lane_or_beyond_the_map(straight_path: DrivenPath) -> None:
+    """From s = 50 m on at 10 m/s. One stands at 51, ahead; two steps later it is 3.5 m short of clear, ten later
+    9 - 4.5 = 4.5 m behind. One that turned off is never passed, one that has left the map for good.
+    """
 
-    def find(passed: Traffic, step: int) -> float:
+    def gap_to(passed: Traffic, step: int) -> float:
         return gap_to_passed(straight_path, CAR, s=50.0 + step, lane=straight_path, passed_id="p", here=passed.at(step))
 
-    return find
-
-
-def test_gap_to_the_passed_vehicle_begins_when_it_is_behind(gap_to: Callable[..., float]) -> None:
-    """It stands at 51, ahead; two steps of 1 m later it is 3.5 m short of clear, ten later 9 - 4.5 = 4.5 m behind."""
-    passed = draw_box(51.0, 0.0, name="p")
-    assert gap_to(passed, 0) == -np.inf
-    assert gap_to(passed, 2) == pytest.approx(-3.5, abs=0.01)
-    assert gap_to(passed, 10) == pytest.approx(4.5, abs=0.01)
-
-
-def test_who_turned_off_is_never_passed(gap_to: Callable[..., float]) -> None:
+    stands = draw_box(51.0, 0.0, name="p")
+    assert [gap_to(stands, step) for step in (0, 2, 10)] == pytest.approx([-np.inf, -3.5, 4.5], abs=0.01)
     assert gap_to(draw_box(50.0, 3.5, name="p"), 10) == -np.inf
+    until = np.arange(stands.num_steps)[None, :] <= 3
+    assert gap_to(replace(stands, present=stands.present & until), 20) == np.inf
 
 
-def test_who_has_left_the_map_is_passed_for_good(gap_to: Callable[..., float]) -> None:
-    stood = draw_box(50.0, 0.0, name="p")
-    until = np.arange(stood.num_steps)[None, :] <= 3
-    assert gap_to(replace(stood, present=stood.present & until), 20) == np.inf
+def _across(scene: Scene, own: Route = (1,), other: Route = (2,), **changed: Any) -> DrivenPath | Reason:
+    """From 40 m on at 10 m/s within 4 s to the left."""
+    return lay_across(scene, scene.paths.along(own), scene.paths.along(other), **{
+        "side": "left", "s": 40.0, "step": 10, "speed_mps": np.array([10.0]), "remaining_m": 160.0,
+        "driver": replace(usual_driver(10.0), lane_change_s=4.0), **changed,
+    })  # fmt: skip
 
 
 def test_path_across_ends_in_the_middle_of_the_other_lane() -> None:
-    scene = scene_of()
-    path = lay_across(
-        scene, scene.paths.along((1,)), scene.paths.along((2,)), side="left", s=40.0, step=10,
-        speed_mps=np.array([10.0]), remaining_m=160.0, driver=replace(usual_driver(10.0), lane_change_s=4.0),
-    )  # fmt: skip
+    path = _across(scene_of())
     assert isinstance(path, DrivenPath)
     ((start, end),) = path.lateral_spans
     assert start == pytest.approx(40.0, abs=1.01)  # it begins at a point of the path, 1 m apart
@@ -256,30 +229,19 @@ def test_path_across_ends_in_the_middle_of_the_other_lane() -> None:
 
 
 @pytest.mark.parametrize(("joint", "is_laid"), [(55.0, False), (65.0, True)])
-def test_no_path_across_a_line_that_is_solid_where_it_is_crossed(
-    lane: Callable[..., LaneSegment], joint: float, is_laid: bool
-) -> None:
+def test_no_path_across_a_line_that_is_solid_where_it_is_crossed(joint: float, is_laid: bool) -> None:
     """From 40 m on at 10 m/s in 4 s: half way across at 60 m."""
     graph = LaneGraph({
-        1: lane(1, [(0.0, 0.0), (joint, 0.0)], left=2, successors=(3,)),
-        2: lane(2, [(0.0, 3.5), (joint, 3.5)], right=1, successors=(4,)),
-        3: lane(3, [(joint, 0.0), (200.0, 0.0)], left=4, left_mark="SOLID_WHITE"),
-        4: lane(4, [(joint, 3.5), (200.0, 3.5)], right=3, right_mark="SOLID_WHITE"),
+        1: draw_lane(1, [(0.0, 0.0), (joint, 0.0)], left=2, successors=(3,)),
+        2: draw_lane(2, [(0.0, 3.5), (joint, 3.5)], right=1, successors=(4,)),
+        3: draw_lane(3, [(joint, 0.0), (200.0, 0.0)], left=4, left_mark="SOLID_WHITE"),
+        4: draw_lane(4, [(joint, 3.5), (200.0, 3.5)], right=3, right_mark="SOLID_WHITE"),
     })  # fmt: skip
-    scene = scene_of(graph=graph)
-    path = lay_across(
-        scene, scene.paths.along((1, 3)), scene.paths.along((2, 4)), side="left", s=40.0, step=10,
-        speed_mps=np.array([10.0]), remaining_m=160.0, driver=replace(usual_driver(10.0), lane_change_s=4.0),
-    )  # fmt: skip
+    path = _across(scene_of(graph=graph), (1, 3), (2, 4))
     assert isinstance(path, DrivenPath) is is_laid
     assert is_laid or path is Reason.SOLID_LINE
 
 
-def test_no_path_across_to_a_lane_that_ends(lane: Callable[..., LaneSegment]) -> None:
-    graph = LaneGraph({1: lane(1, [(0.0, 0.0), (200.0, 0.0)], left=2), 2: lane(2, [(0.0, 3.5), (60.0, 3.5)], right=1)})
-    scene = scene_of(graph=graph)
-    path = lay_across(
-        scene, scene.paths.along((1,)), scene.paths.along((2,)), side="left", s=50.0, step=10,
-        speed_mps=np.array([10.0]), remaining_m=10.0, driver=usual_driver(10.0),
-    )  # fmt: skip
-    assert isinstance(path, str)
+def test_no_path_across_to_a_lane_that_ends() -> None:
+    short = {1: draw_lane(1, [(0.0, 0.0), (200.0, 0.0)], left=2), 2: draw_lane(2, [(0.0, 3.5), (60.0, 3.5)], right=1)}
+    assert isinstance(_across(scene_of(graph=LaneGraph(short)), s=50.0, remaining_m=10.0), Reason)

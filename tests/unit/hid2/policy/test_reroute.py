@@ -35,8 +35,7 @@ def _routes(scene: Scene, s: float, route: tuple[int, ...] = (1, 2, 4)) -> list[
 
 
 @pytest.mark.parametrize(
-    ("s", "ways"),
-    [(10.0, [[1, 3]]), (44.0, [[1, 3]]), (46.0, [[1, 2, 5]]), (80.0, [[1, 2, 5]]), (96.0, [])],
+    ("s", "ways"), [(10.0, [[1, 3]]), (44.0, [[1, 3]]), (46.0, [[1, 2, 5]]), (80.0, [[1, 2, 5]]), (96.0, [])]
 )
 def test_the_next_split_ahead_offers_every_other_lane_for_vehicles(s: float, ways: list[list[int]]) -> None:
     """5 m before a split nobody turns off there any more."""

@@ -45,11 +45,6 @@ def test_idm_by_hand() -> None:
     assert idm_mps2(10.0, Gap(22.0, 8.0), VIEW) == pytest.approx(-1.0)
 
 
-def test_paper_is_the_default_and_asks_for_free_cells() -> None:
-    assert rule_reason(VIEW, LaneChange()) is None
-    assert rule_reason(replace(VIEW, cells_free=False), LaneChange()) == Reason.CELLS_OCCUPIED
-
-
 AT_12_M = Gap(12.0, 10.0)
 POLITE = "mobil_politeness"
 

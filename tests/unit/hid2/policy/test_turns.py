@@ -1,5 +1,3 @@
-import math
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,6 @@ from netconvert.lane_graph import TurnType
 
 #: Every value that a number below is worked from; the defaults may be tuned.
 TURN = Turn(left_trough=0.65, right_trough=0.75, trough_at=0.4)
-ALPHA = np.linspace(0.0, 1.0, 101)
 
 
 def _circle(radius: float, degrees: float = 180.0) -> ReferenceLine:
@@ -108,15 +105,6 @@ def _corner(radius: float, *, before_m: float = 60.0) -> tuple[ReferenceLine, li
     return line, [(0.0, start, TurnType.STRAIGHT), (start, end, TurnType.LEFT), (end, line.length_m, TurnType.STRAIGHT)]
 
 
-def test_a_driver_slows_to_an_entry_speed_that_keeps_the_whole_turn_within_his_lateral_acceleration() -> None:
-    """Circle of 12 m all along the lane: v_0 = sqrt(1.6 * 12) = 4.38 m/s at both ends, 0.65 of it at the trough."""
-    line = _circle(12.0)
-    speed = road_speeds(line, [(0.0, line.length_m, TurnType.LEFT)], turn=TURN, limits=Limits()).cap(1.6)
-    inside = speed[_inside(line)][:-1]
-    assert inside.max() == pytest.approx(math.sqrt(1.6 * 12.0), rel=0.04)
-    assert inside.min() / inside[0] == pytest.approx(0.65, rel=0.01)
-
-
 def test_shape_and_lateral_acceleration_meet_at_one_point_of_a_corner() -> None:
     """R = 10 m: v^2 kappa is 2 m/s2 at most, at one point; v / v_0 is f(alpha) on the whole lane."""
     line, segments = _corner(10.0)
@@ -131,26 +119,12 @@ def test_shape_and_lateral_acceleration_meet_at_one_point_of_a_corner() -> None:
     assert np.sum(lateral > 0.999 * 2.0) == 1
 
 
-def test_entry_speed_grows_with_the_root_of_the_drivers_lateral_acceleration() -> None:
-    line, segments = _corner(15.0)
-    road = road_speeds(line, segments, turn=TURN, limits=Limits(jerk_mps3=30.0, yaw_accel_radps2=5.0))
-    row = int(segments[1][0] / TABLE_STEP_M) + 1
-    assert road.cap(2.0)[row] / road.cap(0.5)[row] == pytest.approx(2.0)
-
-
 def test_slow_driver_enters_a_wide_turn_at_the_cruising_speed() -> None:
     """R = 40 m at 2.5 m/s2 allows 10 m/s and more: at a desired speed of 6 m/s f alone decides, 0.65 * 6 = 3.9 m/s."""
     line, segments = _corner(40.0)
     speed = _desired(line, segments, desired_mps=6.0)
     assert speed.min() == pytest.approx(3.9, rel=0.01)
     assert speed[0] == pytest.approx(6.0)
-
-
-def test_bend_of_a_straight_lane_keeps_the_cap_of_its_curvature() -> None:
-    """On a circle of 6 m no lane turns: sqrt(2.5 * 6) = 3.87 m/s, and no shape."""
-    line = _circle(6.0)
-    speed = _desired(line, [(0.0, line.length_m, TurnType.STRAIGHT)])
-    assert np.median(speed[_inside(line)]) == pytest.approx(math.sqrt(15.0), rel=0.03)
 
 
 def test_hard_limits_have_the_last_word_in_a_turn() -> None:

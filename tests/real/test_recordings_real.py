@@ -1,17 +1,45 @@
-"""Maps and nets of the real scenes: the same contents as av2's own map API, and everything of them in the net."""
+"""Real scenes as they are read, converted to nets and written again: with the contents that av2 finds in them."""
 
 import copy
 import json
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
+from as_av2 import read_as_av2
+from av2.datasets.motion_forecasting.scenario_serialization import load_argoverse_scenario_parquet
 from av2.map.map_api import ArgoverseStaticMap
+from breaches import breaches
+from signal_entries import entries as passed
+from written import write_fake
 
+from bridge.recordings.judging import states_of
 from bridge.recordings.map_rules import graph_of, read_source_map
+from bridge.recordings.scenario import STEP_S, read_scenario
 from bridge.sumo.net import convert
+from hid2.conflicts.signals import InferredSignals
+from hid2.measures.lane_matching import flatten_lanes
+from hid2.params import Signals
 from netconvert.fidelity import UNEXPLAINED
 from netconvert.lane_graph import SIDES, LaneGraph
+
+#: Of the recorded entries, at red: one of 69 in these six scenes.
+MOST_ON_RED = 0.03
+
+
+def test_real_scene_reads_as_av2_reads_it(real_scene: Path) -> None:
+    scenario = read_as_av2(real_scene)
+    assert scenario.num_steps == (50 if real_scene.parent.name == "test" else 110)
+    assert scenario.split == real_scene.parent.name
+
+
+def test_sizes_of_labelled_scenes_are_used(real_scenes: list[Path]) -> None:
+    for folder in real_scenes:
+        scenario = read_scenario(folder)
+        labelled = (folder / "agent_sizes.csv").is_file()
+        assert labelled == (folder.name[:8] in ("3b3570b4", "7fab2350"))
+        assert scenario.track("AV").size == ((4.877, 2.0) if labelled else (4.5, 1.9))
 
 
 def _map_path(scene: Path) -> Path:
@@ -86,14 +114,60 @@ def test_followed_links_are_the_file_s_links_within_the_map(real_scene: Path) ->
             assert (stated is None) or same_way or (f"{side}_neighbor", lane_id, stated) in dropped
 
 
-@pytest.mark.parametrize("cell_m", [4.0, 2.5])
+@pytest.mark.parametrize(("number", "cell_m"), [(0, 4.0), (3, 2.5)])
 def test_the_net_has_every_lane_on_its_centreline_and_every_link_or_its_reason(
-    real_scene: Path, tmp_path: Path, cell_m: float
+    real_scenes: list[Path], tmp_path: Path, number: int, cell_m: float
 ) -> None:
-    report = convert(real_scene, tmp_path, cell_m=cell_m)
+    report = convert(real_scenes[number], tmp_path, cell_m=cell_m)
     assert report.lanes == report.lanes_in_net > 0
     assert report.largest_distance_m <= 0.01
     assert sum(link.kind == "successor" for link in report.lost) == report.links["successor", "lost"]
     assert sum(link.kind != "successor" for link in report.lost) == report.links["neighbor", "lost"]
     assert UNEXPLAINED not in {link.reason for link in report.lost}
     assert {link.reason for link in report.lost} == {"the other lane is outside the map"}
+
+
+@pytest.mark.parametrize(("number", "focal"), [(0, None), (1, "gen_1")])
+def test_real_scene_with_vehicles_added_is_valid(
+    real_scenes: list[Path], tmp_path: Path, number: int, focal: str | None, shared_data: Path
+) -> None:
+    real_scene = real_scenes[number]
+    scenario = read_scenario(real_scene)
+    folder = write_fake(scenario, tmp_path, focal=focal)
+    new_id = folder.name
+    assert [one for one in breaches(tmp_path, source=shared_data / "av2") if not one.is_note] == []
+
+    table = pq.read_table(folder / f"scenario_{new_id}.parquet")
+    source = pq.read_table(real_scene / f"scenario_{real_scene.name}.parquet")
+    assert table.schema.names == source.schema.names
+    for name in ("position_x", "position_y", "heading", "velocity_x", "velocity_y"):
+        ours, theirs = (column.to_numpy().view(np.int64) for column in (table.column(name), source.column(name)))
+        assert np.array_equal(ours[: len(theirs)], theirs)
+    again = load_argoverse_scenario_parquet(folder / f"scenario_{new_id}.parquet")
+    assert len(again.tracks) == len(scenario.tracks) + 2
+    assert again.focal_track_id == (focal or scenario.focal_track_id)
+    path = folder / f"log_map_archive_{new_id}.json"
+    assert path.read_bytes() == scenario.map_path.read_bytes()
+    assert len(ArgoverseStaticMap.from_json(path).vector_lane_segments) == len(
+        json.loads(path.read_bytes())["lane_segments"]
+    )
+
+
+def test_recorded_vehicles_hardly_ever_enter_on_red(real_scenes: list[Path]) -> None:
+    entries = on_red = red_lanes = 0
+    for folder in real_scenes:
+        scenario = read_scenario(folder)
+        lanes = flatten_lanes(scenario.graph)
+        states = states_of(scenario.tracks, lanes, set(), num_steps=scenario.num_steps, step_s=STEP_S)
+        signals = InferredSignals(scenario.graph, states, Signals())
+        for lane_id in scenario.graph.lanes:
+            red, enters = signals.red(lane_id), passed(signals, lane_id)
+            assert (red is None) == (enters is None)
+            if red is not None and enters is not None:
+                entries += int(enters.sum())
+                on_red += int((enters & red).sum())
+                red_lanes += bool(red.any())
+    print(f"{on_red} of {entries} recorded entries on red; {red_lanes} entrances red at some time")
+    assert entries >= 50
+    assert red_lanes >= 50
+    assert on_red <= MOST_ON_RED * entries
