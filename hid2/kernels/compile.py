@@ -6,6 +6,7 @@ import pkgutil
 import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
 from multiprocessing import get_context
 from typing import Any
 
@@ -22,29 +23,19 @@ def _say(message: str) -> None:
     print(f"hid2: {message}", file=sys.stderr, flush=True)
 
 
-def compile_kernels(*, at_once: int = 1) -> None:
-    """Compile what has not been compiled of these sources.
+def make_ready(say: Callable[[str], None] = _say, *, at_once: int = 1) -> None:
+    """Compile the kernels unless that has been done for these sources; quick where it has.
 
     at_once: processes that share the work, forks of this one; more than one only where no other thread runs.
     """
-    for module in pkgutil.iter_modules(hid2.kernels.__path__):
-        if module.name != "compile":
-            importlib.import_module(f"hid2.kernels.{module.name}")
-    wanted = [(row, signature) for row, (_, signatures) in enumerate(KERNELS) for signature in signatures]
-    if at_once == 1:
-        for one in wanted:
-            _compile(one)
-        return
-    with ProcessPoolExecutor(at_once, mp_context=get_context("fork")) as pool:
-        list(pool.map(_compile, wanted))
-
-
-def make_ready(say: Callable[[str], None] = _say, *, at_once: int = 1) -> None:
-    """Compile the kernels unless that has been done for these sources; quick where it has."""
     if FOLDER is None or (FOLDER / "all").exists():
         return
     say("compiling inner loops, which takes a minute")
-    compile_kernels(at_once=at_once)
+    for module in pkgutil.iter_modules(hid2.kernels.__path__):
+        importlib.import_module(f"hid2.kernels.{module.name}")
+    wanted = [(row, signature) for row, (_, signatures) in enumerate(KERNELS) for signature in signatures]
+    with ProcessPoolExecutor(at_once, mp_context=get_context("fork")) if at_once > 1 else nullcontext() as pool:
+        list((pool.map if pool else map)(_compile, wanted))
     (FOLDER / "all").touch()
 
 
