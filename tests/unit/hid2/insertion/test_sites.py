@@ -67,6 +67,17 @@ def test_site_is_never_on_an_occupied_cell_nor_near_a_box() -> None:
                 assert abs(one.position[0, 0] - x) - 0.5 * (start.size.length_m + 4.5) >= 2.0 - 0.01
 
 
+def test_three_in_ten_begin_while_they_gain_speed() -> None:
+    """On a free road, at least .3 of the desired speed; others differ from it by 2 SD of 1.2 m/s at most."""
+    sites = _sites(scene_of(lanes=1))
+    site = Site(sites.here.routes.offers(1)[0], 50.0)
+    starts = [one for _ in range(300) if isinstance(one := sites.starts.make(_request(), site), Start)]
+    below = np.array([start.driver.desired_mps - start.start_mps for start in starts])
+    assert (below > 2.4).mean() == pytest.approx(0.3 * (6.0 - 2.0) / (6.0 - 1.0), abs=0.06)
+    assert below.min() >= -2.4 - 1e-9
+    assert min(start.start_mps / start.driver.desired_mps for start in starts) >= 0.3 - 1e-9
+
+
 def test_start_that_a_recorded_vehicle_would_run_into_is_rejected() -> None:
     """On one lane somebody comes from x = 0 at 18 m/s, whom nobody can make brake: no slower one begins ahead of it.
 
