@@ -94,7 +94,8 @@ class Site(NamedTuple):
 class _Begin(NamedTuple):
     """What is known of a beginning before its driver: s, start_m: along the route's lanes and on the path, m.
 
-    line_gap_m: from its front to the nearest closed line; wants: something of which it is to meet.
+    line_gap_m: from its front to the nearest closed line; wants: something of which it is to meet; may_gain: whether it
+    may begin while it gains speed: not over the map's edge, nor where a driver was sought for a place.
     """
 
     request: VehicleRequest
@@ -106,6 +107,7 @@ class _Begin(NamedTuple):
     line_gap_m: float
     sides: tuple[Side, ...] | None
     wants: Set[Situation]
+    may_gain: bool
 
 
 @dataclass(slots=True)
@@ -181,7 +183,8 @@ class Starts:
         if config.request.sites == "promising" and driver is None:
             flow_mps = max(self.meetings.pace_of(leader), self._follower_mps(path, box, start_m, step))
         line_gap_m = self.world.guard.stop_lines.on(path, box).gap_m(start_m, step)
-        begin = _Begin(request, site._replace(leader=leader), path, box, s, start_m, line_gap_m, sides, wants)
+        may_gain = driver is None and site.s is not None
+        begin = _Begin(request, site._replace(leader=leader), path, box, s, start_m, line_gap_m, sides, wants, may_gain)
         made: Start | Reason = Reason.NO_SITE
         for _ in range(1 if driver is not None else _DRIVERS):
             # a driver goes with the flow of its leader and follower, or would not be there
@@ -200,8 +203,7 @@ class Starts:
         if LINE_GAP_M[0] <= begin.line_gap_m <= LINE_GAP_M[1]:  # it stands where it is
             driver = replace(driver, line_gap_m=begin.line_gap_m)
         if speed_mps is None:
-            has_entered = begin.site.s is None
-            speed_mps = start_speed(driver, config, rng, gaining_share=0.0 if has_entered else _GAINING_SHARE)
+            speed_mps = start_speed(driver, config, rng, gaining_share=_GAINING_SHARE if begin.may_gain else 0.0)
         admitted = self._start_speed(begin, speed_mps, driver)
         if isinstance(admitted, Reason):
             return admitted
