@@ -94,8 +94,8 @@ class Site(NamedTuple):
 class _Begin(NamedTuple):
     """What is known of a beginning before its driver: s, start_m: along the route's lanes and on the path, m.
 
-    line_gap_m: from its front to the nearest closed line; wants: something of which it is to meet; may_gain: whether it
-    may begin while it gains speed: not over the map's edge, nor where a driver was sought for a place.
+    line_gap_m: from its front to the nearest closed line; wants: something of which it is to meet; gaining_share:
+    how often such a vehicle begins while it gains speed: never over the map's edge or with a driver sought for a place.
     """
 
     request: VehicleRequest
@@ -107,7 +107,7 @@ class _Begin(NamedTuple):
     line_gap_m: float
     sides: tuple[Side, ...] | None
     wants: Set[Situation]
-    may_gain: bool
+    gaining_share: float
 
 
 @dataclass(slots=True)
@@ -183,8 +183,8 @@ class Starts:
         if config.request.sites == "promising" and driver is None:
             flow_mps = max(self.meetings.pace_of(leader), self._follower_mps(path, box, start_m, step))
         line_gap_m = self.world.guard.stop_lines.on(path, box).gap_m(start_m, step)
-        may_gain = driver is None and site.s is not None
-        begin = _Begin(request, site._replace(leader=leader), path, box, s, start_m, line_gap_m, sides, wants, may_gain)
+        gaining = 0.0 if driver is not None or site.s is None else _GAINING_SHARE
+        begin = _Begin(request, site._replace(leader=leader), path, box, s, start_m, line_gap_m, sides, wants, gaining)
         made: Start | Reason = Reason.NO_SITE
         for _ in range(1 if driver is not None else _DRIVERS):
             # a driver goes with the flow of its leader and follower, or would not be there
@@ -203,7 +203,7 @@ class Starts:
         if LINE_GAP_M[0] <= begin.line_gap_m <= LINE_GAP_M[1]:  # it stands where it is
             driver = replace(driver, line_gap_m=begin.line_gap_m)
         if speed_mps is None:
-            speed_mps = start_speed(driver, config, rng, gaining_share=_GAINING_SHARE if begin.may_gain else 0.0)
+            speed_mps = start_speed(driver, config, rng, gaining_share=begin.gaining_share)
         admitted = self._start_speed(begin, speed_mps, driver)
         if isinstance(admitted, Reason):
             return admitted
@@ -352,9 +352,10 @@ class Starts:
             return Reason.LIMIT_CURVATURE
         road = self.roads.speeds(path, driver)
         road_mps = float(road[min(int(start_m / TABLE_STEP_M), road.size - 1)])
+        speed = min(speed, road_mps)
         if "collision" in self.scene.config.without:
-            return min(speed, road_mps)
-        return self._admitted_speed(path, box, start_m, (speed, road_mps), driver, step)
+            return speed
+        return self._admitted_speed(path, box, start_m, speed, min(driver.desired_mps, road_mps), driver, step)
 
     def leaves_early(self, offer: RouteOffer, s: float, speed_mps: float, step: int = 0) -> bool:
         """Whether the map ends before the last observed step at a speed."""
@@ -363,13 +364,12 @@ class Starts:
         return offer.length_m - s < speed_mps * self.scene.steps_to_stay(step) * self.scene.step_s
 
     def _admitted_speed(
-        self, path: DrivenPath, box: BoxSize, s: float, most: tuple[float, float], driver: Driver, step: int
+        self, path: DrivenPath, box: BoxSize, s: float, speed: float, alone_mps: float, driver: Driver, step: int
     ) -> float | Reason:
-        """Speed that leaders allow, m/s, at most those told, its own and the road's; or why nothing can begin there."""
+        """Speed that leaders allow, m/s, at most the one told; or why none can begin. alone_mps: without leaders."""
         conflict = self.scene.config.conflict
         known = self.world.guard.known_on(path, box)
         seen = gaps_to_all(known, np.array([s]), step)
-        speed, alone_mps = min(most), min(driver.desired_mps, most[1])  # how fast it would drive without leaders
         leads = np.isfinite(seen.lead_m)
         speed = float(speed_behind(seen.lead_m[leads], seen.along_mps[leads], driver.following).min(initial=speed))
         closing = seen.along_mps[:, 0] - speed

@@ -108,3 +108,16 @@ def test_written_rollout_is_a_scene_that_says_what_it_is(made, rollouts, tmp_pat
     assert sidecar.replay.mode == "reactive"
     assert set(sidecar.replay.late_s) == {one.track.track_id for one in made.vehicles}
     assert sidecar.source_scenario_id == made.recording.scenario_id
+
+
+def test_vehicles_keep_to_the_lanes_that_they_were_recorded_on(made, rollouts):
+    for one in made.vehicles:
+        path = made.recording.graph.lanes
+        line = np.concatenate([path[lane].centerline for lane in one.route])
+        xy = rollouts[0].position[one.row, NOW : NOW + 40]
+        assert np.hypot(*(xy[:, None] - line[None]).transpose(2, 0, 1)).min(axis=1).max() < 6.0
+
+
+def test_default_drivers_drive_otherwise(made, rollouts):
+    (default,) = made.rollouts(Config(), 1, model="default", vehicles=made.vehicles)
+    assert np.abs(default.position - rollouts[0].position).max() > 5.0

@@ -4,11 +4,13 @@ import pickle
 import random
 from dataclasses import replace
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
 from bridge.evaluation.scene_metrics import measure_folder
 from bridge.evaluation.totals import Diversity, ManeuverCounts, Samples, SourceSums, Totals
+from bridge.pages.charts import diversity_figure
 from hid2.agents import Policy
 from hid2.evaluation.realism import FEATURES, GENERATED, RECORDED
 from hid2.evaluation.windows import WINDOW
@@ -137,3 +139,23 @@ def test_before_holds_each_source_once_whether_it_is_measured_itself_or_not(meas
     assert found["scenes"] == {"before": 2, "after": 5}
     recorded = measured.scene["tracks"] - measured.scene["generated"]
     assert found["density"]["tracks"]["before"] == {str(recorded): 2}
+
+
+def test_sums_by_source_are_in_the_order_of_their_names():
+    sums = filled([{"source": "b", "hits": 1, "rows": 4}, {"source": "a", "hits": 2, "rows": 5},
+                   {"source": "b", "hits": 3, "rows": 6}])  # fmt: skip
+    hits, rows = sums.of_columns("hits", "rows")
+    assert hits.tolist() == [2.0, 4.0]
+    assert rows.tolist() == [5.0, 10.0]
+
+
+def test_bars_of_the_diversity_figure_agree_with_the_shares_above():
+    """40 tracks are not more than 40: before, the bar ends at 40; after, 41 tracks are in the next."""
+    found = Diversity.of([scene_row(41, 1)], [scene_row(41, 1)]).content()
+    figure = diversity_figure(found)
+    bars = [patch.get_data() for patch in figure.axes[0].patches]
+    plt.close(figure)
+    (before, edges, _), (after, _, _) = bars[0], bars[2]
+    assert edges[np.flatnonzero(before)].tolist() == [20]
+    assert edges[np.flatnonzero(after)].tolist() == [40]
+    assert found["density"]["tracks"]["share_above"]["40"] == {"before": 0.0, "after": 1.0}
