@@ -58,17 +58,25 @@ def test_scenes_as_written_have_no_error(quiet_scenes: list[tuple[Path, Path]]) 
         assert check_folder(folder, source) == []
 
 
+#: What a fault inside its limit may break besides, as a vehicle that is moved may come nearer to its leader than one
+#: follows: in a bend the judge's path reaches 5 cm to its side, and the lines that are crossed are looked at by it alone.
+BESIDE = {"past a standing vehicle": Quantity.TTC_LEADER, "lane change": Quantity.SOLID_LINE}
+
+
 def misjudged(fault: PlantedFault) -> str | None:
     """What `hid2 validate --source` makes of a planted fault, if it is not what it should be.
 
     Its rule on headings and motion is of the format; faults of the heading alone break that inside their limits too.
     """
     against = Against(sources={fault.source.name: fault.source})
-    found = [one for one in validate_scene(against, fault.folder) if one.rule in list(Quantity)]
-    if fault.strength == INSIDE:  # a vehicle that is moved may come nearer to its leader than one follows
-        found = [one for one in found if one.rule in (fault.quantity, *set(Quantity) - {Quantity.FOLLOWER_HEADWAY})]
+    every = validate_scene(against, fault.folder)
+    found = [one for one in every if one.rule in list(Quantity)]
+    if fault.strength == INSIDE:
+        beside = {Quantity.FOLLOWER_HEADWAY, BESIDE.get(fault.kind)}
+        found = [one for one in found if one.rule not in beside - {fault.quantity}]
         return f"{fault.name}: {found}" if found else None
     told = {one.rule for one in found if one.vehicle == fault.vehicle}
+    told |= {one.rule for one in every if one.rule == "heading" and f"'{fault.vehicle}'" in one.message}
     return None if fault.quantity in told or (fault.strength == GROSS and told) else f"{fault.name}: {told}"
 
 

@@ -181,7 +181,7 @@ class Bench:
         side.write_text(json.dumps(self.sidecar(planting), indent=1))
 
     def stretches(self, length_m: float) -> Iterator[Stretch]:
-        """Stretches so long, nearly straight and smooth, outside of intersections where they begin."""
+        """Stretches so long, nearly straight and smooth; they begin on a lane for vehicles outside of intersections."""
         ground = self.scene.ground
         for lane_id, lane in ground.lanes.items():
             points, chain, at = [lane.line.xy], [lane_id], lane_id
@@ -193,7 +193,7 @@ class Bench:
                 points.append(ground.lanes[after].line.xy)
                 at = after
             xy = np.concatenate(points)
-            found = None if lane.in_intersection else _fitted(xy, tuple(chain), length_m)
+            found = None if lane.in_intersection or lane.for_bikes else _fitted(xy, tuple(chain), length_m)
             if found is not None:
                 yield found
 
@@ -350,18 +350,10 @@ def _teleporting(bench: Bench, site: Site, strength: str) -> Planting:
 
 
 def _turned(bench: Bench, site: Site, strength: str) -> Planting | None:
-    """Straight on along the lane with a heading that is turned from it; gross: turned round.
-
-    Alone on its way: with such a heading it would cross the way of one that it follows.
-    """
+    """Straight on along the lane with a heading that is turned from it, across the way of none; gross: turned round."""
     angle = math.pi if strength == GROSS else math.radians(60.0 * SHARE[strength])
     track = bench.track(site, Motion(driving(7.0), np.zeros(STEPS), np.full(STEPS, angle)))
-    for one in bench.scene.tracks:
-        apart_m = np.hypot(*(one.xy[:, None] - track.xy).transpose(2, 0, 1))
-        soon = np.abs(one.steps[:, None] - track.steps) * DT_S < 1.5
-        if one.track_id != bench.vehicle and (soon & (apart_m < 5.0)).any():
-            return None
-    return Planting(track)
+    return Planting(track) if _is_alone(bench, track, within_m=5.0, within_s=1.5) else None
 
 
 def _reversed(bench: Bench, site: Site, strength: str) -> Planting:
@@ -465,19 +457,21 @@ def _changing(bench: Bench, site: Site) -> tuple[SecondTrack, float, int, int] |
         s = driving(9.0)
         track = bench.track(site, Motion(s, d, np.arctan2(np.gradient(d, DT_S), np.gradient(s, DT_S))))
         found = crossings(bench.scene, track)
-        if len({round(one[0], 1) for one in found}) == 1 and _is_alone(bench, track):
+        if len({round(one[0], 1) for one in found}) == 1 and _is_alone(bench, track, within_m=5.0, within_s=0.0):
             return track, found[0][0], found[0][1], found[0][2]
     return None
 
 
-def _is_alone(bench: Bench, track: SecondTrack) -> bool:
-    """Whether no vehicle comes within 8 m: a claim's fault is to be the only one, by whatever convention of leaders."""
+def _is_alone(bench: Bench, track: SecondTrack, *, within_m: float, within_s: float) -> bool:
+    """Whether no agent comes so near to where it is within such a time.
+
+    Its own fault is to be the only one, by whatever convention of leaders and followers.
+    """
     for other in bench.scene.tracks:
-        _, own, theirs = np.intersect1d(track.steps, other.steps, return_indices=True)
-        if other.track_id != bench.vehicle and own.size:
-            apart_m = np.hypot(*(track.xy[own] - other.xy[theirs]).T)
-            if other.object_type in ("vehicle", "bus") and apart_m.min() < 8.0:
-                return False
+        apart_m = np.hypot(*(other.xy[:, None] - track.xy).transpose(2, 0, 1))
+        soon = np.abs(other.steps[:, None] - track.steps) * DT_S <= within_s
+        if other.track_id != bench.vehicle and (soon & (apart_m < within_m)).any():
+            return False
     return True
 
 
@@ -627,6 +621,12 @@ def planted_in(scenes: Iterable[tuple[Path, Path]], out: Path) -> Iterator[Plant
         left = tuple(kind for kind in left if kind.name not in found)
 
 
+def _passes(bench: Bench, kind: Kind, planting: Planting) -> bool:
+    """Whether a scene inside the limit is without any fault, and one without another agent meets none."""
+    alone = bool(kind.with_other) or _is_alone(bench, planting.track, within_m=3.0, within_s=2.5)
+    return alone and not has_errors(bench.planted_scene(planting), planting.track)
+
+
 def _built(bench: Bench, kind: Kind, tries: int) -> dict[str, Planting]:
     """All strengths of a kind on the first site on which the one inside the limit passes; {} where there is none."""
     looked_at = 0
@@ -634,7 +634,7 @@ def _built(bench: Bench, kind: Kind, tries: int) -> dict[str, Planting]:
         built: dict[str, Planting] = {}
         for strength in kind.strengths:  # inside first
             planting = kind.build(bench, site, strength)
-            if planting is None or (strength == INSIDE and has_errors(bench.planted_scene(planting), planting.track)):
+            if planting is None or (strength == INSIDE and not _passes(bench, kind, planting)):
                 looked_at += planting is not None
                 break
             built[strength] = planting

@@ -84,12 +84,13 @@ def line_of(points: Floats, *, least_m: float = 1e-3) -> Line | None:
 
 @dataclass(frozen=True, eq=False)
 class MapLane:
-    """One lane segment; left, right: ids of the lanes beside it, of either direction."""
+    """One lane segment; left, right: ids of the lanes beside it, of either direction; for_bikes: for them alone."""
 
     lane_id: int
     line: Line
     ground: shapely.Geometry
     in_intersection: bool
+    for_bikes: bool
     successors: tuple[int, ...]
     left: int | None
     right: int | None
@@ -193,7 +194,7 @@ def _lane(raw: dict[str, object]) -> MapLane:
     return MapLane(
         lane_id=int(raw["id"]), line=line,  # type: ignore[call-overload]
         ground=shapely.make_valid(shapely.Polygon(np.vstack([left, right[::-1]]))),
-        in_intersection=bool(raw["is_intersection"]), successors=tuple(raw["successors"]),  # type: ignore[arg-type]
+        in_intersection=bool(raw["is_intersection"]), for_bikes=raw["lane_type"] == "BIKE", successors=tuple(raw["successors"]),  # type: ignore[arg-type]
         left=raw["left_neighbor_id"], right=raw["right_neighbor_id"],  # type: ignore[arg-type]
     )  # fmt: skip
 
