@@ -168,8 +168,8 @@ class Drivers(_Section):
     accel_sd_mps2: float = _param(0.35, "m/s2", "its SD between drivers", ge=0, le=1)
     decel_mean_mps2: float = _param(2.2, "m/s2", "comfortable deceleration", gt=0, le=4.05)
     decel_sd_mps2: float = _param(0.35, "m/s2", "its SD between drivers", ge=0, le=1)
-    min_gap_mean_m: float = _param(2.2, "m", "gap kept to a standing leader (SUMO minGap)", ge=0.5, le=10)
-    min_gap_sd_m: float = _param(0.4, "m", "its SD between drivers", ge=0, le=3)
+    min_gap_mean_m: float = _param(3.4, "m", "gap to a standing leader; half of 69: 2.3 to 5.1", ge=0.5, le=10)
+    min_gap_sd_m: float = _param(1.3, "m", "its SD between drivers", ge=0, le=3)
     turn_lateral_min_mps2: float = _param(
         1.5, "m/s2", "lateral acceleration in turns, uniform from here", gt=0, le=4.89
     )
@@ -188,7 +188,7 @@ class Drivers(_Section):
     lane_change_mean_s: float = _param(5.0, "s", "duration of a lane change, while |d'| is above .1 m/s", ge=1.5, le=15)
     lane_change_sd_s: float = _param(0.9, "s", "its SD between drivers", ge=0, le=4)
     reaction_s: float = _param(0.5, "s", "EIDM treaction", ge=0.1, le=3)
-    error: float = _param(0.1, "-", "EIDM sigmaerror, driving error", ge=0, le=1)
+    error: float = _param(0.1, "-", "EIDM sigmaerror; acts on roads without replayed agents alone", ge=0, le=1)
 
 
 class LaneChange(_Section):

@@ -30,7 +30,7 @@ LEAST = 12
 #: Steady following: most closing speed, m/s, and acceleration, m/s2; least speed, m/s; most time gap, s. No tunables.
 _STEADY_MPS, _STEADY_MPS2, _FOLLOWS_MPS, _FOLLOWS_S = 1.0, 0.5, 3.0, 3.0
 #: Gap below which a leader that stands is in the same queue, m. No tunable.
-_QUEUE_M = 8.0
+_QUEUE_M = 10.0
 #: Acceleration or deceleration in some window above which a driver shows how it drives, m/s2. No tunable.
 _SHOWS_MPS2 = 0.7
 #: Drivers simulated for a moment; half of a window, s, and its intervals: finer ones change no fit. No tunables.
