@@ -48,7 +48,7 @@ def advance(vehicle: DrivenVehicle, scene: Scene, now: int) -> bool:
         passing = vehicle.stage is Stage.ENTER and vehicle.policy is Policy.OVERTAKE
         vehicle.stage = Stage.PASS if passing else Stage.DONE
     waits_s = max(scene.config.lane_change.give_up_s, scene.step_s)  # one look at least
-    if vehicle.stage is Stage.WAITING and time_s > trigger_s + waits_s:
+    if vehicle.stage is Stage.WAITING and time_s > trigger_s + waits_s + 1e-9:  # sums of steps
         vehicle.stage = Stage.ABORTED
         if vehicle.reason is Reason.NO_ADJACENT_LANE and vehicle.gaps:  # why not while there was a lane says more
             vehicle.reason = vehicle.gaps[-1].rule or vehicle.gaps[-1].guard or Reason.SUMO_REFUSES
@@ -86,7 +86,7 @@ class ManoeuvreDue:
         leader = self._leader() if options else None
         seen = self._observation(tuple(option for option, _ in options.values()), leader)
         decision = decide(seen, lane_change=config.lane_change, overtake=config.overtake)
-        vehicle.policies[decision.policy] += 1
+        vehicle.policies[vehicle.policy if vehicle.stage is Stage.PASS else decision.policy] += 1
         for (option, _), answer in zip(options.values(), decision.answers, strict=False):  # those not looked at: none
             vehicle.gaps.append(GapLook(self.now, option, vehicle.v[-1], answer))
         if decision.side is None:

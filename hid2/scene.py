@@ -248,6 +248,11 @@ class Scene:
         return max(pool[int(rng.integers(len(pool)))], SLOW_LEADER_SHARE[1] * self.usual_speed(lane_id))
 
 
+def future_of(traffic: Traffic, config: Config, *, step_s: float) -> Traffic:
+    """Traffic with the steps beyond its last one that a configuration may look at."""
+    return traffic.extended(math.ceil((END_HORIZON_S + config.conflict.horizon_s) / step_s), step_s=step_s)
+
+
 def build_scene(
     grid: CellGrid, tracks: Sequence[Track], *, config: Config, num_steps: int, step_s: float, last_observed_step: int
 ) -> Scene:
@@ -258,12 +263,11 @@ def build_scene(
     through = config.request.focal == "generated" or config.request.generated_category >= 2
     lane_speeds, scene_speeds = _speeds(grid, tracks, traffic, occupancy, step_s=step_s)
     rows = [row for row, track in enumerate(tracks) if track.object_type in VEHICLE_TYPES]
-    beyond = math.ceil((END_HORIZON_S + config.conflict.horizon_s) / step_s)
     return Scene(
         grid=grid,
         config=config,
         traffic=traffic,
-        future=traffic.extended(beyond, step_s=step_s),
+        future=future_of(traffic, config, step_s=step_s),
         tracks=tuple(tracks),
         states=agent_states(
             [replace(track, size=covering(track)) for track in tracks],

@@ -45,7 +45,7 @@ def agent_record(
     start, driver = driven.start, driven.start.driver
     cell, end_m = scene.cell_at(start.path, start.start_m), float(vehicle.motion.s[-1])
     route = [one.lane_id for one in driven.path.segments if start.start_m < one.end and one.start <= end_m]
-    steps = max(len(driven.s) - 1, 1)
+    steps = max(driven.policies.total(), 1)  # at which it was steered
     return sidecar.AgentRecord(
         track_id=names[driven.vehicle_id],
         object_type="bus" if start.request.object_type == "bus" else "vehicle",

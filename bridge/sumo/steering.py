@@ -142,7 +142,7 @@ def apply_policy(
     if vehicle.stage in (Stage.ENTER, Stage.RETURN):
         _keep_time(fleet, row, now)
     if not is_due:  # nothing to be asked: it keeps to its lane, as `decide` says
-        vehicle.policies[lane_policy] += 1
+        vehicle.policies[vehicle.policy if vehicle.stage in (Stage.ENTER, Stage.RETURN) else lane_policy] += 1
         return None
     fleet_now = traffic()
     others = fleet_now.rows([other for other, one in enumerate(fleet_now.ids) if one != vehicle.vehicle_id])

@@ -48,7 +48,7 @@ class Verdict(NamedTuple):
 #: Features by name, in the order of `features`: those of speed, of the place in the lane, and the rest.
 SPEED_FEATURES = (
     "speed", "acceleration", "size of the acceleration", "jerk", "size of the jerk", "acceleration at the beginning",
-    "acceleration at the end", "change of speed",
+    "acceleration at the end",
 )  # fmt: skip
 LATERAL_FEATURES = (
     "offset to the left", "distance from the lane's middle", "drift to the left", "drift across the lane",
@@ -73,7 +73,7 @@ def features(found: Windows) -> FloatArray:
     d, drift, bend = found["offset_m"], found["drift_mps"], found["bend_mps2"]
     gap, closing = np.minimum(found["gap_m"], _FAR_M), found["closing_mps"]
     return np.column_stack([
-        v, a, np.abs(a), j, np.abs(j), a - j * half, a + j * half, 2.0 * half * a + j * half**3 / 3.0,
+        v, a, np.abs(a), j, np.abs(j), a - j * half, a + j * half,
         d, np.abs(d), drift, np.abs(drift), bend, np.abs(bend),
         np.abs(found["yaw_radps"]), np.abs(found["yaw_bend_radps2"]), gap, closing, gap / np.maximum(v, 1.0),
         a * closing,

@@ -35,6 +35,7 @@ from hid2.occupancy.traffic import Traffic
 from hid2.reasons import Reason
 from hid2.scene import Scene, clearance_box
 from hid2.vehicle import DrivenVehicle
+from netconvert.cells import Cell
 
 #: Widths of the filter over `smoothing.filter_s`, and shares of the driver's lateral offset, tried in turn, the usual
 #: ones first. No tunables: what no limit asks for is not changed.
@@ -294,17 +295,19 @@ def _grid_path(scene: Scene, vehicle: DrivenVehicle, s: FloatArray, v: FloatArra
     None where there are no two cells.
     """
     knots: list[float] = []
+    cells: list[int] = []
     for segment in vehicle.path.segments:
         if segment.end < s[0] - 10.0 or segment.start > s[-1] + 10.0:
             continue
         borders = scene.grid.edges_m[segment.lane_id]
         middles = 0.5 * (borders[1:] + borders[:-1])
-        inside = middles[(middles >= segment.lane_start) & (middles <= segment.lane_end)]
-        knots += [segment.s_at(middle) for middle in inside.tolist()]
+        inside = np.flatnonzero((middles >= segment.lane_start) & (middles <= segment.lane_end))
+        knots += [segment.s_at(middle) for middle in middles[inside].tolist()]
+        cells += (scene.grid.index_of[Cell(segment.lane_id, 0)] + inside).tolist()
     if len(knots) < 2:
         return None
     at = np.array(knots)
-    centre = vehicle.path.line.position(at)
+    centre = scene.grid.centers[cells]
     place = np.clip(np.searchsorted(at, s, side="right") - 1, 0, at.size - 2)
     chord = centre[place + 1] - centre[place]
     share = ((s - at[place]) / (at[place + 1] - at[place]))[:, None]

@@ -136,8 +136,8 @@ def _lane_change(vehicle: ExportedVehicle) -> Outcome:
     seen = next(iter(_changes(vehicle)), None)
     if seen is None:
         return _begun(vehicle, Reason.SCENE_ENDED)
-    found = _done(vehicle, seen)  # of one that is not complete the track does not show the end
-    return found if seen.complete else replace(found, status="aborted", reason=Reason.SCENE_ENDED, end_s=None)
+    found = _done(vehicle, seen)
+    return found if seen.ended else replace(found, status="aborted", reason=Reason.SCENE_ENDED, end_s=None)
 
 
 def _begun(vehicle: ExportedVehicle, reason: Reason, **more: object) -> Outcome:

@@ -351,9 +351,10 @@ def lacked_braking(states: AgentStates, follower: int, led: PathLeaders) -> tupl
 
 
 def of_crossings(states: AgentStates, bounds: Bounds, *, first_row: int) -> Iterator[Finding]:
-    """PET of moving vehicles with crossing swept paths, of pairs with a second agent at `first_row` or later."""
+    """PET of moving agents with crossing swept paths, of pairs with a second agent at `first_row` or later."""
     arrays, critical_s = states.arrays, bounds.conflict.pet_min_s
-    for first, second, pet_s, passed in encroachments(arrays, first_row=first_row, cap_s=critical_s):
+    moving = np.flatnonzero(arrays.moving)
+    for first, second, pet_s, passed in encroachments(arrays, first_row=first_row, cap_s=critical_s, agents=moving):
         if pet_s < critical_s - 1e-9:
             yield _finding(states, (second, first), passed[1], Quantity.PET, pet_s, critical_s)
 

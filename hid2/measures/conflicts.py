@@ -17,7 +17,7 @@ from netconvert.geometry import differences, wrap_angle
 #: Thresholds of a conflict, s: TTC, and PET of paths that cross (SSAM's).
 CONFLICT_TTC_S, CONFLICT_PET_S = 1.5, 5.0
 #: Angle between the two headings above which a conflict is crossing, deg (SSAM's); rear-end below REAR_END_DEG.
-CROSSING_DEG = 80.0
+CROSSING_DEG = 85.0
 #: Speed below which no gap closes and no follower has a headway, m/s. No tunable, against rounding.
 CLOSES_MPS = 0.05
 
@@ -52,10 +52,11 @@ class PairCourse:
         """What the follower had to do, by column of the tables of lane changes; nothing of no step."""
         if not self.step.size:
             return {}
+        behind = self.headway_s[(self.gap_m >= 0.0) & np.isfinite(self.headway_s)]
         return {
-            "lag_brakes_mps2": float(self.brakes_mps2.max()), "lag_drac_mps2": float(self.follower_drac_mps2.max()),
-            "lag_headway_s": float(self.headway_s.min()),
-        }  # fmt: skip
+            "lag_brakes_mps2": float(self.brakes_mps2.max()),
+            "lag_drac_mps2": float(self.follower_drac_mps2.max()),
+        } | ({"lag_headway_s": float(behind.min())} if behind.size else {})
 
 
 def pair_course(arrays: SceneArrays, follower: int, other: int, *, cap_s: float = CAP_S) -> PairCourse:
@@ -89,7 +90,7 @@ class TrafficConflict:
 
     first_id: Annotated[str, "the vehicle that is first at the place of conflict"]
     second_id: Annotated[str, "the other one"]
-    kind: Annotated[str, "SSAM's class by the angle: rear_end below 30 degrees, crossing above 80, lane_change between"]
+    kind: Annotated[str, "SSAM's class by the angle: rear_end below 30 degrees, crossing above 85, lane_change between"]
     start_s: Annotated[float, "from when the TTC is below 1.5 s; of a crossing without: when the first passes"]
     end_s: Annotated[float, "until when; of a crossing without: when the second passes"]
     time_s: Annotated[float, "time of the least TTC"]

@@ -58,8 +58,8 @@ class Maneuver:
     """One manoeuvre seen. Times in s from timestep 0; lanes are lane segment ids; side +1 left, -1 right.
 
     crossing_s: when the centre crosses between the lanes (overtakes: when the vehicle draws level; turns: half-way).
-    complete: a lane change or turn with its start and end both within the track; an overtake is complete by
-    definition. part_of: the overtake, pass or obstacle avoidance that a lane change belongs to.
+    complete: a lane change or turn with its start and end both within the track, ended: with its end; an overtake is
+    complete by definition. part_of: the overtake, pass or obstacle avoidance that a lane change belongs to.
     """
 
     track_id: str
@@ -73,6 +73,7 @@ class Maneuver:
     complete: bool
     other_track_id: str | None = None
     part_of: ManeuverKind | None = None
+    ended: bool = True
 
     @property
     def duration_s(self) -> float:
@@ -153,6 +154,7 @@ def _lane_change(view: LaneView, agent: int, runs: list[LaneRun], k: int) -> _Ch
         target_lane=int(lanes.lane_ids[target]),
         side=side,
         complete=started and ended,
+        ended=ended,
     )
     return _Change(maneuver, source, start + at, left, left_lanes)
 

@@ -67,7 +67,7 @@ def original_occupancy(boxes: CellBoxes, traffic: Traffic) -> OriginalOccupancy:
     )
 
 
-def is_agent_on(boxes: CellBoxes, cells: slice, traffic: Traffic, step: int) -> bool:
+def is_agent_on(boxes: CellBoxes, cells: npt.NDArray[np.int64], traffic: Traffic, step: int) -> bool:
     """Whether the box of an agent covers any of some cells at a step."""
     half_l, half_w = 0.5 * boxes.length_m[cells], 0.5 * boxes.width_m[cells]
     place, heading = boxes.center[cells], boxes.heading[cells]

@@ -81,8 +81,9 @@ def lane_options(
         at = next(one for one in target.segments if one.lane_id == lane_id).s_at(lane_m)
         cell = scene.grid.cell_at(lane_id, lane_m)
         remaining = target.exit_m - at
-        free = _cells_free(scene, cell, inserted) and not transition_rejected(
-            _next_sigma(scene, cell, step=inserted.step, speed_mps=speed_mps)
+        before, following = _beside_on(scene, target, cell)
+        free = _cells_free(scene, (before, cell, following), inserted) and not transition_rejected(
+            _next_sigma(scene, cell, following, step=inserted.step, speed_mps=speed_mps)
         )
         front, rear = gaps_on(scene, target, box, at=at, inserted=inserted)
         corridor = remaining if front.speed_mps >= desired_mps else min(remaining, front.distance_m)
@@ -197,23 +198,31 @@ def _may_cross(scene: Scene, motion: LateralMotion, side: Side) -> bool:
     return all(crossable(lanes[one.lane_id].mark_type(side)) for one in along)
 
 
-def _next_sigma(scene: Scene, cell: Cell, *, step: int, speed_mps: float) -> int:
+def _beside_on(scene: Scene, path: DrivenPath, cell: Cell) -> tuple[Cell | None, Cell | None]:
+    """Cells j-1 and j+1 of a cell of a path, over the ends of its lane; None at those of the path."""
+    lanes, last = [segment.lane_id for segment in path.segments], scene.grid.count(cell.lane_id) - 1
+    at = lanes.index(cell.lane_id)
+    before = (
+        [Cell(cell.lane_id, cell.index - 1)]
+        if cell.index
+        else [Cell(one, scene.grid.count(one) - 1) for one in lanes[:at]]
+    )
+    after = [Cell(cell.lane_id, cell.index + 1)] if cell.index < last else [Cell(one, 0) for one in lanes[at + 1 :]]
+    return (before[-1] if before else None), (after[0] if after else None)
+
+
+def _next_sigma(scene: Scene, cell: Cell, following: Cell | None, *, step: int, speed_mps: float) -> int:
     """Sigma of the cell after a cell, when the vehicle gets there; free where it does not within the scene."""
     grid = scene.grid
-    following = grid.longitudinal(cell)
-    if following is None:
-        return FREE
     steps = dwell_steps(cell_m=grid.length_m(cell), speed_mps=speed_mps, step_s=scene.step_s)
-    if steps is None or step + steps >= scene.num_steps:
+    if following is None or steps is None or step + steps >= scene.num_steps:
         return FREE
     return int(scene.occupancy.sigma[step + steps, grid.index_of[following]])
 
 
-def _cells_free(scene: Scene, cell: Cell, inserted: Inserted) -> bool:
+def _cells_free(scene: Scene, cells: tuple[Cell | None, ...], inserted: Inserted) -> bool:
     """Cells j-1, j, j+1 of l' have sigma = 0 (paper, Lane Change); sigma = 2 where inserted ones are now."""
-    grid, step = scene.grid, inserted.step
-    here = grid.index_of[cell]  # the cells of a lane follow one another
-    wanted = slice(here - min(cell.index, 1), here + min(grid.count(cell.lane_id) - 1 - cell.index, 1) + 1)
+    step, wanted = inserted.step, np.array([scene.grid.index_of[cell] for cell in cells if cell is not None])
     if (scene.occupancy.sigma[step, wanted] != FREE).any():
         return False
     return not any(

@@ -88,8 +88,9 @@ class RoadSpeeds:
     def desired(self, desired_mps: float, *, lateral_accel_mps2: float, accel_mps2: float) -> FloatArray:
         """(S,) m/s target speed along a route: the cruising speed, v_0 f(alpha) on turning lanes, less in bends.
 
-        v_0, the speed at a turning lane's entrance, is the cruising speed or what the driver's lateral acceleration
-        allows. Slowing begins before the entrance at _APPROACH_DECEL_MPS2; speeding up after the trough at accel_mps2.
+        v_0, the desired speed at a turning lane's entrance, is the cruising speed or what the driver's lateral
+        acceleration allows; one that enters slowly speeds up. Slowing begins before the entrance at
+        _APPROACH_DECEL_MPS2; speeding up after the trough at accel_mps2.
         """
         cap = self.cap(lateral_accel_mps2)
         return reachable(cap, self.shape, desired_mps, _APPROACH_DECEL_MPS2, accel_mps2)

@@ -247,6 +247,8 @@ def mobil_refusals(view: GapView, params: LaneChange) -> Iterator[Reason]:
 
 def _lc2013_refusals(view: GapView) -> Iterator[Reason]:
     """SUMO's own model: it wants the lane (strategic, cooperative, speed gain, keep right) and finds it free."""
+    if view.front.distance_m <= 0.0 or view.rear.distance_m <= 0.0:  # beside it SUMO is shown no agent
+        yield Reason.CELLS_OCCUPIED
     if view.sumo is None or not view.sumo.motives:
         yield Reason.LC2013_NO_MOTIVE
     if view.sumo is not None and view.sumo.blocked_behind:

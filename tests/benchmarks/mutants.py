@@ -45,8 +45,8 @@ class Mutant(NamedTuple):
 
 MUTANTS = {
     "lane change: two cells for three": Mutant(
-        "hid2/policy/observation.py", "grid.count(cell.lane_id) - 1 - cell.index, 1)",
-        "grid.count(cell.lane_id) - 1 - cell.index, 0)", (f"{UNIT}/policy/test_observation.py",),
+        "hid2/policy/observation.py", "_cells_free(scene, (before, cell, following), inserted)",
+        "_cells_free(scene, (before, cell), inserted)", (f"{UNIT}/policy/test_observation.py",),
     ),
     "lane change: front gap by the other's speed": Mutant(
         "hid2/policy/lane_change.py", "safe_gap_m(speed_mps, front.speed_mps,",

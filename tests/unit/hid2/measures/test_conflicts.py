@@ -71,7 +71,9 @@ def test_crossings_are_those_of_all_pairs_whenever_the_vehicles_are_there() -> N
     ]
 
 
-@pytest.mark.parametrize(("heading_deg", "kind"), [(20, "rear_end"), (50, "lane_change"), (85, "crossing")])
+@pytest.mark.parametrize(
+    ("heading_deg", "kind"), [(20, "rear_end"), (50, "lane_change"), (80, "lane_change"), (88, "crossing")]
+)
 def test_class_is_that_of_the_angle(heading_deg: float, kind: str) -> None:
     """Both are at the origin after 3 s, in each other's box."""
     angle = np.radians(heading_deg)

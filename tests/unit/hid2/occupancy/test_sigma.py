@@ -90,9 +90,9 @@ def test_somebody_on_some_of_the_cells(grid: CellGrid, boxes: CellBoxes) -> None
     first, second = grid.index_of[Cell(1, 0)], grid.index_of[Cell(2, 0)]
 
     def is_on(cell: int, step: int, *, until: int | None = None) -> bool:
-        return is_agent_on(boxes, slice(cell, (cell if until is None else until) + 1), someone, step)
+        return is_agent_on(boxes, np.arange(cell, (cell if until is None else until) + 1), someone, step)
 
     assert (is_on(first + 1, 0), is_on(first + 4, 0), is_on(first + 1, 0, until=first + 4)) == (True, False, True)
     assert (is_on(first + 1, 10), is_on(first + 4, 10)) == (False, True)
     assert not is_on(second + 1, 0)
-    assert not is_agent_on(boxes, slice(first, first + 3), draw_box(6.0, 0.0, steps=4, first=2), 0)
+    assert not is_agent_on(boxes, np.arange(first, first + 3), draw_box(6.0, 0.0, steps=4, first=2), 0)
