@@ -95,6 +95,9 @@ def facts_of(
     for name in can:
         if name not in {*policies, *EVENTS} and ":" not in name:
             raise ConfigError(f"--can {name!r}: expected one of {', '.join((*policies, *EVENTS))}, or MODULE:BEHAVIOUR")
+        kind = name.partition(":")[0].replace("-", "_")
+        if ":" in name and kind in {*policies, *EVENTS}:
+            raise ConfigError(f"--can {name!r}: a target cannot be named, expected {kind}")
     own = _own_in(can)
     asked = tuple(dict.fromkeys((*(name for name in EVENTS if name in can), *own)))
     return sorted_out(

@@ -39,7 +39,7 @@ REQUEST_COLUMNS: Mapping[str, str] = {
     "lead_time_gap_s": "lead gap over the own speed",
     "lag_time_gap_s": "lag gap over the follower's speed",
     "speed_mps": "own speed at the acceptance",
-    "start_s": "start of the lateral motion (|d'| above 0.1 m/s)",
+    "start_s": "start of the lateral motion (|d'| above 0.1 m/s); of one that never crossed: accepted_s",
     "crossing_s": "half way between the lanes",
     "end_s": "end of the lateral motion",
     "lateral_s": "end_s - start_s: its duration, which is no part of waited_s",
@@ -79,7 +79,7 @@ OUTCOMES = (
     Merit("mean_wait_s", "mean waiting time from the trigger, s, up to the shortest time observed at every value",
             "requests", None),
     Merit("gaps_accepted", "share of the gaps looked at that the rule took", "gaps", "accepted"),
-    Merit("gaps_taken", "share of the gaps that the rule took in which a change came about", "gaps", "taken",
+    Merit("gaps_taken", "share of the gaps that the rule took that SUMO let it into", "gaps", "taken",
             "accepted"),
     *(
         Merit(f"refused_by_{name}", f"share of the gaps that {DECIDE[name]} refused at last", "gaps",
@@ -91,13 +91,13 @@ OUTCOMES = (
                 "some look and that were not taken", "gaps", f"refused_{name}", f"asked_{name}")
         for name in ("guard", "sumo")
     ),
-    Merit("share_overlapping", "share of the changes in which boxes meet", "requests", "overlaps"),
+    Merit("share_overlapping", "share of the changes begun in which boxes meet", "requests", "overlaps"),
     Merit("lag_drac_mps2", "mean of the largest DRAC of the new follower, m/s2", "requests", "lag_drac_mps2"),
     Merit("lag_headway_s", "mean of the least time headway of the new follower, s", "requests", "lag_headway_s"),
     Merit("lag_brakes_mps2", "mean of the hardest braking of the new follower, m/s2", "requests", "lag_brakes_mps2"),
     Merit("lateral_s", "mean duration of the lateral motion, s", "requests", "lateral_s"),
     Merit("lag_time_gap_s", "mean lag time gap taken (above 10 s: 10 s), s", "requests", "lag_time_gap_s"),
-    Merit("share_ttc_below_critical", "share of the changes with a TTC below 1.5 s", "requests", "ttc_critical"),
+    Merit("share_ttc_below_critical", "share of the changes begun with a TTC below 1.5 s", "requests", "ttc_critical"),
 )  # fmt: skip
 
 

@@ -56,10 +56,20 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
         counted = requests.loc[requests["counted"], ["scene", "point", "seed", "vehicle"]]
         gaps = gaps.merge(counted, on=["scene", "point", "seed", "vehicle"])
     if requests.empty:
-        _LOG.warning("%s: no run has a request (%s); expected more traffic, or more time", out_dir, study.kind)
+        _LOG.warning(
+            "%s: no run has a request (%s); expected a share of it in request, more traffic, or more time",
+            out_dir,
+            study.kind,
+        )
     files: list[Path] = []
     doses, critical = [], []
     any_counted = not requests.empty and bool(requests["counted"].any())
+    for key in keys if any_counted else ():
+        never = sorted(set(requests[key]) - set(requests.loc[requests["counted"], key]), key=str)
+        if never:
+            said = ", ".join(map(str, never))
+            _LOG.warning("%s: no request was due at %s = %s; expected earlier trigger times, or longer scenes",
+                         out_dir, key, said)  # fmt: skip
     for key in keys if any_counted else ():
         told_as = _classes(requests[key])
         asked, looked = (one.assign(**{key: one[key].map(told_as)}) if len(one) else one for one in (requests, gaps))
@@ -220,9 +230,10 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         conflicts=named["conflicts"],
         rising=_rising(named["flow"]),
         flow=named["flow"],
-        reasons=counted.loc[~accepted, "reason"].value_counts()[:6].to_dict(),
+        reasons=counted.loc[~accepted, "reason"].value_counts().to_dict(),
         exported_share=None if exported.empty else float((exported == "yes").mean()),
         crossed=len(study.points) == math.prod(len({point[key] for point in study.points}) for key in study.keys),
+        uncrossed=int((accepted & counted["crossing_s"].isna()).sum()),
         overlapping=int(counted["overlaps"].isin([True]).sum()),
         cut_share=float(cut_off.mean()) if len(counted) else 0.0,
         figures=drawn,

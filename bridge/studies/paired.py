@@ -7,6 +7,7 @@ exported is a column.
 """
 
 import zlib
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -49,7 +50,7 @@ from hid2.occupancy.agent_states import AgentStates, agent_states
 from hid2.params import Config, LaneChange
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
-from hid2.scene import Scene
+from hid2.scene import Scene, future_of
 from hid2.vehicle import DrivenVehicle, Start
 
 #: Detectors: length of the intervals, s.
@@ -103,10 +104,11 @@ def measure_runs(place: SceneFolders, runs: Sequence[Run], *, trj: bool = False)
         if trj:
             files["trajectories.trj"] = trj_bytes(found.states.arrays, found.states.matches)
         folder = write_run(place.out, source, config, {name: getattr(found, name) for name in RUN_TABLES}, files)
+        done = Counter[str](one["kind"] for one in found.requests if one["status"] == "done")
         return base_row(place, run, folder)._replace(
-            city=source.city, recorded=len(source.tracks), placed=len(found.driven),
-            maneuvers_requested=len(found.requests),
-            maneuvers_done=sum(one["status"] == "done" for one in found.requests),
+            city=source.city, recorded=len(source.tracks), placed=len(found.driven), driven=len(found.driven),
+            straight=sum(vehicle.policy is Policy.STRAIGHT for vehicle in found.driven),
+            maneuvers_requested=len(found.requests), maneuvers_done=done.total(), **dict[str, Any](done),
         )  # fmt: skip
 
     return attempts(row, runs)
@@ -123,8 +125,9 @@ def drawing_config(config: Config) -> Config:
     )
     flow = config.flow.model_copy(update={"warm_up_s": 0.0})
     spawn = config.spawn.model_copy(update={"reseed_rounds": 1})  # a study may vary it
+    change = LaneChange(min_duration_s=1.5, max_duration_s=15.0)  # as wide as may be: each run has its own
     return Config(
-        request=request, grid=config.grid, spawn=spawn, drivers=config.drivers, turn=config.turn,
+        request=request, grid=config.grid, spawn=spawn, lane_change=change, drivers=config.drivers, turn=config.turn,
         limits=config.limits, smoothing=config.smoothing, flow=flow, without=config.without,
     )  # fmt: skip
 
@@ -148,6 +151,8 @@ def draw(prepared: PreparedScene, config: Config) -> Drawn:
 def paired_run(prepared: PreparedScene, drawn: Drawn, config: Config) -> PairedRun:
     """Drive the vehicles with a configuration, and measure. Errors: SimulationError, ConfigError."""
     scene = replace(drawn.scene, config=config)
+    if config.conflict.horizon_s > drawn.scene.config.conflict.horizon_s:
+        scene = replace(scene, future=future_of(scene.traffic, config, step_s=scene.step_s))
     trigger_s, last_s = triggers(config, drawn), scene.last_s
     starts = [
         replace(

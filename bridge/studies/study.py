@@ -8,6 +8,7 @@ import gzip
 import io
 import itertools
 import json
+import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -294,4 +295,10 @@ def configured(base: Mapping[str, Any], changes: Mapping[str, Value], *, source:
         if not dot:
             raise ConfigError(f"{source}: vary.{key}: expected {TRIGGER} or a key section.parameter of `hid2 config`")
         values.setdefault(section, {})[name] = value
-    return config_from_dict(values, source=source)
+    try:
+        return config_from_dict(values, source=source)
+    except ConfigError as error:
+        told = (
+            re.sub(r"request\.trigger_m(in|ax)_s", f"vary.{TRIGGER}", str(error)) if TRIGGER in changes else str(error)
+        )
+        raise ConfigError(told) from error
