@@ -4,6 +4,8 @@ import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.evaluation.evaluate import write_table
 from bridge.files import write_text
@@ -70,7 +72,11 @@ def _groups(scenes: Sequence[SceneDriving]) -> Iterator[tuple[str, list[SceneDri
         yield f"recordings {('tracker', 'labelled')[kind]}", [scene for scene in scenes if scene.labelled is kind]
     for name, turning in (("straight", False), ("turning", True)):
         kept = [scene.windows[scene.windows["turning"] == turning] for scene in scenes]
-        yield f"lane {name}", [scene._replace(windows=own) for scene, own in zip(scenes, kept, strict=True)]
+        of_windows = [  # standing gaps and lane changes are of no kind of lane alone
+            scene._replace(windows=own, standing_gap_m=np.zeros(0), lane_change_s=np.zeros(0))
+            for scene, own in zip(scenes, kept, strict=True)
+        ]
+        yield f"lane {name}", of_windows
 
 
 def drivers_toml(found: Sequence[CalibratedQuantity], prior: Drivers, scenes: Sequence[SceneDriving]) -> str:

@@ -26,7 +26,7 @@ from hid2.measures.conflicts import TrafficConflict, conflicts
 from hid2.measures.encounters import encounters
 from hid2.measures.lane_changes import LaneChangeRow, lane_changes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind, detect
-from hid2.measures.surrogates import Encroachment
+from hid2.measures.surrogates import CAP_S, Encroachment
 from hid2.occupancy.agent_states import AgentStates
 from hid2.policy.rules import place_in
 from netconvert.errors import ConfigError, ScenarioError
@@ -240,7 +240,7 @@ def _track_rows(
         "je_mps3": kinematic.je.tolist(),
         "collides_with_original": collides[0].tolist(),
         "collides_with_generated": collides[1].tolist(),
-        "min_ttc_s": least(safe.ttc_s),
+        "min_ttc_s": least(np.where(safe.ttc_s < CAP_S, safe.ttc_s, np.inf)),
         "min_leader_ttc_s": least(safe.leaders.ttc_s),
         "min_time_gap_s": least(safe.leaders.time_gap_s),
         "end_ttc_s": [value if np.isfinite(value) else None for value in end_ttc_s.tolist()],

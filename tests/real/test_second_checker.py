@@ -59,7 +59,7 @@ def test_scenes_as_written_have_no_error(quiet_scenes: list[tuple[Path, Path]]) 
 
 
 #: What a fault inside its limit may break besides, as a vehicle that is moved may come nearer to its leader than one
-#: follows: in a bend the judge's path reaches 5 cm to its side, and the lines that are crossed are looked at by it alone.
+#: follows: in a bend the judge's path reaches 5 cm to its side; the lines that are crossed are looked at by it alone.
 BESIDE = {"past a standing vehicle": Quantity.TTC_LEADER, "lane change": Quantity.SOLID_LINE}
 
 

@@ -194,7 +194,8 @@ def _lane(raw: dict[str, object]) -> MapLane:
     return MapLane(
         lane_id=int(raw["id"]), line=line,  # type: ignore[call-overload]
         ground=shapely.make_valid(shapely.Polygon(np.vstack([left, right[::-1]]))),
-        in_intersection=bool(raw["is_intersection"]), for_bikes=raw["lane_type"] == "BIKE", successors=tuple(raw["successors"]),  # type: ignore[arg-type]
+        in_intersection=bool(raw["is_intersection"]), for_bikes=raw["lane_type"] == "BIKE",
+        successors=tuple(raw["successors"]),  # type: ignore[arg-type]
         left=raw["left_neighbor_id"], right=raw["right_neighbor_id"],  # type: ignore[arg-type]
     )  # fmt: skip
 

@@ -28,10 +28,10 @@ def made_root(tmp_path_factory: pytest.TempPathFactory, data_scenes: dict[str, P
 
 
 @pytest.fixture(scope="session")
-def made_scene(made_root: Path) -> Path:
-    """The generated arterial scene: the one with the most lane changes."""
-    folders = sorted(path.parent for path in made_root.rglob("scenario_*.parquet"))
-    return max(folders, key=lambda folder: next(folder.glob("hid2_*.json")).read_text().count('"lane_change"'))
+def made_scene(made_root: Path, data_scenes: dict[str, Path]) -> Path:
+    """The generated arterial scene."""
+    sidecars = made_root.rglob("hid2_*.json")
+    return next(path.parent for path in sidecars if data_scenes["arterial"].name in path.read_text())
 
 
 @pytest.fixture(scope="session")
