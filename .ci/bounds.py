@@ -26,8 +26,8 @@ PACKAGES, KINDS = ("netconvert", "hid2", "bridge", "data"), (".py", ".js", ".j2"
 PRODUCT = (*PACKAGES, ".ci")
 #: What is counted: how many there may be now, and how many there are to be in the end. What shrinks is lowered.
 BOUNDS = {
-    "lines": (38_980, 28_500),
-    "statements": (24_600, 15_000),
+    "lines": (39_010, 28_500),
+    "statements": (24_610, 15_000),
     "lines of hid2": (16_300, 8_500),
     "lines of hid2/insertion": (4_630, 2_200),
     "lines of hid2/kernels": (2_560, 1_900),
@@ -37,8 +37,8 @@ BOUNDS = {
     "lines of bridge/sumo": (1_940, 1_700),
     "lines of bridge/batch": (2_030, 1_500),
     "lines of bridge/pictures": (810, 850),
-    "lines of bridge/studies, evaluation, forecasting, pages": (7_210, 4_600),
-    "lines of tests": (31_550, 19_000),
+    "lines of bridge/studies, evaluation, forecasting, pages": (7_230, 4_600),
+    "lines of tests": (31_560, 19_000),
     "parameters": (110, 110),
     "fmt: skip and fmt: off": (247, 40),
     "functions above 80 lines": (2, 0),

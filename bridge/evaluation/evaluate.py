@@ -58,7 +58,9 @@ def evaluate_folder(
     with contextlib.ExitStack() as stack:
         tables = {name: stack.enter_context(_table(report_dir / f"{name}.csv", TABLES[name])) for name in TABLES}
         every = [*folders, *sources.values(), *controls]
-        each = work_on_each(measure, every, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=120, on_item=on_scene)
+        each = work_on_each(
+            measure, every, shared=frozenset(sources), jobs=jobs, chunk=_CHUNK, timeout_s=120, on_item=on_scene
+        )
         for done, (folder, packed) in enumerate(each, 1):
             if isinstance(packed, Failure):
                 failures.append((folder, packed.message))
@@ -124,9 +126,9 @@ def _sources_of(folders: Sequence[Address], source: Sequence[Path], choices: Cho
     return {known: found[known] for known in sorted(ids & found.keys())}
 
 
-def measure(_shared: None, folder: Address) -> bytes:
+def measure(sources: frozenset[str], folder: Address) -> bytes:
     """Measures of a scene, packed to a tenth: many may wait for one before them."""
-    return zlib.compress(pickle.dumps(measure_folder(folder)), 1)
+    return zlib.compress(pickle.dumps(measure_folder(folder, sources)), 1)
 
 
 def _map_size(folder: Address) -> int:

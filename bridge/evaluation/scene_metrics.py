@@ -1,7 +1,7 @@
 """Every measure of one scene folder: a row for the scene, one per track, one per manoeuvre, and histograms."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
@@ -58,13 +58,17 @@ class SceneMeasures:
         return self.tables["scenes"][0]
 
 
-def measure_folder(folder: Address) -> SceneMeasures:
-    """Measure one recording or generated scene. Errors: ScenarioError, MapError."""
+def measure_folder(folder: Address, sources: Collection[str] = ()) -> SceneMeasures:
+    """Measure one recording or generated scene; sources: of which recorded driving is measured, without their scenes.
+
+    Errors: ScenarioError, MapError.
+    """
     recording = read_recording(folder)
     sidecar = recording.sidecar
     if sidecar is not None and sidecar.replay.mode == "reactive":
         raise ScenarioError(f"{folder}: {REACTIVE}")
-    measures = measure(recording, recording.tracks, sidecar)
+    apart = sidecar is not None and sidecar.source_scenario_id not in sources
+    measures = measure(recording, recording.tracks, sidecar, apart=apart)
     name: Row = {"scenario_id": recording.scenario_id}
     place: Row = {"split": split_of(folder) or "", "city": recording.city, "folder": str(folder)}
     before = dict.fromkeys(TABLES, name) | {"scenes": name | place, "events": name | {"folder": str(folder)}}
@@ -72,8 +76,13 @@ def measure_folder(folder: Address) -> SceneMeasures:
     return replace(measures, tables=tables)
 
 
-def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | None) -> SceneMeasures:
-    """Measure tracks on the map of a recording, with its steps and by default limits; sidecar: of a generated scene."""
+def measure(
+    recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | None, *, apart: bool = False
+) -> SceneMeasures:
+    """Measure tracks on the map of a recording, with its steps and by default limits; sidecar: of a generated scene.
+
+    apart: whether realism and windows of recorded vehicles are those among themselves, without inserted ones.
+    """
     source = sidecar.source_scenario_id if sidecar else recording.scenario_id
     states, groups = _grouped(recording, tracks)
     arrays, safe, last_observed = states.arrays, groups["combined"].safe, recording.last_observed
@@ -94,7 +103,15 @@ def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | No
     for name, group in groups.items():
         scene |= {f"{name}_{key}": value for key, value in _group_row(group, maneuvers, policy_of).items()}
     scene |= _pair_row(safe, arrays) | _request_row(sidecar)
-    driving = windows(states, safe.leaders, scene=source, labelled=recording.provenance == "human")
+    realism, driving = _driving(states, safe, maneuvers, scene=source, labelled=recording.provenance == "human")
+    if apart and arrays.generated.any() and not arrays.generated.all():
+        alone = states.rows(np.flatnonzero(~arrays.generated).tolist())
+        seen = [one for one in maneuvers if not is_generated_id(one.track_id)]
+        among, own = _driving(alone, safety(alone), seen, scene=source, labelled=recording.provenance == "human")
+        both = RealismCounts()
+        both.add(realism, recorded=False)
+        both.add(among, generated=False)
+        realism, driving = both, np.concatenate([driving[driving["generated"]], own])
     tables = {
         "scenes": [scene],
         "tracks": _track_rows(groups, findings, policy_of, sidecar),
@@ -105,7 +122,15 @@ def measure(recording: Recording, tracks: Sequence[Track], sidecar: Sidecar | No
         "lane_changes": [asdict(row) for row in lane_changes(states, safe.leaders, maneuvers)],
         "conflicts": [asdict(row) for row in conflicts(arrays)],
     }
-    return SceneMeasures(tables, count_scene(arrays, safe, driving, maneuvers, scene=source), driving)
+    return SceneMeasures(tables, realism, driving)
+
+
+def _driving(
+    states: AgentStates, safe: Safety, maneuvers: Sequence[Maneuver], *, scene: str, labelled: bool
+) -> tuple[RealismCounts, Windows]:
+    """How vehicles drive: histograms, and windows for the critics."""
+    driving = windows(states, safe.leaders, scene=scene, labelled=labelled)
+    return count_scene(states.arrays, safe, driving, maneuvers, scene=scene), driving
 
 
 def evaluate_scene(scene: TrafficScene, *own: Callable[[Group], float]) -> "pd.DataFrame":

@@ -6,6 +6,7 @@ import re
 import shutil
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from bridge.recordings.sidecar import EventRecord
 from hid2.agents import VEHICLE_TYPES
 from hid2.evaluation import metrics
 from hid2.evaluation.metrics import METRICS, ROWS, Column, Metric
+from hid2.evaluation.realism import RECORDED
 from hid2.params import Config
 from netconvert.errors import ExportError, MapError, ScenarioError
 
@@ -211,6 +213,20 @@ def test_recorded_scenes_alone_are_evaluated_and_their_maps_read_as_those_of_a_s
     events = (tmp_path / "report" / "events.csv").read_text()
     assert events.startswith("scenario_id,folder,kind,target,status,reason,")
     assert "At a glance" not in (tmp_path / "report" / "report.html").read_text()
+
+
+def test_recorded_driving_is_that_among_recorded_vehicles(made_scene: Path, data_scenes: dict[str, Path]) -> None:
+    """Without its source a generated scene tells of recorded vehicles what the source does."""
+    alone, apart, with_source = (
+        measure_folder(data_scenes["arterial"]), measure_folder(made_scene),
+        measure_folder(made_scene, {data_scenes["arterial"].name}),
+    )  # fmt: skip
+    np.testing.assert_array_equal(apart.realism.counts[RECORDED:], alone.realism.counts[RECORDED:])
+    np.testing.assert_array_equal(apart.realism.counts[:RECORDED], with_source.realism.counts[:RECORDED])
+    assert (with_source.realism.counts[RECORDED:] != alone.realism.counts[RECORDED:]).any()
+    recorded = apart.windows[~apart.windows["generated"]]
+    assert (len(recorded), len(apart.windows)) == (len(alone.windows), len(with_source.windows))
+    np.testing.assert_array_equal(recorded["gap_m"], alone.windows["gap_m"])
 
 
 @pytest.mark.usefixtures("no_critics")
