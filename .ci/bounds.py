@@ -38,7 +38,7 @@ BOUNDS = {
     "lines of bridge/batch": (2_030, 1_500),
     "lines of bridge/pictures": (810, 850),
     "lines of bridge/studies, evaluation, forecasting, pages": (7_230, 4_600),
-    "lines of tests": (31_560, 19_000),
+    "lines of tests": (31_590, 19_000),
     "parameters": (110, 110),
     "fmt: skip and fmt: off": (247, 40),
     "functions above 80 lines": (2, 0),

@@ -22,7 +22,7 @@ from bridge.studies.statistics import seeds_needed
 from bridge.studies.study import Study, read_study
 from hid2.insertion.flow import arrivals, entry_lanes
 from hid2.insertion.routes import Routes
-from hid2.params import Config, Flow, LaneChange, Request, Spawn
+from hid2.params import Config, Drivers, Flow, LaneChange, Request, Spawn
 from hid2.scene import build_scene
 from netconvert.errors import ConfigError
 
@@ -78,6 +78,15 @@ def test_request_is_observed_until_the_scene_has_no_time_left_for_a_change(data_
     late_s = {name: 0.1 * look.step for name, look in looks if look.guard == "scene_ends"}  # of each the first
     assert late_s
     assert {name: rows[name]["observed_to_s"] for name in late_s} == pytest.approx(late_s)
+
+
+def test_durations_are_within_the_bounds_of_the_run_and_no_others(data_scenes: dict[str, Path]) -> None:
+    config = Config(
+        request=CHANGES, lane_change=LaneChange(max_duration_s=12.0), drivers=Drivers(lane_change_mean_s=8.0)
+    )
+    prepared = prepare(read_scenario(data_scenes["arterial"]), config)
+    run = paired_run(prepared, draw(prepared, drawing_config(config)), config)
+    assert max(one.start.driver.lane_change_s for one in run.driven) > 6.5
 
 
 def test_run_is_the_same_again(data_scenes: dict[str, Path]) -> None:

@@ -177,6 +177,25 @@ def test_target_path_goes_on_beside_the_own_route() -> None:
     assert [segment.lane_id for segment in target_path(scene, scene.paths.along((1, 3)), 2, s=5.0).segments] == [2, 6]
 
 
+@pytest.mark.parametrize(("s", "x", "first", "free"), [
+    (98.0, 102.3, 0, False), (98.0, 102.3, 4, False), (98.0, 107.0, 0, True), (102.0, 97.7, 0, False),
+])  # fmt: skip
+def test_cells_are_looked_at_over_the_ends_of_their_lanes(s: float, x: float, first: int, *, free: bool) -> None:
+    """Lane 2 goes on as lane 6 at 100 m; from step `first` on a box of 4.5 m stands on lane 2 or 6, at x."""
+    graph = LaneGraph({
+        1: draw_lane(1, [(0.0, 0.0), (100.0, 0.0)], left=2, successors=(3,)),
+        2: draw_lane(2, [(0.0, 3.5), (100.0, 3.5)], right=1, successors=(6,)),
+        3: draw_lane(3, [(100.0, 0.0), (200.0, 0.0)], left=6),
+        6: draw_lane(6, [(100.0, 3.5), (200.0, 3.5)], right=3),
+    })  # fmt: skip
+    scene = scene_of(draw_track(range(first, 60), np.full(60 - first, x), 3.5), graph=graph)
+    ((option, _),) = lane_options(
+        scene, scene.paths.along((1, 3)), CAR, s=s, sides=("left",), inserted=Inserted(0, NOBODY, NOBODY),
+        speed_mps=10.0, desired_mps=10.0,
+    )  # fmt: skip
+    assert option.cells_free is free
+
+
 def test_leader_is_the_next_one_on_the_path_within_d_obs(straight_path: DrivenPath) -> None:
     """At 50 and 70 m on the own lane, at 45 m on the next lane; own centre at 30: the one at 50, gap 20 - 4.5 m."""
     vehicles = (
