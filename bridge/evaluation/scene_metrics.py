@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -103,11 +104,12 @@ def measure(
     for name, group in groups.items():
         scene |= {f"{name}_{key}": value for key, value in _group_row(group, maneuvers, policy_of).items()}
     scene |= _pair_row(safe, arrays) | _request_row(sidecar)
-    realism, driving = _driving(states, safe, maneuvers, scene=source, labelled=recording.provenance == "human")
+    driving_of = partial(_driving, scene=source, labelled=recording.provenance == "human")
+    realism, driving = driving_of(states, safe, maneuvers)
     if apart and arrays.generated.any() and not arrays.generated.all():
         alone = states.rows(np.flatnonzero(~arrays.generated).tolist())
         seen = [one for one in maneuvers if not is_generated_id(one.track_id)]
-        among, own = _driving(alone, safety(alone), seen, scene=source, labelled=recording.provenance == "human")
+        among, own = driving_of(alone, safety(alone), seen)
         both = RealismCounts()
         both.add(realism, recorded=False)
         both.add(among, generated=False)

@@ -67,10 +67,8 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
     for key in keys if any_counted else ():
         never = sorted(set(requests[key]) - set(requests.loc[requests["counted"], key]), key=str)
         if never:
-            said = ", ".join(map(str, never))
             _LOG.warning("%s: no request was due at %s = %s; expected earlier trigger times, or longer scenes",
-                         out_dir, key, said)  # fmt: skip
-    for key in keys if any_counted else ():
+                         out_dir, key, ", ".join(map(str, never)))  # fmt: skip
         told_as = _classes(requests[key])
         asked, looked = (one.assign(**{key: one[key].map(told_as)}) if len(one) else one for one in (requests, gaps))
         dose = dose_response(asked, looked, key, give_up_s=min(give_up_s), critical_ttc_s=Conflict().ttc_min_s)

@@ -81,7 +81,7 @@ def lane_options(
         at = next(one for one in target.segments if one.lane_id == lane_id).s_at(lane_m)
         cell = scene.grid.cell_at(lane_id, lane_m)
         remaining = target.exit_m - at
-        before, following = _beside_on(scene, target, cell)
+        before, following = _cells_along(scene, target, cell)
         free = _cells_free(scene, (before, cell, following), inserted) and not transition_rejected(
             _next_sigma(scene, cell, following, step=inserted.step, speed_mps=speed_mps)
         )
@@ -198,17 +198,13 @@ def _may_cross(scene: Scene, motion: LateralMotion, side: Side) -> bool:
     return all(crossable(lanes[one.lane_id].mark_type(side)) for one in along)
 
 
-def _beside_on(scene: Scene, path: DrivenPath, cell: Cell) -> tuple[Cell | None, Cell | None]:
+def _cells_along(scene: Scene, path: DrivenPath, cell: Cell) -> tuple[Cell | None, Cell | None]:
     """Cells j-1 and j+1 of a cell of a path, over the ends of its lane; None at those of the path."""
-    lanes, last = [segment.lane_id for segment in path.segments], scene.grid.count(cell.lane_id) - 1
+    grid, lanes = scene.grid, [segment.lane_id for segment in path.segments]
     at = lanes.index(cell.lane_id)
-    before = (
-        [Cell(cell.lane_id, cell.index - 1)]
-        if cell.index
-        else [Cell(one, scene.grid.count(one) - 1) for one in lanes[:at]]
-    )
-    after = [Cell(cell.lane_id, cell.index + 1)] if cell.index < last else [Cell(one, 0) for one in lanes[at + 1 :]]
-    return (before[-1] if before else None), (after[0] if after else None)
+    ends = (Cell(one, grid.count(one) - 1) for one in reversed(lanes[:at]))
+    before = Cell(cell.lane_id, cell.index - 1) if cell.index else next(ends, None)
+    return before, grid.longitudinal(cell) or next((Cell(one, 0) for one in lanes[at + 1 :]), None)
 
 
 def _next_sigma(scene: Scene, cell: Cell, following: Cell | None, *, step: int, speed_mps: float) -> int:

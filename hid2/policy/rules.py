@@ -220,12 +220,16 @@ def idm_mps2(speed_mps: float, ahead: Gap, view: GapView) -> float:
     return view.accel_mps2 * (free - (wanted / max(ahead.distance_m, 0.1)) ** 2)
 
 
+def _is_agent_beside(view: GapView) -> bool:
+    return view.front.distance_m <= 0.0 or view.rear.distance_m <= 0.0
+
+
 def mobil_refusals(view: GapView, params: LaneChange) -> Iterator[Reason]:
     """MOBIL (Kesting, Treiber and Helbing 2007): safety for the new follower, then the incentive with politeness p.
 
     a_c' - a_c + p (a_n' - a_n + a_o' - a_o) > threshold - bias, by the intelligent driver model.
     """
-    if view.front.distance_m <= 0.0 or view.rear.distance_m <= 0.0:  # an agent is beside
+    if _is_agent_beside(view):
         yield Reason.CELLS_OCCUPIED
     own = Gap(view.rear.distance_m, view.speed_mps)
     follower_after = idm_mps2(view.rear.speed_mps, own, view)
@@ -247,7 +251,7 @@ def mobil_refusals(view: GapView, params: LaneChange) -> Iterator[Reason]:
 
 def _lc2013_refusals(view: GapView) -> Iterator[Reason]:
     """SUMO's own model: it wants the lane (strategic, cooperative, speed gain, keep right) and finds it free."""
-    if view.front.distance_m <= 0.0 or view.rear.distance_m <= 0.0:  # beside it SUMO is shown no agent
+    if _is_agent_beside(view):  # SUMO may not be shown it
         yield Reason.CELLS_OCCUPIED
     if view.sumo is None or not view.sumo.motives:
         yield Reason.LC2013_NO_MOTIVE
