@@ -306,10 +306,11 @@ _Points = dict[str, dict[str, list[tuple[float, Estimate]]]]
 
 def _density(rows: _Rows, generating: Sequence[str]) -> _Points:
     """Estimates by metric and group along the numbers placed."""
-    series = {_placed(own): (SourceSums.of(own), one in generating) for one, own in rows.items() if one != _SMOOTHED}
+    series = [(_placed(own), SourceSums.of(own), one in generating) for one, own in rows.items() if one != _SMOOTHED]
+    series.sort(key=lambda one: one[0])
 
     def points(metric: Metric, group: str) -> list[tuple[float, Estimate]]:
-        known = [(added, sums) for added, (sums, made) in sorted(series.items()) if made or group == "combined"]
+        known = [(added, sums) for added, sums, made in series if made or group == "combined"]
         return [(added, estimate(sums, metric, group)) for added, sums in known]
 
     return {metric.key: {group: points(metric, group) for group in ("combined", "generated")} for metric in COLUMNS}

@@ -174,7 +174,7 @@ def _bounded(name: str, value: float) -> float:
 def _measured(
     names: Sequence[str], what: str, values: Sequence[FloatArray], law: Callable[..., Sequence[float]], prior: Drivers
 ) -> list[CalibratedQuantity]:
-    """Parameters that are measured together; of too few drivers they keep their prior.
+    """Parameters that are measured together; of too few drivers, or where draws give no number, they keep their prior.
 
     values: (D,) each, of every driver; law: the parameters by the values of some drivers.
     """
@@ -190,10 +190,13 @@ def _measured(
     estimates = [
         interval(value, column) for value, column in zip(law(*values), redrawn(of_drawn, drivers).T, strict=True)
     ]
-    return [
-        CalibratedQuantity(name, _bounded(name, one.value or 0.0), one.low, one.high, drivers, "measured", what)
-        for name, one in zip(names, estimates, strict=True)
-    ]
+    found = []
+    for name, (value, low, high) in zip(names, estimates, strict=True):
+        if value is None or low is None or high is None:
+            return [_kept(name, what, prior, drivers) for name in names]
+        value, low, high = _bounded(name, value), _bounded(name, low), _bounded(name, high)
+        found.append(CalibratedQuantity(name, value, low, high, drivers, "measured", what))
+    return found
 
 
 def _median_and_sd(values: FloatArray) -> tuple[float, float]:

@@ -93,7 +93,7 @@ class TrafficConflict:
     kind: Annotated[str, "SSAM's class by the angle: rear_end below 30 degrees, crossing above 85, lane_change between"]
     start_s: Annotated[float, "from when the TTC is below 1.5 s; of a crossing without: when the first passes"]
     end_s: Annotated[float, "until when; of a crossing without: when the second passes"]
-    time_s: Annotated[float, "time of the least TTC"]
+    time_s: Annotated[float, "time of the least TTC; of a crossing without: when the first passes"]
     ttc_s: Annotated[float | None, "TTC: least, of the boxes at constant velocities; empty: not below 1.5 s"]
     pet_s: Annotated[
         float | None,
@@ -101,8 +101,13 @@ class TrafficConflict:
     ]
     drac_mps2: Annotated[float, "largest deceleration that the second needed to avoid the crash"]
     max_s_mps: Annotated[float, "MaxS: larger speed of the two during the conflict"]
-    delta_s_mps: Annotated[float, "DeltaS: length of the difference of the two velocities at time_s"]
-    angle_deg: Annotated[float, "from the first's heading to the second's at time_s; positive: it comes from the right"]
+    delta_s_mps: Annotated[
+        float,
+        "DeltaS: length of the difference of the velocities at time_s, of a crossing without a TTC as each passes",
+    ]
+    angle_deg: Annotated[
+        float, "from the first's heading to the second's, at the same times; positive: it comes from the right"
+    ]
     x_m: Annotated[float, "between the two at time_s, of a crossing without a TTC where they pass; city frame"]
     y_m: Annotated[float, "the same"]
 
@@ -128,13 +133,11 @@ def conflicts(
     for a, b in sorted({*zip(*(side.tolist() for side in np.nonzero(near)), strict=True), *crossing}):
         course, crossed = pair_course(arrays, a, b, cap_s=ttc_s), crossing.get((a, b))
         close = course.step[np.isfinite(course.ttc_s)]
-        if crossed and not close.size:
-            close = course.step[(course.step >= min(crossed.passed)) & (course.step <= max(crossed.passed))]
-        if not close.size:
-            continue
         parts = np.split(close, np.flatnonzero(np.diff(close) * arrays.step_s > CONFLICT_PET_S) + 1)
-        spans = (course.during(int(part[0]), int(part[-1])) for part in parts)
-        found += [_conflict(arrays, (a, b), span, crossed) for span in spans]
+        spans = [(int(part[0]), int(part[-1])) for part in parts if part.size]
+        if crossed and not spans:
+            spans = [(min(crossed.passed), max(crossed.passed))]
+        found += [_conflict(arrays, (a, b), course.during(*steps), steps, crossed) for steps in spans]
     return sorted(found, key=lambda one: (one.start_s, one.first_id, one.second_id))
 
 
@@ -150,26 +153,28 @@ def _first(arrays: SceneArrays, agents: tuple[int, int], span: PairCourse, cross
 
 
 def _conflict(
-    arrays: SceneArrays, pair: tuple[int, int], span: PairCourse, crossed: Encroachment | None
+    arrays: SceneArrays, pair: tuple[int, int], span: PairCourse, steps: tuple[int, int], crossed: Encroachment | None
 ) -> TrafficConflict:
-    """The conflict of a pair over some steps. crossed: where their paths cross."""
+    """The conflict of a pair over some steps. span: where both are there then; crossed: where their paths cross."""
     first = _first(arrays, pair, span, crossed)
     second = sum(pair) - first
-    at, steps = int(np.argmin(span.ttc_s)), (int(span.step[0]), int(span.step[-1]))
-    then, ttc_s = int(span.step[at]), float(span.ttc_s[at])
-    one, other = (int(arrays.row_of[agent, then]) for agent in (first, second))
+    ttc_s = float(span.ttc_s.min(initial=np.inf))
+    then = int(span.step[np.argmin(span.ttc_s)]) if math.isfinite(ttc_s) else steps[0]
     met = crossed.passed if crossed and not math.isfinite(ttc_s) else (then, then)
-    x_m, y_m = arrays.position[arrays.row_of[list(pair), list(met)]].mean(axis=0).tolist()
+    at = {agent: int(arrays.row_of[agent, step]) for agent, step in zip(pair, met, strict=True)}
+    one, other = at[first], at[second]
+    x_m, y_m = arrays.position[[one, other]].mean(axis=0).tolist()
     course = pair_course(arrays, second, first).during(*steps)
     pet_s = crossed.pet_s if crossed else _following_pet(arrays, first, second, steps)
     angle = math.degrees(float(wrap_angle(arrays.heading[other] - arrays.heading[one])))
     kind = "rear_end" if abs(angle) < REAR_END_DEG else "crossing" if abs(angle) > CROSSING_DEG else "lane_change"
-    speeds = np.hypot(*arrays.velocity[np.concatenate([span.rows, span.other])].T)
+    there = arrays.row_of[list(pair), steps[0] : steps[1] + 1]
+    speeds = np.hypot(*arrays.velocity[there[there >= 0]].T)
     return TrafficConflict(
         first_id=arrays.track_ids[first], second_id=arrays.track_ids[second], kind=kind,
         start_s=round(steps[0] * arrays.step_s, 6), end_s=round(steps[1] * arrays.step_s, 6),
         time_s=round(then * arrays.step_s, 6), ttc_s=ttc_s if math.isfinite(ttc_s) else None, pet_s=pet_s,
-        drac_mps2=float(course.drac_mps2.max()), max_s_mps=float(speeds.max()),
+        drac_mps2=float(course.drac_mps2.max(initial=0.0)), max_s_mps=float(speeds.max()),
         delta_s_mps=float(np.hypot(*(arrays.velocity[one] - arrays.velocity[other]))), angle_deg=angle,
         x_m=x_m, y_m=y_m,
     )  # fmt: skip

@@ -55,6 +55,18 @@ def test_crossing_conflict_by_hand() -> None:
     assert (found.angle_deg, found.delta_s_mps) == pytest.approx((-90.0, 10.0 * 2**0.5))
 
 
+def test_crossing_conflict_of_vehicles_that_are_never_there_together() -> None:
+    """As above, but the first ends at step 25 and the second begins at step 27: passing times are the same."""
+    first, second = _straight("a", (0, -20), 10.0, 90, steps=26), _straight("b", (-6, 0), 10.0, 0)
+    second = replace(second, timesteps=second.timesteps + 27)
+    (found,) = conflicts(stack([first, second], step_s=0.1))
+    assert (found.first_id, found.second_id, found.kind, found.ttc_s) == ("a", "b", "crossing", None)
+    assert (found.start_s, found.time_s, found.end_s) == pytest.approx((2.0, 2.0, 3.3), abs=0.11)
+    assert (found.drac_mps2, found.max_s_mps) == (0.0, pytest.approx(10.0))
+    assert (found.angle_deg, found.delta_s_mps) == pytest.approx((-90.0, 10.0 * 2**0.5))
+    assert (found.x_m, found.y_m) == pytest.approx((0.0, 0.0), abs=1.1)
+
+
 def test_crossings_are_those_of_all_pairs_whenever_the_vehicles_are_there() -> None:
     """Twelve from the south at random times, one from the west: PETs of all pairs at once are those of each alone."""
     rng = np.random.default_rng(0)
