@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from pydantic import ValidationError
 
 from bridge.files import one_line
@@ -37,14 +38,14 @@ class ParameterRow(NamedTuple):
 
 
 def load_config(
-    toml_path: Path | None = None, overrides: Sequence[str] = (), flags: Mapping[str, object] | None = None
+    toml_path: Path | str | None = None, overrides: Sequence[str] = (), flags: Mapping[str, object] | None = None
 ) -> Config:
     """Resolve a configuration.
 
     toml_path: sections as tables; flags: values by "section.key"; overrides: texts "section.key=value", which come
     last. A function of your own as lane_change.rule is tried at once. Errors: ConfigError with key, value and range.
     """
-    data = read_toml(toml_path, "a configuration") if toml_path is not None else {}
+    data = read_toml(Path(toml_path), "a configuration") if toml_path is not None else {}
     config, functions = config_from_dict(data, source=str(toml_path or "configuration")), False
     for key, value in (flags or {}).items():
         if callable(value) and key == "lane_change.rule":
@@ -169,9 +170,14 @@ def config_from_dict(data: Mapping[str, Any], *, source: str = "configuration") 
             if not values[section] and section not in Config.model_fields:  # a section of which nothing is left
                 del values[section]
     try:  # as JSON, in which lists are taken for tuples and sets, and no other type for another
-        return Config.model_validate_json(json.dumps(values, default=str), strict=True)
+        return Config.model_validate_json(json.dumps(values, default=_plain), strict=True)
     except ValidationError as error:
         raise ConfigError(f"{source}: {_explain(error)}") from error
+
+
+def _plain(value: object) -> object:
+    """A value of numpy's as one of Python's; text of anything else, which no parameter takes."""
+    return value.tolist() if isinstance(value, np.generic | np.ndarray) else str(value)
 
 
 def config_sha256(config: Config) -> str:
@@ -223,7 +229,7 @@ def check_function(name: str, named: Collection[str], *, where: str) -> None:
     if ":" in name and name not in named:
         raise ConfigError(
             f"{where}: asks for the function {one_line(name, most=200)!r}, which is none of hid2's: if you trust it, "
-            f"add --function {one_line(name, most=200)}"
+            f"add --function {one_line(name, most=200)} (in Python: Options(functions=...))"
         )
 
 
@@ -347,6 +353,8 @@ def _explain(error: ValidationError) -> str:
     key = keys[0] if keys and keys[0] in fields else ".".join(keys[:2])
     if first["type"] == "extra_forbidden":
         return where + _unknown(key, value, fields)
+    if where and not key:
+        return f"{where}{value!r:.100}, expected a table with {', '.join(fields)}"
     if key in fields:
         wanted = "[least, largest]" if where and key in _BANDS else _range(fields[key])
         return f"{where}{key} = {value!r}, expected {wanted}"

@@ -24,8 +24,10 @@ def _option(default: Any, unit: str, says: str, metavar: str, **more: Any) -> An
 
 
 _FUNCTION = r"^[A-Za-z_][\w.]*:[A-Za-z_]\w*$"  # module:function
-_OWN = r"[A-Za-z_][\w.]*:[A-Za-z_]\w*=(0?\.[0-9]+|[01])"  # module:behaviour=share
+_OWN = r"[A-Za-z_][\w.]*:[A-Za-z_]\w*=(0?\.[0-9]+|[01](\.0*)?)"  # module:behaviour=share
 _ARGUMENT = r"[A-Za-z_]\w*=-?[0-9][0-9.e+-]*"
+#: What rules of the tool read of `lane_change.rule_with`, on roads without recorded agents.
+_READ_OF_RULE_WITH = {"paper": {"incentive"}, "MOBIL": set[str](), "LC2013": {"keep_right"}}
 _ARGUMENTS = rf"^({_ARGUMENT}(, *{_ARGUMENT})*)?$"
 
 
@@ -87,6 +89,8 @@ class Request(_Section):
     def _check(self) -> "Request":
         if self.trigger_max_s is not None and self.trigger_max_s < self.trigger_min_s:
             raise ValueError(f"trigger_max_s {self.trigger_max_s} is below trigger_min_s {self.trigger_min_s}")
+        if len(self.behaviours) < len(Policy) + len(self.own_behaviours):
+            raise ValueError(f"own = {self.own!r}: two of one name, expected a name for each")
         if sum(self.behaviours.values()) <= 0:
             raise ValueError("the behaviour shares sum to 0, expected at least one above 0")
         if self.bus_share + self.truck_share > 1:
@@ -229,6 +233,12 @@ class LaneChange(_Section):
     def _check(self) -> "LaneChange":
         if self.max_duration_s < self.min_duration_s:
             raise ValueError(f"max_duration_s {self.max_duration_s} is below min_duration_s {self.min_duration_s}")
+        names = {part.partition("=")[0].strip() for part in self.rule_with.split(",") if part}
+        read = _READ_OF_RULE_WITH.get(self.rule, names)
+        if not names <= read:
+            raise ValueError(
+                f"rule_with = {self.rule_with!r}: rule {self.rule} reads {', '.join(read) or 'nothing'} of it"
+            )
         return self
 
 

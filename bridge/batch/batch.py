@@ -130,7 +130,7 @@ def plan(folders: Iterable[Address], config: Config) -> list[SceneJob]:
 
 
 def run_batch(
-    jobs: Sequence[SceneJob], out_dir: Path, options: Options | None = None, *, on_row: OnRow | None = None
+    jobs: Sequence[SceneJob], out_dir: Path | str, options: Options | None = None, *, on_row: OnRow | None = None
 ) -> list[ManifestRow]:
     """Do the jobs, write OUT/manifest.csv, return the rows of these jobs in the manifest's order.
 
@@ -140,7 +140,7 @@ def run_batch(
     """
     options = options or Options()
     on_row = on_row or (lambda row, progress: None)
-    out_dir = out_dir.resolve()
+    out_dir = Path(out_dir).resolve()
     _check_places(jobs, out_dir)
     progress = Progress(total=sum(len(job.runs) for job in jobs))
     rows: list[ManifestRow] = []
@@ -193,6 +193,10 @@ def with_own(jobs: Sequence[SceneJob], functions: Collection[str]) -> Sequence[S
     named = {name: key for one in configs for name, key in functions_of(one).items()}
     for name, key in sorted(named.items()):
         check_function(name, functions, where=key)
+        if name.startswith("__main__:"):
+            raise ConfigError(
+                f"{key} = {name!r}: a batch does not find it in a script; put it into a module of its own"
+            )
     if not configs:
         return jobs
     from hid2.policy.behaviours import load_own  # only where there are any

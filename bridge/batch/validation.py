@@ -15,9 +15,9 @@ from netconvert.errors import ConfigError, ScenarioError
 
 
 def validate_folder(
-    out: Path,
+    out: Path | str,
     *,
-    source: Path | Sequence[Path] = (),
+    source: Path | str | Sequence[Path] = (),
     map_path: Path | None = None,
     inserted: Sequence[str] = (),
     jobs: int = 1,
@@ -29,7 +29,8 @@ def validate_folder(
     was chosen for them; inserted: ids of the tracks that are judged, those that hid2 inserted unless told.
     Errors: ScenarioError where out or source is no folder or holds no scenario; ConfigError for a track of no scene.
     """
-    folders, sources = find_scenarios(out), [source] if isinstance(source, Path) else [*source]
+    out, sources = Path(out), [Path(source)] if isinstance(source, str | Path) else [*source]
+    folders = find_scenarios(out)
     _check_known(inserted, folders)
     given = find_recordings(sources, Choices(map_path, stride=1)) if sources else []  # every window of a log
     recorded = {source_id(one): one for one in fitting(given, Choices(map_path))}

@@ -29,10 +29,10 @@ _CHUNK = 40
 
 
 def evaluate_folder(
-    out: Path,
+    out: Path | str,
     *,
-    report_dir: Path,
-    source: Path | Sequence[Path] = (),
+    report_dir: Path | str,
+    source: Path | str | Sequence[Path] = (),
     choices: Choices | None = None,
     control: Path | None = None,
     jobs: int = 1,
@@ -48,8 +48,8 @@ def evaluate_folder(
     Errors: ScenarioError where there is no scene; ExportError where the report cannot be written.
     """
     # by map, so that each is read once, and large ones first: what a process needs at most it needs from the start
-    folders = sorted(find_recordings([out], choices), key=_map_size, reverse=True)
-    roots = (source,) if isinstance(source, Path) else source
+    folders = sorted(find_recordings([Path(out)], choices), key=_map_size, reverse=True)
+    report_dir, roots = Path(report_dir), (Path(source),) if isinstance(source, str | Path) else source
     sources = _sources_of(folders, roots, choices) if roots else {}
     fitting([*folders, *sources.values()], choices)
     controls = sorted(find_scenarios(control), key=_map_size, reverse=True) if control is not None else []

@@ -138,11 +138,14 @@ def _driving(
 def evaluate_scene(scene: TrafficScene, *own: Callable[[Group], float]) -> "pd.DataFrame":
     """The report's metrics over one scene, and functions of your own of a `Group`: a row each, a column a group.
 
-    Errors: ConfigError with file and line where a function of your own takes no Group, raises, or gives no number.
+    Errors: ConfigError with file and line where a function of your own takes no Group, raises, or gives no number, or
+    has the name of another metric; ScenarioError for a scene in which recorded vehicles react.
     """
     import pandas as pd
 
     recording = scene.recording
+    if recording.sidecar is not None and recording.sidecar.replay.mode == "reactive":
+        raise ScenarioError(f"{recording.folder}: {REACTIVE}")
     _, groups = _grouped(recording, recording.tracks)
     found: dict[str, list[object]] = {}
     for metric in METRICS:
@@ -150,6 +153,8 @@ def evaluate_scene(scene: TrafficScene, *own: Callable[[Group], float]) -> "pd.D
         found[metric.key] = [metric.label, metric.unit, *(a / b if b else None for a, b in each)]
     for one in own:
         name = getattr(one, "__name__", repr(one))
+        if name in found:
+            raise ConfigError(f"metric {name!r}: there is one of this name already, expected another name")
         found[name] = [name.replace("_", " "), "", *(_number_of(one, name, group) for group in groups.values())]
     return pd.DataFrame.from_dict(found, orient="index", columns=["label", "unit", *groups])
 

@@ -8,6 +8,7 @@ from bridge.recordings.folders import Address
 from bridge.recordings.recording import Recording
 from bridge.recordings.sources import read_recording
 from bridge.sumo.net import write_all
+from netconvert.errors import ConfigError
 
 #: Module and function of each format's writer: a scene in, contents by file name out. Imported when it is asked for.
 WRITERS: Mapping[str, str] = {
@@ -20,11 +21,14 @@ WRITERS: Mapping[str, str] = {
 }
 
 
-def export_scene(address: Address, to: str, out_dir: Path) -> list[Path]:
+def export_scene(address: Address | str, to: str, out_dir: Path) -> list[Path]:
     """Write a scene in a format of WRITERS into out_dir, all files or, after an error, none; returns the files.
 
-    Errors: ScenarioError, MapError; NetError where it cannot be said in the format; ExportError where not be written.
+    Errors: ConfigError for another format; ScenarioError, MapError; NetError where it cannot be said in the format;
+    ExportError where not be written.
     """
+    if to not in WRITERS:
+        raise ConfigError(f"format {to!r}: expected one of {', '.join(WRITERS)}")
     module, name = WRITERS[to].rsplit(".", 1)
     writer: Callable[[Recording], dict[str, bytes]] = getattr(import_module(module), name)
     files = writer(read_recording(address))

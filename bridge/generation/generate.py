@@ -45,10 +45,14 @@ _VARIANTS_KEPT = 8
 
 @dataclass(eq=False, slots=True, repr=False)
 class PreparedScene:
-    """What the variants of one scene share: grid, nets by their speed limit, and what vehicles find there."""
+    """What the variants of one scene share: grid, nets by their speed limit, and what vehicles find there.
+
+    config: by whose `grid` and `source` it was prepared.
+    """
 
     scenario: Recording
     grid: CellGrid
+    config: Config
     _nets: dict[float, bytes] = field(default_factory=dict)
     _surroundings: Surroundings | None = None
     _asked: int = 0
@@ -77,13 +81,18 @@ class PreparedScene:
 
 
 def prepare(source: Recording | TrafficScene, config: Config) -> PreparedScene:
-    """Grid of a scene. Errors: MapError, ScenarioError where it is not plausible, ConfigError for what is no scene."""
+    """Grid of a recorded scene.
+
+    Errors: MapError; ScenarioError where it is not plausible, or was generated; ConfigError for what is no scene.
+    """
     scenario = source.recording if isinstance(source, TrafficScene) else source
     if not isinstance(scenario, Recording):  # a path, mostly
         raise ConfigError(f"source {str(source)[:200]!r}: expected a scene, as read_scene(path) gives it")
+    if scenario.sidecar is not None:
+        raise ScenarioError(f"{scenario.folder}: vehicles are inserted already; expected the recorded scene")
     if config.source.plausible:
         check_plausible(scenario)
-    return PreparedScene(scenario, grid_of(scenario, config))
+    return PreparedScene(scenario, grid_of(scenario, config), config)
 
 
 def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *, variant: int = 0) -> TrafficScene:
@@ -93,8 +102,12 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
     configuration and variant: the same result. Errors: MapError, NetError, SimulationError, ConfigError,
     ScenarioError where a generated focal track was asked for and no vehicle lives through the scene.
     """
+    if not isinstance(config, Config):
+        raise ConfigError(f"config {config!r:.200}: expected a Config, as load_config gives it")
     check_exportable(config)
     prepared = source if isinstance(source, PreparedScene) else prepare(source, config)
+    if (prepared.config.grid, prepared.config.source) != (config.grid, config.source):
+        prepared = prepare(prepared.scenario, config)
     scenario = prepared.scenario
     new_id = new_scenario_id(scenario.scenario_id, config, config.request.seed, variant)
     seed = [config.request.seed, variant, zlib.crc32(scenario.scenario_id.encode())]

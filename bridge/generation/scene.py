@@ -23,6 +23,7 @@ from hid2.params import Config
 from hid2.scene import Scene, build_scene
 from hid2.vehicle import DrivenVehicle
 from netconvert.cells import CellGrid, build_cell_grid
+from netconvert.errors import ConfigError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -63,7 +64,7 @@ class TrafficScene:
 
     @property
     def maneuvers(self) -> "pd.DataFrame":
-        """One row for each manoeuvre that was asked for; track_id None where no vehicle does it."""
+        """One row for each manoeuvre that was asked for; track_id missing (`isna`) where no vehicle does it."""
         import pandas as pd
 
         asked = self.sidecar.asked if self.sidecar is not None else ()
@@ -149,7 +150,13 @@ class TrafficScene:
         return path
 
     def write(self, out_dir: Path | str, *, record: Collection[str] = ()) -> Path:
-        """Write a generated scene; returns its folder. record: `gaps`, beside it. Errors: ExportError."""
+        """Write a generated scene; returns its folder. record: `gaps`, beside it, of a scene just generated.
+
+        Errors: ExportError; ConfigError for another record, and for gaps of a scene that was read.
+        """
+        if {*record} - ({"gaps"} if self.source is not None else set()):
+            wanted = "['gaps']" if self.source is not None else "none, as a scene that was read tells no gaps"
+            raise ConfigError(f"record = {record!r:.200}: expected {wanted}")
         extra = {f"gaps_{self.recording.scenario_id}.csv.gz": self._looks()} if "gaps" in record else {}
         return write_recording(self.recording, Path(out_dir), extra=extra)
 

@@ -201,7 +201,7 @@ def save(figure: Figure, path: Path) -> None:
 def find_track(scenario: Recording, track_id: str) -> Track:
     """A track by id. Errors: ConfigError for an unknown one, with those that are most like it."""
     known = [track.track_id for track in scenario.tracks]
-    if track_id not in known:
+    if (track_id := str(track_id)) not in known:
         ordered = sorted(known, key=lambda name: (not is_generated_id(name), name))
         alike = get_close_matches(track_id, known, 5, 0.4) or ordered[:5]
         raise ConfigError(

@@ -193,12 +193,17 @@ def nothing_at(path: Path) -> NoSceneError:
     return NoSceneError(f"{path}: {said}")
 
 
-def read_recording(address: Address) -> "Recording":
-    """Read a recording, or a generated scene; a path is that of one. Errors: ScenarioError, MapError."""
-    if isinstance(address, Path):
+def read_recording(address: Address | str) -> "Recording":
+    """Read a recording, or a generated scene; a path is that of one.
+
+    Errors: ScenarioError, MapError; ConfigError for what is neither a path nor a `Source`.
+    """
+    if isinstance(address, str | Path):
         from bridge.recordings.scenario import read_scenario
 
-        return read_scenario(address)
+        return read_scenario(Path(address))
+    if not isinstance(address, Source):
+        raise ConfigError(f"{address!r:.200}: expected the path of a scene")
     recording: Recording = import_module(f"bridge.recordings.{_reader(address).name}").read(address)
     return recording
 

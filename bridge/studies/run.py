@@ -31,7 +31,7 @@ class RunsReport(NamedTuple):
 
 
 def run_study(
-    study: Study, out_dir: Path, options: Options, *, trj: bool = False, on_row: OnRow | None = None
+    study: Study, out_dir: Path | str, options: Options, *, trj: bool = False, on_row: OnRow | None = None
 ) -> RunsReport:
     """Do the runs that are not done yet, then write tables, figures and the page into out_dir.
 
@@ -41,6 +41,7 @@ def run_study(
     contents = f"study {study.name}: {study.kind} by {', '.join(study.points[0])}"
     functions = study.rules  # in the user's own file
     options = replace(options, function=WORK_FOR_SSAM if trj else WORK, functions=functions, contents=contents)
+    out_dir = Path(out_dir)
     rows = run_batch(study.jobs, out_dir, options, on_row=on_row)
     from bridge.studies.page import write_results  # pandas, statsmodels, matplotlib: at the end
 

@@ -38,13 +38,18 @@ TRIGGER = "trigger_s"
 _RULE = "rule."
 #: By what keys begin with, the rule that alone reads them; the last one stands for any of a user's own.
 _OWN_RULE = "module:function"
-_READ_BY = {"lane_change.mobil_": "MOBIL", "lane_change.lc_": "LC2013", _RULE: _OWN_RULE}
+_READ_BY = {
+    "lane_change.time_gap_": "paper",
+    "lane_change.mobil_": "MOBIL",
+    "lane_change.lc_": "LC2013",
+    _RULE: _OWN_RULE,
+}
 #: Of each run, in a folder of its own below OUT/runs: what was measured, and every look at a gap.
 RUN_FILE, LOOKS_FILE = "run.json.gz", "looks.csv.gz"
 #: Tables in RUN_FILE.
 RUN_TABLES = ("requests", "flow", "lane_changes", "conflicts")
 #: What decides in a run, and leaves vehicles, drivers, sites and traffic as they are.
-_DECIDES = ("lane_change", "overtake", "conflict", "signals", "crossings", "car_following", "driving")
+_DECIDES = ("lane_change", "overtake", "conflict", "signals", "car_following", "driving")
 #: What changes the traffic itself: allowed, but its values are compared between different vehicles.
 _CHANGES_TRAFFIC = ("flow.veh_per_h_lane", "flow.min_headway_s", "drivers")
 
@@ -103,11 +108,12 @@ class Study:
         return tuple(key for key in self.points[0] if len({point[key] for point in self.points}) > 1)
 
 
-def read_study(path: Path, *, scenes: Sequence[Path] | None = None) -> Study:
+def read_study(path: Path | str, *, scenes: Sequence[Path] | None = None) -> Study:
     """Read a study. scenes: take the place of those in the file, where paths are relative to it.
 
     Errors: ConfigError with file, key, value; also where a path holds no scene.
     """
+    path = Path(path)
     content = read_toml_as(_File, path, "a study")
     given: dict[str, Sequence[Value]] = {f"vary.{key}": values for key, values in content.vary.items()}
     if isinstance(content.seeds, list):

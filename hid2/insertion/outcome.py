@@ -13,7 +13,7 @@ from hid2.measures.manoeuvres import Maneuver, ManeuverKind
 from hid2.motion.route import first_turn
 from hid2.occupancy.agent_states import AgentStates
 from hid2.occupancy.traffic import Traffic
-from hid2.policy.behaviours import BEHAVIOURS
+from hid2.policy.behaviours import BEHAVIOURS, is_shown
 from hid2.policy.lane_change import OPEN, Gap, gap_refusals
 from hid2.policy.observation import Inserted, gaps_on, returns_to
 from hid2.policy.overtake import Stage
@@ -94,7 +94,7 @@ def _done(vehicle: ExportedVehicle, seen: Maneuver, **more: object) -> Outcome:
         driven.policy, "done", start_s=round(max(seen.start_s, decided_s), 6), crossing_s=round(seen.crossing_s, 6),
         end_s=round(seen.end_s, 6), source_lane=seen.source_lane, target_lane=seen.target_lane, **more,  # type: ignore[arg-type]
     )  # fmt: skip
-    as_asked = BEHAVIOURS[driven.policy].is_shown(vehicle.states, seen)
+    as_asked = is_shown(driven.policy, vehicle.states, seen)
     return found if as_asked else replace(found, status="aborted", reason=Reason.NOT_AS_ASKED)
 
 

@@ -324,9 +324,9 @@ class InsertionSites:
             and beside.remaining_m - max(0.0, at - beside.start) > needed
         }  # fmt: skip
         driver = usual_driver(speed_mps)
-        return any(
-            refusal_of_free_lane(driver, change, speed_mps=speed_mps, side=side) is None for side in sorted(sides)
-        )
+        refused = {refusal_of_free_lane(driver, change, speed_mps=speed_mps, side=side) for side in sorted(sides)}
+        self.starts.refusals.update(one for one in refused if one is not None and None not in refused)
+        return None in refused
 
     def _meets_junction(self, offer: RouteOffer, begin: float, end: float) -> bool:
         """Whether a stretch of a route, m along its lanes, touches an intersection."""

@@ -7,9 +7,12 @@ import importlib
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from hid2.agents import Policy
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind
 from hid2.occupancy.agent_states import AgentStates
+from hid2.policy.rules import place_in
 from hid2.reasons import Reason
 from netconvert.errors import ConfigError
 from netconvert.lane_graph import SIDES, Side, TurnType
@@ -103,6 +106,20 @@ def behaviour_seen(kind: ManeuverKind) -> Behaviour:
     return _SEEN[kind]
 
 
+def is_shown(policy: Policy, states: AgentStates, seen: Maneuver) -> bool:
+    """What `Behaviour.is_shown` says. Errors: ConfigError with file and line where a user's own gives no answer."""
+    asks = BEHAVIOURS[policy].is_shown
+    try:
+        answer: object = asks(states, seen)
+    except Exception as error:  # whatever a user's code may raise
+        said = f"{place_in(error, asks, __file__)}{type(error).__name__}: {error!s:.200}"
+        raise ConfigError(f"request.own: {policy}: is_shown: {said}; expected True or False") from error
+    if not isinstance(answer, bool | np.bool_):
+        said = f"{place_in(None, asks)}it answered {answer!r:.100}"
+        raise ConfigError(f"request.own: {policy}: is_shown: {said}, expected True or False")
+    return bool(answer)
+
+
 def load_own(names: Collection[str]) -> dict[str, Policy]:
     """Import behaviours of a user's own, "module:name", so that they can be asked for; their policies by these names.
 
@@ -121,5 +138,11 @@ def load_own(names: Collection[str]) -> dict[str, Policy]:
             raise ConfigError(f"request.own: {name!r} is {found!r:.200}, expected {wanted}")
         if not found.seen_as or (found.turn is None) == (not found.sides):
             raise ConfigError(f"request.own: {name!r}: expected seen_as, and either a turn or sides")
+        turns = tuple(TurnType) if found.turn is not None else (None,)
+        for field, kinds in (("seen_as", tuple(ManeuverKind)), ("sides", SIDES), ("turn", turns)):
+            value = getattr(found, field)
+            told = value if isinstance(value, tuple) else (value,)
+            if isinstance(value, tuple) is (field == "turn") or {*map(repr, told)} - {*map(repr, kinds)}:
+                raise ConfigError(f"request.own: {name!r}: {field} = {value!r:.100}, expected of {kinds}")
         BEHAVIOURS[found.policy], loaded[name] = found, found.policy
     return loaded

@@ -11,6 +11,8 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from hid2.drivers.driver import Driver
 from hid2.params import LaneChange
 from hid2.policy.lane_change import OPEN, Gap, SumoAnswer, gap_refusals
@@ -179,9 +181,9 @@ def _answer(name: str, view: GapView, arguments: Mapping[str, float]) -> list[Re
         rule = getattr(importlib.import_module(module), function)
         wanted = " and ".join(["a function of a GapView", *arguments]) + " that answers True or False"
         answer = rule(view, **arguments)
-        if isinstance(answer, bool):
+        if isinstance(answer, bool | np.bool_):
             return [] if answer else [Reason.RULE_REFUSES]
-        if isinstance(answer, dict) and answer and all(isinstance(one, bool) for one in answer.values()):
+        if isinstance(answer, dict) and answer and all(isinstance(one, bool | np.bool_) for one in answer.values()):
             return [_CONDITIONS.get(condition, Reason.RULE_REFUSES) for condition, holds in answer.items() if not holds]
         said = f"{place_in(None, rule)}it answered {answer!r:.100}"
     except (Exception, SystemExit) as error:  # whatever a user's code may raise

@@ -5,6 +5,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bridge.config import (
@@ -47,6 +48,13 @@ def test_set_takes_values_of_every_type(override: str, value: object) -> None:
     assert getattr(getattr(load_config(None, [override]), section), name) == value
 
 
+def test_values_may_be_of_numpy() -> None:
+    flags = {"request.agents": np.int64(3), "request.lane_change": np.float32(0.5)}
+    flags |= {"request.trigger_list_s": np.array([1.0, 2.0])}
+    request = load_config(None, [], flags).request
+    assert (request.agents, request.lane_change, request.trigger_list_s) == (3, 0.5, (1.0, 2.0))
+
+
 def test_ablations_are_a_list() -> None:
     assert load_config(None, ["without=topology,smoothing"]).without == {"topology", "smoothing"}
     assert load_config(None, ["without="]).without == frozenset()
@@ -66,6 +74,8 @@ def test_ablations_are_a_list() -> None:
         ("request.trigger_max_s=0.1", "trigger_max_s 0.1 is below trigger_min_s 0.5"),
         ("spawn.prior_speed_mps=30", "prior_speed_mps 30 is above max_speed_mps 20"),
         ("request.spawn_leaders=1", "request.spawn_leaders = 1, expected true, false"),
+        ("request.own=mine:x=.2, other:x=1.0", "two of one name, expected a name for each"),
+        ("lane_change.rule_with=foo=3", "rule paper reads incentive of it"),
         ("without=brakes", "without = .*brakes.*, expected any of topology, collision, smoothing"),
     ],
 )
@@ -87,6 +97,7 @@ def test_an_override_that_is_wrong_is_named_with_value_and_range(override: str, 
         ('[[event]]\nkind = "cut_in"\nat_s = [1, 2, 3]\n', r"event 1: at_s = .*, expected \[least, largest\]"),
         ('[[event]]\nkind = "lead"\nbrakes_mps2 = -3\n', "brakes_mps2 = -3, expected number >= 0, <= 4.05"),
         ("without = 'all'\n", "without = 'all'"),
+        ("event = ['cut_in']\n", "event 1: 'cut_in', expected a table with kind, "),
         ("[turn]\nleft_trough = 0.9\n", "must be above left_trough 0.9"),
     ],
 )

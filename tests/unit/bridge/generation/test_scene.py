@@ -18,7 +18,7 @@ from bridge.generation.generate import generate, prepare
 from bridge.generation.scene import TrafficScene, read_scene
 from bridge.recordings.sidecar import EventRecord
 from hid2.policy.rules import GapView
-from netconvert.errors import ConfigError, ExportError
+from netconvert.errors import ConfigError, ExportError, ScenarioError
 
 CHANGES = ["request.agents=6", "request.straight=0.3", "request.lane_change=0.7", "request.trigger_max_s=3"]
 
@@ -53,6 +53,24 @@ def test_scene_that_was_read_is_written_as_the_same_bytes(written: Path, tmp_pat
     names = [path.name for path in written.iterdir() if not path.name.startswith("gaps_")]
     assert len(names) == 3
     assert filecmp.cmpfiles(written, again, names, shallow=False) == (names, [], [])
+
+
+def test_gaps_are_written_of_a_scene_just_generated_alone(made: TrafficScene, written: Path, tmp_path: Path) -> None:
+    for scene, record in ((made, "gaps"), (made, ["looks"]), (read_scene(written), ["gaps"])):
+        with pytest.raises(ConfigError, match="record = "):
+            scene.write(tmp_path, record=record)
+    assert not any(tmp_path.iterdir())
+
+
+def test_generated_scene_is_no_source(made: TrafficScene) -> None:
+    with pytest.raises(ScenarioError, match="vehicles are inserted already"):
+        prepare(made, load_config())
+
+
+def test_prepared_scene_is_prepared_anew_for_another_grid(data_scenes: dict[str, Path]) -> None:
+    scene, other = read_scene(data_scenes["curve"]), load_config(None, ["grid.cell_m=8", "request.agents=1"])
+    made = generate(prepare(scene, load_config()), other)
+    pd.testing.assert_frame_equal(made.tracks, generate(scene, other).tracks)
 
 
 def test_recorded_scene_has_no_manoeuvres_and_is_not_written(data_scenes: dict[str, Path], tmp_path: Path) -> None:
@@ -207,6 +225,8 @@ def test_metrics_of_a_scene_and_ones_own(made: TrafficScene) -> None:
     ]
     assert found.loc["vehicles", ["original", "generated", "combined"]].tolist() == [*counts, sum(counts)]
     assert found.loc["met_stands", "generated"] == 0.0
+    with pytest.raises(ConfigError, match="metric 'vehicles': there is one of this name already"):
+        evaluate_scene(made, vehicles, vehicles)
 
 
 def vehicles(group) -> float:

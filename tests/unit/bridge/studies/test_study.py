@@ -96,7 +96,7 @@ def test_latin_hypercube_has_one_point_in_each_slice(tmp_path: Path, data_root: 
             'design = "latin_hypercube"\nsamples = 9\n[vary]\n"lane_change.give_up_s" = [1, 2]\n',
             "expected fewer samples",
         ),
-        ('[vary]\n"rule.b" = [0.5, 3.0]\n', "vary.rule.b: not read with lane_change.rule = 'paper', "),
+        ('[vary]\n"rule.b" = [0.5, 3.0]\n', "rule_with = 'b=0.5': rule paper reads incentive of it"),
         ('[vary]\n"lane_change.mobil_bias_mps2" = [1, 2]\n', "expected config.lane_change.rule = 'MOBIL', or another"),
         ('[vary]\n"lane_change.lc_speed_gain" = [1]\n"lane_change.rule" = ["paper", "MOBIL"]\n', "rule = 'LC2013', or"),
         ("samples = 4\n[vary]\ntrigger_s = [1.0]\n", "samples = 4 with design = 'grid', "),

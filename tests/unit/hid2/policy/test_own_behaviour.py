@@ -12,7 +12,7 @@ from bridge.generation.generate import generate
 from bridge.pictures.figures import kinds_in
 from bridge.recordings.scenario import read_scenario
 from hid2.agents import Policy
-from hid2.policy.behaviours import BEHAVIOURS, load_own
+from hid2.policy.behaviours import BEHAVIOURS, is_shown, load_own
 from hid2.reasons import Reason
 from netconvert.errors import ConfigError
 
@@ -33,6 +33,12 @@ late = Behaviour(
 )
 nothing = Behaviour(Policy("nothing"), "nothing", "NO", (), Reason.MAP_OFFERS_NO_LANE, 5)
 other_name = keep_right
+upwards = Behaviour(Policy("upwards"), "up", "UP", late.seen_as, Reason.MAP_OFFERS_NO_LANE, 5, sides=("up",))
+told = Behaviour(Policy("told"), "told", "TO", ("lane_change",), Reason.MAP_OFFERS_NO_LANE, 5, sides=("left",))
+fails = Behaviour(
+    Policy("fails"), "fails", "FA", late.seen_as, Reason.MAP_OFFERS_NO_LANE, 5, sides=("left",),
+    is_shown=lambda states, seen: seen.nothing,
+)
 number = 3
 """
 
@@ -95,11 +101,19 @@ def test_scan_looks_for_an_own_behaviour(module: str, data_scenes: dict[str, Pat
         ("number", "is 3, expected a Behaviour of Policy\\('number'\\)"),
         ("other_name", "expected a Behaviour of Policy\\('other_name'\\)"),
         ("nothing", "expected seen_as, and either a turn or sides"),
+        ("upwards", "sides = \\('up',\\), expected of \\('left', 'right'\\)"),
+        ("told", "seen_as = \\('lane_change',\\), expected of"),
     ],
 )
 def test_what_is_no_behaviour_is_said(module: str, name: str, said: str) -> None:
     with pytest.raises(ConfigError, match=f"request.own: '{module}:{name}'.* ?{said}"):
         load_own([f"{module}:{name}"])
+
+
+def test_predicate_that_fails_is_told_with_file_and_line(module: str) -> None:
+    (policy,) = load_own([f"{module}:fails"]).values()
+    with pytest.raises(ConfigError, match=rf"request.own: fails: is_shown: .*{module}.py:\d+: AttributeError"):
+        is_shown(policy, None, None)  # type: ignore[arg-type]
 
 
 def test_policy_of_a_name_is_one_object() -> None:

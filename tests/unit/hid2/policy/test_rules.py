@@ -174,9 +174,10 @@ def test_every_condition_that_says_no_is_told() -> None:
 
 def test_own_rule_takes_arguments_and_answers_by_condition(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "two_sided.py").write_text(
+        "from numpy import bool_\n"
         "def accept(view, lead=1.0, b=1.0):\n"
-        "    lag = view.rear\n"
-        "    return {'lead': view.front.distance_m >= lead, 'lag': lag.distance_m >= b * lag.speed_mps, 'mood': True}\n"
+        "    lag, mood = view.rear, bool_(True)\n"
+        "    return {'lead': view.front.distance_m >= lead, 'lag': lag.distance_m >= b * lag.speed_mps, 'mood': mood}\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     params = LaneChange(rule="two_sided:accept", rule_with="b=1.5, lead=5")
