@@ -155,7 +155,11 @@ class Spawn(_Section):
 class Drivers(_Section):
     """How people drive: what each inserted vehicle's driver is drawn from."""
 
-    desired_sd: float = _param(0.12, "share", "SD of the desired speed around that of the lane's traffic", ge=0, le=0.5)
+    desired_mean: float = _param(
+        1.08, "share", "mean desired speed over the cruising speed of the lane's traffic: leaders keep it lower",
+        ge=0.5, le=1.5,
+    )  # fmt: skip
+    desired_sd: float = _param(0.12, "share", "its SD between drivers", ge=0, le=0.5)
     wander_sd_mps: float = _param(
         1.2,
         "m/s",
@@ -226,7 +230,6 @@ class LaneChange(_Section):
     mobil_bias_mps2: float = _param(0.3, "m/s2", "MOBIL, bias towards the lane that is asked for", ge=0, le=10)
     mobil_safe_mps2: float = _param(4.0, "m/s2", "MOBIL b_safe, hardest braking left to the new follower", gt=0, le=9)
     lc_strategic: float = _param(1.0, "-", "LC2013 lcStrategic; SUMO's default", ge=0, le=100)
-    lc_cooperative: float = _param(1.0, "-", "LC2013 lcCooperative; SUMO's default", ge=0, le=1)
     lc_speed_gain: float = _param(1.0, "-", "LC2013 lcSpeedGain; SUMO's default", ge=0, le=1000)
 
     @model_validator(mode="after")

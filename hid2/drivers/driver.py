@@ -87,7 +87,7 @@ def draw_driver(config: Config, rng: np.random.Generator, *, lane_speed_mps: flo
     desired, tau, accel, decel, min_gap = draws(5)
     turn_lateral_mps2 = float(rng.uniform(law.turn_lateral_min_mps2, law.turn_lateral_max_mps2))
     offset, lane_change, wander = draws(3)
-    desired_mps = lane_speed_mps * (1.0 + law.desired_sd * desired)
+    desired_mps = lane_speed_mps * (law.desired_mean + law.desired_sd * desired)
     if desired_mps < spawn.min_speed_mps:  # they do not all desire the same
         desired_mps = spawn.min_speed_mps * (1.0 + law.desired_sd * abs(desired))
     return Driver(

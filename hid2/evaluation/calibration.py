@@ -129,6 +129,7 @@ def calibrate(scenes: Sequence[SceneDriving], *, prior: Drivers) -> list[Calibra
     ]  # fmt: skip
     return [
         *(one for quantities in measured for one in _measured(*quantities, prior)),
+        _kept("desired_mean", f"desired speed over the cruising speed: {positions}", prior),
         _kept("reaction_s", f"reaction time: {positions}", prior),
         _kept("error", f"perception error: {positions}", prior),
     ]
