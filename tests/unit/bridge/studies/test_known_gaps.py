@@ -21,7 +21,15 @@ MPS = 14.0
 #: Both lanes begin with a vehicle at once: after so long, s, they are apart.
 APART_S = 90.0
 #: Drivers that differ in nothing, and drive as fast as they may.
-ALIKE = Drivers(desired_sd=0.0, wander_sd_mps=0.0, tau_sd_s=0.0, tau_mean_s=1.0, accel_sd_mps2=0.0, decel_sd_mps2=0.0)
+ALIKE = Drivers(
+    desired_mean=1.0,
+    desired_sd=0.0,
+    wander_sd_mps=0.0,
+    tau_sd_s=0.0,
+    tau_mean_s=1.0,
+    accel_sd_mps2=0.0,
+    decel_sd_mps2=0.0,
+)
 RULE = '''
 import math
 from statistics import NormalDist

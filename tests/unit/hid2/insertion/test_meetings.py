@@ -32,7 +32,7 @@ LIT = LaneGraph({
 
 def scene_of(*tracks: object, **spawn: float) -> Scene:
     """Two lanes of 400 m in cells of 4 m: lane 1 at y = 0, lane 2 at y = 3.5 m."""
-    config = Config(spawn=Spawn(prior_speed_mps=9.0, **spawn), drivers=Drivers(desired_sd=0.0))
+    config = Config(spawn=Spawn(prior_speed_mps=9.0, **spawn), drivers=Drivers(desired_mean=1.0, desired_sd=0.0))
     return scene_on(draw_road(lanes=2, length_m=ROAD_M), *tracks, config=config)
 
 

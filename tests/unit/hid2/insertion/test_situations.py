@@ -23,7 +23,9 @@ STRAIGHT = VehicleRequest(0, Policy.STRAIGHT, 0.0)
 
 def scene_of(*tracks: object) -> Scene:
     """A lane of 400 m at y = 0."""
-    return scene_on(draw_road(lanes=1, length_m=400.0), *tracks, config=Config(drivers=Drivers(desired_sd=0.0)))
+    return scene_on(
+        draw_road(lanes=1, length_m=400.0), *tracks, config=Config(drivers=Drivers(desired_mean=1.0, desired_sd=0.0))
+    )
 
 
 def _started(scene: Scene, at_m: float, *wants: Situation, mps: float = 9.0) -> Start | Reason:
