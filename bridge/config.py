@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import ValidationError
 
-from bridge.files import one_line
+from bridge.files import one_line, printable
 from bridge.toml import parse_value, read_toml
 from hid2.params import GROUPS, Config
 from hid2.policies import Policy
@@ -188,7 +188,7 @@ def config_sha256(config: Config) -> str:
 def new_scenario_id(source_id: str, config: Config, seed: int, variant: int) -> str:
     """UUID (version 5) of a request, behind what says that it is of a corridor, or that recorded vehicles react."""
     space = uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo")
-    new_id = uuid.uuid5(space, "\n".join([source_id, config_sha256(config), str(seed), str(variant)]))
+    new_id = uuid.uuid5(space, "\n".join([printable(source_id), config_sha256(config), str(seed), str(variant)]))
     says = REACTIVE_PREFIX if config.driving.replay == "reactive" else ""
     return f"{says}{CORRIDOR_PREFIX if is_corridor(source_id) else ''}{new_id}"
 

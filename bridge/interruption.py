@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
-SIGNALS = frozenset({signal.SIGINT, signal.SIGTERM})
+SIGNALS = frozenset({signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
 #: Seconds that a piece of tidying has before the next begins: it may wait for a lock that the interrupted code holds.
 _STUCK_S = 10.0
 _HIDDEN = re.compile(r"\.hid2-[0-9a-f]{16}(\.[^.]*)?")

@@ -40,6 +40,8 @@ from netconvert.errors import BatchError, ConfigError, DiskFullError, ExportErro
 
 #: Folders of OUT: bundles, and what the runs of a study have measured.
 QUARANTINE, RUNS = "quarantine", "runs"
+#: Bytes of a scene's name in that of its bundle; file systems take 255 in all.
+_LONGEST_NAME = 150
 #: All in which something half-written may be left.
 _WRITTEN_IN = (*SPLITS, RUNS, QUARANTINE, f"{QUARANTINE}/*", f"{SEQUENCES}/*", f"{SEQUENCES}/*/*")
 GENERATE = "bridge.batch.scene_work:generate_runs"
@@ -249,7 +251,7 @@ def base_row(place: SceneFolders, run: Run, folder: Path | None = None) -> Manif
         platform=platform(),
         processor=processor(),
         folder="" if folder is None else folder.relative_to(place.out).as_posix(),
-        output_sha256="" if folder is None else files_sha256(output_files(folder)),
+        output_sha256="" if folder is None else files_sha256(_written(place, folder)),
     )
 
 
@@ -315,16 +317,21 @@ def _digest(folder: Address) -> str:
 
 def _is_complete(row: ManifestRow, base: ManifestRow, place: SceneFolders) -> bool:
     """Whether all that was asked for is there, as it was written, and would be written again."""
-    folder, split = place.out / row.folder, row.split or None
+    folder = place.out / row.folder
     return (
         row.status == DONE
         and base.source_sha256 != ""
         and (row.version, row.source_sha256, row.rule_sha256) == (base.version, base.source_sha256, base.rule_sha256)
         and row.output_sha256 != ""
-        and row.output_sha256 == files_sha256(output_files(folder))
+        and row.output_sha256 == files_sha256(_written(place, folder))
         and (not place.gaps or any(folder.glob("gaps_*.csv.gz")))
-        and (not place.argoverse1 or sequence_path(place.out, split, folder.name).is_file())
     )
+
+
+def _written(place: SceneFolders, folder: Path) -> list[Path]:
+    """What is written of a scene: the files of its folder and, where asked for, its sequence of Argoverse 1."""
+    sequence = [sequence_path(place.out, split_of(place.folder), folder.name)] if place.argoverse1 else []
+    return [*output_files(folder), *(path for path in sequence if path.is_file())]
 
 
 def _row(outcome: TaskResult, options: Options) -> ManifestRow:
@@ -341,8 +348,7 @@ def _row(outcome: TaskResult, options: Options) -> ManifestRow:
             "(installed from other source, or edited while the batch ran)"
         )
     row = row._replace(attempts=outcome.attempts, seconds=round(outcome.seconds, 3))
-    name = f"{row.scenario[:200]}_{row.config_sha256[:8]}_{row.variant}.zip"
-    path = place.out / QUARANTINE / (row.split or ".") / name
+    path = place.out / QUARANTINE / (row.split or ".") / _bundle_name(row)
     if failure is None:
         path.unlink(missing_ok=True)
         return row
@@ -350,6 +356,14 @@ def _row(outcome: TaskResult, options: Options) -> ManifestRow:
     write_bundle(Bundle(place.folder, *asked, failure, row.version), path)
     reason, bundle = one_line(failure.message, most=MAX_TEXT), path.relative_to(place.out).as_posix()
     return row._replace(status=QUARANTINED, failure=failure.kind, reason=reason, bundle=bundle)
+
+
+def _bundle_name(row: ManifestRow) -> str:
+    """Name of the file of a failure's bundle, which file systems take: a long scene's is cut, and has a digest."""
+    name = row.scenario.encode()
+    if len(name) > _LONGEST_NAME:
+        name = name[:_LONGEST_NAME] + b"_" + hashlib.sha256(name).hexdigest()[:8].encode()
+    return f"{name.decode(errors='ignore')}_{row.config_sha256[:8]}_{row.variant}.zip"
 
 
 @contextlib.contextmanager
@@ -361,5 +375,5 @@ def _locked(out_dir: Path) -> Iterator[None]:
             flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK  # not what a link there names
             is_mine = stack.enter_context(locked(out_dir / ".hid2.lock", flags))
         if not is_mine:
-            raise BatchError(f"{out_dir}: another run is writing there")
+            raise BatchError(f"{out_dir}: another run is writing there, or its file system has no locks (flock)")
         yield

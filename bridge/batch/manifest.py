@@ -27,6 +27,8 @@ CHECK = "check"
 MAX_TEXT = 2_000
 #: Size of a manifest, MB, at most: a row has 1 kB, a data set 250,000 scenes.
 _MOST_MB = 2_000
+#: How names of files that are written of a scene, or of a run of a study, begin.
+_WRITTEN = ("scenario_", "log_map_archive_", "hid2_", "gaps_", "run.", "looks.", "trajectories.")
 _DIGEST = re.compile(r"([0-9a-f]{64})?")
 _LOG = logging.getLogger(__name__)
 
@@ -229,5 +231,6 @@ def files_sha256(paths: Iterable[Path]) -> str:
 
 
 def output_files(folder: Path) -> list[Path]:
-    """All regular files of a written scenario folder."""
-    return [Path(entry.path) for entry in os.scandir(folder) if entry.is_file()] if folder.is_dir() else []
+    """All regular files of a written folder that hid2 writes; a user's notes beside them change nothing."""
+    files = [Path(entry.path) for entry in os.scandir(folder) if entry.is_file()] if folder.is_dir() else []
+    return [path for path in files if path.name.startswith(_WRITTEN)]

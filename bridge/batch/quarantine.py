@@ -43,7 +43,9 @@ _REQUEST, _FAILURE, _DETAILS, _SCENE = "request.json", "failure.json", "details.
 _REFUSED = (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error, ConfigError)
 #: How the entry of a file in the directory of an archive begins.
 _ENTRY = b"PK\1\2"
-_EPOCH = (1980, 1, 1, 0, 0, 0)
+#: Files of a scene in a bundle, MB together, so that it can be read again; a scene's own come first.
+_MOST_OF_SCENE_MB = 60
+_OWN_FILES = ("scenario_", "log_map_archive_", "hid2_")
 _MOST_DETAILS, _MOST_REASON = 200_000, 2_000
 #: What is unpacked of each member at most, MB; of others MAX_FILE_MB. Real: 0.02, 0.002, 0.2.
 _MOST_MB = {_REQUEST: 1, _FAILURE: 1, _DETAILS: 4}
@@ -85,19 +87,22 @@ class Bundle:
 def write_bundle(bundle: Bundle, path: Path) -> None:
     """Write a bundle, the same bytes for the same failure. Errors: ExportError.
 
-    Files of the scene that are no regular files, or larger than a reader takes, are named instead.
+    Files of the scene that are no regular files, or larger than a reader takes, alone or together, are named instead.
     """
     files: dict[str, bytes] = {}
     left_out: list[str] = []
     source = bundle.folder if isinstance(bundle.folder, Source) else None
     folder = bundle.folder
-    there = source_files(folder) if isinstance(folder, Source) else sorted(folder.iterdir()) if folder.is_dir() else []
+    there = source_files(folder) if isinstance(folder, Source) else _files_of(folder)
     for entry in there:  # all in a scene's folder, which may be damaged; of another format what is read
         name = one_line(entry.name, most=200)
         try:
             if len(files) + len(left_out) >= MAX_MEMBERS - 3 or name.startswith("."):
                 raise OSError
-            files[name] = read_regular(entry, most_mb=MAX_FILE_MB)
+            content = read_regular(entry, most_mb=MAX_FILE_MB)
+            if sum(map(len, files.values())) + len(content) > _MOST_OF_SCENE_MB * 1_000_000:
+                raise OSError
+            files[name] = content
         except OSError:
             left_out.append(name)
     request = _Request(
@@ -123,6 +128,12 @@ def write_bundle(bundle: Bundle, path: Path) -> None:
         _add(archive, _DETAILS, details.encode())
         for name, content in files.items():
             _add(archive, _SCENE + name, content)
+
+
+def _files_of(folder: Path) -> list[Path]:
+    """What is in a scene's folder, which may not be there; its own files first."""
+    found = sorted(folder.iterdir()) if folder.is_dir() else []
+    return sorted(found, key=lambda path: not path.name.startswith(_OWN_FILES))
 
 
 def read_bundle(path: Path, into: Path, *, functions: Collection[str] = ()) -> Bundle:
@@ -162,7 +173,8 @@ def _unpacked(folder: Path, request: _Request) -> Address:
     """The recording in an unpacked scene; the folder itself where none is recognised: reading it says why."""
     try:
         map_path = None if request.map is None else folder / _plain(request.map)
-        return find_one(folder, Choices(map_path, request.start))
+        sequence = next(folder.glob("*.csv"), folder) if map_path is not None else folder  # not the map beside it
+        return find_one(sequence, Choices(map_path, request.start))
     except (NoSceneError, ConfigError):
         return folder
 
@@ -217,6 +229,4 @@ def _said(error: Exception) -> str:
 
 
 def _add(archive: zipfile.ZipFile, name: str, content: bytes) -> None:
-    info = zipfile.ZipInfo(name, date_time=_EPOCH)
-    info.compress_type = zipfile.ZIP_DEFLATED
-    archive.writestr(info, content)
+    archive.writestr(zipfile.ZipInfo(name), content, zipfile.ZIP_DEFLATED)

@@ -72,13 +72,20 @@ def never_in_scene(shared: tuple[Config, Sequence[Policy]], folder: Address) -> 
 def check_same_request(out: Path, config: Config) -> None:
     """Errors: ConfigError where a folder holds scenes, and none of this request."""
     rows = [row for row in read_manifest(out / MANIFEST_NAME)[0] if row.folder and (out / row.folder).is_dir()]
-    if not rows or config_sha256(config) in {row.config_sha256 for row in rows}:
+    digests = {row.config_sha256 for row in rows}
+    if config_sha256(config) in digests:
         return
     from bridge.recordings.sidecar import read_sidecar
 
     before, now = dict[str, Any](), _flat(config_to_dict(config))
+    # a batch that was killed may have left scenes without a row
+    found = [out / row.folder for row in rows[-1:]] or [path.parent for path in out.glob(f"*/*/{SIDECAR_PATTERN}")]
     with contextlib.suppress(Hid2Error, StopIteration):
-        before = _flat(read_sidecar(next((out / rows[-1].folder).glob(SIDECAR_PATTERN))).config)
+        sidecar = read_sidecar(next(found[0].glob(SIDECAR_PATTERN))) if found else None
+        before = _flat(sidecar.config) if sidecar is not None else before
+        digests |= {sidecar.config_sha256} if sidecar is not None else set()
+    if not digests or config_sha256(config) in digests:
+        return
     changed = [f"{key} was {before[key]}, is {now[key]}" for key in now if before.get(key, now[key]) != now[key]]
     said = one_line(", ".join(changed), most=300) or "its configuration has another digest"
     raise ConfigError(

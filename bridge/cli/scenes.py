@@ -72,6 +72,8 @@ def scan(
 
     folders = recordings(scenes, windows, activity)
     if out is not None:
+        if as_json:
+            raise ConfigError("--json does nothing here, as -o names a CSV file; give one of the two")
         make_folder(out.parent)
     activity.doing("reading scenes")
     facts, failures = facts_of(folders, (*which.can, *(EVENTS if events else ())), jobs=jobs, on_scene=activity.show)

@@ -135,6 +135,8 @@ def config(
     from bridge.config import ParameterRow, config_to_toml, describe_config, load_config
 
     if toml or config is not None or settings:
+        if as_json:
+            raise ConfigError("--json does nothing here, where a configuration is printed as TOML; leave it out")
         print(config_to_toml(load_config(config, settings)), end="")
     elif as_json:
         print_json(ParameterRow._fields, describe_config())

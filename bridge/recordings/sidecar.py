@@ -46,7 +46,7 @@ class RecordingRecord(_Record):
 
     format: str
     provenance: Provenance
-    step_s: float = Field(gt=0)
+    step_s: float = Field(ge=0.05, le=0.5)
     observed_steps: int = Field(ge=1)
     first_step: int = Field(default=0, ge=0)
     map: str | None = None
@@ -170,8 +170,8 @@ class AgentRecord(_Record):
 
     track_id: str
     object_type: Literal["vehicle", "bus"] = "vehicle"
-    length_m: float = Field(gt=0)
-    width_m: float = Field(gt=0)
+    length_m: BoxLength
+    width_m: BoxWidth
     policy: Policy
     spawn: SpawnRecord
     route: Listed[int]

@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from bridge.config import REACTIVE_PREFIX
+from bridge.files import one_line
 from bridge.recordings import rules
 from bridge.recordings.export import map_bytes, recording_record_of
 from bridge.recordings.folders import RAW, SPLITS, Address, sequence_path, split_of
 from bridge.recordings.judging import findings_of, states_of
-from bridge.recordings.map_rules import checked, read_document
+from bridge.recordings.map_rules import check_ground, checked, read_document
 from bridge.recordings.plausibility import implausible
 from bridge.recordings.scenario import RowArrays, read_scenario, read_table, row_breaches, sizes_of, tracks_of
 from bridge.recordings.sidecar import REACTIVE, Sidecar, read_sidecar, sidecar_path
@@ -26,6 +27,7 @@ from netconvert.errors import Hid2Error, MapError, ScenarioError
 from netconvert.lane_graph import LaneGraph
 
 _Part = TypeVar("_Part")
+_LONGEST = 2_000  # characters of what is said of one breach
 _OTHER = "no other parquet file anywhere under OUT: readers take every one they find"
 
 
@@ -48,7 +50,7 @@ class FileBreach(NamedTuple):
 
     def line(self) -> str:
         """As it is printed."""
-        return f"{self.file}: {'note: ' if self.is_note else ''}{self.rule}: {self.message}"
+        return f"{self.file}: {'note: ' if self.is_note else ''}{self.rule}: {one_line(self.message, most=_LONGEST)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,6 +176,10 @@ def _judged(
     with suppress(ScenarioError):  # sizes beside a scene are none of its files
         sizes = sizes_of(path.parent, sidecar)
     tracks = tracks_of(rows, sizes)
+    try:
+        check_ground(tracks, graph, path.name)
+    except ScenarioError as error:
+        return [FileBreach(path, "columns", str(error))]
     states = states_of(tracks, flatten_lanes(graph), inserted, num_steps=rows.num_steps, step_s=rows.step_s)
     found = []
     for one in findings_of(states, graph, sidecar):

@@ -87,7 +87,7 @@ def measure_roads(place: SceneFolders, runs: Sequence[Run]) -> Iterator[Manifest
         placed = told["ratios"]["changes_per_vehicle"][1]
         return base_row(place, run, folder)._replace(city=recording.city, placed=placed)
 
-    return measure_runs(place, runs) if road.asked else attempts(row, runs)
+    yield from measure_runs(place, runs) if road.asked else attempts(row, runs)
 
 
 def arrivals(road: Road, config: Config) -> list[RoadVehicle]:

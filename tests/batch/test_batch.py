@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from distributed import LocalCluster
+from recordings import make_argoverse1
 from served import Here
 from written import contents
 
@@ -20,7 +21,7 @@ from bridge.batch.manifest import DONE, QUARANTINED, Manifest, ManifestRow
 from bridge.config import load_config
 from bridge.generation.program import code_version
 from bridge.recordings.scenario import find_scenarios
-from bridge.recordings.sources import find_sources
+from bridge.recordings.sources import find_recordings, find_sources
 from hid2.params import Config
 from netconvert.errors import BatchError, ConfigError, DiskFullError, ExportError
 
@@ -176,13 +177,17 @@ class TestFullDisk:
 
 
 def test_folder_with_any_bytes_in_its_name_is_a_scene_like_others(make_data_set: MakeDataSet, tmp_path: Path) -> None:
-    folders = make_data_set(3, {1: "raise"})
+    folders = make_data_set(5, {1: "raise", 3: "raise", 4: "raise"})
     named = [folder.rename(folder.parent / f"s{k}\udcff\n,\x1b[2J") for k, folder in enumerate(folders[:2])]
+    long = [
+        folder.rename(folder.parent / ("\u8857" * 84 + name)) for folder, name in zip(folders[3:], "ab", strict=True)
+    ]
     for resume in (False, True):
         options = Options(function=COPIES, resume=resume)
-        rows = run_batch(plan([*named, folders[2]], Config()), tmp_path / "out", options)
-        assert [row.failure or row.status for row in rows] == [DONE, "exception", DONE]
-        assert sorted(row.scenario for row in rows) == ["s0\\udcff ,\\x1b[2J", "s1\\udcff ,\\x1b[2J", "scene-002"]
+        rows = run_batch(plan([*named, folders[2], *long], Config()), tmp_path / "out", options)
+        assert [row.failure or row.status for row in rows] == [DONE, "exception", DONE, "exception", "exception"]
+        assert [row.scenario for row in rows[:3]] == ["s0\\udcff ,\\x1b[2J", "s1\\udcff ,\\x1b[2J", "scene-002"]
+        assert len({row.bundle for row in rows[1:] if row.bundle}) == 3
     assert rows[1].bundle
     _, again = reproduce(tmp_path / "out" / rows[1].bundle, tmp_path / "again", functions=[COPIES])
     assert again.failure == "exception"
@@ -344,6 +349,25 @@ def test_what_is_asked_for_beside_a_scene_is_written_with_all_else(synthetic: li
     run_batch(jobs, out)
     (row,) = run_batch(jobs, out, Options(resume=True, gaps=True))
     assert len(list((out / row.folder).glob("gaps_*.csv.gz"))) == 1
+
+
+def test_notes_beside_a_scene_are_kept(synthetic: list[Path], tmp_path: Path) -> None:
+    jobs, out = plan(synthetic[:1], load_config(flags={"request.agents": 1})), tmp_path / "out"
+    (row,) = run_batch(jobs, out)
+    (out / row.folder / "NOTES.txt").write_text("mine")
+    run_batch(jobs, out, Options(resume=True))
+    assert (out / row.folder / "NOTES.txt").read_text() == "mine"
+
+
+def test_spoiled_sequence_of_argoverse_1_is_written_again(tmp_path: Path) -> None:
+    found = find_recordings([make_argoverse1(tmp_path / "av1") / "val/data/7.csv"])
+    jobs, out = plan(found, load_config(flags={"request.agents": 1})), tmp_path / "out"
+    run_batch(jobs, out, Options(argoverse1=True))
+    (sequence,) = (out / "argoverse1").rglob("*.csv")
+    written = sequence.read_bytes()
+    sequence.write_text("junk")
+    run_batch(jobs, out, Options(argoverse1=True, resume=True))
+    assert sequence.read_bytes() == written
 
 
 def test_second_batch_on_the_same_folder_is_refused(make_data_set: MakeDataSet, tmp_path: Path, monkeypatch) -> None:

@@ -107,6 +107,7 @@ FOCAL, SCORED = "310100", "310107"
         (lambda rows: rows.assign(scenario_id="other"), "scenario-id"),
         (_at("AV", 3, "heading", np.inf), "finite"),
         (_at("AV", 3, "heading", np.nan), "columns"),  # pandas writes null
+        (_at("gen_1", 60, "position_x", 1e8), "columns"),  # no judge ever comes there
         (lambda rows: rows.assign(object_category=rows.object_category.astype(float)), "columns"),
         (_track("gen_1", "track_id", "gen_x"), "generated"),
         (_track("gen_1", "object_type", "pedestrian"), "generated"),
@@ -213,6 +214,8 @@ def _event(**told: Any) -> Callable[[dict[str, Any]], Any]:
         (lambda document: document.update(config_sha256="0" * 64), "expected that of config"),
         (lambda document: document["config"]["request"].update(agents=-1), "request.agents = -1"),
         (lambda document: document.update(variant=1), "of this source, configuration, seed and variant"),
+        (lambda document: document["recording"].update(step_s=5.0), "recording.step_s: "),
+        (_agent(lambda agent: agent.update(length_m=1e308)), "length_m: "),
         (_agent(lambda agent: agent.update(track_id="gen_7")), "gen_0, gen_7"),
         (_agent(lambda agent: agent.update(track_id="gen_1")), "two agents have the same track_id"),
         (_agent(lambda agent: agent.update(route=[1])), "lane segment 1 is not in the map"),
