@@ -158,6 +158,18 @@ class MotionProfile:
     yaw_rate_radps: FloatArray
     yaw_accel_radps2: FloatArray
 
+    @classmethod
+    def of(
+        cls, velocity: FloatArray, heading: FloatArray, derivative: Callable[[FloatArray], FloatArray]
+    ) -> "MotionProfile":
+        """By velocities (N, 2) m/s, headings (N,) rad without jumps, and what gives the derivative of any (N, ...)."""
+        accel, yaw_rate, cos, sin = derivative(velocity), derivative(heading), np.cos(heading), np.sin(heading)
+        along = accel[:, 0] * cos + accel[:, 1] * sin
+        return cls(
+            np.hypot(*velocity.T), along, accel[:, 1] * cos - accel[:, 0] * sin, derivative(along),
+            np.hypot(*derivative(accel).T), yaw_rate, derivative(yaw_rate),
+        )  # fmt: skip
+
     @property
     def curvature_1pm(self) -> FloatArray:
         """Yaw rate over speed, 1/m; 0 where it is slow."""
