@@ -146,8 +146,7 @@ class World:
         critical_s = scene.config.conflict.follower_ttc_min_s
         boxes = recorded.length_m[:, None], recorded.width_m[:, None]
         seen = gaps_from_poses(recorded.position, forward, boxes, own)
-        speed = np.hypot(recorded.velocity[..., 0], recorded.velocity[..., 1])
-        closing = speed - seen.along_mps
+        speed, closing = recorded.speed, recorded.speed - seen.along_mps
         room_m = np.maximum(_FOLLOWS_M + critical_s * closing, headway_s * speed)
         room_m = np.maximum(room_m, _FOLLOWS_M + np.maximum(closing, 0.0) ** 2 / (2.0 * FOLLOWER_LACKS_MPS2))
         near = (seen.along_m > -own.length_m) & (seen.gap_m < room_m) & (seen.aside_m < _ASIDE_M)
