@@ -26,11 +26,11 @@ PACKAGES, KINDS = ("netconvert", "hid2", "bridge", "data"), (".py", ".js", ".j2"
 PRODUCT = (*PACKAGES, ".ci")
 #: What is counted: how many there may be now, and how many there are to be in the end. What shrinks is lowered.
 BOUNDS = {
-    "lines": (39_010, 28_500),
-    "statements": (24_610, 15_000),
-    "lines of hid2": (16_300, 8_500),
-    "lines of hid2/insertion": (4_630, 2_200),
-    "lines of hid2/kernels": (2_560, 1_900),
+    "lines": (38_710, 28_500),
+    "statements": (24_490, 15_000),
+    "lines of hid2": (16_000, 8_500),
+    "lines of hid2/insertion": (4_590, 2_200),
+    "lines of hid2/kernels": (2_350, 1_900),
     "lines of netconvert": (2_140, 1_500),
     "lines of bridge/cli": (1_660, 1_000),
     "lines of bridge/recordings": (3_220, 2_500),

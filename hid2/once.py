@@ -18,12 +18,9 @@ def once(method: Callable[[Any, *Asked], Found]) -> Callable[[Any, *Asked], Foun
 
     @wraps(method)
     def answer(self: Any, *asked: *Asked) -> Found:  # noqa: ANN401  # any object
-        known: dict[tuple[*Asked], Any] | None = self.__dict__.get(name)
-        if known is None:
-            known = self.__dict__[name] = {}
-        found: Found = known.get(asked, known)  # no answer is the collection itself
-        if found is known:
-            found = self.__dict__[name][asked] = method(self, *asked)
-        return found
+        known: dict[tuple[*Asked], Found] = self.__dict__.setdefault(name, {})
+        if asked not in known:
+            known[asked] = method(self, *asked)
+        return known[asked]
 
     return answer

@@ -10,11 +10,11 @@ import numpy as np
 
 from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, IntArray, Track
 from hid2.drivers.driver import OFFSET_MAX_M, place_of_lane
-from hid2.kernels.box_pairs import END_HORIZON_S
 from hid2.measures.arrays import MOVES_MPS, MOVING_EXTENT_M, MOVING_S
 from hid2.measures.driven_lanes import STRETCH_M, recorded_places
 from hid2.measures.encounters import STANDS_MPS
 from hid2.measures.lane_matching import flatten_lanes
+from hid2.measures.surrogates import END_HORIZON_S
 from hid2.motion.route import DrivenPath, LanePaths
 from hid2.motion.smoothing import Trajectory
 from hid2.occupancy.agent_states import AgentStates, agent_states, parked
@@ -122,8 +122,8 @@ class Scene:
     @cached_property
     def unseen(self) -> Traffic:
         """Recorded vehicles that stand whenever they are seen, at the other steps: as if they stood there all along."""
-        arrays, speed = self.states.arrays, np.hypot(self.traffic.velocity[..., 0], self.traffic.velocity[..., 1])
-        stand = ~(self.traffic.present & (speed > STANDS_MPS)).any(axis=1)
+        arrays = self.states.arrays
+        stand = ~(self.traffic.present & (self.traffic.speed > STANDS_MPS)).any(axis=1)
         stand &= arrays.vehicle & (arrays.rows_per_agent >= self.steps_in(_SEEN_STANDING_S))
         seen = self.traffic.rows(np.flatnonzero(stand).tolist())
         return replace(seen.lasting(self.num_steps, step_s=0.0), present=~seen.present)
@@ -306,12 +306,11 @@ def _speeds(
 ) -> tuple[dict[int, list[float]], list[float]]:
     """Cruising speed of each moving vehicle: over the scene, and by lane driven on."""
     lane_of = np.array([cell.lane_id for cell in grid.cells])
-    by_lane: dict[int, list[float]] = {}
-    scene: list[float] = []
+    by_lane, scene, speed = dict[int, list[float]](), list[float](), traffic.speed
     for row, track in enumerate(tracks):
         if track.object_type not in VEHICLE_TYPES or track.category < 1 or track.path_m < MOVING_EXTENT_M:
             continue
-        moving = traffic.present[row] & (np.hypot(*traffic.velocity[row].T) > MOVES_MPS)
+        moving = traffic.present[row] & (speed[row] > MOVES_MPS)
         if moving.sum() < round(MOVING_S / step_s):
             continue
         usual_mps = cruising_mps(traffic, row)

@@ -17,6 +17,7 @@ from hid2.insertion.filling import Filling, Rejection, Unmet
 from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.meetings import moving_vehicles, target_rows
 from hid2.insertion.outcome import Outcome, gaps_at_request
+from hid2.judge.events import brakes_for
 from hid2.measures.selection import drives
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.behaviours import BEHAVIOURS
@@ -116,7 +117,7 @@ def event_record(found: EventOutcome, names: Mapping[str, str]) -> sidecar.Event
     return sidecar.EventRecord(
         kind=event.kind, target=event.target, status="done", track_id=names[found.vehicle.driven.vehicle_id],
         target_track_id=found.target_id, at_s=round(seen.at_step * found.vehicle.motion.step_s, 6),
-        ahead=seen.order > 0, human_brakes=seen.measures.human_brakes, tries=found.tries, **figures,
+        ahead=seen.order > 0, human_brakes=brakes_for(seen.measures.min_ttc_s), tries=found.tries, **figures,
     )  # fmt: skip
 
 

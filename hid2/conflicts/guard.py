@@ -8,7 +8,7 @@
    does not begin meanwhile.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -71,10 +71,6 @@ class Obstacles:
     lines: ClosedLines
 
 
-#: Last answer of `Guard.known_on` on a path: recorded and inserted traffic, the intervals of each there, and of both.
-_Newest = tuple[Traffic, Traffic, PathOccupancy, PathOccupancy, PathOccupancy]
-
-
 @dataclass(eq=False)
 class Guard:
     """Conflict case 3 of all vehicles that are driven together.
@@ -85,7 +81,6 @@ class Guard:
     scene: Scene
     inserted_known: Traffic
     stop_lines: StopLines
-    _newest: dict[tuple[DrivenPath, BoxSize], _Newest] = field(default_factory=dict)
 
     @cached_property
     def brakes(self) -> FloatArray:
@@ -118,15 +113,9 @@ class Guard:
         Rows as in `Scene.with_inserted`. Inserted ones, where they cross, are kept clear of as long as cross traffic
         makes an entrance red: streams do not mingle.
         """
-        scene, newest = self.scene, self._newest.get((path, box))
-        if newest is not None and newest[0] is scene.future and newest[1] is self.inserted_known:
-            return newest[-1]
-        recorded = scene.kept_clear_on(path, box, scene.lasting)
-        inserted = scene.kept_clear_on(path, box, self.inserted_known, at_least_s=scene.config.signals.before_s)
-        is_same = newest is not None and newest[2] is recorded and newest[3] is inserted
-        known = newest[-1] if newest is not None and is_same else scene.with_inserted(recorded, inserted)
-        self._newest[path, box] = scene.future, self.inserted_known, recorded, inserted, known
-        return known
+        scene, apart_s = self.scene, self.scene.config.signals.before_s
+        inserted = scene.kept_clear_on(path, box, self.inserted_known, at_least_s=apart_s)
+        return scene.with_inserted(scene.kept_clear_on(path, box, scene.lasting), inserted)
 
     @once
     def _swept_on(

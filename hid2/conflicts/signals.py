@@ -68,17 +68,11 @@ class InferredSignals:
     params: Signals
 
     @cached_property
-    def _speed(self) -> FloatArray:
-        """(A, T) m/s."""
-        velocity = self.states.traffic.velocity
-        return np.asarray(np.hypot(velocity[..., 0], velocity[..., 1]))
-
-    @cached_property
     def _flows(self) -> BoolArray:
         """(A, T) whether an agent is cross traffic where it crosses."""
         arrays = self.states.arrays
         obeys = np.array([kind in SIGNALLED_TYPES for kind in arrays.object_types], dtype=np.bool_)
-        return np.asarray((self._speed > _FLOW_MPS) & (arrays.moving & obeys)[:, None])
+        return np.asarray((self.states.traffic.speed > _FLOW_MPS) & (arrays.moving & obeys)[:, None])
 
     @cached_property
     def _flowing(self) -> tuple[IntArray, Traffic]:
@@ -90,7 +84,7 @@ class InferredSignals:
     def _waits(self) -> IntArray:
         """Rows that stand as in a queue."""
         arrays = self.states.arrays
-        stands = self._speed[arrays.agent, arrays.step] < STANDING_MPS
+        stands = self.states.traffic.speed[arrays.agent, arrays.step] < STANDING_MPS
         return np.flatnonzero(stands & (self.states.matches.lane >= 0) & ~parked(self.states)[arrays.agent])
 
     @once
@@ -173,7 +167,7 @@ class InferredSignals:
         line = line_along(route_points(self.graph, tuple(_through(self.graph, lane_id))), Limits())
         seen = look_along(line, flowing, 0.0, width_m)
         agents = rows[seen.agents]
-        across = np.abs(seen.along) <= math.cos(CROSSING_RAD) * self._speed[agents]
+        across = np.abs(seen.along) <= math.cos(CROSSING_RAD) * flowing.speed[seen.agents]
         across &= self._flows[agents] & others[agents, None]
         return np.asarray((across & (seen.low < line.length_m)).any(axis=0))
 

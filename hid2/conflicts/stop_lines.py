@@ -6,11 +6,11 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 
 from hid2.agents import BoxSize, FloatArray, IntArray
 from hid2.conflicts.signals import InferredSignals
 from hid2.drivers.driver import Driver
-from hid2.kernels.crossings import at_crossings, crossings_swept
 from hid2.kernels.guard import ROLLS_UP_SHARE
 from hid2.kernels.steering import CAUSES
 from hid2.measures.encounters import CROSSING_RAD
@@ -20,21 +20,16 @@ from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.once import once
 from hid2.scene import Scene
 
-#: Least gap from a standing vehicle's front to where pedestrians cross, m. No tunable: where a driver stops.
-_CROSSING_GAP_M = 0.5
-#: Distance past its place to stand at which a vehicle has passed the line, m. No tunable: where a driver stops.
-_PASSED_M = 1.0
-#: Distance to a crossing up to which an agent that comes towards it counts, m. No tunable: what crossing is.
-_NEAR_M = 1.0
-#: Least speed of an agent that comes towards a crossing, m/s. No tunable: what crossing is.
-_TOWARDS_MPS = 0.3
-#: Time before an agent is on the crossing from which on it counts, s. No tunable: what crossing is.
-_AHEAD_S = 1.5
-#: Width of a strip on each side of the swept width without agents as a vehicle passes, m. No tunable: what crossing is.
-_STRIP_M = 1.0
-#: Time within which no agent comes into the strip as a vehicle passes, s. No tunable: what crossing is.
-_STRIP_S = 3.0
-#: Speed below which an agent has no direction, m/s; one along the path (CROSSING_RAD) does not cross. No tunable.
+# No tunables: where a driver stops.
+_CROSSING_GAP_M = 0.5  # least gap from a standing vehicle's front to where pedestrians cross, m
+_PASSED_M = 1.0  # distance past its place to stand at which a vehicle has passed the line, m
+# No tunables, to _DIRECTED_MPS: what crossing is.
+_NEAR_M = 1.0  # distance to a crossing up to which an agent that comes towards it counts, m
+_TOWARDS_MPS = 0.3  # least speed of an agent that comes towards a crossing, m/s
+_AHEAD_S = 1.5  # time before an agent is on the crossing from which on it counts, s
+_STRIP_M = 1.0  # width of a strip on each side of the swept width without agents as a vehicle passes, m
+_STRIP_S = 3.0  # time within which no agent comes into the strip as a vehicle passes, s
+#: Speed below which an agent has no direction, m/s; one along the path (CROSSING_RAD) does not cross.
 _DIRECTED_MPS = 0.5
 #: Recorded object types that use crossings.
 CROSSING_TYPES = frozenset({"pedestrian", "cyclist", "riderless_bicycle"})
@@ -57,12 +52,26 @@ class PedestrianCrossings:
     step_s: float
 
     @cached_property
+    def _areas(self) -> shapely.STRtree:
+        return shapely.STRtree(shapely.polygons(self.corners))
+
+    @cached_property
     def _at(self) -> BoolArray:
+        """(P, A, T) which agents are on a crossing, or will be within _AHEAD_S, or are near and move towards it."""
         traffic = self.traffic
-        return at_crossings(
-            self.corners, traffic.position, traffic.velocity, traffic.present,
-            _NEAR_M, _TOWARDS_MPS, round(_AHEAD_S / self.step_s),
-        )  # fmt: skip
+        agent, step = np.nonzero(traffic.present)
+        points = shapely.points(traffic.position[agent, step])
+        row, crossing = self._areas.query(points, predicate="dwithin", distance=_NEAR_M)
+        agent, step, ways = agent[row], step[row], shapely.shortest_line(points[row], self._areas.geometries[crossing])
+        way = np.diff(shapely.get_coordinates(ways).reshape(-1, 2, 2), axis=1)[:, 0]
+        distance_m, closing = np.hypot(*way.T), (traffic.velocity[agent, step] * way).sum(axis=1)
+        on, comes = np.zeros((2, len(self.corners), *traffic.present.shape), dtype=np.bool_)
+        for found, which in ((on, distance_m == 0.0), (comes, closing > _TOWARDS_MPS * distance_m)):
+            found[crossing[which], agent[which], step[which]] = True
+        soon = on.copy()
+        for ahead in range(1, round(_AHEAD_S / self.step_s) + 1):
+            soon[..., :-ahead] |= on[..., ahead:]
+        return np.asarray(soon & traffic.present | comes)
 
     @once
     def on(self, path: DrivenPath, width_m: float) -> list[CrossingOnPath]:
@@ -75,11 +84,17 @@ class PedestrianCrossings:
         line = path.line
         count = min(int(path.exit_m / TABLE_STEP_M) + 1, len(line.table_xy))
         xy, heading = line.table_xy[:count], line.table_heading[:count]
+        left = width_m / 2 * np.stack([-np.sin(heading), np.cos(heading)], axis=1)
+        across = shapely.linestrings(np.stack([xy - left, xy + left], axis=1))
+        point, crossed = self._areas.query(across, predicate="intersects")
         found = []
-        for crossing, first, last in crossings_swept(self.corners, xy, heading, width_m / 2).tolist():
-            middle = (first + last) // 2
-            occupied = self._occupied(crossing, xy[middle], heading[middle], width_m / 2 + _STRIP_M)
-            found.append(CrossingOnPath(first * TABLE_STEP_M, last * TABLE_STEP_M, occupied))
+        for crossing in np.unique(crossed).tolist():
+            touched = np.sort(point[crossed == crossing])
+            for run in np.split(touched, np.flatnonzero(np.diff(touched) > 1) + 1):
+                first, last = int(run[0]), int(run[-1])
+                middle = (first + last) // 2
+                occupied = self._occupied(crossing, xy[middle], heading[middle], width_m / 2 + _STRIP_M)
+                found.append(CrossingOnPath(first * TABLE_STEP_M, last * TABLE_STEP_M, occupied))
         return sorted(found, key=lambda one: one.entry_m)
 
     def _occupied(self, crossing: int, xy: FloatArray, heading: float, aside_m: float) -> BoolArray:

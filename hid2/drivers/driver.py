@@ -9,21 +9,14 @@ import numpy as np
 from hid2.agents import FloatArray
 from hid2.params import Config, Drivers
 
-#: SD from the mean at which draws are cut off. No tunable: shape of a distribution.
-TRUNCATED_AT = 2.0
-#: Time constant that eases the wandering of the speed, s, as feet do not jump. No tunable: shape of a distribution.
-_EASED_S = 0.8
-#: Least share of the desired speed as it wanders, as none crawls without a cause. No tunable: shape of a distribution.
-_WANDERS_TO = 0.8
-#: By how much vehicles that gain speed begin below the desired one, in SDs of its wandering. No tunable: shape of a
-#: distribution.
-_GAINING_SD = 1.0, 6.0
-#: Least share of the desired speed to begin with, but for what is ahead. No tunable: shape of a distribution.
-_BEGINS_FROM = 0.3
-#: Least distance along the way between two knots of the lateral offset, m. No tunable: shape of a distribution.
-_OFFSET_SPACING_M = 6.0
-#: Largest lateral offset from the middle of the lane, m: a car is no bicycle. No tunable: shape of a distribution.
-OFFSET_MAX_M = 0.9
+# No tunables, to OFFSET_MAX_M: shapes of distributions.
+TRUNCATED_AT = 2.0  # SD from the mean at which draws are cut off
+_EASED_S = 0.8  # time constant that eases the wandering of the speed, s, as feet do not jump
+_WANDERS_TO = 0.8  # least share of the desired speed as it wanders, as none crawls without a cause
+_GAINING_SD = 1.0, 6.0  # by how much vehicles that gain speed begin below the desired one, in SDs of its wandering
+_BEGINS_FROM = 0.3  # least share of the desired speed to begin with, but for what is ahead
+_OFFSET_SPACING_M = 6.0  # least distance along the way between two knots of the lateral offset, m
+OFFSET_MAX_M = 0.9  # largest lateral offset from the middle of the lane, m: a car is no bicycle
 #: Least and largest gap from a driver's front to the line, m, negative past it. No tunable: of 21 recorded ones that
 #: stand first before an intersection 19 do at -3.2 to 3.6 m (fourteen scenes), farther past it cross traffic is near.
 LINE_GAP_M = -1.5, 3.0

@@ -25,20 +25,16 @@ from hid2.resampling import interval, redrawn
 
 # Which windows tell what, which moments are measured, and how finely laws are compared: no tunables. Calibrations with
 # other numbers differ, and would not match the sources in `params.Drivers`, which are figures made with these.
-#: Least number of drivers that tell something: with fewer the prior stays. No tunable.
-LEAST = 12
+LEAST = 12  # least number of drivers that tell something: with fewer the prior stays
+_QUEUE_M = 10.0  # gap below which a leader that stands is in the same queue, m
+_SHOWS_MPS2 = 0.7  # acceleration or deceleration in some window above which a driver shows how it drives, m/s2
+_UNIT_MPS = 0.3  # SD of the wandering at which moments of the speed are simulated, m/s: too small for bounds to matter
 #: Steady following: most closing speed, m/s, and acceleration, m/s2; least speed, m/s; most time gap, s. No tunables.
 _STEADY_MPS, _STEADY_MPS2, _FOLLOWS_MPS, _FOLLOWS_S = 1.0, 0.5, 3.0, 3.0
-#: Gap below which a leader that stands is in the same queue, m. No tunable.
-_QUEUE_M = 10.0
-#: Acceleration or deceleration in some window above which a driver shows how it drives, m/s2. No tunable.
-_SHOWS_MPS2 = 0.7
 #: Drivers simulated for a moment; half of a window, s, and its intervals: finer ones change no fit. No tunables.
 _SIMULATED, _HALF_S, _HALF = 250, 2.0, 20
 _EVERY_S = _HALF_S / _HALF
 _TIME_S = np.asarray(_EVERY_S * np.arange(2 * _HALF + 1) - _HALF_S, dtype=np.float64)
-#: SD of the wandering at which moments of the speed are simulated, m/s: too small for bounds to matter. No tunable.
-_UNIT_MPS = 0.3
 #: Cruising: least share of the usual speed, and bound of the acceleration, m/s2: no signal decides. No tunables.
 _CRUISES, _CRUISES_MPS2 = 0.7, 1.0
 #: Candidates for the time constants, s, and for the spread of the lateral wandering. No tunables.

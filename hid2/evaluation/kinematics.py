@@ -5,6 +5,7 @@ a track, as `numpy.gradient`), at the true times of the steps.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -39,21 +40,8 @@ def derivative(values: FloatArray, arrays: SceneArrays) -> FloatArray:
 
 def motion(arrays: SceneArrays) -> MotionProfile:
     """Derivatives at every row of a scene, from positions and headings."""
-    velocity = derivative(arrays.position, arrays)
-    acceleration = derivative(velocity, arrays)
-    cos, sin = np.cos(arrays.heading), np.sin(arrays.heading)
-    longitudinal = acceleration[:, 0] * cos + acceleration[:, 1] * sin
     heading = np.concatenate([np.zeros(0), *map(np.unwrap, np.split(arrays.heading, arrays.first[1:-1]))])
-    yaw_rate = derivative(heading, arrays)
-    return MotionProfile(
-        speed_mps=np.hypot(*velocity.T),
-        accel_mps2=longitudinal,
-        lateral_accel_mps2=-acceleration[:, 0] * sin + acceleration[:, 1] * cos,
-        longitudinal_jerk_mps3=derivative(longitudinal, arrays),
-        jerk_mps3=np.hypot(*derivative(acceleration, arrays).T),
-        yaw_rate_radps=yaw_rate,
-        yaw_accel_radps2=derivative(yaw_rate, arrays),
-    )
+    return MotionProfile.of(derivative(arrays.position, arrays), heading, partial(derivative, arrays=arrays))
 
 
 def kinematics(arrays: SceneArrays, moved: MotionProfile) -> Kinematics:

@@ -12,11 +12,10 @@ import shapely
 
 from hid2.agents import FloatArray
 from hid2.judge.states import against_lane_deg, outside_m
-from hid2.kernels.box_pairs import earliest_contact
 from hid2.measures.arrays import MOVES_MPS, BoolArray, SceneArrays
 from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import LaneLeaders, leaders
-from hid2.measures.surrogates import CAP_S, Encroachment, encroachments, time_to_collision
+from hid2.measures.surrogates import CAP_S, Encroachment, earliest_contact, encroachments, time_to_collision
 from hid2.params import Limits
 from netconvert.geometry import box_corners
 from netconvert.lane_graph import LaneGraph
@@ -102,13 +101,13 @@ def ttc_after_last_step(arrays: SceneArrays, members: BoolArray, among: BoolArra
     Nothing is recorded beyond the last step: nothing else would tell that a track ends a moment before a collision.
     among: the agents (A,) that count as others; of these those present at that very step.
     """
-    found, size = np.full(arrays.num_agents, np.inf), np.column_stack([arrays.length, arrays.width])
+    found = np.full(arrays.num_agents, np.inf)
     for agent in np.flatnonzero(members).tolist():
         step = int(arrays.step[arrays.first[agent + 1] - 1])
         agents = np.union1d(np.flatnonzero((arrays.row_of[:, step] >= 0) & among), agent)
         rows, own = arrays.row_of[agents, step], int(np.searchsorted(agents, agent))
-        boxes = arrays.position[rows], arrays.heading[rows], arrays.velocity[rows], size[agents]
-        found[agent], _ = earliest_contact(own, *boxes)
+        boxes = arrays.position[rows], arrays.heading[rows], arrays.velocity[rows]
+        found[agent], _ = earliest_contact(own, *boxes, arrays.length[agents], arrays.width[agents])
     return found
 
 

@@ -24,12 +24,10 @@ MIN_SPEED_MPS = 1.0
 #: Number of random splits of the recorded tracks into halves, for floors and the negative control.
 SPLITS = 16
 # What a window is, the same for recorded and generated vehicles and for every configuration: no tunables.
-#: Jump of the lateral offset between two steps from which the lane is changed, m. No tunable.
-_JUMP_M = 1.5
+_JUMP_M = 1.5  # jump of the lateral offset between two steps from which the lane is changed, m
+_TURNS_RAD = 0.35  # range of the path's direction above which a window turns, rad
 #: Least share of a window with the same leader, and bound of the gap to it at the middle, m. No tunables.
 _LED_SHARE, _LED_M = 0.8, 60.0
-#: Range of the path's direction above which a window turns, rad. No tunable.
-_TURNS_RAD = 0.35
 
 #: A window: the recorded scene that it is of, the number of its vehicle there, whether that is generated, whether
 #: people labelled the recording (else a tracker), and as SPLITS bits the halves of the recorded tracks that it is in.

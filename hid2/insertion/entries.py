@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import shapely
 
 from hid2.insertion.flow import entry_lanes
@@ -15,8 +15,13 @@ from netconvert.lane_graph import TurnType
 
 #: Largest distance of a lane that begins at the map's edge to the hull of all lanes, m. No tunable: what the edge is.
 _EDGE_M = 15.0
-#: An entry: lane, row of the route in `Routes.offers`, step.
-_ENTRY = np.dtype([("lane", "i8"), ("offer", "i8"), ("step", "i8")])
+
+
+class Entry(NamedTuple):
+    """From the beginning of a route, which lies at the map's edge, at a step."""
+
+    offer: RouteOffer
+    step: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,18 +32,14 @@ class Entries:
     routes: Routes
     meetings: Meetings
 
-    def offer(self, row: int) -> RouteOffer:
-        """The route of an entry."""
-        return self.routes.offers(int(self.table["lane"][row]))[int(self.table["offer"][row])]
-
     def step(self, row: int, rng: np.random.Generator) -> int:
         """A step of an entry, drawn from its own to the one before the next look."""
-        first = int(self.table["step"][row])
-        return int(rng.integers(first, min(first + self._between - 1, self._last) + 1))
+        first, between = self.table[row].step, int(np.diff(self.meetings.looks[:2]).sum()) or 1
+        return int(rng.integers(first, min(first + between - 1, self._last) + 1))
 
     @property
-    def table(self) -> npt.NDArray[np.void]:
-        """All of them, (N,) of _ENTRY, at every look of `Meetings` after the first, up to the last observed step."""
+    def table(self) -> list[Entry]:
+        """All of them, at every look of `Meetings` after the first, up to the last observed step."""
         return self._looked[0]
 
     @property
@@ -47,10 +48,8 @@ class Entries:
         return self._looked[1]
 
     @cached_property
-    def _looked(self) -> tuple[npt.NDArray[np.void], Outlook]:
-        scene = self.scene
-        rows: list[tuple[int, int, int]] = []
-        found = [Outlook.none(0)]
+    def _looked(self) -> tuple[list[Entry], Outlook]:
+        scene, rows, found = self.scene, list[Entry](), [Outlook.none(0)]
         looks = [(look, step) for look, step in enumerate(self.meetings.looks.tolist()) if 0 < step <= self._last]
         for lane_id in edge_lanes(scene, self.routes):
             offers = self.meetings.offers_towards(lane_id, TurnType.STRAIGHT)
@@ -59,13 +58,8 @@ class Entries:
                     met = self.meetings.from_edge(lane_id, offer, look)
                     weighs = scene.config.request.near == "anywhere" or met.weight[0] >= NEAR_WEIGHT
                     found.append(met._replace(weight=met.weight * weighs / len(offers)))
-                    rows.append((lane_id, offer, step))
-        return np.array(rows, dtype=_ENTRY), Outlook.joined(found)
-
-    @property
-    def _between(self) -> int:
-        """Steps between two looks."""
-        return int(np.diff(self.meetings.looks[:2]).sum()) or 1
+                    rows.append(Entry(self.routes.offers(lane_id)[offer], step))
+        return rows, Outlook.joined(found)
 
     @property
     def _last(self) -> int:

@@ -54,7 +54,7 @@ class EntrySites:
         if wants:
             order = order[np.argsort(~entries.outlook.meets_any(wants, followed)[order], kind="stable")]
         for row in order[:TRIES].tolist():
-            site = Site(entries.offer(row), None, entries.step(row, rng), int(leader[row]))
+            site = Site(entries.table[row].offer, None, entries.step(row, rng), int(leader[row]))
             start = self.starts.make(request, site)
             if isinstance(start, Start):
                 yield start

@@ -26,17 +26,14 @@ from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 from netconvert.cells import Cell
 
-#: Vehicles that `agents = max` asks for, at most. No tunable: bounds the search.
-_MOST = 400
-#: Share of the vehicles kept that the last round of `agents = max` adds, at most. No tunable: bounds the search.
-_FULL_SHARE = 0.1
-#: Requests of a policy without a site, after which a round looks for no more such sites. No tunable: bounds the search.
-_MOST_FAILURES = 4
+# No tunables, to _MOST_REDRIVES: they bound the search.
+_MOST = 400  # vehicles that `agents = max` asks for, at most
+_FULL_SHARE = 0.1  # share of the vehicles kept that the last round of `agents = max` adds, at most
+_MOST_FAILURES = 4  # requests of a policy without a site, after which a round looks for no more such sites
 #: Requests to go straight without a site, after which a round looks for no more such sites: the first that fails is
-#: looked for once more, with all cells open again. No tunable: bounds the search.
+#: looked for once more, with all cells open again.
 _MOST_FAILURES_STRAIGHT = 1
-#: Redrives, at most, of a vehicle that waited for a rejected one or overtook it. No tunable: bounds the search.
-_MOST_REDRIVES = 1
+_MOST_REDRIVES = 1  # redrives, at most, of a vehicle that waited for a rejected one or overtook it
 #: Length of lane per vehicle on a full road, m. No tunable: what `agents = max` means.
 SPACING_M = 25.0
 #: Runs one simulation: starts, generated vehicles kept in rounds before, number of the round.

@@ -249,7 +249,7 @@ def _passes_m(vehicle: AgentStates, others: AgentStates) -> float:
     seen = gaps_from_poses(own.position[0], forward, BoxSize(own.length_m[0], own.width_m[0]), traffic)
     passes = own.present & traffic.present & (seen.gap_m < 0.0)
     passes &= np.abs(np.cos(traffic.heading - own.heading)) > SAME_WAY
-    passes &= np.hypot(traffic.velocity[..., 0], traffic.velocity[..., 1]) > MOVES_MPS
+    passes &= traffic.speed > MOVES_MPS
     return float(seen.aside_m[passes].min(initial=math.inf))
 
 

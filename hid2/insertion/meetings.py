@@ -27,14 +27,11 @@ from netconvert.lane_graph import TurnType
 NEAR_WEIGHT = 20.0
 #: Weight of a site where a recorded follower would run into the vehicle: most of them fail. No tunable, as NEAR_WEIGHT.
 _RUN_INTO_WEIGHT = 0.2
-#: Foreseen over usual speed of a vehicle, which brakes now and then. No tunable: foreseen roughly, a rollout follows.
-PACE_SHARE = 0.9
-#: Share of `request.within_m` up to which agents are near. No tunable: foreseen roughly, a rollout follows.
-_NEAR_SHARE = 0.7
-#: Least way left at a site over the way at the usual speed. No tunable: foreseen roughly, a rollout follows.
-_LEAVES_SHARE = 0.8
-#: Routes with the same first turn that a mean is taken over, at most. No tunable: foreseen roughly, a rollout follows.
-_ROUTES = 4
+# No tunables, to _ROUTES: what is met is foreseen roughly here; a rollout follows.
+PACE_SHARE = 0.9  # foreseen over usual speed of a vehicle, which brakes now and then
+_NEAR_SHARE = 0.7  # share of `request.within_m` up to which agents are near
+_LEAVES_SHARE = 0.8  # least way left at a site over the way at the usual speed
+_ROUTES = 4  # routes with the same first turn that a mean is taken over, at most
 #: Least and largest time between centres where a path is crossed, s: boxes take about .8 s of it, which leaves a PET
 #: from the critical 1 to 3 s. No tunable: foreseen roughly, a rollout follows.
 _CROSSING_APART_S = (1.8, 3.8)

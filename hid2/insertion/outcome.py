@@ -56,7 +56,7 @@ def outcome_of(scene: Scene, vehicle: ExportedVehicle, kept: Iterable[ExportedVe
     if BEHAVIOURS[policy].sides:
         return _lane_change(vehicle)
     if policy is Policy.OVERTAKE:
-        return _overtake(scene, vehicle, together(scene, (one for one in kept if one is not vehicle)))
+        return _overtake(vehicle, together(scene, (one for one in kept if one is not vehicle)))
     return None
 
 
@@ -150,7 +150,7 @@ def _begun(vehicle: ExportedVehicle, reason: Reason, **more: object) -> Outcome:
     )  # fmt: skip
 
 
-def _overtake(scene: Scene, vehicle: ExportedVehicle, others: AgentStates) -> Outcome:
+def _overtake(vehicle: ExportedVehicle, others: AgentStates) -> Outcome:
     """Done where the vehicle is behind its leader, beside it, ahead of it and back, by the states of both."""
     driven = vehicle.driven
     if not driven.shifts:

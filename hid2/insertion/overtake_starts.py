@@ -32,41 +32,26 @@ from hid2.scene import SLOW_LEADER_SHARE, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.lane_graph import Side
 
-#: Ways looked at for a request, at most. No tunable: bounds the search.
-_WAYS = 288
-#: Ways looked at in one batch. No tunable: bounds the search.
-_TOGETHER = 16
-#: Ways after which the search is given up where no overtake seems to fit. No tunable: bounds the search.
-_HOPELESS = 48
-#: Added leaders drawn for each way. No tunable: bounds the search.
-_LEADERS = 6
-#: Drivers drawn for each way. No tunable: bounds the search.
-_DRIVERS = 6
-#: Gaps drawn for each pair of leader and driver. No tunable: bounds the search.
-_GAPS = 6
-#: Wanderings of the desired speed drawn for a request. No tunable: bounds the search.
-_WANDERS = 48
-#: Overtakes rolled out for a request, at most. No tunable: bounds the search.
-_ROLLED_OUT = 24
-#: Least speed of an added leader, m/s. No tunable: a bound of what is drawn.
-_SLOWEST_MPS = 3.0
-#: Start gap to the leader beyond that at standstill, over the speed difference, s. No tunable: bounds of what is drawn.
-_GAP_S = (1.0, 5.0)
-#: Inverse share of the fastest wanderings, of which an overtaker, in a hurry, has one. No tunable: what is drawn.
-_HURRIED = 3
-# Not parameters, from _LOOKS_S to _LASTS: they save rollouts.
-#: Time between two looks at the rough motion, s.
-_LOOKS_S = 0.2
-#: Share of a lateral motion at which the centre has crossed the line.
-_CROSSED = 0.5
-#: Spare above the critical TTC to the leader, s.
-_SPARE_S = 0.1
-#: Least share of the way back that is done by the scene's end: above 1, as a rollout wants some time left.
-_BACK = 1.05
-#: Largest deceleration of a driver, m/s2.
-_BRAKES_MPS2 = 3.0
-#: Share of the scene's duration that an overtake takes up to the end of its stretch.
-_LASTS = 0.75
+# No tunables, to _ROLLED_OUT: they bound the search.
+_WAYS = 288  # ways looked at for a request, at most
+_TOGETHER = 16  # ways looked at in one batch
+_HOPELESS = 48  # ways after which the search is given up where no overtake seems to fit
+_LEADERS = 6  # added leaders drawn for each way
+_DRIVERS = 6  # drivers drawn for each way
+_GAPS = 6  # gaps drawn for each pair of leader and driver
+_WANDERS = 48  # wanderings of the desired speed drawn for a request
+_ROLLED_OUT = 24  # overtakes rolled out for a request, at most
+# No tunables, to _HURRIED: bounds of what is drawn.
+_SLOWEST_MPS = 3.0  # least speed of an added leader, m/s
+_GAP_S = (1.0, 5.0)  # start gap to the leader beyond that at standstill, over the speed difference, s
+_HURRIED = 3  # inverse share of the fastest wanderings, of which an overtaker, in a hurry, has one
+# Not parameters, to _LASTS: they save rollouts.
+_LOOKS_S = 0.2  # time between two looks at the rough motion, s
+_CROSSED = 0.5  # share of a lateral motion at which the centre has crossed the line
+_SPARE_S = 0.1  # spare above the critical TTC to the leader, s
+_BACK = 1.05  # least share of the way back that is done by the scene's end: above 1, as a rollout wants some time left
+_BRAKES_MPS2 = 3.0  # largest deceleration of a driver, m/s2
+_LASTS = 0.75  # share of the scene's duration that an overtake takes up to the end of its stretch
 
 
 @dataclass(frozen=True, eq=False, slots=True)

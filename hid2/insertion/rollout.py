@@ -38,19 +38,14 @@ from hid2.vehicle import DrivenVehicle, Start
 from netconvert.lane_graph import Side, TurnType
 from netconvert.net_xml import speed_limit_mps
 
-#: Time between two looks of a vehicle that waits for a gap, s. Not a parameter, it saves time.
-_LOOKS_S = 1.0
-#: Time between two looks of a vehicle that passes, s: passing is short, waiting long. Not a parameter, it saves time.
-_PASSING_LOOKS_S = 0.3
-#: TTC to a new candidate below which a follower chosen before is rolled out anew, s. Not a parameter, it saves time.
-_HINDERED_S = 4.0
+# Not parameters, to _NEAR_GAPS_M: they save time.
+_LOOKS_S = 1.0  # time between two looks of a vehicle that waits for a gap, s
+_PASSING_LOOKS_S = 0.3  # time between two looks of a vehicle that passes, s: passing is short, waiting long
+_HINDERED_S = 4.0  # TTC to a new candidate below which a follower chosen before is rolled out anew, s
+_FOLLOWS_M = 3.0  # spare gap with which no follower has a critical TTC to its leader on its path, m
+_ASIDE_M = 12.0  # lateral distance at which no follower has a critical TTC on its path, m
+_NEAR_GAPS_M = 40.0  # distance on an axis beyond which an agent is in no gap that a vehicle looks at, m
 _NONE = Traffic.none(1)
-#: Spare gap with which no follower has a critical TTC to its leader on its path, m. Not a parameter, it saves time.
-_FOLLOWS_M = 3.0
-#: Lateral distance at which no follower has a critical TTC on its path, m. Not a parameter, it saves time.
-_ASIDE_M = 12.0
-#: Distance on an axis beyond which an agent is in no gap that a vehicle looks at, m. Not a parameter, it saves time.
-_NEAR_GAPS_M = 40.0
 #: Least share of its desired speed that a vehicle drives at, but for what is ahead of it. No tunable.
 SLOWEST_SHARE = 0.25
 #: Gap to the leader below which a vehicle that stands counts as queuing, m. No tunable.
@@ -151,8 +146,7 @@ class World:
         critical_s = scene.config.conflict.follower_ttc_min_s
         boxes = recorded.length_m[:, None], recorded.width_m[:, None]
         seen = gaps_from_poses(recorded.position, forward, boxes, own)
-        speed = np.hypot(recorded.velocity[..., 0], recorded.velocity[..., 1])
-        closing = speed - seen.along_mps
+        speed, closing = recorded.speed, recorded.speed - seen.along_mps
         room_m = np.maximum(_FOLLOWS_M + critical_s * closing, headway_s * speed)
         room_m = np.maximum(room_m, _FOLLOWS_M + np.maximum(closing, 0.0) ** 2 / (2.0 * FOLLOWER_LACKS_MPS2))
         near = (seen.along_m > -own.length_m) & (seen.gap_m < room_m) & (seen.aside_m < _ASIDE_M)

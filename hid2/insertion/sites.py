@@ -42,25 +42,18 @@ _IN_VAIN = 2
 _SLOWS = frozenset({Situation.BRAKES, Situation.STANDS})
 #: Share of the usual speed at which a vehicle must not leave the map too early. Not a parameter, it saves time.
 _STAYS_SHARE = 0.8
-# No tunables, from _BEFORE_TURN_M to _BESIDE_M: manoeuvres are foreseen roughly; a rollout, SUMO and the judge follow.
+# No tunables, to _BESIDE_M: manoeuvres are foreseen roughly; a rollout, SUMO and the judge follow.
 #: Least distance from a start to its turn at a strict site, m (strict: `InsertionSites._start_for`).
 _BEFORE_TURN_M = 5.0
-#: Speed on the way to a turn over the usual speed.
-_APPROACH_SHARE = 0.75
-#: Speed in a turn, m/s.
-_TURN_MPS = 5.0
-#: Least time left in the scene after a turn at a strict site, s.
-_TURN_SPARE_S = 2.0
-#: Spare length of the lane beside, s at the usual speed: drivers are not all as fast as usual.
-_CHANGE_SPARE_S = 0.3
-#: Spare length of the lane beside at a strict site, s at the usual speed.
-_STRICT_SPARE_S = 0.5
+_APPROACH_SHARE = 0.75  # speed on the way to a turn over the usual speed
+_TURN_MPS = 5.0  # speed in a turn, m/s
+_TURN_SPARE_S = 2.0  # least time left in the scene after a turn at a strict site, s
+_CHANGE_SPARE_S = 0.3  # spare length of the lane beside, s at the usual speed: drivers are not all as fast as usual
+_STRICT_SPARE_S = 0.5  # spare length of the lane beside at a strict site, s at the usual speed
 #: Share of its way at the usual speed by which a vehicle may come farther by its trigger, at a strict site.
 _FARTHER_SHARE = 0.3
-#: Duration of a lane change over the shortest one, at a strict site.
-_CHANGE_RATIO = 1.3
-#: Tolerance of where a lane beside begins and ends, m: places come from cells and a usual speed.
-_BESIDE_M = 1.0
+_CHANGE_RATIO = 1.3  # duration of a lane change over the shortest one, at a strict site
+_BESIDE_M = 1.0  # tolerance of where a lane beside begins and ends, m: places come from cells and a usual speed
 
 
 @dataclass(slots=True)

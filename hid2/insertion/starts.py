@@ -31,20 +31,17 @@ from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.lane_graph import SIDES, Side
 
-#: Time over which a start with `request.sites = any` must meet nothing, s. No tunable: how vehicles begin.
-_HOLDS_S = 3.0
-#: Drivers drawn for a site, at most. No tunable: saves looking in vain.
-_DRIVERS = 3
-#: Least distance from the begin of a route to a rear bumper, m. No tunable: how vehicles begin.
-_FROM_EDGE_M = 0.5
-#: Least distance from a front bumper to the end of a route, m. No tunable: how vehicles begin.
-_TO_EDGE_M = 1.0
-#: Share of its start speed with which a vehicle must be on the map long enough. No tunable: saves looking in vain.
-_KEPT_SHARE = 0.95
-#: Look-ahead along a route for sharp curves, s: a scene lasts 11. No tunable: saves looking in vain.
-_AHEAD_S = 12.0
-#: Distance behind a turn's lane at which the turn is seen, m. No tunable: saves looking in vain.
-_TURNED_M = 1.0
+# No tunables, to _BEGINS_S: how vehicles begin.
+_HOLDS_S = 3.0  # time over which a start with `request.sites = any` must meet nothing, s
+_FROM_EDGE_M = 0.5  # least distance from the begin of a route to a rear bumper, m
+_TO_EDGE_M = 1.0  # least distance from a front bumper to the end of a route, m
+_BEGINS_S = 1.3  # duration of the beginning of a vehicle, over which it does not brake hard, s
+# No tunables, to _EASED_AT_MOST: they save looking in vain.
+_DRIVERS = 3  # drivers drawn for a site, at most
+_KEPT_SHARE = 0.95  # share of its start speed with which a vehicle must be on the map long enough
+_AHEAD_S = 12.0  # look-ahead along a route for sharp curves, s: a scene lasts 11
+_TURNED_M = 1.0  # distance behind a turn's lane at which the turn is seen, m
+_EASED_AT_MOST = 3  # times that a start is made slower, at most; once is enough for most
 #: Parts of the motion of a vehicle that is taken without a rollout over the scene: none.
 _NOT_ROLLED_OUT: tuple[Rollout, ...] = ()
 #: Least bumper gap at the start, m. No tunable: what drivers keep standing.
@@ -52,13 +49,9 @@ CLEAR_GAP_M = 2.0
 #: Share of vehicles that begin while they gain speed. No tunable: within 3 s .41 of 81 recorded ones gain .75 m/s or
 #: more, and .2 lose as much.
 _GAINING_SHARE = 0.3
-#: Duration of the beginning of a vehicle, over which it does not brake hard, s. No tunable: how vehicles begin.
-_BEGINS_S = 1.3
 #: Largest mean deceleration over _BEGINS_S, m/s2. No tunable: as of nine in ten vehicles recorded from step 0 on (89 of
 #: 98 in fourteen scenes).
 _EASED_TO_MPS2 = 0.5
-#: Times that a start is made slower, at most; once is enough for most. No tunable: saves looking in vain.
-_EASED_AT_MOST = 3
 #: Time before a start in which, at the speeds of the start, a vehicle has not come through its leader or follower, s.
 #: No tunable: of recorded vehicles behind a leader .5 % would have, at any step.
 _BEFORE_S = 1.5

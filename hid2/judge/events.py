@@ -37,7 +37,7 @@ class EventMeasures:
     time headway of the target behind the vehicle in AFTER_S from the moment on, front to front, None where it is never
     behind it; pet_s: where the paths cross; drac_mps2: largest deceleration that the target would have needed, in the
     time of min_ttc_s, 0 where it never closes in; brakes_mps2: hardest braking of the vehicle itself in AFTER_S from
-    the moment on, 0 where it never brakes; human_brakes: whether a human would have braked.
+    the moment on, 0 where it never brakes.
     """
 
     gap_m: float
@@ -49,14 +49,9 @@ class EventMeasures:
     drac_mps2: float
     brakes_mps2: float
 
-    @property
-    def human_brakes(self) -> bool:
-        """Whether TTC came below the one before which drivers brake."""
-        return brakes_for(self.min_ttc_s)
-
 
 def brakes_for(ttc_s: float | None) -> bool:
-    """Whether drivers brake before so short a TTC, s; None: none."""
+    """Whether a human would have braked, as drivers do before so short a TTC, s; None: none."""
     return ttc_s is not None and ttc_s < HUMAN_BRAKES_S
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import StrEnum, auto
 from typing import NamedTuple
 
 import numpy as np
@@ -103,36 +103,34 @@ class Quantity(StrEnum):
         member._value_, member.unit, member.sentence, member.reason = value, unit, sentence, reason
         return member
 
-    ACCEL = "accel", "m/s2", "acceleration along the heading", Reason.LIMIT_ACCEL
-    DECEL = "decel", "m/s2", "deceleration along the heading", Reason.LIMIT_DECEL
-    LATERAL_ACCEL = "lateral_accel", "m/s2", "acceleration across the heading", Reason.LIMIT_LATERAL_ACCEL
-    LONGITUDINAL_JERK = (
-        "longitudinal_jerk", "m/s3", "change of the acceleration along the heading", Reason.LIMIT_LONGITUDINAL_JERK
-    )  # fmt: skip
-    JERK = "jerk", "m/s3", "change of the acceleration", Reason.LIMIT_JERK
-    YAW_RATE = "yaw_rate", "rad/s", "change of the heading", Reason.LIMIT_YAW_RATE
-    YAW_ACCEL = "yaw_accel", "rad/s2", "change of the yaw rate", Reason.LIMIT_YAW_ACCEL
-    CURVATURE = "curvature", "1/m", "yaw rate over speed", Reason.LIMIT_CURVATURE
-    AGAINST_LANE = "against_lane", "deg", "angle to every lane below the centre", Reason.AGAINST_LANE
-    SOLID_LINE = "solid_line", "line", "lines that are solid where lanes are changed across them", Reason.SOLID_LINE
-    OFF_ROAD = "off_road", "m", "distance of the box's outline from the drivable area", Reason.OFF_ROAD
-    OVERLAP = "overlap", "m2", "ground shared with another box"
-    TTC_LEADER = "ttc_leader", "s", "time to collision with what leads on the path driven", Reason.TTC_LANE_LEADER
+    ACCEL = auto(), "m/s2", "acceleration along the heading", Reason.LIMIT_ACCEL
+    DECEL = auto(), "m/s2", "deceleration along the heading", Reason.LIMIT_DECEL
+    LATERAL_ACCEL = auto(), "m/s2", "acceleration across the heading", Reason.LIMIT_LATERAL_ACCEL
+    LONGITUDINAL_JERK = auto(), "m/s3", "change of the acceleration along the heading", Reason.LIMIT_LONGITUDINAL_JERK
+    JERK = auto(), "m/s3", "change of the acceleration", Reason.LIMIT_JERK
+    YAW_RATE = auto(), "rad/s", "change of the heading", Reason.LIMIT_YAW_RATE
+    YAW_ACCEL = auto(), "rad/s2", "change of the yaw rate", Reason.LIMIT_YAW_ACCEL
+    CURVATURE = auto(), "1/m", "yaw rate over speed", Reason.LIMIT_CURVATURE
+    AGAINST_LANE = auto(), "deg", "angle to every lane below the centre", Reason.AGAINST_LANE
+    SOLID_LINE = auto(), "line", "lines that are solid where lanes are changed across them", Reason.SOLID_LINE
+    OFF_ROAD = auto(), "m", "distance of the box's outline from the drivable area", Reason.OFF_ROAD
+    OVERLAP = auto(), "m2", "ground shared with another box"
+    TTC_LEADER = auto(), "s", "time to collision with what leads on the path driven", Reason.TTC_LANE_LEADER
     TTC_FOLLOWER = (
         "ttc_recorded_follower", "s", "time to collision of a recorded follower", Reason.TTC_RECORDED_FOLLOWER
     )  # fmt: skip
-    PET = "pet", "s", "post-encroachment time where paths cross", Reason.PET
-    END_TTC = "end_ttc", "s", "time to collision after the last step, all at constant velocity", Reason.TTC_AT_END
-    END_CONTACT = "end_contact", "s", "contact after the last step that braking does not avoid", Reason.TTC_AT_END
-    CLAIM = "claim", "s", "time between what is claimed and what the states show"
-    CLAIMED_GAP = "claimed_gap", "m", "difference to the gap that is claimed of an event"
+    PET = auto(), "s", "post-encroachment time where paths cross", Reason.PET
+    END_TTC = auto(), "s", "time to collision after the last step, all at constant velocity", Reason.TTC_AT_END
+    END_CONTACT = auto(), "s", "contact after the last step that braking does not avoid", Reason.TTC_AT_END
+    CLAIM = auto(), "s", "time between what is claimed and what the states show"
+    CLAIMED_GAP = auto(), "m", "difference to the gap that is claimed of an event"
     CLAIMED_SPEED = "claimed_speed_difference", "m/s", "difference to the speed difference that is claimed of an event"
-    CLAIMED_TTC = "claimed_ttc", "s", "difference to the least time to collision that is claimed of an event"
-    CLAIMED_TTC_TIME = "claimed_ttc_time", "s", "difference to the time of the least time to collision of an event"
-    CLAIMED_HEADWAY = "claimed_headway", "s", "difference to the least headway that is claimed of an event's target"
-    CLAIMED_BRAKING = "claimed_braking", "m/s2", "difference to the braking that is claimed of an event's vehicle"
-    CLAIMED_PET = "claimed_pet", "s", "difference to the post-encroachment time that is claimed of an event"
-    CLAIMED_DRAC = "claimed_drac", "m/s2", "difference to the DRAC that is claimed of an event"
+    CLAIMED_TTC = auto(), "s", "difference to the least time to collision that is claimed of an event"
+    CLAIMED_TTC_TIME = auto(), "s", "difference to the time of the least time to collision of an event"
+    CLAIMED_HEADWAY = auto(), "s", "difference to the least headway that is claimed of an event's target"
+    CLAIMED_BRAKING = auto(), "m/s2", "difference to the braking that is claimed of an event's vehicle"
+    CLAIMED_PET = auto(), "s", "difference to the post-encroachment time that is claimed of an event"
+    CLAIMED_DRAC = auto(), "m/s2", "difference to the DRAC that is claimed of an event"
     FOLLOWER_HEADWAY = (
         "follower_headway",
         "s",
@@ -145,7 +143,7 @@ class Quantity(StrEnum):
         "braking that a recorded follower would need, and does not do",
         Reason.FOLLOWER_BRAKING,
     )
-    NOISE = "noise", "", "exported minus clean state, over what trackers have"
+    NOISE = auto(), "", "exported minus clean state, over what trackers have"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -159,6 +157,18 @@ class MotionProfile:
     jerk_mps3: FloatArray
     yaw_rate_radps: FloatArray
     yaw_accel_radps2: FloatArray
+
+    @classmethod
+    def of(
+        cls, velocity: FloatArray, heading: FloatArray, derivative: Callable[[FloatArray], FloatArray]
+    ) -> "MotionProfile":
+        """By velocities (N, 2) m/s, headings (N,) rad without jumps, and what gives the derivative of any (N, ...)."""
+        accel, yaw_rate, cos, sin = derivative(velocity), derivative(heading), np.cos(heading), np.sin(heading)
+        along = accel[:, 0] * cos + accel[:, 1] * sin
+        return cls(
+            np.hypot(*velocity.T), along, accel[:, 1] * cos - accel[:, 0] * sin, derivative(along),
+            np.hypot(*derivative(accel).T), yaw_rate, derivative(yaw_rate),
+        )  # fmt: skip
 
     @property
     def curvature_1pm(self) -> FloatArray:

@@ -9,6 +9,7 @@ the lane beside its box, lanes miss what has just left for another one.
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import shapely
@@ -25,36 +26,28 @@ from hid2.judge.findings import (
     MotionProfile,
     Quantity,
 )
-from hid2.kernels.box_pairs import END_HORIZON_S, earliest_contact
 from hid2.kernels.lane_matching import SLIVER_M
 from hid2.kernels.path_intervals import SAME_WAY
-from hid2.kernels.trajectory import derivatives_of_motion, first_overlapping
+from hid2.kernels.trajectory import first_overlapping
 from hid2.measures.arrays import BoolArray
 from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import LaneLeaders, leaders
 from hid2.measures.manoeuvres import ManeuverKind, detect
-from hid2.measures.surrogates import encroachments
+from hid2.measures.surrogates import END_HORIZON_S, earliest_contact, encroachments
 from hid2.occupancy.agent_states import AgentStates, PathLeaders
 from hid2.occupancy.traffic import Traffic
 from netconvert.geometry import box_corners, differences, wrap_angle
 from netconvert.lane_graph import LaneGraph, crossable
 
-#: Speed above which FOLLOWER_HEADWAY_S is asked of a follower, m/s. No tunable: what states are held to.
-_FOLLOWER_MPS = 3.0
-#: Least duration of a headway below FOLLOWER_HEADWAY_S that counts, s. No tunable: what states are held to.
-_FOLLOWER_FOR_S = 1.0
-#: Least duration of a follower's lack of braking that counts, s. No tunable: what states are held to.
-_LACKS_FOR_S = 0.5
-#: Time that a follower has to brake, s: its mean braking in that time is no lack. No tunable: what states are held to.
-_BRAKES_WITHIN_S = 1.0
-#: Deceleration of a driver after the last step, m/s2. No tunable: what states are held to.
-_END_DECEL_MPS2 = 3.0
-#: Time from the last step until a driver brakes, s. No tunable: what states are held to.
-_END_REACTION_S = 1.0
-#: Largest angle of a vehicle to the lane below it outside intersections, degrees. No tunable: what states are held to.
-_LANE_DEG = 60.0
-#: Largest angle of a vehicle to the lane below it in intersections, degrees. No tunable: what states are held to.
-_INTERSECTION_DEG = 90.0
+# No tunables, to _INTERSECTION_DEG: what states are held to.
+_FOLLOWER_MPS = 3.0  # speed above which FOLLOWER_HEADWAY_S is asked of a follower, m/s
+_FOLLOWER_FOR_S = 1.0  # least duration of a headway below FOLLOWER_HEADWAY_S that counts, s
+_LACKS_FOR_S = 0.5  # least duration of a follower's lack of braking that counts, s
+_BRAKES_WITHIN_S = 1.0  # time that a follower has to brake, s: its mean braking in that time is no lack
+_END_DECEL_MPS2 = 3.0  # deceleration of a driver after the last step, m/s2
+_END_REACTION_S = 1.0  # time from the last step until a driver brakes, s
+_LANE_DEG = 60.0  # largest angle of a vehicle to the lane below it outside intersections, degrees
+_INTERSECTION_DEG = 90.0  # largest angle of a vehicle to the lane below it in intersections, degrees
 _OUTLINE_STEP_M = 0.5  # point spacing; no tunable: between two a side leaves the road by less than the tolerance spares
 
 
@@ -95,8 +88,8 @@ def of_motion(states: AgentStates, agent: int, bounds: Bounds) -> Iterator[Findi
 
 
 def _of_velocity(states: AgentStates, agent: int, velocity: FloatArray, bounds: Bounds) -> Iterator[Finding]:
-    step_s, heading = states.arrays.step_s, np.ascontiguousarray(states.arrays.heading[states.row_span(agent)])
-    profile = MotionProfile(*derivatives_of_motion(np.ascontiguousarray(velocity), heading, step_s))
+    heading = np.unwrap(states.arrays.heading[states.row_span(agent)])
+    profile = MotionProfile.of(velocity, heading, partial(differences, step=states.arrays.step_s))
     inside = slice(bounds.end_rows, len(heading) - bounds.end_rows)
     for quantity, (value_of, bound_of) in MOTION_LIMITS.items():
         values, bound = value_of(profile), bound_of(bounds)
@@ -274,8 +267,8 @@ def contacts_at_end(here: Traffic, bounds: Bounds, *, step_s: float) -> Iterator
 
 def _first_contact(here: Traffic) -> tuple[float, int]:
     """As `earliest_contact`, of the first of some agents (one step)."""
-    size = np.column_stack([here.length_m, here.width_m])
-    return earliest_contact(0, here.position[:, 0], here.heading[:, 0], here.velocity[:, 0], size)
+    position, heading, velocity = here.position[:, 0], here.heading[:, 0], here.velocity[:, 0]
+    return earliest_contact(0, position, heading, velocity, here.length_m, here.width_m)
 
 
 def _meets_braking(here: Traffic, step_s: float) -> bool:

@@ -14,8 +14,6 @@ from netconvert.geometry import FloatArray, IntArray
 
 #: Least displacement between two steps that has a course, m. No tunable: a smaller one is noise.
 _COURSE_M = 0.1
-#: Time beyond a vehicle's last step in which contacts are sought, s. No tunable: what generator and judge look at.
-END_HORIZON_S = 3.0
 
 
 @inner
@@ -87,35 +85,6 @@ def time_to_collision(
                 ttc[i], ttc[j] = min(ttc[i], seconds), min(ttc[j], seconds)
                 least[a, b] = min(least[a, b], seconds)
     return ttc, least
-
-
-@kernel("(i8, f8[:,::1], f8[::1], f8[:,::1], f8[:,::1])")
-def earliest_contact(
-    own: int, position: FloatArray, heading: FloatArray, velocity: FloatArray, size: FloatArray
-) -> tuple[float, int]:
-    """Time until box `own` of many touches another one, and which; (inf, -1) where none within END_HORIZON_S.
-
-    Leaders, followers, oncoming and crossing ones alike; 0 s where they overlap. position, velocity, size (A, 2): m,
-    m/s, and length and width in m; heading (A,) rad.
-    """
-    earliest, other = math.inf, -1
-    radius = math.hypot(size[own, 0], size[own, 1]) / 2
-    for k in range(len(heading)):
-        if k == own:
-            continue
-        dx, dy = position[k, 0] - position[own, 0], position[k, 1] - position[own, 1]
-        vx, vy = velocity[k, 0] - velocity[own, 0], velocity[k, 1] - velocity[own, 1]
-        reach = radius + math.hypot(size[k, 0], size[k, 1]) / 2
-        if math.hypot(dx, dy) - reach > math.hypot(vx, vy) * END_HORIZON_S:
-            continue
-        seconds = contact_time(
-            dx, dy, vx, vy,
-            math.cos(heading[own]), math.sin(heading[own]), size[own, 0] / 2, size[own, 1] / 2,
-            math.cos(heading[k]), math.sin(heading[k]), size[k, 0] / 2, size[k, 1] / 2,
-        )  # fmt: skip
-        if seconds <= END_HORIZON_S and seconds < earliest:
-            earliest, other = seconds, k
-    return earliest, other
 
 
 @kernel("(f8[:,::1], f8[::1], f8[:,::1], f8[::1], f8)")

@@ -8,23 +8,16 @@ from hid2.kernels.path_intervals import PET_MARGIN_M, SAME_WAY
 from hid2.kernels.spline import TABLE_STEP_M
 from netconvert.geometry import BoolArray, FloatArray, IntArray
 
-# How a driver brakes for what SUMO does not see; constants marked no tunable are chosen on the scenes of tests/real.
-#: Steps from one look at the predicted motion to the next. No tunable.
-STRIDE = 2
-#: Rate at which predicted braking builds up, m/s3. No tunable.
-_PREDICTED_JERK_MPS3 = 4.0
-#: Time for which an inserted vehicle that brakes is predicted to brake on, s. No tunable.
-_BRAKING_LASTS_S = 1.0
-#: Hardest braking for an agent that appears ahead, over the driver's deceleration. No tunable.
-_HARDEST_RATIO = 1.4
-#: Look-ahead for closed stop lines, m: those farther off matter to no driver yet. No tunable.
-_LINES_WITHIN_M = 60.0
+# How a driver brakes for what SUMO does not see. No tunables, to _EASES_BELOW_MPS: chosen on the scenes of tests/real.
+STRIDE = 2  # steps from one look at the predicted motion to the next
+_PREDICTED_JERK_MPS3 = 4.0  # rate at which predicted braking builds up, m/s3
+_BRAKING_LASTS_S = 1.0  # time for which an inserted vehicle that brakes is predicted to brake on, s
+_HARDEST_RATIO = 1.4  # hardest braking for an agent that appears ahead, over the driver's deceleration
+_LINES_WITHIN_M = 60.0  # look-ahead for closed stop lines, m: those farther off matter to no driver yet
+_AMBER_RATIO = 1.3  # braking, over the driver's deceleration, above which a closed line is crossed, as at amber
+SWEPT_STEP_M = 1.0  # spacing of the places along generated vehicles' ways at which what they sweep is known, m
 #: Share of its deceleration at which a driver rolls up to a line; time to take up the speed for that, s. No tunables.
 ROLLS_UP_SHARE, _TAKES_UP_S = 0.6, 0.5
-#: Braking, over the driver's deceleration, above which a closed line is crossed, as at amber. No tunable.
-_AMBER_RATIO = 1.3
-#: Spacing of the places along generated vehicles' ways at which what they sweep is known, m. No tunable.
-SWEPT_STEP_M = 1.0
 _PASSED_M = 0.3  # tolerance: distance beyond a stop line above which it is passed; no tunable
 #: Stopping at a line, never at a constant deceleration: it builds up and eases. Ratio of needed to usual braking at
 #: which a driver begins, and of its own braking to the needed one then; rise of the second ratio for each usual braking

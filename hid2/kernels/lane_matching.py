@@ -97,6 +97,7 @@ def lane_candidates(
                     continue
             else:
                 count[i] += 1
+            along = min(max(along, s[first[k]]), s[first[k + 1] - 1])
             lane[i, slot], at_m[i, slot], at_d[i, slot], cost[i, slot] = k, along, offset, value
     return lane, at_m, at_d, cost, count
 

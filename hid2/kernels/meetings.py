@@ -68,14 +68,6 @@ def _held(start: float, pace: float, time_s: FloatArray, stop_at: FloatArray, cl
     return np.inf
 
 
-@inner
-def _least_apart(time_s: float, others_s: FloatArray) -> float:
-    least = np.inf
-    for other_s in others_s:
-        least = min(least, abs(time_s - other_s))
-    return least
-
-
 @kernel(
     "(f8[:,::1], i8[::1], f8[::1], i8, f8[::1], f8, f8[:,:,::1], b1[:,::1], f8, i8[:,::1], i8[::1], f8, f8, i8,"
     " i8[::1], f8[::1], f8, f8, i8, f8[::1], b1[:,::1])"
@@ -123,7 +115,8 @@ def met_on_route(
         for place in range(cells.size):
             arrives = (middle[place] - middle[n]) / pace
             if 0.0 < arrives < held_s:
-                begin, stop = crossed_from[cells[place]], crossed_from[cells[place] + 1]
-                apart = _least_apart(arrives, crossed_s[begin:stop])
+                apart = np.inf
+                for k in range(crossed_from[cells[place]], crossed_from[cells[place] + 1]):
+                    apart = min(apart, abs(arrives - crossed_s[k]))
                 crosses[n] = crosses[n] or crossed_after < apart < crossed_within
     return near, near_last, leader, is_run_into, crosses, is_held

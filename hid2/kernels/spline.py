@@ -8,6 +8,7 @@ from netconvert.geometry import FloatArray
 #: Spacing of the tables of pose and curvature along a line, m.
 TABLE_STEP_M = 0.5
 _DEGREE = 5  # no tunable: the curvature of a quintic is smooth
+_END_WEIGHT = 1e4  # of the end points over that of others, as these stay where they are; no tunable
 
 
 @kernel("(f8[::1], f8[:,:,::1], f8[::1])")
@@ -35,8 +36,8 @@ def along_spline(breaks: FloatArray, pieces: FloatArray, s: FloatArray) -> tuple
     return xy, tangent, pace
 
 
-@kernel("(f8[:,::1], f8, f8)")
-def smooth_polyline(points: FloatArray, strength: float, end_weight: float) -> FloatArray:
+@kernel("(f8[:,::1], f8)")
+def smooth_polyline(points: FloatArray, strength: float) -> FloatArray:
     """Normal equations of bandwidth three, L D L^T without square roots."""
     count = points.shape[0]
     band = np.zeros((count, 4))  # band[i, g] = A[i, i + g]
@@ -46,13 +47,13 @@ def smooth_polyline(points: FloatArray, strength: float, end_weight: float) -> F
             for g in range(4 - j):
                 band[i + j, g] += strength * stencil[j] * stencil[j + g]
     band[:, 0] += 1.0
-    band[0, 0] += end_weight - 1.0
-    band[count - 1, 0] += end_weight - 1.0
+    band[0, 0] += _END_WEIGHT - 1.0
+    band[count - 1, 0] += _END_WEIGHT - 1.0
     out = np.empty((count, 2))
     for axis in range(2):
         for i in range(count):  # from the first point, so that large coordinates cost no digits
             out[i, axis] = points[i, axis] - points[0, axis]
-        out[count - 1, axis] *= end_weight
+        out[count - 1, axis] *= _END_WEIGHT
     for i in range(count):
         for g in range(1, min(4, count - i)):
             factor = band[i, g] / band[i, 0]

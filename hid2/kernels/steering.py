@@ -14,24 +14,18 @@ _CONFLICT, _CURVE, _TURN = CAUSES.index("conflict"), CAUSES.index("curve"), CAUS
 LIMIT_TOLERANCE_MPS = 1e-3
 #: Number of the policy of lanes that do not turn, as in `policy/roads.py`.
 STRAIGHT = 0
-# When a driver yields; the constants marked no tunable are chosen on the scenes of tests/real.
-#: Least deceleration needed for a conflict at which a vehicle begins to yield, m/s2. No tunable.
-ACTS_MPS2 = 1.1
-#: Least deceleration needed for a conflict at which a vehicle that yields keeps on yielding, m/s2. No tunable.
+# When a driver yields. No tunables, to _BEHIND_RATIO: chosen on the scenes of tests/real.
+ACTS_MPS2 = 1.1  # least deceleration needed for a conflict at which a vehicle begins to yield, m/s2
+#: Least deceleration needed for a conflict at which a vehicle that yields keeps on yielding, m/s2.
 _KEEPS_YIELDING_MPS2 = 0.3
-#: Ratio of deceleration needed to ACTS_MPS2 at which a vehicle yields at once, however late the conflict. No tunable.
+#: Ratio of deceleration needed to ACTS_MPS2 at which a vehicle yields at once, however late the conflict.
 _URGENT_RATIO = 3.0
-#: Time to a conflict up to which a vehicle begins to yield where less deceleration is needed, s. No tunable.
-_SOON_S = 2.5
-#: Rate at which braking for a conflict or a stop line builds up, m/s3. No tunable.
-_JERK_MPS3 = 3.5
-#: Bound of braking for a conflict or a stop line just before standing still, m/s2. No tunable.
-_LAST_BRAKE_MPS2 = 0.6
-#: Bound of braking for a conflict or a stop line over the speed, 1/s, where that allows more. No tunable.
-_LAST_BRAKE_PER_S = 1.8
-#: Deceleration behind a leader above which a vehicle may be waiting for it, m/s2. No tunable.
-_SLOWS_MPS2 = 0.7
-#: Ratio of the gap to a leader to that of time gap and jam gap below which a vehicle may be waiting for it. No tunable.
+_SOON_S = 2.5  # time to a conflict up to which a vehicle begins to yield where less deceleration is needed, s
+_JERK_MPS3 = 3.5  # rate at which braking for a conflict or a stop line builds up, m/s3
+_LAST_BRAKE_MPS2 = 0.6  # bound of braking for a conflict or a stop line just before standing still, m/s2
+_LAST_BRAKE_PER_S = 1.8  # bound of braking for a conflict or a stop line over the speed, 1/s, where that allows more
+_SLOWS_MPS2 = 0.7  # deceleration behind a leader above which a vehicle may be waiting for it, m/s2
+#: Ratio of the gap to a leader to that of time gap and jam gap below which a vehicle may be waiting for it.
 _BEHIND_RATIO = 2.0
 _TURN_AHEAD_S = 4.0  # look-ahead for a turn lane that a limit is put down to; no tunable: book-keeping
 

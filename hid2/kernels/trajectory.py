@@ -1,35 +1,10 @@
-"""One trajectory: its derivatives, and the first box of the others that it meets."""
+"""The first box that a trajectory meets."""
 
 import numpy as np
 
 from hid2.kernels.boxes import overlap
 from hid2.kernels.compiled import inner, kernel
 from netconvert.geometry import BoolArray, FloatArray
-
-
-@kernel("(f8[:,::1], f8[::1], f8)")
-def derivatives_of_motion(
-    velocity: FloatArray, heading: FloatArray, step: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """In the order of `MotionProfile`: short arrays, for which a compiled loop takes a tenth of the time of numpy's."""
-    count = heading.size
-    cosine, sine = np.cos(heading), np.sin(heading)
-    unwrapped = heading.copy()
-    for t in range(1, count):
-        unwrapped[t] = unwrapped[t - 1] + _turn(heading[t] - heading[t - 1], 2 * np.pi)
-    accel_x, accel_y = slopes(velocity[:, 0], step), slopes(velocity[:, 1], step)
-    jerk_x, jerk_y = slopes(accel_x, step), slopes(accel_y, step)
-    along = accel_x * cosine + accel_y * sine
-    rate = slopes(unwrapped, step)
-    return (
-        np.hypot(velocity[:, 0], velocity[:, 1]),
-        along,
-        accel_y * cosine - accel_x * sine,
-        slopes(along, step),
-        np.hypot(jerk_x, jerk_y),
-        rate,
-        slopes(rate, step),
-    )
 
 
 @kernel("(f8[:,::1], f8[::1], f8, f8, f8[:,:,::1], f8[:,::1], b1[:,::1], f8[::1], f8[::1])")
@@ -52,9 +27,9 @@ def first_overlapping(
                     if t + 1 >= steps or not present[a, t + 1]:
                         continue
                     x, y = (x + xy[t + 1, 0]) / 2, (y + xy[t + 1, 1]) / 2
-                    angle += _turn(heading[t + 1] - angle, np.pi) / 2
+                    angle += _turned(angle, heading[t + 1]) / 2
                     ox, oy = (ox + position[a, t + 1, 0]) / 2, (oy + position[a, t + 1, 1]) / 2
-                    o_angle += _turn(other[a, t + 1] - o_angle, np.pi) / 2
+                    o_angle += _turned(o_angle, other[a, t + 1]) / 2
                 if np.hypot(ox - x, oy - y) > reach:
                     continue
                 if overlap(
@@ -66,17 +41,6 @@ def first_overlapping(
 
 
 @inner
-def _turn(angle: float, period: float) -> float:
-    """The short way round; period: by so much it is the same, a box by half a turn."""
-    return (angle + period / 2) % period - period / 2
-
-
-@inner
-def slopes(values: FloatArray, step: float) -> FloatArray:
-    """Derivative of a quantity (T,) at equal steps by central differences, one-sided at the ends."""
-    count = values.size
-    slope = np.zeros(count)
-    for t in range(count if count > 1 else 0):
-        before, after = max(t - 1, 0), min(t + 1, count - 1)
-        slope[t] = (values[after] - values[before]) / ((after - before) * step)
-    return slope
+def _turned(before: float, after: float) -> float:
+    """From one heading of a box to another, the short way round: half a turn makes the same box."""
+    return (after - before + np.pi / 2) % np.pi - np.pi / 2

@@ -12,12 +12,9 @@ from hid2.measures.lane_matching import GOES_ON, FlatLanes, Matches
 from netconvert.geometry import Polyline
 
 # What a manoeuvre is, to method and evaluation, whatever the configuration: no tunables.
-#: Length of lane paths beyond the lane of a change, m. No tunable.
-_PATH_AHEAD_M = 150.0
-#: Length of the stretches of a lane on which vehicles are compared with each other, m. No tunable.
-STRETCH_M = 10.0
-#: Longest time off every lane that does not end a run on a lane, s. No tunable.
-_SHORT_OFF_S = 1.0
+_PATH_AHEAD_M = 150.0  # length of lane paths beyond the lane of a change, m
+STRETCH_M = 10.0  # length of the stretches of a lane on which vehicles are compared with each other, m
+_SHORT_OFF_S = 1.0  # longest time off every lane that does not end a run on a lane, s
 
 
 class LaneRun(NamedTuple):

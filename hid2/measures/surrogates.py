@@ -14,6 +14,8 @@ CAP_S = 5.0
 #: Angle below which paths that meet follow each other and do not cross, deg (SSAM's rear-end bound).
 REAR_END_DEG = 30.0
 _REAR_END_RAD = math.radians(REAR_END_DEG)
+#: Time beyond a vehicle's last step in which contacts are sought, s. No tunable: what generator and judge look at.
+END_HORIZON_S = 3.0
 
 
 def time_to_collision(arrays: SceneArrays, *, cap_s: float) -> tuple[FloatArray, FloatArray]:
@@ -24,6 +26,20 @@ def time_to_collision(arrays: SceneArrays, *, cap_s: float) -> tuple[FloatArray,
     return box_pairs.time_to_collision(
         arrays.position, arrays.heading, arrays.velocity, arrays.length, arrays.width, arrays.row_of, cap_s
     )
+
+
+def earliest_contact(
+    own: int, position: FloatArray, heading: FloatArray, velocity: FloatArray, length_m: FloatArray, width_m: FloatArray
+) -> tuple[float, int]:
+    """Time, s, until box `own` of many (A,) touches another one, and which; (inf, -1) where none within END_HORIZON_S.
+
+    Leaders, followers, oncoming and crossing ones alike; 0 s where they overlap.
+    """
+    rows, cap_s = np.arange(len(heading))[:, None], END_HORIZON_S + 1e-9
+    _, ttc_s = box_pairs.time_to_collision(position, heading, velocity, length_m, width_m, rows, cap_s)
+    of_own = np.minimum(ttc_s[own], ttc_s[:, own])
+    other = int(of_own.argmin())
+    return (float(of_own[other]), other) if of_own[other] <= END_HORIZON_S else (math.inf, -1)
 
 
 class Encroachment(NamedTuple):

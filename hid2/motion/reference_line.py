@@ -75,10 +75,10 @@ def build_reference_line(
     if len(raw) < 6:  # a spline of degree five needs six points
         raw = resample(points, step_m=float(arc_length(points)[-1]) / 6.01)
     strength = 300.0  # the sixth power of 2.6 points, over which a kink of the map is spread
-    line = _line_through(smooth_polyline(raw, strength, 1e4))
+    line = _line_through(smooth_polyline(raw, strength))
     while np.abs(line.table_curvature).max() > 0.95 / min_radius_m and strength < 3e5:
         strength *= 4.0
-        smoothed = smooth_polyline(raw, strength, 1e4)
+        smoothed = smooth_polyline(raw, strength)
         if np.hypot(*(smoothed - raw).T).max() > max_offset_m:
             break
         line = _line_through(smoothed)

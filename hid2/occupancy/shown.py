@@ -44,7 +44,7 @@ def _fronts(traffic: Traffic, step_s: float) -> tuple[FloatArray, FloatArray, Bo
     if key not in traffic.memo:
         ahead = np.stack([np.cos(traffic.heading), np.sin(traffic.heading)], axis=-1)
         front = traffic.position + 0.5 * traffic.length_m[:, None, None] * ahead
-        speed = np.hypot(traffic.velocity[..., 0], traffic.velocity[..., 1])
+        speed = traffic.speed
         moved = np.diff(front, axis=1)
         speed[:, 1:] = np.hypot(moved[..., 0], moved[..., 1]) / step_s
         first = np.maximum(np.arange(traffic.num_steps) - UNSEEN_STEPS, 0)  # those of step 0 come in before it

@@ -52,6 +52,11 @@ class Traffic:
         return int(self.present.shape[1])
 
     @property
+    def speed(self) -> FloatArray:
+        """(A, T) m/s."""
+        return np.asarray(np.hypot(self.velocity[..., 0], self.velocity[..., 1]))
+
+    @property
     def boxes(self) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray, FloatArray]:
         """As compiled loops take them: centres, headings, where they are present, lengths and widths."""
         return self.position, self.heading, self.present, self.length_m, self.width_m

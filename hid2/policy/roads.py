@@ -122,20 +122,12 @@ class Roads:
     """Speeds along the paths of a scene."""
 
     scene: Scene
-    _last: tuple[DrivenPath, Driver, FloatArray] | None = None
 
     def speeds(self, path: DrivenPath, driver: Driver) -> FloatArray:
         """(S,) m/s at the table of a path's line: what a driver takes there at most; inf where nothing is asked."""
-        if self._last is not None and self._last[0] is path and self._last[1] is driver:  # asked for twice at a site
-            return self._last[2]
-        most = self._of_any(path).desired(
-            driver.desired_mps,
-            lateral_accel_mps2=driver.turn_lateral_mps2,
-            accel_mps2=driver.accel_mps2,
-        )
-        found = np.where(most < driver.desired_mps - 1e-6, most, np.inf)
-        self._last = path, driver, found
-        return found
+        desired, asks = driver.desired_mps, driver.turn_lateral_mps2
+        most = self._of_any(path).desired(desired, lateral_accel_mps2=asks, accel_mps2=driver.accel_mps2)
+        return np.where(most < desired - 1e-6, most, np.inf)
 
     @once
     def _of_any(self, path: DrivenPath) -> RoadSpeeds:

@@ -5,6 +5,7 @@ manoeuvres in hid2/policy; the three conflicts in hid2/conflicts/test_guard.py; 
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -18,7 +19,6 @@ from hid2.insertion.sites import InsertionSites
 from hid2.insertion.spread import Spread
 from hid2.insertion.surroundings import Surroundings
 from hid2.judge.findings import MotionProfile
-from hid2.kernels.trajectory import derivatives_of_motion
 from hid2.motion.smoothing import smooth_motion
 from hid2.occupancy.sigma import FREE, GENERATED, ORIGINAL
 from hid2.params import Config, LaneChange, Limits, Request, Turn
@@ -27,6 +27,7 @@ from hid2.policy.lane_change import OPEN
 from hid2.policy.roads import f_left, f_right
 from hid2.policy.rules import GapView, rule_reason
 from hid2.reasons import Reason
+from netconvert.geometry import differences
 
 DELTA = 0.1
 
@@ -113,6 +114,6 @@ def test_lateral_acceleration_is_curvature_times_speed_squared() -> None:
     """R = 20 m at 8 m/s: 0.05 * 64 = 3.2 m/s2, below a_y,max = 4.89."""
     angle = 8.0 / 20.0 * DELTA * np.arange(40)
     velocity = 8.0 * np.column_stack([np.cos(angle), np.sin(angle)])
-    profile = MotionProfile(*derivatives_of_motion(velocity, angle, DELTA))
+    profile = MotionProfile.of(velocity, angle, partial(differences, step=DELTA))
     assert profile.lateral_accel_mps2[1:-1] == pytest.approx(np.full(38, 3.2), rel=2e-3)
     assert Limits().lateral_accel_mps2 == 4.89

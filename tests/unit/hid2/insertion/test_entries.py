@@ -62,11 +62,11 @@ def test_entries_are_at_observed_steps_after_the_first_with_three_seconds_left()
     """Of a scene with 50 steps, all of them observed, in steps 1 to 20."""
     entries = Surroundings(_scene(draw_road(length_m=300.0))).entries
     table = entries.table
-    assert sorted(set(table["step"].tolist())) == list(range(5, 50, 5))
-    assert set(table["lane"].tolist()) == {1, 2}
+    assert sorted({one.step for one in table}) == list(range(5, 50, 5))
+    assert {one.offer.route[0] for one in table} == {1, 2}
     assert (entries.outlook.weight > 0.0).all()
     short = replace(_scene(draw_road(length_m=300.0)), num_steps=50)
-    assert sorted(set(Surroundings(short).entries.table["step"].tolist())) == [5, 10, 15, 20]
+    assert sorted({one.step for one in Surroundings(short).entries.table}) == [5, 10, 15, 20]
 
 
 def test_entries_from_which_nobody_is_met_have_no_weight() -> None:
@@ -75,9 +75,10 @@ def test_entries_from_which_nobody_is_met_have_no_weight() -> None:
         Surroundings(_scene(draw_road(length_m=300.0), *tracks, near="traffic")).entries
         for tracks in ((recorded(20.0, 0.0, 9.0),), ())
     )
-    first = (met.table["lane"] == 1) & (met.table["step"] == 5)
+    step = np.array([one.step for one in met.table])
+    first = (step == 5) & np.array([one.offer.route[0] == 1 for one in met.table])
     assert met.outlook.weight[first].min() > 0.0
-    assert met.outlook.weight[met.table["step"] >= 30].max() == 0.0
+    assert met.outlook.weight[step >= 30].max() == 0.0
     assert (met.outlook.leader[first] >= 0).all()
     assert alone.outlook.weight.max() == 0.0
 

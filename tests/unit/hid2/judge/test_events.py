@@ -7,7 +7,7 @@ import pytest
 from hand_drawn import draw_box, draw_lane, draw_road
 
 from hid2.agents import BoxSize, Track
-from hid2.judge.events import crossing_steps, measure_event, post_encroachment_of
+from hid2.judge.events import brakes_for, crossing_steps, measure_event, post_encroachment_of
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.occupancy.agent_states import AgentStates, agent_states
 from netconvert.lane_graph import LaneGraph
@@ -38,7 +38,7 @@ def test_target_that_closes_in_has_gap_ttc_and_drac() -> None:
     assert (found.min_ttc_s, found.ttc_at_s) == (pytest.approx(2.1, abs=1e-6), pytest.approx(5.9))
     assert found.headway_s == pytest.approx(0.82)  # 4.2 m and a length of 4 m at 10 m/s
     assert found.drac_mps2 == pytest.approx(4.0 / 8.4, rel=1e-6)
-    assert found.human_brakes
+    assert brakes_for(found.min_ttc_s)
     assert found.pet_s is None
 
 
@@ -53,7 +53,7 @@ def test_what_comes_more_than_three_seconds_later_is_not_the_event() -> None:
 def test_target_that_falls_back_needs_no_braking() -> None:
     """The vehicle ahead is faster: never closing in, no TTC, DRAC 0, and nobody brakes."""
     found = measure_event(pair(_drive(20.0, 0.0, 12.0), _drive(0.0, 0.0, 10.0)), "lead", 0, 1, at_step=10)
-    assert (found.min_ttc_s, found.ttc_at_s, found.drac_mps2, found.human_brakes) == (None, None, 0.0, False)
+    assert (found.min_ttc_s, found.ttc_at_s, found.drac_mps2, brakes_for(None)) == (None, None, 0.0, False)
     assert found.headway_s == pytest.approx(2.2)  # 20 m front to front at step 0, 22 m at the moment
 
 

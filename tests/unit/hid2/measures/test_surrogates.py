@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from hid2.agents import FloatArray
-from hid2.kernels.box_pairs import earliest_contact
+from hid2.measures.surrogates import earliest_contact
 
 Box = tuple[float, float, float, float]
-Boxes = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+Boxes = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 def boxes(*rows: Box) -> Boxes:
@@ -15,7 +15,7 @@ def boxes(*rows: Box) -> Boxes:
     x, y, degrees, speed = np.array(rows, dtype=np.float64).T
     heading = np.radians(degrees)
     velocity = speed[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
-    return np.column_stack([x, y]), heading, velocity, np.full((len(rows), 2), (4.0, 2.0))
+    return np.column_stack([x, y]), heading, velocity, np.full(len(rows), 4.0), np.full(len(rows), 2.0)
 
 
 @pytest.mark.parametrize(
@@ -56,10 +56,10 @@ def test_the_first_of_several_contacts_counts_for_each_vehicle() -> None:
 
 def test_contact_is_the_same_from_any_place_and_direction() -> None:
     """Turned by 2 rad and moved by kilometres, as city frames are."""
-    position, heading, velocity, size = boxes((0, 0, 0, 10), (6, -5, 90, 5), (24, 0, 180, 10))
+    position, heading, velocity, *sizes = boxes((0, 0, 0, 10), (6, -5, 90, 5), (24, 0, 180, 10))
     c, s = np.cos(2.0), np.sin(2.0)
     matrix = np.array([[c, s], [-s, c]])
-    turned = position @ matrix + [4000.0, -3000.0], heading + 2.0, velocity @ matrix, size
+    turned = position @ matrix + [4000.0, -3000.0], heading + 2.0, velocity @ matrix, *sizes
     for own in range(3):
-        ttc_s, other = earliest_contact(own, position, heading, velocity, size)
+        ttc_s, other = earliest_contact(own, position, heading, velocity, *sizes)
         assert earliest_contact(own, *turned) == (pytest.approx(ttc_s, abs=1e-6), other)
