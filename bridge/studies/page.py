@@ -1,7 +1,5 @@
 """The results of a study: tables as CSV with a data dictionary, figures, and a page of text."""
 
-import gzip
-import io
 import logging
 import math
 from collections.abc import Mapping, Sequence
@@ -13,10 +11,8 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.csv as pa_csv
 from matplotlib.axes import Axes
-from pandas.api.types import infer_dtype, is_numeric_dtype
+from pandas.api.types import is_numeric_dtype
 
 from bridge.batch.manifest import DONE
 from bridge.files import beside, explained, table_cell, write_rows, write_text
@@ -112,19 +108,11 @@ def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> Path:
     """A table as CSV, compressed where it is long; of an earlier one in the other form nothing is left."""
     long = len(table) > _LONG
     path, other = (out_dir / f"{name}.{ending}" for ending in (("csv.gz", "csv") if long else ("csv", "csv.gz")))
-    flags = [column for column in table if infer_dtype(table[column]) == "boolean"]
-    tidy = table.astype(dict.fromkeys(flags, "boolean"))
-    tidy = tidy.assign(**{
-        str(column): cells.map(lambda cell: str(cell).lower() if isinstance(cell, bool) else cell).astype("string")
-        for column, cells in tidy.items() if cells.dtype == object
-    })  # fmt: skip
-    texts = tidy.select_dtypes(exclude=["number", "bool"]).columns
-    safe = tidy.assign(**{column: tidy[column].map(table_cell, na_action="ignore") for column in texts})
-    text = io.BytesIO()
-    shown = pa.Table.from_pandas(safe, preserve_index=False)
-    pa_csv.write_csv(shown, text, pa_csv.WriteOptions(quoting_style="needed"))
+    texts = table.select_dtypes(exclude=["number", "bool"]).columns
+    safe = table.assign(**{column: table[column].map(table_cell, na_action="ignore") for column in texts})
+    packed: Any = {"method": "gzip", "mtime": 0} if long else None
     with beside(path) as hidden:
-        hidden.write_bytes(gzip.compress(text.getvalue(), mtime=0) if long else text.getvalue())
+        safe.to_csv(hidden, index=False, lineterminator="\n", compression=packed)
     with explained(other):
         other.unlink(missing_ok=True)
     return path
