@@ -200,7 +200,11 @@ def run_experiment(
     if name == "diversity":
         found = _diversity(rows)
         content |= found[0] | ({"templates": found[1]} if found[1:] else {})
-        table = _diversity_rows(content)
+        told = content["behaviours"]
+        table = [
+            {"behaviour": kind} | {when: of["scenes_with"][kind] / max(1, of["scenes"]) for when, of in told.items()}
+            for kind in told["before"]["scenes_with"]
+        ]
         figures.save(charts.diversity_figure(content), out_dir / f"{name}.png")
         pictures = [figures.data_uri(charts.diversity_figure(each)) for each in found]
         shown["diversities"] = list(zip(found, pictures, strict=True))
@@ -339,14 +343,6 @@ def _diversity(rows: _Rows) -> list[dict[str, Any]]:
         chosen = [[row for row in each if row["source"] in templates] for each in (after, before)]
         found.append(Diversity.of(*chosen).content())
     return found
-
-
-def _diversity_rows(content: Mapping[str, Any]) -> list[Row]:
-    told = content["behaviours"]
-    return [
-        {"behaviour": kind} | {when: of["scenes_with"][kind] / max(1, of["scenes"]) for when, of in told.items()}
-        for kind in told["before"]["scenes_with"]
-    ]
 
 
 def _write_rows(rows: Sequence[Row], path: Path) -> None:

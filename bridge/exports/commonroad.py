@@ -11,8 +11,8 @@ import numpy as np
 from lxml import etree
 from lxml.builder import E
 
-from bridge.recordings.recording import AV_ID, Recording
-from hid2.agents import FloatArray
+from bridge.recordings.recording import Recording
+from hid2.agents import AV_ID, FloatArray
 from hid2.occupancy.traffic import traffic_of
 from netconvert.geometry import Polyline, wrap_angle
 from netconvert.gui_files import xml_bytes
@@ -61,11 +61,12 @@ def commonroad_files(scene: Recording) -> dict[str, bytes]:
 
 
 def _lanelet(graph: LaneGraph, lane: LaneSegment) -> etree._Element:
-    lane_id, bounds = lane.lane_id, _bounds(lane)
+    lane_id, lines = lane.lane_id, [Polyline(points) for points in lane.sides]
+    shares = np.unique(np.round(np.concatenate([line.s / line.length_m for line in lines]), 6))  # as many on both sides
     parts = []
-    for side, bound in zip(SIDES, bounds, strict=True):
+    for side, line in zip(SIDES, lines, strict=True):
         mark = "dashed" if "DASH" in lane.mark_type(side) else "solid" if "SOLID" in lane.mark_type(side) else "unknown"
-        points = (E.point(E.x(f"{x:.4f}"), E.y(f"{y:.4f}")) for x, y in bound.tolist())
+        points = (E.point(E.x(f"{x:.4f}"), E.y(f"{y:.4f}")) for x, y in line.point(shares * line.length_m).tolist())
         parts.append(E(f"{side}Bound", *points, E.lineMarking(mark)))
     parts += [E.predecessor(ref=str(other)) for other in graph.predecessors(lane_id)]
     parts += [E.successor(ref=str(other)) for other in graph.successors(lane_id)]
@@ -75,13 +76,6 @@ def _lanelet(graph: LaneGraph, lane: LaneSegment) -> etree._Element:
             parts.append(E(f"adjacent{side.capitalize()}", ref=str(beside), drivingDir="same"))
     kinds = [_LANELETS[lane.lane_type], *(["intersection"] if lane.is_intersection else [])]
     return E.lanelet(*parts, *map(E.laneletType, kinds), id=str(lane_id))
-
-
-def _bounds(lane: LaneSegment) -> tuple[FloatArray, FloatArray]:
-    """Left and right bound with as many points, (N, 2) m, at equal shares of their lengths."""
-    lines = [Polyline(points) for points in lane.sides]
-    shares = np.unique(np.round(np.concatenate([line.s / line.length_m for line in lines]), 6))
-    return lines[0].point(shares * lines[0].length_m), lines[1].point(shares * lines[1].length_m)
 
 
 def _state(tag: str, state: FloatArray) -> etree._Element:

@@ -269,14 +269,10 @@ def _put(scene: Origin, place: Path) -> None:
             ids = pa.repeat(pa.scalar(new).cast(table.schema.field(index).type), table.num_rows)
             (target / name).write_bytes(parquet_bytes(table.set_column(index, table.schema.field(index), ids)))
         else:
-            _link(Path(entry.path), target / name)
-
-
-def _link(path: Path, target: Path) -> None:
-    try:
-        os.link(path.resolve(), target)
-    except OSError:  # another file system, or one without links, or too many of them
-        shutil.copyfile(path, target)
+            try:
+                os.link(Path(entry.path).resolve(), target / name)
+            except OSError:  # another file system, or one without links, or too many of them
+                shutil.copyfile(entry.path, target / name)
 
 
 def check_leaks(root: Path, *, jobs: int = 1, on_scene: OnDone = None) -> list[Leak]:

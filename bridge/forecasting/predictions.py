@@ -17,13 +17,14 @@ import pandas as pd
 from av2.datasets.motion_forecasting.eval import metrics
 from av2.datasets.motion_forecasting.eval.submission import ChallengeSubmission
 
-from bridge.batch.engine import OnDone, work_on_each
-from bridge.batch.isolation import Failure
+from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.files import beside, make_folder, write_rows
 from bridge.forecasting.compose import origins_of
 from bridge.forecasting.places import generated_sidecar
 from bridge.pages import parts as pages
-from bridge.recordings.scenario import MAX_STEPS, OBSERVED_STEPS, Rows, find_scenarios, read_rows, source_id
+from bridge.recordings.folders import find_scenarios, source_id
+from bridge.recordings.recording import Rows
+from bridge.recordings.scenario import MAX_STEPS, OBSERVED_STEPS, read_rows
 from hid2.agents import FloatArray, IntArray, Track
 from hid2.params import Forecasting
 from hid2.resampling import Estimate, draws, interval
@@ -93,14 +94,9 @@ def score_predictions(
     each = work_on_each(
         score_folder, items, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False, on_item=on_scene
     )
-    left_out: list[str] = []
-    rows: list[_ScoreRow] = []
-    for _, found in each:
-        if isinstance(found, Failure):
-            left_out.append(found.message)
-        else:
-            rows += found[0]
-            left_out += found[1]
+    scored, failed = sorted_out(each)
+    rows = [row for own, _ in scored for row in own]
+    left_out = [said for _, said in failed] + [said for _, own in scored for said in own]
     left_out += [f"{name}: no such scene" for name in sorted(set(forecasts) - set(map(source_id, folders)))]
     if not rows:
         raise ScenarioError(f"{out}: nothing to score, first of {len(left_out)} reasons: {left_out[0]}")
@@ -360,7 +356,9 @@ def compare_predictions(
     found = differences_of(pairs, runs, bands(bounds), sources_of(scenes), Forecasting())
     if not any(difference.tracks for difference in found):
         raise ScenarioError(f"{scenes}: no track is forecast by every file, nothing to compare")
-    _write(found, report_dir)
+    *head, _ = Difference._fields
+    write_rows(report_dir / "comparison.csv", head, (one[:-1] for one in found))
+    pages.write_page(report_dir / "comparison.html", "comparison.html.j2", head=HEAD, rows=rows_of(found))
     return found, left_out
 
 
@@ -395,9 +393,3 @@ def rows_of(differences: Sequence[Difference]) -> list[tuple[str, ...]]:
 
 def _signed(value: float | None) -> str:
     return "–" if value is None else f"{value:+.3f}"
-
-
-def _write(differences: Sequence[Difference], report_dir: Path) -> None:
-    *head, _ = Difference._fields
-    write_rows(report_dir / "comparison.csv", head, (one[:-1] for one in differences))
-    pages.write_page(report_dir / "comparison.html", "comparison.html.j2", head=HEAD, rows=rows_of(differences))

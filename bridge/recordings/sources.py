@@ -55,10 +55,6 @@ def window_id(log_id: str, start: int) -> str:
     return str(uuid.uuid5(space, str(start)))
 
 
-def _log_files(source: Source) -> list[Path]:
-    return [*sorted(source.path.glob(folders.ANNOTATIONS))[:1], source.path / folders.POSES, *log_maps(source.path)]
-
-
 def _find_sequences(path: Path, names: frozenset[str], choices: Choices) -> list[Address]:
     """By number. Errors: NoSceneError where there are no map files for them."""
     numbers = {name: int(named[1]) for name in names if (named := _SEQUENCE.fullmatch(name))}
@@ -79,10 +75,6 @@ def _sequence_files(source: Source) -> list[Path]:
     maps = source.map_path
     assert maps is not None
     return [source.path, *([maps] if maps.is_file() else sorted(maps.iterdir()))]
-
-
-def _holds_sequences(path: Path, names: frozenset[str]) -> bool:
-    return any(map(_SEQUENCE.fullmatch, [path.name] if path.is_file() else names))
 
 
 def _above(folder: Path) -> Iterator[Path]:
@@ -121,7 +113,7 @@ SENSOR_LOG = Reader(
     many="windows of Argoverse 2 sensor logs",
     sniff=lambda _, names: folders.POSES in names or bool(fnmatch.filter(names, folders.ANNOTATIONS)),
     find=_find_windows,
-    files=_log_files,
+    files=lambda log: [*sorted(log.path.glob(folders.ANNOTATIONS))[:1], log.path / folders.POSES, *log_maps(log.path)],
     lacks="Sensor logs have no focal and scored tracks and no centrelines of lanes: the longest path of a vehicle that "
     "is seen throughout is focal, centrelines run midway between the boundaries",
     takes=("window", "stride"),
@@ -138,7 +130,7 @@ ARGOVERSE2 = Reader(
 ARGOVERSE1 = Reader(
     name="argoverse1",
     many="Argoverse 1 sequences",
-    sniff=_holds_sequences,
+    sniff=lambda path, names: any(map(_SEQUENCE.fullmatch, [path.name] if path.is_file() else names)),
     find=_find_sequences,
     files=_sequence_files,
     lacks="Argoverse 1 tells no types, sizes and headings: every track is taken for a vehicle of 4.5 x 1.9 m, headings "

@@ -44,11 +44,8 @@ def shown_at(fleet: Fleet, step: int) -> dict[int, tuple[str, int]]:
 
 def ever_shown(fleet: Fleet) -> Traffic:
     """Recorded agents and those kept, present only while SUMO may have to be shown them to a fleet before its start."""
-    traffic, count, starts = (
-        fleet.recorded_and_kept,
-        fleet.scene.num_recorded,
-        [vehicle.start for vehicle in fleet.vehicles],
-    )
+    traffic, count = fleet.recorded_and_kept, fleet.scene.num_recorded
+    starts = [vehicle.start for vehicle in fleet.vehicles]
     in_widths = [fleet.in_width(row) for row in range(len(starts))]
     present = shown_when(traffic, starts, in_widths, step_s=fleet.scene.step_s)
     if any(BEHAVIOURS[start.request.policy].changes_lanes for start in starts):
