@@ -15,19 +15,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from scipy.signal import savgol_filter
 
-from bridge.recordings.scenario import Scenario
+from bridge.recordings.recording import Recording
 from bridge.recordings.sources import find_sources, read_recording
+from hid2.agents import FloatArray
 from hid2.measures.arrays import SceneArrays, stack
 from hid2.measures.driven_lanes import LaneView, runs_of
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from hid2.params import Turn
 from hid2.policy.roads import turn_shape
 from netconvert.lane_graph import TURN_RAD
-
-FloatArray = npt.NDArray[np.float64]
 
 #: Shares of a turning lane at which speeds are compared.
 ALPHA = np.linspace(0.0, 1.0, 21)
@@ -59,7 +57,7 @@ def fit(profiles: Mapping[str, FloatArray]) -> dict[str, tuple[float, float, flo
     return min(tried, key=lambda one: one[0])[1]
 
 
-def turns_of(scenario: Scenario) -> Iterator[tuple[str, FloatArray]]:
+def turns_of(scenario: Recording) -> Iterator[tuple[str, FloatArray]]:
     """Turns of a scene's recorded vehicles: the side, and (21,) v / v_0 at ALPHA, v_0 at the entrance of the lane."""
     arrays = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=scenario.step_s)
     lanes = flatten_lanes(scenario.graph)

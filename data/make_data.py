@@ -23,9 +23,8 @@ import numpy as np
 import pyarrow as pa
 
 from bridge.recordings.export import parquet_bytes
-from bridge.recordings.recording import AV_ID
 from bridge.recordings.scenario import OBSERVED_STEPS, STEP_S, table_of
-from hid2.agents import DEFAULT_SIZES, FOCAL_CATEGORY, FloatArray, IntArray, Track
+from hid2.agents import AV_ID, DEFAULT_SIZES, FOCAL_CATEGORY, FloatArray, IntArray, Track
 from netconvert.geometry import wrap_angle
 
 STEPS, FINE_S = 110, 0.01

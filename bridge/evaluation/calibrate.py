@@ -10,8 +10,9 @@ from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.evaluation.evaluate import write_table
 from bridge.files import write_text
 from bridge.pages.parts import write_page
+from bridge.recordings.folders import source_id
 from bridge.recordings.judging import recording_states
-from bridge.recordings.scenario import read_scenario, source_id
+from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sources import find_sources
 from hid2.evaluation.calibration import CalibratedQuantity, SceneDriving, calibrate, drivers_of, observe
 from hid2.params import Drivers

@@ -116,7 +116,7 @@ def _sources_of(folders: Sequence[Address], source: Sequence[Path], choices: Cho
     ids = set()
     for folder in folders:
         with contextlib.suppress(ScenarioError):  # reported with its scene
-            sidecar = sidecar_in(folder, source_id(folder)) if isinstance(folder, Path) else None
+            sidecar = sidecar_in(folder) if isinstance(folder, Path) else None
             ids.add(sidecar.source_scenario_id if sidecar is not None else source_id(folder))
     map_path = choices.map_path if choices is not None else None
     found = {source_id(folder): folder for folder in find_recordings(source, Choices(map_path, stride=1))}

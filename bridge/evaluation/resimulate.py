@@ -10,14 +10,14 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from bridge.batch.engine import OnDone, sorted_out, work_on_each
-from bridge.config import config_sha256
+from bridge.config import config_sha256, new_scenario_id
 from bridge.evaluation.calibrate import observe_scene
 from bridge.evaluation.evaluate import write_table
 from bridge.files import explained
 from bridge.generation.generate import sumo_seed
 from bridge.generation.records import generator_record
 from bridge.pages.parts import write_page
-from bridge.recordings.export import new_scenario_id, recording_record_of, with_generated, with_motion, write_recording
+from bridge.recordings.export import recording_record_of, with_generated, with_motion, write_recording
 from bridge.recordings.judging import recording_states
 from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import read_scenario

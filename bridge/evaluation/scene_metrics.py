@@ -12,10 +12,10 @@ from bridge.config import asked_for
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import Address, split_of
 from bridge.recordings.judging import findings_of, recording_states
-from bridge.recordings.recording import AV_ID, Recording
+from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import REACTIVE, EventRecord, ManeuverRecord, Sidecar
 from bridge.recordings.sources import read_recording
-from hid2.agents import FloatArray, Policy, Track
+from hid2.agents import AV_ID, FloatArray, Policy, Track
 from hid2.evaluation.kinematics import kinematics, motion
 from hid2.evaluation.metrics import CRITICAL, METRICS, Group, columns, driven, policies
 from hid2.evaluation.realism import RealismCounts, count_scene

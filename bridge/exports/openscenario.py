@@ -9,8 +9,8 @@ import numpy as np
 from lxml import etree
 from lxml.builder import E
 
-from bridge.recordings.recording import AV_ID, Recording
-from hid2.agents import FloatArray, Track
+from bridge.recordings.recording import Recording
+from hid2.agents import AV_ID, FloatArray, Track
 from netconvert.gui_files import xml_bytes
 from netconvert.net_xml import CITY_ORIGINS
 from netconvert.opendrive import opendrive_bytes

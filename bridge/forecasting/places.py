@@ -7,7 +7,7 @@ slice_id, where a file has one), and where their maps share a square of ground: 
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow.compute as pc
@@ -25,6 +25,8 @@ from netconvert.lane_graph import joined
 #: Scenes per task.
 _CHUNK = 256
 _SLICE = "slice_id"
+#: Lines of a lane segment of which the points tell where a map lies.
+_LINES = ("centerline", "left_lane_boundary", "right_lane_boundary")
 #: Cells a side of the square in which the cells of a city are numbered.
 _SIDE = 1 << 20
 
@@ -108,13 +110,15 @@ def generated_sidecar(folder: Path) -> Sidecar | None:
     """The sidecar of a generated scene; None for a recorded one. Errors: ScenarioError."""
     if word_for_recorded(folder.name) != "recorded":
         raise ScenarioError(f"{folder}: {REACTIVE}")
-    return sidecar_in(folder, source_id(folder))
+    return sidecar_in(folder)
 
 
 def _ground(path: Path, params: Forecasting) -> tuple[bytes, tuple[int, int]]:
     """Cells and block of a map. Errors: MapError."""
     try:
-        points = np.array(list(_points(read_document(path))), dtype=np.float64)
+        lanes = read_document(path)["lane_segments"].values()
+        lines = [lane.get(name) or () for lane in lanes for name in _LINES]
+        points = np.array([(point["x"], point["y"]) for line in lines for point in line], dtype=np.float64)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise MapError(f"{path}: no map of Argoverse 2 ({type(error).__name__}: {error})") from error
     if not len(points) or not np.isfinite(points).all():
@@ -122,13 +126,6 @@ def _ground(path: Path, params: Forecasting) -> tuple[bytes, tuple[int, int]]:
     cell = np.floor(points / params.place_cell_m).astype(np.int64) + _SIDE // 2
     middle = np.floor((points.min(axis=0) + points.max(axis=0)) / 2 / params.block_m).astype(int)
     return np.unique(cell[:, 0] * _SIDE + cell[:, 1]).tobytes(), (int(middle[0]), int(middle[1]))
-
-
-def _points(document: Mapping[str, Any]) -> Iterator[tuple[float, float]]:
-    for lane in document["lane_segments"].values():
-        for line in ("centerline", "left_lane_boundary", "right_lane_boundary"):
-            for point in lane.get(line) or ():
-                yield point["x"], point["y"]
 
 
 # Groups and splits

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from bridge.config import check_exportable, config_sha256
+from bridge.config import check_exportable, config_sha256, new_scenario_id
 from bridge.generation import records
 from bridge.generation.scene import TrafficScene, grid_of, scene_of
-from bridge.recordings.export import new_scenario_id, recording_record_of, with_generated, with_motion
+from bridge.recordings.export import recording_record_of, with_generated, with_motion
 from bridge.recordings.plausibility import check_plausible
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import PlacedRecord, ReplayRecord, RequestedRecord, Sidecar, StatesRecord

@@ -85,18 +85,13 @@ def maneuver_record(
     if shift is not None:
         front, rear = gaps_at_request(scene, vehicle, shift, others)
     requested_s = None if shift is None else round(shift.requested_step * vehicle.motion.step_s, 6)
-    leader = outcome.leader_id
+    leader, told = outcome.leader_id, asdict(outcome)
     return sidecar.ManeuverRecord(
+        **{name: told[name] for name in ("status", "start_s", "crossing_s", "end_s", "source_lane", "target_lane")},
         kind=_kind(outcome.policy),
-        status=outcome.status,
         reason=_with_detail(outcome.reason, outcome.detail),
         trigger_s=0.0 if is_turn else round(driven.start.request.trigger_s, 6),
         requested_s=0.0 if is_turn else requested_s,
-        start_s=outcome.start_s,
-        crossing_s=outcome.crossing_s,
-        end_s=outcome.end_s,
-        source_lane=outcome.source_lane,
-        target_lane=outcome.target_lane,
         leader_track_id=None if leader is None else names.get(leader, leader),
         gap_front_m=rounded(front.distance_m, 6),
         gap_rear_m=rounded(rear.distance_m, 6),
@@ -160,7 +155,7 @@ def selection_record(scene: Scene, filling: Filling) -> sidecar.SelectionRecord:
     for name, vehicles in driven.items():
         limited = sum(one.limited["conflict"] for one in vehicles)
         told[name] = drives((np.array(one.v) for one in vehicles), step_s=scene.step_s, limited=limited)
-    return sidecar.SelectionRecord.model_validate({name: one._asdict() for name, one in told.items()})
+    return sidecar.SelectionRecord(**told)
 
 
 def near_count(scene: Scene, vehicles: Sequence[ExportedVehicle]) -> int:

@@ -101,13 +101,12 @@ class TrafficScene:
 
         Errors: ConfigError for a track that the scene does not have.
         """
-        from bridge.pictures.figures import find_track
         from hid2.measures.arrays import stack
         from hid2.measures.conflicts import conflicts
 
         one = self.recording
         if agent is not None:
-            find_track(one, agent)
+            one.track(agent)
         found = conflicts(stack(one.tracks, num_steps=one.num_steps, step_s=one.step_s), ttc_s=ttc_s, pet_s=pet_s)
         return [met for met in found if agent is None or agent in (met.first_id, met.second_id)]
 

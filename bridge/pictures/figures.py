@@ -3,7 +3,6 @@
 import base64
 import io
 from collections.abc import Iterable, Mapping, Sequence
-from difflib import get_close_matches
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -18,8 +17,7 @@ from matplotlib.ticker import MaxNLocator
 
 from bridge.files import beside
 from bridge.recordings.recording import Recording
-from bridge.recordings.scenario import AV_ID
-from hid2.agents import FOCAL_CATEGORY, VEHICLE_TYPES, FloatArray, Policy, Track
+from hid2.agents import AV_ID, FOCAL_CATEGORY, VEHICLE_TYPES, FloatArray, Policy, Track
 from hid2.measures.arrays import is_generated_id
 from hid2.policy.behaviours import BEHAVIOURS
 from netconvert.cells import build_cell_grid
@@ -196,18 +194,6 @@ def save(figure: Figure, path: Path) -> None:
             figure.savefig(hidden, format=path.suffix[1:].lower(), metadata=PICTURES[path.suffix.lower()])
     finally:
         plt.close(figure)
-
-
-def find_track(scenario: Recording, track_id: str) -> Track:
-    """A track by id. Errors: ConfigError for an unknown one, with those that are most like it."""
-    known = [track.track_id for track in scenario.tracks]
-    if (track_id := str(track_id)) not in known:
-        ordered = sorted(known, key=lambda name: (not is_generated_id(name), name))
-        alike = get_close_matches(track_id, known, 5, 0.4) or ordered[:5]
-        raise ConfigError(
-            f"{scenario.folder}: no track {track_id!r} among {len(known)}; expected one of {', '.join(alike)}, ..."
-        )
-    return scenario.track(track_id)
 
 
 def check_step(scenario: Recording, step: int | None) -> int:

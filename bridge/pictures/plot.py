@@ -36,7 +36,7 @@ def agent_figure(scenario: Recording, agent_id: str) -> Figure:
 
     Vertical lines are the trigger, start, crossing and end of its manoeuvres: the sidecar's, of recorded ones as seen.
     """
-    track = figures.find_track(scenario, agent_id)
+    track = scenario.track(agent_id)
     arrays = stack([track], step_s=scenario.step_s)
     lanes = flatten_lanes(scenario.graph)
     view = LaneView(arrays, lanes, match_lanes(arrays, lanes))

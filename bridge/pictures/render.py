@@ -160,7 +160,7 @@ def _window(scenario: Recording, agent: str | None) -> tuple[FloatArray, FloatAr
     """Ground to show, low and high corner, m: around one agent's path, else around what moves and the focal one."""
     if agent is None:
         return figures.moving_ground(scenario)
-    path = figures.find_track(scenario, agent).position
+    path = scenario.track(agent).position
     return path.min(axis=0) - AGENT_MARGIN_M, path.max(axis=0) + AGENT_MARGIN_M
 
 

@@ -44,9 +44,9 @@ from bridge.files import beside, one_line, read_received
 from bridge.recordings import limits
 from bridge.recordings.folders import Source, only_file, sequence_path
 from bridge.recordings.map_rules import graph_of, read_source_map
-from bridge.recordings.recording import AV_ID, Recording, velocity_of
+from bridge.recordings.recording import Recording, velocity_of
 from bridge.recordings.scenario import recording_of, split_rows, table_of
-from hid2.agents import DEFAULT_SIZES, FOCAL_CATEGORY, FloatArray, IntArray, Track
+from hid2.agents import AV_ID, DEFAULT_SIZES, FOCAL_CATEGORY, FloatArray, IntArray, Track
 from netconvert.av1_map import CityLane, cut_city, drivable_raster, read_city_lanes
 from netconvert.errors import ExportError, MapError, ScenarioError
 from netconvert.lane_graph import LaneGraph
@@ -245,23 +245,16 @@ def sequence_bytes(recorded: bytes, inserted: Iterable[tuple[IntArray, FloatArra
     lines[-1] = lines[-1].rstrip("\r\n") + ending
     rows = list(csv.reader(lines))
     at = {column: rows[0].index(column) for column in COLUMNS}
-    stamps = [row[at["TIMESTAMP"]] for row in rows[1:]]
-    by_time = sorted({float(stamp): stamp for stamp in stamps}.items())
+    last = {float(row[at["TIMESTAMP"]]): line for line, row in enumerate(rows[1:], start=1)}
+    of_step = [last[stamp] for stamp in sorted(last)]
     taken = {row[at["TRACK_ID"]] for row in rows[1:]}
-    added: dict[float, list[str]] = {stamp: [] for stamp, _ in by_time}
+    behind: list[list[str]] = [[] for _ in lines]
     for number, (steps, places) in enumerate(inserted):
         name = f"{INSERTED}{number:012d}"
         if name in taken:
             raise ExportError(f"TRACK_ID {name} is taken in the sequence, expected it free for gen_{number}")
         for step, (x, y) in zip(steps.tolist(), places.tolist(), strict=True):
-            stamp, text = by_time[step]
-            values = {"TIMESTAMP": text, "TRACK_ID": name, "OBJECT_TYPE": OTHERS, "X": repr(x), "Y": repr(y)}
-            values["CITY_NAME"] = rows[1][at["CITY_NAME"]]
-            added[stamp].append(",".join(values[column] for column in rows[0]) + ending)
-    last = {float(stamp): line for line, stamp in enumerate(stamps, start=1)}
-    out = io.StringIO()
-    for number, line in enumerate(lines):
-        out.write(line)
-        if number and last[float(stamps[number - 1])] == number:
-            out.writelines(added[float(stamps[number - 1])])
-    return out.getvalue().encode("ascii")
+            same = {name: rows[of_step[step]][at[name]] for name in ("TIMESTAMP", "CITY_NAME")}
+            values = {**same, "TRACK_ID": name, "OBJECT_TYPE": OTHERS, "X": repr(x), "Y": repr(y)}
+            behind[of_step[step]].append(",".join(values[column] for column in rows[0]) + ending)
+    return "".join(part for line, ours in zip(lines, behind, strict=True) for part in (line, *ours)).encode("ascii")

@@ -13,7 +13,6 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pyarrow.pandas_compat import get_logical_type
 
-from bridge.config import new_scenario_id as new_scenario_id
 from bridge.files import explained
 from bridge.interruption import hidden_folder, tidied
 from bridge.recordings.recording import Recording

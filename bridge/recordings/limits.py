@@ -5,8 +5,6 @@ there so that a file from anywhere costs bounded time and memory: what follows g
 pairs of tracks, and the ground that both lie on.
 """
 
-from bridge.files import MAX_FILE_MB as MAX_FILE_MB
-
 #: Each map file of a whole city, MB.
 MAX_CITY_MB = 128
 #: A sidecar, MB. Real: 0.11 with 62 vehicles. What is read of JSON takes up to 400 times the memory of the file.

@@ -2,16 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 
-from bridge.recordings.sidecar import Provenance as Provenance
-from bridge.recordings.sidecar import Sidecar
-from hid2.agents import AV_ID as AV_ID
+from bridge.recordings.sidecar import Provenance, Sidecar
 from hid2.agents import BoxSize, FloatArray, Track
-from netconvert.errors import ScenarioError
+from hid2.measures.arrays import is_generated_id
+from netconvert.errors import ConfigError
 from netconvert.geometry import slopes
 from netconvert.lane_graph import LaneGraph
 
@@ -67,11 +67,13 @@ class Recording(Rows):
         return f"Recording({self.scenario_id}, {self.city}: {size})"
 
     def track(self, track_id: str) -> Track:
-        """One track by id; ScenarioError where there is none."""
-        for track in self.tracks:
-            if track.track_id == track_id:
-                return track
-        raise ScenarioError(f"{self.folder}: no track {track_id!r} among {len(self.tracks)}")
+        """One track by id. Errors: ConfigError for an unknown one, with those that are most like it."""
+        known = {track.track_id: track for track in self.tracks}
+        if (track_id := str(track_id)) not in known:
+            ordered = sorted(known, key=lambda name: (not is_generated_id(name), name))
+            alike = ", ".join(get_close_matches(track_id, known, 5, 0.4) or ordered[:5])
+            raise ConfigError(f"{self.folder}: no track {track_id!r} among {len(known)}; expected one of {alike}, ...")
+        return known[track_id]
 
 
 def velocity_of(position: FloatArray, samples: int, *, step_s: float, shortest: int = 3) -> FloatArray:

@@ -19,9 +19,9 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from bridge.config import CORRIDOR_PREFIX
 from bridge.recordings.export import parquet_bytes, write_folder
 from bridge.recordings.limits import MAX_CORRIDOR_STEPS, MAX_LANE_M
-from bridge.recordings.scenario import AV_ID, OBSERVED_STEPS, STEP_S, table_of
+from bridge.recordings.scenario import OBSERVED_STEPS, STEP_S, table_of
 from bridge.toml import read_toml_as
-from hid2.agents import DEFAULT_SIZES, FOCAL_CATEGORY, Track
+from hid2.agents import AV_ID, DEFAULT_SIZES, FOCAL_CATEGORY, Track
 from netconvert.errors import ConfigError
 
 #: Name of the file in the folder of a corridor that is made of one.

@@ -16,23 +16,15 @@ from pydantic import TypeAdapter, ValidationError
 from bridge.config import is_corridor
 from bridge.files import one_line, read_received
 from bridge.recordings import limits
-from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIZES_FILE, Source, only_file
-from bridge.recordings.folders import find_scenarios as find_scenarios
-from bridge.recordings.folders import source_id as source_id
-from bridge.recordings.folders import split_of as split_of
+from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, SIZES_FILE, Source, only_file, source_id, split_of
 from bridge.recordings.map_rules import check_ground, read_source_map
-from bridge.recordings.recording import AV_ID as AV_ID
-from bridge.recordings.recording import Recording
-from bridge.recordings.recording import Rows as Rows
+from bridge.recordings.recording import Recording, Rows
 from bridge.recordings.sidecar import BoxLength, BoxWidth, RecordingRecord, Sidecar, sidecar_in
-from hid2.agents import DEFAULT_SIZES, FOCAL_CATEGORY, BoxSize, FloatArray, IntArray, Track
+from hid2.agents import AV_ID, DEFAULT_SIZES, FOCAL_CATEGORY, BoxSize, FloatArray, IntArray, Track
 from netconvert.av2_map import Breach
 from netconvert.errors import MapError, NoSceneError, ScenarioError
 from netconvert.geometry import wrap_angle
 from netconvert.lane_graph import LaneGraph
-
-#: A recording of this format, which generated scenes are in as well.
-Scenario = Recording
 
 #: The format's seconds from one timestep to the next, observed timesteps, and timesteps at most.
 STEP_S, OBSERVED_STEPS, MAX_STEPS = 0.1, 50, 110
@@ -65,7 +57,7 @@ _NAMES_A_ROW = ("track_id", "timestep", "track_uuid", "timestamp_ns")
 MOTION_COLUMNS = ("position_x", "position_y", "heading", "velocity_x", "velocity_y")
 
 
-def read_scenario(folder: Path) -> Scenario:
+def read_scenario(folder: Path) -> Recording:
     """Read scenario_<id>.parquet, log_map_archive_<id>.json and the sizes that lie beside them.
 
     Sizes (m) come from the sidecar of a generated scene, from agent_sizes.csv, else by object type. Observed are the
@@ -121,7 +113,7 @@ def _rows_in(folder: Path) -> tuple[Rows, Sidecar | None]:
     if not folder.is_dir():
         raise NoSceneError(f"{folder}: no such folder, expected a scenario folder")
     path = only_file(folder, PARQUET_PATTERN, ScenarioError)
-    table, sidecar = read_table(path), sidecar_in(folder, source_id(folder))
+    table, sidecar = read_table(path), sidecar_in(folder)
     known, sizes = _recording_record(folder, sidecar), sizes_of(folder, sidecar)
     rows = split_rows(table, name=str(path), sizes=sizes, observed_steps=known.observed_steps)
     return replace(rows, step_s=known.step_s), sidecar

@@ -35,9 +35,9 @@ from bridge.files import one_line
 from bridge.recordings import limits
 from bridge.recordings.folders import ANNOTATIONS, LOG_MAP_NAME, POSES, Source, log_maps
 from bridge.recordings.map_rules import graph_of, read_document
-from bridge.recordings.recording import AV_ID, Recording, velocity_of
+from bridge.recordings.recording import Recording, velocity_of
 from bridge.recordings.scenario import SCHEMA, check_columns, check_size, read_arrow, recording_of, split_rows
-from hid2.agents import FOCAL_CATEGORY, BoxSize, FloatArray, IntArray
+from hid2.agents import AV_ID, FOCAL_CATEGORY, BoxSize, FloatArray, IntArray
 from netconvert.errors import MapError, ScenarioError
 from netconvert.geometry import arc_length
 from netconvert.lane_graph import LaneSegment

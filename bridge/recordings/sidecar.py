@@ -8,8 +8,10 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError, model_validator
 
 from bridge.files import read_received
+from bridge.recordings.folders import source_id
 from bridge.recordings.limits import MAX_SIDECAR_MB
 from hid2.agents import BoxSize, FloatArray, Policy, Track
+from hid2.measures.selection import Drives
 from netconvert.errors import ScenarioError
 
 #: How the tracks were made: by the recording vehicle's own tracker, or by people that labelled boxes.
@@ -206,25 +208,12 @@ class ReplacedRecord(_Record):
     last_step: int = Field(ge=0)
 
 
-class DrivesRecord(_Record):
-    """How vehicles drive: how many, of them those that brake hard at some time and those that stand at some time.
-
-    limited: of so many steps of all of them, those in which hid2 held one below SUMO's own choice for a conflict.
-    """
-
-    vehicles: int = Field(ge=0)
-    braking: int = Field(ge=0)
-    standing: int = Field(ge=0)
-    steps: int = Field(ge=0)
-    limited: int = Field(ge=0)
-
-
 class SelectionRecord(_Record):
     """How vehicles drive that are exported, that were driven and dropped, and that are recorded and move."""
 
-    kept: DrivesRecord
-    dropped: DrivesRecord
-    recorded: DrivesRecord
+    kept: Drives
+    dropped: Drives
+    recorded: Drives
 
     @property
     def driven(self) -> int:
@@ -335,7 +324,7 @@ def read_sidecar(path: Path) -> Sidecar:
         raise ScenarioError(f"{path}: {field}: {first['msg']} (got {str(first['input'])[:60]!r}){later}") from error
 
 
-def sidecar_in(folder: Path, scenario_id: str) -> Sidecar | None:
+def sidecar_in(folder: Path) -> Sidecar | None:
     """The sidecar of a scenario folder; None where there is none: the scene was recorded. Errors: ScenarioError."""
-    path = sidecar_path(folder, scenario_id)
+    path = sidecar_path(folder, source_id(folder))
     return read_sidecar(path) if path.is_file() else None

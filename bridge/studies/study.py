@@ -21,9 +21,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from bridge.batch.batch import RUNS, Run, SceneJob
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.batch.scan import Selection, wanted
-from bridge.config import config_from_dict, config_sha256, functions_of
+from bridge.config import config_from_dict, config_sha256, functions_of, new_scenario_id
 from bridge.files import MAX_FILE_MB, explained, one_line, read_packed, untabled
-from bridge.recordings.export import new_scenario_id, write_folder
+from bridge.recordings.export import write_folder
 from bridge.recordings.folders import Address
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import ManeuverKind

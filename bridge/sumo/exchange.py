@@ -35,6 +35,7 @@ from bridge.config import config_from_dict
 from bridge.files import make_folder
 from bridge.pictures.figures import FACES, check_ending, check_step, kinds_in, moving_ground
 from bridge.recordings.folders import Address
+from bridge.recordings.judging import recording_states
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import Sidecar
 from bridge.recordings.sources import read_recording
@@ -45,8 +46,6 @@ from hid2.agents import FOCAL_CATEGORY, FloatArray, Track
 from hid2.drivers.driver import Driver
 from hid2.kernels.gaps import ASIDE_M
 from hid2.measures.arrays import is_generated_id
-from hid2.measures.lane_matching import flatten_lanes
-from hid2.occupancy.agent_states import agent_states
 from hid2.occupancy.traffic import BoolArray
 from hid2.params import Config
 from netconvert.cells import SAVED_WITHIN_M, Cell, CellGrid, build_cell_grid
@@ -120,7 +119,7 @@ def _fcd(scenario: Recording, grid: CellGrid, placed: Mapping[str, _Placed]) -> 
     root = E("fcd-export", *(E.timestep(time=f"{step * scenario.step_s:.2f}") for step in range(scenario.num_steps)))
     for track in scenario.tracks:
         name, (cells, pos, on) = track.track_id, placed[track.track_id]
-        front, angle = sumo_poses(track.position, track.heading, np.full(len(track.timesteps), track.size.length_m))
+        front, angle = sumo_poses(track.position, track.heading, track.size.length_m)
         rows = np.column_stack([front, angle, track.speed, pos]).tolist()
         for step, cell, there, row in zip(track.timesteps.tolist(), cells, on.tolist(), rows, strict=True):
             x, y, degrees, speed, along = (f"{value:.3f}" for value in row)  # to mm, 0.001 degrees, mm/s
@@ -133,10 +132,8 @@ def _fcd(scenario: Recording, grid: CellGrid, placed: Mapping[str, _Placed]) -> 
 
 def _places(scenario: Recording, grid: CellGrid) -> dict[str, _Placed]:
     """Cells of every agent, by the lane that it is matched to, else by the nearest lane, however far."""
-    tracks, graph = scenario.tracks, scenario.graph
-    flat = flatten_lanes(graph)
-    states = agent_states(tracks, flat, num_steps=scenario.num_steps, step_s=scenario.step_s)
-    arrays, matches = states.arrays, states.matches
+    states = recording_states(scenario)
+    arrays, matches, flat = states.arrays, states.matches, states.lanes
     lines = [shapely.LineString(flat.lane_points(lane)) for lane in range(len(flat.lane_ids))]
     nearest = shapely.STRtree(lines).nearest(shapely.points(arrays.position))
     rows = np.where(matches.lane >= 0, matches.lane, nearest)
@@ -146,7 +143,7 @@ def _places(scenario: Recording, grid: CellGrid) -> dict[str, _Placed]:
     along = np.empty(len(lane_ids))
     for lane_id in np.unique(lane_ids).tolist():
         here = lane_ids == lane_id
-        along[here] = graph.lanes[lane_id].path.frenet(front[here])[0]
+        along[here] = scenario.graph.lanes[lane_id].path.frenet(front[here])[0]
     cells = [grid.cell_at(lane_id, s) for lane_id, s in zip(lane_ids.tolist(), along.tolist(), strict=True)]
     begin = np.array([grid.edges_m[cell.lane_id][cell.index] for cell in cells])
     pos = np.clip(along - begin, 0.0, [grid.length_m(cell) for cell in cells])
@@ -282,7 +279,7 @@ class _Trace:
 def _trace(track: Track, step_s: float) -> _Trace:
     """Lanes as long as possible; where a track has a gap, its agent drives evenly through."""
     steps = np.arange(track.timesteps[0], track.timesteps[-1] + 1)
-    front, _ = sumo_poses(track.position, track.heading, np.full(len(track.timesteps), track.size.length_m))
+    front, _ = sumo_poses(track.position, track.heading, track.size.length_m)
     front = np.stack([np.interp(steps, track.timesteps, front[:, axis]) for axis in (0, 1)], axis=1)
     heading = np.interp(steps, track.timesteps, np.unwrap(track.heading))
     advance_m = track.size.length_m + _CLEAR_M

@@ -11,14 +11,13 @@ from pathlib import Path
 from bridge.files import explained, make_folder
 from bridge.interruption import hidden_folder
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, Address, Source, only_file
-from bridge.recordings.judging import states_of
+from bridge.recordings.judging import recording_states
 from bridge.recordings.map_rules import read_source_map
 from bridge.recordings.recording import Recording
 from bridge.recordings.road import ROAD_FILE, read_road
 from bridge.recordings.scenario import STEP_S
 from bridge.recordings.sources import read_recording
 from hid2.conflicts.signals import InferredSignals
-from hid2.measures.lane_matching import flatten_lanes
 from hid2.params import Signals
 from netconvert.cells import SAVED_WITHIN_M, build_cell_grid
 from netconvert.errors import ConfigError, MapError, NetError, NoSceneError, SimulationError
@@ -64,9 +63,7 @@ def convert_whole(scene: Address, out_dir: Path, *, signals: bool = False) -> Pa
             own = read_road(road).signals
             shown = {lane_id: one.shown(recording.step_s) for lane_id, one in own.items()}.get
         else:
-            lanes = flatten_lanes(graph)
-            states = states_of(recording.tracks, lanes, set(), num_steps=recording.num_steps, step_s=recording.step_s)
-            shown = InferredSignals(graph, states, Signals()).shown
+            shown = InferredSignals(graph, recording_states(recording), Signals()).shown
     step_s = STEP_S if recording is None else recording.step_s
     origin = None if recording is None else CITY_ORIGINS.get(recording.city)
     with tempfile.TemporaryDirectory(prefix="hid2-net-") as folder:

@@ -4,13 +4,14 @@ The only home of degrees and front bumpers.
 """
 
 import numpy as np
+import numpy.typing as npt
 
 from hid2.agents import FloatArray
 from hid2.motion.route import DrivenPath
 from netconvert.cells import CellGrid
 
 
-def sumo_poses(position: FloatArray, heading: FloatArray, length_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+def sumo_poses(position: FloatArray, heading: FloatArray, length_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     """(..., 2) m front bumpers and (...) degrees from box centres, headings and lengths."""
     direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     front = position + 0.5 * np.asarray(length_m)[..., None] * direction

@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from bridge.forecasting.predictions import FUTURE_STEPS
-from bridge.recordings.scenario import MAX_STEPS, OBSERVED_STEPS, STEP_S, Scenario, read_scenario
+from bridge.recordings.recording import Recording
+from bridge.recordings.scenario import MAX_STEPS, OBSERVED_STEPS, STEP_S, read_scenario
 from hid2.agents import FOCAL_CATEGORY, SCORED_CATEGORY, FloatArray
 from netconvert.errors import Hid2Error, ScenarioError
-from netconvert.geometry import arc_length
 from netconvert.lane_graph import TurnType
 
 #: What is seen: the nearest agents and lanes, how far, every so many steps of a history, points of a lane.
@@ -86,7 +86,7 @@ def checksum(targets: Sequence[ForecastTarget]) -> int:
     return found
 
 
-def targets_of(scenario: Scenario) -> list[ForecastTarget]:
+def targets_of(scenario: Recording) -> list[ForecastTarget]:
     """The targets of a scene, in the order of its tracks.
 
     Errors: ScenarioError for a recording of another data set with other steps than Argoverse 2's.
@@ -120,7 +120,7 @@ def _turn(heading: float) -> FloatArray:
 
 
 def _target(
-    scenario: Scenario, row: int, history: FloatArray, lanes: FloatArray, lane_kinds: FloatArray
+    scenario: Recording, row: int, history: FloatArray, lanes: FloatArray, lane_kinds: FloatArray
 ) -> ForecastTarget:
     track, last = scenario.tracks[row], history[row, _LAST]
     origin, heading = last[:2], float(np.arctan2(last[3], last[2]))
@@ -154,12 +154,11 @@ def _target(
     return ForecastTarget(scenario.scenario_id, track.track_id, is_focal, seen, origin.copy(), heading)
 
 
-def _lanes(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
+def _lanes(scenario: Recording) -> tuple[FloatArray, FloatArray]:
     """(N, P, 4) of every lane: points at equal distances and the direction there, city frame; (N, 4) its kind."""
     shapes, kinds = [], []
     for lane in scenario.graph.lanes.values():
-        along = arc_length(lane.centerline)
-        place = lane.path.point(np.linspace(0.0, along[-1], LANE_POINTS))
+        place = lane.path.point(np.linspace(0.0, lane.path.length_m, LANE_POINTS))
         ahead = np.gradient(place, axis=0)
         shapes.append(np.column_stack([place, ahead / np.maximum(np.hypot(*ahead.T), 1e-9)[:, None]]))
         turns = lane.turn is TurnType.LEFT, lane.turn is TurnType.RIGHT

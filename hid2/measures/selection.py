@@ -1,9 +1,9 @@
 """What is exported is a selection of what was driven: how vehicles drive that are kept, and that are not."""
 
 from collections.abc import Iterable
-from typing import NamedTuple
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
 from hid2.agents import FloatArray
 from hid2.measures.encounters import STANDS_FOR_S, STANDS_MPS
@@ -13,18 +13,20 @@ from hid2.measures.encounters import STANDS_FOR_S, STANDS_MPS
 HARD_BRAKING_MPS2, BRAKING_FOR_S = 3.0, 0.5
 
 
-class Drives(NamedTuple):
+class Drives(BaseModel):
     """How vehicles drive: how many, those of them that brake hard at some time, and those that stand at some time.
 
     limited: of so many steps of all of them, those in which the guard held one below SUMO's own choice of speed for a
     conflict.
     """
 
-    vehicles: int
-    braking: int
-    standing: int
-    steps: int
-    limited: int
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    vehicles: int = Field(ge=0)
+    braking: int = Field(ge=0)
+    standing: int = Field(ge=0)
+    steps: int = Field(ge=0)
+    limited: int = Field(ge=0)
 
 
 def drives(speeds: Iterable[FloatArray], *, step_s: float, limited: int = 0) -> Drives:
@@ -36,4 +38,4 @@ def drives(speeds: Iterable[FloatArray], *, step_s: float, limited: int = 0) -> 
         inner = speed[brake:-brake]
         braking += bool(np.any(inner[:-brake] - inner[brake:] > HARD_BRAKING_MPS2 * brake * step_s))
         standing += int((speed < STANDS_MPS).sum()) >= stand
-    return Drives(vehicles, braking, standing, steps, limited)
+    return Drives(vehicles=vehicles, braking=braking, standing=standing, steps=steps, limited=limited)

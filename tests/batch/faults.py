@@ -65,7 +65,8 @@ def copies(place: SceneFolders, runs: Sequence[Run]) -> Iterator[ManifestRow | F
     """Write each scene with nothing added: quick, and independent of the simulation."""
     from written import made_up_sidecar  # slow to import, as the next two: other work here starts without
 
-    from bridge.recordings.export import new_scenario_id, with_generated, write_recording
+    from bridge.config import new_scenario_id
+    from bridge.recordings.export import with_generated, write_recording
     from bridge.recordings.scenario import read_scenario
 
     def copied(run: Run) -> ManifestRow:

@@ -27,7 +27,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
 from hand_drawn import draw_lane
 
 from bridge.generation.generate import generate
-from bridge.recordings.scenario import Scenario, find_scenarios, read_scenario
+from bridge.recordings.folders import find_scenarios
+from bridge.recordings.recording import Recording
+from bridge.recordings.scenario import read_scenario
 from hid2.params import Config, Request
 from netconvert.lane_graph import LaneGraph
 
@@ -49,7 +51,7 @@ class Point(NamedTuple):
     placed: int
 
 
-def measure(scenario: Scenario, agents: int, what: float, *, seeds: int) -> Point:
+def measure(scenario: Recording, agents: int, what: float, *, seeds: int) -> Point:
     """One scene, warm, over some seeds."""
     seconds, placed = [], []
     for seed in range(seeds):
@@ -61,7 +63,7 @@ def measure(scenario: Scenario, agents: int, what: float, *, seeds: int) -> Poin
     return Point(what, statistics.mean(seconds), agents, min(placed))
 
 
-def straight_road(scenario: Scenario, length_km: float) -> Scenario:
+def straight_road(scenario: Recording, length_km: float) -> Recording:
     """The scene without its agents on a straight road of so many km of lanes, three side by side."""
     pieces = round(1000 * length_km / LANES / PIECE_M)
     lanes = {}

@@ -17,13 +17,13 @@ from bridge.batch.isolation import Failure
 from bridge.batch.manifest import QUARANTINED, Manifest, ManifestRow, read_manifest
 from bridge.batch.quarantine import Bundle, read_bundle, write_bundle
 from bridge.batch.validation import validate_folder
-from bridge.config import load_config
+from bridge.config import load_config, new_scenario_id
 from bridge.forecasting.composition import Composition
 from bridge.forecasting.predictions import score_predictions
 from bridge.generation.generate import generate
-from bridge.recordings.export import new_scenario_id
 from bridge.recordings.folders import Choices
-from bridge.recordings.scenario import Scenario, read_scenario
+from bridge.recordings.recording import Recording
+from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import read_sidecar
 from bridge.recordings.sources import find_recordings, read_recording
 from bridge.studies.study import read_study
@@ -51,7 +51,7 @@ def refused(read: Callable[[], object], what: str) -> bool:
     return bool(message)
 
 
-def written(scenario: Scenario, out: Path) -> Path:
+def written(scenario: Recording, out: Path) -> Path:
     """The scene as generate writes it, with nobody inserted."""
     config = Config()
     sidecar = made_up_sidecar(scenario, config)

@@ -19,7 +19,8 @@ from judged import check_generated
 
 from bridge.generation.generate import generate
 from bridge.recordings.map_rules import graph_of
-from bridge.recordings.scenario import Scenario, table_of
+from bridge.recordings.recording import Recording
+from bridge.recordings.scenario import table_of
 from hid2.agents import DEFAULT_SIZES, Track
 from hid2.params import Config, Driving, Request, SourceChecks
 from netconvert.lane_graph import LaneGraph
@@ -167,7 +168,7 @@ def traffic(draw: st.DrawFn, graph: LaneGraph, steps: int) -> tuple[Track, ...]:
 
 
 @st.composite
-def scenes(draw: st.DrawFn) -> Scenario:
+def scenes(draw: st.DrawFn) -> Recording:
     document = draw(maps())
     graph = graph_of(document, name="map")
     steps = draw(st.sampled_from([50, 110, 110]))
@@ -178,7 +179,7 @@ def scenes(draw: st.DrawFn) -> Scenario:
         "num_timestamps": steps, "focal_track_id": tracks[0].track_id, "city": "synthetic",
     }  # fmt: skip
     table = table_of(tracks, same, observed_steps=50)
-    return Scenario(
+    return Recording(
         scenario_id="0" * 8, city="synthetic", focal_track_id=tracks[0].track_id, num_steps=steps, tracks=tracks,
         graph=graph, table=table, folder=Path("nowhere"), map_path=Path("nowhere"), split=None,
         observed_steps=50, step_s=0.1, map_json=json.dumps(document).encode(),
@@ -199,7 +200,7 @@ USUAL = settings(
 ANY_REQUEST = given(scene=scenes(), agents=st.integers(1, 14), mix=st.sampled_from(MIXES), seed=st.integers(0, 999))
 
 
-def check(scene: Scenario, agents: int, mix: dict[str, Any], seed: int) -> None:
+def check(scene: Recording, agents: int, mix: dict[str, Any], seed: int) -> None:
     request, driving = Request(agents=agents, seed=seed, **mix), Driving(check_replay=True)
     generated = generate(scene, Config(source=SourceChecks(plausible=False), request=request, driving=driving))
     assert len(generated.generated) == generated.sidecar.placed.agents <= agents
@@ -211,12 +212,12 @@ def check(scene: Scenario, agents: int, mix: dict[str, Any], seed: int) -> None:
 
 @USUAL
 @ANY_REQUEST
-def test_nothing_unsafe_is_ever_generated(scene: Scenario, agents: int, mix: dict[str, Any], seed: int) -> None:
+def test_nothing_unsafe_is_ever_generated(scene: Recording, agents: int, mix: dict[str, Any], seed: int) -> None:
     check(scene, agents, mix, seed)
 
 
 @pytest.mark.slow
 @settings(USUAL, max_examples=200)
 @ANY_REQUEST
-def test_nothing_unsafe_is_generated_in_many(scene: Scenario, agents: int, mix: dict[str, Any], seed: int) -> None:
+def test_nothing_unsafe_is_generated_in_many(scene: Recording, agents: int, mix: dict[str, Any], seed: int) -> None:
     check(scene, agents, mix, seed)

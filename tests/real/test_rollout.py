@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from bridge.generation.generate import prepare, sumo_seed
-from bridge.recordings.scenario import find_scenarios, read_scenario
+from bridge.recordings.folders import find_scenarios
+from bridge.recordings.scenario import read_scenario
 from bridge.sumo.drivers import model_parameters
 from bridge.sumo.driving import FleetSimulation
 from bridge.sumo.fleet import Fleet

@@ -12,7 +12,8 @@ from second_scene import read_scene
 
 from bridge.config import config_from_dict
 from bridge.generation.generate import generate
-from bridge.recordings.scenario import find_scenarios, read_scenario
+from bridge.recordings.folders import find_scenarios
+from bridge.recordings.scenario import read_scenario
 from bridge.recordings.validate import Against, validate_scene
 from hid2.judge.findings import Quantity
 

@@ -6,10 +6,11 @@ import numpy as np
 import pyarrow.parquet as pq
 from av2.datasets.motion_forecasting.scenario_serialization import load_argoverse_scenario_parquet
 
-from bridge.recordings.scenario import Scenario, read_scenario
+from bridge.recordings.recording import Recording
+from bridge.recordings.scenario import read_scenario
 
 
-def read_as_av2(folder: Path) -> Scenario:
+def read_as_av2(folder: Path) -> Recording:
     """The scene of a folder. Errors: AssertionError where anything in it is not as av2 has it."""
     scenario = read_scenario(folder)
     path = folder / f"scenario_{folder.name}.parquet"

@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from bridge.forecasting.predictions import Baseline, baseline, write_forecasts
-from bridge.recordings.scenario import find_scenarios, read_rows
+from bridge.recordings.folders import find_scenarios
+from bridge.recordings.scenario import read_rows
 
 
 def write_baseline(out: Path, path: Path, *, kind: Baseline) -> Path:

@@ -13,7 +13,8 @@ import shapely
 from pyarrow import feather
 from scipy.spatial.transform import Rotation
 
-from bridge.recordings.scenario import Scenario, read_scenario
+from bridge.recordings.recording import Recording
+from bridge.recordings.scenario import read_scenario
 from netconvert.lane_graph import TurnType, turn_type
 
 LOG_ID = "11111111-2222-3333-4444-555555555555"
@@ -163,7 +164,7 @@ def make_log(scene: Path, out: Path, *, sweeps: int = 130) -> Path:
     return log
 
 
-def log_tables(scenario: Scenario, sweeps: int) -> tuple[pd.DataFrame, pd.DataFrame]:
+def log_tables(scenario: Recording, sweeps: int) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Annotations and poses."""
     boxes, poses = [], []
     av = scenario.track("AV")

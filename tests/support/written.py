@@ -12,8 +12,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from bridge.batch.manifest import files_sha256, output_files
-from bridge.config import config_sha256, config_to_dict, load_config
-from bridge.recordings.export import new_scenario_id, recording_record_of, with_generated, write_recording
+from bridge.config import config_sha256, config_to_dict, load_config, new_scenario_id
+from bridge.recordings.export import recording_record_of, with_generated, write_recording
 from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import (
     AgentRecord,

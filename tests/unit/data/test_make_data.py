@@ -14,7 +14,8 @@ import second_scene
 from second_checker import CHECKS, overlaps
 
 from bridge.config import load_config
-from bridge.recordings.scenario import Scenario, read_scenario
+from bridge.recordings.recording import Recording
+from bridge.recordings.scenario import read_scenario
 
 Script = Callable[[str], ModuleType]
 
@@ -28,7 +29,7 @@ def script(data_root: Path) -> Iterator[Script]:
 
 
 @pytest.fixture(scope="module")
-def scenario(data_scene: Path) -> Scenario:
+def scenario(data_scene: Path) -> Recording:
     return read_scenario(data_scene)
 
 
@@ -46,7 +47,7 @@ def test_script_makes_the_data_set_byte_for_byte(script: Script, data_root: Path
             assert ours.read_bytes() == theirs.read_bytes(), path
 
 
-def test_scene_has_the_cast_that_was_asked_for(scenario: Scenario) -> None:
+def test_scene_has_the_cast_that_was_asked_for(scenario: Recording) -> None:
     kinds = Counter(track.object_type for track in scenario.tracks)
     assert kinds["bus"] == 1
     assert kinds["cyclist"] == 1
@@ -72,7 +73,7 @@ def test_the_second_checker_finds_nothing_wrong_with_a_vehicle_and_no_boxes_that
         assert found <= ({"off_road"} if len(track.steps) < 110 else set()), track.track_id
 
 
-def test_motion_is_smooth_and_possible(scenario: Scenario) -> None:
+def test_motion_is_smooth_and_possible(scenario: Recording) -> None:
     """Velocity is the derivative of position; accelerations, yaw rates and jerks of a calm driver."""
     for track in scenario.tracks:
         derivative = np.gradient(track.position, 0.1, axis=0)
@@ -90,7 +91,7 @@ def test_motion_is_smooth_and_possible(scenario: Scenario) -> None:
         assert np.abs(np.sin((track.heading[fast] - course) / 2)).max(initial=0.0) < 0.001
 
 
-def test_links_are_mutual_and_meet(scenario: Scenario) -> None:
+def test_links_are_mutual_and_meet(scenario: Recording) -> None:
     lanes = scenario.graph.lanes
     for lane in lanes.values():
         for successor in lane.successors:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from bridge.batch.manifest import DONE, MAX_TEXT, QUARANTINED, Manifest, ManifestRow, files_sha256, read_manifest
-from bridge.recordings.limits import MAX_FILE_MB
+from bridge.files import MAX_FILE_MB
 from bridge.recordings.sources import source_files
 from netconvert.errors import BatchError
 

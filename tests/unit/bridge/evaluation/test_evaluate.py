@@ -16,7 +16,8 @@ import bridge.evaluation.totals as totals_module
 from bridge.evaluation.evaluate import evaluate_folder, write_report
 from bridge.evaluation.scene_metrics import measure, measure_folder
 from bridge.evaluation.totals import Evaluation, SourceSums, Totals, estimate
-from bridge.recordings.scenario import find_scenarios, read_scenario
+from bridge.recordings.folders import find_scenarios
+from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import EventRecord
 from hid2.agents import VEHICLE_TYPES
 from hid2.evaluation import metrics

@@ -7,8 +7,8 @@ import pytest
 from lxml import etree
 
 from bridge.exports.export import export_scene
-from bridge.recordings.recording import AV_ID
 from bridge.recordings.sources import read_recording
+from hid2.agents import AV_ID
 
 #: Types of dynamic obstacles in CommonRoad's schema.
 KINDS = {"unknown", "car", "truck", "bus", "motorcycle", "bicycle", "pedestrian", "priorityVehicle", "train", "taxi"}

@@ -121,7 +121,7 @@ def test_scenes_of_an_earlier_request_stay_aside(copy_scene, tmp_path, monkeypat
         plan = TrainingPlan(agents=agents, reading="recorded", params=Forecasting(variants=1, val_share=val))
         made = experiment._composed([root], tmp_path / "out", plan, jobs=1, tell=lambda *_: None)
         found = find_scenarios(made / "hid2-only" / "train")
-        return {len(sidecar_in(folder, folder.name).agents) for folder in found}
+        return {len(sidecar_in(folder).agents) for folder in found}
 
     def made_up(work, place, *_, **__):
         for job in work:

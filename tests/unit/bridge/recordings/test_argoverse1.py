@@ -13,8 +13,8 @@ import shapely
 from written import made_up_sidecar, write_scene
 
 from bridge.batch.validation import validate_folder
+from bridge.config import new_scenario_id
 from bridge.recordings.argoverse1 import INSERTED, motion_of, sequence_bytes, write_sequence
-from bridge.recordings.export import new_scenario_id
 from bridge.recordings.folders import Choices, Source, sequence_path
 from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import read_scenario

@@ -19,25 +19,26 @@ from av2.datasets.motion_forecasting.scenario_serialization import (
 from av2.map.map_api import ArgoverseStaticMap
 from written import edit_json, edit_rows, fake_generated, write_fake
 
-from bridge.config import load_config
-from bridge.recordings.export import new_scenario_id, parquet_bytes, with_generated
-from bridge.recordings.scenario import Scenario, read_scenario
+from bridge.config import load_config, new_scenario_id
+from bridge.recordings.export import parquet_bytes, with_generated
+from bridge.recordings.recording import Recording
+from bridge.recordings.scenario import read_scenario
 from netconvert.errors import ExportError
 
 
 @pytest.fixture
-def scenario(data_scenes: dict[str, Path]) -> Scenario:
+def scenario(data_scenes: dict[str, Path]) -> Recording:
     return read_scenario(data_scenes["arterial"])
 
 
-def table_with_fake(scenario: Scenario, *, focal: str | None = None) -> pa.Table:
+def table_with_fake(scenario: Recording, *, focal: str | None = None) -> pa.Table:
     """The rows of a scenario with those of made-up vehicles."""
     tracks, sidecar, new_id = fake_generated(scenario)
     focal_track_id = focal or scenario.focal_track_id
     return with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=focal_track_id).table
 
 
-def test_folder_holds_three_files_that_av2_loads(scenario: Scenario, tmp_path: Path) -> None:
+def test_folder_holds_three_files_that_av2_loads(scenario: Recording, tmp_path: Path) -> None:
     folder = write_fake(scenario, tmp_path)
     new_id = folder.name
     assert folder.parent == tmp_path / "train"
@@ -57,7 +58,7 @@ def test_folder_holds_three_files_that_av2_loads(scenario: Scenario, tmp_path: P
     assert write_fake(replace(scenario, split=None), tmp_path).parent == tmp_path
 
 
-def test_file_is_as_avs_own_serializer_writes_it(scenario: Scenario, tmp_path: Path) -> None:
+def test_file_is_as_avs_own_serializer_writes_it(scenario: Recording, tmp_path: Path) -> None:
     """Columns, types and index of a scene that av2 itself loads and serializes again."""
     folder = write_fake(scenario, tmp_path)
     path = folder / f"scenario_{folder.name}.parquet"
@@ -105,7 +106,7 @@ def test_columns_are_those_of_the_source_and_recorded_rows_are_kept_to_the_last_
     assert new_id != scenario.scenario_id
 
 
-def test_a_generated_focal_track_demotes_the_recorded_one(scenario: Scenario) -> None:
+def test_a_generated_focal_track_demotes_the_recorded_one(scenario: Recording) -> None:
     rows = table_with_fake(scenario, focal="gen_1").to_pandas()
     assert set(rows.focal_track_id) == {"gen_1"}
     assert set(rows[rows.object_category == 3].track_id) == {"gen_1"}
@@ -141,7 +142,7 @@ def test_ids_are_uuids_and_differ_in_source_configuration_seed_and_variant() -> 
     assert all(str(uuid.UUID(new_id)) == new_id and uuid.UUID(new_id).version == 5 for new_id in ids)
 
 
-def test_a_folder_that_is_there_is_replaced(scenario: Scenario, tmp_path: Path) -> None:
+def test_a_folder_that_is_there_is_replaced(scenario: Recording, tmp_path: Path) -> None:
     folder = write_fake(scenario, tmp_path)
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     (folder / "old.txt").write_text("of an earlier run")
@@ -153,7 +154,7 @@ def test_a_folder_that_is_there_is_replaced(scenario: Scenario, tmp_path: Path) 
 
 @pytest.mark.parametrize("there_before", [False, True])
 def test_a_failure_leaves_nothing_half_written(
-    scenario: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there_before: bool
+    scenario: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there_before: bool
 ) -> None:
     before = {}
     if there_before:
@@ -174,7 +175,7 @@ def test_a_failure_leaves_nothing_half_written(
 
 
 def test_a_rename_that_fails_puts_the_old_folder_back(
-    scenario: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scenario: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = write_fake(scenario, tmp_path)
     rename = Path.rename
@@ -191,14 +192,14 @@ def test_a_rename_that_fails_puts_the_old_folder_back(
     assert list(folder.parent.iterdir()) == [folder]
 
 
-def test_a_generated_track_with_the_id_of_a_recorded_one_is_refused(scenario: Scenario) -> None:
+def test_a_generated_track_with_the_id_of_a_recorded_one_is_refused(scenario: Recording) -> None:
     tracks, sidecar, new_id = fake_generated(scenario)
     tracks[1] = replace(tracks[1], track_id="AV")
     with pytest.raises(ExportError, match="'AV': the id is taken"):
         with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=scenario.focal_track_id)
 
 
-def test_bytes_do_not_depend_on_how_the_source_was_chunked(scenario: Scenario) -> None:
+def test_bytes_do_not_depend_on_how_the_source_was_chunked(scenario: Recording) -> None:
     half = scenario.table.num_rows // 2
     chunked = replace(scenario, table=pa.concat_tables([scenario.table[:half], scenario.table[half:]]))
     tables = [table_with_fake(scene) for scene in (scenario, chunked)]

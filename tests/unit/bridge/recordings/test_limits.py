@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 from written import edit_json, edit_rows
 
+from bridge.files import MAX_FILE_MB
 from bridge.recordings import limits
 from bridge.recordings.scenario import read_scenario
 from netconvert.errors import Hid2Error, MapError, ScenarioError
@@ -105,7 +106,7 @@ def test_pipe_and_giant_are_refused_unread(copy_scene: Callable[..., Path], patt
     else:
         path.touch()
         os.truncate(path, 10**12)
-    refused(folder, "not a regular file" if what == "pipe" else f"larger than {limits.MAX_FILE_MB} MB")
+    refused(folder, "not a regular file" if what == "pipe" else f"larger than {MAX_FILE_MB} MB")
 
 
 def _times(column: str, factor: float) -> Callable[[pd.DataFrame], pd.DataFrame]:
@@ -176,4 +177,4 @@ def test_a_real_scene_is_far_below_every_limit(real_scenes: list[Path]) -> None:
     assert 5 * len(scenario.tracks) < limits.MAX_TRACKS
     assert 5 * sum(lane.length_m for lane in lanes) < limits.MAX_LANES_M
     assert 10 * scenario.table.num_rows < limits.MAX_ROWS
-    assert max(path.stat().st_size for path in real_scenes[0].iterdir()) * 5 < limits.MAX_FILE_MB * 1e6
+    assert max(path.stat().st_size for path in real_scenes[0].iterdir()) * 5 < MAX_FILE_MB * 1e6

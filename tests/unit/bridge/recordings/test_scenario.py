@@ -13,7 +13,8 @@ import pytest
 from as_av2 import read_as_av2
 from written import edit_rows
 
-from bridge.recordings.scenario import find_scenarios, read_scenario, split_of
+from bridge.recordings.folders import find_scenarios, split_of
+from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sources import find_sources
 from hid2.agents import DEFAULT_SIZES
 from netconvert.errors import MapError, ScenarioError

@@ -27,4 +27,4 @@ def test_hard_braking_is_harder_than_three(decel: float, expected: int) -> None:
 
 
 def test_no_vehicle_drives_at_all() -> None:
-    assert drives([], step_s=0.1) == Drives(0, 0, 0, 0, 0)
+    assert drives([], step_s=0.1) == Drives(vehicles=0, braking=0, standing=0, steps=0, limited=0)
