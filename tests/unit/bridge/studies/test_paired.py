@@ -67,8 +67,8 @@ def test_starts_are_the_same_for_every_value_and_triggers_are_those_asked_for(da
 
 
 def test_request_is_observed_until_the_scene_has_no_time_left_for_a_change(data_scenes: dict[str, Path]) -> None:
-    """Asked after 4.5 s of 11 s, any gap will do: what the scene's end refuses is at risk up to that look alone."""
-    request = CHANGES.model_copy(update={"trigger_min_s": 4.5, "trigger_max_s": 4.5})
+    """Asked after 5.5 s of 11 s, any gap will do: what the scene's end refuses is at risk up to that look alone."""
+    request = CHANGES.model_copy(update={"trigger_min_s": 5.5, "trigger_max_s": 5.5, "seed": 2})
     change = LaneChange(time_gap_front_s=0.0, time_gap_rear_s=0.0, min_gap_m=0.0, safety="rule")
     config = Config(request=request, lane_change=change)
     prepared = prepare(read_scenario(data_scenes["arterial"]), config)
