@@ -272,6 +272,18 @@ def _check_fits(experiment: str, prediction: Mapping[str, object], others: Mappi
             raise ConfigError(f"{name} does nothing in {experiment}, expected it with {which} only")
 
 
+#: Lines on what was left out that are shown without -v.
+_SHOWN = 10
+
+
+def _tell_left_out(how: str, lines: Sequence[str], activity: Activity) -> None:
+    shown = len(lines) if activity.verbose else _SHOWN
+    for line in lines[:shown]:
+        say(f"warning: {how}: {line}")
+    if len(lines) > shown:
+        say(f"warning: {how}: {len(lines) - shown} more (-v lists them)")
+
+
 def _score(
     out: Path, files: list[str], bands: str | None, report: Path, activity: Activity, *, jobs: int, as_json: bool
 ) -> bool:
@@ -295,16 +307,11 @@ def _score(
             out, predictions=files[0], report_dir=report, bounds=bounds, jobs=jobs, on_scene=activity.show
         )
         title, head, rows = f"{len(scores)} scores", predictions.TABLE_HEAD, predictions.band_rows(scores, bounds)
-    for reason in left_out:
-        say(f"warning: not scored: {reason}")
+    _tell_left_out("not scored", left_out, activity)
     activity.table(title, head, rows, as_json=as_json)
     page = "comparison.html" if len(files) > 1 else "predictions.html"
     activity.result(*(() if as_json else (report / page,)))
     return bool(left_out)
-
-
-#: Lines on what was left out that are shown without -v.
-_SHOWN = 10
 
 
 @options.command(folders=("out",))
@@ -339,11 +346,7 @@ def compose(
         found = composition_of_sources(sources)
     check_scenes([Path(place) for places in found.sources.values() for place in places])
     made = make(found, out, jobs=jobs, on_scene=activity.step)
-    shown = len(made.left_out) if activity.verbose else _SHOWN
-    for line in made.left_out[:shown]:
-        say(f"warning: left out: {line}")
-    if len(made.left_out) > shown:
-        say(f"warning: left out: {len(made.left_out) - shown} more (-v lists them)")
+    _tell_left_out("left out", made.left_out, activity)
     activity.table(f"{out}: scenes", ("data set", "train", "val", "test"), made.rows(), as_json=as_json)
     return False
 

@@ -78,22 +78,27 @@ def score_predictions(
 ) -> tuple[pd.DataFrame, list[str]]:
     """Score forecasts of the scenes below `out`; `predictions` is a submission file or the name of a baseline.
 
-    A baseline forecasts the focal track of each scene. A scene that cannot be read is left out, with the reason. With
+    A baseline forecasts the focal track of each scene. A scene that cannot be read is left out, with the reason, as is
+    one that lies in a second folder, such as the validation scenes of each data set of a composed root. With
     `report_dir`, predictions.csv (one row per track and k) and predictions.html are written. bounds: bands of scenes
     with more agents than each. The same result with any number of jobs. Returns the scores, by SCORE_COLUMNS, and a
     line for what could not be scored. Errors: ScenarioError for an unreadable file, for a forecast that is not finite,
     or where nothing can be scored; ExportError where the report cannot be written.
     """
-    folders = find_scenarios(out)
+    first: dict[str, Path] = {}
+    left_out = [
+        f"{folder}: same scene as {there}, which is scored"
+        for folder in find_scenarios(out)
+        if (there := first.setdefault(source_id(folder), folder)) is not folder
+    ]
     named = next((kind for kind in BASELINES if kind == predictions), None)
     forecasts = read_forecasts(Path(predictions)) if named is None else {}
     if report_dir is not None:
         make_folder(report_dir)
-    items = [(folder, named or forecasts.get(source_id(folder))) for folder in folders]
+    items = [(folder, named or forecasts.get(name)) for name, folder in first.items()]
     each = work_on_each(
         score_folder, items, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False, on_item=on_scene
     )
-    left_out: list[str] = []
     rows: list[_ScoreRow] = []
     for _, found in each:
         if isinstance(found, Failure):
@@ -101,7 +106,7 @@ def score_predictions(
         else:
             rows += found[0]
             left_out += found[1]
-    left_out += [f"{name}: no such scene" for name in sorted(set(forecasts) - set(map(source_id, folders)))]
+    left_out += [f"{name}: no such scene" for name in sorted(set(forecasts) - set(first))]
     if not rows:
         raise ScenarioError(f"{out}: nothing to score, first of {len(left_out)} reasons: {left_out[0]}")
     scores = pd.DataFrame(rows, columns=SCORE_COLUMNS)
@@ -282,11 +287,7 @@ def _aligned(
 ) -> tuple[list[FloatArray], IntArray]:
     """Values (seeds, T) of each model on the T tracks that every run forecasts, and the number (T,) of their source."""
     track = ["scenario_id", "track_id"]
-    each = [
-        run.query(f"k == {K}").drop_duplicates(track, keep="last").set_index(track)[metric]  # a scene may lie twice
-        for runs in models
-        for run in runs
-    ]
+    each = [run.query(f"k == {K}").set_index(track)[metric] for runs in models for run in runs]
     values = pd.concat(each, axis=1, join="inner").sort_index()
     _, source = np.unique([source_of.get(scenario, scenario) for scenario, _ in values.index], return_inverse=True)
     seeds = np.cumsum([len(runs) for runs in models])[:-1]

@@ -185,6 +185,16 @@ def test_a_baseline_forecasts_what_is_not_observed_of_a_scene_made_from_argovers
     assert scored[1].agents_observed == sum(19 in track.timesteps for track in scenario.tracks)
 
 
+def test_a_scene_that_lies_in_two_folders_is_scored_once_and_named(data_root, tmp_path):
+    """As the validation scenes of the data sets of a composed root do."""
+    for name in ("one", "two"):
+        shutil.copytree(data_root, tmp_path / "root" / name)
+    scores, left_out = score_predictions(tmp_path / "root", predictions="constant-velocity")
+    pd.testing.assert_frame_equal(scores, score_predictions(data_root, predictions="constant-velocity")[0])
+    assert len(left_out) == 3
+    assert all(re.search("/two/.*: same scene as .*/one/", line) for line in left_out)
+
+
 PARAMS = Forecasting(resamples=4000)
 
 
@@ -247,7 +257,7 @@ def test_seeds_are_drawn_too():
 
 
 def test_only_tracks_that_every_file_forecasts_count():
-    mine = [[score("a", 1.0), score("b", 9.0), score("a", 1.0)]]  # one scene lies in two folders
+    mine = [[score("a", 1.0), score("b", 9.0)]]
     theirs = [[score("a", 2.0), score("c", 9.0)]]
     found = compared(mine, theirs)
     assert (found.tracks, found.difference) == (1, -1.0)
