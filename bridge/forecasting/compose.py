@@ -87,6 +87,11 @@ def compose(
     roots = {(name if nested else ""): {"train": scenes, "val": shared, "test": test} for name, scenes in sets.items()}
     for name, scenes in validation.items() if nested or len(validation) > 1 else ():
         roots[f"{VALIDATION}/{name}"] = {"train": [], "val": scenes, "test": []}
+    for split, drawn, table in (("val", any(validation.values()), "validation"), ("test", any(test), "test")):
+        there = sum(len(scenes) for (name, _), scenes in pool.scenes.items() if name == split)
+        if there and not drawn:
+            way = f"set split.{split} = 0 or add" if composition.split.by == "place" else "add"
+            pool.left_out.insert(0, f"{there} scenes held out for {split}, which no {table} takes; {way} [{table}]")
     total = sum(len(scenes) for splits in roots.values() for scenes in splits.values())
     done = 0
     with explained(root):
@@ -138,10 +143,10 @@ class _Pool:
                 usable.append(fact)
         if not usable:
             raise NoSceneError(f"{', '.join(composition.sources)}: no scene that can be used")
-        self._scenes: dict[tuple[str, str], list[SourceScene]] = defaultdict(list)
+        self.scenes: dict[tuple[str, str], list[SourceScene]] = defaultdict(list)
         for split, rows in self._split(usable).items():
             for row in rows:
-                self._scenes[split, source_of[usable[row].folder]].append(usable[row])
+                self.scenes[split, source_of[usable[row].folder]].append(usable[row])
 
     def _split(self, facts: Sequence[SourceScene]) -> dict[str, list[int]]:
         composition = self._composition
@@ -175,7 +180,7 @@ class _Pool:
         controls = self._composition.controls
         if controls is None or controls.added != "all":
             return 1 if controls is None else int(controls.added)
-        there = {name: len(self._scenes["train", name]) for name in (controls.generated, controls.without_interaction)}
+        there = {name: len(self.scenes["train", name]) for name in (controls.generated, controls.without_interaction)}
         if not min(there.values()):
             raise ConfigError(f"controls: source {min(there, key=lambda name: there[name])!r} has no scene in train")
         return min(there.values())
@@ -185,7 +190,7 @@ class _Pool:
         scenes: list[Origin] = []
         copies: Counter[str] = Counter()
         for source in draw.sources:
-            there = [fact for fact in self._scenes[split, source] if _agents(fact, draw) >= draw.min_agents]
+            there = [fact for fact in self.scenes[split, source] if _agents(fact, draw) >= draw.min_agents]
             count = draw.take.get(source, 0)
             wanted = len(there) if count == "all" else round(count * len(there)) if isinstance(count, float) else count
             if wanted > len(there):

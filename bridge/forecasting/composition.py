@@ -167,7 +167,7 @@ def composition_of_sources(texts: Sequence[str]) -> Composition:
             raise ConfigError(f"{text!r}: expected SOURCE or SOURCE:N, N being {error}") from None
         sources[name], left[name], held_out[name] = (place,), value, value
         if isinstance(value, int):
-            held_out[name] = round(value * Split().val)
+            held_out[name] = max(1, round(value * Split().val)) if value > 1 else 0
             left[name] = value - held_out[name]
     sets = {"sets": {"all": {"take": left}}, "validation": {"all": {"take": held_out}}}
     return Composition.model_validate({"sources": sources, **sets})

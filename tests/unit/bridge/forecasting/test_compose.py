@@ -197,6 +197,13 @@ def test_a_generated_scene_without_an_inserted_vehicle_is_left_out(data_root, ge
     assert scenario.scenario_id in " ".join(composed(mixed(data_root, generated), tmp_path / "root").left_out)
 
 
+@pytest.mark.parametrize(("split", "way"), [({"val": 0.34}, "set split.val = 0 or add"), ({"by": "folder"}, "add")])
+def test_scenes_held_out_that_no_validation_takes_are_told(data_root, tmp_path, split, way):
+    values = {"sources": {"data": (str(data_root),)}, "split": split, "sets": {"a": {"take": {"data": "all"}}}}
+    said = f"1 scenes held out for val, which no validation takes; {way} [validation]"
+    assert composed(values, tmp_path / "root").left_out[0] == said
+
+
 def test_min_agents_counts_in_all_or_at_the_observations_end(data_root, tmp_path):
     """The arterial has 26 tracks, 25 of them at the observation's end; the others have 22 and 21, and 21 and 20."""
     for counted, bound, expected in (("all", 26, 1), ("observed", 26, 0), ("observed", 25, 1), ("all", 22, 2)):
@@ -297,7 +304,7 @@ def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
 
 
 def test_a_file_and_the_command_line_say_the_same(data_root, tmp_path):
-    """One data set of all, a tenth of the three held out: one, as each has its place; of ten two tenths are two."""
+    """One data set of all, a tenth of the three held out: one, as each has its place; one of two as well, two of 20."""
     (tmp_path / "c.toml").write_text(
         f'[sources]\nsource-0 = "{data_root}"\n[sets.all.take]\nsource-0 = "all"\n'
         '[validation.all.take]\nsource-0 = "all"\n'
@@ -307,6 +314,6 @@ def test_a_file_and_the_command_line_say_the_same(data_root, tmp_path):
     assert line.model_dump() == written.model_dump()
     assert compose(line, tmp_path / "a").counts == {"": {"train": 2, "val": 1, "test": 0}}
     numbered = composition_of_sources([f"{data_root}:2", "more:20"])
-    assert dict(numbered.sets["all"].take) == {"source-0": 2, "source-1": 18}
-    assert dict(numbered.validation["all"].take) == {"source-0": 0, "source-1": 2}
+    assert dict(numbered.sets["all"].take) == {"source-0": 1, "source-1": 18}
+    assert dict(numbered.validation["all"].take) == {"source-0": 1, "source-1": 2}
     assert json.loads((tmp_path / "a" / "composition.json").read_text())["sources"] == {"source-0": [str(data_root)]}
