@@ -297,7 +297,8 @@ def _aligned(
 def _bootstrap(values: Sequence[FloatArray], source: IntArray, params: Forecasting) -> tuple[Estimate, float | None]:
     """Mean of the first values less that of the others, and its standard error.
 
-    Sources are drawn for all at once, seeds for each.
+    Sources are drawn for all at once, seeds for each. Drawing S seeds again varies their mean by (S - 1) / S of what
+    other seeds would: their deviations are stretched by the root of the inverse.
     """
     if not len(source):
         return Estimate(None), None
@@ -312,8 +313,11 @@ def _bootstrap(values: Sequence[FloatArray], source: IntArray, params: Forecasti
     for weights in draws(len(counts), resamples=params.resamples, rng=random):
         result = np.zeros(len(weights))
         for sign, own in zip(signs, sums, strict=True):
-            seeds = random.integers(len(own), size=(len(weights), len(own)))
+            number = len(own)
+            seeds = random.integers(number, size=(len(weights), number))
             means = (weights @ own.T) / (weights @ counts)[:, None]
+            middle = means.mean(axis=1, keepdims=True)
+            means = middle + (means - middle) * np.sqrt(number / max(1, number - 1))
             result += sign * np.take_along_axis(means, seeds, axis=1).mean(axis=1)
         drawn.append(result)
     every = np.concatenate(drawn)
