@@ -9,7 +9,6 @@ import csv
 import itertools
 import os
 import shutil
-import uuid
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -20,6 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from bridge.batch.engine import OnDone
+from bridge.config import copy_id
 from bridge.files import explained, untabled, write_rows, write_text
 from bridge.forecasting.composition import Composition, Draw
 from bridge.forecasting.places import Leak, SourceScene, facts_of_scenes, leaks_between, split_by_place, stratum
@@ -32,7 +32,6 @@ from netconvert.errors import ConfigError, NoSceneError, ScenarioError
 
 ORIGINS, COMPOSITION = "origins.csv", "composition.json"
 VALIDATION = "validation"
-_NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo compose")
 
 
 class Origin(NamedTuple):
@@ -254,7 +253,7 @@ def _agents(fact: SourceScene, draw: Draw) -> int:
 def _origin(split: str, source: str, fact: SourceScene, *, copy: int = 0) -> Origin:
     """A scene that is drawn. copy: 0, or which further copy of it, with an id of its own."""
     own = fact.scenario_id
-    name = str(uuid.uuid5(_NAMESPACE, f"{own}\n{copy}")) if copy else own
+    name = copy_id(own, copy) if copy else own
     of = fact.source_id, fact.city, fact.tracks, fact.observed, str(fact.folder)
     return Origin(split, name, "copy" if copy else fact.kind, source, own, *of)
 

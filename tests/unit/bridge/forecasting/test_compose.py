@@ -269,6 +269,15 @@ def test_a_share_of_a_source_is_drawn(data_root, tmp_path):
         composition_of_sources(["here:1.5"])
 
 
+def test_copies_of_generated_scenes_are_valid(data_root, generated, tmp_path):
+    root = composed(
+        mixed(data_root, generated, sets={"a": {"take": {"hid2": 2}, "again": {"hid2": 3}}}), tmp_path / "r"
+    )
+    copies = [row["scenario_id"] for row in origins(root.root) if row["kind"] == "copy"]
+    assert len(set(copies)) == 3
+    assert [finding for finding in breaches(root.root, source=data_root) if not finding.is_note] == []
+
+
 def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
     source = {"data": (str(data_root),)}
     for values, message in (
