@@ -245,7 +245,7 @@ def paper(  # noqa: PLR0913  # one for each option
 ) -> None:
     """Run an experiment of the paper, from generation to the table beside the paper's; prediction needs `forecast`."""
     _check_fits(experiment, given)
-    check_scenes([composed] if composed else scenes)
+    check_scenes([composed] if composed else [] if predictions else scenes)
     check_out(out)
     if experiment == "prediction":
         from bridge.forecasting.experiment import TrainingPlan, run_prediction

@@ -141,7 +141,10 @@ class _Pool:
             else:
                 usable.append(fact)
         if not usable:
-            raise NoSceneError(f"{', '.join(composition.sources)}: no scene that can be used")
+            where, first = ", ".join(str(place) for place, _ in places), self.left_out[:1]
+            raise NoSceneError(
+                f"{where}: no scene that can be used; {', '.join(first)} ({len(self.left_out)} left out)"
+            )
         self.scenes: dict[tuple[str, str], list[SourceScene]] = defaultdict(list)
         for split, rows in self._split(usable).items():
             for row in rows:

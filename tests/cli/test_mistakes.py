@@ -107,6 +107,7 @@ ORDER = [
     ("paper density -o out --focal both", "--focal", "does nothing in density", "prediction"),
     ("paper prediction -o out --composed av2 --predictions av2 --seeds 9 --val .5", "--seeds, --val", "does", "leave"),
     ("paper prediction -o out --composed av2 --agents 9 --focal both", "--agents, --focal", "--composed", "leave"),
+    ("paper prediction -o out --predictions av2", "--predictions", "needs --composed ROOT", "data sets"),
     ("paper prediction -o out --map m", "--map", "does nothing in prediction", "expected it with"),
     ("resimulate av2 -o out --take-out one --write 1", "--write", "--take-out one", "all"),
     ("compose av2:many -o out", "av2:many", "SOURCE", "SOURCE:N"),

@@ -305,6 +305,11 @@ def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
         composed(values, tmp_path / "full")
     with pytest.raises(NoSceneError, match="no such folder"):
         composed(values | {"sources": {"data": ("nowhere",)}}, tmp_path / "root")
+    write_fake(read_scenario(find_scenarios(data_root)[0]), tmp_path / "made", count=0)
+    with pytest.raises(
+        NoSceneError, match=r"made: no scene that can be used; .*made/.*no vehicle was inserted.*\(1 left"
+    ):
+        composed(values | {"sources": {"data": (str(tmp_path / "made"),)}}, tmp_path / "root")
     with pytest.raises(ConfigError, match="no such file, expected a composition"):
         read_toml_as(Composition, tmp_path / "none.toml", "a composition")
     twice = {"sources": source | {"same": source["data"]}, "sets": {"a": {"take": {"data": "all", "same": "all"}}}}
