@@ -134,6 +134,7 @@ def read_forecasts(path: Path) -> Forecasts:
     except (ValueError, KeyError, OSError, IndexError, TypeError, AttributeError) as error:  # as av2 comes to them
         said = str(error).split("\n")[0].split(". ")[0]  # pyarrow goes on for lines
         raise ConfigError(f"{path}: not a forecast file of av2's submission format ({said})") from error
+    _check_joint(path)
     for scenario_id, (probabilities, by_track) in forecasts.items():
         outside = ~((probabilities >= 0) & (probabilities <= 1))
         if outside.any():
@@ -147,6 +148,19 @@ def read_forecasts(path: Path) -> Forecasts:
                     "leave the track out to score the others"
                 )
     return forecasts
+
+
+def _check_joint(path: Path) -> None:
+    """Tracks of a scenario have the same probabilities: av2 reads those of one. Errors: ScenarioError."""
+    table = pd.read_parquet(path, columns=["scenario_id", "track_id", "probability"]).sort_values("probability")
+    mode = table.groupby(["scenario_id", "track_id"]).cumcount()
+    each = table.groupby(["scenario_id", mode])["probability"]
+    apart = each.max() - each.min()
+    if (apart > 1e-6).any():
+        raise ScenarioError(
+            f"{path}: scenario {apart.idxmax()[0]}: probabilities of its tracks differ by {apart.max():.3g}, expected "
+            "the same for all of them; write a file for each track to score them alone"
+        )
 
 
 def write_forecasts(forecasts: Forecasts, path: Path) -> Path:

@@ -95,6 +95,24 @@ def test_a_forecast_that_is_not_finite_is_named_and_refused(data_scenes, tmp_pat
         score_predictions(data_scenes["arterial"], predictions=path)
 
 
+def test_tracks_of_a_scenario_with_probabilities_of_their_own_are_refused(data_scenes, tmp_path):
+    """av2 reads one track's for all: brier-minFDE of the other would be wrong. The order of modes may differ."""
+    scenario = read_scenario(data_scenes["arterial"])
+    truth = focal_future(scenario)
+    by_track = {scenario.focal_track_id: np.stack([truth, truth]), "AV": np.stack([truth, truth])}
+    path = write_forecasts({scenario.scenario_id: (np.array([0.4, 0.6]), by_track)}, tmp_path / "f.parquet")
+    rows = pd.read_parquet(path)
+    for shares, differ in (((0.4, 0.6, 0.6, 0.4), False), ((0.4, 0.6, 0.3, 0.7), True)):
+        rows.assign(probability=shares).to_parquet(path)
+        if differ:
+            with pytest.raises(
+                ScenarioError, match=f"scenario {scenario.scenario_id}: probabilities .* differ by 0.1,"
+            ):
+                read_forecasts(path)
+        else:
+            assert list(read_forecasts(path)) == [scenario.scenario_id]
+
+
 def test_jobs_do_not_change_the_scores(data_root, tmp_path, monkeypatch):
     monkeypatch.setattr(predictions, "_CHUNK", 2)
     path = write_baseline(data_root, tmp_path / "f.parquet", kind="constant-velocity")
