@@ -379,7 +379,10 @@ def compare_predictions(
     found = differences_of(pairs, runs, bands(bounds), sources_of(scenes), Forecasting())
     if not any(difference.tracks for difference in found):
         raise ScenarioError(f"{scenes}: no track is forecast by every file, nothing to compare")
-    _write(found, report_dir)
+    *head, _ = Difference._fields
+    write_rows(report_dir / "comparison.csv", head, (one[:-1] for one in found))
+    shown = {"head": HEAD, "rows": rows_of(found), "left_out": left_out}
+    pages.write_page(report_dir / "comparison.html", "comparison.html.j2", **shown)
     return found, left_out
 
 
@@ -414,9 +417,3 @@ def rows_of(differences: Sequence[Difference]) -> list[tuple[str, ...]]:
 
 def _signed(value: float | None) -> str:
     return "–" if value is None else f"{value:+.3f}"
-
-
-def _write(differences: Sequence[Difference], report_dir: Path) -> None:
-    *head, _ = Difference._fields
-    write_rows(report_dir / "comparison.csv", head, (one[:-1] for one in differences))
-    pages.write_page(report_dir / "comparison.html", "comparison.html.j2", head=HEAD, rows=rows_of(differences))

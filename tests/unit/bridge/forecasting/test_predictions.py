@@ -293,6 +293,10 @@ def test_files_are_compared_with_the_first(data_root, tmp_path):
         right[scenario.scenario_id] = (np.array([1.0]), {track.track_id: track.position[None, track.timesteps > 49]})
     first = write_baseline(data_root, tmp_path / "cv.parquet", kind="constant-velocity")
     second = write_forecasts(right, tmp_path / "right.parquet")
+    few = write_forecasts(dict([*right.items()][:2]), tmp_path / "few.parquet")
+    some = predictions.parse_models([str(first), str(few)])
+    _, (told,) = predictions.compare_predictions(data_root, some, tmp_path / "report")
+    assert told in (tmp_path / "report" / "comparison.html").read_text()
     models = predictions.parse_models([str(first), f"oracle={second}"])
     assert models == {"cv": [first], "oracle": [second]}
     found, left_out = predictions.compare_predictions(data_root, models, tmp_path / "report", bounds=(22,))
