@@ -219,7 +219,8 @@ class _Pool:
                     scenes.append(_origin(split, source, fact, copy=copies[fact.scenario_id]))
         twice = [name for name, number in Counter(scene.scenario_id for scene in scenes).items() if number > 1]
         if twice:
-            raise ConfigError(f"{where}: scene {twice[0]} is in two of the sources; leave it out of one")
+            both = " and ".join(scene.folder for scene in scenes if scene.scenario_id == twice[0])
+            raise ConfigError(f"{where}: scene {twice[0]} is in two of the sources, {both}; leave it out of one")
         return scenes
 
     def _shuffled(self, facts: Sequence[SourceScene], what: str) -> list[SourceScene]:

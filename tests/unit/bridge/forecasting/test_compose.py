@@ -312,8 +312,12 @@ def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
         composed(values | {"sources": {"data": (str(tmp_path / "made"),)}}, tmp_path / "root")
     with pytest.raises(ConfigError, match="no such file, expected a composition"):
         read_toml_as(Composition, tmp_path / "none.toml", "a composition")
-    twice = {"sources": source | {"same": source["data"]}, "sets": {"a": {"take": {"data": "all", "same": "all"}}}}
-    with pytest.raises(ConfigError, match="is in two of the sources"):
+    shutil.copytree(data_root, tmp_path / "same")
+    twice = {
+        "sources": source | {"same": (str(tmp_path / "same"),)},
+        "sets": {"a": {"take": {"data": "all", "same": "all"}}},
+    }
+    with pytest.raises(ConfigError, match=rf"is in two of the sources, {data_root}/\S+ and {tmp_path}/same/\S+; leave"):
         composed(twice | {"split": {"val": 0.0}}, tmp_path / "r")
 
 
