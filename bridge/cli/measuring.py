@@ -46,9 +46,8 @@ def evaluate(  # noqa: PLR0913  # one for each option
     activity: Activity,
 ) -> bool:
     """Measure density, diversity, safety, kinematics and realism of any number of scenes, or score forecasts."""
-    for name, given in (("--json", as_json), ("--bands", bands is not None)):
-        if given and not predictions:
-            raise ConfigError(f"{name} without --predictions does nothing, expected the two together")
+    if not predictions and (alone := sorted(given & {"--json", "--bands"})):
+        raise ConfigError(f"{alone[0]} without --predictions does nothing, expected the two together")
     if predictions:
         given.check(_WITH_PREDICTIONS, "--predictions")
         return _score(out, predictions, bands, report, activity, jobs=jobs, as_json=as_json)
@@ -269,7 +268,8 @@ def paper(  # noqa: PLR0913  # one for each option
     print(page)
 
 
-_WITH_COMPOSED = _WITH_ANY | {"EXPERIMENT", "--composed"}
+_COMPOSED = _WITH_ANY | {"EXPERIMENT", "--composed"}
+_WITH_COMPOSED = {"--predictions": _COMPOSED | {"--predictions"}, "--composed": _COMPOSED | {"--seeds", "--updates"}}
 _PREDICTION = frozenset({"--variants", "--val", "--updates", "--focal", "--composed", "--predictions"})
 
 
@@ -280,10 +280,9 @@ def _check_fits(experiment: str, given: options.Given) -> None:
         wrong, which = frozenset({"--map", "--window", "--stride"}), "the others"
     for name in sorted(given & wrong):
         raise ConfigError(f"{name} does nothing in {experiment}, expected it with {which} only")
-    if {"--composed", "--predictions"} <= given:
-        given.check(_WITH_COMPOSED | {"--predictions"}, "--predictions")
-    elif "--composed" in given:
-        given.check(_WITH_COMPOSED | {"--seeds", "--updates"}, "--composed")
+    if "--composed" in given:
+        way = "--predictions" if "--predictions" in given else "--composed"
+        given.check(_WITH_COMPOSED[way], way)
 
 
 #: Lines on what was left out that are shown without -v.
@@ -361,7 +360,8 @@ def compose(
     check_scenes([Path(place) for places in found.sources.values() for place in places])
     made = make(found, out, jobs=jobs, on_scene=activity.step)
     _tell_left_out("left out", made.left_out, activity)
-    activity.table(f"{out}: scenes", ("data set", "train", "val", "test"), made.rows(), as_json=as_json)
+    rows = [(name or ".", *map(str, counts.values())) for name, counts in made.counts.items()]
+    activity.table(f"{out}: scenes", ("data set", "train", "val", "test"), rows, as_json=as_json)
     return False
 
 

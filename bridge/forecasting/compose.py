@@ -11,6 +11,7 @@ import os
 import shutil
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -59,10 +60,6 @@ class Composed(NamedTuple):
     root: Path
     counts: dict[str, dict[str, int]]
     left_out: tuple[str, ...]
-
-    def rows(self) -> list[tuple[str, ...]]:
-        """A table: data set, and scenes of each split."""
-        return [(name or ".", *(str(found.get(split, 0)) for split in SPLITS)) for name, found in self.counts.items()]
 
 
 def compose(
@@ -169,11 +166,8 @@ class _Pool:
         known = facts if by_place else [fact._replace(cells=b"") for fact in facts]  # official sides share ground
         leaks = leaks_between(known, splits["train"], splits["val"] + splits["test"])
         leaks += leaks_between(known, splits["val"], splits["test"])
-        self.left_out += [  # groups of places share nothing but ground, at the edges of their blocks
-            f"{leak.folder}: lies where {leak.other} does, which is held out" if by_place
-            else f"{leak.text()}, which is held out"
-            for leak in leaks
-        ]  # fmt: skip
+        # groups of places share nothing but ground, at the edges of their blocks
+        self.left_out += [f"{leak.text()}, which is held out" for leak in leaks]
         dropped = {leak.folder for leak in leaks}
         return {split: [row for row in rows if facts[row].folder not in dropped] for split, rows in splits.items()}
 
@@ -191,8 +185,9 @@ class _Pool:
         """The scenes of one split of one data set. Errors: ConfigError where there are too few."""
         scenes: list[Origin] = []
         copies: Counter[str] = Counter()
+        agents: Callable[[SourceScene], int] = attrgetter("tracks" if draw.min_agents_in == "all" else "observed")
         for source in draw.sources:
-            there = [fact for fact in self.scenes[split, source] if _agents(fact, draw) >= draw.min_agents]
+            there = [fact for fact in self.scenes[split, source] if agents(fact) >= draw.min_agents]
             count = draw.take.get(source, 0)
             wanted = len(there) if count == "all" else round(count * len(there)) if isinstance(count, float) else count
             if wanted > len(there):
@@ -203,13 +198,13 @@ class _Pool:
                 )
             taken = self._stratified(there, wanted, f"{split} {source}")
             chosen = {fact.scenario_id for fact in taken}
-            left = _densest((fact for fact in there if fact.scenario_id not in chosen), draw)
+            left = _densest((fact for fact in there if fact.scenario_id not in chosen), agents)
             dense = left[: draw.densest.get(source, 0)]
             lacking = draw.densest.get(source, 0) - len(dense)
             scenes += [_origin(split, source, fact) for fact in (*taken, *dense)]
             for number, among in (
                 (draw.again.get(source, 0), self._shuffled(taken, f"{split} {source} again")),
-                (lacking, _densest(taken, draw)[: max(1, min(lacking, (len(taken) + 1) // 2))]),
+                (lacking, _densest(taken, agents)[: max(1, min(lacking, (len(taken) + 1) // 2))]),
             ):
                 if number and not among:
                     raise ConfigError(f"{where}: nothing of {source!r} to draw again in {split}; take some")
@@ -245,13 +240,9 @@ class _Pool:
         return [fact for fact in facts if fact.scenario_id in chosen]
 
 
-def _densest(facts: Iterable[SourceScene], draw: Draw) -> list[SourceScene]:
+def _densest(facts: Iterable[SourceScene], agents: Callable[[SourceScene], int]) -> list[SourceScene]:
     """The densest first."""
-    return sorted(facts, key=lambda fact: (-_agents(fact, draw), fact.scenario_id))
-
-
-def _agents(fact: SourceScene, draw: Draw) -> int:
-    return fact.tracks if draw.min_agents_in == "all" else fact.observed
+    return sorted(facts, key=lambda fact: (-agents(fact), fact.scenario_id))
 
 
 def _origin(split: str, source: str, fact: SourceScene, *, copy: int = 0) -> Origin:

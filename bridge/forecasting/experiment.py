@@ -288,13 +288,7 @@ _READINGS: Mapping[Reading, str] = {
 
 
 def _write(
-    runs: Mapping[str, Mapping[str, scoring.Runs]],
-    composed: Path,
-    out: Path,
-    params: Forecasting,
-    *,
-    reading: Reading | None,
-    updates: int | None,
+    runs: _Scores, composed: Path, out: Path, params: Forecasting, *, reading: Reading | None, updates: int | None
 ) -> Path:
     """reading: of data sets made here, None for others; updates: of trainings here, None for forecasts brought."""
     validation = composed / VALIDATION

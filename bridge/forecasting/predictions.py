@@ -134,7 +134,14 @@ def read_forecasts(path: Path) -> Forecasts:
     except (ValueError, KeyError, OSError, IndexError, TypeError, AttributeError) as error:  # as av2 comes to them
         said = str(error).split("\n")[0].split(". ")[0]  # pyarrow goes on for lines
         raise ConfigError(f"{path}: not a forecast file of av2's submission format ({said})") from error
-    _check_joint(path)
+    table = pd.read_parquet(path, columns=["scenario_id", "track_id", "probability"]).sort_values("probability")
+    rank = table.groupby(["scenario_id", "track_id"]).cumcount()
+    each = table.groupby(["scenario_id", rank])["probability"]  # av2 keeps those of one track
+    for row in table[each.transform("max") - each.transform("min") > 1e-6].itertuples():
+        raise ScenarioError(
+            f"{path}: scenario {row.scenario_id}, track {row.track_id}: probability {row.probability}, expected the "
+            "same probabilities for all tracks of a scenario; write a file for each track to score them alone"
+        )
     for scenario_id, (probabilities, by_track) in forecasts.items():
         outside = ~((probabilities >= 0) & (probabilities <= 1))
         if outside.any():
@@ -148,19 +155,6 @@ def read_forecasts(path: Path) -> Forecasts:
                     "leave the track out to score the others"
                 )
     return forecasts
-
-
-def _check_joint(path: Path) -> None:
-    """Tracks of a scenario have the same probabilities: av2 reads those of one. Errors: ScenarioError."""
-    table = pd.read_parquet(path, columns=["scenario_id", "track_id", "probability"]).sort_values("probability")
-    mode = table.groupby(["scenario_id", "track_id"]).cumcount()
-    each = table.groupby(["scenario_id", mode])["probability"]
-    apart = each.max() - each.min()
-    if (apart > 1e-6).any():
-        raise ScenarioError(
-            f"{path}: scenario {apart.idxmax()[0]}: probabilities of its tracks differ by {apart.max():.3g}, expected "
-            "the same for all of them; write a file for each track to score them alone"
-        )
 
 
 def write_forecasts(forecasts: Forecasts, path: Path) -> Path:
@@ -327,12 +321,10 @@ def _bootstrap(values: Sequence[FloatArray], source: IntArray, params: Forecasti
     for weights in draws(len(counts), resamples=params.resamples, rng=random):
         result = np.zeros(len(weights))
         for sign, own in zip(signs, sums, strict=True):
-            number = len(own)
-            seeds = random.integers(number, size=(len(weights), number))
+            seeds = random.integers(len(own), size=(len(weights), len(own)))
             means = (weights @ own.T) / (weights @ counts)[:, None]
-            middle = means.mean(axis=1, keepdims=True)
-            means = middle + (means - middle) * np.sqrt(number / max(1, number - 1))
-            result += sign * np.take_along_axis(means, seeds, axis=1).mean(axis=1)
+            chosen, middle = np.take_along_axis(means, seeds, axis=1).mean(axis=1), means.mean(axis=1)
+            result += sign * (middle + (chosen - middle) * np.sqrt(len(own) / max(1, len(own) - 1)))
         drawn.append(result)
     every = np.concatenate(drawn)
     return interval(value, every), float(every.std(ddof=1))

@@ -158,10 +158,6 @@ def _same_bits(one: pa.ChunkedArray, other: pa.ChunkedArray) -> npt.NDArray[np.b
     return np.array([left == right for left, right in zip(one.to_pylist(), other.to_pylist(), strict=True)])
 
 
-#: Copies of a scene in a composed data set whose ids are known.
-_MOST_COPIES = 1000
-
-
 def check_sidecar(
     sidecar: Sidecar, new_id: str, begins: Mapping[str, int], generated_ids: Set[str], lanes: Set[str]
 ) -> Iterator[Breach]:
@@ -174,7 +170,8 @@ def check_sidecar(
         yield "sidecar", f"config: {error}"
     else:
         wanted = new_scenario_id(sidecar.source_scenario_id, config, sidecar.seed, sidecar.variant)
-        if wanted != new_id and all(copy_id(wanted, number) != new_id for number in range(1, _MOST_COPIES)):
+        copies = (copy_id(wanted, number) for number in range(1, 1000))  # of a composed data set
+        if wanted != new_id and new_id not in copies:
             yield "scenario-id", f"{new_id}, expected {wanted} of this source, configuration, seed and variant"
         yield from (("sidecar", said) for is_wrong, said in _config_rules(sidecar, config) if is_wrong)
     told = [*_scene_rules(sidecar, generated_ids & begins.keys())]

@@ -188,7 +188,7 @@ def test_a_planted_copy_under_another_id_is_found_by_its_place(data_root, genera
     target = second_recording(held_out, root)
     (leak,) = check_leaks(root)
     assert (leak.folder, leak.other) == (target, held_out)
-    assert "lies where there is" in leak.why
+    assert "lies on the ground of" in leak.why
 
 
 def test_a_generated_scene_without_an_inserted_vehicle_is_left_out(data_root, generated, tmp_path):

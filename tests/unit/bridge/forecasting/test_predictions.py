@@ -106,7 +106,7 @@ def test_tracks_of_a_scenario_with_probabilities_of_their_own_are_refused(data_s
         rows.assign(probability=shares).to_parquet(path)
         if differ:
             with pytest.raises(
-                ScenarioError, match=f"scenario {scenario.scenario_id}: probabilities .* differ by 0.1,"
+                ScenarioError, match=f"scenario {scenario.scenario_id}, track .*: probability 0.3, expected"
             ):
                 read_forecasts(path)
         else:
