@@ -193,6 +193,11 @@ def new_scenario_id(source_id: str, config: Config, seed: int, variant: int) -> 
     return f"{says}{CORRIDOR_PREFIX if is_corridor(source_id) else ''}{new_id}"
 
 
+def copy_id(scenario_id: str, number: int) -> str:
+    """UUID (version 5) of a further copy of a scene in a composed data set; number: 1 for the first."""
+    return str(uuid.uuid5(uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo compose"), f"{scenario_id}\n{number}"))
+
+
 def is_corridor(scenario_id: str) -> bool:
     """Whether a scene is a synthetic corridor, or was made of one."""
     return scenario_id.removeprefix(REACTIVE_PREFIX).startswith(CORRIDOR_PREFIX)

@@ -1,6 +1,6 @@
 """`hid2 evaluate`, `calibrate`, `study`, `paper`, `compose` ...: from scenes to figures, tables and data sets."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -12,9 +12,13 @@ from bridge.files import data_folder
 from bridge.interruption import if_interrupted
 from netconvert.errors import ConfigError, ScenarioError
 
+#: Options of any way of a command.
+_WITH_ANY = frozenset({"--out", "--jobs", "--verbose", "--quiet"})
+_WITH_PREDICTIONS = _WITH_ANY | {"SCENES", "--predictions", "--bands", "--json"}
+
 
 @options.command(reads=("out", "source", "control"), folders=("report",))
-def evaluate(
+def evaluate(  # noqa: PLR0913  # one for each option
     out: Path = options.argument(
         "SCENES", "Scenes to measure, generated or recorded: a scenario folder, a split folder or a root."
     ),
@@ -38,13 +42,14 @@ def evaluate(
     windows: options.Windows,
     jobs: int = options.JOBS,
     as_json: bool = options.output("With --predictions: print the table as JSON.", False, None, "--json"),
+    given: options.Given,
     activity: Activity,
 ) -> bool:
     """Measure density, diversity, safety, kinematics and realism of any number of scenes, or score forecasts."""
-    for name, given in (("--json", as_json), ("--bands", bands is not None)):
-        if given and not predictions:
-            raise ConfigError(f"{name} without --predictions does nothing, expected the two together")
+    if not predictions and (alone := sorted(given & {"--json", "--bands"})):
+        raise ConfigError(f"{alone[0]} without --predictions does nothing, expected the two together")
     if predictions:
+        given.check(_WITH_PREDICTIONS, "--predictions")
         return _score(out, predictions, bands, report, activity, jobs=jobs, as_json=as_json)
     from bridge.evaluation.evaluate import evaluate_folder
 
@@ -234,20 +239,19 @@ def paper(  # noqa: PLR0913  # one for each option
         "Forecasts from elsewhere instead of the small forecaster's: SET/SEED/VALIDATION.parquet.", None, "DIR"
     ),
     jobs: int = options.JOBS,
+    given: options.Given,
     activity: Activity,
 ) -> None:
     """Run an experiment of the paper, from generation to the table beside the paper's; prediction needs `forecast`."""
-    theirs = {"--variants": variants, "--val": val, "--updates": updates, "--composed": composed}
-    others = {"--map": windows.map_path, "--stride": windows.stride}
-    _check_fits(experiment, {**theirs, "--predictions": predictions}, others)
-    check_scenes([composed] if composed else scenes)
+    _check_fits(experiment, given)
+    check_scenes([composed] if composed else [] if predictions else scenes)
     check_out(out)
     if experiment == "prediction":
         from bridge.forecasting.experiment import TrainingPlan, run_prediction
         from hid2.params import Forecasting
 
-        given = {"variants": variants, "val_share": val, "updates": updates}
-        params = Forecasting.model_validate({name: value for name, value in given.items() if value is not None})
+        asked = {"variants": variants, "val_share": val, "updates": updates}
+        params = Forecasting.model_validate({name: value for name, value in asked.items() if value is not None})
         page = run_prediction(
             scenes, out, TrainingPlan(seeds=seeds or 3, agents=agents, reading=focal, params=params), jobs=jobs,
             composed=composed, predictions=predictions, on_step=activity.step
@@ -264,12 +268,33 @@ def paper(  # noqa: PLR0913  # one for each option
     print(page)
 
 
-def _check_fits(experiment: str, prediction: Mapping[str, object], others: Mapping[str, object]) -> None:
-    """Errors: ConfigError for an option of another experiment."""
-    wrong, which = (others, "the others") if experiment == "prediction" else (prediction, "prediction")
-    for name, value in wrong.items():
-        if value is not None:
-            raise ConfigError(f"{name} does nothing in {experiment}, expected it with {which} only")
+_COMPOSED = _WITH_ANY | {"EXPERIMENT", "--composed"}
+_WITH_COMPOSED = {"--predictions": _COMPOSED | {"--predictions"}, "--composed": _COMPOSED | {"--seeds", "--updates"}}
+_PREDICTION = frozenset({"--variants", "--val", "--updates", "--focal", "--composed", "--predictions"})
+
+
+def _check_fits(experiment: str, given: options.Given) -> None:
+    """Errors: ConfigError for an option of another experiment, or of what is there already."""
+    wrong, which = _PREDICTION, "prediction"
+    if experiment == "prediction":
+        wrong, which = frozenset({"--map", "--window", "--stride"}), "the others"
+    for name in sorted(given & wrong):
+        raise ConfigError(f"{name} does nothing in {experiment}, expected it with {which} only")
+    if "--composed" in given:
+        way = "--predictions" if "--predictions" in given else "--composed"
+        given.check(_WITH_COMPOSED[way], way)
+
+
+#: Lines on what was left out that are shown without -v.
+_SHOWN = 10
+
+
+def _tell_left_out(how: str, lines: Sequence[str], activity: Activity) -> None:
+    shown = len(lines) if activity.verbose else _SHOWN
+    for line in lines[:shown]:
+        say(f"warning: {how}: {line}")
+    if len(lines) > shown:
+        say(f"warning: {how}: {len(lines) - shown} more (-v lists them)")
 
 
 def _score(
@@ -295,16 +320,11 @@ def _score(
             out, predictions=files[0], report_dir=report, bounds=bounds, jobs=jobs, on_scene=activity.show
         )
         title, head, rows = f"{len(scores)} scores", predictions.TABLE_HEAD, predictions.band_rows(scores, bounds)
-    for reason in left_out:
-        say(f"warning: not scored: {reason}")
+    _tell_left_out("not scored", left_out, activity)
     activity.table(title, head, rows, as_json=as_json)
     page = "comparison.html" if len(files) > 1 else "predictions.html"
     activity.result(*(() if as_json else (report / page,)))
     return bool(left_out)
-
-
-#: Lines on what was left out that are shown without -v.
-_SHOWN = 10
 
 
 @options.command(folders=("out",))
@@ -339,12 +359,9 @@ def compose(
         found = composition_of_sources(sources)
     check_scenes([Path(place) for places in found.sources.values() for place in places])
     made = make(found, out, jobs=jobs, on_scene=activity.step)
-    shown = len(made.left_out) if activity.verbose else _SHOWN
-    for line in made.left_out[:shown]:
-        say(f"warning: left out: {line}")
-    if len(made.left_out) > shown:
-        say(f"warning: left out: {len(made.left_out) - shown} more (-v lists them)")
-    activity.table(f"{out}: scenes", ("data set", "train", "val", "test"), made.rows(), as_json=as_json)
+    _tell_left_out("left out", made.left_out, activity)
+    rows = [(name or ".", *map(str, counts.values())) for name, counts in made.counts.items()]
+    activity.table(f"{out}: scenes", ("data set", "train", "val", "test"), rows, as_json=as_json)
     return False
 
 

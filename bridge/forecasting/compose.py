@@ -9,9 +9,9 @@ import csv
 import itertools
 import os
 import shutil
-import uuid
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +20,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from bridge.batch.engine import OnDone
+from bridge.config import copy_id
 from bridge.files import explained, untabled, write_rows, write_text
 from bridge.forecasting.composition import Composition, Draw
 from bridge.forecasting.places import Leak, SourceScene, facts_of_scenes, leaks_between, split_by_place, stratum
@@ -32,7 +33,6 @@ from netconvert.errors import ConfigError, NoSceneError, ScenarioError
 
 ORIGINS, COMPOSITION = "origins.csv", "composition.json"
 VALIDATION = "validation"
-_NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "hid2-sumo compose")
 
 
 class Origin(NamedTuple):
@@ -61,10 +61,6 @@ class Composed(NamedTuple):
     counts: dict[str, dict[str, int]]
     left_out: tuple[str, ...]
 
-    def rows(self) -> list[tuple[str, ...]]:
-        """A table: data set, and scenes of each split."""
-        return [(name or ".", *(str(found.get(split, 0)) for split in SPLITS)) for name, found in self.counts.items()]
-
 
 def compose(
     composition: Composition, root: Path, *, jobs: int = 1, on_scene: Callable[[str, int, int], None] | None = None
@@ -87,6 +83,11 @@ def compose(
     roots = {(name if nested else ""): {"train": scenes, "val": shared, "test": test} for name, scenes in sets.items()}
     for name, scenes in validation.items() if nested or len(validation) > 1 else ():
         roots[f"{VALIDATION}/{name}"] = {"train": [], "val": scenes, "test": []}
+    for split, drawn, table in (("val", any(validation.values()), "validation"), ("test", any(test), "test")):
+        there = sum(len(scenes) for (name, _), scenes in pool.scenes.items() if name == split)
+        if there and not drawn:
+            way = f"set split.{split} = 0 or add" if composition.split.by == "place" else "add"
+            pool.left_out.insert(0, f"{there} scenes held out for {split}, which no {table} takes; {way} [{table}]")
     total = sum(len(scenes) for splits in roots.values() for scenes in splits.values())
     done = 0
     with explained(root):
@@ -137,11 +138,14 @@ class _Pool:
             else:
                 usable.append(fact)
         if not usable:
-            raise NoSceneError(f"{', '.join(composition.sources)}: no scene that can be used")
-        self._scenes: dict[tuple[str, str], list[SourceScene]] = defaultdict(list)
+            where, first = ", ".join(str(place) for place, _ in places), self.left_out[:1]
+            raise NoSceneError(
+                f"{where}: no scene that can be used; {', '.join(first)} ({len(self.left_out)} left out)"
+            )
+        self.scenes: dict[tuple[str, str], list[SourceScene]] = defaultdict(list)
         for split, rows in self._split(usable).items():
             for row in rows:
-                self._scenes[split, source_of[usable[row].folder]].append(usable[row])
+                self.scenes[split, source_of[usable[row].folder]].append(usable[row])
 
     def _split(self, facts: Sequence[SourceScene]) -> dict[str, list[int]]:
         composition = self._composition
@@ -162,11 +166,8 @@ class _Pool:
         known = facts if by_place else [fact._replace(cells=b"") for fact in facts]  # official sides share ground
         leaks = leaks_between(known, splits["train"], splits["val"] + splits["test"])
         leaks += leaks_between(known, splits["val"], splits["test"])
-        self.left_out += [  # groups of places share nothing but ground, at the edges of their blocks
-            f"{leak.folder}: lies where {leak.other} does, which is held out" if by_place
-            else f"{leak.text()}, which is held out"
-            for leak in leaks
-        ]  # fmt: skip
+        # groups of places share nothing but ground, at the edges of their blocks
+        self.left_out += [f"{leak.text()}, which is held out" for leak in leaks]
         dropped = {leak.folder for leak in leaks}
         return {split: [row for row in rows if facts[row].folder not in dropped] for split, rows in splits.items()}
 
@@ -175,7 +176,7 @@ class _Pool:
         controls = self._composition.controls
         if controls is None or controls.added != "all":
             return 1 if controls is None else int(controls.added)
-        there = {name: len(self._scenes["train", name]) for name in (controls.generated, controls.without_interaction)}
+        there = {name: len(self.scenes["train", name]) for name in (controls.generated, controls.without_interaction)}
         if not min(there.values()):
             raise ConfigError(f"controls: source {min(there, key=lambda name: there[name])!r} has no scene in train")
         return min(there.values())
@@ -184,8 +185,9 @@ class _Pool:
         """The scenes of one split of one data set. Errors: ConfigError where there are too few."""
         scenes: list[Origin] = []
         copies: Counter[str] = Counter()
+        agents: Callable[[SourceScene], int] = attrgetter("tracks" if draw.min_agents_in == "all" else "observed")
         for source in draw.sources:
-            there = [fact for fact in self._scenes[split, source] if _agents(fact, draw) >= draw.min_agents]
+            there = [fact for fact in self.scenes[split, source] if agents(fact) >= draw.min_agents]
             count = draw.take.get(source, 0)
             wanted = len(there) if count == "all" else round(count * len(there)) if isinstance(count, float) else count
             if wanted > len(there):
@@ -196,13 +198,13 @@ class _Pool:
                 )
             taken = self._stratified(there, wanted, f"{split} {source}")
             chosen = {fact.scenario_id for fact in taken}
-            left = _densest((fact for fact in there if fact.scenario_id not in chosen), draw)
+            left = _densest((fact for fact in there if fact.scenario_id not in chosen), agents)
             dense = left[: draw.densest.get(source, 0)]
             lacking = draw.densest.get(source, 0) - len(dense)
             scenes += [_origin(split, source, fact) for fact in (*taken, *dense)]
             for number, among in (
                 (draw.again.get(source, 0), self._shuffled(taken, f"{split} {source} again")),
-                (lacking, _densest(taken, draw)[: max(1, min(lacking, (len(taken) + 1) // 2))]),
+                (lacking, _densest(taken, agents)[: max(1, min(lacking, (len(taken) + 1) // 2))]),
             ):
                 if number and not among:
                     raise ConfigError(f"{where}: nothing of {source!r} to draw again in {split}; take some")
@@ -212,7 +214,8 @@ class _Pool:
                     scenes.append(_origin(split, source, fact, copy=copies[fact.scenario_id]))
         twice = [name for name, number in Counter(scene.scenario_id for scene in scenes).items() if number > 1]
         if twice:
-            raise ConfigError(f"{where}: scene {twice[0]} is in two of the sources; leave it out of one")
+            both = " and ".join(scene.folder for scene in scenes if scene.scenario_id == twice[0])
+            raise ConfigError(f"{where}: scene {twice[0]} is in two of the sources, {both}; leave it out of one")
         return scenes
 
     def _shuffled(self, facts: Sequence[SourceScene], what: str) -> list[SourceScene]:
@@ -237,19 +240,15 @@ class _Pool:
         return [fact for fact in facts if fact.scenario_id in chosen]
 
 
-def _densest(facts: Iterable[SourceScene], draw: Draw) -> list[SourceScene]:
+def _densest(facts: Iterable[SourceScene], agents: Callable[[SourceScene], int]) -> list[SourceScene]:
     """The densest first."""
-    return sorted(facts, key=lambda fact: (-_agents(fact, draw), fact.scenario_id))
-
-
-def _agents(fact: SourceScene, draw: Draw) -> int:
-    return fact.tracks if draw.min_agents_in == "all" else fact.observed
+    return sorted(facts, key=lambda fact: (-agents(fact), fact.scenario_id))
 
 
 def _origin(split: str, source: str, fact: SourceScene, *, copy: int = 0) -> Origin:
     """A scene that is drawn. copy: 0, or which further copy of it, with an id of its own."""
     own = fact.scenario_id
-    name = str(uuid.uuid5(_NAMESPACE, f"{own}\n{copy}")) if copy else own
+    name = copy_id(own, copy) if copy else own
     of = fact.source_id, fact.city, fact.tracks, fact.observed, str(fact.folder)
     return Origin(split, name, "copy" if copy else fact.kind, source, own, *of)
 

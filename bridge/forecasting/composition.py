@@ -32,8 +32,8 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]{0,63}$")]
 #: The control compositions by name, in the order of the tables, with what each is for.
 CONTROLS: Mapping[str, str] = {
     "recorded": "recorded scenes only",
-    "recorded-twice": "recorded, and as many again of the same, drawn a second time",
-    "recorded-dense": "recorded, and as many again of the densest recorded ones",
+    "recorded-twice": "recorded, and as many as hid2 adds, drawn again",
+    "recorded-dense": "recorded, and as many of the densest (copies where no others are left)",
     "no-interaction": "recorded, and scenes generated without interaction",
     "hid2": "recorded, and scenes generated",
 }
@@ -167,7 +167,7 @@ def composition_of_sources(texts: Sequence[str]) -> Composition:
             raise ConfigError(f"{text!r}: expected SOURCE or SOURCE:N, N being {error}") from None
         sources[name], left[name], held_out[name] = (place,), value, value
         if isinstance(value, int):
-            held_out[name] = round(value * Split().val)
+            held_out[name] = max(1, round(value * Split().val)) if value > 1 else 0
             left[name] = value - held_out[name]
     sets = {"sets": {"all": {"take": left}}, "validation": {"all": {"take": held_out}}}
     return Composition.model_validate({"sources": sources, **sets})

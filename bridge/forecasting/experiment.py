@@ -93,6 +93,7 @@ def run_prediction(
     if predictions is None:
         check_forecaster()
     make_folder(out)
+    own = composed is None
     if composed is None:
         composed = _composed(scenes, out, plan, jobs=jobs, tell=tell)
     lacking = [name for name in (RECORDED, HID2) if not (composed / VALIDATION / name / "val").is_dir()]
@@ -104,7 +105,8 @@ def run_prediction(
         _train(composed, predictions, plan, jobs=jobs, tell=tell)
     seeds = None if brought else range(plan.seeds)  # those of an earlier call with more stay aside
     runs = _scores(composed, predictions, seeds, jobs=jobs, tell=tell)
-    return _write(runs, composed, out, plan, brought=brought)
+    reading, updates = plan.reading if own else None, None if brought else plan.params.updates
+    return _write(runs, composed, out, plan.params, reading=reading, updates=updates)
 
 
 # From recorded scenes to data sets
@@ -286,9 +288,10 @@ _READINGS: Mapping[Reading, str] = {
 
 
 def _write(
-    runs: Mapping[str, Mapping[str, scoring.Runs]], composed: Path, out: Path, plan: TrainingPlan, *, brought: bool
+    runs: _Scores, composed: Path, out: Path, params: Forecasting, *, reading: Reading | None, updates: int | None
 ) -> Path:
-    validation, params = composed / VALIDATION, plan.params
+    """reading: of data sets made here, None for others; updates: of trainings here, None for forecasts brought."""
+    validation = composed / VALIDATION
     source_of = scoring.sources_of(validation / HID2) | scoring.sources_of(validation / RECORDED)
     ours2 = {"recorded": RECORDED, "HiD2": HID2_ONLY}
     table2 = {label: [runs[on][name] for on in (RECORDED, HID2)] for label, name in ours2.items()}
@@ -303,7 +306,7 @@ def _write(
     content: dict[str, Any] = {
         "experiment": "prediction",
         "seeds": {name: len(found) for name, found in runs[RECORDED].items()},
-        "reading": None if brought else plan.reading,
+        "reading": reading,
         "table2": _table(PAPER_TABLE2, table2, names2, source_of, params),
         "table3": _table(PAPER_TABLE3, table3, names3, source_of, params),
         "differences": [one._asdict() for one in differences],
@@ -318,8 +321,8 @@ def _write(
     write_rows(out / "prediction_scores.csv", ("validation", "trained_on", "run", *scoring.SCORE_COLUMNS), every)
     write_json(out / "prediction.json", content)
     shown = content | {
-        "updates": None if brought else params.updates,
-        "reading": _READINGS[plan.reading],
+        "updates": updates,
+        "reading": None if reading is None else _READINGS[reading],
         "gain_m": PAPER_GAIN_M,
         "main": next(one for one in differences if one[:4] == main),
         "metrics": [scoring.METRICS[key] for key in _COLUMNS],

@@ -205,4 +205,4 @@ def _signs(fact: SourceScene) -> Iterator[tuple[tuple[object, ...], str]]:
     if fact.log:
         yield ("log", fact.log), f"cut from the same log {fact.log} as"
     for cell in np.frombuffer(fact.cells, dtype=np.int64).tolist():
-        yield ("ground", fact.city, cell), "lies where there is"
+        yield ("ground", fact.city, cell), "lies on the ground of"

@@ -79,25 +79,31 @@ def score_predictions(
 ) -> tuple[pd.DataFrame, list[str]]:
     """Score forecasts of the scenes below `out`; `predictions` is a submission file or the name of a baseline.
 
-    A baseline forecasts the focal track of each scene. A scene that cannot be read is left out, with the reason. With
+    A baseline forecasts the focal track of each scene. A scene that cannot be read is left out, with the reason, as is
+    one that lies in a second folder, such as the validation scenes of each data set of a composed root. With
     `report_dir`, predictions.csv (one row per track and k) and predictions.html are written. bounds: bands of scenes
     with more agents than each. The same result with any number of jobs. Returns the scores, by SCORE_COLUMNS, and a
     line for what could not be scored. Errors: ScenarioError for an unreadable file, for a forecast that is not finite,
     or where nothing can be scored; ExportError where the report cannot be written.
     """
-    folders = find_scenarios(out)
+    first: dict[str, Path] = {}
+    left_out = [
+        f"{folder}: same scene as {there}, which is scored"
+        for folder in find_scenarios(out)
+        if (there := first.setdefault(source_id(folder), folder)) is not folder
+    ]
     named = next((kind for kind in BASELINES if kind == predictions), None)
     forecasts = read_forecasts(Path(predictions)) if named is None else {}
     if report_dir is not None:
         make_folder(report_dir)
-    items = [(folder, named or forecasts.get(source_id(folder))) for folder in folders]
+    items = [(folder, named or forecasts.get(name)) for name, folder in first.items()]
     each = work_on_each(
         score_folder, items, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False, on_item=on_scene
     )
     scored, failed = sorted_out(each)
     rows = [row for own, _ in scored for row in own]
-    left_out = [said for _, said in failed] + [said for _, own in scored for said in own]
-    left_out += [f"{name}: no such scene" for name in sorted(set(forecasts) - set(map(source_id, folders)))]
+    left_out += [said for _, said in failed] + [said for _, own in scored for said in own]
+    left_out += [f"{name}: no such scene" for name in sorted(set(forecasts) - set(first))]
     if not rows:
         raise ScenarioError(f"{out}: nothing to score, first of {len(left_out)} reasons: {left_out[0]}")
     scores = pd.DataFrame(rows, columns=SCORE_COLUMNS)
@@ -125,6 +131,14 @@ def read_forecasts(path: Path) -> Forecasts:
     except (ValueError, KeyError, OSError, IndexError, TypeError, AttributeError) as error:  # as av2 comes to them
         said = str(error).split("\n")[0].split(". ")[0]  # pyarrow goes on for lines
         raise ConfigError(f"{path}: not a forecast file of av2's submission format ({said})") from error
+    table = pd.read_parquet(path, columns=["scenario_id", "track_id", "probability"]).sort_values("probability")
+    rank = table.groupby(["scenario_id", "track_id"]).cumcount()
+    each = table.groupby(["scenario_id", rank])["probability"]  # av2 keeps those of one track
+    for row in table[each.transform("max") - each.transform("min") > 1e-6].itertuples():
+        raise ScenarioError(
+            f"{path}: scenario {row.scenario_id}, track {row.track_id}: probability {row.probability}, expected the "
+            "same probabilities for all tracks of a scenario; write a file for each track to score them alone"
+        )
     for scenario_id, (probabilities, by_track) in forecasts.items():
         outside = ~((probabilities >= 0) & (probabilities <= 1))
         if outside.any():
@@ -278,11 +292,7 @@ def _aligned(
 ) -> tuple[list[FloatArray], IntArray]:
     """Values (seeds, T) of each model on the T tracks that every run forecasts, and the number (T,) of their source."""
     track = ["scenario_id", "track_id"]
-    each = [
-        run.query(f"k == {K}").drop_duplicates(track, keep="last").set_index(track)[metric]  # a scene may lie twice
-        for runs in models
-        for run in runs
-    ]
+    each = [run.query(f"k == {K}").set_index(track)[metric] for runs in models for run in runs]
     values = pd.concat(each, axis=1, join="inner").sort_index()
     _, source = np.unique([source_of.get(scenario, scenario) for scenario, _ in values.index], return_inverse=True)
     seeds = np.cumsum([len(runs) for runs in models])[:-1]
@@ -292,7 +302,8 @@ def _aligned(
 def _bootstrap(values: Sequence[FloatArray], source: IntArray, params: Forecasting) -> tuple[Estimate, float | None]:
     """Mean of the first values less that of the others, and its standard error.
 
-    Sources are drawn for all at once, seeds for each.
+    Sources are drawn for all at once, seeds for each. Drawing S seeds again varies their mean by (S - 1) / S of what
+    other seeds would: their deviations are stretched by the root of the inverse.
     """
     if not len(source):
         return Estimate(None), None
@@ -309,7 +320,8 @@ def _bootstrap(values: Sequence[FloatArray], source: IntArray, params: Forecasti
         for sign, own in zip(signs, sums, strict=True):
             seeds = random.integers(len(own), size=(len(weights), len(own)))
             means = (weights @ own.T) / (weights @ counts)[:, None]
-            result += sign * np.take_along_axis(means, seeds, axis=1).mean(axis=1)
+            chosen, middle = np.take_along_axis(means, seeds, axis=1).mean(axis=1), means.mean(axis=1)
+            result += sign * (middle + (chosen - middle) * np.sqrt(len(own) / max(1, len(own) - 1)))
         drawn.append(result)
     every = np.concatenate(drawn)
     return interval(value, every), float(every.std(ddof=1))
@@ -358,7 +370,8 @@ def compare_predictions(
         raise ScenarioError(f"{scenes}: no track is forecast by every file, nothing to compare")
     *head, _ = Difference._fields
     write_rows(report_dir / "comparison.csv", head, (one[:-1] for one in found))
-    pages.write_page(report_dir / "comparison.html", "comparison.html.j2", head=HEAD, rows=rows_of(found))
+    shown = {"head": HEAD, "rows": rows_of(found), "left_out": left_out}
+    pages.write_page(report_dir / "comparison.html", "comparison.html.j2", **shown)
     return found, left_out
 
 

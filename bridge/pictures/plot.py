@@ -158,11 +158,11 @@ def _offset(ax: Axes, time: FloatArray, view: LaneView) -> None:
 
 
 def _cells(ax: Axes, time: FloatArray, scenario: Recording, view: LaneView) -> None:
-    """Cell index within its lane, in another colour where the lane changes."""
+    """Cell index within its lane, in another colour where the lane changes, dashed once six are used."""
     grid = build_cell_grid(scenario.graph)
-    ax.set_prop_cycle(
-        color=[figures.BLUE, figures.VERMILION, figures.GREEN, figures.PURPLE, figures.SKY, figures.ORANGE]
-    )
+    colors = [figures.BLUE, figures.VERMILION, figures.GREEN, figures.PURPLE, figures.SKY, figures.ORANGE]
+    number = len(colors)
+    ax.set_prop_cycle(color=2 * colors, linestyle=["-"] * number + ["--"] * number)
     borders = np.flatnonzero(np.diff(view.matches.lane)) + 1
     for rows in np.split(np.arange(len(time)), borders):
         lane = int(view.matches.lane[rows[0]])
@@ -175,5 +175,6 @@ def _cells(ax: Axes, time: FloatArray, scenario: Recording, view: LaneView) -> N
         ax.step([*time[rows], after], [*index, index[-1]], where="post", label=str(lane_id))
     ax.set_ylabel("cell of the lane\n(legend: lane)")
     ax.set_ylim(bottom=-0.5)
-    if ax.lines:  # the lanes in the order driven
-        ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=6, fontsize=7)
+    if ax.lines:  # the lanes in the order driven, row by row: matplotlib fills columns
+        handles = [line for column in range(number) for line in ax.get_lines()[column::number]]
+        ax.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=number, fontsize=7)

@@ -65,8 +65,6 @@ _MARGIN_M = 30.0
 #: Share of the AGENT's positions that has to lie on the map's drivable area: on another city's map none does.
 _ON_MAP = 0.5
 _RASTERS = ("driveable_area_mat", "npyimage_to_city_se2")
-#: What numpy raises for files that are no arrays of numbers.
-_NOT_AN_ARRAY = (EOFError, KeyError, MemoryError, OverflowError, SyntaxError, TokenError, TypeError, ValueError)
 
 
 class _Row(TypedDict):
@@ -217,7 +215,7 @@ def _array(path: Path) -> npt.NDArray[np.generic]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of headers that Python 2 wrote
             return np.asarray(np.lib.format.read_array(content, allow_pickle=False))
-    except _NOT_AN_ARRAY as error:
+    except (EOFError, KeyError, MemoryError, OverflowError, SyntaxError, TokenError, TypeError, ValueError) as error:
         raise MapError(f"{path}: not an npy file of numbers ({one_line(str(error), most=200)})") from error
 
 

@@ -57,7 +57,7 @@ READERS: tuple[tuple[str, int | None, str], ...] = (
     ("plot {received} -o agent.png --agent AV", 0, ""),
     ("gui {received} --screenshot shot.png", None, ""),
     ("paper table1 -o again --scenes {received}", 2, "holds generated scenes only"),
-    ("paper prediction -o again --scenes . --composed . --predictions .", None, ""),
+    ("paper prediction -o again --composed . --predictions .", None, ""),
     ("forecast . -o . --scenes . --resume", None, ""),
     ("public public.toml -o again", 2, "unknown key 'rule_with'"),
     ("example -o again", 0, ""),

@@ -25,7 +25,7 @@ function scenePanel(scene) {
     one.at_s === null ? "–" : `${fixed(one.at_s)} s`, one.status === "done" ? "done" : reasonOf(one.reason ?? one.status)]);
   return [head, section("Asked for and placed", html`<p>${agents} asked for, ${said.placed.agents} placed; seed ${said.seed}, variant ${said.variant}</p>
 ${table(["behaviour", "share asked", "placed"], Object.entries(behaviours).map(([kind, share]) =>
-    [html`${chip(kind)}${SHARED.label[kind] ?? words(kind)}`, fixed(share, 2), said.placed.behaviours[kind] ?? 0]))}`),
+    [html`${chip(kind)}${SHARED.label[kind] ?? words(kind)}`, fixed(share, 3), said.placed.behaviours[kind] ?? 0]))}`),
   events.length ? section("Events", table(["event", "with", "by", "at", "what came of it"], events)) : "",
   scene.findings.length ? section("What the judge finds", findings(scene, scene.findings)) : "",
   maneuvers.length ? section("Manoeuvres", table(["vehicle", "manoeuvre", "status", "reason"], maneuvers)) : "",
@@ -121,7 +121,8 @@ function looks(scene, id, record) {
 <td title="${answer.split(", ").map(why).join(" ")}" class="${answer === "taken" ? "good" : ""}">${words(answer)}</td></tr>`;
   });
   return section("Looks at gaps", html`<p>${count(all, "look")}; ${rule} refused by rule or guard, ${sumo} by SUMO</p>
-${rows.length ? html`<div class="looks">${table(["s", "side", "lead, m", "lag, m", "answer"], rows)}</div>`
+${rows.length ? html`<div class="looks">${table(["s", "side", "lead, m", "lag, m", "answer"], rows)}</div>
+<p class="muted">As simulated, to vehicles that were not exported as well; gaps above are of what was exported.</p>`
     : all ? html`<p class="muted">hid2 generate --record gaps writes down each of them.</p>` : ""}`);
 }
 

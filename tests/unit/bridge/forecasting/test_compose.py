@@ -188,13 +188,20 @@ def test_a_planted_copy_under_another_id_is_found_by_its_place(data_root, genera
     target = second_recording(held_out, root)
     (leak,) = check_leaks(root)
     assert (leak.folder, leak.other) == (target, held_out)
-    assert "lies where there is" in leak.why
+    assert "lies on the ground of" in leak.why
 
 
 def test_a_generated_scene_without_an_inserted_vehicle_is_left_out(data_root, generated, tmp_path):
     scenario = read_scenario(find_scenarios(data_root)[0])
     write_fake(scenario, generated, count=0)
     assert scenario.scenario_id in " ".join(composed(mixed(data_root, generated), tmp_path / "root").left_out)
+
+
+@pytest.mark.parametrize(("split", "way"), [({"val": 0.34}, "set split.val = 0 or add"), ({"by": "folder"}, "add")])
+def test_scenes_held_out_that_no_validation_takes_are_told(data_root, tmp_path, split, way):
+    values = {"sources": {"data": (str(data_root),)}, "split": split, "sets": {"a": {"take": {"data": "all"}}}}
+    said = f"1 scenes held out for val, which no validation takes; {way} [validation]"
+    assert composed(values, tmp_path / "root").left_out[0] == said
 
 
 def test_min_agents_counts_in_all_or_at_the_observations_end(data_root, tmp_path):
@@ -262,6 +269,15 @@ def test_a_share_of_a_source_is_drawn(data_root, tmp_path):
         composition_of_sources(["here:1.5"])
 
 
+def test_copies_of_generated_scenes_are_valid(data_root, generated, tmp_path):
+    root = composed(
+        mixed(data_root, generated, sets={"a": {"take": {"hid2": 2}, "again": {"hid2": 3}}}), tmp_path / "r"
+    )
+    copies = [row["scenario_id"] for row in origins(root.root) if row["kind"] == "copy"]
+    assert len(set(copies)) == 3
+    assert [finding for finding in breaches(root.root, source=data_root) if not finding.is_note] == []
+
+
 def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
     source = {"data": (str(data_root),)}
     for values, message in (
@@ -289,15 +305,24 @@ def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
         composed(values, tmp_path / "full")
     with pytest.raises(NoSceneError, match="no such folder"):
         composed(values | {"sources": {"data": ("nowhere",)}}, tmp_path / "root")
+    write_fake(read_scenario(find_scenarios(data_root)[0]), tmp_path / "made", count=0)
+    with pytest.raises(
+        NoSceneError, match=r"made: no scene that can be used; .*made/.*no vehicle was inserted.*\(1 left"
+    ):
+        composed(values | {"sources": {"data": (str(tmp_path / "made"),)}}, tmp_path / "root")
     with pytest.raises(ConfigError, match="no such file, expected a composition"):
         read_toml_as(Composition, tmp_path / "none.toml", "a composition")
-    twice = {"sources": source | {"same": source["data"]}, "sets": {"a": {"take": {"data": "all", "same": "all"}}}}
-    with pytest.raises(ConfigError, match="is in two of the sources"):
+    shutil.copytree(data_root, tmp_path / "same")
+    twice = {
+        "sources": source | {"same": (str(tmp_path / "same"),)},
+        "sets": {"a": {"take": {"data": "all", "same": "all"}}},
+    }
+    with pytest.raises(ConfigError, match=rf"is in two of the sources, {data_root}/\S+ and {tmp_path}/same/\S+; leave"):
         composed(twice | {"split": {"val": 0.0}}, tmp_path / "r")
 
 
 def test_a_file_and_the_command_line_say_the_same(data_root, tmp_path):
-    """One data set of all, a tenth of the three held out: one, as each has its place; of ten two tenths are two."""
+    """One data set of all, a tenth of the three held out: one, as each has its place; one of two as well, two of 20."""
     (tmp_path / "c.toml").write_text(
         f'[sources]\nsource-0 = "{data_root}"\n[sets.all.take]\nsource-0 = "all"\n'
         '[validation.all.take]\nsource-0 = "all"\n'
@@ -307,6 +332,6 @@ def test_a_file_and_the_command_line_say_the_same(data_root, tmp_path):
     assert line.model_dump() == written.model_dump()
     assert compose(line, tmp_path / "a").counts == {"": {"train": 2, "val": 1, "test": 0}}
     numbered = composition_of_sources([f"{data_root}:2", "more:20"])
-    assert dict(numbered.sets["all"].take) == {"source-0": 2, "source-1": 18}
-    assert dict(numbered.validation["all"].take) == {"source-0": 0, "source-1": 2}
+    assert dict(numbered.sets["all"].take) == {"source-0": 1, "source-1": 18}
+    assert dict(numbered.validation["all"].take) == {"source-0": 1, "source-1": 2}
     assert json.loads((tmp_path / "a" / "composition.json").read_text())["sources"] == {"source-0": [str(data_root)]}

@@ -43,6 +43,9 @@ from netconvert.errors import ConfigError, ScenarioError
 ROOT = Path(__file__).parents[4]
 EXAMPLES = ROOT / "data" / "examples"
 FEW_DRAWS = Forecasting(resamples=100)
+#: What is told only of trainings, and of data sets, that are made here.
+OF_TRAININGS = "small forecaster", "same number of updates"
+OF_DATA_SETS = "Forecast in generated scenes", "neither ground nor source"
 features = runpy.run_path(str(EXAMPLES / "scene_features.py"))
 targets_of = features["targets_of"]
 
@@ -94,14 +97,18 @@ def test_forecasts_from_elsewhere_make_both_tables(composed, brought, tmp_path):
         rows = [row for row in csv.DictReader(stream) if (row["trained_on"], row["validation"]) == ("recorded", "hid2")]
     mean = np.mean([float(row["min_fde_m"]) for row in rows if row["k"] == "6"])
     assert ours["ours: recorded"]["hid2_min_fde_m"]["value"] == pytest.approx(mean)
-    told = [line["row"].split(", ")[0] for line in content["table3"][4:]]
-    assert told == ["ours: recorded scenes only"] + 4 * ["ours: recorded"]
+    assert [line["row"] for line in content["table3"][4:7]] == [
+        "ours: recorded scenes only",
+        "ours: recorded, and as many as hid2 adds, drawn again",
+        "ours: recorded, and as many of the densest (copies where no others are left)",
+    ]
     assert content["seeds"] == dict.fromkeys(SETS, 2)
     pairs = {(one["model"], one["minus"]) for one in content["differences"]}
     assert {("hid2", "recorded"), ("hid2", "recorded-dense"), ("hid2-only", "recorded")} <= pairs
     text = page.read_text()
     for words in ("nothing about the claim", "1.573", "1.219", "0.023"):
         assert words in text
+    assert [words for words in (*OF_TRAININGS, *OF_DATA_SETS) if words in text] == []
 
 
 def test_seeds_of_an_earlier_call_stay_aside(composed, brought, tmp_path, monkeypatch):
@@ -109,7 +116,9 @@ def test_seeds_of_an_earlier_call_stay_aside(composed, brought, tmp_path, monkey
     shutil.copytree(brought, tmp_path / "out" / "models")
     monkeypatch.setattr(experiment, "check_forecaster", lambda: None)
     monkeypatch.setattr(experiment, "_train", lambda *_, **__: None)
-    run_prediction([], tmp_path / "out", TrainingPlan(seeds=1, params=FEW_DRAWS), composed=composed)
+    page = run_prediction([], tmp_path / "out", TrainingPlan(seeds=1, params=FEW_DRAWS), composed=composed)
+    text = page.read_text()
+    assert [words in text for words in (*OF_TRAININGS, *OF_DATA_SETS)] == [True] * 2 + [False] * 2
     assert json.loads((tmp_path / "out" / "prediction.json").read_text())["seeds"] == dict.fromkeys(SETS, 1)
 
 

@@ -96,6 +96,24 @@ def test_a_forecast_that_is_not_finite_is_named_and_refused(data_scenes, tmp_pat
         score_predictions(data_scenes["arterial"], predictions=path)
 
 
+def test_tracks_of_a_scenario_with_probabilities_of_their_own_are_refused(data_scenes, tmp_path):
+    """av2 reads one track's for all: brier-minFDE of the other would be wrong. The order of modes may differ."""
+    scenario = read_scenario(data_scenes["arterial"])
+    truth = focal_future(scenario)
+    by_track = {scenario.focal_track_id: np.stack([truth, truth]), "AV": np.stack([truth, truth])}
+    path = write_forecasts({scenario.scenario_id: (np.array([0.4, 0.6]), by_track)}, tmp_path / "f.parquet")
+    rows = pd.read_parquet(path)
+    for shares, differ in (((0.4, 0.6, 0.6, 0.4), False), ((0.4, 0.6, 0.3, 0.7), True)):
+        rows.assign(probability=shares).to_parquet(path)
+        if differ:
+            with pytest.raises(
+                ScenarioError, match=f"scenario {scenario.scenario_id}, track .*: probability 0.3, expected"
+            ):
+                read_forecasts(path)
+        else:
+            assert list(read_forecasts(path)) == [scenario.scenario_id]
+
+
 def test_jobs_do_not_change_the_scores(data_root, tmp_path, monkeypatch):
     monkeypatch.setattr(predictions, "_CHUNK", 2)
     path = write_baseline(data_root, tmp_path / "f.parquet", kind="constant-velocity")
@@ -186,6 +204,16 @@ def test_a_baseline_forecasts_what_is_not_observed_of_a_scene_made_from_argovers
     assert scored[1].agents_observed == sum(19 in track.timesteps for track in scenario.tracks)
 
 
+def test_a_scene_that_lies_in_two_folders_is_scored_once_and_named(data_root, tmp_path):
+    """As the validation scenes of the data sets of a composed root do."""
+    for name in ("one", "two"):
+        shutil.copytree(data_root, tmp_path / "root" / name)
+    scores, left_out = score_predictions(tmp_path / "root", predictions="constant-velocity")
+    pd.testing.assert_frame_equal(scores, score_predictions(data_root, predictions="constant-velocity")[0])
+    assert len(left_out) == 3
+    assert all(re.search("/two/.*: same scene as .*/one/", line) for line in left_out)
+
+
 PARAMS = Forecasting(resamples=4000)
 
 
@@ -239,16 +267,16 @@ def test_scenes_made_of_one_recorded_scene_are_drawn_together():
 
 
 def test_seeds_are_drawn_too():
-    """Three seeds of a, 1 m apart, on equal scenes: all that varies is the mean of three seeds drawn."""
+    """Three seeds of a, 1 m apart, on equal scenes: 1 m / sqrt(3), the standard error of the mean of three."""
     mine = [[score(f"s{n}", 5.0 + seed) for n in range(30)] for seed in range(3)]
     theirs = [[score(f"s{n}", 5.0) for n in range(30)] for _ in range(3)]
     found = compared(mine, theirs)
     assert found.difference == pytest.approx(1.0)
-    assert found.se == pytest.approx(np.std([0, 1, 2]) / np.sqrt(3), rel=0.06)
+    assert found.se == pytest.approx(1 / np.sqrt(3), rel=0.06)
 
 
 def test_only_tracks_that_every_file_forecasts_count():
-    mine = [[score("a", 1.0), score("b", 9.0), score("a", 1.0)]]  # one scene lies in two folders
+    mine = [[score("a", 1.0), score("b", 9.0)]]
     theirs = [[score("a", 2.0), score("c", 9.0)]]
     found = compared(mine, theirs)
     assert (found.tracks, found.difference) == (1, -1.0)
@@ -266,6 +294,10 @@ def test_files_are_compared_with_the_first(data_root, tmp_path):
         right[scenario.scenario_id] = (np.array([1.0]), {track.track_id: track.position[None, track.timesteps > 49]})
     first = write_baseline(data_root, tmp_path / "cv.parquet", kind="constant-velocity")
     second = write_forecasts(right, tmp_path / "right.parquet")
+    few = write_forecasts(dict([*right.items()][:2]), tmp_path / "few.parquet")
+    some = predictions.parse_models([str(first), str(few)])
+    _, (told,) = predictions.compare_predictions(data_root, some, tmp_path / "report")
+    assert told in (tmp_path / "report" / "comparison.html").read_text()
     models = predictions.parse_models([str(first), f"oracle={second}"])
     assert models == {"cv": [first], "oracle": [second]}
     found, left_out = predictions.compare_predictions(data_root, models, tmp_path / "report", bounds=(22,))

@@ -20,6 +20,11 @@ def test_first_column_of_a_table_is_text_and_every_cell_has_the_name_of_its_colu
     assert '<td data-label="">a</td><td class=n data-label="share">1</td><td data-label="why">x</td>' in text
 
 
+def test_page_of_scores_tells_no_number_of_seconds() -> None:
+    """Of Argoverse 1 3 s are forecast, of Argoverse 2 6 s."""
+    assert " s after" not in macros("scored.html.j2", head=[], rows=[], left_out=[]).intro()
+
+
 def test_what_is_not_ours_is_escaped_in_pages() -> None:
     assert "<li>a &lt;b&gt;</li>" in macros("scored.html.j2", head=[], rows=[], left_out=["a <b>"]).intro()
     assert linked("share <x>") == "share &lt;x&gt;"

@@ -263,6 +263,15 @@ def test_sidecars_that_tell_less_are_shown(page: Page, data_scenes, tmp_path: Pa
     assert page.errors == []
 
 
+def test_panel_tells_small_shares_and_which_gaps_are_which(opened: Page) -> None:
+    """A share of .035, and looks at gaps to vehicles that may not be exported beside gaps of those exported."""
+    assert "0.035" in opened.js("$('panel').textContent")
+    opened.js("choose(Object.keys(now.scene.looks)[0])")
+    opened.drawn()
+    assert "As simulated, to vehicles that were not exported as well" in opened.js("$('panel').textContent")
+    assert opened.errors == []
+
+
 @pytest.mark.parametrize("width", WIDTHS)
 def test_page_fits_its_width_and_shows_all_traffic(opened: Page, width: int, tmp_path: Path) -> None:
     """The window changes its size under a scene that is open, and nobody has zoomed or panned."""
