@@ -45,7 +45,7 @@ from hid2.agents import FOCAL_CATEGORY, FloatArray, Track
 from hid2.drivers.driver import Driver
 from hid2.kernels.gaps import ASIDE_M
 from hid2.measures.arrays import is_generated_id
-from hid2.measures.lane_matching import flatten_lanes
+from hid2.measures.lane_matching import FlatLanes, flatten_lanes
 from hid2.occupancy.agent_states import agent_states
 from hid2.occupancy.traffic import BoolArray
 from hid2.params import Config
@@ -132,7 +132,7 @@ def _fcd(scenario: Recording, grid: CellGrid, placed: Mapping[str, _Placed]) -> 
 
 
 def _places(scenario: Recording, grid: CellGrid) -> dict[str, _Placed]:
-    """Cells of every agent, by the lane that it is matched to, else by the nearest lane, however far."""
+    """Cells under the front bumper of every agent, by the lane it is matched to, else the nearest, however far."""
     tracks, graph = scenario.tracks, scenario.graph
     flat = flatten_lanes(graph)
     states = agent_states(tracks, flat, num_steps=scenario.num_steps, step_s=scenario.step_s)
@@ -141,17 +141,32 @@ def _places(scenario: Recording, grid: CellGrid) -> dict[str, _Placed]:
     nearest = shapely.STRtree(lines).nearest(shapely.points(arrays.position))
     rows = np.where(matches.lane >= 0, matches.lane, nearest)
     front, _ = sumo_poses(arrays.position, arrays.heading, arrays.length[arrays.agent])
+    along = np.empty(len(rows))
+    for lane in np.unique(rows).tolist():
+        here = rows == lane
+        along[here] = graph.lanes[int(flat.lane_ids[lane])].path.frenet(front[here])[0]
+    matched = rows.copy()
+    for row in np.flatnonzero(along > flat.length_m[rows]).tolist():
+        driven = matched[row : arrays.first[arrays.agent[row] + 1]]
+        rows[row], along[row] = _ahead(flat, int(rows[row]), float(along[row]), front[row], driven=driven.tolist())
     apart_m = shapely.distance(shapely.points(front), np.array(lines)[rows])
     on, lane_ids = (matches.lane >= 0) | (apart_m <= ASIDE_M), flat.lane_ids[rows]
-    along = np.empty(len(lane_ids))
-    for lane_id in np.unique(lane_ids).tolist():
-        here = lane_ids == lane_id
-        along[here] = graph.lanes[lane_id].path.frenet(front[here])[0]
     cells = [grid.cell_at(lane_id, s) for lane_id, s in zip(lane_ids.tolist(), along.tolist(), strict=True)]
     begin = np.array([grid.edges_m[cell.lane_id][cell.index] for cell in cells])
     pos = np.clip(along - begin, 0.0, [grid.length_m(cell) for cell in cells])
     bounds = zip(arrays.track_ids, pairwise(arrays.first.tolist()), strict=True)
     return {track_id: (cells[start:stop], pos[start:stop], on[start:stop]) for track_id, (start, stop) in bounds}
+
+
+def _ahead(flat: FlatLanes, lane: int, s: float, front: FloatArray, *, driven: Sequence[int]) -> tuple[int, float]:
+    """Lane that holds a front bumper (2,) m beyond the end of one, and s m on it. driven: lanes to prefer at splits."""
+    point, passed = shapely.Point(front), {lane}
+    while s > flat.length_m[lane] and (ways := set(flat.successors[lane]) - passed):
+        far_m = {way: point.distance(shapely.LineString(flat.lane_points(way))) for way in ways}
+        lane = min(ways, key=lambda way: (way not in driven, far_m[way], way))
+        passed.add(lane)
+        s = float(flat.graph.lanes[int(flat.lane_ids[lane])].path.frenet(front)[0][0])
+    return lane, s
 
 
 def _routes(

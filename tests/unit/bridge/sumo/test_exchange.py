@@ -74,6 +74,26 @@ def test_positions_along_lanes_are_where_the_front_bumpers_are(written: Path, ma
         assert math.dist(place, (float(vehicle.get("x")), float(vehicle.get("y")))) < 3.6
 
 
+def test_a_front_bumper_beyond_its_lane_is_on_the_next_one(written: Path) -> None:
+    """pos is at the end of a lane, and the bumper over .3 m ahead of it, only where no lane follows."""
+    net = _read(written, ".net.xml")
+    lines = {
+        lane.get("id"): shapely.LineString([tuple(map(float, xy.split(","))) for xy in lane.get("shape").split()])
+        for lane in net.iter("lane")
+    }
+    followed = {f"{link.get('from')}_{link.get('fromLane')}" for link in net.iter("connection")}
+    ends = 0
+    for vehicle in _read(written, ".fcd.xml").iter("vehicle"):
+        line = lines.get(vehicle.get("lane"))
+        if line is None or vehicle.get("lane") not in followed:
+            continue
+        last, end = (np.array(line.interpolate(at, normalized=True).coords[0]) for at in (0.9, 1.0))
+        ahead = (end - last) / np.hypot(*(end - last))
+        assert (np.array([float(vehicle.get("x")), float(vehicle.get("y"))]) - end) @ ahead < 0.3
+        ends += float(vehicle.get("pos")) > line.length - 0.5
+    assert ends > 0
+
+
 def test_every_inserted_vehicle_has_a_route_that_the_net_has(written: Path, made_scene: Path) -> None:
     scenario = read_scenario(made_scene)
     sidecar = read_sidecar(sidecar_path(made_scene, scenario.scenario_id))
