@@ -53,7 +53,7 @@ from netconvert.cells import SAVED_WITHIN_M, Cell, CellGrid, build_cell_grid
 from netconvert.errors import ExportError, ScenarioError, SimulationError
 from netconvert.gui_files import REAL_TIME_MS, gui_files, xml_bytes
 from netconvert.lane_graph import TurnType
-from netconvert.net_xml import CITY_ORIGINS, junction_beside, junction_xml, net_bytes, shape
+from netconvert.net_xml import CITY_ORIGINS, junction_beside, junction_of, net_bytes, shape
 
 _LOG = logging.getLogger(__name__)
 #: Where an agent's front bumper is on the net at each of its steps: (N,) cells, metres along them, and whether it is
@@ -356,8 +356,8 @@ def _with_traces(net: bytes, traces: list[_Trace]) -> bytes:
             line = junction_beside(end, trace.shapes[max(k - 1, 0) : k + 1])
             near = np.hypot(*(end - place)) < _JUNCTIONS_APART_M
             place = end + 2.0 * _JUNCTIONS_APART_M * np.array([near, 0.0])
-            text = junction_xml(f"{trace.edge(k)}_j", place.tolist(), incoming=incoming, line=line)
-            added["junction"].append(etree.fromstring(text))
+            known = junction_of(f"{trace.edge(k)}_j", place.tolist(), incoming=incoming, line=line)
+            added["junction"].append(E.junction(known))
     for tag, elements in added.items():
         before = root.findall(tag)
         behind = root.index(before[-1]) + 1 if before else len(root)
