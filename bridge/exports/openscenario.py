@@ -11,6 +11,7 @@ from lxml.builder import E
 
 from bridge.recordings.recording import AV_ID, Recording
 from hid2.agents import FloatArray, Track
+from netconvert.errors import NetError
 from netconvert.gui_files import xml_bytes
 from netconvert.net_xml import CITY_ORIGINS
 from netconvert.opendrive import opendrive_bytes
@@ -31,6 +32,8 @@ def openscenario_files(scene: Recording) -> dict[str, bytes]:
     """<id>.xosc and <id>.xodr by file name. Errors: NetError."""
     name = scene.scenario_id
     tracks = sorted(scene.tracks, key=lambda track: track.track_id != AV_ID)
+    if {AV_ID, EGO} <= {track.track_id for track in tracks}:
+        raise NetError(f"{scene.folder}: track {EGO!r}: expected another id, {AV_ID} is called so; rename the track")
     groups = [_acts(track, scene) for track in tracks]
     teleports = (
         E.Private(E.PrivateAction(E.TeleportAction(_position(_axle(track)[0]))), entityRef=_name(track))

@@ -50,7 +50,7 @@ from hid2.occupancy.agent_states import agent_states
 from hid2.occupancy.traffic import BoolArray
 from hid2.params import Config
 from netconvert.cells import SAVED_WITHIN_M, Cell, CellGrid, build_cell_grid
-from netconvert.errors import ExportError, ScenarioError, SimulationError
+from netconvert.errors import ExportError, NetError, ScenarioError, SimulationError
 from netconvert.gui_files import REAL_TIME_MS, gui_files, xml_bytes
 from netconvert.lane_graph import TurnType
 from netconvert.net_xml import CITY_ORIGINS, junction_beside, junction_of, net_bytes, shape
@@ -74,6 +74,8 @@ _JUNCTIONS_APART_M = 0.05
 _UNSEEN = "ship"
 #: Parameter of a vehicle that holds the id to show.
 ID_KEY = "shown_id"
+#: Characters that SUMO takes in no id of a vehicle or type.
+_NOT_IN_IDS = " \"&',;<>\\|"
 #: SUMO's pictures of vehicles, by object type.
 GUI_SHAPES: Mapping[str, str] = {
     "vehicle": "passenger/sedan",
@@ -251,7 +253,12 @@ def playable_files(scenario: Recording, grid: CellGrid) -> dict[str, bytes]:
 
     The net is that of `hid2 net` with the lanes of the traces added, the view looks at what moves.
     sumo-gui shows the first step and waits, and the last one: vehicles are boxes of their size, with their ids.
+    Errors: NetError for the id of a track that SUMO refuses.
     """
+    for track in scenario.tracks:
+        if set(track.track_id) & set(_NOT_IN_IDS):
+            said = f"{scenario.folder}: track {track.track_id!r}: SUMO takes no such id"
+            raise NetError(f"{said}, expected one without any of the characters {_NOT_IN_IDS!r}; rename the track")
     name = f"{scenario.scenario_id}_scene"
     options = run_options(scenario, f"{name}.rou.xml")
     options["time"]["end"] = f"{(scenario.num_steps + 1) * scenario.step_s:.2f}"  # at which sumo-gui asks to close all
@@ -413,8 +420,8 @@ def play_scene(
     It waits at the first step until the user presses play, and shows the last one until the user reloads. speed: 1 is
     real time. on_shown is called when sumo-gui has been started. screenshot: a .png file, written at timestep `step`
     (default: the last observed one); the window then closes at once and the file is returned.
-    Errors: ScenarioError, MapError; ConfigError for a step that there is none of; SimulationError without sumo-gui or
-    a display, or where it fails; ExportError where the picture cannot be written.
+    Errors: ScenarioError, MapError, NetError; ConfigError for a step that there is none of; SimulationError without
+    sumo-gui or a display, or where it fails; ExportError where the picture cannot be written.
     """
     if screenshot is not None:
         check_ending(screenshot, [".png"])

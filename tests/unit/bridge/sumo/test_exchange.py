@@ -2,8 +2,10 @@
 
 import json
 import math
+import re
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,7 +21,7 @@ from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import read_sidecar, sidecar_path
 from bridge.sumo.exchange import sumo_files
 from bridge.sumo.poses import box_poses
-from netconvert.errors import ScenarioError
+from netconvert.errors import NetError, ScenarioError
 from netconvert.net_xml import CITY_ORIGINS
 
 _NAMES = {"austin": "ATX", "dearborn": "DTW", "miami": "MIA", "palo-alto": "PAO", "pittsburgh": "PIT"}
@@ -169,6 +171,16 @@ def test_a_driver_that_is_not_whole_is_refused_by_name(made_scene: Path, tmp_pat
     path.write_text(json.dumps(content))
     with pytest.raises(ScenarioError, match=r"gen_0: the driver in the sidecar has desired_mps, .*expected"):
         sumo_files(read_scenario(folder))
+
+
+@pytest.mark.parametrize("track_id", ["my car", "a,b", "a;b", 'a<&"b', "a|b"])
+def test_an_id_that_sumo_refuses_is_refused_by_name(data_scenes: dict[str, Path], track_id: str) -> None:
+    scenario = read_scenario(data_scenes["curve"])
+    tracks = (replace(scenario.tracks[0], track_id=track_id), *scenario.tracks[1:])
+    with pytest.raises(
+        NetError, match=rf"track {re.escape(repr(track_id))}: SUMO takes no such id, expected one without"
+    ):
+        sumo_files(replace(scenario, tracks=tracks))
 
 
 def test_agents_off_every_lane_have_none(data_scenes: dict[str, Path]) -> None:
