@@ -18,6 +18,7 @@ the same lane, and the lane's direction is its heading. What SUMO tells as its s
 import logging
 import math
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -32,7 +33,8 @@ from lxml import etree
 from lxml.builder import E
 
 from bridge.config import config_from_dict
-from bridge.files import make_folder
+from bridge.files import beside, make_folder
+from bridge.interruption import SIGNALS
 from bridge.pictures.figures import FACES, check_ending, check_step, kinds_in, moving_ground
 from bridge.recordings.folders import Address
 from bridge.recordings.recording import Recording
@@ -72,6 +74,8 @@ _CLEAR_M = 1.0
 _JUNCTIONS_APART_M = 0.05
 #: Lanes for this class of vehicle are transparent in the view settings (`gui_files`); no map has any.
 _UNSEEN = "ship"
+#: Name of the picture that sumo-gui draws, beside its files.
+_PICTURE = "picture.png"
 #: Parameter of a vehicle that holds the id to show.
 ID_KEY = "shown_id"
 #: Characters that SUMO takes in no id of a vehicle or type.
@@ -439,7 +443,7 @@ def play_scene(
     if screenshot is not None:
         make_folder(screenshot.parent)
         view = etree.fromstring(files[f"{name}.view.xml"])
-        view.append(E.snapshot(file=str(screenshot.resolve()), time=f"{at_s:.2f}"))
+        view.append(E.snapshot(file=_PICTURE, time=f"{at_s:.2f}"))
         files[f"{name}.view.xml"] = xml_bytes(view)
         # where a list is expected an empty one is refused, so a time that never comes
         end_s = at_s + 2 * scenario.step_s
@@ -453,8 +457,11 @@ def play_scene(
             if on_shown is not None:
                 on_shown()
             code = window.wait()
-    if code > 0:
-        raise SimulationError(f"{binary} ended with exit code {code}; what it says stands above")
-    if screenshot is not None and not screenshot.is_file():
-        raise ExportError(f"{screenshot}: sumo-gui wrote no picture; is the folder writable?")
+        if code not in {0, *(-number for number in SIGNALS)}:  # it may be closed so
+            raise SimulationError(f"{binary} ended with exit code {code}; what it says stands above")
+        if screenshot is not None:
+            if not (drawn := Path(place) / _PICTURE).is_file():
+                raise ExportError(f"{screenshot}: sumo-gui drew no picture; see what it says, or try another display")
+            with beside(screenshot) as hidden:
+                shutil.copyfile(drawn, hidden)
     return screenshot
