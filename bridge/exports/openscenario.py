@@ -10,6 +10,7 @@ from lxml import etree
 from lxml.builder import E
 
 from bridge.recordings.recording import AV_ID, Recording
+from bridge.sumo.net import config_of
 from hid2.agents import FloatArray, Track
 from netconvert.errors import NetError
 from netconvert.gui_files import xml_bytes
@@ -54,8 +55,9 @@ def openscenario_files(scene: Recording) -> dict[str, bytes]:
 
 def opendrive_files(scene: Recording) -> dict[str, bytes]:
     """<id>.xodr by file name. Errors: NetError."""
-    name = scene.scenario_id
-    return {f"{name}.xodr": opendrive_bytes(scene.graph, name, origin=CITY_ORIGINS.get(scene.city))}
+    name, fastest_mps = scene.scenario_id, config_of(scene).spawn.max_speed_mps
+    origin = CITY_ORIGINS.get(scene.city)
+    return {f"{name}.xodr": opendrive_bytes(scene.graph, name, origin=origin, fastest_mps=fastest_mps)}
 
 
 def _name(track: Track) -> str:

@@ -32,7 +32,6 @@ import shapely
 from lxml import etree
 from lxml.builder import E
 
-from bridge.config import config_from_dict
 from bridge.files import beside, make_folder
 from bridge.interruption import SIGNALS
 from bridge.pictures.figures import FACES, check_ending, check_step, kinds_in, moving_ground
@@ -41,7 +40,7 @@ from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import Sidecar
 from bridge.recordings.sources import read_recording
 from bridge.sumo.drivers import driver_attributes, model_parameters
-from bridge.sumo.net import sumo_program
+from bridge.sumo.net import config_of, scene_net, sumo_program
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FOCAL_CATEGORY, FloatArray, Track
 from hid2.drivers.driver import Driver
@@ -50,12 +49,11 @@ from hid2.measures.arrays import is_generated_id
 from hid2.measures.lane_matching import FlatLanes, flatten_lanes
 from hid2.occupancy.agent_states import agent_states
 from hid2.occupancy.traffic import BoolArray
-from hid2.params import Config
 from netconvert.cells import SAVED_WITHIN_M, Cell, CellGrid, build_cell_grid
 from netconvert.errors import ExportError, NetError, ScenarioError, SimulationError
 from netconvert.gui_files import REAL_TIME_MS, gui_files, xml_bytes
 from netconvert.lane_graph import TurnType
-from netconvert.net_xml import CITY_ORIGINS, junction_beside, junction_of, net_bytes, shape
+from netconvert.net_xml import junction_beside, junction_of, shape
 
 _LOG = logging.getLogger(__name__)
 #: Where an agent's front bumper is on the net at each of its steps: (N,) cells, metres along them, and whether it is
@@ -98,17 +96,15 @@ GUI_FACES: Mapping[str, str] = {**FACES, "focal": "#F0E442"}
 def sumo_files(scenario: Recording) -> dict[str, bytes]:
     """Contents of all files by file name; vehicles of a generated scene get routes."""
     name, sidecar = scenario.scenario_id, scenario.sidecar
-    config = Config() if sidecar is None else config_from_dict(sidecar.config, source=f"{name}: the sidecar's config")
     grid = build_cell_grid(scenario.graph, saved_within_m=SAVED_WITHIN_M)
     placed = _places(scenario, grid)
     files = gui_files(grid, name, step_s=scenario.step_s, options=run_options(scenario, f"{name}.rou.xml"))
-    fastest_mps = config.spawn.max_speed_mps
-    files[f"{name}.net.xml"] = net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city), fastest_mps=fastest_mps)
+    files[f"{name}.net.xml"] = scene_net(scenario, grid)
     files[f"{name}.fcd.xml"] = _fcd(scenario, grid, placed)
     if sidecar is None or not sidecar.agents:
         del files[f"{name}.sumocfg"]  # SUMO would have nothing to drive
     else:
-        files[f"{name}.rou.xml"] = _routes(scenario, sidecar, config, grid, placed)
+        files[f"{name}.rou.xml"] = _routes(scenario, sidecar, grid, placed)
     return files | playable_files(scenario, grid)
 
 
@@ -117,7 +113,7 @@ def fcd_files(scenario: Recording) -> dict[str, bytes]:
     grid = build_cell_grid(scenario.graph, saved_within_m=SAVED_WITHIN_M)
     return {
         f"{scenario.scenario_id}.fcd.xml": _fcd(scenario, grid, _places(scenario, grid)),
-        f"{scenario.scenario_id}.net.xml": net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city)),
+        f"{scenario.scenario_id}.net.xml": scene_net(scenario, grid),
     }
 
 
@@ -175,9 +171,7 @@ def _ahead(flat: FlatLanes, lane: int, s: float, front: FloatArray, *, driven: S
     return lane, s
 
 
-def _routes(
-    scenario: Recording, sidecar: Sidecar, config: Config, grid: CellGrid, placed: Mapping[str, _Placed]
-) -> bytes:
+def _routes(scenario: Recording, sidecar: Sidecar, grid: CellGrid, placed: Mapping[str, _Placed]) -> bytes:
     """Types of the inserted vehicles, and the vehicles in the order of departure."""
     faces, drivers = kinds_in(scenario), {agent.track_id: agent.driver for agent in sidecar.agents}
     links = {
@@ -194,7 +188,7 @@ def _routes(
             except TypeError as error:
                 known = ", ".join(driver.parameters) or "nothing"
                 raise ScenarioError(f"{name}: the driver in the sidecar has {known}, expected all of one") from error
-            more = model_parameters(config) | driver_attributes(drives, driver.model)
+            more = model_parameters(config_of(scenario)) | driver_attributes(drives, driver.model)
             kind |= {"carFollowModel": driver.model, **{key: f"{value:g}" for key, value in more.items()}}
             speed_mps = min(speed_mps, more["maxSpeed"])  # SUMO inserts no vehicle that is faster
         kinds.append(E.vType(kind))
@@ -279,8 +273,7 @@ def playable_files(scenario: Recording, grid: CellGrid) -> dict[str, bytes]:
     files = gui_files(grid, name, step_s=scenario.step_s, shown=shown, options=options, vehicles=vehicles)
     del files[f"{name}.cells.csv"]
     traces = [_trace(track, scenario.step_s) for track in scenario.tracks]
-    net = net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city))
-    files[f"{name}.net.xml"] = _with_traces(net, traces)
+    files[f"{name}.net.xml"] = _with_traces(scene_net(scenario, grid), traces)
     files[f"{name}.rou.xml"] = _trace_routes(scenario, traces)
     return files
 
@@ -434,7 +427,7 @@ def play_scene(
         raise SimulationError("no display for sumo-gui: set DISPLAY, or run it under xvfb-run")
     scenario = read_recording(folder)
     at_s = check_step(scenario, step) * scenario.step_s
-    files = playable_files(scenario, build_cell_grid(scenario.graph))
+    files = playable_files(scenario, build_cell_grid(scenario.graph, saved_within_m=SAVED_WITHIN_M))
     name = f"{scenario.scenario_id}_scene"
     options = {
         "window-size": "1280,900",

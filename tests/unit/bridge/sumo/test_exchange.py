@@ -4,10 +4,11 @@ import json
 import math
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import libsumo
 import numpy as np
@@ -15,11 +16,13 @@ import pytest
 import shapely
 from av2.geometry.utm import CITY_ORIGIN_LATLONG_DICT, UTM_ZONE_MAP, CityName, convert_gps_to_utm
 from lxml import etree
+from written import edit_json
 
 from bridge.exports.export import export_scene
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import read_sidecar, sidecar_path
 from bridge.sumo.exchange import sumo_files
+from bridge.sumo.net import convert
 from bridge.sumo.poses import box_poses
 from netconvert.errors import NetError, ScenarioError
 from netconvert.net_xml import CITY_ORIGINS
@@ -171,6 +174,30 @@ def test_a_driver_that_is_not_whole_is_refused_by_name(made_scene: Path, tmp_pat
     path.write_text(json.dumps(content))
     with pytest.raises(ScenarioError, match=r"gen_0: the driver in the sidecar has desired_mps, .*expected"):
         sumo_files(read_scenario(folder))
+
+
+def test_a_fast_scene_has_one_net_and_one_limit_whatever_command_writes_it(
+    made_scene: Path, copy_scene: Callable[..., Path], tmp_path: Path
+) -> None:
+    """Driven with desires up to 30 m/s: so are the lanes. `hid2 net` behind it keeps the .sumocfg with routes."""
+    folder, out = copy_scene(folder=made_scene), tmp_path / "out"
+
+    def hasten(content: dict[str, Any]) -> None:
+        content["config"]["spawn"]["max_speed_mps"] = 30.0
+
+    name = read_scenario(folder).scenario_id
+    edit_json(sidecar_path(folder, name), hasten)
+    export_scene(folder, "sumo", out)
+    net, config = (out / f"{name}{ending}" for ending in (".net.xml", ".sumocfg"))
+    wanted = {path: path.read_bytes() for path in (net, config)}
+    assert {lane.get("speed") for lane in etree.fromstring(wanted[net]).iter("lane")} == {"30"}
+    assert b"route-files" in wanted[config]
+    export_scene(folder, "fcd", out)
+    assert net.read_bytes() == wanted[net]
+    convert(folder, out)
+    assert {path: path.read_bytes() for path in wanted} == wanted
+    (roads,) = export_scene(folder, "opendrive", out)
+    assert {limit.get("max") for limit in etree.parse(roads).iter("speed")} == {"30"}
 
 
 @pytest.mark.parametrize("track_id", ["my car", "a,b", "a;b", 'a<&"b', "a|b"])
