@@ -22,7 +22,7 @@ from hid2.conflicts.signals import InferredSignals
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.params import Config, Signals
 from netconvert.cells import SAVED_WITHIN_M, CellGrid, build_cell_grid
-from netconvert.errors import ConfigError, ExportError, MapError, NetError, NoSceneError, SimulationError
+from netconvert.errors import ConfigError, ExportError, MapError, NetError, NoSceneError, ScenarioError, SimulationError
 from netconvert.fidelity import FidelityReport, measure_fidelity
 from netconvert.gui_files import gui_files
 from netconvert.lane_graph import LaneGraph
@@ -35,9 +35,11 @@ _WHOLE_OPTIONS += ["--offset.disable-normalization", "true"]
 
 
 def config_of(recording: Recording) -> Config:
-    """Parameters that a generated scene was made with, else the defaults. Errors: ConfigError."""
-    source = f"{recording.scenario_id}: the sidecar's config"
-    return Config() if recording.sidecar is None else config_from_dict(recording.sidecar.config, source=source)
+    """Parameters that a generated scene was made with, else the defaults. Errors: ScenarioError."""
+    try:
+        return Config() if recording.sidecar is None else config_from_dict(recording.sidecar.config, source="config")
+    except ConfigError as error:  # of this scene alone
+        raise ScenarioError(f"{recording.folder}: the sidecar's {error}") from error
 
 
 def scene_net(recording: Recording, grid: CellGrid) -> bytes:

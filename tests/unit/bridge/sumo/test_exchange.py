@@ -198,6 +198,9 @@ def test_a_fast_scene_has_one_net_and_one_limit_whatever_command_writes_it(
     assert {path: path.read_bytes() for path in wanted} == wanted
     (roads,) = export_scene(folder, "opendrive", out)
     assert {limit.get("max") for limit in etree.parse(roads).iter("speed")} == {"30"}
+    edit_json(sidecar_path(folder, name), lambda content: content["config"]["spawn"].update(max_speed_mps="fast"))
+    with pytest.raises(ScenarioError, match=r"the sidecar's config: .*'fast'"):
+        export_scene(folder, "fcd", out)
 
 
 @pytest.mark.parametrize("track_id", ["my car", "a,b", "a;b", 'a<&"b', "a|b"])
