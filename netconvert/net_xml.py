@@ -157,7 +157,9 @@ def _junctions(
         ends = [line[at].tolist() for line, at in touching]
         place = sum(x for x, _ in ends) / len(ends), sum(y for _, y in ends) / len(ends)
         beside = junction_beside(np.array(ends[0]), [line for line, _ in touching]) if editable else None
-        text.append(junction_xml(name, place, incoming=incoming[name], line=beside))
+        known = junction_of(name, place, incoming=incoming[name], line=beside)
+        shown = " ".join([f'{key}="{value}"' for key, value in known.items()])
+        text.append(f"  <junction {shown}/>")
     return text
 
 
@@ -178,13 +180,13 @@ def junction_beside(end: FloatArray, lanes: Sequence[FloatArray]) -> FloatArray:
     return np.asarray(end + np.array([[_BESIDE_M], [_BESIDE_M + 0.02]]) * way[np.argmax(clear)])
 
 
-def junction_xml(name: str, place: Sequence[float], *, incoming: Sequence[str], line: FloatArray | None) -> str:
-    """A junction at a place, m; incoming: ids of the lanes that end there; line: its shape, (N, 2) m."""
-    points = "" if line is None else f' shape="{shape(line, digits=3)}" customShape="1"'
-    return (
-        f'  <junction id="{name}" type="unregulated" x="{place[0]:.3f}" y="{place[1]:.3f}"'
-        f' incLanes="{" ".join(incoming)}" intLanes=""{points}/>'
-    )
+def junction_of(
+    name: str, place: Sequence[float], *, incoming: Sequence[str], line: FloatArray | None
+) -> dict[str, str]:
+    """Attributes of a junction at a place, m; incoming: ids of the lanes that end there; line: its shape, (N, 2) m."""
+    known = {"id": name, "type": "unregulated", "x": f"{place[0]:.3f}", "y": f"{place[1]:.3f}"}
+    known |= {"incLanes": " ".join(incoming), "intLanes": ""}
+    return known if line is None else {**known, "shape": shape(line, digits=3), "customShape": "1"}
 
 
 def location(graph: LaneGraph, origin: CityOrigin | None) -> str:

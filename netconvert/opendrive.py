@@ -20,7 +20,7 @@ from lxml.builder import E
 from netconvert.geometry import FloatArray, Polyline, wrap_angle
 from netconvert.gui_files import xml_bytes
 from netconvert.lane_graph import LaneGraph, LaneSegment
-from netconvert.net_xml import SPEED_LIMIT_MPS, CityOrigin
+from netconvert.net_xml import SPEED_LIMIT_MPS, CityOrigin, speed_limit_mps
 from netconvert.roads import RoadGraph, Way, roads_of
 
 #: Tolerances of lines where they round corners, where corners are left out, and of widths.
@@ -173,11 +173,15 @@ def _connecting(graph: LaneGraph, way: Way, source: tuple[_Road, int], target: t
     return _Road(way.through, line, np.array([0.0, line.length_m]), np.array([half, -half]))
 
 
-def opendrive_bytes(graph: LaneGraph, name: str, *, origin: CityOrigin | None = None) -> bytes:
+def opendrive_bytes(
+    graph: LaneGraph, name: str, *, origin: CityOrigin | None = None, fastest_mps: float = SPEED_LIMIT_MPS
+) -> bytes:
     """The .xodr file of a graph, in city coordinates. Equal graphs give equal bytes.
 
-    name: of the map; origin: of the city frame; with it the file has a geo-reference. Errors: NetError.
+    name: of the map; origin: of the city frame; with it the file has a geo-reference. fastest_mps: see
+    `speed_limit_mps`. Errors: NetError.
     """
+    limit_mps = speed_limit_mps(fastest_mps)
     roads, drawn = _drawn(graph)
     ends: list[list[etree._Element]] = [[] for _ in drawn]
     for end, junction in enumerate(roads.junctions):
@@ -199,7 +203,7 @@ def opendrive_bytes(graph: LaneGraph, name: str, *, origin: CityOrigin | None = 
             number = len(drawn) + len(connecting)
             links = [_link("predecessor", before), _link("successor", behind)]
             leads = {"predecessor": [left], "successor": [right]}
-            connecting.append(_road_xml(graph, road, number, links, leads, junction=str(junction)))
+            connecting.append(_road_xml(graph, road, number, links, leads, limit_mps, junction=str(junction)))
             known = {"id": str(len(found)), "incomingRoad": str(before), "connectingRoad": str(number)}
             lane_link = E.laneLink({"from": str(-1 - left), "to": "-1"})
             found.append(E.connection({**known, "contactPoint": "start"}, lane_link))
@@ -208,7 +212,7 @@ def opendrive_bytes(graph: LaneGraph, name: str, *, origin: CityOrigin | None = 
     for number, road in enumerate(drawn):
         joined = [str(link.tag) for link in ends[number] if link.get("elementType") == "road"]
         lanes = dict.fromkeys(joined, range(len(road.lanes)))
-        whole.append(_road_xml(graph, road, number, ends[number], lanes))
+        whole.append(_road_xml(graph, road, number, ends[number], lanes, limit_mps))
     (west, south), (east, north) = graph.bounds
     ground = {"north": north, "south": south, "east": east, "west": west}
     known = {"revMajor": "1", "revMinor": "7", "name": name, "version": "1.00", "vendor": "hid2-sumo"}
@@ -262,7 +266,7 @@ def _link(side: str, road: int) -> etree._Element:
 
 def _road_xml(
     graph: LaneGraph, road: _Road, number: int, ends: Sequence[etree._Element], lanes: Mapping[str, Sequence[int]],
-    junction: str = "-1",
+    limit_mps: float, *, junction: str = "-1",
 ) -> etree._Element:  # fmt: skip
     """A road. ends: what it is linked with; lanes: those before and behind each of its lanes, from the left."""
     through = junction != "-1"
@@ -279,7 +283,7 @@ def _road_xml(
         offsets.append(_section(graph, road, slice(first, last + 1), linked, through=through))
     known = {"name": " ".join(map(str, road.lanes)), "length": f"{road.line.length_m:.6f}", "id": str(number)}
     known |= {"junction": junction, "rule": "RHT"}
-    town = E.type(E.speed(max=f"{SPEED_LIMIT_MPS:g}", unit="m/s"), s="0", type="town")
+    town = E.type(E.speed(max=f"{limit_mps:g}", unit="m/s"), s="0", type="town")
     return E.road(known, E.link(*ends), town, E.planView(*plan), offsets)
 
 

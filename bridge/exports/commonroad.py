@@ -5,6 +5,8 @@ comment. Steps that a track lacks are between its neighbours. The format wants e
 later waits beside the map then, and is nowhere until its trajectory begins.
 """
 
+import re
+from hashlib import sha256
 from itertools import count
 
 import numpy as np
@@ -14,7 +16,7 @@ from lxml.builder import E
 from bridge.recordings.recording import Recording
 from hid2.agents import AV_ID, FloatArray
 from hid2.occupancy.traffic import traffic_of
-from netconvert.geometry import Polyline, wrap_angle
+from netconvert.geometry import arc_length, wrap_angle
 from netconvert.gui_files import xml_bytes
 from netconvert.lane_graph import SIDES, LaneGraph, LaneSegment
 from netconvert.net_xml import SPEED_LIMIT_MPS
@@ -49,8 +51,8 @@ def commonroad_files(scene: Recording) -> dict[str, bytes]:
         obstacle = E.dynamicObstacle(kind, E.shape(box), _state("initialState", states[0]), id=str(next(ids)))
         if len(states) > 1:
             obstacle.append(E.trajectory(*(_state("state", state) for state in states[1:])))
-        agents += [etree.Comment(f" track {track.track_id.replace('--', '- -')} "), obstacle]
-    number = sum((k + 1) * ord(letter) for k, letter in enumerate(name))  # which names of CommonRoad have
+        agents += [etree.Comment(f" track {re.sub('-(?=-)', '- ', track.track_id)} "), obstacle]  # XML: no "--"
+    number = 1 + int.from_bytes(sha256(name.encode()).digest()[:6])  # which names of CommonRoad have
     known = {"commonRoadVersion": "2020a", "benchmarkID": f"ZAM_HID2-1_{number}_T-1", "date": "1970-01-01"}
     known |= {"author": "hid2-sumo", "affiliation": "", "source": f"{scene.format} {name}"}
     known["timeStepSize"] = f"{scene.step_s:g}"
@@ -61,12 +63,10 @@ def commonroad_files(scene: Recording) -> dict[str, bytes]:
 
 
 def _lanelet(graph: LaneGraph, lane: LaneSegment) -> etree._Element:
-    lane_id, lines = lane.lane_id, [Polyline(points) for points in lane.sides]
-    shares = np.unique(np.round(np.concatenate([line.s / line.length_m for line in lines]), 6))  # as many on both sides
-    parts = []
-    for side, line in zip(SIDES, lines, strict=True):
+    lane_id, parts = lane.lane_id, []
+    for side, bound in zip(SIDES, _bounds(lane), strict=True):
         mark = "dashed" if "DASH" in lane.mark_type(side) else "solid" if "SOLID" in lane.mark_type(side) else "unknown"
-        points = (E.point(E.x(f"{x:.4f}"), E.y(f"{y:.4f}")) for x, y in line.point(shares * line.length_m).tolist())
+        points = (E.point(E.x(f"{x:.4f}"), E.y(f"{y:.4f}")) for x, y in bound.tolist())
         parts.append(E(f"{side}Bound", *points, E.lineMarking(mark)))
     parts += [E.predecessor(ref=str(other)) for other in graph.predecessors(lane_id)]
     parts += [E.successor(ref=str(other)) for other in graph.successors(lane_id)]
@@ -76,6 +76,14 @@ def _lanelet(graph: LaneGraph, lane: LaneSegment) -> etree._Element:
             parts.append(E(f"adjacent{side.capitalize()}", ref=str(beside), drivingDir="same"))
     kinds = [_LANELETS[lane.lane_type], *(["intersection"] if lane.is_intersection else [])]
     return E.lanelet(*parts, *map(E.laneletType, kinds), id=str(lane_id))
+
+
+def _bounds(lane: LaneSegment) -> tuple[FloatArray, FloatArray]:
+    """Left and right bound with as many points, (N, 2) m, at equal shares of their lengths."""
+    lines = [(points, arc_length(points)) for points in lane.sides]  # of which one may be a point
+    shares = np.unique(np.round(np.concatenate([s / max(s[-1], 1e-9) for _, s in lines]), 6))
+    left, right = (np.column_stack([np.interp(shares * s[-1], s, xy) for xy in points.T]) for points, s in lines)
+    return left, right
 
 
 def _state(tag: str, state: FloatArray) -> etree._Element:

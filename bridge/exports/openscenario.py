@@ -10,7 +10,9 @@ from lxml import etree
 from lxml.builder import E
 
 from bridge.recordings.recording import Recording
+from bridge.sumo.net import config_of
 from hid2.agents import AV_ID, FloatArray, Track
+from netconvert.errors import NetError
 from netconvert.gui_files import xml_bytes
 from netconvert.net_xml import CITY_ORIGINS
 from netconvert.opendrive import opendrive_bytes
@@ -31,6 +33,8 @@ def openscenario_files(scene: Recording) -> dict[str, bytes]:
     """<id>.xosc and <id>.xodr by file name. Errors: NetError."""
     name = scene.scenario_id
     tracks = sorted(scene.tracks, key=lambda track: track.track_id != AV_ID)
+    if {AV_ID, EGO} <= {track.track_id for track in tracks}:
+        raise NetError(f"{scene.folder}: track {EGO!r}: expected another id, {AV_ID} is called so; rename the track")
     groups = [_acts(track, scene) for track in tracks]
     teleports = (
         E.Private(E.PrivateAction(E.TeleportAction(_position(_axle(track)[0]))), entityRef=_name(track))
@@ -51,8 +55,9 @@ def openscenario_files(scene: Recording) -> dict[str, bytes]:
 
 def opendrive_files(scene: Recording) -> dict[str, bytes]:
     """<id>.xodr by file name. Errors: NetError."""
-    name = scene.scenario_id
-    return {f"{name}.xodr": opendrive_bytes(scene.graph, name, origin=CITY_ORIGINS.get(scene.city))}
+    name, fastest_mps = scene.scenario_id, config_of(scene).spawn.max_speed_mps
+    origin = CITY_ORIGINS.get(scene.city)
+    return {f"{name}.xodr": opendrive_bytes(scene.graph, name, origin=origin, fastest_mps=fastest_mps)}
 
 
 def _name(track: Track) -> str:

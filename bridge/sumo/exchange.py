@@ -18,6 +18,7 @@ the same lane, and the lane's direction is its heading. What SUMO tells as its s
 import logging
 import math
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -31,8 +32,8 @@ import shapely
 from lxml import etree
 from lxml.builder import E
 
-from bridge.config import config_from_dict
-from bridge.files import make_folder
+from bridge.files import beside, make_folder
+from bridge.interruption import SIGNALS
 from bridge.pictures.figures import FACES, check_ending, check_step, kinds_in, moving_ground
 from bridge.recordings.folders import Address
 from bridge.recordings.judging import recording_states
@@ -40,19 +41,19 @@ from bridge.recordings.recording import Recording
 from bridge.recordings.sidecar import Sidecar
 from bridge.recordings.sources import read_recording
 from bridge.sumo.drivers import driver_attributes, model_parameters
-from bridge.sumo.net import sumo_program
+from bridge.sumo.net import config_of, scene_net, sumo_program
 from bridge.sumo.poses import sumo_poses
 from hid2.agents import FOCAL_CATEGORY, FloatArray, Track
 from hid2.drivers.driver import Driver
 from hid2.kernels.gaps import ASIDE_M
 from hid2.measures.arrays import is_generated_id
+from hid2.measures.lane_matching import FlatLanes
 from hid2.occupancy.traffic import BoolArray
-from hid2.params import Config
 from netconvert.cells import SAVED_WITHIN_M, Cell, CellGrid, build_cell_grid
-from netconvert.errors import ExportError, ScenarioError, SimulationError
+from netconvert.errors import ExportError, NetError, ScenarioError, SimulationError
 from netconvert.gui_files import REAL_TIME_MS, gui_files, xml_bytes
 from netconvert.lane_graph import TurnType
-from netconvert.net_xml import CITY_ORIGINS, junction_beside, junction_xml, net_bytes, shape
+from netconvert.net_xml import junction_beside, junction_of, shape
 
 _LOG = logging.getLogger(__name__)
 #: Where an agent's front bumper is on the net at each of its steps: (N,) cells, metres along them, and whether it is
@@ -71,8 +72,12 @@ _CLEAR_M = 1.0
 _JUNCTIONS_APART_M = 0.05
 #: Lanes for this class of vehicle are transparent in the view settings (`gui_files`); no map has any.
 _UNSEEN = "ship"
+#: Name of the picture that sumo-gui draws, beside its files.
+_PICTURE = "picture.png"
 #: Parameter of a vehicle that holds the id to show.
 ID_KEY = "shown_id"
+#: Characters that SUMO takes in no id of a vehicle or type.
+_NOT_IN_IDS = " \"&',;<>\\|"
 #: SUMO's pictures of vehicles, by object type.
 GUI_SHAPES: Mapping[str, str] = {
     "vehicle": "passenger/sedan",
@@ -91,17 +96,15 @@ GUI_FACES: Mapping[str, str] = {**FACES, "focal": "#F0E442"}
 def sumo_files(scenario: Recording) -> dict[str, bytes]:
     """Contents of all files by file name; vehicles of a generated scene get routes."""
     name, sidecar = scenario.scenario_id, scenario.sidecar
-    config = Config() if sidecar is None else config_from_dict(sidecar.config, source=f"{name}: the sidecar's config")
     grid = build_cell_grid(scenario.graph, saved_within_m=SAVED_WITHIN_M)
     placed = _places(scenario, grid)
     files = gui_files(grid, name, step_s=scenario.step_s, options=run_options(scenario, f"{name}.rou.xml"))
-    fastest_mps = config.spawn.max_speed_mps
-    files[f"{name}.net.xml"] = net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city), fastest_mps=fastest_mps)
+    files[f"{name}.net.xml"] = scene_net(scenario, grid)
     files[f"{name}.fcd.xml"] = _fcd(scenario, grid, placed)
     if sidecar is None or not sidecar.agents:
         del files[f"{name}.sumocfg"]  # SUMO would have nothing to drive
     else:
-        files[f"{name}.rou.xml"] = _routes(scenario, sidecar, config, grid, placed)
+        files[f"{name}.rou.xml"] = _routes(scenario, sidecar, grid, placed)
     return files | playable_files(scenario, grid)
 
 
@@ -110,7 +113,7 @@ def fcd_files(scenario: Recording) -> dict[str, bytes]:
     grid = build_cell_grid(scenario.graph, saved_within_m=SAVED_WITHIN_M)
     return {
         f"{scenario.scenario_id}.fcd.xml": _fcd(scenario, grid, _places(scenario, grid)),
-        f"{scenario.scenario_id}.net.xml": net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city)),
+        f"{scenario.scenario_id}.net.xml": scene_net(scenario, grid),
     }
 
 
@@ -131,19 +134,23 @@ def _fcd(scenario: Recording, grid: CellGrid, placed: Mapping[str, _Placed]) -> 
 
 
 def _places(scenario: Recording, grid: CellGrid) -> dict[str, _Placed]:
-    """Cells of every agent, by the lane that it is matched to, else by the nearest lane, however far."""
-    states = recording_states(scenario)
+    """Cells under the front bumper of every agent, by the lane it is matched to, else the nearest, however far."""
+    states, graph = recording_states(scenario), scenario.graph
     arrays, matches, flat = states.arrays, states.matches, states.lanes
     lines = [shapely.LineString(flat.lane_points(lane)) for lane in range(len(flat.lane_ids))]
     nearest = shapely.STRtree(lines).nearest(shapely.points(arrays.position))
     rows = np.where(matches.lane >= 0, matches.lane, nearest)
     front, _ = sumo_poses(arrays.position, arrays.heading, arrays.length[arrays.agent])
+    along = np.empty(len(rows))
+    for lane in np.unique(rows).tolist():
+        here = rows == lane
+        along[here] = graph.lanes[int(flat.lane_ids[lane])].path.frenet(front[here])[0]
+    matched = rows.copy()
+    for row in np.flatnonzero(along > flat.length_m[rows]).tolist():
+        driven = matched[row : arrays.first[arrays.agent[row] + 1]]
+        rows[row], along[row] = _ahead(flat, int(rows[row]), float(along[row]), front[row], driven=driven.tolist())
     apart_m = shapely.distance(shapely.points(front), np.array(lines)[rows])
     on, lane_ids = (matches.lane >= 0) | (apart_m <= ASIDE_M), flat.lane_ids[rows]
-    along = np.empty(len(lane_ids))
-    for lane_id in np.unique(lane_ids).tolist():
-        here = lane_ids == lane_id
-        along[here] = scenario.graph.lanes[lane_id].path.frenet(front[here])[0]
     cells = [grid.cell_at(lane_id, s) for lane_id, s in zip(lane_ids.tolist(), along.tolist(), strict=True)]
     begin = np.array([grid.edges_m[cell.lane_id][cell.index] for cell in cells])
     pos = np.clip(along - begin, 0.0, [grid.length_m(cell) for cell in cells])
@@ -151,9 +158,18 @@ def _places(scenario: Recording, grid: CellGrid) -> dict[str, _Placed]:
     return {track_id: (cells[start:stop], pos[start:stop], on[start:stop]) for track_id, (start, stop) in bounds}
 
 
-def _routes(
-    scenario: Recording, sidecar: Sidecar, config: Config, grid: CellGrid, placed: Mapping[str, _Placed]
-) -> bytes:
+def _ahead(flat: FlatLanes, lane: int, s: float, front: FloatArray, *, driven: Sequence[int]) -> tuple[int, float]:
+    """Lane that holds a front bumper (2,) m beyond the end of one, and s m on it. driven: lanes to prefer at splits."""
+    point, passed = shapely.Point(front), {lane}
+    while s > flat.length_m[lane] and (ways := set(flat.successors[lane]) - passed):
+        far_m = {way: point.distance(shapely.LineString(flat.lane_points(way))) for way in ways}
+        lane = min(ways, key=lambda way: (way not in driven, far_m[way], way))
+        passed.add(lane)
+        s = float(flat.graph.lanes[int(flat.lane_ids[lane])].path.frenet(front)[0][0])
+    return lane, s
+
+
+def _routes(scenario: Recording, sidecar: Sidecar, grid: CellGrid, placed: Mapping[str, _Placed]) -> bytes:
     """Types of the inserted vehicles, and the vehicles in the order of departure."""
     faces, drivers = kinds_in(scenario), {agent.track_id: agent.driver for agent in sidecar.agents}
     links = {
@@ -170,7 +186,7 @@ def _routes(
             except TypeError as error:
                 known = ", ".join(driver.parameters) or "nothing"
                 raise ScenarioError(f"{name}: the driver in the sidecar has {known}, expected all of one") from error
-            more = model_parameters(config) | driver_attributes(drives, driver.model)
+            more = model_parameters(config_of(scenario)) | driver_attributes(drives, driver.model)
             kind |= {"carFollowModel": driver.model, **{key: f"{value:g}" for key, value in more.items()}}
             speed_mps = min(speed_mps, more["maxSpeed"])  # SUMO inserts no vehicle that is faster
         kinds.append(E.vType(kind))
@@ -233,7 +249,12 @@ def playable_files(scenario: Recording, grid: CellGrid) -> dict[str, bytes]:
 
     The net is that of `hid2 net` with the lanes of the traces added, the view looks at what moves.
     sumo-gui shows the first step and waits, and the last one: vehicles are boxes of their size, with their ids.
+    Errors: NetError for the id of a track that SUMO refuses.
     """
+    for track in scenario.tracks:
+        if set(track.track_id) & set(_NOT_IN_IDS):
+            said = f"{scenario.folder}: track {track.track_id!r}: SUMO takes no such id"
+            raise NetError(f"{said}, expected one without any of the characters {_NOT_IN_IDS!r}; rename the track")
     name = f"{scenario.scenario_id}_scene"
     options = run_options(scenario, f"{name}.rou.xml")
     options["time"]["end"] = f"{(scenario.num_steps + 1) * scenario.step_s:.2f}"  # at which sumo-gui asks to close all
@@ -250,8 +271,7 @@ def playable_files(scenario: Recording, grid: CellGrid) -> dict[str, bytes]:
     files = gui_files(grid, name, step_s=scenario.step_s, shown=shown, options=options, vehicles=vehicles)
     del files[f"{name}.cells.csv"]
     traces = [_trace(track, scenario.step_s) for track in scenario.tracks]
-    net = net_bytes(grid, origin=CITY_ORIGINS.get(scenario.city))
-    files[f"{name}.net.xml"] = _with_traces(net, traces)
+    files[f"{name}.net.xml"] = _with_traces(scene_net(scenario, grid), traces)
     files[f"{name}.rou.xml"] = _trace_routes(scenario, traces)
     return files
 
@@ -338,8 +358,8 @@ def _with_traces(net: bytes, traces: list[_Trace]) -> bytes:
             line = junction_beside(end, trace.shapes[max(k - 1, 0) : k + 1])
             near = np.hypot(*(end - place)) < _JUNCTIONS_APART_M
             place = end + 2.0 * _JUNCTIONS_APART_M * np.array([near, 0.0])
-            text = junction_xml(f"{trace.edge(k)}_j", place.tolist(), incoming=incoming, line=line)
-            added["junction"].append(etree.fromstring(text))
+            known = junction_of(f"{trace.edge(k)}_j", place.tolist(), incoming=incoming, line=line)
+            added["junction"].append(E.junction(known))
     for tag, elements in added.items():
         before = root.findall(tag)
         behind = root.index(before[-1]) + 1 if before else len(root)
@@ -395,8 +415,8 @@ def play_scene(
     It waits at the first step until the user presses play, and shows the last one until the user reloads. speed: 1 is
     real time. on_shown is called when sumo-gui has been started. screenshot: a .png file, written at timestep `step`
     (default: the last observed one); the window then closes at once and the file is returned.
-    Errors: ScenarioError, MapError; ConfigError for a step that there is none of; SimulationError without sumo-gui or
-    a display, or where it fails; ExportError where the picture cannot be written.
+    Errors: ScenarioError, MapError, NetError; ConfigError for a step that there is none of; SimulationError without
+    sumo-gui or a display, or where it fails; ExportError where the picture cannot be written.
     """
     if screenshot is not None:
         check_ending(screenshot, [".png"])
@@ -405,7 +425,7 @@ def play_scene(
         raise SimulationError("no display for sumo-gui: set DISPLAY, or run it under xvfb-run")
     scenario = read_recording(folder)
     at_s = check_step(scenario, step) * scenario.step_s
-    files = playable_files(scenario, build_cell_grid(scenario.graph))
+    files = playable_files(scenario, build_cell_grid(scenario.graph, saved_within_m=SAVED_WITHIN_M))
     name = f"{scenario.scenario_id}_scene"
     options = {
         "window-size": "1280,900",
@@ -414,7 +434,7 @@ def play_scene(
     if screenshot is not None:
         make_folder(screenshot.parent)
         view = etree.fromstring(files[f"{name}.view.xml"])
-        view.append(E.snapshot(file=str(screenshot.resolve()), time=f"{at_s:.2f}"))
+        view.append(E.snapshot(file=_PICTURE, time=f"{at_s:.2f}"))
         files[f"{name}.view.xml"] = xml_bytes(view)
         # where a list is expected an empty one is refused, so a time that never comes
         end_s = at_s + 2 * scenario.step_s
@@ -428,8 +448,11 @@ def play_scene(
             if on_shown is not None:
                 on_shown()
             code = window.wait()
-    if code > 0:
-        raise SimulationError(f"{binary} ended with exit code {code}; what it says stands above")
-    if screenshot is not None and not screenshot.is_file():
-        raise ExportError(f"{screenshot}: sumo-gui wrote no picture; is the folder writable?")
+        if code not in {0, *(-number for number in SIGNALS)}:  # it may be closed so
+            raise SimulationError(f"{binary} ended with exit code {code}; what it says stands above")
+        if screenshot is not None:
+            if not (drawn := Path(place) / _PICTURE).is_file():
+                raise ExportError(f"{screenshot}: sumo-gui drew no picture; see what it says, or try another display")
+            with beside(screenshot) as hidden:
+                shutil.copyfile(drawn, hidden)
     return screenshot

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 
+from bridge.config import config_from_dict
 from bridge.files import explained, make_folder
 from bridge.interruption import hidden_folder
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, Address, Source, only_file
@@ -18,9 +19,9 @@ from bridge.recordings.road import ROAD_FILE, read_road
 from bridge.recordings.scenario import STEP_S
 from bridge.recordings.sources import read_recording
 from hid2.conflicts.signals import InferredSignals
-from hid2.params import Signals
-from netconvert.cells import SAVED_WITHIN_M, build_cell_grid
-from netconvert.errors import ConfigError, MapError, NetError, NoSceneError, SimulationError
+from hid2.params import Config, Signals
+from netconvert.cells import SAVED_WITHIN_M, CellGrid, build_cell_grid
+from netconvert.errors import ConfigError, ExportError, MapError, NetError, NoSceneError, ScenarioError, SimulationError
 from netconvert.fidelity import FidelityReport, measure_fidelity
 from netconvert.gui_files import gui_files
 from netconvert.lane_graph import LaneGraph
@@ -32,18 +33,36 @@ _WHOLE_OPTIONS = ["--no-turnarounds", "true", "--check-lane-foes.all", "true", "
 _WHOLE_OPTIONS += ["--offset.disable-normalization", "true"]
 
 
-def convert(scene: Address, out_dir: Path, *, cell_m: float = 4.0) -> FidelityReport:
+def config_of(recording: Recording) -> Config:
+    """Parameters that a generated scene was made with, else the defaults. Errors: ScenarioError."""
+    try:
+        return Config() if recording.sidecar is None else config_from_dict(recording.sidecar.config, source="config")
+    except ConfigError as error:  # of this scene alone
+        raise ScenarioError(f"{recording.folder}: the sidecar's {error}") from error
+
+
+def scene_net(recording: Recording, grid: CellGrid) -> bytes:
+    """The one <id>.net.xml of a scene, with its place on the globe and the speed limit that it was driven with."""
+    fastest_mps = config_of(recording).spawn.max_speed_mps
+    return net_bytes(grid, origin=CITY_ORIGINS.get(recording.city), fastest_mps=fastest_mps)
+
+
+def convert(scene: Address, out_dir: Path) -> FidelityReport:
     """Write <id>.net.xml, .sumocfg, .poly.xml, .view.xml and .cells.csv of a scene's map into out_dir.
 
-    scene: a recording, which gives the net a place on the globe; or a folder with one log_map_archive_<id>.json, or
-    that file. Files of an earlier run are replaced, all of them or, after an error, none.
+    scene: a recording, of which `scene_net` is the net; or a folder with one log_map_archive_<id>.json, or that file.
+    Files of an earlier run are replaced, all of them or, after an error, none; a .sumocfg with routes is kept.
     Errors: ScenarioError, MapError, NetError, ExportError.
     """
     name, graph, recording = _map_of(scene)
-    grid = build_cell_grid(graph, cell_m=cell_m, saved_within_m=SAVED_WITHIN_M)
-    net = net_bytes(grid, origin=None if recording is None else CITY_ORIGINS.get(recording.city))
+    grid = build_cell_grid(graph, saved_within_m=SAVED_WITHIN_M)
+    net = net_bytes(grid) if recording is None else scene_net(recording, grid)
     report = measure_fidelity(grid, net)
-    write_all(out_dir, {f"{name}.net.xml": net, **gui_files(grid, name, step_s=STEP_S)})
+    files = {f"{name}.net.xml": net, **gui_files(grid, name, step_s=STEP_S if recording is None else recording.step_s)}
+    config = out_dir / f"{name}.sumocfg"
+    if config.is_file() and b"<route-files" in config.read_bytes():  # of `hid2 export --to sumo`
+        del files[config.name]
+    write_all(out_dir, files)
     return report
 
 
@@ -109,6 +128,9 @@ def _map_of(scene: Address) -> tuple[str, LaneGraph, Recording | None]:
 def write_all(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write every file to a hidden folder beside its place, then move all of them there. Errors: ExportError."""
     make_folder(folder)
+    for name in files:
+        if (folder / name).is_dir():
+            raise ExportError(f"{folder / name}: is a folder, expected a file to write; choose another output folder")
     with explained(folder), hidden_folder(folder) as beside:
         for name, content in files.items():
             (beside / name).write_bytes(content)

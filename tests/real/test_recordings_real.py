@@ -114,11 +114,11 @@ def test_followed_links_are_the_file_s_links_within_the_map(real_scene: Path) ->
             assert (stated is None) or same_way or (f"{side}_neighbor", lane_id, stated) in dropped
 
 
-@pytest.mark.parametrize(("number", "cell_m"), [(0, 4.0), (3, 2.5)])
+@pytest.mark.parametrize("number", [0, 3])
 def test_the_net_has_every_lane_on_its_centreline_and_every_link_or_its_reason(
-    real_scenes: list[Path], tmp_path: Path, number: int, cell_m: float
+    real_scenes: list[Path], tmp_path: Path, number: int
 ) -> None:
-    report = convert(real_scenes[number], tmp_path, cell_m=cell_m)
+    report = convert(real_scenes[number], tmp_path)
     assert report.lanes == report.lanes_in_net > 0
     assert report.largest_distance_m <= 0.01
     assert sum(link.kind == "successor" for link in report.lost) == report.links["successor", "lost"]

@@ -1,11 +1,16 @@
 """CommonRoad files: lanelets with the graph's links, agents where their tracks have them, one planning problem."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from lxml import etree
+from written import edit_json
 
+from bridge.exports.commonroad import commonroad_files
 from bridge.exports.export import export_scene
 from bridge.recordings.sources import read_recording
 from hid2.agents import AV_ID
@@ -74,3 +79,35 @@ def test_lanelets_and_agents_are_those_of_the_scene(scene: Path, tmp_path: Path)
     goal = [float(problem.find(f"goalState/position/rectangle/center/{axis}").text) for axis in "xy"]
     ego = recording.track(AV_ID)
     assert np.abs(np.array([place, goal]) - ego.position[[0, -1]]).max() <= 0.001
+
+
+def test_track_ids_of_hyphens_and_bounds_that_are_points_are_written(copy_scene: Callable[..., Path]) -> None:
+    """XML takes no "--" in a comment; the inner bound of a tight turn may be one point, which the outer one has too."""
+    folder, ends = copy_scene(), {}
+    (path,) = folder.glob("log_map_archive_*.json")
+
+    def spoil(data: dict[str, Any]) -> None:
+        lane = next(iter(data["lane_segments"].values()))
+        lane["right_lane_boundary"] = lane["right_lane_boundary"][:1] * 2
+        ends[str(lane["id"])] = len(lane["left_lane_boundary"])
+
+    edit_json(path, spoil)
+    scene = read_recording(folder)
+    tracks = (replace(scene.tracks[0], track_id="a---b-"), *scene.tracks[1:])
+    root = etree.fromstring(commonroad_files(replace(scene, tracks=tracks))[f"{scene.scenario_id}.cr.xml"])
+    assert "a- - -b-" in "".join(comment.text for comment in root.iter(etree.Comment))
+    ((lane_id, count),) = ends.items()
+    right = root.findall(f"lanelet[@id='{lane_id}']/rightBound/point")
+    assert len(right) >= count
+    assert len({tuple(value.text for value in point) for point in right}) == 1
+
+
+def test_scenes_with_like_names_have_benchmark_ids_of_their_own(data_scenes: dict[str, Path]) -> None:
+    """The sum of a + 2 b is that of c + 2 a."""
+    scene = read_recording(data_scenes["curve"])
+    found = {
+        etree.fromstring(content).get("benchmarkID")
+        for name in ("ab", "ca")
+        for content in commonroad_files(replace(scene, scenario_id=name)).values()
+    }
+    assert len(found) == 2

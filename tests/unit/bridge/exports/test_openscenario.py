@@ -1,5 +1,6 @@
 """OpenSCENARIO of generated and recorded scenes: valid by ASAM's schema, and every agent where its track has it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +9,11 @@ from drawn_roads import schema
 from lxml import etree
 
 from bridge.exports.export import export_scene
+from bridge.exports.openscenario import openscenario_files
 from bridge.recordings.recording import Recording
 from bridge.recordings.sources import read_recording
 from hid2.agents import Track
+from netconvert.errors import NetError
 
 
 def _poses(root: etree._Element, name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -65,6 +68,13 @@ def test_a_generated_scene_is_valid_and_every_agent_is_on_its_track(made_scene: 
     assert {path.read_bytes() for path in files} == {
         path.read_bytes() for path in export_scene(made_scene, "openscenario", tmp_path / "again")
     }
+
+
+def test_a_track_that_is_called_as_the_recording_vehicle_is_refused(data_scenes: dict[str, Path]) -> None:
+    scene = read_recording(data_scenes["curve"])
+    ego = next(replace(track, track_id="Ego") for track in scene.tracks if track.track_id != "AV")
+    with pytest.raises(NetError, match="track 'Ego': expected another id, AV is called so; rename the track"):
+        openscenario_files(replace(scene, tracks=(*scene.tracks, ego)))
 
 
 def _check_real(scene: Path, out: Path) -> None:

@@ -2,10 +2,13 @@
 
 import json
 import math
+import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import libsumo
 import numpy as np
@@ -13,13 +16,15 @@ import pytest
 import shapely
 from av2.geometry.utm import CITY_ORIGIN_LATLONG_DICT, UTM_ZONE_MAP, CityName, convert_gps_to_utm
 from lxml import etree
+from written import edit_json
 
 from bridge.exports.export import export_scene
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import read_sidecar, sidecar_path
 from bridge.sumo.exchange import sumo_files
+from bridge.sumo.net import convert
 from bridge.sumo.poses import box_poses
-from netconvert.errors import ScenarioError
+from netconvert.errors import NetError, ScenarioError
 from netconvert.net_xml import CITY_ORIGINS
 
 _NAMES = {"austin": "ATX", "dearborn": "DTW", "miami": "MIA", "palo-alto": "PAO", "pittsburgh": "PIT"}
@@ -72,6 +77,26 @@ def test_positions_along_lanes_are_where_the_front_bumpers_are(written: Path, ma
         along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
         place = [float(np.interp(pos, along, line[:, axis])) for axis in (0, 1)]
         assert math.dist(place, (float(vehicle.get("x")), float(vehicle.get("y")))) < 3.6
+
+
+def test_a_front_bumper_beyond_its_lane_is_on_the_next_one(written: Path) -> None:
+    """pos is at the end of a lane, and the bumper over .3 m ahead of it, only where no lane follows."""
+    net = _read(written, ".net.xml")
+    lines = {
+        lane.get("id"): shapely.LineString([tuple(map(float, xy.split(","))) for xy in lane.get("shape").split()])
+        for lane in net.iter("lane")
+    }
+    followed = {f"{link.get('from')}_{link.get('fromLane')}" for link in net.iter("connection")}
+    ends = 0
+    for vehicle in _read(written, ".fcd.xml").iter("vehicle"):
+        line = lines.get(vehicle.get("lane"))
+        if line is None or vehicle.get("lane") not in followed:
+            continue
+        last, end = (np.array(line.interpolate(at, normalized=True).coords[0]) for at in (0.9, 1.0))
+        ahead = (end - last) / np.hypot(*(end - last))
+        assert (np.array([float(vehicle.get("x")), float(vehicle.get("y"))]) - end) @ ahead < 0.3
+        ends += float(vehicle.get("pos")) > line.length - 0.5
+    assert ends > 0
 
 
 def test_every_inserted_vehicle_has_a_route_that_the_net_has(written: Path, made_scene: Path) -> None:
@@ -149,6 +174,43 @@ def test_a_driver_that_is_not_whole_is_refused_by_name(made_scene: Path, tmp_pat
     path.write_text(json.dumps(content))
     with pytest.raises(ScenarioError, match=r"gen_0: the driver in the sidecar has desired_mps, .*expected"):
         sumo_files(read_scenario(folder))
+
+
+def test_a_fast_scene_has_one_net_and_one_limit_whatever_command_writes_it(
+    made_scene: Path, copy_scene: Callable[..., Path], tmp_path: Path
+) -> None:
+    """Driven with desires up to 30 m/s: so are the lanes. `hid2 net` behind it keeps the .sumocfg with routes."""
+    folder, out = copy_scene(folder=made_scene), tmp_path / "out"
+
+    def hasten(content: dict[str, Any]) -> None:
+        content["config"]["spawn"]["max_speed_mps"] = 30.0
+
+    name = read_scenario(folder).scenario_id
+    edit_json(sidecar_path(folder, name), hasten)
+    export_scene(folder, "sumo", out)
+    net, config = (out / f"{name}{ending}" for ending in (".net.xml", ".sumocfg"))
+    wanted = {path: path.read_bytes() for path in (net, config)}
+    assert {lane.get("speed") for lane in etree.fromstring(wanted[net]).iter("lane")} == {"30"}
+    assert b"route-files" in wanted[config]
+    export_scene(folder, "fcd", out)
+    assert net.read_bytes() == wanted[net]
+    convert(folder, out)
+    assert {path: path.read_bytes() for path in wanted} == wanted
+    (roads,) = export_scene(folder, "opendrive", out)
+    assert {limit.get("max") for limit in etree.parse(roads).iter("speed")} == {"30"}
+    edit_json(sidecar_path(folder, name), lambda content: content["config"]["spawn"].update(max_speed_mps="fast"))
+    with pytest.raises(ScenarioError, match=r"the sidecar's config: .*'fast'"):
+        export_scene(folder, "fcd", out)
+
+
+@pytest.mark.parametrize("track_id", ["my car", "a,b", "a;b", 'a<&"b', "a|b"])
+def test_an_id_that_sumo_refuses_is_refused_by_name(data_scenes: dict[str, Path], track_id: str) -> None:
+    scenario = read_scenario(data_scenes["curve"])
+    tracks = (replace(scenario.tracks[0], track_id=track_id), *scenario.tracks[1:])
+    with pytest.raises(
+        NetError, match=rf"track {re.escape(repr(track_id))}: SUMO takes no such id, expected one without"
+    ):
+        sumo_files(replace(scenario, tracks=tracks))
 
 
 def test_agents_off_every_lane_have_none(data_scenes: dict[str, Path]) -> None:

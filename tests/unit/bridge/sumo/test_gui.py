@@ -21,7 +21,7 @@ from bridge.pictures.figures import kinds_in
 from bridge.recordings.scenario import read_scenario
 from bridge.sumo.exchange import play_scene, rgb
 from hid2.agents import Policy
-from netconvert.errors import ConfigError, SimulationError
+from netconvert.errors import ConfigError, ExportError, SimulationError
 
 BIN = Path(sys.executable).parent
 
@@ -178,6 +178,24 @@ def test_without_a_display_or_the_step_the_reason_is_said(made_scene, monkeypatc
     monkeypatch.setenv("DISPLAY", ":0")  # nothing is shown yet
     with pytest.raises(ConfigError, match=r"timestep 500, expected 0 to 109"):
         play_scene(made_scene, step=500)
+
+
+@pytest.mark.parametrize(
+    ("does", "error", "said"),
+    [("kill -SEGV $$", SimulationError, "exit code -11"), ("exit 0", ExportError, "drew no picture")],
+)
+def test_a_sumo_gui_that_dies_or_draws_nothing_is_told_beside_an_older_picture(
+    data_scenes, tmp_path, monkeypatch, does, error, said
+):
+    fake, picture = tmp_path / "sumo-gui", tmp_path / "gui.png"
+    fake.write_text(f"#!/bin/sh\n{does}\n")
+    fake.chmod(0o755)
+    picture.write_bytes(b"older")
+    monkeypatch.setattr("bridge.sumo.exchange.sumo_program", lambda name: str(fake))
+    monkeypatch.setenv("DISPLAY", ":0")
+    with pytest.raises(error, match=said):
+        play_scene(data_scenes["curve"], screenshot=picture)
+    assert picture.read_bytes() == b"older"
 
 
 @pytest.mark.parametrize("real_scene", ["0a1e6f0a-1817-4a98-b02e-db8c9327d151"], indirect=True)
