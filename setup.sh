@@ -24,7 +24,7 @@ clock=$!
 trap 'kill "$clock" 2>/dev/null || true' EXIT
 
 # A Python for .venv, and to bring uv into .uv: that of the machine, also where some environment is active.
-LOCATE='import sys; fits = (3, 11) <= sys.version_info < (3, 13)
+LOCATE='import sys; fits = (3, 11, 1) <= sys.version_info < (3, 13)
 print(sys.base_prefix + "/bin/python%d.%d" % sys.version_info[:2]) if fits else sys.exit(1)'
 python=
 for candidate in python3 python3.11 python3.12; do
