@@ -358,7 +358,7 @@ def _explain(error: ValidationError) -> str:
     key = keys[0] if keys and keys[0] in fields else ".".join(keys[:2])
     if first["type"] == "extra_forbidden":
         return where + _unknown(key, value, fields)
-    if where and not key:
+    if where and not key and first["type"] != "value_error":
         return f"{where}{value!r:.100}, expected a table with {', '.join(fields)}"
     if key in fields:
         wanted = "[least, largest]" if where and key in _BANDS else _range(fields[key])

@@ -89,7 +89,7 @@ def run_prediction(
     """
     tell = on_step or (lambda what, done, total: None)
     if predictions is not None and composed is None:
-        raise ConfigError("--predictions DIR needs --composed ROOT, the data sets that they were made with")
+        raise ConfigError("--predictions DIR needs --composed ROOT, the data sets that they were made with; give both")
     if predictions is None:
         check_forecaster()
     make_folder(out)
