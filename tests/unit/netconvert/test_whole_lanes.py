@@ -1,5 +1,6 @@
 """Plain files of whole lanes: edges of rows, connections of ways, signals; and the roads that they are made of."""
 
+import re
 from functools import partial
 
 import numpy as np
@@ -83,6 +84,13 @@ def test_signals_are_a_program_as_long_as_the_recording() -> None:
     assert [state[links["1"]] for _, state in phases] == ["g", "g"]
     nodes = etree.fromstring(files["node-files"])
     assert [node.get("id") for node in nodes.iterfind("node[@type='traffic_light']")] == [program.get("id")]
+
+
+def test_an_entrance_that_never_opens_is_named(caplog: pytest.LogCaptureFixture) -> None:
+    """Lane 4 is red throughout, lane 3 at first."""
+    plain_files(graph_of(*CROSSING), shown={4: np.array([*"rrrr"]), 3: np.array([*"rggy"])}.get, step_s=0.5)
+    (said,) = caplog.messages
+    assert re.fullmatch(r"junction J\d+: lanes 4 of the intersection were red throughout; .*stay so", said)
 
 
 @pytest.mark.parametrize("shown", [None, np.array([*"ggggg"])])
