@@ -21,6 +21,8 @@ from netconvert.net_xml import ALLOWED_CLASSES, WHOLE_LIMIT_MPS, CityOrigin, jun
 from netconvert.roads import RoadGraph, Way, roads_of
 
 _LOG = logging.getLogger(__name__)
+#: Classes of SUMO's own traffic that may use a lane, by lane type.
+_WHOLE_CLASSES = {**ALLOWED_CLASSES, "BUS": "bus"}
 #: SUMO's letter at the entrance of a lane of an intersection, by step; None where there is no signal.
 Shown = Callable[[int], npt.NDArray[np.str_] | None]
 
@@ -66,7 +68,7 @@ def _edge(graph: LaneGraph, roads: RoadGraph, number: int) -> etree._Element:
     members = [graph.lanes[lane_id] for lane_id in roads.rows[number]]
     lanes = []
     for index, lane in enumerate(members):
-        allowed = ALLOWED_CLASSES[lane.lane_type]
+        allowed = _WHOLE_CLASSES[lane.lane_type]
         known = {"index": str(index), "speed": f"{WHOLE_LIMIT_MPS:g}", "width": f"{lane.width_m:.2f}"}
         known |= {} if allowed is None else {"allow": allowed}
         segment = E.param(key="av2.lane_segment_id", value=str(lane.lane_id))

@@ -8,7 +8,9 @@ import pytest
 from hand_drawn import draw_lane
 from lxml import etree
 
+from netconvert.cells import build_cell_grid
 from netconvert.lane_graph import LaneGraph, LaneSegment
+from netconvert.net_xml import net_bytes
 from netconvert.roads import Way, roads_of
 from netconvert.whole_lanes import plain_files
 
@@ -71,6 +73,15 @@ def test_files_have_the_lanes_and_their_ways() -> None:
     assert links["1", "1", "7", "0"].get("shape") == "20.000,4.000 25.000,2.000 25.000,2.000 40.000,0.000"
     assert "tllogic-files" not in files
     assert {node.get("type") for node in files["node-files"].iterfind("node")} == {"priority"}
+
+
+def test_bus_lanes_are_for_buses_of_sumo_and_open_in_nets_of_cells() -> None:
+    graph = graph_of(_lane(1, [(0, 0), (20, 0)]), _lane(2, [(0, 9), (20, 9)], lane_type="BUS"))
+    for content, wanted in (
+        (plain_files(graph, step_s=0.1)["edge-files"], [None, "bus"]),
+        (net_bytes(build_cell_grid(graph, cell_m=20.0)), [None, None]),
+    ):
+        assert [lane.get("allow") for lane in etree.fromstring(content).iter("lane")] == wanted
 
 
 def test_signals_are_a_program_as_long_as_the_recording() -> None:
