@@ -101,6 +101,7 @@ def net(
     ),
     window: options.OneWindow,
     as_json: bool = options.AS_JSON,
+    given: options.Given,
     activity: Activity,
 ) -> None:
     """Write the lane graph as a SUMO net: of 4 m cells with files for sumo-gui and a report, or of whole lanes.
@@ -110,7 +111,11 @@ def net(
     """
     if signals and lanes == "cells":
         raise ConfigError("--signals: expected --lanes whole with it, a net of cells has no signals")
-    found = scene if scene.is_file() and scene.suffix == ".json" else one_scene(scene, window)
+    is_map = scene.suffix == ".json" and not scene.is_dir()
+    used = {"SCENE", "--out", "--lanes", "--signals", "--verbose", "--quiet"}
+    used |= (set() if is_map else {"--map", "--window"}) | (set() if lanes == "whole" else {"--json"})
+    given.check(used, f"--lanes {lanes} of {'a map' if is_map else 'a scene'}")
+    found = scene if is_map else one_scene(scene, window)
     check_out(out)
     activity.doing("converting the map")
     from bridge.sumo.net import convert, convert_whole
