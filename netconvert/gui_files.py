@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from lxml import etree
@@ -33,13 +33,15 @@ def gui_files(
     *,
     step_s: float,
     shown: tuple[FloatArray, FloatArray] | None = None,
+    covered: Sequence[FloatArray] = (),
     options: Mapping[str, Mapping[str, str]] | None = None,
     vehicles: etree._Element | None = None,
 ) -> dict[str, bytes]:
     """Contents by file name of everything beside <name>.net.xml.
 
     step_s: of the simulation that sumo-gui runs. shown: low and high corner of the ground to look at first, (2,) m; all
-    lanes by default. options: more of SUMO's, by section and name; vehicles: how they are drawn.
+    lanes by default. covered: lines of the net that are not the grid's, (N, 2) m. options: more of SUMO's, by section
+    and name; vehicles: how they are drawn.
 
     <name>.sumocfg refers to the net, the drivable area (<name>.poly.xml) and the view (<name>.view.xml) by file names,
     so that the folder can be moved; <name>.cells.csv has one row a cell.
@@ -55,7 +57,7 @@ def gui_files(
     return {
         f"{name}.sumocfg": xml_bytes(E.sumoConfiguration(*parts)),
         f"{name}.poly.xml": xml_bytes(E.additional(*_polygons(grid))),
-        f"{name}.view.xml": _view(grid, shown, vehicles),
+        f"{name}.view.xml": _view(grid, shown, covered, vehicles),
         f"{name}.cells.csv": cells_csv(grid),
     }
 
@@ -96,8 +98,13 @@ def _polygons(grid: CellGrid) -> list[etree._Element]:
     ]
 
 
-def _view(grid: CellGrid, shown: tuple[FloatArray, FloatArray] | None, vehicles: etree._Element | None) -> bytes:
-    everything = np.concatenate([grid.graph.bounds, *grid.graph.drivable_areas])  # what zoom 100 shows
+def _view(
+    grid: CellGrid,
+    shown: tuple[FloatArray, FloatArray] | None,
+    covered: Sequence[FloatArray],
+    vehicles: etree._Element | None,
+) -> bytes:
+    everything = np.concatenate([grid.graph.bounds, *grid.graph.drivable_areas, *covered])  # what zoom 100 shows
     low, high = shown or grid.graph.bounds
     x, y = ((low + high) / 2.0).tolist()
     zoom = _ZOOM * _window_width(everything.min(axis=0), everything.max(axis=0)) / _window_width(low, high)

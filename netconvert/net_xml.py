@@ -24,7 +24,7 @@ from netconvert.lane_graph import SIDES, LaneGraph, TurnType, joined
 SPEED_LIMIT_MPS = 20.0
 #: Speed limit of every lane in nets for traffic of SUMO's own, which drives as fast as it may, m/s (50 km/h).
 WHOLE_LIMIT_MPS = 13.89
-#: Classes that may use a lane, by lane type; None is every class.
+#: Classes that may use a lane, by lane type; None is every class: recorded and inserted vehicles are on bus lanes too.
 ALLOWED_CLASSES: dict[str, str | None] = {"VEHICLE": None, "BUS": None, "BIKE": "bicycle"}
 #: Vehicle class that may cross a marking that forbids it. SUMO needs at least one class; it draws such a line solid.
 _MAY_ALWAYS_CROSS = "emergency"

@@ -4,6 +4,7 @@ One SUMO lane for each lane of a road; ways through an intersection are connecti
 them yields. Junctions lie beside their lanes, as in `net_xml`, so that lanes keep their ends.
 """
 
+import logging
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from itertools import groupby
@@ -19,6 +20,9 @@ from netconvert.lane_graph import LaneGraph
 from netconvert.net_xml import ALLOWED_CLASSES, WHOLE_LIMIT_MPS, CityOrigin, junction_beside, location, shape
 from netconvert.roads import RoadGraph, Way, roads_of
 
+_LOG = logging.getLogger(__name__)
+#: Classes of SUMO's own traffic that may use a lane, by lane type.
+_WHOLE_CLASSES = {**ALLOWED_CLASSES, "BUS": "bus"}
 #: SUMO's letter at the entrance of a lane of an intersection, by step; None where there is no signal.
 Shown = Callable[[int], npt.NDArray[np.str_] | None]
 
@@ -64,7 +68,7 @@ def _edge(graph: LaneGraph, roads: RoadGraph, number: int) -> etree._Element:
     members = [graph.lanes[lane_id] for lane_id in roads.rows[number]]
     lanes = []
     for index, lane in enumerate(members):
-        allowed = ALLOWED_CLASSES[lane.lane_type]
+        allowed = _WHOLE_CLASSES[lane.lane_type]
         known = {"index": str(index), "speed": f"{WHOLE_LIMIT_MPS:g}", "width": f"{lane.width_m:.2f}"}
         known |= {} if allowed is None else {"allow": allowed}
         segment = E.param(key="av2.lane_segment_id", value=str(lane.lane_id))
@@ -94,7 +98,10 @@ def _connections(graph: LaneGraph, roads: RoadGraph, ways: Sequence[Way]) -> lis
 
 
 def _signals(roads: RoadGraph, ways: Sequence[Way], shown: Shown, step_s: float) -> dict[int, list[etree._Element]]:
-    """By junction with an entrance that was red: its program, as long as what is shown, and the links it controls."""
+    """By junction with an entrance that was red: its program, as long as what is shown, and the links it controls.
+
+    Programs repeat, so that what was red throughout never opens: a warning names it.
+    """
     found = {}
     for junction, every in roads.ways_of.items():
         through = [way for way in every if way in ways]
@@ -103,6 +110,10 @@ def _signals(roads: RoadGraph, ways: Sequence[Way], shown: Shown, step_s: float)
         states = ["".join(now) for now in zip(*(always if one is None else one for one in each), strict=True)]
         if not any(state.strip("Gg") for state in states):
             continue
+        red = {way.through[0] for k, way in enumerate(through) if not any(state[k] in "gG" for state in states)}
+        if red:
+            said = "junction J%d: lanes %s of the intersection were red throughout; as the program repeats they stay so"
+            _LOG.warning(said, junction, ", ".join(map(str, sorted(red))))
         phases = [E.phase(duration=f"{len(list(same)) * step_s:g}", state=state) for state, same in groupby(states)]
         name, controlled = f"J{junction}", (_link(roads, way) | {"linkIndex": str(k)} for k, way in enumerate(through))
         program = E.tlLogic(*phases, id=name, type="static", programID="recorded", offset="0")

@@ -96,9 +96,14 @@ def net(
     out: Path = options.OUT,
     *,
     lanes: options.LanesName = options.option("cells: lanes cut into cells of 4 m; whole: a SUMO lane each.", "cells"),
-    signals: bool = options.option("With --lanes whole: the signals that are inferred from the traffic.", False),
+    signals: bool = options.option(
+        "With --lanes whole: the signals that are inferred from the traffic. The program repeats; what was red "
+        "throughout stays red.",
+        False,
+    ),
     window: options.OneWindow,
     as_json: bool = options.AS_JSON,
+    given: options.Given,
     activity: Activity,
 ) -> None:
     """Write the lane graph as a SUMO net: of 4 m cells with files for sumo-gui and a report, or of whole lanes.
@@ -108,7 +113,11 @@ def net(
     """
     if signals and lanes == "cells":
         raise ConfigError("--signals: expected --lanes whole with it, a net of cells has no signals")
-    found = scene if scene.is_file() and scene.suffix == ".json" else one_scene(scene, window)
+    is_map = scene.suffix == ".json" and not scene.is_dir()
+    used = {"SCENE", "--out", "--lanes", "--signals", "--verbose", "--quiet"}
+    used |= (set() if is_map else {"--map", "--window"}) | (set() if lanes == "whole" else {"--json"})
+    given.check(used, f"--lanes {lanes} of {'a map' if is_map else 'a scene'}")
+    found = scene if is_map else one_scene(scene, window)
     check_out(out)
     activity.doing("converting the map")
     from bridge.sumo.net import convert, convert_whole

@@ -267,10 +267,11 @@ def playable_files(scenario: Recording, grid: CellGrid) -> dict[str, bytes]:
         {"vehicleText_constantSize": "1", "vehicleText_color": "10,10,10", "vehicleText_bgColor": "255,255,255"},
         E.colorScheme(name="given vehicle/type/route color"),
     )
-    shown = moving_ground(scenario)
-    files = gui_files(grid, name, step_s=scenario.step_s, shown=shown, options=options, vehicles=vehicles)
+    shown, step_s = moving_ground(scenario), scenario.step_s
+    traces = [_trace(track, step_s) for track in scenario.tracks]
+    covered = [line for trace in traces for line in trace.shapes]
+    files = gui_files(grid, name, step_s=step_s, shown=shown, covered=covered, options=options, vehicles=vehicles)
     del files[f"{name}.cells.csv"]
-    traces = [_trace(track, scenario.step_s) for track in scenario.tracks]
     files[f"{name}.net.xml"] = _with_traces(scene_net(scenario, grid), traces)
     files[f"{name}.rou.xml"] = _trace_routes(scenario, traces)
     return files

@@ -115,6 +115,9 @@ ORDER = [
     ("generate av2 -o out --event cross --target av --target=focal", "--target", "given 2 times", "it holds one value"),
     ("resimulate s/curve -o out --seeds 1", ": 1 scene", "two at least", "each half is driven"),
     ("net s/curve -o out --signals", "--signals", "cells", "--lanes whole"),
+    ("net s/curve -o out --lanes whole --json", "--json", "does nothing with --lanes whole", "leave it out"),
+    ("net map.json -o out --window 3 --map m", "--map, --window", "does nothing with .* of a map", "leave it out"),
+    ("net missing.json -o out", r"missing\.json", "no such file", "log_map_archive_<id>.json"),
 ]
 PERMISSIONS = [
     ("generate av2 -o locked/out --agents 1", "locked/out", "[Pp]ermission denied", "folder"),

@@ -50,3 +50,11 @@ def test_the_view_can_be_closer(grid: CellGrid) -> None:
     views = [etree.fromstring(gui_files(grid, "s", shown=part, step_s=0.1)["s.view.xml"]) for part in (whole, shown)]
     zooms = [float(view.find("viewport").get("zoom")) for view in views]
     assert zooms[1] == pytest.approx(2 * zooms[0], rel=0.01)
+
+
+def test_a_net_that_covers_more_ground_is_seen_as_close(grid: CellGrid) -> None:
+    """Zoom 100 shows all of the net: of 40 m, with a line beyond the area, twice as much as of 20 m."""
+    lines = [(), [np.array([[30.0, 0.0], [40.0, 0.0]])]]
+    views = [etree.fromstring(gui_files(grid, "s", covered=line, step_s=0.1)["s.view.xml"]) for line in lines]
+    zooms = [float(view.find("viewport").get("zoom")) for view in views]
+    assert zooms[1] == pytest.approx(2 * zooms[0], rel=0.01)

@@ -1,5 +1,6 @@
 """Plain files of whole lanes: edges of rows, connections of ways, signals; and the roads that they are made of."""
 
+import re
 from functools import partial
 
 import numpy as np
@@ -7,7 +8,9 @@ import pytest
 from hand_drawn import draw_lane
 from lxml import etree
 
+from netconvert.cells import build_cell_grid
 from netconvert.lane_graph import LaneGraph, LaneSegment
+from netconvert.net_xml import net_bytes
 from netconvert.roads import Way, roads_of
 from netconvert.whole_lanes import plain_files
 
@@ -72,6 +75,15 @@ def test_files_have_the_lanes_and_their_ways() -> None:
     assert {node.get("type") for node in files["node-files"].iterfind("node")} == {"priority"}
 
 
+def test_bus_lanes_are_for_buses_of_sumo_and_open_in_nets_of_cells() -> None:
+    graph = graph_of(_lane(1, [(0, 0), (20, 0)]), _lane(2, [(0, 9), (20, 9)], lane_type="BUS"))
+    for content, wanted in (
+        (plain_files(graph, step_s=0.1)["edge-files"], [None, "bus"]),
+        (net_bytes(build_cell_grid(graph, cell_m=20.0)), [None, None]),
+    ):
+        assert [lane.get("allow") for lane in etree.fromstring(content).iter("lane")] == wanted
+
+
 def test_signals_are_a_program_as_long_as_the_recording() -> None:
     """Lane 4 is red for 2 of 5 steps of 0.5 s, lane 3 has a signal that is never red: two phases of 1.0 and 1.5 s."""
     files = plain_files(graph_of(*CROSSING), shown={4: np.array([*"rrggg"]), 3: np.array([*"ggggg"])}.get, step_s=0.5)
@@ -83,6 +95,13 @@ def test_signals_are_a_program_as_long_as_the_recording() -> None:
     assert [state[links["1"]] for _, state in phases] == ["g", "g"]
     nodes = etree.fromstring(files["node-files"])
     assert [node.get("id") for node in nodes.iterfind("node[@type='traffic_light']")] == [program.get("id")]
+
+
+def test_an_entrance_that_never_opens_is_named(caplog: pytest.LogCaptureFixture) -> None:
+    """Lane 4 is red throughout, lane 3 at first."""
+    plain_files(graph_of(*CROSSING), shown={4: np.array([*"rrrr"]), 3: np.array([*"rggy"])}.get, step_s=0.5)
+    (said,) = caplog.messages
+    assert re.fullmatch(r"junction J\d+: lanes 4 of the intersection were red throughout; .*stay so", said)
 
 
 @pytest.mark.parametrize("shown", [None, np.array([*"ggggg"])])
