@@ -54,10 +54,11 @@ def gui_files(
     more = options or {}
     sections = {section: {**own.get(section, {}), **more.get(section, {})} for section in {**own, **more}}
     parts = (E(section, *(E(key, value=value) for key, value in of.items())) for section, of in sections.items())
+    ground = np.concatenate([grid.graph.bounds, *grid.graph.drivable_areas, *covered])
     return {
         f"{name}.sumocfg": xml_bytes(E.sumoConfiguration(*parts)),
         f"{name}.poly.xml": xml_bytes(E.additional(*_polygons(grid))),
-        f"{name}.view.xml": _view(grid, shown, covered, vehicles),
+        f"{name}.view.xml": _view(ground, shown or grid.graph.bounds, vehicles),
         f"{name}.cells.csv": cells_csv(grid),
     }
 
@@ -98,16 +99,11 @@ def _polygons(grid: CellGrid) -> list[etree._Element]:
     ]
 
 
-def _view(
-    grid: CellGrid,
-    shown: tuple[FloatArray, FloatArray] | None,
-    covered: Sequence[FloatArray],
-    vehicles: etree._Element | None,
-) -> bytes:
-    everything = np.concatenate([grid.graph.bounds, *grid.graph.drivable_areas, *covered])  # what zoom 100 shows
-    low, high = shown or grid.graph.bounds
+def _view(ground: FloatArray, shown: tuple[FloatArray, FloatArray], vehicles: etree._Element | None) -> bytes:
+    """The view of what is shown of the ground (N, 2) m, all of which zoom 100 shows."""
+    low, high = shown
     x, y = ((low + high) / 2.0).tolist()
-    zoom = _ZOOM * _window_width(everything.min(axis=0), everything.max(axis=0)) / _window_width(low, high)
+    zoom = _ZOOM * _window_width(ground.min(axis=0), ground.max(axis=0)) / _window_width(low, high)
     # waterways are lanes that only carry a trace
     shown_as = {"road": _LANE_COLOR, "bike lane": _BICYCLE_COLOR, "waterway": "0,0,0,0"}
     colors = E.colorScheme(*(E.entry(color=color, name=name) for name, color in shown_as.items()), name="uniform")

@@ -155,9 +155,9 @@ def _junctions(
     text = []
     for name, touching in lanes.items():
         ends = [line[at].tolist() for line, at in touching]
-        place = sum(x for x, _ in ends) / len(ends), sum(y for _, y in ends) / len(ends)
+        place = np.array([sum(x for x, _ in ends), sum(y for _, y in ends)]) / len(ends)
         beside = junction_beside(np.array(ends[0]), [line for line, _ in touching]) if editable else None
-        known = junction_of(name, place, incoming=incoming[name], line=beside)
+        known = junction(name, place, incoming=incoming[name], line=beside)
         shown = " ".join([f'{key}="{value}"' for key, value in known.items()])
         text.append(f"  <junction {shown}/>")
     return text
@@ -180,9 +180,7 @@ def junction_beside(end: FloatArray, lanes: Sequence[FloatArray]) -> FloatArray:
     return np.asarray(end + np.array([[_BESIDE_M], [_BESIDE_M + 0.02]]) * way[np.argmax(clear)])
 
 
-def junction_of(
-    name: str, place: Sequence[float], *, incoming: Sequence[str], line: FloatArray | None
-) -> dict[str, str]:
+def junction(name: str, place: FloatArray, *, incoming: Sequence[str], line: FloatArray | None) -> dict[str, str]:
     """Attributes of a junction at a place, m; incoming: ids of the lanes that end there; line: its shape, (N, 2) m."""
     known = {"id": name, "type": "unregulated", "x": f"{place[0]:.3f}", "y": f"{place[1]:.3f}"}
     known |= {"incLanes": " ".join(incoming), "intLanes": ""}

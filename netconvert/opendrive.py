@@ -181,7 +181,6 @@ def opendrive_bytes(
     name: of the map; origin: of the city frame; with it the file has a geo-reference. fastest_mps: see
     `speed_limit_mps`. Errors: NetError.
     """
-    limit_mps = speed_limit_mps(fastest_mps)
     roads, drawn = _drawn(graph)
     ends: list[list[etree._Element]] = [[] for _ in drawn]
     for end, junction in enumerate(roads.junctions):
@@ -203,7 +202,7 @@ def opendrive_bytes(
             number = len(drawn) + len(connecting)
             links = [_link("predecessor", before), _link("successor", behind)]
             leads = {"predecessor": [left], "successor": [right]}
-            connecting.append(_road_xml(graph, road, number, links, leads, limit_mps, junction=str(junction)))
+            connecting.append(_road_xml(graph, road, number, links, leads, fastest_mps, junction=str(junction)))
             known = {"id": str(len(found)), "incomingRoad": str(before), "connectingRoad": str(number)}
             lane_link = E.laneLink({"from": str(-1 - left), "to": "-1"})
             found.append(E.connection({**known, "contactPoint": "start"}, lane_link))
@@ -212,7 +211,7 @@ def opendrive_bytes(
     for number, road in enumerate(drawn):
         joined = [str(link.tag) for link in ends[number] if link.get("elementType") == "road"]
         lanes = dict.fromkeys(joined, range(len(road.lanes)))
-        whole.append(_road_xml(graph, road, number, ends[number], lanes, limit_mps))
+        whole.append(_road_xml(graph, road, number, ends[number], lanes, fastest_mps))
     (west, south), (east, north) = graph.bounds
     ground = {"north": north, "south": south, "east": east, "west": west}
     known = {"revMajor": "1", "revMinor": "7", "name": name, "version": "1.00", "vendor": "hid2-sumo"}
@@ -266,7 +265,7 @@ def _link(side: str, road: int) -> etree._Element:
 
 def _road_xml(
     graph: LaneGraph, road: _Road, number: int, ends: Sequence[etree._Element], lanes: Mapping[str, Sequence[int]],
-    limit_mps: float, *, junction: str = "-1",
+    fastest_mps: float, *, junction: str = "-1",
 ) -> etree._Element:  # fmt: skip
     """A road. ends: what it is linked with; lanes: those before and behind each of its lanes, from the left."""
     through = junction != "-1"
@@ -283,7 +282,7 @@ def _road_xml(
         offsets.append(_section(graph, road, slice(first, last + 1), linked, through=through))
     known = {"name": " ".join(map(str, road.lanes)), "length": f"{road.line.length_m:.6f}", "id": str(number)}
     known |= {"junction": junction, "rule": "RHT"}
-    town = E.type(E.speed(max=f"{limit_mps:g}", unit="m/s"), s="0", type="town")
+    town = E.type(E.speed(max=f"{speed_limit_mps(fastest_mps):g}", unit="m/s"), s="0", type="town")
     return E.road(known, E.link(*ends), town, E.planView(*plan), offsets)
 
 

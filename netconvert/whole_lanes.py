@@ -98,10 +98,7 @@ def _connections(graph: LaneGraph, roads: RoadGraph, ways: Sequence[Way]) -> lis
 
 
 def _signals(roads: RoadGraph, ways: Sequence[Way], shown: Shown, step_s: float) -> dict[int, list[etree._Element]]:
-    """By junction with an entrance that was red: its program, as long as what is shown, and the links it controls.
-
-    Programs repeat, so that what was red throughout never opens: a warning names it.
-    """
+    """By junction with an entrance that was red: its program, as long as what is shown, and the links it controls."""
     found = {}
     for junction, every in roads.ways_of.items():
         through = [way for way in every if way in ways]
@@ -110,8 +107,7 @@ def _signals(roads: RoadGraph, ways: Sequence[Way], shown: Shown, step_s: float)
         states = ["".join(now) for now in zip(*(always if one is None else one for one in each), strict=True)]
         if not any(state.strip("Gg") for state in states):
             continue
-        red = {way.through[0] for k, way in enumerate(through) if not any(state[k] in "gG" for state in states)}
-        if red:
+        if red := {way.through[0] for k, way in enumerate(through) if not any(state[k] in "gG" for state in states)}:
             said = "junction J%d: lanes %s of the intersection were red throughout; as the program repeats they stay so"
             _LOG.warning(said, junction, ", ".join(map(str, sorted(red))))
         phases = [E.phase(duration=f"{len(list(same)) * step_s:g}", state=state) for state, same in groupby(states)]

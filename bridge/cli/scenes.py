@@ -96,11 +96,7 @@ def net(
     out: Path = options.OUT,
     *,
     lanes: options.LanesName = options.option("cells: lanes cut into cells of 4 m; whole: a SUMO lane each.", "cells"),
-    signals: bool = options.option(
-        "With --lanes whole: the signals that are inferred from the traffic. The program repeats; what was red "
-        "throughout stays red.",
-        False,
-    ),
+    signals: bool = options.option("With --lanes whole: inferred signals, repeated; red throughout stays red.", False),
     window: options.OneWindow,
     as_json: bool = options.AS_JSON,
     given: options.Given,

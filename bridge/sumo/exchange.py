@@ -53,7 +53,7 @@ from netconvert.cells import SAVED_WITHIN_M, Cell, CellGrid, build_cell_grid
 from netconvert.errors import ExportError, NetError, ScenarioError, SimulationError
 from netconvert.gui_files import REAL_TIME_MS, gui_files, xml_bytes
 from netconvert.lane_graph import TurnType
-from netconvert.net_xml import junction_beside, junction_of, shape
+from netconvert.net_xml import junction, junction_beside, shape
 
 _LOG = logging.getLogger(__name__)
 #: Where an agent's front bumper is on the net at each of its steps: (N,) cells, metres along them, and whether it is
@@ -72,23 +72,13 @@ _CLEAR_M = 1.0
 _JUNCTIONS_APART_M = 0.05
 #: Lanes for this class of vehicle are transparent in the view settings (`gui_files`); no map has any.
 _UNSEEN = "ship"
-#: Name of the picture that sumo-gui draws, beside its files.
-_PICTURE = "picture.png"
 #: Parameter of a vehicle that holds the id to show.
 ID_KEY = "shown_id"
 #: Characters that SUMO takes in no id of a vehicle or type.
 _NOT_IN_IDS = " \"&',;<>\\|"
 #: SUMO's pictures of vehicles, by object type.
-GUI_SHAPES: Mapping[str, str] = {
-    "vehicle": "passenger/sedan",
-    "bus": "bus",
-    "motorcyclist": "motorcycle",
-    "cyclist": "bicycle",
-    "riderless_bicycle": "bicycle",
-    "pedestrian": "pedestrian",
-}
-
-
+GUI_SHAPES = {"vehicle": "passenger/sedan", "bus": "bus", "motorcyclist": "motorcycle", "cyclist": "bicycle"}
+GUI_SHAPES |= {"riderless_bicycle": "bicycle", "pedestrian": "pedestrian"}
 #: Faces as in every picture, but for the focal vehicle's, which is too dark for sumo-gui's road.
 GUI_FACES: Mapping[str, str] = {**FACES, "focal": "#F0E442"}
 
@@ -99,8 +89,7 @@ def sumo_files(scenario: Recording) -> dict[str, bytes]:
     grid = build_cell_grid(scenario.graph, saved_within_m=SAVED_WITHIN_M)
     placed = _places(scenario, grid)
     files = gui_files(grid, name, step_s=scenario.step_s, options=run_options(scenario, f"{name}.rou.xml"))
-    files[f"{name}.net.xml"] = scene_net(scenario, grid)
-    files[f"{name}.fcd.xml"] = _fcd(scenario, grid, placed)
+    files |= {f"{name}.net.xml": scene_net(scenario, grid), f"{name}.fcd.xml": _fcd(scenario, grid, placed)}
     if sidecar is None or not sidecar.agents:
         del files[f"{name}.sumocfg"]  # SUMO would have nothing to drive
     else:
@@ -110,11 +99,9 @@ def sumo_files(scenario: Recording) -> dict[str, bytes]:
 
 def fcd_files(scenario: Recording) -> dict[str, bytes]:
     """The FCD output and the net with the lanes that it names, by file name."""
-    grid = build_cell_grid(scenario.graph, saved_within_m=SAVED_WITHIN_M)
-    return {
-        f"{scenario.scenario_id}.fcd.xml": _fcd(scenario, grid, _places(scenario, grid)),
-        f"{scenario.scenario_id}.net.xml": scene_net(scenario, grid),
-    }
+    name, grid = scenario.scenario_id, build_cell_grid(scenario.graph, saved_within_m=SAVED_WITHIN_M)
+    fcd = _fcd(scenario, grid, _places(scenario, grid))
+    return {f"{name}.fcd.xml": fcd, f"{name}.net.xml": scene_net(scenario, grid)}
 
 
 def _fcd(scenario: Recording, grid: CellGrid, placed: Mapping[str, _Placed]) -> bytes:
@@ -145,9 +132,8 @@ def _places(scenario: Recording, grid: CellGrid) -> dict[str, _Placed]:
     for lane in np.unique(rows).tolist():
         here = rows == lane
         along[here] = graph.lanes[int(flat.lane_ids[lane])].path.frenet(front[here])[0]
-    matched = rows.copy()
     for row in np.flatnonzero(along > flat.length_m[rows]).tolist():
-        driven = matched[row : arrays.first[arrays.agent[row] + 1]]
+        driven = rows[row : arrays.first[arrays.agent[row] + 1]]
         rows[row], along[row] = _ahead(flat, int(rows[row]), float(along[row]), front[row], driven=driven.tolist())
     apart_m = shapely.distance(shapely.points(front), np.array(lines)[rows])
     on, lane_ids = (matches.lane >= 0) | (apart_m <= ASIDE_M), flat.lane_ids[rows]
@@ -251,10 +237,9 @@ def playable_files(scenario: Recording, grid: CellGrid) -> dict[str, bytes]:
     sumo-gui shows the first step and waits, and the last one: vehicles are boxes of their size, with their ids.
     Errors: NetError for the id of a track that SUMO refuses.
     """
-    for track in scenario.tracks:
-        if set(track.track_id) & set(_NOT_IN_IDS):
-            said = f"{scenario.folder}: track {track.track_id!r}: SUMO takes no such id"
-            raise NetError(f"{said}, expected one without any of the characters {_NOT_IN_IDS!r}; rename the track")
+    if wrong := [track.track_id for track in scenario.tracks if {*track.track_id} & {*_NOT_IN_IDS}]:
+        said = f"{scenario.folder}: track {wrong[0]!r}: SUMO takes no such id"
+        raise NetError(f"{said}, expected one without any of the characters {_NOT_IN_IDS!r}; rename the track")
     name = f"{scenario.scenario_id}_scene"
     options = run_options(scenario, f"{name}.rou.xml")
     options["time"]["end"] = f"{(scenario.num_steps + 1) * scenario.step_s:.2f}"  # at which sumo-gui asks to close all
@@ -359,8 +344,7 @@ def _with_traces(net: bytes, traces: list[_Trace]) -> bytes:
             line = junction_beside(end, trace.shapes[max(k - 1, 0) : k + 1])
             near = np.hypot(*(end - place)) < _JUNCTIONS_APART_M
             place = end + 2.0 * _JUNCTIONS_APART_M * np.array([near, 0.0])
-            known = junction_of(f"{trace.edge(k)}_j", place.tolist(), incoming=incoming, line=line)
-            added["junction"].append(E.junction(known))
+            added["junction"].append(E.junction(junction(f"{trace.edge(k)}_j", place, incoming=incoming, line=line)))
     for tag, elements in added.items():
         before = root.findall(tag)
         behind = root.index(before[-1]) + 1 if before else len(root)
@@ -428,14 +412,12 @@ def play_scene(
     at_s = check_step(scenario, step) * scenario.step_s
     files = playable_files(scenario, build_cell_grid(scenario.graph, saved_within_m=SAVED_WITHIN_M))
     name = f"{scenario.scenario_id}_scene"
-    options = {
-        "window-size": "1280,900",
-        "delay": f"{REAL_TIME_MS / speed:.0f}",
-    }  # else what the user's last window had
+    # else what the user's last window had
+    options = {"window-size": "1280,900", "delay": f"{REAL_TIME_MS / speed:.0f}"}
     if screenshot is not None:
         make_folder(screenshot.parent)
         view = etree.fromstring(files[f"{name}.view.xml"])
-        view.append(E.snapshot(file=_PICTURE, time=f"{at_s:.2f}"))
+        view.append(E.snapshot(file=screenshot.name, time=f"{at_s:.2f}"))
         files[f"{name}.view.xml"] = xml_bytes(view)
         # where a list is expected an empty one is refused, so a time that never comes
         end_s = at_s + 2 * scenario.step_s
@@ -452,7 +434,7 @@ def play_scene(
         if code not in {0, *(-number for number in SIGNALS)}:  # it may be closed so
             raise SimulationError(f"{binary} ended with exit code {code}; what it says stands above")
         if screenshot is not None:
-            if not (drawn := Path(place) / _PICTURE).is_file():
+            if not (drawn := Path(place) / screenshot.name).is_file():
                 raise ExportError(f"{screenshot}: sumo-gui drew no picture; see what it says, or try another display")
             with beside(screenshot) as hidden:
                 shutil.copyfile(drawn, hidden)

@@ -120,8 +120,7 @@ def _map_of(scene: Address) -> tuple[str, LaneGraph, Recording | None]:
         recording = read_recording(scene)
         return recording.scenario_id, recording.graph, recording
     if not scene.exists():
-        wanted = "file, expected log_map_archive_<id>.json" if scene.suffix == ".json" else "folder, expected a scene"
-        raise NoSceneError(f"{scene}: no such {wanted}")
+        raise NoSceneError(f"{scene}: no such file or folder, expected a scene or log_map_archive_<id>.json")
     path = scene if scene.is_file() else only_file(scene, MAP_PATTERN, MapError)
     return path.stem.removeprefix("log_map_archive_"), read_source_map(path), None
 
