@@ -10,22 +10,18 @@ from functools import partial
 import numpy as np
 import pytest
 import shapely
+from gap_view import VIEW
 from hand_drawn import draw_two_lanes
-from inserted import nobody, recorded, scene_on
+from inserted import recorded, scene_on, sites_of
 
-from hid2.conflicts.guard import Guard
 from hid2.insertion.requests import draw_requests
-from hid2.insertion.sites import InsertionSites
-from hid2.insertion.spread import Spread
-from hid2.insertion.surroundings import Surroundings
 from hid2.judge.findings import MotionProfile
 from hid2.motion.smoothing import smooth_motion
 from hid2.occupancy.sigma import FREE, GENERATED, ORIGINAL
 from hid2.params import Config, LaneChange, Limits, Request, Turn
 from hid2.policies import Policy
-from hid2.policy.lane_change import OPEN
 from hid2.policy.roads import f_left, f_right
-from hid2.policy.rules import GapView, rule_reason
+from hid2.policy.rules import rule_reason
 from hid2.reasons import Reason
 from netconvert.geometry import differences
 
@@ -42,9 +38,7 @@ def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:
     scene = scene_on(draw_two_lanes(200.0), recorded(60.0, 0.0), recorded(100.0, 3.5))
     sigma = scene.occupancy.sigma[0]
     assert set(np.unique(sigma)) == {FREE, ORIGINAL}
-    here = Surroundings(scene)
-    guard = Guard(scene, nobody(), here.stop_lines)
-    sites = InsertionSites(here, guard, np.random.default_rng(0), 0, Spread.of((0, 0)))
+    sites = sites_of(scene)
     config = Config(request=Request(left_turn=0, right_turn=0, lane_change=0, overtake=0))
     requests = draw_requests(config, np.random.default_rng(0), count=6, duration_s=10.9)
     placed = [start for one in requests for start in sites.propose(one)]
@@ -62,24 +56,7 @@ def test_sigma_is_0_1_or_2_and_never_two_of_them() -> None:
 
 def test_remaining_length_of_the_target_lane_is_not_below_a_threshold() -> None:
     """25 m are asked for by the paper's rule: 24 m are too few."""
-    view = GapView(
-        time_s=3.0,
-        waited_s=1.0,
-        side="left",
-        speed_mps=10.0,
-        desired_mps=10.0,
-        length_m=4.0,
-        tau_s=1.0,
-        accel_mps2=1.0,
-        decel_mps2=1.0,
-        min_gap_m=2.0,
-        cells_free=True,
-        front=OPEN,
-        rear=OPEN,
-        own_front=OPEN,
-        own_rear=OPEN,
-        remaining_m=25.0,
-    )
+    view = replace(VIEW, remaining_m=25.0)
     params = LaneChange(rule="paper", min_remaining_m=25.0)
     assert rule_reason(view, params) is None
     assert rule_reason(replace(view, remaining_m=24.0), params) == Reason.LANE_ENDS

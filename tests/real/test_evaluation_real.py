@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
+from views import lane_view
 
 from bridge.recordings.scenario import read_scenario
 from hid2.evaluation.kinematics import kinematics, motion
 from hid2.measures.arrays import stack
-from hid2.measures.driven_lanes import LaneView
-from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from hid2.measures.manoeuvres import detect
 
 
@@ -60,8 +59,7 @@ def seen_by_scene(real_scenes):
     for folder in real_scenes:
         scenario = read_scenario(folder)
         arrays = stack(scenario.tracks, num_steps=scenario.num_steps, step_s=0.1)
-        lanes = flatten_lanes(scenario.graph)
-        found[folder.name[:8]] = detect(LaneView(arrays, lanes, match_lanes(arrays, lanes)))
+        found[folder.name[:8]] = detect(lane_view(arrays, scenario.graph))
     return found
 
 

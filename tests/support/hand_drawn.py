@@ -4,9 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hid2.agents import BoxSize, Track
+from hid2.agents import BoxSize, FloatArray, Track
 from hid2.occupancy.traffic import Traffic
 from netconvert.lane_graph import LaneGraph, LaneSegment, turn_type
+
+SMALL_CAR = BoxSize(4.0, 2.0)
 
 
 def draw_lane(
@@ -110,6 +112,13 @@ def draw_track(
     )
 
 
+def draw_driven(name: str, position: FloatArray, *, kind: str = "vehicle", size: BoxSize = SMALL_CAR) -> Track:
+    """A track at positions (T, 2) m, a step of 0.1 s after the other, with velocity and heading along its motion."""
+    velocity = np.gradient(position, 0.1, axis=0)
+    heading = np.arctan2(velocity[:, 1], velocity[:, 0])
+    return Track(name, kind, 1, np.arange(len(position)), position, heading, velocity, size)
+
+
 def draw_crossing(*, end_m: float = 200.0, zebra: bool = False) -> LaneGraph:
     """Lanes 1 (0 .. 60 m), 2 (the intersection, 60 .. 80 m), 3 (to end_m) along the x axis; 4, 5, 6 cross at x = 70.
 
@@ -130,8 +139,4 @@ def draw_crossing(*, end_m: float = 200.0, zebra: bool = False) -> LaneGraph:
 def draw_two_lanes(length_m: float = 300.0) -> LaneGraph:
     """Lane 1 at y = 0, lane 2 to its left at y = 3.5, on drivable ground."""
     ring = np.array([(-20.0, -3.0), (length_m + 20.0, -3.0), (length_m + 20.0, 7.0), (-20.0, 7.0), (-20.0, -3.0)])
-    lanes = {
-        1: draw_lane(1, [(0.0, 0.0), (length_m, 0.0)], left=2),
-        2: draw_lane(2, [(0.0, 3.5), (length_m, 3.5)], right=1),
-    }
-    return LaneGraph(lanes, drivable_areas=(ring,))
+    return LaneGraph(draw_road(length_m=length_m).lanes, drivable_areas=(ring,))

@@ -7,7 +7,12 @@ import numpy as np
 import numpy.typing as npt
 
 from hid2.agents import BoxSize, Policy, Track
+from hid2.conflicts.guard import Guard
 from hid2.drivers.driver import MIDDLE, Driver
+from hid2.insertion.sites import InsertionSites
+from hid2.insertion.situations import Situation, Wanted
+from hid2.insertion.spread import Spread
+from hid2.insertion.surroundings import Surroundings
 from hid2.motion.route import DrivenPath, Route
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
@@ -28,10 +33,7 @@ DRIVER = Driver(
 
 def nobody(steps: int = 110) -> Traffic:
     """Traffic without anybody in it."""
-    return Traffic(
-        ids=(), position=np.zeros((0, steps, 2)), heading=np.zeros((0, steps)), velocity=np.zeros((0, steps, 2)),
-        present=np.zeros((0, steps), dtype=bool), length_m=np.zeros(0), width_m=np.zeros(0),
-    )  # fmt: skip
+    return Traffic.none(steps)
 
 
 def recorded(
@@ -51,6 +53,17 @@ def scene_on(graph: LaneGraph, *tracks: Track, config: Config | None = None) -> 
     return build_scene(
         build_cell_grid(graph), tracks, config=config or Config(), num_steps=110, last_observed_step=49, step_s=0.1
     )
+
+
+def guard_of(here: Surroundings) -> Guard:
+    """With nobody inserted."""
+    return Guard(here.scene, nobody(here.scene.future.num_steps), here.stop_lines)
+
+
+def sites_of(scene: Scene, seed: int = 0, *wants: Situation) -> InsertionSites:
+    """Sites of a scene with nobody inserted; wants: what all vehicles are to meet."""
+    here, wanted = Surroundings(scene), Wanted(dict.fromkeys(wants, 1.0), dict.fromkeys(wants, 0.0))
+    return InsertionSites(here, guard_of(here), np.random.default_rng(seed), 0, Spread.of((seed, 0)), wanted)
 
 
 def start_on(scene: Scene, route: Route, s: float, speed: float, **changes: Any) -> Start:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hand_drawn import draw_road
+from views import lane_view
 
 from hid2.agents import BoxSize, Track
 from hid2.evaluation.critics import (
@@ -19,9 +20,7 @@ from hid2.evaluation.critics import (
 )
 from hid2.evaluation.windows import WINDOW, windows
 from hid2.measures.arrays import stack
-from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import leaders
-from hid2.measures.lane_matching import flatten_lanes, match_lanes
 
 CRITICS = [("logistic", "all"), ("trees", "all")]
 
@@ -119,8 +118,7 @@ def drive(speed, accel, offset, *, steps=80, rng=None, track_id="r1"):
 
 
 def windows_of(tracks):
-    arrays, lanes = stack(tracks, step_s=0.1), flatten_lanes(draw_road(length_m=250))
-    view = LaneView(arrays, lanes, match_lanes(arrays, lanes))
+    view = lane_view(stack(tracks, step_s=0.1), draw_road(length_m=250))
     return windows(view, leaders(view), scene="s", labelled=True)
 
 

@@ -5,6 +5,7 @@ import pytest
 from hand_drawn import draw_road
 from scipy.spatial.distance import jensenshannon
 from scipy.stats import wasserstein_distance
+from views import lane_view
 
 from hid2.agents import BoxSize, Track
 from hid2.evaluation.kinematics import motion
@@ -21,8 +22,6 @@ from hid2.evaluation.realism import (
 from hid2.evaluation.safety import safety
 from hid2.evaluation.windows import half_numbers, windows
 from hid2.measures.arrays import stack
-from hid2.measures.driven_lanes import LaneView
-from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind
 
 SPEED = FEATURES[0]
@@ -101,8 +100,7 @@ def test_distance_of_a_faster_generator_is_above_the_floor_and_of_an_equal_one_n
             recorded = _lanes_full(rng, "r", rng.uniform(5, 12, 8))
             generated = _lanes_full(rng, "gen_", rng.uniform(low, low + 7, 8))
             arrays = stack([*recorded, *generated], step_s=0.1)
-            lanes = flatten_lanes(draw_road(length_m=200))
-            view = LaneView(arrays, lanes, match_lanes(arrays, lanes))
+            view = lane_view(arrays, draw_road(length_m=200))
             safe = safety(view)
             driving = windows(view, safe.leaders, scene=f"s{scene}", labelled=True)
             changes = [

@@ -10,25 +10,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.affinity import rotate, translate
 from shapely.geometry import box as rectangle
+from views import lane_view
 
 from hid2.agents import BoxSize, Track
 from hid2.evaluation.safety import FOOTPRINT_TOLERANCE_M, off_footprint, overlaps, safety, ttc_after_last_step
 from hid2.kernels.boxes import contact_time
 from hid2.measures.arrays import SceneArrays, stack
-from hid2.measures.driven_lanes import LaneView
 from hid2.measures.following import leaders
 from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from hid2.measures.surrogates import encroachments
 from netconvert.lane_graph import LaneGraph
 
 
-def view_of(arrays, graph):
-    lanes = flatten_lanes(graph)
-    return LaneView(arrays, lanes, match_lanes(arrays, lanes))
-
-
 def safe_of(arrays, graph):
-    return safety(view_of(arrays, graph))
+    return safety(lane_view(arrays, graph))
 
 
 def drive(x, y=0.0, heading=0.0, *, speed=0.0, steps=60, first=0, name="t", size=(4.0, 2.0), kind="vehicle"):
@@ -174,7 +169,7 @@ def test_leader_gap_time_gap_headway_and_ttc():
     """
     moving = ("a", 0, 0.0, 10.0), ("b", 24, 0.0, 6.0), ("c", 10, 3.5, 8.0)
     tracks = [drive(x, y, speed=speed, steps=20, name=name) for name, x, y, speed in moving]
-    found = leaders(view_of(stack(tracks, step_s=0.1), draw_road()))
+    found = leaders(lane_view(stack(tracks, step_s=0.1), draw_road()))
     assert found.agent[0] == 1
     assert found.agent[20] == found.agent[40] == -1
     assert found.gap_m[0] == pytest.approx(20.0)
@@ -205,7 +200,7 @@ def test_leader_is_found_through_successors_and_on_the_way_driven():
     a = Track("a", "vehicle", 1, steps, np.column_stack([x, y]), heading, np.full((80, 2), 7.0), BoxSize(4, 2))
     end = along[-2]
     tracks = [a, drive(*end, 0.6, steps=80, name="b"), drive(62, 0, steps=80, name="c")]
-    assert leaders(view_of(stack(tracks, step_s=0.1), graph)).agent[20] == 1
+    assert leaders(lane_view(stack(tracks, step_s=0.1), graph)).agent[20] == 1
 
 
 def test_driving_against_the_lane_is_seen_and_parking_across_it_is_not():

@@ -6,15 +6,12 @@ from itertools import islice
 import numpy as np
 import pytest
 from hand_drawn import draw_box, draw_lane, draw_road
-from inserted import nobody, recorded, scene_on, start_on
+from inserted import recorded, scene_on, sites_of, start_on
 
 from hid2.agents import Policy, Track
-from hid2.conflicts.guard import Guard
 from hid2.insertion.entries import edge_lanes
 from hid2.insertion.entry_sites import entry_speed
 from hid2.insertion.filling import Filling
-from hid2.insertion.sites import InsertionSites
-from hid2.insertion.spread import Spread
 from hid2.insertion.surroundings import Surroundings
 from hid2.params import Config, Request, Spawn
 from hid2.scene import Scene
@@ -29,14 +26,8 @@ def _scene(graph: LaneGraph, *tracks: Track, **request: object) -> Scene:
     return scene_on(graph, *tracks, config=Config(request=Request(**asked), spawn=Spawn(prior_speed_mps=9.0)))
 
 
-def _sites(scene: Scene, seed: int = 0) -> InsertionSites:
-    here = Surroundings(scene)
-    guard = Guard(scene, nobody(scene.future.num_steps), here.stop_lines)
-    return InsertionSites(here, guard, np.random.default_rng(seed), 0, Spread.of((seed, 0)))
-
-
 def _entering(scene: Scene, *, count: int = 20, seed: int = 0) -> list[Start]:
-    return list(islice(_sites(scene, seed).entering.starts_of(STRAIGHT, [], frozenset()), count))
+    return list(islice(sites_of(scene, seed).entering.starts_of(STRAIGHT, [], frozenset()), count))
 
 
 def _pocket() -> LaneGraph:
@@ -122,20 +113,20 @@ def test_who_is_scored_or_changes_lanes_is_there_from_the_first_step(
     request_: dict[str, object], policy: Policy
 ) -> None:
     scene = _scene(draw_road(length_m=300.0), **request_)
-    starts = _sites(scene).propose(VehicleRequest(0, policy, 1.0))
+    starts = sites_of(scene).propose(VehicleRequest(0, policy, 1.0))
     assert [start.step for start in starts] == [0]
 
 
 def test_where_nobody_can_enter_a_vehicle_begins_elsewhere() -> None:
     """Standing vehicles at x = 5 on both lanes."""
     scene = _scene(draw_road(length_m=300.0), recorded(5.0, 0.0), recorded(5.0, 3.5, name="q"))
-    (start,) = _sites(scene).propose(STRAIGHT)
+    (start,) = sites_of(scene).propose(STRAIGHT)
     assert start.step == 0
 
 
 def test_two_that_enter_on_one_lane_keep_their_distance() -> None:
     """At 9 m/s, at most 11.4: of two on one lane the later one leaves 2 m, the first one drives 6.5 m in 6 steps."""
-    sites = _sites(_scene(draw_road(lanes=1, length_m=300.0)))
+    sites = sites_of(_scene(draw_road(lanes=1, length_m=300.0)))
     starts = [start for k in range(6) for start in sites.propose(VehicleRequest(k, Policy.STRAIGHT, 0.0))]
     steps = sorted(start.step for start in starts if start.step > 0)
     assert len(steps) >= 2

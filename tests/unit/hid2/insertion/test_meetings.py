@@ -6,18 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from hand_drawn import draw_lane, draw_road
-from inserted import nobody, recorded, scene_on
+from inserted import recorded, scene_on, sites_of
 
 from hid2.agents import Policy
-from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import StopLines
 from hid2.insertion.meetings import Meetings
 from hid2.insertion.routes import Routes
-from hid2.insertion.sites import InsertionSites
-from hid2.insertion.situations import Situation, Wanted
-from hid2.insertion.spread import Spread
+from hid2.insertion.situations import Situation
 from hid2.insertion.starts import Site
-from hid2.insertion.surroundings import Surroundings
 from hid2.params import Config, Drivers, Spawn
 from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
@@ -82,7 +78,7 @@ def test_a_leader_that_brakes_is_told_from_one_that_does_not() -> None:
         scene = scene_of(track)
         met = _meetings(scene).outlook(Policy.STRAIGHT).meets[Situation.BRAKES]
         assert met[scene.grid.index_of[scene.grid.cell_at(1, 82.0)]] == expected
-    sites = _sites(scene, 0, Situation.BRAKES)
+    sites = sites_of(scene, 0, Situation.BRAKES)
     assert sites._wants(Policy.STRAIGHT) == {Situation.BRAKES}
     assert sites._wants(Policy.LANE_CHANGE) == set()
 
@@ -127,7 +123,7 @@ def test_who_follows_drives_as_fast_as_the_leader_at_least() -> None:
     crawling = recorded(300.0, 0.0, 4.0, name="c")
     scene = scene_of(recorded(60.0, 0.0, 12.0), crawling)
     meetings = _meetings(scene)
-    starts = [start for seed in range(60) for start in _sites(scene, seed, Situation.FOLLOWS).propose(_request())]
+    starts = [start for seed in range(60) for start in sites_of(scene, seed, Situation.FOLLOWS).propose(_request())]
     led = [one for one in starts if _leader(meetings, scene, one.route[0], one.start_m) == 0]
     assert len(led) >= 5
     assert all(one.driver.desired_mps == pytest.approx(12.0) for one in led)
@@ -135,7 +131,7 @@ def test_who_follows_drives_as_fast_as_the_leader_at_least() -> None:
 
 def test_leader_who_is_followed_by_a_kept_vehicle_speaks_for_no_other_site() -> None:
     scene = scene_of(recorded(100.0, 0.0, 9.0))
-    sites = _sites(scene, 0, Situation.FOLLOWS)
+    sites = sites_of(scene, 0, Situation.FOLLOWS)
     cell = scene.grid.index_of[scene.grid.cell_at(1, 82.0)]
 
     def rows() -> list[int]:
@@ -159,12 +155,6 @@ def test_weight_of_a_route_is_that_of_its_cell() -> None:
 
 def _request() -> VehicleRequest:
     return VehicleRequest(0, Policy.STRAIGHT, 0.0)
-
-
-def _sites(scene: Scene, seed: int, *wants: Situation) -> InsertionSites:
-    here, wanted = Surroundings(scene), Wanted(dict.fromkeys(wants, 1.0), dict.fromkeys(wants, 0.0))
-    guard = Guard(scene, nobody(scene.future.num_steps), here.stop_lines)
-    return InsertionSites(here, guard, np.random.default_rng(seed), 0, Spread.of((seed, 0)), wanted)
 
 
 def test_leader_does_not_depend_on_what_was_looked_at_before() -> None:

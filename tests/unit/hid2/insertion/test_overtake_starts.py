@@ -4,14 +4,12 @@ from typing import Any
 
 import numpy as np
 from hand_drawn import draw_road
-from inserted import nobody, recorded, scene_on
+from inserted import guard_of, recorded, scene_on, sites_of
 
 from hid2.agents import Policy, Track
-from hid2.conflicts.guard import Guard
 from hid2.insertion.filling import Filling
 from hid2.insertion.rollout import World
 from hid2.insertion.sites import InsertionSites
-from hid2.insertion.spread import Spread
 from hid2.insertion.surroundings import Surroundings
 from hid2.params import Config, Request, Spawn
 from hid2.policy.overtake import Stage
@@ -29,16 +27,10 @@ def scene_of(*tracks: Track, **request: Any) -> Scene:
     return scene_on(draw_road(lanes=2, length_m=500.0), *tracks, config=config)
 
 
-def _sites(scene: Scene, seed: int = 0) -> InsertionSites:
-    here = Surroundings(scene)
-    guard = Guard(scene, nobody(scene.future.num_steps), here.stop_lines)
-    return InsertionSites(here, guard, np.random.default_rng(seed), 0, Spread.of((seed, 0)))
-
-
 def _world(sites: InsertionSites) -> World:
     """With nobody else in it."""
     here = sites.here
-    return World(here.scene, here.roads, Guard(here.scene, nobody(here.scene.future.num_steps), here.stop_lines))
+    return World(here.scene, here.roads, guard_of(here))
 
 
 def test_overtaker_without_a_slower_leader_gets_one() -> None:
@@ -47,7 +39,7 @@ def test_overtaker_without_a_slower_leader_gets_one() -> None:
     Its wish wanders, and never below 4.5 m/s.
     """
     for seed in range(4):
-        leader, overtaker = _sites(scene_of(), seed).propose(OVERTAKE, SLOW)
+        leader, overtaker = sites_of(scene_of(), seed).propose(OVERTAKE, SLOW)
         assert (leader.request, overtaker.request) == (SLOW, OVERTAKE)
         assert leader.route == overtaker.route
         assert leader.start_m - overtaker.start_m > leader.box.length_m
@@ -58,7 +50,7 @@ def test_overtaker_without_a_slower_leader_gets_one() -> None:
 
 def test_rollout_of_an_overtaker_is_out_past_and_back_in_time() -> None:
     """Out at 1.0 s or later, and back before 10.9 s: two lateral motions of 2.5 s at least, 5 m ahead of the leader."""
-    sites = _sites(scene_of())
+    sites = sites_of(scene_of())
     leader, overtaker = sites.propose(OVERTAKE, SLOW)
     world = _world(sites)
     slow = world.roll(leader)
@@ -77,7 +69,7 @@ def test_way_back_of_an_overtake_ends_on_the_map() -> None:
     """On 120 m of road, which vehicles at 9 m/s leave at about 11 s: it is over before the front is at the edge."""
     config, found = Config(request=Request(near="anywhere"), spawn=Spawn(prior_speed_mps=9.0)), 0
     for seed in range(6):
-        sites = _sites(scene_on(draw_road(lanes=2, length_m=120.0), config=config), seed)
+        sites = sites_of(scene_on(draw_road(lanes=2, length_m=120.0), config=config), seed)
         starts = sites.propose(OVERTAKE, SLOW)
         if starts:
             found += 1
@@ -91,7 +83,7 @@ def test_way_back_of_an_overtake_ends_on_the_map() -> None:
 def test_slower_recorded_vehicle_is_overtaken_where_none_can_be_added() -> None:
     """It drives at 4 m/s from x = 150 m on lane 1, where another one far ahead tells 10 m/s as a usual speed too."""
     scene = scene_of(recorded(150.0, 0.0, 4.0), recorded(350.0, 0.0, 10.0, name="usual"))
-    found = [start for seed in range(6) for start in _sites(scene, seed).propose(OVERTAKE, None)]
+    found = [start for seed in range(6) for start in sites_of(scene, seed).propose(OVERTAKE, None)]
     assert found
     for start in found:
         assert start.path.segments[0].lane_id == 1
@@ -99,14 +91,14 @@ def test_slower_recorded_vehicle_is_overtaken_where_none_can_be_added() -> None:
 
 
 def test_no_leader_and_no_request_for_one_is_the_reason() -> None:
-    sites = _sites(scene_of())
+    sites = sites_of(scene_of())
     assert sites.propose(OVERTAKE, None) == []
     assert sites.overtakes.found_none is Reason.NO_SLOW_LEADER
 
 
 def test_later_trigger_leaves_no_time() -> None:
     """From 6.5 s on 4.4 s are left, and out and back alone take 5.0 s."""
-    sites = _sites(scene_of())
+    sites = sites_of(scene_of())
     assert sites.propose(VehicleRequest(0, Policy.OVERTAKE, 6.5), SLOW) == []
     assert sites.overtakes.found_none is Reason.NO_OVERTAKE_FORESEEN
 
@@ -114,13 +106,13 @@ def test_later_trigger_leaves_no_time() -> None:
 def test_queue_on_the_lane_beside_leaves_no_way_past() -> None:
     """Parked ones every 15 m on lane 2 block it from lane 1, and on lane 2 itself nothing moves."""
     queue = [recorded(10.0 + 15.0 * number, 3.5, 0.0, name=f"q{number}") for number in range(32)]
-    assert _sites(scene_of(*queue)).propose(OVERTAKE, SLOW) == []
+    assert sites_of(scene_of(*queue)).propose(OVERTAKE, SLOW) == []
 
 
 def test_what_begins_later_leaves_a_chosen_overtake_as_it_is() -> None:
     """Twelve more on 1,000 m of lane: with all of them there the overtaker still comes out, past and back."""
     for seed in range(3):
-        sites = _sites(scene_of(), seed)
+        sites = sites_of(scene_of(), seed)
         leader, overtaker = sites.propose(OVERTAKE, SLOW)
         others: list[Start] = []
         for number in range(2, 14):
@@ -153,7 +145,7 @@ def test_single_overtake_says_that_there_is_none_to_lead() -> None:
 
 def test_motion_continued_from_a_step_is_the_same_motion() -> None:
     """What the driver keeps in mind goes on: cut at 2.0 s, the rest is driven as without the cut."""
-    sites = _sites(scene_of())
+    sites = sites_of(scene_of())
     leader, _ = sites.propose(OVERTAKE, SLOW)
     world = _world(sites)
     whole = world.roll(leader)

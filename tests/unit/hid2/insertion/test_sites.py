@@ -8,16 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from hand_drawn import draw_crossing, draw_lane, draw_road
-from inserted import CAR, DRIVER, nobody, recorded, scene_on
+from inserted import CAR, DRIVER, guard_of, recorded, scene_on, sites_of
 from scipy.stats import chisquare
 
 from hid2.agents import Policy, Track
-from hid2.conflicts.guard import Guard
 from hid2.conflicts.stop_lines import ClosedLines, StopLines
 from hid2.insertion.rollout import World
-from hid2.insertion.sites import InsertionSites
-from hid2.insertion.situations import Situation, Wanted
-from hid2.insertion.spread import Spread
+from hid2.insertion.situations import Situation
 from hid2.insertion.starts import Site, speed_behind
 from hid2.insertion.surroundings import Surroundings
 from hid2.motion.route import LateralSpan
@@ -29,12 +26,6 @@ from hid2.vehicle import Start, VehicleRequest
 from netconvert.lane_graph import LaneGraph
 
 ROAD_M = 300.0
-
-
-def _sites(scene: Scene, seed: int = 0) -> InsertionSites:
-    here = Surroundings(scene)
-    guard = Guard(scene, nobody(scene.future.num_steps), here.stop_lines)
-    return InsertionSites(here, guard, np.random.default_rng(seed), 0, Spread.of((seed, 0)))
 
 
 def _request(number: int = 0, policy: Policy = Policy.STRAIGHT, trigger_s: float = 0.0) -> VehicleRequest:
@@ -49,7 +40,7 @@ def scene_of(*tracks: Track, sites: str = "promising", lanes: int = 2, length_m:
 
 def _many(scene: Scene, count: int, **request: Any) -> list[Start]:
     """One start of each of many seeds, nobody else proposed before it."""
-    return [start for seed in range(count) for start in _sites(scene, seed).propose(_request(**request))]
+    return [start for seed in range(count) for start in sites_of(scene, seed).propose(_request(**request))]
 
 
 def test_site_is_never_on_an_occupied_cell_nor_near_a_box() -> None:
@@ -69,7 +60,7 @@ def test_site_is_never_on_an_occupied_cell_nor_near_a_box() -> None:
 
 def test_three_in_ten_begin_while_they_gain_speed() -> None:
     """On a free road, at least .3 of the desired speed; others differ from it by 2 SD of 1.2 m/s at most."""
-    sites = _sites(scene_of(lanes=1))
+    sites = sites_of(scene_of(lanes=1))
     site = Site(sites.here.routes.offers(1)[0], 50.0)
     starts = [one for _ in range(300) if isinstance(one := sites.starts.make(_request(), site), Start)]
     below = np.array([start.driver.desired_mps - start.start_mps for start in starts])
@@ -84,7 +75,7 @@ def test_start_that_a_recorded_vehicle_would_run_into_is_rejected() -> None:
     In 10.9 s it drives 196 m; a vehicle with 9 m/s would have to begin at 196 - 98 = 98 m or farther.
     """
     scene = scene_of(recorded(2.3, 0.0, 18.0), lanes=1, max_speed_mps=10.0)
-    sites = _sites(scene)
+    sites = sites_of(scene)
     assert all(start.start_m > 75.0 for start in _many(scene, 25))
     for number in range(10):
         sites.propose(_request(number))
@@ -109,7 +100,7 @@ def test_none_begins_where_its_leader_or_follower_has_just_been(gap_m: float, ot
     Ahead of one at 4 m/s a vehicle at some 10 m/s was inside it .7 s ago if there are 4 m between them, not 12.
     """
     x = 100.0 + gap_m + np.sign(gap_m) * CAR.length_m
-    sites = _sites(scene_of(recorded(x, 0.0, other_mps), lanes=1))
+    sites = sites_of(scene_of(recorded(x, 0.0, other_mps), lanes=1))
     driver = replace(DRIVER, desired_mps=11.0)
     start = sites.starts.make(_request(), Site(sites.here.routes.offers(1)[0], 100.0), driver=driver)
     if begins:
@@ -127,7 +118,7 @@ def test_vehicle_that_begins_at_a_red_line_stands_there() -> None:
     scene = scene_on(draw_crossing(), recorded(70.0, -8.0, 9.0, heading=np.pi / 2))
     (offer,) = (one for one in Surroundings(scene).routes.offers(1) if one.route == (1, 2, 3))
     begun = {
-        front: _sites(scene).starts.make(_request(), Site(offer, front - CAR.length_m / 2), driver=DRIVER)
+        front: sites_of(scene).starts.make(_request(), Site(offer, front - CAR.length_m / 2), driver=DRIVER)
         for front in (40.0, 57.5, 60.8, 62.6)
     }
     at_line = [begun[57.5], begun[60.8]]
@@ -144,7 +135,7 @@ def test_vehicle_that_begins_at_a_red_line_stands_there() -> None:
 def test_without_collision_checks_no_start_asks_where_others_have_been() -> None:
     """2.5 m behind one at 14 m/s, where a start is none otherwise."""
     config = Config(without=frozenset({"collision"}), spawn=Spawn(prior_speed_mps=9.0))
-    sites = _sites(scene_on(draw_road(lanes=1, length_m=ROAD_M), recorded(107.0, 0.0, 14.0), config=config))
+    sites = sites_of(scene_on(draw_road(lanes=1, length_m=ROAD_M), recorded(107.0, 0.0, 14.0), config=config))
     start = sites.starts.make(_request(), Site(sites.here.routes.offers(1)[0], 100.0), driver=DRIVER)
     assert isinstance(start, Start), start
 
@@ -166,7 +157,7 @@ def test_turn_behind_a_red_line_says_that_the_vehicle_waits(
     line = ClosedLines(np.array([at_m - CAR.length_m / 2]), np.array([at_m + 24.0]), closed, np.array([0]))
     monkeypatch.setattr(StopLines, "on", lambda *_: line)
     (offer,) = Surroundings(scene).routes.offers(1)
-    made = _sites(scene).starts.make(_request(0, Policy.LEFT_TURN), Site(offer, 30.0), driver=DRIVER)
+    made = sites_of(scene).starts.make(_request(0, Policy.LEFT_TURN), Site(offer, 30.0), driver=DRIVER)
     assert made is reason
 
 
@@ -174,7 +165,7 @@ def test_turn_behind_a_red_line_says_that_the_vehicle_waits(
 def test_none_is_to_stop_astride_of_two_lanes(monkeypatch: pytest.MonkeyPatch, slow_m: float, refused: bool) -> None:
     """Across from 120 to 170 m: at 1.5 m/s for 20 m, too slow to shift, 40 m after the start at 100 m, or past it."""
     scene = scene_of()
-    starts, act = _sites(scene).starts, World.roll_manoeuvre
+    starts, act = sites_of(scene).starts, World.roll_manoeuvre
 
     def slowed(world: World, start: Start) -> Any:
         vehicle, parts = act(world, start)
@@ -200,8 +191,9 @@ def test_vehicle_does_not_begin_with_braking() -> None:
         leader, position=np.column_stack([x, np.zeros(110)]), velocity=np.column_stack([speed, np.zeros(110)])
     )
     scene = scene_of(leader, lanes=1)
-    behind = [start for seed in range(90) for start in _sites(scene, seed).propose(_request()) if start.leader == 0]
-    world = World(scene, Surroundings(scene).roads, Guard(scene, nobody(110), StopLines(scene)))
+    behind = [start for seed in range(90) for start in sites_of(scene, seed).propose(_request()) if start.leader == 0]
+    here = Surroundings(scene)
+    world = World(scene, here.roads, guard_of(here))
     loses = np.array([v[0] - v[13] for v in (world.roll(start).v for start in behind)]) / 1.3
     assert (np.abs(loses - 0.5) < 0.02).sum() > 5
     assert loses.max() < 0.52
@@ -273,7 +265,7 @@ def test_no_site_is_proposed_for_a_manoeuvre_that_the_configured_rule_never_begi
         )  # fmt: skip
         slow = None if slow_leader is None else _request(slow_leader)
         scene = replace(usual, config=config)
-        return sum(bool(_sites(scene, seed).propose(_request(0, policy, 1.0), slow)) for seed in range(2))
+        return sum(bool(sites_of(scene, seed).propose(_request(0, policy, 1.0), slow)) for seed in range(2))
 
     assert min(found(rule) for rule in ("paper", "MOBIL", "LC2013")) > 0
     assert found(refusing) == 0
@@ -281,7 +273,7 @@ def test_no_site_is_proposed_for_a_manoeuvre_that_the_configured_rule_never_begi
 
 
 @pytest.mark.parametrize(("side", "lane_id"), [("left", 1), ("right", 2)])
-def test_rule_that_takes_one_side_alone_finds_its_sites(
+def test_rule_that_takes_one_side_alone_finds_itssites_of(
     side: str, lane_id: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two lanes, 1 to the right of 2: who is to change to the left begins on 1, to the right on 2."""
@@ -305,7 +297,7 @@ def test_gap_beside_is_foreseen_by_the_configured_rule(tmp_path: Path, monkeypat
 
     def begins(rule: str) -> bool:
         scene = replace(usual, config=usual.config.model_copy(update={"lane_change": LaneChange(rule=rule)}))
-        sites = _sites(scene)
+        sites = sites_of(scene)
         offer = sites.here.routes.offers(1)[0]
         found = sites.starts.make(request, Site(offer, 90.0), driver=DRIVER, speed_mps=8.0)
         return isinstance(found, Start)
@@ -316,7 +308,7 @@ def test_gap_beside_is_foreseen_by_the_configured_rule(tmp_path: Path, monkeypat
 
 def test_starts_of_a_round_keep_clear_of_each_other() -> None:
     """Twelve on 2 x 300 m: 2.5 m at least from bumper to bumper on one lane."""
-    sites = _sites(scene_of())
+    sites = sites_of(scene_of())
     starts = [start for number in range(12) for start in sites.propose(_request(number))]
     assert len(starts) >= 6
     for row, one in enumerate(starts):
@@ -330,8 +322,7 @@ def test_a_second_vehicle_that_is_to_follow_takes_the_other_leader() -> None:
     """One leader on each of two lanes, of one speed, and all are to follow one."""
     scene = scene_of(recorded(150.0, 0.0, 9.0, name="a"), recorded(150.0, 3.5, 9.0, name="b"))
     for seed in range(8):
-        sites = _sites(scene, seed)
-        sites.wanted = Wanted({Situation.FOLLOWS: 1.0}, {Situation.FOLLOWS: 0.0})
+        sites = sites_of(scene, seed, Situation.FOLLOWS)
         found = [start for number in (0, 1) for start in sites.propose(_request(number))]
         assert all(Situation.FOLLOWS in start.situations for start in found)
         assert len({start.leader for start in found}) == 2
@@ -351,7 +342,7 @@ def test_who_begins_close_behind_a_standing_one_stands() -> None:
     leader = replace(recorded(100.0, 0.0), position=np.stack([100.0 + moved_m, np.zeros(110)], axis=1))
     scene = scene_of(leader, lanes=1)
     for seed in range(10):
-        sites = _sites(scene, seed)
+        sites = sites_of(scene, seed)
         start = sites.starts.make(_request(), Site(sites.here.routes.offers(1)[0], 92.5))
         assert isinstance(start, Start), start
         assert start.start_mps == 0.0
@@ -364,7 +355,7 @@ def test_none_queues_behind_a_parked_vehicle(aside_m: float, stands: bool) -> No
     Some 3 m behind there is no speed to begin with; behind a queue a vehicle begins standing, for what a look tells.
     """
     scene = scene_of(recorded(100.0, aside_m), recorded(107.0, aside_m, name="b"), lanes=1)
-    sites = _sites(scene)
+    sites = sites_of(scene)
     start = sites.starts.make(_request(), Site(sites.here.routes.offers(1)[0], 92.5))
     assert start is (Reason.STANDS_THROUGHOUT if stands else Reason.NO_SITE)
 
@@ -377,7 +368,7 @@ def test_none_begins_nearer_ahead_of_a_recorded_follower_than_drivers_follow(
 ) -> None:
     """At 16 m/s behind centres 12, 16 and 22 m ahead, between bumpers .47, .72 and 1.09 s: .3 s less are asked for."""
     scene = scene_of(recorded(60.0 - behind_m, 0.0, 16.0), lanes=1)
-    sites = _sites(scene)
+    sites = sites_of(scene)
     site = Site(sites.here.routes.offers(1)[0], 60.0, headway_s=headway_s)
     start = sites.starts.make(_request(), site, driver=replace(DRIVER, desired_mps=17.0))
     assert (start is not Reason.FOLLOWER_HEADWAY) is begins
@@ -412,7 +403,7 @@ def test_only_cells_for_a_lane_change_and_those_drawn_from_all_are_tried_again(
         return Reason.MEETS_RECORDED  # NO_SITE: another vehicle of the round may be in the way, not the place's fault
 
     monkeypatch.setattr("hid2.insertion.starts.Starts.make", turn_down)
-    here = _sites(scene_of(recorded(200.0, 30.0, 20.0), sites=sites))
+    here = sites_of(scene_of(recorded(200.0, 30.0, 20.0), sites=sites))
     assert [here.propose(_request(number, Policy(policy))) for number in range(30)] == [[]] * 30
     assert (max(tried.values()) > 1) is again
 
@@ -421,7 +412,7 @@ def test_rear_bumper_is_at_least_so_far_from_the_beginning_of_the_way(monkeypatc
     """A car begins no nearer to the edge than half its kept length and _FROM_EDGE_M."""
     scene = scene_of(length_m=60.0)
     monkeypatch.setattr("hid2.insertion.starts._FROM_EDGE_M", 6.0)
-    sites = _sites(scene)
+    sites = sites_of(scene)
     offer = sites.here.routes.offers(1)[0]
     for s, begins in ((0.5, False), (8.0, False), (9.5, True)):
         found = sites.starts.make(_request(), Site(offer, s))

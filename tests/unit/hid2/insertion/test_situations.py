@@ -6,10 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from hand_drawn import draw_road
-from inserted import nobody, recorded, scene_on
+from inserted import guard_of, recorded, scene_on
 
 from hid2.agents import Policy
-from hid2.conflicts.guard import Guard
 from hid2.insertion.situations import _PRIOR, Situation, Wanted
 from hid2.insertion.starts import Site, Starts
 from hid2.insertion.surroundings import Surroundings
@@ -30,8 +29,7 @@ def scene_of(*tracks: object) -> Scene:
 
 def _started(scene: Scene, at_m: float, *wants: Situation, mps: float = 9.0) -> Start | Reason:
     here = Surroundings(scene)
-    guard = Guard(scene, nobody(scene.future.num_steps), here.stop_lines)
-    starts = Starts(scene, here.roads, here.meetings, guard, np.random.default_rng(0), 0)
+    starts = Starts(scene, here.roads, here.meetings, guard_of(here), np.random.default_rng(0), 0)
     return starts.make(STRAIGHT, Site(here.routes.offers(1)[0], at_m), speed_mps=mps, wants=frozenset(wants))
 
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_drawn import draw_road
+from hand_drawn import draw_driven, draw_road
 
-from hid2.agents import BoxSize, FloatArray, Track
+from hid2.agents import Track
 from hid2.measures.arrays import stack
 from hid2.measures.conflicts import conflicts, pair_course
 from hid2.measures.following import leaders
@@ -17,17 +17,10 @@ from hid2.measures.surrogates import encroachments
 from hid2.occupancy.agent_states import agent_states
 
 
-def _car(name: str, position: FloatArray) -> Track:
-    """A car at positions (N, 2), with headings and velocities along them."""
-    velocity = np.gradient(position, 0.1, axis=0)
-    heading = np.arctan2(velocity[:, 1], velocity[:, 0])
-    return Track(name, "vehicle", 1, np.arange(len(position)), position, heading, velocity, BoxSize(4.0, 2.0))
-
-
 def _straight(name: str, at: tuple[float, float], speed_mps: float, heading_deg: float, *, steps: int = 60) -> Track:
     angle = np.radians(heading_deg)
     way = 0.1 * speed_mps * np.arange(steps)[:, None] * [np.cos(angle), np.sin(angle)]
-    return _car(name, np.array(at) + way)
+    return draw_driven(name, np.array(at) + way)
 
 
 def test_rear_end_conflict_by_hand() -> None:
@@ -109,7 +102,7 @@ def test_two_conflicts_of_a_pair_more_than_five_seconds_apart_are_two() -> None:
     speed = np.full(120, 10.0)
     speed[5:8] = speed[85:88] = 11.0
     way = -5.0 + 0.1 * np.cumsum(speed) - 1.0
-    close.append(_car("b", np.stack([way, np.zeros(120)], axis=1)))
+    close.append(draw_driven("b", np.stack([way, np.zeros(120)], axis=1)))
     assert [one.start_s < 1.0 for one in conflicts(stack(close, step_s=0.1))] == [True, False]
 
 
@@ -135,9 +128,11 @@ def test_lane_change_has_its_gaps_and_what_its_follower_had_to_do() -> None:
     time = np.arange(80) * 0.1
     share = np.clip((time - 2.0) / 4.0, 0.0, 1.0)
     across = 3.5 * (share - np.sin(2 * np.pi * share) / (2 * np.pi))
-    own = _car("own", np.stack([40.0 + 10.0 * time, across], axis=1))
+    own = draw_driven("own", np.stack([40.0 + 10.0 * time, across], axis=1))
     speed = 9.0 - np.clip(time - 3.0, 0.0, 2.0)
-    lag = _car("lag", np.stack([10.0 + 0.1 * np.concatenate([[0.0], np.cumsum(speed)[:-1]]), np.full(80, 3.5)], axis=1))
+    lag = draw_driven(
+        "lag", np.stack([10.0 + 0.1 * np.concatenate([[0.0], np.cumsum(speed)[:-1]]), np.full(80, 3.5)], axis=1)
+    )
     lead = _straight("lead", (60, 0), 10.0, 0, steps=80)
     lanes = flatten_lanes(draw_road(lanes=2, length_m=200.0))
     states = agent_states([own, lag, lead], lanes, num_steps=80, step_s=0.1)

@@ -2,25 +2,21 @@
 
 import numpy as np
 import pytest
-from hand_drawn import draw_road
+from hand_drawn import SMALL_CAR, draw_driven, draw_road
+from views import lane_view
 
 from hid2.agents import BoxSize, Track
 from hid2.measures.arrays import stack
-from hid2.measures.driven_lanes import LaneView
 from hid2.measures.encounters import encounters
 from hid2.measures.following import leaders
-from hid2.measures.lane_matching import flatten_lanes, match_lanes
 
 STEPS = 60
 
 
 def _track(name: str, x: np.ndarray, y: np.ndarray | float, *, kind: str = "vehicle") -> Track:
     """A road user of 4 m by 2 m (pedestrians: 0.6 m) at positions (T,) m, steps of 0.1 s, heading along its motion."""
-    position = np.column_stack([x, np.broadcast_to(y, x.shape)])
-    velocity = np.gradient(position, 0.1, axis=0)
-    heading = np.arctan2(velocity[:, 1], velocity[:, 0])
-    size = BoxSize(4.0, 2.0) if kind == "vehicle" else BoxSize(0.6, 0.6)
-    return Track(name, kind, 1, np.arange(len(x)), position, heading, velocity, size)
+    size = SMALL_CAR if kind == "vehicle" else BoxSize(0.6, 0.6)
+    return draw_driven(name, np.column_stack([x, np.broadcast_to(y, x.shape)]), kind=kind, size=size)
 
 
 def _steady(name: str, x_m: float, y_m: float, mps: float) -> Track:
@@ -29,9 +25,8 @@ def _steady(name: str, x_m: float, y_m: float, mps: float) -> Track:
 
 def met(*tracks: Track) -> dict[str, np.ndarray]:
     """Encounters on a road of two lanes, 300 m; tracks named gen_... are inserted."""
-    lanes = flatten_lanes(draw_road(lanes=2, length_m=300.0))
     arrays = stack(tracks, num_steps=STEPS, step_s=0.1)
-    return encounters(arrays, leaders(LaneView(arrays, lanes, match_lanes(arrays, lanes))))
+    return encounters(arrays, leaders(lane_view(arrays, draw_road(lanes=2, length_m=300.0))))
 
 
 @pytest.mark.parametrize(("apart_m", "far"), [(29.9, False), (30.1, True)])

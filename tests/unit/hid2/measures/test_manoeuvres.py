@@ -7,14 +7,13 @@ import math
 
 import numpy as np
 import pytest
-from hand_drawn import draw_lane, draw_road
+from hand_drawn import draw_driven, draw_lane, draw_road
 from scipy.signal import savgol_filter
+from views import lane_view
 
-from hid2.agents import BoxSize, Policy, Track
+from hid2.agents import Policy
 from hid2.evaluation.metrics import policies
 from hid2.measures.arrays import stack
-from hid2.measures.driven_lanes import LaneView
-from hid2.measures.lane_matching import flatten_lanes, match_lanes
 from hid2.measures.manoeuvres import ManeuverKind, detect, lateral_speed
 from netconvert.lane_graph import LaneGraph
 
@@ -23,10 +22,7 @@ TIME = 0.1 * np.arange(110)
 
 def along(x, y, *, name="a"):
     x, y = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
-    position = np.column_stack([x, y])
-    velocity = np.gradient(position, 0.1, axis=0)
-    heading = np.arctan2(velocity[:, 1], velocity[:, 0])
-    return Track(name, "vehicle", 1, np.arange(len(x)), position, heading, velocity, BoxSize(4.0, 2.0))
+    return draw_driven(name, np.column_stack([x, y]))
 
 
 def shift(start, duration, *, width=3.5, time=TIME):
@@ -36,9 +32,7 @@ def shift(start, duration, *, width=3.5, time=TIME):
 
 
 def seen(graph, *tracks):
-    arrays = stack(tracks, step_s=0.1)
-    lanes = flatten_lanes(graph)
-    return detect(LaneView(arrays, lanes, match_lanes(arrays, lanes)))
+    return detect(lane_view(stack(tracks, step_s=0.1), graph))
 
 
 def kinds(graph, *tracks, of="a"):

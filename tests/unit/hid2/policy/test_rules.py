@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from gap_view import VIEW
 
 from hid2.drivers.driver import usual_driver
 from hid2.params import LaneChange
@@ -21,13 +22,6 @@ from hid2.policy.rules import (
 )
 from hid2.reasons import Reason
 from netconvert.errors import ConfigError
-
-#: 10 m/s of 10 wished for; IDM with a = 1, b = 1, T = 1 s, s0 = 2 m.
-VIEW = GapView(
-    time_s=3.0, waited_s=1.0, side="left", speed_mps=10.0, desired_mps=10.0, length_m=4.0, tau_s=1.0, accel_mps2=1.0,
-    decel_mps2=1.0, min_gap_m=2.0, cells_free=True, front=OPEN, rear=OPEN, own_front=OPEN, own_rear=OPEN,
-    remaining_m=200.0,
-)  # fmt: skip
 
 
 def _mobil(view: GapView, params: LaneChange) -> Reason | None:
