@@ -125,6 +125,21 @@ def edit_json(path: Path, change: Callable[[dict[str, Any]], Any]) -> None:
     path.write_text(json.dumps(document))
 
 
+def in_first_lane(change: Callable[[dict[str, Any]], Any]) -> Callable[[dict[str, Any]], Any]:
+    """A change of a map, to its first lane."""
+    return lambda document: change(next(iter(document["lane_segments"].values())))
+
+
+def in_cell(track_id: str, timestep: int, column: str, value: Any) -> Callable[[pd.DataFrame], pd.DataFrame]:
+    """A change of the rows of a scene, to one value of a track at a step."""
+
+    def change(rows: pd.DataFrame) -> pd.DataFrame:
+        rows.loc[(rows.track_id == track_id) & (rows.timestep == timestep), column] = value
+        return rows
+
+    return change
+
+
 def copy_with_new_id(source: Path, folder: Path, new_id: str) -> Path:
     """A copy of a scene, of this id; returns its folder."""
     folder.mkdir(parents=True)

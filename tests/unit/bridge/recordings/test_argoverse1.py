@@ -190,17 +190,12 @@ def test_what_a_folder_holds_is_found_and_said(argoverse1: Path, data_scenes: di
 # What is wrong
 
 
-def _set(row: int, column: str, value: str) -> Change:
+def _set(row: int | None, column: str, value: str) -> Change:
+    """In one row, or in all."""
+
     def change(rows: list[list[str]]) -> None:
-        rows[row][HEADER.index(column)] = value
-
-    return change
-
-
-def _all(column: str, value: str) -> Change:
-    def change(rows: list[list[str]]) -> None:
-        for row in rows[1:]:
-            row[HEADER.index(column)] = value
+        for one in rows[1:] if row is None else [rows[row]]:
+            one[HEADER.index(column)] = value
 
     return change
 
@@ -243,10 +238,10 @@ WRONG_SEQUENCES: dict[str, tuple[Change, str]] = {
     "x-is-text": (_set(7, "X", "east"), "line 8: X 'east', expected a valid number"),
     "stamp-is-infinite": (_set(3, "TIMESTAMP", "inf"), "TIMESTAMP 'inf'"),
     "unknown-type": (_set(4, "OBJECT_TYPE", "CAR"), "OBJECT_TYPE 'CAR'"),
-    "unknown-city": (_all("CITY_NAME", "NYC"), "CITY_NAME 'NYC', expected 'MIA' or 'PIT'"),
+    "unknown-city": (_set(None, "CITY_NAME", "NYC"), "CITY_NAME 'NYC', expected 'MIA' or 'PIT'"),
     "two-cities": (_set(4, "CITY_NAME", "PIT"), "CITY_NAME"),
     "no-rows": (lambda rows: rows.__delitem__(slice(1, None)), "0 rows"),
-    "wrong-city": (_all("CITY_NAME", "PIT"), "no lane within .* the map of their city"),
+    "wrong-city": (_set(None, "CITY_NAME", "PIT"), "no lane within .* the map of their city"),
     "track-id-does-not-print": (_set(4, "TRACK_ID", "\x1b[2J"), "characters that can be printed"),
     "too-fast": (_set(9, "X", "1e9"), "spread over|velocity|no lane"),
 }

@@ -10,7 +10,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from written import edit_json, edit_rows
+from written import edit_json, edit_rows, in_first_lane
 
 from bridge.files import MAX_FILE_MB
 from bridge.recordings import limits
@@ -43,17 +43,13 @@ def _scale(factor: float, shift: float = 0.0) -> Callable[[Document], None]:
     return change
 
 
-def _first_lane(change: Callable[[dict[str, Any]], Any]) -> Callable[[Document], None]:
-    return lambda document: change(next(iter(document["lane_segments"].values())))
-
-
 def _long_lane(length_m: float) -> Callable[[Document], None]:
     def change(lane: dict[str, Any]) -> None:
         for name in ("left_lane_boundary", "right_lane_boundary", "centerline"):
             first = lane[name][0]
             lane[name] = [first, {**first, "x": first["x"] + length_m}]
 
-    return _first_lane(change)
+    return in_first_lane(change)
 
 
 def _many_lanes(document: Document) -> None:
@@ -72,8 +68,8 @@ MAPS: dict[str, tuple[Callable[[Document], Any], str]] = {
     "far away": (_scale(1.0, 1e8), "a coordinate of 1.*e\\+08 m"),
     "a lane of 100 km": (_long_lane(1e5), "lane .*: length, m: 100000, expected at most 5000"),
     "too many lanes": (_many_lanes, r"lane segments: 30\d\d, expected at most 3000"),
-    "an id beyond 64 bit": (_first_lane(lambda lane: lane["successors"].append(2**64)), "an integer of 64 bit"),
-    "an id of 4,000 digits": (_first_lane(lambda lane: lane.update(left_neighbor_id=int("9" * 4000))), "64 bit"),
+    "an id beyond 64 bit": (in_first_lane(lambda lane: lane["successors"].append(2**64)), "an integer of 64 bit"),
+    "an id of 4,000 digits": (in_first_lane(lambda lane: lane.update(left_neighbor_id=int("9" * 4000))), "64 bit"),
     "no drivable area": (lambda document: document["drivable_areas"].clear(), "no drivable area, expected"),
     "drivable areas without ground": (_flat, "drivable areas of 0 m2 in all"),
 }

@@ -4,14 +4,13 @@ import json
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from as_av2 import read_as_av2
-from written import edit_rows
+from written import edit_rows, in_cell
 
 from bridge.recordings.folders import find_scenarios, split_of
 from bridge.recordings.scenario import read_scenario
@@ -220,14 +219,6 @@ def test_nulls_and_nan_are_named(copy_scene: Callable[..., Path], column: str, v
         read_scenario(path.parent)
 
 
-def _set(column: str, value: Any, timestep: int = 7) -> Callable[[pd.DataFrame], pd.DataFrame]:
-    def change(rows: pd.DataFrame) -> pd.DataFrame:
-        rows.loc[(rows.track_id == "AV") & (rows.timestep == timestep), column] = value
-        return rows
-
-    return change
-
-
 def _scored_focal(rows: pd.DataFrame) -> pd.DataFrame:
     return rows.assign(object_category=rows.object_category.where(rows.object_category < 3, 2))
 
@@ -236,17 +227,17 @@ def _scored_focal(rows: pd.DataFrame) -> pd.DataFrame:
     ("change", "said"),
     [
         (
-            _set("position_x", np.nan),
+            in_cell("AV", 7, "position_x", np.nan),
             r"row \d+ \(track_id 'AV', timestep 7\): position_x is null or NaN, expected double",
         ),
-        (_set("position_y", np.inf), "track 'AV', timestep 7: position_y is inf"),
-        (_set("timestep", 8), "track 'AV', timestep 8: more than one row, expected one"),
-        (_set("timestep", 110, 109), "track 'AV', timestep 110: expected timesteps 0 to 109"),
-        (_set("observed", False), "track 'AV', timestep 7: observed is False, expected True"),
-        (_set("object_category", 4), "track 'AV', timestep 7: object_category 4, expected 0, 1, 2 or 3"),
-        (_set("object_category", 2), "track 'AV', timestep 7: object_category changes within the track"),
-        (_set("object_type", "spaceship"), "object_type 'spaceship', expected one of vehicle, bus"),
-        (_set("city", "miami"), r"column 'city' has 2 values \['austin', 'miami'\], expected one"),
+        (in_cell("AV", 7, "position_y", np.inf), "track 'AV', timestep 7: position_y is inf"),
+        (in_cell("AV", 7, "timestep", 8), "track 'AV', timestep 8: more than one row, expected one"),
+        (in_cell("AV", 109, "timestep", 110), "track 'AV', timestep 110: expected timesteps 0 to 109"),
+        (in_cell("AV", 7, "observed", False), "track 'AV', timestep 7: observed is False, expected True"),
+        (in_cell("AV", 7, "object_category", 4), "track 'AV', timestep 7: object_category 4, expected 0, 1, 2 or 3"),
+        (in_cell("AV", 7, "object_category", 2), "track 'AV', timestep 7: object_category changes within the track"),
+        (in_cell("AV", 7, "object_type", "spaceship"), "object_type 'spaceship', expected one of vehicle, bus"),
+        (in_cell("AV", 7, "city", "miami"), r"column 'city' has 2 values \['austin', 'miami'\], expected one"),
         (_scored_focal, "tracks of category 3: none, expected focal_track_id '310100' alone"),
         (lambda rows: rows.assign(focal_track_id="x"), "category 3: '310100', expected focal_track_id 'x' alone"),
         (lambda rows: rows[(rows.track_id != "310100") | (rows.timestep < 49)], "0 to 48, expected it present at 49"),

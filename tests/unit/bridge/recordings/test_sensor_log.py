@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from pyarrow import feather
 from recordings import LOG_ID, make_log, write_feather
+from written import edit_json, in_first_lane
 
 from bridge.recordings.folders import Choices, Source
 from bridge.recordings.recording import Recording, velocity_of
@@ -105,17 +106,7 @@ def _cell(name: str, column: str, value: object) -> Change:
 
 
 def _map(change: Callable[[dict[str, Any]], object]) -> Change:
-    def rewrite(log: Path) -> None:
-        document = json.loads((log / MAP).read_text())
-        change(document)
-        (log / MAP).write_text(json.dumps(document))
-
-    return rewrite
-
-
-def _first_lane(document: dict[str, Any]) -> dict[str, Any]:
-    lane: dict[str, Any] = next(iter(document["lane_segments"].values()))
-    return lane
+    return lambda log: edit_json(log / MAP, change)
 
 
 def _gap(frame: Frame) -> Frame:
@@ -166,10 +157,10 @@ WRONG: dict[str, tuple[Change, str]] = {
     "map-not-json": (lambda log: (log / MAP).write_text("{"), "not JSON"),
     "map-without-lanes": (_map(lambda document: document.pop("lane_segments")), "no object 'lane_segments'"),
     "boundary-of-one-point": (
-        _map(lambda document: _first_lane(document).update(left_lane_boundary=[{"x": 0.0, "y": 0.0, "z": 0.0}])),
+        _map(in_first_lane(lambda lane: lane.update(left_lane_boundary=[{"x": 0.0, "y": 0.0, "z": 0.0}]))),
         "left_lane_boundary: 1 points, expected at least 2 points",
     ),
-    "lane-type": (_map(lambda document: _first_lane(document).update(lane_type="TRAM")), "TRAM"),
+    "lane-type": (_map(in_first_lane(lambda lane: lane.update(lane_type="TRAM"))), "TRAM"),
     "no-drivable-area": (_map(lambda document: document.update(drivable_areas={})), "no drivable area"),
 }
 

@@ -12,7 +12,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from breaches import breaches
-from written import edit_json, edit_rows, write_fake
+from written import edit_json, edit_rows, in_cell, in_first_lane, write_fake
 
 from bridge.batch.validation import validate_folder
 from bridge.config import load_config
@@ -62,14 +62,6 @@ def test_fifty_steps_and_a_single_agent_are_valid(tmp_path: Path, copy_scene: Ca
     assert breaches(tmp_path / "out", source=source) == []
 
 
-def _at(track_id: str, timestep: int, column: str, value: Any) -> Change:
-    def change(rows: pd.DataFrame) -> pd.DataFrame:
-        rows.loc[(rows.track_id == track_id) & (rows.timestep == timestep), column] = value
-        return rows
-
-    return change
-
-
 def _track(track_id: str, column: str, value: Any) -> Change:
     def change(rows: pd.DataFrame) -> pd.DataFrame:
         rows.loc[rows.track_id == track_id, column] = value
@@ -98,16 +90,16 @@ FOCAL, SCORED = "310100", "310107"
         (lambda rows: _without("gen_1", 49)(_track("gen_1", "object_category", 2)(rows)), "scored"),
         (lambda rows: rows.assign(city=""), "city"),
         (lambda rows: rows.assign(city="atlantis"), "recorded"),
-        (_at("AV", 3, "city", "miami"), "constant"),
-        (_at("AV", 3, "observed", False), "observed"),
+        (in_cell("AV", 3, "city", "miami"), "constant"),
+        (in_cell("AV", 3, "observed", False), "observed"),
         (lambda rows: rows.assign(num_timestamps=120), "timestep"),
         (lambda rows: rows[rows.track_id != "AV"], "av"),
         (_track("AV", "object_type", "spaceship"), "object-type"),
         (_track("AV", "object_category", 5), "category"),
         (lambda rows: rows.assign(scenario_id="other"), "scenario-id"),
-        (_at("AV", 3, "heading", np.inf), "finite"),
-        (_at("AV", 3, "heading", np.nan), "columns"),  # pandas writes null
-        (_at("gen_1", 60, "position_x", 1e8), "columns"),  # no judge ever comes there
+        (in_cell("AV", 3, "heading", np.inf), "finite"),
+        (in_cell("AV", 3, "heading", np.nan), "columns"),  # pandas writes null
+        (in_cell("gen_1", 60, "position_x", 1e8), "columns"),  # no judge ever comes there
         (lambda rows: rows.assign(object_category=rows.object_category.astype(float)), "columns"),
         (_track("gen_1", "track_id", "gen_x"), "generated"),
         (_track("gen_1", "object_type", "pedestrian"), "generated"),
@@ -116,8 +108,8 @@ FOCAL, SCORED = "310100", "310107"
         (_without("gen_1", *range(49, 110)), "generated"),
         (lambda rows: _without("gen_1", 109)(_track("gen_1", "object_category", 2)(rows)), "generated"),
         (_track("gen_1", "velocity_x", 3.0), "velocity"),
-        (_at("gen_1", 60, "position_x", 0.0), "velocity"),
-        (_at("gen_1", 60, "heading", 4.0), "heading"),
+        (in_cell("gen_1", 60, "position_x", 0.0), "velocity"),
+        (in_cell("gen_1", 60, "heading", 4.0), "heading"),
         (_without("gen_1", *range(110)), "sidecar"),
         (lambda rows: _without("gen_1", 0)(_track("gen_1", "object_category", 2)(rows)), "generated"),
     ],
@@ -169,19 +161,15 @@ def test_a_renamed_folder_or_split_is_found(written: Path) -> None:
     assert rules(split / written.name) == {"folder"}
 
 
-def _lane(change: Callable[[dict[str, Any]], Any]) -> Callable[[dict[str, Any]], Any]:
-    return lambda document: change(next(iter(document["lane_segments"].values())))
-
-
 @pytest.mark.parametrize(
     ("change", "rule"),
     [
         (lambda document: document.pop("drivable_areas"), "map"),
-        (_lane(lambda lane: lane["left_lane_boundary"][1].update(y=float("nan"))), "map"),
-        (_lane(lambda lane: lane.update(right_lane_mark_type="CHALK")), "mark-type"),
-        (_lane(lambda lane: lane.update(lane_type="TRAM")), "lane-type"),
-        (_lane(lambda lane: lane.update(right_lane_boundary=lane["right_lane_boundary"][:1])), "boundary"),
-        (_lane(lambda lane: lane.pop("centerline")), "boundary"),
+        (in_first_lane(lambda lane: lane["left_lane_boundary"][1].update(y=float("nan"))), "map"),
+        (in_first_lane(lambda lane: lane.update(right_lane_mark_type="CHALK")), "mark-type"),
+        (in_first_lane(lambda lane: lane.update(lane_type="TRAM")), "lane-type"),
+        (in_first_lane(lambda lane: lane.update(right_lane_boundary=lane["right_lane_boundary"][:1])), "boundary"),
+        (in_first_lane(lambda lane: lane.pop("centerline")), "boundary"),
     ],
 )
 def test_a_spoiled_map_is_found(written: Path, change: Callable[[dict[str, Any]], Any], rule: str) -> None:
@@ -312,7 +300,9 @@ def test_added_centrelines_are_no_difference(tmp_path: Path, copy_scene: Callabl
     edit_json(map_path, lambda document: [lane.pop("centerline") for lane in document["lane_segments"].values()])
     folder = write_fake(read_scenario(source), out := tmp_path / "out")
     assert breaches(out, source=source) == []
-    edit_json(next(folder.glob("log_map_archive_*.json")), _lane(lambda lane: lane.update(is_intersection=True)))
+    edit_json(
+        next(folder.glob("log_map_archive_*.json")), in_first_lane(lambda lane: lane.update(is_intersection=True))
+    )
     assert {finding.rule for finding in breaches(out, source=source)} == {"source"}
 
 
