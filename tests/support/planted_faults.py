@@ -291,6 +291,12 @@ def _winding(size: float) -> Motion:
 # Faults that are built on their surroundings ------------------------------------------------------------------------
 
 
+def _plainly(s: Floats, *, aside_m: float = 0.0) -> Build:
+    """Along the lane or so far beside it, by arc lengths, with the heading along it."""
+    motion = Motion(s, np.full(STEPS, aside_m), np.zeros(STEPS))
+    return lambda bench, site, strength: Planting(bench.track(site, motion))
+
+
 def _aside(bench: Bench, site: Site, strength: str) -> Planting | None:
     """Along the lane, so far to its right that the outline leaves the drivable ground by the target."""
     s, zero = driving(7.0), np.zeros(STEPS)
@@ -307,10 +313,6 @@ def _aside(bench: Bench, site: Site, strength: str) -> Planting | None:
         far = bench.scene.ground.outside_m(shifted(middle).corners.reshape(-1, 2)).max()
         low, high = (middle, high) if far < target else (low, middle)
     return Planting(shifted(high)) if high < 11.9 else None
-
-
-def _far_aside(bench: Bench, site: Site, strength: str) -> Planting:
-    return Planting(bench.track(site, Motion(driving(7.0), np.full(STEPS, -500.0), np.zeros(STEPS))))
 
 
 def _past(bench: Bench, site: Site, strength: str) -> Planting | None:
@@ -341,25 +343,11 @@ def _same_path(bench: Bench, site: Site, strength: str) -> Planting:
     return Planting(bench.with_states(site.other.xy[rows], site.other.heading[rows]))
 
 
-def _fast(bench: Bench, site: Site, strength: str) -> Planting:
-    return Planting(bench.track(site, Motion(driving(70.0), np.zeros(STEPS), np.zeros(STEPS))))
-
-
-def _teleporting(bench: Bench, site: Site, strength: str) -> Planting:
-    return Planting(bench.track(site, Motion(driving(5.0) + 20.0 * (T > 3.95), np.zeros(STEPS), np.zeros(STEPS))))
-
-
 def _turned(bench: Bench, site: Site, strength: str) -> Planting | None:
     """Straight on along the lane with a heading that is turned from it, across the way of none; gross: turned round."""
     angle = math.pi if strength == GROSS else math.radians(60.0 * SHARE[strength])
     track = bench.track(site, Motion(driving(7.0), np.zeros(STEPS), np.full(STEPS, angle)))
     return Planting(track) if _is_alone(bench, track, within_m=5.0, within_s=1.5) else None
-
-
-def _reversed(bench: Bench, site: Site, strength: str) -> Planting:
-    """Backwards along the lane, with the heading along it."""
-    s = driving(7.0)
-    return Planting(bench.track(site, Motion(s[-1] - s, np.zeros(STEPS), np.zeros(STEPS))))
 
 
 def _leader(site: Site, steps: int = STEPS) -> tuple[Floats, Floats] | None:
@@ -554,13 +542,13 @@ KINDS = (
     Kind("yaw_accel", "yaw_accel", _limited("yaw_accel", 1.93, 10.0, _swinging(4.0)), 75.0),
     Kind("curvature", "curvature", _limited("curvature", 0.22, 0.6, _winding), 30.0),
     Kind("aside", "off_road", _aside, 60.0),
-    Kind("500 m aside", "off_road", _far_aside, 60.0, strengths=(GROSS,)),
+    Kind("500 m aside", "off_road", _plainly(driving(7.0), aside_m=-500.0), 60.0, strengths=(GROSS,)),
     Kind("past a standing vehicle", "overlap", _past, 45.0, "standing"),
     Kind("same path", "overlap", _same_path, 30.0, "moving", strengths=(GROSS,)),
-    Kind("70 m/s", "off_road", _fast, 60.0, strengths=(GROSS,)),
-    Kind("teleporting", "accel", _teleporting, 60.0, strengths=(GROSS,)),
+    Kind("70 m/s", "off_road", _plainly(driving(70.0)), 60.0, strengths=(GROSS,)),
+    Kind("teleporting", "accel", _plainly(driving(5.0) + 20.0 * (T > 3.95)), 60.0, strengths=(GROSS,)),
     Kind("heading turned", "against_lane", _turned, 60.0),
-    Kind("in reverse", "against_lane", _reversed, 60.0, strengths=(GROSS,)),
+    Kind("in reverse", "against_lane", _plainly(7.0 * (T[-1] - T)), 60.0, strengths=(GROSS,)),
     Kind("approach", "ttc_leader", _approach, 60.0, "moving"),
     Kind("crossing", "pet", _crossing, 60.0, "crossing"),
     # nothing inside: a recorded follower may not come so near as the TTC of the end alone would let it
