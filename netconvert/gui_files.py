@@ -12,17 +12,8 @@ from netconvert.cells import CellGrid
 from netconvert.geometry import FloatArray
 from netconvert.net_xml import shape
 
-_AREA_COLOR = "205,205,200"
-_LANE_COLOR = "96,99,104"
-_BICYCLE_COLOR = "178,96,76"
-_CELL_COLOR = "150,154,160"
-_CELL_LINE_M = "0.1"
 #: Zoom at which all is shown: 100 by sumo-gui's own account, less for the frame that it leaves.
 _ZOOM = 80.0
-#: Width over height of sumo-gui's drawing in its usual window.
-_WINDOW_ASPECT = 1.78
-#: Layers of sumo-gui: lanes are drawn on 100, vehicles on 400.
-_ABOVE_LANES = "150"
 #: Milliseconds that sumo-gui waits for each simulated second: real time.
 REAL_TIME_MS = 1000
 
@@ -87,8 +78,9 @@ def xml_bytes(root: etree._Element) -> bytes:
 
 def _polygons(grid: CellGrid) -> list[etree._Element]:
     """The drivable area below the lanes, and the outline of each cell above them."""
-    area = {"type": "drivable_area", "color": _AREA_COLOR, "fill": "1", "layer": "-10"}
-    cell = {"type": "cell", "color": _CELL_COLOR, "fill": "0", "lineWidth": _CELL_LINE_M, "layer": _ABOVE_LANES}
+    area = {"type": "drivable_area", "color": "205,205,200", "fill": "1", "layer": "-10"}
+    # sumo-gui draws lanes on layer 100, vehicles on 400
+    cell = {"type": "cell", "color": "150,154,160", "fill": "0", "lineWidth": "0.1", "layer": "150"}
     return [
         E.poly({"id": f"drivable_area_{number}", **area, "shape": shape(ring)})
         for number, ring in enumerate(grid.graph.drivable_areas)
@@ -105,7 +97,7 @@ def _view(ground: FloatArray, shown: tuple[FloatArray, FloatArray], vehicles: et
     x, y = ((low + high) / 2.0).tolist()
     zoom = _ZOOM * _window_width(ground.min(axis=0), ground.max(axis=0)) / _window_width(low, high)
     # waterways are lanes that only carry a trace
-    shown_as = {"road": _LANE_COLOR, "bike lane": _BICYCLE_COLOR, "waterway": "0,0,0,0"}
+    shown_as = {"road": "96,99,104", "bike lane": "178,96,76", "waterway": "0,0,0,0"}
     colors = E.colorScheme(*(E.entry(color=color, name=name) for name, color in shown_as.items()), name="uniform")
     # Every cell ends in a junction: the arrows and stop lines there would hide the lanes, and there is nothing to see.
     edges = E.edges(colors, showLinkDecals="0", showLinkRules="0", laneShowBorders="0", showBikeMarkings="0")
@@ -116,6 +108,6 @@ def _view(ground: FloatArray, shown: tuple[FloatArray, FloatArray], vehicles: et
 
 
 def _window_width(low: FloatArray, high: FloatArray) -> float:
-    """Width of the ground in a window that shows all from low to high, m."""
+    """Width of the ground in a window that shows all from low to high, m; a usual one is 1.78 times as wide as high."""
     wide, high_m = (high - low).tolist()
-    return max(float(wide), float(high_m) * _WINDOW_ASPECT, 1.0)
+    return max(float(wide), float(high_m) * 1.78, 1.0)

@@ -18,8 +18,6 @@ from hid2.evaluation.calibration import CalibratedQuantity, SceneDriving, calibr
 from hid2.params import Drivers
 from netconvert.errors import ConfigError, ScenarioError
 
-_CHUNK = 20
-
 
 def calibrate_folder(
     roots: Sequence[Path], out: Path, *, without: Sequence[str] = (), jobs: int = 1, on_scene: OnDone = None
@@ -44,7 +42,7 @@ def calibrate_folder(
     if not folders:
         raise ConfigError(f"{root}: --without leaves no scene to calibrate with, expected at least one")
     scenes, failures = sorted_out(
-        work_on_each(observe_scene, folders, shared=None, jobs=jobs, chunk=_CHUNK, timeout_s=120, on_item=on_scene)
+        work_on_each(observe_scene, folders, shared=None, jobs=jobs, chunk=20, timeout_s=120, on_item=on_scene)
     )
     if not scenes:
         raise ScenarioError(f"{root}: no scene can be read; the first: {failures[0][0]}: {failures[0][1]}")

@@ -24,8 +24,6 @@ from hid2.reasons import Reason
 from netconvert.errors import ScenarioError
 
 _LOG = logging.getLogger(__name__)
-#: Most scenes that a process gets at a time.
-_CHUNK = 40
 
 
 def evaluate_folder(
@@ -59,7 +57,7 @@ def evaluate_folder(
         tables = {name: stack.enter_context(_table(report_dir / f"{name}.csv", TABLES[name])) for name in TABLES}
         every = [*folders, *sources.values(), *controls]
         each = work_on_each(
-            measure, every, shared=frozenset(sources), jobs=jobs, chunk=_CHUNK, timeout_s=120, on_item=on_scene
+            measure, every, shared=frozenset(sources), jobs=jobs, chunk=40, timeout_s=120, on_item=on_scene
         )
         for done, (folder, packed) in enumerate(each, 1):
             if isinstance(packed, Failure):

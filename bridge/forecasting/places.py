@@ -22,8 +22,6 @@ from hid2.params import Forecasting
 from netconvert.errors import MapError, ScenarioError
 from netconvert.lane_graph import joined
 
-#: Scenes per task.
-_CHUNK = 256
 _SLICE = "slice_id"
 #: Lines of a lane segment of which the points tell where a map lies.
 _LINES = ("centerline", "left_lane_boundary", "right_lane_boundary")
@@ -74,7 +72,7 @@ def facts_of_scenes(
 ) -> tuple[list[SourceScene], list[str]]:
     """Facts in the order of folders, and a line for each scene that cannot be read."""
     each = work_on_each(
-        describe, folders, shared=Forecasting(), jobs=jobs, chunk=_CHUNK, timeout_s=60, isolated=False, on_item=on_scene
+        describe, folders, shared=Forecasting(), jobs=jobs, chunk=256, timeout_s=60, isolated=False, on_item=on_scene
     )
     facts, unread = sorted_out(each)
     by_folder = {fact.folder: fact for fact in facts}  # a folder that comes twice is one scene

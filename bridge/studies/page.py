@@ -30,8 +30,6 @@ from hid2.params import Conflict
 _MOST_VALUES, _CLASSES = 12, 6
 #: Differences of shares for which the page says how many seeds they need.
 _SIZES_TOLD = (0.02, 0.05, 0.1)
-#: Rows above which a table is compressed.
-_LONG = 50_000
 _COLORS = {
     "cells": figures.SKY,
     "rule": figures.ORANGE,
@@ -106,7 +104,7 @@ def _classes(values: "pd.Series[Any]") -> dict[Any, Any]:
 
 def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> Path:
     """A table as CSV, compressed where it is long; of an earlier one in the other form nothing is left."""
-    long = len(table) > _LONG
+    long = len(table) > 50_000  # rows: it is compressed
     path, other = (out_dir / f"{name}.{ending}" for ending in (("csv.gz", "csv") if long else ("csv", "csv.gz")))
     texts = table.select_dtypes(exclude=["number", "bool"]).columns
     safe = table.assign(**{column: table[column].map(table_cell, na_action="ignore") for column in texts})

@@ -37,8 +37,6 @@ from netconvert.net_xml import net_bytes
 
 #: Seconds between two moments at which a vehicle asks its rule, no tunable: what a driver takes to look and decide.
 ASK_S = 1.0
-#: Bound of the length of cells, m, at which every lane of a road is one lane of SUMO's.
-_WHOLE_M = 1e6
 #: Time for the vehicles counted to leave after traffic has entered, s; distance to the ramp's nose of a missed exit, m.
 CLEAR_S, _MISSED_M = 240.0, 25.0
 #: Length, m, and time, s, over which density is counted by lane, and changes from and to it.
@@ -121,7 +119,7 @@ class RoadTraffic:
     def __init__(self, recording: Recording, road: Road, config: Config) -> None:
         self.road, self.config = road, config
         self._change = config.lane_change.model_copy(update={"mobil_bias_mps2": 0.0})  # no lane is asked for
-        self._grid = build_cell_grid(recording.graph, cell_m=_WHOLE_M)
+        self._grid = build_cell_grid(recording.graph, cell_m=1e6)  # every lane of a road is one lane of SUMO's
         self._lanes = {lane.lane_id: lane for lane in road.stretches()}
         self._end_m = {lane.number: lane.end_m for lane in sorted(road.stretches(), key=attrgetter("end_m"))}
         self._named = {self._grid.sumo_lane_id(Cell(lane_id, 0)): lane for lane_id, lane in self._lanes.items()}

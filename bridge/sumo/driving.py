@@ -106,7 +106,8 @@ class FleetSimulation:
             else:  # `decide` has nothing to choose: it would return this policy
                 fleet.vehicles[row].policies[lane_policy] += 1
             if limits.braking_fails[k] and steering.take_another_way(fleet, self.simulation, row, now):
-                limits.renew_from(k, steering.limits_of(fleet, rows[k:], now))  # those after it see where it goes
+                for found, renewed in zip(limits, steering.limits_of(fleet, rows[k:], now), strict=True):
+                    found[k:] = renewed  # those after it see where it goes
                 self._replay.take(fleet.recorded_and_kept)  # others may have to be shown on this way
         fleet.yielding[rows] = limits.yields
         return attempts, self._drive(rows, limits, now)

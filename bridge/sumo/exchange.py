@@ -64,8 +64,6 @@ _Placed = tuple[list[Cell], FloatArray, BoolArray]
 _WITHIN_M, _WITHIN_RAD = 0.05, 0.05
 #: Least length of a shape, m: SUMO takes a shorter one to be as long.
 _LEAST_SHAPE_M = 0.1
-#: Width of the lanes of a trace, m: they must not show.
-_TRACE_WIDTH_M = 0.01
 #: Way beyond its length that a vehicle drives in a step, m: no step ends near the end of a lane.
 _CLEAR_M = 1.0
 #: Least distance of the junctions that a lane of a trace joins, m: netedit takes no edge between two in one place.
@@ -331,7 +329,7 @@ def _with_traces(net: bytes, traces: list[_Trace]) -> bytes:
             length = f"{steps * trace.advance_m:.4f}"
             edge = {"id": trace.edge(k), "from": f"{trace.edge(k)}_j", "to": f"{trace.edge(k + 1)}_j"}
             edge |= {"priority": "0", "length": length}
-            lane = {"id": f"{trace.edge(k)}_0", "index": "0", "speed": trace.limit, "width": f"{_TRACE_WIDTH_M}"}
+            lane = {"id": f"{trace.edge(k)}_0", "index": "0", "speed": trace.limit, "width": "0.01"}
             lane |= {"allow": _UNSEEN, "length": length, "shape": shape(points, digits=4), "customShape": "1"}
             added["edge"].append(E.edge(edge, E.lane(lane)))
             if k:

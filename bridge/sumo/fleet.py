@@ -62,11 +62,6 @@ class LimitInputs(NamedTuple):
     others: IntArray
     swept: FloatArray
 
-    @property
-    def counts(self) -> tuple[int, ...]:
-        """How many entries of the road's table, lanes, known agents, stop lines, others, and what these sweep."""
-        return tuple(len(one) for one in (self.road, self.lane_ends, self.low, self.stop_m, self.others, self.swept))
-
 
 @dataclass(eq=False, slots=True)
 class Fleet:
@@ -102,26 +97,24 @@ class Fleet:
     def __post_init__(self, starts: Sequence[Start]) -> None:
         """No vehicle has moved yet."""
         self.guard = Guard(self.scene, self.kept, self.stop_lines)
-        self.state, self.centre = np.zeros((0, 5)), np.zeros((0, 2))
-        self.along_m, self.length_m = np.zeros(0), np.zeros(0)
-        self.desired_mps, self.drivers = np.zeros((0, self.scene.num_steps)), np.zeros((0, 4))
-        self.yielding = np.zeros(0, dtype=np.bool_)
         self.add(starts)
 
     def add(self, starts: Sequence[Start]) -> None:
         """Vehicles that have not moved yet."""
-        if not starts:
-            return
-        count = len(starts)
+        count, steps = len(starts), self.scene.num_steps
         self.vehicles += [DrivenVehicle(start=start, path=start.path) for start in starts]
         self.contexts += [self._context(start.path, start.driver) for start in starts]
-        self.state = np.concatenate([self.state, np.zeros((count, 5))])
-        self.centre = np.concatenate([self.centre, np.full((count, 2), np.inf)])
-        self.along_m = np.concatenate([self.along_m, np.full(count, np.nan)])
-        self.length_m = np.concatenate([self.length_m, [start.box.length_m for start in starts]])
-        self.desired_mps = np.concatenate([self.desired_mps, [one.desired[: self.scene.num_steps] for one in starts]])
-        self.drivers = np.concatenate([self.drivers, [start.driver.following for start in starts]])
-        self.yielding = np.concatenate([self.yielding, np.zeros(count, dtype=np.bool_)])
+        columns = {
+            "state": np.zeros((count, 5)),
+            "centre": np.full((count, 2), np.inf),
+            "along_m": np.full(count, np.nan),
+            "length_m": np.array([start.box.length_m for start in starts], dtype=np.float64),
+            "desired_mps": np.reshape([start.desired[:steps] for start in starts], (count, steps)),
+            "drivers": np.reshape([start.driver.following for start in starts], (count, 4)),
+            "yielding": np.zeros(count, dtype=np.bool_),
+        }
+        for name, new in columns.items():
+            setattr(self, name, np.concatenate([getattr(self, name, new[:0]), new]))
         self._forget_obstacles()  # all vehicles see the new ones
 
     def begin(self, row: int) -> None:
@@ -239,10 +232,14 @@ class Fleet:
         return np.flatnonzero(self.state[:, PRESENT])
 
     def limit_inputs(self, now: int) -> tuple[IntArray, LimitInputs]:
-        """Where the `counts` of each vehicle that is `here` begin, (M + 1, 6), and their inputs, one after another."""
+        """Where those of each vehicle that is `here` begin, (M + 1, 6), and their inputs, one after another.
+
+        Of the road's table, its lanes, known agents, stop lines, others, and what these sweep.
+        """
         if self._limit_inputs is None or self.scene.config.driving.replay != "fixed":
             each = [self._limit_inputs_of(row, now) for row in self.here.tolist()]
-            first = np.cumsum([[0] * 6, *(one.counts for one in each)], axis=0, dtype=np.int64)
+            parts = ((one.road, one.lane_ends, one.low, one.stop_m, one.others, one.swept) for one in each)
+            first = np.cumsum([[0] * 6, *([len(part) for part in own] for own in parts)], axis=0, dtype=np.int64)
             self._limit_inputs = first, LimitInputs(*(np.concatenate(column) for column in zip(*each, strict=True)))
         return self._limit_inputs
 

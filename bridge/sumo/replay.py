@@ -1,7 +1,7 @@
 """Recorded agents as fixed vehicles: every state at its exact pose, every step."""
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -62,25 +62,10 @@ class Replay:
 
         SUMO knows speed and acceleration of a vehicle that it is shown only after it has moved it for UNSEEN_STEPS.
         """
-        rows = self._here[0]
-        xy, angle = sumo_poses(
-            self.traffic.position[:, 0] - back * self.step_s * self.traffic.velocity[:, 0],
-            self.traffic.heading[:, 0],
-            self.traffic.length_m,
-        )
-        self._add([row for row in rows if row not in self._in])
-        self.simulation.place_all(
-            [(self.names[row], float(xy[row, 0]), float(xy[row, 1]), float(angle[row]), None) for row in rows]
-        )
-        self._placed += 1
-
-    def _add(self, rows: list[int]) -> None:
-        for row in rows:
-            self.simulation.add_replayed(
-                self.names[row], length_m=float(self.traffic.length_m[row]), width_m=float(self.traffic.width_m[row])
-            )
-            self._since[row] = self._placed
-        self._in = set(rows) | self._in
+        rows, traffic = self._here[0], self.traffic
+        position = traffic.position[:, 0] - back * self.step_s * traffic.velocity[:, 0]
+        xy, angle = sumo_poses(position, traffic.heading[:, 0], traffic.length_m)
+        self._put(rows, [column[rows].tolist() for column in (*xy.T, angle)], {})
 
     def place(self, step: int, seen: Mapping[int, tuple[str, int]]) -> None:
         """Add, move and remove vehicles so that the coming step has the states of `step`.
@@ -89,16 +74,20 @@ class Replay:
         put on no lane, for to SUMO a vehicle on a lane has no width: it would brake for agents that stand beside. A
         new agent is not seen before SUMO knows its speed.
         """
-        rows, names = self._here[step], self.names
-        here = set(rows)
-        if here != self._in:
-            for row in sorted(self._in - here):
-                self.simulation.remove(names[row])
-            self._in &= here
-            self._add(sorted(here - self._in))
+        self._put(self._here[step], self._poses[step], seen)
+
+    def _put(self, rows: list[int], poses: Sequence[list[float]], seen: Mapping[int, tuple[str, int]]) -> None:
+        here, names, traffic = set(rows), self.names, self.traffic
+        for row in sorted(self._in - here):
+            self.simulation.remove(names[row])
+        for row in sorted(here - self._in):
+            length_m, width_m = float(traffic.length_m[row]), float(traffic.width_m[row])
+            self.simulation.add_replayed(names[row], length_m=length_m, width_m=width_m)
+            self._since[row] = self._placed
+        self._in = here
         known, since = self._placed - UNSEEN_STEPS, self._since
         lanes = (seen.get(row) if since[row] <= known else None for row in rows)
-        self.simulation.place_all(list(zip([names[row] for row in rows], *self._poses[step], lanes, strict=True)))
+        self.simulation.place_all(list(zip([names[row] for row in rows], *poses, lanes, strict=True)))
         self._placed += 1
 
     def check(self, step: int) -> None:

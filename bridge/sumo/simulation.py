@@ -27,9 +27,7 @@ _OWN_WISH = 1621  # TraCI lane-change mode, SUMO's default: its model changes la
 _SAFE_SPEED = 1 + 2 + 8 + 16
 #: Motives of SUMO's lane-change model, as it names them.
 _MOTIVES = frozenset({"strategic", "cooperative", "speedGain", "keepRight"})
-_REPLAY_KEEP_ROUTE = 6  # TraCI moveToXY: exactly there, on a road or off it
 _ASIDE_MATCH_M = 1e-9  # distance up to which a place is matched to a lane; no tunable: too little for any lane
-_NEVER_S = 1000.0  # action step of recorded agents, longer than any scene
 _NET, _START, _TYPES = "scene.net.xml", "start.xml", "types.add.xml"
 _DRIVEN = "driven"
 #: What of a vehicle type libsumo sets while it runs: names, so that a file in its place is found where it is used.
@@ -55,9 +53,7 @@ class Simulation:
     ) -> None:  # fmt: skip
         self._net = net
         self._model, self._parameters = model, dict(parameters or {})
-        self._change_mode = _ONLY_ASKED_IF_SAFE if checks_gaps else _ASKED_ANYHOW
-        if own_wish:
-            self._change_mode = _OWN_WISH
+        self._change_mode = _OWN_WISH if own_wish else _ONLY_ASKED_IF_SAFE if checks_gaps else _ASKED_ANYHOW
         self._seed = seed
         self._step_s = step_s
         self._types: set[str] = set()
@@ -119,7 +115,7 @@ class Simulation:
             libsumo.vehicletype.setWidth(type_id, width_m)
             libsumo.vehicletype.setSpeedDeviation(type_id, 0.0)  # replayed agents draw no random numbers from others
             libsumo.vehicletype.setVehicleClass(type_id, "ignoring")  # recorded agents are where they are, on any lane
-            libsumo.vehicletype.setActionStepLength(type_id, _NEVER_S)  # SUMO need not think about where they would go
+            libsumo.vehicletype.setActionStepLength(type_id, 1000.0)  # s: SUMO never thinks about where they would go
             self._types.add(type_id)
         libsumo.vehicle.add(vehicle_id, "replay", typeID=type_id, depart="now")
 
@@ -131,23 +127,14 @@ class Simulation:
         """
         move = libsumo.vehicle.moveToXY
         for vehicle_id, x, y, angle_deg, lane in poses:
-            if lane is None:
-                move(vehicle_id, "", -1, x, y, angle_deg, _REPLAY_KEEP_ROUTE, _ASIDE_MATCH_M)
-            else:
-                move(vehicle_id, lane[0], lane[1], x, y, angle_deg, _REPLAY_KEEP_ROUTE, ASIDE_M)
+            edge, index = lane or ("", -1)  # and 6: exactly there, on a road or off it
+            move(vehicle_id, edge, index, x, y, angle_deg, 6, ASIDE_M if lane else _ASIDE_MATCH_M)
 
     def poses(self, vehicle_ids: Sequence[str]) -> list[tuple[float, float, float] | None]:
         """Front bumper x, y in m and angle in degrees, as SUMO has them now; None for vehicles not in the net."""
-        position, angle, nowhere = libsumo.vehicle.getPosition, libsumo.vehicle.getAngle, libsumo.INVALID_DOUBLE_VALUE
-        found: list[tuple[float, float, float] | None] = []
-        for vehicle_id in vehicle_ids:
-            try:
-                x, y = position(vehicle_id)
-            except libsumo.TraCIException:
-                found.append(None)
-                continue
-            found.append(None if x == nowhere else (x, y, angle(vehicle_id)))
-        return found
+        position, angle = libsumo.vehicle.getPosition, libsumo.vehicle.getAngle
+        inside = frozenset(libsumo.vehicle.getIDList())
+        return [(*position(name), angle(name)) if name in inside else None for name in vehicle_ids]
 
     @staticmethod
     def follow_speed(vehicle_id: str, speed_mps: float, *, gap_m: float, leader_mps: float) -> float:
@@ -225,7 +212,7 @@ class Simulation:
     def change_lane(self, vehicle_id: str, lane_index: int, *, edges: Sequence[str] = ()) -> None:
         """Ask for an instant change within the edge, onto a route that the new lane continues; none: its own."""
         if edges:
-            libsumo.vehicle.setRoute(vehicle_id, list(edges))
+            self.set_route(vehicle_id, edges)
         libsumo.vehicle.changeLane(vehicle_id, lane_index, 0.0)  # else it makes up later what it refuses now
 
     @staticmethod

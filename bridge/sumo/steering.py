@@ -29,8 +29,6 @@ _LET_PASS_MPS2 = 0.7
 #: Share of its desired speed to which such a vehicle slows down. No tunable: traffic behind does not notice it.
 _LET_PASS_SHARE = 0.8
 _GAP = CAUSES.index("gap")
-#: Reasons to refuse a gap for which it helps to let those beside go ahead.
-_LETS_PASS = frozenset({Reason.CELLS_OCCUPIED, Reason.FRONT_GAP})
 _FASTER_MPS = 0.05  # tolerance of the speed over the road's on another way that is taken; no tunable: rounding
 _OFF_SHARE = 0.03  # of the share across, from which the way is laid anew; no tunable: .1 m of a lane
 
@@ -44,11 +42,6 @@ class SpeedLimits(NamedTuple):
     waits_for: IntArray
     yields: BoolArray
     braking_fails: BoolArray
-
-    def renew_from(self, place: int, renewed: "SpeedLimits") -> None:
-        """In place: those of vehicles from a place on are others now."""
-        for found, later in zip(self, renewed, strict=True):
-            found[place:] = later
 
 
 def limits_of(fleet: Fleet, rows: IntArray, now: int) -> SpeedLimits:
@@ -68,7 +61,7 @@ def limits_of(fleet: Fleet, rows: IntArray, now: int) -> SpeedLimits:
 def let_pass(fleet: Fleet, row: int, now: int, limits: SpeedLimits, place: int) -> None:
     """In place: lower the limit of a vehicle that waits for a gap, so that those beside can go ahead."""
     vehicle, step_s = fleet.vehicles[row], fleet.scene.step_s
-    if vehicle.stage is Stage.WAITING and vehicle.reason in _LETS_PASS:
+    if vehicle.stage is Stage.WAITING and vehicle.reason in (Reason.CELLS_OCCUPIED, Reason.FRONT_GAP):
         desired, v = fleet.desired_mps[row, now], vehicle.v[-1]
         slower = max(_LET_PASS_SHARE * desired, v - _LET_PASS_MPS2 * step_s)
         if slower < desired - LIMIT_TOLERANCE_MPS and (slower, _GAP) < (limits.mps[place], limits.cause[place]):
