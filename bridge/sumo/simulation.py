@@ -27,6 +27,7 @@ _OWN_WISH = 1621  # TraCI lane-change mode, SUMO's default: its model changes la
 _SAFE_SPEED = 1 + 2 + 8 + 16
 #: Motives of SUMO's lane-change model, as it names them.
 _MOTIVES = frozenset({"strategic", "cooperative", "speedGain", "keepRight"})
+_KEEP_ROUTE = 6  # TraCI moveToXY: exactly there, on a road or off it
 _ASIDE_MATCH_M = 1e-9  # distance up to which a place is matched to a lane; no tunable: too little for any lane
 _NET, _START, _TYPES = "scene.net.xml", "start.xml", "types.add.xml"
 _DRIVEN = "driven"
@@ -127,8 +128,8 @@ class Simulation:
         """
         move = libsumo.vehicle.moveToXY
         for vehicle_id, x, y, angle_deg, lane in poses:
-            edge, index = lane or ("", -1)  # and 6: exactly there, on a road or off it
-            move(vehicle_id, edge, index, x, y, angle_deg, 6, ASIDE_M if lane else _ASIDE_MATCH_M)
+            edge, index = lane or ("", -1)
+            move(vehicle_id, edge, index, x, y, angle_deg, _KEEP_ROUTE, ASIDE_M if lane else _ASIDE_MATCH_M)
 
     def poses(self, vehicle_ids: Sequence[str]) -> list[tuple[float, float, float] | None]:
         """Front bumper x, y in m and angle in degrees, as SUMO has them now; None for vehicles not in the net."""
