@@ -112,11 +112,6 @@ class Progress:
     skipped: int = 0
     quarantined: int = 0
 
-    @property
-    def finished(self) -> int:
-        """Runs that need no more work."""
-        return self.done + self.skipped + self.quarantined
-
 
 #: What is called after every run.
 OnRow = Callable[[ManifestRow, Progress], None]

@@ -122,8 +122,7 @@ class Manifest:
                 "%s: %d lines cannot be read: their scenes are made again if they are wanted", self.path, unread
             )
         if len(there) < len(rows):
-            gone = len(rows) - len(there)
-            _LOG.warning("%s: %d rows left out: their folders are not there", self.path, gone)
+            _LOG.warning("%s: %d rows left out: their folders are not there", self.path, len(rows) - len(there))
         self._rows = {row.key: row for row in there}
         self.save()
 
@@ -180,17 +179,13 @@ def _line(row: ManifestRow) -> str:
     text = io.StringIO()
     append_rows(text, [[one_line(value, most=MAX_TEXT) if isinstance(value, str) else value for value in row]])
     said = text.getvalue().rstrip("\n")
-    return f"{said},{_check(said.encode())}\n"
-
-
-def _check(text: bytes) -> str:
-    return f"{zlib.crc32(text):08x}"
+    return f"{said},{zlib.crc32(said.encode()):08x}\n"
 
 
 def _parse(line: bytes) -> ManifestRow | None:
     """The row on a line, None where it is not whole or says what no row does."""
     text, _, check = line.rpartition(b",")
-    if check != _check(text).encode() + b"\n":
+    if check != b"%08x\n" % zlib.crc32(text):
         return None
     types = ManifestRow.__annotations__
     try:

@@ -41,11 +41,8 @@ MAX_BUNDLE_MB, MAX_UNPACKED_MB, MAX_MEMBERS = 64, 128, 64
 _REQUEST, _FAILURE, _DETAILS, _SCENE = "request.json", "failure.json", "details.txt", "scene/"
 #: What comes of a file that is no bundle.
 _REFUSED = (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error, ConfigError)
-#: How the entry of a file in the directory of an archive begins.
-_ENTRY = b"PK\1\2"
 #: Files of a scene in a bundle, MB together, so that it can be read again; a scene's own come first.
 _MOST_OF_SCENE_MB = 60
-_OWN_FILES = ("scenario_", "log_map_archive_", "hid2_")
 _MOST_DETAILS, _MOST_REASON = 200_000, 2_000
 #: What is unpacked of each member at most, MB; of others MAX_FILE_MB. Real: 0.02, 0.002, 0.2.
 _MOST_MB = {_REQUEST: 1, _FAILURE: 1, _DETAILS: 4}
@@ -91,10 +88,14 @@ def write_bundle(bundle: Bundle, path: Path) -> None:
     """
     files: dict[str, bytes] = {}
     left_out: list[str] = []
-    source = bundle.folder if isinstance(bundle.folder, Source) else None
     folder = bundle.folder
-    there = source_files(folder) if isinstance(folder, Source) else _files_of(folder)
-    for entry in there:  # all in a scene's folder, which may be damaged; of another format what is read
+    source = folder if isinstance(folder, Source) else None
+    if isinstance(folder, Source):  # what is read of it
+        there = source_files(folder)
+    else:  # all in the folder, which may be damaged, or not be there
+        own = "scenario_", "log_map_archive_", "hid2_"
+        there = sorted(folder.glob("*"), key=lambda path: (not path.name.startswith(own), path))
+    for entry in there:
         name = one_line(entry.name, most=200)
         try:
             if len(files) + len(left_out) >= MAX_MEMBERS - 3 or name.startswith("."):
@@ -121,19 +122,15 @@ def write_bundle(bundle: Bundle, path: Path) -> None:
         left_out=left_out[:MAX_MEMBERS],
     )
     seen = {"kind": bundle.failure.kind, "message": printable(bundle.failure.message[:_MOST_REASON])}
-    details = printable(bundle.failure.details[-_MOST_DETAILS:])
+    members = {
+        _REQUEST: request.model_dump_json(indent=1).encode(),
+        _FAILURE: json.dumps(seen, indent=1, ensure_ascii=False).encode(),
+        _DETAILS: printable(bundle.failure.details[-_MOST_DETAILS:]).encode(),
+        **{_SCENE + name: content for name, content in files.items()},
+    }
     with beside(path) as hidden, zipfile.ZipFile(hidden, "w") as archive:
-        _add(archive, _REQUEST, request.model_dump_json(indent=1).encode())
-        _add(archive, _FAILURE, json.dumps(seen, indent=1, ensure_ascii=False).encode())
-        _add(archive, _DETAILS, details.encode())
-        for name, content in files.items():
-            _add(archive, _SCENE + name, content)
-
-
-def _files_of(folder: Path) -> list[Path]:
-    """What is in a scene's folder, which may not be there; its own files first."""
-    found = sorted(folder.iterdir()) if folder.is_dir() else []
-    return sorted(found, key=lambda path: not path.name.startswith(_OWN_FILES))
+        for name, content in members.items():
+            archive.writestr(zipfile.ZipInfo(name), content, zipfile.ZIP_DEFLATED)
 
 
 def read_bundle(path: Path, into: Path, *, functions: Collection[str] = ()) -> Bundle:
@@ -143,7 +140,8 @@ def read_bundle(path: Path, into: Path, *, functions: Collection[str] = ()) -> B
     """
     try:
         content = read_regular(path, most_mb=MAX_BUNDLE_MB)
-        if content.count(_ENTRY) > 2 * MAX_MEMBERS:  # before `zipfile` makes an object of each; data hold few by chance
+        # entries of its directory, before `zipfile` makes an object of each; data hold few by chance
+        if content.count(b"PK\1\2") > 2 * MAX_MEMBERS:
             raise ValueError(f"more than {2 * MAX_MEMBERS} files in it, expected at most {MAX_MEMBERS}")
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = _members(archive)
@@ -226,7 +224,3 @@ def _said(error: Exception) -> str:
         field = ".".join(str(part) for part in first["loc"]) or "the file"
         return f"{field}: {first['msg']}, have {first['input']!r}"
     return f"no {error} in it" if isinstance(error, KeyError) else getattr(error, "strerror", None) or str(error)
-
-
-def _add(archive: zipfile.ZipFile, name: str, content: bytes) -> None:
-    archive.writestr(zipfile.ZipInfo(name), content, zipfile.ZIP_DEFLATED)

@@ -17,11 +17,6 @@ from hid2.params import Config, Request
 from hid2.policies import Policy
 from netconvert.errors import ConfigError, Hid2Error
 
-#: Most scenes that are looked at for one that can meet what is asked for.
-_LOOKED_AT = 100
-#: Trigger time up to which no scene is looked at, s: the shortest recordings last longer.
-_SHORTEST_S = 4.9
-
 
 def named_behaviours(request: Request, *, by_option: bool) -> tuple[Policy, ...]:
     """Behaviours asked for by name: all in --behaviours, else those with another share than the usual; not straight."""
@@ -34,17 +29,18 @@ def named_behaviours(request: Request, *, by_option: bool) -> tuple[Policy, ...]
 
 
 def check_request(folders: Sequence[Address], config: Config, named: Sequence[Policy], *, jobs: int) -> None:
-    """Look at the first scenes until each thing asked for can come about in one. Errors: ConfigError if none can."""
+    """Look at the first 100 scenes until each thing asked for can come about in one. Errors: ConfigError if none can.
+
+    None is looked at for a trigger in the first 4.9 s alone: the shortest recordings last longer.
+    """
     request = config.request
     if request.own:
         find_in_working_folder()
-    if not request.is_near_agents and not config.event and not named and request.first_trigger_s <= _SHORTEST_S:
+    if not request.is_near_agents and not config.event and not named and request.first_trigger_s <= 4.9:
         return
     never: dict[str, str] | None = None
     seen = 0
-    each = work_on_each(
-        never_in_scene, folders[:_LOOKED_AT], shared=(config, named), jobs=jobs, chunk=1, timeout_s=60.0
-    )
+    each = work_on_each(never_in_scene, folders[:100], shared=(config, named), jobs=jobs, chunk=1, timeout_s=60.0)
     with contextlib.closing(each):
         for folder, found in each:
             if isinstance(found, Failure):
@@ -80,10 +76,10 @@ def check_same_request(out: Path, config: Config) -> None:
     before, now = dict[str, Any](), _flat(config_to_dict(config))
     # a batch that was killed may have left scenes without a row
     found = [out / row.folder for row in rows[-1:]] or [path.parent for path in out.glob(f"*/*/{SIDECAR_PATTERN}")]
-    with contextlib.suppress(Hid2Error, StopIteration):
-        sidecar = read_sidecar(next(found[0].glob(SIDECAR_PATTERN))) if found else None
-        before = _flat(sidecar.config) if sidecar is not None else before
-        digests |= {sidecar.config_sha256} if sidecar is not None else set()
+    with contextlib.suppress(Hid2Error, StopIteration, IndexError):
+        sidecar = read_sidecar(next(found[0].glob(SIDECAR_PATTERN)))
+        before = _flat(sidecar.config)
+        digests.add(sidecar.config_sha256)
     if not digests or config_sha256(config) in digests:
         return
     changed = [f"{key} was {before[key]}, is {now[key]}" for key in now if before.get(key, now[key]) != now[key]]

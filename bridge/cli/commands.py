@@ -157,11 +157,9 @@ def _mistake(error: Exception) -> int:
     command = context.command_path if context is not None else " ".join(["hid2", *named])
     message = error.format_message()  # type: ignore[attr-defined]
     for name in getattr(getattr(error, "param", None), "opts", ()):  # the parser says the option, not what was given
-        given = [b for a, b in pairwise(sys.argv) if a == name] + [
-            one for one in sys.argv if one.startswith(f"{name}=")
-        ]
-        if given and given[0] not in message:
-            message = message.replace("Invalid value for ", f"Invalid value {given[0]!r} for ", 1)
+        given = next((b for a, b in pairwise(sys.argv) if a == name or b.startswith(f"{name}=")), "")
+        if given not in message:
+            message = message.replace("Invalid value for ", f"Invalid value {given!r} for ", 1)
     behind = next((one for one in sys.argv[1:] if one in COMMANDS), None)
     if type(error).__name__ == "NoSuchOption" and behind and not named:
         command, message = f"hid2 {behind}", f"{message.rstrip('.')}; an option of {behind} goes behind its name"

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from bridge.batch.manifest import DONE, MANIFEST_NAME
 from bridge.cli import options
-from bridge.cli.places import check_out, check_scenes, select_scenes
+from bridge.cli.places import check_scenes, select_scenes
 from bridge.console import Activity, fail, print_json, print_table, say, warn
 from bridge.interruption import if_interrupted
 from netconvert.errors import ConfigError
@@ -29,6 +29,7 @@ _TRIGGER_TIME = "When manoeuvres are triggered, in seconds: a time, a range to d
 
 
 @options.command(
+    folders=("out",),
     shown=(
         "scenes", "out", "agents", "near", "focal", "seed", "variants", "behaviours", "trigger_time", "event", "target",
         "at", "drivers", "config", "settings", "jobs", "resume", "again", "source", "repro", "help",
@@ -111,7 +112,6 @@ def generate(  # noqa: PLR0913  # one for each option
         missing = [name for name, value in (("SCENE", scenes), ("-o/--out", out)) if not value]
         raise ConfigError(f"missing {' and '.join(missing)} {_HELP}")
     check_scenes(scenes)
-    check_out(out)
     from bridge import load_config, parse_behaviours
     from bridge.config import functions_of, parse_events, parse_trigger_time, read_drivers
     from bridge.recordings.folders import split_of
@@ -186,7 +186,6 @@ def _make_again(
     if out is None or source is None:
         raise ConfigError(f"--from SIDECAR takes --source ROOT and -o OUT {_HELP}")
     check_scenes([source])
-    check_out(out)
     activity.doing("making the scene again")
     from bridge.batch.provenance import make_again
 
@@ -204,11 +203,9 @@ def _reproduce(bundle_path: Path, out: Path | None, functions: Sequence[str], ac
     """Run a bundle; without an output folder nothing is kept."""
     from zipfile import is_zipfile
 
-    if not bundle_path.is_file() or not is_zipfile(bundle_path):
+    if not is_zipfile(bundle_path):  # nor is one that is not there
         wrong = "is no ZIP file" if bundle_path.is_file() else "no such file"
         raise ConfigError(f"{bundle_path}: {wrong}, expected a bundle, OUT/quarantine/.../NAME.zip")
-    if out is not None:
-        check_out(out)
     activity.doing("running the scene of the bundle")
     from bridge.batch.batch import reproduce
 
@@ -235,7 +232,7 @@ def notes_of(activity: Activity, out: Path, *, go_on: str) -> "OnRow":
         elif activity.verbose:
             say(f"{row.scenario} variant {row.variant}: {row.placed} of {row.asked} placed, {row.seconds:.1f} s")
         details = f" ({progress.skipped} complete before, {progress.quarantined} quarantined)"
-        activity.show(progress.finished - progress.skipped, progress.total - progress.skipped, details)
+        activity.show(progress.done + progress.quarantined, progress.total - progress.skipped, details)
 
     return note
 
@@ -271,19 +268,10 @@ def _line(row: "ManifestRow", request: "Request", *, with_events: bool) -> tuple
     if row.asked == "max" or met < int(row.asked):
         said["candidates rejected"] = row.rejected
     remarks = "; ".join(f"{what}: {_first(reasons)}" for what, reasons in said.items() if reasons)
-    return (
-        row.scenario,
-        row.variant,
-        placed,
-        row.left_turn,
-        row.right_turn,
-        row.lane_change,
-        row.overtake,
-        f"{row.maneuvers_done} of {row.maneuvers_requested}",
-        *((f"{row.events_done} of {row.events_requested}",) if with_events else ()),
-        round(row.seconds, 2),
-        remarks or "-",
-    )
+    by_kind = row.left_turn, row.right_turn, row.lane_change, row.overtake
+    done = [f"{row.maneuvers_done} of {row.maneuvers_requested}"]
+    done += [f"{row.events_done} of {row.events_requested}"] if with_events else []
+    return (row.scenario, row.variant, placed, *by_kind, *done, round(row.seconds, 2), remarks or "-")
 
 
 def _first(reasons: str) -> str:

@@ -285,12 +285,8 @@ def _check_fits(experiment: str, given: options.Given) -> None:
         given.check(_WITH_COMPOSED[way], way)
 
 
-#: Lines on what was left out that are shown without -v.
-_SHOWN = 10
-
-
 def _tell_left_out(how: str, lines: Sequence[str], activity: Activity) -> None:
-    shown = len(lines) if activity.verbose else _SHOWN
+    shown = len(lines) if activity.verbose else 10
     for line in lines[:shown]:
         say(f"warning: {how}: {line}")
     if len(lines) > shown:
@@ -410,8 +406,7 @@ def forecast(
         activity.doing(f"reading {place}")
         found, left_out = features.features_of(find_scenarios(place), on_scene=activity.show)
         targets.append(found)
-        for line in left_out:
-            say(f"warning: not used: {line}")
+        _tell_left_out("not used", left_out, activity)
     if not any(target.focal for target in targets[1]):
         raise ScenarioError(f"{place}: no focal track to forecast")
     activity.doing("training")

@@ -213,7 +213,6 @@ MAP = selection(
     "MAP",
     "--map",
 )
-STRIDE = selection("More windows of a sensor log, N sweeps from one to the next.", None, "N", min=1)
 SCENE = argument("SCENE", "Scenario folder.")
 SCENES = argument("SCENE", "Scenario folders, split folders or data-set roots.")
 OUT = output("Folder to write to.", ..., "OUT", "-o")
@@ -245,7 +244,7 @@ class Windows(NamedTuple):
 
     map_path: Path | None = MAP
     window: int = selection("First sweep of a sensor log that is taken.", 0, "N", min=0)
-    stride: int | None = STRIDE
+    stride: int | None = selection("More windows of a sensor log, N sweeps from one to the next.", None, "N", min=1)
 
     def choices(self) -> Choices:
         """As readers take it."""

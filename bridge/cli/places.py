@@ -14,10 +14,6 @@ from bridge.recordings.sources import READERS, described, find_one, find_recordi
 from netconvert.errors import ConfigError
 
 _ARCHIVES = (".zip", ".tar", ".gz", ".tgz", ".7z", ".zst")
-#: Folders of a split or root that are looked at to tell which of them it is: they are all alike.
-_LOOKED_AT = 20
-#: Folders that become a split by their recorded scenes; any other folder becomes one by the second scene.
-_SPLITS = (*SPLITS, "raw")
 
 
 def check_scenes(paths: Sequence[Path]) -> None:
@@ -104,7 +100,7 @@ def _check_among_sources(out: Path) -> None:
             raise ConfigError(f"{out}: lies inside the scene {place}; choose a place outside it")
     beside = {place: list(islice(_recorded(place), 2)) for place in parents}
     for place, scenes in beside.items():
-        if len(scenes) == 2 or (scenes and place.name in _SPLITS):
+        if len(scenes) == 2 or (scenes and place.name in (*SPLITS, "raw")):  # by name the first tells
             raise ConfigError(
                 f"{out}: lies inside the split folder {place}, beside the scene {scenes[0].name}; "
                 "choose a place outside it"
@@ -128,7 +124,7 @@ def _is_scene(folder: Path) -> bool:
 
 
 def _recorded(folder: Path) -> Iterator[Path]:
-    """Scenes that hid2 did not write and that lie directly in a folder, of the first that are there."""
+    """Scenes that hid2 did not write and that lie directly in a folder, of the first 20 there: they are all alike."""
     with suppress(OSError):  # a folder on the way that may not be read
         folders = (entry for entry in folder.iterdir() if not entry.name.startswith(".") and entry.is_dir())
-        yield from (one for one in islice(folders, _LOOKED_AT) if _is_scene(one) and not is_generated(one))
+        yield from (one for one in islice(folders, 20) if _is_scene(one) and not is_generated(one))

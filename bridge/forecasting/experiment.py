@@ -59,8 +59,6 @@ PAPER_TABLE3: Mapping[str, Sequence[float]] = {
 PAPER_GAIN_M = 0.023
 #: The small forecaster, which needs the extra `forecast`.
 _SCRIPT = data_folder() / "examples" / "small_forecaster.py"
-#: Memory that a training may take: torch reserves more than it uses.
-_TRAINING_MB = 32_000
 
 Progress = Callable[[str, int, int], None]
 _Scores = dict[str, dict[str, list[pd.DataFrame]]]  # by validation set and training set, a table for each seed
@@ -122,7 +120,7 @@ def _composed(scenes: Sequence[Path], out: Path, plan: TrainingPlan, *, jobs: in
 
     def count(_: ManifestRow, progress: BatchProgress) -> None:
         made[name] = progress.done
-        tell(f"generating {name}", progress.finished, progress.total)
+        tell(f"generating {name}", progress.done + progress.skipped + progress.quarantined, progress.total)
 
     # what another request made, or of other folders, lies elsewhere: a source is all that its folder holds
     asked = *map(str, scenes), plan.agents, plan.reading, plan.params.variants
@@ -173,7 +171,7 @@ def _train(composed: Path, models: Path, plan: TrainingPlan, *, jobs: int, tell:
     ]
     done, total = 0, len(SETS) * plan.seeds
     tell("training", 0, total)
-    settings = Settings(timeout_s=86_400, memory_mb=_TRAINING_MB)
+    settings = Settings(timeout_s=86_400, memory_mb=32_000)  # torch reserves more than it uses
     for outcomes in execute_here(tasks, jobs=min(jobs, len(SETS)), settings=settings):
         for outcome in outcomes:
             if outcome.failure is not None:
