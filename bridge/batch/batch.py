@@ -354,11 +354,9 @@ def _row(outcome: TaskResult, options: Options) -> ManifestRow:
 
 
 def _bundle_name(row: ManifestRow) -> str:
-    """Name of the file of a failure's bundle, which file systems take: a long scene's is cut, and has a digest."""
-    name = row.scenario.encode()
-    if len(name) > _LONGEST_NAME:
-        name = name[:_LONGEST_NAME] + b"_" + hashlib.sha256(name).hexdigest()[:8].encode()
-    return f"{name.decode(errors='ignore')}_{row.config_sha256[:8]}_{row.variant}.zip"
+    """Name of the file of a failure's bundle: the scene's, cut to what file systems take, and a digest of its row."""
+    digest = hashlib.sha256(f"{row.scenario}\n{row.config_sha256}".encode()).hexdigest()
+    return f"{row.scenario.encode()[:_LONGEST_NAME].decode(errors='ignore')}_{digest[:8]}_{row.variant}.zip"
 
 
 @contextlib.contextmanager

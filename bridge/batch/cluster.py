@@ -23,8 +23,14 @@ from bridge.batch.engine import AHEAD, Task, TaskResult, run_task
 from bridge.batch.isolation import Failure, IsolatedProcess, Settings
 from netconvert.errors import BatchError, ConfigError, Hid2Error
 
+#: Seconds to reach a scheduler.
+_CONNECT_S = 10
 #: Seconds for which a scheduler may have no workers at all.
 _WORKERS_S = 300.0
+_NO_WORKERS = (
+    "scheduler {where}: no workers for {seconds:g} s, expected some on each host: dask worker {where} --nthreads 1 "
+    "(then go on with --resume)"
+)
 _TLS = "expected Dask's settings distributed.comm.tls.ca-file, .client.cert and .client.key (bridge/batch/README.md)"
 
 #: Loggers of messages that errors say instead.
@@ -50,8 +56,7 @@ def execute_on_dask(
             with contextlib.suppress(TimeoutError):
                 client.wait_for_workers(1, timeout=_WORKERS_S)
             if not (threads := sum(client.nthreads().values())):
-                wanted = f"some on each host: dask worker {scheduler} --nthreads 1 (then go on with --resume)"
-                raise BatchError(f"scheduler {scheduler}: no workers for {_WORKERS_S:g} s, expected {wanted}")
+                raise BatchError(_NO_WORKERS.format(where=scheduler, seconds=_WORKERS_S))
             for task in itertools.islice(waiting, max(0, AHEAD * threads - len(running))):
                 running[client.submit(_run_on_worker, task, how, pure=False)] = task
             if not running:
@@ -110,7 +115,7 @@ def _client(scheduler: str) -> Iterator[Client]:
     try:
         if scheduler.startswith("tls") and Security().get_connection_args("client").get("ssl_context") is None:
             raise ConfigError(f"scheduler {scheduler!r}: no certificates for it, {_TLS}")
-        client = Client(scheduler, timeout=10, set_as_default=False)
+        client = Client(scheduler, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         way_out = f", {_TLS}" if scheduler.startswith("tls") else ""
         raise BatchError(f"scheduler {scheduler}: cannot be reached ({error}){way_out}") from error

@@ -181,10 +181,15 @@ def run_task(task: Task, process: IsolatedProcess, settings: Settings) -> list[T
             failed_starts += 1
             may_pass = error.failure.kind in _RETRIED and failed_starts <= settings.retries
             if not (may_pass or process.stopped):
-                # of a process that ended, the last that it wrote, too
-                said = error.failure.details.strip().splitlines() if error.failure.kind in _RETRIED else []
-                reason = one_line(": ".join([error.failure.message, *said[-1:]]), most=500)
-                way_out = "mend that and continue with --resume"
-                raise BatchError(f"no scene process can begin its work here ({reason}); {way_out}") from error
+                raise BatchError(_no_start(error.failure)) from error
             began = time.monotonic()
     return outcomes
+
+
+def _no_start(failure: Failure) -> str:
+    """Why no process can begin, on one line: what it said, or the last that it wrote before it ended."""
+    said = failure.details.strip().splitlines() if failure.kind in _RETRIED else []
+    reason = f"{failure.message}: {said[-1]}" if said else failure.message
+    return (
+        f"no scene process can begin its work here ({one_line(reason, most=500)}); mend that and continue with --resume"
+    )

@@ -31,13 +31,21 @@ from typing import Any, Literal, TypeVar
 from bridge.files import disk_error
 from netconvert.errors import Hid2Error
 
+#: Seconds for a new process to import what the work needs, and to compile kernels that set-up has not compiled.
+START_TIMEOUT_S = 600.0
 #: Seconds that a process which ran out of time has to end itself before it is killed.
 GRACE_S = 3.0
+#: Memory of a process at the end of a call, MB, above which it is replaced before the next one.
+MAX_RSS_MB = 600.0
 
 _MB = 1_000_000
 #: Bytes that are read of what a process wrote last, to tell why it ended.
 _TAIL_BYTES = 8000
+#: Packages with messages that an isolated process passes on to its caller.
+_PACKAGES = ("netconvert", "hid2", "bridge")
 _LOG = logging.getLogger(__name__)
+#: What faulthandler writes before it ends a process that ran out of time.
+_RAN_OUT = re.compile(r"^Timeout \(\d+:\d\d:\d\d[.\d]*\)!$", re.MULTILINE)
 
 _SERVE = "from bridge.batch.isolation import serve; serve()"
 _ONE = "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "PYDANTIC_DISABLE_PLUGINS"
@@ -99,14 +107,14 @@ class IsolatedProcess:
             self._start()
         with contextlib.suppress(OSError):  # it has ended, as is found next
             self._connection.send((function, arguments, self._settings.timeout_s, _LOG.isEnabledFor(logging.DEBUG)))
-        kind, value = self._receive(600.0)  # it imports what the work needs, and compiles kernels that set-up has not
+        kind, value = self._receive(START_TIMEOUT_S)
         if kind == "failed":
             raise StartFailedError(value)
         while kind in ("started", "value"):  # imported: the clock of the work starts here
             kind, value = self._receive(self._settings.timeout_s)
             if kind != "end":
                 yield value
-            elif value > 600.0:  # MB at the end of a call: another process takes the next one
+            elif value > MAX_RSS_MB:
                 self.close()
 
     def stop(self) -> None:
@@ -149,8 +157,9 @@ class IsolatedProcess:
                     start_new_session=True,  # Ctrl-C is for the caller, which then closes this process
                 )
         except OSError as error:
-            failure = Failure("exception", f"{error.filename or 'the system'}: {error.strerror}")
-            raise StartFailedError(failure) from error
+            raise StartFailedError(
+                Failure("exception", f"{error.filename or 'the system'}: {error.strerror}")
+            ) from error
         finally:
             there.close()
 
@@ -178,8 +187,7 @@ class IsolatedProcess:
         written = os.fstat(self._stderr.fileno()).st_size
         details = os.pread(self._stderr.fileno(), _TAIL_BYTES, max(0, written - _TAIL_BYTES)).decode(errors="replace")
         self.close()
-        # what faulthandler writes before it ends a process that ran out of time
-        if code == 1 and re.search(r"^Timeout \(\d+:\d\d:\d\d[.\d]*\)!$", details, re.MULTILINE):
+        if code == 1 and _RAN_OUT.search(details):
             ran_out_of_s = self._settings.timeout_s
         if ran_out_of_s is not None:
             return Failure("timeout", f"no result after {ran_out_of_s:g} s: the process was ended", details)
@@ -206,7 +214,7 @@ class _ToCaller(logging.Handler):
 
 def _log_to(connection: "Connection[Any, Any]", *, debug: bool) -> None:
     """Pass the packages' messages on, where the caller wants debug messages; else they go to stderr, as warnings do."""
-    for package in ("netconvert", "hid2", "bridge"):
+    for package in _PACKAGES:
         logger = logging.getLogger(package)
         logger.handlers = [_ToCaller(connection)] if debug else []
         logger.propagate = not debug

@@ -41,6 +41,8 @@ MAX_BUNDLE_MB, MAX_UNPACKED_MB, MAX_MEMBERS = 64, 128, 64
 _REQUEST, _FAILURE, _DETAILS, _SCENE = "request.json", "failure.json", "details.txt", "scene/"
 #: What comes of a file that is no bundle.
 _REFUSED = (OSError, ValueError, KeyError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error, ConfigError)
+#: How the entry of a file in the directory of an archive begins.
+_ENTRY = b"PK\1\2"
 #: Files of a scene in a bundle, MB together, so that it can be read again; a scene's own come first.
 _MOST_OF_SCENE_MB = 60
 _MOST_DETAILS, _MOST_REASON = 200_000, 2_000
@@ -140,8 +142,7 @@ def read_bundle(path: Path, into: Path, *, functions: Collection[str] = ()) -> B
     """
     try:
         content = read_regular(path, most_mb=MAX_BUNDLE_MB)
-        # entries of its directory, before `zipfile` makes an object of each; data hold few by chance
-        if content.count(b"PK\1\2") > 2 * MAX_MEMBERS:
+        if content.count(_ENTRY) > 2 * MAX_MEMBERS:  # before `zipfile` makes an object of each; data hold few by chance
             raise ValueError(f"more than {2 * MAX_MEMBERS} files in it, expected at most {MAX_MEMBERS}")
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = _members(archive)

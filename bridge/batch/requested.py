@@ -17,6 +17,11 @@ from hid2.params import Config, Request
 from hid2.policies import Policy
 from netconvert.errors import ConfigError, Hid2Error
 
+#: Most scenes that are looked at for one that can meet what is asked for.
+_LOOKED_AT = 100
+#: Trigger time up to which no scene is looked at, s: the shortest recordings last longer.
+_SHORTEST_S = 4.9
+
 
 def named_behaviours(request: Request, *, by_option: bool) -> tuple[Policy, ...]:
     """Behaviours asked for by name: all in --behaviours, else those with another share than the usual; not straight."""
@@ -29,18 +34,17 @@ def named_behaviours(request: Request, *, by_option: bool) -> tuple[Policy, ...]
 
 
 def check_request(folders: Sequence[Address], config: Config, named: Sequence[Policy], *, jobs: int) -> None:
-    """Look at the first 100 scenes until each thing asked for can come about in one. Errors: ConfigError if none can.
-
-    None is looked at for a trigger in the first 4.9 s alone: the shortest recordings last longer.
-    """
+    """Look at the first scenes until each thing asked for can come about in one. Errors: ConfigError if none can."""
     request = config.request
     if request.own:
         find_in_working_folder()
-    if not request.is_near_agents and not config.event and not named and request.first_trigger_s <= 4.9:
+    if not request.is_near_agents and not config.event and not named and request.first_trigger_s <= _SHORTEST_S:
         return
     never: dict[str, str] | None = None
     seen = 0
-    each = work_on_each(never_in_scene, folders[:100], shared=(config, named), jobs=jobs, chunk=1, timeout_s=60.0)
+    each = work_on_each(
+        never_in_scene, folders[:_LOOKED_AT], shared=(config, named), jobs=jobs, chunk=1, timeout_s=60.0
+    )
     with contextlib.closing(each):
         for folder, found in each:
             if isinstance(found, Failure):

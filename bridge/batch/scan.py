@@ -23,6 +23,8 @@ from netconvert.errors import ConfigError
 from netconvert.lane_graph import SIDES, LaneSegment, TurnType
 
 _LOG = logging.getLogger(__name__)
+#: Most scenes that a process gets at a time.
+_CHUNK = 16
 #: Events that may be looked for, as `kind:target`: with the recording vehicle and the focal track.
 EVENTS = tuple(
     f"{kind}:{target}" for kind in get_args(Event.model_fields["kind"].annotation) for target in ("av", "focal")
@@ -99,7 +101,7 @@ def facts_of(
     own = _own_in(can)
     asked = tuple(dict.fromkeys((*(name for name in EVENTS if name in can), *own)))
     return sorted_out(
-        work_on_each(describe_scene, folders, shared=asked, jobs=jobs, chunk=16, timeout_s=60, on_item=on_scene)
+        work_on_each(describe_scene, folders, shared=asked, jobs=jobs, chunk=_CHUNK, timeout_s=60, on_item=on_scene)
     )
 
 
