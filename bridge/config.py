@@ -11,7 +11,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from pydantic import ValidationError
 
 from bridge.files import one_line, printable
@@ -177,7 +176,7 @@ def config_from_dict(data: Mapping[str, Any], *, source: str = "configuration") 
 
 def _plain(value: object) -> object:
     """A value of numpy's as one of Python's; text of anything else, which no parameter takes."""
-    return value.tolist() if isinstance(value, np.generic | np.ndarray) else str(value)
+    return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
 def config_sha256(config: Config) -> str:

@@ -73,14 +73,14 @@ def check_same_request(out: Path, config: Config) -> None:
     """Errors: ConfigError where a folder holds scenes, and none of this request."""
     rows = [row for row in read_manifest(out / MANIFEST_NAME)[0] if row.folder and (out / row.folder).is_dir()]
     digests = {row.config_sha256 for row in rows}
-    if config_sha256(config) in digests:
+    # a batch that was killed may have left scenes without a row
+    found = [out / row.folder for row in rows[-1:]] or [path.parent for path in out.glob(f"*/*/{SIDECAR_PATTERN}")]
+    if not found or config_sha256(config) in digests:
         return
     from bridge.recordings.sidecar import read_sidecar
 
     before, now = dict[str, Any](), _flat(config_to_dict(config))
-    # a batch that was killed may have left scenes without a row
-    found = [out / row.folder for row in rows[-1:]] or [path.parent for path in out.glob(f"*/*/{SIDECAR_PATTERN}")]
-    with contextlib.suppress(Hid2Error, StopIteration, IndexError):
+    with contextlib.suppress(Hid2Error, StopIteration):
         sidecar = read_sidecar(next(found[0].glob(SIDECAR_PATTERN)))
         before = _flat(sidecar.config)
         digests.add(sidecar.config_sha256)

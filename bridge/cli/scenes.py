@@ -68,11 +68,12 @@ def scan(
     What each column is: bridge/generation/README.md, Which scenes.
     """
     from bridge.batch.scan import EVENTS, SceneFacts, Selection, facts_of, select
-    from bridge.files import write_rows
+    from bridge.files import make_folder, write_rows
 
     folders = recordings(scenes, windows, activity)
     if out is not None and as_json:
         raise ConfigError("--json does nothing here, as -o names a CSV file; give one of the two")
+        make_folder(out.parent)
     activity.doing("reading scenes")
     facts, failures = facts_of(folders, (*which.can, *(EVENTS if events else ())), jobs=jobs, on_scene=activity.show)
     tell_unread(failures)
