@@ -73,6 +73,7 @@ def scan(
     folders = recordings(scenes, windows, activity)
     if out is not None and as_json:
         raise ConfigError("--json does nothing here, as -o names a CSV file; give one of the two")
+    if out is not None:
         make_folder(out.parent)
     activity.doing("reading scenes")
     facts, failures = facts_of(folders, (*which.can, *(EVENTS if events else ())), jobs=jobs, on_scene=activity.show)
