@@ -82,7 +82,7 @@ def test_overtake_passes_the_target_and_comes_back_before_it(prepared: PreparedS
 def test_leader_brakes_as_hard_as_is_asked_for(prepared: PreparedScene, asked_mps2: float) -> None:
     """Within a fifth, in the exported positions, and not before the moment: its wish does not wander."""
     asked = {"kind": "lead", "target": "any", "at_s": (3.0, 6.0), "brakes_mps2": asked_mps2}
-    scene = made(prepared, asked, drivers=Drivers(wander_sd_mps=0.0))
+    scene = made(prepared, asked, drivers=Drivers(desired_mean=1.0, wander_sd_mps=0.0))
     (event,) = scene.sidecar.events
     assert event.status == "done", event.reason
     speed = np.hypot(*np.gradient(scene.generated[0].position, 0.1, axis=0).T)
