@@ -169,14 +169,11 @@ def config_from_dict(data: Mapping[str, Any], *, source: str = "configuration") 
             if not values[section] and section not in Config.model_fields:  # a section of which nothing is left
                 del values[section]
     try:  # as JSON, in which lists are taken for tuples and sets, and no other type for another
-        return Config.model_validate_json(json.dumps(values, default=_plain), strict=True)
+        # values of numpy's as those of Python's; text of anything else, which no parameter takes
+        text = json.dumps(values, default=lambda value: value.tolist() if hasattr(value, "tolist") else str(value))
+        return Config.model_validate_json(text, strict=True)
     except ValidationError as error:
         raise ConfigError(f"{source}: {_explain(error)}") from error
-
-
-def _plain(value: object) -> object:
-    """A value of numpy's as one of Python's; text of anything else, which no parameter takes."""
-    return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
 def config_sha256(config: Config) -> str:

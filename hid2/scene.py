@@ -10,9 +10,8 @@ import numpy as np
 
 from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, IntArray, Track
 from hid2.drivers.driver import OFFSET_MAX_M, place_of_lane
-from hid2.measures.arrays import MOVES_MPS, MOVING_EXTENT_M, MOVING_S
+from hid2.measures.arrays import MOVES_MPS, MOVING_EXTENT_M, MOVING_S, STANDS_MPS
 from hid2.measures.driven_lanes import STRETCH_M, recorded_places
-from hid2.measures.encounters import STANDS_MPS
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.surrogates import END_HORIZON_S
 from hid2.motion.route import DrivenPath, LanePaths

@@ -325,8 +325,8 @@ def _is_complete(row: ManifestRow, base: ManifestRow, place: SceneFolders) -> bo
 
 def _written(place: SceneFolders, folder: Path) -> list[Path]:
     """What is written of a scene: the files of its folder and, where asked for, its sequence of Argoverse 1."""
-    sequence = [sequence_path(place.out, split_of(place.folder), folder.name)] if place.argoverse1 else []
-    return [*output_files(folder), *(path for path in sequence if path.is_file())]
+    sequence = sequence_path(place.out, split_of(place.folder), folder.name)
+    return [*output_files(folder), *([sequence] if place.argoverse1 and sequence.is_file() else [])]
 
 
 def _row(outcome: TaskResult, options: Options) -> ManifestRow:
@@ -343,7 +343,9 @@ def _row(outcome: TaskResult, options: Options) -> ManifestRow:
             "(installed from other source, or edited while the batch ran)"
         )
     row = row._replace(attempts=outcome.attempts, seconds=round(outcome.seconds, 3))
-    path = place.out / QUARANTINE / (row.split or ".") / _bundle_name(row)
+    digest = hashlib.sha256(f"{row.scenario}\n{row.config_sha256}".encode()).hexdigest()[:8]
+    named = row.scenario.encode()[:_LONGEST_NAME].decode(errors="ignore")
+    path = place.out / QUARANTINE / (row.split or ".") / f"{named}_{digest}_{row.variant}.zip"
     if failure is None:
         path.unlink(missing_ok=True)
         return row
@@ -351,12 +353,6 @@ def _row(outcome: TaskResult, options: Options) -> ManifestRow:
     write_bundle(Bundle(place.folder, *asked, failure, row.version), path)
     reason, bundle = one_line(failure.message, most=MAX_TEXT), path.relative_to(place.out).as_posix()
     return row._replace(status=QUARANTINED, failure=failure.kind, reason=reason, bundle=bundle)
-
-
-def _bundle_name(row: ManifestRow) -> str:
-    """Name of the file of a failure's bundle: the scene's, cut to what file systems take, and a digest of its row."""
-    digest = hashlib.sha256(f"{row.scenario}\n{row.config_sha256}".encode()).hexdigest()
-    return f"{row.scenario.encode()[:_LONGEST_NAME].decode(errors='ignore')}_{digest[:8]}_{row.variant}.zip"
 
 
 @contextlib.contextmanager

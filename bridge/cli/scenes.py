@@ -110,9 +110,11 @@ def net(
     if signals and lanes == "cells":
         raise ConfigError("--signals: expected --lanes whole with it, a net of cells has no signals")
     is_map = scene.suffix == ".json" and not scene.is_dir()
-    used = {"SCENE", "--out", "--lanes", "--signals", "--verbose", "--quiet"}
-    used |= (set() if is_map else {"--map", "--window"}) | (set() if lanes == "whole" else {"--json"})
-    given.check(used, f"--lanes {lanes} of {'a map' if is_map else 'a scene'}")
+    more = (set() if is_map else {"--map", "--window"}) | (set() if lanes == "whole" else {"--json"})
+    given.check(
+        {"SCENE", "--out", "--lanes", "--signals", "--verbose", "--quiet", *more},
+        f"--lanes {lanes} of {'a map' if is_map else 'a scene'}",
+    )
     found = scene if is_map else one_scene(scene, window)
     check_out(out)
     activity.doing("converting the map")

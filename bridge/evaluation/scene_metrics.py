@@ -65,9 +65,8 @@ def measure_folder(folder: Address, sources: Collection[str] = ()) -> SceneMeasu
     Errors: ScenarioError, MapError.
     """
     recording = read_recording(folder)
+    _check_fixed(recording)
     sidecar = recording.sidecar
-    if sidecar is not None and sidecar.replay.mode == "reactive":
-        raise ScenarioError(f"{folder}: {REACTIVE}")
     apart = sidecar is not None and sidecar.source_scenario_id not in sources
     measures = measure(recording, recording.tracks, sidecar, apart=apart)
     name: Row = {"scenario_id": recording.scenario_id}
@@ -75,6 +74,12 @@ def measure_folder(folder: Address, sources: Collection[str] = ()) -> SceneMeasu
     before = dict.fromkeys(TABLES, name) | {"scenes": name | place, "events": name | {"folder": str(folder)}}
     tables = {table: [before[table] | row for row in rows] for table, rows in measures.tables.items()}
     return replace(measures, tables=tables)
+
+
+def _check_fixed(recording: Recording) -> None:
+    """Errors: ScenarioError where recorded vehicles react: they are not where they were recorded."""
+    if recording.sidecar is not None and recording.sidecar.replay.mode == "reactive":
+        raise ScenarioError(f"{recording.folder}: {REACTIVE}")
 
 
 def measure(
@@ -144,8 +149,7 @@ def evaluate_scene(scene: TrafficScene, *own: Callable[[Group], float]) -> "pd.D
     import pandas as pd
 
     recording = scene.recording
-    if recording.sidecar is not None and recording.sidecar.replay.mode == "reactive":
-        raise ScenarioError(f"{recording.folder}: {REACTIVE}")
+    _check_fixed(recording)
     _, groups = _grouped(recording, recording.tracks)
     found: dict[str, list[object]] = {}
     for metric in METRICS:

@@ -3,6 +3,9 @@
 from hid2.drivers.driver import Driver
 from hid2.params import Config
 
+#: SUMO's emergencyDecel of cars, m/s2.
+_EMERGENCY_MPS2 = 9.0
+
 
 def model_parameters(config: Config) -> dict[str, float]:
     """Attributes of the vehicle type that all vehicles of a configuration share, beside the car-following model."""
@@ -18,6 +21,6 @@ def driver_attributes(driver: Driver, model: str) -> dict[str, float]:
     """Attributes of a type of one driver's own: a driver desires its own speed, whatever the lane allows beyond it."""
     return {
         "accel": driver.accel_mps2, "decel": driver.decel_mps2,
-        "emergencyDecel": max(driver.decel_mps2, 9.0), "tau": driver.tau_s, "minGap": driver.min_gap_m,  # 9: cars'
+        "emergencyDecel": max(driver.decel_mps2, _EMERGENCY_MPS2), "tau": driver.tau_s, "minGap": driver.min_gap_m,
         "maxSpeed": driver.desired_mps, "speedFactor": 1.0, "speedDev": 0.0,
     } | ({"sigma": 0.0} if model == "Krauss" else {})  # fmt: skip

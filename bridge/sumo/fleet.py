@@ -97,24 +97,26 @@ class Fleet:
     def __post_init__(self, starts: Sequence[Start]) -> None:
         """No vehicle has moved yet."""
         self.guard = Guard(self.scene, self.kept, self.stop_lines)
+        self.state, self.centre = np.zeros((0, 5)), np.zeros((0, 2))
+        self.along_m, self.length_m = np.zeros(0), np.zeros(0)
+        self.desired_mps, self.drivers = np.zeros((0, self.scene.num_steps)), np.zeros((0, 4))
+        self.yielding = np.zeros(0, dtype=np.bool_)
         self.add(starts)
 
     def add(self, starts: Sequence[Start]) -> None:
         """Vehicles that have not moved yet."""
-        count, steps = len(starts), self.scene.num_steps
+        if not starts:
+            return
+        count = len(starts)
         self.vehicles += [DrivenVehicle(start=start, path=start.path) for start in starts]
         self.contexts += [self._context(start.path, start.driver) for start in starts]
-        columns = {
-            "state": np.zeros((count, 5)),
-            "centre": np.full((count, 2), np.inf),
-            "along_m": np.full(count, np.nan),
-            "length_m": np.array([start.box.length_m for start in starts], dtype=np.float64),
-            "desired_mps": np.reshape([start.desired[:steps] for start in starts], (count, steps)),
-            "drivers": np.reshape([start.driver.following for start in starts], (count, 4)),
-            "yielding": np.zeros(count, dtype=np.bool_),
-        }
-        for name, new in columns.items():
-            setattr(self, name, np.concatenate([getattr(self, name, new[:0]), new]))
+        self.state = np.concatenate([self.state, np.zeros((count, 5))])
+        self.centre = np.concatenate([self.centre, np.full((count, 2), np.inf)])
+        self.along_m = np.concatenate([self.along_m, np.full(count, np.nan)])
+        self.length_m = np.concatenate([self.length_m, [start.box.length_m for start in starts]])
+        self.desired_mps = np.concatenate([self.desired_mps, [one.desired[: self.scene.num_steps] for one in starts]])
+        self.drivers = np.concatenate([self.drivers, [start.driver.following for start in starts]])
+        self.yielding = np.concatenate([self.yielding, np.zeros(count, dtype=np.bool_)])
         self._forget_obstacles()  # all vehicles see the new ones
 
     def begin(self, row: int) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from hid2.agents import FloatArray, IntArray
 from hid2.drivers.driver import TRUNCATED_AT, Driver, desired_speeds, lane_offset
 from hid2.evaluation.windows import Windows, lateral_accel_mps2, polynomial_fit, windows
-from hid2.measures.encounters import STANDS_MPS
+from hid2.measures.arrays import STANDS_MPS
 from hid2.measures.following import leaders
 from hid2.measures.manoeuvres import detect, whole_lane_changes
 from hid2.occupancy.agent_states import AgentStates
@@ -191,8 +191,8 @@ def _measured(
     for name, (value, low, high) in zip(names, estimates, strict=True):
         if value is None or low is None or high is None:
             return [_kept(name, what, prior, drivers) for name in names]
-        value, low, high = _bounded(name, value), _bounded(name, low), _bounded(name, high)
-        found.append(CalibratedQuantity(name, value, low, high, drivers, "measured", what))
+        low, high = _bounded(name, low), _bounded(name, high)
+        found.append(CalibratedQuantity(name, _bounded(name, value), low, high, drivers, "measured", what))
     return found
 
 

@@ -13,17 +13,8 @@ import numpy as np
 from hid2.agents import FloatArray, Policy
 from hid2.evaluation.kinematics import Kinematics
 from hid2.evaluation.safety import Safety, colliding
-from hid2.measures.arrays import BoolArray, SceneArrays
-from hid2.measures.encounters import (
-    BRAKES_MPS2,
-    FOLLOWS_FOR_S,
-    FOLLOWS_S,
-    NEAR_M,
-    STANDS_FOR_S,
-    STANDS_MPS,
-    WITHIN_S,
-    Partner,
-)
+from hid2.measures.arrays import STANDS_FOR_S, STANDS_MPS, BoolArray, SceneArrays
+from hid2.measures.encounters import BRAKES_MPS2, FOLLOWS_FOR_S, FOLLOWS_S, NEAR_M, WITHIN_S, Partner
 from hid2.measures.manoeuvres import Maneuver
 from hid2.params import Conflict, Limits
 from hid2.policy.behaviours import BEHAVIOURS, behaviour_seen

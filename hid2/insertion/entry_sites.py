@@ -11,7 +11,7 @@ from hid2.insertion.situations import Situation
 from hid2.insertion.spread import Spread
 from hid2.insertion.starts import CLEAR_GAP_M, Site, Starts, speed_behind
 from hid2.insertion.surroundings import Surroundings
-from hid2.measures.encounters import STANDS_MPS
+from hid2.measures.arrays import STANDS_MPS
 from hid2.occupancy.gaps import gaps_from_pose
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config

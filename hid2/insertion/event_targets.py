@@ -66,7 +66,7 @@ def target_of(scene: Scene, row: int) -> Target | None:
         return None
     return Target(
         track=scene.tracks[row], present=traffic.present[row], position=traffic.position[row],
-        heading=traffic.heading[row], speed=traffic.speed[row],
+        heading=traffic.heading[row], speed=np.hypot(*traffic.velocity[row].T),
         way=np.concatenate([[0.0], np.cumsum(step)]),
         runs=tuple(
             (int(lanes.lane_ids[run.lane]), int(arrays.step[run.first]), int(arrays.step[run.last])) for run in runs

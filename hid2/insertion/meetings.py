@@ -13,7 +13,8 @@ from hid2.drivers.driver import LINE_GAP_M
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.insertion.situations import Situation
 from hid2.kernels.meetings import met_on_route
-from hid2.measures.encounters import BRAKES_MPS2, CROSSING_RAD, FOLLOWS_FOR_S, FOLLOWS_S, STANDS_MPS
+from hid2.measures.arrays import STANDS_MPS
+from hid2.measures.encounters import BRAKES_MPS2, CROSSING_RAD, FOLLOWS_FOR_S, FOLLOWS_S
 from hid2.motion.route import Route
 from hid2.occupancy.traffic import BoolArray
 from hid2.once import once

@@ -21,7 +21,7 @@ from hid2.judge.findings import FOLLOWER_HEADWAY_S, FOLLOWER_LACKS_MPS2, MOVES_M
 from hid2.judge.states import contacts_at_end, lacked_braking, recorded_headways, sustained_headway
 from hid2.kernels.rollout import CONTACT, LAG_TTC, LEAD_TTC, met_by, roll
 from hid2.manoeuvre import ManoeuvreDue, advance
-from hid2.measures.encounters import STANDS_FOR_S, STANDS_MPS
+from hid2.measures.arrays import STANDS_FOR_S, STANDS_MPS
 from hid2.motion.route import DrivenPath, Jump
 from hid2.motion.smoothing import Motion, trajectory
 from hid2.occupancy.along_path import PathOccupancy
@@ -144,9 +144,9 @@ class World:
         scene, own = self.scene, candidate.traffic.span(slice(self.scene.num_steps))
         movers, recorded, forward = scene.movers
         critical_s = scene.config.conflict.follower_ttc_min_s
-        boxes = recorded.length_m[:, None], recorded.width_m[:, None]
-        seen = gaps_from_poses(recorded.position, forward, boxes, own)
-        speed, closing = recorded.speed, recorded.speed - seen.along_mps
+        seen = gaps_from_poses(recorded.position, forward, (recorded.length_m[:, None], recorded.width_m[:, None]), own)
+        speed = recorded.speed
+        closing = speed - seen.along_mps
         room_m = np.maximum(_FOLLOWS_M + critical_s * closing, headway_s * speed)
         room_m = np.maximum(room_m, _FOLLOWS_M + np.maximum(closing, 0.0) ** 2 / (2.0 * FOLLOWER_LACKS_MPS2))
         near = (seen.along_m > -own.length_m) & (seen.gap_m < room_m) & (seen.aside_m < _ASIDE_M)

@@ -18,7 +18,8 @@ from hid2.insertion.rollout import QUEUE_M, SLOWEST_SHARE, RolledOut, Rollout, W
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.situations import Situation, foreseen
 from hid2.judge.findings import CURVATURE_KEPT, FOLLOWER_HEADWAY_S, LEADER_LENGTH_S
-from hid2.measures.encounters import BRAKES_FOR_S, FOLLOWS_S, STANDS_MPS
+from hid2.measures.arrays import STANDS_MPS
+from hid2.measures.encounters import BRAKES_FOR_S, FOLLOWS_S
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
 from hid2.occupancy.along_path import PathOccupancy

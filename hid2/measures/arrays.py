@@ -13,6 +13,8 @@ from netconvert.geometry import BoolArray as BoolArray
 MOVING_EXTENT_M, MOVING_S = 5.0, 1.0
 #: Speed below which an agent does not move at a step, m/s: it has neither a direction of motion nor a curvature.
 MOVES_MPS = 1.0
+#: Speed below which a vehicle stands, m/s, and least duration of standing, s.
+STANDS_MPS, STANDS_FOR_S = 0.3, 0.5
 #: Category of tracker fragments (AV2's TRACK_FRAGMENT).
 FRAGMENT = 0
 

@@ -160,11 +160,10 @@ def _conflict(
     second = sum(pair) - first
     ttc_s = float(span.ttc_s.min(initial=np.inf))
     then = int(span.step[np.argmin(span.ttc_s)]) if math.isfinite(ttc_s) else steps[0]
-    met = crossed.passed if crossed and not math.isfinite(ttc_s) else (then, then)
-    at = {agent: int(arrays.row_of[agent, step]) for agent, step in zip(pair, met, strict=True)}
-    one, other = at[first], at[second]
+    met = dict(zip(pair, crossed.passed if crossed and not math.isfinite(ttc_s) else (then, then), strict=True))
+    one, other = (int(arrays.row_of[agent, met[agent]]) for agent in (first, second))
     x_m, y_m = arrays.position[[one, other]].mean(axis=0).tolist()
-    course = pair_course(arrays, second, first).during(*steps)
+    needed = pair_course(arrays, second, first).during(*steps).drac_mps2
     pet_s = crossed.pet_s if crossed else _following_pet(arrays, first, second, steps)
     angle = math.degrees(float(wrap_angle(arrays.heading[other] - arrays.heading[one])))
     kind = "rear_end" if abs(angle) < REAR_END_DEG else "crossing" if abs(angle) > CROSSING_DEG else "lane_change"
@@ -174,7 +173,7 @@ def _conflict(
         first_id=arrays.track_ids[first], second_id=arrays.track_ids[second], kind=kind,
         start_s=round(steps[0] * arrays.step_s, 6), end_s=round(steps[1] * arrays.step_s, 6),
         time_s=round(then * arrays.step_s, 6), ttc_s=ttc_s if math.isfinite(ttc_s) else None, pet_s=pet_s,
-        drac_mps2=float(course.drac_mps2.max(initial=0.0)), max_s_mps=float(speeds.max()),
+        drac_mps2=float(needed.max(initial=0.0)), max_s_mps=float(speeds.max()),
         delta_s_mps=float(np.hypot(*(arrays.velocity[one] - arrays.velocity[other]))), angle_deg=angle,
         x_m=x_m, y_m=y_m,
     )  # fmt: skip

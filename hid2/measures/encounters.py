@@ -7,7 +7,7 @@ from itertools import permutations
 import numpy as np
 
 from hid2.agents import FloatArray, IntArray
-from hid2.measures.arrays import BoolArray, SceneArrays
+from hid2.measures.arrays import STANDS_FOR_S, STANDS_MPS, BoolArray, SceneArrays
 from hid2.measures.following import LaneLeaders, time_gaps
 from hid2.measures.surrogates import encroachments
 from netconvert.geometry import arc_length
@@ -30,10 +30,6 @@ BRAKES_NEAR_S = 4.0
 WITHIN_S = 3.0
 #: Least angle at which paths cross.
 CROSSING_RAD = math.radians(40.0)
-#: Speed below which a vehicle stands, m/s.
-STANDS_MPS = 0.3
-#: Least duration of standing, s.
-STANDS_FOR_S = 0.5
 #: Least duration of what a vehicle meets, s, by the names of `meets_at`.
 LASTS_S = {"follows": FOLLOWS_FOR_S, "brakes": BRAKES_FOR_S, "stands": STANDS_FOR_S}
 

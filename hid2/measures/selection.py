@@ -6,7 +6,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from hid2.agents import FloatArray
-from hid2.measures.encounters import STANDS_FOR_S, STANDS_MPS
+from hid2.measures.arrays import STANDS_FOR_S, STANDS_MPS
 
 #: Deceleration above which braking is hard, m/s2, in the mean over a time, s: a tracker's noise is shorter. As near as
 #: that time to the ends of a track none counts: there trackers show a third less speed than there is.

@@ -53,7 +53,7 @@ class Traffic:
 
     @property
     def speed(self) -> FloatArray:
-        """(A, T) m/s."""
+        """(A, T) m/s, worked out each time."""
         return np.asarray(np.hypot(self.velocity[..., 0], self.velocity[..., 1]))
 
     @property

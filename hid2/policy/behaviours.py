@@ -138,11 +138,14 @@ def load_own(names: Collection[str]) -> dict[str, Policy]:
             raise ConfigError(f"request.own: {name!r} is {found!r:.200}, expected {wanted}")
         if not found.seen_as or (found.turn is None) == (not found.sides):
             raise ConfigError(f"request.own: {name!r}: expected seen_as, and either a turn or sides")
-        turns = tuple(TurnType) if found.turn is not None else (None,)
-        for field, kinds in (("seen_as", tuple(ManeuverKind)), ("sides", SIDES), ("turn", turns)):
-            value = getattr(found, field)
-            told = value if isinstance(value, tuple) else (value,)
-            if isinstance(value, tuple) is (field == "turn") or {*map(repr, told)} - {*map(repr, kinds)}:
-                raise ConfigError(f"request.own: {name!r}: {field} = {value!r:.100}, expected of {kinds}")
+        for field, kinds, is_sound in (
+            ("seen_as", tuple(ManeuverKind), all(isinstance(one, ManeuverKind) for one in found.seen_as)),
+            ("sides", SIDES, all(one in SIDES for one in found.sides)),
+            ("turn", tuple(TurnType), isinstance(found.turn, TurnType | None)),
+        ):
+            if not is_sound:
+                raise ConfigError(
+                    f"request.own: {name!r}: {field} = {getattr(found, field)!r:.100}, expected of {kinds}"
+                )
         BEHAVIOURS[found.policy], loaded[name] = found, found.policy
     return loaded

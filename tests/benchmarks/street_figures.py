@@ -34,9 +34,9 @@ from bridge.recordings.scenario import read_scenario
 from hid2.agents import FloatArray, Track
 from hid2.judge.findings import FOLLOWER_HEADWAY_S
 from hid2.judge.states import recorded_headways, sustained_headway
-from hid2.measures.arrays import BoolArray
+from hid2.measures.arrays import STANDS_FOR_S, STANDS_MPS, BoolArray
 from hid2.measures.driven_lanes import runs_of
-from hid2.measures.encounters import CROSSING_RAD, STANDS_FOR_S, STANDS_MPS
+from hid2.measures.encounters import CROSSING_RAD
 from hid2.measures.following import LaneLeaders, leaders
 from hid2.measures.lane_matching import FlatLanes, flatten_lanes
 from hid2.occupancy.agent_states import AgentStates, agent_states
