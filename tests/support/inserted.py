@@ -56,12 +56,12 @@ def scene_on(graph: LaneGraph, *tracks: Track, config: Config | None = None) -> 
 
 
 def guard_of(here: Surroundings) -> Guard:
-    """With nobody inserted."""
+    """With no vehicle inserted."""
     return Guard(here.scene, nobody(here.scene.future.num_steps), here.stop_lines)
 
 
 def sites_of(scene: Scene, seed: int = 0, *wants: Situation) -> InsertionSites:
-    """Sites of a scene with nobody inserted; wants: what all vehicles are to meet."""
+    """Sites of a scene without inserted vehicles; wants: what all vehicles are to meet."""
     here, wanted = Surroundings(scene), Wanted(dict.fromkeys(wants, 1.0), dict.fromkeys(wants, 0.0))
     return InsertionSites(here, guard_of(here), np.random.default_rng(seed), 0, Spread.of((seed, 0)), wanted)
 
