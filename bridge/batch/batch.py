@@ -325,8 +325,8 @@ def _is_complete(row: ManifestRow, base: ManifestRow, place: SceneFolders) -> bo
 
 def _written(place: SceneFolders, folder: Path) -> list[Path]:
     """What is written of a scene: the files of its folder and, where asked for, its sequence of Argoverse 1."""
-    sequence = sequence_path(place.out, split_of(place.folder), folder.name)
-    return [*output_files(folder), *([sequence] if place.argoverse1 and sequence.is_file() else [])]
+    sequence = [sequence_path(place.out, split_of(place.folder), folder.name)] if place.argoverse1 else []
+    return [*output_files(folder), *(path for path in sequence if path.is_file())]
 
 
 def _row(outcome: TaskResult, options: Options) -> ManifestRow:
