@@ -36,8 +36,9 @@ DEFAULT_SIZES: Mapping[str, BoxSize] = {
 
 #: Categories (Argoverse 2) of tracks that forecasts are scored on, and of the focal track, which matters most of these.
 SCORED_CATEGORY, FOCAL_CATEGORY = 2, 3
-#: Object types that drive on lanes.
+#: Object types that drive on lanes, and all that follow on roads and obey signals.
 VEHICLE_TYPES = frozenset({"vehicle", "bus"})
+ROAD_TYPES = VEHICLE_TYPES | {"motorcyclist", "cyclist"}
 
 
 @dataclass(frozen=True, eq=False, slots=True, repr=False)

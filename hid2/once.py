@@ -18,7 +18,10 @@ def once(method: Callable[[Any, *Asked], Found]) -> Callable[[Any, *Asked], Foun
 
     @wraps(method)
     def answer(self: Any, *asked: *Asked) -> Found:  # noqa: ANN401  # any object
-        known: dict[tuple[*Asked], Found] = self.__dict__.setdefault(name, {})
+        try:
+            known: dict[tuple[*Asked], Found] = self.__dict__[name]
+        except KeyError:
+            known = self.__dict__[name] = {}
         if asked not in known:
             known[asked] = method(self, *asked)
         return known[asked]

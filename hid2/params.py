@@ -276,7 +276,7 @@ class Conflict(_Section):
     """The three cases of conflict resolution, and what is exported at all."""
 
     horizon_s: float = _param(5.0, "s", "H delta: how far ahead conflicts are looked for", gt=0, le=10)
-    brake_max_mps2: float = _param(3.5, "m/s2", "hardest braking for a conflict", gt=0, le=4.05)
+    brake_max_mps2: float = _param(3.5, "m/s2", "hardest braking for a conflict", ge=1.1, le=4.05)
     margin_lateral_m: float = _param(0.1, "m", "added to each side of a box", ge=0, le=2)
     ttc_min_s: float = _param(1.5, "s", "critical TTC (SSAM)", ge=0, le=5)
     follower_ttc_min_s: float = _param(

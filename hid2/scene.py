@@ -28,6 +28,8 @@ from netconvert.lane_graph import TurnType
 
 #: Least stay of a vehicle that enters at the map's edge, s. No tunable: shorter tracks tell no behaviour.
 ENTRY_STAYS_S = 3.0
+#: Look-ahead for agents on the way across, also from behind, s. No tunable: as long as a lane change takes, and some.
+ACROSS_S = 8.0
 #: Desired speed of an added leader over the usual speed of its lane, least and largest of a uniform draw. No tunable:
 #: never a crawl on a free road, and no leader that is not worth an overtake.
 SLOW_LEADER_SHARE = 0.5, 0.7
@@ -89,8 +91,8 @@ class Scene:
 
     @cached_property
     def movers(self) -> tuple[IntArray, Traffic, FloatArray]:
-        """Rows (M,) of the recorded vehicles that ever move, these alone, at most as fast, and directions (M, T, 2)."""
-        rows = np.flatnonzero(self.states.arrays.moving_vehicles)
+        """Rows (M,) of those recorded that move on roads, these alone, at most as fast, and directions (M, T, 2)."""
+        rows = np.flatnonzero(self.states.arrays.moving_on_roads)
         alone = self.traffic.rows(rows.tolist())
         speed = np.array([self.states.speed(row) for row in rows.tolist()]).reshape(alone.heading.shape)
         forward = np.stack([np.cos(alone.heading), np.sin(alone.heading)], axis=-1)
@@ -249,7 +251,8 @@ class Scene:
 
 def future_of(traffic: Traffic, config: Config, *, step_s: float) -> Traffic:
     """Traffic with the steps beyond its last one that a configuration may look at."""
-    return traffic.extended(math.ceil((END_HORIZON_S + config.conflict.horizon_s) / step_s), step_s=step_s)
+    looks_s = max(END_HORIZON_S + config.conflict.horizon_s, ACROSS_S)
+    return traffic.extended(math.ceil(looks_s / step_s), step_s=step_s)
 
 
 def build_scene(

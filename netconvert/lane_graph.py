@@ -1,7 +1,7 @@
 """The lane graph of a scene, whatever map it came from: segments, successors, same-direction neighbours."""
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
@@ -133,6 +133,10 @@ class LaneGraph:
         """Lanes that have this one as successor, ascending. The source's own list is not used: it is incomplete."""
         return self._predecessors[lane_id]
 
+    def comes_back(self, route: Sequence[int], lane_id: int) -> bool:
+        """Whether a lane is on a route, or touches it before its last lane: a path may not come back over itself."""
+        return lane_id in route or not self._touching[lane_id].isdisjoint(route[:-1])
+
     def straightest_successor(self, lane_id: int) -> int | None:
         """The successor that turns least, the lower id of equals; None without one.
 
@@ -184,6 +188,15 @@ class LaneGraph:
         union = shapely.union_all(areas)
         shapely.prepare(union)
         return union
+
+    @cached_property
+    def _touching(self) -> dict[int, set[int]]:
+        """Lanes whose middle touches or crosses that of a lane, with itself."""
+        ids, middles = list(self.lanes), [shapely.LineString(lane.centerline) for lane in self.lanes.values()]
+        touching: dict[int, set[int]] = {lane_id: set() for lane_id in ids}
+        for one, other in shapely.STRtree(middles).query(middles, predicate="intersects").T.tolist():
+            touching[ids[one]].add(ids[other])
+        return touching
 
     @cached_property
     def _predecessors(self) -> dict[int, tuple[int, ...]]:

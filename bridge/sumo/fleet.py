@@ -117,7 +117,7 @@ class Fleet:
         self.desired_mps = np.concatenate([self.desired_mps, [one.desired[: self.scene.num_steps] for one in starts]])
         self.drivers = np.concatenate([self.drivers, [start.driver.following for start in starts]])
         self.yielding = np.concatenate([self.yielding, np.zeros(count, dtype=np.bool_)])
-        self._forget_obstacles()  # all vehicles see the new ones
+        self.forget_obstacles()  # all vehicles see the new ones
 
     def begin(self, row: int) -> None:
         """A vehicle is at its start now."""
@@ -190,16 +190,16 @@ class Fleet:
         if s is not None:
             vehicle.s[:] = s.tolist()
             self.state[row, S] = self.along_m[row] = s[-1]
-        self._forget_obstacles()  # all vehicles see the new intention
+        self.forget_obstacles()  # all vehicles see the new intention
 
     def look_anew(self, scene: Scene) -> None:
         """Recorded vehicles will be elsewhere than was known: nothing that was worked out of it holds any more."""
         self.scene = self.guard.scene = scene
         for context in self.contexts:
             context.in_width = None
-        self._forget_obstacles()
+        self.forget_obstacles()
 
-    def _forget_obstacles(self) -> None:
+    def forget_obstacles(self) -> None:
         """What is on the paths is worked out anew at the next use."""
         self._all_in_width = self._limit_inputs = None
         for context in self.contexts:

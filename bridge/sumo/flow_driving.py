@@ -13,9 +13,9 @@ from hid2.insertion.flow import Arrival
 from hid2.occupancy.gaps import gaps_from_pose
 from hid2.occupancy.traffic import Traffic
 
-#: `Fleet.near_m` of a fleet that others join, m: at every entry all vehicles look anew at those near, as none farther
-#: away gets near within the horizon.
-NEAR_M = 150.0
+#: `Fleet.near_m` of a fleet that others join, m, and time after which all vehicles look anew at those near, s: none
+#: farther away gets near within the horizon.
+NEAR_M, _LOOKS_S = 150.0, 1.0
 
 
 @dataclass(eq=False, slots=True)
@@ -43,6 +43,8 @@ class FlowDriving(FleetSimulation):
 
     def _steer(self, step: int) -> tuple[dict[int, Attempt], dict[int, Limit]]:
         """Those that are due are let in last, when it is known which vehicles change lanes at this step."""
+        if step % self.fleet.scene.steps_in(_LOOKS_S) == 0:
+            self.fleet.forget_obstacles()
         attempts, limits = FleetSimulation._steer(self, step)
         while self._next < len(self.arrivals) and self.arrivals[self._next].due_s <= step * self.fleet.scene.step_s:
             self._held.append(self.arrivals[self._next])

@@ -10,7 +10,7 @@ import numpy as np
 from bridge.sumo.fleet import Fleet
 from bridge.sumo.simulation import Simulation
 from hid2.agents import FloatArray, IntArray, Policy
-from hid2.conflicts.guard import ACROSS_S, A, S
+from hid2.conflicts.guard import A, S
 from hid2.kernels.steering import ACTS_MPS2, CAUSES, LIMIT_TOLERANCE_MPS, speed_limits
 from hid2.manoeuvre import Across, ManoeuvreDue, advance, foreseen_speeds
 from hid2.motion.lane_change_path import lateral_share
@@ -21,7 +21,7 @@ from hid2.policy.lane_change import SumoAnswer
 from hid2.policy.overtake import Stage
 from hid2.policy.roads import ways_at_next_split
 from hid2.reasons import Reason
-from hid2.scene import Scene
+from hid2.scene import ACROSS_S, Scene
 from netconvert.cells import Cell
 
 #: Deceleration of a vehicle that waits for a gap for those beside, m/s2. No tunable: traffic behind does not notice it.

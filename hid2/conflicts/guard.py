@@ -29,8 +29,6 @@ from hid2.scene import Scene
 #: Decelerations tried, least first, up to `conflict.brake_max_mps2`, m/s2. No tunables: `conflict` has the margins that
 #: a driver keeps, `kernels/guard.py` how it brakes.
 _BRAKES_MPS2 = (0.0, 0.5, 0.8, 1.1, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0)
-#: Look-ahead for agents on the way across, also from behind, s. No tunable: as long as a lane change takes, and some.
-ACROSS_S = 8.0
 _MARGINS_M = 10.0  # added to two boxes; not a parameter, it saves time: more than any lateral margin
 #: Columns of the fleet's state.
 S, V, A, EXECUTING, PRESENT = range(5)
@@ -86,7 +84,7 @@ class Guard:
     def brakes(self) -> FloatArray:
         """Decelerations that are tried, m/s2."""
         most_mps2 = self.scene.config.conflict.brake_max_mps2
-        return np.array([brake for brake in _BRAKES_MPS2 if brake <= most_mps2])
+        return np.array([*(brake for brake in _BRAKES_MPS2 if brake < most_mps2), most_mps2])
 
     @property
     def horizon(self) -> int:

@@ -36,8 +36,6 @@ AMBER_S = 1.5
 #: Largest distance of an opposite approach to where a lane of the intersection ends, m, and largest cosine of the angle
 #: between the two. No tunables.
 _OPPOSITE_M, _OPPOSITE = 25.0, -0.94
-#: Recorded object types that obey signals.
-SIGNALLED_TYPES = frozenset({"vehicle", "bus", "motorcyclist", "cyclist"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +58,7 @@ class _Watched(NamedTuple):
 class InferredSignals:
     """Red and green of the entrances of a scene: of lanes of an intersection that are entered from outside of it.
 
-    states: the recorded agents, of which those of SIGNALLED_TYPES count.
+    states: the recorded agents, of which those of ROAD_TYPES count.
     """
 
     graph: LaneGraph
@@ -70,9 +68,8 @@ class InferredSignals:
     @cached_property
     def _flows(self) -> BoolArray:
         """(A, T) whether an agent is cross traffic where it crosses."""
-        arrays = self.states.arrays
-        obeys = np.array([kind in SIGNALLED_TYPES for kind in arrays.object_types], dtype=np.bool_)
-        return np.asarray((self.states.traffic.speed > _FLOW_MPS) & (arrays.moving & obeys)[:, None])
+        moving = self.states.arrays.moving_on_roads
+        return np.asarray((self.states.traffic.speed > _FLOW_MPS) & moving[:, None])
 
     @cached_property
     def _flowing(self) -> tuple[IntArray, Traffic]:

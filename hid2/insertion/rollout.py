@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from hid2.agents import BoxSize, FloatArray
-from hid2.conflicts.guard import ACROSS_S, Guard
+from hid2.conflicts.guard import Guard
 from hid2.conflicts.signals import AMBER_S
 from hid2.judge.findings import FOLLOWER_HEADWAY_S, FOLLOWER_LACKS_MPS2, MOVES_M, export_bounds
 from hid2.judge.states import contacts_at_end, lacked_braking, recorded_headways, sustained_headway
@@ -33,7 +33,7 @@ from hid2.policy.overtake import Stage
 from hid2.policy.roads import Roads
 from hid2.policy.rules import ASSUMED_ANSWER
 from hid2.reasons import Reason
-from hid2.scene import Scene
+from hid2.scene import ACROSS_S, Scene
 from hid2.vehicle import DrivenVehicle, Start
 from netconvert.lane_graph import Side, TurnType
 from netconvert.net_xml import speed_limit_mps
@@ -244,7 +244,7 @@ class World:
         """
         scene = self.scene
         vehicle, parts = DrivenVehicle(start, start.path), [self.roll(start)]
-        step = max(start.step, math.ceil(start.request.trigger_s / scene.step_s))
+        step = max(start.step, math.ceil(start.request.trigger_s / scene.step_s - 1e-9))  # sums of steps
         ask_sumo = (lambda _: ASSUMED_ANSWER) if scene.config.lane_change.rule == "LC2013" else None
         while step < scene.num_steps:
             part, k = parts[-1], step - parts[-1].step

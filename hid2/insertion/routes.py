@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from hid2.agents import IntArray, Policy
-from hid2.motion.route import Route, is_drivable, routes_from, straightest_first
+from hid2.motion.route import Route, is_drivable, routes_from, with_run_up
 from hid2.occupancy.sigma import FREE
 from hid2.occupancy.traffic import BoolArray
 from hid2.once import once
@@ -65,9 +65,10 @@ class Routes:
         """All routes from a lane on, in the order of the map."""
         if "topology" in self.scene.config.without:
             return (self.offer_of((lane_id,)),)
-        before, graph = self._run_up(lane_id), self.scene.grid.graph
+        graph = self.scene.grid.graph
         found = routes_from(graph, lane_id, choose=lambda _, onward: tuple(sorted(onward)), most=_MOST)
-        return tuple(self.offer_of(route, tuple(n for n in before if n not in route)) for route in found)
+        whole = [(with_run_up(graph, route, _RUN_UP_M), len(route)) for route in found]
+        return tuple(self.offer_of(route[-count:], route[:-count]) for route, count in whole)
 
     @once
     def map_offers(self, policy: Policy) -> bool:
@@ -162,17 +163,3 @@ class Routes:
         """Length of the way on a lane beside an own route, from the start of that lane on, m."""
         route = self.scene.paths.route_beside(own, lane_id)
         return sum(self.scene.grid.graph.lanes[n].length_m for n in route[route.index(lane_id) :])
-
-    def _run_up(self, lane_id: int) -> Route:
-        """Lanes that lead to a lane, the straightest way, back to the map's edge or _RUN_UP_M."""
-        graph, length = self.scene.grid.graph, 0.0
-        before: Route = ()
-        while length < _RUN_UP_M:
-            here = before[0] if before else lane_id
-            onto = [p for p in graph.predecessors(here) if is_drivable(graph, p) and p not in (lane_id, *before)]
-            if not onto:
-                break
-            first = straightest_first(graph, here, onto)[0]
-            before = (first, *before)
-            length += graph.lanes[first].length_m
-        return before

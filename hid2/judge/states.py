@@ -313,7 +313,7 @@ def of_recorded_followers(states: AgentStates, inserted: IntArray, bounds: Bound
     """Of each recorded follower to each inserted vehicle, also of other lanes, on its driven path: TTC and braking."""
     arrays, critical_s = states.arrays, bounds.conflict.follower_ttc_min_s
     leaders_of = states.traffic.rows(inserted.tolist())
-    for follower in np.flatnonzero(arrays.vehicle & arrays.moving & ~arrays.generated).tolist():
+    for follower in np.flatnonzero(arrays.moving_on_roads & ~arrays.generated).tolist():
         led = states.leaders_among(follower, leaders_of)
         for leader, ttc_s in zip(inserted[led.agents].tolist(), led.ttc_s, strict=True):
             step = int(np.argmin(ttc_s))

@@ -197,13 +197,18 @@ def _next_two_ahead(
 
 
 @inner
-def _is_beside(x: float, y: float, length: float, centre: FloatArray, own_lengths: FloatArray) -> bool:
-    """Whether a place is so near to some centre that boxes of these lengths are beside each other."""
+def _is_beside(
+    agent: int, x: float, y: float, length: float, centre: FloatArray, own_lengths: FloatArray, low: FloatArray,
+    agents: IntArray, first: IntArray, step: int,
+) -> bool:  # fmt: skip
+    """Whether an agent at a place is on the path of some vehicle, so near that their boxes are beside each other."""
     for vehicle in range(own_lengths.size):
         dx, dy = centre[vehicle, 0] - x, centre[vehicle, 1] - y
         reach = 0.5 * (own_lengths[vehicle] + length)
         if dx * dx + dy * dy < reach * reach:
-            return True
+            for row in range(first[vehicle], first[vehicle + 1]):
+                if agents[row] == agent and low[row, step] < np.inf:
+                    return True
     return False
 
 
@@ -216,7 +221,7 @@ def shown_ahead(
     agents: IntArray, first: IntArray, lengths: FloatArray, recorded: FloatArray, kept: FloatArray, step: int,
     s: FloatArray, centre: FloatArray, own_lengths: FloatArray,
 ) -> tuple[IntArray, IntArray, FloatArray]:  # fmt: skip
-    """Agents that vehicles (N,) have ahead of them at a step, two each at most, and none beside any of them.
+    """Agents that vehicles (N,) have ahead of them at a step, two each at most, none beside one on whose path it is.
 
     Returns agents (M,), the vehicle nearest behind each, and where the agent's middle is on its path, m.
     low .. crossing (R, T): as in `PathOccupancy`, of agents (R,) on the paths; those of vehicle i are the rows from
@@ -247,7 +252,7 @@ def shown_ahead(
             x, y = recorded[agent, step, 0], recorded[agent, step, 1]
         else:
             x, y = kept[agent - count, step, 0], kept[agent - count, step, 1]
-        if not _is_beside(x, y, lengths[agent], centre, own_lengths):
+        if not _is_beside(agent, x, y, lengths[agent], centre, own_lengths, low, agents, first, step):
             found[size] = agent
             size += 1
     shown = found[:size].copy()

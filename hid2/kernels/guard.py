@@ -235,6 +235,6 @@ def needed_braking(
             free_step = hit
         if hit < 0:
             return row, -1, free_step, leader, leader_gap, struck
-        if row == 0 or hit > best_step + STRIDE or (hit >= best_step and behind_leader):
+        if row == 0 or hit > best_step + STRIDE or (hit >= best_step and (behind_leader or not struck)):
             best, best_step, run_into = row, hit, struck
     return best, best_step, free_step, leader, leader_gap, run_into

@@ -7,9 +7,9 @@ from hid2.kernels.spline import TABLE_STEP_M
 from netconvert.geometry import FloatArray
 
 
-@kernel("(f8[::1], f8[::1], f8, f8, f8)")
-def reachable(cap: FloatArray, shape: FloatArray, desired: float, decel: float, accel: float) -> FloatArray:
-    """Highest speed (S,) m/s at the points of a table that keeps below cap (S,) m/s and `desired` times shape (S,).
+@kernel("(f8[::1], f8, f8)")
+def reachable(cap: FloatArray, decel: float, accel: float) -> FloatArray:
+    """Highest speed (S,) m/s at the points of a table that keeps below cap (S,) m/s.
 
     Backward pass for slowing in time, forward pass for speeding up, both in squares of speed.
     """
@@ -17,8 +17,7 @@ def reachable(cap: FloatArray, shape: FloatArray, desired: float, decel: float, 
     slowing, speeding = 2 * decel * TABLE_STEP_M, 2 * accel * TABLE_STEP_M
     square = np.inf
     for i in range(out.size - 1, -1, -1):
-        wanted = min(cap[i], desired * shape[i])
-        square = min(wanted * wanted, square + slowing)
+        square = min(cap[i] * cap[i], square + slowing)
         out[i] = square
     square = np.inf
     for i in range(out.size):

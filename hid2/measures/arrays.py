@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hid2.agents import VEHICLE_TYPES, FloatArray, IntArray, Track
+from hid2.agents import ROAD_TYPES, VEHICLE_TYPES, FloatArray, IntArray, Track
 from netconvert.geometry import BoolArray as BoolArray
 
 #: Extent of its path, m, and time seen, s, above which a vehicle counts as moving.
@@ -70,6 +70,11 @@ class SceneArrays:
     def moving_vehicles(self) -> BoolArray:
         """(A,) vehicles that move at some time."""
         return np.asarray(self.vehicle & self.moving)
+
+    @property
+    def moving_on_roads(self) -> BoolArray:
+        """(A,) agents of ROAD_TYPES that move at some time."""
+        return np.asarray(self.moving & np.isin(self.object_types, list(ROAD_TYPES)))
 
     @property
     def clean(self) -> BoolArray:

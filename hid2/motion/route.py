@@ -262,8 +262,8 @@ def straightest_first(graph: LaneGraph, lane_id: int, onward: Iterable[int], pre
 def routes_from(graph: LaneGraph, lane_id: int, *, choose: Callable[[int, Route], Route], most: int) -> Iterator[Route]:
     """Routes of drivable lanes to where the map ends, at most `most`, depth first.
 
-    choose: orders the lanes onward from the lane before a split. A route stops growing beyond ROUTE_LONGEST_M; cycles
-    are not entered twice.
+    choose: orders the lanes onward from the lane before a split. A route stops growing beyond ROUTE_LONGEST_M, and
+    where it would come back over itself.
     """
     found = 0
     stack: list[tuple[Route, float]] = [((lane_id,), 0.0)]
@@ -272,7 +272,7 @@ def routes_from(graph: LaneGraph, lane_id: int, *, choose: Callable[[int, Route]
         while True:
             length += graph.lanes[route[-1]].length_m
             after = graph.successors(route[-1])
-            onward = tuple([n for n in after if n not in route and is_drivable(graph, n)])
+            onward = tuple([n for n in after if is_drivable(graph, n) and not graph.comes_back(route, n)])
             if len(onward) != 1 or length > ROUTE_LONGEST_M:
                 break
             route = (*route, *onward)
@@ -283,6 +283,19 @@ def routes_from(graph: LaneGraph, lane_id: int, *, choose: Callable[[int, Route]
             yield route
             continue
         stack.extend(((*route, n), length) for n in reversed(choose(route[-1], onward)))
+
+
+def with_run_up(graph: LaneGraph, route: Route, back_m: float) -> Route:
+    """A route with lanes that lead to it, the straightest way, on which followers are seen: so far back, m, or less."""
+    while back_m > 0.0:
+        back = route[::-1]
+        onto = (p for p in graph.predecessors(route[0]) if is_drivable(graph, p) and not graph.comes_back(back, p))
+        before = straightest_first(graph, route[0], onto)
+        if not before:
+            break
+        back_m -= graph.lanes[before[0]].length_m
+        route = (before[0], *route)
+    return route
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,12 +330,4 @@ class LanePaths:
         beside = {n for lane in own for side in SIDES if (n := graph.neighbor(lane, side)) is not None}
         choose = partial(straightest_first, graph, preferred=beside)
         route = next(routes_from(graph, lane_id, choose=choose, most=1), (lane_id,))
-        behind_m = 0.0
-        while behind_m < _LOOK_BACK_M:
-            onto = (p for p in graph.predecessors(route[0]) if is_drivable(graph, p) and p not in route)
-            before = straightest_first(graph, route[0], onto)
-            if not before:
-                break
-            behind_m += graph.lanes[before[0]].length_m
-            route = (before[0], *route)
-        return route
+        return with_run_up(graph, route, _LOOK_BACK_M)

@@ -37,7 +37,7 @@ class Traffic:
     present: BoolArray
     length_m: FloatArray
     width_m: FloatArray
-    extends: "Traffic | None" = None
+    extends: "Traffic | None" = field(default=None, init=False, repr=False)
     memo: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
@@ -106,7 +106,9 @@ class Traffic:
             return every[0] if every else self
         ids = tuple(track_id for traffic in every for track_id in traffic.ids)
         arrays: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in every]) for name in _BY_AGENT}
-        return Traffic(ids, extends=every[0], **arrays)
+        found = Traffic(ids, **arrays)
+        object.__setattr__(found, "extends", every[0])
+        return found
 
 
 def traffic_of(

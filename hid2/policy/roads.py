@@ -86,14 +86,14 @@ class RoadSpeeds:
         return np.minimum(self.hard, math.sqrt(lateral_accel_mps2) * self.bend)
 
     def desired(self, desired_mps: float, *, lateral_accel_mps2: float, accel_mps2: float) -> FloatArray:
-        """(S,) m/s target speed along a route: the cruising speed, v_0 f(alpha) on turning lanes, less in bends.
+        """(S,) m/s a driver takes along a route at most: v_0 f(alpha) on turning lanes, elsewhere what bends allow.
 
         v_0, the desired speed at a turning lane's entrance, is the cruising speed or what the driver's lateral
         acceleration allows; one that enters slowly speeds up. Slowing begins before the entrance at
         _APPROACH_DECEL_MPS2; speeding up after the trough at accel_mps2.
         """
-        cap = self.cap(lateral_accel_mps2)
-        return reachable(cap, self.shape, desired_mps, _APPROACH_DECEL_MPS2, accel_mps2)
+        turning = np.where(self.shape < 1.0, desired_mps * self.shape, np.inf)
+        return reachable(np.minimum(self.cap(lateral_accel_mps2), turning), _APPROACH_DECEL_MPS2, accel_mps2)
 
 
 def road_speeds(
@@ -124,10 +124,10 @@ class Roads:
     scene: Scene
 
     def speeds(self, path: DrivenPath, driver: Driver) -> FloatArray:
-        """(S,) m/s at the table of a path's line: what a driver takes there at most; inf where nothing is asked."""
-        desired, asks = driver.desired_mps, driver.turn_lateral_mps2
-        most = self._of_any(path).desired(desired, lateral_accel_mps2=asks, accel_mps2=driver.accel_mps2)
-        return np.where(most < desired - 1e-6, most, np.inf)
+        """(S,) m/s at the table of a path's line: what a driver takes there at most, also where it desires less."""
+        return self._of_any(path).desired(
+            driver.desired_mps, lateral_accel_mps2=driver.turn_lateral_mps2, accel_mps2=driver.accel_mps2
+        )
 
     @once
     def _of_any(self, path: DrivenPath) -> RoadSpeeds:
@@ -159,8 +159,10 @@ def ways_at_next_split(scene: Scene, path: DrivenPath, *, s: float, from_m: floa
             continue
         for lane_id in straight_first(segment.lane_id, others):
             for rest in routes_from(graph, lane_id, choose=straight_first, most=1):
-                other = scene.paths.along((*route[: row + 1], *rest))
-                if not set(rest) & set(route[: row + 1]) and _is_the_same_until(path, other, s):
+                whole = (*route[: row + 1], *rest)
+                other = scene.paths.along(whole)
+                comes_back = any(graph.comes_back(whole[:at], whole[at]) for at in range(row + 1, len(whole)))
+                if not comes_back and _is_the_same_until(path, other, s):
                     yield other
         return
 

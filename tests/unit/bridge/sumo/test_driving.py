@@ -6,18 +6,25 @@ from typing import Any
 import numpy as np
 import pytest
 from hand_drawn import draw_crossing, draw_lane, draw_two_lanes
-from inserted import CAR, DRIVER, driven, recorded, scene_on, start_on
-from simulated import drive
+from inserted import CAR, DRIVER, driven, nobody, recorded, scene_on, start_on
+from simulated import PARAMETERS, drive
 
+from bridge.sumo.fleet import Fleet
+from bridge.sumo.flow_driving import NEAR_M, FlowDriving
 from bridge.sumo.simulation import Simulation
 from hid2.agents import BoxSize, Policy, Track
+from hid2.conflicts.guard import Guard
+from hid2.conflicts.stop_lines import StopLines
 from hid2.insertion.finalise import ExportedVehicle, finalise, traffic_of_exported
+from hid2.insertion.rollout import World
 from hid2.params import Config, LaneChange
 from hid2.policy.overtake import Stage
+from hid2.policy.roads import Roads
 from hid2.reasons import Reason
 from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle
 from netconvert.lane_graph import LaneGraph
+from netconvert.net_xml import net_bytes
 
 UP = np.pi / 2
 
@@ -25,6 +32,24 @@ UP = np.pi / 2
 def _gaps(vehicle: DrivenVehicle, other: Track) -> np.ndarray:
     """Bumper gaps to a recorded one ahead on the x axis, m, by step."""
     return other.position[:, 0] - np.array(vehicle.s) - 0.5 * (CAR.length_m + other.size.length_m)
+
+
+def test_vehicles_that_were_too_far_apart_to_look_at_each_other_do_so_when_they_come_near() -> None:
+    """Both are 153 m before a crossing at 14.5 m/s, and no vehicle enters meanwhile."""
+    ends = [(0.0, 0.0), (160.0, 0.0), (180.0, 0.0), (300.0, 0.0)]
+    ways = ends, [(170.0, x - 170.0) for x, _ in ends]
+    lanes = [
+        draw_lane(n, way[k : k + 2], successors=(n + 1,) if k < 2 else (), is_intersection=k == 1)
+        for k, n, way in [(n % 3, n, ways[n // 3]) for n in range(6)]
+    ]
+    scene, driver = scene_on(LaneGraph({one.lane_id: one for one in lanes})), replace(DRIVER, desired_mps=14.5)
+    starts = [start_on(scene, route, 17.0, 14.5, number=route[0], driver=driver) for route in ((0, 1, 2), (3, 4, 5))]
+    with Simulation(net_bytes(scene.grid), seed=0, step_s=0.1, parameters=PARAMETERS) as simulation:
+        fleet = Fleet(scene, starts, nobody(scene.future.num_steps), Roads(scene), StopLines(scene), near_m=NEAR_M)
+        first, second = FlowDriving(fleet, simulation, checked=False).run()
+    assert first.limited["conflict"] + second.limited["conflict"] > 0
+    apart_m = np.maximum(np.abs(np.array(first.s) - 170.0), np.abs(np.array(second.s) - 170.0))
+    assert apart_m.min() > 0.5 * (CAR.length_m + CAR.width_m)
 
 
 # Way of a vehicle -----------------------------------------------------------------------------------------------------
@@ -159,6 +184,29 @@ def test_other_inserted_vehicles_are_followed_too_and_it_is_told_for_whom(kept: 
 
 
 # Lane changes ---------------------------------------------------------------------------------------------------------
+
+
+def test_leader_is_shown_also_while_another_vehicle_drives_beside_it() -> None:
+    """Behind one at 4 m/s, with another one in the lane beside: SUMO brakes, not the guard late."""
+    other = recorded(70.0, 0.07, 4.0)
+    scene, slower, faster = (
+        scene_on(draw_two_lanes(400.0), other),
+        *(replace(DRIVER, desired_mps=v) for v in (4.0, 12.0)),
+    )
+    starts = start_on(scene, (1,), 20.0, 12.0, driver=faster), start_on(scene, (2,), 70.0, 4.0, number=1, driver=slower)
+    follower = drive(scene, *starts).fleet.vehicles[0]
+    assert not follower.limited
+    assert _gaps(follower, other).min() > 5.0
+
+
+@pytest.mark.parametrize("first", [0, 12])
+def test_rollout_and_drive_ask_from_the_same_step_on(first: int) -> None:
+    """Trigger times at multiples of a step are sums of steps."""
+    scene = scene_on(draw_two_lanes(400.0))
+    start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=first * 0.1)
+    world = World(scene, Roads(scene), Guard(scene, nobody(), StopLines(scene)))
+    live, foreseen = drive(scene, start).fleet.vehicles[0], world.roll_manoeuvre(start)[0]
+    assert [one.requested_step for one in live.shifts] == [one.requested_step for one in foreseen.shifts]
 
 
 def test_lane_change_is_asked_for_at_the_trigger_and_carried_out() -> None:

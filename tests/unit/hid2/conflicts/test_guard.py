@@ -117,6 +117,12 @@ def test_who_is_too_near_is_braked_for_as_hard_as_can_be() -> None:
     assert found.decel_mps2 >= 2.5
 
 
+@pytest.mark.parametrize(("most_mps2", "tried"), [(1.1, 1.1), (3.4, 3.4), (3.5, 3.5), (4.05, 4.05)])
+def test_hardest_braking_is_the_one_asked_for(most_mps2: float, tried: float) -> None:
+    config = Config(conflict=Conflict(brake_max_mps2=most_mps2))
+    assert Guard(scene_on(draw_road(), config=config), nobody(), None).brakes[-1] == tried  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(("first", "brakes"), [(0, False), (10, True)], ids=["in sight", "appears in 1 s"])
 def test_leader_in_sight_is_left_to_sumo_up_to_the_hardest_braking(first: int, brakes: bool) -> None:
     """A car stands 23 m ahead, for which IDM asks 3.2 m/s2: more than 1.4 b = 2.8, less than 3.5 m/s2.
@@ -202,6 +208,13 @@ def test_who_is_on_the_crossing_already_goes_first(cross: Scene) -> None:
     """It rolls at 1 m/s with its box across lane 1, and the own one is executing: no right to run into it."""
     found = _braking(cross, 1, [(60.0, 10.0, 0.0, 1.0), (80.0, 1.0, 0.0, 0.0)], lanes=(1, 2))
     assert found.decel_mps2 > 0.0
+
+
+def test_crossing_that_braking_does_not_avoid_is_braked_for_all_the_same(cross: Scene) -> None:
+    """10 m before the crossing at 9 m/s, and the other one 8 m: they meet, the slower the better."""
+    found = _braking(cross, 1, [(70.0, 9.0, 0.0, 0.0), (72.0, 9.0, 0.0, 1.0)], lanes=(1, 2))
+    assert found.conflict_s is not None
+    assert found.decel_mps2 == 3.5
 
 
 def test_larger_box_needs_more_room() -> None:

@@ -95,6 +95,13 @@ def test_trigger_behind_the_end_of_the_track_is_not_triggered(scene: Scene) -> N
     assert (found.status, found.reason) == ("not_triggered", Reason.SCENE_ENDED)
 
 
+def test_trigger_of_a_vehicle_that_enters_late_counts_from_the_scenes_begin(scene: Scene) -> None:
+    """It is there from 4 to 10.9 s, and its trigger time is 8 s."""
+    start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=8.0, step=40)
+    found = _outcome(scene, driven(start, np.full(70, 10.0), reason=Reason.FRONT_GAP))
+    assert (found.status, found.reason) == ("not_feasible", Reason.FRONT_GAP)
+
+
 def bend(degrees: float) -> Scene:
     """60 m straight, a left turn of a radius of 20 m by so much in an intersection, 200 m on."""
     angle = np.linspace(0.0, np.radians(degrees), 30)

@@ -211,10 +211,11 @@ def test_leader_that_rolls_back_is_met_as_if_it_stood() -> None:
     assert ("gen_0", Quantity.TTC_LEADER, "a") in seen
 
 
+@pytest.mark.parametrize("kind", ["vehicle", "motorcyclist", "cyclist"])
 @pytest.mark.parametrize(("ahead", "found"), [(45.7, 1), (70.0, 0)])
-def test_recorded_follower_that_will_not_brake(ahead: float, found: int) -> None:
-    """A recorded car at 10 m/s comes up behind one at 2 m/s, for 3.9 s: 45.7 - 4.5 - 31.2 = 10 m, 1.25 s."""
-    follows = _at("a", 0.0, 10.0, steps=40)
+def test_recorded_follower_that_will_not_brake(ahead: float, found: int, kind: str) -> None:
+    """One of a car's length at 10 m/s comes up behind one at 2 m/s, for 3.9 s: 45.7 - 4.5 - 31.2 = 10 m, 1.25 s."""
+    follows = _at("a", 0.0, 10.0, steps=40, kind=kind)
     seen = judged(follows, _at("gen_0", ahead, 2.0, steps=40))
     assert seen.count(("gen_0", Quantity.TTC_FOLLOWER, "a")) == found
     assert judged(follows, _at("b", ahead, 2.0, steps=40)) == []  # recorded ones among themselves

@@ -4,7 +4,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hand_drawn import draw_lane, draw_road
+from inserted import scene_on
 
+from hid2.insertion.routes import Routes
 from hid2.motion.lane_change_path import LateralTiming
 from hid2.motion.route import (
     DrivenPath,
@@ -155,6 +157,21 @@ def test_circle_of_lanes_is_driven_once() -> None:
     ring = LaneGraph({1: draw_lane(1, half, successors=(2,)), 2: draw_lane(2, [0.0, 40.0] - half, successors=(1,))})
     routes = list(routes_from(ring, 1, choose=lambda _, onward: onward, most=5))
     assert routes == [(1, 2)]
+
+
+def test_no_route_comes_back_over_itself() -> None:
+    """Lane 3 leads down across lane 1: of an agent there the path would have one interval from 40 to 130 m."""
+    bow = [(60.0, 0.0), (75.0, 15.0), (60.0, 30.0), (40.0, 30.0)]
+    looped = LaneGraph({
+        1: draw_lane(1, [(0.0, 0.0), (60.0, 0.0)], successors=(2,)), 2: draw_lane(2, bow, successors=(3,)),
+        3: draw_lane(3, [(40.0, 30.0), (40.0, -30.0)], successors=(4,)),
+        4: draw_lane(4, [(40.0, -30.0), (40.0, -60.0)]),
+    })  # fmt: skip
+    routes = {n: next(routes_from(looped, n, choose=lambda _, onward: onward, most=1)) for n in looped.lanes}
+    assert routes == {1: (1, 2), 2: (2, 3, 4), 3: (3, 4), 4: (4,)}
+    assert LanePaths(looped, Limits()).route_beside((), 3) == (2, 3, 4)
+    before = {offer.route for n in looped.lanes for offer in Routes(scene_on(looped)).offers(n)}
+    assert before == {(1, 2), (2, 3, 4), (3, 4)}
 
 
 def _shifted(own: DrivenPath, target: DrivenPath, *, start_m: float, length_m: float) -> DrivenPath:

@@ -2,7 +2,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hand_drawn import draw_box, draw_track
+from hand_drawn import draw_box, draw_road, draw_track
+from inserted import CAR, recorded, scene_on
 
 from hid2.agents import BoxSize
 from hid2.occupancy.traffic import traffic_of
@@ -98,3 +99,12 @@ def test_nobody_is_a_traffic_too() -> None:
     nobody = traffic_of([], 110, step_s=0.1)
     assert nobody.num_steps == 110
     assert nobody.joined(draw_box(0.0, 0.0)).ids == ("a",)
+
+
+def test_what_is_known_of_joined_traffic_does_not_hold_for_it_elsewhere() -> None:
+    scene = scene_on(draw_road())
+    path, one = scene.paths.along((1,)), scene_on(draw_road(), recorded(50.0, 0.0)).future
+    scene.met_on(path, CAR, one)
+    moved = one.joined(scene_on(draw_road(), recorded(90.0, 0.0, name="b")).future)
+    moved = replace(moved, position=moved.position + np.array([30.0, 0.0]))
+    assert scene.met_on(path, CAR, moved).low[:, 0].tolist() == pytest.approx([75.0, 115.0], abs=0.6)

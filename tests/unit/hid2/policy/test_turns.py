@@ -40,6 +40,15 @@ def test_cap_on_a_circle_is_the_root_of_lateral_acceleration_times_radius() -> N
     assert np.median(cap) == pytest.approx(5.0, rel=0.02)
 
 
+def test_bend_asks_the_same_of_a_driver_that_desires_less_in_the_mean() -> None:
+    """Desired speeds wander above their mean: R = 20 m at 2.5 m/s2 is taken at 7.07 m/s by it too."""
+    line = _circle(20.0)
+    road = road_speeds(line, [], turn=TURN, limits=Limits())
+    slow, fast = (road.desired(mps, lateral_accel_mps2=2.5, accel_mps2=1.8)[_inside(line)] for mps in (5.0, 12.0))
+    assert slow.tolist() == fast.tolist()
+    assert np.median(slow) == pytest.approx(7.07, rel=0.02)
+
+
 def test_tight_circle_is_capped_by_the_yaw_rate() -> None:
     """R = 10 m with a_y = 4.89 allows 7.0 m/s; a yaw-rate limit of 0.5 rad/s allows 0.8 * 0.5 * 10 = 4 m/s."""
     line, limits = _circle(10.0), Limits(yaw_rate_radps=0.5)
@@ -55,8 +64,9 @@ def _desired(
     desired_mps: float = 10.0,
     lateral_accel_mps2: float = 2.5,
 ):
+    """Speed of a driver that never desires more than in the mean."""
     road = road_speeds(line, segments, turn=TURN, limits=Limits())
-    return road.desired(desired_mps, lateral_accel_mps2=lateral_accel_mps2, accel_mps2=1.8)
+    return np.minimum(road.desired(desired_mps, lateral_accel_mps2=lateral_accel_mps2, accel_mps2=1.8), desired_mps)
 
 
 def test_straight_lane_is_driven_at_the_cruising_speed(straight_line: ReferenceLine) -> None:
