@@ -15,6 +15,8 @@ from netconvert.lane_graph import LANE_TYPES, LaneGraph, LaneSegment, turn_type
 CENTERLINE_POINTS = 10
 #: Least length of a lane with a direction, m: the format's coordinates are in centimetres.
 MIN_LENGTH_M = 0.001
+#: Largest distance of a centreline outside of the boundaries of its lane, m. Recorded ones lie between them.
+_OUTSIDE_M = 0.5
 _LINES = ("DASHED", "SOLID", "DASH_SOLID", "SOLID_DASH", "DOUBLE_DASH", "DOUBLE_SOLID")
 MARK_TYPES = frozenset(
     {f"{line}_{color}" for line in _LINES for color in ("WHITE", "YELLOW")} | {"SOLID_BLUE", "NONE", "UNKNOWN"}
@@ -156,15 +158,23 @@ def _corners(edge1: list[_Point], edge2: list[_Point]) -> FloatArray:
 
 
 def _lane_segment(segment: _Lane) -> LaneSegment:
-    """One lane. Errors: MapError for one of no length, or of coordinates without end."""
+    """One lane. Errors: MapError for one of no length, of coordinates without end, or not between its boundaries."""
     left, right = _array(segment["left_lane_boundary"]), _array(segment["right_lane_boundary"])
     rungs, line = (_rungs(left), _rungs(right)), segment.get("centerline")
-    centerline = ((rungs[0] + rungs[1]) / 2.0 if line is None else _array(line))[:, :2]
-    centerline = centerline[np.append(True, np.any(centerline[1:] != centerline[:-1], axis=1))]
+    middle, across = (rungs[0] + rungs[1]) / 2.0, rungs[0] - rungs[1]
+    whole = middle if line is None else _array(line)
+    centerline = whole[np.append(True, np.any(whole[1:, :2] != whole[:-1, :2], axis=1)), :2]
     length_m = float(arc_length(centerline)[-1])
     if not MIN_LENGTH_M <= length_m < np.inf:
         said = f"centerline is {length_m:.6f} m long, expected at least {MIN_LENGTH_M} m"
         raise MapError(f"lane {segment['id']}: {said}")
+    outside_m = np.hypot(*(_rungs(whole) - middle).T[:2]) - 0.5 * np.hypot(*across.T[:2])
+    if outside_m.max() > _OUTSIDE_M:
+        said = f"centerline is {outside_m.max():.1f} m outside of its boundaries, expected it between them, or none"
+        raise MapError(f"lane {segment['id']}: {said}")
+    along = middle[1:] - middle[:-1]
+    if (along[:, 0] * across[1:, 1] - along[:, 1] * across[1:, 0]).sum() < 0.0:
+        raise MapError(f"lane {segment['id']}: left boundary is on the right of its lane, expected it on the left")
     return LaneSegment(
         lane_id=segment["id"],
         centerline=centerline,
@@ -177,7 +187,7 @@ def _lane_segment(segment: _Lane) -> LaneSegment:
         right_neighbor_id=segment["right_neighbor_id"],
         left_mark_type=segment["left_lane_mark_type"],
         right_mark_type=segment["right_lane_mark_type"],
-        width_m=float(np.hypot(*(rungs[0] - rungs[1]).T[:2]).mean()),
+        width_m=float(np.hypot(*across.T[:2]).mean()),
         turn=turn_type(centerline, is_intersection=segment["is_intersection"]),
     )
 

@@ -106,7 +106,11 @@ def test_links_that_lead_nowhere_do_not_stop_the_map() -> None:
     graph = graph_of(
         map_json(
             lane_json(1, STRAIGHT, successors=[2, 77], left_neighbor_id=1, right_neighbor_id=88),
-            lane_json(2, [(50.0, 0.0), (50.0, 9.0), (0.0, 9.0), (0.0, 0.0)], successors=[1]),
+            lane_json(2, [(50.0, 0.0), (50.0, 9.0), (0.0, 9.0), (0.0, 0.0)], successors=[1])
+            | {
+                "left_lane_boundary": _json_points([(48.0, 0.0), (48.0, 7.0), (2.0, 7.0), (2.0, 0.0)]),
+                "right_lane_boundary": _json_points([(52.0, 0.0), (52.0, 11.0), (-2.0, 11.0), (-2.0, 0.0)]),
+            },
         ),
         name="map",
     )
@@ -124,6 +128,18 @@ BAD_LANES = {
     "zero length": (
         {"centerline": [{"x": 1, "y": 2, "z": 0}] * 2},
         r"lane 5: centerline is 0\.000000 m long, expected",
+    ),
+    "beside its boundaries": (
+        {"centerline": [{"x": x, "y": 3.5, "z": 0} for x in (0, 50)]},
+        r"lane 5: centerline is 1\.5 m outside of its boundaries, expected it between them, or none",
+    ),
+    "backwards": ({"centerline": [{"x": x, "y": 0, "z": 0} for x in (50, 0)]}, "lane 5: centerline is 48.* m outside"),
+    "mirrored": (
+        {
+            f"{side}_lane_boundary": [{"x": x, "y": y, "z": 0} for x in (0, 50)]
+            for side, y in (("left", -2), ("right", 2))
+        },
+        "lane 5: left boundary is on the right of its lane, expected it on the left",
     ),
     "one point": ({"centerline": [{"x": 1, "y": 2, "z": 0}]}, "lane 5: centerline: 1 points, expected at least 2"),
     "boundary of one point": (

@@ -1,5 +1,6 @@
 """What a scene may be at most, and what its readers demand: anything beyond is refused at reading, in one line."""
 
+import math
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -45,9 +46,12 @@ def _scale(factor: float, shift: float = 0.0) -> Callable[[Document], None]:
 
 def _long_lane(length_m: float) -> Callable[[Document], None]:
     def change(lane: dict[str, Any]) -> None:
+        (begin, *_, end), axes = lane["centerline"], ("x", "y")
+        stretched = length_m / math.dist(*([point[axis] for axis in axes] for point in (begin, end)))
         for name in ("left_lane_boundary", "right_lane_boundary", "centerline"):
             first = lane[name][0]
-            lane[name] = [first, {**first, "x": first["x"] + length_m}]
+            far = {axis: first[axis] + stretched * (end[axis] - begin[axis]) for axis in axes}
+            lane[name] = [first, {**first, **far}]
 
     return in_first_lane(change)
 
