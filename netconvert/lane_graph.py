@@ -135,7 +135,7 @@ class LaneGraph:
 
     def comes_back(self, route: Sequence[int], lane_id: int) -> bool:
         """Whether a lane is on a route, or touches it before its last lane: a path may not come back over itself."""
-        return lane_id in route or not self._touching[lane_id].isdisjoint(route[:-1])
+        return lane_id in route or not self.touching[lane_id].isdisjoint(route[:-1])
 
     def straightest_successor(self, lane_id: int) -> int | None:
         """The successor that turns least, the lower id of equals; None without one.
@@ -190,7 +190,7 @@ class LaneGraph:
         return union
 
     @cached_property
-    def _touching(self) -> dict[int, set[int]]:
+    def touching(self) -> dict[int, set[int]]:
         """Lanes whose middle touches or crosses that of a lane, with itself."""
         ids, middles = list(self.lanes), [shapely.LineString(lane.centerline) for lane in self.lanes.values()]
         touching: dict[int, set[int]] = {lane_id: set() for lane_id in ids}

@@ -8,9 +8,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-import shapely
-
 from netconvert.errors import NetError
 from netconvert.lane_graph import LaneGraph, joined
 
@@ -85,10 +82,8 @@ def _joined(graph: LaneGraph, ways: Sequence[Way], begins: Mapping[int, int], co
         target = begins[way.target]
         pairs.append((begins[way.source] + 1, target))
         pairs += [(owner.setdefault(lane_id, target), target) for lane_id in way.through]
-    lines = np.array([shapely.LineString(graph.lanes[lane_id].centerline) for lane_id in owner], dtype=np.object_)
-    ends = list(owner.values())
-    crossing = shapely.STRtree(lines).query(lines, predicate="intersects").T.tolist()
-    return tuple(joined(count, pairs + [(ends[one], ends[other]) for one, other in crossing]))
+    pairs += [(owner[one], owner[other]) for one in owner for other in graph.touching[one] if other in owner]
+    return tuple(joined(count, pairs))
 
 
 def _ways(graph: LaneGraph, lane_id: int, inside: Collection[int]) -> list[Way]:

@@ -13,7 +13,7 @@ def model_parameters(config: Config) -> dict[str, float]:
     if config.car_following.model == "EIDM":
         found = {"sigmaerror": config.drivers.error, "treaction": config.drivers.reaction_s}
     if config.lane_change.rule == "LC2013":
-        found |= {"lcStrategic": config.lane_change.lc_strategic, "lcSpeedGain": config.lane_change.lc_speed_gain}
+        found |= {"lcSpeedGain": config.lane_change.lc_speed_gain}
     return found
 
 
