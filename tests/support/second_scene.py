@@ -173,7 +173,8 @@ class SecondScene:
 
     def _driven_line(self, track: SecondTrack) -> DrivenLine | None:
         last = len(track.steps) - 1
-        half = np.minimum(np.minimum(np.arange(last + 1), np.arange(last + 1)[::-1]), 2)
+        each = [np.arange(run.stop - run.start) for run in track.runs]  # no mean goes over a gap
+        half = np.concatenate([np.minimum(np.minimum(run, run[::-1]), 2) for run in each])
         sums = np.vstack([np.zeros(2), np.cumsum(track.xy - track.xy[0], axis=0)])
         ends = np.arange(last + 1) + half + 1, np.arange(last + 1) - half
         path = track.xy[0] + (sums[ends[0]] - sums[ends[1]]) / (2 * half + 1)[:, None]  # raw tracks jitter by metres
