@@ -233,7 +233,7 @@ class World:
             self.guard.horizon, scene.step_s, self.guard.brakes, self.roads.speeds(path, driver),
             *self.roads.lanes(path), known.low, known.high, known.along, known.same_direction, lines.stops_m(driver),
             lines.closed, lines.cause, shown.middle, shown.speed, shown.leads, shown.length_m, *self._links_on(path),
-            memory,
+            memory, scene.config.grid.cell_m,
         )  # fmt: skip
         return Rollout(path, first, s, v, memories)
 

@@ -15,7 +15,6 @@ from netconvert.geometry import BoolArray, FloatArray, IntArray
 
 #: Columns of the table that `met_by` returns.
 CONTACT, LEAD_TTC, LAG_TTC = range(3)
-_CELL_M = 4.0  # length of a cell, about, which is one lane in SUMO
 
 
 @inner
@@ -40,10 +39,10 @@ def _leader(
 
 
 @inner
-def _looks_m(v: float, length: float, driver: tuple[float, float, float, float]) -> float:
+def _looks_m(v: float, length: float, driver: tuple[float, float, float, float], cell_m: float) -> float:
     """How far ahead SUMO looks for a leader, m: to where it could stop, five lengths at least, to the end of a cell."""
     tau, _, decel, _ = driver
-    return max(v * (tau + 0.5 * v / (decel + 1.0)), 5.0 * length + 0.5 * _CELL_M) + 0.5 * _CELL_M
+    return max(v * (tau + 0.5 * v / (decel + 1.0)), 5.0 * length + 0.5 * cell_m) + 0.5 * cell_m
 
 
 @inner
@@ -60,17 +59,16 @@ def _desired_ahead(desired: float, v: float, front: float, lane: int, ends: Floa
 def _is_met(low: FloatArray, high: FloatArray, same_direction: BoolArray, t: int, s: float, before_m: float) -> bool:
     """Whether boxes meet at the step after t, but for an agent that runs in from behind."""
     for row in range(low.shape[0]):
-        if low[row, t + 1] < s < high[row, t + 1]:
-            behind = same_direction[row, t] and not gap_to(low[row, t], high[row, t], before_m)[1]
-            if low[row, t] == np.inf or not behind:
-                return True
+        is_met = low[row, t + 1] < s < high[row, t + 1]
+        if is_met and (not same_direction[row, t] or gap_to(low[row, t], high[row, t], before_m)[1]):
+            return True
     return False
 
 
 @kernel(
     "(UniTuple(i8, 2), UniTuple(f8, 3), f8[::1], UniTuple(f8, 4), f8, f8, i8, f8, f8[::1], f8[::1], f8[::1], i8[::1],"
     " f8[:,::1], f8[:,::1], f8[:,::1], b1[:,::1], f8[::1], b1[:,::1], i8[::1], f8[:,::1], f8[:,::1], b1[:,::1],"
-    " f8[::1], f8[::1], f8[::1], f8[::1], f8[::1])"
+    " f8[::1], f8[::1], f8[::1], f8[::1], f8[::1], f8)"
 )
 def roll(
     span: tuple[int, int], start: tuple[float, float, float], desired_mps: FloatArray,
@@ -79,6 +77,7 @@ def roll(
     high: FloatArray, along: FloatArray, same_direction: BoolArray, stop_m: FloatArray, closed: BoolArray,
     causes: IntArray, shown_middle: FloatArray, shown_speed: FloatArray, shown_leads: BoolArray,
     shown_lengths: FloatArray, link_m: FloatArray, paces: FloatArray, turns: FloatArray, memory: FloatArray,
+    cell_m: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Place s and speed v at the steps of a span, first to last, (K,) each, from a start s m, v m/s, a m/s2.
 
@@ -88,7 +87,7 @@ def roll(
     desired_mps (T,) by the scene's steps; driver .. causes: as in `speed_limits`, of one vehicle; reaction s; length m:
     own, of the box that SUMO has. shown_* (R, T): the agents that SUMO is shown, as in `Shown`.
     Of the map's lanes along the path as SUMO has it (L,): link_m, where they end; paces, metres on the path for one on
-    the lane; turns m/s, at most desired for the link to each.
+    the lane; turns m/s, at most desired for the link to each. cell_m: length of a cell, about, which is a lane in SUMO.
     """
     first, last = span
     s_at, v_at = np.empty(last - first + 1), np.empty(last - first + 1)
@@ -117,7 +116,7 @@ def roll(
         gap, lead_v, lead_a = _leader(
             shown_middle, shown_speed, shown_leads, shown_lengths, t, s, s - before_m, length, step_s
         )
-        if gap > _looks_m(v, length, in_sumo):
+        if gap > _looks_m(v, length, in_sumo, cell_m):
             gap = np.inf
         ahead = _desired_ahead(desired, v, front, lane, link_m, turns)
         v_next = eidm_speed(
