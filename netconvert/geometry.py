@@ -47,16 +47,11 @@ def resample(points: FloatArray, *, step_m: float) -> FloatArray:
 
 
 def differences(values: FloatArray, step: float) -> FloatArray:
-    """Derivative along the first axis by central differences, one-sided at the ends; np.gradient without its overhead.
+    """Derivative along the first axis by central differences, one-sided at the ends; zeros for a single value.
 
-    values: (T, ...) at equal steps; zeros for a single one.
+    values: (T, ...) at equal steps.
     """
-    slope = np.zeros(values.shape)
-    if len(values) > 1:
-        slope[1:-1] = (values[2:] - values[:-2]) / (2 * step)
-        slope[0] = (values[1] - values[0]) / step
-        slope[-1] = (values[-1] - values[-2]) / step
-    return slope
+    return np.asarray(np.gradient(values, step, axis=0)) if len(values) > 1 else np.zeros(values.shape)
 
 
 def wrap_angle(angle: npt.ArrayLike) -> FloatArray:

@@ -1,7 +1,7 @@
 """The lane graph of a scene, whatever map it came from: segments, successors, same-direction neighbours."""
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
@@ -132,10 +132,6 @@ class LaneGraph:
     def predecessors(self, lane_id: int) -> tuple[int, ...]:
         """Lanes that have this one as successor, ascending. The source's own list is not used: it is incomplete."""
         return self._predecessors[lane_id]
-
-    def comes_back(self, route: Sequence[int], lane_id: int) -> bool:
-        """Whether a lane is on a route, or touches it before its last lane: a path may not come back over itself."""
-        return lane_id in route or not self.touching[lane_id].isdisjoint(route[:-1])
 
     def straightest_successor(self, lane_id: int) -> int | None:
         """The successor that turns least, the lower id of equals; None without one.

@@ -85,7 +85,8 @@ class PedestrianCrossings:
         count = min(int(path.exit_m / TABLE_STEP_M) + 1, len(line.table_xy))
         xy, heading = line.table_xy[:count], line.table_heading[:count]
         left = width_m / 2 * np.stack([-np.sin(heading), np.cos(heading)], axis=1)
-        near = np.flatnonzero(self._are_near(xy, width_m))
+        low, high = self.corners.min(axis=1) - width_m, self.corners.max(axis=1) + width_m
+        near = np.flatnonzero(((low <= xy[:, None]) & (xy[:, None] <= high)).all(axis=2).any(axis=1))
         across = shapely.linestrings(np.stack([xy[near] - left[near], xy[near] + left[near]], axis=1))
         point, crossed = self._areas.query(across, predicate="intersects")
         point, found = near[point], []
@@ -97,11 +98,6 @@ class PedestrianCrossings:
                 occupied = self._occupied(crossing, xy[middle], heading[middle], width_m / 2 + _STRIP_M)
                 found.append(CrossingOnPath(first * TABLE_STEP_M, last * TABLE_STEP_M, occupied))
         return sorted(found, key=lambda one: one.entry_m)
-
-    def _are_near(self, xy: FloatArray, within_m: float) -> BoolArray:
-        """(N,) whether places (N, 2) m may be within a distance of a crossing."""
-        low, high = self.corners.min(axis=1) - within_m, self.corners.max(axis=1) + within_m
-        return np.asarray(((low <= xy[:, None]) & (xy[:, None] <= high)).all(axis=2).any(axis=1))
 
     def _occupied(self, crossing: int, xy: FloatArray, heading: float, aside_m: float) -> BoolArray:
         """(T,) as `on` has it, where the path's middle is at xy (2,) m; aside_m: half of the width and the strip."""

@@ -17,8 +17,7 @@ def reachable(cap: FloatArray, decel: float, accel: float) -> FloatArray:
     slowing, speeding = 2 * decel * TABLE_STEP_M, 2 * accel * TABLE_STEP_M
     square = np.inf
     for i in range(out.size - 1, -1, -1):
-        square = min(cap[i] * cap[i], square + slowing)
-        out[i] = square
+        out[i] = square = min(cap[i] * cap[i], square + slowing)
     square = np.inf
     for i in range(out.size):
         square = min(out[i], square + speeding)

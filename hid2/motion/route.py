@@ -254,6 +254,11 @@ def is_drivable(graph: LaneGraph, lane_id: int) -> bool:
     return lane.lane_type in DRIVABLE_TYPES and not lane.is_center_turn_lane
 
 
+def comes_back(graph: LaneGraph, route: Route, lane_id: int) -> bool:
+    """Whether a lane is on a route, or touches it before its last lane: no path comes back over itself."""
+    return lane_id in route or not graph.touching[lane_id].isdisjoint(route[:-1])
+
+
 def straightest_first(graph: LaneGraph, lane_id: int, onward: Iterable[int], preferred: Container[int] = ()) -> Route:
     """Lanes that follow a lane, or come before it: those preferred, then those that turn least."""
     return tuple(sorted(onward, key=lambda n: (n not in preferred, graph.turned_rad(lane_id, n), n)))
@@ -272,7 +277,7 @@ def routes_from(graph: LaneGraph, lane_id: int, *, choose: Callable[[int, Route]
         while True:
             length += graph.lanes[route[-1]].length_m
             after = graph.successors(route[-1])
-            onward = tuple([n for n in after if is_drivable(graph, n) and not graph.comes_back(route, n)])
+            onward = tuple([n for n in after if is_drivable(graph, n) and not comes_back(graph, route, n)])
             if len(onward) != 1 or length > ROUTE_LONGEST_M:
                 break
             route = (*route, *onward)
@@ -289,7 +294,7 @@ def with_run_up(graph: LaneGraph, route: Route, back_m: float) -> Route:
     """A route with lanes that lead to it, the straightest way, on which followers are seen: so far back, m, or less."""
     while back_m > 0.0:
         back = route[::-1]
-        onto = (p for p in graph.predecessors(route[0]) if is_drivable(graph, p) and not graph.comes_back(back, p))
+        onto = (p for p in graph.predecessors(route[0]) if is_drivable(graph, p) and not comes_back(graph, back, p))
         before = straightest_first(graph, route[0], onto)
         if not before:
             break
