@@ -239,7 +239,7 @@ Line = dict[str, Any]
 def _line(label: str, rows: Sequence[Row], what: str | Mapping[str, float]) -> Line:
     """A line of a group of our rows, or of the paper's figures."""
     if isinstance(what, str):
-        sums = SourceSums.of(rows)
+        sums = SourceSums(rows)
         return {"row": label} | {m.key: estimate(sums, m, what)._asdict() for m in SHOWN}
     return {"row": label} | {key: Estimate(value)._asdict() for key, value in what.items()}
 
@@ -310,7 +310,7 @@ _Points = dict[str, dict[str, list[tuple[float, Estimate]]]]
 
 def _density(rows: _Rows, generating: Sequence[str]) -> _Points:
     """Estimates by metric and group along the numbers placed."""
-    series = [(_placed(own), SourceSums.of(own), one in generating) for one, own in rows.items() if one != _SMOOTHED]
+    series = [(_placed(own), SourceSums(own), one in generating) for one, own in rows.items() if one != _SMOOTHED]
     series.sort(key=lambda one: one[0])
 
     def points(metric: Metric, group: str) -> list[tuple[float, Estimate]]:
@@ -338,10 +338,10 @@ def _diversity(rows: _Rows) -> list[dict[str, Any]]:
     """What recorded scenes, and those made with either mix, say: all, then those of the paper's templates if apart."""
     before, after = rows["recorded"], [*rows["dense"], *rows["rare"]]
     templates = {row["source"] for row in before if row["tracks"] > TEMPLATE_AGENTS}
-    found = [Diversity.of(after, before).content()]
+    found = [Diversity(after, before).content()]
     if templates and len(templates) < len(before):
         chosen = [[row for row in each if row["source"] in templates] for each in (after, before)]
-        found.append(Diversity.of(*chosen).content())
+        found.append(Diversity(*chosen).content())
     return found
 
 

@@ -49,22 +49,15 @@ class SourceSums:
     scenes, and the order of the scenes does not matter.
     """
 
-    def __init__(self, names: Sequence[str] | None = None, *, most: int = MOST_SOURCES) -> None:
-        """Sum the columns of these names; of every metric and group unless told."""
+    def __init__(
+        self, rows: Iterable[Row] = (), *, names: Sequence[str] | None = None, most: int = MOST_SOURCES
+    ) -> None:
+        """Sums over scene rows, of the columns of these names; of every metric and group unless told."""
         self._columns = list(names or (f"{group}_{column}" for group in GROUPS for column in columns()))
         self._most, self._grouped = most, False
         self._sums: dict[str, FloatArray] = {}
-
-    @classmethod
-    def of(cls, rows: Iterable[Row]) -> "SourceSums":
-        """Sums over scene rows."""
-        sums = cls()
         for row in rows:
-            sums.add(row)
-        return sums
-
-    def __len__(self) -> int:
-        return len(self._sums)
+            self.add(row)
 
     def add(self, row: Row) -> None:
         """Take a scene row in. Errors: KeyError where it lacks a column."""
@@ -103,19 +96,14 @@ def table(sums: SourceSums, section: MetricTable) -> dict[str, Any]:
 class Diversity:
     """Scenes before and after vehicles were added, and the vehicles added alone."""
 
-    def __init__(self) -> None:
+    def __init__(self, rows: Iterable[Row] = (), sources: Iterable[Row] = ()) -> None:
+        """Count scene rows and those of their source scenes."""
         #: By moment and what is counted: scenes by number of agents, moving vehicles and manoeuvres by kind.
         self._counts: Counter[tuple[str, str, int | str]] = Counter()
-
-    @classmethod
-    def of(cls, rows: Iterable[Row], sources: Iterable[Row]) -> "Diversity":
-        """Count scene rows and those of their source scenes."""
-        diversity = cls()
         for row in rows:
-            diversity.add(row, "generated", "after")
+            self.add(row, "generated", "after")
         for row in sources:
-            diversity.add(row, "before")
-        return diversity
+            self.add(row, "before")
 
     def add(self, row: Row, *moments: str) -> None:
         """Count a scene: as it was, once for each source; what was added to it, and as it is."""

@@ -115,10 +115,10 @@ def test_the_end_of_the_scene_is_shown_beside_the_recorded_one(report):
         low = [row for row in tracks if row["group"] == group and row["end_ttc_s"] and float(row["end_ttc_s"]) < 1.0]
         assert sum(counted) == len(low)
         shown = evaluation.metrics["safety"]["end_ttc_critical"][group]["value"]
-        assert shown == pytest.approx(sum(counted) / sum(int(row[f"{group}_ends"]) for row in rows))
+        assert shown == pytest.approx(sum(counted) / sum(int(row[f"{group}_meeting"]) for row in rows))
         shares = evaluation.metrics["safety"]["end_scenes_critical"][group]["value"]
         assert shares == pytest.approx(sum(number > 0 for number in counted) / len(rows))
-    assert all(int(row["generated_ends"]) == int(row["generated"]) for row in rows)
+    assert all(int(row["generated_meeting"]) == int(row["generated"]) for row in rows)
     assert "after the last step" in (folder / "report.html").read_text()
 
 
@@ -265,14 +265,9 @@ def test_nothing_to_evaluate_and_nowhere_to_write_are_explained(made_root, copy_
 
 def test_pooled_ratio_is_of_sums_and_the_interval_holds_it():
     """Sources with 1 of 10 and 3 of 10: 4 of 20, not the mean over anything else; two sources give 0.1 to 0.3."""
-    sums = SourceSums(("original_paper_lo", "original_paper_tracks"))
-    for row in (
-        {"source": "a", "original_paper_lo": 1.0, "original_paper_tracks": 10},
-        {"source": "b", "original_paper_lo": 2.0, "original_paper_tracks": 5},
-        {"source": "b", "original_paper_lo": 1.0, "original_paper_tracks": 5},
-    ):
-        sums.add(row)
-    found = estimate(sums, METRICS[0], "original")
+    columns = ("source", "original_paper_lo", "original_paper_tracks")
+    rows = [dict(zip(columns, row, strict=True)) for row in (("a", 1.0, 10), ("b", 2.0, 5), ("b", 1.0, 5))]
+    found = estimate(SourceSums(rows, names=columns[1:]), METRICS[0], "original")
     assert found == pytest.approx((0.2, 0.1, 0.3))
 
 
