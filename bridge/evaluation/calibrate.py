@@ -14,7 +14,7 @@ from bridge.recordings.folders import source_id
 from bridge.recordings.judging import recording_states
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sources import find_sources
-from hid2.evaluation.calibration import CalibratedQuantity, SceneDriving, calibrate, drivers_of, observe
+from hid2.evaluation.calibration import LEAST, CalibratedQuantity, SceneDriving, calibrate, drivers_of, observe
 from hid2.params import Drivers
 from netconvert.errors import ConfigError, ScenarioError
 
@@ -88,6 +88,7 @@ def drivers_toml(found: Sequence[CalibratedQuantity], prior: Drivers, scenes: Se
         if one is not None and name in measured:
             lines.append(f"{name} = {json.dumps(one.value)}  # {one.low:.3g} to {one.high:.3g}, {one.drivers} drivers")
         else:
-            seen = f", {one.drivers} drivers are too few" if one is not None and one.drivers else ""
+            why = "are too few" if one is None or one.drivers < LEAST else "tell no value above 0"
+            seen = f", {one.drivers} drivers {why}" if one is not None and one.drivers else ""
             lines.append(f"# {name} keeps its prior {getattr(prior, name)}{seen}")
     return "\n".join(lines) + "\n"
