@@ -42,11 +42,11 @@ Row = Mapping[str, Any]
 
 
 class SourceSums:
-    """Sums of columns over the scenes of each source scene: what a bootstrap over source scenes draws from.
+    """Sums of columns over the scenes of each recorded log: what a bootstrap over recordings draws from.
 
-    Memory does not grow with scenes, and not with source scenes beyond `most`: then the sources are pooled in `most`
-    groups by a hash of their names, and groups are drawn. Totals stay exact, intervals are as good as from `most`
-    scenes, and the order of the scenes does not matter.
+    A log is a source scene, or all windows of a drive. Memory does not grow with scenes, and not with logs beyond
+    `most`: then the logs are pooled in `most` groups by a hash of their names, and groups are drawn. Totals stay exact,
+    intervals are as good as from `most` logs, and the order of the scenes does not matter.
     """
 
     def __init__(
@@ -61,10 +61,10 @@ class SourceSums:
 
     def add(self, row: Row) -> None:
         """Take a scene row in. Errors: KeyError where it lacks a column."""
-        self._add(str(row["source"]), np.array([float(row[name]) for name in self._columns]))
+        self._add(str(row["log"]), np.array([float(row[name]) for name in self._columns]))
 
     def of_columns(self, *columns: str) -> tuple[FloatArray, ...]:
-        """Sums (S,) of each column, in the order of the sources' names. Errors: ValueError for an unknown column."""
+        """Sums (S,) of each column, in the order of the logs' names. Errors: ValueError for an unknown column."""
         table = np.array([self._sums[name] for name in sorted(self._sums)]).reshape(-1, len(self._columns))
         return tuple(table[:, self._columns.index(name)] for name in columns)
 
@@ -82,7 +82,7 @@ def _hash(text: str) -> int:
 
 
 def estimate(sums: SourceSums, metric: Metric, group: str) -> Estimate:
-    """Pool a metric over scenes. The bootstrap draws source scenes: the variants of one scene are not independent."""
+    """Pool a metric over scenes. The bootstrap draws logs: variants of one scene, or windows, are not independent."""
     return ratio(*sums.of_columns(f"{group}_{metric.numerator.name}", f"{group}_{metric.denominator.name}"))
 
 
@@ -228,7 +228,7 @@ class Totals:
         self.control: Samples | None = None
         self.events: list[Row] = []
         self.event_counts: Counter[tuple[str, str]] = Counter()
-        self._sources: set[str] = set()
+        self._sources: dict[str, str] = {}  # and the log of each
         self._counts: Counter[str] = Counter()
         self._rejected: Counter[str] = Counter()
         self._selection: dict[str, Counter[str]] = {}
@@ -247,7 +247,7 @@ class Totals:
         self.events += events[: max(0, MOST_EVENTS - len(self.events))]
         # the recorded vehicles of a source scene are in every scene that was made from it: they count once
         as_recorded = source not in self._sources and source not in self._measured_sources
-        self._sources.add(source)
+        self._sources[source] = str(row["log"])
         if as_recorded:
             self.diversity.add(row, "before")
         self._add_driving(measures, generated=True, recorded=as_recorded)
@@ -276,7 +276,7 @@ class Totals:
         return {
             "scenes": {
                 "scenes": counts["scenes"],
-                "sources": len(self._sources),
+                "sources": len({*self._sources.values()}),
                 "generated_scenes": counts["generated_scenes"],
                 "generated_vehicles": counts["generated"],
             },

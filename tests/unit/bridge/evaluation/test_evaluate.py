@@ -10,15 +10,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recordings import LOG_ID, make_log
 from written import edit_json, made_up_sidecar
 
 import bridge.evaluation.totals as totals_module
 from bridge.evaluation.evaluate import evaluate_folder, write_report
 from bridge.evaluation.scene_metrics import measure, measure_folder
 from bridge.evaluation.totals import Evaluation, SourceSums, Totals, estimate
-from bridge.recordings.folders import find_scenarios
+from bridge.recordings.folders import Choices, find_scenarios
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import EventRecord
+from bridge.recordings.sources import find_recordings
 from hid2.agents import VEHICLE_TYPES
 from hid2.evaluation import metrics
 from hid2.evaluation.metrics import METRICS, ROWS, Column, Metric
@@ -265,10 +267,20 @@ def test_nothing_to_evaluate_and_nowhere_to_write_are_explained(made_root, copy_
 
 def test_pooled_ratio_is_of_sums_and_the_interval_holds_it():
     """Sources with 1 of 10 and 3 of 10: 4 of 20, not the mean over anything else; two sources give 0.1 to 0.3."""
-    columns = ("source", "original_paper_lo", "original_paper_tracks")
+    columns = ("log", "original_paper_lo", "original_paper_tracks")
     rows = [dict(zip(columns, row, strict=True)) for row in (("a", 1.0, 10), ("b", 2.0, 5), ("b", 1.0, 5))]
     found = estimate(SourceSums(rows, names=columns[1:]), METRICS[0], "original")
     assert found == pytest.approx((0.2, 0.1, 0.3))
+
+
+def test_windows_of_one_log_are_one_recording(data_scenes, tmp_path):
+    """Two that share 90 of 110 sweeps: drawn together, and in one fold of the critics."""
+    log, totals = make_log(data_scenes["intersection"], tmp_path), Totals()
+    for window in find_recordings([log], Choices(stride=20)):
+        totals.add(measure_folder(window))
+    assert {*totals.samples.windows()["scene"]} == {LOG_ID}
+    assert totals.sums.of_columns("original_rows")[0].size == 1
+    assert [totals.content()["scenes"][name] for name in ("scenes", "sources")] == [2, 1]
 
 
 def test_a_scene_in_which_nothing_moves_is_measured(made_scene):

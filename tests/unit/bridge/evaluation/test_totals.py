@@ -21,7 +21,7 @@ COLUMNS = ("hits", "rows")
 
 def rows_of(*sources, seed=0):
     rng = random.Random(seed)
-    return [{"source": source, "hits": rng.randint(0, 4), "rows": 5} for source in sources]
+    return [{"log": source, "hits": rng.randint(0, 4), "rows": 5} for source in sources]
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,8 @@ def measured(made_scene):
 
 def named(measures, number, *, sources):
     """The same scene under another name, made from one of `sources` scenes."""
-    scene = measures.scene | {"scenario_id": f"scene-{number}", "source": f"source-{number % sources}"}
+    scene = measures.scene | dict.fromkeys(("source", "log"), f"source-{number % sources}")
+    scene |= {"scenario_id": f"scene-{number}"}
     return replace(measures, tables={**measures.tables, "scenes": [scene]})
 
 
@@ -136,7 +137,7 @@ def test_before_holds_each_source_once_whether_it_is_measured_itself_or_not(meas
 
 def test_sums_by_source_are_in_the_order_of_their_names():
     counts = [("b", 1, 4), ("a", 2, 5), ("b", 3, 6)]
-    sums = SourceSums([dict(zip(("source", *COLUMNS), row, strict=True)) for row in counts], names=COLUMNS)
+    sums = SourceSums([dict(zip(("log", *COLUMNS), row, strict=True)) for row in counts], names=COLUMNS)
     hits, rows = sums.of_columns("hits", "rows")
     assert hits.tolist() == [2.0, 4.0]
     assert rows.tolist() == [5.0, 10.0]
