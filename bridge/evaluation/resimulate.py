@@ -87,7 +87,7 @@ class Resimulation:
         tracks = recording.tracks
         self.vehicles, self.left = taken_out(recording_states(recording), tracks, NOW)
         length_m, width_m = np.array([track.size for track in tracks]).T.copy()
-        logged = traffic_of(tracks, recording.num_steps, step_s=recording.step_s)
+        logged = traffic_of(tracks, recording.num_steps, step_s=recording.step_s, velocity_by=velocity_of)
         self.logged = replace(logged, length_m=length_m, width_m=width_m)
         self.recording, self._grid = recording, build_cell_grid(recording.graph)
         self._net = net_bytes(self._grid)
