@@ -161,8 +161,7 @@ class Resimulation:
             pairs = [(getattr(past, name), getattr(rollout, name)) for name in ("position", "heading", "velocity")]
             xy, angle, velocity = (np.concatenate([known, driven[one.row, span]]) for known, driven in pairs)
             tracks.append(replace(past, timesteps=steps, position=xy, heading=angle, velocity=velocity))
-        driving = config.driving.model_copy(update={"replay": "reactive"})
-        config = config.model_copy(update={"driving": driving})
+        config = config.model_copy(update={"driving": config.driving.model_copy(update={"replay": "reactive"})})
         late_s, seed = {track.track_id: 0.0 for track in tracks}, config.request.seed
         replay = ReplayRecord(
             mode="reactive", late_s=late_s, checked=False, states=0, max_position_error_m=0.0, max_heading_error_rad=0.0
@@ -215,11 +214,10 @@ def resimulate_folders(
     folders = [one for one in folders if one not in {failed for failed, _ in failures}]
     halves = [drivers_of(calibrate(seen[1 - half :: 2], prior=Drivers())) for half in (0, 1) if seen[1:]]
     drivers = {folder: halves[number % 2] for number, folder in enumerate(folders) if halves}
-    each = work_on_each(
+    scenes, failed = sorted_out(work_on_each(
         score_scene, [*drivers], shared=(plan, drivers, out), jobs=jobs, chunk=1, timeout_s=_SCENE_S * plan.seeds,
         on_item=on_scene,
-    )  # fmt: skip
-    scenes, failed = sorted_out(each)
+    ))  # fmt: skip
     failures += failed
     some = [scene for scene in scenes if scene.driven]
     if len(some) < 2:

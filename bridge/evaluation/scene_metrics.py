@@ -313,8 +313,7 @@ def _maneuver_rows(seen: Sequence[Maneuver], sidecar: Sidecar | None) -> list[Ro
 
 def _seen(track_id: str | None, record: ManeuverRecord, candidates: Sequence[Maneuver]) -> Maneuver | None:
     """The manoeuvre seen that a record tells of."""
-    passes = (ManeuverKind.PASS, ManeuverKind.OBSTACLE_AVOIDANCE) if record.kind == "overtake" else ()
-    kinds = {record.kind, *passes}
+    kinds = {record.kind, *((ManeuverKind.PASS, ManeuverKind.OBSTACLE_AVOIDANCE) if record.kind == "overtake" else ())}
     same = [m for m in candidates if m.track_id == track_id and m.kind in kinds]
     at = record.crossing_s if record.crossing_s is not None else record.start_s
     if at is None or not same:

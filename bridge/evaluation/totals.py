@@ -224,8 +224,7 @@ class Totals:
         self.diversity = Diversity()
         self.realism = RealismCounts()
         self.maneuvers = ManeuverCounts()
-        self.samples = Samples()
-        self.control: Samples | None = None
+        self.samples, self.control = Samples(), Samples()
         self.events: list[Row] = []
         self.event_counts: Counter[tuple[str, str]] = Counter()
         self._sources: dict[str, str] = {}  # and the log of each
@@ -260,7 +259,6 @@ class Totals:
 
     def add_control(self, measures: SceneMeasures) -> None:
         """Take a scene of the control's drivers in: of it only what the critics look at counts."""
-        self.control = self.control or Samples()
         own = measures.windows
         self.control.add(own[own["generated"]], scene=measures.scene["scenario_id"])
 
@@ -297,9 +295,7 @@ class Totals:
             "realism": {
                 "distances": [distance._asdict() for distance in self.realism.distances()],
                 "tails": _tails(self.realism),
-                "critics": critique(
-                    self.samples.windows(), None if self.control is None else self.samples.windows(self.control)
-                ),
+                "critics": critique(self.samples.windows(), self.samples.windows(self.control)),
             },
             "requests": {
                 "requested": counts["requested"],

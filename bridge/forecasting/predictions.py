@@ -377,11 +377,8 @@ def compare_predictions(
 
 def sources_of(scenes: Path) -> dict[str, str]:
     """The recorded scene behind each generated one below a folder, by scenario id."""
-    found: dict[str, str] = {}
-    for folder in find_scenarios(scenes):
-        sidecar = generated_sidecar(folder)
-        if sidecar is not None:
-            found[source_id(folder)] = sidecar.source_scenario_id
+    each = ((source_id(folder), generated_sidecar(folder)) for folder in find_scenarios(scenes))
+    found = {name: sidecar.source_scenario_id for name, sidecar in each if sidecar is not None}
     for root in (scenes, scenes.parent):
         found |= {name: origin["source_id"] for name, origin in origins_of(root).items()}
     return found

@@ -52,11 +52,10 @@ def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
             highest = max(highest, levels.max())
         ax.set(ylim=(0, 1.25 * highest), xlabel=axis_label, ylabel="share of scenes")  # room for the legend
     axes[0].legend(loc="upper left")
-    behaviours = diversity["behaviours"]
     policies = list(Policy)
     place = np.arange(len(policies))
     for offset, when, color, hatch in ((-0.2, "before", figures.GREY, ""), (0.2, "after", figures.BLUE, "//")):
-        part = behaviours[when]
+        part = diversity["behaviours"][when]
         shares = [part["scenes_with"][policy.value] / max(1, part["scenes"]) for policy in policies]
         bars = axes[2].bar(
             place + offset, shares, 0.4, color=color, alpha=0.7, hatch=hatch, edgecolor="white", label=when

@@ -75,11 +75,10 @@ def observe(states: AgentStates, *, name: str, city: str, labelled: bool) -> Sce
     rows = np.flatnonzero((led.agent >= 0) & arrays.clean[arrays.agent] & (speed < STANDS_MPS))
     ahead, gap = arrays.row_of[led.agent[rows], arrays.step[rows]], led.gap_m[rows]
     queue = (ahead >= 0) & (speed[ahead] < STANDS_MPS) & (gap > 0.0) & (gap < _QUEUE_M)
-    changes = whole_lane_changes(detect(states))
     return SceneDriving(
         name, city, labelled, windows(states, led, scene=name, labelled=labelled),
         standing_gap_m=_by_driver(arrays.agent[rows[queue]], gap[queue], np.median),
-        lane_change_s=np.array([one.duration_s for one in changes], dtype=np.float64),
+        lane_change_s=np.array([one.duration_s for one in whole_lane_changes(detect(states))], dtype=np.float64),
     )  # fmt: skip
 
 

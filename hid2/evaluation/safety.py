@@ -83,9 +83,7 @@ def colliding(arrays: SceneArrays, pairs: tuple[Overlap, ...], members: BoolArra
 
 def off_road(position: FloatArray, graph: LaneGraph) -> BoolArray:
     """Which points (N, 2) lie outside the union of the drivable areas."""
-    area = graph.drivable
-    shapely.prepare(area)
-    return np.asarray(~shapely.intersects_xy(area, position[:, 0], position[:, 1]))
+    return np.asarray(~shapely.intersects_xy(graph.drivable, *position.T))
 
 
 def off_footprint(arrays: SceneArrays, graph: LaneGraph) -> BoolArray:
