@@ -198,9 +198,10 @@ def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts
     if selection.sample is not None and selection.sample > len(chosen):
         _LOG.warning("--sample %d: only %d scenes are there to draw from, all are taken", selection.sample, len(chosen))
     elif selection.sample is not None:
-        # drawn by scenario, so that the choice does not depend on where the data set lies
-        drawn = random.Random(selection.seed).sample(range(len(chosen)), selection.sample)  # noqa: S311
-        chosen = [chosen[index] for index in sorted(drawn)]
+        # drawn by scenario, so that the choice depends neither on where the data set lies nor on the order of paths
+        ordered = sorted(chosen, key=lambda fact: fact.scenario)
+        drawn = {fact.folder for fact in random.Random(selection.seed).sample(ordered, selection.sample)}  # noqa: S311
+        chosen = [fact for fact in chosen if fact.folder in drawn]
     return chosen
 
 

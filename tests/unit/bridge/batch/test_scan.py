@@ -69,6 +69,7 @@ def test_unknown_manoeuvre_is_named() -> None:
         facts_of([], ("fly",))
 
 
+    assert first[::-1] == select(many[::-1], Selection(sample=10, seed=1)), "whatever the order of paths"
 def test_scene_that_cannot_be_read_is_tried_with_those_selected(monkeypatch: pytest.MonkeyPatch) -> None:
     """It may be wanted, and its reason is then where those of others are; it is in no sample, and not enough alone."""
     unread = [(Path("d"), "no map")]
