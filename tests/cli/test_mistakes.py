@@ -104,6 +104,7 @@ ORDER = [
         "--predictions",
         "leave",
     ),
+    ("evaluate s/made -o out --control av2", "--control av2", "no scene generated from a source", "expected"),
     ("paper density -o out --focal both", "--focal", "does nothing in density", "prediction"),
     ("paper prediction -o out --composed av2 --predictions av2 --seeds 9 --val .5", "--seeds, --val", "does", "leave"),
     ("paper prediction -o out --composed av2 --agents 9 --focal both", "--agents, --focal", "--composed", "leave"),

@@ -26,7 +26,7 @@ from hid2.evaluation import metrics
 from hid2.evaluation.metrics import METRICS, ROWS, Column, Metric
 from hid2.evaluation.realism import RECORDED
 from hid2.params import Config
-from netconvert.errors import ExportError, MapError, ScenarioError
+from netconvert.errors import ConfigError, ExportError, MapError, ScenarioError
 
 
 @pytest.fixture(scope="module")
@@ -263,6 +263,12 @@ def test_nothing_to_evaluate_and_nowhere_to_write_are_explained(made_root, copy_
     with pytest.raises(ScenarioError, match=r"none of 1 scenes can be read, expected one at least; .*not a parquet"):
         evaluate_folder(scene, report_dir=tmp_path / "report")
     assert list((tmp_path / "report").iterdir()) == []
+
+
+def test_control_of_other_sources_is_refused(made_scene, data_scenes, tmp_path):
+    with pytest.raises(ConfigError, match="no scene generated from a source of those in"):
+        evaluate_folder(data_scenes["curve"], report_dir=tmp_path / "report", control=made_scene)
+    assert not (tmp_path / "report").exists()
 
 
 def test_pooled_ratio_is_of_sums_and_the_interval_holds_it():
