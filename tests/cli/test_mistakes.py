@@ -105,6 +105,8 @@ ORDER = [
         "leave",
     ),
     ("evaluate s/made -o out --control av2", "--control av2", "no scene generated from a source", "expected"),
+    ("evaluate s/made -o out --predictions f --bands 70,50,50,-3", "--bands", "70,50,50,-3", "larger than the last"),
+    ("paper density -o out --agents 3", "--agents", "does nothing in density", "the others"),
     ("paper density -o out --focal both", "--focal", "does nothing in density", "prediction"),
     ("paper prediction -o out --composed av2 --predictions av2 --seeds 9 --val .5", "--seeds, --val", "does", "leave"),
     ("paper prediction -o out --composed av2 --agents 9 --focal both", "--agents, --focal", "--composed", "leave"),
