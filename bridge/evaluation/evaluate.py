@@ -27,15 +27,9 @@ _LOG = logging.getLogger(__name__)
 
 
 def evaluate_folder(
-    out: Path | str,
-    *,
-    report_dir: Path | str,
-    source: Path | str | Sequence[Path] = (),
-    choices: Choices | None = None,
-    control: Path | None = None,
-    jobs: int = 1,
-    on_scene: OnDone = None,
-) -> Evaluation:
+    out: Path | str, *, report_dir: Path | str, source: Path | str | Sequence[Path] = (),
+    choices: Choices | None = None, control: Path | None = None, jobs: int = 1, on_scene: OnDone = None,
+) -> Evaluation:  # fmt: skip
     """Measure every scene below `out`, recorded in any format or generated, and write the report into `report_dir`.
 
     Writes metrics.json, report.html, realism.csv and the tables of TABLES. "Before" is the source scenes of those in
@@ -57,7 +51,7 @@ def evaluate_folder(
     known = len(folders) + len(sources)
     totals, failures = Totals(sources), list[tuple[Address, str]]()
     with contextlib.ExitStack() as stack:
-        tables = {name: stack.enter_context(_table(report_dir / f"{name}.csv", TABLES[name])) for name in TABLES}
+        tables: dict[str, Callable[[Iterable[Row]], None]] = {}
         every = [*folders, *sources.values(), *controls]
         each = work_on_each(
             measure, every, shared=frozenset(sources), jobs=jobs, chunk=40, timeout_s=120, on_item=on_scene
@@ -73,11 +67,15 @@ def evaluate_folder(
                 totals.add_source(measures)
             else:
                 totals.add(measures)
+                for name in [] if tables else TABLES:  # none where no scene can be measured
+                    tables[name] = stack.enter_context(_table(report_dir / f"{name}.csv", TABLES[name]))
                 for name, append in tables.items():
                     append(measures.tables[name])
         if set(folders) <= {folder for folder, _ in failures}:
-            (first, reason), many = failures[0], len(folders)
-            raise ScenarioError(f"{out}: none of {many} scenes can be read, expected one at least; {first}: {reason}")
+            raise ScenarioError(
+                f"{out}: none of {len(folders)} scenes can be read, expected one at least; {failures[0][0]}: "
+                f"{failures[0][1]}"
+            )
     metrics = totals.content()
     metrics["scenes"]["failed"] = [{"folder": str(at), "reason": why} for at, why in failures]
     write_json(report_dir / "metrics.json", metrics)
@@ -115,8 +113,7 @@ def write_report(evaluation: Evaluation, path: Path) -> None:
 def _sources_of(folders: Sequence[Address], source: Sequence[Path], choices: Choices | None) -> dict[str, Address]:
     """Source scenes of the folders by id, as far as they lie below `source`; it is logged where some do not."""
     ids = {made_of for folder in folders if (made_of := _made_of(folder))}
-    map_path = choices.map_path if choices is not None else None
-    found = {source_id(folder): folder for folder in find_recordings(source, Choices(map_path, stride=1))}
+    found = {source_id(one): one for one in find_recordings(source, Choices((choices or Choices()).map_path, stride=1))}
     if lacking := len(ids - found.keys()):
         where = ", ".join(map(str, source))
         _LOG.warning("%s: %d of %d source scenes are not there; their recorded tracks stand", where, lacking, len(ids))

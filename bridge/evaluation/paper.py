@@ -162,16 +162,9 @@ def smoothed(tracks: Sequence[Track], num_steps: int, *, step_s: float) -> tuple
 
 
 def run_experiment(
-    name: Experiment,
-    *,
-    scenes: Path | Sequence[Path],
-    out_dir: Path,
-    choices: Choices | None = None,
-    seeds: int = 10,
-    jobs: int = 1,
-    agents: int = 10,
-    on_scene: OnDone = None,
-) -> Path:
+    name: Experiment, *, scenes: Path | Sequence[Path], out_dir: Path, choices: Choices | None = None, seeds: int = 10,
+    jobs: int = 1, agents: int = 10, on_scene: OnDone = None,
+) -> Path:  # fmt: skip
     """Run one experiment of the paper on recorded scenes; returns the page that it wrote.
 
     Writes <name>.html, <name>.csv (the table), <name>_scenes.csv (one row per scene and seed) and <name>.json into
@@ -225,8 +218,7 @@ def run_experiment(
 
 def _placed(rows: Sequence[Row]) -> float:
     """Vehicles placed in a scene, in the mean."""
-    placed: int = sum(row["generated"] for row in rows)
-    return round(placed / max(1, len(rows)), 1)
+    return round(float(np.mean([row["generated"] for row in rows] or 0.0)), 1)
 
 
 # Tables ---------------------------------------------------------------------------------------------------------------

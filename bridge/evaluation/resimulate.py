@@ -278,10 +278,12 @@ def _write(
         {"scene": scene.name, "track_id": track_id, "driven": not why, "why_not": why}
         for scene in scenes for track_id, why in [*((one, "") for one in scene.driven), *scene.left.items()]
     ])  # fmt: skip
-    vehicles = {
+    counts = {
         "driven": sum(len(scene.driven) for scene in some),
         "left": Counter(why for scene in scenes for why in scene.left.values()).most_common(),
         "unscored": [*failures, *((scene.name, "no vehicle to drive") for scene in scenes if not scene.driven)],
     }
-    shown = {"plan": plan, "rows": rows, "models": MODELS, "features": FEATURES, "scenes": len(some)} | vehicles
-    write_page(out / "resimulation.html", "resimulation.html.j2", measured=[len(half) for half in halves], **shown)
+    write_page(
+        out / "resimulation.html", "resimulation.html.j2", plan=plan, rows=rows, models=MODELS, features=FEATURES,
+        scenes=len(some), measured=[len(half) for half in halves], **counts,
+    )  # fmt: skip

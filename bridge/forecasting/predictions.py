@@ -69,14 +69,9 @@ Runs = Sequence[pd.DataFrame]
 
 
 def score_predictions(
-    out: Path,
-    *,
-    predictions: Path | str,
-    report_dir: Path | None = None,
-    bounds: Sequence[int] = BOUNDS,
-    jobs: int = 1,
-    on_scene: OnDone = None,
-) -> tuple[pd.DataFrame, list[str]]:
+    out: Path, *, predictions: Path | str, report_dir: Path | None = None, bounds: Sequence[int] = BOUNDS,
+    jobs: int = 1, on_scene: OnDone = None,
+) -> tuple[pd.DataFrame, list[str]]:  # fmt: skip
     """Score forecasts of the scenes below `out`; `predictions` is a submission file or the name of a baseline.
 
     A baseline forecasts the focal track of each scene. A scene that cannot be read is left out, with the reason, as is

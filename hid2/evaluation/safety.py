@@ -88,9 +88,8 @@ def off_road(position: FloatArray, graph: LaneGraph) -> BoolArray:
 
 def off_footprint(arrays: SceneArrays, graph: LaneGraph) -> BoolArray:
     """Rows (N,) with boxes more than FOOTPRINT_TOLERANCE_M out of the drivable area, as the judge sees it."""
-    length, width = arrays.length[arrays.agent], arrays.width[arrays.agent]
-    outside = outside_m(arrays.position, arrays.heading, length, width, graph, tolerance_m=FOOTPRINT_TOLERANCE_M)
-    return np.asarray(outside > 0.0)
+    boxes = arrays.position, arrays.heading, arrays.length[arrays.agent], arrays.width[arrays.agent]
+    return np.asarray(outside_m(*boxes, graph, tolerance_m=FOOTPRINT_TOLERANCE_M) > 0.0)
 
 
 def ttc_after_last_step(arrays: SceneArrays, members: BoolArray, among: BoolArray) -> FloatArray:
