@@ -112,7 +112,7 @@ def read(source: Source) -> Recording:
 def check_sequence(content: bytes, name: str) -> pd.DataFrame:
     """The rows of a CSV file, checked but for what `split_rows` asks, by track, in the order of first appearance.
 
-    Its columns, the timestep and a number by track, code; quotes are letters. name: for messages. Errors: ScenarioError.
+    Its columns, timestep and a number by track, code; quotes are letters. name: for messages. Errors: ScenarioError.
     """
     try:
         header, *lines = [*csv.reader(io.StringIO(content.decode("ascii"), newline=""), quoting=csv.QUOTE_NONE)] or [[]]
