@@ -198,6 +198,13 @@ class Drivers(_Section):
     reaction_s: float = _param(0.5, "s", "EIDM treaction", ge=0.1, le=3)
     error: float = _param(0.1, "-", "EIDM sigmaerror; acts on roads without replayed agents alone", ge=0, le=1)
 
+    @model_validator(mode="after")
+    def _check(self) -> "Drivers":
+        low, high = self.turn_lateral_min_mps2, self.turn_lateral_max_mps2
+        if low > high:
+            raise ValueError(f"turn_lateral_min_mps2 {low:g} is above turn_lateral_max_mps2 {high:g}")
+        return self
+
 
 class LaneChange(_Section):
     """Paper, Lane Change; Algorithm 1 lines 3 to 5."""

@@ -15,7 +15,7 @@ from hid2.agents import VEHICLE_TYPES, Policy
 from hid2.insertion.events import offered_events
 from hid2.insertion.routes import Routes
 from hid2.insertion.surroundings import Surroundings
-from hid2.measures.arrays import MOVING_EXTENT_M, MOVING_S
+from hid2.measures.arrays import stack
 from hid2.params import Config, Event
 from hid2.policy.behaviours import load_own
 from hid2.policy.overtake import stretch_m
@@ -42,7 +42,7 @@ class SceneFacts(NamedTuple):
     tracks: Annotated[int, "recorded tracks, of any type"]
     at_49: Annotated[int, "of them present at the last observed timestep, 49 in Argoverse 2"]
     vehicles: Annotated[int, "tracks of type vehicle or bus"]
-    moving: Annotated[int, "vehicles with a path over 5 m, seen for more than 1 s"]
+    moving: Annotated[int, "vehicles whose path extends over 5 m, seen for more than 1 s"]
     lanes: Annotated[int, "lane segments of the map"]
     vehicle_lanes: Annotated[int, "of them of type VEHICLE"]
     same_direction: Annotated[int, "neighbours of the same direction, counted over the two sides of all VEHICLE lanes"]
@@ -123,7 +123,7 @@ def describe_scene(asked: Sequence[str], folder: Address) -> SceneFacts:
     lanes = [lane for lane in graph.lanes.values() if lane.lane_type == "VEHICLE"]
     drivable = {lane.lane_id for lane in lanes}
     turns = [lane for lane in lanes if lane.turn is not TurnType.STRAIGHT and graph.predecessors(lane.lane_id)]
-    short, room = round(MOVING_S / scenario.step_s), rooms(routes)
+    room = rooms(routes)
     return SceneFacts(
         folder=folder,
         scenario=scenario.scenario_id,
@@ -133,7 +133,7 @@ def describe_scene(asked: Sequence[str], folder: Address) -> SceneFacts:
         tracks=len(scenario.tracks),
         at_49=sum(scenario.last_observed in track.timesteps for track in scenario.tracks),
         vehicles=len(vehicles),
-        moving=sum(track.path_m > MOVING_EXTENT_M and len(track.timesteps) > short for track in vehicles),
+        moving=int(stack(vehicles, step_s=scenario.step_s).moving.sum()),
         lanes=len(graph.lanes),
         vehicle_lanes=len(lanes),
         same_direction=sum(graph.neighbor(lane.lane_id, side) in drivable for lane in lanes for side in SIDES),
@@ -198,9 +198,10 @@ def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts
     if selection.sample is not None and selection.sample > len(chosen):
         _LOG.warning("--sample %d: only %d scenes are there to draw from, all are taken", selection.sample, len(chosen))
     elif selection.sample is not None:
-        # drawn by scenario, so that the choice does not depend on where the data set lies
-        drawn = random.Random(selection.seed).sample(range(len(chosen)), selection.sample)  # noqa: S311
-        chosen = [chosen[index] for index in sorted(drawn)]
+        # drawn by scenario, so that the choice depends neither on where the data set lies nor on the order of paths
+        ordered = sorted(chosen, key=lambda fact: fact.scenario)
+        drawn = {fact.folder for fact in random.Random(selection.seed).sample(ordered, selection.sample)}  # noqa: S311
+        chosen = [fact for fact in chosen if fact.folder in drawn]
     return chosen
 
 

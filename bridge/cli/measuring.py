@@ -275,11 +275,11 @@ _PREDICTION = frozenset({"--variants", "--val", "--updates", "--focal", "--compo
 
 def _check_fits(experiment: str, given: options.Given) -> None:
     """Errors: ConfigError for an option of another experiment, or of what is there already."""
-    wrong, which = _PREDICTION, "prediction"
+    wrong = dict.fromkeys(_PREDICTION, "prediction") | ({"--agents": "the others"} if experiment == "density" else {})
     if experiment == "prediction":
-        wrong, which = frozenset({"--map", "--window", "--stride"}), "the others"
-    for name in sorted(given & wrong):
-        raise ConfigError(f"{name} does nothing in {experiment}, expected it with {which} only")
+        wrong = dict.fromkeys(("--map", "--window", "--stride"), "the others")
+    for name in sorted(given & wrong.keys()):
+        raise ConfigError(f"{name} does nothing in {experiment}, expected it with {wrong[name]} only")
     if "--composed" in given:
         way = "--predictions" if "--predictions" in given else "--composed"
         given.check(_WITH_COMPOSED[way], way)
@@ -299,25 +299,28 @@ def _score(
     """Score forecasts, or compare those of several files; returns whether some scene was left out."""
     from bridge.forecasting import predictions
 
-    try:
-        bounds = predictions.BOUNDS if bands is None else [int(band) for band in bands.split(",")]
-    except ValueError:
-        raise ConfigError(f"--bands {bands!r}: expected numbers of agents, joined by commas") from None
+    given = ",".join(map(str, predictions.BOUNDS)) if bands is None else bands.replace(" ", "")
+    bounds = sorted({int(band) for band in given.split(",") if band.isdecimal()} - {0})
+    if ",".join(map(str, bounds)) != given:
+        raise ConfigError(f"--bands {bands!r}: expected numbers of agents, each larger than the last, joined by commas")
     activity.doing("scoring forecasts")
-    head: Sequence[str]
+    table: tuple[Sequence[str], Sequence[tuple[object, ...]]]
     if len(files) > 1:
         models = predictions.parse_models(files)
         found, left_out = predictions.compare_predictions(
             out, models, report, bounds=bounds, jobs=jobs, on_scene=activity.show
         )
-        title, head, rows = f"{len(models)} models", predictions.HEAD, predictions.rows_of(found)
+        table = (found[0]._fields, found) if as_json else (predictions.HEAD, predictions.rows_of(found))
+        title = f"{len(models)} models"
     else:
         scores, left_out = predictions.score_predictions(
             out, predictions=files[0], report_dir=report, bounds=bounds, jobs=jobs, on_scene=activity.show
         )
-        title, head, rows = f"{len(scores)} scores", predictions.TABLE_HEAD, predictions.band_rows(scores, bounds)
+        rows = predictions.band_rows(scores, bounds)
+        table = predictions.TABLE_HEAD, rows if as_json else predictions.shown(rows)
+        title = f"{len(scores)} scores"
     _tell_left_out("not scored", left_out, activity)
-    activity.table(title, head, rows, as_json=as_json)
+    activity.table(title, *table, as_json=as_json)
     page = "comparison.html" if len(files) > 1 else "predictions.html"
     activity.result(*(() if as_json else (report / page,)))
     return bool(left_out)

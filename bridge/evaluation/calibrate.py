@@ -1,6 +1,7 @@
 """`hid2 calibrate`: recorded scenes to drivers.toml, with a table of every quantity."""
 
 import json
+import logging
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -10,13 +11,15 @@ from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.evaluation.evaluate import write_table
 from bridge.files import write_text
 from bridge.pages.parts import write_page
-from bridge.recordings.folders import source_id
+from bridge.recordings.folders import Source, source_id
 from bridge.recordings.judging import recording_states
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sources import find_sources
-from hid2.evaluation.calibration import CalibratedQuantity, SceneDriving, calibrate, drivers_of, observe
+from hid2.evaluation.calibration import LEAST, CalibratedQuantity, SceneDriving, calibrate, drivers_of, observe
 from hid2.params import Drivers
 from netconvert.errors import ConfigError, ScenarioError
+
+_LOG = logging.getLogger(__name__)
 
 
 def calibrate_folder(
@@ -32,7 +35,7 @@ def calibrate_folder(
     if out.suffix != ".toml":
         raise ConfigError(f"{out}: drivers are written in TOML, with a .csv and a .html beside; expected NAME.toml")
     root = ", ".join(map(str, roots))
-    there = {source_id(one): one for one in find_sources(roots) if isinstance(one, Path)}
+    there = scenes_below(roots)
     if not there:
         raise ConfigError(f"{root}: no Argoverse 2 scene, which calibration reads; expected scenario_<id>.parquet")
     unknown = sorted(set(without) - there.keys())
@@ -42,11 +45,10 @@ def calibrate_folder(
     if not folders:
         raise ConfigError(f"{root}: --without leaves no scene to calibrate with, expected at least one")
     scenes, failures = sorted_out(
-        work_on_each(observe_scene, folders, shared=None, jobs=jobs, chunk=20, timeout_s=120, on_item=on_scene)
+        work_on_each(observe_scene, folders, shared=1, jobs=jobs, chunk=20, timeout_s=120, on_item=on_scene)
     )
     if not scenes:
         raise ScenarioError(f"{root}: no scene can be read; the first: {failures[0][0]}: {failures[0][1]}")
-    scenes.sort(key=lambda scene: scene.name)
     prior = Drivers()
     groups = {name: calibrate(part, prior=prior) for name, part in _groups(scenes)}
     rows = [{"group": name} | one._asdict() for name, found in groups.items() for one in found]
@@ -56,9 +58,23 @@ def calibrate_folder(
     return failures
 
 
-def observe_scene(_shared: None, folder: Path) -> SceneDriving:
-    """What one recorded scene shows of driving. Errors: ScenarioError, MapError."""
+def scenes_below(roots: Sequence[Path]) -> dict[str, Path]:
+    """The Argoverse 2 scenes below some folders by id, each once; what is left out is logged. Errors: NoSceneError."""
+    found = find_sources(roots)
+    scenes: dict[str, Path] = {}
+    for folder in (one for one in found if isinstance(one, Path)):
+        if (first := scenes.setdefault(source_id(folder), folder)) is not folder:
+            _LOG.warning("%s: the same scene as %s, left out", folder, first)
+    if others := sum(isinstance(one, Source) for one in found):
+        _LOG.warning("%d of %d recordings left out: sensor logs and Argoverse 1 are not read here", others, len(found))
+    return dict(sorted(scenes.items()))
+
+
+def observe_scene(least: int, folder: Path) -> SceneDriving:
+    """What one recorded scene of so many steps at least shows of driving. Errors: ScenarioError, MapError."""
     scene = read_scenario(folder)
+    if scene.num_steps < least:
+        raise ScenarioError(f"{folder}: {scene.num_steps} steps, expected at least {least}")
     labelled = scene.provenance == "human"
     return observe(recording_states(scene), name=scene.scenario_id, city=scene.city, labelled=labelled)
 
@@ -88,6 +104,7 @@ def drivers_toml(found: Sequence[CalibratedQuantity], prior: Drivers, scenes: Se
         if one is not None and name in measured:
             lines.append(f"{name} = {json.dumps(one.value)}  # {one.low:.3g} to {one.high:.3g}, {one.drivers} drivers")
         else:
-            seen = f", {one.drivers} drivers are too few" if one is not None and one.drivers else ""
+            why = "are too few" if one is None or one.drivers < LEAST else "tell no value above 0"
+            seen = f", {one.drivers} drivers {why}" if one is not None and one.drivers else ""
             lines.append(f"# {name} keeps its prior {getattr(prior, name)}{seen}")
     return "\n".join(lines) + "\n"

@@ -16,26 +16,20 @@ from bridge.evaluation.scene_metrics import TABLES, Row, SceneMeasures, measure_
 from bridge.evaluation.totals import Evaluation, Totals
 from bridge.files import append_rows, table_file, write_json
 from bridge.pages.parts import number, write_page
-from bridge.recordings.folders import MAP_PATTERN, Address, Choices, find_scenarios, source_id
+from bridge.recordings.folders import MAP_PATTERN, Address, Choices, find_scenarios, is_generated, source_id
 from bridge.recordings.sidecar import sidecar_in
 from bridge.recordings.sources import find_recordings, fitting, source_files
 from hid2.evaluation.realism import FEATURES, GENERATED
 from hid2.reasons import Reason
-from netconvert.errors import ScenarioError
+from netconvert.errors import ConfigError, ScenarioError
 
 _LOG = logging.getLogger(__name__)
 
 
 def evaluate_folder(
-    out: Path | str,
-    *,
-    report_dir: Path | str,
-    source: Path | str | Sequence[Path] = (),
-    choices: Choices | None = None,
-    control: Path | None = None,
-    jobs: int = 1,
-    on_scene: OnDone = None,
-) -> Evaluation:
+    out: Path | str, *, report_dir: Path | str, source: Path | str | Sequence[Path] = (),
+    choices: Choices | None = None, control: Path | None = None, jobs: int = 1, on_scene: OnDone = None,
+) -> Evaluation:  # fmt: skip
     """Measure every scene below `out`, recorded in any format or generated, and write the report into `report_dir`.
 
     Writes metrics.json, report.html, realism.csv and the tables of TABLES. "Before" is the source scenes of those in
@@ -43,7 +37,8 @@ def evaluate_folder(
     that cannot be read is listed and left out. choices: for recordings of formats that leave something open; control:
     scenes made from the same sources with drivers that the critics must tell, such as SUMO's default ones.
     on_scene(done, total) is called as scenes are done.
-    Errors: ScenarioError where there is no scene; ExportError where the report cannot be written.
+    Errors: ScenarioError where there is no scene; ConfigError for other scenes as control; ExportError where the report
+    cannot be written.
     """
     # by map, so that each is read once, and large ones first: what a process needs at most it needs from the start
     folders = sorted(find_recordings([Path(out)], choices), key=_map_size, reverse=True)
@@ -51,10 +46,12 @@ def evaluate_folder(
     sources = _sources_of(folders, roots, choices) if roots else {}
     fitting([*folders, *sources.values()], choices)
     controls = sorted(find_scenarios(control), key=_map_size, reverse=True) if control is not None else []
+    if controls and {*map(_made_of, folders)}.isdisjoint(map(_made_of, filter(is_generated, controls))):
+        raise ConfigError(f"--control {control}: no scene generated from a source of those in {out}, expected some")
     known = len(folders) + len(sources)
     totals, failures = Totals(sources), list[tuple[Address, str]]()
     with contextlib.ExitStack() as stack:
-        tables = {name: stack.enter_context(_table(report_dir / f"{name}.csv", TABLES[name])) for name in TABLES}
+        tables: dict[str, Callable[[Iterable[Row]], None]] = {}
         every = [*folders, *sources.values(), *controls]
         each = work_on_each(
             measure, every, shared=frozenset(sources), jobs=jobs, chunk=40, timeout_s=120, on_item=on_scene
@@ -70,11 +67,15 @@ def evaluate_folder(
                 totals.add_source(measures)
             else:
                 totals.add(measures)
+                for name in [] if tables else TABLES:  # none where no scene can be measured
+                    tables[name] = stack.enter_context(_table(report_dir / f"{name}.csv", TABLES[name]))
                 for name, append in tables.items():
                     append(measures.tables[name])
         if set(folders) <= {folder for folder, _ in failures}:
-            (first, reason), many = failures[0], len(folders)
-            raise ScenarioError(f"{out}: none of {many} scenes can be read, expected one at least; {first}: {reason}")
+            raise ScenarioError(
+                f"{out}: none of {len(folders)} scenes can be read, expected one at least; {failures[0][0]}: "
+                f"{failures[0][1]}"
+            )
     metrics = totals.content()
     metrics["scenes"]["failed"] = [{"folder": str(at), "reason": why} for at, why in failures]
     write_json(report_dir / "metrics.json", metrics)
@@ -111,17 +112,20 @@ def write_report(evaluation: Evaluation, path: Path) -> None:
 
 def _sources_of(folders: Sequence[Address], source: Sequence[Path], choices: Choices | None) -> dict[str, Address]:
     """Source scenes of the folders by id, as far as they lie below `source`; it is logged where some do not."""
-    ids = set()
-    for folder in folders:
-        with contextlib.suppress(ScenarioError):  # reported with its scene
-            sidecar = sidecar_in(folder) if isinstance(folder, Path) else None
-            ids.add(sidecar.source_scenario_id if sidecar is not None else source_id(folder))
-    map_path = choices.map_path if choices is not None else None
-    found = {source_id(folder): folder for folder in find_recordings(source, Choices(map_path, stride=1))}
+    ids = {made_of for folder in folders if (made_of := _made_of(folder))}
+    found = {source_id(one): one for one in find_recordings(source, Choices((choices or Choices()).map_path, stride=1))}
     if lacking := len(ids - found.keys()):
         where = ", ".join(map(str, source))
         _LOG.warning("%s: %d of %d source scenes are not there; their recorded tracks stand", where, lacking, len(ids))
     return {known: found[known] for known in sorted(ids & found.keys())}
+
+
+def _made_of(folder: Address) -> str:
+    """Id of the scene that one was made from, its own where it was recorded; "" where that cannot be read."""
+    with contextlib.suppress(ScenarioError):  # reported with its scene
+        sidecar = sidecar_in(folder) if isinstance(folder, Path) else None
+        return sidecar.source_scenario_id if sidecar is not None else source_id(folder)
+    return ""
 
 
 def measure(sources: frozenset[str], folder: Address) -> bytes:

@@ -162,16 +162,9 @@ def smoothed(tracks: Sequence[Track], num_steps: int, *, step_s: float) -> tuple
 
 
 def run_experiment(
-    name: Experiment,
-    *,
-    scenes: Path | Sequence[Path],
-    out_dir: Path,
-    choices: Choices | None = None,
-    seeds: int = 10,
-    jobs: int = 1,
-    agents: int = 10,
-    on_scene: OnDone = None,
-) -> Path:
+    name: Experiment, *, scenes: Path | Sequence[Path], out_dir: Path, choices: Choices | None = None, seeds: int = 10,
+    jobs: int = 1, agents: int = 10, on_scene: OnDone = None,
+) -> Path:  # fmt: skip
     """Run one experiment of the paper on recorded scenes; returns the page that it wrote.
 
     Writes <name>.html, <name>.csv (the table), <name>_scenes.csv (one row per scene and seed) and <name>.json into
@@ -225,8 +218,7 @@ def run_experiment(
 
 def _placed(rows: Sequence[Row]) -> float:
     """Vehicles placed in a scene, in the mean."""
-    placed: int = sum(row["generated"] for row in rows)
-    return round(placed / max(1, len(rows)), 1)
+    return round(float(np.mean([row["generated"] for row in rows] or 0.0)), 1)
 
 
 # Tables ---------------------------------------------------------------------------------------------------------------
@@ -239,7 +231,7 @@ Line = dict[str, Any]
 def _line(label: str, rows: Sequence[Row], what: str | Mapping[str, float]) -> Line:
     """A line of a group of our rows, or of the paper's figures."""
     if isinstance(what, str):
-        sums = SourceSums.of(rows)
+        sums = SourceSums(rows)
         return {"row": label} | {m.key: estimate(sums, m, what)._asdict() for m in SHOWN}
     return {"row": label} | {key: Estimate(value)._asdict() for key, value in what.items()}
 
@@ -310,7 +302,7 @@ _Points = dict[str, dict[str, list[tuple[float, Estimate]]]]
 
 def _density(rows: _Rows, generating: Sequence[str]) -> _Points:
     """Estimates by metric and group along the numbers placed."""
-    series = [(_placed(own), SourceSums.of(own), one in generating) for one, own in rows.items() if one != _SMOOTHED]
+    series = [(_placed(own), SourceSums(own), one in generating) for one, own in rows.items() if one != _SMOOTHED]
     series.sort(key=lambda one: one[0])
 
     def points(metric: Metric, group: str) -> list[tuple[float, Estimate]]:
@@ -338,10 +330,10 @@ def _diversity(rows: _Rows) -> list[dict[str, Any]]:
     """What recorded scenes, and those made with either mix, say: all, then those of the paper's templates if apart."""
     before, after = rows["recorded"], [*rows["dense"], *rows["rare"]]
     templates = {row["source"] for row in before if row["tracks"] > TEMPLATE_AGENTS}
-    found = [Diversity.of(after, before).content()]
+    found = [Diversity(after, before).content()]
     if templates and len(templates) < len(before):
         chosen = [[row for row in each if row["source"] in templates] for each in (after, before)]
-        found.append(Diversity.of(*chosen).content())
+        found.append(Diversity(*chosen).content())
     return found
 
 

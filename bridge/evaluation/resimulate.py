@@ -11,7 +11,7 @@ import numpy as np
 
 from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.config import config_sha256, new_scenario_id
-from bridge.evaluation.calibrate import observe_scene
+from bridge.evaluation.calibrate import observe_scene, scenes_below
 from bridge.evaluation.evaluate import write_table
 from bridge.files import explained
 from bridge.generation.generate import sumo_seed
@@ -22,7 +22,6 @@ from bridge.recordings.judging import recording_states
 from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
-from bridge.recordings.sources import find_sources
 from bridge.sumo.drivers import model_parameters
 from bridge.sumo.driving import FleetSimulation
 from bridge.sumo.fleet import Fleet
@@ -87,7 +86,7 @@ class Resimulation:
         tracks = recording.tracks
         self.vehicles, self.left = taken_out(recording_states(recording), tracks, NOW)
         length_m, width_m = np.array([track.size for track in tracks]).T.copy()
-        logged = traffic_of(tracks, recording.num_steps, step_s=recording.step_s)
+        logged = traffic_of(tracks, recording.num_steps, step_s=recording.step_s, velocity_by=velocity_of)
         self.logged = replace(logged, length_m=length_m, width_m=width_m)
         self.recording, self._grid = recording, build_cell_grid(recording.graph)
         self._net = net_bytes(self._grid)
@@ -162,8 +161,7 @@ class Resimulation:
             pairs = [(getattr(past, name), getattr(rollout, name)) for name in ("position", "heading", "velocity")]
             xy, angle, velocity = (np.concatenate([known, driven[one.row, span]]) for known, driven in pairs)
             tracks.append(replace(past, timesteps=steps, position=xy, heading=angle, velocity=velocity))
-        driving = config.driving.model_copy(update={"replay": "reactive"})
-        config = config.model_copy(update={"driving": driving})
+        config = config.model_copy(update={"driving": config.driving.model_copy(update={"replay": "reactive"})})
         late_s, seed = {track.track_id: 0.0 for track in tracks}, config.request.seed
         replay = ReplayRecord(
             mode="reactive", late_s=late_s, checked=False, states=0, max_position_error_m=0.0, max_heading_error_rad=0.0
@@ -204,19 +202,22 @@ def resimulate_folders(
         raise ConfigError("--write with --take-out one: in a scene that is written all are driven; expected all")
     if plan.write > plan.seeds:
         raise ConfigError(f"--write {plan.write}: of {plan.seeds} rollouts (--seeds), expected as many at most")
-    folders = sorted((one for one in find_sources(paths) if isinstance(one, Path)), key=lambda one: one.name)
+    if plan.write and (out / "scenes").exists():
+        raise ConfigError(f"{out / 'scenes'}: is there already, expected a folder without it: choose another one")
+    folders = [*scenes_below(paths).values()]
     if len(folders) < 2:
         there = f"{len(folders)} scene{'s' * (not folders)}"
         raise ConfigError(f"{paths[0]}: {there}, expected two at least: each half is driven as calibrated in the other")
-    seen, failures = sorted_out(work_on_each(observe_scene, folders, shared=None, jobs=jobs, chunk=4, timeout_s=120))
+    seen, failures = sorted_out(
+        work_on_each(observe_scene, folders, shared=LAST + 1, jobs=jobs, chunk=4, timeout_s=120)
+    )
     folders = [one for one in folders if one not in {failed for failed, _ in failures}]
     halves = [drivers_of(calibrate(seen[1 - half :: 2], prior=Drivers())) for half in (0, 1) if seen[1:]]
     drivers = {folder: halves[number % 2] for number, folder in enumerate(folders) if halves}
-    each = work_on_each(
+    scenes, failed = sorted_out(work_on_each(
         score_scene, [*drivers], shared=(plan, drivers, out), jobs=jobs, chunk=1, timeout_s=_SCENE_S * plan.seeds,
         on_item=on_scene,
-    )  # fmt: skip
-    scenes, failed = sorted_out(each)
+    ))  # fmt: skip
     failures += failed
     some = [scene for scene in scenes if scene.driven]
     if len(some) < 2:
@@ -229,15 +230,13 @@ def resimulate_folders(
         drawn = rng.integers(pool.values.shape[1], size=(plan.seeds, len(scene.driven)))
         scene.found["reference"] = likelihoods(scene.recorded, [pool.agents(rows) for rows in drawn])
     with explained(out):
-        _write(scenes, some, out, plan, halves)
+        _write(scenes, some, failures, out, plan, halves)
     return failures
 
 
 def score_scene(shared: tuple[ResimulationPlan, Mapping[Path, Mapping[str, float]], Path], folder: Path) -> SceneScores:
     """Rollouts of one scene and what they are worth. Errors: ScenarioError, MapError, SimulationError, ExportError."""
     (plan, drivers, out), recording = shared, read_scenario(folder)
-    if recording.num_steps <= LAST:
-        raise ScenarioError(f"{folder}: {recording.num_steps} steps, expected more than {LAST}, which are scored")
     made, beyond, step_s = Resimulation(recording), likelihood.beyond_edge(recording.graph), recording.step_s
     config = Config.model_validate({"drivers": drivers[folder], "request": {"seed": plan.seed}})
     every = np.array([one.row for one in made.vehicles], dtype=np.int64)
@@ -261,8 +260,8 @@ def score_scene(shared: tuple[ResimulationPlan, Mapping[Path, Mapping[str, float
 
 
 def _write(
-    scenes: Sequence[SceneScores], some: Sequence[SceneScores], out: Path, plan: ResimulationPlan,
-    halves: Sequence[Mapping[str, float]],
+    scenes: Sequence[SceneScores], some: Sequence[SceneScores], failures: Sequence[tuple[Path, str]], out: Path,
+    plan: ResimulationPlan, halves: Sequence[Mapping[str, float]],
 ) -> None:  # fmt: skip
     names = [*(one.name for one in FEATURES), *(f"all of {group}" for group in GROUPS), "sum"]
     scores = {model: np.array([scene_scores(scene.found[model]) for scene in some]) for model in MODELS}
@@ -279,9 +278,12 @@ def _write(
         {"scene": scene.name, "track_id": track_id, "driven": not why, "why_not": why}
         for scene in scenes for track_id, why in [*((one, "") for one in scene.driven), *scene.left.items()]
     ])  # fmt: skip
-    vehicles = {
+    counts = {
         "driven": sum(len(scene.driven) for scene in some),
         "left": Counter(why for scene in scenes for why in scene.left.values()).most_common(),
+        "unscored": [*failures, *((scene.name, "no vehicle to drive") for scene in scenes if not scene.driven)],
     }
-    shown = {"plan": plan, "rows": rows, "models": MODELS, "features": FEATURES, "scenes": len(some)} | vehicles
-    write_page(out / "resimulation.html", "resimulation.html.j2", measured=[len(half) for half in halves], **shown)
+    write_page(
+        out / "resimulation.html", "resimulation.html.j2", plan=plan, rows=rows, models=MODELS, features=FEATURES,
+        scenes=len(some), measured=[len(half) for half in halves], **counts,
+    )  # fmt: skip

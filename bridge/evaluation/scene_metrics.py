@@ -13,6 +13,7 @@ from bridge.generation.scene import TrafficScene
 from bridge.recordings.folders import Address, split_of
 from bridge.recordings.judging import findings_of, recording_states
 from bridge.recordings.recording import Recording
+from bridge.recordings.scenario import log_of
 from bridge.recordings.sidecar import REACTIVE, EventRecord, ManeuverRecord, Sidecar
 from bridge.recordings.sources import read_recording
 from hid2.agents import AV_ID, FloatArray, Policy, Track
@@ -90,6 +91,7 @@ def measure(
     apart: whether realism and windows of recorded vehicles are those among themselves, without inserted ones.
     """
     source = sidecar.source_scenario_id if sidecar else recording.scenario_id
+    log = log_of(recording.table) or source  # windows of one share their traffic
     states, groups = _grouped(recording, tracks)
     arrays, safe, last_observed = states.arrays, groups["combined"].safe, recording.last_observed
     maneuvers = detect(states)
@@ -99,6 +101,7 @@ def measure(
         "format": recording.format,
         "provenance": recording.provenance,
         "source": source,
+        "log": log,
         "steps": arrays.num_steps,
         "tracks": arrays.num_agents,
         "tracks_at_49": int((arrays.row_of[:, last_observed] >= 0).sum()),
@@ -109,7 +112,7 @@ def measure(
     for name, group in groups.items():
         scene |= {f"{name}_{key}": value for key, value in _group_row(group, maneuvers, policy_of).items()}
     scene |= _pair_row(safe, arrays) | _request_row(sidecar)
-    driving_of = partial(_driving, scene=source, labelled=recording.provenance == "human")
+    driving_of = partial(_driving, scene=log, labelled=recording.provenance == "human")
     realism, driving = driving_of(states, safe, maneuvers)
     if apart and arrays.generated.any() and not arrays.generated.all():
         alone = states.rows(np.flatnonzero(~arrays.generated).tolist())
@@ -310,8 +313,7 @@ def _maneuver_rows(seen: Sequence[Maneuver], sidecar: Sidecar | None) -> list[Ro
 
 def _seen(track_id: str | None, record: ManeuverRecord, candidates: Sequence[Maneuver]) -> Maneuver | None:
     """The manoeuvre seen that a record tells of."""
-    passes = (ManeuverKind.PASS, ManeuverKind.OBSTACLE_AVOIDANCE) if record.kind == "overtake" else ()
-    kinds = {record.kind, *passes}
+    kinds = {record.kind, *((ManeuverKind.PASS, ManeuverKind.OBSTACLE_AVOIDANCE) if record.kind == "overtake" else ())}
     same = [m for m in candidates if m.track_id == track_id and m.kind in kinds]
     at = record.crossing_s if record.crossing_s is not None else record.start_s
     if at is None or not same:

@@ -42,36 +42,29 @@ Row = Mapping[str, Any]
 
 
 class SourceSums:
-    """Sums of columns over the scenes of each source scene: what a bootstrap over source scenes draws from.
+    """Sums of columns over the scenes of each recorded log: what a bootstrap over recordings draws from.
 
-    Memory does not grow with scenes, and not with source scenes beyond `most`: then the sources are pooled in `most`
-    groups by a hash of their names, and groups are drawn. Totals stay exact, intervals are as good as from `most`
-    scenes, and the order of the scenes does not matter.
+    A log is a source scene, or all windows of a drive. Memory does not grow with scenes, and not with logs beyond
+    `most`: then the logs are pooled in `most` groups by a hash of their names, and groups are drawn. Totals stay exact,
+    intervals are as good as from `most` logs, and the order of the scenes does not matter.
     """
 
-    def __init__(self, names: Sequence[str] | None = None, *, most: int = MOST_SOURCES) -> None:
-        """Sum the columns of these names; of every metric and group unless told."""
+    def __init__(
+        self, rows: Iterable[Row] = (), *, names: Sequence[str] | None = None, most: int = MOST_SOURCES
+    ) -> None:
+        """Sums over scene rows, of the columns of these names; of every metric and group unless told."""
         self._columns = list(names or (f"{group}_{column}" for group in GROUPS for column in columns()))
         self._most, self._grouped = most, False
         self._sums: dict[str, FloatArray] = {}
-
-    @classmethod
-    def of(cls, rows: Iterable[Row]) -> "SourceSums":
-        """Sums over scene rows."""
-        sums = cls()
         for row in rows:
-            sums.add(row)
-        return sums
-
-    def __len__(self) -> int:
-        return len(self._sums)
+            self.add(row)
 
     def add(self, row: Row) -> None:
         """Take a scene row in. Errors: KeyError where it lacks a column."""
-        self._add(str(row["source"]), np.array([float(row[name]) for name in self._columns]))
+        self._add(str(row["log"]), np.array([float(row[name]) for name in self._columns]))
 
     def of_columns(self, *columns: str) -> tuple[FloatArray, ...]:
-        """Sums (S,) of each column, in the order of the sources' names. Errors: ValueError for an unknown column."""
+        """Sums (S,) of each column, in the order of the logs' names. Errors: ValueError for an unknown column."""
         table = np.array([self._sums[name] for name in sorted(self._sums)]).reshape(-1, len(self._columns))
         return tuple(table[:, self._columns.index(name)] for name in columns)
 
@@ -89,7 +82,7 @@ def _hash(text: str) -> int:
 
 
 def estimate(sums: SourceSums, metric: Metric, group: str) -> Estimate:
-    """Pool a metric over scenes. The bootstrap draws source scenes: the variants of one scene are not independent."""
+    """Pool a metric over scenes. The bootstrap draws logs: variants of one scene, or windows, are not independent."""
     return ratio(*sums.of_columns(f"{group}_{metric.numerator.name}", f"{group}_{metric.denominator.name}"))
 
 
@@ -103,19 +96,14 @@ def table(sums: SourceSums, section: MetricTable) -> dict[str, Any]:
 class Diversity:
     """Scenes before and after vehicles were added, and the vehicles added alone."""
 
-    def __init__(self) -> None:
+    def __init__(self, rows: Iterable[Row] = (), sources: Iterable[Row] = ()) -> None:
+        """Count scene rows and those of their source scenes."""
         #: By moment and what is counted: scenes by number of agents, moving vehicles and manoeuvres by kind.
         self._counts: Counter[tuple[str, str, int | str]] = Counter()
-
-    @classmethod
-    def of(cls, rows: Iterable[Row], sources: Iterable[Row]) -> "Diversity":
-        """Count scene rows and those of their source scenes."""
-        diversity = cls()
         for row in rows:
-            diversity.add(row, "generated", "after")
+            self.add(row, "generated", "after")
         for row in sources:
-            diversity.add(row, "before")
-        return diversity
+            self.add(row, "before")
 
     def add(self, row: Row, *moments: str) -> None:
         """Count a scene: as it was, once for each source; what was added to it, and as it is."""
@@ -236,11 +224,10 @@ class Totals:
         self.diversity = Diversity()
         self.realism = RealismCounts()
         self.maneuvers = ManeuverCounts()
-        self.samples = Samples()
-        self.control: Samples | None = None
+        self.samples, self.control = Samples(), Samples()
         self.events: list[Row] = []
         self.event_counts: Counter[tuple[str, str]] = Counter()
-        self._sources: set[str] = set()
+        self._sources: dict[str, str] = {}  # and the log of each
         self._counts: Counter[str] = Counter()
         self._rejected: Counter[str] = Counter()
         self._selection: dict[str, Counter[str]] = {}
@@ -259,7 +246,7 @@ class Totals:
         self.events += events[: max(0, MOST_EVENTS - len(self.events))]
         # the recorded vehicles of a source scene are in every scene that was made from it: they count once
         as_recorded = source not in self._sources and source not in self._measured_sources
-        self._sources.add(source)
+        self._sources[source] = str(row["log"])
         if as_recorded:
             self.diversity.add(row, "before")
         self._add_driving(measures, generated=True, recorded=as_recorded)
@@ -272,7 +259,6 @@ class Totals:
 
     def add_control(self, measures: SceneMeasures) -> None:
         """Take a scene of the control's drivers in: of it only what the critics look at counts."""
-        self.control = self.control or Samples()
         own = measures.windows
         self.control.add(own[own["generated"]], scene=measures.scene["scenario_id"])
 
@@ -288,7 +274,7 @@ class Totals:
         return {
             "scenes": {
                 "scenes": counts["scenes"],
-                "sources": len(self._sources),
+                "sources": len({*self._sources.values()}),
                 "generated_scenes": counts["generated_scenes"],
                 "generated_vehicles": counts["generated"],
             },
@@ -309,9 +295,7 @@ class Totals:
             "realism": {
                 "distances": [distance._asdict() for distance in self.realism.distances()],
                 "tails": _tails(self.realism),
-                "critics": critique(
-                    self.samples.windows(), None if self.control is None else self.samples.windows(self.control)
-                ),
+                "critics": critique(self.samples.windows(), self.samples.windows(self.control)),
             },
             "requests": {
                 "requested": counts["requested"],

@@ -318,7 +318,8 @@ def _write(
     )
     write_rows(out / "prediction_scores.csv", ("validation", "trained_on", "run", *scoring.SCORE_COLUMNS), every)
     write_json(out / "prediction.json", content)
-    shown = content | {
+    page = out / "prediction.html"
+    pages.write_page(page, "prediction.html.j2", **content | {
         "updates": updates,
         "reading": None if reading is None else _READINGS[reading],
         "gain_m": PAPER_GAIN_M,
@@ -326,7 +327,5 @@ def _write(
         "metrics": [scoring.METRICS[key] for key in _COLUMNS],
         "head": scoring.HEAD,
         "rows": scoring.rows_of(differences),
-    }
-    page = out / "prediction.html"
-    pages.write_page(page, "prediction.html.j2", **shown)
+    })  # fmt: skip
     return page

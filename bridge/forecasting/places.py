@@ -16,13 +16,12 @@ from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.config import word_for_recorded
 from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, only_file, source_id
 from bridge.recordings.map_rules import read_document
-from bridge.recordings.scenario import OBSERVED_STEPS, read_table
+from bridge.recordings.scenario import OBSERVED_STEPS, log_of, read_table
 from bridge.recordings.sidecar import REACTIVE, Sidecar, sidecar_in
 from hid2.params import Forecasting
 from netconvert.errors import MapError, ScenarioError
 from netconvert.lane_graph import joined
 
-_SLICE = "slice_id"
 #: Lines of a lane segment of which the points tell where a map lies.
 _LINES = ("centerline", "left_lane_boundary", "right_lane_boundary")
 #: Cells a side of the square in which the cells of a city are numbered.
@@ -97,7 +96,7 @@ def describe(params: Forecasting, folder: Path) -> SourceScene:
         steps=int(pc.max(timestep).as_py()) + 1,
         tracks=int(pc.count_distinct(track).as_py()),
         observed=int(pc.count_distinct(at_end).as_py()),
-        log=str(table.column(_SLICE)[0].as_py() or "") if _SLICE in table.column_names else "",
+        log=log_of(table),
         cells=cells,
         block=block,
         inserted=0 if sidecar is None else len(sidecar.agents),

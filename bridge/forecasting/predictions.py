@@ -10,7 +10,7 @@ that was made of one, and seeds of each model on its own: what is left is what o
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -69,14 +69,9 @@ Runs = Sequence[pd.DataFrame]
 
 
 def score_predictions(
-    out: Path,
-    *,
-    predictions: Path | str,
-    report_dir: Path | None = None,
-    bounds: Sequence[int] = BOUNDS,
-    jobs: int = 1,
-    on_scene: OnDone = None,
-) -> tuple[pd.DataFrame, list[str]]:
+    out: Path, *, predictions: Path | str, report_dir: Path | None = None, bounds: Sequence[int] = BOUNDS,
+    jobs: int = 1, on_scene: OnDone = None,
+) -> tuple[pd.DataFrame, list[str]]:  # fmt: skip
     """Score forecasts of the scenes below `out`; `predictions` is a submission file or the name of a baseline.
 
     A baseline forecasts the focal track of each scene. A scene that cannot be read is left out, with the reason, as is
@@ -109,8 +104,10 @@ def score_predictions(
     scores = pd.DataFrame(rows, columns=SCORE_COLUMNS)
     if report_dir is not None:
         write_rows(report_dir / "predictions.csv", SCORE_COLUMNS, rows)
-        shown = {"head": TABLE_HEAD, "rows": band_rows(scores, bounds), "left_out": left_out}
-        pages.write_page(report_dir / "predictions.html", "scored.html.j2", **shown)
+        rows = shown(band_rows(scores, bounds))
+        pages.write_page(
+            report_dir / "predictions.html", "scored.html.j2", head=TABLE_HEAD, rows=rows, left_out=left_out
+        )
     return scores, left_out
 
 
@@ -231,14 +228,19 @@ def bands(bounds: Sequence[int]) -> dict[str, str]:
 TABLE_HEAD = ("agents in the scene", "k", "tracks", *METRICS.values())
 
 
-def band_rows(scores: pd.DataFrame, bounds: Sequence[int]) -> list[tuple[str, ...]]:
+def band_rows(scores: pd.DataFrame, bounds: Sequence[int]) -> list[tuple[str | float | None, ...]]:
     """A table, by TABLE_HEAD: of each band and k the number of tracks, and their mean of each metric."""
     found = []
     for (name, band), k in itertools.product(bands(bounds).items(), KS):
         own = scores.query(f"{band} and k == {k}")
-        means = own[[*METRICS]].astype(float).mean() if len(own) else dict.fromkeys(METRICS)
-        found.append((name, str(k), str(len(own)), *(pages.number(means[key]) for key in METRICS)))
+        means = own[[*METRICS]].astype(float).mean().tolist() if len(own) else [None] * len(METRICS)
+        found.append((name, k, len(own), *means))
     return found
+
+
+def shown(rows: Iterable[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
+    """Rows by TABLE_HEAD as people read them: rounded, a dash for what there is not."""
+    return [(*row[:3], *map(pages.number, row[3:])) for row in rows]
 
 
 # Models compared in pairs
@@ -370,18 +372,15 @@ def compare_predictions(
         raise ScenarioError(f"{scenes}: no track is forecast by every file, nothing to compare")
     *head, _ = Difference._fields
     write_rows(report_dir / "comparison.csv", head, (one[:-1] for one in found))
-    shown = {"head": HEAD, "rows": rows_of(found), "left_out": left_out}
-    pages.write_page(report_dir / "comparison.html", "comparison.html.j2", **shown)
+    rows = rows_of(found)
+    pages.write_page(report_dir / "comparison.html", "comparison.html.j2", head=HEAD, rows=rows, left_out=left_out)
     return found, left_out
 
 
 def sources_of(scenes: Path) -> dict[str, str]:
     """The recorded scene behind each generated one below a folder, by scenario id."""
-    found: dict[str, str] = {}
-    for folder in find_scenarios(scenes):
-        sidecar = generated_sidecar(folder)
-        if sidecar is not None:
-            found[source_id(folder)] = sidecar.source_scenario_id
+    each = ((source_id(folder), generated_sidecar(folder)) for folder in find_scenarios(scenes))
+    found = {name: sidecar.source_scenario_id for name, sidecar in each if sidecar is not None}
     for root in (scenes, scenes.parent):
         found |= {name: origin["source_id"] for name, origin in origins_of(root).items()}
     return found

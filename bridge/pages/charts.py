@@ -52,17 +52,15 @@ def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
             highest = max(highest, levels.max())
         ax.set(ylim=(0, 1.25 * highest), xlabel=axis_label, ylabel="share of scenes")  # room for the legend
     axes[0].legend(loc="upper left")
-    behaviours = diversity["behaviours"]
-    policies = list(Policy)
-    place = np.arange(len(policies))
+    place = np.arange(len(Policy))
     for offset, when, color, hatch in ((-0.2, "before", figures.GREY, ""), (0.2, "after", figures.BLUE, "//")):
-        part = behaviours[when]
-        shares = [part["scenes_with"][policy.value] / max(1, part["scenes"]) for policy in policies]
+        part = diversity["behaviours"][when]
+        shares = [part["scenes_with"][policy.value] / max(1, part["scenes"]) for policy in Policy]
         bars = axes[2].bar(
             place + offset, shares, 0.4, color=color, alpha=0.7, hatch=hatch, edgecolor="white", label=when
         )
         axes[2].bar_label(bars, fmt="%.2f", fontsize=7)
-    axes[2].set_xticks(place, [f"{BEHAVIOURS[p].short}\n{BEHAVIOURS[p].label}" for p in policies], fontsize=8)
+    axes[2].set_xticks(place, [f"{BEHAVIOURS[p].short}\n{BEHAVIOURS[p].label}" for p in Policy], fontsize=8)
     axes[2].set(ylabel="share of scenes with it", ylim=(0, 1.1))
     return figure
 

@@ -112,11 +112,11 @@ def read(source: Source) -> Recording:
 def check_sequence(content: bytes, name: str) -> pd.DataFrame:
     """The rows of a CSV file, checked but for what `split_rows` asks, by track, in the order of first appearance.
 
-    Its columns, the timestep and a number by track, code. name: what messages call it. Errors: ScenarioError.
+    Its columns, timestep and a number by track, code; quotes are letters. name: for messages. Errors: ScenarioError.
     """
     try:
-        header, *lines = csv.reader(io.StringIO(content.decode("ascii"), newline=""))
-    except (ValueError, csv.Error) as error:  # nothing in it, or no ASCII
+        header, *lines = [*csv.reader(io.StringIO(content.decode("ascii"), newline=""), quoting=csv.QUOTE_NONE)] or [[]]
+    except (ValueError, csv.Error) as error:  # no ASCII, or a line without an end
         raise ScenarioError(f"{name}: not a CSV file ({error}), expected columns {','.join(COLUMNS)}") from error
     if sorted(header) != sorted(COLUMNS):
         shown = one_line(",".join(header), most=120)
@@ -241,7 +241,7 @@ def sequence_bytes(recorded: bytes, inserted: Iterable[tuple[IntArray, FloatArra
     lines = recorded.decode("ascii").splitlines(keepends=True)
     ending = "\r\n" if lines[0].endswith("\r\n") else "\n"
     lines[-1] = lines[-1].rstrip("\r\n") + ending
-    rows = list(csv.reader(lines))
+    rows = list(csv.reader(lines, quoting=csv.QUOTE_NONE))
     at = {column: rows[0].index(column) for column in COLUMNS}
     last = {float(row[at["TIMESTAMP"]]): line for line, row in enumerate(rows[1:], start=1)}
     of_step = [last[stamp] for stamp in sorted(last)]

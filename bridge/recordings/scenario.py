@@ -165,6 +165,11 @@ def read_table(path: Path) -> pa.Table:
     return table
 
 
+def log_of(table: pa.Table) -> str:
+    """The drive that a scene was cut from, as its rows tell; "" where they do not."""
+    return str(table.column("slice_id")[0].as_py() or "") if "slice_id" in table.column_names else ""
+
+
 def read_arrow(path: Path, read: Callable[[io.BytesIO], pa.Table], *, kind: str, wanted: str) -> pa.Table:
     """A file of Arrow's, as `read` makes a table of its bytes. kind, wanted: for messages. Errors: ScenarioError."""
     try:

@@ -146,7 +146,7 @@ def _states(log: Path, start: int) -> tuple[pd.DataFrame, list[int]]:
     kinds = {"timestamp_ns": _INTEGERS, "track_uuid": _STRINGS, "category": _STRINGS}
     annotations = _table(path, kinds | dict.fromkeys([*_POSE, *_SIZE], _FLOATS))
     poses = _table(pose_path, {"timestamp_ns": _INTEGERS} | dict.fromkeys(_POSE, _FLOATS))
-    poses = poses.drop_duplicates("timestamp_ns").set_index("timestamp_ns")
+    poses = poses.drop_duplicates().set_index("timestamp_ns")
     sweeps = _window(np.sort(annotations.timestamp_ns.unique()), start, path)
     lacking = np.setdiff1d(sweeps, poses.index.to_numpy())
     if len(lacking):
@@ -155,6 +155,8 @@ def _states(log: Path, start: int) -> tuple[pd.DataFrame, list[int]]:
     ego = annotations[annotations.category == _EGO]
     boxes = annotations[annotations.timestamp_ns.isin(sweeps) & (annotations.category != _EGO)].copy()
     poses = poses.loc[sweeps]
+    if again := poses.index[poses.index.duplicated()].tolist():
+        raise ScenarioError(f"{pose_path}: timestamp {again[0]}: two poses, expected one")
     _check_boxes(boxes, path)
     _check_rotations(boxes, path)
     _check_rotations(poses, pose_path)

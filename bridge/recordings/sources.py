@@ -135,7 +135,7 @@ ARGOVERSE1 = Reader(
     files=_sequence_files,
     lacks="Argoverse 1 tells no types, sizes and headings: every track is taken for a vehicle of 4.5 x 1.9 m, headings "
     "and velocities come from smoothed positions, a standing vehicle keeps its heading or has that of the lane; its "
-    "maps tell no lane boundaries: lanes are 3.8 m wide",
+    "own maps, where --map gives no other, tell no lane boundaries: lanes are 3.8 m wide",
     is_folder=False,
     takes=("map_path",),
 )

@@ -7,7 +7,7 @@ documented prior and says so.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cache
 from typing import Literal, NamedTuple
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from hid2.agents import FloatArray, IntArray
 from hid2.drivers.driver import TRUNCATED_AT, Driver, desired_speeds, lane_offset
-from hid2.evaluation.windows import Windows, lateral_accel_mps2, polynomial_fit, windows
+from hid2.evaluation.windows import TURNS_RAD, WINDOW_S, Windows, lateral_accel_mps2, polynomial_fit, windows
 from hid2.measures.arrays import STANDS_MPS
 from hid2.measures.following import leaders
 from hid2.measures.manoeuvres import detect, whole_lane_changes
@@ -75,11 +75,10 @@ def observe(states: AgentStates, *, name: str, city: str, labelled: bool) -> Sce
     rows = np.flatnonzero((led.agent >= 0) & arrays.clean[arrays.agent] & (speed < STANDS_MPS))
     ahead, gap = arrays.row_of[led.agent[rows], arrays.step[rows]], led.gap_m[rows]
     queue = (ahead >= 0) & (speed[ahead] < STANDS_MPS) & (gap > 0.0) & (gap < _QUEUE_M)
-    changes = whole_lane_changes(detect(states))
     return SceneDriving(
         name, city, labelled, windows(states, led, scene=name, labelled=labelled),
         standing_gap_m=_by_driver(arrays.agent[rows[queue]], gap[queue], np.median),
-        lane_change_s=np.array([one.duration_s for one in changes], dtype=np.float64),
+        lane_change_s=np.array([one.duration_s for one in whole_lane_changes(detect(states))], dtype=np.float64),
     )  # fmt: skip
 
 
@@ -90,7 +89,8 @@ def calibrate(scenes: Sequence[SceneDriving], *, prior: Drivers) -> list[Calibra
     # drivers of all scenes are numbered through
     scene = np.unique(seen["scene"], return_inverse=True)[1]
     seen["agent"] += scene * (1 + seen["agent"].max(initial=0))
-    straight, turns = seen[~seen["turning"]], seen[seen["turning"]]
+    # of turns those that are driven: in a lane flagged as one, and at the edge of one, many hardly turn
+    straight, turns = seen[~seen["turning"]], seen[np.abs(seen["yaw_radps"]) * WINDOW_S > TURNS_RAD]
     is_free = np.isinf(straight["gap_m"]) | (straight["gap_m"] > 4.0 * straight["speed_mps"])
     free, usual_mps = straight[is_free], _usual_mps(straight)[is_free]
     cruising = (free["speed_mps"] > _CRUISES * usual_mps) & (np.abs(free["accel_mps2"]) < _CRUISES_MPS2)
@@ -161,11 +161,9 @@ def robust_sd(values: FloatArray) -> float:
 
 
 def _bounded(name: str, value: float) -> float:
-    """A value inside what `params.Drivers` allows, to four digits."""
-    low, high = -np.inf, np.inf
-    for entry in Drivers.model_fields[name].metadata:
-        low, high = getattr(entry, "ge", getattr(entry, "gt", low)), getattr(entry, "le", getattr(entry, "lt", high))
-    return round(float(np.clip(value, low, high)), 4)
+    """A value inside what `params.Drivers` allows, to four digits: a digit above a bound that it excludes."""
+    bounds = {kind: bound for one in Drivers.model_fields[name].metadata for kind, bound in asdict(one).items()}
+    return round(float(np.clip(value, bounds.get("ge", bounds.get("gt", 0.0) + 1e-4), bounds["le"])), 4)
 
 
 def _measured(
@@ -202,9 +200,10 @@ def _median_and_sd(values: FloatArray) -> tuple[float, float]:
 
 
 def _range(values: FloatArray) -> tuple[float, float]:
-    """Ends of a uniform distribution: between the 10th and 90th percentile, widened to the whole."""
+    """Ends of a uniform distribution: between the 10th and 90th percentile, widened to the whole; NaN if below 0."""
     low, high = np.percentile(values, [10, 90])
-    return float(low - (high - low) / 8.0), float(high + (high - low) / 8.0)
+    low, high = low - (high - low) / 8.0, high + (high - low) / 8.0
+    return float(low) if low > 0.0 else np.nan, float(high)
 
 
 _DRIVER = Driver(

@@ -68,7 +68,6 @@ class Features(NamedTuple):
 
 def beyond_edge(graph: LaneGraph) -> BeyondEdge:
     """How far boxes reach out of the drivable area of a map."""
-    shapely.prepare(graph.drivable)
     edge = cKDTree(shapely.get_coordinates(shapely.segmentize(shapely.boundary(graph.drivable), _EDGE_STEP_M)))
 
     def of(corners: FloatArray) -> FloatArray:

@@ -117,7 +117,6 @@ ROWS = Column("rows", lambda g: int(g.rows.sum()))
 MOVING_ROWS = Column("moving_rows", lambda g: int(g.moving_rows.sum()))
 FOLLOWING_ROWS = Column("following_rows", lambda g: int(np.isfinite(g.safe.leaders.time_gap_s[g.moving_rows]).sum()))
 MEETING = Column("meeting", lambda g: int(g.meeting.sum()))
-ENDS = Column("ends", lambda g: int(g.meeting.sum()))
 SCENES_WITH_ENDS = Column("end_scenes", lambda g: int(g.meeting.any()))
 
 
@@ -216,7 +215,7 @@ METRICS: tuple[Metric, ...] = (
         "end_ttc_critical", f"share of vehicles, {_END_TTC} after the last step", "share", "safety",
         "Vehicles that touch another agent so soon after their last step if all keep the velocity; recorded vehicles "
         "that move, every inserted one.",
-        Column("end_ttc_critical", lambda g: g.critical_ends), ENDS,
+        Column("end_ttc_critical", lambda g: g.critical_ends), MEETING,
     ),
     Metric(
         "end_scenes_critical", "share of scenes with such a vehicle", "share", "safety",

@@ -5,14 +5,13 @@ Motion is that of fits over 4 s (`windows.py`), so that tracker noise does not d
 Every distance stands beside its floor: the distance between two halves of the recorded tracks.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import rel_entr
+from scipy.spatial.distance import jensenshannon
 
 from hid2.agents import FloatArray, IntArray
 from hid2.evaluation.safety import Safety
@@ -67,22 +66,20 @@ def histogram(feature: HistogramFeature, values: npt.ArrayLike) -> IntArray:
     return np.asarray(np.bincount(place, minlength=last + 1), dtype=np.int64)
 
 
-def jensen_shannon(feature: HistogramFeature, first: IntArray, second: IntArray) -> float | None:
-    """Jensen-Shannon distance (root of the divergence, base 2: 0 to 1) over the bins; None without samples."""
-    if not first.sum() or not second.sum():
-        return None
-    p, q = (counts.reshape(feature.bins, FINE).sum(axis=1) / counts.sum() for counts in (first, second))
-    divergence = float(sum(rel_entr(one, (p + q) / 2.0).sum() for one in (p, q))) / (2.0 * math.log(2.0))
-    return math.sqrt(max(divergence, 0.0))  # unlike scipy's own, a number where rounding says less than 0
+def apart(feature: HistogramFeature, first: IntArray, second: IntArray) -> tuple[float, float] | None:
+    """Distances of two histograms; None without samples.
 
-
-def wasserstein(feature: HistogramFeature, first: IntArray, second: IntArray) -> float | None:
-    """Wasserstein-1 distance in the feature's unit, within its range; None without samples."""
-    if not first.sum() or not second.sum():
+    Jensen-Shannon (root of the divergence, base 2: 0 to 1), over the bins; Wasserstein-1 in the feature's unit, within
+    its range.
+    """
+    if not first.any() or not second.any():
         return None
+    p, q = (counts.reshape(feature.bins, FINE).sum(axis=1) for counts in (first, second))
+    with np.errstate(invalid="ignore"):  # where rounding says less than 0
+        diverging = float(np.nan_to_num(jensenshannon(p, q, base=2)))
     width = (feature.high - feature.low) / (feature.bins * FINE)
-    apart = np.cumsum(first) / first.sum() - np.cumsum(second) / second.sum()
-    return float(np.abs(apart).sum() * width)
+    moved = np.cumsum(first) / first.sum() - np.cumsum(second) / second.sum()
+    return diverging, float(np.abs(moved).sum() * width)
 
 
 class Distance(NamedTuple):
@@ -124,14 +121,12 @@ class RealismCounts:
         every = []
         for feature in FEATURES:
             generated, recorded, *halves = self.of(feature)
-            found = []
-            for measure in (jensen_shannon, wasserstein):
-                known = [one for half in halves if (one := measure(feature, half, recorded - half)) is not None]
-                found += [measure(feature, generated, recorded), float(np.median(known)) if known else None]
-            apart, floor, way, way_floor = found
-            over = apart / floor if apart is not None and floor else None
+            known = [pair for half in halves if (pair := apart(feature, half, recorded - half)) is not None]
+            floor, way_floor = np.median(known, axis=0).tolist() if known else (None, None)
+            js, way = apart(feature, generated, recorded) or (None, None)
+            over = js / floor if js is not None and floor else None
             samples = int(generated.sum()), int(recorded.sum())
-            every.append(Distance(feature.name, feature.unit, apart, floor, over, way, way_floor, *samples))
+            every.append(Distance(feature.name, feature.unit, js, floor, over, way, way_floor, *samples))
         return every
 
 

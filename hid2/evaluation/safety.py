@@ -83,16 +83,13 @@ def colliding(arrays: SceneArrays, pairs: tuple[Overlap, ...], members: BoolArra
 
 def off_road(position: FloatArray, graph: LaneGraph) -> BoolArray:
     """Which points (N, 2) lie outside the union of the drivable areas."""
-    area = graph.drivable
-    shapely.prepare(area)
-    return np.asarray(~shapely.intersects_xy(area, position[:, 0], position[:, 1]))
+    return np.asarray(~shapely.intersects_xy(graph.drivable, *position.T))
 
 
 def off_footprint(arrays: SceneArrays, graph: LaneGraph) -> BoolArray:
     """Rows (N,) with boxes more than FOOTPRINT_TOLERANCE_M out of the drivable area, as the judge sees it."""
-    length, width = arrays.length[arrays.agent], arrays.width[arrays.agent]
-    outside = outside_m(arrays.position, arrays.heading, length, width, graph, tolerance_m=FOOTPRINT_TOLERANCE_M)
-    return np.asarray(outside > 0.0)
+    boxes = arrays.position, arrays.heading, arrays.length[arrays.agent], arrays.width[arrays.agent]
+    return np.asarray(outside_m(*boxes, graph, tolerance_m=FOOTPRINT_TOLERANCE_M) > 0.0)
 
 
 def ttc_after_last_step(arrays: SceneArrays, members: BoolArray, among: BoolArray) -> FloatArray:

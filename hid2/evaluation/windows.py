@@ -25,7 +25,7 @@ MIN_SPEED_MPS = 1.0
 SPLITS = 16
 # What a window is, the same for recorded and generated vehicles and for every configuration: no tunables.
 _JUMP_M = 1.5  # jump of the lateral offset between two steps from which the lane is changed, m
-_TURNS_RAD = 0.35  # range of the path's direction above which a window turns, rad
+TURNS_RAD = 0.35  # range of the path's direction above which a window turns, rad
 #: Least share of a window with the same leader, and bound of the gap to it at the middle, m. No tunables.
 _LED_SHARE, _LED_M = 0.8, 60.0
 
@@ -107,7 +107,7 @@ def _of_track(view: LaneView, led: LaneLeaders, rows: IntArray, time: FloatArray
     gap = np.where(same & np.isfinite(led.gap_m[rows]), led.gap_m[rows], 0.0)
     line = _weighted_lines(gap, same, time)
     is_led = (same.mean(axis=1) >= _LED_SHARE) & (line[:, 0] < _LED_M)
-    turns = (view.lanes.turn[np.maximum(lane, 0)] != 0).any(axis=1) | (np.ptp(direction, axis=1) > _TURNS_RAD)
+    turns = (view.lanes.turn[np.maximum(lane, 0)] != 0).any(axis=1) | (np.ptp(direction, axis=1) > TURNS_RAD)
     found = np.zeros(len(rows), dtype=WINDOW)
     found["agent"] = arrays.agent[rows[:, middle]]
     _, found["speed_mps"], half_accel, sixth_jerk = (s @ cubic.T).T

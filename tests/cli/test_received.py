@@ -44,7 +44,7 @@ READERS: tuple[tuple[str, int | None, str], ...] = (
     ("compose . {recorded} -o composed", 2, "leave one out"),
     ("compose --check .", 0, ""),
     ("config --config drivers.toml", 0, ""),
-    ("evaluate . -o report --source {recorded} --control {recorded}", 0, ""),
+    ("evaluate . -o report --source {recorded} --control .", 0, ""),
     ("evaluate . -o report --predictions forecasts.parquet", 2, "forecasts.parquet"),
     ("validate . --source {recorded} --csv findings.csv", 1, ""),
     ("calibrate . -o measured.toml", 2, "holds generated scenes only"),

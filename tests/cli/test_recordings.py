@@ -33,6 +33,17 @@ def rows(out: Path) -> dict[str, dict[str, str]]:
         return {row["scenario"]: row for row in csv.DictReader(file)}
 
 
+@pytest.mark.parametrize(("command", "code"), [("resimulate", 2), ("calibrate", 0)])
+def test_scenes_alone_are_read_each_once_and_what_is_left_out_is_told(
+    hid2: Run, mixed: Path, data_scenes: dict[str, Path], tmp_path: Path, command: str, code: int
+) -> None:
+    copy = shutil.copytree(data_scenes["arterial"], tmp_path / "val" / "copy")
+    result = hid2(command, mixed, copy, "-o", tmp_path / "out.toml")
+    assert result.returncode == code, result.stderr
+    for said in (f"{copy}: the same scene as {mixed}", "2 of 4 recordings left out: sensor logs and Argoverse 1"):
+        assert said in result.stderr
+
+
 def test_implausible_scene_is_refused_before_anything_is_driven_and_the_other_is_done(
     hid2: Run, data_scenes: dict[str, Path], tmp_path: Path
 ) -> None:

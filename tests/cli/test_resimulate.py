@@ -6,21 +6,26 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from written import copy_with_new_id, edit_rows
 
 Run = Callable[..., Any]
 HOW = ("--seeds", 2, "--write", 1)
 
 
 @pytest.fixture(scope="module")
-def scenes(data_scenes: dict[str, Path]) -> tuple[Path, Path]:
-    return data_scenes["curve"], data_scenes["intersection"]
+def scenes(data_scenes: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
+    """Two, and one that is too short to be scored."""
+    root = tmp_path_factory.mktemp("short")
+    short = copy_with_new_id(data_scenes["curve"], root / "short", "00000000-0000-4000-8000-000000000000")
+    edit_rows(short, lambda rows: rows[rows.timestep < 90])
+    return data_scenes["curve"], data_scenes["intersection"], short
 
 
 @pytest.fixture(scope="module")
-def ended(hid2: Run, scenes: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def ended(hid2: Run, scenes: tuple[Path, ...], tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("resimulated") / "out"
     result = hid2("resimulate", *scenes, "-o", out, *HOW)
-    assert result.returncode == 0, result.stderr
+    assert (result.returncode, "90 steps, expected at least 91" in result.stderr) == (1, True), result.stderr
     assert result.stdout.splitlines() == [str(out / "resimulation.html")]
     return out
 
@@ -42,7 +47,13 @@ def test_every_vehicle_is_in_the_table_and_the_page_says_what_differs(ended: Pat
     vehicles = rows(ended / "vehicles.csv")
     assert all((row["driven"] == "True") == (row["why_not"] == "") for row in vehicles)
     page = (ended / "resimulation.html").read_text()
-    for text in ("WOSAC-like", "What differs from the challenge", "calibrated / reference", "constant velocity"):
+    for text in (
+        "WOSAC-like",
+        "What differs from the challenge",
+        "calibrated / reference",
+        "constant velocity",
+        "at least 91",
+    ):
         assert text in page
 
 
@@ -52,12 +63,17 @@ def test_written_rollouts_can_be_viewed(hid2: Run, ended: Path, tmp_path: Path) 
     assert result.returncode == 0, result.stderr
 
 
+def test_scenes_of_another_run_are_not_mixed_with_new_ones(hid2: Run, ended: Path, scenes: tuple[Path, ...]) -> None:
+    result = hid2("resimulate", *scenes, "-o", ended, *HOW)
+    assert (result.returncode, f"{ended / 'scenes'}: is there already" in result.stderr) == (2, True), result.stderr
+
+
 def test_same_request_gives_the_same_bytes_whatever_the_workers(
-    new_hid2: Run, ended: Path, scenes: tuple[Path, Path]
+    new_hid2: Run, ended: Path, scenes: tuple[Path, ...]
 ) -> None:
     again = ended.parent / "again"
     result = new_hid2("resimulate", *scenes, "-o", again, *HOW, "--jobs", 2)
-    assert result.returncode == 0, result.stderr
+    assert result.returncode == 1, result.stderr
     files = sorted(path.relative_to(ended) for path in ended.rglob("*") if path.is_file())
     assert files == sorted(path.relative_to(again) for path in again.rglob("*") if path.is_file())
     for file in files:

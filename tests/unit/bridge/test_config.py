@@ -73,6 +73,7 @@ def test_ablations_are_a_list() -> None:
         ("export.filter_ratios=[]", "no parameter any more, .*; leave it out, or set smoothing.filter_s"),
         ("request.trigger_max_s=0.1", "trigger_max_s 0.1 is below trigger_min_s 0.5"),
         ("spawn.prior_speed_mps=30", "prior_speed_mps 30 is above max_speed_mps 20"),
+        ("drivers.turn_lateral_min_mps2=4", "turn_lateral_min_mps2 4 is above turn_lateral_max_mps2 3.5"),
         ("request.spawn_leaders=1", "request.spawn_leaders = 1, expected true, false"),
         ("request.own=mine:x=.2, other:x=1.0", "two of one name, expected a name for each"),
         ("lane_change.rule_with=foo=3", "rule paper reads incentive of it"),

@@ -1,9 +1,12 @@
 """Facts of scenes, and the choice among them."""
 
 import csv
+from collections.abc import Callable
 from pathlib import Path
 
+import pandas as pd
 import pytest
+from written import edit_rows
 
 from bridge.batch import scan
 from bridge.batch.scan import EVENTS, SceneFacts, Selection, describe_scene, facts_of, select, wanted
@@ -42,6 +45,18 @@ def test_selection(selection: Selection, names: str) -> None:
     assert [chosen.scenario for chosen in select(FACTS, selection)] == list(names)
 
 
+def test_vehicles_that_stand_and_jitter_do_not_move(copy_scene: Callable[..., Path]) -> None:
+    """To and fro by 10 cm at each of 109 steps: paths of 10.9 m that extend over nothing."""
+    scene = copy_scene("curve")
+
+    def standing(rows: pd.DataFrame) -> pd.DataFrame:
+        first = rows.groupby("track_id")[["position_x", "position_y"]].transform("first")
+        return rows.assign(position_x=first.position_x + 0.1 * (rows.timestep % 2), position_y=first.position_y)
+
+    edit_rows(scene, standing)
+    assert describe_scene((), scene).moving == 0
+
+
 def test_events_looked_for_are_those_that_the_page_and_the_help_name() -> None:
     assert {name.partition(":")[2] for name in EVENTS} == {"av", "focal"}
     assert "looks for all, with av and focal" in Path("bridge/generation/README.md").read_text()
@@ -54,6 +69,7 @@ def test_sample_is_drawn_with_the_seed() -> None:
     assert first == select(many, Selection(sample=10, seed=1))
     assert first != select(many, Selection(sample=10, seed=2))
     assert [many.index(chosen) for chosen in first] == sorted(many.index(chosen) for chosen in first)
+    assert first[::-1] == select(many[::-1], Selection(sample=10, seed=1)), "whatever the order of paths"
 
 
 def test_a_sample_of_more_than_there_are_takes_all_and_warns(caplog: pytest.LogCaptureFixture) -> None:

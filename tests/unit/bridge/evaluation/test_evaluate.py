@@ -10,21 +10,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recordings import LOG_ID, make_log
 from written import edit_json, made_up_sidecar
 
 import bridge.evaluation.totals as totals_module
 from bridge.evaluation.evaluate import evaluate_folder, write_report
 from bridge.evaluation.scene_metrics import measure, measure_folder
 from bridge.evaluation.totals import Evaluation, SourceSums, Totals, estimate
-from bridge.recordings.folders import find_scenarios
+from bridge.recordings.folders import Choices, find_scenarios
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import EventRecord
+from bridge.recordings.sources import find_recordings
 from hid2.agents import VEHICLE_TYPES
 from hid2.evaluation import metrics
 from hid2.evaluation.metrics import METRICS, ROWS, Column, Metric
 from hid2.evaluation.realism import RECORDED
 from hid2.params import Config
-from netconvert.errors import ExportError, MapError, ScenarioError
+from netconvert.errors import ConfigError, ExportError, MapError, ScenarioError
 
 
 @pytest.fixture(scope="module")
@@ -115,10 +117,10 @@ def test_the_end_of_the_scene_is_shown_beside_the_recorded_one(report):
         low = [row for row in tracks if row["group"] == group and row["end_ttc_s"] and float(row["end_ttc_s"]) < 1.0]
         assert sum(counted) == len(low)
         shown = evaluation.metrics["safety"]["end_ttc_critical"][group]["value"]
-        assert shown == pytest.approx(sum(counted) / sum(int(row[f"{group}_ends"]) for row in rows))
+        assert shown == pytest.approx(sum(counted) / sum(int(row[f"{group}_meeting"]) for row in rows))
         shares = evaluation.metrics["safety"]["end_scenes_critical"][group]["value"]
         assert shares == pytest.approx(sum(number > 0 for number in counted) / len(rows))
-    assert all(int(row["generated_ends"]) == int(row["generated"]) for row in rows)
+    assert all(int(row["generated_meeting"]) == int(row["generated"]) for row in rows)
     assert "after the last step" in (folder / "report.html").read_text()
 
 
@@ -260,20 +262,31 @@ def test_nothing_to_evaluate_and_nowhere_to_write_are_explained(made_root, copy_
     next(scene.glob("scenario_*.parquet")).write_bytes(b"no parquet")
     with pytest.raises(ScenarioError, match=r"none of 1 scenes can be read, expected one at least; .*not a parquet"):
         evaluate_folder(scene, report_dir=tmp_path / "report")
-    assert list((tmp_path / "report").iterdir()) == []
+    assert not (tmp_path / "report").exists()
+
+
+def test_control_of_other_sources_is_refused(made_scene, data_scenes, tmp_path):
+    with pytest.raises(ConfigError, match="no scene generated from a source of those in"):
+        evaluate_folder(data_scenes["curve"], report_dir=tmp_path / "report", control=made_scene)
+    assert not (tmp_path / "report").exists()
 
 
 def test_pooled_ratio_is_of_sums_and_the_interval_holds_it():
     """Sources with 1 of 10 and 3 of 10: 4 of 20, not the mean over anything else; two sources give 0.1 to 0.3."""
-    sums = SourceSums(("original_paper_lo", "original_paper_tracks"))
-    for row in (
-        {"source": "a", "original_paper_lo": 1.0, "original_paper_tracks": 10},
-        {"source": "b", "original_paper_lo": 2.0, "original_paper_tracks": 5},
-        {"source": "b", "original_paper_lo": 1.0, "original_paper_tracks": 5},
-    ):
-        sums.add(row)
-    found = estimate(sums, METRICS[0], "original")
+    columns = ("log", "original_paper_lo", "original_paper_tracks")
+    rows = [dict(zip(columns, row, strict=True)) for row in (("a", 1.0, 10), ("b", 2.0, 5), ("b", 1.0, 5))]
+    found = estimate(SourceSums(rows, names=columns[1:]), METRICS[0], "original")
     assert found == pytest.approx((0.2, 0.1, 0.3))
+
+
+def test_windows_of_one_log_are_one_recording(data_scenes, tmp_path):
+    """Two that share 90 of 110 sweeps: drawn together, and in one fold of the critics."""
+    log, totals = make_log(data_scenes["intersection"], tmp_path), Totals()
+    for window in find_recordings([log], Choices(stride=20)):
+        totals.add(measure_folder(window))
+    assert {*totals.samples.windows()["scene"]} == {LOG_ID}
+    assert totals.sums.of_columns("original_rows")[0].size == 1
+    assert [totals.content()["scenes"][name] for name in ("scenes", "sources")] == [2, 1]
 
 
 def test_a_scene_in_which_nothing_moves_is_measured(made_scene):

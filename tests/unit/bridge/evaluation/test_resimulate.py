@@ -63,6 +63,16 @@ def test_rollouts_differ_and_the_same_seed_gives_the_same(made, rollouts):
     assert np.abs(rollouts[0].position - rollouts[1].position).max() > 0.5
 
 
+def test_a_rollout_as_recorded_is_what_was_recorded(made):
+    """Velocities, from which TTC is worked out, are by one rule in both."""
+    logged, through = made.logged, [one for one in made.vehicles if made.logged.present[one.row, -1]]
+    driven = [(logged.position[one.row, NOW:], logged.heading[one.row, NOW:]) for one in through]
+    same, rows = made._with(through, driven), [one.row for one in through]
+    there = logged.present[rows]
+    assert there.any()
+    np.testing.assert_array_equal(same.velocity[rows][there], logged.velocity[rows][there])
+
+
 def test_constant_velocity_is_that_of_the_half_second_before(made):
     (rollout,) = made.rollouts(Config(), 32, model="constant velocity", vehicles=made.vehicles)
     for one in made.vehicles:

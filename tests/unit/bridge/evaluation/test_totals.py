@@ -21,14 +21,7 @@ COLUMNS = ("hits", "rows")
 
 def rows_of(*sources, seed=0):
     rng = random.Random(seed)
-    return [{"source": source, "hits": rng.randint(0, 4), "rows": 5} for source in sources]
-
-
-def filled(rows, **options):
-    sums = SourceSums(COLUMNS, **options)
-    for row in rows:
-        sums.add(row)
-    return sums
+    return [{"log": source, "hits": rng.randint(0, 4), "rows": 5} for source in sources]
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +31,8 @@ def measured(made_scene):
 
 def named(measures, number, *, sources):
     """The same scene under another name, made from one of `sources` scenes."""
-    scene = measures.scene | {"scenario_id": f"scene-{number}", "source": f"source-{number % sources}"}
+    scene = measures.scene | dict.fromkeys(("source", "log"), f"source-{number % sources}")
+    scene |= {"scenario_id": f"scene-{number}"}
     return replace(measures, tables={**measures.tables, "scenes": [scene]})
 
 
@@ -60,9 +54,9 @@ def test_size_does_not_grow_with_scenes(measured, sources):
 def test_many_sources_are_pooled_in_groups_and_totals_stay_exact():
     """Fifty sources in at most eight groups: the same groups whatever the order, no scene lost."""
     rows = rows_of(*(f"s{k}" for k in range(50)), *(f"s{k}" for k in range(0, 50, 7)))
-    pooled, exact = filled(rows, most=8), filled(rows)
-    assert len(pooled) <= 8 < len(exact) == 50
-    backwards = filled(rows[::-1], most=8)
+    pooled, exact = SourceSums(rows, names=COLUMNS, most=8), SourceSums(rows, names=COLUMNS)
+    assert len(pooled.of_columns("hits")[0]) <= 8 < len(exact.of_columns("hits")[0]) == 50
+    backwards = SourceSums(rows[::-1], names=COLUMNS, most=8)
     for name in COLUMNS:
         assert pooled.of_columns(name)[0].sum() == exact.of_columns(name)[0].sum()
         assert pooled.of_columns(name)[0].tolist() == backwards.of_columns(name)[0].tolist()
@@ -111,7 +105,7 @@ def scene_row(tracks, generated, **more):
 def test_diversity_counts_scenes_by_number_of_agents():
     """45 and 61 tracks, 5 and 1 of them added: before 40 and 60. Above 40: half before, all after."""
     rows = [scene_row(45, 5, combined_policy_straight=3, combined_seen_overtake=2), scene_row(61, 1)]
-    found = Diversity.of(rows, rows).content()
+    found = Diversity(rows, rows).content()
     density = found["density"]["tracks"]
     assert density["before"] == {"40": 1, "60": 1}
     assert density["after"] == {"45": 1, "61": 1}
@@ -142,8 +136,8 @@ def test_before_holds_each_source_once_whether_it_is_measured_itself_or_not(meas
 
 
 def test_sums_by_source_are_in_the_order_of_their_names():
-    sums = filled([{"source": "b", "hits": 1, "rows": 4}, {"source": "a", "hits": 2, "rows": 5},
-                   {"source": "b", "hits": 3, "rows": 6}])  # fmt: skip
+    counts = [("b", 1, 4), ("a", 2, 5), ("b", 3, 6)]
+    sums = SourceSums([dict(zip(("log", *COLUMNS), row, strict=True)) for row in counts], names=COLUMNS)
     hits, rows = sums.of_columns("hits", "rows")
     assert hits.tolist() == [2.0, 4.0]
     assert rows.tolist() == [5.0, 10.0]
@@ -151,7 +145,7 @@ def test_sums_by_source_are_in_the_order_of_their_names():
 
 def test_bars_of_the_diversity_figure_agree_with_the_shares_above():
     """40 tracks are not more than 40: before, the bar ends at 40; after, 41 tracks are in the next."""
-    found = Diversity.of([scene_row(41, 1)], [scene_row(41, 1)]).content()
+    found = Diversity([scene_row(41, 1)], [scene_row(41, 1)]).content()
     figure = diversity_figure(found)
     bars = [patch.get_data() for patch in figure.axes[0].patches]
     plt.close(figure)

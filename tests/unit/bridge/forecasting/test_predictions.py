@@ -150,10 +150,12 @@ def test_bands_hold_scenes_with_more_agents(data_root, tmp_path):
     bounds = (5, 1000)
     scores, _ = score_predictions(data_root, predictions="constant-velocity", report_dir=tmp_path, bounds=bounds)
     tracks = {(name, k): rest for name, k, *rest in predictions.band_rows(scores, bounds)}
-    assert tracks["all scenes", "1"][0] == str(len(find_scenarios(data_root)))
-    assert tracks["more than 1000", "6"] == ["0", *"––––"]
+    assert tracks["all scenes", 1][0] == len(find_scenarios(data_root))
+    assert tracks["all scenes", 1][1] == pytest.approx(scores[scores.k == 1].min_ade_m.mean(), rel=1e-12)
+    assert tracks["more than 1000", 6] == [0, None, None, None, None]
+    assert predictions.shown([("all", 1, 0, 1.23456, None)]) == [("all", 1, 0, "1.235", "–")]
     observed = "more than 5 at the observation's end"
-    assert tracks[observed, "6"] == tracks["more than 5", "6"]
+    assert tracks[observed, 6] == tracks["more than 5", 6]
     assert len(pd.read_csv(tmp_path / "predictions.csv")) == len(scores)
     assert "minADE" in (tmp_path / "predictions.html").read_text()
 

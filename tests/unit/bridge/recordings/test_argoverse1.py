@@ -14,7 +14,7 @@ from written import made_up_sidecar, write_scene
 
 from bridge.batch.validation import validate_folder
 from bridge.config import new_scenario_id
-from bridge.recordings.argoverse1 import INSERTED, motion_of, sequence_bytes, write_sequence
+from bridge.recordings.argoverse1 import INSERTED, check_sequence, motion_of, sequence_bytes, write_sequence
 from bridge.recordings.folders import Choices, Source, sequence_path
 from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import read_scenario
@@ -233,6 +233,7 @@ WRONG_SEQUENCES: dict[str, tuple[Change, str]] = {
     "agent-with-a-gap": (_one_of_agent_gone, "AGENT at 49 of 50"),
     "duplicate-stamp": (lambda rows: rows.append(list(rows[1])), "more than one row"),
     "slow-clock": (_stretched, "apart in the mean"),
+    "stray-quote": (_set(5, "CITY_NAME", '"MIA'), "line 6: CITY_NAME '\"MIA', expected 'MIA' or 'PIT'"),
     "no-header": (lambda rows: rows.pop(0), "columns .* expected TIMESTAMP"),
     "short-line": (lambda rows: rows[5].pop(), "line 6: 5 values, expected 6"),
     "x-is-text": (_set(7, "X", "east"), "line 8: X 'east', expected a valid number"),
@@ -257,6 +258,11 @@ def test_a_wrong_sequence_is_refused_in_one_line(copy: Path, change: Change, sai
         sequence(copy)
     assert isinstance(caught.value, ScenarioError | MapError)
     assert "\n" not in str(caught.value)
+
+
+def test_an_empty_file_lacks_columns() -> None:
+    with pytest.raises(ScenarioError, match="n: columns '', expected TIMESTAMP"):
+        check_sequence(b"", "n")
 
 
 def _replace(name: str, old: str, new: str) -> Callable[[Path], None]:

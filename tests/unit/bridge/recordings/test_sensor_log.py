@@ -147,6 +147,10 @@ WRONG: dict[str, tuple[Change, str]] = {
     "quaternion": (_table(ANNOTATIONS, _scaled), "quaternion of norm 2"),
     "few-sweeps": (_table(ANNOTATIONS, _first_sweeps(109)), "109 sweeps, expected at least 110"),
     "gap": (_table(ANNOTATIONS, _gap), "sweeps 39 and 40 are 0.6"),
+    "two-poses": (
+        _table(POSES, lambda frame: pd.concat([frame, frame.iloc[7:8].assign(tx_m=0.0)])),
+        "two poses, expected one",
+    ),
     "pose-missing": (_table(POSES, lambda frame: frame.drop(index=7)), "no pose at 1 of 110 sweeps"),
     "nobody-throughout": (_table(ANNOTATIONS, _only_short), "no vehicle is labelled at every one"),
     "no-boxes": (_table(ANNOTATIONS, lambda frame: frame.iloc[:0]), "no rows"),

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from synthetic_driving import KNOWN, synthetic_driving
 
-from hid2.evaluation.calibration import LEAST, calibrate, drivers_of, robust_sd
+from hid2.evaluation.calibration import LEAST, SceneDriving, _bounded, calibrate, drivers_of, robust_sd
+from hid2.evaluation.windows import WINDOW
 from hid2.params import Drivers
 
 
@@ -36,6 +37,24 @@ def test_what_the_data_cannot_tell_keeps_its_prior(found):
         assert found[name].value == getattr(Drivers(), name)
     assert not {"reaction_s", "turn_lateral_max_mps2"} & drivers_of(list(found.values())).keys()
     assert drivers_of(list(found.values()))["tau_mean_s"] == found["tau_mean_s"].value
+
+
+@pytest.mark.parametrize(
+    ("accels", "wanted"),
+    [(np.linspace(0.6, 2.6, 21), ("measured", 0.6)), (np.repeat([0.5, 4.5], [18, 3]), ("prior", 1.5))],
+)
+def test_range_that_would_begin_at_no_lateral_acceleration_keeps_its_prior(accels, wanted):
+    """0.8 to 2.4 in the middle 80 %: 0.6 to 2.6; 0.5 to 4.5: from 0 on. Vehicles in a turn's lane that do not turn."""
+    seen = np.zeros(2 * accels.size, dtype=WINDOW)
+    seen["agent"], seen["speed_mps"], seen["turning"], seen["scene"] = np.arange(seen.size), 5.0, True, "s"
+    seen["yaw_radps"][: accels.size], seen["gap_m"] = accels / 5.0, np.inf
+    found = calibrate([SceneDriving("s", "c", False, seen, np.zeros(0), np.zeros(0))], prior=Drivers())
+    (one,) = [one for one in found if one.parameter == "turn_lateral_min_mps2"]
+    assert (one.source, one.value) == (wanted[0], pytest.approx(wanted[1]))
+
+
+def test_value_at_a_bound_that_is_excluded_stays_inside():
+    assert (_bounded("turn_lateral_min_mps2", 0.0), _bounded("offset_sd_m", -1.0)) == (1e-4, 0.0)
 
 
 def test_too_few_drivers_tell_nothing():
