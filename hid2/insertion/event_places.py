@@ -211,9 +211,7 @@ class Places:
         found = [(*back[one][:0:-1], *onward[other]) for one, other in pairs]
         return [route for route in found if len(set(route)) == len(route)]
 
-    def _ways(
-        self, lane_id: int, onto: Callable[[int], Iterable[int]], known: Route, longest_m: float
-    ) -> list[Route]:  # fmt: skip
+    def _ways(self, lane_id: int, onto: Callable[[int], Iterable[int]], known: Route, longest_m: float) -> list[Route]:
         """Lanes from a lane on, by what is best at each split; then with another one at a split, the nearest first."""
         graph = self.routes.scene.grid.graph
 

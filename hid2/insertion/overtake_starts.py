@@ -130,9 +130,9 @@ class OvertakeStarts:
         self.found_none = Reason.NO_OVERTAKE_FORESEEN if slow is not None else Reason.NO_SLOW_LEADER
         if request.trigger_s + 2.0 * shortest_shift_s(scene.config) > scene.last_s or not ways:
             return []  # out and back alone take longer
-        wander = np.array([
-            wandering(scene.config, rng, num_steps=scene.num_steps, step_s=scene.step_s) for _ in range(_WANDERS)
-        ])  # fmt: skip
+        wander = np.array(
+            [wandering(scene.config, rng, num_steps=scene.num_steps, step_s=scene.step_s) for _ in range(_WANDERS)]
+        )
         order = np.resize(rng.permutation(len(ways)), _WAYS).tolist()
         led, tried = dict[_Leader, list[Start] | None](), 0
         for n in range(0, _WAYS, _TOGETHER):
