@@ -299,12 +299,7 @@ def cruising_mps(traffic: Traffic, row: int) -> float:
 
 
 def _speeds(
-    grid: CellGrid,
-    tracks: Sequence[Track],
-    traffic: Traffic,
-    occupancy: OriginalOccupancy,
-    *,
-    step_s: float,
+    grid: CellGrid, tracks: Sequence[Track], traffic: Traffic, occupancy: OriginalOccupancy, *, step_s: float
 ) -> tuple[dict[int, list[float]], list[float]]:
     """Cruising speed of each moving vehicle: over the scene, and by lane driven on."""
     lane_of = np.array([cell.lane_id for cell in grid.cells])

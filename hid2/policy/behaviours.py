@@ -84,13 +84,7 @@ BEHAVIOURS: dict[Policy, Behaviour] = {
             sides=SIDES,
         ),
         Behaviour(
-            Policy.OVERTAKE,
-            "overtake",
-            "OT",
-            (ManeuverKind.OVERTAKE,),
-            Reason.MAP_OFFERS_NO_OVERTAKE,
-            1,
-            mark="*",
+            Policy.OVERTAKE, "overtake", "OT", (ManeuverKind.OVERTAKE,), Reason.MAP_OFFERS_NO_OVERTAKE, 1, mark="*"
         ),
     )
 }
