@@ -304,7 +304,8 @@ def _bound_memory(memory_mb: int) -> None:
 
 
 def _too_much(memory_mb: int | None) -> str:
-    return f"more memory than {'there is' if memory_mb is None else f'the {memory_mb} MB a scene may take'}"
+    bound = "there is" if memory_mb is None else f"the {memory_mb} MB a scene may take (hid2 generate --scene-memory)"
+    return f"more memory than {bound}"
 
 
 def _leave_with_parent(parent: int) -> None:

@@ -28,10 +28,9 @@ from netconvert.cells import Cell
 
 # No tunables, to _MOST_REDRIVES: they bound the search.
 _MOST = 400  # vehicles that `agents = max` asks for, at most
-_FULL_SHARE = 0.1  # share of the vehicles kept that the last round of `agents = max` adds, at most
 _MOST_FAILURES = 4  # requests of a policy without a site, after which a round looks for no more such sites
-#: Requests to go straight without a site, after which a round looks for no more such sites: the first that fails is
-#: looked for once more, with all cells open again.
+#: The same of requests to go straight where a number is asked for, not `max`: the first that fails is looked for once
+#: more, with all cells open again.
 _MOST_FAILURES_STRAIGHT = 1
 _MOST_REDRIVES = 1  # redrives, at most, of a vehicle that waited for a rejected one or overtook it
 #: Length of lane per vehicle on a full road, m. No tunable: what `agents = max` means.
@@ -123,8 +122,6 @@ class Filling:
             added = len(self.kept) - before
             idle = 0 if added else idle + 1
             is_over = self._manoeuvres_are_over(number)
-            if is_over and config.request.agents == "max" and added <= _FULL_SHARE * len(self.kept):
-                break
             driven_again = {start.request.number for start in self._again}
             if (is_over or idle == _MOST_IDLE) and self._give_up_manoeuvres(driven_again):
                 idle = 0  # a vehicle that goes straight may find a place
@@ -211,6 +208,7 @@ class Filling:
         waiting = deque(sorted(self._open, key=lambda one: (BEHAVIOURS[one.policy].site_order, one.number)))
         failed, refused = Counter[Policy](), defaultdict[Policy, Counter[Reason]](Counter)
         redrawn = False
+        most_straight = _MOST_FAILURES if self.scene.config.request.agents == "max" else _MOST_FAILURES_STRAIGHT
         while waiting:
             request = waiting.popleft()
             if request.number in used:
@@ -218,11 +216,11 @@ class Filling:
             policy, before = request.policy, sites.starts.refusals.copy()
             straight = policy is Policy.STRAIGHT
             found: list[Start] = []
-            if failed[policy] < (_MOST_FAILURES_STRAIGHT if straight else _MOST_FAILURES):
+            if failed[policy] < (most_straight if straight else _MOST_FAILURES):
                 found = self._proposed(sites, request, [one for one in waiting if one.number not in used])
                 if straight and not found and not redrawn:
                     redrawn = True  # what was full for one draw of places may not be for another
-                    self._turned_down.look_anew(each_cell=self.scene.config.request.agents != "max")
+                    self._turned_down.look_anew()
                     found = sites.propose(request)
                 if not found:
                     failed[policy] += 1

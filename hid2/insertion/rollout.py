@@ -100,30 +100,32 @@ class World:
     target_id: str | None = None
     _kept: Traffic = field(init=False)
     _chosen: dict[str, RolledOut] = field(default_factory=dict)
-    _joined: dict[tuple[Traffic, RolledOut], Traffic] = field(default_factory=dict)
     _newest: dict[tuple[DrivenPath, BoxSize], tuple[Traffic, PathOccupancy, Shown]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Nothing is chosen yet."""
         self._kept = self.guard.inserted_known
 
-    def choose(self, *candidates: RolledOut) -> None:
-        """Candidates after these are rolled out against them; one that was chosen before has another motion now."""
-        self._chosen |= {one.start.vehicle_id: one for one in candidates}
-        known = self._kept
-        for one in self._chosen.values():  # one after the other: what is known of those before stays known
-            if (known, one) not in self._joined:
-                self._joined[known, one] = known.joined(one.traffic)
-            known = self._joined[known, one]
-        self.guard.inserted_known = known
+    def choose(self, *candidates: RolledOut, without: str = "") -> None:
+        """Candidates after these are rolled out against them; one that was chosen before has another motion now.
 
-    def joined_by(self, *candidates: RolledOut, without: str | None = None) -> "World":
+        without: one that is no longer chosen. What is known of those before the first change stays known; the rest is
+        freed: for one round of sixty vehicles it would be gigabytes.
+        """
+        new, known = {one.start.vehicle_id: one for one in candidates}, self.guard.inserted_known
+        first = next((row for row, name in enumerate(self._chosen) if name in {*new, without}), len(self._chosen))
+        while len(known.ids) > len(self._kept.ids) + first:
+            known = known.extends or self._kept
+        self._chosen = {name: one for name, one in (self._chosen | new).items() if name != without}
+        behind = list(self._chosen.values())[len(known.ids) - len(self._kept.ids) :]
+        self.guard.inserted_known = known.joined(*(one.traffic for one in behind))
+
+    def joined_by(self, *candidates: RolledOut, without: str = "") -> "World":
         """The same with candidates chosen, which need not be taken in the end; without: one that is rolled out anew."""
         guard = Guard(self.scene, self._kept, self.guard.stop_lines)
         found = World(self.scene, self.roads, guard, self.target_id)
-        found._chosen = {name: one for name, one in self._chosen.items() if name != without}
-        found._joined = self._joined
-        found.choose(*candidates)
+        found._chosen, guard.inserted_known = self._chosen, self.guard.inserted_known
+        found.choose(*candidates, without=without)
         return found
 
     def rolled_out(self, start: Start, parts: tuple[Rollout, ...]) -> RolledOut:

@@ -66,10 +66,10 @@ class TurnedDown:
     rows: defaultdict[Policy, set[int]] = field(default_factory=lambda: defaultdict(set))
     each_cell: bool = False
 
-    def look_anew(self, *, each_cell: bool) -> None:
-        """Nothing is known to fail any more; each_cell: where a number was asked for, as that is to be placed."""
+    def look_anew(self) -> None:
+        """Nothing is known to fail any more, and few places are left."""
         self.rows.clear()
-        self.each_cell = each_cell
+        self.each_cell = True
 
     def could_not_begin(self, scene: Scene, row: int, policy: Policy) -> None:
         """A vehicle could not begin on a cell, by its row: what speaks against one mostly speaks against those near.

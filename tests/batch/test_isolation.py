@@ -52,7 +52,7 @@ def test_collector_leaves_out_what_is_imported_and_nothing_that_calls_leave(proc
         ("exit", "crashed", "status 3"),
         ("hang", "timeout", "2 s"),
         ("raise", "exception", "RuntimeError: fault raise"),
-        ("memory", "memory", "more memory than the 4000 MB a scene may take"),
+        ("memory", "memory", "more memory than the 4000 MB a scene may take (hid2 generate --scene-memory)"),
         ("full", "disk", "scenario.parquet: cannot be written (No space left on device)"),
     ],
 )

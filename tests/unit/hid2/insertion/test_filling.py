@@ -185,6 +185,15 @@ def test_two_rounds_that_add_no_vehicle_are_the_last() -> None:
     assert len(filling.kept) == 3
 
 
+def test_max_is_sought_until_rounds_add_none() -> None:
+    """Forty are asked for: round 0 keeps thirty, and each of the five after it two."""
+
+    def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
+        return _refusing(requests=frozenset(range(30 + 2 * number, 40)))(vehicle, number)
+
+    assert len(_fill(scene_for(agents="max", rounds=12, reseeds=0), spoil)[0].kept) == 40
+
+
 def test_reason_of_a_manoeuvre_without_a_site_is_what_turns_most_down_rather_than_that_places_are_taken(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -218,9 +227,9 @@ def test_cells_that_were_turned_down_are_left_alone_in_rounds_to_come(monkeypatc
         looked[anew[0], cell.lane_id, cell.index] += 1
         return Reason.CONFLICT_PREDICTED
 
-    def look_anew(turned_down: TurnedDown, *, each_cell: bool) -> None:
+    def look_anew(turned_down: TurnedDown) -> None:
         anew[0] += 1
-        before(turned_down, each_cell=each_cell)
+        before(turned_down)
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
         if vehicle.start.request.number >= 3 * (number + 1):

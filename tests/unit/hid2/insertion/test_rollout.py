@@ -1,5 +1,6 @@
 """The world that candidates are rolled out in: what a motion does to others, and what is known without one of them."""
 
+import gc
 from dataclasses import replace
 
 import numpy as np
@@ -143,6 +144,20 @@ def test_vehicle_is_rolled_out_anew_without_itself() -> None:
     assert seen.low == pytest.approx(wanted.low)
     assert around.guard.inserted_known.ids == ("v0_0", "v2_0")
     assert world.guard.inserted_known.ids == ("v0_0", "v1_0")  # nothing is chosen by asking
+
+
+def test_what_is_looked_at_in_vain_is_not_kept() -> None:
+    """One that has another motion keeps its place among those chosen."""
+    world = world_of()
+    for number, s in enumerate((20.0, 60.0, 100.0)):
+        world.choose(_steady(world, s, 8.0, number=number))
+    gc.collect()
+    before = sum(isinstance(one, Traffic) for one in gc.get_objects())
+    world.joined_by(_steady(world, 140.0, 8.0, number=3), without="v0_0")
+    gc.collect()
+    assert sum(isinstance(one, Traffic) for one in gc.get_objects()) == before
+    world.choose(_steady(world, 50.0, 8.0, number=1))
+    assert world.guard.inserted_known.position[:, 0, 0] == pytest.approx([20.0, 50.0, 100.0])
 
 
 def test_a_cell_that_begins_farther_on_takes_a_vehicle_there() -> None:
