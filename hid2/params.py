@@ -39,10 +39,7 @@ class Request(_Section):
     """What the user asks for in a scene."""
 
     agents: Annotated[int, Field(ge=0, le=500)] | Literal["max"] = _option(
-        10,
-        "vehicles",
-        "Vehicles to insert into each scene (paper, Diversity: 10); max: one to 25 m of lane, where sites are found",
-        "N|max",
+        10, "vehicles", "Vehicles to insert into each scene (paper, Diversity: 10); max: one to 25 m of lane", "N|max"
     )
     straight: float = _param(0.73, "share", "policy mix; shares are divided by their sum", ge=0, le=1)
     left_turn: float = _param(0.035, "share", "policy mix; turns as often as recorded: 0.07", ge=0, le=1)
