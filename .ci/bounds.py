@@ -38,7 +38,7 @@ BOUNDS = {
     "lines of bridge/batch": (2_050, 1_500),
     "lines of bridge/pictures": (790, 850),
     "lines of bridge/studies, evaluation, forecasting, pages": (7_230, 4_600),
-    "lines of tests": (31_870, 19_000),
+    "lines of tests": (31_540, 19_000),
     "parameters": (109, 110),
     "fmt: skip and fmt: off": (247, 40),
     "functions above 80 lines": (2, 0),

@@ -7,6 +7,7 @@ import shutil
 import signal
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
+from pkgutil import resolve_name
 
 import pytest
 from browser import Page, chromium
@@ -52,6 +53,12 @@ def tmp_path(tmp_path: Path) -> Path:
     folder = tmp_path / "work"
     folder.mkdir()
     return folder
+
+
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scenes are made in this process, which takes a tenth of the time, for tests of what is made of them."""
+    monkeypatch.setattr("bridge.batch.engine.IsolatedProcess", resolve_name("served:Here"))
 
 
 @pytest.fixture(scope="module")

@@ -343,20 +343,17 @@ class TestResume:
         assert not (out / bad.bundle).exists(), "a scene that is done leaves no bundle"
 
 
-def test_what_is_asked_for_beside_a_scene_is_written_with_all_else(synthetic: list[Path], tmp_path: Path) -> None:
+def test_what_is_asked_for_beside_a_scene_is_written_with_all_else_and_notes_are_kept(
+    synthetic: list[Path], tmp_path: Path
+) -> None:
     """Gaps; where they are asked for later, the scene is made again."""
-    jobs, out = plan(synthetic[:1], load_config(flags={"request.agents": 1})), tmp_path / "out"
-    run_batch(jobs, out)
-    (row,) = run_batch(jobs, out, Options(resume=True, gaps=True))
-    assert len(list((out / row.folder).glob("gaps_*.csv.gz"))) == 1
-
-
-def test_notes_beside_a_scene_are_kept(synthetic: list[Path], tmp_path: Path) -> None:
     jobs, out = plan(synthetic[:1], load_config(flags={"request.agents": 1})), tmp_path / "out"
     (row,) = run_batch(jobs, out)
     (out / row.folder / "NOTES.txt").write_text("mine")
     run_batch(jobs, out, Options(resume=True))
     assert (out / row.folder / "NOTES.txt").read_text() == "mine"
+    (row,) = run_batch(jobs, out, Options(resume=True, gaps=True))
+    assert len(list((out / row.folder).glob("gaps_*.csv.gz"))) == 1
 
 
 def test_spoiled_sequence_of_argoverse_1_is_written_again(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ COMMANDS = (
 def generated(hid2: Run, data_scenes: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A generated scene folder."""
     out = tmp_path_factory.mktemp("generated")
-    assert hid2("generate", data_scenes["arterial"], "-o", out, "--agents", 4, "-q").returncode == 0
+    assert hid2("generate", data_scenes["curve"], "-o", out, "--agents", 2, "-q").returncode == 0
     return next(out.rglob("scenario_*.parquet")).parent
 
 
@@ -85,16 +85,13 @@ def test_validate_names_file_and_rule(hid2: Run, generated: Path, tmp_path: Path
     assert str(sidecar) in result.stdout
 
 
-def test_evaluate_writes_a_report(hid2: Run, generated: Path, tmp_path: Path) -> None:
-    result = hid2("evaluate", generated, "-o", tmp_path / "report")
-    assert result.returncode == 0
-    assert result.stdout.strip() == str(tmp_path / "report" / "report.html")
-    assert {"metrics.json", "scenes.csv", "report.html"} <= {path.name for path in (tmp_path / "report").iterdir()}
-
-
-def test_evaluate_scores_a_baseline_and_compares_files(
+def test_evaluate_writes_a_report_scores_a_baseline_and_compares_files(
     hid2: Run, generated: Path, data_root: Path, tmp_path: Path
 ) -> None:
+    result = hid2("evaluate", generated, "-o", tmp_path / "scene")
+    assert result.returncode == 0
+    assert result.stdout.strip() == str(tmp_path / "scene" / "report.html")
+    assert {"metrics.json", "scenes.csv", "report.html"} <= {path.name for path in (tmp_path / "scene").iterdir()}
     result = hid2("evaluate", generated, "-o", tmp_path, "--predictions", "constant-velocity")
     assert result.returncode == 0, result.stderr
     assert "minADE, m" in result.stdout

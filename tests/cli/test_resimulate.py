@@ -35,15 +35,15 @@ def rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(stream))
 
 
-def test_every_scene_is_scored_beside_all_models(ended: Path) -> None:
+def test_every_scene_is_scored_beside_all_models_on_a_page_that_says_what_differs_and_can_be_viewed(
+    hid2: Run, ended: Path, tmp_path: Path
+) -> None:
+    """Every vehicle is in the table; rollouts that are written are scenes."""
     of = {(row["scene"], row["model"]): float(row["sum"]) for row in rows(ended / "scores.csv")}
     names = {scene for scene, _ in of}
     assert (len(names), len(of)) == (2, 2 * 5)
     assert all(0.0 < score <= 1.0 for score in of.values())
     assert all(of[scene, "log"] > of[scene, "calibrated"] for scene in names)
-
-
-def test_every_vehicle_is_in_the_table_and_the_page_says_what_differs(ended: Path) -> None:
     vehicles = rows(ended / "vehicles.csv")
     assert all((row["driven"] == "True") == (row["why_not"] == "") for row in vehicles)
     page = (ended / "resimulation.html").read_text()
@@ -55,9 +55,6 @@ def test_every_vehicle_is_in_the_table_and_the_page_says_what_differs(ended: Pat
         "at least 91",
     ):
         assert text in page
-
-
-def test_written_rollouts_can_be_viewed(hid2: Run, ended: Path, tmp_path: Path) -> None:
     assert len(list((ended / "scenes").rglob("scenario_*.parquet"))) == 2
     result = hid2("view", ended / "scenes", "-o", tmp_path / "page.html")
     assert result.returncode == 0, result.stderr

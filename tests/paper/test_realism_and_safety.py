@@ -32,7 +32,7 @@ def test_constant_acceleration_seen_from_a_turned_heading():
 
 
 def test_circle_has_lateral_acceleration_v_squared_over_r():
-    """R = 20 m at 10 m/s: 5 m/s2 inwards, and a turns at 0.5 rad/s: JE = 2.5 m/s3."""
+    """R = 20 m at 10 m/s: 5 m/s2 inwards, and a turns at 0.5 rad/s: JE = 2.5 m/s3. Headings across pi are no turn."""
     angle = 0.5 * 0.1 * np.arange(80)
     track = make_track(20 * np.sin(angle), 20 * (1 - np.cos(angle)), angle)
     moved = motion(stack([track], step_s=0.1))
@@ -40,16 +40,19 @@ def test_circle_has_lateral_acceleration_v_squared_over_r():
     np.testing.assert_allclose(moved.accel_mps2[2:-2], 0.0, atol=1e-9)
     np.testing.assert_allclose(moved.jerk_mps3[3:-3], 2.5, rtol=3e-3)
     np.testing.assert_allclose(moved.yaw_rate_radps, 0.5, rtol=1e-9)
-
-
-def test_headings_across_pi_are_no_turn():
     moved = motion(stack([make_track(np.arange(6.0), heading=[3.1, 3.14, -3.13, -3.1, -3.08, -3.05])], step_s=0.1))
     assert np.abs(moved.yaw_rate_radps).max() < 1.0
 
 
-def test_tracks_of_less_than_five_steps_are_not_counted():
+def test_tracks_of_less_than_five_steps_are_not_counted_and_missing_steps_keep_their_time():
+    """Steady 10 m/s with a gap of three steps: no acceleration, though positions jump."""
     arrays = stack([make_track(np.arange(4.0), name="a"), make_track(np.arange(5.0), name="b")], step_s=0.1)
     assert kinematics(arrays, motion(arrays)).counted.tolist() == [False, True]
+    steps = np.array([0, 1, 2, 3, 7, 8, 9, 10])
+    position = np.column_stack([steps * 1.0, np.zeros(8)])
+    track = Track("t", "vehicle", 1, steps, position, np.zeros(8), np.zeros((8, 2)), BoxSize(4, 2))
+    assert measured(track).lo[0] == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_allclose(motion(stack([track], step_s=0.1)).speed_mps, 10.0)
 
 
 def test_lo_la_je_are_means_over_the_steps_of_a_track():
@@ -62,16 +65,6 @@ def test_lo_la_je_are_means_over_the_steps_of_a_track():
     assert found.lo[0] == pytest.approx(np.abs(a[:, 0] * cos + a[:, 1] * sin).mean(), rel=1e-12)
     assert found.la[0] == pytest.approx(np.abs(-a[:, 0] * sin + a[:, 1] * cos).mean(), rel=1e-12)
     assert found.je[0] == pytest.approx(np.hypot(*j.T).mean(), rel=1e-12)
-
-
-def test_missing_steps_keep_their_time():
-    """Steady 10 m/s with a gap of three steps: no acceleration, though positions jump."""
-    steps = np.array([0, 1, 2, 3, 7, 8, 9, 10])
-    position = np.column_stack([steps * 1.0, np.zeros(8)])
-    track = Track("t", "vehicle", 1, steps, position, np.zeros(8), np.zeros((8, 2)), BoxSize(4, 2))
-    found = measured(track)
-    assert found.lo[0] == pytest.approx(0.0, abs=1e-9)
-    np.testing.assert_allclose(motion(stack([track], step_s=0.1)).speed_mps, 10.0)
 
 
 def test_scr_is_the_share_of_vehicles_that_collide_at_any_step():

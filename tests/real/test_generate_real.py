@@ -98,44 +98,36 @@ def test_vehicles_that_enter_a_synthetic_scene_break_no_rule(data_scenes: dict[s
         assert len(scene.generated) == 10
 
 
-def test_ten_asked_for_are_ten_placed_but_in_one_dense_scene(scenes: list[TrafficScene]) -> None:
-    """Ten each, but in 00a0ec58, dense and small: four or five, as its followers come close.
+def test_ten_asked_for_are_ten_placed_every_request_has_its_record_and_algorithm_1_decides_at_every_step(
+    scenes: list[TrafficScene],
+) -> None:
+    """Ten each, but in 00a0ec58, dense and small: four or five, as its followers come close. Where fewer are placed
+    the scene says why. What is asked for beside going straight is done, or has a record that says why not; so is
+    who was replaced.
 
-    A scene with fewer than asked for says why.
+    Shares of the steps by policy add up to 1: nobody drives a step that was not decided. A vehicle that leaves the map
+    is decided for until SUMO takes it out, up to half its length farther on.
     """
     placed: list[int] = []
     dense: list[int] = []
     for scene in scenes:
-        count = len(scene.generated)
-        assert scene.sidecar.placed.agents == count <= 10
-        assert count == 10 or scene.sidecar.rejected, "fewer than asked for, and no reason"
+        sidecar, count = scene.sidecar, len(scene.generated)
+        assert sidecar.placed.agents == count <= 10
+        assert count == 10 or sidecar.rejected, "fewer than asked for, and no reason"
         (dense if scene.source.scenario_id.startswith("00a0ec58") else placed).append(count)
-    assert min(dense, default=4) >= 4, dense
-    assert sum(placed) >= 0.98 * 10 * len(placed), placed
-
-
-def test_every_reason_is_one_of_the_list_and_every_request_has_its_record(scenes: list[TrafficScene]) -> None:
-    """What is asked for beside going straight is done, or has a record that says why not; so is who was replaced."""
-    for sidecar in (scene.sidecar for scene in scenes):
         named = {record.reason for record in sidecar.rejected} | {one.reason for one in sidecar.replaced}
         named |= {one.detail for one in sidecar.replaced if one.detail is not None}
         for agent in sidecar.agents:
             for record in agent.maneuvers:
                 named |= set((record.reason or "no_site").split(":"))
                 assert record.status == "done" or record.reason is not None
+            decided, rounded = sum(agent.policies.values()), 1e-6 * len(agent.policies)
+            assert decided >= 1.0 - rounded
+            assert agent.end_reason is not None or decided <= 1.0 + rounded
         assert named <= REASONS
         assert all(agent.maneuvers for agent in sidecar.agents if agent.policy is not Policy.STRAIGHT)
-
-
-def test_algorithm_1_decides_at_every_step_of_every_vehicle(scenes: list[TrafficScene]) -> None:
-    """Shares of the steps by policy add up to 1: nobody drives a step that was not decided.
-
-    A vehicle that leaves the map is decided for until SUMO takes it out, up to half its length farther on.
-    """
-    for agent in (agent for scene in scenes for agent in scene.sidecar.agents):
-        decided = sum(agent.policies.values())
-        rounded = 1e-6 * len(agent.policies)
-        assert decided == pytest.approx(1.0, abs=rounded) if agent.end_reason is None else decided >= 1.0 - rounded
+    assert min(dense, default=4) >= 4, dense
+    assert sum(placed) >= 0.98 * 10 * len(placed), placed
 
 
 def test_exported_way_is_the_simulated_one(scenes: list[TrafficScene]) -> None:

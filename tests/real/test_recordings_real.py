@@ -1,6 +1,5 @@
 """Real scenes as they are read, converted to nets and written again: with the contents that av2 finds in them."""
 
-import copy
 import json
 from pathlib import Path
 
@@ -68,28 +67,14 @@ def _check_against_av2(graph: LaneGraph, theirs: ArgoverseStaticMap) -> None:
         assert np.array_equal(ring, area.xyz[:, :2])
 
 
-def test_the_lane_graph_holds_what_av2_reads(real_scene: Path) -> None:
+def test_the_lane_graph_holds_what_av2_reads_and_centrelines_are_those_of_the_file(real_scene: Path) -> None:
+    """av2 ignores them; the file's are finer than the ten points that it derives, as we do where there are none."""
     path = _map_path(real_scene)
-    _check_against_av2(read_source_map(path), ArgoverseStaticMap.from_json(path))
-
-
-def test_centrelines_are_those_of_the_file(real_scene: Path) -> None:
-    """av2 ignores them; the file's are finer than the ten points that it derives."""
-    path = _map_path(real_scene)
-    source = {
-        segment["id"]: [(point["x"], point["y"]) for point in segment["centerline"]]
-        for segment in json.loads(path.read_text())["lane_segments"].values()
-    }
-    for lane_id, lane in read_source_map(path).lanes.items():
-        assert lane.centerline.tolist() == [list(point) for point in source[lane_id]]
-
-
-def test_without_centrelines_the_mid_lines_are_those_that_av2_derives(real_scene: Path) -> None:
-    path = _map_path(real_scene)
-    data = copy.deepcopy(json.loads(path.read_text()))
+    data, graph, theirs = json.loads(path.read_text()), read_source_map(path), ArgoverseStaticMap.from_json(path)
+    _check_against_av2(graph, theirs)
     for segment in data["lane_segments"].values():
-        del segment["centerline"]
-    theirs = ArgoverseStaticMap.from_json(path)
+        points = [[point["x"], point["y"]] for point in segment.pop("centerline")]
+        assert graph.lanes[segment["id"]].centerline.tolist() == points
     for lane_id, lane in graph_of(data, name="map").lanes.items():
         expected = theirs.get_lane_segment_centerline(lane_id)[:, :2]
         assert np.abs(lane.centerline - expected).max() <= 1e-6

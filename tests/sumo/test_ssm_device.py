@@ -92,17 +92,17 @@ def _theirs(folder: Path, first: str, second: str, measure: str) -> list[float]:
     return found
 
 
-def test_following_has_the_ttc_and_drac_that_sumo_finds(run: Path) -> None:
-    """From a TTC of 1 s on it brakes: the gap closes slower and slower, and DRAC is w^2 / 2 gap."""
-    ours = _ours(run)[frozenset(("leader", "follower"))]
+def test_following_has_the_ttc_and_drac_and_crossing_the_pet_that_sumo_finds(run: Path) -> None:
+    """From a TTC of 1 s on it brakes: the gap closes slower and slower, and DRAC is w^2 / 2 gap.
+
+    SUMO's PET is exact where the paths cross, ours right to a step for each of the two.
+    """
+    every = _ours(run)
+    ours = every[frozenset(("leader", "follower"))]
     assert (ours.kind, ours.first_id, ours.second_id) == ("rear_end", "leader", "follower")
     assert ours.ttc_s == pytest.approx(min(_theirs(run, "leader", "follower", "minTTC")), abs=0.02)
     assert ours.drac_mps2 == pytest.approx(max(_theirs(run, "leader", "follower", "maxDRAC")), rel=0.02)
-
-
-def test_crossing_has_the_pet_that_sumo_finds(run: Path) -> None:
-    """SUMO's is exact where the paths cross, ours right to a step for each of the two."""
-    ours = _ours(run)[frozenset(("follower", "crosses"))]
+    ours = every[frozenset(("follower", "crosses"))]
     assert (ours.kind, ours.first_id) == ("crossing", "follower")
     assert abs(ours.angle_deg - 90.0) < 1.0
     assert ours.pet_s == pytest.approx(min(_theirs(run, "follower", "crosses", "PET")), abs=0.2)

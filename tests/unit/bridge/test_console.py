@@ -147,14 +147,11 @@ def test_no_value_is_cropped_and_no_line_is_too_long(
         assert max(map(len, lines)) <= width
 
 
-def test_a_pipe_gets_one_line_a_row() -> None:
+def test_numbers_are_aligned_right_and_words_left_and_a_pipe_gets_one_line_a_row() -> None:
+    """Head, rule, two rows: the numbers 5 and 125 end at the same place."""
     lines = table_lines(BATCH, RUNS, width=None)
     assert len(lines) == 2 + len(RUNS)
     assert lines[2].endswith(str(RUNS[0][-1]))
-
-
-def test_numbers_are_aligned_right_and_words_left() -> None:
-    """Head, rule, two rows: the numbers 5 and 125 end at the same place."""
     assert table_lines(("name", "n"), [("a", 5), ("long", 125)], width=80) == [
         "name    n",
         "---------",
@@ -163,12 +160,9 @@ def test_numbers_are_aligned_right_and_words_left() -> None:
     ]
 
 
-def test_rows_are_stacked_where_columns_do_not_fit() -> None:
-    lines = table_lines(("scene", "first_long_name", "second_long_name"), [("x" * 20, 1, 2.5)], width=36)
-    assert lines == ["x" * 20, "    first_long_name: 1", "    second_long_name: 2.5"]
-
-
-def test_floats_keep_their_digits() -> None:
+def test_rows_are_stacked_where_columns_do_not_fit_and_floats_keep_their_digits() -> None:
     """-4.05 and 0.65 once came out as -4. and 0.6, and 123456.7 as 123457."""
     lines = table_lines(("a", "b", "c"), [(-4.05, 0.65, 123456.7)], width=25)
     assert words(lines).endswith("-4.05 0.65 123456.7")
+    lines = table_lines(("scene", "first_long_name", "second_long_name"), [("x" * 20, 1, 2.5)], width=36)
+    assert lines == ["x" * 20, "    first_long_name: 1", "    second_long_name: 2.5"]

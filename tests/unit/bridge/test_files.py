@@ -30,6 +30,8 @@ def test_file_appears_when_all_is_written(tmp_path: Path) -> None:
         hidden.write_text("new")
         assert not path.exists()
     assert [(entry.name, entry.read_text()) for entry in path.parent.iterdir()] == [("table.csv", "new")]
+    with pytest.raises(ExportError, match=r"table.csv/folder: cannot be written \(Not a directory\)"):
+        make_folder(path / "folder")
 
 
 def test_file_stays_as_it_was_when_writing_fails(tmp_path: Path) -> None:
@@ -47,12 +49,6 @@ def test_file_stays_as_it_was_when_writing_fails(tmp_path: Path) -> None:
         assert [(entry.name, entry.read_text()) for entry in tmp_path.iterdir()] == [("table.csv", "old")]
 
 
-def test_folder_that_cannot_be_made_is_explained(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(ExportError, match=r"file/folder: cannot be written \(Not a directory\)"):
-        make_folder(tmp_path / "file" / "folder")
-
-
 def test_only_regular_files_of_bounded_size_are_read(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"x" * 1_000_000)
     assert len(read_regular(tmp_path / "file", most_mb=1)) == 1_000_000
@@ -67,11 +63,15 @@ def test_only_regular_files_of_bounded_size_are_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("text", ["two  spaces", "a\n\tb", "\x1b[2J", "\udcff\u202e", "x" * 50, ""])
 def test_text_on_one_line_is_bounded_printable_and_stays_as_it_is(text: str) -> None:
+    """A long value in a message leaves what is expected to be read."""
     shown = one_line(text, most=20)
     assert len(shown) <= 20
     assert shown.isprintable()
     assert one_line(shown, most=20) == shown
     assert shown.encode("utf-8") is not None, "it is text for every file"
+    shown = one_line(f"key = {'x' * 100_000}, expected a number", most=100)
+    assert len(shown) == 100
+    assert (shown[:10], shown[-19:]) == ("key = xxxx", ", expected a number")
 
 
 def test_full_disk_is_told_from_other_failures() -> None:
@@ -89,22 +89,18 @@ def test_full_disk_is_told_from_other_failures() -> None:
     assert disk_error(raised(errno.ENOTDIR)) is None
 
 
-@pytest.mark.parametrize("text", ["=cmd", "+cmd|' /C calc'!A0", "-2+3", "@SUM(A1)", "\t=1", "'=cmd", "-gen_0", "--"])
-def test_text_that_a_spreadsheet_would_run_goes_behind_an_apostrophe_and_comes_back(text: str) -> None:
-    stream = io.StringIO()
-    append_rows(stream, [[text]])
-    ((cell,),) = csv.reader(io.StringIO(stream.getvalue()))
-    assert cell == f"'{text}"
-    assert untabled(cell) == text
+RUN = ("=cmd", "+cmd|' /C calc'!A0", "-2+3", "@SUM(A1)", "\t=1", "'=cmd", "-gen_0", "--")
+NOT_RUN = (-1, -2.5, "-2.5", "+1e-07", "-inf", "-", "", "gen_0", "'quoted'", "a=b", None)
 
 
-@pytest.mark.parametrize("value", [-1, -2.5, "-2.5", "+1e-07", "-inf", "-", "", "gen_0", "'quoted'", "a=b", None])
-def test_numbers_and_other_texts_stay_as_they_are(value: object) -> None:
-    stream = io.StringIO()
+@pytest.mark.parametrize("value", [*RUN, *NOT_RUN])
+def test_text_that_a_spreadsheet_would_run_goes_behind_an_apostrophe_and_comes_back(value: object) -> None:
+    """Numbers and other texts stay as they are."""
+    stream, text = io.StringIO(), "" if value is None else str(value)
     append_rows(stream, [["first", value]])
     ((_, cell),) = csv.reader(io.StringIO(stream.getvalue()))
-    assert cell == ("" if value is None else str(value))
-    assert untabled(cell) == cell
+    assert cell == (f"'{text}" if value in RUN else text)
+    assert untabled(cell) == text
 
 
 @pytest.mark.parametrize(
@@ -113,9 +109,3 @@ def test_numbers_and_other_texts_stay_as_they_are(value: object) -> None:
 def test_path_is_text_that_any_table_takes(name: bytes, cell: str, tmp_path: Path) -> None:
     write_rows(tmp_path / "table.csv", ("path",), [[Path(os.fsdecode(name))]])
     assert (tmp_path / "table.csv").read_text().splitlines() == ["path", cell]
-
-
-def test_long_value_in_a_message_leaves_what_is_expected_to_be_read() -> None:
-    shown = one_line(f"key = {'x' * 100_000}, expected a number", most=100)
-    assert len(shown) == 100
-    assert (shown[:10], shown[-19:]) == ("key = xxxx", ", expected a number")

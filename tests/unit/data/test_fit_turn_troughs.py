@@ -38,18 +38,17 @@ def test_troughs_of_both_sides_and_their_place_are_recovered(script: ModuleType)
     assert lines[1].startswith("left: 20 turns; trough 0.600 at 0.35")
 
 
-def test_a_side_with_fewer_than_twenty_turns_keeps_the_prior_and_says_so(script: ModuleType) -> None:
+def test_a_side_with_few_turns_keeps_the_prior_and_says_so_as_do_fits_that_contradict_the_paper(
+    script: ModuleType,
+) -> None:
+    """Fewer than twenty turns; f_right > f_left."""
     prior = Turn()
     turn, lines = script.report(_turns(script, left=19, right=0), 1, prior=prior)
     assert turn == prior
     assert "left: 19 turns; fewer than 20: the prior stays" in lines[1]
     assert lines[2].startswith("right: 0 turns; fewer than 20: the prior stays")
-
-
-def test_fits_that_contradict_the_paper_are_not_taken(script: ModuleType) -> None:
-    """f_right > f_left."""
-    turn, lines = script.report(_turns(script, left=20, right=20, right_trough=0.5), 1, prior=Turn())
-    assert turn == Turn()
+    turn, lines = script.report(_turns(script, left=20, right=20, right_trough=0.5), 1, prior=prior)
+    assert turn == prior
     assert "right 0.5 is not above left 0.6" in lines[-1]
 
 

@@ -22,10 +22,6 @@ def kinds(document):
     ]
 
 
-def test_there_are_three() -> None:
-    assert NOTEBOOKS == ["evaluation.ipynb", "first_scene.ipynb", "study.ipynb"]
-
-
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[] if name.startswith("first") else [pytest.mark.slow]) for name in NOTEBOOKS]
 )
@@ -37,7 +33,8 @@ def test_notebook_runs_and_is_kept_with_its_outputs(name, tmp_path):
     assert notebook.stat().st_size < 300_000  # a scene that shows itself has 100,000
 
 
-def test_failing_cell_is_told(tmp_path):
+def test_there_are_three_and_a_failing_cell_is_told(tmp_path):
+    assert NOTEBOOKS == ["evaluation.ipynb", "first_scene.ipynb", "study.ipynb"]
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("1 / 0", id="one")])
     nbformat.write(notebook, tmp_path / "bad.ipynb")
     with pytest.raises(CellExecutionError, match="ZeroDivisionError"):

@@ -47,7 +47,7 @@ def map_json(*segments: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def test_a_lane_segment_keeps_what_the_file_says() -> None:
+def test_a_lane_segment_keeps_what_the_file_says_but_for_repeated_points() -> None:
     segment = lane_json(5, STRAIGHT, left_neighbor_id=8, successors=[6], is_intersection=True, lane_type="BUS")
     other = lane_json(6, [(50.0, 0.0), (60.0, 0.0)])
     graph = graph_of(map_json(segment, other), name="map")
@@ -61,6 +61,9 @@ def test_a_lane_segment_keeps_what_the_file_says() -> None:
     assert (lane.width_m, lane.length_m, lane.turn) == (4.0, 50.0, TurnType.STRAIGHT)
     assert graph.drivable_areas[0].shape == (5, 2)
     assert (graph.drivable_areas[0][0] == graph.drivable_areas[0][-1]).all()
+    repeated = lane_json(5, [(0.0, 0.0), (0.0, 0.0), (20.0, 0.0), (20.0, 0.0), (50.0, 0.0)])
+    lane = graph_of(map_json(repeated), name="map").lanes[5]
+    assert lane.centerline.tolist() == [[0.0, 0.0], [20.0, 0.0], [50.0, 0.0]]
 
 
 def test_a_missing_centerline_is_the_mid_line_that_av2_derives(tmp_path: Path) -> None:
@@ -93,12 +96,6 @@ def test_pedestrian_crossings_keep_their_corners_in_turn(second: list[tuple[floa
     document["pedestrian_crossings"] = {"1": crossing}
     (corners,) = graph_of(document, name="map").pedestrian_crossings
     assert corners.tolist() == [[10.0, -5.0], [10.0, 5.0], [13.0, 5.0], [13.0, -5.0]]
-
-
-def test_repeated_points_of_a_centerline_are_dropped() -> None:
-    segment = lane_json(5, [(0.0, 0.0), (0.0, 0.0), (20.0, 0.0), (20.0, 0.0), (50.0, 0.0)])
-    lane = graph_of(map_json(segment), name="map").lanes[5]
-    assert lane.centerline.tolist() == [[0.0, 0.0], [20.0, 0.0], [50.0, 0.0]]
 
 
 def test_links_that_lead_nowhere_do_not_stop_the_map() -> None:
@@ -173,20 +170,9 @@ def test_a_broken_lane_is_refused_with_its_id_and_value(case: str) -> None:
         graph_of(data, name="the/map.json")
 
 
-def test_a_missing_field_is_named() -> None:
-    segment = lane_json(5, STRAIGHT)
-    del segment["successors"], segment["lane_type"]
-    with pytest.raises(MapError, match="map: lane 5: no lane_type, expected"):
-        graph_of(map_json(segment), name="map")
-
-
-def test_a_map_without_vehicle_lane_is_refused() -> None:
-    data = map_json(lane_json(5, STRAIGHT, lane_type="BIKE"), lane_json(6, STRAIGHT, lane_type="BUS"))
-    with pytest.raises(MapError, match="map: no lane of type VEHICLE among 2 lane segments, expected at least one"):
-        graph_of(data, name="map")
-
-
 EMPTY: dict[str, Any] = {"lane_segments": {}, "drivable_areas": {}, "pedestrian_crossings": {}}
+BIKES_AND_BUSES = map_json(lane_json(5, STRAIGHT, lane_type="BIKE"), lane_json(6, STRAIGHT, lane_type="BUS"))
+LACKING = {key: value for key, value in lane_json(5, STRAIGHT).items() if key not in ("successors", "lane_type")}
 
 
 @pytest.mark.parametrize(
@@ -197,6 +183,8 @@ EMPTY: dict[str, Any] = {"lane_segments": {}, "drivable_areas": {}, "pedestrian_
         ({"lane_segments": {}, "drivable_areas": {}}, "no object 'pedestrian_crossings'"),
         (EMPTY, "no lane of type VEHICLE among 0 lane segments"),
         (EMPTY | {"lane_segments": {"5": None}}, "lane 5: NoneType, expected an object"),
+        (BIKES_AND_BUSES, "no lane of type VEHICLE among 2 lane segments, expected at least one"),
+        (map_json(LACKING), "lane 5: no lane_type, expected"),
     ],
 )
 def test_json_that_is_no_map_is_refused(data: Any, message: str) -> None:

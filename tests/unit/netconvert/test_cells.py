@@ -33,35 +33,27 @@ def two_lanes(lane: Lane, graph: Graph) -> CellGrid:
     )
 
 
-def test_neighbours_share_the_larger_number_of_cells(two_lanes: CellGrid) -> None:
+def test_cells_come_by_lane_and_index_and_neighbours_share_the_larger_number(two_lanes: CellGrid) -> None:
+    """With the middles of their centrelines; an arc length lies in the cell between whose borders it is."""
     assert [two_lanes.count(lane_id) for lane_id in (1, 2, 3)] == [4, 4, 2]
     assert two_lanes.edges_m[1].tolist() == [0.0, 3.125, 6.25, 9.375, 12.5]
     assert two_lanes.edges_m[2].tolist() == [0.0, 2.5, 5.0, 7.5, 10.0]
     assert two_lanes.borders[2].tolist() == [[0.0, 4.0], [2.5, 4.0], [5.0, 4.0], [7.5, 4.0], [10.0, 4.0]]
-
-
-def test_cells_come_by_lane_and_index_with_the_middles_of_their_centrelines(two_lanes: CellGrid) -> None:
     assert two_lanes.cells[3:6] == (Cell(1, 3), Cell(2, 0), Cell(2, 1))
     assert all(two_lanes.index_of[cell] == index for index, cell in enumerate(two_lanes.cells))
     assert two_lanes.centers.shape == (10, 2)
     assert two_lanes.centers[two_lanes.index_of[Cell(2, 1)]].tolist() == [3.75, 4.0]
     assert two_lanes.length_m(Cell(1, 0)) == 3.125
-
-
-def test_an_arc_length_lies_in_the_cell_between_whose_borders_it_is(two_lanes: CellGrid) -> None:
     assert [two_lanes.cell_at(2, s).index for s in (-1.0, 0.0, 2.4, 2.5, 9.9, 10.0, 30.0)] == [0, 0, 0, 1, 3, 3, 3]
 
 
-def test_longitudinal_links_end_with_the_lane_and_inter_lane_links_leave_from_its_last_cell(
+def test_longitudinal_links_end_with_the_lane_inter_lane_links_leave_from_its_last_cell_and_lateral_ones_face(
     two_lanes: CellGrid,
 ) -> None:
     assert [two_lanes.longitudinal(Cell(2, index)) for index in (2, 3)] == [Cell(2, 3), None]
     assert two_lanes.following(Cell(2, 3)) == (Cell(3, 0),)
     assert two_lanes.following(Cell(2, 2)) == (Cell(2, 3),)
     assert two_lanes.following(Cell(1, 3)) == ()
-
-
-def test_lateral_links_face_each_other(two_lanes: CellGrid) -> None:
     assert two_lanes.lateral(Cell(1, 2), "left") == Cell(2, 2)
     assert two_lanes.lateral(Cell(2, 2), "right") == Cell(1, 2)
     assert two_lanes.lateral(Cell(2, 2), "left") is None

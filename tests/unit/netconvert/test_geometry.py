@@ -91,7 +91,7 @@ def test_city_coordinates_come_back_from_frenet_coordinates(
     assert abs(back[0] - d) <= max(1e-3, 1.0 - np.cos(angle / 39)) * abs(d) + 1e-9
 
 
-def test_box_corners_go_round_from_the_front_left() -> None:
+def test_box_corners_go_round_from_the_front_left_and_sizes_broadcast_over_centers() -> None:
     r"""A 4 m x 2 m box at (10, 20) that faces north: its front is up, its left is west.
 
     (9, 22) +--+ (11, 22)
@@ -100,9 +100,6 @@ def test_box_corners_go_round_from_the_front_left() -> None:
     """
     corners = box_corners([10.0, 20.0], math.pi / 2, length_m=4.0, width_m=2.0)
     assert corners == pytest.approx(np.array([[9.0, 22.0], [11.0, 22.0], [11.0, 18.0], [9.0, 18.0]]))
-
-
-def test_box_sizes_broadcast_over_centers() -> None:
     corners = box_corners(np.zeros((3, 5, 2)), np.zeros((3, 5)), length_m=np.array([[2.0], [4.0], [6.0]]), width_m=1.0)
     assert corners.shape == (3, 5, 4, 2)
     assert corners[:, 0, 0, 0].tolist() == [1.0, 2.0, 3.0]

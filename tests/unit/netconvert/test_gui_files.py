@@ -43,18 +43,14 @@ def test_the_drivable_area_lies_under_the_lanes_and_every_cell_is_outlined_above
     assert all(float(cell.get("layer")) > 100 and cell.get("fill") == "0" for cell in cells)
 
 
-def test_the_view_can_be_closer(grid: CellGrid) -> None:
-    """The area is 20 m by 10 m, which 20 m of width show; half of it is seen twice as large."""
-    shown = np.array([0.0, -2.0]), np.array([10.0, 2.0])
-    whole = np.array([0.0, -5.0]), np.array([20.0, 5.0])
-    views = [etree.fromstring(gui_files(grid, "s", shown=part, step_s=0.1)["s.view.xml"]) for part in (whole, shown)]
-    zooms = [float(view.find("viewport").get("zoom")) for view in views]
-    assert zooms[1] == pytest.approx(2 * zooms[0], rel=0.01)
+def test_the_view_can_be_closer_and_a_net_that_covers_more_ground_is_seen_as_close(grid: CellGrid) -> None:
+    """The area is 20 m by 10 m, which 20 m of width show; half of it is seen twice as large.
 
-
-def test_a_net_that_covers_more_ground_is_seen_as_close(grid: CellGrid) -> None:
-    """Zoom 100 shows all of the net: of 40 m, with a line beyond the area, twice as much as of 20 m."""
-    lines = [(), [np.array([[30.0, 0.0], [40.0, 0.0]])]]
-    views = [etree.fromstring(gui_files(grid, "s", covered=line, step_s=0.1)["s.view.xml"]) for line in lines]
-    zooms = [float(view.find("viewport").get("zoom")) for view in views]
-    assert zooms[1] == pytest.approx(2 * zooms[0], rel=0.01)
+    Zoom 100 shows all of the net: of 40 m, with a line beyond the area, twice as much as of 20 m.
+    """
+    shown = [{"shown": (np.array([0.0, -y]), np.array([x, y]))} for x, y in ((20.0, 5.0), (10.0, 2.0))]
+    covered = [{"covered": lines} for lines in ((), [np.array([[30.0, 0.0], [40.0, 0.0]])])]
+    for options in (shown, covered):
+        views = [etree.fromstring(gui_files(grid, "s", step_s=0.1, **one)["s.view.xml"]) for one in options]
+        zooms = [float(view.find("viewport").get("zoom")) for view in views]
+        assert zooms[1] == pytest.approx(2 * zooms[0], rel=0.01)

@@ -30,8 +30,12 @@ def _net(graph: LaneGraph) -> etree._Element:
     return etree.fromstring(net_bytes(build_cell_grid(graph)))
 
 
-def test_a_row_of_cells_is_an_edge_and_a_cell_is_a_lane(fork: LaneGraph) -> None:
+def test_a_row_of_cells_is_an_edge_and_a_cell_is_a_lane_of_a_net_with_a_version_and_no_offset(fork: LaneGraph) -> None:
+    """Without a version attribute a broken reference would crash SUMO."""
     net = _net(fork)
+    assert net.get("version") == "1.20"
+    assert net.find("location").get("netOffset") == "0.00,0.00"
+    assert net.find("location").get("convBoundary") == "0.00,-3.00,12.00,3.00"
     lanes = {edge.get("id"): [lane.get("id") for lane in edge.iterfind("lane")] for edge in net.iterfind("edge")}
     assert lanes == {
         "1#0": ["1#0_0", "1#0_1"],
@@ -42,25 +46,20 @@ def test_a_row_of_cells_is_an_edge_and_a_cell_is_a_lane(fork: LaneGraph) -> None
     }
 
 
-def test_shapes_keep_the_vertices_of_the_centreline_and_join_at_the_borders(fork: LaneGraph) -> None:
-    """Lane 1 is cut at 4 m; its vertex at 5 m belongs to the second cell."""
-    shapes = {lane.get("id"): lane.get("shape") for lane in _net(fork).iter("lane")}
-    assert shapes["1#0_0"] == "0.000,0.000 4.000,0.000"
-    assert shapes["1#1_0"] == "4.000,0.000 5.000,0.000 8.000,0.000"
+def test_lanes_have_their_segment_shapes_arc_lengths_widths_bicycles_and_solid_lines(fork: LaneGraph) -> None:
+    """Lane 1 is cut at 4 m; its vertex at 5 m belongs to the second cell. Lane 4 is 2 + sqrt(2) + 2 = 5.414214 m long:
+    two cells of 2.707107 m. Lane 2 is for bicycles alone.
 
-
-def test_lanes_have_their_segment_arc_lengths_widths_and_bicycles(fork: LaneGraph) -> None:
-    """Lane 4 is 2 + sqrt(2) + 2 = 5.414214 m long: two cells of 2.707107 m. Lane 2 is for bicycles alone."""
+    Lane 1 sees a solid line on its left, which emergency vehicles cross alone, lane 2 a dashed one on its right; the
+    outer sides need no rule.
+    """
     lanes = {lane.get("id"): lane for lane in _net(fork).iter("lane")}
+    assert lanes["1#0_0"].get("shape") == "0.000,0.000 4.000,0.000"
+    assert lanes["1#1_0"].get("shape") == "4.000,0.000 5.000,0.000 8.000,0.000"
     assert lanes["4#0_0"].get("length") == "2.707107"
     assert (lanes["1#0_1"].get("width"), lanes["1#0_1"].get("allow")) == ("1.50", "bicycle")
     assert lanes["1#0_0"].get("allow") is None
     assert lanes["1#0_1"].find("param").attrib == {"key": "av2.lane_segment_id", "value": "2"}
-
-
-def test_a_solid_line_is_crossed_by_emergency_vehicles_only(fork: LaneGraph) -> None:
-    """Lane 1 sees a solid line on its left, lane 2 a dashed one on its right; the outer sides need no rule."""
-    lanes = {lane.get("id"): lane for lane in _net(fork).iter("lane")}
     assert (lanes["1#0_0"].get("changeLeft"), lanes["1#0_0"].get("changeRight")) == ("emergency", None)
     assert (lanes["1#0_1"].get("changeLeft"), lanes["1#0_1"].get("changeRight")) == (None, None)
 
@@ -89,14 +88,6 @@ def test_connected_edges_meet_in_one_junction(fork: LaneGraph) -> None:
     assert meeting.get("type") == "unregulated"
     # The middle of the ends at (8, 0), (8, 3), (8, 0), (8, 0).
     assert (meeting.get("x"), meeting.get("y")) == ("8.000", "0.750")
-
-
-def test_the_net_has_a_version_and_no_offset(fork: LaneGraph) -> None:
-    """Without a version attribute a broken reference would crash SUMO."""
-    net = _net(fork)
-    assert net.get("version") == "1.20"
-    assert net.find("location").get("netOffset") == "0.00,0.00"
-    assert net.find("location").get("convBoundary") == "0.00,-3.00,12.00,3.00"
 
 
 def test_a_net_to_be_saved_has_one_length_an_edge_and_junctions_beside_the_lanes(fork: LaneGraph) -> None:

@@ -40,13 +40,9 @@ def test_rows_are_roads_and_lanes_of_an_intersection_are_ways_of_one_junction() 
     (junction,) = roads.ways_of
     assert [name == junction for name in roads.junctions] == [False, True, True, False, True, False]
     assert roads.joint(junction) is None
-
-
-def test_a_row_that_goes_on_as_it_is_has_a_joint() -> None:
-    graph = graph_of(_lane(1, [(0, 0), (20, 0)], successors=(2,)), _lane(2, [(20, 0), (40, 0)]))
-    roads = roads_of(graph)
+    roads = roads_of(graph_of(_lane(1, [(0, 0), (20, 0)], successors=(2,)), _lane(2, [(20, 0), (40, 0)])))
     (junction,) = roads.ways_of
-    assert roads.joint(junction) == (0, 1)
+    assert roads.joint(junction) == (0, 1)  # a row that goes on as it is
 
 
 def test_a_road_within_an_intersection_is_a_part_of_it() -> None:
@@ -61,7 +57,7 @@ def test_a_road_within_an_intersection_is_a_part_of_it() -> None:
     assert roads_of(graph).ways == (Way(1, 5, (2, 3, 4)),)
 
 
-def test_files_have_the_lanes_and_their_ways() -> None:
+def test_files_have_the_lanes_and_their_ways_and_no_signals_where_nothing_is_ever_red() -> None:
     files = {name: etree.fromstring(content) for name, content in plain_files(graph_of(*CROSSING), step_s=0.1).items()}
     edge = files["edge-files"].find("edge[@id='1']")
     assert [lane.find("param").get("value") for lane in edge.iterfind("lane")] == ["1", "2"]
@@ -72,6 +68,8 @@ def test_files_have_the_lanes_and_their_ways() -> None:
     assert links.keys() == {("1", "0", "5", "0"), ("1", "1", "7", "0"), ("5",) + (None,) * 3, ("7",) + (None,) * 3}
     assert links["1", "1", "7", "0"].get("shape") == "20.000,4.000 25.000,2.000 25.000,2.000 40.000,0.000"
     assert "tllogic-files" not in files
+    for shown in (None, np.array([*"ggggg"])):
+        assert "tllogic-files" not in plain_files(graph_of(*CROSSING), shown=lambda _, it=shown: it, step_s=0.1)
     assert {node.get("type") for node in files["node-files"].iterfind("node")} == {"priority"}
 
 
@@ -102,8 +100,3 @@ def test_an_entrance_that_never_opens_is_named(caplog: pytest.LogCaptureFixture)
     plain_files(graph_of(*CROSSING), shown={4: np.array([*"rrrr"]), 3: np.array([*"rggy"])}.get, step_s=0.5)
     (said,) = caplog.messages
     assert re.fullmatch(r"junction J\d+: lanes 4 of the intersection were red throughout; .*stay so", said)
-
-
-@pytest.mark.parametrize("shown", [None, np.array([*"ggggg"])])
-def test_where_nothing_is_ever_red_there_are_no_signals(shown: np.ndarray | None) -> None:
-    assert "tllogic-files" not in plain_files(graph_of(*CROSSING), shown=lambda _: shown, step_s=0.1)

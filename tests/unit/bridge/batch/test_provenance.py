@@ -48,11 +48,8 @@ def test_a_scene_of_another_format_is_made_again(argoverse1: Path, tmp_path: Pat
     assert (made.folder.name, made.differences, made.compared) == (folder.name, (), True)
 
 
-def edited(folder: Path, **values: object) -> str:
-    """Edit a sidecar; returns its former text."""
-    before = sidecar_of(folder).read_text()
-    sidecar_of(folder).write_text(json.dumps(json.loads(before) | values))
-    return before
+def edited(folder: Path, **values: object) -> None:
+    sidecar_of(folder).write_text(json.dumps(json.loads(sidecar_of(folder).read_text()) | values))
 
 
 def test_what_another_program_made_is_compared_but_for_the_program(
@@ -73,18 +70,15 @@ def test_what_another_program_made_is_compared_but_for_the_program(
     )
 
 
-def test_configuration_of_another_program_is_an_error_that_names_it(
-    scene: Path, data_root: Path, tmp_path: Path
-) -> None:
-    config = json.loads(sidecar_of(scene).read_text())["config"]
+def test_what_cannot_be_made_again_is_explained(scene: Path, data_root: Path, data_scenes, tmp_path: Path) -> None:
+    """A configuration of another program with its name."""
+    config = json.loads(before := sidecar_of(scene).read_text())["config"]
     edited(scene, config=config | {"later": {"value": 1}})
     with pytest.raises(
         ConfigError, match=r"later.*; made by hid2-sumo .*, code [0-9a-f]{12}, SUMO .*: use that program$"
     ):
         make_again(sidecar_of(scene), data_root, tmp_path / "again")
-
-
-def test_what_cannot_be_made_again_is_explained(scene: Path, data_root: Path, data_scenes, tmp_path: Path) -> None:
+    sidecar_of(scene).write_text(before)
     with pytest.raises(ConfigError, match="holds the scene of"):
         make_again(sidecar_of(scene), data_root, scene.parents[1])
     with pytest.raises(NoSceneError, match=r"no recorded scene .*, of which .* was made; give the ROOT"):

@@ -32,7 +32,7 @@ def bundle_of(scene: Path, **changes: Any) -> Bundle:
     return Bundle(**(values | {"failure": FAILURE, "version": "1"} | changes))
 
 
-def test_bundle_comes_back(scene: Path, tmp_path: Path) -> None:
+def test_bundle_comes_back_a_reason_without_end_shortened_with_its_details(scene: Path, tmp_path: Path) -> None:
     write_bundle(bundle_of(scene), tmp_path / "b.zip")
     read = read_bundle(tmp_path / "b.zip", tmp_path / "into")
     assert read.folder == tmp_path / "into" / "val" / "scene"
@@ -40,11 +40,8 @@ def test_bundle_comes_back(scene: Path, tmp_path: Path) -> None:
     assert (read.config, read.variant, read.timeout_s, read.function) == (Config(), 1, 5.0, OWN)
     assert read.failure == Failure("exception", "ValueError: \\x1b[2J no", "Traceback\n  line\n")
     assert read.failure.message.isprintable(), "nothing that a terminal obeys"
-
-
-def test_reason_without_end_is_shortened_and_its_details_are_kept(scene: Path, tmp_path: Path) -> None:
     write_bundle(bundle_of(scene, failure=Failure("error", "x" * 150_000, "x" * 150_000)), tmp_path / "b.zip")
-    failure = read_bundle(tmp_path / "b.zip", tmp_path / "into").failure
+    failure = read_bundle(tmp_path / "b.zip", tmp_path / "again").failure
     assert len(failure.message) < 10_000 < 100_000 < len(failure.details)
 
 

@@ -60,9 +60,13 @@ def test_vehicles_that_stand_and_jitter_do_not_move(copy_scene: Callable[..., Pa
 def test_events_looked_for_are_those_that_the_page_and_the_help_name() -> None:
     assert {name.partition(":")[2] for name in EVENTS} == {"av", "focal"}
     assert "looks for all, with av and focal" in Path("bridge/generation/README.md").read_text()
+    with pytest.raises(ConfigError, match="--can 'fly'"):
+        facts_of([], ("fly",))
 
 
-def test_sample_is_drawn_with_the_seed() -> None:
+def test_sample_is_drawn_with_the_seed_and_takes_all_and_warns_where_there_are_fewer(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     many = [fact(str(number)) for number in range(100)]
     first = select(many, Selection(sample=10, seed=1))
     assert len(first) == 10
@@ -70,19 +74,10 @@ def test_sample_is_drawn_with_the_seed() -> None:
     assert first != select(many, Selection(sample=10, seed=2))
     assert [many.index(chosen) for chosen in first] == sorted(many.index(chosen) for chosen in first)
     assert first[::-1] == select(many[::-1], Selection(sample=10, seed=1)), "whatever the order of paths"
-
-
-def test_a_sample_of_more_than_there_are_takes_all_and_warns(caplog: pytest.LogCaptureFixture) -> None:
-    few = [fact(str(number)) for number in range(3)]
-    assert select(few, Selection(sample=3)) == few
+    assert select(many[:3], Selection(sample=3)) == many[:3]
     assert caplog.text == ""
-    assert select(few, Selection(sample=5)) == few
+    assert select(many[:3], Selection(sample=5)) == many[:3]
     assert "--sample 5: only 3 scenes are there" in caplog.text
-
-
-def test_unknown_manoeuvre_is_named() -> None:
-    with pytest.raises(ConfigError, match="--can 'fly'"):
-        facts_of([], ("fly",))
 
 
 def test_scene_that_cannot_be_read_is_tried_with_those_selected(monkeypatch: pytest.MonkeyPatch) -> None:

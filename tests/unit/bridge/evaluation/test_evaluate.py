@@ -93,10 +93,13 @@ def test_maneuvers_tell_how_far_from_the_focal_track_and_the_recording_vehicle_t
     assert not any(counted[column, False, True] for column in ("focal_m", "av_m"))
 
 
-def test_groups_are_kept_apart(report):
-    """Combined is the mean of the other two, weighted by tracks, and generated vehicles are clean."""
+def test_groups_are_kept_apart_also_at_the_end_of_the_scene(report):
+    """Combined is the mean of the other two, weighted by tracks, and generated vehicles are clean.
+
+    At the end vehicles and scenes are counted by group; the table of tracks tells the same vehicles.
+    """
     evaluation, folder = report
-    rows = read_csv(folder / "scenes.csv")
+    rows, ends = read_csv(folder / "scenes.csv"), read_csv(folder / "tracks.csv")
     kinematics = evaluation.metrics["kinematics"]["paper"]["lo"]
     tracks = {
         group: sum(int(row[f"{group}_paper_tracks"]) for row in rows) for group in ("original", "generated", "combined")
@@ -106,15 +109,9 @@ def test_groups_are_kept_apart(report):
     assert kinematics["combined"]["value"] == pytest.approx(both / tracks["combined"])
     assert evaluation.metrics["safety"]["scr"]["generated"]["value"] == 0.0
     assert evaluation.metrics["safety"]["footprint_orr"]["generated"]["value"] == 0.0
-
-
-def test_the_end_of_the_scene_is_shown_beside_the_recorded_one(report):
-    """Vehicles and scenes are counted by group; the table of tracks tells the same vehicles."""
-    evaluation, folder = report
-    rows, tracks = read_csv(folder / "scenes.csv"), read_csv(folder / "tracks.csv")
     for group in ("original", "generated"):
         counted = [int(row[f"{group}_end_ttc_critical"]) for row in rows]
-        low = [row for row in tracks if row["group"] == group and row["end_ttc_s"] and float(row["end_ttc_s"]) < 1.0]
+        low = [row for row in ends if row["group"] == group and row["end_ttc_s"] and float(row["end_ttc_s"]) < 1.0]
         assert sum(counted) == len(low)
         shown = evaluation.metrics["safety"]["end_ttc_critical"][group]["value"]
         assert shown == pytest.approx(sum(counted) / sum(int(row[f"{group}_meeting"]) for row in rows))

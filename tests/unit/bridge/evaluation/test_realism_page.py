@@ -26,25 +26,18 @@ def critics(auc, **more):
     } | more  # fmt: skip
 
 
-def test_the_page_says_how_often_the_best_critic_is_right_in_plain_words():
+def test_the_page_says_how_often_the_best_critic_is_right_and_what_betrays_most_in_plain_words():
     text = " ".join(plain_words(critics(0.63)))
     assert "right 63 times of 100 (between 50 and 70, depending on which scenes are looked at)" in text
     assert "by guessing it is right 50 times of 100" in text
     assert not any(word in text for word in ("AUC", "Jensen", "bootstrap", "quantile", "stratum", "distribution"))
-
-
-def test_the_page_names_what_betrays_most_and_in_which_direction():
-    text = " ".join(plain_words(critics(0.63)))
     assert "drift across the lane (generated vehicles have less of it)" in text
     unseen = critics(0.51, betrays=[{"feature": "speed", "auc": 0.53}])
     assert len(plain_words(unseen)) == 1
 
 
-def test_one_scene_says_that_it_is_too_few():
-    assert "too few scenes" in plain_words(critics(0.6, verdicts=[]))[0]
-
-
 def test_a_package_that_is_missing_is_not_said_to_be_too_few_scenes():
+    assert "too few scenes" in plain_words(critics(0.6, verdicts=[]))[0]
     (line,) = plain_words(critics(0.6, verdicts=[], missing=MISSING))
     assert "scikit-learn, the extra `critics`, is not installed" in line
     assert "pip install scikit-learn" in line

@@ -38,29 +38,34 @@ def test_every_vehicle_is_driven_or_left_with_a_reason(made):
             assert track.category == 0
 
 
-def test_history_and_all_others_are_as_recorded(made, rollouts):
+def test_history_and_all_others_are_as_recorded_and_vehicles_go_on_from_the_present_without_a_jump(made, rollouts):
+    """The first driven step is that of the speed at the present, within what a car can change in 0.1 s and noise.
+
+    One at a time leaves the others as recorded, too.
+    """
     rows = [one.row for one in made.vehicles]
     others = [row for row in range(len(made.logged.ids)) if row not in rows]
     for rollout in rollouts:
         np.testing.assert_array_equal(rollout.position[others], made.logged.position[others])
         np.testing.assert_array_equal(rollout.present[others], made.logged.present[others])
         np.testing.assert_array_equal(rollout.position[:, : NOW + 1], made.logged.position[:, : NOW + 1])
-
-
-def test_vehicles_go_on_from_the_present_without_a_jump(made, rollouts):
-    """The first driven step is that of the speed at the present, within what a car can change in 0.1 s and noise."""
-    for rollout in rollouts:
         for one in made.vehicles:
             step = rollout.position[one.row, NOW + 1] - rollout.position[one.row, NOW]
             assert np.hypot(*step) == pytest.approx(0.1 * one.speed_mps, abs=0.1)
             assert rollout.present[one.row, NOW:].all()
+    own, *rows = rows
+    (rollout,) = made.rollouts(Config(), 1, model="calibrated", vehicles=made.vehicles[:1])
+    np.testing.assert_array_equal(rollout.position[rows], made.logged.position[rows])
+    assert np.abs(rollout.position[own] - made.logged.position[own]).max() > 0.1
 
 
-def test_rollouts_differ_and_the_same_seed_gives_the_same(made, rollouts):
+def test_rollouts_and_drivers_differ_and_the_same_seed_gives_the_same(made, rollouts):
     again = list(made.rollouts(Config(), 2, model="calibrated", vehicles=made.vehicles))
     for first, second in zip(rollouts, again, strict=False):
         np.testing.assert_array_equal(first.position, second.position)
     assert np.abs(rollouts[0].position - rollouts[1].position).max() > 0.5
+    (default,) = made.rollouts(Config(), 1, model="default", vehicles=made.vehicles)
+    assert np.abs(default.position - rollouts[0].position).max() > 5.0
 
 
 def test_a_rollout_as_recorded_is_what_was_recorded(made):
@@ -80,14 +85,6 @@ def test_constant_velocity_is_that_of_the_half_second_before(made):
         np.testing.assert_allclose(went, 8.0 * one.velocity, atol=1e-9)
         past = made.logged.position[one.row, NOW - 5 : NOW + 1]
         np.testing.assert_allclose(one.velocity, (past[-1] - past[0]) / 0.5, atol=0.5)
-
-
-def test_one_at_a_time_leaves_the_others_as_recorded(made):
-    one, *others = made.vehicles
-    (rollout,) = made.rollouts(Config(), 1, model="calibrated", vehicles=[one])
-    rows = [other.row for other in others]
-    np.testing.assert_array_equal(rollout.position[rows], made.logged.position[rows])
-    assert np.abs(rollout.position[one.row] - made.logged.position[one.row]).max() > 0.1
 
 
 def test_driver_keeps_no_more_from_its_leader_than_at_the_present(made):
@@ -126,8 +123,3 @@ def test_vehicles_keep_to_the_lanes_that_they_were_recorded_on(made, rollouts):
         line = np.concatenate([path[lane].centerline for lane in one.route])
         xy = rollouts[0].position[one.row, NOW : NOW + 40]
         assert np.hypot(*(xy[:, None] - line[None]).transpose(2, 0, 1)).min(axis=1).max() < 6.0
-
-
-def test_default_drivers_drive_otherwise(made, rollouts):
-    (default,) = made.rollouts(Config(), 1, model="default", vehicles=made.vehicles)
-    assert np.abs(default.position - rollouts[0].position).max() > 5.0

@@ -89,17 +89,13 @@ def test_files_are_links_in_real_folders_and_copies_where_there_can_be_none(
     assert next(copied.rglob("scenario_*.parquet")).stat().st_nlink == 1
 
 
-def test_the_same_seed_makes_the_same_root_and_another_one_another(data_root, generated, tmp_path):
+def test_the_same_seed_makes_the_same_root_whatever_the_jobs_and_another_one_another(data_root, generated, tmp_path):
     values = mixed(data_root, generated, sets={"few": {"take": {"hid2": 1}}})
-    first, again = (tree(composed(values, tmp_path / name).root) for name in ("first", "again"))
+    found = model_of(Composition, values, "test")
+    first, again = (tree(compose(found, tmp_path / str(jobs), jobs=jobs).root) for jobs in (1, 2))
     assert first == again
-    others = [tree(composed(values | {"seed": seed}, tmp_path / str(seed)).root) for seed in range(1, 5)]
+    others = [tree(composed(values | {"seed": seed}, tmp_path / f"seed{seed}").root) for seed in range(1, 5)]
     assert any(other.keys() != first.keys() for other in others)
-
-
-def test_jobs_do_not_change_what_is_made(data_root, generated, tmp_path):
-    found = model_of(Composition, mixed(data_root, generated), "test")
-    assert tree(compose(found, tmp_path / "one").root) == tree(compose(found, tmp_path / "two", jobs=2).root)
 
 
 def test_qcnet_finds_its_scenes_in_raw(data_root, generated, tmp_path):
@@ -162,16 +158,6 @@ def _renamed(root):
     return other
 
 
-def test_a_planted_variant_of_a_validation_scene_is_found_and_named(data_root, generated, tmp_path):
-    root = composed(mixed(data_root, generated), tmp_path / "root").root
-    (held_out,) = ids(root / "val")
-    (variant,) = (f for f in find_scenarios(generated) if f.name not in ids(root / "train"))
-    shutil.copytree(variant, root / "train" / variant.name)
-    (leak,) = check_leaks(root)
-    assert (leak.folder.name, leak.other.name) == (variant.name, held_out)
-    assert f"made of the same recorded scene {held_out}" in leak.text()
-
-
 def second_recording(held_out, root):
     """The place of a validation scene recorded again, in train, without a word of the log."""
     target = root / "train" / "11111111-1111-5111-8111-111111111111"
@@ -182,9 +168,17 @@ def second_recording(held_out, root):
     return target
 
 
-def test_a_planted_copy_under_another_id_is_found_by_its_place(data_root, generated, tmp_path):
+def test_planted_variants_of_a_validation_scene_are_found_and_named_and_copies_by_their_place(
+    data_root, generated, tmp_path
+):
     root = composed(mixed(data_root, generated), tmp_path / "root").root
     (held_out,) = find_scenarios(root / "val")
+    (variant,) = (f for f in find_scenarios(generated) if f.name not in ids(root / "train"))
+    planted = shutil.copytree(variant, root / "train" / variant.name)
+    (leak,) = check_leaks(root)
+    assert (leak.folder, leak.other) == (planted, held_out)
+    assert f"made of the same recorded scene {held_out.name}" in leak.text()
+    shutil.rmtree(planted)
     target = second_recording(held_out, root)
     (leak,) = check_leaks(root)
     assert (leak.folder, leak.other) == (target, held_out)

@@ -124,7 +124,8 @@ def test_jobs_do_not_change_the_scores(data_root, tmp_path, monkeypatch):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
 
 
-def test_constant_velocity_goes_on_as_in_the_last_half_second(data_scenes):
+def test_constant_velocity_goes_on_as_in_the_last_half_second_and_constant_turn_rate_keeps_to_a_circle(data_scenes):
+    """On the curve the radius of the forecast is speed over turn rate, all along."""
     scenario = read_scenario(data_scenes["arterial"])
     track = scenario.track(scenario.focal_track_id)
     _, modes = baseline(scenario, "constant-velocity")
@@ -133,16 +134,11 @@ def test_constant_velocity_goes_on_as_in_the_last_half_second(data_scenes):
     forecast = modes[scenario.focal_track_id]
     assert forecast.shape == (6, 60, 2)
     np.testing.assert_allclose(forecast[0][9], track.position[rows[1]] + velocity, atol=1e-9)
-
-
-def test_constant_turn_rate_keeps_to_a_circle(data_scenes):
-    """On the curve the radius of the forecast is speed over turn rate, all along."""
     scenario = read_scenario(data_scenes["curve"])
     _, modes = baseline(scenario, "constant-turn-rate")
-    forecast = modes[scenario.focal_track_id][0]
-    step = np.hypot(*np.diff(forecast, axis=0).T)
-    np.testing.assert_allclose(step, step[0], rtol=1e-6)
-    angle = np.unwrap(np.arctan2(*np.diff(forecast, axis=0).T[::-1]))
+    steps = np.diff(modes[scenario.focal_track_id][0], axis=0)
+    length, angle = np.hypot(*steps.T), np.unwrap(np.arctan2(*steps.T[::-1]))
+    np.testing.assert_allclose(length, length[0], rtol=1e-6)
     np.testing.assert_allclose(np.diff(angle), np.diff(angle)[0], atol=1e-9)
 
 

@@ -55,14 +55,13 @@ def test_scene_that_was_read_is_written_as_the_same_bytes(written: Path, tmp_pat
     assert filecmp.cmpfiles(written, again, names, shallow=False) == (names, [], [])
 
 
-def test_gaps_are_written_of_a_scene_just_generated_alone(made: TrafficScene, written: Path, tmp_path: Path) -> None:
+def test_gaps_are_written_of_a_scene_just_generated_alone_which_is_no_source(
+    made: TrafficScene, written: Path, tmp_path: Path
+) -> None:
     for scene, record in ((made, "gaps"), (made, ["looks"]), (read_scene(written), ["gaps"])):
         with pytest.raises(ConfigError, match="record = "):
             scene.write(tmp_path, record=record)
     assert not any(tmp_path.iterdir())
-
-
-def test_generated_scene_is_no_source(made: TrafficScene) -> None:
     with pytest.raises(ScenarioError, match="vehicles are inserted already"):
         prepare(made, load_config())
 
@@ -82,13 +81,17 @@ def test_recorded_scene_has_no_manoeuvres_and_is_not_written(data_scenes: dict[s
     assert not (tmp_path / "out").exists()
 
 
-def test_tables_are_in_city_coordinates_with_a_row_for_each_request(made: TrafficScene) -> None:
+def test_tables_are_in_city_coordinates_with_a_row_for_each_request_and_reprs_one_short_line(
+    made: TrafficScene,
+) -> None:
     own = made.generated[0]
     rows = made.tracks[made.tracks["track_id"] == own.track_id]
     assert np.array_equal(rows[["position_x", "position_y"]], own.position)
     assert len(made.maneuvers) == len(made.sidecar.asked) > 0
     lane_change = made.maneuvers.iloc[0]
     assert made.sidecar.agents[int(lane_change["track_id"][4:])].policy == lane_change["policy"]
+    for one in (made, made.recording, made.sidecar, own):
+        assert re.fullmatch(rf"{type(one).__name__}\([^\n]{{,150}}\)", repr(one)), repr(one)
 
 
 def test_events_are_a_table_with_the_keys_of_the_sidecar(made: TrafficScene) -> None:
@@ -122,11 +125,6 @@ def test_judge_tells_what_is_wrong_with_a_vehicle(made: TrafficScene) -> None:
     found = TrafficScene(dataclasses.replace(made.recording, tracks=tracks)).judge()
     assert {"off_road"} <= set(found.loc[found["track_id"] == off.track_id, "quantity"])
     assert len(made.judge()) == 0
-
-
-def test_reprs_are_one_short_line(made: TrafficScene) -> None:
-    for one in (made, made.recording, made.sidecar, made.generated[0]):
-        assert re.fullmatch(rf"{type(one).__name__}\([^\n]{{,150}}\)", repr(one)), repr(one)
 
 
 def test_pictures_are_figures_that_nobody_has_to_close(made: TrafficScene) -> None:

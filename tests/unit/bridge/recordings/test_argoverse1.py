@@ -432,12 +432,11 @@ def test_what_is_no_sequence_is_not_written_as_one(scenario: Recording, tmp_path
     assert list(tmp_path.iterdir()) == []
 
 
-def test_scene_and_sequence_are_valid_beside_their_source(written: Path, argoverse1: Path) -> None:
-    assert validate_folder(written, source=argoverse1) == []
-
-
-def test_the_loader_of_argoverse_1_would_read_it(written: Path) -> None:
+def test_scene_and_sequence_are_valid_and_the_loader_of_argoverse_1_would_read_it(
+    written: Path, argoverse1: Path
+) -> None:
     """As argoverse_forecasting_loader does: every file of the folder, int(stem), one AGENT with X and Y."""
+    assert validate_folder(written, source=argoverse1) == []
     for path in the_file(written).parent.iterdir():
         assert int(path.stem) > 0
         rows = list(csv.DictReader(path.read_text().splitlines()))

@@ -140,31 +140,29 @@ def test_table_is_refused(copy_scene: Callable[..., Path], name: str) -> None:
     refused(folder, said)
 
 
-def test_two_columns_of_one_name_are_refused(copy_scene: Callable[..., Path]) -> None:
+def _mine_twice(table: pa.Table) -> pa.Table:
     """Also of a column that nobody asks for: its rows could not be written back."""
-    folder = copy_scene("curve")
-    (path,) = folder.glob("*.parquet")
-    table = pq.read_table(path)
-    for _ in range(2):
-        table = table.append_column("mine", pa.array(np.zeros(table.num_rows)))
-    pq.write_table(table, path)
-    refused(folder, "more than one column 'mine', expected each once")
+    return table.append_column("mine", zeros := pa.array(np.zeros(table.num_rows))).append_column("mine", zeros)
 
 
-def test_table_that_unpacks_to_too_much_is_refused_unread(copy_scene: Callable[..., Path]) -> None:
-    folder = copy_scene("curve")
-    (path,) = folder.glob("*.parquet")
-    pq.write_table(pa.table({"x": np.zeros(limits.MAX_ROWS + 1)}), path)
-    refused(folder, r"200001 rows, expected at most 200000")
-
-
-def test_bytes_that_are_no_text_are_refused(copy_scene: Callable[..., Path]) -> None:
-    folder = copy_scene("curve")
-    (path,) = folder.glob("*.parquet")
-    table = pq.read_table(path)
+def _city_no_text(table: pa.Table) -> pa.Table:
     city = pa.array([b"\xff\xfe"] * table.num_rows, pa.binary()).view(pa.string())
-    pq.write_table(table.set_column(table.schema.get_field_index("city"), "city", city), path)
-    refused(folder, "not a parquet file .*UTF8")
+    return table.set_column(table.schema.get_field_index("city"), "city", city)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (_mine_twice, "more than one column 'mine', expected each once"),
+        (lambda _: pa.table({"x": np.zeros(limits.MAX_ROWS + 1)}), r"200001 rows, expected at most 200000"),  # unread
+        (_city_no_text, "not a parquet file .*UTF8"),
+    ],
+)
+def test_parquet_is_refused(copy_scene: Callable[..., Path], change: Callable[[pa.Table], pa.Table], said: str) -> None:
+    folder = copy_scene("curve")
+    (path,) = folder.glob("*.parquet")
+    pq.write_table(change(pq.read_table(path)), path)
+    refused(folder, said)
 
 
 def test_a_real_scene_is_far_below_every_limit(real_scenes: list[Path]) -> None:

@@ -76,6 +76,8 @@ def test_windows_slide_over_the_log_with_ids_of_their_own(log: Path) -> None:
     assert second.start == 10
     one, other = first.track("AV"), second.track("AV")
     assert (one.position[10:] == other.position[:100]).all()
+    with pytest.raises(ScenarioError, match="no 110 of 130 sweeps from 21 on, expected --window 0 to 20"):
+        window(log, 21)
 
 
 def test_velocity_is_the_derivative_of_a_run() -> None:
@@ -177,8 +179,3 @@ def test_a_wrong_log_is_refused_in_one_line(log: Path, tmp_path: Path, change: C
         window(copy)
     assert isinstance(caught.value, ScenarioError | MapError)
     assert "\n" not in str(caught.value)
-
-
-def test_a_window_that_does_not_fit_is_said_with_those_that_do(log: Path) -> None:
-    with pytest.raises(ScenarioError, match="no 110 of 130 sweeps from 21 on, expected --window 0 to 20"):
-        window(log, 21)

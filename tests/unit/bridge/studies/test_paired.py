@@ -46,7 +46,7 @@ def corridor(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_starts_are_the_same_for_every_value_and_triggers_are_those_asked_for(data_scenes: dict[str, Path]) -> None:
-    """What decides does not choose the vehicles; the trigger is 2 s in one run and 4 s in the other."""
+    """What decides does not choose the vehicles; the trigger is 2 s in one run and 4 s in the other, and again."""
     scenario = read_scenario(data_scenes["arterial"])
     runs = []
     for trigger_s, gap_s in ((2.0, 0.4), (4.0, 2.0)):
@@ -64,6 +64,9 @@ def test_starts_are_the_same_for_every_value_and_triggers_are_those_asked_for(da
         assert len(run.requests) == 6  # nobody is replaced and nobody left out
         assert {row["trigger_s"] for row in run.requests} == {trigger_s}
         assert len(run.driven) == len(drawn.starts)
+    again = paired_run(prepared, drawn, config)
+    assert again.requests == run.requests
+    assert [vehicle.s for vehicle in again.driven] == [vehicle.s for vehicle in run.driven]
 
 
 def test_request_is_observed_until_the_scene_has_no_time_left_for_a_change(data_scenes: dict[str, Path]) -> None:
@@ -89,16 +92,9 @@ def test_durations_are_within_the_bounds_of_the_run_and_no_others(data_scenes: d
     assert max(one.start.driver.lane_change_s for one in run.driven) > 6.5
 
 
-def test_run_is_the_same_again(data_scenes: dict[str, Path]) -> None:
-    config = Config(request=CHANGES)
-    prepared = prepare(read_scenario(data_scenes["arterial"]), config)
-    drawn = draw(prepared, drawing_config(config))
-    first, second = (paired_run(prepared, drawn, config) for _ in range(2))
-    assert first.requests == second.requests
-    assert [vehicle.s for vehicle in first.driven] == [vehicle.s for vehicle in second.driven]
-
-
-def test_corridor_can_be_read_and_is_what_was_asked_for(corridor: Path) -> None:
+def test_corridor_can_be_read_and_is_what_was_asked_for_unless_it_is_out_of_range(
+    corridor: Path, tmp_path: Path
+) -> None:
     scenario = read_scenario(corridor)
     assert scenario.scenario_id == "corridor-250m-2lanes-40s"
     assert scenario.num_steps == 400
@@ -106,9 +102,6 @@ def test_corridor_can_be_read_and_is_what_was_asked_for(corridor: Path) -> None:
     assert scenario.graph.may_change(1, "left")
     assert not scenario.graph.may_change(1, "right")
     assert all(track.path_m == 0.0 for track in scenario.tracks)
-
-
-def test_corridor_out_of_range_is_named(tmp_path: Path) -> None:
     wrong = (
         (300.0, 1, 20.0, "--lanes 1: expected 2 to 8"),
         (20.0, 2, 20.0, "--length 20"),
@@ -201,7 +194,10 @@ def test_flow_enters_one_after_the_other_and_looks_at_gaps(corridor: Path) -> No
 
 
 def test_flow_enters_beside_recorded_traffic(data_scenes: dict[str, Path]) -> None:
-    """A recorded scene of 11 s: traffic at its edges, starts inside, and nothing recorded is moved or met."""
+    """A recorded scene of 11 s: traffic at its edges, starts inside, and nothing recorded is moved or met.
+
+    Where scenes are written it is refused.
+    """
     config = _corridor_config().model_copy(
         update={"request": CHANGES, "flow": Flow(veh_per_h_lane=900.0, warm_up_s=0.0)}
     )
@@ -213,11 +209,8 @@ def test_flow_enters_beside_recorded_traffic(data_scenes: dict[str, Path]) -> No
     assert len(run.flow) == len({row["lane"] for row in run.flow}) > 1  # one interval, of the whole scene, by lane
     assert {(row["from_s"], row["to_s"]) for row in run.flow} == {(0.0, 11.0)}
     assert all(row["min_ttc_s"] is None or row["min_ttc_s"] > 0.0 for row in run.requests)
-
-
-def test_flow_is_refused_where_scenes_are_written(data_scenes: dict[str, Path]) -> None:
-    with pytest.raises(ConfigError, match=r"flow\.veh_per_h_lane = 1500: traffic enters in studies only"):
-        generate(read_scenario(data_scenes["arterial"]), _corridor_config())
+    with pytest.raises(ConfigError, match=r"flow\.veh_per_h_lane = 900: traffic enters in studies only"):
+        generate(prepared.scenario, config)
 
 
 def test_rule_of_the_page_decides(
@@ -328,6 +321,7 @@ def test_plan_says_how_many_runs_a_difference_needs_before_and_after_a_pilot(tmp
         list(plan_text(study, tmp_path / "out", 0.1))
 
 
+@pytest.mark.usefixtures("few_draws", "here")
 def test_replay_is_varied_like_any_other_parameter_and_said_everywhere(
     tmp_path: Path, data_scenes: dict[str, Path]
 ) -> None:

@@ -87,6 +87,7 @@ def test_figures_by_hand(tmp_path: Path) -> None:
 
     By lane (10 + 10) / 80 = .25, (30 + 10) / 80 = .5, ramp (20 + 20) / 40 = 1.0; published .1, .3, 1.5 with 40, 40, 20
     vehicles: (40 x .15 + 40 x .2 + 20 x .5) / 100 = .24. All 100 / 200 = .5 as published; 100 changes in 20 km: 5.
+    A road without its flow or its speed does not reproduce.
     """
     one = result(tmp_path, run_of([40, 40, 20], [10, 30, 20]), run_of([40, 40, 20], [10, 10, 20]))
     told = one.measures
@@ -98,6 +99,8 @@ def test_figures_by_hand(tmp_path: Path) -> None:
     assert told["rank_correlation"].value == pytest.approx(1.0)
     assert (one.off("flow_veh_per_h"), one.off("speed_mps")) == pytest.approx((0.02, -0.05))
     assert one.reproduces
+    for more in ({"flow": 2061.0}, {"speed": 8.9}):
+        assert not result(tmp_path, run_of([40, 40, 20], [1, 1, 1], **more)).reproduces
 
 
 def test_ladder_and_slopes_by_hand(tmp_path: Path) -> None:
@@ -166,18 +169,9 @@ def test_page_says_what_gaps_do_not_tell(tmp_path: Path) -> None:
     assert "| gaps taken below 10 s, lag and lead, all runs | - | 8 and 0 |" in told
 
 
-@pytest.mark.parametrize("more", [{"flow": 2061.0}, {"speed": 8.9}])
-def test_road_without_its_flow_or_its_speed_does_not_reproduce(tmp_path: Path, more: dict[str, float]) -> None:
-    assert not result(tmp_path, run_of([40, 40, 20], [1, 1, 1], **more)).reproduces
-
-
-@pytest.mark.parametrize("name", ["ngsim", "knoop", "gaps"])
-def test_pages_of_the_project_are_read(name: str) -> None:
-    assert read_public(ROOT / "data" / "public" / f"{name}.toml").rule[2].name == "paper"
-
-
-def test_ngsim_tunes_on_one_road_alone_and_its_counts_add_up() -> None:
-    page = read_public(ROOT / "data" / "public" / "ngsim.toml")
+def test_pages_of_the_project_are_read_and_ngsim_tunes_on_one_road_alone_and_its_counts_add_up() -> None:
+    page, *others = (read_public(ROOT / "data" / "public" / f"{name}.toml") for name in ("ngsim", "knoop", "gaps"))
+    assert [one.rule[2].name for one in (page, *others)] == ["paper"] * 3
     assert [site.told.name[:7] for site in page.road if site.tune] == ["US-101,"]
     assert [sum(site.told.vehicles) for site in page.road] == [2017, 2052, 2169, 1915]  # as the reports add up
     for site in page.road:
@@ -213,10 +207,14 @@ def test_page_that_cannot_be_is_refused_in_one_line(tmp_path: Path, page: str, c
     assert "\n" not in str(caught.value)
 
 
-def test_page_goes_on_after_a_kill_with_the_same_bytes_and_refuses_runs_that_are_none(tmp_path: Path) -> None:
+def test_page_goes_on_after_a_kill_with_the_same_bytes_and_refuses_runs_that_are_none(
+    tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    """The whole is driven in processes of its own, the rest in this one."""
     same_as_test = '\n[[road]]\nfile = "road.toml"\ncounts = "counts.toml"\n'
     page = read_public(page_in(tmp_path, page=PAGE + same_as_test))
     whole = run_public(page, tmp_path / "whole", Options())
+    request.getfixturevalue("here")
 
     def killed(*_: Any) -> None:
         raise KeyboardInterrupt

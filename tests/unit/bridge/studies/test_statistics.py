@@ -169,18 +169,17 @@ def _requests(slope: float, *, runs: int = 12, each: int = 20) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def test_paired_difference_excludes_no_effect_where_there_is_one_and_not_elsewhere() -> None:
-    for slope, excluded in ((-0.3, True), (0.0, False)):
+def test_trend_is_the_slope_over_all_values_and_p_counts_the_family() -> None:
+    """2.0, 2.5, 3.0 s at 0, .5, 1: one s for one more. The share falls by .3; what never changes has no trend.
+
+    The paired difference excludes no effect where there is one, and not elsewhere.
+    """
+    for slope, excluded in ((0.0, False), (-0.3, True)):
         dose = dose_response(_requests(slope), pd.DataFrame(), "p", give_up_s=6.0, critical_ttc_s=1.5)
         last = dose[(dose["outcome"] == "share_accepted") & (dose["value"] == 1.0)].iloc[0]
         assert bool(last["difference_high_runs"] < 0.0) is excluded
         assert last["rows"] == 240
-    assert last["difference"] == 0.0  # the same luck at every value: nothing differs at all
-
-
-def test_trend_is_the_slope_over_all_values_and_p_counts_the_family() -> None:
-    """2.0, 2.5, 3.0 s at 0, .5, 1: one s for one more. The share falls by .3; what never changes has no trend."""
-    dose = dose_response(_requests(-0.3), pd.DataFrame(), "p", give_up_s=6.0, critical_ttc_s=1.5)
+        assert (last["difference"] == 0.0) is not excluded  # the same luck at every value: nothing differs at all
     first = dose.drop_duplicates("outcome").set_index("outcome")
     assert first.loc["lag_time_gap_s", "trend"] == pytest.approx(1.0)
     assert first.loc["share_accepted", "trend"] == pytest.approx(-0.3, abs=0.1)

@@ -60,6 +60,7 @@ def test_grid_is_every_combination_with_every_seed(tmp_path: Path, data_root: Pa
     assert study.paired
     assert [len(job.runs) for job in study.jobs] == [6] * 3 * 2
     assert all(len({run.config.request.seed for run in job.runs}) == 1 for job in study.jobs)
+    assert not read_study(study_file(tmp_path, '[vary]\n"flow.veh_per_h_lane" = [500.0, 1500.0]\n', data_root)).paired
     room = read_study(study_file(tmp_path, 'can = ["left_turn"]\n[vary]\ntrigger_s = [1.0]\n', data_root))
     assert [folder.name for folder in room.folders] == ["bf8c5e9d-76de-5c6f-a44b-69cc2c9a318a"]
 
@@ -118,11 +119,6 @@ def test_scenes_may_be_given_beside_the_file(tmp_path: Path, data_root: Path) ->
     assert len(read_study(tmp_path / "s.toml", scenes=[data_root]).folders) == 3
     with pytest.raises(ConfigError, match=r"s\.toml: no key 'scenes', expected folders .*: add it, or give --scenes"):
         read_study(tmp_path / "s.toml")
-
-
-def test_what_changes_the_traffic_is_not_called_paired(tmp_path: Path, data_root: Path) -> None:
-    study = read_study(study_file(tmp_path, '[vary]\n"flow.veh_per_h_lane" = [500.0, 1500.0]\n', data_root))
-    assert not study.paired
 
 
 @pytest.mark.parametrize("name", ["corridor_lag_gap", "corridor_mobil", "corridor_lc2013"])

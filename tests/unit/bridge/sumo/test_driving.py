@@ -55,16 +55,6 @@ def test_vehicles_that_were_too_far_apart_to_look_at_each_other_do_so_when_they_
 # Way of a vehicle -----------------------------------------------------------------------------------------------------
 
 
-def test_vehicle_begins_at_its_start_and_moves_by_sumos_speed() -> None:
-    scene = scene_on(draw_two_lanes())
-    (one,) = drive(scene, start_on(scene, (1,), 40.0, 7.0)).fleet.vehicles
-    assert (one.s[0], one.v[0], len(one.s)) == (40.0, 7.0, 110)
-    assert np.diff(one.s) == pytest.approx(0.1 * np.array(one.v[1:]), abs=0.002)
-    assert np.mean(one.v[-20:]) == pytest.approx(DRIVER.desired_mps, abs=0.5)
-    assert dict(one.limited) == {}
-    assert one.policies == {Policy.STRAIGHT: 109}  # decided at every step behind the start
-
-
 def test_nothing_follows_a_stored_trajectory() -> None:
     """The same start behind the same leader: another car-following model drives another motion, so does another seed
     of SUMO's; the same model and seed drive the same one.
@@ -416,17 +406,16 @@ def test_vehicle_is_inserted_with_its_box_where_it_starts(s0: float) -> None:
 # Vehicles that enter during the scene ---------------------------------------------------------------------------------
 
 
-def test_vehicle_enters_at_its_step() -> None:
-    """At step 30, of 110: its first state is its start, and it is driven by SUMO from then on."""
+def test_vehicle_begins_at_its_start_and_at_its_step_and_moves_by_sumos_speed() -> None:
+    """At step 0 or 30, of 110: its first state is its start, and it is driven by SUMO from then on."""
     scene = scene_on(draw_two_lanes())
-    first, later = drive(
-        scene, start_on(scene, (1,), 100.0, 9.0), start_on(scene, (1,), 3.0, 7.0, number=1, step=30)
-    ).fleet.vehicles
-    assert (len(first.s), len(later.s)) == (110, 80)
-    assert (later.s[0], later.v[0]) == (3.0, 7.0)
-    assert np.diff(later.s) == pytest.approx(0.1 * np.array(later.v[1:]), abs=0.002)
-    assert np.mean(later.v[-20:]) == pytest.approx(DRIVER.desired_mps, abs=0.5)
-    assert sum(later.policies.values()) == 79
+    starts = start_on(scene, (1,), 100.0, 7.0), start_on(scene, (1,), 3.0, 7.0, number=1, step=30)
+    for one, s0, steps in zip(drive(scene, *starts).fleet.vehicles, (100.0, 3.0), (110, 80), strict=True):
+        assert (one.s[0], one.v[0], len(one.s)) == (s0, 7.0, steps)
+        assert np.diff(one.s) == pytest.approx(0.1 * np.array(one.v[1:]), abs=0.002)
+        assert np.mean(one.v[-20:]) == pytest.approx(DRIVER.desired_mps, abs=0.5)
+        assert dict(one.limited) == {}
+        assert one.policies == {Policy.STRAIGHT: steps - 1}  # decided at every step behind the start
 
 
 @pytest.mark.parametrize("checked", [True, False])

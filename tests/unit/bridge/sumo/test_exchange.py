@@ -65,22 +65,11 @@ def test_fcd_output_is_the_exported_positions_to_a_millimetre(written: Path, mad
     assert rows == sum(len(track.timesteps) for track in scenario.tracks)
 
 
-def test_positions_along_lanes_are_where_the_front_bumpers_are(written: Path, made_scene: Path) -> None:
-    """lane and pos of the inserted vehicles, laid on the net's shapes, give x and y to half a lane's width."""
-    lanes = {}
-    for lane in _read(written, ".net.xml").iter("lane"):
-        lanes[lane.get("id")] = np.array([tuple(map(float, xy.split(","))) for xy in lane.get("shape").split()])
-    for vehicle in _read(written, ".fcd.xml").iter("vehicle"):
-        if not vehicle.get("id").startswith("gen_"):
-            continue
-        line, pos = lanes[vehicle.get("lane")], float(vehicle.get("pos"))
-        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
-        place = [float(np.interp(pos, along, line[:, axis])) for axis in (0, 1)]
-        assert math.dist(place, (float(vehicle.get("x")), float(vehicle.get("y")))) < 3.6
+def test_positions_along_lanes_are_where_the_front_bumpers_are_and_beyond_a_lane_on_the_next(written: Path) -> None:
+    """lane and pos of the inserted vehicles, laid on the net's shapes, give x and y to half a lane's width.
 
-
-def test_a_front_bumper_beyond_its_lane_is_on_the_next_one(written: Path) -> None:
-    """pos is at the end of a lane, and the bumper over .3 m ahead of it, only where no lane follows."""
+    pos is at the end of a lane, and the bumper over .3 m ahead of it, only where no lane follows.
+    """
     net = _read(written, ".net.xml")
     lines = {
         lane.get("id"): shapely.LineString([tuple(map(float, xy.split(","))) for xy in lane.get("shape").split()])
@@ -89,12 +78,14 @@ def test_a_front_bumper_beyond_its_lane_is_on_the_next_one(written: Path) -> Non
     followed = {f"{link.get('from')}_{link.get('fromLane')}" for link in net.iter("connection")}
     ends = 0
     for vehicle in _read(written, ".fcd.xml").iter("vehicle"):
-        line = lines.get(vehicle.get("lane"))
+        front, line = shapely.Point(float(vehicle.get("x")), float(vehicle.get("y"))), lines.get(vehicle.get("lane"))
+        if vehicle.get("id").startswith("gen_"):
+            assert line.interpolate(float(vehicle.get("pos"))).distance(front) < 3.6
         if line is None or vehicle.get("lane") not in followed:
             continue
         last, end = (np.array(line.interpolate(at, normalized=True).coords[0]) for at in (0.9, 1.0))
         ahead = (end - last) / np.hypot(*(end - last))
-        assert (np.array([float(vehicle.get("x")), float(vehicle.get("y"))]) - end) @ ahead < 0.3
+        assert (np.array(front.coords[0]) - end) @ ahead < 0.3
         ends += float(vehicle.get("pos")) > line.length - 0.5
     assert ends > 0
 
@@ -121,7 +112,7 @@ def test_every_inserted_vehicle_has_a_route_that_the_net_has(written: Path, made
     assert departures == sorted(departures)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def driven(written: Path) -> Iterator[Path]:
     """The scene's own sumocfg, running in this process; the file of SUMO's messages."""
     (config,) = (path for path in written.glob("*.sumocfg") if "_scene" not in path.name)
@@ -131,8 +122,10 @@ def driven(written: Path) -> Iterator[Path]:
     libsumo.close()
 
 
-def test_sumo_knows_the_drivers_of_the_inserted_vehicles(driven: Path, made_scene: Path) -> None:
-    """Each type has the driver of the sidecar, and the car-following model its parameters."""
+def test_sumo_knows_the_drivers_of_the_inserted_vehicles_and_drives_them(driven: Path, made_scene: Path) -> None:
+    """Each type has the driver of the sidecar, and the car-following model its parameters. Without a warning all come,
+    none faster than its driver desires, but for the errors of EIDM, which are a few cm/s.
+    """
     sidecar = read_sidecar(sidecar_path(made_scene, read_scenario(made_scene).scenario_id))
     types = libsumo.vehicletype
     for agent in sidecar.agents:
@@ -148,11 +141,6 @@ def test_sumo_knows_the_drivers_of_the_inserted_vehicles(driven: Path, made_scen
         assert {name: kind.get(name) for name in ("carFollowModel", "treaction", "sigmaerror")} == {
             "carFollowModel": "EIDM", "treaction": "0.5", "sigmaerror": "0.1"
         }  # fmt: skip
-
-
-def test_sumo_drives_the_inserted_vehicles_without_a_warning(driven: Path, made_scene: Path) -> None:
-    """All of them come, none faster than its driver desires, but for the errors of EIDM, which are a few cm/s."""
-    sidecar = read_sidecar(sidecar_path(made_scene, read_scenario(made_scene).scenario_id))
     desired = {agent.track_id: agent.driver.parameters["desired_mps"] for agent in sidecar.agents}
     seen = set()
     for _ in range(108):

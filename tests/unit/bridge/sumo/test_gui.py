@@ -130,7 +130,10 @@ def test_files_are_valid_and_hold_the_lanes_of_the_map(playable, made_scene):
     assert lanes == {str(lane_id) for lane_id in read_scenario(made_scene).graph.lanes}
 
 
-def test_same_scene_gives_the_same_files(playable, made_scene, tmp_path):
+def test_same_scene_gives_the_same_files_which_play_in_real_time(playable, made_scene, tmp_path):
+    only = etree.parse(playable).find("gui_only")
+    assert only.find("delay").get("value") == "1000"  # milliseconds for a simulated second
+    assert [only.find(key).get("value") for key in ("start", "breakpoints")] == ["true", "0.00,10.90"]
     again = exported(made_scene, tmp_path)
     for path in again.parent.iterdir():
         assert path.read_bytes() == (playable.parent / path.name).read_bytes()
@@ -220,12 +223,6 @@ def test_sumo_gui_waits_for_its_user_and_would_else_play_to_the_end(playable, sc
             assert waits
         finally:
             it.kill()
-
-
-def test_files_play_in_real_time(playable):
-    only = etree.parse(playable).find("gui_only")
-    assert only.find("delay").get("value") == "1000"  # milliseconds for a simulated second
-    assert [only.find(key).get("value") for key in ("start", "breakpoints")] == ["true", "0.00,10.90"]
 
 
 @pytest.mark.parametrize("closes", ["the window", "the command"])

@@ -49,15 +49,14 @@ def test_a_folder_without_map_is_refused(tmp_path: Path) -> None:
         convert(tmp_path / "missing", tmp_path / "out")
 
 
-def test_an_output_folder_that_is_a_file_is_refused(data_scenes: dict[str, Path], tmp_path: Path) -> None:
-    (tmp_path / "out").write_text("here already")
-    with pytest.raises(ExportError, match="out: cannot be written \\("):
-        convert(data_scenes["curve"], tmp_path / "out")
-
-
-def test_where_a_folder_is_in_the_way_of_one_file_none_is_written(data_scenes: dict[str, Path], tmp_path: Path) -> None:
+def test_where_a_folder_or_a_file_is_in_the_way_nothing_is_written(
+    data_scenes: dict[str, Path], tmp_path: Path
+) -> None:
     blocked = tmp_path / f"{data_scenes['curve'].name}.view.xml"
     blocked.mkdir()
     with pytest.raises(ExportError, match=rf"{blocked.name}: is a folder, expected a file to write"):
         convert(data_scenes["curve"], tmp_path)
     assert list(tmp_path.iterdir()) == [blocked]
+    (tmp_path / "out").write_text("here already")
+    with pytest.raises(ExportError, match="out: cannot be written \\("):
+        convert(data_scenes["curve"], tmp_path / "out")

@@ -38,6 +38,8 @@ def test_follower_that_is_cut_in_front_of_yields_on_its_path() -> None:
     """
     fixed, reactive = cut_in(Driving()), cut_in(REACTIVE)
     assert fixed.fleet.vehicles[0].shifts == []
+    assert fixed.reactions is None
+    assert fixed.fleet.scene.traffic.position[0, :, 0] == pytest.approx(20.0 + 1.2 * np.arange(110))
     (vehicle,) = reactive.fleet.vehicles
     assert len(vehicle.shifts) == 1
     traffic = reactive.fleet.scene.traffic
@@ -51,12 +53,6 @@ def test_follower_that_is_cut_in_front_of_yields_on_its_path() -> None:
     assert reactive.reactions is not None
     assert set(reactive.reactions.late_s) == {"follower"}
     assert reactive.replay_errors.max_position_error_m < 1e-6
-
-
-def test_fixed_scene_is_never_another_one() -> None:
-    fixed = cut_in(Driving())
-    assert fixed.reactions is None
-    assert fixed.fleet.scene.traffic.position[0, :, 0] == pytest.approx(20.0 + 1.2 * np.arange(110))
 
 
 CHANGES = Request(agents=8, straight=0.3, left_turn=0.0, right_turn=0.0, lane_change=0.7, overtake=0.0, seed=6)
@@ -99,6 +95,7 @@ def test_late_tracks_keep_their_path_and_all_others_their_rows(
 
 
 def test_scene_in_which_recorded_vehicles_react_is_called_so_and_refused(reactive_scene: Path) -> None:
+    """Also in its picture, of one panel, for what was recorded is not in it."""
     assert reactive_scene.name.startswith("reactive-")
     (finding,) = validate_folder(reactive_scene)
     assert finding.rule == "replay"
@@ -106,10 +103,6 @@ def test_scene_in_which_recorded_vehicles_react_is_called_so_and_refused(reactiv
     for refuses in (lambda: measure_folder(reactive_scene), lambda: generated_sidecar(reactive_scene)):
         with pytest.raises(ScenarioError, match=r"reactive-.*do not drive as recorded"):
             refuses()
-
-
-def test_pictures_do_not_call_its_tracks_recorded(reactive_scene: Path) -> None:
-    """One panel, for what was recorded is not in it."""
     (panel,) = _panels(read_scenario(reactive_scene))
     assert "reacting agents" in panel.title
 

@@ -58,19 +58,17 @@ def _run(net: Path, traffic: Traffic) -> Replay:
     return replay
 
 
-def test_every_state_is_replayed_exactly_and_nobody_is_lost(net: Path) -> None:
+def test_every_state_is_replayed_exactly_and_nobody_is_lost_who_comes_late_leaves_early_or_comes_back(
+    net: Path,
+) -> None:
+    """Present in steps 0-4 and 10-14; another only in the last step: 11 states, each exact."""
     replay = _run(net, _traffic())
     assert replay.errors.states == 5 * STEPS
     assert replay.errors.max_position_error_m < 1e-6
     assert replay.errors.max_heading_error_rad < 1e-6
-
-
-def test_agents_come_late_leave_early_and_come_back(net: Path) -> None:
-    """Present in steps 0-4 and 10-14; another only in the last step: 11 states, each exact."""
-    traffic = _traffic().rows([0, 1])
     present = np.zeros((2, STEPS), dtype=bool)
     present[0, :5] = present[0, 10:15] = present[1, -1] = True
-    replay = _run(net, replace(traffic, present=present))
+    replay = _run(net, replace(_traffic().rows([0, 1]), present=present))
     assert replay.errors.states == 11
     assert replay.errors.max_position_error_m < 1e-6
 

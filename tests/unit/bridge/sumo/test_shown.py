@@ -22,13 +22,10 @@ def _shown(scene: Scene, policy: Policy = Policy.STRAIGHT) -> BoolArray:
     return shown_when(scene.traffic, [start], [seen], step_s=scene.step_s)
 
 
-def test_who_is_ahead_is_shown_and_who_is_behind_or_beside_is_not() -> None:
+def test_who_is_ahead_is_shown_who_is_behind_is_not_and_who_is_beside_to_one_that_may_change_lanes() -> None:
     scene = _scene(recorded(60.0, 0.0), recorded(20.0, 0.0, name="behind"), recorded(60.0, 3.5, name="beside"))
     assert _shown(scene).all(axis=1).tolist() == [True, False, False]
     assert _shown(scene).any(axis=1).tolist() == [True, False, False]
-
-
-def test_who_is_beside_is_shown_to_one_that_may_change_lanes() -> None:
     scene = _scene(recorded(60.0, 3.5), recorded(10.0, 3.5, name="behind"))
     assert _shown(scene, Policy.LANE_CHANGE).any(axis=1).tolist() == [True, False]
 

@@ -41,16 +41,13 @@ def test_crossings_of_a_path_are_known_by_arc_length(look) -> None:
     assert [(one.entry_m, one.exit_m) for one in found] == [(50.0, 53.0), (100.0, 103.0)]
     assert not found[0].occupied.any()
     assert found[0].occupied.shape == (110,)
+    assert look(nobody, quads=()) == []
 
 
 @pytest.mark.parametrize(("width_m", "count"), [(2.0, 1), (1.6, 0)])
 def test_only_crossings_that_the_swept_width_touches_count(look, width_m: float, count: int) -> None:
     """A crossing that ends 0.9 m beside the path: half of 2 m reaches it, half of 1.6 m does not."""
     assert len(look(draw_box(0.0, 0.0), quads=(QUAD + np.array([0.0, 6.9]),), width_m=width_m)) == count
-
-
-def test_a_map_without_crossings_has_none_on_a_path(look) -> None:
-    assert look(draw_box(0.0, 0.0), quads=()) == []
 
 
 @pytest.mark.parametrize(
@@ -68,25 +65,21 @@ def test_a_pedestrian_holds_up_from_before_it_is_in_the_way_until_it_has_left(
     assert _steps(look(draw_box(101.5, -10.05, UP, 2.0), **changed)) == list(range(first, last + 1))
 
 
-def test_who_turns_back_or_stands_beside_is_not_waited_for(look) -> None:
-    """0.5 m beside the end of the crossing: standing, or walking away from it."""
-    assert _steps(look(draw_box(101.5, -6.5, UP, 0.0), **WIDE)) == []
-    assert _steps(look(draw_box(101.5, -6.5, -UP, 1.0), **WIDE)) == []
-
-
 @pytest.mark.parametrize(("y", "steps"), [(1.9, list(range(110))), (2.1, [])])
 def test_who_stands_on_the_crossing_is_waited_for_where_the_vehicle_passes(look, y: float, steps: list) -> None:
     """The strip reaches 1 m beyond the vehicle's side: to y = 2."""
     assert _steps(look(draw_box(101.5, y, UP, 0.0))) == steps
 
 
-def test_who_moves_along_the_path_does_not_cross_it(look) -> None:
-    """A cyclist that rides ahead over the crossing at 5 m/s, or comes the other way; one at 50 degrees crosses."""
+def test_who_moves_along_the_path_is_absent_turns_back_or_stands_beside_does_not_cross_it(look) -> None:
+    """A cyclist that rides ahead over the crossing at 5 m/s, or comes the other way; one at 50 degrees crosses.
+
+    Of one that stands in the way, seen from step 40 on, nobody knows before. One stands 0.5 m beside the end of the
+    crossing, or walks away from there.
+    """
     assert _steps(look(draw_box(90.0, 0.0, 0.0, 5.0))) == []
     assert _steps(look(draw_box(110.0, 0.0, np.pi, 5.0))) == []
     assert _steps(look(draw_box(99.0, -3.0, np.radians(50.0), 5.0))) != []
-
-
-def test_whoever_is_absent_is_not_on_the_crossing(look) -> None:
-    """Standing in the way, seen from step 40 on: nobody knows of it before."""
     assert _steps(look(draw_box(101.5, 0.0, UP, 0.0, first=40))) == list(range(40, 110))
+    assert _steps(look(draw_box(101.5, -6.5, UP, 0.0), **WIDE)) == []
+    assert _steps(look(draw_box(101.5, -6.5, -UP, 1.0), **WIDE)) == []

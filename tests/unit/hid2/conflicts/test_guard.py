@@ -58,9 +58,9 @@ def test_margin_widens_a_box_on_each_side_against_those_driven_with_it(margin_m:
     assert (guard.obstacles(scene.paths.along((1,)), CAR, [(1, scene.paths.along((2,)), CAR)]).rows.size > 0) is is_met
 
 
-def test_nobody_brakes_on_a_free_road() -> None:
-    for v in (0.0, 5.0, 12.0):
-        found = look(v=v)
+def test_nobody_brakes_on_a_free_road_or_who_stands_close_behind_a_leader_in_sight() -> None:
+    """1 m behind, half the jam gap: it stays where it is by itself."""
+    for found in (*(look(v=v) for v in (0.0, 5.0, 12.0)), look(recorded(45.5, 0.0), v=0.0)):
         assert (found.decel_mps2, found.conflict_s, found.run_into) == (0.0, None, False)
 
 
@@ -104,14 +104,12 @@ def test_standing_obstacle_that_sumo_does_not_see_is_braked_for() -> None:
     """A car crosswise at x = 75 takes 71.8 to 78.2 of the centre's way, from a sample of 0.5 m and a margin of 0.5 m
     before: about 31 m from s = 40. Within H = 4 s, 10 m/s less b come 40 - 8 b m (and 1 m or so until b is reached):
     b = 1.1 comes too far, 1.5 or 2 do.
+
+    16 m before it 3.2 m/s2 would be needed at once, and braking builds up: a conflict remains.
     """
     found = look(recorded(75.0, 0.0, heading=UP))
     assert found.decel_mps2 in (1.5, 2.0)
     assert found.conflict_s is None
-
-
-def test_who_is_too_near_is_braked_for_as_hard_as_can_be() -> None:
-    """16 m before it at 10 m/s 3.2 m/s2 would be needed at once, and braking builds up: a conflict remains."""
     found = look(recorded(60.0, 0.0, heading=UP))
     assert found.conflict_s is not None
     assert found.decel_mps2 >= 2.5
@@ -130,12 +128,6 @@ def test_leader_in_sight_is_left_to_sumo_up_to_the_hardest_braking(first: int, b
     SUMO sees it and brakes by itself; of who is not there yet it knows nothing.
     """
     assert (look(recorded(67.5, 0.0, first=first)).decel_mps2 > 0.0) is brakes
-
-
-def test_who_stands_close_behind_a_leader_in_sight_needs_no_limit() -> None:
-    """1 m behind, half the jam gap: it stays where it is by itself."""
-    found = look(recorded(45.5, 0.0), v=0.0)
-    assert (found.decel_mps2, found.conflict_s) == (0.0, None)
 
 
 def test_who_follows_is_ignored_but_told_of() -> None:
@@ -159,16 +151,13 @@ def told(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     return answers
 
 
-def test_generated_follower_is_left_to_its_driver(told: list[tuple[Any, ...]]) -> None:
-    found = _braking(scene_on(draw_road(), config=CONFIG), 1, [(40.0, 10.0, 0.0, 0.0), (28.0, 14.0, 0.0, 0.0)])
-    assert found.decel_mps2 == 0.0
-    assert told[0][3] == -1
-
-
-def test_generated_leader_is_named_with_its_gap(told: list[tuple[Any, ...]]) -> None:
+def test_generated_leader_is_named_with_its_gap_and_a_follower_left_to_its_driver(told: list[tuple[Any, ...]]) -> None:
     """At 60 m, own centre at 40: bumper gap 20 - 4.5 = 15.5 m."""
-    _braking(scene_on(draw_road(), config=CONFIG), 1, [(40.0, 10.0, 0.0, 0.0), (60.0, 10.0, 0.0, 0.0)])
+    scene = scene_on(draw_road(), config=CONFIG)
+    _braking(scene, 1, [(40.0, 10.0, 0.0, 0.0), (60.0, 10.0, 0.0, 0.0)])
     assert told[0][3:5] == (1, pytest.approx(15.5, abs=1.1))
+    assert _braking(scene, 1, [(40.0, 10.0, 0.0, 0.0), (28.0, 14.0, 0.0, 0.0)]).decel_mps2 == 0.0
+    assert told[1][3] == -1
 
 
 @pytest.fixture
@@ -198,20 +187,14 @@ def test_case_2_of_two_who_are_there_in_4_s(cross: Scene, own: Any, other: Any, 
     assert (found.decel_mps2 > 0.0) is brakes
 
 
-def test_case_2_equally_far_the_lower_id_goes_first(cross: Scene) -> None:
+def test_case_2_equally_far_on_the_crossing_already_and_where_braking_does_not_avoid_it(cross: Scene) -> None:
+    """Equally far the lower id goes first. One rolls at 1 m/s with its box across lane 1, and the own one is executing:
+    no right to run into it. 10 m before the crossing at 9 m/s, and the other one 8 m: they meet, the slower the better.
+    """
     alike = [(42.0, 10.0, 0.0, 0.0), (42.0, 10.0, 0.0, 0.0)]
     assert _braking(cross, 1, alike, lanes=(1, 2), own=0).decel_mps2 == 0.0
     assert _braking(cross, 2, alike, lanes=(1, 2), own=1).decel_mps2 > 0.0
-
-
-def test_who_is_on_the_crossing_already_goes_first(cross: Scene) -> None:
-    """It rolls at 1 m/s with its box across lane 1, and the own one is executing: no right to run into it."""
-    found = _braking(cross, 1, [(60.0, 10.0, 0.0, 1.0), (80.0, 1.0, 0.0, 0.0)], lanes=(1, 2))
-    assert found.decel_mps2 > 0.0
-
-
-def test_crossing_that_braking_does_not_avoid_is_braked_for_all_the_same(cross: Scene) -> None:
-    """10 m before the crossing at 9 m/s, and the other one 8 m: they meet, the slower the better."""
+    assert _braking(cross, 1, [(60.0, 10.0, 0.0, 1.0), (80.0, 1.0, 0.0, 0.0)], lanes=(1, 2)).decel_mps2 > 0.0
     found = _braking(cross, 1, [(70.0, 9.0, 0.0, 0.0), (72.0, 9.0, 0.0, 1.0)], lanes=(1, 2))
     assert found.conflict_s is not None
     assert found.decel_mps2 == 3.5

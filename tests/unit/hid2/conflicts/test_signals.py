@@ -7,7 +7,7 @@
             4              7: from 1 to 8, a right turn down to (6, -10)
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import pytest
@@ -63,6 +63,10 @@ def _along(name: str, points: Sequence[Sequence[float]], *, wait_steps: int = 0,
     )  # fmt: skip
 
 
+#: On lane 2 from step 47 to 53.
+CROSSES = draw_box(10.0, -50.0, np.pi / 2, 10.0)
+
+
 def _steps(red: np.ndarray | None) -> list[int]:
     assert red is not None
     return np.flatnonzero(red).tolist()
@@ -73,7 +77,7 @@ def test_cross_traffic_makes_red_two_seconds_before_and_three_after() -> None:
 
     The box covers it while |y| < 1.4 + 2.25 = 3.65: steps 47 to 53. Red from 47 - 20 to 53 + 30.
     """
-    scene = signals(draw_box(10.0, -50.0, np.pi / 2, 10.0))
+    scene = signals(CROSSES)
     assert _steps(scene.red(2)) == list(range(27, 84))
     assert "".join(scene.shown(2)) == "g" * 27 + "y" * 15 + "r" * 42 + "g" * (STEPS - 84)
     assert _steps(scene.red(5)) == []
@@ -114,26 +118,31 @@ def test_a_queue_stands_in_the_middle_third_near_the_entrance(x: float, y: float
     assert _steps(scene.red(2)) == (list(range(STEPS)) if red else [])
 
 
-def test_who_moves_later_queues_at_the_side_of_its_lane_too() -> None:
-    """At y = 1 until step 80, then on: the front of a queue, green a second before it enters.
-
-    It passes x = 0 at step 85 and is inside at 86: green from step 76. It stands, by central differences, to step 79.
-    """
-    scene = signals(_along("a", [(-5.0, 1.0), (40.0, 1.0)], wait_steps=80))
-    assert _steps(entries(scene, 2)) == [86]
-    assert _steps(scene.red(2)) == list(range(76))
-
-
-def test_vehicle_that_is_inside_at_its_last_state_alone_has_entered() -> None:
-    """From (-108.5, 0) at 1 m a step: at x = 0.5 at step 109, the last one."""
-    assert _steps(entries(signals(_along("a", [(-108.5, 0.0), (40.0, 0.0)])), 2)) == [109]
-
-
-def test_an_entry_makes_green_for_the_queue_behind_it() -> None:
-    """The first enters at step 36, the second stands on at x = -12: red but for 36 - 10 to 36 + 20."""
-    scene = signals(_along("a", [(-5.0, 0.0), (40.0, 0.0)], wait_steps=30), draw_box(-12.0, 0.0, name="b"))
-    assert _steps(entries(scene, 2)) == [36]
-    assert _steps(scene.red(2)) == [*range(26), *range(57, STEPS)]
+@pytest.mark.parametrize(
+    ("vehicles", "enters", "red"),
+    [
+        # at y = 1 until step 80, then on: it stands, by central differences, to step 79, and passes x = 0 at step 85
+        ([_along("a", [(-5.0, 1.0), (40.0, 1.0)], wait_steps=80)], 86, range(76)),
+        # from (-108.5, 0) at 1 m a step: at x = 0.5 at step 109, the last one
+        ([_along("a", [(-108.5, 0.0), (40.0, 0.0)])], 109, ()),
+        # the first enters at step 36, the second stands on at x = -12: red but for 36 - 10 to 36 + 20
+        (
+            [_along("a", [(-5.0, 0.0), (40.0, 0.0)], wait_steps=30), draw_box(-12.0, 0.0, name="b")],
+            36, (*range(26), *range(57, STEPS)),
+        ),
+        # cross traffic on the lane from 47 to 53, red from 27 to 83: an entry at 61 clears 51 to 81, not below 53 + 10
+        ([CROSSES, _along("b", [(-50.0, 0.0), (70.0, 0.0)], wait_steps=10)], 61, (*range(27, 64), 82, 83)),
+        # one waits for 25 steps, red to 20, and enters at 31: it is red again from 32 on for cross traffic to come
+        ([CROSSES, _along("b", [(-5.0, 0.0), (40.0, 0.0)], wait_steps=25)], 31, (*range(21), *range(32, 84))),
+    ],
+    ids=["queue at the side", "inside at last", "queue behind", "soon after cross traffic", "cross traffic to come"],
+)  # fmt: skip
+def test_an_entry_makes_green_from_a_second_before_it_on(
+    vehicles: list[Traffic], enters: int, red: Iterable[int]
+) -> None:
+    scene = signals(*vehicles)
+    assert _steps(entries(scene, 2)) == [enters]
+    assert _steps(scene.red(2)) == list(red)
 
 
 @pytest.mark.parametrize(("y", "red"), [(4.0, 26), (30.0, 0)])
@@ -151,20 +160,6 @@ def test_straight_on_is_red_while_the_opposite_queue_stands(y: float, red: int) 
     assert _steps(scene.red(12)) == list(range(26))
     assert _steps(scene.red(2)) == list(range(red))
     assert _steps(scene.red(7)) == []
-
-
-def test_an_entry_makes_no_green_within_a_second_of_cross_traffic() -> None:
-    """Cross traffic on the lane from 47 to 53, red from 27 to 83. An entry at 61 clears 51 to 81, not below 53 + 10."""
-    scene = signals(draw_box(10.0, -50.0, np.pi / 2, 10.0), _along("b", [(-50.0, 0.0), (70.0, 0.0)], wait_steps=10))
-    assert _steps(entries(scene, 2)) == [61]
-    assert _steps(scene.red(2)) == [*range(27, 64), 82, 83]
-
-
-def test_an_entry_makes_no_green_after_it_for_cross_traffic_to_come() -> None:
-    """Cross traffic from 47 to 53. One waits for 25 steps, red to 20, and enters at 31: it is red again from 32 on."""
-    scene = signals(draw_box(10.0, -50.0, np.pi / 2, 10.0), _along("b", [(-5.0, 0.0), (40.0, 0.0)], wait_steps=25))
-    assert _steps(entries(scene, 2)) == [31]
-    assert _steps(scene.red(2)) == [*range(21), *range(32, 84)]
 
 
 def test_a_right_turn_says_nothing_of_the_way_straight_on() -> None:

@@ -90,19 +90,15 @@ def test_braking_for_a_line_builds_up_and_eases(speed_mps: float) -> None:
     assert max(harder[0], harder[-1]) < 0.95 * harder.max() < 0.95 * 1.3 * ROLLS_UP_SHARE * DRIVER.decel_mps2
 
 
-def test_driver_does_not_begin_far_before() -> None:
-    """50 m before it at 5 m/s: comfortable braking (1.2 m/s2) would do from 11 m/s: no braking yet."""
+def test_driver_brakes_neither_far_before_nor_behind_nor_when_it_is_too_late_and_stands_at_the_line() -> None:
+    """50 m before it at 5 m/s comfortable braking (1.2 m/s2) would do from 11 m/s: no braking yet.
+
+    10 m before it at 10 m/s: 5 m/s2, more than 1.3 * 2: as at an amber light. At the line it stays until it opens.
+    """
     found = brake(CROSSING, s=6.75, v=5.0, step=40)
     assert found is None or found[0] > 0.0
-
-
-def test_who_can_no_longer_stop_or_has_passed_the_line_drives_across() -> None:
-    """10 m before it at 10 m/s: 5 m/s2, more than 1.3 * 2: as at an amber light."""
     assert brake(CROSSING, s=46.75, v=10.0, step=40) is None
     assert brake(CROSSING, s=58.0, v=3.0, step=40) is None
-
-
-def test_who_stands_at_the_line_stays_until_it_opens() -> None:
     found = brake(CROSSING, s=STOP_M, v=0.0, step=60)
     assert found is not None
     assert found[0] < 0.0

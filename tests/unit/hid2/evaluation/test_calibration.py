@@ -57,12 +57,9 @@ def test_value_at_a_bound_that_is_excluded_stays_inside():
     assert (_bounded("turn_lateral_min_mps2", 0.0), _bounded("offset_sd_m", -1.0)) == (1e-4, 0.0)
 
 
-def test_too_few_drivers_tell_nothing():
+def test_too_few_drivers_tell_nothing_and_robust_spread_by_hand():
+    """Distances from the median 3: 2, 1, 0, 1, 97; their median is 1."""
+    assert robust_sd(np.array([1.0, 2.0, 3.0, 4.0, 100.0])) == pytest.approx(1.4826)
     seen = synthetic_driving(KNOWN, drivers=LEAST - 1, seed=0)
     few = calibrate([seen._replace(standing_gap_m=np.zeros(0), lane_change_s=np.array([4.0]))], prior=Drivers())
     assert {quantity.source for quantity in few} == {"prior"}
-
-
-def test_robust_spread_by_hand():
-    """Distances from the median 3: 2, 1, 0, 1, 97; their median is 1."""
-    assert robust_sd(np.array([1.0, 2.0, 3.0, 4.0, 100.0])) == pytest.approx(1.4826)

@@ -33,15 +33,12 @@ def test_bins_resolve_what_drivers_do():
     assert width["offset"] == 0.125
 
 
-def test_jensen_shannon_equals_scipys():
+def test_jensen_shannon_equals_scipys_also_of_equal_and_of_disjoint_distributions():
     rng = np.random.default_rng(0)
     a, b = rng.normal(10, 3, 5000).clip(0, 25), rng.normal(12, 2, 3000)
     edges = np.linspace(0, 25, 26)
     want = jensenshannon(np.histogram(a, edges)[0], np.histogram(b, edges)[0], base=2)
     assert apart(SPEED, histogram(SPEED, a), histogram(SPEED, b))[0] == pytest.approx(want, abs=1e-12)
-
-
-def test_jensen_shannon_of_equal_and_of_disjoint_distributions():
     a, b = histogram(SPEED, [1.0, 1.0]), histogram(SPEED, [20.0])
     assert apart(SPEED, a, a) == (0.0, 0.0)
     assert apart(SPEED, a, b)[0] == pytest.approx(1.0)
@@ -55,19 +52,17 @@ def test_wasserstein_equals_scipys_to_a_fine_bin():
     assert found == pytest.approx(wasserstein_distance(a, b), abs=25 / 25 / FINE)
 
 
-def test_values_outside_the_range_count_in_the_end_bins():
-    counts = histogram(SPEED, [-3.0, 99.0, 25.0])
-    assert counts[0] == 1
-    assert counts[-1] == 2
-
-
 def test_quantiles_by_hand():
-    """Of 1, 2, ..., 100 tenths the lowest 5 % end at 0.5, half at 5.0; fine bins are 1 / 40 wide."""
+    """Of 1, 2, ..., 100 tenths the lowest 5 % end at 0.5, half at 5.0; fine bins are 1 / 40 wide. Values outside the
+    range count in the bins at the ends.
+    """
     counts = histogram(SPEED, np.arange(1, 101) / 10.0)
     low, middle = quantiles(SPEED, counts, [0.05, 0.5])
     assert low == pytest.approx(0.5, abs=1 / FINE)
     assert middle == pytest.approx(5.0, abs=1 / FINE)
     assert quantiles(SPEED, histogram(SPEED, []), [0.5]) is None
+    counts = histogram(SPEED, [-3.0, 99.0, 25.0])
+    assert (counts[0], counts[-1]) == (1, 2)
 
 
 def test_halves_are_halves_and_the_same_every_time():

@@ -87,6 +87,9 @@ def test_ttc_of_a_car_that_closes_on_a_standing_one():
     np.testing.assert_allclose(safe.ttc_s[:10], 2.0 - 0.1 * np.arange(10), atol=1e-9)
     np.testing.assert_allclose(safe.ttc_s[10:20], safe.ttc_s[:10])
     np.testing.assert_allclose(safe.ttc_s[20:], 5.0)
+    nobody = safe_of(stack([], num_steps=110, step_s=0.1), draw_road())
+    assert nobody.overlaps == ()
+    assert len(nobody.ttc_s) == 0
 
 
 def test_ttc_sees_a_crossing_vehicle_that_no_lane_leads_to():
@@ -107,12 +110,16 @@ def test_pet_is_the_time_between_leaving_and_reaching_the_shared_ground():
 
     a (width 2) covers x from -1 to 1; its rear (length 4) leaves y = 1 when its centre is at y = 3. From y = -20 at
     10 m/s: after 2.3 s. b's front reaches x = -1 with its centre at x = -3, from x = -50 at 10 m/s: after 4.7 s.
-    PET 2.4 s.
+    PET 2.4 s. A third car crosses b's path 1 s later; asked for those of the last one, only it is named.
     """
     a = drive(0, -20, math.pi / 2, speed=10.0, name="a")
     b = drive(-50, 0, 0.0, speed=10.0, name="b")
     (found,) = encroachments(stack([a, b], step_s=0.1))
     assert found.pet_s == pytest.approx(2.4)
+    scene = stack([a, b, drive(8, -30, math.pi / 2, speed=10.0, name="c")], step_s=0.1)
+    assert {(c.first, c.second) for c in encroachments(scene)} == {(0, 1), (1, 2)}
+    assert {(c.first, c.second) for c in encroachments(scene, first_row=2)} == {(1, 2)}
+    assert encroachments(scene, first_row=2, cap_s=0.5) == ()
 
 
 def test_oncoming_car_that_has_not_turned_yet_counts_where_its_path_crosses_later():
@@ -238,22 +245,6 @@ def test_lane_of_a_vehicle_near_the_marking_does_not_flicker():
     track = replace(drive(0.0, name="a"), position=np.column_stack([x, y]))
     matches = match_lanes(stack([track], step_s=0.1), flatten_lanes(draw_road()))
     assert set(matches.lane.tolist()) == {0}
-
-
-def test_a_scene_without_agents_has_nothing_to_report():
-    safe = safe_of(stack([], num_steps=110, step_s=0.1), draw_road())
-    assert safe.overlaps == ()
-    assert len(safe.ttc_s) == 0
-
-
-def test_crossings_of_the_last_agents_alone():
-    """As above, and a third car that crosses b's path 1 s later; asked for those of the last one, only it is named."""
-    a, later = drive(0, -20, math.pi / 2, speed=10.0, name="a"), drive(8, -30, math.pi / 2, speed=10.0, name="c")
-    b = drive(-50, 0, 0.0, speed=10.0, name="b")
-    scene = stack([a, b, later], step_s=0.1)
-    assert {(c.first, c.second) for c in encroachments(scene)} == {(0, 1), (1, 2)}
-    assert {(c.first, c.second) for c in encroachments(scene, first_row=2)} == {(1, 2)}
-    assert encroachments(scene, first_row=2, cap_s=0.5) == ()
 
 
 def test_scene_with_one_more_track_is_the_scene_of_all_tracks():

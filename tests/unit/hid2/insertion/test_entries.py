@@ -89,12 +89,17 @@ def test_who_enters_is_just_inside_the_map_at_the_speed_of_its_traffic() -> None
 
 
 def test_room_is_kept_to_who_is_at_the_edge_at_that_very_step() -> None:
-    """One stands at x = 10 on lane 1 from the first step on; another one on lane 2 has left the edge at 9 m/s."""
+    """One stands at x = 10 on lane 1 from the first step on; another one on lane 2 has left the edge at 9 m/s.
+
+    Where vehicles stand at x = 5 on both lanes one begins elsewhere.
+    """
     scene = _scene(draw_road(length_m=300.0), recorded(10.0, 0.0, 0.0), recorded(3.0, 3.5, 9.0, name="q"))
     starts = _entering(scene)
     assert {start.route[0] for start in starts} == {2}
     gaps = [3.0 + 0.9 * start.step - start.start_m - 4.5 for start in starts]
     assert min(gaps) > 2.0
+    scene = _scene(draw_road(length_m=300.0), recorded(5.0, 0.0), recorded(5.0, 3.5, name="q"))
+    assert [start.step for start in sites_of(scene).propose(STRAIGHT)] == [0]
 
 
 def test_nobody_enters_before_who_comes_from_outside_the_map() -> None:
@@ -115,13 +120,6 @@ def test_who_is_scored_or_changes_lanes_is_there_from_the_first_step(
     scene = _scene(draw_road(length_m=300.0), **request_)
     starts = sites_of(scene).propose(VehicleRequest(0, policy, 1.0))
     assert [start.step for start in starts] == [0]
-
-
-def test_where_nobody_can_enter_a_vehicle_begins_elsewhere() -> None:
-    """Standing vehicles at x = 5 on both lanes."""
-    scene = _scene(draw_road(length_m=300.0), recorded(5.0, 0.0), recorded(5.0, 3.5, name="q"))
-    (start,) = sites_of(scene).propose(STRAIGHT)
-    assert start.step == 0
 
 
 def test_two_that_enter_on_one_lane_keep_their_distance() -> None:

@@ -36,15 +36,13 @@ def test_leader_and_follower_are_a_gap_away_on_the_lane_of_the_target(kind: str,
     assert place.beyond == beyond
 
 
-def test_cut_in_begins_on_the_lane_beside() -> None:
-    """The target is on lane 1, so from lane 2 to the right."""
+def test_cut_in_begins_on_the_lane_beside_and_overtake_behind_the_target_early_enough_to_be_back() -> None:
+    """The target is on lane 1, so from lane 2 to the right. To be back at 8 s an overtake begins at 0 to 4 s and .4 s
+    more, within 30 m behind.
+    """
     (place,) = _places(draw_road(lanes=2, length_m=400.0), recorded(100.5, 0.0, 8.0), kind="cut_in")
     assert (place.offer.route, place.side) == ((2,), "right")
     assert place.along[40] == pytest.approx(132.5, abs=0.1)
-
-
-def test_overtake_begins_behind_the_target_early_enough_to_be_back() -> None:
-    """To be back at 8 s it begins at 0 to 4 s and .4 s more, within 30 m behind."""
     (place,) = _places(draw_road(lanes=2, length_m=600.0), recorded(60.5, 0.0, 4.0), kind="overtake", at_s=(8.0, 8.0))
     assert (place.offer.route, place.side) == ((1,), "left")
     assert np.flatnonzero(np.isfinite(place.along)).tolist() == list(range(45))

@@ -71,7 +71,10 @@ def test_a_narrow_band_is_come_to_from_the_nearest_that_is_found() -> None:
 
 
 def test_cut_ins_change_to_the_lane_of_the_target_and_are_told_when() -> None:
-    """From lane 2 to the right; over the line, at y = 1.75 m, at 4 s more or less, and the trigger before that."""
+    """From lane 2 to the right; over the line, at y = 1.75 m, at 4 s more or less, and the trigger before that.
+
+    The motion of two paths is one for the last word: one state a step, over the change of lanes, and no jump.
+    """
     found = _starts(scene_of(recorded(100.0, 0.0, 8.0)), kind="cut_in").draw(60)
     assert found
     for one in found:
@@ -80,12 +83,7 @@ def test_cut_ins_change_to_the_lane_of_the_target_and_are_told_when() -> None:
         assert one.rolled.start.sides == ("right",)
         assert 3.4 - 1e-9 <= crossing_s <= 4.6 + 1e-9
         assert 1.0 <= crossing_s - one.rolled.start.request.trigger_s <= 4.0
-
-
-def test_a_motion_of_two_paths_is_one_for_the_last_word() -> None:
-    """One state a step, over the change of lanes, and no jump."""
-    candidate = _starts(scene_of(recorded(100.0, 0.0, 8.0)), kind="cut_in").draw(60)[0]
-    driven = candidate.as_driven()
+    driven = found[0].as_driven()
     assert len(driven.s) == len(driven.v) == 110
     assert np.diff(driven.s) == pytest.approx(0.1 * np.array(driven.v[1:]), abs=0.1)
 

@@ -7,7 +7,7 @@ import pytest
 from hand_drawn import draw_lane
 from inserted import recorded, scene_on
 
-from hid2.insertion.event_targets import Target, target_of
+from hid2.insertion.event_targets import target_of
 from hid2.scene import Scene
 from netconvert.lane_graph import LaneGraph
 
@@ -19,25 +19,16 @@ def scene() -> Scene:
     return scene_on(LaneGraph({one.lane_id: one for one in lanes}), recorded(50.5, 0.0, 10.0))
 
 
-def _target(scene: Scene) -> Target:
+def test_lanes_of_a_target_are_those_it_drives_and_who_is_on_none_or_points_against_its_motion_is_none(
+    scene: Scene,
+) -> None:
+    """What is ahead of a box that is turned round would be behind it."""
     target = target_of(scene, 0)
     assert target is not None
-    return target
-
-
-def test_lanes_of_a_target_are_those_it_drives(scene: Scene) -> None:
-    target = _target(scene)
     assert (target.lane_at(10), target.lanes_from(10), target.lanes_before(10)) == (1, (1,), ())
-
-
-def test_who_is_on_no_lane_is_no_target(scene: Scene) -> None:
     off_road = scene_on(scene.grid.graph, recorded(50.0, 40.0, 10.0))
     assert target_of(off_road, 0) is None
     assert np.all(off_road.traffic.present[0])
-
-
-def test_recorded_box_that_points_against_its_motion_is_no_target(scene: Scene) -> None:
-    """What is ahead of it would be behind it."""
     track = recorded(50.5, 0.0, 10.0)
     turned = scene_on(scene.grid.graph, replace(track, heading=track.heading + np.pi))
     assert target_of(turned, 0) is None

@@ -74,12 +74,16 @@ def _fill(scene: Scene, spoil: Spoil = _as_driven, *, seed: int = 0) -> tuple[Fi
 
 
 def test_count_is_reached_in_one_round_and_no_vehicle_is_driven_beyond_it() -> None:
+    """With nobody asked for in one empty simulation, which replays the recorded agents that the sidecar tells of."""
     filling, drive = _fill(scene_for())
     assert len(filling.kept) == 4
     assert filling.rounds == len(drive.rounds) == 1
     assert len(drive.rounds[0]) == 4
     assert filling.rejected == []
     assert filling.unmet == []
+    filling, drive = _fill(scene_for(agents=0))
+    assert filling.kept == []
+    assert [len(starts) for starts in drive.rounds] == [0]
 
 
 def test_failed_vehicle_is_replaced_elsewhere_and_counted_with_its_reason() -> None:
@@ -118,12 +122,6 @@ def test_places_that_failed_are_tried_again_where_no_other_is_left(monkeypatch: 
     assert {start.route[0] for start in drive.rounds[0]} == {1, 2}  # both lanes are avoided, whole
     assert len(filling.kept) == 4
     assert filling.rounds == 2
-
-
-def test_rounds_come_to_an_end_with_fewer_than_asked_for() -> None:
-    filling, drive = _fill(scene_for(rounds=1), _refusing(requests=frozenset(range(4))))
-    assert filling.kept == []
-    assert len(drive.rounds) == filling.rounds == 1
 
 
 def test_safe_vehicle_whose_manoeuvre_did_not_come_about_takes_an_open_request_to_go_straight() -> None:
@@ -179,10 +177,16 @@ def test_vehicle_that_another_one_needs_stays_before_one_that_none_needs() -> No
 
 
 def test_two_rounds_that_add_no_vehicle_are_the_last() -> None:
-    """Round 0 keeps v0 to v2; v3 fails in this one and in all that follow, which are two instead of eleven."""
+    """Round 0 keeps v0 to v2; v3 fails in this one and in all that follow, which are two instead of eleven.
+
+    Of one round that is all there is one.
+    """
     filling, drive = _fill(scene_for(rounds=12), _refusing(requests=frozenset({3})))
     assert [len(starts) for starts in drive.rounds] == [4, 1, 1]
     assert len(filling.kept) == 3
+    filling, drive = _fill(scene_for(rounds=1), _refusing(requests=frozenset(range(4))))
+    assert filling.kept == []
+    assert len(drive.rounds) == filling.rounds == 1
 
 
 def test_max_is_sought_until_rounds_add_none() -> None:
@@ -373,13 +377,6 @@ def test_count_is_never_exceeded_nor_a_request_met_twice(seed: int) -> None:
     assert len(numbers) == len(set(numbers))
     manoeuvres = [one for one in filling.kept if one.driven.policy is Policy.LANE_CHANGE]
     assert len(manoeuvres) + len(filling.unmet) == 3
-
-
-def test_nobody_asked_for_is_one_empty_simulation() -> None:
-    """It replays the recorded agents, which the sidecar tells of."""
-    filling, drive = _fill(scene_for(agents=0))
-    assert filling.kept == []
-    assert [len(starts) for starts in drive.rounds] == [0]
 
 
 def test_debug_log_tells_what_became_of_every_vehicle_that_was_tried(caplog: pytest.LogCaptureFixture) -> None:

@@ -62,19 +62,14 @@ def test_what_sumo_objected_to_is_the_reason() -> None:
 
 
 def test_track_ends_where_the_rear_of_the_map_is_not_left_behind() -> None:
-    """150 m of lane, 10 m/s from 80: the box is whole on the map up to 150 - 2.25 = 147.75 m, after 6.7 s."""
+    """150 m of lane, 10 m/s from 80: the box is whole on the map up to 150 - 2.25 = 147.75 m, after 6.7 s.
+
+    Scored vehicles have to stay to the end.
+    """
     found = _kept(scene_of(length_m=150.0), np.full(110, 10.0), 80.0)
     assert found.num_steps == 68
-
-
-def test_scored_vehicles_stay_to_the_end() -> None:
-    scored = Config(request=Request(generated_category=2))
-    scene = scene_of(length_m=150.0, config=scored)
+    scene = scene_of(length_m=150.0, config=Config(request=Request(generated_category=2)))
     assert _alone(scene, np.full(110, 10.0), 80.0) is Reason.LEAVES_TOO_EARLY
-
-
-def test_who_stands_throughout_is_not_exported() -> None:
-    assert _alone(scene_of(), np.zeros(110)) is Reason.STANDS_THROUGHOUT
 
 
 @pytest.mark.parametrize("mark", ["DASHED_WHITE", "SOLID_WHITE"])
@@ -90,8 +85,9 @@ def test_vehicle_that_crosses_a_solid_line_is_not_exported(mark: str) -> None:
     [
         (10.0 + np.clip(4.0 * (T - 3.0), 0.0, 8.0), Reason.LIMIT_ACCEL),
         (16.0 - np.clip(7.0 * (T - 3.0), 0.0, 14.0), Reason.LIMIT_DECEL),
+        (np.zeros(110), Reason.STANDS_THROUGHOUT),
     ],
-    ids=["4 m/s2 for 2 s", "-7 m/s2 for 2 s"],
+    ids=["4 m/s2 for 2 s", "-7 m/s2 for 2 s", "stands"],
 )
 def test_limits_of_motion_are_named(v: np.ndarray, reason: Reason) -> None:
     assert _alone(scene_of(), v) is reason
@@ -119,8 +115,10 @@ def test_road_too_narrow_for_it_is_off_road() -> None:
 
 
 def test_box_of_a_recorded_agent_is_met() -> None:
-    """Somebody stands at 100 m across both lanes, where the vehicle comes after 5 s."""
-    assert _alone(scene_of(recorded(100.0, 0.0, heading=np.pi / 2)), np.full(110, 10.0)) is Reason.MEETS_RECORDED
+    """Somebody stands at 100 m across both lanes, where the vehicle comes after 5 s; unchecked nobody is looked at."""
+    stands, v = recorded(100.0, 0.0, heading=np.pi / 2), np.full(110, 10.0)
+    assert _alone(scene_of(stands), v) is Reason.MEETS_RECORDED
+    assert isinstance(_alone(scene_of(stands, config=Config(without=frozenset({"collision"}))), v), ExportedVehicle)
 
 
 def test_box_of_another_inserted_vehicle_is_met() -> None:
@@ -248,11 +246,6 @@ def test_the_same_with_a_recorded_one_aside_in_the_next_lane(y: float, aside_m: 
     else:
         assert isinstance(found, ExportedVehicle)
         assert found.trajectory.position[:, 1] == pytest.approx(kept_m, abs=0.01)
-
-
-def test_without_collision_checks_nobody_is_looked_at() -> None:
-    scene = scene_of(recorded(100.0, 0.0), config=Config(without=frozenset({"collision"})))
-    assert isinstance(_alone(scene, np.full(110, 10.0)), ExportedVehicle)
 
 
 def test_without_smoothing_the_grid_path_is_exported() -> None:

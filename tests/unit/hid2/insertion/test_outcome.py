@@ -83,23 +83,21 @@ def test_lane_change_that_the_scene_cuts_off_is_aborted(scene: Scene) -> None:
     assert (found.status, found.reason, found.end_s) == ("aborted", Reason.SCENE_ENDED, None)
 
 
-def test_lane_change_that_never_began_names_the_last_answer(scene: Scene) -> None:
-    start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=2.0)
-    found = _outcome(scene, driven(start, np.full(110, 10.0), reason=Reason.SUMO_REFUSES))
-    assert (found.status, found.reason, found.start_s) == ("not_feasible", Reason.SUMO_REFUSES, None)
-
-
-def test_trigger_behind_the_end_of_the_track_is_not_triggered(scene: Scene) -> None:
-    start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=11.0)
-    found = _outcome(scene, driven(start, np.full(110, 10.0)))
-    assert (found.status, found.reason) == ("not_triggered", Reason.SCENE_ENDED)
-
-
-def test_trigger_of_a_vehicle_that_enters_late_counts_from_the_scenes_begin(scene: Scene) -> None:
-    """It is there from 4 to 10.9 s, and its trigger time is 8 s."""
-    start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=8.0, step=40)
-    found = _outcome(scene, driven(start, np.full(70, 10.0), reason=Reason.FRONT_GAP))
-    assert (found.status, found.reason) == ("not_feasible", Reason.FRONT_GAP)
+@pytest.mark.parametrize(
+    ("trigger_s", "step", "told", "status", "reason"),
+    [
+        (2.0, 0, Reason.SUMO_REFUSES, "not_feasible", Reason.SUMO_REFUSES),
+        (11.0, 0, None, "not_triggered", Reason.SCENE_ENDED),  # behind the end of the track
+        (8.0, 40, Reason.FRONT_GAP, "not_feasible", Reason.FRONT_GAP),  # there from 4 to 10.9 s
+    ],
+)
+def test_lane_change_that_never_began_names_the_last_answer_or_was_not_triggered(
+    scene: Scene, trigger_s: float, step: int, told: Reason | None, status: str, reason: Reason
+) -> None:
+    """Trigger times count from the scene's begin, also of a vehicle that enters late."""
+    start = start_on(scene, (1,), 40.0, 10.0, policy=Policy.LANE_CHANGE, trigger_s=trigger_s, step=step)
+    found = _outcome(scene, driven(start, np.full(110 - step, 10.0), reason=told))
+    assert (found.status, found.reason, found.start_s) == (status, reason, None)
 
 
 def bend(degrees: float) -> Scene:

@@ -90,21 +90,17 @@ def test_slower_recorded_vehicle_is_overtaken_where_none_can_be_added() -> None:
         assert 150.0 - 60.0 < start.start_m < 150.0 - 4.5
 
 
-def test_no_leader_and_no_request_for_one_is_the_reason() -> None:
-    sites = sites_of(scene_of())
-    assert sites.propose(OVERTAKE, None) == []
-    assert sites.overtakes.found_none is Reason.NO_SLOW_LEADER
-
-
-def test_later_trigger_leaves_no_time() -> None:
-    """From 6.5 s on 4.4 s are left, and out and back alone take 5.0 s."""
-    sites = sites_of(scene_of())
-    assert sites.propose(VehicleRequest(0, Policy.OVERTAKE, 6.5), SLOW) == []
-    assert sites.overtakes.found_none is Reason.NO_OVERTAKE_FORESEEN
-
-
-def test_queue_on_the_lane_beside_leaves_no_way_past() -> None:
-    """Parked ones every 15 m on lane 2 block it from lane 1, and on lane 2 itself nothing moves."""
+def test_without_a_leader_a_request_for_one_time_or_a_way_past_there_is_no_overtake() -> None:
+    """From 6.5 s on 4.4 s are left, and out and back alone take 5.0 s. Parked ones every 15 m on lane 2 block it from
+    lane 1, and on lane 2 itself nothing moves.
+    """
+    for request, slow, reason in (
+        (OVERTAKE, None, Reason.NO_SLOW_LEADER),
+        (VehicleRequest(0, Policy.OVERTAKE, 6.5), SLOW, Reason.NO_OVERTAKE_FORESEEN),
+    ):
+        sites = sites_of(scene_of())
+        assert sites.propose(request, slow) == []
+        assert sites.overtakes.found_none is reason
     queue = [recorded(10.0 + 15.0 * number, 3.5, 0.0, name=f"q{number}") for number in range(32)]
     assert sites_of(scene_of(*queue)).propose(OVERTAKE, SLOW) == []
 
@@ -125,7 +121,10 @@ def test_what_begins_later_leaves_a_chosen_overtake_as_it_is() -> None:
 
 
 def test_overtakes_asked_for_alone_lead_each_other() -> None:
-    """Of six requests the last ones become slow leaders, with that reason; each overtake has its leader ahead."""
+    """Of six requests the last ones become slow leaders, with that reason; each overtake has its leader ahead.
+
+    A single one has none to lead it.
+    """
     scene = scene_of(agents=6, **ALONE)
     filling = Filling(Surroundings(scene), (0, 0))
     starts = filling.first_starts(6)
@@ -134,9 +133,6 @@ def test_overtakes_asked_for_alone_lead_each_other() -> None:
     leaders = [start for start in starts if start.request.number in lead]
     assert 1 <= len(leaders) == len(lead) <= len(overtakers)  # one may lead two
     assert lead[0] == 5
-
-
-def test_single_overtake_says_that_there_is_none_to_lead() -> None:
     filling = Filling(Surroundings(scene_of(agents=1, **ALONE)), (0, 0))
     (start,) = filling.first_starts(1)
     assert start.request.policy is Policy.STRAIGHT

@@ -30,23 +30,16 @@ def test_mix_adds_up_to_the_count_and_is_off_by_less_than_one(count: int) -> Non
 
 
 def test_shares_are_met_in_the_mean() -> None:
-    """5 % of 10 is one overtake in every other scene; 15 % is one lane change or two."""
+    """5 % of 10 is one overtake in every other scene; 15 % is one lane change or two; of a share of nothing nobody."""
     rng = np.random.default_rng(1)
     found = [Counter(draw_mix(SHARES, rng, count=10)) for _ in range(2000)]
     for policy, share in SHARES.items():
         assert np.mean([one[policy] for one in found]) == pytest.approx(10 * share, abs=0.05)
     assert {one[Policy.OVERTAKE] for one in found} == {0, 1}
     assert {one[Policy.LANE_CHANGE] for one in found} == {1, 2}
-
-
-def test_share_of_nothing_is_nobody() -> None:
     only = {policy: float(policy is Policy.OVERTAKE) for policy in Policy}
     for seed in range(20):
         assert draw_mix(only, np.random.default_rng(seed), count=9) == [Policy.OVERTAKE] * 9
-
-
-def test_fixed_trigger_is_exactly_that() -> None:
-    assert _triggers(50, trigger_min_s=6.0, trigger_max_s=6.0) == [6.0] * 50
 
 
 @pytest.mark.parametrize(
@@ -69,8 +62,9 @@ def test_range_of_triggers_is_uniform_to_its_end(
     assert max(drawn) > high - 0.1 * (high - low)
 
 
-def test_list_of_triggers_is_drawn_from_alike() -> None:
+def test_list_of_triggers_is_drawn_from_alike_and_a_fixed_one_is_exactly_that() -> None:
     """2, 4, 6 s: none but these, each for a third of 600 within 4 SD (4 sqrt(600 * 2 / 9) = 46)."""
+    assert _triggers(50, trigger_min_s=6.0, trigger_max_s=6.0) == [6.0] * 50
     drawn = Counter(_triggers(600, trigger_list_s=(2.0, 4.0, 6.0)))
     assert set(drawn) == {2.0, 4.0, 6.0}
     assert all(abs(count - 200) < 47 for count in drawn.values())

@@ -14,17 +14,16 @@ def _first(seed: int, variant: int, weight: np.ndarray, number: int = 0, of: int
 
 @pytest.mark.parametrize("by", ["variant", "seed"])
 def test_seeds_and_variants_cover_the_sites_instead_of_repeating_them(by: str) -> None:
-    """20 variants (or seeds) over 100 sites of one weight: no site twice, and none of ten stretches is left out."""
+    """20 variants (or seeds) over 100 sites of one weight: no site twice, and none of ten stretches is left out.
+
+    Five of five vehicles of one scene: one in each fifth of the line, wherever it begins.
+    """
     weight = np.ones(100)
     first = [_first(0, k, weight) if by == "variant" else _first(k, 0, weight) for k in range(20)]
     assert len(set(first)) == 20
     assert len({site // 10 for site in first}) == 10
-
-
-def test_vehicles_of_one_scene_look_in_different_parts_of_the_sites() -> None:
-    """Five of five vehicles over 100 sites: one in each fifth of the line, wherever it begins."""
-    first = sorted(_first(3, 4, np.ones(100), number, 5) for number in range(5))
-    assert all(15 <= gap <= 25 for gap in np.diff(first))
+    of_one = sorted(_first(3, 4, weight, number, 5) for number in range(5))
+    assert all(15 <= gap <= 25 for gap in np.diff(of_one))
 
 
 def test_heavier_sites_come_first_more_often() -> None:

@@ -51,10 +51,12 @@ def test_lane_change_is_claimed_at_its_crossing(at_s: float, found: int) -> None
     assert all(one.value == pytest.approx(abs(at_s - 5.0), abs=0.02) for one in seen)
 
 
-def test_manoeuvre_of_another_kind_or_of_none_is_not_seen() -> None:
+def test_manoeuvre_of_another_kind_or_of_none_and_event_with_a_track_that_is_not_there_are_not_seen() -> None:
     scene = states(_drive("gen_0", 20.0, 10.0))
     (one,) = judge_claims(scene, [Claim("gen_0", ManeuverKind.LANE_CHANGE, 5.0)], [])
     assert (one.track_id, one.step, one.value, one.limit) == ("gen_0", 50, math.inf, 0.5)
+    (found,) = judge_claims(scene, [], [EventClaim("lead", "gen_0", "t", 4.0, ahead=True)])
+    assert found.value == math.inf
 
 
 def test_manoeuvres_are_those_of_inserted_vehicles() -> None:
@@ -75,6 +77,9 @@ def test_cut_in_comes_from_beside_into_the_lane_of_the_target_ahead_of_it() -> N
     target, own, claim = _cut_in(0.0, _across(5.0, start=3.5, to=0.0))
     assert event_step(states(target, own), claim) == pytest.approx(50, abs=1)
     assert judge_claims(states(target, own), [], [claim]) == []
+    behind = _cut_in(0.0, _across(5.0, start=3.5, to=0.0), ahead_m=-15.0)
+    for target, own, claim in (behind, _cut_in(0.0, _across(5.0))):  # or out of its lane
+        assert event_step(states(target, own), claim) is None
 
 
 def test_figures_that_are_told_are_those_of_the_states() -> None:
@@ -101,13 +106,6 @@ def test_vehicle_that_is_in_the_lane_all_the_time_cuts_into_nothing() -> None:
         target, own, claim = _cut_in(target_y, own_y)
         (found,) = judge_claims(states(target, own), [], [claim])
         assert (found.track_id, found.other, found.value) == ("gen_0", "t", math.inf)
-
-
-def test_change_behind_the_target_or_out_of_its_lane_is_no_cut_in() -> None:
-    target, own, claim = _cut_in(0.0, _across(5.0, start=3.5, to=0.0), ahead_m=-15.0)
-    assert event_step(states(target, own), claim) is None
-    target, own, claim = _cut_in(0.0, _across(5.0))
-    assert event_step(states(target, own), claim) is None
 
 
 def test_change_of_lanes_far_ahead_of_the_target_is_no_cut_in() -> None:
@@ -180,12 +178,6 @@ def test_paths_that_cut_each_other_where_they_join_are_a_merge() -> None:
     assert crossing_steps(scene, 1, 0) == (pytest.approx(40, abs=1), pytest.approx(80, abs=1))
     assert event_step(scene, EventClaim("cross", "gen_0", "t", 4.0, ahead=True)) is None
     assert event_step(scene, EventClaim("merge", "gen_0", "t", 4.0, ahead=True)) == pytest.approx(40, abs=2)
-
-
-def test_event_with_a_track_that_is_not_there_is_not_seen() -> None:
-    scene = states(_drive("gen_0", 20.0, 10.0))
-    (found,) = judge_claims(scene, [], [EventClaim("lead", "gen_0", "t", 4.0, ahead=True)])
-    assert found.value == math.inf
 
 
 @pytest.mark.parametrize(("kind", "ahead"), [("lead", True), ("follow", False)])

@@ -31,8 +31,11 @@ def test_target_that_closes_in_has_gap_ttc_and_drac() -> None:
 
     A step later the gap is 0.2 m less. At step 30 it is 10 m: TTC 5 s, DRAC 2 * 2 / (2 * 10) = 0.2 m/s2. Up to step 59
     the gap falls to 16 - 5.9 * 2 = 4.2 m: TTC 2.1 s, DRAC 4 / 8.4.
+
+    What comes more than 3 s later is not the event: from step 20 to 50 the gap falls to 6 m. Step 70 has no state.
     """
-    found = measure_event(pair(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0)), "lead", 0, 1, at_step=30)
+    states = pair(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0))
+    found = measure_event(states, "lead", 0, 1, at_step=30)
     assert found.gap_m == pytest.approx(10.0)
     assert found.speed_difference_mps == pytest.approx(-2.0)
     assert (found.min_ttc_s, found.ttc_at_s) == (pytest.approx(2.1, abs=1e-6), pytest.approx(5.9))
@@ -40,14 +43,12 @@ def test_target_that_closes_in_has_gap_ttc_and_drac() -> None:
     assert found.drac_mps2 == pytest.approx(4.0 / 8.4, rel=1e-6)
     assert brakes_for(found.min_ttc_s)
     assert found.pet_s is None
-
-
-def test_what_comes_more_than_three_seconds_later_is_not_the_event() -> None:
-    """From step 20 to 50: the gap falls to 6 m at 2 m/s, and to 4.2 m only later."""
-    found = measure_event(pair(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0)), "lead", 0, 1, at_step=20)
+    found = measure_event(states, "lead", 0, 1, at_step=20)
     assert (found.min_ttc_s, found.ttc_at_s) == (pytest.approx(3.0, abs=1e-6), pytest.approx(5.0))
     assert found.headway_s == pytest.approx(1.0)
     assert found.drac_mps2 == pytest.approx(4.0 / 12.0, rel=1e-6)
+    with pytest.raises(ValueError, match="no state at step 70"):
+        measure_event(states, "lead", 0, 1, at_step=70)
 
 
 def test_target_that_falls_back_needs_no_braking() -> None:
@@ -110,7 +111,7 @@ def test_paths_may_cross_where_one_begins() -> None:
     assert crossing_steps(states, 0, 1) == (0, 40)
 
 
-def test_crossing_has_a_pet() -> None:
+def test_crossing_has_a_pet_and_paths_that_do_not_meet_have_none() -> None:
     """From the south at 10 m/s, 20 m before the crossing: there at step 20. From the west, 40 m before: at step 40.
 
     Between the rear bumper of the first, 2 m + 1 m (half the other's width) behind the point, and the front of the
@@ -119,14 +120,4 @@ def test_crossing_has_a_pet() -> None:
     first = _drive(0.0, -20.0, 10.0, heading=np.pi / 2)
     second = _drive(-40.0, 0.0, 10.0)
     assert post_encroachment_of(pair(first, second), 0, 1) == pytest.approx(1.4, abs=0.21)
-
-
-def test_paths_that_do_not_meet_have_no_crossing() -> None:
-    """Two cars side by side."""
-    assert post_encroachment_of(pair(_drive(0.0, 0.0, 10.0), _drive(0.0, 4.0, 10.0)), 0, 1) is None
-
-
-def test_moment_without_a_state_is_an_error() -> None:
-    """Step 70 of a track of 60 steps."""
-    with pytest.raises(ValueError, match="no state at step 70"):
-        measure_event(pair(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0)), "lead", 0, 1, at_step=70)
+    assert post_encroachment_of(pair(_drive(0.0, 0.0, 10.0), _drive(0.0, 4.0, 10.0)), 0, 1) is None  # side by side

@@ -128,16 +128,12 @@ def test_heading_against_the_lane(degrees: float, inside: bool, found: int) -> N
     assert all(one.value == pytest.approx(degrees) for one in seen)
 
 
-def test_heading_against_a_lane_that_leads_up_the_map() -> None:
-    """The lane at 90 degrees, the box that stands on it at 20: 70 degrees between them."""
+def test_driving_against_the_lane_is_found_and_heading_against_one_that_leads_up_the_map() -> None:
+    """Turned round, and in reverse. The lane at 90 degrees, the box that stands on it at 20: 70 degrees apart."""
     ring = np.array([(-50.0, -50.0), (150.0, -50.0), (150.0, 350.0), (-50.0, 350.0), (-50.0, -50.0)])
     graph = LaneGraph({1: draw_lane(1, [(50.0, -40.0), (50.0, 300.0)])}, drivable_areas=(ring,))
     (seen,) = judge(states_on(graph, _at("gen_0", 50.0, 0.0, heading=np.radians(20.0))), graph, Bounds())
     assert (seen.quantity, seen.value) == (Quantity.AGAINST_LANE, pytest.approx(70.0))
-
-
-def test_driving_against_the_lane_is_found() -> None:
-    """Turned round, and in reverse."""
     for heading in (np.pi, 0.0):
         seen = judged(_at("gen_0", 200.0, -10.0, heading=heading))
         assert Quantity.AGAINST_LANE in {one[1] for one in seen}

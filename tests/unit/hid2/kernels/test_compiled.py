@@ -77,17 +77,13 @@ def test_set_up_compiles_once_and_says_so(room: Path) -> None:
     assert run(room).stdout.split() == ["3.0", "1"]
 
 
-def test_code_is_kept_elsewhere_where_sources_cannot_be_written(room: Path) -> None:
+def test_code_is_kept_elsewhere_where_sources_cannot_be_written_and_runs_where_nothing_can(room: Path) -> None:
     """Where NUMBA_CACHE_DIR says; also for root, since a file is where the folder would be."""
     (room / "__pycache__").write_text("")
     chosen = room.parents[1] / "chosen"
     assert run(room, NUMBA_CACHE_DIR=str(chosen)).stdout.split() == ["2.0", "0"]
     assert run(room, NUMBA_CACHE_DIR=str(chosen)).stdout.split() == ["2.0", "1"]
     assert list(chosen.rglob("*.nbi"))
-
-
-def test_kernels_run_where_nothing_can_be_written(room: Path) -> None:
-    (room / "__pycache__").write_text("")
     nothing = room.parents[1] / "nothing"
     nothing.write_text("")
     places = {"HOME": str(nothing), "XDG_CACHE_HOME": str(nothing)}

@@ -39,6 +39,8 @@ def test_rear_end_conflict_by_hand() -> None:
 def test_crossing_conflict_by_hand() -> None:
     """From the south, there at step 20, from the west 13 steps later: 1.3 s less 3 m each at 10 m/s, and half a step
     of swept box to each side: PET 0.6 s. TTC is never below 1.5 s: the first is gone before. It comes from the left.
+
+    If the first ends at step 25 and the second begins at step 27, passing times are the same.
     """
     first, second = _straight("a", (0, -20), 10.0, 90), _straight("b", (-33, 0), 10.0, 0)
     (found,) = conflicts(stack([first, second], step_s=0.1))
@@ -46,13 +48,8 @@ def test_crossing_conflict_by_hand() -> None:
     assert (found.start_s, found.end_s) == pytest.approx((2.0, 3.3), abs=0.11)
     assert found.pet_s == pytest.approx(0.6, abs=0.11)
     assert (found.angle_deg, found.delta_s_mps) == pytest.approx((-90.0, 10.0 * 2**0.5))
-
-
-def test_crossing_conflict_of_vehicles_that_are_never_there_together() -> None:
-    """As above, but the first ends at step 25 and the second begins at step 27: passing times are the same."""
     first, second = _straight("a", (0, -20), 10.0, 90, steps=26), _straight("b", (-6, 0), 10.0, 0)
-    second = replace(second, timesteps=second.timesteps + 27)
-    (found,) = conflicts(stack([first, second], step_s=0.1))
+    (found,) = conflicts(stack([first, replace(second, timesteps=second.timesteps + 27)], step_s=0.1))
     assert (found.first_id, found.second_id, found.kind, found.ttc_s) == ("a", "b", "crossing", None)
     assert (found.start_s, found.time_s, found.end_s) == pytest.approx((2.0, 2.0, 3.3), abs=0.11)
     assert (found.drac_mps2, found.max_s_mps) == (0.0, pytest.approx(10.0))
@@ -106,18 +103,15 @@ def test_two_conflicts_of_a_pair_more_than_five_seconds_apart_are_two() -> None:
     assert [one.start_s < 1.0 for one in conflicts(stack(close, step_s=0.1))] == [True, False]
 
 
-def test_pair_that_is_not_closing_in_needs_no_braking() -> None:
-    course = pair_course(stack([_straight("a", (0, 0), 8.0, 0), _straight("b", (20, 0), 10.0, 0)], step_s=0.1), 0, 1)
-    assert (course.drac_mps2.max(), course.ttc_s.min()) == (0.0, np.inf)
-    assert course.gap_m[0] == pytest.approx(16.0)
-    assert course.headway_s[0] == pytest.approx(20.0 / 8.0)
-
-
 def test_follower_of_a_vehicle_that_comes_from_beside_has_a_drac_though_the_boxes_would_pass() -> None:
     """12 m/s behind 10 m/s, 16 m between the bumpers, 3 m beside: 2^2 / (2 * 16) at first; boxes of 2 m never touch."""
     course = pair_course(stack([_straight("a", (0, 0), 12.0, 0), _straight("b", (20, 3), 10.0, 0)], step_s=0.1), 0, 1)
     assert (course.drac_mps2.max(), course.ttc_s.min()) == (0.0, np.inf)
     assert course.follower_drac_mps2[0] == pytest.approx(4.0 / 32.0, rel=1e-3)
+    course = pair_course(stack([_straight("a", (0, 0), 8.0, 0), _straight("b", (20, 0), 10.0, 0)], step_s=0.1), 0, 1)
+    assert (course.drac_mps2.max(), course.ttc_s.min()) == (0.0, np.inf)  # not closing in
+    assert course.gap_m[0] == pytest.approx(16.0)
+    assert course.headway_s[0] == pytest.approx(20.0 / 8.0)
 
 
 def test_lane_change_has_its_gaps_and_what_its_follower_had_to_do() -> None:

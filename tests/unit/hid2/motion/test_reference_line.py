@@ -21,7 +21,7 @@ def _inside(line: ReferenceLine) -> slice:
     return slice(0, int(line.length_m / TABLE_STEP_M) + 1)
 
 
-def test_straight_line_stays_as_it_is(straight_line: ReferenceLine) -> None:
+def test_straight_line_stays_as_it_is_and_goes_straight_on_past_its_ends(straight_line: ReferenceLine) -> None:
     s = np.array([0.0, 12.3, 200.0])
     assert straight_line.length_m == pytest.approx(200.0)
     assert straight_line.position(s) == pytest.approx(np.column_stack([s, np.zeros(3)]), abs=1e-6)
@@ -30,6 +30,9 @@ def test_straight_line_stays_as_it_is(straight_line: ReferenceLine) -> None:
     at = np.arange(straight_line.table_xy.shape[0])[rows] * TABLE_STEP_M
     assert straight_line.table_xy[rows] == pytest.approx(straight_line.position(at), abs=1e-6)
     assert straight_line.table_heading[rows] == pytest.approx(np.zeros(at.size), abs=1e-6)
+    past = np.array([-3.0, 205.0])
+    assert straight_line.position(past) == pytest.approx(np.array([[-3.0, 0.0], [205.0, 0.0]]), abs=1e-6)
+    assert straight_line.motion(past)[2].tolist() == [1.0, 1.0]
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
@@ -82,13 +85,6 @@ def test_parameter_is_arc_length() -> None:
     x = np.arange(0.0, 120.0, 2.0)
     line = _line(np.column_stack([x, 4.0 * np.sin(x / 12.0)]))
     assert np.abs(line.motion(np.linspace(0.0, line.length_m, 400))[2] - 1.0).max() < 5e-3
-
-
-def test_line_goes_straight_on_past_its_ends(straight_line: ReferenceLine) -> None:
-    assert straight_line.position(np.array([-3.0, 205.0])) == pytest.approx(
-        np.array([[-3.0, 0.0], [205.0, 0.0]]), abs=1e-6
-    )
-    assert straight_line.motion(np.array([-3.0, 205.0]))[2].tolist() == [1.0, 1.0]
 
 
 @pytest.mark.parametrize("length", [0.25, 1.0, 4.0])

@@ -1,4 +1,3 @@
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -87,12 +86,21 @@ def _all_drivable(forked: LaneGraph) -> LaneGraph:
     return LaneGraph({**forked.lanes, 5: replace(forked.lanes[5], lane_type="VEHICLE")})
 
 
-def test_routes_follow_the_order_chosen_at_a_split(forked: LaneGraph) -> None:
-    def routes(choose: Callable[[int, tuple[int, ...]], tuple[int, ...]]) -> list[tuple[int, ...]]:
-        return list(routes_from(_all_drivable(forked), 1, choose=choose, most=9))
+def test_routes_follow_the_order_chosen_at_a_split_and_are_cut_when_long_enough_and_counted(
+    forked: LaneGraph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Lane 2 leads only onto the bus lane: a route that stopped there would stop in the middle of the road."""
 
-    assert routes(lambda _, onward: onward) == [(1, 2, 5), (1, 3, 4)]
-    assert routes(lambda _, onward: onward[::-1]) == [(1, 3, 4), (1, 2, 5)]
+    def routes(graph: LaneGraph, order: int = 1, most: int = 9) -> list[tuple[int, ...]]:
+        return list(routes_from(graph, 1, choose=lambda _, onward: onward[::order], most=most))
+
+    open_to_all = _all_drivable(forked)
+    assert routes(open_to_all) == [(1, 2, 5), (1, 3, 4)]
+    assert routes(open_to_all, order=-1) == [(1, 3, 4), (1, 2, 5)]
+    assert routes(open_to_all, most=1) == [(1, 2, 5)]
+    assert routes(forked) == [(1, 3, 4)]
+    monkeypatch.setattr("hid2.motion.route.ROUTE_LONGEST_M", 60.0)
+    assert routes(open_to_all) == [(1, 2), (1, 3)]
 
 
 def test_straightest_lane_at_a_split_is_the_one_that_turns_least_either_way() -> None:
@@ -121,21 +129,6 @@ def test_lane_before_that_goes_straight_on_comes_before_one_that_turns_onto_it()
     })  # fmt: skip
     assert straightest_first(made, 3, (1, 2)) == (2, 1)
     assert LanePaths(made, Limits()).route_beside((1,), 3) == (2, 3)
-
-
-def test_route_never_ends_before_a_lane_that_may_not_be_used(forked: LaneGraph) -> None:
-    """Lane 2 leads only onto the bus lane: a route that stopped there would stop in the middle of the road."""
-    found = routes_from(forked, 1, choose=lambda _, onward: onward, most=9)
-    assert list(found) == [(1, 3, 4)]
-
-
-def test_routes_are_cut_when_long_enough_and_counted(forked: LaneGraph, monkeypatch: pytest.MonkeyPatch) -> None:
-    def routes(most: int, longest_m: float) -> list[tuple[int, ...]]:
-        monkeypatch.setattr("hid2.motion.route.ROUTE_LONGEST_M", longest_m)
-        return list(routes_from(_all_drivable(forked), 1, choose=lambda _, onward: onward, most=most))
-
-    assert routes(1, 500.0) == [(1, 2, 5)]
-    assert routes(9, 60.0) == [(1, 2), (1, 3)]
 
 
 @pytest.mark.parametrize(("look_back_m", "route"), [(0.0, (5,)), (30.0, (4, 5)), (50.0, (3, 4, 5)), (500.0, (3, 4, 5))])

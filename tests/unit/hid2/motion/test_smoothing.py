@@ -32,10 +32,16 @@ def test_steps_of_the_acceleration_are_taken_out() -> None:
 
 
 def test_exported_way_stays_by_the_simulated_one() -> None:
-    """A queue: from 10 m/s to a stand behind somebody and off again; s(t) stays within half a metre."""
+    """A queue: from 10 m/s to a stand behind somebody and off again; s(t) stays within half a metre.
+
+    Cubic between two steps: the increment is dt (v0 + v1) / 2 - dt^2 (a1 - a0) / 12.
+    """
     t = DT * np.arange(110)
     v = np.clip(np.where(t < 6.0, 10.0 - 2.5 * np.clip(t - 1.0, 0.0, None), 1.6 * (t - 6.0)), 0.0, 10.0)
     assert np.abs(_smooth(v).s - _driven(v)).max() < 0.5
+    motion = _smooth(8.0 + 2.0 * np.sin(0.1 * np.arange(110)))
+    step = 0.5 * DT * (motion.v[1:] + motion.v[:-1]) - DT**2 / 12 * np.diff(motion.a)
+    assert np.diff(motion.s) == pytest.approx(step)
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -86,13 +92,6 @@ def test_eased_ends_leave_the_middle_as_it_is() -> None:
     assert abs(eased.a[0]) < 0.5 * abs(plain.a[0])
 
 
-def test_s_is_the_integral_of_v() -> None:
-    """Cubic between two steps: the increment is dt (v0 + v1) / 2 - dt^2 (a1 - a0) / 12."""
-    motion = _smooth(8.0 + 2.0 * np.sin(0.1 * np.arange(110)))
-    step = 0.5 * DT * (motion.v[1:] + motion.v[:-1]) - DT**2 / 12 * np.diff(motion.a)
-    assert np.diff(motion.s) == pytest.approx(step)
-
-
 @pytest.fixture(scope="module")
 def circle() -> ReferenceLine:
     """A left bend of 25 m around (0, 25)."""
@@ -105,23 +104,23 @@ def circle() -> ReferenceLine:
 MOTION = Motion(s=5.0 + 1.0 * np.arange(50), v=np.full(50, 10.0), a=np.zeros(50), step_s=0.1)
 
 
-def test_poses_lie_on_the_line_and_move_along_it(circle: ReferenceLine) -> None:
-    """At 10 m/s: heading is the tangent, velocity the derivative of position."""
+def test_poses_lie_on_the_line_and_move_along_it_and_the_place_in_the_lane_is_added_along_the_normal(
+    circle: ReferenceLine,
+) -> None:
+    """At 10 m/s: heading is the tangent, velocity the derivative of position.
+
+    P = r + d n, half a metre left of a left bend of 25 m: a circle of 24.5 m, driven at 10 * 24.5 / 25 = 9.8 m/s.
+    """
     found = trajectory(circle, MOTION, MIDDLE)
     assert np.abs(np.hypot(*(found.position - [0.0, 25.0]).T) - 25.0).max() < 0.03
     derived = np.gradient(found.position, DT, axis=0)[1:-1]
     assert np.abs(derived - found.velocity[1:-1]).max() < 0.05
     course = np.arctan2(derived[:, 1], derived[:, 0])
     assert np.abs(np.sin(course - found.heading[1:-1])).max() < 5e-3
-
-
-def test_place_in_the_lane_is_added_along_the_normal(circle: ReferenceLine) -> None:
-    """P = r + d n, half a metre left of a left bend of 25 m: a circle of 24.5 m, driven at 10 * 24.5 / 25 = 9.8 m/s."""
-    left = LaneOffset(np.array([0.0, 100.0]), np.full(2, 0.5), np.zeros(2))
-    found = trajectory(circle, MOTION, left)
-    assert np.abs(np.hypot(*(found.position - [0.0, 25.0]).T) - 24.5).max() < 0.03
-    assert np.hypot(*found.velocity.T)[5:-5] == pytest.approx(np.full(40, 9.8), abs=0.06)
-    assert found.heading == pytest.approx(trajectory(circle, MOTION, MIDDLE).heading)
+    left = trajectory(circle, MOTION, LaneOffset(np.array([0.0, 100.0]), np.full(2, 0.5), np.zeros(2)))
+    assert np.abs(np.hypot(*(left.position - [0.0, 25.0]).T) - 24.5).max() < 0.03
+    assert np.hypot(*left.velocity.T)[5:-5] == pytest.approx(np.full(40, 9.8), abs=0.06)
+    assert left.heading == pytest.approx(found.heading)
 
 
 def test_heading_follows_who_drifts_aside(straight_line: ReferenceLine) -> None:

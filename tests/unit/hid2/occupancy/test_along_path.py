@@ -12,15 +12,12 @@ from netconvert.geometry import box_corners
 
 
 def test_box_ahead_forbids_from_bumper_to_bumper(straight_line: ReferenceLine) -> None:
-    """Both 4 m long: 50 - 4 = 46 to 54. It drives at 6 m/s along the path."""
+    """Both 4 m long: 50 - 4 = 46 to 54. It drives at 6 m/s along the path. An oncoming one is not aligned with it."""
     found = occupancy_of(straight_line, draw_box(50.0, 0.0, 0.0, 6.0, steps=3, **SIZE._asdict()))
     assert found.low[0, 0] == pytest.approx(46.0, abs=0.51)
     assert found.high[0, 0] == pytest.approx(54.0, abs=0.51)
     assert found.along[0, 0] == pytest.approx(6.0)
     assert found.same_direction.all()
-
-
-def test_oncoming_box_is_not_aligned_and_moves_against_the_path(straight_line: ReferenceLine) -> None:
     found = occupancy_of(straight_line, draw_box(50.0, 0.0, np.pi, 6.0, steps=3, **SIZE._asdict()))
     assert found.along[0, 0] == pytest.approx(-6.0)
     assert not found.same_direction.any()
@@ -47,7 +44,7 @@ def test_place_of_who_crosses_is_kept_clear_before_and_after(straight_line: Refe
 
     Its box (4.5 m) and the own one (1.9 m wide) touch while |y| <= 2.25 + 0.95 = 3.2 m: from 1.68 to 2.32 s, steps
     17 to 23. With 10 steps of PET that place is taken from 0.7 to 3.3 s, 0.5 m narrower on both sides; at the steps of
-    the crossing itself nothing changes.
+    the crossing itself nothing changes. A leader holds no more than where it is.
     """
     crossing = draw_box(50.0, -20.0, np.pi / 2, 10.0)
     found = path_occupancy(straight_line, crossing, BoxSize(4.5, 1.9))
@@ -59,6 +56,9 @@ def test_place_of_who_crosses_is_kept_clear_before_and_after(straight_line: Refe
     assert clear.low[0, 10] == pytest.approx(found.low[0, 17] + 0.5)
     assert clear.high[0, 30] == pytest.approx(found.high[0, 23] - 0.5)
     assert not clear.same_direction.any()
+    found = path_occupancy(straight_line, draw_box(50.0, 0.0, 0.0, 10.0), BoxSize(4.5, 1.9))
+    assert np.array_equal(found.kept_clear(10).low, found.low)
+    assert np.array_equal(found.kept_clear(10).high, found.high)
 
 
 def test_way_of_one_that_turns_across_is_kept_clear_from_its_first_touch_on() -> None:
@@ -73,13 +73,6 @@ def test_way_of_one_that_turns_across_is_kept_clear_from_its_first_touch_on() ->
     assert np.flatnonzero(np.isfinite(clear.low[0])).tolist() == list(range(3, 11))
     assert (clear.low[0, 3], clear.high[0, 3]) == (50.5, 57.5)
     assert (clear.low[0, 10], clear.high[0, 10]) == (44.5, 51.5)
-
-
-def test_leader_holds_no_more_than_where_it_is(straight_line: ReferenceLine) -> None:
-    found = path_occupancy(straight_line, draw_box(50.0, 0.0, 0.0, 10.0), BoxSize(4.5, 1.9))
-    clear = found.kept_clear(10)
-    assert np.array_equal(clear.low, found.low)
-    assert np.array_equal(clear.high, found.high)
 
 
 def _around(line: ReferenceLine, rng: np.random.Generator, *, steps: int = 12) -> Traffic:

@@ -29,15 +29,20 @@ def test_leader_and_follower_are_the_next_ones_bumper_to_bumper_with_their_speed
     assert (found.lead_mps[0], found.lag_mps[0]) == pytest.approx((6.0, 9.0))
 
 
-def test_each_place_is_asked_at_its_own_step(seen: PathOccupancy) -> None:
-    """After 1 s the one from 60 m is at 66 m, ahead of 65 m and behind 67 m."""
+def test_each_place_is_asked_at_its_own_step_side_by_side_too_and_only_those_asked_for_count(
+    seen: PathOccupancy,
+) -> None:
+    """After 1 s the one from 60 m is at 66 m, ahead of 65 m and behind 67 m.
+
+    At 59 m one at 60 m is the leader, 1 - 4.5 m away; at 61 m it is the follower. Who stands across at 75 m is next on
+    the path, and leads nobody: the one at 90 m does.
+    """
     found = gaps_on_path(seen, np.array([65.0, 65.0, 67.0]), np.array([0, 10, 10]))
     assert seen.agents[found.follower].tolist() == [1, 0, 1]
     assert seen.agents[found.leader].tolist() == [3, 1, 3]
-
-
-def test_only_those_asked_for_count(seen: PathOccupancy) -> None:
-    """Who stands across at 75 m is next on the path, and leads nobody: the one at 90 m does."""
+    found = gaps_on_path(seen, np.array([59.0, 61.0]), 0)
+    assert (seen.agents[found.leader[0]], seen.agents[found.follower[1]]) == (1, 1)
+    assert (found.lead_m[0], found.lag_m[1]) == pytest.approx((-3.5, -3.5), abs=0.6)
     at = np.array([70.0])
     assert seen.agents[gaps_on_path(seen, at, 0).leader[0]] == 3
     assert seen.agents[gaps_on_path(seen, at, 0, among=seen.same_direction).leader[0]] == 2
@@ -48,13 +53,6 @@ def test_nobody_is_infinitely_far_away_and_stands(seen: PathOccupancy) -> None:
         found = gaps_on_path(empty, np.array([40.0]), 0)
         assert (found.leader[0], found.follower[0]) == (-1, -1)
         assert (found.lead_m[0], found.lag_m[0], found.lead_mps[0], found.lag_mps[0]) == (np.inf, np.inf, 0.0, 0.0)
-
-
-def test_side_by_side_is_a_negative_gap_to_the_one_whose_middle_is_ahead(seen: PathOccupancy) -> None:
-    """At 59 m one at 60 m is the leader, 1 - 4.5 m away; at 61 m it is the follower."""
-    found = gaps_on_path(seen, np.array([59.0, 61.0]), 0)
-    assert (seen.agents[found.leader[0]], seen.agents[found.follower[1]]) == (1, 1)
-    assert (found.lead_m[0], found.lag_m[1]) == pytest.approx((-3.5, -3.5), abs=0.6)
 
 
 def test_one_that_comes_back_along_the_path_has_no_speed_along_it(straight_path: DrivenPath) -> None:

@@ -64,14 +64,14 @@ def test_vehicle_occupies_every_cell_its_box_covers(
 
 
 def test_occupancy_follows_the_vehicle_and_releases_the_cells_behind(grid: CellGrid, boxes: CellBoxes) -> None:
-    """10 m/s from x = 6: after 1 s at 16. Cell 1 (4 .. 8) is free again, cell 4 (16 .. 20) is held."""
+    """10 m/s from x = 6: after 1 s at 16. Cell 1 (4 .. 8) is free again, cell 4 (16 .. 20) is held.
+
+    One that is absent occupies nothing.
+    """
     sigma = original_occupancy(boxes, draw_box(6.0, 0.0, 0.0, 10.0, steps=11)).sigma
     one, four = grid.index_of[Cell(1, 1)], grid.index_of[Cell(1, 4)]
     assert sigma[0, [one, four]].tolist() == [ORIGINAL, FREE]
     assert sigma[10, [one, four]].tolist() == [FREE, ORIGINAL]
-
-
-def test_absent_agent_occupies_nothing(boxes: CellBoxes) -> None:
     found = original_occupancy(boxes, draw_box(14.0, 0.0, steps=4, first=2))
     assert not found.sigma[:2].any()
     assert (found.cell[0] >= 0).tolist() == [False, False, True, True]

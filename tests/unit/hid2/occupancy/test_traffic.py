@@ -10,7 +10,7 @@ from hid2.occupancy.traffic import traffic_of
 
 
 def test_gap_inside_a_track_is_filled_on_the_straight_between() -> None:
-    """States at 1 and 3 only: x = 0 and 4, so x = 2 at step 2; nothing before step 1 or after step 3.
+    """States at 1 and 3 only: x = 0 and 4, so x = 2 at step 2; nothing before step 1 or after step 3. One state stands.
 
     step      0   1   2   3   4
     x         -   0  (2)  4   -
@@ -18,6 +18,9 @@ def test_gap_inside_a_track_is_filled_on_the_straight_between() -> None:
     traffic = traffic_of([draw_track([1, 3], [0.0, 4.0])], 5, step_s=0.1)
     assert traffic.present[0].tolist() == [False, True, True, True, False]
     assert traffic.position[0, 1:4, 0].tolist() == [0.0, 2.0, 4.0]
+    traffic = traffic_of([draw_track([2], [7.0])], 4, step_s=0.1)
+    assert traffic.present[0].tolist() == [False, False, True, False]
+    assert traffic.velocity[0, 2].tolist() == [0.0, 0.0]
 
 
 def test_agent_is_there_a_little_before_it_is_seen_and_after() -> None:
@@ -74,12 +77,6 @@ def test_velocity_is_the_slower_of_what_is_stated_and_what_positions_show_if_tha
     assert traffic.velocity[1, :3, 0] == pytest.approx([other] * 3)
 
 
-def test_single_state_stands() -> None:
-    traffic = traffic_of([draw_track([2], [7.0])], 4, step_s=0.1)
-    assert traffic.present[0].tolist() == [False, False, True, False]
-    assert traffic.velocity[0, 2].tolist() == [0.0, 0.0]
-
-
 def test_box_covers_the_label_and_what_readers_assume() -> None:
     """Readers without the label take a vehicle for 4.5 x 1.9: a label of 4.2 x 2.1 becomes 4.5 x 2.1."""
     traffic = traffic_of([draw_track([0], [0.0], size=BoxSize(4.2, 2.1))], 1, step_s=0.1)
@@ -93,9 +90,6 @@ def test_joined_rows_and_steps_keep_the_order() -> None:
     assert both.rows([1]).position[0, 3].tolist() == pytest.approx([5.0, 0.0])
     assert both.at(3).num_steps == 1
     assert both.at(3).position[:, 0, 0] == pytest.approx([1.0, 5.0])
-
-
-def test_nobody_is_a_traffic_too() -> None:
     nobody = traffic_of([], 110, step_s=0.1)
     assert nobody.num_steps == 110
     assert nobody.joined(draw_box(0.0, 0.0)).ids == ("a",)

@@ -31,14 +31,11 @@ def test_safe_gap_is_time_gap_plus_braking_of_the_difference(
     assert safe_gap_m(follower_mps, leader_mps, time_gap_s=0.8, params=PARAMS) == pytest.approx(gap_m)
 
 
-def test_lane_change_into_an_open_lane_is_feasible() -> None:
-    assert _first(**OPEN, params=PARAMS) is None
-    assert _first(**{**OPEN, "front": NO_GAP, "rear": NO_GAP}, params=PARAMS) is None
-
-
 @pytest.mark.parametrize(
     ("changed", "reason"),
     [
+        ({}, None),
+        ({"front": NO_GAP, "rear": NO_GAP}, None),
         ({"cells_free": False}, "cells_occupied"),
         ({"front": Gap(5.9, 10.0)}, "front_gap"),  # 0.6 s * 10 m/s = 6 m
         ({"front": Gap(30.0, 0.0)}, "front_gap"),  # 6 + 10^2 / 4 = 31 m to a standing vehicle

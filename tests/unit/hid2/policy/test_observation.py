@@ -197,7 +197,10 @@ def test_cells_are_looked_at_over_the_ends_of_their_lanes(s: float, x: float, fi
 
 
 def test_leader_is_the_next_one_on_the_path_within_d_obs(straight_path: DrivenPath) -> None:
-    """At 50 and 70 m on the own lane, at 45 m on the next lane; own centre at 30: the one at 50, gap 20 - 4.5 m."""
+    """At 50 and 70 m on the own lane, at 45 m on the next lane; own centre at 30: the one at 50, gap 20 - 4.5 m.
+
+    None leads from behind, far beyond d_obs, or across.
+    """
     vehicles = (
         draw_box(70.0, 0.0, name="far")
         .joined(draw_box(50.0, 0.0, 0.0, 6.0, name="near"))
@@ -208,9 +211,6 @@ def test_leader_is_the_next_one_on_the_path_within_d_obs(straight_path: DrivenPa
     assert leader.track_id == "near"
     assert leader.distance_m == pytest.approx(15.5, abs=0.6)
     assert leader.speed_mps == pytest.approx(6.0)
-
-
-def test_nobody_is_a_leader_behind_far_beyond_d_obs_or_across(straight_path: DrivenPath) -> None:
     for other in (draw_box(10.0, 0.0), draw_box(90.0, 0.0), draw_box(50.0, 0.0, np.pi / 2)):
         assert leader_on(straight_path, CAR, s=30.0, d_obs_m=40.0, here=other.at(0)) is None
 

@@ -116,13 +116,10 @@ def test_predicate_that_fails_is_told_with_file_and_line(module: str) -> None:
         is_shown(policy, None, None)  # type: ignore[arg-type]
 
 
-def test_policy_of_a_name_is_one_object() -> None:
+def test_policy_of_a_name_is_one_object_and_shares_that_are_named_are_all_that_there_are() -> None:
+    """As with the paper's: one that is not named gets none, one that is named twice is an error."""
     assert Policy("overtake") is Policy.OVERTAKE
     assert pickle.loads(pickle.dumps(Policy("keep_right"))) is Policy("keep_right")  # own bytes
-
-
-def test_shares_that_are_named_are_all_that_there_are() -> None:
-    """As with the paper's: one that is not named gets none, one that is named twice is an error."""
     before = {"request.own": "mine:x=0.5"}
     config = load_config(None, [], before | parse_behaviours("straight=1"))
     assert config.request.own_behaviours == {}

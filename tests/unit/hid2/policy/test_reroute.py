@@ -42,8 +42,8 @@ def test_the_next_split_ahead_offers_every_other_lane_for_vehicles(s: float, way
     assert _routes(_tree(), s) == ways
 
 
-def test_split_at_the_place_from_which_it_may_turn_off_is_offered() -> None:
-    """From the end of lane 1 on: the split there counts, 1 mm farther on it does not."""
+def test_split_at_the_place_from_which_it_may_turn_off_is_offered_and_straight_on_comes_first() -> None:
+    """From the end of lane 1 on: the split there counts, 1 mm farther on it does not. Without topology nothing does."""
     scene = _tree()
     path = scene.paths.along((1, 2, 4))
     at = path.segments[0].end
@@ -52,11 +52,9 @@ def test_split_at_the_place_from_which_it_may_turn_off_is_offered() -> None:
         for from_m in (at, at + 1e-3)
     ]
     assert routes == [[1, 3], [1, 2, 5]]
-
-
-def test_straight_on_comes_first() -> None:
-    assert _routes(_tree(), 10.0, (1, 3)) == [[1, 2, 4]]
-    assert _routes(_tree(), 60.0, (1, 2, 5)) == [[1, 2, 4]]
+    assert _routes(scene, 10.0, (1, 3)) == [[1, 2, 4]]
+    assert _routes(scene, 60.0, (1, 2, 5)) == [[1, 2, 4]]
+    assert _routes(_tree(Config(without=frozenset({"topology"}))), 10.0) == []
 
 
 def test_way_so_far_is_the_same_on_both() -> None:
@@ -66,7 +64,3 @@ def test_way_so_far_is_the_same_on_both() -> None:
     s = np.linspace(0.0, 30.0, 31)
     at = other.all_to_line(path.all_to_raw(s))
     assert other.line.position(at) == pytest.approx(path.line.position(s), abs=0.02)
-
-
-def test_nothing_links_lanes_without_topology() -> None:
-    assert _routes(_tree(Config(without=frozenset({"topology"}))), 10.0) == []

@@ -104,12 +104,9 @@ def test_users_function_is_asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
         ConfigError, match=r"own_rule:unsure': .*own_rule.py:3: it answered 'yes', expected True or False"
     ):
         rule_reason(VIEW, LaneChange(rule="own_rule:unsure"))
-
-
-@pytest.mark.parametrize(("name", "words"), [("nowhere_to_find:f", "No module"), ("math:nothing", "nothing")])
-def test_rule_that_is_not_there_is_named(name: str, words: str) -> None:
-    with pytest.raises(ConfigError, match=words):
-        rule_reason(VIEW, LaneChange(rule=name))
+    for name, words in (("nowhere_to_find:f", "No module"), ("math:nothing", "nothing")):
+        with pytest.raises(ConfigError, match=words):
+            rule_reason(VIEW, LaneChange(rule=name))
 
 
 #: Files of a rule `accept` that no scene may be driven with: the text, the line that is to blame, and what is said.
@@ -195,8 +192,11 @@ def test_change_to_a_free_lane_is_expected_of_every_rule_with_an_incentive() -> 
     assert refusal_of_free_lane(usual_driver(10.0), never, speed_mps=2.0) is Reason.MOBIL_NO_ADVANTAGE
 
 
-def test_paper_rule_unasked_wants_a_faster_leader_unless_mandatory() -> None:
-    """Here 8 m/s ahead; there 9 m/s (1 m/s more: too little) or 9.6 m/s, 1.6 m/s more than 8: worth it."""
+def test_rules_unasked_want_an_advantage_unless_mandatory() -> None:
+    """Here 8 m/s ahead; there 9 m/s (1 m/s more: too little) or 9.6 m/s, 1.6 m/s more than 8: worth it by the paper's.
+
+    MOBIL that must asks for safety alone.
+    """
     params = LaneChange(rule="paper")
     slow = replace(VIEW, own_front=Gap(20.0, 8.0), front=Gap(60.0, 9.0))
     assert not accepts_unasked(slow, params, mandatory=False)
@@ -206,9 +206,6 @@ def test_paper_rule_unasked_wants_a_faster_leader_unless_mandatory() -> None:
     assert not accepts_unasked(fast, params.model_copy(update={"rule_with": "incentive=2.0"}), mandatory=False)
     assert accepts_unasked(replace(slow, front=OPEN), params, mandatory=False)  # 10 m/s wished for
     assert not accepts_unasked(replace(fast, cells_free=False), params, mandatory=True)
-
-
-def test_mobil_that_must_asks_for_safety_alone() -> None:
     behind = replace(VIEW, own_front=OPEN, front=Gap(15.0, 8.0))  # slower there: nothing to gain
     assert not accepts_unasked(behind, MOBIL, mandatory=False)
     assert accepts_unasked(behind, MOBIL, mandatory=True)

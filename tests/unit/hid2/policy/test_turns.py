@@ -21,23 +21,29 @@ def _inside(line: ReferenceLine) -> slice:
     return slice(0, int(line.length_m / TABLE_STEP_M) + 1)
 
 
-def test_shape_is_one_at_both_ends_and_lowest_at_its_trough() -> None:
-    """Trough 0.65 at alpha = 0.4. Half way down, at 0.2: 1 - 0.35 * (1 - cos(pi / 2)) / 2 = 0.825; at 0.7 as well."""
+def test_shape_is_one_at_both_ends_lowest_at_its_trough_and_smooth() -> None:
+    """Trough 0.65 at alpha = 0.4. Half way down, at 0.2: 1 - 0.35 * (1 - cos(pi / 2)) / 2 = 0.825; at 0.7 as well.
+
+    The slope at the ends and at the trough is zero: no jump of acceleration on entering.
+    """
     assert turn_shape(np.array([0.0, 0.2, 0.4, 0.7, 1.0]), 0.65, 0.4) == pytest.approx([1.0, 0.825, 0.65, 0.825, 1.0])
-
-
-def test_shape_is_smooth_where_its_halves_meet() -> None:
-    """The slope at the ends and at the trough is zero: no jump of acceleration on entering."""
     slope = np.gradient(turn_shape(np.linspace(0, 1, 10001), 0.65, 0.4), 1e-4)
     assert np.abs(slope[[1, 4000, -2]]).max() < 2e-2
     assert np.abs(np.diff(slope)).max() < 2e-3
 
 
 def test_cap_on_a_circle_is_the_root_of_lateral_acceleration_times_radius() -> None:
-    """R = 10 m, a_y = 2.5 m/s2: v = sqrt(25) = 5 m/s, below the yaw-rate cap of 0.8 * 0.95 * 10 = 7.6 m/s."""
+    """R = 10 m, a_y = 2.5 m/s2: v = sqrt(25) = 5 m/s, below the yaw-rate cap of 0.8 * 0.95 * 10 = 7.6 m/s.
+
+    With a_y = 4.89 it allows 7.0 m/s; a yaw-rate limit of 0.5 rad/s allows 0.8 * 0.5 * 10 = 4 m/s.
+    """
     line = _circle(10.0)
     cap = road_speeds(line, [], turn=TURN, limits=Limits()).cap(2.5)[_inside(line)]
     assert np.median(cap) == pytest.approx(5.0, rel=0.02)
+    limits = Limits(yaw_rate_radps=0.5)
+    cap = road_speeds(line, [], turn=TURN, limits=limits).cap(4.89)[_inside(line)]
+    assert np.median(cap) == pytest.approx(4.0, rel=0.02)
+    assert np.all(cap <= hard_cap(line, limits)[_inside(line)])
 
 
 def test_bend_asks_the_same_of_a_driver_that_desires_less_in_the_mean() -> None:
@@ -47,14 +53,6 @@ def test_bend_asks_the_same_of_a_driver_that_desires_less_in_the_mean() -> None:
     slow, fast = (road.desired(mps, lateral_accel_mps2=2.5, accel_mps2=1.8)[_inside(line)] for mps in (5.0, 12.0))
     assert slow.tolist() == fast.tolist()
     assert np.median(slow) == pytest.approx(7.07, rel=0.02)
-
-
-def test_tight_circle_is_capped_by_the_yaw_rate() -> None:
-    """R = 10 m with a_y = 4.89 allows 7.0 m/s; a yaw-rate limit of 0.5 rad/s allows 0.8 * 0.5 * 10 = 4 m/s."""
-    line, limits = _circle(10.0), Limits(yaw_rate_radps=0.5)
-    cap = road_speeds(line, [], turn=TURN, limits=limits).cap(4.89)[_inside(line)]
-    assert np.median(cap) == pytest.approx(4.0, rel=0.02)
-    assert np.all(cap <= hard_cap(line, limits)[_inside(line)])
 
 
 def _desired(
