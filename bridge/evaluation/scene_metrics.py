@@ -169,8 +169,7 @@ def evaluate_scene(scene: TrafficScene, *own: Callable[[Group], float]) -> "pd.D
 def _number_of(own: Callable[[Group], float], name: str, group: Group) -> float:
     """What a function of a user's own makes of a group. Errors: ConfigError."""
     try:
-        value = own(group)
-        return float(value)
+        return float(own(group))
     except (Exception, SystemExit) as error:  # whatever a user's code may raise
         said = f"{place_in(error, own, __file__)}{type(error).__name__}: {error!s:.200}"
         raise ConfigError(f"metric {name!r}: {said}; expected a function of a Group that gives a number") from error

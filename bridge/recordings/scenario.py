@@ -71,8 +71,7 @@ def read_scenario(folder: Path) -> Recording:
         raise ScenarioError(f"{path}: scenario_id {rows.scenario_id!r}, expected the id in the file's name")
     known = _recording_record(folder, sidecar)
     source = Source(folder, known.format, rows.scenario_id, split_of(folder), known.first_step, map_path)
-    graph = read_source_map(map_path)
-    return recording_of(source, rows, graph, provenance=known.provenance, sidecar=sidecar)
+    return recording_of(source, rows, read_source_map(map_path), provenance=known.provenance, sidecar=sidecar)
 
 
 def recording_of(source: Source, rows: Rows, graph: LaneGraph, **more: Any) -> Recording:  # noqa: ANN401

@@ -68,8 +68,7 @@ class InferredSignals:
     @cached_property
     def _flows(self) -> BoolArray:
         """(A, T) whether an agent is cross traffic where it crosses."""
-        moving = self.states.arrays.moving_on_roads
-        return np.asarray((self.states.traffic.speed > _FLOW_MPS) & moving[:, None])
+        return np.asarray((self.states.traffic.speed > _FLOW_MPS) & self.states.arrays.moving_on_roads[:, None])
 
     @cached_property
     def _flowing(self) -> tuple[IntArray, Traffic]:

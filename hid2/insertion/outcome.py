@@ -119,8 +119,7 @@ def _turn(scene: Scene, vehicle: ExportedVehicle, kind: TurnType) -> Outcome:
 def _missed(vehicle: ExportedVehicle) -> Outcome:
     driven = vehicle.driven
     late = driven.start.request.trigger_s > (driven.start.step + vehicle.num_steps - 1) * vehicle.motion.step_s
-    reason = driven.reason or Reason.SCENE_ENDED
-    return Outcome(driven.policy, "not_triggered" if late else "not_feasible", reason)
+    return Outcome(driven.policy, "not_triggered" if late else "not_feasible", driven.reason or Reason.SCENE_ENDED)
 
 
 def _changes(vehicle: ExportedVehicle) -> list[Maneuver]:

@@ -99,8 +99,7 @@ def target_path(view: LaneView, runs: list[LaneRun], k: int) -> tuple[Polyline, 
         if not before:
             break
         chain.insert(0, int(before[0]))
-    own = {run.lane for run in runs[k:]}
-    return _path(view, chain, own)
+    return _path(view, chain, {run.lane for run in runs[k:]})
 
 
 def path_driven(view: LaneView, runs: list[LaneRun], k: int) -> tuple[Polyline, tuple[int, ...]]:

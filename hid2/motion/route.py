@@ -334,5 +334,4 @@ class LanePaths:
         graph = self.graph
         beside = {n for lane in own for side in SIDES if (n := graph.neighbor(lane, side)) is not None}
         choose = partial(straightest_first, graph, preferred=beside)
-        route = next(routes_from(graph, lane_id, choose=choose, most=1), (lane_id,))
-        return with_run_up(graph, route, _LOOK_BACK_M)
+        return with_run_up(graph, next(routes_from(graph, lane_id, choose=choose, most=1), (lane_id,)), _LOOK_BACK_M)
