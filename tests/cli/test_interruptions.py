@@ -81,7 +81,7 @@ def test_command_is_interrupted_at_work_as_by_a_terminal(
 def test_batch_says_what_is_done_and_goes_on(data_scenes: dict[str, Path], tmp_path: Path) -> None:
     """Interrupted when the variants of one scene are done, and in the manifest, and those of the other are not."""
     scenes = data_scenes["curve"], data_scenes["intersection"]
-    arguments = ["generate", *scenes, "-o", "out", "--agents", "1", "--variants", "4"]
+    arguments = ["generate", *scenes, "-o", "out", "--agents", "1", "--variants", "6"]
     command = Command([*arguments, "-v"], tmp_path)
     command.wait_for(lambda: " placed, " in command.said())
     command.send(signal.SIGTERM, to_group=False)
@@ -89,11 +89,11 @@ def test_batch_says_what_is_done_and_goes_on(data_scenes: dict[str, Path], tmp_p
     assert faults(left, signal.SIGTERM, tmp_path / "out") == []
     assert left.stderr.endswith("finished scenes are in out/manifest.csv; continue with --resume\n")
     made = len((tmp_path / "out" / "manifest.csv").read_text().splitlines()) - 1
-    assert 1 <= made < 8
+    assert 1 <= made < 12
     assert Command([*arguments, "--resume"], tmp_path).left().code == 0
     with (tmp_path / "out" / "manifest.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert [row["status"] for row in rows] == ["done"] * 8
+    assert [row["status"] for row in rows] == ["done"] * 12
     assert {path.name for path in (tmp_path / "out").glob("*/*")} == {Path(row["folder"]).name for row in rows}
 
 
