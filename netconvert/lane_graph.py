@@ -187,7 +187,7 @@ class LaneGraph:
 
     @cached_property
     def touching(self) -> dict[int, set[int]]:
-        """Lanes whose middle touches or crosses that of a lane, with itself."""
+        """Lanes with a middle that touches or crosses that of a lane, with itself."""
         ids, middles = list(self.lanes), [shapely.LineString(lane.centerline) for lane in self.lanes.values()]
         touching: dict[int, set[int]] = {lane_id: set() for lane_id in ids}
         for one, other in shapely.STRtree(middles).query(middles, predicate="intersects").T.tolist():

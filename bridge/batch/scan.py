@@ -42,7 +42,7 @@ class SceneFacts(NamedTuple):
     tracks: Annotated[int, "recorded tracks, of any type"]
     at_49: Annotated[int, "of them present at the last observed timestep, 49 in Argoverse 2"]
     vehicles: Annotated[int, "tracks of type vehicle or bus"]
-    moving: Annotated[int, "vehicles whose path extends over 5 m, seen for more than 1 s"]
+    moving: Annotated[int, "vehicles with a path that extends over 5 m, seen for over 1 s"]
     lanes: Annotated[int, "lane segments of the map"]
     vehicle_lanes: Annotated[int, "of them of type VEHICLE"]
     same_direction: Annotated[int, "neighbours of the same direction, counted over the two sides of all VEHICLE lanes"]

@@ -43,10 +43,11 @@ def evaluate_folder(
     # by map, so that each is read once, and large ones first: what a process needs at most it needs from the start
     folders = sorted(find_recordings([Path(out)], choices), key=_map_size, reverse=True)
     report_dir, roots = Path(report_dir), (Path(source),) if isinstance(source, str | Path) else source
-    sources = _sources_of(folders, roots, choices) if roots else {}
+    made_of = {*map(_made_of, folders)} - {""} if roots or control is not None else set()
+    sources = _sources_of(made_of, roots, choices) if roots else {}
     fitting([*folders, *sources.values()], choices)
     controls = sorted(find_scenarios(control), key=_map_size, reverse=True) if control is not None else []
-    if controls and {*map(_made_of, folders)}.isdisjoint(map(_made_of, filter(is_generated, controls))):
+    if controls and made_of.isdisjoint(map(_made_of, filter(is_generated, controls))):
         raise ConfigError(f"--control {control}: no scene generated from a source of those in {out}, expected some")
     known = len(folders) + len(sources)
     totals, failures = Totals(sources), list[tuple[Address, str]]()
@@ -67,8 +68,10 @@ def evaluate_folder(
                 totals.add_source(measures)
             else:
                 totals.add(measures)
-                for name in [] if tables else TABLES:  # none where no scene can be measured
-                    tables[name] = stack.enter_context(_table(report_dir / f"{name}.csv", TABLES[name]))
+                if not tables:  # no folder is made where no scene can be measured
+                    tables = {
+                        name: stack.enter_context(_table(report_dir / f"{name}.csv", TABLES[name])) for name in TABLES
+                    }
                 for name, append in tables.items():
                     append(measures.tables[name])
         if set(folders) <= {folder for folder, _ in failures}:
@@ -110,9 +113,8 @@ def write_report(evaluation: Evaluation, path: Path) -> None:
     )
 
 
-def _sources_of(folders: Sequence[Address], source: Sequence[Path], choices: Choices | None) -> dict[str, Address]:
-    """Source scenes of the folders by id, as far as they lie below `source`; it is logged where some do not."""
-    ids = {made_of for folder in folders if (made_of := _made_of(folder))}
+def _sources_of(ids: set[str], source: Sequence[Path], choices: Choices | None) -> dict[str, Address]:
+    """Source scenes by id, as far as they lie below `source`; it is logged where some do not."""
     found = {source_id(one): one for one in find_recordings(source, Choices((choices or Choices()).map_path, stride=1))}
     if lacking := len(ids - found.keys()):
         where = ", ".join(map(str, source))

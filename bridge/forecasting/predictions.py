@@ -239,7 +239,7 @@ def band_rows(scores: pd.DataFrame, bounds: Sequence[int]) -> list[tuple[str | f
 
 
 def shown(rows: Iterable[tuple[Any, ...]]) -> list[tuple[Any, ...]]:
-    """Rows by TABLE_HEAD as people read them: rounded, a dash for what there is not."""
+    """Rows by TABLE_HEAD for pages and terminals: rounded, a dash for what there is not."""
     return [(*row[:3], *map(pages.number, row[3:])) for row in rows]
 
 

@@ -19,7 +19,7 @@ from hid2.insertion.event_objective import MOMENT_S
 from hid2.insertion.event_targets import Target
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.measures.encounters import CROSSING_RAD
-from hid2.motion.route import ROUTE_LONGEST_M, DrivenPath, Route, is_drivable, straightest_first
+from hid2.motion.route import ROUTE_LONGEST_M, DrivenPath, Route, is_drivable, is_simple, straightest_first
 from hid2.occupancy.traffic import BoolArray
 from hid2.params import Event
 from netconvert.lane_graph import Side
@@ -209,7 +209,7 @@ class Places:
         back = self._ways(lane_id, graph.predecessors, before, 0.5 * ROUTE_LONGEST_M)
         pairs = [(0, 0), *((0, row) for row in range(1, len(onward))), *((row, 0) for row in range(1, len(back)))]
         found = [(*back[one][:0:-1], *onward[other]) for one, other in pairs]
-        return [route for route in found if len(set(route)) == len(route)]
+        return [route for route in found if is_simple(graph, route)]
 
     def _ways(self, lane_id: int, onto: Callable[[int], Iterable[int]], known: Route, longest_m: float) -> list[Route]:
         """Lanes from a lane on, by what is best at each split; then with another one at a split, the nearest first."""

@@ -67,8 +67,7 @@ class Routes:
             return (self.offer_of((lane_id,)),)
         graph = self.scene.grid.graph
         found = routes_from(graph, lane_id, choose=lambda _, onward: tuple(sorted(onward)), most=_MOST)
-        whole = [(with_run_up(graph, route, _RUN_UP_M), len(route)) for route in found]
-        return tuple(self.offer_of(route[-count:], route[:-count]) for route, count in whole)
+        return tuple(self.offer_of(with_run_up(graph, route, _RUN_UP_M), lane_id) for route in found)
 
     @once
     def map_offers(self, policy: Policy) -> bool:
@@ -134,25 +133,24 @@ class Routes:
         inside = [lanes[grid.cells[row].lane_id].is_intersection for row in rows]
         return np.array(rows, dtype=np.int64), np.array(inside, dtype=np.bool_)
 
-    def offer_of(self, route: Route, before: Route = ()) -> RouteOffer:
-        """What a route offers from its beginning on. before: its run-up."""
-        lanes = self.scene.grid.graph.lanes
-        whole = (*before, *route)
-        ends = list(itertools.accumulate(lanes[n].length_m for n in whole))
+    def offer_of(self, route: Route, lane_id: int | None = None) -> RouteOffer:
+        """What a route offers from a lane on, the first one unless told; those before it are the run-up."""
+        lanes, first = self.scene.grid.graph.lanes, 0 if lane_id is None else route.index(lane_id)
+        ends = list(itertools.accumulate(lanes[n].length_m for n in route))
         starts = [0.0, *ends[:-1]]
-        rows = range(len(before), len(whole))
+        rows = range(first, len(route))
         turns = tuple(
-            (lanes[whole[row]].turn, starts[row], ends[row])
+            (lanes[route[row]].turn, starts[row], ends[row])
             for row in rows
-            if row > 0 and lanes[whole[row]].turn is not TurnType.STRAIGHT
+            if row > 0 and lanes[route[row]].turn is not TurnType.STRAIGHT
         )
         beside = tuple(
-            Beside(side, starts[row], ends[row], self._beside_m(whole[row:], lane), lanes[whole[row]].is_intersection)
+            Beside(side, starts[row], ends[row], self._beside_m(route[row:], lane), lanes[route[row]].is_intersection)
             for row in rows
             for side in SIDES
-            if (lane := self._neighbor(whole[row], side)) is not None
+            if (lane := self._neighbor(route[row], side)) is not None
         )
-        return RouteOffer(whole, starts[len(before)], ends[-1], turns, beside)
+        return RouteOffer(route, starts[first], ends[-1], turns, beside)
 
     @once
     def _neighbor(self, lane_id: int, side: Side) -> int | None:

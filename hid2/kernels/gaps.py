@@ -221,7 +221,7 @@ def shown_ahead(
     agents: IntArray, first: IntArray, lengths: FloatArray, recorded: FloatArray, kept: FloatArray, step: int,
     s: FloatArray, centre: FloatArray, own_lengths: FloatArray,
 ) -> tuple[IntArray, IntArray, FloatArray]:  # fmt: skip
-    """Agents that vehicles (N,) have ahead of them at a step, two each at most, none beside one on whose path it is.
+    """Agents that vehicles (N,) have ahead of them at a step, two each at most, none beside one with it on the path.
 
     Returns agents (M,), the vehicle nearest behind each, and where the agent's middle is on its path, m.
     low .. crossing (R, T): as in `PathOccupancy`, of agents (R,) on the paths; those of vehicle i are the rows from

@@ -259,6 +259,11 @@ def comes_back(graph: LaneGraph, route: Route, lane_id: int) -> bool:
     return lane_id in route or not graph.touching[lane_id].isdisjoint(route[:-1])
 
 
+def is_simple(graph: LaneGraph, route: Route) -> bool:
+    """Whether a route nowhere comes back over itself."""
+    return not any(comes_back(graph, route[:at], route[at]) for at in range(1, len(route)))
+
+
 def straightest_first(graph: LaneGraph, lane_id: int, onward: Iterable[int], preferred: Container[int] = ()) -> Route:
     """Lanes that follow a lane, or come before it: those preferred, then those that turn least."""
     return tuple(sorted(onward, key=lambda n: (n not in preferred, graph.turned_rad(lane_id, n), n)))

@@ -15,7 +15,7 @@ from hid2.drivers.driver import Driver
 from hid2.kernels.speed_profile import reachable
 from hid2.kernels.steering import STRAIGHT
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
-from hid2.motion.route import DrivenPath, comes_back, is_drivable, routes_from, straightest_first
+from hid2.motion.route import DrivenPath, is_drivable, is_simple, routes_from, straightest_first
 from hid2.once import once
 from hid2.params import Limits, Turn
 from hid2.policy.decision import policy_on
@@ -161,8 +161,7 @@ def ways_at_next_split(scene: Scene, path: DrivenPath, *, s: float, from_m: floa
             for rest in routes_from(graph, lane_id, choose=straight_first, most=1):
                 whole = (*route[: row + 1], *rest)
                 other = scene.paths.along(whole)
-                is_back = any(comes_back(graph, whole[:at], whole[at]) for at in range(row + 1, len(whole)))
-                if not is_back and _is_the_same_until(path, other, s):
+                if is_simple(graph, whole) and _is_the_same_until(path, other, s):
                     yield other
         return
 
