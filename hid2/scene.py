@@ -10,7 +10,7 @@ import numpy as np
 
 from hid2.agents import VEHICLE_TYPES, BoxSize, FloatArray, IntArray, Track
 from hid2.drivers.driver import OFFSET_MAX_M, place_of_lane
-from hid2.measures.arrays import MOVES_MPS, MOVING_EXTENT_M, MOVING_S, STANDS_MPS
+from hid2.measures.arrays import MOVES_MPS, MOVING_S, STANDS_MPS
 from hid2.measures.driven_lanes import STRETCH_M, recorded_places
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.measures.surrogates import END_HORIZON_S
@@ -263,7 +263,9 @@ def build_scene(
     boxes = cell_boxes(grid)
     occupancy = original_occupancy(boxes, traffic)
     through = config.request.focal == "generated" or config.request.generated_category >= 2
-    lane_speeds, scene_speeds = _speeds(grid, tracks, traffic, occupancy, step_s=step_s)
+    covered, lanes = [replace(track, size=covering(track)) for track in tracks], flatten_lanes(grid.graph)
+    states = agent_states(covered, lanes, num_steps=num_steps, step_s=step_s, is_inserted=lambda _: False)
+    lane_speeds, scene_speeds = _speeds(grid, states, traffic, occupancy, step_s=step_s)
     rows = [row for row, track in enumerate(tracks) if track.object_type in VEHICLE_TYPES]
     return Scene(
         grid=grid,
@@ -271,13 +273,7 @@ def build_scene(
         traffic=traffic,
         future=future_of(traffic, config, step_s=step_s),
         tracks=tuple(tracks),
-        states=agent_states(
-            [replace(track, size=covering(track)) for track in tracks],
-            flatten_lanes(grid.graph),
-            num_steps=num_steps,
-            step_s=step_s,
-            is_inserted=lambda _: False,
-        ),
+        states=states,
         paths=LanePaths(grid.graph, config.limits, _RUN_ON_M if "topology" in config.without else 0.0),
         vehicle_rows=np.array(rows, dtype=np.int64),
         occupancy=occupancy,
@@ -299,14 +295,12 @@ def cruising_mps(traffic: Traffic, row: int) -> float:
 
 
 def _speeds(
-    grid: CellGrid, tracks: Sequence[Track], traffic: Traffic, occupancy: OriginalOccupancy, *, step_s: float
+    grid: CellGrid, states: AgentStates, traffic: Traffic, occupancy: OriginalOccupancy, *, step_s: float
 ) -> tuple[dict[int, list[float]], list[float]]:
     """Cruising speed of each moving vehicle: over the scene, and by lane driven on."""
     lane_of = np.array([cell.lane_id for cell in grid.cells])
     by_lane, scene, speed = dict[int, list[float]](), list[float](), traffic.speed
-    for row, track in enumerate(tracks):
-        if track.object_type not in VEHICLE_TYPES or track.category < 1 or track.path_m < MOVING_EXTENT_M:
-            continue
+    for row in np.flatnonzero(states.arrays.clean).tolist():
         moving = traffic.present[row] & (speed[row] > MOVES_MPS)
         if moving.sum() < round(MOVING_S / step_s):
             continue

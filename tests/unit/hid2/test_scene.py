@@ -45,7 +45,7 @@ def test_who_drives_too_short_a_way_or_time_sets_no_speed(monkeypatch: pytest.Mo
     """8 m/s for 5.9 s are 47.2 m in 60 steps."""
     one = _moving(10.0, 0.0, 8.0)
     for from_m, from_s, counts in ((47.0, 6.0, True), (48.0, 6.0, False), (47.0, 6.1, False)):
-        monkeypatch.setattr("hid2.scene.MOVING_EXTENT_M", from_m)
+        monkeypatch.setattr("hid2.measures.arrays.MOVING_EXTENT_M", from_m)
         monkeypatch.setattr("hid2.scene.MOVING_S", from_s)
         assert bool(scene_of(one).scene_speeds) is counts
 
