@@ -1,6 +1,6 @@
 """Start sites: where on the map a request may be met, in which order they are looked at."""
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass, field
 from functools import partial
@@ -58,30 +58,33 @@ _BESIDE_M = 1.0  # tolerance of where a lane beside begins and ends, m: places c
 
 @dataclass(slots=True)
 class TurnedDown:
-    """What is known to fail: rows of cells on or near to which vehicles could not begin, or be kept, by policy.
+    """What is known to fail, as rows of cells: from which none could go straight, and near to which none was kept.
 
-    each_cell: one that could not begin speaks for its cell alone, as where few places are left.
+    Whether a manoeuvre comes about is a matter of metres and of the driver: cells are looked at for it again.
+    each_cell: one that could not go straight speaks for its cell alone, as where few places are left.
     """
 
-    rows: defaultdict[Policy, set[int]] = field(default_factory=lambda: defaultdict(set))
+    straight: set[int] = field(default_factory=set)
+    near_failed: set[int] = field(default_factory=set)
     each_cell: bool = False
+
+    def rows(self, policy: Policy) -> set[int]:
+        """Rows of the cells that are left out for vehicles of a policy."""
+        return self.near_failed | self.straight if policy is Policy.STRAIGHT else self.near_failed
 
     def look_anew(self) -> None:
         """Nothing is known to fail any more, and few places are left."""
-        self.rows.clear()
+        self.straight.clear()
+        self.near_failed.clear()
         self.each_cell = True
 
-    def could_not_begin(self, scene: Scene, row: int, policy: Policy) -> None:
-        """A vehicle could not begin on a cell, by its row: what speaks against one mostly speaks against those near.
-
-        Whether a turn comes about is a matter of metres: one that does not speaks for its cell alone.
-        """
-        self.rows[policy].update(_around(scene, row) if policy is Policy.STRAIGHT and not self.each_cell else (row,))
+    def cannot_go_straight(self, scene: Scene, row: int) -> None:
+        """A vehicle could not begin on a cell, by its row: what speaks against one mostly speaks against those near."""
+        self.straight.update((row,) if self.each_cell else _around(scene, row))
 
     def not_kept(self, scene: Scene, row: int) -> None:
         """A vehicle that began on a cell could not be kept: none begins near to it."""
-        for policy in BEHAVIOURS:
-            self.rows[policy].update(_around(scene, row))
+        self.near_failed.update(_around(scene, row))
 
 
 def _around(scene: Scene, row: int) -> range:
@@ -190,9 +193,8 @@ class InsertionSites:
             if start is Reason.NO_SITE:
                 continue  # another vehicle of this round may be in the way
             with_less = start is Reason.FOLLOWER_HEADWAY and headway_s > FOLLOWER_HEADWAY_S  # it is tried again
-            changes = BEHAVIOURS[request.policy].changes_lanes  # with another driver it may come about on the same cell
-            if not (wants or with_less or changes):
-                self.turned_down.could_not_begin(scene, scene.grid.index_of[cell], request.policy)
+            if request.policy is Policy.STRAIGHT and not (wants or with_less):
+                self.turned_down.cannot_go_straight(scene, scene.grid.index_of[cell])
             tried += 1
             if tried == (_WANTED_TRIES if wants else TRIES):
                 break
@@ -251,7 +253,7 @@ class InsertionSites:
         order = order[np.lexsort((tier[order], inside[order]))]
         if promising and not inside.all():
             order = order[~inside[order]]
-        turned_down = self.turned_down.rows[policy] if promising else set[int]()
+        turned_down = self.turned_down.rows(policy) if promising else set[int]()
         for place in order[clear[order]].tolist():
             row = int(rows[place])
             if row in turned_down:

@@ -38,6 +38,18 @@ def scene_of(*tracks: Track, sites: str = "promising", lanes: int = 2, length_m:
     return scene_on(draw_road(lanes=lanes, length_m=length_m), *tracks, config=config)
 
 
+def _left_turn_scene(at_m: float) -> Scene:
+    """One lane that turns to the left at so many metres, and no recorded vehicle."""
+    bend = [(at_m + 15.0 * np.sin(a), 15.0 - 15.0 * np.cos(a)) for a in np.linspace(0.0, np.pi / 2, 12)]
+    return scene_on(
+        LaneGraph({
+            1: draw_lane(1, [(0.0, 0.0), (at_m, 0.0)], successors=(2,)),
+            2: draw_lane(2, bend, successors=(3,), is_intersection=True),
+            3: draw_lane(3, [bend[-1], (at_m + 15.0, 200.0)]),
+        }, drivable_areas=())
+    )  # fmt: skip
+
+
 def _many(scene: Scene, count: int, **request: Any) -> list[Start]:
     """One start of each of many seeds, nobody else proposed before it."""
     return [start for seed in range(count) for start in sites_of(scene, seed).propose(_request(**request))]
@@ -146,13 +158,7 @@ def test_turn_behind_a_red_line_says_that_the_vehicle_waits(
 ) -> None:
     """30 m before a turn to the left that is red throughout; 150 m before one that is not, farther than it drives."""
     at_m = 60.0 if red else 180.0
-    bend = [(at_m + 15.0 * np.sin(a), 15.0 - 15.0 * np.cos(a)) for a in np.linspace(0.0, np.pi / 2, 12)]
-    graph = LaneGraph({
-        1: draw_lane(1, [(0.0, 0.0), (at_m, 0.0)], successors=(2,)),
-        2: draw_lane(2, bend, successors=(3,), is_intersection=True),
-        3: draw_lane(3, [bend[-1], (at_m + 15.0, 200.0)]),
-    }, drivable_areas=())  # fmt: skip
-    scene = scene_on(graph)
+    scene = _left_turn_scene(at_m)
     closed = np.full((1, scene.num_steps), red)
     line = ClosedLines(np.array([at_m - CAR.length_m / 2]), np.array([at_m + 24.0]), closed, np.array([0]))
     monkeypatch.setattr(StopLines, "on", lambda *_: line)
@@ -389,12 +395,15 @@ def test_nobody_begins_in_an_intersection_where_there_is_anything_else() -> None
 
 @pytest.mark.parametrize(
     ("sites", "policy", "again"),
-    [("promising", "straight", False), ("promising", "lane_change", True), ("any", "straight", True)],
-)
-def test_only_cells_for_a_lane_change_and_those_drawn_from_all_are_tried_again(
+    [
+        ("promising", "straight", False), ("promising", "lane_change", True), ("promising", "left_turn", True),
+        ("any", "straight", True),
+    ],
+)  # fmt: skip
+def test_only_cells_for_a_manoeuvre_and_those_drawn_from_all_are_tried_again(
     monkeypatch: pytest.MonkeyPatch, sites: str, policy: str, again: bool
 ) -> None:
-    """Two lanes of 150 cells on which no vehicle can begin, for each of 30."""
+    """Two lanes of 150 cells, or one before a turn, on which no vehicle can begin, for each of 30."""
     tried: Counter[tuple[int, int]] = Counter()
 
     def turn_down(_starts: object, _request: object, site: Site, **_: object) -> Reason:
@@ -403,7 +412,8 @@ def test_only_cells_for_a_lane_change_and_those_drawn_from_all_are_tried_again(
         return Reason.MEETS_RECORDED  # NO_SITE: another vehicle of the round may be in the way, not the place's fault
 
     monkeypatch.setattr("hid2.insertion.starts.Starts.make", turn_down)
-    here = sites_of(scene_of(recorded(200.0, 30.0, 20.0), sites=sites))
+    scene = _left_turn_scene(60.0) if policy == "left_turn" else scene_of(recorded(200.0, 30.0, 20.0), sites=sites)
+    here = sites_of(scene)
     assert [here.propose(_request(number, Policy(policy))) for number in range(30)] == [[]] * 30
     assert (max(tried.values()) > 1) is again
 
