@@ -22,7 +22,7 @@ class Reason(StrEnum):
     MAP_OFFERS_NO_OVERTAKE = auto(), "The map has no lane beside another that lasts for an overtake."
     NO_OVERTAKE_FORESEEN = (
         auto(),
-        "The recorded traffic leaves no place where a slower vehicle can be passed in time, out and back.",
+        "No place has both the room for a slower vehicle to be passed and the time for it, out and back.",
     )
     NO_SLOW_LEADER = (
         auto(),

@@ -1,4 +1,4 @@
-"""Overtakes: many are drawn and driven roughly, those that come about and meet none are rolled out with Algorithm 1.
+"""Overtakes: many are drawn and driven roughly, those that come about so are rolled out with Algorithm 1.
 
     closing in on a slower leader, recorded, inserted before, or added for it | trigger: out | past | back | to the end
 
@@ -88,15 +88,13 @@ class _Leader:
 
 
 class _Foreseen(NamedTuple):
-    """An overtake, roughly: s m, v m/s and desired m/s (T,), and steps at which it is half across, and turns back."""
+    """An overtake that roughly comes about: it begins at s m on the way's path, at v m/s; desired (T,) m/s."""
 
     leader: _Leader
     driver: Driver
-    s: FloatArray
-    v: FloatArray
+    s: float
+    v: float
     desired: FloatArray
-    crossed: int
-    back: int
 
 
 class _Drawn(NamedTuple):
@@ -142,8 +140,6 @@ class OvertakeStarts:
                 for leader in (*self._known(way), *(self._added(way, wander) if slow is not None else ()))
             ]  # fmt: skip
             for one in self._foreseen(leaders, request.trigger_s, wander):
-                if scene.config.request.sites != "any" and not self._is_free(one, request.trigger_s):
-                    continue
                 if one.leader not in led:
                     led[one.leader] = self._led_by(one.leader, slow)
                 self.found_none, tried, before = None, tried + 1, led[one.leader]
@@ -198,21 +194,21 @@ class OvertakeStarts:
             start = rng.uniform(way.first, latest) + length_m + rng.uniform(*_GAP_S) * (usual_mps - mps)
             s = start + scene.step_s * (np.cumsum(v) - v)
             one = replace(driver, desired_mps=mps)
-            if s[-1] < way.path.exit_m and not self._is_met(way.path, one, s, v, 0):
+            if s[-1] < way.path.exit_m and not self._is_met(way.path, one, s, v):
                 yield _Leader(way, s - length_m, s + length_m, v, one)
 
     def _on(self, path: DrivenPath) -> PathOccupancy:
         return self.starts.world.guard.known_on(path, _BOX)
 
-    def _is_met(self, path: DrivenPath, driver: Driver, s: FloatArray, v: FloatArray, first: int) -> bool:
-        """Whether a motion (K,) from a step on meets any that is known, or a line that is closed."""
+    def _is_met(self, path: DrivenPath, driver: Driver, s: FloatArray, v: FloatArray) -> bool:
+        """Whether a motion (T,) meets any that is known, or a line that is closed."""
         conflict, known = self.here.scene.config.conflict, self._on(path)
-        met = met_by(s, v, first, known.low, known.high, known.along, known.same_direction, self.here.scene.step_s)
+        met = met_by(s, v, 0, known.low, known.high, known.along, known.same_direction, self.here.scene.step_s)
         contact, ahead_s, behind_s = met.min(axis=0, initial=math.inf)
         lines, amber = self.starts.world.guard.stop_lines.on(path, _BOX), self.here.scene.steps_in(AMBER_S)
         return bool(
             contact < math.inf or ahead_s < conflict.ttc_min_s or behind_s < conflict.follower_ttc_min_s
-            or lines.is_passed(s, driver, first=first, closed_steps=amber)
+            or lines.is_passed(s, driver, first=0, closed_steps=amber)
         )  # fmt: skip
 
     def _foreseen(self, leaders: list[_Leader], trigger_s: float, wander: FloatArray) -> Iterator[_Foreseen]:
@@ -225,14 +221,11 @@ class OvertakeStarts:
         drawn = self._drawn(leaders, drivers, wander) if leaders else None
         if drawn is None or not drawn.s.size:
             return
-        steps, looks = np.arange(scene.num_steps), np.arange(0, scene.num_steps, scene.steps_in(_LOOKS_S))
-        s, v, across, over, fits = self._driven(leaders, drivers, drawn, looks, trigger_s)
-        rows = np.flatnonzero((fits & (over[-1] > _BACK)) | (scene.config.request.sites == "any"))
-        for n in rows[np.argsort(-over[-1, rows], kind="stable")].tolist():
-            leader, (_, driver) = leaders[drawn.leader[n]], drivers[drawn.driver[n]]
-            places, speeds = (np.interp(steps, looks, one[:, n]) for one in (s, v))
-            crossed, back = (int(looks[(one[:, n] > done).argmax()]) for one, done in ((across, _CROSSED), (over, 0.0)))
-            yield _Foreseen(leader, driver, places, speeds, drawn.desired[n], crossed, back)
+        over, fits = self._driven(leaders, drivers, drawn, trigger_s)
+        rows = np.flatnonzero((fits & (over > _BACK)) | (scene.config.request.sites == "any"))
+        for n in rows[np.argsort(-over[rows], kind="stable")].tolist():
+            (_, driver), s, v = drivers[drawn.driver[n]], float(drawn.s[n]), float(drawn.v[n])
+            yield _Foreseen(leaders[drawn.leader[n]], driver, s, v, drawn.desired[n])
 
     def _drawn(self, leaders: list[_Leader], drivers: list[tuple[_Way, Driver]], wander: FloatArray) -> _Drawn:
         """Gaps behind leaders for the drivers on their ways, where there is room to begin."""
@@ -256,10 +249,9 @@ class OvertakeStarts:
         return _Drawn(leader[fits], driver[fits], s[fits], np.minimum(v[fits], desired[:, 0]), desired)
 
     def _driven(
-        self, leaders: list[_Leader], drivers: list[tuple[_Way, Driver]], drawn: _Drawn, looks: IntArray,
-        trigger_s: float,
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]:  # fmt: skip
-        """Places m, speeds m/s, and how much is done of the way out, and back, at looks (K, N); which leave room (N,).
+        self, leaders: list[_Leader], drivers: list[tuple[_Way, Driver]], drawn: _Drawn, trigger_s: float
+    ) -> tuple[FloatArray, BoolArray]:
+        """How much of the way back is done by the scene's end (N,), and whether the stretch is long enough (N,).
 
         By the IDM: behind the leader up to the trigger, then on a free road. A lateral motion takes its time, or its
         length where the vehicle is slow.
@@ -280,14 +272,11 @@ class OvertakeStarts:
         for n, one in enumerate(roads):
             road[n, : one.size] = one
         low, high, mps = np.array([(one.low, one.high, one.mps) for one in leaders]).transpose(1, 0, 2)[:, drawn.leader]
-        s, v, fits = drawn.s, drawn.v, drawn.v > mps[:, 0]
-        at, speed, across, over = np.zeros((4, looks.size, s.size))
-        for k, now in enumerate(looks.tolist()):
-            at[k], speed[k] = s, v
+        s, v, fits, looks = drawn.s, drawn.v, drawn.v > mps[:, 0], scene.steps_in(_LOOKS_S)
+        across, over = np.zeros((2, s.size))
+        for now in range(0, scene.num_steps - looks, looks):
             is_behind = low[:, now] - s > (config.conflict.ttc_min_s + _SPARE_S) * (v - mps[:, now])
-            fits &= ((across[k] >= _CROSSED) | is_behind) & ((over[k] >= 1.0) | (s < end))
-            if k + 1 == looks.size:
-                break
+            fits &= ((across >= _CROSSED) | is_behind) & ((over >= 1.0) | (s < end))
             star = min_gap + np.maximum(0.0, v * tau + 0.5 * v * (v - mps[:, now]) / np.sqrt(accel * decel))
             follows, is_out = (star / np.maximum(low[:, now] - s, CLEAR_GAP_M)) ** 2, now * scene.step_s >= trigger_s
             wanted = accel * (1.0 - (v / drawn.desired[:, now]) ** 4 - (0.0 if is_out else follows))
@@ -295,27 +284,11 @@ class OvertakeStarts:
             if is_out:
                 cell = np.minimum((s + shift_m) / TABLE_STEP_M, road.shape[1] - 1.0).astype(np.int64)
                 faster = np.minimum(faster, road[drawn.driver // _DRIVERS, cell])
-                returns = (over[k] > 0.0) | ((across[k] >= 1.0) & (s > high[:, now] + config.overtake.return_gap_m))
-                across[k + 1] = across[k] + np.minimum(v / out_mps, 1.0) * step_s / out_s
-                over[k + 1] = over[k] + returns * np.minimum(v / back_mps, 1.0) * step_s / back_s
+                returns = (over > 0.0) | ((across >= 1.0) & (s > high[:, now] + config.overtake.return_gap_m))
+                across = across + np.minimum(v / out_mps, 1.0) * step_s / out_s
+                over = over + returns * np.minimum(v / back_mps, 1.0) * step_s / back_s
             s, v = s + 0.5 * step_s * (v + faster), faster
-        return at, speed, across, over, fits
-
-    def _is_free(self, one: _Foreseen, trigger_s: float) -> bool:
-        """Whether Algorithm 1 would find its gaps at the trigger, and none is met on the way, nor a closed line."""
-        scene, way, overtake = self.here.scene, one.leader.way, self.here.scene.config.overtake
-        out, over = math.ceil(trigger_s / scene.step_s), (one.back + scene.num_steps) // 2
-        lines, beside = self.starts.world.guard.stop_lines.on(way.path, _BOX), self._on(way.beside)
-        room_m, s = lines.room_m(float(one.s[0]), 0, one.driver), one.s[out] + way.shift_m
-        free_m = np.where(beside.along[:, out] < one.driver.desired_mps, overtake.d_overtake_m, overtake.safe_front_m)
-        in_the_way = (beside.high[:, out] > s - overtake.safe_rear_m) & (beside.low[:, out] < s + free_m)
-        if room_m < 0.0 or lines.towards_mps(one.driver, room_m) < one.v[0] or in_the_way.any():
-            return False
-        parts = (way.path, 0.0, 0, one.crossed), (way.beside, way.shift_m, out, over), (way.path, 0.0, over, None)
-        return not any(
-            self._is_met(path, one.driver, one.s[first:until] + shift_m, one.v[first:until], first)
-            for path, shift_m, first, until in parts
-        )
+        return over, fits
 
     def _led_by(self, leader: _Leader, slow: VehicleRequest | None) -> list[Start] | None:
         """The start of a leader where one is to be added; None where it cannot be."""
@@ -333,7 +306,7 @@ class OvertakeStarts:
         starts, world, way = self.starts, self.starts.world, one.leader.way
         starts.world = world.joined_by(*(rolled for start in before for rolled in starts.rolled(start)))
         found = starts.make(
-            request, Site(way.offer, way.path.to_raw(float(one.s[0]))), driver=one.driver, speed_mps=float(one.v[0]),
+            request, Site(way.offer, way.path.to_raw(one.s)), driver=one.driver, speed_mps=one.v,
             sides=(way.side,), desired=one.desired,
         )  # fmt: skip
         starts.world = world
