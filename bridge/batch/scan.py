@@ -58,15 +58,15 @@ class SceneFacts(NamedTuple):
     ]
     shift_m: Annotated[float, "how far tracks lie beside the lanes, m; `source.plausible` looks at it"]
 
-    def room(self, policy: Policy) -> float:
-        """Room for a policy: metres or lanes, 0 where there is none."""
-        return {
-            Policy.STRAIGHT: self.straight_m,
-            Policy.LEFT_TURN: self.left_turns,
-            Policy.RIGHT_TURN: self.right_turns,
-            Policy.LANE_CHANGE: self.lane_change_m,
-            Policy.OVERTAKE: self.overtake_m,
-        }[policy]
+
+#: What tells the room for a policy, metres or lanes, 0 where there is none; by the policy's name.
+ROOM = {
+    "straight": "straight_m",
+    "left_turn": "left_turns",
+    "right_turn": "right_turns",
+    "lane_change": "lane_change_m",
+    "overtake": "overtake_m",
+}
 
 
 class Selection(NamedTuple):
@@ -91,12 +91,11 @@ def facts_of(
     can: what `Selection` has; its events are looked for, which takes tenths of a second each, or seconds where none is.
     Errors: ConfigError for what can names and does not exist.
     """
-    policies = tuple(policy.value for policy in Policy)
     for name in can:
-        if name not in {*policies, *EVENTS} and ":" not in name:
-            raise ConfigError(f"--can {name!r}: expected one of {', '.join((*policies, *EVENTS))}, or MODULE:BEHAVIOUR")
+        if name not in {*ROOM, *EVENTS} and ":" not in name:
+            raise ConfigError(f"--can {name!r}: expected one of {', '.join((*ROOM, *EVENTS))}, or MODULE:BEHAVIOUR")
         kind = name.partition(":")[0].replace("-", "_")
-        if ":" in name and kind in {*policies, *EVENTS}:
+        if ":" in name and kind in {*ROOM, *EVENTS}:
             raise ConfigError(f"--can {name!r}: a target cannot be named, expected {kind}")
     own = _own_in(can)
     asked = tuple(dict.fromkeys((*(name for name in EVENTS if name in can), *own)))
@@ -177,7 +176,6 @@ def rooms(routes: Routes) -> dict[Policy, float]:
 
 def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts]:
     """The scenes that are wanted, in their order; cities in any case. Errors: ConfigError for a city with no scene."""
-    policies = {policy.value: policy for policy in Policy}
     there = {fact.city.casefold(): fact.city for fact in facts}
     cities = {city.casefold(): city for city in selection.cities}
     for unknown in cities.keys() - there.keys() if facts else ():
@@ -185,7 +183,7 @@ def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts
         raise ConfigError(f"--city {cities[unknown]!r}: no scene is there, expected one of {known}")
 
     def offers(fact: SceneFacts, name: str) -> bool:
-        return fact.room(policies[name]) > 0 if name in policies else name in fact.events.split()
+        return getattr(fact, ROOM[name]) > 0 if name in ROOM else name in fact.events.split()
 
     chosen = [
         fact

@@ -6,7 +6,7 @@ from typing import Literal
 
 from bridge.cli import options
 from bridge.cli.generation import notes_of
-from bridge.cli.places import check_out, check_scenes, tell_unread
+from bridge.cli.places import check_scenes, tell_unread
 from bridge.console import Activity, counted, print_json, say
 from bridge.files import data_folder
 from bridge.interruption import if_interrupted
@@ -208,7 +208,7 @@ def make(
     print(write_road(out, road))
 
 
-@options.command()
+@options.command(folders=("out",))
 def paper(  # noqa: PLR0913  # one for each option
     experiment: options.ExperimentName = options.argument(
         "EXPERIMENT", "One of table1, ablation, density, diversity, prediction."
@@ -245,7 +245,6 @@ def paper(  # noqa: PLR0913  # one for each option
     """Run an experiment of the paper, from generation to the table beside the paper's; prediction needs `forecast`."""
     _check_fits(experiment, given)
     check_scenes([composed] if composed else [] if predictions else scenes)
-    check_out(out)
     if experiment == "prediction":
         from bridge.forecasting.experiment import TrainingPlan, run_prediction
         from hid2.params import Forecasting

@@ -1,6 +1,6 @@
 """The paths of a command line: whether they can be what they are given as, and the scenes below them."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path
@@ -26,13 +26,15 @@ def check_scenes(paths: Sequence[Path]) -> None:
             raise ConfigError(f"{path}: {said}")
 
 
-def check_given(values: Mapping[str, Any], reads: Iterable[str], folders: Iterable[str], files: Iterable[str]) -> None:
+def check_given(
+    values: Mapping[str, Any], reads: Iterable[str], folders: Iterable[str], files: Collection[str]
+) -> None:
     """Check values of a command by their names: scenes that it reads, what it writes. Errors: ConfigError."""
     given = {name: one if isinstance(one, list) else [one] for name, one in values.items() if one is not None}
     check_scenes([path for name in reads for path in given.get(name, ())])
-    for names, check in ((folders, check_out), (files, check_out_file)):
-        for path in (path for name in names for path in given.get(name, ())):
-            check(path)
+    for name in (*folders, *files):
+        for path in given.get(name, ()):
+            check_out(path, is_file=name in files)
 
 
 def one_scene(path: Path, window: tuple[Path | None, int]) -> Address:
@@ -67,23 +69,15 @@ def select_scenes(folders: list[Address], which: Which, seed: int, activity: Act
     return chosen
 
 
-def check_out(out: Path) -> None:
-    """What is written must not get among the sources; every command that writes asks here, or `check_out_file`.
+def check_out(out: Path, *, is_file: bool = False) -> None:
+    """A folder, or a file, that is written must not get among the sources; every command that writes asks here.
 
-    Errors: ConfigError inside a scenario folder or a split folder of recorded scenes, or where a file is in the way.
-    Below the root of a data set, or beside a single scene, it is taken with a warning.
+    Errors: ConfigError inside a scenario folder or a split folder of recorded scenes, or where a file is in the way,
+    or a folder in that of a file. Below the root of a data set, or beside a single scene, it is taken with a warning.
     """
-    _check_written(out, out)
-
-
-def check_out_file(file: Path) -> None:
-    """As `check_out` for a file. Errors: ConfigError."""
-    if file.is_dir():
-        raise ConfigError(f"{file}: is a folder, expected a file to write, such as {file / 'NAME'}")
-    _check_written(file.parent, file)
-
-
-def _check_written(folder: Path, out: Path) -> None:
+    if is_file and out.is_dir():
+        raise ConfigError(f"{out}: is a folder, expected a file to write, such as {out / 'NAME'}")
+    folder = out.parent if is_file else out
     there = next((place for place in (folder, *folder.parents) if place.exists()), folder)
     if there.is_file():
         what = "is a file" if there == out else f"cannot be made, {there} is a file"

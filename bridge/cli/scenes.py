@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from bridge.cli import options
-from bridge.cli.places import check_out, one_scene, recordings, tell_unread
+from bridge.cli.places import one_scene, recordings, tell_unread
 from bridge.console import Activity, counted, print_json, print_table
 from bridge.recordings.folders import Address
 from netconvert.errors import ConfigError, MapError, NetError, ScenarioError
@@ -90,7 +90,7 @@ def scan(
     return bool(failures)
 
 
-@options.command()
+@options.command(folders=("out",))
 def net(
     scene: Path = options.argument("SCENE", "Scenario folder, or a map."),
     out: Path = options.OUT,
@@ -116,7 +116,6 @@ def net(
         f"--lanes {lanes} of {'a map' if is_map else 'a scene'}",
     )
     found = scene if is_map else one_scene(scene, window)
-    check_out(out)
     activity.doing("converting the map")
     from bridge.sumo.net import convert, convert_whole
 

@@ -7,14 +7,15 @@ import contextlib
 import logging
 import pickle
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import IO
 
 from bridge.batch.engine import OnDone, work_on_each
 from bridge.batch.isolation import Failure
 from bridge.evaluation.scene_metrics import TABLES, Row, SceneMeasures, measure_folder
 from bridge.evaluation.totals import Evaluation, Totals
-from bridge.files import append_rows, table_file, write_json
+from bridge.files import append_rows, table_file, write_json, write_rows
 from bridge.pages.parts import number, write_page
 from bridge.recordings.folders import MAP_PATTERN, Address, Choices, find_scenarios, is_generated, source_id
 from bridge.recordings.sidecar import sidecar_in
@@ -52,7 +53,7 @@ def evaluate_folder(
     known = len(folders) + len(sources)
     totals, failures = Totals(sources), list[tuple[Address, str]]()
     with contextlib.ExitStack() as stack:
-        tables: dict[str, Callable[[Iterable[Row]], None]] = {}
+        tables: dict[str, tuple[IO[str], Sequence[str]]] = {}
         every = [*folders, *sources.values(), *controls]
         each = work_on_each(
             measure, every, shared=frozenset(sources), jobs=jobs, chunk=40, timeout_s=120, on_item=on_scene
@@ -68,12 +69,12 @@ def evaluate_folder(
                 totals.add_source(measures)
             else:
                 totals.add(measures)
-                if not tables:  # no folder is made where no scene can be measured
-                    tables = {
-                        name: stack.enter_context(_table(report_dir / f"{name}.csv", TABLES[name])) for name in TABLES
-                    }
-                for name, append in tables.items():
-                    append(measures.tables[name])
+                for name, rows in measures.tables.items():
+                    if name not in tables:  # no folder is made where no scene can be measured
+                        stream = stack.enter_context(table_file(report_dir / f"{name}.csv"))
+                        tables[name] = stream, TABLES[name] or [*rows[0]]
+                        append_rows(stream, [tables[name][1]])
+                    append_rows(tables[name][0], _cells(rows, tables[name][1]))
         if set(folders) <= {folder for folder, _ in failures}:
             raise ScenarioError(
                 f"{out}: none of {len(folders)} scenes can be read, expected one at least; {failures[0][0]}: "
@@ -141,27 +142,13 @@ def _map_size(folder: Address) -> int:
     return sum(path.stat().st_size for path in maps)
 
 
-@contextlib.contextmanager
-def _table(path: Path, columns: Sequence[str] = ()) -> Iterator[Callable[[Iterable[Row]], None]]:
-    """A CSV file that grows as rows are given to it; its columns are those named, else those of its first row."""
-    with table_file(path) as stream:
-        head = list(columns)
-        append_rows(stream, [head] if head else [])
-
-        def append(rows: Iterable[Row]) -> None:
-            for row in rows:
-                if not head:
-                    head.extend(row)
-                    append_rows(stream, [head])
-                append_rows(stream, [[_cell(row[column]) for column in head]])
-
-        yield append
+def write_table(path: Path, rows: Sequence[Row]) -> None:
+    """Rows, one at least, as a CSV file. Errors: ExportError."""
+    write_rows(path, [*rows[0]], _cells(rows, [*rows[0]]))
 
 
-def write_table(path: Path, rows: Iterable[Row]) -> None:
-    """Rows as a CSV file. Errors: OSError."""
-    with _table(path) as append:
-        append(rows)
+def _cells(rows: Iterable[Row], columns: Sequence[str]) -> Iterator[list[object]]:
+    return ([_cell(row[column]) for column in columns] for row in rows)
 
 
 def _cell(value: object) -> object:

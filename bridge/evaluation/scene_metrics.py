@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +19,7 @@ from hid2.agents import AV_ID, FloatArray, Policy, Track
 from hid2.evaluation.kinematics import kinematics, motion
 from hid2.evaluation.metrics import CRITICAL, METRICS, Group, columns, driven, policies
 from hid2.evaluation.realism import RealismCounts, count_scene
-from hid2.evaluation.safety import IOU_THRESHOLD, Overlap, Safety, safety, ttc_after_last_step
+from hid2.evaluation.safety import IOU_THRESHOLD, Overlap, Safety, colliding, safety, ttc_after_last_step
 from hid2.evaluation.windows import Windows, windows
 from hid2.judge.findings import Finding
 from hid2.measures.arrays import SceneArrays, is_generated_id
@@ -95,7 +94,7 @@ def measure(
     states, groups = _grouped(recording, tracks)
     arrays, safe, last_observed = states.arrays, groups["combined"].safe, recording.last_observed
     maneuvers = detect(states)
-    findings = findings_of(states, recording.graph, sidecar)
+    findings = findings_of(states, sidecar)
     policy_of = policies(arrays, maneuvers)
     scene: Row = {
         "format": recording.format,
@@ -112,7 +111,12 @@ def measure(
     for name, group in groups.items():
         scene |= {f"{name}_{key}": value for key, value in _group_row(group, maneuvers, policy_of).items()}
     scene |= _pair_row(safe, arrays) | _request_row(sidecar)
-    driving_of = partial(_driving, scene=log, labelled=recording.provenance == "human")
+
+    def driving_of(states: AgentStates, safe: Safety, maneuvers: Sequence[Maneuver]) -> tuple[RealismCounts, Windows]:
+        """How vehicles drive: histograms, and windows for the critics."""
+        seen = windows(states, safe.leaders, scene=log, labelled=recording.provenance == "human")
+        return count_scene(states.arrays, safe, seen, maneuvers, scene=log), seen
+
     realism, driving = driving_of(states, safe, maneuvers)
     if apart and arrays.generated.any() and not arrays.generated.all():
         alone = states.rows(np.flatnonzero(~arrays.generated).tolist())
@@ -133,14 +137,6 @@ def measure(
         "conflicts": [asdict(row) for row in conflicts(arrays)],
     }
     return SceneMeasures(tables, realism, driving)
-
-
-def _driving(
-    states: AgentStates, safe: Safety, maneuvers: Sequence[Maneuver], *, scene: str, labelled: bool
-) -> tuple[RealismCounts, Windows]:
-    """How vehicles drive: histograms, and windows for the critics."""
-    driving = windows(states, safe.leaders, scene=scene, labelled=labelled)
-    return count_scene(states.arrays, safe, driving, maneuvers, scene=scene), driving
 
 
 def evaluate_scene(scene: TrafficScene, *own: Callable[[Group], float]) -> "pd.DataFrame":
@@ -251,11 +247,7 @@ def _track_rows(
     # of recorded agents contacts with recorded ones, of inserted ones with any
     end_ttc_s = np.minimum(groups["original"].end_ttc_s, groups["generated"].end_ttc_s)
     asked = {agent.track_id: agent.policy.value for agent in sidecar.agents} if sidecar else {}
-    collides = np.zeros((2, arrays.num_agents), dtype=bool)  # with recorded ones, with generated ones
-    for pair in safe.overlaps:
-        if pair.iou > IOU_THRESHOLD:
-            collides[int(arrays.generated[pair.second]), pair.first] = True
-            collides[int(arrays.generated[pair.first]), pair.second] = True
+    hit = colliding(arrays, safe.overlaps)
     off = {"off_road": safe.off_road, "off_footprint": safe.off_footprint, "against_lane": safe.against_lane}
 
     def least(values: FloatArray) -> list[float | None]:
@@ -276,8 +268,8 @@ def _track_rows(
         "lo_mps2": kinematic.lo.tolist(),
         "la_mps2": kinematic.la.tolist(),
         "je_mps3": kinematic.je.tolist(),
-        "collides_with_original": collides[0].tolist(),
-        "collides_with_generated": collides[1].tolist(),
+        "collides_with_original": np.any(hit[:, ~arrays.generated], axis=1).tolist(),
+        "collides_with_generated": np.any(hit[:, arrays.generated], axis=1).tolist(),
         "min_ttc_s": least(np.where(safe.ttc_s < CAP_S, safe.ttc_s, np.inf)),
         "min_leader_ttc_s": least(safe.leaders.ttc_s),
         "min_time_gap_s": least(safe.leaders.time_gap_s),

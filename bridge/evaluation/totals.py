@@ -231,7 +231,7 @@ class Totals:
         self._counts: Counter[str] = Counter()
         self._rejected: Counter[str] = Counter()
         self._selection: dict[str, Counter[str]] = {}
-        self._wanted: dict[str, float] = {}
+        self._wanted: Counter[str] = Counter()  # shares
         self._findings: Counter[str] = Counter()
 
     def add(self, measures: SceneMeasures) -> None:
@@ -316,8 +316,7 @@ class Totals:
         self._rejected.update(row["rejected"] or {})
         for name, told in (row["selection"] or {}).items():
             self._selection.setdefault(name, Counter()).update(told)
-        for name, share in (row["wanted"] or {}).items():
-            self._wanted[name] = self._wanted.get(name, 0.0) + share
+        self._wanted.update(row["wanted"] or {})
         self._findings.update(row["findings"])
 
 

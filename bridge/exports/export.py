@@ -1,8 +1,8 @@
 """Scenes, recorded or generated, in the formats of others: what `hid2 export` does."""
 
 from collections.abc import Callable, Mapping
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 
 from bridge.recordings.folders import Address
 from bridge.recordings.recording import Recording
@@ -12,12 +12,12 @@ from netconvert.errors import ConfigError
 
 #: Module and function of each format's writer: a scene in, contents by file name out. Imported when it is asked for.
 WRITERS: Mapping[str, str] = {
-    "openscenario": "bridge.exports.openscenario.openscenario_files",
-    "opendrive": "bridge.exports.openscenario.opendrive_files",
-    "commonroad": "bridge.exports.commonroad.commonroad_files",
-    "trj": "bridge.recordings.ssam.trj_files",
-    "sumo": "bridge.sumo.exchange.sumo_files",
-    "fcd": "bridge.sumo.exchange.fcd_files",
+    "openscenario": "bridge.exports.openscenario:openscenario_files",
+    "opendrive": "bridge.exports.openscenario:opendrive_files",
+    "commonroad": "bridge.exports.commonroad:commonroad_files",
+    "trj": "bridge.recordings.ssam:trj_files",
+    "sumo": "bridge.sumo.exchange:sumo_files",
+    "fcd": "bridge.sumo.exchange:fcd_files",
 }
 
 
@@ -29,8 +29,7 @@ def export_scene(address: Address | str, to: str, out_dir: Path) -> list[Path]:
     """
     if to not in WRITERS:
         raise ConfigError(f"format {to!r}: expected one of {', '.join(WRITERS)}")
-    module, name = WRITERS[to].rsplit(".", 1)
-    writer: Callable[[Recording], dict[str, bytes]] = getattr(import_module(module), name)
+    writer: Callable[[Recording], dict[str, bytes]] = resolve_name(WRITERS[to])
     files = writer(read_recording(address))
     write_all(out_dir, files)
     return [out_dir / name for name in files]

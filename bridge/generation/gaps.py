@@ -44,13 +44,17 @@ GAP_COLUMNS: Mapping[str, str] = {
 def gap_rows(
     driven: Sequence[tuple[int, DrivenVehicle]], names: Mapping[str, str], *, step_s: float
 ) -> Iterator[dict[str, Any]]:
-    """Rows of all looks, by `GAP_COLUMNS`; driven: round and vehicle; names: track ids of exported ones by id."""
+    """Rows of all looks, by `GAP_COLUMNS`; driven: round and vehicle; names: track ids of exported ones by id.
+
+    A vehicle that is driven again has the same id: exported is what it did at last.
+    """
+    last = {vehicle.vehicle_id: number for number, vehicle in driven}
     for number, vehicle in driven:
         for look in vehicle.gaps:
             yield {
                 "vehicle": vehicle.vehicle_id,
                 "round": number,
-                "track_id": names.get(vehicle.vehicle_id),
+                "track_id": names.get(vehicle.vehicle_id) if number == last[vehicle.vehicle_id] else None,
                 "policy": vehicle.policy.value,
                 "trigger_s": round(vehicle.start.request.trigger_s, 6),
                 "time_s": round(look.step * step_s, 6),

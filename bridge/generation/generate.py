@@ -4,7 +4,7 @@ import logging
 import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -116,7 +116,7 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
     filling = Filling(surroundings, seed)
     _LOG.debug("%s variant %d: %s vehicles asked for", scenario.scenario_id, variant, config.request.agents)
     with prepared.simulation(config, seed) as simulation:
-        rounds = _Rounds(scene, simulation, filling, scenario)
+        rounds = _Rounds(simulation, filling, scenario)
         if config.driving.replay == "reactive":
             filling.fill_together(rounds.drive)
             scenario = with_motion(scenario, rounds.late)
@@ -132,10 +132,7 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
     focal = scenario.focal_track_id
     if config.request.focal == "generated":
         focal = _focal(scenario, vehicles, tracks, filling)
-        tracks = [replace(t, category=3) if t.track_id == focal else t for t in tracks]
-    sidecar = _sidecar(
-        prepared, filling.scene, filling, vehicles, clean, rounds, variant=variant, sumo_version=sumo_version
-    )
+    sidecar = _sidecar(prepared, filling, vehicles, clean, rounds, variant=variant, sumo_version=sumo_version)
     made = with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=focal)
     return TrafficScene(made, scenario, tuple(vehicles), tuple(rounds.driven))
 
@@ -151,8 +148,8 @@ class _Rounds:
     late: tracks of the recorded vehicles that yielded at last, late_s: how late that made them; where they react.
     """
 
-    def __init__(self, scene: Scene, simulation: Simulation, filling: Filling, scenario: Recording) -> None:
-        self._scene, self._simulation, self._filling, self._scenario = scene, simulation, filling, scenario
+    def __init__(self, simulation: Simulation, filling: Filling, scenario: Recording) -> None:
+        self._simulation, self._filling, self._scenario = simulation, filling, scenario
         self.errors = ReplayErrors()
         self.driven: list[tuple[int, DrivenVehicle]] = []
         self.late: list[Track] = []
@@ -172,9 +169,10 @@ class _Rounds:
 
         Poses of recorded agents are measured, where that is asked for, in the first one, or, where they react, last.
         """
-        here, asked = self._filling.surroundings, self._scene.config.driving
+        here, scene = self._filling.surroundings, self._filling.surroundings.scene
+        asked = scene.config.driving
         is_measured = number == 0 or asked.replay == "reactive"
-        fleet = Fleet(self._scene, starts, kept, here.roads, here.stop_lines)
+        fleet = Fleet(scene, starts, kept, here.roads, here.stop_lines)
         driving = FleetSimulation(fleet, self._simulation, checked=asked.check_replay and is_measured)
         vehicles = driving.run()
         self.driven += [(number, vehicle) for vehicle in vehicles]
@@ -184,7 +182,7 @@ class _Rounds:
             self.late_s = driving.reactions.late_s
             tracks = driving.reactions.tracks(self._scenario.tracks)
             self.late = [track for track in tracks if track.track_id in self.late_s]
-            self._filling.scene = scene_of(self._scenario, self._scene.config, self._scene.grid, tracks=tracks)
+            self._filling.scene = scene_of(self._scenario, scene.config, scene.grid, tracks=tracks)
         return vehicles
 
 
@@ -214,10 +212,10 @@ def _focal(scenario: Recording, vehicles: Sequence[ExportedVehicle], tracks: Seq
 
 
 def _sidecar(
-    prepared: PreparedScene, scene: Scene, filling: Filling, vehicles: Sequence[ExportedVehicle],
-    clean: Sequence[Track], rounds: _Rounds, *, variant: int, sumo_version: str,
+    prepared: PreparedScene, filling: Filling, vehicles: Sequence[ExportedVehicle], clean: Sequence[Track],
+    rounds: _Rounds, *, variant: int, sumo_version: str,
 ) -> Sidecar:  # fmt: skip
-    config = scene.config
+    scene, config = filling.scene, filling.scene.config
     names = {one.driven.vehicle_id: f"gen_{row}" for row, one in enumerate(vehicles)}
     every = traffic_of_exported(vehicles, scene)
     agents = [

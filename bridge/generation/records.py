@@ -132,9 +132,8 @@ def _with_detail(reason: Reason | None, detail: str | None) -> str | None:
 
 def rejected_records(filling: Filling) -> tuple[sidecar.RejectedRecord, ...]:
     """Vehicles and sites that were tried in vain, counted by reason."""
-    counts: Counter[str] = Counter(str(one.reason.value) for one in filling.rejected)
-    counts.update({str(reason.value): count for reason, count in filling.no_site.items()})
-    return tuple(sidecar.RejectedRecord(reason=reason, count=count) for reason, count in sorted(counts.items()))
+    counts = Counter(one.reason for one in filling.rejected) + filling.no_site
+    return tuple(sidecar.RejectedRecord(reason=reason.value, count=count) for reason, count in sorted(counts.items()))
 
 
 def replaced_record(rejection: Rejection) -> sidecar.ReplacedRecord:

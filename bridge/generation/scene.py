@@ -92,7 +92,7 @@ class TrafficScene:
         rows = [
             (f.track_id, round(f.step * one.step_s, 6), f.quantity.value, f.value, f.limit, f.quantity.unit, f.other,
              f.quantity.sentence)
-            for f in findings_of(states, one.graph, self.sidecar)
+            for f in findings_of(states, self.sidecar)
         ]  # fmt: skip
         return pd.DataFrame(rows, columns=columns)
 

@@ -17,7 +17,6 @@ from hid2.measures.lane_matching import FlatLanes, flatten_lanes
 from hid2.measures.manoeuvres import ManeuverKind
 from hid2.occupancy.agent_states import AgentStates, agent_states
 from netconvert.geometry import wrap_angle
-from netconvert.lane_graph import LaneGraph
 
 #: What a band of criticality that was asked for allows: the quantities that it is about.
 _BANDS = {"ttc_s": (Quantity.TTC_LEADER, Quantity.TTC_FOLLOWER), "pet_s": (Quantity.PET,)}
@@ -44,7 +43,7 @@ def states_of(
     return agent_states(ordered, lanes, num_steps=num_steps, step_s=step_s, is_inserted=inserted.__contains__)
 
 
-def findings_of(states: AgentStates, graph: LaneGraph, sidecar: Sidecar | None) -> list[Finding]:
+def findings_of(states: AgentStates, sidecar: Sidecar | None) -> list[Finding]:
     """What the judge finds in a scene and in what its sidecar claims, by the limits that hold for every scene.
 
     A criticality that was asked for is no finding: of the vehicle of an event with its band, and the headway and the
@@ -53,11 +52,11 @@ def findings_of(states: AgentStates, graph: LaneGraph, sidecar: Sidecar | None) 
     tracker's are.
     """
     if sidecar is None:
-        return judge(states, graph, Bounds())
+        return judge(states, Bounds())
     clean = clean_states(states, sidecar)
-    found = judge(clean, graph, Bounds())
+    found = judge(clean, Bounds())
     if clean is not states:
-        exported = [one for one in judge(states, graph, Bounds()) if one.quantity in ON_EXPORTED]
+        exported = [one for one in judge(states, Bounds()) if one.quantity in ON_EXPORTED]
         found = [*(one for one in found if one.quantity not in ON_EXPORTED), *exported, *_noise(states, clean)]
     allowed = _allowed(sidecar)
     claims, events = claims_of(sidecar, states)

@@ -34,7 +34,7 @@ def check_plausible(recording: Recording) -> None:
 def figures_of(recording: Recording) -> Plausibility:
     """The figures of a recording."""
     arrays = stack(recording.tracks, step_s=recording.step_s)
-    return plausibility(arrays, recording.graph, flatten_lanes(recording.graph))
+    return plausibility(arrays, flatten_lanes(recording.graph))
 
 
 def implausible(recording: Recording) -> str:

@@ -5,7 +5,7 @@ import logging
 import re
 import uuid
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
@@ -88,7 +88,7 @@ def _city_maps(folder: Path) -> Path:
         for maps in (place, place / MAP_FILES):
             if any(maps.glob(_VECTOR_MAPS)):
                 return maps
-    root = list(_above(folder))[min(2, _ABOVE - 1)]
+    root = list(_above(folder))[:3][-1]  # fewer near the root of the disk
     raise NoSceneError(
         f"{folder}: this is Argoverse 1: its map files are missing, expected "
         f"pruned_argoverse_<CITY>_<n>_vector_map.xml and the rasters of the drivable area in {root / MAP_FILES}; "
@@ -143,23 +143,42 @@ ARGOVERSE1 = Reader(
 READERS: tuple[Reader, ...] = (SENSOR_LOG, ARGOVERSE2, ARGOVERSE1)
 
 
-def find_recordings(paths: Sequence[Path], choices: Choices | None = None) -> list[Address]:
+def find_recordings(paths: Sequence[Path], choices: Choices | None = None, *, generated: bool = True) -> list[Address]:
     """Recordings and generated scenes at all paths, each once, in the order of the paths.
 
-    A path is a recording, a folder of them, or up to three folders above, of one format or of several. What is found
-    of which format is logged. Errors: NoSceneError where a path holds none.
+    A path is a recording, a folder of them, or up to three folders above, of one format or of several. generated:
+    False passes over the scenes that hid2 wrote, which is logged. Errors: NoSceneError where a path holds none.
     """
-    return _find(paths, choices or Choices(), lambda address: True)
+    found: dict[tuple[Path, str, int], Address] = {}  # by where it really is
+    again: list[Address] = []
+    for path in paths:
+        try:
+            there = list(_walk(path, choices or Choices(), DEPTH))
+        except OSError as error:  # a name that the system refuses, or a folder that may not be read
+            raise NoSceneError(f"{one_line(str(path), most=200)}: cannot be looked into ({error.strerror})") from error
+        if not there:
+            raise nothing_at(path)
+        wanted_there = (
+            there if generated else [one for one in there if isinstance(one, Source) or not folders.is_generated(one)]
+        )
+        if not wanted_there:
+            raise NoSceneError(f"{path}: holds generated scenes only (with hid2_<id>.json); give recorded ones")
+        if len(wanted_there) < len(there):
+            passed_over = len(there) - len(wanted_there)
+            _LOG.warning("%s: %d of %d scenes passed over, which hid2 wrote", path, passed_over, len(there))
+        for address in wanted_there:
+            kind, start = (address.format, address.start) if isinstance(address, Source) else ("", 0)
+            if found.setdefault((address.resolve(), kind, start), address) is not address:
+                again.append(address)
+    if again:
+        more = f" (and {len(again) - 1} more)" if len(again) > 1 else ""
+        _LOG.warning("%s%s: given more than once, done once", again[0], more)
+    return list(found.values())
 
 
 def find_sources(paths: Sequence[Path], choices: Choices | None = None) -> list[Address]:
-    """As `find_recordings`, without the scenes that hid2 wrote: these are passed over, which is logged.
-
-    Errors: NoSceneError where a path holds none.
-    """
-    return _find(
-        paths, choices or Choices(), lambda address: isinstance(address, Source) or not folders.is_generated(address)
-    )
+    """As `find_recordings`, without the scenes that hid2 wrote. Errors: NoSceneError where a path holds none."""
+    return find_recordings(paths, choices, generated=False)
 
 
 def find_one(path: Path, choices: Choices | None = None) -> Address:
@@ -225,32 +244,6 @@ def described(found: Sequence[Address]) -> list[str]:
     readers = [reader for reader in READERS if reader.name in counts]
     lines = [f"{reader.many[0].upper()}{reader.many[1:]}: {counts[reader.name]} found" for reader in readers]
     return lines + [reader.lacks for reader in readers if reader.lacks]
-
-
-def _find(paths: Sequence[Path], choices: Choices, is_wanted: Callable[[Address], bool]) -> list[Address]:
-    found: dict[tuple[Path, str, int], Address] = {}  # by where it really is
-    again: list[Address] = []
-    for path in paths:
-        try:
-            there = list(_walk(path, choices, DEPTH))
-        except OSError as error:  # a name that the system refuses, or a folder that may not be read
-            raise NoSceneError(f"{one_line(str(path), most=200)}: cannot be looked into ({error.strerror})") from error
-        if not there:
-            raise nothing_at(path)
-        wanted_there = [address for address in there if is_wanted(address)]
-        if not wanted_there:
-            raise NoSceneError(f"{path}: holds generated scenes only (with hid2_<id>.json); give recorded ones")
-        if len(wanted_there) < len(there):
-            passed_over = len(there) - len(wanted_there)
-            _LOG.warning("%s: %d of %d scenes passed over, which hid2 wrote", path, passed_over, len(there))
-        for address in wanted_there:
-            kind, start = (address.format, address.start) if isinstance(address, Source) else ("", 0)
-            if found.setdefault((address.resolve(), kind, start), address) is not address:
-                again.append(address)
-    if again:
-        more = f" (and {len(again) - 1} more)" if len(again) > 1 else ""
-        _LOG.warning("%s%s: given more than once, done once", again[0], more)
-    return list(found.values())
 
 
 def _walk(path: Path, choices: Choices, depth: int) -> Iterator[Address]:

@@ -182,7 +182,7 @@ def _judged(
         return [FileBreach(path, "columns", str(error))]
     states = states_of(tracks, flatten_lanes(graph), inserted, num_steps=rows.num_steps, step_s=rows.step_s)
     found = []
-    for one in findings_of(states, graph, sidecar):
+    for one in findings_of(states, sidecar):
         said = "not seen" if math.isinf(one.value) else f"{one.value:.3g} {one.quantity.unit}"
         other = "" if one.other is None else f" (track {one.other!r})"
         message = f"track {one.track_id!r}, timestep {one.step}: {said}{other}, limit {one.limit:.3g}"

@@ -77,8 +77,9 @@ class Group:
 
     @property
     def colliding(self) -> int:
-        """Vehicles that overlap a partner."""
-        return int((colliding(self.arrays, self.safe.overlaps, self.partners) & self.vehicles).sum())
+        """Vehicles among the partners that collide with another one."""
+        hit = colliding(self.arrays, self.safe.overlaps)[:, self.partners].any(axis=1)
+        return int((hit & self.partners & self.vehicles).sum())
 
     @property
     def critical_ends(self) -> int:

@@ -33,7 +33,6 @@ class Overlap(NamedTuple):
     first: int
     second: int
     iou: float
-    first_step: int
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -58,8 +57,8 @@ def overlaps(arrays: SceneArrays) -> tuple[Overlap, ...]:
     near = arrays.position - arrays.position[:1]  # areas keep their digits near the origin
     length, width = arrays.length[arrays.agent], arrays.width[arrays.agent]
     boxes = shapely.polygons(box_corners(near, arrays.heading, length_m=length, width_m=width))
-    found: dict[tuple[int, int], Overlap] = {}
-    for step, rows in enumerate(arrays.row_of.T):
+    found: dict[tuple[int, int], float] = {}
+    for rows in arrays.row_of.T:
         here = rows[rows >= 0]
         own, other = here[shapely.STRtree(boxes[here]).query(boxes[here], predicate="intersects")]
         own, other = own[own < other], other[own < other]
@@ -67,17 +66,15 @@ def overlaps(arrays: SceneArrays) -> tuple[Overlap, ...]:
         iou = shared / (shapely.area(boxes[own]) + shapely.area(boxes[other]) - shared)
         for k in np.flatnonzero(shared > _TOUCHES_M2).tolist():
             pair = int(arrays.agent[own[k]]), int(arrays.agent[other[k]])
-            before = found.get(pair, Overlap(*pair, 0.0, step))
-            found[pair] = before._replace(iou=max(before.iou, float(iou[k])))
-    return tuple(found[pair] for pair in sorted(found))
+            found[pair] = max(found.get(pair, 0.0), float(iou[k]))
+    return tuple(Overlap(*pair, found[pair]) for pair in sorted(found))
 
 
-def colliding(arrays: SceneArrays, pairs: tuple[Overlap, ...], members: BoolArray) -> BoolArray:
-    """(A,) members that overlap another member with more than IOU_THRESHOLD at any step."""
-    hit = np.zeros(arrays.num_agents, dtype=bool)
+def colliding(arrays: SceneArrays, pairs: tuple[Overlap, ...]) -> BoolArray:
+    """(A, A) which agents overlap which with more than IOU_THRESHOLD at any step."""
+    hit = np.zeros((arrays.num_agents, arrays.num_agents), dtype=bool)
     for pair in pairs:
-        if pair.iou > IOU_THRESHOLD and members[pair.first] and members[pair.second]:
-            hit[[pair.first, pair.second]] = True
+        hit[pair.first, pair.second] = hit[pair.second, pair.first] = pair.iou > IOU_THRESHOLD
     return hit
 
 
@@ -110,13 +107,11 @@ def ttc_after_last_step(arrays: SceneArrays, members: BoolArray, among: BoolArra
 
 def _against_lane(view: LaneView) -> BoolArray:
     """Rows (N,) of moving vehicles that drive against their lanes, as the judge sees it."""
-    arrays = view.arrays
-    against = np.hypot(*arrays.velocity.T) > MOVES_MPS
-    for agent, driven in enumerate(arrays.moving_vehicles.tolist()):
-        rows = np.arange(arrays.first[agent], arrays.first[agent + 1])
-        angle, limit = against_lane_deg(view, rows, view.lanes.graph) if driven else (0.0, 0.0)
-        against[rows] &= angle > limit
-    return np.asarray(against)
+    arrays, against = view.arrays, np.zeros(len(view.arrays.step), dtype=bool)
+    rows = np.flatnonzero(arrays.moving_vehicles[arrays.agent] & (np.hypot(*arrays.velocity.T) > MOVES_MPS))
+    angle, limit = against_lane_deg(view, rows)
+    against[rows] = angle > limit
+    return against
 
 
 def safety(view: LaneView) -> Safety:

@@ -198,7 +198,7 @@ def _checked_alone(scene: Scene, vehicle: ExportedVehicle, others: AgentStates) 
     bounds, without, own = export_bounds(scene.config), scene.config.without, others.arrays.num_agents
     found = of_motion(vehicle.states, 0, bounds)
     if not {"collision", "topology"} & without:
-        found = chain(found, of_road(vehicle.states, 0, vehicle.driven.start.size, scene.grid.graph, bounds))
+        found = chain(found, of_road(vehicle.states, 0, vehicle.driven.start.size, bounds))
     verdict = _reason(scene, found)
     if verdict is not None or "collision" in without:
         return verdict or vehicle

@@ -158,7 +158,7 @@ def _is_clear(scene: Scene, states: AgentStates, track: Track) -> bool:
     inserted = np.flatnonzero(states.arrays.generated[:row]).tolist()
     found = chain(
         of_boxes(states, row, np.arange(row), spare_m=0.0), of_end(states, row, np.arange(row), bounds),
-        of_road(states, row, track.size, scene.grid.graph, bounds),
+        of_road(states, row, track.size, bounds),
         (one for other in inserted for one in of_end(states, other, np.array([row]), bounds)),
     )  # fmt: skip
     return next(found, None) is None

@@ -59,9 +59,7 @@ class EventClaim(NamedTuple):
 
 def manoeuvres(states: AgentStates, agent: int | None = None) -> list[Maneuver]:
     """All manoeuvres of the inserted vehicles of a scene, or of one agent."""
-    arrays = states.arrays
-    among = arrays.generated if agent is None else np.arange(arrays.num_agents) == agent
-    return detect(states, among=among)
+    return detect(states, among=np.flatnonzero(states.arrays.generated).tolist() if agent is None else [agent])
 
 
 def moment_s(maneuver: Maneuver) -> float:

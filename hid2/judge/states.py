@@ -51,14 +51,14 @@ _INTERSECTION_DEG = 90.0  # largest angle of a vehicle to the lane below it in i
 _OUTLINE_STEP_M = 0.5  # point spacing; no tunable: between two a side leaves the road by less than the tolerance spares
 
 
-def judge(states: AgentStates, graph: LaneGraph, bounds: Bounds) -> list[Finding]:
+def judge(states: AgentStates, bounds: Bounds) -> list[Finding]:
     """Worst findings on inserted vehicles, by quantity and other agent. Inserted ones are the last agents of states."""
     arrays = states.arrays
     inserted = np.flatnonzero(arrays.generated)
     found: list[Finding] = []
     for agent in inserted.tolist():
         found += of_motion(states, agent, bounds)
-        found += of_road(states, agent, BoxSize(arrays.length[agent], arrays.width[agent]), graph, bounds)
+        found += of_road(states, agent, BoxSize(arrays.length[agent], arrays.width[agent]), bounds)
         others = np.delete(np.arange(arrays.num_agents), agent)
         found += of_boxes(states, agent, others, spare_m=bounds.spare_box_m)
         led_by = states.leaders_on_path(agent, others, aside_m=bounds.spare_aside_m)
@@ -81,51 +81,42 @@ def judge(states: AgentStates, graph: LaneGraph, bounds: Bounds) -> list[Finding
 
 def of_motion(states: AgentStates, agent: int, bounds: Bounds) -> Iterator[Finding]:
     """Limits of motion, by central differences of position and heading, each at its worst step; also by velocities."""
-    arrays, rows = states.arrays, states.row_span(agent)
-    yield from _of_velocity(states, agent, differences(arrays.position[rows], arrays.step_s), bounds)
-    if bounds.by_stated:
-        yield from _of_velocity(states, agent, arrays.velocity[rows], bounds)
+    arrays, rows, ends = states.arrays, states.row_span(agent), bounds.end_rows
+    heading, derivative = np.unwrap(arrays.heading[rows]), partial(differences, step=arrays.step_s)
+    stated = [arrays.velocity[rows]] if bounds.by_stated else []
+    for velocity in (derivative(arrays.position[rows]), *stated):
+        profile = MotionProfile.of(velocity, heading, derivative)
+        for quantity, (value_of, bound_of) in MOTION_LIMITS.items():
+            values = value_of(profile)[ends : len(heading) - ends]
+            yield from _worst(states, rows.start + ends, quantity, values, bound_of(bounds))
 
 
-def _of_velocity(states: AgentStates, agent: int, velocity: FloatArray, bounds: Bounds) -> Iterator[Finding]:
-    heading = np.unwrap(states.arrays.heading[states.row_span(agent)])
-    profile = MotionProfile.of(velocity, heading, partial(differences, step=states.arrays.step_s))
-    inside = slice(bounds.end_rows, len(heading) - bounds.end_rows)
-    for quantity, (value_of, bound_of) in MOTION_LIMITS.items():
-        values, bound = value_of(profile), bound_of(bounds)
-        beyond = values[inside]
-        if beyond.size and beyond.max() > bound:
-            worst = int(np.argmax(beyond)) + bounds.end_rows
-            yield _of_one(states, agent, worst, quantity, float(values[worst]), bound)
-
-
-def of_road(states: AgentStates, agent: int, size: BoxSize, graph: LaneGraph, bounds: Bounds) -> Iterator[Finding]:
+def of_road(states: AgentStates, agent: int, size: BoxSize, bounds: Bounds) -> Iterator[Finding]:
     """The footprint of a vehicle of a size on the drivable area, its heading with the lane, the lines it crosses."""
-    rows = states.row_span(agent)
+    rows, graph = states.row_span(agent), states.lanes.graph
     tolerance_m = bounds.drivable_share * bounds.limits.drivable_tolerance_m
     position, heading = states.arrays.position[rows], states.arrays.heading[rows]
     outside = outside_m(position, heading, *size, graph, tolerance_m=tolerance_m)
-    if outside.max(initial=0.0) > tolerance_m:
-        worst = int(np.argmax(outside))
-        yield _of_one(states, agent, worst, Quantity.OFF_ROAD, float(outside[worst]), tolerance_m)
-    angle, limit = against_lane_deg(states, np.arange(rows.start, rows.stop), graph)
-    over = angle - limit
-    if over.max(initial=0.0) > 0.0:
-        worst = int(np.argmax(over))
-        yield _of_one(states, agent, worst, Quantity.AGAINST_LANE, float(angle[worst]), float(limit[worst]))
-    among = np.arange(states.arrays.num_agents) == agent
+    yield from _worst(states, rows.start, Quantity.OFF_ROAD, outside, tolerance_m)
+    angle, limit = against_lane_deg(states, np.arange(rows.start, rows.stop))
+    yield from _worst(states, rows.start, Quantity.AGAINST_LANE, angle, limit)
     yield from (
         Finding(one.track_id, round(one.crossing_s / states.arrays.step_s), Quantity.SOLID_LINE, 1.0, 0.0)
-        for one in detect(states, among=among)
+        for one in detect(states, among=[agent])
         if one.kind is ManeuverKind.LANE_CHANGE
         and not crossable(graph.lanes[one.source_lane].mark_type("left" if one.side > 0 else "right"))
     )
 
 
-def _of_one(states: AgentStates, agent: int, at: int, quantity: Quantity, value: float, limit: float) -> Finding:
-    """A finding on one agent alone, at a place among its rows."""
-    step = int(states.arrays.step[states.arrays.first[agent] + at])
-    return Finding(states.arrays.track_ids[agent], step, quantity, value, limit)
+def _worst(
+    states: AgentStates, first: int, quantity: Quantity, values: FloatArray, limit: FloatArray | float
+) -> Iterator[Finding]:
+    """Where values of one agent, at row `first` and those behind it, are most above their limit, if anywhere."""
+    over = values - limit
+    if over.max(initial=0.0) > 0.0:
+        at = int(np.argmax(over))
+        of = states.arrays.track_ids[states.arrays.agent[first]], int(states.arrays.step[first + at])
+        yield Finding(*of, quantity, float(values[at]), float(np.broadcast_to(limit, over.shape)[at]))
 
 
 def outside_m(
@@ -148,11 +139,11 @@ def outside_m(
     return out
 
 
-def against_lane_deg(view: LaneView, rows: IntArray, graph: LaneGraph) -> tuple[FloatArray, FloatArray]:
+def against_lane_deg(view: LaneView, rows: IntArray) -> tuple[FloatArray, FloatArray]:
     """Least angle (R,) to the lanes that hold the centres, degrees, 0 off every lane; and its limit.
 
-    rows: of the arrays, those of one agent. The angle is that of the heading, or of the motion where it is larger. A
-    vehicle that keeps to the lane matched to it is looked at no further.
+    rows: of the arrays. The angle is that of the heading, or of the motion where it is larger. A vehicle that keeps to
+    the lane matched to it is looked at no further.
     """
     arrays, lanes, matches = view.arrays, view.lanes, view.matches
     if not lanes.lane_ids.size:
@@ -169,7 +160,7 @@ def against_lane_deg(view: LaneView, rows: IntArray, graph: LaneGraph) -> tuple[
     low, high, box = position.min(axis=0), position.max(axis=0), lanes.box
     near = (box[:, 0] <= high[0]) & (box[:, 1] <= high[1]) & (box[:, 2] >= low[0]) & (box[:, 3] >= low[1])
     for k in np.flatnonzero(near).tolist():
-        one = graph.lanes[int(lanes.lane_ids[k])]
+        one = lanes.graph.lanes[int(lanes.lane_ids[k])]
         s, d = one.path.frenet(position)
         beside = (s >= 0.0) & (s <= one.path.length_m) & (np.abs(d) <= lanes.half_width[k] + SLIVER_M)
         inside = beside & (np.abs(d) <= lanes.half_width[k])
@@ -300,13 +291,10 @@ def ttc_on_lanes(states: AgentStates, led: LaneLeaders, bounds: Bounds) -> Itera
         (inserted, conflict.ttc_min_s, Quantity.TTC_LEADER),
         (follows, conflict.follower_ttc_min_s, Quantity.TTC_FOLLOWER),
     ):
-        beyond = np.flatnonzero(rows & (led.ttc_s < critical_s))
-        worst: dict[tuple[int, int], int] = {}
-        for at in beyond[np.argsort(-led.ttc_s[beyond], kind="stable")].tolist():  # the worst comes last
-            worst[int(arrays.agent[at]), int(led.agent[at])] = at
-        for (follower, leader), at in worst.items():
-            own, other = (follower, leader) if quantity is Quantity.TTC_LEADER else (leader, follower)
-            yield _finding(states, (own, other), int(arrays.step[at]), quantity, float(led.ttc_s[at]), critical_s)
+        for at in np.flatnonzero(rows & (led.ttc_s < critical_s)).tolist():
+            follower, leader = int(arrays.agent[at]), int(led.agent[at])
+            pair = (follower, leader) if quantity is Quantity.TTC_LEADER else (leader, follower)
+            yield _finding(states, pair, int(arrays.step[at]), quantity, float(led.ttc_s[at]), critical_s)
 
 
 def of_recorded_followers(states: AgentStates, inserted: IntArray, bounds: Bounds) -> Iterator[Finding]:
@@ -352,16 +340,13 @@ def of_crossings(states: AgentStates, bounds: Bounds, *, first_row: int) -> Iter
             yield _finding(states, (second, first), passed[1], Quantity.PET, pet_s, critical_s)
 
 
-def headways(states: AgentStates, led: LaneLeaders, beyond_m: FloatArray | None = None) -> Iterator[Finding]:
+def headways(states: AgentStates, led: LaneLeaders, beyond_m: FloatArray | float = 0.0) -> Iterator[Finding]:
     """Recorded followers that inserted leaders leave less time headway than they kept to leaders in the recording.
 
     beyond_m (A,): by how much boxes of the states are longer, ahead, than exported.
     """
     arrays = states.arrays
-    follower = ~arrays.generated[arrays.agent] & arrays.moving[arrays.agent]
-    least = _too_short_headways(
-        states, led, follower & arrays.generated[np.maximum(led.agent, 0)] & (led.agent >= 0), beyond_m
-    )
+    least = _too_short_headways(states, led, arrays.generated[np.maximum(led.agent, 0)], beyond_m)
     recorded = recorded_headways(states) if least else {}
     for agent, (headway_s, at) in least.items():
         if recorded.get(agent, math.inf) > headway_s:
@@ -370,13 +355,13 @@ def headways(states: AgentStates, led: LaneLeaders, beyond_m: FloatArray | None 
 
 
 def headway_on_driven_path(
-    states: AgentStates, agent: int, led: PathLeaders, beyond_m: FloatArray | None = None
+    states: AgentStates, agent: int, led: PathLeaders, beyond_m: FloatArray | float = 0.0
 ) -> Iterator[Finding]:
     """Too short a time headway of a vehicle to the next one of those that lead it on the path that it drives."""
     arrays = states.arrays
     vehicles = arrays.vehicle[led.agents]
     leader, gap_m = PathLeaders(led.agents[vehicles], led.gap_m[vehicles], led.closing_mps[vehicles]).next_ones()
-    leader_m = (arrays.length if beyond_m is None else arrays.length - beyond_m)[leader]  # of none any: no gap counts
+    leader_m = (arrays.length - beyond_m)[leader]  # of none any: no gap counts
     headway_s, at = sustained_headway(gap_m, leader_m, states.speed(agent), arrays.step_s)
     if headway_s < FOLLOWER_HEADWAY_S:
         pair = agent, int(leader[at])
@@ -385,10 +370,9 @@ def headway_on_driven_path(
 
 def recorded_headways(states: AgentStates) -> dict[int, float]:
     """Time headways, s, below the limit that recorded followers kept to leaders in the recording, by agent."""
-    arrays = states.arrays
-    follower = ~arrays.generated[arrays.agent] & arrays.moving[arrays.agent]
-    alone = replace(states.matches, lane=np.where(arrays.generated[arrays.agent], -1, states.matches.lane))
-    found = _too_short_headways(states, leaders(replace(states, matches=alone)), follower)
+    generated = states.arrays.generated[states.arrays.agent]
+    alone = replace(states.matches, lane=np.where(generated, -1, states.matches.lane))
+    found = _too_short_headways(states, leaders(replace(states, matches=alone)), ~generated)
     return {agent: headway_s for agent, (headway_s, _) in found.items()}
 
 
@@ -412,13 +396,13 @@ def sustained_headway(
 
 
 def _too_short_headways(
-    states: AgentStates, led: LaneLeaders, rows: BoolArray, beyond_m: FloatArray | None = None
+    states: AgentStates, led: LaneLeaders, rows: BoolArray, beyond_m: FloatArray | float = 0.0
 ) -> dict[int, tuple[float, int]]:
-    """By agent the sustained headway of a follower, rows (N,), to its lane leader, if too short, and its row."""
-    arrays = states.arrays
-    speed = states.row_speed
-    gap_m = np.where(rows & (led.agent >= 0), led.gap_m, np.inf)
-    leader_m = (arrays.length if beyond_m is None else arrays.length - beyond_m)[np.maximum(led.agent, 0)]
+    """By recorded agent its sustained headway, of rows (N,), to its lane leader, if too short, and its row."""
+    arrays, speed = states.arrays, states.row_speed
+    follower = (arrays.moving & ~arrays.generated)[arrays.agent]
+    gap_m = np.where(rows & follower & (led.agent >= 0), led.gap_m, np.inf)
+    leader_m = (arrays.length - beyond_m)[np.maximum(led.agent, 0)]
     found: dict[int, tuple[float, int]] = {}
     for agent in np.unique(arrays.agent[gap_m < FOLLOWER_HEADWAY_S * speed]).tolist():
         own = states.row_span(agent)

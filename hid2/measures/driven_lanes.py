@@ -94,11 +94,10 @@ def target_path(view: LaneView, runs: list[LaneRun], k: int) -> tuple[Polyline, 
     chain = [runs[k].lane]
     beside = {n for run in runs[:k] if run.lane >= 0 for n in _beside(view.lanes, run.lane)}
     while len(chain) < 20:
-        before = [n for n in np.flatnonzero(view.lanes.link[:, chain[0]] == GOES_ON) if int(n) in beside]
-        before = [n for n in before if chain[0] in view.lanes.successors[n] and n not in chain]
+        before = [n for n in beside if chain[0] in view.lanes.successors[n] and n not in chain]
         if not before:
             break
-        chain.insert(0, int(before[0]))
+        chain.insert(0, min(before))
     return _path(view, chain, {run.lane for run in runs[k:]})
 
 

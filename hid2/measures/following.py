@@ -44,8 +44,8 @@ def leaders(view: LaneView) -> LaneLeaders:
     )  # fmt: skip
     speed = np.hypot(arrays.velocity[:, 0], arrays.velocity[:, 1])
     led = agent >= 0
-    leader_row = np.where(led, arrays.row_of[np.where(led, agent, 0), arrays.step], 0) if len(agent) else agent
-    closing = np.where(led, speed - speed[leader_row], 0.0) if len(agent) else gap
+    leader_row = np.where(led, arrays.row_of[np.where(led, agent, 0), arrays.step], 0)
+    closing = np.where(led, speed - speed[leader_row], 0.0)
     positive = led & (closing > 1e-9)
     return LaneLeaders(
         agent=agent,

@@ -185,8 +185,7 @@ def lane_along(lanes: FlatLanes, position: FloatArray, direction: float) -> tupl
 def match_lanes(arrays: SceneArrays, lanes: FlatLanes) -> Matches:
     """Lanes of every vehicle's rows; those of other agents have lane -1."""
     direction = directions_of_motion(arrays.position, arrays.heading, arrays.first, step_s=arrays.step_s)
-    wanted = arrays.vehicle[arrays.agent] if arrays.num_agents else np.zeros(0, dtype=bool)
-    lane, s, d, cost, count = lanes_near(lanes, arrays.position, direction, wanted)
+    lane, s, d, cost, count = lanes_near(lanes, arrays.position, direction, arrays.vehicle[arrays.agent])
     chosen = likeliest_lanes(np.flatnonzero(arrays.vehicle), arrays.first, lane, s, cost, count, lanes.link)
     rows = np.arange(len(chosen))
     on = chosen >= 0

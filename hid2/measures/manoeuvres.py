@@ -92,22 +92,23 @@ class _Change:
     path_lanes: tuple[int, ...]
 
 
-def detect(view: LaneView, *, among: BoolArray | None = None) -> list[Maneuver]:
+def detect(view: LaneView, *, among: Iterable[int] | None = None) -> list[Maneuver]:
     """Every manoeuvre of every moving vehicle, in the order of the tracks and of their start.
 
-    among (A,): the vehicles that are looked at, all unless told.
+    among: the agents that are looked at, all unless told.
     """
     arrays, link = view.arrays, view.lanes.link
     found: list[Maneuver] = []
-    for agent in np.flatnonzero(arrays.moving_vehicles if among is None else arrays.moving_vehicles & among):
-        runs = runs_of(view, int(agent))
+    moving = arrays.moving_vehicles
+    for agent in (one for one in (range(arrays.num_agents) if among is None else among) if moving[one]):
+        runs = runs_of(view, agent)
         tried = (
-            _lane_change(view, int(agent), runs, k)
+            _lane_change(view, agent, runs, k)
             for k, (before, after) in enumerate(pairwise(runs), 1)
             if min(before.lane, after.lane) >= 0 and link[before.lane, after.lane] == CHANGES_LANES
         )
-        overtakes, changes = _overtakes(view, int(agent), [one for one in tried if one is not None])
-        seen = [change.maneuver for change in changes] + overtakes + list(_turns(view, int(agent), runs))
+        overtakes, changes = _overtakes(view, agent, [one for one in tried if one is not None])
+        seen = [change.maneuver for change in changes] + overtakes + list(_turns(view, agent, runs))
         found += sorted(seen, key=lambda maneuver: (maneuver.start_s, maneuver.kind))
     return found
 

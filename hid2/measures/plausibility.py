@@ -10,7 +10,6 @@ from hid2.agents import FloatArray, IntArray
 from hid2.measures.arrays import MOVING_EXTENT_M, SceneArrays
 from hid2.measures.lane_matching import FlatLanes, directions_of_motion, lanes_near
 from netconvert.geometry import wrap_angle
-from netconvert.lane_graph import LaneGraph
 
 #: Distance from a lane's centreline from which a point does not fit the lane, m: half a lane. On it, it fits fully.
 _HALF_LANE_M = 1.75
@@ -44,8 +43,8 @@ class Plausibility(NamedTuple):
     gain: float
 
 
-def plausibility(arrays: SceneArrays, graph: LaneGraph, lanes: FlatLanes) -> Plausibility:
-    """The figures of a recorded scene. lanes: those of `graph`."""
+def plausibility(arrays: SceneArrays, lanes: FlatLanes) -> Plausibility:
+    """The figures of a recorded scene."""
     agents = np.flatnonzero(arrays.moving_vehicles)
     direction = directions_of_motion(arrays.position, arrays.heading, arrays.first, step_s=arrays.step_s)
     off = np.abs(wrap_angle(arrays.heading - direction)) > np.pi / 4
@@ -53,7 +52,8 @@ def plausibility(arrays: SceneArrays, graph: LaneGraph, lanes: FlatLanes) -> Pla
     first, last = arrays.first[agents, None], arrays.first[agents + 1, None] - 1
     rows = (first + spread * (last - first)).astype(np.int64)  # (vehicles, points)
     x, y = arrays.position[rows].transpose(2, 0, 1)
-    inside, ground = (shapely.contains_xy(area, x, y) for area in (graph.drivable.convex_hull, graph.drivable))
+    drivable = lanes.graph.drivable
+    inside, ground = (shapely.contains_xy(area, x, y) for area in (drivable.convex_hull, drivable))
     mapped = inside.any(axis=1)
     shares = ground[mapped].sum(axis=1) / inside[mapped].sum(axis=1)
     shift_m, gain = _shift(arrays, direction, rows.ravel(), lanes) if len(rows) else (0.0, 0.0)

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from bridge.cli.places import check_out, check_out_file, check_scenes, one_scene
+from bridge.cli.places import check_out, check_scenes, one_scene
 from netconvert.errors import ConfigError
 
 Run = Callable[..., Any]
@@ -29,12 +29,12 @@ def test_out_in_a_scene_or_a_split_folder_is_refused(data_set: Path, tmp_path: P
         with pytest.raises(ConfigError, match="inside the scene"):
             check_out(out)
         with pytest.raises(ConfigError, match="inside the scene"):
-            check_out_file(out / "picture.png")
+            check_out(out / "picture.png", is_file=True)
     for out in (data_set / "train" / "out", data_set / "train" / "deep" / "er", tmp_path / "link" / "out"):
         with pytest.raises(ConfigError, match="inside the split folder"):
             check_out(out)
     with pytest.raises(ConfigError, match="inside the split folder"):
-        check_out_file(data_set / "train" / "picture.png")
+        check_out(data_set / "train" / "picture.png", is_file=True)
 
 
 def test_a_folder_with_a_single_scene_may_be_that_of_the_user(
@@ -99,9 +99,9 @@ def test_file_where_a_folder_is_wanted_is_named_with_what_to_give(data_set: Path
     with pytest.raises(ConfigError, match="is a file; choose another output folder"):
         check_out(tmp_path / "a.txt")
     with pytest.raises(ConfigError, match="cannot be made"):
-        check_out_file(tmp_path / "a.txt" / "picture.png")
+        check_out(tmp_path / "a.txt" / "picture.png", is_file=True)
     with pytest.raises(ConfigError, match="expected a file to write"):
-        check_out_file(tmp_path)
+        check_out(tmp_path, is_file=True)
 
 
 def test_command_of_one_scene_gets_the_only_one_of_a_data_set(data_set: Path, tmp_path: Path) -> None:

@@ -37,6 +37,8 @@ def test_row_by_hand() -> None:
     assert (row["lead_id"], row["lead_time_gap_s"], row["lead_ttc_s"]) == ("a", 1.2, 6.0)
     assert (row["lag_id"], row["lag_time_gap_s"], row["lag_ttc_s"]) == ("b", 0.6, 1.8)
     assert (row["rule"], row["guard"], row["sumo"]) == ("yes", "yes", "no")
+    again = gap_rows([(1, _vehicle(look)), (2, _vehicle(look))], {"v0_0": "gen_4"}, step_s=0.1)
+    assert [row["track_id"] for row in again] == [None, "gen_4"], "driven again: the last is exported"
 
 
 @pytest.mark.parametrize(

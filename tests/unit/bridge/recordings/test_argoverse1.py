@@ -19,7 +19,7 @@ from bridge.recordings.folders import Choices, Source, sequence_path
 from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import AgentRecord, PlacedRecord, RequestedRecord, SpawnRecord
-from bridge.recordings.sources import described, find_recordings, find_sources, read_recording
+from bridge.recordings.sources import _city_maps, described, find_recordings, find_sources, read_recording
 from hid2.agents import BoxSize, Policy, Track
 from hid2.params import Config
 from netconvert.av1_map import LANE_WIDTH_M, boundaries, cut_city, drivable_raster, read_city_lanes
@@ -334,6 +334,8 @@ def test_map_files_that_are_not_there_are_said_with_the_way_out(copy: Path) -> N
         NoSceneError, match=r"this is Argoverse 1: its map files are missing, .*map_files; or give --map"
     ):
         find_recordings([copy])
+    with pytest.raises(NoSceneError, match=r" in /map_files; or give --map"):  # at the root of the disk
+        _city_maps(Path("/hid2-test"))
 
 
 def test_a_chosen_map_of_another_place_is_refused(argoverse1: Path, data_scenes: dict[str, Path]) -> None:

@@ -58,7 +58,7 @@ def states_on(graph: LaneGraph, *tracks: Track) -> AgentStates:
 def judged(*tracks: Track) -> list[tuple[str, Quantity, str | None]]:
     """(track, quantity, other) of each finding on two lanes of 200 m at y = 0 and y = 3.5."""
     graph = draw_road()
-    return [(one.track_id, one.quantity, one.other) for one in judge(states_on(graph, *tracks), graph, Bounds())]
+    return [(one.track_id, one.quantity, one.other) for one in judge(states_on(graph, *tracks), Bounds())]
 
 
 def test_quiet_driving_has_no_finding() -> None:
@@ -92,7 +92,7 @@ def test_curves(radius: float, speed: float, found: set[str]) -> None:
     """Motion alone: the map is far away, and ground everywhere. Jerk on a circle: v w^2, at most 4.7 m/s3 here."""
     ring = np.array([(-500.0, -500.0), (500.0, -500.0), (500.0, 500.0), (-500.0, 500.0), (-500.0, -500.0)])
     graph = LaneGraph({}, drivable_areas=(ring,))
-    seen = judge(states_on(graph, _circle("gen_0", radius, speed)), graph, Bounds())
+    seen = judge(states_on(graph, _circle("gen_0", radius, speed)), Bounds())
     assert {one.quantity.value for one in seen} == found
 
 
@@ -112,7 +112,7 @@ def test_footprint_beyond_the_edge(y: float, found: list[str]) -> None:
     graph = draw_road()
     bottom = min(ring[:, 1].min() for ring in graph.drivable_areas)
     track = _at("gen_0", 20.0, 10.0, y=bottom + 0.95 - (0.25 if not found else 0.35))
-    assert [one.quantity.value for one in judge(states_on(graph, track), graph, Bounds())] == found
+    assert [one.quantity.value for one in judge(states_on(graph, track), Bounds())] == found
 
 
 @pytest.mark.parametrize(
@@ -123,7 +123,7 @@ def test_heading_against_the_lane(degrees: float, inside: bool, found: int) -> N
     ring = np.array([(-50.0, -50.0), (350.0, -50.0), (350.0, 50.0), (-50.0, 50.0), (-50.0, -50.0)])
     graph = LaneGraph({1: draw_lane(1, [(0.0, 0.0), (300.0, 0.0)], is_intersection=inside)}, drivable_areas=(ring,))
     stands = _at("gen_0", 50.0, 0.0, heading=np.radians(degrees))
-    seen = judge(states_on(graph, stands), graph, Bounds())
+    seen = judge(states_on(graph, stands), Bounds())
     assert [one.quantity for one in seen] == [Quantity.AGAINST_LANE] * found
     assert all(one.value == pytest.approx(degrees) for one in seen)
 
@@ -132,7 +132,7 @@ def test_driving_against_the_lane_is_found_and_heading_against_one_that_leads_up
     """Turned round, and in reverse. The lane at 90 degrees, the box that stands on it at 20: 70 degrees apart."""
     ring = np.array([(-50.0, -50.0), (150.0, -50.0), (150.0, 350.0), (-50.0, 350.0), (-50.0, -50.0)])
     graph = LaneGraph({1: draw_lane(1, [(50.0, -40.0), (50.0, 300.0)])}, drivable_areas=(ring,))
-    (seen,) = judge(states_on(graph, _at("gen_0", 50.0, 0.0, heading=np.radians(20.0))), graph, Bounds())
+    (seen,) = judge(states_on(graph, _at("gen_0", 50.0, 0.0, heading=np.radians(20.0))), Bounds())
     assert (seen.quantity, seen.value) == (Quantity.AGAINST_LANE, pytest.approx(70.0))
     for heading in (np.pi, 0.0):
         seen = judged(_at("gen_0", 200.0, -10.0, heading=heading))
