@@ -125,7 +125,7 @@ class _Pool:
         for fact in facts:
             name = source_of[fact.folder]
             other = seen.setdefault((name, fact.scenario_id), fact)
-            if other is not fact:
+            if other != fact:  # a folder that comes twice is one scene
                 raise ConfigError(
                     f"{other.folder} and {fact.folder} are both scene {fact.scenario_id!r}; leave one out"
                 )

@@ -74,8 +74,7 @@ def facts_of_scenes(
         describe, folders, shared=Forecasting(), jobs=jobs, chunk=256, timeout_s=60, isolated=False, on_item=on_scene
     )
     facts, unread = sorted_out(each)
-    by_folder = {fact.folder: fact for fact in facts}  # a folder that comes twice is one scene
-    return [by_folder[folder] for folder in folders if folder in by_folder], [reason for _, reason in unread]
+    return facts, [reason for _, reason in unread]
 
 
 def describe(params: Forecasting, folder: Path) -> SourceScene:

@@ -127,7 +127,7 @@ def scene_document(recording: Recording, looks: bytes | None = None) -> dict[str
     said = {} if sidecar is None else sidecar.model_dump(mode="json", include=SAID)
     ids = {track.track_id for track in recording.tracks if is_generated_id(track.track_id)}
     word, states = word_for_recorded(recording.scenario_id), recording_states(recording)
-    origin, found = _origin(recording.graph), findings_of(states, recording.graph, sidecar)
+    origin, found = _origin(recording.graph), findings_of(states, sidecar)
     return {
         "id": recording.scenario_id, "city": recording.city, "split": recording.split, "origin": origin.tolist(),
         "step_s": recording.step_s, "steps": recording.num_steps, "observed": recording.observed_steps,
