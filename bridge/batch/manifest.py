@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from bridge.files import MAX_FILE_MB, append_rows, explained, one_line, read_regular, table_file, untabled, write_text
-from bridge.recordings.folders import SPLITS
+from bridge.recordings.folders import SPLITS, WRITTEN
 from netconvert.errors import BatchError, ConfigError
 
 MANIFEST_NAME, CONTENTS_NAME = "manifest.csv", "contents.txt"
@@ -27,8 +27,6 @@ CHECK = "check"
 MAX_TEXT = 2_000
 #: Size of a manifest, MB, at most: a row has 1 kB, a data set 250,000 scenes.
 _MOST_MB = 2_000
-#: How names of files that are written of a scene, or of a run of a study, begin.
-_WRITTEN = ("scenario_", "log_map_archive_", "hid2_", "gaps_", "run.", "looks.", "trajectories.")
 _DIGEST = re.compile(r"([0-9a-f]{64})?")
 _LOG = logging.getLogger(__name__)
 
@@ -228,4 +226,4 @@ def files_sha256(paths: Iterable[Path]) -> str:
 def output_files(folder: Path) -> list[Path]:
     """All regular files of a written folder that hid2 writes; a user's notes beside them change nothing."""
     files = [Path(entry.path) for entry in os.scandir(folder) if entry.is_file()] if folder.is_dir() else []
-    return [path for path in files if path.name.startswith(_WRITTEN)]
+    return [path for path in files if path.name.startswith(WRITTEN)]

@@ -18,6 +18,7 @@ from hid2.insertion.finalise import ExportedVehicle
 from hid2.insertion.meetings import moving_vehicles, target_rows
 from hid2.insertion.outcome import Outcome, gaps_at_request
 from hid2.judge.events import brakes_for
+from hid2.measures.driven_lanes import runs_of
 from hid2.measures.selection import drives
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.behaviours import BEHAVIOURS
@@ -44,8 +45,8 @@ def agent_record(
     """
     driven = vehicle.driven
     start, driver = driven.start, driven.start.driver
-    cell, end_m = scene.cell_at(start.path, start.start_m), float(vehicle.motion.s[-1])
-    route = [one.lane_id for one in driven.path.segments if start.start_m < one.end and one.start <= end_m]
+    cell, lanes = scene.cell_at(start.path, start.start_m), vehicle.states.lanes.lane_ids
+    route = dict.fromkeys(int(lanes[run.lane]) for run in runs_of(vehicle.states, 0) if run.lane >= 0)
     steps = max(driven.policies.total(), 1)  # at which it was steered
     return sidecar.AgentRecord(
         track_id=names[driven.vehicle_id],

@@ -15,6 +15,7 @@ from pyarrow.pandas_compat import get_logical_type
 
 from bridge.files import explained
 from bridge.interruption import hidden_folder, tidied
+from bridge.recordings.folders import WRITTEN
 from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import SCENARIO_COLUMNS, STEP_S, track_columns
 from bridge.recordings.sidecar import RecordingRecord, Sidecar, sidecar_bytes, sidecar_path
@@ -140,7 +141,10 @@ def map_bytes(scenario: Recording) -> bytes:
 
 
 def write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write files into a hidden folder beside, then put it in the place of folder. Errors: ExportError."""
+    """Write files into a hidden folder beside, then put it in the place of folder, with what a user laid into that.
+
+    Errors: ExportError.
+    """
     with explained(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
         with hidden_folder(folder.parent) as beside:
@@ -149,9 +153,12 @@ def write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
             for name, content in files.items():
                 (new / name).write_bytes(content)
 
-            def put_back() -> None:
+            def put_back() -> None:  # what was there, or the user's part of it
                 if old.exists() and not folder.exists():
                     old.rename(folder)
+                for one in old.iterdir() if old.is_dir() else ():
+                    if one.name not in files and not one.name.startswith(WRITTEN):
+                        one.rename(folder / one.name)
 
             with tidied(put_back):
                 if folder.exists():

@@ -16,6 +16,8 @@ _LOG = logging.getLogger(__name__)
 PARQUET_PATTERN, MAP_PATTERN = "scenario_*.parquet", "log_map_archive_*.json"
 #: Name of the file that hid2 writes beside them.
 SIDECAR_PATTERN = "hid2_*.json"
+#: How names of files that hid2 writes of a scene, or of a run of a study, begin.
+WRITTEN = ("scenario_", "log_map_archive_", "hid2_", "gaps_", "run.", "looks.", "trajectories.")
 #: Sizes beside a scene with boxes that people have labelled.
 SIZES_FILE = "agent_sizes.csv"
 #: Files of a sensor log; log, city and number in the name of its map.

@@ -58,6 +58,9 @@ def test_out_elsewhere_or_of_an_earlier_run_is_taken_silently(
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"hid2: warning: {data_set / 'out'} lies inside the data set {data_set}")
     scene = next((data_set / "train").iterdir())
+    (data_set / "manifest.csv").touch()  # of an output folder, from which a sidecar is lost
+    check_out(data_set)
+    (data_set / "manifest.csv").unlink()
     (scene / "hid2_x.json").touch()
     for out in (tmp_path / "out", data_set, data_set / "report", data_set / "train" / "report"):
         check_out(out)

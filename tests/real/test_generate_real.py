@@ -130,6 +130,15 @@ def test_ten_asked_for_are_ten_placed_every_request_has_its_record_and_algorithm
     assert sum(placed) >= 0.98 * 10 * len(placed), placed
 
 
+def test_lanes_that_a_record_tells_are_those_of_its_manoeuvre(real_scenes: list[Path]) -> None:
+    """Also where a lane ends while the vehicle is on its way across, as for two vehicles here."""
+    config = Config(request=Request(agents=10, seed=3, lane_change=0.4, straight=0.45))
+    agents = generate(read_once(real_scenes[1]), config).sidecar.agents
+    changes = [(agent, one) for agent in agents for one in agent.maneuvers if one.crossing_s is not None]
+    assert len(changes) >= 3
+    assert all({one.source_lane, one.target_lane} <= {None, *agent.route} for agent, one in changes)
+
+
 def test_exported_way_is_the_simulated_one(scenes: list[TrafficScene]) -> None:
     """Exported s(t) within 0.3 m of SUMO's in the median vehicle, 0.8 m at the 95th percentile, 2 m in all."""
     off = [float(np.abs(vehicle.simulated_off_m).max()) for scene in scenes for vehicle in scene.vehicles]
