@@ -175,10 +175,10 @@ class RoadResult:
         if min(len(set(ours)), len(set(theirs))) > 1:
             found["rank_correlation"] = Estimate(float(stats.spearmanr(ours, theirs).statistic))
         for side in SIDES if any("gap" in name for name in published) else ():
-            gaps = self._every(side, ["rejected_s", "taken_s"])
-            gaps = gaps[gaps["taken_s"] < LONG_GAP_S]
+            gaps = self._every(side, ["rejected_s", "taken_s"]).fillna({"taken_s": np.inf})
+            runs, taken_s = gaps.loc[gaps["taken_s"] < LONG_GAP_S, ["run", "taken_s"]].to_numpy().T
             for name, (low, high) in SHARES.items():
-                among = gaps["taken_s"].between(low, high, inclusive="left").groupby(gaps["run"]).agg(["sum", "count"])
+                among = pd.Series(taken_s).between(low, high, inclusive="left").groupby(runs).agg(["sum", "count"])
                 found[f"accepted_{side}_gaps_{name}"] = ratio(*among.to_numpy(np.float64).T)
             told = troutbeck(*gaps[["rejected_s", "taken_s"]].to_numpy().T)
             found |= {f"critical_{side}_gap_{what}_s": one for what, one in zip(("mean", "sd"), told, strict=True)}

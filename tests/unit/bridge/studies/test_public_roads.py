@@ -75,6 +75,7 @@ def run_of(
     every, count = sum(changes), sum(vehicles)
     ratios |= {"flow_veh_per_h": [flow, 1.0], "speed_mps": [speed, 1.0]}
     ratios |= {"changes_per_vehicle": [every, count], "changes_per_veh_km": [every, 10.0]}
+    ratios |= {"inconsistent_lag": [3, 1], "inconsistent_lead": [0, 1]}
     return {"ratios": ratios, "cells": [], "lag": [], "lead": []} | more
 
 
@@ -132,7 +133,7 @@ def test_critical_gap_is_found_from_what_was_rejected_and_accepted(tmp_path: Pat
         while offered <= critical:
             rejected, offered = max(rejected, offered), rng.exponential(1.0)
         pairs.append((rejected, offered))
-    lead = [(0.0, 0.4), (0.0, 50.0)]
+    lead: list[Any] = [(0.0, 0.4), (0.0, 50.0), (0.5, None)]
     runs = [run_of([1, 1, 1], [1, 1, 1], lag=half, lead=lead) for half in (pairs[:200], pairs[200:])]
     told = result(tmp_path, *runs, counts=GAPS, page=UNTUNED_PAGE).measures
     assert told["critical_lag_gap_mean_s"].low < 1.0 < told["critical_lag_gap_mean_s"].high
@@ -167,6 +168,7 @@ def test_page_says_what_gaps_do_not_tell(tmp_path: Path) -> None:
     told = text("public.md.j2", page=page, tests=[one], cell_m=250.0, cell_s=60.0, long_gap_s=10.0, **lists)
     assert "not told by these gaps: critical_lag_gap_mean_s, critical_lag_gap_sd_s." in told
     assert "| gaps taken below 10 s, lag and lead, all runs | - | 8 and 0 |" in told
+    assert "than they took, lag and lead, all runs | - | 3 and 0 |" in told
 
 
 def test_pages_of_the_project_are_read_and_ngsim_tunes_on_one_road_alone_and_its_counts_add_up() -> None:
