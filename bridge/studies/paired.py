@@ -48,6 +48,7 @@ from hid2.measures.surrogates import CAP_S, time_to_collision
 from hid2.motion.smoothing import Motion, trajectory
 from hid2.occupancy.agent_states import AgentStates, agent_states
 from hid2.params import Config, LaneChange
+from hid2.policy.overtake import shortest_shift_s
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
 from hid2.scene import Scene, future_of
@@ -194,6 +195,13 @@ def triggers(config: Config, drawn: Drawn) -> dict[int, float]:
     return {request.number: request.trigger_s for request in requests}
 
 
+def begins_by_s(scene: Scene, kind: str) -> float:
+    """When the shortest change of a kind has to begin so that it ends in the scene, s; a turn at the scene's end."""
+    config = scene.config
+    shortest_s = {"lane_change": config.lane_change.min_duration_s, "overtake": shortest_shift_s(config)}
+    return scene.last_s - shortest_s.get(kind, 0.0)
+
+
 def _measured(
     scene: Scene, drawn: Drawn, driving: FlowDriving, vehicles: Sequence[DrivenVehicle], recorded: Sequence[Track],
     trigger_s: dict[int, float],
@@ -264,8 +272,7 @@ def _request_row(scene: Scene, vehicle: DrivenVehicle, *, first: int) -> dict[st
     shift = vehicle.shifts[0] if vehicle.shifts else None
     accepted_s = None if shift is None else shift.requested_step * scene.step_s
     # until when it could have accepted: it gave up, or it left, or the scene had no time left for a change
-    too_late_s = next((look.step * scene.step_s for look in vehicle.gaps if look.guard is Reason.SCENE_ENDS), last_s)
-    gives_up_s = trigger_s + scene.config.lane_change.give_up_s
+    gives_up_s, too_late_s = trigger_s + scene.config.lane_change.give_up_s, begins_by_s(scene, vehicle.policy.value)
     until_s = min(last_s, too_late_s, gives_up_s) if accepted_s is None else accepted_s
     row = dict.fromkeys(REQUEST_COLUMNS) | {
         "vehicle": vehicle.vehicle_id, "kind": vehicle.policy.value, "entered_s": rounded(first * scene.step_s),

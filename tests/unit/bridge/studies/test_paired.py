@@ -70,17 +70,15 @@ def test_starts_are_the_same_for_every_value_and_triggers_are_those_asked_for(da
 
 
 def test_request_is_observed_until_the_scene_has_no_time_left_for_a_change(data_scenes: dict[str, Path]) -> None:
-    """Asked after 5.5 s of 11 s, any gap will do: what the scene's end refuses is at risk up to that look alone."""
+    """Asked after 5.5 s of 11 s, of which a change takes 3.7: at risk up to 7.2 s are all, whatever they wait for."""
     request = CHANGES.model_copy(update={"trigger_min_s": 5.5, "trigger_max_s": 5.5, "seed": 2})
     change = LaneChange(time_gap_front_s=0.0, time_gap_rear_s=0.0, min_gap_m=0.0, safety="rule")
     config = Config(request=request, lane_change=change)
     prepared = prepare(read_scenario(data_scenes["arterial"]), config)
     run = paired_run(prepared, draw(prepared, drawing_config(config)), config)
-    rows = {row["vehicle"]: row for row in run.requests}
-    looks = [(one.vehicle_id, look) for one in run.driven if not one.shifts for look in reversed(one.gaps)]
-    late_s = {name: 0.1 * look.step for name, look in looks if look.guard == "scene_ends"}  # of each the first
-    assert late_s
-    assert {name: rows[name]["observed_to_s"] for name in late_s} == pytest.approx(late_s)
+    waiting = [row for row in run.requests if row["status"] != "not_placed" and not row["accepted"]]
+    assert waiting
+    assert [row["observed_to_s"] for row in waiting] == pytest.approx([7.2] * len(waiting))
 
 
 def test_durations_are_within_the_bounds_of_the_run_and_no_others(data_scenes: dict[str, Path]) -> None:
