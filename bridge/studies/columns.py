@@ -27,7 +27,8 @@ REQUEST_COLUMNS: Mapping[str, str] = {
     "entered_s": "time of its first step",
     "desired_mps": "the driver's desired speed",
     "trigger_s": "trigger time, from the scene's first step",
-    "counted": "enters the statistics: it was triggered with time left for a change, and not in the warm-up",
+    "counted": "enters the statistics: it was triggered with time left for a change, and not in the warm-up; of paired "
+    "vehicles at every point",
     "observed_to_s": "time of the acceptance, else until when it could have accepted: given up, left, or no time left",
     "accepted_s": "time at which SUMO was asked for the change that it carried out",
     "waited_s": "observed_to_s - trigger_s; censored where not accepted",

@@ -200,7 +200,7 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         runs={"all": len(runs), "failed": int((runs["status"] != DONE).sum())},
         requests={
             "all": len(requests), "counted": len(counted), "never": int((~due).sum()),
-            "warm": int((~requests["counted"] & due).sum()),
+            "other": int((~requests["counted"] & due).sum()),
         },
         scenes=requests["scene"].nunique(),
         flows=config.flow.veh_per_h_lane > 0.0,

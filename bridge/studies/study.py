@@ -218,6 +218,10 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> "dict[st
             told += [{**name, **one} for one in found[name_of]]
     known = {table: pd.DataFrame(told) for table, told in every.items()}
     known["looks"] = pd.concat(looks) if looks else pd.DataFrame()
+    if study.paired and every["requests"]:  # the same vehicles at every point at which there are any
+        counted = known["requests"]["counted"]
+        times = counted.groupby([known["requests"][name] for name in ("scene", "seed", "vehicle")]).transform("sum")
+        known["requests"]["counted"] &= times == known["requests"].loc[counted, "point"].nunique()
     # columns of numbers are numbers, also where all of a run's are missing
     endings = ("_s", "_m", "_mps", "_mps2")
     return {

@@ -2,15 +2,17 @@
 
 import gzip
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.config import config_sha256, load_config
+from bridge.generation.gaps import gaps_bytes
 from bridge.generation.generate import generate
 from bridge.recordings.road import write_corridor
 from bridge.recordings.scenario import read_scenario
-from bridge.studies.study import RUN_FILE, read_study, tables
+from bridge.studies.study import LOOKS_FILE, RUN_FILE, RUN_TABLES, read_study, tables, write_run
 from hid2.reasons import Reason
 from netconvert.errors import BatchError, ConfigError
 
@@ -45,6 +47,23 @@ def test_run_in_a_folder_that_is_continued_is_read_up_to_its_limits(
     row = ManifestRow("a", "val", 0, 0, DONE, folder="run", config_sha256=config_sha256(study.configs[0][0]))
     with pytest.raises(BatchError, match=said):
         tables(study, [row], tmp_path)
+
+
+def test_the_same_vehicles_count_at_every_point_at_which_any_does(tmp_path: Path, data_root: Path) -> None:
+    """v0 is due at 1 and 2 s, v1 at 1 s alone, none at 9 s: v0 counts, twice."""
+    study = read_study(study_file(tmp_path, "seeds = [0]\n[vary]\ntrigger_s = [1.0, 2.0, 9.0]\n", data_root))
+    rows = []
+    for (config,), waited in zip(study.configs, ((3.0, 2.0), (1.0, None), (None, None)), strict=True):
+        asked = {"kind": "lane_change", "accepted": False, "trigger_s": config.request.trigger_min_s}
+        told: dict[str, list[Any]] = {name: [] for name in RUN_TABLES}
+        told["requests"] = [asked | {"vehicle": f"v{k}", "waited_s": one} for k, one in enumerate(waited)]
+        source = read_scenario(study.folders[0])
+        folder = write_run(tmp_path, source, config, told, {LOOKS_FILE: gaps_bytes([], {}, step_s=0.1)})
+        rows.append(
+            ManifestRow("a", "val", 0, 0, DONE, folder=f"runs/{folder.name}", config_sha256=config_sha256(config))
+        )
+    requests = tables(study, rows, tmp_path)["requests"]
+    assert requests.loc[requests["counted"], ["vehicle", "waited_s"]].to_numpy().tolist() == [["v0", 3.0], ["v0", 1.0]]
 
 
 def test_grid_is_every_combination_with_every_seed(tmp_path: Path, data_root: Path) -> None:
