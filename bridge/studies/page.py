@@ -202,7 +202,7 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
             "all": len(requests), "counted": len(counted), "never": int((~due).sum()),
             "other": int((~requests["counted"] & due).sum()),
         },
-        scenes=requests["scene"].nunique(),
+        scenes=counted["scene"].nunique(),
         flows=config.flow.veh_per_h_lane > 0.0,
         replays=set(requests["replay"]),
         keys=keys,
@@ -254,8 +254,8 @@ def _seeds_line(requests: pd.DataFrame, key: str) -> str | None:
     found = difference_sd(requests, key)
     if found is None:
         return None
-    (sd, runs), scenes = found, requests["scene"].nunique()
-    needed = (f"{math.ceil(seeds_needed(sd, size) / scenes)} for {size:g}" for size in _SIZES_TOLD)
+    (sd, runs), seeds = found, requests["seed"].nunique()
+    needed = (f"{math.ceil(seeds_needed(sd, size) * seeds / runs)} for {size:g}" for size in _SIZES_TOLD)
     return (
         f"{key}: the difference of the share between first and last value has an SD of {sd:.3f} from run to "
         f"run ({runs} runs). Seeds needed at power .8, by a paired t test, which assumes more than the signs above: "

@@ -81,7 +81,7 @@ def plan_text(study: Study, out_dir: Path, difference: float) -> Iterator[str]:
                 yield f"  {out_dir} has fewer than three runs with results at both ends of {key}: no spread to go by"
             else:
                 sd, runs = found
-                yield f"  {seeds_needed(sd, difference)} by the {runs} seeds in {out_dir} ({key}: SD {sd:.3f})"
+                yield f"  {seeds_needed(sd, difference)} by the {runs} runs in {out_dir} ({key}: SD {sd:.3f})"
 
 
 def _requests_of_a_run(study: Study) -> int:

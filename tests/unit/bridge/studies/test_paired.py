@@ -305,7 +305,7 @@ def test_plan_says_how_many_runs_a_difference_needs_before_and_after_a_pilot(tmp
     (tmp_path / "out").mkdir()
     pilot.to_csv(tmp_path / "out" / "requests.csv")
     *_, by_pilot = plan_text(study, tmp_path / "out", 0.1)  # differences -.8, -.6, -.4: SD .2
-    assert f"{seeds_needed(0.2, 0.1)} by the 3 seeds" in by_pilot
+    assert f"{seeds_needed(0.2, 0.1)} by the 3 runs" in by_pilot
     pilot[pilot["seed"] < 2].to_csv(tmp_path / "out" / "requests.csv")
     assert list(plan_text(study, tmp_path / "out", 0.1))[-1].endswith("no spread to go by")
     with pytest.raises(ConfigError, match="--plan 5: expected a difference of shares between 0 and 1"):
@@ -355,4 +355,7 @@ def test_replay_is_varied_like_any_other_parameter_and_said_everywhere(
     assert "What one parameter does alone" not in text
     half = replace(study, points=study.points[1:3], configs=study.configs[1:3])
     named = defaultdict(pd.DataFrame, {path.stem: pd.read_csv(path) for path in out.glob("*.csv")})
-    assert "What one parameter does alone" in page_text(half, named, [])
+    named["requests"] = pd.concat([named["requests"], named["requests"].assign(scene="b", counted=False)])
+    told = page_text(half, named, [])
+    assert "What one parameter does alone" in told
+    assert "1 scene has requests that count" in told

@@ -9,7 +9,7 @@ import pytest
 
 from bridge.pages.parts import macros
 from bridge.studies.gap_acceptance import critical_gap, gaps_of, largest_rejected, troutbeck
-from bridge.studies.page import _classes, _told, _write_table, draw_parameter
+from bridge.studies.page import _classes, _seeds_line, _told, _write_table, draw_parameter
 from bridge.studies.statistics import difference_sd, dose_response, few_clusters_p, mean_wait, observed_s, seeds_needed
 
 
@@ -83,6 +83,9 @@ def test_seeds_needed_are_those_of_the_paired_t_test() -> None:
     assert found is not None
     assert found[1] == 12
     assert difference_sd(_requests(-0.3, runs=2), "p") is None
+    requests = _requests(-0.3)
+    other = requests.assign(scene="b", counted=False)  # adds no run to a seed
+    assert _seeds_line(pd.concat([requests, other]), "p") == _seeds_line(requests, "p")
 
 
 def test_driver_who_refused_a_larger_gap_is_left_out_and_counted() -> None:
