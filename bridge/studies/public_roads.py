@@ -124,6 +124,10 @@ def read_public(path: Path) -> PublicRoads:
         known = (*MEASURES, *lanes)
         if unknown := counts.published.keys() - known:
             raise ConfigError(f"{site.counts}: unknown key 'published.{min(unknown)}'; expected {', '.join(known)}")
+        rows, lengths = counts.start_to_end, {len(row) for row in counts.start_to_end}
+        if rows and (len(rows) != len(lanes) or lengths not in ({site.road.lanes}, {site.road.lanes + 1})):
+            said = f"a row for each of {', '.join(lanes)}, all of a value for each lane and the ramps or for each lane"
+            raise ConfigError(f"{site.counts}: start_to_end: {len(rows)} rows, expected {said}")
         if site.tune and not (len(counts.vehicles) == len(lanes) and counts.published.keys() >= {*lanes}):
             said = f"vehicles: {len(counts.vehicles)} values on a road to tune on, expected one for each of"
             raise ConfigError(f"{site.counts}: {said} {', '.join(lanes)}, which have to be published")
