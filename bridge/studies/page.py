@@ -3,8 +3,6 @@
 import logging
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
-from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +20,6 @@ from bridge.studies.columns import DECIDE, DICTIONARY, OUTCOMES
 from bridge.studies.gap_acceptance import critical_gap, gaps_of
 from bridge.studies.statistics import difference_sd, dose_response, kaplan_meier, seeds_needed
 from bridge.studies.study import Study
-from hid2.measures.conflicts import TrafficConflict
-from hid2.measures.lane_changes import LaneChangeRow
 from hid2.params import Conflict
 
 #: Most values of a parameter told one by one, and number of classes of neighbouring values of more, as of a hypercube.
@@ -76,11 +72,9 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
         **tables, "gaps": gaps, "dose_response": pd.concat(doses) if doses else pd.DataFrame(),
         "critical_gaps": pd.DataFrame(critical),
     }  # fmt: skip
-    for name, row in (("lane_changes", LaneChangeRow), ("conflicts", TrafficConflict)):
-        if named[name].empty:  # the table says so
-            of_a_run = takewhile("status".__ne__, tables["runs"].columns)
-            named[name] = pd.DataFrame(columns=[*of_a_run, *(field.name for field in fields(row))])
-    written = [_write_table(out_dir, name, named[name]) for name in DICTIONARY if len(named[name].columns)]
+    said_of = {name: ", ".join(columns).split(", ") for name, columns in DICTIONARY.items()}
+    named |= {name: pd.DataFrame(columns=columns) for name, columns in said_of.items() if named[name].empty}
+    written = [_write_table(out_dir, name, named[name]) for name in DICTIONARY]
     dictionary, page = out_dir / "columns.csv", out_dir / "study.md"
     says = ((table, *said) for table, columns in DICTIONARY.items() for said in columns.items())
     write_rows(dictionary, ("table", "column", "says"), says)

@@ -4,6 +4,7 @@ import gzip
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 from bridge.batch.manifest import DONE, ManifestRow
@@ -12,6 +13,7 @@ from bridge.generation.gaps import gaps_bytes
 from bridge.generation.generate import generate
 from bridge.recordings.road import write_corridor
 from bridge.recordings.scenario import read_scenario
+from bridge.studies.page import write_results
 from bridge.studies.study import LOOKS_FILE, RUN_FILE, RUN_TABLES, read_study, tables, write_run
 from hid2.reasons import Reason
 from netconvert.errors import BatchError, ConfigError
@@ -64,6 +66,15 @@ def test_the_same_vehicles_count_at_every_point_at_which_any_does(tmp_path: Path
         )
     requests = tables(study, rows, tmp_path)["requests"]
     assert requests.loc[requests["counted"], ["vehicle", "waited_s"]].to_numpy().tolist() == [["v0", 3.0], ["v0", 1.0]]
+
+
+def test_tables_of_an_earlier_configuration_do_not_stay(tmp_path: Path, data_root: Path) -> None:
+    study = read_study(study_file(tmp_path, "[vary]\ntrigger_s = [1.0, 2.0]\n", data_root))
+    (tmp_path / "critical_gaps.csv").write_text("mean_s\n1.0\n")
+    files = write_results(study, {name: pd.DataFrame() for name in ("runs", "looks", *RUN_TABLES)}, tmp_path)
+    assert tmp_path / "critical_gaps.csv" in files
+    assert (tmp_path / "critical_gaps.csv").read_text().startswith("parameter,value,side,mean_s,")
+    assert pd.read_csv(tmp_path / "gaps.csv").empty
 
 
 def test_grid_is_every_combination_with_every_seed(tmp_path: Path, data_root: Path) -> None:
