@@ -164,7 +164,7 @@ DICTIONARY: Mapping[str, Mapping[str, str]] = {
         "trend": "slope of the outcome over all values of a numeric parameter, least squares",
         "trend_low, trend_high": "its 95 % interval, runs drawn again",
         "p": "two-sided, of no trend: signs of the clusters' own trends are changed (Canay, Romano and Shaikh 2017)",
-        "clusters": "how many: scenes where there are at least three, else runs; k of them give 2 / 2^k at least",
+        "clusters": "how many tell of two values: scenes, or runs of fewer than three; k give p of 2 / 2^k at least",
         "p_holm": f"the same, adjusted for all outcomes but {OUTCOMES[0].name} that vary at all (Holm)",
         "difference": "estimate less that of the first value",
         "difference_low_runs, difference_high_runs": "its 95 % interval: the same draw of runs for both values",

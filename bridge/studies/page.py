@@ -21,6 +21,7 @@ from bridge.studies.gap_acceptance import critical_gap, gaps_of
 from bridge.studies.statistics import difference_sd, dose_response, kaplan_meier, seeds_needed
 from bridge.studies.study import Study
 from hid2.params import Conflict
+from hid2.resampling import UNITS_ENOUGH
 
 #: Most values of a parameter told one by one, and number of classes of neighbouring values of more, as of a hypercube.
 _MOST_VALUES, _CLASSES = 12, 6
@@ -257,11 +258,7 @@ def _seeds_line(requests: pd.DataFrame, key: str) -> str | None:
     )
 
 
-def _few_clusters(dose: pd.DataFrame) -> tuple[int, int] | None:
-    """How many clusters there are, and from how many a test by signs can be sure; None where there are enough."""
-    if "p" not in dose or (told := dose.dropna(subset="p")).empty:
-        return None
-    others = told.dropna(subset="p_holm") if "p_holm" in told else told.iloc[:0]
-    family = max([1, *others.groupby("parameter")["outcome"].nunique()])
-    there, least = int(told["clusters"].max()), math.ceil(1.0 + math.log2(family / 0.05))
-    return (there, least) if there < least else None
+def _few_clusters(dose: pd.DataFrame) -> int | None:
+    """How many clusters tell of two values of a parameter; None where there are enough."""
+    there = int(dose["clusters"].max()) if len(dose) else 0
+    return there if there < UNITS_ENOUGH else None

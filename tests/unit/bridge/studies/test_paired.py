@@ -284,7 +284,7 @@ def test_study_is_resumed_and_writes_what_its_dictionary_says(tmp_path: Path) ->
     assert "## lane_change.time_gap_rear_s" in text
     _check_references(text, out)
     assert "cut off, or of vehicles that do not count at every point [requests.counted]" in text
-    assert "- Trends as sure as their intervals look: 3 clusters are fewer than the " in text
+    assert "- Trends and differences as sure as their intervals look: 3 clusters are fewer than the " in text
     assert re.search(r"Seeds needed at power \.8, by a paired t test, .*: \d+ for 0\.02, \d+ for 0\.05", text)
 
 

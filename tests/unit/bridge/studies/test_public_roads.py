@@ -84,7 +84,7 @@ def result(tmp_path: Path, *runs: dict[str, Any], **files: str) -> RoadResult:
 
 
 def test_figures_by_hand(tmp_path: Path) -> None:
-    """Two seeds: 100 and 100 vehicles, 60 and 40 changes.
+    """Two seeds, too few for an interval: 100 and 100 vehicles, 60 and 40 changes.
 
     By lane (10 + 10) / 80 = .25, (30 + 10) / 80 = .5, ramp (20 + 20) / 40 = 1.0; published .1, .3, 1.5 with 40, 40, 20
     vehicles: (40 x .15 + 40 x .2 + 20 x .5) / 100 = .24. All 100 / 200 = .5 as published; 100 changes in 20 km: 5.
@@ -94,7 +94,7 @@ def test_figures_by_hand(tmp_path: Path) -> None:
     told = one.measures
     assert [told[name].value for name in one.site.road.from_lanes] == [0.25, 0.5, 1.0]
     assert (told["changes_per_vehicle"].value, told["changes_per_veh_km"].value) == (0.5, 5.0)
-    assert (told["changes_per_vehicle"].low, told["changes_per_vehicle"].high) == (0.4, 0.6)  # draws of one seed alone
+    assert told["changes_per_vehicle"].low is None
     assert one.error == pytest.approx(0.24)
     assert one.off("changes_per_vehicle") == pytest.approx(0.0)
     assert told["rank_correlation"].value == pytest.approx(1.0)
