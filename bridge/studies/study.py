@@ -296,6 +296,7 @@ def configured(base: Mapping[str, Any], changes: Mapping[str, Value], *, source:
     expanded = {key: value for key, value in changes.items() if not key.startswith(_RULE)}
     if TRIGGER in expanded:
         expanded["request.trigger_min_s"] = expanded["request.trigger_max_s"] = expanded.pop(TRIGGER)
+        values["request"] = {**values.get("request", {}), "trigger_list_s": []}  # it would come first
     arguments = ", ".join(f"{key[5:]}={value}" for key, value in changes.items() if key.startswith(_RULE))
     if arguments:
         given = values.get("lane_change", {}).get("rule_with")

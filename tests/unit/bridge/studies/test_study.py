@@ -79,13 +79,14 @@ def test_tables_of_an_earlier_configuration_do_not_stay(tmp_path: Path, data_roo
 
 def test_grid_is_every_combination_with_every_seed(tmp_path: Path, data_root: Path) -> None:
     text = 'seeds = [3, 5]\n[vary]\ntrigger_s = [1.0, 2.0]\n"lane_change.give_up_s" = [5.0, 10.0, 15.0]\n'
+    text += "[config.request]\ntrigger_list_s = [4.0]\n"
     study = read_study(study_file(tmp_path, text, data_root))
     assert len(study.folders) == 3
     assert [tuple(point.values()) for point in study.points] == [
         (1.0, 5.0), (1.0, 10.0), (1.0, 15.0), (2.0, 5.0), (2.0, 10.0), (2.0, 15.0),
     ]  # fmt: skip
     config = study.configs[4][1]
-    assert (config.request.trigger_min_s, config.request.trigger_max_s) == (2.0, 2.0)
+    assert (config.request.trigger_min_s, config.request.trigger_max_s, config.request.trigger_list_s) == (2.0, 2.0, ())
     assert (config.lane_change.give_up_s, config.request.seed) == (10.0, 5)
     assert study.paired
     assert [len(job.runs) for job in study.jobs] == [6] * 3 * 2
