@@ -302,7 +302,8 @@ class RoadTraffic:
         cell = counted.groupby([minute, piece, "lane"], sort=False)["v"].agg(["size", "sum"]) * self.road.step_s
         moved = counted.groupby([minute, piece, "origin", "lane"]).size().to_dict()
         km = np.minimum(CELL_M, self.road.length_m - cell.index.get_level_values("x") * CELL_M) / 1000.0
-        density = (cell["size"] / (CELL_S * km)).round(3).to_dict()
+        lasts_s = self.road.seconds - self.road.warm_up_s - cell.index.get_level_values("now_s") * CELL_S
+        density = (cell["size"] / (np.minimum(CELL_S, lasts_s) * km)).round(3).to_dict()
         for *place, number, _, driven_m in cell.reset_index().itertuples(index=False):
             for other in (number - 1, number + 1):
                 if max(number, other) <= self.road.lanes and other > 0:

@@ -104,6 +104,10 @@ def test_gaps_are_those_that_the_rule_of_a_merging_vehicle_was_asked_about(tmp_p
     traffic._stops = [100.0, 155.0]  # a closed stop line before C is what a rule sees
     front, rear = traffic._around(one, 2)
     assert (front.distance_m, front.speed_mps, rear.track_id) == (5.0, 0.0, "B")
+    # 5 s on 250 m in the last half minute of 150 s: 5 s / (30 s 250 m)
+    steps = np.arange(150.0, 155.0, road.step_s)
+    seen = pd.DataFrame({"now_s": steps, "lane": 2, "x": 100.0, "v": 10.0, "origin": np.nan})
+    assert list(traffic._rates(seen)) == [pytest.approx((0.667, 0.0, 0, 0.05))]
 
 
 def test_fixed_threshold_of_a_rule_is_the_critical_gap_that_is_told(
