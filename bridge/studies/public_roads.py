@@ -194,9 +194,10 @@ class RoadResult:
         return None if ours is None or not theirs else ours / theirs - 1.0
 
     @property
-    def reproduces(self) -> bool:
-        """Whether the road has its flow and speed."""
-        return all(abs(self.off(name) or 0.0) <= most for name, most in WITHIN.items())
+    def reproduces(self) -> bool | None:
+        """Whether the road has its flow and speed; None where neither is known."""
+        known = [abs(off) <= most for name, most in WITHIN.items() if (off := self.off(name)) is not None]
+        return all(known) if known else None
 
     @property
     def error(self) -> float:
@@ -287,10 +288,13 @@ def run_public(page: PublicRoads, out_dir: Path, options: Options, *, on_row: On
 
 
 def _best(tried: Sequence[RoadResult]) -> Changes:
-    """The changes with the least error over the tuned roads, of those with which the roads have flow and speed."""
+    """The changes with the least error over the tuned roads, of those with which the roads have flow and speed.
 
-    def order(one: RoadResult) -> tuple[bool, float]:
+    One without a result on every road comes last.
+    """
+
+    def order(one: RoadResult) -> tuple[int, bool, float]:
         same = [other for other in tried if other.variant == one.variant]
-        return not all(other.reproduces for other in same), sum(other.error for other in same)
+        return -len(same), not all(other.reproduces for other in same), sum(other.error for other in same)
 
     return min(tried, key=order).changes if tried else {}

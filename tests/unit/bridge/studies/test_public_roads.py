@@ -1,6 +1,7 @@
 """A page of public roads: figures by hand, what is tuned on, what is refused, and the same bytes after a kill."""
 
 import gzip
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest
 
 from bridge.batch.batch import Options
 from bridge.pages.parts import text
-from bridge.studies.public_roads import WITHIN, RoadResult, read_public, run_public
+from bridge.studies.public_roads import WITHIN, RoadResult, _best, read_public, run_public
 from bridge.studies.study import read_run
 from netconvert.errors import BatchError, ConfigError
 
@@ -101,7 +102,12 @@ def test_figures_by_hand(tmp_path: Path) -> None:
     assert (one.off("flow_veh_per_h"), one.off("speed_mps")) == pytest.approx((0.02, -0.05))
     assert one.reproduces
     for more in ({"flow": 2061.0}, {"speed": 8.9}):
-        assert not result(tmp_path, run_of([40, 40, 20], [1, 1, 1], **more)).reproduces
+        assert result(tmp_path, run_of([40, 40, 20], [1, 1, 1], **more)).reproduces is False
+    bare = COUNTS.replace("flow_veh_per_h = 2000.0\nspeed_mps = 10.0\n", "")
+    assert result(tmp_path, run_of([40, 40, 20], [1, 1, 1]), counts=bare).reproduces is None
+    better = replace(one, variant="failed on one road", changes={"b": 1}, runs=[run_of([40, 40, 20], [4, 12, 30])])
+    assert better.error < 0.01
+    assert _best([replace(one, changes={"b": 0})] * 2 + [better]) == {"b": 0}
 
 
 def test_ladder_and_slopes_by_hand(tmp_path: Path) -> None:
