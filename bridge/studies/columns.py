@@ -21,7 +21,7 @@ REQUEST_COLUMNS: Mapping[str, str] = {
     "vehicle": "id in the simulation; the same id is the same vehicle at every point",
     "source": "start: begins in the scene; flow: enters at the map's edge",
     "kind": "what is asked for",
-    "status": "done, aborted, not_feasible, not_triggered, or not_placed (no site on this map)",
+    "status": "done, aborted, not_feasible, not_triggered, or not_placed (no site on this map, or never let in)",
     "reason": "last reason where it was not done",
     "exported": "whether it passes the last check and could be exported: yes, or the reason; flows: empty",
     "entered_s": "time of its first step",

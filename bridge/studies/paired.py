@@ -245,12 +245,15 @@ def _measured(
         if row["start_s"] is not None and row["end_s"] is not None:
             row["lateral_s"] = round(row["end_s"] - row["start_s"], 6)
         rows.append(row)
+    missed = [("start", f"v{one.request.number}_0", one.request, one.reason) for one in drawn.unmet]
+    held = (one for one in driving.arrivals if one.vehicle_id not in driving.entered)
+    missed += [("flow", one.vehicle_id, one.start.request, Reason.NO_ROOM_AT_EDGE) for one in held]
     rows += [
         dict.fromkeys(REQUEST_COLUMNS) | {
-            "vehicle": f"v{missed.request.number}_0", "source": "start", "kind": missed.request.policy.value,
-            "status": "not_placed", "reason": missed.reason.value, "trigger_s": trigger_s[missed.request.number],
+            "vehicle": name, "source": source, "kind": request.policy.value, "status": "not_placed",
+            "reason": reason.value, "trigger_s": trigger_s[request.number] if source == "start" else None,
         }
-        for missed in drawn.unmet if missed.request.policy is not Policy.STRAIGHT
+        for source, name, request, reason in missed if request.policy is not Policy.STRAIGHT
     ]  # fmt: skip
     since_s = scene.config.flow.counted_from_s
     changes = lane_changes(states, leaders(states), detect(states))

@@ -20,6 +20,7 @@ from bridge.studies.paired import draw, drawing_config, paired_run
 from bridge.studies.run import plan_text, run_study
 from bridge.studies.statistics import seeds_needed
 from bridge.studies.study import Study, read_study
+from hid2.agents import Policy
 from hid2.insertion.flow import arrivals, entry_lanes
 from hid2.insertion.routes import Routes
 from hid2.params import Config, Drivers, Flow, LaneChange, Request, Spawn
@@ -174,9 +175,8 @@ def test_flow_enters_one_after_the_other_and_looks_at_gaps(corridor: Path) -> No
     drawn = draw(prepared, drawing_config(config))
     run = paired_run(prepared, drawn, config)
     assert len(run.driven) > 15
-    entered = {row["vehicle"]: row["entered_s"] for row in run.requests}
     due = {one.vehicle_id: one.due_s for one in drawn.arrivals}
-    assert all(entered[name] >= due[name] - 0.11 for name in entered)
+    assert all(row["entered_s"] >= due[row["vehicle"]] - 0.11 for row in run.requests)
     accepted = [row for row in run.requests if row["accepted"]]
     assert accepted
     for row in run.requests:
@@ -189,6 +189,11 @@ def test_flow_enters_one_after_the_other_and_looks_at_gaps(corridor: Path) -> No
     for interval in run.flow:
         product = interval["density_veh_per_km_lane"] * interval["speed_kmph"]
         assert interval["flow_veh_per_h_lane"] == pytest.approx(product, rel=1e-3)
+    full = config.model_copy(update={"flow": Flow(veh_per_h_lane=3000.0)})
+    drawn = draw(prepared, drawing_config(full))
+    rows = {row["vehicle"]: row["reason"] for row in paired_run(prepared, drawn, full).requests}
+    assert rows.keys() == {one.vehicle_id for one in drawn.arrivals if one.start.request.policy is Policy.LANE_CHANGE}
+    assert "no_room_at_edge" in rows.values()  # held to the end
 
 
 def test_flow_enters_beside_recorded_traffic(data_scenes: dict[str, Path]) -> None:
