@@ -26,9 +26,8 @@ def gaps_of(looks: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
         return looks
     driver = ["scene", "city", "point", *keys, "seed", "replay", "vehicle"]
     same = [*driver, "side", "lead_id", "lag_id"]
-    frame = looks.sort_values("time_s", kind="stable")
+    frame = looks.sort_values("time_s", kind="stable").astype(dict.fromkeys(_SIZES, float))
     frame = frame.assign(accepted=frame["rule"] == "yes", taken=frame["sumo"] == "yes")
-    frame[_SIZES] = frame[_SIZES].astype(float)
     frame[["lead_id", "lag_id"]] = frame[["lead_id", "lag_id"]].fillna("")
     waits = ~frame.groupby(driver, dropna=False)["accepted"].cummax()
     refusals = frame["refusals"].fillna("").str.split()

@@ -21,7 +21,6 @@ from bridge.studies.gap_acceptance import critical_gap, gaps_of
 from bridge.studies.statistics import difference_sd, dose_response, kaplan_meier, seeds_needed
 from bridge.studies.study import Study
 from hid2.params import Conflict
-from hid2.resampling import UNITS_ENOUGH
 
 #: Most values of a parameter told one by one, and number of classes of neighbouring values of more, as of a hypercube.
 _MOST_VALUES, _CLASSES = 12, 6
@@ -46,15 +45,12 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
     if not gaps.empty and not requests.empty:
         counted = requests.loc[requests["counted"], ["scene", "point", "seed", "vehicle"]]
         gaps = gaps.merge(counted, on=["scene", "point", "seed", "vehicle"])
-    if requests.empty:
-        _LOG.warning(
-            "%s: no run has a request (%s); expected a share of it in request, more traffic, or more time",
-            out_dir,
-            study.kind,
-        )
+    any_counted = not requests.empty and bool(requests["counted"].any())
+    if not any_counted:
+        said = "expected a share of it in request, more traffic, more time, or a shorter flow.warm_up_s"
+        _LOG.warning("%s: no run has a request that counts (%s); %s", out_dir, study.kind, said)
     files: list[Path] = []
     doses, critical = [], []
-    any_counted = not requests.empty and bool(requests["counted"].any())
     for key in keys if any_counted else ():
         never = sorted(set(requests[key]) - set(requests.loc[requests["counted"], key]), key=str)
         if never:
@@ -65,8 +61,8 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
         dose = dose_response(asked, looked, key, give_up_s=min(give_up_s), critical_ttc_s=Conflict().ttc_min_s)
         doses.append(dose)
         for value, own in looked.groupby(key) if len(looked) else ():
-            found = [critical_gap(own, side) for side in ("lag", "lead")]
-            critical += [{"parameter": key, "value": value, **one} for one in found if one is not None]
+            found = (critical_gap(own, side) for side in ("lag", "lead"))
+            critical += [{"parameter": key, "value": value, **one} for one in found if one]
         files.append(out_dir / f"{study.name}_{key.replace('.', '_')}.png")
         draw_parameter(files[-1], study.name, key, dose=dose, requests=asked, give_up_s=max(give_up_s))
     named = {
@@ -94,7 +90,7 @@ def _classes(values: "pd.Series[Any]") -> dict[Any, Any]:
     if len(known) <= _MOST_VALUES or not is_numeric_dtype(values):
         return {value: value for value in known.tolist()}
     parts = np.array_split(known, _CLASSES)
-    return {value: round(float(part.mean()), 3) for part in parts for value in part.tolist()}
+    return {value: float(f"{part.mean():.4g}") for part in parts for value in part.tolist()}
 
 
 def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> Path:
@@ -203,7 +199,7 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         keys=keys,
         told={key: _told(dose[dose["parameter"] == key]) for key in keys if key in set(dose.get("parameter", ()))},
         seeds=[line for key in keys if (line := _seeds_line(requests, key))],
-        clusters=_few_clusters(dose),
+        clusters=int(dose["clusters"].max()) if len(dose) else 0,
         critical=_records(named["critical_gaps"]),
         changes=named["lane_changes"],
         conflicts=named["conflicts"],
@@ -256,9 +252,3 @@ def _seeds_line(requests: pd.DataFrame, key: str) -> str | None:
         f"run ({runs} runs). Seeds needed at power .8, by a paired t test, which assumes more than the signs above: "
         f"{', '.join(needed)} [requests.accepted]."
     )
-
-
-def _few_clusters(dose: pd.DataFrame) -> int | None:
-    """How many clusters tell of two values of a parameter; None where there are enough."""
-    there = int(dose["clusters"].max()) if len(dose) else 0
-    return there if there < UNITS_ENOUGH else None

@@ -195,11 +195,10 @@ def triggers(config: Config, drawn: Drawn) -> dict[int, float]:
     return {request.number: request.trigger_s for request in requests}
 
 
-def begins_by_s(scene: Scene, kind: str) -> float:
-    """When the shortest change of a kind has to begin so that it ends in the scene, s; a turn at the scene's end."""
-    config = scene.config
+def begins_by_s(last_s: float, config: Config, kind: str) -> float:
+    """When the shortest change of a kind has to begin so that it ends by last_s, s; a turn by then."""
     shortest_s = {"lane_change": config.lane_change.min_duration_s, "overtake": shortest_shift_s(config)}
-    return scene.last_s - shortest_s.get(kind, 0.0)
+    return last_s - shortest_s.get(kind, 0.0)
 
 
 def _measured(
@@ -275,7 +274,8 @@ def _request_row(scene: Scene, vehicle: DrivenVehicle, *, first: int) -> dict[st
     shift = vehicle.shifts[0] if vehicle.shifts else None
     accepted_s = None if shift is None else shift.requested_step * scene.step_s
     # until when it could have accepted: it gave up, or it left, or the scene had no time left for a change
-    gives_up_s, too_late_s = trigger_s + scene.config.lane_change.give_up_s, begins_by_s(scene, vehicle.policy.value)
+    gives_up_s = trigger_s + scene.config.lane_change.give_up_s
+    too_late_s = begins_by_s(scene.last_s, scene.config, vehicle.policy.value)
     until_s = min(last_s, too_late_s, gives_up_s) if accepted_s is None else accepted_s
     row = dict.fromkeys(REQUEST_COLUMNS) | {
         "vehicle": vehicle.vehicle_id, "kind": vehicle.policy.value, "entered_s": rounded(first * scene.step_s),

@@ -286,15 +286,15 @@ class RoadTraffic:
         ratios = {
             "flow_veh_per_h": (len(vehicles), (road.seconds - first_s) / 3600.0),
             "speed_mps": (driven_m, len(counted) * road.step_s), "changes_per_vehicle": (every, len(left)),
-            "changes_per_veh_km": (every, driven_m / 1000.0), "missed_exits": (self.missed_exits, 1),
-            "not_left": (len(vehicles) - len(left), 1),
+            "changes_per_veh_km": (int(counted["change"].sum()), driven_m / 1000.0),
+            "missed_exits": (self.missed_exits, 1), "not_left": (len(vehicles) - len(left), 1),
             **{f"inconsistent_{side}": (one[2], 1) for side, one in found.items()},
             **dict(zip(road.from_lanes, zip(changes.tolist(), table.sum(axis=1).tolist(), strict=True), strict=False)),
         }  # fmt: skip
         told = {"ratios": ratios, "start_to_end": table.to_numpy().tolist(), "cells": list(self._rates(counted))}
-        for side, (rejected, taken, _) in found.items():
-            told[side] = [(r, a if a < np.inf else None) for r, a in zip(rejected, taken, strict=True)]
-        return told
+        return told | {
+            side: [(r, a if a < np.inf else None) for r, a in zip(*one[:2], strict=True)] for side, one in found.items()
+        }
 
     def _rates(self, counted: pd.DataFrame) -> Iterator[tuple[float, float, int, float]]:
         """Of `told`, from where vehicles were seen in the section while it was counted."""

@@ -97,5 +97,4 @@ def _requests_of_a_run(study: Study) -> int:
     due = [trigger_s[one.request.number] for one in drawn.starts if one.request.policy.value == study.kind]
     comers = [one for one in drawn.arrivals if one.start.request.policy.value == study.kind]
     due += [one.due_s + trigger_after_s(one, config.request, drawn.seed, last_s) for one in comers]
-    until_s = begins_by_s(replace(drawn.scene, config=config), study.kind)
-    return sum(config.flow.counted_from_s <= at_s <= until_s for at_s in due)
+    return sum(config.flow.counted_from_s <= at_s <= begins_by_s(last_s, config, study.kind) for at_s in due)

@@ -69,7 +69,7 @@ def test_cells_hold_what_was_driven_and_every_change_between_lanes(tmp_path: Pat
     told = driven(tmp_path, text, rule, rule_with="incentive=0.1" if rule == "paper" else "").told()
     driven_m, driven_s = told["ratios"]["speed_mps"]
     assert sum(km for *_, km in told["cells"]) == pytest.approx(driven_m / 1000.0)
-    assert sum(changes for _, _, changes, _ in told["cells"]) > 0
+    assert told["ratios"]["changes_per_veh_km"][0] == sum(changes for _, _, changes, _ in told["cells"]) > 0
     mean = sum(own for own, *_ in told["cells"]) / len(told["cells"])
     assert mean == pytest.approx(driven_s / 180.0 / 0.4 / 2, rel=0.15)  # veh/km of a lane
 

@@ -118,6 +118,8 @@ def test_latin_hypercube_has_one_point_in_each_slice(tmp_path: Path, data_root: 
         ('[vary]\ntrigger_s = [1.0]\n[config.request]\nagents = "max"\n', "expected a number of vehicles"),
         ("[vary]\ntrigger_s = [1.0]\n[config.request]\nentering = 0.5\n", "in studies vehicles enter by flow"),
         ("seeds = 0\n[vary]\ntrigger_s = [1.0]\n", "seeds = 0, expected "),
+        ("seeds = true\n[vary]\ntrigger_s = [1.0]\n", "seeds"),
+        ('[vary]\n"rule.b" = [nan, 1.0]\n', "vary.rule.b"),
         ("[vary]\n", "vary"),
         ("colour = 1\n[vary]\ntrigger_s = [1.0]\n", "unknown key 'colour'; expected scenes, can, "),
         ('design = "latin_hypercube"\n[vary]\ntrigger_s = [1.0, 2.0]\n', "samples = 0"),
