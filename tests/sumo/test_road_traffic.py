@@ -105,14 +105,11 @@ def test_gaps_are_those_that_the_rule_of_a_merging_vehicle_was_asked_about(tmp_p
     front, rear = traffic._around(one, 2)
     assert (front.distance_m, front.speed_mps, rear.track_id) == (5.0, 0.0, "B")
     # 5 s on 250 m in the last half minute of 150 s: 5 s / (30 s 250 m)
-    steps = np.arange(150.0, 155.0, road.step_s)
-    seen = pd.DataFrame({"now_s": steps, "lane": 2, "x": 100.0, "v": 10.0, "origin": np.nan})
+    seen = pd.DataFrame({"now_s": np.arange(150.0, 155.0, 0.5), "lane": 2, "x": 100.0, "v": 10.0, "origin": np.nan})
     assert list(traffic._rates(seen)) == [pytest.approx((0.667, 0.0, 0, 0.05))]
 
 
-def test_fixed_threshold_of_a_rule_is_the_critical_gap_that_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_threshold_of_a_rule_is_the_critical_gap_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A rule that takes any lag gap from one second on, in dense traffic: no driver has refused more, or taken less."""
     dense = "\n[[period]]\nuntil_s = 180.0\nveh_per_h = [600.0, 1400.0, 600.0]\n"
     (tmp_path / "fixed_gap.py").write_text((ARTERIAL.parents[1] / "studies" / "two_sided.py").read_text())

@@ -110,14 +110,7 @@ def test_figures_by_hand(tmp_path: Path) -> None:
 
 
 def test_ladder_and_slopes_by_hand(tmp_path: Path) -> None:
-    """Rates .01 x origin + .02 x target + .1 in four cells of 100 veh-km; one above 20 veh/km that no slope is told of.
-
-    | origin | target | changes |
-    |   5    |   5    |   25    |
-    |   15   |   5    |   35    |
-    |   5    |   15   |   45    |
-    |   15   |   15   |   55    |
-    """
+    """Rates .01 x origin + .02 x target + .1 in four cells of 100 veh-km; of one above 20 veh/km no slope is told."""
     cells = [(5, 5, 25, 100), (15, 5, 35, 100), (5, 15, 45, 100), (15, 15, 55, 100), (50, 50, 900, 100)]
     one = result(tmp_path, *[run_of([1, 1, 1], [1, 1, 1], cells=cells)] * 3)
     assert [[rate.value for rate in row] for row in one.ladder([0, 10, 20])] == [[0.25, 0.45], [0.35, 0.55]]
@@ -189,16 +182,8 @@ def test_pages_of_the_project_are_read_and_ngsim_tunes_on_one_road_alone_and_its
         ("densities = [9, 3]\n" + PAGE, COUNTS, "densities = [9.0, 3.0], expected borders that rise, two or more"),
         (PAGE.replace("seeds = 2", "seeds = 0"), COUNTS, "seeds = 0, expected at least 1"),
         (PAGE.replace('counts = "counts.toml"', 'counts = "none.toml"'), COUNTS, "none.toml: no such file"),
-        (
-            PAGE,
-            COUNTS.replace("40.0, 20.0", "20.0"),
-            "vehicles: 2 values on a road to tune on, expected one for each of",
-        ),
-        (
-            PAGE,
-            COUNTS.replace("speed_mps = 10.0", "speed_mps = -1.0"),
-            "published.speed_mps = -1.0, expected at least 0",
-        ),
+        (PAGE, COUNTS.replace("40.0, 20.0", "20.0"), "vehicles: 2 values on a road to tune on, expected one for each"),
+        (PAGE, COUNTS.replace("speed_mps = 10.0", "speed_mps = -1.0"), "speed_mps = -1.0, expected at least 0"),
         (PAGE, COUNTS.replace("2, 0], [10", "2], [10"), "start_to_end: 3 rows, expected a row for each of from"),
         (PAGE, COUNTS.replace(", [5, 15, 0]", ""), "start_to_end: 2 rows, expected a row for each of from"),
         (PAGE, COUNTS.replace("speed_mps", "sped_mps"), "unknown key 'published.sped_mps'; expected flow_veh_per_h"),

@@ -143,13 +143,8 @@ def test_gap_is_one_row_with_its_largest_size_or_that_at_which_the_rule_took_it(
     first, second = gaps_of(looks, []).to_dict("records")
     assert (first["lag_id"], first["accepted"], first["lag_time_gap_s"]) == ("a", False, 0.9)
     assert (first["refused_by"], first["lag_refused_s"]) == ("rule", 0.9)
-    assert (second["lag_id"], second["accepted"], second["accepted_s"], second["lag_time_gap_s"]) == (
-        "b",
-        True,
-        1.3,
-        3.0,
-    )
-    assert (second["refused_by"], second["taken"]) == ("", True)
+    assert (second["lag_id"], second["accepted_s"], second["lag_time_gap_s"]) == ("b", 1.3, 3.0)
+    assert (second["accepted"], second["refused_by"], second["taken"]) == (True, "", True)
     assert np.isnan(second["lag_refused_s"])
 
 
@@ -233,16 +228,10 @@ def test_shares_of_the_gaps_that_each_refused_by_hand() -> None:
     dose = dose_response(_requests(0.0).assign(p=0.0), gaps, "p", give_up_s=6.0, critical_ttc_s=1.5)
     taken = dose[dose["outcome"] == "gaps_taken"]
     assert (taken["estimate"].tolist(), taken["rows"].tolist()) == (pytest.approx([1 / 3]), [3])
-    for name, share, of in (
-        ("sumo", 0.5, 2),
-        ("guard", 1 / 3, 3),
-        ("rule", 0.4, 5),
-        ("cells", 0.2, 5),
-        ("road", 0.0, 5),
-    ):
-        found = dose[dose["outcome"] == f"refused_by_{name}"]
-        assert found["estimate"].tolist() == pytest.approx([share])
-        assert found["rows"].tolist() == [of]
+    names = [f"refused_by_{name}" for name in ("sumo", "guard", "rule", "cells", "road")]
+    found = dose.set_index("outcome").loc[names]
+    assert found["estimate"].tolist() == pytest.approx([0.5, 1 / 3, 0.4, 0.2, 0.0])
+    assert found["rows"].tolist() == [2, 3, 5, 5, 5]
 
 
 def test_interval_that_begins_at_a_rounding_error_includes_no_effect() -> None:

@@ -61,9 +61,7 @@ def test_the_same_vehicles_count_at_every_point_at_which_any_does(tmp_path: Path
         told["requests"] = [asked | {"vehicle": f"v{k}", "waited_s": one} for k, one in enumerate(waited)]
         source = read_scenario(study.folders[0])
         folder = write_run(tmp_path, source, config, told, {LOOKS_FILE: gaps_bytes([], {}, step_s=0.1)})
-        rows.append(
-            ManifestRow("a", "val", 0, 0, DONE, folder=f"runs/{folder.name}", config_sha256=config_sha256(config))
-        )
+        rows.append(ManifestRow("a", "val", 0, 0, DONE, folder=str(folder), config_sha256=config_sha256(config)))
     requests = tables(study, rows, tmp_path)["requests"]
     assert requests.loc[requests["counted"], ["vehicle", "waited_s"]].to_numpy().tolist() == [["v0", 3.0], ["v0", 1.0]]
 
@@ -126,10 +124,7 @@ def test_latin_hypercube_has_one_point_in_each_slice(tmp_path: Path, data_root: 
         ('design = "latin_hypercube"\nsamples = 3\n[vary]\ntrigger_s = [2.0, 1.0]\n', "low < high"),
         ("seeds = [0, 1, 0]\n[vary]\ntrigger_s = [1.0]\n", "[0, 1, 0]: 0 is there 2 times, expected each value once"),
         ("[vary]\ntrigger_s = [1, 1.0]\n", "vary.trigger_s = [1, 1.0]: 1 is there 2 times"),
-        (
-            'design = "latin_hypercube"\nsamples = 9\n[vary]\n"lane_change.give_up_s" = [1, 2]\n',
-            "expected fewer samples",
-        ),
+        ('design = "latin_hypercube"\nsamples = 9\n[vary]\n"lane_change.give_up_s"=[1,2]\n', "expected fewer samples"),
         ('[vary]\n"rule.b" = [0.5, 3.0]\n', "rule_with = 'b=0.5': rule paper reads incentive of it"),
         ('[vary]\n"lane_change.mobil_bias_mps2" = [1, 2]\n', "expected config.lane_change.rule = 'MOBIL', or another"),
         ('[vary]\n"lane_change.lc_speed_gain" = [1]\n"lane_change.rule" = ["paper", "MOBIL"]\n', "rule = 'LC2013', or"),
