@@ -13,6 +13,9 @@ from hid2.agents import FloatArray
 
 #: Draws of a bootstrap. No tunable: intervals of other numbers of draws differ by chance alone.
 RESAMPLES = 1000
+#: Least number of units that are drawn again. Of normal values intervals of 3 units hold the mean in 72 % of cases, of
+#: 6 in 85 %, of 10 in 89 %.
+UNITS_LEAST = 3
 #: Weights drawn at a time, draws times units, so that memory does not grow with the number of units.
 _BLOCK = 4_000_000
 
@@ -51,11 +54,14 @@ def interval(value: float, drawn: FloatArray) -> Estimate:
 
 
 def ratio(numerator: FloatArray, denominator: FloatArray) -> Estimate:
-    """Ratio of the sums of two quantities (U,) of the units; no value where the lower sum is 0."""
+    """Ratio of the sums of two quantities (U,) of the units; no value where the lower sum is 0.
+
+    Without an interval where there are fewer than UNITS_LEAST units.
+    """
     if denominator.sum() <= 0:
         return Estimate(None)
     value = float(numerator.sum() / denominator.sum())
-    if len(numerator) < 2:
+    if len(numerator) < UNITS_LEAST:
         return Estimate(value)
     with np.errstate(invalid="ignore", divide="ignore"):  # draws with nothing below count for nothing
         drawn = [(weights @ numerator) / (weights @ denominator) for weights in draws(len(numerator))]

@@ -26,7 +26,7 @@ def gaps_of(looks: pd.DataFrame, keys: Sequence[str]) -> pd.DataFrame:
         return looks
     driver = ["scene", "city", "point", *keys, "seed", "replay", "vehicle"]
     same = [*driver, "side", "lead_id", "lag_id"]
-    frame = looks.sort_values("time_s", kind="stable")
+    frame = looks.sort_values("time_s", kind="stable").astype(dict.fromkeys(_SIZES, float))
     frame = frame.assign(accepted=frame["rule"] == "yes", taken=frame["sumo"] == "yes")
     frame[["lead_id", "lag_id"]] = frame[["lead_id", "lag_id"]].fillna("")
     waits = ~frame.groupby(driver, dropna=False)["accepted"].cummax()
@@ -62,6 +62,8 @@ def largest_rejected(gaps: pd.DataFrame, side: str) -> tuple[FloatArray, FloatAr
     vehicle on this side; where it refused none either it tells nothing. A driver that refused a larger one than it took
     is left out: its rule asks for something else, too.
     """
+    if gaps.empty:
+        return np.empty(0), np.empty(0), 0
     driver = ["scene", "point", "seed", "vehicle"]
     first = gaps[gaps["accepted"]].sort_values("accepted_s", kind="stable").drop_duplicates(driver).set_index(driver)
     rejected = gaps.groupby(driver)[f"{side}_refused_s"].max().astype(float).fillna(0.0)
@@ -75,10 +77,13 @@ def troutbeck(rejected_s: FloatArray, accepted_s: FloatArray) -> tuple[Estimate,
     """Mean and SD of a lognormal critical gap, s, by maximum likelihood (Troutbeck 1992).
 
     From each driver's largest rejected and accepted gap, inf where it took none: those that wait longest have the
-    largest critical gaps. Intervals: draws from the inverse information. None of fewer than eight gaps.
+    largest critical gaps. Intervals: draws from the inverse information. None of fewer than eight taken, four refused.
     """
-    if len(accepted_s) < _FEWEST:
+    if np.isfinite(accepted_s).sum() < _FEWEST or (rejected_s > 0.0).sum() < _FEWEST // 2:
         return Estimate(None), Estimate(None)
+    low, high = float(rejected_s.max()), float(accepted_s.min())
+    if low < high:  # one gap parts all drivers: anything between the two is as likely
+        return Estimate(0.5 * (low + high), low, high), Estimate(0.0)
     from scipy.optimize import minimize
     from scipy.stats import norm
     from statsmodels.tools.numdiff import approx_hess
@@ -118,14 +123,9 @@ def critical_gap(gaps: pd.DataFrame, side: str) -> dict[str, Any] | None:
     mean_s, sd_s: lognormal, by maximum likelihood. None where too few took or refused one.
     """
     rejected, accepted, inconsistent = largest_rejected(gaps, side)
-    taken = accepted[np.isfinite(accepted)]
-    if taken.size < _FEWEST or (rejected > 0).sum() < _FEWEST // 2:
+    mean, sd = troutbeck(rejected, accepted)
+    if mean.value is None:
         return None
-    low, high = float(rejected.max()), float(taken.min())
-    if low < high:  # one gap parts all drivers: anything between the two is as likely
-        mean, sd = Estimate(0.5 * (low + high), low, high), Estimate(0.0)
-    else:
-        mean, sd = troutbeck(rejected, accepted)
     return {
         "side": side, "mean_s": mean.value, "mean_low_s": mean.low, "mean_high_s": mean.high, "sd_s": sd.value,
         "drivers": accepted.size, "inconsistent": inconsistent,

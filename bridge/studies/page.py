@@ -3,8 +3,6 @@
 import logging
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
-from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +20,6 @@ from bridge.studies.columns import DECIDE, DICTIONARY, OUTCOMES
 from bridge.studies.gap_acceptance import critical_gap, gaps_of
 from bridge.studies.statistics import difference_sd, dose_response, kaplan_meier, seeds_needed
 from bridge.studies.study import Study
-from hid2.measures.conflicts import TrafficConflict
-from hid2.measures.lane_changes import LaneChangeRow
 from hid2.params import Conflict
 
 #: Most values of a parameter told one by one, and number of classes of neighbouring values of more, as of a hypercube.
@@ -49,15 +45,12 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
     if not gaps.empty and not requests.empty:
         counted = requests.loc[requests["counted"], ["scene", "point", "seed", "vehicle"]]
         gaps = gaps.merge(counted, on=["scene", "point", "seed", "vehicle"])
-    if requests.empty:
-        _LOG.warning(
-            "%s: no run has a request (%s); expected a share of it in request, more traffic, or more time",
-            out_dir,
-            study.kind,
-        )
+    any_counted = not requests.empty and bool(requests["counted"].any())
+    if not any_counted:
+        said = "expected a share of it in request, more traffic, more time, or a shorter flow.warm_up_s"
+        _LOG.warning("%s: no run has a request that counts (%s); %s", out_dir, study.kind, said)
     files: list[Path] = []
     doses, critical = [], []
-    any_counted = not requests.empty and bool(requests["counted"].any())
     for key in keys if any_counted else ():
         never = sorted(set(requests[key]) - set(requests.loc[requests["counted"], key]), key=str)
         if never:
@@ -68,19 +61,17 @@ def write_results(study: Study, tables: Mapping[str, pd.DataFrame], out_dir: Pat
         dose = dose_response(asked, looked, key, give_up_s=min(give_up_s), critical_ttc_s=Conflict().ttc_min_s)
         doses.append(dose)
         for value, own in looked.groupby(key) if len(looked) else ():
-            found = [critical_gap(own, side) for side in ("lag", "lead")]
-            critical += [{"parameter": key, "value": value, **one} for one in found if one is not None]
+            found = (critical_gap(own, side) for side in ("lag", "lead"))
+            critical += [{"parameter": key, "value": value, **one} for one in found if one]
         files.append(out_dir / f"{study.name}_{key.replace('.', '_')}.png")
         draw_parameter(files[-1], study.name, key, dose=dose, requests=asked, give_up_s=max(give_up_s))
     named = {
         **tables, "gaps": gaps, "dose_response": pd.concat(doses) if doses else pd.DataFrame(),
         "critical_gaps": pd.DataFrame(critical),
     }  # fmt: skip
-    for name, row in (("lane_changes", LaneChangeRow), ("conflicts", TrafficConflict)):
-        if named[name].empty:  # the table says so
-            of_a_run = takewhile("status".__ne__, tables["runs"].columns)
-            named[name] = pd.DataFrame(columns=[*of_a_run, *(field.name for field in fields(row))])
-    written = [_write_table(out_dir, name, named[name]) for name in DICTIONARY if len(named[name].columns)]
+    said_of = {name: ", ".join(columns).split(", ") for name, columns in DICTIONARY.items()}
+    named |= {name: pd.DataFrame(columns=columns) for name, columns in said_of.items() if named[name].empty}
+    written = [_write_table(out_dir, name, named[name]) for name in DICTIONARY]
     dictionary, page = out_dir / "columns.csv", out_dir / "study.md"
     says = ((table, *said) for table, columns in DICTIONARY.items() for said in columns.items())
     write_rows(dictionary, ("table", "column", "says"), says)
@@ -99,7 +90,7 @@ def _classes(values: "pd.Series[Any]") -> dict[Any, Any]:
     if len(known) <= _MOST_VALUES or not is_numeric_dtype(values):
         return {value: value for value in known.tolist()}
     parts = np.array_split(known, _CLASSES)
-    return {value: round(float(part.mean()), 3) for part in parts for value in part.tolist()}
+    return {value: float(f"{part.mean():.4g}") for part in parts for value in part.tolist()}
 
 
 def _write_table(out_dir: Path, name: str, table: pd.DataFrame) -> Path:
@@ -200,15 +191,15 @@ def page_text(study: Study, named: Mapping[str, pd.DataFrame], keys: Sequence[st
         runs={"all": len(runs), "failed": int((runs["status"] != DONE).sum())},
         requests={
             "all": len(requests), "counted": len(counted), "never": int((~due).sum()),
-            "warm": int((~requests["counted"] & due).sum()),
+            "other": int((~requests["counted"] & due).sum()),
         },
-        scenes=requests["scene"].nunique(),
+        scenes=counted["scene"].nunique(),
         flows=config.flow.veh_per_h_lane > 0.0,
         replays=set(requests["replay"]),
         keys=keys,
         told={key: _told(dose[dose["parameter"] == key]) for key in keys if key in set(dose.get("parameter", ()))},
         seeds=[line for key in keys if (line := _seeds_line(requests, key))],
-        clusters=_few_clusters(dose),
+        clusters=int(dose["clusters"].max()) if len(dose) else 0,
         critical=_records(named["critical_gaps"]),
         changes=named["lane_changes"],
         conflicts=named["conflicts"],
@@ -254,20 +245,10 @@ def _seeds_line(requests: pd.DataFrame, key: str) -> str | None:
     found = difference_sd(requests, key)
     if found is None:
         return None
-    (sd, runs), scenes = found, requests["scene"].nunique()
-    needed = (f"{math.ceil(seeds_needed(sd, size) / scenes)} for {size:g}" for size in _SIZES_TOLD)
+    (sd, runs), seeds = found, requests["seed"].nunique()
+    needed = (f"{math.ceil(seeds_needed(sd, size) * seeds / runs)} for {size:g}" for size in _SIZES_TOLD)
     return (
         f"{key}: the difference of the share between first and last value has an SD of {sd:.3f} from run to "
         f"run ({runs} runs). Seeds needed at power .8, by a paired t test, which assumes more than the signs above: "
         f"{', '.join(needed)} [requests.accepted]."
     )
-
-
-def _few_clusters(dose: pd.DataFrame) -> tuple[int, int] | None:
-    """How many clusters there are, and from how many a test by signs can be sure; None where there are enough."""
-    if "p" not in dose or (told := dose.dropna(subset="p")).empty:
-        return None
-    others = told.dropna(subset="p_holm") if "p_holm" in told else told.iloc[:0]
-    family = max([1, *others.groupby("parameter")["outcome"].nunique()])
-    there, least = int(told["clusters"].max()), math.ceil(1.0 + math.log2(family / 0.05))
-    return (there, least) if there < least else None

@@ -48,6 +48,7 @@ from hid2.measures.surrogates import CAP_S, time_to_collision
 from hid2.motion.smoothing import Motion, trajectory
 from hid2.occupancy.agent_states import AgentStates, agent_states
 from hid2.params import Config, LaneChange
+from hid2.policy.overtake import shortest_shift_s
 from hid2.policy.roads import Roads
 from hid2.reasons import Reason
 from hid2.scene import Scene, future_of
@@ -194,6 +195,12 @@ def triggers(config: Config, drawn: Drawn) -> dict[int, float]:
     return {request.number: request.trigger_s for request in requests}
 
 
+def begins_by_s(last_s: float, config: Config, kind: str) -> float:
+    """When the shortest change of a kind has to begin so that it ends by last_s, s; a turn by then."""
+    shortest_s = {"lane_change": config.lane_change.min_duration_s, "overtake": shortest_shift_s(config)}
+    return last_s - shortest_s.get(kind, 0.0)
+
+
 def _measured(
     scene: Scene, drawn: Drawn, driving: FlowDriving, vehicles: Sequence[DrivenVehicle], recorded: Sequence[Track],
     trigger_s: dict[int, float],
@@ -237,12 +244,15 @@ def _measured(
         if row["start_s"] is not None and row["end_s"] is not None:
             row["lateral_s"] = round(row["end_s"] - row["start_s"], 6)
         rows.append(row)
+    missed = [("start", f"v{one.request.number}_0", one.request, one.reason) for one in drawn.unmet]
+    held = (one for one in driving.arrivals if one.vehicle_id not in driving.entered)
+    missed += [("flow", one.vehicle_id, one.start.request, Reason.NO_ROOM_AT_EDGE) for one in held]
     rows += [
         dict.fromkeys(REQUEST_COLUMNS) | {
-            "vehicle": f"v{missed.request.number}_0", "source": "start", "kind": missed.request.policy.value,
-            "status": "not_placed", "reason": missed.reason.value, "trigger_s": trigger_s[missed.request.number],
+            "vehicle": name, "source": source, "kind": request.policy.value, "status": "not_placed",
+            "reason": reason.value, "trigger_s": trigger_s[request.number] if source == "start" else None,
         }
-        for missed in drawn.unmet if missed.request.policy is not Policy.STRAIGHT
+        for source, name, request, reason in missed if request.policy is not Policy.STRAIGHT
     ]  # fmt: skip
     since_s = scene.config.flow.counted_from_s
     changes = lane_changes(states, leaders(states), detect(states))
@@ -264,8 +274,8 @@ def _request_row(scene: Scene, vehicle: DrivenVehicle, *, first: int) -> dict[st
     shift = vehicle.shifts[0] if vehicle.shifts else None
     accepted_s = None if shift is None else shift.requested_step * scene.step_s
     # until when it could have accepted: it gave up, or it left, or the scene had no time left for a change
-    too_late_s = next((look.step * scene.step_s for look in vehicle.gaps if look.guard is Reason.SCENE_ENDS), last_s)
     gives_up_s = trigger_s + scene.config.lane_change.give_up_s
+    too_late_s = begins_by_s(scene.last_s, scene.config, vehicle.policy.value)
     until_s = min(last_s, too_late_s, gives_up_s) if accepted_s is None else accepted_s
     row = dict.fromkeys(REQUEST_COLUMNS) | {
         "vehicle": vehicle.vehicle_id, "kind": vehicle.policy.value, "entered_s": rounded(first * scene.step_s),

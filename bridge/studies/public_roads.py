@@ -124,6 +124,10 @@ def read_public(path: Path) -> PublicRoads:
         known = (*MEASURES, *lanes)
         if unknown := counts.published.keys() - known:
             raise ConfigError(f"{site.counts}: unknown key 'published.{min(unknown)}'; expected {', '.join(known)}")
+        rows, lengths = counts.start_to_end, {len(row) for row in counts.start_to_end}
+        if rows and (len(rows) != len(lanes) or lengths not in ({site.road.lanes}, {site.road.lanes + 1})):
+            said = f"a row for each of {', '.join(lanes)}, all of a value for each lane and the ramps or for each lane"
+            raise ConfigError(f"{site.counts}: start_to_end: {len(rows)} rows, expected {said}")
         if site.tune and not (len(counts.vehicles) == len(lanes) and counts.published.keys() >= {*lanes}):
             said = f"vehicles: {len(counts.vehicles)} values on a road to tune on, expected one for each of"
             raise ConfigError(f"{site.counts}: {said} {', '.join(lanes)}, which have to be published")
@@ -175,10 +179,10 @@ class RoadResult:
         if min(len(set(ours)), len(set(theirs))) > 1:
             found["rank_correlation"] = Estimate(float(stats.spearmanr(ours, theirs).statistic))
         for side in SIDES if any("gap" in name for name in published) else ():
-            gaps = self._every(side, ["rejected_s", "taken_s"])
-            gaps = gaps[gaps["taken_s"] < LONG_GAP_S]
+            gaps = self._every(side, ["rejected_s", "taken_s"]).fillna({"taken_s": np.inf})
+            runs, taken_s = gaps.loc[gaps["taken_s"] < LONG_GAP_S, ["run", "taken_s"]].to_numpy().T
             for name, (low, high) in SHARES.items():
-                among = gaps["taken_s"].between(low, high, inclusive="left").groupby(gaps["run"]).agg(["sum", "count"])
+                among = pd.Series(taken_s).between(low, high, inclusive="left").groupby(runs).agg(["sum", "count"])
                 found[f"accepted_{side}_gaps_{name}"] = ratio(*among.to_numpy(np.float64).T)
             told = troutbeck(*gaps[["rejected_s", "taken_s"]].to_numpy().T)
             found |= {f"critical_{side}_gap_{what}_s": one for what, one in zip(("mean", "sd"), told, strict=True)}
@@ -190,9 +194,10 @@ class RoadResult:
         return None if ours is None or not theirs else ours / theirs - 1.0
 
     @property
-    def reproduces(self) -> bool:
-        """Whether the road has its flow and speed."""
-        return all(abs(self.off(name) or 0.0) <= most for name, most in WITHIN.items())
+    def reproduces(self) -> bool | None:
+        """Whether the road has its flow and speed; None where neither is known."""
+        known = [abs(off) <= most for name, most in WITHIN.items() if (off := self.off(name)) is not None]
+        return all(known) if known else None
 
     @property
     def error(self) -> float:
@@ -283,10 +288,13 @@ def run_public(page: PublicRoads, out_dir: Path, options: Options, *, on_row: On
 
 
 def _best(tried: Sequence[RoadResult]) -> Changes:
-    """The changes with the least error over the tuned roads, of those with which the roads have flow and speed."""
+    """The changes with the least error over the tuned roads, of those with which the roads have flow and speed.
 
-    def order(one: RoadResult) -> tuple[bool, float]:
+    One without a result on every road comes last.
+    """
+
+    def order(one: RoadResult) -> tuple[int, bool, float]:
         same = [other for other in tried if other.variant == one.variant]
-        return not all(other.reproduces for other in same), sum(other.error for other in same)
+        return -len(same), not all(other.reproduces for other in same), sum(other.error for other in same)
 
     return min(tried, key=order).changes if tried else {}

@@ -7,7 +7,7 @@ route over a lane beside must change, whatever it gains. Positions are along the
 from bisect import bisect_right
 from collections import defaultdict, deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any, Literal
 
@@ -17,10 +17,12 @@ import pandas as pd
 from bridge.batch.batch import Run, SceneFolders, base_row
 from bridge.batch.isolation import Failure, attempts
 from bridge.batch.manifest import ManifestRow
+from bridge.generation.gaps import neighbour_row
 from bridge.generation.generate import sumo_seed
 from bridge.recordings.recording import Recording
 from bridge.recordings.road import RAMPS, ROAD_FILE, ROW, Lane, Road, read_road
 from bridge.recordings.sources import read_recording
+from bridge.studies.gap_acceptance import gaps_of, largest_rejected
 from bridge.studies.paired import measure_runs
 from bridge.studies.study import write_run
 from bridge.sumo.drivers import model_parameters
@@ -31,7 +33,7 @@ from hid2.insertion.flow import headway_s
 from hid2.insertion.requests import draw_size
 from hid2.params import Config
 from hid2.policy.lane_change import OPEN, Gap
-from hid2.policy.rules import GapView, accepts_unasked, rule_arguments
+from hid2.policy.rules import GapView, refusals_unasked, rule_arguments
 from netconvert.cells import Cell, build_cell_grid
 from netconvert.net_xml import net_bytes
 
@@ -44,6 +46,8 @@ CELL_M, CELL_S = 250.0, 60.0
 _STREAM = 79  # of random numbers: a name
 #: Of each vehicle in the net at each step; inside: 1 in the section, 0 before and behind it, and on ramps.
 _SEEN = ["now_s", "asks", "start", "lane", "x", "v", "inside"]
+#: Columns of looks of a study that are the same for all of a run.
+_ALIKE = {"scene": "", "city": "", "point": 0, "seed": 0, "replay": "", "guard": None, "sumo": None}
 _NOWHERE = Lane(0, 0, 0.0, 0.0, True, None, None, ())
 
 
@@ -51,8 +55,7 @@ _NOWHERE = Lane(0, 0, 0.0, 0.0, True, None, None, ())
 class RoadVehicle:
     """One that enters, and where it is: on no lane before it is in the net. x: front, m along the road.
 
-    start: number of its lane, the ramp's the last; asks: order in which vehicles ask. Of one from the ramp lag and lead
-    time gaps, s: offered: the largest between two vehicles, which it did not take; taken: what it changed lanes into.
+    start: number of its lane, the ramp's the last; asks: order in which vehicles ask.
     """
 
     name: str
@@ -65,8 +68,6 @@ class RoadVehicle:
     lane: Lane = _NOWHERE
     x: float = 0.0
     v: float = 0.0
-    offered: dict[tuple[str | None, str | None], tuple[float, float]] = field(default_factory=dict)
-    taken: tuple[float, float] | None = None
 
 
 def measure_roads(place: SceneFolders, runs: Sequence[Run]) -> Iterator[ManifestRow | Failure]:
@@ -127,6 +128,7 @@ class RoadTraffic:
         self._by_name = {one.name: one for one in self.vehicles}
         self.missed_exits = 0
         self._seen: list[FloatArray] = []
+        self._looks: list[dict[str, Any]] = []
         self._stops: list[float] = []
         self._on_lane: dict[int, list[RoadVehicle]] = {}
         self._last_kept = road.lanes - bool(road.drop_m)
@@ -167,7 +169,6 @@ class RoadTraffic:
                 for one in sorted(here, key=attrgetter("x")):
                     self._on_lane[one.lane.number].append(one)
                 self._give_up_exits(simulation, here)
-                self._offer()
                 for one in here if not own else ():
                     if one.asks % every == step % every:
                         self._ask(simulation, one, now_s)
@@ -200,22 +201,6 @@ class RoadTraffic:
                 one.leaves = False
                 self.missed_exits += 1
 
-    def _offer(self) -> None:
-        """Which gaps those of the ramp have beside them, and which they have taken, once they are on the lane there."""
-        last = self.road.lanes
-        for one in [*self._on_lane[last], *self._on_lane[last + 1]]:
-            if one.start <= last or one.leaves or one.taken or one.lane.lane_id in RAMPS:
-                continue
-            front, rear = self._around(one, last)
-            gaps = rear.time_gap_s(rear.speed_mps), front.time_gap_s(one.v)
-            between = front.track_id, rear.track_id
-            if one.lane.number == last:
-                one.taken = gaps
-                one.offered.pop(between, None)
-            else:
-                before = one.offered.get(between, gaps)
-                one.offered[between] = max(before[0], gaps[0]), max(before[1], gaps[1])
-
     def _ask(self, simulation: Simulation, one: RoadVehicle, now_s: float) -> None:
         """A vehicle is told by its rule whether it changes lanes."""
         wanted = self._must(one)
@@ -236,7 +221,13 @@ class RoadTraffic:
                 front=front, rear=rear, own_front=own_front, own_rear=own_rear,
                 remaining_m=self._end_m[target.number] - one.x, vehicle_id=one.name,
             )  # fmt: skip
-            if accepts_unasked(view, self._change, mandatory=wanted is not None):
+            refusals = refusals_unasked(view, self._change, mandatory=wanted is not None)
+            if one.lane.number > self.road.lanes:
+                said = {"rule": str(next(iter(refusals), "yes")), "refusals": " ".join(refusals)}
+                said |= neighbour_row("lead", front, one.v, front.speed_mps)
+                said |= neighbour_row("lag", rear, rear.speed_mps, one.v)
+                self._looks.append(_ALIKE | said | {"vehicle": one.asks, "time_s": now_s, "side": side})
+            if not refusals:
                 simulation.change_lane(one.name, self._grid.lane_index(Cell(target.lane_id, 0)))
                 break
 
@@ -269,7 +260,8 @@ class RoadTraffic:
 
         ratios: by measure, what is counted and what it is divided by; start_to_end: vehicles by start and end lane;
         cells: densities of a lane and of one beside, veh/km, changes from one to the other, veh-km on the first; lag,
-        lead: of each vehicle that merged the largest gap rejected below the one accepted (0: none), and that, s.
+        lead: of each vehicle from the ramp the largest time gap, s, that its rule refused for this side alone (0:
+        none), and that which it took (None: without a vehicle there); inconsistent: it refused a larger one.
         """
         road, first_s, numbers = self.road, self.road.warm_up_s, range(1, self.road.lanes + 2)
         seen = pd.DataFrame(np.concatenate(self._seen), columns=_SEEN)
@@ -289,22 +281,20 @@ class RoadTraffic:
         changes = left.groupby("start")["changes"].sum().reindex(numbers, fill_value=0)
         driven_m = sum((counted["v"] * road.step_s).tolist())
         every = int(changes.sum())
-
-        def merged(side: int) -> Iterator[tuple[float, float]]:
-            for one in self.vehicles:
-                if one.taken and one.asks in vehicles.index and 0.0 < one.taken[side] < np.inf:
-                    offered = [gap[side] for gap in one.offered.values() if gap[side] < one.taken[side]]
-                    yield max([0.0, *offered]), one.taken[side]
-
+        gaps = gaps_of(pd.DataFrame([look for look in self._looks if look["vehicle"] in vehicles.index]), [])
+        found = {side: largest_rejected(gaps, side) for side in ("lag", "lead")}
         ratios = {
             "flow_veh_per_h": (len(vehicles), (road.seconds - first_s) / 3600.0),
             "speed_mps": (driven_m, len(counted) * road.step_s), "changes_per_vehicle": (every, len(left)),
-            "changes_per_veh_km": (every, driven_m / 1000.0), "missed_exits": (self.missed_exits, 1),
-            "not_left": (len(vehicles) - len(left), 1),
+            "changes_per_veh_km": (int(counted["change"].sum()), driven_m / 1000.0),
+            "missed_exits": (self.missed_exits, 1), "not_left": (len(vehicles) - len(left), 1),
+            **{f"inconsistent_{side}": (one[2], 1) for side, one in found.items()},
             **dict(zip(road.from_lanes, zip(changes.tolist(), table.sum(axis=1).tolist(), strict=True), strict=False)),
         }  # fmt: skip
         told = {"ratios": ratios, "start_to_end": table.to_numpy().tolist(), "cells": list(self._rates(counted))}
-        return told | {"lag": list(merged(0)), "lead": list(merged(1))}
+        return told | {
+            side: [(r, a if a < np.inf else None) for r, a in zip(*one[:2], strict=True)] for side, one in found.items()
+        }
 
     def _rates(self, counted: pd.DataFrame) -> Iterator[tuple[float, float, int, float]]:
         """Of `told`, from where vehicles were seen in the section while it was counted."""
@@ -312,7 +302,8 @@ class RoadTraffic:
         cell = counted.groupby([minute, piece, "lane"], sort=False)["v"].agg(["size", "sum"]) * self.road.step_s
         moved = counted.groupby([minute, piece, "origin", "lane"]).size().to_dict()
         km = np.minimum(CELL_M, self.road.length_m - cell.index.get_level_values("x") * CELL_M) / 1000.0
-        density = (cell["size"] / (CELL_S * km)).round(3).to_dict()
+        lasts_s = self.road.seconds - self.road.warm_up_s - cell.index.get_level_values("now_s") * CELL_S
+        density = (cell["size"] / (np.minimum(CELL_S, lasts_s) * km)).round(3).to_dict()
         for *place, number, _, driven_m in cell.reset_index().itertuples(index=False):
             for other in (number - 1, number + 1):
                 if max(number, other) <= self.road.lanes and other > 0:

@@ -81,14 +81,14 @@ def plan_text(study: Study, out_dir: Path, difference: float) -> Iterator[str]:
                 yield f"  {out_dir} has fewer than three runs with results at both ends of {key}: no spread to go by"
             else:
                 sd, runs = found
-                yield f"  {seeds_needed(sd, difference)} by the {runs} seeds in {out_dir} ({key}: SD {sd:.3f})"
+                yield f"  {seeds_needed(sd, difference)} by the {runs} runs in {out_dir} ({key}: SD {sd:.3f})"
 
 
 def _requests_of_a_run(study: Study) -> int:
-    """Requests of the kind that is studied in the first run that are due after the warm-up and before the end."""
+    """Requests of the kind that is studied in the first run that are due after the warm-up, with time for a change."""
     from bridge.generation.generate import prepare  # SUMO
     from bridge.recordings.sources import read_recording
-    from bridge.studies.paired import draw, drawing_config, triggers
+    from bridge.studies.paired import begins_by_s, draw, drawing_config, triggers
     from hid2.insertion.flow import trigger_after_s
 
     config = study.configs[0][0]
@@ -97,4 +97,4 @@ def _requests_of_a_run(study: Study) -> int:
     due = [trigger_s[one.request.number] for one in drawn.starts if one.request.policy.value == study.kind]
     comers = [one for one in drawn.arrivals if one.start.request.policy.value == study.kind]
     due += [one.due_s + trigger_after_s(one, config.request, drawn.seed, last_s) for one in comers]
-    return sum(config.flow.counted_from_s <= at_s < last_s for at_s in due)
+    return sum(config.flow.counted_from_s <= at_s <= begins_by_s(last_s, config, study.kind) for at_s in due)

@@ -14,9 +14,8 @@ import pandas as pd
 
 from bridge.studies.columns import AT_LAST, OUTCOMES, Merit
 from hid2.agents import FloatArray, IntArray
-from hid2.resampling import Estimate, interval, redrawn
+from hid2.resampling import UNITS_LEAST, Estimate, interval, redrawn
 
-_SCENES_LEAST, _UNITS_LEAST = 3, 3  # least scenes, and units at all, that are drawn again
 _SAME = 1e-9  # size of differences, and their SD, up to which they are rounding
 #: Cap of time gaps, s: behind a leader that hardly moves they grow without end.
 LONG_GAP_S = 10.0
@@ -29,7 +28,7 @@ def resampled(
     code = pd.factorize(pd.MultiIndex.from_frame(frame[list(unit)]))[0]
     count = int(code.max(initial=-1)) + 1
     whole = statistic(np.ones(len(frame)))
-    if count < _UNITS_LEAST:
+    if count < UNITS_LEAST:
         return whole, np.empty((0, whole.size))
     return whole, redrawn(lambda weights: statistic(weights[code]), count)
 
@@ -45,7 +44,7 @@ def estimates(
 def units(frame: pd.DataFrame) -> dict[str, list[str]]:
     """What is drawn again: runs, and scenes where there are enough."""
     found = {"runs": ["scene", "seed"]}
-    if frame["scene"].nunique() >= _SCENES_LEAST:
+    if frame["scene"].nunique() >= UNITS_LEAST:
         found["scenes"] = ["scene"]
     return found
 
@@ -136,14 +135,15 @@ def dose_response(
         values, code = np.unique(frame[key].to_numpy(), return_inverse=True)
         statistic = _by_value(frame, outcome, code, len(values), within_s=within_s)
         of = (frame[outcome.above or "vehicle"].notna() & frame[outcome.below or "vehicle"].ne(0.0)).to_numpy()
+        clusters = pd.factorize(pd.MultiIndex.from_frame(frame[[*units(frame).values()][-1]]))[0]
+        alone = np.array([statistic((clusters == one).astype(np.float64)) for one in range(clusters.max() + 1)])
+        same = {"parameter": key, "outcome": outcome.name, "clusters": int((np.isfinite(alone).sum(axis=1) > 1).sum())}
         own: list[dict[str, Any]] = [
-            {"parameter": key, "value": value, "outcome": outcome.name, "rows": int((of & (code == place)).sum())}
+            {**same, "value": value, "rows": int((of & (code == place)).sum())}
             for place, value in enumerate(values.tolist())
         ]
         for row in own if outcome.above is None else ():
             row["within_s"] = within_s
-        clusters = pd.factorize(pd.MultiIndex.from_frame(frame[[*units(frame).values()][-1]]))[0]
-        alone = np.array([statistic((clusters == one).astype(np.float64)) for one in range(clusters.max() + 1)])
         for unit, columns in units(frame).items():
             whole, draws = resampled(frame, statistic, unit=columns)
             if unit == "runs" and pd.api.types.is_numeric_dtype(values):
@@ -173,8 +173,7 @@ def _trend(values: FloatArray, whole: FloatArray, draws: FloatArray, alone: Floa
     found = interval(slope, _slopes(values, draws))
     if found.value is None:
         return {}
-    told = {"trend": found.value, "trend_low": found.low, "trend_high": found.high}
-    return told | {"p": few_clusters_p(slopes), "clusters": int(np.isfinite(slopes).sum())}
+    return {"trend": found.value, "trend_low": found.low, "trend_high": found.high, "p": few_clusters_p(slopes)}
 
 
 def few_clusters_p(effects: FloatArray) -> float | None:
@@ -186,7 +185,7 @@ def few_clusters_p(effects: FloatArray) -> float | None:
     from scipy.stats import permutation_test
 
     known = effects[np.isfinite(effects)]
-    if known.size < _UNITS_LEAST - 1:
+    if known.size < UNITS_LEAST - 1:
         return None
     if (np.abs(known) <= _SAME).all():
         return 1.0
@@ -216,7 +215,7 @@ def difference_sd(requests: pd.DataFrame, key: str) -> tuple[float, int] | None:
     counted = requests[requests["counted"]]
     by_run = counted.groupby(["scene", "seed", key])["accepted"].mean().unstack(key)
     apart = (by_run.iloc[:, -1] - by_run.iloc[:, 0]).dropna() if by_run.shape[1] > 1 else pd.Series(dtype=float)
-    return (float(apart.std()), len(apart)) if len(apart) >= _UNITS_LEAST else None
+    return (float(apart.std()), len(apart)) if len(apart) >= UNITS_LEAST else None
 
 
 def _adjusted(table: pd.DataFrame) -> pd.DataFrame:

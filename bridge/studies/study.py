@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from bridge.batch.batch import RUNS, Run, SceneJob
 from bridge.batch.manifest import DONE, ManifestRow
@@ -67,12 +67,12 @@ class _File(BaseModel):
 
     scenes: list[str] = []
     can: list[str] = []
-    seeds: Annotated[int, Field(ge=1, le=100_000)] | Annotated[list[int], Field(min_length=1)] = 1
+    seeds: Annotated[int, Field(ge=1, le=100_000, strict=True)] | Annotated[list[int], Field(min_length=1)] = 1
     design: Literal["grid", "latin_hypercube"] = "grid"
     samples: int = Field(default=0, ge=0, le=1_000_000)
     sample_seed: int = Field(default=0, ge=0)
     kind: ManeuverKind = "lane_change"
-    vary: dict[str, Annotated[list[Value], Field(min_length=1)]] = Field(min_length=1)
+    vary: dict[str, Annotated[list[FiniteFloat | int | str | bool], Field(min_length=1)]] = Field(min_length=1)
     config: dict[str, Any] = {}
 
 
@@ -218,6 +218,10 @@ def tables(study: Study, rows: Iterable[ManifestRow], out_dir: Path) -> "dict[st
             told += [{**name, **one} for one in found[name_of]]
     known = {table: pd.DataFrame(told) for table, told in every.items()}
     known["looks"] = pd.concat(looks) if looks else pd.DataFrame()
+    if study.paired and every["requests"]:  # the same vehicles at every point at which there are any
+        asked = known["requests"]
+        times = asked.groupby(["scene", "seed", "vehicle"])["counted"].transform("sum")
+        asked["counted"] &= times == asked.loc[asked["counted"], "point"].nunique()
     # columns of numbers are numbers, also where all of a run's are missing
     endings = ("_s", "_m", "_mps", "_mps2")
     return {
@@ -292,6 +296,7 @@ def configured(base: Mapping[str, Any], changes: Mapping[str, Value], *, source:
     expanded = {key: value for key, value in changes.items() if not key.startswith(_RULE)}
     if TRIGGER in expanded:
         expanded["request.trigger_min_s"] = expanded["request.trigger_max_s"] = expanded.pop(TRIGGER)
+        values["request"] = {**values.get("request", {}), "trigger_list_s": []}  # it would come first
     arguments = ", ".join(f"{key[5:]}={value}" for key, value in changes.items() if key.startswith(_RULE))
     if arguments:
         given = values.get("lane_change", {}).get("rule_with")

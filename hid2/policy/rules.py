@@ -98,8 +98,8 @@ def rule_reason(view: GapView, params: LaneChange) -> Reason | None:
     return next(iter(rule_refusals(view, params)), None)
 
 
-def accepts_unasked(view: GapView, params: LaneChange, *, mandatory: bool) -> bool:
-    """Whether a vehicle without a request changes lanes into a gap. mandatory: its route leads there.
+def refusals_unasked(view: GapView, params: LaneChange, *, mandatory: bool) -> tuple[Reason, ...]:
+    """What keeps a vehicle without a request from changing lanes into a gap. mandatory: its route leads there.
 
     The paper's rule has no incentive: it gets one where the leader there (none: the desired speed) is faster than
     the one here by `incentive` of `lane_change.rule_with`, m/s. MOBIL has its incentive, a user's rule decides alone.
@@ -110,9 +110,9 @@ def accepts_unasked(view: GapView, params: LaneChange, *, mandatory: bool) -> bo
             for one in (view.front, view.own_front)
         )
         if there - here <= rule_arguments(params).get("incentive", INCENTIVE_MPS):
-            return False
-    refusals = rule_refusals(view, params)
-    return not refusals or (mandatory and set(refusals) == {Reason.MOBIL_NO_ADVANTAGE})
+            return (Reason.RULE_REFUSES,)
+    wanted = {Reason.MOBIL_NO_ADVANTAGE} if mandatory else set()
+    return tuple(one for one in rule_refusals(view, params) if one not in wanted)
 
 
 def rule_arguments(params: LaneChange) -> dict[str, float]:

@@ -2,12 +2,16 @@
 
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
+import numpy as np
+import pandas as pd
 import pytest
 
 from bridge.config import config_from_dict
 from bridge.recordings.road import read_road, write_road
 from bridge.recordings.sources import read_recording
+from bridge.studies.gap_acceptance import gaps_of
 from bridge.studies.road_traffic import RoadTraffic, RoadVehicle, arrivals
 from bridge.sumo.net import convert_whole
 from hid2.agents import BoxSize
@@ -39,7 +43,7 @@ def test_vehicles_of_the_ramp_change_whatever_the_rule_and_reach_the_road(tmp_pa
     assert sum(told["start_to_end"][2][:2]) == vehicles  # none takes the exit
     assert told["ratios"]["not_left"] == (0, 1)
     assert len(told["lag"]) <= vehicles
-    assert all(rejected < accepted for side in ("lag", "lead") for rejected, accepted in told[side])
+    assert bool(told["lag"]) is (rule != "LC2013")  # which SUMO asks
 
 
 @pytest.mark.parametrize("rule", ["LC2013", "MOBIL"])
@@ -65,22 +69,23 @@ def test_cells_hold_what_was_driven_and_every_change_between_lanes(tmp_path: Pat
     told = driven(tmp_path, text, rule, rule_with="incentive=0.1" if rule == "paper" else "").told()
     driven_m, driven_s = told["ratios"]["speed_mps"]
     assert sum(km for *_, km in told["cells"]) == pytest.approx(driven_m / 1000.0)
-    assert sum(changes for _, _, changes, _ in told["cells"]) > 0
+    assert told["ratios"]["changes_per_veh_km"][0] == sum(changes for _, _, changes, _ in told["cells"]) > 0
     mean = sum(own for own, *_ in told["cells"]) / len(told["cells"])
     assert mean == pytest.approx(driven_s / 180.0 / 0.4 / 2, rel=0.15)  # veh/km of a lane
 
 
-def test_gaps_that_a_merging_vehicle_is_offered_and_takes(tmp_path: Path) -> None:
-    """Front of the merging vehicle M (4 m, 10 m/s) at 150 m; at 120 m it is beside another gap.
+def test_gaps_are_those_that_the_rule_of_a_merging_vehicle_was_asked_about(tmp_path: Path) -> None:
+    """Front of the merging vehicle M (4 m, 10 m/s) at 120 m, then at 150 m beside another gap. Lag gaps, by C's side:
 
     lane 2:  [A 90] ... [B 130] ... [C 170, 4 m]       B drives 5 m/s, A 10 m/s, C 10 m/s
-    120 m: lag 120 - 4 - 90 = 26 m, 2.6 s; lead 130 - 4 - 120 = 6 m, .6 s
-    150 m, on lane 2: lag 150 - 4 - 130 = 16 m, 3.2 s; lead 170 - 4 - 150 = 16 m, 1.6 s
+    120 m: lag 120 - 4 - 90 = 26 m, 2.6 s; lead 130 - 4 - 120 = 6 m, .6 s: the lead gap alone is refused
+    150 m: lag 150 - 4 - 130 = 16 m, 3.2 s; lead 170 - 4 - 150 = 16 m, 1.6 s: taken
     """
     (tmp_path / "road.toml").write_text(HEAD + RAMPS + LIGHT)
     road = read_road(tmp_path / "road.toml")
     recording = read_recording(write_road(tmp_path / "roads", tmp_path / "road.toml"))
-    traffic = RoadTraffic(recording, road, config_from_dict({}))
+    change = {"time_gap_front_s": 1.0, "time_gap_rear_s": 1.0, "min_speed_mps": 0.0, "min_remaining_m": 0.0}
+    traffic = RoadTraffic(recording, road, config_from_dict({"lane_change": change}))
     size, lanes = BoxSize(4.0, 2.0), {one.lane_id: one for one in road.stretches()}
     template = traffic.vehicles[0]
 
@@ -88,16 +93,31 @@ def test_gaps_that_a_merging_vehicle_is_offered_and_takes(tmp_path: Path) -> Non
         return RoadVehicle(name, start, 0.0, False, template.driver, size, 0, lane=lanes[200 + lane], x=x, v=v)
 
     others = [vehicle("A", 2, 2, 90.0, 10.0), vehicle("B", 2, 2, 130.0, 5.0), vehicle("C", 2, 2, 170.0, 10.0)]
-    one = vehicle("M", 3, 3, 120.0, 10.0)
-    for x, lane in ((120.0, 3), (150.0, 2)):
-        one.x, one.lane = x, lanes[200 + lane]
-        traffic._on_lane = {2: sorted([*others, *[one] * (lane == 2)], key=lambda each: each.x), 3: [one] * (lane == 3)}
-        traffic._offer()
-    assert one.offered == {("B", "A"): pytest.approx((2.6, 0.6))}
-    assert one.taken == pytest.approx((3.2, 1.6))
+    one, told = vehicle("M", 3, 3, 120.0, 10.0), Mock()
+    traffic._on_lane = {2: others, 3: [one]}
+    for one.x in (120.0, 150.0):
+        traffic._ask(told, one, one.x)
+    told.change_lane.assert_called_once()
+    (refused, taken), columns = gaps_of(pd.DataFrame(traffic._looks), []).to_dict("records"), ("lag", "lead")
+    assert [refused[f"{side}_refused_s"] for side in columns] == pytest.approx([np.nan, 0.6], nan_ok=True)
+    assert [taken[f"{side}_time_gap_s"] for side in columns] == pytest.approx([3.2, 1.6])
     traffic._stops = [100.0, 155.0]  # a closed stop line before C is what a rule sees
     front, rear = traffic._around(one, 2)
     assert (front.distance_m, front.speed_mps, rear.track_id) == (5.0, 0.0, "B")
+    # 5 s on 250 m in the last half minute of 150 s: 5 s / (30 s 250 m)
+    seen = pd.DataFrame({"now_s": np.arange(150.0, 155.0, 0.5), "lane": 2, "x": 100.0, "v": 10.0, "origin": np.nan})
+    assert list(traffic._rates(seen)) == [pytest.approx((0.667, 0.0, 0, 0.05))]
+
+
+def test_threshold_of_a_rule_is_the_critical_gap_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rule that takes any lag gap from one second on, in dense traffic: no driver has refused more, or taken less."""
+    dense = "\n[[period]]\nuntil_s = 180.0\nveh_per_h = [600.0, 1400.0, 600.0]\n"
+    (tmp_path / "fixed_gap.py").write_text((ARTERIAL.parents[1] / "studies" / "two_sided.py").read_text())
+    monkeypatch.syspath_prepend(str(tmp_path))
+    told = driven(tmp_path, HEAD + RAMPS + dense, "fixed_gap:accept", rule_with="lead=0.2,b=1").told()
+    rejected, taken = np.array([(r, np.inf if a is None else a) for r, a in told["lag"]]).T
+    assert (told["ratios"]["inconsistent_lag"][0], len(taken) > 10, (rejected > 0.0).sum() > 4) == (0, True, True)
+    assert rejected.max() < 1.0 <= taken.min()
 
 
 def test_vehicles_stop_at_red_and_go_on_at_green(tmp_path: Path) -> None:

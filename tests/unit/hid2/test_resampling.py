@@ -6,8 +6,8 @@ import pytest
 from hid2.resampling import RESAMPLES, draws, interval, ratio, redrawn
 
 
-def test_no_interval_from_one_unit_and_no_value_from_none() -> None:
-    assert ratio(np.array([2.0]), np.array([4.0])) == (0.5, None, None)
+def test_no_interval_from_two_units_and_no_value_from_none() -> None:
+    assert ratio(np.array([1.0, 1.0]), np.array([1.0, 3.0])) == (0.5, None, None)
     assert ratio(np.array([0.0]), np.array([0.0])) == (None, None, None)
 
 

@@ -20,6 +20,7 @@ from bridge.studies.paired import draw, drawing_config, paired_run
 from bridge.studies.run import plan_text, run_study
 from bridge.studies.statistics import seeds_needed
 from bridge.studies.study import Study, read_study
+from hid2.agents import Policy
 from hid2.insertion.flow import arrivals, entry_lanes
 from hid2.insertion.routes import Routes
 from hid2.params import Config, Drivers, Flow, LaneChange, Request, Spawn
@@ -70,17 +71,15 @@ def test_starts_are_the_same_for_every_value_and_triggers_are_those_asked_for(da
 
 
 def test_request_is_observed_until_the_scene_has_no_time_left_for_a_change(data_scenes: dict[str, Path]) -> None:
-    """Asked after 5.5 s of 11 s, any gap will do: what the scene's end refuses is at risk up to that look alone."""
+    """Asked after 5.5 s of 11 s, of which a change takes 3.7: at risk up to 7.2 s are all, whatever they wait for."""
     request = CHANGES.model_copy(update={"trigger_min_s": 5.5, "trigger_max_s": 5.5, "seed": 2})
     change = LaneChange(time_gap_front_s=0.0, time_gap_rear_s=0.0, min_gap_m=0.0, safety="rule")
     config = Config(request=request, lane_change=change)
     prepared = prepare(read_scenario(data_scenes["arterial"]), config)
     run = paired_run(prepared, draw(prepared, drawing_config(config)), config)
-    rows = {row["vehicle"]: row for row in run.requests}
-    looks = [(one.vehicle_id, look) for one in run.driven if not one.shifts for look in reversed(one.gaps)]
-    late_s = {name: 0.1 * look.step for name, look in looks if look.guard == "scene_ends"}  # of each the first
-    assert late_s
-    assert {name: rows[name]["observed_to_s"] for name in late_s} == pytest.approx(late_s)
+    waiting = [row for row in run.requests if row["status"] != "not_placed" and not row["accepted"]]
+    assert waiting
+    assert [row["observed_to_s"] for row in waiting] == pytest.approx([7.2] * len(waiting))
 
 
 def test_durations_are_within_the_bounds_of_the_run_and_no_others(data_scenes: dict[str, Path]) -> None:
@@ -176,9 +175,8 @@ def test_flow_enters_one_after_the_other_and_looks_at_gaps(corridor: Path) -> No
     drawn = draw(prepared, drawing_config(config))
     run = paired_run(prepared, drawn, config)
     assert len(run.driven) > 15
-    entered = {row["vehicle"]: row["entered_s"] for row in run.requests}
     due = {one.vehicle_id: one.due_s for one in drawn.arrivals}
-    assert all(entered[name] >= due[name] - 0.11 for name in entered)
+    assert all(row["entered_s"] >= due[row["vehicle"]] - 0.11 for row in run.requests)
     accepted = [row for row in run.requests if row["accepted"]]
     assert accepted
     for row in run.requests:
@@ -191,6 +189,11 @@ def test_flow_enters_one_after_the_other_and_looks_at_gaps(corridor: Path) -> No
     for interval in run.flow:
         product = interval["density_veh_per_km_lane"] * interval["speed_kmph"]
         assert interval["flow_veh_per_h_lane"] == pytest.approx(product, rel=1e-3)
+    full = config.model_copy(update={"flow": Flow(veh_per_h_lane=3000.0)})
+    drawn = draw(prepared, drawing_config(full))
+    rows = {row["vehicle"]: row["reason"] for row in paired_run(prepared, drawn, full).requests}
+    assert rows.keys() == {one.vehicle_id for one in drawn.arrivals if one.start.request.policy is Policy.LANE_CHANGE}
+    assert "no_room_at_edge" in rows.values()  # held to the end
 
 
 def test_flow_enters_beside_recorded_traffic(data_scenes: dict[str, Path]) -> None:
@@ -285,8 +288,8 @@ def test_study_is_resumed_and_writes_what_its_dictionary_says(tmp_path: Path) ->
     text = (out / "study.md").read_text()
     assert "## lane_change.time_gap_rear_s" in text
     _check_references(text, out)
-    assert "cut off [requests.counted]" in text
-    assert "- Trends as sure as their intervals look: 3 clusters are fewer than the " in text
+    assert "cut off, or of vehicles that do not count at every point [requests.counted]" in text
+    assert "- Trends and differences as sure as their intervals look: 3 clusters are fewer than the " in text
     assert re.search(r"Seeds needed at power \.8, by a paired t test, .*: \d+ for 0\.02, \d+ for 0\.05", text)
 
 
@@ -307,7 +310,7 @@ def test_plan_says_how_many_runs_a_difference_needs_before_and_after_a_pilot(tmp
     (tmp_path / "out").mkdir()
     pilot.to_csv(tmp_path / "out" / "requests.csv")
     *_, by_pilot = plan_text(study, tmp_path / "out", 0.1)  # differences -.8, -.6, -.4: SD .2
-    assert f"{seeds_needed(0.2, 0.1)} by the 3 seeds" in by_pilot
+    assert f"{seeds_needed(0.2, 0.1)} by the 3 runs" in by_pilot
     pilot[pilot["seed"] < 2].to_csv(tmp_path / "out" / "requests.csv")
     assert list(plan_text(study, tmp_path / "out", 0.1))[-1].endswith("no spread to go by")
     with pytest.raises(ConfigError, match="--plan 5: expected a difference of shares between 0 and 1"):
@@ -357,4 +360,7 @@ def test_replay_is_varied_like_any_other_parameter_and_said_everywhere(
     assert "What one parameter does alone" not in text
     half = replace(study, points=study.points[1:3], configs=study.configs[1:3])
     named = defaultdict(pd.DataFrame, {path.stem: pd.read_csv(path) for path in out.glob("*.csv")})
-    assert "What one parameter does alone" in page_text(half, named, [])
+    named["requests"] = pd.concat([named["requests"], named["requests"].assign(scene="b", counted=False)])
+    told = page_text(half, named, [])
+    assert "What one parameter does alone" in told
+    assert "1 scene has requests that count" in told

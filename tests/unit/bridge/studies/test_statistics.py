@@ -9,7 +9,7 @@ import pytest
 
 from bridge.pages.parts import macros
 from bridge.studies.gap_acceptance import critical_gap, gaps_of, largest_rejected, troutbeck
-from bridge.studies.page import _classes, _told, _write_table, draw_parameter
+from bridge.studies.page import _classes, _seeds_line, _told, _write_table, draw_parameter
 from bridge.studies.statistics import difference_sd, dose_response, few_clusters_p, mean_wait, observed_s, seeds_needed
 
 
@@ -83,6 +83,9 @@ def test_seeds_needed_are_those_of_the_paired_t_test() -> None:
     assert found is not None
     assert found[1] == 12
     assert difference_sd(_requests(-0.3, runs=2), "p") is None
+    requests = _requests(-0.3)
+    other = requests.assign(scene="b", counted=False)  # adds no run to a seed
+    assert _seeds_line(pd.concat([requests, other]), "p") == _seeds_line(requests, "p")
 
 
 def test_driver_who_refused_a_larger_gap_is_left_out_and_counted() -> None:
@@ -140,13 +143,8 @@ def test_gap_is_one_row_with_its_largest_size_or_that_at_which_the_rule_took_it(
     first, second = gaps_of(looks, []).to_dict("records")
     assert (first["lag_id"], first["accepted"], first["lag_time_gap_s"]) == ("a", False, 0.9)
     assert (first["refused_by"], first["lag_refused_s"]) == ("rule", 0.9)
-    assert (second["lag_id"], second["accepted"], second["accepted_s"], second["lag_time_gap_s"]) == (
-        "b",
-        True,
-        1.3,
-        3.0,
-    )
-    assert (second["refused_by"], second["taken"]) == ("", True)
+    assert (second["lag_id"], second["accepted_s"], second["lag_time_gap_s"]) == ("b", 1.3, 3.0)
+    assert (second["accepted"], second["refused_by"], second["taken"]) == (True, "", True)
     assert np.isnan(second["lag_refused_s"])
 
 
@@ -186,6 +184,9 @@ def test_trend_is_the_slope_over_all_values_and_p_counts_the_family() -> None:
     assert first.loc["share_accepted", "p"] < 0.05
     assert first.loc["lateral_s", "p"] == 1.0
     assert first.loc["lag_time_gap_s", "p"] == pytest.approx(2 / 2**12)  # each of twelve runs says the same
+    names = _requests(0.0).assign(p=lambda rows: np.where(rows["point"] > 0, "a", "b"))
+    named = dose_response(names, pd.DataFrame(), "p", give_up_s=6.0, critical_ttc_s=1.5)
+    assert ("trend" in named, set(named["clusters"])) == (False, {12})
     assert (first["clusters"] == 12).all()
     varies = (first["p"] < 1.0) & (first.index != "share_accepted")  # a study is planned for that one
     assert (first["p_holm"].notna() == varies).all()  # what never changes is none of the family
@@ -227,16 +228,10 @@ def test_shares_of_the_gaps_that_each_refused_by_hand() -> None:
     dose = dose_response(_requests(0.0).assign(p=0.0), gaps, "p", give_up_s=6.0, critical_ttc_s=1.5)
     taken = dose[dose["outcome"] == "gaps_taken"]
     assert (taken["estimate"].tolist(), taken["rows"].tolist()) == (pytest.approx([1 / 3]), [3])
-    for name, share, of in (
-        ("sumo", 0.5, 2),
-        ("guard", 1 / 3, 3),
-        ("rule", 0.4, 5),
-        ("cells", 0.2, 5),
-        ("road", 0.0, 5),
-    ):
-        found = dose[dose["outcome"] == f"refused_by_{name}"]
-        assert found["estimate"].tolist() == pytest.approx([share])
-        assert found["rows"].tolist() == [of]
+    names = [f"refused_by_{name}" for name in ("sumo", "guard", "rule", "cells", "road")]
+    found = dose.set_index("outcome").loc[names]
+    assert found["estimate"].tolist() == pytest.approx([0.5, 1 / 3, 0.4, 0.2, 0.0])
+    assert found["rows"].tolist() == [2, 3, 5, 5, 5]
 
 
 def test_interval_that_begins_at_a_rounding_error_includes_no_effect() -> None:
@@ -255,5 +250,6 @@ def test_a_parameter_of_many_values_is_told_in_six_classes_as_large() -> None:
     told = _classes(pd.Series([float(value) for value in range(24)] * 2))
     assert sorted(set(told.values())) == [1.5, 5.5, 9.5, 13.5, 17.5, 21.5]
     assert (told[3.0], told[4.0]) == (1.5, 5.5)
+    assert len(set(_classes(pd.Series(np.linspace(0.0, 0.002, 13))).values())) == 6
     few, names = pd.Series(np.arange(12.0)), pd.Series([f"rule {number}" for number in range(20)])
     assert all(_classes(values) == {value: value for value in values} for values in (few, names))

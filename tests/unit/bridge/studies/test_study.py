@@ -2,15 +2,19 @@
 
 import gzip
 from pathlib import Path
+from typing import Any
 
+import pandas as pd
 import pytest
 
 from bridge.batch.manifest import DONE, ManifestRow
 from bridge.config import config_sha256, load_config
+from bridge.generation.gaps import gaps_bytes
 from bridge.generation.generate import generate
 from bridge.recordings.road import write_corridor
 from bridge.recordings.scenario import read_scenario
-from bridge.studies.study import RUN_FILE, read_study, tables
+from bridge.studies.page import write_results
+from bridge.studies.study import LOOKS_FILE, RUN_FILE, RUN_TABLES, read_study, tables, write_run
 from hid2.reasons import Reason
 from netconvert.errors import BatchError, ConfigError
 
@@ -47,15 +51,40 @@ def test_run_in_a_folder_that_is_continued_is_read_up_to_its_limits(
         tables(study, [row], tmp_path)
 
 
+def test_the_same_vehicles_count_at_every_point_at_which_any_does(tmp_path: Path, data_root: Path) -> None:
+    """v0 is due at 1 and 2 s, v1 at 1 s alone, none at 9 s: v0 counts, twice."""
+    study = read_study(study_file(tmp_path, "seeds = [0]\n[vary]\ntrigger_s = [1.0, 2.0, 9.0]\n", data_root))
+    rows = []
+    for (config,), waited in zip(study.configs, ((3.0, 2.0), (1.0, None), (None, None)), strict=True):
+        asked = {"kind": "lane_change", "accepted": False, "trigger_s": config.request.trigger_min_s}
+        told: dict[str, list[Any]] = {name: [] for name in RUN_TABLES}
+        told["requests"] = [asked | {"vehicle": f"v{k}", "waited_s": one} for k, one in enumerate(waited)]
+        source = read_scenario(study.folders[0])
+        folder = write_run(tmp_path, source, config, told, {LOOKS_FILE: gaps_bytes([], {}, step_s=0.1)})
+        rows.append(ManifestRow("a", "val", 0, 0, DONE, folder=str(folder), config_sha256=config_sha256(config)))
+    requests = tables(study, rows, tmp_path)["requests"]
+    assert requests.loc[requests["counted"], ["vehicle", "waited_s"]].to_numpy().tolist() == [["v0", 3.0], ["v0", 1.0]]
+
+
+def test_tables_of_an_earlier_configuration_do_not_stay(tmp_path: Path, data_root: Path) -> None:
+    study = read_study(study_file(tmp_path, "[vary]\ntrigger_s = [1.0, 2.0]\n", data_root))
+    (tmp_path / "critical_gaps.csv").write_text("mean_s\n1.0\n")
+    files = write_results(study, {name: pd.DataFrame() for name in ("runs", "looks", *RUN_TABLES)}, tmp_path)
+    assert tmp_path / "critical_gaps.csv" in files
+    assert (tmp_path / "critical_gaps.csv").read_text().startswith("parameter,value,side,mean_s,")
+    assert pd.read_csv(tmp_path / "gaps.csv").empty
+
+
 def test_grid_is_every_combination_with_every_seed(tmp_path: Path, data_root: Path) -> None:
     text = 'seeds = [3, 5]\n[vary]\ntrigger_s = [1.0, 2.0]\n"lane_change.give_up_s" = [5.0, 10.0, 15.0]\n'
+    text += "[config.request]\ntrigger_list_s = [4.0]\n"
     study = read_study(study_file(tmp_path, text, data_root))
     assert len(study.folders) == 3
     assert [tuple(point.values()) for point in study.points] == [
         (1.0, 5.0), (1.0, 10.0), (1.0, 15.0), (2.0, 5.0), (2.0, 10.0), (2.0, 15.0),
     ]  # fmt: skip
     config = study.configs[4][1]
-    assert (config.request.trigger_min_s, config.request.trigger_max_s) == (2.0, 2.0)
+    assert (config.request.trigger_min_s, config.request.trigger_max_s, config.request.trigger_list_s) == (2.0, 2.0, ())
     assert (config.lane_change.give_up_s, config.request.seed) == (10.0, 5)
     assert study.paired
     assert [len(job.runs) for job in study.jobs] == [6] * 3 * 2
@@ -87,16 +116,15 @@ def test_latin_hypercube_has_one_point_in_each_slice(tmp_path: Path, data_root: 
         ('[vary]\ntrigger_s = [1.0]\n[config.request]\nagents = "max"\n', "expected a number of vehicles"),
         ("[vary]\ntrigger_s = [1.0]\n[config.request]\nentering = 0.5\n", "in studies vehicles enter by flow"),
         ("seeds = 0\n[vary]\ntrigger_s = [1.0]\n", "seeds = 0, expected "),
+        ("seeds = true\n[vary]\ntrigger_s = [1.0]\n", "seeds"),
+        ('[vary]\n"rule.b" = [nan, 1.0]\n', "vary.rule.b"),
         ("[vary]\n", "vary"),
         ("colour = 1\n[vary]\ntrigger_s = [1.0]\n", "unknown key 'colour'; expected scenes, can, "),
         ('design = "latin_hypercube"\n[vary]\ntrigger_s = [1.0, 2.0]\n', "samples = 0"),
         ('design = "latin_hypercube"\nsamples = 3\n[vary]\ntrigger_s = [2.0, 1.0]\n', "low < high"),
         ("seeds = [0, 1, 0]\n[vary]\ntrigger_s = [1.0]\n", "[0, 1, 0]: 0 is there 2 times, expected each value once"),
         ("[vary]\ntrigger_s = [1, 1.0]\n", "vary.trigger_s = [1, 1.0]: 1 is there 2 times"),
-        (
-            'design = "latin_hypercube"\nsamples = 9\n[vary]\n"lane_change.give_up_s" = [1, 2]\n',
-            "expected fewer samples",
-        ),
+        ('design = "latin_hypercube"\nsamples = 9\n[vary]\n"lane_change.give_up_s"=[1,2]\n', "expected fewer samples"),
         ('[vary]\n"rule.b" = [0.5, 3.0]\n', "rule_with = 'b=0.5': rule paper reads incentive of it"),
         ('[vary]\n"lane_change.mobil_bias_mps2" = [1, 2]\n', "expected config.lane_change.rule = 'MOBIL', or another"),
         ('[vary]\n"lane_change.lc_speed_gain" = [1]\n"lane_change.rule" = ["paper", "MOBIL"]\n', "rule = 'LC2013', or"),

@@ -11,11 +11,11 @@ from hid2.params import LaneChange
 from hid2.policy.lane_change import OPEN, Gap, SumoAnswer
 from hid2.policy.rules import (
     GapView,
-    accepts_unasked,
     check_user_rule,
     idm_mps2,
     mobil_refusals,
     refusal_of_free_lane,
+    refusals_unasked,
     rule_arguments,
     rule_reason,
     rule_refusals,
@@ -199,14 +199,14 @@ def test_rules_unasked_want_an_advantage_unless_mandatory() -> None:
     """
     params = LaneChange(rule="paper")
     slow = replace(VIEW, own_front=Gap(20.0, 8.0), front=Gap(60.0, 9.0))
-    assert not accepts_unasked(slow, params, mandatory=False)
-    assert accepts_unasked(slow, params, mandatory=True)
+    assert refusals_unasked(slow, params, mandatory=False)
+    assert not refusals_unasked(slow, params, mandatory=True)
     fast = replace(slow, front=Gap(60.0, 9.6))
-    assert accepts_unasked(fast, params, mandatory=False)
-    assert not accepts_unasked(fast, params.model_copy(update={"rule_with": "incentive=2.0"}), mandatory=False)
-    assert accepts_unasked(replace(slow, front=OPEN), params, mandatory=False)  # 10 m/s wished for
-    assert not accepts_unasked(replace(fast, cells_free=False), params, mandatory=True)
+    assert not refusals_unasked(fast, params, mandatory=False)
+    assert refusals_unasked(fast, params.model_copy(update={"rule_with": "incentive=2.0"}), mandatory=False)
+    assert not refusals_unasked(replace(slow, front=OPEN), params, mandatory=False)  # 10 m/s wished for
+    assert refusals_unasked(replace(fast, cells_free=False), params, mandatory=True)
     behind = replace(VIEW, own_front=OPEN, front=Gap(15.0, 8.0))  # slower there: nothing to gain
-    assert not accepts_unasked(behind, MOBIL, mandatory=False)
-    assert accepts_unasked(behind, MOBIL, mandatory=True)
-    assert not accepts_unasked(replace(behind, rear=Gap(1.0, 14.0)), MOBIL, mandatory=True)
+    assert refusals_unasked(behind, MOBIL, mandatory=False)
+    assert not refusals_unasked(behind, MOBIL, mandatory=True)
+    assert refusals_unasked(replace(behind, rear=Gap(1.0, 14.0)), MOBIL, mandatory=True)
