@@ -17,7 +17,6 @@ from bridge.generation.generate import generate, prepare
 from bridge.recordings.scenario import read_scenario
 from hid2.evaluation.calibration import calibrate
 from hid2.params import Config, Drivers, Request
-from hid2.policies import Policy
 
 pytestmark = pytest.mark.verification
 SEEDS = 25
@@ -65,55 +64,6 @@ def test_start_delay_after_the_trigger(generated, folder):
         x="time from trigger to begin, s", y="share of manoeuvres",
     )  # fmt: skip
     assert delays.max() <= Config().lane_change.give_up_s + 11.0
-
-
-def test_trigger_times_are_uniform(generated, folder):
-    """Between 0.5 and 4 s: the Kolmogorov-Smirnov distance of n uniform draws is below 1.63 / sqrt(n) in 99 of 100."""
-    times = np.sort([m.trigger_s for s in generated for a in s.sidecar.agents for m in a.maneuvers if m.trigger_s])
-    share = (times - 0.5) / 3.5
-    ks = float(np.abs(share - (np.arange(len(share)) + 0.5) / len(share)).max())
-    draw(
-        folder, "trigger_times", f"Trigger times of {len(times)} manoeuvres are uniform: KS {ks:.3f}.",
-        lambda ax: (ax.step(times, np.arange(1, len(times) + 1) / len(times)), ax.plot([0.5, 4], [0, 1], "--")),
-        x="trigger, s", y="share",
-    )  # fmt: skip
-    assert ks < 1.63 / np.sqrt(len(times)) + 0.5 / len(times)
-
-
-def test_insertion_is_spread_over_the_lanes(generated, folder):
-    """sites = any: each lane's share of the vehicles is near its share of the length; none takes over half."""
-    graph = generated[0].source.graph
-    count = Counter(a.spawn.lane_segment_id for s in generated for a in s.sidecar.agents)
-    total, length = sum(count.values()), sum(graph.lanes[lane].length_m for lane in count)
-    expected = np.array([graph.lanes[lane].length_m / length for lane in count])
-    seen = np.array([count[lane] / total for lane in count])
-    distance = 0.5 * float(np.abs(seen - expected).sum())
-    draw(
-        folder, "insertion",
-        f"{total} vehicles began on {len(count)} lanes; {distance:.0%} would have to move for shares by length.",
-        lambda ax: (ax.scatter(expected, seen), ax.plot([0, expected.max()], [0, expected.max()], "--")),
-        x="share of the lanes' length", y="share of the vehicles",
-    )  # fmt: skip
-    assert distance < 0.5
-    assert seen.max() < 0.5
-
-
-def test_shares_of_policies_are_as_asked_for(generated, folder):
-    """The records of manoeuvres name what was asked for, feasible or not; whoever has none was asked to go straight."""
-    request = Request()
-    agents = [agent for scene in generated for agent in scene.sidecar.agents]
-    count = Counter(Policy(record.kind) for agent in agents for record in agent.maneuvers)
-    total = len(agents)
-    count[Policy.STRAIGHT] += total - sum(count.values())
-    seen = [count[policy] / total for policy in Policy]
-    asked = [request.behaviours[policy] for policy in Policy]
-    draw(
-        folder, "policies", f"Shares of the policies in the mix (orange) and on record (blue), {total} vehicles.",
-        lambda ax: (ax.bar([str(p) for p in Policy], seen), ax.plot([str(p) for p in Policy], asked, "o", color="C1")),
-        x="policy", y="share",
-    )  # fmt: skip
-    # two spawned leaders an overtake at most, which go straight
-    assert np.abs(np.array(seen) - asked).max() < 0.12
 
 
 def test_calibration_finds_synthetic_drivers_again(folder):

@@ -142,9 +142,7 @@ def test_ids_are_uuids_and_differ_in_source_configuration_seed_and_variant() -> 
     assert all(str(uuid.UUID(new_id)) == new_id and uuid.UUID(new_id).version == 5 for new_id in ids)
 
 
-def test_a_folder_that_is_there_is_replaced_but_for_what_a_user_laid_into_it(
-    scenario: Recording, tmp_path: Path
-) -> None:
+def test_a_folder_there_is_replaced_but_for_what_a_user_laid_into_it(scenario: Recording, tmp_path: Path) -> None:
     folder = write_fake(scenario, tmp_path)
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     (folder / "gaps_old.csv.gz").write_text("of an earlier run")

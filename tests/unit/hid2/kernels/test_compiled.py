@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from hid2.kernels.compile import make_ready
-from hid2.kernels.compiled import KERNELS, digest
+from hid2.kernels.compiled import KERNELS
 
 ROOT = Path(__file__).parents[4]
 
@@ -133,14 +133,3 @@ def test_compiled_code_is_in_the_room_alone() -> None:
     }
     assert outside == set()
     assert [dispatcher.__name__ for dispatcher, signatures in KERNELS if not signatures] == []
-
-
-def test_digest_is_that_of_contents(tmp_path: Path) -> None:
-    one, other = tmp_path / "one.py", tmp_path / "other.py"
-    one.write_text("a")
-    other.write_text("b")
-    before = digest([one, other])
-    os.utime(one, (1.0, 1.0))
-    assert digest([one, other]) == before
-    other.write_text("c")
-    assert digest([one, other]) != before
