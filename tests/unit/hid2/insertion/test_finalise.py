@@ -159,12 +159,12 @@ def test_recorded_follower_may_not_close_in_critically() -> None:
 
 @pytest.mark.parametrize(("length_m", "found"), [(3.9, [(0, Reason.FOLLOWER_HEADWAY)]), (4.5, [])])
 def test_headway_is_that_to_the_box_that_is_exported(length_m: float, found: list[tuple[int, Reason]]) -> None:
-    """12.9 m between the centres at 16 m/s; .3 m less to the front of a car of 3.9 m with a clearance 4.5 m long.
+    """19.4 m between the centres at 24 m/s; .3 m less to the front of a car of 3.9 m with a clearance 4.5 m long.
 
     The target of an event bears the gap that the event is about.
     """
-    scene = scene_of(recorded(27.1, 0.0, 16.0))
-    vehicle = _kept(scene, np.full(110, 16.0), size=BoxSize(length_m, 1.8))
+    scene = scene_of(recorded(20.6, 0.0, 24.0))
+    vehicle = _kept(scene, np.full(110, 24.0), size=BoxSize(length_m, 1.8))
     assert conflicting(scene, [vehicle]) == found
     assert conflicting(scene, [vehicle], target_id="r") == []
 

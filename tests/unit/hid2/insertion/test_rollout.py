@@ -49,12 +49,12 @@ def _steady(
 
 @pytest.mark.parametrize(
     ("mps", "ahead_m", "reason"),
-    [(16.0, 12.5, Reason.FOLLOWER_HEADWAY), (16.0, 13.1, None), (6.0, 7.3, Reason.FOLLOWER_HEADWAY), (6.0, 7.7, None)],
+    [(24.0, 18.8, Reason.FOLLOWER_HEADWAY), (24.0, 19.6, None), (6.0, 7.9, Reason.FOLLOWER_HEADWAY), (6.0, 8.3, None)],
 )
 def test_recorded_follower_keeps_its_time_headway(mps: float, ahead_m: float, reason: Reason | None) -> None:
-    """At 16 m/s 12.5 m from front to front are .78 s, 13.1 m .82 s; .8 s is the limit. An event's target bears it.
+    """At 24 m/s 18.8 m from front to front are .78 s, 19.6 m .82 s; .8 s is the limit. An event's target bears it.
 
-    At 6 m/s 1.8 m of a leader 4.5 m long count: 7.3 m from front to front are 2.8 m between bumpers, .77 s in all.
+    At 6 m/s 1.2 m of a leader 4.5 m long count: 7.9 m from front to front are 3.4 m between bumpers, .77 s in all.
     """
     world = world_of(recorded(20.0, 0.0, mps))
     candidate = _steady(world, 20.0 + ahead_m, mps)
@@ -73,9 +73,9 @@ def test_follower_that_kept_as_little_in_the_recording_does_not_mind() -> None:
     assert world.harm_to_followers(world.rolled_out(start, (part,))) is None
 
 
-@pytest.mark.parametrize(("ahead_m", "reason"), [(9.2, Reason.FOLLOWER_HEADWAY), (9.8, None)])
+@pytest.mark.parametrize(("ahead_m", "reason"), [(10.2, Reason.FOLLOWER_HEADWAY), (10.8, None)])
 def test_follower_of_a_round_before_keeps_its_time_headway(ahead_m: float, reason: Reason | None) -> None:
-    """At 10 m/s 3 m of a leader's length count: 9.2 m from front to front are .77 s, 9.8 m .83 s; .8 s is the limit.
+    """At 10 m/s 2 m of a leader's length count: 10.2 m from front to front are .77 s, 10.8 m .83 s; .8 s is the limit.
 
     One chosen in the same round would brake: it is no reason.
     """

@@ -367,12 +367,12 @@ def test_none_queues_behind_a_parked_vehicle(aside_m: float, stands: bool) -> No
 
 
 @pytest.mark.parametrize(
-    ("behind_m", "headway_s", "begins"), [(12.0, 0.8, False), (16.0, 0.8, True), (16.0, 1.3, False), (22.0, 1.3, True)]
+    ("behind_m", "headway_s", "begins"), [(12.0, 0.8, False), (16.0, 0.8, True), (16.0, 1.3, False), (23.0, 1.3, True)]
 )
 def test_none_begins_nearer_ahead_of_a_recorded_follower_than_drivers_follow(
     behind_m: float, headway_s: float, begins: bool
 ) -> None:
-    """At 16 m/s behind centres 12, 16 and 22 m ahead, between bumpers .47, .72 and 1.09 s: .3 s less are asked for."""
+    """At 16 m/s behind centres 12, 16 and 23 m ahead, between bumpers .47, .72 and 1.16 s: .2 s less are asked for."""
     scene = scene_of(recorded(60.0 - behind_m, 0.0, 16.0), lanes=1)
     sites = sites_of(scene)
     site = Site(sites.here.routes.offers(1)[0], 60.0, headway_s=headway_s)

@@ -267,9 +267,9 @@ def test_vehicle_that_comes_from_behind_after_the_end_brakes_itself(degrees: flo
 
 
 def test_headway_counts_above_three_metres_a_second() -> None:
-    """1 m behind a car, of whose length .3 s of the way count: (1 + 1.2) m / 4 m/s = .55 s for 1 s; at 3 m/s none."""
+    """1 m behind a car, of whose length .2 s of the way count: (1 + .8) m / 4 m/s = .45 s for 1 s; at 3 m/s none."""
     gap_m = np.full(12, 1.0)
-    assert sustained_headway(gap_m, 4.5, np.full(12, 4.0), 0.1) == (pytest.approx(0.55), 9)
+    assert sustained_headway(gap_m, 4.5, np.full(12, 4.0), 0.1) == (pytest.approx(0.45), 9)
     assert sustained_headway(gap_m, 4.5, np.full(12, 3.0), 0.1)[0] == np.inf
 
 
