@@ -33,7 +33,7 @@ View = Literal["speed", "lateral", "all"]
 
 
 class Verdict(NamedTuple):
-    """AUC of a critic, 95 % interval by drawing scenes again (None with one scene), windows of either kind, scenes."""
+    """AUC of a critic, 95 % interval by drawing scenes again (three at least), windows of either kind, scenes."""
 
     critic: Critic
     view: View

@@ -269,9 +269,10 @@ def test_control_of_other_sources_is_refused(made_scene, data_scenes, tmp_path):
 
 
 def test_pooled_ratio_is_of_sums_and_the_interval_holds_it():
-    """Sources with 1 of 10 and 3 of 10: 4 of 20, not the mean over anything else; two sources give 0.1 to 0.3."""
+    """Sources with 1, 3 and 2 of 10: 6 of 30, not the mean over anything else; three sources give 0.1 to 0.3."""
     columns = ("log", "original_paper_lo", "original_paper_tracks")
-    rows = [dict(zip(columns, row, strict=True)) for row in (("a", 1.0, 10), ("b", 2.0, 5), ("b", 1.0, 5))]
+    each = (("a", 1.0, 10), ("b", 2.0, 5), ("b", 1.0, 5), ("c", 2.0, 10))
+    rows = [dict(zip(columns, row, strict=True)) for row in each]
     found = estimate(SourceSums(rows, names=columns[1:]), METRICS[0], "original")
     assert found == pytest.approx((0.2, 0.1, 0.3))
 
