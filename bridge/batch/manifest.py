@@ -5,6 +5,7 @@ overwritten or edited costs the lines it touches and no other, also on the netwo
 line that cannot be read is left out, said, and its scene made again. Texts are bounded, and paths stay below OUT.
 """
 
+import contextlib
 import csv
 import hashlib
 import io
@@ -21,6 +22,7 @@ from bridge.recordings.folders import SPLITS, WRITTEN
 from netconvert.errors import BatchError, ConfigError
 
 MANIFEST_NAME, CONTENTS_NAME = "manifest.csv", "contents.txt"
+_HEAD = b"scenario,split,"  # how the first line begins
 #: Last column: CRC-32 of the line up to it.
 CHECK = "check"
 #: Longest text in a row, characters; the bundle of a scene has all of its reason.
@@ -168,9 +170,18 @@ def read_manifest(path: Path) -> tuple[list[ManifestRow], int]:
     except OSError as error:
         said = f"{path}: {error.strerror}, expected a manifest, or nothing of that name: move it away"
         raise BatchError(said) from error
-    lines = [line for line in io.BytesIO(content) if line.strip() and not line.startswith(b"scenario,split,")]
+    lines = [line for line in io.BytesIO(content) if line.strip() and not line.startswith(_HEAD)]
     rows = [row for line in lines if (row := _parse(line)) is not None]
     return rows, len(lines) - len(rows)
+
+
+def is_output(folder: Path) -> bool:
+    """Whether a folder has a manifest that hid2 wrote, by its first line."""
+    with contextlib.suppress(OSError):  # one that may not be read
+        if (path := folder / MANIFEST_NAME).is_file():
+            with path.open("rb") as file:
+                return file.read(len(_HEAD)) == _HEAD
+    return False
 
 
 def _line(row: ManifestRow) -> str:

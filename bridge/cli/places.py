@@ -6,7 +6,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from bridge.batch.manifest import MANIFEST_NAME
+from bridge.batch.manifest import is_output
 from bridge.cli.options import Which, Windows
 from bridge.console import Activity, say, warn
 from bridge.interruption import remove_abandoned
@@ -89,7 +89,7 @@ def check_out(out: Path, *, is_file: bool = False) -> None:
 
 def _check_among_sources(out: Path) -> None:
     real = out.resolve()
-    parents = [one for one in (real, *real.parents) if one.is_dir() and not (one / MANIFEST_NAME).exists()]
+    parents = [one for one in (real, *real.parents) if one.is_dir() and not is_output(one)]
     for place in parents:
         if _is_scene(place):
             raise ConfigError(f"{out}: lies inside the scene {place}; choose a place outside it")

@@ -54,14 +54,14 @@ def test_out_elsewhere_or_of_an_earlier_run_is_taken_silently(
     data_set: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Scenes with a sidecar were generated: more may be written beside them. Else out in a data set is warned of."""
+    (data_set / "manifest.csv").write_text("of another tool")
     check_out(data_set / "out")
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"hid2: warning: {data_set / 'out'} lies inside the data set {data_set}")
-    scene = next((data_set / "train").iterdir())
-    (data_set / "manifest.csv").touch()  # of an output folder, from which a sidecar is lost
+    (data_set / "manifest.csv").write_text("scenario,split,")  # of an output folder, from which a sidecar is lost
     check_out(data_set)
     (data_set / "manifest.csv").unlink()
-    (scene / "hid2_x.json").touch()
+    (next((data_set / "train").iterdir()) / "hid2_x.json").touch()
     for out in (tmp_path / "out", data_set, data_set / "report", data_set / "train" / "report"):
         check_out(out)
     assert capsys.readouterr().err == ""
