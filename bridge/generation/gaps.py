@@ -71,8 +71,8 @@ def look_row(look: GapLook) -> dict[str, Any]:
         "cell": seen.target.index,
         "cells_free": str(seen.cells_free).lower(),
         "speed_mps": rounded(look.own_mps),
-        **neighbour_row("lead", seen.front, look.own_mps, seen.front.speed_mps),
-        **neighbour_row("lag", seen.rear, seen.rear.speed_mps, look.own_mps),
+        **neighbour_row("lead", seen.front, follower_mps=look.own_mps, leader_mps=seen.front.speed_mps),
+        **neighbour_row("lag", seen.rear, follower_mps=seen.rear.speed_mps, leader_mps=look.own_mps),
         "remaining_m": rounded(seen.remaining_m),
         "rule": str(look.rule or "yes"),
         "refusals": " ".join(look.refusals) or None,
@@ -81,7 +81,7 @@ def look_row(look: GapLook) -> dict[str, Any]:
     }
 
 
-def neighbour_row(name: str, gap: Gap, follower_mps: float, leader_mps: float) -> dict[str, Any]:
+def neighbour_row(name: str, gap: Gap, *, follower_mps: float, leader_mps: float) -> dict[str, Any]:
     """Columns of the new leader or the new follower."""
     gap_m, closing = gap.distance_m, follower_mps - leader_mps
     there = math.isfinite(gap_m)

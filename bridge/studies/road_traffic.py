@@ -224,8 +224,8 @@ class RoadTraffic:
             refusals = refusals_unasked(view, self._change, mandatory=wanted is not None)
             if one.lane.number > self.road.lanes:
                 said = {"rule": str(next(iter(refusals), "yes")), "refusals": " ".join(refusals)}
-                said |= neighbour_row("lead", front, one.v, front.speed_mps)
-                said |= neighbour_row("lag", rear, rear.speed_mps, one.v)
+                said |= neighbour_row("lead", front, follower_mps=one.v, leader_mps=front.speed_mps)
+                said |= neighbour_row("lag", rear, follower_mps=rear.speed_mps, leader_mps=one.v)
                 self._looks.append(_ALIKE | said | {"vehicle": one.asks, "time_s": now_s, "side": side})
             if not refusals:
                 simulation.change_lane(one.name, self._grid.lane_index(Cell(target.lane_id, 0)))
