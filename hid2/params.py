@@ -189,7 +189,7 @@ class Drivers(_Section):
         "one lane 0.24 m, wandering included", ge=0, le=1,
     )  # fmt: skip
     lateral_wander_sd_m: float = _param(
-        0.36, "m", "median driver's SD of wandering about it; measured: 0.16 to 0.40", ge=0, le=0.5
+        0.27, "m", "median driver's SD of wandering about it; measured: 0.16 to 0.40", ge=0, le=0.5
     )
     lateral_wander_spread: float = _param(0.85, "-", "SD between drivers of its logarithm; measured", ge=0, le=1.5)
     lateral_wander_time_s: float = _param(2.7, "s", "its correlation time; measured: 1.8 to 3.3", gt=0, le=30)

@@ -204,15 +204,16 @@ def place_of_lane(law: Drivers, lane_id: int) -> float:
 
 
 def lane_offset(
-    driver: Driver, config: Config, rng: np.random.Generator, *, length_m: float,
+    driver: Driver, config: Config, rng: np.random.Generator, *, length_m: float, pace_mps: float,
     usual: Callable[[FloatArray], FloatArray],
 ) -> LaneOffset:  # fmt: skip
     """The driver's place along a path of length_m: beside the usual one there, with a wandering about it.
 
-    usual: d m of the lanes' vehicles at arc lengths m; a driver goes from one to the next no quicker than it wanders.
+    pace_mps: at which it drives about, as the wandering has a correlation time; usual: d m of the lanes' vehicles at
+    arc lengths m; a driver goes from one to the next no quicker than it wanders.
     """
     law = config.drivers
-    spacing = max(_OFFSET_SPACING_M, driver.desired_mps * law.lateral_wander_time_s)
+    spacing = max(_OFFSET_SPACING_M, pace_mps * law.lateral_wander_time_s)
     count = max(4, int(length_m / spacing) + 3)
     knots = spacing * (np.arange(count) - rng.uniform())
     kept = float(np.exp(-1.0))

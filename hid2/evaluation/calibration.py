@@ -17,7 +17,7 @@ from hid2.agents import FloatArray, IntArray
 from hid2.drivers.driver import TRUNCATED_AT, Driver, desired_speeds, lane_offset
 from hid2.evaluation.windows import TURNS_RAD, WINDOW_S, Windows, lateral_accel_mps2, polynomial_fit, windows
 from hid2.measures.arrays import STANDS_MPS
-from hid2.measures.following import leaders
+from hid2.measures.following import MIN_SPEED_MPS, leaders
 from hid2.measures.manoeuvres import detect, whole_lane_changes
 from hid2.occupancy.agent_states import AgentStates
 from hid2.params import Config, Drivers
@@ -89,13 +89,14 @@ def calibrate(scenes: Sequence[SceneDriving], *, prior: Drivers) -> list[Calibra
     # drivers of all scenes are numbered through
     scene = np.unique(seen["scene"], return_inverse=True)[1]
     seen["agent"] += scene * (1 + seen["agent"].max(initial=0))
+    seen["speed_mps"] = np.maximum(seen["speed_mps"], MIN_SPEED_MPS)  # one that stops has none in the middle, or less
     # of turns those that are driven: in a lane flagged as one, and at the edge of one, many hardly turn
     straight, turns = seen[~seen["turning"]], seen[np.abs(seen["yaw_radps"]) * WINDOW_S > TURNS_RAD]
     is_free = np.isinf(straight["gap_m"]) | (straight["gap_m"] > 4.0 * straight["speed_mps"])
     free, usual_mps = straight[is_free], _usual_mps(straight)[is_free]
     cruising = (free["speed_mps"] > _CRUISES * usual_mps) & (np.abs(free["accel_mps2"]) < _CRUISES_MPS2)
     ratio = _by_driver(free["agent"], np.log(free["speed_mps"] / usual_mps), np.median)
-    time_gap = (seen["gap_m"] - prior.min_gap_mean_m) / np.maximum(seen["speed_mps"], 1.0)
+    time_gap = (seen["gap_m"] - prior.min_gap_mean_m) / seen["speed_mps"]
     steady = (
         (np.abs(seen["closing_mps"]) < _STEADY_MPS) & (np.abs(seen["accel_mps2"]) < _STEADY_MPS2) & (time_gap > 0.0)
         & (seen["speed_mps"] > _FOLLOWS_MPS) & (time_gap < _FOLLOWS_S)
@@ -266,7 +267,9 @@ def lateral_moments(time_s: float, spread: float) -> _Moments:
     def drive() -> list[tuple[float, float]]:
         # a hundredth, so that the bound on the offset does not matter
         wander = 0.01 * float(np.exp(spread * np.clip(rng.standard_normal(), -TRUNCATED_AT, TRUNCATED_AT)))
-        offset = lane_offset(replace(_DRIVER, wander_m=wander), config, rng, length_m=length_m, usual=np.zeros_like)
+        offset = lane_offset(
+            replace(_DRIVER, wander_m=wander), config, rng, length_m=length_m, pace_mps=speed_mps, usual=np.zeros_like
+        )
         middles = (_HALF_S, 2.0 * _HALF_S, 3.0 * _HALF_S)
         fits = [parabola @ offset.at(5.0 + speed_mps * (middle + _TIME_S))[0] for middle in middles]
         return [(100.0 * fit[1], 100.0 * fit[2]) for fit in fits]

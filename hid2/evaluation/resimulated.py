@@ -147,7 +147,8 @@ def begin(
         desired = desired_speeds(
             driver, scene.config, rng, num_steps=scene.num_steps, step_s=scene.step_s, at_least_mps=one.speed_mps
         )
-    offset = lane_offset(driver, scene.config, rng, length_m=path.line.length_m, usual=np.zeros_like)
+    pace_mps = 0.5 * (one.speed_mps + driver.desired_mps)
+    offset = lane_offset(driver, scene.config, rng, length_m=path.line.length_m, pace_mps=pace_mps, usual=np.zeros_like)
     knots = start_m + offset.knots_m - offset.knots_m[0]  # the first one where the vehicle is
     place = offset.offset_m + (d_m - offset.offset_m[0]) * np.exp(-(knots - start_m) / _WANDERS_OVER_M)
     return Start(

@@ -228,7 +228,10 @@ class Starts:
         usual = partial(scene.place_on, path)
         if BEHAVIOURS[request.policy].changes_lanes:  # the line of one lane is not that of the next
             usual = partial(np.full_like, fill_value=config.drivers.offset_mean_m)
-        start = replace(start, offset=lane_offset(driver, config, rng, length_m=path.line.length_m, usual=usual))
+        v = np.concatenate([one.v for one in rolled]) if rolled else np.array([driver.desired_mps])
+        pace_mps = float(v @ v / v.sum())  # each metre weighs the same
+        offset = lane_offset(driver, config, rng, length_m=path.line.length_m, pace_mps=pace_mps, usual=usual)
+        start = replace(start, offset=offset)
         return self._harm_to_others(start, rolled, begin.site.headway_s) or start
 
     def _performed(self, world: World, start: Start) -> tuple[Rollout, ...] | Reason:

@@ -30,7 +30,7 @@ def synthetic_driving(known: Drivers, *, drivers: int, seed: int) -> SceneDrivin
         v = 0.2 * (v - v.mean()) + v.mean() if led else v  # a platoon at an even pace
         s = np.concatenate([[0.0], np.cumsum(0.05 * (v[1:] + v[:-1]))])
         usual = partial(np.full_like, fill_value=place_of_lane(known, number))  # a lane of its own
-        d, _ = lane_offset(who, config, rng, length_m=s[-1] + 20.0, usual=usual).at(5.0 + s)
+        d, _ = lane_offset(who, config, rng, length_m=s[-1] + 20.0, pace_mps=v.mean(), usual=usual).at(5.0 + s)
         for begin in range(10, 60, 5):
             part = slice(begin, begin + 41)
             along, across = cubic @ s[part], parabola @ d[part]

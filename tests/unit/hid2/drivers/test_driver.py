@@ -136,7 +136,10 @@ def test_free_speed_goes_towards_the_wish_as_the_model_has_it() -> None:
 def test_place_in_the_lane_is_correlated_from_knot_to_knot() -> None:
     """By exp(-1) = .37 with the one before, exp(-2) = .14 with that before it; SD .15 m, cut off at two SD: .13 m."""
     rngs = map(np.random.default_rng, range(300))
-    knots = [lane_offset(WEAVES, CONFIG, rng, length_m=200.0, usual=np.zeros_like).offset_m[:8] for rng in rngs]
+    knots = [
+        lane_offset(WEAVES, CONFIG, rng, length_m=200.0, pace_mps=10.0, usual=np.zeros_like).offset_m[:8]
+        for rng in rngs
+    ]
     d = np.array(knots)
     one, two = (np.corrcoef(d[:, :-lag].ravel(), d[:, lag:].ravel())[0, 1] for lag in (1, 2))
     assert [one, two, d.std()] == pytest.approx([0.37, 0.14, 0.14], abs=0.06)
@@ -145,7 +148,9 @@ def test_place_in_the_lane_is_correlated_from_knot_to_knot() -> None:
 def test_place_in_the_lane_is_smooth_and_within_two_standard_deviations() -> None:
     """At most 2 SD = 0.3 m beside the driver's own place (here the middle), knots 30 m apart; d' is that of d."""
     for seed in range(30):
-        offset = lane_offset(WEAVES, CONFIG, np.random.default_rng(seed), length_m=200.0, usual=np.zeros_like)
+        offset = lane_offset(
+            WEAVES, CONFIG, np.random.default_rng(seed), length_m=200.0, pace_mps=10.0, usual=np.zeros_like
+        )
         assert np.diff(offset.knots_m) == pytest.approx(np.full(offset.knots_m.size - 1, 30.0))
         assert np.abs(offset.offset_m).max() <= 0.3 + 1e-9
         s = np.arange(5.0, 195.0, 0.1)
@@ -158,7 +163,12 @@ def test_place_is_beside_the_usual_one_and_goes_over_to_another_no_quicker_than_
     """Usual place 0 m, from 100 m on .5 m, the own .1 m beside it; over two of the 30 m between knots at the least."""
     own = replace(DRIVER, offset_m=0.1, wander_m=0.0)
     offset = lane_offset(
-        own, CONFIG, np.random.default_rng(0), length_m=200.0, usual=lambda s: np.where(s < 100.0, 0.0, 0.5)
+        own,
+        CONFIG,
+        np.random.default_rng(0),
+        length_m=200.0,
+        pace_mps=10.0,
+        usual=lambda s: np.where(s < 100.0, 0.0, 0.5),
     )
     assert offset.at(np.array([5.0, 195.0]))[0] == pytest.approx([0.1, 0.6], abs=2e-3)
     assert 0.3 / 60.0 < np.abs(offset.at(np.arange(0.0, 200.0))[1]).max() < 0.5 / 30.0
@@ -198,7 +208,9 @@ def test_nobody_is_farther_from_the_middle_than_the_bound() -> None:
     """Place 0.8 m to the left and a wandering of 0.4 m: cut off at 0.9 m."""
     wide = replace(DRIVER, offset_m=0.8, wander_m=0.4)
     rngs = map(np.random.default_rng, range(30))
-    offsets = [lane_offset(wide, CONFIG, rng, length_m=200.0, usual=np.zeros_like).offset_m for rng in rngs]
+    offsets = [
+        lane_offset(wide, CONFIG, rng, length_m=200.0, pace_mps=10.0, usual=np.zeros_like).offset_m for rng in rngs
+    ]
     assert max(np.abs(one).max() for one in offsets) == pytest.approx(0.9)
 
 

@@ -53,6 +53,15 @@ def test_range_that_would_begin_at_no_lateral_acceleration_keeps_its_prior(accel
     assert (one.source, one.value) == (wanted[0], pytest.approx(wanted[1]))
 
 
+def test_a_window_that_stops_in_its_middle_leaves_the_desired_speeds_measurable():
+    """A cubic through a stop may be at -.1 m/s there, which has no logarithm: the vehicle counts with 1 m/s."""
+    seen = np.zeros(13, dtype=WINDOW)
+    seen["agent"], seen["scene"], seen["gap_m"], seen["speed_mps"] = np.arange(13), "s", np.inf, [-0.1, *[8.0, 9.0] * 6]
+    found = calibrate([SceneDriving("s", "c", False, seen, np.zeros(0), np.zeros(0))], prior=Drivers())
+    (one,) = [one for one in found if one.parameter == "desired_sd"]
+    assert (one.source, one.value) == ("measured", pytest.approx(1.4826 * np.log(9 / 8), abs=1e-4))
+
+
 def test_value_at_a_bound_that_is_excluded_stays_inside():
     assert (_bounded("turn_lateral_min_mps2", 0.0), _bounded("offset_sd_m", -1.0)) == (1e-4, 0.0)
 
