@@ -20,10 +20,10 @@ def once(method: Callable[[Any, *Asked], Found]) -> Callable[[Any, *Asked], Foun
     def answer(self: Any, *asked: *Asked) -> Found:  # noqa: ANN401  # any object
         try:
             known: dict[tuple[*Asked], Found] = self.__dict__[name]
-        except KeyError:
-            known = self.__dict__[name] = {}
-        if asked not in known:
-            known[asked] = method(self, *asked)
-        return known[asked]
+            return known[asked]
+        except KeyError:  # of the first call, or of the first one with these arguments
+            pass
+        found = self.__dict__.setdefault(name, {})[asked] = method(self, *asked)
+        return found
 
     return answer

@@ -8,7 +8,7 @@
    does not begin meanwhile.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -79,6 +79,8 @@ class Guard:
     scene: Scene
     inserted_known: Traffic
     stop_lines: StopLines
+    _known_of: tuple[Scene, Traffic] | None = field(init=False, default=None)
+    _known: dict[tuple[DrivenPath, BoxSize], PathOccupancy] = field(init=False, default_factory=dict)
 
     @cached_property
     def brakes(self) -> FloatArray:
@@ -109,11 +111,15 @@ class Guard:
         """Intervals on a path of all agents with known motion, with margins and the critical PET.
 
         Rows as in `Scene.with_inserted`. Inserted ones, where they cross, are kept clear of as long as cross traffic
-        makes an entrance red: streams do not mingle.
+        makes an entrance red: streams do not mingle. Worked out once, while scene and inserted ones are the same.
         """
-        scene, apart_s = self.scene, self.scene.config.signals.before_s
-        inserted = scene.kept_clear_on(path, box, self.inserted_known, at_least_s=apart_s)
-        return scene.with_inserted(scene.kept_clear_on(path, box, scene.lasting), inserted)
+        scene, inserted, key = self.scene, self.inserted_known, (path, box)
+        if self._known_of != (scene, inserted):
+            self._known_of, self._known = (scene, inserted), {}
+        if key not in self._known:
+            held = scene.kept_clear_on(path, box, inserted, at_least_s=scene.config.signals.before_s)
+            self._known[key] = scene.with_inserted(scene.kept_clear_on(path, box, scene.lasting), held)
+        return self._known[key]
 
     @once
     def _swept_on(

@@ -74,6 +74,12 @@ class PedestrianCrossings:
         return np.asarray(soon & traffic.present | comes)
 
     @once
+    def _users(self, crossing: int) -> tuple[BoolArray, Traffic]:
+        """When agents use a crossing (R, T), as `_at` has it, and these agents alone."""
+        rows = np.flatnonzero(self._at[crossing].any(axis=1))
+        return self._at[crossing, rows], self.traffic.rows(rows.tolist())
+
+    @once
     def on(self, path: DrivenPath, width_m: float) -> list[CrossingOnPath]:
         """Crossings along a path in the order in which a vehicle of a width comes to them.
 
@@ -85,8 +91,9 @@ class PedestrianCrossings:
         count = min(int(path.exit_m / TABLE_STEP_M) + 1, len(line.table_xy))
         xy, heading = line.table_xy[:count], line.table_heading[:count]
         left = width_m / 2 * np.stack([-np.sin(heading), np.cos(heading)], axis=1)
-        low, high = self.corners.min(axis=1) - width_m, self.corners.max(axis=1) + width_m
-        near = np.flatnonzero(((low <= xy[:, None]) & (xy[:, None] <= high)).all(axis=2).any(axis=1))
+        low, high, at = self.corners.min(axis=1) - width_m, self.corners.max(axis=1) + width_m, xy[:, None]
+        near_x, near_y = ((low[:, one] <= at[..., one]) & (at[..., one] <= high[:, one]) for one in (0, 1))
+        near = np.flatnonzero((near_x & near_y).any(axis=1))
         across = shapely.linestrings(np.stack([xy[near] - left[near], xy[near] + left[near]], axis=1))
         point, crossed = self._areas.query(across, predicate="intersects")
         point, found = near[point], []
@@ -101,16 +108,16 @@ class PedestrianCrossings:
 
     def _occupied(self, crossing: int, xy: FloatArray, heading: float, aside_m: float) -> BoolArray:
         """(T,) as `on` has it, where the path's middle is at xy (2,) m; aside_m: half of the width and the strip."""
-        rows = np.flatnonzero(self._at[crossing].any(axis=1))
-        position, velocity = self.traffic.position[rows], self.traffic.velocity[rows]
+        used, users = self._users(crossing)
+        if not users.ids:
+            return np.zeros(users.num_steps, dtype=np.bool_)
         forward, left = np.array([[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]])
-        on_strip = self.traffic.present[rows] & (np.abs((position - xy) @ left) <= aside_m)
+        on_strip = users.present & (np.abs((users.position - xy) @ left) <= aside_m)
         steps = np.arange(on_strip.shape[1])
         comes = np.minimum.accumulate(np.where(on_strip, steps, np.inf)[:, ::-1], axis=1)[:, ::-1]
-        speed = np.hypot(velocity[..., 0], velocity[..., 1])
-        passes = (speed > _DIRECTED_MPS) & (np.abs(velocity @ forward) > math.cos(CROSSING_RAD) * speed)
-        soon = comes - steps <= round(_STRIP_S / self.step_s)
-        return np.asarray((self._at[crossing, rows] & soon & ~passes).any(axis=0))
+        speed = users.speed
+        passes = (speed > _DIRECTED_MPS) & (np.abs(users.velocity @ forward) > math.cos(CROSSING_RAD) * speed)
+        return np.asarray((used & (comes - steps <= round(_STRIP_S / self.step_s)) & ~passes).any(axis=0))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -320,10 +320,11 @@ def lacked_braking(states: AgentStates, follower: int, led: PathLeaders) -> tupl
     What it lacks: the constant braking that would do (DRAC), less what it brakes in the mean within _BRAKES_WITHIN_S.
     """
     span, step_s = states.span(follower), states.arrays.step_s
-    speed, lasts = states.speed(follower)[span], round(_LACKS_FOR_S / step_s)
-    within = min(round(_BRAKES_WITHIN_S / step_s), speed.size - 1)
-    if speed.size < lasts or within < 1:
+    steps, lasts = span.stop - span.start, round(_LACKS_FOR_S / step_s)
+    within = min(round(_BRAKES_WITHIN_S / step_s), steps - 1)
+    if not led.agents.size or steps < lasts or within < 1:
         return np.zeros(led.agents.size), np.zeros(led.agents.size, dtype=np.int64)
+    speed = states.speed(follower)[span]
     brakes_mps2 = (speed[:-within] - speed[within:]) / (within * step_s)
     brakes_mps2 = np.append(brakes_mps2, np.full(within, brakes_mps2[-1]))  # to its end as shortly before
     lacks_mps2 = led.drac_mps2[:, span] - np.maximum(brakes_mps2, 0.0)

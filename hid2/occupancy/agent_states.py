@@ -100,6 +100,7 @@ class AgentStates(LaneView):
         stated, by_positions = self.arrays.velocity, self.traffic.velocity[self.arrays.agent, self.arrays.step]
         return [np.hypot(*one.T) for one in (by_positions, stated, stated - by_positions)]
 
+    @once
     def speed(self, agent: int) -> FloatArray:
         """(T,) how fast an agent is at most, m/s, at the steps of the scene."""
         rows, found = self.row_span(agent), np.hypot(*self.traffic.velocity[agent].T)
@@ -153,10 +154,9 @@ class AgentStates(LaneView):
     def leaders_among(self, agent: int, others: Traffic, *, aside_m: float = 0.0) -> PathLeaders:
         """The same of other agents than these, by the rows of their traffic (T steps)."""
         driven, steps, traffic = self.line(agent), self.arrays.num_steps, self.traffic
-        if driven is None:
-            return PathLeaders(np.zeros(0, dtype=np.int64), *np.zeros((2, 0, steps)))
         length_m, width_m = float(traffic.length_m[agent]), float(traffic.width_m[agent]) + 2 * aside_m
-        seen = look_along(driven.line, others, length_m, width_m)
+        if driven is None or not (seen := look_along(driven.line, others, length_m, width_m)).agents.size:
+            return PathLeaders(np.zeros(0, dtype=np.int64), *np.zeros((2, 0, steps)))
         found = gaps_to_all(seen, driven.s, np.arange(steps))
         leads = seen.same_direction & (found.lead_m > -SIDE_BY_SIDE_M) & (found.lead_m < HORIZON_M)
         return PathLeaders(seen.agents, np.where(leads, found.lead_m, np.inf), self.speed(agent) - found.along_mps)
