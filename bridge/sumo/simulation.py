@@ -152,17 +152,9 @@ class Simulation:
         libsumo.vehicle.remove(vehicle_id)
 
     def insert(
-        self,
-        vehicle_id: str,
-        *,
-        edges: Sequence[str],
-        lane_id: str,
-        front_m: float,
-        speed_mps: float,
-        driver: Driver,
-        size: BoxSize,
-        max_speed_mps: float,
-    ) -> str | None:
+        self, vehicle_id: str, *, edges: Sequence[str], lane_id: str, front_m: float, speed_mps: float,
+        driver: Driver, size: BoxSize, max_speed_mps: float,
+    ) -> str | None:  # fmt: skip
         """Put a vehicle that SUMO drives on a lane of the first edge, now. Returns SUMO's message, None if accepted.
 
         SUMO's own insertion check is not asked: it knows neither crossing lanes nor what agents will do next, and the

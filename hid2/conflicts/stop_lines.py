@@ -60,6 +60,8 @@ class PedestrianCrossings:
         """(P, A, T) which agents are on a crossing, or will be within _AHEAD_S, or are near and move towards it."""
         traffic = self.traffic
         agent, step = np.nonzero(traffic.present)
+        near = self._near(traffic.position[agent, step], _NEAR_M)
+        agent, step = agent[near], step[near]
         points = shapely.points(traffic.position[agent, step])
         row, crossing = self._areas.query(points, predicate="dwithin", distance=_NEAR_M)
         agent, step, ways = agent[row], step[row], shapely.shortest_line(points[row], self._areas.geometries[crossing])
@@ -72,6 +74,12 @@ class PedestrianCrossings:
         for ahead in range(1, round(_AHEAD_S / self.step_s) + 1):
             soon[..., :-ahead] |= on[..., ahead:]
         return np.asarray(soon & traffic.present | comes)
+
+    def _near(self, xy: FloatArray, reach_m: float) -> IntArray:
+        """Which of the places (N, 2) m can be so near to a crossing."""
+        low, high, at = self.corners.min(axis=1) - reach_m, self.corners.max(axis=1) + reach_m, xy[:, None]
+        along_x, along_y = ((low[:, one] <= at[..., one]) & (at[..., one] <= high[:, one]) for one in (0, 1))
+        return np.flatnonzero((along_x & along_y).any(axis=1))
 
     @once
     def _users(self, crossing: int) -> tuple[BoolArray, Traffic]:
@@ -91,9 +99,7 @@ class PedestrianCrossings:
         count = min(int(path.exit_m / TABLE_STEP_M) + 1, len(line.table_xy))
         xy, heading = line.table_xy[:count], line.table_heading[:count]
         left = width_m / 2 * np.stack([-np.sin(heading), np.cos(heading)], axis=1)
-        low, high, at = self.corners.min(axis=1) - width_m, self.corners.max(axis=1) + width_m, xy[:, None]
-        near_x, near_y = ((low[:, one] <= at[..., one]) & (at[..., one] <= high[:, one]) for one in (0, 1))
-        near = np.flatnonzero((near_x & near_y).any(axis=1))
+        near = self._near(xy, width_m)
         across = shapely.linestrings(np.stack([xy[near] - left[near], xy[near] + left[near]], axis=1))
         point, crossed = self._areas.query(across, predicate="intersects")
         point, found = near[point], []
@@ -113,9 +119,8 @@ class PedestrianCrossings:
             return np.zeros(users.num_steps, dtype=np.bool_)
         forward, left = np.array([[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]])
         on_strip = users.present & (np.abs((users.position - xy) @ left) <= aside_m)
-        steps = np.arange(on_strip.shape[1])
+        steps, speed = np.arange(users.num_steps), users.speed
         comes = np.minimum.accumulate(np.where(on_strip, steps, np.inf)[:, ::-1], axis=1)[:, ::-1]
-        speed = users.speed
         passes = (speed > _DIRECTED_MPS) & (np.abs(users.velocity @ forward) > math.cos(CROSSING_RAD) * speed)
         return np.asarray((used & (comes - steps <= round(_STRIP_S / self.step_s)) & ~passes).any(axis=0))
 
@@ -135,8 +140,9 @@ class ClosedLines:
 
     def stops_m(self, driver: Driver) -> FloatArray:
         """(L,) m: where the centre of a driver's vehicle stands."""
-        at_crossing_m = max(driver.line_gap_m, _CROSSING_GAP_M)
-        return self.line_m - np.where(self.cause == CAUSES.index("crossing"), at_crossing_m, driver.line_gap_m)
+        if driver.line_gap_m >= _CROSSING_GAP_M:
+            return self.line_m - driver.line_gap_m
+        return self.line_m - np.where(self.cause == CAUSES.index("crossing"), _CROSSING_GAP_M, driver.line_gap_m)
 
     def gap_m(self, s: float, step: int) -> float:
         """From the front of a vehicle on the path to the nearest closed line, m, negative past it; inf for none."""

@@ -190,9 +190,5 @@ def match_lanes(arrays: SceneArrays, lanes: FlatLanes) -> Matches:
     rows = np.arange(len(chosen))
     on = chosen >= 0
     slot = np.where(on, chosen, 0)
-    return Matches(
-        lane=np.where(on, lane[rows, slot], -1),
-        s=np.where(on, s[rows, slot], 0.0),
-        d=np.where(on, d[rows, slot], 0.0),
-        direction=direction,
-    )
+    s_on, d_on = (np.where(on, one[rows, slot], 0.0) for one in (s, d))
+    return Matches(np.where(on, lane[rows, slot], -1), s_on, d_on, direction)

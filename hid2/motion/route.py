@@ -214,7 +214,7 @@ def shifted_path(motion: LateralMotion, *, limits: Limits) -> DrivenPath | None:
         raw = target.to_raw(s) - blend.target_offset_m
         return bare.to_line(raw) + min(raw, 0.0)
 
-    onto = [replace(segment, start=beside(segment.start), end=beside(segment.end)) for segment in target.segments]
+    onto = [Segment(o.lane_id, beside(o.start), beside(o.end), o.lane_start, o.lane_end) for o in target.segments]
     segments = _joined(path.segments, onto, at=bare.to_line(blend.middle_m))
     followed = _joined(path.followed, onto, at=start)
     return replace(
@@ -228,8 +228,8 @@ def shifted_path(motion: LateralMotion, *, limits: Limits) -> DrivenPath | None:
 
 def _joined(own: Iterable[Segment], beside: Iterable[Segment], *, at: float) -> tuple[Segment, ...]:
     """Stretches of a path up to an arc length, m, and those of another one from there on."""
-    before = [replace(one, end=min(one.end, at), lane_end=one.lane_m(at)) for one in own if one.start < at]
-    behind = [replace(one, start=max(one.start, at), lane_start=one.lane_m(at)) for one in beside if one.end > at]
+    before = [Segment(o.lane_id, o.start, min(o.end, at), o.lane_start, o.lane_m(at)) for o in own if o.start < at]
+    behind = [Segment(o.lane_id, max(o.start, at), o.end, o.lane_m(at), o.lane_end) for o in beside if o.end > at]
     return (*before, *behind)
 
 

@@ -139,9 +139,11 @@ def traffic_of(
             moved = np.stack([np.interp(steps, track.timesteps, track.velocity[:, axis]) for axis in (0, 1)], axis=1)
         position[row, first : last + 1] = xy
         turned = np.cos(angle - directions_of_motion(xy, angle, np.array([0, len(xy)]), step_s=step_s)) < 0.0
-        for at in np.split(np.arange(turned.size), np.flatnonzero(np.diff(turned)) + 1):
-            turned[at] &= np.hypot(*(xy[at[-1]] - xy[at[0]])) > MOVING_EXTENT_M
-        heading[row, first : last + 1] = np.where(turned, wrap_angle(angle + np.pi), angle)
+        if turned.any():
+            for at in np.split(np.arange(turned.size), np.flatnonzero(np.diff(turned)) + 1):
+                turned[at] &= np.hypot(*(xy[at[-1]] - xy[at[0]])) > MOVING_EXTENT_M
+            angle = np.where(turned, wrap_angle(angle + np.pi), angle)
+        heading[row, first : last + 1] = angle
         present[row, first : last + 1] = True
         velocity[row, first : last + 1] = velocity_of(xy, step_s) if velocity_by is None else velocity_by(xy, step_s)
         stated[row, first : last + 1] = moved
@@ -149,15 +151,8 @@ def traffic_of(
         slower = np.hypot(*np.moveaxis(stated, -1, 0)) < np.hypot(*np.moveaxis(velocity, -1, 0))
         velocity = np.where(slower[..., None], stated, velocity)
     sizes = np.array([covering(track) for track in tracks], dtype=np.float64).reshape(-1, 2)
-    return Traffic(
-        ids=tuple(track.track_id for track in tracks),
-        position=position,
-        heading=heading,
-        velocity=velocity,
-        present=present,
-        length_m=sizes[:, 0].copy(),
-        width_m=sizes[:, 1].copy(),
-    )
+    ids = tuple(track.track_id for track in tracks)
+    return Traffic(ids, position, heading, velocity, present, sizes[:, 0].copy(), sizes[:, 1].copy())
 
 
 def covering(track: Track) -> BoxSize:

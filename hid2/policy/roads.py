@@ -57,15 +57,9 @@ def hard_cap(line: ReferenceLine, limits: Limits) -> FloatArray:
     """(S,) m/s at a line's table: what yaw rate, yaw acceleration and lateral jerk allow any vehicle, with a margin."""
     curvature = np.maximum(np.abs(line.table_curvature), _FLAT)
     sharpness = np.maximum(np.abs(line.table_sharpness), _FLAT)
-    return np.asarray(
-        np.minimum.reduce(
-            [
-                0.8 * limits.yaw_rate_radps / curvature,
-                np.sqrt(0.5 * limits.yaw_accel_radps2 / sharpness),
-                np.cbrt(0.5 * limits.jerk_mps3 / sharpness),
-            ]
-        )
-    )
+    by_yaw_accel = np.sqrt(0.5 * limits.yaw_accel_radps2 / sharpness)
+    by_jerk = np.cbrt(0.5 * limits.jerk_mps3 / sharpness)
+    return np.asarray(np.minimum.reduce([0.8 * limits.yaw_rate_radps / curvature, by_yaw_accel, by_jerk]))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -74,12 +68,13 @@ class RoadSpeeds:
 
     bend (S,) m/s for a lateral acceleration of 1 m/s2; others are as its root. In bends sqrt(1 / kappa); on a turning
     lane v_0 f(alpha), with the largest v_0 that keeps within sqrt(1 / kappa) on the whole lane (they touch once).
-    hard (S,) m/s: `hard_cap`. shape (S,): f(alpha) = v / v_0, 1 outside of turning lanes.
+    hard (S,) m/s: `hard_cap`. shape (S,): f(alpha) = v / v_0, 1 outside of turning lanes; turning: where it is less.
     """
 
     bend: FloatArray
     hard: FloatArray
     shape: FloatArray
+    turning: IntArray
 
     def cap(self, lateral_accel_mps2: float) -> FloatArray:
         """(S,) m/s the road's own limit for a driver that takes so much lateral acceleration."""
@@ -92,8 +87,9 @@ class RoadSpeeds:
         acceleration allows; one that enters slowly speeds up. Slowing begins before the entrance at
         _APPROACH_DECEL_MPS2; speeding up after the trough at accel_mps2.
         """
-        turning = np.where(self.shape < 1.0, desired_mps * self.shape, np.inf)
-        return reachable(np.minimum(self.cap(lateral_accel_mps2), turning), _APPROACH_DECEL_MPS2, accel_mps2)
+        most, on = self.cap(lateral_accel_mps2), self.turning
+        most[on] = np.minimum(most[on], desired_mps * self.shape[on])
+        return reachable(most, _APPROACH_DECEL_MPS2, accel_mps2)
 
 
 def road_speeds(
@@ -114,7 +110,7 @@ def road_speeds(
         here = f_left(alpha, turn) if kind is TurnType.LEFT else f_right(alpha, turn)
         shape[cells] = np.minimum(shape[cells], here)
         turning[cells] = np.minimum(turning[cells], (bend[cells] / here).min() * here)
-    return RoadSpeeds(bend=turning, hard=hard_cap(line, limits), shape=shape)
+    return RoadSpeeds(turning, hard_cap(line, limits), shape, np.flatnonzero(shape < 1.0))
 
 
 @dataclass(eq=False)
