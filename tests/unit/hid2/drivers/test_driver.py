@@ -1,3 +1,4 @@
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -6,6 +7,7 @@ from inserted import DRIVER
 
 from hid2.agents import FloatArray
 from hid2.drivers.driver import (
+    Driver,
     LaneOffset,
     desired_speeds,
     draw_driver,
@@ -28,8 +30,12 @@ CONFIG = Config(
 )  # fmt: skip
 
 
-#: Wanders 0.15 m about the middle of the lane.
-WEAVES = replace(DRIVER, offset_m=0.0, wander_m=0.15)
+#: Wanders 0.15 m about the middle of the lane; desires more than the 10 m/s that it drives at.
+WEAVES = replace(DRIVER, desired_mps=14.0, offset_m=0.0, wander_m=0.15)
+
+
+def _offset(driver: Driver, seed: int, usual: Callable[[FloatArray], FloatArray] = np.zeros_like) -> LaneOffset:
+    return lane_offset(driver, CONFIG, np.random.default_rng(seed), length_m=200.0, pace_mps=10.0, usual=usual)
 
 
 @pytest.mark.parametrize("lane_speed", [3.0, 10.0, 19.0])
@@ -135,22 +141,15 @@ def test_free_speed_goes_towards_the_wish_as_the_model_has_it() -> None:
 
 def test_place_in_the_lane_is_correlated_from_knot_to_knot() -> None:
     """By exp(-1) = .37 with the one before, exp(-2) = .14 with that before it; SD .15 m, cut off at two SD: .13 m."""
-    rngs = map(np.random.default_rng, range(300))
-    knots = [
-        lane_offset(WEAVES, CONFIG, rng, length_m=200.0, pace_mps=10.0, usual=np.zeros_like).offset_m[:8]
-        for rng in rngs
-    ]
-    d = np.array(knots)
+    d = np.array([_offset(WEAVES, seed).offset_m[:8] for seed in range(300)])
     one, two = (np.corrcoef(d[:, :-lag].ravel(), d[:, lag:].ravel())[0, 1] for lag in (1, 2))
     assert [one, two, d.std()] == pytest.approx([0.37, 0.14, 0.14], abs=0.06)
 
 
 def test_place_in_the_lane_is_smooth_and_within_two_standard_deviations() -> None:
-    """At most 2 SD = 0.3 m beside the driver's own place (here the middle), knots 30 m apart; d' is that of d."""
+    """At most 2 SD = 0.3 m beside the driver's own place (here the middle), knots 3 s apart; d' is that of d."""
     for seed in range(30):
-        offset = lane_offset(
-            WEAVES, CONFIG, np.random.default_rng(seed), length_m=200.0, pace_mps=10.0, usual=np.zeros_like
-        )
+        offset = _offset(WEAVES, seed)
         assert np.diff(offset.knots_m) == pytest.approx(np.full(offset.knots_m.size - 1, 30.0))
         assert np.abs(offset.offset_m).max() <= 0.3 + 1e-9
         s = np.arange(5.0, 195.0, 0.1)
@@ -162,14 +161,7 @@ def test_place_in_the_lane_is_smooth_and_within_two_standard_deviations() -> Non
 def test_place_is_beside_the_usual_one_and_goes_over_to_another_no_quicker_than_it_wanders() -> None:
     """Usual place 0 m, from 100 m on .5 m, the own .1 m beside it; over two of the 30 m between knots at the least."""
     own = replace(DRIVER, offset_m=0.1, wander_m=0.0)
-    offset = lane_offset(
-        own,
-        CONFIG,
-        np.random.default_rng(0),
-        length_m=200.0,
-        pace_mps=10.0,
-        usual=lambda s: np.where(s < 100.0, 0.0, 0.5),
-    )
+    offset = _offset(own, 0, usual=lambda s: np.where(s < 100.0, 0.0, 0.5))
     assert offset.at(np.array([5.0, 195.0]))[0] == pytest.approx([0.1, 0.6], abs=2e-3)
     assert 0.3 / 60.0 < np.abs(offset.at(np.arange(0.0, 200.0))[1]).max() < 0.5 / 30.0
 
@@ -207,11 +199,7 @@ def test_wandering_waits_over_a_lane_change() -> None:
 def test_nobody_is_farther_from_the_middle_than_the_bound() -> None:
     """Place 0.8 m to the left and a wandering of 0.4 m: cut off at 0.9 m."""
     wide = replace(DRIVER, offset_m=0.8, wander_m=0.4)
-    rngs = map(np.random.default_rng, range(30))
-    offsets = [
-        lane_offset(wide, CONFIG, rng, length_m=200.0, pace_mps=10.0, usual=np.zeros_like).offset_m for rng in rngs
-    ]
-    assert max(np.abs(one).max() for one in offsets) == pytest.approx(0.9)
+    assert max(np.abs(_offset(wide, seed).offset_m).max() for seed in range(30)) == pytest.approx(0.9)
 
 
 def test_some_hold_the_lane_and_some_weave() -> None:
