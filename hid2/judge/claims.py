@@ -144,7 +144,7 @@ def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None
     Near: within the time gap that is recommended, or the TTC before which drivers brake. The target is on that path
     since CLAIM_S at least, and until there: where it changes lanes itself, no vehicle cuts in on it.
     """
-    arrays, link = states.arrays, states.lanes.link
+    arrays, link = states.arrays.driven, states.lanes.link
     runs, steps = runs_of(states, target), []
     for change in (one for one in manoeuvres(states, own) if one.kind is ManeuverKind.LANE_CHANGE):
         step = round(change.crossing_s / arrays.step_s)

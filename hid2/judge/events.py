@@ -56,11 +56,12 @@ def brakes_for(ttc_s: float | None) -> bool:
 
 
 def measure_event(states: AgentStates, kind: str, own: int, target: int, *, at_step: int) -> EventMeasures:
-    """Measures of an event of a kind, of a vehicle and its target, two rows, at a step.
+    """Measures of an event of a kind, of a vehicle and its target, two rows, at a step; velocities by the positions.
 
     Errors: ValueError where one of the two is not there at that step.
     """
-    arrays = states.arrays
+    states, own, target = states.rows([own, target]), 0, 1
+    arrays = states.arrays.driven
     row, there = (_row(states, agent, at_step) for agent in (own, target))
     speed, apart_m = np.hypot(*arrays.velocity.T), 0.5 * float(arrays.length[own] + arrays.length[target])
     steps = round(AFTER_S / arrays.step_s)

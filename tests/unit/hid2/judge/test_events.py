@@ -33,8 +33,10 @@ def test_target_that_closes_in_has_gap_ttc_and_drac() -> None:
     the gap falls to 16 - 5.9 * 2 = 4.2 m: TTC 2.1 s, DRAC 4 / 8.4.
 
     What comes more than 3 s later is not the event: from step 20 to 50 the gap falls to 6 m. Step 70 has no state.
+    Velocities are those of the positions: that the target is stated to stand counts nowhere.
     """
-    states = pair(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0))
+    target = _drive(0.0, 0.0, 10.0)
+    states = pair(_drive(20.0, 0.0, 8.0), replace(target, velocity=0.0 * target.velocity))
     found = measure_event(states, "lead", 0, 1, at_step=30)
     assert found.gap_m == pytest.approx(10.0)
     assert found.speed_difference_mps == pytest.approx(-2.0)
