@@ -207,8 +207,8 @@ def _scene_rules(sidecar: Sidecar, generated_ids: Set[str]) -> _Told:
     for number, event in enumerate(sidecar.events):
         made = event.status != "done" and event.track_id is not None
         yield made, f"event {number}: {event.status}, but made by {event.track_id}"
-        is_other = event.human_brakes is not None and event.human_brakes is not brakes_for(event.min_ttc_s)
-        yield is_other, f"event {number}: human_brakes {event.human_brakes}, but min_ttc_s {event.min_ttc_s}"
+        brakes, of = event.human_brakes, (event.min_ttc_s, event.drac_mps2)
+        yield brakes not in (None, brakes_for(*of)), f"event {number}: human_brakes {brakes}, but TTC, DRAC {of}"
 
 
 def _agent_rules(agent: AgentRecord, begins: Mapping[str, int], lanes: Set[str]) -> _Told:

@@ -36,8 +36,8 @@ class EventMeasures:
     crossing of all steps, None where it is never below CAP_S; ttc_at_s: when that is; headway_s: smallest
     time headway of the target behind the vehicle in AFTER_S from the moment on, front to front, None where it is never
     behind it; pet_s: where the paths cross; drac_mps2: largest deceleration that the target would have needed, in the
-    time of min_ttc_s, 0 where it never closes in; brakes_mps2: hardest braking of the vehicle itself in AFTER_S from
-    the moment on, 0 where it never brakes.
+    time of min_ttc_s, 0 where it never closes in, or crosses first; brakes_mps2: hardest braking of the vehicle itself
+    in AFTER_S from the moment on, 0 where it never brakes.
     """
 
     gap_m: float
@@ -50,9 +50,9 @@ class EventMeasures:
     brakes_mps2: float
 
 
-def brakes_for(ttc_s: float | None) -> bool:
-    """Whether a human would have braked, as drivers do before so short a TTC, s; None: none."""
-    return ttc_s is not None and ttc_s < HUMAN_BRAKES_S
+def brakes_for(ttc_s: float | None, drac_mps2: float | None) -> bool:
+    """Whether a human as the target would have braked: it closes in, and drivers brake before so short a TTC, s."""
+    return bool(drac_mps2) and ttc_s is not None and ttc_s < HUMAN_BRAKES_S
 
 
 def measure_event(states: AgentStates, kind: str, own: int, target: int, *, at_step: int) -> EventMeasures:
@@ -89,7 +89,7 @@ def measure_event(states: AgentStates, kind: str, own: int, target: int, *, at_s
         ttc_at_s=None if least is None else float(course.step[least] * arrays.step_s),
         headway_s=None if kind == "cross" or math.isinf(headway_s) else headway_s,
         pet_s=post_encroachment_of(states, own, target),
-        drac_mps2=float(course.drac_mps2.max(initial=0.0)),
+        drac_mps2=float(course.drac_mps2.max(initial=0.0)) if crossed is None or crossed[0] < crossed[1] else 0.0,
         brakes_mps2=float(np.max(-np.gradient(later, arrays.step_s), initial=0.0)) if later.size > 1 else 0.0,
     )
 

@@ -212,7 +212,7 @@ def _event(**told: Any) -> Callable[[dict[str, Any]], Any]:
         (_agent(lambda agent: agent["maneuvers"][0].update(end_s=None)), "done without start_s and end_s"),
         (_agent(lambda agent: agent["maneuvers"][0].update(leader_track_id="nobody")), "no leader 'nobody'"),
         (_event(status="not_feasible", track_id="gen_0"), "event 0: not_feasible, but made by gen_0"),
-        (_event(status="done", human_brakes=True), "event 0: human_brakes True, but min_ttc_s None"),
+        (_event(status="done", human_brakes=True), "event 0: human_brakes True, but TTC, DRAC (None, None)"),
     ],
 )
 def test_a_spoiled_sidecar_is_found(written: Path, change: Callable[[dict[str, Any]], Any], said: str) -> None:
