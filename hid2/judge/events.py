@@ -113,6 +113,11 @@ def ahead_on_lanes(states: AgentStates, own: int, target: int, steps: IntArray) 
     return np.asarray(offset[:, 0] * np.cos(heading) + offset[:, 1] * np.sin(heading))
 
 
+def is_ahead(states: AgentStates, own: int, target: int, step: int) -> bool:
+    """Whether a vehicle is ahead of its target at a step."""
+    return bool(ahead_on_lanes(states, own, target, np.array([step]))[0] > 0.0)
+
+
 def post_encroachment_of(states: AgentStates, own: int, target: int) -> float | None:
     """PET of two agents, s; None where their paths do not cross within CAP_S."""
     pair = np.sort(np.array([own, target]))
