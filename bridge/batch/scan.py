@@ -91,17 +91,19 @@ def facts_of(
     can: what `Selection` has; its events are looked for, which takes tenths of a second each, or seconds where none is.
     Errors: ConfigError for what can names and does not exist.
     """
+    known = (*ROOM, *EVENTS)
     for name in can:
-        if name not in {*ROOM, *EVENTS} and ":" not in name:
-            raise ConfigError(f"--can {name!r}: expected one of {', '.join((*ROOM, *EVENTS))}, or MODULE:BEHAVIOUR")
         kind = name.partition(":")[0].replace("-", "_")
-        if ":" in name and kind in {*ROOM, *EVENTS}:
-            raise ConfigError(f"--can {name!r}: a target cannot be named, expected {kind}")
+        near = [one for one in known if one.partition(":")[0] == kind]
+        if name not in known and (near or ":" not in name):
+            raise ConfigError(f"--can {name!r}: expected one of {', '.join(near or (*known, 'MODULE:BEHAVIOUR'))}")
     own = _own_in(can)
     asked = tuple(dict.fromkeys((*(name for name in EVENTS if name in can), *own)))
-    return sorted_out(
-        work_on_each(describe_scene, folders, shared=asked, jobs=jobs, chunk=_CHUNK, timeout_s=60, on_item=on_scene)
+    long_s = 60 * (1 + len(asked))  # on a busy machine each search takes as long as all else may
+    each = work_on_each(
+        describe_scene, folders, shared=asked, jobs=jobs, chunk=_CHUNK, timeout_s=long_s, on_item=on_scene
     )
+    return sorted_out(each)
 
 
 def _own_in(can: Sequence[str]) -> dict[str, Policy]:
@@ -181,17 +183,13 @@ def select(facts: Sequence[SceneFacts], selection: Selection) -> list[SceneFacts
     for unknown in cities.keys() - there.keys() if facts else ():
         known = ", ".join(sorted(there.values()))
         raise ConfigError(f"--city {cities[unknown]!r}: no scene is there, expected one of {known}")
-
-    def offers(fact: SceneFacts, name: str) -> bool:
-        return getattr(fact, ROOM[name]) > 0 if name in ROOM else name in fact.events.split()
-
     chosen = [
         fact
         for fact in facts
         if fact.tracks >= selection.min_agents
         and (not cities or fact.city.casefold() in cities)
         and (not selection.splits or fact.split in selection.splits)
-        and all(offers(fact, name) for name in selection.can)
+        and all(getattr(fact, ROOM[one]) > 0 if one in ROOM else one in fact.events.split() for one in selection.can)
     ]
     if selection.sample is not None and selection.sample > len(chosen):
         _LOG.warning("--sample %d: only %d scenes are there to draw from, all are taken", selection.sample, len(chosen))

@@ -113,7 +113,8 @@ def event_record(found: EventOutcome, names: Mapping[str, str]) -> sidecar.Event
     return sidecar.EventRecord(
         kind=event.kind, target=event.target, status="done", track_id=names[found.vehicle.driven.vehicle_id],
         target_track_id=found.target_id, at_s=round(seen.at_step * found.vehicle.motion.step_s, 6),
-        ahead=seen.order > 0, human_brakes=brakes_for(seen.measures.min_ttc_s), tries=found.tries, **figures,
+        ahead=seen.order > 0, human_brakes=brakes_for(figures["min_ttc_s"], figures["drac_mps2"]), tries=found.tries,
+        **figures,
     )  # fmt: skip
 
 

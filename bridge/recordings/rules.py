@@ -7,7 +7,7 @@ drivable is for the judge.
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence, Set
-from itertools import zip_longest
+from itertools import chain, zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,7 @@ from bridge.recordings.argoverse1 import INSERTED, check_sequence, sequence_byte
 from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import RowArrays, row_breaches
 from bridge.recordings.sidecar import AgentRecord, Sidecar
-from hid2.agents import FOCAL_CATEGORY, SCORED_CATEGORY, VEHICLE_TYPES, FloatArray, Policy
+from hid2.agents import AV_ID, FOCAL_CATEGORY, SCORED_CATEGORY, VEHICLE_TYPES, FloatArray, Policy
 from hid2.judge.events import brakes_for
 from hid2.params import Config
 from netconvert.av2_map import Breach
@@ -39,6 +39,8 @@ HEADING_TOLERANCE_RAD = 0.1
 #: Speed below which a vehicle has no direction of motion to speak of, m/s.
 HEADING_FROM_MPS = 0.5
 _GENERATED_ID = re.compile(r"gen_(0|[1-9][0-9]*)")
+#: Whether something is wrong, and what is said then.
+_Told = Iterator[tuple[bool, str]]
 
 
 def check_rows(rows: RowArrays, new_id: str) -> Iterator[Breach]:
@@ -127,9 +129,8 @@ def compare_rows(table: pa.Table, source: pa.Table, generated_ids: set[str]) -> 
             table = table.cast(source.schema)
         except (pa.ArrowException, ValueError):
             return
-    generated = pc.is_in(
-        table.column("track_id"), value_set=pa.array(sorted(generated_ids), table.schema.field("track_id").type)
-    )
+    ids = table.column("track_id")
+    generated = pc.is_in(ids, value_set=pa.array(sorted(generated_ids), ids.type))
     recorded = table.filter(pc.invert(generated)) if generated_ids else table
     if recorded.num_rows != source.num_rows:
         yield f"{recorded.num_rows} recorded rows, expected {source.num_rows}"
@@ -174,18 +175,16 @@ def check_sidecar(
         if wanted != new_id and new_id not in copies:
             yield "scenario-id", f"{new_id}, expected {wanted} of this source, configuration, seed and variant"
         yield from (("sidecar", said) for is_wrong, said in _config_rules(sidecar, config) if is_wrong)
-    told = [*_scene_rules(sidecar, generated_ids & begins.keys())]
-    told += (rule for agent in sidecar.agents for rule in _agent_rules(agent, begins, lanes))
+    of_agents = (_agent_rules(agent, begins, lanes) for agent in sidecar.agents)
+    told = chain(_scene_rules(sidecar, generated_ids & begins.keys()), *of_agents)
     yield from (("sidecar", said) for is_wrong, said in told if is_wrong)
-
-
-#: Whether something is wrong, and what is said then.
-_Told = Iterator[tuple[bool, str]]
 
 
 def _config_rules(sidecar: Sidecar, config: Config) -> _Told:
     same = sidecar.config_sha256 == config_sha256(config) and config_to_dict(config) == sidecar.config
     yield not same, f"config_sha256 {sidecar.config_sha256[:12]}..., expected that of config"
+    asked = [(event.kind, event.target) for event in config.event for _ in range(event.count)]
+    yield asked != [(one.kind, one.target) for one in sidecar.events], f"events: expected those of config, {asked}"
     known, noise = config.request.behaviours, config.export.noise
     for policy in sorted({agent.policy for agent in sidecar.agents}):
         yield policy not in known, f"policy {policy!r}, expected one of {', '.join(known)}"
@@ -205,31 +204,31 @@ def _scene_rules(sidecar: Sidecar, generated_ids: Set[str]) -> _Told:
     yield len(listed) != len(agents), "two agents have the same track_id"
     yield listed != generated_ids, f"agents and generated tracks differ: {', '.join(sorted(listed ^ generated_ids))}"
     for number, event in enumerate(sidecar.events):
-        made = event.status != "done" and event.track_id is not None
-        yield made, f"event {number}: {event.status}, but made by {event.track_id}"
-        is_other = event.human_brakes is not None and event.human_brakes is not brakes_for(event.min_ttc_s)
-        yield is_other, f"event {number}: human_brakes {event.human_brakes}, but min_ttc_s {event.min_ttc_s}"
+        named, its = AV_ID if event.target == "av" else event.target, event.target_track_id
+        other = event.status != "done" or (its is not None and named not in ("any", "focal", "scored", its))
+        said = f"event {number}: {event.status} with {event.target}, but made by {event.track_id} with {its}"
+        yield other and event.track_id is not None, said
+        brakes, of = event.human_brakes, (event.min_ttc_s, event.drac_mps2)
+        yield brakes not in (None, brakes_for(*of)), f"event {number}: human_brakes {brakes}, but TTC, DRAC {of}"
 
 
 def _agent_rules(agent: AgentRecord, begins: Mapping[str, int], lanes: Set[str]) -> _Told:
     name, maneuvers, since = f"agent {agent.track_id}", agent.maneuvers, agent.spawn.timestep
     kinds = [one.kind for one in maneuvers]
-    told = agent.policy.value in kinds if agent.policy in tuple(Policy) else kinds  # of one's own: any
-    has_record = agent.policy is Policy.STRAIGHT or bool(told)
-    yield not has_record, f"{name}: policy {agent.policy}, but no record of it"
+    told = agent.policy.value in kinds if agent.policy in tuple(Policy) else bool(kinds)  # of one's own: any
+    yield not told and agent.policy is not Policy.STRAIGHT, f"{name}: policy {agent.policy}, but no record of it"
     for one in maneuvers:
         stated = (one.trigger_s, one.start_s, one.crossing_s, one.end_s)
         times, is_known = [time for time in stated if time is not None], one.leader_track_id in (None, *begins)
-        expected = "expected trigger, start, crossing, end in order"
-        yield times != sorted(times), f"{name}: {one.kind}: times {times}, {expected}"
-        is_timed = one.start_s is not None and one.end_s is not None
-        yield one.status == "done" and not is_timed, f"{name}: {one.kind}: done without start_s and end_s"
-        yield not is_known, f"{name}: {one.kind}: no leader {one.leader_track_id!r}"
+        of = f"{name}: {one.kind}"
+        yield times != sorted(times), f"{of}: times {times}, expected trigger, start, crossing, end in order"
+        yield one.status == "done" and None in (one.start_s, one.end_s), f"{of}: done without start_s and end_s"
+        yield not is_known, f"{of}: no leader {one.leader_track_id!r}"
     of_maneuvers = {lane for one in maneuvers for lane in (one.source_lane, one.target_lane) if lane is not None}
     for lane in sorted({agent.spawn.lane_segment_id, *agent.route} | of_maneuvers):
         yield str(lane) not in lanes, f"{name}: lane segment {lane} is not in the map"
-    begin = begins.get(agent.track_id, since)
-    yield begin != since, f"{name}: spawn.timestep {since}, but it begins at {begin}"
+    began = begins.get(agent.track_id, since)
+    yield began != since, f"{name}: spawn.timestep {since}, but it begins at {began}"
 
 
 def check_written_sequence(

@@ -11,7 +11,7 @@ import numpy as np
 from hid2.agents import FloatArray, Track
 from hid2.insertion.event_targets import Target
 from hid2.judge.claims import EventClaim, event_step
-from hid2.judge.events import EventMeasures, ahead_on_lanes, crossing_steps, measure_event
+from hid2.judge.events import EventMeasures, crossing_steps, is_ahead, measure_event
 from hid2.occupancy.agent_states import AgentStates, agent_states
 from hid2.params import Event
 from hid2.reasons import Reason
@@ -99,7 +99,7 @@ class Objective:
             return None
         found = measure_event(states, kind, own, there, at_step=at)
         if kind == "merge":
-            order = 1 if ahead_on_lanes(states, own, there, np.array([at]))[0] > 0.0 else -1
+            order = 1 if is_ahead(states, own, there, at) else -1
         return Seen(at, order, found)
 
     def cost(self, seen: Seen) -> float:

@@ -15,7 +15,7 @@ from hid2.scene import Scene
 class Target:
     """A recorded vehicle that an event is about: its track, lanes in the order driven, and way driven (T,) m.
 
-    present (T,); position (T, 2) m, heading (T,) rad and speed (T,) m/s as dense arrays;
+    present (T,); position (T, 2) m, heading (T,) rad and speed (T,) m/s, by the positions, as dense arrays;
     runs: lane ids with first and last step.
     """
 
@@ -66,7 +66,7 @@ def target_of(scene: Scene, row: int) -> Target | None:
         return None
     return Target(
         track=scene.tracks[row], present=traffic.present[row], position=traffic.position[row],
-        heading=traffic.heading[row], speed=np.hypot(*traffic.velocity[row].T),
+        heading=traffic.heading[row], speed=np.hypot(*alone.traffic.velocity[0].T),
         way=np.concatenate([[0.0], np.cumsum(step)]),
         runs=tuple(
             (int(lanes.lane_ids[run.lane]), int(arrays.step[run.first]), int(arrays.step[run.last])) for run in runs

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hid2.judge.events import CUT_IN_S, HUMAN_BRAKES_S, crossing_steps, measure_event
+from hid2.judge.events import CUT_IN_S, HUMAN_BRAKES_S, crossing_steps, is_ahead, measure_event
 from hid2.judge.findings import CLAIM_S, FIGURE_OFF, Finding, Quantity
 from hid2.measures.driven_lanes import path_driven, run_at, runs_of
 from hid2.measures.lane_matching import CHANGES_LANES, GOES_ON
@@ -96,23 +96,22 @@ def judge_claims(states: AgentStates, claims: Sequence[Claim], events: Sequence[
 
 
 def _wrong_figures(states: AgentStates, event: EventClaim) -> list[Finding]:
-    """Figures of an event that are not the states', by how much; TTC and PET are told wherever there is one."""
+    """Figures of an event that are not the states', by how much, inf where one is missing; of a merge also its side."""
     own, target = (states.arrays.track_ids.index(name) for name in (event.track_id, event.target_id))
     at_step, found = round(event.at_s / states.arrays.step_s), []
     shown = measure_event(states, event.kind, own, target, at_step=at_step)
+    if event.kind == "merge" and is_ahead(states, own, target, at_step) is not event.ahead:
+        found.append(Finding(event.track_id, at_step, Quantity.CLAIM, math.inf, CLAIM_S, event.target_id))
     for name, told in event.figures.items():
         value = getattr(shown, name)
-        if told is None:
-            off = math.inf if name in ("min_ttc_s", "pet_s") and value is not None else 0.0
-        else:
-            off = math.inf if value is None else abs(told - value)
+        off = abs(told - value) if None not in (told, value) else 0.0 if told is value else math.inf
         if off > FIGURE_OFF:
             found.append(Finding(event.track_id, at_step, FIGURES[name], off, FIGURE_OFF, event.target_id))
     return found
 
 
 def event_step(states: AgentStates, claim: EventClaim) -> int | None:
-    """The step at which an event is seen; None where it is not.
+    """The step at which an event is seen; None where it is not, or not on that side of the target.
 
     Of several cut-ins the nearest to the time claimed; lead and follow are looked for at that time alone.
     """
@@ -121,6 +120,8 @@ def event_step(states: AgentStates, claim: EventClaim) -> int | None:
         return None
     own, target = ids.index(claim.track_id), ids.index(claim.target_id)
     near = round(claim.at_s / states.arrays.step_s)
+    if claim.ahead is (claim.kind == "follow") and claim.kind not in ("merge", "cross"):
+        return None
     match claim.kind:
         case "cut_in":
             return _cut_in(states, own, target, near)
@@ -144,7 +145,7 @@ def _cut_in(states: AgentStates, own: int, target: int, near: int) -> int | None
     Near: within the time gap that is recommended, or the TTC before which drivers brake. The target is on that path
     since CLAIM_S at least, and until there: where it changes lanes itself, no vehicle cuts in on it.
     """
-    arrays, link = states.arrays, states.lanes.link
+    arrays, link = states.arrays.driven, states.lanes.link
     runs, steps = runs_of(states, target), []
     for change in (one for one in manoeuvres(states, own) if one.kind is ManeuverKind.LANE_CHANGE):
         step = round(change.crossing_s / arrays.step_s)

@@ -36,8 +36,8 @@ class EventMeasures:
     crossing of all steps, None where it is never below CAP_S; ttc_at_s: when that is; headway_s: smallest
     time headway of the target behind the vehicle in AFTER_S from the moment on, front to front, None where it is never
     behind it; pet_s: where the paths cross; drac_mps2: largest deceleration that the target would have needed, in the
-    time of min_ttc_s, 0 where it never closes in; brakes_mps2: hardest braking of the vehicle itself in AFTER_S from
-    the moment on, 0 where it never brakes.
+    time of min_ttc_s, 0 where it never closes in, or crosses first; brakes_mps2: hardest braking of the vehicle itself
+    in AFTER_S from the moment on, 0 where it never brakes.
     """
 
     gap_m: float
@@ -50,17 +50,18 @@ class EventMeasures:
     brakes_mps2: float
 
 
-def brakes_for(ttc_s: float | None) -> bool:
-    """Whether a human would have braked, as drivers do before so short a TTC, s; None: none."""
-    return ttc_s is not None and ttc_s < HUMAN_BRAKES_S
+def brakes_for(ttc_s: float | None, drac_mps2: float | None) -> bool:
+    """Whether a human as the target would have braked: it closes in, and drivers brake before so short a TTC, s."""
+    return bool(drac_mps2) and ttc_s is not None and ttc_s < HUMAN_BRAKES_S
 
 
 def measure_event(states: AgentStates, kind: str, own: int, target: int, *, at_step: int) -> EventMeasures:
-    """Measures of an event of a kind, of a vehicle and its target, two rows, at a step.
+    """Measures of an event of a kind, of a vehicle and its target, two rows, at a step; velocities by the positions.
 
     Errors: ValueError where one of the two is not there at that step.
     """
-    arrays = states.arrays
+    states, own, target = states.rows([own, target]), 0, 1
+    arrays = states.arrays.driven
     row, there = (_row(states, agent, at_step) for agent in (own, target))
     speed, apart_m = np.hypot(*arrays.velocity.T), 0.5 * float(arrays.length[own] + arrays.length[target])
     steps = round(AFTER_S / arrays.step_s)
@@ -88,7 +89,7 @@ def measure_event(states: AgentStates, kind: str, own: int, target: int, *, at_s
         ttc_at_s=None if least is None else float(course.step[least] * arrays.step_s),
         headway_s=None if kind == "cross" or math.isinf(headway_s) else headway_s,
         pet_s=post_encroachment_of(states, own, target),
-        drac_mps2=float(course.drac_mps2.max(initial=0.0)),
+        drac_mps2=float(course.drac_mps2.max(initial=0.0)) if crossed is None or crossed[0] < crossed[1] else 0.0,
         brakes_mps2=float(np.max(-np.gradient(later, arrays.step_s), initial=0.0)) if later.size > 1 else 0.0,
     )
 
@@ -110,6 +111,11 @@ def ahead_on_lanes(states: AgentStates, own: int, target: int, steps: IntArray) 
                 return np.asarray(order * (others - its))
     heading, offset = arrays.heading[rows[0]], arrays.position[rows[1]] - arrays.position[rows[0]]
     return np.asarray(offset[:, 0] * np.cos(heading) + offset[:, 1] * np.sin(heading))
+
+
+def is_ahead(states: AgentStates, own: int, target: int, step: int) -> bool:
+    """Whether a vehicle is ahead of its target at a step."""
+    return bool(ahead_on_lanes(states, own, target, np.array([step]))[0] > 0.0)
 
 
 def post_encroachment_of(states: AgentStates, own: int, target: int) -> float | None:

@@ -1,13 +1,15 @@
 """Tracks of one scene as flat arrays: the common input of every measure of the evaluation."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from hid2.agents import ROAD_TYPES, VEHICLE_TYPES, FloatArray, IntArray, Track
 from netconvert.geometry import BoolArray as BoolArray
+from netconvert.geometry import differences
 
 #: Extent of its path, m, and time seen, s, above which a vehicle counts as moving.
 MOVING_EXTENT_M, MOVING_S = 5.0, 1.0
@@ -34,7 +36,7 @@ class SceneArrays:
     """All tracks of a scene, row by row (N rows, sorted by agent and step; A agents; T steps).
 
     first (A + 1,): rows first[a]:first[a + 1] belong to agent a. step (N,). agent (N,).
-    position (N, 2) m, box centre, city frame; heading (N,) rad; velocity (N, 2) m/s; length, width (A,) m.
+    position (N, 2) m, box centre, city frame; heading (N,) rad; velocity (N, 2) m/s, as stated; length, width (A,) m.
     generated, vehicle, fragment, moving (A,) masks; row_of (A, T): the row of an agent at a step, -1 where absent.
     """
 
@@ -85,6 +87,13 @@ class SceneArrays:
     def whole_vehicles(self) -> BoolArray:
         """(A,) vehicles that are no tracker fragments."""
         return np.asarray(self.vehicle & ~self.fragment)
+
+    @property
+    def driven(self) -> "SceneArrays":
+        """The same with velocities by the positions: those that a tracker states may be others for a second."""
+        time_s = np.asarray(self.step * self.step_s, dtype=np.float64)
+        found = [differences(self.position[a:b], time_s[a:b]) for a, b in pairwise(self.first.tolist())]
+        return replace(self, velocity=np.concatenate([np.zeros((0, 2)), *found]))
 
     @property
     def rows_per_agent(self) -> IntArray:

@@ -124,8 +124,9 @@ def conflicts(
 ) -> list[TrafficConflict]:
     """Every conflict between two vehicles of which one moves, by start; a TTC above the threshold for 5 s ends one.
 
-    ttc_s, pet_s: thresholds of the TTC and of the PET of paths that cross.
+    ttc_s, pet_s: thresholds of the TTC and of the PET of paths that cross. Velocities are those of the positions.
     """
+    arrays = arrays.driven
     crossing = {(one.first, one.second): one for one in encroachments(arrays, cap_s=pet_s) if one.pet_s <= pet_s}
     near = time_to_collision(arrays, cap_s=ttc_s)[1] < ttc_s
     near &= np.outer(arrays.vehicle, arrays.vehicle) & (arrays.moving[:, None] | arrays.moving)

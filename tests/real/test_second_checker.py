@@ -15,6 +15,7 @@ from bridge.generation.generate import generate
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.validate import Against, validate_scene
+from hid2.judge.claims import FIGURES
 from hid2.judge.findings import Quantity
 
 ROOT = Path(__file__).parents[2]
@@ -74,6 +75,7 @@ def misjudged(fault: PlantedFault) -> str | None:
     found = [one for one in every if one.rule in list(Quantity)]
     if fault.strength == INSIDE:
         beside = {Quantity.FOLLOWER_HEADWAY, BESIDE.get(fault.kind)}
+        beside |= set(FIGURES.values()) if fault.kind == "cut-in" else set()  # planted without its figures
         found = [one for one in found if one.rule not in beside - {fault.quantity}]
         return f"{fault.name}: {found}" if found else None
     told = {one.rule for one in found if one.vehicle == fault.vehicle}

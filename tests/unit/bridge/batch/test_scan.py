@@ -57,11 +57,19 @@ def test_vehicles_that_stand_and_jitter_do_not_move(copy_scene: Callable[..., Pa
     assert describe_scene((), scene).moving == 0
 
 
-def test_events_looked_for_are_those_that_the_page_and_the_help_name() -> None:
+def test_events_that_can_be_looked_for_are_those_that_the_page_and_the_help_name(
+    data_scenes: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All at once, as --events does; overtake is a policy and a kind of event. Without the seconds of the searches."""
     assert {name.partition(":")[2] for name in EVENTS} == {"av", "focal"}
     assert "looks for all, with av and focal" in Path("bridge/generation/README.md").read_text()
-    with pytest.raises(ConfigError, match="--can 'fly'"):
-        facts_of([], ("fly",))
+    monkeypatch.setattr(scan, "offered_events", lambda _, names: tuple(names))
+    assert describe_scene(EVENTS, data_scenes["curve"]).events.split() == list(EVENTS)
+    assert facts_of([], EVENTS) == ([], [])
+    near = ("fly", "straight, "), ("cut_in:any", "cut_in:av, cut_in:focal$"), ("lane-change:av", "lane_change$")
+    for name, expected in near:
+        with pytest.raises(ConfigError, match=f"--can '{name}': expected one of {expected}"):
+            facts_of([], (name,))
 
 
 def test_sample_is_drawn_with_the_seed_and_takes_all_and_warns_where_there_are_fewer(

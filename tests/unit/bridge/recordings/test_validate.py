@@ -211,8 +211,10 @@ def _event(**told: Any) -> Callable[[dict[str, Any]], Any]:
         (_agent(lambda agent: agent["maneuvers"][0].update(start_s=9)), "expected trigger, start, crossing, end in"),
         (_agent(lambda agent: agent["maneuvers"][0].update(end_s=None)), "done without start_s and end_s"),
         (_agent(lambda agent: agent["maneuvers"][0].update(leader_track_id="nobody")), "no leader 'nobody'"),
-        (_event(status="not_feasible", track_id="gen_0"), "event 0: not_feasible, but made by gen_0"),
-        (_event(status="done", human_brakes=True), "event 0: human_brakes True, but min_ttc_s None"),
+        (_event(status="not_feasible", track_id="gen_0"), "event 0: not_feasible with av, but made by gen_0"),
+        (_event(status="done", track_id="gen_0", target_track_id="x"), "done with av, but made by gen_0 with x"),
+        (_event(status="not_feasible"), "events: expected those of config, []"),
+        (_event(status="done", human_brakes=True), "event 0: human_brakes True, but TTC, DRAC (None, None)"),
     ],
 )
 def test_a_spoiled_sidecar_is_found(written: Path, change: Callable[[dict[str, Any]], Any], said: str) -> None:

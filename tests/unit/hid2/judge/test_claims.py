@@ -77,13 +77,17 @@ def test_cut_in_comes_from_beside_into_the_lane_of_the_target_ahead_of_it() -> N
     target, own, claim = _cut_in(0.0, _across(5.0, start=3.5, to=0.0))
     assert event_step(states(target, own), claim) == pytest.approx(50, abs=1)
     assert judge_claims(states(target, own), [], [claim]) == []
+    assert event_step(states(target, own), claim._replace(ahead=False)) is None
     behind = _cut_in(0.0, _across(5.0, start=3.5, to=0.0), ahead_m=-15.0)
     for target, own, claim in (behind, _cut_in(0.0, _across(5.0))):  # or out of its lane
         assert event_step(states(target, own), claim) is None
 
 
 def test_figures_that_are_told_are_those_of_the_states() -> None:
-    """15 m between centres at 10 m/s along the road: the gap that is told is off by 2 m, and there is no TTC."""
+    """15 m between centres at 10 m/s along the road: the gap that is told is off by 2 m, and there is no TTC.
+
+    Where all are told as not there, the five that there are are wrong.
+    """
     target, own, claim = _cut_in(0.0, _across(5.0, start=3.5, to=0.0))
     scene, gap_m = states(target, own), 15.0 - own.size.length_m
     across_mps = float(np.hypot(10.0, np.gradient(own.position[:, 1], 0.1)[50])) - 10.0
@@ -94,6 +98,8 @@ def test_figures_that_are_told_are_those_of_the_states() -> None:
     }  # fmt: skip
     assert told.keys() == FIGURES.keys()
     assert judge_claims(scene, [], [claim._replace(figures=told)]) == []
+    silent = judge_claims(scene, [], [claim._replace(figures=dict.fromkeys(told))])
+    assert [one.quantity for one in silent] == [FIGURES[name] for name, value in told.items() if value is not None]
     wrong = claim._replace(figures=told | {"gap_m": gap_m - 2.0, "min_ttc_s": 1.6})
     gap, ttc = judge_claims(scene, [], [wrong])
     assert (gap.quantity, gap.value, gap.step) == (Quantity.CLAIMED_GAP, pytest.approx(2.0, abs=0.05), 50)
@@ -112,9 +118,11 @@ def test_change_of_lanes_far_ahead_of_the_target_is_no_cut_in() -> None:
     """At 10 m/s 1.8 s are 18 m: 22 m between centres leave 17.5 m, 23 m leave 18.5 m.
 
     Behind a vehicle at 4 m/s along the road 4.7 s are 28 m: 60 and 64 m ahead at first leave 25.5 and 29.5 m at 5 s.
+    A target that is stated to stand drives all the same.
     """
     for ahead_m, is_seen in ((22.0, True), (23.0, False)):
         target, own, claim = _cut_in(0.0, _across(5.0, start=3.5, to=0.0), ahead_m=ahead_m)
+        target = replace(target, velocity=0.0 * target.velocity)
         assert (event_step(states(target, own), claim) is not None) is is_seen
     for begins_m, is_seen in ((60.0, True), (64.0, False)):
         slow = _drive("gen_0", 20.0 + begins_m, 4.0, _across(5.0, start=3.5, to=0.0))
@@ -145,6 +153,8 @@ def test_lead_and_follow_are_seen_on_the_path_that_the_rear_one_drives(kind: str
     x = 40.0 if ahead else 5.0
     target = _drive("t", 20.0, 10.0)
     assert event_step(states(target, _drive("gen_0", x, 10.0)), claim) == 40
+    other = claim._replace(kind="follow" if ahead else "lead")
+    assert event_step(states(target, _drive("gen_0", x, 10.0)), other) is None
     assert event_step(states(target, _drive("gen_0", x, 10.0, 3.5)), claim) is None
     assert event_step(states(target, _drive("gen_0", 45.0 - x, 10.0)), claim) is None
 
@@ -177,7 +187,10 @@ def test_paths_that_cut_each_other_where_they_join_are_a_merge() -> None:
     scene = agent_states([_drive("t", 20.0, 10.0), own], lanes, num_steps=STEPS, step_s=0.1)
     assert crossing_steps(scene, 1, 0) == (pytest.approx(40, abs=1), pytest.approx(80, abs=1))
     assert event_step(scene, EventClaim("cross", "gen_0", "t", 4.0, ahead=True)) is None
-    assert event_step(scene, EventClaim("merge", "gen_0", "t", 4.0, ahead=True)) == pytest.approx(40, abs=2)
+    merge = EventClaim("merge", "gen_0", "t", 4.0, ahead=True)
+    assert event_step(scene, merge) == pytest.approx(40, abs=2)
+    assert judge_claims(scene, [], [merge]) == []
+    assert [one.value for one in judge_claims(scene, [], [merge._replace(ahead=False)])] == [math.inf]
 
 
 @pytest.mark.parametrize(("kind", "ahead"), [("lead", True), ("follow", False)])

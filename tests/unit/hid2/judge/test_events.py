@@ -8,6 +8,7 @@ from hand_drawn import draw_box, draw_lane, draw_road
 
 from hid2.agents import BoxSize, Track
 from hid2.judge.events import brakes_for, crossing_steps, measure_event, post_encroachment_of
+from hid2.measures.conflicts import conflicts
 from hid2.measures.lane_matching import flatten_lanes
 from hid2.occupancy.agent_states import AgentStates, agent_states
 from netconvert.lane_graph import LaneGraph
@@ -33,15 +34,17 @@ def test_target_that_closes_in_has_gap_ttc_and_drac() -> None:
     the gap falls to 16 - 5.9 * 2 = 4.2 m: TTC 2.1 s, DRAC 4 / 8.4.
 
     What comes more than 3 s later is not the event: from step 20 to 50 the gap falls to 6 m. Step 70 has no state.
+    Velocities are those of the positions: that the target is stated to stand counts nowhere.
     """
-    states = pair(_drive(20.0, 0.0, 8.0), _drive(0.0, 0.0, 10.0))
+    target = _drive(0.0, 0.0, 10.0)
+    states = pair(_drive(20.0, 0.0, 8.0), replace(target, velocity=0.0 * target.velocity))
     found = measure_event(states, "lead", 0, 1, at_step=30)
     assert found.gap_m == pytest.approx(10.0)
     assert found.speed_difference_mps == pytest.approx(-2.0)
     assert (found.min_ttc_s, found.ttc_at_s) == (pytest.approx(2.1, abs=1e-6), pytest.approx(5.9))
     assert found.headway_s == pytest.approx(0.82)  # 4.2 m and a length of 4 m at 10 m/s
     assert found.drac_mps2 == pytest.approx(4.0 / 8.4, rel=1e-6)
-    assert brakes_for(found.min_ttc_s)
+    assert brakes_for(found.min_ttc_s, found.drac_mps2)
     assert found.pet_s is None
     found = measure_event(states, "lead", 0, 1, at_step=20)
     assert (found.min_ttc_s, found.ttc_at_s) == (pytest.approx(3.0, abs=1e-6), pytest.approx(5.0))
@@ -54,7 +57,8 @@ def test_target_that_closes_in_has_gap_ttc_and_drac() -> None:
 def test_target_that_falls_back_needs_no_braking() -> None:
     """The vehicle ahead is faster: never closing in, no TTC, DRAC 0, and nobody brakes."""
     found = measure_event(pair(_drive(20.0, 0.0, 12.0), _drive(0.0, 0.0, 10.0)), "lead", 0, 1, at_step=10)
-    assert (found.min_ttc_s, found.ttc_at_s, found.drac_mps2, brakes_for(None)) == (None, None, 0.0, False)
+    assert (found.min_ttc_s, found.ttc_at_s, found.drac_mps2) == (None, None, 0.0)
+    assert not brakes_for(None, 1.0)
     assert found.headway_s == pytest.approx(2.2)  # 20 m front to front at step 0, 22 m at the moment
 
 
@@ -109,6 +113,24 @@ def test_paths_may_cross_where_one_begins() -> None:
     """The vehicle begins 0.2 m before the point, there at step 0; the target comes 40 m at 1 m a step: step 40."""
     states = pair(_drive(0.0, -0.2, 10.0, heading=np.pi / 2), _drive(-40.2, 0.0, 10.0))
     assert crossing_steps(states, 0, 1) == (0, 40)
+
+
+def test_what_crosses_first_needs_no_braking() -> None:
+    """From the west at 10 m/s, 30 m before the point: there at step 30. From the south, 25 m before at 10 m/s, at 2 m/s
+    from step 20 on: at step 45. Until then they head for each other: the second needed the DRAC that conflicts tell.
+    """
+    first, second = _drive(-30.0, 0.0, 10.0), _drive(0.0, -25.0, 10.0, heading=np.pi / 2)
+    way = np.minimum(np.arange(60), 20) + 0.2 * np.maximum(np.arange(60) - 20, 0)
+    states = pair(first, replace(second, position=np.column_stack([np.zeros(60), way - 25.0])))
+    (told,) = conflicts(states.arrays)
+    braking, passing = (
+        measure_event(states, "cross", 0, 1, at_step=30),
+        measure_event(states, "cross", 1, 0, at_step=45),
+    )
+    assert (braking.drac_mps2, passing.drac_mps2) == (pytest.approx(told.drac_mps2), 0.0)
+    assert braking.min_ttc_s == passing.min_ttc_s == pytest.approx(told.ttc_s)
+    assert brakes_for(braking.min_ttc_s, braking.drac_mps2)
+    assert not brakes_for(passing.min_ttc_s, passing.drac_mps2)
 
 
 def test_crossing_has_a_pet_and_paths_that_do_not_meet_have_none() -> None:
