@@ -360,7 +360,7 @@ def compose(
     _tell_left_out("left out", made.left_out, activity)
     rows = [(name or ".", *map(str, counts.values())) for name, counts in made.counts.items()]
     activity.table(f"{out}: scenes", ("data set", "train", "val", "test"), rows, as_json=as_json)
-    return False
+    return bool(made.unread)
 
 
 def _check(roots: list[Path], activity: Activity, *, jobs: int, as_json: bool) -> bool:
@@ -390,7 +390,7 @@ def forecast(
     seed: int = options.option("Seed of weights and batches.", 0, "N", min=0),
     resume: bool = options.running("Go on from MODEL/checkpoint.pt.", False),
     activity: Activity,
-) -> None:
+) -> bool:
     """Train a small forecaster and write its forecasts of the focal tracks (needs the extra `forecast`).
 
     VectorNet with six futures: an instrument to compare data sets with, no state of the art.
@@ -403,11 +403,12 @@ def forecast(
     from hid2.params import Forecasting
 
     updates = updates or Forecasting().updates
-    targets = []
+    targets, unread = [], []
     for place in (root / "train", scenes or root / "val"):
         activity.doing(f"reading {place}")
         found, left_out = features.features_of(find_scenarios(place), on_scene=activity.show)
         targets.append(found)
+        unread += left_out
         _tell_left_out("not used", left_out, activity)
     if not any(target.focal for target in targets[1]):
         raise ScenarioError(f"{place}: no focal track to forecast")
@@ -420,3 +421,4 @@ def forecast(
     path = write_forecasts(network.forecast(model, targets[1]), out / "predictions.parquet")
     activity.end()
     print(path)
+    return bool(unread)

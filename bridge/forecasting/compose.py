@@ -55,11 +55,12 @@ class Origin(NamedTuple):
 
 
 class Composed(NamedTuple):
-    """What was made: scenes by data set and split, and lines on what was left out."""
+    """What was made: scenes by data set and split, and lines on what was left out; unread: those on broken scenes."""
 
     root: Path
     counts: dict[str, dict[str, int]]
     left_out: tuple[str, ...]
+    unread: tuple[str, ...]
 
 
 def compose(
@@ -109,7 +110,7 @@ def compose(
             root.rmdir()  # empty
         made.rename(root)
     counts = {name: {split: len(scenes) for split, scenes in splits.items()} for name, splits in roots.items()}
-    return Composed(root, counts, tuple(pool.left_out))
+    return Composed(root, counts, tuple(pool.left_out), tuple(pool.unread))
 
 
 class _Pool:
@@ -119,8 +120,8 @@ class _Pool:
         self._params, self._composition = Forecasting(), composition
         places = [(Path(place), name) for name, folders in composition.sources.items() for place in folders]
         found = [(folder, name) for place, name in places for folder in find_scenarios(place)]
-        facts, self.left_out = facts_of_scenes([folder for folder, _ in found], jobs=jobs, on_scene=tell)
-        source_of, usable = dict(found), []
+        facts, self.unread = facts_of_scenes([folder for folder, _ in found], jobs=jobs, on_scene=tell)
+        self.left_out, source_of, usable = [*self.unread], dict(found), []
         seen: dict[tuple[str, str], SourceScene] = {}
         for fact in facts:
             name = source_of[fact.folder]

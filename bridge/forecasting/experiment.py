@@ -5,6 +5,7 @@ forecaster is trained on each with every seed, the same number of updates each; 
 are scored and compared in pairs. Forecasts from elsewhere on a composed root take the place of the first three steps.
 """
 
+import logging
 import shutil
 import sys
 import zlib
@@ -33,6 +34,7 @@ from hid2.params import Config, Forecasting, Request
 from hid2.resampling import Estimate
 from netconvert.errors import BatchError, ConfigError, ScenarioError
 
+_LOG = logging.getLogger(__name__)
 #: Which track of a generated scene is forecast: the recorded focal one, an inserted one, or both in turn by variant.
 Reading = Literal["recorded", "generated", "both"]
 #: Training sets of the tables.
@@ -144,7 +146,8 @@ def _composed(scenes: Sequence[Path], out: Path, plan: TrainingPlan, *, jobs: in
     if not there or any(made.values()) or (root / COMPOSITION).read_text(encoding="utf-8") != text:
         if there:  # of another composition, or of scenes that have been made anew since
             shutil.rmtree(root)
-        compose(composition, root, jobs=jobs, on_scene=tell)
+        for line in compose(composition, root, jobs=jobs, on_scene=tell).unread:
+            _LOG.warning("left out: %s", line)
     return root
 
 

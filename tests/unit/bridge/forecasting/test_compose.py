@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from breaches import breaches
-from written import write_fake
+from written import edit_json, edit_rows, in_first_lane, write_fake
 
+from bridge.cli import measuring
+from bridge.console import Activity
 from bridge.forecasting.compose import check_leaks, compose
 from bridge.forecasting.composition import CONTROLS, HID2_ONLY, Composition, composition_of_sources
 from bridge.forecasting.places import SourceScene, groups_of, split_by_place
@@ -189,6 +191,19 @@ def test_a_generated_scene_without_an_inserted_vehicle_is_left_out(data_root, ge
     scenario = read_scenario(find_scenarios(data_root)[0])
     write_fake(scenario, generated, count=0)
     assert scenario.scenario_id in " ".join(composed(mixed(data_root, generated), tmp_path / "root").left_out)
+
+
+@pytest.mark.parametrize(("rows", "lane"), [({"velocity_x": np.inf}, {}), ({"object_type": "-"}, {}), ({}, {"id": 1})])
+def test_a_scene_that_its_readers_refuse_is_in_no_data_set_and_told(data_root, tmp_path, capsys, rows, lane):
+    """An infinite velocity, an unknown type, a broken map: two of three scenes are left, one of each split, and 1."""
+    root, command = shutil.copytree(data_root, tmp_path / "data"), measuring.compose.function
+    broken, *_ = find_scenarios(root)
+    edit_rows(broken, lambda table: table.assign(**rows))
+    edit_json(next(broken.glob("log_map*")), in_first_lane(lambda first: first.update(lane)))
+    out = tmp_path / "mix"
+    assert command([str(root)], out=out, check=False, jobs=1, as_json=True, activity=Activity(quiet=True)) is True
+    assert capsys.readouterr().err.startswith(f"hid2: warning: left out: {broken}/")
+    assert [len(find_scenarios(out / split)) for split in ("train", "val")] == [1, 1]
 
 
 @pytest.mark.parametrize(("split", "way"), [({"val": 0.34}, "set split.val = 0 or add"), ({"by": "folder"}, "add")])
