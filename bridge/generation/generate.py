@@ -127,7 +127,9 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
     vehicles = sorted(filling.kept, key=lambda one: one.driven.start.request.number)
     tracks = [one.track(f"gen_{row}", config.request.generated_category) for row, one in enumerate(vehicles)]
     clean: list[Track] = []
-    if config.export.noise == "tracker":
+    if config.export.noise == "tracker" and scenario.provenance == "human":
+        _LOG.warning("%s: people labelled it, so export.noise adds nothing", scenario.folder)
+    elif config.export.noise == "tracker":
         clean, tracks = tracks, with_noise(scene, tracks, [one.course for one in vehicles], seed)
     focal = scenario.focal_track_id
     if config.request.focal == "generated":

@@ -186,11 +186,11 @@ _Told = Iterator[tuple[bool, str]]
 def _config_rules(sidecar: Sidecar, config: Config) -> _Told:
     same = sidecar.config_sha256 == config_sha256(config) and config_to_dict(config) == sidecar.config
     yield not same, f"config_sha256 {sidecar.config_sha256[:12]}..., expected that of config"
-    known, noise = config.request.behaviours, config.export.noise
-    for policy in sorted({agent.policy for agent in sidecar.agents}):
-        yield policy not in known, f"policy {policy!r}, expected one of {', '.join(known)}"
-    other = any((agent.clean is not None) != (noise != "none") for agent in sidecar.agents)
-    yield other, f"export.noise {noise}, expected clean states of {'no' if noise == 'none' else 'all'} agents"
+    noisy = config.export.noise != "none" and sidecar.recording.provenance == "tracker"
+    for policy in sorted({agent.policy for agent in sidecar.agents} - {*config.request.behaviours}):
+        yield True, f"policy {policy!r}, expected one of {', '.join(config.request.behaviours)}"
+    other = any((agent.clean is not None) != noisy for agent in sidecar.agents)
+    yield other, f"expected clean states of {'all' if noisy else 'no'} agents, by export.noise and the recording"
 
 
 def _scene_rules(sidecar: Sidecar, generated_ids: Set[str]) -> _Told:
