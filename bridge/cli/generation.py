@@ -255,6 +255,9 @@ def print_batch(rows: Sequence["ManifestRow"], request: "Request") -> None:
     )
     if events:
         print(f"events done: {sum(row.events_done for row in done)} of {events}")
+    if request.entering:
+        entered, straight = (sum(each) for each in ((row.entered for row in done), (row.straight for row in done)))
+        print(f"entered: {entered} of {straight} that go straight, {request.entering:.0%} asked for")
 
 
 def _line(row: "ManifestRow", request: "Request", *, with_events: bool) -> tuple[object, ...]:
@@ -265,7 +268,8 @@ def _line(row: "ManifestRow", request: "Request", *, with_events: bool) -> tuple
     placed, met = f"{row.placed} of {row.asked}", row.placed
     if request.is_near_agents:
         placed, met = f"{placed}, {row.near} near", row.near
-    if row.asked == "max" or met < int(row.asked):
+    placed += f", {row.entered} entered" if request.entering else ""
+    if row.asked == "max" or met < int(row.asked) or row.entered < round(request.entering * row.straight):
         said["candidates rejected"] = row.rejected
     remarks = "; ".join(f"{what}: {_first(reasons)}" for what, reasons in said.items() if reasons)
     by_kind = row.left_turn, row.right_turn, row.lane_change, row.overtake

@@ -254,6 +254,7 @@ def _sidecar(
             agents=len(agents),
             behaviours={p: count for p in config.request.behaviours if (count := placed[p])},
             near=records.near_count(scene, vehicles),
+            entered=sum(record.spawn.timestep > 0 for record in agents),
         ),
         agents=tuple(agents),
         unmet=tuple(records.unmet_records(filling.unmet[:most_unmet])),

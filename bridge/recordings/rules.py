@@ -197,6 +197,8 @@ def _scene_rules(sidecar: Sidecar, generated_ids: Set[str]) -> _Told:
     """Vehicles and events of a sidecar against its sums and against the generated tracks of the rows."""
     agents, placed = sidecar.agents, sidecar.placed
     yield placed.agents != len(agents), f"placed.agents {placed.agents}, but {len(agents)} agents"
+    entered = sum(one.spawn.timestep > 0 for one in agents)
+    yield placed.entered != entered, f"placed.entered {placed.entered}, but {entered} agents"
     counts = Counter(agent.policy for agent in agents)
     for policy in dict.fromkeys((*Policy, *counts, *placed.behaviours)):
         told = placed.behaviours.get(policy, 0)

@@ -84,11 +84,12 @@ class RequestedRecord(_Record):
 
 
 class PlacedRecord(_Record):
-    """Vehicles exported; count by policy; near: of them those near to what request.near names, where that is told."""
+    """Vehicles exported; count by policy; of them those near to what request.near names; that entered after step 0."""
 
     agents: int = Field(ge=0)
     behaviours: Mapping[Policy, int]
     near: int = Field(default=0, ge=0)
+    entered: int = Field(default=0, ge=0)
 
 
 class SpawnRecord(_Record):

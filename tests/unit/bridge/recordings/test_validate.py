@@ -199,6 +199,7 @@ def _event(**told: Any) -> Callable[[dict[str, Any]], Any]:
     [
         (lambda document: document.pop("replay"), "replay: Field required"),
         (lambda document: document["placed"].update(agents=3), "placed.agents 3, but 2 agents"),
+        (lambda document: document["placed"].update(entered=1), "placed.entered 1, but 0 agents"),
         (lambda document: document["placed"]["behaviours"].update(straight=1), "placed.behaviours.straight 1, but 0"),
         (lambda document: document.update(config_sha256="0" * 64), "expected that of config"),
         (lambda document: document["config"]["request"].update(agents=-1), "request.agents = -1"),
