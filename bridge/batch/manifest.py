@@ -48,7 +48,7 @@ class ManifestRow(NamedTuple):
     are kept, dropped or recorded that brake harder than 3 m/s2, or stand, at some time; limited_*: share of steps in
     which one was limited for a conflict; near: of those placed, those within request.within_m of what request.near
     names: of traffic at any step, of named agents at the last observed one; entered: of those placed, those that are
-    not there from the first step. Texts are printable, on one line and bounded.
+    not there from the first step; focal: policy that a generated focal track does. Texts are printable and bounded.
     """
 
     scenario: str
@@ -96,6 +96,7 @@ class ManifestRow(NamedTuple):
     events: str = ""
     near: int = 0
     entered: int = 0
+    focal: str = ""
 
     @property
     def asked(self) -> str:

@@ -62,6 +62,7 @@ def summarise(sidecar: Sidecar, row: ManifestRow) -> ManifestRow:
         placed=sidecar.placed.agents,
         near=sidecar.placed.near,
         entered=sidecar.placed.entered,
+        focal=sidecar.placed.focal or "",
         **dict[str, Any](done),  # columns have the names of the kinds
         straight=sidecar.placed.behaviours.get(Policy.STRAIGHT, 0),
         maneuvers_requested=len(maneuvers),

@@ -256,8 +256,10 @@ def print_batch(rows: Sequence["ManifestRow"], request: "Request") -> None:
     if events:
         print(f"events done: {sum(row.events_done for row in done)} of {events}")
     if request.entering:
-        entered, straight = (sum(each) for each in ((row.entered for row in done), (row.straight for row in done)))
-        print(f"entered: {entered} of {straight} that go straight, {request.entering:.0%} asked for")
+        print(f"entered: {sum(row.entered for row in done)} of {sum(row.straight for row in done)} that go straight")
+    if request.focal == "generated":
+        does = sum(row.focal not in ("", "straight") for row in done)
+        print(f"focal tracks that do a manoeuvre: {does} of {len(done)}")
 
 
 def _line(row: "ManifestRow", request: "Request", *, with_events: bool) -> tuple[object, ...]:

@@ -9,6 +9,7 @@ import logging
 import shutil
 import sys
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import import_module
 from importlib.util import find_spec
@@ -27,6 +28,7 @@ from bridge.files import data_folder, make_folder, write_json, write_rows
 from bridge.forecasting import predictions as scoring
 from bridge.forecasting.compose import COMPOSITION, VALIDATION, compose
 from bridge.forecasting.composition import CONTROLS, HID2_ONLY, Composition, Controls, Draw, Split
+from bridge.forecasting.places import generated_sidecar
 from bridge.pages import parts as pages
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.sources import find_sources
@@ -283,7 +285,7 @@ def _differences(
 
 _READINGS: Mapping[Reading, str] = {
     "recorded": "the recorded focal track, among more vehicles",
-    "generated": "an inserted vehicle that does its manoeuvre among many neighbours",
+    "generated": "an inserted vehicle, one that does its manoeuvre where any does, among many neighbours",
     "both": "the recorded focal track in one half of the generated scenes, an inserted one in the other",
 }
 
@@ -303,11 +305,14 @@ def _write(
     names2 = [f"{on}_{key}" for on in (RECORDED, HID2) for key in _COLUMNS]
     names3 = [f"{key}_{bound}" for bound in scoring.BOUNDS for key in _COLUMNS]
     differences = _differences(runs, source_of, params)
+    sidecars = map(generated_sidecar, find_scenarios(validation / HID2 / "val"))
+    focal = Counter(one.placed.focal for one in sidecars if one is not None and one.placed.focal)
     main = ("hid2", RECORDED, "all scenes", "min_fde_m")  # by this the page says what its numbers can show
     content: dict[str, Any] = {
         "experiment": "prediction",
         "seeds": {name: len(found) for name, found in runs[RECORDED].items()},
         "reading": reading,
+        "focal": focal,
         "table2": _table(PAPER_TABLE2, table2, names2, source_of, params),
         "table3": _table(PAPER_TABLE3, table3, names3, source_of, params),
         "differences": [one._asdict() for one in differences],

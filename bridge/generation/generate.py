@@ -27,6 +27,7 @@ from hid2.insertion.filling import Filling
 from hid2.insertion.finalise import ExportedVehicle, traffic_of_exported
 from hid2.insertion.surroundings import Surroundings
 from hid2.insertion.tracker_noise import with_noise
+from hid2.measures.arrays import is_generated_id
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
 from hid2.scene import Scene
@@ -83,13 +84,15 @@ class PreparedScene:
 def prepare(source: Recording | TrafficScene, config: Config) -> PreparedScene:
     """Grid of a recorded scene.
 
-    Errors: MapError; ScenarioError where it is not plausible, or was generated; ConfigError for what is no scene.
+    Errors: MapError; ScenarioError where it is not plausible, was generated, or has ids gen_*; ConfigError for no scene.
     """
     scenario = source.recording if isinstance(source, TrafficScene) else source
     if not isinstance(scenario, Recording):  # a path, mostly
         raise ConfigError(f"source {str(source)[:200]!r}: expected a scene, as read_scene(path) gives it")
     if scenario.sidecar is not None:
         raise ScenarioError(f"{scenario.folder}: vehicles are inserted already; expected the recorded scene")
+    for name in (one.track_id for one in scenario.tracks if is_generated_id(one.track_id)):
+        raise ScenarioError(f"{scenario.folder}: track {name!r}: ids gen_* are inserted vehicles'; rename the track")
     if config.source.plausible:
         check_plausible(scenario)
     return PreparedScene(scenario, grid_of(scenario, config), config)
@@ -134,7 +137,7 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
     focal = scenario.focal_track_id
     if config.request.focal == "generated":
         focal = _focal(scenario, vehicles, tracks, filling)
-    sidecar = _sidecar(prepared, filling, vehicles, clean, rounds, variant=variant, sumo_version=sumo_version)
+    sidecar = _sidecar(prepared, filling, vehicles, clean, rounds, focal, variant=variant, sumo_version=sumo_version)
     made = with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=focal)
     return TrafficScene(made, scenario, tuple(vehicles), tuple(rounds.driven))
 
@@ -215,7 +218,7 @@ def _focal(scenario: Recording, vehicles: Sequence[ExportedVehicle], tracks: Seq
 
 def _sidecar(
     prepared: PreparedScene, filling: Filling, vehicles: Sequence[ExportedVehicle], clean: Sequence[Track],
-    rounds: _Rounds, *, variant: int, sumo_version: str,
+    rounds: _Rounds, focal_track_id: str, *, variant: int, sumo_version: str,
 ) -> Sidecar:  # fmt: skip
     scene, config = filling.scene, filling.scene.config
     names = {one.driven.vehicle_id: f"gen_{row}" for row, one in enumerate(vehicles)}
@@ -229,7 +232,9 @@ def _sidecar(
     if clean:
         told = [StatesRecord.of(track) for track in clean]
         agents = [agent.model_copy(update={"clean": states}) for agent, states in zip(agents, told, strict=True)]
-    placed = Counter(record.policy for record in agents)
+    placed, focal = Counter(record.policy for record in agents), None
+    for record in (one for one in agents if one.track_id == focal_track_id):
+        focal = record.policy if any(one.status == "done" for one in record.maneuvers) else Policy.STRAIGHT
     # `max` asks for more than the road holds: what it could not hold was not wished for
     most_unmet = placed[Policy.STRAIGHT] if config.request.agents == "max" else None
     return Sidecar(
@@ -255,6 +260,7 @@ def _sidecar(
             behaviours={p: count for p in config.request.behaviours if (count := placed[p])},
             near=records.near_count(scene, vehicles),
             entered=sum(record.spawn.timestep > 0 for record in agents),
+            focal=focal,
         ),
         agents=tuple(agents),
         unmet=tuple(records.unmet_records(filling.unmet[:most_unmet])),

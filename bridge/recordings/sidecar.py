@@ -84,12 +84,16 @@ class RequestedRecord(_Record):
 
 
 class PlacedRecord(_Record):
-    """Vehicles exported; count by policy; of them those near to what request.near names; that entered after step 0."""
+    """Vehicles exported; count by policy; those near to what request.near names; that entered after step 0.
+
+    focal: policy of a generated focal track, straight where it does not do its manoeuvre.
+    """
 
     agents: int = Field(ge=0)
     behaviours: Mapping[Policy, int]
     near: int = Field(default=0, ge=0)
     entered: int = Field(default=0, ge=0)
+    focal: Policy | None = None
 
 
 class SpawnRecord(_Record):

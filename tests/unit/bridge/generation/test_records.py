@@ -70,14 +70,15 @@ def test_vehicles_near_to_what_was_named_are_counted_by_positions(arterial, near
     assert 0 < wanted < len(scene.generated)
 
 
-def test_what_enters_is_counted_in_sidecar_manifest_and_table(arterial, capsys):
-    """One of three overtakes; of the two that go straight, and were all to enter, one does."""
-    request = Request(agents=3, entering=1.0)
+def test_what_enters_and_what_the_focal_track_does_is_in_sidecar_manifest_and_table(arterial, capsys):
+    """One of three is to overtake; of the two that go straight, and were all to enter, one does."""
+    request = Request(agents=3, entering=1.0, focal="generated")
     made = generate(arterial, Config(request=request))
     row = summarise(made.sidecar, ManifestRow("arterial", "val", 0, 0, DONE, requested="3"))
     assert row.entered == sum(own.timesteps[0] > 0 for own in made.generated) == 1
-    print_batch([row], request)
+    print_batch([row, row._replace(focal="straight")], request)
     told = capsys.readouterr().out
     assert "3 of 3, 1 entered" in told
     assert "candidates rejected: " in told
-    assert "\nentered: 1 of 2 that go straight, 100% asked for\n" in told
+    assert "\nentered: 2 of 4 that go straight\nfocal tracks that do a manoeuvre: 1 of 2\n" in told
+    assert row.focal == "overtake"
