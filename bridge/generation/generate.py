@@ -84,7 +84,7 @@ class PreparedScene:
 def prepare(source: Recording | TrafficScene, config: Config) -> PreparedScene:
     """Grid of a recorded scene.
 
-    Errors: MapError; ScenarioError where it is not plausible, was generated, or has ids gen_*; ConfigError for no scene.
+    Errors: MapError; ScenarioError where it is not plausible, was generated or has ids gen_*; ConfigError for no scene.
     """
     scenario = source.recording if isinstance(source, TrafficScene) else source
     if not isinstance(scenario, Recording):  # a path, mostly
@@ -163,9 +163,8 @@ class _Rounds:
     def drive_alone(self, scene: Scene, stop_lines: StopLines, start: Start, kept: Traffic) -> DrivenVehicle:
         """One vehicle by the rules of a scene of its own, which may differ from the others': that of an event."""
         roads = self._filling.surroundings.roads
-        (vehicle,) = FleetSimulation(
-            Fleet(scene, [start], kept, roads, stop_lines), self._simulation, checked=False
-        ).run()
+        fleet = Fleet(scene, [start], kept, roads, stop_lines)
+        (vehicle,) = FleetSimulation(fleet, self._simulation, checked=False).run()
         self.driven.append((0, vehicle))
         return vehicle
 
@@ -210,9 +209,7 @@ def _focal(scenario: Recording, vehicles: Sequence[ExportedVehicle], tracks: Seq
         if track.timesteps.size == scenario.num_steps
     ]
     if not through:
-        raise ScenarioError(
-            f"{scenario.folder}: no generated vehicle lives through the scene; expected one as focal track"
-        )
+        raise ScenarioError(f"{scenario.folder}: no generated vehicle lives to its end; expected one as focal track")
     return max(through)[-1]
 
 

@@ -84,10 +84,7 @@ class RequestedRecord(_Record):
 
 
 class PlacedRecord(_Record):
-    """Vehicles exported; count by policy; those near to what request.near names; that entered after step 0.
-
-    focal: policy of a generated focal track, straight where it does not do its manoeuvre.
-    """
+    """Vehicles exported; by policy; near what request.near names; entered after step 0; policy that a focal does."""
 
     agents: int = Field(ge=0)
     behaviours: Mapping[Policy, int]
