@@ -74,9 +74,8 @@ def facts_of_scenes(
 
 def describe(params: Forecasting, folder: Path) -> SourceScene:
     """Read one scene, by all rules that its readers have. Errors: ScenarioError, MapError, as of `read_scenario`."""
-    _check_fixed(folder)
-    scene = read_scenario(folder)
-    sidecar, (cells, block) = scene.sidecar, _ground(scene.graph, params)
+    sidecar, scene = generated_sidecar(folder), read_scenario(folder)
+    cells, block = _ground(scene.graph, params)
     return SourceScene(
         folder=folder,
         scenario_id=scene.scenario_id,
@@ -94,14 +93,9 @@ def describe(params: Forecasting, folder: Path) -> SourceScene:
 
 def generated_sidecar(folder: Path) -> Sidecar | None:
     """The sidecar of a generated scene; None for a recorded one. Errors: ScenarioError."""
-    _check_fixed(folder)
-    return sidecar_in(folder)
-
-
-def _check_fixed(folder: Path) -> None:
-    """Errors: ScenarioError for a scene in which recorded vehicles react."""
     if word_for_recorded(folder.name) != "recorded":
         raise ScenarioError(f"{folder}: {REACTIVE}")
+    return sidecar_in(folder)
 
 
 def _ground(graph: LaneGraph, params: Forecasting) -> tuple[bytes, tuple[int, int]]:

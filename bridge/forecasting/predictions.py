@@ -370,12 +370,10 @@ def compare_predictions(
             runs.setdefault(name, []).append(scores)
             left_out += [f"{name}: {reason}" for reason in reasons]
     first, *others = runs
-    pairs = [(name, first) for name in others]
-    found = differences_of(pairs, runs, bands(bounds), sources_of(scenes), Forecasting())
+    found = differences_of([(name, first) for name in others], runs, bands(bounds), sources_of(scenes), Forecasting())
     if not any(difference.tracks for difference in found):
         raise ScenarioError(f"{scenes}: no track is forecast by every file, nothing to compare")
-    *head, _ = Difference._fields
-    write_rows(report_dir / "comparison.csv", head, (one[:-1] for one in found))
+    write_rows(report_dir / "comparison.csv", Difference._fields[:-1], (one[:-1] for one in found))
     rows = rows_of(found)
     pages.write_page(report_dir / "comparison.html", "comparison.html.j2", head=HEAD, rows=rows, left_out=left_out)
     return found, left_out
