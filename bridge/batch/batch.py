@@ -191,9 +191,7 @@ def with_own(jobs: Sequence[SceneJob], functions: Collection[str]) -> Sequence[S
     for name, key in sorted(named.items()):
         check_function(name, functions, where=key)
         if name.startswith("__main__:"):
-            raise ConfigError(
-                f"{key} = {name!r}: a batch does not find it in a script; put it into a module of its own"
-            )
+            raise ConfigError(f"{key} = {name!r}: a batch finds nothing in a script; put it into a module of its own")
     if not configs:
         return jobs
     from hid2.policy.behaviours import load_own  # only where there are any

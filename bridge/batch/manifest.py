@@ -43,12 +43,12 @@ class ManifestRow(NamedTuple):
     events: those that came about, with time, gap and criticality; rejected, not_done: "reason (count)" joined by "; ";
     failure: error, exception, crashed, killed, timeout or memory; bundle: file that reproduces the failure, below the
     output folder; *_sha256: contents of the source's and of the written files, and of the file of a lane-change rule
-    of the user's own; version: of the program, by its contents too (`code_version`); platform,
-    processor: where it ran; driven: vehicles, of which those placed are a selection; braking_*, standing_*: share
-    of the vehicles that are kept, dropped or recorded that brake harder than 3 m/s2, or stand, at some time;
-    limited_*: share of steps in which one was limited for a conflict; near: of those placed, those within
-    request.within_m of what request.near names: of traffic at any step, of named agents at the last observed one.
-    Texts are printable, on one line and bounded.
+    of the user's own; version: of the program, by its contents too (`code_version`); platform, processor: where it
+    ran; driven: vehicles, of which those placed are a selection; braking_*, standing_*: share of the vehicles that
+    are kept, dropped or recorded that brake harder than 3 m/s2, or stand, at some time; limited_*: share of steps in
+    which one was limited for a conflict; near: of those placed, those within request.within_m of what request.near
+    names: of traffic at any step, of named agents at the last observed one; entered: of those placed, those that are
+    not there from the first step; focal: policy that a generated focal track does. Texts are printable and bounded.
     """
 
     scenario: str
@@ -95,6 +95,8 @@ class ManifestRow(NamedTuple):
     limited_dropped: float = 0.0
     events: str = ""
     near: int = 0
+    entered: int = 0
+    focal: str = ""
 
     @property
     def asked(self) -> str:

@@ -61,6 +61,8 @@ def summarise(sidecar: Sidecar, row: ManifestRow) -> ManifestRow:
     return row._replace(
         placed=sidecar.placed.agents,
         near=sidecar.placed.near,
+        entered=sidecar.placed.entered,
+        focal=sidecar.placed.focal or "",
         **dict[str, Any](done),  # columns have the names of the kinds
         straight=sidecar.placed.behaviours.get(Policy.STRAIGHT, 0),
         maneuvers_requested=len(maneuvers),
@@ -90,9 +92,8 @@ def _selection(sidecar: Sidecar) -> dict[str, Any]:
     assert told is not None
     found: dict[str, Any] = {"driven": told.driven}
     for name, of in told:
-        found |= {
-            f"{what}_{name}": round(getattr(of, what) / max(1, of.vehicles), 4) for what in ("braking", "standing")
-        }
+        for what in ("braking", "standing"):
+            found[f"{what}_{name}"] = round(getattr(of, what) / max(1, of.vehicles), 4)
         if of is not told.recorded:
             found[f"limited_{name}"] = round(of.limited / max(1, of.steps), 4)
     return found
@@ -100,5 +101,4 @@ def _selection(sidecar: Sidecar) -> dict[str, Any]:
 
 def join_counts(counts: Mapping[str, int]) -> str:
     """One text "reason (count); ...", most frequent first."""
-    ordered = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
-    return "; ".join(f"{reason} ({count})" for reason, count in ordered)
+    return "; ".join(f"{one} ({counts[one]})" for one in sorted(counts, key=lambda one: (-counts[one], one)))

@@ -246,15 +246,19 @@ def print_batch(rows: Sequence["ManifestRow"], request: "Request") -> None:
         print_table("Generated scenes", listed, [_line(row, request, with_events=with_events) for row in rows])
     done = [row for row in rows if row.status == DONE]
     asked = "" if any(row.asked == "max" for row in done) else f" of {sum(int(row.asked) for row in done)}"
-    events = sum(row.events_requested for row in done)
     target = f"{request.near} at the last observed step" if request.is_near_agents else "traffic"
     print(
         f"{len(done)} of {len(rows)} scenes done; vehicles placed: {sum(row.placed for row in done)}{asked}, "
         f"{sum(row.near for row in done)} of them within {request.within_m:g} m of {target}; "
         f"manoeuvres done: {sum(row.maneuvers_done for row in done)} of {sum(row.maneuvers_requested for row in done)}"
     )
-    if events:
+    if events := sum(row.events_requested for row in done):
         print(f"events done: {sum(row.events_done for row in done)} of {events}")
+    if request.entering:
+        print(f"entered: {sum(row.entered for row in done)} of {sum(row.straight for row in done)} that go straight")
+    if request.focal == "generated":
+        does = sum(row.focal not in ("", "straight") for row in done)
+        print(f"focal tracks that do a manoeuvre: {does} of {len(done)}")
 
 
 def _line(row: "ManifestRow", request: "Request", *, with_events: bool) -> tuple[object, ...]:
@@ -265,7 +269,8 @@ def _line(row: "ManifestRow", request: "Request", *, with_events: bool) -> tuple
     placed, met = f"{row.placed} of {row.asked}", row.placed
     if request.is_near_agents:
         placed, met = f"{placed}, {row.near} near", row.near
-    if row.asked == "max" or met < int(row.asked):
+    placed += f", {row.entered} entered" if request.entering else ""
+    if row.asked == "max" or met < int(row.asked) or row.entered < round(request.entering * row.straight):
         said["candidates rejected"] = row.rejected
     remarks = "; ".join(f"{what}: {_first(reasons)}" for what, reasons in said.items() if reasons)
     by_kind = row.left_turn, row.right_turn, row.lane_change, row.overtake

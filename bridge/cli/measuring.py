@@ -93,9 +93,7 @@ def calibrate(
 
 @options.command(reads=("scenes",), folders=("out",))
 def resimulate(
-    scenes: list[Path] = options.argument(
-        "SCENE...", "Recorded scenes, two at least: scenario folders, splits or roots."
-    ),
+    scenes: list[Path] = options.argument("SCENE...", "Recorded scenes, two or more: scenario folders, splits, roots."),
     out: Path = options.OUT,
     *,
     seeds: int = options.option("Rollouts of each scene.", 32, "N", min=1),
@@ -170,9 +168,7 @@ def public(
     page = read_public(file)
     activity.doing("driving roads")
     report = run_public(page, out, how, on_row=notes_of(activity, out, go_on="the same command continues"))
-    activity.note(
-        f"{counted(report.runs, 'run')} that took {report.seconds:.0f} s in all, {report.failed or 'none'} failed"
-    )
+    activity.note(f"{counted(report.runs, 'run')} in {report.seconds:.0f} s in all, {report.failed or 'none'} failed")
     activity.result(*report.files)
     return bool(report.failed)
 
@@ -202,9 +198,7 @@ def make(
         return
     for name, value in given.items():
         option = "--" + name.removesuffix("_m")
-        raise ConfigError(
-            f"{option} {value:g}: {road.name} has its own; leave {option} out, or edit a copy of the file"
-        )
+        raise ConfigError(f"{option} {value:g}: {road.name} has its own; leave {option} out, or edit a copy of it")
     print(write_road(out, road))
 
 
@@ -343,6 +337,8 @@ def compose(
     With SOURCEs one root is made, split by place, a tenth for validation. A composition can make several, the control
     experiments among them, with other splits, densities, layouts and seeds.
     """
+    if check and out is not None:
+        raise ConfigError(f"-o {out} does nothing with --check, which makes nothing; leave it out")
     if check:
         return _check([Path(text) for text in sources], activity, jobs=jobs, as_json=as_json)
     if out is None:
@@ -358,9 +354,9 @@ def compose(
     check_scenes([Path(place) for places in found.sources.values() for place in places])
     made = make(found, out, jobs=jobs, on_scene=activity.step)
     _tell_left_out("left out", made.left_out, activity)
-    rows = [(name or ".", *map(str, counts.values())) for name, counts in made.counts.items()]
+    rows = [(name or ".", *counts.values()) for name, counts in made.counts.items()]
     activity.table(f"{out}: scenes", ("data set", "train", "val", "test"), rows, as_json=as_json)
-    return False
+    return bool(made.unread)
 
 
 def _check(roots: list[Path], activity: Activity, *, jobs: int, as_json: bool) -> bool:
@@ -390,7 +386,7 @@ def forecast(
     seed: int = options.option("Seed of weights and batches.", 0, "N", min=0),
     resume: bool = options.running("Go on from MODEL/checkpoint.pt.", False),
     activity: Activity,
-) -> None:
+) -> bool:
     """Train a small forecaster and write its forecasts of the focal tracks (needs the extra `forecast`).
 
     VectorNet with six futures: an instrument to compare data sets with, no state of the art.
@@ -403,11 +399,12 @@ def forecast(
     from hid2.params import Forecasting
 
     updates = updates or Forecasting().updates
-    targets = []
+    targets, unread = [], []
     for place in (root / "train", scenes or root / "val"):
         activity.doing(f"reading {place}")
         found, left_out = features.features_of(find_scenarios(place), on_scene=activity.show)
         targets.append(found)
+        unread += left_out
         _tell_left_out("not used", left_out, activity)
     if not any(target.focal for target in targets[1]):
         raise ScenarioError(f"{place}: no focal track to forecast")
@@ -420,3 +417,4 @@ def forecast(
     path = write_forecasts(network.forecast(model, targets[1]), out / "predictions.parquet")
     activity.end()
     print(path)
+    return bool(unread)

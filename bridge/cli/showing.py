@@ -5,7 +5,7 @@ from shlex import quote
 from shutil import copytree, ignore_patterns
 
 from bridge.cli import options
-from bridge.cli.places import one_scene, recordings, select_scenes
+from bridge.cli.places import one_scene, recordings, select_scenes, tell_unread
 from bridge.console import Activity, print_json, print_table, say
 from bridge.files import data_folder, explained
 from netconvert.errors import ConfigError
@@ -22,7 +22,7 @@ def view(
     seed: int = options.selection("Seed of --sample.", 0, "N", min=0),
     windows: options.Windows,
     activity: Activity,
-) -> None:
+) -> bool:
     """Write scenes as one HTML file that a browser plays, without a network: what each vehicle did, and why."""
     activity.doing("looking for scenes")
     from bridge.pages.viewer import view_scenes
@@ -31,7 +31,10 @@ def view(
     check_ending(out, (".html",))
     found = select_scenes(recordings(scenes, windows, activity), which, seed, activity, jobs=1)
     activity.doing("packing scenes")
-    activity.result(view_scenes(found, out, on_scene=activity.show))
+    page, unread = view_scenes(found, out, on_scene=activity.show)
+    tell_unread(unread)
+    activity.result(page)
+    return bool(unread)
 
 
 @options.command(reads=("scene",), files=("out",))

@@ -292,7 +292,7 @@ def _maneuver_rows(seen: Sequence[Maneuver], sidecar: Sidecar | None) -> list[Ro
     return [
         {
             "track_id": track_id,
-            "group": "generated" if record or is_generated_id(str(track_id)) else "original",
+            "group": "generated" if record or (sidecar and is_generated_id(str(track_id))) else "original",
             "kind": kind,
             "recorded": record is not None,
             **{name: getattr(record, name, None) for name in _RECORD},

@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 from bridge.batch.engine import OnDone
 from bridge.config import copy_id
 from bridge.files import explained, untabled, write_rows, write_text
-from bridge.forecasting.composition import Composition, Draw
+from bridge.forecasting.composition import Composition, Count, Draw
 from bridge.forecasting.places import Leak, SourceScene, facts_of_scenes, leaks_between, split_by_place, stratum
 from bridge.interruption import hidden_folder, remove_abandoned
 from bridge.recordings.export import parquet_bytes
@@ -55,11 +55,12 @@ class Origin(NamedTuple):
 
 
 class Composed(NamedTuple):
-    """What was made: scenes by data set and split, and lines on what was left out."""
+    """What was made: scenes by data set and split, and lines on what was left out; unread: those on broken scenes."""
 
     root: Path
     counts: dict[str, dict[str, int]]
     left_out: tuple[str, ...]
+    unread: tuple[str, ...]
 
 
 def compose(
@@ -88,6 +89,10 @@ def compose(
         if there and not drawn:
             way = f"set split.{split} = 0 or add" if composition.split.by == "place" else "add"
             pool.left_out.insert(0, f"{there} scenes held out for {split}, which no {table} takes; {way} [{table}]")
+        elif split == "val" and composition.validation and composition.split.by == "place" and not there:
+            pool.left_out.insert(
+                0, "no scene held out for val: all are of one place or recording; add scenes of others"
+            )
     total = sum(len(scenes) for splits in roots.values() for scenes in splits.values())
     done = 0
     with explained(root):
@@ -109,7 +114,7 @@ def compose(
             root.rmdir()  # empty
         made.rename(root)
     counts = {name: {split: len(scenes) for split, scenes in splits.items()} for name, splits in roots.items()}
-    return Composed(root, counts, tuple(pool.left_out))
+    return Composed(root, counts, tuple(pool.left_out), tuple(pool.unread))
 
 
 class _Pool:
@@ -119,29 +124,28 @@ class _Pool:
         self._params, self._composition = Forecasting(), composition
         places = [(Path(place), name) for name, folders in composition.sources.items() for place in folders]
         found = [(folder, name) for place, name in places for folder in find_scenarios(place)]
-        facts, self.left_out = facts_of_scenes([folder for folder, _ in found], jobs=jobs, on_scene=tell)
-        source_of, usable = dict(found), []
+        facts, self.unread = facts_of_scenes([folder for folder, _ in found], jobs=jobs, on_scene=tell)
+        self.left_out, source_of, usable = [*self.unread], dict(found), []
         seen: dict[tuple[str, str], SourceScene] = {}
         for fact in facts:
             name = source_of[fact.folder]
             other = seen.setdefault((name, fact.scenario_id), fact)
             if other != fact:  # a folder that comes twice is one scene
-                raise ConfigError(
-                    f"{other.folder} and {fact.folder} are both scene {fact.scenario_id!r}; leave one out"
-                )
+                raise ConfigError(f"{other.folder} and {fact.folder} are both {fact.scenario_id!r}; leave one out")
             if fact.steps < MAX_STEPS and not (composition.split.by == "folder" and split_of(fact.folder) == "test"):
-                self.left_out.append(
-                    f"{fact.folder}: {fact.steps} of {MAX_STEPS} steps, no future to learn or to score"
-                )
+                self.left_out.append(f"{fact.folder}: {fact.steps} of {MAX_STEPS} steps, no future to learn or score")
             elif fact.kind == "generated" and not fact.inserted:
                 self.left_out.append(f"{fact.folder}: no vehicle was inserted, it is {fact.source_id} once more")
             else:
                 usable.append(fact)
         if not usable:
-            where, first = ", ".join(str(place) for place, _ in places), self.left_out[:1]
-            raise NoSceneError(
-                f"{where}: no scene that can be used; {', '.join(first)} ({len(self.left_out)} left out)"
-            )
+            where, first = ", ".join(str(place) for place, _ in places), ", ".join(self.left_out[:1])
+            raise NoSceneError(f"{where}: no scene that can be used; {first} ({len(self.left_out)} left out)")
+        for name, count in composition.only.items():
+            there = [fact for fact in usable if source_of[fact.folder] == name]
+            taken = self._stratified(there, self._number(count, there, name, "scenes"), f"only {name}")
+            dropped = {fact.folder for fact in there} - {fact.folder for fact in taken}
+            usable = [fact for fact in usable if fact.folder not in dropped]
         self.scenes: dict[tuple[str, str], list[SourceScene]] = defaultdict(list)
         for split, rows in self._split(usable).items():
             for row in rows:
@@ -188,14 +192,7 @@ class _Pool:
         agents: Callable[[SourceScene], int] = attrgetter("tracks" if draw.min_agents_in == "all" else "observed")
         for source in draw.sources:
             there = [fact for fact in self.scenes[split, source] if agents(fact) >= draw.min_agents]
-            count = draw.take.get(source, 0)
-            wanted = len(there) if count == "all" else round(count * len(there)) if isinstance(count, float) else count
-            if wanted > len(there):
-                places = ", ".join(self._composition.sources[source])
-                raise ConfigError(
-                    f"{where}: {wanted} scenes of {source!r} ({places}) asked for in {split}, {len(there)} are there "
-                    f"({len(self.left_out)} scenes of all sources were left out); ask for fewer, or for all"
-                )
+            wanted = self._number(draw.take.get(source, 0), there, source, f"{where}: {split}")
             taken = self._stratified(there, wanted, f"{split} {source}")
             chosen = {fact.scenario_id for fact in taken}
             left = _densest((fact for fact in there if fact.scenario_id not in chosen), agents)
@@ -217,6 +214,16 @@ class _Pool:
             both = " and ".join(scene.folder for scene in scenes if scene.scenario_id == twice[0])
             raise ConfigError(f"{where}: scene {twice[0]} is in two of the sources, {both}; leave it out of one")
         return scenes
+
+    def _number(self, count: Count, there: Sequence[SourceScene], source: str, where: str) -> int:
+        """How many scenes of those of a source are asked for. Errors: ConfigError where there are too few."""
+        wanted = len(there) if count == "all" else round(count * len(there)) if isinstance(count, float) else count
+        if wanted > len(there):
+            raise ConfigError(
+                f"{where}: {wanted} of {source!r} ({', '.join(self._composition.sources[source])}) asked for, "
+                f"{len(there)} are there ({len(self.left_out)} of all sources were left out); ask for fewer, or for all"
+            )
+        return wanted
 
     def _shuffled(self, facts: Sequence[SourceScene], what: str) -> list[SourceScene]:
         """In an order drawn for each purpose apart, so that a further data set changes no other."""

@@ -112,15 +112,16 @@ class Controls(_Part):
 class Composition(_Part):
     """The whole file.
 
-    sources: folders, one or several, by name; sets: training sets by name, ROOT/NAME/train, or ROOT/train where there
-    is but one; validation: validation sets by name, ROOT/validation/NAME/val; the first of them is the val of every
-    set. test: ROOT/[NAME/]test of every set.
+    sources: folders, one or several, by name; only: so many scenes of a source, drawn before the split; sets: training
+    sets by name, ROOT/NAME/train, or ROOT/train where there is but one; validation: validation sets by name,
+    ROOT/validation/NAME/val; the first of them is the val of every set. test: ROOT/[NAME/]test of every set.
     """
 
     seed: int = Field(default=0, ge=0)
     layout: Literal["av2", "qcnet"] = "av2"
     split: Split = Split()
     sources: Mapping[Name, Annotated[tuple[str, ...], BeforeValidator(_placed)]] = Field(min_length=1)
+    only: Mapping[Name, Count] = Field(default_factory=dict)
     sets: Mapping[Name, Draw] = Field(default_factory=dict)
     controls: Controls | None = None
     validation: Mapping[Name, Draw] = Field(default_factory=dict)
@@ -135,6 +136,7 @@ class Composition(_Part):
             raise ValueError(f"sets: the name {(sorted(twice) or ['validation'])[0]!r} is taken, expected another one")
         draws = {f"sets.{name}": draw for name, draw in self.all_sets(1).items()}
         draws |= {f"validation.{name}": draw for name, draw in self.validation.items()} | {"test": self.test}
+        draws["only"] = Draw(take=self.only)
         for where, draw in draws.items():
             unknown = sorted(set(draw.sources) - set(self.sources))
             if unknown:
@@ -152,10 +154,9 @@ class Composition(_Part):
 
 
 def composition_of_sources(texts: Sequence[str]) -> Composition:
-    """One data set of SOURCE[:N] each: N of its scenes, some of them for validation. Errors: ConfigError."""
+    """One data set of SOURCE[:N] each, of which those for validation are drawn together. Errors: ConfigError."""
     sources: dict[str, tuple[str]] = {}
-    left: dict[str, Any] = {}
-    held_out: dict[str, Any] = {}
+    only: dict[str, Any] = {}
     for number, text in enumerate(texts):
         place, separator, count = text.rpartition(":")
         if not separator or Path(text).exists():
@@ -165,9 +166,7 @@ def composition_of_sources(texts: Sequence[str]) -> Composition:
             _counted(value)
         except ValueError as error:
             raise ConfigError(f"{text!r}: expected SOURCE or SOURCE:N, N being {error}") from None
-        sources[name], left[name], held_out[name] = (place,), value, value
-        if isinstance(value, int):
-            held_out[name] = max(1, round(value * Split().val)) if value > 1 else 0
-            left[name] = value - held_out[name]
-    sets = {"sets": {"all": {"take": left}}, "validation": {"all": {"take": held_out}}}
-    return Composition.model_validate({"sources": sources, **sets})
+        sources[name], only[name] = (place,), value
+    sets = {"all": {"take": dict.fromkeys(sources, "all")}}
+    only = {name: value for name, value in only.items() if value != "all"}
+    return Composition.model_validate({"sources": sources, "only": only, "sets": sets, "validation": sets})

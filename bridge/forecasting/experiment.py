@@ -5,9 +5,11 @@ forecaster is trained on each with every seed, the same number of updates each; 
 are scored and compared in pairs. Forecasts from elsewhere on a composed root take the place of the first three steps.
 """
 
+import logging
 import shutil
 import sys
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import import_module
 from importlib.util import find_spec
@@ -26,6 +28,7 @@ from bridge.files import data_folder, make_folder, write_json, write_rows
 from bridge.forecasting import predictions as scoring
 from bridge.forecasting.compose import COMPOSITION, VALIDATION, compose
 from bridge.forecasting.composition import CONTROLS, HID2_ONLY, Composition, Controls, Draw, Split
+from bridge.forecasting.places import generated_sidecar
 from bridge.pages import parts as pages
 from bridge.recordings.folders import find_scenarios
 from bridge.recordings.sources import find_sources
@@ -33,6 +36,7 @@ from hid2.params import Config, Forecasting, Request
 from hid2.resampling import Estimate
 from netconvert.errors import BatchError, ConfigError, ScenarioError
 
+_LOG = logging.getLogger(__name__)
 #: Which track of a generated scene is forecast: the recorded focal one, an inserted one, or both in turn by variant.
 Reading = Literal["recorded", "generated", "both"]
 #: Training sets of the tables.
@@ -144,7 +148,8 @@ def _composed(scenes: Sequence[Path], out: Path, plan: TrainingPlan, *, jobs: in
     if not there or any(made.values()) or (root / COMPOSITION).read_text(encoding="utf-8") != text:
         if there:  # of another composition, or of scenes that have been made anew since
             shutil.rmtree(root)
-        compose(composition, root, jobs=jobs, on_scene=tell)
+        for line in compose(composition, root, jobs=jobs, on_scene=tell).unread:
+            _LOG.warning("left out: %s", line)
     return root
 
 
@@ -280,7 +285,7 @@ def _differences(
 
 _READINGS: Mapping[Reading, str] = {
     "recorded": "the recorded focal track, among more vehicles",
-    "generated": "an inserted vehicle that does its manoeuvre among many neighbours",
+    "generated": "an inserted vehicle, one that does its manoeuvre where any does, among many neighbours",
     "both": "the recorded focal track in one half of the generated scenes, an inserted one in the other",
 }
 
@@ -300,11 +305,14 @@ def _write(
     names2 = [f"{on}_{key}" for on in (RECORDED, HID2) for key in _COLUMNS]
     names3 = [f"{key}_{bound}" for bound in scoring.BOUNDS for key in _COLUMNS]
     differences = _differences(runs, source_of, params)
+    sidecars = map(generated_sidecar, find_scenarios(validation / HID2 / "val"))
+    focal = Counter(one.placed.focal for one in sidecars if one is not None and one.placed.focal)
     main = ("hid2", RECORDED, "all scenes", "min_fde_m")  # by this the page says what its numbers can show
     content: dict[str, Any] = {
         "experiment": "prediction",
         "seeds": {name: len(found) for name, found in runs[RECORDED].items()},
         "reading": reading,
+        "focal": focal,
         "table2": _table(PAPER_TABLE2, table2, names2, source_of, params),
         "table3": _table(PAPER_TABLE3, table3, names3, source_of, params),
         "differences": [one._asdict() for one in differences],

@@ -10,20 +10,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pyarrow.compute as pc
 
 from bridge.batch.engine import OnDone, sorted_out, work_on_each
 from bridge.config import word_for_recorded
-from bridge.recordings.folders import MAP_PATTERN, PARQUET_PATTERN, only_file, source_id
-from bridge.recordings.map_rules import read_document
-from bridge.recordings.scenario import OBSERVED_STEPS, log_of, read_table
+from bridge.recordings.scenario import OBSERVED_STEPS, log_of, read_scenario
 from bridge.recordings.sidecar import REACTIVE, Sidecar, sidecar_in
 from hid2.params import Forecasting
-from netconvert.errors import MapError, ScenarioError
-from netconvert.lane_graph import joined
+from netconvert.errors import ScenarioError
+from netconvert.lane_graph import LaneGraph, joined
 
-#: Lines of a lane segment of which the points tell where a map lies.
-_LINES = ("centerline", "left_lane_boundary", "right_lane_boundary")
 #: Cells a side of the square in which the cells of a city are numbered.
 _SIDE = 1 << 20
 
@@ -78,24 +73,18 @@ def facts_of_scenes(
 
 
 def describe(params: Forecasting, folder: Path) -> SourceScene:
-    """Read what is needed of one scene. Errors: ScenarioError, MapError with file, value and what was expected."""
-    parquet, map_path = only_file(folder, PARQUET_PATTERN, ScenarioError), only_file(folder, MAP_PATTERN, MapError)
-    table = read_table(parquet)
-    scenario_id = str(table.column("scenario_id")[0])
-    if scenario_id != source_id(folder):
-        raise ScenarioError(f"{parquet}: scenario_id {scenario_id!r}, expected the id in the file's name")
-    track, timestep = table.column("track_id"), table.column("timestep")
-    at_end = track.filter(pc.equal(timestep, OBSERVED_STEPS - 1))
-    sidecar, (cells, block) = generated_sidecar(folder), _ground(map_path, params)
+    """Read one scene, by all rules that its readers have. Errors: ScenarioError, MapError, as of `read_scenario`."""
+    sidecar, scene = generated_sidecar(folder), read_scenario(folder)
+    cells, block = _ground(scene.graph, params)
     return SourceScene(
         folder=folder,
-        scenario_id=scenario_id,
-        source_id=scenario_id if sidecar is None else sidecar.source_scenario_id,
-        city=str(table.column("city")[0]),
-        steps=int(pc.max(timestep).as_py()) + 1,
-        tracks=int(pc.count_distinct(track).as_py()),
-        observed=int(pc.count_distinct(at_end).as_py()),
-        log=log_of(table),
+        scenario_id=scene.scenario_id,
+        source_id=scene.scenario_id if sidecar is None else sidecar.source_scenario_id,
+        city=scene.city,
+        steps=scene.num_steps,
+        tracks=len(scene.tracks),
+        observed=sum(OBSERVED_STEPS - 1 in track.timesteps for track in scene.tracks),
+        log=log_of(scene.table),
         cells=cells,
         block=block,
         inserted=0 if sidecar is None else len(sidecar.agents),
@@ -109,16 +98,9 @@ def generated_sidecar(folder: Path) -> Sidecar | None:
     return sidecar_in(folder)
 
 
-def _ground(path: Path, params: Forecasting) -> tuple[bytes, tuple[int, int]]:
-    """Cells and block of a map. Errors: MapError."""
-    try:
-        lanes = read_document(path)["lane_segments"].values()
-        lines = [lane.get(name) or () for lane in lanes for name in _LINES]
-        points = np.array([(point["x"], point["y"]) for line in lines for point in line], dtype=np.float64)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise MapError(f"{path}: no map of Argoverse 2 ({type(error).__name__}: {error})") from error
-    if not len(points) or not np.isfinite(points).all():
-        raise MapError(f"{path}: no lane segment with finite points, expected at least one")
+def _ground(graph: LaneGraph, params: Forecasting) -> tuple[bytes, tuple[int, int]]:
+    """Cells and block of the points of a map's lanes."""
+    points = np.concatenate([line for lane in graph.lanes.values() for line in (lane.centerline, *lane.sides)])
     cell = np.floor(points / params.place_cell_m).astype(np.int64) + _SIDE // 2
     middle = np.floor((points.min(axis=0) + points.max(axis=0)) / 2 / params.block_m).astype(int)
     return np.unique(cell[:, 0] * _SIDE + cell[:, 1]).tobytes(), (int(middle[0]), int(middle[1]))

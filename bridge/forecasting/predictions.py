@@ -27,7 +27,7 @@ from bridge.recordings.recording import Rows
 from bridge.recordings.scenario import MAX_STEPS, OBSERVED_STEPS, read_rows
 from hid2.agents import FloatArray, IntArray, Track
 from hid2.params import Forecasting
-from hid2.resampling import Estimate, draws, interval
+from hid2.resampling import UNITS_LEAST, Estimate, draws, interval
 from netconvert.errors import ConfigError, ScenarioError
 
 Baseline = Literal["constant-velocity", "constant-turn-rate"]
@@ -250,7 +250,7 @@ class Difference(NamedTuple):
     """A model minus another one, on the tracks that all of their files forecast; se: its standard error.
 
     sources: recorded scenes behind them, which are drawn; detectable: least difference that such a comparison finds
-    four times in five (two-sided test at 5 %), None with fewer than two sources, or where all differ by the same.
+    four times in five (two-sided test at 5 %), None with fewer than UNITS_LEAST, or where all differ by the same.
     """
 
     model: str
@@ -269,7 +269,7 @@ class Difference(NamedTuple):
 
 def mean_of(runs: Runs, source_of: Mapping[str, str], metric: MetricKey, params: Forecasting) -> Estimate:
     """Mean of a metric of one model."""
-    return _bootstrap(*_aligned([runs], source_of, metric), params)[0]
+    return _bootstrap(*_aligned([runs], source_of, metric), params, metric)[0]
 
 
 def differences_of(
@@ -281,7 +281,7 @@ def differences_of(
     for (name, other), (called, band), metric in itertools.product(pairs, bands.items(), METRICS):
         mine, theirs = ([run.query(band) for run in runs[one]] for one in (name, other))
         values, source = _aligned([mine, theirs], source_of, metric)
-        estimate, se = _bootstrap(values, source, params)
+        estimate, se = _bootstrap(values, source, params, metric)
         detectable = (_Z_TEST + _Z_POWER) * se if se else None
         counts = len(source), len(np.unique(source))
         seeds = len(mine), len(theirs)
@@ -301,18 +301,21 @@ def _aligned(
     return np.split(np.ascontiguousarray(values.to_numpy(float).T), seeds), source
 
 
-def _bootstrap(values: Sequence[FloatArray], source: IntArray, params: Forecasting) -> tuple[Estimate, float | None]:
+def _bootstrap(
+    values: Sequence[FloatArray], source: IntArray, params: Forecasting, metric: MetricKey
+) -> tuple[Estimate, float | None]:
     """Mean of the first values less that of the others, and its standard error.
 
     Sources are drawn for all at once, seeds for each. Drawing S seeds again varies their mean by (S - 1) / S of what
-    other seeds would: their deviations are stretched by the root of the inverse.
+    other seeds would: their deviations are stretched by the root of the inverse. The interval is cut to what there can
+    be, a distance of 0 or more or a rate up to 1: no less often does it hold the truth. The error is of all draws.
     """
     if not len(source):
         return Estimate(None), None
     signs = (1.0, *[-1.0] * (len(values) - 1))
     value = sum(sign * float(each.mean()) for sign, each in zip(signs, values, strict=True))
     counts = np.bincount(source).astype(np.float64)
-    if len(counts) < 2:
+    if len(counts) < UNITS_LEAST:
         return Estimate(value), None
     random = np.random.default_rng(0)
     sums = [np.array([np.bincount(source, weights=run) for run in each]) for each in values]
@@ -325,8 +328,9 @@ def _bootstrap(values: Sequence[FloatArray], source: IntArray, params: Forecasti
             chosen, middle = np.take_along_axis(means, seeds, axis=1).mean(axis=1), means.mean(axis=1)
             result += sign * (middle + (chosen - middle) * np.sqrt(len(own) / max(1, len(own) - 1)))
         drawn.append(result)
-    every = np.concatenate(drawn)
-    return interval(value, every), float(every.std(ddof=1))
+    every, most = np.concatenate(drawn), 1.0 if metric == "missed" else np.inf
+    possible = np.clip(every, 0.0 if len(values) == 1 else -most, most)
+    return interval(value, possible), float(every.std(ddof=1))
 
 
 def parse_models(texts: Sequence[str]) -> dict[str, list[Path]]:
@@ -366,12 +370,10 @@ def compare_predictions(
             runs.setdefault(name, []).append(scores)
             left_out += [f"{name}: {reason}" for reason in reasons]
     first, *others = runs
-    pairs = [(name, first) for name in others]
-    found = differences_of(pairs, runs, bands(bounds), sources_of(scenes), Forecasting())
+    found = differences_of([(name, first) for name in others], runs, bands(bounds), sources_of(scenes), Forecasting())
     if not any(difference.tracks for difference in found):
         raise ScenarioError(f"{scenes}: no track is forecast by every file, nothing to compare")
-    *head, _ = Difference._fields
-    write_rows(report_dir / "comparison.csv", head, (one[:-1] for one in found))
+    write_rows(report_dir / "comparison.csv", Difference._fields[:-1], (one[:-1] for one in found))
     rows = rows_of(found)
     pages.write_page(report_dir / "comparison.html", "comparison.html.j2", head=HEAD, rows=rows, left_out=left_out)
     return found, left_out

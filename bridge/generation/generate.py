@@ -27,6 +27,7 @@ from hid2.insertion.filling import Filling
 from hid2.insertion.finalise import ExportedVehicle, traffic_of_exported
 from hid2.insertion.surroundings import Surroundings
 from hid2.insertion.tracker_noise import with_noise
+from hid2.measures.arrays import is_generated_id
 from hid2.occupancy.traffic import Traffic
 from hid2.params import Config
 from hid2.scene import Scene
@@ -83,13 +84,15 @@ class PreparedScene:
 def prepare(source: Recording | TrafficScene, config: Config) -> PreparedScene:
     """Grid of a recorded scene.
 
-    Errors: MapError; ScenarioError where it is not plausible, or was generated; ConfigError for what is no scene.
+    Errors: MapError; ScenarioError where it is not plausible, was generated or has ids gen_*; ConfigError for no scene.
     """
     scenario = source.recording if isinstance(source, TrafficScene) else source
     if not isinstance(scenario, Recording):  # a path, mostly
         raise ConfigError(f"source {str(source)[:200]!r}: expected a scene, as read_scene(path) gives it")
     if scenario.sidecar is not None:
         raise ScenarioError(f"{scenario.folder}: vehicles are inserted already; expected the recorded scene")
+    for name in (one.track_id for one in scenario.tracks if is_generated_id(one.track_id)):
+        raise ScenarioError(f"{scenario.folder}: track {name!r}: ids gen_* are inserted vehicles'; rename the track")
     if config.source.plausible:
         check_plausible(scenario)
     return PreparedScene(scenario, grid_of(scenario, config), config)
@@ -127,12 +130,14 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
     vehicles = sorted(filling.kept, key=lambda one: one.driven.start.request.number)
     tracks = [one.track(f"gen_{row}", config.request.generated_category) for row, one in enumerate(vehicles)]
     clean: list[Track] = []
-    if config.export.noise == "tracker":
+    if config.export.noise == "tracker" and scenario.provenance == "human":
+        _LOG.warning("%s: people labelled it, so export.noise adds nothing", scenario.folder)
+    elif config.export.noise == "tracker":
         clean, tracks = tracks, with_noise(scene, tracks, [one.course for one in vehicles], seed)
     focal = scenario.focal_track_id
     if config.request.focal == "generated":
         focal = _focal(scenario, vehicles, tracks, filling)
-    sidecar = _sidecar(prepared, filling, vehicles, clean, rounds, variant=variant, sumo_version=sumo_version)
+    sidecar = _sidecar(prepared, filling, vehicles, clean, rounds, focal, variant=variant, sumo_version=sumo_version)
     made = with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=focal)
     return TrafficScene(made, scenario, tuple(vehicles), tuple(rounds.driven))
 
@@ -158,9 +163,8 @@ class _Rounds:
     def drive_alone(self, scene: Scene, stop_lines: StopLines, start: Start, kept: Traffic) -> DrivenVehicle:
         """One vehicle by the rules of a scene of its own, which may differ from the others': that of an event."""
         roads = self._filling.surroundings.roads
-        (vehicle,) = FleetSimulation(
-            Fleet(scene, [start], kept, roads, stop_lines), self._simulation, checked=False
-        ).run()
+        fleet = Fleet(scene, [start], kept, roads, stop_lines)
+        (vehicle,) = FleetSimulation(fleet, self._simulation, checked=False).run()
         self.driven.append((0, vehicle))
         return vehicle
 
@@ -205,15 +209,13 @@ def _focal(scenario: Recording, vehicles: Sequence[ExportedVehicle], tracks: Seq
         if track.timesteps.size == scenario.num_steps
     ]
     if not through:
-        raise ScenarioError(
-            f"{scenario.folder}: no generated vehicle lives through the scene; expected one as focal track"
-        )
+        raise ScenarioError(f"{scenario.folder}: no generated vehicle lives to its end; expected one as focal track")
     return max(through)[-1]
 
 
 def _sidecar(
     prepared: PreparedScene, filling: Filling, vehicles: Sequence[ExportedVehicle], clean: Sequence[Track],
-    rounds: _Rounds, *, variant: int, sumo_version: str,
+    rounds: _Rounds, focal_track_id: str, *, variant: int, sumo_version: str,
 ) -> Sidecar:  # fmt: skip
     scene, config = filling.scene, filling.scene.config
     names = {one.driven.vehicle_id: f"gen_{row}" for row, one in enumerate(vehicles)}
@@ -227,7 +229,9 @@ def _sidecar(
     if clean:
         told = [StatesRecord.of(track) for track in clean]
         agents = [agent.model_copy(update={"clean": states}) for agent, states in zip(agents, told, strict=True)]
-    placed = Counter(record.policy for record in agents)
+    placed, focal = Counter(record.policy for record in agents), None
+    for record in (one for one in agents if one.track_id == focal_track_id):
+        focal = record.policy if any(one.status == "done" for one in record.maneuvers) else Policy.STRAIGHT
     # `max` asks for more than the road holds: what it could not hold was not wished for
     most_unmet = placed[Policy.STRAIGHT] if config.request.agents == "max" else None
     return Sidecar(
@@ -252,6 +256,8 @@ def _sidecar(
             agents=len(agents),
             behaviours={p: count for p in config.request.behaviours if (count := placed[p])},
             near=records.near_count(scene, vehicles),
+            entered=sum(record.spawn.timestep > 0 for record in agents),
+            focal=focal,
         ),
         agents=tuple(agents),
         unmet=tuple(records.unmet_records(filling.unmet[:most_unmet])),

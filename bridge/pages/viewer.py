@@ -37,7 +37,7 @@ from hid2.occupancy.sigma import cell_boxes, original_occupancy
 from hid2.policy.behaviours import BEHAVIOURS, behaviour_seen
 from hid2.reasons import Reason
 from netconvert.cells import build_cell_grid
-from netconvert.errors import ScenarioError
+from netconvert.errors import MapError, ScenarioError
 from netconvert.lane_graph import LaneGraph, LaneSegment
 
 #: Quantum of metres and of what is made of them, and of headings, rad.
@@ -56,20 +56,30 @@ SAID = {"source_scenario_id", "seed", "variant", "requested", "placed", "agents"
 
 def view_scenes(
     addresses: Sequence[Address], out_file: Path, *, on_scene: Callable[[int, int], None] | None = None
-) -> Path:
+) -> tuple[Path, list[tuple[Address, str]]]:
     """Write scenes, recorded or generated, as one HTML file without outside references, in the order given.
 
-    on_scene(done, total) is called after each. Errors: ScenarioError, MapError; ExportError where it cannot be written.
+    on_scene(done, total) is called after each. Returns the file, and what cannot be read and is left out, with reasons.
+    Errors: ScenarioError where no scene can be read; ExportError where the file cannot be written.
     """
+    unread: list[tuple[Address, str]] = []
 
     def documents() -> Iterator[dict[str, Any]]:
         for number, address in enumerate(addresses, 1):
-            yield scene_document(read_recording(address))
+            try:
+                document = scene_document(read_recording(address))
+            except (ScenarioError, MapError) as error:
+                unread.append((address, str(error)))
+            else:
+                yield document
             if on_scene is not None:
                 on_scene(number, len(addresses))
 
-    write_text(out_file, page_of(documents()))
-    return out_file
+    page = page_of(documents())
+    if len(unread) == len(addresses):
+        raise ScenarioError(unread[0][1])
+    write_text(out_file, page)
+    return out_file, unread
 
 
 def page_of(documents: Iterable[Mapping[str, Any]]) -> str:

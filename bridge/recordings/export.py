@@ -30,10 +30,8 @@ def with_generated(
 
     Its rows are the source's, bit for bit, and behind them those of the generated tracks, in the source's columns and
     types. Changed in recorded ones: scenario_id, and where the focal track is another one, focal_track_id and the
-    category of the former. Errors: ExportError where the id of a generated track is taken.
+    category of the former.
     """
-    if taken := {track.track_id for track in generated} & {track.track_id for track in scenario.tracks}:
-        raise ExportError(f"generated track {min(taken)!r}: the id is taken, expected one of its own")
     table, recorded = scenario.table, scenario.tracks
     ids = {"scenario_id": new_id, "focal_track_id": focal_track_id}
     changed = {name: pa.repeat(value, table.num_rows) for name, value in ids.items()}

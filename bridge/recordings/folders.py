@@ -166,7 +166,7 @@ def only_file(folder: Path, pattern: str, error: type[ScenarioError | MapError])
     found = sorted(folder.glob(pattern))
     if len(found) != 1:
         have = f"{len(found)} files" if found else "no"
-        raise error(f"{have} {pattern.replace('*', '<id>')} in {folder}; expected exactly one")
+        raise error(f"{have} {pattern.replace('*', '<id>')} in {folder}; expected exactly one: add or remove files")
     return found[0]
 
 

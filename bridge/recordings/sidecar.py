@@ -84,11 +84,13 @@ class RequestedRecord(_Record):
 
 
 class PlacedRecord(_Record):
-    """Vehicles exported; count by policy; near: of them those near to what request.near names, where that is told."""
+    """Vehicles exported; by policy; near what request.near names; entered after step 0; policy that a focal does."""
 
     agents: int = Field(ge=0)
     behaviours: Mapping[Policy, int]
     near: int = Field(default=0, ge=0)
+    entered: int = Field(default=0, ge=0)
+    focal: Policy | None = None
 
 
 class SpawnRecord(_Record):

@@ -115,7 +115,8 @@ SENSOR_LOG = Reader(
     find=_find_windows,
     files=lambda log: [*sorted(log.path.glob(folders.ANNOTATIONS))[:1], log.path / folders.POSES, *log_maps(log.path)],
     lacks="Sensor logs have no focal and scored tracks and no centrelines of lanes: the longest path of a vehicle that "
-    "is seen throughout is focal, centrelines run midway between the boundaries",
+    "is seen throughout is focal, centrelines run midway between the boundaries; people labelled the boxes, and "
+    "export.noise adds nothing",
     takes=("window", "stride"),
 )
 #: Folders with parquet and map, which `bridge.recordings.scenario` reads. Those that hid2 writes are in this format.
@@ -158,9 +159,7 @@ def find_recordings(paths: Sequence[Path], choices: Choices | None = None, *, ge
             raise NoSceneError(f"{one_line(str(path), most=200)}: cannot be looked into ({error.strerror})") from error
         if not there:
             raise nothing_at(path)
-        wanted_there = (
-            there if generated else [one for one in there if isinstance(one, Source) or not folders.is_generated(one)]
-        )
+        wanted_there = [one for one in there if generated or isinstance(one, Source) or not folders.is_generated(one)]
         if not wanted_there:
             raise NoSceneError(f"{path}: holds generated scenes only (with hid2_<id>.json); give recorded ones")
         if len(wanted_there) < len(there):
@@ -197,10 +196,8 @@ def nothing_at(path: Path) -> NoSceneError:
         said = "no such folder, expected a scenario folder, a split folder or a data-set root"
     else:
         files = "scenario_<id>.parquet (Argoverse 2), <number>.csv (Argoverse 1) or annotations.feather (sensor log)"
-        said = (
-            folders.other_data(path, depth=DEPTH)
-            or f"no scenario; expected {files} in it or one to three folders below"
-        )
+        said = folders.other_data(path, depth=DEPTH)
+        said = said or f"no scenario; expected {files} in it or one to three folders below"
     return NoSceneError(f"{path}: {said}")
 
 

@@ -38,9 +38,17 @@ def test_help_lists_every_command_and_is_quick(new_hid2: Run) -> None:
     assert [command for command in COMMANDS if command not in result.stdout] == []
 
 
-def test_view_writes_one_page_of_several_folders(hid2: Run, generated: Path, data_root: Path, tmp_path: Path) -> None:
-    result = hid2("view", generated, data_root, "-o", tmp_path / "page.html")
-    assert (result.returncode, result.stdout) == (0, f"{tmp_path / 'page.html'}\n")
+def test_view_writes_one_page_of_several_folders(
+    hid2: Run, generated: Path, data_root: Path, tmp_path: Path, copy_scene: Callable[..., Path]
+) -> None:
+    """Of a scene without its map it tells, and shows the others; alone it is an error, and there is no page."""
+    broken = copy_scene("curve")
+    next(broken.glob("log_map_archive_*.json")).unlink()
+    result = hid2("view", generated, broken, data_root, "-o", tmp_path / "page.html")
+    assert (result.returncode, result.stdout) == (1, f"{tmp_path / 'page.html'}\n")
+    assert f"no log_map_archive_<id>.json in {broken}; expected exactly one: add" in result.stderr
+    assert hid2("view", broken, "-o", tmp_path / "none.html").returncode == 1
+    assert not (tmp_path / "none.html").exists()
     assert (tmp_path / "page.html").read_text().count('class="packed"') == 4
     few = hid2("view", data_root, "--city", "austin", "--sample", 1, "-o", tmp_path / "one.html", "-q")
     assert (few.returncode, few.stdout, few.stderr) == (0, "", "")
@@ -167,7 +175,7 @@ def test_a_root_is_composed_and_checked(hid2: Run, data_root: Path, tmp_path: Pa
     root = tmp_path / "root"
     result = hid2("compose", data_root, "-o", root, "--json", "-q")
     assert result.returncode == 0, result.stderr
-    assert json.loads(result.stdout) == [{"data set": ".", "train": "2", "val": "1", "test": "0"}]
+    assert json.loads(result.stdout) == [{"data set": ".", "train": 2, "val": 1, "test": 0}]
     (held_out,) = (root / "val").iterdir()
     shutil.copytree(held_out, root / "train" / held_out.name)
     result = hid2("compose", "--check", root)

@@ -113,6 +113,7 @@ ORDER = [
     ("paper prediction -o out --predictions av2", "--predictions", "needs --composed ROOT", "data sets"),
     ("paper prediction -o out --map m", "--map", "does nothing in prediction", "expected it with"),
     ("resimulate av2 -o out --take-out one --write 1", "--write", "--take-out one", "all"),
+    ("compose --check av2 -o out", "-o out", "--check", "leave"),
     ("compose av2:many -o out", "av2:many", "SOURCE", "SOURCE:N"),
     ("compose av2 -o out --val 0.2", "option", "--val", "composition|file|layout"),
     ("generate av2 -o out --event cross --target av --target=focal", "--target", "given 2 times", "it holds one value"),

@@ -11,12 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recordings import LOG_ID, make_log
-from written import edit_json, made_up_sidecar
+from written import edit_json, edit_rows, made_up_sidecar
 
 import bridge.evaluation.totals as totals_module
 from bridge.evaluation.evaluate import evaluate_folder, write_report
 from bridge.evaluation.scene_metrics import measure, measure_folder
 from bridge.evaluation.totals import Evaluation, SourceSums, Totals, estimate
+from bridge.generation.generate import prepare
 from bridge.recordings.folders import Choices, find_scenarios
 from bridge.recordings.scenario import read_scenario
 from bridge.recordings.sidecar import EventRecord
@@ -201,8 +202,16 @@ def test_result_does_not_depend_on_jobs(report, made_root, data_root, tmp_path):
 
 @pytest.mark.usefixtures("no_critics")
 def test_recorded_scenes_alone_are_evaluated_and_their_maps_read_as_those_of_a_source_are(copy_scene, tmp_path):
-    """What generate refuses is left out here too, with the same words, and the other scenes are measured."""
-    spoilt, _ = copy_scene("curve"), copy_scene("arterial")
+    """What generate refuses is left out here too, with the same words, and the other scenes are measured.
+
+    A recorded track with an id as inserted ones have is none of these; nothing is inserted beside it.
+    """
+    spoilt, named = copy_scene("curve"), copy_scene("arterial")
+    edit_rows(
+        named, lambda rows: rows.replace({"track_id": {rows.track_id[rows.object_category == 1].iloc[0]: "gen_0"}})
+    )
+    with pytest.raises(ScenarioError, match=f"{named.name}: track 'gen_0': .*; rename the track"):
+        prepare(read_scenario(named), Config())
     edit_json(next(spoilt.glob("log_map_archive_*.json")), lambda document: document["drivable_areas"].clear())
     with pytest.raises(MapError, match="no drivable area, expected at least one") as refused:
         read_scenario(spoilt)

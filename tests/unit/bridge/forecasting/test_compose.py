@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from breaches import breaches
-from written import write_fake
+from written import edit_json, edit_rows, in_first_lane, write_fake
 
+from bridge.cli import measuring
+from bridge.console import Activity
 from bridge.forecasting.compose import check_leaks, compose
 from bridge.forecasting.composition import CONTROLS, HID2_ONLY, Composition, composition_of_sources
 from bridge.forecasting.places import SourceScene, groups_of, split_by_place
@@ -191,6 +193,19 @@ def test_a_generated_scene_without_an_inserted_vehicle_is_left_out(data_root, ge
     assert scenario.scenario_id in " ".join(composed(mixed(data_root, generated), tmp_path / "root").left_out)
 
 
+@pytest.mark.parametrize(("rows", "lane"), [({"velocity_x": np.inf}, {}), ({"object_type": "-"}, {}), ({}, {"id": 1})])
+def test_a_scene_that_its_readers_refuse_is_in_no_data_set_and_told(data_root, tmp_path, capsys, rows, lane):
+    """An infinite velocity, an unknown type, a broken map: two of three scenes are left, one of each split, and 1."""
+    root, command = shutil.copytree(data_root, tmp_path / "data"), measuring.compose.function
+    broken, *_ = find_scenarios(root)
+    edit_rows(broken, lambda table: table.assign(**rows))
+    edit_json(next(broken.glob("log_map*")), in_first_lane(lambda first: first.update(lane)))
+    out = tmp_path / "mix"
+    assert command([str(root)], out=out, check=False, jobs=1, as_json=True, activity=Activity(quiet=True)) is True
+    assert capsys.readouterr().err.startswith(f"hid2: warning: left out: {broken}/")
+    assert [len(find_scenarios(out / split)) for split in ("train", "val")] == [1, 1]
+
+
 @pytest.mark.parametrize(("split", "way"), [({"val": 0.34}, "set split.val = 0 or add"), ({"by": "folder"}, "add")])
 def test_scenes_held_out_that_no_validation_takes_are_told(data_root, tmp_path, split, way):
     values = {"sources": {"data": (str(data_root),)}, "split": split, "sets": {"a": {"take": {"data": "all"}}}}
@@ -258,7 +273,7 @@ def test_a_share_of_a_source_is_drawn(data_root, tmp_path):
     values = {"sources": {"data": (str(data_root),)}, "sets": {"a": {"take": {"data": 0.5}}}, "split": {"val": 0.0}}
     assert composed(values, tmp_path / "root").counts == {"": {"train": 2, "val": 0, "test": 0}}
     made = composition_of_sources(["here:0.5", "there:7", "all"])
-    assert list(made.sets["all"].take.values()) == [0.5, 6, "all"]
+    assert dict(made.only) == {"source-0": 0.5, "source-1": 7}
     with pytest.raises(ConfigError, match=r"'here:1\.5': expected SOURCE or SOURCE:N"):
         composition_of_sources(["here:1.5"])
 
@@ -291,7 +306,7 @@ def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
         with pytest.raises(ConfigError, match=message):
             model_of(Composition, values, "C.toml")
     values = {"sources": source, "sets": {"a": {"take": {"data": 4}}}, "split": {"val": 0.0}}
-    with pytest.raises(ConfigError, match=r"sets\.a: 4 scenes of 'data' \(.*\) asked for in train, 3 are there"):
+    with pytest.raises(ConfigError, match=r"sets\.a: train: 4 of 'data' \(.*\) asked for, 3 are there"):
         composed(values, tmp_path / "root")
     assert not (tmp_path / "root").exists()
     (tmp_path / "full" / "something").mkdir(parents=True)
@@ -315,8 +330,11 @@ def test_what_cannot_be_composed_is_explained(data_root, tmp_path):
         composed(twice | {"split": {"val": 0.0}}, tmp_path / "r")
 
 
-def test_a_file_and_the_command_line_say_the_same(data_root, tmp_path):
-    """One data set of all, a tenth of the three held out: one, as each has its place; one of two as well, two of 20."""
+def test_a_file_and_the_command_line_say_the_same(data_root, generated, tmp_path):
+    """One data set of all, a tenth of the three held out: one, as each has its place. One of any two as well.
+
+    Where none is asked for of one source, that of the other is held out, and not what nothing asks for.
+    """
     (tmp_path / "c.toml").write_text(
         f'[sources]\nsource-0 = "{data_root}"\n[sets.all.take]\nsource-0 = "all"\n'
         '[validation.all.take]\nsource-0 = "all"\n'
@@ -325,7 +343,14 @@ def test_a_file_and_the_command_line_say_the_same(data_root, tmp_path):
     written = read_toml_as(Composition, tmp_path / "c.toml", "a composition")
     assert line.model_dump() == written.model_dump()
     assert compose(line, tmp_path / "a").counts == {"": {"train": 2, "val": 1, "test": 0}}
-    numbered = composition_of_sources([f"{data_root}:2", "more:20"])
-    assert dict(numbered.sets["all"].take) == {"source-0": 1, "source-1": 18}
-    assert dict(numbered.validation["all"].take) == {"source-0": 1, "source-1": 2}
+    for few, every in ((2, 0), (0, 2), (0, 3)):
+        asked = composition_of_sources([f"{data_root}:{few}", f"{generated}:{every}"])
+        made = compose(asked, tmp_path / f"{few} and {every}")
+        assert (made.counts, made.left_out) == ({"": {"train": few + every - 1, "val": 1, "test": 0}}, ())
+    (told,) = compose(composition_of_sources([f"{data_root}:1"]), tmp_path / "one").left_out
+    assert told.startswith("no scene held out for val: all are of one place")
+    with pytest.raises(
+        ConfigError, match=r"scenes: 4 of 'source-0' \(.*\) asked for, 3 are there .*; ask for fewer, or"
+    ):
+        compose(composition_of_sources([f"{data_root}:4", str(generated)]), tmp_path / "many")
     assert json.loads((tmp_path / "a" / "composition.json").read_text())["sources"] == {"source-0": [str(data_root)]}

@@ -273,6 +273,14 @@ def test_seeds_are_drawn_too():
     assert found.se == pytest.approx(1 / np.sqrt(3), rel=0.06)
 
 
+def test_intervals_are_of_three_scenes_at_least_and_within_what_a_metric_can_be():
+    """One seed misses in all of three scenes, one in the first: other seeds may miss in all of them, never in more."""
+    runs = tables([[score(name, 3.0) for name in "abc"], [score("a", 3.0), score("b", 1.0), score("c", 1.0)]])
+    rate = predictions.mean_of(runs, {}, "missed", PARAMS)
+    assert (rate.value, rate.high) == (pytest.approx(2 / 3), 1.0)
+    assert predictions.mean_of([run.head(2) for run in runs], {}, "missed", PARAMS) == (0.75, None, None)
+
+
 def test_only_tracks_that_every_file_forecasts_count():
     mine = [[score("a", 1.0), score("b", 9.0)]]
     theirs = [[score("a", 2.0), score("c", 9.0)]]

@@ -1,8 +1,11 @@
-"""What the sidecar says of manoeuvres, of the replay and of what is near; claims are seen in tests/real."""
+"""What the sidecar says of manoeuvres, of the replay, of what is near and enters; claims are seen in tests/real."""
 
 import numpy as np
 import pytest
 
+from bridge.batch.manifest import DONE, ManifestRow
+from bridge.batch.scene_work import summarise
+from bridge.cli.generation import print_batch
 from bridge.generation.generate import generate, prepare
 from bridge.generation.scene import TrafficScene
 from bridge.recordings.scenario import read_scenario
@@ -47,7 +50,7 @@ def test_replay_of_every_recorded_agent_is_measured_where_that_is_asked_for(arte
         np.testing.assert_array_equal(one.position, other.position)
 
 
-@pytest.mark.parametrize(("near", "within_m", "steps"), [("focal", 15.0, [49]), ("traffic", 4.0, range(110))])
+@pytest.mark.parametrize(("near", "within_m", "steps"), [("focal", 25.0, [49]), ("traffic", 4.0, range(110))])
 def test_vehicles_near_to_what_was_named_are_counted_by_positions(arterial, near: str, within_m: float, steps):
     """A focal track counts at the last observed step alone, moving traffic at any."""
     scene = generate(arterial, Config(request=Request(agents=6, near=near, within_m=within_m)))
@@ -65,3 +68,17 @@ def test_vehicles_near_to_what_was_named_are_counted_by_positions(arterial, near
     wanted = sum(any(is_near(own, other) for other in moving) for own in scene.generated)
     assert scene.sidecar.placed.near == wanted
     assert 0 < wanted < len(scene.generated)
+
+
+def test_what_enters_and_what_the_focal_track_does_is_in_sidecar_manifest_and_table(arterial, capsys):
+    """One of three is to overtake; of the two that go straight, and were all to enter, one does."""
+    request = Request(agents=3, entering=1.0, focal="generated")
+    made = generate(arterial, Config(request=request))
+    row = summarise(made.sidecar, ManifestRow("arterial", "val", 0, 0, DONE, requested="3"))
+    assert row.entered == sum(own.timesteps[0] > 0 for own in made.generated) == 1
+    print_batch([row, row._replace(focal="straight")], request)
+    told = capsys.readouterr().out
+    assert "3 of 3, 1 entered" in told
+    assert "candidates rejected: " in told
+    assert "\nentered: 2 of 4 that go straight\nfocal tracks that do a manoeuvre: 1 of 2\n" in told
+    assert row.focal == "overtake"

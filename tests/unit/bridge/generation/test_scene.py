@@ -115,6 +115,7 @@ def test_the_inserted_focal_track_does_its_manoeuvre_and_has_the_most_neighbours
     }
     assert counts[made.recording.focal_track_id] == max(counts.values())
     assert len(counts) > 1
+    assert made.sidecar.placed.focal == "lane_change"
     assert [track.track_id for track in made.generated if track.category == 3] == [made.recording.focal_track_id]
 
 

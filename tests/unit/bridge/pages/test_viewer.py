@@ -47,7 +47,7 @@ def generated(tmp_path_factory: pytest.TempPathFactory, data_scenes: dict[str, P
 @pytest.fixture(scope="module")
 def file(generated: list[Path], data_scenes: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A page with both, and the recorded scene that the first was made of."""
-    return view_scenes([*generated, data_scenes["intersection"]], tmp_path_factory.mktemp("page") / "scenes.html")
+    return view_scenes([*generated, data_scenes["intersection"]], tmp_path_factory.mktemp("page") / "scenes.html")[0]
 
 
 @pytest.fixture
@@ -79,7 +79,7 @@ def test_numbers_are_differences_of_multiples_of_a_quantum() -> None:
 
 
 def test_same_scenes_give_the_same_bytes_and_refer_to_nothing_outside(file: Path, generated, data_scenes, tmp_path):
-    again = view_scenes([*generated, data_scenes["intersection"]], tmp_path / "again.html")
+    again = view_scenes([*generated, data_scenes["intersection"]], tmp_path / "again.html")[0]
     assert again.read_bytes() == file.read_bytes()
     text = file.read_text()
     assert "src=" not in text
@@ -252,7 +252,7 @@ def test_sidecars_that_tell_less_are_shown(page: Page, data_scenes, tmp_path: Pa
     """No limits, looks or reasons, as in older ones; inserted vehicles that drive off the road."""
     scenario = read_scenario(data_scenes["curve"])
     page.errors.clear()
-    page.open(view_scenes([write_fake(scenario, tmp_path)], tmp_path / "page.html"))
+    page.open(view_scenes([write_fake(scenario, tmp_path)], tmp_path / "page.html")[0])
     page.until("now.scene && now.frames > 0")
     for name in ("gen_0", "gen_1", scenario.focal_track_id, "AV"):
         page.js(f"choose('{name}')")
@@ -330,7 +330,7 @@ def test_names_of_received_files_are_text_and_nothing_else(page: Page, generated
     folder = copy_scene(folder=generated[0])
     hostile = '</script><img src=x onerror="window.run=1">'
     edit_rows(folder, lambda rows: rows.assign(city=hostile, track_id=rows["track_id"].replace({"gen_1": hostile})))
-    file = view_scenes([folder, folder], tmp_path / "hostile.html")
+    file = view_scenes([folder, folder], tmp_path / "hostile.html")[0]
     page.errors.clear()
     page.open(file)
     page.until("$('cards').children.length === 2")

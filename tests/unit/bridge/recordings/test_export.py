@@ -193,13 +193,6 @@ def test_a_rename_that_fails_puts_the_old_folder_back(
     assert list(folder.parent.iterdir()) == [folder]
 
 
-def test_a_generated_track_with_the_id_of_a_recorded_one_is_refused(scenario: Recording) -> None:
-    tracks, sidecar, new_id = fake_generated(scenario)
-    tracks[1] = replace(tracks[1], track_id="AV")
-    with pytest.raises(ExportError, match="'AV': the id is taken"):
-        with_generated(scenario, tracks, sidecar, new_id=new_id, focal_track_id=scenario.focal_track_id)
-
-
 def test_bytes_do_not_depend_on_how_the_source_was_chunked(scenario: Recording) -> None:
     half = scenario.table.num_rows // 2
     chunked = replace(scenario, table=pa.concat_tables([scenario.table[:half], scenario.table[half:]]))

@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -198,6 +199,7 @@ def _event(**told: Any) -> Callable[[dict[str, Any]], Any]:
     [
         (lambda document: document.pop("replay"), "replay: Field required"),
         (lambda document: document["placed"].update(agents=3), "placed.agents 3, but 2 agents"),
+        (lambda document: document["placed"].update(entered=1), "placed.entered 1, but 0 agents"),
         (lambda document: document["placed"]["behaviours"].update(straight=1), "placed.behaviours.straight 1, but 0"),
         (lambda document: document.update(config_sha256="0" * 64), "expected that of config"),
         (lambda document: document["config"]["request"].update(agents=-1), "request.agents = -1"),
@@ -343,3 +345,15 @@ def test_motion_of_a_scene_with_noise_is_judged_on_clean_states_which_are_those_
     found = _with_clean(noisy, tmp_path, change)
     assert broken <= found
     assert broken or not found
+
+
+def test_a_recording_that_people_labelled_gets_no_noise_and_no_clean_states(
+    data_scenes: dict[str, Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    source = replace(read_scenario(data_scenes["curve"]), provenance="human")
+    asked = (load_config(None, ["request.agents=2", f"export.noise={noise}"]) for noise in ("none", "tracker"))
+    plain, made = (generate(source, config) for config in asked)
+    for one, other in zip(made.generated, plain.generated, strict=True):
+        np.testing.assert_array_equal(one.velocity, other.velocity)
+    assert "people labelled it, so export.noise adds nothing" in caplog.text
+    assert [finding for finding in validate_folder(made.write(tmp_path)) if not finding.is_note] == []
