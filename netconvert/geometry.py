@@ -46,10 +46,10 @@ def resample(points: FloatArray, *, step_m: float) -> FloatArray:
     return line.point(np.linspace(0.0, line.length_m, count + 1))
 
 
-def differences(values: FloatArray, step: FloatArray | float) -> FloatArray:
+def differences(values: FloatArray, step: float) -> FloatArray:
     """Derivative along the first axis by central differences, one-sided at the ends; zeros for a single value.
 
-    values: (T, ...) at equal steps, or step (T,): where each is.
+    values: (T, ...) at equal steps.
     """
     found = np.zeros(values.shape)
     if len(values) > 1:  # as np.gradient, in a fifth of its time

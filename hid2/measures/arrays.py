@@ -9,7 +9,6 @@ import numpy as np
 
 from hid2.agents import ROAD_TYPES, VEHICLE_TYPES, FloatArray, IntArray, Track
 from netconvert.geometry import BoolArray as BoolArray
-from netconvert.geometry import differences
 
 #: Extent of its path, m, and time seen, s, above which a vehicle counts as moving.
 MOVING_EXTENT_M, MOVING_S = 5.0, 1.0
@@ -91,9 +90,11 @@ class SceneArrays:
     @property
     def driven(self) -> "SceneArrays":
         """The same with velocities by the positions: those that a tracker states may be others for a second."""
-        time_s = np.asarray(self.step * self.step_s, dtype=np.float64)
-        found = [differences(self.position[a:b], time_s[a:b]) for a, b in pairwise(self.first.tolist())]
-        return replace(self, velocity=np.concatenate([np.zeros((0, 2)), *found]))
+        xy, time_s, found = self.position, self.step * self.step_s, np.zeros_like(self.position)
+        for a, b in pairwise(self.first.tolist()):
+            if b - a > 1:  # one that is not seen for a while has unequal steps
+                found[a:b] = np.gradient(xy[a:b], time_s[a:b], axis=0)
+        return replace(self, velocity=found)
 
     @property
     def rows_per_agent(self) -> IntArray:
