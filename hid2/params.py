@@ -351,6 +351,8 @@ class Smoothing(_Section):
 
 
 Band = tuple[float, float]
+#: Cap of an event's TTC and PET, s: larger ones are not told apart. No tunable, a definition.
+EVENT_CAP_S = 10.0
 
 
 class Event(_Section):
@@ -409,18 +411,22 @@ class Event(_Section):
 
     @model_validator(mode="after")
     def _check(self) -> "Event":
-        for name in ("at_s", "gap_m", "speed_difference_mps", "ttc_s", "pet_s", "drac_mps2"):
-            band = getattr(self, name)
-            if band is not None and band[1] < band[0]:
+        names = "at_s", "gap_m", "speed_difference_mps", "ttc_s", "pet_s", "drac_mps2"
+        for name, band in ((name, band) for name in names if (band := getattr(self, name)) is not None):
+            if band[1] < band[0]:
                 raise ValueError(f"{name} {band[0]:g}:{band[1]:g}, expected the smaller value first")
-            if band is not None and name != "at_s" and band[0] == band[1]:  # a moment has moment_s to both sides
+            if name != "at_s" and band[0] == band[1]:  # a moment has moment_s to both sides
                 raise ValueError(f"{name} {band[0]:g}, expected a band of two values: nothing driven meets one exactly")
-            if band is not None and name != "speed_difference_mps" and band[0] < 0:
+            if name != "speed_difference_mps" and band[0] < 0:
                 raise ValueError(f"{name} {band[0]:g}:{band[1]:g}, expected values of 0 or more")
+            if name in ("ttc_s", "pet_s") and band[0] >= EVENT_CAP_S:
+                raise ValueError(f"{name} {band[0]:g}, expected less than {EVENT_CAP_S:g} s: more is not told")
         if self.brakes_mps2 and self.kind != "lead":
             raise ValueError(f"brakes_mps2 {self.brakes_mps2:g} with kind {self.kind}, expected kind lead")
         if self.pet_s is not None and self.kind != "cross":
             raise ValueError(f"pet_s with kind {self.kind}, expected kind cross: only crossing paths have a PET")
+        if self.drac_mps2 is not None and self.kind == "follow":
+            raise ValueError("drac_mps2 with kind follow, expected another kind: what is ahead need not brake")
         return self
 
 

@@ -133,8 +133,7 @@ class SceneEvents:
                 )  # fmt: skip
             tried[judged] += 1
             _LOG.debug("event %s: %s fails: %s", event.kind, start.vehicle_id, judged)
-        # many are drawn where they come too late or too early: that is told last
-        told = dict(sorted((tried or rejected).items(), key=lambda one: (one[0] is Reason.EVENT_NOT_THERE, -one[1])))
+        told = dict((tried or rejected).most_common())
         said = ", ".join(f"{reason} {count}" for reason, count in told.items())
         _LOG.debug("event %s: %d tries; %s", event.kind, tried.total(), said or "no place")
         reason = Reason.EVENT_NO_PLACE

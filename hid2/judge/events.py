@@ -12,9 +12,8 @@ from hid2.measures.driven_lanes import path_driven, run_at, runs_of
 from hid2.measures.encounters import CROSSING_RAD
 from hid2.measures.surrogates import encroachments
 from hid2.occupancy.agent_states import AgentStates
+from hid2.params import EVENT_CAP_S
 
-#: Cap of TTC and PET, above which values are not told apart, s.
-CAP_S = 10.0
 #: TTC before which drivers brake, s: 90 % of the followers of lane changes do.
 HUMAN_BRAKES_S = 4.7
 #: Time gap to the target below which a lane change is a cut-in, s: the recommended one.
@@ -33,7 +32,7 @@ class EventMeasures:
     gap_m: bumper to bumper along the lanes driven at the moment of the event, whichever is ahead; of a crossing from
     the bumper to where the paths cross; speed_difference_mps: speed of the vehicle minus that of the target
     then; min_ttc_s: smallest two-dimensional TTC from then on for AFTER_S, of a cut-in from _BEFORE_S before, of a
-    crossing of all steps, None where it is never below CAP_S; ttc_at_s: when that is; headway_s: smallest
+    crossing of all steps, None where it is never below EVENT_CAP_S; ttc_at_s: when that is; headway_s: smallest
     time headway of the target behind the vehicle in AFTER_S from the moment on, front to front, None where it is never
     behind it; pet_s: where the paths cross; drac_mps2: largest deceleration that the target would have needed, in the
     time of min_ttc_s, 0 where it never closes in, or crosses first; brakes_mps2: hardest braking of the vehicle itself
@@ -66,7 +65,7 @@ def measure_event(states: AgentStates, kind: str, own: int, target: int, *, at_s
     speed, apart_m = np.hypot(*arrays.velocity.T), 0.5 * float(arrays.length[own] + arrays.length[target])
     steps = round(AFTER_S / arrays.step_s)
     until_step, later = at_step + steps, speed[row : min(row + steps + 1, states.row_span(own).stop)]
-    whole = pair_course(arrays, target, own, cap_s=CAP_S)
+    whole = pair_course(arrays, target, own, cap_s=EVENT_CAP_S)
     since_step = at_step - round(_BEFORE_S / arrays.step_s) if kind == "cut_in" else at_step
     course = whole if kind == "cross" else whole.during(since_step, until_step)
     later_on = course.during(at_step, until_step)
@@ -119,9 +118,9 @@ def is_ahead(states: AgentStates, own: int, target: int, step: int) -> bool:
 
 
 def post_encroachment_of(states: AgentStates, own: int, target: int) -> float | None:
-    """PET of two agents, s; None where their paths do not cross within CAP_S."""
+    """PET of two agents, s; None where their paths do not cross within EVENT_CAP_S."""
     pair = np.sort(np.array([own, target]))
-    found = encroachments(states.arrays, cap_s=CAP_S, agents=pair, crossing_rad=CROSSING_RAD)
+    found = encroachments(states.arrays, cap_s=EVENT_CAP_S, agents=pair, crossing_rad=CROSSING_RAD)
     return found[0].pet_s if found else None
 
 

@@ -246,6 +246,16 @@ def test_band_of_an_event_has_two_ends_and_a_moment_need_not(name: str) -> None:
             Event.model_validate({"kind": "cut_in", name: one})
 
 
+@pytest.mark.parametrize(
+    ("kind", "name", "low"), [("lead", "ttc_s", 10), ("cross", "pet_s", 11), ("follow", "drac_mps2", 0)]
+)
+def test_band_that_no_event_of_its_kind_can_be_within_is_refused(kind: str, name: str, low: float) -> None:
+    """TTC and PET are told below 10 s, and the target of a follow is ahead. Just below, or in a lead, one can."""
+    with pytest.raises(ValueError, match=r"less than 10 s: more is not told|follow, expected another kind"):
+        Event.model_validate({"kind": kind, name: [low, 20.0]})
+    Event.model_validate({"kind": "lead" if kind == "follow" else kind, name: [min(low, 9.9), 20.0]})
+
+
 def test_key_of_an_earlier_version_is_taken_with_the_value_of_the_method_and_answered_with_another(
     tmp_path: Path,
 ) -> None:

@@ -1,5 +1,6 @@
 """Events and the vehicles that are inserted after them."""
 
+from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,10 +10,11 @@ from inserted import recorded, scene_on
 
 from hid2.agents import Track
 from hid2.insertion.event_objective import Seen
-from hid2.insertion.events import EventOutcome, comes_between
+from hid2.insertion.events import EventOutcome, SceneEvents, comes_between
 from hid2.insertion.finalise import states_of_inserted
 from hid2.judge.events import EventMeasures
 from hid2.params import Event
+from hid2.reasons import Reason
 from hid2.scene import Scene
 
 
@@ -33,6 +35,23 @@ def test_vehicle_that_comes_between_a_leader_and_its_follower_breaks_the_event(
     event = Event.model_validate({"kind": kind, "target": "r", "at_s": (3.0, 3.0)})
     found = EventOutcome(event, target_id="r", vehicle=_vehicle(scene, recorded(own, 0.0, 8.0, name="e")), seen=seen)
     assert comes_between(scene, found, _vehicle(scene, recorded(x, y, 8.0, name="v"))) is between
+
+
+def test_what_most_candidates_fail_by_is_told_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Most are drawn where they come too late or too early, and that is what is told."""
+
+    def likely(_: SceneEvents, *given: Any) -> Iterator[Any]:
+        given[-1].update({Reason.LEAVES_TOO_EARLY: 276, Reason.EVENT_NOT_THERE: 1500})
+        yield from ()
+
+    monkeypatch.setattr(SceneEvents, "likely", likely)
+    scene = scene_on(draw_road(lanes=2, length_m=400.0), recorded(100.0, 0.0, 8.0))
+    here, event = SimpleNamespace(scene=scene), Event.model_validate({"kind": "lead", "target": "r"})
+    found = SceneEvents(here, (0,)).search(event, 0, drive=None)
+    assert (found.reason, list(found.tried)) == (
+        Reason.EVENT_NOT_FORESEEN,
+        [Reason.EVENT_NOT_THERE, Reason.LEAVES_TOO_EARLY],
+    )
 
 
 def _vehicle(scene: Scene, track: Track) -> Any:
