@@ -102,7 +102,7 @@ def _check_among_sources(out: Path) -> None:
             )
     for place, scenes in beside.items():
         if scenes or any(any(_recorded(place / split)) for split in SPLITS):
-            warn(f"{out} lies inside the data set {place}; an output folder outside it keeps them apart")
+            warn(f"{out} {'is' if place == real else 'lies inside'} the data set {place}; one outside it is kept apart")
             return
 
 

@@ -136,9 +136,7 @@ class Resimulation:
                 driven = list(zip(driving.run(), vehicles, strict=True))
                 for vehicle, one in driven:
                     if vehicle.not_inserted is not None:
-                        raise SimulationError(
-                            f"{recording.folder}: track {one.track.track_id}: {vehicle.not_inserted.text}"
-                        )
+                        raise SimulationError(f"{recording.folder}: {one.track.track_id}: {vehicle.not_inserted.text}")
                 yield self._with(vehicles, [poses(scene, vehicle, one) for vehicle, one in driven])
 
     def _with(self, vehicles: Sequence[TakenOut], driven: Sequence[tuple[FloatArray, FloatArray]]) -> Traffic:

@@ -235,9 +235,8 @@ def _scores(composed: Path, predictions: Path, seeds: Sequence[int] | None, *, j
     for (on, name), found in files.items():
         runs[on][name] = each = []
         for path in found:
-            scores, left_out = scoring.score_predictions(
-                composed / VALIDATION / on / "val", predictions=path, jobs=jobs
-            )
+            place = composed / VALIDATION / on / "val"
+            scores, left_out = scoring.score_predictions(place, predictions=path, jobs=jobs)
             if left_out:
                 raise ScenarioError(f"{path}: {len(left_out)} not scored, the first: {left_out[0]}")
             each.append(scores)

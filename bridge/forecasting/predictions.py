@@ -8,6 +8,7 @@ that was made of one, and seeds of each model on its own: what is left is what o
 """
 
 import itertools
+import logging
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -30,6 +31,7 @@ from hid2.params import Forecasting
 from hid2.resampling import UNITS_LEAST, Estimate, draws, interval
 from netconvert.errors import ConfigError, ScenarioError
 
+_LOG = logging.getLogger(__name__)
 Baseline = Literal["constant-velocity", "constant-turn-rate"]
 MetricKey = Literal["min_ade_m", "min_fde_m", "missed", "brier_min_fde"]
 BASELINES: tuple[Baseline, ...] = ("constant-velocity", "constant-turn-rate")
@@ -89,6 +91,9 @@ def score_predictions(
     ]
     named = next((kind for kind in BASELINES if kind == predictions), None)
     forecasts = read_forecasts(Path(predictions)) if named is None else {}
+    if few := sum(len(probabilities) < K for probabilities, _ in forecasts.values()):
+        said = "%s: %d of %d scenarios have fewer than %d modes, and count with these as if they had as many"
+        _LOG.warning(said, predictions, few, len(forecasts), K)
     if report_dir is not None:
         make_folder(report_dir)
     items = [(folder, named or forecasts.get(name)) for name, folder in first.items()]
@@ -100,14 +105,13 @@ def score_predictions(
     left_out += [said for _, said in failed] + [said for _, own in scored for said in own]
     left_out += [f"{name}: no such scene" for name in sorted(set(forecasts) - set(first))]
     if not rows:
-        raise ScenarioError(f"{out}: nothing to score, first of {len(left_out)} reasons: {left_out[0]}")
+        first_said = next((said for said in left_out if not said.endswith(": no forecast")), left_out[0])
+        raise ScenarioError(f"{out}: nothing to score, first of {len(left_out)} reasons: {first_said}")
     scores = pd.DataFrame(rows, columns=SCORE_COLUMNS)
     if report_dir is not None:
         write_rows(report_dir / "predictions.csv", SCORE_COLUMNS, rows)
-        rows = shown(band_rows(scores, bounds))
-        pages.write_page(
-            report_dir / "predictions.html", "scored.html.j2", head=TABLE_HEAD, rows=rows, left_out=left_out
-        )
+        page, rows = report_dir / "predictions.html", shown(band_rows(scores, bounds))
+        pages.write_page(page, "scored.html.j2", head=TABLE_HEAD, rows=rows, left_out=left_out)
     return scores, left_out
 
 

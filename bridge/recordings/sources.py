@@ -58,6 +58,8 @@ def window_id(log_id: str, start: int) -> str:
 def _find_sequences(path: Path, names: frozenset[str], choices: Choices) -> list[Address]:
     """By number. Errors: NoSceneError where there are no map files for them."""
     numbers = {name: int(named[1]) for name in names if (named := _SEQUENCE.fullmatch(name))}
+    if others := sorted(name for name in names - numbers.keys() if numbers and name.endswith(".csv")):
+        _LOG.warning("%s: %d .csv passed over, expected a number as name: %s", path, len(others), others[0])
     folder = path if numbers else path.parent
     split = next((_SPLITS[place.name] for place in _above(folder) if place.name in _SPLITS), None)
     maps = _city_maps(folder) if choices.map_path is None else _chosen_map(choices.map_path)
@@ -92,7 +94,7 @@ def _city_maps(folder: Path) -> Path:
     raise NoSceneError(
         f"{folder}: this is Argoverse 1: its map files are missing, expected "
         f"pruned_argoverse_<CITY>_<n>_vector_map.xml and the rasters of the drivable area in {root / MAP_FILES}; "
-        "or give --map, an Argoverse 2 map of the place"
+        "or give --map (Python: Choices.map_path), an Argoverse 2 map of the place"
     )
 
 
@@ -162,8 +164,7 @@ def find_recordings(paths: Sequence[Path], choices: Choices | None = None, *, ge
         wanted_there = [one for one in there if generated or isinstance(one, Source) or not folders.is_generated(one)]
         if not wanted_there:
             raise NoSceneError(f"{path}: holds generated scenes only (with hid2_<id>.json); give recorded ones")
-        if len(wanted_there) < len(there):
-            passed_over = len(there) - len(wanted_there)
+        if passed_over := len(there) - len(wanted_there):
             _LOG.warning("%s: %d of %d scenes passed over, which hid2 wrote", path, passed_over, len(there))
         for address in wanted_there:
             kind, start = (address.format, address.start) if isinstance(address, Source) else ("", 0)

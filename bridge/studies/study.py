@@ -164,9 +164,7 @@ def read_study(path: Path | str, *, scenes: Sequence[Path] | None = None) -> Stu
     if any(config.request.agents == "max" for config in configs[0]):
         raise ConfigError(f"{path}: config.request.agents = 'max', expected a number of vehicles")
     if any(config.request.entering > 0.0 for config in configs[0]):
-        raise ConfigError(
-            f"{path}: config.request.entering: in studies vehicles enter by flow.veh_per_h_lane, expected 0"
-        )
+        raise ConfigError(f"{path}: config.request.entering: in studies vehicles enter by flow.veh_per_h_lane: leave 0")
     paired = not any(key.startswith(_CHANGES_TRAFFIC) for key in content.vary)
     return Study(path.stem, content.kind, folders, points, seeds, configs, paired)
 

@@ -13,18 +13,10 @@ import pyarrow.parquet as pq
 
 from bridge.batch.manifest import files_sha256, output_files
 from bridge.config import config_sha256, config_to_dict, load_config, new_scenario_id
+from bridge.recordings import sidecar as said_of
 from bridge.recordings.export import recording_record_of, with_generated, write_recording
 from bridge.recordings.recording import Recording
-from bridge.recordings.sidecar import (
-    AgentRecord,
-    GeneratorRecord,
-    ManeuverRecord,
-    PlacedRecord,
-    ReplayRecord,
-    RequestedRecord,
-    Sidecar,
-    SpawnRecord,
-)
+from bridge.recordings.sidecar import PlacedRecord, ReplayRecord, RequestedRecord, Sidecar
 from hid2.agents import BoxSize, Policy, Track
 from hid2.params import Config
 
@@ -38,19 +30,12 @@ def write_scene(
 
 def made_up_sidecar(scenario: Recording, config: Config, **said: Any) -> Sidecar:
     """A sidecar of nobody inserted and nothing replayed, but for what is said."""
-    usual = {
-        "source_scenario_id": scenario.scenario_id,
-        "generator": GeneratorRecord(version="test", code_sha256="0" * 64, libraries={}),
-        "recording": recording_record_of(scenario),
-        "sumo_version": "none",
-        "seed": config.request.seed,
-        "variant": 0,
-        "config": config_to_dict(config),
-        "config_sha256": config_sha256(config),
-        "replay": ReplayRecord(states=0, max_position_error_m=0.0, max_heading_error_rad=0.0),
-        "requested": RequestedRecord(agents=0, behaviours={}),
-        "placed": PlacedRecord(agents=0, behaviours={}),
-    }
+    usual: dict[str, Any] = {"source_scenario_id": scenario.scenario_id, "recording": recording_record_of(scenario)}
+    usual |= {"seed": config.request.seed, "variant": 0, "sumo_version": "none", "config": config_to_dict(config)}
+    usual |= {"config_sha256": config_sha256(config), "requested": RequestedRecord(agents=0, behaviours={})}
+    usual |= {"replay": ReplayRecord(states=0, max_position_error_m=0.0, max_heading_error_rad=0.0)}
+    usual |= {"generator": said_of.GeneratorRecord(version="test", code_sha256="0" * 64, libraries={})}
+    usual |= {"placed": PlacedRecord(agents=0, behaviours={})}
     return Sidecar(**(usual | said))
 
 
@@ -72,37 +57,15 @@ def fake_generated(scenario: Recording, *, count: int = 2, category: int = 1) ->
             Track(f"gen_{i}", "vehicle", category, steps, 50 * circle, heading, 10 * ahead, BoxSize(4.5, 1.9))
         )
     lane_id = min(scenario.graph.lanes)
-    agents = tuple(
-        AgentRecord(
-            track_id=track.track_id,
-            length_m=4.5,
-            width_m=1.9,
-            policy=Policy.LANE_CHANGE,
-            spawn=SpawnRecord(lane_segment_id=lane_id, cell=0, speed_mps=10.0),
-            route=(lane_id,),
-            maneuvers=(
-                ManeuverRecord(
-                    kind="lane_change",
-                    status="done",
-                    trigger_s=1.0,
-                    start_s=1.5,
-                    crossing_s=3.0,
-                    end_s=4.5,
-                    source_lane=lane_id,
-                    target_lane=lane_id,
-                ),
-            ),
-        )
-        for track in tracks
-    )
-    sidecar = made_up_sidecar(
-        scenario,
-        config,
-        replay=ReplayRecord(states=scenario.table.num_rows, max_position_error_m=0.0, max_heading_error_rad=0.0),
-        requested=RequestedRecord(agents=count, behaviours=config.request.behaviours),
-        placed=PlacedRecord(agents=count, behaviours={Policy.LANE_CHANGE: count}),
-        agents=agents,
-    )
+    spawn = said_of.SpawnRecord(lane_segment_id=lane_id, cell=0, speed_mps=10.0)
+    told = {"trigger_s": 1.0, "start_s": 1.5, "crossing_s": 3.0, "end_s": 4.5, "source_lane": lane_id}
+    done = said_of.ManeuverRecord(kind="lane_change", status="done", target_lane=lane_id, **told)
+    does = {"policy": Policy.LANE_CHANGE, "spawn": spawn, "route": (lane_id,), "maneuvers": (done,)}
+    agents = tuple(said_of.AgentRecord(track_id=one.track_id, length_m=4.5, width_m=1.9, **does) for one in tracks)
+    replay = ReplayRecord(states=scenario.table.num_rows, max_position_error_m=0.0, max_heading_error_rad=0.0)
+    placed = PlacedRecord(agents=count, behaviours={Policy.LANE_CHANGE: count})
+    asked = RequestedRecord(agents=count, behaviours=config.request.behaviours)
+    sidecar = made_up_sidecar(scenario, config, replay=replay, requested=asked, placed=placed, agents=agents)
     return tracks, sidecar, new_scenario_id(scenario.scenario_id, config, 0, 0)
 
 

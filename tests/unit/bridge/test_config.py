@@ -8,18 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bridge.config import (
-    config_from_dict,
-    config_sha256,
-    config_to_dict,
-    config_to_toml,
-    describe_config,
-    load_config,
-    parse_behaviours,
-    parse_events,
-    parse_trigger_time,
-    read_drivers,
-)
+from bridge import config as configs
 from hid2.params import GROUPS, Config, Event
 from netconvert.errors import ConfigError
 
@@ -29,7 +18,7 @@ REMOVED = Path(__file__).parents[3] / "bridge/removed.toml"
 def test_set_overrides_options_and_options_override_the_file(tmp_path: Path) -> None:
     path = tmp_path / "c.toml"
     path.write_text("[request]\nagents = 3\nseed = 3\nvariants = 3\n")
-    config = load_config(path, ["request.agents=1"], {"request.agents": 2, "request.seed": 2})
+    config = configs.load_config(path, ["request.agents=1"], {"request.agents": 2, "request.seed": 2})
     assert (config.request.agents, config.request.seed, config.request.variants) == (1, 2, 3)
 
 
@@ -45,16 +34,16 @@ def test_set_overrides_options_and_options_override_the_file(tmp_path: Path) -> 
 )
 def test_set_takes_values_of_every_type(override: str, value: object) -> None:
     section, _, name = override.partition("=")[0].strip().partition(".")
-    assert getattr(getattr(load_config(None, [override]), section), name) == value
+    assert getattr(getattr(configs.load_config(None, [override]), section), name) == value
 
 
 def test_values_may_be_of_numpy_and_ablations_are_a_list() -> None:
     flags = {"request.agents": np.int64(3), "request.lane_change": np.float32(0.5)}
     flags |= {"request.trigger_list_s": np.array([1.0, 2.0])}
-    request = load_config(None, [], flags).request
+    request = configs.load_config(None, [], flags).request
     assert (request.agents, request.lane_change, request.trigger_list_s) == (3, 0.5, (1.0, 2.0))
-    assert load_config(None, ["without=topology,smoothing"]).without == {"topology", "smoothing"}
-    assert load_config(None, ["without="]).without == frozenset()
+    assert configs.load_config(None, ["without=topology,smoothing"]).without == {"topology", "smoothing"}
+    assert configs.load_config(None, ["without="]).without == frozenset()
 
 
 @pytest.mark.parametrize(
@@ -79,7 +68,7 @@ def test_values_may_be_of_numpy_and_ablations_are_a_list() -> None:
 )
 def test_an_override_that_is_wrong_is_named_with_value_and_range(override: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
-        load_config(None, [override])
+        configs.load_config(None, [override])
 
 
 @pytest.mark.parametrize(
@@ -103,22 +92,22 @@ def test_a_file_that_is_wrong_is_named_with_key_value_and_range(tmp_path: Path, 
     path = tmp_path / "c.toml"
     path.write_text(text)
     with pytest.raises(ConfigError, match=said) as caught:
-        load_config(path)
+        configs.load_config(path)
     assert "c.toml" in str(caught.value)
 
 
 def test_a_file_that_is_missing_or_binary_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no such file"):
-        load_config(tmp_path / "none.toml")
+        configs.load_config(tmp_path / "none.toml")
     (tmp_path / "b.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(ConfigError, match="not TOML"):
-        load_config(tmp_path / "b.toml")
+        configs.load_config(tmp_path / "b.toml")
     with pytest.raises(ConfigError, match="is a folder, expected a configuration"):
-        load_config(tmp_path)
+        configs.load_config(tmp_path)
 
 
 def test_behaviours_that_are_given_replace_all_shares() -> None:
-    config = load_config(None, [], parse_behaviours("lane_change=1, overtake=0.5"))
+    config = configs.load_config(None, [], configs.parse_behaviours("lane_change=1, overtake=0.5"))
     shares = {policy.value: share for policy, share in config.request.behaviours.items()}
     assert shares == {"straight": 0, "left_turn": 0, "right_turn": 0, "lane_change": 1, "overtake": 0.5}
 
@@ -137,20 +126,20 @@ def test_behaviours_that_are_given_replace_all_shares() -> None:
 )
 def test_behaviours_that_are_wrong_are_named(text: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
-        load_config(None, [], parse_behaviours(text))
+        configs.load_config(None, [], configs.parse_behaviours(text))
 
 
 @pytest.mark.parametrize(("text", "low", "high"), [("2", 2, 2), ("0.5:4", 0.5, 4), (" 1 : 2 ", 1, 2)])
 def test_trigger_time_is_a_time_a_range_or_a_list(text: str, low: float, high: float) -> None:
-    request = load_config(None, [], parse_trigger_time(text)).request
+    request = configs.load_config(None, [], configs.parse_trigger_time(text)).request
     assert (request.trigger_min_s, request.trigger_max_s) == (low, high)
-    assert load_config(None, [], parse_trigger_time("2, 4,6")).request.trigger_list_s == (2.0, 4.0, 6.0)
+    assert configs.load_config(None, [], configs.parse_trigger_time("2, 4,6")).request.trigger_list_s == (2.0, 4.0, 6.0)
 
 
 @pytest.mark.parametrize("text", ["", "a", "1:", "1:2:3", "4:1", "-1", "inf"])
 def test_a_trigger_time_that_is_wrong_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match=r"trigger"):
-        load_config(None, [], parse_trigger_time(text))
+        configs.load_config(None, [], configs.parse_trigger_time(text))
 
 
 CHANGED = ["request.agents=max", "without=topology,collision", "turn.trough_at=0.3", "request.trigger_list_s=[1, 2.5]"]
@@ -158,10 +147,10 @@ CHANGED = ["request.agents=max", "without=topology,collision", "turn.trough_at=0
 
 @pytest.mark.parametrize("overrides", [[], CHANGED])
 def test_toml_or_values_and_back(tmp_path: Path, overrides: list[str]) -> None:
-    config = load_config(None, overrides)
+    config = configs.load_config(None, overrides)
     path = tmp_path / "c.toml"
-    path.write_text(config_to_toml(config))
-    assert load_config(path) == config_from_dict(config_to_dict(config)) == config
+    path.write_text(configs.config_to_toml(config))
+    assert configs.load_config(path) == configs.config_from_dict(configs.config_to_dict(config)) == config
 
 
 def test_digest_names_the_configuration_whatever_the_hash_seed() -> None:
@@ -175,13 +164,15 @@ def test_digest_names_the_configuration_whatever_the_hash_seed() -> None:
         subprocess.run(command, env={"PYTHONHASHSEED": seed}, capture_output=True, check=True).stdout for seed in "12"
     )
     assert first == second
-    assert config_sha256(load_config()) != config_sha256(load_config(None, ["request.seed=1"]))
+    assert configs.config_sha256(configs.load_config()) != configs.config_sha256(
+        configs.load_config(None, ["request.seed=1"])
+    )
 
 
 def test_every_parameter_is_described_by_whom_it_is_for() -> None:
-    rows = {row.key: row for row in describe_config()}
+    rows = {row.key: row for row in configs.describe_config()}
     assert len(rows) == sum(
-        len(values) if isinstance(values, dict) else 1 for values in config_to_dict(Config()).values()
+        len(values) if isinstance(values, dict) else 1 for values in configs.config_to_dict(Config()).values()
     )
     assert all(row.default and row.unit and row.range and row.source for row in rows.values())
     assert rows["grid.cell_m"][2:5] == ("4.0", "m", "number >= 1, <= 20")
@@ -196,8 +187,8 @@ def test_every_parameter_is_described_by_whom_it_is_for() -> None:
 def test_drivers_of_a_file_are_flags_of_their_section(tmp_path: Path) -> None:
     path = tmp_path / "drivers.toml"
     path.write_text("[drivers]\noffset_sd_m = 0.4\n# tau_mean_s keeps its prior 1.15\n")
-    assert read_drivers(path) == {"drivers.offset_sd_m": 0.4}
-    assert load_config(None, ["drivers.offset_sd_m=0.2"], read_drivers(path)).drivers.offset_sd_m == 0.2
+    assert configs.read_drivers(path) == {"drivers.offset_sd_m": 0.4}
+    assert configs.load_config(None, ["drivers.offset_sd_m=0.2"], configs.read_drivers(path)).drivers.offset_sd_m == 0.2
 
 
 @pytest.mark.parametrize(
@@ -214,7 +205,7 @@ def test_a_file_of_drivers_that_is_wrong_is_refused(tmp_path: Path, text: str, s
     path = tmp_path / "drivers.toml"
     path.write_text(text)
     with pytest.raises(ConfigError) as caught:
-        read_drivers(path)
+        configs.read_drivers(path)
     assert said in str(caught.value)
     assert str(path) in str(caught.value)
 
@@ -234,7 +225,7 @@ def test_options_of_events_that_are_wrong_are_named(
     kinds: list[str], values: dict[str, str], criticality: list[str], said: str
 ) -> None:
     with pytest.raises(ConfigError, match=said):
-        parse_events(kinds, values, criticality)
+        configs.parse_events(kinds, values, criticality)
 
 
 @pytest.mark.parametrize("name", ["gap_m", "speed_difference_mps", "ttc_s", "drac_mps2"])
@@ -263,14 +254,14 @@ def test_key_of_an_earlier_version_is_taken_with_the_value_of_the_method_and_ans
     removed = tomllib.loads(REMOVED.read_text())
     instead = removed.pop("instead")
     keys = {f"{section}.{name}": value for section, names in removed.items() for name, value in names.items()}
-    known = {row.key for row in describe_config()}
+    known = {row.key for row in configs.describe_config()}
     assert set(instead) <= set(keys)
     assert set(instead.values()) <= known
     assert not known & set(keys)
     old = tmp_path / "old.toml"
     old.write_text(REMOVED.read_text().split("\n\n", 2)[2])
-    assert load_config(old) == Config()
+    assert configs.load_config(old) == Config()
     for key, value in keys.items():
-        assert load_config(None, [f"{key}={value}"]) == Config()
+        assert configs.load_config(None, [f"{key}={value}"]) == Config()
         with pytest.raises(ConfigError, match=f"{key} = .*no parameter any more.*{instead.get(key, '')}"):
-            load_config(None, [f"{key}=77"])
+            configs.load_config(None, [f"{key}=77"])

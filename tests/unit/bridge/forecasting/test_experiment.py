@@ -21,15 +21,7 @@ from bridge.console import Activity
 from bridge.forecasting import experiment
 from bridge.forecasting.compose import compose
 from bridge.forecasting.composition import Composition
-from bridge.forecasting.experiment import (
-    PAPER_GAIN_M,
-    PAPER_TABLE2,
-    PAPER_TABLE3,
-    SETS,
-    TrainingPlan,
-    run_prediction,
-    small_forecaster,
-)
+from bridge.forecasting.experiment import SETS, TrainingPlan, run_prediction, small_forecaster
 from bridge.forecasting.predictions import Difference, baseline, score_predictions, write_forecasts
 from bridge.pages.parts import macros
 from bridge.recordings.folders import find_scenarios
@@ -88,7 +80,7 @@ def brought(composed, tmp_path_factory):
 def test_forecasts_from_elsewhere_make_both_tables(composed, brought, tmp_path):
     page = run_prediction([], tmp_path / "out", TrainingPlan(params=FEW_DRAWS), composed=composed, predictions=brought)
     content = json.loads((tmp_path / "out" / "prediction.json").read_text())
-    for table, paper in (("table2", PAPER_TABLE2), ("table3", PAPER_TABLE3)):
+    for table, paper in (("table2", experiment.PAPER_TABLE2), ("table3", experiment.PAPER_TABLE3)):
         for line, (label, values) in zip(content[table], paper.items(), strict=False):
             assert (line.pop("row"), [cell["value"] for cell in line.values()]) == (label, list(values))
     ours = {line["row"]: line for line in content["table2"][4:]}
@@ -256,7 +248,7 @@ def test_few_scenes_show_nothing_about_the_claim(sources, few):
     """A difference of -0.5 m, -0.9 to -0.1 m."""
     figures = -0.5, -0.9, -0.1, 0.2, sources, sources, 0.57
     one = Difference("hid2", "recorded", "all scenes", "min_fde_m", *figures, (3, 3))
-    text = " ".join(macros("prediction.html.j2", gain_m=PAPER_GAIN_M).power(one).split())
+    text = " ".join(macros("prediction.html.j2", gain_m=experiment.PAPER_GAIN_M).power(one).split())
     assert (
         f"{sources} tracks of {sources} recorded scenes are forecast, with 3 seeds. The paper’s smallest gain" in text
     )

@@ -156,15 +156,18 @@ def test_bands_hold_scenes_with_more_agents(data_root, tmp_path):
     assert "minADE" in (tmp_path / "predictions.html").read_text()
 
 
-def test_what_cannot_be_scored_is_listed_or_explained(data_scenes, data_root, tmp_path):
+def test_what_cannot_be_scored_is_listed_or_explained_and_fewer_modes_are_told(
+    data_scenes, data_root, tmp_path, caplog
+):
     scenario = read_scenario(data_scenes["arterial"])
     truth = focal_future(scenario)
     path = submission(scenario, [truth], [1.0], tmp_path / "f.parquet", track_id="nobody")
-    with pytest.raises(ScenarioError, match="nobody: no such track"):
-        score_predictions(data_scenes["arterial"], predictions=path)
+    with pytest.raises(ScenarioError, match=r"3 reasons: .*nobody: no such track"):
+        score_predictions(data_root, predictions=path)
     path = submission(scenario, [truth], [1.0], tmp_path / "f.parquet")
     _, left_out = score_predictions(data_root, predictions=path)
     assert [reason.partition(": ")[2] for reason in left_out] == ["no forecast"] * 2
+    assert "1 of 1 scenarios have fewer than 6 modes" in caplog.text
     shutil.copytree(data_root, tmp_path / "some")
     broken = next((tmp_path / "some").glob("val/*/scenario_*.parquet"))
     broken.write_bytes(b"no")

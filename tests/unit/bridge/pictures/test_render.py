@@ -14,18 +14,8 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from PIL import Image
 
-from bridge.pictures import figures, plot
+from bridge.pictures import figures, plot, render
 from bridge.pictures.plot import agent_figure
-from bridge.pictures.render import (
-    ANIMATIONS,
-    CAR_PIXELS,
-    GIF_WIDTH,
-    MOST_GROUND_M,
-    _Drawing,
-    draw_scene,
-    render_scene,
-    scene_figure,
-)
 from bridge.recordings.scenario import read_scenario
 from netconvert.errors import ConfigError, ExportError
 
@@ -47,7 +37,7 @@ def longest_side(box):
 
 def test_picture_of_a_generated_scene_shows_before_and_after_with_ids_and_a_legend(made_scene):
     scenario = read_scenario(made_scene)
-    figure = scene_figure(scenario)
+    figure = render.scene_figure(scenario)
     titles = [ax.get_title().splitlines()[0] for ax in figure.axes]
     count = sum(track.track_id.startswith("gen_") for track in scenario.tracks)
     before = f"{len(scenario.tracks) - count} recorded agents"
@@ -68,11 +58,11 @@ def test_generated_vehicles_are_drawn_in_the_colour_of_their_policy_and_one_clos
     """One car covers more pixels close up than the cars of its colour do on average in the whole scene."""
     scenario = read_scenario(made_scene)
     agents = scenario.sidecar.agents
-    whole = render_scene(scenario, tmp_path / "a.png")
+    whole = render.render_scene(scenario, tmp_path / "a.png")
     for policy in {agent.policy for agent in agents}:
         assert pixels(whole, figures.POLICY_COLORS[policy]) > 30, policy
     assert pixels(whole, figures.HIGHLIGHT) == 0
-    figure = scene_figure(scenario, agent=agents[0].track_id)
+    figure = render.scene_figure(scenario, agent=agents[0].track_id)
     assert f"track {agents[0].track_id}" in words(figure)
     assert sum(len(ax.patches) for ax in figure.axes) == 1
     figures.save(figure, tmp_path / "b.png")
@@ -84,29 +74,29 @@ def test_generated_vehicles_are_drawn_in_the_colour_of_their_policy_and_one_clos
 
 def test_recorded_scene_is_one_panel_without_generated_colours_and_has_cells_on_request(data_scenes, tmp_path):
     scenario = read_scenario(data_scenes["curve"])
-    figure = scene_figure(scenario)
+    figure = render.scene_figure(scenario)
     assert len(figure.axes) == 1
     assert "generated" not in words(figure)
     figures.save(figure, tmp_path / "a.png")
     assert pixels(tmp_path / "a.png", figures.VERMILION) == 0
-    cells = render_scene(scenario, tmp_path / "b.png", cells=True)
+    cells = render.render_scene(scenario, tmp_path / "b.png", cells=True)
     assert pixels(cells, "#A8C4D6") > pixels(tmp_path / "a.png", "#A8C4D6") + 200
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".svg", ".pdf"])
 def test_same_scene_gives_the_same_picture(data_scenes, tmp_path, suffix):
     scenario = read_scenario(data_scenes["curve"])
-    paths = [render_scene(scenario, tmp_path / f"{name}{suffix}") for name in ("a", "b")]
+    paths = [render.render_scene(scenario, tmp_path / f"{name}{suffix}") for name in ("a", "b")]
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
-@pytest.mark.parametrize("suffix", ANIMATIONS)
+@pytest.mark.parametrize("suffix", render.ANIMATIONS)
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # imageio leaves ffmpeg's pipes open
 def test_animation_has_a_frame_for_every_step_and_moves_and_tells_its_progress(data_scenes, tmp_path, suffix):
     """Of a scene of ten steps."""
     scenario, told = replace(read_scenario(data_scenes["curve"]), num_steps=10), []
     path = tmp_path / f"scene{suffix}"
-    render_scene(scenario, path, on_frame=lambda done, total: told.append((done, total)))
+    render.render_scene(scenario, path, on_frame=lambda done, total: told.append((done, total)))
     frames = iio.imread(path)
     assert len(frames) == 10
     assert (frames[0] != frames[9]).any()
@@ -123,7 +113,7 @@ def test_labelled_sizes_of_the_source_are_drawn_before_and_after(made_scene, tmp
     content = json.loads(path.read_text())
     content["recording"]["sizes"]["AV"] = [9.5, 3.0]
     path.write_text(json.dumps(content))
-    figure = scene_figure(read_scenario(scene))
+    figure = render.scene_figure(read_scenario(scene))
     assert len(figure.axes) == 2
     for ax in figure.axes:
         boxes = [path.vertices for made in ax.findobj(PolyCollection) if made.zorder == 5 for path in made.get_paths()]
@@ -134,17 +124,17 @@ def test_labelled_sizes_of_the_source_are_drawn_before_and_after(made_scene, tmp
 def test_unknown_ending_step_or_agent_is_explained(data_scenes, tmp_path):
     scene = data_scenes["arterial"]
     with pytest.raises(ConfigError, match=r"ending '\.tif' is not supported; expected one of \.png, \.jpg, .*\.mp4"):
-        render_scene(read_scenario(scene), tmp_path / "scene.tif")
+        render.render_scene(read_scenario(scene), tmp_path / "scene.tif")
     with pytest.raises(ConfigError, match=r"timestep 110, expected 0 to 109"):
-        render_scene(read_scenario(scene), tmp_path / "scene.png", step=110)
+        render.render_scene(read_scenario(scene), tmp_path / "scene.png", step=110)
     with pytest.raises(ConfigError, match="no track 'AW' among 26; expected one of AV, "):
-        render_scene(read_scenario(scene), tmp_path / "scene.png", agent="AW")
+        render.render_scene(read_scenario(scene), tmp_path / "scene.png", agent="AW")
     with pytest.raises(ConfigError, match="a film shows every timestep"):
-        render_scene(read_scenario(scene), tmp_path / "scene.gif", step=3)
+        render.render_scene(read_scenario(scene), tmp_path / "scene.gif", step=3)
     (tmp_path / "file").write_text("")
-    for suffix in (*figures.PICTURES, *ANIMATIONS):
+    for suffix in (*figures.PICTURES, *render.ANIMATIONS):
         with pytest.raises(ExportError, match=rf"scene{suffix}: cannot be written \(File exists\)"):
-            render_scene(read_scenario(scene), tmp_path / "file" / f"scene{suffix}")
+            render.render_scene(read_scenario(scene), tmp_path / "file" / f"scene{suffix}")
 
 
 def test_film_that_fails_half_way_leaves_nothing(data_scenes, tmp_path, monkeypatch):
@@ -154,7 +144,7 @@ def test_film_that_fails_half_way_leaves_nothing(data_scenes, tmp_path, monkeypa
 
     monkeypatch.setattr("bridge.pictures.render._Drawing.frames", fail)
     with pytest.raises(ExportError, match="no more memory"):
-        render_scene(read_scenario(data_scenes["arterial"]), tmp_path / "scene.mp4")
+        render.render_scene(read_scenario(data_scenes["arterial"]), tmp_path / "scene.mp4")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -194,15 +184,15 @@ def test_labels_of_vehicles_that_stand_close_do_not_overlap(count: int) -> None:
     assert offsets[0] == (4.0, 4.0)
 
 
-@pytest.mark.parametrize("longest", [None, GIF_WIDTH])
+@pytest.mark.parametrize("longest", [None, render.GIF_WIDTH])
 def test_cars_of_a_film_are_never_below_fourteen_pixels(made_scene, data_scenes, longest) -> None:
     """Whatever the ground: of 300 m a film of 1100 px would show cars of 8 px."""
     for folder in (made_scene, data_scenes["curve"]):
-        drawing = _Drawing(read_scenario(folder), agent=None, cells=False, whole_paths=False)
+        drawing = render._Drawing(read_scenario(folder), agent=None, cells=False, whole_paths=False)
         drawing.scale(longest=longest)
         axes = drawing.panels[0][1]
-        assert 4.5 * axes.get_window_extent().width / np.ptp(axes.get_xlim()) > CAR_PIXELS - 0.1
-        assert max(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())) < 2 * MOST_GROUND_M
+        assert 4.5 * axes.get_window_extent().width / np.ptp(axes.get_xlim()) > render.CAR_PIXELS - 0.1
+        assert max(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim())) < 2 * render.MOST_GROUND_M
         frame = next(drawing.frames([60], None))
         assert max(frame.shape) >= (longest or 0) - 2
 
@@ -240,18 +230,18 @@ def test_film_without_ffmpeg_is_an_error_that_says_where_to_look(data_scenes, tm
     with pytest.raises(
         ExportError, match=r"found no program ffmpeg, which writes \.mp4: see INSTALL\.md, or ask for \.gif"
     ):
-        render_scene(read_scenario(data_scenes["arterial"]), tmp_path / "scene.mp4")
+        render.render_scene(read_scenario(data_scenes["arterial"]), tmp_path / "scene.mp4")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_scene_is_drawn_into_axes_of_the_caller(made_scene):
     figure, axes = plt.subplots(1, 2)
     scenario = read_scenario(made_scene)
-    draw_scene(axes[1], scenario, step=20, cells=True)
+    render.draw_scene(axes[1], scenario, step=20, cells=True)
     shown = {text.get_text() for text in axes[1].texts}
     assert {t.track_id for t in scenario.tracks if t.track_id.startswith("gen_") and 20 in t.timesteps} <= shown
     assert not axes[0].collections
     assert axes[1].get_xlabel() == "east, m"
     with pytest.raises(ConfigError, match="timestep 500"):
-        draw_scene(axes[0], scenario, step=500)
+        render.draw_scene(axes[0], scenario, step=500)
     plt.close(figure)

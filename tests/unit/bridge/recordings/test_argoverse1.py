@@ -328,7 +328,12 @@ def test_a_wrong_city_map_is_refused_in_one_line(copy: Path, change: Callable[[P
     assert "\n" not in str(caught.value)
 
 
-def test_map_files_that_are_not_there_are_said_with_the_way_out(copy: Path) -> None:
+def test_map_files_that_are_not_there_are_said_with_the_way_out_and_files_without_a_number(
+    copy: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (copy / "train/data/mine.csv").touch()
+    assert not any(one.path.name == "mine.csv" for one in find_recordings([copy]))
+    assert "1 .csv passed over, expected a number as name: mine.csv" in caplog.text
     shutil.rmtree(copy / "map_files")
     with pytest.raises(
         NoSceneError, match=r"this is Argoverse 1: its map files are missing, .*map_files; or give --map"

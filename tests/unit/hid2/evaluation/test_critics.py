@@ -8,16 +8,7 @@ from hand_drawn import draw_road
 from views import lane_view
 
 from hid2.agents import BoxSize, Track
-from hid2.evaluation.critics import (
-    FEATURE_NAMES,
-    betrayals,
-    constant_on_the_middle,
-    features,
-    halves_apart,
-    judge,
-    matched_weights,
-    weighted_auc,
-)
+from hid2.evaluation import critics
 from hid2.evaluation.windows import WINDOW, windows
 from hid2.measures.arrays import stack
 from hid2.measures.following import leaders
@@ -44,24 +35,24 @@ def test_auc_by_hand():
     Of double weight, the positive 3 wins 4 and the other half of 1: 4.5 of 6.
     """
     scores, labels = np.array([3.0, 1.0, 2.0, 1.0]), np.array([True, True, False, False])
-    assert weighted_auc(scores, labels, np.ones(4)) == pytest.approx(2.5 / 4)
-    assert weighted_auc(scores, labels, np.array([2.0, 1.0, 1.0, 1.0])) == pytest.approx(4.5 / 6)
-    assert weighted_auc(scores, np.ones(4, dtype=bool), np.ones(4)) is None
+    assert critics.weighted_auc(scores, labels, np.ones(4)) == pytest.approx(2.5 / 4)
+    assert critics.weighted_auc(scores, labels, np.array([2.0, 1.0, 1.0, 1.0])) == pytest.approx(4.5 / 6)
+    assert critics.weighted_auc(scores, np.ones(4, dtype=bool), np.ones(4)) is None
 
 
 def test_both_kinds_weigh_the_same_in_each_stratum_and_strata_with_one_kind_count_for_nothing():
     """Stratum 0: four generated and two recorded, each side counts 2. Stratum 1: nobody recorded."""
     stratum = np.array([0, 0, 0, 0, 0, 0, 1, 1])
     generated = np.array([1, 1, 1, 1, 0, 0, 1, 1], dtype=bool)
-    assert matched_weights(stratum, generated).tolist() == [0.5] * 4 + [1.0] * 2 + [0.0] * 2
+    assert critics.matched_weights(stratum, generated).tolist() == [0.5] * 4 + [1.0] * 2 + [0.0] * 2
 
 
 @pytest.mark.parametrize(("critic", "view"), CRITICS)
 def test_critics_tell_what_differs_and_not_what_is_equal(critic, view):
     """Means two standard deviations apart: an AUC of Phi(2 / sqrt 2) = 0.92. Constant speed on the middle is found."""
-    assert judge(drawn(shift=1.2), critic, view).auc == pytest.approx(0.92, abs=0.05)
-    assert judge(constant_on_the_middle(drawn()), critic, view).auc > 0.90
-    verdict = judge(drawn(), critic, view)
+    assert critics.judge(drawn(shift=1.2), critic, view).auc == pytest.approx(0.92, abs=0.05)
+    assert critics.judge(critics.constant_on_the_middle(drawn()), critic, view).auc > 0.90
+    verdict = critics.judge(drawn(), critic, view)
     assert verdict.auc == pytest.approx(0.5, abs=0.06)
     assert verdict.low < 0.53
     assert verdict.high > 0.47
@@ -69,20 +60,20 @@ def test_critics_tell_what_differs_and_not_what_is_equal(critic, view):
 
 
 def test_trees_see_only_their_view_what_betrays_most_is_named_first_and_one_scene_cannot_be_judged():
-    assert judge(drawn(scenes=1), "trees", "all") is None
+    assert critics.judge(drawn(scenes=1), "trees", "all") is None
     found = drawn(shift=1.2)
-    name, auc = betrayals(found)[0]
+    name, auc = critics.betrayals(found)[0]
     assert "acceleration" in name or "speed" in name
     assert auc > 0.85
-    assert judge(found, "trees", "lateral").auc == pytest.approx(0.5, abs=0.06)
-    assert judge(found, "trees", "speed").auc > 0.85
+    assert critics.judge(found, "trees", "lateral").auc == pytest.approx(0.5, abs=0.06)
+    assert critics.judge(found, "trees", "speed").auc > 0.85
 
 
 def test_halves_of_the_recorded_tracks_are_not_told_apart():
     found = drawn(shift=3.0)
-    apart = halves_apart(found, 3)
+    apart = critics.halves_apart(found, 3)
     assert len(apart) == int((~found["generated"]).sum())
-    assert judge(apart, "trees", "all").auc == pytest.approx(0.5, abs=0.1)
+    assert critics.judge(apart, "trees", "all").auc == pytest.approx(0.5, abs=0.1)
 
 
 def test_a_scene_is_never_judged_by_a_critic_that_was_trained_on_it():
@@ -91,7 +82,7 @@ def test_a_scene_is_never_judged_by_a_critic_that_was_trained_on_it():
     side = np.where(np.random.default_rng(1).random(30) < 0.5, 1.0, -1.0)[found["scene"].astype(int)]
     found["offset_m"] = side * np.where(found["generated"], 1.0, -1.0)
     found["drift_mps"] = found["scene"]  # by which a critic would know the scene again
-    assert judge(found, "trees", "lateral").auc < 0.75
+    assert critics.judge(found, "trees", "lateral").auc < 0.75
 
 
 def drive(speed, accel, offset, *, steps=80, rng=None, track_id="r1"):
@@ -128,5 +119,5 @@ def test_windows_know_the_leader():
     assert own["led"].all()
     assert own["gap_m"][0] == pytest.approx(13.0, abs=0.1)
     assert own["closing_mps"] == pytest.approx(1.0, abs=0.02)
-    shown = dict(zip(FEATURE_NAMES, features(own)[0], strict=True))
+    shown = dict(zip(critics.FEATURE_NAMES, critics.features(own)[0], strict=True))
     assert shown["time gap"] == pytest.approx(13.0 / 8.0, abs=0.02)

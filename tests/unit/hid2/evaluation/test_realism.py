@@ -8,27 +8,19 @@ from scipy.stats import wasserstein_distance
 from views import lane_view
 
 from hid2.agents import BoxSize, Track
+from hid2.evaluation import realism
 from hid2.evaluation.kinematics import motion
-from hid2.evaluation.realism import (
-    FEATURES,
-    FINE,
-    RealismCounts,
-    apart,
-    count_scene,
-    histogram,
-    quantiles,
-)
 from hid2.evaluation.safety import safety
 from hid2.evaluation.windows import half_numbers, windows
 from hid2.measures.arrays import stack
 from hid2.measures.manoeuvres import Maneuver, ManeuverKind
 
-SPEED = FEATURES[0]
+SPEED = realism.FEATURES[0]
 
 
 def test_bins_resolve_what_drivers_do():
     """A quarter of a metre per second squared: the challenge's bins, 2.2 wide, put nearly all driving into one."""
-    width = {feature.name: (feature.high - feature.low) / feature.bins for feature in FEATURES}
+    width = {feature.name: (feature.high - feature.low) / feature.bins for feature in realism.FEATURES}
     assert width["longitudinal_accel"] == 0.25
     assert width["offset"] == 0.125
 
@@ -38,30 +30,32 @@ def test_jensen_shannon_equals_scipys_also_of_equal_and_of_disjoint_distribution
     a, b = rng.normal(10, 3, 5000).clip(0, 25), rng.normal(12, 2, 3000)
     edges = np.linspace(0, 25, 26)
     want = jensenshannon(np.histogram(a, edges)[0], np.histogram(b, edges)[0], base=2)
-    assert apart(SPEED, histogram(SPEED, a), histogram(SPEED, b))[0] == pytest.approx(want, abs=1e-12)
-    a, b = histogram(SPEED, [1.0, 1.0]), histogram(SPEED, [20.0])
-    assert apart(SPEED, a, a) == (0.0, 0.0)
-    assert apart(SPEED, a, b)[0] == pytest.approx(1.0)
-    assert apart(SPEED, a, histogram(SPEED, [])) is None
+    assert realism.apart(SPEED, realism.histogram(SPEED, a), realism.histogram(SPEED, b))[0] == pytest.approx(
+        want, abs=1e-12
+    )
+    a, b = realism.histogram(SPEED, [1.0, 1.0]), realism.histogram(SPEED, [20.0])
+    assert realism.apart(SPEED, a, a) == (0.0, 0.0)
+    assert realism.apart(SPEED, a, b)[0] == pytest.approx(1.0)
+    assert realism.apart(SPEED, a, realism.histogram(SPEED, [])) is None
 
 
 def test_wasserstein_equals_scipys_to_a_fine_bin():
     rng = np.random.default_rng(0)
     a, b = rng.normal(10, 3, 5000), rng.normal(12, 2, 3000)
-    _, found = apart(SPEED, histogram(SPEED, a), histogram(SPEED, b))
-    assert found == pytest.approx(wasserstein_distance(a, b), abs=25 / 25 / FINE)
+    _, found = realism.apart(SPEED, realism.histogram(SPEED, a), realism.histogram(SPEED, b))
+    assert found == pytest.approx(wasserstein_distance(a, b), abs=25 / 25 / realism.FINE)
 
 
 def test_quantiles_by_hand():
     """Of 1, 2, ..., 100 tenths the lowest 5 % end at 0.5, half at 5.0; fine bins are 1 / 40 wide. Values outside the
     range count in the bins at the ends.
     """
-    counts = histogram(SPEED, np.arange(1, 101) / 10.0)
-    low, middle = quantiles(SPEED, counts, [0.05, 0.5])
-    assert low == pytest.approx(0.5, abs=1 / FINE)
-    assert middle == pytest.approx(5.0, abs=1 / FINE)
-    assert quantiles(SPEED, histogram(SPEED, []), [0.5]) is None
-    counts = histogram(SPEED, [-3.0, 99.0, 25.0])
+    counts = realism.histogram(SPEED, np.arange(1, 101) / 10.0)
+    low, middle = realism.quantiles(SPEED, counts, [0.05, 0.5])
+    assert low == pytest.approx(0.5, abs=1 / realism.FINE)
+    assert middle == pytest.approx(5.0, abs=1 / realism.FINE)
+    assert realism.quantiles(SPEED, realism.histogram(SPEED, []), [0.5]) is None
+    counts = realism.histogram(SPEED, [-3.0, 99.0, 25.0])
     assert (counts[0], counts[-1]) == (1, 2)
 
 
@@ -89,7 +83,7 @@ def test_distance_of_a_faster_generator_is_above_the_floor_and_of_an_equal_one_n
     rng = np.random.default_rng(0)
     found = {}
     for name, low in (("equal", 5.0), ("faster", 12.0)):
-        total = RealismCounts()
+        total = realism.RealismCounts()
         for scene in range(12):
             recorded = _lanes_full(rng, "r", rng.uniform(5, 12, 8))
             generated = _lanes_full(rng, "gen_", rng.uniform(low, low + 7, 8))
@@ -101,7 +95,7 @@ def test_distance_of_a_faster_generator_is_above_the_floor_and_of_an_equal_one_n
                 Maneuver(name, ManeuverKind.LANE_CHANGE, 0.0, 2.0, end_s, 1, 2, 1, complete=True)
                 for name, end_s in (("gen_0", 4.0), ("r0", 3.0))
             ]
-            total.add(count_scene(arrays, safe, driving, changes, scene=f"s{scene}"))
+            total.add(realism.count_scene(arrays, safe, driving, changes, scene=f"s{scene}"))
         found[name] = {distance.feature: distance for distance in total.distances()}
     assert found["equal"]["speed"].jensen_shannon < 2 * found["equal"]["speed"].jensen_shannon_floor
     assert found["faster"]["speed"].jensen_shannon > 4 * found["faster"]["speed"].jensen_shannon_floor

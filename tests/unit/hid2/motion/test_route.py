@@ -6,19 +6,8 @@ from hand_drawn import draw_lane, draw_road
 from inserted import scene_on
 
 from hid2.insertion.routes import Routes
+from hid2.motion import route as routing
 from hid2.motion.lane_change_path import LateralTiming
-from hid2.motion.route import (
-    DrivenPath,
-    LanePaths,
-    LateralMotion,
-    Segment,
-    first_turn,
-    is_drivable,
-    route_points,
-    routes_from,
-    shifted_path,
-    straightest_first,
-)
 from hid2.params import Limits
 from netconvert.lane_graph import LaneGraph, TurnType
 
@@ -44,12 +33,12 @@ def forked() -> LaneGraph:
     })  # fmt: skip
 
 
-def _path(graph: LaneGraph, *route: int) -> DrivenPath:
-    return LanePaths(graph, Limits()).along(route)
+def _path(graph: LaneGraph, *route: int) -> routing.DrivenPath:
+    return routing.LanePaths(graph, Limits()).along(route)
 
 
 def test_points_of_a_route_hold_every_joint_once(forked: LaneGraph) -> None:
-    points = route_points(forked, (1, 2, 5))
+    points = routing.route_points(forked, (1, 2, 5))
     assert points.tolist() == [[0.0, 0.0], [50.0, 0.0], [100.0, 0.0], [150.0, 0.0]]
 
 
@@ -77,7 +66,7 @@ def test_place_on_the_path_is_a_place_on_a_lane_and_back(forked: LaneGraph) -> N
 
 
 def test_lane_position_outside_a_segment_is_its_nearer_end() -> None:
-    segment = Segment(lane_id=1, start=10.0, end=30.0, lane_start=5.0, lane_end=25.0)
+    segment = routing.Segment(lane_id=1, start=10.0, end=30.0, lane_start=5.0, lane_end=25.0)
     assert [segment.lane_m(s) for s in (0.0, 10.0, 20.0, 30.0, 99.0)] == [5.0, 5.0, 15.0, 25.0, 25.0]
 
 
@@ -92,7 +81,7 @@ def test_routes_follow_the_order_chosen_at_a_split_and_are_cut_when_long_enough_
     """Lane 2 leads only onto the bus lane: a route that stopped there would stop in the middle of the road."""
 
     def routes(graph: LaneGraph, order: int = 1, most: int = 9) -> list[tuple[int, ...]]:
-        return list(routes_from(graph, 1, choose=lambda _, onward: onward[::order], most=most))
+        return list(routing.routes_from(graph, 1, choose=lambda _, onward: onward[::order], most=most))
 
     open_to_all = _all_drivable(forked)
     assert routes(open_to_all) == [(1, 2, 5), (1, 3, 4)]
@@ -111,11 +100,11 @@ def test_straightest_lane_at_a_split_is_the_one_that_turns_least_either_way() ->
         3: draw_lane(3, [(20.0, 0.0), (40.0, 1.0)], successors=(4,)),
         4: draw_lane(4, [(40.0, 2.0), (60.0, 2.0)]),
     })  # fmt: skip
-    assert straightest_first(made, 1, (2, 3)) == (3, 2)
-    assert straightest_first(made, 1, (2, 3))[0] == made.straightest_successor(1)
-    assert straightest_first(made, 1, (2, 3), preferred={2}) == (2, 3)
-    assert straightest_first(made, 4, (2, 3)) == (3, 2)
-    assert LanePaths(made, Limits()).route_beside((1,), 4) == (1, 3, 4)
+    assert routing.straightest_first(made, 1, (2, 3)) == (3, 2)
+    assert routing.straightest_first(made, 1, (2, 3))[0] == made.straightest_successor(1)
+    assert routing.straightest_first(made, 1, (2, 3), preferred={2}) == (2, 3)
+    assert routing.straightest_first(made, 4, (2, 3)) == (3, 2)
+    assert routing.LanePaths(made, Limits()).route_beside((1,), 4) == (1, 3, 4)
 
 
 def test_lane_before_that_goes_straight_on_comes_before_one_that_turns_onto_it() -> None:
@@ -127,8 +116,8 @@ def test_lane_before_that_goes_straight_on_comes_before_one_that_turns_onto_it()
         2: draw_lane(2, [(0.0, -1.0), (40.0, 0.0)], successors=(3,)),
         3: draw_lane(3, [(40.0, 0.0), (80.0, 0.0)]),
     })  # fmt: skip
-    assert straightest_first(made, 3, (1, 2)) == (2, 1)
-    assert LanePaths(made, Limits()).route_beside((1,), 3) == (2, 3)
+    assert routing.straightest_first(made, 3, (1, 2)) == (2, 1)
+    assert routing.LanePaths(made, Limits()).route_beside((1,), 3) == (2, 3)
 
 
 @pytest.mark.parametrize(("look_back_m", "route"), [(0.0, (5,)), (30.0, (4, 5)), (50.0, (3, 4, 5)), (500.0, (3, 4, 5))])
@@ -141,14 +130,14 @@ def test_lane_beside_is_known_so_far_back_as_is_asked_for(
         n: draw_lane(n, [(40.0 * place, 3.5), (40.0 * (place + 1), 3.5)], successors=onward)
         for place, (n, onward) in enumerate(((3, (4,)), (4, (5,)), (5, ())))
     } | {6: draw_lane(6, [(80.0, 0.0), (120.0, 0.0)])})  # fmt: skip
-    assert LanePaths(graph, Limits()).route_beside((6,), 5) == route
+    assert routing.LanePaths(graph, Limits()).route_beside((6,), 5) == route
 
 
 def test_circle_of_lanes_is_driven_once() -> None:
     angle = np.linspace(0.0, np.pi, 30)
     half = 20.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
     ring = LaneGraph({1: draw_lane(1, half, successors=(2,)), 2: draw_lane(2, [0.0, 40.0] - half, successors=(1,))})
-    routes = list(routes_from(ring, 1, choose=lambda _, onward: onward, most=5))
+    routes = list(routing.routes_from(ring, 1, choose=lambda _, onward: onward, most=5))
     assert routes == [(1, 2)]
 
 
@@ -160,18 +149,20 @@ def test_no_route_comes_back_over_itself() -> None:
         3: draw_lane(3, [(40.0, 30.0), (40.0, -30.0)], successors=(4,)),
         4: draw_lane(4, [(40.0, -30.0), (40.0, -60.0)]),
     })  # fmt: skip
-    routes = {n: next(routes_from(looped, n, choose=lambda _, onward: onward, most=1)) for n in looped.lanes}
+    routes = {n: next(routing.routes_from(looped, n, choose=lambda _, onward: onward, most=1)) for n in looped.lanes}
     assert routes == {1: (1, 2), 2: (2, 3, 4), 3: (3, 4), 4: (4,)}
-    assert LanePaths(looped, Limits()).route_beside((), 3) == (2, 3, 4)
+    assert routing.LanePaths(looped, Limits()).route_beside((), 3) == (2, 3, 4)
     before = {offer.route for n in looped.lanes for offer in Routes(scene_on(looped)).offers(n)}
     assert before == {(1, 2), (2, 3, 4), (3, 4)}
 
 
-def _shifted(own: DrivenPath, target: DrivenPath, *, start_m: float, length_m: float) -> DrivenPath:
+def _shifted(
+    own: routing.DrivenPath, target: routing.DrivenPath, *, start_m: float, length_m: float
+) -> routing.DrivenPath:
     timing = LateralTiming(lasting_s=4.0, ramp=0.27, slow_mps=5.0)
-    begun = LateralMotion(own, target, timing, np.array([start_m]), np.zeros(1))
+    begun = routing.LateralMotion(own, target, timing, np.array([start_m]), np.zeros(1))
     motion = begun.foreseen(np.array([length_m / 4.0]), 0.1)
-    path = shifted_path(motion, limits=Limits())
+    path = routing.shifted_path(motion, limits=Limits())
     assert path is not None
     return path
 
@@ -197,7 +188,9 @@ def test_steps_to_come_are_foreseen_up_to_the_end_of_the_motion() -> None:
     """
     graph = draw_road()
     timing = LateralTiming(lasting_s=4.0, ramp=0.27, slow_mps=5.0)
-    begun = LateralMotion(_path(graph, 1), _path(graph, 2), timing, np.array([60.0, 64.0]), np.array([0.0, 0.125]))
+    begun = routing.LateralMotion(
+        _path(graph, 1), _path(graph, 2), timing, np.array([60.0, 64.0]), np.array([0.0, 0.125])
+    )
     motion = begun.foreseen(np.array([4.0, 4.0, 10.0]), 0.1)
     assert motion.tau[:4] == pytest.approx([0.0, 0.125, 0.145, 0.165])
     assert motion.tau.size == motion.along_m.size == 2 + 2 + 34
@@ -224,12 +217,14 @@ def test_second_shift_leaves_the_first_as_it_is_and_each_lane_is_followed_from_i
 
 def test_first_turn_is_one_that_the_path_makes(forked: LaneGraph) -> None:
     path = _path(forked, 1, 3, 4)
-    turn = first_turn(forked, path, TurnType.LEFT, after=10.0)
+    turn = routing.first_turn(forked, path, TurnType.LEFT, after=10.0)
     assert turn is not None
     assert turn.lane_id == 3
-    assert first_turn(forked, path, TurnType.LEFT, after=60.0) is None
-    assert first_turn(forked, path, TurnType.RIGHT, after=10.0) is None
-    assert first_turn(forked, _path(forked, 3, 4), TurnType.LEFT, after=0.0) is None  # it is on it from the beginning
+    assert routing.first_turn(forked, path, TurnType.LEFT, after=60.0) is None
+    assert routing.first_turn(forked, path, TurnType.RIGHT, after=10.0) is None
+    assert (
+        routing.first_turn(forked, _path(forked, 3, 4), TurnType.LEFT, after=0.0) is None
+    )  # it is on it from the beginning
 
 
 def test_turn_is_told_by_how_far_the_path_turns_wherever_it_heads() -> None:
@@ -241,7 +236,7 @@ def test_turn_is_told_by_how_far_the_path_turns_wherever_it_heads() -> None:
         2: draw_lane(2, bend, successors=(3,), is_intersection=True),
         3: draw_lane(3, [bend[-1], bend[-1] + [60.0, 0.0]]),
     })  # fmt: skip
-    turn = first_turn(graph, _path(graph, 1, 2, 3), TurnType.LEFT, after=10.0)
+    turn = routing.first_turn(graph, _path(graph, 1, 2, 3), TurnType.LEFT, after=10.0)
     assert turn is not None
     assert turn.lane_id == 2
 
@@ -259,7 +254,7 @@ def test_lane_that_undoes_the_kink_before_it_is_no_turn() -> None:
         3: draw_lane(3, [dip[-1], dip[-1] + [60.0, 0.0]]),
     })  # fmt: skip
     assert graph.lanes[2].turn is TurnType.LEFT
-    assert first_turn(graph, _path(graph, 1, 2, 3), TurnType.LEFT, after=10.0) is None
+    assert routing.first_turn(graph, _path(graph, 1, 2, 3), TurnType.LEFT, after=10.0) is None
 
 
 def test_no_vehicle_drives_along_a_center_turn_lane() -> None:
@@ -269,4 +264,4 @@ def test_no_vehicle_drives_along_a_center_turn_lane() -> None:
         1: draw_lane(1, [(0.0, 0.0), (50.0, 0.0)], right_mark="DASH_SOLID_YELLOW", **dashed),
         2: draw_lane(2, [(0.0, -3.5), (50.0, -3.5)], **dashed),
     })  # fmt: skip
-    assert [is_drivable(graph, lane_id) for lane_id in (1, 2)] == [False, True]
+    assert [routing.is_drivable(graph, lane_id) for lane_id in (1, 2)] == [False, True]

@@ -8,24 +8,14 @@ from gap_view import VIEW
 
 from hid2.drivers.driver import usual_driver
 from hid2.params import LaneChange
+from hid2.policy import rules
 from hid2.policy.lane_change import OPEN, Gap, SumoAnswer
-from hid2.policy.rules import (
-    GapView,
-    check_user_rule,
-    idm_mps2,
-    mobil_refusals,
-    refusal_of_free_lane,
-    refusals_unasked,
-    rule_arguments,
-    rule_reason,
-    rule_refusals,
-)
 from hid2.reasons import Reason
 from netconvert.errors import ConfigError
 
 
-def _mobil(view: GapView, params: LaneChange) -> Reason | None:
-    return next(mobil_refusals(view, params), None)
+def _mobil(view: rules.GapView, params: LaneChange) -> Reason | None:
+    return next(rules.mobil_refusals(view, params), None)
 
 
 MOBIL = LaneChange(rule="MOBIL", mobil_bias_mps2=0.0, mobil_threshold_mps2=0.1, mobil_safe_mps2=2.0)
@@ -33,10 +23,10 @@ MOBIL = LaneChange(rule="MOBIL", mobil_bias_mps2=0.0, mobil_threshold_mps2=0.1, 
 
 def test_idm_by_hand() -> None:
     """At the desired speed 1 - 1 = 0; behind 12 m at the same speed s* = 2 + 10 = 12: another -1."""
-    assert idm_mps2(10.0, OPEN, VIEW) == pytest.approx(0.0)
-    assert idm_mps2(10.0, Gap(12.0, 10.0), VIEW) == pytest.approx(-1.0)
+    assert rules.idm_mps2(10.0, OPEN, VIEW) == pytest.approx(0.0)
+    assert rules.idm_mps2(10.0, Gap(12.0, 10.0), VIEW) == pytest.approx(-1.0)
     # closing in by 2 m/s: s* = 2 + 10 + 10 * 2 / 2 = 22, over 22 m
-    assert idm_mps2(10.0, Gap(22.0, 8.0), VIEW) == pytest.approx(-1.0)
+    assert rules.idm_mps2(10.0, Gap(22.0, 8.0), VIEW) == pytest.approx(-1.0)
 
 
 AT_12_M = Gap(12.0, 10.0)
@@ -82,14 +72,14 @@ def test_mobil_weighs_advantage_safety_and_what_followers_lose_and_win(
     ],
 )
 def test_lc2013_wants_and_can(sumo: SumoAnswer | None, reason: Reason | None) -> None:
-    assert rule_reason(replace(VIEW, sumo=sumo), LaneChange(rule="LC2013")) == reason
+    assert rules.rule_reason(replace(VIEW, sumo=sumo), LaneChange(rule="LC2013")) == reason
 
 
 @pytest.mark.parametrize("rule", ["MOBIL", "LC2013", "tests_of_rules:anything"])
 def test_no_rule_is_asked_where_the_lane_cannot_be_changed_in(rule: str) -> None:
     params = LaneChange(rule=rule)
-    assert rule_reason(replace(VIEW, remaining_m=10.0), params) == Reason.LANE_ENDS
-    assert rule_reason(replace(VIEW, speed_mps=1.0), params) == Reason.TOO_SLOW
+    assert rules.rule_reason(replace(VIEW, remaining_m=10.0), params) == Reason.LANE_ENDS
+    assert rules.rule_reason(replace(VIEW, speed_mps=1.0), params) == Reason.TOO_SLOW
 
 
 def test_users_function_is_asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -98,15 +88,15 @@ def test_users_function_is_asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     params = LaneChange(rule="own_rule:patient")
-    assert rule_reason(VIEW, params) == Reason.RULE_REFUSES
-    assert rule_reason(replace(VIEW, waited_s=2.0), params) is None
+    assert rules.rule_reason(VIEW, params) == Reason.RULE_REFUSES
+    assert rules.rule_reason(replace(VIEW, waited_s=2.0), params) is None
     with pytest.raises(
         ConfigError, match=r"own_rule:unsure': .*own_rule.py:3: it answered 'yes', expected True or False"
     ):
-        rule_reason(VIEW, LaneChange(rule="own_rule:unsure"))
+        rules.rule_reason(VIEW, LaneChange(rule="own_rule:unsure"))
     for name, words in (("nowhere_to_find:f", "No module"), ("math:nothing", "nothing")):
         with pytest.raises(ConfigError, match=words):
-            rule_reason(VIEW, LaneChange(rule=name))
+            rules.rule_reason(VIEW, LaneChange(rule=name))
 
 
 #: Files of a rule `accept` that no scene may be driven with: the text, the line that is to blame, and what is said.
@@ -139,7 +129,7 @@ def test_unsound_rule_is_refused_with_file_and_line(monkeypatch: pytest.MonkeyPa
     (tmp_path / f"{module}.py").write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path))
     with pytest.raises(ConfigError) as caught:
-        check_user_rule(LaneChange(rule=f"{module}:accept"))
+        rules.check_user_rule(LaneChange(rule=f"{module}:accept"))
     assert f"lane_change.rule = '{module}:accept': {tmp_path / module}.py:{line}: " in str(caught.value)
     assert said in str(caught.value)
     assert len(str(caught.value)) < 600
@@ -148,19 +138,19 @@ def test_unsound_rule_is_refused_with_file_and_line(monkeypatch: pytest.MonkeyPa
 def test_sound_rule_is_told_by_its_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "sound_rule.py").write_text("def accept(view):\n    return view.rear.distance_m > 10.0\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    assert check_user_rule(LaneChange(rule="sound_rule:accept")) == str(tmp_path / "sound_rule.py")
+    assert rules.check_user_rule(LaneChange(rule="sound_rule:accept")) == str(tmp_path / "sound_rule.py")
     with pytest.raises(ConfigError, match="'builtins:bool': its module has no file"):
-        check_user_rule(LaneChange(rule="builtins:bool"))
+        rules.check_user_rule(LaneChange(rule="builtins:bool"))
     with pytest.raises(ConfigError, match="'math:pi': TypeError: 'float' object is not callable; expected a function"):
-        check_user_rule(LaneChange(rule="math:pi"))
+        rules.check_user_rule(LaneChange(rule="math:pi"))
 
 
 def test_every_condition_that_says_no_is_told() -> None:
     """Cells taken, 1 m to either side at 10 m/s; MOBIL's follower would brake, and there is nothing to win."""
     crowded = replace(VIEW, cells_free=False, front=Gap(1.0, 10.0), rear=Gap(1.0, 10.0))
-    assert rule_refusals(crowded, LaneChange()) == (Reason.CELLS_OCCUPIED, Reason.FRONT_GAP, Reason.REAR_GAP)
-    assert rule_refusals(crowded, MOBIL) == (Reason.MOBIL_UNSAFE, Reason.MOBIL_NO_ADVANTAGE)
-    assert rule_refusals(VIEW, LaneChange()) == ()
+    assert rules.rule_refusals(crowded, LaneChange()) == (Reason.CELLS_OCCUPIED, Reason.FRONT_GAP, Reason.REAR_GAP)
+    assert rules.rule_refusals(crowded, MOBIL) == (Reason.MOBIL_UNSAFE, Reason.MOBIL_NO_ADVANTAGE)
+    assert rules.rule_refusals(VIEW, LaneChange()) == ()
 
 
 def test_own_rule_takes_arguments_and_answers_by_condition(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -172,13 +162,13 @@ def test_own_rule_takes_arguments_and_answers_by_condition(monkeypatch: pytest.M
     )
     monkeypatch.syspath_prepend(str(tmp_path))
     params = LaneChange(rule="two_sided:accept", rule_with="b=1.5, lead=5")
-    assert rule_arguments(params) == {"b": 1.5, "lead": 5.0}
+    assert rules.rule_arguments(params) == {"b": 1.5, "lead": 5.0}
     near = replace(VIEW, front=Gap(4.0, 10.0), rear=Gap(14.0, 10.0))  # 1.4 s
-    assert rule_refusals(near, params) == (Reason.FRONT_GAP, Reason.REAR_GAP)
-    assert rule_refusals(near, LaneChange(rule="two_sided:accept", rule_with="b=1.3")) == ()
+    assert rules.rule_refusals(near, params) == (Reason.FRONT_GAP, Reason.REAR_GAP)
+    assert rules.rule_refusals(near, LaneChange(rule="two_sided:accept", rule_with="b=1.3")) == ()
     unknown = LaneChange(rule="two_sided:accept", rule_with="gap=1.0")
     with pytest.raises(ConfigError, match=r"unexpected keyword .*; expected a function of a GapView and gap"):
-        check_user_rule(unknown)
+        rules.check_user_rule(unknown)
 
 
 def test_change_to_a_free_lane_is_expected_of_every_rule_with_an_incentive() -> None:
@@ -187,9 +177,9 @@ def test_change_to_a_free_lane_is_expected_of_every_rule_with_an_incentive() -> 
     By the IDM it gains 1.85 (2.2 + 2.3 + .5)^2 / 4.5^2 = 2.3 m/s2.
     """
     for rule in ("paper", "LC2013", "MOBIL"):
-        assert refusal_of_free_lane(usual_driver(10.0), LaneChange(rule=rule), speed_mps=10.0) is None
+        assert rules.refusal_of_free_lane(usual_driver(10.0), LaneChange(rule=rule), speed_mps=10.0) is None
     never = LaneChange(rule="MOBIL", mobil_threshold_mps2=5.0, mobil_bias_mps2=0.0)
-    assert refusal_of_free_lane(usual_driver(10.0), never, speed_mps=2.0) is Reason.MOBIL_NO_ADVANTAGE
+    assert rules.refusal_of_free_lane(usual_driver(10.0), never, speed_mps=2.0) is Reason.MOBIL_NO_ADVANTAGE
 
 
 def test_rules_unasked_want_an_advantage_unless_mandatory() -> None:
@@ -199,14 +189,14 @@ def test_rules_unasked_want_an_advantage_unless_mandatory() -> None:
     """
     params = LaneChange(rule="paper")
     slow = replace(VIEW, own_front=Gap(20.0, 8.0), front=Gap(60.0, 9.0))
-    assert refusals_unasked(slow, params, mandatory=False)
-    assert not refusals_unasked(slow, params, mandatory=True)
+    assert rules.refusals_unasked(slow, params, mandatory=False)
+    assert not rules.refusals_unasked(slow, params, mandatory=True)
     fast = replace(slow, front=Gap(60.0, 9.6))
-    assert not refusals_unasked(fast, params, mandatory=False)
-    assert refusals_unasked(fast, params.model_copy(update={"rule_with": "incentive=2.0"}), mandatory=False)
-    assert not refusals_unasked(replace(slow, front=OPEN), params, mandatory=False)  # 10 m/s wished for
-    assert refusals_unasked(replace(fast, cells_free=False), params, mandatory=True)
+    assert not rules.refusals_unasked(fast, params, mandatory=False)
+    assert rules.refusals_unasked(fast, params.model_copy(update={"rule_with": "incentive=2.0"}), mandatory=False)
+    assert not rules.refusals_unasked(replace(slow, front=OPEN), params, mandatory=False)  # 10 m/s wished for
+    assert rules.refusals_unasked(replace(fast, cells_free=False), params, mandatory=True)
     behind = replace(VIEW, own_front=OPEN, front=Gap(15.0, 8.0))  # slower there: nothing to gain
-    assert refusals_unasked(behind, MOBIL, mandatory=False)
-    assert not refusals_unasked(behind, MOBIL, mandatory=True)
-    assert refusals_unasked(replace(behind, rear=Gap(1.0, 14.0)), MOBIL, mandatory=True)
+    assert rules.refusals_unasked(behind, MOBIL, mandatory=False)
+    assert not rules.refusals_unasked(behind, MOBIL, mandatory=True)
+    assert rules.refusals_unasked(replace(behind, rear=Gap(1.0, 14.0)), MOBIL, mandatory=True)
