@@ -1,7 +1,7 @@
 """Stop lines ahead of a vehicle: entrances that are red, and pedestrian crossings that are used."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -75,6 +75,11 @@ class PedestrianCrossings:
             soon[..., :-ahead] |= on[..., ahead:]
         return np.asarray(soon & traffic.present | comes)
 
+    @property
+    def are_used(self) -> BoolArray:
+        """(P,) which crossings agents use at some step."""
+        return np.asarray(self._at.any(axis=(1, 2)))
+
     def _near(self, xy: FloatArray, reach_m: float) -> IntArray:
         """Which of the places (N, 2) m can be so near to a crossing."""
         low, high, at = self.corners.min(axis=1) - reach_m, self.corners.max(axis=1) + reach_m, xy[:, None]
@@ -100,6 +105,8 @@ class PedestrianCrossings:
         xy, heading = line.table_xy[:count], line.table_heading[:count]
         left = width_m / 2 * np.stack([-np.sin(heading), np.cos(heading)], axis=1)
         near = self._near(xy, width_m)
+        if not near.size:
+            return []
         across = shapely.linestrings(np.stack([xy[near] - left[near], xy[near] + left[near]], axis=1))
         point, crossed = self._areas.query(across, predicate="intersects")
         point, found = near[point], []
@@ -187,7 +194,8 @@ class StopLines:
         scene, kinds = self.scene, self.scene.states.arrays.object_types
         walking = scene.traffic.rows([row for row, kind in enumerate(kinds) if kind in CROSSING_TYPES])
         corners = np.array(scene.grid.graph.pedestrian_crossings, dtype=np.float64).reshape(-1, 4, 2)
-        return PedestrianCrossings(corners, walking, scene.step_s)
+        every = PedestrianCrossings(corners, walking, scene.step_s)
+        return replace(every, corners=corners[every.are_used])  # what none uses closes no line
 
     @once
     def on(self, path: DrivenPath, box: BoxSize) -> ClosedLines:

@@ -97,6 +97,15 @@ class Outlook(NamedTuple):
         meets = {name: np.concatenate([one.meets[name] for one in each]) for name in Situation}
         return cls(weight, near, leader, stays, meets)
 
+    @classmethod
+    def over(cls, routes: Sequence["Outlook"]) -> "Outlook":
+        """Of the same cells on some route: the weight is the mean, the leader that on the best."""
+        weights, leaders = np.array([one.weight for one in routes]), np.array([one.leader for one in routes])
+        best = (weights * (1.0 + (leaders >= 0))).argmax(axis=0)
+        near, stays = (np.logical_or.reduce([one[k] for one in routes]) for k in (1, 3))
+        meets = {name: np.logical_or.reduce([one.meets[name] for one in routes]) for name in Situation}
+        return cls(weights.mean(axis=0), near, leaders[best, np.arange(best.size)], stays, meets)
+
     def meets_any(self, wants: Collection[Situation], followed: Collection[int]) -> BoolArray:
         """(C,) whether something that is wanted is met on a route; a leader that is followed already does not count."""
         free = ~np.isin(self.leader, list(followed))
@@ -171,19 +180,14 @@ class Meetings:
             if not looked:
                 continue
             first = grid.index_of[Cell(lane_id, 0)]
-            cells, weights = slice(first, first + grid.count(lane_id)), np.array([one.weight for one in looked])
-            found.weight[cells] = weights.mean(axis=0)
-            found.near[cells] = np.any([one.near for one in looked], axis=0)
-            found.stays[cells] = np.any([one.stays for one in looked], axis=0)
-            for one, met in found.meets.items():
-                met[cells] = np.any([each.meets[one] for each in looked], axis=0)
-            # the leader on the best of its routes
-            best = (weights * (1.0 + np.array([one.leader >= 0 for one in looked]))).argmax(axis=0)
-            found.leader[cells] = np.array([one.leader for one in looked])[best, np.arange(best.size)]
+            cells, one = slice(first, first + grid.count(lane_id)), looked[0] if len(looked) == 1 else Outlook.over(looked)
+            found.weight[cells], found.near[cells], found.leader[cells], found.stays[cells] = one[:4]
+            for name, met in found.meets.items():
+                met[cells] = one.meets[name]
         return found
 
     @once
-    def offer_weights(self, cell: Cell, policy: Policy, wants: frozenset[Situation]) -> FloatArray:
+    def offer_weights(self, cell: Cell, policy: Policy, wants: frozenset[Situation]) -> list[float]:
         """Weight of each of the routes from a cell, in the order of `Routes.offers`; the mean where none is known.
 
         0 where nothing is met that is wanted.
@@ -194,7 +198,7 @@ class Meetings:
             looked = {row: one for row, one in looked.items() if any(one.meets[each][cell.index] for each in wants)}
         known = {row: max(_LEAST, float(one.weight[cell.index])) for row, one in looked.items()}
         other = 0.0 if wants else max(_LEAST, sum(known.values()) / max(1, len(known)))
-        return np.array([known.get(row, other) for row in range(len(self.routes.offers(cell.lane_id)))])
+        return [known.get(row, other) for row in range(len(self.routes.offers(cell.lane_id)))]
 
     def from_edge(self, lane_id: int, row: int, look: int) -> Outlook:
         """Of the first cell of a lane on one of its routes, for a vehicle that is there from a look on."""

@@ -205,10 +205,10 @@ class OvertakeStarts:
         conflict, known = self.here.scene.config.conflict, self._on(path)
         met = met_by(s, v, 0, known.low, known.high, known.along, known.same_direction, self.here.scene.step_s)
         contact, ahead_s, behind_s = met.min(axis=0, initial=math.inf)
-        lines, amber = self.starts.world.guard.stop_lines.on(path, _BOX), self.here.scene.steps_in(AMBER_S)
+        lines, amber = self.starts.world.guard.stop_lines, self.here.scene.steps_in(AMBER_S)
         return bool(
             contact < math.inf or ahead_s < conflict.ttc_min_s or behind_s < conflict.follower_ttc_min_s
-            or lines.is_passed(s, driver, first=0, closed_steps=amber)
+            or lines.on(path, _BOX).is_passed(s, driver, first=0, closed_steps=amber)
         )  # fmt: skip
 
     def _foreseen(self, leaders: list[_Leader], trigger_s: float, wander: FloatArray) -> Iterator[_Foreseen]:
