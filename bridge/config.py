@@ -383,8 +383,7 @@ def _is_fixed(section: str, name: str, value: object) -> bool:
 
 
 def _unknown(key: str, value: object, fields: Collection[str]) -> str:
-    section = key.partition(".")[0]
-    alike = get_close_matches(key, fields, 2, 0.8)
+    section, alike = key.partition(".")[0], get_close_matches(key, fields, 2, 0.8)
     known = [name for name in fields if name.startswith(f"{section}.")]
     names = known or sorted({name.partition(".")[0] for name in fields})
     meant = f"did you mean {' or '.join(alike)}? There are" if alike else "expected one of"

@@ -199,8 +199,7 @@ class SceneDraft:
         if sway:
             speed = speed * (1.0 + 0.03 * _swing(0.55 * time + 0.9 * (sway % 7)))
         s = np.concatenate([[0.0], np.cumsum((speed[:-1] + speed[1:]) / 2 * FINE_S)])
-        s = s - s[10] + start_m
-        offset = np.full(len(time), offset_m)
+        s, offset = s - s[10] + start_m, np.full(len(time), offset_m)
         if sway:
             offset = offset + 0.08 * _swing(0.04 * s + (sway % 6)) * (speed / (speed + 2.0))
         if shift is not None:
@@ -383,8 +382,7 @@ def intersection() -> SceneDraft:
             paths[f"{way}{lane}_out"] = line(*mirrored)
     for name, path in paths.items():
         inward, lane = name.endswith("_in"), name[1]
-        single = name[0] in "ns"
-        length = float(path.s[-1])
+        single, length = name[0] in "ns", float(path.s[-1])
         cuts = [0.0, length - 32.0, length] if inward else [0.0, 32.0, length]
         for i in range(2):
             near = i == (1 if inward else 0)
@@ -419,8 +417,7 @@ def intersection() -> SceneDraft:
     def route(*names: str) -> Path2d:
         return Path2d.joined(*(paths[name] for name in names))
 
-    drive = scene.drive
-    focal = route("wl_in", "wl_left", "sl_out")
+    drive, focal = scene.drive, route("wl_in", "wl_left", "sl_out")
     drive(focal, 62.0, [(0.0, 8.5), (3.0, 5.3), (6.4, 5.3), (9.6, 9.0)], category=3)  # turns left ahead of the AV
     right_turn = [(0.0, 9.0), (2.0, 9.0), (6.0, 4.2), (10.0, 4.2), (13.0, 6.5)]
     drive(route("er_in", "er_right", "sl_out"), 32.0, right_turn, category=2, sway=1)
@@ -515,8 +512,7 @@ def rows(
 ) -> None:
     """Cut lanes abreast of each other at the same places of the base; number i lies between cuts i and i + 1."""
     for name, path in paths.items():
-        ends = stations(base, path, cuts)
-        names = [f"{name}{i}" for i in range(len(cuts) - 1)]
+        ends, names = stations(base, path, cuts), [f"{name}{i}" for i in range(len(cuts) - 1)]
         for lane, between in zip(names, pairwise(ends), strict=True):
             scene.add_lane(lane, path, (min(between), max(between)), marks=marks[name])
         scene.link(*(names if ends[0] < ends[-1] else reversed(names)))

@@ -63,8 +63,7 @@ class CellGrid:
 
     def cell_at(self, lane_id: int, s: float) -> Cell:
         """The cell that holds arc length s of a lane; the first or last one where s lies before or past the lane."""
-        count = len(self._rows[lane_id])
-        length_m = float(self.edges_m[lane_id][-1])
+        count, length_m = len(self._rows[lane_id]), float(self.edges_m[lane_id][-1])
         return Cell(lane_id, min(max(int(s / length_m * count), 0), count - 1))
 
     def length_m(self, cell: Cell) -> float:

@@ -82,8 +82,7 @@ def net_bytes(
     `speed_limit_mps`. signals: by lane that begins at a stop line, from when its signal shows which phases, s and
     SUMO's letter, again and again.
     """
-    signals = signals or {}
-    rows = tuple(grid.rows())
+    signals, rows = signals or {}, tuple(grid.rows())
     edge_ids = [grid.edge_id(row[0]) for row in rows]
     place = {cell: (edge, index) for edge, row in enumerate(rows) for index, cell in enumerate(row)}
     # longitudinal and inter-lane links: from edge, from lane, to edge, to lane, direction

@@ -288,8 +288,7 @@ def _road_xml(
 
 def _sections(road: _Road) -> list[int]:
     """Indices into the road's s at which its lane sections begin, and its end."""
-    widths = road.borders[:-1] - road.borders[1:]
-    begins = [0]
+    widths, begins = road.borders[:-1] - road.borders[1:], [0]
     for k in range(1, len(road.s)):
         wider = widths[:, k] - widths[:, begins[-1]]
         if np.abs(np.cumsum(wider) - wider / 2.0).max() > _SECTION_WITHIN_M:

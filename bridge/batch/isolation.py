@@ -183,8 +183,7 @@ class IsolatedProcess:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(timeout=GRACE_S)
         process.kill()
-        code = process.wait()
-        written = os.fstat(self._stderr.fileno()).st_size
+        code, written = process.wait(), os.fstat(self._stderr.fileno()).st_size
         details = os.pread(self._stderr.fileno(), _TAIL_BYTES, max(0, written - _TAIL_BYTES)).decode(errors="replace")
         self.close()
         if code == 1 and _RAN_OUT.search(details):
@@ -298,8 +297,7 @@ def _rss_mb() -> float:
 
 def _bound_memory(memory_mb: int) -> None:
     """Let an allocation beyond the bound fail (Linux; elsewhere the system may not go by it)."""
-    hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
-    wanted = memory_mb * _MB
+    hard, wanted = resource.getrlimit(resource.RLIMIT_DATA)[1], memory_mb * _MB
     resource.setrlimit(resource.RLIMIT_DATA, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard))
 
 

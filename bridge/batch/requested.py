@@ -101,8 +101,7 @@ def _flat(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def came_about_nowhere(rows: Sequence[ManifestRow], config: Config, named: Sequence[Policy]) -> list[str]:
     """What was asked for and came about in none of the scenes that are done."""
-    done = [row for row in rows if row.status == DONE]
-    asked = Counter[str]()
+    done, asked = [row for row in rows if row.status == DONE], Counter[str]()
     for event in config.event:
         asked[f"{event.kind} with {event.target}"] += event.count * len(done)
     nowhere = [name for name, count in asked.items() if 0 < count <= _not_done(done, name)]

@@ -164,8 +164,7 @@ def public(
     """Lane changes on public roads, published beside simulated, for rules untuned and tuned. Can be continued."""
     from bridge.studies.public_roads import read_public, run_public
 
-    how = batch.options()
-    page = read_public(file)
+    how, page = batch.options(), read_public(file)
     activity.doing("driving roads")
     report = run_public(page, out, how, on_row=notes_of(activity, out, go_on="the same command continues"))
     activity.note(f"{counted(report.runs, 'run')} in {report.seconds:.0f} s in all, {report.failed or 'none'} failed")

@@ -34,8 +34,7 @@ def calibrate_folder(
     """
     if out.suffix != ".toml":
         raise ConfigError(f"{out}: drivers are written in TOML, with a .csv and a .html beside; expected NAME.toml")
-    root = ", ".join(map(str, roots))
-    there = scenes_below(roots)
+    root, there = ", ".join(map(str, roots)), scenes_below(roots)
     if not there:
         raise ConfigError(f"{root}: no Argoverse 2 scene, which calibration reads; expected scenario_<id>.parquet")
     unknown = sorted(set(without) - there.keys())

@@ -93,8 +93,7 @@ def measure(
     log = log_of(recording.table) or source  # windows of one share their traffic
     states, groups = _grouped(recording, tracks)
     arrays, safe, last_observed = states.arrays, groups["combined"].safe, recording.last_observed
-    maneuvers = detect(states)
-    findings = findings_of(states, sidecar)
+    maneuvers, findings = detect(states), findings_of(states, sidecar)
     policy_of = policies(arrays, maneuvers)
     scene: Row = {
         "format": recording.format,

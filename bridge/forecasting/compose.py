@@ -78,8 +78,7 @@ def compose(
     every = composition.all_sets(pool.added())
     sets = {name: pool.draw("train", draw, f"sets.{name}") for name, draw in every.items()}
     validation = {name: pool.draw("val", draw, f"validation.{name}") for name, draw in composition.validation.items()}
-    test = pool.draw("test", composition.test, "test")
-    shared = next(iter(validation.values()), [])
+    test, shared = pool.draw("test", composition.test, "test"), next(iter(validation.values()), [])
     nested = composition.nested
     roots = {(name if nested else ""): {"train": scenes, "val": shared, "test": test} for name, scenes in sets.items()}
     for name, scenes in validation.items() if nested or len(validation) > 1 else ():

@@ -142,8 +142,7 @@ def _composed(scenes: Sequence[Path], out: Path, plan: TrainingPlan, *, jobs: in
         controls=Controls(recorded="recorded", generated="hid2", without_interaction="no-interaction"),
         validation={RECORDED: Draw(take={"recorded": "all"}), HID2: Draw(take={"hid2": "all"})},
     )
-    root = out / "composed"
-    text = composition.model_dump_json(indent=1) + "\n"
+    root, text = out / "composed", composition.model_dump_json(indent=1) + "\n"
     there = (root / COMPOSITION).is_file()
     if not there or any(made.values()) or (root / COMPOSITION).read_text(encoding="utf-8") != text:
         if there:  # of another composition, or of scenes that have been made anew since

@@ -145,8 +145,7 @@ def split_by_place(
         for row in rows:
             counts[number, column[stratum(facts[row], bounds)]] += 1
     target = np.outer([shares[split] for split in wanted], counts.sum(axis=0))
-    have = np.zeros_like(target)
-    number_of = np.zeros(len(wanted), dtype=int)
+    have, number_of = np.zeros_like(target), np.zeros(len(wanted), dtype=int)
     chosen: dict[str, list[int]] = {split: [] for split in shares}
     shuffled = np.random.default_rng(seed).permutation(len(groups))
     order = sorted(shuffled.tolist(), key=lambda number: -len(groups[number]))

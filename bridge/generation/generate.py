@@ -115,8 +115,7 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
     new_id = new_scenario_id(scenario.scenario_id, config, config.request.seed, variant)
     seed = [config.request.seed, variant, zlib.crc32(scenario.scenario_id.encode())]
     surroundings = prepared.surroundings(config)
-    scene = surroundings.scene
-    filling = Filling(surroundings, seed)
+    scene, filling = surroundings.scene, Filling(surroundings, seed)
     _LOG.debug("%s variant %d: %s vehicles asked for", scenario.scenario_id, variant, config.request.agents)
     with prepared.simulation(config, seed) as simulation:
         rounds = _Rounds(simulation, filling, scenario)

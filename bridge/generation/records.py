@@ -80,8 +80,7 @@ def maneuver_record(
     scene: Scene, vehicle: ExportedVehicle, outcome: Outcome, names: Mapping[str, str], others: Traffic
 ) -> sidecar.ManeuverRecord:
     """Record of one manoeuvre; times and gaps are those of the exported motion."""
-    driven = vehicle.driven
-    is_turn = BEHAVIOURS[outcome.policy].turn is not None
+    driven, is_turn = vehicle.driven, BEHAVIOURS[outcome.policy].turn is not None
     shift, front, rear = driven.shifts[0] if driven.shifts else None, OPEN, OPEN
     if shift is not None:
         front, rear = gaps_at_request(scene, vehicle, shift, others)

@@ -37,8 +37,7 @@ def agent_figure(scenario: Recording, agent_id: str) -> Figure:
     Vertical lines are the trigger, start, crossing and end of its manoeuvres: the sidecar's, of recorded ones as seen.
     """
     track = scenario.track(agent_id)
-    arrays = stack([track], step_s=scenario.step_s)
-    lanes = flatten_lanes(scenario.graph)
+    arrays, lanes = stack([track], step_s=scenario.step_s), flatten_lanes(scenario.graph)
     view = LaneView(arrays, lanes, match_lanes(arrays, lanes))
     moments, note = _moments(scenario, agent_id, detect(view))
     time = np.asarray(track.timesteps * scenario.step_s, dtype=np.float64)

@@ -113,8 +113,7 @@ def draw_scene(
     step: a timestep (default: the last observed one). agent: a track to highlight with its surroundings. Axes are in
     city coordinates, m, at the same scale both ways. Errors: ConfigError for an unknown step or track.
     """
-    shown = figures.check_step(scenario, step)
-    panel = _panels(scenario)[-1]
+    shown, panel = figures.check_step(scenario, step), _panels(scenario)[-1]
     low, high = _window(scenario, agent)
     figures.draw_map(axes, scenario.graph, cells=cells)
     room = axes.get_window_extent()
@@ -383,7 +382,6 @@ def palette_of(picture: Image.Image, colors: int) -> Image.Image:
     faces = [*dict.fromkeys(figures.FACES.values())]
     own = np.array([to_rgb(color) for color in (*faces, figures.HIGHLIGHT, *faces)])
     own[-len(faces) :] = (own[-len(faces) :] + to_rgb(figures.MAP_COLORS["ground"])) / 2  # trails on the ground
-    kept = np.rint(255 * own).astype(int)
-    palette = Image.new("P", (1, 1))
+    kept, palette = np.rint(255 * own).astype(int), Image.new("P", (1, 1))
     palette.putpalette((picture.quantize(colors - len(kept)).getpalette() or []) + kept.ravel().tolist())
     return palette

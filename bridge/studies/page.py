@@ -231,8 +231,7 @@ def _records(table: pd.DataFrame) -> list[dict[Any, Any]]:
 
 def _told(dose: pd.DataFrame) -> dict[str, Any]:
     """Of a parameter: rows of each outcome known at two values; of requests, where they differ in number."""
-    counts = dose[dose["outcome"] == OUTCOMES[0].name]
-    known = dose[dose["estimate"].notna()]
+    counts, known = dose[dose["outcome"] == OUTCOMES[0].name], dose[dose["estimate"].notna()]
     rows = [(one, _records(known[known["outcome"] == one.name])) for one in OUTCOMES]
     return {
         "counts": _records(counts) if counts["rows"].nunique() > 1 else [],

@@ -139,8 +139,7 @@ def draw(prepared: PreparedScene, config: Config) -> Drawn:
     scene = scene_of(scenario, config, prepared.grid)
     seed = config.request.seed, 0, zlib.crc32(scenario.scenario_id.encode())
     surroundings = Surroundings(scene)
-    filling = Filling(surroundings, seed)
-    count = config.request.agents
+    filling, count = Filling(surroundings, seed), config.request.agents
     assert count != "max"  # refused by `read_study`
     starts = filling.first_starts(count) if count else []
     return Drawn(

@@ -139,8 +139,7 @@ class RoadTraffic:
     def run(self) -> None:
         """All steps. Errors: SimulationError."""
         config, road = self.config, self.road
-        own = config.lane_change.rule == "LC2013"
-        more = model_parameters(config)
+        own, more = config.lane_change.rule == "LC2013", model_parameters(config)
         if own:
             more["lcKeepRight"] = rule_arguments(config.lane_change).get("keep_right", 1.0)
         signals = {lane_id: (one.offset_s, one.phases) for lane_id, one in road.signals.items()}
@@ -279,8 +278,7 @@ class RoadTraffic:
         left = vehicles[vehicles["still"] == 0.0]
         table = pd.crosstab(left["start"], left["end"]).reindex(index=numbers, columns=numbers, fill_value=0)
         changes = left.groupby("start")["changes"].sum().reindex(numbers, fill_value=0)
-        driven_m = sum((counted["v"] * road.step_s).tolist())
-        every = int(changes.sum())
+        driven_m, every = sum((counted["v"] * road.step_s).tolist()), int(changes.sum())
         gaps = gaps_of(pd.DataFrame([look for look in self._looks if look["vehicle"] in vehicles.index]), [])
         found = {side: largest_rejected(gaps, side) for side in ("lag", "lead")}
         ratios = {

@@ -26,8 +26,7 @@ def resampled(
 ) -> tuple[FloatArray, FloatArray]:
     """A statistic (K,) of the weights of rows, and (draws, K) of it with units drawn again; none of too few units."""
     code = pd.factorize(pd.MultiIndex.from_frame(frame[list(unit)]))[0]
-    count = int(code.max(initial=-1)) + 1
-    whole = statistic(np.ones(len(frame)))
+    count, whole = int(code.max(initial=-1)) + 1, statistic(np.ones(len(frame)))
     if count < UNITS_LEAST:
         return whole, np.empty((0, whole.size))
     return whole, redrawn(lambda weights: statistic(weights[code]), count)

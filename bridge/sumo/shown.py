@@ -74,8 +74,7 @@ def shown_when(
         low, high = found.low[:, :num_steps], found.high[:, :num_steps]
         needed[found.agents] |= np.isfinite(low) & (high > start.start_m) & (low < reach_m) & (lasting_s >= 0.0)
     needed &= traffic.present
-    steps = np.arange(num_steps)
-    first = needed.argmax(axis=1) - UNSEEN_STEPS - 1
+    steps, first = np.arange(num_steps), needed.argmax(axis=1) - UNSEEN_STEPS - 1
     last = num_steps - needed[:, ::-1].argmax(axis=1)
     ever = np.asarray(needed.any(axis=1)).reshape(-1, 1)
     once = ever & (steps >= first[:, None]) & (steps <= last[:, None])

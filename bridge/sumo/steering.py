@@ -140,8 +140,7 @@ def apply_policy(
     fleet_now = traffic()
     others = fleet_now.rows([other for other, one in enumerate(fleet_now.ids) if one != vehicle.vehicle_id])
     scene, due = fleet.scene, ManoeuvreDue(fleet.scene, vehicle, now, fleet.kept, others)
-    answer = simulation.lane_change_answer
-    asks = scene.config.lane_change.rule == "LC2013"
+    answer, asks = simulation.lane_change_answer, scene.config.lane_change.rule == "LC2013"
     across = due.observe_and_decide((lambda side: SumoAnswer(*answer(vehicle.vehicle_id, side))) if asks else None)
     if across is None:
         return None

@@ -123,8 +123,7 @@ def train(
             raise ConfigError(f"{checkpoint}: no checkpoint of hid2 ({error!r:.100}); remove it") from error
         if differs:
             raise ConfigError(f"{checkpoint}: of another training ({', '.join(differs)} differ); choose another folder")
-    everything = _batch(data)
-    per_epoch = -(-len(data) // BATCH)
+    everything, per_epoch = _batch(data), -(-len(data) // BATCH)
     model.train()
     for update in range(done, updates):
         epoch, number = divmod(update, per_epoch)

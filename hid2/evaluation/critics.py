@@ -128,8 +128,7 @@ def judge(found: Windows, critic: Critic, view: View) -> Verdict | None:
     if len(scenes) < 2:
         return None
     x, generated = features(found)[:, _COLUMNS[view]], found["generated"]
-    fold = scene % min(_FOLDS, len(scenes))
-    scores = np.zeros(len(x))
+    fold, scores = scene % min(_FOLDS, len(scenes)), np.zeros(len(x))
     for k in range(int(fold.max()) + 1):
         test = fold == k
         scores[test] = _scores(critic, x[~test], generated[~test], weights[~test], x[test])

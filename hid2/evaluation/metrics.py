@@ -247,8 +247,7 @@ def columns() -> dict[str, Column]:
 
 def policies(arrays: SceneArrays, maneuvers: Sequence[Maneuver]) -> dict[str, Policy]:
     """One policy of the paper per moving vehicle, by track id: the rarest of what it did, else straight."""
-    order = list(BEHAVIOURS)
-    moving = np.flatnonzero(arrays.moving_vehicles)
+    order, moving = list(BEHAVIOURS), np.flatnonzero(arrays.moving_vehicles)
     out = {arrays.track_ids[agent]: Policy.STRAIGHT for agent in moving}
     for maneuver in maneuvers:
         seen = behaviour_seen(maneuver.kind).policy

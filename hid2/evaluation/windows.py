@@ -91,8 +91,7 @@ def polynomial_fit(time: FloatArray, degree: int) -> FloatArray:
 def _of_track(view: LaneView, led: LaneLeaders, rows: IntArray, time: FloatArray) -> Windows:
     """Windows of one vehicle; rows (M, T): those of each."""
     arrays, matches, parabola, cubic = view.arrays, view.matches, polynomial_fit(time, 2), polynomial_fit(time, 3)
-    middle = len(time) // 2
-    position = arrays.position[rows]
+    middle, position = len(time) // 2, arrays.position[rows]
     fitted = np.einsum("kt,mtc->mkc", cubic, position)
     slope = np.einsum("tk,mkc->mtc", np.vander(time, 3, increasing=True) * np.array([1.0, 2.0, 3.0]), fitted[:, 1:])
     pace = np.hypot(slope[..., 0], slope[..., 1])
@@ -101,8 +100,7 @@ def _of_track(view: LaneView, led: LaneLeaders, rows: IntArray, time: FloatArray
     step = np.einsum("mtc,mtc->mt", np.diff(position, axis=1), 0.5 * (along[:, 1:] + along[:, :-1]))
     s = np.concatenate([np.zeros((len(rows), 1)), np.cumsum(step, axis=1)], axis=1)
     lane, d = matches.lane[rows], matches.d[rows]
-    direction = np.unwrap(matches.direction[rows], axis=1)
-    leader = led.agent[rows]
+    direction, leader = np.unwrap(matches.direction[rows], axis=1), led.agent[rows]
     same = (leader == leader[:, middle : middle + 1]) & (leader >= 0)
     gap = np.where(same & np.isfinite(led.gap_m[rows]), led.gap_m[rows], 0.0)
     line = _weighted_lines(gap, same, time)
@@ -125,8 +123,7 @@ def _weighted_lines(values: FloatArray, known: BoolArray, time: FloatArray) -> F
     """(M, 2) value at the middle and slope of a line through the known values (M, T); zeros where there are none."""
     weight = known.astype(np.float64)
     total = np.maximum(weight.sum(axis=1), 1.0)
-    centre = (weight @ time) / total
-    mean = (weight * values).sum(axis=1) / total
+    centre, mean = (weight @ time) / total, (weight * values).sum(axis=1) / total
     offset = time - centre[:, None]
     spread = (weight * offset * offset).sum(axis=1)
     slope = (weight * offset * values).sum(axis=1) / np.where(spread > 0, spread, 1.0)

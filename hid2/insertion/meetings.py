@@ -180,7 +180,10 @@ class Meetings:
             if not looked:
                 continue
             first = grid.index_of[Cell(lane_id, 0)]
-            cells, one = slice(first, first + grid.count(lane_id)), looked[0] if len(looked) == 1 else Outlook.over(looked)
+            cells, one = (
+                slice(first, first + grid.count(lane_id)),
+                looked[0] if len(looked) == 1 else Outlook.over(looked),
+            )
             found.weight[cells], found.near[cells], found.leader[cells], found.stays[cells] = one[:4]
             for name, met in found.meets.items():
                 met[cells] = one.meets[name]

@@ -158,8 +158,7 @@ def _conflict(
 ) -> TrafficConflict:
     """The conflict of a pair over some steps. span: where both are there then; crossed: where their paths cross."""
     first = _first(arrays, pair, span, crossed)
-    second = sum(pair) - first
-    ttc_s = float(span.ttc_s.min(initial=np.inf))
+    second, ttc_s = sum(pair) - first, float(span.ttc_s.min(initial=np.inf))
     then = int(span.step[np.argmin(span.ttc_s)]) if math.isfinite(ttc_s) else steps[0]
     met = dict(zip(pair, crossed.passed if crossed and not math.isfinite(ttc_s) else (then, then), strict=True))
     one, other = (int(arrays.row_of[agent, met[agent]]) for agent in (first, second))

@@ -145,8 +145,7 @@ def _beside(lanes: FlatLanes, lane: int) -> list[int]:
 
 def _path(view: LaneView, chain: list[int], preferred: set[int]) -> tuple[Polyline, tuple[int, ...]]:
     """The polyline of `chain`, extended over preferred successors, else the straightest, by _PATH_AHEAD_M."""
-    lanes = list(chain)
-    ahead = 0.0
+    lanes, ahead = list(chain), 0.0
     while ahead < _PATH_AHEAD_M and len(lanes) < 100:
         targets = view.lanes.successors[lanes[-1]]
         wanted = [n for n in targets if n in preferred]

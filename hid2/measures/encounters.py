@@ -111,16 +111,14 @@ def acceleration(way_m: FloatArray, steps: IntArray, step_s: float) -> FloatArra
 def lasts(holds: BoolArray, for_s: float, step_s: float, agent: IntArray, num_agents: int) -> BoolArray:
     """(A,) agents for which something holds for so long; agent (N,): that of each row, in order."""
     out, count = np.zeros(num_agents, dtype=bool), max(1, round(for_s / step_s))
-    before = np.concatenate([[0], np.cumsum(holds)])
-    first = agent[: max(0, len(holds) - count + 1)]
+    before, first = np.concatenate([[0], np.cumsum(holds)]), agent[: max(0, len(holds) - count + 1)]
     out[first[(before[count:] - before[:-count] == count) & (first == agent[count - 1 :])]] = True
     return out
 
 
 def _distance_to_moving(arrays: SceneArrays, recorded: BoolArray) -> FloatArray:
     """(A,) m, least distance of a vehicle's centre to that of another vehicle that was recorded and moves."""
-    out = np.full(arrays.num_agents, np.inf)
-    others = np.flatnonzero(recorded & arrays.moving)
+    out, others = np.full(arrays.num_agents, np.inf), np.flatnonzero(recorded & arrays.moving)
     for agent in np.flatnonzero(arrays.vehicle).tolist():
         rows = slice(int(arrays.first[agent]), int(arrays.first[agent + 1]))
         among = others[others != agent]

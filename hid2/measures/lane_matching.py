@@ -187,8 +187,7 @@ def match_lanes(arrays: SceneArrays, lanes: FlatLanes) -> Matches:
     direction = directions_of_motion(arrays.position, arrays.heading, arrays.first, step_s=arrays.step_s)
     lane, s, d, cost, count = lanes_near(lanes, arrays.position, direction, arrays.vehicle[arrays.agent])
     chosen = likeliest_lanes(np.flatnonzero(arrays.vehicle), arrays.first, lane, s, cost, count, lanes.link)
-    rows = np.arange(len(chosen))
-    on = chosen >= 0
+    rows, on = np.arange(len(chosen)), chosen >= 0
     slot = np.where(on, chosen, 0)
     s_on, d_on = (np.where(on, one[rows, slot], 0.0) for one in (s, d))
     return Matches(np.where(on, lane[rows, slot], -1), s_on, d_on, direction)

@@ -276,8 +276,7 @@ def _overtake(view: LaneView, agent: int, change: _Change, back: _Change | None)
     arrays = view.arrays
     own = slice(int(arrays.first[agent]), int(arrays.first[agent + 1]))
     s_own, _ = change.path.frenet(arrays.position[own])
-    step_own = arrays.step[own]
-    row = change.row - own.start
+    step_own, row = arrays.step[own], change.row - own.start
     until = change.maneuver.end_s if back is None else back.maneuver.crossing_s
     found: list[tuple[bool, float, Maneuver, bool]] = []
     for other in _ahead_on_path(view, agent, change, float(s_own[row])):

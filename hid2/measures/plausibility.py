@@ -88,8 +88,7 @@ def _shift(arrays: SceneArrays, direction: FloatArray, rows: IntArray, lanes: Fl
     shifts = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     shifts = shifts[np.hypot(*shifts.T) <= _SHIFTS_TO_M]
     shifts = shifts[np.argsort(np.hypot(*shifts.T), kind="stable")]
-    lengths_m = np.hypot(*shifts.T)
-    course = direction[rows]
+    lengths_m, course = np.hypot(*shifts.T), direction[rows]
     aside = np.stack([-np.sin(course), np.cos(course)], axis=1) @ shifts.T  # (points, shifts), to the left
     nearest = _distance(arrays.position[rows], course, aside, lanes)
     against = _distance(arrays.position[rows], course + math.pi, -aside, lanes)
