@@ -267,6 +267,7 @@ def build_scene(
     states = agent_states(covered, lanes, num_steps=num_steps, step_s=step_s, is_inserted=lambda _: False)
     lane_speeds, scene_speeds = _speeds(grid, states, traffic, occupancy, step_s=step_s)
     rows = [row for row, track in enumerate(tracks) if track.object_type in VEHICLE_TYPES]
+    run_on_m = _RUN_ON_M if "topology" in config.without else 0.0
     return Scene(
         grid=grid,
         config=config,
@@ -274,7 +275,7 @@ def build_scene(
         future=future_of(traffic, config, step_s=step_s),
         tracks=tuple(tracks),
         states=states,
-        paths=LanePaths(grid.graph, config.limits, _RUN_ON_M if "topology" in config.without else 0.0),
+        paths=LanePaths(grid.graph, config.limits, run_on_m, config.spawn.max_speed_mps * num_steps * step_s),
         vehicle_rows=np.array(rows, dtype=np.int64),
         occupancy=occupancy,
         boxes=boxes,

@@ -75,11 +75,6 @@ class PedestrianCrossings:
             soon[..., :-ahead] |= on[..., ahead:]
         return np.asarray(soon & traffic.present | comes)
 
-    @property
-    def are_used(self) -> BoolArray:
-        """(P,) which crossings agents use at some step."""
-        return np.asarray(self._at.any(axis=(1, 2)))
-
     def _near(self, xy: FloatArray, reach_m: float) -> IntArray:
         """Which of the places (N, 2) m can be so near to a crossing."""
         low, high, at = self.corners.min(axis=1) - reach_m, self.corners.max(axis=1) + reach_m, xy[:, None]
@@ -195,7 +190,7 @@ class StopLines:
         walking = scene.traffic.rows([row for row, kind in enumerate(kinds) if kind in CROSSING_TYPES])
         corners = np.array(scene.grid.graph.pedestrian_crossings, dtype=np.float64).reshape(-1, 4, 2)
         every = PedestrianCrossings(corners, walking, scene.step_s)
-        return replace(every, corners=corners[every.are_used])  # what none uses closes no line
+        return replace(every, corners=corners[every._at.any(axis=(1, 2))])  # what none uses closes no line
 
     @once
     def on(self, path: DrivenPath, box: BoxSize) -> ClosedLines:

@@ -5,16 +5,12 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import shapely
 
-from hid2.insertion.flow import entry_lanes
+from hid2.insertion.flow import edge_lanes
 from hid2.insertion.meetings import NEAR_WEIGHT, Meetings, Outlook
 from hid2.insertion.routes import RouteOffer, Routes
 from hid2.scene import ENTRY_STAYS_S, Scene
 from netconvert.lane_graph import TurnType
-
-#: Largest distance of a lane that begins at the map's edge to the hull of all lanes, m. No tunable: what the edge is.
-_EDGE_M = 15.0
 
 
 class Entry(NamedTuple):
@@ -66,15 +62,3 @@ class Entries:
         """The last step at which a vehicle enters: an observed one, and not just before the scene ends."""
         scene = self.scene
         return min(scene.last_observed_step, scene.num_steps - scene.steps_in(ENTRY_STAYS_S))
-
-
-def edge_lanes(scene: Scene, routes: Routes) -> list[int]:
-    """Entry lanes that begin at the map's edge: near to the hull of all lanes, and no lane of their row goes on before.
-
-    Elsewhere a lane without predecessors is a turn pocket or a driveway: no vehicle appears there at traffic's speed.
-    """
-    graph = scene.grid.graph
-    hull = shapely.convex_hull(shapely.multipoints(np.concatenate([lane.centerline for lane in graph.lanes.values()])))
-    begin = {lane_id for row in graph.rows() if not any(map(graph.predecessors, row)) for lane_id in row}
-    starts = {lane_id: shapely.points(graph.lanes[lane_id].centerline[0]) for lane_id in entry_lanes(scene, routes)}
-    return [n for n, at in starts.items() if n in begin and shapely.distance(hull.boundary, at) <= _EDGE_M]

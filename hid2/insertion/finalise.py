@@ -139,7 +139,8 @@ def finalise(scene: Scene, vehicle: DrivenVehicle, kept: Sequence[ExportedVehicl
 #: Verdicts that another lateral offset may change.
 _LATERAL = frozenset({
     Reason.OFF_ROAD, Reason.MEETS_RECORDED, Reason.MEETS_GENERATED, Reason.LIMIT_JERK, Reason.LIMIT_YAW_ACCEL,
-    Reason.LIMIT_YAW_RATE, Reason.TTC_LANE_LEADER, Reason.TTC_AT_END, Reason.PET, Reason.SOLID_LINE,
+    Reason.LIMIT_YAW_RATE, Reason.LIMIT_CURVATURE, Reason.TTC_LANE_LEADER, Reason.TTC_AT_END, Reason.PET,
+    Reason.SOLID_LINE,
 })  # fmt: skip
 #: Verdicts that a wider filter may change.
 _STEEP = frozenset({

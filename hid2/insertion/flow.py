@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 
 from hid2.agents import DEFAULT_SIZES, Policy
 from hid2.drivers.driver import MIDDLE, desired_speeds, draw_driver
@@ -17,6 +18,8 @@ from hid2.scene import Scene, clearance_box
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.lane_graph import Side
 
+#: Largest distance of a lane that begins at the map's edge to the hull of all lanes, m. No tunable: what the edge is.
+_EDGE_M = 15.0
 _STREAM, _TRIGGERS = 77, 78  # random streams, apart from those of the rounds; no tunables: names
 
 
@@ -37,10 +40,18 @@ class Arrival:
         return self.start.vehicle_id
 
 
-def entry_lanes(scene: Scene, routes: Routes) -> list[int]:
-    """Lanes for general motor traffic that no other lane leads to, in order of their ids."""
+def edge_lanes(scene: Scene, routes: Routes) -> list[int]:
+    """Lanes for general motor traffic that begin at the map's edge, in order of their ids.
+
+    No lane leads to one, nor to any of its row, and it begins near to the hull of all lanes. Elsewhere it is a turn
+    pocket or a driveway: no vehicle appears there at traffic's speed.
+    """
     graph = scene.grid.graph
-    return sorted(n for n in routes.lanes if not graph.predecessors(n) and not graph.lanes[n].is_intersection)
+    hull = shapely.convex_hull(shapely.multipoints(np.concatenate([lane.centerline for lane in graph.lanes.values()])))
+    rows = (row for row in graph.rows() if not any(map(graph.predecessors, row)))
+    begin = sorted(n for row in rows for n in row if n in routes.lanes and not graph.lanes[n].is_intersection)
+    edge_m = shapely.distance(hull.boundary, shapely.points([graph.lanes[n].centerline[0] for n in begin]))
+    return [n for n, off_m in zip(begin, edge_m.tolist(), strict=True) if off_m <= _EDGE_M]
 
 
 def headway_s(veh_per_h: float, flow: Flow, rng: np.random.Generator) -> float:
@@ -61,7 +72,7 @@ def arrivals(scene: Scene, routes: Routes, seed: Sequence[int]) -> list[Arrival]
     request = config.request
     changing = request.lane_change / max(request.lane_change + request.straight, 1e-9)
     found: list[Arrival] = []
-    for lane_id in entry_lanes(scene, routes):
+    for lane_id in edge_lanes(scene, routes):
         offers = routes.offers(lane_id)
         due_s, number = 0.0, 0
         while offers:

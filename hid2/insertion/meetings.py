@@ -102,8 +102,8 @@ class Outlook(NamedTuple):
         """Of the same cells on some route: the weight is the mean, the leader that on the best."""
         weights, leaders = np.array([one.weight for one in routes]), np.array([one.leader for one in routes])
         best = (weights * (1.0 + (leaders >= 0))).argmax(axis=0)
-        near, stays = (np.logical_or.reduce([one[k] for one in routes]) for k in (1, 3))
-        meets = {name: np.logical_or.reduce([one.meets[name] for one in routes]) for name in Situation}
+        near, stays = np.asarray(np.any([(one.near, one.stays) for one in routes], axis=0))
+        meets = {name: np.asarray(np.any([one.meets[name] for one in routes], axis=0)) for name in Situation}
         return cls(weights.mean(axis=0), near, leaders[best, np.arange(best.size)], stays, meets)
 
     def meets_any(self, wants: Collection[Situation], followed: Collection[int]) -> BoolArray:
@@ -180,10 +180,8 @@ class Meetings:
             if not looked:
                 continue
             first = grid.index_of[Cell(lane_id, 0)]
-            cells, one = (
-                slice(first, first + grid.count(lane_id)),
-                looked[0] if len(looked) == 1 else Outlook.over(looked),
-            )
+            cells = slice(first, first + grid.count(lane_id))
+            one = looked[0] if len(looked) == 1 else Outlook.over(looked)
             found.weight[cells], found.near[cells], found.leader[cells], found.stays[cells] = one[:4]
             for name, met in found.meets.items():
                 met[cells] = one.meets[name]

@@ -66,7 +66,8 @@ class Routes:
         if "topology" in self.scene.config.without:
             return (self.offer_of((lane_id,)),)
         graph = self.scene.grid.graph
-        found = routes_from(graph, lane_id, choose=lambda _, onward: tuple(sorted(onward)), most=_MOST)
+        needed_m = self.scene.paths.needed_m
+        found = routes_from(graph, lane_id, choose=lambda _, on: tuple(sorted(on)), most=_MOST, needed_m=needed_m)
         return tuple(self.offer_of(with_run_up(graph, route, _RUN_UP_M), lane_id) for route in found)
 
     @once

@@ -269,13 +269,15 @@ def straightest_first(graph: LaneGraph, lane_id: int, onward: Iterable[int], pre
     return tuple(sorted(onward, key=lambda n: (n not in preferred, graph.turned_rad(lane_id, n), n)))
 
 
-def routes_from(graph: LaneGraph, lane_id: int, *, choose: Callable[[int, Route], Route], most: int) -> Iterator[Route]:
+def routes_from(
+    graph: LaneGraph, lane_id: int, *, choose: Callable[[int, Route], Route], most: int, needed_m: float = 0.0
+) -> Iterator[Route]:
     """Routes of drivable lanes to where the map ends, at most `most`, depth first.
 
-    choose: orders the lanes onward from the lane before a split. A route stops growing beyond ROUTE_LONGEST_M, and
-    where it would come back over itself.
+    choose: orders the lanes onward from the lane before a split. A route stops growing beyond ROUTE_LONGEST_M and
+    needed_m, and where it would come back over itself.
     """
-    found = 0
+    found, longest_m = 0, max(ROUTE_LONGEST_M, needed_m)
     stack: list[tuple[Route, float]] = [((lane_id,), 0.0)]
     while stack and found < most:
         route, length = stack.pop()
@@ -283,12 +285,12 @@ def routes_from(graph: LaneGraph, lane_id: int, *, choose: Callable[[int, Route]
             length += graph.lanes[route[-1]].length_m
             after = graph.successors(route[-1])
             onward = tuple([n for n in after if is_drivable(graph, n) and not comes_back(graph, route, n)])
-            if len(onward) != 1 or length > ROUTE_LONGEST_M:
+            if len(onward) != 1 or length > longest_m:
                 break
             route = (*route, *onward)
         if not onward and any(not is_drivable(graph, n) for n in after):
             continue
-        if not onward or length > ROUTE_LONGEST_M:
+        if not onward or length > longest_m:
             found += 1
             yield route
             continue
@@ -310,11 +312,15 @@ def with_run_up(graph: LaneGraph, route: Route, back_m: float) -> Route:
 
 @dataclass(frozen=True, eq=False)
 class LanePaths:
-    """Paths on the middle of the lanes of routes, and run_on_m farther straight on, off the grid (without topology)."""
+    """Paths on the middle of the lanes of routes, and run_on_m farther straight on, off the grid (without topology).
+
+    needed_m: how far a vehicle may drive in the time of the scene.
+    """
 
     graph: LaneGraph
     limits: Limits
     run_on_m: float = 0.0
+    needed_m: float = 0.0
 
     @once
     def along(self, route: Route) -> DrivenPath:
@@ -339,4 +345,5 @@ class LanePaths:
         graph = self.graph
         beside = {n for lane in own for side in SIDES if (n := graph.neighbor(lane, side)) is not None}
         choose = partial(straightest_first, graph, preferred=beside)
-        return with_run_up(graph, next(routes_from(graph, lane_id, choose=choose, most=1), (lane_id,)), _LOOK_BACK_M)
+        routes = routes_from(graph, lane_id, choose=choose, most=1, needed_m=self.needed_m)
+        return with_run_up(graph, next(routes, (lane_id,)), _LOOK_BACK_M)

@@ -90,13 +90,14 @@ class Traffic:
         step_s 0: at the place of that state.
         """
         found: dict[str, Any] = {name: getattr(self, name).copy() for name in _BY_STEP}
-        for row in np.flatnonzero(self.present.any(axis=1)):
-            at = np.flatnonzero(self.present[row])
-            for end, more in ((at[0], np.arange(at[0] - steps, at[0])), (at[-1], at[-1] + 1 + np.arange(steps))):
-                more = more[(more >= 0) & (more < self.num_steps)]
-                for name in _BY_STEP:
-                    found[name][row, more] = getattr(self, name)[row, end]
-                found["position"][row, more] += step_s * (more - end)[:, None] * self.velocity[row, end]
+        first, behind = self.present.argmax(axis=1), self.present[:, ::-1].argmax(axis=1)
+        ends = np.clip(np.arange(self.num_steps), first[:, None], self.num_steps - 1 - behind[:, None])
+        apart = np.abs(np.arange(self.num_steps) - ends)
+        row, more = np.nonzero((apart > 0) & (apart <= steps) & self.present.any(axis=1, keepdims=True))
+        end = ends[row, more]
+        for name in _BY_STEP:
+            found[name][row, more] = getattr(self, name)[row, end]
+        found["position"][row, more] += (step_s * (more - end))[:, None] * self.velocity[row, end]
         return replace(self, **found)
 
     def joined(self, *others: "Traffic") -> "Traffic":

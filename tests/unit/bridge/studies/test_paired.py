@@ -21,7 +21,7 @@ from bridge.studies.run import plan_text, run_study
 from bridge.studies.statistics import seeds_needed
 from bridge.studies.study import Study, read_study
 from hid2.agents import Policy
-from hid2.insertion.flow import arrivals, entry_lanes
+from hid2.insertion.flow import arrivals, edge_lanes
 from hid2.insertion.routes import Routes
 from hid2.params import Config, Drivers, Flow, LaneChange, Request, Spawn
 from hid2.scene import build_scene
@@ -158,7 +158,7 @@ def test_arrivals_keep_their_headways_and_their_rate(corridor: Path) -> None:
         prepare(scenario, config).grid, scenario.tracks, config=config, num_steps=400, last_observed_step=49, step_s=0.1
     )
     routes = Routes(scene)
-    assert entry_lanes(scene, routes) == [1, 2]
+    assert edge_lanes(scene, routes) == [1, 2]
     headways = []
     for seed in range(20):
         found = arrivals(scene, routes, (seed, 0, 0))

@@ -9,9 +9,9 @@ from hand_drawn import draw_box, draw_lane, draw_road
 from inserted import recorded, scene_on, sites_of, start_on
 
 from hid2.agents import Policy, Track
-from hid2.insertion.entries import edge_lanes
 from hid2.insertion.entry_sites import entry_speed
 from hid2.insertion.filling import Filling
+from hid2.insertion.flow import edge_lanes
 from hid2.insertion.surroundings import Surroundings
 from hid2.params import Config, Request, Spawn
 from hid2.scene import Scene

@@ -90,6 +90,9 @@ def test_routes_follow_the_order_chosen_at_a_split_and_are_cut_when_long_enough_
     assert routes(forked) == [(1, 3, 4)]
     monkeypatch.setattr("hid2.motion.route.ROUTE_LONGEST_M", 60.0)
     assert routes(open_to_all) == [(1, 2), (1, 3)]
+    # a vehicle that may drive farther in the time of the scene needs more
+    straight_on = routing.routes_from(open_to_all, 1, choose=lambda _, onward: onward, most=1, needed_m=500.0)
+    assert list(straight_on) == [(1, 2, 5)]
 
 
 def test_straightest_lane_at_a_split_is_the_one_that_turns_least_either_way() -> None:
