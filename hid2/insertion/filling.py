@@ -108,8 +108,7 @@ class Filling:
 
     def fill(self, drive: Drive) -> None:
         """All rounds. The count is a wish: a full road ends with fewer, and says so."""
-        config = self.scene.config
-        target = self._target()
+        config, target = self.scene.config, self._target()
         self._open = self._requests(max(0, target - len(self.kept)))
         idle = 0
         for number in range(config.spawn.rounds):

@@ -267,8 +267,7 @@ def conflicting(
     if len(exported) <= first_row or {"collision", "topology"} & config.without:
         return []
     states, first = together(scene, exported), scene.states.arrays.num_agents
-    led = leaders(states)
-    beyond_m = np.zeros(states.arrays.num_agents)
+    led, beyond_m = leaders(states), np.zeros(states.arrays.num_agents)
     beyond_m[first:] = [one.driven.start.beyond_m for one in exported]
     findings = [*ttc_on_lanes(states, led, bounds), *headways(states, led, beyond_m)]
     rows = first + np.arange(len(exported))
@@ -307,8 +306,7 @@ def _grid_path(scene: Scene, vehicle: DrivenVehicle, s: FloatArray, v: FloatArra
         cells += (scene.grid.index_of[Cell(segment.lane_id, 0)] + inside).tolist()
     if len(knots) < 2:
         return None
-    at = np.array(knots)
-    centre = scene.grid.centers[cells]
+    at, centre = np.array(knots), scene.grid.centers[cells]
     place = np.clip(np.searchsorted(at, s, side="right") - 1, 0, at.size - 2)
     chord = centre[place + 1] - centre[place]
     share = ((s - at[place]) / (at[place + 1] - at[place]))[:, None]

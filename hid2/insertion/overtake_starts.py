@@ -192,8 +192,7 @@ class OvertakeStarts:
             mps = rng.uniform(slowest_mps, fastest_mps)
             v = np.maximum(with_wander(mps, wander[int(rng.integers(len(wander)))]), slowest_mps)
             start = rng.uniform(way.first, latest) + length_m + rng.uniform(*_GAP_S) * (usual_mps - mps)
-            s = start + scene.step_s * (np.cumsum(v) - v)
-            one = replace(driver, desired_mps=mps)
+            s, one = start + scene.step_s * (np.cumsum(v) - v), replace(driver, desired_mps=mps)
             if s[-1] < way.path.exit_m and not self._is_met(way.path, one, s, v):
                 yield _Leader(way, s - length_m, s + length_m, v, one)
 

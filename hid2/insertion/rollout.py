@@ -343,8 +343,7 @@ class World:
         least = met.min(axis=0, initial=math.inf)
         if least[CONTACT] < np.inf:
             return Reason.MEETS_RECORDED if is_recorded[np.argmin(met[:, CONTACT])] else Reason.MEETS_GENERATED
-        unseen = scene.unseen_on(rollout.path, start.box)
-        steps = rollout.step + np.arange(inside)
+        unseen, steps = scene.unseen_on(rollout.path, start.box), rollout.step + np.arange(inside)
         if ((unseen.low[:, steps] < rollout.s[:inside]) & (rollout.s[:inside] < unseen.high[:, steps])).any():
             return Reason.MEETS_RECORDED
         if least[LEAD_TTC] < conflict.ttc_min_s:

@@ -65,8 +65,7 @@ class Routes:
         """All routes from a lane on, in the order of the map."""
         if "topology" in self.scene.config.without:
             return (self.offer_of((lane_id,)),)
-        graph = self.scene.grid.graph
-        needed_m = self.scene.paths.needed_m
+        graph, needed_m = self.scene.grid.graph, self.scene.paths.needed_m
         found = routes_from(graph, lane_id, choose=lambda _, on: tuple(sorted(on)), most=_MOST, needed_m=needed_m)
         return tuple(self.offer_of(with_run_up(graph, route, _RUN_UP_M), lane_id) for route in found)
 
@@ -138,8 +137,7 @@ class Routes:
         """What a route offers from a lane on, the first one unless told; those before it are the run-up."""
         lanes, first = self.scene.grid.graph.lanes, 0 if lane_id is None else route.index(lane_id)
         ends = list(itertools.accumulate(lanes[n].length_m for n in route))
-        starts = [0.0, *ends[:-1]]
-        rows = range(first, len(route))
+        starts, rows = [0.0, *ends[:-1]], range(first, len(route))
         turns = tuple(
             (lanes[route[row]].turn, starts[row], ends[row])
             for row in rows

@@ -275,8 +275,7 @@ class InsertionSites:
     ) -> bool:
         """Whether the map offers what is asked for from arc length s on, in the time that the scene has."""
         duration = self.here.scene.last_s
-        reach = s + speed_mps * duration
-        ahead = [one for one in offer.turns if one[2] > s]
+        reach, ahead = s + speed_mps * duration, [one for one in offer.turns if one[2] > s]
         turn = BEHAVIOURS[request.policy].turn
         if turn is not None:
             if not ahead or ahead[0][0] is not turn:

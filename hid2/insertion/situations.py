@@ -35,8 +35,7 @@ _PRIOR_VEHICLES = 6
 def recorded_shares(scene: Scene) -> dict[Situation, float]:
     """Share of the driven vehicles of a recording that meet something; a small recording is told by others too."""
     arrays = scene.states.arrays
-    seen = encounters(arrays, leaders(scene.states))
-    driven = arrays.clean
+    seen, driven = encounters(arrays, leaders(scene.states)), arrays.clean
     count = int(driven.sum()) + _PRIOR_VEHICLES
     return {one: (int(seen[one][driven].sum()) + _PRIOR_VEHICLES * share) / count for one, share in _PRIOR.items()}
 
@@ -71,8 +70,7 @@ def foreseen(world: World, start: Start, parts: tuple[Rollout, ...]) -> frozense
 
 
 def _foreseen(world: World, box: BoxSize, part: Rollout) -> Iterator[Situation]:
-    scene = world.scene
-    steps = part.step + np.arange(part.s.size)
+    scene, steps = world.scene, part.step + np.arange(part.s.size)
     counts = np.append(scene.states.arrays.whole_vehicles, False)  # the last for none, and for inserted ones
     known = world.guard.known_on(part.path, box)
     seen = gaps_on_path(known, part.s, steps, among=known.same_direction)

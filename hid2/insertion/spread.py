@@ -54,8 +54,7 @@ class Spread:
 
 def by_weight(weight: FloatArray, rng: np.random.Generator) -> IntArray:
     """Sites of some weight (N,) in weighted random order."""
-    key = rng.exponential(size=weight.size)
-    with_weight = np.flatnonzero(weight > 0.0)
+    key, with_weight = rng.exponential(size=weight.size), np.flatnonzero(weight > 0.0)
     return with_weight[np.argsort(key[with_weight] / weight[with_weight], kind="stable")]
 
 

@@ -170,8 +170,7 @@ class Starts:
                 return Reason.NO_SITE
             if near.lag_m[0] < (headway_s - LEADER_LENGTH_S) * near.lag_mps[0]:
                 return Reason.FOLLOWER_HEADWAY
-        lane_id = path.segment_at(start_m).lane_id
-        flow_mps = 0.0
+        lane_id, flow_mps = path.segment_at(start_m).lane_id, 0.0
         if step == 0:
             leader = self.meetings.leader_of(scene.cell_at(path, start_m), offer.route)
         if config.request.sites == "promising" and driver is None:
@@ -364,8 +363,7 @@ class Starts:
         self, path: DrivenPath, box: BoxSize, s: float, speed: float, alone_mps: float, driver: Driver, step: int
     ) -> float | Reason:
         """Speed that leaders allow, m/s, at most the one told; or why none can begin. alone_mps: without leaders."""
-        conflict = self.scene.config.conflict
-        known = self.world.guard.known_on(path, box)
+        conflict, known = self.scene.config.conflict, self.world.guard.known_on(path, box)
         seen = gaps_to_all(known, np.array([s]), step)
         leads = np.isfinite(seen.lead_m)
         speed = float(speed_behind(seen.lead_m[leads], seen.along_mps[leads], driver.following).min(initial=speed))

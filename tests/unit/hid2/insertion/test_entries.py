@@ -11,9 +11,9 @@ from inserted import recorded, scene_on, sites_of, start_on
 from hid2.agents import Policy, Track
 from hid2.insertion.entry_sites import entry_speed
 from hid2.insertion.filling import Filling
-from hid2.insertion.flow import edge_lanes
+from hid2.insertion.flow import arrivals, edge_lanes
 from hid2.insertion.surroundings import Surroundings
-from hid2.params import Config, Request, Spawn
+from hid2.params import Config, Flow, Request, Spawn
 from hid2.scene import Scene
 from hid2.vehicle import Start, VehicleRequest
 from netconvert.lane_graph import LaneGraph
@@ -45,8 +45,9 @@ def _pocket() -> LaneGraph:
 
 def test_turn_pockets_and_driveways_are_no_edge() -> None:
     """The hull reaches from y = -50 to 3.5: lane 4 begins 20 m inside it, lane 3 beside one that goes on before."""
-    scene = _scene(_pocket())
-    assert edge_lanes(scene, Surroundings(scene).routes) == [1, 5]
+    scene = scene_on(_pocket(), config=Config(flow=Flow(veh_per_h_lane=2000.0)))
+    routes = Surroundings(scene).routes
+    assert edge_lanes(scene, routes) == sorted({one.lane_id for one in arrivals(scene, routes, (0,))}) == [1, 5]
 
 
 def test_entries_are_at_observed_steps_after_the_first_with_three_seconds_left() -> None:
