@@ -9,15 +9,7 @@ from views import lane_view
 
 from hid2.agents import BoxSize, Track
 from hid2.evaluation.kinematics import motion
-from hid2.evaluation.realism import (
-    FEATURES,
-    FINE,
-    RealismCounts,
-    apart,
-    count_scene,
-    histogram,
-    quantiles,
-)
+from hid2.evaluation.realism import FEATURES, FINE, RealismCounts, apart, count_scene, histogram, quantiles
 from hid2.evaluation.safety import safety
 from hid2.evaluation.windows import half_numbers, windows
 from hid2.measures.arrays import stack
