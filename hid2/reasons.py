@@ -122,7 +122,7 @@ class Reason(StrEnum):
     LEAVES_TOO_EARLY = auto(), "The vehicle leaves the map before the last observed timestep."
     OFF_ROAD = auto(), "Its footprint leaves the drivable area."
     MEETS_RECORDED = auto(), "Its box meets that of a recorded agent, or of one that stands there unseen."
-    MEETS_GENERATED = auto(), "Its box meets that of another inserted vehicle."
+    MEETS_GENERATED = auto(), "Its box meets that of another inserted vehicle, or was inside it just before it begins."
     LIMIT_CURVATURE = auto(), "Its path is sharper than 1 / R_min."
     LIMIT_ACCEL = auto(), "It exceeds the longitudinal acceleration allowed."
     LIMIT_DECEL = auto(), "It exceeds the deceleration allowed."

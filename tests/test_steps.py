@@ -26,10 +26,7 @@ OF_ARGOVERSE_2 = {
     "bridge/forecasting/places.py": "data sets of its shape",
 }
 #: Steps that are no time: samples that a derivative needs, steps that SUMO's own code takes, rounds of a display.
-COUNTS = {
-    ("hid2/evaluation/kinematics.py", "MIN_STEPS"),
-    ("hid2/occupancy/shown.py", "UNSEEN_STEPS"),
-}
+COUNTS = {("hid2/evaluation/kinematics.py", "MIN_STEPS"), ("hid2/occupancy/shown.py", "UNSEEN_STEPS")}
 FORMAT_NAMES = frozenset({"STEP_S", "OBSERVED_STEPS", "MAX_STEPS", "NUM_STEPS"})
 _CONSTANT = re.compile(r"_?(?:[A-Z0-9]+_)*(?:STEPS?|STEP_S|DT|DT_S|HZ|FPS|FRAMES_PER_SECOND|LAST_OBSERVED|RATE_HZ)")
 _COUNT = re.compile(r"(?:.*_)?(?:steps?|last_observed)")
@@ -113,25 +110,13 @@ def test_no_step_is_a_constant_outside_readers() -> None:
     assert not found, "take it from the recording:\n" + "\n".join(found)
 
 
-@pytest.mark.parametrize(
-    "source",
-    [
-        "DT_S = 0.1",
-        "_STEPS, _STEP_S = 81, 0.1",
-        "FRAMES_PER_SECOND = 10",
-        "LAST_OBSERVED = 49",
-        "def f(x, step_s=0.1): ...",
-        "def f(*, step_s: float = 0.1): ...",
-        "class A:\n    observed_steps: int = 50",
-        "stack(tracks, step_s=0.1)",
-        "build(num_steps=110)",
-        "a = scene.step * 0.1",
-        "b = min(plan.at_step + 10, n)",
-        "c = num_steps == 110",
-        "d = 49 < track.step",
-        "from bridge.recordings.scenario import STEP_S",
-    ],
-)
+@pytest.mark.parametrize("source", [
+    "DT_S = 0.1", "_STEPS, _STEP_S = 81, 0.1", "FRAMES_PER_SECOND = 10", "LAST_OBSERVED = 49",
+    "def f(x, step_s=0.1): ...", "def f(*, step_s: float = 0.1): ...", "class A:\n    observed_steps: int = 50",
+    "stack(tracks, step_s=0.1)", "build(num_steps=110)", "a = scene.step * 0.1", "b = min(plan.at_step + 10, n)",
+    "c = num_steps == 110", "d = 49 < track.step",
+    "from bridge.recordings.scenario import STEP_S",
+])  # fmt: skip
 def test_a_step_that_is_written_down_is_found(source: str) -> None:
     """What the check above is for; it finds each, and passes neighbours of a step, the first one, and other numbers."""
     assert breaches(source, "hid2/some.py")

@@ -13,10 +13,10 @@ from hid2.drivers.driver import Driver, draw_driver
 from hid2.insertion.event_objective import MOMENT_S, Objective
 from hid2.insertion.event_places import ABOUT_M, Place
 from hid2.insertion.rollout import RolledOut, Rollout, World
-from hid2.insertion.starts import Site, Starts, are_clear
+from hid2.insertion.starts import Begin, Site, Starts, are_clear
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.occupancy.gaps import gaps_on_path
-from hid2.occupancy.traffic import BoolArray
+from hid2.occupancy.traffic import BoolArray, Traffic
 from hid2.policy.observation import admissible_neighbor
 from hid2.policy.overtake import Stage
 from hid2.reasons import Reason
@@ -152,6 +152,15 @@ class EventStarts(Starts):
         drawn = [draw_driver(config, self.rng, lane_speed_mps=flow_mps) for flow_mps in flows]
         return max(drawn, key=lambda one: one.desired_mps)
 
+    def _start_speed(self, begin: Begin, speed: float, driver: Driver) -> float | Reason:
+        """The same; where vehicles of events before are all that is in the way, they are told to be met."""
+        found, guard = Starts._start_speed(self, begin, speed, driver), self.world.guard
+        if found is Reason.NO_SITE and guard.inserted_known.ids:
+            self.world.guard = replace(guard, inserted_known=Traffic.none(self.scene.future.num_steps))
+            alone, self.world.guard = Starts._start_speed(self, begin, speed, driver), guard
+            return alone if isinstance(alone, Reason) else Reason.MEETS_GENERATED
+        return found
+
     def _performed(self, world: World, start: Start) -> tuple[Rollout, ...] | Reason:
         """The rollout of a vehicle that may bring the event about, and meets nothing; or why it does not.
 
@@ -162,9 +171,8 @@ class EventStarts(Starts):
         parts: tuple[Rollout, ...] = (world.roll(start),)
         there = place.is_come_to(parts[0].s, self.scene.step_s * parts[0].v)
         if place.side is not None:
-            early = (
-                0 if start.request.policy is Policy.OVERTAKE else self.scene.steps_in(0.5 * start.driver.lane_change_s)
-            )
+            overtakes = start.request.policy is Policy.OVERTAKE
+            early = 0 if overtakes else self.scene.steps_in(0.5 * start.driver.lane_change_s)
             may = self._may_change(place, parts[0].s)
             there = (there & may)[early:] & may[: max(may.size - early, 0)]
         if not there.any():

@@ -136,9 +136,7 @@ class SceneEvents:
         told = dict((tried or rejected).most_common())
         said = ", ".join(f"{reason} {count}" for reason, count in told.items())
         _LOG.debug("event %s: %d tries; %s", event.kind, tried.total(), said or "no place")
-        reason = Reason.EVENT_NO_PLACE
-        if told:
-            reason = Reason.EVENT_NOT_AS_ASKED if tried else Reason.EVENT_NOT_FORESEEN
+        reason = Reason.EVENT_NOT_AS_ASKED if tried else Reason.EVENT_NOT_FORESEEN if told else Reason.EVENT_NO_PLACE
         return EventOutcome(event, reason, tries=tried.total(), tried=told)
 
     def objectives(self, event: Event, rng: np.random.Generator) -> list[Objective]:

@@ -85,7 +85,7 @@ class Site(NamedTuple):
     headway_s: float = FOLLOWER_HEADWAY_S
 
 
-class _Begin(NamedTuple):
+class Begin(NamedTuple):
     """What is known of a beginning before its driver: s, start_m: along the route's lanes and on the path, m.
 
     line_gap_m: from its front to the nearest closed line; wants: something of which it is to meet; gaining_share:
@@ -177,7 +177,7 @@ class Starts:
             flow_mps = max(self.meetings.pace_of(leader), self._follower_mps(path, box, start_m, step))
         line_gap_m = self.world.guard.stop_lines.on(path, box).gap_m(start_m, step)
         gaining = 0.0 if driver is not None or site.s is None else _GAINING_SHARE
-        begin = _Begin(request, site._replace(leader=leader), path, box, s, start_m, line_gap_m, sides, wants, gaining)
+        begin = Begin(request, site._replace(leader=leader), path, box, s, start_m, line_gap_m, sides, wants, gaining)
         made: Start | Reason = Reason.NO_SITE
         for _ in range(1 if driver is not None else _DRIVERS):
             # a driver goes with the flow of its leader and follower, or would not be there
@@ -188,7 +188,7 @@ class Starts:
         return made
 
     def _begun(
-        self, begin: _Begin, driver: Driver, speed_mps: float | None, desired: FloatArray | None
+        self, begin: Begin, driver: Driver, speed_mps: float | None, desired: FloatArray | None
     ) -> Start | Reason:
         """The start of a driver at a site, at about its desired speed unless told; or what speaks against it."""
         scene, config, rng, request, path = self.scene, self.scene.config, self.rng, begin.request, begin.path
@@ -337,7 +337,7 @@ class Starts:
             return 0.0
         return float(known.along[row, step : self.scene.num_steps].max())
 
-    def _start_speed(self, begin: _Begin, speed: float, driver: Driver) -> float | Reason:
+    def _start_speed(self, begin: Begin, speed: float, driver: Driver) -> float | Reason:
         """Speed at which a driver that would drive at `speed` begins, m/s; or why it cannot begin there."""
         path, box, start_m, step = begin.path, begin.box, begin.start_m, begin.site.step
         limits = self.scene.config.limits

@@ -43,19 +43,13 @@ def test_collector_leaves_out_what_is_imported_and_nothing_that_calls_leave(proc
     assert first >= second >= third > 0  # some of it is freed all the same
 
 
-@pytest.mark.parametrize(
-    ("fault", "kind", "words"),
-    [
-        ("segfault", "crashed", "SIGSEGV"),
-        ("sumo", "crashed", "SIGSEGV"),
-        ("killed", "killed", "SIGKILL"),
-        ("exit", "crashed", "status 3"),
-        ("hang", "timeout", "2 s"),
-        ("raise", "exception", "RuntimeError: fault raise"),
-        ("memory", "memory", "more memory than the 4000 MB a scene may take (hid2 generate --scene-memory)"),
-        ("full", "disk", "scenario.parquet: cannot be written (No space left on device)"),
-    ],
-)
+@pytest.mark.parametrize(("fault", "kind", "words"), [
+    ("segfault", "crashed", "SIGSEGV"), ("sumo", "crashed", "SIGSEGV"), ("killed", "killed", "SIGKILL"),
+    ("exit", "crashed", "status 3"), ("hang", "timeout", "2 s"),
+    ("raise", "exception", "RuntimeError: fault raise"),
+    ("memory", "memory", "more memory than the 4000 MB a scene may take (hid2 generate --scene-memory)"),
+    ("full", "disk", "scenario.parquet: cannot be written (No space left on device)"),
+])  # fmt: skip
 def test_failure_says_how_the_process_ended(process: IsolatedProcess, fault: str, kind: str, words: str) -> None:
     first, failure = process.stream("faults:numbers", "", (1, fault, 2))
     assert first[1] == 1

@@ -134,10 +134,7 @@ ODD_MAPS = {
         _lane(2, [(10, 0), (10.001, 0)], successors=(3,)),
         _lane(3, [(10.001, 0), (20, 0)]),
     ],
-    "a millimetre beside a long lane": [
-        _lane(1, [(0, 0), (30, 0)], left=2),
-        _lane(2, [(15, 3), (15.001, 3)]),
-    ],
+    "a millimetre beside a long lane": [_lane(1, [(0, 0), (30, 0)], left=2), _lane(2, [(15, 3), (15.001, 3)])],
     "points a tenth of a millimetre apart": [_lane(1, [(0, 0), (3, 0), (3.0001, 0), (3.0001, 0.0001), (6, 3)])],
     "two lanes in the same place": [_lane(1, [(0, 0), (10, 0)]), _lane(2, [(0, 0), (10, 0)])],
     "neighbours at both ends of the skew": [

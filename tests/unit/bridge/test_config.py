@@ -22,16 +22,11 @@ def test_set_overrides_options_and_options_override_the_file(tmp_path: Path) -> 
     assert (config.request.agents, config.request.seed, config.request.variants) == (1, 2, 3)
 
 
-@pytest.mark.parametrize(
-    ("override", "value"),
-    [
-        ("request.agents=max", "max"),
-        ("request.agents = 12", 12),
-        ('request.focal="generated"', "generated"),
-        ("request.spawn_leaders=false", False),
-        ("limits.accel_min_mps2=-3", -3.0),
-    ],
-)
+@pytest.mark.parametrize(("override", "value"), [
+    ("request.agents=max", "max"), ("request.agents = 12", 12), ('request.focal="generated"', "generated"),
+    ("request.spawn_leaders=false", False),
+    ("limits.accel_min_mps2=-3", -3.0),
+])  # fmt: skip
 def test_set_takes_values_of_every_type(override: str, value: object) -> None:
     section, _, name = override.partition("=")[0].strip().partition(".")
     assert getattr(getattr(configs.load_config(None, [override]), section), name) == value
@@ -46,48 +41,42 @@ def test_values_may_be_of_numpy_and_ablations_are_a_list() -> None:
     assert configs.load_config(None, ["without="]).without == frozenset()
 
 
-@pytest.mark.parametrize(
-    ("override", "said"),
-    [
-        ("request.agents=-3", "request.agents = -3, expected integer >= 0, <= 500, or max"),
-        ("request.agents=many", "request.agents = 'many', expected integer"),
-        ("request.agent=3", "unknown key 'request.agent' .* did you mean request.agents"),
-        ("reqest.agents=3", "unknown key 'reqest.agents' .* did you mean request.agents"),
-        ("request.agents", "expected section.key=value"),
-        ("turn.trough_at=nan", "turn.trough_at = nan, expected number >= 0.1"),
-        ("sites.standing_mps=0.4", "standing_mps = 0.4: no parameter any more, the method has 0.3; leave it out$"),
-        ("export.filter_ratios=[]", "no parameter any more, .*; leave it out, or set smoothing.filter_s"),
-        ("request.trigger_max_s=0.1", "trigger_max_s 0.1 is below trigger_min_s 0.5"),
-        ("spawn.prior_speed_mps=30", "prior_speed_mps 30 is above max_speed_mps 20"),
-        ("drivers.turn_lateral_min_mps2=4", "turn_lateral_min_mps2 4 is above turn_lateral_max_mps2 3.5"),
-        ("request.spawn_leaders=1", "request.spawn_leaders = 1, expected true, false"),
-        ("request.own=mine:x=.2, other:x=1.0", "two of one name, expected a name for each"),
-        ("lane_change.rule_with=foo=3", "rule paper reads incentive of it"),
-        ("without=brakes", "without = .*brakes.*, expected any of topology, collision, smoothing"),
-    ],
-)
+@pytest.mark.parametrize(("override", "said"), [
+    ("request.agents=-3", "request.agents = -3, expected integer >= 0, <= 500, or max"),
+    ("request.agents=many", "request.agents = 'many', expected integer"),
+    ("request.agent=3", "unknown key 'request.agent' .* did you mean request.agents"),
+    ("reqest.agents=3", "unknown key 'reqest.agents' .* did you mean request.agents"),
+    ("request.agents", "expected section.key=value"),
+    ("turn.trough_at=nan", "turn.trough_at = nan, expected number >= 0.1"),
+    ("sites.standing_mps=0.4", "standing_mps = 0.4: no parameter any more, the method has 0.3; leave it out$"),
+    ("export.filter_ratios=[]", "no parameter any more, .*; leave it out, or set smoothing.filter_s"),
+    ("request.trigger_max_s=0.1", "trigger_max_s 0.1 is below trigger_min_s 0.5"),
+    ("spawn.prior_speed_mps=30", "prior_speed_mps 30 is above max_speed_mps 20"),
+    ("drivers.turn_lateral_min_mps2=4", "turn_lateral_min_mps2 4 is above turn_lateral_max_mps2 3.5"),
+    ("request.spawn_leaders=1", "request.spawn_leaders = 1, expected true, false"),
+    ("request.own=mine:x=.2, other:x=1.0", "two of one name, expected a name for each"),
+    ("lane_change.rule_with=foo=3", "rule paper reads incentive of it"),
+    ("without=brakes", "without = .*brakes.*, expected any of topology, collision, smoothing"),
+])  # fmt: skip
 def test_an_override_that_is_wrong_is_named_with_value_and_range(override: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         configs.load_config(None, [override])
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("[request]\nagents = '3'\n", "request.agents = '3', expected integer"),
-        ("[request]\nagnts = 3\n", "unknown key 'request.agnts'"),
-        ("[rqst]\nagents = 3\n", "unknown key 'rqst'"),
-        ("request = 3\n", "request = 3, expected a table"),
-        ("[request.agents]\na = 1\n", "request.agents = {'a': 1}"),
-        ("[request\n", "not TOML"),
-        ('[[event]]\nkind = "cutin"\n', "event 1: kind = 'cutin', expected cut_in, overtake, lead,"),
-        ('[[event]]\nkind = "cut_in"\nat_s = [1, 2, 3]\n', r"event 1: at_s = .*, expected \[least, largest\]"),
-        ('[[event]]\nkind = "lead"\nbrakes_mps2 = -3\n', "brakes_mps2 = -3, expected number >= 0, <= 4.05"),
-        ("without = 'all'\n", "without = 'all'"),
-        ("event = ['cut_in']\n", "event 1: 'cut_in', expected a table with kind, "),
-        ("[turn]\nleft_trough = 0.9\n", "must be above left_trough 0.9"),
-    ],
-)
+@pytest.mark.parametrize(("text", "said"), [
+    ("[request]\nagents = '3'\n", "request.agents = '3', expected integer"),
+    ("[request]\nagnts = 3\n", "unknown key 'request.agnts'"),
+    ("[rqst]\nagents = 3\n", "unknown key 'rqst'"),
+    ("request = 3\n", "request = 3, expected a table"),
+    ("[request.agents]\na = 1\n", "request.agents = {'a': 1}"),
+    ("[request\n", "not TOML"),
+    ('[[event]]\nkind = "cutin"\n', "event 1: kind = 'cutin', expected cut_in, overtake, lead,"),
+    ('[[event]]\nkind = "cut_in"\nat_s = [1, 2, 3]\n', r"event 1: at_s = .*, expected \[least, largest\]"),
+    ('[[event]]\nkind = "lead"\nbrakes_mps2 = -3\n', "brakes_mps2 = -3, expected number >= 0, <= 4.05"),
+    ("without = 'all'\n", "without = 'all'"),
+    ("event = ['cut_in']\n", "event 1: 'cut_in', expected a table with kind, "),
+    ("[turn]\nleft_trough = 0.9\n", "must be above left_trough 0.9"),
+])  # fmt: skip
 def test_a_file_that_is_wrong_is_named_with_key_value_and_range(tmp_path: Path, text: str, said: str) -> None:
     path = tmp_path / "c.toml"
     path.write_text(text)
@@ -112,18 +101,15 @@ def test_behaviours_that_are_given_replace_all_shares() -> None:
     assert shares == {"straight": 0, "left_turn": 0, "right_turn": 0, "lane_change": 1, "overtake": 0.5}
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("lane_chnge=1", "'lane_chnge=1', expected name=share of straight, left_turn"),
-        ("lane_change", "expected name=share"),
-        ("straight=a", "straight: 'a', expected a share"),
-        ("straight=1,straight=0", "'straight' is given twice"),
-        ("straight=2", "request.straight = 2.0, expected number >= 0, <= 1"),
-        ("straight=nan", "request.straight = nan"),
-        ("straight=0", "the behaviour shares sum to 0"),
-    ],
-)
+@pytest.mark.parametrize(("text", "said"), [
+    ("lane_chnge=1", "'lane_chnge=1', expected name=share of straight, left_turn"),
+    ("lane_change", "expected name=share"),
+    ("straight=a", "straight: 'a', expected a share"),
+    ("straight=1,straight=0", "'straight' is given twice"),
+    ("straight=2", "request.straight = 2.0, expected number >= 0, <= 1"),
+    ("straight=nan", "request.straight = nan"),
+    ("straight=0", "the behaviour shares sum to 0"),
+])  # fmt: skip
 def test_behaviours_that_are_wrong_are_named(text: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         configs.load_config(None, [], configs.parse_behaviours(text))
@@ -191,16 +177,13 @@ def test_drivers_of_a_file_are_flags_of_their_section(tmp_path: Path) -> None:
     assert configs.load_config(None, ["drivers.offset_sd_m=0.2"], configs.read_drivers(path)).drivers.offset_sd_m == 0.2
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("[drivers]\noffset_sd_m = 4.0\n", "drivers.offset_sd_m = 4.0, expected"),
-        ("[drivers]\noffset = 0.4\n", "unknown key 'drivers.offset'"),
-        ("[drivers]\n[request]\nagents = 3\n", "section or key request, expected [drivers] alone"),
-        ("", "no section [drivers]"),
-        ("[drivers", "not TOML"),
-    ],
-)
+@pytest.mark.parametrize(("text", "said"), [
+    ("[drivers]\noffset_sd_m = 4.0\n", "drivers.offset_sd_m = 4.0, expected"),
+    ("[drivers]\noffset = 0.4\n", "unknown key 'drivers.offset'"),
+    ("[drivers]\n[request]\nagents = 3\n", "section or key request, expected [drivers] alone"),
+    ("", "no section [drivers]"),
+    ("[drivers", "not TOML"),
+])  # fmt: skip
 def test_a_file_of_drivers_that_is_wrong_is_refused(tmp_path: Path, text: str, said: str) -> None:
     path = tmp_path / "drivers.toml"
     path.write_text(text)
@@ -210,17 +193,14 @@ def test_a_file_of_drivers_that_is_wrong_is_refused(tmp_path: Path, text: str, s
     assert str(path) in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("kinds", "values", "criticality", "said"),
-    [
-        ([], {"target": "av", "gap_m": "2:3"}, ["ttc=1:2"], "--target, --gap, --criticality without --event; say"),
-        (["cut_in"], {"gap_m": "wide"}, [], "--gap 'wide': expected A:B"),
-        (["cut_in"], {"at_s": "late"}, [], "--at: 'late', expected A or A:B"),
-        (["cut_in"], {}, ["ttc=1:2", "ttc=2:3"], "--criticality 'ttc=2:3': ttc is asked for twice"),
-        (["cut_in"], {}, ["thw=1:2"], "--criticality 'thw=1:2': expected ttc=A:B"),
-        (["cut_in"], {}, ["ttc=low"], "--criticality ttc 'low': expected A:B"),
-    ],
-)
+@pytest.mark.parametrize(("kinds", "values", "criticality", "said"), [
+    ([], {"target": "av", "gap_m": "2:3"}, ["ttc=1:2"], "--target, --gap, --criticality without --event; say"),
+    (["cut_in"], {"gap_m": "wide"}, [], "--gap 'wide': expected A:B"),
+    (["cut_in"], {"at_s": "late"}, [], "--at: 'late', expected A or A:B"),
+    (["cut_in"], {}, ["ttc=1:2", "ttc=2:3"], "--criticality 'ttc=2:3': ttc is asked for twice"),
+    (["cut_in"], {}, ["thw=1:2"], "--criticality 'thw=1:2': expected ttc=A:B"),
+    (["cut_in"], {}, ["ttc=low"], "--criticality ttc 'low': expected A:B"),
+])  # fmt: skip
 def test_options_of_events_that_are_wrong_are_named(
     kinds: list[str], values: dict[str, str], criticality: list[str], said: str
 ) -> None:

@@ -104,17 +104,9 @@ def test_durations(seconds: float, text: str) -> None:
 
 WIDTHS = (60, 120, None)
 BATCH = (
-    "scene",
-    "variant",
-    "placed",
-    "left_turn",
-    "right_turn",
-    "lane_change",
-    "overtake",
-    "manoeuvres",
-    "s",
+    "scene", "variant", "placed", "left_turn", "right_turn", "lane_change", "overtake", "manoeuvres", "s",
     "remarks",
-)
+)  # fmt: skip
 NOT_DONE = "not done: left_turn: map_offers_no_left_turn (1), right_turn: map_offers_no_right_turn (1)"
 RUNS = [
     ("2112b63e-58e4-5604-a86c-b243689827da", 0, "0 of 14", 0, 0, 2, 0, "2 of 4", 65.21, NOT_DONE),
@@ -153,11 +145,9 @@ def test_numbers_are_aligned_right_and_words_left_and_a_pipe_gets_one_line_a_row
     assert len(lines) == 2 + len(RUNS)
     assert lines[2].endswith(str(RUNS[0][-1]))
     assert table_lines(("name", "n"), [("a", 5), ("long", 125)], width=80) == [
-        "name    n",
-        "---------",
-        "a       5",
+        "name    n", "---------", "a       5",
         "long  125",
-    ]
+    ]  # fmt: skip
 
 
 def test_rows_are_stacked_where_columns_do_not_fit_and_floats_keep_their_digits() -> None:

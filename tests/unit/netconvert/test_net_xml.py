@@ -38,12 +38,9 @@ def test_a_row_of_cells_is_an_edge_and_a_cell_is_a_lane_of_a_net_with_a_version_
     assert net.find("location").get("convBoundary") == "0.00,-3.00,12.00,3.00"
     lanes = {edge.get("id"): [lane.get("id") for lane in edge.iterfind("lane")] for edge in net.iterfind("edge")}
     assert lanes == {
-        "1#0": ["1#0_0", "1#0_1"],
-        "1#1": ["1#1_0", "1#1_1"],
-        "3#0": ["3#0_0"],
-        "4#0": ["4#0_0"],
+        "1#0": ["1#0_0", "1#0_1"], "1#1": ["1#1_0", "1#1_1"], "3#0": ["3#0_0"], "4#0": ["4#0_0"],
         "4#1": ["4#1_0"],
-    }
+    }  # fmt: skip
 
 
 def test_lanes_have_their_segment_shapes_arc_lengths_widths_bicycles_and_solid_lines(fork: LaneGraph) -> None:
@@ -70,12 +67,10 @@ def test_connections_are_the_longitudinal_and_inter_lane_links(fork: LaneGraph) 
         for link in _net(fork).iterfind("connection")
     }
     assert links == {
-        ("1#0", "0", "1#1", "0", "s"),
-        ("1#0", "1", "1#1", "1", "s"),
-        ("1#1", "0", "3#0", "0", "s"),
+        ("1#0", "0", "1#1", "0", "s"), ("1#0", "1", "1#1", "1", "s"), ("1#1", "0", "3#0", "0", "s"),
         ("1#1", "0", "4#0", "0", "r"),
         ("4#0", "0", "4#1", "0", "s"),
-    }
+    }  # fmt: skip
 
 
 def test_connected_edges_meet_in_one_junction(fork: LaneGraph) -> None:

@@ -100,21 +100,12 @@ def test_damage_costs_the_lines_it_touches_and_makes_none_up(
     assert rows_of(manifest.path) == read
 
 
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"status": DONE, "folder": "../elsewhere"},
-        {"status": DONE, "folder": "/etc"},
-        {"bundle": "quarantine/../../x.zip"},
-        {"status": "finished"},
-        {"split": "../val"},
-        {"variant": -1},
-        {"config_sha256": "short"},
-        {"status": DONE},
-        {"folder": "val/x"},
-    ],
-    ids=str,
-)
+@pytest.mark.parametrize("values", [
+    {"status": DONE, "folder": "../elsewhere"}, {"status": DONE, "folder": "/etc"},
+    {"bundle": "quarantine/../../x.zip"}, {"status": "finished"}, {"split": "../val"}, {"variant": -1},
+    {"config_sha256": "short"}, {"status": DONE},
+    {"folder": "val/x"},
+], ids=str)  # fmt: skip
 def test_row_that_cannot_have_been_written_here_is_left_out(tmp_path: Path, values: dict[str, object]) -> None:
     """A manifest may come from anywhere: what it says is joined to no path outside OUT."""
     Manifest(tmp_path).add(row("a", **values))

@@ -15,22 +15,17 @@ def row(**values: object) -> ManifestRow:
     return ManifestRow("a", "val", 0, 0, DONE, placed=2)._replace(**values)
 
 
-@pytest.mark.parametrize(
-    ("rows", "nowhere"),
-    [
-        ([row(not_done="cut_in with av: event_no_place (1)")], ["cut_in with av"]),
-        ([row(not_done="cut_in with av: event_no_place (1)"), row()], []),
-        ([row(not_done="lead with x: y: event_no_place (1)")], []),
-        ([row(not_done="lead with x: y: event_no_place (1); lead with x: y: no (1)")], ["lead with x: y"]),
-        ([row(not_done="overtake: no_leader (2); lane_change: left:front_gap (1)", lane_change=1)], ["overtake"]),
-        ([row(not_done="overtake: no_leader (2)"), row(overtake=1)], []),
-        ([row(not_done="right_turn: no_site (2)")], []),
-        ([row(placed=0), row(placed=0)], ["any vehicle"]),
-        ([row(placed=0), row()], []),
-        ([row(status=QUARANTINED, placed=0)], []),
-        ([], []),
-    ],
-)
+@pytest.mark.parametrize(("rows", "nowhere"), [
+    ([row(not_done="cut_in with av: event_no_place (1)")], ["cut_in with av"]),
+    ([row(not_done="cut_in with av: event_no_place (1)"), row()], []),
+    ([row(not_done="lead with x: y: event_no_place (1)")], []),
+    ([row(not_done="lead with x: y: event_no_place (1); lead with x: y: no (1)")], ["lead with x: y"]),
+    ([row(not_done="overtake: no_leader (2); lane_change: left:front_gap (1)", lane_change=1)], ["overtake"]),
+    ([row(not_done="overtake: no_leader (2)"), row(overtake=1)], []),
+    ([row(not_done="right_turn: no_site (2)")], []), ([row(placed=0), row(placed=0)], ["any vehicle"]),
+    ([row(placed=0), row()], []), ([row(status=QUARANTINED, placed=0)], []),
+    ([], []),
+])  # fmt: skip
 def test_what_came_about_in_none_of_the_scenes_is_named(rows: list[ManifestRow], nowhere: list[str]) -> None:
     assert came_about_nowhere(rows, EVENTS, NAMED) == nowhere
 

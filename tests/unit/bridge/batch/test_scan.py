@@ -26,21 +26,13 @@ FACTS = [
 ]
 
 
-@pytest.mark.parametrize(
-    ("selection", "names"),
-    [
-        (Selection(), "abc"),
-        (Selection(min_agents=50), "bc"),
-        (Selection(cities=("Austin",)), "b"),
-        (Selection(splits=("val",)), "ab"),
-        (Selection(can=("lane_change",)), "ac"),
-        (Selection(can=("lane_change", "left_turn")), "c"),
-        (Selection(can=("right_turn",)), ""),
-        (Selection(can=("cut_in:av", "lane_change")), "a"),
-        (Selection(can=("cut_in:focal",)), ""),
-        (Selection(sample=5), "abc"),
-    ],
-)
+@pytest.mark.parametrize(("selection", "names"), [
+    (Selection(), "abc"), (Selection(min_agents=50), "bc"), (Selection(cities=("Austin",)), "b"),
+    (Selection(splits=("val",)), "ab"), (Selection(can=("lane_change",)), "ac"),
+    (Selection(can=("lane_change", "left_turn")), "c"), (Selection(can=("right_turn",)), ""),
+    (Selection(can=("cut_in:av", "lane_change")), "a"), (Selection(can=("cut_in:focal",)), ""),
+    (Selection(sample=5), "abc"),
+])  # fmt: skip
 def test_selection(selection: Selection, names: str) -> None:
     assert [chosen.scenario for chosen in select(FACTS, selection)] == list(names)
 

@@ -82,39 +82,36 @@ def _again(rows: pd.DataFrame) -> pd.DataFrame:
 FOCAL, SCORED = "310100", "310107"
 
 
-@pytest.mark.parametrize(
-    ("change", "rule"),
-    [
-        (_again, "duplicate"),
-        (_track(SCORED, "object_category", 3), "focal"),
-        (_without(FOCAL, *range(100, 110)), "recorded"),
-        (lambda rows: _without("gen_1", 49)(_track("gen_1", "object_category", 2)(rows)), "scored"),
-        (lambda rows: rows.assign(city=""), "city"),
-        (lambda rows: rows.assign(city="atlantis"), "recorded"),
-        (in_cell("AV", 3, "city", "miami"), "constant"),
-        (in_cell("AV", 3, "observed", False), "observed"),
-        (lambda rows: rows.assign(num_timestamps=120), "timestep"),
-        (lambda rows: rows[rows.track_id != "AV"], "av"),
-        (_track("AV", "object_type", "spaceship"), "object-type"),
-        (_track("AV", "object_category", 5), "category"),
-        (lambda rows: rows.assign(scenario_id="other"), "scenario-id"),
-        (in_cell("AV", 3, "heading", np.inf), "finite"),
-        (in_cell("AV", 3, "heading", np.nan), "columns"),  # pandas writes null
-        (in_cell("gen_1", 60, "position_x", 1e8), "columns"),  # no judge ever comes there
-        (lambda rows: rows.assign(object_category=rows.object_category.astype(float)), "columns"),
-        (_track("gen_1", "track_id", "gen_x"), "generated"),
-        (_track("gen_1", "object_type", "pedestrian"), "generated"),
-        (_track("gen_1", "object_category", 0), "generated"),
-        (_without("gen_1", 30), "generated"),
-        (_without("gen_1", *range(49, 110)), "generated"),
-        (lambda rows: _without("gen_1", 109)(_track("gen_1", "object_category", 2)(rows)), "generated"),
-        (_track("gen_1", "velocity_x", 3.0), "velocity"),
-        (in_cell("gen_1", 60, "position_x", 0.0), "velocity"),
-        (in_cell("gen_1", 60, "heading", 4.0), "heading"),
-        (_without("gen_1", *range(110)), "sidecar"),
-        (lambda rows: _without("gen_1", 0)(_track("gen_1", "object_category", 2)(rows)), "generated"),
-    ],
-)
+@pytest.mark.parametrize(("change", "rule"), [
+    (_again, "duplicate"),
+    (_track(SCORED, "object_category", 3), "focal"),
+    (_without(FOCAL, *range(100, 110)), "recorded"),
+    (lambda rows: _without("gen_1", 49)(_track("gen_1", "object_category", 2)(rows)), "scored"),
+    (lambda rows: rows.assign(city=""), "city"),
+    (lambda rows: rows.assign(city="atlantis"), "recorded"),
+    (in_cell("AV", 3, "city", "miami"), "constant"),
+    (in_cell("AV", 3, "observed", False), "observed"),
+    (lambda rows: rows.assign(num_timestamps=120), "timestep"),
+    (lambda rows: rows[rows.track_id != "AV"], "av"),
+    (_track("AV", "object_type", "spaceship"), "object-type"),
+    (_track("AV", "object_category", 5), "category"),
+    (lambda rows: rows.assign(scenario_id="other"), "scenario-id"),
+    (in_cell("AV", 3, "heading", np.inf), "finite"),
+    (in_cell("AV", 3, "heading", np.nan), "columns"),  # pandas writes null
+    (in_cell("gen_1", 60, "position_x", 1e8), "columns"),  # no judge ever comes there
+    (lambda rows: rows.assign(object_category=rows.object_category.astype(float)), "columns"),
+    (_track("gen_1", "track_id", "gen_x"), "generated"),
+    (_track("gen_1", "object_type", "pedestrian"), "generated"),
+    (_track("gen_1", "object_category", 0), "generated"),
+    (_without("gen_1", 30), "generated"),
+    (_without("gen_1", *range(49, 110)), "generated"),
+    (lambda rows: _without("gen_1", 109)(_track("gen_1", "object_category", 2)(rows)), "generated"),
+    (_track("gen_1", "velocity_x", 3.0), "velocity"),
+    (in_cell("gen_1", 60, "position_x", 0.0), "velocity"),
+    (in_cell("gen_1", 60, "heading", 4.0), "heading"),
+    (_without("gen_1", *range(110)), "sidecar"),
+    (lambda rows: _without("gen_1", 0)(_track("gen_1", "object_category", 2)(rows)), "generated"),
+])  # fmt: skip
 def test_a_spoiled_row_is_found(written: Path, change: Change, rule: str) -> None:
     edit_rows(written, change)
     assert rule in rules(written)
@@ -162,17 +159,14 @@ def test_a_renamed_folder_or_split_is_found(written: Path) -> None:
     assert rules(split / written.name) == {"folder"}
 
 
-@pytest.mark.parametrize(
-    ("change", "rule"),
-    [
-        (lambda document: document.pop("drivable_areas"), "map"),
-        (in_first_lane(lambda lane: lane["left_lane_boundary"][1].update(y=float("nan"))), "map"),
-        (in_first_lane(lambda lane: lane.update(right_lane_mark_type="CHALK")), "mark-type"),
-        (in_first_lane(lambda lane: lane.update(lane_type="TRAM")), "lane-type"),
-        (in_first_lane(lambda lane: lane.update(right_lane_boundary=lane["right_lane_boundary"][:1])), "boundary"),
-        (in_first_lane(lambda lane: lane.pop("centerline")), "boundary"),
-    ],
-)
+@pytest.mark.parametrize(("change", "rule"), [
+    (lambda document: document.pop("drivable_areas"), "map"),
+    (in_first_lane(lambda lane: lane["left_lane_boundary"][1].update(y=float("nan"))), "map"),
+    (in_first_lane(lambda lane: lane.update(right_lane_mark_type="CHALK")), "mark-type"),
+    (in_first_lane(lambda lane: lane.update(lane_type="TRAM")), "lane-type"),
+    (in_first_lane(lambda lane: lane.update(right_lane_boundary=lane["right_lane_boundary"][:1])), "boundary"),
+    (in_first_lane(lambda lane: lane.pop("centerline")), "boundary"),
+])  # fmt: skip
 def test_a_spoiled_map_is_found(written: Path, change: Callable[[dict[str, Any]], Any], rule: str) -> None:
     edit_json(next(written.glob("log_map_archive_*.json")), change)
     assert rule in rules(written)
@@ -240,18 +234,15 @@ def test_claims_are_judged_of_tracks_that_are_judged_and_of_those_not_there(writ
         claims("gen_999", "AV")
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda rows: rows.assign(position_x=rows.position_x.mask(rows.index == 17, np.nextafter(rows.position_x, 9e9))),
-        lambda rows: rows.assign(velocity_y=rows.velocity_y.where(rows.velocity_y != 0, -0.0)),
-        _track(SCORED, "object_category", 1),
-        lambda rows: rows.iloc[1:],
-        lambda rows: rows.iloc[::-1],
-        lambda rows: rows.drop(columns="map_id"),
-        lambda rows: rows.assign(start_timestamp=rows.start_timestamp + 64),
-    ],
-)
+@pytest.mark.parametrize("change", [
+    lambda rows: rows.assign(position_x=rows.position_x.mask(rows.index == 17, np.nextafter(rows.position_x, 9e9))),
+    lambda rows: rows.assign(velocity_y=rows.velocity_y.where(rows.velocity_y != 0, -0.0)),
+    _track(SCORED, "object_category", 1),
+    lambda rows: rows.iloc[1:],
+    lambda rows: rows.iloc[::-1],
+    lambda rows: rows.drop(columns="map_id"),
+    lambda rows: rows.assign(start_timestamp=rows.start_timestamp + 64),
+])  # fmt: skip
 def test_recorded_rows_are_compared_bit_for_bit(written: Path, data_root: Path, change: Change) -> None:
     edit_rows(written, change)
     assert "source" in rules(written, source=data_root)
@@ -328,17 +319,13 @@ def _with_clean(folder: Path, out: Path, change: Callable[[dict[str, Any]], None
     return {one.rule for one in validate_folder(out) if not one.is_note}
 
 
-@pytest.mark.parametrize(
-    ("change", "broken"),
-    [
-        (lambda agent: None, set()),  # as exported velocities are not the derivative of positions, which are smoothed
-        (lambda agent: agent.update(clean=None), {"sidecar"}),
-        (lambda agent: agent["clean"].update({name: of[:-1] for name, of in agent["clean"].items()}), {"generated"}),
-        (lambda agent: agent["clean"].update(x=[x + 3.0 for x in agent["clean"]["x"]]), {"noise"}),
-        (lambda agent: agent["clean"].update(vx=[5.0 + vx for vx in agent["clean"]["vx"]]), {"velocity"}),
-    ],
-    ids=["whole", "none", "too short", "too far off", "no derivative"],
-)
+@pytest.mark.parametrize(("change", "broken"), [
+    (lambda agent: None, set()),  # as exported velocities are not the derivative of positions, which are smoothed
+    (lambda agent: agent.update(clean=None), {"sidecar"}),
+    (lambda agent: agent["clean"].update({name: of[:-1] for name, of in agent["clean"].items()}), {"generated"}),
+    (lambda agent: agent["clean"].update(x=[x + 3.0 for x in agent["clean"]["x"]]), {"noise"}),
+    (lambda agent: agent["clean"].update(vx=[5.0 + vx for vx in agent["clean"]["vx"]]), {"velocity"}),
+], ids=["whole", "none", "too short", "too far off", "no derivative"])  # fmt: skip
 def test_motion_of_a_scene_with_noise_is_judged_on_clean_states_which_are_those_of_the_vehicle(
     noisy: Path, tmp_path: Path, change: Callable[[dict[str, Any]], None], broken: set[str]
 ) -> None:

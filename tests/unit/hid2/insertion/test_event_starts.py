@@ -7,16 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hand_drawn import draw_road
-from inserted import CAR, nobody, recorded, scene_on
+from inserted import CAR, recorded, scene_on
 
 from hid2.agents import Policy, Track
 from hid2.conflicts.guard import Guard
+from hid2.drivers.driver import draw_driver
 from hid2.insertion.event_objective import Objective
 from hid2.insertion.event_places import Places
 from hid2.insertion.event_starts import EventStarts, track_of
 from hid2.insertion.event_targets import target_of
 from hid2.insertion.events import scene_for
+from hid2.insertion.starts import Site
 from hid2.insertion.surroundings import Surroundings
+from hid2.occupancy.traffic import traffic_of
 from hid2.params import Config, Drivers, Event, LaneChange
 from hid2.reasons import Reason
 from hid2.scene import Scene
@@ -28,13 +31,13 @@ def scene_of(*tracks: Track, **drivers: float) -> Scene:
     return scene_on(draw_road(lanes=2, length_m=400.0), *tracks, config=Config(drivers=Drivers(**drivers)))
 
 
-def _starts(scene: Scene, **asked: object) -> EventStarts:
+def _starts(scene: Scene, *kept: Track, **asked: object) -> EventStarts:
     event = Event.model_validate({"kind": "lead", "target": "r", "at_s": (4.0, 4.0), **asked})
     here, scene = Surroundings(scene), scene_for(scene, event)
     target = target_of(scene, 0)
     assert target is not None
     policy = {"cut_in": Policy.LANE_CHANGE, "overtake": Policy.OVERTAKE}.get(event.kind, Policy.STRAIGHT)
-    guard = Guard(scene, nobody(scene.future.num_steps), here.stop_lines)
+    guard = Guard(scene, traffic_of(kept, scene.future.num_steps, step_s=0.1), here.stop_lines)
     return EventStarts(
         scene, here.roads, here.meetings, guard, np.random.default_rng(0), 0,
         objective=Objective(scene, event, target, scene.states), request=VehicleRequest(0, policy, 0.0, size=CAR),
@@ -55,6 +58,18 @@ def test_candidates_have_the_gap_asked_for_in_their_rollouts(kind: str, sign: fl
         assert max(gaps) >= 6.0
         assert one.rolled.start.request.policy is Policy.STRAIGHT
     assert [one.cost for one in found] == sorted(one.cost for one in found)
+
+
+def test_vehicle_of_an_event_before_that_alone_is_in_the_way_is_told() -> None:
+    """5.5 m behind one that leaves at 20 m/s: at 8 m/s it was inside that 1.5 s ago, as inside a recorded one."""
+    target, other = recorded(250.0, 0.0, 8.0), recorded(60.0, 0.0, 20.0, name="e")
+    for starts, reason in (
+        (_starts(scene_of(target), other), Reason.MEETS_GENERATED),
+        (_starts(scene_of(target, other)), Reason.NO_SITE),
+        (_starts(scene_of(target, other), other), Reason.NO_SITE),
+    ):
+        driver = draw_driver(starts.scene.config, starts.rng, lane_speed_mps=8.0)
+        assert starts.make(starts.request, Site(starts.places[0].offer, 50.0), driver=driver) is reason
 
 
 def test_a_narrow_band_is_come_to_from_the_nearest_that_is_found() -> None:

@@ -19,9 +19,7 @@ from hid2.scene import Scene
 
 
 @pytest.mark.parametrize(("kind", "own", "x", "y", "between"), [
-    ("lead", 120.0, 110.0, 0.0, True),
-    ("lead", 120.0, 110.0, 3.5, False),
-    ("lead", 120.0, 130.0, 0.0, False),
+    ("lead", 120.0, 110.0, 0.0, True), ("lead", 120.0, 110.0, 3.5, False), ("lead", 120.0, 130.0, 0.0, False),
     ("follow", 80.0, 90.0, 0.0, True),
     ("merge", 120.0, 110.0, 0.0, False),
 ])  # fmt: skip

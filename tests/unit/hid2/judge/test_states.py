@@ -79,15 +79,12 @@ def test_acceleration_along_the_heading(accel: float, found: list[str]) -> None:
     assert [one[1].value for one in seen] == found
 
 
-@pytest.mark.parametrize(
-    ("radius", "speed", "found"),
-    [
-        (40.0, 10.0, set()),  # 2.5 m/s2 across, .25 rad/s
-        (15.0, 9.5, {"lateral_accel"}),  # 6 m/s2 across, .63 rad/s
-        (5.0, 4.9, {"yaw_rate"}),  # 4.8 m/s2 across, .98 rad/s; a curvature of 0.2, which 10 % more would break
-        (4.0, 3.0, {"curvature"}),  # 2.25 m/s2 across, .75 rad/s, 0.25 1/m
-    ],
-)
+@pytest.mark.parametrize(("radius", "speed", "found"), [
+    (40.0, 10.0, set()),  # 2.5 m/s2 across, .25 rad/s
+    (15.0, 9.5, {"lateral_accel"}),  # 6 m/s2 across, .63 rad/s
+    (5.0, 4.9, {"yaw_rate"}),  # 4.8 m/s2 across, .98 rad/s; a curvature of 0.2, which 10 % more would break
+    (4.0, 3.0, {"curvature"}),  # 2.25 m/s2 across, .75 rad/s, 0.25 1/m
+])  # fmt: skip
 def test_curves(radius: float, speed: float, found: set[str]) -> None:
     """Motion alone: the map is far away, and ground everywhere. Jerk on a circle: v w^2, at most 4.7 m/s3 here."""
     ring = np.array([(-500.0, -500.0), (500.0, -500.0), (500.0, 500.0), (-500.0, 500.0), (-500.0, -500.0)])

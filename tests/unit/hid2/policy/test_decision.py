@@ -60,10 +60,8 @@ CLOSED = replace(LEFT, cells_free=False)
         "line 1: without a request the agent goes straight to the next cell",
         "line 3: before the trigger the agent goes on",
         "lines 3 to 5: at the trigger a free adjacent lane is taken",
-        "line 3: without an adjacent lane the reason says so",
-        "line 3: waits while the rear cell is occupied",
-        "the second side is tried when the first is closed",
-        "the first side wins when both are open",
+        "line 3: without an adjacent lane the reason says so", "line 3: waits while the rear cell is occupied",
+        "the second side is tried when the first is closed", "the first side wins when both are open",
         "a request that is done is not due again",
         "a request that is given up is not due again",
         "lines 6 to 9: a slower leader within d_obs is overtaken",
@@ -73,7 +71,7 @@ CLOSED = replace(LEFT, cells_free=False)
         "lines 12 to 20: on a right turn that is the policy",
         "the last cell of a lane has no next one",
     ],
-)
+)  # fmt: skip
 def test_what_algorithm_1_decides(changes: dict[str, Any], decision: Decision) -> None:
     assert _decide(**changes) == decision
 
