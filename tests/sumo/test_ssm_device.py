@@ -95,13 +95,14 @@ def _theirs(folder: Path, first: str, second: str, measure: str) -> list[float]:
 def test_following_has_the_ttc_and_drac_and_crossing_the_pet_that_sumo_finds(run: Path) -> None:
     """From a TTC of 1 s on it brakes: the gap closes slower and slower, and DRAC is w^2 / 2 gap.
 
+    SUMO's speed is that of the step before, ours of the steps to both sides: .2 m/s less as it brakes, of 5.6 closing.
     SUMO's PET is exact where the paths cross, ours right to a step for each of the two.
     """
     every = _ours(run)
     ours = every[frozenset(("leader", "follower"))]
     assert (ours.kind, ours.first_id, ours.second_id) == ("rear_end", "leader", "follower")
-    assert ours.ttc_s == pytest.approx(min(_theirs(run, "leader", "follower", "minTTC")), abs=0.02)
-    assert ours.drac_mps2 == pytest.approx(max(_theirs(run, "leader", "follower", "maxDRAC")), rel=0.02)
+    assert ours.ttc_s == pytest.approx(min(_theirs(run, "leader", "follower", "minTTC")), abs=0.05)
+    assert ours.drac_mps2 == pytest.approx(max(_theirs(run, "leader", "follower", "maxDRAC")), rel=0.08)
     ours = every[frozenset(("follower", "crosses"))]
     assert (ours.kind, ours.first_id) == ("crossing", "follower")
     assert abs(ours.angle_deg - 90.0) < 1.0
