@@ -31,7 +31,8 @@ _flat = lru_cache(maxsize=2)(flatten_lanes)
 def recording_states(recording: Recording, tracks: Sequence[Track] | None = None) -> AgentStates:
     """The states of a recording's tracks, or of others on its map, inserted ones last."""
     every = recording.tracks if tracks is None else tracks
-    inserted = {one.track_id for one in every if recording.sidecar and is_generated_id(one.track_id)}
+    recorded = set[str]() if recording.sidecar else {one.track_id for one in recording.tracks}
+    inserted = {one.track_id for one in every if is_generated_id(one.track_id)} - recorded
     return states_of(every, _flat(recording.graph), inserted, num_steps=recording.num_steps, step_s=recording.step_s)
 
 
