@@ -300,7 +300,7 @@ def test_every_key_does_something_and_none_fails(opened: Page) -> None:
     assert opened.js("now.agent") is not None
     opened.press("f")
     assert opened.js("$('follow').checked") is True
-    opened.js("(choose('gen_0'), goTo(60))")
+    opened.js("(play(false), choose('gen_0'), goTo(60))")  # the space bar has begun to play
     opened.drawn()
     at = opened.js("pose(now.scene.byId.get('gen_0'), now.time, now.scene)")
     assert opened.js("[view.x, view.y]") == pytest.approx([at["x"], at["y"]])
