@@ -188,7 +188,7 @@ class Meetings:
         return found
 
     @once
-    def offer_weights(self, cell: Cell, policy: Policy, wants: frozenset[Situation]) -> list[float]:
+    def offer_weights(self, cell: Cell, policy: Policy, wants: frozenset[Situation]) -> FloatArray:
         """Weight of each of the routes from a cell, in the order of `Routes.offers`; the mean where none is known.
 
         0 where nothing is met that is wanted.
@@ -199,7 +199,7 @@ class Meetings:
             looked = {row: one for row, one in looked.items() if any(one.meets[each][cell.index] for each in wants)}
         known = {row: max(_LEAST, float(one.weight[cell.index])) for row, one in looked.items()}
         other = 0.0 if wants else max(_LEAST, sum(known.values()) / max(1, len(known)))
-        return [known.get(row, other) for row in range(len(self.routes.offers(cell.lane_id)))]
+        return np.array([known.get(row, other) for row in range(len(self.routes.offers(cell.lane_id)))])
 
     def from_edge(self, lane_id: int, row: int, look: int) -> Outlook:
         """Of the first cell of a lane on one of its routes, for a vehicle that is there from a look on."""

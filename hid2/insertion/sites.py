@@ -16,7 +16,7 @@ from hid2.insertion.meetings import PACE_SHARE
 from hid2.insertion.overtake_starts import OvertakeStarts
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.situations import NONE_WANTED, Situation, Wanted
-from hid2.insertion.spread import Spread, by_weight, few_by_weight
+from hid2.insertion.spread import Spread, by_weight
 from hid2.insertion.starts import CLEAR_GAP_M, Site, Starts
 from hid2.insertion.surroundings import Surroundings
 from hid2.judge.findings import FOLLOWER_HEADWAY_S
@@ -203,12 +203,12 @@ class InsertionSites:
     def _order(self, request: VehicleRequest, cell: Cell, wants: frozenset[Situation]) -> list[RouteOffer]:
         """Routes from a cell in weighted random order; those that go straight on first unless a turn is asked for."""
         offers = self.here.routes.offers(cell.lane_id)
-        weight = [1.0] * len(offers)
+        weight = np.ones(len(offers))
         if self.here.scene.config.request.sites == "promising":
             weight = self.here.meetings.offer_weights(cell, request.policy, wants)
         if len(offers) == 1:
             return [one for one in offers if weight[0] > 0.0]
-        order = [offers[row] for row in few_by_weight(weight, self.rng)]
+        order = [offers[row] for row in by_weight(weight, self.rng).tolist()]
         if BEHAVIOURS[request.policy].turn is not None:
             return order
         return sorted(order, key=lambda offer: bool(offer.turns))
