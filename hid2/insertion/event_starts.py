@@ -68,12 +68,15 @@ class EventStarts(Starts):
     _place: Place = field(init=False)
     _made: Start = field(init=False)
     _best: tuple[float, Place, Driver, float] | None = None
+    _without_others: World = field(init=False)
 
     def __post_init__(self, guard: Guard) -> None:
         """Nothing is rolled out yet."""
         Starts.__post_init__(self, guard)
         self.world.target_id = self.objective.target.track.track_id
         self._box = clearance_box(self.request.size, DEFAULT_SIZES["vehicle"])
+        recorded_alone = replace(guard, inserted_known=Traffic.none(self.scene.future.num_steps))
+        self._without_others = World(self.scene, self.roads, recorded_alone)
 
     def draw(self, count: int) -> list[Candidate]:
         """Those of so many rolled out that bring the event about, the best first; no more than `_ENOUGH`."""
@@ -152,12 +155,11 @@ class EventStarts(Starts):
         drawn = [draw_driver(config, self.rng, lane_speed_mps=flow_mps) for flow_mps in flows]
         return max(drawn, key=lambda one: one.desired_mps)
 
-    def _start_speed(self, begin: Begin, speed: float, driver: Driver) -> float | Reason:
+    def _start_speed(self, world: World, begin: Begin, speed: float, driver: Driver) -> float | Reason:
         """The same; where vehicles of events before are all that is in the way, they are told to be met."""
-        found, guard = Starts._start_speed(self, begin, speed, driver), self.world.guard
-        if found is Reason.NO_SITE and guard.inserted_known.ids:
-            self.world.guard = replace(guard, inserted_known=Traffic.none(self.scene.future.num_steps))
-            alone, self.world.guard = Starts._start_speed(self, begin, speed, driver), guard
+        found = Starts._start_speed(self, world, begin, speed, driver)
+        if found is Reason.NO_SITE and world.guard.inserted_known.ids:
+            alone = Starts._start_speed(self, self._without_others, begin, speed, driver)
             return alone if isinstance(alone, Reason) else Reason.MEETS_GENERATED
         return found
 

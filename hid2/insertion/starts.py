@@ -170,7 +170,8 @@ class Starts:
                 return Reason.NO_SITE
             if near.lag_m[0] < (headway_s - LEADER_LENGTH_S) * near.lag_mps[0]:
                 return Reason.FOLLOWER_HEADWAY
-        lane_id, flow_mps = path.segment_at(start_m).lane_id, 0.0
+        lane_id = path.segment_at(start_m).lane_id
+        flow_mps = 0.0
         if step == 0:
             leader = self.meetings.leader_of(scene.cell_at(path, start_m), offer.route)
         if config.request.sites == "promising" and driver is None:
@@ -197,7 +198,7 @@ class Starts:
             driver = replace(driver, line_gap_m=begin.line_gap_m)
         if speed_mps is None:
             speed_mps = start_speed(driver, config, rng, gaining_share=begin.gaining_share)
-        admitted = self._start_speed(begin, speed_mps, driver)
+        admitted = self._start_speed(self.world, begin, speed_mps, driver)
         if isinstance(admitted, Reason):
             return admitted
         if desired is None:
@@ -337,7 +338,7 @@ class Starts:
             return 0.0
         return float(known.along[row, step : self.scene.num_steps].max())
 
-    def _start_speed(self, begin: Begin, speed: float, driver: Driver) -> float | Reason:
+    def _start_speed(self, world: World, begin: Begin, speed: float, driver: Driver) -> float | Reason:
         """Speed at which a driver that would drive at `speed` begins, m/s; or why it cannot begin there."""
         path, box, start_m, step = begin.path, begin.box, begin.start_m, begin.site.step
         limits = self.scene.config.limits
@@ -351,7 +352,7 @@ class Starts:
         speed = min(speed, road_mps)
         if "collision" in self.scene.config.without:
             return speed
-        return self._admitted_speed(path, box, start_m, speed, min(driver.desired_mps, road_mps), driver, step)
+        return self._admitted_speed(world, begin, speed, min(driver.desired_mps, road_mps), driver)
 
     def leaves_early(self, offer: RouteOffer, s: float, speed_mps: float, step: int = 0) -> bool:
         """Whether the map ends before the last observed step at a speed."""
@@ -360,25 +361,26 @@ class Starts:
         return offer.length_m - s < speed_mps * self.scene.steps_to_stay(step) * self.scene.step_s
 
     def _admitted_speed(
-        self, path: DrivenPath, box: BoxSize, s: float, speed: float, alone_mps: float, driver: Driver, step: int
+        self, world: World, begin: Begin, speed: float, alone_mps: float, driver: Driver
     ) -> float | Reason:
         """Speed that leaders allow, m/s, at most the one told; or why none can begin. alone_mps: without leaders."""
-        conflict, known = self.scene.config.conflict, self.world.guard.known_on(path, box)
+        path, box, s, step = begin.path, begin.box, begin.start_m, begin.site.step
+        conflict, known = self.scene.config.conflict, world.guard.known_on(path, box)
         seen = gaps_to_all(known, np.array([s]), step)
         leads = np.isfinite(seen.lead_m)
         speed = float(speed_behind(seen.lead_m[leads], seen.along_mps[leads], driver.following).min(initial=speed))
         closing = seen.along_mps[:, 0] - speed
         if (known.same_direction[:, step] & (seen.lag_m[:, 0] < conflict.follower_ttc_min_s * closing)).any():
             return Reason.TTC_RECORDED_FOLLOWER
-        lines = self.world.guard.stop_lines.on(path, box)
+        lines = world.guard.stop_lines.on(path, box)
         room_m = lines.room_m(s, step, driver)
         if room_m < 0.0:
             return Reason.ENTERS_ON_RED
         speed = min(speed, lines.towards_mps(driver, room_m))
-        if step > 0 and (speed < STANDS_MPS or self._follower_is_near(path, s, box, speed, step)):
+        if step > 0 and (speed < STANDS_MPS or self._follower_is_near(world, begin, speed)):
             return Reason.NO_SITE
         if speed < max(STANDS_MPS, SLOWEST_SHARE * alone_mps):
-            near = (seen.lead_m[:, 0] < QUEUE_M) & ~self.world.parked_on(path, box)
+            near = (seen.lead_m[:, 0] < QUEUE_M) & ~world.parked_on(path, box)
             queues = near & (seen.along_mps[:, 0] < SLOWEST_SHARE * alone_mps)
             if room_m > 0.0 and not queues.any():
                 return Reason.NO_SITE  # no vehicle is so slow with so much room ahead, nor waits for a parked one
@@ -386,11 +388,11 @@ class Starts:
                 speed = 0.0
         return Reason.NO_SITE if _came_through(known, seen, speed, step) else speed
 
-    def _follower_is_near(self, path: DrivenPath, s: float, box: BoxSize, speed_mps: float, step: int) -> bool:
-        """Whether an agent comes from behind at a step, on the lane or before the map's edge."""
-        config = self.scene.config
-        here = self.scene.traffic.at(step).joined(self.world.guard.inserted_known.at(step))
-        xy, forward, _ = path.line.motion(np.array([s]))
+    def _follower_is_near(self, world: World, begin: Begin, speed_mps: float) -> bool:
+        """Whether an agent comes from behind, on the lane or before the map's edge."""
+        config, box, step = self.scene.config, begin.box, begin.site.step
+        here = self.scene.traffic.at(step).joined(world.guard.inserted_known.at(step))
+        xy, forward, _ = begin.path.line.motion(np.array([begin.start_m]))
         seen = gaps_from_pose(xy, forward, box, here)
         least_m = np.maximum(CLEAR_GAP_M, config.conflict.follower_ttc_min_s * (seen.along_mps - speed_mps))
         near = (seen.aside_m < config.conflict.margin_lateral_m) & (seen.gap_m > -box.length_m)
