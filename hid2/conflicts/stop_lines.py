@@ -75,6 +75,10 @@ class PedestrianCrossings:
             soon[..., :-ahead] |= on[..., ahead:]
         return np.asarray(soon & traffic.present | comes)
 
+    def used(self) -> "PedestrianCrossings":
+        """Those alone that an agent uses: the others close no line."""
+        return replace(self, corners=self.corners[self._at.any(axis=(1, 2))])
+
     def _near(self, xy: FloatArray, reach_m: float) -> IntArray:
         """Which of the places (N, 2) m can be so near to a crossing."""
         low, high, at = self.corners.min(axis=1) - reach_m, self.corners.max(axis=1) + reach_m, xy[:, None]
@@ -117,8 +121,6 @@ class PedestrianCrossings:
     def _occupied(self, crossing: int, xy: FloatArray, heading: float, aside_m: float) -> BoolArray:
         """(T,) as `on` has it, where the path's middle is at xy (2,) m; aside_m: half of the width and the strip."""
         used, users = self._users(crossing)
-        if not users.ids:
-            return np.zeros(users.num_steps, dtype=np.bool_)
         forward, left = np.array([[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]])
         on_strip = users.present & (np.abs((users.position - xy) @ left) <= aside_m)
         steps, speed = np.arange(users.num_steps), users.speed
@@ -189,8 +191,7 @@ class StopLines:
         scene, kinds = self.scene, self.scene.states.arrays.object_types
         walking = scene.traffic.rows([row for row, kind in enumerate(kinds) if kind in CROSSING_TYPES])
         corners = np.array(scene.grid.graph.pedestrian_crossings, dtype=np.float64).reshape(-1, 4, 2)
-        every = PedestrianCrossings(corners, walking, scene.step_s)
-        return replace(every, corners=corners[every._at.any(axis=(1, 2))])  # what none uses closes no line
+        return PedestrianCrossings(corners, walking, scene.step_s).used()
 
     @once
     def on(self, path: DrivenPath, box: BoxSize) -> ClosedLines:
