@@ -412,7 +412,8 @@ class Event(_Section):
     @model_validator(mode="after")
     def _check(self) -> "Event":
         names = "at_s", "gap_m", "speed_difference_mps", "ttc_s", "pet_s", "drac_mps2"
-        for name, band in ((name, band) for name in names if (band := getattr(self, name)) is not None):
+        asked = {name: band for name in names if (band := getattr(self, name)) is not None}
+        for name, band in asked.items():
             if band[1] < band[0]:
                 raise ValueError(f"{name} {band[0]:g}:{band[1]:g}, expected the smaller value first")
             if name != "at_s" and band[0] == band[1]:  # a moment has moment_s to both sides
@@ -445,6 +446,10 @@ class Export(_Section):
         "-",
         "of inserted tracks; tracker: as the scene's recorded vehicles have it, with clean states in the sidecar",
     )
+
+    def adds_noise(self, provenance: str) -> bool:
+        """Whether inserted tracks get any in a recording of a provenance: those that people labelled have none."""
+        return self.noise == provenance == "tracker"
 
 
 class Config(_Section):

@@ -91,8 +91,10 @@ def prepare(source: Recording | TrafficScene, config: Config) -> PreparedScene:
         raise ConfigError(f"source {str(source)[:200]!r}: expected a scene, as read_scene(path) gives it")
     if scenario.sidecar is not None:
         raise ScenarioError(f"{scenario.folder}: vehicles are inserted already; expected the recorded scene")
-    for name in (one.track_id for one in scenario.tracks if is_generated_id(one.track_id)):
-        raise ScenarioError(f"{scenario.folder}: track {name!r}: ids gen_* are inserted vehicles'; rename the track")
+    if taken := [one.track_id for one in scenario.tracks if is_generated_id(one.track_id)]:
+        raise ScenarioError(
+            f"{scenario.folder}: track {taken[0]!r}: ids gen_* are inserted vehicles'; rename the track"
+        )
     if config.source.plausible:
         check_plausible(scenario)
     return PreparedScene(scenario, grid_of(scenario, config), config)
@@ -129,10 +131,10 @@ def generate(source: Recording | TrafficScene | PreparedScene, config: Config, *
     vehicles = sorted(filling.kept, key=lambda one: one.driven.start.request.number)
     tracks = [one.track(f"gen_{row}", config.request.generated_category) for row, one in enumerate(vehicles)]
     clean: list[Track] = []
-    if config.export.noise == "tracker" and scenario.provenance == "human":
-        _LOG.warning("%s: people labelled it, so export.noise adds nothing", scenario.folder)
-    elif config.export.noise == "tracker":
+    if config.export.adds_noise(scenario.provenance):
         clean, tracks = tracks, with_noise(scene, tracks, [one.course for one in vehicles], seed)
+    elif config.export.noise != "none":
+        _LOG.warning("%s: people labelled it, so export.noise adds nothing", scenario.folder)
     focal = scenario.focal_track_id
     if config.request.focal == "generated":
         focal = _focal(scenario, vehicles, tracks, filling)
@@ -229,7 +231,7 @@ def _sidecar(
         told = [StatesRecord.of(track) for track in clean]
         agents = [agent.model_copy(update={"clean": states}) for agent, states in zip(agents, told, strict=True)]
     placed, focal = Counter(record.policy for record in agents), None
-    for record in (one for one in agents if one.track_id == focal_track_id):
+    if (record := next((one for one in agents if one.track_id == focal_track_id), None)) is not None:
         focal = record.policy if any(one.status == "done" for one in record.maneuvers) else Policy.STRAIGHT
     # `max` asks for more than the road holds: what it could not hold was not wished for
     most_unmet = placed[Policy.STRAIGHT] if config.request.agents == "max" else None

@@ -185,7 +185,7 @@ def _config_rules(sidecar: Sidecar, config: Config) -> _Told:
     yield not same, f"config_sha256 {sidecar.config_sha256[:12]}..., expected that of config"
     asked = [(event.kind, event.target) for event in config.event for _ in range(event.count)]
     yield asked != [(one.kind, one.target) for one in sidecar.events], f"events: expected those of config, {asked}"
-    noisy = config.export.noise != "none" and sidecar.recording.provenance == "tracker"
+    noisy = config.export.adds_noise(sidecar.recording.provenance)
     for policy in sorted({agent.policy for agent in sidecar.agents} - {*config.request.behaviours}):
         yield True, f"policy {policy!r}, expected one of {', '.join(config.request.behaviours)}"
     other = any((agent.clean is not None) != noisy for agent in sidecar.agents)
