@@ -26,15 +26,13 @@ MOST_GAIN, LEAST_GAINING = 0.15, 2
 
 def check_plausible(recording: Recording) -> None:
     """Refuse a recording with tracks that do not fit its map or each other. Errors: ScenarioError with the figure."""
-    said = implausible(recording)
-    if said:
+    if said := implausible(recording):
         raise ScenarioError(f"{recording.folder}: {said}; --set source.plausible=false goes on all the same")
 
 
 def figures_of(recording: Recording) -> Plausibility:
     """The figures of a recording."""
-    arrays = stack(recording.tracks, step_s=recording.step_s)
-    return plausibility(arrays, flatten_lanes(recording.graph))
+    return plausibility(stack(recording.tracks, step_s=recording.step_s), flatten_lanes(recording.graph))
 
 
 def implausible(recording: Recording) -> str:

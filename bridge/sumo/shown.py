@@ -77,5 +77,4 @@ def shown_when(
     steps, first = np.arange(num_steps), needed.argmax(axis=1) - UNSEEN_STEPS - 1
     last = num_steps - needed[:, ::-1].argmax(axis=1)
     ever = np.asarray(needed.any(axis=1)).reshape(-1, 1)
-    once = ever & (steps >= first[:, None]) & (steps <= last[:, None])
-    return np.asarray(once & traffic.present)
+    return np.asarray(ever & (steps >= first[:, None]) & (steps <= last[:, None]) & traffic.present)

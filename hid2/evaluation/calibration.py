@@ -301,5 +301,4 @@ def _lateral_wander(rates: FloatArray, changes: FloatArray) -> tuple[float, floa
 
 def _time_of(ratio: float, ratios: FloatArray) -> float:
     """Time constant with the seen ratio of change to rate in simulation; ratios fall with time."""
-    falling = np.minimum.accumulate(ratios)
-    return float(np.interp(-ratio, -falling, _TIMES_S))
+    return float(np.interp(-ratio, -np.minimum.accumulate(ratios), _TIMES_S))
