@@ -316,6 +316,7 @@ def _is_complete(row: ManifestRow, base: ManifestRow, place: SceneFolders) -> bo
         and base.source_sha256 != ""
         and (row.version, row.source_sha256, row.rule_sha256) == (base.version, base.source_sha256, base.rule_sha256)
         and row.output_sha256 != ""
+        and all(path.is_file() for path in _written(place, folder))
         and row.output_sha256 == files_sha256(_written(place, folder))
         and (not place.gaps or any(folder.glob("gaps_*.csv.gz")))
     )
@@ -324,7 +325,7 @@ def _is_complete(row: ManifestRow, base: ManifestRow, place: SceneFolders) -> bo
 def _written(place: SceneFolders, folder: Path) -> list[Path]:
     """What is written of a scene: the files of its folder and, where asked for, its sequence of Argoverse 1."""
     sequence = [sequence_path(place.out, split_of(place.folder), folder.name)] if place.argoverse1 else []
-    return [*output_files(folder), *(path for path in sequence if path.is_file())]
+    return [*output_files(folder), *sequence]
 
 
 def _row(outcome: TaskResult, options: Options) -> ManifestRow:

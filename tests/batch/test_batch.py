@@ -367,6 +367,17 @@ def test_spoiled_sequence_of_argoverse_1_is_written_again(tmp_path: Path) -> Non
     assert sequence.read_bytes() == written
 
 
+def test_sequence_of_argoverse_1_that_is_asked_for_later_is_written_by_a_resumed_batch(tmp_path: Path) -> None:
+    """A scene that is complete without one is not complete with one; so it is with one that was deleted since."""
+    found = find_recordings([make_argoverse1(tmp_path / "av1") / "val/data/7.csv"])
+    jobs, out = plan(found, load_config(flags={"request.agents": 1})), tmp_path / "out"
+    run_batch(jobs, out)
+    for _ in range(2):
+        run_batch(jobs, out, Options(argoverse1=True, resume=True))
+        (sequence,) = (out / "argoverse1").rglob("*.csv")
+        sequence.unlink()
+
+
 def test_second_batch_on_the_same_folder_is_refused(make_data_set: MakeDataSet, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setenv("FAULTS_SLEEP_S", "0.5")
     jobs = plan(make_data_set(2), Config())
