@@ -39,8 +39,8 @@ GRACE_S = 3.0
 MAX_RSS_MB = 600.0
 
 _MB = 1_000_000
-#: Bytes that are read of what a process wrote last, to tell why it ended.
-_TAIL_BYTES = 8000
+#: Bytes that are read of what a process wrote last, to tell why it ended: the stacks of a hang are a line a call.
+_TAIL_BYTES = 100_000
 #: Packages with messages that an isolated process passes on to its caller.
 _PACKAGES = ("netconvert", "hid2", "bridge")
 _LOG = logging.getLogger(__name__)
@@ -143,8 +143,7 @@ class IsolatedProcess:
                     raise StartFailedError(Failure("killed", "the process was closed"))
                 folder = tempfile.TemporaryDirectory(prefix="hid2-scene-", ignore_cleanup_errors=True)
                 scratch = self._open.enter_context(folder)
-                stderr = tempfile.TemporaryFile(dir=scratch)  # noqa: SIM115  # closed in close()
-                self._stderr = self._open.enter_context(stderr)
+                self._stderr = self._open.enter_context(tempfile.TemporaryFile(dir=scratch))  # noqa: SIM115
                 own = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "TMPDIR": scratch}
                 command = [sys.executable, "-P", "-X", "faulthandler", "-c", _SERVE]
                 self._process = subprocess.Popen(
@@ -195,7 +194,8 @@ class IsolatedProcess:
         if code == -signal.SIGABRT and "bad_alloc" in details:  # native code that got no more memory
             return Failure("memory", _too_much(self._settings.memory_mb), details)
         if code < 0:
-            return Failure("crashed", f"the process crashed ({signal.Signals(-code).name})", details)
+            named = {one.value: one.name for one in signal.Signals}  # not all are: cluster managers send others
+            return Failure("crashed", f"the process crashed ({named.get(-code, f'signal {-code}')})", details)
         return Failure("crashed", f"the process exited with status {code}", details)
 
 

@@ -1,7 +1,7 @@
 """Work for scene processes in tests; imported there by name, see the fixture `faults`.
 
-A file FAULT in a source folder says what its scene does: segfault, hang, wait, slow, killed, exit, raise. "... once"
-does it at the first attempt only (a file beside the output remembers it).
+A file FAULT in a source folder says what its scene does: segfault, hang, deep, wait, slow, killed, exit, raise. "...
+once" does it at the first attempt only (a file beside the output remembers it).
 """
 
 import errno
@@ -101,6 +101,14 @@ def meet_fault(place: SceneFolders, run: Run) -> None:
     fail(fault, place.out)
 
 
+def wait_below(calls: int) -> None:
+    """Hang that many calls below, in a file with a long path: the stacks have 20 kB."""
+    wait_below(calls - 1) if calls else time.sleep(600)
+
+
+wait_below.__code__ = wait_below.__code__.replace(co_filename="long/" * 40 + "faults.py")
+
+
 def fail(fault: str, scratch: Path) -> None:
     """Fail in the way that is named."""
     if fault == "segfault":
@@ -111,6 +119,8 @@ def fail(fault: str, scratch: Path) -> None:
         net = scratch / f"bad-{os.getpid()}.net.xml"
         net.write_text(BAD_NET)
         libsumo.start(["sumo", "-n", str(net), "--no-step-log"])
+    elif fault == "signal":
+        os.kill(os.getpid(), signal.SIGRTMIN + 6)
     elif fault == "killed":
         os.kill(os.getpid(), signal.SIGKILL)
     elif fault == "memory":
@@ -123,6 +133,8 @@ def fail(fault: str, scratch: Path) -> None:
     elif fault == "hang":
         while True:
             pass
+    elif fault == "deep":
+        wait_below(90)
     elif fault == "wait":  # a hang that takes no processor from the other tests
         time.sleep(600)
     elif fault == "slow":

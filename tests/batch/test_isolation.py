@@ -45,7 +45,8 @@ def test_collector_leaves_out_what_is_imported_and_nothing_that_calls_leave(proc
 
 @pytest.mark.parametrize(("fault", "kind", "words"), [
     ("segfault", "crashed", "SIGSEGV"), ("sumo", "crashed", "SIGSEGV"), ("killed", "killed", "SIGKILL"),
-    ("exit", "crashed", "status 3"), ("hang", "timeout", "2 s"),
+    ("exit", "crashed", "status 3"), ("hang", "timeout", "2 s"), ("deep", "timeout", "2 s"),
+    ("signal", "crashed", "(signal 40)"),
     ("raise", "exception", "RuntimeError: fault raise"),
     ("memory", "memory", "more memory than the 4000 MB a scene may take (hid2 generate --scene-memory)"),
     ("full", "disk", "scenario.parquet: cannot be written (No space left on device)"),
@@ -55,7 +56,7 @@ def test_failure_says_how_the_process_ended(process: IsolatedProcess, fault: str
     assert first[1] == 1
     assert failure.kind == kind
     assert words in failure.message
-    if fault not in ("killed", "exit"):
+    if fault not in ("killed", "exit", "signal"):
         assert "faults.py" in failure.details, "the traceback of the child is kept"
     assert [one for _, one, _ in process.stream("faults:numbers", "", (4,))] == [4], "the next call has a process again"
 
