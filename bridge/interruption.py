@@ -22,6 +22,8 @@ from pathlib import Path
 SIGNALS = frozenset({signal.SIGINT, signal.SIGTERM, signal.SIGHUP})
 #: Seconds that a piece of tidying has before the next begins: it may wait for a lock that the interrupted code holds.
 _STUCK_S = 10.0
+#: Seconds for which what is empty is left alone: a process has just made it there, and is about to lock it.
+_NEW_S = 0.2
 _HIDDEN = re.compile(r"\.hid2-[0-9a-f]{16}(\.[^.]*)?")
 
 #: What is to be tidied, the latest last. Signals are the process's, and so is this.
@@ -90,10 +92,16 @@ def remove_abandoned(folder: Path, *below: str) -> None:
     """Remove what processes that are gone were writing in a folder, and in those below that match a pattern."""
     for pattern in (".hid2-*", *(f"{name}/.hid2-*" for name in below)):
         for path in folder.glob(pattern):
-            flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK  # nothing waits for a pipe
-            with contextlib.suppress(OSError), locked(path, flags) as is_abandoned:
-                if is_abandoned and _HIDDEN.fullmatch(path.name) and path.lstat().st_uid == os.geteuid():
-                    _remove(path)
+            with contextlib.suppress(OSError), contextlib.ExitStack() as stack:
+                is_left = _HIDDEN.fullmatch(path.name) and path.lstat().st_uid == os.geteuid() and not _is_new(path)
+                if is_left and stack.enter_context(locked(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)):
+                    _remove(path)  # nothing has waited for a pipe
+
+
+def _is_new(path: Path) -> bool:
+    return time.time() - path.stat().st_mtime < _NEW_S and not (
+        any(path.iterdir()) if path.is_dir() else path.stat().st_size
+    )
 
 
 def _hidden_in(folder: Path, suffix: str = "") -> Path:
@@ -103,14 +111,12 @@ def _hidden_in(folder: Path, suffix: str = "") -> Path:
 @contextlib.contextmanager
 def locked(path: Path, flags: int) -> Iterator[bool]:
     """Whether it is locked now: not where another process has done so, or the file system knows no locks."""
-    descriptor = os.open(path, flags, 0o666)
+    descriptor, is_mine = os.open(path, flags, 0o666), False
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        locked = True
-    except OSError:
-        locked = False
-    try:
-        yield locked
+        with contextlib.suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            is_mine = True
+        yield is_mine
     finally:
         os.close(descriptor)
 

@@ -348,8 +348,9 @@ def _row(outcome: TaskResult, options: Options) -> ManifestRow:
     if failure is None:
         path.unlink(missing_ok=True)
         return row
-    asked = run.config, run.variant, options.timeout_s, options.function
-    write_bundle(Bundle(place.folder, *asked, failure, row.version), path)
+    write_bundle(
+        Bundle(place.folder, run.config, run.variant, options.timeout_s, options.function, failure, row.version), path
+    )
     reason, bundle = one_line(failure.message, most=MAX_TEXT), path.relative_to(place.out).as_posix()
     return row._replace(status=QUARANTINED, failure=failure.kind, reason=reason, bundle=bundle)
 

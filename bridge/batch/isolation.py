@@ -141,8 +141,9 @@ class IsolatedProcess:
             with self._lock:
                 if self.stopped:
                     raise StartFailedError(Failure("killed", "the process was closed"))
-                folder = tempfile.TemporaryDirectory(prefix="hid2-scene-", ignore_cleanup_errors=True)
-                scratch = self._open.enter_context(folder)
+                scratch = self._open.enter_context(
+                    tempfile.TemporaryDirectory(prefix="hid2-scene-", ignore_cleanup_errors=True)
+                )
                 self._stderr = self._open.enter_context(tempfile.TemporaryFile(dir=scratch))  # noqa: SIM115
                 own = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "TMPDIR": scratch}
                 command = [sys.executable, "-P", "-X", "faulthandler", "-c", _SERVE]

@@ -193,8 +193,8 @@ def test_children_end_with_the_command_whatever_started_them(script: Script) -> 
 def test_what_is_being_written_is_removed_only_when_its_process_is_gone(tmp_path: Path, script: Script) -> None:
     (tmp_path / "below").mkdir()
     process = script(
-        "with hidden_folder(Path('.')), hidden_file(Path('below'), '.csv'):\n print('ready', flush=True)\n"
-        " time.sleep(600)"
+        "with hidden_folder(Path('.')) as folder, hidden_file(Path('below'), '.csv') as file:\n"
+        " (folder / 'new').mkdir()\n file.write_text('half')\n print('ready', flush=True)\n time.sleep(600)"
     )
     (tmp_path / ".hid2-mine").touch()
     found = sorted(tmp_path.rglob(".hid2-*"))
@@ -205,6 +205,19 @@ def test_what_is_being_written_is_removed_only_when_its_process_is_gone(tmp_path
     remove_abandoned(tmp_path, "below")
     assert sorted(tmp_path.glob(".*")) == [tmp_path / ".hid2-mine"]
     assert list((tmp_path / "below").iterdir()) == []
+
+
+def test_what_another_command_is_about_to_lock_stays(tmp_path: Path) -> None:
+    """Between making and locking it: many commands start at once on a node, and each looks for what is abandoned."""
+    folder, file = tmp_path / f".hid2-{0:016x}", tmp_path / f".hid2-{1:016x}.csv"
+    folder.mkdir()
+    file.touch()
+    remove_abandoned(tmp_path)
+    assert sorted(tmp_path.iterdir()) == [folder, file]
+    for path in (folder, file):  # made a while ago
+        os.utime(path, (0.0, 0.0))
+    remove_abandoned(tmp_path)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_hidden_places_go_also_with_an_error(tmp_path: Path) -> None:
