@@ -174,8 +174,10 @@ def read_arrow(path: Path, read: Callable[[io.BytesIO], pa.Table], *, kind: str,
     try:
         table = read(io.BytesIO(read_received(path, ScenarioError, wanted=wanted)))
         table.validate(full=True)
-    except MemoryError:
-        raise
+    except MemoryError as error:  # one that is written once may stand in every row
+        raise ScenarioError(
+            f"{path}: unpacks to more memory than there is or it may take, expected {limits.MAX_TABLE_MB} MB at most"
+        ) from error
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         said = one_line(str(error).strip().partition("\n")[0], most=200)
         raise ScenarioError(f"{path}: not a {kind} file ({said}), expected {wanted}") from error

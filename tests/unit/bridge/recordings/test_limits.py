@@ -109,6 +109,18 @@ def test_pipe_and_giant_are_refused_unread(copy_scene: Callable[..., Path], patt
     refused(folder, "not a regular file" if what == "pipe" else f"larger than {MAX_FILE_MB} MB")
 
 
+def test_table_with_more_than_the_memory_holds_is_refused(
+    copy_scene: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A text that is written once may stand in every row: 150 kB that unpack to 13 GB ended an export of many."""
+
+    def read(*_: object, **__: object) -> None:
+        raise pa.ArrowMemoryError("realloc of size 4096000000 failed")
+
+    monkeypatch.setattr(pq.ParquetFile, "read", read)
+    refused(copy_scene("curve"), r"scenario_.*\.parquet: unpacks to more memory .* expected 256 MB at most")
+
+
 def _times(column: str, factor: float) -> Callable[[pd.DataFrame], pd.DataFrame]:
     return lambda rows: rows.assign(**{column: rows[column] * factor})
 
