@@ -101,8 +101,8 @@ def _check_values(value: object, depth: int) -> None:
 
 
 def parse_value(text: str) -> Any:  # noqa: ANN401  # whatever TOML holds
-    """The value of a text: as TOML has it, or the text itself."""
+    """The value of a text: as TOML has it, which wants a digit before a point, or the text itself."""
     try:
-        return _parse_toml(f"value = {text}")["value"]
+        return _parse_toml(f"value = {'0' * text.startswith('.')}{text}")["value"]
     except ValueError:
         return text

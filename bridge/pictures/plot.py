@@ -79,23 +79,28 @@ def agent_figure(scenario: Recording, agent_id: str) -> Figure:
 
 def _moments(scenario: Recording, agent_id: str, seen: list[Maneuver]) -> tuple[list[tuple[str, float]], str]:
     """Moments to mark, each with its time, s, and what the title says of the manoeuvres."""
-    agents = scenario.sidecar.agents if scenario.sidecar else ()
-    record = next((agent for agent in agents if agent.track_id == agent_id), None)
+    said = scenario.sidecar
+    record = next((agent for agent in said.agents if agent.track_id == agent_id), None) if said else None
     moments = [
         (what, time_s)
         for maneuver in (seen if record is None else record.maneuvers)
         for what in _STYLES
         if (time_s := getattr(maneuver, f"{what}_s", None)) is not None  # what is seen has no trigger
     ]
-    if record is None:
+    if said is None or record is None:
         named = ", ".join(maneuver.kind.value.replace("_", " ") for maneuver in seen)
         return moments, f"\nseen: {named}" if named else "\nno manoeuvre seen"
-    named = ", ".join(
+    named = [
         f"{behaviour_seen(ManeuverKind(m.kind)).label} {m.status.replace('_', ' ')}"
         + (f" ({m.reason})" if m.reason else "")
         for m in record.maneuvers
-    )
-    return moments, f"\npolicy {record.policy.value.replace('_', ' ')}" + (f": {named}" if named else "")
+    ]
+    named += [
+        f"{one.kind.replace('_', ' ')} with {one.target_track_id} at {one.at_s:g} s"
+        for one in said.events
+        if one.track_id == agent_id
+    ]
+    return moments, f"\npolicy {record.policy.value.replace('_', ' ')}" + (": " + ", ".join(named) if named else "")
 
 
 def _plan(

@@ -46,6 +46,8 @@ def test_what_is_wrong_is_told_with_its_place(tmp_path: Path, text: str, said: s
         read_toml_as(_Whole, path, "a whole")
 
 
-@pytest.mark.parametrize(("text", "value"), [("3", 3), ("[1, 2]", [1, 2]), ("true", True), ("arterial", "arterial")])
+@pytest.mark.parametrize(
+    ("text", "value"), [("3", 3), (".5", 0.5), ("[1, 2]", [1, 2]), ("true", True), ("arterial", "arterial")]
+)
 def test_text_is_what_toml_has_or_itself(text: str, value: object) -> None:
     assert parse_value(text) == value

@@ -17,6 +17,7 @@ from PIL import Image
 from bridge.pictures import figures, plot, render
 from bridge.pictures.plot import agent_figure
 from bridge.recordings.scenario import read_scenario
+from bridge.recordings.sidecar import EventRecord
 from netconvert.errors import ConfigError, ExportError
 
 
@@ -198,9 +199,13 @@ def test_cars_of_a_film_are_never_below_fourteen_pixels(made_scene, data_scenes,
 
 
 def test_plot_has_every_quantity_with_its_unit_and_marks_the_moments_of_the_sidecar(made_scene, tmp_path):
-    agent = next(a for a in read_scenario(made_scene).sidecar.agents if any(m.crossing_s for m in a.maneuvers))
-    figure = agent_figure(read_scenario(made_scene), agent.track_id)
+    scene = read_scenario(made_scene)
+    agent = next(a for a in scene.sidecar.agents if any(m.crossing_s for m in a.maneuvers))
+    done = {"kind": "cut_in", "target": "av", "status": "done", "target_track_id": "AV", "at_s": 2.1, "tries": 1}
+    event = EventRecord(**done, track_id=agent.track_id)
+    figure = agent_figure(replace(scene, sidecar=scene.sidecar.model_copy(update={"events": (event,)})), agent.track_id)
     text = words(figure)
+    assert "cut in with AV at 2.1 s" in text
     units = ("speed, m/s", "acceleration,\nm/s²", "jerk, m/s³", "lateral offset, m", "cell of the lane")
     for label in (*units, "trigger", "crossing"):
         assert label in text
