@@ -5,6 +5,7 @@ import io
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import shapely
 from lxml import etree
 from lxml.builder import E
 
@@ -85,9 +86,10 @@ def _polygons(grid: CellGrid) -> list[etree._Element]:
         E.poly({"id": f"drivable_area_{number}", **area, "shape": shape(ring)})
         for number, ring in enumerate(grid.graph.drivable_areas)
     ] + [
-        E.poly({"id": f"cell_{lane_id}_{index}", **cell, "shape": shape(np.asarray(polygon.exterior.coords))})
+        E.poly({"id": f"cell_{lane_id}_{index}" + f"_{k}" * (k > 0), **cell, "shape": shape(np.array(ring.coords))})
         for (lane_id, index), polygon in zip(grid.cells, grid.polygons, strict=True)
-        if not polygon.is_empty
+        for k, ring in enumerate(shapely.get_exterior_ring(shapely.get_parts(polygon)))  # more where boundaries cross
+        if not ring.is_empty
     ]
 
 
@@ -101,9 +103,8 @@ def _view(ground: FloatArray, shown: tuple[FloatArray, FloatArray], vehicles: et
     colors = E.colorScheme(*(E.entry(color=color, name=name) for name, color in shown_as.items()), name="uniform")
     # Every cell ends in a junction: the arrows and stop lines there would hide the lanes, and there is nothing to see.
     edges = E.edges(colors, showLinkDecals="0", showLinkRules="0", laneShowBorders="0", showBikeMarkings="0")
-    background = E.background(backgroundColor="250,250,248", showGrid="0")
-    drawn = [background, edges, E.junctions(drawShape="0"), *([] if vehicles is None else [vehicles])]
-    scheme = E.scheme(*drawn, name="hid2")
+    more = [E.junctions(drawShape="0"), *([] if vehicles is None else [vehicles])]
+    scheme = E.scheme(E.background(backgroundColor="250,250,248", showGrid="0"), edges, *more, name="hid2")
     return xml_bytes(E.viewsettings(scheme, E.viewport(zoom=f"{zoom:.1f}", x=f"{x:.2f}", y=f"{y:.2f}")))
 
 

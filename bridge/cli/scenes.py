@@ -1,5 +1,6 @@
 """Commands that check and pass on scenes: `hid2 validate`, `scan`, `net`, `export`."""
 
+from collections import Counter
 from pathlib import Path
 
 from bridge.cli import options
@@ -151,6 +152,8 @@ def export(
         except (ScenarioError, MapError, NetError) as error:  # any other is not of this scene alone
             failures.append((address, str(error)))
         activity.show(count, len(found))
+    said = "{} scenes have this id, expected one: the file is the last one's; export them to folders apart"
+    failures += [(path, said.format(times)) for path, times in Counter(written).items() if times > 1]
     tell_unread(failures)
-    activity.result(*written)
+    activity.result(*dict.fromkeys(written))
     return bool(failures)

@@ -16,6 +16,7 @@ from lxml.builder import E
 from bridge.recordings.recording import Recording
 from hid2.agents import AV_ID, FloatArray
 from hid2.occupancy.traffic import traffic_of
+from netconvert.errors import NetError
 from netconvert.geometry import arc_length, wrap_angle
 from netconvert.gui_files import xml_bytes
 from netconvert.lane_graph import SIDES, LaneGraph, LaneSegment
@@ -31,7 +32,9 @@ _WEST_M, _APART_M = 100.0, 10.0
 
 
 def commonroad_files(scene: Recording) -> dict[str, bytes]:
-    """<id>.cr.xml by file name."""
+    """<id>.cr.xml by file name. Errors: NetError for the id of a lane that CommonRoad refuses."""
+    if (least := min(scene.graph.lanes)) < 1:
+        raise NetError(f"{scene.folder}: lane {least}: CommonRoad takes no such id, expected 1 or more; renumber it")
     name, ids = scene.scenario_id, count(max(scene.graph.lanes) + 1)
     traffic = traffic_of(scene.tracks, scene.num_steps, step_s=scene.step_s)
     agents: list[etree._Element] = []
@@ -53,13 +56,18 @@ def commonroad_files(scene: Recording) -> dict[str, bytes]:
             obstacle.append(E.trajectory(*(_state("state", state) for state in states[1:])))
         agents += [etree.Comment(f" track {re.sub('-(?=-)', '- ', track.track_id)} "), obstacle]  # XML: no "--"
     number = 1 + int.from_bytes(sha256(name.encode()).digest()[:6])  # which names of CommonRoad have
-    known = {"commonRoadVersion": "2020a", "benchmarkID": f"ZAM_HID2-1_{number}_T-1", "date": "1970-01-01"}
-    known |= {"author": "hid2-sumo", "affiliation": "", "source": f"{scene.format} {name}"}
-    known["timeStepSize"] = f"{scene.step_s:g}"
+    known = {
+        "commonRoadVersion": "2020a",
+        "benchmarkID": f"ZAM_HID2-1_{number}_T-1",
+        "date": "1970-01-01",
+        "author": "hid2-sumo",
+        "affiliation": "",
+        "source": f"{scene.format} {name}",
+        "timeStepSize": f"{scene.step_s:g}",
+    }
     place = E.location(E.geoNameId("-999"), E.gpsLatitude("999"), E.gpsLongitude("999"))
-    lanelets = (_lanelet(scene.graph, lane) for lane in scene.graph.lanes.values())
-    root = E.commonRoad(known, place, E.scenarioTags(E.urban()), *lanelets, *agents, *problem)
-    return {f"{name}.cr.xml": xml_bytes(root)}
+    parts = (*(_lanelet(scene.graph, lane) for lane in scene.graph.lanes.values()), *agents, *problem)
+    return {f"{name}.cr.xml": xml_bytes(E.commonRoad(known, place, E.scenarioTags(E.urban()), *parts))}
 
 
 def _lanelet(graph: LaneGraph, lane: LaneSegment) -> etree._Element:

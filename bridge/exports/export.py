@@ -1,11 +1,10 @@
 """Scenes, recorded or generated, in the formats of others: what `hid2 export` does."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from pkgutil import resolve_name
 
 from bridge.recordings.folders import Address
-from bridge.recordings.recording import Recording
 from bridge.recordings.sources import read_recording
 from bridge.sumo.net import write_all
 from netconvert.errors import ConfigError
@@ -29,7 +28,6 @@ def export_scene(address: Address | str, to: str, out_dir: Path) -> list[Path]:
     """
     if to not in WRITERS:
         raise ConfigError(f"format {to!r}: expected one of {', '.join(WRITERS)}")
-    writer: Callable[[Recording], dict[str, bytes]] = resolve_name(WRITERS[to])
-    files = writer(read_recording(address))
+    files: dict[str, bytes] = resolve_name(WRITERS[to])(read_recording(address))
     write_all(out_dir, files)
     return [out_dir / name for name in files]

@@ -35,13 +35,14 @@ def openscenario_files(scene: Recording) -> dict[str, bytes]:
     tracks = sorted(scene.tracks, key=lambda track: track.track_id != AV_ID)
     if {AV_ID, EGO} <= {track.track_id for track in tracks}:
         raise NetError(f"{scene.folder}: track {EGO!r}: expected another id, {AV_ID} is called so; rename the track")
-    groups = [_acts(track, scene) for track in tracks]
     teleports = (
         E.Private(E.PrivateAction(E.TeleportAction(_position(_axle(track)[0]))), entityRef=_name(track))
         for track in tracks
         if track.timesteps[0] == 0
     )
-    story = E.Story(E.Act(*groups, E.StartTrigger(_at(0.0)), name="tracks"), name=name)
+    story = E.Story(
+        E.Act(*(_acts(track, scene) for track in tracks), E.StartTrigger(_at(0.0)), name="tracks"), name=name
+    )
     header = {"revMajor": "1", "revMinor": "2", "date": "1970-01-01T00:00:00", "author": "hid2-sumo"}
     document = E.OpenSCENARIO(
         E.FileHeader(header, description=f"scene {name}, {scene.city}"),

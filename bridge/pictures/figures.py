@@ -129,7 +129,11 @@ def draw_map(axes: Axes, graph: LaneGraph, *, cells: bool = False) -> None:
         LineCollection(centers, colors=MAP_COLORS["centre"], linewidths=0.5, linestyles=(0, (4, 4)), zorder=2)
     )
     if cells:
-        outlines = [shapely.get_coordinates(p.exterior) for p in build_cell_grid(graph).polygons if not p.is_empty]
+        outlines = [
+            shapely.get_coordinates(part.exterior)
+            for part in shapely.get_parts(build_cell_grid(graph).polygons)
+            if not part.is_empty
+        ]
         axes.add_collection(LineCollection(outlines, colors=MAP_COLORS["cell"], linewidths=0.35, zorder=2))
 
 

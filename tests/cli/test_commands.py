@@ -81,6 +81,12 @@ def test_export_writes_all_scenes_side_by_side(hid2: Run, data_scenes: dict[str,
     assert some.returncode == 1
     assert some.stdout.split() == [str(tmp_path / "some" / f"{data_scenes['intersection'].name}.trj")]
     assert {*re.findall("not a parquet|no log_map", some.stderr)} == {"not a parquet", "no log_map"}
+    twice = hid2(
+        "export", data_scenes["curve"], shutil.copytree(data_scenes["curve"], tmp_path / "b"), "--to", "trj", "-o", out
+    )
+    file = str(out / f"{data_scenes['curve'].name}.trj")
+    assert (twice.returncode, twice.stdout.split()) == (1, [file])
+    assert f"{file}: 2 scenes have this id" in twice.stderr
 
 
 def test_validate_names_file_and_rule(hid2: Run, generated: Path, tmp_path: Path) -> None:

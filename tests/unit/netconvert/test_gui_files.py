@@ -1,6 +1,7 @@
 import csv
 import io
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -37,6 +38,18 @@ def test_the_drivable_area_lies_under_the_lanes_and_every_cell_is_outlined_above
     cells = polygons.findall("poly[@type='cell']")
     assert [cell.get("id") for cell in cells] == ["cell_5_0", "cell_5_1", "cell_5_2"]
     assert all(float(cell.get("layer")) > 100 and cell.get("fill") == "0" for cell in cells)
+
+
+def test_a_cell_in_which_the_boundaries_of_its_lane_cross_is_outlined_in_its_parts(
+    lane: Callable[..., LaneSegment],
+) -> None:
+    """They cross at 16.8 m of 20, in the fourth of five cells: it is two triangles."""
+    left, right = (np.array([[0.0, side * 2.0], [16.0, side * 2.0], [20.0, -side * 8.0]]) for side in (1, -1))
+    crossed = replace(lane(5, [(0, 0), (20, 0)]), left_boundary=left, right_boundary=right)
+    grid = build_cell_grid(LaneGraph({5: crossed}))
+    assert {polygon.geom_type for polygon in grid.polygons} == {"Polygon", "MultiPolygon"}
+    cells = etree.fromstring(gui_files(grid, "scene", step_s=0.1)["scene.poly.xml"]).findall("poly[@type='cell']")
+    assert [cell.get("id") for cell in cells][3:] == ["cell_5_3", "cell_5_3_1", "cell_5_4"]
 
 
 def test_the_view_can_be_closer_and_a_net_that_covers_more_ground_is_seen_as_close(grid: CellGrid) -> None:

@@ -14,6 +14,7 @@ from bridge.exports.commonroad import commonroad_files
 from bridge.exports.export import export_scene
 from bridge.recordings.sources import read_recording
 from hid2.agents import AV_ID
+from netconvert.errors import NetError
 
 #: Types of dynamic obstacles in CommonRoad's schema.
 KINDS = {"unknown", "car", "truck", "bus", "motorcycle", "bicycle", "pedestrian", "priorityVehicle", "train", "taxi"}
@@ -111,3 +112,12 @@ def test_scenes_with_like_names_have_benchmark_ids_of_their_own(data_scenes: dic
         for content in commonroad_files(replace(scene, scenario_id=name)).values()
     }
     assert len(found) == 2
+
+
+def test_a_lane_with_an_id_that_commonroad_has_not_is_refused(data_scenes: dict[str, Path]) -> None:
+    """Its schema has positive ids, and commonroad-io reads no file with another one."""
+    scene = read_recording(data_scenes["curve"])
+    lane = replace(next(iter(scene.graph.lanes.values())), lane_id=-5)
+    graph = replace(scene.graph, lanes={**scene.graph.lanes, -5: lane})
+    with pytest.raises(NetError, match=f"{scene.scenario_id}: lane -5: .* expected 1 or more"):
+        commonroad_files(replace(scene, graph=graph))
