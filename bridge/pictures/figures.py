@@ -129,11 +129,8 @@ def draw_map(axes: Axes, graph: LaneGraph, *, cells: bool = False) -> None:
         LineCollection(centers, colors=MAP_COLORS["centre"], linewidths=0.5, linestyles=(0, (4, 4)), zorder=2)
     )
     if cells:
-        outlines = [
-            shapely.get_coordinates(part.exterior)
-            for part in shapely.get_parts(build_cell_grid(graph).polygons)
-            if not part.is_empty
-        ]
+        rings = shapely.get_exterior_ring(shapely.get_parts(build_cell_grid(graph).polygons))
+        outlines = [shapely.get_coordinates(ring) for ring in rings if not ring.is_empty]
         axes.add_collection(LineCollection(outlines, colors=MAP_COLORS["cell"], linewidths=0.35, zorder=2))
 
 
