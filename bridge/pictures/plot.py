@@ -91,7 +91,7 @@ def _moments(scenario: Recording, agent_id: str, seen: list[Maneuver]) -> tuple[
         named = ", ".join(maneuver.kind.value.replace("_", " ") for maneuver in seen)
         return moments, f"\nseen: {named}" if named else "\nno manoeuvre seen"
     named = [
-        f"{behaviour_seen(ManeuverKind(m.kind)).label} {m.status.replace('_', ' ')}{f' ({m.reason})' if m.reason else ''}"
+        f"{behaviour_seen(ManeuverKind(m.kind)).label} {m.status.replace('_', ' ')}{f' ({m.reason})' * bool(m.reason)}"
         for m in record.maneuvers
     ]
     named += [
