@@ -36,7 +36,7 @@ def distribution_figure(counts: RealismCounts) -> Figure:
 def diversity_figure(diversity: Mapping[str, Any]) -> Figure:
     """The paper's diversity figure: scenes by density and by behaviour, before and after."""
     figure, axes = plt.subplots(1, 3, figsize=(13, 3.8), layout="constrained", width_ratios=[1, 1, 1.1])
-    shown = {"tracks": "agents in the scene", "tracks_at_49": "agents at 4.9 s"}
+    shown = {"tracks": "agents in the scene", "tracks_at_49": "agents when observation ends"}
     for ax, (name, axis_label) in zip(axes, shown.items(), strict=False):
         density = diversity["density"][name]
         top = max([10, *(int(number) for when in ("before", "after") for number in density[when])])

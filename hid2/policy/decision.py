@@ -66,6 +66,7 @@ def is_due(stage: Stage, time_s: float, trigger_s: float) -> bool:
 def decide(seen: Observation, *, lane_change: LaneChange, overtake: Overtake) -> Decision:
     """Algorithm 1 (Agent Decision), of overtakes too from the trigger time on, which its listing asks of lane changes.
 
+    In its listing an agent that cannot change lanes overtakes; here each does what it is asked for, one of the two.
     The target is g_{l',j}, as in the paper's text (its listing has j+1). "Not feasible" is a reason, no exception.
     """
     reason: Reason | None = None

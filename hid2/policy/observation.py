@@ -64,8 +64,8 @@ def lane_options(
     """Adjacent lanes at arc length s of a path at one step, each with the path that continues on it.
 
     A transition into a cell that an original agent holds, now or when the vehicle (speed_mps) gets to the next one, is
-    rejected (paper, conflict case 1). The corridor m * delta s ends with l' or at a vehicle there that is slower than
-    desired_mps: a faster one leaves it.
+    rejected (paper, conflict case 1). The corridor m * delta s ends with l' or at the first vehicle there that is
+    slower than desired_mps: faster ones leave it.
     """
     graph, segment = scene.grid.graph, path.segment_at(s)
     xy = path.line.position(np.array([s]))
@@ -86,7 +86,12 @@ def lane_options(
             _next_sigma(scene, cell, following, step=inserted.step, speed_mps=speed_mps)
         )
         front, rear = gaps_on(scene, target, box, at=at, inserted=inserted)
-        corridor = remaining if front.speed_mps >= desired_mps else min(remaining, front.distance_m)
+        corridor = min(
+            remaining,
+            front.distance_m
+            if front.speed_mps < desired_mps
+            else gaps_on(scene, target, box, at=at, inserted=inserted, below_mps=desired_mps)[0].distance_m,
+        )
         option = LaneOption(
             side=side, target=cell, cells_free=free, front=front, rear=rear, remaining_m=remaining, corridor_m=corridor
         )
@@ -99,13 +104,18 @@ def target_path(scene: Scene, path: DrivenPath, lane_id: int, *, s: float) -> Dr
     return scene.paths.beside(tuple(segment.lane_id for segment in path.segments if segment.end > s), lane_id)
 
 
-def gaps_on(scene: Scene, target: DrivenPath, box: BoxSize, *, at: float, inserted: Inserted) -> tuple[Gap, Gap]:
-    """Bumper gaps ahead and behind at arc length `at` of a path, recorded and generated alike, Frenet metres."""
+def gaps_on(
+    scene: Scene, target: DrivenPath, box: BoxSize, *, at: float, inserted: Inserted, below_mps: float = math.inf
+) -> tuple[Gap, Gap]:
+    """Bumper gaps ahead and behind at arc length `at` of a path, recorded and generated alike, Frenet metres.
+
+    below_mps: only agents slower along the path count.
+    """
     parts = (scene.future, inserted.step), (inserted.known, inserted.step), (inserted.driven, 0)
     every = [(traffic.ids, scene.met_on(target, box, traffic).at(step)) for traffic, step in parts]
     ids = [names[row] for names, seen in every for row in seen.agents]
-    recorded, *others = (seen for _, seen in every)
-    found = gaps_on_path(recorded.joined(*others), np.array([at]), 0)
+    seen = every[0][1].joined(*(others for _, others in every[1:]))
+    found = gaps_on_path(seen, np.array([at]), 0, among=seen.along < below_mps)
     front, rear = int(found.leader[0]), int(found.follower[0])
     return (
         Gap(float(found.lead_m[0]), float(found.lead_mps[0]), ids[front]) if front >= 0 else OPEN,

@@ -130,6 +130,14 @@ def test_free_corridor_ends_at_who_is_slower_than_desired(speed: float, corridor
     assert option.corridor_m == pytest.approx(corridor, abs=0.6)
 
 
+def test_free_corridor_ends_at_a_slow_vehicle_ahead_of_a_faster_one() -> None:
+    """Of boxes at 95 m (12 m/s) and 109 m (5 m/s) the nearer one leaves the corridor; the other ends it at 24.5 m."""
+    scene = scene_of(_drive(95.0, 3.5, 12.0, "fast"))
+    option = _option(scene, 80.0, known=draw_box(109.0, 3.5, 0.0, 5.0))
+    assert option.front.speed_mps == pytest.approx(12.0)
+    assert option.corridor_m == pytest.approx(24.5, abs=0.6)
+
+
 @pytest.mark.parametrize("who", ["driven", "kept"])
 def test_generated_vehicles_hold_the_cells_where_the_simulation_has_them_now(who: str) -> None:
     """Sigma = 2: somebody driven, or kept in a round before, stands in cell 11 (44 .. 48 m) of lane 2, next to cell 10.
