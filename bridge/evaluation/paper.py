@@ -2,7 +2,7 @@
 
 table1: realism and safety with 10 vehicles added, by data set. ablation: without topology, collision checks, smoothing.
 density: 0 to 40 vehicles added. diversity: scenes by number of agents and behaviour, before and after, of the whole
-data set and of the paper's templates. Tables stand beside the paper's own; of density and diversity it has figures without numbers.
+data set and of the paper's templates. Tables stand beside the paper's; the last two are figures there.
 """
 
 from collections.abc import Mapping, Sequence
