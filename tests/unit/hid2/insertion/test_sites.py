@@ -122,6 +122,17 @@ def test_none_begins_where_its_leader_or_follower_has_just_been(gap_m: float, ot
         assert start is Reason.NO_SITE
 
 
+@pytest.mark.parametrize(("at_m", "begins"), [(90.0, False), (160.0, True)])
+def test_slow_start_looks_for_sharp_curves_as_far_as_it_comes(at_m: float, begins: bool) -> None:
+    """At 3 m/s from s = 10, at 10 m/s after 4.4 s: 95 m in a scene, 36 at the speed of the start. R = 3 m, 5 needed."""
+    bend = [(at_m + 3.0 * np.sin(a), 3.0 - 3.0 * np.cos(a)) for a in np.linspace(0.0, np.pi / 2, 9)]
+    lanes = {1: draw_lane(1, [(0.0, 0.0), *bend, (at_m + 3.0, 200.0)])}
+    sites = sites_of(scene_on(LaneGraph(lanes, drivable_areas=())))
+    site = Site(sites.here.routes.offers(1)[0], 10.0)
+    made = sites.starts.make(_request(), site, driver=DRIVER, speed_mps=3.0)
+    assert isinstance(made, Start) if begins else made is Reason.LIMIT_CURVATURE
+
+
 def test_vehicle_that_begins_at_a_red_line_stands_there() -> None:
     """Cross traffic has the intersection at 60 m: with its front within what drivers keep of that, it stands.
 
