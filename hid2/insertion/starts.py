@@ -135,7 +135,10 @@ class Starts:
             for start in starts:
                 rolled = self._rolled.pop(start, ())
                 if not rolled:
-                    rolled = (self.world.rolled_out(start, (self.world.roll(start),)),)
+                    parts: tuple[Rollout, ...] = (self.world.roll(start),)
+                    if BEHAVIOURS[start.request.policy].changes_lanes and self.scene.config.request.sites != "any":
+                        _, parts = self.world.roll_manoeuvre(start)  # others begin beside where it will be
+                    rolled = (self.world.rolled_out(start, parts),)
                 self.world.choose(*rolled)
         return starts
 
