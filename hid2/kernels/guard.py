@@ -199,7 +199,7 @@ def needed_braking(
                             seen = _is_on(g_low[g], g_cos[g], fleet[j, 0])
                             if k == 0 and row == 0:
                                 leader, leader_gap = j, gap
-                    elif lo - margin < s < hi + margin and k > 0 and goes_first[g]:
+                    elif lo - 2 * margin < s < hi + 2 * margin and k > 0 and goes_first[g]:  # both move between looks
                         met = True
                         break
             if met:
