@@ -1,5 +1,6 @@
 """The only file that imports libsumo: one simulation per process, as a context manager with an explicit seed."""
 
+import contextlib
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -164,6 +165,8 @@ class Simulation:
             self._add(vehicle_id, edges, driver, size, max_speed_mps, departSpeed=f"{speed_mps:.6f}")
             libsumo.vehicle.moveTo(vehicle_id, lane_id, front_m)
         except libsumo.TraCIException as error:
+            with contextlib.suppress(libsumo.TraCIException):  # else what is added begins at the next step after all
+                libsumo.vehicle.remove(vehicle_id)
             return str(error)
         return None
 

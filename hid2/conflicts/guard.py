@@ -1,8 +1,8 @@
 """Conflict resolution, live (paper, Trajectory Generation): the three cases.
 
 1. A transition into a cell with sigma = 1 is rejected, now and at the predicted time (`transition_rejected`).
-2. Generated against generated: executing before pending, then closer before farther (metres to the cell that both
-   want), then the one whose site was chosen first; in the compiled loop.
+2. Generated against generated: executing before pending, then closer before farther (in time, to the way that both
+   share), then the one whose site was chosen first; one that is there already before all. In the compiled loop.
 3. Future conflicts: predicted boxes over the horizon, recorded agents by their true future, generated ones by their
    state and intention at this step (`Guard.braking`): adjust timing, else another way at the next split; a manoeuvre
    does not begin meanwhile.
@@ -59,8 +59,8 @@ class Braking(NamedTuple):
 class Obstacles:
     """All agents on one path: known (A, T + E) for those with a known future, swept for the fleet's others.
 
-    swept (3, G, K): low and high m, cosine, by the other vehicle's own arc length; rows (G,) of the fleet; lines: the
-    stop lines on the path.
+    swept (4, G, K): low and high m, cosine, by the other vehicle's own arc length, and low on its path by the own one;
+    rows (G,) of the fleet; lines: the stop lines on the path.
     """
 
     known: PathOccupancy
@@ -96,16 +96,19 @@ class Guard:
 
     def obstacles(self, path: DrivenPath, box: BoxSize, others: list[tuple[int, DrivenPath, BoxSize]]) -> Obstacles:
         """All agents on a path for a box; others: fleet rows with the paths and boxes of those driven together."""
-        known = self.known_on(path, box)
-        each = ((row, self._swept_on(path, box, other, other_box)) for row, other, other_box in others)
-        found = [(row, swept) for row, swept in each if swept is not None]
-        longest = max((swept[0].size for _, swept in found), default=1)
-        every = np.empty((3, len(found), longest))
-        every[0], every[1], every[2] = np.inf, -np.inf, 0.0
+        each = (
+            (row, self._swept_on(path, box, other, other_box), self._swept_on(other, other_box, path, box))
+            for row, other, other_box in others
+        )
+        found = [(row, (*swept, back[0] if back else np.full(1, np.inf))) for row, swept, back in each if swept]
+        longest = max((low.size for _, swept in found for low in swept), default=1)
+        every = np.empty((4, len(found), longest))
+        every[0], every[1], every[2], every[3] = np.inf, -np.inf, 0.0, np.inf
         for place, (_, swept) in enumerate(found):
-            every[:, place, : swept[0].size] = swept
+            for column, values in zip(every, swept, strict=True):
+                column[place, : values.size] = values
         rows = np.array([row for row, _ in found], dtype=np.int64)
-        return Obstacles(known=known, swept=every, rows=rows, lines=self.stop_lines.on(path, box))
+        return Obstacles(known=self.known_on(path, box), swept=every, rows=rows, lines=self.stop_lines.on(path, box))
 
     def known_on(self, path: DrivenPath, box: BoxSize) -> PathOccupancy:
         """Intervals on a path of all agents with known motion, with margins and the critical PET.

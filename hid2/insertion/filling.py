@@ -26,13 +26,12 @@ from hid2.scene import Scene
 from hid2.vehicle import DrivenVehicle, Start, VehicleRequest
 from netconvert.cells import Cell
 
-# No tunables, to _MOST_REDRIVES: they bound the search.
+# No tunables, to _MOST_FAILURES_STRAIGHT: they bound the search.
 _MOST = 400  # vehicles that `agents = max` asks for, at most
 _MOST_FAILURES = 4  # requests of a policy without a site, after which a round looks for no more such sites
 #: The same of requests to go straight where a number is asked for, not `max`: the first that fails is looked for once
 #: more, with all cells open again.
 _MOST_FAILURES_STRAIGHT = 1
-_MOST_REDRIVES = 1  # redrives, at most, of a vehicle that waited for a rejected one or overtook it
 #: Length of lane per vehicle on a full road, m. No tunable: what `agents = max` means.
 SPACING_M = 25.0
 #: Runs one simulation: starts, generated vehicles kept in rounds before, number of the round.
@@ -82,8 +81,8 @@ class Filling:
     events: list[EventOutcome] = field(default_factory=list)
     rounds: int = 0
     _open: list[VehicleRequest] = field(default_factory=list)
+    _may_drive_again: dict[str, Start] = field(default_factory=dict)
     _again: list[Start] = field(default_factory=list)
-    _driven_again: Counter[str] = field(default_factory=Counter)
     _last_reason: dict[int, Reason] = field(default_factory=dict)
     _turned_down: TurnedDown = field(default_factory=TurnedDown)
     _wanted: Wanted = field(init=False)
@@ -115,6 +114,9 @@ class Filling:
             starts, before = self._starts(number), len(self.kept)
             if starts or number == 0:
                 self.rounds = number + 1
+                self._may_drive_again = {
+                    start.vehicle_id: start for start in starts if start.vehicle_id not in self._may_drive_again
+                }
                 self._keep(drive(starts, self._kept_traffic, number))
             if not self._open:
                 break
@@ -149,7 +151,7 @@ class Filling:
             for one in rejections.values():
                 self._note(one)
                 self._last_reason[one.vehicle.start.request.number] = one.reason
-            starts = [vehicle.start for vehicle in vehicles if vehicle.vehicle_id not in rejections]
+            starts = [start for start in starts if start.vehicle_id not in rejections]
         self._give_up_manoeuvres({one.driven.start.request.number for one in self.kept})
 
     def _starts_of(self, count: int) -> list[Start]:
@@ -342,7 +344,7 @@ class Filling:
         return list(found.values())
 
     def _drive_again(self, new: list[ExportedVehicle], rejections: dict[str, Rejection]) -> None:
-        """Reject a vehicle that braked for one that is rejected, or overtook it; the next round drives it once more."""
+        """Reject a vehicle that braked for a rejected one, or overtook it; the next round drives it again, but once."""
         changed = True
         while changed:
             changed = False
@@ -352,9 +354,8 @@ class Filling:
                     continue
                 rejections[driven.vehicle_id] = self._rejection(driven, Reason.WAITED_FOR_GONE)
                 changed = True
-                if self._driven_again[driven.vehicle_id] < _MOST_REDRIVES:
-                    self._driven_again[driven.vehicle_id] += 1
-                    self._again.append(driven.start)
+                if driven.vehicle_id in self._may_drive_again:  # as asked for: where it entered it may have been slowed
+                    self._again.append(self._may_drive_again[driven.vehicle_id])
 
     def _site(self, vehicle: DrivenVehicle) -> Cell:
         """Cell that a vehicle started in."""

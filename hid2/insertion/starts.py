@@ -135,7 +135,10 @@ class Starts:
             for start in starts:
                 rolled = self._rolled.pop(start, ())
                 if not rolled:
-                    rolled = (self.world.rolled_out(start, (self.world.roll(start),)),)
+                    parts: tuple[Rollout, ...] = (self.world.roll(start),)
+                    if BEHAVIOURS[start.request.policy].changes_lanes and self.scene.config.request.sites != "any":
+                        _, parts = self.world.roll_manoeuvre(start)  # others begin beside where it will be
+                    rolled = (self.world.rolled_out(start, parts),)
                 self.world.choose(*rolled)
         return starts
 
@@ -344,7 +347,8 @@ class Starts:
         limits = self.scene.config.limits
         if self.leaves_early(begin.site.offer, begin.s + box.length_m / 2, _KEPT_SHARE * speed, step):
             return Reason.LEAVES_TOO_EARLY
-        reach = slice(int(start_m / TABLE_STEP_M), int((start_m + _AHEAD_S * speed) / TABLE_STEP_M) + 2)
+        ahead_m = _AHEAD_S * max(speed, driver.desired_mps)  # one that begins slowly gains speed
+        reach = slice(int(start_m / TABLE_STEP_M), int((start_m + ahead_m) / TABLE_STEP_M) + 2)
         if np.abs(path.line.table_curvature[reach]).max(initial=0.0) > CURVATURE_KEPT / limits.min_radius_m:
             return Reason.LIMIT_CURVATURE
         road = self.roads.speeds(path, driver)

@@ -15,6 +15,7 @@ _BRAKING_LASTS_S = 1.0  # time for which an inserted vehicle that brakes is pred
 _HARDEST_RATIO = 1.4  # hardest braking for an agent that appears ahead, over the driver's deceleration
 _LINES_WITHIN_M = 60.0  # look-ahead for closed stop lines, m: those farther off matter to no driver yet
 _AMBER_RATIO = 1.3  # braking, over the driver's deceleration, above which a closed line is crossed, as at amber
+_ROLLS_MPS = 0.1  # least speed by which it is told which of two vehicles comes first, m/s: of two that stand the nearer
 SWEPT_STEP_M = 1.0  # spacing of the places along generated vehicles' ways at which what they sweep is known, m
 #: Share of its deceleration at which a driver rolls up to a line; time to take up the speed for that, s. No tunables.
 ROLLS_UP_SHARE, _TAKES_UP_S = 0.6, 0.5
@@ -81,33 +82,29 @@ def stop_ahead(
 
 
 @inner
-def _goes_first(found: IntArray, g: int, low: FloatArray, fleet: FloatArray, j: int, own: int, own_m: float) -> bool:
-    """`_has_priority` of vehicle j, row g of those seen; found (G,): what was found before, -1 for not yet."""
-    if found[g] < 0:
-        found[g] = _has_priority(low, fleet, j, own, own_m)
-    return bool(found[g] > 0)
+def _has_priority(low: FloatArray, own_low: FloatArray, fleet: FloatArray, j: int, own: int, own_m: float) -> bool:
+    """Whether generated vehicle j goes first (case 2): one of two does, as both compare the same distances and speeds.
+
+    Closer in time: by metres alone the right would change over while a faster one comes up, too late for the other to
+    brake. low, own_low (K,): of each on the way of the other; own_m: own arc length.
+    """
+    theirs, mine = _metres_to(low, fleet[j, 0]), _metres_to(own_low, own_m)
+    if min(theirs, mine) > 0.0:
+        if fleet[j, 3] != fleet[own, 3]:
+            return bool(fleet[j, 3] > fleet[own, 3])
+        theirs, mine = theirs * max(fleet[own, 1], _ROLLS_MPS), mine * max(fleet[j, 1], _ROLLS_MPS)
+    return theirs < mine or (theirs == mine and j < own)
 
 
 @inner
-def _has_priority(low: FloatArray, fleet: FloatArray, j: int, own: int, own_m: float) -> bool:
-    """Whether generated vehicle j goes first (case 2), metres to the cell that both want; low (K,) on its way."""
-    s = fleet[j, 0]
-    executing: bool = fleet[j, 3] > 0.0
-    own_executing: bool = fleet[own, 3] > 0.0
-    first = int(s / SWEPT_STEP_M)
-    for k in range(max(first, 0), low.size):
-        if low[k] != np.inf:
-            theirs, mine = k * SWEPT_STEP_M - s, low[k] - own_m
-            if theirs <= SWEPT_STEP_M:
-                return True  # it is there
-            if mine <= 0.0:
-                return False
-            if executing != own_executing:
-                return bool(executing)
-            if abs(theirs - mine) > 0.5:
-                return bool(theirs < mine)
-            return j < own
-    return True
+def _metres_to(low: FloatArray, s: float) -> float:
+    """Metres from an arc length to where the way is shared from; negative once it is shared: the farther in leads."""
+    begin = max(int(s / SWEPT_STEP_M), 0)
+    while begin < low.size and low[begin] == np.inf:
+        begin += 1
+    while 0 < begin < low.size and low[begin - 1] != np.inf:
+        begin -= 1
+    return begin * SWEPT_STEP_M - s
 
 
 @inner
@@ -147,13 +144,12 @@ def needed_braking(
 
     One long loop: in functions of its own, which numba does not inline, a rollout takes 1.9 times as long.
     low, high, along, same_direction (A, T): agents with a known future, as in `PathOccupancy`. stop_m (L,) m, closed
-    (L, T): stop lines. swept (3, G, K): low, high, cosine of generated vehicles by their own arc length, of rows (G,)
-    of fleet (N, 5): s, v, a, executing, present. start: own s, v, a; driver: tau s, acceleration, deceleration m/s2,
-    gap at standstill m. Returns (row of brakes, step of its first conflict or -1, step of the first conflict without
-    braking or -1, fleet row of the nearest generated leader or -1, gap to it m, whether some known agent comes up from
-    behind).
+    (L, T): stop lines. swept (4, G, K): as in `Obstacles`, of rows (G,) of fleet (N, 5): s, v, a, executing, present.
+    start: own s, v, a; driver: tau s, acceleration, deceleration m/s2, gap at standstill m. Returns (row of brakes,
+    step of its first conflict or -1, step of the first conflict without braking or -1, fleet row of the nearest
+    generated leader or -1, gap to it m, whether some known agent comes up from behind).
     """
-    g_low, g_high, g_cos = swept
+    g_low, g_high, g_cos, g_own = swept
     s0, v0, a0 = start
     tau, accel, decel, min_gap = driver
     margin, hardest = PET_MARGIN_M, _HARDEST_RATIO * decel
@@ -162,7 +158,9 @@ def needed_braking(
     leader, leader_gap, run_into = -1, np.inf, False
     last = horizon // STRIDE
     agents = _ahead_within(low, high, s0, min(t, steps - 1), min(t + last * STRIDE, steps - 1) + 1)
-    first = np.full(rows.size, -1, dtype=np.int64)  # priority is the same for every braking
+    goes_first = np.empty(rows.size, dtype=np.bool_)
+    for g in range(rows.size):
+        goes_first[g] = _has_priority(g_low[g], g_own[g], fleet, rows[g], own, s0)
     for row in range(brakes.size):
         s, v, a_cmd, hit, behind_leader, struck = s0, v0, a0, -1, False, False
         for k in range(last + 1):
@@ -194,16 +192,14 @@ def needed_braking(
                     if at < 0 or at >= g_low.shape[1] or g_low[g, at] == np.inf:
                         continue
                     lo, hi = g_low[g, at], g_high[g, at]
-                    if g_cos[g, at] > SAME_WAY:
-                        gap, leads = gap_to(lo, hi, s)
-                        if not leads:
-                            continue  # it follows: its driver's business
-                        if gap < gap_least and _goes_first(first, g, g_low[g], fleet, j, own, s0):
+                    gap, leads = gap_to(lo, hi, s)
+                    if g_cos[g, at] > SAME_WAY and (leads or gap >= 0.0):  # the one behind it has its driver
+                        if leads and gap < gap_least and goes_first[g]:
                             gap_least, closing = gap, v - fleet[j, 1] * g_cos[g, at]
                             seen = _is_on(g_low[g], g_cos[g], fleet[j, 0])
                             if k == 0 and row == 0:
                                 leader, leader_gap = j, gap
-                    elif lo - margin < s < hi + margin and k > 0 and _goes_first(first, g, g_low[g], fleet, j, own, s0):
+                    elif lo - 2 * margin < s < hi + 2 * margin and k > 0 and goes_first[g]:  # both move between looks
                         met = True
                         break
             if met:

@@ -93,7 +93,7 @@ def speed_limits(
     count. desired_mps (N, T); drivers (N, 4); yielding (N,): whether a vehicle brakes for a conflict by now. What is on
     a vehicle's way is from first[m] to first[m + 1] (M + 1, 6) of: road, m/s every TABLE_STEP_M; lanes (where they end,
     m, and their policies, of which STRAIGHT is no turn); low ..; stop lines with their causes; others, rows of the
-    fleet; and what they sweep, raveled (3, G, K) of each vehicle. Returns, each (M,): limits m/s, inf where a vehicle
+    fleet; and what they sweep, raveled (4, G, K) of each vehicle. Returns, each (M,): limits m/s, inf where a vehicle
     desires to go no faster anyway; numbers of their causes, -1 for none; policies of the lanes; rows of leaders that a
     vehicle waits for, -1 for none; whether it yields; and whether usual braking is not enough.
     """
@@ -104,11 +104,11 @@ def speed_limits(
         i, at, to = rows[m], first[m], first[m + 1]
         tau, accel, decel, min_gap = drivers[i]
         rivals = others[at[4] : to[4]]
-        reach = (to[5] - at[5]) // max(1, 3 * rivals.size)
+        reach = (to[5] - at[5]) // max(1, 4 * rivals.size)
         limits[m], caused[m], policies[m], waits_for[m], yields[m], braking_fails[m] = limit_of(
             i, t, fleet, desired_mps[i, t], (tau, accel, decel, min_gap), yielding[i], horizon, step_s, brakes,
             road[at[0] : to[0]], lane_ends[at[1] : to[1]], lane_policies[at[1] : to[1]], low[at[2] : to[2]],
             high[at[2] : to[2]], along[at[2] : to[2]], same_direction[at[2] : to[2]], stop_m[at[3] : to[3]],
-            closed[at[3] : to[3]], causes[at[3] : to[3]], rivals, swept[at[5] : to[5]].reshape(3, rivals.size, reach),
+            closed[at[3] : to[3]], causes[at[3] : to[3]], rivals, swept[at[5] : to[5]].reshape(4, rivals.size, reach),
         )  # fmt: skip
     return limits, caused, policies, waits_for, yields, braking_fails

@@ -63,7 +63,7 @@ MUTANTS = {
         (f"{UNIT}/policy/test_observation.py",),
     ),
     "conflict case 2: the farther one goes first": Mutant(
-        "hid2/kernels/guard.py", "return bool(theirs < mine)", "return bool(theirs > mine)",
+        "hid2/kernels/guard.py", "return theirs < mine or", "return theirs > mine or",
         (f"{UNIT}/conflicts/test_guard.py",),
     ),
     "trigger: a step late": Mutant(

@@ -34,7 +34,8 @@ def _gaps(vehicle: DrivenVehicle, other: Track) -> np.ndarray:
     return other.position[:, 0] - np.array(vehicle.s) - 0.5 * (CAR.length_m + other.size.length_m)
 
 
-def test_vehicles_that_were_too_far_apart_to_look_at_each_other_do_so_when_they_come_near() -> None:
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_vehicles_that_were_too_far_apart_to_look_at_each_other_do_so_when_they_come_near(seed: int) -> None:
     """Both are 153 m before a crossing at 14.5 m/s, and no vehicle enters meanwhile."""
     ends = [(0.0, 0.0), (160.0, 0.0), (180.0, 0.0), (300.0, 0.0)]
     ways = ends, [(170.0, x - 170.0) for x, _ in ends]
@@ -44,7 +45,7 @@ def test_vehicles_that_were_too_far_apart_to_look_at_each_other_do_so_when_they_
     ]
     scene, driver = scene_on(LaneGraph({one.lane_id: one for one in lanes})), replace(DRIVER, desired_mps=14.5)
     starts = [start_on(scene, route, 17.0, 14.5, number=route[0], driver=driver) for route in ((0, 1, 2), (3, 4, 5))]
-    with Simulation(net_bytes(scene.grid), seed=0, step_s=0.1, parameters=PARAMETERS) as simulation:
+    with Simulation(net_bytes(scene.grid), seed=seed, step_s=0.1, parameters=PARAMETERS) as simulation:
         fleet = Fleet(scene, starts, nobody(scene.future.num_steps), Roads(scene), StopLines(scene), near_m=NEAR_M)
         first, second = FlowDriving(fleet, simulation, checked=False).run()
     assert first.limited["conflict"] + second.limited["conflict"] > 0

@@ -91,10 +91,11 @@ def test_rewound_simulation_is_as_good_as_a_fresh_one(net: Path) -> None:
 def test_vehicle_is_inserted_close_behind_another_if_it_was_planned_so(sumo: Simulation) -> None:
     """SUMO's own insertion check would wait: it takes the one ahead, as fast, for one that may stop at any time.
 
-    A lane that the net does not have is an objection, not an error.
+    A lane that the net does not have is an objection, not an error, and SUMO has nothing of the vehicle.
     """
     assert _insert(sumo, "v0", 2.0, 8.0, lane_id="1#0_7") is not None
     sumo.step()
+    assert sumo.vehicle_ids() == frozenset()
     assert _insert(sumo, "v1", 40.0, 8.0) is None
     assert _insert(sumo, "v2", 31.0, 8.0) is None
     sumo.step()

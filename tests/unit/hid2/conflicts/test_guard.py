@@ -200,6 +200,38 @@ def test_case_2_equally_far_on_the_crossing_already_and_where_braking_does_not_a
     assert found.decel_mps2 == 3.5
 
 
+def _cross_at(degrees: float) -> Scene:
+    """Lane 1 along the x axis, lane 2 at an angle to it: both meet at s = 80 m."""
+    x, y = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+    across = draw_lane(2, [(80.0 - 80.0 * x, -80.0 * y), (80.0 + 120.0 * x, 120.0 * y)])
+    return scene_on(LaneGraph({1: draw_lane(1, [(0.0, 0.0), (200.0, 0.0)]), 2: across}), config=CONFIG)
+
+
+@pytest.mark.parametrize("degrees", [20.0, 30.0, 45.0, 60.0, 90.0, 120.0, 150.0])
+def test_case_2_one_of_two_yields_however_the_paths_cross(degrees: float) -> None:
+    """Both at 10 m/s, about 30 m before the crossing, up to half a meter apart: they would meet there."""
+    cross = _cross_at(degrees)
+    for other_m in np.arange(50.0, 51.01, 0.125).tolist():
+        fleet = [(50.5, 10.0, 0.0, 0.0), (other_m, 10.0, 0.0, 0.0)]
+        brakes = [_braking(cross, 1 + own, fleet, lanes=(1, 2), own=own).decel_mps2 > 0.0 for own in range(2)]
+        assert sum(brakes) == 1, other_m
+
+
+def test_case_2_the_faster_one_that_comes_first_by_time_goes_first_though_it_is_farther() -> None:
+    """35 m before the crossing at 12 m/s, 2.9 s, and 26 m at 8 m/s, 3.3 s: it would be the nearer one on the way."""
+    cross = _cross_at(90.0)
+    fleet = [(45.0, 12.0, 0.0, 0.0), (54.0, 8.0, 0.0, 0.0)]
+    brakes = [_braking(cross, 1 + own, fleet, lanes=(1, 2), own=own).decel_mps2 for own in range(2)]
+    assert brakes[0] == 0.0
+    assert brakes[1] > 0.0
+
+
+def test_who_yields_brakes_where_the_other_one_would_be_beside_it_and_a_little_behind() -> None:
+    """At 30 degrees: after 2.5 s the own one is at the crossing, and the other, which executes, 4 m before it."""
+    found = _braking(_cross_at(30.0), 1, [(55.0, 10.0, 0.0, 0.0), (56.0, 8.0, 0.0, 1.0)], lanes=(1, 2))
+    assert found.decel_mps2 > 0.0
+
+
 def test_larger_box_needs_more_room() -> None:
     """Beside a pedestrian at y = -1.5 m a car of 1.9 m passes; a bus of 2.9 m (with 0.1 m beside it) does not."""
     scene = scene_on(draw_road(), recorded(70.0, -1.5, kind="pedestrian", size=BoxSize(0.6, 0.6)), config=CONFIG)

@@ -4,7 +4,7 @@ import itertools
 import logging
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -310,12 +310,17 @@ def test_what_the_map_or_the_scene_does_not_offer_is_told_at_once() -> None:
 
 
 def test_who_braked_for_a_vehicle_that_is_gone_is_driven_again() -> None:
-    """V0 fails; v1 had braked for it, v2 for v1: both start again where they were, with the same drivers. v3 stays."""
+    """V0 fails; v1 had braked for it, v2 for v1: both start again where they were, with the same drivers. v3 stays.
+
+    Where v2 entered there was room for a slower one alone: again it is to begin as fast as at first.
+    """
 
     def spoil(vehicle: DrivenVehicle, number: int) -> DrivenVehicle:
         if number == 0:
             if vehicle.vehicle_id == "v0_0":
                 vehicle.not_inserted = Reason.SUMO_REFUSES_INSERTION
+            if vehicle.vehicle_id == "v2_0":
+                vehicle.start = replace(vehicle.start, start_mps=1.0)
             needed = {"v1_0": "v0_0", "v2_0": "v1_0"}.get(vehicle.vehicle_id, "")
             vehicle.waited_for[needed] = BRAKES
         return vehicle

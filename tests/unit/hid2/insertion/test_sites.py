@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from hand_drawn import draw_crossing, draw_lane, draw_road
-from inserted import CAR, DRIVER, guard_of, recorded, scene_on, sites_of
+from inserted import CAR, DRIVER, guard_of, recorded, scene_on, sites_of, start_on
 from scipy.stats import chisquare
 
 from hid2.agents import Policy, Track
@@ -120,6 +120,27 @@ def test_none_begins_where_its_leader_or_follower_has_just_been(gap_m: float, ot
         assert 1.5 * abs(other_mps - start.start_mps) <= abs(gap_m) + 0.3
     else:
         assert start is Reason.NO_SITE
+
+
+@pytest.mark.parametrize(("sites", "y"), [("promising", 3.5), ("any", 0.0)])
+def test_lane_changer_that_is_driven_again_is_known_on_its_way_across(sites: str, y: float) -> None:
+    """Alone at 9 m/s it has changed to lane 2 by the end; `any` looks no farther ahead than it follows its lane."""
+    scene = scene_of(sites=sites)
+    starts = sites_of(scene).starts
+    starts.take([start_on(scene, (1,), 60.0, 9.0, policy=Policy.LANE_CHANGE, sides=("left",))])
+    known = starts.world.guard.inserted_known.position[0, scene.num_steps - 1]
+    assert known[1] == pytest.approx(y, abs=0.3)
+
+
+@pytest.mark.parametrize(("at_m", "begins"), [(90.0, False), (160.0, True)])
+def test_slow_start_looks_for_sharp_curves_as_far_as_it_comes(at_m: float, begins: bool) -> None:
+    """At 3 m/s from s = 10, at 10 m/s after 4.4 s: 95 m in a scene, 36 at the speed of the start. R = 3 m, 5 needed."""
+    bend = [(at_m + 3.0 * np.sin(a), 3.0 - 3.0 * np.cos(a)) for a in np.linspace(0.0, np.pi / 2, 9)]
+    lanes = {1: draw_lane(1, [(0.0, 0.0), *bend, (at_m + 3.0, 200.0)])}
+    sites = sites_of(scene_on(LaneGraph(lanes, drivable_areas=())))
+    site = Site(sites.here.routes.offers(1)[0], 10.0)
+    made = sites.starts.make(_request(), site, driver=DRIVER, speed_mps=3.0)
+    assert isinstance(made, Start) if begins else made is Reason.LIMIT_CURVATURE
 
 
 def test_vehicle_that_begins_at_a_red_line_stands_there() -> None:
