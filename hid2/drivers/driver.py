@@ -120,7 +120,8 @@ def desired_speeds(
 
 def with_wander(desired_mps: FloatArray | float, wander_mps: FloatArray) -> FloatArray:
     """Desired speeds with their wandering, m/s."""
-    return np.maximum(desired_mps + wander_mps, _WANDERS_TO * desired_mps)
+    least_mps = _WANDERS_TO * desired_mps
+    return least_mps + np.abs(desired_mps + wander_mps - least_mps)  # turned back: none drives on at the very least
 
 
 def wandering(

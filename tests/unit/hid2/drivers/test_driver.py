@@ -127,6 +127,7 @@ def test_nobody_begins_above_the_desired_speed_which_never_falls_below_four_fift
     wild = CONFIG.model_copy(update={"drivers": Drivers(wander_sd_mps=3.0)})
     speeds = [desired_speeds(DRIVER, wild, rng, num_steps=110, step_s=0.1, at_least_mps=0.0) for _ in range(100)]
     assert min(one.min() for one in speeds) >= 8.0
+    assert np.mean([np.isclose(np.diff(one), 0.0).mean() for one in speeds]) < 0.01  # none drives on at just that
 
 
 def test_free_speed_goes_towards_the_wish_as_the_model_has_it() -> None:
