@@ -31,6 +31,8 @@ _FLOW_MPS = 1.0  # speed above which recorded vehicles are cross traffic; no tun
 #: Green time before and after a recorded entry, s, and time before and after cross traffic at which the entrance is red
 #: even so, s (the critical PET). No tunables: what recorded traffic tells of a phase.
 _ENTRY_BEFORE_S, _ENTRY_AFTER_S, _CROSSING_S = 1.0, 2.0, 1.0
+#: Time for which a vehicle that comes to stand at an entrance has braked for the red, s. No tunable, as before.
+_BRAKES_S = 2.0
 #: Time after green in which a vehicle that can no longer stop may pass (amber), about, s. No tunable.
 AMBER_S = 1.5
 #: Largest distance of an opposite approach to where a lane of the intersection ends, m, and largest cosine of the angle
@@ -122,7 +124,7 @@ class InferredSignals:
             alone = all(one in approach.fan and graph.lanes[one].turn is turn for one in onward)
             if lane_id in onward or (onward and alone):
                 queued |= watched.waits[lane]
-        return entered, queued
+        return entered, _spread(queued, *self._steps(_BRAKES_S, 0.0))
 
     def _opposite(self, lane_id: int) -> tuple[int, _Approach] | None:
         """The lane straight on from the opposite approach, with that; None where there is none, or the lane turns."""

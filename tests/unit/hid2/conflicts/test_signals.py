@@ -8,6 +8,7 @@
 """
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -116,6 +117,14 @@ def test_a_queue_stands_in_the_middle_third_near_the_entrance(x: float, y: float
     """A third of 3.5 m: 0.58 m to each side. Beyond it, who never moves is parked. 20 m before, 3 m behind."""
     scene = signals(draw_box(x, y, 0.0, 0.0))
     assert _steps(scene.red(2)) == (list(range(STEPS)) if red else [])
+
+
+def test_a_driver_that_comes_to_stand_saw_red_two_seconds_before() -> None:
+    """From x = -35 at 5 m/s to -5 at step 60: it stands, by central differences, from step 61 on."""
+    comes = draw_box(-35.0, 0.0, 0.0, 5.0)
+    stands = np.minimum(comes.position, [-5.0, 0.0])
+    scene = signals(replace(comes, position=stands, velocity=np.gradient(stands, 0.1, axis=1)))
+    assert _steps(scene.red(2)) == list(range(41, STEPS))
 
 
 @pytest.mark.parametrize(
