@@ -88,8 +88,8 @@ def _moments(scenario: Recording, agent_id: str, seen: list[Maneuver]) -> tuple[
         if (time_s := getattr(maneuver, f"{what}_s", None)) is not None  # what is seen has no trigger
     ]
     if said is None or record is None:
-        named = ", ".join(maneuver.kind.value.replace("_", " ") for maneuver in seen)
-        return moments, f"\nseen: {named}" if named else "\nno manoeuvre seen"
+        kinds = ", ".join(maneuver.kind.value.replace("_", " ") for maneuver in seen)
+        return moments, f"\nseen: {kinds}" if kinds else "\nno manoeuvre seen"
     named = [
         f"{behaviour_seen(ManeuverKind(m.kind)).label} {m.status.replace('_', ' ')}{f' ({m.reason})' * bool(m.reason)}"
         for m in record.maneuvers
