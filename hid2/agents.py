@@ -33,6 +33,8 @@ DEFAULT_SIZES: Mapping[str, BoxSize] = {
     "construction": BoxSize(0.8, 0.8),
     "unknown": BoxSize(0.8, 0.8),
 }
+#: Distance of the rear axle behind the middle of a vehicle's box over the box's length: 1.4 m of the recording car's.
+REAR_AXLE_SHARE = 0.3
 
 #: Categories (Argoverse 2) of tracks that forecasts are scored on, and of the focal track, which matters most of these.
 SCORED_CATEGORY, FOCAL_CATEGORY = 2, 3

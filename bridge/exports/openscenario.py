@@ -11,7 +11,7 @@ from lxml.builder import E
 
 from bridge.recordings.recording import Recording
 from bridge.sumo.net import config_of
-from hid2.agents import AV_ID, FloatArray, Track
+from hid2.agents import AV_ID, REAR_AXLE_SHARE, FloatArray, Track
 from netconvert.errors import NetError
 from netconvert.gui_files import xml_bytes
 from netconvert.net_xml import CITY_ORIGINS
@@ -24,7 +24,7 @@ _CATEGORIES = {"vehicle": "car", "bus": "bus", "motorcyclist": "motorbike", "cyc
 _CATEGORIES |= {"riderless_bicycle": "bicycle"}
 # What no recording tells and the standard demands: usual values.
 _HEIGHTS_M = {"vehicle": 1.6, "bus": 3.2, "static": 1.0, "background": 1.0, "construction": 1.0, "unknown": 1.0}
-_HEIGHT_M, _AXLE_SHARE, _WHEEL_M, _STEERING_RAD = 1.7, 0.6, 0.6, 0.6
+_HEIGHT_M, _WHEEL_M, _STEERING_RAD = 1.7, 0.6, 0.6
 _PERFORMANCE = {"maxSpeed": "70", "maxAcceleration": "10", "maxDeceleration": "10"}
 _MASS_KG = "80"
 
@@ -67,7 +67,7 @@ def _name(track: Track) -> str:
 
 def _behind_m(track: Track) -> float:
     """How far the rear axle is behind the middle of the box."""
-    return _AXLE_SHARE * track.size.length_m / 2.0 if track.object_type in _CATEGORIES else 0.0
+    return REAR_AXLE_SHARE * track.size.length_m if track.object_type in _CATEGORIES else 0.0
 
 
 def _axle(track: Track) -> FloatArray:
@@ -88,7 +88,7 @@ def _entity(track: Track) -> etree._Element:
     box = E.BoundingBox(center, E.Dimensions(length=f"{length_m:.3f}", width=f"{width_m:.3f}", height=f"{height_m:g}"))
     if kind in _CATEGORIES:
         axle = {"trackWidth": f"{width_m:.3f}", "wheelDiameter": f"{_WHEEL_M}", "positionZ": f"{_WHEEL_M / 2}"}
-        front = {"maxSteering": f"{_STEERING_RAD}", "positionX": f"{_AXLE_SHARE * length_m:.3f}"}
+        front = {"maxSteering": f"{_STEERING_RAD}", "positionX": f"{2.0 * REAR_AXLE_SHARE * length_m:.3f}"}
         axles = E.Axles(E.FrontAxle(axle, front), E.RearAxle(axle, maxSteering="0", positionX="0"))
         made, more = E.Vehicle(name=kind, vehicleCategory=_CATEGORIES[kind]), [E.Performance(_PERFORMANCE), axles]
     elif kind == "pedestrian":

@@ -21,7 +21,7 @@ from bridge.recordings.argoverse1 import INSERTED, check_sequence, sequence_byte
 from bridge.recordings.recording import Recording
 from bridge.recordings.scenario import RowArrays, row_breaches
 from bridge.recordings.sidecar import AgentRecord, Sidecar
-from hid2.agents import AV_ID, FOCAL_CATEGORY, SCORED_CATEGORY, VEHICLE_TYPES, FloatArray, Policy
+from hid2.agents import AV_ID, FOCAL_CATEGORY, REAR_AXLE_SHARE, SCORED_CATEGORY, VEHICLE_TYPES, FloatArray, Policy
 from hid2.judge.events import brakes_for
 from hid2.params import Config
 from netconvert.av2_map import Breach
@@ -75,8 +75,13 @@ def _check_index(table: pa.Table) -> Iterator[Breach]:
         yield "columns", f"index {index}, expected a RangeIndex from 0 to {table.num_rows}"
 
 
-def check_generated(rows: RowArrays, track_id: str, clean: FloatArray | None = None) -> Iterator[Breach]:
-    """What is demanded of a generated track beyond the format. clean (N, 5): its motion without a tracker's noise."""
+def check_generated(
+    rows: RowArrays, track_id: str, clean: FloatArray | None = None, *, length_m: float = 0.0
+) -> Iterator[Breach]:
+    """What is demanded of a generated track beyond the format.
+
+    clean (N, 5): its motion without a tracker's noise; length_m: of its box, whose middle or rear axle does not slide.
+    """
     index = rows.of_track(rows.ids.index(track_id))
     steps, category = rows.timestep[index], int(rows.category[index.start])
     name = f"track {track_id!r}"
@@ -111,8 +116,9 @@ def check_generated(rows: RowArrays, track_id: str, clean: FloatArray | None = N
     if len(wrong):
         worst = int(wrong[np.argmax(error[wrong])])
         yield "velocity", f"{name}, timestep {steps[worst]}: {error[worst]:.3f} m/s off the derivative of position"
-    course = np.arctan2(velocity[:, 1], velocity[:, 0])
-    off = np.abs(wrap_angle(heading - course))
+    axle = position - REAR_AXLE_SHARE * length_m * np.column_stack([np.cos(heading), np.sin(heading)])
+    courses = [np.arctan2(moved[:, 1], moved[:, 0]) for moved in (velocity, np.gradient(axle, rows.step_s, axis=0))]
+    off = np.abs(wrap_angle(heading - courses)).min(axis=0)
     off[np.hypot(*velocity.T) < HEADING_FROM_MPS] = 0
     if off.max() > HEADING_TOLERANCE_RAD:
         worst = int(np.argmax(off))

@@ -81,9 +81,12 @@ def validate_scene(against: Against, folder: Path) -> list[FileBreach]:
     path, agents = folder / f"scenario_{new_id}.parquet", sidecar.agents if sidecar is not None else ()
     generated_ids = {agent.track_id for agent in agents} | {name for name in rows.ids if name.startswith("gen_")}
     clean = {agent.track_id: agent.clean.motion for agent in agents if agent.clean}
+    length_m = {agent.track_id: agent.length_m for agent in agents}
     breaches = list(rules.check_rows(rows, new_id))
     for track_id in sorted(generated_ids & set(rows.ids)):
-        breaches += rules.check_generated(rows, track_id, clean=clean.get(track_id))
+        breaches += rules.check_generated(
+            rows, track_id, clean=clean.get(track_id), length_m=length_m.get(track_id, 0.0)
+        )
     findings += [FileBreach(path, *breach) for breach in breaches]
     if document is None:
         return findings

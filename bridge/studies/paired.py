@@ -299,7 +299,7 @@ def _as_simulated(scene: Scene, vehicle: DrivenVehicle, first: int) -> ExportedV
     vehicle = replace(vehicle, start=replace(vehicle.start, step=first))
     s, v = np.array(vehicle.s), np.array(vehicle.v)
     motion = Motion(s=s, v=v, a=np.gradient(v, scene.step_s), step_s=scene.step_s)
-    path = trajectory(vehicle.path.line, motion, MIDDLE)
+    path = trajectory(vehicle.path.line, motion, MIDDLE, vehicle.start.size.length_m)
     return as_exported(scene, vehicle, motion, path, np.zeros(s.size))
 
 

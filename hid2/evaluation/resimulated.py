@@ -172,6 +172,6 @@ def poses(scene: Scene, vehicle: DrivenVehicle, one: TakenOut) -> tuple[FloatArr
     s = np.concatenate([s, s[-1] + vehicle.v[-1] * scene.step_s * ahead])
     motion = smooth_motion(s, filter_s=scene.config.smoothing.filter_s, step_s=scene.step_s)
     motion = replace(motion, s=motion.s + s[0] - motion.s[0])
-    driven = trajectory(vehicle.path.line, motion, vehicle.start.offset)
+    driven = trajectory(vehicle.path.line, motion, vehicle.start.offset, vehicle.start.size.length_m)
     turned = wrap_angle(one.heading - driven.heading[0])
     return driven.position, wrap_angle(driven.heading + turned * np.exp((s[0] - motion.s) / _STRAIGHT_OVER_M))

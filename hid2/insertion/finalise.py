@@ -155,7 +155,7 @@ def _placed(
     verdict: ExportedVehicle | Reason = Reason.LIMIT_JERK  # replaced by that of the first try
     most_m = -math.inf
     for share in _OFFSET_SHARES:
-        path = trajectory(vehicle.path.line, motion, offset.scaled(share))
+        path = trajectory(vehicle.path.line, motion, offset.scaled(share), vehicle.start.size.length_m)
         judged = _checked_alone(scene, as_exported(scene, vehicle, motion, path, off_m), others)
         if not isinstance(judged, Reason):
             room_m = _passes_m(judged.states, others)

@@ -134,7 +134,7 @@ class World:
         for part in parts:
             inside = part.on_path
             motion = Motion(inside.s, inside.v, np.zeros(inside.s.size), self.scene.step_s)
-            driven.append((part.step, trajectory(part.path.line, motion, start.offset)))
+            driven.append((part.step, trajectory(part.path.line, motion, start.offset, start.size.length_m)))
         return RolledOut(start, parts, self.scene.known_traffic(start.vehicle_id, start.box, driven))
 
     def harm_to_followers(self, candidate: RolledOut, headway_s: float = FOLLOWER_HEADWAY_S) -> Reason | None:

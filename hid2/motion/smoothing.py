@@ -9,15 +9,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hid2.agents import FloatArray
+from hid2.agents import REAR_AXLE_SHARE, FloatArray
 from hid2.drivers.driver import LaneOffset
 from hid2.motion.reference_line import TABLE_STEP_M, ReferenceLine
+from netconvert.geometry import wrap_angle
 
 _TRUNCATED_AT = 3.0  # reach of the filter, standard deviations; no tunable: 0.3 % of its weight is beyond
 #: Largest acceleration at the first and last step over the jerk limit, fifths of a step, and its growth over the jerk
 #: limit from step to step, steps: derived, not tuned. Positions differentiated three times, one-sided at the ends, give
 #: there a jerk of a quarter of the acceleration for each step, plus .8 times the jerk.
 _EDGE_FIFTHS, _EDGE_GROWTH = 7.0, 0.7
+_STANDS_M = 1e-6  # way of a step below which a box does not turn by rolling; no tunable: none at all
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -73,20 +75,35 @@ def _with_eased_ends(v: FloatArray, jerk_mps3: float, step_s: float) -> FloatArr
     return np.asarray(np.maximum(v + gained - gained[v.size // 2], 0.0), dtype=np.float64)
 
 
-def trajectory(line: ReferenceLine, motion: Motion, offset: LaneOffset) -> Trajectory:
-    """Pose p = r(s) + d(s) n(s) at every step; heading from the path's tangent, velocity its time derivative."""
+def trajectory(line: ReferenceLine, motion: Motion, offset: LaneOffset, length_m: float) -> Trajectory:
+    """Pose p = r(s) + d(s) n(s) of a box so long at every step; velocity its time derivative, heading as `_rolling`."""
     centre, tangent, pace = line.motion(motion.s)
     d, slope = offset.at(motion.s)
     at = motion.s / TABLE_STEP_M
     curvature = np.interp(at, np.arange(line.table_curvature.size), line.table_curvature)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
     along = 1.0 - curvature * d
-    direction = along[:, None] * tangent + slope[:, None] * normal
+    direction, position = along[:, None] * tangent + slope[:, None] * normal, centre + d[:, None] * normal
     return Trajectory(
-        position=centre + d[:, None] * normal,
-        heading=np.asarray(np.arctan2(direction[:, 1], direction[:, 0]), dtype=np.float64),
+        position=position,
+        heading=_rolling(np.unwrap(np.arctan2(direction[:, 1], direction[:, 0])), position, REAR_AXLE_SHARE * length_m),
         velocity=direction * (motion.v * pace)[:, None],
     )
+
+
+def _rolling(course: FloatArray, position: FloatArray, axle_m: float) -> FloatArray:
+    """Headings (T,) rad of a box whose rear axle, axle_m behind its middle, rolls and does not slide.
+
+    It trails the course (T,) rad of the middle, within the length of the box by axle_m times the curvature, as boxes of
+    recorded vehicles do; at first as if the curve had begun before.
+    """
+    moved_m = np.maximum(np.hypot(*np.diff(position, axis=0).T), _STANDS_M)
+    turned, kept = np.diff(course), np.exp(-moved_m / axle_m)
+    settles = axle_m / moved_m * turned
+    trails = [float(settles[:1].sum())]
+    for share, settled in zip(kept.tolist(), settles.tolist(), strict=True):
+        trails.append(share * trails[-1] + (1.0 - share) * settled)
+    return np.asarray(wrap_angle(course - trails), dtype=np.float64)
 
 
 def _gaussian_filter(values: FloatArray, deviation: float) -> FloatArray:

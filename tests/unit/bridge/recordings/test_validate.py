@@ -109,6 +109,7 @@ FOCAL, SCORED = "310100", "310107"
     (_track("gen_1", "velocity_x", 3.0), "velocity"),
     (in_cell("gen_1", 60, "position_x", 0.0), "velocity"),
     (in_cell("gen_1", 60, "heading", 4.0), "heading"),
+    (lambda rows: rows.assign(heading=rows.heading - 0.3 * (rows.track_id == "gen_1")), "heading"),
     (_without("gen_1", *range(110)), "sidecar"),
     (lambda rows: _without("gen_1", 0)(_track("gen_1", "object_category", 2)(rows)), "generated"),
 ])  # fmt: skip
