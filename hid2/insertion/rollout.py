@@ -316,19 +316,8 @@ class World:
         rolled out anew and brake for it (`to_roll_anew`).
         ends: whether the scene ends with the last part.
         """
-        for number, part in enumerate(parts):
-            found = self._part_rejection(start, part, is_last=ends and part is parts[-1])
-            if found is None and number > 0 and self._ttc_before_crossing(start, parts[number - 1].path, part):
-                found = Reason.TTC_LANE_LEADER
-            if found is not None:
-                return found
-        return None
-
-    def _ttc_before_crossing(self, start: Start, left: DrivenPath, part: Rollout) -> bool:
-        """Whether a vehicle closes in on its leader before its centre has crossed the line, as the judge has it."""
-        crossed = int(np.searchsorted(part.s, 0.5 * sum(part.path.lateral_spans[-1])))
-        met = self._met(start, replace(part, path=left, s=part.s[:crossed], v=part.v[:crossed]))[0]
-        return bool(met[:, LEAD_TTC].min(initial=math.inf) < self.scene.config.conflict.ttc_min_s)
+        found = (self._part_rejection(start, part, is_last=ends and part is parts[-1]) for part in parts)
+        return next((reason for reason in found if reason is not None), None)
 
     def _part_rejection(self, start: Start, rollout: Rollout, *, is_last: bool) -> Reason | None:
         scene, conflict = self.scene, self.scene.config.conflict
