@@ -75,13 +75,8 @@ def _check_index(table: pa.Table) -> Iterator[Breach]:
         yield "columns", f"index {index}, expected a RangeIndex from 0 to {table.num_rows}"
 
 
-def check_generated(
-    rows: RowArrays, track_id: str, clean: FloatArray | None = None, *, length_m: float = 0.0
-) -> Iterator[Breach]:
-    """What is demanded of a generated track beyond the format.
-
-    clean (N, 5): its motion without a tracker's noise; length_m: of its box, whose middle or rear axle does not slide.
-    """
+def check_generated(rows: RowArrays, track_id: str, clean: FloatArray | None, length_m: float) -> Iterator[Breach]:
+    """Demands on a track beyond the format. clean (N, 5): its motion without a tracker's noise; length_m: its box's."""
     index = rows.of_track(rows.ids.index(track_id))
     steps, category = rows.timestep[index], int(rows.category[index.start])
     name = f"track {track_id!r}"
@@ -93,8 +88,7 @@ def check_generated(
     if category == 0:
         yield "generated", f"{name}: category 0, expected 1, 2 or 3"
     if (np.diff(steps) != 1).any():
-        at = int(steps[np.flatnonzero(np.diff(steps) != 1)[0]])
-        yield "generated", f"{name}: gap after timestep {at}"
+        yield "generated", f"{name}: gap after timestep {steps[np.flatnonzero(np.diff(steps) != 1)[0]]}"
         return
     if rows.last_observed not in steps:
         yield "generated", f"{name}: lasts from {steps[0]} to {steps[-1]}, expected {rows.last_observed} in it"

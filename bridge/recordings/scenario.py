@@ -320,8 +320,7 @@ def _unprintable(text: str, what: str, rule: str) -> Iterator[Breach]:
     """Ids and names that are empty, endless, or do not print: they go into files, tables and messages."""
     if not text or len(text) > limits.MAX_NAME or not text.isprintable():
         shown = one_line(text, most=60)
-        said = f"{what} {shown!r}: expected 1 to {limits.MAX_NAME} characters that can be printed"
-        yield rule, said
+        yield rule, f"{what} {shown!r}: expected 1 to {limits.MAX_NAME} characters that can be printed"
 
 
 def _focal_breaches(rows: RowArrays, focal_track_id: str) -> Iterator[Breach]:

@@ -84,9 +84,7 @@ def validate_scene(against: Against, folder: Path) -> list[FileBreach]:
     length_m = {agent.track_id: agent.length_m for agent in agents}
     breaches = list(rules.check_rows(rows, new_id))
     for track_id in sorted(generated_ids & set(rows.ids)):
-        breaches += rules.check_generated(
-            rows, track_id, clean=clean.get(track_id), length_m=length_m.get(track_id, 0.0)
-        )
+        breaches += rules.check_generated(rows, track_id, clean.get(track_id), length_m.get(track_id, 0.0))
     findings += [FileBreach(path, *breach) for breach in breaches]
     if document is None:
         return findings

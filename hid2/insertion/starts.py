@@ -19,11 +19,11 @@ from hid2.insertion.routes import RouteOffer
 from hid2.insertion.situations import Situation, foreseen
 from hid2.judge.findings import CURVATURE_KEPT, FOLLOWER_HEADWAY_S, LEADER_LENGTH_S
 from hid2.measures.arrays import STANDS_MPS
-from hid2.measures.encounters import BRAKES_FOR_S, FOLLOWS_S
+from hid2.measures.encounters import BRAKES_FOR_S
 from hid2.motion.reference_line import TABLE_STEP_M
 from hid2.motion.route import DrivenPath, first_turn
 from hid2.occupancy.along_path import PathOccupancy
-from hid2.occupancy.gaps import AllGaps, Gaps, gaps_from_pose, gaps_on_path, gaps_to_all
+from hid2.occupancy.gaps import AllGaps, Gaps, gaps_from_pose, gaps_to_all
 from hid2.occupancy.traffic import BoolArray
 from hid2.policy.behaviours import BEHAVIOURS
 from hid2.policy.roads import Roads
@@ -174,17 +174,15 @@ class Starts:
             if near.lag_m[0] < (headway_s - LEADER_LENGTH_S) * near.lag_mps[0]:
                 return Reason.FOLLOWER_HEADWAY
         lane_id = path.segment_at(start_m).lane_id
-        flow_mps = 0.0
         if step == 0:
             leader = self.meetings.leader_of(scene.cell_at(path, start_m), offer.route)
-        if config.request.sites == "promising" and driver is None:
-            flow_mps = max(self.meetings.pace_of(leader), self._follower_mps(path, box, start_m, step))
+        flow_mps = self.meetings.pace_of(leader) if config.request.sites == "promising" and driver is None else 0.0
         line_gap_m = self.world.guard.stop_lines.on(path, box).gap_m(start_m, step)
         gaining = 0.0 if driver is not None or site.s is None else _GAINING_SHARE
         begin = Begin(request, site._replace(leader=leader), path, box, s, start_m, line_gap_m, sides, wants, gaining)
         made: Start | Reason = Reason.NO_SITE
         for _ in range(1 if driver is not None else _DRIVERS):
-            # a driver goes with the flow of its leader and follower, or would not be there
+            # a driver goes with the flow of its leader, or would not be there
             pace_mps = max(scene.lane_speed(lane_id, rng), flow_mps)
             made = self._begun(begin, driver or draw_driver(config, rng, lane_speed_mps=pace_mps), speed_mps, desired)
             if made not in _ANOTHER_DRIVER:
@@ -331,15 +329,6 @@ class Starts:
         steps = self.scene.steps_in(BRAKES_FOR_S)
         lost = [float((one.v[:-steps] - one.v[steps:]).max(initial=0.0)) for one in parts]
         return max(lost, default=0.0) / (steps * self.scene.step_s)
-
-    def _follower_mps(self, path: DrivenPath, box: BoxSize, s: float, step: int) -> float:
-        """Pace of the recorded follower that the place gives a vehicle, m/s, over the scene; 0 without one near."""
-        known = self.scene.met_on(path, box, self.scene.future)
-        found = gaps_on_path(known, np.array([s]), step, among=known.same_direction)
-        row = int(found.follower[0])
-        if row < 0 or found.lag_m[0] > FOLLOWS_S * found.lag_mps[0]:
-            return 0.0
-        return float(known.along[row, step : self.scene.num_steps].max())
 
     def _start_speed(self, world: World, begin: Begin, speed: float, driver: Driver) -> float | Reason:
         """Speed at which a driver that would drive at `speed` begins, m/s; or why it cannot begin there."""
