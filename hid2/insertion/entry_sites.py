@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hid2.agents import Policy
+from hid2.insertion.meetings import by_weight
 from hid2.insertion.rollout import SLOWEST_SHARE
 from hid2.insertion.situations import Situation
-from hid2.insertion.spread import Spread
 from hid2.insertion.starts import CLEAR_GAP_M, Site, Starts, speed_behind
 from hid2.insertion.surroundings import Surroundings
 from hid2.measures.arrays import STANDS_MPS
@@ -25,13 +25,10 @@ _ENTRY_GAP_S = 1.0
 
 @dataclass(slots=True)
 class EntrySites:
-    """Sites of the vehicles that enter in one round; asked: how many are to go straight, of which a share enters."""
+    """Sites of the vehicles that enter in one round."""
 
     here: Surroundings
     starts: Starts
-    spread: Spread
-    asked: int
-    _looked: int = 0
 
     def is_to_enter(self, request: VehicleRequest) -> bool:
         """Whether a vehicle is to enter at the map's edge if it can; a scored one is there from the first step on."""
@@ -41,16 +38,12 @@ class EntrySites:
         return bool(self.starts.rng.random() < asked.entering)
 
     def starts_of(self, request: VehicleRequest, followed: list[int], wants: frozenset[Situation]) -> Iterator[Start]:
-        """Starts at the map's edge during the scene: wanted ones first, in the order of `Spread`."""
+        """Starts at the map's edge during the scene: wanted ones first, in weighted random order."""
         scene, entries, rng = self.here.scene, self.here.entries, self.starts.rng
         leader, weight = entries.outlook.leader, entries.outlook.weight.copy()
         if scene.config.request.is_near_agents:
             weight[~entries.outlook.near] = 0.0
-        order = self.spread.order(
-            weight, rng, number=self._looked, kind=len(Policy), round_number=self.starts.round_number,
-            of=round(scene.config.request.entering * self.asked),
-        )  # fmt: skip
-        self._looked += 1
+        order = by_weight(weight, rng)
         if wants:
             order = order[np.argsort(~entries.outlook.meets_any(wants, followed)[order], kind="stable")]
         for row in order[:TRIES].tolist():

@@ -16,7 +16,6 @@ from hid2.insertion.outcome import Outcome, outcome_of, takes_gap
 from hid2.insertion.requests import draw_requests
 from hid2.insertion.sites import InsertionSites, TurnedDown
 from hid2.insertion.situations import Wanted
-from hid2.insertion.spread import Spread
 from hid2.insertion.surroundings import Surroundings
 from hid2.measures.encounters import BRAKES_FOR_S
 from hid2.occupancy.traffic import Traffic
@@ -199,10 +198,7 @@ class Filling:
         rng = np.random.default_rng([*self.seed, 1 + number])
         here = self.surroundings
         guard = Guard(self.scene, self._kept_traffic, here.stop_lines)
-        sites = InsertionSites(
-            here, guard, rng, number, Spread.of(self.seed), self._wanted, self._turned_down, self.kept,
-            asked=Counter(r.policy for r in self._open),
-        )  # fmt: skip
+        sites = InsertionSites(here, guard, rng, number, self._wanted, self._turned_down, self.kept)
         starts = sites.starts.take(self._again)
         self._again = []
         used = {start.request.number for start in starts}

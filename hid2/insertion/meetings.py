@@ -296,3 +296,10 @@ class Meetings:
 def _turn_of(policy: Policy) -> TurnType:
     """The first turn of the routes that a vehicle of a policy would take."""
     return BEHAVIOURS[policy].turn or TurnType.STRAIGHT
+
+
+def by_weight(weight: FloatArray, rng: np.random.Generator) -> IntArray:
+    """Rows of those of some weight (N,) in weighted random order."""
+    key = rng.exponential(size=weight.size)
+    with_weight = np.flatnonzero(weight > 0.0)
+    return with_weight[np.argsort(key[with_weight] / weight[with_weight], kind="stable")]

@@ -12,11 +12,10 @@ from hid2.conflicts.guard import Guard
 from hid2.drivers.driver import usual_driver
 from hid2.insertion.entry_sites import TRIES, EntrySites
 from hid2.insertion.finalise import ExportedVehicle
-from hid2.insertion.meetings import PACE_SHARE
+from hid2.insertion.meetings import PACE_SHARE, by_weight
 from hid2.insertion.overtake_starts import OvertakeStarts
 from hid2.insertion.routes import RouteOffer
 from hid2.insertion.situations import NONE_WANTED, Situation, Wanted
-from hid2.insertion.spread import Spread, by_weight
 from hid2.insertion.starts import CLEAR_GAP_M, Site, Starts
 from hid2.insertion.surroundings import Surroundings
 from hid2.judge.findings import FOLLOWER_HEADWAY_S
@@ -99,23 +98,20 @@ def _around(scene: Scene, row: int) -> range:
 class InsertionSites:
     """Sites of one scene for the requests of a round; what was proposed in this round is kept clear of.
 
-    asked: how many vehicles of each policy the scene is asked for, which share its sites; kept: vehicles of
-    rounds before; wanted: what vehicles are to meet; turned_down: what was found out in rounds before, and in this one.
+    kept: vehicles of rounds before; wanted: what vehicles are to meet; turned_down: what was found out in rounds
+    before, and in this one.
     """
 
     here: Surroundings
     guard: Guard
     rng: np.random.Generator
     round_number: int
-    spread: Spread
     wanted: Wanted = NONE_WANTED
     turned_down: TurnedDown = field(default_factory=TurnedDown)
     kept: Sequence[ExportedVehicle] = ()
-    asked: Counter[Policy] = field(default_factory=Counter)
     starts: Starts = field(init=False)
     overtakes: OvertakeStarts = field(init=False)
     entering: EntrySites = field(init=False)
-    _looked: Counter[Policy] = field(default_factory=Counter)
     _in_vain: Counter[tuple[Policy, Situation]] = field(default_factory=Counter)
 
     def __post_init__(self) -> None:
@@ -123,7 +119,7 @@ class InsertionSites:
         here, changers = self.here, [one for one in self.kept if one.driven.shifts]
         self.starts = Starts(here.scene, here.roads, here.meetings, self.guard, self.rng, self.round_number, changers)
         self.overtakes = OvertakeStarts(here, self.starts)
-        self.entering = EntrySites(here, self.starts, self.spread, self.asked[Policy.STRAIGHT])
+        self.entering = EntrySites(here, self.starts)
 
     def propose(self, request: VehicleRequest, slow_leader: VehicleRequest | None = None) -> list[Start]:
         """A start for a request, and where it is to overtake and finds no leader, one for that; empty where none fits.
@@ -216,8 +212,7 @@ class InsertionSites:
     def _places(self, request: VehicleRequest, wants: Set[Situation]) -> Iterator[tuple[Cell, float]]:
         """Free cells at step 0 and arc lengths, m, on their lanes, from which something wanted would be met, if any is.
 
-        Intersections are last or never. The order is that of `Spread`, by the number of this vehicle among those of its
-        policy.
+        In weighted random order; intersections are last or never.
         """
         scene, policy = self.here.scene, request.policy
         grid, promising = scene.grid, scene.config.request.sites == "promising"
@@ -237,14 +232,7 @@ class InsertionSites:
             if policy is Policy.STRAIGHT:  # behind a recorded vehicle it goes through with that
                 inside = inside & (seen.leader[rows] < 0)
         share = self.rng.random(rows.size)
-        if not promising:
-            order = by_weight(weight, self.rng)
-        else:
-            order = self.spread.order(
-                weight, self.rng, number=self._looked[policy], of=self.asked[policy],
-                kind=list(scene.config.request.behaviours).index(policy), round_number=self.round_number,
-            )  # fmt: skip
-        self._looked[policy] += 1
+        order = by_weight(weight, self.rng)
         clear = np.ones(rows.size, dtype=np.bool_)
         if "collision" not in scene.config.without:  # most places of a full road; what is left is looked at on its path
             usual, gap_m = DEFAULT_SIZES["vehicle"], CLEAR_GAP_M

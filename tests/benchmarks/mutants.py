@@ -99,10 +99,6 @@ MUTANTS = {
         "bridge/batch/batch.py", "== (base.version, base.source_sha256,", "== (base.version, row.source_sha256,",
         ("tests/batch/test_batch.py::TestResume",),
     ),
-    "seeds: variants look for sites at one place": Mutant(
-        "hid2/insertion/spread.py", "+ variant * _VARIANT", "+ 0 * variant * _VARIANT",
-        (f"{UNIT}/insertion/test_spread.py",),
-    ),
 }  # fmt: skip
 
 

@@ -11,7 +11,6 @@ from hid2.conflicts.guard import Guard
 from hid2.drivers.driver import MIDDLE, Driver
 from hid2.insertion.sites import InsertionSites
 from hid2.insertion.situations import Situation, Wanted
-from hid2.insertion.spread import Spread
 from hid2.insertion.surroundings import Surroundings
 from hid2.motion.route import DrivenPath, Route
 from hid2.occupancy.traffic import Traffic
@@ -63,7 +62,7 @@ def guard_of(here: Surroundings) -> Guard:
 def sites_of(scene: Scene, seed: int = 0, *wants: Situation) -> InsertionSites:
     """Sites of a scene without inserted vehicles; wants: what all vehicles are to meet."""
     here, wanted = Surroundings(scene), Wanted(dict.fromkeys(wants, 1.0), dict.fromkeys(wants, 0.0))
-    return InsertionSites(here, guard_of(here), np.random.default_rng(seed), 0, Spread.of((seed, 0)), wanted)
+    return InsertionSites(here, guard_of(here), np.random.default_rng(seed), 0, wanted)
 
 
 def start_on(scene: Scene, route: Route, s: float, speed: float, **changes: Any) -> Start:
