@@ -344,16 +344,17 @@ def test_who_enters_stays_until_it_has_been_observed_and_a_while(
     assert verdict is found or (found is None and isinstance(verdict, ExportedVehicle))
 
 
-@pytest.mark.parametrize(("comes", "y", "kept_m"), [
-    (True, 2.6, 0.075), (True, 2.8, 0.25), (True, 3.6, 0.5), (True, 2.3, 0.075), (False, 2.8, 0.25),
+@pytest.mark.parametrize(("heading", "mps", "y", "kept_m"), [
+    (np.pi, 8.0, 2.3, -0.25), (np.pi, 8.0, 2.6, -0.25), (np.pi, 8.0, 2.8, 0.075), (np.pi, 8.0, 3.0, 0.25),
+    (np.pi, 8.0, 3.6, 0.5), (0.0, 8.0, 2.8, 0.075), (0.6, 0.0, 3.6, -0.25),
 ])  # fmt: skip
-def test_traffic_beside_is_passed_with_room(comes: bool, y: float, kept_m: float) -> None:
-    """One comes at y, or goes the same way; the vehicle's place is .5 m towards it, half or .15 of it leave .5 m.
+def test_what_is_beside_is_passed_with_room(heading: float, mps: float, y: float, kept_m: float) -> None:
+    """One comes at y, goes the same way, or stands askew; the vehicle's place is .5 m towards it, or shares of that.
 
-    Boxes are 1.9 m wide and the vehicle's own a little wider: .5 m aside take y = 2.9 m and more, .075 m 2.5 m; at
-    y = 2.3 none does, and .075 m leave the most. None drives along the very middle, which no recorded one does.
+    Boxes are 1.9 m wide: .8 m are left by .5 m aside from y = 3.2 on, by .25 from 2.95, by .075 from 2.775, by -.25
+    from 2.45; at y = 2.3 by none, and -.25 m leave the most. The one askew reaches
+    .5 (4.5 sin .6 + 1.9 cos .6) = 2.06 m towards the lane, 1.11 m more. None drives along the very middle, which no recorded one does.
     """
-    x, heading = (200.0, np.pi) if comes else (60.0, 0.0)
-    scene = scene_of(recorded(x, y, 8.0, heading=heading))
+    scene = scene_of(recorded(200.0 if heading > 3.0 else 60.0, y, mps, heading=heading))
     found = _kept(scene, np.full(110, 10.0), offset=_aside(0.5))
     assert found.trajectory.position[:, 1] == pytest.approx(kept_m, abs=0.01)
