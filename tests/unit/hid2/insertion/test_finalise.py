@@ -352,8 +352,8 @@ def test_what_is_beside_is_passed_with_room(heading: float, mps: float, y: float
     """One comes at y, goes the same way, or stands askew; the vehicle's place is .5 m towards it, or shares of that.
 
     Boxes are 1.9 m wide: .8 m are left by .5 m aside from y = 3.2 on, by .25 from 2.95, by .075 from 2.775, by -.25
-    from 2.45; at y = 2.3 by none, and -.25 m leave the most. The one askew reaches
-    .5 (4.5 sin .6 + 1.9 cos .6) = 2.06 m towards the lane, 1.11 m more. None drives along the very middle, which no recorded one does.
+    from 2.45; at y = 2.3 by none, and -.25 m leave the most. The one askew reaches .5 (4.5 sin .6 + 1.9 cos .6) =
+    2.06 m towards the lane, 1.11 m more. None drives along the very middle, which no recorded one does.
     """
     scene = scene_of(recorded(200.0 if heading > 3.0 else 60.0, y, mps, heading=heading))
     found = _kept(scene, np.full(110, 10.0), offset=_aside(0.5))
