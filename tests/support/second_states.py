@@ -1,8 +1,9 @@
 """Whether the columns of inserted tracks agree with each other and with the sidecar. Part of the second checker.
 
-Apart from its limits, as faults are planted into positions alone: velocities are central differences of positions,
-headings are along them; a track has no gaps, begins at the first step or where lanes of the map begin, and is seen
-until it is predicted; boxes share no ground between the steps either, by sizes that a reader without labels takes.
+Apart from its limits, as faults are planted into positions alone: velocities are central differences of positions; what
+is as far behind the middle of a box as its rear axle moves along its heading; a track has no gaps, begins at the first
+step or where lanes of the map begin, and is seen until it is predicted; boxes share no ground between the steps either,
+by sizes that a reader without labels takes.
 """
 
 import math
@@ -17,6 +18,7 @@ from second_scene import DT_S, SMALL_THING, TYPE_SIZES, SecondScene, SecondTrack
 LAST_OBSERVED = 49
 #: Central differences of a jerk of 8 m/s3 are off by 8 * 0.1^2 / 6 = 0.013 m/s, in curves by more.
 VELOCITY_MPS, SLIP_RAD, SLIPS_MPS = 0.1, 0.1, 0.5
+AXLE_SHARE = 0.3  # of the length of a box, from its middle to its rear axle
 #: From the rear bumper of a vehicle that enters to where a lane begins: 0.5 m, and what is driven in a step.
 ENTERS_WITHIN_M = 3.0
 
@@ -32,7 +34,9 @@ def check_states(scene: SecondScene) -> list[Finding]:
 def _columns(scene: SecondScene, track: SecondTrack) -> Iterator[Finding]:
     derived = np.gradient(track.xy, DT_S, axis=0)
     off = np.abs(derived - track.velocity)[1:-1].max(axis=1)
-    slip = np.abs(turned(np.arctan2(derived[:, 1], derived[:, 0]) - track.heading))[1:-1]
+    behind = AXLE_SHARE * track.length_m * np.stack([np.cos(track.heading), np.sin(track.heading)], axis=1)
+    rolls = np.gradient(track.xy - behind, DT_S, axis=0)
+    slip = np.abs(turned(np.arctan2(rolls[:, 1], rolls[:, 0]) - track.heading))[1:-1]
     slip = np.where(np.hypot(*derived[1:-1].T) > SLIPS_MPS, slip, 0.0)
     for name, values, limit in (("velocity", off, VELOCITY_MPS), ("slip", slip, SLIP_RAD)):
         row = int(np.argmax(values))
