@@ -181,6 +181,11 @@ class LaneOffset:
         """The same with a share of the offset."""
         return LaneOffset(self.knots_m, share * self.offset_m, share * self.slope)
 
+    def shifted(self, aside_m: float) -> "LaneOffset":
+        """The same so far to the left, as far as a driver goes aside."""
+        aside = np.clip(self.offset_m + aside_m, -OFFSET_MAX_M, OFFSET_MAX_M)
+        return LaneOffset(self.knots_m, aside, np.where(np.abs(aside) < OFFSET_MAX_M, self.slope, 0.0))
+
     def held(self, start_m: float, end_m: float) -> "LaneOffset":
         """The same, waiting over a stretch: a vehicle that changes lanes does not weave besides."""
         row = max(int(np.searchsorted(self.knots_m, start_m, side="right")) - 1, 0)
