@@ -92,13 +92,14 @@ def remove_abandoned(folder: Path, *below: str) -> None:
     """Remove what processes that are gone were writing in a folder, and in those below that match a pattern."""
     for pattern in (".hid2-*", *(f"{name}/.hid2-*" for name in below)):
         for path in folder.glob(pattern):
-            with contextlib.suppress(OSError), contextlib.ExitStack() as stack:
+            with contextlib.suppress(OSError), contextlib.ExitStack() as stack:  # O_NONBLOCK: nothing waits for a pipe
                 is_left = _HIDDEN.fullmatch(path.name) and path.lstat().st_uid == os.geteuid() and not _is_new(path)
                 if is_left and stack.enter_context(locked(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)):
-                    _remove(path)  # nothing has waited for a pipe
+                    _remove(path)
 
 
 def _is_new(path: Path) -> bool:
+    """Whether it is empty and so new that its process may not have locked it yet."""
     return time.time() - path.stat().st_mtime < _NEW_S and not (
         any(path.iterdir()) if path.is_dir() else path.stat().st_size
     )

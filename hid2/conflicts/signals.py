@@ -31,7 +31,7 @@ _FLOW_MPS = 1.0  # speed above which recorded vehicles are cross traffic; no tun
 #: Green time before and after a recorded entry, s, and time before and after cross traffic at which the entrance is red
 #: even so, s (the critical PET). No tunables: what recorded traffic tells of a phase.
 _ENTRY_BEFORE_S, _ENTRY_AFTER_S, _CROSSING_S = 1.0, 2.0, 1.0
-#: Time for which a vehicle that comes to stand at an entrance has braked for the red, s. No tunable, as before.
+#: Time for which a vehicle that comes to stand at an entrance has braked for the red, s. No tunable: as those above.
 _BRAKES_S = 2.0
 #: Time after green in which a vehicle that can no longer stop may pass (amber), about, s. No tunable.
 AMBER_S = 1.5

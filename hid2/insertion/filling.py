@@ -81,6 +81,7 @@ class Filling:
     rounds: int = 0
     _open: list[VehicleRequest] = field(default_factory=list)
     _may_drive_again: dict[str, Start] = field(default_factory=dict)
+    """Of this round, by id: those driven for the first time, as they were asked for."""
     _again: list[Start] = field(default_factory=list)
     _last_reason: dict[int, Reason] = field(default_factory=dict)
     _turned_down: TurnedDown = field(default_factory=TurnedDown)

@@ -92,7 +92,7 @@ def trajectory(line: ReferenceLine, motion: Motion, offset: LaneOffset, length_m
 
 
 def _rolling(course: FloatArray, position: FloatArray, axle_m: float) -> FloatArray:
-    """Headings (T,) rad of a box whose rear axle, axle_m behind its middle, rolls and does not slide.
+    """Headings (T,) rad of a box with a rear axle, axle_m behind its middle, that rolls and does not slide.
 
     It trails the course (T,) rad of the middle, within the length of the box by axle_m times the curvature, as boxes of
     recorded vehicles do; at first as if the curve had begun before.

@@ -86,15 +86,13 @@ def lane_options(
             _next_sigma(scene, cell, following, step=inserted.step, speed_mps=speed_mps)
         )
         front, rear = gaps_on(scene, target, box, at=at, inserted=inserted)
-        corridor = min(
-            remaining,
-            front.distance_m
-            if front.speed_mps < desired_mps
-            else gaps_on(scene, target, box, at=at, inserted=inserted, below_mps=desired_mps)[0].distance_m,
-        )
+        slower = front
+        if front.speed_mps >= desired_mps:
+            slower, _ = gaps_on(scene, target, box, at=at, inserted=inserted, below_mps=desired_mps)
         option = LaneOption(
-            side=side, target=cell, cells_free=free, front=front, rear=rear, remaining_m=remaining, corridor_m=corridor
-        )
+            side=side, target=cell, cells_free=free, front=front, rear=rear, remaining_m=remaining,
+            corridor_m=min(remaining, slower.distance_m),
+        )  # fmt: skip
         found.append((option, target))
     return found
 
