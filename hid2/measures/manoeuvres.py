@@ -18,7 +18,7 @@ import numpy as np
 from hid2.agents import FloatArray
 from hid2.measures.arrays import BoolArray
 from hid2.measures.driven_lanes import LaneRun, LaneView, runs_of, source_path, target_path
-from hid2.measures.lane_matching import CHANGES_LANES
+from hid2.measures.lane_matching import CHANGES_LANES, FlatLanes
 from netconvert.geometry import Polyline, slopes
 from netconvert.lane_graph import TURN_RAD
 
@@ -126,11 +126,12 @@ def _lane_change(view: LaneView, agent: int, runs: list[LaneRun], k: int) -> _Ch
     arrays, lanes = view.arrays, view.lanes
     source, target = runs[k - 1].lane, runs[k].lane
     left, left_lanes = source_path(view, runs, k)
-    joined, _ = target_path(view, runs, k)
+    _, joined_lanes = target_path(view, runs, k)
     start, stop = int(arrays.first[agent]), int(arrays.first[agent + 1])
     position = arrays.position[start:stop]
     time = np.asarray(arrays.step[start:stop] * arrays.step_s, dtype=np.float64)
-    side, lateral, known = _lateral(position, left, joined, *lanes.half_width[[source, target]].tolist())
+    side = 1 if np.median(left.frenet(lanes.lane_points(target))[1]) > 0.0 else -1
+    lateral, known = _lateral(position, _border(lanes, left_lanes, side), _border(lanes, joined_lanes, -side))
     switch = runs[k].first - start
     if not known[max(0, switch - 1)] or not known[switch]:
         return None
@@ -160,26 +161,25 @@ def _lane_change(view: LaneView, agent: int, runs: list[LaneRun], k: int) -> _Ch
     return _Change(maneuver, source, start + at, left, left_lanes)
 
 
-def _lateral(
-    position: FloatArray, source: Polyline, target: Polyline, source_half_m: float, target_half_m: float
-) -> tuple[int, FloatArray, BoolArray]:
-    """Side of the target lane, offset (T,) m from the line between the two lanes, and where it is known (T,).
+def _border(lanes: FlatLanes, path: tuple[int, ...], side: int) -> Polyline:
+    """The border of lanes in a row on a side, +1 left."""
+    points = np.concatenate([lanes.graph.lanes[int(lanes.lane_ids[one])].sides[side < 0] for one in path])
+    return Polyline(points[np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1e-6)])
 
-    The line divides the distance of the centrelines as the lanes' widths do; where only one of the lanes lies beside
-    the vehicle it is that part of the distance away from that one.
+
+def _lateral(position: FloatArray, source: Polyline, target: Polyline) -> tuple[FloatArray, BoolArray]:
+    """Offset (T,) m from the middle of the border that is left and the one that is entered, and where it is known (T,).
+
+    Lanes that part have two borders there, else it is one. Where only one lies beside the vehicle, it is half of their
+    distance from that one.
     """
     s_source, d_source = source.frenet(position)
     s_target, d_target = target.frenet(position)
     by_source = (s_source > -2.0) & (s_source < source.length_m + 2.0)
     by_target = (s_target > -2.0) & (s_target < target.length_m + 2.0)
-    both, whole_m = by_source & by_target, source_half_m + target_half_m
-    apart = d_source - d_target
-    side = 1 if (np.median(apart[both]) if both.any() else d_source.mean()) > 0 else -1
-    rows = np.arange(len(position))
-    width = np.interp(rows, rows[both], apart[both]) if both.any() else np.full(len(rows), side * whole_m)
-    from_source = width * (source_half_m / whole_m if whole_m > 0.0 else 0.5)
-    lateral = np.where(by_source, d_source - from_source, d_target + width - from_source)
-    return side, lateral, by_source | by_target
+    rows, both = np.arange(len(position)), by_source & by_target
+    half_m = 0.5 * np.interp(rows, rows[both], (d_source - d_target)[both]) if both.any() else 0.0
+    return np.where(by_source, d_source - half_m, d_target + half_m), by_source | by_target
 
 
 def _crossing(toward: FloatArray, known: BoolArray, time: FloatArray, switch: int) -> tuple[int, float] | None:

@@ -4,6 +4,7 @@ Lanes 1 and 2 run along +x, 3.5 m wide, lane 1 at y = 0, lane 2 to its left at y
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -57,15 +58,18 @@ def test_lane_change_is_found_with_its_crossing_in_the_middle():
     assert (found.kind, found.complete) == (ManeuverKind.LANE_CHANGE, False)
 
 
-def test_crossing_is_at_the_line_between_lanes_of_different_widths():
-    """Lanes of 3 and 5 m, centrelines 4 m apart: the line is at y = 1.5, not at 2.
+def test_crossing_is_at_the_border_where_it_is_crossed():
+    """Lanes of 4 m in the mean, centrelines 4 m apart; the border is at y = 1.5 from x = 50 m on, before it at 2.6.
 
     d = 4 (10 r^3 - 15 r^4 + 6 r^5) = 1.5 at r = 0.4325: 3.0 + 0.4325 * 6 = 5.60 s; it would be at 2 m at 6.0 s.
     """
+    first = draw_lane(1, [(0, 0), (200, 0)], left=2, width_m=4.0)
+    second = draw_lane(2, [(0, 4), (200, 4)], right=1, width_m=4.0)
+    border = np.array([[0.0, 2.6], [50.0, 1.5], [200.0, 1.5]])
     graph = LaneGraph(
         {
-            1: draw_lane(1, [(0, 0), (200, 0)], left=2, width_m=3.0),
-            2: draw_lane(2, [(0, 4), (200, 4)], right=1, width_m=5.0),
+            1: replace(first, left_boundary=border, right_boundary=first.sides[1]),
+            2: replace(second, left_boundary=second.sides[0], right_boundary=border),
         }
     )
     (found,) = seen(graph, along(20 + 10 * TIME, shift(3.0, 6.0, width=4.0)))
