@@ -12,7 +12,16 @@ from hid2.motion.route import DrivenPath
 from hid2.occupancy.traffic import Traffic
 from hid2.policy.decision import Observation, decide, is_due
 from hid2.policy.lane_change import OPEN, Gap, LaneOption, SumoAnswer
-from hid2.policy.observation import Inserted, gap_to_passed, gaps_on, lane_options, lay_across, leader_on, returns_to
+from hid2.policy.observation import (
+    Foreseen,
+    Inserted,
+    gap_to_passed,
+    gaps_on,
+    lane_options,
+    lay_across,
+    leader_on,
+    returns_to,
+)
 from hid2.policy.overtake import SHIFT_RATIO, Stage
 from hid2.reasons import Reason
 from hid2.scene import Scene
@@ -165,11 +174,9 @@ class ManoeuvreDue:
     def _lay(self, option: LaneOption, target: DrivenPath) -> DrivenPath | Reason:
         """The path across to a lane beside; or why there is none."""
         vehicle, scene, start = self.vehicle, self.scene, self.vehicle.start
-        path = lay_across(
-            scene, vehicle.path, target, side=option.side, s=vehicle.s[-1], step=self.now,
-            speed_mps=foreseen_speeds(vehicle, scene, self.now), remaining_m=option.remaining_m, driver=start.driver,
-            ratio=SHIFT_RATIO if vehicle.policy is Policy.OVERTAKE else 1.0,
-        )  # fmt: skip
+        own = Foreseen(vehicle.path, vehicle.s[-1], self.now, foreseen_speeds(vehicle, scene, self.now))
+        ratio, room_m = SHIFT_RATIO if vehicle.policy is Policy.OVERTAKE else 1.0, option.remaining_m
+        path = lay_across(scene, own, target, side=option.side, remaining_m=room_m, driver=start.driver, ratio=ratio)
         if isinstance(path, DrivenPath) and vehicle.stage is Stage.PASS and not returns_to(start.path, path):
             return Reason.LANES_PART
         return path

@@ -2,19 +2,19 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from bridge.batch.manifest import DONE, MANIFEST_NAME
 from bridge.cli import options
-from bridge.cli.places import check_scenes, select_scenes
+from bridge.cli.places import check_scenes, recordings, select_scenes
 from bridge.console import Activity, fail, print_json, print_table, say, warn
 from bridge.interruption import if_interrupted
+from bridge.recordings.folders import Address, Choices, Source, split_of
 from netconvert.errors import ConfigError
 
 if TYPE_CHECKING:
     from bridge.batch.batch import OnRow, Progress
     from bridge.batch.manifest import ManifestRow
-    from bridge.recordings.folders import Address
     from hid2.params import Config, Request
 
 #: Most runs of a batch that are listed; more are summed up: those that failed were told one by one.
@@ -25,7 +25,89 @@ _REASONS = 3
 _WITH_REPRO = frozenset({"--repro", "--out", "--function", "--verbose", "--quiet"})
 _WITH_FROM = _WITH_REPRO - {"--repro"} | {"--from", "--source", "--map"}
 _HELP = "(see hid2 generate --help)"
-_TRIGGER_TIME = "When manoeuvres are triggered, in seconds: a time, a range to draw from, or a list to draw from."
+
+
+class Asked(NamedTuple):
+    """What is asked for: what a configuration is made of."""
+
+    request: dict[str, Any] = options.FieldOptions("request", options.request)  # type: ignore[assignment]
+    behaviours: str | None = options.request(
+        f"Shares of {options.BEHAVIOURS}; those not named get none.",
+        None,
+        "NAME=SHARE,...",
+        show_default="straight=0.73,left_turn=0.035,right_turn=0.035,lane_change=0.15,overtake=0.05",
+    )
+    trigger_time: str | None = options.request(
+        "When manoeuvres are triggered, in seconds: a time, a range to draw from, or a list to draw from.",
+        None,
+        "S|A:B|S,S,...",
+        show_default="0.5 to 36 % of the scene, 4 s at most",
+    )
+    without: list[options.ComponentName] = options.request("Ablation: leave a component out; repeatable.", [])
+    event: list[options.EventName] = options.event(
+        "An event with a recorded vehicle, searched until it comes about; repeatable, with the same options.", []
+    )
+    events: dict[str, Any] = options.FieldOptions("event", options.event)  # type: ignore[assignment]
+    criticality: list[str] = options.event(
+        "Only events within this band of TTC or PET in seconds, or DRAC in m/s2; repeatable.",
+        [],
+        "ttc=A:B|pet=A:B|drac=A:B",
+    )
+    others: dict[str, Any] = options.FieldOptions("others", options.parameter)  # type: ignore[assignment]
+    drivers: Path | None = options.parameter("Drivers as `hid2 calibrate` measured them.", None, "DRIVERS.toml")
+    config: Path | None = options.CONFIG
+    settings: list[str] = options.SETTINGS
+
+    def resolved(self) -> "Config":
+        """The configuration. Errors: ConfigError."""
+        from bridge.config import load_config, parse_behaviours, parse_events, parse_trigger_time, read_drivers
+        from bridge.toml import parse_value
+
+        flags: dict[str, Any] = {key: one for key, one in (self.request | self.others).items() if one is not None}
+        if "request.agents" in flags:
+            flags["request.agents"] = parse_value(flags["request.agents"])
+        flags |= {"without": self.without} if self.without else {}
+        flags |= read_drivers(self.drivers) if self.drivers is not None else {}
+        flags |= parse_behaviours(self.behaviours) if self.behaviours is not None else {}
+        flags |= parse_trigger_time(self.trigger_time) if self.trigger_time is not None else {}
+        flags |= parse_events(self.event, self.events, self.criticality)
+        return load_config(self.config, self.settings, flags)
+
+
+class Written(NamedTuple):
+    """Where scenes are written to, and what besides them."""
+
+    out: Path | None = options.output("Folder to write to (required).", None, "OUT", "-o")
+    formats: list[Literal["argoverse1"]] = options.output(
+        "A format to write beside Argoverse 2's: sequences in OUT/argoverse1. Repeatable.", [], None, "--format"
+    )
+    record: list[Literal["gaps"]] = options.output(
+        "Write more beside each scene; gaps: every look at a gap, gaps_<id>.csv.gz.", []
+    )
+    as_json: bool = options.AS_JSON
+
+
+class Running(NamedTuple):
+    """How the batch runs, and goes on."""
+
+    batch: options.Batch
+    scene_memory: int = options.running("Memory beyond which a scene is ended and quarantined.", 4000, "MB", min=500)
+    resume: bool = options.running("Skip scenes that are complete and unchanged.", False)
+    append: bool = options.running("Add to the scenes of another request that OUT holds.", False)
+
+
+class OnceMore(NamedTuple):
+    """Which scene is made or run again, in place of a batch. given: all that is on the command line."""
+
+    given: options.Given
+    again: Path | None = options.running(
+        "Make the scene of a hid2_<id>.json again, bit for bit; needs --source.", None, "SIDECAR", "--from"
+    )
+    source: Path | None = options.running("With --from: where its recorded scene lies.", None, "ROOT")
+    repro: Path | None = options.running("Run a quarantined scene again, from its bundle.", None, "BUNDLE")
+    function: list[str] = options.running(
+        "With --repro or --from: a function of yours that the file may ask for; repeatable.", [], "MODULE:NAME"
+    )
 
 
 @options.command(
@@ -35,56 +117,15 @@ _TRIGGER_TIME = "When manoeuvres are triggered, in seconds: a time, a range to d
         "at", "drivers", "config", "settings", "jobs", "resume", "again", "source", "repro", "help",
     ),
 )  # fmt: skip
-def generate(  # noqa: PLR0913  # one for each option
+def generate(
     *,
     scenes: list[Path] | None = options.argument("SCENE", "Scenario folders, split folders or data-set roots.", None),
-    out: Path | None = options.output("Folder to write to (required).", None, "OUT", "-o"),
-    request: dict[str, Any] = options.FieldOptions("request", options.request),  # type: ignore[assignment]
-    behaviours: str | None = options.request(
-        f"Shares of {options.BEHAVIOURS}; those not named get none.",
-        None,
-        "NAME=SHARE,...",
-        show_default="straight=0.73,left_turn=0.035,right_turn=0.035,lane_change=0.15,overtake=0.05",
-    ),
-    trigger_time: str | None = options.request(
-        _TRIGGER_TIME, None, "S|A:B|S,S,...", show_default="0.5 to 36 % of the scene, 4 s at most"
-    ),
-    without: list[options.ComponentName] = options.request("Ablation: leave a component out; repeatable.", []),
-    event: list[options.EventName] = options.event(
-        "An event with a recorded vehicle, searched until it comes about; repeatable, with the same options.", []
-    ),
-    events: dict[str, Any] = options.FieldOptions("event", options.event),  # type: ignore[assignment]
-    criticality: list[str] = options.event(
-        "Only events within this band of TTC or PET in seconds, or DRAC in m/s2; repeatable.",
-        [],
-        "ttc=A:B|pet=A:B|drac=A:B",
-    ),
-    others: dict[str, Any] = options.FieldOptions("others", options.parameter),  # type: ignore[assignment]
-    drivers: Path | None = options.parameter("Drivers as `hid2 calibrate` measured them.", None, "DRIVERS.toml"),
-    config: Path | None = options.CONFIG,
-    settings: list[str] = options.SETTINGS,
+    written: Written,
+    asked: Asked,
     which: options.Which,
-    windows: options.Windows,
-    formats: list[Literal["argoverse1"]] = options.output(
-        "A format to write beside Argoverse 2's: sequences in OUT/argoverse1. Repeatable.", [], None, "--format"
-    ),
-    record: list[Literal["gaps"]] = options.output(
-        "Write more beside each scene; gaps: every look at a gap, gaps_<id>.csv.gz.", []
-    ),
-    batch: options.Batch,
-    scene_memory: int = options.running("Memory beyond which a scene is ended and quarantined.", 4000, "MB", min=500),
-    resume: bool = options.running("Skip scenes that are complete and unchanged.", False),
-    append: bool = options.running("Add to the scenes of another request that OUT holds.", False),
-    again: Path | None = options.running(
-        "Make the scene of a hid2_<id>.json again, bit for bit; needs --source.", None, "SIDECAR", "--from"
-    ),
-    source: Path | None = options.running("With --from: where its recorded scene lies.", None, "ROOT"),
-    repro: Path | None = options.running("Run a quarantined scene again, from its bundle.", None, "BUNDLE"),
-    function: list[str] = options.running(
-        "With --repro or --from: a function of yours that the file may ask for; repeatable.", [], "MODULE:NAME"
-    ),
-    as_json: bool = options.AS_JSON,
-    given: options.Given,
+    choices: Choices,
+    running: Running,
+    once: OnceMore,
     activity: Activity,
 ) -> bool:
     """Write denser scenes: insert vehicles with the behaviours asked for among the recorded ones.
@@ -99,58 +140,47 @@ def generate(  # noqa: PLR0913  # one for each option
 
     Exit code 1: a scene could not be done, or something asked for came about in no scene. 2: no scene can meet it.
     """
-    if repro is not None:
-        given.check(_WITH_REPRO, "--repro, which runs the request of the bundle")
-        return _reproduce(repro, out, function, activity)
-    if again is not None:
-        given.check(_WITH_FROM, "--from, which makes the request of the sidecar again")
-        return _make_again(again, source, out, windows.map_path, function, activity)
-    if source is not None or function:
-        alone = "--function without --repro or --from" if source is None else "--source without --from"
+    out = written.out
+    if once.repro is not None:
+        once.given.check(_WITH_REPRO, "--repro, which runs the request of the bundle")
+        return _reproduce(once.repro, out, once.function, activity)
+    if once.again is not None:
+        once.given.check(_WITH_FROM, "--from, which makes the request of the sidecar again")
+        return _make_again(once.again, once, out, choices.map_path, activity)
+    if once.source is not None or once.function:
+        alone = "--function without --repro or --from" if once.source is None else "--source without --from"
         raise ConfigError(f"{alone}, expected the two together {_HELP}")
     if not scenes or out is None:
         missing = [name for name, value in (("SCENE", scenes), ("-o/--out", out)) if not value]
         raise ConfigError(f"missing {' and '.join(missing)} {_HELP}")
     check_scenes(scenes)
-    from bridge import load_config, parse_behaviours
-    from bridge.config import functions_of, parse_events, parse_trigger_time, read_drivers
-    from bridge.recordings.folders import split_of
-    from bridge.recordings.sources import described, find_sources, fitting
-    from bridge.toml import parse_value
+    from bridge.config import functions_of
 
-    flags: dict[str, Any] = {key: value for key, value in (request | others).items() if value is not None}
-    if "request.agents" in flags:
-        flags["request.agents"] = parse_value(flags["request.agents"])
-    flags |= {"without": without} if without else {}
-    flags |= read_drivers(drivers) if drivers is not None else {}
-    flags |= parse_behaviours(behaviours) if behaviours is not None else {}
-    flags |= parse_trigger_time(trigger_time) if trigger_time is not None else {}
-    flags |= parse_events(event, events, criticality)
-    resolved = load_config(config, settings, flags)
+    resolved = asked.resolved()
     activity.doing("looking for scenes")
-    folders = fitting(find_sources(scenes, windows.choices()), windows.choices())
-    activity.note(*described(folders))
-    if formats:
+    folders = recordings(scenes, choices, activity, generated=False)
+    if written.formats:
         _check_sequences(folders, resolved)
-    folders = select_scenes(folders, which, resolved.request.seed, activity, jobs=batch.jobs)
+    folders = select_scenes(folders, which, resolved.request.seed, activity, jobs=running.batch.jobs)
     if loose := sum(split_of(folder) is None for folder in folders):
         activity.note(f"{loose} of {len(folders)} scenes in no folder train, val or test: no split in {out} has them")
     from bridge.batch.batch import plan, run_batch
     from bridge.batch.requested import came_about_nowhere, check_request, check_same_request, named_behaviours
 
     jobs_wanted = plan(folders, resolved)
-    if not append:
+    if not running.append:
         check_same_request(out, jobs_wanted[0].runs[0].config)
     activity.doing("looking at the first scenes")
-    named = named_behaviours(resolved.request, by_option=behaviours is not None)
-    check_request(folders, resolved, named, jobs=batch.jobs)
-    beside = {"argoverse1": bool(formats), "gaps": bool(record)}
-    how = batch.options(resume=resume, memory_mb=scene_memory, functions=functions_of(resolved), **beside)
+    named = named_behaviours(resolved.request, by_option=asked.behaviours is not None)
+    check_request(folders, resolved, named, jobs=running.batch.jobs)
+    beside = {"argoverse1": bool(written.formats), "gaps": bool(written.record)}
+    limits = {"resume": running.resume, "memory_mb": running.scene_memory, "functions": functions_of(resolved)}
+    how = running.batch.options(**limits, **beside)
     activity.doing("generating")
     activity.show(0, sum(len(job.runs) for job in jobs_wanted))
     rows = run_batch(jobs_wanted, out, how, on_row=notes_of(activity, out, go_on="continue with --resume"))
     activity.end()
-    if as_json:
+    if written.as_json:
         print_json(rows[0]._fields, rows)
     elif not activity.quiet:
         print_batch(rows, resolved.request)
@@ -162,10 +192,8 @@ def generate(  # noqa: PLR0913  # one for each option
     return bool(nowhere) or any(row.status != DONE for row in rows)
 
 
-def _check_sequences(folders: Sequence["Address"], config: "Config") -> None:
+def _check_sequences(folders: Sequence[Address], config: "Config") -> None:
     """Errors: ConfigError for what cannot be written as sequences of Argoverse 1."""
-    from bridge.recordings.folders import Source
-
     for folder in folders:
         if not (isinstance(folder, Source) and folder.format == "argoverse1"):
             raise ConfigError(f"--format argoverse1: {folder} is no Argoverse 1 sequence, expected these alone")
@@ -175,21 +203,18 @@ def _check_sequences(folders: Sequence["Address"], config: "Config") -> None:
         raise ConfigError("--format argoverse1 with driving.replay = 'reactive': no scene of Argoverse, expected one")
 
 
-def _make_again(
-    sidecar: Path, source: Path | None, out: Path | None, map_path: Path | None, functions: Sequence[str],
-    activity: Activity,
-) -> bool:  # fmt: skip
+def _make_again(sidecar: Path, once: OnceMore, out: Path | None, map_path: Path | None, activity: Activity) -> bool:
     """Make the scene of a sidecar again, and compare it with what lies beside the sidecar."""
     if not (sidecar.is_file() and sidecar.match("hid2_*.json")):
         wrong = "is no sidecar" if sidecar.exists() else "no such file"
         raise ConfigError(f"--from {sidecar}: {wrong}, expected that of a generated scene, hid2_<id>.json")
-    if out is None or source is None:
+    if out is None or once.source is None:
         raise ConfigError(f"--from SIDECAR takes --source ROOT and -o OUT {_HELP}")
-    check_scenes([source])
+    check_scenes([once.source])
     activity.doing("making the scene again")
     from bridge.batch.provenance import make_again
 
-    made = make_again(sidecar, source, out, map_path=map_path, functions=functions)
+    made = make_again(sidecar, once.source, out, map_path=map_path, functions=once.function)
     for line in made.differences:
         warn(line)
     activity.result(made.folder)

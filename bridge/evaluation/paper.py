@@ -162,7 +162,7 @@ def smoothed(tracks: Sequence[Track], num_steps: int, *, step_s: float) -> tuple
 
 
 def run_experiment(
-    name: Experiment, *, scenes: Path | Sequence[Path], out_dir: Path, choices: Choices | None = None, seeds: int = 10,
+    name: Experiment, scenes: Path | Sequence[Path], out_dir: Path, choices: Choices | None = None, *, seeds: int = 10,
     jobs: int = 1, agents: int = 10, on_scene: OnDone = None,
 ) -> Path:  # fmt: skip
     """Run one experiment of the paper on recorded scenes; returns the page that it wrote.

@@ -78,8 +78,8 @@ class TrainingPlan(NamedTuple):
 
 
 def run_prediction(
-    scenes: Sequence[Path], out: Path, plan: TrainingPlan, *, jobs: int = 1, composed: Path | None = None,
-    predictions: Path | None = None, on_step: Progress | None = None,
+    scenes: Sequence[Path], out: Path, plan: TrainingPlan, composed: Path | None = None,
+    predictions: Path | None = None, *, jobs: int = 1, on_step: Progress | None = None,
 ) -> Path:  # fmt: skip
     """Run the experiment and write prediction.html, .json and _scores.csv into `out`; returns the page.
 

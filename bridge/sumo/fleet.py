@@ -10,7 +10,7 @@ import numpy as np
 
 from bridge.sumo.poses import center_on_path
 from hid2.agents import BoxSize, FloatArray, IntArray
-from hid2.conflicts.guard import PRESENT, Braking, Guard, Obstacles, S
+from hid2.conflicts.guard import PRESENT, Braking, Guard, Obstacles, OwnMotion, S
 from hid2.conflicts.reaction import yielding
 from hid2.conflicts.stop_lines import StopLines
 from hid2.drivers.driver import Driver
@@ -255,20 +255,17 @@ class Fleet:
         )  # fmt: skip
 
     def braking(
-        self, row: int, path: DrivenPath, now: int, *, state: tuple[float, float, float], desired_mps: float,
-        horizon_s: float | None = None,
-    ) -> Braking:  # fmt: skip
+        self, row: int, path: DrivenPath, now: int, state: tuple[float, float, float], horizon_s: float | None = None
+    ) -> Braking:
         """What the guard predicts for a vehicle from a state (s m, v m/s, a m/s2) at step `now`, on any path.
 
         horizon_s: another one than `conflict.horizon_s`.
         """
-        driver = self.vehicles[row].start.driver
+        vehicle = self.vehicles[row]
         obstacles = self._without_those_that_yield(self.obstacles(row, path), row, path, now)
-        road = self.contexts[row].road if path is self.vehicles[row].path else self.roads.speeds(path, driver)
-        return self.guard.braking(
-            obstacles, own=row, step=now, fleet=self.state, state=state, desired_mps=desired_mps, road=road,
-            driver=driver, horizon_s=horizon_s,
-        )  # fmt: skip
+        road = self.contexts[row].road if path is vehicle.path else self.roads.speeds(path, vehicle.start.driver)
+        going = OwnMotion(state, float(vehicle.start.desired[now]), road, vehicle.start.driver)
+        return self.guard.braking(obstacles, going, now, self.state, own=row, horizon_s=horizon_s)
 
     def obstacles(self, row: int, path: DrivenPath) -> Obstacles:
         """All agents on a path for a vehicle; what is on its own one is worked out once."""
